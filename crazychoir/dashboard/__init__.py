@@ -1,1 +1,1 @@
-"""The operator's web page: a subscriber and a commander, never in the control path."""
+"""The operator's web page: it subscribes and commands, and is never in the control path."""

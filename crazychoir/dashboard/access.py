@@ -1,7 +1,10 @@
-"""Who may come in: every request passes here before anything else sees it.
+"""Access control: every request passes here before any other code sees it.
 
-Refused: hosts that the page is not served at (a name that was bound to this address), other sites' requests, but for
-a link to the page, bodies that are too large, and, where a password is wanted, whoever has not given it.
+Refused are
+- hosts at which the page is not served, such as a foreign name bound to this address,
+- requests of other sites, except a link to the page,
+- bodies that are too large, and
+- visitors without the password, if there is one.
 """
 
 import asyncio
@@ -22,23 +25,36 @@ Send = Callable[[Event], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 MOST_BODY = 1 << 18
-"""Bytes of a request's body, and of one message of a page."""
-COOKIE, LOGIN = "crazychoir", "/login"
+"""Largest size in bytes of a request's body and of one message of a page."""
+COOKIE = "crazychoir"
+"""Name of the session cookie."""
+LOGIN = "/login"
+"""Path to which the password is sent."""
 SESSION = 12 * 3600
-"""s for which a password that was given counts."""
+"""Seconds for which a correct password counts."""
 SALT = b"crazychoir's page"
+"""Salt of the key that signs cookies."""
 SITE = 64
-"""Bits of an IPv6 address that one who comes cannot choose."""
-PAUSE, PATIENCE = 1.0, 3.0
-"""s between two passwords that one address gives; for which one waits for its turn, at most."""
+"""Bits of an IPv6 address that the visitor's network fixes; a visitor can choose the others."""
+PAUSE = 1.0
+"""Seconds between two passwords from one address."""
+PATIENCE = 3.0
+"""Longest time in seconds that a password waits for its turn."""
 MOST_ADDRESSES = 1024
-"""Whose last password is remembered."""
-MOST_LOGIN, LOGIN_SECONDS = 1 << 12, 5.0
-"""Bytes, and s, of a password on its way."""
+"""Number of addresses for which the time of the next password is stored."""
+MOST_LOGIN = 1 << 12
+"""Largest size in bytes of a login request's body."""
+LOGIN_SECONDS = 5.0
+"""Seconds within which that body must arrive."""
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
+"""Host names of this machine."""
 SAFE = ("GET", "HEAD")
+"""HTTP methods that change nothing."""
 ELSEWHERE = ("cross-site", "same-site")
-"""What a browser says of a request that another site makes, on this host too; see Fetch Metadata, W3C."""
+"""Values of Sec-Fetch-Site for a request of another site, on this host too.
+
+Source: Fetch Metadata, W3C.
+"""
 HEADERS = [
     (b"x-frame-options", b"DENY"),
     (b"x-content-type-options", b"nosniff"),
@@ -59,14 +75,17 @@ input,button{font:inherit;width:100%;padding:.5rem;margin:.3rem 0;box-sizing:bor
 
 
 class TooLarge(Exception):
-    """A body went on beyond what is allowed."""
+    """A body is larger than allowed."""
 
 
 class Gate:
-    """Before an application.
+    """Access control in front of an application.
 
-    hosts: names that it is served at, with its port, None for any;  password: None for none;  tls: whether cookies
-    may travel encrypted only.
+    app: the application behind it.
+    clock: clock of the pauses and sessions.
+    hosts: names, with the port, at which the page is served; None for any.
+    password: None for none.
+    tls: whether cookies must travel encrypted.
     """
 
     def __init__(
@@ -87,10 +106,10 @@ class Gate:
         )
         self._next: dict[
             str, float
-        ] = {}  # s, by address: when its next password is looked at
+        ] = {}  # s, by address: when its next password may be checked
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """One connection."""
+        """Handle one connection."""
         if scope["type"] not in ("http", "websocket"):
             await self.app(scope, receive, send)
             return
@@ -109,7 +128,7 @@ class Gate:
             await _refuse(scope, send, 401, "the password of this page is wanted")
 
     def _refused(self, scope: Scope, headers: dict[str, str]) -> tuple[int, str]:
-        """Status and reason; 0 if it is none."""
+        """Return status and reason of a refusal; status 0 if the request is allowed."""
         host = headers.get("host", "")
         origin = headers.get("origin")
         if self.hosts is not None and host not in self.hosts:
@@ -144,14 +163,14 @@ class Gate:
 
     @property
     def _today(self) -> int:
-        """s, since 1970: a session goes on when the server was started again."""
+        """Seconds since 1970, so that a session survives a restart of the server."""
         return (self.clock.now_ns() + self.clock.epoch_ns) // SECOND
 
     def _signed(self, until: str) -> str:
         return hmac.new(self._key, until.encode(), hashlib.sha256).hexdigest()
 
     async def _through(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """To the application, which gets no more than MOST_BODY bytes."""
+        """Pass the request to the application, with at most MOST_BODY bytes of body."""
         size = 0
         begun = False
 
@@ -208,7 +227,10 @@ class Gate:
             await _form(send, 401, "That is not the password.")
 
     def _turn(self, address: str) -> float:
-        """s until the password is looked at that this address has given now: nobody waits for what others try."""
+        """Return the seconds until a password that this address sends now is checked.
+
+        Each address waits only for its own earlier passwords.
+        """
         now = self.clock.now()
         wait = max(0.0, self._next.pop(address, 0.0) - now)
         self._next[address] = now + wait + (PAUSE if wait <= PATIENCE else 0.0)
@@ -230,7 +252,7 @@ class Gate:
 
 
 def network_of(address: str) -> str:
-    """Whose an address is: it, or the network in which one may choose among its addresses."""
+    """Return the address, or for IPv6 the network within which a visitor can choose addresses."""
     try:
         found = ipaddress.ip_address(address.partition("%")[0])
     except ValueError:
@@ -241,7 +263,7 @@ def network_of(address: str) -> str:
 
 
 def _of_another_site(headers: dict[str, str]) -> bool:
-    """Whether a browser says so, and it is more than a link that was followed."""
+    """Return whether the browser says that another site makes the request, and it is not a link."""
     link = (
         headers.get("sec-fetch-mode") == "navigate"
         and headers.get("sec-fetch-dest") == "document"
@@ -250,7 +272,10 @@ def _of_another_site(headers: dict[str, str]) -> bool:
 
 
 async def _body(receive: Receive, most: int) -> bytes:
-    """All of it, or what had come when the visitor left; raises TooLarge."""
+    """Return the whole body, or the part that came before the visitor left.
+
+    Raises TooLarge beyond `most` bytes.
+    """
     body = b""
     more = True
     while more:

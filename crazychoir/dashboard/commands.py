@@ -1,4 +1,4 @@
-"""Commands that pages have given, and their receipts: who has acknowledged, who has done it, who says nothing."""
+"""Commands from pages, and their receipts: which drones acknowledged, finished or are silent."""
 
 import asyncio
 import math
@@ -21,13 +21,22 @@ from crazychoir.dashboard.event_log import Watch
 from crazychoir.errors import CrazyChoirError
 from crazychoir.runtime.clock import Clock
 
-SENT, SILENT, UNFINISHED, WITHDRAWN = "sent", "silent", "unfinished", "withdrawn"
-"""Beside those of an answer; UNFINISHED: it has accepted it, and may do it yet; WITHDRAWN: by a later order."""
+SENT = "sent"
+"""Kind of answer: not acknowledged yet."""
+SILENT = "silent"
+"""Kind of answer: not acknowledged in time."""
+UNFINISHED = "unfinished"
+"""Kind of answer: accepted, not done in time; the drone may still do it."""
+WITHDRAWN = "withdrawn"
+"""Kind of answer: withdrawn by a later order."""
 ABSENT = "no agent of it is there"
 REPLAYED = "REPLAY: nobody obeys"
 ENDED = "ENDED: no drone is there"
 ACKNOWLEDGED = 2.0
-"""s within which a drone says that it has heard a command; it is resent meanwhile, and goes on being."""
+"""Seconds within which a drone should acknowledge a command.
+
+The command is resent before and after that time.
+"""
 SECONDS = {
     "arm": 5.0,
     "take-off": 30.0,
@@ -38,9 +47,9 @@ SECONDS = {
     "home": 120.0,
     "go-to": 120.0,
 }
-"""s to wait until each is done; others get REQUEST s."""
+"""Seconds to wait until each command is done; all others get REQUEST seconds."""
 MOTION = (*SECONDS, "fly")
-"""Orders that move a drone, or let it move: a stop of it withdraws them."""
+"""Orders that move a drone or let it move; a stop of the drone withdraws them."""
 BESIDE = {
     "arm": MOTION,
     "take-off": ("arm", "start", "go"),
@@ -49,15 +58,27 @@ BESIDE = {
     "go-to": ("take-off", "hold"),
     "fly": ("take-off", "hold"),
 }
-"""By order: the older ones that still count beside it; it withdraws all others that nobody has acknowledged yet."""
+"""For each order, the older orders that remain valid beside it.
+
+It withdraws all other orders that are not acknowledged yet.
+"""
 IN_TURN = "impair"
-"""Of these, a drone is asked for the next once it has answered to the one before: some add up, some do not."""
-REQUEST, STOP, LOOK = 5.0, 10.0, 0.05
-"""s to wait for what is no motion; after which who has not acknowledged a stop is called silent; between two looks."""
-READY, RETRY = 15.0, 0.3
-"""s for which a drone that is not ready yet is asked again, and between two times."""
+"""A drone gets the next order of this kind only after it has answered the previous one.
+
+Some of these orders add up, others do not, so their sequence matters.
+"""
+REQUEST = 5.0
+"""Seconds to wait for a command that is not a motion."""
+STOP = 10.0
+"""Seconds after which a drone that has not acknowledged a stop is called silent."""
+LOOK = 0.05
+"""Seconds between two checks."""
+READY = 15.0
+"""Seconds for which a drone that is not ready yet is asked again."""
+RETRY = 0.3
+"""Seconds between two such requests."""
 KEPT = 50
-"""Receipts."""
+"""Number of receipts that are kept."""
 
 
 class Place(Protocol):
@@ -68,39 +89,45 @@ class Place(Protocol):
     commander: Commander
 
     def is_there(self, i: int) -> bool:
-        """Whether anybody answers for drone i."""
+        """Return whether an agent answers for drone i."""
         ...
 
     @property
     def replays(self) -> bool:
-        """Whether what is heard is a recording."""
+        """Whether the messages come from a recording."""
         ...
 
 
 @dataclass
 class Receipt:
-    """A command, and what each drone has said to it.
-
-    number: counts from 1;  t: s, when it was given;  answers: by drone, (kind, words): SENT until it has acknowledged,
-    then ACCEPTED, DONE, REFUSED, UNFINISHED or WITHDRAWN, SILENT if it has not acknowledged in time;  version: counts
-    changes of all receipts;  key: what the page calls it that asked for it, so that it is not taken twice.
-    """
+    """A command and the answers of the drones."""
 
     number: int
+    """Number of the command, from 1."""
     verb: str
+    """Name of the command."""
     words: str
+    """Its arguments, for display."""
     t: float
+    """s, when it was given."""
     answers: dict[int, tuple[str, Any]] = field(default_factory=dict)
+    """By drone, (kind, words).
+
+    The kind is SENT until the drone acknowledges, then ACCEPTED, DONE, REFUSED, UNFINISHED or
+    WITHDRAWN. It is SILENT if the drone has not acknowledged in time.
+    """
     version: int = 0
+    """Number of the change after which this receipt was last changed, over all receipts."""
     key: str = ""
+    """Key that the page gave the command, so that a repeated command counts only once."""
 
     @property
     def open(self) -> bool:
-        """Whether somebody may still answer."""
+        """Whether a drone may still answer."""
         return any(kind in (SENT, ACCEPTED) for kind, _ in self.answers.values())
 
     def done(self) -> bool:
-        """Whether all have done it."""
+        """Return whether all drones have done it."""
         return bool(self.answers) and all(
             kind == DONE for kind, _ in self.answers.values()
         )
@@ -108,40 +135,47 @@ class Receipt:
 
 @dataclass(eq=False)
 class _Asked:
-    """An order to one drone that is still asked of it.
-
-    begun: whether it has acknowledged it;  outdone: the contrary order after which it is not asked again.
-    """
+    """An order to one drone that is still being sent or carried out."""
 
     receipt: Receipt
+    """Receipt of the order."""
     drone: int
+    """Id of the drone."""
     begun: bool = False
+    """Whether the drone has acknowledged it."""
     outdone: str = ""
+    """Name of a later, contrary order after which it is not sent again; empty if there is none."""
 
 
 @dataclass(eq=False)
 class _Stop:
-    """A stop, or its clearing, that is still sent. targets: the addresses to which;  alone: see emergency_stop."""
+    """A stop, or its clearing, that is still being sent."""
 
     receipt: Receipt
+    """Receipt of the stop."""
     targets: list[int]
+    """Addresses to which it is sent."""
     clear: bool
+    """Whether it clears a stop."""
     alone: bool
+    """Whether it stops only some drones, see emergency_stop."""
     obeyed: dict[int, None] = field(default_factory=dict)
+    """Addresses that have obeyed."""
 
     def has_obeyed(self, i: int) -> bool:
-        """Whether drone i has: its agent, and its body where an owner has that."""
+        """Return whether drone i has obeyed: its agent, and its body if another process owns it."""
         return i in self.obeyed and (
             BODIES + i in self.obeyed or BODIES + i not in self.targets
         )
 
 
 class Desk:
-    """Gives commands; nothing here waits for them: their receipts grow.
+    """Gives commands without waiting for them; their receipts are updated as answers come.
 
-    What is ordered later counts. A stop withdraws every open order that could move its drones, an order those older
-    ones that are contrary to it and not acknowledged yet, and who is not ready is not asked for such a one again:
-    across an outage of the network none of them comes late.
+    Later orders take precedence. A stop withdraws every open order that could move its drones. An
+    order withdraws older contrary orders that are not acknowledged yet. A drone that is not ready
+    is not asked again for an order that was withdrawn. After an outage of the network no such
+    order therefore arrives late.
     """
 
     def __init__(self, place: Place, watch: Watch) -> None:
@@ -155,11 +189,11 @@ class Desk:
         self._stops: dict[_Stop, None] = {}
 
     def after(self, version: int) -> list[Receipt]:
-        """The receipts that have changed since then, oldest first."""
+        """Return the receipts that have changed since `version`, oldest first."""
         return [receipt for receipt in self.receipts if receipt.version > version]
 
     def ended(self) -> str:
-        """Why nobody obeys; empty while somebody may."""
+        """Return the reason why no drone can obey; empty if a drone may."""
         if self.place.replays:
             return REPLAYED
         return "" if any(map(self.place.is_there, self.place.config.ids)) else ENDED
@@ -174,10 +208,16 @@ class Desk:
         says: Callable[[Any], Any] = lambda detail: detail,
         first: asyncio.Task[Any] | None = None,
     ) -> Receipt:
-        """Command these drones, None: all.
+        """Send a command to drones.
 
-        each: the arguments of each;  says: its answer, as the receipt tells it;  first: what has to be over before a
-        drone is asked; a later order, or a stop, counts meanwhile.
+        verb: name of the command.
+        drones: ids, None for all.
+        seconds: s, time until it should be done; None for the default of the command.
+        words: its arguments, for display.
+        each: returns the arguments for a drone.
+        says: turns the detail of an answer into text for the receipt.
+        first: task that must end before a drone is asked; a later order or a stop takes effect
+            meanwhile.
         """
         receipt = self._new(
             verb, self.place.config.ids if drones is None else drones, words
@@ -204,10 +244,15 @@ class Desk:
     def stop(
         self, drones: Iterable[int] | None = None, clear: bool = False, key: str = ""
     ) -> Receipt:
-        """Emergency stop of these drones, None: of the swarm, in force until it is cleared; or clear it.
+        """Stop drones at once until the stop is cleared, or clear a stop.
 
-        A stop is sent until it is acknowledged, cleared here, or given anew. One of a key that is known is that one: a
-        page says it again, and somebody may have cleared it meanwhile.
+        The stop is sent until it is acknowledged, cleared here, or given again. If the key is
+        known the existing receipt is returned: the page repeats its message, and the stop may
+        have been cleared meanwhile.
+
+        drones: ids, None for the whole swarm.
+        clear: whether to clear a stop.
+        key: key of the page's message.
         """
         if known := [
             receipt for receipt in self.receipts if key and receipt.key == key
@@ -235,13 +280,13 @@ class Desk:
         return receipt
 
     async def settled(self, receipt: Receipt) -> Receipt:
-        """Wait until nobody may answer any more."""
+        """Wait until no drone may answer any more, and return the receipt."""
         while receipt.open:
             await self.place.clock.sleep(LOOK)
         return receipt
 
     def close(self) -> None:
-        """Wait for nothing more."""
+        """Cancel all waiting."""
         for task in self._tasks:
             task.cancel()
 
@@ -256,7 +301,7 @@ class Desk:
         return receipt
 
     def _forget(self) -> None:
-        """One receipt, the oldest; one of a stop that is still sent only if there are no others."""
+        """Remove the oldest receipt; receipts of stops that are still sent are removed last."""
         sent = [stop.receipt for stop in self._stops]
         self.receipts.remove(
             next((one for one in self.receipts if one not in sent), self.receipts[0])
@@ -269,7 +314,7 @@ class Desk:
         return task
 
     def _motions(self, newer: Receipt) -> list[_Asked]:
-        """What is asked of the drones of a newer order that could move them."""
+        """Return the open orders that could move a drone of a newer order."""
         return [
             one
             for one in self._asked
@@ -277,7 +322,10 @@ class Desk:
         ]
 
     def _outdo(self, newer: Receipt, beside: Sequence[str]) -> None:
-        """Ask for what is contrary to a newer order no more; who has accepted it says by itself what comes of it."""
+        """Withdraw the open orders that a newer order contradicts.
+
+        An order that was already acknowledged stays open, and its drone reports the outcome.
+        """
         for asked in self._motions(newer):
             if asked.receipt.verb in beside:
                 continue
@@ -287,7 +335,7 @@ class Desk:
                 self._drop(asked, newer.verb)
 
     def _withdraw(self, stop: Receipt) -> None:
-        """Ask who is to stop for nothing more that moves him."""
+        """Withdraw all open orders that could move a drone that is to stop."""
         for asked in self._motions(stop):
             self._drop(asked, "stop")
 
@@ -296,7 +344,10 @@ class Desk:
         self._withdrawn(asked.receipt, asked.drone, by)
 
     def _replace(self, newer: _Stop) -> None:
-        """Send older stops, and clears, to its targets no more; a stop of the swarm stays beside one of some drones."""
+        """Do not send older stops and clears to the targets of a newer stop any more.
+
+        A stop of the whole swarm remains in force beside a stop of some drones.
+        """
         told = dict.fromkeys(newer.targets)
         for older in self._stops:
             if newer.alone and not (older.alone or older.clear):
@@ -307,7 +358,7 @@ class Desk:
                     self._withdrawn(older.receipt, i, newer.receipt.verb)
 
     def _withdrawn(self, receipt: Receipt, i: int, by: str) -> None:
-        """It is no trouble, and not worth a line of the log."""
+        """Mark an order as withdrawn; this is no trouble and not worth a line of the log."""
         receipt.answers[i] = WITHDRAWN, f"by {by}"
         self._changed(receipt)
 
@@ -349,7 +400,7 @@ class Desk:
         except CrazyChoirError as error:
             self._answer(receipt, i, REFUSED, str(error))
             return
-        except Exception as error:  # noqa: BLE001 - its receipt tells it
+        except Exception as error:  # noqa: BLE001 - the receipt reports it
             self._answer(receipt, i, REFUSED, f"{type(error).__name__}: {error}")
             return
         finally:
@@ -367,7 +418,7 @@ class Desk:
     async def _heard(
         self, asked: _Asked, ends: float, arguments: Mapping[str, Any]
     ) -> Answer:
-        """Its last answer; it is said if there is none for a while."""
+        """Return the last answer of a drone; report if it does not acknowledge in time."""
         clock = self.place.clock
         i = asked.drone
         timer = clock.call_at(
@@ -385,7 +436,7 @@ class Desk:
     async def _answered(
         self, asked: _Asked, ends: float, arguments: Mapping[str, Any]
     ) -> Answer:
-        """What it says at last; who is not ready yet is asked again, for at most READY s."""
+        """Return the last answer of a drone; ask again for READY s if it is not ready yet."""
         clock = self.place.clock
         commander = self.place.commander
         verb = asked.receipt.verb
@@ -414,7 +465,11 @@ class Desk:
             self._answer(receipt, i, SENT, f"{why}; resent")
 
     async def _stop(self, stop: _Stop) -> None:
-        """Agents and the bodies at owners; a drone has obeyed when both have. A clear that comes late helps nobody."""
+        """Send a stop to the agents, and to the bodies that other processes own.
+
+        A drone has obeyed when both have. A clear is only sent for STOP s, because a late one is
+        of no use.
+        """
         clock = self.place.clock
         limit = STOP if stop.clear else math.inf
         timer = clock.call_at(clock.now_ns() + round(STOP * 1e9), self._silent, stop)
@@ -433,7 +488,7 @@ class Desk:
             del self._stops[stop]
 
     def _silent(self, stop: _Stop) -> None:
-        """Who is waited for no more; a stop goes on being sent."""
+        """Mark the drones that have not acknowledged as silent; a stop is still sent to them."""
         still = "" if stop.clear else ", still sent"
         for i, (kind, _) in stop.receipt.answers.items():
             if kind == SENT:
@@ -454,5 +509,5 @@ class Desk:
 
 
 def _waits(answer: Answer) -> bool:
-    """Whether it may be asked again soon."""
+    """Return whether the command may be repeated soon."""
     return answer.kind == REFUSED and str(answer.detail).startswith(NOT_READY)

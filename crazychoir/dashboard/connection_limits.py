@@ -1,4 +1,4 @@
-"""Connections to the page's server: one on which nothing is asked is closed, and no address holds many of them."""
+"""Connection limits: idle connections are closed, and no address may hold many of them."""
 
 import asyncio
 from typing import Any
@@ -8,19 +8,22 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from crazychoir.dashboard.access import network_of
 
 IDLE = 5.0
-"""s for a request to come whole, and after an answer for the next one; see `_look`: at most twice as long."""
+"""Seconds between two checks of a connection.
+
+A request must arrive, and the next one follow an answer, within one to two such intervals.
+"""
 MOST = 64
-"""Connections of one address, lines of pages included: a browser has some six."""
+"""Largest number of connections of one address, WebSockets included; a browser has some six."""
 
 
 class Guest(H11Protocol):  # type: ignore[misc]
-    """One connection; its lines, once they are WebSockets, are no concern of this."""
+    """One HTTP connection; it is no longer checked once it has become a WebSocket."""
 
-    _answered: Any = None  # the request that was answered at the last look
+    _answered: Any = None  # the request that had been answered at the last check
     _timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:
-        """Somebody has come."""
+        """Accept the connection, or close it if its address has too many."""
         super().connection_made(transport)
         mine = _network(self)
         if sum(_network(one) == mine for one in self.connections) > MOST:
@@ -29,14 +32,14 @@ class Guest(H11Protocol):  # type: ignore[misc]
         self._timer = self.loop.call_later(IDLE, self._look)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """He has gone."""
+        """Stop the checks."""
         if self._timer is not None:
             self._timer.cancel()
         super().connection_lost(exc)
 
     def _look(self) -> None:
-        """Whether a request has been answered, or is being so, since the last look."""
-        if self not in self.connections:  # it is a WebSocket now
+        """Close the connection if no request has been active since the last check."""
+        if self not in self.connections:  # it has become a WebSocket
             return
         idle = self.cycle is None or self.cycle.response_complete
         if idle and self.cycle is self._answered:

@@ -1,4 +1,4 @@
-"""The tab to draw in: canvas, pen, limits, what comes of it, and who flies it."""
+"""The drawing tab: canvas, pen, limits, the planned flight, and the drones that fly it."""
 
 from typing import Any
 
@@ -8,12 +8,14 @@ HELP = (
     "Draw, in one stroke or several; straight flights join them. Thin is what was drawn, thick what will be flown. "
     "Choose in the table who flies it."
 )
-ABOVE, BELOW = 0.7, 0.3
-"""m above those that hover where they took off, and below the fence: a drawing's height, unless it is set."""
+ABOVE = 0.7
+"""m: default height of a drawing above drones that hover where they took off."""
+BELOW = 0.3
+"""m: a drawing's default height is at least this far below the top of the fence."""
 
 
 def build(about: dict[str, Any]) -> None:
-    """The whole tab."""
+    """Build the whole tab."""
     v_max = about["speed_limit"]
     a_max = about["acceleration_limit"]
     height = round(min(about["height"] + ABOVE, about["fence"][1][2] - BELOW), 2)

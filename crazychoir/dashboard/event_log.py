@@ -1,4 +1,4 @@
-"""The log of a page: what drones say, what becomes of them, what was commanded; the newest lines, with levels."""
+"""The page's log: messages of drones, changes of their state, and commands; the newest lines."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -9,24 +9,29 @@ from crazychoir.runtime.clock import Clock
 
 Level = Literal["info", "warning", "error"]
 KEPT = 500
-"""Lines."""
+"""Number of lines that are kept."""
 GRAVE = ("failed", "hangs", "late by")
-"""Words of the lines with which agents say that a part of them has failed, and processes that their loop hangs."""
+"""Words that mark an error: a part of an agent has failed, or a process's loop hangs."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """number: counts from 1;  t: s, by the clock of the page's server;  drone: None for the page's own."""
+    """One line of the log."""
 
     number: int
+    """Number of the line, from 1."""
     t: float
+    """s, by the clock of the page's server."""
     level: Level
+    """Level of the line."""
     text: str
+    """What happened."""
     drone: int | None = None
+    """Id of the drone, None for the page itself."""
 
 
 class Watch:
-    """The lines."""
+    """The log with its newest lines."""
 
     def __init__(self, clock: Clock) -> None:
         self.clock = clock
@@ -34,14 +39,18 @@ class Watch:
         self.count = 0
 
     def add(self, text: str, level: Level = "info", drone: int | None = None) -> None:
-        """One line more."""
+        """Add one line."""
         self.count += 1
         self._lines.append(
             Line(self.count, round(self.clock.now(), 2), level, text, drone)
         )
 
     def told(self, i: int, text: str, grave: bool = False) -> None:
-        """Trouble of drone i, or a command, which is none; grave, or with one of GRAVE, it is an error."""
+        """Add a message of drone i.
+
+        A message about a command has level info. Any other one is a warning; it is an error if it
+        is grave or contains one of GRAVE.
+        """
         bare = text.removeprefix(f"drone {i}: ")
         trouble: Level = (
             "error" if grave or any(word in bare for word in GRAVE) else "warning"
@@ -49,5 +58,5 @@ class Watch:
         self.add(bare, "info" if bare.startswith(COMMANDED) else trouble, i)
 
     def after(self, number: int) -> list[Line]:
-        """The lines since that one, oldest first."""
+        """Return the lines after line `number`, oldest first."""
         return [line for line in self._lines if line.number > number]

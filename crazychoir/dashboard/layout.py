@@ -1,4 +1,4 @@
-"""Pieces of the page: labelled fields, buttons that ask, panels of tabs."""
+"""Elements of the page: labelled fields, buttons, panels of tabs."""
 
 import contextlib
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ from nicegui import ui
 
 
 def text(html: str) -> Any:
-    """HTML of ours; in a row, each of its elements is one of the row."""
+    """Add trusted HTML; in a row, each of its elements is an element of the row."""
     return ui.html(html, sanitize=False).classes("loose")
 
 
@@ -21,7 +21,7 @@ def field(
     kind: str = "number",
     **more: float,
 ) -> str:
-    """An input with its label; a range shows its value."""
+    """Return an input with its label as HTML; a range also shows its value."""
     limits = " ".join(f'{key}="{number:g}"' for key, number in more.items())
     shown = f'<output for="{name}"></output>' if kind == "range" else ""
     unit = f" ({unit})" if unit else ""
@@ -32,7 +32,7 @@ def field(
 
 
 def choice(name: str, label: str, options: dict[str, str]) -> str:
-    """A list to choose from, with its label."""
+    """Return a list of options with its label as HTML."""
     rows = "".join(
         f'<option value="{value}">{escape(shown)}</option>'
         for value, shown in options.items()
@@ -41,7 +41,7 @@ def choice(name: str, label: str, options: dict[str, str]) -> str:
 
 
 def button(label: str, action: str, look: str = "", **more: Any) -> Any:
-    """A button that calls a function of static/page.js."""
+    """Add a button that calls a function of static/page.js."""
     made = ui.button(label, **more).props(f'no-caps {look} data-action="{action}"')
     made.on("click", js_handler=f"() => window.choir.{action}")
     return made
@@ -49,21 +49,21 @@ def button(label: str, action: str, look: str = "", **more: Any) -> Any:
 
 @contextlib.contextmanager
 def row() -> Iterator[None]:
-    """Beside each other, as far as there is room."""
+    """Place the content side by side, as far as there is room."""
     with ui.element("div").classes("row"):
         yield
 
 
 @contextlib.contextmanager
 def card(kind: str, label: str) -> Iterator[None]:
-    """A region of the page."""
+    """Place the content in a region of the page."""
     with ui.element("section").classes(f"card {kind}").props(f'aria-label="{label}"'):
         yield
 
 
 @contextlib.contextmanager
 def panel(name: str) -> Iterator[None]:
-    """What the tab of that name shows."""
+    """Place the content in the panel of the tab `name`."""
     props = (
         f'id="panel-{name}" role="tabpanel" aria-labelledby="tab-{name}" tabindex="0"'
     )
@@ -72,7 +72,7 @@ def panel(name: str) -> Iterator[None]:
 
 
 def tabs(names: dict[str, str]) -> None:
-    """The tabs, by the names of their panels."""
+    """Add the tabs, by the names of their panels."""
     buttons = "".join(
         f'<button role="tab" id="tab-{name}" aria-controls="panel-{name}">{label}</button>'
         for name, label in names.items()

@@ -1,4 +1,4 @@
-"""What a page knows of a swarm: the newest of each topic of each drone, as the bus brings it."""
+"""The page's knowledge of a swarm: the newest message of each topic of each drone."""
 
 import math
 from collections.abc import Callable, Iterable
@@ -17,38 +17,51 @@ from crazychoir.dashboard.recent_loss import Lately, share
 from crazychoir.runtime.mailbox import Call
 from crazychoir.types import FullState, LinkStatus, State, Status, Vec
 
-RATE, SELDOM, LINKS = 30.0, 10.0, 4.0
-"""Hz, of states; of references; of how radios reach their drones."""
+RATE = 30.0
+"""Hz, of states."""
+SELDOM = 10.0
+"""Hz, of references."""
+LINKS = 4.0
+"""Hz, of the state of radio links."""
 WINDOW = 5.0
-"""s over which a share of lost messages is taken."""
+"""Seconds over which a share of lost messages is taken."""
 STALE = 2.0
-"""s without a status after which a drone counts as not heard."""
+"""Seconds without a status after which a drone counts as not heard."""
 SILENT = LINK.max_age + 1.0 / LINKS
-"""s after which what was heard of a drone's radio says nothing any more."""
+"""Seconds after which the last message about a radio link is too old to be used."""
 COLUMNS = 17
-"""Of a row of a frame: p, v, q, w as in State, s since that was so, p of the reference."""
-AGE, WANTED = 13, slice(14, 17)
+"""Numbers in a row of a frame: p, v, q, w as in State, the age in s, p of the reference."""
+AGE = 13
+"""Column of the age."""
+WANTED = slice(14, 17)
+"""Columns of the reference position."""
 KEPT = 240
-"""Rounds of a curve of costs."""
+"""Number of rounds in the curves of costs."""
 
 
 @dataclass
 class Seen:
-    """One drone, as far as it was heard.
-
-    heard: s, when its last status came;  linked: s, when its radio was as `link` says;  lately: its messages to others.
-    """
+    """The last messages of one drone."""
 
     status: Status | None = None
+    """Its last status."""
     heard: float = -math.inf
+    """s, when the last status was sent."""
     link: LinkStatus | None = None
+    """The last state of its radio link."""
     linked: float = -math.inf
+    """s, when the link was in that state."""
     result: dict[str, Any] | None = None
+    """Result of its mission."""
     lately: Lately = field(default_factory=lambda: Lately(WINDOW))
+    """Recent counts of its messages to other drones."""
 
 
 class SwarmModel:
-    """Listens at `address` to all drones of a swarm file; what it knows costs them nothing but what they send."""
+    """Listens at `address` to all drones of a swarm file.
+
+    The drones have no additional work: it only subscribes to messages that they send anyway.
+    """
 
     def __init__(
         self, bus: Bus, address: int, config: SwarmConfig, watch: Watch
@@ -60,7 +73,7 @@ class SwarmModel:
         self.drones = {i: Seen() for i in config.ids}
         self._plans: dict[
             int, dict[int, tuple[float, float]]
-        ] = {}  # by round and drone, its cost and relaxation
+        ] = {}  # by round and drone: its cost and the value of its relaxation
         self._rows = np.full((len(config.ids), COLUMNS), np.nan, dtype="<f4")
         self._seen = np.full(len(config.ids), -np.inf)
         self._wanted = np.full(len(config.ids), -np.inf)
@@ -103,9 +116,7 @@ class SwarmModel:
             self.watch.add(status.phase, "info", i)
         if status.note and (before is None or before.note != status.note):
             self.watch.told(i, status.note, status.grave)
-        if (
-            before is not None and status.sent < before.sent
-        ):  # its agent was started again
+        if before is not None and status.sent < before.sent:  # the agent was restarted
             self._plans = {
                 k: rest
                 for k, of in self._plans.items()
@@ -134,21 +145,22 @@ class SwarmModel:
     # Telling --------------------------------------------------------------------------------------------------
 
     def position(self, i: int) -> Vec | None:
-        """(3,) m, world: where drone i was last, None if it was not heard."""
+        """Return the last position of drone i, (3,) m, world; None if it was not heard."""
         k = self.config.ids.index(i)
         return None if self._seen[k] == -np.inf else self._rows[k, 0:3].astype(float)
 
     def heard_by(self, i: int) -> int:
-        """How many drones of the swarm drone i hears, itself among them; 0 if it is not heard here."""
+        """Return how many drones drone i hears, itself included; 0 if i is not heard here."""
         seen = self.drones[i]
         if seen.status is None or self.bus.clock.now() - seen.heard > STALE:
             return 0
         return len(self.config.ids) - len(seen.status.suspect) - len(seen.status.gone)
 
     def frame(self) -> bytes:
-        """Where all drones are: s by this clock (float64), then a row of COLUMNS float32 for each, little-endian.
+        """Return the states of all drones as bytes.
 
-        NaN: not heard, or no reference.
+        The time in s by this clock (float64), then a row of COLUMNS float32 for each drone,
+        little-endian. NaN: not heard, or no reference.
         """
         now = self.bus.clock.now()
         rows = self._rows
@@ -157,7 +169,7 @@ class SwarmModel:
         return np.float64(now).tobytes() + rows.tobytes()
 
     def about(self) -> dict[str, Any]:
-        """What does not change: drones, edges, the room."""
+        """Return the data that do not change: drones, edges, the room."""
         config = self.config
         low, high = limit_area(config)
         return {
@@ -177,9 +189,10 @@ class SwarmModel:
         }
 
     def costs(self) -> list[tuple[int, float, float]]:
-        """By round: the mean cost of the plans of all drones that told one in that round, of their relaxations, or NaN.
+        """Return (round, mean cost, mean relaxation) over the drones, for each round.
 
-        While they plan, a relaxation is that of the routes that a drone knows by then: no bound.
+        A mean is NaN if no drone has a finite value. While a drone plans, its relaxation covers
+        only the routes that it knows by then, so it is not a bound.
         """
         of = {k: list(self._plans[k].values()) for k in sorted(self._plans)}
         return [
@@ -188,7 +201,7 @@ class SwarmModel:
         ]
 
     def table(self) -> list[dict[str, Any]]:
-        """A row a drone: how it is, and how it is reached. What is not known is None."""
+        """Return a row for each drone: its state and its radio link; unknown values are None."""
         return [self._row(k, i) for k, i in enumerate(self.config.ids)]
 
     def _row(self, k: int, i: int) -> dict[str, Any]:
@@ -217,7 +230,10 @@ class SwarmModel:
 
 
 def _reached(link: LinkStatus, age: float) -> dict[str, Any]:
-    """How a radio reaches a drone, as it was `age` s ago; only for how long it is silent, once that is too long."""
+    """Return the state of a drone's radio link, `age` s old.
+
+    If it is too old, return only for how long the link has been silent.
+    """
     if age > SILENT:
         return {"link": "silent", "silent": round(age, 1)}
     return {
@@ -230,11 +246,11 @@ def _reached(link: LinkStatus, age: float) -> dict[str, Any]:
 
 
 def _mean(x: Iterable[float]) -> float:
-    """Of what is finite; NaN of nothing."""
+    """Return the mean of the finite values, NaN if there are none."""
     known = [value for value in x if math.isfinite(value)]
     return float(np.mean(known)) if known else math.nan
 
 
 def _known(value: float, digits: int = 3) -> float | None:
-    """Rounded; None for what is no number."""
+    """Return the rounded value, None if it is not finite."""
     return round(value, digits) if math.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""What one page asks for, done: commands at the desk, drawings planned, files read and written."""
+"""Execution of a page's requests: commands, planning of drawings, reading and writing of files."""
 
 import asyncio
 from collections.abc import Callable, Coroutine
@@ -42,13 +42,13 @@ P = ParamSpec("P")
 T = TypeVar("T")
 Work = Callable[[], Coroutine[Any, Any, dict[str, Any] | None]]
 SCOPE = 2
-"""Drones that name a link."""
+"""Largest number of drones that can select a link."""
 REACHES = 60.0
-"""s that a drone gets to be where a drawn path begins."""
+"""Seconds that a drone gets to reach the begin of a drawn path."""
 
 
 class Operator:
-    """One page's operator."""
+    """The operator of one page."""
 
     def __init__(self, config: SwarmConfig, desk: Desk, board: TaskBoard) -> None:
         self.config = config
@@ -58,7 +58,10 @@ class Operator:
         self._drawn, self._planning = 0, asyncio.Lock()
 
     def asked(self, message: Message) -> Work | None:
-        """Do it, or return the work that takes a while; raises ConfigError, with why not."""
+        """Do what the message asks, or return the work if it takes a while.
+
+        Raises ConfigError with the reason if it cannot be done.
+        """
         match message:
             case Order(verb, drones):
                 self.desk.order(verb, self._those(drones))
@@ -92,7 +95,11 @@ class Operator:
         return None
 
     def _impair(self, message: Impair) -> None:
-        """Every drone is told: each simulates the network of what it sends, and says what is in force there then."""
+        """Send the change to every drone.
+
+        Each drone simulates the network for the messages it sends, and answers with what is then in
+        force.
+        """
         drones = self._those(message.drones)
         told: dict[str, Any] = {"clear": True} if message.clear else {}
         given = {
@@ -135,7 +142,10 @@ class Operator:
         )
 
     async def _draw(self, message: Draw, number: int) -> dict[str, Any] | None:
-        """Plan in a thread, one drawing at a time; of those that wait, and of what was planned, the newest counts."""
+        """Plan in a thread, one drawing at a time; only the newest drawing counts.
+
+        Returns None for a drawing that was replaced by a newer one.
+        """
         pen = Pen(
             height=message.height,
             lift=message.lift,
@@ -158,7 +168,7 @@ class Operator:
         return {"plan": plan.shown()}
 
     def _fly(self, message: Fly) -> None:
-        """What each is told is made in a thread: it may take seconds, and a stop comes between."""
+        """Order the flight; paths are computed in a thread, so that a stop is not delayed."""
         plan = self._plan
         if plan is None:
             raise ConfigError(
@@ -180,7 +190,10 @@ class Operator:
         return None if drones is None else self._checked(drones)
 
     def _checked(self, drones: Ids) -> Ids:
-        """These drones, each once; each of which the swarm has."""
+        """Return these drones, each once.
+
+        Raises ConfigError if the swarm does not have one of them.
+        """
         for i in drones:
             if i not in self.config.ids:
                 raise ConfigError("drones", i, span(self.config.ids))
@@ -188,7 +201,7 @@ class Operator:
 
 
 def loaded(text: str, name: str) -> dict[str, Any]:
-    """Return what a page is told of a file: its strokes, and remarks on what of it is not flown."""
+    """Return the answer to Load: the strokes, and remarks on parts that cannot be flown."""
     strokes, words = loaded_with_words(text, name)
     return {"remarks": words, "strokes": strokes}
 
@@ -207,5 +220,5 @@ async def _saved(strokes: Strokes, kind: str) -> dict[str, Any]:
 
 
 async def _aside(work: Callable[P, T], *arguments: P.args, **named: P.kwargs) -> T:
-    """What computes for a while, in a thread."""
+    """Run a long computation in a thread and return its result."""
     return await asyncio.to_thread(work, *arguments, **named)

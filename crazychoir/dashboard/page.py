@@ -1,4 +1,4 @@
-"""The page: what is where, and which button asks for what. The rest is in static/."""
+"""The page: its layout, and the request behind each button. The rest is in static/."""
 
 from collections.abc import Callable
 from functools import partial
@@ -22,7 +22,7 @@ from crazychoir.dashboard.layout import (
 )
 
 THREE = Path(nicegui.__file__).parent / "elements" / "scene" / "dist"
-"""The folder of NiceGUI's own three.js."""
+"""Folder of NiceGUI's own three.js."""
 VERBS = {
     "arm": "Arm",
     "take-off": "Take off",
@@ -47,7 +47,7 @@ heard.</p>"""
 
 
 class Page:
-    """The same for all browsers; about: what SwarmModel.about says."""
+    """The page, the same for all browsers; about: the result of SwarmModel.about."""
 
     def __init__(self, about: dict[str, Any]) -> None:
         self.about = about
@@ -62,7 +62,7 @@ class Page:
         }
 
     def build(self) -> None:
-        """One browser's page."""
+        """Build the page of one browser."""
         ui.add_body_html(HEAD)
         ui.colors(primary="#0b5cad", positive="#1a7f37", negative="#c0182b")
         self._top()

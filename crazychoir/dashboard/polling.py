@@ -1,4 +1,4 @@
-"""What no topic says, asked for now and then while somebody looks on: tasks, routes, and what is simulated."""
+"""Data that no topic carries, requested while a page is open: tasks, routes, simulated networks."""
 
 import asyncio
 import math
@@ -12,23 +12,30 @@ from crazychoir.dashboard.recent_loss import Lately, share
 from crazychoir.runtime.actor import Actor
 from crazychoir.team.graph import span
 
-OVERVIEWS, TASKS = 8.0, 1.0
-"""Hz, of questions to one drone, in turn, after its overview; and after the tasks, to one drone."""
+OVERVIEWS = 8.0
+"""Hz: requests for an overview, to one drone after the other."""
+TASKS = 1.0
+"""Hz: requests for the list of tasks, to one drone."""
 LATER = 10.0
-"""s for which a swarm is not asked again that has no tasks."""
+"""Seconds before a swarm without tasks is asked for tasks again."""
 PATIENCE = 0.8
-"""s for an answer to such a question."""
+"""Seconds to wait for an answer to such a request."""
 WINDOW = 4.0
-"""s over which a share of lost messages is taken, at least; and as long as a whole turn takes."""
+"""Shortest time in seconds over which a share of lost messages is taken.
+
+It is longer if two turns through all drones take longer.
+"""
 MOST_ASKED = 3
-"""Drones that are asked to do what one must, one after the other, until one has not refused."""
+"""A task request goes to at most this many drones, one after the other, until one accepts it."""
 
 
 class Overview(Actor):
-    """What all drones say of themselves, one after the other.
+    """Overviews that the drones send, one drone after the other.
 
-    lost: share of messages that the simulated network has lost lately, by edge (i, j), i < j, both ways together;
-    routes: by drone, the places that it is to fly to, m;  networks: by drone, what it simulates, see Impairment.
+    `lost`: share of messages that the simulated network lost recently, by edge (i, j), i < j, both
+        directions together.
+    `routes`: by drone, the places to which it is to fly, m.
+    `networks`: by drone, what it simulates, see Impairment.
     """
 
     name = "overview"
@@ -43,7 +50,7 @@ class Overview(Actor):
         self._of: dict[tuple[int, int], Lately] = {}
 
     async def run(self) -> None:
-        """One drone after the other; of one that does not answer no route or network is known."""
+        """Ask the drones in turn; forget route and network of a drone that does not answer."""
         k = 0
         window = max(WINDOW, 2.0 * len(self.ids) / OVERVIEWS)
         async for _ in self.desk.place.clock.ticks(OVERVIEWS):
@@ -63,12 +70,15 @@ class Overview(Actor):
                 self._note(i, j, sent, lost, window)
 
     def news(self) -> dict[str, Any]:
-        """What pages are told of it."""
+        """Return the part of the pages' news that comes from overviews."""
         links = {f"{i}-{j}": round(lost, 3) for (i, j), lost in self.lost.items()}
         return {"links": links, "routes": self.routes, "network": self._network()}
 
     def _network(self) -> dict[str, Any] | None:
-        """What is simulated: the rules of the first drone, and in words, by drone where these differ."""
+        """Return the simulated network: the rules of the first drone, and a description.
+
+        The description names the drones if they simulate different networks.
+        """
         same: dict[str, list[int]] = {}
         for i in sorted(self.networks):
             same.setdefault("; ".join(in_words(self.networks[i])), []).append(i)
@@ -92,7 +102,7 @@ class Overview(Actor):
 
 
 class TaskBoard(Actor):
-    """The tasks of a mission that has some, and the way to add and cancel them."""
+    """The tasks of a mission, and requests to add and cancel them."""
 
     name = "tasks"
 
@@ -102,21 +112,23 @@ class TaskBoard(Actor):
         self.model = model
         self.watched = False
         self.tasks: list[dict[str, Any]] | None = None
-        """As TaskSource lists them; None for a mission without."""
+        """The list in the form of TaskSource; None for a mission without tasks."""
         self._k = 0
         self._again = -math.inf
         self._asking: dict[asyncio.Task[Receipt], None] = {}
 
     async def run(self) -> None:
-        """Ask one drone, the next one if it does not answer."""
+        """Ask one drone regularly, the next one if it does not answer."""
         async for _ in self.desk.place.clock.ticks(TASKS):
             if self.watched and self.desk.place.clock.now() >= self._again:
                 await self.look()
 
     async def look(self) -> None:
-        """Ask for the list: the drone that was asked last, unless it hears no more than half of the swarm.
+        """Ask for the list of tasks.
 
-        Then its list is that of who is cut off, and the next one is asked that hears more, if any does.
+        The drone that was asked last is asked again, unless it hears no more than half of the
+        swarm. Its list is then that of a part that is cut off, and the next drone that hears more
+        is asked, if there is one.
         """
         n = len(self.ids)
         steps = (
@@ -136,7 +148,7 @@ class TaskBoard(Actor):
             self.tasks = answer["tasks"]
 
     def begin(self, verb: str, words: str, **arguments: Any) -> None:
-        """`ask`, and wait for nothing: whoever wants it may be gone before it is done."""
+        """Start `ask` without waiting: the page that wants it may be closed before it is done."""
         task = asyncio.get_running_loop().create_task(
             self.ask(verb, words, **arguments)
         )
@@ -146,7 +158,8 @@ class TaskBoard(Actor):
     async def ask(self, verb: str, words: str, **arguments: Any) -> Receipt:
         """Ask one drone, then others if it refuses.
 
-        Who has accepted it, and who does not answer, may have done it, or may yet do it: nobody else is asked then.
+        A drone that has accepted the request, or does not answer, may have done it or may still
+        do it. No other drone is asked then.
         """
         first = self._k % len(self.ids)
         for i in [*self.ids[first:], *self.ids[:first]][:MOST_ASKED]:
@@ -160,7 +173,7 @@ class TaskBoard(Actor):
 
 
 async def _answer(desk: Desk, i: int, verb: str) -> Any:
-    """What drone i says; None if it refuses, or says nothing."""
+    """Return the answer of drone i; None if it refuses or does not answer."""
     try:
         answer = await desk.place.commander.request(i, verb, PATIENCE)
     except TimeoutError:

@@ -1,19 +1,22 @@
-"""What share of messages was lost lately, by counts that only grow."""
+"""Share of messages that were lost recently, from counters that only grow."""
 
 from collections import deque
 
 
 class Lately:
-    """Of one sender; window: s, what is older is forgotten, but for the last two counts."""
+    """Recent counts of one sender.
+
+    window: s, older counts are forgotten, except the last two.
+    """
 
     def __init__(self, window: float) -> None:
         self.window = window
         self._counts: deque[tuple[float, int, int]] = deque()
 
     def note(self, now: float, sent: int, lost: int) -> None:
-        """Its counts at a time, in s."""
+        """Store the counts of sent and lost messages at a time in s."""
         counts = self._counts
-        if counts and sent < counts[-1][1]:  # its agent was started again
+        if counts and sent < counts[-1][1]:  # the agent was restarted
             counts.clear()
         counts.append((now, sent, lost))
         while len(counts) > 2 and now - counts[0][0] > self.window:
@@ -21,7 +24,7 @@ class Lately:
 
     @property
     def counts(self) -> tuple[int, int]:
-        """Sent, and lost of these."""
+        """Numbers of recently sent messages and of those lost."""
         if not self._counts:
             return 0, 0
         (_, sent, lost), (_, sent_now, lost_now) = self._counts[0], self._counts[-1]
@@ -29,6 +32,6 @@ class Lately:
 
 
 def share(*of: Lately) -> float:
-    """Of the messages of all of these."""
+    """Return the lost share of the messages of all these senders."""
     counts = [one.counts for one in of]
     return sum(lost for _, lost in counts) / max(sum(sent for sent, _ in counts), 1)

@@ -1,4 +1,4 @@
-"""What a page may ask for: every message is one of these, with every number within its bounds, or it is refused."""
+"""The messages that a page may send; a message with a number out of bounds is refused."""
 
 from typing import Annotated, Literal
 
@@ -8,6 +8,7 @@ from msgspec import Meta, Struct
 from crazychoir.agent.sketch import HAND
 
 MOST_DRONES = 1000
+"""Largest number of drones in a message."""
 Id = Annotated[int, Meta(ge=0, le=9999)]
 Ids = Annotated[tuple[Id, ...], Meta(min_length=1, max_length=MOST_DRONES)]
 Metres = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
@@ -16,6 +17,7 @@ Place = tuple[Metres, Metres, Metres]
 Spot = tuple[Metres, Metres]
 Angle = Annotated[float, Meta(ge=-7.0, le=7.0)]
 MOST_TEXT = 200_000
+"""Largest number of characters of a file."""
 Row = tuple[Annotated[float, Meta(ge=0.0, le=36_000.0)], Metres, Metres]
 Stroke = Annotated[tuple[Row, ...], Meta(min_length=1, max_length=5000)]
 Strokes = Annotated[tuple[Stroke, ...], Meta(min_length=1, max_length=200)]
@@ -28,93 +30,119 @@ class Ask(
 
 
 class Order(Ask, frozen=True):
-    """A command in flight; drones: None for all."""
+    """A flight command."""
 
     verb: Literal["arm", "take-off", "start", "hold", "go", "land", "home"]
+    """The command."""
     drones: Ids | None = None
+    """Ids of the drones, None for all."""
 
 
 class Stop(Ask, frozen=True):
-    """Emergency stop, or its end; key: of one that may be said again, so that it is not taken twice."""
+    """Emergency stop, or its end."""
 
     drones: Ids | None = None
+    """Ids of the drones, None for all."""
     clear: bool = False
+    """Whether to clear the stop instead."""
     key: Annotated[str, Meta(max_length=40)] = ""
+    """Key of a message that the page may repeat, so that it counts only once."""
 
 
 class GoTo(Ask, frozen=True, tag="go-to"):
-    """Fly to a place: the k-th drone k times `offset` m from it."""
+    """Fly to a place; the k-th drone flies to a place k times `offset` away from it."""
 
     drones: Ids
+    """Ids of the drones."""
     p: Place
+    """(3,) m, world."""
     yaw: Angle | None = None
+    """rad, None to keep it."""
     offset: Place = (0.0, 0.0, 0.0)
+    """(3,) m, from drone to drone."""
 
 
 class Draw(Ask, frozen=True):
-    """Plan a flight along strokes, and show it; it is flown by Fly.
-
-    strokes: rows t s, x, y m;  height, lift m, yaw rad, timing, smoothing m: see planning.drawing.Pen;  v_max m/s,
-    a_max m/s2: at most those of [flight];  slower: times the time that these ask for.
-    """
+    """Plan a flight along strokes and show it; Fly flies it."""
 
     strokes: Strokes
+    """Rows t s, x m, y m."""
     height: Metres = 1.0
+    """m, see planning.drawing.Pen."""
     lift: Annotated[float, Meta(ge=0.0, le=5.0)] = 0.0
+    """m, see Pen."""
     yaw: Angle | Literal["along"] = 0.0
+    """rad, see Pen."""
     timing: Literal["even", "drawn"] = "even"
+    """See Pen."""
     smoothing: Annotated[float, Meta(ge=0.0, le=1.0)] = HAND
+    """m, see Pen."""
     v_max: Annotated[float, Meta(gt=0.01, le=20.0)] = 0.5
+    """m/s, at most that of [flight]."""
     a_max: Annotated[float, Meta(gt=0.01, le=50.0)] = 1.0
+    """m/s2, at most that of [flight]."""
     slower: Annotated[float, Meta(ge=1.0, le=20.0)] = 1.0
+    """Factor on the time that these limits need."""
 
 
 class Fly(Ask, frozen=True):
-    """Fly what was planned last: the k-th drone k times `offset` m from it."""
+    """Fly the last planned drawing; the k-th drone flies it k times `offset` away."""
 
     drones: Ids
+    """Ids of the drones."""
     offset: Place = (0.0, 0.0, 0.0)
+    """(3,) m, from drone to drone."""
 
 
 class Load(Ask, frozen=True):
-    """Read the strokes of a file's text; the page gets them."""
+    """Read the strokes from a file's text and return them to the page."""
 
     name: Annotated[str, Meta(max_length=200)]
+    """Name of the file."""
     text: Annotated[str, Meta(max_length=MOST_TEXT)]
+    """Its content."""
 
 
 class Save(Ask, frozen=True):
-    """Write strokes as a file's text; the page gets it."""
+    """Write strokes as a file's text and return it to the page."""
 
     strokes: Strokes
+    """Rows t s, x m, y m."""
     kind: Literal["csv", "svg"] = "csv"
+    """Format of the file."""
 
 
 class Impair(Ask, frozen=True):
-    """Change the simulated network: of all links, of one drone's, or of the one between two.
-
-    cut: nothing passes between these drones and the others;  clear: take everything back.
-    """
+    """Change the simulated network: all links, the links of one drone, or the link of two."""
 
     drones: Ids | None = None
+    """None for all links, one drone for its links, two for the link between them."""
     loss: Share | None = None
+    """Share of lost messages, None for no change."""
     delay: Annotated[float, Meta(ge=0.0, le=60.0)] | None = None
+    """s, None for no change."""
     cut: bool = False
+    """Whether no message passes between these drones and the others."""
     clear: bool = False
+    """Whether to undo all changes."""
 
 
 class AddTask(Ask, frozen=True, tag="add-task"):
-    """Another task; delivery: None for one that is done at a place."""
+    """Add a task."""
 
     pickup: Spot
+    """(2,) m, world."""
     delivery: Spot | None = None
+    """(2,) m, world; None for a task that is done at one place."""
     load: Annotated[float, Meta(ge=0.0, le=1e6)] = 1.0
+    """Units of load."""
 
 
 class CancelTask(Ask, frozen=True, tag="cancel-task"):
     """Cancel a task."""
 
     id: Annotated[int, Meta(ge=0, lt=1 << 62)]
+    """Id of the task."""
 
 
 Message = Order | Stop | GoTo | Draw | Fly | Load | Save | Impair | AddTask | CancelTask
@@ -122,6 +150,6 @@ _READER = msgspec.json.Decoder(Message)
 
 
 def read(text: str | bytes) -> Message:
-    """The message; raises msgspec.ValidationError or DecodeError, with what is wrong."""
+    """Return the message; raises msgspec.ValidationError or DecodeError, with the reason."""
     message: Message = _READER.decode(text)
     return message

@@ -1,4 +1,4 @@
-"""The page's server: NiceGUI on the loop and the clock of everything else, behind the gate."""
+"""The page's server: NiceGUI on the common event loop and clock, behind the access check."""
 
 import asyncio
 import contextlib
@@ -29,48 +29,57 @@ from crazychoir.dashboard.stream import Stream
 from crazychoir.errors import ConfigError
 from crazychoir.runtime.supervisor import Supervisor
 
-PORT, PORTS = 8765, 20
-"""Of a page for which none is named: the first of so many that is free."""
+PORT = 8765
+"""First port that is tried if none is given."""
+PORTS = 20
+"""Number of ports that are tried; the first free one is used."""
 STATIC = Path(__file__).with_name("static")
+"""Folder of the page's own scripts and styles."""
 GRACE = 1
-"""s that open connections get at the end."""
+"""Seconds that open connections get when the server ends."""
 MOST_CONNECTIONS = 512
-"""Beyond which requests are refused; lines that are open go on."""
+"""Beyond this number of connections requests are refused; open WebSockets stay open."""
 USUAL = {"http": 80, "https": 443}
-"""Ports that no address names."""
+"""Default ports, which browsers leave out of an address."""
 
 
 class Link(Protocol):
-    """What this needs of the network."""
+    """The part of a network connection that the page needs."""
 
     bus: Bus
 
 
 class Outlook(Place, Protocol):
-    """A place on the network from which one looks on and commands."""
+    """A place on the network that observes and commands."""
 
     address: int
 
     @property
     def link(self) -> Link:
-        """The way to it."""
+        """Its connection to the network."""
         ...
 
 
 @dataclass(frozen=True)
 class Served:
-    """Where and to whom a page is served.
+    """The address of a page, and the conditions to open it.
 
-    port: None for the first free one of PORTS;  password: what is wanted to come in;  certificate, key: PEM files, for
-    https;  authority: PEM file of certificates: who comes in has one that is signed by one of these.
+    Raises ConfigError if other machines could open it without a password or certificate, or if
+    options or files do not fit together.
     """
 
     host: str = "127.0.0.1"
+    """Address to listen at."""
     port: int | None = None
+    """Port, None for the first free one of PORTS."""
     password: str | None = None
+    """Password of the page, None for none."""
     certificate: Path | None = None
+    """PEM file of the certificate, for https."""
     key: Path | None = None
+    """PEM file of its key, for https."""
     authority: Path | None = None
+    """PEM file of certificates. A browser must then have a certificate signed by one of them."""
 
     def __post_init__(self) -> None:
         if self.password is not None and len(self.password) < 8:
@@ -96,7 +105,7 @@ class Served:
         self._check_files()
 
     def _check_files(self) -> None:
-        """Raises ConfigError for files that nobody can be served with."""
+        """Raise ConfigError if the certificate, key or authority file cannot be used."""
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         if self.certificate is not None:
             with _readable(
@@ -106,7 +115,7 @@ class Served:
             ):
                 context.load_cert_chain(
                     self.certificate, self.key, lambda: ""
-                )  # never ask for a key's password
+                )  # an empty password, so that OpenSSL never asks for one
         if self.authority is not None:
             with _readable(
                 "--authority", str(self.authority), "a PEM file of certificates"
@@ -115,7 +124,7 @@ class Served:
 
     @property
     def loopback(self) -> bool:
-        """Whether only this machine can come in."""
+        """Whether only this machine can open the page."""
         try:
             return (
                 self.host == "localhost" or ipaddress.ip_address(self.host).is_loopback
@@ -125,16 +134,19 @@ class Served:
 
     @property
     def scheme(self) -> str:
-        """Of its address."""
+        """Scheme of the page's address: http or https."""
         return "http" if self.certificate is None else "https"
 
     @property
     def name(self) -> str:
-        """The host, as in an address."""
+        """The host as written in an address."""
         return f"[{self.host}]" if ":" in self.host else self.host
 
     def hosts(self, port: int) -> tuple[str, ...] | None:
-        """What browsers of this machine may call it, served at this port; None: any name, for those that come in."""
+        """Return the host names that browsers of this machine may use at this port.
+
+        Returns None, for any name, if other machines may open the page.
+        """
         if not self.loopback:
             return None
         names = tuple(dict.fromkeys((*LOOPBACK, self.name)))
@@ -142,7 +154,10 @@ class Served:
         return (*(f"{name}:{port}" for name in names), *bare)
 
     def bound(self) -> socket.socket:
-        """Listening; raises ConfigError for an address that is not ours, or a port that is taken."""
+        """Return a listening socket.
+
+        Raises ConfigError if the address is not one of this machine, or if the port is taken.
+        """
         ports = [self.port] if self.port is not None else range(PORT, PORT + PORTS)
         for port in ports:
             try:
@@ -179,7 +194,12 @@ def _readable(option: str, found: str, allowed: str) -> Iterator[None]:
 
 
 async def serve(place: Outlook, served: Served, say: Callable[[str], None]) -> None:
-    """The page of a swarm, until a signal ends it."""
+    """Serve the page of a swarm until a signal ends it.
+
+    place: the place on the network.
+    served: where the page is served.
+    say: prints a line for the operator.
+    """
     bus = place.link.bus
     clock = place.clock
     config = place.config
@@ -241,29 +261,29 @@ async def serve(place: Outlook, served: Served, say: Callable[[str], None]) -> N
 
 
 class _Line:
-    """A WebSocket whose end is a ConnectionError, however it is found out; see Socket."""
+    """A WebSocket that raises ConnectionError when it has ended, in every case; see Socket."""
 
     def __init__(self, websocket: WebSocket) -> None:
         self.websocket = websocket
 
     async def send_bytes(self, data: bytes) -> None:
-        """One binary message."""
+        """Send one binary message."""
         with _ending():
             await self.websocket.send_bytes(data)
 
     async def send_text(self, data: str) -> None:
-        """One text."""
+        """Send one text."""
         with _ending():
             await self.websocket.send_text(data)
 
     async def receive_text(self) -> str:
-        """The next text."""
+        """Return the next text."""
         with _ending():
             text: str = await self.websocket.receive_text()
             return text
 
     async def close(self, code: int, reason: str | None = None) -> None:
-        """End it."""
+        """Close the WebSocket."""
         with _ending():
             await self.websocket.close(code, reason)
 
@@ -276,7 +296,7 @@ def _ending() -> Iterator[None]:
         WebSocketDisconnect,
         RuntimeError,
         KeyError,
-    ) as error:  # after the end; a KeyError: of bytes for a text
+    ) as error:  # raised after the end; KeyError if bytes come instead of a text
         raise ConnectionError(str(error)) from error
 
 

@@ -1,4 +1,4 @@
-"""The line to each page: a frame RATE times a second, news as they come; and what the page asks for."""
+"""The WebSocket to each page: RATE frames a second, news as they come, and the page's requests."""
 
 import asyncio
 import logging
@@ -24,48 +24,61 @@ log = logging.getLogger(__name__)
 TABLES = 2.0
 """Hz, of the table of drones."""
 MOST_PAGES = 32
-MOST_ASKED, FLOOD = 60, 600
-"""Messages of one page in PER_SECONDS s: beyond which they are refused, all but stops, and with which it is closed."""
-PER_SECONDS, TOLD = 2.0, 1.0
-"""TOLD: s, between two times that a page is told so."""
-POLICY, TOO_MANY = 1008, 1013
-"""Codes of a WebSocket's end: it has broken a rule; try again later."""
+"""Largest number of open pages."""
+MOST_ASKED = 60
+"""Messages of a page within PER_SECONDS s; further ones are refused, except stops."""
+FLOOD = 600
+"""Messages of a page within PER_SECONDS s after which the page is closed."""
+PER_SECONDS = 2.0
+"""Seconds over which messages of a page are counted."""
+TOLD = 1.0
+"""Seconds between two notices to a page that it sends too much."""
+POLICY = 1008
+"""WebSocket close code: the page has broken a rule."""
+TOO_MANY = 1013
+"""WebSocket close code: try again later."""
 
 
 class Socket(Protocol):
-    """What this needs of a WebSocket that was accepted; all raise ConnectionError when the page is gone."""
+    """The part of an accepted WebSocket that is needed here.
+
+    All methods raise ConnectionError when the page is gone.
+    """
 
     async def send_bytes(self, data: bytes) -> None:
-        """One binary message."""
+        """Send one binary message."""
         ...
 
     async def send_text(self, data: str) -> None:
-        """One text."""
+        """Send one text."""
         ...
 
     async def receive_text(self) -> str:
-        """The next text."""
+        """Return the next text."""
         ...
 
     async def close(self, code: int, reason: str | None = None) -> None:
-        """End it."""
+        """Close the WebSocket."""
         ...
 
 
 Work = Callable[[], Coroutine[Any, Any, dict[str, Any] | None]]
-"""What takes a while; says what the page that asked for it alone should know."""
+"""Work that takes a while; it returns the answer for the page that asked for it, or None."""
 
 
 class Answering(Protocol):
-    """Who does what a page asks for."""
+    """Carries out a page's requests."""
 
     def asked(self, message: Message) -> Work | None:
-        """Do it, or return the work that takes a while; both raise CrazyChoirError with why not."""
+        """Carry out the message, or return the work if it takes a while.
+
+        Both raise CrazyChoirError with the reason if it cannot be done.
+        """
         ...
 
 
 class _Pace:
-    """How much one page asks for."""
+    """Rate of the messages of one page."""
 
     def __init__(self, clock: Clock) -> None:
         self.clock = clock
@@ -76,7 +89,7 @@ class _Pace:
         self._told = -math.inf
 
     def takes(self) -> bool:
-        """Count one message more; whether it is not one too many."""
+        """Count one message and return whether it is accepted."""
         now = self.clock.now()
         self._all.append(now)
         if len(self._taken) == MOST_ASKED and now - self._taken[0] < PER_SECONDS:
@@ -85,7 +98,7 @@ class _Pace:
         return True
 
     def tells(self) -> bool:
-        """Whether it is time to say that it is too much."""
+        """Return whether it is time to tell the page that it sends too much."""
         now = self.clock.now()
         due = now - self._told >= TOLD
         self._told = now if due else self._told
@@ -93,12 +106,12 @@ class _Pace:
 
     @property
     def flood(self) -> bool:
-        """Whether it is so much that the page must be closed."""
+        """Whether the page sends so much that it must be closed."""
         return len(self._all) == FLOOD and self._all[-1] - self._all[0] < PER_SECONDS
 
 
 class Stream(Actor):
-    """All pages that look on. Who reads slowly gets fewer frames, and no other page waits for it."""
+    """All open pages. A slow page gets fewer frames, and no other page waits for it."""
 
     name = "stream"
 
@@ -119,7 +132,7 @@ class Stream(Actor):
         self.pages = 0
         self.frame = b""
         self.table = b""
-        self.tables = 0  # how many there were
+        self.tables = 0  # number of tables made so far
         self._tick: asyncio.Future[None] = self.clock.future()
 
     async def run(self) -> None:
@@ -138,13 +151,13 @@ class Stream(Actor):
             self.wake()
 
     def wake(self) -> None:
-        """Let every page look for something new."""
+        """Let every page check for news."""
         tick = self._tick
         self._tick = self.clock.future()
         tick.set_result(None)
 
     def news(self) -> dict[str, Any]:
-        """What changes slowly."""
+        """Return the data that change slowly."""
         return {
             "ended": self.desk.ended(),
             "drones": self.model.table(),
@@ -154,7 +167,7 @@ class Stream(Actor):
         }
 
     async def serve(self, socket: Socket, answering: Answering) -> None:
-        """One page, until it is gone."""
+        """Serve one page until it is gone."""
         if self.pages >= MOST_PAGES:
             await socket.close(TOO_MANY, f"{MOST_PAGES} pages look on already")
             return
@@ -199,9 +212,10 @@ class Stream(Actor):
                 await socket.send_text(self.table.decode())
 
     async def _hear(self, socket: Socket, answering: Answering) -> None:
-        """Nothing that is asked waits for what was asked before: a stop may come while a drawing is planned.
+        """Receive the messages of a page.
 
-        Commands are given before the next message is read, though their page be gone by then.
+        No request waits for an earlier one: a stop may come while a drawing is planned. Commands
+        are given before the next message is read, even if the page has gone by then.
         """
         pace = _Pace(self.clock)
         async with asyncio.TaskGroup() as group:
@@ -217,7 +231,7 @@ class Stream(Actor):
     def _asked(
         self, text: str, answering: Answering, pace: _Pace
     ) -> Work | dict[str, Any] | None:
-        """What the page is told, at once or when the work is done."""
+        """Return the answer to the page, or the work that returns it."""
         message = _message(text)
         if not isinstance(message, Stop) and not pace.takes():
             why = f"what a page asks for beyond {MOST_ASKED} messages in {PER_SECONDS:g} s"
@@ -241,7 +255,7 @@ class Stream(Actor):
             return self._refused(error)
 
     def _refused(self, error: Exception) -> dict[str, Any]:
-        """Why not; what nobody has foreseen goes to the log with its place."""
+        """Return the reason for the page; log unexpected errors with their traceback."""
         why = str(error)
         if not isinstance(error, CrazyChoirError | msgspec.MsgspecError):
             why = f"{type(error).__name__}: {error}"
@@ -254,15 +268,15 @@ class Stream(Actor):
 
 
 def _message(text: str) -> Message | Exception:
-    """The message, or why it is none."""
+    """Return the message, or the error if the text is not a valid message."""
     try:
         return read(text)
-    except Exception as error:  # noqa: BLE001 - whatever a text breaks, its page is told
+    except Exception as error:  # noqa: BLE001 - the page is told, whatever is wrong with its text
         return error
 
 
 def _gone(error: BaseException) -> bool:
-    """Whether it says no more than that the page is gone."""
+    """Return whether the error says only that the page is gone."""
     if isinstance(error, BaseExceptionGroup):
         return all(map(_gone, error.exceptions))
     return isinstance(error, ConnectionError)

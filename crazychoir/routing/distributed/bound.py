@@ -1,4 +1,4 @@
-"""The bound that common prices prove, and what a column costs above it."""
+"""The lower bound that common prices prove, and how much a column costs above it."""
 
 import math
 from dataclasses import dataclass, field
@@ -15,31 +15,38 @@ from crazychoir.routing.pricing.route_table import Column
 from crazychoir.types import Vec
 
 ROUNDING = 1e-6
-"""Of a number of robots: as much above a whole number is that number."""
+"""A number of robots that exceeds a whole number by at most this counts as that number."""
 
 
 @dataclass
 class Bound:
-    """What is proven of every plan, by prices pi that all robots have in common.
+    """The lower bound on every plan that prices pi prove; pi is the same at all robots.
 
         cost of a plan >= value = n mu + sum_j pi_j + sum_i K_i least_i,
         least_i = min(0, min over the columns c of i of  length_c - mu - sum_{j in c} pi_j)
 
-    which holds for every pi >= 0 and mu >= 0, because every task is served at least once, and at least n robots leave.
-    i: the robots that speak for the K_i that are the same.
-    value: m;  prices: pi, (M,) m;  reward: mu, m;  robots: n, see `least_robots`;  least: m, of each robot, the idle
-    column included;  exact: all tables were complete.
+    This holds for every pi >= 0 and mu >= 0, because every task is served at least once, and at
+    least n robots leave home. The sum runs over one robot i of each group of K_i identical robots.
     """
 
     value: float = -np.inf
+    """m: the bound."""
     prices: Vec = field(default_factory=lambda: np.zeros(0))
+    """pi, (M,) m."""
     reward: float = 0.0
+    """mu, m."""
     robots: int = 0
+    """n, see `least_robots`."""
     least: dict[int, float] = field(default_factory=dict)
+    """m: least_i of each robot, the idle column included."""
     exact: bool = True
+    """Whether all route tables were complete."""
 
     def excess(self, robot: int, column: Column) -> float:
-        """What a plan with this column costs above the bound, at least: its reduced cost beyond the robot's least."""
+        """Return a lower bound in m on how far a plan with this column costs above the bound.
+
+        It is the column's reduced cost minus the robot's least reduced cost.
+        """
         own = [column.length, -self.reward] if column.tasks else [column.length]
         return math.fsum(
             [*own, -self.least[robot], *(-self.prices[j] for j in column.tasks)]
@@ -47,13 +54,15 @@ class Bound:
 
 
 def least_robots(bound: Bound, member: Member) -> Exchange[int]:
-    """A number of robots that leave in every plan.
+    """Return a number n of robots that leave home in every plan.
 
-        value <= cost of a plan <= (robots that leave) longest + sum of the penalties of tasks that may be refused
+        value <= cost of a plan <= (robots that leave) longest + penalties
         =>  robots that leave >= n = ceil((value - penalties) / longest)
 
-    longest: m, the highest length of a column, the fixed cost in it, of all robots, whose tables are complete. Where
-    the fixed cost is much more than any route, n is the number of robots in the relaxation, rounded up.
+    penalties: sum over the tasks that may be refused.
+    longest: m, the largest length of a column of any robot, with the fixed cost. The tables must be
+    complete, otherwise n = 0. If the fixed cost is much larger than any route, n is the number of
+    robots in the relaxation, rounded up.
     """
     own = float(member.table.length.max()) if member.speaks else 0.0
     told = yield from flood(member.place.robot, own, member.place.diameter)
@@ -70,9 +79,16 @@ def least_robots(bound: Bound, member: Member) -> Exchange[int]:
 def improve(
     bound: Bound, member: Member, pool: Pool, pi: Vec, batch: int, mu: float = 0.0
 ) -> Exchange[bool]:
-    """Price at pi and mu, flood what is not yet in the pool; keep the better bound; returns whether anybody had more.
+    """Price at pi and mu, flood the columns that are new, and keep the better bound.
 
-    The sum is rounded once (fsum over values that all have heard), so that all robots find the same bound.
+    bound: the best bound so far, changed in place.
+    member: this robot.
+    pool: the known columns, extended in place.
+    pi: (M,) m, prices of the tasks.
+    batch: columns that a robot offers, at most.
+    mu: m, reward of each robot that leaves home.
+    Returns whether any robot had new columns. The sum is rounded once (fsum over the flooded
+    values), so that all robots compute the same bound.
     """
     known = yield from flood(
         member.place.robot, _priced(member, pool, pi, batch, mu), member.place.diameter
@@ -92,7 +108,10 @@ def improve(
 def _priced(
     member: Member, pool: Pool, pi: Vec, batch: int, mu: float
 ) -> list[Any] | None:
-    """least_i, whether the table is complete, and columns of i; None of a robot that another one speaks for."""
+    """Return least_i, whether the table is complete, and columns of i.
+
+    Returns None if another robot of the same group prices for this one.
+    """
     if not member.speaks:
         return None
     robot = member.place.robot

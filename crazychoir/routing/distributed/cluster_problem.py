@@ -1,4 +1,4 @@
-"""The joint problem of a cluster, solved by one of its leaders; and what a route costs."""
+"""The joint problem of a cluster, solved by one of its leaders; and the cost of a route."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -21,9 +21,14 @@ def reoptimize(
     steps: int,
     seed: int,
 ) -> dict[int, list[int]]:
-    """The routes of the cluster's robots that the search finds from the present ones.
+    """Search for better routes of the cluster's robots, starting from the present routes.
 
+    robots: the problems of all robots.
+    routes: the present routes.
+    cluster: robots and tasks of the joint problem.
     penalty: (M,) cost of leaving a task out.
+    steps: search steps.
+    seed: of the search.
     """
     chosen = np.array(cluster.tasks, dtype=np.int64)
     fleet = [restricted(robots[i], chosen).vehicle for i in cluster.robots]
@@ -38,13 +43,16 @@ def reoptimize(
 
 
 def most_saved(robots: Mapping[int, LocalProblem], reach: float) -> float:
-    """More than a plan of these robots could save by leaving a task out: what the dearest one costs.
+    """Return more than any plan of these robots could save by leaving a task out.
 
-        1 + (3M + 2N) reach + N fixed + sum of refusals;   where finishes count, also the last opening + all service
-                                                          + (3M + 2N) reach / the least speed
+    It is an upper bound on the cost of the most expensive plan:
 
-    reach: m, at least any way. Each trip serves a task, so that there are at most 3M + N ways; a robot in flight that
-    stays there saves its way home, at most reach.
+        1 + (3M + 2N) reach + N fixed + sum of refusals
+        if finish times count, plus
+            the last opening + all service + (3M + 2N) reach / the least speed
+
+    reach: m, upper bound on the distance between two places. Each trip serves a task, so there are
+        at most 3M + N legs. A robot in flight that stays there saves its way home, at most reach.
     """
     one = next(iter(robots.values()))
     n = len(robots)
@@ -66,9 +74,10 @@ def most_saved(robots: Mapping[int, LocalProblem], reach: float) -> float:
 
 
 def flown(local: LocalProblem, stops: Sequence[int]) -> tuple[float, float]:
-    """m and s: distance with the fixed cost, and when it is done, of a route; only what it touches is looked at.
+    """Return the distance with the fixed cost in m, and the finish time in s, of a route.
 
-    Where vehicles are counted first, the distance alone.
+    If vehicles are counted first, the distance excludes the fixed cost. Only the tasks of the route
+    are looked at.
     """
     if not len(stops):
         return 0.0, 0.0
@@ -82,16 +91,16 @@ def flown(local: LocalProblem, stops: Sequence[int]) -> tuple[float, float]:
 
 
 def renamed(stops: Sequence[int], chosen: Ints, m: int) -> list[int]:
-    """Nodes of the part with the tasks `chosen` as nodes of the whole problem of m tasks."""
+    """Return nodes of the problem of the tasks `chosen` as nodes of the problem of m tasks."""
     outer = _outer(chosen, m)
     return [outer[s] for s in stops]
 
 
 def _inner(chosen: Ints, m: int) -> dict[int, int]:
-    """Nodes of the whole problem -> nodes of the part."""
+    """Return the map from nodes of the whole problem to nodes of the part."""
     return {v: k for k, v in _outer(chosen, m).items()}
 
 
 def _outer(chosen: Ints, m: int) -> dict[int, int]:
-    """Nodes of the part -> nodes of the whole problem."""
+    """Return the map from nodes of the part to nodes of the whole problem."""
     return dict(enumerate([*chosen.tolist(), *(m + chosen).tolist(), 2 * m, 2 * m + 1]))

@@ -1,4 +1,4 @@
-"""Clusters: disjoint groups of robots whose routes are near each other, drawn by all robots alike."""
+"""Clusters: disjoint groups of robots with routes near each other, the same at all robots."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,31 +9,34 @@ from crazychoir.routing.instance.instance import LocalProblem
 from crazychoir.types import Ints, Mat, Vec
 
 Stops = Mapping[int, Sequence[int]]
-"""Nodes of each robot's route, see vehicle.py; of robots that stay, nothing or an empty list."""
+"""Nodes of each robot's route, see vehicle.py. A robot that stays is absent or has no nodes."""
 
 
 @dataclass(frozen=True)
 class Cluster:
-    """Robots, increasing; the tasks that they serve now and open ones; who of them solve their joint problem."""
+    """A group of robots that re-plan together."""
 
     robots: tuple[int, ...]
+    """Ids, increasing."""
     tasks: tuple[int, ...]
+    """The tasks that they serve now, and unserved ones."""
     leaders: tuple[int, ...]
+    """The robots of the cluster that solve the joint problem."""
 
 
 def tasks_of(stops: Sequence[int], m: int) -> list[int]:
-    """The tasks that a route serves, increasing; m: how many there are."""
+    """Return the tasks that a route serves, increasing; m: number of all tasks."""
     return sorted({s % m for s in stops if s < 2 * m})
 
 
 def unserved(routes: Stops, m: int) -> list[int]:
-    """The tasks that no route serves, increasing."""
+    """Return the tasks that no route serves, increasing."""
     served = {j for stops in routes.values() for j in tasks_of(stops, m)}
     return [j for j in range(m) if j not in served]
 
 
 class Neighbors:
-    """Who is near whom, by the points that all know: homes (or where the robots are), pickups and deliveries."""
+    """Distances between robots, from points that all know: homes or starts, pickups, deliveries."""
 
     def __init__(self, robots: Mapping[int, LocalProblem]) -> None:
         self.robots = sorted(robots)
@@ -54,11 +57,16 @@ class Neighbors:
     def draw(
         self, routes: Stops, most: tuple[int, int], leaders: int, seed: Sequence[int]
     ) -> list[Cluster]:
-        """A partition of the robots into clusters of at most most[0] robots and most[1] tasks, each with some leaders.
+        """Divide the robots into clusters.
 
-        Robots in random order gather those nearest to them, by `nearness` with noise, and in numbers that are drawn
-        too, so that clusters differ from pass to pass. A task that nobody serves goes to the cluster of the robot that
-        would serve it alone at the least cost.
+        Robots in random order gather the robots nearest to them, by `nearness` with noise. The size
+        limits are random too, so that clusters differ from pass to pass. An unserved task
+        goes to the cluster of the robot that would serve it alone at the least cost.
+
+        routes: the present routes.
+        most: robots and tasks in a cluster, at most.
+        leaders: leaders of each cluster, at most.
+        seed: the same seed gives the same clusters at all robots.
         """
         random = np.random.default_rng(seed)
         share = random.uniform(0.5, 1.0)
@@ -101,9 +109,10 @@ class Neighbors:
         )
 
     def nearness(self, routes: Stops) -> Mat:
-        """(N, N) m, small for robots whose routes lie along each other, rows by increasing id.
+        """Return (N, N) m, small if two routes run close together; rows by increasing id.
 
-            d_ab = mean over the nodes u of a of min over the nodes v of b of distance(u, v);   the least of d_ab, d_ba
+            d_ab = mean over the nodes u of a of min over the nodes v of b of distance(u, v)
+            nearness = min(d_ab, d_ba)
 
         The nodes of a robot are its stops and its start; starts are compared with stops only.
         """
@@ -123,7 +132,7 @@ class Neighbors:
         return np.asarray(np.minimum(one_way, one_way.T))
 
     def _mean_way(self, to_route: Mat, stops: list[Ints], a: int) -> Vec:
-        """(N,) mean over the nodes of robot a of the way to each route; to_route: (N, 2M)."""
+        """Return (N,): mean distance from the nodes of robot a to each route; to_route: (N, 2M)."""
         start = np.array(
             [self._out[a, own].min() if len(own) else np.inf for own in stops]
         )
@@ -131,7 +140,7 @@ class Neighbors:
             return np.where(np.isfinite(start), start, to_route.max())
         ways = to_route[:, stops[a]]
         start = np.where(np.isfinite(start), start, ways.min(axis=1))
-        # Running sums are added from left to right on every machine, other sums are not; all must draw alike.
+        # cumsum adds from left to right on every machine, sum does not; all robots must draw alike.
         return np.asarray(
             np.column_stack([start, ways]).cumsum(axis=1)[:, -1] / (len(stops[a]) + 1)
         )
@@ -140,7 +149,7 @@ class Neighbors:
 def _gathered(
     far: Mat, size: list[int], room: tuple[int, int], order: list[int]
 ) -> list[list[int]]:
-    """Groups of rows; the first of `order` that is free gathers the nearest free ones while there is room."""
+    """Return groups of rows; the first free row of `order` gathers the nearest that fit."""
     free = list(order)
     groups = []
     while free:
@@ -161,7 +170,7 @@ def _start(local: LocalProblem) -> Vec:
 
 
 def _ways(a: Mat, b: Mat) -> Mat:
-    """(A, B) m between points."""
+    """Return the (A, B) distances in m between points."""
     squares = ((a[:, None, axis] - b[None, :, axis]) ** 2 for axis in range(a.shape[1]))
     return np.asarray(np.sqrt(sum(squares, np.zeros((len(a), len(b))))))
 

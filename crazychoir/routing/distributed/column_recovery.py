@@ -1,4 +1,4 @@
-"""Recovery from shared columns: all robots learn the promising routes of all, and agree on one proven plan."""
+"""Recovery from shared columns: robots share promising routes and agree on one proven plan."""
 
 import numpy as np
 
@@ -23,16 +23,17 @@ DISCLOSED: tuple[str, ...] = (
 
 
 class ColumnRecovery:
-    """Column generation over floods, then set partitioning with a certificate.
+    """Generate columns with floods, then solve the set partitioning with a proof.
 
     1. Flood the active columns and mean prices of all robots; pi = the mean over the robots.
     2. Each robot prices exactly at pi; flood least_i and its best columns: bound.py.
-    3. Each robot solves the relaxed restricted master; flood its duals; pi = their mean; again from 2 until the
-       relaxation is within `tolerance` of the bound.
+    3. Each robot solves the relaxed restricted master; flood its duals; pi = their mean. Repeat
+    from 2
+       until the relaxation is within `tolerance` of the bound.
     4. Set partitioning: proof.py.
 
-    Every decision that ends a loop is taken from flooded values, with sums that every machine rounds alike, so all
-    robots end in the same round.
+    Every decision that ends a loop is taken from flooded values, with sums that every machine
+    rounds alike, so that all robots end in the same round.
     """
 
     def __init__(self, member: Member, prices: PriceRounds) -> None:
@@ -44,7 +45,7 @@ class ColumnRecovery:
         self._bound = Bound(prices=prices.mean_price)
 
     def run(self) -> Exchange[Assignment]:
-        """Steps 1 to 4."""
+        """Run steps 1 to 4."""
         pi = yield from self._start()
         yield from self._generate(pi)
         return (yield from Proof(self._member, self._pool, self._bound).run())

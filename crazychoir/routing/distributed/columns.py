@@ -1,4 +1,4 @@
-"""The local problem of primal decomposition: a robot's routes convexified, as a linear program over its columns."""
+"""The local problem of primal decomposition: a linear program over the columns of one robot."""
 
 from dataclasses import dataclass
 
@@ -11,29 +11,39 @@ from crazychoir.routing.pricing.route_table import Column, RouteTable
 from crazychoir.types import Vec
 
 TOLERANCE = 1e-7
+"""Tolerance of reduced costs (m) and of the weights of columns."""
 BATCH = 10
+"""Columns added after each pricing, at most."""
 
 
 @dataclass(frozen=True)
 class LocalSolution:
-    """Value p_i(y) in m, prices mu (M,) m >= 0, unserved demand v (M,), and the columns in use."""
+    """Solution of the local problem at a demand y."""
 
     value: float
+    """m: the optimal value p_i(y)."""
     mu: Vec
+    """(M,) m >= 0: price of each task."""
     violation: Vec
+    """(M,): unserved demand v."""
     active: list[Column]
+    """The columns with positive weight."""
 
 
 class ColumnProgram:
-    """The demand y_i of robot i, served as cheaply as a mixture of its routes can.
+    """Serve the demand y_i of robot i as cheaply as a convex combination of its routes can.
 
         p_i(y) = min  sum_c length_c lambda_c + sum_j M_j v_j
                  s.t. sum_{c serves j} lambda_c + v_j >= y_j    : mu_j >= 0
                       sum_c lambda_c = 1,  lambda >= 0,  v >= 0
 
-    c runs over all columns of the robot, that is, over the corners of conv(Z_i); those that matter are found
-    by exact pricing at the duals. 0 <= mu_j <= M_j, so M_j (M,) m must exceed any price of task j.
-    The program stays warm: solve(y) changes bounds and adds columns.
+    c runs over all columns of the robot, which are the corners of conv(Z_i). Exact pricing at the
+    duals finds the columns that matter. The penalty M_j must exceed any price of task j, because
+    0 <= mu_j <= M_j. The program stays warm: solve(y) changes bounds and adds columns.
+
+    table: the routes of the robot.
+    penalty: (M,) m: M_j.
+    robot: its id, for messages.
     Raises SolverError if HiGHS does not reach the optimum.
     """
 
@@ -48,7 +58,7 @@ class ColumnProgram:
         self._build()
 
     def solve(self, y: Vec) -> LocalSolution:
-        """p_i(y), its prices, and the columns with positive weight; y: (M,)."""
+        """Return p_i(y), its prices, and the columns with positive weight; y: (M,)."""
         rows = self._rows
         count = len(rows)
         if count:
@@ -94,7 +104,7 @@ class ColumnProgram:
     def _generate(self) -> highspy.HighsSolution:
         """Alternate solving and pricing until no further column has a negative reduced cost.
 
-        One that is there already, and still seems to have one, is within the tolerance of HiGHS.
+        A known column that still seems to have a negative reduced cost is within HiGHS's tolerance.
         """
         while True:
             solution = self._run()

@@ -1,4 +1,4 @@
-"""The method `columns`: distributed column generation, then clusters of robots that improve one plan side by side."""
+"""The method `columns`: distributed column generation, then improvement of the plan by clusters."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -40,23 +40,23 @@ DISCLOSED: tuple[str, ...] = (
     "plans (stops of all robots)",
 )
 BETTER = 1e-9
-"""m: a plan that saves less than this is the same."""
+"""m: costs of plans that differ by at most this count as equal."""
 
 
 class DistributedColumns:
-    """All robots plan, none of them for all.
+    """Plan with all robots, without a central planner.
 
-    1. The robots introduce themselves (introduction.py).
-    2. Where every robot can list its routes, gossip.py solves the relaxation and proves a bound.
-    3. Each robot searches for a plan of its own from nothing; the best one, agreed on, is the first that all know.
-    4. Where few enough columns remain that a better plan could contain, or always if `prove`: proof.py.
-    5. Where step 2 was not possible, if `prove`, after step 6: a bound by large_bound.py.
-    6. Unless the plan is proven optimal, passes: all draw the same disjoint clusters; the leaders of each re-solve its
-       joint problem; the best of what
-       they found is flooded and taken over by all. Clusters are disjoint, so that any number of them fits together: the
-       draw is the lock. The plan in force is feasible after each pass.
+    1. The robots exchange descriptions of themselves (robot_profile.py).
+    2. If every robot can list its routes, gossip.py solves the relaxation and proves a bound.
+    3. Some robots search for a plan from nothing. The team agrees on the best one, the first plan.
+    4. proof.py searches for a better plan if few enough columns remain, or always if `prove`.
+    5. Unless the plan is proven optimal, passes follow. In each pass all robots draw the same
+       disjoint clusters. The leaders of each cluster solve its joint problem again. The best result
+       is flooded, and all robots adopt it. Clusters are disjoint, so the results of any number of
+       clusters fit together without locks. The plan in force is feasible after each pass.
+    6. If step 2 was not possible and `prove` is set, large_bound.py computes a bound.
 
-    routes: of the plan in force, the nodes of each robot's stops.
+    `routes`: nodes of each robot's stops in the plan in force.
     """
 
     def __init__(self, member: Member) -> None:
@@ -70,7 +70,7 @@ class DistributedColumns:
         self.routes: dict[int, list[int]] = {}
 
     def run(self) -> Exchange[Assignment]:
-        """Steps 1 to 6."""
+        """Run steps 1 to 6."""
         self._robots = yield from introduce(self._member)
         gossip = yield from self._relax()
         yield from self._begin()
@@ -86,7 +86,10 @@ class DistributedColumns:
         return self._assignment(proof.proven)
 
     def _bounded(self) -> Exchange[Assignment]:
-        """The plan in force; with a bound if `prove`, where lengths are what is minimised, and no priority."""
+        """Return the plan in force, with a bound if one is asked for and possible.
+
+        A bound needs `prove`, lengths as the objective, and no priorities.
+        """
         member = self._member
         if (
             not member.settings.prove
@@ -105,7 +108,10 @@ class DistributedColumns:
 
     @property
     def _left_out(self) -> Vec:
-        """(M,): what the search pays for a task left out: its refusal, or more than any plan could save by it."""
+        """(M,): cost of a task that the search leaves out.
+
+        It is the refusal, or for a task that must be served more than any plan could save.
+        """
         return np.where(
             np.isfinite(self._refusal),
             self._refusal,
@@ -113,7 +119,10 @@ class DistributedColumns:
         )
 
     def _relax(self) -> Exchange[Gossip | None]:
-        """Column generation, if lengths are what is minimised, and every robot can list its routes."""
+        """Generate columns if lengths are minimised and every robot can list its routes.
+
+        Returns None otherwise.
+        """
         member = self._member
         if MAKESPAN in member.local.objective:
             return None
@@ -126,14 +135,14 @@ class DistributedColumns:
         if not all(complete.values()):
             vars(member).pop(
                 "table", None
-            )  # no bound follows from tables that are cut, and they are large
+            )  # incomplete tables are large and prove no bound
             return None
         gossip = Gossip(self._member)
         yield from gossip.run()
         return gossip
 
     def _begin(self) -> Exchange[None]:
-        """The best of the plans that the robots find from nothing."""
+        """Adopt the best of the plans that the robots find from nothing."""
         self._member.report(phase="start")
         self._member.kind = "plans"
         settings = self._member.settings
@@ -158,7 +167,10 @@ class DistributedColumns:
         self._member.report(cost=self._shown_cost())
 
     def _improve(self, bound: float) -> Exchange[None]:
-        """Passes of clusters, until the bound is met, or nothing got better for `still_passes`."""
+        """Run passes of clusters.
+
+        They end when the cost meets the bound, or after `still_passes` passes without a gain.
+        """
         settings = self._member.settings
         self._member.report(phase="clusters")
         self._member.kind = "plans"
@@ -184,7 +196,10 @@ class DistributedColumns:
     def _lead(
         self, clusters: Sequence[Cluster], steps: int, k: int
     ) -> list[Any] | None:
-        """The worth of the better routes that this robot found for the cluster that it leads, and these routes."""
+        """Solve the cluster that this robot leads; return worth and routes if better.
+
+        Returns None if the robot leads no cluster or found nothing better.
+        """
         own = next((c for c in clusters if self._i in c.leaders), None)
         if own is None or not own.tasks:
             return None
@@ -197,7 +212,7 @@ class DistributedColumns:
         return [worth, _flat({i: stops for i, stops in new.items() if stops != old[i]})]
 
     def _accept(self, clusters: Sequence[Cluster], offers: Mapping[int, Any]) -> bool:
-        """Take over the best offer of each cluster; returns whether there was any."""
+        """Adopt the best offer of each cluster; return whether there was any."""
         better = False
         for cluster in clusters:
             made = [
@@ -211,24 +226,28 @@ class DistributedColumns:
         return better
 
     def _offer(self) -> Offer | None:
-        """The plan in force, if it serves all that must be served."""
+        """Return the plan in force as an offer, None if a task that must be served is missing."""
         return None if self._missing() else Offer(self._weighed(), self._sets())
 
     def _weighed(self) -> float:
-        """m, the cost of the plan in force as the relaxations have it: of its vehicles, where they are counted first,
-        and of what is minimised.
+        """Return the cost of the plan in force in m, as the relaxations count it.
+
+        If vehicles are counted first it includes their weight.
         """
         worth = self._worth(self.routes)
         weight = self._member.vehicle_weight
         return weight * worth[1] + worth[2] if weight else worth[1]
 
     def _shown_cost(self) -> float:
-        """What is minimised, without the number of vehicles."""
+        """Return the cost of the plan in force in m, without the weight of vehicles."""
         worth = self._worth(self.routes)
         return worth[2] if self._member.vehicle_weight else worth[1]
 
     def _take_over(self, proof: Proof) -> None:
-        """The routes of the proof's plan, where it is better than the one in force."""
+        """Adopt the routes of the proof's plan if it is better than the plan in force.
+
+        Raises SolverError if the proof says that there is no plan.
+        """
         if proof.infeasible:
             why = "each can be served alone, but not all together within capability, capacity and route_length_limit"
             raise SolverError(
@@ -250,7 +269,7 @@ class DistributedColumns:
             self.routes[i] = self._shortest(i, proof.best.routes.get(i, ()))
 
     def _shortest(self, i: int, tasks: tuple[int, ...]) -> list[int]:
-        """Stops of the shortest route of robot i that serves exactly these."""
+        """Return the stops of the shortest route of robot i that serves exactly these tasks."""
         chosen = np.array(tasks, dtype=np.int64)
         vehicle = restricted(self._robots[i], chosen).vehicle
         stops, _ = shortest_route(
@@ -268,7 +287,7 @@ class DistributedColumns:
         return Assignment(self._sets(), bound, self.routes, relaxation)
 
     def _missing(self) -> list[int]:
-        """Tasks that must be served and are not."""
+        """Return the tasks that must be served and are not."""
         return [j for j in unserved(self.routes, self._m) if np.isinf(self._refusal[j])]
 
     def _sets(self) -> dict[int, tuple[int, ...]]:
@@ -278,9 +297,13 @@ class DistributedColumns:
     def _worth(
         self, routes: Mapping[int, Sequence[int]], tasks: Sequence[int] | None = None
     ) -> list[float]:
-        """By what plans are compared: how many tasks are missing that must be served, then what is minimised, in order.
+        """Return the values by which plans are compared, in order.
 
-        The first of these is with the refusals. Of what is left out only `tasks` count, all if None.
+        First the number of missing tasks that must be served, then the objectives in order. The
+        first objective includes the refusals.
+
+        routes: nodes of each robot's stops.
+        tasks: only these tasks count as left out; all if None.
         """
         left = [j for j in unserved(routes, self._m) if tasks is None or j in tasks]
         flights = [
@@ -309,14 +332,14 @@ class DistributedColumns:
 
 
 def _better(new: Sequence[float], old: Sequence[float]) -> bool:
-    """Whether `new` is less at the first place where they differ."""
+    """Return whether `new` is less than `old` at the first place where they differ."""
     return next(
         (a < b for a, b in zip(new, old, strict=True) if abs(a - b) > BETTER), False
     )
 
 
 def _flat(routes: Mapping[int, Sequence[int]]) -> list[Any]:
-    """Robots, numbers of stops, and all stops in a row."""
+    """Return robots, numbers of stops, and all stops in one array."""
     ids = sorted(routes)
     stops = [s for i in ids for s in routes[i]]
     sizes = [len(routes[i]) for i in ids]

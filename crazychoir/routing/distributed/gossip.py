@@ -1,4 +1,4 @@
-"""Distributed column generation: the robots gossip bases of the master problem and price at their own duals."""
+"""Distributed column generation: robots exchange bases and price at their own duals."""
 
 from typing import Any
 
@@ -11,26 +11,40 @@ from crazychoir.routing.distributed.packing import packed, unpacked
 from crazychoir.types import Vec
 
 TOLERANCE = 1e-7
-"""m: a reduced cost above minus this is rounding."""
+"""m: a reduced cost above minus this value is rounding."""
 SPREAD = 1e-3
-"""Of the master's right-hand sides: with degenerate bases each robot could be content with prices of its own."""
+"""Spread of the master's right-hand sides.
+
+With degenerate bases each robot could stop at different prices.
+"""
 
 
 class Gossip:
-    """Robot i solves the master over the columns that it knows, and tells its neighbours the basis.
+    """Robot i solves the master problem over the columns it knows and sends the basis.
 
-        pool_i <- pool_i + bases of the neighbours + own columns of least reduced cost at (pi_i, sigma_ii)
-        (pi_i, sigma_i), basis_i <- the relaxation over pool_i;   what of basis_i was not yet told is told
+        pool_i <- pool_i + bases of the neighbours
+                  + own columns of least reduced cost at (pi_i, sigma_ii)
+        (pi_i, sigma_i), basis_i <- the relaxation over pool_i
+        send the neighbours the columns of basis_i that were not sent before
 
-    Pools only grow, so it ends: when no robot has learned a column for diameter + 1 rounds, which all know in the
-    same round from `latest`, the last round in which anybody that was heard of learned one; or after `gossip_rounds`.
-    Then the prices of the robot with the least value are everybody's: price exactly, flood, bound; where that bound is
-    below the value, a robot's column was not known to the one that named the prices: again with those columns.
-    Where robots have a fixed cost, parts of robots leave a gap of parts of it: all that again with the row that at
-    least n robots leave, see `least_robots`, which every plan meets.
-    bound, value: m, the value of the relaxation;  master: with all columns that robot i has heard of.
-    Source: the idea of distributed simplex (Burger, Notarstefano, Bullo, Allgower 2012, Automatica 48(9)), with columns
-    priced instead of listed.
+    Pools only grow, so the gossip ends. It ends when no robot has learned a column for
+    diameter + 1 rounds, or after `gossip_rounds`. All robots know this in the same round from
+    `latest`, the last round in which any robot learned a column.
+
+    Then all robots use the prices of the robot with the least value: they price exactly, flood, and
+    compute the bound. If the bound is below the value, some column was unknown to that robot. The
+    gossip then repeats with the new columns.
+
+    If robots have a fixed cost, fractions of robots leave a gap of fractions of it. Everything then
+    repeats with the additional row that at least n robots leave, see `least_robots`. Every plan
+    satisfies that row.
+
+    `run` returns the value of the relaxation in m.
+    `bound`: the proven bound.
+    `master`: the master problem with all columns that robot i knows.
+    `pool`: the columns that all robots know.
+    Source: the idea of distributed simplex (Burger, Notarstefano, Bullo, Allgower 2012,
+    Automatica 48(9)), with columns priced instead of listed.
     """
 
     def __init__(self, member: Member) -> None:
@@ -45,7 +59,7 @@ class Gossip:
         self._latest = 0
 
     def run(self) -> Exchange[float]:
-        """The value; where robots have a fixed cost, with their number rounded up."""
+        """Return the value; if robots have a fixed cost, with their number rounded up."""
         self._member.report(phase="columns")
         value, used = yield from self._converge()
         if self._member.fixed > 0.0:
@@ -57,8 +71,9 @@ class Gossip:
         return value
 
     def _converge(self) -> Exchange[tuple[float, float]]:
-        """Gossip and agree until the bound is the value, which is returned, or `passes` are over; and how many robots
-        the relaxation uses.
+        """Gossip and agree until the bound equals the value or `passes` are over.
+
+        Returns the value in m and the number of robots that the relaxation uses.
         """
         settings = self._member.settings
         best = self._priced()
@@ -76,7 +91,7 @@ class Gossip:
         return value, used
 
     def _spread(self, best: Relaxation) -> Exchange[Relaxation]:
-        """Rounds until nobody learns."""
+        """Run rounds until no robot learns a column."""
         self._latest = 0
         for k in range(1, self._member.settings.gossip_rounds + 1):
             self._member.kind = "bases"
@@ -94,7 +109,7 @@ class Gossip:
         return best
 
     def _news(self) -> list[Any]:
-        """Columns of the basis that were not told yet."""
+        """Return the columns of the basis that were not sent yet."""
         news = [(i, c) for i, c in self.master.basis if (i, c) not in self._told]
         self._told.update(news)
         return [[i for i, _ in news], packed([c for _, c in news])]
@@ -107,7 +122,7 @@ class Gossip:
         return new
 
     def _priced(self) -> Relaxation:
-        """The relaxation after own pricing, until no own column has a negative reduced cost."""
+        """Price until no own column has a negative reduced cost, and return the relaxation."""
         member = self._member
         batch = self._member.settings.batch
         while True:
@@ -123,7 +138,10 @@ class Gossip:
                 return best
 
     def _agree(self, best: Relaxation) -> Exchange[tuple[float, Vec, float, float]]:
-        """The least value; the prices, the number of robots and their reward of the one that found it."""
+        """Agree on the robot with the least value.
+
+        Returns its value, its prices, its number of robots and its reward.
+        """
         self._member.kind = "prices"
         own: list[Any] = [best.value, self._i, best.prices, best.used, best.reward]
         offer = yield from best_offer(own, self._member.place.diameter)

@@ -1,4 +1,4 @@
-"""Plans of cheapest insertions: what robots bid for tasks, in an auction and in CBBA. Baselines: quick, not optimal."""
+"""Plans of cheapest insertions, by bids in an auction or in CBBA: fast baselines, not optimal."""
 
 from collections.abc import Generator
 from typing import Any
@@ -19,19 +19,26 @@ from crazychoir.types import Vec
 METHODS = ("cbba", "auction")
 DISCLOSED = ("what tasks would cost robots", "who serves which task")
 ANYWHERE = -9
-"""No pair of places is left out."""
+"""Place that excludes no pair of positions."""
 WORTH = 1e7
-"""m, what a task that must be served is worth: more than any detour, and the same at all robots."""
+"""m: worth of a task that must be served.
+
+It exceeds any detour and is the same at all robots.
+"""
 Stops = tuple[int, ...]
 
 
 class InsertionBids:
-    """A robot's bids: what a task is worth beyond the growth of the route with it, where that is the least.
+    """Bids of a robot: the worth of a task minus the least growth of the route.
 
         c_j(route) = worth_j - min over both places in the route of (its length with j - its length)
 
-    worth_j: what refusing j costs, the same at all robots; of a task that must be served more than any detour. A task
-    that may be refused is not worth a bid below 0. All limits of the robot are kept. path: the stops of the route.
+    worth_j is the cost of refusing j, the same at all robots; for a task that must be served, more
+    than any detour. A robot does not bid below 0 for a task that may be refused. All limits of the
+    robot are kept.
+
+    local: the problem of the robot.
+    `start`: stops of the route that delivers the goods aboard.
     """
 
     def __init__(self, local: LocalProblem) -> None:
@@ -46,7 +53,7 @@ class InsertionBids:
             self.start = self.insert(self.start, int(j))
 
     def scores(self, path: Stops) -> Vec:
-        """(M,) of the tasks that are not in the route."""
+        """Return the bids (M,) at the route `path`; -inf for tasks in it or without a bid."""
         tours = self._tours(path)
         growth = np.array(
             [self._cheapest(tours, j)[0] for j in range(len(self._worth))]
@@ -56,7 +63,7 @@ class InsertionBids:
         return np.where(self._must | (scores > 0.0), scores, -np.inf)
 
     def insert(self, path: Stops, task: int) -> Stops:
-        """The stops with the task. Raises SolverError if it fits nowhere."""
+        """Return the stops with the task inserted. Raises SolverError if it fits nowhere."""
         tours = self._tours(path)
         cost, first, second = self._cheapest(tours, task)
         if cost == np.inf:
@@ -76,9 +83,9 @@ class InsertionBids:
 
 
 def insertion_plan(member: Member, method: str) -> Exchange[Assignment]:
-    """This robot's route by METHODS, without a bound.
+    """Return this robot's route by a method of METHODS, without a bound.
 
-    Raises SolverError, at every robot alike, where a task that must be served is left to nobody.
+    Raises SolverError, at all robots alike, if a task that must be served remains without a robot.
     """
     place = member.place
     tasks = len(member.local.tasks)
@@ -105,7 +112,7 @@ def insertion_plan(member: Member, method: str) -> Exchange[Assignment]:
 
 
 def _rounds_of(program: CBBA) -> Generator[Any, Any, Bundle]:
-    """A program as a part of another."""
+    """Run a program inside another one and return its result."""
     while not program.done:
         program.step((yield program.message()))
     return program.result

@@ -1,4 +1,4 @@
-"""What is proven of every plan where the routes of a robot are too many to be listed."""
+"""The lower bound on every plan if a robot has too many routes to list them."""
 
 import math
 from collections.abc import Sequence
@@ -21,31 +21,44 @@ from crazychoir.routing.pricing.route_table import Column
 from crazychoir.types import Vec
 
 NG_ROUTE = "ng-route"
-"""The relaxation by which a robot prices whose routes cannot be halved, or in too many ways: they may serve a task
-again, see least.py.
+"""Name of the relaxation in which a route may serve a task again, see reduced_cost.py.
+
+A robot prices by it if its routes cannot be halved, or can be halved in too many ways.
 """
 DRAWN = 0.6
-"""Share of the best prices so far in the next ones."""
+"""Share of the best prices so far in the next prices."""
 HALF = 3
-"""Times as many labels may a half have as a table, which keeps more of each."""
+"""A half-route search may have this many times the labels of a table, which stores more a label."""
 CLOSE = 0.01
-"""Relative gap below which prices are no longer drawn."""
+"""Relative gap below which prices are no longer mixed with the best prices."""
 ENOUGH = 1e-5
-"""Relative gap between the value of the columns known and the bound."""
+"""Relative gap between the value of the known columns and the bound at which the passes end."""
 
 
 class LargeBound:
-    """The Lagrangian bound of bound.py, by prices that are sought pass by pass; only the robots' pricing is heavy.
+    """Find prices for the Lagrangian bound of bound.py in passes; only the pricing is expensive.
 
-        pi_k = DRAWN * (the prices of the best bound) + (1 - DRAWN) * (the prices of the columns known), at first
-        value_k = sum_j pi_kj + sum_i K_i least_i(pi_k),     pi_kj at most what leaving task j out costs
+        pi_k = DRAWN * (prices of the best bound) + (1 - DRAWN) * (prices of the known columns)
+        value_k = sum_j pi_kj + sum_i K_i least_i(pi_k),     pi_kj <= cost of leaving task j out
 
-    Each robot floods least_i and columns of negative reduced cost, exact ones by halves.py where its halves are few
-    enough, else least_i of a relaxation; two robots solve the relaxation over all columns heard of, and the prices of
-    the better one are taken over by all. It ends when the bound is the value of the columns known, when no prices bring
-    new columns, after 2 `passes`, or when the pricing of one robot is cut: it could serve more than MOST_TASKS tasks,
-    or has too many routes at these prices; what was proven at others holds.
-    value: m, None if there is no bound;  relaxation: of the routes, None if they were priced exactly.
+    Once the gap is small, or no columns are new, pi_k are the prices of the known columns alone.
+
+    In each pass each robot floods least_i and columns of negative reduced cost. They are exact,
+    by bidirectional_pricing.py, if the robot has few enough half-routes. Otherwise least_i is
+    that of a relaxation. Two robots solve the relaxation over all known columns, and all robots
+    adopt the prices of the better solution.
+
+    The passes end when
+    - the bound equals the value of the known columns,
+    - no prices bring new columns,
+    - twice `passes` passes are over, or
+    - the pricing of a robot is cut: it could serve more than MOST_TASKS tasks, or has too many
+      routes at these prices. Bounds proven earlier still hold.
+
+    member: this robot.
+    plan: the known plan, a column for each robot that flies.
+    `value`: m, None if there is no bound.
+    `relaxation`: relaxation of the routes, None if they were priced exactly.
     Source: Wentges 1997, International Transactions in Operational Research 4(2), for the prices.
     """
 
@@ -59,7 +72,7 @@ class LargeBound:
         self.relaxation: str | None = None
 
     def run(self) -> Exchange[None]:
-        """Passes; all robots end in the same round with the same value."""
+        """Run the passes; all robots end in the same round with the same value."""
         member = self._member
         settings = self._member.settings
         member.report(phase="bound")
@@ -102,13 +115,13 @@ class LargeBound:
             relaxed, prices = yield from self._agree(master)
             if relaxed - best <= ENOUGH * max(1.0, abs(relaxed)):
                 break
-            # Where drawn prices bring nothing, or little is missing, those of the columns themselves are next.
+            # If mixed prices find no columns, or the gap is small, use the prices of the columns alone.
             drawn = new > 0 and relaxed - best > CLOSE * abs(relaxed)
             pi = DRAWN * centre + (1.0 - DRAWN) * prices if drawn else prices
         self.value = best if best > -np.inf else None
 
     def _listed(self) -> Halves | None:
-        """All halves of own routes, where they are not too many."""
+        """Return all half-routes of this robot, None if there are too many."""
         member = self._member
         vehicle = self._member.local.vehicle
         if not (
@@ -121,9 +134,10 @@ class LargeBound:
         return halves if halves.complete else None
 
     def _start(self) -> Vec:
-        """The cost of each route of the plan, in equal parts on its tasks; at most what leaving a task out costs.
+        """Return the first prices: the cost of each route of the plan, in equal parts on its tasks.
 
-        All robots begin alike, as the penalty is one for all after introductions.
+        A price is at most the cost of leaving the task out. All robots begin with the same prices,
+        because they know the same penalty after they have introduced themselves.
         """
         pi = np.array(self._member.unserved)
         for _, column in self._plan:
@@ -131,7 +145,10 @@ class LargeBound:
         return np.minimum(pi, self._member.unserved)
 
     def _priced(self, pi: Vec) -> list[Any] | None:
-        """least_i, -inf if unknown, whether it is exact, and columns; None of a robot that another one speaks for."""
+        """Return least_i (-inf if unknown), whether it is exact, and columns.
+
+        Returns None if another robot of the same group prices for this one.
+        """
         member = self._member
         if not member.speaks:
             return None
@@ -149,7 +166,7 @@ class LargeBound:
         return [least, False, packed(found.columns[:batch])]
 
     def _agree(self, master: Master) -> Exchange[tuple[float, Vec]]:
-        """Value and prices of the columns known."""
+        """Return the value and the prices of the known columns."""
         own: list[Any] | None = None
         if self._i < self._member.settings.searchers:
             relaxed = master.relax()

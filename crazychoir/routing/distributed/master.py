@@ -1,4 +1,4 @@
-"""The restricted master problem: set partitioning over the columns that are known of all robots."""
+"""The restricted master problem: set partitioning over the known columns of all robots."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,9 +13,10 @@ from crazychoir.routing.pricing.route_table import Column
 from crazychoir.types import Vec
 
 GOLDEN = 0.6180339887498949
+"""Fraction of the golden ratio: its multiples modulo 1 spread evenly over an interval."""
 STATUS = highspy.HighsModelStatus
 NONE = (STATUS.kInfeasible, STATUS.kUnboundedOrInfeasible, STATUS.kModelEmpty)
-"""Where a search over x in [0, 1] says so, there is no choice."""
+"""Statuses that mean, in a search over x in [0, 1], that there is no solution."""
 REACHED = (
     STATUS.kOptimal,
     *NONE,
@@ -24,43 +25,51 @@ REACHED = (
     STATUS.kObjectiveBound,
     STATUS.kObjectiveTarget,
 )
-"""Ends of a search that is not broken: an answer, or a limit, which for nodes is called kSolutionLimit."""
+"""Statuses of a search that ended properly: an answer or a limit.
+
+HiGHS reports a limit of nodes as kSolutionLimit.
+"""
 ROUNDED = 1e-6
-"""Of a number of columns: as much above a whole number is that number."""
+"""A number of columns that exceeds a whole number by at most this counts as that number."""
 ROUNDING = 1e-9
-"""m: of the length of one route, added in another order."""
+"""m: rounding of the length of one route if its legs are added in another order."""
 Key = tuple[int, tuple[int, ...]]
+"""A robot and the tasks of a column."""
 Routes = dict[int, tuple[int, ...]]
 """Tasks of each robot, increasing."""
 
 
 @dataclass(frozen=True)
 class Relaxation:
-    """Value in m of the linear relaxation and the task prices (M,) m >= 0.
-
-    used: sum of x, parts of robots counted as such;  reward: m >= 0, what each of them earns, where they are too few.
-    """
+    """Solution of the linear relaxation."""
 
     value: float
+    """m: the optimal value."""
     prices: Vec
+    """(M,) m >= 0: price of each task."""
     used: float = 0.0
+    """Sum of x: the number of robots in use, fractions included."""
     reward: float = 0.0
+    """m >= 0: reward of each robot in use, if too few robots would be used without it."""
 
 
 @dataclass(frozen=True)
 class Partition:
-    """Cost in m, the tasks of each robot that flies, and the bound in m that the search proved over these columns.
+    """Result of a search for an integer plan.
 
-    Where no choice was found the cost is inf; the bound is too if there is none.
+    If no plan was found the cost is inf. If it is proven that there is none, the bound is inf too.
     """
 
     cost: float
+    """m: cost of the plan."""
     routes: Routes
+    """Tasks of each robot that flies."""
     bound: float
+    """m: lower bound over these columns that the search proved."""
 
 
 class Pool:
-    """The known columns of each robot, each set once, with its shortest length."""
+    """The known columns of each robot: each set of tasks once, with its shortest length."""
 
     def __init__(self, tasks: int) -> None:
         self._tasks = tasks
@@ -70,14 +79,14 @@ class Pool:
         return len(self._length)
 
     def items(self) -> list[tuple[int, Column]]:
-        """(robot, column), in the order (robot, tasks)."""
+        """Return all (robot, column), sorted by robot and tasks."""
         return [
             (robot, Column(self._length[robot, tasks], tasks))
             for robot, tasks in sorted(self._length)
         ]
 
     def add(self, robot: int, columns: Iterable[Column]) -> int:
-        """Take columns of a robot; returns how many are new or shorter than known."""
+        """Add columns of a robot; return how many are new or shorter than the known ones."""
         new = 0
         for column in columns:
             if not self.has(robot, column):
@@ -86,11 +95,11 @@ class Pool:
         return new
 
     def has(self, robot: int, column: Column) -> bool:
-        """Whether the robot's column is known at this length."""
+        """Return whether the robot's column is known at this length or a shorter one."""
         return self._length.get((robot, column.tasks), np.inf) <= column.length
 
     def relax(self, penalty: Vec) -> Relaxation:
-        """The covering relaxation of these columns."""
+        """Solve the covering relaxation of these columns."""
         master = Master(penalty)
         for robot, column in self.items():
             master.add(robot, [column])
@@ -98,17 +107,18 @@ class Pool:
 
 
 class Master:
-    """The covering relaxation of the columns known so far, each robot at most one column; it stays warm.
+    """The covering relaxation of the known columns, with at most one column a robot; it stays warm.
 
         min  sum length_c x_c + sum_j penalty_j v_j
         s.t. sum_{c serves j} x_c + v_j >= 1                     : pi_j >= 0
              sum_{c of i} x_c <= K_i                             : sigma_i <= 0,    x >= 0, v >= 0
              sum_c x_c + w >= n, at the cost f w                 : 0 <= mu <= f,    after `at_least`
 
-    penalty: (M,) m, more than any price, or what it costs to refuse the task;  spread: the right-hand sides are raised
-    by up to this, each by another amount, the same at all robots: then no optimal basis is degenerate, so prices are
-    unique;  number: K_i, how many robots are as i is, who stands for them: 1 of those not named;
-    basis: columns of the last optimal basis, at most as many as there are rows.
+    penalty: (M,) m, more than any price, or the cost of refusing the task.
+    spread: the right-hand sides are raised by up to this, each by a different amount, which is
+        the same at all robots. Then no optimal basis is degenerate, so that prices are unique.
+    number: K_i, the size of the group of identical robots that robot i represents; 1 if absent.
+    `basis`: columns of the last optimal basis, at most as many as there are rows.
     Raises SolverError if HiGHS does not reach the optimum.
     """
 
@@ -145,7 +155,7 @@ class Master:
         return len(self._columns)
 
     def add(self, robot: int, columns: Iterable[Column]) -> int:
-        """Take columns of a robot; returns how many are new or shorter than known."""
+        """Add columns of a robot; return how many are new or shorter than the known ones."""
         new = [
             column
             for column in columns
@@ -156,7 +166,10 @@ class Master:
         return len(new)
 
     def _is_news(self, robot: int, column: Column) -> bool:
-        """Note the column; of one set of tasks the shorter remains, so a later longer one is none, nor is rounding."""
+        """Store the column and return True if it is new or shorter than the known one.
+
+        A column that is shorter only by rounding is not stored.
+        """
         k = self._index.get((robot, column.tasks))
         if k is not None and self._columns[k][1].length <= column.length + ROUNDING:
             return False
@@ -174,7 +187,7 @@ class Master:
         return self._row[robot]
 
     def _raised(self, row: int, number: int = 1) -> float:
-        """The right-hand side of a row, with a share of `spread` (multiples of the golden ratio fill an interval)."""
+        """Return the right-hand side of a row, raised by its share of `spread`."""
         return number + self._spread * ((row + 1) * GOLDEN % 1.0)
 
     def _append(self, row: int, columns: list[Column]) -> None:
@@ -190,7 +203,11 @@ class Master:
         )
 
     def at_least(self, robots: int, reward: float) -> None:
-        """Ask for `robots` = n columns in all, each that is missing at the cost `reward` = f in m; once."""
+        """Add the row that asks for n columns in all; call it once.
+
+        robots: n.
+        reward: f in m, the cost of each missing column.
+        """
         row = self._highs.getNumRow()
         n = len(self)
         self._count = row, robots
@@ -201,10 +218,15 @@ class Master:
         self._highs.addCol(
             reward, 0.0, highspy.kHighsInf, 1, np.array([row], np.int32), np.ones(1)
         )
-        self._columns.append((-1, Column(reward, ())))  # keeps its place
+        self._columns.append(
+            (-1, Column(reward, ()))
+        )  # keeps the column numbers of HiGHS
 
     def relax(self) -> Relaxation:
-        """Its value (that of its prices at right-hand sides not raised) and prices, with the columns added since."""
+        """Solve the relaxation with the columns added so far.
+
+        The value is that of the prices at the right-hand sides without `spread`.
+        """
         self._highs.run()
         status = self._highs.getModelStatus()
         if status != highspy.HighsModelStatus.kOptimal:
@@ -224,12 +246,15 @@ class Master:
         )
 
     def sigma(self, robot: int) -> float:
-        """sigma_i in m of the last relaxation, <= 0: what one more route of this robot would save."""
+        """Return sigma_i <= 0 in m of the last relaxation.
+
+        It is the change of cost by one more route of robot i.
+        """
         return self._sigma.get(robot, 0.0)
 
     @property
     def basis(self) -> list[tuple[int, Column]]:
-        """Columns of the last basis, in the order of their arrival."""
+        """Columns of the last basis, in the order in which they were added."""
         _, basic = self._highs.getBasicVariables()
         basis = [
             self._columns[int(k) - self._tasks]
@@ -257,14 +282,22 @@ def partition(
     alike: Mapping[int, Sequence[int]] | None = None,
     most: int | None = None,
 ) -> Partition:
-    """The cheapest choice of columns that serves each task exactly once.
+    """Find the cheapest set of columns that serves each task exactly once.
 
         min  sum length_c x_c
-        s.t. sum_{c serves j} x_c = 1,  sum_{c of i} x_c <= K_i,  sum_c x_c <= most if it is given,  x binary
+        s.t. sum_{c serves j} x_c = 1,  sum_{c of i} x_c <= K_i,  x binary,
+             sum_c x_c <= most if it is given
 
-    Stops after `nodes` branch-and-bound nodes, never by time. known: a choice to start from;  alike: the K_i robots
-    that a column of i is one of, i among them: i alone where it is not named.
-    Raises SolverError if HiGHS breaks off, then also without presolve and a start.
+    The search stops after a number of branch-and-bound nodes, never after a time.
+
+    columns: (robot, column).
+    tasks: M, the number of tasks.
+    seed: of HiGHS.
+    nodes: branch-and-bound nodes, at most.
+    known: a solution to start from.
+    alike: the K_i identical robots, i among them, that can fly a column of i; i alone if absent.
+    most: number of columns, at most.
+    Raises SolverError if HiGHS fails, also when it is run again without presolve and start.
     """
     same = {robot: (alike or {}).get(robot, (robot,)) for robot, _ in columns}
     number = {robot: len(robots) for robot, robots in same.items()}
@@ -279,7 +312,7 @@ def partition(
     highs = _searched(_model(columns, tasks, seed, number, most), nodes, start)
     if (
         highs.getModelStatus() not in REACHED
-    ):  # HiGHS 1.x presolves some infeasible ones to an answer that it rejects
+    ):  # HiGHS 1.x presolves some infeasible problems to a solution that it then rejects
         highs = _model(columns, tasks, seed, number, most)
         highs.setOptionValue("presolve", "off")
         highs = _searched(highs, nodes, None)
@@ -312,13 +345,16 @@ def fewest(
     known: Routes | None = None,
     alike: Mapping[int, Sequence[int]] | None = None,
 ) -> Partition:
-    """The choice of the fewest columns, of those the shortest, that serves each task exactly once.
+    """Find the smallest set of columns that serves each task once; among these, the shortest.
 
         n* = min sum_c x_c,    then  min sum (length_c - weight) x_c  s.t.  sum_c x_c <= n*
 
-    Neither program has a large number in it. weight: m, the part of each length that counts the vehicle, more than
-    what any plan costs without it;  least: no plan has fewer columns;  the rest as in `partition`. The cost and the
-    bound of the answer are with the weight.
+    Neither program contains a large number. The cost and the bound of the result include the
+    weight.
+
+    weight: m, the part of each length that counts the vehicle, more than any plan costs without it.
+    least: no plan has fewer columns.
+    The other arguments are those of `partition`.
     """
     count = None if known is None else len(known)
     if count is None or count > least:
@@ -347,7 +383,7 @@ def fewest(
 
 
 def _searched(highs: highspy.Highs, nodes: int, start: Vec | None) -> highspy.Highs:
-    """After branch and bound over binary columns."""
+    """Run branch and bound over binary columns and return the solver."""
     n = highs.getNumCol()
     index = np.arange(n, dtype=np.int32)
     highs.changeColsIntegrality(
@@ -364,7 +400,7 @@ def _searched(highs: highspy.Highs, nodes: int, start: Vec | None) -> highspy.Hi
 def _shared_out(
     chosen: list[tuple[int, Column]], same: Mapping[int, Sequence[int]]
 ) -> Routes:
-    """Each column to a robot of its own."""
+    """Assign each column to a robot of its own."""
     free = {robot: iter(robots) for robot, robots in same.items()}
     return {next(free[robot]): column.tasks for robot, column in chosen}
 
@@ -376,7 +412,10 @@ def _model(
     number: Mapping[int, int],
     most: int | None,
 ) -> highspy.Highs:
-    """Rows: tasks = 1, robots in use <= number, all columns <= most; columns in the given order, 0 <= x <= 1."""
+    """Return the model of `partition` with 0 <= x <= 1.
+
+    Rows: tasks = 1, robots in use <= number, all columns <= most. Columns: in the given order.
+    """
     highs = quiet_highs(seed)
     robots = sorted(number)
     row_of = {robot: tasks + r for r, robot in enumerate(robots)}

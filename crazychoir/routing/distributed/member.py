@@ -1,4 +1,4 @@
-"""One robot as a member of its team: its place in the graph, its own problem, and how far it is."""
+"""One robot as a member of its team: its place in the graph, its problem, and its progress."""
 
 import math
 from dataclasses import asdict, dataclass, field, replace
@@ -17,82 +17,108 @@ from crazychoir.types import Vec
 class Settings:
     """Constants that all robots share.
 
-    Price rounds: price_rounds: at most;  still: change of y that ends them;  step, exponent: of the step size;
-    attempts: at claiming tasks.
-    Column generation: penalty: of unserved demand, in longest ways of a robot;  tolerance: relative, of bounds;
-    gossip_rounds: at most;  passes: at most;  batch: columns that a robot offers a pass;  most_labels: of a robot's
-    route table;  most_listed: tasks of a robot whose routes are listed for it, in the method columns.
-    Search: starters: robots that look for a first plan, by first_steps of search each;  cluster: robots and tasks of
-    one, at most;  leaders: of each;  steps: of search that a leader does, over all passes;  cluster_rounds: of
-    communication for clusters, from which follows the number of passes, least_passes to most_passes;  still_passes:
-    without any better route end them.
-    Proof: prove: whatever it costs;  most_proven: columns that are searched if not;  first_gap: relative;
-    most_shared: columns of one robot in one message;  most_relayed: of all robots together, which must fit into a
-    payload;  small: columns of a search that every robot does, a larger one is done by `searchers`;  nodes: of branch
-    and bound, proof_nodes if `prove`.
+    The fields are in groups: price rounds, column generation, search, and proof.
     """
 
     price_rounds: int = 60
+    """Price rounds, at most."""
     still: float = 0.01
+    """The price rounds end if no share y changes by more than this."""
     step: float = 0.3
+    """Factor of the step size of the price rounds."""
     exponent: float = 0.6
+    """Exponent of the decay of the step size."""
     attempts: int = 20
+    """Attempts at claiming tasks."""
     penalty: float = 3.0
+    """Column generation: penalty of unserved demand, in longest ways of a robot."""
     tolerance: float = 1e-6
+    """Relative tolerance of bounds."""
     gossip_rounds: int = 200
+    """Rounds of gossip, at most."""
     passes: int = 30
+    """Passes of pricing or of the proof, at most."""
     batch: int = 20
+    """Columns that a robot offers in a pass."""
     most_labels: int = MOST_LABELS
+    """Largest number of labels of a robot's route table."""
     most_listed: int = 60
+    """The method `columns` lists the routes of a robot with at most this many tasks."""
     starters: int = 16
+    """Search: number of robots that look for a first plan."""
     first_steps: int = 1_000
+    """Search steps of each starter."""
     cluster: tuple[int, int] = (25, 60)
+    """Largest number of robots and of tasks in a cluster."""
     leaders: int = 3
+    """Leaders of each cluster."""
     steps: int = 220_000
+    """Search steps of a leader, over all passes."""
     cluster_rounds: int = 120
+    """Communication rounds for clusters.
+
+    The number of passes follows from it, between `least_passes` and `most_passes`.
+    """
     least_passes: int = 8
+    """Least number of passes of clusters."""
     most_passes: int = 40
+    """Largest number of passes of clusters."""
     still_passes: int = 8
+    """The passes end after this many passes without a better route."""
     prove: bool = False
+    """Whether to prove the plan optimal regardless of the computing time."""
     most_proven: int = 20_000
+    """If not `prove`: the proof searches at most this many columns."""
     first_gap: float = 0.01
+    """Relative gap of the first search of the proof."""
     most_shared: int = 500
+    """Largest number of columns of one robot in one message."""
     most_relayed: int = 10_000
+    """Largest number of columns of all robots together; they must fit into a payload."""
     small: int = 100
+    """Every robot searches up to this many columns; the `searchers` search larger sets."""
     searchers: int = 2
+    """Number of robots that search a large set of columns."""
     nodes: int = 20_000
+    """Branch-and-bound nodes, at most."""
     proof_nodes: int = 1_000_000
+    """Branch-and-bound nodes if `prove`, at most."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a robot is in the connected graph.
-
-    robots: N;  diameter: of the graph;  degree_of: degree of each neighbour.
-    """
+    """The place of a robot in the connected graph."""
 
     robot: int
+    """Id of this robot."""
     robots: int
+    """N, the number of robots."""
     neighbors: tuple[int, ...]
+    """Ids of the neighbours."""
     diameter: int
+    """Diameter of the graph, hops."""
     degree_of: dict[int, int]
+    """Degree of each neighbour."""
 
     def weight(self, j: int) -> float:
-        """Metropolis weight of the edge to neighbour j: 1 / (1 + max(d_i, d_j))."""
+        """Return the Metropolis weight of the edge to neighbour j: 1 / (1 + max(d_i, d_j))."""
         return 1.0 / (1 + max(len(self.neighbors), self.degree_of[j]))
 
 
 @dataclass(frozen=True)
 class Progress:
-    """For display: the phase, the round, the largest unserved demand; in m, as far as known, the cost of the best plan
-    and the value of the relaxation over the routes that this robot has heard of.
-    """
+    """Progress of the method at one robot, for display."""
 
     phase: str = "start"
+    """Name of the present phase."""
     round: int = 0
+    """Number of the present round."""
     cost: float | None = None
+    """m: cost of the best plan, None if unknown."""
     relaxed: float | None = None
+    """m: value of the relaxation over the routes that this robot knows, None if unknown."""
     violation: float = 0.0
+    """The largest unserved demand."""
 
 
 @dataclass
@@ -104,14 +130,21 @@ class Member:
     settings: Settings
     progress: Progress = field(default_factory=Progress)
     kind: str = "start"
-    """Of the messages of the present rounds."""
+    """What the messages of the present rounds are about."""
     bytes_by_kind: dict[str, int] = field(default_factory=dict)
+    """Bytes of payload sent, by kind of message."""
     fixed: float = 0.0
-    """m, the highest fixed cost of a robot, as far as the robots have told it."""
+    """m: the highest fixed cost of a robot; 0 before the robots have introduced themselves."""
     reach: float = 0.0
-    """m, at least any way of a robot between two places, as far as the robots have told it."""
+    """m: upper bound on the distance between two places.
+
+    Before the robots have introduced themselves it covers only this robot.
+    """
     alike: dict[int, tuple[int, ...]] = field(default_factory=dict)
-    """Robots that are the same in all, by the lowest id, as far as they have told it: it speaks for the others."""
+    """Groups of identical robots, by the lowest id; that robot prices routes for the group.
+
+    Before the robots have introduced themselves each robot is a group of its own.
+    """
 
     def __post_init__(self) -> None:
         self.alike = self.alike or {i: (i,) for i in range(self.place.robots)}
@@ -119,23 +152,28 @@ class Member:
 
     @property
     def vehicle_weight(self) -> float:
-        """m, what a vehicle costs beside its route, where vehicles are counted first; 0 elsewhere.
+        """m: cost of a vehicle beside its route if vehicles are counted first; otherwise 0.
 
-        It is in the lengths of columns and in bounds; see Instance.vehicle_weight.
+        Lengths of columns and bounds include it; see Instance.vehicle_weight.
         """
         return self.local.fixed if VEHICLES in self.local.objective else 0.0
 
     def tolerance(self, value: float) -> float:
-        """m, below which values of the relaxations differ by rounding: relative, of the lengths in the value alone."""
+        """Return the difference in m below which two values of the relaxations count as equal.
+
+        It is relative to the lengths in the value, without the weights of vehicles.
+        """
         lengths = (
             math.remainder(value, self.vehicle_weight) if self.vehicle_weight else value
         )
         return self.settings.tolerance * max(1.0, abs(lengths))
 
     def least_vehicles(self, bound: float) -> int:
-        """How many vehicles leave in every plan, by a bound of it, where vehicles are counted first.
+        """Return a lower bound on the number of vehicles n, from a lower bound on the cost.
 
-        W n + T >= bound,   T <= W / 2    =>    n >= bound / W - 1/2
+        It applies if vehicles are counted first.
+
+            W n + T >= bound,   T <= W / 2    =>    n >= bound / W - 1/2
         """
         return (
             max(0, math.ceil(bound / self.vehicle_weight - 0.5))
@@ -145,26 +183,28 @@ class Member:
 
     @property
     def speaks(self) -> bool:
-        """Whether this robot prices routes: the first of those that are the same."""
+        """Whether this robot prices routes for its group: it has the lowest id in it."""
         return self.place.robot in self.alike
 
     @cached_property
     def table(self) -> RouteTable:
-        """All routes of this robot; made at the first use."""
+        """All routes of this robot, computed at the first use."""
         vehicle = self.local.vehicle
         most = self.settings.most_labels
         if not (vehicle.timed or np.isfinite(vehicle.farthest)):
-            most //= 3  # without limits each task trebles their number: more labels are wasted
+            most //= 3  # without limits each task trebles the labels: more are useless
         return RouteTable(vehicle, most, self.local.objective)
 
     @cached_property
     def penalty(self) -> Vec:
-        """(M,) m: what leaving a task unserved costs in the relaxations, the same at all robots after introductions.
+        """(M,) m: cost of an unserved task in the relaxations.
 
-            penalty_j = fixed + settings.penalty * reach,    so that no robot needs more for it alone if that is 3
+            penalty_j = fixed + settings.penalty * reach
 
-        A task at a still higher price stays unserved in the relaxations: the bound is weaker then, never wrong. Plans
-        are not compared by it.
+        It is the same at all robots after they have introduced themselves. If settings.penalty is
+        3, no robot needs more to serve the task alone. A task with a still higher price stays
+        unserved in the relaxations: the bound is then weaker, but not wrong. Plans are not
+        compared by this penalty.
         """
         return np.full(
             len(self.local.tasks), self.fixed + self.settings.penalty * self.reach
@@ -172,15 +212,19 @@ class Member:
 
     @cached_property
     def unserved(self) -> Vec:
-        """(M,) m: what a task left out costs in the relaxations: its refusal if it may be refused, else the penalty."""
+        """(M,) m: cost of leaving a task out in the relaxations.
+
+        It is the refusal if the task may be refused, otherwise the penalty.
+        """
         refusal = self.local.tasks.refusal
         return np.asarray(np.where(np.isfinite(refusal), refusal, self.penalty))
 
     @cached_property
     def scale(self) -> float:
-        """m: makes step sizes dimensionless, from what every robot knows: there and back for the mean task.
+        """m: length that makes step sizes dimensionless, from data that every robot knows.
 
-        Where goods hardly move it is a part of the diagonal of where they are; 1 m if all are in one place.
+        It is twice the mean distance from pickup to delivery, but at least a quarter of the
+        diagonal of all pickups and deliveries; 1 m if all of them are in one place.
         """
         tasks = self.local.tasks
         moved = 2.0 * float(
@@ -192,7 +236,7 @@ class Member:
         return max(moved, spread / 4.0) or 1.0
 
     def fingerprint(self, method: str) -> str:
-        """Hash of all that the team must have in common."""
+        """Return the hash of all data on which the team must agree."""
         local = self.local
         place = self.place
         common = [local.tasks.to_json(), local.objective]
@@ -206,7 +250,10 @@ class Member:
 
 
 def reach(local: LocalProblem) -> float:
-    """m, at least any way of the robot between two places: the diagonal of all, or the longest of its matrix."""
+    """Return an upper bound in m on the distance of the robot between two places.
+
+    It is the diagonal of all places, or the largest distance in its matrix if that is larger.
+    """
     own = [point for point in (local.home, local.start, local.end) if point is not None]
     diagonal = float(
         np.linalg.norm(

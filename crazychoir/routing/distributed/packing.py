@@ -1,4 +1,4 @@
-"""Columns on the wire."""
+"""Coding of columns for messages."""
 
 from collections.abc import Sequence
 from itertools import accumulate
@@ -10,7 +10,10 @@ from crazychoir.routing.pricing.route_table import Column
 
 
 def packed(columns: Sequence[Column]) -> list[Any]:
-    """Lengths (K,), numbers of tasks (K,), and all tasks in a row: arrays cross the codec in no time."""
+    """Return lengths (K,), numbers of tasks (K,), and all tasks in one array.
+
+    The codec handles a few arrays much faster than many small lists.
+    """
     tasks = [j for column in columns for j in column.tasks]
     sizes = [len(column.tasks) for column in columns]
     return [
@@ -21,7 +24,7 @@ def packed(columns: Sequence[Column]) -> list[Any]:
 
 
 def unpacked(parts: Sequence[Any]) -> list[Column]:
-    """What `packed` packed."""
+    """Return the columns that `packed` coded."""
     lengths, sizes, tasks = (part.tolist() for part in parts)
     ends = list(accumulate(sizes))
     return [

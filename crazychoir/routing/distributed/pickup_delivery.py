@@ -1,4 +1,4 @@
-"""Pickup and delivery solved by the robots themselves: one robot's part, as rounds."""
+"""Pickup and delivery solved by the robots themselves: the rounds of one robot."""
 
 import math
 from collections.abc import Mapping
@@ -23,34 +23,48 @@ from crazychoir.routing.instance.vehicle import MAKESPAN
 from crazychoir.routing.pricing.route_table import shortest_route
 
 CONFIRMED = ("route lengths or times", "task sets and hashes of routes")
-"""What the confirmation of a plan tells of each robot, whatever the method."""
+"""What each robot discloses when a plan is confirmed, in every method."""
 BY_PRICES = ("resource-columns", "resource", "resource-argmax")
-"""Methods that add up what tasks cost at prices: where that is no cost of a plan, they cannot."""
+"""Methods that add up task prices: they need an objective that is such a sum."""
 BY_CLAIMS = ("resource", "resource-argmax")
-"""Methods whose robots claim every task: they cannot refuse one."""
+"""Methods in which robots claim every task: they cannot refuse a task."""
 METHODS = ("columns", *BY_PRICES, *insertion_bids.METHODS)
+"""Names of all methods; the first is the default."""
 ROUNDING = 2.0
-"""Tolerances by which a bound may be above the cost: the search of a proof goes one beyond the plan."""
+"""The bound may exceed the cost by this number of tolerances.
+
+The search of a proof goes one tolerance beyond the plan.
+"""
 
 
 class PickupDelivery(Program[Solution]):
-    """Robot i of a team that shares out pickup-and-delivery tasks: a Round.
+    """One robot of a team that solves a pickup-and-delivery problem in rounds.
 
-        prices (column generation, or primal decomposition)  ->  an integer plan  ->  confirmation of its hash
+        prices (column generation, or primal decomposition)
+        -> an integer plan -> confirmation of its hash
 
+    Methods:
     columns: distributed column generation and clusters, see distributed_columns.py; the best plans.
-    resource-columns: price rounds, then the robots also share route columns; the plan is proven optimal where the
-    tables are complete.
-    resource, resource-argmax: only prices and claims travel; quick, not optimal.
-    cbba, auction: bids of cheapest insertions, see insertion_bids.py; baselines, without a bound.
-    diameter: of the connected, undirected graph;  degree_of: degree of each neighbour.
-    All robots are done in the same round, with the same plan digest, cost and bound.
-    Raises ConfigError for an unknown method, for one of BY_PRICES where prices say nothing, and for one of BY_CLAIMS
-    where tasks may be refused; SolverError if the team cannot agree on a plan.
+    resource-columns: price rounds, then the robots also share route columns. The plan is proven
+        optimal if the tables are complete.
+    resource, resource-argmax: robots send only prices and claims; fast, not optimal.
+    cbba, auction: bids of cheapest insertions, see insertion_bids.py; baselines without a bound.
+
+    local: the problem of this robot.
+    neighbors: ids of its neighbours.
+    n: number of robots.
+    diameter: of the connected, undirected graph, hops.
+    degree_of: degree of each neighbour.
+    method: one of METHODS.
+    settings: constants that all robots share.
+    All robots finish in the same round, with the same plan digest, cost and bound.
+    Raises ConfigError for an unknown method, for a method of BY_PRICES if prices do not add up to
+    the objective, and for a method of BY_CLAIMS if tasks may be refused. Raises SolverError if
+    the team cannot agree on a plan.
     """
 
     heavy = True
-    """`step` computes for milliseconds to seconds: runtimes run it in a thread."""
+    """Whether `step` computes for milliseconds to seconds: runtimes then run it in a thread."""
 
     def __init__(
         self,
@@ -76,12 +90,18 @@ class PickupDelivery(Program[Solution]):
         self._member = Member(local, place, settings or Settings())
         self._method = method
         self.history: list[tuple[int, float | None, float | None]] = []
-        """(round, value of the relaxation, cost of the best plan), m, None while unknown, whenever they changed."""
+        """(round, value of the relaxation, cost of the best plan) after each change.
+
+        Values in m, None while unknown.
+        """
         super().__init__()
 
     @property
     def solution(self) -> Solution:
-        """What this robot knows of the plan; only when `done`."""
+        """The plan as this robot knows it.
+
+        Raises SolverError unless `done`.
+        """
         if not self.done:
             raise SolverError(
                 f"robot {self._member.place.robot}: {self._method}",
@@ -95,7 +115,7 @@ class PickupDelivery(Program[Solution]):
         return self._member.progress
 
     def step(self, heard: Mapping[int, Any]) -> None:
-        """Take the neighbours' messages of this round."""
+        """Process the neighbours' messages of this round."""
         member = self._member
         member.report(round=self.k + 1)
         size = len(encode(self.message())) * len(member.place.neighbors)
@@ -108,7 +128,7 @@ class PickupDelivery(Program[Solution]):
             self.history.append((now.round, now.relaxed, now.cost))
 
     def run(self) -> Exchange[Solution]:
-        """Prices, recovery, confirmation."""
+        """Compute prices and a plan, and confirm the plan."""
         yield from self._hello()
         if self._method == "columns":
             assignment = yield from DistributedColumns(self._member).run()
@@ -135,7 +155,10 @@ class PickupDelivery(Program[Solution]):
         return (yield from self._confirm(assignment, disclosed))
 
     def _hello(self) -> Exchange[None]:
-        """One light round: the same tasks, method and constants everywhere, or an error."""
+        """Check in one small round that all robots have the same tasks, method and constants.
+
+        Raises ConfigError if a neighbour differs.
+        """
         mine = self._member.fingerprint(self._method)
         heard = yield mine
         different = [j for j, theirs in heard.items() if theirs != mine]
@@ -150,7 +173,10 @@ class PickupDelivery(Program[Solution]):
     def _confirm(
         self, assignment: Assignment, disclosed: tuple[str, ...]
     ) -> Exchange[Solution]:
-        """Flood lengths and hashes of the routes, then the plan's hash; all must be equal."""
+        """Flood lengths and hashes of the routes, then the plan's hash, and build the solution.
+
+        Raises SolverError if the robots have different plans.
+        """
         member = self._member
         place = self._member.place
         member.report(phase="confirm", violation=0.0)
@@ -219,12 +245,16 @@ class PickupDelivery(Program[Solution]):
     def _bound(
         self, assignment: Assignment, cost: float, vehicles: int
     ) -> tuple[float | None, int | None]:
-        """What is proven of the cost: nothing where prices add up what counts otherwise; and of the number of vehicles,
-        where they are counted first. The bound of the cost is then that of plans with so few vehicles, and there is
-        none for a plan that may have more.
+        """Return the proven bounds on the cost in m and on the number of vehicles, None if unknown.
 
-        A sum of finishing times is no makespan, and refusals weighed by priority are no cost. Only rounding is clipped:
-        a bound above the cost of a plan is none, and neither is any other of its kind; all robots see it alike.
+        There is no bound if the objective is not a sum of lengths: a sum of finish times is not the
+        makespan, and refusals weighed by priority are not a cost. The bound on vehicles exists
+        only if vehicles are counted first. The bound on the cost then holds for plans with that
+        number of vehicles, and is None if the plan may have more.
+
+        Only a bound that exceeds the cost by rounding is reduced to the cost. Raises SolverError
+        if it exceeds the cost by more, because it is then wrong; this happens at all robots
+        alike.
         """
         local = self._member.local
         tolerance = ROUNDING * self._member.settings.tolerance
@@ -245,7 +275,7 @@ class PickupDelivery(Program[Solution]):
         return (min(max(bound, 0.0), cost) if least == vehicles else None), least
 
     def _own_route(self, assignment: Assignment) -> tuple[list[int], float]:
-        """Stops and length in m of this robot's route."""
+        """Return the stops and the length in m of this robot's route."""
         local = self._member.local
         if assignment.stops is None:
             return shortest_route(
@@ -256,8 +286,10 @@ class PickupDelivery(Program[Solution]):
 
 
 def _require_prices(local: LocalProblem, method: str) -> None:
-    """ConfigError where prices add up what counts otherwise: a sum of finishing times is no makespan, and refusals
-    weighed by priority leave no room for what routes cost.
+    """Raise ConfigError if the objective is not a sum over tasks, which prices need.
+
+    A sum of finish times is not the makespan. Refusals weighed by priority are so large that route
+    costs do not matter beside them.
     """
     found = (
         "makespan first" if local.objective[0] == MAKESPAN else "tasks with priorities"
@@ -271,7 +303,7 @@ def _require_prices(local: LocalProblem, method: str) -> None:
 
 
 def _require_service(local: LocalProblem, method: str) -> None:
-    """ConfigError where tasks may be refused: claims go on until every task has a robot."""
+    """Raise ConfigError if tasks may be refused: robots claim until every task has a robot."""
     refusable = np.flatnonzero(np.isfinite(local.tasks.penalty)).tolist()
     if refusable:
         able = [name for name in METHODS if name not in BY_CLAIMS]

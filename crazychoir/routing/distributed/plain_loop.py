@@ -1,4 +1,4 @@
-"""All robots of an instance in one plain loop: no clock, no network, the same messages."""
+"""All robots of an instance in one plain loop: the same messages, without clock and network."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -25,10 +25,13 @@ def solve_in_loop(
     settings: Settings | None = None,
     carry: Callable[[Any], Any] = lambda message: message,
 ) -> Solution:
-    """The team's solution, with all routes.
+    """Solve the instance with all robots and return the team's solution, with all routes.
 
-    graph: neighbours of each robot 0..N-1, connected, undirected;  carry: what happens to a message on its way,
-    for instance encode and decode.
+    instance: the problem of the team.
+    graph: neighbours of each robot 0..N-1, connected, undirected.
+    method: one of METHODS.
+    settings: constants that all robots share.
+    carry: applied to each message on its way, such as encode and decode.
     """
     agents = team(instance, graph, method, settings)
     while not all(agent.done for agent in agents.values()):
@@ -39,7 +42,7 @@ def solve_in_loop(
 
 
 def warm(problem: LocalProblem, method: str = METHODS[0]) -> None:
-    """Compile the kernels that a solution of such a problem will need, or load them, before a clock starts; once."""
+    """Compile or load the kernels that such a problem needs, before a clock starts; only once."""
     _warm(
         method,
         problem.objective,
@@ -49,7 +52,10 @@ def warm(problem: LocalProblem, method: str = METHODS[0]) -> None:
 
 @cache
 def _warm(method: str, objective: tuple[str, ...], trips: int) -> None:
-    """Solve a small instance; messages pass the codec, as arrays that have arrived are another type for a kernel."""
+    """Solve a small instance.
+
+    Messages pass the codec, because decoded arrays have another type for a kernel.
+    """
     changes = {"objective": list(objective), "recharge": trips}
     small = Instance.parse(
         random_instance(2, 4, seed=0, route_length_limit=60.0).to_json() | changes
@@ -65,7 +71,7 @@ def team(
     method: str = METHODS[0],
     settings: Settings | None = None,
 ) -> dict[int, PickupDelivery]:
-    """One PickupDelivery a robot; each sees its own part of the instance only."""
+    """Return one PickupDelivery for each robot; each has only its own part of the instance."""
     span = diameter(graph)
     if sorted(graph) != list(range(instance.robots)):
         raise ConfigError(
@@ -87,7 +93,11 @@ def member(
     method: str = METHODS[0],
     settings: Settings | None = None,
 ) -> PickupDelivery:
-    """Robot i of the team, with its own part of the instance; span: the diameter of the graph."""
+    """Return robot i of the team, with its own part of the instance.
+
+    span: diameter of the graph, hops.
+    The other arguments are those of `solve_in_loop`.
+    """
     return PickupDelivery(
         instance.local(i),
         neighbors=sorted(graph[i]),
@@ -100,9 +110,10 @@ def member(
 
 
 def joined(instance: Instance, solutions: Iterable[Solution]) -> Solution:
-    """The team's solution from what each robot knows; `feasible` is the independent checker's word.
+    """Return the team's solution from the solutions of the robots.
 
-    Raises SolverError if the robots' digests differ, or if the routes are not those of the digest.
+    `feasible` is the result of the independent checker.
+    Raises SolverError if the robots' digests differ, or if the routes do not match the digest.
     """
     parts = list(solutions)
     plan = instance.plan(
@@ -126,7 +137,10 @@ def joined(instance: Instance, solutions: Iterable[Solution]) -> Solution:
 
 
 def diameter(graph: Graph) -> int:
-    """The largest number of hops between two robots; ConfigError if the graph is not connected or not undirected."""
+    """Return the largest number of hops between two robots.
+
+    Raises ConfigError if the graph is not connected or not undirected.
+    """
     for i in sorted(graph):
         for j in graph[i]:
             if j not in graph or i not in graph[j]:

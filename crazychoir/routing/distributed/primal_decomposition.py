@@ -1,4 +1,4 @@
-"""Primal decomposition of the pickup-and-delivery problem: the robots trade shares of the tasks by prices."""
+"""Primal decomposition of pickup and delivery: robots trade shares of the tasks by prices."""
 
 from typing import Any
 
@@ -12,17 +12,26 @@ from crazychoir.types import Vec
 
 
 class PriceRounds:
-    """Robot i holds a share y_ij of every task j and moves it to where it is cheaper to serve.
+    """Robot i holds a share y_ij of every task j and moves it to robots that serve it more cheaply.
 
         sum_i y_i = 1                                             (kept by every round)
-        p_i(y_i) = min c_i'z + sum_j M_j v_j   s.t.  visits(z) + v >= y_i : mu_i,   z in conv(Z_i), v >= 0
-        y_i <- y_i - a_k sum_{j in N_i} w_ij (mu_i - mu_j),       a_k = step / (scale (k + 1)^exponent)
+        p_i(y_i) = min c_i'z + sum_j M_j v_j
+                   s.t.  visits(z) + v >= y_i : mu_i,   z in conv(Z_i), v >= 0
+        y_i <- y_i - a_k sum_{j in N_i} w_ij (mu_i - mu_j)
+        a_k = step / (scale (k + 1)^exponent)
 
-    w: Metropolis weights;  mu_i: (M,) m, a subgradient of p_i, the only thing that travels, with one number for
-    the end: after every `diameter` rounds all robots know the largest change of a share at the start of that
-    window (max-consensus) and stop together if it is at most `still`.
-    y: (M,) shares;  mean_price: (M,) m, mean of mu_i over the rounds;  active: columns used in some round.
-    Source: Camisa, Testa, Notarstefano, T-RO 2022, DOI 10.1109/TRO.2022.3216801, here with one v a task.
+    w: Metropolis weights.
+    mu_i: (M,) m, a subgradient of p_i.
+
+    A message contains only mu_i and one number for the end. After every `diameter` rounds all
+    robots know the largest change of a share at the start of that window (max-consensus). They
+    stop together if it is at most `still`.
+
+    `y`: (M,) shares.
+    `mean_price`: (M,) m, mean of mu_i over the rounds.
+    `active`: columns used in any round, by their tasks.
+    Source: Camisa, Testa, Notarstefano, T-RO 2022, DOI 10.1109/TRO.2022.3216801, here with one v
+    a task.
     """
 
     def __init__(self, member: Member) -> None:
@@ -34,7 +43,7 @@ class PriceRounds:
         self.rounds = 0
 
     def run(self) -> Exchange[None]:
-        """The rounds; returns when all robots stop."""
+        """Run the rounds until all robots stop."""
         member = self._member
         program = ColumnProgram(member.table, member.unserved, member.local.robot)
         window = max(1, member.place.diameter)
@@ -60,7 +69,7 @@ class PriceRounds:
         return local.mu
 
     def _trade(self, k: int, mu: Vec, heard: dict[int, Any]) -> float:
-        """Move the shares; returns the largest change."""
+        """Move the shares; return the largest change."""
         member = self._member
         flow = np.zeros_like(mu)
         for j, other in sorted(heard.items()):

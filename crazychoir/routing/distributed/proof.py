@@ -1,4 +1,4 @@
-"""Set partitioning with a certificate: the team agrees on one plan and proves how good it is."""
+"""Set partitioning with a proof: the team agrees on one plan and on a lower bound."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,37 +20,49 @@ from crazychoir.types import Ints
 
 @dataclass(frozen=True)
 class Assignment:
-    """Who serves what: tasks of each robot that is known;  lower_bound in m, None if none is exact.
-
-    stops: nodes of each robot's route, where they are known; else it is the shortest one for its tasks;
-    relaxation: of the routes by which the bound was priced, None if they were priced exactly.
-    """
+    """The tasks of each robot, as far as this robot knows them."""
 
     routes: Routes
+    """Tasks of each known robot."""
     lower_bound: float | None
+    """m: no plan costs less; None if no bound is exact."""
     stops: Mapping[int, Sequence[int]] | None = None
+    """Nodes of each robot's route. If unknown, the route is the shortest one for its tasks."""
     relaxation: str | None = None
+    """Relaxation of the routes by which the bound was priced, None if they were priced exactly."""
 
 
 @dataclass(frozen=True)
 class Offer:
-    """A plan that all have heard of: cost in m, tasks of each robot, what its search proved in m."""
+    """A plan that all robots know."""
 
     cost: float
+    """m: cost of the plan."""
     routes: Routes
+    """Tasks of each robot."""
     searched: float = -np.inf
+    """m: lower bound that the search proved."""
 
 
 class Proof:
-    """A plan with column c of robot i costs at least bound + excess(c), so few columns can be part of a better one.
+    """Search for a better plan among the few columns that such a plan can contain.
 
-    Flood all columns of an excess <= gap; each robot solves the set partitioning of those, every task exactly once;
-    min-consensus on (cost, robot) picks one plan, sent with its hash. If its cost is within gap of the bound, it is
-    optimal; else double the gap and again. A partitioning of more than `small` columns is left to the `searchers`
-    lowest ids, because it costs seconds and one answer is enough.
-    Every decision that ends a loop is taken from flooded values, so all robots end in the same round; so is that there
-    is no plan, which a searcher offers in the place of one.
-    pool: columns that are known to all;  best: the best plan known to all;  proven: m, no plan costs less.
+    A plan with column c of robot i costs at least bound + excess(c).
+
+    1. Flood all columns with an excess <= gap.
+    2. Each robot solves the set partitioning of these columns, with every task exactly once.
+    3. Min-consensus on (cost, robot) picks one plan, which is sent with its hash.
+    4. If its cost is within the gap of the bound, it is optimal; else double the gap and repeat.
+
+    Only the `searchers` robots with the lowest ids solve a partitioning of more than `small`
+    columns, because it takes seconds and one answer is enough. Every decision that ends a loop is
+    taken from flooded values, so that all robots end in the same round. This includes the
+    finding that there is no plan: a searcher sends it in place of a plan.
+
+    pool: the columns that all robots know.
+    bound: the bound and its prices.
+    best: the best plan that all robots know, None if there is none.
+    `proven`, in m: no plan costs less.
     Raises SolverError if there is no plan, or if a plan arrives damaged.
     """
 
@@ -69,7 +81,7 @@ class Proof:
         self.proven = bound.value
 
     def run(self) -> Exchange[Assignment]:
-        """The optimal plan, or the best one where passes and nodes do not suffice."""
+        """Return the optimal plan, or the best known one if passes and nodes do not suffice."""
         yield from self.search()
         if self.best is None:
             why, status = self._failure()
@@ -90,7 +102,10 @@ class Proof:
         return self._bound.exact and self._exhausted and self._none
 
     def search(self, most: float = np.inf) -> Exchange[None]:
-        """Widen the gap until the plan's own gap is inside it, or until more than `most` columns would be searched."""
+        """Widen the gap until it contains the plan's own gap.
+
+        most: stop earlier if more than this number of columns would be searched.
+        """
         settings = self._member.settings
         self._member.report(phase="plan")
         self._member.kind = "columns"
@@ -117,7 +132,7 @@ class Proof:
             gap = min(2.0 * gap, self._own_gap())
 
     def _own_gap(self) -> float:
-        """Columns beyond it are not part of a better plan than the best."""
+        """Return the gap in m that suffices: columns beyond it cannot improve the best plan."""
         return (
             np.inf
             if self.best is None
@@ -125,7 +140,7 @@ class Proof:
         )
 
     def _failure(self) -> tuple[str, str]:
-        """Why there is no plan, and the status."""
+        """Return why there is no plan, and the status."""
         if not self._bound.exact:
             why = "no plan found: route tables were cut at most_labels. Narrow capability or route_length_limit"
             return why, "incomplete"
@@ -135,21 +150,24 @@ class Proof:
         return "no plan found within the passes and nodes", "incomplete"
 
     def _near(self, gap: float) -> Ints:
-        """Own columns within the gap, by their numbers in the table."""
+        """Return the own columns within the gap, by their numbers in the table."""
         if not self._member.speaks:
             return np.zeros(0, np.int64)
         cost = self._member.table.reduced_costs(self._bound.prices, self._bound.reward)
         return np.flatnonzero(cost < self._bound.least[self._i] + gap)
 
     def _is_more(self, near: Ints, most: float) -> Exchange[bool]:
-        """Whether the columns of all robots within the gap are more than `most`."""
+        """Return whether all robots together have more than `most` columns within the gap."""
         if most == np.inf:
             return False
         counts = yield from flood(self._i, len(near), self._diameter)
         return bool(sum(counts.values()) > most)
 
     def _widen(self, near: Ints) -> Exchange[bool]:
-        """Flood the columns `near`, a part at a time; returns whether no robot has any beyond."""
+        """Flood the columns `near`, a part at a time.
+
+        Returns whether no robot has any column beyond them.
+        """
         member = self._member
         settings = self._member.settings
         most = max(
@@ -168,7 +186,7 @@ class Proof:
             fresh = fresh[most:]
 
     def _agree(self, gap: float) -> Exchange[Offer | None]:
-        """The best plan that a robot finds among the columns within the gap."""
+        """Return the best plan that any robot finds within the gap, None if there is none."""
         best = yield from best_offer(self._search(gap), self._diameter)
         self._none = best is not None and best[0] == np.inf
         if best is None or self._none:
@@ -189,9 +207,10 @@ class Proof:
         )
 
     def _search(self, gap: float) -> list[Any] | None:
-        """Own offer: cost, robot, routes, searched bound, hash; a cost of inf says that there is no plan.
+        """Return the own offer: cost, robot, routes, searched bound, hash.
 
-        A large search is left to a few robots: the others offer nothing, nor do those that were cut without a plan.
+        A cost of inf says that there is no plan. A large search is left to a few robots, and the
+        others offer None. A searcher that hits a limit without finding a plan offers None too.
         """
         settings = self._member.settings
         useful = [
@@ -227,7 +246,7 @@ class Proof:
         return [found.cost, self._i, routes, found.bound, sha256(routes)]
 
     def _refusals(self) -> list[tuple[int, Column]]:
-        """Tasks that may be refused, each as the column of a robot that does not exist, N + j."""
+        """Return the tasks j that may be refused, each as a column of a virtual robot N + j."""
         refusal = self._member.local.tasks.refusal
         n = self._member.place.robots
         return [

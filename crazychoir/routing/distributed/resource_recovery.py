@@ -1,4 +1,4 @@
-"""Recovery from the shares alone: each robot chooses its own tasks; claims settle who keeps what."""
+"""Recovery from the shares alone: robots choose tasks; claims settle which robot keeps each."""
 
 import math
 
@@ -14,23 +14,30 @@ from crazychoir.routing.distributed.proof import Assignment
 from crazychoir.types import Ints, Vec
 
 POSITIVE = 1e-6
-"""A share above this asks for service."""
+"""A robot asks for a task if its share of the task exceeds this."""
 
 
 class ResourceRecovery:
-    """Each robot computes only its own block, as in the paper; a task claimed by several is kept by one.
+    """Each robot solves only its own block, as in the paper; claims then settle shared tasks.
 
-        S_i = argmin c_i'z - W sum_{j in S} (1 + y_ij)   over the routes of i,  asking for every j with y_ij > 0
+        S_i = argmin c_i'z - W sum_{j in S} (1 + y_ij)   over the routes of i,
+        where i asks for every j with y_ij > 0
 
-    Shares are positive at several robots, so S_i overlap, and "exactly once" needs one comparison a task.
-    The least that settles it is the winner's name: method `resource` takes the lowest robot id that claims j, and
-    nothing but names travels. `resource-argmax` compares the shares y_ij (ties: lowest id), so that the
-    winner's share is disclosed too; its plans are better.
-    A robot claims only sets that it can serve together with what it keeps, so whatever it wins of them is feasible
-    too; where a detour may be shorter that is not so: then each tells what it keeps of what it has won.
-    Passes go on, with claims on every open task, until all are kept. If a pass keeps nothing new, the open tasks
-    become urgent, that is, are claimed before others, and the claims start again from robot id `attempt`, up to
-    `attempts` times. Raises SolverError, at every robot alike, if tasks are open even then.
+    Several robots can have a positive share of a task. The sets S_i therefore overlap, and serving
+    each task exactly once needs one comparison a task:
+    - Method `resource`: the robot with the lowest id that claims j takes it. Only ids are sent.
+    - Method `resource-argmax`: the robot with the largest share y_ij takes it (ties: lowest id).
+      This also discloses the winner's share; its plans are better.
+
+    A robot claims only sets that it can serve together with the tasks it keeps. Any part of them
+    that it wins is therefore feasible too. This is not so if a detour may be shorter than the
+    direct
+    way: then each robot sends which of the won tasks it keeps.
+
+    Passes continue, with claims on every open task, until all tasks are kept. If a pass keeps
+    nothing new, the open tasks become urgent: robots claim them before others. The claims then
+    start again from robot id `attempt`, up to `attempts` times.
+    Raises SolverError, at all robots alike, if tasks are open even then.
     """
 
     def __init__(self, member: Member, prices: PriceRounds, by_share: bool) -> None:
@@ -53,7 +60,7 @@ class ResourceRecovery:
         return (*claims, "largest share of each task") if self._by_share else claims
 
     def run(self) -> Exchange[Assignment]:
-        """Claims until every task is kept, then the bound at the mean of all prices."""
+        """Claim until every task is kept, then compute the bound at the mean of all prices."""
         self._member.report(phase="claims")
         for attempt in range(self._member.settings.attempts):
             owner = yield from self._claim(attempt)
@@ -70,7 +77,7 @@ class ResourceRecovery:
         )
 
     def _claim(self, attempt: int) -> Exchange[Ints]:
-        """Owner of each task, -1 for none."""
+        """Return the robot of each task, -1 for none."""
         owner = np.full(len(self._urgency), -1)
         wanted = self._prices.y > POSITIVE
         last = False
@@ -87,13 +94,16 @@ class ResourceRecovery:
                 owner[j] = robot
             if not kept and last:
                 break
-            # at every robot alike, whatever its own shares were
+            # The same at all robots, regardless of their own shares.
             wanted = np.ones_like(wanted)
             last = True
         return owner
 
     def _kept(self, owner: Ints, won: dict[int, int]) -> Exchange[dict[int, int]]:
-        """Who keeps what of the tasks won: of a set that is too long without the others' tasks, the best part."""
+        """Return the robot that keeps each task won.
+
+        If what a robot has won is infeasible without the tasks it lost, it keeps the best part.
+        """
         if self._member.local.vehicle.metric:
             return won
         mine = np.array([won.get(j) == self._i for j in range(len(owner))])
@@ -103,12 +113,12 @@ class ResourceRecovery:
         return {j: robot for robot, tasks in told.items() for j in tasks}
 
     def _choice(self, owner: Ints, wanted: npt.NDArray[np.bool_]) -> list[int]:
-        """The open tasks, of those wanted, that this robot serves best together with those that it keeps."""
+        """Return the wanted open tasks that this robot serves best with the tasks it keeps."""
         mine = owner == self._i
         free = owner < 0
         large = (
             1.0 + float(self._member.penalty.sum()) + self._member.table.length.max()
-        )  # also where all points meet
+        )  # positive even if all points coincide
         share = np.clip(self._prices.y, 0.0, 1.0)
         urgency = (len(owner) + 1.0) ** np.minimum(self._urgency, 3.0)
         worth = np.where(free & wanted, large * (1.0 + share) * urgency, -np.inf)
@@ -122,7 +132,11 @@ class ResourceRecovery:
         return -float((self._i - attempt) % self._member.place.robots)
 
     def _bound(self) -> Exchange[float | None]:
-        """sum_j pi_j + sum_i min(0, least reduced cost of i at pi), pi the mean of the robots' mean prices."""
+        """Return the lower bound in m, None if a table is incomplete.
+
+        sum_j pi_j + sum_i min(0, least reduced cost of i at pi),   pi the mean of the robots'
+        mean prices
+        """
         place = self._member.place
         table = self._member.table
         known = yield from flood(

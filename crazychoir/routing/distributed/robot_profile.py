@@ -1,4 +1,4 @@
-"""What the robots tell of themselves, so that any of them can plan for its neighbourhood."""
+"""The description that each robot sends of itself, so that all robots can plan for neighbours."""
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
@@ -15,13 +15,20 @@ from crazychoir.types import Ints
 TOLD = tuple(
     f.name.replace("_", " ") for f in fields(LocalProblem) if f.name not in PUBLIC
 )
-"""What the flood tells of each robot."""
+"""Names of the fields that each robot sends about itself."""
 MOST_BYTES = 300_000
-"""Of introductions in one flood: of robots with matrices of their own only some speak at a time."""
+"""Largest size of all descriptions in one flood.
+
+If robots have distance matrices of their own, only some robots send at a time.
+"""
 
 
 def introduce(member: Member) -> Exchange[dict[int, LocalProblem]]:
-    """The problems of all robots, by id: where each is, what it can carry, how far it can go, what it is capable of."""
+    """Exchange the problems of all robots and return them by id.
+
+    A problem says where the robot is, what it can carry, how far it can fly and what it is capable
+    of. Also sets `member.fixed`, `member.reach` and `member.alike`.
+    """
     local = member.local
     place = member.place
     member.kind = "introductions"
@@ -44,7 +51,7 @@ def introduce(member: Member) -> Exchange[dict[int, LocalProblem]]:
 
 
 def restricted(local: LocalProblem, chosen: Ints) -> LocalProblem:
-    """The same robot, where there are no tasks but `chosen`, (K,) increasing."""
+    """Return the problem of the same robot with the tasks `chosen` alone, (K,) increasing."""
     tasks = local.tasks
     m = len(local.tasks)
     stops = np.concatenate([chosen, m + chosen])
@@ -72,7 +79,7 @@ def restricted(local: LocalProblem, chosen: Ints) -> LocalProblem:
 
 
 def _told(local: LocalProblem) -> dict[str, Any]:
-    """The fields that differ from their defaults, as plain values."""
+    """Return the robot's own fields that are not None, as plain values."""
     own = {
         f.name: getattr(local, f.name) for f in fields(local) if f.name not in PUBLIC
     }

@@ -1,4 +1,4 @@
-"""An independent judge of plans: it re-flies every route and shares no code with the solvers."""
+"""An independent check of plans: it flies every route again and shares no code with solvers."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -8,14 +8,20 @@ from crazychoir.routing.instance.instance import Instance, LocalProblem
 from crazychoir.routing.instance.plan import Plan, Route
 
 TOLERANCE = 1e-6
+"""Allowed difference: m, s or units of load; for the cost, relative."""
 
 
 def check(instance: Instance, plan: Plan) -> list[str]:
-    """What is wrong with the plan, one sentence each; an empty list if nothing is.
+    """Return what is wrong with the plan, one sentence each; an empty list if nothing is wrong.
 
-    Checked: robots exist and fly once; pickup before delivery, by the same robot; load on board <= capacity
-    after every stop; capability; windows and releases; length and finish as flown equal the stated ones, each trip
-    keeps the limit; every task exactly once, or refused where it may be; the stated cost.
+    It checks that
+    - the robots exist and each flies once,
+    - each pickup comes before its delivery, by the same robot,
+    - the load on board is at most the capacity after every stop,
+    - capability, windows and releases are kept,
+    - the stated lengths and finish times are the flown ones, and each trip keeps the limit,
+    - every task is served exactly once, or refused if it may be refused,
+    - the stated cost is right.
     """
     found = check_team([instance.local(i) for i in range(len(instance.home))], plan)
     cost = cost_of(instance, plan)
@@ -25,7 +31,7 @@ def check(instance: Instance, plan: Plan) -> list[str]:
 
 
 def check_team(team: Sequence[LocalProblem], plan: Plan) -> list[str]:
-    """The same for robots 0..N-1 that may be in flight, but for the cost."""
+    """Return the same as `check` without the cost, for robots 0..N-1 that may be in flight."""
     found = list(_robots(len(team), plan))
     served: dict[int, int] = {}
     for route in plan.routes:
@@ -45,7 +51,10 @@ def check_team(team: Sequence[LocalProblem], plan: Plan) -> list[str]:
 
 
 def cost_of(instance: Instance, plan: Plan) -> float:
-    """The first objective of the plan as flown, with the penalties of the tasks that nobody delivers."""
+    """Return the first objective of the plan as flown, with the penalties of undelivered tasks.
+
+    If vehicles come first this is the total length.
+    """
     served = [
         stop.task
         for route in plan.routes
@@ -84,14 +93,20 @@ def _route(robot: LocalProblem, route: Route) -> Iterator[str]:
 
 @dataclass
 class _Flight:
-    """A route as it is flown: so far length in m, that of this trip, time in s, and what went wrong."""
+    """The state of a robot that flies a route: progress so far and errors found."""
 
     robot: LocalProblem
+    """The robot and its limits."""
     time: float
+    """s: time so far."""
     limit: float
+    """m: limit on the length of this trip."""
     length: float = 0.0
+    """m: length of the route so far."""
     trip: float = 0.0
+    """m: length of this trip so far."""
     wrong: list[str] = field(default_factory=list)
+    """What went wrong, a sentence each."""
 
     def move(self, metres: float) -> None:
         self.length += metres
@@ -115,7 +130,7 @@ class _Flight:
 
 
 def _fly(robot: LocalProblem, route: Route) -> _Flight:
-    """Leg by leg; stops that do not exist are left out."""
+    """Fly the route leg by leg; leave out stops that do not exist."""
     m = len(robot.tasks.load)
     begin = max(robot.start_time, robot.window[0])
     flight = _Flight(robot, begin, robot.limit if robot.left is None else robot.left)
@@ -148,7 +163,7 @@ def _fly(robot: LocalProblem, route: Route) -> _Flight:
 
 
 def _way(robot: LocalProblem, a: str, b: str) -> float:
-    """m from one place to another: "start", "end", "pickup 3", "delivery 3"."""
+    """Return the way in m between two places: "start", "end", "pickup 3", "delivery 3"."""
     if robot.distance is None:
         return math.dist(_point(robot, a), _point(robot, b))
     return float(robot.distance[_row(robot, a), _row(robot, b)])
@@ -174,7 +189,7 @@ def _row(robot: LocalProblem, place: str) -> int:
 
 
 def _stops(robot: LocalProblem, route: Route) -> Iterator[str]:
-    """What is wrong with the order of the stops and the load."""
+    """Yield what is wrong with the order of the stops and the load."""
     on_board = [
         j
         for j in range(len(robot.tasks.load))

@@ -1,4 +1,4 @@
-"""Reading the fields of an instance file; every complaint names file, key and index."""
+"""Read the fields of an instance file; every error names file, key and index."""
 
 import json
 import math
@@ -53,7 +53,10 @@ ANNOTATIONS = (
 LIKE_THIS = (
     "Mend the file; agents/data/lab6.json is an instance (swarm files alone are TOML)."
 )
-MOST_TRIPS, MOST_LEVEL = 1000, 1000
+MOST_TRIPS = 1000
+"""Largest number of trips of a robot."""
+MOST_LEVEL = 1000
+"""Highest priority of a task."""
 LIKE = {
     "pickup": "load",
     "delivery": "load",
@@ -61,12 +64,15 @@ LIKE = {
     "capacity": "home",
     "load": "load",
 }
-"""The key whose length a list must have."""
+"""For each list, the key of the list that must be equally long."""
 
 
 def read(path: str | Path) -> tuple[dict[str, Any], list[str]]:
-    """Return the JSON object in the file `path`, or what a file of Li and Lim says as one; and what that file calls
-    each task, nothing for JSON.
+    """Read an instance file.
+
+    path: a JSON file, or a file of Li and Lim.
+    Returns the JSON object, and what a file of Li and Lim calls each task (empty for JSON).
+    Raises InstanceError if the file is neither.
     """
     allowed = "one JSON object, or a file of Li and Lim"
     text = read_text(path, allowed, kind=InstanceError, do="Check the path.")
@@ -104,7 +110,10 @@ def _unique(pairs: list[tuple[str, Any]], where: str) -> dict[str, Any]:
 
 
 class Fields:
-    """The fields of one instance, checked as they are taken."""
+    """The fields of one instance, checked when they are read.
+
+    Every method raises InstanceError with file, key and index if the value is not allowed.
+    """
 
     def __init__(self, raw: dict[str, Any], where: str) -> None:
         self._raw = raw
@@ -128,7 +137,7 @@ class Fields:
         self._check_counts()
 
     def points(self, key: str) -> Mat:
-        """(n, 2) or (n, 3), all of the dimension of home[0]."""
+        """Return (n, 2) or (n, 3) m; all points have the dimension of home[0]."""
         rows = self._list(key)
         home = self._list("home")
         wanted = len(home[0]) if isinstance(home[0], list) else 0
@@ -155,14 +164,14 @@ class Fields:
         return np.array(rows, dtype=float)
 
     def amounts(self, key: str) -> Vec:
-        """(n,), 0 to MOST."""
+        """Return (n,) numbers from 0 to MOST."""
         values = self._list(key)
         for r, value in enumerate(values):
             self._number(f"{key}[{r}]", value, most=MOST)
         return np.array(values, dtype=float)
 
     def limit(self, key: str) -> float:
-        """A length, not negative, or infinity where the key is absent or null."""
+        """Return a length, not negative; infinity if the key is absent or null."""
         value = self._raw.get(key)
         if value is None:
             return math.inf
@@ -170,20 +179,20 @@ class Fields:
         return float(value)
 
     def cost(self, key: str) -> float:
-        """A number, not negative, 0 where the key is absent or null."""
+        """Return a number, not negative; 0 if the key is absent or null."""
         value = self._raw.get(key)
         self._number(key, 0.0 if value is None else value, most=MOST)
         return float(value or 0.0)
 
     def flag(self, key: str) -> bool:
-        """True or false; false where the key is absent or null."""
+        """Return true or false; false if the key is absent or null."""
         value = self._raw.get(key)
         if value is not None and not isinstance(value, bool):
             raise self._error(key, value, "true or false", "Write a boolean.")
         return bool(value)
 
     def trips(self, key: str) -> int:
-        """A whole number from 1; 1 where the key is absent or null."""
+        """Return a whole number from 1; 1 if the key is absent or null."""
         value = self._raw.get(key)
         if value is None:
             return 1
@@ -210,7 +219,7 @@ class Fields:
     def objective(
         self, key: str, allowed: Sequence[tuple[str, ...]]
     ) -> tuple[str, ...]:
-        """One of `allowed`; the first where the key is absent or null."""
+        """Return one of `allowed`; the first if the key is absent or null."""
         value = self._raw.get(key)
         if value is None:
             return allowed[0]
@@ -230,7 +239,7 @@ class Fields:
         return names
 
     def ends(self, key: str) -> Mat | None:
-        """(N, d), null rows filled with homes; None where the key is absent or null."""
+        """Return (N, d) m, with homes for null rows; None if the key is absent or null."""
         rows = self._raw.get(key)
         if rows is None:
             return None
@@ -254,7 +263,7 @@ class Fields:
         return self._points(key, filled, len(home[0]))
 
     def matrices(self, key: str) -> npt.NDArray[np.float64] | None:
-        """(n, n) or (N, n, n), n = N + 2M; None where the key is absent or null."""
+        """Return (n, n) or (N, n, n) m, n = N + 2M; None if the key is absent or null."""
         rows = self._raw.get(key)
         if rows is None:
             return None
@@ -290,17 +299,17 @@ class Fields:
         return np.array(rows, dtype=float)
 
     def speeds(self, key: str) -> Vec:
-        """(N,) m/s; 1 where the key is absent or null."""
+        """Return (N,) m/s; 1 if the key is absent or null."""
         return self._each(
             key, len(self._raw["home"]), 1.0, least=SLOWEST, most=FARTHEST
         )
 
     def times(self, key: str) -> Vec:
-        """(M,) s; 0 where the key is absent or null."""
+        """Return (M,) s; 0 if the key is absent or null."""
         return self._each(key, len(self._raw["load"]), 0.0, most=LATEST)
 
     def service(self) -> Vec:
-        """(2M,) s, pickups, then deliveries."""
+        """Return the service times, (2M,) s: pickups, then deliveries."""
         key = "service_time"
         m = len(self._raw["load"])
         value = self._raw.get(key)
@@ -322,7 +331,10 @@ class Fields:
         )
 
     def windows(self, part: str) -> Mat:
-        """(n, 2) s of pickups, deliveries or homes: from, to; 0, inf where there is none."""
+        """Return the windows [from, to] of pickups, deliveries or homes, (n, 2) s.
+
+        A missing window is 0, inf.
+        """
         key = f"time_windows.{part}"
         count = len(self._raw["home" if part == "home" else "load"])
         given = self._raw.get("time_windows")
@@ -371,7 +383,7 @@ class Fields:
         return float(row[0]), float(row[1])
 
     def part_of(self, key: str, capacity: Vec) -> Vec:
-        """(N,), each at most the capacity; 0 where the key is absent or null."""
+        """Return (N,), each at most the robot's capacity; 0 if the key is absent or null."""
         part = self._each(key, len(capacity), 0.0, most=MOST)
         for r in np.flatnonzero(part > capacity):
             raise self._error(
@@ -383,7 +395,7 @@ class Fields:
         return part
 
     def penalties(self, key: str) -> Vec:
-        """(M,), inf where it is null: the task must be served."""
+        """Return (M,); inf for null, which means that the task must be served."""
         rows = self._raw.get(key)
         count = len(self._raw["load"])
         if rows is None:
@@ -403,7 +415,7 @@ class Fields:
         )
 
     def levels(self, key: str) -> npt.NDArray[np.int64]:
-        """(M,) whole numbers, 0 where the key is absent or null."""
+        """Return (M,) whole numbers; 0 if the key is absent or null."""
         rows = self._raw.get(key)
         count = len(self._raw["load"])
         if rows is None:
@@ -430,7 +442,7 @@ class Fields:
         return np.array(rows, dtype=np.int64)
 
     def mask(self, key: str) -> npt.NDArray[np.bool_]:
-        """(N, M) booleans, all true where the key is absent or null."""
+        """Return (N, M) booleans; all true if the key is absent or null."""
         n = len(self._raw["home"])
         m = len(self._raw["load"])
         rows = self._raw.get(key)
@@ -467,7 +479,7 @@ class Fields:
         most: float = 0.0,
         value: Any = None,
     ) -> Vec:
-        """(count,): one number for all, or a list of them; `default` where the key is absent or null."""
+        """Return (count,): one number for all, or a list; `default` if absent or null."""
         value = self._raw.get(key) if value is None else value
         if value is None:
             return np.full(count, default)

@@ -1,4 +1,4 @@
-"""Random instances, each a function of its seed alone."""
+"""Random instances, each determined by its arguments and its seed."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -11,6 +11,7 @@ from crazychoir.routing.instance.instance import Instance
 from crazychoir.types import Ints, Mat
 
 TRIES = 10_000
+"""Attempts to place points before the room counts as too small."""
 
 
 def random_instance(
@@ -29,13 +30,26 @@ def random_instance(
     clusters: int = 0,
     fields: Mapping[str, Any] | None = None,
 ) -> Instance:
-    """Homes, pickups and deliveries uniform in a room of 2 or 3 dimensions, in m, one corner at the origin.
+    """Return an instance with homes, pickups and deliveries uniform in a room.
 
-    In three dimensions homes are on the floor, goods at `heights`. spacing: m, least distance between homes, and
-    between the goods' points;  margin: m, kept from the walls;  capable: share of the tasks that a robot may do;
-    clusters: goods lie in so many heaps instead, a twentieth of the room's width around their middles;
-    fields: further ones of the instance file.
-    Every task gets a robot that can do it. Raises ConfigError if the room is too small for the spacing.
+    In three dimensions homes are on the floor and pickups and deliveries at random heights.
+    Every task gets a robot that can serve it.
+
+    robots: N.
+    tasks: M.
+    seed: of the random generator.
+    room: (2,) or (3,) m, size; one corner is at the origin.
+    spacing: m, least distance between homes, and between pickups and deliveries.
+    margin: m, distance kept from the walls.
+    heights: m, range of the heights of pickups and deliveries.
+    loads: range of whole loads.
+    capacities: range of whole capacities.
+    capable: share of the tasks that a robot may serve.
+    route_length_limit: m, None for no limit.
+    clusters: number of heaps in which pickups and deliveries lie instead; each is spread by
+        a twentieth of the room's width around its middle. 0 for none.
+    fields: further fields of the instance file.
+    Raises ConfigError if the room is too small for the spacing.
     """
     draw = np.random.default_rng(seed)
     flat = len(room) == 2
@@ -70,7 +84,10 @@ def random_instance(
 def _capability(
     draw: np.random.Generator, capacity: Ints, load: Ints, share: float
 ) -> npt.NDArray[np.bool_]:
-    """(N, M), each true with probability `share`, and at least one true a task among the robots that can lift it."""
+    """Return an (N, M) mask, each entry true with probability `share`.
+
+    Each task gets at least one true entry among the robots that can lift it.
+    """
     mask = draw.random((len(capacity), len(load))) < share
     for j in range(len(load)):
         able = np.flatnonzero(capacity >= load[j])
@@ -82,7 +99,10 @@ def _capability(
 def _heaps(
     draw: np.random.Generator, count: int, room: Sequence[float], heaps: int
 ) -> Mat:
-    """(count, 2) m, to the centimetre, normally distributed around points of the room, and inside it."""
+    """Return (count, 2) m, rounded to centimetres, normally distributed around `heaps` points.
+
+    Points outside the room are moved to its border.
+    """
     middle = draw.uniform([0.0, 0.0], room, size=(heaps, 2))
     points = draw.normal(middle[draw.integers(heaps, size=count)], room[0] / 20.0)
     return np.asarray(points.clip([0.0, 0.0], room).round(2))
@@ -95,7 +115,7 @@ def _scatter(
     spacing: float,
     margin: float,
 ) -> Mat:
-    """(count, 2) m, to the centimetre, by dart throwing."""
+    """Return (count, 2) m, rounded to centimetres, by drawing points until they are far apart."""
     points: list[np.ndarray] = []
     for _ in range(TRIES):
         point = draw.uniform(

@@ -18,37 +18,45 @@ from crazychoir.routing.instance.vehicle import MAKESPAN, TOTAL, VEHICLES, Vehic
 from crazychoir.types import Mat, Vec
 
 MOST_WEIGHT = 1e6
-"""Of a refusal, in costs of plans: above it a solver's tolerances are as large as a route."""
+"""Largest allowed weight of a refused task, in multiples of a plan's cost.
+
+Above it, the tolerances of a solver are as large as a route.
+"""
 PUBLIC = ("robot", "robots", "tasks", "objective")
-"""Fields of a LocalProblem that all robots have in common, or that names it."""
+"""Fields of a LocalProblem that are the same for all robots, or that name the robot."""
 OBJECTIVES = ((TOTAL,), (MAKESPAN,), (TOTAL, MAKESPAN), (MAKESPAN, TOTAL))
-"""What any team may minimise."""
+"""The objectives that every team may minimise."""
 VEHICLES_FIRST = (VEHICLES, TOTAL)
-"""What a team of robots may minimise whose fixed costs are alike, and that serves all tasks."""
+"""An objective for teams in which all robots have the same fixed cost and serve every task."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tasks:
-    """The public list of goods.
-
-    pickup, delivery: (M, 2) or (M, 3) m;  load: (M,);
-    service: (2M,) s, at pickups, then at deliveries;  earliest, latest: (2M,) s, when service may begin, a pickup not
-    before its release;  penalty: (M,), what it costs to refuse the task, inf if it must be served;
-    priority: (M,) whole numbers: tasks of a higher one are refused later;
-    span: more than any plan without refusals costs, known to all; used where there are priorities.
-    """
+    """The public list of tasks; M tasks, each with a pickup and a delivery."""
 
     pickup: Mat
+    """(M, 2) or (M, 3) m: where each task is picked up."""
     delivery: Mat
+    """(M, 2) or (M, 3) m: where each task is delivered."""
     load: Vec
+    """(M,) units of load."""
     service: Vec = field(default_factory=lambda: np.empty(0))
+    """(2M,) s: service times at the pickups, then at the deliveries."""
     earliest: Vec = field(default_factory=lambda: np.empty(0))
+    """(2M,) s: earliest begin of each service. For a pickup it is not before the release."""
     latest: Vec = field(default_factory=lambda: np.empty(0))
+    """(2M,) s: latest begin of each service."""
     penalty: Vec = field(default_factory=lambda: np.empty(0))
+    """(M,): cost of refusing the task, inf if the task must be served."""
     priority: npt.NDArray[np.int64] = field(
         default_factory=lambda: np.empty(0, np.int64)
     )
+    """(M,) whole numbers: tasks of a higher priority are refused later."""
     span: float = 0.0
+    """Upper bound on the cost of any plan without refusals, known to all robots.
+
+    It is used if tasks have priorities.
+    """
 
     def __post_init__(self) -> None:
         m = len(self.load)
@@ -68,13 +76,15 @@ class Tasks:
 
     @cached_property
     def refusal(self) -> Vec:
-        """(M,), what leaving a task out costs where plans are compared: inf if it must be served.
+        """(M,): weight of refusing each task when plans are compared; inf if it must be served.
 
             priority 0:  penalty_j
-            priority p:  penalty_j + W_p,   W_p = span + sum of all penalties + sum_{j of priority 1..p-1} W_(p_j)
+            priority p:  penalty_j + W_p
+            W_p = span + sum of all penalties + sum_{j of priority 1..p-1} W_(p_j)
 
-        So plans are compared by how many tasks of the highest priority are refused, then of the next, ..., of 1, and
-        then by the objective with the penalties.
+        Plans are therefore compared first by the number of refused tasks of the highest priority,
+        then of the next priority, ..., then of priority 1. Then the objective with the penalties
+        decides.
         """
         cost = self.penalty.astype(float)
         refusable = np.isfinite(self.penalty)
@@ -86,7 +96,7 @@ class Tasks:
         return cost
 
     def to_json(self) -> dict[str, Any]:
-        """A JSON object of all fields: what robots must have in common."""
+        """Return a JSON object of all fields, on which all robots must agree."""
         return {
             name: _plain(value)
             for name, value in vars(self).items()
@@ -96,43 +106,57 @@ class Tasks:
 
 @dataclass(frozen=True, eq=False)
 class LocalProblem:
-    """What robot `robot` of `robots` knows: its own home, capacity, limit and capability, and the public goods.
+    """The problem as robot `robot` knows it: its own limits and the public tasks.
 
-    home: (2,) or (3,) m;  capacity: units of load;  limit: m of each trip, inf if none;  capable: (M,) bool; where a
-    task is aboard another robot it is False;  end: (d,) m, home if None;  open_tour: whether it ends where it likes;
-    distance: (2M + 1, 2M + 1) m, own pickups, deliveries, home, Euclidean if None;  speed: m/s;
-    window: s, when it may leave home, and must be back;  initial_load: part of the capacity in use all the time;
-    fixed: cost of leaving home, the `vehicle_weight` of the instance where vehicles are counted first;
-    trips: at most;  objective: what the team minimises, in order.
-    In flight:
-    start: (d,) m, where it is or will be at start_time;  aboard: (M,) bool, tasks whose goods it carries;
-    left: m, what is left of the limit of its present trip.
+    A task that is aboard another robot is not in `capable`.
     """
 
     robot: int
+    """Id of this robot."""
     robots: int
+    """N, the number of robots."""
     home: Vec
+    """(2,) or (3,) m: where the robot starts."""
     capacity: float
+    """Units of load."""
     limit: float
+    """m: limit on the length of each trip, inf if there is none."""
     capable: npt.NDArray[np.bool_]
+    """(M,): tasks that this robot may serve; False for a task that is aboard another robot."""
     tasks: Tasks
     end: Vec | None = None
+    """(d,) m: where the robot ends, home if None."""
     open_tour: bool = False
+    """Whether the robot ends at its last stop instead of flying to its end point."""
     distance: Mat | None = None
+    """(2M + 1, 2M + 1) m: distances between the pickups, deliveries and home; Euclidean if None."""
     speed: float = 1.0
+    """m/s."""
     window: tuple[float, float] = (0.0, math.inf)
+    """s: when the robot may leave home, and when it must be back."""
     initial_load: float = 0.0
+    """Units of load: the part of the capacity that is in use all the time."""
     fixed: float = 0.0
+    """m: cost of leaving home. If vehicles are counted first it is `Instance.vehicle_weight`."""
     trips: int = 1
+    """Largest number of trips."""
     objective: tuple[str, ...] = (TOTAL,)
+    """What the team minimises, in order."""
     start: Vec | None = None
+    """(d,) m, in flight: where the robot is, or will be at `start_time`."""
     start_time: float = 0.0
+    """s, in flight: when the robot is at `start`."""
     aboard: npt.NDArray[np.bool_] | None = None
+    """(M,), in flight: tasks with goods on board of the robot."""
     left: float | None = None
+    """m, in flight: what remains of the limit of the present trip."""
 
     @cached_property
     def vehicle(self) -> Vehicle:
-        """As the kernels see it. Raises ConfigError for a start away from home where distances are a matrix."""
+        """The robot in the form that the kernels use.
+
+        Raises ConfigError for a start away from home, or an end, if distances are a matrix.
+        """
         m = len(self.tasks)
         distance = self._between()
         service = np.concatenate([self.tasks.service, [0.0, 0.0]])
@@ -161,11 +185,11 @@ class LocalProblem:
 
     @property
     def servable(self) -> npt.NDArray[np.int64]:
-        """Indices, increasing, of the tasks that one of its routes could hold."""
+        """Indices, increasing, of the tasks that at least one route of this robot could hold."""
         return self.vehicle.servable
 
     def _between(self) -> Mat:
-        """(2M + 2, 2M + 2) m: pickups, deliveries, start, end."""
+        """Return the (2M + 2, 2M + 2) distances in m between pickups, deliveries, start, end."""
         m = len(self.tasks)
         if self.distance is not None:
             if self.start is not None or self.end is not None:
@@ -188,7 +212,7 @@ class LocalProblem:
 
 
 def kinds(robots: Mapping[int, LocalProblem]) -> list[tuple[int, ...]]:
-    """The robots, those together that differ by their ids alone, in the order of their ids."""
+    """Return groups of robots that differ only by their ids, in the order of the lowest ids."""
     groups: dict[tuple[bytes | None, ...], list[int]] = {}
     for i in sorted(robots):
         own = [
@@ -206,36 +230,56 @@ def kinds(robots: Mapping[int, LocalProblem]) -> list[tuple[int, ...]]:
 
 @dataclass(frozen=True, eq=False)
 class Instance:
-    """N robots, M goods; robot i flies a closed tour from home_i and back, or to end_i, or where it likes, or stays.
+    """N robots and M tasks.
+
+    Robot i either stays at home, or flies from home_i and back. Its route may also end at end_i,
+    or at its last stop if tours are open.
 
         min  sum_i length_i + sum_{j refused} penalty_j
-        s.t. every good not refused picked up and then delivered by one robot i,
-             load on board + initial_load_i <= capacity_i,  each trip <= route_length_limit,  capability_ij,
-             service in its window, after the way and the service before it
-
-    home, end: (N, d) m, d = 2 or 3;  capacity, initial_load: (N,);  speed: (N,) m/s;  capability: (N, M) bool;
-    distance: (N + 2M, N + 2M) m, rows homes, pickups, deliveries, or (N, N + 2M, N + 2M), one a robot; None: Euclidean;
-    window: (N, 2) s, when robot i may leave home, and must be back;  recharge: most trips of a robot, each with the
-    whole route_length_limit;  fixed_cost: of each robot that leaves home;  objective: what is minimised, in order:
-    "total" as above, or "makespan", the time in s when the last robot is done, instead of the sum of lengths; or
-    "vehicles", the number of robots that leave home, before the total.
+        s.t. every task not refused is picked up and then delivered by one robot i,
+             load on board + initial_load_i <= capacity_i,
+             each trip <= route_length_limit,  capability_ij,
+             each service in its window, after the service and the flight before it
     """
 
     home: Mat
+    """(N, d) m, d = 2 or 3: where each robot starts."""
     capacity: Vec
+    """(N,) units of load."""
     capability: npt.NDArray[np.bool_]
+    """(N, M): whether robot i may serve task j."""
     tasks: Tasks
+    """The public list of tasks."""
     route_length_limit: float = math.inf
+    """m: limit on the length of each trip."""
     name: str = "instance"
+    """What error messages call the instance."""
     end: Mat | None = None
+    """(N, d) m: where each robot ends, home if None."""
     open_tours: bool = False
+    """Whether robots end at their last stop."""
     distance: npt.NDArray[np.float64] | None = None
+    """(N + 2M, N + 2M) m: rows homes, pickups, deliveries.
+
+    (N, N + 2M, N + 2M) gives one matrix a robot; None means Euclidean distances.
+    """
     speed: Vec = field(default_factory=lambda: np.empty(0))
+    """(N,) m/s."""
     window: Mat = field(default_factory=lambda: np.empty((0, 2)))
+    """(N, 2) s: when robot i may leave home, and when it must be back."""
     initial_load: Vec = field(default_factory=lambda: np.empty(0))
+    """(N,) units of load: the part of the capacity that is in use all the time."""
     fixed_cost: float = 0.0
+    """m: cost of each robot that leaves home."""
     recharge: int = 1
+    """Largest number of trips of a robot, each with the whole route_length_limit."""
     objective: tuple[str, ...] = (TOTAL,)
+    """What is minimised, in order.
+
+    "total": the sum above.
+    "makespan": the time in s when the last robot is done, in place of the sum of lengths.
+    "vehicles": the number of robots that leave home; it comes before the total.
+    """
 
     def __post_init__(self) -> None:
         n = len(self.home)
@@ -250,7 +294,10 @@ class Instance:
 
     @classmethod
     def load(cls, path: str | Path) -> "Instance":
-        """Read a JSON file, or one of Li and Lim; raise InstanceError naming file, key and index of what is wrong."""
+        """Read a JSON file or a file of Li and Lim.
+
+        Raises InstanceError with file, key and index if something is wrong.
+        """
         raw, names = read(path)
         return cls.parse(raw, str(path), names)
 
@@ -258,7 +305,13 @@ class Instance:
     def parse(
         cls, raw: dict[str, Any], where: str = "instance", names: Sequence[str] = ()
     ) -> "Instance":
-        """From the JSON object `raw`; `where` is what errors call it, `names` what they call its tasks."""
+        """Build the instance from a JSON object.
+
+        raw: the JSON object.
+        where: what error messages call it.
+        names: what error messages call its tasks.
+        Raises InstanceError if a field is wrong, or if a task that must be served cannot be.
+        """
         fields = Fields(raw, where)
         points = {key: fields.points(key) for key in ("home", "pickup", "delivery")}
         load = fields.amounts("load")
@@ -305,11 +358,11 @@ class Instance:
 
     @property
     def robots(self) -> int:
-        """N."""
+        """N, the number of robots."""
         return len(self.home)
 
     def local(self, i: int) -> LocalProblem:
-        """What robot i knows."""
+        """Return the problem as robot i knows it."""
         return LocalProblem(
             robot=i,
             robots=self.robots,
@@ -333,13 +386,16 @@ class Instance:
 
     @cached_property
     def vehicle_weight(self) -> float:
-        """m, what a vehicle costs in the linear programs, where vehicles are counted first.
+        """m: cost of a vehicle in the linear programs if vehicles are counted first.
 
-            W >= 2 T,    T = 3M times the longest way, so that  T_a <= T  for the total T_a of every plan a
-            n_a < n_b  =>  W n_a + T_a < W n_b + T_b,      and  W n_a + T_a >= V  =>  n_a >= V / W - 1/2
+            W >= 2 T,    T = 3M times the longest way
+            T_a <= T  for the total T_a of every plan a
+            n_a < n_b           =>  W n_a + T_a < W n_b + T_b
+            W n_a + T_a >= V    =>  n_a >= V / W - 1/2
 
-        A plan has 2M stops and at most M trips, as each trip serves a task, so it has at most 3M ways. W is a power of
-        two: adding it rounds little. Plans are not compared by W, but by their vehicles and then by their totals.
+        A plan has 2M stops and at most M trips, because each trip serves a task. It therefore has
+        at most 3M legs. W is a power of two, which keeps rounding errors small. Plans themselves
+        are not compared by W: they are compared by their vehicles and then by their totals.
         """
         if self.distance is not None:
             longest = float(self.distance.max())
@@ -353,7 +409,7 @@ class Instance:
         return 2.0 ** math.ceil(math.log2(2.0 * total)) if total > 0.0 else 1.0
 
     def plan(self, routes: Iterable[Route]) -> Plan:
-        """The plan of these routes, with what they leave undone."""
+        """Return the plan of these routes, with the penalties of the tasks that they leave out."""
         flown = tuple(routes)
         refused = np.ones(len(self.tasks), dtype=bool)
         refused[
@@ -367,11 +423,11 @@ class Instance:
         )
 
     def kinds(self) -> list[tuple[int, ...]]:
-        """The robots, identical ones together, in the order of their ids."""
+        """Return groups of identical robots, in the order of the lowest ids."""
         return kinds({i: self.local(i) for i in range(self.robots)})
 
     def to_json(self) -> dict[str, Any]:
-        """The JSON object that `parse` reads back."""
+        """Return the JSON object that `parse` reads back."""
         tasks = self.tasks
         raw: dict[str, Any] = {
             "home": self.home.tolist(),
@@ -401,7 +457,7 @@ class Instance:
         }
 
     def _distance_of(self, i: int) -> Mat | None:
-        """(2M + 1, 2M + 1) m: pickups, deliveries, home of robot i."""
+        """Return the (2M + 1, 2M + 1) distances in m: pickups, deliveries, home of robot i."""
         if self.distance is None:
             return None
         nodes = [*range(self.robots, self.distance.shape[-1]), i]
@@ -409,7 +465,10 @@ class Instance:
         return np.asarray(own[np.ix_(nodes, nodes)])
 
     def _span(self) -> float:
-        """More than any plan without refusals costs: so many legs, each as long as the longest."""
+        """Return an upper bound on the cost of a plan without refusals.
+
+        The bound is the largest possible number of legs times the longest leg, with fixed costs.
+        """
         legs = 3 * len(self.tasks) + 2 * self.robots
         vehicles = [self.local(same[0]).vehicle for same in self.kinds()]
         if self.objective[0] != MAKESPAN:
@@ -422,7 +481,10 @@ class Instance:
         )
 
     def _require_countable(self) -> None:
-        """InstanceError for what says nothing, or the opposite, where vehicles are counted first."""
+        """Check the fields that contradict the objective if vehicles are counted first.
+
+        Raises InstanceError if a task may be refused or if there is a fixed cost.
+        """
         if VEHICLES not in self.objective:
             return
         if np.isfinite(self.tasks.penalty).any():
@@ -451,7 +513,7 @@ class Instance:
 
 
 def _plain(value: Any) -> Any:
-    """As JSON has it: lists, and null for what is infinite."""
+    """Return the value as JSON needs it: lists, and null for infinity."""
     if isinstance(value, np.ndarray | list):
         return [
             _plain(part)
@@ -461,6 +523,6 @@ def _plain(value: Any) -> Any:
 
 
 def _halves(values: list[Any]) -> dict[str, list[Any]]:
-    """Of stops: pickups, then deliveries."""
+    """Split a list over stops into its pickups and its deliveries."""
     m = len(values) // 2
     return {"pickup": values[:m], "delivery": values[m:]}

@@ -1,4 +1,4 @@
-"""Pickup-and-delivery instances with time windows as Li and Lim wrote them: a fleet at one depot."""
+"""Reader for the pickup-and-delivery files of Li and Lim: time windows, a fleet at one depot."""
 
 import math
 from dataclasses import dataclass
@@ -32,26 +32,36 @@ RANGES = (
 )
 """The least and the largest number of each column."""
 WHOLE = ("customer", "pickup", "delivery")
+"""Columns of whole numbers."""
 MOST_VEHICLES = 1000
 
 
 @dataclass(frozen=True)
 class _Row:
-    """A customer: place m, demand, window s, service s, its pickup and its delivery, 0 where it is that itself."""
+    """A customer."""
 
     customer: int
+    """Number of the customer; 0 is the depot."""
     x: float
+    """m."""
     y: float
+    """m."""
     demand: float
+    """Units of load: positive at a pickup, negative at a delivery."""
     ready: float
+    """s: earliest begin of service."""
     due: float
+    """s: latest begin of service."""
     service: float
+    """s: service time."""
     pickup: int
+    """Number of its pickup, 0 if the customer is itself a pickup."""
     delivery: int
+    """Number of its delivery, 0 if the customer is itself a delivery."""
 
 
 def is_li_lim(text: str) -> bool:
-    """Whether the first line that is not blank is three numbers and nothing else."""
+    """Return whether the first line that is not blank is exactly three numbers."""
     words = text.lstrip().split("\n", 1)[0].split()
     return len(words) == 3 and all(_is_number(word) for word in words)
 
@@ -62,9 +72,11 @@ def parse_li_lim(text: str, where: str) -> tuple[dict[str, Any], list[str]]:
         line 1: vehicles, capacity, speed
         others: customer, x, y, demand, ready, due, service, pickup, delivery;   customer 0 is the depot
 
-    Tasks are in the order of their pickups. The benchmark counts vehicles first and lengths after them: so does the
-    objective. It does not use the speed: 0 means 1, so that times are lengths.
-    Raises InstanceError with the line. Source: Li & Lim 2001, ICTAI, pp. 160-167; format of SINTEF's benchmark pages.
+    Tasks are in the order of their pickups. The benchmark counts vehicles first and lengths after
+    them, and so does the objective. The benchmark does not use the speed: 0 means 1, so that
+    times equal lengths.
+    Raises InstanceError with the line.
+    Source: Li & Lim 2001, ICTAI, pp. 160-167; format of SINTEF's benchmark pages.
     """
     lines = [
         (n, line.split()) for n, line in enumerate(text.splitlines(), 1) if line.strip()
@@ -106,7 +118,7 @@ def parse_li_lim(text: str, where: str) -> tuple[dict[str, Any], list[str]]:
 
 
 def _fleet(numbers: list[float], where: str) -> tuple[int, float, float]:
-    """Vehicles, capacity, speed."""
+    """Return vehicles, capacity, speed."""
     vehicles, capacity, speed = numbers
     if not (vehicles.is_integer() and 1 <= vehicles <= MOST_VEHICLES):
         raise InstanceError(
@@ -125,7 +137,7 @@ def _fleet(numbers: list[float], where: str) -> tuple[int, float, float]:
 def _require_all_in(
     pairs: list[tuple[_Row, _Row]], rows: list[_Row], where: str
 ) -> None:
-    """Each customer is the pickup or the delivery of one pair."""
+    """Raise InstanceError unless each customer is the pickup or the delivery of a pair."""
     paired = {row.customer for pair in pairs for row in pair}
     alone = [
         row.customer for row in rows if row.customer and row.customer not in paired

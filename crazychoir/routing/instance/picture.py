@@ -1,4 +1,4 @@
-"""A plan as a picture for a page or a paper."""
+"""Picture of a plan for a page or a paper."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -17,16 +17,24 @@ from crazychoir.types import Mat, Vec
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-CROWD, LARGER = 40, 1.7
-"""Tasks above which the paper is so many times larger, as names would lie upon each other."""
+CROWD = 40
+"""Number of tasks above which the picture is larger, so that names do not overlap."""
+LARGER = 1.7
+"""Factor by which the picture is larger then."""
 
 
 def draw_routes(instance: Instance, plan: Plan, path: str | Path) -> None:
-    """Write a PNG (or what the suffix of `path` says): the room from above, in m.
+    """Write a picture of the routes, seen from above, in m.
 
-    Squares: homes with the robot's number;  crosses: where robots end, if elsewhere;  triangles up: pickups;
-    triangles down: deliveries, each with its task and, in three dimensions, its height in m;  arrows: the routes, with
-    their lengths in the legend.
+    instance: the tasks and the robots.
+    plan: the routes to draw.
+    path: the file; its suffix selects the format, such as PNG.
+
+    Squares: homes, with the robot's number.
+    Crosses: where robots end, if not at home.
+    Triangles up: pickups. Triangles down: deliveries. Each has its task and, in three dimensions,
+    its height in m.
+    Arrows: the routes, with their lengths in the legend.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -54,7 +62,7 @@ def draw_routes(instance: Instance, plan: Plan, path: str | Path) -> None:
 
 
 def _title(instance: Instance, plan: Plan) -> str:
-    """Who flies how far, until when, and what is refused."""
+    """Return how many robots fly, how far, until when, and which tasks are refused."""
     flown = sum(route.length for route in plan.routes)
     text = f"{len(plan.routes)} of {instance.robots} robots fly {flown:.2f} m"
     if MAKESPAN in plan.objective:
@@ -65,7 +73,7 @@ def _title(instance: Instance, plan: Plan) -> str:
 
 
 def _draw_route(axes: "Axes", instance: Instance, route: Route, timed: bool) -> None:
-    """A line a trip, in the robot's colour."""
+    """Draw one line for each trip, in the robot's colour."""
     flown = trips(instance, route)
     colour = COLOURS[route.robot % len(COLOURS)]
     for trip, tour in zip(flown, _tours(instance, route), strict=True):
@@ -97,7 +105,7 @@ def _label(trip: Trip, several: bool, timed: bool) -> str:
 
 
 def _draw_arrow(axes: "Axes", a: Vec, b: Vec, colour: str) -> None:
-    """A head in the middle of the leg from a to b."""
+    """Draw an arrow head in the middle of the leg from a to b."""
     tip = a + 0.56 * (b - a)
     tail = a + 0.50 * (b - a)
     style = {
@@ -171,7 +179,7 @@ def _draw_goods(axes: "Axes", points: Mat, marker: str, fill: str, label: str) -
 
 
 def _write_names(axes: "Axes", points: Mat) -> None:
-    """Task numbers beside points, with the height of points off the floor."""
+    """Write task numbers beside points, with the height of the points in three dimensions."""
     box = {
         "boxstyle": "round,pad=0.1",
         "facecolor": "white",
@@ -193,7 +201,10 @@ def _write_names(axes: "Axes", points: Mat) -> None:
 
 
 def _tours(instance: Instance, route: Route) -> list[Mat]:
-    """Of each trip (n, 2) or (n, 3) m: home, or where the robot ends, the stops, and where it ends."""
+    """Return the points of each trip, (n, 2) or (n, 3) m.
+
+    A trip begins at home or at the robot's end point; then come the stops and the end point.
+    """
     home = instance.home[route.robot]
     tasks = instance.tasks
     end = home if instance.end is None else instance.end[route.robot]

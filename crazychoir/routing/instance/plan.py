@@ -1,4 +1,4 @@
-"""A plan: who flies where, in which order; and what a solver reports of it."""
+"""A plan: which robot flies where, in which order; and the report of a solver."""
 
 import hashlib
 import json
@@ -11,12 +11,12 @@ from crazychoir.routing.instance.vehicle import MAKESPAN, TOTAL, VEHICLES
 
 Kind = Literal["pickup", "delivery", "recharge"]
 NOTHING = -1
-"""The task of a stop to recharge."""
+"""The task of a stop that only recharges."""
 
 
 @dataclass(frozen=True)
 class Stop:
-    """One stop of a route; a stop to recharge, where the robot ends, is of the task NOTHING."""
+    """One stop of a route. A stop to recharge is at the robot's end point and has task NOTHING."""
 
     task: int
     kind: Kind
@@ -24,15 +24,16 @@ class Stop:
 
 @dataclass(frozen=True)
 class Route:
-    """A route of one robot: home, the stops, home, or where it ends; length in m.
-
-    finish: s, when it is done; None if it is not stated.
-    """
+    """A route of one robot: home, the stops, and home or its end point."""
 
     robot: int
+    """Id of the robot."""
     stops: tuple[Stop, ...]
+    """The stops in order."""
     length: float
+    """m."""
     finish: float | None = None
+    """s: when the robot is done, None if it is not stated."""
 
     @classmethod
     def from_nodes(
@@ -43,7 +44,14 @@ class Route:
         length: float,
         finish: float | None = None,
     ) -> "Route":
-        """From nodes j (pickup of task j), M + j (its delivery) and 2M + 1 (a recharge), M = tasks."""
+        """Build the route from node numbers.
+
+        robot: id of the robot.
+        nodes: j is the pickup of task j, M + j its delivery, and 2M + 1 a recharge.
+        tasks: M, the number of tasks.
+        length: m.
+        finish: s, when the robot is done.
+        """
         return cls(robot, tuple(_stop(int(v), tasks) for v in nodes), length, finish)
 
     @property
@@ -54,7 +62,7 @@ class Route:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """A JSON object: robot, stops [{task, kind}], length, and finish if it is stated."""
+        """Return a JSON object: robot, stops [{task, kind}], length, and finish if it is stated."""
         raw = {
             "robot": self.robot,
             "stops": [asdict(stop) for stop in self.stops],
@@ -64,7 +72,7 @@ class Route:
 
     @classmethod
     def from_json(cls, raw: dict[str, Any]) -> "Route":
-        """What `to_json` wrote."""
+        """Return the route that `to_json` wrote."""
         stops = tuple(Stop(stop["task"], stop["kind"]) for stop in raw["stops"])
         return cls(raw["robot"], stops, raw["length"], raw.get("finish"))
 
@@ -76,16 +84,16 @@ class Route:
 
 @dataclass(frozen=True)
 class Plan:
-    """The routes of the robots that fly, by robot id; `Instance.plan` fills in the rest.
-
-    penalties: sum of those of the tasks that are refused;  fixed_cost: m, of each robot that flies;
-    objective: what is minimised, in order.
-    """
+    """The routes of the robots that fly, by robot id; `Instance.plan` fills in the rest."""
 
     routes: tuple[Route, ...]
+    """One route for each robot that flies, sorted by robot id."""
     penalties: float = 0.0
+    """Sum of the penalties of the refused tasks."""
     fixed_cost: float = 0.0
+    """m: cost of each robot that flies."""
     objective: tuple[str, ...] = (TOTAL,)
+    """What is minimised, in order."""
 
     def __post_init__(self) -> None:
         object.__setattr__(
@@ -103,7 +111,7 @@ class Plan:
 
     @property
     def makespan(self) -> float:
-        """s, when the last robot is done; nan if a route does not state it."""
+        """s: when the last robot is done; nan if a route does not state it."""
         times = [
             math.nan if route.finish is None else route.finish for route in self.routes
         ]
@@ -111,7 +119,7 @@ class Plan:
 
     @property
     def values(self) -> tuple[float, ...]:
-        """What is minimised, in order: the objectives, the penalties added to the first."""
+        """The values of the objectives, in order; the penalties are added to the first."""
         value = {
             TOTAL: self.total,
             MAKESPAN: self.makespan,
@@ -122,16 +130,19 @@ class Plan:
 
     @property
     def cost(self) -> float:
-        """The first objective that is in m or s, with the penalties: where vehicles come first, the total."""
+        """The first objective in m or s, with the penalties: the total if vehicles come first."""
         return self.values[1] if self.objective[0] == VEHICLES else self.values[0]
 
     @property
     def digest(self) -> str:
-        """What identifies the plan: a hash of the hashes of its routes, so that it needs no route to be known."""
+        """Hash that identifies the plan.
+
+        It is a hash of the hashes of the routes, so that it can be computed without the routes.
+        """
         return digest_of({route.robot: route.digest for route in self.routes})
 
     def to_json(self) -> dict[str, Any]:
-        """A JSON object: cost, digest, penalties, fixed_cost, objective, routes."""
+        """Return a JSON object: cost, digest, penalties, fixed_cost, objective, routes."""
         return {
             "cost": self.cost,
             "digest": self.digest,
@@ -143,37 +154,50 @@ class Plan:
 
     @classmethod
     def from_json(cls, raw: dict[str, Any]) -> "Plan":
-        """What `to_json` wrote."""
+        """Return the plan that `to_json` wrote."""
         routes = tuple(Route.from_json(route) for route in raw["routes"])
         return cls(routes, raw["penalties"], raw["fixed_cost"], tuple(raw["objective"]))
 
 
 @dataclass(frozen=True)
 class Solution:
-    """What one robot knows of the team's plan when its method ends.
-
-    cost: m;  lower_bound: m, no plan at all costs less (None: unknown, bound_exact is False then);  bound_exact: it is
-    proven, by exact pricing of all routes, which does not say that it is tight: a plan is proven optimal where its cost
-    is the bound, and `resource` and `resource-argmax` prove weaker ones than `columns`;  bound_relaxation: what
-    routes a bound that is not exact allows beside those that there are: "ng-route", whose tasks may come again;
-    disclosed: what the robots told each other;  rounds: of communication;  routes: those that this robot knows;
-    bytes_by_kind: payloads that it sent, by what they were about, without headers and without what was sent again;
-    vehicles_bound: where vehicles are counted first, no plan needs fewer (None: unknown). `lower_bound` then holds for
-    the plans with that number of vehicles, and is None if this plan has more.
-    """
+    """The team's plan as one robot knows it when its method ends."""
 
     cost: float
+    """m: cost of the plan."""
     feasible: bool
+    """Whether the plan is feasible."""
     lower_bound: float | None
+    """m: no plan costs less. None if unknown; `bound_exact` is False then.
+
+    A plan is proven optimal if its cost equals the bound.
+    """
     bound_exact: bool
+    """Whether the bound is proven by exact pricing of all routes.
+
+    This does not say that the bound is tight: `resource` and `resource-argmax` prove weaker bounds
+    than `columns`.
+    """
     method: str
+    """Name of the method."""
     disclosed: tuple[str, ...]
+    """What the robots told each other."""
     rounds: int
+    """Number of communication rounds."""
     plan_digest: str
+    """Hash of the plan."""
     routes: tuple[Route, ...]
+    """The routes that this robot knows."""
     bytes_by_kind: dict[str, int] = field(default_factory=dict)
+    """Bytes of payload that this robot sent, by subject, without headers and retransmissions."""
     bound_relaxation: str | None = None
+    """Which further routes a bound that is not exact allows: "ng-route" routes may repeat tasks."""
     vehicles_bound: int | None = None
+    """If vehicles are counted first: no plan needs fewer vehicles. None if unknown.
+
+    `lower_bound` then holds for plans with that number of vehicles. It is None if this plan has
+    more.
+    """
 
     @property
     def plan(self) -> Plan:
@@ -181,7 +205,7 @@ class Solution:
         return Plan(self.routes)
 
     def to_json(self) -> dict[str, Any]:
-        """A JSON object with the fields above."""
+        """Return a JSON object with the fields above."""
         raw = {k: v for k, v in self.__dict__.items() if k != "routes"}
         return raw | {
             "disclosed": list(self.disclosed),
@@ -190,7 +214,7 @@ class Solution:
 
     @classmethod
     def from_json(cls, raw: dict[str, Any]) -> "Solution":
-        """What `to_json` wrote."""
+        """Return the solution that `to_json` wrote."""
         routes = tuple(Route.from_json(route) for route in raw["routes"])
         return cls(**(raw | {"disclosed": tuple(raw["disclosed"]), "routes": routes}))
 
@@ -202,11 +226,14 @@ def _stop(node: int, tasks: int) -> Stop:
 
 
 def digest_of(routes: dict[int, str]) -> str:
-    """The plan's digest from the digests of the routes of the robots that fly."""
+    """Return the plan's digest from the digests of the routes of the robots that fly."""
     return sha256([[i, routes[i]] for i in sorted(routes)])
 
 
 def sha256(value: Any) -> str:
-    """SHA-256, in hex, of the canonical JSON of a value: sorted keys, no blanks, shortest floats."""
+    """Return the SHA-256, in hex, of the canonical JSON of a value.
+
+    Canonical: sorted keys, no blanks, shortest floats.
+    """
     text = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()

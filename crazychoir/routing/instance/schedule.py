@@ -1,4 +1,4 @@
-"""What becomes of a plan when it is flown: trips, when each service begins, who is done when, and what is refused."""
+"""The flight of a plan: trips, the begin of each service, the end of each robot, refused tasks."""
 
 import math
 from collections.abc import Iterable
@@ -14,20 +14,26 @@ from crazychoir.routing.instance.vehicle import MAKESPAN
 
 @dataclass(frozen=True)
 class Trip:
-    """A part of a route, from home (or, after a recharge, from where the robot ends) to the next recharge or the end.
+    """The part of a route between two recharges.
 
-    length: m;  begins: s, of the service at each stop, waiting for its window included;  end: s, when it is over.
+    The first trip begins at home, the others at the robot's end point.
     """
 
     robot: int
+    """Id of the robot."""
     number: int
+    """Number of the trip, from 1."""
     stops: tuple[Stop, ...]
+    """The stops in order, without recharges."""
     length: float
+    """m."""
     begins: tuple[float, ...]
+    """s: begin of the service at each stop, after waiting for its window."""
     end: float
+    """s: when the trip is over."""
 
     def to_json(self) -> dict[str, Any]:
-        """A JSON object; stops as "+3" for the pickup of task 3, "-3" for its delivery."""
+        """Return a JSON object; a stop is "+3" for the pickup of task 3, "-3" for its delivery."""
         stops = [
             f"{'+' if stop.kind == 'pickup' else '-'}{stop.task}" for stop in self.stops
         ]
@@ -42,7 +48,7 @@ class Trip:
 
 
 def trips(instance: Instance, route: Route) -> list[Trip]:
-    """The trips of a route, in order: one, unless it recharges."""
+    """Return the trips of a route in order: one, unless the robot recharges."""
     m = len(instance.tasks)
     vehicle = instance.local(route.robot).vehicle
     at = {"pickup": 0, "delivery": m, "recharge": 2 * m + 2}
@@ -75,7 +81,7 @@ def trips(instance: Instance, route: Route) -> list[Trip]:
 
 
 def times_matter(instance: Instance) -> bool:
-    """Whether a window, a release or the objective asks when something is done."""
+    """Return whether times matter: there is a window or a release, or the makespan is minimised."""
     tasks = instance.tasks
     windows = (
         tasks.earliest.any(),
@@ -87,11 +93,17 @@ def times_matter(instance: Instance) -> bool:
 
 
 def outcome(instance: Instance, routes: Iterable[Route]) -> dict[str, Any]:
-    """What people ask of a plan, as a JSON object.
+    """Return a summary of the plan as a JSON object.
 
-    vehicles: robots that leave home;  total_m: all tours, with fixed costs;  makespan_s: until the last robot is done;
-    refused: tasks left out that may be, each with its penalty;  penalties: their sum;  timed: `times_matter`;
-    trips: of all robots;  violations: what is wrong with the plan, a sentence each.
+    vehicles: number of robots that leave home.
+    total_m: length of all tours with the fixed costs, m.
+    makespan_s: when the last robot is done, s.
+    refused: the tasks left out that may be refused, each with its penalty and priority.
+    penalties: sum of these penalties.
+    objective: what is minimised, in order.
+    timed: result of `times_matter`.
+    trips: the trips of all robots.
+    violations: what is wrong with the plan, a sentence each.
     """
     plan = instance.plan(routes)
     flown = [trip for route in plan.routes for trip in trips(instance, route)]

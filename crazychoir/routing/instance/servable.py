@@ -1,4 +1,4 @@
-"""Whether every task of an instance has a robot that could serve it, and if not, which limit is in the way."""
+"""Check that every task has a robot that could serve it; if not, name the limit in the way."""
 
 from collections.abc import Sequence
 
@@ -12,10 +12,12 @@ from crazychoir.types import Vec
 def require_servable(
     vehicles: Sequence[Vehicle], penalty: Vec, where: str, names: Sequence[str] = ()
 ) -> None:
-    """Raise InstanceError for a good that must be served and that no robot can bring home.
+    """Raise InstanceError if no robot can serve a task that must be served.
 
-    penalty: (M,), inf where the task must be served;  where: what the error calls the instance;
-    names: what the file calls the tasks, where it has none of the keys of JSON.
+    vehicles: one robot of each kind.
+    penalty: (M,), inf if the task must be served.
+    where: what the error calls the instance.
+    names: what the file calls the tasks, if the file is not JSON.
     """
     served = np.isfinite(penalty)
     for vehicle in vehicles:
@@ -30,7 +32,7 @@ def require_servable(
 
 
 def _why(vehicles: Sequence[Vehicle], j: int) -> tuple[str, str, str]:
-    """The limit that keeps the last robot from task j: what was found, what is allowed, what to do."""
+    """Return what keeps every robot from task j: what was found, what is allowed, what to do."""
     capable = [v for v in vehicles if v.capable[j]]
     if not capable:
         return (
@@ -61,7 +63,7 @@ def _why(vehicles: Sequence[Vehicle], j: int) -> tuple[str, str, str]:
 
 
 def _too_late(vehicles: Sequence[Vehicle], j: int) -> tuple[str, str, str]:
-    """Which window has closed when the soonest robot comes."""
+    """Return which window has already closed when the fastest robot arrives."""
     m = vehicles[0].tasks
     for part, name in enumerate(("pickup", "delivery")):
         soonest, robot = min((float(v.soonest[part, j]), v.robot) for v in vehicles)

@@ -1,4 +1,7 @@
-"""How large the numbers of an instance may be: beyond, the rounding of a sum exceeds the slack of limits."""
+"""Largest numbers of an instance.
+
+Beyond them, the rounding of a sum exceeds the tolerance of the limits.
+"""
 
 FARTHEST = 1e5  # m, of a coordinate; m/s, of a speed
 MOST = 1e6  # units of load

@@ -1,4 +1,4 @@
-"""One robot as the kernels of routing see it: matrices over nodes, windows, limits."""
+"""One robot as the routing kernels see it: matrices over nodes, windows and limits."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -11,65 +11,85 @@ import numpy.typing as npt
 
 from crazychoir.types import Mat, Vec
 
-TOTAL, MAKESPAN = "total", "makespan"
-"""What a team minimises: the sum of costs in m, or the time in s when the last robot is done."""
+TOTAL = "total"
+"""Objective: the sum of costs in m."""
+MAKESPAN = "makespan"
+"""Objective: the time in s when the last robot is done."""
 VEHICLES = "vehicles"
-"""What a team minimises before the total: the number of robots that leave home."""
+"""Objective that comes before the total: the number of robots that leave home."""
 SLACK = 1e-9
-"""Loads, lengths and times may exceed their limits by this much: rounding of a sum, not a licence."""
+"""Tolerance for the rounding of sums: loads, lengths and times may exceed their limits by this."""
 
 
 @dataclass(frozen=True, eq=False)
 class Vehicle:
-    """A robot and M tasks. Nodes: 0..M-1 pickups, M..2M-1 deliveries, 2M where it starts, 2M + 1 where it ends.
+    """A robot and M tasks in the form that the kernels use.
 
-    A route is the list of the nodes between start and end; the node 2M + 1 inside it is a stop there, with nothing on
-    board, to begin a new trip. Matrices need be neither symmetric nor satisfy the triangle inequality.
-
-    distance: (2M + 2, 2M + 2) m, what a route costs; column 2M + 1 is 0 in an open tour;
-    duration: (2M + 2, 2M + 2) s from the beginning of service at v to the arrival at w: service at v, then the way;
-    earliest, latest: (2M + 2,) s, when service may begin, 0 and inf where there are no windows; who is early waits;
-    it leaves the start no sooner than earliest[2M], and is at the end no later than latest[2M + 1];
-    load: (M,), capacity: what is left of it beside the goods that stay on board;  limit: m, of the distance of a route,
-    or of its first trip;
-    capable: (M,) bool, tasks that it may serve;  aboard: (M,) bool, tasks whose goods it carries from the start:
-    their pickup is no stop, nobody else can serve them, and their load counts from the start;
-    fixed: cost in m of leaving at all, added to the distance of a route that is not empty; below 0 for a robot that is
-    away already: the way to its end that it flies in any case;  trips: how often it may start anew from where it
-    ends, plus one (a robot that recharges there), at least 1;  limit_again: m, of each trip but the first;
-    robot: its id, for messages;  metric: both matrices satisfy the triangle inequality, so bounds are quick.
+    Nodes: 0..M-1 pickups, M..2M-1 deliveries, 2M the start, 2M + 1 the end.
+    A route is the list of the nodes between start and end. The node 2M + 1 inside a route is a stop
+    at the end point, with nothing on board, where a new trip begins. The matrices need not be
+    symmetric and need not satisfy the triangle inequality.
     """
 
     distance: Mat
+    """(2M + 2, 2M + 2) m: cost of each leg; column 2M + 1 is 0 in an open tour."""
     duration: Mat
+    """(2M + 2, 2M + 2) s: from the begin of service at v to the arrival at w.
+
+    It is the service time at v plus the flight time.
+    """
     earliest: Vec
+    """(2M + 2,) s: earliest begin of each service, 0 without a window.
+
+    A robot that arrives early waits. It leaves the start no sooner than earliest[2M].
+    """
     latest: Vec
+    """(2M + 2,) s: latest begin of each service, inf without a window.
+
+    The robot is at the end no later than latest[2M + 1].
+    """
     load: Vec
+    """(M,) units of load."""
     capacity: float
+    """Units of load that remain beside the goods that stay on board."""
     limit: float
+    """m: limit on the distance of a route, or of its first trip."""
     capable: npt.NDArray[np.bool_]
+    """(M,): tasks that the robot may serve."""
     aboard: npt.NDArray[np.bool_]
+    """(M,): tasks with goods on board from the start.
+
+    Their pickup is not a stop, no other robot can serve them, and their load counts from the start.
+    """
     fixed: float = 0.0
+    """m: cost of leaving home, added to the distance of a route that is not empty.
+
+    For a robot in flight it is negative: minus the way to its end, which it flies in any case.
+    """
     trips: int = 1
+    """Largest number of trips, at least 1. Between trips the robot recharges at its end point."""
     limit_again: float = inf
+    """m: limit on the distance of each trip after the first."""
     robot: int = 0
+    """Id of the robot, for messages."""
     metric: bool = False
+    """Whether both matrices satisfy the triangle inequality, which makes bounds fast to compute."""
 
     @property
     def tasks(self) -> int:
-        """M."""
+        """M, the number of tasks."""
         return len(self.load)
 
     @cached_property
     def timed(self) -> bool:
-        """Whether a window can close: else routes differ by their distances alone."""
+        """Whether a time window can close; if not, routes differ only by their distances."""
         return bool(np.isfinite(self.latest).any())
 
     @cached_property
     def servable(self) -> npt.NDArray[np.int64]:
-        """Indices, increasing, of the tasks that it carries or that could be in one of its routes.
+        """Indices, increasing, of the tasks that it carries or that one of its routes could hold.
 
-        Those that no route can hold are left out by bounds: the shortest ways over any nodes, without waiting.
+        Bounds exclude the other tasks: the shortest ways over any nodes, without waiting.
         """
         m = self.tasks
         alone = (
@@ -88,7 +108,7 @@ class Vehicle:
 
     @cached_property
     def shortest(self) -> Mat:
-        """(2M + 2, 2M + 2) m, the shortest ways over any nodes of one trip."""
+        """(2M + 2, 2M + 2) m: the shortest ways over any nodes of one trip."""
         return (
             self.distance
             if self.metric
@@ -97,19 +117,25 @@ class Vehicle:
 
     @cached_property
     def fastest(self) -> Mat:
-        """(2M + 2, 2M + 2) s, the fastest ways over any nodes, the end too where a trip may follow, without waiting."""
+        """(2M + 2, 2M + 2) s: the fastest ways over any nodes, without waiting.
+
+        The ways may pass the end point if a further trip may follow.
+        """
         m = self.tasks
         over = range(2 * m) if self.trips == 1 else [*range(2 * m), 2 * m + 1]
         return self.duration if self.metric else shortest_ways(self.duration, over)
 
     @property
     def farthest(self) -> float:
-        """m, of the longest trip."""
+        """m: limit on the longest trip."""
         return max(self.limit, self.limit_again) if self.trips > 1 else self.limit
 
     @cached_property
     def shortest_trip(self) -> Vec:
-        """(M,) m, at least the distance of any trip with task j: start, pickup, delivery, end by the shortest ways."""
+        """(M,) m: a lower bound on the distance of any trip with task j.
+
+        It takes the shortest ways from the start to the pickup, the delivery and the end.
+        """
         m = self.tasks
         way = self.shortest
         j = np.arange(m)
@@ -122,7 +148,7 @@ class Vehicle:
 
     @cached_property
     def soonest(self) -> Mat:
-        """(2, M) s: no service at pickup or delivery j begins sooner."""
+        """(2, M) s: lower bounds on the begin of service at each pickup and each delivery."""
         m = self.tasks
         way = self.fastest
         j = np.arange(m)
@@ -133,12 +159,12 @@ class Vehicle:
 
     @cached_property
     def soonest_end(self) -> Vec:
-        """(M,) s: no route with task j ends sooner."""
+        """(M,) s: a lower bound on the end of any route with task j."""
         m = self.tasks
         return np.asarray(self.soonest[1] + self.fastest[m : 2 * m, 2 * m + 1])
 
     def length(self, route: Sequence[int]) -> float:
-        """m, of a route, added from its start to its end."""
+        """Return the length of a route in m, added from its start to its end."""
         m = self.tasks
         return sum(
             (
@@ -149,11 +175,14 @@ class Vehicle:
         )
 
     def finish(self, route: Sequence[int]) -> float:
-        """s, when a route is over that begins each service as soon as its window allows; 0 for one without stops."""
+        """Return the time in s when a route is over; 0 for a route without stops.
+
+        Each service begins as soon as its window allows.
+        """
         return self.begins(route)[-1] if len(route) else 0.0
 
     def begins(self, route: Sequence[int]) -> list[float]:
-        """s, when each service of such a route begins, and when it is over."""
+        """Return the times in s when each service of a route begins, and when the route is over."""
         m = self.tasks
         times = [float(self.earliest[2 * m])]
         for v, w in pairwise([2 * m, *route, 2 * m + 1]):
@@ -163,7 +192,7 @@ class Vehicle:
         return times[1:]
 
     def only(self, chosen: npt.NDArray[np.int64]) -> "Vehicle":
-        """The same robot with the tasks `chosen` (K,) alone."""
+        """Return the same robot with the tasks `chosen` (K,) alone."""
         m = self.tasks
         nodes = np.concatenate([chosen, m + chosen, [2 * m, 2 * m + 1]])
         square = np.ix_(nodes, nodes)
@@ -186,7 +215,7 @@ class Vehicle:
 
 
 def shortest_ways(length: Mat, over: Iterable[int]) -> Mat:
-    """(n, n): lengths of the shortest ways over the nodes `over`, by Floyd and Warshall.
+    """Return the (n, n) lengths of the shortest ways over the nodes `over`, by Floyd and Warshall.
 
     w_ab <- min(w_ab, w_ak + w_kb)   for every node k in `over`
     """

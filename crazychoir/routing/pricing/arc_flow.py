@@ -1,4 +1,4 @@
-"""The whole problem as one arc-flow MILP: a slow, independent judge of optimality for small instances."""
+"""The whole problem as one arc-flow MILP: a slow, independent check of optimality."""
 
 import math
 from dataclasses import dataclass, field
@@ -23,7 +23,7 @@ from crazychoir.routing.instance.vehicle import (
 Terms = dict[int, float]
 Sense = Literal["<=", "==", ">="]
 LEVEL = 1e-6
-"""m or s: by how much the first objective may be worse when the second one is minimised."""
+"""m or s: by how much the first objective may be worse when the second is minimised."""
 
 
 @dataclass
@@ -49,7 +49,10 @@ class _Model:
         self.highs.addRow(low, high, len(terms), index, coefficient)
 
     def minimise(self, terms: Terms, where: str) -> list[float]:
-        """Values of all variables at the proven least of the sum of `terms`."""
+        """Minimise the sum of `terms` and return the values of all variables.
+
+        Raises SolverError if optimality is not proven.
+        """
         count = int(self.highs.getNumCol())
         costs = np.zeros(count)
         costs[list(terms)] = list(terms.values())
@@ -63,20 +66,27 @@ class _Model:
 
 @dataclass
 class _Trip:
-    """One trip of one robot: its variables, and the node that it begins at.
-
-    arcs: x of each (v, w);  stay: not flown at all;  left, back: s, when it begins and ends.
-    """
+    """One trip of one robot."""
 
     vehicle: Vehicle
+    """The robot."""
     begin: int
+    """The node at which the trip begins."""
     arcs: dict[tuple[int, int], int]
+    """Variable x of each arc (v, w)."""
     stay: int
+    """Variable: 1 if the trip is not flown."""
     left: int
+    """Variable: when the trip begins, s."""
     back: int
+    """Variable: when the trip ends, s."""
 
     def distances(self) -> Terms:
-        """Terms of its length: end to end if it is flown without a stop, nothing if it is not flown."""
+        """Return the terms of its length.
+
+        A trip without a stop flies from its begin to the end. A trip that is not flown has length
+        0.
+        """
         m = self.vehicle.tasks
         at = {(v, w): (self.begin if v == 2 * m else v, w) for v, w in self.arcs}
         return {
@@ -85,25 +95,30 @@ class _Trip:
 
 
 def solve_compact(instance: Instance, nodes: int = 1_000_000) -> Plan:
-    """A proven optimal plan.
+    """Return a proven optimal plan.
 
         min  sum_i [ sum_(j,k) d_i^jk x_i^jk + fixed (1 - stay_i) ] + sum_j penalty_j z_j
-        s.t. sum_i sum_k x_i^jk + z_j = 1                every pickup j is left once, by one robot, or refused
-             sum_k x_i^sk + stay_i = 1                   start s; s -> t is flying there without a stop
+        s.t. sum_i sum_k x_i^jk + z_j = 1             pickup j: left once by one robot, or refused
+             sum_k x_i^sk + stay_i = 1                   start s; s -> t flies there without a stop
              sum_j x_i^jt + stay_i = 1                   end t
              sum_j x_i^jk = sum_j x_i^kj                 flow, every stop k
              sum_k x_i^jk = sum_k x_i^(j+M)k             the same robot delivers
-             P_i^k >= P_i^j + 1 - 2M (1 - x_i^jk)        place in the order: no subtours, not even of length 0
+             P_i^k >= P_i^j + 1 - 2M (1 - x_i^jk)        order: no subtours, even of length 0
              P_i^j + 1 <= P_i^(j+M)                      pickup before delivery
              Q_i^k >= Q_i^j + q_k - C' (1 - x_i^jk)      load on board, 0 <= Q <= C_i
-             B_i^k >= B_i^j + t_i^jk - H (1 - x_i^jk)    beginning of service, in its window
+             B_i^k >= B_i^j + t_i^jk - H (1 - x_i^jk)    begin of service, in its window
              sum d_i^jk x_i^jk <= route_length_limit
-             T >= B_i^t - H stay_i                       makespan, which takes the place of the sum over the robots
+             T >= B_i^t - H stay_i                       makespan, in place of the sum over i
 
-    A robot of several trips has a copy of x a trip: B_i^s of the next is at least B_i^t of this one, and it stays if
-    this one does. Of two objectives the second is minimised with the first at its optimum.
+    A robot with several trips has a copy of x for each trip: B_i^s of the next trip is at least
+    B_i^t of this one, and the next stays if this one does. If there are two objectives, the second
+    is minimised with the first at its optimum.
+
+    instance: the problem.
+    nodes: branch-and-bound nodes, at most.
     Raises SolverError if HiGHS does not prove optimality within `nodes` nodes.
-    Source: the three-index model of Parragh, Doerner, Hartl 2008, J. Betriebswirtschaft 58, with a robot index.
+    Source: the three-index model of Parragh, Doerner, Hartl 2008, J. Betriebswirtschaft 58, with
+    a robot index.
     """
     model = _Model()
     vehicles = [instance.local(i).vehicle for i in range(instance.robots)]
@@ -130,7 +145,10 @@ def solve_compact(instance: Instance, nodes: int = 1_000_000) -> Plan:
 
 
 def _add_robot(model: _Model, vehicle: Vehicle) -> list[_Trip]:
-    """Variables and rows of one robot, a copy a trip. Nodes: 0..2M-1 stops, 2M start, 2M + 1 end."""
+    """Add variables and rows of one robot, a copy for each trip.
+
+    Nodes: 0..2M-1 stops, 2M start, 2M + 1 end.
+    """
     m = vehicle.tasks
     trips = [
         _add_trip(model, vehicle, 2 * m if r == 0 else 2 * m + 1)
@@ -176,7 +194,7 @@ def _add_trip(model: _Model, vehicle: Vehicle, begin: int) -> _Trip:
 
 
 def _horizon(vehicle: Vehicle) -> float:
-    """s, by which any route is over that does not dawdle."""
+    """Return a time in s by which any route without needless waiting is over."""
     return float(
         vehicle.earliest.max() + vehicle.trips * vehicle.duration.max(axis=1).sum()
     )
@@ -229,7 +247,7 @@ def _add_schedule(model: _Model, trip: _Trip, stops: list[int]) -> None:
 
 
 def _add_tasks(model: _Model, instance: Instance, trips: list[_Trip]) -> Terms:
-    """Every task by one robot, or refused where it may be; returns the costs of the refusals."""
+    """Require that every task has one robot or is refused; return the costs of the refusals."""
     costs: Terms = {}
     for j, refusal in enumerate(instance.tasks.refusal):
         terms = {x: 1.0 for trip in trips for (v, _), x in trip.arcs.items() if v == j}
@@ -252,7 +270,10 @@ def _add_makespan(model: _Model, teams: list[list[_Trip]]) -> int:
 
 
 def _total(teams: list[list[_Trip]], fixed: float) -> Terms:
-    """Terms of lengths and fixed costs; a robot that stays saves the fixed cost, so the constant is left out."""
+    """Return the terms of lengths and fixed costs.
+
+    A robot that stays saves the fixed cost; the constant part is left out.
+    """
     terms: Terms = {}
     for trips in teams:
         for trip in trips:

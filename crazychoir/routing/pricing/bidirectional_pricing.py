@@ -1,4 +1,4 @@
-"""Exact pricing of routes with a limit that are too many to be listed: halves of them are listed, and put together."""
+"""Exact pricing of too many limited routes: list halves of routes and join them."""
 
 from typing import NamedTuple
 
@@ -12,35 +12,52 @@ from crazychoir.routing.pricing.route_table import Column, of_one_set
 from crazychoir.types import Ints, Mat, Vec, Words
 
 MOST_LABELS = 3_000_000
-"""Of one half."""
+"""Largest number of labels of one half."""
 
 
 class _Half(NamedTuple):
-    """Labels in the order of their group. keys: (n, 4) words: tasks of which a stop is on it, and those on board at its
-    open end;  length: (n,) m;  open: (n,) the node there;  start: (G + 1,) where groups begin. Labels of one group have
-    the same on board, but for chance.
+    """Labels in the order of their groups.
+
+    Labels of one group have the same goods on board, apart from hash collisions.
     """
 
     keys: Words
+    """(n, 4) words: the tasks with a stop on the label, and the tasks on board at its open end."""
     length: Vec
+    """(n,) m."""
     open: Ints
+    """(n,): the node at the open end."""
     start: Ints
+    """(G + 1,): where groups begin."""
 
 
 class Halves:
-    """All routes of one robot, each as two halves: pricing is exact, as with a RouteTable, which would be too large.
+    """All routes of one robot, each as two halves.
+
+    Pricing is exact, as with a RouteTable, which would be too large.
 
         reduced cost of a route at prices pi = cost_a + way from a to b + cost_b
-        cost_a = length_a - sum of pi_j picked up on a,    cost_b = length_b - sum of pi_j picked up on b
+        cost_a = length_a - sum of pi_j picked up on a
+        cost_b = length_b - sum of pi_j picked up on b
 
-    a: the path from the start as long as it is within half of the limit, by the labels of labels.py;  b: the path from
-    the stop after it to the end, by the same labels of the route flown backwards. They fit if what is on board behind a
-    is what b delivers without having picked it up, if they have no other task in common, and if the route is within the
-    limit. That needs about the square root of the labels of whole routes.
-    For robots with a limit, of one trip, without windows and with nothing aboard: `fits` says so.
-    complete: whether each half had at most `most` labels.
+    a: the path from the start as long as it is within half of the limit, by the labels of
+    labels.py.
+    b: the path from the next stop to the end, by the same labels of the route flown backwards.
+
+    Two halves fit if
+    - the goods on board after a are exactly the goods that b delivers but does not pick up,
+    - they have no other task in common, and
+    - the route is within the limit.
+
+    This needs about the square root of the number of labels of whole routes. It works for robots
+    with a limit, one trip, no windows and nothing aboard; `fits` checks this.
+
+    vehicle: the robot.
+    most: labels of each half, at most.
+    `complete`: whether each half had at most `most` labels.
     Raises InstanceError if the robot could serve more than MOST_TASKS tasks.
-    Source: Righini & Salani 2006, Discrete Optimization 3(3), bounded bidirectional dynamic programming.
+    Source: Righini & Salani 2006, Discrete Optimization 3(3), bounded bidirectional dynamic
+    programming.
     """
 
     def __init__(self, vehicle: Vehicle, most: int = MOST_LABELS) -> None:
@@ -56,13 +73,20 @@ class Halves:
 
     @staticmethod
     def fits(vehicle: Vehicle) -> bool:
-        """Whether its routes are of the kind that can be halved."""
+        """Return whether the routes of this vehicle can be halved."""
         return bool(np.isfinite(vehicle.limit)) and not (
             vehicle.timed or vehicle.trips > 1 or vehicle.aboard.any()
         )
 
     def cheapest(self, prices: Vec, count: int, below: float) -> list[Column]:
-        """At most `count` columns with a reduced cost under `below`, the least first; the very least is among them."""
+        """Return columns with a reduced cost below `below`, the least first.
+
+        The column with the least reduced cost of all is among them.
+
+        prices: (M,) m.
+        count: columns, at most.
+        below: m.
+        """
         found: dict[tuple[int, ...], Column] = {}
         for _, a, b in self._joined(prices, below - self._vehicle.fixed):
             words = self._there.keys[a, :2] | self._back.keys[b, :2]
@@ -72,7 +96,10 @@ class Halves:
         return list(found.values())
 
     def _length(self, a: int, b: int) -> float:
-        """m, of the route of halves a and b, with the fixed cost; a price in it would round it, and make it news."""
+        """Return the length in m of the route of halves a and b, with the fixed cost.
+
+        It is computed without prices: their rounding would make a known column look new.
+        """
         v = self._vehicle
         there = self._there
         back = self._back
@@ -80,14 +107,17 @@ class Halves:
         return float(there.length[a]) + way + float(back.length[b]) + v.fixed
 
     def least(self, prices: Vec) -> float:
-        """The least reduced cost; at most 0, that of the idle column."""
+        """Return the least reduced cost; at most 0, which is that of the idle column."""
         values = [
             value for value, _, _ in self._joined(prices, -self._vehicle.fixed)[:1]
         ]
         return min([0.0, *(value + self._vehicle.fixed for value in values)])
 
     def _joined(self, prices: Vec, below: float) -> list[tuple[float, int, int]]:
-        """(reduced cost without the fixed cost, halves a and b), of each group the best, the least first."""
+        """Return the best pair of halves of each group, the least first.
+
+        An entry is (reduced cost without the fixed cost, half a, half b).
+        """
         own = prices[self._servable]
         v = self._vehicle
         there = self._there
@@ -123,7 +153,7 @@ class Halves:
 
 
 def _labels(v: Vehicle, most: int) -> tuple[_Half, bool]:
-    """The labels within half of the limit."""
+    """Return the labels within half of the limit, and whether they are complete."""
     m = v.tasks
     way = v.shortest
     rest = way[: 2 * m, m : 2 * m] + way[m : 2 * m, 2 * m + 1]
@@ -144,12 +174,12 @@ def _labels(v: Vehicle, most: int) -> tuple[_Half, bool]:
 
 
 def _backwards_node(v: Ints, m: int) -> Ints:
-    """The node of a route that is node v of the same route flown backwards."""
+    """Return the node of a route that is node v of the same route flown backwards."""
     return np.where(v == 2 * m, 2 * m + 1, np.where(v < m, v + m, v - m))
 
 
 def _backwards(v: Vehicle) -> Vehicle:
-    """The robot that flies the routes of v from their end to their start, and brings goods back."""
+    """Return the robot that flies the routes of v from their end to their start."""
     m = v.tasks
     nodes = [*range(m, 2 * m), *range(m), 2 * m + 1, 2 * m]
     square = np.ix_(nodes, nodes)
@@ -169,7 +199,7 @@ def _backwards(v: Vehicle) -> Vehicle:
 
 
 def _grouped(there: _Half, back: _Half) -> tuple[_Half, _Half]:
-    """Those labels of both halves of which the other has one with the same on board."""
+    """Return the labels of each half for which the other half has labels with the same on board."""
     one, two = (
         half.keys[:, 2] * SPREAD[0] ^ half.keys[:, 3] * SPREAD[1]
         for half in (there, back)
@@ -188,7 +218,11 @@ def _of_groups(half: _Half, name: Words, common: Words) -> _Half:
 
 
 def _promising(cost: Vec, least: Vec, start: Ints, below: float) -> tuple[Ints, Ints]:
-    """Labels that cost less than `below` with the least of the other half, the least of each group first; starts."""
+    """Return the labels that can be part of a route below `below`, and where groups start.
+
+    They cost less than `below` with the least cost of the other half. The least of each group is
+    first.
+    """
     group = np.repeat(np.arange(len(least)), np.diff(start))
     kept = np.flatnonzero(cost + least[group] < below)
     kept = kept[np.lexsort((cost[kept], group[kept]))]
@@ -196,7 +230,7 @@ def _promising(cost: Vec, least: Vec, start: Ints, below: float) -> tuple[Ints, 
 
 
 def _sums(prices: Vec) -> Mat:
-    """(16, 256) the sum of the prices of each subset of eight tasks: of 16 times eight."""
+    """Return (16, 256): for each of 16 groups of eight tasks, the sum of prices of each subset."""
     padded = np.zeros(128)
     padded[: len(prices)] = prices
     bits = np.arange(256)[:, None] >> np.arange(8) & 1
@@ -205,7 +239,7 @@ def _sums(prices: Vec) -> Mat:
 
 @kernel(nogil=True)
 def _worth(keys: Words, sums: Mat, besides: bool) -> Vec:
-    """(n,) m, the prices of the tasks of each label; besides: not of those on board."""
+    """Return (n,) m: prices of the tasks of each label; besides: without the tasks on board."""
     out = np.zeros(len(keys))
     for i in range(len(keys)):
         for part in range(2):
@@ -235,9 +269,10 @@ def _join(
     limit: float,
     below: float,
 ) -> tuple[Vec, Ints, Ints]:
-    """(G,) of each group the least reduced cost under `below`, and its halves, -1 where there is none.
+    """Return for each group the least reduced cost under `below`, and its halves, -1 if none; (G,).
 
-    first, second: labels by group, those of least cost first, group g from start[g] to start[g + 1].
+    first, second: labels by group; within a group the labels of least cost come first.
+    start, start_back: group g begins at start[g] and ends at start[g + 1].
     """
     groups = len(start) - 1
     best = np.full(groups, below)

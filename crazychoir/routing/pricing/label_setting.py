@@ -1,4 +1,7 @@
-"""Routes of one vehicle by label setting: by the fast kernel where lengths decide alone, else by the general one."""
+"""Routes of one vehicle by label setting.
+
+The fast kernel is used if only lengths decide, otherwise the general one.
+"""
 
 from dataclasses import dataclass
 
@@ -12,15 +15,16 @@ from crazychoir.types import Bools, Ints, Vec, Words
 
 @dataclass(frozen=True, eq=False)
 class FinalLabels:
-    """The labels with nothing on board, each brought to the end.
-
-    picked: (n, 2) words, the tasks served;  length: (n,) m;  finish: (n,) s;  complete: whether all were made.
-    """
+    """The labels with nothing on board, each extended to the end."""
 
     picked: Words
+    """(n, 2) words: the tasks served."""
     length: Vec
+    """(n,) m."""
     finish: Vec
+    """(n,) s."""
     complete: bool
+    """Whether no label is missing."""
     _label: Ints
     _last: Ints
     _parent: Ints
@@ -28,11 +32,16 @@ class FinalLabels:
 
     @property
     def count(self) -> Ints:
-        """(n,), how many tasks are served."""
+        """(n,): number of tasks served."""
         return np.asarray(np.bitwise_count(self.picked).sum(axis=1), dtype=np.int64)
 
     def route(self, row: int, chosen: Ints, m: int) -> list[int]:
-        """Nodes of label `row`, which knows the tasks `chosen` of m alone."""
+        """Return the nodes of label `row`.
+
+        row: number of the label.
+        chosen: the tasks that the labels know, as tasks of the whole problem.
+        m: number of tasks of the whole problem.
+        """
         nodes = []
         label = int(self._label[row])
         while self._parent[label] >= 0:
@@ -51,9 +60,12 @@ class FinalLabels:
 def final_labels(
     vehicle: Vehicle, most: int, objective: tuple[str, ...]
 ) -> FinalLabels:
-    """Of all routes of the vehicle's tasks, for each set those that no other one is better than in all that counts.
+    """Return the routes of each set of the vehicle's tasks that no other route of it dominates.
 
-    most: labels. Exact if `complete`.
+    vehicle: the robot, with at most MOST_TASKS tasks.
+    most: labels, at most.
+    objective: what is minimised, in order.
+    Exact if `complete`.
     """
     if vehicle.timed or vehicle.trips > 1 or MAKESPAN in objective:
         return _fronts(vehicle, most, objective)
@@ -123,6 +135,6 @@ def _fronts(vehicle: Vehicle, most: int, objective: tuple[str, ...]) -> FinalLab
 
 
 def bits_of(words: Words) -> list[int]:
-    """The set as a list, increasing."""
+    """Return the set as a list, increasing."""
     value = int(words[0]) | int(words[1]) << 64
     return [b for b in range(value.bit_length()) if value >> b & 1]

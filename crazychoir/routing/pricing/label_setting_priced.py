@@ -1,9 +1,10 @@
-"""Label setting at given prices: the least reduced cost of a robot whose table of routes would be too large.
+"""Label setting at given prices: the least reduced cost of a robot with too many routes to list.
 
-A label is a path from the start, with what it can no longer pick up U, on board O, last stop, reduced cost, time, what
-is left of its trip's limit, and the trips begun. Label a is as good as b if O and the last stop are the same, U_a is
-part of U_b, and it is no worse in the others: whatever completes b completes a. Labels go whose cost, with a lower
-bound of what may follow, is no less than the best route's so far.
+A label is a path from the start. It has the set U of tasks that it can no longer pick up, the
+set O on board, the last stop, reduced cost, time, what is left of its trip's limit, and the trips
+begun. Label a is as good as b if O and the last stop are the same, U_a is part of U_b, and a is
+no worse in the others: whatever completes b then completes a. A label is dropped if its cost,
+with a lower bound of what may follow, is no less than the cost of the best route so far.
 """
 
 import numpy as np
@@ -32,7 +33,7 @@ from crazychoir.types import Bools, Ints, Mat, Vec, Words
 
 @kernel()
 def _part_of(words: Words, a: int, b: int) -> bool:
-    """Whether the set of row a is part of that of row b."""
+    """Return whether the set of row a is part of the set of row b."""
     return bool((words[a, 0] & ~words[b, 0]) == 0 and (words[a, 1] & ~words[b, 1]) == 0)
 
 
@@ -48,7 +49,11 @@ def _enter(
     new: int,
     by: Bools,
 ) -> bool:
-    """Take label `new` into the chain of slot k, unless one there is as good; those no better than it die."""
+    """Add label `new` to the chain of slot k, unless a label there is as good.
+
+    Labels of the chain that are no better than the new one are marked dead.
+    Returns whether it was added.
+    """
     mine = row_of(state, new)
     n = table[k]
     while n >= 0:
@@ -96,12 +101,18 @@ def _promise(
     prices: Vec,
     order: Ints,
 ) -> float:
-    """A lower bound of the reduced cost of what may follow; tasks that are out of reach join those that are gone.
+    """Return a lower bound on the reduced cost of what may follow, in m.
 
-    min  sum_w into_w - sum_j price_j x_j   over the deliveries due, the end, and both stops of each task j taken, a
-    part of one allowed:   sum_w into_w <= left;   into_w: the shortest way into w.
-    left: m, of this trip, inf if another one may follow: then a task out of reach now is not so for ever;
-    whole: m, of this and all further trips.
+        min  sum_w into_w - sum_j price_j x_j
+             over the due deliveries, the end, and both stops of each task j taken
+        s.t. sum_w into_w <= whole,   0 <= x_j <= 1 (a part of a task is allowed)
+
+    Tasks that are out of reach are added to `gone`.
+
+    into: (2m + 2,) m, the shortest way into each node.
+    left: m of this trip, inf if another trip may follow: a task out of reach now may then be
+        reached later.
+    whole: m of this and all further trips.
     """
     m = len(prices)
     end = 2 * m + 1
@@ -134,7 +145,10 @@ def _promise(
 
 @kernel()
 def _thin(guide: Vec, dead: Bools, first: int, count: int, width: int) -> bool:
-    """Of the labels from `first` on, let the `width` most promising live; returns whether one went."""
+    """Keep the `width` most promising labels from `first` on.
+
+    Returns whether any label was dropped.
+    """
     alive = np.zeros(count - first)
     n = 0
     for i in range(first, count):
@@ -173,13 +187,26 @@ def grow_priced(
     most: int,
     width: int,
 ) -> tuple[float, Ints, Vec, Ints, Ints, Bools, bool]:
-    """The least reduced cost of a route that is not empty, and less than `best`; without the fixed cost.
+    """Find the least reduced cost of a route that is not empty, and less than `best`.
 
-    prices: (m,);  into: (2m + 2,) m, the shortest way into each node;  order: (m,) tasks, those first whose price is
-    high for their way;  memory: (m, 2) words: the tasks that are remembered as done at a stop of task k, all of them
-    for routes without repetition;  most: labels;  width: most labels of the same number of stops.
-    Returns that cost, the labels (n,) that end a route and what it costs (n,), last, parent and again of all labels,
-    exact: whether none was left out for their number. The rest as in grow_fronts.
+    The cost excludes the fixed cost.
+
+    prices: (m,) m.
+    into: (2m + 2,) m, the shortest way into each node.
+    order: (m,) tasks; tasks with a high price for their way come first.
+    memory: (m, 2) words, the tasks that are remembered as done at a stop of task k. With all tasks,
+        routes do not repeat a task.
+    best: m, only routes below this count.
+    most: labels, at most.
+    width: labels of the same number of stops, at most.
+    The other arguments are those of grow_fronts.
+
+    Returns, in this order:
+    best: that cost in m.
+    ends: (n,), the labels that end a route.
+    worths: (n,) m, the cost of these routes.
+    last, parent, again: of all labels.
+    exact: whether no label was dropped because there were too many.
     """
     m = len(load)
     room = 1024

@@ -1,7 +1,8 @@
-"""Label setting over routes with windows and several trips: the compiled kernel beside labels.py.
+"""Label setting for routes with windows and several trips: the compiled kernel beside labels.py.
 
-A label is a path from the start: (picked P, on board O, last stop) with cost, time, what is left of the limit of its
-trip, and the trips begun. Of two labels with the same three, one that is no better in any of the four is dropped.
+A label is a path from the start: (picked P, on board O, last stop) with cost, time, what is left
+of the limit of its trip, and the trips begun. Of two labels that agree in the first three, a label
+that is no better in any of the four is dropped.
 """
 
 from typing import Any
@@ -20,19 +21,26 @@ from crazychoir.routing.pricing.labels import (
 from crazychoir.types import Bools, Ints, Mat, Vec, Words
 
 ROUNDING = 1e-11
-"""m and s: labels that differ by less differ by rounding; far below SLACK."""
-COST, TIME, LEFT, TRIP = 0, 1, 2, 3
+"""m and s: differences below this are rounding; far below SLACK."""
+COST = 0
+"""Entry of a label's state: cost, m."""
+TIME = 1
+"""Entry of a label's state: time, s."""
+LEFT = 2
+"""Entry of a label's state: what is left of the limit of its trip, m."""
+TRIP = 3
+"""Entry of a label's state: trips begun."""
 
 
 @kernel()
 def row_of(state: Mat, n: int) -> Any:
-    """The state of label n."""
+    """Return the state of label n."""
     return state[n, COST], state[n, TIME], state[n, LEFT], state[n, TRIP]
 
 
 @kernel()
 def as_good(a: Any, b: Any, by: Bools) -> bool:
-    """Whether a label of state a is as good as one of state b in all that counts."""
+    """Return whether state a is at least as good as state b in every entry that counts."""
     return bool(
         (not by[COST] or a[COST] <= b[COST] + ROUNDING)
         and (not by[TIME] or a[TIME] <= b[TIME] + ROUNDING)
@@ -53,7 +61,11 @@ def _put(
     new: int,
     by: Bools,
 ) -> bool:
-    """Take label `new` into the chain of slot k, unless one there is as good; those no better than it die."""
+    """Add label `new` to the chain of slot k, unless a label there is as good.
+
+    Labels of the chain that are no better than the new one are marked dead.
+    Returns whether it was added.
+    """
     mine = row_of(state, new)
     n = table[k]
     while n >= 0:
@@ -76,7 +88,7 @@ def _put(
 
 @kernel()
 def rehashed(size: int, keys: Words, last: Ints, head: Bools, count: int) -> Ints:
-    """A table of `size` places that holds the heads of chains among the first `count` labels."""
+    """Return a table of `size` places with the heads of chains among the first `count` labels."""
     table = np.full(size, -1, dtype=np.int64)
     for i in range(count):
         if head[i]:
@@ -107,7 +119,10 @@ def in_time(
     shortest: Mat,
     fastest: Mat,
 ) -> bool:
-    """Whether after service at `stop` begins, each delivery due and the end can be reached, by lower bounds."""
+    """Return whether each due delivery and the end can be reached in time, by lower bounds.
+
+    The service at `stop` begins at `time`, and `left` m of the trip's limit remain.
+    """
     end = 2 * m + 1
     if (
         time > latest[stop]
@@ -144,12 +159,22 @@ def grow_fronts(
     trips: int,
     most: int,
 ) -> tuple[Words, Ints, Mat, Ints, Bools, Bools, bool]:
-    """All labels that no other dominates, in breadth-first order.
+    """Compute all labels that no other dominates, in breadth-first order.
 
-    Returns keys (n, 4), last (n,), state (n, 4): cost m, time s, left m, trips begun;  parent (n,);  again (n,):
-    whether a new trip began before its last stop;  dead (n,): dominated by a later one;  complete.
-    shortest, fastest (2m + 2, 2m + 2): lower bounds of distance and duration over any nodes;  by (4,): what counts;
-    capacity, limits and latest with their slack;  the rest as in Vehicle and grow_labels.
+    shortest: (2m + 2, 2m + 2) m, lower bounds of distance over any nodes.
+    fastest: (2m + 2, 2m + 2) s, lower bounds of duration over any nodes.
+    by: (4,), which of cost, time, left and trips count.
+    capacity, limit, limit_again, latest: with their slack.
+    The other arguments are those of Vehicle and grow_labels.
+
+    Returns, in this order:
+    keys: (n, 4).
+    last: (n,).
+    state: (n, 4): cost m, time s, left m, trips begun.
+    parent: (n,).
+    again: (n,), whether a new trip began before the last stop.
+    dead: (n,), whether a later label dominates it.
+    complete: whether no label was left out.
     """
     m = len(load)
     room = 1024

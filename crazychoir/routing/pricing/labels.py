@@ -1,7 +1,8 @@
-"""Label setting over routes that differ by their length alone: the compiled kernel of exact route pricing.
+"""Label setting for routes that differ only by their length: the compiled kernel of exact pricing.
 
-A label is a path from the start: (picked P, on board O, last stop); of two labels with the same three only
-the shorter can be part of a shortest route, so only it is kept. Sets are two words of 64 bits.
+A label is a path from the start: (picked P, on board O, last stop). Of two labels that agree in
+these three, only the shorter can be part of a shortest route, so only it is kept. Sets are
+two words of 64 bits.
 """
 
 from typing import Any
@@ -19,14 +20,14 @@ SPREAD = (
 )
 SHIFT = np.uint64(29)
 MOST_TASKS = 128
-"""Bits of the two words of a set."""
+"""Largest number of tasks: the bits of the two words of a set."""
 
 
 @kernel()
 def slot_of(
     table: Ints, keys: Words, last: Ints, p0: Any, p1: Any, o0: Any, o1: Any, at: Any
 ) -> Any:
-    """Where a label is, or would be, in the open-addressing table."""
+    """Return the place in the open-addressing table where a label is, or would be."""
     mask = len(table) - 1
     h = (
         (p0 * SPREAD[0])
@@ -74,19 +75,19 @@ def _rehashed(size: int, keys: Words, last: Ints, count: int) -> Ints:
 
 @kernel()
 def doubled(values: Any) -> Any:
-    """The values, and as many zeros after them."""
+    """Return the values, followed by as many zeros."""
     return np.concatenate((values, np.zeros_like(values)))
 
 
 @kernel()
 def inside(words: Words, row: int, first: int, j: int) -> bool:
-    """Whether bit j is set in the two words of `row` that begin at column `first`."""
+    """Return whether bit j is set in the two words of `row` that begin at column `first`."""
     return bool(words[row, first + (j >> 6)] >> np.uint64(j & 63) & ONE)
 
 
 @kernel()
 def listed(words: Words, row: int, first: int, m: int, out: Ints) -> int:
-    """Writes the set of `row` into `out`, increasing; returns how many there are."""
+    """Write the set of `row` into `out`, increasing; return its size."""
     n = 0
     for part in range(2):
         rest = words[row, first + part]
@@ -102,7 +103,7 @@ def listed(words: Words, row: int, first: int, m: int, out: Ints) -> int:
 
 @kernel()
 def after(keys: Words, row: int, stop: int, m: int) -> tuple[Any, Any, Any, Any]:
-    """The two words of P and of O after `stop`."""
+    """Return the two words of P and of O after `stop`."""
     p0 = keys[row, 0]
     p1 = keys[row, 1]
     o0 = keys[row, 2]
@@ -116,7 +117,7 @@ def after(keys: Words, row: int, stop: int, m: int) -> tuple[Any, Any, Any, Any]
 
 @kernel()
 def begin(keys: Words, held: Vec, load: Vec, aboard: Bools) -> None:
-    """Label 0: at the start, with the goods that are aboard."""
+    """Initialise label 0: at the start, with the goods that are aboard."""
     for j in range(len(load)):
         if aboard[j]:
             bit = ONE << np.uint64(j & 63)
@@ -129,7 +130,7 @@ def begin(keys: Words, held: Vec, load: Vec, aboard: Bools) -> None:
 def _in_reach(
     rest: Mat, home: Vec, stop: int, on: Ints, count: int, so_far: float, limit: float
 ) -> bool:
-    """Whether from `stop` there is a way to the end by each delivery due within the limit."""
+    """Return whether the end can be reached from `stop` over each due delivery within the limit."""
     m = rest.shape[1]
     j = stop % m
     if so_far + (rest[stop, j] if stop < m else home[stop]) > limit:
@@ -152,13 +153,20 @@ def grow_labels(
     far: float,
     most: int,
 ) -> tuple[Words, Ints, Vec, Ints, bool]:
-    """All undominated labels, in breadth-first order: keys (n, 4), last (n,), length (n,), parent (n,), complete.
+    """Compute all undominated labels, in breadth-first order.
 
-    distance (2m + 2, 2m + 2) m of pickups, deliveries, start, end;  rest (2m, m) m, at least the way from a stop by
-    delivery k to the end;  home (2m,) m, at least the way to the end;  load (m,), m <= MOST_TASKS;  limit: m;
-    far: m, of the longest label, the limit or less;  most: labels.
-    Label 0 is the start with what is aboard; its `last` is 2m. Every step adds a stop, so a label is final when its
-    turn comes. Beyond `most` labels no new one is made and `complete` is False.
+    distance: (2m + 2, 2m + 2) m, between pickups, deliveries, start, end.
+    rest: (2m, m) m, lower bound of the way from a stop over delivery k to the end.
+    home: (2m,) m, lower bound of the way to the end.
+    load: (m,), m <= MOST_TASKS.
+    aboard: (m,), goods on board at the start.
+    capacity: units of load.
+    limit: m.
+    far: m, largest length of a label, the limit or less.
+    most: labels, at most.
+    Returns keys (n, 4), last (n,), length (n,), parent (n,), complete.
+    Label 0 is the start with the goods aboard; its `last` is 2m. Every step adds a stop, so a label
+    is final when its turn comes. Beyond `most` labels no new one is made and `complete` is False.
     """
     m = len(load)
     room = 1024
@@ -220,7 +228,7 @@ def grow_labels(
 
 @kernel(nogil=True)
 def reduced_costs(length: Vec, start: Ints, task: Ints, prices: Vec) -> Vec:
-    """(n,) length_c - sum of the prices of the tasks start[c]:start[c + 1] of column c."""
+    """Return (n,): length_c - sum of the prices of the tasks start[c]:start[c + 1] of column c."""
     out = np.empty(len(length))
     for c in range(len(length)):
         worth = 0.0

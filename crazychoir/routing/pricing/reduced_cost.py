@@ -10,29 +10,37 @@ from crazychoir.routing.pricing.route_table import Column, of_one_set, shortest_
 from crazychoir.types import Bools, Ints, Vec, Words
 
 MOST_LABELS = 1_000_000
+"""Largest number of labels of a search."""
 WIDTH = 200
-"""Labels a number of stops in the quick search that comes first: what it finds is what the exact one is cut by."""
+"""Labels for each number of stops in the quick first search; its result bounds the exact search."""
 MOST_COLUMNS = 20
+"""Largest number of columns that are returned."""
 NEAR = 8
+"""Number of tasks that an ng-route remembers at a stop."""
 
 
 class Least(NamedTuple):
-    """The least reduced cost in m that was found, at most 0 without goods aboard; columns below 0, the least first.
-
-    exact: whether there is none below.
-    """
+    """Result of a search for the least reduced cost."""
 
     value: float
+    """m: the least reduced cost that was found, at most 0 without goods aboard."""
     columns: list[Column]
+    """Columns with a reduced cost below 0, the least first."""
     exact: bool
+    """Whether it is proven that no route has a smaller reduced cost."""
 
 
 def least_reduced_cost(
     vehicle: Vehicle, prices: Vec, most: int = MOST_LABELS, width: int = WIDTH
 ) -> Least:
-    """The least of   fixed + length - sum_{j served} price_j   over all routes of the vehicle, and of 0 for none.
+    """Find the least reduced cost over all routes of the vehicle, and 0 for no route.
 
-    prices: (M,) m, -inf forbids a task;  most: labels;  width: of the quick search. With most = 0 it is all there is.
+        fixed + length - sum_{j served} price_j
+
+    vehicle: the robot.
+    prices: (M,) m, -inf forbids a task.
+    most: labels, at most; with 0 only the quick search runs.
+    width: labels for each number of stops in the quick search.
     """
     problem = _Problem(vehicle, prices)
     quick = problem.search(problem.nothing, width * 2 * len(prices) + 1, width)
@@ -55,10 +63,12 @@ def relaxed_reduced_cost(
     near: int = NEAR,
     most: int = MOST_LABELS,
 ) -> float:
-    """A lower bound of the least reduced cost: routes may serve a task again, but not while they are near it.
+    """Return a lower bound on the least reduced cost: routes may serve a task again from afar.
 
-    below: m, a reduced cost that is known, as that of `least_reduced_cost`;  near: a stop at task k forgets all tasks
-    but the `near` nearest to it.  -inf if there are more than `most` labels.
+    below: m, a known reduced cost, such as that of `least_reduced_cost`.
+    near: a stop at task k forgets all tasks except the `near` nearest to it.
+    most: labels, at most.
+    Returns -inf if there are more than `most` labels.
     Source: the ng-route relaxation of Baldacci, Mingozzi & Roberti 2011, Operations Research 59(5).
     """
     problem = _Problem(vehicle, prices, near)
@@ -67,17 +77,20 @@ def relaxed_reduced_cost(
 
 
 class _Search(NamedTuple):
-    """What the kernel found: the least reduced cost, routes as (reduced cost, nodes), the least first, exact."""
+    """Result of the kernel."""
 
     value: float
+    """m: the least reduced cost."""
     routes: list[tuple[float, list[int]]]
+    """Routes as (reduced cost in m, nodes), the least first."""
     exact: bool
+    """Whether no label was dropped because there were too many."""
 
 
 class _Problem:
-    """A vehicle with those of its tasks that have a price, as the kernel takes it.
+    """A vehicle with its priced tasks, as the kernel needs it.
 
-    Raises InstanceError if they are more than MOST_TASKS.
+    Raises InstanceError if there are more than MOST_TASKS tasks.
     """
 
     def __init__(self, vehicle: Vehicle, prices: Vec, near: int | None = None) -> None:
@@ -96,7 +109,7 @@ class _Problem:
         return np.inf if self._whole.aboard.any() else 0.0
 
     def search(self, below: float, most: int, width: int) -> _Search:
-        """The best routes with a reduced cost less than `below`."""
+        """Return the best routes with a reduced cost less than `below`."""
         v = self._vehicle
         into = _into(v)
         by = np.array([True, v.timed, bool(np.isfinite(v.farthest)), v.trips > 1])
@@ -136,7 +149,7 @@ class _Problem:
     def sets(
         self, routes: list[tuple[float, list[int]]]
     ) -> dict[tuple[int, ...], list[int]]:
-        """The sets of tasks with the nodes of their best route, the least reduced cost first."""
+        """Return the sets of tasks with the nodes of their best routes, the best first."""
         m = self._whole.tasks
         best: dict[tuple[int, ...], list[int]] = {}
         for _, nodes in sorted(routes):
@@ -158,7 +171,7 @@ class _Problem:
 
 
 def _into(v: Vehicle) -> Vec:
-    """(2m + 2,) m, the shortest way into each node from any that may be before it."""
+    """Return (2m + 2,) m: the shortest way into each node from any node that may come before it."""
     m = v.tasks
     way = v.distance.copy()
     np.fill_diagonal(way, np.inf)
@@ -174,7 +187,7 @@ def _into(v: Vehicle) -> Vec:
 
 
 def _memory(v: Vehicle, near: int) -> Words:
-    """(m, 2) words: of each task, the `near` nearest, itself first."""
+    """Return (m, 2) words: for each task the set of the `near` nearest tasks, with itself."""
     m = v.tasks
     apart = v.distance[: 2 * m, : 2 * m]
     stops = np.minimum(

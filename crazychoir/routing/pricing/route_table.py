@@ -1,4 +1,4 @@
-"""Exact route pricing: every feasible set of tasks of one robot with the length of its shortest tour."""
+"""Exact route pricing: all feasible sets of tasks of one robot, with their shortest routes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,33 +12,43 @@ from crazychoir.routing.pricing.labels import MOST_TASKS, reduced_costs
 from crazychoir.types import Ints, Vec, Words
 
 MOST_LABELS = 3_000_000
-"""Of one table, some 350 MB while it is made; of 20 robots with 40 tasks within 25 m one may need two millions."""
+"""Largest number of labels of one table.
+
+It takes some 350 MB while it is computed. Of 20 robots with 40 tasks within 25 m, one may need
+two million labels.
+"""
 TOO_MANY = "more labels than allowed"
 
 
 @dataclass(frozen=True, order=True)
 class Column:
-    """A set of tasks that one robot can serve, and what its best route adds to the first objective.
-
-    length: m, with the fixed cost of leaving; or, where the makespan comes first, the time in s when it is done.
-    """
+    """A set of tasks that one robot can serve, and the cost of its best route."""
 
     length: float
+    """m, with the fixed cost of leaving. If the makespan comes first: s, when the robot is done."""
     tasks: tuple[int, ...]
+    """The tasks, increasing."""
 
 
 class RouteTable:
-    """All columns of one robot, made once; pricing is then a scalar product a column.
+    """All columns of one robot, computed once; pricing is then a scalar product for each column.
 
         reduced cost of c at prices pi:   length_c - sum_{j in c} pi_j
 
-    The labels behind it are exact: their key is (picked set, set on board, last stop), they are cut only by
-    capacity, windows and lower bounds of the way home. `complete` is False if there were more than `most` labels: then
-    columns of many tasks are missing, and no bound follows from a price.
-    length: (n,), of the first objective;  second: (n,), of the other one, for the shortest, or soonest, route of the
-    set: of those with the least `length` it has the least `second`; nan where time decides nothing.
-    Columns are in the order (length, tasks), but the idle column, no task and length 0, is the first; a robot with
-    goods aboard has none, and all its columns hold those goods.
+    The labels behind the table are exact. Their key is (picked set, set on board, last stop). They
+    are cut only by capacity, windows and lower bounds of the way home.
+
+    Columns are in the order (length, tasks). The idle column, with no task and length 0, is the
+    first. A robot with goods aboard has no idle column, and all its columns contain those goods.
+
+    vehicle: the robot.
+    most: labels, at most.
+    objective: what is minimised, in order.
+    `complete`: False if there were more than `most` labels. Columns of many tasks are then missing,
+        and prices prove no bound.
+    `length`: (n,), value of the first objective. `second`: (n,), value of the other objective.
+    Among the routes of a set with the least `length` it
+        is the least one; nan if time decides nothing.
     Raises InstanceError if the robot could serve more than MOST_TASKS tasks.
     """
 
@@ -69,32 +79,43 @@ class RouteTable:
         return len(self.length)
 
     def column(self, c: int) -> Column:
-        """Column number c."""
+        """Return column number c."""
         return Column(
             float(self.length[c]),
             tuple(int(j) for j in self.task[self.start[c] : self.start[c + 1]]),
         )
 
     def reduced_costs(self, prices: Vec, reward: float = 0.0) -> Vec:
-        """(len(self),) m, of all columns, of all but the idle one less `reward`; prices: (M,) m, -inf forbids."""
+        """Return the reduced costs of all columns, (len(self),) m.
+
+        prices: (M,) m, -inf forbids a task.
+        reward: m, subtracted from all but the idle column.
+        """
         cost = np.asarray(reduced_costs(self.length, self.start, self.task, prices))
         return cost - reward * (np.diff(self.start) > 0) if reward else cost
 
     def cheapest(
         self, prices: Vec, count: int, below: float, reward: float = 0.0
     ) -> list[Column]:
-        """At most `count` columns with a reduced cost under `below`, the least first, ties in the table's order."""
+        """Return the columns with the least reduced costs, in increasing order.
+
+        prices: (M,) m.
+        count: columns, at most.
+        below: m, only columns with a reduced cost below this.
+        reward: m, subtracted from all but the idle column.
+        Ties are in the order of the table.
+        """
         cost = self.reduced_costs(prices, reward)
         candidates = np.flatnonzero(cost < below)
         best = candidates[np.argsort(cost[candidates], kind="stable")[:count]]
         return [self.column(int(c)) for c in best]
 
     def least(self, prices: Vec, reward: float = 0.0) -> float:
-        """The least reduced cost; at most 0, that of the idle column."""
+        """Return the least reduced cost; at most 0, which is that of the idle column."""
         return float(self.reduced_costs(prices, reward).min())
 
     def find(self, tasks: Sequence[int]) -> Column | None:
-        """The column that serves exactly `tasks`, if there is one."""
+        """Return the column that serves exactly `tasks`, None if there is none."""
         if self._where is None:
             self._where = {self.column(c).tasks: c for c in range(len(self))}
         c = self._where.get(tuple(sorted(tasks)))
@@ -107,11 +128,18 @@ def shortest_route(
     objective: tuple[str, ...] = (TOTAL,),
     most: int = MOST_LABELS,
 ) -> tuple[list[int], float]:
-    """Nodes and length in m of the best route of `vehicle` that serves exactly `tasks`: the shortest, or the soonest.
+    """Return nodes and length in m of the best route that serves exactly `tasks`.
 
-    A node is j for the pickup of task j, M + j for its delivery, and 2M + 1 for a stop at the end between two trips;
-    start and end are left out. Exact.
-    Raises SolverError if no route within its limits serves them, or if there are more than `most` labels.
+    The best route is the shortest, or the route that ends first, by the objective. Exact.
+    A node is j for the pickup of task j, M + j for its delivery, and 2M + 1 for a stop at the end
+    between two trips; start and end are left out.
+
+    vehicle: the robot.
+    tasks: the set to serve.
+    objective: what is minimised, in order.
+    most: labels, at most.
+    Raises SolverError if no route within its limits serves them, or if there are more than `most`
+    labels.
     """
     chosen = np.array(sorted(tasks), dtype=np.int64)
     if not len(chosen) and not vehicle.aboard.any():
@@ -133,7 +161,10 @@ def shortest_route(
 
 
 def of_one_set(vehicle: Vehicle, chosen: Ints) -> Vehicle:
-    """With the tasks `chosen` alone; InstanceError if no set can hold them."""
+    """Return the vehicle with the tasks `chosen` alone.
+
+    Raises InstanceError if there are more than MOST_TASKS.
+    """
     if len(chosen) > MOST_TASKS:
         where = f"robot {vehicle.robot}: tasks that it could serve"
         do = "Narrow capability or route_length_limit."
@@ -144,7 +175,7 @@ def of_one_set(vehicle: Vehicle, chosen: Ints) -> Vehicle:
 def _amounts(
     labels: FinalLabels, objective: tuple[str, ...], fixed: float
 ) -> tuple[Vec, Vec]:
-    """(n,) of the first objective and of the other one; the latter is 0 where only one is known."""
+    """Return the first objective and the other one, (n,) each; nan if time decides nothing."""
     cost = labels.length + fixed
     if objective[0] == MAKESPAN:
         return labels.finish, cost
@@ -152,7 +183,7 @@ def _amounts(
 
 
 def _best_of_each(picked: Words, first: Vec, second: Vec) -> Ints:
-    """Of each set but the empty one, the label that is best."""
+    """Return the best label of each set except the empty one."""
     order = np.lexsort((second, first, picked[:, 0], picked[:, 1]))
     order = order[picked[order].any(axis=1)]
     new = np.ones(len(order), dtype=bool)

@@ -1,4 +1,4 @@
-"""The loop of the search: ruin, recreate, accept or take back; and the routes that it saw."""
+"""The loop of the search: ruin, recreate, accept or take back."""
 
 from typing import Any, NamedTuple
 
@@ -12,28 +12,32 @@ from crazychoir.routing.search.tours import OPTIONS, Fleet, Tours, feasible, ref
 from crazychoir.types import Ints, Vec, Words
 
 LEVELS = 1024
+"""Number of temperatures."""
 COOLER = 0.9955128609158502
-"""A hundredth over all levels of temperature: 100^(-1/1024)."""
+"""Factor from one temperature to the next: 100^(-1/1024), so that the last is a hundredth."""
 TIE = 1e-9
+"""m or s: values that differ by less count as equal."""
 LN2 = 0.6931471805599453
+"""Natural logarithm of 2."""
 
 
 class Best(NamedTuple):
-    """The best plan so far: stop (K, L), stops (K,), score (4,): tasks missing, and the
-    three values of `judge` by which plans are compared.
-    """
+    """The best plan so far."""
 
     stop: Ints
+    """(K, L): its stops, as in Tours."""
     stops: Ints
+    """(K,): number of stops."""
     score: Vec
+    """(4,): number of missing tasks, then three values of `judge` that compare plans."""
 
     @classmethod
     def of(cls, tours: Tours) -> "Best":
-        """None yet."""
+        """Return an empty record, before any plan."""
         return cls(np.zeros_like(tours.stop), np.zeros_like(tours.stops), np.zeros(4))
 
     def tours(self, fleet: Fleet) -> Tours:
-        """Its routes, judged."""
+        """Return its routes with all values computed."""
         tours = Tours.of(
             fleet,
             [row[1 : n + 1] for row, n in zip(self.stop, self.stops, strict=True)],
@@ -58,12 +62,16 @@ def anneal(
     average: float,
     fewer: bool,
 ) -> int:
-    """Search from `tours`; the best plan is in `best`. Returns how many steps it took, `steps` at most.
+    """Search from `tours`; the best plan is in `best`.
 
-        accept a plan of cost c', c being the plan's of now, if  c' < c - T ln U,   T from `hot` to hot / 100
+        accept cost c' after cost c if  c' < c - T ln U,   T from `hot` to hot / 100
 
-    A plan in which tasks are missing is accepted if they are fewer, or if they were missing less often till now.
-    fewer: after each plan that misses none a vehicle is closed, and the steps end when no more can be.
+    A plan in which tasks are missing is accepted if fewer are missing, or if the missing tasks were
+    missing less often so far.
+
+    fewer: after each plan without missing tasks a vehicle is closed. The steps end when no
+        further vehicle can be closed.
+    Returns the number of steps, at most `steps`.
     Source: Christiaens & Vanden Berghe 2020, Transportation Science 54(2).
     """
     _start(fleet, tours, step, memory, random)
@@ -115,7 +123,7 @@ def anneal(
 
 @kernel(**OPTIONS)
 def _start(fleet: Any, tours: Any, step: Any, memory: Any, random: Words) -> None:
-    """Empty the routes that are not feasible, and put all tasks without a vehicle into routes."""
+    """Empty the infeasible routes, and insert all tasks without a vehicle."""
     for k in range(len(fleet.start)):
         refresh(fleet, tours, k)
         if tours.stops[k] > 0 and not feasible(fleet, tours, k):
@@ -126,9 +134,10 @@ def _start(fleet: Any, tours: Any, step: Any, memory: Any, random: Words) -> Non
 
 @kernel(**OPTIONS)
 def exponential(random: Words) -> float:
-    """-ln U of a uniform U, by sums and products alone, so that every machine rounds it alike.
+    """Return -ln U for a uniform U, by sums and products alone, so that every machine rounds alike.
 
-    -ln u = n ln 2 - 2 (s + s^3 / 3 + s^5 / 5 + ...),   s = (2^n u - 1) / (2^n u + 1),   1/2 <= 2^n u < 1
+    -ln u = n ln 2 - 2 (s + s^3 / 3 + s^5 / 5 + ...),   s = (2^n u - 1) / (2^n u + 1),   1/2 <=
+    2^n u < 1
     """
     u = draw(random)
     doublings = 0
@@ -146,11 +155,16 @@ def exponential(random: Words) -> float:
 
 @kernel(_nrt=False)
 def judge(fleet: Any, tours: Any, absence: Vec) -> Any:
-    """Tasks missing that must be served, how often these were missing till now, what comes before all lengths, what is
-    annealed, and two values by which plans are compared after these, the second where the first are equal.
+    """Return six values that evaluate a plan.
 
-    What comes before lengths, where vehicles are counted: their fixed costs, which are all alike, and the penalties,
-    so that the same number of vehicles and of tasks left out is the same value, to the last bit. Else it is 0.
+    1. The number of missing tasks that must be served.
+    2. How often these tasks were missing so far.
+    3. The value that comes before all lengths. If vehicles are counted, it is the sum of their
+       fixed costs, which are all alike, and of the penalties. The same number of vehicles and of
+       refused tasks then gives the same value, to the last bit. Otherwise it is 0.
+    4. The cost that is annealed.
+    5. The first value by which plans are then compared.
+    6. The second such value, for plans that are equal in the first.
     """
     missing = 0
     absent = 0.0
@@ -183,7 +197,7 @@ def judge(fleet: Any, tours: Any, absence: Vec) -> Any:
 
 @kernel(**OPTIONS)
 def _absent(fleet: Any, tours: Any, absence: Vec) -> float:
-    """How often the tasks that are missing were missing till now, together."""
+    """Return the sum over the missing tasks of how often they were missing so far."""
     absent = 0.0
     for j in range(len(fleet.load)):
         if tours.at[j] < 0 and fleet.penalty[j] == np.inf:
@@ -200,7 +214,7 @@ def _count_absence(fleet: Any, tours: Any, absence: Vec) -> None:
 
 @kernel(**OPTIONS)
 def _better(best: Any, heavy: float, first: float, second: float) -> Any:
-    """Whether the values of a plan are less than those of the best one, in order."""
+    """Return whether the values of a plan are less than those of the best plan, in order."""
     if heavy != best.score[1]:
         return heavy < best.score[1]
     if first < best.score[2] - TIE:
@@ -212,7 +226,7 @@ def _better(best: Any, heavy: float, first: float, second: float) -> Any:
 def _keep(
     tours: Any, best: Any, missing: int, heavy: float, first: float, second: float
 ) -> None:
-    """The plan of now is the best one."""
+    """Store the present plan as the best one."""
     best.score[0] = missing
     best.score[1] = heavy
     best.score[2] = first
@@ -225,9 +239,10 @@ def _keep(
 
 @kernel(_nrt=False)
 def _close_one(fleet: Any, tours: Any, step: Any, memory: Any, absence: Vec) -> bool:
-    """Close all empty vehicles and the one whose tasks were missing least often, and empty it; False if there is none.
+    """Close all empty vehicles and one more, which is emptied; return False if there is none.
 
-    A vehicle with goods aboard must leave.
+    The additional vehicle is the vehicle with the tasks that were missing least often. A vehicle
+    with goods aboard must leave.
     """
     victim = -1
     least = np.inf

@@ -1,4 +1,4 @@
-"""Vehicles as the arrays of a search: what is the same for all is kept once."""
+"""Vehicles as the arrays of a search; data that all vehicles share are stored once."""
 
 from collections.abc import Sequence
 
@@ -15,16 +15,17 @@ from crazychoir.routing.search.tours import Fleet
 from crazychoir.types import Ints, Mat, Vec
 
 TIE_BREAK = 1e-3
-"""Weight of the second value of an objective, and of the total where only the makespan is minimised, when annealing."""
+"""Weight of the total in the annealed cost if the makespan is the first objective."""
 
 
 def fleet_of(
     vehicles: Sequence[Vehicle], penalty: Vec, objective: Sequence[str] = (TOTAL,)
 ) -> Fleet:
-    """The arrays of these vehicles, with the slack of rounding in capacities, limits and windows.
+    """Return the arrays of these vehicles; capacities, limits and windows include SLACK.
 
-    Where all have the same ways between stops, in the same windows, they share one matrix that all starts and ends are
-    nodes of; else each has its own. Goods that are aboard must be delivered, whatever their penalty.
+    If all vehicles have the same distances between stops, and the same windows, they share one
+    matrix that contains all starts and ends as nodes. Otherwise each has its own. Goods that are
+    aboard must be delivered, whatever their penalty.
     """
     first = vehicles[0]
     k = len(vehicles)
@@ -82,7 +83,7 @@ def _same_between_stops(v: Vehicle, w: Vehicle, timed: bool) -> bool:
 def _matrices(
     vehicles: Sequence[Vehicle], kind: Ints, start: Ints, end: Ints
 ) -> tuple[Mat, Mat, Mat, Mat]:
-    """distance, duration, earliest, latest of a Fleet."""
+    """Return distance, duration, earliest, latest of a Fleet."""
     s = 2 * vehicles[0].tasks
     u = int(kind.max()) + 1
     w = int(end.max()) + 1
@@ -105,7 +106,7 @@ def _matrices(
 
 
 def _twins(vehicles: Sequence[Vehicle], shared: bool) -> Ints:
-    """(K,) the first vehicle that is the same, with nothing aboard."""
+    """Return (K,): the first identical vehicle. Vehicles with goods aboard have no twin."""
     seen: dict[object, int] = {}
     twin = np.arange(len(vehicles), dtype=np.int64)
     for i, v in enumerate(vehicles):
@@ -127,12 +128,16 @@ def _twins(vehicles: Sequence[Vehicle], shared: bool) -> Ints:
 
 
 def _near(distance: Mat) -> Ints:
-    """(2M, 2M) stops by their distance from each, the shorter of the two ways."""
+    """Return (2M, 2M): for each stop, all stops by the shorter of the distances there and back."""
     return np.argsort(np.minimum(distance, distance.T), axis=1, kind="stable")
 
 
 def _traits(vehicles: Sequence[Vehicle]) -> Mat:
-    """(M, 5) of the tasks: load, shortest distance alone, width of its windows, first opening, last closing."""
+    """Return the traits of the tasks, (M, 5).
+
+    They are load, shortest distance of a route with the task alone, width of its windows, first
+    opening, last closing.
+    """
     first = vehicles[0]
     m = first.tasks
     p = np.arange(m)

@@ -1,4 +1,4 @@
-"""Where a task fits best into a route, by the slacks that the route's positions keep."""
+"""The cheapest place for a task in a route, by the slacks that the route's positions keep."""
 
 from typing import Any
 
@@ -8,19 +8,22 @@ from crazychoir.numerics.kernels import kernel
 from crazychoir.routing.search.tours import OPTIONS, begins, way
 
 ABOARD = 1e-9
-"""Load on board that is rounding alone."""
+"""Units of load: load on board up to this is only rounding."""
 
 
 @kernel(_nrt=False)
 def cheapest(
     fleet: Any, tours: Any, extra: Any, j: int, k: int, but_first: int, but_second: int
 ) -> Any:
-    """Cost in m and places (first, second), as `insert` takes them, of the cheapest way to put task j into route k.
+    """Find the cheapest way to insert task j into route k.
 
-        cost = on_total * (growth of the route + fixed cost if it was empty) + on_finish * finish of the route
+        cost = on_total * (growth of the route + fixed cost if it was empty)
+               + on_finish * finish of the route
 
-    extra: (2, L) scratch;  (but_first, but_second): a pair of places that is not looked at.  Cost inf: it fits nowhere.
-    Without the triangle inequality in durations some places that would be in time are not found.
+    extra: (2, L) scratch.
+    but_first, but_second: a pair of places that is skipped.
+    Returns the cost in m, inf if it fits nowhere, and the places (first, second) for `insert`.
+    If durations violate the triangle inequality, some places that would be in time are not found.
     """
     if not fleet.capable[k, j] or fleet.load[j] > fleet.capacity[k]:
         return np.inf, 0, 0
@@ -44,7 +47,11 @@ def cheapest(
 
 @kernel(**OPTIONS)
 def _detours(fleet: Any, tours: Any, extra: Any, j: int, k: int) -> None:
-    """extra[0]: m, of the delivery behind each position;  extra[1]: the least of it from there to the trip's end."""
+    """Compute the detours of the delivery.
+
+    extra[0]: m, detour of the delivery after each position.
+    extra[1]: m, the least detour from this position to the end of the trip.
+    """
     m = len(fleet.load)
     n = tours.stops[k]
     u = fleet.kind[k]
@@ -66,7 +73,7 @@ def _detours(fleet: Any, tours: Any, extra: Any, j: int, k: int) -> None:
 def _pair(
     fleet: Any, tours: Any, extra: Any, j: int, k: int, but_first: int, but_second: int
 ) -> Any:
-    """Both stops into one of the trips there are."""
+    """Find the cheapest places of both stops in one of the present trips."""
     m = len(fleet.load)
     n = tours.stops[k]
     u = fleet.kind[k]
@@ -136,7 +143,10 @@ def _pair(
 def _cost(
     fleet: Any, tours: Any, k: int, growth: float, t: float, v: int, d: int, after: int
 ) -> Any:
-    """Of delivery d between a service at v that begins at t and position `after` of route k; inf if it is too late."""
+    """Return the cost of delivery d before position `after` of route k; inf if it is too late.
+
+    It comes after a service at v that begins at t.
+    """
     u = fleet.kind[k]
     t = begins(fleet, u, t, v, d)
     if t > fleet.latest[u, d]:
@@ -152,7 +162,7 @@ def _cost(
 
 @kernel(**OPTIONS)
 def _end(fleet: Any, tours: Any, k: int, t: float, pos: int) -> float:
-    """s, when route k is over if service at position `pos` begins at t."""
+    """Return when route k is over, in s, if service at position `pos` begins at t."""
     for after in range(pos + 1, tours.stops[k] + 2):
         t = begins(
             fleet, fleet.kind[k], t, tours.stop[k, after - 1], tours.stop[k, after]
@@ -162,7 +172,10 @@ def _end(fleet: Any, tours: Any, k: int, t: float, pos: int) -> float:
 
 @kernel(**OPTIONS)
 def _trip(fleet: Any, tours: Any, j: int, k: int, below: float) -> Any:
-    """A trip of its own, behind one of those there are: cost in m and the position at the vehicle's end before it."""
+    """Find the cheapest place for a new trip with task j after one of the present trips.
+
+    Returns the cost in m and the position at the vehicle's end before the new trip.
+    """
     n = tours.stops[k]
     u = fleet.kind[k]
     end = fleet.end[k]
@@ -201,7 +214,7 @@ def _trip(fleet: Any, tours: Any, j: int, k: int, below: float) -> Any:
 
 @kernel(**OPTIONS)
 def _delivery_only(fleet: Any, tours: Any, j: int, k: int, but: int) -> Any:
-    """The delivery of goods that are aboard, into the first trip."""
+    """Find the cheapest place in the first trip for the delivery of goods that are aboard."""
     m = len(fleet.load)
     u = fleet.kind[k]
     d = len(fleet.load) + j

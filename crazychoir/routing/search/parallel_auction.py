@@ -1,8 +1,9 @@
-"""Sharing tasks by an auction of cheapest insertions: quick, from wherever the robots are and whatever they carry.
+"""Share tasks by an auction of cheapest insertions, from any place and with any goods on board.
 
-Each robot bids for each free task what its route would grow by; in each pass every robot that has the best bid for
-something takes the one that it is best at, so that few passes do. What nobody can serve is left, and named. Only bids
-travel. Not optimal: a plan in some tens of rounds, at any time.
+Each robot bids, for each free task, the growth of its route. In each pass every robot with the best
+bid for some tasks takes the task that costs it least, so that a few passes suffice. Tasks that no
+robot can serve remain and are returned. Only bids are sent. The plan is not optimal, but
+takes only some tens of rounds.
 """
 
 import math
@@ -18,7 +19,7 @@ Nodes = tuple[int, ...]
 
 @dataclass
 class Insertion:
-    """Routes of one vehicle, as nodes without its start and its end; time windows are not looked at."""
+    """Routes of one vehicle, as nodes without its start and its end; time windows are ignored."""
 
     vehicle: Vehicle
     _d: list[list[float]] = field(init=False)
@@ -27,14 +28,14 @@ class Insertion:
         self._d = self.vehicle.distance.tolist()
 
     def length(self, route: Nodes) -> float:
-        """m, from the start over the route to the end."""
+        """Return the length in m from the start over the route to the end."""
         m = self.vehicle.tasks
         d = self._d
         way = (2 * m, *route, 2 * m + 1)
         return sum((d[v][w] for v, w in pairwise(way)), 0.0)
 
     def loads(self, route: Nodes) -> list[float]:
-        """On board at the start and after each stop."""
+        """Return the load on board at the start and after each stop."""
         vehicle = self.vehicle
         m = self.vehicle.tasks
         now = float(vehicle.load[vehicle.aboard].sum())
@@ -45,9 +46,9 @@ class Insertion:
         return found
 
     def cheapest(self, route: Nodes, j: int) -> tuple[float, Nodes] | None:
-        """The least m by which a route grows with task j, and that route; None if j cannot be served on it.
+        """Return the least growth in m with task j, and the route; None if it does not fit.
 
-        A task that is aboard from the start is delivered only.
+        A task that is aboard from the start is only delivered.
         """
         vehicle = self.vehicle
         m = self.vehicle.tasks
@@ -91,7 +92,7 @@ class Insertion:
         return extra, (*head, *route[a:b], m + j, *route[b:])
 
     def first(self) -> Nodes:
-        """The route that delivers what is aboard and serves nothing else, whatever its length."""
+        """Return the route that only delivers the goods aboard, whatever its length."""
         route: Nodes = ()
         free = Insertion(_without_limit(self.vehicle))
         for j in self.vehicle.aboard.nonzero()[0].tolist():
@@ -100,7 +101,7 @@ class Insertion:
         return route
 
     def improved(self, route: Nodes) -> Nodes:
-        """The route after each task in turn was taken out and put where it costs least, until nothing is gained."""
+        """Re-insert each task at its cheapest place until nothing is gained; return the route."""
         m = self.vehicle.tasks
         free = Insertion(_without_limit(self.vehicle))
         length = free.length(route)
@@ -123,10 +124,15 @@ def _without_limit(vehicle: Vehicle) -> Vehicle:
 def parallel_auction(
     robot: int, vehicle: Vehicle, free: list[int], diameter: int
 ) -> Exchange[tuple[Nodes, tuple[int, ...]]]:
-    """This robot's route and the tasks that nobody can serve; the same passes at all robots.
+    """Return this robot's route and the tasks that no robot can serve.
 
-    free: the tasks to be shared out, the same at all robots;  diameter: of the connected graph.
-    A task stays free where no robot has the capability, the capacity or the length left for it.
+    All robots run the same passes.
+
+    robot: id of this robot.
+    vehicle: its limits.
+    free: the tasks to be shared out, the same at all robots.
+    diameter: of the connected graph, hops.
+    A task stays free if no robot has the capability, the capacity or the length left for it.
     """
     insertion = Insertion(vehicle)
     route = insertion.first()

@@ -1,4 +1,4 @@
-"""How a step of the search puts tasks back, and what it takes back."""
+"""The second half of a search step: put tasks back into routes, or undo the step."""
 
 from typing import Any, NamedTuple
 
@@ -11,33 +11,43 @@ from crazychoir.routing.search.tours import OPTIONS, Tours, insert, refresh
 from crazychoir.types import Bools, Ints, Mat, Vec, Words
 
 BLINK = 0.05
-"""How often the cheapest place is not seen."""
-SERVE, REFUSE = 0.4, 0.05
-"""How often a task that can be refused is served anyway, and refused anyway."""
+"""Probability that the cheapest place is skipped."""
+SERVE = 0.4
+"""Probability that a task is served although refusing it is cheaper."""
+REFUSE = 0.05
+"""Probability that a task is refused although serving it is cheaper."""
 NONE = -9
-"""No place."""
+"""A position that means no place."""
 RANDOM, LOAD, FAR, CLOSE, WIDTH, OPENING, CLOSING = range(7)
+"""Orders in which tasks are put back: at random, or by one of the traits of Fleet."""
 ORDERS = (4, 8, 10, 11, 13, 15, 17)
-"""Cumulative weights of the orders in which tasks are put back; the first four where there are no windows."""
+"""Cumulative weights of the orders in which tasks are put back.
+
+Only the first four orders are used if there are no windows.
+"""
 
 
 class Memory(NamedTuple):
-    """Cheapest places that are known: cost (M, K), place (M, K, 2), of the route's version (M, K);  and scratch:
-    bank, rank: (M,) tasks to be put back and by what they are ordered;  extra: (2, L);  closed: (K,) vehicles that may
-    not be used.
-    """
+    """Known cheapest places of tasks, and scratch arrays."""
 
     cost: Mat
+    """(M, K) m: least cost of task j in route k."""
     place: Ints
+    """(M, K, 2): places of that cost."""
     version: Ints
+    """(M, K): version of the route for which they hold."""
     bank: Ints
+    """(M,) scratch: tasks to be put back, in order."""
     rank: Vec
+    """(M,) scratch: values by which they are ordered."""
     extra: Mat
+    """(2, L) scratch of `cheapest`."""
     closed: Bools
+    """(K,): vehicles that must not be used."""
 
     @classmethod
     def of(cls, tours: Tours, closed: Bools) -> "Memory":
-        """Nothing is known; the search may close more."""
+        """Return an empty memory; the search may close more vehicles than `closed`."""
         (k, length), m = tours.stop.shape, len(tours.at)
         unknown = np.full((m, k), -1, np.int64)
         place = np.zeros((m, k, 2), np.int64)
@@ -50,7 +60,10 @@ class Memory(NamedTuple):
 
 @kernel(_nrt=False)
 def recreate(fleet: Any, tours: Any, step: Any, memory: Any, random: Words) -> None:
-    """Put each task without a vehicle where it is cheapest, one after the other; now and then where it is next best."""
+    """Insert the tasks without a vehicle one after the other, each at its cheapest place.
+
+    Sometimes the next best place is taken instead.
+    """
     for b in range(_order(fleet, tours, memory, random)):
         j = memory.bank[b]
         best = _most(fleet, tours, random, j)
@@ -75,10 +88,11 @@ def recreate(fleet: Any, tours: Any, step: Any, memory: Any, random: Words) -> N
 
 @kernel(**OPTIONS)
 def _most(fleet: Any, tours: Any, random: Words, j: int) -> Any:
-    """What task j may cost.
+    """Return the largest cost at which task j is inserted.
 
-    One that can be refused is served at times even if that costs more, since two of them together can be worth a way
-    that neither is alone; and is refused at times, where the last finish counts, since two of them can delay it.
+    Sometimes a task that can be refused is served even if that costs more, because two such tasks
+    together can be worth a detour that neither is worth alone. Sometimes it is refused if the
+    last finish time counts, because two such tasks together can delay it.
     """
     if fleet.penalty[j] == np.inf:
         return np.inf
@@ -97,7 +111,7 @@ def _most(fleet: Any, tours: Any, random: Words, j: int) -> Any:
 
 @kernel(**OPTIONS)
 def _has_twin(fleet: Any, tours: Any, memory: Any, k: int) -> bool:
-    """Whether k is empty and the first of its kind is too: one of them is enough to be looked at."""
+    """Return whether k is empty and an earlier identical vehicle is too: one of them is enough."""
     twin = fleet.twin[k]
     return (
         twin < k
@@ -111,7 +125,10 @@ def _has_twin(fleet: Any, tours: Any, memory: Any, k: int) -> bool:
 def _best_place(
     fleet: Any, tours: Any, memory: Any, random: Words, j: int, k: int, best: float
 ) -> Any:
-    """Cost and places of task j in route k, from memory if the route is as it was; at times the next best."""
+    """Return cost and places of task j in route k; sometimes of the next best place.
+
+    They come from memory if the route has not changed.
+    """
     if memory.version[j, k] != tours.version[k]:
         cost, first, second = cheapest(fleet, tours, memory.extra, j, k, NONE, NONE)
         memory.cost[j, k] = cost
@@ -133,7 +150,7 @@ def _best_place(
 
 @kernel(**OPTIONS)
 def _order(fleet: Any, tours: Any, memory: Any, random: Words) -> int:
-    """Fill the bank, in an order drawn at random, goods that are aboard first; returns how many there are."""
+    """Fill the bank in a random kind of order, goods that are aboard first; return their number."""
     choice = int(draw(random) * (ORDERS[-1] if fleet.timed else ORDERS[3]))
     order = 0
     n = 0
@@ -168,7 +185,7 @@ def _rank(fleet: Any, random: Words, order: int, j: int) -> Any:
 
 @kernel(_nrt=False)
 def take_back(fleet: Any, tours: Any, step: Any) -> None:
-    """Make the routes that this step touched what they were."""
+    """Restore the routes that this step touched."""
     for t in range(step.counts[0]):
         _assign(fleet, tours, step.touched[t], -1)
     for t in range(step.counts[0]):
@@ -183,7 +200,7 @@ def take_back(fleet: Any, tours: Any, step: Any) -> None:
 
 @kernel(**OPTIONS)
 def _assign(fleet: Any, tours: Any, k: int, vehicle: int) -> None:
-    """The tasks of route k are the vehicle's."""
+    """Assign the tasks of route k to the vehicle."""
     m = len(fleet.load)
     for pos in range(1, tours.stops[k] + 1):
         v = tours.stop[k, pos]

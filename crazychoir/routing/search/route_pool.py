@@ -9,30 +9,35 @@ from crazychoir.routing.search.tours import Fleet, Tours
 from crazychoir.types import Ints, Vec, Words
 
 PLACES = 4096
-"""Routes that are kept, at most; a power of two."""
+"""Largest number of stored routes; a power of two."""
 WAYS = 4
-"""Places where a route may be kept."""
+"""Number of places where a route may be stored."""
 
 
 class Pool(NamedTuple):
-    """Routes seen, P a power of two: key (P,) of vehicle and set of tasks, vehicle (P,), -1 where there is none, cost
-    (P,) m, stops (P,), stop (P, L), age (P,) step in which it was last seen;  sign (M + K,) of which keys are made.
-    """
+    """Known routes, in P places; P is a power of two."""
 
     key: Words
+    """(P,): hash of the kind of vehicle and the set of tasks."""
     vehicle: Ints
+    """(P,): vehicle, -1 if the place is empty."""
     cost: Vec
+    """(P,) m."""
     stops: Ints
+    """(P,): number of stops."""
     stop: Ints
+    """(P, L): the stops."""
     age: Ints
+    """(P,): step in which the route was last seen."""
     sign: Words
+    """(M + K,): random words from which keys are made."""
 
     @classmethod
     def of(cls, fleet: Fleet, tours: Tours) -> "Pool":
-        """Empty."""
+        """Return an empty pool."""
         zero = np.zeros(PLACES, np.int64)
         words = np.zeros(PLACES, np.uint64)
-        # Any fixed words will do whose exclusive sums differ.
+        # Any fixed words will do if the exclusive or of different subsets differs.
         draw = np.random.default_rng(0)
         sign = draw.integers(1, 2**64, len(fleet.load) + len(fleet.start), np.uint64)
         stop = np.zeros((PLACES, tours.stop.shape[1]), np.int64)
@@ -41,7 +46,10 @@ class Pool(NamedTuple):
 
 @kernel(_nrt=False)
 def remember(fleet: Any, tours: Any, pool: Any, k: int, now: int) -> None:
-    """Put route k into the pool, if it is new or cheaper than the one of the same tasks; the oldest makes room."""
+    """Store route k if it is new or cheaper than the stored one of the same tasks.
+
+    The oldest route makes room.
+    """
     m = len(fleet.load)
     n = tours.stops[k]
     last = len(pool.key) - 1

@@ -1,4 +1,4 @@
-"""Which tasks a step of the search takes out: strings of stops that are near each other, in several routes."""
+"""The first half of a search step: remove strings of neighbouring stops from several routes."""
 
 from typing import Any, NamedTuple
 
@@ -9,32 +9,42 @@ from crazychoir.routing.search.tours import OPTIONS, Tours, drop, feasible
 from crazychoir.types import Bools, Ints, Words
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+"""Increment of splitmix64."""
 MIX = (np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB))
+"""Multipliers of splitmix64."""
 SHIFTS = (np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11))
+"""Shifts of splitmix64; the last one leaves 53 bits for a float."""
 ULP = 2.0**-53
+"""Distance between two numbers that `draw` can return."""
 LONGEST = 10.0
-"""Stops of a string, at most."""
-SPLIT, STOP = 0.5, 0.01
-"""How often a string keeps some stops in its middle, and how often their number grows no more."""
+"""Largest number of stops in a string."""
+SPLIT = 0.5
+"""Probability that a string keeps some stops in its middle."""
+STOP = 0.01
+"""Probability, for each kept stop, that no further one is kept."""
 
 
 class Step(NamedTuple):
-    """What a step has changed. gone: (M,) scratch, tasks to take out;  touched: (K,) routes, the first counts[0] of it;
-    seen: (K,) the step in which a route was last touched;  counts: (3,) routes touched, number of the step, last
-    version given;  stop (K, L), stops, version (K,): what those routes were.
-    """
+    """The changes of a step."""
 
     gone: Bools
+    """(M,) scratch: tasks to remove."""
     touched: Ints
+    """(K,): the touched routes are the first counts[0] entries."""
     seen: Ints
+    """(K,): the step in which a route was last touched."""
     counts: Ints
+    """(3,): number of touched routes, number of the step, last version given."""
     stop: Ints
+    """(K, L): stops of the touched routes before the step."""
     stops: Ints
+    """(K,): their numbers of stops before the step."""
     version: Ints
+    """(K,): their versions before the step."""
 
     @classmethod
     def of(cls, tours: Tours) -> "Step":
-        """Before the first."""
+        """Return the record before the first step."""
         zero = np.zeros(len(tours.stops), np.int64)
         none = np.zeros(len(tours.at), np.bool_)
         counts = np.array([0, 0, len(zero)], np.int64)
@@ -51,8 +61,9 @@ class Step(NamedTuple):
 
 @kernel(**OPTIONS)
 def draw(random: Words) -> float:
-    """Uniform in (0, 1), by splitmix64: the same on every machine. random: (1,), its state.
+    """Return a uniform number in (0, 1) by splitmix64, the same on every machine.
 
+    random: (1,), its state, changed in place.
     Source: Steele, Lea, Flood 2014, OOPSLA, "Fast splittable pseudorandom number generators".
     """
     random[0] += GOLDEN
@@ -65,14 +76,14 @@ def draw(random: Words) -> float:
 
 @kernel(**OPTIONS)
 def begin_step(step: Any) -> None:
-    """No route is touched yet."""
+    """Begin a step in which no route is touched yet."""
     step.counts[0] = 0
     step.counts[1] += 1
 
 
 @kernel(_nrt=False)
 def touch(tours: Any, step: Any, k: int) -> None:
-    """Before route k changes: keep it as it was before the step, and number the change."""
+    """Save route k before it changes for the first time in this step, and give it a new version."""
     if step.seen[k] != step.counts[1]:
         step.seen[k] = step.counts[1]
         step.touched[step.counts[0]] = k
@@ -87,10 +98,11 @@ def touch(tours: Any, step: Any, k: int) -> None:
 
 @kernel(_nrt=False)
 def ruin(fleet: Any, tours: Any, step: Any, random: Words, average: float) -> None:
-    """Take strings out of neighbouring routes, of about `average` stops together, around a stop drawn at random.
+    """Remove strings of stops from neighbouring routes, around a randomly drawn stop.
 
-    Source: Christiaens & Vanden Berghe 2020, Transportation Science 54(2), "Slack induction by string removals"; here a
-    stop takes the other one of its task with it.
+    average: number of stops that are removed together, on average.
+    Source: Christiaens & Vanden Berghe 2020, Transportation Science 54(2), "Slack induction by
+    string removals"; here the other stop of the same task is removed too.
     """
     m = len(fleet.load)
     longest = min(LONGEST, _mean_stops(tours))
@@ -116,10 +128,10 @@ def ruin(fleet: Any, tours: Any, step: Any, random: Words, average: float) -> No
 
 @kernel(_nrt=False)
 def empty(fleet: Any, tours: Any, step: Any, k: int) -> None:
-    """Take all tasks out of route k.
+    """Remove all tasks from route k.
 
-    Fewer stops can break a limit too: without the triangle inequality, where a first trip has less room than the next,
-    and where goods that were aboard stay there.
+    This is needed because fewer stops can break a limit too: without the triangle inequality, if a
+    first trip has less room than the next, or if goods that were aboard stay there.
     """
     for j in range(len(fleet.load)):
         step.gone[j] = tours.at[j] == k
@@ -129,7 +141,7 @@ def empty(fleet: Any, tours: Any, step: Any, k: int) -> None:
 
 @kernel(**OPTIONS)
 def _mean_stops(tours: Any) -> float:
-    """Stops a route that has any."""
+    """Return the mean number of stops of the routes that have any."""
     used = 0
     stops = 0
     for n in tours.stops:
@@ -140,7 +152,7 @@ def _mean_stops(tours: Any) -> float:
 
 @kernel(**OPTIONS)
 def _position(tours: Any, k: int, v: int) -> int:
-    """Of stop v in route k; 0 if it is no stop of it."""
+    """Return the position of stop v in route k; 0 if it is not in the route."""
     for pos in range(1, tours.stops[k] + 1):
         if tours.stop[k, pos] == v:
             return pos
@@ -151,7 +163,10 @@ def _position(tours: Any, k: int, v: int) -> int:
 def _mark_string(
     fleet: Any, tours: Any, step: Any, random: Words, k: int, at: int, longest: float
 ) -> None:
-    """Mark the tasks of a string of stops of route k with position `at` in it, half of the time with a gap in it."""
+    """Mark the tasks of a string of stops of route k around position `at`.
+
+    Half of the strings have a gap.
+    """
     m = len(fleet.load)
     n = tours.stops[k]
     size = min(1 + int(draw(random) * min(float(n), longest)), n)

@@ -1,4 +1,4 @@
-"""Ruin and recreate: a search for good plans of many vehicles and tasks that can be stopped at any time."""
+"""Ruin and recreate: a search for good plans of many vehicles and tasks, stoppable at any time."""
 
 import math
 from collections.abc import Sequence
@@ -17,29 +17,33 @@ from crazychoir.routing.search.tours import Tours
 from crazychoir.types import Bools, Vec, Words
 
 HOT = 0.5
-"""First temperature, as a share of the median distance of a task alone."""
+"""First temperature, as a share of the median distance of a route with one task."""
 FLEET_HOT = 0.02
-"""The same while vehicles are left out."""
+"""First temperature while the search leaves vehicles out, as the same share."""
 AVERAGE = 10.0
-"""Stops that a step takes out, about."""
+"""Stops that a step removes on average."""
 ROUNDS = 2
-"""Times that the routes seen are put together anew."""
+"""How often set partitioning combines the known routes into a new plan."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """A plan. routes: the stops of each vehicle;  unserved: tasks that no route serves, increasing;
+    """A plan.
 
-        total = sum of distances and fixed costs of the vehicles that leave + penalties of the unserved, m
-
-    finish: s, when the last of them is done.
+    total = sum of distances and fixed costs of the vehicles that leave
+            + penalties of the unserved
     """
 
     routes: list[list[int]]
+    """Stops of each vehicle."""
     unserved: list[int]
+    """Tasks that no route serves, increasing."""
     total: float
+    """m: see above."""
     finish: float
+    """s: when the last vehicle is done."""
     pool: Pool = field(repr=False)
+    """The routes that the search has seen."""
 
 
 def search(
@@ -55,17 +59,25 @@ def search(
     average: float = AVERAGE,
     rounds: int = ROUNDS,
 ) -> Found:
-    """The best plan that `steps` of ruin and recreate find from `routes`, empty ones or infeasible ones too.
+    """Return the best plan that ruin and recreate finds from `routes`.
 
-    routes: stops of each vehicle, as Vehicle says;  penalty: (M,) m, of a task that is not served, inf where it must
-    be;  seed: the same one gives the same plan on every machine;  objective: TOTAL, MAKESPAN, or both in their order;
-    fleet_steps: before, at most so many to leave vehicles out, which stay out then, whatever that costs; None: as many
-    as `steps` where a vehicle costs more than all tasks one by one, 0 elsewhere;  hot: first temperature, as a share of
-    the median distance of a task alone;  average: stops that a step takes out, about;
-    rounds: the steps are parted into so many; if there is more than one, and no makespan first, each ends with set
-    partitioning of the routes seen.
-    Tasks that must be served can be in `unserved`: then the search has found no place for them.
-    Source: Christiaens & Vanden Berghe 2020, Transportation Science 54(2), "Slack induction by string removals".
+    The given routes may be empty or infeasible. Tasks that must be served can be in `unserved`:
+    then the search has found no place for them.
+
+    vehicles: the robots.
+    routes: stops of each vehicle, as described in Vehicle.
+    penalty: (M,) m, of a task that is not served, inf if it must be.
+    steps: number of steps.
+    seed: the same seed gives the same plan on every machine.
+    objective: what is minimised, in order.
+    fleet_steps: earlier steps, at most, that leave vehicles out at any cost; these vehicles then
+        stay at home. None: `steps` if a vehicle costs more than all tasks one by one, else 0.
+    hot: first temperature, as a share of the median distance of a route with one task.
+    average: stops that a step removes on average.
+    rounds: number of parts of the steps. If there are several, and the makespan is not the first
+        objective, each part ends with set partitioning of the known routes.
+    Source: Christiaens & Vanden Berghe 2020, Transportation Science 54(2), "Slack induction by
+    string removals".
     """
     return Search(vehicles, penalty, objective).run(
         routes,
@@ -79,7 +91,7 @@ def search(
 
 
 class Search:
-    """As `search`, for several runs on the same vehicles."""
+    """The search of `search`, for several runs on the same vehicles."""
 
     def __init__(
         self,
@@ -104,7 +116,7 @@ class Search:
         rounds: int = ROUNDS,
         closed: Sequence[int] = (),
     ) -> Found:
-        """A plan; closed: vehicles that are not to leave."""
+        """Run the search, see `search`; closed: vehicles that must not leave."""
         fleet = self._fleet
         shut = np.zeros(len(self._fleet.start), np.bool_)
         shut[list(closed)] = True
@@ -143,7 +155,9 @@ class Search:
         absence = np.zeros(len(tours.at))
         scaled = hot * self._scale
         fleet = self._fleet
-        if fewer:  # a vehicle is not left out at the price of a task that is worth one
+        if (
+            fewer
+        ):  # do not leave a vehicle out by refusing a task that is worth a vehicle
             dear = np.where(fleet.penalty > fleet.fixed.min(), np.inf, fleet.penalty)
             fleet = fleet._replace(penalty=dear)
         anneal(
@@ -163,9 +177,10 @@ class Search:
         return best.tours(self._fleet)
 
     def _needless(self, tours: Tours) -> Bools:
-        """(K,) whether a vehicle without stops stays at home for good.
+        """Return (K,): whether a vehicle without stops stays at home for good.
 
-        Where vehicles are counted first, one of another kind than all that leave may still take the place of one.
+        If vehicles are counted first, a vehicle of a kind that is not in use may still replace
+        another.
         """
         stays = np.asarray(tours.stops == 0)
         if not self._fleet.counted:

@@ -1,4 +1,4 @@
-"""The best plan of routes that a search has seen: set partitioning over those whose price says that they matter."""
+"""The best plan from known routes: set partitioning over the routes with a small reduced cost."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -12,17 +12,23 @@ from crazychoir.routing.search.tours import Fleet, Tours, refresh
 from crazychoir.types import Bools, Ints, Vec
 
 MOST = 250
-"""Routes that are left to the integer program, at most."""
+"""Largest number of routes in the integer program."""
 NODES = 50
-"""Of its search, at most."""
+"""Largest number of nodes of its search."""
 
 
 class _Columns(NamedTuple):
-    """cost (C,); rows of column c: row[start[c] : start[c + 1]], tasks and then M + its kind of vehicle."""
+    """Columns as a sparse matrix.
+
+    The rows of column c are row[start[c] : start[c + 1]]: its tasks, then M + its kind of vehicle.
+    """
 
     cost: Vec
+    """(C,) m."""
     start: Ints
+    """(C + 1,): where the rows of each column begin."""
     row: Ints
+    """Row numbers of all columns, one column after the other."""
 
     def only(self, chosen: Ints) -> "_Columns":
         parts = [self.row[self.start[c] : self.start[c + 1]] for c in chosen]
@@ -32,16 +38,20 @@ class _Columns(NamedTuple):
 
 
 def assemble(fleet: Fleet, pool: Pool, tours: Tours, closed: Bools) -> Tours:
-    """A plan that costs less than `tours`, of routes of the pool; `tours` itself if none is found.
+    """Return a plan of routes of the pool that costs less than `tours`; `tours` if none is found.
 
         min  sum_c cost_c x_c + sum_j penalty_j v_j
-        s.t. sum_{c serves j} x_c + v_j = 1,  sum_{c of kind h} x_c <= vehicles of that kind,   x, v binary
+        s.t. sum_{c serves j} x_c + v_j = 1,  x, v binary
+             sum_{c of kind h} x_c <= vehicles of that kind
 
-    closed: (K,) vehicles that may not leave.  A task that must be served has no v. Of the columns only those are looked
-    at whose reduced cost, at the prices of the linear relaxation, is at most the gap between `tours` and that
-    relaxation: no other can be part of a better plan. Beyond MOST of them, or NODES nodes, the best may be missed.
-    Where vehicles are counted, each of them costs more than all routes of a plan with no more vehicles than `tours`,
-    and the plan that is found is compared by its vehicles first, so that no rounding of the program decides.
+    A task that must be served has no v. Only the columns with a small reduced cost, at the prices
+    of the linear relaxation, are used: at most the gap between `tours` and that relaxation. No
+    other column can be part of a better plan. If there are more than MOST such columns, or NODES
+    nodes do not suffice, the best plan may be missed. If vehicles are counted, each of them costs
+    more than all routes of a plan with no more vehicles than `tours`. The plan found is then
+    compared by its vehicles first, so that no rounding of the program decides.
+
+    closed: (K,) vehicles that must not leave.
     """
     chosen = np.flatnonzero(pool.vehicle >= 0)
     vehicle = _vehicle_cost(fleet, pool, tours, chosen)
@@ -69,7 +79,7 @@ def assemble(fleet: Fleet, pool: Pool, tours: Tours, closed: Bools) -> Tours:
 
 
 def _vehicle_cost(fleet: Fleet, pool: Pool, tours: Tours, chosen: Ints) -> Vec:
-    """(K,) m, of each vehicle that leaves."""
+    """Return (K,) m: cost of each vehicle that leaves, in the program."""
     if not fleet.counted:
         return fleet.fixed
     left = tours.stops > 0
@@ -81,7 +91,7 @@ def _vehicle_cost(fleet: Fleet, pool: Pool, tours: Tours, chosen: Ints) -> Vec:
 
 
 def _worth(fleet: Fleet, tours: Tours) -> tuple[float, int, float]:
-    """Penalties, vehicles and length, by which plans are compared in this order where vehicles are counted."""
+    """Return penalties, vehicles, length: these compare plans if vehicles are counted."""
     left = tours.stops > 0
     penalties = sum(fleet.penalty[tours.at < 0].tolist(), 0.0)
     return penalties, int(np.count_nonzero(left)), sum(tours.length[left].tolist(), 0.0)
@@ -109,7 +119,10 @@ def _columns(fleet: Fleet, pool: Pool, chosen: Ints, vehicle: Vec) -> _Columns:
 
 
 def _cost(fleet: Fleet, tours: Tours, vehicle: Vec) -> float:
-    """m, of distances, vehicles that leave and penalties, added in this order; inf if a task is missing."""
+    """Return the cost in m; inf if a task is missing.
+
+    It is the sum of distances, vehicles that leave and penalties, added in this order.
+    """
     left = tours.stops > 0
     return sum(
         [
@@ -122,7 +135,10 @@ def _cost(fleet: Fleet, tours: Tours, vehicle: Vec) -> float:
 
 
 def _model(fleet: Fleet, columns: _Columns, closed: Bools) -> highspy.Highs:
-    """Rows: tasks, then as many vehicles of each kind as there are; columns: the routes, then refusals."""
+    """Return the linear program.
+
+    Rows: tasks, then the number of vehicles of each kind. Columns: the routes, then refusals.
+    """
     m = len(fleet.load)
     k = len(fleet.start)
     highs = quiet_highs()
@@ -146,7 +162,7 @@ def _model(fleet: Fleet, columns: _Columns, closed: Bools) -> highspy.Highs:
 def _integer(
     fleet: Fleet, columns: _Columns, below: float, closed: Bools
 ) -> Ints | None:
-    """The columns of a choice that costs less than `below`, if one is found."""
+    """Return the columns of a solution that costs less than `below`, None if none is found."""
     highs = _model(fleet, columns, closed)
     index = np.arange(highs.getNumCol(), dtype=np.int32)
     kinds = np.full(len(index), int(highspy.HighsVarType.kInteger), np.uint8)
@@ -167,7 +183,7 @@ def _integer(
 
 
 def _plan(fleet: Fleet, pool: Pool, taken: Ints, closed: Bools) -> Tours:
-    """The routes of the pool at these places, each by a vehicle of its kind."""
+    """Return a plan of the routes of the pool at these places, each by a vehicle of its kind."""
     free = [
         list(np.flatnonzero((fleet.twin == kind) & ~closed))
         for kind in range(len(fleet.twin))

@@ -1,4 +1,4 @@
-"""Routes as a search changes them: stops in rows, and what makes a change cheap to judge."""
+"""Routes as rows of stops, with data that make changes cheap to evaluate."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -10,75 +10,103 @@ from crazychoir.numerics.kernels import kernel
 from crazychoir.types import Bools, Ints, Mat, Vec
 
 Box = npt.NDArray[np.float64]
-# Pieces of the search: inlined, and without counting of references, which took four fifths of the time of an insertion.
-# They make no arrays.
+# Pieces of the search are inlined. They make no arrays, so that reference counting, which took four
+# fifths of the time of an insertion, is switched off.
 OPTIONS = {"forceinline": True, "_nrt": False}
 
 
 class Fleet(NamedTuple):
-    """K vehicles and M tasks. Nodes: 0..M-1 pickups, M..2M-1 deliveries, from 2M on where vehicles start and end.
+    """K vehicles and M tasks as arrays.
 
-    distance, duration: (U, W, W) m, s, earliest, latest: (U, W) s, of which vehicle k has row kind[k];
-    start, end: (K,) nodes;  load: (M,);  capacity, fixed, held: (K,), held is on board from the start;
-    limit: (K, 2) m, of the first trip and of each other;  trips: (K,), at most;  capable: (K, M);
-    carrier: (M,) the vehicle that has it aboard from the start, -1 if none;
-    penalty: (M,) m, inf where a task must be served;  twin: (K,) the first vehicle that is the same;
-    near: (2M, 2M) all stops by their distance from one;
-    traits: (M, 5) by which tasks are ordered: load, length alone, width, opening and closing of its windows;
-    timed: whether anything depends on time;
-    on_total, on_finish: weights of the sum of distances and of the last finish in what is minimised;
-    counted: whether the number of vehicles that leave is minimised before that.
+    Nodes: 0..M-1 pickups, M..2M-1 deliveries, from 2M the starts and ends of vehicles. U is the
+    number of kinds of matrices, W the number of nodes.
     """
 
     distance: Box
+    """(U, W, W) m; vehicle k has row kind[k]."""
     duration: Box
+    """(U, W, W) s: service at v and flight to w."""
     earliest: Mat
+    """(U, W) s: earliest begin of service."""
     latest: Mat
+    """(U, W) s: latest begin of service."""
     kind: Ints
+    """(K,): row of a vehicle in the four arrays above."""
     start: Ints
+    """(K,): start node of each vehicle."""
     end: Ints
+    """(K,): end node of each vehicle."""
     load: Vec
+    """(M,) units of load."""
     capacity: Vec
+    """(K,) units of load."""
     fixed: Vec
+    """(K,) m: cost of leaving home."""
     held: Vec
+    """(K,) units of load: on board from the start."""
     limit: Mat
+    """(K, 2) m: limit of the first trip, and of each other trip."""
     trips: Ints
+    """(K,): largest number of trips."""
     capable: Bools
+    """(K, M): whether vehicle k may serve task j."""
     carrier: Ints
+    """(M,): the vehicle with the goods aboard from the start, -1 if none."""
     penalty: Vec
+    """(M,) m: cost of refusing the task, inf if it must be served."""
     twin: Ints
+    """(K,): the first vehicle that is identical."""
     near: Ints
+    """(2M, 2M): for each stop, all stops by their distance from it."""
     traits: Mat
+    """(M, 5): values by which tasks are ordered.
+
+    They are load, length of a route with the task alone, width of the windows, opening, closing.
+    """
     timed: bool
+    """Whether anything depends on time."""
     on_total: float
+    """Weight of the sum of distances in the objective."""
     on_finish: float
+    """Weight of the last finish time in the objective."""
     counted: bool
+    """Whether the number of vehicles that leave is minimised before the rest."""
 
 
 class Tours(NamedTuple):
-    """The route of vehicle k: stop[k, 0] is its start, stop[k, 1 : n + 1] its n = stops[k] stops, then its end.
+    """The routes of all vehicles.
 
-    A stop in between at the vehicle's end begins a new trip. Of each position, all (K, 3M + 4):
-    begin: s, of service;  late: s, the latest beginning from which the rest is in time;  load: on board behind it;
-    room: m, by which the trip that goes on from it may grow.
-    length, finish: (K,) m and s, of the route, 0 without stops;  at: (M,) vehicle of a task, -1 if none;
-    version: (K,) another number after each change.
+    A stop at the vehicle's end between two other stops begins a new trip. The arrays over positions
+    are (K, 3M + 4).
     """
 
     stop: Ints
+    """(K, 3M + 4): stop[k, 0] is the start of vehicle k.
+
+    stop[k, 1 : n + 1] are its n = stops[k] stops, then comes its end.
+    """
     stops: Ints
+    """(K,): number of stops."""
     begin: Mat
+    """(K, 3M + 4) s: begin of service at each position."""
     late: Mat
+    """(K, 3M + 4) s: the latest begin from which the rest of the route is in time."""
     load: Mat
+    """(K, 3M + 4) units of load: on board after each position."""
     room: Mat
+    """(K, 3M + 4) m: by how much the trip that leaves this position may grow."""
     length: Vec
+    """(K,) m: length of the route, 0 without stops."""
     finish: Vec
+    """(K,) s: when the route is over, 0 without stops."""
     at: Ints
+    """(M,): vehicle of each task, -1 if none."""
     version: Ints
+    """(K,): a number that is new after each change."""
 
     @classmethod
     def of(cls, fleet: Fleet, routes: Sequence[Any]) -> "Tours":
-        """These stops of each vehicle, not yet judged."""
+        """Return these stops of each vehicle; `refresh` computes the rest."""
         k = len(fleet.start)
         m = len(fleet.load)
         length = 3 * m + 4  # each trip has a task
@@ -110,19 +138,19 @@ class Tours(NamedTuple):
 
 @kernel(**OPTIONS)
 def way(fleet: Any, u: int, v: int, w: int) -> Any:
-    """m, from v to w."""
+    """Return the distance in m from v to w."""
     return fleet.distance[u, v, w]
 
 
 @kernel(**OPTIONS)
 def begins(fleet: Any, u: int, t: float, v: int, w: int) -> Any:
-    """s, when service at w begins if it began at v at t."""
+    """Return when service at w begins, in s, if service at v began at t."""
     return max(fleet.earliest[u, w], t + fleet.duration[u, v, w])
 
 
 @kernel(_nrt=False)
 def refresh(fleet: Any, tours: Any, k: int) -> None:
-    """Judge route k anew, from its stops."""
+    """Compute all values of route k from its stops."""
     m = len(fleet.load)
     n = tours.stops[k]
     u = fleet.kind[k]
@@ -178,7 +206,7 @@ def _refresh_times(fleet: Any, tours: Any, k: int) -> None:
 
 @kernel(_nrt=False)
 def feasible(fleet: Any, tours: Any, k: int) -> bool:
-    """Whether route k, refreshed, keeps capacity, limit and windows."""
+    """Return whether route k, refreshed, keeps capacity, limit and windows."""
     for pos in range(tours.stops[k] + 1):
         if tours.load[k, pos] > fleet.capacity[k] or tours.room[k, pos] < 0.0:
             return False
@@ -189,7 +217,7 @@ def feasible(fleet: Any, tours: Any, k: int) -> bool:
 
 @kernel(_nrt=False)
 def drop(fleet: Any, tours: Any, k: int, gone: Any) -> None:
-    """Take the stops of the tasks marked in `gone` (M,) out of route k, and trips that are empty then; refresh it."""
+    """Remove the tasks marked in `gone` (M,) and empty trips from route k; refresh it."""
     m = len(fleet.load)
     end = fleet.end[k]
     kept = 0
@@ -213,16 +241,17 @@ def drop(fleet: Any, tours: Any, k: int, gone: Any) -> None:
 
 @kernel(**OPTIONS)
 def _shift(tours: Any, k: int, last: int, first: int, by: int) -> None:
-    """Positions first + 1..last of route k move on by `by`."""
+    """Move positions first + 1..last of route k by `by` positions to the right."""
     for pos in range(last, first, -1):
         tours.stop[k, pos + by] = tours.stop[k, pos]
 
 
 @kernel(_nrt=False)
 def insert(fleet: Any, tours: Any, k: int, j: int, first: int, second: int) -> None:
-    """Put task j into route k: its pickup behind position `first`, its delivery behind position `second` of now.
+    """Insert task j into route k: its pickup after position `first`, its delivery after `second`.
 
-    second = -1: both behind `first`, where the vehicle is at its end, as a trip of their own;
+    first, second: positions of the present route.
+    second = -1: both stops come after `first`, where the vehicle is at its end, as a new trip.
     first = -1: the goods are aboard, and only the delivery is a stop.
     """
     d = len(fleet.load) + j
