@@ -62,7 +62,10 @@ ROOMS = (
     "guidance",
     "simulation",
     "mocap",
-    "swarm",
+    "team",
+    "config",
+    "flight",
+    "agent",
     "planning",
 )
 """Rooms of the package that are counted in a profile."""
