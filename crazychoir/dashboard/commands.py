@@ -174,8 +174,8 @@ class Desk:
 
     Later orders take precedence. A stop withdraws every open order that could move its drones. An
     order withdraws older contrary orders that are not acknowledged yet. A drone that is not ready
-    is not asked again for an order that was withdrawn. After an outage of the network no such
-    order therefore arrives late.
+    is not asked again for an order that a later one contradicts. After an outage of the network
+    no such order therefore arrives late.
     """
 
     def __init__(self, place: Place, watch: Watch) -> None:

@@ -116,7 +116,7 @@ class Impair(Ask, frozen=True):
     """Change the simulated network: all links, the links of one drone, or the link of two."""
 
     drones: Ids | None = None
-    """None for all links, one drone for its links, two for the link between them."""
+    """Ids: one drone selects its links, two the link between them, None all links."""
     loss: Share | None = None
     """Share of lost messages, None for no change."""
     delay: Annotated[float, Meta(ge=0.0, le=60.0)] | None = None

@@ -93,7 +93,7 @@ class Plan:
     fixed_cost: float = 0.0
     """m: cost of each robot that flies."""
     objective: tuple[str, ...] = (TOTAL,)
-    """What is minimised, in order."""
+    """Objectives, in order."""
 
     def __post_init__(self) -> None:
         object.__setattr__(
@@ -181,7 +181,7 @@ class Solution:
     method: str
     """Name of the method."""
     disclosed: tuple[str, ...]
-    """What the robots told each other."""
+    """Data that the robots disclosed to each other."""
     rounds: int
     """Number of communication rounds."""
     plan_digest: str
@@ -193,7 +193,7 @@ class Solution:
     bound_relaxation: str | None = None
     """Which further routes a bound that is not exact allows: "ng-route" routes may repeat tasks."""
     vehicles_bound: int | None = None
-    """If vehicles are counted first: no plan needs fewer vehicles. None if unknown.
+    """Proven lower bound on the number of vehicles if they are counted first; None if unknown.
 
     `lower_bound` then holds for plans with that number of vehicles. It is None if this plan has
     more.
