@@ -30,8 +30,11 @@ UNFINISHED = "unfinished"
 WITHDRAWN = "withdrawn"
 """Kind of answer: withdrawn by a later order."""
 ABSENT = "no agent of it is there"
+"""Words of a receipt if no agent answers for the drone."""
 REPLAYED = "REPLAY: nobody obeys"
+"""Words of a refusal if the messages come from a recording."""
 ENDED = "ENDED: no drone is there"
+"""Notice of the page if no drone is there any more."""
 ACKNOWLEDGED = 2.0
 """Seconds within which a drone should acknowledge a command.
 

@@ -126,9 +126,13 @@ class Member:
     """The data that the phases of a method share at one robot."""
 
     local: LocalProblem
+    """The problem of this robot."""
     place: Place
+    """Its place in the graph."""
     settings: Settings
+    """Constants that all robots share."""
     progress: Progress = field(default_factory=Progress)
+    """Its progress, for display."""
     kind: str = "start"
     """Subject of the messages of the present rounds."""
     bytes_by_kind: dict[str, int] = field(default_factory=dict)

@@ -124,6 +124,7 @@ class LocalProblem:
     capable: npt.NDArray[np.bool_]
     """(M,): tasks that this robot may serve; False for a task that is aboard another robot."""
     tasks: Tasks
+    """The public list of tasks."""
     end: Vec | None = None
     """(d,) m: where the robot ends, home if None."""
     open_tour: bool = False

@@ -19,6 +19,7 @@ COLUMNS = (
     "pickup",
     "delivery",
 )
+"""Names of the columns of a line."""
 RANGES = (
     (0, MOST),
     (-FARTHEST, FARTHEST),
@@ -34,6 +35,7 @@ RANGES = (
 WHOLE = ("customer", "pickup", "delivery")
 """Columns of whole numbers."""
 MOST_VEHICLES = 1000
+"""Largest number of vehicles."""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from typing import Any, Literal
 from crazychoir.routing.instance.vehicle import MAKESPAN, TOTAL, VEHICLES
 
 Kind = Literal["pickup", "delivery", "recharge"]
+"""Kind of a stop."""
 NOTHING = -1
 """The task of a stop that only recharges."""
 
@@ -19,7 +20,9 @@ class Stop:
     """One stop of a route. A stop to recharge is at the robot's end point and has task NOTHING."""
 
     task: int
+    """The task, NOTHING for a recharge."""
     kind: Kind
+    """What the robot does there."""
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,9 @@ from crazychoir.routing.instance.vehicle import (
 )
 
 Terms = dict[int, float]
+"""Coefficient of each variable of a sum."""
 Sense = Literal["<=", "==", ">="]
+"""Relation between a sum and a number."""
 LEVEL = 1e-6
 """m or s: by how much the first objective may be worse when the second is minimised."""
 
