@@ -64,6 +64,7 @@ HEADERS = [
         b"frame-ancestors 'none'; base-uri 'self'; form-action 'self'; object-src 'none'",
     ),
 ]
+"""Headers of every answer: no frames, no foreign scripts, no referrer to other sites."""
 FORM = """<!doctype html><html lang="en"><meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1"><title>crazychoir</title>
 <style>:root{color-scheme:light dark}body{font:1.1rem system-ui;max-width:20rem;margin:15vh auto;padding:1rem}
@@ -72,6 +73,7 @@ input,button{font:inherit;width:100%;padding:.5rem;margin:.3rem 0;box-sizing:bor
 <label for="password">Password of this page</label>
 <input id="password" name="password" type="password" autocomplete="current-password" autofocus required>
 <button>Come in</button></form></html>"""
+"""Page that asks for the password; SAID is replaced by a message."""
 
 
 class TooLarge(Exception):

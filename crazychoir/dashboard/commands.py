@@ -30,8 +30,11 @@ UNFINISHED = "unfinished"
 WITHDRAWN = "withdrawn"
 """Kind of answer: withdrawn by a later order."""
 ABSENT = "no agent of it is there"
+"""Words of a receipt if no agent answers for the drone."""
 REPLAYED = "REPLAY: nobody obeys"
+"""Words of a refusal if the messages come from a recording."""
 ENDED = "ENDED: no drone is there"
+"""Notice of the page if no drone is there any more."""
 ACKNOWLEDGED = 2.0
 """Seconds within which a drone should acknowledge a command.
 
@@ -174,8 +177,8 @@ class Desk:
 
     Later orders take precedence. A stop withdraws every open order that could move its drones. An
     order withdraws older contrary orders that are not acknowledged yet. A drone that is not ready
-    is not asked again for an order that was withdrawn. After an outage of the network no such
-    order therefore arrives late.
+    is not asked again for an order that a later one contradicts. After an outage of the network
+    no such order therefore arrives late.
     """
 
     def __init__(self, place: Place, watch: Watch) -> None:

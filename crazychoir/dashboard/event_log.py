@@ -25,7 +25,7 @@ class Line:
     level: Level
     """Level of the line."""
     text: str
-    """What happened."""
+    """The message."""
     drone: int | None = None
     """Id of the drone, None for the page itself."""
 

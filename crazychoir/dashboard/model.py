@@ -95,7 +95,7 @@ class SwarmModel:
         box = Call(self.bus.clock, function, f"page {topic.name} of {i}")
         self.bus.subscribe(topic, self.config.source(topic, i), self.address, box, rate)
 
-    # Hearing --------------------------------------------------------------------------------------------------
+    # Receiving ----------------------------------------------------------------------------
 
     def _hear_state(self, k: int, state: State, age: float) -> None:
         self._rows[k, 0:13] = state.flat
@@ -142,7 +142,7 @@ class SwarmModel:
     def _hear_log(self, i: int, line: str, age: float) -> None:
         self.watch.told(i, line)
 
-    # Telling --------------------------------------------------------------------------------------------------
+    # Reporting ----------------------------------------------------------------------------
 
     def position(self, i: int) -> Vec | None:
         """Return the last position of drone i, (3,) m, world; None if it was not heard."""

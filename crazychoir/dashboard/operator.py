@@ -41,6 +41,7 @@ from crazychoir.team.graph import span
 P = ParamSpec("P")
 T = TypeVar("T")
 Work = Callable[[], Coroutine[Any, Any, dict[str, Any] | None]]
+"""Work that takes a while; it returns the answer for the page."""
 SCOPE = 2
 """Largest number of drones that can select a link."""
 REACHES = 60.0

@@ -32,6 +32,7 @@ VERBS = {
     "land": "Land",
     "home": "Fly home",
 }
+"""Labels of the buttons, by command."""
 HEAD = """<link rel="stylesheet" href="/own/page.css"><script type="module">
 import { start } from "/own/page.js"; start();</script>"""
 

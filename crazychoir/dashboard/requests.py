@@ -10,17 +10,27 @@ from crazychoir.agent.sketch import HAND
 MOST_DRONES = 1000
 """Largest number of drones in a message."""
 Id = Annotated[int, Meta(ge=0, le=9999)]
+"""Id of a drone."""
 Ids = Annotated[tuple[Id, ...], Meta(min_length=1, max_length=MOST_DRONES)]
+"""Ids of drones, at least one."""
 Metres = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
+"""m."""
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
+"""From 0 to 1."""
 Place = tuple[Metres, Metres, Metres]
+"""(3,) m, world."""
 Spot = tuple[Metres, Metres]
+"""(2,) m, world."""
 Angle = Annotated[float, Meta(ge=-7.0, le=7.0)]
+"""rad."""
 MOST_TEXT = 200_000
 """Largest number of characters of a file."""
 Row = tuple[Annotated[float, Meta(ge=0.0, le=36_000.0)], Metres, Metres]
+"""A point of a drawing: t s, x m, y m."""
 Stroke = Annotated[tuple[Row, ...], Meta(min_length=1, max_length=5000)]
+"""Points of one stroke."""
 Strokes = Annotated[tuple[Stroke, ...], Meta(min_length=1, max_length=200)]
+"""Strokes of a drawing."""
 
 
 class Ask(
@@ -116,7 +126,7 @@ class Impair(Ask, frozen=True):
     """Change the simulated network: all links, the links of one drone, or the link of two."""
 
     drones: Ids | None = None
-    """None for all links, one drone for its links, two for the link between them."""
+    """Ids: one drone selects its links, two the link between them, None all links."""
     loss: Share | None = None
     """Share of lost messages, None for no change."""
     delay: Annotated[float, Meta(ge=0.0, le=60.0)] | None = None
@@ -146,6 +156,7 @@ class CancelTask(Ask, frozen=True, tag="cancel-task"):
 
 
 Message = Order | Stop | GoTo | Draw | Fly | Load | Save | Impair | AddTask | CancelTask
+"""Any message of a page."""
 _READER = msgspec.json.Decoder(Message)
 
 

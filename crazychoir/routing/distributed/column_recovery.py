@@ -20,6 +20,7 @@ DISCLOSED: tuple[str, ...] = (
     "least reduced costs",
     "plan",
 )
+"""Data that the robots disclose to each other."""
 
 
 class ColumnRecovery:

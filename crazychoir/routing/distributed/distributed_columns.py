@@ -39,6 +39,7 @@ DISCLOSED: tuple[str, ...] = (
     "least reduced costs",
     "plans (stops of all robots)",
 )
+"""Data that the robots disclose to each other."""
 BETTER = 1e-9
 """m: costs of plans that differ by at most this count as equal."""
 

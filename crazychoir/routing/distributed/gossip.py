@@ -145,5 +145,5 @@ class Gossip:
         self._member.kind = "prices"
         own: list[Any] = [best.value, self._i, best.prices, best.used, best.reward]
         offer = yield from best_offer(own, self._member.place.diameter)
-        value, _, prices, used, reward = offer or own  # everybody makes one
+        value, _, prices, used, reward = offer or own  # every robot makes an offer
         return float(value), prices, float(used), float(reward)

@@ -17,7 +17,9 @@ from crazychoir.routing.search.tours import Tours, insert, refresh
 from crazychoir.types import Vec
 
 METHODS = ("cbba", "auction")
+"""Names of the methods of this module."""
 DISCLOSED = ("what tasks would cost robots", "who serves which task")
+"""Data that the robots disclose to each other."""
 ANYWHERE = -9
 """Place that excludes no pair of positions."""
 WORTH = 1e7
@@ -26,6 +28,7 @@ WORTH = 1e7
 It exceeds any detour and is the same at all robots.
 """
 Stops = tuple[int, ...]
+"""Nodes of a route."""
 
 
 class InsertionBids:

@@ -115,7 +115,7 @@ class LargeBound:
             relaxed, prices = yield from self._agree(master)
             if relaxed - best <= ENOUGH * max(1.0, abs(relaxed)):
                 break
-            # If mixed prices find no columns, or the gap is small, use the prices of the columns alone.
+            # If mixed prices find no columns, or the gap is small, use the columns' own prices.
             drawn = new > 0 and relaxed - best > CLOSE * abs(relaxed)
             pi = DRAWN * centre + (1.0 - DRAWN) * prices if drawn else prices
         self.value = best if best > -np.inf else None

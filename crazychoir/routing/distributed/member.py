@@ -68,7 +68,7 @@ class Settings:
     prove: bool = False
     """Whether to prove the plan optimal regardless of the computing time."""
     most_proven: int = 20_000
-    """If not `prove`: the proof searches at most this many columns."""
+    """Largest number of columns that the proof searches if not `prove`."""
     first_gap: float = 0.01
     """Relative gap of the first search of the proof."""
     most_shared: int = 500
@@ -123,14 +123,18 @@ class Progress:
 
 @dataclass
 class Member:
-    """What the phases of a method share at one robot."""
+    """The data that the phases of a method share at one robot."""
 
     local: LocalProblem
+    """The problem of this robot."""
     place: Place
+    """Its place in the graph."""
     settings: Settings
+    """Constants that all robots share."""
     progress: Progress = field(default_factory=Progress)
+    """Its progress, for display."""
     kind: str = "start"
-    """What the messages of the present rounds are about."""
+    """Subject of the messages of the present rounds."""
     bytes_by_kind: dict[str, int] = field(default_factory=dict)
     """Bytes of payload sent, by kind of message."""
     fixed: float = 0.0

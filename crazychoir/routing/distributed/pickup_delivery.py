@@ -23,7 +23,7 @@ from crazychoir.routing.instance.vehicle import MAKESPAN
 from crazychoir.routing.pricing.route_table import shortest_route
 
 CONFIRMED = ("route lengths or times", "task sets and hashes of routes")
-"""What each robot discloses when a plan is confirmed, in every method."""
+"""Data that each robot discloses when a plan is confirmed, in every method."""
 BY_PRICES = ("resource-columns", "resource", "resource-argmax")
 """Methods that add up task prices: they need an objective that is such a sum."""
 BY_CLAIMS = ("resource", "resource-argmax")

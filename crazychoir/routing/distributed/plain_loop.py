@@ -16,6 +16,7 @@ from crazychoir.routing.instance.instance import Instance, LocalProblem
 from crazychoir.routing.instance.plan import Solution
 
 Graph = Mapping[int, Sequence[int]]
+"""Neighbours of each robot."""
 
 
 def solve_in_loop(

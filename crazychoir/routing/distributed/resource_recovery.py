@@ -49,7 +49,7 @@ class ResourceRecovery:
 
     @property
     def disclosed(self) -> tuple[str, ...]:
-        """What the robots told each other."""
+        """Data that the robots disclosed to each other."""
         claims = (
             "task prices",
             "largest change of a share",

@@ -84,7 +84,7 @@ def _robots(count: int, plan: Plan) -> Iterator[str]:
 def _route(robot: LocalProblem, route: Route) -> Iterator[str]:
     yield from _stops(robot, route)
     flight = _fly(robot, route)
-    if not abs(flight.length - route.length) <= TOLERANCE:  # so that NaN is wrong too
+    if not abs(flight.length - route.length) <= TOLERANCE:  # NaN fails too
         yield f"states a length of {route.length:.6f} m but flies {flight.length:.6f} m"
     if route.finish is not None and not abs(flight.time - route.finish) <= TOLERANCE:
         yield f"states to be done at {route.finish:.6f} s but is at {flight.time:.6f} s"
@@ -106,7 +106,7 @@ class _Flight:
     trip: float = 0.0
     """m: length of this trip so far."""
     wrong: list[str] = field(default_factory=list)
-    """What went wrong, a sentence each."""
+    """Errors found so far, a sentence each."""
 
     def move(self, metres: float) -> None:
         self.length += metres

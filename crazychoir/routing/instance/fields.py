@@ -17,6 +17,7 @@ from crazychoir.routing.instance.sizes import FARTHEST, LATEST, MOST, SLOWEST
 from crazychoir.types import Mat, Vec
 
 REQUIRED = ("home", "pickup", "delivery", "load", "capacity")
+"""Keys that every instance file must have."""
 OPTIONAL = (
     "route_length_limit",
     "capability",
@@ -34,6 +35,7 @@ OPTIONAL = (
     "recharge",
     "fixed_cost",
 )
+"""Keys that an instance file may have."""
 COUNTS = {"N": "home", "M": "load"}
 """Keys that repeat the length of a list; they must agree with it."""
 ANNOTATIONS = (

@@ -124,6 +124,7 @@ class LocalProblem:
     capable: npt.NDArray[np.bool_]
     """(M,): tasks that this robot may serve; False for a task that is aboard another robot."""
     tasks: Tasks
+    """The public list of tasks."""
     end: Vec | None = None
     """(d,) m: where the robot ends, home if None."""
     open_tour: bool = False
@@ -141,7 +142,7 @@ class LocalProblem:
     trips: int = 1
     """Largest number of trips."""
     objective: tuple[str, ...] = (TOTAL,)
-    """What the team minimises, in order."""
+    """Objectives of the team, in order."""
     start: Vec | None = None
     """(d,) m, in flight: where the robot is, or will be at `start_time`."""
     start_time: float = 0.0
@@ -253,7 +254,7 @@ class Instance:
     route_length_limit: float = math.inf
     """m: limit on the length of each trip."""
     name: str = "instance"
-    """What error messages call the instance."""
+    """Name of the instance in error messages."""
     end: Mat | None = None
     """(N, d) m: where each robot ends, home if None."""
     open_tours: bool = False
@@ -274,7 +275,7 @@ class Instance:
     recharge: int = 1
     """Largest number of trips of a robot, each with the whole route_length_limit."""
     objective: tuple[str, ...] = (TOTAL,)
-    """What is minimised, in order.
+    """Objectives to minimise, in order.
 
     "total": the sum above.
     "makespan": the time in s when the last robot is done, in place of the sum of lengths.

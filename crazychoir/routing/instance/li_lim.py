@@ -19,6 +19,7 @@ COLUMNS = (
     "pickup",
     "delivery",
 )
+"""Names of the columns of a line."""
 RANGES = (
     (0, MOST),
     (-FARTHEST, FARTHEST),
@@ -34,6 +35,7 @@ RANGES = (
 WHOLE = ("customer", "pickup", "delivery")
 """Columns of whole numbers."""
 MOST_VEHICLES = 1000
+"""Largest number of vehicles."""
 
 
 @dataclass(frozen=True)
@@ -67,11 +69,12 @@ def is_li_lim(text: str) -> bool:
 
 
 def parse_li_lim(text: str, where: str) -> tuple[dict[str, Any], list[str]]:
-    """Return the JSON object of an instance, with double-precision distances, and the name of each task.
+    """Return the JSON object of an instance, and the name of each task.
 
         line 1: vehicles, capacity, speed
-        others: customer, x, y, demand, ready, due, service, pickup, delivery;   customer 0 is the depot
+        others: customer, x, y, demand, ready, due, service, pickup, delivery
 
+    Customer 0 is the depot. Distances are Euclidean, in double precision.
     Tasks are in the order of their pickups. The benchmark counts vehicles first and lengths after
     them, and so does the objective. The benchmark does not use the speed: 0 means 1, so that
     times equal lengths.

@@ -10,6 +10,7 @@ from typing import Any, Literal
 from crazychoir.routing.instance.vehicle import MAKESPAN, TOTAL, VEHICLES
 
 Kind = Literal["pickup", "delivery", "recharge"]
+"""Kind of a stop."""
 NOTHING = -1
 """The task of a stop that only recharges."""
 
@@ -19,7 +20,9 @@ class Stop:
     """One stop of a route. A stop to recharge is at the robot's end point and has task NOTHING."""
 
     task: int
+    """The task, NOTHING for a recharge."""
     kind: Kind
+    """What the robot does there."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +96,7 @@ class Plan:
     fixed_cost: float = 0.0
     """m: cost of each robot that flies."""
     objective: tuple[str, ...] = (TOTAL,)
-    """What is minimised, in order."""
+    """Objectives, in order."""
 
     def __post_init__(self) -> None:
         object.__setattr__(
@@ -181,7 +184,7 @@ class Solution:
     method: str
     """Name of the method."""
     disclosed: tuple[str, ...]
-    """What the robots told each other."""
+    """Data that the robots disclosed to each other."""
     rounds: int
     """Number of communication rounds."""
     plan_digest: str
@@ -193,7 +196,7 @@ class Solution:
     bound_relaxation: str | None = None
     """Which further routes a bound that is not exact allows: "ng-route" routes may repeat tasks."""
     vehicles_bound: int | None = None
-    """If vehicles are counted first: no plan needs fewer vehicles. None if unknown.
+    """Proven lower bound on the number of vehicles if they are counted first; None if unknown.
 
     `lower_bound` then holds for plans with that number of vehicles. It is None if this plan has
     more.

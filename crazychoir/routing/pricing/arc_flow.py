@@ -21,7 +21,9 @@ from crazychoir.routing.instance.vehicle import (
 )
 
 Terms = dict[int, float]
+"""Coefficient of each variable of a sum."""
 Sense = Literal["<=", "==", ">="]
+"""Relation between a sum and a number."""
 LEVEL = 1e-6
 """m or s: by how much the first objective may be worse when the second is minimised."""
 
@@ -84,8 +86,8 @@ class _Trip:
     def distances(self) -> Terms:
         """Return the terms of its length.
 
-        A trip without a stop flies from its begin to the end. A trip that is not flown has length
-        0.
+        A trip without a stop flies from its begin to the end. A trip that is not flown has no
+        length.
         """
         m = self.vehicle.tasks
         at = {(v, w): (self.begin if v == 2 * m else v, w) for v, w in self.arcs}
@@ -98,7 +100,7 @@ def solve_compact(instance: Instance, nodes: int = 1_000_000) -> Plan:
     """Return a proven optimal plan.
 
         min  sum_i [ sum_(j,k) d_i^jk x_i^jk + fixed (1 - stay_i) ] + sum_j penalty_j z_j
-        s.t. sum_i sum_k x_i^jk + z_j = 1             pickup j: left once by one robot, or refused
+        s.t. sum_i sum_k x_i^jk + z_j = 1                pickup j: left once by one robot, or refused
              sum_k x_i^sk + stay_i = 1                   start s; s -> t flies there without a stop
              sum_j x_i^jt + stay_i = 1                   end t
              sum_j x_i^jk = sum_j x_i^kj                 flow, every stop k

@@ -41,7 +41,7 @@ class Halves:
         cost_b = length_b - sum of pi_j picked up on b
 
     a: the path from the start as long as it is within half of the limit, by the labels of
-    labels.py.
+        labels.py.
     b: the path from the next stop to the end, by the same labels of the route flown backwards.
 
     Two halves fit if

@@ -78,7 +78,7 @@ def _enter(
     if table[k] < 0:
         table[k] = new
         chain[new] = -1
-    else:  # the head stays: it is what the table finds the key by
+    else:  # the head stays, because the table finds the key by it
         chain[new] = chain[table[k]]
         chain[table[k]] = new
     return True
@@ -284,7 +284,7 @@ def grow_priced(
             if not in_time(stop, on, goods, m, time, left, latest, shortest, fastest):
                 continue
             _, _, o0, o1 = after(keys, i, stop, m)
-            # what is picked up does not tell labels apart
+            # Labels that differ only in what they have picked up share a key.
             p0 = zero
             p1 = zero
             keys[count, 0] = p0

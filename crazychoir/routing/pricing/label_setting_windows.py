@@ -80,7 +80,7 @@ def _put(
     if table[k] < 0:
         table[k] = new
         after_it[new] = -1
-    else:  # the head stays: it is what the table finds the key by
+    else:  # the head stays, because the table finds the key by it
         after_it[new] = after_it[table[k]]
         after_it[table[k]] = new
     return True

@@ -18,7 +18,9 @@ SPREAD = (
     np.uint64(0xC2B2AE3D27D4EB4F),
     np.uint64(0x165667B19E3779F9),
 )
+"""Odd multipliers that spread the bits of a key over the hash."""
 SHIFT = np.uint64(29)
+"""Shift of the hash."""
 MOST_TASKS = 128
 """Largest number of tasks: the bits of the two words of a set."""
 

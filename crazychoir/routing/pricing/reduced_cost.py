@@ -63,7 +63,9 @@ def relaxed_reduced_cost(
     near: int = NEAR,
     most: int = MOST_LABELS,
 ) -> float:
-    """Return a lower bound on the least reduced cost: routes may serve a task again from afar.
+    """Return a lower bound on the least reduced cost.
+
+    Routes may serve a task again, but not while they are near it.
 
     below: m, a known reduced cost, such as that of `least_reduced_cost`.
     near: a stop at task k forgets all tasks except the `near` nearest to it.

@@ -15,6 +15,7 @@ from crazychoir.optimization.rounds.program import Exchange
 from crazychoir.routing.instance.vehicle import SLACK, Vehicle
 
 Nodes = tuple[int, ...]
+"""Nodes of a route without its start and its end."""
 
 
 @dataclass
@@ -22,6 +23,7 @@ class Insertion:
     """Routes of one vehicle, as nodes without its start and its end; time windows are ignored."""
 
     vehicle: Vehicle
+    """The robot."""
     _d: list[list[float]] = field(init=False)
 
     def __post_init__(self) -> None:

@@ -23,7 +23,7 @@ FLEET_HOT = 0.02
 AVERAGE = 10.0
 """Stops that a step removes on average."""
 ROUNDS = 2
-"""How often set partitioning combines the known routes into a new plan."""
+"""Number of times that set partitioning combines the known routes into a new plan."""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from crazychoir.numerics.kernels import kernel
 from crazychoir.types import Bools, Ints, Mat, Vec
 
 Box = npt.NDArray[np.float64]
+"""Array of three dimensions."""
 # Pieces of the search are inlined. They make no arrays, so that reference counting, which took four
 # fifths of the time of an insertion, is switched off.
 OPTIONS = {"forceinline": True, "_nrt": False}
