@@ -19,6 +19,7 @@ from crazychoir.bus.network.hello import VERSION
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import LINK, LOG, POSE, RESULT, STATUS, TELEMETRY, TRUTH
 from crazychoir.config.checks import LIGHTWEIGHT, limit_area
+from crazychoir.config.drone_room import fence_of
 from crazychoir.config.link_loss import TILTED, crowded, inset
 from crazychoir.config.network import impairment_of
 from crazychoir.config.swarm_config import SwarmConfig
@@ -208,6 +209,7 @@ class Agent:
             collision,
             limit,
             reached,
+            config.drone(i).home,
         )
         if i in self._remotes:
             remote = self._remotes[i]
@@ -243,10 +245,10 @@ class Agent:
     def _fence(self, i: int) -> Fence:
         """Where drone i flies: [fence]; inside it, if the radio that streams to it may fail."""
         config = self.config
-        fence = self.config.fence
+        fence = Fence.box(*fence_of(config, i))
         sender = sender_of(config, i)
         if i not in config.reached or sender not in TILTED:
-            return Fence.box(fence.min, fence.max)
+            return fence
         margin = inset(config, sender)
         here = [
             j for j in config.reached if config.drone(j).host == config.drone(i).host
@@ -261,9 +263,7 @@ class Agent:
         }
         if near := crowded(config, i, streamed):
             log.warning("drone %d (%s): %s", i, sender, near)
-        (a, b, c), (d, e, f) = fence.min, fence.max
-        x = margin.given
-        return Fence.box((a + x, b + x, c), (d - x, e - x, f))
+        return fence
 
     def _remote(self, i: int) -> RemoteLink:
         port = self.bus.ports[i]

@@ -9,7 +9,7 @@ from itertools import chain, combinations
 
 from crazychoir import platforms
 from crazychoir.bus.network.endpoints import address_fault, is_loopback
-from crazychoir.config.flight_room import EDGE, room_of
+from crazychoir.config.flight_room import EDGE, largest_room
 from crazychoir.config.radio_checks import check_radios, dongles, is_reached
 from crazychoir.config.reader import show
 from crazychoir.config.tables import Position, Swarm
@@ -345,7 +345,7 @@ def _limit_area(swarm: Swarm, where: str) -> None:
 def _homes(swarm: Swarm, where: str) -> None:
     low = swarm.fence.min
     high = swarm.fence.max
-    (a, b, _), top = room_of(swarm)
+    (a, b, _), top = largest_room(swarm)
     for n, drone in enumerate(swarm.drones):
         is_inside = all(
             x <= y <= z for x, y, z in zip(low, drone.home, high, strict=True)

@@ -152,7 +152,7 @@ class Pilot(Actor):
     limits: [flight];  fence: where it flies, from the ground up at most;  rate: Hz, of its poses;  body: the address
     that they come from, None: its own;  limit_area: beyond which its motors are cut, None: the guard's;  reached: by a
     radio, "seen" by cameras, whose poses are not believed when they jump, or by its "own" poses: its firmware lands it
-    when there are none.
+    when there are none;  home: (3,) m, world, above which it may always be sent, None: only where it took off.
     """
 
     name = "pilot"
@@ -170,6 +170,7 @@ class Pilot(Actor):
         collision: CollisionFilter | PlannedFlights | None = None,
         limit_area: Fence | None = None,
         reached: Reached = "no",
+        home: Point | None = None,
     ) -> None:
         self.port = port
         self.link = link
@@ -233,6 +234,7 @@ class Pilot(Actor):
         """Whether its mission waits for an operator's start: until then guidance moves nothing."""
         self.started_at: Point | None = None
         """(3,) m, where it stood when it took off first."""
+        self._home = home
         self._way: Homecoming | None = None
         self._models = isinstance(self.controls.sender, FPQRSender)
         self.filter = (
@@ -548,7 +550,8 @@ class Pilot(Actor):
         self, where: str, p: object, yaw: object = None, duration: object = 0.0
     ) -> Vec:
         """Return the goal p as (3,) m; raise ConfigError for one that it must not fly to, see goals.require_goal."""
-        return require_goal(where, p, yaw, duration, self.guard, self._planar)
+        homes = [home for home in (self._home, self.started_at) if home is not None]
+        return require_goal(where, p, yaw, duration, self.guard, self._planar, homes)
 
     def _may_fly(self, commanded: bool) -> bool:
         """Whether a flight may begin now. One that its operator wants, and that must wait, is his until he holds it."""
