@@ -28,7 +28,7 @@ from crazychoir.control.choice import ON_BOARD, Controls, controls
 from crazychoir.control.margin import Plant as PlantKind
 from crazychoir.control.position import HEADROOM, HEIGHT_SHARE
 from crazychoir.control.robots import ROBOTS, sender_of
-from crazychoir.errors import ConfigError, Refused
+from crazychoir.errors import ConfigError, Refused, error_text
 from crazychoir.flight.estimate import filter_of
 from crazychoir.flight.pilot import Pilot, Reached
 from crazychoir.flight.point_flights import braking
@@ -476,7 +476,7 @@ class Agent:
     def _shared_failed(self, actor: Actor, error: Exception, again: bool) -> None:
         """Without the world or the pacemaker nobody flies on: the drones land, or are cut by who still ticks them."""
         if actor in self.owners or actor is self.pacemaker:
-            self.land_all(f"{actor.name} failed: {type(error).__name__}: {error}")
+            self.land_all(f"{actor.name} failed: {error_text(error)}")
 
     def _tell_apart(self, barrier: Barrier, roster: Roster) -> None:
         """Who coordinates says it for all."""
@@ -490,12 +490,12 @@ class Agent:
 
     def _failed(self, i: int, actor: Actor, error: Exception, again: bool) -> None:
         drone = self.drones[i]
-        text = f"drone {i}: {actor.name} failed: {type(error).__name__}: {error}"
+        text = f"drone {i}: {actor.name} failed: {error_text(error)}"
         drone.port.publish(LOG, text)
         if actor.name == "guidance":
             drone.result = {"success": False, "reason": text}
             drone.port.publish(RESULT, drone.result)
-            drone.pilot.guidance_failed(f"{type(error).__name__}: {error}")
+            drone.pilot.guidance_failed(error_text(error))
         elif actor.name == "pilot" and not again:
             drone.pilot.cut(text)
 

@@ -15,6 +15,7 @@ from crazychoir.errors import (
     CrazyChoirError,
     Hung,
     Refused,
+    error_text,
     exit_call,
     raised_at,
     spoken,
@@ -84,7 +85,7 @@ class GuidanceActor(Actor):
             await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
             if not life.done():
                 await self._last_words(life)
-            drone.result = self._unforgotten(self._outcome(life))
+            drone.result = self._unforgotten(self._outcome(life), life)
             if drone.barrier.apart:
                 drone.result = {**drone.result, "apart": drone.barrier.apart}
             if not drone.result["success"] or ENDED in drone.result:
@@ -279,13 +280,18 @@ class GuidanceActor(Actor):
             return failure(str(error))
         return failure(self._broken(error))
 
-    def _unforgotten(self, result: Result) -> Result:
-        """The outcome; a failure that names the calls which the mission has made without await, if there are any."""
-        words = forgotten(self.drone.guidance)
+    def _unforgotten(self, result: Result, life: asyncio.Task[Result]) -> Result:
+        """Return the outcome; a failure that names the calls that the mission has forgotten to await, if any.
+
+        An error that has ended the mission is named first: it need not follow from the calls.
+        """
+        has_returned = life.done() and not life.cancelled() and life.exception() is None
+        words = forgotten(self.drone.guidance, has_returned and not self._aborted)
         if not words:
             return result
-        reason = "" if result["success"] else f"; {result['reason']}"
-        return failure(f"drone {self.drone.id}: {words}{reason}", result)
+        if result["success"]:
+            return failure(f"drone {self.drone.id}: {words}", result)
+        return failure(f"{result['reason']}; {words}", result)
 
     def _aborted_by_operator(self, error: BaseException | None) -> Result:
         """The operator's end; a failure if the mission's own code has broken meanwhile."""
@@ -305,7 +311,7 @@ class GuidanceActor(Actor):
     def _broken(self, error: BaseException) -> str:
         """The mission's own code has failed: the pilot hovers, then lands; the observers hear why."""
         at = raised_at(error)
-        cause = f"{type(error).__name__}: {error} ({at.filename}:{at.lineno} {at.name})"
+        cause = f"{error_text(error)} ({at.filename}:{at.lineno} {at.name})"
         text = f"drone {self.drone.id}: guidance failed: {cause}"
         log.error("%s", text, exc_info=error)
         self.drone.port.publish(LOG, text)

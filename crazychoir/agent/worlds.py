@@ -12,7 +12,7 @@ import numpy as np
 from crazychoir.bus.port import BODIES, Bus
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.control.robots import sender_of
-from crazychoir.errors import Refused
+from crazychoir.errors import Refused, error_text
 from crazychoir.mocap.simulated import SimulatedMocap
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import SECOND, Clock
@@ -176,7 +176,7 @@ class WorldProcess(Actor):
         self.abort(str(refused))
 
     def _failed(self, actor: Actor, error: Exception, again: bool) -> None:
-        self.abort(f"{actor.name} failed: {type(error).__name__}: {error}")
+        self.abort(f"{actor.name} failed: {error_text(error)}")
 
     def report(self) -> dict[str, Any]:
         """What it was like: steps in all and missed, and ms from a look to the command that came back for it."""

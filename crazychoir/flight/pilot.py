@@ -21,7 +21,7 @@ from crazychoir.control.controller import CrazyflieController
 from crazychoir.control.parameters import Parameters
 from crazychoir.control.position import HEADROOM, HEIGHT_SHARE
 from crazychoir.control.senders import FPQRSender
-from crazychoir.errors import ConfigError
+from crazychoir.errors import ConfigError, error_text
 from crazychoir.filters.state_filter import StateFilter
 from crazychoir.flight.clearance import Clearance
 from crazychoir.flight.estimate import SEEN, believed, filter_of
@@ -328,9 +328,7 @@ class Pilot(Actor):
                 error, StopIteration
             )  # no future takes these
             run.set_exception(
-                RuntimeError(f"{type(error).__name__} in a tick: {error}")
-                if bare
-                else error
+                RuntimeError(f"in a tick: {error_text(error)}") if bare else error
             )
         self._steady()
 
@@ -341,9 +339,7 @@ class Pilot(Actor):
         try:
             self._send(self._level)
         except Exception as error:  # noqa: BLE001 - it may be the link that has failed
-            self._say(
-                "link", f"no command reaches the drone: {type(error).__name__}: {error}"
-            )
+            self._say("link", f"no command reaches the drone: {error_text(error)}")
 
     def on_restart(self) -> None:
         """Whatever made a tick fail is forgotten: it comes to rest and hovers, or goes on landing, from where it is."""

@@ -21,7 +21,12 @@ from crazychoir.control.position import HEADROOM
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.flight.goals import require_path, require_trajectory
 from crazychoir.flight.pilot import Pilot
-from crazychoir.guidance.awaited_call import awaited, called_from, watch_coroutines
+from crazychoir.guidance.awaited_call import (
+    as_coroutine_function,
+    awaited,
+    called_from,
+    watch_coroutines,
+)
 from crazychoir.guidance.member import (
     PATIENCE,
     SETTLE,
@@ -93,6 +98,7 @@ class Verb(Generic[P, R]):
         return MethodType(_talk, (guidance, self.verb))
 
 
+@as_coroutine_function
 def _talk(
     verb: "tuple[CFGuidance, Callable[..., Any]]", *args: Any, **kwargs: Any
 ) -> Any:

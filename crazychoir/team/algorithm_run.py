@@ -14,6 +14,7 @@ from crazychoir.errors import (
     ConfigError,
     CrazyChoirError,
     PeerLost,
+    error_text,
     raised_at,
     without_exit,
 )
@@ -274,7 +275,7 @@ class _Ended(Exception):
         """Our own algorithm has raised this, or is told by this that it has failed, in a step that had heard this."""
         if isinstance(error, AgentFailed):
             return cls(error, error)
-        reason = f"{type(error).__name__}: {error}"
+        reason = error_text(error)
         if isinstance(error, CrazyChoirError):
             return cls(AgentFailed(i, reason), error)
         place = raised_at(error)
@@ -288,4 +289,4 @@ class _Ended(Exception):
     def by(cls, error: PeerLost | ChannelEnded) -> "_Ended":
         """A neighbour will not come: it is the one who has failed."""
         who = error.lost[0] if isinstance(error, PeerLost) else next(iter(error.ended))
-        return cls(AgentFailed(who, f"{type(error).__name__}: {error}"), error)
+        return cls(AgentFailed(who, error_text(error)), error)

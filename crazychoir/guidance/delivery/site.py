@@ -41,8 +41,13 @@ class Site:
         if not all(
             a <= x <= b for a, x, b in zip(self.low, place, self.high, strict=True)
         ):
+            fence = self.config.fence
+            sides = zip(fence.min[:2], place, fence.max[:2], strict=True)
+            if not all(a <= x <= b for a, x, b in sides):
+                room = f"{_shown(fence.min[:2])} to {_shown(fence.max[:2])} m"
+                return f"outside the fence, {room}"
             room = f"{_shown(self.low.round(3))} to {_shown(self.high.round(3))} m"
-            return f"outside the fence, or at its edge: drones are sent to {room}"
+            return f"at the edge of the fence: drones are sent to {room}"
         for drone in self.config.drones:
             gap = math.dist(place, drone.home[:2])
             if drone.id != besides and gap < self.clearance:

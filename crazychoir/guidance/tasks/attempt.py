@@ -5,7 +5,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from crazychoir.errors import CodecError, CrazyChoirError, Hung, raised_at
+from crazychoir.errors import CodecError, CrazyChoirError, Hung, error_text, raised_at
 from crazychoir.optimization.rounds.program import Exchange
 
 T = TypeVar("T")
@@ -74,7 +74,7 @@ def _is_word(j: int, said: Any, k: int) -> bool:
 
 def _told(error: Exception) -> str:
     """The error; one that nobody has foreseen with where it was raised."""
-    text = f"{type(error).__name__}: {error}"
+    text = error_text(error)
     if isinstance(error, CrazyChoirError):
         return text
     place = raised_at(error)

@@ -17,7 +17,7 @@ from cflib.crazyflie.toc import TocFetcher
 from cflib.crtp.crtpstack import CRTPPacket
 
 from crazychoir.config.radio_checks import PINGS
-from crazychoir.errors import LinkFailed
+from crazychoir.errors import LinkFailed, error_text
 from crazychoir.radio.link import drivers
 from crazychoir.radio.link.dongles import DONGLES, DongleFailed
 from crazychoir.radio.link.round_trips import ECHO, RoundTrips
@@ -154,7 +154,7 @@ class Connection:
         try:
             self.cf.open_link(self.uri)
         except Exception as error:  # noqa: BLE001 - whatever it is, whoever waits is told
-            self._from_thread(self._failed, f"{type(error).__name__}: {error}")
+            self._from_thread(self._failed, error_text(error))
         if self._over:
             self._close_link()  # it was closed before it was open
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from cflib.crtp import radiodriver
 
-from crazychoir.errors import LinkFailed
+from crazychoir.errors import LinkFailed, error_text
 
 PLUG = "Plug a Crazyradio in, let your user open it (Bitcraze's udev rules), and end what else uses it."
 PAUSE = 0.05
@@ -95,7 +95,7 @@ class Dongle:
             return does(self._radio)
         except Exception as error:  # noqa: BLE001 - whatever USB raises, whoever waits for a turn gets it
             self.over = True
-            self._failed(f"{type(error).__name__}: {error}")
+            self._failed(error_text(error))
 
     def close(self) -> None:
         """After its last link."""

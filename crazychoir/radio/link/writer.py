@@ -4,6 +4,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable
 
+from crazychoir.errors import error_text
 from crazychoir.radio.protocol.crtp import Packet
 from crazychoir.runtime.clock import SECOND, Clock
 
@@ -137,7 +138,7 @@ class Writer:
                 return False
             self.sent += 1
         except Exception as error:  # noqa: BLE001 - whatever a driver raises, the next packet may get through
-            self.failure = f"{type(error).__name__}: {error}"
+            self.failure = error_text(error)
         with self._work:
             self._remove(packet)
         return True

@@ -125,7 +125,9 @@ def test_however_a_mission_ends_its_drone_lands_and_says_the_result(does, result
     else:
         assert not found["success"]
         assert result in found["reason"]
-        assert "test_agent.py" in found["reason"] or "life.py" in found["reason"]
+        assert (
+            "test_agent.py" in found["reason"] or "mission_runner.py" in found["reason"]
+        )
 
 
 async def returns_a_set(guidance):

@@ -50,7 +50,7 @@ def mission(tmp_path):
         ("def goal(): ...", r"goal: found def goal\(\); allowed: def goal\(config\)"),
         (
             "async def check(config, force): ...",
-            r"found async def check\(.*Drop `async`",
+            r"mine\.py:\d+: check: found async def check\(.*Write `def check`, not",
         ),
         ("goal = {0: (0.0, 0.0, 1.0)}", "goal: found goal = dict .*another name"),
         (
@@ -100,7 +100,27 @@ def test_a_hook_may_have_more_arguments_if_they_have_defaults(mission):
         (
             "class A(CFGuidance):\n    def mission(self): ...\n"
             "def guidance(i, config): return A()",
-            "class A: mission: found def mission; .*Write `async`",
+            r"mine\.py:\d+: class A: mission: found def mission; .*Write `async def mission`",
+        ),
+        (
+            "class A(Law):\n    async def step(self, me, heard): ...\n"
+            "def guidance(i, config): return A()",
+            r"mine\.py:14: class A: step: .*Write `def step`, not `async def step`",
+        ),
+        (
+            "class A(Law):\n    async def height(self): ...\n"
+            "def guidance(i, config): return A()",
+            r"mine\.py:14: class A: height: .*Write `def height`, not `async def height`",
+        ),
+        (
+            "class A(Law):\n    async def route(self): ...\n"
+            "def guidance(i, config): return A()",
+            "class A: route: .*Write `def route`",
+        ),
+        (
+            "class A(Law):\n    def asked(self, verb, arguments): ...\n"
+            "def guidance(i, config): return A()",
+            "class A: asked: .*Write `async def asked`",
         ),
         (
             "def guidance(i, config): return config.wings",
