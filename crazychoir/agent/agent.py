@@ -18,7 +18,7 @@ from crazychoir.bus.commands import COMMANDED, CommandServer
 from crazychoir.bus.network.hello import VERSION
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import LINK, LOG, POSE, RESULT, STATUS, TELEMETRY, TRUTH
-from crazychoir.config.checks import LIGHTWEIGHT, limit_area
+from crazychoir.config.checks import LIGHTWEIGHT, REPLAY, limit_area
 from crazychoir.config.drone_room import fence_of
 from crazychoir.config.link_loss import TILTED, crowded, inset
 from crazychoir.config.network import impairment_of
@@ -210,6 +210,7 @@ class Agent:
             limit,
             reached,
             config.drone(i).home,
+            config.drone(i).uri.startswith(REPLAY),
         )
         if i in self._remotes:
             remote = self._remotes[i]

@@ -89,6 +89,7 @@ TOUCHDOWN_LATE = 2.0
 TOUCHDOWN_UNSEEN = 0.5
 """The same for one that is not seen."""
 AT_REST = 0.05
+REPLAY_LATE = 5.0  # s after the planned touch-down when the landing of a replayed drone is over, wherever its body is
 GIVE_UP_HOVER = 2.0
 """s of hovering after guidance has failed, before the landing."""
 GIVE_UP_TICKS = 0.5
@@ -152,7 +153,8 @@ class Pilot(Actor):
     limits: [flight];  fence: where it flies, from the ground up at most;  rate: Hz, of its poses;  body: the address
     that they come from, None: its own;  limit_area: beyond which its motors are cut, None: the guard's;  reached: by a
     radio, "seen" by cameras, whose poses are not believed when they jump, or by its "own" poses: its firmware lands it
-    when there are none;  home: (3,) m, world, above which it may always be sent, None: only where it took off.
+    when there are none;  home: (3,) m, world, above which it may always be sent, None: only where it took off;
+    is_replayed: whether its body follows a recording, and obeys nothing.
     """
 
     name = "pilot"
@@ -171,6 +173,7 @@ class Pilot(Actor):
         limit_area: Fence | None = None,
         reached: Reached = "no",
         home: Point | None = None,
+        is_replayed: bool = False,
     ) -> None:
         self.port = port
         self.link = link
@@ -235,6 +238,8 @@ class Pilot(Actor):
         self.started_at: Point | None = None
         """(3,) m, where it stood when it took off first."""
         self._home = home
+        self._is_replayed = is_replayed
+        self._replay_lands_at = math.inf  # s, when its landing counts as over
         self._way: Homecoming | None = None
         self._models = isinstance(self.controls.sender, FPQRSender)
         self.filter = (
@@ -924,6 +929,13 @@ class Pilot(Actor):
             return not self.turning() or now > self._down_at + STILL_TURNING
         if not self._takes_off:
             return self.flights.done(now) and bool(np.linalg.norm(state.v) < AT_REST)
+        if now > self._replay_lands_at:
+            up = state.flat[2] - self.limits.ground
+            self._say(
+                "replay",
+                f"follows a recording and obeys nothing: its landing ends {up:.2f} m above the ground",
+            )
+            return True
         low = seen and state.flat[2] < self.limits.ground + ON_THE_FLOOR
         landing = isinstance(self.flights.plan, Landing)
         if not seen and (self.turning() or self.unheard()):
@@ -1137,7 +1149,8 @@ class Pilot(Actor):
 
         What it learns meanwhile may be of a floor that it pushes.
         """
-        if self.mode is not LAND:
+        begins = self.mode is not LAND
+        if begins:
             self.controls.trim.keep()
         self._flown = start = self._departure()
         self._reference = None
@@ -1146,9 +1159,12 @@ class Pilot(Actor):
         self._change(Event.ARRIVED if self.mode is RETURN else Event.LAND)
         if not self._takes_off:
             return self.flights.brake(start, self.clock.now())
-        return self.flights.descend(
+        seconds = self.flights.descend(
             start, self.clock.now(), self.limits.ground + ON_THE_FLOOR, beside
         )
+        if begins and self._is_replayed:
+            self._replay_lands_at = self.clock.now() + seconds + REPLAY_LATE
+        return seconds
 
     def _departure(self) -> FullState:
         """Where a new plan begins."""
@@ -1166,7 +1182,7 @@ class Pilot(Actor):
 
     def _landed(self) -> None:
         self._change(Event.DOWN)
-        self._down_at = math.inf
+        self._down_at = self._replay_lands_at = math.inf
         self._to_firmware = None
         self._tell_owner_at = 0.0
         self._flown = None

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.files.recorded_times import LARGEST_TIME
 from crazychoir.filters.velocity import readable
 from crazychoir.mocap.frames import Frame
 from crazychoir.mocap.simulated import SimulatedMocap
@@ -14,8 +15,6 @@ EARLY = 0.9
 """Of a period that a frame may come early: less, and of 120 a second only 90 would pass a limit of 100."""
 BACK = 1.0
 """s by which time goes back when a source was started again."""
-LARGEST_TIME = 1e11  # s
-"""What is beyond is no time in seconds, from whatever origin: 1970 was 1.8e9 s ago, which are 1.8e12 ms."""
 
 
 class RateLimit:
