@@ -9,7 +9,7 @@ from itertools import chain, combinations
 
 from crazychoir import platforms
 from crazychoir.bus.network.endpoints import address_fault, is_loopback
-from crazychoir.config.flight_room import EDGE, largest_room
+from crazychoir.config.flight_room import ABOVE_FLOOR, EDGE, largest_room
 from crazychoir.config.radio_checks import check_radios, dongles, is_reached
 from crazychoir.config.reader import show
 from crazychoir.config.tables import Position, Swarm
@@ -301,6 +301,15 @@ def _box(swarm: Swarm, where: str) -> None:
             _between(low, high),
             "max above min in x, y and z",
             "Exchange them.",
+        )
+    room_low, room_high = largest_room(swarm)
+    if any(a >= b for a, b in zip(room_low, room_high, strict=True)):
+        raise ConfigError(
+            f"{where}: fence",
+            _between(low, high),
+            f"a box of more than {2.0 * EDGE:g} m aside, and more than {ABOVE_FLOOR + EDGE:g} m above flight.ground",
+            "Widen it.",
+            "no room is left inside it in which a drone may be sent",
         )
     top = swarm.flight.ground + swarm.flight.takeoff_height
     if not low[2] <= top <= high[2]:

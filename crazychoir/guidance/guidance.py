@@ -350,7 +350,7 @@ class CFGuidance:
         """Fly to p (3,) m, world, yaw rad (None: as it is), and be there; stopped by the safety table, it flies again.
 
         It waits, at most PATIENCE s, while an operator holds the drone or the safety table brakes it, and where it
-        gives way to others, as to one who stands at p.
+        gives way to others, as to one who stands at p. A place above its home is flown to as near as the guard allows.
         Raises ConfigError, before it moves, for what is no place, and for a place outside the fence, at its edge, or on
         the floor; Interrupted when the pilot lands, and when p cannot be reached.
         """

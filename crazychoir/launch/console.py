@@ -394,6 +394,7 @@ def summary_table(run: dict[str, Any]) -> Table:
         ("min_separation_m", "{:.3f} m"),
         ("kept_clear_s", "{}"),
         ("at_fence_s", "{}"),
+        ("refused_references", "{}"),
         ("apart", "{}"),
         ("formation_error_m", "{:.4f} m"),
         ("settling_s", "{:.2f} s"),

@@ -292,3 +292,19 @@ def test_a_file_that_raises_when_it_is_loaded_is_refused_with_its_line(
         assert str(caught.value).startswith(
             f"mission {path}:3: found ZeroDivisionError: division by zero; allowed: "
         )
+
+
+def test_law_most_of_whose_references_cannot_be_flown_says_so(mission):
+    loaded = mission(
+        "class Torn(Law):\n"
+        "    count = 0\n"
+        "    def step(self, me, heard):\n"
+        "        self.count += 1\n"
+        "        return Acceleration(np.full(3, np.nan) if self.count % 5 else -me.v)\n"
+        "def guidance(i, config): return Torn()"
+    )
+    run = fly_fast(SWARM, loaded)
+    assert run["success"]
+    assert run["refused_references"][0] == run["results"][0]["refused_references"] > 30
+    assert "no usable reference in" in run["reasons"][0]
+    assert "finite numbers" in run["reasons"][0]
