@@ -13,7 +13,7 @@ from crazychoir.safety.rules.guard import Guard
 from crazychoir.types import FullState, Mat, Point, Vec
 
 SLACK = 1e-6  # m by which a place may be outside the room: rounding
-AT_HOME = 0.1  # m from a home, in the plane, that counts as above it
+AT_HOME = 0.05  # m from a home, in the plane, that counts as above it
 PLACE = "three finite numbers, m"
 
 

@@ -90,6 +90,8 @@ TOUCHDOWN_UNSEEN = 0.5
 """The same for one that is not seen."""
 AT_REST = 0.05
 REPLAY_LATE = 5.0  # s after the planned touch-down when the landing of a replayed drone is over, wherever its body is
+OBEYS_NOTHING = "follows a recording and obeys nothing"
+"""What is said of a replayed drone that does not do what its mission asks."""
 GIVE_UP_HOVER = 2.0
 """s of hovering after guidance has failed, before the landing."""
 GIVE_UP_TICKS = 0.5
@@ -238,7 +240,7 @@ class Pilot(Actor):
         self.started_at: Point | None = None
         """(3,) m, where it stood when it took off first."""
         self._home = home
-        self._is_replayed = is_replayed
+        self.is_replayed = is_replayed
         self._replay_lands_at = math.inf  # s, when its landing counts as over
         self._way: Homecoming | None = None
         self._models = isinstance(self.controls.sender, FPQRSender)
@@ -933,7 +935,7 @@ class Pilot(Actor):
             up = state.flat[2] - self.limits.ground
             self._say(
                 "replay",
-                f"follows a recording and obeys nothing: its landing ends {up:.2f} m above the ground",
+                f"{OBEYS_NOTHING}: its landing ends {up:.2f} m above the ground",
             )
             return True
         low = seen and state.flat[2] < self.limits.ground + ON_THE_FLOOR
@@ -1162,7 +1164,7 @@ class Pilot(Actor):
         seconds = self.flights.descend(
             start, self.clock.now(), self.limits.ground + ON_THE_FLOOR, beside
         )
-        if begins and self._is_replayed:
+        if begins and self.is_replayed:
             self._replay_lands_at = self.clock.now() + seconds + REPLAY_LATE
         return seconds
 

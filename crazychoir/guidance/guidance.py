@@ -20,7 +20,7 @@ import numpy as np
 from crazychoir.control.position import HEADROOM
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.flight.goals import require_path, require_trajectory
-from crazychoir.flight.pilot import Pilot
+from crazychoir.flight.pilot import OBEYS_NOTHING, Pilot
 from crazychoir.guidance.awaited_call import (
     as_coroutine_function,
     awaited,
@@ -384,6 +384,8 @@ class CFGuidance:
                 await self._wait_aside(p)
         place = np.round(p, 2).tolist()
         why = HELD if pilot.held else pilot.note or "no reason"
+        if pilot.is_replayed:
+            why = OBEYS_NOTHING
         raise Interrupted(
             f"drone {self.id}: does not reach {place}, still {pilot.gap(p):.2f} m from it: {why}"
         )

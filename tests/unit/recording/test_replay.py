@@ -154,31 +154,56 @@ def test_samples_written_by_hand_may_be_far_from_each_other(tmp_path):
 
 
 class UpAndDown(CFGuidance):
-    """Takes off and lands."""
+    """Takes off, flies to some places, and lands."""
+
+    def __init__(self, *places):
+        self.places = places
 
     async def mission(self):
         await self.take_off()
+        for place in self.places:
+            await self.go_to(place)
         await self.land()
 
 
 def test_mission_of_a_replayed_drone_ends_though_its_recording_ends_in_the_air(
     tmp_path, caplog
 ):
+    config = swarm_with_replay(tmp_path)
+    results = flown_with_replay(config)
+    assert results[0]["success"]
+    assert results[1]["success"]
+    assert "obeys nothing: its landing ends 1.00 m above the ground" in caplog.text
+
+
+def test_flight_of_a_replayed_drone_to_a_place_ends_with_the_reason(tmp_path):
+    config = swarm_with_replay(tmp_path)
+    results = flown_with_replay(config, [0.6, 1.0, 1.0])
+    assert not results[1]["success"]
+    assert "does not reach [0.6, 1.0, 1.0]" in results[1]["reason"]
+    assert "follows a recording and obeys nothing" in results[1]["reason"]
+
+
+def flown_with_replay(config, *places):
+    """The results of a flight in virtual time, in which drone 1 is asked to fly to some places."""
+
+    async def main(clock):
+        mission = SimpleNamespace(
+            guidance=lambda i, config: UpAndDown(*(places if i == 1 else ()))
+        )
+        agent = Agent(clock, config, mission, config.ids)
+        async with asyncio.timeout(120.0):
+            return await agent.run()
+
+    return run_virtual(main)
+
+
+def swarm_with_replay(tmp_path):
+    """Two drones; the recording of drone 1 ends in the air."""
     path = tmp_path / "b.csv"
     path.write_text("t,x,y,z\n0,0.6,0,0\n3,0.6,0,1\n5,0.6,0,1\n")
     drones = [
         {"id": 0, "home": [0, 0, 0]},
         {"id": 1, "home": [0.6, 0, 0], "uri": f"replay://{path}"},
     ]
-    config = SwarmConfig.of({"name": "a", "graph": "path", "drones": drones})
-
-    async def main(clock):
-        mission = SimpleNamespace(guidance=lambda i, config: UpAndDown())
-        agent = Agent(clock, config, mission, config.ids)
-        async with asyncio.timeout(120.0):
-            return await agent.run()
-
-    results = run_virtual(main)
-    assert results[0]["success"]
-    assert results[1]["success"]
-    assert "obeys nothing: its landing ends 1.00 m above the ground" in caplog.text
+    return SwarmConfig.of({"name": "a", "graph": "path", "drones": drones})
