@@ -17,6 +17,8 @@ import numpy as np
 from msgspec import Meta
 
 from crazychoir import CFGuidance, SwarmConfig
+from crazychoir.config.drone_room import room_of
+from crazychoir.config.flight_room import room_text
 from crazychoir.config.tables import Hertz, Share, Table
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.aggregative import Defence, Defender
@@ -177,7 +179,7 @@ def round_of(i: int, config: SwarmConfig) -> Piecewise:
         high=config.fence.max,
     )
     way = timed_goals(FullState.at(places[0]), np.array(goals), limits)
-    require_inside(way, config, f"swarm {config.name}: drone {i}")
+    require_inside(way, config, i, f"swarm {config.name}: drone {i}")
     return way
 
 
@@ -252,16 +254,15 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
 
 
 def _require_inside(config: SwarmConfig, places: dict[int, Vec]) -> None:
-    low = config.fence.min
-    high = config.fence.max
     for i, p in places.items():
+        low, high = room_of(config, i)
         if not (np.all(p >= low) and np.all(p <= high)):
             found = f"drone {i} would end at {np.round(p, 2).tolist()}"
             do = "Move target or intruders, or widen [fence]."
             raise ConfigError(
                 f"swarm {config.name}: mission_options",
                 found,
-                "places inside [fence]",
+                room_text(low, high),
                 do,
             )
 

@@ -12,6 +12,8 @@ import numpy as np
 from msgspec import Meta
 
 from crazychoir import CFDistributedFeedback, SwarmConfig
+from crazychoir.config.drone_room import room_of
+from crazychoir.config.flight_room import room_text
 from crazychoir.config.tables import Height, Speed, Table
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.mission_options import (
@@ -224,11 +226,12 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
         )
     for which, found in zip(("start", "goal"), places(config), strict=True):
         for i, p in found.items():
-            if np.any(p < config.fence.min) or np.any(p > config.fence.max):
+            low, high = room_of(config, i)
+            if np.any(p < low) or np.any(p > high):
                 raise ConfigError(
                     f"{where}: {which} of drone {i}",
                     p.round(2).tolist(),
-                    "inside [fence]",
+                    room_text(low, high),
                     "Widen it.",
                 )
     if options.pattern != "antipodal" or len(config.ids) <= CROWD:

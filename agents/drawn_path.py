@@ -100,7 +100,7 @@ def drawn(config: SwarmConfig, i: int) -> Drawing:
         high=config.fence.max,
     )
     planned = drawing(placed, pen, limits)
-    require_inside(planned.path, config, "drawing")
+    require_inside(planned.path, config, i, "drawing")
     return planned
 
 

@@ -112,7 +112,7 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
     for i in config.ids:
         try:
             feasibility.check(_figure(config, i), limits)
-            require_inside(_figure(config, i), config, "trajectory")
+            require_inside(_figure(config, i), config, i, "trajectory")
         except ConfigError as error:
             raise ConfigError(
                 f"{where}: drone {i}: {error.where}",

@@ -87,7 +87,7 @@ def flight(i: int, config: SwarmConfig) -> Piecewise:
     )
     try:
         way = timed_goals(start, np.array(rows), room)
-        require_inside(way, config, "goals")
+        require_inside(way, config, i, "goals")
     except ConfigError as error:
         where = f"swarm {config.name}: mission_options.goals: drone {i}: {error.where}"
         raise ConfigError(where, error.found, error.allowed, error.do) from error

@@ -15,12 +15,13 @@ import numpy as np
 from msgspec import Meta
 
 from crazychoir import CFGuidance, SwarmConfig
+from crazychoir.config.drone_room import room_of
+from crazychoir.config.flight_room import room_text
 from crazychoir.config.tables import Acceleration, Drone, Speed, Table
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission_options import Duration, Spot, given, own
 from crazychoir.guidance.mpc import Motion, MPCGuidance
 from crazychoir.recording.analysis.tracks import draw_ways
-from crazychoir.safety.rules.guard import EDGE
 from crazychoir.types import Vec
 
 Results = dict[int, dict[str, Any]]
@@ -103,8 +104,8 @@ def guidance(i: int, config: SwarmConfig) -> CFGuidance:
     options = given(config, Options)
     drone = config.drone(i)
     goal = goal_of(config, drone)
-    low = np.array(config.fence.min[:2]) + EDGE - goal
-    high = np.array(config.fence.max[:2]) - EDGE - goal
+    room = np.array(room_of(config, i))
+    low, high = room[:, 0:2] - goal
     neighbors = config.graph().neighbors(i)
     law = MPCGuidance(
         goal, motion(config, drone), low, high, options.reach - MARGIN, neighbors
@@ -183,17 +184,13 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
 def _require_possible(config: SwarmConfig, drone: Drone) -> None:
     """Raise ConfigError for a goal outside the fence, and for a speed above [flight]."""
     where = f"swarm {config.name}: drone {drone.id}"
-    low = config.fence.min
-    high = config.fence.max
+    low, high = room_of(config, drone.id)
     place = goal_of(config, drone)
-    if np.any(place < np.array(low[:2]) + EDGE) or np.any(
-        place > np.array(high[:2]) - EDGE
-    ):
-        allowed = f"a goal inside [fence], {EDGE} m from its edge"
+    if np.any(place < low[:2]) or np.any(place > high[:2]):
         raise ConfigError(
             f"{where}: goal",
             place.tolist(),
-            allowed,
+            room_text(low, high),
             "Change mission_options.shift, or widen [fence].",
         )
     speed = motion(config, drone).speed

@@ -12,7 +12,8 @@ import numpy as np
 from msgspec import Meta
 
 from crazychoir import CFGuidance, SwarmConfig
-from crazychoir.config.flight_room import room_of
+from crazychoir.config.drone_room import room_of
+from crazychoir.config.flight_room import room_text
 from crazychoir.config.tables import Table
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission_options import Place, given, require_none
@@ -79,19 +80,16 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
     """Check that there are targets, all inside the fence. Raises ConfigError if not."""
     require_none(config)
-    low = config.fence.min
-    high = config.fence.max
-    a, b = room_of(config)
     for i in config.ids:
+        low, high = room_of(config, i)
         places = targets(i, config)
         for k, place in enumerate(places):
-            if not (np.all(place >= a) and np.all(place <= b)):
+            if not (np.all(place >= low) and np.all(place <= high)):
                 where = f"swarm {config.name}: mission_options.targets[{k}]"
-                allowed = f"inside [fence], {list(low)} to {list(high)} m"
                 raise ConfigError(
                     where,
                     f"{place.tolist()} of drone {i}",
-                    allowed,
+                    room_text(low, high),
                     "Move it, or widen [fence].",
                 )
     return []

@@ -12,6 +12,7 @@ from msgspec import Meta
 from scipy.optimize import linear_sum_assignment
 
 from crazychoir import SwarmConfig
+from crazychoir.config.drone_room import shared_room
 from crazychoir.config.reader import read
 from crazychoir.config.tables import Probability, Table
 from crazychoir.errors import ConfigError
@@ -117,11 +118,12 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
         raise ConfigError(
             f"swarm {config.name}: graph", "a directed graph", "an undirected one"
         )
-    low = np.array(config.fence.min[:2])
-    high = np.array(config.fence.max[:2])
+    low, high = np.array(shared_room(config))[:, 0:2]
     if np.any(low > -REACH) or np.any(high < REACH):
         where = f"swarm {config.name}: fence"
-        box = f"{low.tolist()} to {high.tolist()}"
+        box = (
+            f"room for drones from {low.round(3).tolist()} to {high.round(3).tolist()}"
+        )
         raise ConfigError(
             where,
             box,

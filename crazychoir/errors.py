@@ -330,6 +330,29 @@ def without_exit(what: str) -> Iterator[None]:
         raise exit_of(end, what) from end
 
 
+MEANINGS: dict[str, str] = {
+    "TimeoutError": "a time limit has passed, as of asyncio.timeout or asyncio.wait_for",
+    "CancelledError": "it was cancelled",
+    "AssertionError": "an assert does not hold",
+    "NotImplementedError": "this is not implemented",
+    "MemoryError": "no memory is left",
+    "RecursionError": "functions call each other too deeply",
+    "KeyboardInterrupt": "it was interrupted by Ctrl-C",
+    "StopIteration": "an iterator has no next value",
+    "StopAsyncIteration": "an iterator has no next value",
+    "EOFError": "the input has ended",
+}
+"""What an error means that is raised without words, by the name of its type."""
+
+
+def error_text(error: BaseException) -> str:
+    """Return the type of an error and what it says, or what such an error means; never a type alone."""
+    kinds = [kind.__name__ for kind in type(error).__mro__]
+    meanings = (MEANINGS[name] for name in kinds if name in MEANINGS)
+    meaning = next(meanings, "raised without a text")
+    return f"{type(error).__name__}: {spoken(error, meaning)}"
+
+
 def spoken(reason: object, otherwise: str) -> str:
     """Return the reason in words, never empty.
 

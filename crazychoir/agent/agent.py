@@ -18,7 +18,8 @@ from crazychoir.bus.commands import COMMANDED, CommandServer
 from crazychoir.bus.network.hello import VERSION
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import LINK, LOG, POSE, RESULT, STATUS, TELEMETRY, TRUTH
-from crazychoir.config.checks import LIGHTWEIGHT, limit_area
+from crazychoir.config.checks import LIGHTWEIGHT, REPLAY, limit_area
+from crazychoir.config.drone_room import fence_of
 from crazychoir.config.link_loss import TILTED, crowded, inset
 from crazychoir.config.network import impairment_of
 from crazychoir.config.swarm_config import SwarmConfig
@@ -27,7 +28,7 @@ from crazychoir.control.choice import ON_BOARD, Controls, controls
 from crazychoir.control.margin import Plant as PlantKind
 from crazychoir.control.position import HEADROOM, HEIGHT_SHARE
 from crazychoir.control.robots import ROBOTS, sender_of
-from crazychoir.errors import ConfigError, Refused
+from crazychoir.errors import ConfigError, Refused, error_text
 from crazychoir.flight.estimate import filter_of
 from crazychoir.flight.pilot import Pilot, Reached
 from crazychoir.flight.point_flights import braking
@@ -220,6 +221,8 @@ class Agent:
             collision,
             limit,
             reached,
+            config.drone(i).home,
+            config.drone(i).uri.startswith(REPLAY),
         )
         if i in self._remotes:
             remote = self._remotes[i]
@@ -258,10 +261,10 @@ class Agent:
         It is [fence], or smaller if the radio that streams to the drone may fail.
         """
         config = self.config
-        fence = self.config.fence
+        fence = Fence.box(*fence_of(config, i))
         sender = sender_of(config, i)
         if i not in config.reached or sender not in TILTED:
-            return Fence.box(fence.min, fence.max)
+            return fence
         margin = inset(config, sender)
         here = [
             j for j in config.reached if config.drone(j).host == config.drone(i).host
@@ -276,9 +279,7 @@ class Agent:
         }
         if near := crowded(config, i, streamed):
             log.warning("drone %d (%s): %s", i, sender, near)
-        (a, b, c), (d, e, f) = fence.min, fence.max
-        x = margin.given
-        return Fence.box((a + x, b + x, c), (d - x, e - x, f))
+        return fence
 
     def _remote(self, i: int) -> RemoteLink:
         port = self.bus.ports[i]
@@ -509,7 +510,7 @@ class Agent:
         A pilot that still gets ticks may cut its motors instead.
         """
         if actor in self.owners or actor is self.pacemaker:
-            self.land_all(f"{actor.name} failed: {type(error).__name__}: {error}")
+            self.land_all(f"{actor.name} failed: {error_text(error)}")
 
     def _tell_apart(self, barrier: Barrier, roster: Roster) -> None:
         """Log once for the team, from the coordinator, that the team is cut into parts."""
@@ -523,12 +524,12 @@ class Agent:
 
     def _failed(self, i: int, actor: Actor, error: Exception, again: bool) -> None:
         drone = self.drones[i]
-        text = f"drone {i}: {actor.name} failed: {type(error).__name__}: {error}"
+        text = f"drone {i}: {actor.name} failed: {error_text(error)}"
         drone.port.publish(LOG, text)
         if actor.name == "guidance":
             drone.result = {"success": False, "reason": text}
             drone.port.publish(RESULT, drone.result)
-            drone.pilot.guidance_failed(f"{type(error).__name__}: {error}")
+            drone.pilot.guidance_failed(error_text(error))
         elif actor.name == "pilot" and not again:
             drone.pilot.cut(text)
 

@@ -18,6 +18,7 @@ from crazychoir.errors import (
     CrazyChoirError,
     Hung,
     Refused,
+    error_text,
     exit_call,
     raised_at,
     spoken,
@@ -105,7 +106,7 @@ class GuidanceActor(Actor):
             await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
             if not life.done():
                 await self._last_words(life)
-            drone.result = self._unforgotten(self._outcome(life))
+            drone.result = self._unforgotten(self._outcome(life), life)
             if drone.barrier.apart:
                 drone.result = {**drone.result, "apart": drone.barrier.apart}
             if not drone.result["success"] or ENDED in drone.result:
@@ -310,13 +311,18 @@ class GuidanceActor(Actor):
             return failure(str(error))
         return failure(self._broken(error))
 
-    def _unforgotten(self, result: Result) -> Result:
-        """Return the result, or a failure that names calls of the mission without await."""
-        words = forgotten(self.drone.guidance)
+    def _unforgotten(self, result: Result, life: asyncio.Task[Result]) -> Result:
+        """Return the outcome; a failure that names the calls that the mission has forgotten to await, if any.
+
+        An error that has ended the mission is named first: it need not follow from the calls.
+        """
+        has_returned = life.done() and not life.cancelled() and life.exception() is None
+        words = forgotten(self.drone.guidance, has_returned and not self._aborted)
         if not words:
             return result
-        reason = "" if result["success"] else f"; {result['reason']}"
-        return failure(f"drone {self.drone.id}: {words}{reason}", result)
+        if result["success"]:
+            return failure(f"drone {self.drone.id}: {words}", result)
+        return failure(f"{result['reason']}; {words}", result)
 
     def _aborted_by_operator(self, error: BaseException | None) -> Result:
         """Return the result of a mission that its operator ended.
@@ -345,7 +351,7 @@ class GuidanceActor(Actor):
         Returns the error in words, which observers receive too.
         """
         at = raised_at(error)
-        cause = f"{type(error).__name__}: {error} ({at.filename}:{at.lineno} {at.name})"
+        cause = f"{error_text(error)} ({at.filename}:{at.lineno} {at.name})"
         text = f"drone {self.drone.id}: guidance failed: {cause}"
         log.error("%s", text, exc_info=error)
         self.drone.port.publish(LOG, text)

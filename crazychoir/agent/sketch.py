@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from crazychoir.agent.steering import MOST_PIECES, path_message
+from crazychoir.config.flight_room import largest_room
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import Collision
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.path_checks import inside, require_inside
+from crazychoir.guidance.path_checks import inside
 from crazychoir.planning.drawing.drawing import Pen, drawing
 from crazychoir.planning.drawing.drawing_file import (
     DrawingFile,
@@ -121,7 +122,10 @@ def planned(
     made = drawing(drawn, pen, limits, LONGEST / slower)
     path = made.path.slowed(slower)
     check(path, limits)
-    require_inside(path, config, "drawing")
+    low, high = largest_room(config)
+    Limits(low=low, high=high).check_places(
+        references(path)[1][:, 0:3], "drawing: set-point"
+    )
     most = peaks(path)
     return Planned(path, made.deviation, most["speed"], most["acceleration"])
 
@@ -209,11 +213,10 @@ def messages(
     """
     if not all(config.drone(i).leader for i in drones):
         _check_apart(drones, offset, config)
-    limits = inside(config)
     told = {}
     ways = references(path)[1][:, 0:3]
     for i, by in _beside((0.0, 0.0, 0.0), offset, drones).items():
-        limits.check_places(ways + by, f"path of drone {i}")
+        inside(config, i).check_places(ways + by, f"path of drone {i}")
         told[i] = path_message(shifted(path, by))
     return told
 

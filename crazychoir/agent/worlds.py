@@ -15,7 +15,7 @@ import numpy as np
 from crazychoir.bus.port import BODIES, Bus
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.control.robots import sender_of
-from crazychoir.errors import Refused
+from crazychoir.errors import Refused, error_text
 from crazychoir.mocap.simulated import SimulatedMocap
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import SECOND, Clock
@@ -192,7 +192,7 @@ class WorldProcess(Actor):
         self.abort(str(refused))
 
     def _failed(self, actor: Actor, error: Exception, again: bool) -> None:
-        self.abort(f"{actor.name} failed: {type(error).__name__}: {error}")
+        self.abort(f"{actor.name} failed: {error_text(error)}")
 
     def report(self) -> dict[str, Any]:
         """Return the result of the process.

@@ -23,7 +23,7 @@ from rich.text import Text
 
 from crazychoir.bench.exchange import BARE, INSTALL, PACKAGE
 from crazychoir.bench.significance import paired, relative, spread
-from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.errors import ConfigError, CrazyChoirError, error_text
 from crazychoir.routing.distributed.member import Settings
 from crazychoir.routing.distributed.pickup_delivery import METHODS
 from crazychoir.routing.instance.checker import check
@@ -345,7 +345,7 @@ def _team(instance: Instance, solve: Callable[[], dict[str, Any]]) -> dict[str, 
     try:
         result = solve()
     except CrazyChoirError as error:
-        return _nothing(f"{type(error).__name__}: {error}")
+        return _nothing(error_text(error))
     keys = (
         "cost",
         "feasible",

@@ -30,7 +30,7 @@ from crazychoir.bus.array_codec import (
     encode_array,
     flat_layout,
 )
-from crazychoir.errors import CodecError
+from crazychoir.errors import CodecError, error_text
 from crazychoir.files.path_texts import readable_texts
 
 MAX_PAYLOAD: Final = 600_000
@@ -118,9 +118,7 @@ def decode(payload: Payload, limit: int = MAX_PAYLOAD) -> Any:
     except CodecError:
         raise
     except Exception as error:
-        raise CodecError(
-            f"payload: cannot be decoded: {type(error).__name__}: {error}"
-        ) from error
+        raise CodecError(f"payload: cannot be decoded: {error_text(error)}") from error
 
 
 def register(cls: type[W]) -> type[W]:

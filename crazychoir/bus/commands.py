@@ -13,7 +13,7 @@ from typing import Any
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.port import Port
 from crazychoir.bus.topics import ANSWER, ESTOP, REQUEST
-from crazychoir.errors import CodecError, ConfigError, Refused
+from crazychoir.errors import CodecError, ConfigError, Refused, error_text
 
 RESEND = 0.1  # s between repeats of a request without an answer
 AGAIN = 0.5  # s between repeats of an accepted request
@@ -257,7 +257,7 @@ class CommandServer:
         except ConfigError as error:
             self._answer(key, REFUSED, str(error))
         except Exception as error:  # noqa: BLE001 - the issuer is told; the drone flies on
-            self._answer(key, REFUSED, f"{type(error).__name__}: {error}")
+            self._answer(key, REFUSED, error_text(error))
 
     def _answer(self, key: _Key, kind: str, detail: Any) -> None:
         payload = self._answers[key] = encode([kind, detail])

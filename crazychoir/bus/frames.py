@@ -11,7 +11,7 @@ import msgspec
 from msgspec import Meta
 
 from crazychoir.bus.codec import MAX_PAYLOAD
-from crazychoir.errors import CodecError
+from crazychoir.errors import CodecError, error_text
 
 VERSION: Final = 1
 """Version of the format."""
@@ -87,9 +87,7 @@ def encode_frame(frame: Frame, limit: int = MAX_FRAME) -> bytes:
     try:
         data = _HEAD + _encode(frame)
     except Exception as error:
-        raise CodecError(
-            f"frame: cannot be encoded: {type(error).__name__}: {error}"
-        ) from error
+        raise CodecError(f"frame: cannot be encoded: {error_text(error)}") from error
     if len(data) > limit:
         raise CodecError(
             f"frame: {len(data)} bytes; allowed: {limit}. Collect with a FrameBuffer, which splits."
@@ -109,9 +107,7 @@ def decode_frame(data: bytes | bytearray | memoryview, limit: int = MAX_FRAME) -
     try:
         return _decode(memoryview(data)[1:])
     except Exception as error:
-        raise CodecError(
-            f"frame: cannot be decoded: {type(error).__name__}: {error}"
-        ) from error
+        raise CodecError(f"frame: cannot be decoded: {error_text(error)}") from error
 
 
 class FrameBuffer:

@@ -12,7 +12,7 @@ from itertools import chain, combinations
 
 from crazychoir import platforms
 from crazychoir.bus.network.endpoints import address_fault, is_loopback
-from crazychoir.config.flight_room import EDGE, room_of
+from crazychoir.config.flight_room import ABOVE_FLOOR, EDGE, largest_room
 from crazychoir.config.radio_checks import check_radios, dongles, is_reached
 from crazychoir.config.reader import show
 from crazychoir.config.tables import Position, Swarm
@@ -338,6 +338,15 @@ def _box(swarm: Swarm, where: str) -> None:
             "max above min in x, y and z",
             "Exchange them.",
         )
+    room_low, room_high = largest_room(swarm)
+    if any(a >= b for a, b in zip(room_low, room_high, strict=True)):
+        raise ConfigError(
+            f"{where}: fence",
+            _between(low, high),
+            f"a box of more than {2.0 * EDGE:g} m aside, and more than {ABOVE_FLOOR + EDGE:g} m above flight.ground",
+            "Widen it.",
+            "no room is left inside it in which a drone may be sent",
+        )
     top = swarm.flight.ground + swarm.flight.takeoff_height
     if not low[2] <= top <= high[2]:
         raise ConfigError(
@@ -389,7 +398,7 @@ def _homes(swarm: Swarm, where: str) -> None:
     """Check that homes are inside the fence."""
     low = swarm.fence.min
     high = swarm.fence.max
-    (a, b, _), top = room_of(swarm)
+    (a, b, _), top = largest_room(swarm)
     for n, drone in enumerate(swarm.drones):
         is_inside = all(
             x <= y <= z for x, y, z in zip(low, drone.home, high, strict=True)

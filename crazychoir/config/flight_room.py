@@ -2,6 +2,8 @@
 margins that keep the guard from braking there.
 """
 
+from collections.abc import Iterable
+
 from crazychoir.config.tables import Position, Swarm
 
 EDGE = 0.005  # m
@@ -31,6 +33,16 @@ def flight_room(low: Position, high: Position, ground: float | None) -> Corners:
     )
 
 
-def room_of(swarm: Swarm) -> Corners:
-    """Return the corners of the room for flying drones, from the swarm file."""
+def largest_room(swarm: Swarm) -> Corners:
+    """Return the corners of the room of drones that fly in all of [fence]; drone_room knows which do not."""
     return flight_room(swarm.fence.min, swarm.fence.max, swarm.flight.ground)
+
+
+def room_text(low: Iterable[float], high: Iterable[float]) -> str:
+    """Return what a room allows, in words.
+
+    low, high: m, world, its corners.
+    """
+    a = [round(x, 4) for x in low]
+    b = [round(x, 4) for x in high]
+    return f"{a} to {b} m, inside [fence] by the margins of the guard"

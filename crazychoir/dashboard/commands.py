@@ -18,7 +18,7 @@ from crazychoir.bus.commands import (
 from crazychoir.bus.port import BODIES
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.dashboard.event_log import Watch
-from crazychoir.errors import CrazyChoirError
+from crazychoir.errors import CrazyChoirError, error_text
 from crazychoir.runtime.clock import Clock
 
 SENT = "sent"
@@ -403,8 +403,8 @@ class Desk:
         except CrazyChoirError as error:
             self._answer(receipt, i, REFUSED, str(error))
             return
-        except Exception as error:  # noqa: BLE001 - the receipt reports it
-            self._answer(receipt, i, REFUSED, f"{type(error).__name__}: {error}")
+        except Exception as error:  # noqa: BLE001 - its receipt tells it
+            self._answer(receipt, i, REFUSED, error_text(error))
             return
         finally:
             self._asked.pop(asked, None)

@@ -15,7 +15,7 @@ from crazychoir.dashboard.event_log import Watch
 from crazychoir.dashboard.model import RATE, SwarmModel
 from crazychoir.dashboard.polling import Overview, TaskBoard
 from crazychoir.dashboard.requests import Message, Stop, read
-from crazychoir.errors import CrazyChoirError
+from crazychoir.errors import CrazyChoirError, error_text
 from crazychoir.files.path_texts import json_bytes
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
@@ -258,7 +258,7 @@ class Stream(Actor):
         """Return the reason for the page; log unexpected errors with their traceback."""
         why = str(error)
         if not isinstance(error, CrazyChoirError | msgspec.MsgspecError):
-            why = f"{type(error).__name__}: {error}"
+            why = error_text(error)
             log.error("what a page asked for failed: %s", why, exc_info=error)
         return self._not_done(why)
 

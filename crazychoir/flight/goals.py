@@ -6,27 +6,37 @@ from collections.abc import Iterable
 import numpy as np
 import numpy.typing as npt
 
+from crazychoir.config.flight_room import room_text
 from crazychoir.errors import ConfigError
 from crazychoir.flight.array_like import as_floats, described
 from crazychoir.safety.rules.guard import Guard
-from crazychoir.types import FullState, Mat, Vec
+from crazychoir.types import FullState, Mat, Point, Vec
 
-SLACK = 1e-6  # m by which a place may be outside the room, for rounding
+SLACK = 1e-6  # m by which a place may be outside the room: rounding
+AT_HOME = 0.05  # m from a home, in the plane, that counts as above it
 PLACE = "three finite numbers, m"
 
 
 def require_goal(
-    where: str, p: object, yaw: object, duration: object, guard: Guard, planar: bool
+    where: str,
+    p: object,
+    yaw: object,
+    duration: object,
+    guard: Guard,
+    planar: bool,
+    homes: Iterable[Point] = (),
 ) -> Vec:
-    """Return the goal p as (3,) m, world.
+    """Return the place to fly to for the goal p, (3,) m, world; raise ConfigError for one that must not be flown to.
 
-    where: name in error texts, such as "drone 0: go_to()"
-    p: (3,) m, world
-    yaw: rad, None to keep it
-    duration: s
-    guard: of the drone; the goal must lie in its room
-    planar: whether the robot does not choose its height; the height is then not checked
-    Raises ConfigError for a goal where the drone must not fly.
+    A place above a home always has one to fly to: the nearest that the guard allows, at the height of the goal. The
+    drone has risen there, so it must get back.
+
+    where: what errors call it, such as "drone 0: go_to()".
+    yaw: rad, None to keep it.
+    duration: s.
+    guard: of the drone; the goal must lie in its room.
+    planar: whether the drone does not choose its height, which is then not looked at.
+    homes: (3,) m each, world, places above which the drone may come down.
     """
     place = as_floats(p, (3,))
     if place is None or not np.isfinite(place).all():
@@ -35,6 +45,8 @@ def require_goal(
         number = as_floats(0.0 if value is None else value, ())
         if number is None or not math.isfinite(float(number)):
             raise ConfigError(f"{where}: {name}", described(value), "a finite number")
+    if any(math.dist(place[0:2], home[0:2]) <= AT_HOME for home in homes):
+        place = np.array([*guard.room.nearest(place, inset=0.0)[0:2], place[2]])
     rest = np.zeros((1, 14))
     rest[0, 0:3] = place
     if _leaves(rest, guard, planar)[0]:
@@ -116,10 +128,7 @@ def _leaves(path: Mat, guard: Guard, planar: bool) -> npt.NDArray[np.bool_]:
 
 
 def _outside(where: str, place: Iterable[float], guard: Guard) -> ConfigError:
-    """Return the error for a place outside the room."""
-    low = [round(x, 4) for x in guard.room.low]
-    high = [round(x, 4) for x in guard.room.high]
-    allowed = f"{low} to {high} m, inside [fence] by the margins of the guard"
+    allowed = room_text(guard.room.low, guard.room.high)
     do = "Choose a place further inside, or widen [fence]."
     return ConfigError(
         where,

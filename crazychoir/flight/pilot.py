@@ -22,7 +22,7 @@ from crazychoir.control.controller import CrazyflieController
 from crazychoir.control.parameters import Parameters
 from crazychoir.control.position import HEADROOM, HEIGHT_SHARE
 from crazychoir.control.senders import FPQRSender
-from crazychoir.errors import ConfigError
+from crazychoir.errors import ConfigError, error_text
 from crazychoir.filters.state_filter import StateFilter
 from crazychoir.flight.clearance import Clearance
 from crazychoir.flight.estimate import SEEN, believed, filter_of
@@ -90,7 +90,9 @@ TOUCHDOWN_LATE = 2.0
 TOUCHDOWN_UNSEEN = 0.5
 """Seconds after the planned touch-down when an unseen drone at rest counts as landed."""
 AT_REST = 0.05
-"""Speed in m/s below which a landing drone counts as at rest."""
+REPLAY_LATE = 5.0  # s after the planned touch-down when the landing of a replayed drone is over, wherever its body is
+OBEYS_NOTHING = "follows a recording and obeys nothing"
+"""What is said of a replayed drone that does not do what its mission asks."""
 GIVE_UP_HOVER = 2.0
 """Seconds of hovering after guidance has failed, before the landing."""
 GIVE_UP_TICKS = 0.5
@@ -183,21 +185,11 @@ class Link(Protocol):
 class Pilot(Actor):
     """Flies one drone.
 
-    Guidance calls `take_off`, `go_to`, `follow`, `hover` and `land`. The operator calls `hold` too.
-
-    port: the port of the drone on the bus
-    link: the way to the drone
-    limits: [flight]
-    fence: where the drone flies, from the ground up at most
-    rate: Hz, of its poses
-    chosen: the control scheme, None for the default
-    state_filter: None for a Kalman filter
-    body: the address that publishes the poses, None for the drone's own address
-    collision: the collision filter, or the planner of agreed paths; None for neither
-    limit_area: area outside which the motors are cut, None for the guard's default
-    reached: "no" for a drone in a simulated world. "seen" for a drone behind a radio that cameras
-        see: poses that jump are not believed. "own" for a drone behind a radio that finds its own
-        pose. Behind a radio the firmware lands the drone when there are no poses.
+    limits: [flight];  fence: where it flies, from the ground up at most;  rate: Hz, of its poses;  body: the address
+    that they come from, None: its own;  limit_area: beyond which its motors are cut, None: the guard's;  reached: by a
+    radio, "seen" by cameras, whose poses are not believed when they jump, or by its "own" poses: its firmware lands it
+    when there are none;  home: (3,) m, world, above which it may always be sent, None: only where it took off;
+    is_replayed: whether its body follows a recording, and obeys nothing.
     """
 
     name = "pilot"
@@ -215,6 +207,8 @@ class Pilot(Actor):
         collision: CollisionFilter | PlannedFlights | None = None,
         limit_area: Fence | None = None,
         reached: Reached = "no",
+        home: Point | None = None,
+        is_replayed: bool = False,
     ) -> None:
         self.port = port
         self.link = link
@@ -291,7 +285,10 @@ class Pilot(Actor):
         self.awaits_start = limits.operator
         """Whether the mission waits for the operator's start; until then guidance moves nothing."""
         self.started_at: Point | None = None
-        """(3,) m, world: where the drone stood at its first take-off."""
+        """(3,) m, where it stood when it took off first."""
+        self._home = home
+        self.is_replayed = is_replayed
+        self._replay_lands_at = math.inf  # s, when its landing counts as over
         self._way: Homecoming | None = None
         self._models = isinstance(self.controls.sender, FPQRSender)
         self.filter = (
@@ -393,9 +390,7 @@ class Pilot(Actor):
                 error, StopIteration
             )  # no future takes these
             run.set_exception(
-                RuntimeError(f"{type(error).__name__} in a tick: {error}")
-                if bare
-                else error
+                RuntimeError(f"in a tick: {error_text(error)}") if bare else error
             )
         self._steady()
 
@@ -409,9 +404,7 @@ class Pilot(Actor):
         try:
             self._send(self._level)
         except Exception as error:  # noqa: BLE001 - it may be the link that has failed
-            self._say(
-                "link", f"no command reaches the drone: {type(error).__name__}: {error}"
-            )
+            self._say("link", f"no command reaches the drone: {error_text(error)}")
 
     def on_restart(self) -> None:
         """Forget what made the tick fail: come to rest and hover, or continue to land."""
@@ -634,11 +627,9 @@ class Pilot(Actor):
     def require_goal(
         self, where: str, p: object, yaw: object = None, duration: object = 0.0
     ) -> Vec:
-        """Return the goal p as (3,) m.
-
-        Raises ConfigError for a goal where the drone must not fly, see goals.require_goal.
-        """
-        return require_goal(where, p, yaw, duration, self.guard, self._planar)
+        """Return the goal p as (3,) m; raise ConfigError for one that it must not fly to, see goals.require_goal."""
+        homes = [home for home in (self._home, self.started_at) if home is not None]
+        return require_goal(where, p, yaw, duration, self.guard, self._planar, homes)
 
     def _may_fly(self, commanded: bool) -> bool:
         """Return whether a flight may begin now.
@@ -1069,6 +1060,13 @@ class Pilot(Actor):
             return not self.turning() or now > self._down_at + STILL_TURNING
         if not self._takes_off:
             return self.flights.done(now) and bool(np.linalg.norm(state.v) < AT_REST)
+        if now > self._replay_lands_at:
+            up = state.flat[2] - self.limits.ground
+            self._say(
+                "replay",
+                f"{OBEYS_NOTHING}: its landing ends {up:.2f} m above the ground",
+            )
+            return True
         low = seen and state.flat[2] < self.limits.ground + ON_THE_FLOOR
         landing = isinstance(self.flights.plan, Landing)
         # Its owner has seen it land, or does not come back.
@@ -1304,7 +1302,8 @@ class Pilot(Actor):
 
         beside: (3,) m, world: where the drone comes down instead
         """
-        if self.mode is not LAND:
+        begins = self.mode is not LAND
+        if begins:
             self.controls.trim.keep()
         self._flown = start = self._departure()
         self._reference = None
@@ -1313,9 +1312,12 @@ class Pilot(Actor):
         self._change(Event.ARRIVED if self.mode is RETURN else Event.LAND)
         if not self._takes_off:
             return self.flights.brake(start, self.clock.now())
-        return self.flights.descend(
+        seconds = self.flights.descend(
             start, self.clock.now(), self.limits.ground + ON_THE_FLOOR, beside
         )
+        if begins and self.is_replayed:
+            self._replay_lands_at = self.clock.now() + seconds + REPLAY_LATE
+        return seconds
 
     def _departure(self) -> FullState:
         """Return the state from which a new plan begins."""
@@ -1333,7 +1335,7 @@ class Pilot(Actor):
     def _landed(self) -> None:
         """Enter the mode on the ground, and forget the flight."""
         self._change(Event.DOWN)
-        self._down_at = math.inf
+        self._down_at = self._replay_lands_at = math.inf
         self._to_firmware = None
         self._tell_owner_at = 0.0
         self._flown = None

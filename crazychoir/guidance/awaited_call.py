@@ -6,6 +6,7 @@ A forgotten `await` is therefore reported.
 import functools
 import inspect
 import sys
+import weakref
 from collections.abc import Callable, Coroutine, Generator
 from types import TracebackType
 from typing import Any, Generic, ParamSpec, TypeVar
@@ -14,6 +15,40 @@ from crazychoir.errors import exit_call
 
 P = ParamSpec("P")
 R = TypeVar("R")
+
+
+IS_WATCHED = "_is_watched"
+"""The attribute of functions that are decorated here."""
+KEPT = 10
+"""Places with forgotten calls that are remembered with their text; of others only their number is."""
+
+
+class Unawaited:
+    """The calls of one guidance that nothing has awaited.
+
+    waiting: by their identity, those that still exist and may be awaited.
+    dropped: "file:line" and the function's name of those that the line which made them has thrown away.
+    left: those that were kept, and thrown away later.
+    more: how many were thrown away beyond KEPT places.
+    """
+
+    def __init__(self) -> None:
+        self.waiting: dict[int, weakref.ref[Call[Any]]] = {}
+        self.dropped: dict[tuple[str, str], None] = {}
+        self.left: dict[tuple[str, str], None] = {}
+        self.more = 0
+
+    def throw_away(self, call: tuple[str, str], line: str) -> None:
+        """Remember a call that does not exist any more.
+
+        call: its "file:line", and the name of the function.
+        line: "file:line" that was executed when it was thrown away.
+        """
+        calls = self.dropped if line == call[0] else self.left
+        if len(calls) < KEPT:
+            calls[call] = None
+        elif call not in calls:
+            self.more += 1
 
 
 class Call(Coroutine[Any, Any, R], Generic[R]):
@@ -33,16 +68,25 @@ class Call(Coroutine[Any, Any, R], Generic[R]):
         inner: Coroutine[Any, Any, R],
         name: str,
         place: str,
-        unawaited: "dict[int, Call[Any]]",
+        unawaited: Unawaited,
     ) -> None:
         self.inner = inner
         self.name = name
         self.place = place
         self._unawaited = unawaited
-        unawaited[id(self)] = self
+        unawaited.waiting[id(self)] = weakref.ref(self)
+
+    def __del__(self) -> None:
+        """End a coroutine that never began, and remember where it was thrown away."""
+        unawaited = getattr(self, "_unawaited", None)
+        if unawaited is not None and unawaited.waiting.pop(id(self), None):
+            at = sys._getframe(1)
+            line = f"{at.f_code.co_filename}:{at.f_lineno}"
+            unawaited.throw_away((self.place, self.name), line)
+            self.inner.close()
 
     def _begin(self) -> Coroutine[Any, Any, R]:
-        self._unawaited.pop(id(self), None)
+        self._unawaited.waiting.pop(id(self), None)
         return self.inner
 
     def __await__(self) -> Generator[Any, Any, R]:
@@ -102,21 +146,37 @@ class Call(Coroutine[Any, Any, R], Generic[R]):
 def awaited(
     function: Callable[P, Coroutine[Any, Any, R]],
 ) -> Callable[P, Coroutine[Any, Any, R]]:
-    """Decorate a coroutine function of a guidance: remember its calls until they are awaited."""
+    """Decorate a coroutine function of a guidance: its calls are known until they are awaited."""
+    own = function.__code__.co_varnames[0:1]
 
     @functools.wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> Coroutine[Any, Any, R]:
         caller = sys._getframe(1)
+        guidance = args[0] if args else next((kwargs.get(name) for name in own), None)
+        if not hasattr(guidance, "__dict__"):
+            return function(*args, **kwargs)
         return called_from(
             caller.f_code.co_filename,
             caller.f_lineno,
-            args[0],
+            guidance,
             function,
             *args,
             **kwargs,
         )
 
-    return called
+    setattr(called, IS_WATCHED, True)
+    return as_coroutine_function(called)
+
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def as_coroutine_function(function: Function) -> Function:
+    """Let inspect.iscoroutinefunction see a coroutine function, in Python 3.12 or newer."""
+    mark = getattr(inspect, "markcoroutinefunction", None)
+    if mark is not None:
+        mark(function)
+    return function
 
 
 def called_from(
@@ -128,7 +188,7 @@ def called_from(
     **kwargs: Any,
 ) -> Coroutine[Any, Any, R]:
     """Return the call of a coroutine function, made in this line of this file for this guidance."""
-    calls: dict[int, Call[Any]] = guidance.__dict__.setdefault("_unawaited", {})
+    calls: Unawaited = guidance.__dict__.setdefault("_unawaited", Unawaited())
     return Call(function(*args, **kwargs), function.__name__, f"{file}:{line}", calls)
 
 
@@ -139,25 +199,32 @@ def watch_coroutines(kind: type, kept: frozenset[str]) -> None:
     kept: names of functions that stay unchanged, because the runtime inspects them.
     """
     for name, value in list(vars(kind).items()):
-        if inspect.iscoroutinefunction(value) and name not in kept:
+        is_watched = hasattr(value, IS_WATCHED) or name in kept
+        if inspect.iscoroutinefunction(value) and not is_watched:
             setattr(kind, name, awaited(value))
 
 
-def forgotten(guidance: object) -> str:
-    """Return which calls of a guidance were never awaited, and what to write.
+def forgotten(guidance: object, has_ended_by_itself: bool) -> str:
+    """Say which calls of a guidance nothing has awaited, and what to write; empty if there are none. They are ended.
 
-    Empty if there are none.
-
-    It ends these calls.
+    has_ended_by_itself: whether the mission has returned. If an error or a command has ended it, calls that it has kept
+    are no mistake: it would have awaited them later. Calls that were dropped where they were made always are one.
     """
-    calls: dict[int, Call[Any]] = getattr(guidance, "__dict__", {}).get(
-        "_unawaited", {}
-    )
-    texts = [
-        f"{call.place}: self.{call.name}(...) was called without await, so it did nothing: "
-        f"write `await self.{call.name}(...)`"
-        for call in calls.values()
-    ]
-    for call in list(calls.values()):
+    calls: Unawaited | None = getattr(guidance, "__dict__", {}).get("_unawaited")
+    if calls is None:
+        return ""
+    waiting = [call for made in calls.waiting.values() if (call := made()) is not None]
+    found = list(calls.dropped)
+    if has_ended_by_itself:
+        found += [*calls.left, *((call.place, call.name) for call in waiting)]
+    for call in waiting:
         call.close()
-    return "; ".join(dict.fromkeys(texts))
+    texts = [
+        f"{place}: self.{name}(...) was called without await, so it did nothing: "
+        f"write `await self.{name}(...)`"
+        for place, name in dict.fromkeys(found)
+    ]
+    more = calls.more + max(0, len(texts) - KEPT)
+    if more and texts:
+        texts[KEPT:] = [f"and {more} more calls without await"]
+    return "; ".join(texts)

@@ -130,13 +130,10 @@ class CFDistributedFeedback(CFGuidance):
     async def mission(self) -> dict[str, Any]:
         """Take off, wait for the others, run the law, land.
 
-        Returns a dictionary. The mission has failed if `step` returned references but none could be
-        flown.
-
-        law_s: s that the law ran.
-        references: number of references of `step` that could be flown.
-        place: (3,) m, world: where the law ended.
-        unheard_s: {j: s of the law without a fresh state of neighbour j}.
+        Returns law_s: s that the law ran;  references: how often `step` returned one that could be flown;  place:
+        (3,) m, where it has ended;  unheard_s: {j: s of the law in which nothing fresh was heard of neighbour j};
+        refused_references: how many could not be flown, if any;  refused: why, if these are most of them. It
+        has failed if `step` returned references of which none could be flown.
         """
         await self.take_off(self.height())
         await self.sleep(self.rest)
@@ -159,6 +156,10 @@ class CFDistributedFeedback(CFGuidance):
             "place": place,
             "unheard_s": unheard,
         }
+        if self._refused:
+            result["refused_references"] = self._refused
+        if self._refused > usable:
+            result["refused"] = self._useless()
         return result | (
             {"success": False, "reason": self._useless()}
             if self._refused and not usable
@@ -166,11 +167,12 @@ class CFDistributedFeedback(CFGuidance):
         )
 
     def _useless(self) -> str:
-        """Return why a law has failed: none of its references could be flown."""
+        """Return in how many steps the law gave what cannot be flown, and why the last of these cannot."""
         where = f"drone {self.id}: the law gave no usable reference in {self._refused} of {self._steps} steps"
-        return (
-            f"{where}{' (None in the others)' if self._nothing else ''}: {self._amiss}"
-        )
+        others = self._steps - self._refused
+        if others > 0 and self._nothing == others:
+            where += " (None in the others)"
+        return f"{where}: {self._amiss}"
 
     def height(self) -> float | None:
         """Return the take-off height in m above the ground, or None for that of the swarm file.

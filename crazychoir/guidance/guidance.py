@@ -20,8 +20,13 @@ import numpy as np
 from crazychoir.control.position import HEADROOM
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.flight.goals import require_path, require_trajectory
-from crazychoir.flight.pilot import Pilot
-from crazychoir.guidance.awaited_call import awaited, called_from, watch_coroutines
+from crazychoir.flight.pilot import OBEYS_NOTHING, Pilot
+from crazychoir.guidance.awaited_call import (
+    as_coroutine_function,
+    awaited,
+    called_from,
+    watch_coroutines,
+)
 from crazychoir.guidance.member import (
     PATIENCE,
     SETTLE,
@@ -112,6 +117,7 @@ class Verb(Generic[P, R]):
         return MethodType(_talk, (guidance, self.verb))
 
 
+@as_coroutine_function
 def _talk(
     verb: "tuple[CFGuidance, Callable[..., Any]]", *args: Any, **kwargs: Any
 ) -> Any:
@@ -412,16 +418,10 @@ class CFGuidance:
     ) -> None:
         """Fly to a place, and return when the drone is there.
 
-        If the safety table stops the drone, it flies again. It waits, at most PATIENCE s, while an
-        operator holds it, while the safety table brakes it, and while it gives way to others, for
-        example to a drone that stands at p.
-
-        p: (3,) m, world.
-        duration: s, or 0: as fast as the limits allow.
-        yaw: rad, None: keep the present yaw.
-        Raises ConfigError, before the drone moves, for a value that is not a place, and for a place
-        outside the fence, at its edge or on the floor. Raises Interrupted if the pilot lands, or if
-        p cannot be reached.
+        It waits, at most PATIENCE s, while an operator holds the drone or the safety table brakes it, and where it
+        gives way to others, as to one who stands at p. A place above its home is flown to as near as the guard allows.
+        Raises ConfigError, before it moves, for what is no place, and for a place outside the fence, at its edge, or on
+        the floor; Interrupted when the pilot lands, and when p cannot be reached.
         """
         place = self.member.pilot.require_goal(
             f"drone {self.id}: go_to()", p, yaw, duration
@@ -459,6 +459,8 @@ class CFGuidance:
                 await self._wait_aside(p)
         place = np.round(p, 2).tolist()
         why = HELD if pilot.held else pilot.note or "no reason"
+        if pilot.is_replayed:
+            why = OBEYS_NOTHING
         raise Interrupted(
             f"drone {self.id}: does not reach {place}, still {pilot.gap(p):.2f} m from it: {why}"
         )

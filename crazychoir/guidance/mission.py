@@ -12,7 +12,7 @@ from typing import Any, Protocol, cast
 
 from crazychoir.config.checks import refuse_conflicts
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.errors import ConfigError, Hung, without_exit
+from crazychoir.errors import ConfigError, Hung, error_text, without_exit
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.mission_hooks import MissionFile
 from crazychoir.radio.budget import rates
@@ -171,9 +171,7 @@ def from_file(path: Path, kind: str) -> ModuleType:
         where = f"{kind} {path}{f':{lines[-1]}' if lines else ''}"
         hangs = isinstance(error, Hung)
         found = (
-            f"no end within {HOOK:g} s of its import"
-            if hangs
-            else f"{type(error).__name__}: {error}"
+            f"no end within {HOOK:g} s of its import" if hangs else error_text(error)
         )
         raise ConfigError(
             where, found, "a file that Python can import", "Mend it."

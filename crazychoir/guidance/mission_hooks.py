@@ -7,7 +7,7 @@ the result of the flight.
 
 import inspect
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
 from functools import partial
 from types import ModuleType
@@ -18,8 +18,15 @@ import numpy as np
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.guidance.feedback import CFDistributedFeedback
-from crazychoir.guidance.guidance import CFGuidance
-from crazychoir.guidance.user_hook import README, Hook, require_signature, shown
+from crazychoir.guidance.guidance import WATCHED_BY_RUNTIME, CFGuidance
+from crazychoir.guidance.user_hook import (
+    README,
+    Hook,
+    is_coroutine_function,
+    place_of,
+    require_signature,
+    shown,
+)
 from crazychoir.team.graph import span
 
 log = logging.getLogger(__name__)
@@ -54,19 +61,53 @@ def require_complete(guidance: CFGuidance, where: str) -> None:
     where: what errors call the place, such as the mission file.
     """
     kind = f"{where}: class {type(guidance).__name__}"
+    _require_kinds(type(guidance))
     if isinstance(guidance, CFDistributedFeedback):
         _require_own(
             guidance, CFDistributedFeedback.step, "def step(self, me, heard)", kind
         )
         require_signature(guidance.step, ("me", "heard"), kind, "step")
     _require_own(guidance, CFGuidance.mission, "async def mission(self)", kind)
-    if not inspect.iscoroutinefunction(guidance.mission):
-        raise ConfigError(
-            f"{kind}: mission",
-            "def mission",
-            "async def mission(self)",
-            "Write `async` before it.",
-        )
+
+
+def _require_kinds(kind: type) -> None:
+    """Raise ConfigError for a method of a user that is `async` and must not be, or must be and is not.
+
+    It must be as the method of this package that it overrides. A coroutine function of the package may be overridden by
+    a plain one that returns its coroutine, other than those that the runtime itself awaits.
+    """
+    for n, owner in enumerate(kind.__mro__):
+        for name, function in vars(owner).items():
+            inherited = _inherited(kind.__mro__[n + 1 :], name)
+            if not (inspect.isfunction(function) and inspect.isfunction(inherited)):
+                continue
+            is_async = is_coroutine_function(function)
+            must_be_async = is_coroutine_function(inherited)
+            if is_async and not must_be_async:
+                raise _of_wrong_kind(owner, function, "async def", "def")
+            if not is_async and must_be_async and name in WATCHED_BY_RUNTIME:
+                raise _of_wrong_kind(owner, function, "def", "async def")
+
+
+def _inherited(owners: Sequence[type], name: str) -> object:
+    """Return the method of this package that `name` overrides; None if there is none."""
+    for owner in owners:
+        if owner.__module__.startswith("crazychoir.") and name in vars(owner):
+            return vars(owner)[name]
+    return None
+
+
+def _of_wrong_kind(
+    owner: type, function: Callable[..., Any], wrong: str, right: str
+) -> ConfigError:
+    name = function.__name__
+    place, _, _ = place_of(function).rpartition(" ")
+    return ConfigError(
+        f"{place}: class {owner.__name__}: {name}",
+        f"{wrong} {name}",
+        f"{right} {name}",
+        f"Write `{right} {name}`, not `{wrong} {name}`.",
+    )
 
 
 def _require_own(

@@ -1,20 +1,17 @@
-"""Checks of planned paths before any drone flies.
+"""Paths that a mission plans before take-off: inside the room of the drone that flies them, as its guard has it."""
 
-Paths must lie inside the fence by the margins of the guard, see flight_room.
-"""
-
-from crazychoir.config.flight_room import room_of
+from crazychoir.config.drone_room import room_of
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.planning.feasibility import Limits, references
 from crazychoir.planning.trajectory import Trajectory
 
 
-def inside(config: SwarmConfig) -> Limits:
-    """Return limits on places alone: the room in which drones may be sent."""
-    low, high = room_of(config)
+def inside(config: SwarmConfig, i: int) -> Limits:
+    """Return limits of places alone: those of the room in which drone i may be sent."""
+    low, high = room_of(config, i)
     return Limits(low=low, high=high)
 
 
-def require_inside(path: Trajectory, config: SwarmConfig, where: str) -> None:
-    """Raise ConfigError with the first set-point of a path at which the guard would brake."""
-    inside(config).check_places(references(path)[1][:, 0:3], f"{where}: set-point")
+def require_inside(path: Trajectory, config: SwarmConfig, i: int, where: str) -> None:
+    """Raise ConfigError that names the first set-point of a path at which the guard of drone i would brake."""
+    inside(config, i).check_places(references(path)[1][:, 0:3], f"{where}: set-point")

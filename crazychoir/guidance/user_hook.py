@@ -11,7 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.errors import ConfigError, CrazyChoirError, Hung, without_exit
+from crazychoir.errors import (
+    ConfigError,
+    CrazyChoirError,
+    Hung,
+    error_text,
+    without_exit,
+)
 from crazychoir.runtime.user_code_guard import HOOK, limited
 
 README = 'See "Write your own mission" in README.md.'
@@ -72,7 +78,7 @@ class Hook:
         except CrazyChoirError:
             raise
         except Exception as error:
-            found = f"{type(error).__name__}: {error}"
+            found = error_text(error)
             raise self.wrong(found, self._line(error)) from error
 
     def wrong(self, found: str, line: str = "") -> ConfigError:
@@ -115,12 +121,13 @@ def require_signature(
             wanted,
             "Or give it another name.",
         )
-    if inspect.iscoroutinefunction(function):
+    if is_coroutine_function(function):
+        place, _, _ = place_of(function).rpartition(" ")
         raise ConfigError(
-            f"{where}: {name}",
+            f"{place or where}: {name}",
             f"async {wanted}",
             wanted,
-            "Drop `async`: it may not wait.",
+            f"Write `def {name}`, not `async def {name}`: it may not wait.",
         )
     signature = inspect.signature(function)
     try:
@@ -129,6 +136,11 @@ def require_signature(
         raise ConfigError(
             f"{where}: {name}", f"def {name}{signature}", wanted, chapter
         ) from None
+
+
+def is_coroutine_function(function: Callable[..., Any]) -> bool:
+    """Whether a user has written a function with `async def`; decorators do not hide it."""
+    return inspect.iscoroutinefunction(inspect.unwrap(function))
 
 
 def place_of(function: Callable[..., Any]) -> str:

@@ -19,7 +19,7 @@ from rich.text import Text
 
 from crazychoir.bus.json_view import plain
 from crazychoir.bus.network import handshakes
-from crazychoir.errors import ConfigError, CrazyChoirError, Refused
+from crazychoir.errors import ConfigError, CrazyChoirError, Refused, error_text
 from crazychoir.files.output_files import require_writable_file
 
 if TYPE_CHECKING:
@@ -202,9 +202,7 @@ class Outputs:
             yield
         except Exception as error:
             text = (
-                str(error)
-                if isinstance(error, CrazyChoirError)
-                else f"{type(error).__name__}: {error}"
+                str(error) if isinstance(error, CrazyChoirError) else error_text(error)
             )
             self.failed[option] = text
             log.debug("%s", option, exc_info=error)
@@ -436,6 +434,7 @@ def summary_table(run: dict[str, Any]) -> Table:
         ("min_separation_m", "{:.3f} m"),
         ("kept_clear_s", "{}"),
         ("at_fence_s", "{}"),
+        ("refused_references", "{}"),
         ("apart", "{}"),
         ("formation_error_m", "{:.4f} m"),
         ("settling_s", "{:.2f} s"),

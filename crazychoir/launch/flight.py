@@ -33,6 +33,7 @@ HELD = {
     "kept_clear_s": "the collision filter has flown it for {:g} s",
     "at_fence_s": "held at the fence for {:g} s",
     "apart": "at its end the {}",
+    "refused_references": "{:g} references of its law could not be flown",
 }
 """Text for each key of a result that says what has kept the drone from its target."""
 NO_RESULT = "its process has ended without a result; the log says how"
@@ -211,6 +212,11 @@ def summary(
     reasons |= dict.fromkeys(absent, NO_RESULT)
     if not (reached or reasons):
         said = spoken(said, NO_REASONS)
+    reasons |= {
+        i: str(r["refused"])
+        for i, r in sorted(results.items())
+        if "refused" in r and i not in reasons
+    }
     for_all = [
         str(said),
         *(

@@ -8,7 +8,7 @@ from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.port import EYES, Bus, Port
 from crazychoir.bus.topics import BODY, POSE, TRUTH
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.errors import ConfigError, Refused
+from crazychoir.errors import ConfigError, Refused, error_text
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.mocap.frames import Frame
 from crazychoir.mocap.mounting import Mounting
@@ -254,7 +254,7 @@ class MocapProcess(Actor):
 
     def _failed(self, actor: Actor, error: Exception, again: bool) -> None:
         if not again:
-            self.abort(f"{actor.name} failed: {type(error).__name__}: {error}")
+            self.abort(f"{actor.name} failed: {error_text(error)}")
 
     def report(self) -> dict[str, Any]:
         """Return what was seen: frames in all, frames lost on the way, and frames of each drone."""

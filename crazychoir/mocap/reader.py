@@ -13,6 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from crazychoir.errors import error_text
 from crazychoir.mocap.frames import NAME, frame_of
 from crazychoir.runtime.clock import Stopwatch
 
@@ -39,8 +40,8 @@ def main(words: list[str]) -> None:
         )
         out.send(CONNECTED)
         _send_frames(system, out)
-    except Exception as error:  # noqa: BLE001 - any error of a foreign library is reported
-        out.send(FAILED + f"{type(error).__name__}: {error}".encode()[:1000])
+    except Exception as error:  # noqa: BLE001 - whatever a foreign library raises is told
+        out.send(FAILED + error_text(error).encode()[:1000])
 
 
 def _send_frames(system: Any, out: socket.socket) -> None:

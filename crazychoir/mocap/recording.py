@@ -12,32 +12,15 @@ from typing import Any, Self, TextIO
 import numpy as np
 
 from crazychoir.errors import ConfigError
+from crazychoir.files.recorded_times import require_later, require_seconds
 from crazychoir.files.text_files import read_text
 from crazychoir.mocap.frames import Frame, frame_of
 from crazychoir.mocap.source import Complaints, Say, Take
-from crazychoir.mocap.view import LARGEST_TIME
 from crazychoir.runtime.clock import SECOND, Clock
 
 log = logging.getLogger(__name__)
 HEAD = ("t", "name", "x", "y", "z", "qx", "qy", "qz", "qw")
-"""The columns.
-
-t: s from any origin, equal in all rows of a frame
-name: name of the body
-x, y, z: m
-qx, qy, qz, qw: unit quaternion, body to world
-"""
-LONGEST_GAP = 600.0  # s
-"""Longest time between two frames.
-
-A longer gap means that the clock of the recording was set; a replay would wait for as long.
-"""
-SLOWEST_PERIOD = 2.0  # s
-"""Median time between two frames below which the times are in s."""
-PERIODS = (1e-4, 1.0)  # s
-"""Range of the time between two frames of cameras, to guess the unit of times that are not in s."""
-UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # s
-"""Other units of time."""
+"""t: s from any origin, the same in all rows of a frame;  x, y, z: m;  q: body to world."""
 
 
 class Recorder:
@@ -150,13 +133,13 @@ def _row(path: str | Path, line: int, cells: list[str]) -> Row:
 
 
 def _frames(path: str | Path, rows: list[Row]) -> list[Frame]:
-    _require_seconds(path, rows)
+    require_seconds(path, [row[0] for row in rows], [row[1] for row in rows])
     frames: list[Frame] = []
     for t, group in itertools.groupby(rows, key=lambda row: row[1]):
         seen = list(group)
         line = seen[0][0]
         if frames:
-            _require_later(path, line, frames[-1].time, t)
+            require_later(path, line, frames[-1].time, t)
         frame = frame_of(
             len(frames), t, [(name, np.array(flat)) for _, _, name, flat in seen]
         )
@@ -164,49 +147,6 @@ def _frames(path: str | Path, rows: list[Row]) -> list[Frame]:
             raise _doubled(path, seen, frame.doubled[0])
         frames.append(frame)
     return frames
-
-
-def _require_seconds(path: str | Path, rows: list[Row]) -> None:
-    """Raise ConfigError if times are not in s: too large, or too far from each other."""
-    line, largest = max(
-        ((row[0], row[1]) for row in rows), key=lambda timed: abs(timed[1])
-    )
-    times = sorted({row[1] for row in rows})
-    periods = sorted(b - a for a, b in itertools.pairwise(times))
-    period = periods[len(periods) // 2] if periods else 0.0
-    if abs(largest) < LARGEST_TIME and (len(times) < 3 or period < SLOWEST_PERIOD):
-        return
-    found = f"t = {largest!r}, frames {period:g} apart"
-    fits = [
-        unit
-        for unit, factor in UNITS.items()
-        if PERIODS[0] <= period * factor <= PERIODS[1]
-    ]
-    do = (
-        f"They are {' or '.join(fits)}, as it seems: convert t to s."
-        if fits
-        else "Convert t to s."
-    )
-    allowed = f"t in s: below {LARGEST_TIME:g} s, from any origin, and mostly less than {SLOWEST_PERIOD:g} s apart"
-    raise ConfigError(f"{path}, line {line}", found, allowed, do)
-
-
-def _require_later(path: str | Path, line: int, before: float, t: float) -> None:
-    """Raise ConfigError if the clock of a recording was set.
-
-    Its times then go back, or ahead by more than a replay can wait.
-    """
-    where = f"{path}, line {line}"
-    do = "The clock of the recording was set there: cut the file in two, or shift the times that follow."
-    if t < before:
-        raise ConfigError(where, f"t = {t!r}", f"{before!r} or more, as before", do)
-    if t - before > LONGEST_GAP:
-        raise ConfigError(
-            where,
-            f"t = {t!r}, {t - before:.6g} s after the frame before",
-            f"{LONGEST_GAP:g} s",
-            do,
-        )
 
 
 def _doubled(path: str | Path, seen: list[Row], name: str) -> ConfigError:

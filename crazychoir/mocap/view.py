@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.files.recorded_times import LARGEST_TIME
 from crazychoir.filters.velocity import readable
 from crazychoir.mocap.frames import Frame
 from crazychoir.mocap.simulated import SimulatedMocap
@@ -19,9 +20,7 @@ EARLY = 0.9
 A smaller share would let only 90 of 120 frames a second pass a limit of 100.
 """
 BACK = 1.0
-"""Seconds by which the time must go back for the source to count as started again."""
-LARGEST_TIME = 1e11  # s
-"""Largest time: larger numbers are not in seconds. 1970 was 1.8e9 s, or 1.8e12 ms, ago."""
+"""s by which time goes back when a source was started again."""
 
 
 class RateLimit:

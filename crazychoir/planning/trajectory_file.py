@@ -1,10 +1,12 @@
 """Trajectories in CSV files: samples, or the pieces of crazyswarm and uav_trajectories."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import BPoly, PPoly
 
+from crazychoir.files.recorded_times import require_later, require_seconds
 from crazychoir.planning.number_table import (
     TableError,
     check_increasing,
@@ -28,7 +30,8 @@ PIECE = (
     "duration",
     *(f"{axis}^{n}" for axis in ("x", "y", "z", "yaw") for n in range(DEGREE + 1)),
 )
-"""Columns of a piece."""
+SPARSE = 20
+"""Rows of a table: one with fewer is written by hand, and its samples may be far from each other."""
 LARGEST_JUMP = (
     0.01,
     0.1,
@@ -60,18 +63,20 @@ def write_samples(
     )
 
 
-def read_samples(path: str | Path) -> Piecewise:
-    """Return the trajectory through the samples of a CSV file.
+def read_samples(path: str | Path, is_recording: bool = False) -> Piecewise:
+    """The trajectory through the samples of a CSV file.
 
-    Columns: t s, x, y, z m. Optional: vx, vy, vz; with these ax, ay, az; with these jx, jy, jz.
-        Optional: yaw rad, 0 without it; with it yaw_rate.
+    is_recording: whether its times are those of a clock: they are then refused where they are not in s.
 
-    With derivatives, the Hermite polynomials take all of them at each sample. Without, it is the
-    clamped cubic spline, at rest at both ends. The yaw goes the short way from each row to the
-    next, and is cubic.
-    Raises TableError with file, line and column.
+    Columns t s, x, y, z m; then, if given, vx, vy, vz; with these ax, ay, az; with these jx, jy, jz; yaw rad, without
+    which it is 0 all the way; with it yaw_rate.
+    With derivatives, the Hermite polynomials that have all of them at each sample; without, the clamped cubic spline,
+    at rest at both ends. The yaw goes the short way from each row to the next; it is cubic.
+    Errors: TableError naming file, line and column.
     """
     table = read_table(path, PLACE, [YAW, *DERIVATIVES, YAW_RATE])
+    if is_recording:
+        _require_times(path, table)
     check_increasing(path, table, "t")
     t = table["t"] - table["t"][0]
     if len(t) < 2:
@@ -106,6 +111,15 @@ def read_samples(path: str | Path) -> Piecewise:
     if YAW_RATE[0] in table:
         coefficients[:, 3:] = _hermite(t, [yaws[:, None], table["yaw_rate"][:, None]])
     return Piecewise(coefficients, np.diff(t))
+
+
+def _require_times(path: str | Path, table: dict[str, Mat]) -> None:
+    """Raise ConfigError for times of a recording that are not in s, or that jump."""
+    lines = [round(line) for line in table["line"].tolist()]
+    times: list[float] = table["t"].tolist()
+    require_seconds(path, lines, times, SPARSE)
+    for line, (before, t) in zip(lines[1:], pairwise(times), strict=True):
+        require_later(path, line, before, t)
 
 
 def _hermite(t: Mat, derivatives: list[Mat]) -> Mat:

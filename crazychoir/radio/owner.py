@@ -13,7 +13,7 @@ from crazychoir.config.checks import limit_area
 from crazychoir.config.radio_checks import capacity_of
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.control.robots import sender_of
-from crazychoir.errors import Refused
+from crazychoir.errors import Refused, error_text
 from crazychoir.radio.budget import rates
 from crazychoir.radio.drone.radio_drone import LOOKS, LOST, RadioDrone
 from crazychoir.radio.link.dongles import DONGLES
@@ -190,7 +190,7 @@ class RadioProcess(Actor):
         self.abort(str(refused))
 
     def _failed(self, actor: Actor, error: Exception, again: bool) -> None:
-        text = f"{actor.name} failed: {type(error).__name__}: {error}"
+        text = f"{actor.name} failed: {error_text(error)}"
         if isinstance(actor, RadioDrone):
             log.error("drone %d: %s", actor.drone, text)
         else:

@@ -14,6 +14,7 @@ from typing import Any
 
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import BY_NAME, OBSERVABLE, ROUND, Topic
+from crazychoir.errors import error_text
 from crazychoir.recording.mcap.file import Entry, RecordingFile, Series
 from crazychoir.recording.mcap.messages import MESSAGES, Exchanged, Pack, packer, usual
 from crazychoir.runtime.actor import Actor
@@ -161,10 +162,8 @@ class Recorder(Actor):
             )
             born_ns = max(0, came_ns - round(age * SECOND)) if age else came_ns
             data = pack(value, born_ns)
-        except Exception as error:  # noqa: BLE001 - it must not reach the publisher
-            self._lose(
-                f"{topic.name} of drone {drone}: {type(error).__name__}: {error}"
-            )
+        except Exception as error:  # noqa: BLE001 - see above
+            self._lose(f"{topic.name} of drone {drone}: {error_text(error)}")
             return
         self._bytes += len(data)
         if self._bytes > MOST_WAITING:

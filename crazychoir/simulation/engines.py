@@ -23,7 +23,7 @@ from crazychoir.config.checks import (
 )
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import Drone, Table
-from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.errors import ConfigError, CrazyChoirError, error_text
 from crazychoir.platforms import platform
 from crazychoir.simulation.common.mismatch import scaled
 from crazychoir.simulation.common.world import World, WorldSetup
@@ -132,7 +132,7 @@ def _world(config: SwarmConfig, drones: tuple[Drone, ...]) -> World:
     except CrazyChoirError:
         raise
     except Exception as error:
-        found = f"{type(error).__name__}: {error}"
+        found = error_text(error)
         allowed = (
             f"an engine that makes a world: {entry.value} is a function of a WorldSetup"
         )

@@ -17,6 +17,7 @@ from crazychoir.errors import (
     ConfigError,
     CrazyChoirError,
     PeerLost,
+    error_text,
     raised_at,
     without_exit,
 )
@@ -310,7 +311,7 @@ class _Ended(Exception):
         """
         if isinstance(error, AgentFailed):
             return cls(error, error)
-        reason = f"{type(error).__name__}: {error}"
+        reason = error_text(error)
         if isinstance(error, CrazyChoirError):
             return cls(AgentFailed(i, reason), error)
         place = raised_at(error)
@@ -324,4 +325,4 @@ class _Ended(Exception):
     def by(cls, error: PeerLost | ChannelEnded) -> "_Ended":
         """Return the end by a neighbour that will not answer: it counts as the failed agent."""
         who = error.lost[0] if isinstance(error, PeerLost) else next(iter(error.ended))
-        return cls(AgentFailed(who, f"{type(error).__name__}: {error}"), error)
+        return cls(AgentFailed(who, error_text(error)), error)

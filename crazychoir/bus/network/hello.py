@@ -12,7 +12,7 @@ from msgspec import Meta
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.frames import MAX_NAME
 from crazychoir.bus.port import BODIES, OBSERVER, Interest
-from crazychoir.errors import CodecError
+from crazychoir.errors import CodecError, error_text
 
 VERSION = version("crazychoir")
 """Version of crazychoir."""
@@ -79,7 +79,7 @@ class Hello(msgspec.Struct, frozen=True):
         try:
             hello = msgspec.convert(value, cls)
         except Exception as error:
-            raise CodecError(f"HELLO: {type(error).__name__}: {error}") from error
+            raise CodecError(f"HELLO: {error_text(error)}") from error
         looking = sum(j < BODIES for j in hello.observers)
         if looking > MAX_OBSERVERS:
             raise CodecError(

@@ -5,6 +5,7 @@ from itertools import combinations
 
 import numpy as np
 
+from crazychoir.config.drone_room import shared_room
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.delivery.delivery_checks import require_flown
@@ -90,9 +91,8 @@ def _require_places(config: SwarmConfig, problem: Instance, where: str) -> None:
 
 
 def _height(config: SwarmConfig, p: Vec) -> str:
-    """Return why no drone may stand at the height of a place in space. Empty if it may."""
-    low = config.flight.ground + LOWEST
-    high = config.fence.max[2]
+    """Why no drone may stand at the height of a place of space; empty if it may."""
+    (_, _, low), (_, _, high) = shared_room(config)
     return (
         f"at a height of {p[2]:g} m, not {low:g} to {high:g} m"
         if len(p) == 3 and not low <= p[2] <= high

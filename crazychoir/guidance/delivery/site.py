@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from crazychoir.config.drone_room import shared_room
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.tasks.task_book import Place, Task
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.safety.rules.guard import EDGE
 from crazychoir.team.graph import span
 from crazychoir.types import Vec
 
@@ -33,9 +33,10 @@ class Site:
     """(2,) m: upper corner of that area."""
 
     def __post_init__(self) -> None:
-        """Compute the corners of the area."""
-        object.__setattr__(self, "low", np.array(self.config.fence.min[:2]) + EDGE)
-        object.__setattr__(self, "high", np.array(self.config.fence.max[:2]) - EDGE)
+        """low, high: (2,) m, corners of where drones fly to."""
+        low, high = shared_room(self.config)
+        object.__setattr__(self, "low", np.array(low[:2]))
+        object.__setattr__(self, "high", np.array(high[:2]))
 
     # Where ----------------------------------------------------------------------------
 
@@ -48,9 +49,13 @@ class Site:
         if not all(
             a <= x <= b for a, x, b in zip(self.low, place, self.high, strict=True)
         ):
-            low = self.config.fence.min[:2]
-            high = self.config.fence.max[:2]
-            return f"outside the fence, {_shown(low)} to {_shown(high)} m"
+            fence = self.config.fence
+            sides = zip(fence.min[:2], place, fence.max[:2], strict=True)
+            if not all(a <= x <= b for a, x, b in sides):
+                room = f"{_shown(fence.min[:2])} to {_shown(fence.max[:2])} m"
+                return f"outside the fence, {room}"
+            room = f"{_shown(self.low.round(3))} to {_shown(self.high.round(3))} m"
+            return f"at the edge of the fence: drones are sent to {room}"
         for drone in self.config.drones:
             gap = math.dist(place, drone.home[:2])
             if drone.id != besides and gap < self.clearance:

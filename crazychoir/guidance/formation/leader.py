@@ -192,7 +192,7 @@ def require_flyable(config: SwarmConfig, options: LeaderOptions) -> None:
             moved = x.copy()
             moved[:, 0:3] += place - x[0, 0:3]
             _require_within(config, i, t, moved, room)
-            inside(config).check_places(
+            inside(config, i).check_places(
                 moved[:, 0:3], f"swarm {config.name}: drone {i}: leads"
             )
 

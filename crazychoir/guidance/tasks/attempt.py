@@ -8,7 +8,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from crazychoir.errors import CodecError, CrazyChoirError, Hung, raised_at
+from crazychoir.errors import CodecError, CrazyChoirError, Hung, error_text, raised_at
 from crazychoir.optimization.rounds.program import Exchange
 
 T = TypeVar("T")
@@ -88,8 +88,8 @@ def _is_word(j: int, said: Any, k: int) -> bool:
 
 
 def _told(error: Exception) -> str:
-    """Return the text of an error; unexpected errors include file and line."""
-    text = f"{type(error).__name__}: {error}"
+    """The error; one that nobody has foreseen with where it was raised."""
+    text = error_text(error)
     if isinstance(error, CrazyChoirError):
         return text
     place = raised_at(error)

@@ -7,9 +7,9 @@ from collections.abc import Collection
 
 import numpy as np
 
+from crazychoir.config.drone_room import shared_room
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.tasks.task_book import Place, Task
-from crazychoir.safety.rules.guard import EDGE
 from crazychoir.team.graph import span
 
 
@@ -18,14 +18,19 @@ class Room:
 
     def __init__(self, config: SwarmConfig) -> None:
         self.ids = config.ids
-        self.low = np.array(config.fence.min[:2]) + EDGE
-        self.high = np.array(config.fence.max[:2]) - EDGE
+        low, high = shared_room(config)
+        self.low = np.array(low[:2])
+        self.high = np.array(high[:2])
 
     def lies_badly(self, task: Task, pickup: Place) -> str:
         """Return why no robot can stand at the pickup. Empty if one can."""
         if np.all(self.low <= pickup) and np.all(pickup <= self.high):
             return ""
-        return f"it is at {list(pickup)}, outside the fence, {self.low.tolist()} to {self.high.tolist()} m"
+        room = f"{self.low.round(3).tolist()} to {self.high.round(3).tolist()} m"
+        return (
+            f"it is at {list(pickup)}, outside the fence, or at its edge: "
+            f"drones are sent to {room}"
+        )
 
     def never(self, task: Task) -> str:
         """Return why no robot of this swarm can serve the task. Empty if one can."""

@@ -20,7 +20,7 @@ from cflib.crazyflie.toc import TocFetcher
 from cflib.crtp.crtpstack import CRTPPacket
 
 from crazychoir.config.radio_checks import PINGS
-from crazychoir.errors import LinkFailed
+from crazychoir.errors import LinkFailed, error_text
 from crazychoir.radio.link import drivers
 from crazychoir.radio.link.dongles import DONGLES, DongleFailed
 from crazychoir.radio.link.round_trips import ECHO, RoundTrips
@@ -171,8 +171,8 @@ class Connection:
         """Open the link with cflib, which may never return."""
         try:
             self.cf.open_link(self.uri)
-        except Exception as error:  # noqa: BLE001 - any error goes to the waiting task
-            self._from_thread(self._failed, f"{type(error).__name__}: {error}")
+        except Exception as error:  # noqa: BLE001 - whatever it is, whoever waits is told
+            self._from_thread(self._failed, error_text(error))
         if self._over:
             self._close_link()  # `close` was called before the link was open
 

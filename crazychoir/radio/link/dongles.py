@@ -13,7 +13,7 @@ from typing import Any
 
 from cflib.crtp import radiodriver
 
-from crazychoir.errors import LinkFailed
+from crazychoir.errors import LinkFailed, error_text
 
 PLUG = "Plug a Crazyradio in, let your user open it (Bitcraze's udev rules), and end what else uses it."
 """Advice for a missing dongle."""
@@ -110,7 +110,7 @@ class Dongle:
             return does(self._radio)
         except Exception as error:  # noqa: BLE001 - any USB error must free the waiting links
             self.over = True
-            self._failed(f"{type(error).__name__}: {error}")
+            self._failed(error_text(error))
 
     def close(self) -> None:
         """Close the dongle after its last link."""

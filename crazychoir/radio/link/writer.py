@@ -7,6 +7,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable
 
+from crazychoir.errors import error_text
 from crazychoir.radio.protocol.crtp import Packet
 from crazychoir.runtime.clock import SECOND, Clock
 
@@ -146,8 +147,8 @@ class Writer:
             if not self._send(packet):
                 return False
             self.sent += 1
-        except Exception as error:  # noqa: BLE001 - after any driver error the next packet may be sent
-            self.failure = f"{type(error).__name__}: {error}"
+        except Exception as error:  # noqa: BLE001 - whatever a driver raises, the next packet may get through
+            self.failure = error_text(error)
         with self._work:
             self._remove(packet)
         return True

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
-from crazychoir.errors import ConfigError
+from crazychoir.errors import ConfigError, error_text
 from crazychoir.files.path_texts import readable_texts
 from crazychoir.recording.mcap.messages import Message
 from crazychoir.recording.mcap.writer import Timed, Writer
@@ -125,8 +125,8 @@ class RecordingFile:
             if count and self._fd >= 0 and not self.error:
                 try:
                     self._add(entries)
-                except Exception as error:  # noqa: BLE001 - reported; the flight goes on
-                    self.error = f"{type(error).__name__}: {error}"
+                except Exception as error:  # noqa: BLE001 - whatever it is, it is said, and the flight goes on
+                    self.error = error_text(error)
             if count and self.written == before:
                 self.lost += count
 

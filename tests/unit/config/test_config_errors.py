@@ -233,6 +233,12 @@ CASES = {
         "",
         "x.toml: fence: found [0.0, 5.0, 0.0] to [4.0, 4.0, 3.0]; allowed: max above min in x, y and z. Exchange them.",
     ),
+    "fence without room": (
+        "fence.max = [4, 4, 0.1]\nflight.takeoff_height = 0.05",
+        "",
+        "x.toml: fence = [-4.0, -4.0, 0.0] to [4.0, 4.0, 0.1]: no room is left inside it in which a drone may be sent; "
+        "a box of more than 0.01 m aside, and more than 0.105 m above flight.ground. Widen it.",
+    ),
     "take-off through the roof": (
         "flight.takeoff_height = 3.5",
         "",

@@ -13,9 +13,10 @@ from crazychoir.errors import (
     AgentFailed,
     CrazyChoirError,
     Refused,
+    error_text,
     spoken,
 )
-from crazychoir.guidance.awaited_call import Call
+from crazychoir.guidance.awaited_call import KEPT, Call, Unawaited, forgotten
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.member import UNSAID_OF, Interrupted, standing
 from crazychoir.planning.point_to_point import PointToPoint
@@ -60,8 +61,12 @@ class Does(CFGuidance):
     async def mission(self):
         return await self.does(self)
 
+    async def added(self, x):
+        """A coroutine function of a user with an argument."""
+        return 7 + x
 
-def result_of(does, drones=1):
+
+def result_of(does, drones=1, meanwhile=None):
     async def main(clock):
         mission = SimpleNamespace(guidance=lambda i, config: Does(does))
         agent = Agent(
@@ -70,6 +75,8 @@ def result_of(does, drones=1):
             mission,
             tuple(range(drones)),
         )
+        if meanwhile is not None:
+            meanwhile(agent, clock)
         async with asyncio.timeout(300.0):
             return (await agent.run())[0]
 
@@ -152,13 +159,13 @@ async def one():
 
 
 def test_a_call_is_a_coroutine_for_whoever_looks():
-    calls = {}
+    calls = Unawaited()
     call = Call(one(), "one", "a.py:3", calls)
     assert asyncio.iscoroutine(call)
     assert "one at a.py:3" in repr(call)
-    assert len(calls) == 1
+    assert len(calls.waiting) == 1
     assert asyncio.run(call) == 1
-    assert calls == {}
+    assert not calls.waiting
 
 
 def test_a_wrong_argument_is_an_error_of_the_line_that_gives_it():
@@ -166,6 +173,78 @@ def test_a_wrong_argument_is_an_error_of_the_line_that_gives_it():
         await guidance.sleep()
 
     assert "TypeError" in result_of(wrong)["reason"]
+
+
+def test_calls_that_an_error_leaves_over_are_not_forgotten():
+    async def fails(guidance):
+        legs = [guidance.take_off(), guidance.sleep(0.1), guidance.land()]
+        for leg in legs:
+            await leg
+            raise ValueError("out of paint")
+
+    reason = result_of(fails)["reason"]
+    assert "out of paint" in reason
+    assert "without await" not in reason
+
+
+def test_operator_landing_that_leaves_calls_over_is_no_failure():
+    async def waits(guidance):
+        legs = [guidance.take_off(), guidance.sleep(30.0), guidance.land()]
+        for leg in legs:
+            await leg
+
+    def land(agent, clock):
+        def abort():
+            agent.drones[0].pilot.land("landed on command")
+            agent._guidances[0].abort("landed on command", by_operator=True)
+
+        clock.call_at(8_000_000_000, abort)
+
+    result = result_of(waits, meanwhile=land)
+    assert result["success"], result
+    assert result["ended"] == "landed on command"
+
+
+def test_error_is_named_before_calls_without_await():
+    async def fails(guidance):
+        guidance.sleep(0.1)
+        raise ValueError("out of paint")
+
+    reason = result_of(fails)["reason"]
+    assert reason.index("out of paint") < reason.index("without await")
+
+
+def test_few_of_many_forgotten_calls_are_kept():
+    async def forgets(guidance):
+        for _ in range(300):
+            guidance.sleep(0.1)
+        calls = guidance.__dict__["_unawaited"]
+        assert len(calls.waiting) == 0
+        assert len(calls.dropped) == 1
+
+    assert result_of(forgets)["reason"].count("without await") == 1
+    guidance = Does(None)
+    calls = guidance.__dict__["_unawaited"] = Unawaited()
+    for k in range(3 * KEPT):
+        calls.throw_away((f"a.py:{k}", "sleep"), f"a.py:{k}")
+    assert len(calls.dropped) == KEPT
+    assert f"and {2 * KEPT} more calls without await" in forgotten(guidance, False)
+
+
+def test_coroutine_function_takes_its_guidance_by_name():
+    async def named(guidance):
+        assert await type(guidance).added(self=guidance, x=1) == 8
+
+    assert result_of(named) == {"success": True}
+
+
+@pytest.mark.skipif(
+    not hasattr(inspect, "markcoroutinefunction"), reason="Python 3.12 or newer"
+)
+def test_verbs_are_coroutine_functions_for_inspect():
+    guidance = Does(None)
+    for verb in (guidance.go_to, guidance.send, guidance.added):
+        assert inspect.iscoroutinefunction(verb)
 
 
 # Reasons -------------------------------------------------------------------------------------------------------------
@@ -219,3 +298,26 @@ def test_a_mission_that_raises_an_error_without_words_has_a_reason():
 
     for does in (says_nothing, fails):
         assert len(result_of(does)["reason"]) > 10
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (TimeoutError(), "TimeoutError: a time limit has passed"),
+        (asyncio.CancelledError(), "CancelledError: it was cancelled"),
+        (AssertionError(), "AssertionError: an assert does not hold"),
+        (ValueError(), "ValueError: raised without a text"),
+        (ValueError("out of paint"), "ValueError: out of paint"),
+    ],
+)
+def test_error_without_words_says_what_it_means(error, words):
+    assert error_text(error).startswith(words)
+
+
+def test_mission_that_runs_into_its_own_time_limit_says_so():
+    async def hurries(guidance):
+        async with asyncio.timeout(0.2):
+            await guidance.sleep(5.0)
+
+    reason = result_of(hurries)["reason"]
+    assert "TimeoutError: a time limit has passed, as of asyncio.timeout" in reason

@@ -37,6 +37,7 @@ VERBS = ("send", "receive", "asynchronous_receive", "neighbors_exchange")
 
 
 TICK = 0.01
+WIDE = Fence.box((-3.0, -3.0, -0.2), (3.0, 3.0, 2.5))
 
 
 def pair(clock):
@@ -61,18 +62,18 @@ def pair(clock):
 
 
 @contextlib.asynccontextmanager
-async def in_the_world(clock, seen=lambda: True):
+async def in_the_world(clock, seen=lambda: True, home=(0.0, 0.0, 0.0), fence=WIDE):
     """A guidance whose drone stands in a world that goes on; its pilot. seen: whether the cameras see it."""
     bus, config, world = (
         Bus(clock),
         default_swarm(2),
-        CFIntegrator((0,), np.zeros((1, 3))),
+        CFIntegrator((0,), np.array([home])),
     )
     pilot = Pilot(
         bus.port(0),
         SimulatedLink(world, 0),
         config.flight,
-        Fence.box((-3.0, -3.0, -0.2), (3.0, 3.0, 2.5)),
+        fence,
     )
     guidance = CFGuidance()
     guidance.bind(
@@ -417,3 +418,24 @@ async def test_an_algorithm_that_needs_another_graph_is_refused_at_all_drones(cl
         require_graph(
             GradientTracking(0, [1.0], {0: 0.5, 2: 0.5}, lambda x: x, 0.1), one_way
         )
+
+
+NARROW = Fence.box((-0.5, -0.5, -0.2), (0.5, 0.5, 2.5))
+"""The fence of a drone that stays further inside than the swarm file has it."""
+
+
+@virtual
+async def test_drone_flies_home_as_near_as_the_guard_allows(clock):
+    async with in_the_world(clock, home=(0.45, 0.0, 0.0), fence=NARROW) as (
+        guidance,
+        pilot,
+    ):
+        await guidance.take_off()
+        await guidance.go_to([0.0, 0.0, 0.5])
+        pilot.guard.room = Fence((-0.3, -0.3, 0.1), (0.3, 0.3, 2.4))
+        await guidance.go_to([0.45, 0.0, 0.5])
+        assert pilot.state.p[0] == pytest.approx(0.3, abs=0.05)
+        with pytest.raises(ConfigError, match="outside the fence"):
+            await guidance.go_to([0.0, 0.45, 0.5])
+        await guidance.land()
+        assert pilot.mode is Mode.GROUND

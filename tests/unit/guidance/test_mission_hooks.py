@@ -50,7 +50,7 @@ def mission(tmp_path):
         ("def goal(): ...", r"goal: found def goal\(\); allowed: def goal\(config\)"),
         (
             "async def check(config, force): ...",
-            r"found async def check\(.*Drop `async`",
+            r"mine\.py:\d+: check: found async def check\(.*Write `def check`, not",
         ),
         ("goal = {0: (0.0, 0.0, 1.0)}", "goal: found goal = dict .*another name"),
         (
@@ -100,7 +100,27 @@ def test_a_hook_may_have_more_arguments_if_they_have_defaults(mission):
         (
             "class A(CFGuidance):\n    def mission(self): ...\n"
             "def guidance(i, config): return A()",
-            "class A: mission: found def mission; .*Write `async`",
+            r"mine\.py:\d+: class A: mission: found def mission; .*Write `async def mission`",
+        ),
+        (
+            "class A(Law):\n    async def step(self, me, heard): ...\n"
+            "def guidance(i, config): return A()",
+            r"mine\.py:14: class A: step: .*Write `def step`, not `async def step`",
+        ),
+        (
+            "class A(Law):\n    async def height(self): ...\n"
+            "def guidance(i, config): return A()",
+            r"mine\.py:14: class A: height: .*Write `def height`, not `async def height`",
+        ),
+        (
+            "class A(Law):\n    async def route(self): ...\n"
+            "def guidance(i, config): return A()",
+            "class A: route: .*Write `def route`",
+        ),
+        (
+            "class A(Law):\n    def asked(self, verb, arguments): ...\n"
+            "def guidance(i, config): return A()",
+            "class A: asked: .*Write `async def asked`",
         ),
         (
             "def guidance(i, config): return config.wings",
@@ -272,3 +292,19 @@ def test_a_file_that_raises_when_it_is_loaded_is_refused_with_its_line(
         assert str(caught.value).startswith(
             f"mission {path}:3: found ZeroDivisionError: division by zero; allowed: "
         )
+
+
+def test_law_most_of_whose_references_cannot_be_flown_says_so(mission):
+    loaded = mission(
+        "class Torn(Law):\n"
+        "    count = 0\n"
+        "    def step(self, me, heard):\n"
+        "        self.count += 1\n"
+        "        return Acceleration(np.full(3, np.nan) if self.count % 5 else -me.v)\n"
+        "def guidance(i, config): return Torn()"
+    )
+    run = fly_fast(SWARM, loaded)
+    assert run["success"]
+    assert run["refused_references"][0] == run["results"][0]["refused_references"] > 30
+    assert "no usable reference in" in run["reasons"][0]
+    assert "finite numbers" in run["reasons"][0]

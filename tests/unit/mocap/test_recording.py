@@ -143,7 +143,7 @@ def test_times_in_another_unit_are_refused_with_the_unit_that_they_seem_to_have(
     [
         (-0.3, "or more, as before"),
         (-1.76e9, "or more, as before"),
-        (1.76e9, "after the frame before"),
+        (1.76e9, "after the row before"),
         (3600, "600"),
     ],
 )

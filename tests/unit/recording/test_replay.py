@@ -1,13 +1,19 @@
 """Drones that follow recordings: tables of samples and flights, and what is said of those that cannot be followed."""
 
+import asyncio
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from crazychoir.agent.agent import Agent
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
+from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.recording.mcap.file import Entry, RecordingFile, Series
 from crazychoir.recording.mcap.messages import MESSAGES, packer
 from crazychoir.recording.replay import states_of
+from crazychoir.runtime.clock import run_virtual
 from crazychoir.simulation.engines import worlds
 from crazychoir.types import FPQR, State
 
@@ -102,3 +108,102 @@ def test_what_cannot_be_followed_is_refused(tmp_path, table, uri, says):
     config = swarm(uri.format(tmp_path), [2, 0, 0])
     with pytest.raises(ConfigError, match=says):
         worlds(config, config.ids)
+
+
+# Times in other units than s -----------------------------------------------------------------------------------------
+
+
+def rows(factor, origin):
+    """30 samples, 10 ms apart, in a unit of which a second has `factor`."""
+    times = [origin + round(0.01 * k * factor) for k in range(30)]
+    return "t,x,y,z,yaw\n" + "".join(f"{t},1,0,0,0\n" for t in times)
+
+
+@pytest.mark.parametrize(
+    ("factor", "origin", "said"),
+    [
+        (1e9, 1_790_000_000_000_000_000, "line 31: .*They are ns"),
+        (1e3, 1_790_000_000_000, "line 31: .*They are ms"),
+        (1e3, 0, "line 31: .*They are ms"),
+        (1e6, 0, "They are us"),
+    ],
+)
+def test_times_in_another_unit_are_refused_with_line_and_unit(
+    tmp_path, factor, origin, said
+):
+    path = tmp_path / "b.csv"
+    path.write_text(rows(factor, origin))
+    with pytest.raises(ConfigError, match=said):
+        states_of(f"replay://{path}", 0, DT)
+
+
+def test_clock_that_was_set_within_a_table_is_refused(tmp_path):
+    path = tmp_path / "b.csv"
+    path.write_text("t,x,y,z\n0,1,0,0\n1,1,0,0\n1790000000,1,0,0\n")
+    with pytest.raises(ConfigError, match=r"line 4: .*after the row before"):
+        states_of(f"replay://{path}", 0, DT)
+
+
+def test_samples_written_by_hand_may_be_far_from_each_other(tmp_path):
+    path = tmp_path / "b.csv"
+    path.write_text("t,x,y,z\n0,1,0,0\n10,1,0,0\n20,1,0,1\n")
+    assert len(states_of(f"replay://{path}", 0, 1.0)) == 21
+
+
+# A mission of a drone that obeys nothing ------------------------------------------------------------------------------
+
+
+class UpAndDown(CFGuidance):
+    """Takes off, flies to some places, and lands."""
+
+    def __init__(self, *places):
+        self.places = places
+
+    async def mission(self):
+        await self.take_off()
+        for place in self.places:
+            await self.go_to(place)
+        await self.land()
+
+
+def test_mission_of_a_replayed_drone_ends_though_its_recording_ends_in_the_air(
+    tmp_path, caplog
+):
+    config = swarm_with_replay(tmp_path)
+    results = flown_with_replay(config)
+    assert results[0]["success"]
+    assert results[1]["success"]
+    assert "obeys nothing: its landing ends 1.00 m above the ground" in caplog.text
+
+
+def test_flight_of_a_replayed_drone_to_a_place_ends_with_the_reason(tmp_path):
+    config = swarm_with_replay(tmp_path)
+    results = flown_with_replay(config, [0.6, 1.0, 1.0])
+    assert not results[1]["success"]
+    assert "does not reach [0.6, 1.0, 1.0]" in results[1]["reason"]
+    assert "follows a recording and obeys nothing" in results[1]["reason"]
+
+
+def flown_with_replay(config, *places):
+    """The results of a flight in virtual time, in which drone 1 is asked to fly to some places."""
+
+    async def main(clock):
+        mission = SimpleNamespace(
+            guidance=lambda i, config: UpAndDown(*(places if i == 1 else ()))
+        )
+        agent = Agent(clock, config, mission, config.ids)
+        async with asyncio.timeout(120.0):
+            return await agent.run()
+
+    return run_virtual(main)
+
+
+def swarm_with_replay(tmp_path):
+    """Two drones; the recording of drone 1 ends in the air."""
+    path = tmp_path / "b.csv"
+    path.write_text("t,x,y,z\n0,0.6,0,0\n3,0.6,0,1\n5,0.6,0,1\n")
+    drones = [
+        {"id": 0, "home": [0, 0, 0]},
+        {"id": 1, "home": [0.6, 0, 0], "uri": f"replay://{path}"},
+    ]
+    return SwarmConfig.of({"name": "a", "graph": "path", "drones": drones})

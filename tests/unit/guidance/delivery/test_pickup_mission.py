@@ -101,7 +101,7 @@ SOME = {"penalty": [2.0, None]}
         (
             SPACE | {"pickup": [[1.0, 0.0, 5.0], [0.0, 1.0, 1.0]]},
             {},
-            r"pickup\[0\] = .*a height of 5 m, not 0.1 to 3",
+            r"pickup\[0\] = .*a height of 5 m, not 0.1 to 2.995",
         ),
         (
             SPACE | {"delivery": [[1.0, 0.0, 0.0], [0.0, 1.0, 1.0]]},
