@@ -9,12 +9,13 @@ import numpy.typing as npt
 
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.problems.lexicographic import (
+    CANNOT_TELL,
+    FEASIBLE,
     Basis,
     Columns,
     optimal_basis,
     union,
 )
-from crazychoir.optimization.problems.tableau import CANCELLED
 from crazychoir.optimization.rounds.agreement import greatest, same_everywhere
 from crazychoir.optimization.rounds.arrays import matrix, vector
 from crazychoir.optimization.rounds.program import Exchange, Program
@@ -23,14 +24,8 @@ from crazychoir.types import Mat, Vec
 
 Status = Literal["optimal", "infeasible", "unbounded"]
 ROUNDS = 10_000
-CERTAIN_ZERO = 1e-13
-"""A sum smaller than this, relative to the sizes of its terms added up, is zero."""
-FEASIBLE = 1e-7
-"""What an artificial column may be worth at the end, relative to the terms of its row."""
 LARGEST = 1e60
 """Numbers beyond this, or nearer to 0 than its inverse: their products leave the range of double precision."""
-UNCERTAIN = 1e-3
-"""Rounding error of a level, relative to it, from which on it says nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +53,10 @@ class BasisExchange:
     that after finitely many rounds all bases are the one of all columns. A column that may grow for ever while the
     cost falls tells that there is no least cost; from then on c counts as 0 everywhere, and what is left to find out is
     whether there is a feasible point.
+    Where two numbers are so close that agents judge them differently, two bases may each be the best at an agent. When
+    a basis comes back, or when neighbours still hold different bases long after the last change, all agents stop
+    pivoting, and keep the least basis that they hear of, in an order that depends on the bases alone (_rank).
+    A failure at one agent (a singular basis, pivots without an end) spreads in the same way, and is raised by all.
     entries: (m, n_i), c: (n_i,), b: (m,) the same at all;  first: (n_i,) >= 0, a cost that comes before c, or None.
     common: columns that all agents know from the start, own ones among them, for a b >= 0.
     Data travel as they are, and what an agent computes of a basis depends on the basis alone: the agents agree bit by
@@ -84,47 +83,114 @@ class BasisExchange:
         self._stillness = Stillness(diameter)
         self._ray: list[int] | None = None
         self._weighed: set[tuple[int, int]] = set()
+        self._held: set[bytes] = set()
+        self._patience = 3 * diameter + 3
+        self._calm = 0
+        self.undecided = False
+        self.failure: str | None = None
         identity = Columns.artificial(len(b))
-        self.basis = self._best([identity, self._own], Basis.of(identity, self._b))
+        self.basis = Basis.of(identity, self._b)
+        self._improve([identity, self._own])
+        self._held.add(self._fingerprint)
 
     def message(self) -> list[Any]:
-        """Whether all are still, the ray, the basis with its columns packed."""
-        return [self._stillness.message(), self._ray, *_packed(self.basis.columns)]
+        """Return whether all are still, the ray, whether bases are undecided, the failure, the columns of the basis."""
+        flags = [self._stillness.message(), self._ray, self.undecided, self.failure]
+        return [*flags, *_packed(self.basis.columns)]
 
     def step(self, heard: Mapping[int, Any]) -> None:
-        """Take the neighbours' bases; None from who is not at this problem yet."""
-        received = [
-            self._unpacked(j, message)
-            for j, message in heard.items()
-            if message is not None
-        ]
+        """Take the neighbours' bases; None from a neighbour that is not at this problem yet."""
         still = {
             j: b"" if message is None else message[0] for j, message in heard.items()
         }
-        heard = {j: message for j, message in heard.items() if message is not None}
-        before = self.basis.columns.ids
-        ray = self._ray
-        self._ray = min(
-            (r for r in [ray, *(m[1] for m in heard.values())] if r is not None),
-            default=None,
+        messages = {j: message for j, message in heard.items() if message is not None}
+        received = [self._unpacked(j, message) for j, message in messages.items()]
+        before = self._state
+        self._take_flags(list(messages.values()))
+        if self.failure is None:
+            if self.undecided:
+                self._keep_the_least(received)
+            else:
+                self._weigh(received, is_new_ray=self._ray != before[1])
+        is_changed = self._state != before
+        self._calm = 0 if is_changed else self._calm + 1
+        is_common = all(
+            np.array_equal(columns.ids, self.basis.columns.ids) for columns in received
         )
+        if self.failure is None and not is_common:
+            is_changed = True
+            self.undecided |= self._calm > self._patience
+        self._stillness.step(is_changed, still)
+
+    @property
+    def _state(self) -> tuple[Any, ...]:
+        """What the neighbours must know before the team may end."""
+        return self._fingerprint, self._ray, self.undecided, self.failure
+
+    @property
+    def _fingerprint(self) -> bytes:
+        """The basis, and whether c counts."""
+        return self.basis.columns.ids.tobytes() + bytes([self._ray is None])
+
+    def _take_flags(self, messages: list[Any]) -> None:
+        """Take the least ray, and the least failure, of those that are known."""
+        rays = [self._ray, *(message[1] for message in messages)]
+        self._ray = min((ray for ray in rays if ray is not None), default=None)
+        self.undecided |= any(message[2] for message in messages)
+        failures = [self.failure, *(message[3] for message in messages)]
+        self.failure = min(
+            (text for text in failures if text is not None), default=None
+        )
+
+    def _weigh(self, received: list[Columns], is_new_ray: bool) -> None:
+        """Find the best basis of own and received columns, unless all have been weighed before."""
+        before = self._fingerprint
         news = {key for columns in received for key in columns.id_pairs()}
-        if self._ray != ray or not news <= self._weighed:
-            self.basis = self._best(
-                [self.basis.columns, self._own, *received], self.basis
-            )
-        changed = self._ray != ray or not np.array_equal(before, self.basis.columns.ids)
+        if is_new_ray or not news <= self._weighed:
+            self._improve([self.basis.columns, self._own, *received])
         # The basis is the best of these columns: of any part of them too, so that they need not be weighed again.
-        self._weighed = news if changed else self._weighed | news
-        self._stillness.step(changed, still)
+        if is_new_ray or self._fingerprint != before:
+            self._weighed = news
+            # The optimum only falls, so that a basis comes back only where rounding hides which is better.
+            self.undecided |= self._fingerprint in self._held
+            self._held.add(self._fingerprint)
+        else:
+            self._weighed |= news
+
+    def _improve(self, parts: list[Columns]) -> None:
+        """Find the best basis, or keep the failure."""
+        try:
+            self.basis = self._best(parts, self.basis)
+        except SolverError as error:
+            self.failure = error.status
+
+    def _keep_the_least(self, received: list[Columns]) -> None:
+        """Keep the least of own and received bases."""
+        try:
+            others = [
+                Basis.of(columns, self._b)
+                for columns in received
+                if not np.array_equal(columns.ids, self.basis.columns.ids)
+            ]
+        except SolverError as error:
+            self.failure = error.status
+            return
+        self.basis = min([self.basis, *others], key=self._rank)
+
+    def _rank(self, basis: Basis) -> tuple[Any, ...]:
+        """Return the place of a basis in an order of all agents: certain, feasible, cheap ones first."""
+        cost = float(basis.columns.cost[1] @ basis.level) if self._ray is None else 0.0
+        is_doubtful = basis.doubt is not None
+        return is_doubtful, len(_unmet(basis)), cost, basis.columns.ids.tolist()
 
     def _unpacked(self, j: int, message: Any) -> Columns:
         try:
-            still, ray, *packed = message
-            if not (isinstance(still, bytes) and isinstance(ray, list | None)):
-                raise TypeError(
-                    f"{type(still).__name__} and {type(ray).__name__} before it"
-                )
+            still, ray, undecided, failure, *packed = message
+            flags = [still, ray, undecided, failure]
+            kinds = [bytes, list | None, bool, str | None]
+            if not all(map(isinstance, flags, kinds)):
+                found = ", ".join(type(flag).__name__ for flag in flags)
+                raise TypeError(f"{found} before it")
             return _unpacked(packed, len(self._b))
         except (TypeError, ValueError, LookupError) as error:
             allowed = f"flags, a ray, and {len(self._b)} columns: ids, costs, entries"
@@ -168,9 +234,7 @@ class BasisExchange:
     @property
     def unmet(self) -> list[int]:
         """Return the rows of which something remains, beyond FEASIBLE of the terms of the row."""
-        basis = self.basis
-        remains = (basis.columns.ids[:, 0] < 0) & (basis.level > FEASIBLE * basis.terms)
-        return [int(row) for row in basis.columns.ids[remains, 1]]
+        return _unmet(self.basis)
 
     @property
     def certificate(self) -> Vec:
@@ -195,25 +259,6 @@ class BasisExchange:
         """c'x of all agents."""
         return float(self.basis.columns.cost[1] @ self.basis.level)
 
-    def require_certain(self, where: str) -> None:
-        """Raise SolverError where rounding errors are as large as the levels: at all agents with this basis alike."""
-        basis = self.basis
-        wrong = (basis.level < 0.0) & (-basis.level > FEASIBLE * basis.terms)
-        wrong |= (basis.level != 0.0) & (
-            basis.uncertainty > UNCERTAIN * np.abs(basis.level)
-        )
-        if wrong.any():
-            p = int(np.argmax(wrong))
-            owner, number = basis.columns.ids[p].tolist()
-            name = (
-                f"what remains of row {number}"
-                if owner < 0
-                else f"column {number} of agent {owner}"
-            )
-            found = f"{name} is {basis.level[p]:.3g}, with a rounding error of up to {basis.uncertainty[p]:.3g}"
-            do = "double precision cannot tell; remove rows or columns that are nearly the same as sums of others"
-            raise SolverError(where, f"{found}: {do}")
-
     def penalties(self, given: Vec | None = None) -> Vec:
         """Return what M must be for the prices to be dual feasible for the own columns, at least.
 
@@ -236,15 +281,19 @@ class BasisExchange:
         return M
 
     def doubts(self) -> Vec:
-        """Return (K,) by how much, relative to its terms, the k-th row left over changes with an own column.
+        """Return (K,) by how much, relative to its terms, the k-th row left over differs at an own column.
 
-        0 where that is a rounding error, or so much that it is none for certain.
+        0 where it is the same, where it differs for certain, and where the column asks for no penalty.
         """
-        inverse = self.basis.inverse[self._artificial]
-        change = np.abs(inverse @ self._own.entries)
-        terms = np.abs(inverse) @ np.abs(self._own.entries)
-        small = (change > CERTAIN_ZERO * terms) & (change < CANCELLED * terms)
-        share = np.where(small, change / np.where(terms > 0.0, terms, 1.0), 0.0)
+        basis = self.basis
+        change = basis.expressed(self._own.entries)
+        size = np.abs(self._own.entries)
+        size = size + np.abs(basis.columns.entries) @ np.abs(change)
+        rows = basis.columns.ids[self._artificial, 1]
+        change = change[self._artificial]
+        share = np.abs(change) / np.where(size[rows] > 0.0, size[rows], 1.0)
+        matters = (change < 0.0) & (basis.price_out(self._own)[1] < 0.0)
+        share[~matters | (share > FEASIBLE)] = 0.0
         return np.asarray(share.max(axis=1, initial=0.0))
 
     def require_distinct(self, doubts: Vec, where: str) -> None:
@@ -253,8 +302,25 @@ class BasisExchange:
             k = int(np.argmax(doubts))
             row = int(self.basis.columns.ids[self._artificial[k], 1])
             found = f"row {row} differs from a sum of other rows by {doubts[k]:.1g} of its terms"
-            do = "double precision cannot tell whether they are the same; remove the row, or correct its last digits"
-            raise SolverError(where, f"{found}: {do}")
+            raise SolverError(where, f"{found}: {CANNOT_TELL}")
+
+    def excess(self) -> float:
+        """Return by how much an own column would lower the cost of the basis, relative to the terms of its cost."""
+        change = self.basis.expressed(self._own.entries)
+        left_over = change[self._artificial]
+        reduced = self.basis.price_out(self._own)
+        own = np.arange(len(self._own))
+        first = np.zeros(len(self._own))
+        if len(left_over):
+            first = left_over[np.argmax(left_over != 0.0, axis=0), own]
+        cost = self.basis.columns.cost
+        terms = np.abs(self._own.cost) + np.abs(cost) @ np.abs(change)
+        gain = -reduced / np.where(terms > 0.0, terms, 1.0)
+        best = np.where(gain[0] != 0.0, gain[0], gain[1] * (self._ray is None))
+        best[first < 0.0] = 0.0
+        if self.unmet:
+            best[first > 0.0] = 1.0
+        return float(best.max(initial=0.0))
 
     def prices(self, penalties: Vec | None = None) -> Vec:
         """Return (m,) y + sum_k M_k y_k.  penalties: (K,) M, zeros if None."""
@@ -274,6 +340,12 @@ class BasisExchange:
         return np.flatnonzero(self.basis.columns.ids[:, 0] < 0)
 
 
+def _unmet(basis: Basis) -> list[int]:
+    """Return the rows of which an artificial column holds more than FEASIBLE of the terms."""
+    remains = (basis.columns.ids[:, 0] < 0) & (basis.shares > FEASIBLE)
+    return [int(row) for row in basis.columns.ids[remains, 1]]
+
+
 def _exchange(bases: BasisExchange, where: str, diameter: int) -> Exchange[Vec]:
     """Exchange bases until all agents hold the same; return the penalties that make its prices dual feasible."""
     rounds = 0
@@ -285,7 +357,14 @@ def _exchange(bases: BasisExchange, where: str, diameter: int) -> Exchange[Vec]:
             )
         bases.step((yield bases.message()))
         rounds += 1
-    bases.require_certain(where)
+    problem = bases.failure or bases.basis.doubt
+    if problem is not None:
+        raise SolverError(where, problem)
+    if bases.undecided:
+        excess = yield from greatest(np.array([bases.excess()]), diameter)
+        if excess[0] > FEASIBLE:
+            found = f"agents find different bases, and a column would lower the cost by {excess[0]:.1g} of its terms"
+            raise SolverError(where, f"{found}: {CANNOT_TELL}")
     M = np.zeros(bases.left_over)
     for _ in range(len(M)):
         before = M

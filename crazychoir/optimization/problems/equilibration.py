@@ -12,12 +12,13 @@ EVEN = 12.0
 """Binary digits between the largest and the smallest entry below which a matrix needs no scaling."""
 
 
-def without_rounding(value: Mat, terms: Mat) -> Mat:
+def without_rounding(value: Mat, terms: Mat, share: float = ROUNDING) -> Mat:
     """Return `value` with zeros where it is a rounding error.
 
-    value: sums;  terms: the sums of the absolute values of their terms, of the same shape.
+    value: sums;  terms: the sums of the absolute values of their terms, of the same shape;  share: of the terms, below
+    which a sum counts as zero.
     """
-    return np.where(np.abs(value) <= ROUNDING * terms, 0.0, value)
+    return np.where(np.abs(value) <= share * terms, 0.0, value)
 
 
 def scaled_inverse(B: Mat) -> Mat:

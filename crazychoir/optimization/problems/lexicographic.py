@@ -11,14 +11,26 @@ from crazychoir.optimization.problems.equilibration import (
     scaled_inverse,
     without_rounding,
 )
-from crazychoir.optimization.problems.tableau import walk
+from crazychoir.optimization.problems.tableau import (
+    SAME,
+    drop_negligible,
+    walk,
+)
 from crazychoir.types import Mat, Vec
 
 Ints = npt.NDArray[np.int64]
 PIVOTS = 100_000
 REFRESH = 50
 """Pivots after which the tableau is computed anew."""
+CANNOT_TELL = (
+    "double precision cannot tell which basis is the best; "
+    "remove rows or columns that are nearly the same as sums of others"
+)
 EPSILON = float(np.finfo(float).eps)
+FEASIBLE = 1e-7
+"""What may remain of a row at the end, relative to the sizes of its terms added up."""
+UNCERTAIN = 1e-3
+"""Rounding error of a level, relative to the level, from which on the level says nothing."""
 ARTIFICIAL = -1
 """The owner of artificial columns."""
 
@@ -90,7 +102,7 @@ class Basis:
     """An optimal basis of the columns that were given, or the end of a ray.
 
     columns: (m of them), B, in increasing order of id;  b: (m,);  inverse: (m, m), B^-1;  level: (m,) their values
-    x_B;  ray: id of a column that may grow for ever while c'x falls, or None.
+    x_B, zero where no row can tell;  ray: id of a column that may grow for ever while c'x falls, or None.
     All depend on B and b alone, bit by bit, so that agents with the same basis have the same numbers.
     """
 
@@ -104,12 +116,10 @@ class Basis:
     def of(cls, columns: Columns, b: Vec) -> "Basis":
         """Return the basis of m columns in increasing order of id; raises SolverError where they are dependent."""
         inverse = scaled_inverse(columns.entries)
-        return cls(
-            columns,
-            b,
-            inverse,
-            without_rounding(inverse @ b, np.abs(inverse) @ np.abs(b)),
-        )
+        level = without_rounding(inverse @ b, np.abs(inverse) @ np.abs(b))
+        share = _shares(columns.entries, level, b)
+        level[(share <= SAME) | ((level < 0.0) & (share <= FEASIBLE))] = 0.0
+        return cls(columns, b, inverse, level)
 
     @cached_property
     def prices(self) -> Mat:
@@ -120,9 +130,52 @@ class Basis:
         )
 
     @cached_property
-    def terms(self) -> Vec:
-        """(m,) the sizes of the terms whose sums are the levels: |B^-1| |b|."""
-        return np.asarray(np.abs(self.inverse) @ np.abs(self.b))
+    def shares(self) -> Vec:
+        """(m,) how much the levels matter to a row at most, relative to the sizes of its terms added up."""
+        return _shares(self.columns.entries, self.level, self.b)
+
+    @cached_property
+    def residual(self) -> Vec:
+        """(m,) |B x_B - b| of the rows, relative to the sizes of their terms added up."""
+        rest = np.abs(self.columns.entries @ self.level - self.b)
+        size = np.abs(self.columns.entries) @ np.abs(self.level) + np.abs(self.b)
+        return np.asarray(rest / np.where(size > 0.0, size, 1.0))
+
+    @cached_property
+    def distinctness(self) -> Vec:
+        """(m,) by how much of its terms each basic column differs from a sum of the others: 1 / (|B^-1| |B|)_pp."""
+        terms = np.abs(self.inverse) * np.abs(self.columns.entries.T)
+        return np.asarray(1.0 / terms.sum(axis=1))
+
+    @cached_property
+    def doubt(self) -> str | None:
+        """Why double precision cannot tell what this basis is worth; None if it can."""
+        level = self.level
+        negative = level < 0.0
+        vague = (level != 0.0) & (self.uncertainty > UNCERTAIN * np.abs(level))
+        if self.distinctness.min() < FEASIBLE:
+            p = int(np.argmin(self.distinctness))
+            share = self.distinctness[p]
+            found = f"{self._name(p)} differs from a sum of others by {share:.1g} of its terms"
+        elif negative.any():
+            p = int(np.argmax(negative))
+            found = f"{self._name(p)} is {level[p]:.3g}"
+        elif self.residual.max() > FEASIBLE:
+            row = int(np.argmax(self.residual))
+            found = f"row {row} is met up to {self.residual[row]:.1g} of its terms only"
+        elif vague.any():
+            p = int(np.argmax(vague))
+            error = self.uncertainty[p]
+            found = f"{self._name(p)} is {level[p]:.3g}, with a rounding error of up to {error:.3g}"
+        else:
+            return None
+        return f"{found}: {CANNOT_TELL}"
+
+    def _name(self, p: int) -> str:
+        owner, number = self.columns.ids[p].tolist()
+        if owner < 0:
+            return f"what remains of row {number}"
+        return f"column {number} of agent {owner}"
 
     @cached_property
     def uncertainty(self) -> Vec:
@@ -132,14 +185,39 @@ class Basis:
 
     def price_out(self, columns: Columns) -> Mat:
         """Return (2, n) the reduced costs of `columns`, at the two levels of cost."""
-        terms = np.abs(columns.cost) + np.abs(self.prices) @ np.abs(columns.entries)
-        return without_rounding(columns.cost - self.prices @ columns.entries, terms)
+        return reduced_costs(
+            columns.cost, self.columns.cost, self.expressed(columns.entries)
+        )
 
     def expressed(self, entries: Mat) -> Mat:
-        """Return B^-1 entries (m, n): the columns `entries` (m, n) as sums of the basic ones."""
-        return without_rounding(
-            self.inverse @ entries, np.abs(self.inverse) @ np.abs(entries)
-        )
+        """Return B^-1 entries (m, n): the columns `entries` (m, n) as sums of the basic ones.
+
+        A share that no row needs to SAME of its terms is zero. So a row that is the same as a sum of other rows, but
+        for the digits to which the data were rounded, keeps its artificial column.
+        """
+        value = self.inverse @ entries
+        terms = np.abs(self.inverse) @ np.abs(entries)
+        value = np.ascontiguousarray(without_rounding(value, terms))
+        B = np.ascontiguousarray(self.columns.entries)
+        size = np.abs(entries) + np.abs(B) @ np.abs(value)
+        drop_negligible(value, B, np.ascontiguousarray(size), SAME)
+        return value
+
+
+def _shares(B: Mat, level: Vec, b: Vec) -> Vec:
+    """Return (m,) max over k of |B_ki x_i| / (|B| |x| + |b|)_k."""
+    terms = np.abs(B) * np.abs(level)
+    size = terms.sum(axis=1) + np.abs(b)
+    return np.asarray((terms / np.where(size > 0.0, size, 1.0)[:, None]).max(axis=0))
+
+
+def reduced_costs(cost: Mat, basic: Mat, expressed: Mat) -> Mat:
+    """Return (2, n) cost - basic B^-1 A.
+
+    cost: (2, n);  basic: (2, m) the costs of the basic columns;  expressed: (m, n) B^-1 A.
+    """
+    terms = np.abs(cost) + np.abs(basic) @ np.abs(expressed)
+    return without_rounding(cost - basic @ expressed, terms, SAME)
 
 
 def optimal_basis(columns: Columns, start: "Columns | Basis", b: Vec) -> Basis:
@@ -153,16 +231,17 @@ def optimal_basis(columns: Columns, start: "Columns | Basis", b: Vec) -> Basis:
     the basis of a vertex unique. Neither d nor e is ever a number: signs are those of the first term that is not zero,
     in the reduced costs (entering) and in the rows of [B^-1 b, B^-1] (leaving). So the answer depends on the columns
     alone, not on the way to it.
-    What is zero is judged by the terms that were added up (pivot, without_rounding), never by other rows or columns:
+    What is zero is judged by the terms that were added up (pivot, expressed), never by other rows or columns:
     with rows and columns in other units the answer is the same basis.
     b: (m,), >= 0; `start` is lexicographically feasible, as the identity is, and as every answer is.
-    Raises SolverError beyond PIVOTS pivots, or for a singular basis.
+    Raises SolverError beyond PIVOTS pivots, for a basis that comes back, and for a singular basis.
     Source: Dantzig, Orden & Wolfe 1955; Buerger, Notarstefano, Bullo & Allgoewer 2012, Automatica 48, 2298-2304.
     """
     basis = start if isinstance(start, Basis) else Basis.of(start, b)
     artificial = int(np.searchsorted(columns.ids[:, 0], 0))
     where = {key: p for p, key in enumerate(columns.id_pairs())}
     basic = np.array([where[key] for key in basis.columns.id_pairs()], dtype=np.int64)
+    seen = {basic.tobytes()}
     for _ in range(PIVOTS // REFRESH):
         pivots, end = walk(_tableau(columns, basis, basic), basic, artificial, REFRESH)
         if not pivots:
@@ -170,8 +249,11 @@ def optimal_basis(columns: Columns, start: "Columns | Basis", b: Vec) -> Basis:
             ray = (owner, number) if end >= 0 else None
             return Basis(columns.take(basic), basis.b, basis.inverse, basis.level, ray)
         basic.sort()
+        if basic.tobytes() in seen:
+            break
+        seen.add(basic.tobytes())
         basis = Basis.of(columns.take(basic), b)
-    found = f"{PIVOTS} pivots without an end: double precision cannot tell which basis is the best"
+    found = f"pivots without an end: {CANNOT_TELL}"
     raise SolverError("lexicographic simplex", found)
 
 
@@ -183,12 +265,11 @@ def _tableau(columns: Columns, basis: Basis, basic: Ints) -> Mat:
     m = len(basic)
     n = len(columns)
     tableau = np.zeros((m + 2, n + m + 1))
-    tableau[:m, :n] = basis.expressed(columns.entries)
+    tableau[:m, :-1] = basis.expressed(np.hstack([columns.entries, np.eye(m)]))
     tableau[:m, basic] = np.eye(m)
-    tableau[:m, n : n + m] = basis.inverse
+    # A basis with a level that is negative is doubtful, and if it is the last one it is refused.
     tableau[:m, -1] = np.maximum(basis.level, 0.0)
     cost = columns.cost[:, basic]
-    terms = np.abs(columns.cost) + np.abs(cost) @ np.abs(tableau[:m, :n])
-    tableau[m:, :n] = without_rounding(columns.cost - cost @ tableau[:m, :n], terms)
+    tableau[m:, :n] = reduced_costs(columns.cost, cost, tableau[:m, :n])
     tableau[m:, basic] = 0.0
     return tableau
