@@ -8,8 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError, SolverError
+from crazychoir.optimization.problems.equilibration import CANNOT_TELL
 from crazychoir.optimization.problems.lexicographic import (
-    CANNOT_TELL,
+    DISTINCT,
     FEASIBLE,
     Basis,
     Columns,
@@ -293,7 +294,7 @@ class BasisExchange:
         change = change[self._artificial]
         share = np.abs(change) / np.where(size[rows] > 0.0, size[rows], 1.0)
         matters = (change < 0.0) & (basis.price_out(self._own)[1] < 0.0)
-        share[~matters | (share > FEASIBLE)] = 0.0
+        share[~matters | (share > DISTINCT)] = 0.0
         return np.asarray(share.max(axis=1, initial=0.0))
 
     def require_distinct(self, doubts: Vec, where: str) -> None:

@@ -8,6 +8,11 @@ from crazychoir.types import Mat, Vec
 
 PASSES = 8
 """Sweeps over rows and columns of the scaling."""
+CANNOT_TELL = (
+    "double precision cannot tell which basis is the best; "
+    "remove rows or columns that are nearly the same as sums of others"
+)
+"""What the errors say that follow from rounding."""
 EVEN = 12.0
 """Binary digits between the largest and the smallest entry below which a matrix needs no scaling."""
 
@@ -34,7 +39,7 @@ def scaled_inverse(B: Mat) -> Mat:
     rows, columns = scaling_exponents(B)
     work = np.hstack([np.ldexp(B, rows[:, None] + columns), np.eye(m)])
     if not solve_identity(work):
-        raise SolverError("lexicographic simplex", "a singular basis")
+        raise SolverError("lexicographic simplex", f"a singular basis: {CANNOT_TELL}")
     return np.asarray(np.ldexp(work[:, m:], columns[:, None] + rows))
 
 

@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from crazychoir.errors import SolverError
 from crazychoir.optimization.problems.equilibration import (
+    CANNOT_TELL,
     scaled_inverse,
     without_rounding,
 )
@@ -22,13 +23,14 @@ Ints = npt.NDArray[np.int64]
 PIVOTS = 100_000
 REFRESH = 50
 """Pivots after which the tableau is computed anew."""
-CANNOT_TELL = (
-    "double precision cannot tell which basis is the best; "
-    "remove rows or columns that are nearly the same as sums of others"
-)
 EPSILON = float(np.finfo(float).eps)
 FEASIBLE = 1e-7
 """What may remain of a row at the end, relative to the sizes of its terms added up."""
+DISTINCT = 10.0 * FEASIBLE
+"""What a basic column must differ by from any sum of the others, relative to the sizes of its terms added up.
+
+Below this, what may remain of a row changes the levels by a tenth and more.
+"""
 UNCERTAIN = 1e-3
 """Rounding error of a level, relative to the level, from which on the level says nothing."""
 ARTIFICIAL = -1
@@ -77,7 +79,11 @@ class Columns:
 
     def take(self, which: Ints) -> "Columns":
         """Those at the positions `which`, increasing."""
-        return Columns(self.ids[which], self.cost[:, which], self.entries[:, which])
+        return Columns(
+            self.ids[which],
+            np.ascontiguousarray(self.cost[:, which]),
+            np.ascontiguousarray(self.entries[:, which]),
+        )
 
     def free(self) -> "Columns":
         """The same without c: what remains is to find a feasible basis."""
@@ -115,6 +121,8 @@ class Basis:
     @classmethod
     def of(cls, columns: Columns, b: Vec) -> "Basis":
         """Return the basis of m columns in increasing order of id; raises SolverError where they are dependent."""
+        # Sums in another layout of the memory would end with other bits.
+        columns = columns.take(np.arange(len(columns)))
         inverse = scaled_inverse(columns.entries)
         level = without_rounding(inverse @ b, np.abs(inverse) @ np.abs(b))
         share = _shares(columns.entries, level, b)
@@ -153,7 +161,7 @@ class Basis:
         level = self.level
         negative = level < 0.0
         vague = (level != 0.0) & (self.uncertainty > UNCERTAIN * np.abs(level))
-        if self.distinctness.min() < FEASIBLE:
+        if self.distinctness.min() < DISTINCT:
             p = int(np.argmin(self.distinctness))
             share = self.distinctness[p]
             found = f"{self._name(p)} differs from a sum of others by {share:.1g} of its terms"
@@ -198,7 +206,7 @@ class Basis:
         value = self.inverse @ entries
         terms = np.abs(self.inverse) @ np.abs(entries)
         value = np.ascontiguousarray(without_rounding(value, terms))
-        B = np.ascontiguousarray(self.columns.entries)
+        B = self.columns.entries
         size = np.abs(entries) + np.abs(B) @ np.abs(value)
         drop_negligible(value, B, np.ascontiguousarray(size), SAME)
         return value
