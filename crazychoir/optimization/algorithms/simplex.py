@@ -319,8 +319,6 @@ class BasisExchange:
         gain = -reduced / np.where(terms > 0.0, terms, 1.0)
         best = np.where(gain[0] != 0.0, gain[0], gain[1] * (self._ray is None))
         best[first < 0.0] = 0.0
-        if self.unmet:
-            best[first > 0.0] = 1.0
         return float(best.max(initial=0.0))
 
     def prices(self, penalties: Vec | None = None) -> Vec:
@@ -343,7 +341,7 @@ class BasisExchange:
 
 def _unmet(basis: Basis) -> list[int]:
     """Return the rows of which an artificial column holds more than FEASIBLE of the terms."""
-    remains = (basis.columns.ids[:, 0] < 0) & (basis.shares > FEASIBLE)
+    remains = (basis.columns.ids[:, 0] < 0) & (basis.level > FEASIBLE * basis.terms)
     return [int(row) for row in basis.columns.ids[remains, 1]]
 
 
@@ -361,6 +359,9 @@ def _exchange(bases: BasisExchange, where: str, diameter: int) -> Exchange[Vec]:
     problem = bases.failure or bases.basis.doubt
     if problem is not None:
         raise SolverError(where, problem)
+    if bases.undecided and bases.unmet:
+        found = f"agents find different bases, and row {bases.unmet[0]} is not met"
+        raise SolverError(where, f"{found}: {CANNOT_TELL}")
     if bases.undecided:
         excess = yield from greatest(np.array([bases.excess()]), diameter)
         if excess[0] > FEASIBLE:

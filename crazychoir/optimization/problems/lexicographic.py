@@ -138,9 +138,9 @@ class Basis:
         )
 
     @cached_property
-    def shares(self) -> Vec:
-        """(m,) how much the levels matter to a row at most, relative to the sizes of its terms added up."""
-        return _shares(self.columns.entries, self.level, self.b)
+    def terms(self) -> Vec:
+        """(m,) the sizes of the terms whose sums are the levels: |B^-1| |b|."""
+        return np.asarray(np.abs(self.inverse) @ np.abs(self.b))
 
     @cached_property
     def residual(self) -> Vec:
@@ -250,19 +250,36 @@ def optimal_basis(columns: Columns, start: "Columns | Basis", b: Vec) -> Basis:
     where = {key: p for p, key in enumerate(columns.id_pairs())}
     basic = np.array([where[key] for key in basis.columns.id_pairs()], dtype=np.int64)
     seen = {basic.tobytes()}
+    most = REFRESH
     for _ in range(PIVOTS // REFRESH):
-        pivots, end = walk(_tableau(columns, basis, basic), basic, artificial, REFRESH)
+        after = basic.copy()
+        pivots, end = walk(_tableau(columns, basis, basic), after, artificial, most)
         if not pivots:
             owner, number = columns.ids[end].tolist()
             ray = (owner, number) if end >= 0 else None
             return Basis(columns.take(basic), basis.b, basis.inverse, basis.level, ray)
-        basic.sort()
+        after.sort()
+        following = _basis_if_distinct(columns.take(after), b) if most > 1 else None
+        if most > 1 and following is None:
+            # Rounding has become a pivot. Single pivots see each difference beside its terms.
+            most = 1
+            continue
+        basic = after
         if basic.tobytes() in seen:
             break
         seen.add(basic.tobytes())
-        basis = Basis.of(columns.take(basic), b)
+        basis = following or Basis.of(columns.take(basic), b)
     found = f"pivots without an end: {CANNOT_TELL}"
     raise SolverError("lexicographic simplex", found)
+
+
+def _basis_if_distinct(columns: Columns, b: Vec) -> Basis | None:
+    """Return the basis, or None where its columns are nearly dependent."""
+    try:
+        basis = Basis.of(columns, b)
+    except SolverError:
+        return None
+    return basis if basis.distinctness.min() >= DISTINCT else None
 
 
 def _tableau(columns: Columns, basis: Basis, basic: Ints) -> Mat:
