@@ -284,7 +284,8 @@ class BasisExchange:
     def doubts(self) -> Vec:
         """Return (K,) by how much, relative to its terms, the k-th row left over differs at an own column.
 
-        0 where it is the same, where it differs for certain, and where the column asks for no penalty.
+        0 where it is the same, where it differs for certain, and where this keeps no column from the basis: that asks
+        for no penalty, and may not help to meet another row.
         """
         basis = self.basis
         change = basis.expressed(self._own.entries)
@@ -293,7 +294,10 @@ class BasisExchange:
         rows = basis.columns.ids[self._artificial, 1]
         change = change[self._artificial]
         share = np.abs(change) / np.where(size[rows] > 0.0, size[rows], 1.0)
-        matters = (change < 0.0) & (basis.price_out(self._own)[1] < 0.0)
+        is_barred = basis.price_out(self._own)[1] < 0.0
+        if self.unmet:
+            is_barred[:] = True
+        matters = (change < 0.0) & is_barred
         share[~matters | (share > DISTINCT)] = 0.0
         return np.asarray(share.max(axis=1, initial=0.0))
 

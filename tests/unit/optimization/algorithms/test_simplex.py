@@ -257,11 +257,13 @@ def test_a_diameter_that_is_no_count_is_refused(kind, diameter):
     "change",
     [
         lambda m: "x",
-        lambda m: m[:3],
+        lambda m: m[:5],
         lambda m: [1, *m[1:]],
-        lambda m: [*m[:3], np.array([np.nan]), *m[4:]],
-        lambda m: [*m[:5], np.array([4]), m[6]],
-        lambda m: [*m[:2], m[2][:1], *m[3:]],
+        lambda m: [*m[:2], 1, *m[3:]],
+        lambda m: [*m[:3], 1, *m[4:]],
+        lambda m: [*m[:5], np.array([np.nan]), *m[6:]],
+        lambda m: [*m[:7], np.array([4]), *m[8:]],
+        lambda m: [*m[:4], m[4][:1], *m[5:]],
     ],
 )
 def test_what_is_no_basis_names_the_neighbour(change):
@@ -457,19 +459,27 @@ def test_the_dual_calls_no_unbounded_program_optimal():
     fail(agents, ring(2), r"unbounded: variable 1 \(0.0001 left\) without a limit")
 
 
-@pytest.mark.parametrize(
-    "b", [[2.0, 2.0], [2.0, 2.5]], ids=["feasible", "infeasible, or far away"]
-)
-def test_rows_that_differ_in_their_last_digits_alone_are_refused_by_all_agents(b):
-    A = np.array([[1.0, 1.0], [1.0, 1.0 + 2.0**-36]])
-    agents = {
+def nearly_equal_rows(difference, b):
+    A = np.array([[1.0, 1.0], [1.0, 1.0 + difference]])
+    return {
         i: DistributedSimplex(i, [1.0 + i], A[:, i : i + 1], b, 1) for i in range(2)
     }
-    fail(
-        agents,
-        ring(2),
-        r"row [01] differs from a sum of other rows by 7e-12 .*double precision cannot tell",
-    )
+
+
+def test_rows_that_differ_in_their_last_digits_alone_count_as_one():
+    agents = nearly_equal_rows(2.0**-36, [2.0, 2.0])
+    run_team(agents, ring(2))
+    assert [agent.result.x.tolist() for agent in agents.values()] == [[2.0], [0.0]]
+    agents = nearly_equal_rows(2.0**-36, [2.0, 2.5])
+    fail(agents, ring(2), r"infeasible: row 1 \(0.5 left\)")
+
+
+@pytest.mark.parametrize("b", [[2.0, 2.0 + 1e-8], [2.0, 2.5]])
+def test_rows_that_differ_by_more_than_rounded_data_and_less_than_can_be_met_are_refused(
+    b,
+):
+    found = "differs from a sum of other.* by .e-09 of its terms"
+    fail(nearly_equal_rows(1e-8, b), ring(2), f"{found}: double precision cannot tell")
 
 
 def test_levels_that_are_smaller_than_their_rounding_errors_are_refused_by_all_agents():
