@@ -101,11 +101,11 @@ class BasisExchange:
 
     def step(self, heard: Mapping[int, Any]) -> None:
         """Take the neighbours' bases; None from a neighbour that is not at this problem yet."""
+        messages = {j: message for j, message in heard.items() if message is not None}
+        received = [self._unpacked(j, message) for j, message in messages.items()]
         still = {
             j: b"" if message is None else message[0] for j, message in heard.items()
         }
-        messages = {j: message for j, message in heard.items() if message is not None}
-        received = [self._unpacked(j, message) for j, message in messages.items()]
         before = self._state
         self._take_flags(list(messages.values()))
         if self.failure is None:
@@ -234,7 +234,7 @@ class BasisExchange:
 
     @property
     def unmet(self) -> list[int]:
-        """Return the rows of which something remains, beyond FEASIBLE of the terms of the row."""
+        """Return the rows of which more remains than right-hand sides with errors of FEASIBLE explain."""
         return _unmet(self.basis)
 
     @property
@@ -344,7 +344,7 @@ class BasisExchange:
 
 
 def _unmet(basis: Basis) -> list[int]:
-    """Return the rows of which an artificial column holds more than FEASIBLE of the terms."""
+    """Return the rows of which more remains than right-hand sides with errors of FEASIBLE explain."""
     remains = (basis.columns.ids[:, 0] < 0) & (basis.level > FEASIBLE * basis.terms)
     return [int(row) for row in basis.columns.ids[remains, 1]]
 
@@ -397,6 +397,8 @@ class DistributedSimplex(Program[LinearSolution]):
     Raises ConfigError for data that do not fit, and SolverError, in the last round at every agent: infeasible, with
     the rows that remain; unbounded, with a column that may grow for ever; or what double precision cannot tell.
     Rows and columns may have any units: each number is judged by its own terms, none by the largest of the program.
+    A row that is the same as a sum of others up to SAME (1e-9) of its terms counts as that sum, so data may be rounded.
+    A basis that is nearly singular, up to DISTINCT (1e-6) of its terms, is refused by all agents.
     Source: Buerger, Notarstefano, Bullo & Allgoewer 2012, Automatica 48, 2298-2304.
     """
 

@@ -25,7 +25,7 @@ REFRESH = 50
 """Pivots after which the tableau is computed anew."""
 EPSILON = float(np.finfo(float).eps)
 FEASIBLE = 1e-7
-"""What may remain of a row at the end, relative to the sizes of its terms added up."""
+"""Relative error of right-hand sides up to which what remains of a row is explained by it."""
 DISTINCT = 10.0 * FEASIBLE
 """What a basic column must differ by from any sum of the others, relative to the sizes of its terms added up.
 

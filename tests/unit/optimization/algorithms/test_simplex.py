@@ -8,9 +8,11 @@ from teams import run_team
 
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.algorithms.simplex import (
+    BasisExchange,
     DistributedSimplex,
     DualDistributedSimplex,
 )
+from crazychoir.optimization.problems.lexicographic import Columns
 from crazychoir.solve.simulate import simulate
 from crazychoir.team.graph import GraphSequence, complete, erdos_renyi_connected, ring
 
@@ -489,3 +491,47 @@ def test_levels_that_are_smaller_than_their_rounding_errors_are_refused_by_all_a
         np.ones(n), hilbert, hilbert @ np.ones(n), np.split(np.arange(n), 3)
     )
     fail(agents, ring(3), "double precision cannot tell")
+
+
+@pytest.mark.parametrize("agent", [0, 2])
+def test_a_failure_at_one_agent_is_raised_by_all_in_one_round(agent, monkeypatch):
+    c = np.array([1.0, 2.0, 3.0, 4.0])
+    parts = [np.array([k]) for k in range(4)]
+    agents = primal_team(c, np.ones((1, 4)), np.array([1.0]), parts)
+    exchange = agents[agent]._bases
+
+    def fail_once(*arguments):
+        raise SolverError("lexicographic simplex", "a singular basis")
+
+    monkeypatch.setattr(exchange, "_best", fail_once)
+    exchange._weighed = set()
+    fail(agents, ring(4), "agent 0: .*a singular basis")
+
+
+def test_bases_that_no_agent_can_tell_apart_end_as_one():
+    """Each agent holds its own basis and judges it the best, as rounding may make it."""
+    exchanges = {
+        i: BasisExchange(i, np.array([1.0]), np.ones((1, 1)), np.array([1.0]), 1)
+        for i in range(2)
+    }
+    for exchange in exchanges.values():
+        exchange._weighed = {(0, 0), (1, 0)}
+    for _ in range(30):
+        sent = {i: exchange.message() for i, exchange in exchanges.items()}
+        for i, exchange in exchanges.items():
+            exchange.step({1 - i: sent[1 - i]})
+        if exchanges[0].settled:
+            break
+    assert exchanges[0].settled
+    assert exchanges[1].settled
+    assert exchanges[0].undecided
+    assert exchanges[1].undecided
+    for exchange in exchanges.values():
+        assert exchange.basis.columns.ids.tolist() == [[0, 0]]
+        assert exchange.excess() == 0.0
+
+
+def test_a_column_that_lowers_the_cost_of_a_common_basis_shows():
+    exchange = BasisExchange(0, np.array([3.0]), np.ones((1, 1)), np.array([1.0]), 1)
+    exchange._own = Columns.own(0, np.array([3.0, 1.0]), np.ones((1, 2)))
+    assert exchange.excess() == pytest.approx(0.5)
