@@ -8,13 +8,15 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError, SolverError
+from crazychoir.optimization.problems.equilibration import CANNOT_TELL
 from crazychoir.optimization.problems.lexicographic import (
+    DISTINCT,
+    FEASIBLE,
     Basis,
     Columns,
     optimal_basis,
     union,
 )
-from crazychoir.optimization.problems.tableau import CANCELLED
 from crazychoir.optimization.rounds.agreement import greatest, same_everywhere
 from crazychoir.optimization.rounds.arrays import matrix, vector
 from crazychoir.optimization.rounds.program import Exchange, Program
@@ -24,18 +26,8 @@ from crazychoir.types import Mat, Vec
 Status = Literal["optimal", "infeasible", "unbounded"]
 """Result of a linear program."""
 ROUNDS = 10_000
-"""Largest number of rounds without a common basis."""
-CERTAIN_ZERO = 1e-13
-"""A sum below this is zero, relative to the added sizes of its terms."""
-FEASIBLE = 1e-7
-"""Largest value of an artificial column at the end, relative to the terms of its row."""
 LARGEST = 1e60
-"""Largest size of a number; the smallest is its inverse.
-
-Products of larger or smaller numbers leave the range of double precision.
-"""
-UNCERTAIN = 1e-3
-"""Rounding error of a level, relative to the level, above which the level is meaningless."""
+"""Numbers beyond this, or nearer to 0 than its inverse: their products leave the range of double precision."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,24 +53,18 @@ class BasisExchange:
 
     DistributedSimplex and other algorithms are built on it.
 
-        B_i <- the lexicographically optimal basis of (own columns, B_i, B_j of all neighbours j)
-
-    B_i starts as the identity, which consists of artificial columns. The optimum only falls, and
-    equal optima have the same basis. So after finitely many rounds all bases are the optimal basis
-    of all columns.
-    A column that may grow for ever while the cost falls proves that there is no least cost. From
-    then on c counts as 0 at all agents, and the exchange only decides whether a feasible point
-    exists.
-    The data travel unchanged, and all that an agent computes from a basis depends on the basis
-    alone. So the agents agree bit by bit, in whatever units rows and columns are.
-
-    agent: id of the agent
-    c: (n_i,) costs of the own columns
-    entries: (m, n_i) own columns
-    b: (m,) right-hand side, the same at all agents
-    diameter: D, see DistributedSimplex
-    first: (n_i,) >= 0, a cost that comes before c, or None
-    common: columns that all agents know from the start, which include own columns, for b >= 0
+    B_i starts as the identity, of artificial columns. The optimum only falls, and equal optima are the same basis, so
+    that after finitely many rounds all bases are the one of all columns. A column that may grow for ever while the
+    cost falls tells that there is no least cost; from then on c counts as 0 everywhere, and what is left to find out is
+    whether there is a feasible point.
+    Where two numbers are so close that agents judge them differently, two bases may each be the best at an agent. When
+    a basis comes back, or when neighbours still hold different bases long after the last change, all agents stop
+    pivoting, and keep the least basis that they hear of, in an order that depends on the bases alone (_rank).
+    A failure at one agent (a singular basis, pivots without an end) spreads in the same way, and is raised by all.
+    entries: (m, n_i), c: (n_i,), b: (m,) the same at all;  first: (n_i,) >= 0, a cost that comes before c, or None.
+    common: columns that all agents know from the start, own ones among them, for a b >= 0.
+    Data travel as they are, and what an agent computes of a basis depends on the basis alone: the agents agree bit by
+    bit, in whatever units rows and columns are.
     """
 
     def __init__(
@@ -101,51 +87,114 @@ class BasisExchange:
         self._stillness = Stillness(diameter)
         self._ray: list[int] | None = None
         self._weighed: set[tuple[int, int]] = set()
+        self._held: set[bytes] = set()
+        self._patience = 3 * diameter + 3
+        self._calm = 0
+        self.undecided = False
+        self.failure: str | None = None
         identity = Columns.artificial(len(b))
-        self.basis = self._best([identity, self._own], Basis.of(identity, self._b))
+        self.basis = Basis.of(identity, self._b)
+        self._improve([identity, self._own])
+        self._held.add(self._fingerprint)
 
     def message(self) -> list[Any]:
-        """Return the flags of stillness, the ray, and the packed columns of the basis."""
-        return [self._stillness.message(), self._ray, *_packed(self.basis.columns)]
+        """Return whether all are still, the ray, whether bases are undecided, the failure, the columns of the basis."""
+        flags = [self._stillness.message(), self._ray, self.undecided, self.failure]
+        return [*flags, *_packed(self.basis.columns)]
 
     def step(self, heard: Mapping[int, Any]) -> None:
-        """Take the bases of the neighbours.
-
-        A neighbour that has not started this problem sends None.
-        """
-        received = [
-            self._unpacked(j, message)
-            for j, message in heard.items()
-            if message is not None
-        ]
+        """Take the neighbours' bases; None from a neighbour that is not at this problem yet."""
+        messages = {j: message for j, message in heard.items() if message is not None}
+        received = [self._unpacked(j, message) for j, message in messages.items()]
         still = {
             j: b"" if message is None else message[0] for j, message in heard.items()
         }
-        heard = {j: message for j, message in heard.items() if message is not None}
-        before = self.basis.columns.ids
-        ray = self._ray
-        self._ray = min(
-            (r for r in [ray, *(m[1] for m in heard.values())] if r is not None),
-            default=None,
+        before = self._state
+        self._take_flags(list(messages.values()))
+        if self.failure is None:
+            if self.undecided:
+                self._keep_the_least(received)
+            else:
+                self._weigh(received, is_new_ray=self._ray != before[1])
+        is_changed = self._state != before
+        self._calm = 0 if is_changed else self._calm + 1
+        is_common = all(
+            np.array_equal(columns.ids, self.basis.columns.ids) for columns in received
         )
+        if self.failure is None and not is_common:
+            is_changed = True
+            self.undecided |= self._calm > self._patience
+        self._stillness.step(is_changed, still)
+
+    @property
+    def _state(self) -> tuple[Any, ...]:
+        """What the neighbours must know before the team may end."""
+        return self._fingerprint, self._ray, self.undecided, self.failure
+
+    @property
+    def _fingerprint(self) -> bytes:
+        """The basis, and whether c counts."""
+        return self.basis.columns.ids.tobytes() + bytes([self._ray is None])
+
+    def _take_flags(self, messages: list[Any]) -> None:
+        """Take the least ray, and the least failure, of those that are known."""
+        rays = [self._ray, *(message[1] for message in messages)]
+        self._ray = min((ray for ray in rays if ray is not None), default=None)
+        self.undecided |= any(message[2] for message in messages)
+        failures = [self.failure, *(message[3] for message in messages)]
+        self.failure = min(
+            (text for text in failures if text is not None), default=None
+        )
+
+    def _weigh(self, received: list[Columns], is_new_ray: bool) -> None:
+        """Find the best basis of own and received columns, unless all have been weighed before."""
+        before = self._fingerprint
         news = {key for columns in received for key in columns.id_pairs()}
-        if self._ray != ray or not news <= self._weighed:
-            self.basis = self._best(
-                [self.basis.columns, self._own, *received], self.basis
-            )
-        changed = self._ray != ray or not np.array_equal(before, self.basis.columns.ids)
-        # The basis is the best of these columns, and so of any part of them. They need not be
-        # compared again.
-        self._weighed = news if changed else self._weighed | news
-        self._stillness.step(changed, still)
+        if is_new_ray or not news <= self._weighed:
+            self._improve([self.basis.columns, self._own, *received])
+        # The basis is the best of these columns: of any part of them too, so that they need not be weighed again.
+        if is_new_ray or self._fingerprint != before:
+            self._weighed = news
+            # The optimum only falls, so that a basis comes back only where rounding hides which is better.
+            self.undecided |= self._fingerprint in self._held
+            self._held.add(self._fingerprint)
+        else:
+            self._weighed |= news
+
+    def _improve(self, parts: list[Columns]) -> None:
+        """Find the best basis, or keep the failure."""
+        try:
+            self.basis = self._best(parts, self.basis)
+        except SolverError as error:
+            self.failure = error.status
+
+    def _keep_the_least(self, received: list[Columns]) -> None:
+        """Keep the least of own and received bases."""
+        try:
+            others = [
+                Basis.of(columns, self._b)
+                for columns in received
+                if not np.array_equal(columns.ids, self.basis.columns.ids)
+            ]
+        except SolverError as error:
+            self.failure = error.status
+            return
+        self.basis = min([self.basis, *others], key=self._rank)
+
+    def _rank(self, basis: Basis) -> tuple[Any, ...]:
+        """Return the place of a basis in an order of all agents: certain, feasible, cheap ones first."""
+        cost = float(basis.columns.cost[1] @ basis.level) if self._ray is None else 0.0
+        is_doubtful = basis.doubt is not None
+        return is_doubtful, len(_unmet(basis)), cost, basis.columns.ids.tolist()
 
     def _unpacked(self, j: int, message: Any) -> Columns:
         try:
-            still, ray, *packed = message
-            if not (isinstance(still, bytes) and isinstance(ray, list | None)):
-                raise TypeError(
-                    f"{type(still).__name__} and {type(ray).__name__} before it"
-                )
+            still, ray, undecided, failure, *packed = message
+            flags = [still, ray, undecided, failure]
+            kinds = [bytes, list | None, bool, str | None]
+            if not all(map(isinstance, flags, kinds)):
+                found = ", ".join(type(flag).__name__ for flag in flags)
+                raise TypeError(f"{found} before it")
             return _unpacked(packed, len(self._b))
         except (TypeError, ValueError, LookupError) as error:
             allowed = f"flags, a ray, and {len(self._b)} columns: ids, costs, entries"
@@ -191,13 +240,8 @@ class BasisExchange:
 
     @property
     def unmet(self) -> list[int]:
-        """The rows that are not met.
-
-        What remains of such a row is larger than FEASIBLE, relative to the terms of the row.
-        """
-        basis = self.basis
-        remains = (basis.columns.ids[:, 0] < 0) & (basis.level > FEASIBLE * basis.terms)
-        return [int(row) for row in basis.columns.ids[remains, 1]]
+        """Return the rows of which more remains than right-hand sides with errors of FEASIBLE explain."""
+        return _unmet(self.basis)
 
     @property
     def certificate(self) -> Vec:
@@ -221,28 +265,6 @@ class BasisExchange:
     def cost(self) -> float:
         """c'x of all agents."""
         return float(self.basis.columns.cost[1] @ self.basis.level)
-
-    def require_certain(self, where: str) -> None:
-        """Raise SolverError if rounding errors are as large as the levels.
-
-        All agents with this basis decide alike.
-        """
-        basis = self.basis
-        wrong = (basis.level < 0.0) & (-basis.level > FEASIBLE * basis.terms)
-        wrong |= (basis.level != 0.0) & (
-            basis.uncertainty > UNCERTAIN * np.abs(basis.level)
-        )
-        if wrong.any():
-            p = int(np.argmax(wrong))
-            owner, number = basis.columns.ids[p].tolist()
-            name = (
-                f"what remains of row {number}"
-                if owner < 0
-                else f"column {number} of agent {owner}"
-            )
-            found = f"{name} is {basis.level[p]:.3g}, with a rounding error of up to {basis.uncertainty[p]:.3g}"
-            do = "double precision cannot tell; remove rows or columns that are nearly the same as sums of others"
-            raise SolverError(where, f"{found}: {do}")
 
     def penalties(self, given: Vec | None = None) -> Vec:
         """Return the least M for which the prices are dual feasible for the own columns.
@@ -269,17 +291,23 @@ class BasisExchange:
         return M
 
     def doubts(self) -> Vec:
-        """Return (K,) how much each remaining row changes with an own column.
+        """Return (K,) by how much, relative to its terms, the k-th row left over differs at an own column.
 
-        The change is relative to its terms.
-
-        An entry is 0 if the change is certainly a rounding error, or certainly none.
+        0 where it is the same, where it differs for certain, and where this keeps no column from the basis: that asks
+        for no penalty, and may not help to meet another row.
         """
-        inverse = self.basis.inverse[self._artificial]
-        change = np.abs(inverse @ self._own.entries)
-        terms = np.abs(inverse) @ np.abs(self._own.entries)
-        small = (change > CERTAIN_ZERO * terms) & (change < CANCELLED * terms)
-        share = np.where(small, change / np.where(terms > 0.0, terms, 1.0), 0.0)
+        basis = self.basis
+        change = basis.expressed(self._own.entries)
+        size = np.abs(self._own.entries)
+        size = size + np.abs(basis.columns.entries) @ np.abs(change)
+        rows = basis.columns.ids[self._artificial, 1]
+        change = change[self._artificial]
+        share = np.abs(change) / np.where(size[rows] > 0.0, size[rows], 1.0)
+        is_barred = basis.price_out(self._own)[1] < 0.0
+        if self.unmet:
+            is_barred[:] = True
+        matters = (change < 0.0) & is_barred
+        share[~matters | (share > DISTINCT)] = 0.0
         return np.asarray(share.max(axis=1, initial=0.0))
 
     def require_distinct(self, doubts: Vec, where: str) -> None:
@@ -291,8 +319,23 @@ class BasisExchange:
             k = int(np.argmax(doubts))
             row = int(self.basis.columns.ids[self._artificial[k], 1])
             found = f"row {row} differs from a sum of other rows by {doubts[k]:.1g} of its terms"
-            do = "double precision cannot tell whether they are the same; remove the row, or correct its last digits"
-            raise SolverError(where, f"{found}: {do}")
+            raise SolverError(where, f"{found}: {CANNOT_TELL}")
+
+    def excess(self) -> float:
+        """Return by how much an own column would lower the cost of the basis, relative to the terms of its cost."""
+        change = self.basis.expressed(self._own.entries)
+        left_over = change[self._artificial]
+        reduced = self.basis.price_out(self._own)
+        own = np.arange(len(self._own))
+        first = np.zeros(len(self._own))
+        if len(left_over):
+            first = left_over[np.argmax(left_over != 0.0, axis=0), own]
+        cost = self.basis.columns.cost
+        terms = np.abs(self._own.cost) + np.abs(cost) @ np.abs(change)
+        gain = -reduced / np.where(terms > 0.0, terms, 1.0)
+        best = np.where(gain[0] != 0.0, gain[0], gain[1] * (self._ray is None))
+        best[first < 0.0] = 0.0
+        return float(best.max(initial=0.0))
 
     def prices(self, penalties: Vec | None = None) -> Vec:
         """Return the prices (m,): y + sum_k M_k y_k.
@@ -315,6 +358,12 @@ class BasisExchange:
         return np.flatnonzero(self.basis.columns.ids[:, 0] < 0)
 
 
+def _unmet(basis: Basis) -> list[int]:
+    """Return the rows of which more remains than right-hand sides with errors of FEASIBLE explain."""
+    remains = (basis.columns.ids[:, 0] < 0) & (basis.level > FEASIBLE * basis.terms)
+    return [int(row) for row in basis.columns.ids[remains, 1]]
+
+
 def _exchange(bases: BasisExchange, where: str, diameter: int) -> Exchange[Vec]:
     """Exchange bases until all agents hold the same basis.
 
@@ -329,7 +378,17 @@ def _exchange(bases: BasisExchange, where: str, diameter: int) -> Exchange[Vec]:
             )
         bases.step((yield bases.message()))
         rounds += 1
-    bases.require_certain(where)
+    problem = bases.failure or bases.basis.doubt
+    if problem is not None:
+        raise SolverError(where, problem)
+    if bases.undecided and bases.unmet:
+        found = f"agents find different bases, and row {bases.unmet[0]} is not met"
+        raise SolverError(where, f"{found}: {CANNOT_TELL}")
+    if bases.undecided:
+        excess = yield from greatest(np.array([bases.excess()]), diameter)
+        if excess[0] > FEASIBLE:
+            found = f"agents find different bases, and a column would lower the cost by {excess[0]:.1g} of its terms"
+            raise SolverError(where, f"{found}: {CANNOT_TELL}")
     M = np.zeros(bases.left_over)
     for _ in range(len(M)):
         before = M
@@ -348,22 +407,16 @@ class DistributedSimplex(Program[LinearSolution]):
 
         min  sum_i c_i'x_i   s.t.  sum_i A_i x_i = b,  x_i >= 0
 
-    In each round an agent sends its basis, m columns, to its neighbours. It keeps the
-    lexicographically optimal basis of its own columns, its basis and the bases that it receives.
-    There is no step size. All agents end in the same round, when no basis has changed for 2 D + 1
-    rounds.
-    Rows and columns may have any units: each number is judged by its own terms, and never by the
-    largest number of the program.
-
-    agent: id of the agent
-    c: (n_i,) costs of the own columns; n_i may be 0
-    A: (m, n_i) own columns
-    b: (m,) right-hand side, the same at all agents
-    diameter: D, the rounds in which a message of each agent reaches all: the diameter of a
-        (directed) graph, or the longest such time of a graph sequence
-    Raises ConfigError for data that do not fit.
-    Raises SolverError, in the last round at every agent, if the program is infeasible (with the
-    rows that remain), unbounded (with a column that may grow for ever), or beyond double precision.
+    Every round an agent sends its basis, m columns, to its neighbours, and keeps the lexicographically optimal basis
+    of what it has and hears; there is no step size. It ends, in the same round at all, when nobody has changed for
+    2 D + 1 rounds.
+    c: (n_i,), A: (m, n_i), own columns, n_i may be 0;  b: (m,), the same at all;  diameter: D, rounds in which a
+    message of each agent reaches all: of a (directed) graph its diameter, of a graph sequence the longest such time.
+    Raises ConfigError for data that do not fit, and SolverError, in the last round at every agent: infeasible, with
+    the rows that remain; unbounded, with a column that may grow for ever; or what double precision cannot tell.
+    Rows and columns may have any units: each number is judged by its own terms, none by the largest of the program.
+    A row that is the same as a sum of others up to SAME (1e-9) of its terms counts as that sum, so data may be rounded.
+    A basis that is nearly singular, up to DISTINCT (1e-6) of its terms, is refused by all agents.
     Source: Buerger, Notarstefano, Bullo & Allgoewer 2012, Automatica 48, 2298-2304.
     """
 

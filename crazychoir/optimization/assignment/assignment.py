@@ -288,6 +288,9 @@ class _Program:
         pair &= columns.entries[n:].any(axis=0)
         served = columns.entries[n:, pair].sum(axis=1) > 0.5
         without = float(columns.cost[0] @ level)
+        infeasible = "" if without < 0.5 else self._why(bases.certificate)
+        if bases.failure is not None:
+            infeasible = bases.failure
         return Outcome(
             label=label,
             task=self._tasks[mine[0]] if mine else None,
@@ -297,7 +300,7 @@ class _Program:
                 for task, done in zip(self._tasks, served, strict=True)
                 if not done
             ),
-            infeasible="" if without < 0.5 else self._why(bases.certificate),
+            infeasible=infeasible,
             rounds=rounds,
         )
 

@@ -7,18 +7,23 @@ from crazychoir.optimization.problems.tableau import ROUNDING, solve_identity
 from crazychoir.types import Mat, Vec
 
 PASSES = 8
-"""Sweeps over rows and columns that compute the scaling."""
+"""Sweeps over rows and columns of the scaling."""
+CANNOT_TELL = (
+    "double precision cannot tell which basis is the best; "
+    "remove rows or columns that are nearly the same as sums of others"
+)
+"""What the errors say that follow from rounding."""
 EVEN = 12.0
 """Range of entries that needs no scaling: binary digits between the largest and the smallest."""
 
 
-def without_rounding(value: Mat, terms: Mat) -> Mat:
-    """Return `value` with zeros where an entry is a rounding error.
+def without_rounding(value: Mat, terms: Mat, share: float = ROUNDING) -> Mat:
+    """Return `value` with zeros where it is a rounding error.
 
-    value: sums
-    terms: for each sum, the absolute values of its terms added up; same shape as value
+    value: sums;  terms: the sums of the absolute values of their terms, of the same shape;  share: of the terms, below
+    which a sum counts as zero.
     """
-    return np.where(np.abs(value) <= ROUNDING * terms, 0.0, value)
+    return np.where(np.abs(value) <= share * terms, 0.0, value)
 
 
 def scaled_inverse(B: Mat) -> Mat:
@@ -35,7 +40,7 @@ def scaled_inverse(B: Mat) -> Mat:
     rows, columns = scaling_exponents(B)
     work = np.hstack([np.ldexp(B, rows[:, None] + columns), np.eye(m)])
     if not solve_identity(work):
-        raise SolverError("lexicographic simplex", "a singular basis")
+        raise SolverError("lexicographic simplex", f"a singular basis: {CANNOT_TELL}")
     return np.asarray(np.ldexp(work[:, m:], columns[:, None] + rows))
 
 

@@ -17,16 +17,10 @@ from crazychoir.types import Mat
 Ints = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
-CANCELLED: Final = 1e-9
-"""A difference below this, relative to the larger of its two terms, becomes zero in a long walk.
-
-It is a rounding error.
-"""
-ROUNDING: Final = 1e-11
-"""A result below this is a rounding error where it is computed anew.
-
-It is relative to the larger term of a difference, or to the added sizes of the terms of a sum.
-"""
+SAME: Final = 1e-9
+"""Two numbers that differ by less than this, relative to the larger one, are the same: users round their data."""
+ROUNDING: Final = 1e-13
+"""A sum smaller than this, relative to the sizes of its terms added up, is a rounding error: zero."""
 OPTIMAL: Final = -1
 """Status: no column enters."""
 MORE: Final = -2
@@ -151,7 +145,7 @@ def _leaving(tableau: Mat, m: int, n: int, entering: int) -> int:
         least = np.inf
         for k in range(count):
             least = min(least, tableau[rows[k], column] / tableau[rows[k], entering])
-        most = least + CANCELLED * abs(least)
+        most = least + SAME * abs(least)
         kept = 0
         for k in range(count):
             if tableau[rows[k], column] / tableau[rows[k], entering] <= most:
@@ -180,9 +174,31 @@ def walk(tableau: Mat, basic: Ints, artificial: int, most: int) -> tuple[int, in
         row = _leaving(tableau, m, n, entering)
         if row < 0:
             return pivots, entering
-        _pivot(tableau, row, entering, CANCELLED)
+        _pivot(tableau, row, entering, SAME)
         basic[row] = entering
     return most, MORE
+
+
+@kernel(table, table, table, numba.float64)
+def drop_negligible(value: Mat, factor: Mat, size: Mat, share: float) -> None:
+    """Set the entries of `value` to zero that no sum of factor @ value needs, in place.
+
+        x_ij <- 0   where |B_ki x_ij| <= share S_kj for all k
+
+    value: (m, n) x;  factor: (m, m) B;  size: (m, n) S, the sizes of the terms of the sums added up.
+    """
+    m, n = value.shape
+    for i in range(m):
+        for j in range(n):
+            if value[i, j] == 0.0:
+                continue
+            is_negligible = True
+            for k in range(m):
+                if abs(factor[k, i] * value[i, j]) > share * size[k, j]:
+                    is_negligible = False
+                    break
+            if is_negligible:
+                value[i, j] = 0.0
 
 
 @kernel(table)

@@ -8,9 +8,11 @@ from teams import run_team
 
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.algorithms.simplex import (
+    BasisExchange,
     DistributedSimplex,
     DualDistributedSimplex,
 )
+from crazychoir.optimization.problems.lexicographic import Columns
 from crazychoir.solve.simulate import simulate
 from crazychoir.team.graph import GraphSequence, complete, erdos_renyi_connected, ring
 
@@ -257,11 +259,13 @@ def test_a_diameter_that_is_no_count_is_refused(kind, diameter):
     "change",
     [
         lambda m: "x",
-        lambda m: m[:3],
+        lambda m: m[:5],
         lambda m: [1, *m[1:]],
-        lambda m: [*m[:3], np.array([np.nan]), *m[4:]],
-        lambda m: [*m[:5], np.array([4]), m[6]],
-        lambda m: [*m[:2], m[2][:1], *m[3:]],
+        lambda m: [*m[:2], 1, *m[3:]],
+        lambda m: [*m[:3], 1, *m[4:]],
+        lambda m: [*m[:5], np.array([np.nan]), *m[6:]],
+        lambda m: [*m[:7], np.array([4]), *m[8:]],
+        lambda m: [*m[:4], m[4][:1], *m[5:]],
     ],
 )
 def test_what_is_no_basis_names_the_neighbour(change):
@@ -457,19 +461,27 @@ def test_the_dual_calls_no_unbounded_program_optimal():
     fail(agents, ring(2), r"unbounded: variable 1 \(0.0001 left\) without a limit")
 
 
-@pytest.mark.parametrize(
-    "b", [[2.0, 2.0], [2.0, 2.5]], ids=["feasible", "infeasible, or far away"]
-)
-def test_rows_that_differ_in_their_last_digits_alone_are_refused_by_all_agents(b):
-    A = np.array([[1.0, 1.0], [1.0, 1.0 + 2.0**-36]])
-    agents = {
+def nearly_equal_rows(difference, b):
+    A = np.array([[1.0, 1.0], [1.0, 1.0 + difference]])
+    return {
         i: DistributedSimplex(i, [1.0 + i], A[:, i : i + 1], b, 1) for i in range(2)
     }
-    fail(
-        agents,
-        ring(2),
-        r"row [01] differs from a sum of other rows by 7e-12 .*double precision cannot tell",
-    )
+
+
+def test_rows_that_differ_in_their_last_digits_alone_count_as_one():
+    agents = nearly_equal_rows(2.0**-36, [2.0, 2.0])
+    run_team(agents, ring(2))
+    assert [agent.result.x.tolist() for agent in agents.values()] == [[2.0], [0.0]]
+    agents = nearly_equal_rows(2.0**-36, [2.0, 2.5])
+    fail(agents, ring(2), r"infeasible: row 1 \(0.5 left\)")
+
+
+@pytest.mark.parametrize("b", [[2.0, 2.0 + 1e-8], [2.0, 2.5]])
+def test_rows_that_differ_by_more_than_rounded_data_and_less_than_can_be_met_are_refused(
+    b,
+):
+    found = "differs from a sum of other.* by .e-09 of its terms"
+    fail(nearly_equal_rows(1e-8, b), ring(2), f"{found}: double precision cannot tell")
 
 
 def test_levels_that_are_smaller_than_their_rounding_errors_are_refused_by_all_agents():
@@ -479,3 +491,47 @@ def test_levels_that_are_smaller_than_their_rounding_errors_are_refused_by_all_a
         np.ones(n), hilbert, hilbert @ np.ones(n), np.split(np.arange(n), 3)
     )
     fail(agents, ring(3), "double precision cannot tell")
+
+
+@pytest.mark.parametrize("agent", [0, 2])
+def test_a_failure_at_one_agent_is_raised_by_all_in_one_round(agent, monkeypatch):
+    c = np.array([1.0, 2.0, 3.0, 4.0])
+    parts = [np.array([k]) for k in range(4)]
+    agents = primal_team(c, np.ones((1, 4)), np.array([1.0]), parts)
+    exchange = agents[agent]._bases
+
+    def fail_once(*arguments):
+        raise SolverError("lexicographic simplex", "a singular basis")
+
+    monkeypatch.setattr(exchange, "_best", fail_once)
+    exchange._weighed = set()
+    fail(agents, ring(4), "agent 0: .*a singular basis")
+
+
+def test_bases_that_no_agent_can_tell_apart_end_as_one():
+    """Each agent holds its own basis and judges it the best, as rounding may make it."""
+    exchanges = {
+        i: BasisExchange(i, np.array([1.0]), np.ones((1, 1)), np.array([1.0]), 1)
+        for i in range(2)
+    }
+    for exchange in exchanges.values():
+        exchange._weighed = {(0, 0), (1, 0)}
+    for _ in range(30):
+        sent = {i: exchange.message() for i, exchange in exchanges.items()}
+        for i, exchange in exchanges.items():
+            exchange.step({1 - i: sent[1 - i]})
+        if exchanges[0].settled:
+            break
+    assert exchanges[0].settled
+    assert exchanges[1].settled
+    assert exchanges[0].undecided
+    assert exchanges[1].undecided
+    for exchange in exchanges.values():
+        assert exchange.basis.columns.ids.tolist() == [[0, 0]]
+        assert exchange.excess() == 0.0
+
+
+def test_a_column_that_lowers_the_cost_of_a_common_basis_shows():
+    exchange = BasisExchange(0, np.array([3.0]), np.ones((1, 1)), np.array([1.0]), 1)
+    exchange._own = Columns.own(0, np.array([3.0, 1.0]), np.ones((1, 2)))
+    assert exchange.excess() == pytest.approx(0.5)

@@ -1,7 +1,13 @@
 import numpy as np
 import pytest
 
-from crazychoir.optimization.problems.tableau import MORE, OPTIMAL, solve_identity, walk
+from crazychoir.optimization.problems.tableau import (
+    MORE,
+    OPTIMAL,
+    drop_negligible,
+    solve_identity,
+    walk,
+)
 
 
 def tableau_of(c, A, b):
@@ -46,3 +52,12 @@ def test_what_cancels_becomes_an_exact_zero():
     work = np.array([[0.0, 2.0, 1.0, 0.0], [4.0, 0.0, 0.0, 1.0]])
     assert solve_identity(work)
     assert work.tolist() == [[1.0, 0.0, 0.0, 0.25], [0.0, 1.0, 0.5, 0.0]]
+
+
+def test_an_entry_that_no_sum_needs_is_dropped_in_any_units():
+    factor = np.array([[1.0, 1.0], [0.0, 1e-6]])
+    value = np.array([[1e-10, 1.0], [1.0, 1e-10]])
+    size = np.abs(factor) @ np.abs(value)
+    drop_negligible(value, factor, size, 1e-9)
+    # The second row has no other term than its own: there 1e-10 matters.
+    assert value.tolist() == [[0.0, 1.0], [1.0, 1e-10]]
