@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -11,12 +11,13 @@ from scipy.interpolate import splev, splprep
 from scipy.spatial import cKDTree
 
 from crazychoir.errors import ConfigError
-from crazychoir.planning.drawing.stroke import checked, split
-from crazychoir.planning.feasibility import Limits, peaks, references
+from crazychoir.planning.drawing.stroke import checked, filled, split
+from crazychoir.planning.feasibility import RATE, Limits, peaks, references
 from crazychoir.planning.piecewise import Piecewise, joined
 from crazychoir.planning.point_to_point import PointToPoint, duration_for
 from crazychoir.planning.scaling import slowdown
 from crazychoir.planning.spline import spline
+from crazychoir.planning.trajectory import MOST_SETPOINTS
 from crazychoir.types import FullState, Mat, Vec
 
 STANDARD = Limits(v_max=0.5, a_max=1.0, yaw_rate_max=2.0)
@@ -24,17 +25,29 @@ STANDARD = Limits(v_max=0.5, a_max=1.0, yaw_rate_max=2.0)
 DENSE = 0.002  # m, between the places by which the deviation is measured
 SHARE = 0.5  # of a_max for the bends, and as much for the changes of speed
 END_WEIGHT = 1e3  # of both ends in the smoothing, against 1 of each point in between
-SLOWEST_PACE = 3.0
-"""Largest pace of a drawn step that is flown, as a multiple of the mean pace in s/m."""
-FASTEST_PACE = 1.0 / 3.0
-"""Least pace of a drawn step that is flown, as a multiple of the mean pace in s/m."""
+STRAYING = 3.5  # of the smoothing: places are moved by so much at most
+BULGE = (
+    0.25  # of the longest line between two places: a bend goes so far beyond it at most
+)
+ROUNDING = 1e-9  # m
+TRIALS = (
+    6  # of smoothings, each half of the one before; then places are not moved at all
+)
+SMOOTH_SHARE = 0.5  # of the length of a stroke, at least: the rest may be tremor
+SLOWEST_PACE, FASTEST_PACE = (
+    3.0,
+    1.0 / 3.0,
+)  # of the mean s/m: how much of a hand's hesitation is flown
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pen:
     """Settings for the flight of strokes.
 
-    Raises ConfigError for values out of range.
+    height: m, world;  lift: m above it between two strokes;  yaw: rad, or "along" the path;
+    timing: "even": as fast as bends and limits allow; "drawn": slower where the hand was, which needs t;
+    spacing: m between knots;  smoothing: m, standard deviation of the hand.
+    A drawing that would be flown more than `allowed_deviation` beside what was drawn is refused.
     """
 
     height: float = 1.0
@@ -67,10 +80,24 @@ class Pen:
                     f"Pen: {name}", value, f"a finite number of metres, {low:g} or more"
                 )
 
+    @property
+    def allowed_deviation(self) -> float:
+        """Return the largest distance between the flown and the drawn lines, m.
+
+            spacing / 2 + STRAYING smoothing
+
+        Corners between two knots are rounded, and the tremor is smoothed out.
+        """
+        return 0.5 * self.spacing + STRAYING * self.smoothing
+
 
 @dataclass(frozen=True)
 class Drawing:
-    """A drawing as it will be flown."""
+    """A drawing as it will be flown.
+
+    path: from rest to rest;  deviation: m, the largest distance between the flown and the drawn lines of a stroke;
+    speed: m/s, acceleration: m/s2, the largest on the way.
+    """
 
     path: Piecewise
     """The flight, from rest to rest."""
@@ -90,16 +117,13 @@ def drawing(
 ) -> Drawing:
     """Return the smooth flight along drawn strokes, each from rest to rest, from end to end.
 
-    A stroke is thinned, and split at sharp turns, where the drone stops. The tremor of a part is
-    smoothed out. The part is cut into equal lengths, timed, interpolated by a spline of degree 7
-    and slowed down as the limits need. Straight flights join the strokes, at the same height or
-    lifted. A stroke of a single place is a dot: the drone flies to it.
-
-    strokes: (k, 2) rows x, y m, or (k, 3) rows t s, x, y m, world
-    pen: how strokes are flown
-    limits: v_max and a_max finite
-    longest: s, of the flight. A longer flight is refused as soon as its duration is known.
-    Raises ConfigError for strokes that are wrong, or a flight that is too long.
+    A stroke is thinned and split where it turns sharply, where the drone stops. Long straight lines of a part get more
+    places, or a spline would swing out between them. Then the tremor is smoothed out, the part cut into equal lengths,
+    timed, interpolated by a spline of degree 7 and slowed down as the limits need. Strokes are joined by straight
+    flights, at the same height or lifted; one of a single place is a dot, flown to.
+    strokes: (k, 2) rows x, y m, or (k, 3) rows t s, x, y m, world;  limits: v_max and a_max finite;  longest: s, of
+    the flight; one that takes longer is refused as soon as that is known.
+    Errors: ConfigError; also for a stroke that would be flown farther from its lines than the pen allows.
     """
     limits.check_timed("drawing")
     drawn = [
@@ -109,11 +133,14 @@ def drawing(
         raise ConfigError(
             "drawing: strokes", "rows of x, y", 'rows of t, x, y for the timing "drawn"'
         )
-    lines: list[Piecewise] = []
+    longest = min(longest, MOST_SETPOINTS / RATE)
     parts: list[Piecewise] = []
+    deviations: list[float] = []
+    has_line = False
     here: FullState | None = None
     spent = 0.0
-    for t, xy in drawn:
+    for number, (t, xy) in enumerate(drawn):
+        flown: list[Mat] = []
         for n, (clock, places) in enumerate(split(t, xy, pen.spacing)):
             line = (
                 _line(clock, places, pen, limits, spent, longest)
@@ -122,25 +149,22 @@ def drawing(
             )
             begin = line.sample(0.0) if line else _dot(places[0], pen, here)
             new = _transfer(here, begin, 0.0 if n else pen.lift, limits) if here else []
+            flown.append(references(line)[1][:, 0:2] if line else places)
             if line:
-                lines.append(line)
+                has_line = True
                 new.append(line)
             parts += new
             spent += sum(part.duration for part in new)
             _check_time(spent, longest)
             here = line.sample(line.duration) if line else begin
-    if len(lines) == 0:
+        deviations.append(_deviation(np.concatenate(flown), xy, pen, number))
+    if not has_line:
         raise ConfigError(
             "drawing: strokes", f"{len(drawn)}, of one place each", "at least one line"
         )
     path = joined(parts)
     most = peaks(path)
-    return Drawing(
-        path,
-        _deviation(lines, [xy for _, xy in drawn if len(xy) > 1]),
-        most["speed"],
-        most["acceleration"],
-    )
+    return Drawing(path, max(deviations), most["speed"], most["acceleration"])
 
 
 def _check_time(seconds: float, longest: float) -> None:
@@ -155,15 +179,10 @@ def _check_time(seconds: float, longest: float) -> None:
 def _line(
     t: Vec, xy: Mat, pen: Pen, limits: Limits, spent: float, longest: float
 ) -> Piecewise:
-    """Return one part of a stroke from rest to rest, as fast as the limits allow.
-
-    t: (k,) s, of the drawing
-    xy: (k, 2) m
-    pen: how strokes are flown
-    limits: of the flight
-    spent: s, of the parts before it
-    longest: s, of the flight
-    """
+    """One part of a stroke from rest to rest, as fast as the limits allow; spent: s, of the parts before it."""
+    length = float(np.linalg.norm(np.diff(xy, axis=0), axis=1).sum())
+    _check_time(spent + SMOOTH_SHARE * length / limits.v_max, longest)
+    t, xy = filled(t, xy, pen.spacing)
     places, clock = _even(xy, t, pen)
     durations = _durations(places, limits)
     if pen.timing == "drawn":
@@ -197,22 +216,43 @@ def _even(xy: Mat, t: Vec, pen: Pen) -> tuple[Mat, Vec]:
 
 
 def smoothed(xy: Mat, u: Vec, sigma: float, at: Vec) -> Mat:
-    """Return the cubic smoothing spline through places at certain parameters.
+    """Return the cubic smoothing spline through places, evaluated.
 
-        sum (w d / sigma)^2 <= k
+        sum (w d / s)^2 <= k,  d <= STRAYING sigma
 
-    xy: (k, 2) m
-    u: (k,), parameters of the places
-    sigma: m
-    at: (n,), parameters of the result
-    Returns (n, 2).
+    s is sigma, halved until the curve stays close to the places and to the lines between them. With sigma alone, the
+    bends of a long line would be cut by what its straight sides leave of the sum, and between two places the curve
+    could swing out.
+    xy: (k, 2) m;  u: (k,) m along the lines;  sigma: m;  at: (n,) m along the lines.  d: m, of the curve from a place.
+    Returns (n, 2) m.
     """
     if len(xy) < 4:
         return np.column_stack([np.interp(at, u, xy[:, 0]), np.interp(at, u, xy[:, 1])])
     w = np.ones(len(xy))
     w[[0, -1]] = END_WEIGHT
-    curve, _ = splprep(xy.T, w=w, u=u, k=3, s=len(xy) * sigma**2)
+    for scale in (*0.5 ** np.arange(TRIALS), 0.0):
+        budget = len(xy) * (scale * sigma) ** 2
+        # With full_output a fit that did not converge is no warning: the curve itself is judged.
+        (curve, _), *_ = splprep(xy.T, w=w, u=u, k=3, s=budget, full_output=1)
+        if _is_close(curve, xy, u, sigma):
+            break
     return np.asarray(np.column_stack(splev(at, curve)))
+
+
+def _is_close(curve: Any, xy: Mat, u: Vec, sigma: float) -> bool:
+    """Is a spline close to places (k, 2) at u (k,), and to the lines between them?"""
+    quarters = np.arange(4 * len(u) - 3) / 4.0
+    index = np.arange(len(u))
+    at = np.interp(quarters, index, u)
+    x, y = splev(at, curve)
+    off = np.hypot(
+        x - np.interp(quarters, index, xy[:, 0]),
+        y - np.interp(quarters, index, xy[:, 1]),
+    )
+    at_places = off[::4].max()
+    between = off.max()
+    allowed = STRAYING * sigma + ROUNDING
+    return bool(at_places <= allowed and between <= allowed + BULGE * np.diff(u).max())
 
 
 def _durations(places: Mat, limits: Limits) -> Vec:
@@ -303,13 +343,29 @@ def _transfer(
     return legs
 
 
-def _deviation(lines: list[Piecewise], drawn: list[Mat]) -> float:
-    """Return the largest distance in m between the flown and the drawn lines, both ways."""
-    flown = np.concatenate([references(line)[1][:, 0:2] for line in lines])
-    wanted = np.concatenate([_dense(xy) for xy in drawn])
-    there, _ = cKDTree(flown).query(wanted)
-    back, _ = cKDTree(wanted).query(flown)
-    return float(max(there.max(), back.max()))
+def _deviation(flown: Mat, drawn: Mat, pen: Pen, number: int) -> float:
+    """Return the largest distance between the flown and the drawn lines of a stroke, m, from each to the other.
+
+    flown: (n, 2) m;  drawn: (k, 2) m;  number: of the stroke.  Errors: ConfigError where it is more than is allowed.
+    """
+    wanted = _dense(drawn)
+    left_out, _ = cKDTree(flown).query(wanted)
+    beside, _ = cKDTree(wanted).query(flown)
+    deviation = float(max(left_out.max(), beside.max()))
+    if deviation > pen.allowed_deviation:
+        x, y = (
+            wanted[np.argmax(left_out)]
+            if left_out.max() >= beside.max()
+            else flown[np.argmax(beside)]
+        )
+        raise ConfigError(
+            f"drawing: strokes[{number}]",
+            f"a flight {1e3 * deviation:.0f} mm beside it, at x = {x:.2f} m, y = {y:.2f} m",
+            f"at most {1e3 * pen.allowed_deviation:.0f} mm with knots every {1e3 * pen.spacing:.0f} mm and a smoothing "
+            f"of {1e3 * pen.smoothing:.0f} mm",
+            "Draw it larger, or with its bends farther from each other.",
+        )
+    return deviation
 
 
 def _dense(xy: Mat) -> Mat:

@@ -133,6 +133,20 @@ def split(t: Vec, xy: Mat, spacing: float) -> list[tuple[Vec, Mat]]:
     return [(t[part], xy[part]) for part in parts]
 
 
+def filled(t: Vec, xy: Mat, distance: float) -> tuple[Vec, Mat]:
+    """Return times and places with more of them along straight lines, so that two are at most `distance` m apart.
+
+    t: (k,) s;  xy: (k, 2) m, all of which are kept.
+    """
+    steps = np.linalg.norm(np.diff(xy, axis=0), axis=1)
+    pieces = np.maximum(np.ceil(steps / distance - 1e-9), 1.0)
+    last_piece = np.cumsum([0.0, *pieces])
+    index = np.arange(len(xy))
+    at = np.interp(np.arange(last_piece[-1] + 1.0), last_piece, index)
+    places = [np.interp(at, index, xy[:, axis]) for axis in range(2)]
+    return np.interp(at, index, t), np.column_stack(places)
+
+
 def _corners(xy: Mat, reach: float) -> list[int]:
     """Return the indices where the line turns by SHARP or more; of neighbours the sharpest.
 

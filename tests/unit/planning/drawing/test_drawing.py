@@ -5,15 +5,25 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 
 from crazychoir.errors import ConfigError
 from crazychoir.planning.drawing.drawing import STANDARD, Pen, drawing, smoothed
-from crazychoir.planning.drawing.stroke import read_strokes
+from crazychoir.planning.drawing.stroke import (
+    csv_of,
+    parse_strokes,
+    read_strokes,
+)
+from crazychoir.planning.drawing.svg import parse_svg
 from crazychoir.planning.feasibility import Limits, check, peaks
 
 ARC = np.array(
     [(0.5 * math.cos(a), 0.5 * math.sin(a)) for a in np.linspace(0.0, 4.0, 120)]
 )
+TOO_FINE = np.array(
+    [(x, 0.1 * math.sin(2.0 * math.pi * x / 0.03)) for x in np.linspace(0, 1, 1500)]
+)
+"""Waves as high as 0.2 m every 30 mm: between two knots they go up and down."""
 coordinate = st.floats(-1.0, 1.0)
 LINE = np.array([(0.9, 0.0), (0.9, 0.6)])
 
@@ -62,7 +72,12 @@ def test_the_word_is_two_metres_wide_and_drawn_by_hand(word):
 def test_whatever_is_scribbled_keeps_its_ends_and_the_limits(strokes):
     if all(np.ptp(np.array(stroke), axis=0).max() < 0.01 for stroke in strokes):
         return
-    path = drawing(strokes).path
+    try:
+        path = drawing(strokes).path
+    except ConfigError:
+        with pytest.raises(ConfigError, match="mm beside it"):
+            drawing(strokes)
+        return
     check(path, STANDARD)
     np.testing.assert_allclose(path.sample(0.0).p[0:2], strokes[0][0], atol=1e-9)
     np.testing.assert_allclose(
@@ -197,3 +212,143 @@ def test_other_limits_hold_too():
 def test_bad_drawings_are_refused(strokes, pen, limits, complaint):
     with pytest.raises(ConfigError, match=complaint):
         drawing(strokes, Pen(**pen), Limits(**({"v_max": 0.5, "a_max": 1.0} | limits)))
+
+
+straight = st.tuples(
+    st.floats(0.02, 2.0), st.lists(st.floats(0.01, 0.99), max_size=2, unique=True)
+)
+"""Its length in m, and where on it there are more places, as shares."""
+bend = st.tuples(
+    st.floats(0.05, 0.8), st.floats(0.3, 3.0), st.sampled_from([-1, 1]), st.integers(0)
+)
+"""Its radius in m, by how much and to which side it turns in rad, and the seed of uneven places on it."""
+
+
+def stroke_of(sections):
+    """Return straights and bends one after the other: rows x, y m, the same with places 1 mm apart, and as SVG."""
+    p = 0.0j
+    direction = 1.0 + 0.0j
+    places = [p]
+    dense = [p]
+    svg = "M0 0"
+    for section in sections:
+        if len(section) == 2:
+            length, more = section
+            places += [p + share * length * direction for share in sorted(more)]
+            steps = np.linspace(0.0, length, math.ceil(length / 0.001))
+            dense += (p + steps * direction).tolist()
+            p += length * direction
+            svg += f"L{1e3 * p.real} {-1e3 * p.imag}"
+        else:
+            radius, turn, side, seed = section
+            centre = p + side * 1j * radius * direction
+            sparsest = 2.0 * math.acos(1.0 - 0.002 / radius)
+            even = np.linspace(0.0, turn, math.ceil(turn / sparsest) + 1)[1:]
+            uneven = np.random.default_rng(seed).uniform(0.0, turn, seed % 20)
+            angles = np.sort(np.concatenate([even, uneven]))
+            steps = np.linspace(0.0, turn, math.ceil(turn * radius / 0.001) + 1)
+            arm = p - centre
+            dense += (centre + arm * np.exp(1j * side * steps)).tolist()
+            places += (centre + arm * np.exp(1j * side * angles[:-1])).tolist()
+            p = centre + arm * np.exp(1j * side * turn)
+            direction *= np.exp(1j * side * turn)
+            svg += f"A{1e3 * radius} {1e3 * radius} 0 0 {int(side < 0)} {1e3 * p.real} {-1e3 * p.imag}"
+        places.append(p)
+    return (
+        np.column_stack([np.real(places), np.imag(places)]),
+        np.column_stack([np.real(dense), np.imag(dense)]),
+        f'<svg xmlns="http://www.w3.org/2000/svg"><path d="{svg}"/></svg>',
+    )
+
+
+def distance_between(path, lines):
+    """Return the largest distance between a flight and lines, m, from each to the other."""
+    flown = path.samples(np.arange(0.0, path.duration, 0.002))[:, 0:2]
+    there = cKDTree(flown).query(lines)[0]
+    back = cKDTree(lines).query(flown)[0]
+    return max(there.max(), back.max())
+
+
+@settings(max_examples=60)
+@given(
+    st.lists(st.one_of(straight, bend), min_size=1, max_size=7),
+    st.sampled_from([Pen(), Pen(smoothing=0.0), Pen(spacing=0.03)]),
+)
+def test_straights_and_bends_with_uneven_places_are_flown_as_they_are(sections, pen):
+    places, dense, svg = stroke_of(sections)
+    timed = np.column_stack([0.1 * np.arange(len(places)), places])
+    for strokes in (parse_strokes(csv_of([timed]), "a.csv"), parse_svg(svg, "a.svg")):
+        drawn = drawing(strokes, pen)
+        check(drawn.path, STANDARD)
+        assert drawn.deviation <= pen.allowed_deviation
+        assert distance_between(drawn.path, dense) < 0.03
+
+
+def stadium():
+    """Return two half circles of 13 places each, and nothing on the straights between them."""
+    angles = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 13)
+    right = 0.1 * np.column_stack([np.cos(angles), np.sin(angles)]) + (0.4, 0.0)
+    return np.concatenate([right, -right, right[:1]])
+
+
+def rounded(width, height, radius):
+    """Return what is read of a rectangle with rounded corners; m."""
+    size = f'width="{1e3 * width}" height="{1e3 * height}" rx="{1e3 * radius}"'
+    text = f'<svg xmlns="http://www.w3.org/2000/svg"><rect {size}/></svg>'
+    return parse_svg(text, "a.svg")[0]
+
+
+@pytest.mark.parametrize(
+    "stroke",
+    [
+        rounded(1.0, 0.8, 0.03),
+        rounded(0.4, 0.2, 0.03),
+        rounded(20.0, 0.8, 0.03),
+        stadium(),
+    ],
+    ids=["large", "small", "long", "stadium"],
+)
+def test_long_sides_between_bends_stay_straight(stroke):
+    assert drawing([stroke]).deviation < 0.015
+
+
+@pytest.mark.parametrize("corners", [5, 6, 8, 12])
+def test_a_polygon_keeps_its_sides(corners):
+    angles = np.linspace(0.0, 2.0 * math.pi, corners + 1)
+    polygon = 0.5 * np.column_stack([np.cos(angles), np.sin(angles)])
+    assert drawing([polygon]).deviation < 0.015
+
+
+def test_a_long_line_does_not_pay_for_its_bends():
+    def deviation(length):
+        bent = [(0.0, 0.0), (length, 0.0), (length + 0.3, 0.3), (2.0 * length, 0.3)]
+        return drawing([bent]).deviation
+
+    assert deviation(40.0) < deviation(1.0) + 0.005
+
+
+def test_a_scrawl_of_short_lines_does_not_swing_out():
+    square_waves = [(0.015 * (k // 2), 0.05 * ((k + 1) // 2 % 2)) for k in range(133)]
+    assert drawing([square_waves]).deviation < Pen().allowed_deviation
+
+
+@pytest.mark.parametrize(("smoothing", "allowed"), [(0.0, 25), (0.004, 39)])
+def test_a_drawing_that_is_too_fine_to_be_followed_is_refused(smoothing, allowed):
+    words = (
+        rf"drawing: strokes\[1\]: found a flight \d+ mm beside it, at x = .* m, y = .* m; "
+        rf"allowed: at most {allowed} mm with knots every 50 mm and a smoothing of {1e3 * smoothing:.0f} mm. "
+        "Draw it larger, or with its bends farther from each other."
+    )
+    with pytest.raises(ConfigError, match=words):
+        drawing([ARC, TOO_FINE], Pen(smoothing=smoothing))
+
+
+def test_a_drawing_that_is_too_fine_is_flown_when_it_is_larger():
+    assert drawing([10.0 * TOO_FINE]).deviation < Pen().allowed_deviation
+
+
+def test_a_circle_of_the_size_of_a_dot_is_a_dot():
+    angles = np.linspace(0.0, 2.0 * math.pi, 20)
+    dot = 0.005 * np.column_stack([np.cos(angles), np.sin(angles)])
+    dot[-1] = dot[0]
+    assert drawing([LINE, dot]).deviation == pytest.approx(0.01, abs=0.001)

@@ -4,7 +4,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from crazychoir.errors import ConfigError
-from crazychoir.planning.drawing.stroke import checked, read_strokes, split, thinned
+from crazychoir.planning.drawing.stroke import (
+    checked,
+    filled,
+    read_strokes,
+    split,
+    thinned,
+)
 from crazychoir.planning.number_table import TableError
 
 place = st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0))
@@ -27,6 +33,28 @@ def test_the_last_place_takes_the_part_of_one_that_is_too_near():
     assert thinned(xy, 0.1) == [0, 1, 3]
     assert thinned(xy, 0.05) == [0, 1, 2, 3]
     assert thinned(xy, 1.0) == [0, 3]
+
+
+@given(st.lists(place, min_size=2, max_size=30, unique=True), st.floats(0.01, 1.0))
+def test_filling_keeps_all_places_and_adds_some_on_the_lines_between(places, distance):
+    xy = np.array(places)
+    t, more = filled(np.arange(len(xy)), xy, distance)
+    steps = np.linalg.norm(np.diff(more, axis=0), axis=1)
+    assert steps.max() <= distance * (1.0 + 1e-6)
+    kept = np.flatnonzero(np.isin(np.round(t, 9), np.arange(len(xy))))
+    np.testing.assert_allclose(more[kept], xy, atol=1e-9)
+    for axis in range(2):
+        np.testing.assert_allclose(
+            more[:, axis], np.interp(t, np.arange(len(xy)), xy[:, axis]), atol=1e-9
+        )
+
+
+def test_filling_changes_nothing_where_places_are_near_to_each_other():
+    t = np.array([0.0, 1.0, 5.0])
+    xy = np.array([(0.0, 0.0), (0.1, 0.0), (0.1, 0.05)])
+    same_t, same_xy = filled(t, xy, 0.1)
+    np.testing.assert_array_equal(same_t, t)
+    np.testing.assert_array_equal(same_xy, xy)
 
 
 def test_repeated_places_and_times_are_no_trouble():
