@@ -129,5 +129,5 @@ def test_a_team_proves_the_best_known_solution_optimal(
     )
     assert found["bound_exact"]
     assert found["bound_relaxation"] is None
-    assert found["lower_bound"] == pytest.approx(found["cost"], rel=1e-7)
+    assert found["lower_bound"] == pytest.approx(found["cost"], rel=1e-9)
     assert found["vehicles_bound"] == vehicles
