@@ -279,6 +279,34 @@ def test_an_svg_picture_is_flown_as_it_is_seen(tmp_path):
         )
 
 
+def test_long_sides_between_round_corners_are_flown_straight(tmp_path):
+    file = tmp_path / "plate.svg"
+    file.write_text(
+        '<svg xmlns="http://www.w3.org/2000/svg"><rect width="1000" height="800" rx="30"/></svg>'
+    )
+    mission = load("drawn_path")
+    config = mission.swarm(1).replace(mission_options={"drawing": str(file)})
+    result = fly_fast(config, mission)
+    assert result["success"], result["reasons"]
+    assert result["deviation_mm"] < 15.0
+    x, y = np.array(result["results"][0]["way"])[:, 1:3].T
+    assert np.ptp(x) == pytest.approx(1.0, abs=0.03)
+    assert np.ptp(y) == pytest.approx(0.8, abs=0.03)
+
+
+def test_a_drawing_that_is_too_fine_is_refused_before_the_flight(tmp_path):
+    file = tmp_path / "waves.csv"
+    x = np.linspace(0.0, 1.0, 1500)
+    y = 0.1 * np.sin(2.0 * np.pi * x / 0.03)
+    rows = [f"0,{0.01 * k:.2f},{x[k]:.5f},{y[k]:.5f}" for k in range(len(x))]
+    file.write_text("\n".join(["stroke,t,x,y", *rows]))
+    mission = load("drawn_path")
+    config = mission.swarm(1).replace(mission_options={"drawing": str(file)})
+    words = r"drone 0: drawing: strokes\[0\]: found a flight \d+ mm beside it.*at most 39 mm.*Draw it larger"
+    with pytest.raises(ConfigError, match=words):
+        mission.check(config)
+
+
 def test_a_word_that_is_not_flown_as_it_was_drawn_is_no_success():
     mission = load("drawn_path")
     config = mission.swarm(1)
