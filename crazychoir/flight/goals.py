@@ -26,7 +26,7 @@ def require_goal(
     planar: bool,
     homes: Iterable[Point] = (),
 ) -> Vec:
-    """Return the place to fly to for the goal p, (3,) m, world; raise ConfigError for one that must not be flown to.
+    """Return the place to fly to for the goal p, (3,) m, world; raise ConfigError for a forbidden place.
 
     A place above a home always has one to fly to: the nearest that the guard allows, at the height of the goal. The
     drone has risen there, so it must get back.

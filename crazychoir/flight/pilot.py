@@ -185,11 +185,24 @@ class Link(Protocol):
 class Pilot(Actor):
     """Flies one drone.
 
-    limits: [flight];  fence: where it flies, from the ground up at most;  rate: Hz, of its poses;  body: the address
-    that they come from, None: its own;  limit_area: beyond which its motors are cut, None: the guard's;  reached: by a
-    radio, "seen" by cameras, whose poses are not believed when they jump, or by its "own" poses: its firmware lands it
-    when there are none;  home: (3,) m, world, above which it may always be sent, None: only where it took off;
-    is_replayed: whether its body follows a recording, and obeys nothing.
+    Guidance calls `take_off`, `go_to`, `follow`, `hover` and `land`. The operator calls `hold` too.
+
+    port: the port of the drone on the bus
+    link: the way to the drone
+    limits: [flight]
+    fence: where the drone flies, from the ground up at most
+    rate: Hz, of its poses
+    chosen: the control scheme, None for the default
+    state_filter: None for a Kalman filter
+    body: the address that publishes the poses, None for the drone's own address
+    collision: the collision filter, or the planner of agreed paths; None for neither
+    limit_area: area outside which the motors are cut, None for the guard's default
+    reached: "no" for a drone in a simulated world. "seen" for a drone behind a radio that cameras
+        see: poses that jump are not believed. "own" for a drone behind a radio that finds its own
+        pose. Behind a radio the firmware lands the drone when there are no poses.
+    home: (3,) m, world: place above which the drone may always be sent, None for only where it
+        took off
+    is_replayed: True if the body follows a recording and obeys nothing
     """
 
     name = "pilot"
@@ -627,7 +640,10 @@ class Pilot(Actor):
     def require_goal(
         self, where: str, p: object, yaw: object = None, duration: object = 0.0
     ) -> Vec:
-        """Return the goal p as (3,) m; raise ConfigError for one that it must not fly to, see goals.require_goal."""
+        """Return the goal p as (3,) m.
+
+        Raises ConfigError for a goal where the drone must not fly, see goals.require_goal.
+        """
         homes = [home for home in (self._home, self.started_at) if home is not None]
         return require_goal(where, p, yaw, duration, self.guard, self._planar, homes)
 

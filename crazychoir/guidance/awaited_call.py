@@ -146,7 +146,7 @@ class Call(Coroutine[Any, Any, R], Generic[R]):
 def awaited(
     function: Callable[P, Coroutine[Any, Any, R]],
 ) -> Callable[P, Coroutine[Any, Any, R]]:
-    """Decorate a coroutine function of a guidance: its calls are known until they are awaited."""
+    """Decorate a coroutine function of a guidance: remember its calls until they are awaited."""
     own = function.__code__.co_varnames[0:1]
 
     @functools.wraps(function)

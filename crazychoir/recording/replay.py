@@ -67,7 +67,7 @@ def states_of(uri: str, drone: int, dt: float) -> Mat:
 
 
 def _of_samples(path: Path, dt: float) -> Mat:
-    """Level, with the yaw of the table."""
+    """Return level states with the positions and yaw of the table."""
     flight = read_samples(path, is_recording=True)
     flat = flight.samples(
         np.append(np.arange(0.0, flight.duration, dt), flight.duration)

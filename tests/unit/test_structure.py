@@ -11,6 +11,7 @@ from pathlib import Path
 
 import grimp
 import pytest
+from prose_rules import docstrings, hard_docstrings
 from source_rules import CLOCKS, STOPWATCHES, forbidden_clocks, set_iterations
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -21,6 +22,7 @@ LAYERS = [contract for contract in CONTRACTS if contract["type"] == "layers"]
 REPORTS_DURATIONS = ("bench", "cli", "launch", "solve")
 ORDERED_ROOMS = ("runtime", "bus", "team")
 MOST_MODULES = 22  # a folder
+MOST_HARD_DOCSTRINGS = 0.01  # share of the docstrings of a room
 
 
 def python_files(folder: Path) -> Iterator[Path]:
@@ -266,6 +268,46 @@ def test_clocks_and_sets_are_found_in_their_rooms(tmp_path):
         "runtime/clock.py:3: {1}",
         "bus/clock.py:3: {1}",
     ]
+
+
+def hard_rooms(package: Path) -> list[str]:
+    """Return the rooms of which too many docstrings are hard to read, with the places."""
+    rooms: dict[str, tuple[int, list[str]]] = {}
+    for file in python_files(package):
+        source = file.read_text()
+        room = file.relative_to(package).parts[0]
+        count, hard = rooms.setdefault(room, (0, []))
+        hard += places(package, file, hard_docstrings(source))
+        rooms[room] = (count + len(list(docstrings(source))), hard)
+    return [
+        f"{room}: {hard}"
+        for room, (count, hard) in rooms.items()
+        if len(hard) > MOST_HARD_DOCSTRINGS * count + 1
+    ]
+
+
+def test_docstrings_are_plain_english(repository):
+    assert hard_rooms(repository / "crazychoir") == []
+
+
+def test_hard_docstrings_are_found(tmp_path):
+    (tmp_path / "room").mkdir()
+    text = '"""Return the neighbours."""\n\ndef f():\n    """Whoever has said it."""\n'
+    text += 'LIMIT = 3\n"""Of those that are late, the latter."""\n'
+    (tmp_path / "room" / "a.py").write_text(text)
+    (found,) = hard_rooms(tmp_path)
+    assert "a.py:4: Whoever" in found
+    assert "a.py:6: those that" in found
+
+
+def test_the_formatter_has_decided_the_layout(repository):
+    done = python("-m", "ruff", "format", "--check", ".", cwd=repository)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_formatter_can_complain(repository):
+    words = ("-m", "ruff", "format", "--check", "--stdin-filename=a.py", "-")
+    assert python(*words, cwd=repository, stdin="x  =  1\n").returncode == 1
 
 
 def test_ruff_is_content(repository):

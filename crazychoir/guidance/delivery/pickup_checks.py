@@ -91,7 +91,7 @@ def _require_places(config: SwarmConfig, problem: Instance, where: str) -> None:
 
 
 def _height(config: SwarmConfig, p: Vec) -> str:
-    """Why no drone may stand at the height of a place of space; empty if it may."""
+    """Return why no drone may stand at the height of a place in space. Empty if it may."""
     (_, _, low), (_, _, high) = shared_room(config)
     return (
         f"at a height of {p[2]:g} m, not {low:g} to {high:g} m"

@@ -33,7 +33,7 @@ class Site:
     """(2,) m: upper corner of that area."""
 
     def __post_init__(self) -> None:
-        """low, high: (2,) m, corners of where drones fly to."""
+        """Compute the corners of the area."""
         low, high = shared_room(self.config)
         object.__setattr__(self, "low", np.array(low[:2]))
         object.__setattr__(self, "high", np.array(high[:2]))

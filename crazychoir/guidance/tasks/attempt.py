@@ -88,7 +88,7 @@ def _is_word(j: int, said: Any, k: int) -> bool:
 
 
 def _told(error: Exception) -> str:
-    """The error; one that nobody has foreseen with where it was raised."""
+    """Return the text of an error; unexpected errors include file and line."""
     text = error_text(error)
     if isinstance(error, CrazyChoirError):
         return text

@@ -87,7 +87,7 @@ class Columns:
         )
 
     def take(self, which: Ints) -> "Columns":
-        """Those at the positions `which`, increasing."""
+        """Return the columns at the positions `which`, in increasing order."""
         return Columns(
             self.ids[which],
             np.ascontiguousarray(self.cost[:, which]),
@@ -134,7 +134,10 @@ class Basis:
 
     @classmethod
     def of(cls, columns: Columns, b: Vec) -> "Basis":
-        """Return the basis of m columns in increasing order of id; raises SolverError where they are dependent."""
+        """Return the basis of m columns in increasing order of id.
+
+        Raises SolverError if the columns are dependent.
+        """
         # Sums in another layout of the memory would end with other bits.
         columns = columns.take(np.arange(len(columns)))
         inverse = scaled_inverse(columns.entries)
@@ -206,7 +209,7 @@ class Basis:
         return np.asarray(EPSILON * (np.abs(self.inverse) @ size))
 
     def price_out(self, columns: Columns) -> Mat:
-        """Return (2, n) the reduced costs of `columns`, at the two levels of cost."""
+        """Return the reduced costs (2, n) of `columns`, at the two levels of cost."""
         return reduced_costs(
             columns.cost, self.columns.cost, self.expressed(columns.entries)
         )

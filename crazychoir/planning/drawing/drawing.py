@@ -179,7 +179,15 @@ def _check_time(seconds: float, longest: float) -> None:
 def _line(
     t: Vec, xy: Mat, pen: Pen, limits: Limits, spent: float, longest: float
 ) -> Piecewise:
-    """One part of a stroke from rest to rest, as fast as the limits allow; spent: s, of the parts before it."""
+    """Return one part of a stroke from rest to rest, as fast as the limits allow.
+
+    t: (k,) s, of the drawing
+    xy: (k, 2) m
+    pen: how strokes are flown
+    limits: of the flight
+    spent: s, of the parts before it
+    longest: s, of the flight
+    """
     length = float(np.linalg.norm(np.diff(xy, axis=0), axis=1).sum())
     _check_time(spent + SMOOTH_SHARE * length / limits.v_max, longest)
     t, xy = filled(t, xy, pen.spacing)

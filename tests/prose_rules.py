@@ -1,0 +1,37 @@
+"""Words that make a docstring hard to read for an engineer whose first language is not English."""
+
+import ast
+import re
+from collections.abc import Iterator
+
+# Pronouns for people: things are not people, and the reader must guess what is meant.
+PEOPLE = re.compile(
+    r"\b(who|whom|whose|whoever|nobody|somebody|anybody|himself|his)\b", re.IGNORECASE
+)
+# Forms that point at something without naming it.
+POINTERS = re.compile(
+    r"\b(one that|those that|that which|of who|the former|the latter|of whom|of which)\b",
+    re.IGNORECASE,
+)
+
+
+def docstrings(source: str) -> Iterator[tuple[int, str]]:
+    """Yield the line and the text of every docstring, those of attributes included."""
+    for node in ast.walk(ast.parse(source)):
+        body = getattr(node, "body", None)
+        for statement in body if isinstance(body, list) else []:
+            if not isinstance(statement, ast.Expr):
+                continue
+            value = statement.value
+            if isinstance(value, ast.Constant) and isinstance(value.value, str):
+                yield statement.lineno, value.value
+
+
+def hard_docstrings(source: str) -> list[str]:
+    """Return `line: word` of each docstring that has such a word."""
+    found = []
+    for line, text in docstrings(source):
+        word = PEOPLE.search(text) or POINTERS.search(text)
+        if word:
+            found.append(f"{line}: {word[0]}")
+    return found
