@@ -10,12 +10,12 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
+from ports import is_free
 from system.agents import BRISK, CRAZYCHOIR, OBSERVER, WORLD, Program, until
 from system.commands import call
 
 from crazychoir.config.checks import MOTORS
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.launch import network
 from crazychoir.launch.network import apart
 
 pytestmark = [
@@ -215,9 +215,7 @@ async def test_a_second_owner_cannot_be_and_the_first_ends_when_it_is_told_to(tm
     first = await Program.start(*WORLD, "--swarm", path, "--json")
     second = None
     try:
-        await until(
-            lambda: not network._free(config.base_port - 1), 20.0, lambda: first.text
-        )
+        await until(lambda: not is_free(config.base_port - 1), 20.0, lambda: first.text)
         second = await Program.start(*WORLD, "--swarm", path, "--json")
         assert (await second.end(20.0))["code"] == 2, second.text
         assert "must be a free port" in second.text
