@@ -8,6 +8,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.linalg import expm
 
 from crazychoir.numerics import math3d
+from crazychoir.numerics.kernels import kernel, memory, vector
 
 ordinary = st.floats(-10.0, 10.0).map(lambda x: x if abs(x) > 1e-3 else 1e-3)
 vectors = arrays(float, 3, elements=ordinary)
@@ -119,7 +120,7 @@ def test_saturate_keeps_the_direction():
 
 
 def test_a_kernel_takes_frozen_arrays_and_refuses_other_kinds():
-    @math3d.kernel(math3d.vector, math3d.memory)
+    @kernel(vector, memory)
     def double(x, out):
         out[:] = 2.0 * x
 

@@ -149,7 +149,7 @@ def test_in_virtual_time_the_drone_of_code_that_hangs_or_raises_lands_and_the_ot
         result["results"]
     )
     assert "guidance failed: " + why in result["reasons"][1]
-    assert "test_hanging.py:" in result["reasons"][1]
+    assert "test_user_code_guard.py:" in result["reasons"][1]
     assert f" {spoil.__name__})" in result["reasons"][1]
     assert "crash" not in str(result["reasons"])
 
