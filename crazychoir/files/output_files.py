@@ -6,6 +6,7 @@ The place is checked before the computation, and a file is written as a whole or
 import contextlib
 import errno
 import os
+import secrets
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -14,6 +15,8 @@ from typing import Any
 
 from crazychoir.errors import ConfigError
 
+CANNOT_REPLACE = (errno.EBUSY, errno.EPERM, errno.EACCES)
+"""Errors of a file that can be written, but not replaced."""
 LONGEST_SUFFIX = 64  # characters of a suffix that a temporary name keeps
 PROBE = b"\0" * 4096
 """Bytes written into a new file and removed again.
@@ -122,12 +125,13 @@ def written_file(path: str | Path, what: str) -> Iterator[Path]:
 def _new_file_beside(place: Path) -> Path:
     """Make an empty file in the folder of `place` under a name that was free, with the usual permissions."""
     suffix = place.suffix if len(place.suffix) <= LONGEST_SUFFIX else ""
-    number, name = tempfile.mkstemp(dir=place.parent, prefix=".", suffix=suffix)
-    mask = os.umask(0)
-    os.umask(mask)
-    os.fchmod(number, 0o666 & ~mask)
-    os.close(number)
-    return Path(name)
+    while True:
+        new = place.with_name(f".{secrets.token_hex(8)}{suffix}")
+        try:
+            os.close(os.open(new, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        except FileExistsError:
+            continue
+        return new
 
 
 def _put(new: Path, place: Path) -> None:
@@ -137,8 +141,8 @@ def _put(new: Path, place: Path) -> None:
     """
     try:
         new.replace(place)
-    except OSError:
-        if not place.exists():
+    except OSError as error:
+        if error.errno not in CANNOT_REPLACE or not place.exists():
             raise
         shutil.copyfile(new, place)
 

@@ -23,6 +23,7 @@ It is not TMPDIR or XDG_RUNTIME_DIR: a login shell, cron and sudo set these to d
 """
 PROBE_SIZE = 1 << 16  # bytes: a folder must have room for so many
 PRIVATE_MODE = 0o700  # permissions of the private folder
+FOR_OTHERS = 0o077  # permissions of the group and of all others
 WARNING = "cache: "
 """Start of every warning about a cache.
 
@@ -141,7 +142,7 @@ def make_private(folder: Path) -> str:
         if fault:
             return fault
         mode = stat.S_IMODE(folder.lstat().st_mode)
-        if mode == PRIVATE_MODE:
+        if not mode & FOR_OTHERS:
             return ""
         if folder != private_folder_of(
             os.getuid()

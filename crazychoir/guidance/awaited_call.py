@@ -3,6 +3,7 @@
 A forgotten `await` is therefore reported.
 """
 
+import dis
 import functools
 import inspect
 import sys
@@ -81,7 +82,10 @@ class Call(Coroutine[Any, Any, R], Generic[R]):
         unawaited = getattr(self, "_unawaited", None)
         if unawaited is not None and unawaited.waiting.pop(id(self), None):
             at = sys._getframe(1)
-            line = f"{at.f_code.co_filename}:{at.f_lineno}"
+            # An error that unwinds the same line leaves calls over, too: they were not dropped.
+            operation = dis.opname[at.f_code.co_code[at.f_lasti]]
+            is_dropped = operation == "POP_TOP" or operation.startswith("STORE_")
+            line = f"{at.f_code.co_filename}:{at.f_lineno}" if is_dropped else ""
             unawaited.throw_away((self.place, self.name), line)
             self.inner.close()
 

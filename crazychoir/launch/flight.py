@@ -215,7 +215,7 @@ def summary(
     reasons |= {
         i: str(r["refused"])
         for i, r in sorted(results.items())
-        if "refused" in r and i not in reasons
+        if isinstance(r.get("refused"), str) and i not in reasons
     }
     for_all = [
         str(said),
@@ -310,10 +310,16 @@ def all_wait(config: SwarmConfig, score: Score) -> bool:
 def hindrances(results: Results) -> dict[int, list[str]]:
     """Return for each hindered drone the texts that say what has kept it from its target."""
     told = {
-        i: [text.format(r[key]) for key, text in HELD.items() if key in r]
+        i: [text.format(r[key]) for key, text in HELD.items() if _is_ours(key, r)]
         for i, r in sorted(results.items())
     }
     return {i: texts for i, texts in told.items() if texts}
+
+
+def _is_ours(key: str, result: Mapping[str, Any]) -> bool:
+    """Return whether the value of a key is of the kind that the flight reports, not one of the mission's own."""
+    value = result.get(key)
+    return isinstance(value, str) if key == "apart" else isinstance(value, int | float)
 
 
 def unended(results: Results) -> Results:

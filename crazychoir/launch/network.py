@@ -260,11 +260,27 @@ def _held(address: str, port: int, kept: contextlib.ExitStack) -> bool:
             return True
         if error.errno != errno.EADDRINUSE or not _is_left_behind(port):
             return False
-        holder.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        holder.bind((address, port))
+        return _held_after_closing(address, port, holder, kept)
     # Only after bind: with the option set before, bind would succeed on a port that another
     # socket with this option holds.
     holder.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    return True
+
+
+def _held_after_closing(
+    address: str, port: int, holder: socket.socket, kept: contextlib.ExitStack
+) -> bool:
+    """Bind a port that only closed connections still have; return False if another program was first.
+
+    Two runs could share the port like this, so each claims it by a name of its own before.
+    """
+    claim = kept.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
+    try:
+        claim.bind(f"\0crazychoir-port-{address}-{port}")
+        holder.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        holder.bind((address, port))
+    except OSError:
+        return False
     return True
 
 

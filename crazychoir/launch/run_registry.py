@@ -177,18 +177,33 @@ def _read(path: Path, uid: int) -> Run | None:
             if not stat.S_ISREG(found.st_mode) or found.st_uid != uid:
                 return None
             if _locked(file.fileno()):
-                run = msgspec.json.decode(file.read(LARGEST_RECORD), type=Run)
+                # json, not msgspec: file names that are not UTF-8 are written as surrogates.
+                said = json.loads(file.read(LARGEST_RECORD))
+                said["what"] = _printable(str(said["what"]))
+                run = msgspec.convert(said, Run)
                 return run if _is_sound(run, uid) else None
             if uid == os.getuid():
                 path.unlink()
-    except (OSError, ValueError, RecursionError, msgspec.MsgspecError):
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+        RecursionError,
+        msgspec.MsgspecError,
+    ):
         pass
     return None
 
 
+def _printable(text: str) -> str:
+    """Return the text with a question mark for each character that a terminal could obey or not show."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
+
+
 def _is_sound(run: Run, uid: int) -> bool:
-    """Return whether a record says what a run of this user may say: plain names, and a regular swarm file."""
-    if not re.fullmatch(r"[\w.-]+", run.swarm) or not run.what.isprintable():
+    """Return whether a record says what a run of this user may say: a plain name, and a regular swarm file."""
+    if not re.fullmatch(r"[\w.-]+", run.swarm):
         return False
     try:
         file = os.stat(run.file, follow_symlinks=False)

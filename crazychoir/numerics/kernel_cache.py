@@ -54,6 +54,7 @@ VERSIONS = (FORMAT, numba.__version__, np.__version__)
 """Versions that the machine code depends on; part of the digest."""
 NAME = "compiled laws"
 """Name of this cache in warnings."""
+FOR_ALL_TO_WRITE = 0o002  # permission
 CHECK_SIZE = 16  # bytes at the start of a file: the digest of the rest
 LIBRARIES = ("builtins", "math", "cmath", "numpy", "numba")
 """Packages that enter the digest only by the names of their functions and constants.
@@ -479,7 +480,8 @@ class _Store:
             return True
         package_owner = os.stat(__file__).st_uid
         return (
-            file.st_uid in (0, os.getuid(), package_owner) and not file.st_mode & 0o002
+            file.st_uid in (0, os.getuid(), package_owner)
+            and not file.st_mode & FOR_ALL_TO_WRITE
         )
 
     def _write(self, name: str, value: Any) -> None:
@@ -490,6 +492,7 @@ class _Store:
             partial.write_bytes(
                 blake2b(content, digest_size=CHECK_SIZE).digest() + content
             )
+            partial.chmod(partial.stat().st_mode & ~FOR_ALL_TO_WRITE)  # with any umask
             partial.replace(self.folder / name)
         except BaseException:
             _remove(str(partial))

@@ -356,6 +356,7 @@ def _deviation(flown: Mat, drawn: Mat, pen: Pen, number: int) -> float:
 
     flown: (n, 2) m;  drawn: (k, 2) m;  number: of the stroke.  Errors: ConfigError where it is more than is allowed.
     """
+    flown = _dense(flown)
     wanted = _dense(drawn)
     left_out, _ = cKDTree(flown).query(wanted)
     beside, _ = cKDTree(wanted).query(flown)

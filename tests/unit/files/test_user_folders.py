@@ -191,3 +191,11 @@ def test_a_named_folder_that_others_may_use_is_refused_and_not_changed(
     ):
         runtime_folder()
     assert stat.S_IMODE(shared.stat().st_mode) == 0o777
+
+
+def test_a_private_folder_may_have_the_bit_of_its_parents_group(tmp_path, monkeypatch):
+    own = tmp_path / "own"
+    own.mkdir(mode=0o700)
+    own.chmod(0o2700)
+    monkeypatch.setenv("CRAZYCHOIR_RUNTIME_DIR", str(own))
+    assert runtime_folder() == own

@@ -187,12 +187,20 @@ def test_calls_that_an_error_leaves_over_are_not_forgotten():
     assert "without await" not in reason
 
 
-def test_operator_landing_that_leaves_calls_over_is_no_failure():
-    async def waits(guidance):
-        legs = [guidance.take_off(), guidance.sleep(30.0), guidance.land()]
-        for leg in legs:
-            await leg
+async def waits_by_a_list(guidance):
+    legs = [guidance.take_off(), guidance.sleep(30.0), guidance.land()]
+    for leg in legs:
+        await leg
 
+
+async def waits_on_one_line(guidance):
+    # fmt: off
+    for leg in (guidance.take_off(), guidance.sleep(30.0), guidance.land()): await leg  # noqa: E701
+    # fmt: on
+
+
+@pytest.mark.parametrize("waits", [waits_by_a_list, waits_on_one_line])
+def test_operator_landing_that_leaves_calls_over_is_no_failure(waits):
     def land(agent, clock):
         def abort():
             agent.drones[0].pilot.land("landed on command")

@@ -338,3 +338,15 @@ def test_a_port_that_only_closed_connections_have_is_free():
         ):
             pass
     assert is_free(port)
+
+
+def test_a_port_of_closed_connections_is_held_by_one_run_alone():
+    with socket.create_server((LOCAL, 0)) as server:
+        port = server.getsockname()[1]
+        with socket.create_connection((LOCAL, port)) as client:
+            accepted, _ = server.accept()
+            accepted.close()
+            client.recv(1)
+    with held_ports({0: LOCAL}, port):
+        assert not is_free(port)
+    assert is_free(port)

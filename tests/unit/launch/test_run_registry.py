@@ -8,7 +8,7 @@ import shutil
 import socket
 import subprocess
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import pytest
 from other_user import as_user, require
@@ -344,7 +344,6 @@ def test_a_run_without_a_record_says_how_others_find_it(own_place, monkeypatch, 
         '{"swarm": [], "what": "x", "source": null, "file": "lab.toml"}',
         '{"swarm": "lab", "what": "x", "source": null, "file": 3}',
         '{"swarm": "lab\\u001b[2J", "what": "x", "source": null, "file": "lab.toml"}',
-        '{"swarm": "lab", "what": "\\u001b[2J", "source": null, "file": "lab.toml"}',
         '{"swarm": "lab", "what": "x", "source": null, "file": "pipe"}',
         "[" * 60_000,
         "{}",
@@ -361,3 +360,14 @@ def test_a_record_that_says_what_no_run_says_is_no_run(own_place, record):
         file.write(record)
         file.flush()
         assert runs() == []
+
+
+@pytest.mark.parametrize(
+    "what", ["mission\u00a0a.py", "\u3000a.py", "caf\udce9.py", "\u001b[2J"]
+)
+def test_a_name_that_looks_odd_hides_no_run(own_place, what):
+    run = replace(run_of(own_place, "lab-1"), what=what)
+    with recorded(run):
+        (found,) = runs()
+    assert found.swarm == "lab-1"
+    assert found.what.isprintable()

@@ -505,3 +505,13 @@ def test_an_index_of_another_kind_holds_nothing(tmp_path):
     store = _Store(tmp_path, "law", "digest")
     store._write(store._index_name, 3)
     assert store.load("key") is None
+
+
+def test_what_is_written_under_any_umask_is_read(tmp_path):
+    before = os.umask(0)
+    try:
+        store = _Store(tmp_path, "law", "digest")
+        store.save("key", "machine code")
+        assert store.load("key") == "machine code"
+    finally:
+        os.umask(before)

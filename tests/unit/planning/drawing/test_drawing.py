@@ -352,3 +352,10 @@ def test_a_circle_of_the_size_of_a_dot_is_a_dot():
     dot = 0.005 * np.column_stack([np.cos(angles), np.sin(angles)])
     dot[-1] = dot[0]
     assert drawing([LINE, dot]).deviation == pytest.approx(0.01, abs=0.001)
+
+
+def test_a_straight_line_is_flown_at_any_speed():
+    """The samples of a fast flight are far apart, and lie on the line all the same."""
+    line = np.array([[0.0, 0.0], [60.0, 0.0]])
+    made = drawing([line], Pen(), Limits(v_max=20.0, a_max=20.0, yaw_rate_max=2.0))
+    assert made.deviation < 0.005
