@@ -95,7 +95,7 @@ def ran():
             stdout=subprocess.DEVNULL,
         )
         found = subprocess.run(
-            run, cwd=HERE, capture_output=True, text=True, timeout=100, check=False
+            run, cwd=HERE, capture_output=True, text=True, timeout=150, check=False
         )
         assert found.stdout, found.stderr
         assert shown.wait(30) == 0
@@ -106,7 +106,7 @@ def ran():
     return json.loads(found.stdout), json.loads(said), server.returncode
 
 
-@pytest.mark.timeout(180)
+@pytest.mark.timeout(240)
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_a_program_of_cflib_ends_well(ran, program):
     results, _, _ = ran

@@ -43,7 +43,7 @@ def main(first):
             thread.start()
             time.sleep(0.02)
         for thread in threads:
-            thread.join(60)
+            thread.join(90)
     sys.__stdout__.write(json.dumps(results) + "\n")
 
 
