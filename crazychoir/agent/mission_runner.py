@@ -51,7 +51,10 @@ STOPPED = (
     "emergency stop in force: it does not take off until `crazychoir stop --clear`"
 )
 """Reason of a drone that does not start during an emergency stop."""
-STAYS = "emergency stop in force: stays, to tell who starts, until `crazychoir stop --clear` or Ctrl-C"
+STAYS = (
+    "emergency stop in force: this agent stays, so that agents that start later hear of it, "
+    "until `crazychoir stop --clear` or Ctrl-C"
+)
 """Reason of a drone that stays after its mission during an emergency stop."""
 
 LANDED = "landed on command"

@@ -119,7 +119,7 @@ class Orders:
         if over := self.over():
             self._refuse(f"its mission is over: {over}")
         if not self.config.flight.operator:
-            self._refuse(f"its mission waits for nobody: {WAITS}")
+            self._refuse(f"its mission does not wait for a start: {WAITS}")
         if not self.drone.pilot.awaits_start:
             self._refuse("its mission has started")
         if not hasattr(guidance, "member") or not guidance.member.gate:

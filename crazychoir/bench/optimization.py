@@ -85,7 +85,7 @@ def _rows(agents: tuple[int, ...]) -> list[Row]:
 def ratios(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return for each algorithm and size the ratio of our better row to the pattern.
 
-    Each ratio comes with the smallest one that is promised.
+    Each ratio stands beside the smallest ratio that the README promises.
     """
     found = []
     for n, algorithm in dict.fromkeys(

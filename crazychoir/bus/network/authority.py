@@ -96,7 +96,7 @@ def revoke(folder: Path, host: str, days: int = CERTIFICATE_DAYS) -> list[str]:
         raise ConfigError(
             "host",
             host,
-            f"one that has a certificate: {', '.join(names) or 'none has'}",
+            f"a host with a certificate: {', '.join(names) or 'there is none'}",
         )
     names.remove(host)
     folder = folder.resolve()

@@ -187,7 +187,7 @@ def check_formation(
     if not followers:
         raise Refused(
             "bearing formation",
-            "every drone is a leader. Name only those that are to stand still.",
+            "every drone is a leader. Name only the drones that shall stand still.",
         )
     scaled = normalised(b_ff, followers)
     matrix = (

@@ -59,7 +59,7 @@ def require_rigid(shape: Shape, edges: Edges, leaders: Collection[int]) -> Mat:
     if not followers:
         raise Refused(
             "distance formation",
-            "every drone is a leader. Name only those that are not to be led.",
+            "every drone is a leader. Name only the drones that shall not follow the formation.",
         )
     _, sizes, modes = np.linalg.svd(r, full_matrices=True)
     rank = int(np.sum(sizes > FLEXIBLE))
