@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
@@ -9,6 +10,7 @@ import numpy.typing as npt
 from crazychoir.config.flight_room import room_text
 from crazychoir.errors import ConfigError
 from crazychoir.flight.array_like import as_floats, described
+from crazychoir.planning.trajectory import Trajectory
 from crazychoir.safety.rules.guard import Guard
 from crazychoir.types import FullState, Mat, Point, Vec
 
@@ -71,8 +73,16 @@ def require_path(where: str, t: Vec, path: Mat, guard: Guard, planar: bool) -> N
         )
 
 
-def require_trajectory(where: str, trajectory: object) -> None:
-    """Raise ConfigError for an object that is no trajectory, or has no finite duration."""
+def require_trajectory(where: str, trajectory: object) -> Trajectory:
+    """Return a trajectory whose set-points kernels can take.
+
+    A trajectory of this package returns such set-points, and is returned as it is. A user's
+    trajectory is returned as a CheckedTrajectory.
+
+    where: name for errors
+    trajectory: any object
+    Raises ConfigError for an object that is no trajectory, or has no finite duration.
+    """
     missing = [
         name for name in ("duration", "sample", "done") if not hasattr(trajectory, name)
     ]
@@ -94,6 +104,9 @@ def require_trajectory(where: str, trajectory: object) -> None:
         )
     for t in (0.0, 0.5 * float(duration), float(duration)):
         require_setpoint(trajectory.sample(t), t)  # type: ignore[attr-defined]
+    is_ours = type(trajectory).__module__.startswith("crazychoir.")
+    taken = cast(Trajectory, trajectory)
+    return taken if is_ours else CheckedTrajectory(taken)
 
 
 def require_setpoint(found: object, t: float) -> FullState:
@@ -111,6 +124,22 @@ def require_setpoint(found: object, t: float) -> FullState:
             "a FullState of 14 numbers",
         )
     return found if flat is found.flat else FullState(flat)
+
+
+class CheckedTrajectory:
+    """A user's trajectory whose set-points are converted, or refused, as they are sampled."""
+
+    def __init__(self, trajectory: Trajectory) -> None:
+        self._trajectory = trajectory
+        self.duration = trajectory.duration
+
+    def sample(self, t: float) -> FullState:
+        """Return the reference t seconds after the start. Raises ConfigError for other objects."""
+        return require_setpoint(self._trajectory.sample(t), t)
+
+    def done(self, t: float) -> bool:
+        """Return whether the end is reached at t."""
+        return self._trajectory.done(t)
 
 
 def _leaves(path: Mat, guard: Guard, planar: bool) -> npt.NDArray[np.bool_]:

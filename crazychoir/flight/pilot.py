@@ -26,7 +26,7 @@ from crazychoir.errors import ConfigError, error_text
 from crazychoir.filters.state_filter import StateFilter
 from crazychoir.flight.clearance import Clearance
 from crazychoir.flight.estimate import SEEN, believed, filter_of
-from crazychoir.flight.goals import require_goal, require_setpoint
+from crazychoir.flight.goals import require_goal
 from crazychoir.flight.homecoming import Homecoming
 from crazychoir.flight.point_flights import Flights, braking
 from crazychoir.flight.references import ahead, taken, unflyable
@@ -630,7 +630,7 @@ class Pilot(Actor):
         """
         if not self._may_fly(commanded):
             return 0.0
-        self._flown = require_setpoint(trajectory.sample(0.0), 0.0)
+        self._flown = trajectory.sample(0.0)
         self._reference = None
         self._obeyed = NOMINAL
         self._beyond = False

@@ -3,7 +3,6 @@
 import numpy as np
 
 from crazychoir.config.tables import Flight
-from crazychoir.flight.goals import require_setpoint
 from crazychoir.numerics.math3d import GRAVITY, yaw_of
 from crazychoir.planning.landing import Landing, Legs
 from crazychoir.planning.point_to_point import (
@@ -63,8 +62,7 @@ class Flights:
         """Return the set-point of the plan at the time `now` in s; None without a plan."""
         if self.plan is None:
             return None
-        t = now - self.start
-        return require_setpoint(self.plan.sample(t), t)
+        return self.plan.sample(now - self.start)
 
     def done(self, now: float, late: float = 0.0) -> bool:
         """Return whether the plan has been over for `late` s; False without a plan."""

@@ -487,7 +487,7 @@ class CFGuidance:
         than [flight] allows. Raises Interrupted if the flight is stopped on the way, such as by a
         hold, or does not end where the trajectory ends.
         """
-        require_trajectory(f"drone {self.id}: fly()", trajectory)
+        trajectory = require_trajectory(f"drone {self.id}: fly()", trajectory)
         require_feasible(trajectory, self.member.pilot)
         pilot = self.member.pilot
         clock = self.member.clock

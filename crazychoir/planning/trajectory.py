@@ -64,12 +64,15 @@ def setpoints(trajectory: Trajectory, rate: float) -> tuple[Vec, Mat]:
     if isinstance(trajectory, Piecewise):
         return t, trajectory.samples(t)
     rows = [trajectory.sample(k).flat for k in t.tolist()]
-    wrong = next((k for k, row in enumerate(rows) if np.shape(row) != (14,)), None)
-    if wrong is not None:
-        where = f"trajectory: sample({t[wrong]:.2f})"
-        raise ConfigError(
-            where,
-            f"a FullState of shape {np.shape(rows[wrong])}",
-            "a FullState of 14 numbers",
-        )
-    return t, np.array(rows, dtype=float)
+    try:
+        found = np.array(rows, dtype=float)
+    except ValueError:  # rows of several lengths
+        found = np.empty(0)
+    if found.shape == (len(t), 14):
+        return t, found
+    wrong = next(k for k, row in enumerate(rows) if np.shape(row) != (14,))
+    raise ConfigError(
+        f"trajectory: sample({t[wrong]:.2f})",
+        f"a FullState of shape {np.shape(rows[wrong])}",
+        "a FullState of 14 numbers",
+    )
