@@ -36,7 +36,9 @@ class CrazyChoirError(Exception):
 
     def __init__(self, *args: object) -> None:
         text, *rest = args or ("",)
-        super().__init__(spoken(text, UNSAID) if isinstance(text, str) else text, *rest)
+        super().__init__(
+            reason_or(text, UNSAID) if isinstance(text, str) else text, *rest
+        )
 
 
 class ConfigError(CrazyChoirError, ValueError):
@@ -209,7 +211,7 @@ class Refused(CrazyChoirError, RuntimeError):
     """
 
     def __init__(self, by: str, reason: str) -> None:
-        self.by, self.reason = by, spoken(reason, UNSAID)
+        self.by, self.reason = by, reason_or(reason, UNSAID)
         super().__init__(f"{by}: refused: {self.reason}")
 
 
@@ -234,7 +236,7 @@ class AgentFailed(CrazyChoirError, RuntimeError):
     """
 
     def __init__(self, agent: int, reason: str) -> None:
-        self.agent, self.reason = agent, spoken(reason, UNSAID)
+        self.agent, self.reason = agent, reason_or(reason, UNSAID)
         super().__init__(
             f"agent {agent} has failed, and with it the team: {self.reason}"
         )
@@ -298,7 +300,7 @@ def exit_call(end: SystemExit) -> str:
     return f"sys.exit({'' if end.code is None else repr(end.code)})"
 
 
-def exit_of(end: SystemExit, what: str) -> ConfigError:
+def describe_exit(end: SystemExit, what: str) -> ConfigError:
     """Return the error for a user's code that has called sys.exit, exit or quit.
 
     It names the file and the line of the call.
@@ -318,16 +320,16 @@ def exit_of(end: SystemExit, what: str) -> ConfigError:
 
 
 @contextlib.contextmanager
-def without_exit(what: str) -> Iterator[None]:
+def refuse_exit(what: str) -> Iterator[None]:
     """Run a user's code that must not end the process.
 
     what: that code, in words.
-    Raises the ConfigError of `exit_of` if the code calls sys.exit.
+    Raises the ConfigError of `describe_exit` if the code calls sys.exit.
     """
     try:
         yield
     except SystemExit as end:
-        raise exit_of(end, what) from end
+        raise describe_exit(end, what) from end
 
 
 MEANINGS: dict[str, str] = {
@@ -350,10 +352,10 @@ def error_text(error: BaseException) -> str:
     kinds = [kind.__name__ for kind in type(error).__mro__]
     meanings = (MEANINGS[name] for name in kinds if name in MEANINGS)
     meaning = next(meanings, "raised without a text")
-    return f"{type(error).__name__}: {spoken(error, meaning)}"
+    return f"{type(error).__name__}: {reason_or(error, meaning)}"
 
 
-def spoken(reason: object, otherwise: str) -> str:
+def reason_or(reason: object, otherwise: str) -> str:
     """Return the reason in words, never empty.
 
     If the reason ends in a colon, its last part is missing, for example because a note was empty.

@@ -21,7 +21,7 @@ from crazychoir.errors import (
     error_text,
     exit_call,
     raised_at,
-    spoken,
+    reason_or,
 )
 from crazychoir.guidance.awaited_call import forgotten
 from crazychoir.guidance.member import Member, raisable, touch_down
@@ -138,7 +138,7 @@ class GuidanceActor(Actor):
             failed.
         """
         cut_for = self.drone.pilot.cut_for  # ended after a cut: the cut is the reason
-        reason = spoken(cut_for or reason, "its mission was ended")
+        reason = reason_or(cut_for or reason, "its mission was ended")
         if not self._abort.done():
             self._abort.set_result(reason)
             self._by_operator = by_operator and not cut_for
@@ -434,7 +434,7 @@ def failure(reason: str, result: Result | None = None) -> Result:
     result: what else is known.
     """
     told = {key: value for key, value in (result or {}).items() if key != ENDED}
-    return {**told, "success": False, "reason": spoken(reason, NO_REASON)}
+    return {**told, "success": False, "reason": reason_or(reason, NO_REASON)}
 
 
 def _is_expected(error: BaseException) -> bool:

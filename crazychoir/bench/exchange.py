@@ -20,7 +20,7 @@ from rich.table import Table
 from rich.text import Text
 
 from crazychoir.config.swarm_config import LOCAL
-from crazychoir.launch.network import held_ports
+from crazychoir.launch.network import reserved_ports
 from crazychoir.solve.group import Group
 from crazychoir.team.graph import Graph, k_regular, ring
 
@@ -231,7 +231,7 @@ def measure(row: Row, seconds: float) -> None:
     answers = row.agents if ranks else row.processes
     try:
         with (
-            held_ports(dict.fromkeys(range(row.processes), LOCAL)) as base,
+            reserved_ports(dict.fromkeys(range(row.processes), LOCAL)) as base,
             Group(
                 _mpi_command(row, common) if ranks else _commands(row, common, base)
             ) as group,

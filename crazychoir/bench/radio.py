@@ -17,7 +17,7 @@ from rich.table import Table
 from crazychoir.bus.topics import LINK, POSE
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import Refused
-from crazychoir.launch.network import apart, attached, observer
+from crazychoir.launch.network import attached, isolate_swarm, observer
 from crazychoir.runtime.clock import SECOND, Clock, run_wall
 from crazychoir.runtime.mailbox import Call
 from crazychoir.types import LinkStatus
@@ -102,7 +102,7 @@ def _swarm() -> SwarmConfig:
         "control": {"sender": "xyz"},
         "mocap": {"port": first},
     }
-    return apart(
+    return isolate_swarm(
         SwarmConfig.of(raw | {"fence": {"min": [-4, -4, 0], "max": [9, 9, 3]}}), None
     )
 

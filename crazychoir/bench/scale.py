@@ -31,7 +31,7 @@ from rich.text import Text
 from crazychoir.bench.exchange import BARE, PACKAGE
 from crazychoir.config.swarm_config import LOCAL
 from crazychoir.launch.namespaces import Switched, switched
-from crazychoir.launch.network import held_ports
+from crazychoir.launch.network import reserved_ports
 from crazychoir.solve.group import Group
 from crazychoir.team.graph import k_regular
 
@@ -188,7 +188,7 @@ def measure(n: int, p: int, seconds: float, namespaces: bool) -> Cell:
         addresses = {f"h{k}": f"10.76.0.{k + 1}" for k in range(p)}
         hosts = stack.enter_context(switched(addresses)) if namespaces else None
         began = time.perf_counter()
-        base = stack.enter_context(held_ports(dict.fromkeys(range(p), LOCAL)))
+        base = stack.enter_context(reserved_ports(dict.fromkeys(range(p), LOCAL)))
         group = stack.enter_context(
             Group(commands(neighbors, p, seconds, hosts, addresses, base))
         )

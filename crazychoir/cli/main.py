@@ -23,7 +23,7 @@ from crazychoir.cli.setup import (
     rigid_bodies,
     router,
 )
-from crazychoir.errors import ConfigError, CrazyChoirError, without_exit
+from crazychoir.errors import ConfigError, CrazyChoirError, refuse_exit
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
     STDOUT,
@@ -39,7 +39,7 @@ from crazychoir.launch.console import (
     write_json,
 )
 from crazychoir.launch.process import ending
-from crazychoir.numerics.compiling import LATER
+from crazychoir.numerics.compiling import KERNEL_QUEUE
 
 if TYPE_CHECKING:
     from crazychoir.config.swarm_config import SwarmConfig
@@ -160,7 +160,7 @@ def run(
 ) -> None:
     """Fly a mission on this machine; Ctrl-C lands the drones."""
     set_up_logging()
-    with LATER.checks_first():
+    with KERNEL_QUEUE.checks_first():
         from crazychoir.cli.shared.chosen_swarm import (  # takes 1 s, which --help does not need
             check_options,
             named_file,
@@ -171,7 +171,7 @@ def run(
         from crazychoir.guidance.mission import look_before
         from crazychoir.launch.extras import require_extras
         from crazychoir.launch.flight import dongles, fly_fast, fly_real, owners
-        from crazychoir.launch.network import set_apart, swarm_file
+        from crazychoir.launch.network import isolated_swarm, swarm_file
         from crazychoir.launch.recording import recording_file
         from crazychoir.launch.run_registry import Run, recorded
         from crazychoir.radio.link.ownership import require_free
@@ -185,8 +185,8 @@ def run(
     }
     try:
         check_options(what, swarm, only, given)
-        with prints_aside(), without_exit("the mission"):
-            with LATER.checks_first():
+        with prints_aside(), refuse_exit("the mission"):
+            with KERNEL_QUEUE.checks_first():
                 config, mission = to_run(what, drones, swarm, loss, seed)
                 config = with_operator(config, wait, fast)
                 require_drawable(picture)
@@ -198,7 +198,7 @@ def run(
                 named = {} if source is None else {"swarm": config.name}
                 warned = look_before(mission, config, force)
             began = time.perf_counter()
-            LATER.compile()
+            KERNEL_QUEUE.compile()
             compiled_s = time.perf_counter() - began
             with Progress(status_table, enabled=not as_json) as progress:
                 for text in warned:
@@ -207,7 +207,7 @@ def run(
                 own = (
                     nullcontext(config)
                     if as_it_is
-                    else set_apart(config, processes, keeps_port=True)
+                    else isolated_swarm(config, processes, keeps_port=True)
                 )
                 with (
                     own as config,

@@ -9,7 +9,7 @@ from typing import Any
 
 from crazychoir.config.reader import show
 from crazychoir.errors import ConfigError
-from crazychoir.files.output_files import written_file
+from crazychoir.files.output_files import output_file
 from crazychoir.files.text_files import BYTE_ORDER_MARK, read_text
 
 HEADER = re.compile(r"\s*\[")
@@ -66,7 +66,7 @@ def write_keys(path: Path, changes: Mapping[int, Mapping[str, object]]) -> None:
     text = read_text(path, "a swarm file that can be written", exact=True)
     mark = BYTE_ORDER_MARK if text.startswith(BYTE_ORDER_MARK) else ""
     changed = with_keys(text.removeprefix(mark), changes, str(path))
-    with written_file(path, "swarm file") as place:
+    with output_file(path, "swarm file") as place:
         place.write_bytes((mark + changed).encode())
 
 

@@ -57,7 +57,7 @@ def require_writable_file(
         else:
             _probe(place)
     except (OSError, ValueError) as error:
-        raise _cannot(
+        raise _write_error(
             option,
             path,
             error,
@@ -75,7 +75,7 @@ def require_writable_folder(path: str | Path, option: str) -> None:
         _make_folder(path, parents=True)
         _probe(path / "probe")
     except (OSError, ValueError) as error:
-        raise _cannot(
+        raise _write_error(
             option,
             path,
             error,
@@ -84,7 +84,7 @@ def require_writable_folder(path: str | Path, option: str) -> None:
 
 
 @contextlib.contextmanager
-def written_file(path: str | Path, what: str) -> Iterator[Path]:
+def output_file(path: str | Path, what: str) -> Iterator[Path]:
     """Yield the path to write to.
 
     If the block ends without an error, the file is moved to its place. So a full disk destroys no
@@ -113,9 +113,9 @@ def written_file(path: str | Path, what: str) -> Iterator[Path]:
         yield beside
         if place.exists():
             shutil.copymode(place, beside)
-        _put(beside, place)
+        _put_in_place(beside, place)
     except OSError as error:
-        raise _cannot(what, path, error, "a file that can be written") from error
+        raise _write_error(what, path, error, "a file that can be written") from error
     finally:
         if beside is not None:
             with contextlib.suppress(OSError):
@@ -134,7 +134,7 @@ def _new_file_beside(place: Path) -> Path:
         return new
 
 
-def _put(new: Path, place: Path) -> None:
+def _put_in_place(new: Path, place: Path) -> None:
     """Give a new file its place; where the place cannot be replaced, write the content into it.
 
     A file that is mounted by itself, and another user's file in a sticky folder, can be written but not replaced.
@@ -153,7 +153,7 @@ def save_figure(figure: Any, path: str | Path, **options: Any) -> None:
     Raises ConfigError if it cannot be written.
     """
     kind = Path(path).suffix.removeprefix(".").lower() or None
-    with written_file(path, "picture") as place:
+    with output_file(path, "picture") as place:
         figure.savefig(place, format=kind, **options)
 
 
@@ -182,7 +182,9 @@ def _probe(path: Path) -> None:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
 
-def _cannot(option: str, path: Path, error: Exception, allowed: str) -> ConfigError:
+def _write_error(
+    option: str, path: Path, error: Exception, allowed: str
+) -> ConfigError:
     why = getattr(error, "strerror", None) or str(error)
     named = getattr(error, "filename", None)
     there = (

@@ -15,7 +15,7 @@ CHILD_ENCODING = "utf-8:backslashreplace"
 """Output encoding of Python programs that this process starts and reads, in any locale."""
 
 
-def readable(text: str, other: str = "backslashreplace") -> str:
+def make_readable(text: str, other: str = "backslashreplace") -> str:
     r"""Return the text without lone surrogates: UTF-8 where their bytes are UTF-8, else \xfc.
 
     A name becomes the same text on all hosts, also on a host with a locale that lacks its
@@ -34,12 +34,12 @@ def readable(text: str, other: str = "backslashreplace") -> str:
 
 
 def readable_texts(value: Any, other: str = "backslashreplace") -> Any:
-    """Return the value with all its texts `readable`.
+    """Return the value with all its texts `make_readable`.
 
     Texts in lists, dictionaries (keys too) and wire types are made readable at any depth.
     """
     if isinstance(value, str):
-        return readable(value, other)
+        return make_readable(value, other)
     if isinstance(value, Mapping):
         return {
             readable_texts(key, other): readable_texts(item, other)
@@ -61,7 +61,7 @@ def json_bytes(
     order: Literal["sorted"] | None = None,
     enc_hook: Callable[[Any], Any] | None = None,
 ) -> bytes:
-    """Return the value as JSON, with `readable` texts."""
+    """Return the value as JSON, with `make_readable` texts."""
     try:
         return msgspec.json.encode(value, order=order, enc_hook=enc_hook)
     except UnicodeEncodeError:

@@ -7,7 +7,7 @@ import numpy as np
 from crazychoir.types import Vec
 
 
-def as_floats(value: object, shape: tuple[int, ...]) -> Vec | None:
+def to_floats(value: object, shape: tuple[int, ...]) -> Vec | None:
     """Return the value as a new or unchanged float64 array of this shape.
 
     None if that is impossible.
@@ -44,7 +44,7 @@ def as_floats(value: object, shape: tuple[int, ...]) -> Vec | None:
         return None
 
 
-def described(value: object) -> str:
+def describe_value(value: object) -> str:
     """Return a short description of a value: its type, and an array's dtype and shape."""
     try:
         text = " ".join(repr(value).split())

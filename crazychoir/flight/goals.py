@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from crazychoir.config.flight_room import room_text
 from crazychoir.errors import ConfigError
-from crazychoir.flight.array_like import as_floats, described
+from crazychoir.flight.array_like import describe_value, to_floats
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.safety.rules.guard import Guard
 from crazychoir.types import FullState, Mat, Point, Vec
@@ -40,13 +40,15 @@ def require_goal(
     planar: whether the drone does not choose its height, which is then not looked at.
     homes: (3,) m each, world, places above which the drone may come down.
     """
-    place = as_floats(p, (3,))
+    place = to_floats(p, (3,))
     if place is None or not np.isfinite(place).all():
-        raise ConfigError(where, described(p), PLACE, "Give it as [x, y, z].")
+        raise ConfigError(where, describe_value(p), PLACE, "Give it as [x, y, z].")
     for name, value in (("yaw", yaw), ("duration", duration)):
-        number = as_floats(0.0 if value is None else value, ())
+        number = to_floats(0.0 if value is None else value, ())
         if number is None or not math.isfinite(float(number)):
-            raise ConfigError(f"{where}: {name}", described(value), "a finite number")
+            raise ConfigError(
+                f"{where}: {name}", describe_value(value), "a finite number"
+            )
     if any(math.dist(place[0:2], home[0:2]) <= AT_HOME for home in homes):
         place = np.array([*guard.room.nearest(place, inset=0.0)[0:2], place[2]])
     rest = np.zeros((1, 14))
@@ -95,12 +97,15 @@ def require_trajectory(where: str, trajectory: object) -> Trajectory:
             do,
         )
     found = trajectory.duration  # type: ignore[attr-defined]
-    duration = as_floats(found, ())
+    duration = to_floats(found, ())
     if duration is None or not (
         math.isfinite(float(duration)) and float(duration) > 0.0
     ):
         raise ConfigError(
-            f"{where}: duration", described(found), "a positive number of seconds", do
+            f"{where}: duration",
+            describe_value(found),
+            "a positive number of seconds",
+            do,
         )
     for t in (0.0, 0.5 * float(duration), float(duration)):
         require_setpoint(trajectory.sample(t), t)  # type: ignore[attr-defined]
@@ -116,11 +121,11 @@ def require_setpoint(found: object, t: float) -> FullState:
     t: s
     Raises ConfigError unless it is a FullState of 14 numbers.
     """
-    flat = as_floats(getattr(found, "flat", None), (14,))
+    flat = to_floats(getattr(found, "flat", None), (14,))
     if flat is None or not isinstance(found, FullState):
         raise ConfigError(
             f"trajectory: sample({t:.2f})",
-            described(found),
+            describe_value(found),
             "a FullState of 14 numbers",
         )
     return found if flat is found.flat else FullState(flat)

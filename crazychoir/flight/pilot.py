@@ -29,7 +29,7 @@ from crazychoir.flight.estimate import SEEN, believed, filter_of
 from crazychoir.flight.goals import require_goal
 from crazychoir.flight.homecoming import Homecoming
 from crazychoir.flight.point_flights import Flights, braking
-from crazychoir.flight.references import ahead, taken, unflyable
+from crazychoir.flight.references import ahead, convert_reference, explain_refusal
 from crazychoir.numerics.math3d import yaw_of
 from crazychoir.planning.landing import Landing
 from crazychoir.planning.trajectory import Trajectory
@@ -670,9 +670,9 @@ class Pilot(Actor):
         state = self.state
         if state is None or not self.obeys:
             return True
-        wanted = taken(reference)
+        wanted = convert_reference(reference)
         if wanted is None:
-            self._say("reference", f"{unflyable(reference)}: not flown")
+            self._say("reference", f"{explain_refusal(reference)}: not flown")
             return False
         if why := self._forbids(wanted):
             self._say("sender", why)
@@ -699,8 +699,8 @@ class Pilot(Actor):
 
         Returns an empty text if it can be flown.
         """
-        wanted = taken(reference)
-        return unflyable(reference) if wanted is None else self._forbids(wanted)
+        wanted = convert_reference(reference)
+        return explain_refusal(reference) if wanted is None else self._forbids(wanted)
 
     def _forbids(self, reference: Reference) -> str:
         """Return why this drone never flies a valid reference: its place or its kind; else ""."""

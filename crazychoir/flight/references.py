@@ -6,13 +6,13 @@ from typing import TypeVar, get_args
 
 import numpy as np
 
-from crazychoir.flight.array_like import as_floats, described
+from crazychoir.flight.array_like import describe_value, to_floats
 from crazychoir.types import Acceleration, FullState, Goto, Reference, Vec, Velocity
 
 Directed = TypeVar("Directed", Acceleration, Velocity)
 
 
-def taken(reference: object) -> Reference | None:
+def convert_reference(reference: object) -> Reference | None:
     """Return the reference with plain numbers and the float64 arrays that kernels take.
 
     A reference with these already is returned itself.
@@ -20,18 +20,18 @@ def taken(reference: object) -> Reference | None:
     """
     match reference:
         case Acceleration():
-            return _taken(reference, reference.a, Acceleration)
+            return _convert_directed(reference, reference.a, Acceleration)
         case Velocity():
-            return _taken(reference, reference.v, Velocity)
+            return _convert_directed(reference, reference.v, Velocity)
         case FullState():
-            flat = as_floats(reference.flat, (14,))
+            flat = to_floats(reference.flat, (14,))
             if flat is None or not math.isfinite(sum(flat.tolist())):
                 return None
             return reference if flat is reference.flat else FullState(flat)
         case Goto():
-            p = as_floats(reference.p, (3,))
-            yaw = _number(reference.yaw)
-            duration = _number(reference.duration)
+            p = to_floats(reference.p, (3,))
+            yaw = _to_number(reference.yaw)
+            duration = _to_number(reference.duration)
             if p is None or not math.isfinite(sum(p.tolist()) + yaw + duration):
                 return None
             return Goto(p, yaw, duration)
@@ -39,19 +39,19 @@ def taken(reference: object) -> Reference | None:
             return None
 
 
-def _taken(
+def _convert_directed(
     reference: Directed, direction: object, kind: Callable[[Vec, float], Directed]
 ) -> Directed | None:
-    """Return an Acceleration or a Velocity as `taken` does.
+    """Return an Acceleration or a Velocity as `convert_reference` does.
 
     reference: an Acceleration or a Velocity
     direction: its (3,) vector
     kind: its class
     """
-    vector = as_floats(direction, (3,))
+    vector = to_floats(direction, (3,))
     if vector is None:
         return None
-    yaw = _number(reference.yaw)
+    yaw = _to_number(reference.yaw)
     x, y, z = vector.tolist()
     if not math.isfinite(x + y + z + yaw):
         return None
@@ -60,11 +60,11 @@ def _taken(
     )
 
 
-def _number(value: object) -> float:
+def _to_number(value: object) -> float:
     """Return the value as a float, NaN if it is no number."""
     if type(value) is float:
         return value
-    found = as_floats(value, ())
+    found = to_floats(value, ())
     return math.nan if found is None else float(found)
 
 
@@ -78,8 +78,8 @@ def ahead(reference: FullState, later: float) -> FullState:
     )
 
 
-def unflyable(reference: object) -> str:
-    """Return why `taken` returns None: what was found, and what is allowed."""
+def explain_refusal(reference: object) -> str:
+    """Return why `convert_reference` returns None: what was found, and what is allowed."""
     match reference:
         case Acceleration():
             parts = {"a": (reference.a, (3,)), "yaw": (reference.yaw, ())}
@@ -95,14 +95,14 @@ def unflyable(reference: object) -> str:
             }
         case _:
             kinds = ", ".join(f"{kind.__name__}(...)" for kind in get_args(Reference))
-            return f"found {described(reference)}; allowed: {kinds} or None"
+            return f"found {describe_value(reference)}; allowed: {kinds} or None"
     for name, (value, shape) in parts.items():
-        found = as_floats(value, shape)
+        found = to_floats(value, shape)
         if found is None or not np.isfinite(found).all():
             wanted = (
                 f"{shape[0]} finite numbers of shape {shape}"
                 if shape
                 else "a finite number"
             )
-            return f"{type(reference).__name__}.{name}: found {described(value)}; allowed: {wanted}"
+            return f"{type(reference).__name__}.{name}: found {describe_value(value)}; allowed: {wanted}"
     return ""

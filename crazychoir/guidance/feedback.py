@@ -15,7 +15,7 @@ import numpy as np
 from crazychoir.bus.topics import STATE
 from crazychoir.control.gains import FORMATION, Gains
 from crazychoir.errors import ConfigError
-from crazychoir.flight.references import taken, unflyable
+from crazychoir.flight.references import convert_reference, explain_refusal
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.member import Interrupted, Member, raisable, standing
 from crazychoir.guidance.neighbour_state import Hearing, Paired, VelocitySum
@@ -311,8 +311,8 @@ class CFDistributedFeedback(CFGuidance):
     def _not_taken(self, reference: object) -> None:
         """Count a reference that can never be flown, and log the reason once."""
         self._refused += 1
-        if taken(reference) is None:
-            why = f"{amiss(reference)}; {unflyable(reference)}"
+        if convert_reference(reference) is None:
+            why = f"{amiss(reference)}; {explain_refusal(reference)}"
         else:
             why = self.member.pilot.unflown(reference)
         self._amiss = f"{why} ({place_of(self.step)})"

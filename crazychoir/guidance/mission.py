@@ -12,7 +12,7 @@ from typing import Any, Protocol, cast
 
 from crazychoir.config.checks import refuse_conflicts
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.errors import ConfigError, Hung, error_text, without_exit
+from crazychoir.errors import ConfigError, Hung, error_text, refuse_exit
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.mission_hooks import MissionFile
 from crazychoir.radio.budget import rates
@@ -158,7 +158,7 @@ def from_file(path: Path, kind: str) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     _see_neighbors(path)
     try:
-        with limited(HOOK, f"the import of {path}"), without_exit(f"the {kind} file"):
+        with limited(HOOK, f"the import of {path}"), refuse_exit(f"the {kind} file"):
             spec.loader.exec_module(module)
     except Exception as error:
         if isinstance(error.__cause__, SystemExit):

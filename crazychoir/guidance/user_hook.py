@@ -16,7 +16,7 @@ from crazychoir.errors import (
     CrazyChoirError,
     Hung,
     error_text,
-    without_exit,
+    refuse_exit,
 )
 from crazychoir.runtime.user_code_guard import HOOK, limited
 
@@ -70,7 +70,7 @@ class Hook:
         try:
             with (
                 limited(HOOK, f"{self.kind} {self.file}: {self.call}"),
-                without_exit(f"{self.kind} {self.call}"),
+                refuse_exit(f"{self.kind} {self.call}"),
             ):
                 return self.function(*values)
         except Hung as error:

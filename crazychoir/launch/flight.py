@@ -15,7 +15,7 @@ from crazychoir.agent.mission_runner import ENDED, NO_REASON
 from crazychoir.bus.commands import Commander
 from crazychoir.config.checks import TOUCHING
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.errors import spoken
+from crazychoir.errors import reason_or
 from crazychoir.guidance.feedback import idle
 from crazychoir.guidance.mission import Mission, has
 from crazychoir.launch.flight_observer import Score, Watch, goal_of
@@ -192,7 +192,7 @@ def summary(
     started = config.ids if started is None else started
     ended = {i: r[ENDED] for i, r in sorted(results.items()) if ENDED in r}
     report = (
-        mission.report(config, unended(results))
+        mission.report(config, operator_ends_as_failures(results))
         if started == config.ids and has(mission, "report")
         else {}
     )
@@ -201,17 +201,17 @@ def summary(
     said = report.pop("reason", None)
     if ended and not reached:
         of_all = said is not None and any(i not in ended for i in config.ids)
-        reached, off, ended = excused(off, ended)
+        reached, off, ended = excuse_operator_ends(off, ended)
         reached = reached and not of_all
         said = said if of_all else None
-    held = hindrances(results)
+    held = describe_hindrances(results)
     failed = failures(results, score.touching, started)
     absent = [i for i in started if i not in results]
-    told = {i: spoken(text, NO_REASON) for i, text in (off | failed).items()}
+    told = {i: reason_or(text, NO_REASON) for i, text in (off | failed).items()}
     reasons = {i: "; ".join([text, *held.get(i, [])]) for i, text in told.items()}
     reasons |= dict.fromkeys(absent, NO_RESULT)
     if not (reached or reasons):
-        said = spoken(said, NO_REASONS)
+        said = reason_or(said, NO_REASONS)
     reasons |= {
         i: str(r["refused"])
         for i, r in sorted(results.items())
@@ -307,7 +307,7 @@ def all_wait(config: SwarmConfig, score: Score) -> bool:
     )
 
 
-def hindrances(results: Results) -> dict[int, list[str]]:
+def describe_hindrances(results: Results) -> dict[int, list[str]]:
     """Return for each hindered drone the texts that say what has kept it from its target."""
     told = {
         i: [text.format(r[key]) for key, text in HELD.items() if _is_ours(key, r)]
@@ -322,7 +322,7 @@ def _is_ours(key: str, result: Mapping[str, Any]) -> bool:
     return isinstance(value, str) if key == "apart" else isinstance(value, int | float)
 
 
-def unended(results: Results) -> Results:
+def operator_ends_as_failures(results: Results) -> Results:
     """Return the results for the mission's report.
 
     A drone that its operator has ended counts as failed.
@@ -330,7 +330,7 @@ def unended(results: Results) -> Results:
     return {i: {**r, "success": False} if ENDED in r else r for i, r in results.items()}
 
 
-def excused(
+def excuse_operator_ends(
     off: Mapping[int, object], ended: Mapping[int, str]
 ) -> tuple[bool, dict[int, object], dict[int, str]]:
     """Remove the drones that their operator has ended from the reasons of a failed report.
@@ -362,7 +362,7 @@ def failures(
     started: drones that were started here
     """
     reasons = {
-        i: [spoken(r.get("reason"), NO_REASON)]
+        i: [reason_or(r.get("reason"), NO_REASON)]
         for i, r in sorted(results.items())
         if not r.get("success")
     }

@@ -124,17 +124,17 @@ def swarm_file(config: SwarmConfig) -> Iterator[Path]:
         yield path
 
 
-def apart(config: SwarmConfig, processes: int | None) -> SwarmConfig:
+def isolate_swarm(config: SwarmConfig, processes: int | None) -> SwarmConfig:
     """Return the same swarm with a name and ports of its own, in `processes` processes.
 
     Two runs side by side then do not meet. None keeps the processes of the swarm file.
     """
-    with set_apart(config, processes) as changed:
+    with isolated_swarm(config, processes) as changed:
         return changed
 
 
 @contextlib.contextmanager
-def set_apart(
+def isolated_swarm(
     config: SwarmConfig, processes: int | None, *, keeps_port: bool = False
 ) -> Iterator[SwarmConfig]:
     """Yield the swarm with a name and ports of its own, and hold these ports meanwhile.
@@ -158,12 +158,12 @@ def set_apart(
         process: _address(endpoint) for process, endpoint in changed.endpoints().items()
     }
     given = config.base_port if keeps_port and config.base_port != BASE_PORT else None
-    with held_ports(places, given, highest=max(config.ids)) as base:
+    with reserved_ports(places, given, highest=max(config.ids)) as base:
         yield changed.replace(base_port=base)
 
 
 @contextlib.contextmanager
-def held_ports(
+def reserved_ports(
     places: Mapping[int, str], given: int | None = None, highest: int = 0
 ) -> Iterator[int]:
     """Choose a base port such that base + offset is free for each offset, and hold these ports.
@@ -184,7 +184,7 @@ def held_ports(
                 (
                     n
                     for n, address in places.items()
-                    if not _held(address, base + n, kept)
+                    if not _reserve_port(address, base + n, kept)
                 ),
                 None,
             )
@@ -244,7 +244,7 @@ def _first_of_connections() -> int:
         return 32_768
 
 
-def _held(address: str, port: int, kept: contextlib.ExitStack) -> bool:
+def _reserve_port(address: str, port: int, kept: contextlib.ExitStack) -> bool:
     """Bind a port until the stack is left; return False if it is taken.
 
     A port at an address of another machine is not held, and the result is True.
@@ -258,16 +258,16 @@ def _held(address: str, port: int, kept: contextlib.ExitStack) -> bool:
     except OSError as error:
         if error.errno == errno.EADDRNOTAVAIL:
             return True
-        if error.errno != errno.EADDRINUSE or not _is_left_behind(port):
+        if error.errno != errno.EADDRINUSE or not _has_only_closed_connections(port):
             return False
-        return _held_after_closing(address, port, holder, kept)
+        return _reserve_after_closing(address, port, holder, kept)
     # Only after bind: with the option set before, bind would succeed on a port that another
     # socket with this option holds.
     holder.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     return True
 
 
-def _held_after_closing(
+def _reserve_after_closing(
     address: str, port: int, holder: socket.socket, kept: contextlib.ExitStack
 ) -> bool:
     """Bind a port that only closed connections still have; return False if another program was first.
@@ -284,7 +284,7 @@ def _held_after_closing(
     return True
 
 
-def _is_left_behind(port: int) -> bool:
+def _has_only_closed_connections(port: int) -> bool:
     """Return whether only closed connections still have the port, as for a minute after a run that used it."""
     states = []
     for table in ("/proc/net/tcp", "/proc/net/tcp6"):

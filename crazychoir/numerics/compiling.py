@@ -10,16 +10,16 @@ from collections.abc import Iterator
 from typing import Any
 
 
-class Later:
+class KernelQueue:
     """The laws that wait to be compiled, in the order of their import."""
 
     def __init__(self) -> None:
         self._is_waiting = False
-        self._laws: list[_Law] = []
+        self._laws: list[_WaitingKernel] = []
 
     def compile_or_wait(self, dispatcher: Any, types: tuple[Any, ...]) -> None:
         """Compile a law for these types now; inside `checks_first`, later or at its first call."""
-        law = _Law(dispatcher, types)
+        law = _WaitingKernel(dispatcher, types)
         if self._is_waiting:
             law.wait()
             self._laws.append(law)
@@ -47,7 +47,7 @@ class Later:
             self._is_waiting = False
 
 
-class _Law:
+class _WaitingKernel:
     """A law that is compiled once, for one choice of types."""
 
     def __init__(self, dispatcher: Any, types: tuple[Any, ...]) -> None:
@@ -77,5 +77,5 @@ class _Law:
         self._dispatcher.compile = lambda types: self.compile()
 
 
-LATER = Later()
+KERNEL_QUEUE = KernelQueue()
 """The waiting laws of this process."""

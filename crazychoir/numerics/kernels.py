@@ -5,7 +5,7 @@ from typing import Any, TypeVar, cast
 
 import numba
 
-from crazychoir.numerics.compiling import LATER
+from crazychoir.numerics.compiling import KERNEL_QUEUE
 from crazychoir.numerics.kernel_cache import keep
 
 Law = TypeVar("Law", bound=Callable[..., Any])
@@ -47,7 +47,7 @@ def kernel(*arguments: Any, **options: bool) -> Callable[[Law], Law]:
             return law
         keep(dispatcher, law, arguments, sorted(dispatcher.targetoptions.items()))
         if arguments:
-            LATER.compile_or_wait(dispatcher, arguments)
+            KERNEL_QUEUE.compile_or_wait(dispatcher, arguments)
         return cast(Law, dispatcher)
 
     return compiled

@@ -11,7 +11,7 @@ import numpy as np
 
 from crazychoir.bus.json_view import plain
 from crazychoir.errors import ConfigError
-from crazychoir.files.output_files import require_writable_file, written_file
+from crazychoir.files.output_files import output_file, require_writable_file
 
 SUFFIXES = (".csv", ".json", ".npz")
 """Suffixes of the files that `History.save` can write."""
@@ -157,7 +157,7 @@ class History:
         path = Path(path)
         require_suffix(path)
         require_writable_file(path, "history")
-        with written_file(path, "history") as place:
+        with output_file(path, "history") as place:
             self._write(place, path.suffix.lower())
 
     def _write(self, path: Path, kind: str) -> None:

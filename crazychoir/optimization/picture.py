@@ -8,7 +8,7 @@ import numpy as np
 
 from crazychoir.errors import ConfigError
 from crazychoir.files.output_files import save_figure
-from crazychoir.files.path_texts import readable
+from crazychoir.files.path_texts import make_readable
 from crazychoir.types import Vec
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def draw_convergence(
         axes.grid(color="#e6e6e6", linewidth=0.6)
         axes.set_axisbelow(True)
         axes.spines[["top", "right"]].set_visible(False)
-    figure.suptitle(readable(title), color=INK, fontsize=10, parse_math=False)
+    figure.suptitle(make_readable(title), color=INK, fontsize=10, parse_math=False)
     save_figure(figure, path, bbox_inches="tight")
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError
-from crazychoir.files.output_files import written_file
+from crazychoir.files.output_files import output_file
 
 Image = npt.NDArray[np.uint8]
 ENDINGS = (".mp4", ".gif", ".webp")
@@ -35,7 +35,7 @@ def check_video(path: Path, width: int, height: int) -> None:
 
 def write_video(path: Path, images: Iterable[Image], fps: int) -> None:
     """Write images of equal size (height, width, 3) as a video with `fps` pictures a second."""
-    with written_file(path, "video") as place:
+    with output_file(path, "video") as place:
         if path.suffix.lower() == ".mp4":
             _write_mp4(place, images, fps)
         else:

@@ -18,7 +18,7 @@ from crazychoir.config.network import changes
 from crazychoir.config.swarm_config import LOCAL
 from crazychoir.errors import ConfigError, ProcessFailed
 from crazychoir.files.private_folder import scratch_folder
-from crazychoir.launch.network import held_ports
+from crazychoir.launch.network import reserved_ports
 from crazychoir.numerics.kernel_cache import say_once, shared_by_children, tell
 from crazychoir.routing.distributed.member import Settings
 from crazychoir.routing.distributed.pickup_delivery import METHODS
@@ -116,7 +116,7 @@ def solve_in_processes(
             "watched": watch is not None,
         }
         with (
-            held_ports(dict.fromkeys(range(len(parts)), LOCAL)) as base,
+            reserved_ports(dict.fromkeys(range(len(parts)), LOCAL)) as base,
             shared_by_children(folder),
             Group(_commands(parts, common | {"base": base})) as group,
         ):

@@ -19,7 +19,7 @@ from crazychoir.errors import (
     PeerLost,
     error_text,
     raised_at,
-    without_exit,
+    refuse_exit,
 )
 from crazychoir.team.communicator import LAST_WORDS, Communicator, Policy
 from crazychoir.team.graph import GraphSequence
@@ -128,7 +128,7 @@ async def _in_rounds(
     compute = communicator.port.bus.clock.compute
     while not algorithm.done:
         try:
-            with without_exit(f"message() of agent {i}"):
+            with refuse_exit(f"message() of agent {i}"):
                 message = algorithm.message()
         except Exception as error:
             raise _Ended.at(i, error) from error
@@ -144,7 +144,7 @@ async def _in_rounds(
             raise _Ended(error, error) from error
         _require_alive(heard)
         try:
-            with without_exit(f"step() of agent {i}"):
+            with refuse_exit(f"step() of agent {i}"):
                 if heavy:
                     await compute(algorithm.step, heard)
                 else:
@@ -175,7 +175,7 @@ async def _wake_and_sleep(
         if pace.compute[1] > 0.0:
             await clock.sleep(chance.uniform(*pace.compute), drone=i)
         try:
-            with without_exit(f"step() of agent {i}"):
+            with refuse_exit(f"step() of agent {i}"):
                 if heavy:
                     await clock.compute(algorithm.step, heard)
                 else:
@@ -183,7 +183,7 @@ async def _wake_and_sleep(
         except Exception as error:
             raise _Ended.at(i, error, heard) from error
         try:
-            with without_exit(f"message() of agent {i}"):
+            with refuse_exit(f"message() of agent {i}"):
                 message = algorithm.message()
         except Exception as error:
             raise _Ended.at(i, error) from error

@@ -32,7 +32,7 @@ from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import REFERENCE, STATE, STATUS
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.launch.network import apart, attached
+from crazychoir.launch.network import attached, isolate_swarm
 from crazychoir.runtime.clock import run_wall
 from crazychoir.types import FullState, State, Status
 
@@ -74,7 +74,7 @@ def hundred(processes: int = 4) -> SwarmConfig:
         "graph": "ring",
         "fence": fence,
     }
-    return apart(SwarmConfig.of(raw), processes)
+    return isolate_swarm(SwarmConfig.of(raw), processes)
 
 
 def speak(path: str, group: int) -> None:

@@ -25,7 +25,7 @@ from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.port import OBSERVER, Bus
 from crazychoir.bus.topics import STATE
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.launch.network import apart, attached, observer
+from crazychoir.launch.network import attached, isolate_swarm, observer
 from crazychoir.recording.mcap.file import RecordingFile
 from crazychoir.recording.recorder import Recorder
 from crazychoir.runtime.clock import Clock, run_wall
@@ -106,7 +106,7 @@ def swarm(drones: int, processes: int) -> SwarmConfig:
         "graph": "ring",
         "fence": fence,
     }
-    return apart(SwarmConfig.of(raw), processes)
+    return isolate_swarm(SwarmConfig.of(raw), processes)
 
 
 def speak(path: str, group: int, rate: float, seconds: float) -> None:

@@ -28,7 +28,7 @@ from system.agents import AGENT, WORLD, Program, results
 
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import load
-from crazychoir.launch.network import apart
+from crazychoir.launch.network import isolate_swarm
 
 FILE = Path(__file__).resolve().parents[2] / "deploy/grid30.toml"
 MISSION = load("bearing_formation")
@@ -52,7 +52,7 @@ def swarm(minutes: float, each: int) -> SwarmConfig:
         world={"owned": True},
         start_deadline=120.0,
     )
-    return apart(changed, None)
+    return isolate_swarm(changed, None)
 
 
 async def soak(minutes: float, each: int, progress: Progress) -> dict[str, object]:

@@ -13,7 +13,7 @@ from system.agents import CRAZYCHOIR, Program
 
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import Refused
-from crazychoir.launch.network import apart
+from crazychoir.launch.network import isolate_swarm
 from crazychoir.radio.virtual.control import ask
 
 
@@ -53,7 +53,7 @@ def reached(
     raw["mocap"]["port"] = first - 1
     for name, values in tables.items():
         raw[name] = raw[name] | values if isinstance(values, dict) else values
-    return apart(SwarmConfig.of(raw), None)
+    return isolate_swarm(SwarmConfig.of(raw), None)
 
 
 def processes(pattern: str) -> list[int]:

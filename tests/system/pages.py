@@ -12,7 +12,7 @@ from system.agents import CRAZYCHOIR, Program, until
 from websockets.asyncio.client import connect
 
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.launch.network import apart
+from crazychoir.launch.network import isolate_swarm
 
 FLIGHT = {
     "takeoff_height": 0.6,
@@ -38,7 +38,7 @@ def six(mission: str = "figure", processes: int = 3, **tables: Any) -> SwarmConf
         "flight": FLIGHT,
         **tables,
     }
-    return apart(SwarmConfig.of(raw), processes)
+    return isolate_swarm(SwarmConfig.of(raw), processes)
 
 
 class Seen:

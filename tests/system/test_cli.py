@@ -19,7 +19,7 @@ from crazychoir.cli.shared import observer as window
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import load, names
 from crazychoir.launch.flight import NO_REASON, fly_fast
-from crazychoir.launch.network import apart
+from crazychoir.launch.network import isolate_swarm
 
 pytestmark = pytest.mark.system
 
@@ -218,7 +218,7 @@ def test_an_option_of_a_bench_is_read_by_it(here):
 @pytest.fixture
 def four(tmp_path):
     """A swarm file of a long formation, two drones a process, on ports of its own."""
-    config = apart(
+    config = isolate_swarm(
         load("bearing_formation")
         .swarm(None)
         .replace(flight=BRISK, mission_options={"duration": 300.0}),
@@ -482,7 +482,7 @@ async def test_a_run_fails_whose_processes_cannot_all_start(four, tmp_path, comp
     """Of some drones, and of all: then who is killed at the start ends the wait of the others."""
     async with asyncio.TaskGroup() as group:
         group.create_task(
-            some_are_missing(written(tmp_path / "some.json", apart(four[1], 2)))
+            some_are_missing(written(tmp_path / "some.json", isolate_swarm(four[1], 2)))
         )
         group.create_task(others_wait(four))
 
@@ -579,7 +579,9 @@ async def test_an_interrupted_flight_lands_then_ends_and_leaves_nobody_behind(
             folder.mkdir()
             group.create_task(
                 interrupt(
-                    program, written(folder / "four.json", apart(four[1], 2)), folder
+                    program,
+                    written(folder / "four.json", isolate_swarm(four[1], 2)),
+                    folder,
                 )
             )
 

@@ -21,7 +21,7 @@ from crazychoir.bus.frames import Envelope, Frame, encode_frame
 from crazychoir.bus.topics import ESTOP, HEARTBEAT, HELLO, ROSTER, ROUND, STATE, Class
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import load
-from crazychoir.launch.network import apart
+from crazychoir.launch.network import isolate_swarm
 from crazychoir.runtime.watchdog import EXIT_CODE
 
 pytestmark = [
@@ -97,7 +97,9 @@ def planners(instance: str, **network: float) -> SwarmConfig:
         "mission_options": options,
         "flight": BRISK,
     }
-    return apart(config.replace(lost_after=LOST_AFTER, lease=LEASE, **changes), None)
+    return isolate_swarm(
+        config.replace(lost_after=LOST_AFTER, lease=LEASE, **changes), None
+    )
 
 
 def standing(folder: Path, drones: int = 4, **options: object) -> SwarmConfig:
@@ -165,7 +167,7 @@ async def test_a_killed_process_in_planning_ends_the_mission_of_the_others_and_i
 async def test_a_stopped_process_delays_nobody(tmp_path):
     alone = {"method": "off"}  # else who stands beside it evades it
     config, first = (
-        apart(standing(tmp_path, duration=4.0).replace(collision=alone), None),
+        isolate_swarm(standing(tmp_path, duration=4.0).replace(collision=alone), None),
         ahead_of_others(),
     )
     async with flying(config, tmp_path, lambda i: first) as team:
@@ -205,7 +207,7 @@ class Ended:
 def wrong(tmp_path_factory: pytest.TempPathFactory, compiled: None) -> Ended:
     """Ten drones, two in each process; of each but one process the first goes wrong."""
     folder = tmp_path_factory.mktemp("wrong")
-    config = apart(
+    config = isolate_swarm(
         standing(folder, 10, duration=3.5, wrong=True).replace(processes=PAIRS), None
     )
 
@@ -379,7 +381,7 @@ async def stop(team: Team, *options: str) -> str:
 
 async def stop_restart_and_clear(folder: Path) -> None:
     """A restarted agent hears of the stop from the others, and stays on the ground until an operator clears it."""
-    config = apart(standing(folder, 2, duration=60.0), None)
+    config = isolate_swarm(standing(folder, 2, duration=60.0), None)
     async with flying(config, folder) as team:
         await team.law()
         assert (await stop(team)).count("motors off") == 2

@@ -12,7 +12,7 @@ from nbclient.exceptions import CellExecutionError
 from crazychoir.config.swarm_config import default_swarm
 from crazychoir.guidance.mission import load
 from crazychoir.launch.flight import fly_real
-from crazychoir.launch.network import apart, swarm_file
+from crazychoir.launch.network import isolate_swarm, swarm_file
 from crazychoir.optimization.algorithms.consensus import Consensus
 from crazychoir.optimization.rounds.mixing import team
 from crazychoir.solve.simulate import simulate
@@ -145,7 +145,7 @@ def test_a_flight_in_real_processes_works_inside_a_loop(tmp_path):
             return Rising()
         """)
     )
-    config = apart(default_swarm(2).replace(mission=str(mission)), 1)
+    config = isolate_swarm(default_swarm(2).replace(mission=str(mission)), 1)
 
     async def cell():
         with swarm_file(config) as path:

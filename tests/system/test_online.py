@@ -17,7 +17,7 @@ from crazychoir.guidance.delivery.online_delivery import NO_PLAN
 from crazychoir.guidance.mission import load
 from crazychoir.guidance.tasks.task_book import Fate, Task
 from crazychoir.guidance.tasks.task_source import ADDED
-from crazychoir.launch.network import apart
+from crazychoir.launch.network import isolate_swarm
 from crazychoir.routing.distributed.pickup_delivery import PickupDelivery
 from crazychoir.routing.search.parallel_auction import parallel_auction
 
@@ -527,7 +527,7 @@ async def test_a_process_is_killed_in_flight_and_comes_back_while_an_operator_ad
 ):
     """What the killed drone carried is fetched from where it fell; started again it is a member as any other."""
     config = drawn(9, 0.2, drones=5, tasks=8, later=0, recover=True, until=30.0)
-    config = apart(config.replace(lease=1.0), None)
+    config = isolate_swarm(config.replace(lease=1.0), None)
     async with flying(config, tmp_path) as team:
         await until(lambda: busiest(team) is not None, 120.0, lambda: team.text)
         victim = busiest(team)

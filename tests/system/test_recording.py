@@ -20,7 +20,7 @@ from crazychoir.cli.recordings.replay import _replay
 from crazychoir.cli.shared.observer import Window
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import load
-from crazychoir.launch.network import apart, attached, observer
+from crazychoir.launch.network import attached, isolate_swarm, observer
 from crazychoir.launch.recording import new_recording
 from crazychoir.recording.analysis import plots
 from crazychoir.recording.analysis.figures import flight_of
@@ -295,7 +295,7 @@ def test_a_cut_off_recording_is_plotted_with_a_warning(here, recorded, tmp_path)
 def test_a_replay_is_seen_as_a_swarm_and_recorded_anew(recorded, tmp_path):
     """Over Zenoh: what the one says again, the other records until it is gone, with the same values."""
     path, new = recorded[0], tmp_path / "new.mcap"
-    config = apart(SwarmConfig.loads(header(path).swarm), 1)
+    config = isolate_swarm(SwarmConfig.loads(header(path).swarm), 1)
 
     async def main(clock):
         replaying = asyncio.create_task(_replay(clock, config, path, 4.0, None, 60.0))

@@ -16,7 +16,7 @@ from system.commands import call
 
 from crazychoir.config.checks import MOTORS
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.launch.network import apart
+from crazychoir.launch.network import isolate_swarm
 
 pytestmark = [
     pytest.mark.system,
@@ -76,7 +76,7 @@ def standing(
             **tables,
         }
     )
-    return apart(config, None)
+    return isolate_swarm(config, None)
 
 
 class Run:

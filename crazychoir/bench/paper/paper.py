@@ -11,7 +11,7 @@ from rich.text import Text
 from crazychoir.bench import routing as bench_routing
 from crazychoir.bench.paper import ablation as bench_ablation
 from crazychoir.bench.paper import pictures as bench_pictures
-from crazychoir.files.output_files import require_writable_folder, written_file
+from crazychoir.files.output_files import output_file, require_writable_folder
 
 Rows = list[dict[str, Any]]
 
@@ -50,7 +50,7 @@ def run(
 
 def _solvers(folder: Path, quick: bool, say: Callable[[str], None]) -> list[Path]:
     found = bench_routing.run(prove=True, quick=quick, say=say)
-    with written_file(folder / "routing.json", "--out") as place:
+    with output_file(folder / "routing.json", "--out") as place:
         place.write_text(json.dumps(found), encoding="utf-8")
     runs = [
         {key: value for key, value in row.items() if key != "curve"}
@@ -67,7 +67,7 @@ def write_csv(path: Path, rows: Rows) -> Path:
     """Write the rows as a table with a header that has the keys of all rows."""
     names = list(dict.fromkeys(name for row in rows for name in row))
     with (
-        written_file(path, "--out") as place,
+        output_file(path, "--out") as place,
         place.open("w", newline="", encoding="utf-8") as file,
     ):
         writer = csv.DictWriter(file, names)

@@ -10,7 +10,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from crazychoir.errors import ConfigError, CrazyChoirError, without_exit
+from crazychoir.errors import ConfigError, CrazyChoirError, refuse_exit
 from crazychoir.files.output_files import require_writable_file
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
@@ -24,7 +24,7 @@ from crazychoir.launch.console import (
     set_up_logging,
     write_json,
 )
-from crazychoir.numerics.compiling import LATER
+from crazychoir.numerics.compiling import KERNEL_QUEUE
 
 if TYPE_CHECKING:
     from crazychoir.optimization.history import History
@@ -107,7 +107,7 @@ def simulate(
     --record names others. Its `result` is shown at the end.
     """
     set_up_logging()
-    with LATER.checks_first():
+    with KERNEL_QUEUE.checks_first():
         from crazychoir.optimization.history import require_suffix
         from crazychoir.solve import (
             simulate as simulation,
@@ -124,8 +124,8 @@ def simulate(
         if save is not None:
             require_suffix(save, "--save")
             require_writable_file(save, "--save")
-        with prints_aside(), without_exit("the algorithm"):
-            with LATER.checks_first():
+        with prints_aside(), refuse_exit("the algorithm"):
+            with KERNEL_QUEUE.checks_first():
                 links, team = _team(file, agents, graph, seed, directed)
                 names = simulation.recorded(team, asked)
                 if picture is not None and not names:
@@ -134,7 +134,7 @@ def simulate(
                         "nothing recorded",
                         "what --record names, to draw it",
                     )
-            LATER.compile()
+            KERNEL_QUEUE.compile()
             ended = False
             try:
                 with Progress(

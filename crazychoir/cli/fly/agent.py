@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from crazychoir.errors import CrazyChoirError, without_exit
+from crazychoir.errors import CrazyChoirError, refuse_exit
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
     STDERR,
@@ -18,7 +18,7 @@ from crazychoir.launch.console import (
     write_json,
 )
 from crazychoir.launch.process import ending
-from crazychoir.numerics.compiling import LATER
+from crazychoir.numerics.compiling import KERNEL_QUEUE
 
 log = logging.getLogger(__name__)
 app = typer.Typer(add_completion=False)
@@ -65,7 +65,7 @@ def agent(
     if child is not None:
         ending.with_parent()
     set_up_logging()
-    with LATER.checks_first():
+    with KERNEL_QUEUE.checks_first():
         from crazychoir.cli.shared.chosen_swarm import (
             configured,
         )  # takes 1 s, which --help does not need
@@ -74,13 +74,13 @@ def agent(
         from crazychoir.launch.processes import write_results
 
     try:
-        with prints_aside(), without_exit("the mission"):
-            with LATER.checks_first():
+        with prints_aside(), refuse_exit("the mission"):
+            with KERNEL_QUEUE.checks_first():
                 config, which = configured(swarm, mission, loss, seed)
                 members = tuple(sorted({config.drone(i).id: None for i in ids}))
                 flown = load(str(config.mission))
                 warned = look_before(flown, config, force)
-            LATER.compile()
+            KERNEL_QUEUE.compile()
             if not as_json and child is None:
                 STDERR.print(
                     f"swarm {config.name} ({which}), mission {config.mission}, drone(s) {ids}"

@@ -8,7 +8,7 @@ from rich import box
 from rich.table import Table
 
 from crazychoir.errors import ConfigError, CrazyChoirError
-from crazychoir.files.output_files import require_writable_folder, written_file
+from crazychoir.files.output_files import output_file, require_writable_folder
 from crazychoir.launch.console import (
     STDOUT,
     Outputs,
@@ -161,7 +161,7 @@ def _write(
         files += draw({name: picture}, folder)
     for name, write in tables.items():
         path = folder / f"{name}.csv"
-        with written_file(path, "--out") as place:
+        with output_file(path, "--out") as place:
             write(place)
         files.append(path)
 

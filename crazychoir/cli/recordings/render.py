@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from crazychoir.errors import ConfigError, CrazyChoirError
-from crazychoir.files.output_files import require_writable_file, written_file
+from crazychoir.files.output_files import output_file, require_writable_file
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
     STDERR,
@@ -156,5 +156,5 @@ def _save(path: Path, image: "Image") -> None:
     import numpy as np
     from PIL import Image as Pillow
 
-    with written_file(path, "--picture") as place:
+    with output_file(path, "--picture") as place:
         Pillow.fromarray(np.ascontiguousarray(image)).save(place, "PNG", optimize=True)

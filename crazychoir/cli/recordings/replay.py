@@ -61,7 +61,7 @@ def replay(
     set_up_logging()
     from crazychoir.config.swarm_config import SwarmConfig
     from crazychoir.launch.network import (
-        set_apart,
+        isolated_swarm,
         swarm_file,
     )  # takes 1 s, which --help does not need
     from crazychoir.launch.run_registry import Run, recorded
@@ -75,7 +75,7 @@ def replay(
             SwarmConfig.loads(recording.swarm, f"{file}: swarm.json")
         )
         with (
-            set_apart(recorded_swarm, 1) as config,
+            isolated_swarm(recorded_swarm, 1) as config,
             swarm_file(config) as path,
             recorded(Run(config.name, str(file), None, str(path))),
         ):

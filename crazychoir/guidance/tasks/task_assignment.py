@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.errors import CrazyChoirError, RosterChanged, error_text, spoken
+from crazychoir.errors import CrazyChoirError, RosterChanged, error_text, reason_or
 from crazychoir.guidance.guidance import TOUCHDOWN, CFGuidance
 from crazychoir.guidance.member import Interrupted, Member, standing, touch_down
 from crazychoir.guidance.tasks.generation import (
@@ -130,7 +130,7 @@ class TaskAssignmentGuidance(CFGuidance):
             self.member.pilot.land(
                 ""
                 if isinstance(cause, asyncio.CancelledError)
-                else f"mission failed: {spoken(cause, error_text(cause))}"
+                else f"mission failed: {reason_or(cause, error_text(cause))}"
             )
             await touch_down(self.member.pilot, TOUCHDOWN)
             await self.news.last_words()

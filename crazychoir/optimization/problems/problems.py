@@ -17,7 +17,7 @@ from crazychoir.optimization.problems.expressions import Quadratic
 from crazychoir.optimization.problems.mixed_integer import MixedIntegerBlock
 from crazychoir.optimization.problems.quadratic import Polyhedron
 from crazychoir.optimization.problems.solver_choice import (
-    Decided,
+    DecidedProgram,
     Program,
     compiled,
     fast,
@@ -414,7 +414,7 @@ class _Priced:
             for g, m in zip(self._forms, mu.tolist(), strict=True):
                 form = form + g.times(m)
             if program := fast(form, self._local.over):
-                return Decided(program, lambda: self._at(mu)).solve(self._zero)
+                return DecidedProgram(program, lambda: self._at(mu)).solve(self._zero)
         return self._at(mu).solve(self._zero)
 
     def _at(self, mu: Vec) -> ConicProgram:

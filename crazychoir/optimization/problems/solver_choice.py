@@ -35,7 +35,7 @@ class Program(Protocol):
         ...
 
 
-class Decided:
+class DecidedProgram:
     """A fast program with a thorough program as a fallback.
 
     The thorough program is compiled when it is first needed: when rounding keeps the fast program
@@ -105,4 +105,4 @@ def compiled(
         return ConicProgram(x, objective, list(constraints), penalty)
 
     found = fast(form, over)
-    return conic() if found is None else Decided(found, conic)
+    return conic() if found is None else DecidedProgram(found, conic)

@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 
 from crazychoir.errors import ConfigError
 from crazychoir.files.output_files import (
+    output_file,
     require_writable_file,
     require_writable_folder,
     save_figure,
-    written_file,
 )
 from crazychoir.optimization.history import History
 from crazychoir.optimization.picture import draw_convergence
@@ -84,7 +84,7 @@ def test_a_protected_file_is_refused(tmp_path, monkeypatch):
         require_writable_file(path, "--picture")
     with (
         pytest.raises(ConfigError, match="Permission denied"),
-        written_file(path, "picture") as place,
+        output_file(path, "picture") as place,
     ):
         place.write_text("another")
     assert path.read_text() == "mine"
@@ -110,7 +110,7 @@ def test_a_folder_that_is_a_file_is_refused(tmp_path, name):
 
 
 def write_half(path, error):
-    with written_file(path, "history") as place:
+    with output_file(path, "history") as place:
         place.write_text("half")
         raise error
 
@@ -134,7 +134,7 @@ def test_a_file_is_replaced_through_a_link_and_keeps_its_mode(tmp_path):
     real.chmod(0o640)
     link = tmp_path / "link.csv"
     link.symlink_to(real)
-    with written_file(link, "history") as place:
+    with output_file(link, "history") as place:
         place.write_text("new")
     assert link.is_symlink()
     assert real.read_text() == "new"
@@ -201,7 +201,7 @@ def test_a_file_that_cannot_be_replaced_is_written_in_place(
 
     (tmp_path / "x.json").write_text("before")
     monkeypatch.setattr(Path, "replace", refuse)
-    with written_file(tmp_path / "x.json", "history") as place:
+    with output_file(tmp_path / "x.json", "history") as place:
         place.write_text("after")
     assert (tmp_path / "x.json").read_text() == "after"
     assert [file.name for file in tmp_path.iterdir()] == ["x.json"]
@@ -210,7 +210,7 @@ def test_a_file_that_cannot_be_replaced_is_written_in_place(
 def test_a_link_that_was_laid_beforehand_is_not_written_through(tmp_path):
     (tmp_path / "victim").write_text("kept")
     (tmp_path / f".{os.getpid()}.x.new.json").symlink_to("victim")
-    with written_file(tmp_path / "x.json", "history") as place:
+    with output_file(tmp_path / "x.json", "history") as place:
         place.write_text("after")
     assert (tmp_path / "victim").read_text() == "kept"
     assert not (tmp_path / "x.json").is_symlink()
@@ -218,7 +218,7 @@ def test_a_link_that_was_laid_beforehand_is_not_written_through(tmp_path):
 
 def test_a_new_file_has_the_usual_permissions(tmp_path):
     (tmp_path / "usual").touch()
-    with written_file(tmp_path / "x.json", "history") as place:
+    with output_file(tmp_path / "x.json", "history") as place:
         place.write_text("after")
     usual = (tmp_path / "usual").stat().st_mode
     assert (tmp_path / "x.json").stat().st_mode == usual

@@ -18,7 +18,7 @@ import crazychoir
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.network.public_topics import as_json
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
-from crazychoir.files.path_texts import as_path, json_bytes, readable
+from crazychoir.files.path_texts import as_path, json_bytes, make_readable
 from crazychoir.types import Status
 
 UMLAUT = "schön"
@@ -38,7 +38,7 @@ any_text = st.text(st.characters(exclude_categories=())) | st.binary().map(
 @example("\ud800")
 @example("\udcc3\udcb6\ud800ö")
 def test_any_text_becomes_one_that_travels(text):
-    plain = readable(text)
+    plain = make_readable(text)
     assert decode(encode(plain)) == plain
     assert json.loads(json_bytes({text: [text]})) == {plain: [plain]}
     if not any("\ud800" <= character <= "\udfff" for character in text):
@@ -48,12 +48,12 @@ def test_any_text_becomes_one_that_travels(text):
 @given(st.binary())
 def test_the_name_of_any_file_travels(data):
     name = data.decode("utf-8", "surrogateescape")
-    assert decode(encode([name])) == [readable(name)]
+    assert decode(encode([name])) == [make_readable(name)]
 
 
 def test_a_name_is_the_same_text_in_every_locale():
-    assert readable(UMLAUT) == readable(IN_ASCII) == UMLAUT
-    assert readable(OTHER_BYTES) == r"b\xfcse"
+    assert make_readable(UMLAUT) == make_readable(IN_ASCII) == UMLAUT
+    assert make_readable(OTHER_BYTES) == r"b\xfcse"
 
 
 def test_texts_anywhere_in_a_value_are_made_to_travel():

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crazychoir.flight.array_like import as_floats, described
-from crazychoir.flight.references import taken, unflyable
+from crazychoir.flight.array_like import describe_value, to_floats
+from crazychoir.flight.references import convert_reference, explain_refusal
 from crazychoir.types import Acceleration, FullState, Goto, Velocity
 
 READ_ONLY = np.array([0.0, 0.0, 1.0])
@@ -73,7 +73,7 @@ def is_for_kernels(array):
 @pytest.mark.parametrize("name", GOOD)
 @pytest.mark.parametrize("field", KINDS)
 def test_what_holds_three_numbers_is_converted(name, field):
-    found = taken(KINDS[field](GOOD[name], np.int64(0)))
+    found = convert_reference(KINDS[field](GOOD[name], np.int64(0)))
     assert type(found) is KINDS[field]
     vector = getattr(found, field)
     assert is_for_kernels(vector)
@@ -85,10 +85,10 @@ def test_what_holds_three_numbers_is_converted(name, field):
 @pytest.mark.parametrize("field", KINDS)
 def test_what_does_not_is_refused_with_its_type_and_shape(name, field):
     reference = KINDS[field](BAD[name])
-    assert taken(reference) is None
-    text = unflyable(reference)
+    assert convert_reference(reference) is None
+    text = explain_refusal(reference)
     assert text.startswith(
-        f"{KINDS[field].__name__}.{field}: found {described(BAD[name])}"
+        f"{KINDS[field].__name__}.{field}: found {describe_value(BAD[name])}"
     )
     assert "allowed: 3 finite numbers of shape (3,)" in text
     if isinstance(BAD[name], np.ndarray):
@@ -99,15 +99,15 @@ def test_what_does_not_is_refused_with_its_type_and_shape(name, field):
 @pytest.mark.parametrize("field", KINDS)
 def test_a_yaw_that_is_no_number_is_refused(yaw, field):
     reference = KINDS[field](np.zeros(3), yaw)
-    assert taken(reference) is None
-    assert unflyable(reference).startswith(f"{KINDS[field].__name__}.yaw: found")
+    assert convert_reference(reference) is None
+    assert explain_refusal(reference).startswith(f"{KINDS[field].__name__}.yaw: found")
 
 
 @pytest.mark.parametrize("duration", [None, "1", np.nan])
 def test_a_duration_that_is_no_number_is_refused(duration):
     reference = Goto(np.zeros(3), 0.0, duration)
-    assert taken(reference) is None
-    assert unflyable(reference).startswith("Goto.duration: found")
+    assert convert_reference(reference) is None
+    assert explain_refusal(reference).startswith("Goto.duration: found")
 
 
 @pytest.mark.parametrize(
@@ -121,7 +121,7 @@ def test_a_duration_that_is_no_number_is_refused(duration):
     ],
 )
 def test_a_full_state_of_fourteen_numbers_is_converted(flat):
-    found = taken(FullState(flat))
+    found = convert_reference(FullState(flat))
     assert is_for_kernels(found.flat)
     assert found.flat.tolist() == list(range(14))
 
@@ -130,18 +130,18 @@ def test_a_full_state_of_fourteen_numbers_is_converted(flat):
     "flat", [None, np.zeros(13), np.zeros((14, 1)), [0.0] * 13 + [np.nan], ["0"] * 14]
 )
 def test_a_full_state_of_anything_else_is_refused(flat):
-    assert taken(FullState(flat)) is None
-    assert unflyable(FullState(flat)).startswith("FullState.flat: found")
+    assert convert_reference(FullState(flat)) is None
+    assert explain_refusal(FullState(flat)).startswith("FullState.flat: found")
 
 
 @pytest.mark.parametrize(
     "thing", [None, 3, "up", np.zeros(3), (0.0, 0.0, 1.0), Acceleration, object()]
 )
 def test_what_is_no_reference_is_refused(thing):
-    assert taken(thing) is None
+    assert convert_reference(thing) is None
     assert (
         "allowed: Acceleration(...), FullState(...), Goto(...), Velocity(...) or None"
-        in unflyable(thing)
+        in explain_refusal(thing)
     )
 
 
@@ -151,8 +151,8 @@ def test_what_needs_no_conversion_is_taken_as_it_is():
         Velocity(np.zeros(3), 0.5),
         FullState(np.zeros(14)),
     ):
-        assert taken(reference) is reference
-        assert unflyable(reference) == ""
+        assert convert_reference(reference) is reference
+        assert explain_refusal(reference) == ""
 
 
 @given(
@@ -165,7 +165,7 @@ def test_any_array_is_converted_or_refused_and_never_an_error(numbers, dtype, ho
     if how == "every second":
         array = np.repeat(array, 2)[::2]
     array.flags.writeable = how != "read-only"
-    found = as_floats(array.tolist() if how == "list" else array, (3,))
+    found = to_floats(array.tolist() if how == "list" else array, (3,))
     is_good = len(numbers) == 3 and dtype not in ("c16", "U9")
     assert (found is not None) == is_good
     if found is not None:

@@ -14,7 +14,7 @@ from crazychoir.errors import (
     CrazyChoirError,
     Refused,
     error_text,
-    spoken,
+    reason_or,
 )
 from crazychoir.guidance.awaited_call import KEPT, Call, Unawaited, forgotten
 from crazychoir.guidance.guidance import CFGuidance
@@ -264,7 +264,7 @@ def test_verbs_are_coroutine_functions_for_inspect():
 def test_no_outcome_and_no_error_has_an_empty_reason(empty):
     outcomes = [
         failure(empty)["reason"],
-        spoken(empty, "it is not known"),
+        reason_or(empty, "it is not known"),
         str(Refused("drone 0", empty)),
     ]
     outcomes += [

@@ -20,11 +20,11 @@ from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import ConfigError
 from crazychoir.launch import network
 from crazychoir.launch.network import (
-    apart,
     attached,
-    held_ports,
+    isolate_swarm,
+    isolated_swarm,
     observer,
-    set_apart,
+    reserved_ports,
     swarm_file,
 )
 from crazychoir.runtime.actor import Actor
@@ -33,12 +33,14 @@ from crazychoir.runtime.clock import run_virtual
 
 def test_two_runs_have_names_and_ports_of_their_own():
     config = default_swarm(4)
-    one, other = apart(config, None), apart(config, 2)
+    one, other = isolate_swarm(config, None), isolate_swarm(config, 2)
     assert len({config.name, one.name, other.name}) == 3
     assert one.base_port != config.base_port
     assert (one.ids, one.groups()) == (config.ids, config.groups())
     assert other.groups() == ((0, 1), (2, 3))
-    assert apart(config, 9).groups() == config.groups(), "no process without a drone"
+    assert isolate_swarm(config, 9).groups() == config.groups(), (
+        "no process without a drone"
+    )
 
 
 def test_ports_in_use_are_left_alone(monkeypatch):
@@ -53,10 +55,10 @@ def test_ports_in_use_are_left_alone(monkeypatch):
         tried.append(port)
         return len(tried) > 3
 
-    monkeypatch.setattr(network, "_held", hold)
+    monkeypatch.setattr(network, "_reserve_port", hold)
     base = free_ports([0, 2])
     assert tried[-2:] == [base, base + 2]
-    monkeypatch.setattr(network, "_held", lambda address, port, kept: False)
+    monkeypatch.setattr(network, "_reserve_port", lambda address, port, kept: False)
     with pytest.raises(ValueError, match=r"base_port.*2 processes"):
         free_ports([0, 2])
 
@@ -124,12 +126,12 @@ def test_actors_work_while_the_link_is_open_and_stop_before_it():
 LOCAL = "127.0.0.1"
 LOW_RANGE = """if True:
     import sys
-    from crazychoir.launch.network import set_apart
+    from crazychoir.launch.network import isolated_swarm
     from crazychoir.config.swarm_config import default_swarm
     for given in (None, 7999):
         config = default_swarm(int(sys.argv[1]))
         config = config if given is None else config.replace(base_port=given)
-        with set_apart(config, None, keeps_port=True) as changed:
+        with isolated_swarm(config, None, keeps_port=True) as changed:
             print(changed.base_port)
 """
 
@@ -144,7 +146,7 @@ def listens_at(port):
 
 
 def test_ports_are_held_for_those_who_listen_there_and_for_no_other():
-    with held_ports(dict.fromkeys([-1, 0, 3], LOCAL)) as base:
+    with reserved_ports(dict.fromkeys([-1, 0, 3], LOCAL)) as base:
         for port in (base - 1, base, base + 3):
             assert not is_free(port), "another run does not choose it"
             with pytest.raises(ConnectionRefusedError):
@@ -162,7 +164,7 @@ def test_no_connection_is_given_a_port_that_is_held_where_the_system_gives_all()
         from crazychoir.launch import network
         network._bases = lambda offsets: [40_000]
         server = socket.create_server(({LOCAL!r}, 50_000))
-        with network.held_ports(dict.fromkeys(range(9), {LOCAL!r})), contextlib.suppress(OSError):
+        with network.reserved_ports(dict.fromkeys(range(9), {LOCAL!r})), contextlib.suppress(OSError):
             while True:
                 print(socket.create_connection(({LOCAL!r}, 50_000)).getsockname()[1])
     """
@@ -208,9 +210,9 @@ def test_so_many_processes_get_ports_wherever_those_of_connections_begin(
     monkeypatch, first, drones
 ):
     monkeypatch.setattr(network, "_first_of_connections", lambda: first)
-    monkeypatch.setattr(network, "_held", lambda address, port, kept: True)
+    monkeypatch.setattr(network, "_reserve_port", lambda address, port, kept: True)
     monkeypatch.setattr(network, "_allow_files", lambda processes: None)
-    with held_ports(dict.fromkeys(range(-3, drones), LOCAL)) as base:
+    with reserved_ports(dict.fromkeys(range(-3, drones), LOCAL)) as base:
         assert base - 3 >= 1024
         assert base + drones - 1 <= 65535
 
@@ -219,7 +221,7 @@ def test_1200_processes_hold_their_ports():
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
     try:
         resource.setrlimit(resource.RLIMIT_NOFILE, (1024, before[1]))
-        with held_ports(dict.fromkeys(range(1200), LOCAL)) as base:
+        with reserved_ports(dict.fromkeys(range(1200), LOCAL)) as base:
             assert not is_free(base + 1199)
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
@@ -231,7 +233,7 @@ def test_too_few_open_files_are_told_before_anything_starts(monkeypatch):
         ConfigError,
         match=r"limit of open files: found 2048; allowed: 5056 for 1200 processes.*--proc",
     ):
-        held_ports(dict.fromkeys(range(1200), LOCAL)).__enter__()
+        reserved_ports(dict.fromkeys(range(1200), LOCAL)).__enter__()
 
 
 def test_wide_ids_have_ports_too(monkeypatch):
@@ -242,39 +244,39 @@ def test_wide_ids_have_ports_too(monkeypatch):
             {"name": "wide", "drones": drones, "processes": [[0, highest]]}
         )
         for processes in (None, 1, 2):
-            assert apart(config, processes).base_port + highest <= 65535
+            assert isolate_swarm(config, processes).base_port + highest <= 65535
 
 
 def test_a_block_is_found_where_few_are_free(monkeypatch):
     draw = random.Random(7)  # noqa: S311 - the same each time
     free = draw.randrange(33_000, 60_000)
     monkeypatch.setattr(
-        network, "_held", lambda address, port, kept: free <= port < free + 5
+        network, "_reserve_port", lambda address, port, kept: free <= port < free + 5
     )
-    with held_ports(dict.fromkeys(range(5), LOCAL)) as base:
+    with reserved_ports(dict.fromkeys(range(5), LOCAL)) as base:
         assert base == free
     with pytest.raises(ConfigError, match="no free block for 6 processes"):
-        held_ports(dict.fromkeys(range(6), LOCAL)).__enter__()
+        reserved_ports(dict.fromkeys(range(6), LOCAL)).__enter__()
 
 
 def test_the_base_port_of_a_file_is_used_or_who_needs_the_port_that_is_taken_is_named():
-    with held_ports(dict.fromkeys(range(4), LOCAL)) as base:
+    with reserved_ports(dict.fromkeys(range(4), LOCAL)) as base:
         pass
     config = default_swarm(4).replace(base_port=base)
-    with set_apart(config, None, keeps_port=True) as changed:
+    with isolated_swarm(config, None, keeps_port=True) as changed:
         assert changed.base_port == base
-        with set_apart(config, None) as other:
+        with isolated_swarm(config, None) as other:
             assert other.base_port != base, "a replay flies beside it"
         with pytest.raises(
             ConfigError,
             match=rf"base_port = {base}: port {base}, that of drone 0, is taken;.*sport",
         ):
-            set_apart(config, None, keeps_port=True).__enter__()
+            isolated_swarm(config, None, keeps_port=True).__enter__()
     with (
         socket.create_server((LOCAL, base + 2)),
         pytest.raises(ConfigError, match=rf"{base + 2}, that of drone 2"),
     ):
-        set_apart(config, None, keeps_port=True).__enter__()
+        isolated_swarm(config, None, keeps_port=True).__enter__()
 
 
 def test_run_flies_at_the_base_port_of_its_file(tmp_path, monkeypatch):
@@ -290,7 +292,7 @@ def test_run_flies_at_the_base_port_of_its_file(tmp_path, monkeypatch):
         )
         raise ConfigError("flown", "so far", "no further")
 
-    with held_ports({0: LOCAL, 1: LOCAL}) as base:
+    with reserved_ports({0: LOCAL, 1: LOCAL}) as base:
         pass
     file = tmp_path / "lab.json"
     file.write_text(default_swarm(2).replace(base_port=base, mission="figure").dumps())
@@ -334,7 +336,7 @@ def test_a_port_that_only_closed_connections_have_is_free():
             client.recv(1)
         with (
             pytest.raises(ConfigError, match=f"port {port}, that of drone 0, is taken"),
-            held_ports({0: "127.0.0.1"}, port),
+            reserved_ports({0: "127.0.0.1"}, port),
         ):
             pass
     assert is_free(port)
@@ -347,6 +349,6 @@ def test_a_port_of_closed_connections_is_held_by_one_run_alone():
             accepted, _ = server.accept()
             accepted.close()
             client.recv(1)
-    with held_ports({0: LOCAL}, port):
+    with reserved_ports({0: LOCAL}, port):
         assert not is_free(port)
     assert is_free(port)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from crazychoir.numerics.compiling import LATER
+from crazychoir.numerics.compiling import KERNEL_QUEUE
 from crazychoir.numerics.kernel_cache import COMPILES
 from crazychoir.numerics.kernels import kernel, real, vector
 
@@ -41,24 +41,24 @@ def test_a_law_is_compiled_when_it_is_imported():
 
 
 def test_inside_checks_first_a_law_waits_until_all_are_compiled():
-    with LATER.checks_first():
+    with KERNEL_QUEUE.checks_first():
         first = law()
         second = law()
         assert (first.signatures, second.signatures) == ([], [])
-    LATER.compile()
+    KERNEL_QUEUE.compile()
     assert (len(first.signatures), len(second.signatures)) == (1, 1)
     assert first(np.array([3.0]), 2.0) == 6.0
     assert len(law().signatures) == 1, "afterwards they do not wait"
 
 
 def test_a_law_that_waits_is_compiled_for_its_own_types_alone_when_it_is_called():
-    with LATER.checks_first():
+    with KERNEL_QUEUE.checks_first():
         waits = law()
         assert waits(np.array([3.0]), 2) == 6.0
     assert waits.signatures == law().signatures
     with pytest.raises(TypeError):
         waits(np.array([3]), 2.0)
-    LATER.compile()
+    KERNEL_QUEUE.compile()
     assert len(waits.signatures) == 1
 
 

@@ -11,7 +11,7 @@ from crazychoir.errors import SolverError
 from crazychoir.optimization.problems.problems import CostCoupled
 from crazychoir.optimization.problems.projection import Convex
 from crazychoir.optimization.problems.quadratic import DOUBTFUL, INACCURATE
-from crazychoir.optimization.problems.solver_choice import Decided
+from crazychoir.optimization.problems.solver_choice import DecidedProgram
 
 ROUNDING = 1e-12
 SAMPLE = 100
@@ -190,14 +190,14 @@ class Word:
     ],
 )
 def test_what_rounding_hides_is_asked_of_the_thorough_program(fast, thorough, said):
-    assert Decided(Word(fast), lambda: Word(thorough)).solve(np.zeros(1)) == said
+    assert DecidedProgram(Word(fast), lambda: Word(thorough)).solve(np.zeros(1)) == said
 
 
 def test_the_thorough_program_is_made_when_it_is_first_needed():
     def make():
         raise AssertionError("made")
 
-    assert Decided(Word("infeasible"), make).solve(np.zeros(1)) == "infeasible"
+    assert DecidedProgram(Word("infeasible"), make).solve(np.zeros(1)) == "infeasible"
 
 
 @pytest.mark.parametrize("k", range(3, 8))
