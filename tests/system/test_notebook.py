@@ -31,13 +31,12 @@ from crazychoir.launch.flight import fly_fast
 from crazychoir.solve.team import solve_in_processes
 from crazychoir.guidance.mission import load
 from crazychoir.launch.flight import fly_real
-from crazychoir.launch.network import apart, swarm_file
+from crazychoir.launch.network import isolated_swarm, swarm_file
 from crazychoir.optimization.algorithms.consensus import Consensus
 from crazychoir.optimization.rounds.mixing import team
 from crazychoir.routing.instance.generate import random_instance
 from crazychoir.solve.simulate import simulate
 from crazychoir.solve.solving import solve_here
-from crazychoir.config.swarm_config import default_swarm
 from crazychoir.config.swarm_config import default_swarm
 from crazychoir.team.graph import ring
 """
