@@ -19,7 +19,7 @@ from msgspec import Meta
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.config.drone_room import room_of
 from crazychoir.config.flight_room import room_text
-from crazychoir.config.tables import Hertz, Share, Table
+from crazychoir.config.tables import Hertz, Share, SwarmTable
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.aggregative import Defence, Defender
 from crazychoir.guidance.mission_options import (
@@ -68,7 +68,7 @@ Legs = Annotated[
 ]
 
 
-class Options(Table, frozen=True, kw_only=True):
+class Options(SwarmTable, frozen=True, kw_only=True):
     """[mission_options]."""
 
     target: Spot = (0.0, 0.0)

@@ -16,9 +16,14 @@ import numpy as np
 from msgspec import Meta
 
 from crazychoir import CFDistributedFeedback, SwarmConfig
-from crazychoir.config.checks import LIGHTWEIGHT
+from crazychoir.config.checks import WORLD_URIS
 from crazychoir.config.tables import Share
-from crazychoir.control.gains import AGILE, FORMATION, FORMATION_ON_MOTORS, Gains
+from crazychoir.control.gains import (
+    AGILE_GAINS,
+    FORMATION_GAINS,
+    FORMATION_GAINS_ON_MOTORS,
+    Gains,
+)
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.formation import bearing, leader, shapes
 from crazychoir.guidance.formation.bearing import Law, check_formation
@@ -35,7 +40,7 @@ from crazychoir.guidance.mission_options import (
     require_each,
 )
 from crazychoir.numerics.math3d import projector
-from crazychoir.platforms import platform
+from crazychoir.platforms import find_platform
 from crazychoir.recording.analysis.tracks import draw_tracks
 from crazychoir.types import Acceleration, Heard, State, Vec
 
@@ -132,7 +137,7 @@ class BearingFormation(CFDistributedFeedback):
         kv: float = 4.5,
         in_height: float = 1.0,
         moving: bool = False,
-        gains: Gains = AGILE,
+        gains: Gains = AGILE_GAINS,
     ) -> None:
         self.neighbors = tuple(neighbors)
         self.gains = gains
@@ -212,13 +217,13 @@ def chosen(config: SwarmConfig) -> Chosen:
 def gains(config: SwarmConfig) -> Gains:
     """Return the gains of the control behind the law."""
     if given(config, Options).law == "normalised":
-        return AGILE
-    return FORMATION_ON_MOTORS if on_motors(config) else FORMATION
+        return AGILE_GAINS
+    return FORMATION_GAINS_ON_MOTORS if on_motors(config) else FORMATION_GAINS
 
 
 def on_motors(config: SwarmConfig) -> bool:
     """Return whether every drone has a rate loop on board; only lightweight drones have none."""
-    return all(drone.uri != LIGHTWEIGHT for drone in config.drones)
+    return all(drone.uri != WORLD_URIS.lightweight for drone in config.drones)
 
 
 def moving(config: SwarmConfig) -> bool:
@@ -341,7 +346,7 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
     take minutes. Raises ConfigError if the leaders cannot fly their paths.
     """
     slowest = max(
-        (platform(drone.platform) for drone in config.drones),
+        (find_platform(drone.platform) for drone in config.drones),
         key=lambda found: found.rotor.lag,
     )
     chain = (

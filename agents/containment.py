@@ -23,7 +23,7 @@ from crazychoir.guidance.formation.rigidity import (
 )
 from crazychoir.guidance.mission_options import Gain, given
 from crazychoir.recording.analysis.tracks import draw_tracks
-from crazychoir.runtime.clock import SECOND
+from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.types import Acceleration, Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]
@@ -87,7 +87,8 @@ class Containment(CFDistributedFeedback):
         self.kv = kv
         self.share = share
         self.keys = {
-            j: (draws.key(seed, i, j), draws.key(seed, j, i)) for j in neighbors
+            j: (draws.draw_key(seed, i, j), draws.draw_key(seed, j, i))
+            for j in neighbors
         }
 
     def height(self) -> float | None:
@@ -98,7 +99,9 @@ class Containment(CFDistributedFeedback):
         """Return the acceleration of the law, over the edges that count in this tick."""
         clock = self.member.clock
         return self.pulled(
-            me, heard, (clock.epoch_ns + clock.now_ns()) // round(SECOND / self.rate)
+            me,
+            heard,
+            (clock.epoch_ns + clock.now_ns()) // round(NS_PER_SECOND / self.rate),
         )
 
     def pulled(self, me: State, heard: Heard, k: int) -> Acceleration:
@@ -115,7 +118,8 @@ class Containment(CFDistributedFeedback):
     def counts(self, j: int, k: int) -> bool:
         """Return whether both ends of the edge to j have chosen it in tick k."""
         return all(
-            draws.draw(key, k, 0) < self.share * draws.ONE for key in self.keys[j]
+            draws.draw(key, k, 0) < self.share * draws.RANDOM_DRAWS.range_size
+            for key in self.keys[j]
         )
 
 

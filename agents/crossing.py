@@ -14,7 +14,7 @@ from msgspec import Meta
 from crazychoir import CFDistributedFeedback, SwarmConfig
 from crazychoir.config.drone_room import room_of
 from crazychoir.config.flight_room import room_text
-from crazychoir.config.tables import Height, Speed, Table
+from crazychoir.config.tables import Height, Speed, SwarmTable
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.mission_options import (
     Duration,
@@ -48,7 +48,7 @@ Pattern = Annotated[
 ]
 
 
-class Options(Table, frozen=True, kw_only=True):
+class Options(SwarmTable, frozen=True, kw_only=True):
     """[mission_options]. The seed of the swarm determines all random places."""
 
     pattern: Pattern = "antipodal"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir import CFDistributedFeedback, SwarmConfig
-from crazychoir.control.gains import AGILE
+from crazychoir.control.gains import AGILE_GAINS
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.formation import leader
 from crazychoir.guidance.formation.leader import LeaderOptions
@@ -68,7 +68,7 @@ class DistanceFormation(CFDistributedFeedback):
     Source: Krick, Broucke & Francis 2009, Int. J. Control 82(3), for single integrators.
     """
 
-    gains = AGILE
+    gains = AGILE_GAINS
 
     def __init__(
         self, d: Mapping[int, float], k: float, kv: float, height: float | None
@@ -187,7 +187,7 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
     stiffest = 2.0 * options.k * float(np.linalg.norm(r, 2) ** 2)
     heard = [len(config.graph().neighbors(i)) for i in config.ids if i not in leaders]
     for damping in (options.kv * min(heard) * 0.5, options.kv * max(heard)):
-        if mode_margin([1.0], [True], stiffest, damping, Chain(AGILE)) <= 0.0:
+        if mode_margin([1.0], [True], stiffest, damping, Chain(AGILE_GAINS)) <= 0.0:
             text = f"k = {options.k:g}, kv = {options.kv:g}: its stiffest mode, {stiffest:.1f} 1/s2, is unstable"
             raise Refused(
                 "distance formation",

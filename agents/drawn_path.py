@@ -12,13 +12,13 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
 from crazychoir import CFGuidance, SwarmConfig
-from crazychoir.config.tables import Scale, Table, Text
-from crazychoir.control.gains import STANDARD
+from crazychoir.config.tables import Scale, SwarmTable, Text
+from crazychoir.control.gains import STANDARD_GAINS
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission_options import Offset, Yaw, given, require_none
 from crazychoir.guidance.path_checks import require_inside
 from crazychoir.guidance.timed import Way, noted
-from crazychoir.planning.drawing.drawing import Drawing, Pen, drawing
+from crazychoir.planning.drawing.drawing import Drawing, Pen, plan_drawing
 from crazychoir.planning.drawing.drawing_file import read_drawing
 from crazychoir.planning.feasibility import Limits
 
@@ -33,7 +33,7 @@ Timing = Annotated[
 ]
 
 
-class Options(Table, frozen=True, kw_only=True):
+class Options(SwarmTable, frozen=True, kw_only=True):
     """[mission_options]."""
 
     drawing: Text = str(WORD)
@@ -95,11 +95,11 @@ def drawn(config: SwarmConfig, i: int) -> Drawing:
     limits = Limits(
         v_max=flight.speed_limit,
         a_max=flight.acceleration_limit,
-        j_max=STANDARD.kr[0] * flight.acceleration_limit,
+        j_max=STANDARD_GAINS.kr[0] * flight.acceleration_limit,
         low=config.fence.min,
         high=config.fence.max,
     )
-    planned = drawing(placed, pen, limits)
+    planned = plan_drawing(placed, pen, limits)
     require_inside(planned.path, config, i, "drawing")
     return planned
 

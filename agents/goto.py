@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Meta
 
 from crazychoir import CFGuidance, SwarmConfig
-from crazychoir.config.tables import Id, Table
+from crazychoir.config.tables import Id, SwarmTable
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission_options import (
     Coordinate,
@@ -58,7 +58,7 @@ Goals = Annotated[
 ]
 
 
-class Options(Table, frozen=True, kw_only=True):
+class Options(SwarmTable, frozen=True, kw_only=True):
     """[mission_options]."""
 
     goals: Goals | None = None

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir import Acceleration, CFDistributedFeedback, SwarmConfig, Velocity
-from crazychoir.config.checks import DOUBLE, SINGLE
+from crazychoir.config.checks import WORLD_URIS
 from crazychoir.guidance.formation.rigidity import require_led
 from crazychoir.guidance.mission_options import NoOptions, given, require_none
 from crazychoir.recording.analysis.tracks import draw_ways
@@ -69,12 +69,14 @@ class IntegratorContainment(CFDistributedFeedback):
 def guidance(i: int, config: SwarmConfig) -> IntegratorContainment:
     """Return the law of robot i."""
     robot = config.drone(i)
-    return IntegratorContainment(robot.leader, inertia=robot.uri == DOUBLE)
+    return IntegratorContainment(
+        robot.leader, inertia=robot.uri == WORLD_URIS.double_integrator
+    )
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
     """Return three leaders and three followers: one obeys velocities, two obey accelerations."""
-    uris = [SINGLE] * 4 + [DOUBLE] * 2
+    uris = [WORLD_URIS.single_integrator] * 4 + [WORLD_URIS.double_integrator] * 2
     robots = [
         {"id": i, "home": [*p, 0.5], "uri": uri, "leader": i < len(LEADERS)}
         for i, (p, uri) in enumerate(zip(LEADERS + FOLLOWERS, uris, strict=True))

@@ -17,7 +17,7 @@ from msgspec import Meta
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.config.drone_room import room_of
 from crazychoir.config.flight_room import room_text
-from crazychoir.config.tables import Acceleration, Drone, Speed, Table
+from crazychoir.config.tables import Acceleration, DroneTable, Speed, SwarmTable
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission_options import Duration, Spot, given, own
 from crazychoir.guidance.mpc import Motion, MPCGuidance
@@ -69,7 +69,7 @@ Jerk = Annotated[
 ]
 
 
-class Options(Table, frozen=True, kw_only=True):
+class Options(SwarmTable, frozen=True, kw_only=True):
     """[mission_options]."""
 
     shift: Spot = (3.0, 0.0)
@@ -90,7 +90,7 @@ class Options(Table, frozen=True, kw_only=True):
     """m/s3: largest, in x and in y."""
 
 
-class DroneOptions(Table, frozen=True, kw_only=True):
+class DroneOptions(SwarmTable, frozen=True, kw_only=True):
     """`options` of a drone."""
 
     speed: Speed | None = None
@@ -114,7 +114,7 @@ def guidance(i: int, config: SwarmConfig) -> CFGuidance:
     return law
 
 
-def motion(config: SwarmConfig, drone: Drone) -> Motion:
+def motion(config: SwarmConfig, drone: DroneTable) -> Motion:
     """Return how the drone may move."""
     options = given(config, Options)
     speed = own(config, drone, DroneOptions).speed or options.speed
@@ -123,7 +123,7 @@ def motion(config: SwarmConfig, drone: Drone) -> Motion:
     )
 
 
-def goal_of(config: SwarmConfig, drone: Drone) -> Vec:
+def goal_of(config: SwarmConfig, drone: DroneTable) -> Vec:
     """Return the goal of a drone, (2,) m."""
     goal = own(config, drone, DroneOptions).goal
     return (
@@ -181,7 +181,7 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
     return []
 
 
-def _require_possible(config: SwarmConfig, drone: Drone) -> None:
+def _require_possible(config: SwarmConfig, drone: DroneTable) -> None:
     """Raise ConfigError for a goal outside the fence, and for a speed above [flight]."""
     where = f"swarm {config.name}: drone {drone.id}"
     low, high = room_of(config, drone.id)

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from crazychoir.config.reader import read
+from crazychoir.config.reader import read_table
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.delivery.delivery_checks import (
@@ -25,7 +25,7 @@ from crazychoir.guidance.delivery.site import Site
 from crazychoir.guidance.tasks.task_book import Fate, Task
 from crazychoir.guidance.tasks.task_source import Event
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.team.graph import span
+from crazychoir.team.graph import describe_ids
 
 Results = dict[int, dict[str, Any]]
 """The results of all drones, by id."""
@@ -80,7 +80,7 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 def given(config: SwarmConfig) -> DeliveryOptions:
     """Return [mission_options]. Raises ConfigError with the key that is wrong."""
-    return read(
+    return read_table(
         config.mission_options,
         DeliveryOptions,
         f"swarm {config.name}",
@@ -153,7 +153,7 @@ def events(config: SwarmConfig) -> list[Event]:
             raise ConfigError(
                 where,
                 cancel.task,
-                f"there are {span(tasks)}",
+                f"there are {describe_ids(tasks)}",
                 do,
                 "there is no such task",
             )

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from crazychoir import PDVRPGuidance, SwarmConfig
-from crazychoir.config.reader import read
+from crazychoir.config.reader import read_table
 from crazychoir.guidance.delivery.pickup_checks import require_ready
 from crazychoir.guidance.delivery.pickup_options import PickupOptions
-from crazychoir.routing.instance.checker import check as violations
+from crazychoir.routing.instance.checker import check_plan as violations
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.picture import draw_routes
-from crazychoir.routing.instance.plan import Plan, Route
+from crazychoir.routing.instance.plan import Route, RoutePlan
 
 Results = dict[int, dict[str, Any]]
 """The results of all drones, by id."""
@@ -42,7 +42,7 @@ def guidance(i: int, config: SwarmConfig) -> PDVRPGuidance:
 
 def given(config: SwarmConfig) -> PickupOptions:
     """Return [mission_options]. Raises ConfigError with the key that is wrong."""
-    return read(
+    return read_table(
         config.mission_options, PickupOptions, f"swarm {config.name}", "mission_options"
     )
 
@@ -139,7 +139,7 @@ def picture(config: SwarmConfig, results: Results, path: str) -> None:
         draw_routes(problem, plan, path)
 
 
-def _plan(problem: Instance, results: Results) -> Plan | None:
+def _plan(problem: Instance, results: Results) -> RoutePlan | None:
     routes = [Route.from_json(r["route"]) for r in results.values() if r.get("route")]
     digests = {r.get("plan_digest") for r in results.values()}
     plan = problem.plan(route for route in routes if route.stops)

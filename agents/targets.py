@@ -14,7 +14,7 @@ from msgspec import Meta
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.config.drone_room import room_of
 from crazychoir.config.flight_room import room_text
-from crazychoir.config.tables import Table
+from crazychoir.config.tables import SwarmTable
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission_options import Place, given, require_none
 from crazychoir.guidance.timed import TargetList
@@ -43,7 +43,7 @@ Targets = Annotated[
 ]
 
 
-class Options(Table, frozen=True, kw_only=True):
+class Options(SwarmTable, frozen=True, kw_only=True):
     """[mission_options]."""
 
     targets: Targets = TARGETS

@@ -13,8 +13,8 @@ from scipy.optimize import linear_sum_assignment
 
 from crazychoir import SwarmConfig
 from crazychoir.config.drone_room import shared_room
-from crazychoir.config.reader import read
-from crazychoir.config.tables import Probability, Table
+from crazychoir.config.reader import read_table
+from crazychoir.config.tables import Probability, SwarmTable
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.tasks.task_assignment import TaskAssignmentGuidance, Work
 from crazychoir.guidance.tasks.task_book import Task
@@ -43,7 +43,7 @@ Times = Annotated[
 ]
 
 
-class Options(Table, frozen=True, kw_only=True):
+class Options(SwarmTable, frozen=True, kw_only=True):
     """[mission_options]."""
 
     generations: Times = 8
@@ -87,7 +87,7 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 def given(config: SwarmConfig) -> Options:
     """Return [mission_options]. Raises ConfigError with the key that is wrong."""
-    return read(
+    return read_table(
         config.mission_options, Options, f"swarm {config.name}", "mission_options"
     )
 

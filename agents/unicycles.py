@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir import CFDistributedFeedback, SwarmConfig, Velocity
-from crazychoir.config.checks import UNICYCLE
+from crazychoir.config.checks import WORLD_URIS
 from crazychoir.guidance.mission_options import NoOptions, given, require_none
 from crazychoir.recording.analysis.tracks import draw_ways
 from crazychoir.types import Heard, State, Vec
@@ -95,7 +95,7 @@ def swarm(drones: int | None = None) -> SwarmConfig:
         else (2.5 * np.column_stack([np.cos(angles), np.sin(angles)])).round(3).tolist()
     )
     robots = [
-        {"id": i, "home": [*p, 0.0], "yaw": float(i), "uri": UNICYCLE}
+        {"id": i, "home": [*p, 0.0], "yaw": float(i), "uri": WORLD_URIS.unicycle}
         for i, p in enumerate(starts)
     ]
     flight = {"speed_limit": 0.5}

@@ -62,8 +62,8 @@ app.command()(router.router)
 app.command()(push.push)
 for command in (look.topics, look.echo, look.hz, look.status, look.impair, orders.stop):
     app.command()(command)
-for verb in orders.TEXTS:
-    app.command(name=verb)(orders.order(verb, orders.LONGEST[verb]))
+for verb in orders.ORDER_HELP:
+    app.command(name=verb)(orders.make_order_command(verb, orders.ORDER_TIMEOUTS[verb]))
 
 app.command(name="go-to")(steer.go_to)
 app.command()(steer.fly)
@@ -75,7 +75,7 @@ app.add_typer(virtual.app, name="virtual")
 app.add_typer(rigid_bodies.app, name="mocap")
 
 
-def _told(wanted: bool) -> None:
+def _print_version(wanted: bool) -> None:
     if wanted:
         STDOUT.print(f"crazychoir {version('crazychoir')}", highlight=False)
         raise typer.Exit
@@ -86,7 +86,7 @@ def crazychoir(
     tell: Annotated[
         bool,
         typer.Option(
-            "--version", is_eager=True, callback=_told, help="Tell it and end."
+            "--version", is_eager=True, callback=_print_version, help="Tell it and end."
         ),
     ] = False,
 ) -> None:
@@ -163,9 +163,9 @@ def run(
     with KERNEL_QUEUE.checks_first():
         from crazychoir.cli.shared.chosen_swarm import (  # takes 1 s, which --help does not need
             check_options,
-            named_file,
-            to_run,
-            to_start,
+            drones_to_start,
+            resolve_swarm_file,
+            swarm_and_mission_to_run,
             with_operator,
         )
         from crazychoir.guidance.mission import look_before
@@ -187,11 +187,13 @@ def run(
         check_options(what, swarm, only, given)
         with prints_aside(), refuse_exit("the mission"):
             with KERNEL_QUEUE.checks_first():
-                config, mission = to_run(what, drones, swarm, loss, seed)
+                config, mission = swarm_and_mission_to_run(
+                    what, drones, swarm, loss, seed
+                )
                 config = with_operator(config, wait, fast)
                 require_drawable(picture)
-                started = to_start(only, config)
-                source = named_file(what, swarm)
+                started = drones_to_start(only, config)
+                source = resolve_swarm_file(what, swarm)
                 require_extras(config, [] if fast else owners(config, started), fast)
                 if not fast:
                     require_free(config, dongles(config, started))
@@ -237,7 +239,7 @@ def run(
             result["startup_s"] += compiled_s
             result["picture"] = None
             with outputs.writing("--picture"):
-                result["picture"] = _drawn(mission, config, result, picture)
+                result["picture"] = _draw_mission(mission, config, result, picture)
                 if picture is not None and result["picture"] is None:
                     do = "The mission's own picture() draws it: see what it said above."
                     raise ConfigError(
@@ -257,7 +259,7 @@ def run(
     raise typer.Exit(0 if result["success"] and not outputs.failed else 1)
 
 
-def _drawn(
+def _draw_mission(
     mission: "Mission", config: "SwarmConfig", result: dict[str, Any], path: Path | None
 ) -> str | None:
     """Draw the picture of the mission; a mission without a picture gets the flown paths.

@@ -12,15 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.bus.topics import STATE
-from crazychoir.control.gains import FORMATION, Gains
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.control.gains import FORMATION_GAINS, Gains
 from crazychoir.errors import ConfigError
 from crazychoir.flight.references import convert_reference, explain_refusal
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.member import Interrupted, Member, raisable, standing
 from crazychoir.guidance.neighbour_state import Hearing, Paired, VelocitySum
 from crazychoir.guidance.user_hook import Hook, place_of
-from crazychoir.runtime.clock import SECOND, wake
+from crazychoir.runtime.clock import NS_PER_SECOND, wake_waiter
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import (
@@ -65,7 +65,7 @@ class CFDistributedFeedback(CFGuidance):
     """Hz, at most the rate of the poses."""
     duration = 20.0
     """s: duration of the law, from the moment when all drones hover."""
-    gains: Gains = FORMATION
+    gains: Gains = FORMATION_GAINS
     """Gains of the control that flies the Accelerations of the law."""
     rest = 0.0
     """s: how long the drone hovers before the law.
@@ -98,7 +98,11 @@ class CFDistributedFeedback(CFGuidance):
         for j in self.graph.in_neighbors(self.id):
             hearing = self._hearings[j] = self._hearing(f"drone {self.id} state of {j}")
             bus.subscribe(
-                STATE, j, self.id, hearing, self.rate if self.rate < STATE.rate else 0.0
+                DRONE_TOPICS.state,
+                j,
+                self.id,
+                hearing,
+                self.rate if self.rate < DRONE_TOPICS.state.rate else 0.0,
             )
         self._own = self._sum()
         self._measured = 0.0
@@ -110,7 +114,7 @@ class CFDistributedFeedback(CFGuidance):
         self._me = self.state
         self._stages = bus.stages
         bus.subscribe(
-            STATE,
+            DRONE_TOPICS.state,
             self.id,
             self.id,
             Call(member.clock, self._moved, f"drone {self.id} state"),
@@ -236,7 +240,7 @@ class CFDistributedFeedback(CFGuidance):
         Raises all errors of `step`, and Interrupted when the pilot stops obeying.
         """
         clock = self.member.clock
-        self._period_ns = round(SECOND / self.rate)
+        self._period_ns = round(NS_PER_SECOND / self.rate)
         self._due_ns = clock.now_ns()
         self._own.forget()
         for hearing in self._hearings.values():
@@ -244,7 +248,10 @@ class CFDistributedFeedback(CFGuidance):
         self._law = asyncio.get_running_loop().create_future()
         seconds = min(float(self.duration), FOR_EVER)
         end = clock.call_at(
-            self._due_ns + round(seconds * SECOND), wake, self._law, drone=self.id
+            self._due_ns + round(seconds * NS_PER_SECOND),
+            wake_waiter,
+            self._law,
+            drone=self.id,
         )
         try:
             await self._law

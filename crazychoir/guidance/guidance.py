@@ -17,10 +17,10 @@ from typing import (
 
 import numpy as np
 
-from crazychoir.control.position import HEADROOM
+from crazychoir.control.position import FLATNESS_LIMITS
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.flight.goals import require_path, require_trajectory
-from crazychoir.flight.pilot import OBEYS_NOTHING, Pilot
+from crazychoir.flight.pilot import REPLAY_TEXT, Pilot
 from crazychoir.guidance.awaited_call import (
     as_coroutine_function,
     awaited,
@@ -39,11 +39,11 @@ from crazychoir.guidance.sensors import Readings
 from crazychoir.guidance.turns import CLOSE, TURN, aside, blocked, first_at
 from crazychoir.guidance.user_hook import shown
 from crazychoir.optimization.rounds.checks import require_graph
-from crazychoir.planning.feasibility import Limits, check_references, references
-from crazychoir.planning.scaling import GETS_UP, Resumed
+from crazychoir.planning.feasibility import Limits, check_references, sample_references
+from crazychoir.planning.scaling import PICK_UP_TIME, ResumedTrajectory
 from crazychoir.planning.trajectory import Trajectory
-from crazychoir.safety.rules.modes import HELD, Mode
-from crazychoir.team.algorithm_run import Pace, run_algorithm
+from crazychoir.safety.rules.modes import HELD_TEXT, Mode
+from crazychoir.team.algorithm_run import WakingTimes, run_algorithm
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph
 from crazychoir.team.round import Round
@@ -238,7 +238,7 @@ class CFGuidance:
         algorithm: Round,
         channel: str = "optimize",
         deadline: float | None = None,
-        pace: Pace | None = None,
+        pace: WakingTimes | None = None,
     ) -> None:
         """Run a distributed algorithm to its end, together with the neighbours; end the channel.
 
@@ -458,9 +458,9 @@ class CFGuidance:
             if hindered > 2 and first_at(pilot, p) < self.id:
                 await self._wait_aside(p)
         place = np.round(p, 2).tolist()
-        why = HELD if pilot.held else pilot.note or "no reason"
+        why = HELD_TEXT if pilot.held else pilot.note or "no reason"
         if pilot.is_replayed:
-            why = OBEYS_NOTHING
+            why = REPLAY_TEXT
         raise Interrupted(
             f"drone {self.id}: does not reach {place}, still {pilot.gap(p):.2f} m from it: {why}"
         )
@@ -507,13 +507,16 @@ class CFGuidance:
             if 0.0 < t < left.duration:
                 flight = self.member.config.flight
                 attempts += 1
-                left = Resumed(
+                left = ResumedTrajectory(
                     left,
                     t,
-                    max(GETS_UP, 4.0 * flight.speed_limit / flight.acceleration_limit),
+                    max(
+                        PICK_UP_TIME,
+                        4.0 * flight.speed_limit / flight.acceleration_limit,
+                    ),
                 )
             await self.sleep(SETTLE)
-        why = HELD if pilot.held else standing(pilot)
+        why = HELD_TEXT if pilot.held else standing(pilot)
         raise Interrupted(
             f"drone {self.id}: its trajectory of {trajectory.duration:.1f} s was not flown: {why}"
         )
@@ -604,12 +607,12 @@ def require_feasible(trajectory: Trajectory, pilot: Pilot) -> None:
     """
     flight = pilot.limits
     platform = pilot.controls.platform
-    t, path = references(trajectory)
+    t, path = sample_references(trajectory)
     limits = Limits(
         v_max=flight.speed_limit,
         a_max=flight.acceleration_limit,
         mass=platform.mass,
-        thrust_max=HEADROOM * platform.max_thrust,
+        thrust_max=FLATNESS_LIMITS.acceleration_share * platform.max_thrust,
         rate_max=platform.max_rate,
     )
     require_path("trajectory", t, path, pilot.guard, pilot.controls.planar)

@@ -10,7 +10,7 @@ from crazychoir.flight.pilot import Pilot
 from crazychoir.guidance.sensors import Sensors
 from crazychoir.guidance.turns import blocked
 from crazychoir.runtime.clock import Clock
-from crazychoir.runtime.user_code_guard import Guards
+from crazychoir.runtime.user_code_guard import GuardFactory
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.team.communicator import Communicator
 
@@ -37,7 +37,7 @@ class Member:
     """The link to the neighbours."""
     pilot: Pilot
     """The pilot that flies the drone."""
-    watchdog: Guards | None = None
+    watchdog: GuardFactory | None = None
     """Guard against user code that does not return. None: no guard."""
     report: Callable[[], dict[str, Any]] = dict
     """Returns the state of the mission for the status: task, round, cost."""

@@ -15,8 +15,8 @@ from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError, Hung, error_text, refuse_exit
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.mission_hooks import MissionFile
-from crazychoir.radio.budget import rates
-from crazychoir.runtime.user_code_guard import HOOK, limited
+from crazychoir.radio.budget import compute_setpoint_rates
+from crazychoir.runtime.user_code_guard import USER_CODE_TIMES, limit_duration
 from crazychoir.types import Point
 
 PACKAGE = "crazychoir.agents"
@@ -107,7 +107,7 @@ def look_before(
     Raises all errors of the mission's check. Raises ConfigError for goals that are in conflict, and
     for radio dongles that cannot carry the traffic of their drones.
     """
-    rates(config)
+    compute_setpoint_rates(config)
     warnings = mission.check(config, force) if has(mission, "check") else []
     if has(mission, "goal"):
         goals = {
@@ -158,7 +158,10 @@ def from_file(path: Path, kind: str) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     _see_neighbors(path)
     try:
-        with limited(HOOK, f"the import of {path}"), refuse_exit(f"the {kind} file"):
+        with (
+            limit_duration(USER_CODE_TIMES.hook_limit, f"the import of {path}"),
+            refuse_exit(f"the {kind} file"),
+        ):
             spec.loader.exec_module(module)
     except Exception as error:
         if isinstance(error.__cause__, SystemExit):
@@ -171,7 +174,9 @@ def from_file(path: Path, kind: str) -> ModuleType:
         where = f"{kind} {path}{f':{lines[-1]}' if lines else ''}"
         hangs = isinstance(error, Hung)
         found = (
-            f"no end within {HOOK:g} s of its import" if hangs else error_text(error)
+            f"no end within {USER_CODE_TIMES.hook_limit:g} s of its import"
+            if hangs
+            else error_text(error)
         )
         raise ConfigError(
             where, found, "a file that Python can import", "Mend it."

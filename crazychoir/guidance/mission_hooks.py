@@ -27,7 +27,7 @@ from crazychoir.guidance.user_hook import (
     require_signature,
     shown,
 )
-from crazychoir.team.graph import span
+from crazychoir.team.graph import describe_ids
 
 log = logging.getLogger(__name__)
 
@@ -159,7 +159,9 @@ def _check(hook: Hook, config: SwarmConfig, force: bool = False) -> list[str]:
 def _goal(hook: Hook, config: SwarmConfig) -> dict[int, Any]:
     found = hook(config)
     if not isinstance(found, Mapping) or any(i not in config.ids for i in found):
-        raise hook.wrong(f"{shown(found)}, with drones {span(config.ids)} in the swarm")
+        raise hook.wrong(
+            f"{shown(found)}, with drones {describe_ids(config.ids)} in the swarm"
+        )
     for i, place in found.items():
         if np.shape(place) != (3,) or not np.all(np.isfinite(place)):
             raise hook.wrong(f"{shown(place)} for drone {i}")

@@ -7,11 +7,11 @@ import math
 
 import numpy as np
 
-from crazychoir.bus.topics import STATE
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.numerics.kernels import kernel, memory, real, vector
-from crazychoir.runtime.clock import SECOND, Clock
+from crazychoir.runtime.clock import NS_PER_SECOND, Clock
 from crazychoir.runtime.mailbox import Latest
-from crazychoir.types import STILL, State, Vec
+from crazychoir.types import ZERO_ACCELERATION, State, Vec
 
 SPREAD = 10.0  # steps in which a missing amount of velocity is made up
 NOTHING = 1e-7  # m: smaller amounts are not made up
@@ -146,10 +146,10 @@ class Hearing(Latest[State]):
     """
 
     def __init__(self, clock: Clock, name: str, sums: VelocitySum) -> None:
-        super().__init__(clock, name, STATE.max_age)
+        super().__init__(clock, name, DRONE_TOPICS.state.max_age)
         self.sums = sums
-        self._h_ns = round(sums.h * SECOND)
-        self._max_ns = round(STATE.max_age * SECOND)
+        self._h_ns = round(sums.h * NS_PER_SECOND)
+        self._max_ns = round(DRONE_TOPICS.state.max_age * NS_PER_SECOND)
         self._half_ns = self._h_ns // 2
         self._told_version = self._told_ns = 0
 
@@ -172,7 +172,7 @@ class Hearing(Latest[State]):
             self.stale += state is not None
             sums.forget()
             return None
-        age = (now_ns - born_ns) / SECOND
+        age = (now_ns - born_ns) / NS_PER_SECOND
         version = self.version
         steps = (born_ns - self._told_ns + self._half_ns) // self._h_ns
         self._told_ns = born_ns
@@ -206,12 +206,12 @@ class Paired(Latest[State]):
     """
 
     def __init__(self, clock: Clock, name: str, h: float) -> None:
-        super().__init__(clock, name, STATE.max_age)
-        self._h_ns = round(h * SECOND)
-        self._max_ns = round(STATE.max_age * SECOND)
+        super().__init__(clock, name, DRONE_TOPICS.state.max_age)
+        self._h_ns = round(h * NS_PER_SECOND)
+        self._max_ns = round(DRONE_TOPICS.state.max_age * NS_PER_SECOND)
         self._told_version = self._told_ns = 0
         self._last: State | None = None
-        self._flat = STILL
+        self._flat = ZERO_ACCELERATION
 
     def forget(self) -> None:
         """Start anew: the steps of the law begin now."""
@@ -239,7 +239,7 @@ class Paired(Latest[State]):
             self._told_version = self.version
             self._told_ns = born_ns
             self._last = state
-        return State(self._flat, (now_ns - born_ns) / SECOND, state.a)
+        return State(self._flat, (now_ns - born_ns) / NS_PER_SECOND, state.a)
 
 
 def between(flat: Vec, before: Vec, share: float) -> Vec:

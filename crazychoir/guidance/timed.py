@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.config.tables import Flight
+from crazychoir.config.tables import FlightTable
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import CFGuidance
-from crazychoir.planning.point_to_point import duration_for
+from crazychoir.planning.point_to_point import compute_flight_time
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.types import FullState, Goto, Heard, Point, State, Vec
 
@@ -130,7 +130,9 @@ class TargetList(CFDistributedFeedback):
 
     rate = 20.0
 
-    def __init__(self, targets: Sequence[Point], home: Point, flight: Flight) -> None:
+    def __init__(
+        self, targets: Sequence[Point], home: Point, flight: FlightTable
+    ) -> None:
         self.targets = [np.asarray(p, float) for p in targets]
         start = np.array([home[0], home[1], flight.ground + flight.takeoff_height])
         self.duration = SLACK * planned_s([start, *self.targets], flight)
@@ -153,7 +155,7 @@ class TargetList(CFDistributedFeedback):
         }
 
 
-def planned_s(places: Sequence[Vec], flight: Flight) -> float:
+def planned_s(places: Sequence[Vec], flight: FlightTable) -> float:
     """Return the s that a drone needs from each place to the next, as fast as the limits allow.
 
     The drone is at rest at each place.
@@ -162,5 +164,6 @@ def planned_s(places: Sequence[Vec], flight: Flight) -> float:
     a = flight.acceleration_limit
     pairs = pairwise(places)
     return sum(
-        duration_for(FullState.at(start), goal, 0.0, v, a) for start, goal in pairs
+        compute_flight_time(FullState.at(start), goal, 0.0, v, a)
+        for start, goal in pairs
     )

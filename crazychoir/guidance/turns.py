@@ -5,9 +5,9 @@ import math
 import numpy as np
 
 from crazychoir.flight.pilot import Pilot
-from crazychoir.safety.collision.filter import STANDING
-from crazychoir.safety.collision.neighbour_table import BORN, USABLE
-from crazychoir.safety.rules.guard import EDGE, Fence
+from crazychoir.safety.collision.filter import COLLISION_DISTANCES
+from crazychoir.safety.collision.neighbour_table import NEIGHBOUR_AGES, NEIGHBOUR_ROW
+from crazychoir.safety.rules.guard import EDGE_MARGIN, Fence
 from crazychoir.types import Vec
 
 NEAR = 0.5
@@ -61,7 +61,7 @@ def aside(at: Vec, p: Vec, fence: Fence) -> Vec:
     inside = [
         place
         for place in places
-        if np.array_equal(fence.nearest(place, inset=EDGE)[0:2], place[0:2])
+        if np.array_equal(fence.nearest(place, inset=EDGE_MARGIN)[0:2], place[0:2])
     ]
     return inside[0] if inside else places[0]
 
@@ -77,9 +77,13 @@ def _flying_near(pilot: Pilot, p: Vec, far: float) -> dict[int, Vec]:
         return {}
     now = pilot.clock.now()
     rows = traffic.rows
-    floor = pilot.limits.ground + STANDING
+    floor = pilot.limits.ground + COLLISION_DISTANCES.standing_height
     near = np.hypot(rows[:, 0] - p[0], rows[:, 1] - p[1]) < far
-    fly = near & (rows[:, 2] > floor) & (now - rows[:, BORN] < USABLE)
+    fly = (
+        near
+        & (rows[:, 2] > floor)
+        & (now - rows[:, NEIGHBOUR_ROW.state_time] < NEIGHBOUR_AGES.usable)
+    )
     return {traffic.ids[k]: rows[k, 0:3].copy() for k in np.flatnonzero(fly)}
 
 

@@ -18,7 +18,7 @@ from crazychoir.errors import (
     error_text,
     refuse_exit,
 )
-from crazychoir.runtime.user_code_guard import HOOK, limited
+from crazychoir.runtime.user_code_guard import USER_CODE_TIMES, limit_duration
 
 README = 'See "Write your own mission" in README.md.'
 """Advice for the user: the chapter about missions."""
@@ -69,12 +69,16 @@ class Hook:
         """
         try:
             with (
-                limited(HOOK, f"{self.kind} {self.file}: {self.call}"),
+                limit_duration(
+                    USER_CODE_TIMES.hook_limit, f"{self.kind} {self.file}: {self.call}"
+                ),
                 refuse_exit(f"{self.kind} {self.call}"),
             ):
                 return self.function(*values)
         except Hung as error:
-            raise self.wrong(f"no end within {HOOK:g} s", self._line(error)) from error
+            raise self.wrong(
+                f"no end within {USER_CODE_TIMES.hook_limit:g} s", self._line(error)
+            ) from error
         except CrazyChoirError:
             raise
         except Exception as error:

@@ -17,7 +17,7 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from crazychoir.bus.json_view import plain
+from crazychoir.bus.json_view import to_plain_values
 from crazychoir.bus.network import handshakes
 from crazychoir.errors import ConfigError, CrazyChoirError, Refused, error_text
 from crazychoir.files.output_files import require_writable_file
@@ -90,7 +90,7 @@ class TracesOnce(logging.Formatter):
 
 def set_up_logging(level: int = logging.WARNING) -> None:
     """Send all logs to standard error, those of the network too."""
-    handshakes.overhear()
+    handshakes.read_output()
     if sys.stderr.isatty():
         from rich.logging import RichHandler
 
@@ -114,7 +114,7 @@ def prints_aside() -> Iterator[None]:
     """
     with (
         contextlib.redirect_stdout(sys.stderr),
-        contextlib.nullcontext() if handshakes.overhears() else _aside(),
+        contextlib.nullcontext() if handshakes.is_reading_output() else _aside(),
     ):
         yield
 
@@ -132,7 +132,7 @@ def _aside() -> Iterator[None]:
 
 def write_json(value: Any) -> None:
     """Write a value as one line of JSON to standard output, and flush."""
-    line = json.dumps(plain(value), default=str) + "\n"
+    line = json.dumps(to_plain_values(value), default=str) + "\n"
     try:
         sys.stdout.write(line)
         sys.stdout.flush()
@@ -343,10 +343,12 @@ def _silent(status: "Status", statuses: Mapping[int, "Status"]) -> str:
 
     Drones that have ended on the ground are left out: they need not send any more.
     """
-    from crazychoir.agent.drone import WAITING
+    from crazychoir.agent.drone import WAITING_TASK
 
     ended = [
-        j for j, s in statuses.items() if s.phase == "on ground" and s.task != WAITING
+        j
+        for j, s in statuses.items()
+        if s.phase == "on ground" and s.task != WAITING_TASK
     ]
     marks = [*((j, "?") for j in status.suspect), *((j, "!") for j in status.gone)]
     return ", ".join(f"{j}{mark}" for j, mark in marks if j not in ended)

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from crazychoir.agent.agent import Agent
-from crazychoir.agent.dead_man import Console, is_console
-from crazychoir.agent.drone import WAITING
-from crazychoir.agent.mission_runner import ENDED, NO_REASON
+from crazychoir.agent.dead_man import ConsoleReporter, is_console
+from crazychoir.agent.drone import WAITING_TASK
+from crazychoir.agent.mission_runner import ENDED_KEY, MISSION_REASONS
 from crazychoir.bus.commands import Commander
-from crazychoir.config.checks import TOUCHING
+from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import reason_or
 from crazychoir.guidance.feedback import idle
@@ -144,7 +144,7 @@ def fly_real(
             else None
         )
         console = (
-            [Console(Commander(link.bus.ports[address]), config.ids)]
+            [ConsoleReporter(Commander(link.bus.ports[address]), config.ids)]
             if is_console(config, link.bus.host)
             else []
         )
@@ -190,7 +190,7 @@ def summary(
     The mission's own report needs the results of all drones. It is left out if some are missing.
     """
     started = config.ids if started is None else started
-    ended = {i: r[ENDED] for i, r in sorted(results.items()) if ENDED in r}
+    ended = {i: r[ENDED_KEY] for i, r in sorted(results.items()) if ENDED_KEY in r}
     report = (
         mission.report(config, operator_ends_as_failures(results))
         if started == config.ids and has(mission, "report")
@@ -207,7 +207,9 @@ def summary(
     held = describe_hindrances(results)
     failed = failures(results, score.touching, started)
     absent = [i for i in started if i not in results]
-    told = {i: reason_or(text, NO_REASON) for i, text in (off | failed).items()}
+    told = {
+        i: reason_or(text, MISSION_REASONS.unsaid) for i, text in (off | failed).items()
+    }
     reasons = {i: "; ".join([text, *held.get(i, [])]) for i, text in told.items()}
     reasons |= dict.fromkeys(absent, NO_RESULT)
     if not (reached or reasons):
@@ -303,7 +305,7 @@ def _starts(
 def all_wait(config: SwarmConfig, score: Score) -> bool:
     """Return whether the start needs every drone, and no drone is known to have begun."""
     return config.start == "all" and all(
-        status.task == WAITING for status in score.statuses.values()
+        status.task == WAITING_TASK for status in score.statuses.values()
     )
 
 
@@ -327,7 +329,9 @@ def operator_ends_as_failures(results: Results) -> Results:
 
     A drone that its operator has ended counts as failed.
     """
-    return {i: {**r, "success": False} if ENDED in r else r for i, r in results.items()}
+    return {
+        i: {**r, "success": False} if ENDED_KEY in r else r for i, r in results.items()
+    }
 
 
 def excuse_operator_ends(
@@ -362,13 +366,16 @@ def failures(
     started: drones that were started here
     """
     reasons = {
-        i: [reason_or(r.get("reason"), NO_REASON)]
+        i: [reason_or(r.get("reason"), MISSION_REASONS.unsaid)]
         for i, r in sorted(results.items())
         if not r.get("success")
     }
     for (i, j), gap in touching.items():
         for one, other in ((i, j), (j, i)):
             if one in started:
-                text = f"came within {gap:.3f} m of drone {other}, and may have touched it: allowed {TOUCHING:g} m"
+                text = (
+                    f"came within {gap:.3f} m of drone {other}, and may have touched it: "
+                    f"allowed {SWARM_LIMITS.touching_distance:g} m"
+                )
                 reasons.setdefault(one, []).append(text)
     return {i: "; ".join(texts) for i, texts in sorted(reasons.items())}

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial.distance import pdist
 
-from crazychoir.agent.drone import WAITING
-from crazychoir.agent.operator_commands import STANDING
-from crazychoir.bus.port import OBSERVER, Bus
-from crazychoir.bus.topics import LOG, STATUS, TRUTH, Topic
-from crazychoir.config.checks import TOUCHING
+from crazychoir.agent.drone import WAITING_TASK
+from crazychoir.agent.operator_commands import GROUNDED_PHASES
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.bus.topics import DRONE_TOPICS, Topic
+from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.feedback import LAW
 from crazychoir.guidance.mission import Mission, has
@@ -66,7 +66,7 @@ class Score(Actor):
     """Called with this score at every tick."""
     name: str = "score"
     """Name of this actor."""
-    address: int = OBSERVER
+    address: int = PORT_ADDRESSES.first_observer
     """Address on the bus at which it listens."""
     source: Callable[[Topic, int], int] = lambda topic, i: i
     """Returns the address that publishes a topic of a drone."""
@@ -92,9 +92,9 @@ class Score(Actor):
         if self.address not in self.bus.ports:
             self.bus.port(self.address)
         for i in self.ids:
-            self._listen(TRUTH, i, partial(self._hear_truth, i))
-            self._listen(STATUS, i, partial(self._hear_status, i))
-            self._listen(LOG, i, self._hear_log)
+            self._listen(DRONE_TOPICS.truth, i, partial(self._hear_truth, i))
+            self._listen(DRONE_TOPICS.status, i, partial(self._hear_status, i))
+            self._listen(DRONE_TOPICS.log, i, self._hear_log)
 
     def _listen(
         self, topic: Topic, i: int, function: Callable[[Any, float], None]
@@ -105,7 +105,7 @@ class Score(Actor):
 
     async def run(self) -> None:
         """Compare the drones as often as the true states arrive."""
-        async for _ in self.bus.clock.ticks(TRUTH.rate):
+        async for _ in self.bus.clock.ticks(DRONE_TOPICS.truth.rate):
             self._look()
             self.watch(self)
 
@@ -160,9 +160,9 @@ class Score(Actor):
 
     def _hear_status(self, i: int, status: Status, age: float) -> None:
         self.statuses[i] = status
-        if status.phase not in STANDING:
+        if status.phase not in GROUNDED_PHASES:
             self._flew.add(i)
-        if self.go_at is None and status.task != WAITING:
+        if self.go_at is None and status.task != WAITING_TASK:
             self.go_at = self.bus.clock.now()
         flying = status.phase in ("hovering", "mission") and status.task == LAW
         if self.goal and flying and self._law_began is None:
@@ -204,9 +204,9 @@ class Score(Actor):
             gaps[[a and b for a, b in combinations(stand, 2)]] = math.inf
         least = float(gaps.min())
         self.min_separation = min(self.min_separation, least)
-        if least < TOUCHING:
+        if least < SWARM_LIMITS.touching_distance:
             for pair, gap in zip(combinations(ids, 2), gaps.tolist(), strict=True):
-                if gap < TOUCHING:
+                if gap < SWARM_LIMITS.touching_distance:
                     self.touching[pair] = min(gap, self.touching.get(pair, math.inf))
 
     def formation(self) -> dict[str, float | None]:

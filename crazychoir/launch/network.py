@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.bus.network.access import OBSERVERS
-from crazychoir.bus.network.hello import VERSION
+from crazychoir.bus.network.access import ACCESS_RULES
+from crazychoir.bus.network.hello import PACKAGE_VERSION
 from crazychoir.bus.network.zenoh_link import ZenohLink
-from crazychoir.bus.port import OBSERVER, Bus
-from crazychoir.config.checks import LOWEST_PORT
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import BASE_PORT
 from crazychoir.errors import ConfigError
@@ -51,9 +51,13 @@ def observer(clock: Clock, config: SwarmConfig) -> ZenohLink:
     draw = random.SystemRandom()
     host = own_name(config)
     bus = Bus(
-        clock, process=f"{OBSERVERS}-{host}.{draw.getrandbits(32):08x}", host=host
+        clock,
+        process=f"{ACCESS_RULES.observer_prefix}-{host}.{draw.getrandbits(32):08x}",
+        host=host,
     )
-    bus.port(OBSERVER + 1 + draw.getrandbits(24), draw.getrandbits(32))
+    bus.port(
+        PORT_ADDRESSES.first_observer + 1 + draw.getrandbits(24), draw.getrandbits(32)
+    )
     return observer_link(bus, config)
 
 
@@ -69,7 +73,7 @@ def observer_link(bus: Bus, config: SwarmConfig) -> ZenohLink:
         connect=list(config.endpoints().values()),
         routers=config.routers,
         incarnation=random.SystemRandom().getrandbits(62),
-        version=VERSION,
+        version=PACKAGE_VERSION,
         lease=config.lease,
         access=config.access(bus.host),
     )
@@ -223,7 +227,7 @@ def _bases(offsets: list[int]) -> Iterator[int]:
     listen below it, so every port may be chosen.
     """
     draw = random.SystemRandom()
-    lowest = LOWEST_PORT - min(0, *offsets)
+    lowest = SWARM_LIMITS.lowest_port - min(0, *offsets)
     end = _first_of_connections() - max(offsets)
     below = range(max(lowest, min(LOWEST, end // 2)), end)
     if below:

@@ -194,10 +194,12 @@ def graph_of(text: str, size: int, seed: int, directed: bool = False) -> "Graph"
 
     Raises ConfigError, which names the option.
     """
-    from crazychoir.team.graph import named  # numerics: --help does not need them
+    from crazychoir.team.graph import (
+        graph_from_name,  # numerics: --help does not need them
+    )
 
     try:
-        return named(text, size, seed, directed)
+        return graph_from_name(text, size, seed, directed)
     except ConfigError as error:
         raise ConfigError("--graph", error.found, error.allowed, error.do) from error
 

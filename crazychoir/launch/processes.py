@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.agent.mission_runner import LANDING_DEADLINE
+from crazychoir.agent.mission_runner import MISSION_TIMES
 from crazychoir.bus.codec import decode, encode
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import CodecError, ProcessFailed
 from crazychoir.files.path_texts import child_environment
-from crazychoir.files.user_folders import WARNING
-from crazychoir.numerics.kernel_cache import COMPILES, shared_by_children
-from crazychoir.planning.point_to_point import PEAK_SPEED, duration_for
+from crazychoir.files.user_folders import CACHE_WARNING
+from crazychoir.numerics.kernel_cache import COMPILING_MESSAGE, share_with_children
+from crazychoir.planning.point_to_point import PEAK_SPEED, compute_flight_time
 from crazychoir.runtime.worker_thread import add_signal_handler
 from crazychoir.types import FullState
 
@@ -105,7 +105,7 @@ async def run_children(
     files = {group: path.with_name(f"result-{group[0]}") for group in groups}
     children: Children = {}
     async with contextlib.AsyncExitStack() as stack:
-        stack.enter_context(shared_by_children(path.parent))
+        stack.enter_context(share_with_children(path.parent))
         for owner in owners:
             await stack.enter_async_context(_owner(owner, path, children, say))
         await _run_agents(children, path, files, config, options, say, all_wait)
@@ -239,12 +239,12 @@ def patience(config: SwarmConfig) -> float:
     height = config.fence.max[2] - flight.ground
     top = FullState.at((0.0, 0.0, height))
     floor = np.zeros(3)
-    fastest = duration_for(
+    fastest = compute_flight_time(
         top, floor, 0.0, flight.speed_limit, flight.acceleration_limit
     )
     return (
         max(PEAK_SPEED * height / flight.landing_speed, fastest)
-        + LANDING_DEADLINE
+        + MISSION_TIMES.landing_deadline
         + GRACE
     )
 
@@ -304,9 +304,13 @@ def _once(say: Say) -> Say:
     told: list[str] = []
 
     def passed(line: str) -> None:
-        cache = line.removeprefix(WARNING).partition(":")[0]
+        cache = line.removeprefix(CACHE_WARNING).partition(":")[0]
         reason = (
-            line if line == COMPILES else cache if line.startswith(WARNING) else None
+            line
+            if line == COMPILING_MESSAGE
+            else cache
+            if line.startswith(CACHE_WARNING)
+            else None
         )
         if reason is None or reason not in told:
             say(line)

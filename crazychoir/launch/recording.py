@@ -16,11 +16,11 @@ import numba
 import numpy as np
 import scipy
 
-from crazychoir.bus.network.hello import VERSION
+from crazychoir.bus.network.hello import PACKAGE_VERSION
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import is_library
 from crazychoir.guidance.mission import PACKAGE, Mission
-from crazychoir.recording.analysis.figures import UNSEEN
+from crazychoir.recording.analysis.figures import UNSEEN_DRONES_KEY
 from crazychoir.recording.mcap.file import RecordingFile
 
 FILES = "files"
@@ -133,7 +133,7 @@ def about(config: SwarmConfig, virtual: bool) -> dict[str, str]:
         "mission": config.mission or "",
         "seed": str(config.seed),
         "drones": ",".join(map(str, config.ids)),
-        UNSEEN: ",".join(map(str, config.unseen)),
+        UNSEEN_DRONES_KEY: ",".join(map(str, config.unseen)),
         "time": "virtual" if virtual else "wall",
         **versions(),
     }
@@ -145,7 +145,7 @@ def versions() -> dict[str, str]:
     They are those of this package, Python, the numeric libraries and the processor.
     """
     return {
-        "version": VERSION,
+        "version": PACKAGE_VERSION,
         "python": platform.python_version(),
         "numpy": np.__version__,
         "scipy": scipy.__version__,

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.bus.json_view import plain
+from crazychoir.bus.json_view import to_plain_values
 from crazychoir.errors import ConfigError
 from crazychoir.files.output_files import output_file, require_writable_file
 
@@ -136,7 +136,7 @@ class History:
             "disagreement": {name: self.disagreement(name) for name in names},
             "agents": last,
         }
-        counted: dict[str, Any] = plain(
+        counted: dict[str, Any] = to_plain_values(
             {name: getattr(self, name) for name in figures} | ends
         )
         return counted
@@ -165,7 +165,9 @@ class History:
             with path.open("w", encoding="utf-8", newline="") as file:
                 csv.writer(file, lineterminator="\n").writerows(self._rows())
         elif kind == ".json":
-            told = plain(self.to_json() | {"values": self.values, "times": self.times})
+            told = to_plain_values(
+                self.to_json() | {"values": self.values, "times": self.times}
+            )
             path.write_text(json.dumps(told), encoding="utf-8")
         else:
             series = {
@@ -255,7 +257,7 @@ def parts_of(result: Any) -> dict[str, Any]:
 
 def _told(value: Any) -> Any:
     """Return the value as it looks after a round trip through JSON; unknown types become text."""
-    return json.loads(json.dumps(plain(value), default=str))
+    return json.loads(json.dumps(to_plain_values(value), default=str))
 
 
 def _array(value: Any) -> Any:

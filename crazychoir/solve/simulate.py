@@ -12,13 +12,13 @@ from typing import Any, Final, TypeVar
 import numpy as np
 
 from crazychoir.bus.impairment.model import Impairment
-from crazychoir.bus.impairment.rules import Rule
+from crazychoir.bus.impairment.rules import ImpairmentRule
 from crazychoir.bus.port import Bus
 from crazychoir.errors import AgentFailed, ConfigError, CrazyChoirError, RoundTimeout
 from crazychoir.optimization.history import History
 from crazychoir.optimization.rounds.checks import nan_in, require_team
 from crazychoir.runtime.clock import Clock, run_virtual
-from crazychoir.team.algorithm_run import Interval, Pace, run_algorithm
+from crazychoir.team.algorithm_run import Interval, WakingTimes, run_algorithm
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph, GraphSequence
 from crazychoir.team.round import Round
@@ -91,8 +91,8 @@ def simulate(
         i: _Followed(i, agents[i], names, rounds, lambda: watch(agents))
         for i in graph.ids
     }
-    rule = Rule({"delay": DELAY, "loss": loss, **(network or {})})
-    pace = Pace(sleep, compute, seed)
+    rule = ImpairmentRule({"delay": DELAY, "loss": loss, **(network or {})})
+    pace = WakingTimes(sleep, compute, seed)
     errors: dict[int, CrazyChoirError] = {}
     buses: list[Bus] = []
 

@@ -17,18 +17,21 @@ from typing import Any
 
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.impairment.model import Impairment
-from crazychoir.bus.impairment.rules import Rule
-from crazychoir.bus.json_view import plain
+from crazychoir.bus.impairment.rules import ImpairmentRule
+from crazychoir.bus.json_view import to_plain_values
 from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.port import Bus
 from crazychoir.errors import CrazyChoirError, RoundTimeout
 from crazychoir.launch.joining import joined
 from crazychoir.numerics import kernel_cache as cache
-from crazychoir.routing.distributed.member import Settings
+from crazychoir.routing.distributed.member import RoutingSettings
 from crazychoir.routing.distributed.pickup_delivery import PickupDelivery
-from crazychoir.routing.distributed.plain_loop import member, warm
+from crazychoir.routing.distributed.plain_loop import (
+    compile_routing_kernels,
+    make_member,
+)
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.runtime.clock import SECOND, Clock, run_wall
+from crazychoir.runtime.clock import NS_PER_SECOND, Clock, run_wall
 from crazychoir.team.algorithm_run import run_algorithm
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph
@@ -148,20 +151,20 @@ class Process:
         )
         bus = Bus(
             clock,
-            Impairment(spec["seed"], [Rule(spec["effects"])]),
+            Impairment(spec["seed"], [ImpairmentRule(spec["effects"])]),
             spec["process"],
             "solve",
         )
-        await clock.compute(warm, instance.local(0), spec["method"])
+        await clock.compute(compile_routing_kernels, instance.local(0), spec["method"])
         neighbors = {j: links.neighbors(j) for j in links.ids}
         for i in spec["mine"]:
-            agent = member(
+            agent = make_member(
                 instance,
                 neighbors,
                 i,
                 links.diameter(),
                 spec["method"],
-                Settings(**spec["settings"]),
+                RoutingSettings(**spec["settings"]),
             )
             communicator = Communicator(bus.port(i), links, deadline=spec["deadline"])
             self.robots[i] = Robot(communicator, agent, self._look)
@@ -193,7 +196,7 @@ class Process:
         await self._order("replay")
         began = clock.now_ns()
         ended = await self._all(self._replay)
-        say({"replayed_s": (max(ended) - began) / SECOND})
+        say({"replayed_s": (max(ended) - began) / NS_PER_SECOND})
         await self._order("end")
 
     async def _all(self, work: Any) -> list[int]:
@@ -230,7 +233,8 @@ class Process:
         """Note a better plan, and report the progress now and then, in a step's thread."""
         with self._lock:
             self._note(
-                agent.progress.cost, (self._clock.now_ns() - self._go_ns) / SECOND
+                agent.progress.cost,
+                (self._clock.now_ns() - self._go_ns) / NS_PER_SECOND,
             )
 
     def _note(self, cost: float | None, now: float) -> None:
@@ -250,7 +254,7 @@ class Process:
     def _report(self, cpu: float, ended: list[int]) -> dict[str, Any]:
         robots = self.robots.values()
         return {
-            "wall_s": (max(ended) - self._go_ns) / SECOND,
+            "wall_s": (max(ended) - self._go_ns) / NS_PER_SECOND,
             "cpu_s": cpu,
             "steps": [
                 max(times)
@@ -291,7 +295,7 @@ def unpacked(payload: Packed) -> Any:
 
 def say(answer: dict[str, Any]) -> None:
     """Write one line to `crazychoir.solve.team`."""
-    sys.stdout.write(json.dumps(plain(answer)) + "\n")
+    sys.stdout.write(json.dumps(to_plain_values(answer)) + "\n")
     sys.stdout.flush()
 
 
@@ -301,8 +305,8 @@ def main() -> None:
     An error is written as an answer, and ends the process.
     """
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    cache.say = lambda text: say(
-        {"compiles": True} if text == cache.COMPILES else {"warning": text}
+    cache.print_line = lambda text: say(
+        {"compiles": True} if text == cache.COMPILING_MESSAGE else {"warning": text}
     )
     process = Process(json.loads(sys.argv[1]))
     try:

@@ -13,21 +13,25 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.bus.impairment.rules import Rule
-from crazychoir.config.network import changes
-from crazychoir.config.swarm_config import LOCAL
+from crazychoir.bus.impairment.rules import ImpairmentRule
+from crazychoir.config.network import impairment_changes
+from crazychoir.config.swarm_config import LOCAL_ADDRESS
 from crazychoir.errors import ConfigError, ProcessFailed
 from crazychoir.files.private_folder import scratch_folder
 from crazychoir.launch.network import reserved_ports
-from crazychoir.numerics.kernel_cache import say_once, shared_by_children, tell
-from crazychoir.routing.distributed.member import Settings
-from crazychoir.routing.distributed.pickup_delivery import METHODS
-from crazychoir.routing.distributed.plain_loop import joined
+from crazychoir.numerics.kernel_cache import (
+    announce_compiling,
+    print_first_warning,
+    share_with_children,
+)
+from crazychoir.routing.distributed.member import RoutingSettings
+from crazychoir.routing.distributed.pickup_delivery import PLANNING_METHODS
+from crazychoir.routing.distributed.plain_loop import join_solutions
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.plan import Solution
-from crazychoir.routing.instance.schedule import outcome
+from crazychoir.routing.instance.schedule import summarise_plan
 from crazychoir.solve.group import Ended, Group
-from crazychoir.team.graph import Graph, named, span
+from crazychoir.team.graph import Graph, describe_ids, graph_from_name
 
 START_DEADLINE = 300.0
 """s until all processes have found each other and loaded their kernels.
@@ -47,12 +51,12 @@ def solve_in_processes(
     instance: Instance,
     processes: int,
     *,
-    method: str = METHODS[0],
+    method: str = PLANNING_METHODS[0],
     loss: float = 0.0,
     burst: float | None = None,
     graph: str = "ring",
     seed: int = 0,
-    settings: Settings | None = None,
+    settings: RoutingSettings | None = None,
     deadline: float = DEADLINE,
     watch: Callable[[Progress], None] | None = None,
 ) -> dict[str, Any]:
@@ -86,17 +90,21 @@ def solve_in_processes(
     too long.
     """
     began = time.perf_counter()
-    links = named(graph, instance.robots, seed)
+    links = graph_from_name(graph, instance.robots, seed)
     if not 1 <= processes <= instance.robots:
         raise ConfigError(
             "processes",
             processes,
             f"1 to {instance.robots}, the robots of {instance.name}",
         )
-    if method not in METHODS:
-        raise ConfigError("method", method, ", ".join(METHODS), "Choose one of them.")
-    losses = changes({"loss": loss, "burst": burst})
-    rule = Rule({name: value for name, value in losses.items() if value is not None})
+    if method not in PLANNING_METHODS:
+        raise ConfigError(
+            "method", method, ", ".join(PLANNING_METHODS), "Choose one of them."
+        )
+    losses = impairment_changes({"loss": loss, "burst": burst})
+    rule = ImpairmentRule(
+        {name: value for name, value in losses.items() if value is not None}
+    )
     parts = [
         part.tolist() for part in np.array_split(np.arange(instance.robots), processes)
     ]
@@ -109,15 +117,15 @@ def solve_in_processes(
             "seed": seed,
             "deadline": deadline,
             "effects": rule.effects,
-            "settings": asdict(settings or Settings()),
+            "settings": asdict(settings or RoutingSettings()),
         }
         common |= {
             "neighbors": {i: links.neighbors(i) for i in links.ids},
             "watched": watch is not None,
         }
         with (
-            reserved_ports(dict.fromkeys(range(len(parts)), LOCAL)) as base,
-            shared_by_children(folder),
+            reserved_ports(dict.fromkeys(range(len(parts)), LOCAL_ADDRESS)) as base,
+            share_with_children(folder),
             Group(_commands(parts, common | {"base": base})) as group,
         ):
             run = _Run(group, parts, watch or (lambda progress: None))
@@ -172,7 +180,7 @@ class _Run:
                 )
             except Ended as error:
                 raise ProcessFailed(
-                    f"robots {span(self._parts[error.number])}", str(error)
+                    f"robots {describe_ids(self._parts[error.number])}", str(error)
                 ) from None
             except TimeoutError as error:
                 raise ProcessFailed("the team's processes", str(error)) from None
@@ -180,12 +188,12 @@ class _Run:
     def _look(self, heard: Answer) -> Answer:
         number, answer = heard
         if "compiles" in answer:
-            say_once()
+            announce_compiling()
         if "warning" in answer:
-            tell(answer["warning"])
+            print_first_warning(answer["warning"])
         if "error" in answer:
             raise ProcessFailed(
-                f"robots {span(self._parts[number])}",
+                f"robots {describe_ids(self._parts[number])}",
                 f"{answer['kind']}: {answer['error']}",
             )
         if "progress" in answer:
@@ -203,7 +211,7 @@ def _commands(parts: list[list[int]], common: dict[str, Any]) -> list[list[str]]
     """
     swarm = f"solve-{secrets.token_hex(4)}"
     endpoints = (
-        [f"tcp/{LOCAL}:{common['base'] + p}" for p in range(len(parts))]
+        [f"tcp/{LOCAL_ADDRESS}:{common['base'] + p}" for p in range(len(parts))]
         if len(parts) > 1
         else [""]
     )
@@ -234,7 +242,7 @@ def _result(
     replayed: list[float],
 ) -> dict[str, Any]:
     """Combine the results of all processes into the result of the team."""
-    solution = joined(
+    solution = join_solutions(
         instance,
         [Solution.from_json(raw) for part in solved for raw in part["solutions"]],
     )
@@ -248,7 +256,7 @@ def _result(
     }
     return (
         solution.to_json()
-        | outcome(instance, solution.routes)
+        | summarise_plan(instance, solution.routes)
         | totals
         | {
             "wall_s": max(part["wall_s"] for part in solved),

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from crazychoir.control.margin import REQUIRED
+from crazychoir.control.margin import REQUIRED_DELAY_MARGIN
 from crazychoir.guidance.formation.bearing import (
     KP,
     KV,
@@ -72,5 +72,5 @@ def test_the_papers_example_is_flown_with_the_required_margin():
     assert report.lambda_min == pytest.approx(0.1454, abs=1e-4)
     assert report.lambda_max == pytest.approx(3.618, abs=1e-3)
     assert report.slowest == pytest.approx(0.334, abs=1e-3)
-    assert report.margin >= REQUIRED
+    assert report.margin >= REQUIRED_DELAY_MARGIN
     assert report.warnings == ()

@@ -9,8 +9,8 @@ from hypothesis.extra.numpy import arrays
 from crazychoir.agents.bearing_formation import BearingFormation
 from crazychoir.agents.containment import Containment
 from crazychoir.agents.distance_formation import HEIGHT, DistanceFormation
-from crazychoir.control.gains import AGILE
-from crazychoir.control.margin import Inner, guidance_loop
+from crazychoir.control.gains import AGILE_GAINS
+from crazychoir.control.margin import InnerLoop, make_guidance_loop
 from crazychoir.guidance.formation.bearing import (
     bearing_laplacian,
     equilibrium,
@@ -138,9 +138,11 @@ def test_the_slowest_mode_is_that_of_the_law_or_of_the_way_through_the_graph():
 
 
 def test_the_attitude_in_the_ages_margin_is_that_of_the_guidance_loop():
-    chain = Chain(AGILE)
+    chain = Chain(AGILE_GAINS)
     s = 1j * FREQUENCIES
-    num, den = guidance_loop(KP, KV, Inner(AGILE.kr[0], lead=AGILE.lead))
+    num, den = make_guidance_loop(
+        KP, KV, InnerLoop(AGILE_GAINS.kr[0], lead=AGILE_GAINS.lead)
+    )
     outer = (KP + KV * s * 50.0 / (s + 50.0)) / s**2
     found = outer * _attitude_response(chain) * np.exp(0.005 * s)
     np.testing.assert_allclose(

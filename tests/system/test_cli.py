@@ -18,7 +18,7 @@ from system.commands import call
 from crazychoir.cli.shared import observer as window
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import load, names
-from crazychoir.launch.flight import NO_REASON, fly_fast
+from crazychoir.launch.flight import MISSION_REASONS, fly_fast
 from crazychoir.launch.network import isolate_swarm
 
 pytestmark = pytest.mark.system
@@ -164,7 +164,7 @@ def test_a_report_gets_the_same_results_in_both_worlds_whatever_a_mission_prints
     said = call("crazychoir", *words, PYTHONUNBUFFERED="")  # prints late, if it can
     assert said.code == 1, said.err
     assert said.json["types"] == {i: ["bool", "float", "ndarray", [1]] for i in "01"}
-    assert said.json["reasons"] == {"1": NO_REASON}
+    assert said.json["reasons"] == {"1": MISSION_REASONS.unsaid}
     assert said.json["results"]["0"]["far"] == 9.0
     assert len(said.json["results"]["0"]["at"]) == 3
     assert sorted(line for line in said.err.splitlines() if "hovering" in line) == [
@@ -261,7 +261,7 @@ def test_who_is_absent_at_the_start_is_named(four):
     ],
 )
 def test_looking_into_a_swarm_that_does_not_run(here, four, monkeypatch, words):
-    monkeypatch.setattr(window, "DISCOVERY", 0.1)
+    monkeypatch.setattr(window, "NEXT_PROCESS_TIMEOUT", 0.1)
     here("crazychoir", *words, "--swarm", four[0]).refuses(
         "no agent found", "is it running?"
     )

@@ -18,7 +18,7 @@ from system.agents import BRISK, CRAZYCHOIR, Program, Team, flying, results, see
 
 from crazychoir.bus.codec import encode
 from crazychoir.bus.frames import Envelope, Frame, encode_frame
-from crazychoir.bus.topics import ESTOP, HEARTBEAT, HELLO, ROSTER, ROUND, STATE, Class
+from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS, MessageClass
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import load
 from crazychoir.launch.network import isolate_swarm
@@ -310,7 +310,14 @@ def lies(draw: np.random.Generator, process: str) -> list[Envelope]:
         encode({"epoch": 10**9}),
         draw.bytes(40),
     ]
-    topics = [ROUND, HEARTBEAT, ROSTER, STATE, ESTOP, HELLO]
+    topics = [
+        MESSAGE_TOPICS.rounds,
+        MESSAGE_TOPICS.heartbeat,
+        MESSAGE_TOPICS.roster,
+        DRONE_TOPICS.state,
+        MESSAGE_TOPICS.emergency_stop,
+        MESSAGE_TOPICS.hello,
+    ]
     return [
         Envelope(
             topic.number,
@@ -340,7 +347,7 @@ def attack(config: SwarmConfig, ends: Callable[[], bool]) -> int:
                 for host, claimed in (*tokens, ("nowhere", "stranger")):
                     key = f"choir/{config.name}/f/{process}/{host}/{claimed}"
                     frame = encode_frame(
-                        Frame(claimed, 1, Class.ROUNDS, lies(draw, claimed))
+                        Frame(claimed, 1, MessageClass.ROUNDS, lies(draw, claimed))
                     )
                     session.put(f"{key}/rounds", draw.bytes(int(draw.integers(0, 400))))
                     session.put(f"{key}/control", frame)

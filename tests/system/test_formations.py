@@ -5,7 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from crazychoir.bench.formation import CASES, summary, table, times
+from crazychoir.bench.formation import (
+    FORMATION_CASES,
+    measure_forming_times,
+    summary,
+    table,
+)
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import Refused
 from crazychoir.flight.pilot import Pilot
@@ -39,20 +44,24 @@ def of_file(name, watch=None, **options):
 
 @pytest.mark.parametrize(
     "case",
-    [c for c in CASES if (c.drones, c.network) in {(4, "perfect"), (4, "lossy")}],
+    [
+        c
+        for c in FORMATION_CASES
+        if (c.drones, c.network) in {(4, "perfect"), (4, "lossy")}
+    ],
     ids=str,
 )
 def test_four_with_motors_form_up_in_time(case):
-    [settled] = times(case, range(1, 2))
+    [settled] = measure_forming_times(case, range(1, 2))
     assert settled is not None
     assert 0.5 < settled <= case.limit
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(7200)
-@pytest.mark.parametrize("case", CASES, ids=str)
+@pytest.mark.parametrize("case", FORMATION_CASES, ids=str)
 def test_the_worst_of_fifty_starts_is_in_time(case):
-    found = summary(case, times(case, range(50), print))
+    found = summary(case, measure_forming_times(case, range(50), print))
     assert found["reached"], found
     assert str(case.drones) in str(
         table({"seeds": 50, "rows": [found]}).columns[0]._cells

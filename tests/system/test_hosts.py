@@ -26,9 +26,9 @@ def demo(
 ) -> SwarmConfig:
     """The demo's six drones and ten goods, three drones a host, flown briskly; with mutual TLS."""
     keys = folder / "keys"
-    authority.init(keys)
+    authority.make_authority(keys)
     for name in "ab":
-        authority.add(keys, name)
+        authority.add_host(keys, name)
     config = MISSION.swarm(None)
     raw = json.loads(config.dumps())
     return config.replace(

@@ -7,7 +7,7 @@ import pytest
 from system.flights import TICK, fly, mission_of, swarm_of
 
 from crazychoir.guidance.mission import load
-from crazychoir.numerics.math3d import wrap
+from crazychoir.numerics.math3d import wrap_angle
 from crazychoir.safety.rules.modes import Mode
 
 pytestmark = pytest.mark.system
@@ -170,7 +170,7 @@ def test_a_take_off_from_a_tilted_floor_goes_straight_up_without_much_overshoot(
 
 @pytest.mark.parametrize("row", TILTED, **names)
 def test_take_off_and_landing_keep_the_yaw(tilted, row):
-    off = [abs(math.degrees(wrap(yaw - YAW))) for yaw in tilted[row].yaws]
+    off = [abs(math.degrees(wrap_angle(yaw - YAW))) for yaw in tilted[row].yaws]
     assert max(off) <= 3.0
 
 

@@ -9,8 +9,8 @@ from system.agents import CRAZYCHOIR, Program, flying, results, until
 from system.online import carried, crash, drawn, fly_online, killed_at, wilson
 
 from crazychoir.bus.commands import Commander
-from crazychoir.bus.port import OBSERVER
-from crazychoir.config.checks import TOUCHING
+from crazychoir.bus.port import PORT_ADDRESSES
+from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.errors import SolverError
 from crazychoir.guidance.delivery import replanning
 from crazychoir.guidance.delivery.online_delivery import NO_PLAN
@@ -19,7 +19,7 @@ from crazychoir.guidance.tasks.task_book import Fate, Task
 from crazychoir.guidance.tasks.task_source import ADDED
 from crazychoir.launch.network import isolate_swarm
 from crazychoir.routing.distributed.pickup_delivery import PickupDelivery
-from crazychoir.routing.search.parallel_auction import parallel_auction
+from crazychoir.routing.search.parallel_auction import run_parallel_auction
 
 pytestmark = pytest.mark.system
 SECONDS = 1e9
@@ -55,7 +55,7 @@ def test_one_that_falls_past_another_is_told_apart_from_two_that_fly():
     assert outcome.reasons == []
     assert outcome.touching == {}
     ((pair, gap),) = outcome.struck.items()
-    assert (pair, gap < TOUCHING) == ((0, 1), True)
+    assert (pair, gap < SWARM_LIMITS.touching_distance) == ((0, 1), True)
 
 
 def test_drones_do_not_go_where_none_can_stand_and_fly_on():
@@ -232,7 +232,7 @@ def test_an_operator_adds_a_task_and_cancels_one():
 
     def prepare(agent):
         async def operate():
-            commander = Commander(agent.bus.port(OBSERVER + 7))
+            commander = Commander(agent.bus.port(PORT_ADDRESSES.first_observer + 7))
             while agent.clock.now() < 4.0:
                 await agent.clock.sleep(0.5)
             task = {"pickup": [1.0, 1.0], "delivery": [3.0, 3.0]}
@@ -486,9 +486,9 @@ def test_a_team_that_finds_no_plan_at_all_delivers_what_is_aboard_and_comes_home
     def broken(robot, *args):
         if robot == 1 and now[0]() > 12.0:
             raise SolverError("auction", "broken")
-        return (yield from parallel_auction(robot, *args))
+        return (yield from run_parallel_auction(robot, *args))
 
-    monkeypatch.setattr(replanning, "parallel_auction", broken)
+    monkeypatch.setattr(replanning, "run_parallel_auction", broken)
     config = drawn(
         4,
         0.2,

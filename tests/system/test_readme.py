@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from crazychoir.config.tables import Collision
+from crazychoir.config.tables import CollisionTable
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.mission import names as missions
@@ -350,7 +350,7 @@ def test_the_page_of_swarm_files_names_all_keys_of_the_collision_filter_and_its_
     row = re.search(
         r"\| `\[collision\]` .*", (repository / "deploy" / "README.md").read_text()
     ).group()
-    defaults = msgspec.to_builtins(Collision())
+    defaults = msgspec.to_builtins(CollisionTable())
     assert f'`method` `"{defaults.pop("method")}"`' in row
     assert f"`semi_axes` {list(defaults.pop('semi_axes'))} m" in row
     for key, value in defaults.items():

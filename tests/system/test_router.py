@@ -54,9 +54,9 @@ def apart():
 def demo(folder, secured):
     """The demo's six drones, three on a, three on b, the router on r."""
     keys = folder / "keys"
-    authority.init(keys)
+    authority.make_authority(keys)
     for name in "abr":
-        authority.add(keys, name)
+        authority.add_host(keys, name)
     config = MISSION.swarm(None)
     raw = json.loads(config.dumps())
     security = (

@@ -11,7 +11,7 @@ from crazychoir.guidance.mpc import MPCGuidance
 from crazychoir.launch.flight import fly_fast
 from crazychoir.launch.recording import recording_file
 from crazychoir.optimization.algorithms.aggregative_tracking import AggregativeTracking
-from crazychoir.runtime.clock import SECOND, run_virtual
+from crazychoir.runtime.clock import NS_PER_SECOND, run_virtual
 
 pytestmark = pytest.mark.system
 QUICK = {"takeoff_height": 0.5, "landing_speed": 1.0}
@@ -133,7 +133,9 @@ def test_a_row_waits_for_a_drone_that_its_operator_holds():
     async def main(clock):
         agent = Agent(clock, config, mission, config.ids)
         for seconds, on in ((4.0, True), (8.0, False)):
-            clock.call_at(round(seconds * SECOND), agent.drones[1].pilot.hold, on)
+            clock.call_at(
+                round(seconds * NS_PER_SECOND), agent.drones[1].pilot.hold, on
+            )
         return await agent.run()
 
     results = run_virtual(main)

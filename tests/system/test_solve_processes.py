@@ -87,7 +87,7 @@ def test_a_process_that_ends_is_told_with_its_last_words(demo, monkeypatch):
 
 
 def test_that_processes_compile_is_told_once(demo, monkeypatch, capsys):
-    cache.say_once.cache_clear()
+    cache.announce_compiling.cache_clear()
     words = (
         "import json; print(json.dumps({'compiles': True})); raise SystemExit('done')"
     )
@@ -96,7 +96,7 @@ def test_that_processes_compile_is_told_once(demo, monkeypatch, capsys):
     )
     with pytest.raises(ProcessFailed, match="done"):
         team.solve_in_processes(Instance.load(demo), 2)
-    assert capsys.readouterr().err == f"{cache.COMPILES}\n"
+    assert capsys.readouterr().err == f"{cache.COMPILING_MESSAGE}\n"
 
 
 def test_that_processes_keep_nothing_is_told_once(demo, monkeypatch, capsys):

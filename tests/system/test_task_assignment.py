@@ -6,7 +6,7 @@ import pytest
 from system.online import crash
 
 from crazychoir.agent.agent import Agent
-from crazychoir.config.checks import TOUCHING
+from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.guidance.mission import load
 from crazychoir.guidance.tasks.task_source import ADDED
 from crazychoir.launch.flight import fly_fast
@@ -151,7 +151,7 @@ def test_a_part_that_is_cut_off_comes_back_or_goes_home(until):
     cut = {"at": 5.0, "groups": [[1, 4]], **({"until": until} if until else {})}
     config = MISSION.swarm(None).replace(network={"loss": 0.1, "partitions": [cut]})
     result = fly_fast(config, MISSION)
-    assert result["min_separation_m"] > TOUCHING
+    assert result["min_separation_m"] > SWARM_LIMITS.touching_distance
     assert all(
         not ("touched" in why or "twice" in why) for why in result["reasons"].values()
     )

@@ -14,7 +14,7 @@ from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph
 
 
-async def agent(communicator: Communicator, rounds: dict[int, int]) -> None:
+async def exchange_forever(communicator: Communicator, rounds: dict[int, int]) -> None:
     """Exchange for ever."""
     x = np.zeros(6)
     i = communicator.id
@@ -54,7 +54,7 @@ async def main(clock: Clock) -> None:
     async with asyncio.TaskGroup() as group:
         await start(group, bus, team, spec, rounds)
         for member in members:
-            group.create_task(agent(member, rounds))
+            group.create_task(exchange_forever(member, rounds))
 
 
 if __name__ == "__main__":

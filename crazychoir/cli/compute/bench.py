@@ -91,7 +91,11 @@ def filters(as_json: JsonOption = False, quick: QuickOption = False) -> None:
     """Measure the velocity errors of the filters, beside the original's difference equation."""
     from crazychoir.bench import filters as bench_filters
 
-    seeds = bench_filters.SEEDS[:1] if quick else bench_filters.SEEDS
+    seeds = (
+        bench_filters.FILTER_BENCH.seeds[:1]
+        if quick
+        else bench_filters.FILTER_BENCH.seeds
+    )
     _show(
         lambda say: bench_filters.run(seeds=seeds, say=say),
         bench_filters.table,
@@ -124,7 +128,9 @@ def formation(
     from crazychoir.bench import formation as bench_formation
 
     cases = tuple(
-        case for case in bench_formation.CASES if drones in (None, case.drones)
+        case
+        for case in bench_formation.FORMATION_CASES
+        if drones in (None, case.drones)
     )
     found = range(3 if quick else seeds)
     _show(

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -33,20 +34,30 @@ if TYPE_CHECKING:
 
     Seen = tuple[str, Mapping[int, Any]]
 
-SHOWN_AGENTS = 20
-"""Largest number of agents that a table shows."""
-ENTRIES = 6
-"""Number of entries of an array that a table shows."""
-QUIET = 10.0
+
+@dataclass(frozen=True, slots=True)
+class SimulateTableLimits:
+    """Limits of what the tables of `crazychoir simulate` show."""
+
+    most_agents: int = 20
+    """Largest number of agents that a table shows."""
+    most_entries: int = 6
+    """Number of entries of an array that a table shows."""
+    longest_value: int = 60
+    """Largest number of characters shown of a value that is not an array."""
+    violation_tolerance: float = 1e-6
+    """Constraint violations up to this are tolerances of a solver, and are not reported."""
+
+
+SIMULATE_TABLE_LIMITS = SimulateTableLimits()
+
+
+FIRST_PROGRESS_DELAY = 10.0
 """Seconds without output before the first progress line, where no live table is possible.
 
 The interval doubles after each line.
 """
-INTERRUPTED = "Ctrl-C: the run ends here, with what there is"
-WIDEST = 60
-"""Largest number of characters shown of a value that is not an array."""
-SMALL = 1e-6
-"""Constraint violations up to this are tolerances of a solver, and are not reported."""
+INTERRUPTION_TEXT = "Ctrl-C: the run ends here, with what there is"
 
 
 def simulate(
@@ -126,7 +137,7 @@ def simulate(
             require_writable_file(save, "--save")
         with prints_aside(), refuse_exit("the algorithm"):
             with KERNEL_QUEUE.checks_first():
-                links, team = _team(file, agents, graph, seed, directed)
+                links, team = _make_team(file, agents, graph, seed, directed)
                 names = simulation.recorded(team, asked)
                 if picture is not None and not names:
                     raise ConfigError(
@@ -147,7 +158,7 @@ def simulate(
                         seed=seed,
                         rounds=rounds,
                         record=names,
-                        watch=_Watch(progress, rounds),
+                        watch=_ProgressDisplay(progress, rounds),
                         sleep=(0.0, sleep),
                         compute=(0.0, compute),
                     )
@@ -172,7 +183,7 @@ def simulate(
     except CrazyChoirError as error:
         fail(error, as_json)
     said = (
-        {"success": False, "error": INTERRUPTED, "kind": "KeyboardInterrupt"}
+        {"success": False, "error": INTERRUPTION_TEXT, "kind": "KeyboardInterrupt"}
         if ended
         else {}
     )
@@ -182,13 +193,13 @@ def simulate(
         STDOUT.print(_tables(history, file.stem))
     outputs.say()
     if ended:
-        STDERR.print(INTERRUPTED)
+        STDERR.print(INTERRUPTION_TEXT)
         raise typer.Exit(130)
     if outputs.failed:
         raise typer.Exit(1)
 
 
-class _Watch:
+class _ProgressDisplay:
     """Shows the progress of a simulation: a live table on a terminal, else a line now and then.
 
     The time between two lines doubles.
@@ -203,7 +214,7 @@ class _Watch:
             else f"of at most {rounds}"
         )
         self.began = time.perf_counter()
-        self.due = QUIET
+        self.due = FIRST_PROGRESS_DELAY
 
     def __call__(self, team: "Mapping[int, Any]") -> None:
         self.steps += 1
@@ -221,7 +232,7 @@ class _Watch:
         return f"round {self.steps // len(team)}, {self.end}"
 
 
-def _team(
+def _make_team(
     file: Path, agents: int, graph: str, seed: int, directed: bool
 ) -> "tuple[Graph, dict[int, Round]]":
     """Return the graph and the agents that the file makes for it.
@@ -269,15 +280,15 @@ def _progress_table(seen: "Seen") -> Group:
     """Return the round and a table with one row an agent."""
     now, team = seen
     table = Table("agent", "x")
-    for i, agent in list(team.items())[:SHOWN_AGENTS]:
-        table.add_row(str(i), Text(_short(getattr(agent, "x", ""))))
-    return Group(Text(now), _with_the_rest(table, len(team)))
+    for i, agent in list(team.items())[: SIMULATE_TABLE_LIMITS.most_agents]:
+        table.add_row(str(i), Text(_shorten_value(getattr(agent, "x", ""))))
+    return Group(Text(now), _add_hidden_count(table, len(team)))
 
 
-def _with_the_rest(table: Table, agents: int) -> Table:
+def _add_hidden_count(table: Table, agents: int) -> Table:
     """Add the number of agents that the table leaves out."""
-    if agents > SHOWN_AGENTS:
-        table.caption = f"and {agents - SHOWN_AGENTS} more agents"
+    if agents > SIMULATE_TABLE_LIMITS.most_agents:
+        table.caption = f"and {agents - SIMULATE_TABLE_LIMITS.most_agents} more agents"
     return table
 
 
@@ -303,7 +314,7 @@ def _tables(history: "History", name: str) -> Group:
                 f"{name}: {v:.3g}" for name, v in value.items() if v is not None
             )
         if key == "violation":
-            value = _violation(history)
+            value = _violation_text(history)
         if value not in ("", None):
             figures.add_row(
                 key, f"{value:.4g}" if isinstance(value, float) else str(value)
@@ -327,21 +338,26 @@ def _agents_table(rows: "Mapping[int, Mapping[str, Any]]", title: str) -> Table 
     """Return a table with one row an agent and one column a name; None if there are no names."""
     names = dict.fromkeys(name for row in rows.values() for name in row)
     table = Table("agent", *names, title=title)
-    for i, row in list(rows.items())[:SHOWN_AGENTS]:
+    for i, row in list(rows.items())[: SIMULATE_TABLE_LIMITS.most_agents]:
         table.add_row(
-            str(i), *(Text(_short(row[name]) if name in row else "") for name in names)
+            str(i),
+            *(Text(_shorten_value(row[name]) if name in row else "") for name in names),
         )
-    return _with_the_rest(table, len(rows)) if names else None
+    return _add_hidden_count(table, len(rows)) if names else None
 
 
-def _violation(history: "History") -> str | Text:
+def _violation_text(history: "History") -> str | Text:
     """Return the largest constraint violation, and which agents it concerns if it is not small.
 
     The x of these agents is not feasible, so it is no solution. Returns "" if none is known.
     """
     if history.violation is None:
         return ""
-    over = [i for i, violation in history.violations.items() if not violation <= SMALL]
+    over = [
+        i
+        for i, violation in history.violations.items()
+        if not violation <= SIMULATE_TABLE_LIMITS.violation_tolerance
+    ]
     if not over:
         return f"{history.violation:.3g}"
     whose = (
@@ -350,14 +366,18 @@ def _violation(history: "History") -> str | Text:
     return Text(f"{history.violation:.3g}, of {whose}: their x is not feasible", "red")
 
 
-def _short(x: Any) -> str:
+def _shorten_value(x: Any) -> str:
     import numpy as np
 
     if not isinstance(x, float | int | list | tuple | np.ndarray | np.generic):
-        return str(x) if len(str(x)) <= WIDEST else f"{str(x)[: WIDEST - 3]}..."
+        return (
+            str(x)
+            if len(str(x)) <= SIMULATE_TABLE_LIMITS.longest_value
+            else f"{str(x)[: SIMULATE_TABLE_LIMITS.longest_value - 3]}..."
+        )
     entries = list(x) if isinstance(x, list | tuple) else np.ravel(x).tolist()
     text = ", ".join(
         f"{entry:.6g}" if isinstance(entry, float) else str(entry)
-        for entry in entries[:ENTRIES]
+        for entry in entries[: SIMULATE_TABLE_LIMITS.most_entries]
     )
-    return text + (", ..." if len(entries) > ENTRIES else "")
+    return text + (", ..." if len(entries) > SIMULATE_TABLE_LIMITS.most_entries else "")

@@ -90,7 +90,7 @@ def solve(
     bound_relaxation: the kind of routes that priced a bound that is not exact.
     """
     set_up_logging()
-    from crazychoir.routing.distributed.member import Settings
+    from crazychoir.routing.distributed.member import RoutingSettings
     from crazychoir.routing.instance.instance import Instance
     from crazychoir.solve.solving import solve_here
     from crazychoir.solve.team import (
@@ -113,7 +113,7 @@ def solve(
             "loss": loss,
             "graph": graph,
             "seed": seed,
-            "settings": Settings(prove=prove),
+            "settings": RoutingSettings(prove=prove),
         }
         if processes is None:
             with Progress(_team_table, enabled=not as_json) as shown:
@@ -140,10 +140,12 @@ def solve(
 
 def _draw(problem: "Instance", result: dict[str, Any], path: Path) -> None:
     from crazychoir.routing.instance.picture import draw_routes
-    from crazychoir.routing.instance.plan import Plan, Route
+    from crazychoir.routing.instance.plan import Route, RoutePlan
 
     draw_routes(
-        problem, Plan(tuple(Route.from_json(route) for route in result["routes"])), path
+        problem,
+        RoutePlan(tuple(Route.from_json(route) for route in result["routes"])),
+        path,
     )
 
 

@@ -67,7 +67,7 @@ def agent(
     set_up_logging()
     with KERNEL_QUEUE.checks_first():
         from crazychoir.cli.shared.chosen_swarm import (
-            configured,
+            configured_swarm,
         )  # takes 1 s, which --help does not need
         from crazychoir.guidance.mission import load, look_before
         from crazychoir.launch.process.process import run_agent
@@ -76,7 +76,7 @@ def agent(
     try:
         with prints_aside(), refuse_exit("the mission"):
             with KERNEL_QUEUE.checks_first():
-                config, which = configured(swarm, mission, loss, seed)
+                config, which = configured_swarm(swarm, mission, loss, seed)
                 members = tuple(sorted({config.drone(i).id: None for i in ids}))
                 flown = load(str(config.mission))
                 warned = look_before(flown, config, force)

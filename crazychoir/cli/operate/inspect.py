@@ -33,14 +33,14 @@ SwarmOption = Annotated[
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print JSON on standard output, nothing else.")
 ]
-LONGEST = 1.0
+STATUS_TIMEOUT = 1.0
 """Seconds to wait for the status of every drone, which comes four times a second."""
 SecondsOption = Annotated[
     float, options.seconds("How long to look, in s.", open_below=True)
 ]
 
 
-def looking(swarm: str | None, work: "Work", as_json: bool = False) -> Any:
+def run_as_observer(swarm: str | None, work: "Work", as_json: bool = False) -> Any:
     """Join the swarm as an observer, do the work and leave.
 
     Ends the command with an error if there is no swarm.
@@ -51,14 +51,14 @@ def looking(swarm: str | None, work: "Work", as_json: bool = False) -> Any:
     )  # takes 1 s, which --help does not need
 
     try:
-        return window.look(swarm, work)
+        return window.observe_swarm(swarm, work)
     except CrazyChoirError as error:
         fail(error, as_json)
 
 
 def topics(as_json: JsonOption = False) -> None:
     """Print the table of topics."""
-    from crazychoir.bus.topics import TOPICS
+    from crazychoir.bus.topics import ALL_TOPICS
 
     rows = [
         {
@@ -71,7 +71,7 @@ def topics(as_json: JsonOption = False) -> None:
             "impaired": topic.impaired,
             "public_hz": topic.public,
         }
-        for topic in TOPICS
+        for topic in ALL_TOPICS
     ]
     if as_json:
         write_json(rows)
@@ -107,7 +107,7 @@ def echo(
             window.read(chosen, i, partial(_print_value, i), rate)
         await window.clock.sleep(seconds)
 
-    looking(swarm, work)
+    run_as_observer(swarm, work)
 
 
 def hz(
@@ -129,7 +129,7 @@ def hz(
         await window.clock.sleep(seconds)
         return {i: (box.received - before[i]) / seconds for i, box in boxes.items()}
 
-    _print_pairs(looking(swarm, work, as_json), ("drone", "Hz"), as_json)
+    _print_pairs(run_as_observer(swarm, work, as_json), ("drone", "Hz"), as_json)
 
 
 def status(
@@ -145,7 +145,7 @@ def status(
             window.patience = max(window.patience, window.config.start_deadline)
         there = await window.find()
         score = window.score()
-        ends = window.clock.now() + LONGEST
+        ends = window.clock.now() + STATUS_TIMEOUT
         while any(i not in score.statuses for i in there) and window.clock.now() < ends:
             await window.clock.sleep(0.02)
         if watch:
@@ -156,7 +156,7 @@ def status(
                     live.update(status_table(score))
         return score
 
-    score = looking(swarm, work, as_json)
+    score = run_as_observer(swarm, work, as_json)
     if as_json:
         write_json(dict(sorted(score.statuses.items())))
     else:
@@ -218,15 +218,15 @@ def impair(
     given = {key: value for key, value in scope.items() if value is not None}
 
     async def work(window: "Window") -> "Answers":
-        from crazychoir.config.network import changes
+        from crazychoir.config.network import impairment_changes
 
         await window.find()
         window.check("--edge", pair or ())
         window.check("--drone", () if drone is None else (drone,))
-        arguments: dict[str, Any] = {**given, **changes(effects)}
+        arguments: dict[str, Any] = {**given, **impairment_changes(effects)}
         return await window.request("impair", None, **arguments)
 
-    answers = looking(swarm, work, as_json)
+    answers = run_as_observer(swarm, work, as_json)
     shown = (
         answers
         if as_json
@@ -243,10 +243,14 @@ def _conclude(answers: "Answers", heads: tuple[str, str], as_json: bool) -> None
 
 def _in_words(network: Any) -> str:
     """Return the simulated network of a drone as text, one line a rule."""
-    from crazychoir.config.network import in_words
+    from crazychoir.config.network import rules_in_words
 
     # A drone that has refused gives its reason instead.
-    return "\n".join(in_words(network)) if isinstance(network, dict) else str(network)
+    return (
+        "\n".join(rules_in_words(network))
+        if isinstance(network, dict)
+        else str(network)
+    )
 
 
 def _edge(text: str | None) -> list[int] | None:
@@ -263,17 +267,21 @@ def _edge(text: str | None) -> list[int] | None:
 
 
 def _topic(name: str) -> "Topic":
-    from crazychoir.bus.topics import BY_NAME, OBSERVABLE
+    from crazychoir.bus.topics import OBSERVABLE_TOPICS, TOPIC_BY_NAME
 
-    if name not in OBSERVABLE:
-        fail(ConfigError("topic", name, ", ".join(OBSERVABLE)), as_json=False)
-    return BY_NAME[name]
+    if name not in OBSERVABLE_TOPICS:
+        fail(ConfigError("topic", name, ", ".join(OBSERVABLE_TOPICS)), as_json=False)
+    return TOPIC_BY_NAME[name]
 
 
 def _print_value(i: int, value: Any, age: float) -> None:
-    from crazychoir.bus.network.public_topics import by_name
+    from crazychoir.bus.network.public_topics import fields_by_name
 
-    fields = by_name(value) if hasattr(value, "__struct_fields__") else {"value": value}
+    fields = (
+        fields_by_name(value)
+        if hasattr(value, "__struct_fields__")
+        else {"value": value}
+    )
     write_json({"drone": i, **fields, "age": max(0.0, round(age, 4))})
 
 

@@ -7,7 +7,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, looking
+from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, run_as_observer
 from crazychoir.errors import ConfigError
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import STDERR, STDOUT, fail, write_json
@@ -32,7 +32,7 @@ def read(
 ) -> None:
     """Print the parameters of each drone."""
     _conclude(
-        _asked(
+        _ask_drones(
             swarm,
             drone,
             "param_get",
@@ -56,12 +56,12 @@ def change(
     Exits with 0 only if every drone has changed it.
     """
     _conclude(
-        _asked(swarm, drone, "param_set", as_json, name=name, value=_value(value)),
+        _ask_drones(swarm, drone, "param_set", as_json, name=name, value=_value(value)),
         as_json,
     )
 
 
-def _asked(
+def _ask_drones(
     swarm: str | None, drone: int | None, verb: str, as_json: bool, **arguments: Any
 ) -> "Answers":
     async def work(window: "Window") -> "Answers":
@@ -70,7 +70,7 @@ def _asked(
             verb, None if drone is None else (drone,), **arguments
         )
 
-    answers: Answers = looking(swarm, work, as_json)
+    answers: Answers = run_as_observer(swarm, work, as_json)
     return answers
 
 
@@ -104,11 +104,11 @@ def _table(answers: "Answers") -> Table:
         if done
     }
     table = Table("parameter", *(f"drone {i}" for i in good))
-    for name in _names(good.values()):
+    for name in _parameter_names(good.values()):
         table.add_row(
             Text(name),
             *(
-                Text(_shown(said[name]) if name in said else "")
+                Text(_format_parameter(said[name]) if name in said else "")
                 for said in good.values()
             ),
         )
@@ -118,13 +118,13 @@ def _table(answers: "Answers") -> Table:
     return table
 
 
-def _names(answers: Iterable[Mapping[str, Any]]) -> list[str]:
+def _parameter_names(answers: Iterable[Mapping[str, Any]]) -> list[str]:
     """Return all parameter names, first those of the drone that has the most parameters."""
     most_first = sorted(answers, key=len, reverse=True)
     return list(dict.fromkeys(name for said in most_first for name in said))
 
 
-def _shown(value: Any) -> str:
+def _format_parameter(value: Any) -> str:
     if isinstance(value, list | tuple):
-        return ", ".join(map(_shown, value))
+        return ", ".join(map(_format_parameter, value))
     return f"{value:.4g}" if isinstance(value, float) else str(value)

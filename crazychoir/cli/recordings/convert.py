@@ -31,13 +31,13 @@ def convert(
     and exit code 1.
     """
     set_up_logging()
-    from crazychoir.recording.mcap.reading import header
+    from crazychoir.recording.mcap.reading import read_header
     from crazychoir.recording.ros import (
         rosbag2 as bags,
     )  # takes 1 s, which --help does not need
 
     try:
-        recording = header(file)
+        recording = read_header(file)
         warn_of(recording, "the bag has what lies before")
         bag = bags.convert(file, rosbag2)
     except CrazyChoirError as error:

@@ -63,11 +63,11 @@ def render(
     set_up_logging()
     import numpy as np  # takes 1 s, which --help does not need
 
-    from crazychoir.bus.topics import STATE, TRUTH
+    from crazychoir.bus.topics import DRONE_TOPICS
     from crazychoir.config.swarm_config import SwarmConfig
-    from crazychoir.recording.analysis.figures import flight_of
-    from crazychoir.recording.mcap.reading import FLIGHT, read
-    from crazychoir.recording.mcap.records import DO
+    from crazychoir.recording.analysis.figures import recorded_flight
+    from crazychoir.recording.mcap.reading import EXPECTED_RECORDING, read
+    from crazychoir.recording.mcap.records import RECORDING_HINT
     from crazychoir.recording.video import check_video, write_video
 
     outputs = Outputs()
@@ -78,12 +78,17 @@ def render(
         if video is not None:
             check_video(video, width, height)
             require_writable_file(video, "--video", parents=True)
-        recording = read(file, (TRUTH.name, STATE.name))
+        recording = read(file, (DRONE_TOPICS.truth.name, DRONE_TOPICS.state.name))
         warn_of(recording, "what lies before is drawn")
-        flight = flight_of(recording)
+        flight = recorded_flight(recording)
         config = SwarmConfig.loads(recording.swarm, str(file))
         if not flight.tracks:
-            raise ConfigError(str(file), "no two places of any drone", FLIGHT, DO)
+            raise ConfigError(
+                str(file),
+                "no two places of any drone",
+                EXPECTED_RECORDING,
+                RECORDING_HINT,
+            )
         from crazychoir.recording.reenactment import (
             Reenactment,
         )  # raises an error with instructions if MuJoCo is missing
@@ -92,7 +97,7 @@ def render(
         times = np.arange(flight.times[0], flight.times[-1], speed / fps)
         with shown.film(width, height, camera) as film:
             if picture is not None:
-                moment = _moment(at, times)
+                moment = _picture_time(at, times)
                 with outputs.writing("--picture"):
                     _save(picture, shown.picture(film, moment))
                     files.append(picture)
@@ -139,7 +144,7 @@ def _check(picture: Path | None, video: Path | None) -> None:
         require_writable_file(picture, "--picture", parents=True)
 
 
-def _moment(at: float | None, times: Any) -> float:
+def _picture_time(at: float | None, times: Any) -> float:
     """Return the time of the picture, in s of the recording; at: s, None for the middle."""
     first = float(times[0])
     last = float(times[-1])

@@ -26,7 +26,7 @@ from crazychoir.launch.console import (
 if TYPE_CHECKING:
     from crazychoir.recording.mcap.reading import Recording
 
-UNSEEN = "in no recorded message: in truth between two of them, or in messages that are not recorded"
+UNSEEN_DIFFERENCE = "in no recorded message: in truth between two of them, or in messages that are not recorded"
 
 
 def rerun(
@@ -53,12 +53,12 @@ def rerun(
     from crazychoir.launch.flight import fly_fast
     from crazychoir.launch.recording import FILES, other_files, recording_file, text_of
     from crazychoir.recording.analysis.comparison import first_difference
-    from crazychoir.recording.mcap.reading import header
+    from crazychoir.recording.mcap.reading import read_header
 
     try:
-        recording = header(file)
+        recording = read_header(file)
         _check(recording)
-        with prints_aside(), _into(record) as path:
+        with prints_aside(), _repetition_file(record) as path:
             config = SwarmConfig.loads(recording.swarm, f"{file}: swarm.json")
             mission = load(str(config.mission))
             others = _other_versions(recording)
@@ -78,7 +78,7 @@ def rerun(
         fail(error, as_json)
     digest = recording.outcome.get("digest")
     same = difference is None and digest in (None, result["digest"])
-    where = UNSEEN if difference is None else str(difference)
+    where = UNSEEN_DIFFERENCE if difference is None else str(difference)
     whole = recording.lacks["complete"]
     told = {
         "success": same and whole and not broken,
@@ -120,7 +120,7 @@ def _check(recording: "Recording") -> None:
 
 
 @contextlib.contextmanager
-def _into(record: Path | None) -> Iterator[Path]:
+def _repetition_file(record: Path | None) -> Iterator[Path]:
     """Yield the file for the repetition: the given one, or a temporary file."""
     from crazychoir.files.private_folder import scratch_folder
 

@@ -33,8 +33,8 @@ def identify(
     set_up_logging()
     from crazychoir.config.swarm_config import find_swarm
     from crazychoir.radio import identify as leds  # cflib: --help does not need it
-    from crazychoir.radio.link.ownership import owned
-    from crazychoir.radio.link.toc_cache import TableOfContents, folder
+    from crazychoir.radio.link.ownership import own_dongle
+    from crazychoir.radio.link.toc_cache import TableOfContents, tables_folder
     from crazychoir.runtime.clock import Clock, run_wall
 
     try:
@@ -47,12 +47,12 @@ def identify(
             STDERR.print(f"drone {drone} ({uri}): {text}", highlight=False)
 
         async def light(clock: Clock) -> dict[str, float]:
-            contents = TableOfContents(folder())
+            contents = TableOfContents(tables_folder())
             deadline = config.radio.connect_deadline
             lit_now = partial(say, f"its LEDs are lit for {seconds:g} s")
             return await leds.identify(clock, uri, contents, seconds, deadline, lit_now)
 
-        with owned(config, dongle), prints_aside():
+        with own_dongle(config, dongle), prints_aside():
             say(f"is being connected, within {config.radio.connect_deadline:g} s")
             lit = run_wall(light)
             say("its LEDs are as they were")

@@ -11,8 +11,8 @@ from crazychoir.guidance.delivery.site import Site
 from crazychoir.guidance.tasks.task_book import Task
 from crazychoir.guidance.tasks.task_source import ADDED
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.routing.instance.vehicle import TOTAL
-from crazychoir.team.graph import span
+from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES
+from crazychoir.team.graph import describe_ids
 
 IDLE = (("tasks", "instance"), ("later", "instance"), ("later", "appear"))
 """(key, other): a key that has no effect beside the other key."""
@@ -58,7 +58,7 @@ def require_flown(
         or np.isfinite(problem.window[:, 1]).any(),
         "penalty": np.isfinite(tasks.penalty).any(),
         "recharge": problem.recharge != 1,
-        "objective": problem.objective != (TOTAL,),
+        "objective": problem.objective != (OBJECTIVE_NAMES.total,),
     }
     if found := [
         name for name, is_there in there.items() if is_there and name not in flown
@@ -133,8 +133,8 @@ def _refused(key: str, found: object, problem: str) -> ConfigError:
 
 def _require_there(site: Site, ids: tuple[int, ...], key: str) -> None:
     if strangers := [i for i in ids if i not in site.config.ids]:
-        allowed = f"this swarm has {span(site.config.ids)}"
-        problem = f"there is no drone {span(strangers)}"
+        allowed = f"this swarm has {describe_ids(site.config.ids)}"
+        problem = f"there is no drone {describe_ids(strangers)}"
         raise ConfigError(
             key,
             list(ids),

@@ -7,8 +7,8 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from crazychoir.config.checks import TOUCHING
-from crazychoir.config.tables import Flag, Ids, Seconds, Table, Text
+from crazychoir.config.checks import SWARM_LIMITS
+from crazychoir.config.tables import Flag, Ids, Seconds, SwarmTable, Text
 from crazychoir.guidance.delivery.replanning import AUCTION, KINDS
 from crazychoir.guidance.tasks.task_book import LARGEST, Place
 from crazychoir.guidance.tasks.task_source import ADDED
@@ -39,9 +39,9 @@ TaskId = Annotated[
 Gap = Annotated[
     float,
     Meta(
-        ge=TOUCHING,
+        ge=SWARM_LIMITS.touching_distance,
         le=100.0,
-        description=f"m, {TOUCHING:g} (nearer, drones touch) to 100",
+        description=f"m, {SWARM_LIMITS.touching_distance:g} (nearer, drones touch) to 100",
         examples=[0.4],
     ),
 ]
@@ -55,7 +55,7 @@ Method = Annotated[
 ]
 
 
-class Appearance(Table, frozen=True, kw_only=True):
+class Appearance(SwarmTable, frozen=True, kw_only=True):
     """One [[mission_options.appear]]: a task that appears in flight."""
 
     t: Seconds
@@ -72,7 +72,7 @@ class Appearance(Table, frozen=True, kw_only=True):
     """Ids of the robots that learn of it first, and tell the others. Empty: all robots."""
 
 
-class Cancellation(Table, frozen=True, kw_only=True):
+class Cancellation(SwarmTable, frozen=True, kw_only=True):
     """One [[mission_options.cancel]]: a task that is cancelled in flight."""
 
     t: Seconds
@@ -96,7 +96,7 @@ Cancellations = Annotated[
 ]
 
 
-class DeliveryOptions(Table, frozen=True, kw_only=True):
+class DeliveryOptions(SwarmTable, frozen=True, kw_only=True):
     """[mission_options]."""
 
     instance: Text | None = None

@@ -44,7 +44,7 @@ from crazychoir.guidance.tasks.task_book import LARGEST, Place, Task
 from crazychoir.guidance.tasks.task_source import Event, TaskSource
 from crazychoir.guidance.tasks.team_news import PERIOD, UNREACHED, Key, TeamNews
 from crazychoir.guidance.tasks.together import given_up, run_together, unless
-from crazychoir.planning.point_to_point import duration_for
+from crazychoir.planning.point_to_point import compute_flight_time
 from crazychoir.routing.instance.instance import LocalProblem
 from crazychoir.routing.instance.plan import Stop
 from crazychoir.types import FullState, Vec
@@ -451,7 +451,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         flight = self.member.config.flight
         start = FullState.at(np.array([*a, 0.0]))
         goal = np.array([*b, 0.0])
-        return duration_for(
+        return compute_flight_time(
             start, goal, 0.0, flight.speed_limit, flight.acceleration_limit
         )
 

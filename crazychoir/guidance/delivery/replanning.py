@@ -16,15 +16,18 @@ from crazychoir.guidance.tasks.attempt import attempt
 from crazychoir.guidance.tasks.task_book import Fate, Place, Task, TaskBook
 from crazychoir.optimization.rounds.agreement import flood
 from crazychoir.optimization.rounds.program import Exchange, Program
-from crazychoir.routing.distributed.pickup_delivery import METHODS, PickupDelivery
+from crazychoir.routing.distributed.pickup_delivery import (
+    PLANNING_METHODS,
+    PickupDelivery,
+)
 from crazychoir.routing.instance.instance import LocalProblem, Tasks
 from crazychoir.routing.instance.plan import Stop
-from crazychoir.routing.search.parallel_auction import parallel_auction
+from crazychoir.routing.search.parallel_auction import run_parallel_auction
 from crazychoir.team.graph import Graph
 
 AUCTION = "parallel-auction"
 """The method that uses the auction alone."""
-KINDS = (AUCTION, *METHODS)
+KINDS = (AUCTION, *PLANNING_METHODS)
 """Methods to share out tasks in flight.
 
 The auction alone, or a method of PickupDelivery after the auction.
@@ -190,7 +193,7 @@ class Replanning(Program[Share]):
         """Return this robot's problem, its route as nodes, and the tasks left as indices."""
         local = self._problem(goods)
         free = [n for n, is_free in enumerate(goods.free) if is_free]
-        route, left = yield from parallel_auction(
+        route, left = yield from run_parallel_auction(
             self.robot, local.vehicle, free, self.diameter
         )
         return local, route, left

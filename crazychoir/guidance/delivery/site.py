@@ -13,7 +13,7 @@ from crazychoir.config.drone_room import shared_room
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.tasks.task_book import Place, Task
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.team.graph import span
+from crazychoir.team.graph import describe_ids
 from crazychoir.types import Vec
 
 
@@ -102,14 +102,14 @@ class Site:
         Empty if one can.
         """
         if strangers := [i for i in task.robots if i not in self.config.ids]:
-            return f"there is no drone {span(strangers)}; this swarm has {span(self.config.ids)}"
+            return f"there is no drone {describe_ids(strangers)}; this swarm has {describe_ids(self.config.ids)}"
         if self.able(task):
             return ""
         chosen = [i for i in self.config.ids if self.may(i, task)]
         who = (
             "any drone"
             if len(chosen) == len(self.config.ids)
-            else f"drone {span(chosen)}, who alone may serve it,"
+            else f"drone {describe_ids(chosen)}, who alone may serve it,"
         )
         return f"its load {task.load:g} is more than {who} can carry: {self._most(chosen):g}"
 
@@ -121,7 +121,7 @@ class Site:
         able = self.able(task)
         if any(i in flying for i in able):
             return ""
-        return f"drone {span(able)}, who alone can serve it, does not fly"
+        return f"drone {describe_ids(able)}, who alone can serve it, does not fly"
 
     def _room(self, i: int) -> float:
         return float(self.crew.capacity[i] - self.crew.initial_load[i])

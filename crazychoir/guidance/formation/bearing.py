@@ -6,8 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from crazychoir.control.gains import AGILE, FORMATION
-from crazychoir.control.margin import REQUIRED
+from crazychoir.control.gains import AGILE_GAINS, FORMATION_GAINS
+from crazychoir.control.margin import REQUIRED_DELAY_MARGIN
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.formation.modes import (
     LEVEL,
@@ -209,12 +209,12 @@ def check_formation(
     if slowest < SLOWEST and not force:
         raise Refused("bearing formation", _slow(least, slowest))
     if law == "normalised":
-        chain = chain or Chain(AGILE)
+        chain = chain or Chain(AGILE_GAINS)
         alike = mode_margin([1.0, 1.0], [True, False], kp, kv, chain)
         margin = min(alike, age_margin(values.tolist(), kp, kv, chain, moving))
         what = f"kp = {kp:g} 1/s2, kv = {kv:g} 1/s with a smallest eigenvalue of {least:.4f}"
     else:
-        chain = chain or Chain(FORMATION)
+        chain = chain or Chain(FORMATION_GAINS)
         horizontal = (
             np.abs(vectors.reshape(-1, 3, len(values))[:, :2]).max(axis=(0, 1)) > LEVEL
         )
@@ -223,7 +223,7 @@ def check_formation(
     if margin <= 0.0:
         raise Refused("bearing formation", _fast(what, "unstable", chain))
     warnings = [_slow(least, slowest)] if slowest < SLOWEST else []
-    if margin < REQUIRED:
+    if margin < REQUIRED_DELAY_MARGIN:
         warnings.append(
             _fast(what, f"left with {1e3 * margin:.0f} ms of delay margin", chain)
         )
@@ -270,5 +270,5 @@ def _fast(what: str, found: str, chain: Chain) -> str:
     )
     return (
         f"{what} is {found} behind an attitude loop of KR = {chain.gains.kr[0]:g} 1/s and {behind}; "
-        f"{1e3 * REQUIRED:.0f} ms are required. Lower kv, or remove neighbours."
+        f"{1e3 * REQUIRED_DELAY_MARGIN:.0f} ms are required. Lower kv, or remove neighbours."
     )

@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import Meta
 
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.config.tables import Table, Text
+from crazychoir.config.tables import SwarmTable, Text
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import require_feasible
@@ -24,7 +24,7 @@ from crazychoir.guidance.mission_options import (
 )
 from crazychoir.guidance.path_checks import inside
 from crazychoir.planning import feasibility
-from crazychoir.planning.drawing.drawing import Pen, drawing
+from crazychoir.planning.drawing.drawing import Pen, plan_drawing
 from crazychoir.planning.drawing.drawing_file import read_drawing
 from crazychoir.planning.feasibility import Limits
 from crazychoir.planning.figure import circle
@@ -41,7 +41,7 @@ Kind = Annotated[
 ]
 
 
-class LeaderOptions(Table, frozen=True, kw_only=True):
+class LeaderOptions(SwarmTable, frozen=True, kw_only=True):
     """[mission_options] of every mission with leaders that may move."""
 
     leaders: Kind = "still"
@@ -166,7 +166,7 @@ def path_of(config: SwarmConfig, options: LeaderOptions) -> Trajectory | None:
         a_max=0.25 * config.flight.acceleration_limit,
     )
     drawn = read_drawing(options.drawing)
-    return drawing(
+    return plan_drawing(
         drawn.strokes, Pen(timing="drawn" if drawn.is_timed else "even"), limits
     ).path
 
@@ -187,7 +187,7 @@ def require_flyable(config: SwarmConfig, options: LeaderOptions) -> None:
     for i, place in places(config).items():
         room.check_places(place[None], f"swarm {config.name}: drone {i}: hovers")
     if path := path_of(config, options):
-        t, x = feasibility.references(path)
+        t, x = feasibility.sample_references(path)
         for i, place in leaders_of(config).items():
             moved = x.copy()
             moved[:, 0:3] += place - x[0, 0:3]

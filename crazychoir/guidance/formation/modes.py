@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from crazychoir.control.gains import FORMATION, HOLD, Gains
+from crazychoir.control.gains import FORMATION_GAINS, HOLD_DELAY, Gains
 from crazychoir.control.margin import (
-    RATE_LAG,
-    Inner,
+    SLOWEST_RATE_LAG,
+    InnerLoop,
     Loop,
-    command_loop,
-    delay_margin,
-    guidance_loop,
-    rate_loop,
-    vertical_loop,
+    find_delay_margin,
+    make_command_loop,
+    make_guidance_loop,
+    make_rate_loop,
+    make_vertical_loop,
 )
 from crazychoir.platforms import Platform
 
@@ -41,9 +41,9 @@ Complex = npt.NDArray[np.complexfloating[Any, Any]]
 class Chain:
     """The dynamics between the acceleration that a law wants and the acceleration of the drone."""
 
-    gains: Gains = FORMATION
+    gains: Gains = FORMATION_GAINS
     """Gains of the control behind the law."""
-    lag: float = RATE_LAG
+    lag: float = SLOWEST_RATE_LAG
     """s: lag of the body rates, and of the thrust."""
     rates: Loop | None = None
     """W(s) of a rate loop on board. None: the body rates have only the lag."""
@@ -54,13 +54,15 @@ class Chain:
 
         Its rotors are slower than identified.
         """
-        return cls(gains, WORSE * platform.rotor.lag, rate_loop(platform, 0, WORSE))
+        return cls(
+            gains, WORSE * platform.rotor.lag, make_rate_loop(platform, 0, WORSE)
+        )
 
     @property
-    def inner(self) -> Inner:
+    def inner(self) -> InnerLoop:
         """The attitude loop of roll and pitch."""
         gains = self.gains
-        return Inner(
+        return InnerLoop(
             min(gains.kr[:2]),
             self.lag,
             lead=gains.lead,
@@ -117,12 +119,12 @@ def mode_margin(
     for e, tilts in zip(eigenvalues, horizontal, strict=True):
         if tilts:
             loops += [
-                command_loop(kp * e, kv * e, chain.inner),
-                guidance_loop(kp * e, kv * e, chain.inner),
+                make_command_loop(kp * e, kv * e, chain.inner),
+                make_guidance_loop(kp * e, kv * e, chain.inner),
             ]
         else:
-            loops.append(vertical_loop(kp * e, kv * e, chain.lag))
-    return max(min(map(delay_margin, loops), default=math.inf) - HOLD, 0.0)
+            loops.append(make_vertical_loop(kp * e, kv * e, chain.lag))
+    return max(min(map(find_delay_margin, loops), default=math.inf) - HOLD_DELAY, 0.0)
 
 
 def age_margin(
@@ -184,12 +186,12 @@ def _attitude_response(chain: Chain) -> Complex:
     inner = chain.inner
     a = np.polyval(inner.attitude[0], s) / np.polyval(inner.attitude[1], s)
     w = np.polyval(inner.response[0], s) / np.polyval(inner.response[1], s)
-    found: Complex = np.exp(-HOLD * s) * a * w / (s + inner.kr * w)
+    found: Complex = np.exp(-HOLD_DELAY * s) * a * w / (s + inner.kr * w)
     return found
 
 
 def _thrust_response(chain: Chain) -> Complex:
     """Return G(jw) = 1 / (lag jw + 1), half a tick late."""
     s = 1j * FREQUENCIES
-    found: Complex = np.exp(-HOLD * s) / (chain.lag * s + 1.0)
+    found: Complex = np.exp(-HOLD_DELAY * s) / (chain.lag * s + 1.0)
     return found

@@ -12,7 +12,7 @@ import msgspec
 from crazychoir.errors import Refused
 from crazychoir.guidance.tasks.task_book import Fate, Place, Task
 from crazychoir.guidance.tasks.team_news import TeamNews
-from crazychoir.team.graph import span
+from crazychoir.team.graph import describe_ids
 
 ADDED = 10_000
 """Smallest id of a task that an operator added in flight.
@@ -235,7 +235,7 @@ class TaskSource:
                 [k for k in book.tasks if k >= ADDED],
             )
             raise self._refused(
-                f"there is no {j}; there are {', '.join(map(span, filter(None, groups))) or 'none'}"
+                f"there is no {j}; there are {', '.join(map(describe_ids, filter(None, groups))) or 'none'}"
             )
         standing = self.news.standings()[j]
         was_cancelled = book.tasks[j].cancelled

@@ -17,7 +17,7 @@ from crazychoir.errors import CodecError, RosterChanged
 from crazychoir.guidance.tasks.task_book import Place, Record, Standing, Task, TaskBook
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph
-from crazychoir.team.rounds import FAILED
+from crazychoir.team.rounds import FAILURE_CHANNEL
 
 log = logging.getLogger(__name__)
 PERIOD = 0.2
@@ -94,7 +94,7 @@ class TeamNews:
                 )
                 self._write_off(
                     await self.communicator.asynchronous_receive(
-                        neighbors, channel=FAILED
+                        neighbors, channel=FAILURE_CHANNEL
                     )
                 )
                 await self._tell()

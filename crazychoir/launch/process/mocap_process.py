@@ -13,13 +13,13 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from crazychoir.bus.network.hello import VERSION
+from crazychoir.bus.network.hello import PACKAGE_VERSION
 from crazychoir.bus.network.zenoh_link import ZenohLink
-from crazychoir.config.swarm_config import MOCAP, SwarmConfig
+from crazychoir.config.swarm_config import PROCESS_NUMBERS, SwarmConfig
 from crazychoir.launch.process.signals import end_on_signals
-from crazychoir.mocap.process import MocapProcess, source_of
-from crazychoir.mocap.recording import Recorder
-from crazychoir.mocap.watch import MISSING, Sight
+from crazychoir.mocap.process import MocapProcess, make_source
+from crazychoir.mocap.recording import FrameRecorder
+from crazychoir.mocap.watch import TRACKING_LIMITS, BodyRecord
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.runtime.watchdog import Watchdog
@@ -59,17 +59,19 @@ def run_mocap(
         incarnation = random.SystemRandom().getrandbits(62)
         name = f"mocap-{incarnation & 0xFFFFFFFF:08x}"
         host = config.mocap.host or socket.gethostname().split(".")[0]
-        source = source_of(clock, config)
-        recorder = None if record is None else stack.enter_context(Recorder(record))
+        source = make_source(clock, config)
+        recorder = (
+            None if record is None else stack.enter_context(FrameRecorder(record))
+        )
         mocap = MocapProcess(clock, config, source, name, host, incarnation, recorder)
         link = ZenohLink(
             mocap.bus,
             config.name,
-            listen=[listen or config.endpoints()[MOCAP]],
+            listen=[listen or config.endpoints()[PROCESS_NUMBERS.motion_capture]],
             connect=[],
             routers=config.routers,
             incarnation=incarnation,
-            version=VERSION,
+            version=PACKAGE_VERSION,
             lease=config.lease,
             access=config.access(host, *filter(None, [listen])),
             on_refused=mocap.refuse,
@@ -120,8 +122,12 @@ def mocap_table(process: MocapProcess) -> Table:
     return table
 
 
-def _cells(sight: Sight, age: float) -> list[str | Text]:
-    shown = Text(f"{age:.1f}", "red") if age > MISSING else f"{age:.2f}"
+def _cells(sight: BodyRecord, age: float) -> list[str | Text]:
+    shown = (
+        Text(f"{age:.1f}", "red")
+        if age > TRACKING_LIMITS.missing_time
+        else f"{age:.2f}"
+    )
     return [
         _hertz(sight.rate),
         shown,

@@ -6,9 +6,9 @@ from typing import Any
 
 from crazychoir.errors import ConfigError
 from crazychoir.launch.console import Progress
-from crazychoir.radio.virtual.air import Dongle
+from crazychoir.radio.virtual.air import VirtualDongle
 from crazychoir.radio.virtual.server import VirtualServer
-from crazychoir.radio.virtual.setup import Hall
+from crazychoir.radio.virtual.setup import VirtualSwarm
 from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.runtime.worker_thread import add_signal_handler
@@ -21,7 +21,7 @@ Shared = list[tuple[tuple[int, ...], float | None]]
 
 async def serve(
     clock: Clock,
-    hall: Hall,
+    hall: VirtualSwarm,
     shared: Shared,
     seed: int,
     release: str,
@@ -36,7 +36,7 @@ async def serve(
     progress: live table
     Raises ConfigError if a port is taken.
     """
-    radios = [Dongle(clock, group, capacity) for group, capacity in shared]
+    radios = [VirtualDongle(clock, group, capacity) for group, capacity in shared]
     server = VirtualServer(
         clock, hall.world(seed, release), hall.seats, hall.poses, radios, seed
     )
@@ -63,7 +63,7 @@ async def serve(
     )
 
 
-def _where(hall: Hall) -> str:
+def _where(hall: VirtualSwarm) -> str:
     uris = [f"udp://{seat.at[0]}:{seat.at[1]}" for seat in hall.seats]
     shown = uris[0] if len(uris) == 1 else f"{uris[0]} to {uris[-1]}"
     return f"virtual Crazyflies: {shown}; poses at udp://{hall.poses[0]}:{hall.poses[1]}; Ctrl-C ends"

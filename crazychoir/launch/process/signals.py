@@ -3,7 +3,7 @@
 import signal
 from typing import Protocol
 
-from crazychoir.runtime.clock import SECOND, Clock
+from crazychoir.runtime.clock import NS_PER_SECOND, Clock
 from crazychoir.runtime.worker_thread import add_signal_handler
 
 AGAIN = 2.0
@@ -33,7 +33,7 @@ def end_on_signals(clock: Clock, owner: Owner) -> None:
 
     def on_signal(number: int) -> None:
         again = number != signal.SIGHUP and any(
-            t > clock.now_ns() - AGAIN * SECOND for t in times
+            t > clock.now_ns() - AGAIN * NS_PER_SECOND for t in times
         )
         if again:
             owner.abort("a second signal")

@@ -13,7 +13,7 @@ import numpy as np
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.algorithms.simplex import BasisExchange
 from crazychoir.optimization.problems.lexicographic import Columns, union
-from crazychoir.team.graph import span
+from crazychoir.team.graph import describe_ids
 from crazychoir.types import Vec, Wire
 
 
@@ -96,7 +96,7 @@ class TaskAssignment:
     ) -> None:
         self._where = f"robot {robot}: task assignment"
         if robot not in robots:
-            raise ConfigError(self._where, f"robot {robot}", span(robots))
+            raise ConfigError(self._where, f"robot {robot}", describe_ids(robots))
         self._robot = robot
         self._cost = cost
         self._robots = sorted(robots)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.team.graph import Graph, GraphSequence, span
+from crazychoir.team.graph import Graph, GraphSequence, describe_ids
 
 NUMBERLESS = frozenset({type(None), bool, int, str, bytes})
 """Types of values that contain no float."""
@@ -30,8 +30,8 @@ def require_team(agents: Mapping[int, Any], graph: Graph | GraphSequence) -> Non
     - the attributes that `require_graph` checks
     """
     if sorted(agents) != list(graph.ids):
-        allowed = f"one for each node of the graph, {span(graph.ids)}"
-        raise ConfigError("team", f"agents {span(agents) or 'none'}", allowed)
+        allowed = f"one for each node of the graph, {describe_ids(graph.ids)}"
+        raise ConfigError("team", f"agents {describe_ids(agents) or 'none'}", allowed)
     for i in graph.ids:
         if getattr(agents[i], "i", i) != i:
             raise ConfigError(

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 import crazychoir
 from crazychoir.bus.codec import decode, encode
-from crazychoir.bus.network.public_topics import as_json
+from crazychoir.bus.network.public_topics import fields_as_json
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.files.path_texts import as_path, json_bytes, make_readable
 from crazychoir.types import Status
@@ -66,7 +66,7 @@ def test_texts_anywhere_in_a_value_are_made_to_travel():
     )
     assert arrived[r"b\xfcse"][1] == [r"b\xfcse", 3]
     assert decode(encode(status)).phase == r"b\xfcse"
-    assert msgspec.json.decode(as_json(status))["note"] == UMLAUT
+    assert msgspec.json.decode(fields_as_json(status))["note"] == UMLAUT
 
 
 @pytest.mark.parametrize("name", [UMLAUT, OTHER_BYTES, IN_ASCII])

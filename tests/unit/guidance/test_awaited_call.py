@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from crazychoir.agent.agent import Agent
-from crazychoir.agent.mission_runner import ended_by_operator, failure
+from crazychoir.agent.mission_runner import result_of_failure, result_of_operator_end
 from crazychoir.config.swarm_config import default_swarm
 from crazychoir.errors import (
     AgentFailed,
@@ -263,7 +263,7 @@ def test_verbs_are_coroutine_functions_for_inspect():
 )
 def test_no_outcome_and_no_error_has_an_empty_reason(empty):
     outcomes = [
-        failure(empty)["reason"],
+        result_of_failure(empty)["reason"],
         reason_or(empty, "it is not known"),
         str(Refused("drone 0", empty)),
     ]
@@ -283,9 +283,9 @@ def test_no_outcome_and_no_error_has_an_empty_reason(empty):
 
 
 def test_a_reason_that_is_there_stays_as_it_is():
-    assert failure("lost")["reason"] == "lost"
+    assert result_of_failure("lost")["reason"] == "lost"
     assert str(Interrupted("drone 0: landing")) == "drone 0: landing"
-    assert ended_by_operator("landed on command")["reason"] == "landed on command"
+    assert result_of_operator_end("landed on command")["reason"] == "landed on command"
 
 
 @pytest.mark.parametrize("mode", Mode)

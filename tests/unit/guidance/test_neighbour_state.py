@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from virtual_time import virtual
 
-from crazychoir.bus.topics import STATE
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.guidance.neighbour_state import SPREAD, Hearing, Paired, VelocitySum
 from crazychoir.types import Pose, State
@@ -250,7 +250,7 @@ async def test_what_is_stale_is_not_told_and_not_made_up_for(clock):
         await neighbor.step()
     told = [(await neighbor.step(arrives=0))[1] for _ in range(40)]
     assert [one is None for one in told] == [
-        k * H > STATE.max_age + 1e-9 for k in range(1, 41)
+        k * H > DRONE_TOPICS.state.max_age + 1e-9 for k in range(1, 41)
     ]
     state, heard = await neighbor.step()
     assert heard.flat.tolist() == state.flat.tolist()
@@ -313,7 +313,7 @@ async def test_pairs_that_are_stale_are_not_told_and_begin_anew(clock):
         await clock.sleep(H)
         paired.put(commanded(k))
         paired.state(clock.now_ns(), 1)
-    await clock.sleep(STATE.max_age + 2 * H)
+    await clock.sleep(DRONE_TOPICS.state.max_age + 2 * H)
     assert paired.state(clock.now_ns(), 1) is None
     assert paired.stale == 1
     paired.put(commanded(90))

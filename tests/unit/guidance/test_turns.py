@@ -16,7 +16,7 @@ from crazychoir.guidance.turns import (
     blocked,
     first_at,
 )
-from crazychoir.safety.collision.neighbour_table import BORN, COLUMNS
+from crazychoir.safety.collision.neighbour_table import NEIGHBOUR_ROW
 from crazychoir.safety.rules.guard import Fence
 
 P = np.array([1.0, 2.0, 0.5])
@@ -26,9 +26,9 @@ HALL = Fence.box((-3.0, -3.0, 0.0), (3.0, 3.0, 2.0))
 
 def pilot(others, now=10.0, at=P, gave_way=-math.inf):
     """That of drone 5, which hears others: {id: (m from P along x, m height, s old)}; where it is, when it gave way."""
-    rows = np.zeros((len(others), COLUMNS))
+    rows = np.zeros((len(others), NEIGHBOUR_ROW.size))
     for row, (away, z, age) in zip(rows, others.values(), strict=True):
-        row[0:3], row[BORN] = (P[0] + away, P[1], z), now - age
+        row[0:3], row[NEIGHBOUR_ROW.state_time] = (P[0] + away, P[1], z), now - age
     return SimpleNamespace(
         drone=ME,
         clock=SimpleNamespace(now=lambda: now),

@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from crazychoir.agent.drone import WAITING
+from crazychoir.agent.drone import WAITING_TASK
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.launch import console as show
 from crazychoir.types import Acceleration, Status
@@ -146,7 +146,7 @@ def test_a_drone_that_is_back_on_the_ground_is_not_missed():
     assert rows[1].rstrip().endswith("2?, 0!"), "not 4, which has ended"
     assert "!" not in rows[4] + rows[5]
     assert "? for a second" in rows[-1], "what the marks mean"
-    waiting = Status("on ground", WAITING)
+    waiting = Status("on ground", WAITING_TASK)
     score = flying()
     score.statuses[4] = waiting
     assert "4!" in printed(show.status_table(score)).splitlines()[3], (

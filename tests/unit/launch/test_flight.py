@@ -5,11 +5,11 @@ import time
 from collections import deque
 from types import SimpleNamespace
 
-from crazychoir.agent.drone import WAITING
+from crazychoir.agent.drone import WAITING_TASK
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.launch.flight import (
-    NO_REASON,
+    MISSION_REASONS,
     NO_REASONS,
     NO_RESULT,
     all_wait,
@@ -67,7 +67,7 @@ def test_a_drone_that_fails_gives_its_reason():
         }
     )
     assert result["success"] is False
-    assert result["reasons"] == {1: "lost", 2: NO_REASON}
+    assert result["reasons"] == {1: "lost", 2: MISSION_REASONS.unsaid}
 
 
 def test_a_drone_without_result_is_absent():
@@ -257,7 +257,7 @@ def test_compiling_before_the_flight_is_not_part_of_its_time():
 def test_all_wait_until_one_has_begun_and_for_no_one_that_a_start_can_do_without():
     config, score = (
         default_swarm(3),
-        SimpleNamespace(statuses={0: Status("on ground", WAITING)}),
+        SimpleNamespace(statuses={0: Status("on ground", WAITING_TASK)}),
     )
     assert all_wait(config, score)
     assert not all_wait(config.replace(start=2), score)
@@ -406,11 +406,13 @@ def test_a_run_that_fails_never_has_an_empty_reason():
     for empty in ("", " ", None):
         assert result_of({0: {"success": False, "reason": empty}, 1: DONE, 2: DONE})[
             "reasons"
-        ] == {0: NO_REASON}
+        ] == {0: MISSION_REASONS.unsaid}
         every = dict.fromkeys(range(3), DONE)
         mission = reporting(lambda _, empty=empty: {"success": False, "reason": empty})
         assert result_of(every, mission=mission)["reason"] == NO_REASONS
         mission = reporting(
             lambda _, empty=empty: {"success": False, "reasons": {1: empty}}
         )
-        assert result_of(every, mission=mission)["reasons"] == {1: NO_REASON}
+        assert result_of(every, mission=mission)["reasons"] == {
+            1: MISSION_REASONS.unsaid
+        }

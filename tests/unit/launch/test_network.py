@@ -14,7 +14,7 @@ from other_user import as_user, in_own_namespace
 from ports import free_ports, is_free
 from typer.testing import CliRunner
 
-from crazychoir.bus.port import OBSERVER, Bus
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.cli.main import app
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import ConfigError
@@ -90,7 +90,7 @@ def test_observers_side_by_side_have_names_and_addresses_of_their_own():
     one, other = run_virtual(main)
     assert one.process != other.process
     assert list(one.ports) != list(other.ports)
-    assert min(*one.ports, *other.ports) > OBSERVER
+    assert min(*one.ports, *other.ports) > PORT_ADDRESSES.first_observer
 
 
 def test_actors_work_while_the_link_is_open_and_stop_before_it():

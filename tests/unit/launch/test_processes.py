@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from crazychoir.agent.agent import Agent
-from crazychoir.agent.mission_runner import LANDING_DEADLINE
+from crazychoir.agent.mission_runner import MISSION_TIMES
 from crazychoir.config.swarm_config import default_swarm
 from crazychoir.errors import ProcessFailed
 from crazychoir.guidance.guidance import CFGuidance
@@ -25,7 +25,7 @@ from crazychoir.launch.processes import (
     run_children,
     write_results,
 )
-from crazychoir.numerics.kernel_cache import COMPILES
+from crazychoir.numerics.kernel_cache import COMPILING_MESSAGE
 from crazychoir.runtime.clock import run_virtual
 
 
@@ -90,14 +90,14 @@ async def test_what_a_mission_prints_is_no_result_and_who_has_none_is_named(
 
 async def test_what_all_wait_for_is_said_once(tmp_path, monkeypatch):
     async def spawn(group, path, result, options):
-        return await child(f"print({COMPILES!r}); print('other')")
+        return await child(f"print({COMPILING_MESSAGE!r}); print('other')")
 
     said = []
     monkeypatch.setattr(processes, "_spawn", spawn)
     await run_children(
         [(0,), (1,)], tmp_path / "swarm.json", default_swarm(2), [], said.append
     )
-    assert sorted(said[:3]) == sorted([COMPILES, "other", "other"])
+    assert sorted(said[:3]) == sorted([COMPILING_MESSAGE, "other", "other"])
 
 
 async def test_each_cache_that_is_not_kept_is_warned_of_once_in_a_run(
@@ -344,4 +344,4 @@ def test_nobody_is_killed_while_it_comes_down(flight):
 
     result = run_virtual(main)
     assert result["success"], result
-    assert patience(config) > result["s"] + LANDING_DEADLINE
+    assert patience(config) > result["s"] + MISSION_TIMES.landing_deadline

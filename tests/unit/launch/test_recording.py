@@ -9,9 +9,9 @@ import pytest
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import load
 from crazychoir.launch.recording import FILES, digests, new_recording, other_files
-from crazychoir.recording.mcap.file import Entry, Series
-from crazychoir.recording.mcap.messages import MESSAGES, packer
-from crazychoir.recording.mcap.reading import header
+from crazychoir.recording.mcap.file import RecordingEntry, Series
+from crazychoir.recording.mcap.messages import MESSAGE_BY_VALUE_TYPE, make_packer
+from crazychoir.recording.mcap.reading import read_header
 
 MISSION = """
 import numpy
@@ -80,13 +80,17 @@ def test_those_of_a_recording_are_compared_with_those_of_now(flown, tmp_path):
     config, mission = flown
     file, message = (
         new_recording(tmp_path / "a.mcap", config, mission, virtual=True),
-        MESSAGES[str],
+        MESSAGE_BY_VALUE_TYPE[str],
     )
     file.write(
-        [Entry(Series(0, "log", message), 0, 0, packer(message, 0)("a line", 0))]
+        [
+            RecordingEntry(
+                Series(0, "log", message), 0, 0, make_packer(message, 0)("a line", 0)
+            )
+        ]
     )
     file.close()
-    told = json.loads(header(tmp_path / "a.mcap").about[FILES])
+    told = json.loads(read_header(tmp_path / "a.mcap").about[FILES])
     assert told == EXPECTED
     assert other_files(told, config, mission) == {}
     (tmp_path / "tasks.json").write_text("[1]")

@@ -14,12 +14,12 @@ import pytest
 from other_user import as_user, require
 
 from crazychoir.cli.shared import running_swarm as meant
-from crazychoir.cli.shared.chosen_swarm import named_file
+from crazychoir.cli.shared.chosen_swarm import resolve_swarm_file
 from crazychoir.cli.shared.running_swarm import (
-    DISCOVERY,
-    STARTS,
-    nobody,
-    patience,
+    NEXT_PROCESS_TIMEOUT,
+    SWARM_SEARCH,
+    first_process_timeout,
+    no_agent_error,
     running_swarm,
 )
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm, demo_swarm
@@ -47,7 +47,7 @@ def run_of(folder, name, source=None):
     return Run(
         name,
         source or "pickup_delivery",
-        source and named_file(source, None),
+        source and resolve_swarm_file(source, None),
         str(file),
     )
 
@@ -103,9 +103,9 @@ def test_nobody_is_waited_for_who_cannot_be_there_and_a_run_that_starts_is(own_p
         taken.bind(("127.0.0.1", 0))
         port = taken.getsockname()[1]
         here = default_swarm(2).replace(name="lab-1", base_port=port - 1)
-        assert patience(here) == 0.0, "nobody listens yet"
+        assert first_process_timeout(here) == 0.0, "nobody listens yet"
         taken.listen()
-        assert patience(here) == DISCOVERY, "drone 1 does"
+        assert first_process_timeout(here) == NEXT_PROCESS_TIMEOUT, "drone 1 does"
     drones = [{"id": i, "home": [i, 0, 0], "host": "far"} for i in range(2)]
     raw = {
         "name": "lab",
@@ -114,10 +114,12 @@ def test_nobody_is_waited_for_who_cannot_be_there_and_a_run_that_starts_is(own_p
         "security": {"insecure": True},
     }
     far = SwarmConfig.of(raw)
-    assert patience(far) == DISCOVERY, "on another host, that is not asked"
+    assert first_process_timeout(far) == NEXT_PROCESS_TIMEOUT, (
+        "on another host, that is not asked"
+    )
     with recorded(run_of(own_place, "lab-1")):
-        assert patience(here) == STARTS
-        assert "Name one: --swarm" in nobody(LAB, "lab.toml").reason
+        assert first_process_timeout(here) == SWARM_SEARCH.start_timeout
+        assert "Name one: --swarm" in no_agent_error(LAB, "lab.toml").reason
 
 
 def test_a_run_that_is_starting_is_not_absent_and_names_no_other(own_place):
@@ -125,7 +127,7 @@ def test_a_run_that_is_starting_is_not_absent_and_names_no_other(own_place):
         recorded(run_of(own_place, "lab-1", "lab.toml")),
         recorded(run_of(own_place, "demo-1")),
     ):
-        said = nobody(running_swarm("lab.toml"), "lab.toml").reason
+        said = no_agent_error(running_swarm("lab.toml"), "lab.toml").reason
         assert "has not started them yet (a first run compiles its laws" in said
         assert said.endswith("try again.")
         assert "--swarm" not in said

@@ -16,7 +16,7 @@ from crazychoir.guidance.delivery.replanning import Replanning, mark
 from crazychoir.guidance.tasks.task_book import Fate, Task
 from crazychoir.guidance.tasks.team_news import TeamNews
 from crazychoir.routing.instance.generate import random_instance
-from crazychoir.team.graph import named
+from crazychoir.team.graph import graph_from_name
 
 OWN = random_instance(4, 1, 0).local(0)
 HERE, PUT, DONE, GONE = (
@@ -77,7 +77,10 @@ class Team:
             bus=SimpleNamespace(clock=SimpleNamespace(now=lambda: 0.0)),
         )
         communicator = SimpleNamespace(
-            id=i, port=port, graph=named("complete", self.members), epoch=self.epoch
+            id=i,
+            port=port,
+            graph=graph_from_name("complete", self.members),
+            epoch=self.epoch,
         )
         news = TeamNews(
             communicator, tuple(self.tasks), lambda: (0.0, 0.0), self.recover
@@ -121,7 +124,7 @@ class Team:
         """A new epoch of these members, for those of them that hear of it."""
         self.epoch += 1
         for robot in self.living if who is None else who:
-            robot.news.communicator.graph = named("complete", members)
+            robot.news.communicator.graph = graph_from_name("complete", members)
             robot.news.communicator.epoch = self.epoch
 
     def fault(self):

@@ -17,7 +17,7 @@ from crazychoir.guidance.tasks.task_book import Deed, Record, Task, TaskBook
 from crazychoir.guidance.tasks.task_source import Event
 from crazychoir.routing.instance.plan import Stop
 from crazychoir.team.communicator import Communicator
-from crazychoir.team.graph import named
+from crazychoir.team.graph import graph_from_name
 
 MISSION = load("online_delivery")
 CONFIG = MISSION.swarm(5)
@@ -40,7 +40,7 @@ def robot(clock, i=0):
 
 def cut_off(guidance):
     guidance.news.count()
-    guidance.member.communicator.graph = named("complete", (guidance.id,))
+    guidance.member.communicator.graph = graph_from_name("complete", (guidance.id,))
 
 
 def stops(*pairs):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from crazychoir.agent.agent import Agent
-from crazychoir.bus.port import OBSERVER
-from crazychoir.bus.topics import STATE, STATUS
+from crazychoir.bus.port import PORT_ADDRESSES
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.guidance.delivery.pickup_delivery import PDVRPGuidance
 from crazychoir.guidance.member import Member
 from crazychoir.guidance.mission import load
@@ -55,25 +55,27 @@ def flown():
     async def main(clock):
         agent = Agent(clock, config, Missions, config.ids)
         told, track, ahead = ({i: [] for i in config.ids} for _ in range(3))
-        agent.bus.port(OBSERVER)
+        agent.bus.port(PORT_ADDRESSES.first_observer)
         for i in config.ids:
             agent.bus.subscribe(
-                STATUS,
+                DRONE_TOPICS.status,
                 i,
-                OBSERVER,
+                PORT_ADDRESSES.first_observer,
                 Call(clock, lambda s, age, i=i: told[i].append((s.phase, s.task))),
             )
             agent.bus.subscribe(
-                STATE,
+                DRONE_TOPICS.state,
                 i,
-                OBSERVER,
+                PORT_ADDRESSES.first_observer,
                 Call(clock, lambda s, age, i=i: track[i].append(s.p.copy())),
             )
 
             def look(status, age, i=i):
                 ahead[i].append([p.tolist() for p in agent.drones[i].guidance.route()])
 
-            agent.bus.subscribe(STATUS, i, OBSERVER, Call(clock, look))
+            agent.bus.subscribe(
+                DRONE_TOPICS.status, i, PORT_ADDRESSES.first_observer, Call(clock, look)
+            )
         return (
             await agent.run(),
             told,

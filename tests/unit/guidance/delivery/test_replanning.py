@@ -13,7 +13,7 @@ from crazychoir.guidance.delivery.replanning import AUCTION, Replanning, mark
 from crazychoir.guidance.tasks.task_book import Deed, Record, Task, TaskBook
 from crazychoir.routing.distributed.pickup_delivery import PickupDelivery
 from crazychoir.routing.instance.generate import random_instance
-from crazychoir.routing.search.parallel_auction import parallel_auction
+from crazychoir.routing.search.parallel_auction import run_parallel_auction
 from crazychoir.team.graph import Graph
 
 IDS = (2, 3, 5, 8)
@@ -254,9 +254,9 @@ def test_an_auction_that_raises_leaves_what_is_aboard_to_be_delivered(monkeypatc
     def broken(robot, *args):
         if robot == 5:
             raise KeyError("a bug")
-        return (yield from parallel_auction(robot, *args))
+        return (yield from run_parallel_auction(robot, *args))
 
-    monkeypatch.setattr(replanning, "parallel_auction", broken)
+    monkeypatch.setattr(replanning, "run_parallel_auction", broken)
     books = {i: TaskBook([NEAR_2, NEAR_8], records()) for i in IDS}
     shares = planned(books, carried=CARRIED, method="columns")
     assert [stops(shares[i]) for i in IDS] == [[], [(6, "delivery")], [], []]

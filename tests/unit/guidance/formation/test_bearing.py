@@ -3,7 +3,7 @@ import pytest
 
 from crazychoir.control.attitude import GeometryAttitudeCtrl
 from crazychoir.control.controller import HierarchicalController
-from crazychoir.control.gains import FORMATION, STANDARD
+from crazychoir.control.gains import FORMATION_GAINS, STANDARD_GAINS
 from crazychoir.control.handlers import AccelerationTraj, FullStateTraj
 from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositionCtrl
 from crazychoir.control.senders import FPQRSender
@@ -76,13 +76,13 @@ def controller(leader):
     if leader:
         return HierarchicalController(
             FlatnessPositionCtrl(),
-            GeometryAttitudeCtrl(STANDARD),
+            GeometryAttitudeCtrl(STANDARD_GAINS),
             FPQRSender(),
             FullStateTraj(),
         )
     return HierarchicalController(
-        FlatnessAccelerationCtrl(FORMATION),
-        GeometryAttitudeCtrl(FORMATION),
+        FlatnessAccelerationCtrl(FORMATION_GAINS),
+        GeometryAttitudeCtrl(FORMATION_GAINS),
         FPQRSender(),
         AccelerationTraj(),
     )

@@ -15,7 +15,7 @@ from crazychoir.guidance.tasks.task_source import ADDED, PATIENCE, Event, TaskSo
 from crazychoir.guidance.tasks.team_news import PERIOD, TeamNews
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.team.communicator import Communicator
-from crazychoir.team.graph import named
+from crazychoir.team.graph import graph_from_name
 
 FIRST = Task(0, 0, False, (1.0, 0.0), (2.0, 0.0), 1.0)
 HOMES = [{"id": i, "home": [float(i), -2.0, 0.0]} for i in range(3)]
@@ -37,7 +37,7 @@ SITE = Site(CONFIG, 0.4, CREW)
 
 def source(bus, i=1, events=(), may_end=lambda: False):
     news = TeamNews(
-        Communicator(bus.port(i), named("complete", 3)),
+        Communicator(bus.port(i), graph_from_name("complete", 3)),
         (FIRST,),
         lambda: (0.0, 0.0),
         False,

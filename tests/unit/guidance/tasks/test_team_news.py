@@ -6,7 +6,7 @@ import pytest
 from virtual_time import virtual
 
 from crazychoir.bus.impairment.model import Impairment
-from crazychoir.bus.impairment.rules import Rule
+from crazychoir.bus.impairment.rules import ImpairmentRule
 from crazychoir.bus.port import Bus
 from crazychoir.guidance.tasks.task_book import Deed, Fate, Record, Task
 from crazychoir.guidance.tasks.team_news import (
@@ -19,14 +19,14 @@ from crazychoir.guidance.tasks.team_news import (
     mended,
 )
 from crazychoir.team.communicator import Communicator
-from crazychoir.team.graph import Graph, named
+from crazychoir.team.graph import Graph, graph_from_name
 from crazychoir.types import Failure
 
 TASK = Task(1, 0, False, (1.0, 0.0), (2.0, 0.0))
 
 
 def team(clock, graph, loss=0.0):
-    bus = Bus(clock, Impairment(3, [Rule({"loss": loss})] if loss else []))
+    bus = Bus(clock, Impairment(3, [ImpairmentRule({"loss": loss})] if loss else []))
     return {
         i: TeamNews(
             Communicator(bus.port(i), graph), (), lambda i=i: (float(i), 0.0), False
@@ -47,7 +47,7 @@ async def gossiping(clock, news, seconds):
 def test_gossip_brings_all_to_everybody(loss):
     @virtual
     async def test(clock):
-        news = team(clock, named("ring", 6), loss)
+        news = team(clock, graph_from_name("ring", 6), loss)
         news[0].book.learn(TASK)
         number = news[3].say(deeds=(Deed(1, "pickup", 1),))
         assert not news[3].known(number)
@@ -64,7 +64,7 @@ def test_gossip_brings_all_to_everybody(loss):
 
 @virtual
 async def test_more_than_half_must_be_known_to_know(clock):
-    news = team(clock, named("complete", 5))
+    news = team(clock, graph_from_name("complete", 5))
     await gossiping(clock, news, 4 * PERIOD)
     number = news[0].say()
     for who in ((0, 1), (0, 1, 2)):
@@ -74,7 +74,7 @@ async def test_more_than_half_must_be_known_to_know(clock):
 
 @virtual
 async def test_who_is_started_again_takes_the_place_of_its_former_life(clock):
-    graph = named("complete", 3)
+    graph = graph_from_name("complete", 3)
     for former, present in ((9, 5), (5, 9)):
         bus = Bus(clock)
         news = {
@@ -99,7 +99,7 @@ async def test_who_is_started_again_takes_the_place_of_its_former_life(clock):
 
 @virtual
 async def test_what_is_no_book_is_dropped_and_counted_and_the_others_are_heard(clock):
-    news = team(clock, named("complete", 3))
+    news = team(clock, graph_from_name("complete", 3))
     news[2].book.learn(TASK)
 
     async def nonsense():
@@ -118,7 +118,7 @@ async def test_what_is_no_book_is_dropped_and_counted_and_the_others_are_heard(c
 def test_the_tasks_travel_only_to_who_lacks_them():
     @virtual
     async def test(clock):
-        news = team(clock, named("complete", 2))
+        news = team(clock, graph_from_name("complete", 2))
         for one in news.values():
             for j in range(50):
                 one.book.learn(Task(j, 0, False, (1.0, 0.0), (2.0, 0.0)))
@@ -136,7 +136,7 @@ def test_the_tasks_travel_only_to_who_lacks_them():
 def test_a_team_change_is_told():
     @virtual
     async def test(clock):
-        news = team(clock, named("complete", 3))
+        news = team(clock, graph_from_name("complete", 3))
         await gossiping(clock, news, 3 * PERIOD)
         key = news[0].key()
         news[0].changed.clear()
@@ -163,11 +163,11 @@ def test_more_than_half_of_the_last_team_may_decide_or_the_half_with_its_lowest(
 ):
     @virtual
     async def test(clock):
-        one = team(clock, named("complete", 6))[left[0]]
+        one = team(clock, graph_from_name("complete", 6))[left[0]]
         assert one.count()
-        one.communicator.graph = named("complete", left)
+        one.communicator.graph = graph_from_name("complete", left)
         assert one.count() == one.quorate == quorate
-        one.communicator.graph = named("complete", 6)
+        one.communicator.graph = graph_from_name("complete", 6)
         assert one.count(), "all are back"
 
     test()
@@ -176,16 +176,16 @@ def test_more_than_half_of_the_last_team_may_decide_or_the_half_with_its_lowest(
 def test_a_team_may_shrink_step_by_step():
     @virtual
     async def test(clock):
-        one = team(clock, named("complete", 6))[0]
+        one = team(clock, graph_from_name("complete", 6))[0]
         for n in (6, 5, 4, 3, 2, 1):
-            one.communicator.graph = named("complete", range(n))
+            one.communicator.graph = graph_from_name("complete", range(n))
             assert one.count()
 
     test()
 
 
 def test_a_graph_is_mended_where_it_fell_apart():
-    ring = named("ring", 6)
+    ring = graph_from_name("ring", 6)
     assert mended(ring) == ring
     assert mended(ring, (1,)).edges() == ((0, 5), (2, 3), (3, 4), (4, 5))
     assert mended(ring, (1, 4)).edges() == ((0, 2), (0, 5), (2, 3))
@@ -196,7 +196,7 @@ def test_a_graph_is_mended_where_it_fell_apart():
 async def test_neighbours_say_for_a_robot_that_has_failed_without_a_word_that_it_is_out(
     clock,
 ):
-    news = team(clock, named("ring", 6), 0.4)
+    news = team(clock, graph_from_name("ring", 6), 0.4)
     await gossiping(clock, news, 30 * PERIOD)
     before = news[2].record
     await news[2].communicator.fail(Failure(2, "broken"))
@@ -228,7 +228,7 @@ def test_who_hears_of_nobody_that_decides_is_left_alone(who, out, why):
 
     @virtual
     async def test(clock):
-        news = team(clock, named("complete", 3))
+        news = team(clock, graph_from_name("complete", 3))
         await gossiping(clock, news, 4 * PERIOD)
         for i in out:
             news[i].say(out=True)
@@ -247,7 +247,7 @@ def test_who_hears_of_nobody_that_decides_is_left_alone(who, out, why):
 
 @virtual
 async def test_who_is_busy_is_not_left_alone_yet(clock):
-    news = team(clock, named("complete", 2))
+    news = team(clock, graph_from_name("complete", 2))
     alone = asyncio.ensure_future(news[0].left_alone(10.0, lambda: clock.now() < 30.0))
     await clock.sleep(39.0)
     assert not alone.done()

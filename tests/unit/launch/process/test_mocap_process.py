@@ -5,19 +5,19 @@ import numpy as np
 from rich.console import Console
 
 from crazychoir.launch.process.mocap_process import mocap_table
-from crazychoir.mocap.frames import Frame
-from crazychoir.mocap.watch import Watch
+from crazychoir.mocap.frames import PoseFrame
+from crazychoir.mocap.watch import TrackingWatch
 
 
 def shown(now):
-    watch = Watch({0: "cf0", 1: "cf1", 2: "cf2"}, 100.0, live=True)
+    watch = TrackingWatch({0: "cf0", 1: "cf1", 2: "cf2"}, 100.0, live=True)
     for k in range(300):
         moving, still = (
             np.array([0.001 * k, 2.0, 0.5, 0, 0, 0, 1.0]),
             np.array([0, 0, 0, 0, 0, 0, 1.0]),
         )
         watch.note(
-            Frame(
+            PoseFrame(
                 k,
                 k / 100,
                 {"wand": still} | ({"cf0": moving} if k % 2 else {}) | {"cf1": moving},

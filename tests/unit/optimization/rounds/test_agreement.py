@@ -9,7 +9,7 @@ from crazychoir.optimization.rounds.agreement import (
     highest_bids,
     same_everywhere,
 )
-from crazychoir.team.graph import named
+from crazychoir.team.graph import graph_from_name
 
 
 def together(programs, graph):
@@ -34,7 +34,7 @@ def together(programs, graph):
 
 @pytest.fixture(params=["ring", "complete", "path", "star"])
 def team(request):
-    return named(request.param, 6)
+    return graph_from_name(request.param, 6)
 
 
 def test_a_flood_brings_everybody_everything_in_diameter_rounds(team):
@@ -49,7 +49,7 @@ def test_a_flood_brings_everybody_everything_in_diameter_rounds(team):
 
 
 def test_a_flood_one_round_short_misses_somebody():
-    team = named("path", 6)
+    team = graph_from_name("path", 6)
     values, _ = together({i: flood(i, i, 4) for i in team.ids}, team)
     assert 5 not in values[0]
 
