@@ -53,7 +53,8 @@ now</button> <button id="kept-withdraw">Withdraw</button></p><p id="stopped" rol
 emergency stop to end? Space still stops all.</p><button value="no" autofocus>Cancel</button>
 <button value="yes">End it</button></form></dialog>"""
     """Dialog before an emergency stop is cleared."""
-    link_legend: str = """<p class="help legend">Links: <em>simulated</em> loss from green, 0 %, to red, 67 %; grey where an end
+    link_legend: str = """<p class="help legend">
+Links: <em>simulated</em> loss from green, 0 %, to red, 67 %; grey where an end
 is not heard.</p>"""
     """Legend of the links in the scene."""
 

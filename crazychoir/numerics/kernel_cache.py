@@ -656,11 +656,12 @@ def _describe_value_for_digest(value: Any) -> Any:
             [_describe_value_for_digest(v) for v in value],
         )
     if isinstance(value, EnumType):
-        members = [
+        members: Mapping[str, Any] = value.__members__
+        described = [
             (name, _describe_value_for_digest(member.value))
-            for name, member in value.__members__.items()
+            for name, member in members.items()
         ]
-        return f"{value.__module__}.{value.__qualname__}", members
+        return f"{value.__module__}.{value.__qualname__}", described
     if isinstance(value, frozenset):
         return "frozenset", sorted(repr(_describe_value_for_digest(v)) for v in value)
     if isinstance(value, np.ndarray) and not value.dtype.hasobject:

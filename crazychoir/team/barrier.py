@@ -26,7 +26,7 @@ from crazychoir.team.graph import Graph
 from crazychoir.team.messages import GoMessage, Roster, TeamHeartbeat
 from crazychoir.team.strangers import Strangers
 
-__all__ = ["Barrier", "TeamHeartbeat", "Roster"]
+__all__ = ["Barrier", "Roster", "TeamHeartbeat"]
 
 BARRIER_POLL_INTERVAL: Final = 0.02  # s
 PRESENCE_HISTORY: Final = 1000

@@ -32,14 +32,14 @@ from crazychoir.planning.drawing.svg_reader import MOST_POINTS, SVG_ADVICE, SvgR
 from crazychoir.types import Mat
 
 __all__ = [
-    "MOST_POINTS",
     "METRES_PER_UNIT",
+    "MOST_POINTS",
     "Picture",
+    "format_svg",
     "parse_picture",
     "parse_svg",
     "read_picture",
     "read_svg",
-    "format_svg",
 ]
 
 METRES_PER_UNIT = 0.001

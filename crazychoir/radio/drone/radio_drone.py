@@ -1095,8 +1095,7 @@ class RadioDrone(Actor):
         For a virtual drone the text also tells how to restart it.
         """
         switch = (
-            self.row.uri.startswith("udp")
-            and self.supervisor & SupervisorBit.LOCKED
+            self.row.uri.startswith("udp") and self.supervisor & SupervisorBit.LOCKED
         )
         hint = f" (`crazychoir virtual fault {self.drone} reboot=1`)" if switch else ""
         return checks.describe_harm(self.supervisor) + hint

@@ -1,6 +1,7 @@
 """CFDistributedFeedback: when `step` runs, what it gets, and what becomes of its errors; in virtual time."""
 
 import asyncio
+import dataclasses
 import math
 
 import numpy as np
@@ -13,6 +14,7 @@ from crazychoir.config.swarm_config import default_swarm
 from crazychoir.errors import ConfigError, Hung
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.flight.pilot import Pilot
+from crazychoir.guidance import user_hook
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.member import Interrupted, Member
 from crazychoir.runtime.clock import run_virtual

@@ -9,9 +9,7 @@ from crazychoir.safety.rules.radio_watch import SupervisorBit
 def test_the_supervisor() -> None:
     ready = checks.ReadinessBit.CAN_FLY | checks.ReadinessBit.AUTO_ARM
     assert checks.supervisor_problems(ready) == []
-    assert checks.supervisor_problems(ready | SupervisorBit.TUMBLED) == [
-        "tumbled"
-    ]
+    assert checks.supervisor_problems(ready | SupervisorBit.TUMBLED) == ["tumbled"]
     assert "locked" in checks.supervisor_problems(SupervisorBit.LOCKED)[0]
     assert checks.supervisor_problems(0)
     assert checks.supervisor_problems(checks.ReadinessBit.AUTO_ARM), (

@@ -117,7 +117,9 @@ def test_they_are_put_back_when_somebody_ends_it(drone):
     assert drone[1].values["led.bitmask"] == 3
 
 
-@pytest.mark.parametrize("supervisor", [None, checks.ReadinessBit.CAN_FLY | checks.ReadinessBit.ARMED])
+@pytest.mark.parametrize(
+    "supervisor", [None, checks.ReadinessBit.CAN_FLY | checks.ReadinessBit.ARMED]
+)
 def test_who_stands_or_does_not_say_is_lit(drone, supervisor):
     drone[0].supervisor = supervisor
 

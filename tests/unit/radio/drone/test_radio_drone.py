@@ -480,7 +480,10 @@ async def test_nobody_commands_it_and_it_is_beyond_the_limit(clock) -> None:
     }
     owner = RadioProcess(clock, SwarmConfig.of(raw), 0, "radio", "here", 1)
     drone, body, kept = owner.drones[0], owner.bodies[0], Kept()
-    drone.connection, drone._well["supervisor.info"] = kept, READY | checks.ReadinessBit.FLYING
+    drone.connection, drone._well["supervisor.info"] = (
+        kept,
+        READY | checks.ReadinessBit.FLYING,
+    )
     await clock.sleep(5.0)
     for x, cut in ((1.0, False), (20.0, True)):
         drone._seen(Pose(np.array([x, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 0.0)
@@ -542,9 +545,9 @@ async def test_in_its_ascent_it_is_told_places_until_its_body_is_known_to_move_a
     told = await said_for(4.0, READY | checks.ReadinessBit.FLYING)
     assert set(told) == {place}
     assert 38 <= len(told) <= 42, "as often as [radio] says"
-    assert set((await said_for(6.0, READY | checks.ReadinessBit.FLYING))[-10:]) == {pose}, (
-        "it has been watched for long enough"
-    )
+    assert set((await said_for(6.0, READY | checks.ReadinessBit.FLYING))[-10:]) == {
+        pose
+    }, "it has been watched for long enough"
     await said_for(0.5, READY)
     drone.send(LINE)
     assert set(await said_for(1.0, READY | checks.ReadinessBit.FLYING)) == {place}, (
@@ -947,7 +950,10 @@ async def test_one_that_is_silent_may_be_carried_about(clock) -> None:
     }
     owner = RadioProcess(clock, SwarmConfig.of(raw), 0, "radio", "here", 1)
     drone, body, kept = owner.drones[0], owner.bodies[0], Kept()
-    drone.connection, drone._well["supervisor.info"] = kept, READY | checks.ReadinessBit.FLYING
+    drone.connection, drone._well["supervisor.info"] = (
+        kept,
+        READY | checks.ReadinessBit.FLYING,
+    )
     kept.silence = SILENCE_LIMITS.link_lost + 0.1
     await clock.sleep(5.0)
     drone._seen(Pose(np.array([20.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 0.0)
