@@ -461,9 +461,9 @@ class _LawFiles:
         content = None if name is None else self._read(name)
         if content is None:
             return None
-        saved_key, data = pickle.loads(content)  # noqa: S301 - from folders of this user, of root, or of the package
+        saved = _unpickle(content)
         # Another process may have used the same number for its file.
-        return data if saved_key == key else None
+        return saved[1] if saved is not None and saved[0] == key else None
 
     def save(self, key: Any, data: Any) -> None:
         """Write the data, and remove the files of other digests of the law.
@@ -491,7 +491,7 @@ class _LawFiles:
 
     def _index(self) -> dict[Any, str]:
         content = self._read(self._index_name)
-        index = {} if content is None else pickle.loads(content)  # noqa: S301 - as above
+        index = None if content is None else _unpickle(content)
         return index if isinstance(index, dict) else {}
 
     def _read(self, name: str) -> bytes | None:

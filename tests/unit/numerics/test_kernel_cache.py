@@ -514,6 +514,28 @@ def test_an_index_of_another_kind_holds_nothing(tmp_path):
     assert store.load("key") is None
 
 
+@pytest.mark.parametrize("missing", ["class", "module"])
+def test_files_that_name_a_class_of_another_version_hold_nothing(
+    tmp_path, monkeypatch, missing
+):
+    """A signature holds the classes of named tuples: another version may have renamed them."""
+    old = types.ModuleType("old_version")
+    old.Step = type("Step", (), {"__module__": "old_version"})
+    monkeypatch.setitem(sys.modules, "old_version", old)
+    store = _LawFiles(tmp_path, "law", "digest")
+    store.save("key", old.Step)
+    store._write(f"{store._base}.2.nbc", (old.Step, "machine code"))
+    if missing == "class":
+        del old.Step
+    else:
+        monkeypatch.delitem(sys.modules, "old_version")
+    assert store.load("key") is None, "its data"
+    store._write(store._index_name, {"key": f"{store._base}.2.nbc"})
+    assert store.load("key") is None, "its key"
+    store.save("key", "machine code")
+    assert store.load("key") == "machine code"
+
+
 def test_what_is_written_under_any_umask_is_read(tmp_path):
     before = os.umask(0)
     try:
