@@ -28,8 +28,8 @@ from crazychoir.errors import ConfigError
 from crazychoir.guidance.formation import bearing, leader, shapes
 from crazychoir.guidance.formation.bearing import Law, check_formation
 from crazychoir.guidance.formation.leader import LeaderOptions
-from crazychoir.guidance.formation.modes import Chain
-from crazychoir.guidance.formation.scattering import Scatter, scattered
+from crazychoir.guidance.formation.modes import AccelerationChain
+from crazychoir.guidance.formation.scattering import Scatter, scatter_swarm
 from crazychoir.guidance.formation.shapes import Shape
 from crazychoir.guidance.mission_options import (
     Gain,
@@ -46,18 +46,18 @@ from crazychoir.types import Acceleration, Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]
 """The results of all drones, by id."""
-REST = 4.0
+HOVER_BEFORE_LAW = 4.0
 """s: hovering before the paper's law.
 
 The slow modes of that law turn a trim error of mm/s2 into centimetres.
 """
-BRISK: dict[str, Any] = {"brake": 2.0, "stiff": 5.0}
+BRISK_COLLISION: dict[str, Any] = {"brake": 2.0, "stiff": 5.0}
 """[collision] of drones that accelerate with 4 m/s2.
 
 With the defaults, drones that pass each other wait so long that they push the formation off. Its
 weak modes turn 1 m/s2 of evasion into metres.
 """
-TOLERANCE = 0.01
+FORMATION_TOLERANCE = 0.01
 """m: a drone farther from its place at the end of the law has not formed up."""
 LawName = Annotated[
     Law, Meta(description='"normalised" or "paper"', examples=["paper"])
@@ -192,23 +192,23 @@ def guidance(i: int, config: SwarmConfig) -> CFDistributedFeedback:
         **law._asdict(),
     )
     follower.duration = leader.duration_of(config, options)
-    follower.rest = REST if law.law == "paper" else 0.0
+    follower.rest = HOVER_BEFORE_LAW if law.law == "paper" else 0.0
     return follower
 
 
 def chosen(config: SwarmConfig) -> Chosen:
     """Return the law with its gains. Gains that are not given depend on the law and the drones."""
     options = given(config, Options)
-    kp = bearing.KP_NORMALISED
-    kv = bearing.KV_NORMALISED
+    kp = bearing.BEARING_GAINS.kp_normalised
+    kv = bearing.BEARING_GAINS.kv_normalised
     in_height = 1.0
     if options.law == "paper" and on_motors(config):
-        kp = bearing.KP_ON_MOTORS
-        kv = bearing.KV_ON_MOTORS
-        in_height = bearing.IN_HEIGHT
+        kp = bearing.BEARING_GAINS.kp_on_motors
+        kv = bearing.BEARING_GAINS.kv_on_motors
+        in_height = bearing.BEARING_GAINS.height_share
     elif options.law == "paper":
-        kp = bearing.KP
-        kv = bearing.KV
+        kp = bearing.BEARING_GAINS.kp
+        kv = bearing.BEARING_GAINS.kv
     return Chosen(
         options.law, options.kp or kp, options.kv or kv, options.in_height or in_height
     )
@@ -245,8 +245,8 @@ def shape(config: SwarmConfig) -> Shape:
         require_each(config, options.shape, "shape")
         return options.shape
     return (
-        shapes.SQUARE
-        if config.ids == tuple(shapes.SQUARE)
+        shapes.PAPER_SQUARE
+        if config.ids == tuple(shapes.PAPER_SQUARE)
         else {drone.id: drone.home for drone in config.drones}
     )
 
@@ -263,8 +263,8 @@ def swarm(drones: int | None = None) -> SwarmConfig:
         case 4:
             return _swarm(
                 "bearing",
-                shapes.SQUARE,
-                shapes.SQUARE_EDGES,
+                shapes.PAPER_SQUARE,
+                shapes.PAPER_SQUARE_EDGES,
                 (0, 1),
                 {"scatter": [1.0, 1.0, 0.5]},
             )
@@ -311,7 +311,7 @@ def _swarm(
             ],
             "flight": {"speed_limit": 2.0, "acceleration_limit": 4.0},
             "plant": {"rate_lag": 0.0, "command_delay": 0.0},
-            "collision": BRISK,
+            "collision": BRISK_COLLISION,
             "mission_options": extra,
         }
     )
@@ -322,13 +322,13 @@ def scatter(config: SwarmConfig) -> SwarmConfig:
 
     Each start moves by up to `scatter` (3,) m an axis.
     """
-    return scattered(config, Scatter(*given(config, Options).scatter))
+    return scatter_swarm(config, Scatter(*given(config, Options).scatter))
 
 
 def goal(config: SwarmConfig) -> dict[int, Vec]:
     """Return where the law is at rest, with the leaders at their last places."""
     at_last = leader.leaders_at_last(config, given(config, Options))
-    return bearing.equilibrium(
+    return bearing.compute_equilibrium(
         shape(config), neighbors(config), {i: tuple(p) for i, p in at_last.items()}
     )
 
@@ -350,9 +350,9 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
         key=lambda found: found.rotor.lag,
     )
     chain = (
-        Chain.of_motors(gains(config), slowest)
+        AccelerationChain.of_motors(gains(config), slowest)
         if on_motors(config)
-        else Chain(gains(config))
+        else AccelerationChain(gains(config))
     )
     report = check_formation(
         shape(config),
@@ -380,9 +380,9 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
             if "place" in result
             else 0.0
         )
-        if far > TOLERANCE:
+        if far > FORMATION_TOLERANCE:
             reasons[i] = (
-                f"{far:.3f} m from its place at the end of the law, allowed {TOLERANCE} m{_deaf(result)}"
+                f"{far:.3f} m from its place at the end of the law, allowed {FORMATION_TOLERANCE} m{_deaf(result)}"
             )
     return {"success": not reasons, "reasons": reasons}
 

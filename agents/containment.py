@@ -15,7 +15,7 @@ from crazychoir.config.tables import Share
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.formation import leader
 from crazychoir.guidance.formation.leader import LeaderOptions
-from crazychoir.guidance.formation.modes import Chain, mode_margin
+from crazychoir.guidance.formation.modes import AccelerationChain, compute_mode_margin
 from crazychoir.guidance.formation.rigidity import (
     distance_to_hull,
     grounded_laplacian,
@@ -28,7 +28,7 @@ from crazychoir.types import Acceleration, Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]
 """The results of all drones, by id."""
-TOLERANCE = 0.02
+HULL_TOLERANCE = 0.02
 """m: a follower farther outside of the hull is not inside."""
 
 
@@ -215,7 +215,7 @@ def _require_stable(
         np.linalg.eigvals(grounded_laplacian(_neighbors(config), leaders)[0])
     ).tolist()
     both = 2 * eigenvalues, [n < len(eigenvalues) for n in range(2 * len(eigenvalues))]
-    if mode_margin(*both, kp, kv, Chain()) <= 0.0:
+    if compute_mode_margin(*both, kp, kv, AccelerationChain()) <= 0.0:
         of, do = (
             (f" over share^2 = {chosen**2:.3g}", ", or raise share")
             if chosen < 1.0
@@ -241,7 +241,7 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     reasons = {
         i: f"{far:.3f} m outside of the leaders' hull"
         for i, far in outside.items()
-        if far > TOLERANCE
+        if far > HULL_TOLERANCE
     }
     return {
         "outside_m": max(outside.values(), default=None),

@@ -17,16 +17,16 @@ from crazychoir.control.gains import STANDARD_GAINS
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission_options import Offset, Yaw, given, require_none
 from crazychoir.guidance.path_checks import require_inside
-from crazychoir.guidance.timed import Way, noted
+from crazychoir.guidance.timed import Way, record_way
 from crazychoir.planning.drawing.drawing import Drawing, Pen, plan_drawing
 from crazychoir.planning.drawing.drawing_file import read_drawing
 from crazychoir.planning.feasibility import Limits
 
 Results = dict[int, dict[str, Any]]
 """The results of all drones, by id."""
-WORD = Path(__file__).parent / "data" / "casy.csv"
+WORD_DRAWING = Path(__file__).parent / "data" / "casy.csv"
 """The drawing of the word "Casy"."""
-TOLERANCE = 0.03
+DRAWING_TOLERANCE = 0.03
 """m: largest distance between the flown path and the drawn path."""
 Timing = Annotated[
     Literal["even", "drawn"], Meta(description='"even" or "drawn"', examples=["drawn"])
@@ -36,7 +36,7 @@ Timing = Annotated[
 class Options(SwarmTable, frozen=True, kw_only=True):
     """[mission_options]."""
 
-    drawing: Text = str(WORD)
+    drawing: Text = str(WORD_DRAWING)
     """A CSV file of rows stroke, t, x, y, or an SVG picture with a unit of 1 mm."""
     scale: Scale = 1.0
     """Scale of the drawing."""
@@ -61,7 +61,7 @@ class Writer(CFGuidance):
         await self.rendezvous()
         home = self.state.p.copy()
         await self.go_to(self.drawn.path.sample(0.0).p)
-        async with noted(self, self.way):
+        async with record_way(self, self.way):
             await self.fly(self.drawn.path)
         await self.go_to(home)
         await self.land()
@@ -156,9 +156,9 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     flown = drawn(config, config.ids[0])
     off = {i: written(config, i, results.get(i, {})) for i in config.ids}
     reasons = {
-        i: f"{1e3 * far:.0f} mm from its drawing, allowed {1e3 * TOLERANCE:.0f} mm"
+        i: f"{1e3 * far:.0f} mm from its drawing, allowed {1e3 * DRAWING_TOLERANCE:.0f} mm"
         for i, far in off.items()
-        if not far <= TOLERANCE
+        if not far <= DRAWING_TOLERANCE
     }
     return {
         "success": not reasons,

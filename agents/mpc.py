@@ -26,23 +26,23 @@ from crazychoir.types import Vec
 
 Results = dict[int, dict[str, Any]]
 """The results of all drones, by id."""
-MARGIN = 0.05
+REACH_MARGIN = 0.05
 """m of `reach` that plans do not use.
 
 It is left for the time between two steps, and for the drones' distance from their plans.
 """
-TOLERANCE = 0.03
+FINAL_DISTANCE_TOLERANCE = 0.03
 """m: largest distance from the goal at the end."""
-SLOW = 0.25
+SLOW_DRONE_SPEED = 0.25
 """m/s: speed of the slow drone of the mission's own swarm."""
 
 
 Reach = Annotated[
     float,
     Meta(
-        gt=MARGIN,
+        gt=REACH_MARGIN,
         le=100,
-        description=f"m, more than {MARGIN} m, which plans leave, to 100",
+        description=f"m, more than {REACH_MARGIN} m, which plans leave, to 100",
         examples=[0.35],
     ),
 ]
@@ -108,7 +108,7 @@ def guidance(i: int, config: SwarmConfig) -> CFGuidance:
     low, high = room[:, 0:2] - goal
     neighbors = config.graph().neighbors(i)
     law = MPCGuidance(
-        goal, motion(config, drone), low, high, options.reach - MARGIN, neighbors
+        goal, motion(config, drone), low, high, options.reach - REACH_MARGIN, neighbors
     )
     law.duration = options.duration
     return law
@@ -148,7 +148,10 @@ def swarm(drones: int | None = None) -> SwarmConfig:
                     **slow,
                 }
                 for i, slow in enumerate(
-                    [{"options": {"speed": SLOW}} if i == 2 else {} for i in range(n)]
+                    [
+                        {"options": {"speed": SLOW_DRONE_SPEED}} if i == 2 else {}
+                        for i in range(n)
+                    ]
                 )
             ],
             "fence": {
@@ -177,7 +180,7 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
         )
     for drone in config.drones:
         _require_possible(config, drone)
-    _require_near(config, options.reach - MARGIN)
+    _require_near(config, options.reach - REACH_MARGIN)
     return []
 
 
@@ -214,7 +217,7 @@ def _require_near(config: SwarmConfig, reach: float) -> None:
             raise ConfigError(
                 where,
                 found,
-                f"at most {reach:.2f} m: mission_options.reach less {MARGIN} m",
+                f"at most {reach:.2f} m: mission_options.reach less {REACH_MARGIN} m",
                 do,
             )
 
@@ -235,9 +238,10 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
         if "way" not in results.get(i, {}):
             return {"success": False, "reasons": {i: "it has not flown to the end"}}
         far = float(np.linalg.norm(goals[i][:2] - results[i]["place"][:2]))
-        if far > TOLERANCE:
+        if far > FINAL_DISTANCE_TOLERANCE:
             reasons[i] = (
-                f"{far:.3f} m from its goal at the end, allowed {TOLERANCE} m; {results[i]['why'] or 'slow'}"
+                f"{far:.3f} m from its goal at the end, allowed {FINAL_DISTANCE_TOLERANCE} m; "
+                f"{results[i]['why'] or 'slow'}"
             )
     ahead, pair = most_ahead(config, results)
     reach = given(config, Options).reach

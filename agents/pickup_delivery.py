@@ -21,9 +21,9 @@ from crazychoir.routing.instance.plan import Route, RoutePlan
 
 Results = dict[int, dict[str, Any]]
 """The results of all drones, by id."""
-DEMO = Path(__file__).parent / "data" / "lab6.json"
+DEMO_INSTANCE = Path(__file__).parent / "data" / "lab6.json"
 """The instance of the demonstration."""
-FLIGHT = {
+PICKUP_FLIGHT_TABLE = {
     "takeoff_height": 0.5,
     "speed_limit": 0.8,
     "acceleration_limit": 2.0,
@@ -49,10 +49,10 @@ def given(config: SwarmConfig) -> PickupOptions:
 
 def instance(config: SwarmConfig) -> Instance:
     """Return the instance that the swarm's options name, or that of the demonstration."""
-    return Instance.load(given(config).instance or DEMO)
+    return Instance.load(given(config).instance or DEMO_INSTANCE)
 
 
-def swarm(drones: int | None = None, path: str | Path = DEMO) -> SwarmConfig:
+def swarm(drones: int | None = None, path: str | Path = DEMO_INSTANCE) -> SwarmConfig:
     """Return a swarm with a drone at each home of the instance, in a ring graph."""
     homes = [[*home, 0.0][:3] for home in Instance.load(path).home.tolist()]
     low = np.min(homes, axis=0) - 3.0
@@ -65,7 +65,7 @@ def swarm(drones: int | None = None, path: str | Path = DEMO) -> SwarmConfig:
             "drones": [
                 {"id": i, "home": [*home[:2], 0.0]} for i, home in enumerate(homes)
             ],
-            "flight": FLIGHT,
+            "flight": PICKUP_FLIGHT_TABLE,
             "fence": {
                 "min": [*low[:2].tolist(), 0.0],
                 "max": [*high[:2].tolist(), 3.0],

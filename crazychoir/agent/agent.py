@@ -33,7 +33,7 @@ from crazychoir.flight.estimate import choose_filter
 from crazychoir.flight.pilot import Pilot, ReachKind
 from crazychoir.flight.point_flights import compute_braking_limit
 from crazychoir.guidance.member import Member
-from crazychoir.guidance.mission import Mission, mission_hash
+from crazychoir.guidance.mission import Mission, compute_mission_hash
 from crazychoir.guidance.sensors import Sensors
 from crazychoir.platforms import find_platform
 from crazychoir.runtime.actor import Actor
@@ -162,7 +162,7 @@ class Agent:
         self._start_deadline = (
             config.start_deadline if start_deadline is None else start_deadline
         )
-        self._digest = mission_hash(config, mission)
+        self._digest = compute_mission_hash(config, mission)
         self._remotes = {i: self._remote(i) for i in self.owned}
         self._radios: list[RadioWatch] = []
         self.drones: dict[int, AgentDrone] = {i: self._drone(i) for i in ids}

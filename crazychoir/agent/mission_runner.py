@@ -24,9 +24,9 @@ from crazychoir.errors import (
     raised_at,
     reason_or,
 )
-from crazychoir.guidance.awaited_call import forgotten
-from crazychoir.guidance.member import Member, raisable, touch_down
-from crazychoir.guidance.turns import blocked
+from crazychoir.guidance.awaited_call import describe_forgotten_calls
+from crazychoir.guidance.member import Member, make_raisable, wait_for_touchdown
+from crazychoir.guidance.turns import is_blocked
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.runtime.user_code_guard import GuardedCoroutine, GuardFactory
@@ -217,7 +217,7 @@ class GuidanceActor(Actor):
         except asyncio.CancelledError as cancelled:
             if self._life is not None and self._life.cancelling():
                 raise
-            raise raisable(cancelled, "the mission") from cancelled
+            raise make_raisable(cancelled, "the mission") from cancelled
 
     def _guarded(self, mission: Coroutine[Any, Any, Any]) -> Awaitable[Any]:
         """Return the mission under the watchdog.
@@ -295,10 +295,10 @@ class GuidanceActor(Actor):
         would fall on them.
         """
         pilot = self.drone.pilot
-        await touch_down(pilot, MISSION_TIMES.landing_deadline)
-        while pilot.airborne and blocked(pilot):
+        await wait_for_touchdown(pilot, MISSION_TIMES.landing_deadline)
+        while pilot.airborne and is_blocked(pilot):
             log.warning("drone %d: others keep it up: %s", self.drone.id, pilot.note)
-            await touch_down(pilot, MISSION_TIMES.landing_deadline)
+            await wait_for_touchdown(pilot, MISSION_TIMES.landing_deadline)
         if (
             pilot.airborne and pilot.unreached
         ):  # a cut that arrives late would be a fall
@@ -348,7 +348,9 @@ class GuidanceActor(Actor):
         An error that has ended the mission is named first: it need not follow from the calls.
         """
         has_returned = life.done() and not life.cancelled() and life.exception() is None
-        words = forgotten(self.drone.guidance, has_returned and not self._aborted)
+        words = describe_forgotten_calls(
+            self.drone.guidance, has_returned and not self._aborted
+        )
         if not words:
             return result
         if result["success"]:

@@ -15,8 +15,13 @@ from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import Refused
 from crazychoir.flight.homecoming import compute_return_height
-from crazychoir.guidance.guidance import FLYING
-from crazychoir.guidance.member import PATIENCE, Member, standing, touch_down
+from crazychoir.guidance.guidance import FLYING_MODES
+from crazychoir.guidance.member import (
+    HELD_FLIGHT_PATIENCE,
+    Member,
+    describe_state,
+    wait_for_touchdown,
+)
 from crazychoir.runtime.mailbox import Latest
 from crazychoir.safety.rules.guard import EDGE_MARGIN
 from crazychoir.safety.rules.modes import Mode, ModeEvent
@@ -172,8 +177,8 @@ class OperatorCommands:
         ends = pilot.clock.now() + seconds + ORDER_TIMES.take_off_allowance
         while pilot.mode is Mode.TAKEOFF and pilot.clock.now() < ends:
             await pilot.clock.sleep(ORDER_TIMES.poll_interval, drone=self.drone.id)
-        if pilot.mode not in FLYING:
-            self._refuse(standing(pilot))
+        if pilot.mode not in FLYING_MODES:
+            self._refuse(describe_state(pilot))
         return pilot.mode.value
 
     def _start(self) -> str:
@@ -220,9 +225,11 @@ class OperatorCommands:
 
     async def _on_the_ground(self) -> str:
         pilot = self.drone.pilot
-        await touch_down(pilot, MISSION_TIMES.landing_deadline + PATIENCE)
+        await wait_for_touchdown(
+            pilot, MISSION_TIMES.landing_deadline + HELD_FLIGHT_PATIENCE
+        )
         if pilot.mode is not Mode.GROUND:
-            self._refuse(standing(pilot))
+            self._refuse(describe_state(pilot))
         return str(pilot.mode.value)
 
 

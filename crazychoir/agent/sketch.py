@@ -15,7 +15,7 @@ from crazychoir.config.flight_room import largest_room
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import CollisionTable
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.path_checks import inside
+from crazychoir.guidance.path_checks import get_place_limits
 from crazychoir.planning.drawing.drawing import Pen, plan_drawing
 from crazychoir.planning.drawing.drawing_file import (
     DrawingFile,
@@ -233,7 +233,7 @@ def flight_messages(
     told = {}
     ways = sample_references(path)[1][:, 0:3]
     for i, by in _place_beside((0.0, 0.0, 0.0), offset, drones).items():
-        inside(config, i).check_places(ways + by, f"path of drone {i}")
+        get_place_limits(config, i).check_places(ways + by, f"path of drone {i}")
         told[i] = path_message(shift_flight(path, by))
     return told
 

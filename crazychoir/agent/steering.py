@@ -12,9 +12,9 @@ from msgspec import Meta, Struct
 from crazychoir.agent.drone import AgentDrone
 from crazychoir.bus.codec import MAX_PAYLOAD
 from crazychoir.errors import ConfigError, Refused
-from crazychoir.guidance.guidance import ARRIVED, ATTEMPTS, require_feasible
-from crazychoir.guidance.member import standing
-from crazychoir.guidance.turns import blocked
+from crazychoir.guidance.guidance import FLIGHT_LIMITS, require_feasible
+from crazychoir.guidance.member import describe_state
+from crazychoir.guidance.turns import is_blocked
 from crazychoir.planning.piecewise import POLYNOMIAL_DEGREE, Piecewise
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Vec
@@ -110,7 +110,7 @@ class Steering:
             left = pilot.remaining()
         if (
             pilot.flights.plan is not path
-            or pilot.gap(path.sample(path.duration).p) > ARRIVED
+            or pilot.gap(path.sample(path.duration).p) > FLIGHT_LIMITS.arrival_distance
         ):
             self._refuse(
                 f"its path was not flown to the end: {pilot.note or pilot.mode.value}"
@@ -151,7 +151,7 @@ class Steering:
         clock = self.drone.pilot.clock
         attempts = 0
         ends = clock.now() + duration + ARRIVAL_ALLOWANCE
-        while attempts < ATTEMPTS:
+        while attempts < FLIGHT_LIMITS.most_attempts:
             seconds = pilot.go_to(p, yaw, duration, commanded=True)
             if pilot.guard.acts:  # flies as soon as the safety table allows it
                 if clock.now() > ends:
@@ -160,12 +160,12 @@ class Steering:
                 continue
             attempts = attempts + 1
             ends = max(ends, clock.now() + seconds + ARRIVAL_ALLOWANCE)
-            while pilot.mode is Mode.FOLLOW or blocked(pilot):
+            while pilot.mode is Mode.FOLLOW or is_blocked(pilot):
                 await self._look(turn)
                 if clock.now() > ends:
                     break
             await self._look(turn)
-            if pilot.gap(p) < ARRIVED:
+            if pilot.gap(p) < FLIGHT_LIMITS.arrival_distance:
                 return
         place = np.round(p, 2).tolist()
         self._refuse(
@@ -180,7 +180,7 @@ class Steering:
         self._require_cleared()
         if not self.drone.pilot.steerable:
             pilot = self.drone.pilot
-            goes_on = f"it goes on with its mission: {standing(pilot)}"
+            goes_on = f"it goes on with its mission: {describe_state(pilot)}"
             self._refuse(goes_on if pilot.obeys else f"it is {pilot.mode.value}")
         if not self.drone.pilot.commanded:
             self._refuse("it was held on its way")

@@ -20,8 +20,8 @@ from rich.table import Table
 from rich.text import Text
 
 from crazychoir.config.swarm_config import LOCAL_ADDRESS
-from crazychoir.launch.network import reserved_ports
-from crazychoir.solve.group import Group
+from crazychoir.launch.network import reserve_ports
+from crazychoir.solve.group import ProgramGroup
 from crazychoir.team.graph import Graph, k_regular, ring
 
 EXCHANGE_GRAPHS: dict[str, Callable[[int], Graph]] = {
@@ -234,8 +234,8 @@ def measure(row: ExchangeRow, seconds: float) -> None:
     answers = row.agents if ranks else row.processes
     try:
         with (
-            reserved_ports(dict.fromkeys(range(row.processes), LOCAL_ADDRESS)) as base,
-            Group(
+            reserve_ports(dict.fromkeys(range(row.processes), LOCAL_ADDRESS)) as base,
+            ProgramGroup(
                 _mpi_command(row, common) if ranks else _commands(row, common, base)
             ) as group,
         ):

@@ -23,7 +23,7 @@ from crazychoir.config.checks import WORLD_URIS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.control.margin import Plant
 from crazychoir.errors import Refused
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock, run_virtual
 from crazychoir.safety.rules.modes import Mode
@@ -174,7 +174,7 @@ def fly(
     config = ring_swarm(drones, plant, window)
 
     async def main(clock: Clock) -> list[tuple[float, float]]:
-        agent = Agent(clock, config, load("bearing_formation"), config.ids)
+        agent = Agent(clock, config, load_mission("bearing_formation"), config.ids)
         meter = WindowMeter(agent, window, watch)
         agent.services.append(meter)
         failed = {

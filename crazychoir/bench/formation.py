@@ -13,7 +13,7 @@ from rich import box
 from rich.table import Table
 
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.guidance.mission import Mission, load
+from crazychoir.guidance.mission import Mission, load_mission
 from crazychoir.launch.flight import fly_fast
 
 LOSSY_NETWORK = {"loss": 0.2, "delay": 0.02}
@@ -94,7 +94,7 @@ def measure_forming_times(
     case: FormationCase, seeds: range, say: Callable[[str], None] = lambda line: None
 ) -> list[float | None]:
     """Return the s to 1 cm of each seed; None if it was not reached or the flight failed."""
-    mission = load("bearing_formation")
+    mission = load_mission("bearing_formation")
     found = []
     for seed in seeds:
         result = fly_fast(case.config(mission, seed), mission)

@@ -28,7 +28,7 @@ from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.mission import Mission
 from crazychoir.launch import number_options as options
-from crazychoir.launch.console import STDOUT, fail
+from crazychoir.launch.console import ANSWER_CONSOLE, exit_with_error
 from crazychoir.routing.instance.generate import random_instance
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.runtime.clock import NS_PER_SECOND, Clock, run_wall
@@ -271,11 +271,11 @@ def latency(
         problem = ten_robot_instance() if instance is None else Instance.load(instance)
         result = measure(problem, drones, seconds, repeats)
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     if as_json:
         sys.stdout.write(json.dumps(result) + "\n")
     else:
-        STDOUT.print(_table(result))
+        ANSWER_CONSOLE.print(_table(result))
 
 
 def ten_robot_instance() -> Instance:

@@ -18,7 +18,7 @@ from rich.table import Table
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import Refused
-from crazychoir.launch.network import attached, isolate_swarm, observer
+from crazychoir.launch.network import isolate_swarm, make_observer_link, run_attached
 from crazychoir.runtime.clock import NS_PER_SECOND, Clock, run_wall
 from crazychoir.runtime.mailbox import Call
 from crazychoir.types import LinkStatus
@@ -54,7 +54,7 @@ def run(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
     async def main(clock: Clock) -> dict[str, Any]:
         config = _swarm()
         found = dict[int, str]()
-        link = observer(clock, config)
+        link = make_observer_link(clock, config)
         address = next(iter(link.bus.ports))
         for i in config.ids:
             for topic, hear in (
@@ -70,7 +70,7 @@ def run(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
         with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as started:
             file = Path(folder) / "swarm.json"
             file.write_text(config.dumps(), encoding="utf-8")
-            async with attached(link):
+            async with run_attached(link):
                 say("idle")
                 late = {RADIO_BENCH.phases[0]: await _measure_lateness(clock, seconds)}
                 for words in _programs(file):

@@ -34,9 +34,9 @@ from crazychoir.routing.instance.checker import check_plan
 from crazychoir.routing.instance.generate import random_instance
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.plan import Route, RoutePlan
-from crazychoir.solve.group import Group
+from crazychoir.solve.group import ProgramGroup
 from crazychoir.solve.solving import solve_here
-from crazychoir.solve.team import best_so_far, solve_in_processes
+from crazychoir.solve.team import merge_best_points, solve_in_processes
 from crazychoir.team.graph import graph_from_name
 
 INSTANCE_SIZES = {
@@ -318,7 +318,7 @@ def measure_peer(
             spec,
         ]
         try:
-            with Group([command]) as group:
+            with ProgramGroup([command]) as group:
                 ((_, answer),) = group.answers(
                     1, ROUTING_BENCH.peer_timeout, "do not answer"
                 )
@@ -362,7 +362,7 @@ def judge_answer(
         "critical_path_s": None,
         "lower_bound": None,
         "bound_exact": False,
-        "curve": best_so_far(answer["curve"]),
+        "curve": merge_best_points(answer["curve"]),
         "note": note,
     }
 

@@ -30,9 +30,9 @@ from rich.text import Text
 
 from crazychoir.bench.exchange import BARE_PACKAGE_PROGRAM, PACKAGE_FOLDER
 from crazychoir.config.swarm_config import LOCAL_ADDRESS
-from crazychoir.launch.namespaces import Switched, switched
-from crazychoir.launch.network import reserved_ports
-from crazychoir.solve.group import Group
+from crazychoir.launch.namespaces import SwitchedNamespaces, make_switched_namespaces
+from crazychoir.launch.network import reserve_ports
+from crazychoir.solve.group import ProgramGroup
 from crazychoir.team.graph import k_regular
 
 
@@ -209,13 +209,17 @@ def measure(n: int, p: int, seconds: float, namespaces: bool) -> ScaleCell:
     }
     with ExitStack() as stack:
         addresses = {f"h{k}": f"10.76.0.{k + 1}" for k in range(p)}
-        hosts = stack.enter_context(switched(addresses)) if namespaces else None
+        hosts = (
+            stack.enter_context(make_switched_namespaces(addresses))
+            if namespaces
+            else None
+        )
         began = time.perf_counter()
         base = stack.enter_context(
-            reserved_ports(dict.fromkeys(range(p), LOCAL_ADDRESS))
+            reserve_ports(dict.fromkeys(range(p), LOCAL_ADDRESS))
         )
         group = stack.enter_context(
-            Group(peer_commands(neighbors, p, seconds, hosts, addresses, base))
+            ProgramGroup(peer_commands(neighbors, p, seconds, hosts, addresses, base))
         )
         list(group.answers(p, SCALE_BENCH.start_deadline, "do not find each other"))
         start = time.perf_counter() - began
@@ -252,7 +256,7 @@ def peer_commands(
     neighbors: Mapping[int, list[int]],
     p: int,
     seconds: float,
-    hosts: Switched | None,
+    hosts: SwitchedNamespaces | None,
     addresses: dict[str, str],
     base: int,
 ) -> list[list[str]]:

@@ -20,7 +20,7 @@ from crazychoir.control.controller import HierarchicalController
 from crazychoir.control.gains import Gains
 from crazychoir.control.margin import Plant
 from crazychoir.control.position import FlatnessPositionCtrl
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 from crazychoir.planning.figure import Figure, circle, eight
 from crazychoir.platforms import CRAZYFLIE_21
 from crazychoir.runtime.actor import Actor
@@ -288,7 +288,7 @@ def fly_whole_stack(name: Path, corner: ModelCorner | None = None) -> Errors | N
     config = tracking_swarm("motors", name, (0.0, 0.0, 0.0), corner)
 
     async def main(clock: Clock) -> Errors | None:
-        agent = Agent(clock, config, load("figure"), config.ids)
+        agent = Agent(clock, config, load_mission("figure"), config.ids)
         meter = TrackingMeter(agent)
         agent.services.append(meter)
         results = await agent.run()

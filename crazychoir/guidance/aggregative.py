@@ -17,7 +17,7 @@ from crazychoir.optimization.algorithms.aggregative_tracking import AggregativeT
 from crazychoir.planning.smoothing import GoalSmoother
 from crazychoir.types import FullState, Heard, Mat, State, Vec
 
-CHANNEL = "aggregative"
+AGGREGATIVE_CHANNEL = "aggregative"
 """Channel of the tracking rounds."""
 SPEED_SHARE = 0.5
 """Share of speed_limit that references use.
@@ -147,7 +147,7 @@ class AggregativeGuidance(CFDistributedFeedback):
         try:
             while not agent.done:
                 heard = await self.neighbors_exchange(
-                    agent.message(), self.mates, self.mates, channel=CHANNEL
+                    agent.message(), self.mates, self.mates, channel=AGGREGATIVE_CHANNEL
                 )
                 agent.step(heard)
                 due = max(due + 1.0 / self.round_rate, clock.now())

@@ -13,13 +13,13 @@ from crazychoir.runtime.mailbox import Call
 from crazychoir.simulation.telemetry import check_log_names, check_log_period
 
 log = logging.getLogger(__name__)
-MISSED = 3.0
+MOST_MISSED_PERIODS = 3.0
 """Periods without a value after which the last value is stale."""
 Ask = Callable[[tuple[str, ...], float], None]
 """Requests log variables (names, period s) from the drone."""
 
 
-class Readings:
+class SensorReadings:
     """The newest values of some log variables.
 
     `readings["pm.vbat"]` is None before the first value, and when the last value is stale.
@@ -84,10 +84,10 @@ class Sensors:
         self.port = port
         self.known = known
         self.ask = ask
-        self._readings: dict[tuple[tuple[str, ...], float], Readings] = {}
+        self._readings: dict[tuple[tuple[str, ...], float], SensorReadings] = {}
         self._body = body
 
-    def log(self, names: tuple[str, ...], period: float) -> Readings:
+    def log(self, names: tuple[str, ...], period: float) -> SensorReadings:
         """Return the newest values of these variables.
 
         names: names of the variables.
@@ -107,8 +107,8 @@ class Sensors:
             self.port.bus.subscribe(
                 DRONE_TOPICS.telemetry, self._body, self.port.address, told
             )
-        readings = self._readings[names, period] = Readings(
-            clock, names, MISSED * period + DRONE_TOPICS.telemetry.max_age
+        readings = self._readings[names, period] = SensorReadings(
+            clock, names, MOST_MISSED_PERIODS * period + DRONE_TOPICS.telemetry.max_age
         )
         return readings
 

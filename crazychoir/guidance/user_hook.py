@@ -20,10 +20,10 @@ from crazychoir.errors import (
 )
 from crazychoir.runtime.user_code_guard import USER_CODE_TIMES, limit_duration
 
-README = 'See "Write your own mission" in README.md.'
+README_ADVICE = 'See "Write your own mission" in README.md.'
 """Advice for the user: the chapter about missions."""
-CHAPTERS = {
-    "mission": README,
+CHAPTER_ADVICE = {
+    "mission": README_ADVICE,
     "algorithm": 'See "A new distributed algorithm" in README.md.',
 }
 """Advice for the user, by kind of file: the chapter of README.md."""
@@ -58,7 +58,7 @@ class Hook:
             self.arguments,
             f"{self.kind} {self.file}",
             self.name,
-            CHAPTERS[self.kind],
+            CHAPTER_ADVICE[self.kind],
         )
 
     def __call__(self, *values: Any) -> Any:
@@ -91,7 +91,7 @@ class Hook:
             f"{self.kind} {self.file}{line}: {self.call}",
             found,
             self.returns,
-            CHAPTERS[self.kind],
+            CHAPTER_ADVICE[self.kind],
         )
 
     def _line(self, error: Exception) -> str:
@@ -109,7 +109,7 @@ def require_signature(
     arguments: tuple[str, ...],
     where: str,
     name: str,
-    chapter: str = README,
+    chapter: str = README_ADVICE,
 ) -> None:
     """Raise ConfigError unless `function` is a plain function that takes `arguments` by position.
 
@@ -121,12 +121,12 @@ def require_signature(
     if not callable(function):
         raise ConfigError(
             f"{where}: {name}",
-            f"{name} = {shown(function)}",
+            f"{name} = {shorten_value_text(function)}",
             wanted,
             "Or give it another name.",
         )
     if is_coroutine_function(function):
-        place, _, _ = place_of(function).rpartition(" ")
+        place, _, _ = locate_function(function).rpartition(" ")
         raise ConfigError(
             f"{place or where}: {name}",
             f"async {wanted}",
@@ -147,7 +147,7 @@ def is_coroutine_function(function: Callable[..., Any]) -> bool:
     return inspect.iscoroutinefunction(inspect.unwrap(function))
 
 
-def place_of(function: Callable[..., Any]) -> str:
+def locate_function(function: Callable[..., Any]) -> str:
     """Return where a user's function is defined, as "file:line name".
 
     Its name alone if the file is not known.
@@ -158,7 +158,7 @@ def place_of(function: Callable[..., Any]) -> str:
     return name if code is None else f"{code.co_filename}:{code.co_firstlineno} {name}"
 
 
-def shown(value: object) -> str:
+def shorten_value_text(value: object) -> str:
     """Return a value in a few words."""
     if value is None:
         return "None"

@@ -9,7 +9,7 @@ from crazychoir.errors import ConfigError
 from crazychoir.launch.processes import WORLD_OWNER, Owner
 from crazychoir.mocap.system import MOCAP_EXTRA, MOCAP_LIBRARY
 
-WITHOUT_EXTRA = ("virtual", "replay")
+SOURCES_WITHOUT_EXTRA = ("virtual", "replay")
 """Sources of [mocap] that need no extra."""
 
 
@@ -28,7 +28,7 @@ def require_extras(config: SwarmConfig, owners: Iterable[Owner], fast: bool) -> 
         where = f'swarm {config.name}: drone {in_mujoco[0]}: uri = "{config.drone(in_mujoco[0]).uri}"'
         _require(where, "mujoco", "mujoco")
     source = config.mocap.source
-    if not fast and "mocap" in started and source not in WITHOUT_EXTRA:
+    if not fast and "mocap" in started and source not in SOURCES_WITHOUT_EXTRA:
         _require(
             f'swarm {config.name}: [mocap] source = "{source}"',
             MOCAP_LIBRARY,

@@ -544,6 +544,17 @@ class _LawFiles:
             raise
 
 
+def _unpickle(content: bytes) -> Any:
+    """Return the saved value.
+
+    Returns None if it names a class that this version of the package does not have.
+    """
+    try:
+        return pickle.loads(content)  # noqa: S301 - from folders of this user, of root, or of the package
+    except (AttributeError, ImportError):
+        return None
+
+
 def _remove_file(path: str) -> None:
     try:
         os.remove(path)

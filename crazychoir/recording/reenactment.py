@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.optimization.picture import COLOURS
+from crazychoir.optimization.picture import PICTURE_STYLE
 from crazychoir.platforms import find_platform
 from crazychoir.recording.analysis.figures import (
     RecordedFlight,
@@ -128,5 +128,10 @@ def _drone_colours(n: int) -> tuple[Colour, ...]:
     from matplotlib.colors import to_rgba
 
     return tuple(
-        to_rgba(one) for one in (COLOURS[:n] if n <= len(COLOURS) else colour_scale(n))
+        to_rgba(one)
+        for one in (
+            PICTURE_STYLE.colours[:n]
+            if n <= len(PICTURE_STYLE.colours)
+            else colour_scale(n)
+        )
     )

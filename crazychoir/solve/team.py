@@ -18,7 +18,7 @@ from crazychoir.config.network import impairment_changes
 from crazychoir.config.swarm_config import LOCAL_ADDRESS
 from crazychoir.errors import ConfigError, ProcessFailed
 from crazychoir.files.private_folder import scratch_folder
-from crazychoir.launch.network import reserved_ports
+from crazychoir.launch.network import reserve_ports
 from crazychoir.numerics.kernel_cache import (
     announce_compiling,
     print_first_warning,
@@ -30,7 +30,7 @@ from crazychoir.routing.distributed.plain_loop import join_solutions
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.plan import Solution
 from crazychoir.routing.instance.schedule import summarise_plan
-from crazychoir.solve.group import Ended, Group
+from crazychoir.solve.group import ProgramEnded, ProgramGroup
 from crazychoir.team.graph import Graph, describe_ids, graph_from_name
 
 START_DEADLINE = 300.0
@@ -38,7 +38,7 @@ START_DEADLINE = 300.0
 
 Kernels are compiled at the first use.
 """
-DEADLINE = 600.0
+SOLVE_DEADLINE = 600.0
 """s from GO to the plan."""
 
 Progress = dict[int, tuple[str, int, float | None]]
@@ -57,7 +57,7 @@ def solve_in_processes(
     graph: str = "ring",
     seed: int = 0,
     settings: RoutingSettings | None = None,
-    deadline: float = DEADLINE,
+    deadline: float = SOLVE_DEADLINE,
     watch: Callable[[Progress], None] | None = None,
 ) -> dict[str, Any]:
     """Solve the instance together, with the robots spread over several processes.
@@ -124,11 +124,11 @@ def solve_in_processes(
             "watched": watch is not None,
         }
         with (
-            reserved_ports(dict.fromkeys(range(len(parts)), LOCAL_ADDRESS)) as base,
+            reserve_ports(dict.fromkeys(range(len(parts)), LOCAL_ADDRESS)) as base,
             share_with_children(folder),
-            Group(_commands(parts, common | {"base": base})) as group,
+            ProgramGroup(_build_commands(parts, common | {"base": base})) as group,
         ):
-            run = _Run(group, parts, watch or (lambda progress: None))
+            run = _SolverRun(group, parts, watch or (lambda progress: None))
             run.wait("ready", START_DEADLINE, "do not find each other")
             started = time.perf_counter() - began
             group.tell("go")
@@ -138,17 +138,20 @@ def solve_in_processes(
                 "replayed_s", deadline + 10.0, "do not repeat the rounds"
             )
             group.tell("end")
-    return _result(instance, links, solved, replayed) | {
+    return _combine_results(instance, links, solved, replayed) | {
         "startup_s": started,
         "processes": processes,
     }
 
 
-class _Run:
+class _SolverRun:
     """The answers of the processes, in order; raises ProcessFailed if something goes wrong."""
 
     def __init__(
-        self, group: Group, parts: list[list[int]], watch: Callable[[Progress], None]
+        self,
+        group: ProgramGroup,
+        parts: list[list[int]],
+        watch: Callable[[Progress], None],
     ) -> None:
         self._group = group
         self._parts = parts
@@ -178,7 +181,7 @@ class _Run:
                     self._look,
                     self._group.answers(1, ends - time.perf_counter(), complaint),
                 )
-            except Ended as error:
+            except ProgramEnded as error:
                 raise ProcessFailed(
                     f"robots {describe_ids(self._parts[error.number])}", str(error)
                 ) from None
@@ -204,7 +207,7 @@ class _Run:
         return heard
 
 
-def _commands(parts: list[list[int]], common: dict[str, Any]) -> list[list[str]]:
+def _build_commands(parts: list[list[int]], common: dict[str, Any]) -> list[list[str]]:
     """Return one command for each process.
 
     Each process listens on a port of its own and connects to the ports of the processes before it.
@@ -235,7 +238,7 @@ def _commands(parts: list[list[int]], common: dict[str, Any]) -> list[list[str]]
     return commands
 
 
-def _result(
+def _combine_results(
     instance: Instance,
     links: Graph,
     solved: list[dict[str, Any]],
@@ -261,17 +264,19 @@ def _result(
         | {
             "wall_s": max(part["wall_s"] for part in solved),
             "cpu_s": sum(part["cpu_s"] for part in solved),
-            "critical_path_s": critical_path(steps, max(replayed)),
+            "critical_path_s": compute_critical_path(steps, max(replayed)),
             "critical_cpu_s": sum(steps),
             "exchange_s": max(replayed),
             "diameter": links.diameter(),
             "robots": robots,
-            "curve": best_so_far([point for part in solved for point in part["curve"]]),
+            "curve": merge_best_points(
+                [point for part in solved for point in part["curve"]]
+            ),
         }
     )
 
 
-def critical_path(steps: list[float], exchange: float) -> float:
+def compute_critical_path(steps: list[float], exchange: float) -> float:
     """Return the critical path in s: sum_k max_i c_ik + sum_k T_k.
 
     steps: max_i c_ik of each round, s
@@ -280,7 +285,7 @@ def critical_path(steps: list[float], exchange: float) -> float:
     return sum(steps, exchange)
 
 
-def best_so_far(points: list[list[float]]) -> list[list[float]]:
+def merge_best_points(points: list[list[float]]) -> list[list[float]]:
     """Return the points [s, m] of all processes that are below all earlier points."""
     best: list[list[float]] = []
     for point in sorted(points):

@@ -32,7 +32,7 @@ from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.launch.network import attached, isolate_swarm
+from crazychoir.launch.network import isolate_swarm, run_attached
 from crazychoir.runtime.clock import run_wall
 from crazychoir.types import FullState, State, Status
 
@@ -98,7 +98,7 @@ def speak(path: str, group: int) -> None:
             incarnation=group + 1,
             version=PACKAGE_VERSION,
         )
-        async with attached(link):
+        async with run_attached(link):
             k = 0
             async for _ in clock.ticks(100.0):
                 for i in ids:

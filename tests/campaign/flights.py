@@ -15,7 +15,7 @@ from crazychoir.bus.impairment.rules import NetworkPartition
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.guidance.mission import Mission, load
+from crazychoir.guidance.mission import Mission, load_mission
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock, run_virtual
 from crazychoir.safety.rules.modes import Mode
@@ -254,7 +254,7 @@ def flown(
 
 def formation(report: Report, draw: Draw) -> None:
     """A formation by bearings, scattered at first."""
-    mission = load("bearing_formation")
+    mission = load_mission("bearing_formation")
     made = mission.swarm(None).replace(
         seed=report.seed,
         flight=BRISK,
@@ -268,7 +268,7 @@ def formation(report: Report, draw: Draw) -> None:
 
 def crossing(report: Report, draw: Draw) -> None:
     """Drones that fly straight at each other."""
-    mission, n = load("crossing"), int(draw.integers(2, 6))
+    mission, n = load_mission("crossing"), int(draw.integers(2, 6))
     made = mission.swarm(n).replace(seed=report.seed, lost_after=2.0)
     options = {
         "pattern": "antipodal",
@@ -287,7 +287,7 @@ def crossing(report: Report, draw: Draw) -> None:
 def delivery(report: Report, draw: Draw) -> None:
     """Goods that appear in flight: none picked up or delivered twice, or forgotten; what one has done others know."""
     mission, until = (
-        load("online_delivery"),
+        load_mission("online_delivery"),
         float(draw.choice([IN_FLIGHT, DELIVERING, LONG], p=[0.3, 0.5, 0.2])),
     )
     n, tasks, later = (

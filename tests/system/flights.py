@@ -11,7 +11,7 @@ from system.agents import BRISK
 from crazychoir.agent.agent import Agent
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.guidance import CFGuidance
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 from crazychoir.numerics.math3d import wrap_angle, yaw_of
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import run_virtual
@@ -131,7 +131,7 @@ def swarm_of(rows: list[tuple[str, str]], yaw: float, **tables: Any) -> SwarmCon
 
 def scattered(seed: int) -> SwarmConfig:
     """The formation with a quick take-off and landing; the law has 18 s."""
-    mission = load("bearing_formation")
+    mission = load_mission("bearing_formation")
     return mission.scatter(
         mission.swarm(None).replace(
             seed=seed, flight=BRISK, mission_options={"duration": 18.0}

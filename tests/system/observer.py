@@ -14,7 +14,7 @@ from crazychoir.bus.network.access import ACCESS_RULES
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.launch.network import observer_link, own_name
+from crazychoir.launch.network import choose_certificate_name, configure_observer
 from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.runtime.mailbox import Call
 from crazychoir.runtime.supervisor import Supervisor
@@ -33,7 +33,7 @@ def say(clock: Clock, drone: int, topic: str, value: Any) -> None:
 
 async def look(clock: Clock) -> None:
     config = SwarmConfig.load(sys.argv[1])
-    host = own_name(config)
+    host = choose_certificate_name(config)
     bus = Bus(
         clock,
         process=f"{ACCESS_RULES.observer_prefix}-{host}.{secrets.token_hex(4)}",
@@ -47,7 +47,7 @@ async def look(clock: Clock) -> None:
                 lambda value, age, i=i, topic=topic: say(clock, i, topic.name, value),
             )
             bus.subscribe(topic, i, PORT_ADDRESSES.first_observer + 1, box)
-    link = observer_link(bus, config)
+    link = configure_observer(bus, config)
     link.open()
     await Supervisor(clock, "observer").run([link])
 

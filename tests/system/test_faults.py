@@ -20,7 +20,7 @@ from crazychoir.bus.codec import encode
 from crazychoir.bus.frames import Envelope, Frame, encode_frame
 from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS, MessageClass
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 from crazychoir.launch.network import isolate_swarm
 from crazychoir.runtime.watchdog import EXIT_CODE
 
@@ -88,7 +88,7 @@ def ahead_of_others() -> list[str]:
 
 def planners(instance: str, **network: float) -> SwarmConfig:
     """Drones in a ring that share pickups and deliveries, over a network that makes them plan for some seconds."""
-    config = load("pickup_delivery").swarm(
+    config = load_mission("pickup_delivery").swarm(
         None, DATA / f"pickup_delivery_{instance}.json"
     )
     options = {**json.loads(config.dumps())["mission_options"], "service_time": 0.2}
@@ -368,7 +368,7 @@ async def plan_and_fly_under_attack(folder: Path) -> None:
         )
         ended = await team.end(60.0)
     assert [one["code"] for one in ended.values()] == [0] * len(config.ids), team.text
-    assert load("pickup_delivery").report(config, results(ended))["success"]
+    assert load_mission("pickup_delivery").report(config, results(ended))["success"]
     for one in ended.values():
         assert one["network"]["malformed"] > 10
         assert one["network"]["strangers"] > 10

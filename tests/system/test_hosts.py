@@ -13,12 +13,12 @@ from system.namespaces import ADDRESSES, Hosts, two_hosts
 
 from crazychoir.bus.network import authority
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 
 pytestmark = pytest.mark.system
 SKEW = 1000.0
 OUTAGE = 1.3
-MISSION = load("pickup_delivery")
+MISSION = load_mission("pickup_delivery")
 
 
 def demo(

@@ -15,7 +15,7 @@ from system.agents import MOCAP, Program, until
 from crazychoir.bus.port import PORT_ADDRESSES
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.launch.network import attached, observer
+from crazychoir.launch.network import make_observer_link, run_attached
 from crazychoir.mocap.frames import FRAME_PROTOCOL, PoseFrame
 from crazychoir.mocap.recording import FrameRecorder, read_recording
 from crazychoir.numerics.math3d import quaternion_of_yaw
@@ -101,14 +101,14 @@ def udp_port():
 @contextlib.asynccontextmanager
 async def subscribed(clock, config):
     """What a process of the network hears of each drone: {i: [pose]}."""
-    link, heard = observer(clock, config), {i: [] for i in config.seen}
+    link, heard = make_observer_link(clock, config), {i: [] for i in config.seen}
     (address,) = link.bus.ports
     for i, kept in heard.items():
         box = Call(clock, lambda value, age, kept=kept: kept.append(value))
         link.bus.subscribe(
             DRONE_TOPICS.pose, PORT_ADDRESSES.camera_offset + i, address, box
         )
-    async with attached(link):
+    async with run_attached(link):
         yield heard
 
 

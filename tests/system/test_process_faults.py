@@ -16,7 +16,7 @@ from system.lossy_link import wired
 
 from crazychoir.bus.network import authority
 from crazychoir.flight.pilot import CUT_OFF_TEXT
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 
 pytestmark = [
     pytest.mark.system,
@@ -25,7 +25,7 @@ pytestmark = [
     pytest.mark.timeout(300),
     pytest.mark.usefixtures("compiled"),
 ]
-MISSION = load("online_delivery")
+MISSION = load_mission("online_delivery")
 ADDRESSES = {"a": "10.79.0.1", "b": "10.79.0.2"}
 LEASE = 1.0
 VICTIM = 3

@@ -13,8 +13,8 @@ import pytest
 from crazychoir.config.tables import CollisionTable
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import CFGuidance
-from crazychoir.guidance.mission import names as missions
-from crazychoir.guidance.mission_hooks import HOOKS
+from crazychoir.guidance.mission import list_mission_names as missions
+from crazychoir.guidance.mission_hooks import MISSION_HOOKS
 from crazychoir.optimization.problems.problems import CostCoupled
 
 pytestmark = pytest.mark.system
@@ -86,7 +86,7 @@ def table(repository, first):
 def test_its_tables_name_what_there_is(repository):
     hooks = [text.removesuffix(")").split("(") for text in table(repository, "hook")]
     assert {name: tuple(arguments.split(", ")) for name, arguments in hooks} == {
-        n: h[0] for n, h in HOOKS.items()
+        n: h[0] for n, h in MISSION_HOOKS.items()
     }
     for text in table(repository, "in both"):
         name = re.search(r"self\.(\w+)", text)[1]

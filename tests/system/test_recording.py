@@ -19,9 +19,9 @@ from crazychoir.cli.recordings.record import _wait_until_gone
 from crazychoir.cli.recordings.replay import _replay
 from crazychoir.cli.shared.observer import Window
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.guidance.mission import load
-from crazychoir.launch.network import attached, isolate_swarm, observer
-from crazychoir.launch.recording import new_recording
+from crazychoir.guidance.mission import load_mission
+from crazychoir.launch.network import isolate_swarm, make_observer_link, run_attached
+from crazychoir.launch.recording import make_recording
 from crazychoir.recording.analysis import plots
 from crazychoir.recording.analysis.figures import recorded_flight
 from crazychoir.recording.mcap.reading import read, read_header
@@ -50,7 +50,7 @@ def guidance(i, config):
 def fly_short(here, tmp_path_factory):
     """Flies a short formation in virtual time with lost messages; what the run says."""
     swarm = (
-        load(MISSION)
+        load_mission(MISSION)
         .swarm(None)
         .replace(flight=BRISK, mission_options={"duration": 3.0})
     )
@@ -301,12 +301,12 @@ def test_a_replay_is_seen_as_a_swarm_and_recorded_anew(recorded, tmp_path):
 
     async def main(clock):
         replaying = asyncio.create_task(_replay(clock, config, path, 4.0, None, 60.0))
-        link = observer(clock, config)
-        async with attached(link):
+        link = make_observer_link(clock, config)
+        async with run_attached(link):
             window = Window(clock, config, link, None, 60.0)
             assert await window.find() == [0, 1, 2, 3]
             file, topics = (
-                new_recording(new, config, None, virtual=False),
+                make_recording(new, config, None, virtual=False),
                 ("state", "truth", "result"),
             )
             recorder = Recorder(

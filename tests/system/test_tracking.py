@@ -14,9 +14,9 @@ from crazychoir.bench.tracking import (
 )
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 from crazychoir.launch.flight import fly_fast
-from crazychoir.launch.recording import recording_file
+from crazychoir.launch.recording import open_recording_file
 from crazychoir.recording.analysis.figures import FLIGHT_TOPICS, recorded_flight
 from crazychoir.recording.mcap.reading import read
 
@@ -86,14 +86,16 @@ def test_what_one_of_the_drones_cannot_fly_is_refused_before_the_flight(
         }
     )
     with pytest.raises(ConfigError, match=says):
-        load(mission).check(config, False)
+        load_mission(mission).check(config, False)
 
 
 def test_a_drawn_word_is_flown_within_its_limits(tmp_path):
     config = SwarmConfig.load("deploy/casy.toml")
     path = tmp_path / "casy.mcap"
-    with recording_file(path, config, load("drawn_path"), virtual=True) as file:
-        result = fly_fast(config, load("drawn_path"), file=file)
+    with open_recording_file(
+        path, config, load_mission("drawn_path"), virtual=True
+    ) as file:
+        result = fly_fast(config, load_mission("drawn_path"), file=file)
     assert result["success"], result["reasons"]
     assert result["speed_m_s"] <= config.flight.speed_limit
     assert result["acceleration_m_s2"] <= config.flight.acceleration_limit

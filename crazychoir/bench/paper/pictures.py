@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from crazychoir.bench.paper.ablation import ABLATION_GRAPHS
 from crazychoir.bench.significance import relative_excess
 from crazychoir.files.output_files import save_figure
-from crazychoir.optimization.picture import COLOURS, DASHES
+from crazychoir.optimization.picture import PICTURE_STYLE
 from crazychoir.recording.analysis.plots import COLUMN_WIDTH, PLOT_STYLE
 from crazychoir.routing.distributed.pickup_delivery import PLANNING_METHODS
 
@@ -188,7 +188,7 @@ def _draw_solvers(figure: "Figure", rows: Rows) -> None:
     sizes = sorted({tasks for _, tasks in over})
     width = 0.8 / max(len(names), 1)
     for number, name in enumerate(names):
-        colour = COLOURS[number % len(COLOURS)]
+        colour = PICTURE_STYLE.colours[number % len(PICTURE_STYLE.colours)]
         mark = MARKER_SHAPES[number % len(MARKER_SHAPES)]
         of = {
             place: over[name, tasks]
@@ -266,7 +266,9 @@ def _line(
         low, high = (
             [row[f"{y}_{end}"] * y_scale for row in mine] for end in ("lower", "upper")
         )
-        axes.vlines(places, low, high, color=COLOURS[number], linewidth=0.8)
+        axes.vlines(
+            places, low, high, color=PICTURE_STYLE.colours[number], linewidth=0.8
+        )
 
 
 def _logarithmic(axes: "Axes", which: str = "y") -> None:
@@ -281,10 +283,10 @@ def _logarithmic(axes: "Axes", which: str = "y") -> None:
 
 
 def _marked_line_style(number: int) -> dict[str, Any]:
-    at = number % len(COLOURS)
+    at = number % len(PICTURE_STYLE.colours)
     return {
-        "color": COLOURS[at],
-        "linestyle": DASHES[at % len(DASHES)],
+        "color": PICTURE_STYLE.colours[at],
+        "linestyle": PICTURE_STYLE.dashes[at % len(PICTURE_STYLE.dashes)],
         "marker": MARKER_SHAPES[at],
     }
 

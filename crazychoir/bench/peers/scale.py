@@ -15,7 +15,7 @@ import numpy as np
 from crazychoir.bench.peers.peers import say, specification, wait_for_go
 from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.port import Bus
-from crazychoir.launch.joining import joined
+from crazychoir.launch.joining import wait_until_joined
 from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph
@@ -78,7 +78,7 @@ async def main(clock: Clock) -> None:
             link = ZenohLink(bus, spec["swarm"], incarnation=1, version="bench", **ends)
             link.open()
             group.create_task(link.run())
-            await joined(link, team)
+            await wait_until_joined(link, team)
         say({"ready": True})
         await asyncio.to_thread(wait_for_go)
         running = [

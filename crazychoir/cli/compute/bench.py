@@ -14,7 +14,12 @@ from rich.text import Text
 from crazychoir.bench.latency import latency
 from crazychoir.errors import CrazyChoirError
 from crazychoir.launch import number_options as options
-from crazychoir.launch.console import STDERR, STDOUT, fail, set_up_logging
+from crazychoir.launch.console import (
+    ANSWER_CONSOLE,
+    ERROR_CONSOLE,
+    exit_with_error,
+    set_up_logging,
+)
 
 app = typer.Typer(no_args_is_help=True, help="Measure, against peers of the same run.")
 app.command()(latency)
@@ -236,18 +241,18 @@ def _show(
     """
     set_up_logging()
     try:
-        if STDERR.is_terminal:
-            with STDERR.status("starting") as status:
+        if ERROR_CONSOLE.is_terminal:
+            with ERROR_CONSOLE.status("starting") as status:
                 result = measure(lambda text: status.update(Text(text)))
         else:
             result = measure(
-                lambda text: STDERR.print(
+                lambda text: ERROR_CONSOLE.print(
                     text, markup=False, highlight=False, soft_wrap=True
                 )
             )
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     if as_json:
         sys.stdout.write(json.dumps(result) + "\n")
     else:
-        STDOUT.print(table(result))
+        ANSWER_CONSOLE.print(table(result))

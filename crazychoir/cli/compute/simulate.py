@@ -15,12 +15,12 @@ from crazychoir.errors import ConfigError, CrazyChoirError, refuse_exit
 from crazychoir.files.output_files import require_writable_file
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
-    STDERR,
-    STDOUT,
-    Outputs,
-    Progress,
-    fail,
-    prints_aside,
+    ANSWER_CONSOLE,
+    ERROR_CONSOLE,
+    CommandOutputs,
+    LiveTable,
+    exit_with_error,
+    redirect_prints,
     require_drawable,
     set_up_logging,
     write_json,
@@ -65,7 +65,7 @@ def simulate(
         Path, typer.Argument(help="Python file that defines agent(i, graph).")
     ],
     agents: Annotated[
-        int, options.whole("So many agents.", most=options.LARGEST_TEAM)
+        int, options.whole("So many agents.", most=options.OPTION_LIMITS.agents)
     ] = 10,
     graph: Annotated[
         str,
@@ -124,7 +124,7 @@ def simulate(
             simulate as simulation,
         )  # takes 1 s, which --help does not need
 
-    outputs = Outputs()
+    outputs = CommandOutputs()
     asked = (
         None
         if record is None
@@ -135,10 +135,10 @@ def simulate(
         if save is not None:
             require_suffix(save, "--save")
             require_writable_file(save, "--save")
-        with prints_aside(), refuse_exit("the algorithm"):
+        with redirect_prints(), refuse_exit("the algorithm"):
             with KERNEL_QUEUE.checks_first():
                 links, team = _make_team(file, agents, graph, seed, directed)
-                names = simulation.recorded(team, asked)
+                names = simulation.list_recorded_names(team, asked)
                 if picture is not None and not names:
                     raise ConfigError(
                         "--picture",
@@ -148,8 +148,8 @@ def simulate(
             KERNEL_QUEUE.compile()
             ended = False
             try:
-                with Progress(
-                    _progress_table, enabled=STDERR.is_terminal and not as_json
+                with LiveTable(
+                    _progress_table, enabled=ERROR_CONSOLE.is_terminal and not as_json
                 ) as progress:
                     history = simulation.simulate(
                         team,
@@ -162,7 +162,7 @@ def simulate(
                         sleep=(0.0, sleep),
                         compute=(0.0, compute),
                     )
-            except simulation.Interrupted as end:
+            except simulation.SimulationInterrupted as end:
                 history = end.history
                 ended = True
             if save is not None:
@@ -181,7 +181,7 @@ def simulate(
                         f"{file.stem}: {agents} agents, {graph}, {loss:.0%} lost",
                     )
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     said = (
         {"success": False, "error": INTERRUPTION_TEXT, "kind": "KeyboardInterrupt"}
         if ended
@@ -190,10 +190,10 @@ def simulate(
     if as_json:
         write_json(history.to_json() | outputs.told | said)
     else:
-        STDOUT.print(_tables(history, file.stem))
+        ANSWER_CONSOLE.print(_tables(history, file.stem))
     outputs.say()
     if ended:
-        STDERR.print(INTERRUPTION_TEXT)
+        ERROR_CONSOLE.print(INTERRUPTION_TEXT)
         raise typer.Exit(130)
     if outputs.failed:
         raise typer.Exit(1)
@@ -205,7 +205,7 @@ class _ProgressDisplay:
     The time between two lines doubles.
     """
 
-    def __init__(self, progress: "Progress[Seen]", rounds: int | None) -> None:
+    def __init__(self, progress: "LiveTable[Seen]", rounds: int | None) -> None:
         self.progress = progress
         self.steps = 0
         self.end = (
@@ -239,12 +239,12 @@ def _make_team(
 
     Raises ConfigError if the file defines no agent(i, graph), or if it returns no agent.
     """
-    from crazychoir.guidance.mission import from_file
+    from crazychoir.guidance.mission import import_from_file
     from crazychoir.guidance.user_hook import Hook
     from crazychoir.team.round import Round
 
-    links = options.graph_of(graph, agents, seed, directed)
-    module = from_file(file, "algorithm")
+    links = options.build_named_graph(graph, agents, seed, directed)
+    module = import_from_file(file, "algorithm")
     make = getattr(module, "agent", None)
     if make is None:
         allowed = "a file that defines agent(i, graph)"
@@ -293,7 +293,7 @@ def _add_hidden_count(table: Table, agents: int) -> Table:
 
 
 def _tables(history: "History", name: str) -> Group:
-    from crazychoir.optimization.history import parts_of
+    from crazychoir.optimization.history import list_parts
 
     figures = Table("figure", "value", title=name)
     result = history.to_json()
@@ -324,7 +324,7 @@ def _tables(history: "History", name: str) -> Group:
         for i, values in history.values.items()
     }
     results = {
-        i: {name or "result": v for name, v in parts_of(part).items()}
+        i: {name or "result": v for name, v in list_parts(part).items()}
         for i, part in history.results.items()
     }
     tables = [

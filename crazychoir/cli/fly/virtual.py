@@ -9,10 +9,10 @@ from rich.table import Table
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
-    STDERR,
-    STDOUT,
-    Progress,
-    fail,
+    ANSWER_CONSOLE,
+    ERROR_CONSOLE,
+    LiveTable,
+    exit_with_error,
     set_up_logging,
     write_json,
 )
@@ -83,7 +83,7 @@ def virtual(
         return
     set_up_logging()
     from crazychoir.config.swarm_config import SwarmConfig
-    from crazychoir.launch.process.serving import serve
+    from crazychoir.launch.process.serving import serve_virtual_drones
     from crazychoir.radio.virtual.drone import (
         MODELLED_DRONE,
     )  # takes 1 s, which --help does not need
@@ -110,16 +110,20 @@ def virtual(
             if swarm or dongles or per_dongle
             else []
         )
-        with Progress(_table, enabled=not as_json and STDERR.is_terminal) as progress:
+        with LiveTable(
+            _table, enabled=not as_json and ERROR_CONSOLE.is_terminal
+        ) as progress:
             report = run_wall(
-                lambda clock: serve(clock, hall, shared, seed, release, progress)
+                lambda clock: serve_virtual_drones(
+                    clock, hall, shared, seed, release, progress
+                )
             )
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     if as_json:
         write_json(report)
     else:
-        STDOUT.print(_summary(report))
+        ANSWER_CONSOLE.print(_summary(report))
     raise typer.Exit(0 if report["success"] else 1)
 
 
@@ -226,7 +230,7 @@ def faults(
             knob.means,
             ", ".join(f"{i}: {value}" for i, value in now.items()),
         )
-    STDOUT.print(table)
+    ANSWER_CONSOLE.print(table)
 
 
 @app.command()
@@ -240,7 +244,7 @@ def state(
     if as_json:
         write_json(answer)
     else:
-        STDOUT.print(_table(answer["drones"]))
+        ANSWER_CONSOLE.print(_table(answer["drones"]))
 
 
 def _parse_faults(changes: list[str], as_json: bool) -> dict[str, Any]:
@@ -248,11 +252,11 @@ def _parse_faults(changes: list[str], as_json: bool) -> dict[str, Any]:
     for change in changes:
         name, _, text = change.partition("=")
         try:
-            numbers = options.finite_numbers(
+            numbers = options.parse_finite_numbers(
                 text, f"fault {name}", "name=number, as loss=0.3, or offset=0.2,0,0"
             )
         except ConfigError as error:
-            fail(error, as_json)
+            exit_with_error(error, as_json)
         found[name] = numbers if len(numbers) > 1 else numbers[0]
     return found
 
@@ -269,4 +273,4 @@ def _ask(
             port=port - 1 if swarm is None else SwarmConfig.load(swarm).mocap.port,
         )
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)

@@ -10,7 +10,7 @@ from crazychoir.cli.operate.inspect import SwarmOption, run_as_observer
 from crazychoir.errors import ConfigError
 from crazychoir.files.text_files import read_text
 from crazychoir.launch import number_options as options
-from crazychoir.launch.console import STDERR, fail
+from crazychoir.launch.console import ERROR_CONSOLE, exit_with_error
 
 if TYPE_CHECKING:
     from crazychoir.cli.shared.observer import Window
@@ -56,7 +56,7 @@ def dashboard(
     try:
         from crazychoir.dashboard.server import PageAddress, serve
     except ImportError as error:
-        fail(
+        exit_with_error(
             ConfigError(
                 "crazychoir dashboard",
                 f"no module {error.name}",
@@ -69,13 +69,13 @@ def dashboard(
             host, port, _password(password_file), certificate, key, authority
         )
     except ConfigError as error:
-        fail(error, as_json=False)
+        exit_with_error(error, as_json=False)
 
     async def work(window: "Window") -> None:
         await serve(
             window,
             served,
-            lambda text: STDERR.print(
+            lambda text: ERROR_CONSOLE.print(
                 text, markup=False, highlight=False, soft_wrap=True
             ),
         )

@@ -9,7 +9,7 @@ from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, run_as_obser
 from crazychoir.cli.operate.orders import parse_drones, print_answers
 from crazychoir.errors import ConfigError
 from crazychoir.launch import number_options as options
-from crazychoir.launch.console import STDERR, fail
+from crazychoir.launch.console import ERROR_CONSOLE, exit_with_error
 
 if TYPE_CHECKING:
     from crazychoir.cli.shared.observer import Answers, Window
@@ -112,7 +112,7 @@ def fly(
         plan = plan_sketch(load_file(file), pen, config, v_max=speed, slower=slower)
         told.update(flight_messages(plan.path, chosen, step, config))
         spent += plan.path.duration
-        STDERR.print(
+        ERROR_CONSOLE.print(
             f"{plan.path.duration:.1f} s, at most {plan.speed:.2f} m/s, {plan.acceleration:.2f} m/s2"
         )
         return await window.command("fly", told, spent)
@@ -122,9 +122,9 @@ def fly(
 
 def _metres(option: str, text: str) -> tuple[float, float, float]:
     try:
-        x, y, z = options.finite_numbers(
+        x, y, z = options.parse_finite_numbers(
             text, option, "three numbers of m, as 1,0.5,1.2", 3
         )
     except ConfigError as error:
-        fail(error, as_json=False)
+        exit_with_error(error, as_json=False)
     return x, y, z

@@ -12,17 +12,17 @@ from crazychoir.config.number_lists import parse_spans
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
-    STDOUT,
-    fail,
+    ANSWER_CONSOLE,
+    build_status_table,
+    exit_with_error,
     set_up_logging,
-    status_table,
     write_json,
 )
 
 if TYPE_CHECKING:
     from crazychoir.bus.topics import Topic
     from crazychoir.cli.shared.observer import Answers, Window, Work
-    from crazychoir.launch.flight_observer import Score
+    from crazychoir.launch.flight_observer import FlightScore
 
 SwarmOption = Annotated[
     str | None,
@@ -53,7 +53,7 @@ def run_as_observer(swarm: str | None, work: "Work", as_json: bool = False) -> A
     try:
         return window.observe_swarm(swarm, work)
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
 
 
 def topics(as_json: JsonOption = False) -> None:
@@ -79,7 +79,7 @@ def topics(as_json: JsonOption = False) -> None:
     table = Table(*rows[0], box=box.SIMPLE_HEAD, padding=0)
     for row in rows:
         table.add_row(*(str(value) for value in row.values()))
-    STDOUT.print(table)
+    ANSWER_CONSOLE.print(table)
 
 
 def echo(
@@ -139,7 +139,7 @@ def status(
 ) -> None:
     """Show the state of each drone."""
 
-    async def work(window: "Window") -> "Score":
+    async def work(window: "Window") -> "FlightScore":
         # The agents may be starting just now on other hosts.
         if watch and window.patience:
             window.patience = max(window.patience, window.config.start_deadline)
@@ -151,16 +151,16 @@ def status(
         if watch:
             from rich.live import Live
 
-            with Live(console=STDOUT, refresh_per_second=4) as live:
+            with Live(console=ANSWER_CONSOLE, refresh_per_second=4) as live:
                 async for _ in window.clock.ticks(4.0):
-                    live.update(status_table(score))
+                    live.update(build_status_table(score))
         return score
 
     score = run_as_observer(swarm, work, as_json)
     if as_json:
         write_json(dict(sorted(score.statuses.items())))
     else:
-        STDOUT.print(status_table(score))
+        ANSWER_CONSOLE.print(build_status_table(score))
 
 
 def impair(
@@ -210,7 +210,7 @@ def impair(
     pair = _edge(edge)
     if burst is not None and not (loss is not None and 0.0 < loss < 1.0):
         found = f"{burst:g} with {'no --loss' if loss is None else f'--loss {loss:g}'}"
-        fail(
+        exit_with_error(
             ConfigError("--burst", found, "1 or more, with a --loss between 0 and 1"),
             as_json,
         )
@@ -262,7 +262,7 @@ def _edge(text: str | None) -> list[int] | None:
         if len(pair) != 2:
             raise ConfigError("--edge", text, allowed)
     except ConfigError as error:
-        fail(error, as_json=False)
+        exit_with_error(error, as_json=False)
     return pair
 
 
@@ -270,7 +270,9 @@ def _topic(name: str) -> "Topic":
     from crazychoir.bus.topics import OBSERVABLE_TOPICS, TOPIC_BY_NAME
 
     if name not in OBSERVABLE_TOPICS:
-        fail(ConfigError("topic", name, ", ".join(OBSERVABLE_TOPICS)), as_json=False)
+        exit_with_error(
+            ConfigError("topic", name, ", ".join(OBSERVABLE_TOPICS)), as_json=False
+        )
     return TOPIC_BY_NAME[name]
 
 
@@ -294,4 +296,4 @@ def _print_pairs(pairs: dict[int, Any], heads: tuple[str, str], as_json: bool) -
         table.add_row(
             str(i), f"{value:.1f}" if isinstance(value, float) else str(value)
         )
-    STDOUT.print(table)
+    ANSWER_CONSOLE.print(table)

@@ -11,7 +11,7 @@ from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, run_as_obser
 from crazychoir.config.number_lists import parse_spans
 from crazychoir.errors import ConfigError
 from crazychoir.launch import number_options as options
-from crazychoir.launch.console import STDOUT, fail, write_json
+from crazychoir.launch.console import ANSWER_CONSOLE, exit_with_error, write_json
 
 if TYPE_CHECKING:
     from crazychoir.cli.shared.observer import Answers, Window
@@ -130,7 +130,7 @@ def _conclude(rows: Rows, as_json: bool) -> None:
         table = Table("drone", "answer", "says")
         for i, row in rows.items():
             table.add_row(str(i), row["answer"], row["says"])
-        STDOUT.print(table)
+        ANSWER_CONSOLE.print(table)
     raise typer.Exit(
         0
         if rows and all(row["answer"] == ORDER_ANSWERS.done for row in rows.values())
@@ -145,4 +145,4 @@ def parse_drones(text: str | None) -> list[int] | None:
     try:
         return parse_spans(text, "--drones", "drones with commas between, as 3,5-7")
     except ConfigError as error:
-        fail(error, as_json=False)
+        exit_with_error(error, as_json=False)

@@ -10,7 +10,12 @@ from rich.text import Text
 from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, run_as_observer
 from crazychoir.errors import ConfigError
 from crazychoir.launch import number_options as options
-from crazychoir.launch.console import STDERR, STDOUT, fail, write_json
+from crazychoir.launch.console import (
+    ANSWER_CONSOLE,
+    ERROR_CONSOLE,
+    exit_with_error,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from crazychoir.cli.shared.observer import Answers, Window
@@ -77,9 +82,11 @@ def _ask_drones(
 def _value(text: str) -> Any:
     """Return the number in the text, or a list if there are several."""
     try:
-        found = options.finite_numbers(text, "VALUE", "a number, or three as 8,8,4")
+        found = options.parse_finite_numbers(
+            text, "VALUE", "a number, or three as 8,8,4"
+        )
     except ConfigError as error:
-        fail(error, as_json=False)
+        exit_with_error(error, as_json=False)
     return found if len(found) > 1 else found[0]
 
 
@@ -88,7 +95,7 @@ def _conclude(answers: "Answers", as_json: bool) -> None:
     if as_json:
         write_json({i: said for i, (_, said) in answers.items()})
     else:
-        STDOUT.print(_table(answers))
+        ANSWER_CONSOLE.print(_table(answers))
     raise typer.Exit(0 if all(done for done, _ in answers.values()) else 1)
 
 
@@ -114,7 +121,7 @@ def _table(answers: "Answers") -> Table:
         )
     for i, (done, said) in answers.items():
         if not done:
-            STDERR.print(f"drone {i}: {said}", markup=False)
+            ERROR_CONSOLE.print(f"drone {i}: {said}", markup=False)
     return table
 
 

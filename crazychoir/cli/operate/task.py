@@ -9,7 +9,12 @@ from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, run_as_obser
 from crazychoir.config.number_lists import parse_spans
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.launch import number_options as options
-from crazychoir.launch.console import STDERR, STDOUT, fail, write_json
+from crazychoir.launch.console import (
+    ANSWER_CONSOLE,
+    ERROR_CONSOLE,
+    exit_with_error,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from crazychoir.cli.shared.observer import Answers, Window
@@ -118,7 +123,7 @@ def _ask(
         )
     else:
         for line in _lines(answers):
-            (STDOUT if done else STDERR).print(
+            (ANSWER_CONSOLE if done else ERROR_CONSOLE).print(
                 line, markup=False, highlight=False, soft_wrap=True
             )
     raise typer.Exit(0 if done else 1)
@@ -163,9 +168,9 @@ def _in_words(said: dict[str, Any]) -> str:
 
 def _place(option: str, text: str) -> list[float]:
     try:
-        return options.finite_numbers(text, option, "2 numbers, as 1.5,2", 2)
+        return options.parse_finite_numbers(text, option, "2 numbers, as 1.5,2", 2)
     except ConfigError as error:
-        fail(error, as_json=False)
+        exit_with_error(error, as_json=False)
 
 
 def _robots(text: str) -> list[int]:
@@ -174,4 +179,4 @@ def _robots(text: str) -> list[int]:
             text.strip().strip("[]()"), "--robots", "whole numbers, as 0,3"
         )
     except ConfigError as error:
-        fail(error, as_json=False)
+        exit_with_error(error, as_json=False)

@@ -10,11 +10,11 @@ from rich.table import Table
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.files.output_files import output_file, require_writable_folder
 from crazychoir.launch.console import (
-    STDOUT,
-    Outputs,
-    fail,
+    ANSWER_CONSOLE,
+    CommandOutputs,
+    exit_with_error,
     set_up_logging,
-    warn_of,
+    warn_of_gaps,
     write_json,
 )
 
@@ -71,7 +71,7 @@ def plot(
     from crazychoir.recording.analysis.figures import FLIGHT_TOPICS, recorded_flight
     from crazychoir.recording.mcap.reading import read
 
-    outputs = Outputs()
+    outputs = CommandOutputs()
     folder = out or file.with_suffix("")
     files: list[Path] = []
     try:
@@ -87,9 +87,9 @@ def plot(
         with outputs.writing("--out"):
             _write(flight, work, talk, pictures, folder, files)
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     figures = {"seconds": ended - began, **flight.figures()}
-    warn_of(recording, f"only its first {figures['seconds']:.1f} s are there")
+    warn_of_gaps(recording, f"only its first {figures['seconds']:.1f} s are there")
     if as_json:
         told = {"file": file, **recording.lacks, "about": recording.about}
         success = not outputs.failed
@@ -107,12 +107,12 @@ def plot(
         _show(recording, figures)
         if missing:
             text = "; ".join(f"{name}: {why}" for name, why in missing.items())
-            STDOUT.print(
+            ANSWER_CONSOLE.print(
                 f"Not drawn: {text}", markup=False, highlight=False, soft_wrap=True
             )
         names = ", ".join(path.stem for path in files if path.suffix == ".png")
         text = f"In {folder}/: {names} (.png and .pdf), and what they show as tables (.csv)"
-        STDOUT.print(text, markup=False, highlight=False, soft_wrap=True)
+        ANSWER_CONSOLE.print(text, markup=False, highlight=False, soft_wrap=True)
     outputs.say()
     if outputs.failed:
         raise typer.Exit(1)
@@ -188,14 +188,16 @@ def _show(recording: "Recording", figures: dict[str, Any]) -> None:
     for i, own in figures["drones"].items():
         table.add_row(str(i), *(_cell(own[key]) for key in FIGURE_HEADINGS))
     if not figures["drones"]:
-        STDOUT.print(title, markup=False, highlight=False, soft_wrap=True)
+        ANSWER_CONSOLE.print(title, markup=False, highlight=False, soft_wrap=True)
         return
-    STDOUT.print(table)
-    STDOUT.print(RMSE_NOTE)
+    ANSWER_CONSOLE.print(table)
+    ANSWER_CONSOLE.print(RMSE_NOTE)
     if any(own["source"] == "state" for own in figures["drones"].values()):
-        STDOUT.print(STATE_SOURCE_NOTE)
+        ANSWER_CONSOLE.print(STATE_SOURCE_NOTE)
     if least is not None:
-        STDOUT.print(f"Least distance of two drones: {least:.3f} m", highlight=False)
+        ANSWER_CONSOLE.print(
+            f"Least distance of two drones: {least:.3f} m", highlight=False
+        )
 
 
 def _cell(figure: float | str | None) -> str:

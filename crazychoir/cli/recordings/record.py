@@ -10,7 +10,12 @@ import typer
 from crazychoir.cli.operate.inspect import SwarmOption, run_as_observer
 from crazychoir.errors import ConfigError
 from crazychoir.launch import number_options as options
-from crazychoir.launch.console import STDERR, STDOUT, fail, write_json
+from crazychoir.launch.console import (
+    ANSWER_CONSOLE,
+    ERROR_CONSOLE,
+    exit_with_error,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from crazychoir.cli.shared.observer import Window
@@ -38,17 +43,17 @@ def record(
     try:
         chosen = _topics(topics)
     except ConfigError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
 
     async def work(window: "Window") -> None:
         import asyncio
 
-        from crazychoir.launch.recording import new_recording
+        from crazychoir.launch.recording import make_recording
         from crazychoir.recording.recorder import Recorder
         from crazychoir.runtime.supervisor import Supervisor
 
         with contextlib.closing(
-            new_recording(file, window.config, None, virtual=False)
+            make_recording(file, window.config, None, virtual=False)
         ) as opened:
             await window.find()
             config = window.config
@@ -58,7 +63,7 @@ def record(
             )
             recorder.ended = "Ctrl-C"
             recorders.append(recorder)
-            STDERR.print(
+            ERROR_CONSOLE.print(
                 f"recording {file}; Ctrl-C ends it",
                 markup=False,
                 highlight=False,
@@ -92,9 +97,9 @@ def record(
             f"{told[name]} {name}" for name in ("messages", "lost", "missed")
         )
         text = f"{told['file']}: {figures}; it ended: {ended}"
-        STDOUT.print(text, markup=False, highlight=False, soft_wrap=True)
+        ANSWER_CONSOLE.print(text, markup=False, highlight=False, soft_wrap=True)
         if not told["messages"]:
-            STDERR.print(
+            ERROR_CONSOLE.print(
                 f"There is no file: {told['error']}",
                 markup=False,
                 highlight=False,
@@ -135,7 +140,7 @@ async def _wait_until_gone(
         elif clock.now() - seen >= patience:
             return f"no drone was there for {patience:g} s"
         elif not waiting:
-            STDERR.print(
+            ERROR_CONSOLE.print(
                 f"no drone is there: it ends in {patience:g} s, unless one comes back",
                 soft_wrap=True,
             )

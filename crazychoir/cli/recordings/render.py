@@ -10,12 +10,12 @@ from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.files.output_files import output_file, require_writable_file
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
-    STDERR,
-    STDOUT,
-    Outputs,
-    fail,
+    ANSWER_CONSOLE,
+    ERROR_CONSOLE,
+    CommandOutputs,
+    exit_with_error,
     set_up_logging,
-    warn_of,
+    warn_of_gaps,
     write_json,
 )
 
@@ -70,7 +70,7 @@ def render(
     from crazychoir.recording.mcap.records import RECORDING_HINT
     from crazychoir.recording.video import check_video, write_video
 
-    outputs = Outputs()
+    outputs = CommandOutputs()
     files: list[Path] = []
     try:
         width, height = _size(size)
@@ -79,7 +79,7 @@ def render(
             check_video(video, width, height)
             require_writable_file(video, "--video", parents=True)
         recording = read(file, (DRONE_TOPICS.truth.name, DRONE_TOPICS.state.name))
-        warn_of(recording, "what lies before is drawn")
+        warn_of_gaps(recording, "what lies before is drawn")
         flight = recorded_flight(recording)
         config = SwarmConfig.loads(recording.swarm, str(file))
         if not flight.tracks:
@@ -102,18 +102,18 @@ def render(
                     _save(picture, shown.picture(film, moment))
                     files.append(picture)
             if video is not None:
-                STDERR.print(f"{len(times)} pictures", highlight=False)
+                ERROR_CONSOLE.print(f"{len(times)} pictures", highlight=False)
                 with outputs.writing("--video"):
                     write_video(video, shown.pictures(film, times), fps)
                     files.append(video)
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     success = not outputs.failed
     if as_json:
         told = {"file": file, **recording.lacks, "files": files, **outputs.told}
         write_json({"success": success, **told, "seconds": float(times[-1] - times[0])})
     elif files:
-        STDOUT.print(
+        ANSWER_CONSOLE.print(
             f"In {', '.join(map(str, files))}",
             markup=False,
             highlight=False,

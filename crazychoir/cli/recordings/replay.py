@@ -12,11 +12,11 @@ import typer
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
-    STDERR,
-    STDOUT,
-    fail,
+    ANSWER_CONSOLE,
+    ERROR_CONSOLE,
+    exit_with_error,
     set_up_logging,
-    warn_of,
+    warn_of_gaps,
     write_json,
 )
 
@@ -70,25 +70,25 @@ def replay(
     set_up_logging()
     from crazychoir.config.swarm_config import SwarmConfig
     from crazychoir.launch.network import (
-        isolated_swarm,
-        swarm_file,
+        hold_isolated_swarm,
+        write_swarm_file,
     )  # takes 1 s, which --help does not need
-    from crazychoir.launch.run_registry import Run, recorded
+    from crazychoir.launch.run_registry import RunRecord, record_run
     from crazychoir.recording.mcap.reading import read_header
     from crazychoir.runtime.clock import run_wall
 
     try:
         recording = read_header(file)
-        warn_of(recording, "what lies before is said")
+        warn_of_gaps(recording, "what lies before is said")
         recorded_swarm = _local_swarm(
             SwarmConfig.loads(recording.swarm, f"{file}: swarm.json")
         )
         with (
-            isolated_swarm(recorded_swarm, 1) as config,
-            swarm_file(config) as path,
-            recorded(Run(config.name, str(file), None, str(path))),
+            hold_isolated_swarm(recorded_swarm, 1) as config,
+            write_swarm_file(config) as path,
+            record_run(RunRecord(config.name, str(file), None, str(path))),
         ):
-            STDERR.print(
+            ERROR_CONSOLE.print(
                 f"Look at it (or echo, hz, record): crazychoir status --swarm {path}",
                 soft_wrap=True,
             )
@@ -96,14 +96,14 @@ def replay(
                 lambda clock: _replay(clock, config, file, speed, step, wait)
             )
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     except KeyboardInterrupt:
         raise typer.Exit(130) from None
     if as_json:
         of_file = {"file": file, **recording.lacks}
         write_json({"success": told["messages"] > 0, **of_file, **told})
     else:
-        STDOUT.print(
+        ANSWER_CONSOLE.print(
             f"{told['messages']} messages, {told['seconds']:.2f} s of flight",
             highlight=False,
         )
@@ -145,11 +145,11 @@ async def _replay(
     from crazychoir.bus.network.zenoh_link import ZenohLink
     from crazychoir.bus.port import Bus
     from crazychoir.bus.topics import OBSERVABLE_TOPICS, TOPIC_BY_NAME
-    from crazychoir.launch.network import REPLAY, attached
+    from crazychoir.launch.network import REPLAY_HOST, run_attached
     from crazychoir.recording.replayer import Replayer
 
     incarnation = random.SystemRandom().getrandbits(62)
-    bus = Bus(clock, process=f"replay-{incarnation & 0xFFFFFFFF:08x}", host=REPLAY)
+    bus = Bus(clock, process=f"replay-{incarnation & 0xFFFFFFFF:08x}", host=REPLAY_HOST)
     for i in config.ids:
         for address in sorted(
             {i, *(config.source(TOPIC_BY_NAME[name], i) for name in OBSERVABLE_TOPICS)}
@@ -167,7 +167,7 @@ async def _replay(
     replayer = Replayer(
         bus, file, speed, None if step is None else _read_steps(step), config.source
     )
-    async with attached(link):
+    async with run_attached(link):
         latest = clock.now() + wait
         while not link.peers and clock.now() < latest:
             await clock.sleep(REPLAY_TIMING.observer_check_period)
@@ -191,7 +191,7 @@ def _read_steps(step: float) -> "Step":
         return seconds
 
     async def asked() -> float:
-        STDERR.print(
+        ERROR_CONSOLE.print(
             f"at {at:.2f} s; Enter: on by {step:g} s; a number and Enter: by that many; Ctrl-C ends it",
             highlight=False,
             soft_wrap=True,
@@ -206,7 +206,7 @@ def _read_steps(step: float) -> "Step":
             error = ConfigError(
                 "--step", found, "Enter, or a number of seconds above 0 and Enter"
             )
-            STDERR.print(error, markup=False, highlight=False, soft_wrap=True)
+            ERROR_CONSOLE.print(error, markup=False, highlight=False, soft_wrap=True)
         return math.inf
 
     return next_step

@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from crazychoir.cli.setup.host_checks import CheckResult, is_wrong
-from crazychoir.launch.console import STDOUT, prints_aside, write_json
+from crazychoir.launch.console import ANSWER_CONSOLE, redirect_prints, write_json
 
 if TYPE_CHECKING:
     from crazychoir.config.swarm_config import SwarmConfig
@@ -99,7 +99,7 @@ def check_swarm(swarm: str | None, host: str | None) -> list[CheckResult]:
 def check_mission(config: "SwarmConfig") -> CheckResult:
     """Return the check that the mission can be loaded."""
     from crazychoir.errors import CrazyChoirError
-    from crazychoir.guidance.mission import load
+    from crazychoir.guidance.mission import load_mission
 
     if config.mission is None:
         return CheckResult(
@@ -109,8 +109,8 @@ def check_mission(config: "SwarmConfig") -> CheckResult:
             'Write mission = "..." into the swarm file, or give --mission.',
         )
     try:
-        with prints_aside():
-            load(config.mission)
+        with redirect_prints():
+            load_mission(config.mission)
     except CrazyChoirError as error:
         return CheckResult(
             "mission",
@@ -250,4 +250,4 @@ def _show(rows: list[CheckResult]) -> None:
     for row in rows:
         colour = STATE_COLOURS[row.state]
         table.add_row(Text(row.state, colour), row.what, row.found, row.mend)
-    STDOUT.print(table)
+    ANSWER_CONSOLE.print(table)

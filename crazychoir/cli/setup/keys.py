@@ -9,7 +9,7 @@ from rich.table import Table
 from crazychoir.bus.network import CERTIFICATE_DAYS
 from crazychoir.errors import ConfigError
 from crazychoir.launch import number_options as options
-from crazychoir.launch.console import STDOUT, fail, write_json
+from crazychoir.launch.console import ANSWER_CONSOLE, exit_with_error, write_json
 
 app = typer.Typer(
     help="Certificates: who may take part in a swarm of several hosts.",
@@ -116,7 +116,7 @@ def held(folder: Folder = KEYS_FOLDER, as_json: Json = False) -> None:
     now = date_and_time()
     for one in found:
         table.add_row(one.name, f"{one.until:%Y-%m-%d}", str((one.until - now).days))
-    STDOUT.print(table)
+    ANSWER_CONSOLE.print(table)
 
 
 def _fail(error: Exception, folder: Path, as_json: bool) -> NoReturn:
@@ -124,11 +124,11 @@ def _fail(error: Exception, folder: Path, as_json: bool) -> NoReturn:
         error = ConfigError(
             "--folder", str(folder), "a folder to write to", problem=str(error)
         )
-    fail(error, as_json)
+    exit_with_error(error, as_json)
 
 
 def _say(told: dict[str, Any], text: str, as_json: bool) -> None:
     if as_json:
         write_json(told)
     else:
-        STDOUT.print(text, markup=False, highlight=False, soft_wrap=True)
+        ANSWER_CONSOLE.print(text, markup=False, highlight=False, soft_wrap=True)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from crazychoir.errors import ConfigError, CrazyChoirError, ProcessFailed
-from crazychoir.launch.console import STDOUT, fail
+from crazychoir.launch.console import ANSWER_CONSOLE, exit_with_error
 
 if TYPE_CHECKING:
     from crazychoir.config.swarm_config import SwarmConfig
@@ -106,7 +106,7 @@ def push(
         for name, step in [
             (name, step) for name, plan in plans.items() for step in plan
         ]:
-            STDOUT.print(
+            ANSWER_CONSOLE.print(
                 shlex.join(step.command) if dry_run else f"{name}: {step.what}",
                 markup=False,
                 highlight=False,
@@ -115,7 +115,7 @@ def push(
             if not dry_run:
                 run_push_step(name, step)
     except CrazyChoirError as error:
-        fail(error, as_json=False)
+        exit_with_error(error, as_json=False)
 
 
 def hosts_to_push(

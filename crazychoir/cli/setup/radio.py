@@ -18,13 +18,13 @@ from crazychoir.cli.setup.radio_tables import progress_table, row_of, survey_tab
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
-    STDERR,
-    STDOUT,
-    Outputs,
-    Progress,
-    fail,
-    interrupted,
-    prints_aside,
+    ANSWER_CONSOLE,
+    ERROR_CONSOLE,
+    CommandOutputs,
+    LiveTable,
+    exit_interrupted,
+    exit_with_error,
+    redirect_prints,
     require_drawable,
     set_up_logging,
     write_json,
@@ -120,7 +120,7 @@ def survey(
     channels until you change them there too, for example with Bitcraze's client.
     """
     set_up_logging()
-    outputs = Outputs()
+    outputs = CommandOutputs()
     try:
         require_drawable(picture)
         if write and swarm is None:
@@ -133,7 +133,7 @@ def survey(
         wanted = _survey_request(
             dongles, spacing, channels, drone, swarm, write, simulated
         )
-        with prints_aside():
+        with redirect_prints():
             found, expected = _measure_channels(wanted, passes, packets, as_json)
             result = _result(wanted, found, expected)
             if picture is not None:
@@ -149,13 +149,13 @@ def survey(
                     write_channels(swarm, result["dongles"])
                     result["written"] = swarm
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     except KeyboardInterrupt:
-        interrupted(as_json)
+        exit_interrupted(as_json)
     if as_json:
         write_json(result | outputs.told)
     else:
-        STDOUT.print(survey_table(found.measured(), result))
+        ANSWER_CONSOLE.print(survey_table(found.measured(), result))
     outputs.say()
     raise typer.Exit(0 if result["success"] and not outputs.failed else 1)
 
@@ -195,11 +195,11 @@ def _survey_request(
             "one of them: no real drone hears a simulated radio",
         )
     if candidates[-1] > RADIO_BAND.licence_free_channel:
-        STDERR.print(
+        ERROR_CONSOLE.print(
             f"Channels above {RADIO_BAND.licence_free_channel} lie outside the licence-free band of many countries."
         )
     if count > 1 and spacing < RADIO_BAND.least_spacing:
-        STDERR.print(
+        ERROR_CONSOLE.print(
             f"Links of 2 Mbit/s disturb each other with less than {RADIO_BAND.least_spacing} MHz between them."
         )
     first = next((uris[0] for uris in those.values()), NEW_DRONE_URI)
@@ -235,7 +235,7 @@ def _measure_channels(
     from crazychoir.radio.survey.survey import run_survey as measure
 
     found = Survey(wanted.channels, passes, packets, seed=wanted.simulated or 0)
-    shown = Progress(progress_table, enabled=STDERR.is_terminal and not as_json)
+    shown = LiveTable(progress_table, enabled=ERROR_CONSOLE.is_terminal and not as_json)
     with _probe(wanted) as (probe, room), shown as progress:
         measure(found, probe, lambda found, visit: progress((found, visit)))
     return found, {} if room is None else {
@@ -304,19 +304,19 @@ def ping(
 
     try:
         wanted = [echo.require_uri(uri) for uri in uris]
-        with prints_aside():
+        with redirect_prints():
             found = echo.ping(
                 list(dict.fromkeys(wanted)), time.perf_counter, count, deadline
             )
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     except KeyboardInterrupt:
-        interrupted(as_json)
+        exit_interrupted(as_json)
     success = all(not one.error and one.lost == 0 for one in found)
     if as_json:
         write_json({"success": success, "links": [_link(one) for one in found]})
     else:
-        STDOUT.print(_ping_table(found))
+        ANSWER_CONSOLE.print(_ping_table(found))
     raise typer.Exit(0 if success else 1)
 
 

@@ -13,10 +13,10 @@ from crazychoir.errors import ConfigError, CrazyChoirError, Refused
 from crazychoir.files.output_files import require_writable_file
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
-    STDERR,
-    STDOUT,
-    Outputs,
-    fail,
+    ANSWER_CONSOLE,
+    ERROR_CONSOLE,
+    CommandOutputs,
+    exit_with_error,
     require_reached,
     set_up_logging,
     write_json,
@@ -63,7 +63,7 @@ def names(
         measure_bodies,
     )  # takes long, and --help does not need it
 
-    outputs = Outputs()
+    outputs = CommandOutputs()
     try:
         file = _file(swarm, write)
         config, frames = _gather_frames(swarm, source, seconds)
@@ -77,7 +77,7 @@ def names(
         }
         _write(file, changes if write else {}, outputs)
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     written = write and not outputs.failed
     if as_json:
         rows = [
@@ -92,7 +92,7 @@ def names(
             {"bodies": rows, "proposed": proposed, "written": written, **outputs.told}
         )
     else:
-        STDOUT.print(_table(seen, matches))
+        ANSWER_CONSOLE.print(_table(seen, matches))
         _print_lines(changes, written)
         _say_left(config, matches)
     outputs.say()
@@ -132,7 +132,7 @@ def calibrate(
     --turn its offset.
     """
     set_up_logging()
-    outputs = Outputs()
+    outputs = CommandOutputs()
     try:
         file = _file(swarm, write)
         config, frames = _gather_frames(
@@ -146,14 +146,14 @@ def calibrate(
         keys = _measured_keys(config, drone, found)
         _write(file, {drone: keys} if write else {}, outputs)
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     written = write and not outputs.failed
     if as_json:
         write_json(
             {"drone": drone, **keys, "found": found, "written": written, **outputs.told}
         )
     else:
-        STDERR.print(
+        ERROR_CONSOLE.print(
             f"drone {drone}: {_in_words(found)}", highlight=False, soft_wrap=True
         )
         _print_lines({drone: keys}, written)
@@ -187,7 +187,7 @@ def _gather_frames(
     if drone is not None:
         # A drone that flies by its own estimate may have a body too.
         require_reached(config, which, drone)
-    STDERR.print(
+    ERROR_CONSOLE.print(
         f"looking for {seconds:g} s ({which}, source {config.mocap.source})",
         highlight=False,
     )
@@ -296,7 +296,7 @@ def _round_values(values: tuple[float, float, float]) -> list[float]:
 
 
 def _write(
-    file: Path, changes: Mapping[int, Mapping[str, object]], outputs: Outputs
+    file: Path, changes: Mapping[int, Mapping[str, object]], outputs: CommandOutputs
 ) -> None:
     from crazychoir.config.editing import write_keys
 
@@ -309,11 +309,13 @@ def _print_lines(changes: Changes, written: bool) -> None:
     from crazychoir.config.editing import lines_of
 
     if changes:
-        STDERR.print(
+        ERROR_CONSOLE.print(
             "written:" if written else "for the swarm file (--write writes it):"
         )
     for i, keys in changes.items():
-        STDOUT.print(lines_of(i, keys), markup=False, highlight=False, soft_wrap=True)
+        ANSWER_CONSOLE.print(
+            lines_of(i, keys), markup=False, highlight=False, soft_wrap=True
+        )
 
 
 def _table(seen: "list[BodyMeasurement]", matches: "list[BodyMatch]") -> Table:
@@ -340,10 +342,10 @@ def _say_left(config: "SwarmConfig", matches: "list[BodyMatch]") -> None:
 
     sure = {m.drone: m.name for m in matches if m.sure}
     if all(sure.get(i) == config.body_name(i) for i in config.seen):
-        STDERR.print("the swarm file has these names")
+        ERROR_CONSOLE.print("the swarm file has these names")
     left = [i for i in config.seen if i not in sure]
     if left:
         names = ", ".join(map(str, left))
-        STDERR.print(
+        ERROR_CONSOLE.print(
             f"no body within {HOME_RADIUS:g} m of the home of drone(s) {names}: put them there, or mend `home`."
         )

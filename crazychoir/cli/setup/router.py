@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from crazychoir.errors import ConfigError, CrazyChoirError
-from crazychoir.launch.console import STDERR, fail, set_up_logging
+from crazychoir.launch.console import ERROR_CONSOLE, exit_with_error, set_up_logging
 
 ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that end the router."""
@@ -39,12 +39,12 @@ def router(
         access = config.access(config.router or "", *at)
         with route_messages(at, config.lease, access):
             closed = "mutual TLS" if access is not None else "open to everybody"
-            STDERR.print(
+            ERROR_CONSOLE.print(
                 f"swarm {config.name} ({which}): router at {', '.join(at)}, {closed}",
                 markup=False,
             )
             signal.sigwait(ENDING_SIGNALS)
     except CrazyChoirError as error:
-        fail(error, as_json=False)
+        exit_with_error(error, as_json=False)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, unmasked)

@@ -9,7 +9,7 @@ import msgspec
 from crazychoir.config.number_lists import parse_spans
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm, find_swarm
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.mission import Mission, has, load
+from crazychoir.guidance.mission import Mission, has_hook, load_mission
 from crazychoir.team.graph import describe_ids
 
 DEFAULT_DRONE_COUNT = 4
@@ -44,8 +44,8 @@ def chosen_swarm(
     """
     config, which = find_swarm(swarm)
     if which.startswith("the built-in demo"):
-        found = load(str(mission or config.mission))
-        config = found.swarm(None) if has(found, "swarm") else config
+        found = load_mission(str(mission or config.mission))
+        config = found.swarm(None) if has_hook(found, "swarm") else config
     return config, which
 
 
@@ -88,13 +88,15 @@ def swarm_and_mission_to_run(
         config = SwarmConfig.load(what)
         if config.mission is None:
             raise ConfigError(what, "no mission", 'mission = "name"')
-        return replace_swarm_values(config, loss, seed, None), load(config.mission)
-    mission = load(what)
+        return replace_swarm_values(config, loss, seed, None), load_mission(
+            config.mission
+        )
+    mission = load_mission(what)
     if swarm is not None:
         return replace_swarm_values(SwarmConfig.load(swarm), loss, seed, what), mission
     own = (
         mission.swarm(drones)
-        if has(mission, "swarm")
+        if has_hook(mission, "swarm")
         else default_swarm(drones or DEFAULT_DRONE_COUNT)
     )
     config = replace_swarm_values(own, loss, seed, what)

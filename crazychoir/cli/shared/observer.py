@@ -25,7 +25,7 @@ from crazychoir.cli.shared.running_swarm import (
 )
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError, Refused
-from crazychoir.launch.network import REPLAY, attached, observer
+from crazychoir.launch.network import REPLAY_HOST, make_observer_link, run_attached
 from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.runtime.mailbox import Call
 from crazychoir.team.graph import describe_ids
@@ -38,7 +38,7 @@ SILENT_ANSWER = "silent"
 log = logging.getLogger(__name__)
 
 if TYPE_CHECKING:
-    from crazychoir.launch.flight_observer import Score
+    from crazychoir.launch.flight_observer import FlightScore
 
 Work = Callable[["Window"], Awaitable[Any]]
 Answers = dict[int, tuple[bool, Any]]
@@ -85,7 +85,7 @@ class Window:
     @property
     def replays(self) -> bool:
         """Whether the swarm is the replay of a recording."""
-        return any(peer.host == REPLAY for peer in self.link.peers.values())
+        return any(peer.host == REPLAY_HOST for peer in self.link.peers.values())
 
     async def find(self) -> list[int]:
         """Wait until all drones are found, at most DISCOVERY s after the last one.
@@ -154,13 +154,13 @@ class Window:
         )
         return box
 
-    def score(self) -> "Score":
+    def score(self) -> "FlightScore":
         """Return a score that follows the whole swarm from now on."""
         from crazychoir.launch.flight_observer import (
-            Score,
+            FlightScore,
         )  # takes 1 s, for which a command should not wait
 
-        return Score(
+        return FlightScore(
             self.link.bus,
             self.config.ids,
             address=self.address,
@@ -295,8 +295,8 @@ def observe_swarm(swarm: str | None, work: Work) -> Any:
 
     async def main(clock: Clock) -> Any:
         config = running_swarm(swarm)
-        link = observer(clock, config)
-        async with attached(link):
+        link = make_observer_link(clock, config)
+        async with run_attached(link):
             return await work(
                 Window(clock, config, link, swarm, first_process_timeout(config))
             )

@@ -6,7 +6,12 @@ from pathlib import Path
 
 from crazychoir.config.swarm_config import LOCAL_ADDRESS, SwarmConfig, find_swarm
 from crazychoir.errors import Refused
-from crazychoir.launch.run_registry import Run, every_run, of_file, runs
+from crazychoir.launch.run_registry import (
+    RunRecord,
+    list_every_run,
+    list_own_runs,
+    list_runs_of_file,
+)
 
 LOCAL_SWARM_FILE = "swarm.toml"
 NEXT_PROCESS_TIMEOUT = 4.0
@@ -48,7 +53,7 @@ def running_swarm(option: str | None) -> SwarmConfig:
     Raises Refused if several runs are possible, or if there is none.
     """
     file = option or (LOCAL_SWARM_FILE if Path(LOCAL_SWARM_FILE).is_file() else None)
-    found = runs() if file is None else of_file(file)
+    found = list_own_runs() if file is None else list_runs_of_file(file)
     if len(found) > 1:
         raise Refused(
             file or "crazychoir",
@@ -65,14 +70,14 @@ def running_swarm(option: str | None) -> SwarmConfig:
     return chosen_swarm(None)[0]
 
 
-def run_choice_text(found: list[Run]) -> str:
+def run_choice_text(found: list[RunRecord]) -> str:
     """Return a text that says how to name one of these runs."""
     return "Name one: " + "; ".join(f"--swarm {run.file} ({run.what})" for run in found)
 
 
 def runs_here(config: SwarmConfig) -> bool:
     """Return whether a run on this machine flies or starts this swarm."""
-    return any(run.swarm == config.name for run in every_run())
+    return any(run.swarm == config.name for run in list_every_run())
 
 
 def first_process_timeout(config: SwarmConfig) -> float:
@@ -98,7 +103,7 @@ def first_process_timeout(config: SwarmConfig) -> float:
 
 def no_agent_error(config: SwarmConfig, option: str | None) -> Refused:
     """Return the error for a swarm without a process that can be found."""
-    others = runs()
+    others = list_own_runs()
     if any(run.swarm == config.name for run in others):
         return Refused(
             f"swarm {config.name}", f"no agent found {_at(config)}: {NOT_STARTED_HINT}"

@@ -9,29 +9,39 @@ from msgspec import Meta
 
 from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.config.tables import Flag, Ids, Seconds, SwarmTable, Text
-from crazychoir.guidance.delivery.replanning import AUCTION, KINDS
-from crazychoir.guidance.tasks.task_book import LARGEST, Place
-from crazychoir.guidance.tasks.task_source import ADDED
+from crazychoir.guidance.delivery.replanning import AUCTION_METHOD, REPLANNING_METHODS
+from crazychoir.guidance.tasks.task_book import LARGEST_TASK_NUMBER, Place
+from crazychoir.guidance.tasks.task_source import FIRST_ADDED_ID
 
 Spot = Annotated[Place, Meta(description="a place [x, y] in m", examples=[[1.0, 2.5]])]
 Load = Annotated[
     float,
     Meta(
         ge=0.0,
-        le=LARGEST,
+        le=LARGEST_TASK_NUMBER,
         description="a load, 0 to 1e6, as the capacities",
         examples=[1.0],
     ),
 ]
-MOST = ADDED // 2
+MOST_OPTION_TASKS = FIRST_ADDED_ID // 2
 """Largest number of tasks of an option."""
 Number = Annotated[
     int,
-    Meta(ge=1, le=MOST, description=f"a number of tasks, 1 to {MOST}", examples=[15]),
+    Meta(
+        ge=1,
+        le=MOST_OPTION_TASKS,
+        description=f"a number of tasks, 1 to {MOST_OPTION_TASKS}",
+        examples=[15],
+    ),
 ]
 Further = Annotated[
     int,
-    Meta(ge=0, le=MOST, description=f"a number of tasks, 0 to {MOST}", examples=[5]),
+    Meta(
+        ge=0,
+        le=MOST_OPTION_TASKS,
+        description=f"a number of tasks, 0 to {MOST_OPTION_TASKS}",
+        examples=[5],
+    ),
 ]
 TaskId = Annotated[
     int, Meta(ge=0, description="the number of a task, not negative", examples=[4])
@@ -48,9 +58,9 @@ Gap = Annotated[
 Method = Annotated[
     str,
     Meta(
-        pattern=f"^({'|'.join(KINDS)})$",
-        description=", ".join(KINDS),
-        examples=[AUCTION],
+        pattern=f"^({'|'.join(REPLANNING_METHODS)})$",
+        description=", ".join(REPLANNING_METHODS),
+        examples=[AUCTION_METHOD],
     ),
 ]
 
@@ -117,5 +127,5 @@ class DeliveryOptions(SwarmTable, frozen=True, kw_only=True):
     """s after the start before which the mission does not end."""
     clearance: Gap = 0.4
     """m, in the plane: distance of goods from other robots' homes."""
-    method: Method = AUCTION
+    method: Method = AUCTION_METHOD
     """How tasks are shared out, see Replanning."""

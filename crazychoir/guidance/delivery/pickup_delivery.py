@@ -16,7 +16,7 @@ from crazychoir.routing.instance.instance import LocalProblem
 from crazychoir.routing.instance.plan import Route, Solution, Stop
 from crazychoir.types import Vec
 
-DEADLINE = 120.0
+PICKUP_ROUND_DEADLINE = 120.0
 """s for one round, in which the slowest neighbour prices its routes."""
 
 
@@ -84,7 +84,9 @@ class PDVRPGuidance(CFGuidance):
             "cost": solver.progress.cost,
             "relaxed": solver.progress.relaxed,
         }
-        await self.optimize(solver, channel="pickup_delivery", deadline=DEADLINE)
+        await self.optimize(
+            solver, channel="pickup_delivery", deadline=PICKUP_ROUND_DEADLINE
+        )
         self.history = solver.history
         return solver.solution
 

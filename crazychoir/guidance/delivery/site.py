@@ -18,7 +18,7 @@ from crazychoir.types import Vec
 
 
 @dataclass(frozen=True)
-class Site:
+class DeliverySite:
     """The fence, the homes above which drones rise and land, and the loads of the robots."""
 
     config: SwarmConfig
@@ -52,9 +52,9 @@ class Site:
             fence = self.config.fence
             sides = zip(fence.min[:2], place, fence.max[:2], strict=True)
             if not all(a <= x <= b for a, x, b in sides):
-                room = f"{_shown(fence.min[:2])} to {_shown(fence.max[:2])} m"
+                room = f"{_format_place(fence.min[:2])} to {_format_place(fence.max[:2])} m"
                 return f"outside the fence, {room}"
-            room = f"{_shown(self.low.round(3))} to {_shown(self.high.round(3))} m"
+            room = f"{_format_place(self.low.round(3))} to {_format_place(self.high.round(3))} m"
             return f"at the edge of the fence: drones are sent to {room}"
         for drone in self.config.drones:
             gap = math.dist(place, drone.home[:2])
@@ -77,7 +77,7 @@ class Site:
             ("delivery", task.delivery, None),
         ):
             if found := self.objection(place, whose):
-                return f"its {name} {_shown(place)} is {found}"
+                return f"its {name} {_format_place(place)} is {found}"
         return ""
 
     # Robots ---------------------------------------------------------------------------
@@ -130,5 +130,5 @@ class Site:
         return max((self._room(i) for i in ids), default=0.0)
 
 
-def _shown(place: Collection[float]) -> str:
+def _format_place(place: Collection[float]) -> str:
     return f"[{', '.join(f'{x:g}' for x in place)}]"

@@ -13,7 +13,7 @@ from crazychoir.guidance.tasks.task_book import Place, Task
 from crazychoir.team.graph import describe_ids
 
 
-class Room:
+class TaskRoom:
     """Where tasks of operators may be, and which robots may serve them."""
 
     def __init__(self, config: SwarmConfig) -> None:

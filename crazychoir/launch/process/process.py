@@ -15,7 +15,7 @@ from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.config.swarm_config import PROCESS_NUMBERS, SwarmConfig
 from crazychoir.errors import Refused
 from crazychoir.guidance.mission import Mission
-from crazychoir.launch.process.signals import AGAIN, NAMES, end_on_signals
+from crazychoir.launch.process.signals import REPEAT_TIME, SIGNAL_NAMES, end_on_signals
 from crazychoir.radio.link.ownership import own_dongle
 from crazychoir.radio.owner import RadioProcess
 from crazychoir.runtime.clock import NS_PER_SECOND, Clock, run_wall
@@ -47,7 +47,7 @@ def run_agent(
             alone=False,
         )
         _obey_signals(clock, agent)  # before others can find this process and end it
-        link = _link(agent, config, ids, listen, connect)
+        link = _make_process_link(agent, config, ids, listen, connect)
         link.open()
         agent.alarm = link.alarm
         others_hang_too = bool(agent.owned) or len(ids) > 1
@@ -70,7 +70,7 @@ def run_agent(
     return run_wall(main)
 
 
-def _link(
+def _make_process_link(
     agent: Agent,
     config: SwarmConfig,
     ids: tuple[int, ...],
@@ -201,13 +201,13 @@ def _obey_signals(clock: Clock, agent: Agent) -> None:
             agent.land_all("SIGHUP: landing")
             return
         times.append(clock.now_ns())
-        recent = [t for t in times if t > times[-1] - AGAIN * NS_PER_SECOND]
+        recent = [t for t in times if t > times[-1] - REPEAT_TIME * NS_PER_SECOND]
         if len(recent) >= 3:
             agent.cut_all("third signal")
         elif len(recent) == 2:
-            log.warning("landing; once more within %g s cuts the motors", AGAIN)
+            log.warning("landing; once more within %g s cuts the motors", REPEAT_TIME)
         else:
-            agent.land_all(f"{NAMES[number]}: landing")
+            agent.land_all(f"{SIGNAL_NAMES[number]}: landing")
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         add_signal_handler(number, on_signal, number)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from crazychoir.files.output_files import save_figure
-from crazychoir.optimization.picture import COLOURS, INK
+from crazychoir.optimization.picture import PICTURE_STYLE
 from crazychoir.radio.protocol.channels import RADIO_BAND, WIFI_CENTRES, frequency
 from crazychoir.radio.survey.survey import ChannelResult
 
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 class SurveyColours:
     """Colours of the picture."""
 
-    measured: str = COLOURS[0]
+    measured: str = PICTURE_STYLE.colours[0]
     """Colour of measured channels: blue."""
-    picked: str = COLOURS[1]
+    picked: str = PICTURE_STYLE.colours[1]
     """Colour of picked channels: vermilion."""
     wifi_band: str = "#f0f0f0"
     """Colour of WiFi bands."""
@@ -93,7 +93,7 @@ def _draw_rates(
         axes.plot(
             at,
             [100.0 * expected[c] for c in at],
-            color=INK,
+            color=PICTURE_STYLE.ink,
             linewidth=0.8,
             label="truth of the model",
         )

@@ -11,7 +11,7 @@ import numpy as np
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.files.output_files import save_figure
-from crazychoir.optimization.picture import COLOURS, DASHES, INK
+from crazychoir.optimization.picture import PICTURE_STYLE
 from crazychoir.recording.analysis.figures import RecordedFlight, RecordedTrack
 from crazychoir.types import Mat
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 COLUMN_WIDTH = 3.5
 """Width of a column in inches."""
-MOST_NAMED_DRONES = len(COLOURS)
+MOST_NAMED_DRONES = len(PICTURE_STYLE.colours)
 """Largest number of drones that a legend names; more are shown by a scale of colours."""
 PICTURE_FORMATS = ("png", "pdf")
 PLOT_STYLE: Any = {
@@ -145,11 +145,11 @@ def _draw_heights(figure: "Figure", flight: RecordedFlight) -> None:
 
 def _draw_separation(figure: "Figure", flight: RecordedFlight) -> None:
     axes = figure.add_subplot()
-    axes.plot(flight.times, flight.separation, color=COLOURS[0])
+    axes.plot(flight.times, flight.separation, color=PICTURE_STYLE.colours[0])
     axes.axhline(
         SWARM_LIMITS.touching_distance,
-        color=COLOURS[1],
-        linestyle=DASHES[1],
+        color=PICTURE_STYLE.colours[1],
+        linestyle=PICTURE_STYLE.dashes[1],
         linewidth=0.8,
     )
     axes.annotate(
@@ -159,7 +159,7 @@ def _draw_separation(figure: "Figure", flight: RecordedFlight) -> None:
         textcoords="offset points",
         ha="right",
         va="bottom",
-        color=COLOURS[1],
+        color=PICTURE_STYLE.colours[1],
         fontsize=7,
     )
     axes.set_ylim(bottom=0.0)
@@ -181,7 +181,7 @@ def styled_tracks(flight: RecordedFlight) -> list[tuple[dict[str, Any], Recorded
 def line_styles(n: int) -> list[dict[str, Any]]:
     """Return the styles of the lines of n drones; dashes let a line below be seen."""
     told: Any = (
-        zip(COLOURS[:n], cycle(DASHES), strict=False)
+        zip(PICTURE_STYLE.colours[:n], cycle(PICTURE_STYLE.dashes), strict=False)
         if n <= MOST_NAMED_DRONES
         else zip(colour_scale(n), n * ["-"], strict=True)
     )
@@ -256,7 +256,7 @@ def add_drone_legend(
                 [],
                 [],
                 label="start",
-                color=INK,
+                color=PICTURE_STYLE.ink,
                 marker="o",
                 linestyle="",
                 markersize=3.5,

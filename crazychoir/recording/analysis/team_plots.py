@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from crazychoir.guidance.feedback import LAW
-from crazychoir.optimization.picture import COLOURS, DASHES, INK
+from crazychoir.guidance.feedback import LAW_TASK
+from crazychoir.optimization.picture import PICTURE_STYLE
 from crazychoir.recording.analysis.activity import ON_GROUND, FlightActivity
 from crazychoir.recording.analysis.communication import MESSAGE_STATISTICS, TeamMessages
 from crazychoir.recording.analysis.figures import RecordedFlight
@@ -104,7 +104,7 @@ def team_pictures(
 def law_times(work: FlightActivity) -> dict[int, tuple[float, float]]:
     """Return the interval in s in which each drone flew by a law."""
     spans = {
-        i: [span for span in work.spans if span.drone == i and span.task == LAW]
+        i: [span for span in work.spans if span.drone == i and span.task == LAW_TASK]
         for i in work.drones
     }
     return {i: (of[0].begin, of[-1].end) for i, of in spans.items() if of}
@@ -116,7 +116,7 @@ def _draw_tasks(figure: "Figure", work: FlightActivity) -> None:
     rows = {i: -k for k, i in enumerate(work.drones)}
     for span in work.spans:
         bar: Any = {
-            "color": PHASE_COLOURS.get(span.phase, INK),
+            "color": PHASE_COLOURS.get(span.phase, PICTURE_STYLE.ink),
             "height": 0.5,
             "linewidth": 0.0,
         }
@@ -180,7 +180,11 @@ def _name_phases(figure: "Figure", seen: list[str], stopped: bool) -> None:
 def _draw_messages(figure: "Figure", talk: TeamMessages) -> None:
     axes = figure.add_subplot()
     for label, rate, colour, dash in zip(
-        MESSAGE_STATISTICS.counters, talk.rates.T, COLOURS, DASHES, strict=False
+        MESSAGE_STATISTICS.counters,
+        talk.rates.T,
+        PICTURE_STYLE.colours,
+        PICTURE_STYLE.dashes,
+        strict=False,
     ):
         axes.plot(
             talk.t,
@@ -253,7 +257,9 @@ def _draw_rounds(figure: "Figure", talk: TeamMessages) -> None:
         : TEAM_PLOT_LIMITS.most_channels
     ]
     numbers = all(channel.spread is not None for channel in chosen)
-    for channel, colour, dash in zip(chosen, COLOURS, DASHES, strict=False):
+    for channel, colour, dash in zip(
+        chosen, PICTURE_STYLE.colours, PICTURE_STYLE.dashes, strict=False
+    ):
         look: Any = {"color": colour, "linestyle": dash, "label": channel.name}
         if numbers and channel.spread is not None:
             axes.semilogy(

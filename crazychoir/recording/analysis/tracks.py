@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from crazychoir.files.output_files import save_figure
-from crazychoir.optimization.picture import COLOURS, DASHES, INK
+from crazychoir.optimization.picture import PICTURE_STYLE
 from crazychoir.types import Mat, Point, Vec
 
 if TYPE_CHECKING:
@@ -60,7 +60,9 @@ def draw_tracks(
                 zorder=1,
             )
     for i, track in tracks.items():
-        colour, mark = (LEADER_COLOUR, "s") if i in leaders else (COLOURS[0], "o")
+        colour, mark = (
+            (LEADER_COLOUR, "s") if i in leaders else (PICTURE_STYLE.colours[0], "o")
+        )
         axes.plot(*track.T, color=colour, linewidth=0.9, alpha=0.8, zorder=2)
         axes.plot(
             *track[0],
@@ -77,10 +79,12 @@ def draw_tracks(
             xytext=(3, 3),
             textcoords="offset points",
             fontsize=6,
-            color=INK,
+            color=PICTURE_STYLE.ink,
             zorder=5,
         )
-    for colour, (name, places) in zip(COLOURS[2:], (marks or {}).items(), strict=False):
+    for colour, (name, places) in zip(
+        PICTURE_STYLE.colours[2:], (marks or {}).items(), strict=False
+    ):
         axes.plot(
             *np.atleast_2d(places)[:, :2].T,
             "x",
@@ -114,8 +118,10 @@ def _draw_tracks_legend(
             markerfacecolor=fill or colour,
         )
 
-    handles: list[Any] = [mark("start", "o", COLOURS[0], "white")]
-    handles.append(mark("follower" if leaders else "end", "o", COLOURS[0]))
+    handles: list[Any] = [mark("start", "o", PICTURE_STYLE.colours[0], "white")]
+    handles.append(
+        mark("follower" if leaders else "end", "o", PICTURE_STYLE.colours[0])
+    )
     if any(i in tracks for i in leaders):
         handles.append(mark("leader", "s", LEADER_COLOUR))
     handles += axes.get_legend_handles_labels()[0] if marked else []
@@ -174,7 +180,7 @@ def draw_ways(
             markeredgewidth=1.6,
         )
     if target is not None:
-        above.plot(target[0], target[1], "*", color=INK, markersize=9)
+        above.plot(target[0], target[1], "*", color=PICTURE_STYLE.ink, markersize=9)
     above.set_aspect("equal", adjustable="datalim")
     above.set(xlabel="x [m]", ylabel="y [m]")
     right.set(xlabel="t [s]", ylabel=label)
@@ -186,8 +192,8 @@ def draw_ways(
 
 def _way_style(i: int) -> dict[str, Any]:
     return {
-        "color": COLOURS[i % len(COLOURS)],
-        "linestyle": DASHES[i % len(DASHES)],
+        "color": PICTURE_STYLE.colours[i % len(PICTURE_STYLE.colours)],
+        "linestyle": PICTURE_STYLE.dashes[i % len(PICTURE_STYLE.dashes)],
         "linewidth": 1.3,
     }
 

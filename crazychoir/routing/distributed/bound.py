@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.optimization.rounds.agreement import flood
+from crazychoir.optimization.rounds.agreement import flood_values
 from crazychoir.optimization.rounds.program import Exchange
 from crazychoir.routing.distributed.master import ColumnPool
 from crazychoir.routing.distributed.member import RoutingMember
@@ -65,7 +65,7 @@ def count_needed_robots(bound: Bound, member: RoutingMember) -> Exchange[int]:
     robots in the relaxation, rounded up.
     """
     own = float(member.table.length.max()) if member.speaks else 0.0
-    told = yield from flood(member.place.robot, own, member.place.diameter)
+    told = yield from flood_values(member.place.robot, own, member.place.diameter)
     refusal = member.local.tasks.refusal
     must = bound.value - math.fsum(refusal[np.isfinite(refusal)])
     longest = max(told.values())
@@ -95,7 +95,7 @@ def improve_bound(
     Returns whether any robot had new columns. The sum is rounded once (fsum over the flooded
     values), so that all robots compute the same bound.
     """
-    known = yield from flood(
+    known = yield from flood_values(
         member.place.robot,
         _price_routes(member, pool, pi, batch, mu),
         member.place.diameter,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from crazychoir.optimization.rounds.agreement import flood
+from crazychoir.optimization.rounds.agreement import flood_values
 from crazychoir.optimization.rounds.program import Exchange
 from crazychoir.routing.distributed.bound import Bound, improve_bound
 from crazychoir.routing.distributed.master import ColumnPool
@@ -54,7 +54,7 @@ class ColumnRecovery:
     def _start(self) -> Exchange[Vec]:
         self._member.report(phase="columns")
         own = pack_columns([c for _, c in sorted(self._prices.active.items())])
-        known = yield from flood(
+        known = yield from flood_values(
             self._i, [own, self._prices.mean_price.tolist()], self._diameter
         )
         for robot, (columns, _) in known.items():
@@ -69,7 +69,7 @@ class ColumnRecovery:
                 bound, member, self._pool, pi, member.settings.batch
             )
             relaxed = self._pool.relax(member.unserved)
-            known = yield from flood(
+            known = yield from flood_values(
                 self._i, [relaxed.value, relaxed.prices.tolist()], self._diameter
             )
             value = min(v for v, _ in known.values())

@@ -6,7 +6,7 @@ import highspy
 import numpy as np
 
 from crazychoir.errors import SolverError
-from crazychoir.optimization.problems.linear import quiet_highs
+from crazychoir.optimization.problems.linear import make_quiet_highs
 from crazychoir.routing.pricing.route_table import RouteColumn, RouteTable
 from crazychoir.types import Vec
 
@@ -54,7 +54,7 @@ class ColumnProgram:
         self._rows = np.unique(table.task)
         self._row_of = {int(j): r for r, j in enumerate(self._rows)}
         self._columns: dict[RouteColumn, None] = {RouteColumn(0.0, ()): None}
-        self._highs = quiet_highs()
+        self._highs = make_quiet_highs()
         self._build()
 
     def solve(self, y: Vec) -> LocalSolution:

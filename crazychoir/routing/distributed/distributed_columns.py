@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import SolverError
-from crazychoir.optimization.rounds.agreement import best_offer, flood
+from crazychoir.optimization.rounds.agreement import find_best_offer, flood_values
 from crazychoir.optimization.rounds.program import Exchange
 from crazychoir.routing.distributed.cluster_problem import (
     bound_saving,
@@ -131,10 +131,12 @@ class DistributedColumns:
         member = self._member
         if OBJECTIVE_NAMES.makespan in member.local.objective:
             return None
-        servable = yield from flood(self._i, len(member.local.servable), self._diameter)
+        servable = yield from flood_values(
+            self._i, len(member.local.servable), self._diameter
+        )
         if max(servable.values()) > member.settings.most_listed:
             return None
-        complete = yield from flood(
+        complete = yield from flood_values(
             self._i, not member.speaks or member.table.complete, self._diameter
         )
         if not all(complete.values()):
@@ -165,7 +167,7 @@ class DistributedColumns:
                 self._i,
             )
             mine = [self._worth(routes), self._i, _flatten_routes(routes)]
-        best = yield from best_offer(mine, self._diameter)
+        best = yield from find_best_offer(mine, self._diameter)
         if best is None:
             raise SolverError(f"robot {self._i}: first plan", "nobody offered one")
         self.routes = _unflatten_routes(best[2])
@@ -190,7 +192,7 @@ class DistributedColumns:
             if met or still == settings.still_passes:
                 return
             clusters = near.draw(self.routes, settings.cluster, settings.leaders, [k])
-            offers = yield from flood(
+            offers = yield from flood_values(
                 self._i,
                 self._lead(clusters, settings.steps // passes, k),
                 self._diameter,

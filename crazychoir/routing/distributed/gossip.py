@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from crazychoir.optimization.rounds.agreement import best_offer
+from crazychoir.optimization.rounds.agreement import find_best_offer
 from crazychoir.optimization.rounds.program import Exchange
 from crazychoir.routing.distributed.bound import (
     Bound,
@@ -150,6 +150,6 @@ class Gossip:
         """
         self._member.kind = "prices"
         own: list[Any] = [best.value, self._i, best.prices, best.used, best.reward]
-        offer = yield from best_offer(own, self._member.place.diameter)
+        offer = yield from find_best_offer(own, self._member.place.diameter)
         value, _, prices, used, reward = offer or own  # every robot makes an offer
         return float(value), prices, float(used), float(reward)

@@ -6,7 +6,11 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import SolverError
-from crazychoir.optimization.assignment.bundles import CBBA, Bundle, sequential_auction
+from crazychoir.optimization.assignment.bundles import (
+    CBBA,
+    Bundle,
+    run_sequential_auction,
+)
 from crazychoir.optimization.rounds.program import Exchange
 from crazychoir.routing.distributed.member import RoutingMember
 from crazychoir.routing.distributed.proof import TaskPartition
@@ -98,7 +102,7 @@ def plan_by_insertion(member: RoutingMember, method: str) -> Exchange[TaskPartit
     member.report(phase="bids")
     member.kind = "bids"
     if method == "auction":
-        bundle = yield from sequential_auction(
+        bundle = yield from run_sequential_auction(
             place.robot, bidder, tasks, place.diameter
         )
     else:

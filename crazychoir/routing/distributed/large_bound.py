@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.optimization.rounds.agreement import best_offer, flood
+from crazychoir.optimization.rounds.agreement import find_best_offer, flood_values
 from crazychoir.optimization.rounds.program import Exchange
 from crazychoir.routing.distributed.master import Master
 from crazychoir.routing.distributed.member import RoutingMember
@@ -103,7 +103,9 @@ class LargeBound:
         pi = self._start()
         drawn = True
         for _ in range(settings.passes * 2):
-            known = yield from flood(self._i, self._priced(pi), member.place.diameter)
+            known = yield from flood_values(
+                self._i, self._priced(pi), member.place.diameter
+            )
             told = {i: known[i] for i in member.alike}
             if any(least == -np.inf for least, _, _ in told.values()):
                 break
@@ -195,6 +197,6 @@ class LargeBound:
             relaxed = master.relax()
             own = [relaxed.value, self._i, relaxed.prices]
         value, _, prices = (
-            yield from best_offer(own, self._member.place.diameter)
+            yield from find_best_offer(own, self._member.place.diameter)
         ) or [np.inf, 0, self._start()]
         return float(value), np.asarray(prices)

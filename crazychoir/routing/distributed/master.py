@@ -8,7 +8,7 @@ import highspy
 import numpy as np
 
 from crazychoir.errors import SolverError
-from crazychoir.optimization.problems.linear import quiet_highs
+from crazychoir.optimization.problems.linear import make_quiet_highs
 from crazychoir.routing.pricing.route_table import RouteColumn
 from crazychoir.types import Vec
 
@@ -132,7 +132,7 @@ class Master:
         self._spread = spread
         self._penalty = penalty
         self._number = number or {}
-        self._highs = quiet_highs()
+        self._highs = make_quiet_highs()
         self._tasks = len(penalty)
         self._columns: list[tuple[int, RouteColumn]] = []
         self._index: dict[Key, int] = {}
@@ -433,7 +433,7 @@ def _build_partition_model(
 
     Rows: tasks = 1, robots in use <= number, all columns <= most. Columns: in the given order.
     """
-    highs = quiet_highs(seed)
+    highs = make_quiet_highs(seed)
     robots = sorted(number)
     row_of = {robot: tasks + r for r, robot in enumerate(robots)}
     empty = np.array([], np.int32), np.array([])

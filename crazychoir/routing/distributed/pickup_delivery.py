@@ -8,7 +8,7 @@ import numpy as np
 
 from crazychoir.bus.codec import encode
 from crazychoir.errors import ConfigError, SolverError
-from crazychoir.optimization.rounds.agreement import flood
+from crazychoir.optimization.rounds.agreement import flood_values
 from crazychoir.optimization.rounds.program import Exchange, Program
 from crazychoir.routing.distributed import distributed_columns, insertion_bids
 from crazychoir.routing.distributed.column_recovery import (
@@ -214,7 +214,7 @@ class PickupDelivery(Program[Solution]):
             if nodes
             else 0.0
         )
-        known = yield from flood(
+        known = yield from flood_values(
             place.robot,
             [amount, route.digest if nodes else "", route.tasks],
             place.diameter,
@@ -243,7 +243,7 @@ class PickupDelivery(Program[Solution]):
         ) + penalties
         vehicles = sum(1 for _, text, _ in known.values() if text)
         digest = combine_digests({i: text for i, (_, text, _) in known.items() if text})
-        heard = yield from flood(place.robot, digest, place.diameter)
+        heard = yield from flood_values(place.robot, digest, place.diameter)
         if any(other != digest for other in heard.values()):
             raise SolverError(
                 f"robot {place.robot}: confirmation",

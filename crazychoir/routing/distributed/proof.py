@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import SolverError
-from crazychoir.optimization.rounds.agreement import best_offer, flood
+from crazychoir.optimization.rounds.agreement import find_best_offer, flood_values
 from crazychoir.optimization.rounds.program import Exchange
 from crazychoir.routing.distributed.bound import Bound
 from crazychoir.routing.distributed.master import (
@@ -171,7 +171,7 @@ class PlanProof:
         """Return whether all robots together have more than `most` columns within the gap."""
         if most == np.inf:
             return False
-        counts = yield from flood(self._i, len(near), self._diameter)
+        counts = yield from flood_values(self._i, len(near), self._diameter)
         return bool(sum(counts.values()) > most)
 
     def _widen(self, near: Ints) -> Exchange[bool]:
@@ -189,7 +189,7 @@ class PlanProof:
         fresh = [c for c in columns if c.tasks and not self._pool.has(self._i, c)]
         while True:
             own = [pack_columns(fresh[:most]), len(fresh) <= most, exhausted]
-            known = yield from flood(self._i, own, self._diameter)
+            known = yield from flood_values(self._i, own, self._diameter)
             for robot, (news, _, _) in known.items():
                 self._pool.add(robot, unpack_columns(news))
             if all(last for _, last, _ in known.values()):
@@ -198,7 +198,7 @@ class PlanProof:
 
     def _agree(self, gap: float) -> Exchange[PlanOffer | None]:
         """Return the best plan that any robot finds within the gap, None if there is none."""
-        best = yield from best_offer(self._search(gap), self._diameter)
+        best = yield from find_best_offer(self._search(gap), self._diameter)
         self._none = best is not None and best[0] == np.inf
         if best is None or self._none:
             return None

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import SolverError
-from crazychoir.optimization.rounds.agreement import flood, highest_bids
+from crazychoir.optimization.rounds.agreement import find_highest_bids, flood_values
 from crazychoir.optimization.rounds.program import Exchange
 from crazychoir.routing.distributed.member import RoutingMember
 from crazychoir.routing.distributed.primal_decomposition import PriceRounds
@@ -88,7 +88,7 @@ class ResourceRecovery:
                 j: [self._amount(j, attempt), self._i]
                 for j in self._choice(owner, wanted)
             }
-            won = yield from highest_bids(bids, self._member.place.diameter)
+            won = yield from find_highest_bids(bids, self._member.place.diameter)
             kept = yield from self._kept(
                 owner, {j: robot for j, (_, robot) in won.items()}
             )
@@ -109,7 +109,7 @@ class ResourceRecovery:
         if self._member.local.vehicle.metric:
             return won
         mine = np.array([won.get(j) == self._i for j in range(len(owner))])
-        told = yield from flood(
+        told = yield from flood_values(
             self._i, self._choice(owner, mine), self._member.place.diameter
         )
         return {j: robot for robot, tasks in told.items() for j in tasks}
@@ -141,11 +141,11 @@ class ResourceRecovery:
         """
         place = self._member.place
         table = self._member.table
-        known = yield from flood(
+        known = yield from flood_values(
             self._i, self._prices.mean_price.tolist(), place.diameter
         )
         pi: Vec = np.mean(np.array(list(known.values())), axis=0)
-        least = yield from flood(
+        least = yield from flood_values(
             self._i, [min(0.0, table.least(pi)), table.complete], place.diameter
         )
         if not all(complete for _, complete in least.values()):

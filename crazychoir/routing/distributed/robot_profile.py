@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.optimization.rounds.agreement import flood
+from crazychoir.optimization.rounds.agreement import flood_values
 from crazychoir.optimization.rounds.program import Exchange
 from crazychoir.routing.distributed.member import RoutingMember, bound_reach
 from crazychoir.routing.instance.instance import (
@@ -47,7 +47,7 @@ def introduce_robots(member: RoutingMember) -> Exchange[dict[int, LocalProblem]]
     known: dict[int, LocalProblem] = {}
     for first in range(0, place.robots, at_once):
         turn = range(first, min(first + at_once, place.robots))
-        told = yield from flood(
+        told = yield from flood_values(
             place.robot,
             _list_own_fields(local) if place.robot in turn else None,
             place.diameter,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from crazychoir.files.output_files import save_figure
-from crazychoir.optimization.picture import COLOURS, DASHES, INK
+from crazychoir.optimization.picture import PICTURE_STYLE
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.plan import Route, RoutePlan
 from crazychoir.routing.instance.schedule import Trip, is_timed, split_into_trips
@@ -54,7 +54,7 @@ def draw_routes(instance: Instance, plan: RoutePlan, path: str | Path) -> None:
     axes.grid(color="#e6e6e6", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.set_title(_describe_plan(instance, plan), color=INK, fontsize=10)
+    axes.set_title(_describe_plan(instance, plan), color=PICTURE_STYLE.ink, fontsize=10)
     figure.legend(
         loc="outside right upper", frameon=False, fontsize=8, handlelength=3.2
     )
@@ -75,9 +75,11 @@ def _describe_plan(instance: Instance, plan: RoutePlan) -> str:
 def _draw_route(axes: "Axes", instance: Instance, route: Route, timed: bool) -> None:
     """Draw one line for each trip, in the robot's colour."""
     flown = split_into_trips(instance, route)
-    colour = COLOURS[route.robot % len(COLOURS)]
+    colour = PICTURE_STYLE.colours[route.robot % len(PICTURE_STYLE.colours)]
     for trip, tour in zip(flown, _list_tours(instance, route), strict=True):
-        dash = DASHES[(route.robot + trip.number - 1) % len(DASHES)]
+        dash = PICTURE_STYLE.dashes[
+            (route.robot + trip.number - 1) % len(PICTURE_STYLE.dashes)
+        ]
         label = _describe_trip(trip, several=len(flown) > 1, timed=timed)
         axes.plot(
             tour[:, 0],
@@ -128,13 +130,13 @@ def _draw_points(axes: "Axes", instance: Instance) -> None:
             end[0],
             end[1],
             "X",
-            color=COLOURS[i % len(COLOURS)],
+            color=PICTURE_STYLE.colours[i % len(PICTURE_STYLE.colours)],
             markersize=8,
             markeredgecolor="white",
             zorder=4,
         )
     for i, home in enumerate(instance.home):
-        colour = COLOURS[i % len(COLOURS)]
+        colour = PICTURE_STYLE.colours[i % len(PICTURE_STYLE.colours)]
         axes.plot(
             home[0],
             home[1],
@@ -160,7 +162,7 @@ def _draw_points(axes: "Axes", instance: Instance) -> None:
     axes.plot([], [], "s", color="#808080", label="home of robot")
     height = ", ↑ height in m" if tasks.pickup.shape[1] == 3 else ""
     _draw_goods(axes, tasks.pickup, "^", "white", f"pickup of task{height}")
-    _draw_goods(axes, tasks.delivery, "v", INK, "delivery of task")
+    _draw_goods(axes, tasks.delivery, "v", PICTURE_STYLE.ink, "delivery of task")
     _write_names(axes, tasks.pickup)
     _write_names(axes, tasks.delivery)
 
@@ -172,7 +174,7 @@ def _draw_goods(axes: "Axes", points: Mat, marker: str, fill: str, label: str) -
         s=46,
         marker=marker,
         c=fill,
-        edgecolors=INK,
+        edgecolors=PICTURE_STYLE.ink,
         label=label,
         zorder=4,
     )
@@ -194,7 +196,7 @@ def _write_names(axes: "Axes", points: Mat) -> None:
             xytext=(6, 4),
             textcoords="offset points",
             fontsize=7.5,
-            color=INK,
+            color=PICTURE_STYLE.ink,
             zorder=6,
             bbox=box,
         )

@@ -9,7 +9,7 @@ import highspy
 import numpy as np
 
 from crazychoir.errors import SolverError
-from crazychoir.optimization.problems.linear import quiet_highs
+from crazychoir.optimization.problems.linear import make_quiet_highs
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.plan import Route, RoutePlan
 from crazychoir.routing.instance.vehicle import (
@@ -30,7 +30,7 @@ FIRST_OBJECTIVE_TOLERANCE = 1e-6
 class _Model:
     """A MILP under construction."""
 
-    highs: highspy.Highs = field(default_factory=quiet_highs)
+    highs: highspy.Highs = field(default_factory=make_quiet_highs)
 
     def variable(
         self, cost: float, low: float, high: float, integer: bool = False

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
-from crazychoir.optimization.rounds.agreement import highest_bids
+from crazychoir.optimization.rounds.agreement import find_highest_bids
 from crazychoir.optimization.rounds.program import Exchange
 from crazychoir.routing.instance.vehicle import ROUNDING_SLACK, Vehicle
 
@@ -147,7 +147,7 @@ def run_parallel_auction(
         bids = {
             j: [-extra[0], robot] for j, extra in found.items() if extra is not None
         }
-        best = yield from highest_bids(bids, diameter)
+        best = yield from find_highest_bids(bids, diameter)
         if not best:
             break
         taken: dict[int, tuple[float, int]] = {}

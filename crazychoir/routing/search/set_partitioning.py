@@ -6,7 +6,7 @@ from typing import NamedTuple
 import highspy
 import numpy as np
 
-from crazychoir.optimization.problems.linear import quiet_highs
+from crazychoir.optimization.problems.linear import make_quiet_highs
 from crazychoir.routing.search.route_pool import RoutePool
 from crazychoir.routing.search.tours import Fleet, Tours, refresh_route
 from crazychoir.types import Bools, Ints, Vec
@@ -146,7 +146,7 @@ def _build_linear_program(
     """
     m = len(fleet.load)
     k = len(fleet.start)
-    highs = quiet_highs()
+    highs = make_quiet_highs()
     empty = (np.array([], np.int32), np.array([]))
     for _ in range(m):
         highs.addRow(1.0, 1.0, 0, *empty)

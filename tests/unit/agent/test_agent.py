@@ -15,7 +15,7 @@ from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import Refused
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import CFGuidance
-from crazychoir.guidance.mission import load, mission_hash
+from crazychoir.guidance.mission import compute_mission_hash, load_mission
 from crazychoir.runtime.clock import NS_PER_SECOND, run_virtual
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.rules.guard import Fence, Guard
@@ -565,7 +565,7 @@ def test_the_result_of_a_law_says_how_long_it_ran_where_it_ended_and_whom_it_did
 
 
 def test_a_formation_that_is_not_reached_is_no_success_and_names_who_is_off_and_who_was_deaf():
-    mission = load("bearing_formation")
+    mission = load_mission("bearing_formation")
     config = mission.swarm(None)
     goal = mission.goal(config)
     at = {
@@ -615,8 +615,8 @@ def test_a_mission_is_what_its_text_and_its_swarm_say_wherever_the_file_lies(tmp
 
     def hashed(folder, **changes):
         path = str(tmp_path / folder / "mine.py")
-        return mission_hash(
-            default_swarm(3).replace(mission=path, **changes), load(path)
+        return compute_mission_hash(
+            default_swarm(3).replace(mission=path, **changes), load_mission(path)
         )
 
     assert hashed("a") == hashed("b")
@@ -631,7 +631,7 @@ def test_a_file_that_the_options_name_counts_by_what_is_in_it(tmp_path):
         path = tmp_path / name
         path.write_text(content)
         config = default_swarm(3).replace(mission_options={"instance": str(path)})
-        return mission_hash(config, mission_of(returns))
+        return compute_mission_hash(config, mission_of(returns))
 
     assert hashed("one.json", "{}") == hashed("two.json", "{}")
     assert hashed("one.json", "{}") != hashed("two.json", "[]")

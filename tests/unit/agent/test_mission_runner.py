@@ -13,7 +13,7 @@ from crazychoir.agent.mission_runner import (
 )
 from crazychoir.bus.codec import MAX_PAYLOAD
 from crazychoir.errors import Refused
-from crazychoir.guidance.member import PATIENCE
+from crazychoir.guidance.member import HELD_FLIGHT_PATIENCE
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import State
 
@@ -49,22 +49,22 @@ class Lands:
 
 @virtual
 async def test_one_that_others_keep_up_is_never_cut(clock):
-    pilot = Lands(clock, 3.0 * PATIENCE, kept_up=True)
+    pilot = Lands(clock, 3.0 * HELD_FLIGHT_PATIENCE, kept_up=True)
     await GuidanceActor(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
     assert pilot.cut_at is None
-    assert clock.now() == pytest.approx(3.0 * PATIENCE, abs=0.1)
+    assert clock.now() == pytest.approx(3.0 * HELD_FLIGHT_PATIENCE, abs=0.1)
 
 
 @virtual
 async def test_one_that_does_not_come_down_though_nobody_keeps_it_up_is_cut(clock):
-    pilot = Lands(clock, 3.0 * PATIENCE, kept_up=False)
+    pilot = Lands(clock, 3.0 * HELD_FLIGHT_PATIENCE, kept_up=False)
     await GuidanceActor(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
     assert pilot.cut_at == pytest.approx(MISSION_TIMES.landing_deadline, abs=0.1)
 
 
 @virtual
 async def test_one_whose_radio_is_silent_is_not_cut_when_it_is_reached_again(clock):
-    pilot = Lands(clock, 3.0 * PATIENCE, kept_up=False)
+    pilot = Lands(clock, 3.0 * HELD_FLIGHT_PATIENCE, kept_up=False)
     pilot.unreached = True
     await GuidanceActor(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
     assert pilot.cut_at is None

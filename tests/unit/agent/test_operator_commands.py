@@ -226,8 +226,8 @@ def test_a_mission_that_takes_off_by_itself_waits_on_the_ground_for_its_start():
 def test_an_operator_who_never_comes_ends_the_run_on_the_ground_or_lands_it(
     monkeypatch,
 ):
-    monkeypatch.setattr(base, "UNCOMMANDED", 5.0)
-    monkeypatch.setattr(base, "PATIENCE", 8.0)
+    monkeypatch.setattr(base, "COMMAND_TIMEOUT", 5.0)
+    monkeypatch.setattr(base, "HELD_FLIGHT_PATIENCE", 8.0)
 
     async def take_off_one(operator):
         await operator.order("take-off", 1)
@@ -602,7 +602,7 @@ def test_a_drone_says_what_each_of_its_links_has_lost_and_what_is_simulated():
 
 
 def test_a_flight_on_command_puts_off_the_end_of_waiting(monkeypatch):
-    monkeypatch.setattr(base, "PATIENCE", 6.0)
+    monkeypatch.setattr(base, "HELD_FLIGHT_PATIENCE", 6.0)
 
     async def scene(operator):
         await operator.order("take-off", 0)

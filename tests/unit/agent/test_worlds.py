@@ -19,7 +19,7 @@ from crazychoir.config.checks import WORLD_URIS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.guidance import CFGuidance
-from crazychoir.launch.flight_observer import Score
+from crazychoir.launch.flight_observer import FlightScore
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.simulation import engines
 from crazychoir.simulation.delay import DelayedLink
@@ -166,7 +166,7 @@ def test_the_truth_comes_from_the_body():
     async def main(clock):
         config = swarm()
         world = WorldProcess(clock, config, "world", "here", 1)
-        score = Score(world.bus, config.ids, source=config.source)
+        score = FlightScore(world.bus, config.ids, source=config.source)
         serving = asyncio.create_task(world.serve(score))
         await clock.sleep(1.0)
         world.end("enough")

@@ -26,7 +26,7 @@ from crazychoir.cli.compute import bench
 from crazychoir.errors import ConfigError
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.pricing.route_table import RouteColumn
-from crazychoir.solve.team import best_so_far, critical_path
+from crazychoir.solve.team import compute_critical_path, merge_best_points
 
 
 @pytest.fixture
@@ -306,7 +306,7 @@ def test_a_bench_says_what_it_measures_on_lines_where_nobody_looks_on(
     monkeypatch, terminal
 ):
     console = Console(file=io.StringIO(), force_terminal=terminal, width=80)
-    monkeypatch.setattr(bench, "STDERR", console)
+    monkeypatch.setattr(bench, "ERROR_CONSOLE", console)
 
     def measure(say):
         say("small 1: [VROOM]")
@@ -343,11 +343,11 @@ def test_the_spread_has_quartiles():
 
 
 def test_the_critical_path_adds_the_slowest_of_each_round_and_the_empty_rounds():
-    assert critical_path([0.5, 0.25], 0.125) == 0.875
+    assert compute_critical_path([0.5, 0.25], 0.125) == 0.875
 
 
 def test_the_curve_of_a_team_falls():
-    assert best_so_far([[2.0, 9.0], [1.0, 10.0], [1.5, 11.0], [3.0, 9.0]]) == [
+    assert merge_best_points([[2.0, 9.0], [1.0, 10.0], [1.5, 11.0], [3.0, 9.0]]) == [
         [1.0, 10.0],
         [2.0, 9.0],
     ]

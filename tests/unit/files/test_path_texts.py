@@ -143,7 +143,7 @@ def test_every_text_file_is_read_and_written_with_an_encoding():
 
 
 def test_the_consoles_are_made_in_one_place_and_print_names_as_they_are():
-    from crazychoir.launch.console import STDERR, STDOUT
+    from crazychoir.launch.console import ANSWER_CONSOLE, ERROR_CONSOLE
 
     makes = re.compile(
         r"from rich\.console import [^\n]*\bConsole\b|from_markup|from rich import print"
@@ -156,7 +156,7 @@ def test_the_consoles_are_made_in_one_place_and_print_names_as_they_are():
     assert [name for name, source in sources.items() if makes.search(source)] == [
         "launch/console.py"
     ]
-    for console in (STDERR, STDOUT):
+    for console in (ERROR_CONSOLE, ANSWER_CONSOLE):
         assert (
             str(console.render_str("[red]x[/] [/] :smile:")) == "[red]x[/] [/] :smile:"
         )

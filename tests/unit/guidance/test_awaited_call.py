@@ -16,9 +16,14 @@ from crazychoir.errors import (
     error_text,
     reason_or,
 )
-from crazychoir.guidance.awaited_call import KEPT, Call, Unawaited, forgotten
+from crazychoir.guidance.awaited_call import (
+    MOST_REMEMBERED_CALLS,
+    GuidanceCall,
+    UnawaitedCalls,
+    describe_forgotten_calls,
+)
 from crazychoir.guidance.guidance import CFGuidance
-from crazychoir.guidance.member import UNSAID_OF, Interrupted, standing
+from crazychoir.guidance.member import UNNOTED_REASONS, Interrupted, describe_state
 from crazychoir.planning.point_to_point import PointToPoint
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.safety.rules.modes import Mode
@@ -159,8 +164,8 @@ async def one():
 
 
 def test_a_call_is_a_coroutine_for_whoever_looks():
-    calls = Unawaited()
-    call = Call(one(), "one", "a.py:3", calls)
+    calls = UnawaitedCalls()
+    call = GuidanceCall(one(), "one", "a.py:3", calls)
     assert asyncio.iscoroutine(call)
     assert "one at a.py:3" in repr(call)
     assert len(calls.waiting) == 1
@@ -232,11 +237,14 @@ def test_few_of_many_forgotten_calls_are_kept():
 
     assert result_of(forgets)["reason"].count("without await") == 1
     guidance = Does(None)
-    calls = guidance.__dict__["_unawaited"] = Unawaited()
-    for k in range(3 * KEPT):
+    calls = guidance.__dict__["_unawaited"] = UnawaitedCalls()
+    for k in range(3 * MOST_REMEMBERED_CALLS):
         calls.throw_away((f"a.py:{k}", "sleep"), f"a.py:{k}")
-    assert len(calls.dropped) == KEPT
-    assert f"and {2 * KEPT} more calls without await" in forgotten(guidance, False)
+    assert len(calls.dropped) == MOST_REMEMBERED_CALLS
+    assert (
+        f"and {2 * MOST_REMEMBERED_CALLS} more calls without await"
+        in describe_forgotten_calls(guidance, False)
+    )
 
 
 def test_coroutine_function_takes_its_guidance_by_name():
@@ -291,10 +299,12 @@ def test_a_reason_that_is_there_stays_as_it_is():
 @pytest.mark.parametrize("mode", Mode)
 def test_what_a_drone_does_has_a_reason_in_every_mode(mode):
     assert (
-        standing(SimpleNamespace(mode=mode, note=""))
-        == f"{mode.value}: {UNSAID_OF[mode]}"
+        describe_state(SimpleNamespace(mode=mode, note=""))
+        == f"{mode.value}: {UNNOTED_REASONS[mode]}"
     )
-    assert standing(SimpleNamespace(mode=mode, note="pose")) == f"{mode.value}: pose"
+    assert (
+        describe_state(SimpleNamespace(mode=mode, note="pose")) == f"{mode.value}: pose"
+    )
 
 
 def test_a_mission_that_raises_an_error_without_words_has_a_reason():

@@ -182,9 +182,9 @@ async def test_a_rise_waits_while_an_operator_holds_the_drone_and_ends_at_the_fe
         assert 0.2 < guidance.state.p[2] < 2.0
         pilot.hold(False)
         await rise
-        assert guidance.state.p[2] == pytest.approx(2.4, abs=base.ARRIVED), (
-            "inside the fence"
-        )
+        assert guidance.state.p[2] == pytest.approx(
+            2.4, abs=base.FLIGHT_LIMITS.arrival_distance
+        ), "inside the fence"
 
 
 @virtual
@@ -225,7 +225,9 @@ async def test_a_flight_waits_while_an_operator_holds_the_drone(clock):
         assert guidance.state.p == pytest.approx([0.0, 0.0, 1.0], abs=0.02)
         pilot.hold(False)
         await flight
-        assert guidance.state.p == pytest.approx([1.0, 0.0, 1.0], abs=base.ARRIVED)
+        assert guidance.state.p == pytest.approx(
+            [1.0, 0.0, 1.0], abs=base.FLIGHT_LIMITS.arrival_distance
+        )
 
 
 @virtual
@@ -238,7 +240,9 @@ async def test_a_flight_waits_while_the_safety_table_brakes_it(clock):
 
         pilot.go_to = braking
         await guidance.go_to([1.0, 0.0, 1.0])
-        assert guidance.state.p == pytest.approx([1.0, 0.0, 1.0], abs=base.ARRIVED)
+        assert guidance.state.p == pytest.approx(
+            [1.0, 0.0, 1.0], abs=base.FLIGHT_LIMITS.arrival_distance
+        )
 
 
 @virtual
@@ -302,7 +306,7 @@ async def test_a_flight_that_is_held_for_ever_is_given_up(clock):
         began = clock.now()
         with pytest.raises(Interrupted, match=r"does not reach.*held by its operator"):
             await guidance.go_to([1.0, 0.0, 1.0])
-        assert clock.now() - began == pytest.approx(base.PATIENCE, abs=0.1)
+        assert clock.now() - began == pytest.approx(base.HELD_FLIGHT_PATIENCE, abs=0.1)
 
 
 @virtual

@@ -10,9 +10,9 @@ from crazychoir.agent.drone import WAITING_TASK
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.checks import SWARM_LIMITS
-from crazychoir.guidance.feedback import LAW
+from crazychoir.guidance.feedback import LAW_TASK
 from crazychoir.launch import flight_observer as scores
-from crazychoir.launch.flight_observer import SETTLED, Score
+from crazychoir.launch.flight_observer import SCORE_LIMITS, FlightScore
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.types import State, Status
 
@@ -28,7 +28,7 @@ class Sky:
         self.clock = clock
         self.bus = Bus(clock)
         self.ports = [self.bus.port(i) for i in range(n)]
-        self.score = Score(self.bus, tuple(range(n)), goal or {}, unseen=unseen)
+        self.score = FlightScore(self.bus, tuple(range(n)), goal or {}, unseen=unseen)
 
     def at(self, i, p, v=(0.0, 0.0, 0.0), age=0.0):
         self.ports[i].publish(DRONE_TOPICS.truth, State.at(p, v), age)
@@ -141,9 +141,9 @@ def test_a_formation_is_judged_from_the_first_law_to_the_first_landing():
     async def scene(sky):
         for far, phase, task in (
             (5.0, "taking off", ""),
-            (2.0, "mission", LAW),
-            (1.0, "mission", LAW),
-            (0.001, "mission", LAW),
+            (2.0, "mission", LAW_TASK),
+            (1.0, "mission", LAW_TASK),
+            (0.001, "mission", LAW_TASK),
             (9.0, "landing", "landing"),
         ):
             sky.tells(0, phase, task)
@@ -158,7 +158,7 @@ def test_a_formation_is_judged_from_the_first_law_to_the_first_landing():
 
 @pytest.mark.parametrize(
     ("phase", "task"),
-    [("on ground", LAW), ("hovering", "waiting"), ("landing", "landing")],
+    [("on ground", LAW_TASK), ("hovering", "waiting"), ("landing", "landing")],
 )
 def test_a_drone_that_flies_no_law_forms_nothing(phase, task):
     async def scene(sky):
@@ -172,13 +172,18 @@ def test_a_drone_that_flies_no_law_forms_nothing(phase, task):
 
 def test_a_score_does_not_grow_with_the_flight():
     async def scene(sky):
-        sky.tells(0, "mission", LAW)
+        sky.tells(0, "mission", LAW_TASK)
         for n in range(300):
-            sky.at(0, (2.0 * SETTLED * (n % 3 == 0 and n < 200), 0, 0))
+            sky.at(
+                0,
+                (2.0 * SCORE_LIMITS.settled_distance * (n % 3 == 0 and n < 200), 0, 0),
+            )
             sky.at(1, (1, 1, 0))
             sky.ports[0].publish(DRONE_TOPICS.log, f"line {n}")
             await sky.looks()
-        sky.score.log.extend(str(n) for n in range(2 * scores.LOGGED))
+        sky.score.log.extend(
+            str(n) for n in range(2 * scores.SCORE_LIMITS.most_log_lines)
+        )
 
     score = seen(scene, goal={0: np.zeros(3)})
     assert len(score.errors) == 2
@@ -186,8 +191,10 @@ def test_a_score_does_not_grow_with_the_flight():
         (198 * STEP + 1.0) * PERIOD
     ), "the last time"
     assert score.formation()["formation_error_m"] == 0.0
-    assert len(score.log) == scores.LOGGED
-    assert score.log[-1] == str(2 * scores.LOGGED - 1), "the newest stay"
+    assert len(score.log) == scores.SCORE_LIMITS.most_log_lines
+    assert score.log[-1] == str(2 * scores.SCORE_LIMITS.most_log_lines - 1), (
+        "the newest stay"
+    )
 
 
 def test_it_hears_when_the_first_drone_has_begun():
@@ -195,7 +202,7 @@ def test_it_hears_when_the_first_drone_has_begun():
         sky.tells(0, "on ground", WAITING_TASK)
         assert sky.score.go_at is None
         await sky.clock.sleep(3.0)
-        for task in ("planning", LAW):
+        for task in ("planning", LAW_TASK):
             sky.tells(1, "on ground", task)
             await sky.clock.sleep(1.0)
 

@@ -13,7 +13,7 @@ from crazychoir.errors import ConfigError, Hung
 from crazychoir.guidance import user_hook as hooked
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import CFGuidance
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 from crazychoir.launch.flight import fly_fast
 from crazychoir.runtime import user_code_guard as hanging
 from crazychoir.runtime.user_code_guard import (
@@ -197,12 +197,12 @@ def test_a_hook_or_a_file_that_does_not_end_is_said_with_its_line(
     )
     config = default_swarm(1)
     if hook == "report":
-        found = load(str(path)).report(config, {})
+        found = load_mission(str(path)).report(config, {})
         assert found["success"] is False
         said = found["reasons"][0]
     else:
         with pytest.raises(ConfigError) as caught:
-            load(str(path)).guidance(0, config)
+            load_mission(str(path)).guidance(0, config)
         said = str(caught.value)
     assert "no end within 0.2 s" in said
     assert any(f"mine.py:{line}" in said for line in range(2, 8))

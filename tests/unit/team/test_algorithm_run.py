@@ -11,7 +11,7 @@ from crazychoir.bus.port import Bus
 from crazychoir.errors import AgentFailed, ChannelEnded, PeerLost, SolverError
 from crazychoir.optimization.algorithms import asymm
 from crazychoir.optimization.algorithms.asymm import ASYMM
-from crazychoir.optimization.problems.smooth import Smooth
+from crazychoir.optimization.problems.smooth import SmoothFunction
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.team.algorithm_run import WakingTimes, run_algorithm
 from crazychoir.team.communicator import Communicator
@@ -179,8 +179,8 @@ def test_who_asks_for_those_alone_that_come_goes_on_without_it():
 def contradictory(graph):
     """x <= -1 and x >= 1, at two agents."""
     rows = {
-        2: Smooth(lambda x: x + 1.0, lambda x: np.eye(1)),
-        4: Smooth(lambda x: 1.0 - x, lambda x: -np.eye(1)),
+        2: SmoothFunction(lambda x: x + 1.0, lambda x: np.eye(1)),
+        4: SmoothFunction(lambda x: 1.0 - x, lambda x: -np.eye(1)),
     }
     return {
         i: ASYMM(
@@ -188,7 +188,9 @@ def contradictory(graph):
             graph.neighbors(i),
             graph.diameter(),
             [1.0 * i],
-            Smooth(lambda x, i=i: (x[0] - i) ** 2, lambda x, i=i: 2.0 * (x - i)),
+            SmoothFunction(
+                lambda x, i=i: (x[0] - i) ** 2, lambda x, i=i: 2.0 * (x - i)
+            ),
             inequalities=rows.get(i),
         )
         for i in graph.ids
@@ -209,7 +211,7 @@ def test_nobody_is_done_while_another_one_may_still_fail(seed):
     assert seconds < 300.0
 
 
-BOWL = Smooth(lambda x: x @ x, lambda x: 2 * x)
+BOWL = SmoothFunction(lambda x: x @ x, lambda x: 2 * x)
 
 
 def multipliers(graph, function=BOWL):
@@ -235,7 +237,7 @@ def test_a_cost_without_a_minimum_is_named_after_so_many_steps(monkeypatch):
     """f_i(x) = -20 x: no coupling holds the team back."""
     monkeypatch.setattr(asymm, "MOST_STEPS", 200)
     graph = path(3)
-    fall = Smooth(lambda x: -20.0 * x[0], lambda x: np.array([-20.0]))
+    fall = SmoothFunction(lambda x: -20.0 * x[0], lambda x: np.array([-20.0]))
     found, _ = endings(multipliers(graph, fall), graph)
     assert any(isinstance(error, SolverError) for error in found.values())
     assert all(

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from crazychoir.cli.main import app
 from crazychoir.config.swarm_config import default_swarm
-from crazychoir.launch.recording import about
+from crazychoir.launch.recording import describe_flight
 from crazychoir.recording.analysis import plots
 from crazychoir.recording.mcap.file import RecordingEntry, RecordingFile, Series
 from crazychoir.recording.mcap.messages import MESSAGE_BY_VALUE_TYPE, make_packer
@@ -53,7 +53,7 @@ def plot(tmp_path, monkeypatch):
         path.unlink(missing_ok=True)
         file = RecordingFile(
             path,
-            about(CONFIG, virtual=False) | {"unseen": unseen},
+            describe_flight(CONFIG, virtual=False) | {"unseen": unseen},
             CONFIG.dumps(),
             False,
         )

@@ -13,7 +13,7 @@ from crazychoir.cli.main import app
 from crazychoir.cli.shared.observer import Window
 from crazychoir.cli.shared.running_swarm import NEXT_PROCESS_TIMEOUT
 from crazychoir.config.swarm_config import default_swarm
-from crazychoir.launch.recording import FILES, about
+from crazychoir.launch.recording import FILES_KEY, describe_flight
 from crazychoir.recording.mcap.file import RecordingFile
 from crazychoir.recording.mcap.reading import read_header
 from crazychoir.runtime.clock import run_virtual
@@ -77,7 +77,9 @@ def test_what_was_asked_for_is_there(record):
     )
     assert said["ended"] == "after 3.5 s"
     assert recording.outcome == {"lost": "0", "missed": "0", "ended": "after 3.5 s"}
-    assert recording.about == about(default_swarm(2), virtual=False) | {FILES: "{}"}
+    assert recording.about == describe_flight(default_swarm(2), virtual=False) | {
+        FILES_KEY: "{}"
+    }
     assert seconds == pytest.approx(3.5, abs=0.1)
 
 

@@ -9,7 +9,7 @@ from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.cli.main import app
 from crazychoir.config.swarm_config import default_swarm
 from crazychoir.launch import flight
-from crazychoir.launch.recording import about
+from crazychoir.launch.recording import describe_flight
 from crazychoir.recording.mcap.file import RecordingEntry, RecordingFile, Series
 from crazychoir.recording.mcap.messages import MESSAGE_BY_VALUE_TYPE, make_packer
 from crazychoir.recording.mcap.reading import read_header
@@ -22,7 +22,9 @@ CONFIG = default_swarm(2).replace(mission="goto")
 
 def written(path, lost=0):
     """Lines of drone 0 in some chunks."""
-    file = RecordingFile(path, about(CONFIG, virtual=True), CONFIG.dumps(), False)
+    file = RecordingFile(
+        path, describe_flight(CONFIG, virtual=True), CONFIG.dumps(), False
+    )
     series = Series(0, DRONE_TOPICS.log.name, MESSAGE_BY_VALUE_TYPE[str])
     pack = make_packer(series.message, 0)
     for k in range(CHUNKS):

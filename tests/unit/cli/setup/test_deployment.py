@@ -16,7 +16,7 @@ from crazychoir.cli.setup import push as pushing
 from crazychoir.cli.setup import systemd_units as units
 from crazychoir.config.swarm_config import PROCESS_NUMBERS, SwarmConfig
 from crazychoir.errors import ConfigError, ProcessFailed
-from crazychoir.launch.processes import patience
+from crazychoir.launch.processes import compute_patience
 
 PROGRAMS = {
     "crazychoir": "main",
@@ -145,7 +145,7 @@ def test_a_unit_gives_drones_the_time_to_land(repository, name):
     assert (service["KillSignal"], service["KillMode"]) == ("SIGINT", "mixed")
     if name != "router":
         config = SwarmConfig.load(repository / "deploy/three_workstations.toml")
-        assert float(service["TimeoutStopSec"]) > patience(config)
+        assert float(service["TimeoutStopSec"]) > compute_patience(config)
     assert service["Restart"] == ("no" if name == "agent@" else "on-failure")
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from crazychoir.guidance.delivery.commitments import Commitments
-from crazychoir.guidance.delivery.replanning import Replanning, mark
+from crazychoir.guidance.delivery.replanning import Replanning, identify_tasks
 from crazychoir.guidance.tasks.task_book import Fate, Task
 from crazychoir.guidance.tasks.team_news import TeamNews
 from crazychoir.routing.instance.generate import random_instance
@@ -253,7 +253,7 @@ class Team:
         if robot.program is not None and robot.program.done:
             share = robot.program.result
             robot.commitments.adopt(share)
-            robot.mark, robot.program = mark(share.book), None
+            robot.mark, robot.program = identify_tasks(share.book), None
 
     def begin(self, robot, key):
         news = robot.news
@@ -264,7 +264,7 @@ class Team:
         )
         if robot.runs and not (
             begun
-            or mark(news.book) != robot.mark
+            or identify_tasks(news.book) != robot.mark
             or all(record.idle for record in alive)
         ):
             return

@@ -10,7 +10,7 @@ from crazychoir.bus.port import PORT_ADDRESSES
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.guidance.delivery.pickup_delivery import PDVRPGuidance
 from crazychoir.guidance.member import Member
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.plan import Stop
 from crazychoir.runtime.clock import run_virtual
@@ -38,7 +38,7 @@ SERVICE = 0.5
 def flown():
     """The three fly in virtual time: results, tasks of each robot's statuses in order, positions (T, 3) of each."""
     instance = Instance.parse(THREE)
-    mission = load("pickup_delivery")
+    mission = load_mission("pickup_delivery")
     drones = [{"id": i, "home": [*home, 0.0]} for i, home in enumerate(THREE["home"])]
     config = mission.swarm(None).replace(
         drones=drones,
@@ -151,7 +151,7 @@ def test_a_place_of_the_plane_is_visited_at_take_off_height_one_of_space_at_its_
         "pickup": [[0.5, 0.0, 0.9], [1.5, 0.0, 0.9]],
         "delivery": [[1.0, 0.0, 1.1], [1.0, 0.0, 1.1]],
     }
-    config = load("pickup_delivery").swarm(None).replace(flight=BRISK)
+    config = load_mission("pickup_delivery").swarm(None).replace(flight=BRISK)
     for instance, heights in (
         (Instance.parse(THREE), (0.5, 0.5)),
         (Instance.parse(raw), (0.9, 1.1)),

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 import numpy as np
 from rich.console import Console
 
-from crazychoir.launch.process.mocap_process import mocap_table
+from crazychoir.launch.process.mocap_process import build_mocap_table
 from crazychoir.mocap.frames import PoseFrame
 from crazychoir.mocap.watch import TrackingWatch
 
@@ -31,7 +31,7 @@ def shown(now):
         watch=watch, clock=SimpleNamespace(now=lambda: now), source=source
     )
     text = io.StringIO()
-    Console(file=text, width=100).print(mocap_table(process))
+    Console(file=text, width=100).print(build_mocap_table(process))
     return [line.split() for line in text.getvalue().splitlines() if line.strip()]
 
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from crazychoir.bus.codec import encode
-from crazychoir.guidance.feedback import LAW
+from crazychoir.guidance.feedback import LAW_TASK
 from crazychoir.recording.analysis import plots
 from crazychoir.recording.analysis.activity import (
     CompletedStop,
@@ -72,7 +72,7 @@ def rounds(values):
 
 
 def law():
-    return statuses(4, [(1.0, "hovering", LAW, 0), (6.5, "hovering", LAW, 9)])
+    return statuses(4, [(1.0, "hovering", LAW_TASK, 0), (6.5, "hovering", LAW_TASK, 9)])
 
 
 @pytest.fixture
@@ -496,7 +496,7 @@ def test_a_law_is_shown_by_the_distance_from_where_it_ended(recorded):
 
 
 def test_a_law_counts_from_its_first_step_to_its_last():
-    said = [(1.0, 2.0, LAW), (2.0, 3.0, "held"), (3.0, 5.0, LAW)]
+    said = [(1.0, 2.0, LAW_TASK), (2.0, 3.0, "held"), (3.0, 5.0, LAW_TASK)]
     spans = [Span(4, begin, end, "mission", task) for begin, end, task in said]
     assert law_times(
         FlightActivity((*spans, Span(5, 0.0, 9.0, "mission", "x")), ())
