@@ -48,13 +48,6 @@ def block(file: str, mark: str) -> str:
     return found[1]
 
 
-def marked_table(file: str, mark: str) -> list[str]:
-    """Return the lines of the table directly below the line `<!-- mark -->` of a page."""
-    found = re.search(rf"<!-- {re.escape(mark)} -->\n((?:\|.*\n)+)", page(file))
-    assert found is not None, f"{file} has no table below <!-- {mark} -->"
-    return found[1].splitlines()
-
-
 def rows(file: str, head: str) -> list[str]:
     """Return the rows of the table of a page whose first column is called `head`."""
     assert f"\n| {head} |" in page(file), f"{file} has no table | {head} |"

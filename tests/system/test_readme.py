@@ -7,27 +7,22 @@ import runpy
 import shlex
 import tomllib
 
-import msgspec
 import numpy as np
 import pytest
-from pages import FRONT_PAGE, block, first_column, marked_table, page, printed, rows
+from pages import FRONT_PAGE, block, first_column, page, printed, rows
 
-from crazychoir.config.tables import Collision
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.mission import names as missions
 from crazychoir.guidance.mission_hooks import HOOKS
 from crazychoir.optimization.problems.problems import CostCoupled
-from crazychoir.safety.rules import guard
 
 pytestmark = pytest.mark.system
 AGENTS = "agents/README.md"
-DEPLOY = "deploy/README.md"
 GUIDANCE = "crazychoir/guidance/README.md"
 OPTIMIZATION = "crazychoir/optimization/README.md"
 CATALOGUE = "crazychoir/optimization/CATALOGUE.md"
 ROUTING = "crazychoir/routing/README.md"
-SAFETY = "crazychoir/safety/README.md"
 FLY = "crazychoir run my_law.py --fast"
 
 
@@ -426,42 +421,3 @@ def test_each_mission_of_the_page_reaches_its_goal_by_its_command(
 ):
     fast = "" if "--fast" in command else " --fast"
     assert said(repository, command + fast)["success"]
-
-
-# Swarm files, safety ------------------------------------------------------------------
-
-
-def test_the_page_of_swarm_files_names_all_keys_of_the_collision_filter_and_its_defaults():
-    row = re.search(r"\| `\[collision\]` .*", page(DEPLOY)).group()
-    defaults = msgspec.to_builtins(Collision())
-    assert f'`method` `"{defaults.pop("method")}"`' in row
-    assert f"`semi_axes` {list(defaults.pop('semi_axes'))} m" in row
-    for key, value in defaults.items():
-        assert f"`{key}` {value:g}" in row
-
-
-def guard_table():
-    """Return the rows of the guard's table as the page of safety shows them."""
-    tables = (guard.TABLE, guard.REACHED, guard.PLANS_ON_BOARD)
-    shown_rows = []
-    for rule in dict.fromkeys(guard.TABLE + guard.REACHED):
-        end = (
-            ("", "") if rule.latched else (f"{rule.clear:.2f}", f"{rule.settle:.2f} s")
-        )
-        shown_rows.append(
-            [
-                f"`{rule.measure}`",
-                f"{rule.limit:.2f}",
-                rule.action.name.lower(),
-                *end,
-                "yes" if rule.latched else "",
-                *("yes" if rule in table else "" for table in tables),
-            ]
-        )
-    return shown_rows
-
-
-def test_the_page_of_safety_shows_the_table_of_the_guard():
-    _, _, *lines = marked_table(SAFETY, "guard table")
-    cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines]
-    assert cells == guard_table()
