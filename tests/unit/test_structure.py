@@ -13,7 +13,7 @@ from pathlib import Path
 import grimp
 import pytest
 from pages import FRONT_PAGE, PAGES
-from prose_rules import docstrings, hard_docstrings
+from prose_rules import docstrings, hard_docstrings, hard_lines
 from source_rules import CLOCKS, STOPWATCHES, forbidden_clocks, set_iterations
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -305,6 +305,29 @@ def test_hard_docstrings_are_found(tmp_path):
     (found,) = hard_rooms(tmp_path)
     assert "a.py:4: Whoever" in found
     assert "a.py:6: those that" in found
+
+
+def hard_pages(root: Path) -> list[str]:
+    """Return the lines of the documentation that are hard to read, as `page:line: word`."""
+    return [
+        f"{file}:{found}"
+        for file in all_pages(root)
+        for found in hard_lines((root / file).read_text())
+    ]
+
+
+def test_the_documentation_is_plain_english(repository):
+    assert hard_pages(repository) == []
+
+
+def test_hard_lines_of_the_documentation_are_found(tmp_path):
+    text = "# Whose\n\n```\nwho\n```\n`who` knows those that are late\n"
+    generated = "<!-- generated: begin -->\nwho\n<!-- generated: end -->\n"
+    (tmp_path / FRONT_PAGE).write_text(text + generated)
+    assert hard_pages(tmp_path) == [
+        f"{FRONT_PAGE}:1: Whose",
+        f"{FRONT_PAGE}:6: those that",
+    ]
 
 
 def missing_pages(root: Path) -> list[str]:
