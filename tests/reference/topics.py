@@ -3,7 +3,8 @@
 import math
 
 from crazychoir.bus import topics
-from reference.markdown import attribute_docs, table as markdown_table
+from reference.markdown import attribute_docs
+from reference.markdown import table as markdown_table
 
 READERS = {
     "interest": "all that ask",
