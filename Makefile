@@ -23,7 +23,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help demo test check bench paper campaign clean
+.PHONY: help demo test check reference bench paper campaign clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -46,6 +46,9 @@ check: $(VENV)/.installed-test  ## ruff, its layout, mypy --strict and the impor
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
+
+reference: $(VENV)/.installed-test  ## write the generated tables of the READMEs: keys, commands, topics, safety
+	cd tests && ../$(BIN)/python -m reference
 
 bench: $(VENV)/.installed-bench  ## measure, beside CycloneDDS and MPI
 	$(BIN)/crazychoir bench all

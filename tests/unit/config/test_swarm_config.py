@@ -442,36 +442,48 @@ def test_dongles_carry_the_six_of_the_laboratory_if_their_uris_say_so() -> None:
     assert compute_setpoint_rates(config) == {0: 84.0, 1: 84.0, 2: 84.0}
 
 
-def test_the_readme_of_deploy_names_every_key() -> None:
-    text = (ROOT / "deploy" / "README.md").read_text()
+def _sections() -> dict[str, str]:
+    """Return the sections of the reference of keys, by heading."""
+    text = (ROOT / "deploy" / "REFERENCE.md").read_text()
+    parts = re.split(r"^## (.*)$", text, flags=re.MULTILINE)[1:]
+    return dict(zip(parts[::2], parts[1::2], strict=True))
+
+
+def test_the_reference_names_every_key_of_every_table() -> None:
+    sections = _sections()
+    rows = sections["Keys above the first table"]
     for entry in msgspec.structs.fields(SwarmConfig):
-        assert f"`{entry.encode_name}`" in text or f"[{entry.encode_name}]" in text, (
-            entry.encode_name
-        )
-    tables = (
-        "flight",
-        "fence",
-        "mocap",
-        "plant",
-        "motors",
-        "mujoco",
-        "world",
-        "network",
-    )
-    row = {
-        line.split("|")[1].strip(" `[]"): line
-        for line in text.splitlines()
-        if line.startswith("| `[")
-    }
-    for table in tables:
-        for entry in msgspec.structs.fields(type(getattr(demo_swarm(), table))):
-            assert (
-                f"`{entry.name}`" in row[table] or f".{entry.name}]]" in row[table]
-            ), f"{table}.{entry.name}"
-    for entry in msgspec.structs.fields(type(demo_swarm().drones[0])):
+        key = entry.encode_name
         assert (
-            f"`{entry.name}`" in row["drones"] or f".{entry.name}]" in row["drones"]
-        ), entry.name
+            f"| `{key}` |" in rows
+            or f"| `[{key}]` |" in rows
+            or f"| `[[{key}]]` |" in rows
+        ), key
+    tables = {f"`[{name}]`": type(value) for name, value in _tables_of(demo_swarm())}
+    assert len(tables) > 12
+    tables["`[[drones]]`"] = type(demo_swarm().drones[0])
+    for heading, kind in tables.items():
+        for entry in msgspec.structs.fields(kind):
+            row = sections[heading]
+            assert f"| `{entry.name}` |" in row or f".{entry.name}]]` |" in row, (
+                f"{heading} {entry.name}"
+            )
+
+
+def test_the_reference_shows_the_defaults_of_the_collision_filter() -> None:
+    rows = _sections()["`[collision]`"]
+    for key, value in msgspec.to_builtins(demo_swarm().collision).items():
+        (row,) = [line for line in rows.splitlines() if line.startswith(f"| `{key}` |")]
+        assert f"| `{msgspec.json.encode(value).decode()}` |" in row
+
+
+def _tables_of(config: SwarmConfig) -> list[tuple[str, msgspec.Struct]]:
+    """Return the tables of a swarm file with their names."""
+    named = [
+        (entry.encode_name, getattr(config, entry.name))
+        for entry in msgspec.structs.fields(SwarmConfig)
+    ]
+    return [(name, value) for name, value in named if isinstance(value, msgspec.Struct)]
 
 
 def test_files_of_options_are_relative_to_the_swarm_file(
