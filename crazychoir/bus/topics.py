@@ -306,12 +306,6 @@ class MessageTopics:
 
 MESSAGE_TOPICS = MessageTopics()
 
-
-# Along the edges of the graph.
-# Commands of operators.
-# Between any two drones: a request for missing states of other drones, and the answer.
-# Between processes.
-
 ALL_TOPICS = (
     DRONE_TOPICS.pose,
     DRONE_TOPICS.state,
