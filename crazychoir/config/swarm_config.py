@@ -40,9 +40,9 @@ from crazychoir.config.tables import (
     HOST_KEYS,
     ControlTable,
     DroneTable,
+    LinkTable,
     Sender,
     Swarm,
-    SwarmTable,
 )
 from crazychoir.config.uris import canonical_uri
 from crazychoir.errors import ConfigError
@@ -141,6 +141,19 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         raw = {**msgspec.to_builtins(self), **msgspec.to_builtins(changes)}
         config = self.of(raw, f"swarm {self.name}")
         return config._with_mission_from(Path()) if "mission" in changes else config
+
+    def with_network(self, **effects: float) -> Self:
+        """Return this swarm with other effects of [network]; its other keys stay.
+
+        effects: keys of tables.LinkTable, such as loss=0.3
+        Raises ConfigError for a value that is not allowed.
+        """
+        where = f"swarm {self.name}"
+        require_plain({"network": effects}, where)
+        given = read_table(effects, LinkTable, where, "network", type(self))
+        changes = {name: getattr(given, name) for name in effects}
+        network = msgspec.structs.replace(self.network, **changes)
+        return msgspec.structs.replace(self, network=network)
 
     def _with_mission_from(self, folder: Path) -> Self:
         """Return the swarm with the full path of its mission."""
@@ -502,27 +515,6 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
             else PORT_ADDRESSES.body_offset + i
         )
 
-    def impairment(self) -> dict[str, Any]:
-        """Return [network] as plain values, with only the keys that are written in the file.
-
-        The groups of a partition name every drone.
-        """
-        network = self.network
-        rules = _written_values(network)
-        if network.edges:
-            rules["edges"] = [_written_values(edge) for edge in network.edges]
-        if network.partitions:
-            rules["partitions"] = [
-                _written_values(cut) | {"groups": self._complete(cut.groups)}
-                for cut in network.partitions
-            ]
-        return rules
-
-    def _complete(self, groups: tuple[tuple[int, ...], ...]) -> list[list[int]]:
-        """Return the groups, and one more with the drones that they do not name."""
-        rest = [i for i in self.ids if not any(i in group for group in groups)]
-        return [list(group) for group in groups] + ([rest] if rest else [])
-
 
 def _resolve_replay(drone: DroneTable, folder: Path) -> DroneTable:
     """Return the drone with the full path of the recording that it replays, if it replays one."""
@@ -608,13 +600,3 @@ def _bracket_address(address: str) -> str:
         return f"[{address}]" if ipaddress.ip_address(address).version == 6 else address
     except ValueError:
         return address
-
-
-def _written_values(table: SwarmTable) -> dict[str, Any]:
-    """Return the values of a table that are written in the file, without its lists."""
-    values: dict[str, Any] = msgspec.to_builtins(table)
-    return {
-        key: value
-        for key, value in values.items()
-        if not (value is None or isinstance(value, tuple))
-    }

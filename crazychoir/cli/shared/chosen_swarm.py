@@ -1,6 +1,5 @@
 """The swarm and the mission that a command line names."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -61,10 +60,7 @@ def replace_swarm_values(
     """Return the swarm with each value replaced that is not None."""
     changes: dict[str, Any] = {}
     if loss is not None:
-        network = json.loads(config.dumps())["network"]
-        changes["network"] = {
-            key: value for key, value in network.items() if value is not None
-        } | {"loss": loss}
+        config = config.with_network(loss=loss)
     if seed is not None:
         changes["seed"] = seed
     if mission is not None:

@@ -1,6 +1,7 @@
 """The swarm file: what it says, round trips, digests, endpoints, the built-in swarms."""
 
 import json
+import math
 import os
 import re
 import subprocess
@@ -22,6 +23,7 @@ from crazychoir.config.swarm_config import (
     demo_swarm,
     find_swarm,
 )
+from crazychoir.config.tables import NetworkTable
 from crazychoir.errors import ConfigError
 from crazychoir.radio.budget import compute_setpoint_rates
 from crazychoir.team.graph import (
@@ -177,7 +179,7 @@ def test_defaults() -> None:
     )
     assert config.drone(1).home == (1.0, 0.0, 0.0)
     assert config.drone(1).uri == "sim://"
-    assert config.impairment() == {}
+    assert config.network == NetworkTable()
     assert config.graph() == ring(4)
 
 
@@ -297,26 +299,10 @@ def test_the_owner_of_the_world_is_reached_before_all_agents() -> None:
     )
 
 
-def test_partitions_name_every_drone() -> None:
-    config = square(
-        last="[[network.partitions]]\nat = 2\ngroups = [[1]]\n[network]\nloss = 0.0\n"
-    )
-    assert config.impairment() == {
-        "loss": 0.0,
-        "partitions": [{"at": 2.0, "groups": [[1], [0, 2, 3]]}],
-    }
-    whole = square(
-        last="[[network.partitions]]\nat = 2\nuntil = 3\ngroups = [[1, 0], [2, 3]]\n"
-    )
-    assert whole.impairment()["partitions"] == [
-        {"at": 2.0, "until": 3.0, "groups": [[1, 0], [2, 3]]}
-    ]
-
-
 def test_replace_checks_again() -> None:
     config = square()
     assert config.replace(graph="path", seed=8).graph() == path(4)
-    assert config.replace(network={"loss": 0.3}).impairment() == {"loss": 0.3}
+    assert config.replace(network={"loss": 0.3}).network == NetworkTable(loss=0.3)
     assert config.replace(
         drones=[msgspec.structs.replace(config.drone(2), id=9)]
     ).ids == (9,)
@@ -325,6 +311,26 @@ def test_replace_checks_again() -> None:
         config.replace(start=5)
     with pytest.raises(ConfigError, match="Did you mean graph"):
         config.replace(grap="ring")
+
+
+def test_another_network_effect_keeps_the_other_keys() -> None:
+    edge = {"source": 0, "destination": 1, "loss": 0.5}
+    cut = {"at": 2.0, "groups": [[1]]}
+    network = {"loss": 0.1, "delay": 0.02, "edges": [edge], "partitions": [cut]}
+    config = square().replace(network=network)
+    assert config.with_network(loss=0.3) == config.replace(
+        network={**network, "loss": 0.3}
+    )
+    assert config.with_network(loss=0.1) == config
+
+
+@pytest.mark.parametrize("effects", [{"loss": 1.5}, {"burst": 0.5}, {"loss": math.nan}])
+def test_network_effects_are_checked_as_in_a_file(effects: dict[str, float]) -> None:
+    with pytest.raises(ConfigError) as of_a_file:
+        square().replace(network=effects)
+    with pytest.raises(ConfigError) as found:
+        square().with_network(**effects)
+    assert str(found.value) == str(of_a_file.value)
 
 
 def test_digest_counts_what_hosts_must_agree_on() -> None:
