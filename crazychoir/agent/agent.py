@@ -151,9 +151,11 @@ class Agent:
         self.alarm: Callable[[int, str], None] = lambda drone, text: None
         for i in ids:
             self.bus.port(i, incarnation)
-        if alone and config.reached:
+        if alone and config.topology.reached:
             raise _not_simulated(config)
-        self.owned = () if alone else tuple(i for i in ids if i in config.elsewhere)
+        self.owned = (
+            () if alone else tuple(i for i in ids if i in config.topology.elsewhere)
+        )
         self.owners = world_actors(
             self.bus, config, tuple(i for i in ids if i not in self.owned), trace=trace
         )
@@ -196,18 +198,18 @@ class Agent:
         communicator.follow(barrier)
         barrier.listeners.append(partial(self._tell_apart, barrier))
         fence = self._fence(i)
-        own_pose = i in config.reached and i not in config.seen
+        own_pose = i in config.topology.reached and i not in config.topology.seen
         chosen = self._controls(i)
         rate = config.radio.log_rate if own_pose else config.mocap.rate
         seen = choose_filter(
             config.control_of(i).filter, chosen, config.flight.ground, rate
         )
         link, harm = self._body(i, chosen.sender.kind)
-        seen_at = config.source(DRONE_TOPICS.pose, i) if i in self.owned else i
+        seen_at = config.topology.source(DRONE_TOPICS.pose, i) if i in self.owned else i
         limit = Fence.box(*limit_area(config))
         collision = self._collision(i, chosen)
         reached: ReachKind = (
-            "no" if i not in config.reached else "own" if own_pose else "seen"
+            "no" if i not in config.topology.reached else "own" if own_pose else "seen"
         )
         pilot = Pilot(
             port,
@@ -233,7 +235,10 @@ class Agent:
         if reached != "no":
             firmware = find_platform(config.drone(i).platform).firmware
             watch = RadioWatch(
-                port, config.source(DRONE_TOPICS.link, i), pilot.guard, firmware
+                port,
+                config.topology.source(DRONE_TOPICS.link, i),
+                pilot.guard,
+                firmware,
             )
             pilot.unfit = watch.problems
             pilot.turning = watch.turning
@@ -265,11 +270,13 @@ class Agent:
         config = self.config
         fence = Fence.box(*fence_of(config, i))
         sender = find_sender(config, i)
-        if i not in config.reached or sender not in TILT_TIMES:
+        if i not in config.topology.reached or sender not in TILT_TIMES:
             return fence
         margin = fence_inset(config, sender)
         here = [
-            j for j in config.reached if config.drone(j).host == config.drone(i).host
+            j
+            for j in config.topology.reached
+            if config.drone(j).host == config.drone(i).host
         ]
         alike = [j for j in here if find_sender(config, j) == sender]
         if margin.problem and i == alike[0]:  # logged once for all of them
@@ -278,7 +285,7 @@ class Agent:
             )
         streamed = {
             j: kind
-            for j in config.reached
+            for j in config.topology.reached
             if (kind := find_sender(config, j)) in TILT_TIMES
         }
         if near := describe_crowding(config, i, streamed):
@@ -287,8 +294,10 @@ class Agent:
 
     def _remote(self, i: int) -> RemoteLink:
         port = self.bus.ports[i]
-        reached = self.config.reached
-        dongle = next((k for k, ids in self.config.dongles.items() if i in ids), 0)
+        reached = self.config.topology.reached
+        dongle = next(
+            (k for k, ids in self.config.topology.dongles.items() if i in ids), 0
+        )
         owner = f"the owner of dongle {dongle} (crazychoir-radio --dongle {dongle})"
         return (
             RemoteLink(port, owner, OWNER_SILENCE) if i in reached else RemoteLink(port)
@@ -358,7 +367,7 @@ class Agent:
 
         Their owners publish whether the radio reaches them. The cameras publish where they are.
         """
-        for j in self.config.reached:
+        for j in self.config.topology.reached:
             if j != i:
                 call = Call(
                     self.clock,
@@ -367,17 +376,17 @@ class Agent:
                 )
                 self.bus.subscribe(
                     DRONE_TOPICS.link,
-                    self.config.source(DRONE_TOPICS.link, j),
+                    self.config.topology.source(DRONE_TOPICS.link, j),
                     i,
                     call,
                     DRONE_TOPICS.link.rate,
                 )
-        for j in self.config.seen:
+        for j in self.config.topology.seen:
             if j != i:
                 call = Call(self.clock, partial(traffic.seen, j), f"drone {i} sees {j}")
                 self.bus.subscribe(
                     DRONE_TOPICS.truth,
-                    self.config.source(DRONE_TOPICS.truth, j),
+                    self.config.topology.source(DRONE_TOPICS.truth, j),
                     i,
                     call,
                     DRONE_TOPICS.truth.rate,
@@ -400,7 +409,11 @@ class Agent:
             if i in self._remotes
             else partial(self._owner_of[i].telemetry.ask, i)
         )
-        body = self.config.source(DRONE_TOPICS.telemetry, i) if i in self.owned else i
+        body = (
+            self.config.topology.source(DRONE_TOPICS.telemetry, i)
+            if i in self.owned
+            else i
+        )
         return Sensors(
             self.bus.ports[i], body, list_log_names(self.config.drone(i).uri), ask
         )
@@ -481,7 +494,7 @@ class Agent:
         def over() -> str:
             return self._guidances[i].over
 
-        arm = self._remotes[i].arm if i in self.config.reached else None
+        arm = self._remotes[i].arm if i in self.config.topology.reached else None
         return OperatorCommands(drone, self.config, abort, over, arm)
 
     def land_all(self, reason: str) -> None:
@@ -634,7 +647,7 @@ class Agent:
 
 def _not_simulated(config: SwarmConfig) -> ConfigError:
     """Return the error for a drone with a radio in virtual time."""
-    i = config.reached[0]
+    i = config.topology.reached[0]
     do = 'Leave --fast out, or write uri = "sim://" for a flight in virtual time.'
     return ConfigError(
         f"drone {i}: uri", config.drone(i).uri, "a simulated drone, in virtual time", do

@@ -255,7 +255,7 @@ class GuidanceActor(Actor):
         drone = self.drone
         clock = self.drone.port.bus.clock
         monitor = self.drone.barrier.monitor
-        if drone.id not in self.config.reached:
+        if drone.id not in self.config.topology.reached:
             return
         monitor.silent, ends = (
             True,

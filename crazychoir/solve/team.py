@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from crazychoir.config.addresses import LOCAL_ADDRESS
 from crazychoir.config.network import network_rules, require_loss_of_burst
-from crazychoir.config.swarm_config import LOCAL_ADDRESS
 from crazychoir.config.tables import NetworkTable
 from crazychoir.errors import ConfigError, ProcessFailed
 from crazychoir.files.private_folder import scratch_folder

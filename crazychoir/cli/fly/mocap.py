@@ -67,7 +67,7 @@ def mocap(
         config = with_source(config, source)
         if not as_json and not child:
             ERROR_CONSOLE.print(
-                f"swarm {config.name} ({which}): the cameras of drone(s) {list(config.seen)}",
+                f"swarm {config.name} ({which}): the cameras of drone(s) {list(config.topology.seen)}",
                 highlight=False,
             )
         shown = not as_json and not child and sys.stderr.isatty()

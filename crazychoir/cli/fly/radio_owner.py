@@ -55,9 +55,9 @@ def radios(
 
     try:
         config, which = chosen_swarm(swarm)
-        if dongle not in config.dongles:
+        if dongle not in config.topology.dongles:
             names = (
-                ", ".join(map(str, config.dongles))
+                ", ".join(map(str, config.topology.dongles))
                 or "none: no drone has a uri udp:// or radio://"
             )
             raise ConfigError(
@@ -65,7 +65,7 @@ def radios(
             )
         if not as_json and not child:
             ERROR_CONSOLE.print(
-                f"swarm {config.name} ({which}), dongle {dongle}, drone(s) {list(config.dongles[dongle])}"
+                f"swarm {config.name} ({which}), dongle {dongle}, drone(s) {list(config.topology.dongles[dongle])}"
             )
         report = run_radios(config, dongle, listen)
     except CrazyChoirError as error:

@@ -46,13 +46,13 @@ def world(
 
     try:
         config, which = chosen_swarm(swarm)
-        if not config.owned:
+        if not config.topology.owned:
             allowed = "a swarm whose world has an owner"
             do = 'Write owned = true into [world], or uri = "sim://motors" into its [[drones]].'
             raise ConfigError(which, "drones that fly in their agents", allowed, do)
         if not as_json and not child:
             ERROR_CONSOLE.print(
-                f"swarm {config.name} ({which}), the world of drone(s) {list(config.owned)}"
+                f"swarm {config.name} ({which}), the world of drone(s) {list(config.topology.owned)}"
             )
         report = run_world(config, listen)
     except CrazyChoirError as error:

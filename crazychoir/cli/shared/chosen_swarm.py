@@ -5,6 +5,7 @@ from typing import Any
 
 import msgspec
 
+from crazychoir.config.addresses import Addresses
 from crazychoir.config.number_lists import parse_spans
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm, find_swarm
 from crazychoir.errors import ConfigError
@@ -188,7 +189,7 @@ def drones_to_start(only: str | None, config: SwarmConfig) -> tuple[int, ...]:
     for i in here:
         if i not in config.ids:
             raise ConfigError("--only", only, allowed, f"There is no drone {i}.")
-    for group in config.groups():
+    for group in Addresses(config).groups():
         if not (set(group) <= set(here) or set(group).isdisjoint(here)):
             do = "Name all of them or none, or mend `processes` in the swarm file."
             raise ConfigError(

@@ -15,7 +15,10 @@ from rich.text import Text
 
 from crazychoir.bus.network.hello import PACKAGE_VERSION
 from crazychoir.bus.network.zenoh_link import ZenohLink
-from crazychoir.config.swarm_config import PROCESS_NUMBERS, SwarmConfig
+from crazychoir.config.access import access_of
+from crazychoir.config.addresses import PROCESS_NUMBERS, Addresses
+from crazychoir.config.digest import compute_body_digests
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.launch.process.signals import end_on_signals
 from crazychoir.mocap.process import MocapProcess, make_source
 from crazychoir.mocap.recording import FrameRecorder
@@ -67,15 +70,17 @@ def run_mocap(
         link = ZenohLink(
             mocap.bus,
             config.name,
-            listen=[listen or config.endpoints()[PROCESS_NUMBERS.motion_capture]],
+            listen=[
+                listen or Addresses(config).endpoints()[PROCESS_NUMBERS.motion_capture]
+            ],
             connect=[],
-            routers=config.routers,
+            routers=Addresses(config).routers,
             incarnation=incarnation,
             version=PACKAGE_VERSION,
             lease=config.lease,
-            access=config.access(host, *filter(None, [listen])),
+            access=access_of(config, host, *filter(None, [listen])),
             on_refused=mocap.refuse,
-            agreed=config.of_bodies(),
+            agreed=compute_body_digests(config),
         )
         link.open()
         watchdog = Watchdog(clock)

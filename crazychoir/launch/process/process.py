@@ -12,7 +12,10 @@ from crazychoir.agent.worlds import WorldProcess
 from crazychoir.bus.network.hello import PACKAGE_VERSION
 from crazychoir.bus.network.public_topics import PublicCopies
 from crazychoir.bus.network.zenoh_link import ZenohLink
-from crazychoir.config.swarm_config import PROCESS_NUMBERS, SwarmConfig
+from crazychoir.config.access import access_of
+from crazychoir.config.addresses import PROCESS_NUMBERS, Addresses
+from crazychoir.config.digest import compute_body_digests
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import Refused
 from crazychoir.guidance.mission import Mission
 from crazychoir.launch.process.signals import REPEAT_TIME, SIGNAL_NAMES, end_on_signals
@@ -81,10 +84,12 @@ def _make_process_link(
 
     So there is exactly one connection between two processes.
     """
-    host = config.endpoint(ids[0]).rsplit(":", 1)[0]
+    host = Addresses(config).endpoint(ids[0]).rsplit(":", 1)[0]
     own = f"{host}:{config.base_port + ids[0]}"
     lower = [
-        endpoint for process, endpoint in config.endpoints().items() if process < ids[0]
+        endpoint
+        for process, endpoint in Addresses(config).endpoints().items()
+        if process < ids[0]
     ]
 
     def on_token(drones: list[int], there: bool) -> None:
@@ -104,14 +109,16 @@ def _make_process_link(
         config.name,
         listen=[listen or own],
         connect=lower if connect is None else connect,
-        routers=[] if listen or connect else config.routers,
+        routers=[] if listen or connect else Addresses(config).routers,
         incarnation=agent.incarnation,
         version=PACKAGE_VERSION,
         lease=config.lease,
-        access=config.access(agent.bus.host, *filter(None, [listen, *(connect or ())])),
+        access=access_of(
+            config, agent.bus.host, *filter(None, [listen, *(connect or ())])
+        ),
         on_token=on_token,
         on_refused=on_refused,
-        agreed=config.of_bodies(),
+        agreed=compute_body_digests(config),
     )
 
 
@@ -126,15 +133,15 @@ def run_world(config: SwarmConfig, listen: str | None) -> dict[str, Any]:
         link = ZenohLink(
             world.bus,
             config.name,
-            listen=[listen or config.endpoints()[PROCESS_NUMBERS.world]],
+            listen=[listen or Addresses(config).endpoints()[PROCESS_NUMBERS.world]],
             connect=[],
-            routers=config.routers,
+            routers=Addresses(config).routers,
             incarnation=incarnation,
             version=PACKAGE_VERSION,
             lease=config.lease,
-            access=config.access(host, *filter(None, [listen])),
+            access=access_of(config, host, *filter(None, [listen])),
             on_refused=world.refuse,
-            agreed=config.of_bodies(),
+            agreed=compute_body_digests(config),
         )
         link.open()
         watchdog = Watchdog(clock)
@@ -161,9 +168,9 @@ def run_radios(config: SwarmConfig, dongle: int, listen: str | None) -> dict[str
     async def main(clock: Clock) -> dict[str, Any]:
         incarnation = random.SystemRandom().getrandbits(62)
         process = f"dongle{dongle}-{incarnation & 0xFFFFFFFF:08x}"
-        host = config.dongle_host(dongle) or socket.gethostname().split(".")[0]
+        host = config.topology.dongle_host(dongle) or socket.gethostname().split(".")[0]
         radios = RadioProcess(clock, config, dongle, process, host, incarnation)
-        endpoints = config.endpoints()
+        endpoints = Addresses(config).endpoints()
         link = ZenohLink(
             radios.bus,
             config.name,
@@ -171,13 +178,13 @@ def run_radios(config: SwarmConfig, dongle: int, listen: str | None) -> dict[str
             connect=[endpoints[PROCESS_NUMBERS.motion_capture]]
             if PROCESS_NUMBERS.motion_capture in endpoints
             else [],
-            routers=config.routers,
+            routers=Addresses(config).routers,
             incarnation=incarnation,
             version=PACKAGE_VERSION,
             lease=config.lease,
-            access=config.access(host, *filter(None, [listen])),
+            access=access_of(config, host, *filter(None, [listen])),
             on_refused=radios.refuse,
-            agreed=config.of_bodies(),
+            agreed=compute_body_digests(config),
         )
         link.open()
         end_on_signals(clock, radios)

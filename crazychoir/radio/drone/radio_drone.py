@@ -1117,7 +1117,10 @@ class RadioDrone(Actor):
         homes = (
             {}
             if self._has_flown
-            else {j: np.array(self.config.drone(j).home) for j in self.config.seen}
+            else {
+                j: np.array(self.config.drone(j).home)
+                for j in self.config.topology.seen
+            }
         )
         drones = {j: GroundedDrone(home, None, None) for j, home in homes.items()}
         drones[self.drone] = GroundedDrone(

@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.cli.main import app
+from crazychoir.config.addresses import Addresses
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import ConfigError
 from crazychoir.launch import network
@@ -36,9 +37,12 @@ def test_two_runs_have_names_and_ports_of_their_own():
     one, other = isolate_swarm(config, None), isolate_swarm(config, 2)
     assert len({config.name, one.name, other.name}) == 3
     assert one.base_port != config.base_port
-    assert (one.ids, one.groups()) == (config.ids, config.groups())
-    assert other.groups() == ((0, 1), (2, 3))
-    assert isolate_swarm(config, 9).groups() == config.groups(), (
+    assert (one.ids, Addresses(one).groups()) == (
+        config.ids,
+        Addresses(config).groups(),
+    )
+    assert Addresses(other).groups() == ((0, 1), (2, 3))
+    assert Addresses(isolate_swarm(config, 9)).groups() == Addresses(config).groups(), (
         "no process without a drone"
     )
 
@@ -126,12 +130,12 @@ def test_actors_work_while_the_link_is_open_and_stop_before_it():
 LOCAL = "127.0.0.1"
 LOW_RANGE = """if True:
     import sys
-    from crazychoir.launch.network import isolated_swarm
+    from crazychoir.launch.network import hold_isolated_swarm
     from crazychoir.config.swarm_config import default_swarm
     for given in (None, 7999):
         config = default_swarm(int(sys.argv[1]))
         config = config if given is None else config.replace(base_port=given)
-        with isolated_swarm(config, None, keeps_port=True) as changed:
+        with hold_isolated_swarm(config, None, keeps_port=True) as changed:
             print(changed.base_port)
 """
 
