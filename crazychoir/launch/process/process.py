@@ -1,9 +1,7 @@
 """One process of a swarm in real time: its drones, its connection to the network, its signals."""
 
 import logging
-import random
 import signal
-import socket
 from dataclasses import asdict
 from typing import Any
 
@@ -18,7 +16,8 @@ from crazychoir.config.digest import compute_body_digests
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import Refused
 from crazychoir.guidance.mission import Mission
-from crazychoir.launch.process.signals import REPEAT_TIME, SIGNAL_NAMES, end_on_signals
+from crazychoir.launch.process.owner import ProcessIdentity, run_owner
+from crazychoir.launch.process.signals import REPEAT_TIME, SIGNAL_NAMES
 from crazychoir.radio.link.ownership import own_dongle
 from crazychoir.radio.owner import RadioProcess
 from crazychoir.runtime.clock import NS_PER_SECOND, Clock, run_wall
@@ -38,15 +37,14 @@ def run_agent(
     """Fly these drones in real time, over Zenoh; return their results and the counters."""
 
     async def main(clock: Clock) -> dict[str, Any]:
-        incarnation = random.SystemRandom().getrandbits(62)
-        process = f"{ids[0]}-{incarnation & 0xFFFFFFFF:08x}"
+        me = ProcessIdentity.draw(str(ids[0]), ids[0], config.drone(ids[0]).host)
         agent = Agent(
             clock,
             config,
             mission,
             ids,
-            process=process,
-            incarnation=incarnation,
+            process=me.name,
+            incarnation=me.incarnation,
             alone=False,
         )
         _obey_signals(clock, agent)  # before others can find this process and end it
@@ -126,35 +124,10 @@ def run_world(config: SwarmConfig, listen: str | None) -> dict[str, Any]:
     """Own the simulated world of a swarm in real time, over Zenoh; return a report."""
 
     async def main(clock: Clock) -> dict[str, Any]:
-        incarnation = random.SystemRandom().getrandbits(62)
-        process = f"world-{incarnation & 0xFFFFFFFF:08x}"
-        host = config.world.host or socket.gethostname().split(".")[0]
-        world = WorldProcess(clock, config, process, host, incarnation)
-        link = ZenohLink(
-            world.bus,
-            config.name,
-            listen=[listen or Addresses(config).endpoints()[PROCESS_NUMBERS.world]],
-            connect=[],
-            routers=Addresses(config).routers,
-            incarnation=incarnation,
-            version=PACKAGE_VERSION,
-            lease=config.lease,
-            access=access_of(config, host, *filter(None, [listen])),
-            on_refused=world.refuse,
-            agreed=compute_body_digests(config),
-        )
-        link.open()
-        watchdog = Watchdog(clock)
-        watchdog.start()
-        end_on_signals(clock, world)
-        try:
-            await world.serve(link)
-        finally:
-            watchdog.stop()
-        return world.report() | {
-            "network": asdict(link.counters),
-            "late_s": watchdog.worst,
-        }
+        me = ProcessIdentity.draw("world", PROCESS_NUMBERS.world, config.world.host)
+        world = WorldProcess(clock, config, me.name, me.host, me.incarnation)
+        figures = await run_owner(config, world, me, listen)
+        return world.report() | figures
 
     return run_wall(main)
 
@@ -164,32 +137,17 @@ def run_radios(config: SwarmConfig, dongle: int, listen: str | None) -> dict[str
 
     Raises Refused if another process owns the dongle.
     """
+    number = PROCESS_NUMBERS.first_dongle - dongle
+    host = config.topology.dongle_host(dongle)
 
     async def main(clock: Clock) -> dict[str, Any]:
-        incarnation = random.SystemRandom().getrandbits(62)
-        process = f"dongle{dongle}-{incarnation & 0xFFFFFFFF:08x}"
-        host = config.topology.dongle_host(dongle) or socket.gethostname().split(".")[0]
-        radios = RadioProcess(clock, config, dongle, process, host, incarnation)
+        me = ProcessIdentity.draw(f"dongle{dongle}", number, host)
+        radios = RadioProcess(clock, config, dongle, me.name, me.host, me.incarnation)
         endpoints = Addresses(config).endpoints()
-        link = ZenohLink(
-            radios.bus,
-            config.name,
-            listen=[listen or endpoints[PROCESS_NUMBERS.first_dongle - dongle]],
-            connect=[endpoints[PROCESS_NUMBERS.motion_capture]]
-            if PROCESS_NUMBERS.motion_capture in endpoints
-            else [],
-            routers=Addresses(config).routers,
-            incarnation=incarnation,
-            version=PACKAGE_VERSION,
-            lease=config.lease,
-            access=access_of(config, host, *filter(None, [listen])),
-            on_refused=radios.refuse,
-            agreed=compute_body_digests(config),
-        )
-        link.open()
-        end_on_signals(clock, radios)
-        await radios.serve(link)
-        return radios.report() | {"network": asdict(link.counters)}
+        cameras = endpoints.get(PROCESS_NUMBERS.motion_capture)
+        connect = [] if cameras is None else [cameras]
+        figures = await run_owner(config, radios, me, listen, connect, is_watched=False)
+        return radios.report() | figures
 
     with own_dongle(config, dongle):
         return run_wall(main)
