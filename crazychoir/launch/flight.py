@@ -373,7 +373,7 @@ def list_failures(
     """Return why each failed drone has failed: its own result, or a distance that is too small.
 
     results: result of each drone that has one
-    touching: m: least distance of each pair that came nearer than TOUCHING
+    touching: m: least distance of each pair that came nearer than touching_distance
     started: drones that were started here
     """
     reasons = {
