@@ -181,7 +181,7 @@ def test_virtual_drones_and_a_recording_give_the_same_poses_and_who_hangs_keeps_
         "the one that hangs saw no frame"
     )
     assert "no frame was seen" in ended[2]["reason"]
-    for i in virtual.seen:
+    for i in virtual.topology.seen:
         assert min(len(told(simulated[i], i)), len(told(replayed[i], i))) > 50, (
             "not a digit differs"
         )

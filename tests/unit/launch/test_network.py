@@ -168,7 +168,7 @@ def test_no_connection_is_given_a_port_that_is_held_where_the_system_gives_all()
         from crazychoir.launch import network
         network._bases = lambda offsets: [40_000]
         server = socket.create_server(({LOCAL!r}, 50_000))
-        with network.reserved_ports(dict.fromkeys(range(9), {LOCAL!r})), contextlib.suppress(OSError):
+        with network.reserve_ports(dict.fromkeys(range(9), {LOCAL!r})), contextlib.suppress(OSError):
             while True:
                 print(socket.create_connection(({LOCAL!r}, 50_000)).getsockname()[1])
     """
