@@ -166,7 +166,7 @@ def test_no_connection_is_given_a_port_that_is_held_where_the_system_gives_all()
     program = f"""if True:
         import contextlib, socket
         from crazychoir.launch import network
-        network._bases = lambda offsets: [40_000]
+        network._draw_base_ports = lambda offsets: [40_000]
         server = socket.create_server(({LOCAL!r}, 50_000))
         with network.reserve_ports(dict.fromkeys(range(9), {LOCAL!r})), contextlib.suppress(OSError):
             while True:
