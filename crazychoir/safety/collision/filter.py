@@ -548,15 +548,9 @@ class CollisionFilter:
         now: s
         Returns None if the drone may fly as it wants.
         """
-        (
-            self._accelerates[6:9],
-            self._figures[FIGURE_WAITS],
-            self._figures[FIGURE_TURN],
-        ) = (
-            a,
-            1.0,
-            self._turn,
-        )
+        self._accelerates[6:9] = a
+        self._figures[FIGURE_WAITS] = 1.0
+        self._figures[FIGURE_TURN] = self._turn
         return self._run(state, self._accelerates, gains, 0.0, now)
 
     def _run(

@@ -328,11 +328,9 @@ class MotorWorld(Truth):
                 )
             ],
         )
-        self._resting[row], self.impact[row], self._lift[row] = (
-            1.0 - self._of(i, AIRBORNE_FLAG),
-            0.0,
-            self._of(i, TOTAL_LIFT),
-        )
+        self._resting[row] = 1.0 - self._of(i, AIRBORNE_FLAG)
+        self.impact[row] = 0.0
+        self._lift[row] = self._of(i, TOTAL_LIFT)
 
     def vbat(self, i: int) -> float:
         """Return the voltage of drone i's battery under load, in V; 0 when it is empty."""
