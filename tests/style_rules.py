@@ -125,10 +125,11 @@ def packed_assignments(source: str) -> Iterator[str]:
             continue
         count = len(node.targets[0].elts)
         names = [ast.unparse(name) for name in node.targets[0].elts]
-        several = sum(name.lstrip("_").isupper() for name in names) > 1
-        if node in tree.body and several and isinstance(node.value, ast.Tuple):
-            yield f"{node.lineno}: {', '.join(names)}"
-        elif isinstance(node.value, ast.Tuple) and count > MOST_TUPLE_VALUES:
+        several = (
+            node in tree.body and sum(name.lstrip("_").isupper() for name in names) > 1
+        )
+        independent = isinstance(node.value, ast.Tuple) and count > MOST_TUPLE_VALUES
+        if several or independent:
             yield f"{node.lineno}: {', '.join(names)}"
 
 

@@ -127,8 +127,8 @@ def _run_controller(fw: Record) -> None:
 
     A user's law is only marked as due here; it has written its output since the last pass.
     """
-    sp = fw.level if fw.state == supervisor.STATE_LEVEL_OUT else fw.wanted
-    if fw.state == supervisor.STATE_LEVEL_OUT:
+    sp = fw.level if fw.state == supervisor.SUPERVISOR_STATES.level_out else fw.wanted
+    if fw.state == supervisor.SUPERVISOR_STATES.level_out:
         write_level_setpoint(fw)
     if fw.controller == CONTROLLER_KINDS.pid:
         cascade.control(fw, sp)
