@@ -21,6 +21,7 @@ import threading
 import uuid
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from enum import EnumType
 from functools import cache, cached_property
 from hashlib import blake2b
 from opcode import opmap
@@ -601,6 +602,9 @@ def _value(value: Any) -> Any:
             getattr(value, "_fields", ()),
             [_value(v) for v in value],
         )
+    if isinstance(value, EnumType):
+        members = [(member.name, _value(member.value)) for member in value]
+        return f"{value.__module__}.{value.__qualname__}", members
     if isinstance(value, frozenset):
         return "frozenset", sorted(repr(_value(v)) for v in value)
     if isinstance(value, np.ndarray) and not value.dtype.hasobject:

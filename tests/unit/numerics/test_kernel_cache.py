@@ -8,6 +8,7 @@ import subprocess
 import sys
 import types
 from concurrent.futures import ThreadPoolExecutor
+from enum import IntEnum
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -162,6 +163,7 @@ RECORD = np.dtype([("a", np.float64), ("b", np.int64)])
         (numba.njit(lambda x: x), numba.njit(fastmath=True)(lambda x: x)),
         (min, max),
         ("one", b"one"),
+        (IntEnum("Kind", "A B"), IntEnum("Kind", "B A")),
     ],
 )
 def test_what_a_law_names_is_part_of_it(one, other):
