@@ -23,7 +23,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help demo test check reference bench paper campaign clean
+.PHONY: help demo test check reference docs bench paper campaign clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -49,6 +49,10 @@ check: $(VENV)/.installed-test  ## ruff, its layout, mypy --strict and the impor
 
 reference: $(VENV)/.installed-test  ## write the generated tables of the READMEs: keys, commands, topics, safety
 	cd tests && ../$(BIN)/python -m reference
+
+docs: $(VENV)/.installed-docs  ## the documentation as a site: out/docs/index.html
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+	@echo "out/docs/index.html"
 
 bench: $(VENV)/.installed-bench  ## measure, beside CycloneDDS and MPI
 	$(BIN)/crazychoir bench all
@@ -77,6 +81,6 @@ $(VENV)/.installed: pyproject.toml $(VENV)/.created
 	@touch $@
 
 $(VENV)/.installed-%: pyproject.toml $(VENV)/.created
-	@echo "Installing crazychoir with its $* extra into $(VENV) (the first time it takes a minute or two)"
-	@$(PIP_INSTALL) --editable ".[$*]"
+	@echo "Installing crazychoir and its dependency group $* into $(VENV) (the first time it takes a minute or two)"
+	@$(PIP_INSTALL) --editable . --group $*
 	@touch $@ $(VENV)/.installed

@@ -23,7 +23,9 @@ SPECIAL = re.compile(r"([\\*_<>\[\]#~|{}$])")
 def as_markdown(text: str) -> str:
     """Return a docstring as Markdown."""
     return "\n\n".join(
-        block for part in re.split(r"\n\s*\n", cleandoc(text)) for block in _blocks(part)
+        block
+        for part in re.split(r"\n\s*\n", cleandoc(text))
+        for block in _blocks(part)
     )
 
 

@@ -37,7 +37,7 @@ def pictures() -> list[str]:
 
 
 def _files(pattern: str) -> Iterator[str]:
-    """Yield the paths of the files below FOLDERS, without those that a link shows again."""
+    """Yield the paths of the files below FOLDERS; a link to a folder is not followed."""
     for folder in FOLDERS:
         for file in sorted((REPOSITORY / folder).rglob(pattern)):
             if file.resolve() == file:

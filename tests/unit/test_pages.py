@@ -18,7 +18,11 @@ from crazychoir.config.swarm_config import SwarmConfig
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 ROOM_PAGES = sorted((REPOSITORY / "crazychoir").glob("**/README.md"))
-PAGES = [*ROOM_PAGES, *sorted((REPOSITORY / "deploy").glob("*.md"))]
+PAGES = [
+    REPOSITORY / "CONTRIBUTING.md",
+    *ROOM_PAGES,
+    *sorted((REPOSITORY / "deploy").glob("*.md")),
+]
 FENCE = re.compile(r"^( *)```(\w*)\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)
 EXAMPLES = {
     "crazychoir/bus/README.md": "bus_example.py",
