@@ -1,4 +1,4 @@
-"""Words that make a docstring hard to read for an engineer whose first language is not English."""
+"""Words that make a text hard to read for an engineer with another first language than English."""
 
 import ast
 import re
@@ -31,6 +31,24 @@ def hard_docstrings(source: str) -> list[str]:
     """Return `line: word` of each docstring that has such a word."""
     found = []
     for line, text in docstrings(source):
+        word = PEOPLE.search(text) or POINTERS.search(text)
+        if word:
+            found.append(f"{line}: {word[0]}")
+    return found
+
+
+# Not prose: code, and what `make reference` writes from the code.
+NOT_PROSE = re.compile(
+    r"^```.*?^```|`[^`\n]*`|<!-- generated: begin -->.*?<!-- generated: end -->",
+    re.DOTALL | re.MULTILINE,
+)
+
+
+def hard_lines(page: str) -> list[str]:
+    """Return `line: word` of each line of a Markdown page that has such a word."""
+    prose = NOT_PROSE.sub(lambda code: "\n" * code[0].count("\n"), page)
+    found = []
+    for line, text in enumerate(prose.splitlines(), start=1):
         word = PEOPLE.search(text) or POINTERS.search(text)
         if word:
             found.append(f"{line}: {word[0]}")

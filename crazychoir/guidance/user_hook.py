@@ -20,13 +20,13 @@ from crazychoir.errors import (
 )
 from crazychoir.runtime.user_code_guard import HOOK, limited
 
-README = 'See "Write your own mission" in README.md.'
+README = 'See "Write your own mission" in agents/README.md.'
 """Advice for the user: the chapter about missions."""
 CHAPTERS = {
     "mission": README,
-    "algorithm": 'See "A new distributed algorithm" in README.md.',
+    "algorithm": 'See "A new distributed algorithm" in crazychoir/optimization/README.md.',
 }
-"""Advice for the user, by kind of file: the chapter of README.md."""
+"""Advice for the user, by kind of file: the chapter that explains it."""
 
 
 @dataclass(frozen=True)

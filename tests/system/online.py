@@ -47,7 +47,7 @@ class Outcome:
 
     results: of each drone;  aboard: what each killed one carried when it was killed;  delivered: by whom, each task;
     touching: pairs that flew, and came so near, in m, that they may have touched;  struck: pairs of which one had been
-    killed, while it fell: no plan keeps others from below it at a moment that nobody knows, see README.md;
+    killed, while it fell: no plan keeps others from below it at a moment that nobody knows, see agents/README.md;
     reasons: what is wrong with it, sentence by sentence.
     """
 

@@ -1,7 +1,6 @@
 """cflib's own programs, as its documentation shows them, against virtual Crazyflies: they see what they would see."""
 
 import json
-import re
 import signal
 import socket
 import subprocess
@@ -9,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from pages import block
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
 HERE = Path(__file__).parent
@@ -59,10 +59,13 @@ def _free_ports() -> int:
     raise AssertionError("no free ports")
 
 
-def _readme(port: int) -> str:
-    """The program that the README shows, for this drone; it ends only after a flight."""
-    text = (HERE.parent.parent / "README.md").read_text()
-    (program,) = re.findall(r"```python\n(import time, cflib.*?)```", text, re.DOTALL)
+def _program_of_page(port: int) -> str:
+    """Return the program that the page of radio/ shows, for the drone at this port.
+
+    It ends only after a flight.
+    """
+    program = block("crazychoir/radio/README.md", "virtual_flight.py")
+    assert "cflib" in program
     assert len(program.splitlines()) <= 10
     return program.replace("19850", str(port))
 
@@ -91,7 +94,7 @@ def ran():
             assert line, "the server has ended"
         run = [sys.executable, "-m", "cflib_programs.run", str(port)]
         shown = subprocess.Popen(
-            [sys.executable, "-c", _readme(port + DRONES - 1)],
+            [sys.executable, "-c", _program_of_page(port + DRONES - 1)],
             stdout=subprocess.DEVNULL,
         )
         found = subprocess.run(
@@ -126,7 +129,7 @@ def test_the_server_ends_by_ctrl_c_with_what_became_of_the_drones(ran):
     assert report["drones"]["10"]["malformed"] == 1
     assert (
         report["drones"][str(DRONES - 1)]["last"] == "rpyt"
-    )  # the README's has flown, and closed its link
+    )  # the page's program has flown, and has closed its link
     assert (
         sum(drone["unknown"] for drone in report["drones"].values()) == 1
     )  # to an application that is not there

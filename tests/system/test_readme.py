@@ -1,16 +1,16 @@
-"""What the README shows is so: its mission, saved as it stands there, flies; its figures are those of its commands."""
+"""The pages of the documentation are true: their programs run, and their figures are those of their commands."""
 
 import importlib
 import inspect
 import re
+import runpy
 import shlex
-from pathlib import Path
+import tomllib
 
-import msgspec
 import numpy as np
 import pytest
+from pages import FRONT_PAGE, block, first_column, page, printed, rows
 
-from crazychoir.config.tables import Collision
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.mission import names as missions
@@ -18,22 +18,34 @@ from crazychoir.guidance.mission_hooks import HOOKS
 from crazychoir.optimization.problems.problems import CostCoupled
 
 pytestmark = pytest.mark.system
-MARK = r"<!-- my_law\.py -->\n```python\n(.*?)```"
+AGENTS = "agents/README.md"
+GUIDANCE = "crazychoir/guidance/README.md"
+OPTIMIZATION = "crazychoir/optimization/README.md"
+CATALOGUE = "crazychoir/optimization/CATALOGUE.md"
+ROUTING = "crazychoir/routing/README.md"
 FLY = "crazychoir run my_law.py --fast"
 
 
 @pytest.fixture
-def mission_file(repository, tmp_path):
-    text = re.search(MARK, (repository / "README.md").read_text(), re.DOTALL)
-    assert text is not None, "README.md shows no my_law.py"
-    path = tmp_path / "my_law.py"
-    path.write_text(text[1])
-    return path
+def saved(tmp_path):
+    """Save a program of a page in an empty folder, as a user would; returns its path."""
+
+    def save(file, mark):
+        path = tmp_path / mark
+        path.write_text(block(file, mark))
+        return path
+
+    return save
+
+
+@pytest.fixture
+def mission_file(saved):
+    return saved(FRONT_PAGE, "my_law.py")
 
 
 @pytest.fixture
 def said(here, monkeypatch):
-    """What a command says now, called in a folder."""
+    """What a command prints when it is called in a folder."""
 
     def say(folder, command, code=0):
         monkeypatch.chdir(folder)
@@ -44,12 +56,15 @@ def said(here, monkeypatch):
     return say
 
 
-def test_it_fits_into_25_lines(mission_file):
+# The front page -----------------------------------------------------------------------
+
+
+def test_the_law_of_the_front_page_fits_into_25_lines(mission_file):
     assert len(mission_file.read_text().splitlines()) <= 25
 
 
-def test_it_flies_by_the_command_of_the_readme(repository, said, mission_file):
-    assert f"\n{FLY}\n" in (repository / "README.md").read_text()
+def test_the_law_of_the_front_page_flies_by_its_command(said, mission_file):
+    assert f"\n{FLY}\n" in page(FRONT_PAGE)
     result = said(mission_file.parent, FLY)
     assert result["success"]
     assert result["drones"] == 4
@@ -60,8 +75,8 @@ def test_it_flies_by_the_command_of_the_readme(repository, said, mission_file):
     assert result["spread_m"] < 0.01
 
 
-def test_its_success_says_that_they_met(said, mission_file):
-    """Too short a law is no success: half way they are not yet at one height."""
+def test_a_law_that_ends_too_early_is_no_success(said, mission_file):
+    """Half way the drones are not yet at one height."""
     mission_file.write_text(
         mission_file.read_text().replace("duration = 10.0", "duration = 1.0")
     )
@@ -71,51 +86,8 @@ def test_its_success_says_that_they_met(said, mission_file):
     assert all(own["success"] for own in result["results"].values())
 
 
-def table(repository, first):
-    """The first column of the README's table whose head begins with `first`."""
-    rows = (
-        (repository / "README.md")
-        .read_text()
-        .split(f"\n| {first} |")[1]
-        .split("\n\n")[0]
-        .splitlines()[2:]
-    )
-    return re.findall(r"`([^`]+)`", " ".join(row.split(" | ")[0] for row in rows))
-
-
-def test_its_tables_name_what_there_is(repository):
-    hooks = [text.removesuffix(")").split("(") for text in table(repository, "hook")]
-    assert {name: tuple(arguments.split(", ")) for name, arguments in hooks} == {
-        n: h[0] for n, h in HOOKS.items()
-    }
-    for text in table(repository, "in both"):
-        name = re.search(r"self\.(\w+)", text)[1]
-        assert hasattr(CFGuidance, name) or name == "member", text
-        for argument in re.findall(r"(\w+)=", text):
-            assert (
-                argument in inspect.signature(getattr(CFGuidance, name)).parameters
-            ), text
-    for text in table(repository, "to write"):
-        assert hasattr(
-            CFDistributedFeedback,
-            re.sub(r"^(async )?def ", "", text).split("(")[0].split(" ")[0],
-        ), text
-
-
 def test_more_drones_by_one_option(said, mission_file):
     assert said(mission_file.parent, f"{FLY} --drones 6")["drones"] == 6
-
-
-def shown(repository, command):
-    """The rows that the README shows below a command, {figure: text}."""
-    text = (repository / "README.md").read_text()
-    block = re.search(rf"\n\$ {re.escape(command)}\n(.*?)\n```", text, re.DOTALL)
-    assert block is not None, f"README.md shows no {command}"
-    return dict(
-        line.split(None, 1)
-        for line in block[1].splitlines()
-        if not line.endswith(": success")
-    )
 
 
 def number(text):
@@ -131,10 +103,10 @@ def counted(text):
     }
 
 
-def test_the_tour_shows_the_formation_that_flies(repository, said):
-    """Roughly, but for the messages, and not its digest: another processor rounds otherwise."""
+def test_the_front_page_shows_the_formation_that_flies(repository, said):
+    """The messages are exact, the digest is not compared: another processor rounds differently."""
     command = "crazychoir run bearing_formation --fast --seed 1"
-    rows, result = shown(repository, command), said(repository, command)
+    rows, result = printed(FRONT_PAGE, command), said(repository, command)
     assert number(rows["drones"]) == result["drones"]
     assert number(rows["simulated_s"]) == pytest.approx(result["simulated_s"], abs=0.5)
     assert number(rows["settling_s"]) == pytest.approx(result["settling_s"], abs=0.5)
@@ -148,37 +120,19 @@ def test_the_tour_shows_the_formation_that_flies(repository, said):
     assert re.fullmatch("[0-9a-f]{32}", rows["digest"])
 
 
-def test_the_tour_shows_the_plan_that_is_solved(repository, said):
-    command = "crazychoir solve agents/data/lab6.json --loss 0.5"
-    rows, result = shown(repository, command), said(repository, command)
-    assert number(rows["cost"]) == pytest.approx(result["cost"], abs=1e-4)
-    assert number(rows["lower_bound"]) == pytest.approx(result["lower_bound"], abs=1e-4)
-    assert rows["bound_exact"] == str(result["bound_exact"])
-    assert number(rows["rounds"]) == result["rounds"]
-    assert number(rows["messages"]) == result["messages"]
-
-
 @pytest.fixture
-def algorithm_file(repository, tmp_path):
-    text = re.search(
-        r"<!-- extra\.py -->\n```python\n(.*?)```",
-        (repository / "README.md").read_text(),
-        re.DOTALL,
-    )
-    assert text is not None, "README.md shows no extra.py"
-    path = tmp_path / "extra.py"
-    path.write_text(text[1])
-    return path
+def algorithm_file(saved):
+    return saved(FRONT_PAGE, "extra.py")
 
 
-def test_a_new_algorithm_fits_into_20_lines_and_runs_by_the_command_of_the_readme(
-    repository, algorithm_file, said
+def test_the_algorithm_of_the_front_page_fits_into_20_lines_and_runs_by_its_command(
+    algorithm_file, said
 ):
     assert len(algorithm_file.read_text().splitlines()) <= 20
     command = (
         "crazychoir simulate extra.py --agents 10 --loss 0.3 --picture out/extra.png"
     )
-    rows = shown(repository, command)
+    rows = printed(FRONT_PAGE, command)
     result = said(algorithm_file.parent, command)
     assert number(rows["rounds"]) == result["rounds"] == 300
     assert float(rows["disagreement"].removeprefix("x: ")) == pytest.approx(
@@ -197,7 +151,9 @@ def test_a_new_algorithm_fits_into_20_lines_and_runs_by_the_command_of_the_readm
     assert (algorithm_file.parent / "out/extra.png").read_bytes()[:4] == b"\x89PNG"
 
 
-def test_a_new_algorithm_gives_the_same_without_loss(algorithm_file, said):
+def test_the_algorithm_of_the_front_page_gives_the_same_without_loss(
+    algorithm_file, said
+):
     calm, lossy = (
         said(algorithm_file.parent, f"crazychoir simulate extra.py --loss {loss}")
         for loss in (0, 0.3)
@@ -206,32 +162,72 @@ def test_a_new_algorithm_gives_the_same_without_loss(algorithm_file, said):
     assert calm["lost"] == 0 < lossy["lost"]
 
 
-def test_a_problem_in_cvxpy_ends_where_the_readme_says(repository, tmp_path, said):
-    text = (repository / "README.md").read_text()
-    shown_file = re.search(r"<!-- meet\.py -->\n```python\n(.*?)```", text, re.DOTALL)
-    (tmp_path / "meet.py").write_text(shown_file[1])
-    command, place = re.search(
-        r"`(crazychoir simulate meet\.py .*?)` ends .*?`([-\d., ]+)`", text, re.DOTALL
+def test_the_front_page_shows_the_contract_of_imports(repository):
+    contracts = tomllib.loads((repository / "pyproject.toml").read_text())
+    house = next(
+        contract
+        for contract in contracts["tool"]["importlinter"]["contracts"]
+        if contract["id"] == "house"
+    )
+    shown_layers = re.search(r"```\n(cli .*?)```", page(FRONT_PAGE), re.DOTALL)[1]
+    layers = [re.split(r"  +", line)[0] for line in shown_layers.splitlines()]
+    assert layers == house["layers"]
+
+
+# Optimization -------------------------------------------------------------------------
+
+
+def test_the_averaging_of_the_optimization_page_ends_where_the_page_says(saved, said):
+    path = saved(OPTIMIZATION, "average.py")
+    command, mean = re.search(
+        r"`(crazychoir simulate average\.py .*?)` ends with ([\d.]+) at all",
+        page(OPTIMIZATION),
     ).groups()
-    result = said(tmp_path, command)
+    result = said(path.parent, command)
+    ends = [own["x"] for own in result["agents"].values()]
+    assert ends == pytest.approx([float(mean)] * 10, abs=1e-5)
+
+
+def test_the_averaging_of_the_optimization_page_gives_the_same_at_any_loss(saved, said):
+    path = saved(OPTIMIZATION, "average.py")
+    calm, lossy = (
+        said(path.parent, f"crazychoir simulate average.py --loss {loss}")
+        for loss in (0, 0.5)
+    )
+    assert calm["agents"] == lossy["agents"]
+    assert calm["lost"] == 0 < lossy["lost"]
+
+
+def test_the_program_that_simulates_the_averaging_runs(saved, monkeypatch, capsys):
+    monkeypatch.syspath_prepend(saved(OPTIMIZATION, "average.py").parent)
+    program = saved(OPTIMIZATION, "average_program.py")
+    runpy.run_path(program)
+    expected = re.search(r"# (\(.*\))", program.read_text())[1]
+    assert capsys.readouterr().out.strip() == expected
+
+
+def test_a_problem_in_cvxpy_ends_where_the_optimization_page_says(saved, said):
+    path = saved(OPTIMIZATION, "meet.py")
+    command, place = re.search(
+        r"`(crazychoir simulate meet\.py .*?)` ends .*?`([-\d., ]+)`",
+        page(OPTIMIZATION),
+        re.DOTALL,
+    ).groups()
+    result = said(path.parent, command)
     expected = np.tile([float(number) for number in place.split(", ")], (10, 1))
     assert [own["x"] for own in result["agents"].values()] == pytest.approx(
         expected, abs=1e-6
     )
 
 
-def test_an_algorithm_of_ones_own_solves_local_problems_and_ends_where_the_readme_says(
-    repository, tmp_path, said
+def test_an_algorithm_with_local_problems_ends_where_the_optimization_page_says(
+    saved, said
 ):
-    text = (repository / "README.md").read_text()
-    shown_file = re.search(
-        r"<!-- proximal\.py -->\n```python\n(.*?)```", text, re.DOTALL
-    )[1]
-    assert len(shown_file.splitlines()) <= 20
-    (tmp_path / "proximal.py").write_text(shown_file)
+    path = saved(OPTIMIZATION, "proximal.py")
+    assert len(path.read_text().splitlines()) <= 20
     pattern = r"`(crazychoir simulate proximal\.py .*?)` ends after (\d+) rounds.*?`([-\d., ]+)`"
-    command, rounds, place = re.search(pattern, text, re.DOTALL).groups()
-    result = said(tmp_path, command)
+    command, rounds, place = re.search(pattern, page(OPTIMIZATION), re.DOTALL).groups()
+    result = said(path.parent, command)
     assert result["rounds"] == int(rounds)
     expected = np.tile([float(number) for number in place.split(", ")], (10, 1))
     assert [own["x"] for own in result["agents"].values()] == pytest.approx(
@@ -239,8 +235,8 @@ def test_an_algorithm_of_ones_own_solves_local_problems_and_ends_where_the_readm
     )
 
 
-def test_a_local_problem_is_asked_as_the_readme_says(repository):
-    for call in table(repository, "call"):
+def test_a_local_problem_has_the_calls_of_the_optimization_page():
+    for call in first_column(OPTIMIZATION, "call"):
         name, arguments = re.fullmatch(r"problem\.(\w+)\((.*)\)", call).groups()
         parameters = inspect.signature(getattr(CostCoupled, name)).parameters
         assert arguments == ", ".join(
@@ -249,20 +245,19 @@ def test_a_local_problem_is_asked_as_the_readme_says(repository):
 
 
 def shown_parameter(parameter):
-    """As the README shows it: without its type, a function by its name."""
+    """Return a parameter as the catalogue shows it: without its type, a function by its name."""
     default = parameter.default
     value = getattr(default, "__name__", repr(default))
     return parameter.name if default is parameter.empty else f"{parameter.name}={value}"
 
 
-def test_all_are_made_as_the_readme_says(repository):
-    text = (repository / "README.md").read_text()
-    block = re.search(r"<!-- signatures -->\n```python\n(.*?)```", text, re.DOTALL)[1]
+def test_the_catalogue_has_all_constructors():
+    constructors = block(CATALOGUE, "signatures")
     found = [
         " ".join(call.split())
-        for call in re.findall(r"^\w+\(.*?\)$", block, re.DOTALL | re.MULTILINE)
+        for call in re.findall(r"^\w+\(.*?\)$", constructors, re.DOTALL | re.MULTILINE)
     ]
-    table_of_all = text.split("\n| there | here |")[1].split("\n\n")[0]
+    table_of_all = "\n".join(rows(CATALOGUE, "there"))
     made = {}
     for path in re.findall(r"in `(optimization/[\w/]+)\.py`", table_of_all):
         module = importlib.import_module("crazychoir." + path.replace("/", "."))
@@ -285,13 +280,8 @@ def test_all_are_made_as_the_readme_says(repository):
     assert sorted(found) == sorted(expected)
 
 
-def test_what_is_there_already_is_where_the_readme_says(repository):
-    text = (
-        (repository / "README.md")
-        .read_text()
-        .split("\n| there | here |")[1]
-        .split("\n\n")[0]
-    )
+def test_everything_is_where_the_catalogue_says():
+    text = "\n".join(rows(CATALOGUE, "there"))
     found = re.findall(r"((?:`\w+`, )*`\w+`) in `([\w/]+)\.py`", text)
     assert len(found) > 25
     for names, path in found:
@@ -300,9 +290,99 @@ def test_what_is_there_already_is_where_the_readme_says(repository):
             assert hasattr(module, name), f"{name} in {path}"
 
 
+def test_the_optimization_page_and_the_catalogue_name_the_same_algorithms():
+    named = {
+        name
+        for row in rows(OPTIMIZATION, "problem")
+        for name in re.findall(r"`(\w+)`", row.split(" | ")[1])
+    }
+    made = set(re.findall(r"^(\w+)\(", block(CATALOGUE, "signatures"), re.MULTILINE))
+    assert named <= made
+    assert len(named) > 25
+
+
+# Routing ------------------------------------------------------------------------------
+
+
+def test_the_routing_page_shows_the_plan_that_is_solved(repository, said):
+    command = "crazychoir solve agents/data/lab6.json --loss 0.5"
+    rows, result = printed(ROUTING, command), said(repository, command)
+    assert number(rows["cost"]) == pytest.approx(result["cost"], abs=1e-4)
+    assert number(rows["lower_bound"]) == pytest.approx(result["lower_bound"], abs=1e-4)
+    assert rows["bound_exact"] == str(result["bound_exact"])
+    assert number(rows["rounds"]) == result["rounds"]
+    assert number(rows["messages"]) == result["messages"]
+
+
+def test_the_program_of_the_routing_page_prints_what_the_page_says(
+    repository, saved, monkeypatch, capsys
+):
+    program = saved(ROUTING, "solve_lab6.py")
+    monkeypatch.chdir(repository)
+    runpy.run_path(program)
+    expected = re.search(r"print\(.*# (.*)", program.read_text())[1]
+    assert capsys.readouterr().out.strip() == expected
+
+
+# Missions -----------------------------------------------------------------------------
+
+
+def test_the_tables_of_the_mission_api_name_what_there_is():
+    hooks = [text.removesuffix(")").split("(") for text in first_column(AGENTS, "hook")]
+    assert {name: tuple(arguments.split(", ")) for name, arguments in hooks} == {
+        n: h[0] for n, h in HOOKS.items()
+    }
+    for text in first_column(AGENTS, "in both"):
+        name = re.search(r"self\.(\w+)", text)[1]
+        assert hasattr(CFGuidance, name) or name == "member", text
+        for argument in re.findall(r"(\w+)=", text):
+            assert (
+                argument in inspect.signature(getattr(CFGuidance, name)).parameters
+            ), text
+    for text in first_column(AGENTS, "to write"):
+        assert hasattr(
+            CFDistributedFeedback,
+            re.sub(r"^(async )?def ", "", text).split("(")[0].split(" ")[0],
+        ), text
+
+
+def test_the_mission_of_the_agents_page_flies_by_its_command(saved, said):
+    path = saved(AGENTS, "average_height.py")
+    command = "crazychoir run average_height.py --fast"
+    assert f"\n{command}\n" in page(AGENTS)
+    result = said(path.parent, command)
+    heights = [own["height"] for own in result["results"].values()]
+    assert result["success"]
+    assert heights == pytest.approx([0.9] * 4, abs=0.02)
+
+
+def test_the_mission_of_the_guidance_page_reads_its_option(saved, said):
+    folder = saved(GUIDANCE, "climb.py").parent
+    saved(GUIDANCE, "climb.toml")
+    own, given = (
+        said(folder, f"crazychoir run {name} --fast")
+        for name in ("climb.py", "climb.toml")
+    )
+    assert "`crazychoir run climb.py --fast`" in page(GUIDANCE)
+    assert [r["place"][2] for r in own["results"].values()] == pytest.approx(
+        [1.2] * 4, abs=0.01
+    )
+    assert [r["place"][2] for r in given["results"].values()] == pytest.approx(
+        [0.8] * 2, abs=0.01
+    )
+
+
+def test_a_wrong_option_of_the_guidance_page_is_refused(saved, said):
+    folder = saved(GUIDANCE, "climb.py").parent
+    swarm_file = saved(GUIDANCE, "climb.toml")
+    swarm_file.write_text(swarm_file.read_text().replace("0.8", "-0.8"))
+    result = said(folder, "crazychoir run climb.toml --fast", code=2)
+    assert "above_ground" in result["error"]
+
+
 def test_the_demo_shows_the_plan_that_is_flown(repository, said):
-    """The plan is that of virtual time; the rest of the block is of real time and only has to fit."""
-    rows = shown(repository, "make demo")
+    """The plan is that of virtual time. The rest of the block is of real time, and only has to fit."""
+    rows = printed(AGENTS, "make demo")
     demo = said(repository, "crazychoir run pickup_delivery --fast --loss 0.2 --seed 1")
     assert number(rows["cost"]) == pytest.approx(demo["cost"], abs=1e-4)
     assert rows["plan_digest"] == demo["plan_digest"][:16]
@@ -312,24 +392,23 @@ def test_the_demo_shows_the_plan_that_is_flown(repository, said):
     assert counted(rows["flown_m"]) == pytest.approx(demo["flown_m"], rel=0.1)
 
 
-def test_the_page_of_missions_shows_each_with_a_picture_that_there_is(repository):
-    page = (repository / "agents" / "README.md").read_text()
-    assert [name for name in missions() if f"crazychoir run {name} " not in page] == []
-    pictures = set(re.findall(r"\]\(pictures/(.*?)\)", page))
+def test_the_page_of_missions_shows_each_mission_and_each_picture(repository):
+    text = page(AGENTS)
+    assert [name for name in missions() if f"crazychoir run {name} " not in text] == []
+    pictures = set(re.findall(r"\]\(pictures/(.*?)\)", text))
     assert pictures == {
         path.name for path in (repository / "agents" / "pictures").iterdir()
     }
-    swarms = re.findall(r"deploy/\w+\.toml", page)
+    swarms = re.findall(r"deploy/\w+\.toml", text)
     assert [path for path in swarms if not (repository / path).is_file()] == []
 
 
-PAGE = Path(__file__).parents[2] / "agents" / "README.md"
 FLIGHTS = sorted(
     {
         f"{'crazychoir run ' if what.startswith('deploy') else ''}{what}".split(
             " --record"
         )[0]
-        for what in re.findall(r"`((?:crazychoir run|deploy/)[^`]*)`", PAGE.read_text())
+        for what in re.findall(r"`((?:crazychoir run|deploy/)[^`]*)`", page(AGENTS))
     }
 )
 
@@ -342,16 +421,3 @@ def test_each_mission_of_the_page_reaches_its_goal_by_its_command(
 ):
     fast = "" if "--fast" in command else " --fast"
     assert said(repository, command + fast)["success"]
-
-
-def test_the_page_of_swarm_files_names_all_keys_of_the_collision_filter_and_its_defaults(
-    repository,
-):
-    row = re.search(
-        r"\| `\[collision\]` .*", (repository / "deploy" / "README.md").read_text()
-    ).group()
-    defaults = msgspec.to_builtins(Collision())
-    assert f'`method` `"{defaults.pop("method")}"`' in row
-    assert f"`semi_axes` {list(defaults.pop('semi_axes'))} m" in row
-    for key, value in defaults.items():
-        assert f"`{key}` {value:g}" in row

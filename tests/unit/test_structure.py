@@ -1,6 +1,7 @@
 """The rules of the house, run as tests; each with a test that it can fail."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -11,7 +12,8 @@ from pathlib import Path
 
 import grimp
 import pytest
-from prose_rules import docstrings, hard_docstrings
+from pages import FRONT_PAGE, PAGES
+from prose_rules import docstrings, hard_docstrings, hard_lines
 from source_rules import CLOCKS, STOPWATCHES, forbidden_clocks, set_iterations
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -23,6 +25,11 @@ REPORTS_DURATIONS = ("bench", "cli", "launch", "solve")
 ORDERED_ROOMS = ("runtime", "bus", "team")
 MOST_MODULES = 22  # a folder
 MOST_HARD_DOCSTRINGS = 0.01  # share of the docstrings of a room
+MOST_LINES = 200  # of the front page
+FENCED = re.compile(r"^```.*?^```|`[^`\n]*`", re.DOTALL | re.MULTILINE)
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+WEB_PAGES = "https://github.com/crazychoir/crazychoir/blob/main/"
+WEB_PICTURES = "https://raw.githubusercontent.com/crazychoir/crazychoir/main/"
 
 
 def python_files(folder: Path) -> Iterator[Path]:
@@ -298,6 +305,111 @@ def test_hard_docstrings_are_found(tmp_path):
     (found,) = hard_rooms(tmp_path)
     assert "a.py:4: Whoever" in found
     assert "a.py:6: those that" in found
+
+
+def hard_pages(root: Path) -> list[str]:
+    """Return the lines of the documentation that are hard to read, as `page:line: word`."""
+    return [
+        f"{file}:{found}"
+        for file in all_pages(root)
+        for found in hard_lines((root / file).read_text())
+    ]
+
+
+def test_the_documentation_is_plain_english(repository):
+    assert hard_pages(repository) == []
+
+
+def test_hard_lines_of_the_documentation_are_found(tmp_path):
+    text = "# Whose\n\n```\nwho\n```\n`who` knows those that are late\n"
+    generated = "<!-- generated: begin -->\nwho\n<!-- generated: end -->\n"
+    (tmp_path / FRONT_PAGE).write_text(text + generated)
+    assert hard_pages(tmp_path) == [
+        f"{FRONT_PAGE}:1: Whose",
+        f"{FRONT_PAGE}:6: those that",
+    ]
+
+
+def missing_pages(root: Path) -> list[str]:
+    """Return the pages of the documentation that are not there."""
+    return [file for file in PAGES if not (root / file).is_file()]
+
+
+def test_every_room_has_its_page(repository):
+    assert missing_pages(repository) == []
+
+
+def test_a_missing_page_is_found(tmp_path):
+    for file in PAGES[1:]:
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / file).write_text("# A room\n")
+    assert missing_pages(tmp_path) == [FRONT_PAGE]
+
+
+def is_short(text: str) -> bool:
+    """Return whether the text is short enough for the front page."""
+    return len(text.splitlines()) <= MOST_LINES
+
+
+def test_the_front_page_is_short(repository):
+    assert is_short((repository / FRONT_PAGE).read_text())
+
+
+def test_a_long_front_page_is_found():
+    assert is_short("a\n" * MOST_LINES)
+    assert not is_short("a\n" * (MOST_LINES + 1))
+
+
+def all_pages(root: Path) -> list[str]:
+    """Return the front page, and all pages of the folders that have documentation."""
+    folders = ("agents", "crazychoir", "deploy")
+    files = [file for folder in folders for file in (root / folder).rglob("*.md")]
+    return [FRONT_PAGE, *sorted(str(file.relative_to(root)) for file in files)]
+
+
+def broken_links(root: Path) -> list[str]:
+    """Return the links of the documentation that lead to no file, as `page: link`.
+
+    A link of the front page must be absolute, because other sites show that page too. It leads to
+    a file of this repository, or to another site. The links of other pages are relative.
+    """
+    found = []
+    for file in all_pages(root):
+        text = FENCED.sub("", (root / file).read_text())
+        for link in LINK.findall(text):
+            if not _leads_to_a_file(root, file, link):
+                found.append(f"{file}: {link}")
+    return found
+
+
+def _leads_to_a_file(root: Path, file: str, link: str) -> bool:
+    target, _, _ = link.partition("#")
+    if file == FRONT_PAGE:
+        for prefix in (WEB_PAGES, WEB_PICTURES):
+            if target.startswith(prefix):
+                return (root / target.removeprefix(prefix)).exists()
+        return target.startswith("https://")
+    return target.startswith("https://") or ((root / file).parent / target).exists()
+
+
+def test_the_links_of_the_documentation_lead_to_files(repository):
+    assert broken_links(repository) == []
+
+
+def test_a_broken_link_is_found(tmp_path):
+    pages = {
+        FRONT_PAGE: f"[a]({WEB_PAGES}LICENSE) [b]({WEB_PAGES}none.md) [c](LICENSE)",
+        "agents/README.md": "[a](../LICENSE) [b](none.md) [c](https://zenoh.io) `[d](e)`",
+    }
+    (tmp_path / "LICENSE").touch()
+    (tmp_path / "agents").mkdir()
+    for file, text in pages.items():
+        (tmp_path / file).write_text(text)
+    assert broken_links(tmp_path) == [
+        f"{FRONT_PAGE}: {WEB_PAGES}none.md",
+        f"{FRONT_PAGE}: LICENSE",
+        "agents/README.md: none.md",
+    ]
 
 
 def test_the_formatter_has_decided_the_layout(repository):

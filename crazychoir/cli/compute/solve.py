@@ -80,8 +80,8 @@ def solve(
     2M rows of m: homes, pickups, deliveries), recharge (trips), speed (m/s),
     service_time (s), time_windows and release (s), penalty (for refusing a task),
     priority, fixed_cost, objective (total, makespan, or both in order, or
-    vehicles and total); the README describes each. Files of Li and Lim can be
-    read too: they minimise vehicles first, then the total.
+    vehicles and total); crazychoir/routing/README.md describes each. Files of Li
+    and Lim can be read too: they minimise vehicles first, then the total.
 
     lower_bound: m; no plan costs less. If vehicles come first, this holds among
     plans with as few vehicles.

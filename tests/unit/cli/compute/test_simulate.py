@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from pages import page
 from typer.testing import CliRunner
 
 from crazychoir.cli.compute import simulate as command
@@ -286,7 +287,10 @@ def test_an_error_of_an_algorithm_says_so_and_where_algorithms_are_explained(
     said = " ".join(err.split())
     assert "ConfigError: algorithm " in said
     assert "mission" not in said
-    assert said.endswith('See "A new distributed algorithm" in README.md.')
+    chapter = "A new distributed algorithm"
+    file = "crazychoir/optimization/README.md"
+    assert said.endswith(f'See "{chapter}" in {file}.')
+    assert f"\n## {chapter}\n" in page(file)
 
 
 def test_what_a_users_step_raises_is_named_with_its_line(simulated):
