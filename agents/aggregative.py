@@ -19,7 +19,7 @@ from msgspec import Meta
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.config.drone_room import room_of
 from crazychoir.config.flight_room import room_text
-from crazychoir.config.tables import Hertz, Share, Table
+from crazychoir.config.tables import Hertz, Share, SwarmTable
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.aggregative import Defence, Defender
 from crazychoir.guidance.mission_options import (
@@ -31,7 +31,7 @@ from crazychoir.guidance.mission_options import (
     require_none,
 )
 from crazychoir.guidance.path_checks import require_inside
-from crazychoir.guidance.timed import SETTLE, TimedFlight
+from crazychoir.guidance.timed import TIMED_FLIGHT_LIMITS, TimedFlight
 from crazychoir.planning.feasibility import Limits
 from crazychoir.planning.goal import timed_goals
 from crazychoir.planning.piecewise import Piecewise
@@ -41,17 +41,17 @@ from crazychoir.types import FullState, Mat, Vec
 
 Results = dict[int, dict[str, Any]]
 """The results of all drones, by id."""
-INTRUDER = "intruder"
+INTRUDER_ROLE = "intruder"
 """`role` of an intruder."""
-STILL = ((-1.0, 1.0), (-1.0, -1.0), (1.0, 0.0))
+STANDING_INTRUDERS = ((-1.0, 1.0), (-1.0, -1.0), (1.0, 0.0))
 """(2,) m each: default places of intruders that stand still."""
-HOMES = ((0.2, 1.2), (-1.2, -1.0), (1.2, -0.8))
+DEFENDER_HOMES = ((0.2, 1.2), (-1.2, -1.0), (1.2, -0.8))
 """(2,) m each: homes of the defenders."""
-TOLERANCE = 0.02
+DEFENDER_TOLERANCE = 0.02
 """m: largest distance from a defender's place at the end, when the intruders stand."""
-LATEST = 1.5
+LARGEST_DELAY = 1.5
 """s: largest delay of a defender behind a moving optimum."""
-TRANSIENT = 4.0
+TRANSIENT_TIME = 4.0
 """s of the law in which the team converges; this time does not count for the delay."""
 
 
@@ -68,12 +68,12 @@ Legs = Annotated[
 ]
 
 
-class Options(Table, frozen=True, kw_only=True):
+class Options(SwarmTable, frozen=True, kw_only=True):
     """[mission_options]."""
 
     target: Spot = (0.0, 0.0)
     """(2,) m."""
-    intruders: Spots = STILL
+    intruders: Spots = STANDING_INTRUDERS
     """(2,) m each: places of the intruders that stand still."""
     weights: Weights = (1.0, 1.0, 1.0)
     """Weights of intruder, target and team."""
@@ -106,7 +106,7 @@ def guidance(i: int, config: SwarmConfig) -> CFGuidance:
     """Return the guidance of drone i: a defender, or an intruder that flies or is observed."""
     options = given(config, Options)
     drone = config.drone(i)
-    if drone.role != INTRUDER:
+    if drone.role != INTRUDER_ROLE:
         law = defender(i, config, options)
         law.duration = duration(config)
         return law
@@ -134,12 +134,12 @@ def defender(i: int, config: SwarmConfig, options: Options) -> Defender:
 
 def defenders(config: SwarmConfig) -> list[int]:
     """Return the ids of all drones but the intruders."""
-    return [i for i in config.ids if config.drone(i).role != INTRUDER]
+    return [i for i in config.ids if config.drone(i).role != INTRUDER_ROLE]
 
 
 def intruders(config: SwarmConfig) -> list[int]:
     """Return the ids of the intruders that fly."""
-    return [i for i in config.ids if config.drone(i).role == INTRUDER]
+    return [i for i in config.ids if config.drone(i).role == INTRUDER_ROLE]
 
 
 def mates(config: SwarmConfig) -> Graph:
@@ -154,7 +154,7 @@ def duration(config: SwarmConfig) -> float:
     """Return the duration of the law in s: until flying intruders have stood still for a while."""
     options = given(config, Options)
     return (
-        options.legs * options.leg + 4.0 + SETTLE
+        options.legs * options.leg + 4.0 + TIMED_FLIGHT_LIMITS.rest_time
         if intruders(config)
         else options.duration
     )
@@ -190,7 +190,9 @@ def swarm(drones: int | None = None) -> SwarmConfig:
             "name": "defence",
             "mission": "aggregative",
             "graph": "path",
-            "drones": [{"id": i, "home": [*home, 0.0]} for i, home in enumerate(HOMES)],
+            "drones": [
+                {"id": i, "home": [*home, 0.0]} for i, home in enumerate(DEFENDER_HOMES)
+            ],
         }
     )
 
@@ -292,18 +294,21 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
         }
     t, flown, wanted = ways(config, results)
     far = np.linalg.norm(flown - wanted, axis=2)
-    moving = t > TRANSIENT
+    moving = t > TRANSIENT_TIME
     moves = (
-        bool(moving.any()) and float(np.ptp(wanted[moving], axis=0).max()) > TOLERANCE
+        bool(moving.any())
+        and float(np.ptp(wanted[moving], axis=0).max()) > DEFENDER_TOLERANCE
     )
     late = lag(t, flown, wanted) if moves else 0.0
     reasons = {
-        i: f"{end:.3f} m from its place between intruder and target at the end, allowed {TOLERANCE} m"
+        i: f"{end:.3f} m from its place between intruder and target at the end, allowed {DEFENDER_TOLERANCE} m"
         for i, end in zip(team, far[-1].tolist(), strict=True)
-        if end > TOLERANCE
+        if end > DEFENDER_TOLERANCE
     }
-    if late > LATEST:
-        reasons[team[0]] = f"the defenders follow {late:.2f} s late, allowed {LATEST} s"
+    if late > LARGEST_DELAY:
+        reasons[team[0]] = (
+            f"the defenders follow {late:.2f} s late, allowed {LARGEST_DELAY} s"
+        )
     return {
         "success": not reasons,
         "reasons": reasons,
@@ -355,7 +360,7 @@ def lag(t: Vec, flown: Mat, wanted: Mat) -> float:
     wanted: (T, N, 2) m.
     """
     shifts = np.arange(0.0, 3.0, 0.02)
-    inner = t > TRANSIENT
+    inner = t > TRANSIENT_TIME
     series = wanted.reshape(len(t), -1).T
 
     def misfit(shift: float) -> float:

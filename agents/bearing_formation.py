@@ -16,15 +16,20 @@ import numpy as np
 from msgspec import Meta
 
 from crazychoir import CFDistributedFeedback, SwarmConfig
-from crazychoir.config.checks import LIGHTWEIGHT
+from crazychoir.config.checks import WORLD_URIS
 from crazychoir.config.tables import Share
-from crazychoir.control.gains import AGILE, FORMATION, FORMATION_ON_MOTORS, Gains
+from crazychoir.control.gains import (
+    AGILE_GAINS,
+    FORMATION_GAINS,
+    FORMATION_GAINS_ON_MOTORS,
+    Gains,
+)
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.formation import bearing, leader, shapes
 from crazychoir.guidance.formation.bearing import Law, check_formation
 from crazychoir.guidance.formation.leader import LeaderOptions
-from crazychoir.guidance.formation.modes import Chain
-from crazychoir.guidance.formation.scattering import Scatter, scattered
+from crazychoir.guidance.formation.modes import AccelerationChain
+from crazychoir.guidance.formation.scattering import Scatter, scatter_swarm
 from crazychoir.guidance.formation.shapes import Shape
 from crazychoir.guidance.mission_options import (
     Gain,
@@ -35,24 +40,24 @@ from crazychoir.guidance.mission_options import (
     require_each,
 )
 from crazychoir.numerics.math3d import projector
-from crazychoir.platforms import platform
+from crazychoir.platforms import find_platform
 from crazychoir.recording.analysis.tracks import draw_tracks
 from crazychoir.types import Acceleration, Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]
 """The results of all drones, by id."""
-REST = 4.0
+HOVER_BEFORE_LAW = 4.0
 """s: hovering before the paper's law.
 
 The slow modes of that law turn a trim error of mm/s2 into centimetres.
 """
-BRISK: dict[str, Any] = {"brake": 2.0, "stiff": 5.0}
+BRISK_COLLISION: dict[str, Any] = {"brake": 2.0, "stiff": 5.0}
 """[collision] of drones that accelerate with 4 m/s2.
 
 With the defaults, drones that pass each other wait so long that they push the formation off. Its
 weak modes turn 1 m/s2 of evasion into metres.
 """
-TOLERANCE = 0.01
+FORMATION_TOLERANCE = 0.01
 """m: a drone farther from its place at the end of the law has not formed up."""
 LawName = Annotated[
     Law, Meta(description='"normalised" or "paper"', examples=["paper"])
@@ -132,7 +137,7 @@ class BearingFormation(CFDistributedFeedback):
         kv: float = 4.5,
         in_height: float = 1.0,
         moving: bool = False,
-        gains: Gains = AGILE,
+        gains: Gains = AGILE_GAINS,
     ) -> None:
         self.neighbors = tuple(neighbors)
         self.gains = gains
@@ -187,23 +192,23 @@ def guidance(i: int, config: SwarmConfig) -> CFDistributedFeedback:
         **law._asdict(),
     )
     follower.duration = leader.duration_of(config, options)
-    follower.rest = REST if law.law == "paper" else 0.0
+    follower.rest = HOVER_BEFORE_LAW if law.law == "paper" else 0.0
     return follower
 
 
 def chosen(config: SwarmConfig) -> Chosen:
     """Return the law with its gains. Gains that are not given depend on the law and the drones."""
     options = given(config, Options)
-    kp = bearing.KP_NORMALISED
-    kv = bearing.KV_NORMALISED
+    kp = bearing.BEARING_GAINS.kp_normalised
+    kv = bearing.BEARING_GAINS.kv_normalised
     in_height = 1.0
     if options.law == "paper" and on_motors(config):
-        kp = bearing.KP_ON_MOTORS
-        kv = bearing.KV_ON_MOTORS
-        in_height = bearing.IN_HEIGHT
+        kp = bearing.BEARING_GAINS.kp_on_motors
+        kv = bearing.BEARING_GAINS.kv_on_motors
+        in_height = bearing.BEARING_GAINS.height_share
     elif options.law == "paper":
-        kp = bearing.KP
-        kv = bearing.KV
+        kp = bearing.BEARING_GAINS.kp
+        kv = bearing.BEARING_GAINS.kv
     return Chosen(
         options.law, options.kp or kp, options.kv or kv, options.in_height or in_height
     )
@@ -212,13 +217,13 @@ def chosen(config: SwarmConfig) -> Chosen:
 def gains(config: SwarmConfig) -> Gains:
     """Return the gains of the control behind the law."""
     if given(config, Options).law == "normalised":
-        return AGILE
-    return FORMATION_ON_MOTORS if on_motors(config) else FORMATION
+        return AGILE_GAINS
+    return FORMATION_GAINS_ON_MOTORS if on_motors(config) else FORMATION_GAINS
 
 
 def on_motors(config: SwarmConfig) -> bool:
     """Return whether every drone has a rate loop on board; only lightweight drones have none."""
-    return all(drone.uri != LIGHTWEIGHT for drone in config.drones)
+    return all(drone.uri != WORLD_URIS.lightweight for drone in config.drones)
 
 
 def moving(config: SwarmConfig) -> bool:
@@ -240,8 +245,8 @@ def shape(config: SwarmConfig) -> Shape:
         require_each(config, options.shape, "shape")
         return options.shape
     return (
-        shapes.SQUARE
-        if config.ids == tuple(shapes.SQUARE)
+        shapes.PAPER_SQUARE
+        if config.ids == tuple(shapes.PAPER_SQUARE)
         else {drone.id: drone.home for drone in config.drones}
     )
 
@@ -258,8 +263,8 @@ def swarm(drones: int | None = None) -> SwarmConfig:
         case 4:
             return _swarm(
                 "bearing",
-                shapes.SQUARE,
-                shapes.SQUARE_EDGES,
+                shapes.PAPER_SQUARE,
+                shapes.PAPER_SQUARE_EDGES,
                 (0, 1),
                 {"scatter": [1.0, 1.0, 0.5]},
             )
@@ -306,7 +311,7 @@ def _swarm(
             ],
             "flight": {"speed_limit": 2.0, "acceleration_limit": 4.0},
             "plant": {"rate_lag": 0.0, "command_delay": 0.0},
-            "collision": BRISK,
+            "collision": BRISK_COLLISION,
             "mission_options": extra,
         }
     )
@@ -317,13 +322,13 @@ def scatter(config: SwarmConfig) -> SwarmConfig:
 
     Each start moves by up to `scatter` (3,) m an axis.
     """
-    return scattered(config, Scatter(*given(config, Options).scatter))
+    return scatter_swarm(config, Scatter(*given(config, Options).scatter))
 
 
 def goal(config: SwarmConfig) -> dict[int, Vec]:
     """Return where the law is at rest, with the leaders at their last places."""
     at_last = leader.leaders_at_last(config, given(config, Options))
-    return bearing.equilibrium(
+    return bearing.compute_equilibrium(
         shape(config), neighbors(config), {i: tuple(p) for i, p in at_last.items()}
     )
 
@@ -341,13 +346,13 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
     take minutes. Raises ConfigError if the leaders cannot fly their paths.
     """
     slowest = max(
-        (platform(drone.platform) for drone in config.drones),
+        (find_platform(drone.platform) for drone in config.drones),
         key=lambda found: found.rotor.lag,
     )
     chain = (
-        Chain.of_motors(gains(config), slowest)
+        AccelerationChain.of_motors(gains(config), slowest)
         if on_motors(config)
-        else Chain(gains(config))
+        else AccelerationChain(gains(config))
     )
     report = check_formation(
         shape(config),
@@ -375,9 +380,9 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
             if "place" in result
             else 0.0
         )
-        if far > TOLERANCE:
+        if far > FORMATION_TOLERANCE:
             reasons[i] = (
-                f"{far:.3f} m from its place at the end of the law, allowed {TOLERANCE} m{_deaf(result)}"
+                f"{far:.3f} m from its place at the end of the law, allowed {FORMATION_TOLERANCE} m{_deaf(result)}"
             )
     return {"success": not reasons, "reasons": reasons}
 

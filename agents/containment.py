@@ -15,7 +15,7 @@ from crazychoir.config.tables import Share
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.formation import leader
 from crazychoir.guidance.formation.leader import LeaderOptions
-from crazychoir.guidance.formation.modes import Chain, mode_margin
+from crazychoir.guidance.formation.modes import AccelerationChain, compute_mode_margin
 from crazychoir.guidance.formation.rigidity import (
     distance_to_hull,
     grounded_laplacian,
@@ -23,12 +23,12 @@ from crazychoir.guidance.formation.rigidity import (
 )
 from crazychoir.guidance.mission_options import Gain, given
 from crazychoir.recording.analysis.tracks import draw_tracks
-from crazychoir.runtime.clock import SECOND
+from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.types import Acceleration, Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]
 """The results of all drones, by id."""
-TOLERANCE = 0.02
+HULL_TOLERANCE = 0.02
 """m: a follower farther outside of the hull is not inside."""
 
 
@@ -87,7 +87,8 @@ class Containment(CFDistributedFeedback):
         self.kv = kv
         self.share = share
         self.keys = {
-            j: (draws.key(seed, i, j), draws.key(seed, j, i)) for j in neighbors
+            j: (draws.draw_key(seed, i, j), draws.draw_key(seed, j, i))
+            for j in neighbors
         }
 
     def height(self) -> float | None:
@@ -98,7 +99,9 @@ class Containment(CFDistributedFeedback):
         """Return the acceleration of the law, over the edges that count in this tick."""
         clock = self.member.clock
         return self.pulled(
-            me, heard, (clock.epoch_ns + clock.now_ns()) // round(SECOND / self.rate)
+            me,
+            heard,
+            (clock.epoch_ns + clock.now_ns()) // round(NS_PER_SECOND / self.rate),
         )
 
     def pulled(self, me: State, heard: Heard, k: int) -> Acceleration:
@@ -115,7 +118,8 @@ class Containment(CFDistributedFeedback):
     def counts(self, j: int, k: int) -> bool:
         """Return whether both ends of the edge to j have chosen it in tick k."""
         return all(
-            draws.draw(key, k, 0) < self.share * draws.ONE for key in self.keys[j]
+            draws.draw(key, k, 0) < self.share * draws.RANDOM_DRAWS.range_size
+            for key in self.keys[j]
         )
 
 
@@ -211,7 +215,7 @@ def _require_stable(
         np.linalg.eigvals(grounded_laplacian(_neighbors(config), leaders)[0])
     ).tolist()
     both = 2 * eigenvalues, [n < len(eigenvalues) for n in range(2 * len(eigenvalues))]
-    if mode_margin(*both, kp, kv, Chain()) <= 0.0:
+    if compute_mode_margin(*both, kp, kv, AccelerationChain()) <= 0.0:
         of, do = (
             (f" over share^2 = {chosen**2:.3g}", ", or raise share")
             if chosen < 1.0
@@ -237,7 +241,7 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     reasons = {
         i: f"{far:.3f} m outside of the leaders' hull"
         for i, far in outside.items()
-        if far > TOLERANCE
+        if far > HULL_TOLERANCE
     }
     return {
         "outside_m": max(outside.values(), default=None),

@@ -14,7 +14,7 @@ from msgspec import Meta
 from crazychoir import CFDistributedFeedback, SwarmConfig
 from crazychoir.config.drone_room import room_of
 from crazychoir.config.flight_room import room_text
-from crazychoir.config.tables import Height, Speed, Table
+from crazychoir.config.tables import Height, Speed, SwarmTable
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.mission_options import (
     Duration,
@@ -28,13 +28,13 @@ from crazychoir.types import FullState, Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]
 """The results of all drones, by id."""
-APART = 0.34
+SMALLEST_SPACING = 0.34
 """m: smallest distance between two starts, and between two goals, with heights scaled by SCALE."""
-SCALE = (1.0, 1.0, 0.4)
+SPACING_SCALE = (1.0, 1.0, 0.4)
 """Scale of x, y and z in these distances, as in the standard [collision]."""
-ARRIVED = 0.05
+GOAL_DISTANCE = 0.05
 """m: a drone has arrived when it stays nearer to its goal than this."""
-CROWD = 30
+LARGEST_TRIED_CROWD = 30
 """Largest number of drones that have been flown through one point at the same time.
 
 A hundred drones press against each other there.
@@ -48,7 +48,7 @@ Pattern = Annotated[
 ]
 
 
-class Options(Table, frozen=True, kw_only=True):
+class Options(SwarmTable, frozen=True, kw_only=True):
     """[mission_options]. The seed of the swarm determines all random places."""
 
     pattern: Pattern = "antipodal"
@@ -96,7 +96,7 @@ class Straight(CFDistributedFeedback):
         """Return the point of the straight line that is due now."""
         t = self.steps / self.rate
         self.steps += 1
-        if np.linalg.norm(me.p - self.goal) > ARRIVED:
+        if np.linalg.norm(me.p - self.goal) > GOAL_DISTANCE:
             self.arrived = None
         elif self.arrived is None:
             self.arrived = t
@@ -145,9 +145,9 @@ def _circle(draw: np.random.Generator, n: int, options: Options, turn: float) ->
         heights = draw.uniform(options.low, options.high, n)
         found = np.column_stack([flat + draw.uniform(-off, off, (n, 2)), heights])
         apart = np.linalg.norm(
-            (found[:, None] - found[None]) * SCALE, axis=2
+            (found[:, None] - found[None]) * SPACING_SCALE, axis=2
         ) + 9.0 * np.eye(n)
-        if apart.min() >= APART:
+        if apart.min() >= SMALLEST_SPACING:
             return found
     raise ConfigError(
         "mission_options.radius",
@@ -234,9 +234,12 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
                     room_text(low, high),
                     "Widen it.",
                 )
-    if options.pattern != "antipodal" or len(config.ids) <= CROWD:
+    if options.pattern != "antipodal" or len(config.ids) <= LARGEST_TRIED_CROWD:
         return []
-    crowd = f"{len(config.ids)} drones fly through one point at once; {CROWD} have been tried, and a hundred met there"
+    crowd = (
+        f"{len(config.ids)} drones fly through one point at once; {LARGEST_TRIED_CROWD} "
+        "have been tried, and a hundred met there"
+    )
     if not force:
         raise Refused(
             "crossing",
@@ -254,7 +257,7 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     """Report when the last drone arrived. A drone that never stayed at its goal has failed."""
     times = {i: result.get("arrived_s") for i, result in results.items()}
     late = {
-        i: f"never stayed within {ARRIVED} m of its goal"
+        i: f"never stayed within {GOAL_DISTANCE} m of its goal"
         for i, time in times.items()
         if time is None
     }

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from crazychoir import CFDistributedFeedback, SwarmConfig
-from crazychoir.control.gains import AGILE
+from crazychoir.control.gains import AGILE_GAINS
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.formation import leader
 from crazychoir.guidance.formation.leader import LeaderOptions
-from crazychoir.guidance.formation.modes import Chain, mode_margin
+from crazychoir.guidance.formation.modes import AccelerationChain, compute_mode_margin
 from crazychoir.guidance.formation.rigidity import require_rigid
-from crazychoir.guidance.formation.scattering import Scatter, scattered
+from crazychoir.guidance.formation.scattering import Scatter, scatter_swarm
 from crazychoir.guidance.mission_options import (
     Gain,
     Places,
@@ -28,12 +28,12 @@ from crazychoir.types import Acceleration, Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]
 """The results of all drones, by id."""
-HEIGHT = 2.0, 2.5
+HEIGHT_GAINS = 2.0, 2.5
 """1/s2 and 1/s: gains kz and kvz that hold the height of a flat formation.
 
 Distances do not determine the height of a flat formation.
 """
-TOLERANCE = 0.02
+DISTANCE_TOLERANCE = 0.02
 """m: largest error of a distance at the end of the law."""
 
 
@@ -68,7 +68,7 @@ class DistanceFormation(CFDistributedFeedback):
     Source: Krick, Broucke & Francis 2009, Int. J. Control 82(3), for single integrators.
     """
 
-    gains = AGILE
+    gains = AGILE_GAINS
 
     def __init__(
         self, d: Mapping[int, float], k: float, kv: float, height: float | None
@@ -95,7 +95,7 @@ class DistanceFormation(CFDistributedFeedback):
                 + self.kv * (heard[j].v - me.v)[:axes]
             )
         if self.level is not None:
-            u[2] = HEIGHT[0] * (self.level - me.p[2]) - HEIGHT[1] * me.v[2]
+            u[2] = HEIGHT_GAINS[0] * (self.level - me.p[2]) - HEIGHT_GAINS[1] * me.v[2]
         return Acceleration(u)
 
 
@@ -164,7 +164,7 @@ def scatter(config: SwarmConfig) -> SwarmConfig:
 
     Each start moves by up to `scatter` (3,) m an axis.
     """
-    return scattered(config, Scatter(*given(config, Options).scatter))
+    return scatter_swarm(config, Scatter(*given(config, Options).scatter))
 
 
 def check(config: SwarmConfig, force: bool = False) -> list[str]:
@@ -187,7 +187,12 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
     stiffest = 2.0 * options.k * float(np.linalg.norm(r, 2) ** 2)
     heard = [len(config.graph().neighbors(i)) for i in config.ids if i not in leaders]
     for damping in (options.kv * min(heard) * 0.5, options.kv * max(heard)):
-        if mode_margin([1.0], [True], stiffest, damping, Chain(AGILE)) <= 0.0:
+        if (
+            compute_mode_margin(
+                [1.0], [True], stiffest, damping, AccelerationChain(AGILE_GAINS)
+            )
+            <= 0.0
+        ):
             text = f"k = {options.k:g}, kv = {options.kv:g}: its stiffest mode, {stiffest:.1f} 1/s2, is unstable"
             raise Refused(
                 "distance formation",
@@ -213,7 +218,7 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
                 np.linalg.norm(np.subtract(p[i], p[j])[:axes]) for p in (at, places)
             )
             off = max(off, abs(float(found - wanted)))
-            if abs(found - wanted) > TOLERANCE:
+            if abs(found - wanted) > DISTANCE_TOLERANCE:
                 reasons[i] = (
                     f"{found:.3f} m from drone {j} at the end of the law, {wanted:.3f} m wanted"
                 )

@@ -12,31 +12,31 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
 from crazychoir import CFGuidance, SwarmConfig
-from crazychoir.config.tables import Scale, Table, Text
-from crazychoir.control.gains import STANDARD
+from crazychoir.config.tables import Scale, SwarmTable, Text
+from crazychoir.control.gains import STANDARD_GAINS
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission_options import Offset, Yaw, given, require_none
 from crazychoir.guidance.path_checks import require_inside
-from crazychoir.guidance.timed import Way, noted
-from crazychoir.planning.drawing.drawing import Drawing, Pen, drawing
+from crazychoir.guidance.timed import Way, record_way
+from crazychoir.planning.drawing.drawing import Drawing, Pen, plan_drawing
 from crazychoir.planning.drawing.drawing_file import read_drawing
 from crazychoir.planning.feasibility import Limits
 
 Results = dict[int, dict[str, Any]]
 """The results of all drones, by id."""
-WORD = Path(__file__).parent / "data" / "casy.csv"
+WORD_DRAWING = Path(__file__).parent / "data" / "casy.csv"
 """The drawing of the word "Casy"."""
-TOLERANCE = 0.03
+DRAWING_TOLERANCE = 0.03
 """m: largest distance between the flown path and the drawn path."""
 Timing = Annotated[
     Literal["even", "drawn"], Meta(description='"even" or "drawn"', examples=["drawn"])
 ]
 
 
-class Options(Table, frozen=True, kw_only=True):
+class Options(SwarmTable, frozen=True, kw_only=True):
     """[mission_options]."""
 
-    drawing: Text = str(WORD)
+    drawing: Text = str(WORD_DRAWING)
     """A CSV file of rows stroke, t, x, y, or an SVG picture with a unit of 1 mm."""
     scale: Scale = 1.0
     """Scale of the drawing."""
@@ -61,7 +61,7 @@ class Writer(CFGuidance):
         await self.rendezvous()
         home = self.state.p.copy()
         await self.go_to(self.drawn.path.sample(0.0).p)
-        async with noted(self, self.way):
+        async with record_way(self, self.way):
             await self.fly(self.drawn.path)
         await self.go_to(home)
         await self.land()
@@ -95,11 +95,11 @@ def drawn(config: SwarmConfig, i: int) -> Drawing:
     limits = Limits(
         v_max=flight.speed_limit,
         a_max=flight.acceleration_limit,
-        j_max=STANDARD.kr[0] * flight.acceleration_limit,
+        j_max=STANDARD_GAINS.kr[0] * flight.acceleration_limit,
         low=config.fence.min,
         high=config.fence.max,
     )
-    planned = drawing(placed, pen, limits)
+    planned = plan_drawing(placed, pen, limits)
     require_inside(planned.path, config, i, "drawing")
     return planned
 
@@ -156,9 +156,9 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     flown = drawn(config, config.ids[0])
     off = {i: written(config, i, results.get(i, {})) for i in config.ids}
     reasons = {
-        i: f"{1e3 * far:.0f} mm from its drawing, allowed {1e3 * TOLERANCE:.0f} mm"
+        i: f"{1e3 * far:.0f} mm from its drawing, allowed {1e3 * DRAWING_TOLERANCE:.0f} mm"
         for i, far in off.items()
-        if not far <= TOLERANCE
+        if not far <= DRAWING_TOLERANCE
     }
     return {
         "success": not reasons,

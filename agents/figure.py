@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import Meta
 
 from crazychoir import CFGuidance, SwarmConfig
-from crazychoir.config.tables import Table
+from crazychoir.config.tables import SwarmTable
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission_options import (
     Laps,
@@ -36,7 +36,7 @@ YawRate = Annotated[
 ]
 
 
-class Options(Table, frozen=True, kw_only=True):
+class Options(SwarmTable, frozen=True, kw_only=True):
     """[mission_options]."""
 
     figure: Kind = "circle"
@@ -111,7 +111,7 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
     )
     for i in config.ids:
         try:
-            feasibility.check(_figure(config, i), limits)
+            feasibility.check_limits(_figure(config, i), limits)
             require_inside(_figure(config, i), config, i, "trajectory")
         except ConfigError as error:
             raise ConfigError(

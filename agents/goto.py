@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Meta
 
 from crazychoir import CFGuidance, SwarmConfig
-from crazychoir.config.tables import Id, Table
+from crazychoir.config.tables import Id, SwarmTable
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission_options import (
     Coordinate,
@@ -31,17 +31,17 @@ from crazychoir.types import FullState, Vec
 
 Results = dict[int, dict[str, Any]]
 """The results of all drones, by id."""
-CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
+SQUARE_CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
 """(2,) m each: corners of the square."""
-TIMES = (5.0, 25.0, 45.0)
+CORNER_TIMES = (5.0, 25.0, 45.0)
 """s of the law at which a drone is at its own corner, at the opposite one, and at the next."""
-HEIGHT = 1.0
+CROSSING_HEIGHT = 1.0
 """m: height of the crossing."""
-INSIDE = 0.8
+START_SCALE = 0.8
 """Scale from the corners to the places where the drones start."""
-TOLERANCE = 0.05
+GOAL_TOLERANCE = 0.05
 """m: largest distance from a goal at its time."""
-NEAR = 0.25
+NEAR_FLIGHT_DISTANCE = 0.25
 """m: below this distance of two planned flights the collision filter must keep the drones apart."""
 
 
@@ -58,7 +58,7 @@ Goals = Annotated[
 ]
 
 
-class Options(Table, frozen=True, kw_only=True):
+class Options(SwarmTable, frozen=True, kw_only=True):
     """[mission_options]."""
 
     goals: Goals | None = None
@@ -102,8 +102,11 @@ def goals(config: SwarmConfig) -> dict[int, tuple[Row, ...]]:
 
 def crossing(k: int) -> tuple[Row, ...]:
     """Return the goals of the k-th drone: its own corner, the opposite one, and the next."""
-    corners = [CORNERS[(k + turn) % len(CORNERS)] for turn in (0, 2, 3)]
-    return tuple((t, *corner, HEIGHT) for t, corner in zip(TIMES, corners, strict=True))
+    corners = [SQUARE_CORNERS[(k + turn) % len(SQUARE_CORNERS)] for turn in (0, 2, 3)]
+    return tuple(
+        (t, *corner, CROSSING_HEIGHT)
+        for t, corner in zip(CORNER_TIMES, corners, strict=True)
+    )
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
@@ -113,8 +116,8 @@ def swarm(drones: int | None = None) -> SwarmConfig:
             "name": "crossing",
             "mission": "goto",
             "drones": [
-                {"id": i, "home": [INSIDE * x, INSIDE * y, 0.0]}
-                for i, (x, y) in enumerate(CORNERS)
+                {"id": i, "home": [START_SCALE * x, START_SCALE * y, 0.0]}
+                for i, (x, y) in enumerate(SQUARE_CORNERS)
             ],
             "flight": {"takeoff_height": 0.5},
             "fence": {"min": [-2.0, -2.0, 0.0], "max": [2.0, 2.0, 2.5]},
@@ -128,15 +131,15 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
     Returns a warning if two flights meet and no collision filter keeps the drones apart.
     """
     require_none(config)
-    if not given(config, Options).goals and len(config.ids) != len(CORNERS):
+    if not given(config, Options).goals and len(config.ids) != len(SQUARE_CORNERS):
         raise ConfigError(
             f"swarm {config.name}: drones",
             len(config.ids),
-            f"{len(CORNERS)}, or mission_options.goals",
+            f"{len(SQUARE_CORNERS)}, or mission_options.goals",
         )
     require_each(config, goals(config), "goals")
     gap, i, j, t = nearest(config)
-    if gap >= NEAR or config.collision.method != "off":
+    if gap >= NEAR_FLIGHT_DISTANCE or config.collision.method != "off":
         return []
     return [
         f"drones {i} and {j} are planned {gap:.2f} m from each other at {t:.1f} s, and the collision filter is off"
@@ -189,9 +192,9 @@ def _late(errors: list[float], rows: tuple[Row, ...]) -> str:
     if len(errors) < len(rows):
         return f"its flight ended before its goal at {rows[len(errors)][0]:g} s"
     worst = int(np.argmax(errors))
-    if errors[worst] <= TOLERANCE:
+    if errors[worst] <= GOAL_TOLERANCE:
         return ""
-    return f"{errors[worst]:.3f} m from its goal at {rows[worst][0]:g} s, allowed {TOLERANCE} m"
+    return f"{errors[worst]:.3f} m from its goal at {rows[worst][0]:g} s, allowed {GOAL_TOLERANCE} m"
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:

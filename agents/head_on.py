@@ -13,13 +13,13 @@ from crazychoir.agents import goto
 
 Results = dict[int, dict[str, Any]]
 """The results of all drones, by id."""
-ENDS = ((-1.0, 0.1), (1.0, -0.1))
+FLIGHT_ENDS = ((-1.0, 0.1), (1.0, -0.1))
 """(2,) m each: the two places."""
-START = 3.0
+START_TIME = 3.0
 """s of the law at which each drone is at its own place."""
-ARRIVAL = 23.0
+ARRIVAL_TIME = 23.0
 """s of the law at which each drone is at the other place."""
-HEIGHT = 1.0
+FLIGHT_HEIGHT = 1.0
 """m: height of the flight."""
 
 
@@ -31,15 +31,20 @@ def guidance(i: int, config: SwarmConfig) -> CFGuidance:
 def swarm(drones: int | None = None) -> SwarmConfig:
     """Return two drones, one at each end, each with a goal at the other end."""
     goals = {
-        str(i): [[START, *ENDS[i], HEIGHT], [ARRIVAL, *ENDS[1 - i], HEIGHT]]
-        for i in range(len(ENDS))
+        str(i): [
+            [START_TIME, *FLIGHT_ENDS[i], FLIGHT_HEIGHT],
+            [ARRIVAL_TIME, *FLIGHT_ENDS[1 - i], FLIGHT_HEIGHT],
+        ]
+        for i in range(len(FLIGHT_ENDS))
     }
     return SwarmConfig.of(
         {
             "name": "exchange",
             "mission": "head_on",
             "mission_options": {"goals": goals},
-            "drones": [{"id": i, "home": [*end, 0.0]} for i, end in enumerate(ENDS)],
+            "drones": [
+                {"id": i, "home": [*end, 0.0]} for i, end in enumerate(FLIGHT_ENDS)
+            ],
             "flight": {"takeoff_height": 0.5},
             "fence": {"min": [-2.0, -2.0, 0.0], "max": [2.0, 2.0, 2.5]},
         }

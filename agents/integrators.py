@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir import Acceleration, CFDistributedFeedback, SwarmConfig, Velocity
-from crazychoir.config.checks import DOUBLE, SINGLE
+from crazychoir.config.checks import WORLD_URIS
 from crazychoir.guidance.formation.rigidity import require_led
 from crazychoir.guidance.mission_options import NoOptions, given, require_none
 from crazychoir.recording.analysis.tracks import draw_ways
@@ -16,13 +16,23 @@ from crazychoir.types import Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]
 """The results of all drones, by id."""
-LEADERS = [[0.0, 1.8], [-1.6, -1.0], [1.6, -1.0]]
+LEADER_PLACES = [[0.0, 1.8], [-1.6, -1.0], [1.6, -1.0]]
 """(2,) m each: places of the leaders."""
-FOLLOWERS = [[2.2, 1.6], [-2.4, 1.0], [0.3, -2.4]]
+FOLLOWER_STARTS = [[2.2, 1.6], [-2.4, 1.0], [0.3, -2.4]]
 """(2,) m each: starts of the followers."""
-EDGES = [[0, 3], [0, 4], [1, 4], [1, 5], [2, 5], [2, 3], [3, 4], [4, 5], [3, 5]]
+CONTAINMENT_EDGES = [
+    [0, 3],
+    [0, 4],
+    [1, 4],
+    [1, 5],
+    [2, 5],
+    [2, 3],
+    [3, 4],
+    [4, 5],
+    [3, 5],
+]
 """The communication graph."""
-TOLERANCE = 0.01
+EQUILIBRIUM_TOLERANCE = 0.01
 """m: largest distance from the equilibrium at the end."""
 
 
@@ -69,21 +79,25 @@ class IntegratorContainment(CFDistributedFeedback):
 def guidance(i: int, config: SwarmConfig) -> IntegratorContainment:
     """Return the law of robot i."""
     robot = config.drone(i)
-    return IntegratorContainment(robot.leader, inertia=robot.uri == DOUBLE)
+    return IntegratorContainment(
+        robot.leader, inertia=robot.uri == WORLD_URIS.double_integrator
+    )
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
     """Return three leaders and three followers: one obeys velocities, two obey accelerations."""
-    uris = [SINGLE] * 4 + [DOUBLE] * 2
+    uris = [WORLD_URIS.single_integrator] * 4 + [WORLD_URIS.double_integrator] * 2
     robots = [
-        {"id": i, "home": [*p, 0.5], "uri": uri, "leader": i < len(LEADERS)}
-        for i, (p, uri) in enumerate(zip(LEADERS + FOLLOWERS, uris, strict=True))
+        {"id": i, "home": [*p, 0.5], "uri": uri, "leader": i < len(LEADER_PLACES)}
+        for i, (p, uri) in enumerate(
+            zip(LEADER_PLACES + FOLLOWER_STARTS, uris, strict=True)
+        )
     ]
     return SwarmConfig.of(
         {
             "name": "integrators",
             "mission": "integrators",
-            "edges": EDGES,
+            "edges": CONTAINMENT_EDGES,
             "drones": robots,
         }
     )
@@ -131,8 +145,10 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
             if "place" in result
             else 0.0
         )
-        if far > TOLERANCE:
-            off[i] = f"{far:.3f} m from its equilibrium, allowed {TOLERANCE} m"
+        if far > EQUILIBRIUM_TOLERANCE:
+            off[i] = (
+                f"{far:.3f} m from its equilibrium, allowed {EQUILIBRIUM_TOLERANCE} m"
+            )
     return {"success": not off, "reasons": off}
 
 

@@ -17,7 +17,7 @@ from msgspec import Meta
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.config.drone_room import room_of
 from crazychoir.config.flight_room import room_text
-from crazychoir.config.tables import Acceleration, Drone, Speed, Table
+from crazychoir.config.tables import Acceleration, DroneTable, Speed, SwarmTable
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission_options import Duration, Spot, given, own
 from crazychoir.guidance.mpc import Motion, MPCGuidance
@@ -26,23 +26,23 @@ from crazychoir.types import Vec
 
 Results = dict[int, dict[str, Any]]
 """The results of all drones, by id."""
-MARGIN = 0.05
+REACH_MARGIN = 0.05
 """m of `reach` that plans do not use.
 
 It is left for the time between two steps, and for the drones' distance from their plans.
 """
-TOLERANCE = 0.03
+FINAL_DISTANCE_TOLERANCE = 0.03
 """m: largest distance from the goal at the end."""
-SLOW = 0.25
+SLOW_DRONE_SPEED = 0.25
 """m/s: speed of the slow drone of the mission's own swarm."""
 
 
 Reach = Annotated[
     float,
     Meta(
-        gt=MARGIN,
+        gt=REACH_MARGIN,
         le=100,
-        description=f"m, more than {MARGIN} m, which plans leave, to 100",
+        description=f"m, more than {REACH_MARGIN} m, which plans leave, to 100",
         examples=[0.35],
     ),
 ]
@@ -69,7 +69,7 @@ Jerk = Annotated[
 ]
 
 
-class Options(Table, frozen=True, kw_only=True):
+class Options(SwarmTable, frozen=True, kw_only=True):
     """[mission_options]."""
 
     shift: Spot = (3.0, 0.0)
@@ -90,7 +90,7 @@ class Options(Table, frozen=True, kw_only=True):
     """m/s3: largest, in x and in y."""
 
 
-class DroneOptions(Table, frozen=True, kw_only=True):
+class DroneOptions(SwarmTable, frozen=True, kw_only=True):
     """`options` of a drone."""
 
     speed: Speed | None = None
@@ -108,13 +108,13 @@ def guidance(i: int, config: SwarmConfig) -> CFGuidance:
     low, high = room[:, 0:2] - goal
     neighbors = config.graph().neighbors(i)
     law = MPCGuidance(
-        goal, motion(config, drone), low, high, options.reach - MARGIN, neighbors
+        goal, motion(config, drone), low, high, options.reach - REACH_MARGIN, neighbors
     )
     law.duration = options.duration
     return law
 
 
-def motion(config: SwarmConfig, drone: Drone) -> Motion:
+def motion(config: SwarmConfig, drone: DroneTable) -> Motion:
     """Return how the drone may move."""
     options = given(config, Options)
     speed = own(config, drone, DroneOptions).speed or options.speed
@@ -123,7 +123,7 @@ def motion(config: SwarmConfig, drone: Drone) -> Motion:
     )
 
 
-def goal_of(config: SwarmConfig, drone: Drone) -> Vec:
+def goal_of(config: SwarmConfig, drone: DroneTable) -> Vec:
     """Return the goal of a drone, (2,) m."""
     goal = own(config, drone, DroneOptions).goal
     return (
@@ -148,7 +148,10 @@ def swarm(drones: int | None = None) -> SwarmConfig:
                     **slow,
                 }
                 for i, slow in enumerate(
-                    [{"options": {"speed": SLOW}} if i == 2 else {} for i in range(n)]
+                    [
+                        {"options": {"speed": SLOW_DRONE_SPEED}} if i == 2 else {}
+                        for i in range(n)
+                    ]
                 )
             ],
             "fence": {
@@ -177,11 +180,11 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
         )
     for drone in config.drones:
         _require_possible(config, drone)
-    _require_near(config, options.reach - MARGIN)
+    _require_near(config, options.reach - REACH_MARGIN)
     return []
 
 
-def _require_possible(config: SwarmConfig, drone: Drone) -> None:
+def _require_possible(config: SwarmConfig, drone: DroneTable) -> None:
     """Raise ConfigError for a goal outside the fence, and for a speed above [flight]."""
     where = f"swarm {config.name}: drone {drone.id}"
     low, high = room_of(config, drone.id)
@@ -214,7 +217,7 @@ def _require_near(config: SwarmConfig, reach: float) -> None:
             raise ConfigError(
                 where,
                 found,
-                f"at most {reach:.2f} m: mission_options.reach less {MARGIN} m",
+                f"at most {reach:.2f} m: mission_options.reach less {REACH_MARGIN} m",
                 do,
             )
 
@@ -235,9 +238,10 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
         if "way" not in results.get(i, {}):
             return {"success": False, "reasons": {i: "it has not flown to the end"}}
         far = float(np.linalg.norm(goals[i][:2] - results[i]["place"][:2]))
-        if far > TOLERANCE:
+        if far > FINAL_DISTANCE_TOLERANCE:
             reasons[i] = (
-                f"{far:.3f} m from its goal at the end, allowed {TOLERANCE} m; {results[i]['why'] or 'slow'}"
+                f"{far:.3f} m from its goal at the end, allowed {FINAL_DISTANCE_TOLERANCE} m; "
+                f"{results[i]['why'] or 'slow'}"
             )
     ahead, pair = most_ahead(config, results)
     reach = given(config, Options).reach

@@ -10,37 +10,40 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from crazychoir.config.reader import read
+from crazychoir.config.reader import read_table
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.delivery.delivery_checks import (
-    require_flown,
-    require_servable,
-    require_used,
+    require_flyable_features,
+    require_servable_places,
+    require_used_keys,
 )
 from crazychoir.guidance.delivery.delivery_options import Appearance, DeliveryOptions
-from crazychoir.guidance.delivery.delivery_picture import draw_flown
-from crazychoir.guidance.delivery.online_delivery import OnlinePDVRPGuidance, Options
-from crazychoir.guidance.delivery.site import Site
+from crazychoir.guidance.delivery.delivery_picture import draw_flown_ways
+from crazychoir.guidance.delivery.online_delivery import (
+    OnlineDeliveryOptions,
+    OnlinePDVRPGuidance,
+)
+from crazychoir.guidance.delivery.site import DeliverySite
 from crazychoir.guidance.tasks.task_book import Fate, Task
-from crazychoir.guidance.tasks.task_source import Event
+from crazychoir.guidance.tasks.task_source import TaskEvent
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.team.graph import span
+from crazychoir.team.graph import describe_ids
 
 Results = dict[int, dict[str, Any]]
 """The results of all drones, by id."""
-FLIGHT = {
+ONLINE_FLIGHT_TABLE = {
     "takeoff_height": 0.4,
     "speed_limit": 1.5,
     "acceleration_limit": 3.0,
     "landing_speed": 0.6,
 }
 """[flight] of this mission's own swarm."""
-ROOM = 5.0
+ROOM_SIDE = 5.0
 """m: side of the square in which the goods lie."""
-DOCK = 0.8
+DOCK_DISTANCE = 0.8
 """m: distance of the drones' homes from that square, on two of its sides."""
-DONE = Fate.DELIVERED.value, Fate.CANCELLED.value
+FINISHED_FATES = Fate.DELIVERED.value, Fate.CANCELLED.value
 """Fates of a task that needs no more work."""
 
 
@@ -57,9 +60,13 @@ def swarm(drones: int | None = None) -> SwarmConfig:
     """
     n = 10 if drones is None else drones
     rows = [(k // 2, k % 2) for k in range(n)]
-    gap = ROOM / max(1, (n - 1) // 2)
+    gap = ROOM_SIDE / max(1, (n - 1) // 2)
     homes = [
-        [round(gap * column, 3), -DOCK if side == 0 else ROOM + DOCK, 0.0]
+        [
+            round(gap * column, 3),
+            -DOCK_DISTANCE if side == 0 else ROOM_SIDE + DOCK_DISTANCE,
+            0.0,
+        ]
         for column, side in rows
     ]
     return SwarmConfig.of(
@@ -68,10 +75,10 @@ def swarm(drones: int | None = None) -> SwarmConfig:
             "mission": "online_delivery",
             "drones": [{"id": i, "home": home} for i, home in enumerate(homes)],
             "graph": "k-regular:4" if n > 5 else "complete",
-            "flight": FLIGHT,
+            "flight": ONLINE_FLIGHT_TABLE,
             "fence": {
-                "min": [-2.0, -DOCK - 1.0, 0.0],
-                "max": [ROOM + 2.0, ROOM + DOCK + 1.0, 3.0],
+                "min": [-2.0, -DOCK_DISTANCE - 1.0, 0.0],
+                "max": [ROOM_SIDE + 2.0, ROOM_SIDE + DOCK_DISTANCE + 1.0, 3.0],
             },
             "lost_after": 2.0,
         }
@@ -80,7 +87,7 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 def given(config: SwarmConfig) -> DeliveryOptions:
     """Return [mission_options]. Raises ConfigError with the key that is wrong."""
-    return read(
+    return read_table(
         config.mission_options,
         DeliveryOptions,
         f"swarm {config.name}",
@@ -103,7 +110,7 @@ def drawn(config: SwarmConfig) -> Instance:
     draw = np.random.default_rng(config.seed)
     n = len(config.ids)
     m = given(config).tasks
-    points = draw.uniform(0.0, ROOM, size=(2 * m, 2))
+    points = draw.uniform(0.0, ROOM_SIDE, size=(2 * m, 2))
     capacity = draw.integers(2, 4, size=n, endpoint=True)
     mask = draw.random((n, m)) < 0.75
     mask[draw.integers(n, size=m), np.arange(m)] = True
@@ -136,7 +143,7 @@ def known(config: SwarmConfig) -> list[Task]:
     ]
 
 
-def events(config: SwarmConfig) -> list[Event]:
+def events(config: SwarmConfig) -> list[TaskEvent]:
     """Return the tasks that appear, numbered after those of the instance, and the cancellations."""
     tasks = {task.id: task for task in known(config)}
     found = []
@@ -145,7 +152,7 @@ def events(config: SwarmConfig) -> list[Event]:
             len(tasks), 0, False, row.pickup, row.delivery, row.load, row.robots
         )
         tasks[task.id] = task
-        found.append(Event(row.t, task, row.heard_by))
+        found.append(TaskEvent(row.t, task, row.heard_by))
     for n, cancel in enumerate(given(config).cancel):
         if cancel.task not in tasks:
             where = f"swarm {config.name}: mission_options.cancel[{n}].task"
@@ -153,12 +160,12 @@ def events(config: SwarmConfig) -> list[Event]:
             raise ConfigError(
                 where,
                 cancel.task,
-                f"there are {span(tasks)}",
+                f"there are {describe_ids(tasks)}",
                 do,
                 "there is no such task",
             )
         gone = msgspec.structs.replace(tasks[cancel.task], cancelled=True)
-        found.append(Event(cancel.t, gone, cancel.heard_by))
+        found.append(TaskEvent(cancel.t, gone, cancel.heard_by))
     return found
 
 
@@ -174,7 +181,7 @@ def _appearing(config: SwarmConfig) -> tuple[Appearance, ...]:
     draw = np.random.default_rng([config.seed, 1])
     n = options.later
     times = draw.uniform(3.0, 20.0, size=(n, 1))
-    points = draw.uniform(0.0, ROOM, size=(n, 2, 2))
+    points = draw.uniform(0.0, ROOM_SIDE, size=(n, 2, 2))
     hears = [
         draw.choice(config.ids, size=min(3, len(config.ids)), replace=False).tolist()
         for _ in range(n)
@@ -190,12 +197,12 @@ def _appearing(config: SwarmConfig) -> tuple[Appearance, ...]:
     )
 
 
-def options(config: SwarmConfig) -> Options:
+def options(config: SwarmConfig) -> OnlineDeliveryOptions:
     """Return the options that all robots have in common."""
     chosen = given(config)
     last = max((event.t for event in events(config)), default=0.0)
-    return Options(
-        Site(config, chosen.clearance, instance(config)),
+    return OnlineDeliveryOptions(
+        DeliverySite(config, chosen.clearance, instance(config)),
         service_time=chosen.service_time,
         recover=chosen.recover,
         until=max(last, chosen.until),
@@ -207,9 +214,9 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
     """Check that the drones stand where the instance says, and that each task can be served."""
     chosen = given(config)
     where = f"swarm {config.name}: mission_options"
-    require_used(config.mission_options, where)
+    require_used_keys(config.mission_options, where)
     problem = instance(config)
-    require_flown(problem, f"{where}.instance")
+    require_flyable_features(problem, f"{where}.instance")
     if config.ids != tuple(range(problem.robots)):
         raise ConfigError(
             f"swarm {config.name}: drones",
@@ -228,7 +235,7 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
                 stands.tolist(),
                 f"{home.tolist()}",
             )
-    require_servable(
+    require_servable_places(
         options(config).site, known(config), _appearing(config), chosen, where
     )
     return []
@@ -254,7 +261,7 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     undone = {
         j: _undone(fate, robot, why.get(j))
         for j, (fate, robot) in fates.items()
-        if fate not in DONE
+        if fate not in FINISHED_FATES
     }
     twice = [j for j in delivered if delivered.count(j) > 1]
     wrong = [f"task {j}: {text}" for j, text in undone.items()] + [
@@ -296,7 +303,7 @@ def picture(config: SwarmConfig, results: Results, path: str) -> None:
             places[stop["kind"]].setdefault(stop["task"], _place(stop["place"]))
     found = report(config, results)
     lost = [i for i in config.ids if not results.get(i, {}).get("success")]
-    draw_flown(
+    draw_flown_ways(
         path,
         {drone.id: _place(drone.home) for drone in config.drones},
         {

@@ -11,19 +11,19 @@ from typing import Any
 import numpy as np
 
 from crazychoir import PDVRPGuidance, SwarmConfig
-from crazychoir.config.reader import read
+from crazychoir.config.reader import read_table
 from crazychoir.guidance.delivery.pickup_checks import require_ready
 from crazychoir.guidance.delivery.pickup_options import PickupOptions
-from crazychoir.routing.instance.checker import check as violations
+from crazychoir.routing.instance.checker import check_plan as violations
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.picture import draw_routes
-from crazychoir.routing.instance.plan import Plan, Route
+from crazychoir.routing.instance.plan import Route, RoutePlan
 
 Results = dict[int, dict[str, Any]]
 """The results of all drones, by id."""
-DEMO = Path(__file__).parent / "data" / "lab6.json"
+DEMO_INSTANCE = Path(__file__).parent / "data" / "lab6.json"
 """The instance of the demonstration."""
-FLIGHT = {
+PICKUP_FLIGHT_TABLE = {
     "takeoff_height": 0.5,
     "speed_limit": 0.8,
     "acceleration_limit": 2.0,
@@ -42,17 +42,17 @@ def guidance(i: int, config: SwarmConfig) -> PDVRPGuidance:
 
 def given(config: SwarmConfig) -> PickupOptions:
     """Return [mission_options]. Raises ConfigError with the key that is wrong."""
-    return read(
+    return read_table(
         config.mission_options, PickupOptions, f"swarm {config.name}", "mission_options"
     )
 
 
 def instance(config: SwarmConfig) -> Instance:
     """Return the instance that the swarm's options name, or that of the demonstration."""
-    return Instance.load(given(config).instance or DEMO)
+    return Instance.load(given(config).instance or DEMO_INSTANCE)
 
 
-def swarm(drones: int | None = None, path: str | Path = DEMO) -> SwarmConfig:
+def swarm(drones: int | None = None, path: str | Path = DEMO_INSTANCE) -> SwarmConfig:
     """Return a swarm with a drone at each home of the instance, in a ring graph."""
     homes = [[*home, 0.0][:3] for home in Instance.load(path).home.tolist()]
     low = np.min(homes, axis=0) - 3.0
@@ -65,7 +65,7 @@ def swarm(drones: int | None = None, path: str | Path = DEMO) -> SwarmConfig:
             "drones": [
                 {"id": i, "home": [*home[:2], 0.0]} for i, home in enumerate(homes)
             ],
-            "flight": FLIGHT,
+            "flight": PICKUP_FLIGHT_TABLE,
             "fence": {
                 "min": [*low[:2].tolist(), 0.0],
                 "max": [*high[:2].tolist(), 3.0],
@@ -139,7 +139,7 @@ def picture(config: SwarmConfig, results: Results, path: str) -> None:
         draw_routes(problem, plan, path)
 
 
-def _plan(problem: Instance, results: Results) -> Plan | None:
+def _plan(problem: Instance, results: Results) -> RoutePlan | None:
     routes = [Route.from_json(r["route"]) for r in results.values() if r.get("route")]
     digests = {r.get("plan_digest") for r in results.values()}
     plan = problem.plan(route for route in routes if route.stops)

@@ -14,7 +14,7 @@ from msgspec import Meta
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.config.drone_room import room_of
 from crazychoir.config.flight_room import room_text
-from crazychoir.config.tables import Table
+from crazychoir.config.tables import SwarmTable
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission_options import Place, given, require_none
 from crazychoir.guidance.timed import TargetList
@@ -23,7 +23,7 @@ from crazychoir.types import Mat, Vec
 
 Results = dict[int, dict[str, Any]]
 """The results of all drones, by id."""
-TARGETS = (
+DEFAULT_TARGETS = (
     (0.8, 0.0, 1.0),
     (0.8, 0.8, 1.3),
     (0.0, 0.8, 1.0),
@@ -31,7 +31,7 @@ TARGETS = (
     (0.0, 0.0, 1.0),
 )
 """(3,) m each: default targets, relative to the home of a drone."""
-SPACING = 2.0
+HOME_SPACING = 2.0
 """m: distance between two homes."""
 Targets = Annotated[
     tuple[Place, ...],
@@ -43,10 +43,10 @@ Targets = Annotated[
 ]
 
 
-class Options(Table, frozen=True, kw_only=True):
+class Options(SwarmTable, frozen=True, kw_only=True):
     """[mission_options]."""
 
-    targets: Targets = TARGETS
+    targets: Targets = DEFAULT_TARGETS
     """(3,) m each, relative to the home of a drone."""
 
 
@@ -71,8 +71,13 @@ def swarm(drones: int | None = None) -> SwarmConfig:
             "name": "tourists",
             "mission": "targets",
             "graph": "ring" if n > 1 else "empty",
-            "drones": [{"id": i, "home": [0.0, SPACING * i, 0.0]} for i in range(n)],
-            "fence": {"min": [-2.0, -2.0, 0.0], "max": [2.0, SPACING * n + 2.0, 3.0]},
+            "drones": [
+                {"id": i, "home": [0.0, HOME_SPACING * i, 0.0]} for i in range(n)
+            ],
+            "fence": {
+                "min": [-2.0, -2.0, 0.0],
+                "max": [2.0, HOME_SPACING * n + 2.0, 3.0],
+            },
         }
     )
 

@@ -13,10 +13,13 @@ from scipy.optimize import linear_sum_assignment
 
 from crazychoir import SwarmConfig
 from crazychoir.config.drone_room import shared_room
-from crazychoir.config.reader import read
-from crazychoir.config.tables import Probability, Table
+from crazychoir.config.reader import read_table
+from crazychoir.config.tables import Probability, SwarmTable
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.tasks.task_assignment import TaskAssignmentGuidance, Work
+from crazychoir.guidance.tasks.task_assignment import (
+    TaskAssignmentGuidance,
+    TeamAssignment,
+)
 from crazychoir.guidance.tasks.task_book import Task
 from crazychoir.recording.analysis.tracks import draw_ways
 from crazychoir.types import Mat
@@ -25,15 +28,22 @@ Results = dict[int, dict[str, Any]]
 """The results of all drones, by id."""
 Pair = tuple[int, int]
 """A task, and the generation in which it was done."""
-EDGES = [[0, 3], [1, 4], [2, 5], [3, 5], [4, 5]]
+SIX_ROBOT_EDGES = [[0, 3], [1, 4], [2, 5], [3, 5], [4, 5]]
 """The communication graph of six robots, as in the original."""
-HOMES = [[1.0, 1.0], [0.0, 1.5], [-1.0, 1.0], [-1.0, -1.0], [0.0, -1.5], [1.0, -1.0]]
+SIX_ROBOT_HOMES = [
+    [1.0, 1.0],
+    [0.0, 1.5],
+    [-1.0, 1.0],
+    [-1.0, -1.0],
+    [0.0, -1.5],
+    [1.0, -1.0],
+]
 """(2,) m each: the homes of six robots."""
-REACH = 3.0
+TASK_SQUARE_REACH = 3.0
 """m: tasks lie in the square from -REACH to REACH."""
-NOBODY = (1 << 62,)
+NO_ROBOTS = (1 << 62,)
 """`robots` of a task that no robot may do: an id that does not exist."""
-SAME = 1e-9
+EQUAL_COST_DIFFERENCE = 1e-9
 """m: tolerance between the team's cost of a table and the cost of a central solver.
 
 The two sums are rounded differently.
@@ -43,7 +53,7 @@ Times = Annotated[
 ]
 
 
-class Options(Table, frozen=True, kw_only=True):
+class Options(SwarmTable, frozen=True, kw_only=True):
     """[mission_options]."""
 
     generations: Times = 8
@@ -56,7 +66,7 @@ def guidance(i: int, config: SwarmConfig) -> TaskAssignmentGuidance:
     """Return the guidance of robot i."""
     options = given(config)
     return TaskAssignmentGuidance(
-        Work(lambda count: drawn(config, count), options.generations)
+        TeamAssignment(lambda count: drawn(config, count), options.generations)
     )
 
 
@@ -69,8 +79,8 @@ def swarm(drones: int | None = None) -> SwarmConfig:
     n = 6 if drones is None else drones
     angles = 2.0 * np.pi * np.arange(n) / n
     circle = max(1.5, 0.1 * n) * np.column_stack([np.cos(angles), np.sin(angles)])
-    homes = HOMES if n == 6 else circle.round(3).tolist()
-    links: dict[str, Any] = {"edges": EDGES} if n == 6 else {"graph": "ring"}
+    homes = SIX_ROBOT_HOMES if n == 6 else circle.round(3).tolist()
+    links: dict[str, Any] = {"edges": SIX_ROBOT_EDGES} if n == 6 else {"graph": "ring"}
     return SwarmConfig.of(
         {
             "name": "assignment",
@@ -87,7 +97,7 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
 def given(config: SwarmConfig) -> Options:
     """Return [mission_options]. Raises ConfigError with the key that is wrong."""
-    return read(
+    return read_table(
         config.mission_options, Options, f"swarm {config.name}", "mission_options"
     )
 
@@ -102,9 +112,12 @@ def drawn(config: SwarmConfig, count: int) -> list[Task]:
     chance = given(config).chance
     tasks = []
     for j in range(count):
-        place = (float(draw.uniform(-REACH, REACH)), float(draw.uniform(-REACH, REACH)))
+        place = (
+            float(draw.uniform(-TASK_SQUARE_REACH, TASK_SQUARE_REACH)),
+            float(draw.uniform(-TASK_SQUARE_REACH, TASK_SQUARE_REACH)),
+        )
         robots = tuple(i for i in config.ids if draw.rand() < chance)
-        tasks.append(Task(j, 0, False, place, place, robots=robots or NOBODY))
+        tasks.append(Task(j, 0, False, place, place, robots=robots or NO_ROBOTS))
     return tasks
 
 
@@ -119,7 +132,7 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
             f"swarm {config.name}: graph", "a directed graph", "an undirected one"
         )
     low, high = np.array(shared_room(config))[:, 0:2]
-    if np.any(low > -REACH) or np.any(high < REACH):
+    if np.any(low > -TASK_SQUARE_REACH) or np.any(high < TASK_SQUARE_REACH):
         where = f"swarm {config.name}: fence"
         box = (
             f"room for drones from {low.round(3).tolist()} to {high.round(3).tolist()}"
@@ -127,7 +140,7 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
         raise ConfigError(
             where,
             box,
-            f"tasks lie in the square from -{REACH:g} to {REACH:g} m",
+            f"tasks lie in the square from -{TASK_SQUARE_REACH:g} to {TASK_SQUARE_REACH:g} m",
             "Widen it.",
         )
     return []
@@ -157,7 +170,7 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
     wrong += [
         f"generation {t['number']}: {t['cost']} m, {t['optimum']} m is possible"
         for t in tables
-        if gap(t) > SAME
+        if gap(t) > EQUAL_COST_DIFFERENCE
     ]
     wrong += [
         f"task {j} was not done: {why[0]}" for j in left if may_be_done(config, j)
@@ -240,7 +253,7 @@ def gap(table: dict[str, Any]) -> float:
 
 def may_be_done(config: SwarmConfig, j: int) -> bool:
     """Return whether any robot of the swarm may do the drawn task j."""
-    return drawn(config, j + 1)[j].robots != NOBODY
+    return drawn(config, j + 1)[j].robots != NO_ROBOTS
 
 
 def picture(config: SwarmConfig, results: Results, path: str) -> None:

@@ -10,20 +10,20 @@ from typing import Any
 import numpy as np
 
 from crazychoir import CFDistributedFeedback, SwarmConfig, Velocity
-from crazychoir.config.checks import UNICYCLE
+from crazychoir.config.checks import WORLD_URIS
 from crazychoir.guidance.mission_options import NoOptions, given, require_none
 from crazychoir.recording.analysis.tracks import draw_ways
 from crazychoir.types import Heard, State, Vec
 
 Results = dict[int, dict[str, Any]]
 """The results of all drones, by id."""
-SIDE = 1.0
+POLYGON_SIDE = 1.0
 """m: side of the polygon."""
-STARTS = [[-1.6, 1.2], [1.5, 1.6], [1.8, -1.0], [-1.2, -1.7]]
+ROBOT_STARTS = [[-1.6, 1.2], [1.5, 1.6], [1.8, -1.0], [-1.2, -1.7]]
 """(2,) m each: starts of four robots."""
-CORNERS = [[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]]
+ROBOT_CORNERS = [[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]]
 """(2,) m each: the square of four robots."""
-TOLERANCE = 0.03
+CORNER_TOLERANCE = 0.03
 """m: largest distance from the corner that the other robots leave free."""
 
 
@@ -70,12 +70,12 @@ def corners(config: SwarmConfig) -> dict[int, Vec]:
     They form a square for four robots, else a polygon with the same length of side.
     """
     n = len(config.ids)
-    if n == len(CORNERS):
-        return dict(zip(config.ids, np.array(CORNERS), strict=True))
+    if n == len(ROBOT_CORNERS):
+        return dict(zip(config.ids, np.array(ROBOT_CORNERS), strict=True))
     angles = 2.0 * np.pi * np.arange(n) / n
     polygon = (
         0.5
-        * SIDE
+        * POLYGON_SIDE
         / np.sin(np.pi / max(n, 2))
         * np.column_stack([np.cos(angles), np.sin(angles)])
     )
@@ -87,15 +87,15 @@ def swarm(drones: int | None = None) -> SwarmConfig:
 
     Their headings are arbitrary.
     """
-    n = len(STARTS) if drones is None else drones
+    n = len(ROBOT_STARTS) if drones is None else drones
     angles = 2.0 * np.pi * np.arange(n) / n
     starts = (
-        STARTS
-        if n == len(STARTS)
+        ROBOT_STARTS
+        if n == len(ROBOT_STARTS)
         else (2.5 * np.column_stack([np.cos(angles), np.sin(angles)])).round(3).tolist()
     )
     robots = [
-        {"id": i, "home": [*p, 0.0], "yaw": float(i), "uri": UNICYCLE}
+        {"id": i, "home": [*p, 0.0], "yaw": float(i), "uri": WORLD_URIS.unicycle}
         for i, p in enumerate(starts)
     ]
     flight = {"speed_limit": 0.5}
@@ -129,9 +129,9 @@ def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
         i: float(np.linalg.norm(offset - middle)) for i, offset in offsets.items()
     }
     off = {
-        i: f"{far:.3f} m from its corner, allowed {TOLERANCE} m"
+        i: f"{far:.3f} m from its corner, allowed {CORNER_TOLERANCE} m"
         for i, far in errors.items()
-        if far > TOLERANCE
+        if far > CORNER_TOLERANCE
     }
     return {
         "worst_error_m": max(errors.values(), default=0.0),

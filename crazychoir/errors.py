@@ -22,10 +22,29 @@ import contextlib
 import sysconfig
 import traceback
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from os import PathLike
 
-UNSAID = "no reason was given"
-"""Reason to show when an error was raised without a reason."""
+
+@dataclass(frozen=True, slots=True)
+class ErrorTexts:
+    """Texts of errors: the reason where none was given, and the advice for a round that timed out."""
+
+    no_reason: str = "no reason was given"
+    """Reason to show when an error was raised without a reason."""
+    flying_advice: str = (
+        "Lower the loss, or give it a longer deadline or another policy; "
+        "`crazychoir status` says who flies."
+    )
+    """Advice for a round that timed out in a team that flies."""
+    simulated_advice: str = (
+        "Lower the loss of the simulated network: nothing else keeps "
+        "simulated agents from each other."
+    )
+    """Advice for a round that timed out in a team that does not fly."""
+
+
+ERROR_TEXTS = ErrorTexts()
 
 
 class CrazyChoirError(Exception):
@@ -37,7 +56,8 @@ class CrazyChoirError(Exception):
     def __init__(self, *args: object) -> None:
         text, *rest = args or ("",)
         super().__init__(
-            reason_or(text, UNSAID) if isinstance(text, str) else text, *rest
+            reason_or(text, ERROR_TEXTS.no_reason) if isinstance(text, str) else text,
+            *rest,
         )
 
 
@@ -79,12 +99,6 @@ class CodecError(CrazyChoirError, ValueError):
     """A value cannot be encoded, or received bytes cannot be decoded."""
 
 
-IN_FLIGHT = "Lower the loss, or give it a longer deadline or another policy; `crazychoir status` says who flies."
-"""Advice for a round that timed out in a team that flies."""
-SIMULATED = "Lower the loss of the simulated network: nothing else keeps simulated agents from each other."
-"""Advice for a round that timed out in a team that does not fly."""
-
-
 class RoundTimeout(CrazyChoirError, TimeoutError):
     """A round is incomplete at its deadline.
 
@@ -103,7 +117,7 @@ class RoundTimeout(CrazyChoirError, TimeoutError):
         k: int,
         missing: Iterable[int],
         seconds: float,
-        do: str = IN_FLIGHT,
+        do: str = ERROR_TEXTS.flying_advice,
     ) -> None:
         self.drone = drone
         self.channel = channel
@@ -119,7 +133,12 @@ class RoundTimeout(CrazyChoirError, TimeoutError):
     def simulated(self) -> "RoundTimeout":
         """Return this error with the advice for a team that does not fly."""
         return RoundTimeout(
-            self.drone, self.channel, self.k, self.missing, self.seconds, SIMULATED
+            self.drone,
+            self.channel,
+            self.k,
+            self.missing,
+            self.seconds,
+            ERROR_TEXTS.simulated_advice,
         )
 
 
@@ -211,7 +230,7 @@ class Refused(CrazyChoirError, RuntimeError):
     """
 
     def __init__(self, by: str, reason: str) -> None:
-        self.by, self.reason = by, reason_or(reason, UNSAID)
+        self.by, self.reason = by, reason_or(reason, ERROR_TEXTS.no_reason)
         super().__init__(f"{by}: refused: {self.reason}")
 
 
@@ -236,7 +255,7 @@ class AgentFailed(CrazyChoirError, RuntimeError):
     """
 
     def __init__(self, agent: int, reason: str) -> None:
-        self.agent, self.reason = agent, reason_or(reason, UNSAID)
+        self.agent, self.reason = agent, reason_or(reason, ERROR_TEXTS.no_reason)
         super().__init__(
             f"agent {agent} has failed, and with it the team: {self.reason}"
         )
@@ -273,7 +292,7 @@ class Livelock(CrazyChoirError, RuntimeError):
     """Virtual time: the event loop has made very many passes without the clock moving."""
 
 
-_LIBRARIES = tuple(
+_LIBRARY_FOLDERS = tuple(
     {sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")}
 )
 """Folders of Python's standard library and of installed packages."""
@@ -281,7 +300,7 @@ _LIBRARIES = tuple(
 
 def is_library(file: str | PathLike[str]) -> bool:
     """Return whether code belongs to Python itself, to an installed package or to no file."""
-    return str(file).startswith((*_LIBRARIES, "<"))
+    return str(file).startswith((*_LIBRARY_FOLDERS, "<"))
 
 
 def raised_at(error: BaseException) -> traceback.FrameSummary:
@@ -332,7 +351,7 @@ def refuse_exit(what: str) -> Iterator[None]:
         raise describe_exit(end, what) from end
 
 
-MEANINGS: dict[str, str] = {
+ERROR_MEANINGS: dict[str, str] = {
     "TimeoutError": "a time limit has passed, as of asyncio.timeout or asyncio.wait_for",
     "CancelledError": "it was cancelled",
     "AssertionError": "an assert does not hold",
@@ -350,7 +369,7 @@ MEANINGS: dict[str, str] = {
 def error_text(error: BaseException) -> str:
     """Return the type of an error and what it says, or what such an error means; never a type alone."""
     kinds = [kind.__name__ for kind in type(error).__mro__]
-    meanings = (MEANINGS[name] for name in kinds if name in MEANINGS)
+    meanings = (ERROR_MEANINGS[name] for name in kinds if name in ERROR_MEANINGS)
     meaning = next(meanings, "raised without a text")
     return f"{type(error).__name__}: {reason_or(error, meaning)}"
 

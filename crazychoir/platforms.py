@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import GRAVITY
+from crazychoir.numerics.math3d import STANDARD_GRAVITY
 from crazychoir.types import Vec
 
 Three = tuple[float, float, float]
 """Three numbers: one for each body axis, or the gains kp, ki, kd."""
-MOST_TURN = 32767.0
+LARGEST_AXIS_COMMAND = 32767.0
 """Largest command about an axis that the firmware gives to its motors: the maximum of an int16."""
 
 
@@ -138,7 +138,7 @@ class Platform:
     @property
     def weight(self) -> float:
         """N: weight of the drone."""
-        return self.mass * GRAVITY
+        return self.mass * STANDARD_GRAVITY
 
     @property
     def flat(self) -> Vec:
@@ -162,93 +162,112 @@ HOVER_ROTOR_SPEEDS = 4 * 1862.1
 
 Source: Förster's thrust and speed maps.
 """
-IDENTIFIED = (
+IDENTIFICATION_SOURCE = (
     "identified in the drone-models package 0.1.0 (learnsyslab, MIT): mass, inertia, arm, drag, curves and lag of the "
     "rotors; the firmware's constants and voltage curve: crazyflie-firmware, August 2026; rates and landing speed: "
     "chosen; battery: 250 mAh cell, 7 minutes of hovering, resistance chosen"
 )
 """Source of the identified platforms."""
 
-L250 = Rotor(
-    thrust=(-5.382196214637237e-7, 2.4582929831265485e-10),
-    torque=(1.410454111996297e-9, 1.4592584373980652e-12),
-    lag=0.0858607,
-    inertia=34.52e-9,
-    radius=0.02355,
-    voltage=(-0.0148307, 0.0472447, -0.0184736, 0.00596092),
-)
-"""Rotor of the Crazyflie 2.1 with 45 mm propellers and a 250 mAh battery."""
-P250 = Rotor(
-    thrust=(-3.6200226530383495e-7, 1.6060924304100328e-10),
-    torque=(-2.2665265829562245e-9, 1.1149485566919186e-12),
-    lag=0.0578952,
-    inertia=26.97e-9,
-    radius=0.0234,
-    voltage=(-0.0247654, 0.0652379, -0.0267925, 0.00677679),
-)
-"""Rotor of the Crazyflie 2.1+ with a 250 mAh battery."""
-T350 = Rotor(
-    thrust=(-7.167227176573658e-7, 2.9401303690194613e-10),
-    torque=(5.815894847811497e-10, 1.331813874166509e-12),
-    lag=0.05062676,
-    inertia=38.93e-9,
-    radius=0.0254,
-    voltage=(0.00672813, 0.0101156, 0.0102632, 0.00283586),
-)
-"""Rotor of the Crazyflie 2.1 with the thrust upgrade and a 350 mAh battery."""
-B500 = Rotor(
-    thrust=(-3.133427287299859e-7, 4.407354891648379e-10),
-    torque=(1.65886356219615e-9, 2.4693477924534137e-12),
-    lag=0.02055366,
-    inertia=38.93e-9,
-    radius=0.0275,
-    voltage=(-0.0140589, 0.0426527, 0.00183278, 0.0020577),
-)
-"""Rotor of the Crazyflie 2.1 Brushless."""
+
+@dataclass(frozen=True, slots=True)
+class RotorModels:
+    """The rotors that were identified by measurement."""
+
+    crazyflie_21: Rotor = Rotor(
+        thrust=(-5.382196214637237e-7, 2.4582929831265485e-10),
+        torque=(1.410454111996297e-9, 1.4592584373980652e-12),
+        lag=0.0858607,
+        inertia=34.52e-9,
+        radius=0.02355,
+        voltage=(-0.0148307, 0.0472447, -0.0184736, 0.00596092),
+    )
+    """Rotor of the Crazyflie 2.1 with 45 mm propellers and a 250 mAh battery."""
+    crazyflie_21_plus: Rotor = Rotor(
+        thrust=(-3.6200226530383495e-7, 1.6060924304100328e-10),
+        torque=(-2.2665265829562245e-9, 1.1149485566919186e-12),
+        lag=0.0578952,
+        inertia=26.97e-9,
+        radius=0.0234,
+        voltage=(-0.0247654, 0.0652379, -0.0267925, 0.00677679),
+    )
+    """Rotor of the Crazyflie 2.1+ with a 250 mAh battery."""
+    thrust_upgrade: Rotor = Rotor(
+        thrust=(-7.167227176573658e-7, 2.9401303690194613e-10),
+        torque=(5.815894847811497e-10, 1.331813874166509e-12),
+        lag=0.05062676,
+        inertia=38.93e-9,
+        radius=0.0254,
+        voltage=(0.00672813, 0.0101156, 0.0102632, 0.00283586),
+    )
+    """Rotor of the Crazyflie 2.1 with the thrust upgrade and a 350 mAh battery."""
+    brushless: Rotor = Rotor(
+        thrust=(-3.133427287299859e-7, 4.407354891648379e-10),
+        torque=(1.65886356219615e-9, 2.4693477924534137e-12),
+        lag=0.02055366,
+        inertia=38.93e-9,
+        radius=0.0275,
+        voltage=(-0.0140589, 0.0426527, 0.00183278, 0.0020577),
+    )
+    """Rotor of the Crazyflie 2.1 Brushless."""
+
+
+ROTOR_MODELS = RotorModels()
+
 
 OLD_THRUST_MAP = 42_000 / 0.39
 """Command units a newton of a bare Crazyflie 2.1, releases until 2025.02.
 
 Source: measured by the authors of CrazyChoir.
 """
-CF20 = Firmware(
-    mass=0.029,
-    arm=0.046,
-    thrust_max=0.12,
-    thrust_min=0.0128,
-    thrust_to_torque=0.00735086,
-    old_thrust_map=OLD_THRUST_MAP,
-)
-"""Firmware of the Crazyflie 2.0 and 2.1."""
-CF21_PLUS = Firmware(
-    mass=0.029,
-    arm=0.046,
-    thrust_max=0.12,
-    thrust_min=0.0128,
-    thrust_to_torque=0.00699289,
-)
-"""Firmware of the Crazyflie 2.1+."""
-CF21_THRUST = Firmware(
-    mass=0.0325,
-    arm=0.046,
-    thrust_max=0.18,
-    thrust_min=0.0192,
-    thrust_to_torque=0.00516486,
-)
-"""Firmware of the Crazyflie 2.1 with the thrust upgrade."""
-CF21_BRUSHLESS = Firmware(
-    mass=0.0393,
-    arm=0.050,
-    thrust_max=0.2,
-    thrust_min=0.02136,
-    thrust_to_torque=0.00569279,
-    needs_arming=True,
-    rate_pid=(200.0, 400.0, 2.5),
-    low=3.35,
-)
-"""Firmware of the Crazyflie 2.1 Brushless."""
 
-PAPER = Platform(
+
+@dataclass(frozen=True, slots=True)
+class FirmwareModels:
+    """What the firmware assumes of each kind of drone."""
+
+    crazyflie_21: Firmware = Firmware(
+        mass=0.029,
+        arm=0.046,
+        thrust_max=0.12,
+        thrust_min=0.0128,
+        thrust_to_torque=0.00735086,
+        old_thrust_map=OLD_THRUST_MAP,
+    )
+    """Firmware of the Crazyflie 2.0 and 2.1."""
+    crazyflie_21_plus: Firmware = Firmware(
+        mass=0.029,
+        arm=0.046,
+        thrust_max=0.12,
+        thrust_min=0.0128,
+        thrust_to_torque=0.00699289,
+    )
+    """Firmware of the Crazyflie 2.1+."""
+    thrust_upgrade: Firmware = Firmware(
+        mass=0.0325,
+        arm=0.046,
+        thrust_max=0.18,
+        thrust_min=0.0192,
+        thrust_to_torque=0.00516486,
+    )
+    """Firmware of the Crazyflie 2.1 with the thrust upgrade."""
+    brushless: Firmware = Firmware(
+        mass=0.0393,
+        arm=0.050,
+        thrust_max=0.2,
+        thrust_min=0.02136,
+        thrust_to_torque=0.00569279,
+        needs_arming=True,
+        rate_pid=(200.0, 400.0, 2.5),
+        low=3.35,
+    )
+    """Firmware of the Crazyflie 2.1 Brushless."""
+
+
+FIRMWARE_MODELS = FirmwareModels()
+
+
+PAPER_PLATFORM = Platform(
     name="paper",
     mass=0.027,
     inertia=(16.571710e-6, 16.655602e-6, 29.261652e-6),
@@ -259,8 +278,8 @@ PAPER = Platform(
         10.311e-7 * HOVER_ROTOR_SPEEDS,
     ),
     max_thrust=0.48,
-    rotor=L250,
-    firmware=CF20,
+    rotor=ROTOR_MODELS.crazyflie_21,
+    firmware=FIRMWARE_MODELS.crazyflie_21,
     source="mass: the CrazyChoir paper; inertia, and drag per rotor speed, here at the rotor speed of hover: Förster "
     "2015, ETH Zürich; arm and rotors: those of cf21; thrust: 0.12 N a motor, the firmware's limit",
 )
@@ -271,9 +290,9 @@ CRAZYFLIE_21 = Platform(
     arm=0.03253,
     drag=(0.01471782, 0.01471782, 0.01277641),
     max_thrust=0.48,
-    rotor=L250,
-    firmware=CF20,
-    source=f"Crazyflie 2.1 with 45 mm propellers and markers; {IDENTIFIED}",
+    rotor=ROTOR_MODELS.crazyflie_21,
+    firmware=FIRMWARE_MODELS.crazyflie_21,
+    source=f"Crazyflie 2.1 with 45 mm propellers and markers; {IDENTIFICATION_SOURCE}",
 )
 CRAZYFLIE_21_PLUS = Platform(
     name="cf21plus",
@@ -282,9 +301,9 @@ CRAZYFLIE_21_PLUS = Platform(
     arm=0.03253,
     drag=(0.01351483, 0.01351483, 0.01677452),
     max_thrust=0.48,
-    rotor=P250,
-    firmware=CF21_PLUS,
-    source=f"Crazyflie 2.1+ with markers; {IDENTIFIED} (inertia: that of cf21)",
+    rotor=ROTOR_MODELS.crazyflie_21_plus,
+    firmware=FIRMWARE_MODELS.crazyflie_21_plus,
+    source=f"Crazyflie 2.1+ with markers; {IDENTIFICATION_SOURCE} (inertia: that of cf21)",
 )
 CRAZYFLIE_21_THRUST = Platform(
     name="cf21thrust",
@@ -293,9 +312,12 @@ CRAZYFLIE_21_THRUST = Platform(
     arm=0.03253,
     drag=(0.01556697, 0.01556697, 0.02191672),
     max_thrust=0.72,
-    rotor=T350,
-    firmware=CF21_THRUST,
-    source=f"Crazyflie 2.1 with the thrust upgrade and a 350 mAh battery; {IDENTIFIED} (inertia: that of cf21)",
+    rotor=ROTOR_MODELS.thrust_upgrade,
+    firmware=FIRMWARE_MODELS.thrust_upgrade,
+    source=(
+        "Crazyflie 2.1 with the thrust upgrade and a 350 mAh battery; "
+        f"{IDENTIFICATION_SOURCE} (inertia: that of cf21)"
+    ),
     battery=Battery(capacity=0.35 * 3600.0, hover_power=9.0),
 )
 CRAZYFLIE_21_BRUSHLESS = Platform(
@@ -305,34 +327,34 @@ CRAZYFLIE_21_BRUSHLESS = Platform(
     arm=0.035355,
     drag=(0.02149163, 0.02149163, 0.02359736),
     max_thrust=0.8,
-    rotor=B500,
-    firmware=CF21_BRUSHLESS,
-    source=f"Crazyflie 2.1 Brushless with markers; {IDENTIFIED}",
+    rotor=ROTOR_MODELS.brushless,
+    firmware=FIRMWARE_MODELS.brushless,
+    source=f"Crazyflie 2.1 Brushless with markers; {IDENTIFICATION_SOURCE}",
     battery=Battery(capacity=0.35 * 3600.0, hover_power=9.0),
     radius=0.078,
 )
-PLATFORMS = {
+PLATFORM_BY_NAME = {
     row.name: row
     for row in (
-        PAPER,
+        PAPER_PLATFORM,
         CRAZYFLIE_21,
         CRAZYFLIE_21_PLUS,
         CRAZYFLIE_21_THRUST,
         CRAZYFLIE_21_BRUSHLESS,
     )
 }
-"""All platforms by name. The swarm file names one with `platform`."""
+"""All platforms by name. The swarm file names one with `find_platform`."""
 
 
-def platform(name: str, where: str = "platform") -> Platform:
+def find_platform(name: str, where: str = "platform") -> Platform:
     """Return the platform of this name.
 
     where: the key that holds the name, for the error.
     Raises ConfigError with all names if there is no such platform.
     """
-    if name not in PLATFORMS:
-        raise ConfigError(where, name, f"one of {', '.join(PLATFORMS)}")
-    return PLATFORMS[name]
+    if name not in PLATFORM_BY_NAME:
+        raise ConfigError(where, name, f"one of {', '.join(PLATFORM_BY_NAME)}")
+    return PLATFORM_BY_NAME[name]
 
 
 def rotor_speed(rotor: Rotor, f: float) -> float:

@@ -28,9 +28,9 @@ Bools = npt.NDArray[np.bool_]
 """An array of truth values."""
 Point = Sequence[float] | Vec
 """Coordinates, as a sequence or an array."""
-STILL: Vec = np.zeros(3)
+ZERO_ACCELERATION: Vec = np.zeros(3)
 """(3,) m/s2: zero acceleration, read-only. The default where the acceleration is not known."""
-STILL.setflags(write=False)
+ZERO_ACCELERATION.setflags(write=False)
 
 
 class Wire(msgspec.Struct, frozen=True, array_like=True, gc=False):
@@ -73,7 +73,7 @@ class State(Wire, frozen=True, array_like=True, gc=False):
     """
     age: float = 0.0
     """Seconds since the state was measured."""
-    a: Vec = STILL
+    a: Vec = ZERO_ACCELERATION
     """(3,) m/s2, world: acceleration that the drone commanded in the tick before, without gravity.
 
     It is the sum of reference and control after all limits and the collision filter. It is

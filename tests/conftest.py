@@ -49,11 +49,13 @@ def modules_with_laws() -> list[str]:
 
 def compile_routing() -> None:
     """The search compiles its laws when they are called, for one trip and for several: nearly half of all compiling."""
-    from crazychoir.routing.distributed.plain_loop import warm
+    from crazychoir.routing.distributed.plain_loop import compile_routing_kernels
     from crazychoir.routing.instance.generate import random_instance
 
     for trips in (1, 2):
-        warm(replace(random_instance(2, 3, seed=0), recharge=trips).local(0))
+        compile_routing_kernels(
+            replace(random_instance(2, 3, seed=0), recharge=trips).local(0)
+        )
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

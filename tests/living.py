@@ -8,7 +8,7 @@ from typing import Any
 from campaign.hosts import hosts
 
 from crazychoir.bus.impairment.model import Impairment
-from crazychoir.bus.impairment.rules import Partition, Rule
+from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
 from crazychoir.bus.port import Bus
 from crazychoir.runtime.clock import Clock, run_virtual
 from crazychoir.team.barrier import Barrier
@@ -82,8 +82,8 @@ async def formed(barriers: list[Barrier]) -> Roster:
 def team(
     graph: Graph,
     story: Callable[[Team], Awaitable[Any]],
-    rules: list[Rule] | None = None,
-    partitions: list[Partition] | None = None,
+    rules: list[ImpairmentRule] | None = None,
+    partitions: list[NetworkPartition] | None = None,
     seed: int = 1,
     sequence: GraphSequence | None = None,
     ahead: tuple[float, ...] = (),
@@ -108,7 +108,9 @@ def team(
     return run_virtual(main)
 
 
-LOSSY = [Rule({"loss": 0.3, "delay": 0.003, "jitter": 0.01, "duplicate": 0.1})]
+LOSSY = [
+    ImpairmentRule({"loss": 0.3, "delay": 0.003, "jitter": 0.01, "duplicate": 0.1})
+]
 
 
 async def settled(t: Team, epoch: int, seconds: float = 20.0) -> Roster:

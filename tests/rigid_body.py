@@ -6,11 +6,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from crazychoir.numerics.kernels import kernel, memory
-from crazychoir.numerics.math3d import GRAVITY
+from crazychoir.numerics.math3d import STANDARD_GRAVITY
 from crazychoir.platforms import CRAZYFLIE_21
 from crazychoir.simulation.onboard.loop import stabilize
 from crazychoir.simulation.onboard.onboard import Onboard
-from crazychoir.simulation.onboard.record import OUT_OF_TREE, rows, whole
+from crazychoir.simulation.onboard.record import CONTROLLER_KINDS, rows, whole
 
 
 @kernel()
@@ -26,7 +26,7 @@ def slope(s, f, m, out):
     out[0], out[1], out[2] = s[3], s[4], s[5]
     out[3] = acceleration * 2.0 * (x * z + y * w)
     out[4] = acceleration * 2.0 * (y * z - x * w)
-    out[5] = acceleration * (1.0 - 2.0 * (x * x + y * y)) - GRAVITY
+    out[5] = acceleration * (1.0 - 2.0 * (x * x + y * y)) - STANDARD_GRAVITY
     out[6] = 0.5 * (w * p + y * r - z * q)
     out[7] = 0.5 * (w * q + z * p - x * r)
     out[8] = 0.5 * (w * r + x * q - y * p)
@@ -52,9 +52,14 @@ def advance(fleet, s, f, force, m, ms):
         s[6:10] /= math.sqrt(np.sum(s[6:10] ** 2))
         thrust = np.sum(f)
         force[2] = thrust / m[0]
-        if s[2] <= 0.0 and s[5] <= 0.0 and thrust < m[0] * GRAVITY:
+        if s[2] <= 0.0 and s[5] <= 0.0 and thrust < m[0] * STANDARD_GRAVITY:
             n = math.sqrt(s[8] ** 2 + s[9] ** 2)
-            s[2:8], s[8:10], s[10:13], force[2] = 0.0, s[8:10] / n, 0.0, GRAVITY
+            s[2:8], s[8:10], s[10:13], force[2] = (
+                0.0,
+                s[8:10] / n,
+                0.0,
+                STANDARD_GRAVITY,
+            )
 
 
 class Body:
@@ -68,7 +73,7 @@ class Body:
             [*p, 0, 0, 0, 0, 0, np.sin(yaw / 2), np.cos(yaw / 2), 0, 0, 0], dtype=float
         )
         self.f = np.zeros(4)
-        self.force = np.array([0.0, 0.0, GRAVITY])
+        self.force = np.array([0.0, 0.0, STANDARD_GRAVITY])
         f, r = platform.firmware, platform.rotor
         self.figures = np.array(
             [
@@ -107,7 +112,11 @@ class Body:
 
     def fly(self, seconds, send=None, every=20):
         """Some seconds; send() each `every` ms."""
-        block = 1 if self.onboard.record["controller"] == OUT_OF_TREE else 10
+        block = (
+            1
+            if self.onboard.record["controller"] == CONTROLLER_KINDS.out_of_tree
+            else 10
+        )
         for k in range(0, round(1000 * seconds), block):
             if send is not None and k % every == 0:
                 send()

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from crazychoir.platforms import PAPER
+from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.simulation.common.world import WorldSetup
-from crazychoir.simulation.engines import OURS
+from crazychoir.simulation.engines import BUILT_IN_ENGINES
 
 
 def world_of(uri, homes=((0.0, 0.0, 0.0),), yaws=(0.0,), dt=0.01):
@@ -16,13 +16,13 @@ def world_of(uri, homes=((0.0, 0.0, 0.0),), yaws=(0.0,), dt=0.01):
         (uri,) * n,
         tuple(homes),
         yaws,
-        (PAPER,) * n,
+        (PAPER_PLATFORM,) * n,
         {},
         (0.0, 0.0, 0.0),
         0,
         dt,
     )
-    return OURS[uri].load()(setup)
+    return BUILT_IN_ENGINES[uri].load()(setup)
 
 
 def heading(world, i=0):

@@ -4,32 +4,36 @@ from dataclasses import replace
 
 from msgspec import structs
 
-from crazychoir.radio.protocol.crtp import FORMS
-from crazychoir.radio.virtual.drone import RELEASE, Identity, VirtualCrazyflie
-from crazychoir.radio.virtual.setup import on_a_grid
+from crazychoir.radio.protocol.crtp import PACKET_FORMS
+from crazychoir.radio.virtual.drone import (
+    MODELLED_DRONE,
+    DroneIdentity,
+    VirtualCrazyflie,
+)
+from crazychoir.radio.virtual.setup import place_on_grid
 
 
 class Hangar:
     """One drone with its world. told: whether it is told each 20 ms where it is;  said: packets that it has sent."""
 
     def __init__(self, platform="cf21", yaw=0.0, height=0.0, told=True, **identity):
-        hall = on_a_grid(1, 19850, ())
+        hall = place_on_grid(1, 19850, ())
         (row,) = hall.drones
         row = structs.replace(row, platform=platform, yaw=yaw, home=(0.0, 0.0, height))
         self.world = replace(hall, drones=(row,)).world(
-            0, identity.get("release", RELEASE)
+            0, identity.get("release", MODELLED_DRONE.release)
         )
         self.onboard = self.world.onboard[0]
         self.drone = VirtualCrazyflie(
             self.onboard,
-            Identity(**identity),
+            DroneIdentity(**identity),
             lambda: self.world.states[0, :3].tolist(),
         )
         self.told, self.said = told, []
 
     def send(self, name, *values):
         """One packet; its answers."""
-        return list(self.drone.take(FORMS[name].packet(*values)))
+        return list(self.drone.take(PACKET_FORMS[name].packet(*values)))
 
     def run(self, seconds, name=None, *values, every=0.05):
         """Let time pass; name, values: a packet sent again and again."""

@@ -7,64 +7,64 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from crazychoir.agent.dead_man import WATCHED, DeadMan
-from crazychoir.agent.drone import Drone
+from crazychoir.agent.dead_man import WATCHED_COMMAND, DeadMan
+from crazychoir.agent.drone import AgentDrone
 from crazychoir.agent.mission_runner import GuidanceActor
-from crazychoir.agent.operator_commands import VERBS as ORDERS
-from crazychoir.agent.operator_commands import Orders
+from crazychoir.agent.operator_commands import OPERATOR_COMMANDS as ORDERS
+from crazychoir.agent.operator_commands import OperatorCommands
 from crazychoir.agent.steering import Steering
-from crazychoir.agent.worlds import owners
-from crazychoir.bus.commands import COMMANDED, CommandServer
-from crazychoir.bus.network.hello import VERSION
+from crazychoir.agent.worlds import world_actors
+from crazychoir.bus.commands import COMMANDED_PREFIX, CommandServer
+from crazychoir.bus.network.hello import PACKAGE_VERSION
 from crazychoir.bus.port import Bus
-from crazychoir.bus.topics import LINK, LOG, POSE, RESULT, STATUS, TELEMETRY, TRUTH
-from crazychoir.config.checks import LIGHTWEIGHT, REPLAY, limit_area
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.config.checks import WORLD_URIS, limit_area
 from crazychoir.config.drone_room import fence_of
-from crazychoir.config.link_loss import TILTED, crowded, inset
+from crazychoir.config.link_loss import TILT_TIMES, describe_crowding, fence_inset
 from crazychoir.config.network import impairment_of
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.config.tables import AGREED
-from crazychoir.control.choice import ON_BOARD, Controls, controls
+from crazychoir.config.tables import AGREED_KEYS
+from crazychoir.control.choice import FIRMWARE_GAIN_SENDERS, Controls, make_controls
 from crazychoir.control.margin import Plant as PlantKind
-from crazychoir.control.position import HEADROOM, HEIGHT_SHARE
-from crazychoir.control.robots import ROBOTS, sender_of
+from crazychoir.control.position import FLATNESS_LIMITS
+from crazychoir.control.robots import ROBOT_CONTROLS, find_sender
 from crazychoir.errors import ConfigError, Refused, error_text
-from crazychoir.flight.estimate import filter_of
-from crazychoir.flight.pilot import Pilot, Reached
-from crazychoir.flight.point_flights import braking
+from crazychoir.flight.estimate import choose_filter
+from crazychoir.flight.pilot import Pilot, ReachKind
+from crazychoir.flight.point_flights import compute_braking_limit
 from crazychoir.guidance.member import Member
-from crazychoir.guidance.mission import Mission, mission_hash
+from crazychoir.guidance.mission import Mission, compute_mission_hash
 from crazychoir.guidance.sensors import Sensors
-from crazychoir.platforms import platform
+from crazychoir.platforms import find_platform
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.mailbox import Call
 from crazychoir.runtime.supervisor import Supervisor
-from crazychoir.runtime.user_code_guard import Guards
+from crazychoir.runtime.user_code_guard import GuardFactory
 from crazychoir.runtime.watchdog import Stall
-from crazychoir.safety.collision.agreed.planned import LOWEST, PlannedFlights
+from crazychoir.safety.collision.agreed.planned import LOWEST_WAYPOINT, PlannedFlights
 from crazychoir.safety.collision.filter import CollisionFilter
-from crazychoir.safety.collision.neighbour_table import Traffic
+from crazychoir.safety.collision.neighbour_table import NeighbourTable
 from crazychoir.safety.rules.guard import Fence
-from crazychoir.safety.rules.modes import DOWN
+from crazychoir.safety.rules.modes import MOTORS_OFF_MODES
 from crazychoir.safety.rules.radio_watch import RadioWatch
-from crazychoir.simulation.common.world import Link
+from crazychoir.simulation.common.world import DroneLink
 from crazychoir.simulation.remote import OwnerWatch, RemoteLink
-from crazychoir.simulation.telemetry import names_of
+from crazychoir.simulation.telemetry import list_log_names
 from crazychoir.simulation.trace import Trace
 from crazychoir.team.barrier import Barrier
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.messages import Roster
 
 log = logging.getLogger(__name__)
-RESTARTED = 20.0
+OWNER_SILENCE = 20.0
 """s: how long the owner of a dongle may be silent.
 
 `run` restarts an owner. After this time it does not come back.
 """
-QUERIES = ("param_get", "task_list", "overview", "ping", WATCHED)
+QUERY_COMMANDS = ("param_get", "task_list", "overview", "ping", WATCHED_COMMAND)
 """Commands that change nothing."""
-VERBS = (
+DRONE_COMMANDS = (
     *ORDERS,
     "go-to",
     "fly",
@@ -72,7 +72,7 @@ VERBS = (
     "param_set",
     "task_add",
     "task_cancel",
-    *QUERIES,
+    *QUERY_COMMANDS,
 )
 """Commands that operators may send to a drone."""
 
@@ -82,15 +82,15 @@ class StatusActor(Actor):
 
     name = "status"
 
-    def __init__(self, drone: Drone) -> None:
+    def __init__(self, drone: AgentDrone) -> None:
         self.drone = drone
 
     async def run(self) -> None:
         """Publish at each tick of the clock."""
         async for _ in self.drone.port.bus.clock.ticks(
-            STATUS.rate, drone=self.drone.id
+            DRONE_TOPICS.status.rate, drone=self.drone.id
         ):
-            self.drone.port.publish(STATUS, self.drone.status())
+            self.drone.port.publish(DRONE_TOPICS.status, self.drone.status())
 
 
 class Pacemaker(Actor):
@@ -147,14 +147,14 @@ class Agent:
         self.bus = Bus(clock, impairment_of(config), process, host)
         self.bus.tap = trace.message if trace else None
         self.incarnation = incarnation
-        self.watchdog: Guards | None = None
+        self.watchdog: GuardFactory | None = None
         self.alarm: Callable[[int, str], None] = lambda drone, text: None
         for i in ids:
             self.bus.port(i, incarnation)
         if alone and config.reached:
             raise _not_simulated(config)
         self.owned = () if alone else tuple(i for i in ids if i in config.elsewhere)
-        self.owners = owners(
+        self.owners = world_actors(
             self.bus, config, tuple(i for i in ids if i not in self.owned), trace=trace
         )
         self._owner_of = {i: owner for owner in self.owners for i in owner.world.ids}
@@ -162,10 +162,10 @@ class Agent:
         self._start_deadline = (
             config.start_deadline if start_deadline is None else start_deadline
         )
-        self._digest = mission_hash(config, mission)
+        self._digest = compute_mission_hash(config, mission)
         self._remotes = {i: self._remote(i) for i in self.owned}
         self._radios: list[RadioWatch] = []
-        self.drones: dict[int, Drone] = {i: self._drone(i) for i in ids}
+        self.drones: dict[int, AgentDrone] = {i: self._drone(i) for i in ids}
         pilots = [drone.pilot for drone in self.drones.values()]
         self.pacemaker = Pacemaker(clock, pilots, config.mocap.rate)
         patience = 0.0 if alone else config.flight.dead_man
@@ -178,15 +178,15 @@ class Agent:
         self._orders = {i: self._orders_of(drone) for i, drone in self.drones.items()}
         self._steering = {i: Steering(drone) for i, drone in self.drones.items()}
 
-    def _drone(self, i: int) -> Drone:
+    def _drone(self, i: int) -> AgentDrone:
         config = self.config
         port = self.bus.ports[i]
         barrier = Barrier(
             port,
             self._graph,
             mission_hash=self._digest,
-            version=VERSION,
-            agreed_keys=AGREED,
+            version=PACKAGE_VERSION,
+            agreed_keys=AGREED_KEYS,
             seed=config.seed,
             start=config.start,
             start_deadline=self._start_deadline,
@@ -199,14 +199,14 @@ class Agent:
         own_pose = i in config.reached and i not in config.seen
         chosen = self._controls(i)
         rate = config.radio.log_rate if own_pose else config.mocap.rate
-        seen = filter_of(
+        seen = choose_filter(
             config.control_of(i).filter, chosen, config.flight.ground, rate
         )
         link, harm = self._body(i, chosen.sender.kind)
-        seen_at = config.source(POSE, i) if i in self.owned else i
+        seen_at = config.source(DRONE_TOPICS.pose, i) if i in self.owned else i
         limit = Fence.box(*limit_area(config))
         collision = self._collision(i, chosen)
-        reached: Reached = (
+        reached: ReachKind = (
             "no" if i not in config.reached else "own" if own_pose else "seen"
         )
         pilot = Pilot(
@@ -222,7 +222,7 @@ class Agent:
             limit,
             reached,
             config.drone(i).home,
-            config.drone(i).uri.startswith(REPLAY),
+            config.drone(i).uri.startswith(WORLD_URIS.replay),
         )
         if i in self._remotes:
             remote = self._remotes[i]
@@ -231,8 +231,10 @@ class Agent:
             pilot.unheard = remote.unheard
             pilot.unfit, remote.found_cut = remote.problems, partial(self._found_cut, i)
         if reached != "no":
-            firmware = platform(config.drone(i).platform).firmware
-            watch = RadioWatch(port, config.source(LINK, i), pilot.guard, firmware)
+            firmware = find_platform(config.drone(i).platform).firmware
+            watch = RadioWatch(
+                port, config.source(DRONE_TOPICS.link, i), pilot.guard, firmware
+            )
             pilot.unfit = watch.problems
             pilot.turning = watch.turning
             pilot.astray = watch.astray
@@ -240,7 +242,7 @@ class Agent:
         supervisor = self._supervisor(i)
         guidance = self.mission.guidance(i, config)
         guidance.foresee(Member(i, config, self.clock, communicator, pilot))
-        drone = Drone(
+        drone = AgentDrone(
             i,
             port,
             barrier,
@@ -262,22 +264,24 @@ class Agent:
         """
         config = self.config
         fence = Fence.box(*fence_of(config, i))
-        sender = sender_of(config, i)
-        if i not in config.reached or sender not in TILTED:
+        sender = find_sender(config, i)
+        if i not in config.reached or sender not in TILT_TIMES:
             return fence
-        margin = inset(config, sender)
+        margin = fence_inset(config, sender)
         here = [
             j for j in config.reached if config.drone(j).host == config.drone(i).host
         ]
-        alike = [j for j in here if sender_of(config, j) == sender]
+        alike = [j for j in here if find_sender(config, j) == sender]
         if margin.problem and i == alike[0]:  # logged once for all of them
             log.warning(
                 "drones %s (%s): %s", ", ".join(map(str, alike)), sender, margin.problem
             )
         streamed = {
-            j: kind for j in config.reached if (kind := sender_of(config, j)) in TILTED
+            j: kind
+            for j in config.reached
+            if (kind := find_sender(config, j)) in TILT_TIMES
         }
-        if near := crowded(config, i, streamed):
+        if near := describe_crowding(config, i, streamed):
             log.warning("drone %d (%s): %s", i, sender, near)
         return fence
 
@@ -286,19 +290,23 @@ class Agent:
         reached = self.config.reached
         dongle = next((k for k, ids in self.config.dongles.items() if i in ids), 0)
         owner = f"the owner of dongle {dongle} (crazychoir-radio --dongle {dongle})"
-        return RemoteLink(port, owner, RESTARTED) if i in reached else RemoteLink(port)
+        return (
+            RemoteLink(port, owner, OWNER_SILENCE) if i in reached else RemoteLink(port)
+        )
 
     def _controls(self, i: int) -> Controls:
         drone = self.config.drone(i)
         plant = self.config.plant
-        if drone.uri in ROBOTS:
-            return ROBOTS[drone.uri][1](self.config.flight)
-        kind: PlantKind = "lightweight" if drone.uri == LIGHTWEIGHT else "motors"
+        if drone.uri in ROBOT_CONTROLS:
+            return ROBOT_CONTROLS[drone.uri][1](self.config.flight)
+        kind: PlantKind = (
+            "lightweight" if drone.uri == WORLD_URIS.lightweight else "motors"
+        )
         where = f"control of drone {i}"
         row = self.config.control_of(i)
-        return controls(
+        return make_controls(
             row,
-            platform(drone.platform),
+            find_platform(drone.platform),
             kind,
             plant.rate_lag,
             plant.command_delay,
@@ -314,15 +322,21 @@ class Agent:
         """
         config = self.config
         flight = self.config.flight
-        flying = [j for j in config.ids if config.drone(j).uri not in ROBOTS]
+        flying = [j for j in config.ids if config.drone(j).uri not in ROBOT_CONTROLS]
         if config.collision.method == "off" or i not in flying or len(flying) == 1:
             return None
-        planners = tuple(j for j in flying if config.control_of(j).sender in ON_BOARD)
+        planners = tuple(
+            j for j in flying if config.control_of(j).sender in FIRMWARE_GAIN_SENDERS
+        )
         fence = Fence.box(config.fence.min, config.fence.max).with_floor(
             max(config.fence.min[2], flight.ground)
         )
-        a_max = braking(flight, chosen.platform, HEIGHT_SHARE * HEADROOM)
-        traffic = Traffic(self.bus.ports[i], flying, planners)
+        a_max = compute_braking_limit(
+            flight,
+            chosen.platform,
+            FLATNESS_LIMITS.height_share * FLATNESS_LIMITS.acceleration_share,
+        )
+        traffic = NeighbourTable(self.bus.ports[i], flying, planners)
         v_max = flight.speed_limit
         ground = flight.ground
         self._see(traffic, i)
@@ -332,14 +346,14 @@ class Agent:
                 config.collision,
                 traffic,
                 planners,
-                fence.with_floor(ground + LOWEST),
+                fence.with_floor(ground + LOWEST_WAYPOINT),
                 a_max,
                 v_max,
                 ground,
             )
         return CollisionFilter(config.collision, traffic, fence, a_max, v_max, ground)
 
-    def _see(self, traffic: Traffic, i: int) -> None:
+    def _see(self, traffic: NeighbourTable, i: int) -> None:
         """Subscribe the table of neighbours to what is known of drones with radios.
 
         Their owners publish whether the radio reaches them. The cameras publish where they are.
@@ -352,16 +366,24 @@ class Agent:
                     f"drone {i} knows the link of {j}",
                 )
                 self.bus.subscribe(
-                    LINK, self.config.source(LINK, j), i, call, LINK.rate
+                    DRONE_TOPICS.link,
+                    self.config.source(DRONE_TOPICS.link, j),
+                    i,
+                    call,
+                    DRONE_TOPICS.link.rate,
                 )
         for j in self.config.seen:
             if j != i:
                 call = Call(self.clock, partial(traffic.seen, j), f"drone {i} sees {j}")
                 self.bus.subscribe(
-                    TRUTH, self.config.source(TRUTH, j), i, call, TRUTH.rate
+                    DRONE_TOPICS.truth,
+                    self.config.source(DRONE_TOPICS.truth, j),
+                    i,
+                    call,
+                    DRONE_TOPICS.truth.rate,
                 )
 
-    def _body(self, i: int, kind: str) -> tuple[Link, Callable[[], str]]:
+    def _body(self, i: int, kind: str) -> tuple[DroneLink, Callable[[], str]]:
         """Return the link to a drone's body, and a function that returns the damage of the body.
 
         Raises ConfigError for a kind of command that cannot be flown there. The owner of a world
@@ -378,8 +400,10 @@ class Agent:
             if i in self._remotes
             else partial(self._owner_of[i].telemetry.ask, i)
         )
-        body = self.config.source(TELEMETRY, i) if i in self.owned else i
-        return Sensors(self.bus.ports[i], body, names_of(self.config.drone(i).uri), ask)
+        body = self.config.source(DRONE_TOPICS.telemetry, i) if i in self.owned else i
+        return Sensors(
+            self.bus.ports[i], body, list_log_names(self.config.drone(i).uri), ask
+        )
 
     def _supervisor(self, i: int) -> Supervisor:
         return Supervisor(
@@ -428,12 +452,14 @@ class Agent:
         ]
 
     def _flies(self) -> bool:
-        return any(drone.pilot.mode not in DOWN for drone in self.drones.values())
+        return any(
+            drone.pilot.mode not in MOTORS_OFF_MODES for drone in self.drones.values()
+        )
 
-    def _flying(self, drone: Drone) -> list[Actor]:
+    def _flying(self, drone: AgentDrone) -> list[Actor]:
         return [drone.barrier.monitor, drone.pilot, StatusActor(drone)]
 
-    async def _guide(self, drone: Drone) -> None:
+    async def _guide(self, drone: AgentDrone) -> None:
         """Run the guidance under its own supervisor.
 
         When it ends the drone flies on until it is down.
@@ -446,7 +472,7 @@ class Agent:
             actor.abort(drone.barrier.refused)
         await supervisor.run([actor])
 
-    def _orders_of(self, drone: Drone) -> Orders:
+    def _orders_of(self, drone: AgentDrone) -> OperatorCommands:
         i = drone.id
 
         def abort(why: str) -> None:
@@ -456,7 +482,7 @@ class Agent:
             return self._guidances[i].over
 
         arm = self._remotes[i].arm if i in self.config.reached else None
-        return Orders(drone, self.config, abort, over, arm)
+        return OperatorCommands(drone, self.config, abort, over, arm)
 
     def land_all(self, reason: str) -> None:
         """Land every drone and end every mission, with this reason."""
@@ -520,26 +546,30 @@ class Agent:
             log.warning(
                 "%s. Start what is gone again, or add edges to the swarm file.", text
             )
-            barrier.port.publish(LOG, text)
+            barrier.port.publish(DRONE_TOPICS.log, text)
 
     def _failed(self, i: int, actor: Actor, error: Exception, again: bool) -> None:
         drone = self.drones[i]
         text = f"drone {i}: {actor.name} failed: {error_text(error)}"
-        drone.port.publish(LOG, text)
+        drone.port.publish(DRONE_TOPICS.log, text)
         if actor.name == "guidance":
             drone.result = {"success": False, "reason": text}
-            drone.port.publish(RESULT, drone.result)
+            drone.port.publish(DRONE_TOPICS.result, drone.result)
             drone.pilot.guidance_failed(error_text(error))
         elif actor.name == "pilot" and not again:
             drone.pilot.cut(text)
 
-    async def _execute(self, drone: Drone, verb: str, arguments: dict[str, Any]) -> Any:
+    async def _execute(
+        self, drone: AgentDrone, verb: str, arguments: dict[str, Any]
+    ) -> Any:
         """Execute a command of an operator, and return its outcome.
 
         Commands that change something are published to all observers.
         """
-        if verb not in QUERIES:
-            drone.port.publish(LOG, f"drone {drone.id}: {COMMANDED}{verb}")
+        if verb not in QUERY_COMMANDS:
+            drone.port.publish(
+                DRONE_TOPICS.log, f"drone {drone.id}: {COMMANDED_PREFIX}{verb}"
+            )
         if verb in ORDERS:
             return await self._orders[drone.id].execute(verb)
         match verb:
@@ -569,10 +599,10 @@ class Agent:
             case _:
                 raise Refused(
                     f"drone {drone.id}",
-                    f"no command {verb!r}; there are {', '.join(VERBS)}",
+                    f"no command {verb!r}; there are {', '.join(DRONE_COMMANDS)}",
                 )
 
-    def _overview(self, drone: Drone) -> dict[str, Any]:
+    def _overview(self, drone: AgentDrone) -> dict[str, Any]:
         """Return what an observer needs and no topic holds.
 
         links: by drone: messages sent there through the simulated network, and messages lost.
@@ -593,10 +623,10 @@ class Agent:
             else [],
         }
 
-    def _stop(self, drone: Drone, on: bool) -> None:
+    def _stop(self, drone: AgentDrone, on: bool) -> None:
         drone.port.publish(
-            LOG,
-            f"drone {drone.id}: {COMMANDED}{'emergency stop' if on else 'clear stop'}",
+            DRONE_TOPICS.log,
+            f"drone {drone.id}: {COMMANDED_PREFIX}{'emergency stop' if on else 'clear stop'}",
         )
         if on:
             drone.pilot.cut("emergency stop")

@@ -6,20 +6,20 @@ from collections.abc import Callable
 
 from crazychoir.bus.commands import Commander
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.runtime.actor import ON_FAILURE, Actor
+from crazychoir.runtime.actor import RESTART_ON_FAILURE, Actor
 from crazychoir.runtime.clock import Clock
 
-WATCHED = "watched"
+WATCHED_COMMAND = "watched"
 """The command with which a console reports that it is there."""
-RATE = 2.0
+WATCHED_RATE = 2.0
 """Hz: rate of these commands."""
 
 
-class Console(Actor):
+class ConsoleReporter(Actor):
     """Reports to every drone that its operator's console is there."""
 
     name = "console"
-    restart = ON_FAILURE
+    restart = RESTART_ON_FAILURE
 
     def __init__(self, commander: Commander, ids: tuple[int, ...]) -> None:
         self.commander = commander
@@ -30,12 +30,12 @@ class Console(Actor):
 
         A drone that does not answer delays the others by one period at most.
         """
-        async for _ in self.commander.port.bus.clock.ticks(RATE):
+        async for _ in self.commander.port.bus.clock.ticks(WATCHED_RATE):
             await asyncio.gather(*(self._tell(i) for i in self.ids))
 
     async def _tell(self, i: int) -> None:
         with contextlib.suppress(TimeoutError):
-            await self.commander.request(i, WATCHED, 1.0 / RATE)
+            await self.commander.request(i, WATCHED_COMMAND, 1.0 / WATCHED_RATE)
 
 
 def is_console(config: SwarmConfig, host: str) -> bool:
@@ -60,7 +60,7 @@ class DeadMan(Actor):
     """
 
     name = "dead man"
-    restart = ON_FAILURE
+    restart = RESTART_ON_FAILURE
 
     def __init__(
         self,
@@ -81,7 +81,7 @@ class DeadMan(Actor):
 
     async def run(self) -> None:
         """Check twice as often as a console reports, until the drones land."""
-        async for _ in self.clock.ticks(2.0 * RATE):
+        async for _ in self.clock.ticks(2.0 * WATCHED_RATE):
             if self.flying() and self.clock.now() - self._heard > self.patience:
                 self.land(
                     f"no operator's console for {self.patience:g} s (flight.dead_man)"

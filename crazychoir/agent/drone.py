@@ -10,19 +10,19 @@ from crazychoir.flight.pilot import Pilot
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.sensors import Sensors
 from crazychoir.runtime.supervisor import Supervisor
-from crazychoir.safety.rules.modes import HELD
+from crazychoir.safety.rules.modes import HELD_TEXT
 from crazychoir.team.barrier import Barrier
 from crazychoir.team.communicator import Communicator
 from crazychoir.types import Status
 
-UNFIT = "not ready to fly"
+UNFIT_TASK = "not ready to fly"
 """Task of a drone with a radio that is not ready to fly yet."""
-WAITING = "waiting for the others"
+WAITING_TASK = "waiting for the others"
 """Task of a drone before GO."""
 
 
 @dataclass
-class Drone:
+class AgentDrone:
     """The parts of one drone."""
 
     id: int
@@ -55,7 +55,11 @@ class Drone:
         """Task of the drone before its mission reports one."""
         if self.barrier.roster is not None:
             return ""
-        return UNFIT if self.barrier.monitor.silent or self.barrier.refused else WAITING
+        return (
+            UNFIT_TASK
+            if self.barrier.monitor.silent or self.barrier.refused
+            else WAITING_TASK
+        )
 
     def status(self) -> Status:
         """Return the status that the others see."""
@@ -67,7 +71,11 @@ class Drone:
             float("nan") if (x := news.get(name)) is None else float(x)
             for name in ("cost", "relaxed")
         )
-        notes = (HELD if self.pilot.held else "", self.pilot.note, self.barrier.apart)
+        notes = (
+            HELD_TEXT if self.pilot.held else "",
+            self.pilot.note,
+            self.barrier.apart,
+        )
         return Status(
             phase=self.pilot.mode.value,
             task=str(news.get("task", self._task_before)),

@@ -6,11 +6,12 @@ The result is final when the drone is on the ground.
 import asyncio
 import logging
 from collections.abc import Awaitable, Coroutine
+from dataclasses import dataclass
 from typing import Any
 
-from crazychoir.agent.drone import Drone
+from crazychoir.agent.drone import AgentDrone
 from crazychoir.bus.codec import decode, encode
-from crazychoir.bus.topics import LOG, RESULT, STATUS
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import (
     AgentFailed,
@@ -23,49 +24,70 @@ from crazychoir.errors import (
     raised_at,
     reason_or,
 )
-from crazychoir.guidance.awaited_call import forgotten
-from crazychoir.guidance.member import Member, raisable, touch_down
-from crazychoir.guidance.turns import blocked
+from crazychoir.guidance.awaited_call import describe_forgotten_calls
+from crazychoir.guidance.member import Member, make_raisable, wait_for_touchdown
+from crazychoir.guidance.turns import is_blocked
 from crazychoir.runtime.actor import Actor
-from crazychoir.runtime.clock import SECOND
-from crazychoir.runtime.user_code_guard import Guarded, Guards
+from crazychoir.runtime.clock import NS_PER_SECOND
+from crazychoir.runtime.user_code_guard import GuardedCoroutine, GuardFactory
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Failure
 
 log = logging.getLogger(__name__)
-LANDING_DEADLINE = 30.0
-"""s beyond the planned time of the descent after which the motors are cut."""
-LAST_WORDS = 1.0
-"""s that an aborted mission has for its last messages after its drone is down.
 
-Then it is cancelled again.
-"""
-FIT = 5.0
-"""s beyond the deadline of its link after which a drone that cannot take off is left out."""
-FAREWELL = 1.5
-"""s that a drone stays after its mission.
 
-Others may still need its last messages, or its next roster.
-"""
-STOPPED = (
-    "emergency stop in force: it does not take off until `crazychoir stop --clear`"
-)
-"""Reason of a drone that does not start during an emergency stop."""
-STAYS = (
-    "emergency stop in force: this agent stays, so that agents that start later hear of it, "
-    "until `crazychoir stop --clear` or Ctrl-C"
-)
-"""Reason of a drone that stays after its mission during an emergency stop."""
+@dataclass(frozen=True, slots=True)
+class MissionTimes:
+    """Times that the end of a mission, and the wait for a drone, may take."""
 
-LANDED = "landed on command"
-"""Reason of a mission that ended with a command to land."""
-SENT_HOME = "sent home on command"
-"""Reason of a mission that ended with a command to go home."""
-ENDS_ON_COMMAND = (LANDED, SENT_HOME)
+    landing_deadline: float = 30.0
+    """s beyond the planned time of the descent after which the motors are cut."""
+    last_messages: float = 1.0
+    """s that an aborted mission has for its last messages after its drone is down. Then it is
+    cancelled again.
+    """
+    readiness_time: float = 5.0
+    """s beyond the deadline of its link after which a drone that cannot take off is left out.
+    """
+    farewell_time: float = 1.5
+    """s that a drone stays after its mission.
+
+    Others may still need its last messages, or its next roster.
+    """
+
+
+MISSION_TIMES = MissionTimes()
+
+
+@dataclass(frozen=True, slots=True)
+class MissionReasons:
+    """Reasons of missions that did not start, that ended on command, or that failed without a
+    word.
+    """
+
+    stopped: str = (
+        "emergency stop in force: it does not take off until `crazychoir stop --clear`"
+    )
+    """Reason of a drone that does not start during an emergency stop."""
+    stays: str = (
+        "emergency stop in force: this agent stays, so that agents that start later hear of it, "
+        "until `crazychoir stop --clear` or Ctrl-C"
+    )
+    """Reason of a drone that stays after its mission during an emergency stop."""
+    landed: str = "landed on command"
+    """Reason of a mission that ended with a command to land."""
+    sent_home: str = "sent home on command"
+    """Reason of a mission that ended with a command to go home."""
+    unsaid: str = "its mission returned success = False, without a reason"
+    """Reason of a failed mission that gave none."""
+
+
+MISSION_REASONS = MissionReasons()
+
+
+ENDS_ON_COMMAND = (MISSION_REASONS.landed, MISSION_REASONS.sent_home)
 """Reasons of missions that an operator has ended: they have not failed."""
-NO_REASON = "its mission returned success = False, without a reason"
-"""Reason of a failed mission that gave none."""
-ENDED = "ended"
+ENDED_KEY = "ended"
 """Key of a result that says how an operator has ended the mission.
 
 All other results do not have it.
@@ -84,7 +106,7 @@ class GuidanceActor(Actor):
     name = "guidance"
 
     def __init__(
-        self, drone: Drone, config: SwarmConfig, watchdog: Guards | None
+        self, drone: AgentDrone, config: SwarmConfig, watchdog: GuardFactory | None
     ) -> None:
         self.drone = drone
         self.config = config
@@ -112,12 +134,12 @@ class GuidanceActor(Actor):
             drone.result = self._unforgotten(self._outcome(life), life)
             if drone.barrier.apart:
                 drone.result = {**drone.result, "apart": drone.barrier.apart}
-            if not drone.result["success"] or ENDED in drone.result:
+            if not drone.result["success"] or ENDED_KEY in drone.result:
                 telling.append(
                     asyncio.create_task(drone.communicator.fail(self._last_word(life)))
                 )
         except asyncio.CancelledError:
-            drone.result = failure("the mission was cancelled")
+            drone.result = result_of_failure("the mission was cancelled")
             drone.pilot.land("the mission was cancelled")
             raise
         finally:
@@ -125,10 +147,10 @@ class GuidanceActor(Actor):
             self._forbid("the mission has ended")
             await self._down()
             drone.result = self._judged(drone.result)
-            drone.port.publish(RESULT, drone.result)
+            drone.port.publish(DRONE_TOPICS.result, drone.result)
         await asyncio.gather(*telling)  # sent while the drone lands
-        await drone.port.bus.clock.sleep(FAREWELL, drone=drone.id)
-        await self._until_cleared(STAYS)
+        await drone.port.bus.clock.sleep(MISSION_TIMES.farewell_time, drone=drone.id)
+        await self._until_cleared(MISSION_REASONS.stays)
 
     def abort(self, reason: str, by_operator: bool = False) -> None:
         """End the mission for good, where it is. The first reason counts.
@@ -167,11 +189,11 @@ class GuidanceActor(Actor):
     async def _mission(self) -> Result:
         """Wait for GO, then run the mission's own code. Returns its checked result."""
         drone = self.drone
-        await self._until_cleared(STOPPED)
+        await self._until_cleared(MISSION_REASONS.stopped)
         await self._until_fit()
         await drone.barrier.go()
         if drone.port.bus.stopped:
-            raise Refused(f"drone {drone.id}", STOPPED)
+            raise Refused(f"drone {drone.id}", MISSION_REASONS.stopped)
         member = Member(
             drone.id,
             self.config,
@@ -181,11 +203,13 @@ class GuidanceActor(Actor):
             self.watchdog,
         )
         member.sensors = drone.sensors
-        member.announce = lambda: drone.port.publish(STATUS, drone.status())
+        member.announce = lambda: drone.port.publish(
+            DRONE_TOPICS.status, drone.status()
+        )
         self._member = member
         try:
             drone.guidance.bind(member)
-            return checked(await self._guarded(drone.guidance.mission()))
+            return check_result(await self._guarded(drone.guidance.mission()))
         except SystemExit as end:
             raise RuntimeError(f"the mission called {exit_call(end)}").with_traceback(
                 end.__traceback__
@@ -193,7 +217,7 @@ class GuidanceActor(Actor):
         except asyncio.CancelledError as cancelled:
             if self._life is not None and self._life.cancelling():
                 raise
-            raise raisable(cancelled, "the mission") from cancelled
+            raise make_raisable(cancelled, "the mission") from cancelled
 
     def _guarded(self, mission: Coroutine[Any, Any, Any]) -> Awaitable[Any]:
         """Return the mission under the watchdog.
@@ -204,7 +228,9 @@ class GuidanceActor(Actor):
             return mission
         pilot = self.drone.pilot
         name = f"drone {self.drone.id} guidance"
-        return Guarded(mission, self.watchdog, name, lambda: not pilot.airborne)
+        return GuardedCoroutine(
+            mission, self.watchdog, name, lambda: not pilot.airborne
+        )
 
     async def _until_cleared(self, why: str) -> None:
         """Wait until no emergency stop is in force.
@@ -233,7 +259,9 @@ class GuidanceActor(Actor):
             return
         monitor.silent, ends = (
             True,
-            clock.now() + self.config.radio.connect_deadline + FIT,
+            clock.now()
+            + self.config.radio.connect_deadline
+            + MISSION_TIMES.readiness_time,
         )
         while (problems := drone.unfit()) and clock.now() < ends:
             await clock.sleep(0.05, drone=drone.id)
@@ -249,8 +277,8 @@ class GuidanceActor(Actor):
         clock = self.drone.port.bus.clock
         i = self.drone.id
         await self._down()
-        patient = clock.now() + LAST_WORDS
-        while not life.done() and clock.now() < patient + LAST_WORDS:
+        patient = clock.now() + MISSION_TIMES.last_messages
+        while not life.done() and clock.now() < patient + MISSION_TIMES.last_messages:
             if clock.now() >= patient:
                 life.cancel()
             await clock.sleep(0.05, drone=i)
@@ -267,10 +295,10 @@ class GuidanceActor(Actor):
         would fall on them.
         """
         pilot = self.drone.pilot
-        await touch_down(pilot, LANDING_DEADLINE)
-        while pilot.airborne and blocked(pilot):
+        await wait_for_touchdown(pilot, MISSION_TIMES.landing_deadline)
+        while pilot.airborne and is_blocked(pilot):
             log.warning("drone %d: others keep it up: %s", self.drone.id, pilot.note)
-            await touch_down(pilot, LANDING_DEADLINE)
+            await wait_for_touchdown(pilot, MISSION_TIMES.landing_deadline)
         if (
             pilot.airborne and pilot.unreached
         ):  # a cut that arrives late would be a fall
@@ -293,13 +321,13 @@ class GuidanceActor(Actor):
         if self._by_operator:
             return self._aborted_by_operator(error)
         if self._aborted:
-            return failure(self._aborted)
+            return result_of_failure(self._aborted)
         if error is None:
             pilot.land("the mission has ended in the air")
             return life.result()
         if isinstance(error, AgentFailed) and error.reason in ENDS_ON_COMMAND:
             pilot.land(str(error))
-            return ended_by_operator(
+            return result_of_operator_end(
                 f"drone {error.agent}: {error.reason}, and with it the team"
             )
         if isinstance(error, CrazyChoirError) and not isinstance(
@@ -311,8 +339,8 @@ class GuidanceActor(Actor):
                 str(error).removeprefix(f"drone {self.drone.id}: "),
             )
             pilot.land(str(error))
-            return failure(str(error))
-        return failure(self._broken(error))
+            return result_of_failure(str(error))
+        return result_of_failure(self._broken(error))
 
     def _unforgotten(self, result: Result, life: asyncio.Task[Result]) -> Result:
         """Return the outcome; a failure that names the calls that the mission has forgotten to await, if any.
@@ -320,12 +348,14 @@ class GuidanceActor(Actor):
         An error that has ended the mission is named first: it need not follow from the calls.
         """
         has_returned = life.done() and not life.cancelled() and life.exception() is None
-        words = forgotten(self.drone.guidance, has_returned and not self._aborted)
+        words = describe_forgotten_calls(
+            self.drone.guidance, has_returned and not self._aborted
+        )
         if not words:
             return result
         if result["success"]:
-            return failure(f"drone {self.drone.id}: {words}", result)
-        return failure(f"{result['reason']}; {words}", result)
+            return result_of_failure(f"drone {self.drone.id}: {words}", result)
+        return result_of_failure(f"{result['reason']}; {words}", result)
 
     def _aborted_by_operator(self, error: BaseException | None) -> Result:
         """Return the result of a mission that its operator ended.
@@ -333,8 +363,8 @@ class GuidanceActor(Actor):
         It is a failure if the mission's own code has failed meanwhile.
         """
         if error is None or _is_expected(error):
-            return ended_by_operator(self._aborted)
-        return failure(f"{self._aborted}; {self._broken(error)}")
+            return result_of_operator_end(self._aborted)
+        return result_of_failure(f"{self._aborted}; {self._broken(error)}")
 
     def _last_word(self, life: asyncio.Task[Result]) -> Failure:
         """Return the message to drones that wait for this drone.
@@ -357,7 +387,7 @@ class GuidanceActor(Actor):
         cause = f"{error_text(error)} ({at.filename}:{at.lineno} {at.name})"
         text = f"drone {self.drone.id}: guidance failed: {cause}"
         log.error("%s", text, exc_info=error)
-        self.drone.port.publish(LOG, text)
+        self.drone.port.publish(DRONE_TOPICS.log, text)
         self.drone.pilot.guidance_failed(cause)
         return text
 
@@ -372,13 +402,15 @@ class GuidanceActor(Actor):
             result = {
                 **result,
                 "kept_clear_s": round(
-                    pilot.clearance.ticks * pilot.period_ns / SECOND, 2
+                    pilot.clearance.ticks * pilot.period_ns / NS_PER_SECOND, 2
                 ),
             }
         if pilot.at_fence:
             result = {
                 **result,
-                "at_fence_s": round(pilot.at_fence * pilot.period_ns / SECOND, 2),
+                "at_fence_s": round(
+                    pilot.at_fence * pilot.period_ns / NS_PER_SECOND, 2
+                ),
             }
         cut = pilot.note if pilot.mode is Mode.CUT else ""
         aborted = "" if self._by_operator else self._aborted
@@ -386,19 +418,21 @@ class GuidanceActor(Actor):
         if result.get("success"):
             reasons = [text for text in (brought_down, harm) if text]
             if reasons:
-                return failure(f"drone {self.drone.id}: {'; '.join(reasons)}", result)
+                return result_of_failure(
+                    f"drone {self.drone.id}: {'; '.join(reasons)}", result
+                )
             return (
                 result
                 if not self._by_operator
-                else {**result, ENDED: result.get(ENDED, self._aborted)}
+                else {**result, ENDED_KEY: result.get(ENDED_KEY, self._aborted)}
             )
         reason = str(result.get("reason") or "")
         if harm and harm not in reason:
-            return failure("; ".join(filter(None, (reason, harm))), result)
-        return failure(reason, result)
+            return result_of_failure("; ".join(filter(None, (reason, harm))), result)
+        return result_of_failure(reason, result)
 
 
-def checked(returned: object) -> Result:
+def check_result(returned: object) -> Result:
     """Return the result of a mission after the codec, with `success` as a bool.
 
     All readers in all worlds therefore get the same form.
@@ -422,19 +456,23 @@ def checked(returned: object) -> Result:
     return result | {"success": bool(success)}
 
 
-def ended_by_operator(words: str) -> Result:
+def result_of_operator_end(words: str) -> Result:
     """Return the result of a mission that its operator has ended: not a failure."""
-    return {"success": True, "reason": words, ENDED: words}
+    return {"success": True, "reason": words, ENDED_KEY: words}
 
 
-def failure(reason: str, result: Result | None = None) -> Result:
+def result_of_failure(reason: str, result: Result | None = None) -> Result:
     """Return the result of a failed mission. Its reason is never empty.
 
     reason: why, in words.
     result: what else is known.
     """
-    told = {key: value for key, value in (result or {}).items() if key != ENDED}
-    return {**told, "success": False, "reason": reason_or(reason, NO_REASON)}
+    told = {key: value for key, value in (result or {}).items() if key != ENDED_KEY}
+    return {
+        **told,
+        "success": False,
+        "reason": reason_or(reason, MISSION_REASONS.unsaid),
+    }
 
 
 def _is_expected(error: BaseException) -> bool:

@@ -4,59 +4,86 @@ Each command is refused with the reason, or done when its effect is complete.
 """
 
 from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
 from typing import NoReturn
 
-from crazychoir.agent.drone import Drone
-from crazychoir.agent.mission_runner import LANDED, LANDING_DEADLINE, SENT_HOME
-from crazychoir.bus.commands import NOT_READY
+from crazychoir.agent.drone import AgentDrone
+from crazychoir.agent.mission_runner import MISSION_REASONS, MISSION_TIMES
+from crazychoir.bus.commands import ANSWER_TEXTS
 from crazychoir.bus.port import Port
-from crazychoir.bus.topics import STATE, STATUS
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import Refused
-from crazychoir.flight.homecoming import level_above
-from crazychoir.guidance.guidance import FLYING
-from crazychoir.guidance.member import PATIENCE, Member, standing, touch_down
+from crazychoir.flight.homecoming import compute_return_height
+from crazychoir.guidance.guidance import FLYING_MODES
+from crazychoir.guidance.member import (
+    HELD_FLIGHT_PATIENCE,
+    Member,
+    describe_state,
+    wait_for_touchdown,
+)
 from crazychoir.runtime.mailbox import Latest
-from crazychoir.safety.rules.guard import EDGE
-from crazychoir.safety.rules.modes import Event, Mode
+from crazychoir.safety.rules.guard import EDGE_MARGIN
+from crazychoir.safety.rules.modes import Mode, ModeEvent
 from crazychoir.types import Point, State, Status
 
-POLL = 0.05
-"""s: interval at which a command checks its progress."""
-RISES = 10.0
-"""s beyond the planned time of a take-off within which the drone must hover."""
-LOOK = 0.5
-"""s: how long a drone that is sent home first listens for the places of the others.
 
-It is the period of a status, and a bit more.
-"""
-HEARD = 10.0
-"""Hz: rate of the states that it receives for this."""
-EVENTS = (
-    Event.ARM,
-    Event.TAKE_OFF,
-    Event.START,
-    Event.HOLD,
-    Event.GO,
-    Event.LAND,
-    Event.HOME,
+@dataclass(frozen=True, slots=True)
+class OrderTimes:
+    """Times and rates of the commands of an operator."""
+
+    poll_interval: float = 0.05
+    """s: interval at which a command checks its progress."""
+    take_off_allowance: float = 10.0
+    """s beyond the planned time of a take-off within which the drone must hover."""
+    listening_time: float = 0.5
+    """s: how long a drone that is sent home first listens for the places of the others.
+
+    It is the period of a status, and a bit more.
+    """
+    state_rate: float = 10.0
+    """Hz: rate of the states that it receives for this."""
+
+
+ORDER_TIMES = OrderTimes()
+
+
+OPERATOR_EVENTS = (
+    ModeEvent.ARM,
+    ModeEvent.TAKE_OFF,
+    ModeEvent.START,
+    ModeEvent.HOLD,
+    ModeEvent.GO,
+    ModeEvent.LAND,
+    ModeEvent.HOME,
 )
 """The commands that are executed here."""
-VERBS = tuple(event.value for event in EVENTS)
+OPERATOR_COMMANDS = tuple(event.value for event in OPERATOR_EVENTS)
 """Their names. An emergency stop has its own way."""
-HOMING = "sent home"
-"""Task of a drone that its operator has sent home."""
-UNSEEN = "it is not seen by the cameras yet"
-"""Reason for a refusal without a pose."""
-READY = "ready"
-"""Answer to a successful command to arm."""
-STANDING = (Mode.GROUND.value, Mode.CUT.value)
+
+
+@dataclass(frozen=True, slots=True)
+class OrderTexts:
+    """Answers to the commands of an operator, and the task of a drone that is sent home."""
+
+    homing_task: str = "sent home"
+    """Task of a drone that its operator has sent home."""
+    unseen: str = "it is not seen by the cameras yet"
+    """Reason for a refusal without a pose."""
+    ready: str = "ready"
+    """Answer to a successful command to arm."""
+    waiting_advice: str = "crazychoir run --wait, or [flight] operator = true, makes missions wait for an operator"
+    """Advice for a mission that waits for no operator."""
+
+
+ORDER_TEXTS = OrderTexts()
+
+
+GROUNDED_PHASES = (Mode.GROUND.value, Mode.CUT.value)
 """Phases of a drone that does not fly."""
-WAITS = "crazychoir run --wait, or [flight] operator = true, makes missions wait for an operator"
-"""Advice for a mission that waits for no operator."""
 
 
-class Orders:
+class OperatorCommands:
     """The commands of one drone's operator.
 
     drone: the drone.
@@ -69,7 +96,7 @@ class Orders:
 
     def __init__(
         self,
-        drone: Drone,
+        drone: AgentDrone,
         config: SwarmConfig,
         abort: Callable[[str], None],
         over: Callable[[], str],
@@ -80,32 +107,32 @@ class Orders:
         self.abort = abort
         self.over = over
         self.arm = arm
-        self._others: _Others | None = None
+        self._others: _OtherDrones | None = None
 
     async def execute(self, verb: str) -> str:
         """Execute a command, and return its outcome.
 
         Raises Refused with the reason.
         """
-        command = Event(verb)
+        command = ModeEvent(verb)
         pilot = self.drone.pilot
         if why := pilot.refuses(command):
             self._refuse(why)
         match command:
-            case Event.ARM:
+            case ModeEvent.ARM:
                 return await self._arm()
-            case Event.TAKE_OFF:
+            case ModeEvent.TAKE_OFF:
                 return await self._take_off()
-            case Event.START:
+            case ModeEvent.START:
                 return self._start()
-            case Event.HOLD:
+            case ModeEvent.HOLD:
                 pilot.hold()
                 return "held" if pilot.airborne else "held on the ground"
-            case Event.GO:
+            case ModeEvent.GO:
                 was_held = pilot.held
                 pilot.hold(on=False)
                 return "goes on" if was_held else "was not held"
-            case Event.LAND:
+            case ModeEvent.LAND:
                 return await self._land()
             case _:
                 return await self._home()
@@ -119,12 +146,14 @@ class Orders:
         if over := self.over():
             self._refuse(f"its mission is over: {over}")
         if not self.config.flight.operator:
-            self._refuse(f"its mission does not wait for a start: {WAITS}")
+            self._refuse(
+                f"its mission does not wait for a start: {ORDER_TEXTS.waiting_advice}"
+            )
         if not self.drone.pilot.awaits_start:
             self._refuse("its mission has started")
         if not hasattr(guidance, "member") or not guidance.member.gate:
             self._refuse(
-                f"{NOT_READY}: {self.drone.status().task or 'its mission prepares'}"
+                f"{ANSWER_TEXTS.not_ready}: {self.drone.status().task or 'its mission prepares'}"
             )
         if guidance.member.gate != command:
             self._refuse(f"it {guidance.member.report()['task']}")
@@ -136,20 +165,20 @@ class Orders:
         if why := pilot.unready()[1]:
             self._refuse(why)
         if pilot.state is None:
-            self._refuse(UNSEEN)
-        return READY if self.arm is None else await self.arm()
+            self._refuse(ORDER_TEXTS.unseen)
+        return ORDER_TEXTS.ready if self.arm is None else await self.arm()
 
     async def _take_off(self) -> str:
         member = self._gate("take-off")
         pilot = self.drone.pilot
         seconds = pilot.take_off(member.rise)
         if seconds == 0.0:
-            self._refuse(pilot.note or UNSEEN)
-        ends = pilot.clock.now() + seconds + RISES
+            self._refuse(pilot.note or ORDER_TEXTS.unseen)
+        ends = pilot.clock.now() + seconds + ORDER_TIMES.take_off_allowance
         while pilot.mode is Mode.TAKEOFF and pilot.clock.now() < ends:
-            await pilot.clock.sleep(POLL, drone=self.drone.id)
-        if pilot.mode not in FLYING:
-            self._refuse(standing(pilot))
+            await pilot.clock.sleep(ORDER_TIMES.poll_interval, drone=self.drone.id)
+        if pilot.mode not in FLYING_MODES:
+            self._refuse(describe_state(pilot))
         return pilot.mode.value
 
     def _start(self) -> str:
@@ -159,7 +188,7 @@ class Orders:
 
     async def _land(self) -> str:
         self.drone.pilot.land("landing on command")
-        self.abort(LANDED)
+        self.abort(MISSION_REASONS.landed)
         return await self._on_the_ground()
 
     async def _home(self) -> str:
@@ -169,18 +198,18 @@ class Orders:
         """
         drone = self.drone
         pilot = self.drone.pilot
-        self.abort(SENT_HOME)
+        self.abort(MISSION_REASONS.sent_home)
         pilot.commanded = False
         pilot.hover()
-        self._others = self._others or _Others(
+        self._others = self._others or _OtherDrones(
             drone.port, tuple(i for i in self.config.ids if i != drone.id)
         )
         if hasattr(drone.guidance, "member"):
-            drone.guidance.member.report = lambda: {"task": HOMING}
-        drone.port.publish(STATUS, drone.status())
-        await pilot.clock.sleep(LOOK, drone=drone.id)
+            drone.guidance.member.report = lambda: {"task": ORDER_TEXTS.homing_task}
+        drone.port.publish(DRONE_TOPICS.status, drone.status())
+        await pilot.clock.sleep(ORDER_TIMES.listening_time, drone=drone.id)
         state = pilot.state
-        if why := pilot.refuses(Event.HOME):
+        if why := pilot.refuses(ModeEvent.HOME):
             self._refuse(why)
         if state is None:
             self._refuse("it is not seen")
@@ -190,19 +219,21 @@ class Orders:
             else self.config.drone(drone.id).home
         )
         pilot.go_home(
-            home, self._others.level(state.p, home, pilot.fence.high[2] - EDGE)
+            home, self._others.level(state.p, home, pilot.fence.high[2] - EDGE_MARGIN)
         )
         return await self._on_the_ground()
 
     async def _on_the_ground(self) -> str:
         pilot = self.drone.pilot
-        await touch_down(pilot, LANDING_DEADLINE + PATIENCE)
+        await wait_for_touchdown(
+            pilot, MISSION_TIMES.landing_deadline + HELD_FLIGHT_PATIENCE
+        )
         if pilot.mode is not Mode.GROUND:
-            self._refuse(standing(pilot))
+            self._refuse(describe_state(pilot))
         return str(pilot.mode.value)
 
 
-class _Others:
+class _OtherDrones:
     """Where the other drones are and what they do, as far as this drone hears."""
 
     def __init__(self, port: Port, ids: tuple[int, ...]) -> None:
@@ -210,19 +241,23 @@ class _Others:
         i = port.address
         self.id = i
         self._states: dict[int, Latest[State]] = {
-            j: Latest(bus.clock, "state", STATE.max_age) for j in ids
+            j: Latest(bus.clock, "state", DRONE_TOPICS.state.max_age) for j in ids
         }
         self._statuses: dict[int, Latest[Status]] = {
-            j: Latest(bus.clock, "status", STATUS.max_age) for j in ids
+            j: Latest(bus.clock, "status", DRONE_TOPICS.status.max_age) for j in ids
         }
         for j in ids:
-            bus.subscribe(STATE, j, i, self._states[j], HEARD)
-            bus.subscribe(STATUS, j, i, self._statuses[j], STATUS.rate)
+            bus.subscribe(
+                DRONE_TOPICS.state, j, i, self._states[j], ORDER_TIMES.state_rate
+            )
+            bus.subscribe(
+                DRONE_TOPICS.status, j, i, self._statuses[j], DRONE_TOPICS.status.rate
+            )
 
     def level(self, p: Point, home: Point, top: float) -> float:
         """Return the height in m of a return from p above the drones in the air.
 
-        See `level_above`.
+        See `compute_return_height`.
         """
         statuses = {
             j: status
@@ -237,9 +272,11 @@ class _Others:
         up = [
             state.p
             for j, state in states.items()
-            if j not in statuses or statuses[j].phase not in STANDING
+            if j not in statuses or statuses[j].phase not in GROUNDED_PHASES
         ]
         before = [
-            j for j, status in statuses.items() if status.task == HOMING and j < self.id
+            j
+            for j, status in statuses.items()
+            if status.task == ORDER_TEXTS.homing_task and j < self.id
         ]
-        return level_above(p, home, up, len(before), top)
+        return compute_return_height(p, home, up, len(before), top)

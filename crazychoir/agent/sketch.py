@@ -13,48 +13,62 @@ import numpy as np
 from crazychoir.agent.steering import MOST_PIECES, path_message
 from crazychoir.config.flight_room import largest_room
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.config.tables import Collision
+from crazychoir.config.tables import CollisionTable
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.path_checks import inside
-from crazychoir.planning.drawing.drawing import Pen, drawing
+from crazychoir.guidance.path_checks import get_place_limits
+from crazychoir.planning.drawing.drawing import Pen, plan_drawing
 from crazychoir.planning.drawing.drawing_file import (
     DrawingFile,
     parse_drawing,
     read_drawing,
 )
-from crazychoir.planning.drawing.stroke import csv_of, thinned
-from crazychoir.planning.drawing.svg import svg_of
-from crazychoir.planning.feasibility import Limits, check, peaks, references
+from crazychoir.planning.drawing.stroke import format_strokes, thin_line
+from crazychoir.planning.drawing.svg import format_svg
+from crazychoir.planning.feasibility import (
+    Limits,
+    check_limits,
+    compute_peaks,
+    sample_references,
+)
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.types import Mat
 
 Offset = tuple[float, float, float]
 """(3,) m, world: from one drone to the next."""
-HAND = 0.02
-"""m: how far a hand strays from the intended line."""
-YAW_RATE = 2.0
-"""rad/s: largest yaw rate of a drone that looks along its path."""
-SHOWN = 400
-"""Number of places of a path on the page."""
-STEP = 0.002
-"""m: smallest distance between two places of a loaded stroke."""
-LOADED = 5000
-"""Largest number of rows of all strokes of a loaded file.
 
-It is what a page can send at once, for files with less than half as many strokes.
-"""
-PACE = 0.02
-"""s between two places of a stroke without times."""
-MOST_ROWS = 20_000
-"""Largest number of rows of all strokes of a drawing."""
-SLOWEST = 20.0
-"""Largest factor on the time that the limits need."""
-LONGEST = 1800.0
-"""s: longest flight along a drawing. A battery lasts for a fifth of that."""
+
+@dataclass(frozen=True, slots=True)
+class SketchLimits:
+    """Limits and defaults of flights along drawings."""
+
+    hand_deviation: float = 0.02
+    """m: how far a hand strays from the intended line."""
+    yaw_rate: float = 2.0
+    """rad/s: largest yaw rate of a drone that looks along its path."""
+    shown_places: int = 400
+    """Number of places of a path on the page."""
+    least_step: float = 0.002
+    """m: smallest distance between two places of a loaded stroke."""
+    loaded_rows: int = 5000
+    """Largest number of rows of all strokes of a loaded file.
+
+    It is what a page can send at once, for files with less than half as many strokes.
+    """
+    time_step: float = 0.02
+    """s between two places of a stroke without times."""
+    most_rows: int = 20_000
+    """Largest number of rows of all strokes of a drawing."""
+    largest_slowdown: float = 20.0
+    """Largest factor on the time that the limits need."""
+    longest_flight: float = 1800.0
+    """s: longest flight along a drawing. A battery lasts for a fifth of that."""
+
+
+SKETCH_LIMITS = SketchLimits()
 
 
 @dataclass(frozen=True)
-class Planned:
+class PlannedSketch:
     """A flight as it will be flown, before it is shifted."""
 
     path: Piecewise
@@ -68,7 +82,7 @@ class Planned:
 
     def shown(self) -> dict[str, Any]:
         """Return the flight for the page: places, speeds and accelerations at equal times."""
-        t = np.linspace(0.0, self.path.duration, SHOWN)
+        t = np.linspace(0.0, self.path.duration, SKETCH_LIMITS.shown_places)
         x = self.path.samples(t)
         return {
             "points": x[:, 0:3].round(3).tolist(),
@@ -81,14 +95,14 @@ class Planned:
         }
 
 
-def planned(
+def plan_sketch(
     strokes: Iterable[Any],
     pen: Pen,
     config: SwarmConfig,
     v_max: float = 0.5,
     a_max: float = 1.0,
     slower: float = 1.0,
-) -> Planned:
+) -> PlannedSketch:
     """Return the flight along the strokes.
 
     A drawing that is far too large is refused before it takes much computing time.
@@ -101,11 +115,11 @@ def planned(
     slower: factor on the time that the limits need, 1 to SLOWEST.
     Raises ConfigError for a drawing that cannot be flown.
     """
-    if not 1.0 <= slower <= SLOWEST:
+    if not 1.0 <= slower <= SKETCH_LIMITS.largest_slowdown:
         raise ConfigError(
             "drawing: slower",
             slower,
-            f"1 to {SLOWEST:g} times as long as the limits ask for",
+            f"1 to {SKETCH_LIMITS.largest_slowdown:g} times as long as the limits ask for",
         )
     flight = config.flight
     v_max = min(v_max, flight.speed_limit)
@@ -113,21 +127,21 @@ def planned(
     limits = Limits(
         v_max=v_max,
         a_max=a_max,
-        yaw_rate_max=YAW_RATE,
+        yaw_rate_max=SKETCH_LIMITS.yaw_rate,
         low=config.fence.min,
         high=config.fence.max,
     )
     drawn = [np.array(stroke, dtype=float) for stroke in strokes]
     _check_size(drawn, pen, limits, slower)
-    made = drawing(drawn, pen, limits, LONGEST / slower)
+    made = plan_drawing(drawn, pen, limits, SKETCH_LIMITS.longest_flight / slower)
     path = made.path.slowed(slower)
-    check(path, limits)
+    check_limits(path, limits)
     low, high = largest_room(config)
     Limits(low=low, high=high).check_places(
-        references(path)[1][:, 0:3], "drawing: set-point"
+        sample_references(path)[1][:, 0:3], "drawing: set-point"
     )
-    most = peaks(path)
-    return Planned(path, made.deviation, most["speed"], most["acceleration"])
+    most = compute_peaks(path)
+    return PlannedSketch(path, made.deviation, most["speed"], most["acceleration"])
 
 
 def _check_size(strokes: list[Mat], pen: Pen, limits: Limits, slower: float) -> None:
@@ -136,9 +150,12 @@ def _check_size(strokes: list[Mat], pen: Pen, limits: Limits, slower: float) -> 
     It may have too many rows, places beyond the fence, or lines too long for a message or for
     LONGEST. The hand may stray beyond the fence by the smoothing: the flown path is checked again.
     """
-    if (rows := sum(map(len, strokes))) > MOST_ROWS:
+    if (rows := sum(map(len, strokes))) > SKETCH_LIMITS.most_rows:
         raise ConfigError(
-            "drawing", f"{rows} rows", f"at most {MOST_ROWS}", "Draw less at once."
+            "drawing",
+            f"{rows} rows",
+            f"at most {SKETCH_LIMITS.most_rows}",
+            "Draw less at once.",
         )
     for n, stroke in enumerate(strokes):
         places = np.column_stack([stroke[:, 1:3], np.full(len(stroke), pen.height)])
@@ -147,7 +164,7 @@ def _check_size(strokes: list[Mat], pen: Pen, limits: Limits, slower: float) -> 
             np.where(np.abs(places - near) > pen.smoothing, places, near),
             f"strokes[{n}]",
         )
-    lines = sum(_length(stroke[:, 1:3]) for stroke in strokes)
+    lines = sum(_stroke_length(stroke[:, 1:3]) for stroke in strokes)
     longest = MOST_PIECES * pen.spacing
     if lines > 2.0 * longest:  # much of the length may be tremor of the hand
         raise ConfigError(
@@ -156,25 +173,25 @@ def _check_size(strokes: list[Mat], pen: Pen, limits: Limits, slower: float) -> 
             f"at most {longest:.0f} m",
             "Draw less at once.",
         )
-    way = _length(
+    way = _stroke_length(
         np.vstack([np.empty((0, 2)), *(stroke[:, 1:3] for stroke in strokes)])
     )
     seconds = slower * (way + 2.0 * pen.lift * max(len(strokes) - 1, 0)) / limits.v_max
-    if seconds > LONGEST:
+    if seconds > SKETCH_LIMITS.longest_flight:
         do = "Draw less at once, or let it be faster."
         raise ConfigError(
             "drawing",
             f"{way:.0f} m, which take {seconds:.0f} s",
-            f"at most {LONGEST:.0f} s",
+            f"at most {SKETCH_LIMITS.longest_flight:.0f} s",
             do,
         )
 
 
-def _length(places: Mat) -> float:
+def _stroke_length(places: Mat) -> float:
     return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
 
 
-def places(
+def flight_places(
     p: Sequence[float], offset: Offset, drones: Sequence[int], config: SwarmConfig
 ) -> dict[int, list[float]]:
     """Return the goals of several drones, (3,) m each, world.
@@ -183,10 +200,10 @@ def places(
     other.
     """
     _check_apart(drones, offset, config)
-    return _beside(p, offset, drones)
+    return _place_beside(p, offset, drones)
 
 
-def _beside(
+def _place_beside(
     p: Sequence[float], offset: Offset, drones: Sequence[int]
 ) -> dict[int, list[float]]:
     return {
@@ -195,14 +212,14 @@ def _beside(
     }
 
 
-def shifted(path: Piecewise, by: Sequence[float]) -> Piecewise:
+def shift_flight(path: Piecewise, by: Sequence[float]) -> Piecewise:
     """Return the same flight shifted by `by`, (3,) m."""
     coefficients = path.coefficients.copy()
     coefficients[:, 0:3, 0] += np.array(by)
     return Piecewise(coefficients, path.durations)
 
 
-def messages(
+def flight_messages(
     path: Piecewise, drones: Sequence[int], offset: Offset, config: SwarmConfig
 ) -> dict[int, dict[str, Any]]:
     """Return the command for each drone: the k-th flies the path k times `offset` away.
@@ -214,17 +231,21 @@ def messages(
     if not all(config.drone(i).leader for i in drones):
         _check_apart(drones, offset, config)
     told = {}
-    ways = references(path)[1][:, 0:3]
-    for i, by in _beside((0.0, 0.0, 0.0), offset, drones).items():
-        inside(config, i).check_places(ways + by, f"path of drone {i}")
-        told[i] = path_message(shifted(path, by))
+    ways = sample_references(path)[1][:, 0:3]
+    for i, by in _place_beside((0.0, 0.0, 0.0), offset, drones).items():
+        get_place_limits(config, i).check_places(ways + by, f"path of drone {i}")
+        told[i] = path_message(shift_flight(path, by))
     return told
 
 
 def _check_apart(drones: Sequence[int], offset: Offset, config: SwarmConfig) -> None:
     """Raise ConfigError if two drones would be nearer than the collision filter allows."""
     collision = config.collision
-    if len(drones) > 1 and collision.method != "off" and _near(offset, collision):
+    if (
+        len(drones) > 1
+        and collision.method != "off"
+        and _are_too_near(offset, collision)
+    ):
         (a, _, c), margin = collision.semi_axes, collision.margin
         allowed = f"{2.0 * a + margin:g} m aside, or {2.0 * c:g} m above, from one drone to the next"
         raise ConfigError(
@@ -232,7 +253,7 @@ def _check_apart(drones: Sequence[int], offset: Offset, config: SwarmConfig) -> 
         )
 
 
-def _near(offset: Offset, collision: Collision) -> bool:
+def _are_too_near(offset: Offset, collision: CollisionTable) -> bool:
     """Return whether two drones at this offset are nearer than the collision filter allows."""
     (a, _, c), (x, y, z) = collision.semi_axes, offset
     return (
@@ -240,7 +261,7 @@ def _near(offset: Offset, collision: Collision) -> bool:
     )
 
 
-def loaded_with_words(
+def load_with_remarks(
     text: str, name: str
 ) -> tuple[list[list[list[float]]], list[str]]:
     """Return the strokes of a CSV or SVG text, thinned, and remarks on what is not flown.
@@ -249,36 +270,39 @@ def loaded_with_words(
     Raises ConfigError if the text is not a drawing.
     """
     drawn = parse_drawing(text, name)
-    return _thinned(drawn), drawn.words
+    return _thin_strokes(drawn), drawn.words
 
 
-def loaded_file(path: Path) -> list[list[list[float]]]:
+def load_file(path: Path) -> list[list[list[float]]]:
     """Return the strokes of a CSV or SVG file, in any encoding that it may have.
 
     Raises ConfigError if the file is not a drawing.
     """
-    return _thinned(read_drawing(path))
+    return _thin_strokes(read_drawing(path))
 
 
-def _thinned(drawn: DrawingFile) -> list[list[list[float]]]:
-    strokes = [_timed(stroke) for stroke in drawn.strokes]
+def _thin_strokes(drawn: DrawingFile) -> list[list[list[float]]]:
+    strokes = [_add_times(stroke) for stroke in drawn.strokes]
     length = sum(
         float(np.linalg.norm(np.diff(stroke[:, 1:], axis=0), axis=1).sum())
         for stroke in strokes
     )
-    step = max(STEP, length / max(LOADED - 2 * len(strokes), 1))
+    step = max(
+        SKETCH_LIMITS.least_step,
+        length / max(SKETCH_LIMITS.loaded_rows - 2 * len(strokes), 1),
+    )
     return [
-        stroke[thinned(stroke[:, 1:], step)].round(4).tolist() for stroke in strokes
+        stroke[thin_line(stroke[:, 1:], step)].round(4).tolist() for stroke in strokes
     ]
 
 
-def saved(strokes: list[Mat], kind: str) -> str:
+def strokes_as_text(strokes: list[Mat], kind: str) -> str:
     """Return the strokes as a CSV or SVG text."""
-    timed = [_timed(stroke) for stroke in strokes]
-    return svg_of(timed) if kind == "svg" else csv_of(timed)
+    timed = [_add_times(stroke) for stroke in strokes]
+    return format_svg(timed) if kind == "svg" else format_strokes(timed)
 
 
-def _timed(stroke: Mat) -> Mat:
+def _add_times(stroke: Mat) -> Mat:
     if stroke.shape[1] == 3:
         return stroke
-    return np.column_stack([PACE * np.arange(len(stroke)), stroke])
+    return np.column_stack([SKETCH_LIMITS.time_step * np.arange(len(stroke)), stroke])

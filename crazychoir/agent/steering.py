@@ -9,30 +9,30 @@ import msgspec
 import numpy as np
 from msgspec import Meta, Struct
 
-from crazychoir.agent.drone import Drone
+from crazychoir.agent.drone import AgentDrone
 from crazychoir.bus.codec import MAX_PAYLOAD
 from crazychoir.errors import ConfigError, Refused
-from crazychoir.guidance.guidance import ARRIVED, ATTEMPTS, require_feasible
-from crazychoir.guidance.member import standing
-from crazychoir.guidance.turns import blocked
-from crazychoir.planning.piecewise import DEGREE, Piecewise
+from crazychoir.guidance.guidance import FLIGHT_LIMITS, require_feasible
+from crazychoir.guidance.member import describe_state
+from crazychoir.guidance.turns import is_blocked
+from crazychoir.planning.piecewise import POLYNOMIAL_DEGREE, Piecewise
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Vec
 
-POLL = 0.05
+STEERING_INTERVAL = 0.05
 """s: interval at which a flight is checked."""
-LATE = 60.0
+ARRIVAL_ALLOWANCE = 60.0
 """s beyond the planned time of a flight to an operator's goal, for other drones in the way."""
-STOPPED = "emergency stop in force: no flight until `crazychoir stop --clear`"
+STOPPED_REFUSAL = "emergency stop in force: no flight until `crazychoir stop --clear`"
 """Reason for a refusal during an emergency stop."""
-PIECE = 8 * (4 * (DEGREE + 1) + 1)
+PIECE_SIZE = 8 * (4 * (POLYNOMIAL_DEGREE + 1) + 1)
 """Bytes of a piece of a path in a message."""
-MOST_PIECES = MAX_PAYLOAD // PIECE - 10
+MOST_PIECES = MAX_PAYLOAD // PIECE_SIZE - 10
 """Largest number of pieces of a path in one message."""
 Metres = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
 
 
-class Goal(Struct, frozen=True, forbid_unknown_fields=True):
+class OperatorGoal(Struct, frozen=True, forbid_unknown_fields=True):
     """A goal of an operator."""
 
     p: tuple[Metres, Metres, Metres]
@@ -61,7 +61,7 @@ def path_message(path: Piecewise) -> dict[str, Any]:
 class Steering:
     """The operator's flights of one drone. A newer command ends an older one."""
 
-    def __init__(self, drone: Drone) -> None:
+    def __init__(self, drone: AgentDrone) -> None:
         self.drone = drone
         self._count = 0
 
@@ -71,7 +71,7 @@ class Steering:
         Raises Refused with the reason if it does not get there.
         """
         try:
-            goal = msgspec.convert(arguments, Goal)
+            goal = msgspec.convert(arguments, OperatorGoal)
         except msgspec.ValidationError as error:
             self._refuse(f"go-to: {error}; allowed: p [x, y, z] m, yaw rad, duration s")
         self._require_cleared()
@@ -110,7 +110,7 @@ class Steering:
             left = pilot.remaining()
         if (
             pilot.flights.plan is not path
-            or pilot.gap(path.sample(path.duration).p) > ARRIVED
+            or pilot.gap(path.sample(path.duration).p) > FLIGHT_LIMITS.arrival_distance
         ):
             self._refuse(
                 f"its path was not flown to the end: {pilot.note or pilot.mode.value}"
@@ -128,7 +128,7 @@ class Steering:
         failed a drone must land.
         """
         if self.drone.port.bus.stopped:
-            self._refuse(STOPPED)
+            self._refuse(STOPPED_REFUSAL)
         if why := self.drone.pilot.unguided:
             self._refuse(f"its guidance has failed: {why}")
 
@@ -150,8 +150,8 @@ class Steering:
         pilot = self.drone.pilot
         clock = self.drone.pilot.clock
         attempts = 0
-        ends = clock.now() + duration + LATE
-        while attempts < ATTEMPTS:
+        ends = clock.now() + duration + ARRIVAL_ALLOWANCE
+        while attempts < FLIGHT_LIMITS.most_attempts:
             seconds = pilot.go_to(p, yaw, duration, commanded=True)
             if pilot.guard.acts:  # flies as soon as the safety table allows it
                 if clock.now() > ends:
@@ -159,13 +159,13 @@ class Steering:
                 await self._look(turn)
                 continue
             attempts = attempts + 1
-            ends = max(ends, clock.now() + seconds + LATE)
-            while pilot.mode is Mode.FOLLOW or blocked(pilot):
+            ends = max(ends, clock.now() + seconds + ARRIVAL_ALLOWANCE)
+            while pilot.mode is Mode.FOLLOW or is_blocked(pilot):
                 await self._look(turn)
                 if clock.now() > ends:
                     break
             await self._look(turn)
-            if pilot.gap(p) < ARRIVED:
+            if pilot.gap(p) < FLIGHT_LIMITS.arrival_distance:
                 return
         place = np.round(p, 2).tolist()
         self._refuse(
@@ -174,13 +174,13 @@ class Steering:
 
     async def _look(self, turn: int) -> None:
         """Wait for POLL s. Raises Refused when the drone does not fly for this command any more."""
-        await self.drone.pilot.clock.sleep(POLL, drone=self.drone.id)
+        await self.drone.pilot.clock.sleep(STEERING_INTERVAL, drone=self.drone.id)
         if turn != self._count:
             self._refuse("it does what was commanded later")
         self._require_cleared()
         if not self.drone.pilot.steerable:
             pilot = self.drone.pilot
-            goes_on = f"it goes on with its mission: {standing(pilot)}"
+            goes_on = f"it goes on with its mission: {describe_state(pilot)}"
             self._refuse(goes_on if pilot.obeys else f"it is {pilot.mode.value}")
         if not self.drone.pilot.commanded:
             self._refuse("it was held on its way")

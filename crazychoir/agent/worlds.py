@@ -12,28 +12,37 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.bus.port import BODIES, Bus
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.control.robots import sender_of
+from crazychoir.control.robots import find_sender
 from crazychoir.errors import Refused, error_text
 from crazychoir.mocap.simulated import SimulatedMocap
 from crazychoir.runtime.actor import Actor
-from crazychoir.runtime.clock import SECOND, Clock
+from crazychoir.runtime.clock import NS_PER_SECOND, Clock
 from crazychoir.runtime.supervisor import Supervisor
-from crazychoir.simulation.engines import delay_steps, worlds
+from crazychoir.simulation.engines import count_delay_steps, make_worlds
 from crazychoir.simulation.owner import Digest, WorldOwner
 from crazychoir.simulation.remote import RemoteBody
 
 log = logging.getLogger(__name__)
-LEFT_ALONE = 1.0
-"""s without a command after which a body counts as not flown any more."""
-LOOKS = 20.0
-"""Hz: rate at which the world checks which bodies are flown."""
-KEPT = 20_000
-"""Number of latencies that are kept, the newest."""
 
 
-def owners(
+@dataclass(frozen=True, slots=True)
+class WorldOwnerRules:
+    """When a body of the world counts as not flown any more, and how many latencies are kept."""
+
+    silence_limit: float = 1.0
+    """s without a command after which a body counts as not flown any more."""
+    check_rate: float = 20.0
+    """Hz: rate at which the world checks which bodies are flown."""
+    kept_latencies: int = 20_000
+    """Number of latencies that are kept, the newest."""
+
+
+WORLD_OWNER_RULES = WorldOwnerRules()
+
+
+def world_actors(
     bus: Bus,
     config: SwarmConfig,
     ids: tuple[int, ...],
@@ -53,17 +62,17 @@ def owners(
         WorldOwner(
             bus,
             world,
-            _cameras(config, world.ids),
+            _camera_actors(config, world.ids),
             config.mocap.rate,
             trace,
             base,
-            delay_steps(config, world),
+            count_delay_steps(config, world),
         )
-        for world in worlds(config, ids)
+        for world in make_worlds(config, ids)
     ]
 
 
-def _cameras(config: SwarmConfig, ids: tuple[int, ...]) -> SimulatedMocap:
+def _camera_actors(config: SwarmConfig, ids: tuple[int, ...]) -> SimulatedMocap:
     mocap = config.mocap
     return SimulatedMocap(
         ids,
@@ -78,7 +87,7 @@ def _cameras(config: SwarmConfig, ids: tuple[int, ...]) -> SimulatedMocap:
 
 
 @dataclass
-class Latency:
+class CommandLatency:
     """Measures the time from a look of the cameras to the command that answers it.
 
     The way goes through two processes and the network.
@@ -116,9 +125,11 @@ class WorldProcess(Actor):
         self.bus = Bus(clock, process=process, host=host)
         self._config = config
         for i in config.owned:
-            self.bus.port(BODIES + i, incarnation)
-        self.owners = owners(self.bus, config, config.owned, base=BODIES)
-        self.latencies_ns: deque[int] = deque(maxlen=KEPT)
+            self.bus.port(PORT_ADDRESSES.body_offset + i, incarnation)
+        self.owners = world_actors(
+            self.bus, config, config.owned, base=PORT_ADDRESSES.body_offset
+        )
+        self.latencies_ns: deque[int] = deque(maxlen=WORLD_OWNER_RULES.kept_latencies)
         self.bodies = [body for owner in self.owners for body in self._bodies(owner)]
         bodies = {body.drone: body for body in self.bodies}
         for owner in self.owners:
@@ -130,12 +141,12 @@ class WorldProcess(Actor):
         self._supervisor = Supervisor(clock, "world", self._failed)
 
     def _bodies(self, owner: WorldOwner) -> list[RemoteBody]:
-        note = Latency(owner, self.latencies_ns).note
+        note = CommandLatency(owner, self.latencies_ns).note
         flight = self._config.flight
-        kinds = {i: sender_of(self._config, i) for i in owner.world.ids}
+        kinds = {i: find_sender(self._config, i) for i in owner.world.ids}
         return [
             RemoteBody(
-                self.bus.ports[BODIES + i],
+                self.bus.ports[PORT_ADDRESSES.body_offset + i],
                 owner.world,
                 owner.link(i, kind),
                 kind,
@@ -152,7 +163,7 @@ class WorldProcess(Actor):
 
     async def run(self) -> None:
         """Look after the bodies without commands."""
-        async for _ in self.clock.ticks(LOOKS):
+        async for _ in self.clock.ticks(WORLD_OWNER_RULES.check_rate):
             for body in self.bodies:
                 body.look()
             if self._ending is not None:
@@ -161,11 +172,18 @@ class WorldProcess(Actor):
     @property
     def flown(self) -> list[int]:
         """Ids of the drones that receive commands."""
-        return [body.drone for body in self.bodies if body.silence < LEFT_ALONE]
+        return [
+            body.drone
+            for body in self.bodies
+            if body.silence < WORLD_OWNER_RULES.silence_limit
+        ]
 
     def end(self, reason: str) -> None:
         """End as soon as no drone flies."""
-        self._ending, self._patient_until = reason, self.clock.now() + 2.0 * LEFT_ALONE
+        self._ending, self._patient_until = (
+            reason,
+            self.clock.now() + 2.0 * WORLD_OWNER_RULES.silence_limit,
+        )
 
     def _end_if_alone(self) -> None:
         """End if no drone flies. Log once if agents take longer to end than usual."""
@@ -200,7 +218,7 @@ class WorldProcess(Actor):
         It holds the steps in all, the missed steps, and the ms from a look to the command that
         answers it.
         """
-        kept = np.array(self.latencies_ns) / SECOND * 1e3
+        kept = np.array(self.latencies_ns) / NS_PER_SECOND * 1e3
         p50, p99 = (
             round(float(np.percentile(kept, q)), 3) if len(kept) else None
             for q in (50.0, 99.0)

@@ -19,20 +19,20 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
-from crazychoir.config.swarm_config import LOCAL
-from crazychoir.launch.network import reserved_ports
-from crazychoir.solve.group import Group
+from crazychoir.config.swarm_config import LOCAL_ADDRESS
+from crazychoir.launch.network import reserve_ports
+from crazychoir.solve.group import ProgramGroup
 from crazychoir.team.graph import Graph, k_regular, ring
 
-GRAPHS: dict[str, Callable[[int], Graph]] = {
+EXCHANGE_GRAPHS: dict[str, Callable[[int], Graph]] = {
     "ring": ring,
     "4-regular": lambda n: k_regular(n, 4),
 }
 START_DEADLINE = 90.0
 """Seconds until all processes of a row must have found each other."""
-WARM = 0.3
+EXCHANGE_WARM_UP = 0.3
 """Seconds of exchange before the measured window."""
-BARE = (
+BARE_PACKAGE_PROGRAM = (
     "import runpy, sys, types; package = types.ModuleType('crazychoir'); package.__path__ = [sys.argv.pop(1)]; "
     "sys.modules['crazychoir'] = package; runpy.run_module(sys.argv.pop(1), run_name='__main__')"
 )
@@ -40,12 +40,12 @@ BARE = (
 
 Importing missions and solvers would cost each process 1 s of CPU.
 """
-PACKAGE = Path(__file__).parents[1]
-INSTALL = "not measured: pip install crazychoir[bench]"
+PACKAGE_FOLDER = Path(__file__).parents[1]
+NOT_INSTALLED_NOTE = "not measured: pip install crazychoir[bench]"
 
 
 @dataclass
-class Row:
+class ExchangeRow:
     """One program on one graph."""
 
     name: str
@@ -98,11 +98,11 @@ def run(
     if quick:
         seconds = min(seconds, 0.5)
         repeats = 1
-    rows = _rows(("ring",) if quick else tuple(GRAPHS))
+    rows = _rows(("ring",) if quick else tuple(EXCHANGE_GRAPHS))
     for turn in range(repeats):
         for row in rows:
             if row.extra and importlib.util.find_spec(row.extra) is None:
-                row.note = INSTALL
+                row.note = NOT_INSTALLED_NOTE
                 continue
             say(
                 f"{turn + 1}/{repeats}: {row.name}, {row.graph} of {row.agents}, {row.processes} process(es)"
@@ -158,16 +158,18 @@ def table(result: dict[str, Any]) -> Table:
     return made
 
 
-def _rows(graphs: tuple[str, ...]) -> list[Row]:
+def _rows(graphs: tuple[str, ...]) -> list[ExchangeRow]:
     rows = []
     cores = os.cpu_count() or 1
     for graph in graphs:
         for n in (10, 30):
             for processes in (1, 2, n):
-                rows.append(Row("crazychoir", "crazychoir_peer", graph, n, processes))
+                rows.append(
+                    ExchangeRow("crazychoir", "crazychoir_peer", graph, n, processes)
+                )
             for processes in (2, n):
                 rows.append(
-                    Row(
+                    ExchangeRow(
                         "cyclonedds",
                         "cyclonedds_peer",
                         graph,
@@ -176,7 +178,7 @@ def _rows(graphs: tuple[str, ...]) -> list[Row]:
                         "cyclonedds",
                     )
                 )
-            mpi = Row("mpi4py-pickle", "mpi4py_peer", graph, n, n, "mpi4py")
+            mpi = ExchangeRow("mpi4py-pickle", "mpi4py_peer", graph, n, n, "mpi4py")
             if n > cores:
                 mpi.note = f"MPI polls: it collapses with more ranks ({n}) than cores ({cores})"
             rows.append(mpi)
@@ -215,14 +217,15 @@ def _ratios(rows: list[dict[str, Any]]) -> dict[str, float]:
 # One measurement ----------------------------------------------------------------------------------------------
 
 
-def measure(row: Row, seconds: float) -> None:
+def measure(row: ExchangeRow, seconds: float) -> None:
     """Measure one window of one row; an error becomes the note of the row."""
     neighbors = {
-        i: GRAPHS[row.graph](row.agents).in_neighbors(i) for i in range(row.agents)
+        i: EXCHANGE_GRAPHS[row.graph](row.agents).in_neighbors(i)
+        for i in range(row.agents)
     }
     common = {
         "neighbors": neighbors,
-        "warm": WARM,
+        "warm": EXCHANGE_WARM_UP,
         "seconds": seconds,
         "swarm": f"bench{secrets.token_hex(4)}",
     }
@@ -231,8 +234,8 @@ def measure(row: Row, seconds: float) -> None:
     answers = row.agents if ranks else row.processes
     try:
         with (
-            reserved_ports(dict.fromkeys(range(row.processes), LOCAL)) as base,
-            Group(
+            reserve_ports(dict.fromkeys(range(row.processes), LOCAL_ADDRESS)) as base,
+            ProgramGroup(
                 _mpi_command(row, common) if ranks else _commands(row, common, base)
             ) as group,
         ):
@@ -241,7 +244,7 @@ def measure(row: Row, seconds: float) -> None:
             found = [
                 answer
                 for _, answer in group.answers(
-                    answers, WARM + seconds + 20.0, "do not answer"
+                    answers, EXCHANGE_WARM_UP + seconds + 20.0, "do not answer"
                 )
             ]
     except (TimeoutError, OSError) as error:
@@ -253,13 +256,13 @@ def measure(row: Row, seconds: float) -> None:
         row.cpu.append(1e6 * sum(one["cores"] for one in found) / messages)
 
 
-def _commands(row: Row, common: dict[str, Any], base: int) -> list[list[str]]:
+def _commands(row: ExchangeRow, common: dict[str, Any], base: int) -> list[list[str]]:
     """Return one command a process, each with a contiguous part of the agents.
 
     Each process gets a core of its own if there are enough.
     base: port of the first process
     """
-    endpoints = [f"tcp/{LOCAL}:{base + p}" for p in range(row.processes)]
+    endpoints = [f"tcp/{LOCAL_ADDRESS}:{base + p}" for p in range(row.processes)]
     domain = 1 + secrets.randbelow(100)  # the ports of higher domains may be in use
     cores = sorted(os.sched_getaffinity(0))
     commands = []
@@ -274,18 +277,18 @@ def _commands(row: Row, common: dict[str, Any], base: int) -> list[list[str]]:
     return commands
 
 
-def _mpi_command(row: Row, common: dict[str, Any]) -> list[list[str]]:
+def _mpi_command(row: ExchangeRow, common: dict[str, Any]) -> list[list[str]]:
     beside = Path(sys.executable).parent / "mpiexec"
     mpiexec = str(beside) if beside.exists() else shutil.which("mpiexec") or "mpiexec"
     return [[mpiexec, "-n", str(row.agents), *_python(row, common)]]
 
 
-def _python(row: Row, specification: dict[str, Any]) -> list[str]:
+def _python(row: ExchangeRow, specification: dict[str, Any]) -> list[str]:
     return [
         sys.executable,
         "-c",
-        BARE,
-        str(PACKAGE),
+        BARE_PACKAGE_PROGRAM,
+        str(PACKAGE_FOLDER),
         f"crazychoir.bench.peers.{row.module}",
         json.dumps(specification),
     ]

@@ -15,38 +15,60 @@ import numpy as np
 from rich.table import Table
 
 from crazychoir.filters.kalman import KalmanFilter
-from crazychoir.filters.motion import RATE_LAG, Commanded
+from crazychoir.filters.motion import RATE_LAG, CommandedMotion
 from crazychoir.filters.state_filter import StateFilter
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.numerics.math3d import (
-    GRAVITY,
-    conjugate,
-    exponential,
-    logarithm,
-    product,
+    STANDARD_GRAVITY,
     quaternion,
+    quaternion_conjugate,
+    quaternion_product,
+    rotation_exponential,
     rotation_from_flat,
+    rotation_logarithm,
     yaw_of,
 )
-from crazychoir.platforms import PAPER
+from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.types import Pose, Vec
 
-RATES = (50, 100, 240)  # Hz
-SEEDS = (1, 2, 3)
-NOISE_P = 0.0005  # m, standard deviation an axis
-NOISE_ANGLE = math.radians(0.25)  # rad, standard deviation an axis
-DROPOUT = 0.02  # share of poses that are lost
-GAP_AT = 6.0  # s, start of the gap
-GAP = 0.05  # s, length of the gap
-SETTLE = 2.0  # s that do not count
-END = 12.0  # s, length of the flight
-TURNING = 1.0  # rad/s of the heading, so that it passes pi
-OFF = 0.95  # commanded thrust / flown thrust: the battery is fuller than assumed
+
+@dataclass(frozen=True, slots=True)
+class FilterBenchSettings:
+    """Settings of `crazychoir bench filters`: the flight, and the errors of its poses and
+    commands.
+    """
+
+    pose_rates: tuple[int, ...] = (50, 100, 240)
+    """Hz: rates of the cameras."""
+    seeds: tuple[int, ...] = (1, 2, 3)
+    """Seeds of the random errors."""
+    position_noise: float = 0.0005
+    """m: standard deviation of a position, an axis."""
+    angle_noise: float = math.radians(0.25)
+    """rad: standard deviation of an attitude, an axis."""
+    dropout: float = 0.02
+    """Share of the poses that are lost."""
+    gap_start: float = 6.0
+    """s: time at which the gap without poses begins."""
+    gap_length: float = 0.05
+    """s: length of the gap without poses."""
+    settling_time: float = 2.0
+    """s: start of the flight, which does not count."""
+    duration: float = 12.0
+    """s: length of the flight."""
+    turn_rate: float = 1.0
+    """rad/s: rate of the heading, so that it passes pi."""
+    thrust_factor: float = 0.95
+    """Commanded thrust / flown thrust: the battery is fuller than assumed."""
+
+
+FILTER_BENCH = FilterBenchSettings()
+
 
 Say = Callable[[str], None]
 
 
-class Estimate(Protocol):
+class VelocityEstimator(Protocol):
     """The estimator of a row."""
 
     def told(self, pose: Pose | None, now: float, command: Vec) -> tuple[Vec, Vec]:
@@ -59,7 +81,7 @@ class Estimate(Protocol):
         ...
 
 
-class Original:
+class OriginalFilter:
     """The difference equation of the original CrazyChoir; its gain fits 100 Hz, whatever the rate.
 
         v_k = 0.6 v_k-1 + 40 (p_k - p_k-1)
@@ -75,13 +97,15 @@ class Original:
 
     def told(self, pose: Pose | None, now: float, command: Vec) -> tuple[Vec, Vec]:
         """Return the velocity and the rates of the angles, (3,) each."""
-        here = self._last if pose is None else np.array([*pose.p, *_euler(pose.q)])
+        here = (
+            self._last if pose is None else np.array([*pose.p, *_euler_angles(pose.q)])
+        )
         self._rates = 0.6 * self._rates + 40.0 * (here - self._last)
         self._last = here
         return self._rates[:3], self._rates[3:]
 
 
-class Ours:
+class PilotFilter:
     """A filter as the pilot runs it.
 
     filtering: the filter
@@ -102,15 +126,17 @@ class Ours:
         return (np.zeros(3), np.zeros(3)) if state is None else (state.v, state.w)
 
 
-FILTERS: dict[str, Callable[[float], Estimate]] = {
-    "original": lambda period: Original(),
-    "derivative": lambda period: Ours(
-        VelocityFilter(period=period, motion=Commanded(PAPER.flat, 0.0)), commanded=True
+FILTER_MAKERS: dict[str, Callable[[float], VelocityEstimator]] = {
+    "original": lambda period: OriginalFilter(),
+    "derivative": lambda period: PilotFilter(
+        VelocityFilter(period=period, motion=CommandedMotion(PAPER_PLATFORM.flat, 0.0)),
+        commanded=True,
     ),
-    "kalman": lambda period: Ours(
-        KalmanFilter(period=period, motion=Commanded(PAPER.flat, 0.0)), commanded=True
+    "kalman": lambda period: PilotFilter(
+        KalmanFilter(period=period, motion=CommandedMotion(PAPER_PLATFORM.flat, 0.0)),
+        commanded=True,
     ),
-    "kalman, no commands": lambda period: Ours(
+    "kalman, no commands": lambda period: PilotFilter(
         KalmanFilter(period=period), commanded=False
     ),
 }
@@ -118,8 +144,8 @@ FILTERS: dict[str, Callable[[float], Estimate]] = {
 
 
 def run(
-    rates: tuple[int, ...] = RATES,
-    seeds: tuple[int, ...] = SEEDS,
+    rates: tuple[int, ...] = FILTER_BENCH.pose_rates,
+    seeds: tuple[int, ...] = FILTER_BENCH.seeds,
     say: Say = lambda line: None,
 ) -> dict[str, Any]:
     """Return {"rows": [one a filter and rate]}.
@@ -131,17 +157,17 @@ def run(
     rows = []
     for rate in rates:
         say(f"{rate} Hz")
-        flight = Flight.at(rate)
-        for name, new in FILTERS.items():
+        flight = TrueFlight.at(rate)
+        for name, new in FILTER_MAKERS.items():
             v, w = flight.errors(new, seeds)
             rows.append(
                 {
                     "filter": name,
                     "rate_hz": rate,
-                    "noise_mm": 1e3 * NOISE_P,
-                    "noise_deg": math.degrees(NOISE_ANGLE),
-                    "dropout": DROPOUT,
-                    "gap_ms": 1e3 * GAP,
+                    "noise_mm": 1e3 * FILTER_BENCH.position_noise,
+                    "noise_deg": math.degrees(FILTER_BENCH.angle_noise),
+                    "dropout": FILTER_BENCH.dropout,
+                    "gap_ms": 1e3 * FILTER_BENCH.gap_length,
                     "velocity_rmse_mm_s": 1e3 * v,
                     "angular_rmse_rad_s": w,
                 }
@@ -162,7 +188,7 @@ def table(result: dict[str, Any]) -> Table:
 
 
 @dataclass(frozen=True)
-class Flight:
+class TrueFlight:
     """The true flight."""
 
     times: Vec
@@ -173,21 +199,21 @@ class Flight:
     """(n, 4): command from each time on."""
 
     @classmethod
-    def at(cls, rate: int) -> "Flight":
+    def at(cls, rate: int) -> "TrueFlight":
         """Return the flight sampled at `rate` Hz."""
-        times = np.arange(round(END * rate)) / rate
-        states, commands = zip(*(truth(t) for t in times), strict=True)
+        times = np.arange(round(FILTER_BENCH.duration * rate)) / rate
+        states, commands = zip(*(true_state(t) for t in times), strict=True)
         return cls(times, np.array(states), np.array(commands))
 
     def errors(
-        self, new: Callable[[float], Estimate], seeds: tuple[int, ...]
+        self, new: Callable[[float], VelocityEstimator], seeds: tuple[int, ...]
     ) -> tuple[float, float]:
         """Return the root mean square errors of velocity, m/s, and body rates, rad/s.
 
         new: makes an estimator for a period in s
         seeds: seeds of the noise
         """
-        counted = self.times >= SETTLE
+        counted = self.times >= FILTER_BENCH.settling_time
         period = float(self.times[1])
         # Shape (seeds, n, v or w, 3).
         told = np.array([self._flown(new(period), seed) for seed in seeds])[:, counted]
@@ -195,30 +221,39 @@ class Flight:
         v, w = np.sqrt((off**2).sum(axis=3).mean(axis=(0, 1))).tolist()
         return v, w
 
-    def _flown(self, estimate: Estimate, seed: int) -> list[tuple[Vec, Vec]]:
+    def _flown(self, estimate: VelocityEstimator, seed: int) -> list[tuple[Vec, Vec]]:
         draw = np.random.default_rng(seed)
         said = []
         for t, x, u in zip(self.times, self.states, self.commands, strict=True):
             noise = draw.standard_normal(6)
-            lost = draw.random() < DROPOUT
-            angle = NOISE_ANGLE * noise[3:]
+            lost = draw.random() < FILTER_BENCH.dropout
+            angle = FILTER_BENCH.angle_noise * noise[3:]
             pose = Pose(
                 np.array(
                     [
-                        *(x[:3] + NOISE_P * noise[:3]),
-                        *product(tuple(x[6:10]), exponential(*angle)),
+                        *(x[:3] + FILTER_BENCH.position_noise * noise[:3]),
+                        *quaternion_product(
+                            tuple(x[6:10]), rotation_exponential(*angle)
+                        ),
                     ]
                 )
             )
             said.append(
                 estimate.told(
-                    None if lost or GAP_AT <= t < GAP_AT + GAP else pose, float(t), u
+                    None
+                    if lost
+                    or FILTER_BENCH.gap_start
+                    <= t
+                    < FILTER_BENCH.gap_start + FILTER_BENCH.gap_length
+                    else pose,
+                    float(t),
+                    u,
                 )
             )
         return said
 
 
-def truth(t: float) -> tuple[Vec, Vec]:
+def true_state(t: float) -> tuple[Vec, Vec]:
     """Return the state (13,) and the command (4,) at t s.
 
         u_1 = OFF thrust,  u_2..4 = w + RATE_LAG w'
@@ -228,49 +263,57 @@ def truth(t: float) -> tuple[Vec, Vec]:
     RATE_LAG, because the drone reaches them later.
     """
     h = 1e-3
-    (p, v, q, thrust), before, after = _flat(t), _flat(t - h)[2], _flat(t + h)[2]
-    first = _turn(before, q) / h
-    second = _turn(q, after) / h
+    (p, v, q, thrust), before, after = (
+        _flat_output(t),
+        _flat_output(t - h)[2],
+        _flat_output(t + h)[2],
+    )
+    first = _rotation_between(before, q) / h
+    second = _rotation_between(q, after) / h
     w = 0.5 * (first + second)
     turning = (second - first) / h
     return np.array([*p, *v, *q, *w]), np.array(
-        [OFF * thrust, *(w + RATE_LAG * turning)]
+        [FILTER_BENCH.thrust_factor * thrust, *(w + RATE_LAG * turning)]
     )
 
 
-def _turn(before: Vec, after: Vec) -> Vec:
+def _rotation_between(before: Vec, after: Vec) -> Vec:
     """Return the rotation vector (3,) rad, body, from one attitude to the other."""
-    return np.array(logarithm(product(conjugate(tuple(before)), tuple(after))))
+    return np.array(
+        rotation_logarithm(
+            quaternion_product(quaternion_conjugate(tuple(before)), tuple(after))
+        )
+    )
 
 
-def _flat(t: float) -> tuple[Vec, Vec, Vec, float]:
+def _flat_output(t: float) -> tuple[Vec, Vec, Vec, float]:
     """Return p (3,), v (3,), q (4,) and the thrust in N of the eight at t s.
 
     x = sin wt, y = 1/2 sin 2wt, z = 1, w = 1/sqrt(2) rad/s
     F/m = g e3 + a + (1/m) R A R^T v,  R e3 along F
     """
     w = math.sqrt(0.5)
-    yaw = TURNING * t
+    yaw = FILTER_BENCH.turn_rate * t
     s = math.sin(w * t)
     c = math.cos(w * t)
     s2 = math.sin(2.0 * w * t)
     c2 = math.cos(2.0 * w * t)
     v = w * np.array([c, c2, 0.0])
-    pull = np.array([-w * w * s, -2.0 * w * w * s2, GRAVITY])
+    pull = np.array([-w * w * s, -2.0 * w * w * s2, STANDARD_GRAVITY])
     r = rotation_from_flat(pull, yaw)
     # A fixed-point iteration: the drag depends a little on the attitude.
     for _ in range(3):
-        f = pull + r @ (np.array(PAPER.drag) * (r.T @ v)) / PAPER.mass
+        f = pull + r @ (np.array(PAPER_PLATFORM.drag) * (r.T @ v)) / PAPER_PLATFORM.mass
         r = rotation_from_flat(f, yaw)
     return (
         np.array([s, 0.5 * s2, 1.0]),
         v,
         quaternion(r),
-        float(PAPER.mass * np.linalg.norm(f)),
+        float(PAPER_PLATFORM.mass * np.linalg.norm(f)),
     )
 
 
-def _euler(q: Vec) -> tuple[float, float, float]:
+def _euler_angles(q: Vec) -> tuple[float, float, float]:
     """Return roll, pitch and yaw, rad."""
     x, y, z, w = q.tolist()
     roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))

@@ -7,6 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -17,17 +18,17 @@ from rich.table import Table
 import crazychoir
 from crazychoir.agent.agent import Agent
 from crazychoir.bench import worlds as bench_worlds
-from crazychoir.bench.worlds import COUNTS
-from crazychoir.config.checks import LIGHTWEIGHT, MOTORS
+from crazychoir.bench.worlds import WORLD_BENCH
+from crazychoir.config.checks import WORLD_URIS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.control.margin import Plant
 from crazychoir.errors import Refused
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock, run_virtual
 from crazychoir.safety.rules.modes import Mode
 
-CASES: tuple[tuple[int, Plant], ...] = (
+FLIGHT_CASES: tuple[tuple[int, Plant], ...] = (
     (10, "lightweight"),
     (30, "lightweight"),
     (100, "lightweight"),
@@ -35,40 +36,53 @@ CASES: tuple[tuple[int, Plant], ...] = (
     (1000, "lightweight"),
 )
 """Number of drones and engine of each row."""
-QUICK = CASES[:2]
+QUICK_FLIGHT_CASES = FLIGHT_CASES[:2]
 """Rows of a quick run."""
-URI: dict[Plant, str] = {"lightweight": LIGHTWEIGHT, "motors": MOTORS}
+FLIGHT_URIS: dict[Plant, str] = {
+    "lightweight": WORLD_URIS.lightweight,
+    "motors": WORLD_URIS.motor_level,
+}
 """The uri of the drones, by engine."""
-PLATFORM: dict[Plant, str] = {"lightweight": "paper", "motors": "cf21"}
+FLIGHT_PLATFORMS: dict[Plant, str] = {"lightweight": "paper", "motors": "cf21"}
 """Platform of the drones, by engine."""
-MANY = 300
-"""Number of drones beyond which one flight with shorter windows is enough."""
-SPACING = 0.7
-"""Distance between neighbours on the ring, m."""
-SETTLE = 0.5
-"""Seconds of the law before the measurement begins."""
-WINDOW = 5.0
-"""Simulated seconds of one measurement."""
-WINDOWS = 3
-"""Measurements in a flight, one after the other."""
-SAMPLE = 0.001
-"""Processor time between two samples of a profile, s."""
-ROOMS = (
-    "bus",
-    "runtime",
-    "safety",
-    "control",
-    "filters",
-    "guidance",
-    "simulation",
-    "mocap",
-    "team",
-    "config",
-    "flight",
-    "agent",
-    "planning",
-)
-"""Rooms of the package that are counted in a profile."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedBenchSettings:
+    """Settings of `crazychoir bench flight`: the swarm, the measured windows and the profile."""
+
+    largest_repeated_swarm: int = 300
+    """Largest number of drones that fly twice and with full windows, and are profiled."""
+    spacing: float = 0.7
+    """Distance between neighbours on the ring, m."""
+    settling_time: float = 0.5
+    """Seconds of the law before the measurement begins."""
+    window_length: float = 5.0
+    """Simulated seconds of one measurement."""
+    windows: int = 3
+    """Measurements in a flight, one after the other."""
+    profile_interval: float = 0.001
+    """Processor time between two samples of a profile, s."""
+    profiled_rooms: tuple[str, ...] = (
+        "bus",
+        "runtime",
+        "safety",
+        "control",
+        "filters",
+        "guidance",
+        "simulation",
+        "mocap",
+        "team",
+        "config",
+        "flight",
+        "agent",
+        "planning",
+    )
+    """Rooms of the package that are counted in a profile."""
+
+
+SPEED_BENCH = SpeedBenchSettings()
+
 
 Say = Callable[[str], None]
 
@@ -81,17 +95,23 @@ def run(quick: bool = False, say: Say = lambda line: None) -> dict[str, Any]:
     Raises Refused if a flight fails.
     """
     rows = [
-        _row(n, plant, 1 if quick or n > MANY else 2, say)
-        for n, plant in (QUICK if quick else CASES)
+        _row(n, plant, 1 if quick or n > SPEED_BENCH.largest_repeated_swarm else 2, say)
+        for n, plant in (QUICK_FLIGHT_CASES if quick else FLIGHT_CASES)
     ]
     return {
         "rows": rows,
-        "worlds": bench_worlds.run(COUNTS[:1] if quick else COUNTS, say),
+        "worlds": bench_worlds.run(
+            WORLD_BENCH.drone_counts[:1] if quick else WORLD_BENCH.drone_counts, say
+        ),
     }
 
 
 def _row(n: int, plant: Plant, flights: int, say: Say) -> dict[str, Any]:
-    window = WINDOW if n <= MANY else 0.2 * WINDOW
+    window = (
+        SPEED_BENCH.window_length
+        if n <= SPEED_BENCH.largest_repeated_swarm
+        else 0.2 * SPEED_BENCH.window_length
+    )
     say(f"{n} drones, {plant}: flying")
     windows = [each for _ in range(flights) for each in fly(n, plant, window)]
     say(f"{n} drones, {plant}: profiling one more flight")
@@ -103,7 +123,9 @@ def _row(n: int, plant: Plant, flights: int, say: Say) -> dict[str, Any]:
         "real_time_factor_cpu": window / statistics.median(cpu for _, cpu in windows),
         "windows": len(windows),
         "window_s": window,
-        "profile": profile(n, plant) if n <= MANY else {},
+        "profile": measure_profile(n, plant)
+        if n <= SPEED_BENCH.largest_repeated_swarm
+        else {},
     }
 
 
@@ -138,7 +160,7 @@ def table(result: dict[str, Any]) -> Table:
 def fly(
     drones: int,
     plant: Plant = "lightweight",
-    window: float = WINDOW,
+    window: float = SPEED_BENCH.window_length,
     watch: Callable[[bool], None] = lambda on: None,
 ) -> list[tuple[float, float]]:
     """Fly once in virtual time; return the (wall, processor) seconds of each window.
@@ -149,16 +171,20 @@ def fly(
     watch: called with True when the first window begins, and with False when the last one has ended
     Raises Refused if the flight fails.
     """
-    config = ring(drones, plant, window)
+    config = ring_swarm(drones, plant, window)
 
     async def main(clock: Clock) -> list[tuple[float, float]]:
-        agent = Agent(clock, config, load("bearing_formation"), config.ids)
-        meter = Meter(agent, window, watch)
+        agent = Agent(clock, config, load_mission("bearing_formation"), config.ids)
+        meter = WindowMeter(agent, window, watch)
         agent.services.append(meter)
         failed = {
             i: r["reason"] for i, r in (await agent.run()).items() if not r["success"]
         }
-        if failed or len(meter.windows) < WINDOWS or agent.owners[0].world.crashed:
+        if (
+            failed
+            or len(meter.windows) < SPEED_BENCH.windows
+            or agent.owners[0].world.crashed
+        ):
             raise Refused(
                 f"bench flight, {drones} drones",
                 f"not a good flight: {failed or meter.windows}",
@@ -168,13 +194,15 @@ def fly(
     return run_virtual(main)
 
 
-def ring(n: int, plant: Plant = "lightweight", window: float = WINDOW) -> SwarmConfig:
+def ring_swarm(
+    n: int, plant: Plant = "lightweight", window: float = SPEED_BENCH.window_length
+) -> SwarmConfig:
     """Return a ring of n drones on the corners of a regular polygon.
 
     Each drone hears its two neighbours, and two opposite drones lead. They take off into the
     shape, so the law only has to hold it against the noise of the cameras.
     """
-    radius = SPACING / (2.0 * math.sin(math.pi / n))
+    radius = SPEED_BENCH.spacing / (2.0 * math.sin(math.pi / n))
     angles = [2.0 * math.pi * k / n for k in range(n)]
     corners = [[radius * math.cos(angle), radius * math.sin(angle)] for angle in angles]
     far = radius + 2.0
@@ -184,7 +212,9 @@ def ring(n: int, plant: Plant = "lightweight", window: float = WINDOW) -> SwarmC
             "mission": "bearing_formation",
             "mission_options": {
                 "shape": {str(k): [*corner, 1.0] for k, corner in enumerate(corners)},
-                "duration": SETTLE + WINDOWS * window + 0.5,
+                "duration": SPEED_BENCH.settling_time
+                + SPEED_BENCH.windows * window
+                + 0.5,
             },
             "seed": 1,
             "edges": [[k, (k + 1) % n] for k in range(n)],
@@ -193,8 +223,8 @@ def ring(n: int, plant: Plant = "lightweight", window: float = WINDOW) -> SwarmC
                     "id": k,
                     "home": [*corners[k], 0.0],
                     "leader": k in (0, n // 2),
-                    "uri": URI[plant],
-                    "platform": PLATFORM[plant],
+                    "uri": FLIGHT_URIS[plant],
+                    "platform": FLIGHT_PLATFORMS[plant],
                 }
                 for k in range(n)
             ],
@@ -204,7 +234,7 @@ def ring(n: int, plant: Plant = "lightweight", window: float = WINDOW) -> SwarmC
     )
 
 
-class Meter(Actor):
+class WindowMeter(Actor):
     """Measures the windows as soon as all drones fly the law."""
 
     name = "meter"
@@ -222,9 +252,9 @@ class Meter(Actor):
         clock = self.agent.clock
         while not self._flying():
             await clock.sleep(0.1)
-        await clock.sleep(SETTLE)
+        await clock.sleep(SPEED_BENCH.settling_time)
         self.watch(True)
-        for _ in range(WINDOWS):
+        for _ in range(SPEED_BENCH.windows):
             wall = time.perf_counter()
             cpu = time.process_time()
             await clock.sleep(self.window)
@@ -240,20 +270,23 @@ class Meter(Actor):
         )
 
 
-def profile(drones: int, plant: Plant = "lightweight") -> dict[str, float]:
+def measure_profile(drones: int, plant: Plant = "lightweight") -> dict[str, float]:
     """Return the share of each room in the processor time of a flight.
 
     Code outside of the package counts for the room that calls it.
     """
     seen: Counter[str] = Counter()
-    with sampling(seen) as watch:
+    with sample_rooms(seen) as watch:
         fly(drones, plant, watch=watch)
     total = max(seen.total(), 1)
-    return {room: round(seen[room] / total, 4) for room in (*ROOMS, "asyncio", "other")}
+    return {
+        room: round(seen[room] / total, 4)
+        for room in (*SPEED_BENCH.profiled_rooms, "asyncio", "other")
+    }
 
 
 @contextmanager
-def sampling(seen: Counter[str]) -> Iterator[Callable[[bool], None]]:
+def sample_rooms(seen: Counter[str]) -> Iterator[Callable[[bool], None]]:
     """Count the room of the running code every SAMPLE s of processor time.
 
     Yields a function that starts the counting with True and stops it with False.
@@ -263,7 +296,11 @@ def sampling(seen: Counter[str]) -> Iterator[Callable[[bool], None]]:
         seen[room_of(frame)] += 1
 
     def watch(on: bool) -> None:
-        signal.setitimer(signal.ITIMER_PROF, SAMPLE if on else 0.0, SAMPLE)
+        signal.setitimer(
+            signal.ITIMER_PROF,
+            SPEED_BENCH.profile_interval if on else 0.0,
+            SPEED_BENCH.profile_interval,
+        )
 
     before = signal.signal(signal.SIGPROF, sampled)
     try:
@@ -273,7 +310,7 @@ def sampling(seen: Counter[str]) -> Iterator[Callable[[bool], None]]:
         signal.signal(signal.SIGPROF, before)
 
 
-HOUSE = Path(crazychoir.__file__).parent
+CRAZYCHOIR_FOLDER = Path(crazychoir.__file__).parent
 
 
 def room_of(frame: FrameType | None) -> str:
@@ -281,10 +318,10 @@ def room_of(frame: FrameType | None) -> str:
     while frame is not None:
         path = Path(frame.f_code.co_filename)
         if (
-            path.is_relative_to(HOUSE)
-            and len(parts := path.relative_to(HOUSE).parts) > 1
+            path.is_relative_to(CRAZYCHOIR_FOLDER)
+            and len(parts := path.relative_to(CRAZYCHOIR_FOLDER).parts) > 1
         ):
-            if parts[0] in ROOMS:
+            if parts[0] in SPEED_BENCH.profiled_rooms:
                 return parts[0]
             return "guidance" if parts[0] == "agents" else "other"
         if path.parent.name == "asyncio":

@@ -13,16 +13,16 @@ from rich import box
 from rich.table import Table
 
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.guidance.mission import Mission, load
+from crazychoir.guidance.mission import Mission, load_mission
 from crazychoir.launch.flight import fly_fast
 
-LOSSY = {"loss": 0.2, "delay": 0.02}
+LOSSY_NETWORK = {"loss": 0.2, "delay": 0.02}
 """Network of the lossy cases: share of lost messages and delay in s."""
 GRID_GAINS = {"kp": 2.0, "kv": 2.5}
 """Gains of the paper's law on the grid, where drones have up to eight neighbours: 1/s2 and 1/s."""
-SCATTER: dict[int, list[float]] = {4: [1.0, 1.0, 1.0], 30: [0.2, 0.2, 0.2]}
+START_SCATTER: dict[int, list[float]] = {4: [1.0, 1.0, 1.0], 30: [0.2, 0.2, 0.2]}
 """Largest displacement of a start, m an axis, by number of drones."""
-FLIGHT = {
+FORMATION_FLIGHT_TABLE = {
     "takeoff_height": 1.2,
     "speed_limit": 3.0,
     "acceleration_limit": 4.0,
@@ -32,7 +32,7 @@ FLIGHT = {
 
 
 @dataclass(frozen=True)
-class Case:
+class FormationCase:
     """One row: a team, its law and its network."""
 
     drones: int
@@ -47,7 +47,7 @@ class Case:
     def config(self, mission: Mission, seed: int) -> SwarmConfig:
         """Return the mission's own swarm, of Crazyflies with motors, scattered by this seed."""
         config = mission.swarm(self.drones)
-        given: dict[str, Any] = {"scatter": SCATTER[self.drones]}
+        given: dict[str, Any] = {"scatter": START_SCATTER[self.drones]}
         if self.law == "paper" and self.drones == 30:
             given |= GRID_GAINS
         drones = [
@@ -66,12 +66,12 @@ class Case:
             "law": self.law,
             "duration": 6.0 if self.law == "normalised" else 20.0,
         }
-        network = LOSSY if self.network == "lossy" else {}
+        network = LOSSY_NETWORK if self.network == "lossy" else {}
         return mission.scatter(
             config.replace(
                 drones=drones,
                 seed=seed,
-                flight=FLIGHT,
+                flight=FORMATION_FLIGHT_TABLE,
                 mission_options=options,
                 network=network,
                 plant={"command_delay": 0.02},
@@ -80,21 +80,21 @@ class Case:
         )
 
 
-CASES = (
-    Case(4, "paper", "perfect", 16.0),
-    Case(4, "normalised", "perfect", 3.0),
-    Case(4, "normalised", "lossy", 3.0),
-    Case(30, "paper", "perfect", 16.0),
-    Case(30, "normalised", "perfect", 4.0),
-    Case(30, "normalised", "lossy", 4.0),
+FORMATION_CASES = (
+    FormationCase(4, "paper", "perfect", 16.0),
+    FormationCase(4, "normalised", "perfect", 3.0),
+    FormationCase(4, "normalised", "lossy", 3.0),
+    FormationCase(30, "paper", "perfect", 16.0),
+    FormationCase(30, "normalised", "perfect", 4.0),
+    FormationCase(30, "normalised", "lossy", 4.0),
 )
 
 
-def times(
-    case: Case, seeds: range, say: Callable[[str], None] = lambda line: None
+def measure_forming_times(
+    case: FormationCase, seeds: range, say: Callable[[str], None] = lambda line: None
 ) -> list[float | None]:
     """Return the s to 1 cm of each seed; None if it was not reached or the flight failed."""
-    mission = load("bearing_formation")
+    mission = load_mission("bearing_formation")
     found = []
     for seed in seeds:
         result = fly_fast(case.config(mission, seed), mission)
@@ -107,17 +107,19 @@ def times(
 
 def run(
     seeds: range,
-    cases: tuple[Case, ...] = CASES,
+    cases: tuple[FormationCase, ...] = FORMATION_CASES,
     say: Callable[[str], None] = lambda line: None,
 ) -> dict[str, Any]:
     """Return the worst and the median time of each case."""
     return {
         "seeds": len(seeds),
-        "rows": [summary(case, times(case, seeds, say)) for case in cases],
+        "rows": [
+            summary(case, measure_forming_times(case, seeds, say)) for case in cases
+        ],
     }
 
 
-def summary(case: Case, found: list[float | None]) -> dict[str, Any]:
+def summary(case: FormationCase, found: list[float | None]) -> dict[str, Any]:
     """Return the row of a case.
 
     found: s of each seed, None if it did not settle; worst_s is then None

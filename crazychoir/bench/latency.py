@@ -28,18 +28,18 @@ from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.mission import Mission
 from crazychoir.launch import number_options as options
-from crazychoir.launch.console import STDOUT, fail
+from crazychoir.launch.console import ANSWER_CONSOLE, exit_with_error
 from crazychoir.routing.instance.generate import random_instance
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.runtime.clock import SECOND, Clock, run_wall
+from crazychoir.runtime.clock import NS_PER_SECOND, Clock, run_wall
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.simulation.owner import WorldOwner
 from crazychoir.solve.solving import solve_here
 from crazychoir.types import Acceleration, Command, Heard, State
 
-RATE = 100.0
+CONTROL_TICK_RATE = 100.0
 """Rate of the control tick, Hz."""
-WARM_UP = 0.3
+BLOCK_WARM_UP = 0.3
 """Seconds at the start of a block that do not count, because the loop itself starts."""
 
 
@@ -77,7 +77,9 @@ class Lateness:
 # The control tick beside the solver ------------------------------------------------------------------------------
 
 
-async def watched(clock: Clock, work: Awaitable[Any], late_ns: list[int]) -> Any:
+async def run_beside_tick(
+    clock: Clock, work: Awaitable[Any], late_ns: list[int]
+) -> Any:
     """Await the work with a control tick beside it; the delays are appended to `late_ns`."""
     ticks = asyncio.create_task(_tick(clock, late_ns), name="control tick")
     try:
@@ -88,8 +90,8 @@ async def watched(clock: Clock, work: Awaitable[Any], late_ns: list[int]) -> Any
 
 
 async def _tick(clock: Clock, late_ns: list[int]) -> None:
-    ticks = clock.ticks(RATE)
-    counted_from_ns = clock.now_ns() + round(WARM_UP * SECOND)
+    ticks = clock.ticks(CONTROL_TICK_RATE)
+    counted_from_ns = clock.now_ns() + round(BLOCK_WARM_UP * NS_PER_SECOND)
     missed = 0
     async for due_ns in ticks:
         if due_ns >= counted_from_ns:
@@ -103,7 +105,11 @@ async def _tick(clock: Clock, late_ns: list[int]) -> None:
 def tick_alone(seconds: float) -> Lateness:
     """Measure the control tick in a process that does nothing else."""
     late_ns: list[int] = []
-    run_wall(lambda clock: watched(clock, clock.sleep(seconds + WARM_UP), late_ns))
+    run_wall(
+        lambda clock: run_beside_tick(
+            clock, clock.sleep(seconds + BLOCK_WARM_UP), late_ns
+        )
+    )
     return Lateness("tick alone", 1, tuple(late_ns))
 
 
@@ -118,7 +124,7 @@ def tick_while_solving(instance: Instance, seconds: float) -> Lateness:
         solve_here(
             instance,
             run=lambda main: run_wall(
-                lambda clock: watched(clock, main(clock), late_ns)
+                lambda clock: run_beside_tick(clock, main(clock), late_ns)
             ),
         )
     return Lateness("tick while solving", 1, tuple(late_ns))
@@ -157,7 +163,7 @@ class StopwatchLink:
         self.link.cut()
 
 
-class Hold(CFDistributedFeedback):
+class HoldLaw(CFDistributedFeedback):
     """A law that holds its place, with the cost of hearing two neighbours.
 
     u = kp (p_0 - p) - kv v
@@ -181,7 +187,7 @@ class HoldMission:
 
     def guidance(self, i: int, config: SwarmConfig) -> CFGuidance:
         """Return the same law for every drone."""
-        return Hold(self.seconds)
+        return HoldLaw(self.seconds)
 
 
 def pose_to_command(drones: int, seconds: float) -> Lateness:
@@ -222,9 +228,9 @@ def measure(
     ]
     flights = [pose_to_command(drones, seconds) for _ in range(repeats)]
     rows = [
-        pooled([a for a, _ in blocks]),
-        pooled([b for _, b in blocks]),
-        pooled(flights),
+        pool_samples([a for a, _ in blocks]),
+        pool_samples([b for _, b in blocks]),
+        pool_samples(flights),
     ]
     return {
         "rows": [row.to_json() for row in rows],
@@ -235,7 +241,7 @@ def measure(
     }
 
 
-def pooled(blocks: list[Lateness]) -> Lateness:
+def pool_samples(blocks: list[Lateness]) -> Lateness:
     """Return all samples of one name as one row."""
     return Lateness(
         blocks[0].name,
@@ -262,17 +268,17 @@ def latency(
 ) -> None:
     """Measure the delay of the control tick beside a solver, and from pose to command."""
     try:
-        problem = ten_robots() if instance is None else Instance.load(instance)
+        problem = ten_robot_instance() if instance is None else Instance.load(instance)
         result = measure(problem, drones, seconds, repeats)
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     if as_json:
         sys.stdout.write(json.dumps(result) + "\n")
     else:
-        STDOUT.print(_table(result))
+        ANSWER_CONSOLE.print(_table(result))
 
 
-def ten_robots() -> Instance:
+def ten_robot_instance() -> Instance:
     """Return ten robots and fifteen tasks in a room of 10 m, with routes of at most 25 m."""
     return random_instance(
         10, 15, seed=1, loads=(1, 1), capacities=(2, 3), route_length_limit=25.0

@@ -14,12 +14,12 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from crazychoir.bench.exchange import INSTALL, Row, measure
+from crazychoir.bench.exchange import NOT_INSTALLED_NOTE, ExchangeRow, measure
 
-ALGORITHMS = ("consensus", "dual decomposition")
-PROMISED = {"consensus": 10.0, "dual decomposition": 3.0}
+MEASURED_ALGORITHMS = ("consensus", "dual decomposition")
+PROMISED_RATIOS = {"consensus": 10.0, "dual decomposition": 3.0}
 """Smallest ratio to DISROPT's pattern that the project promises, by algorithm."""
-PATTERN = "DISROPT's pattern"
+DISROPT_PATTERN = "DISROPT's pattern"
 
 
 def run(
@@ -44,7 +44,7 @@ def run(
             if row.extra and any(
                 importlib.util.find_spec(name) is None for name in (row.extra, "dill")
             ):
-                row.note = INSTALL
+                row.note = NOT_INSTALLED_NOTE
                 continue
             what = f"{row.options['algorithm']}, {row.graph} of {row.agents}, {row.processes} process(es)"
             say(f"{turn + 1}/{repeats}: {row.name}, {what}")
@@ -59,18 +59,18 @@ def run(
     }
 
 
-def _rows(agents: tuple[int, ...]) -> list[Row]:
+def _rows(agents: tuple[int, ...]) -> list[ExchangeRow]:
     rows = []
     for n in agents:
-        for algorithm in ALGORITHMS:
+        for algorithm in MEASURED_ALGORITHMS:
             options = {"algorithm": algorithm}
             rows += [
-                Row("crazychoir", "rounds", "ring", n, p, options=options)
+                ExchangeRow("crazychoir", "rounds", "ring", n, p, options=options)
                 for p in (1, 2)
             ]
             rows.append(
-                Row(
-                    PATTERN,
+                ExchangeRow(
+                    DISROPT_PATTERN,
                     "mpi4py_rounds",
                     "ring",
                     n,
@@ -98,11 +98,12 @@ def ratios(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
             and row["rounds_per_s"]
         ]
         ours = max(
-            (row["rounds_per_s"] for row in here if row["name"] != PATTERN),
+            (row["rounds_per_s"] for row in here if row["name"] != DISROPT_PATTERN),
             default=None,
         )
         theirs = next(
-            (row["rounds_per_s"] for row in here if row["name"] == PATTERN), None
+            (row["rounds_per_s"] for row in here if row["name"] == DISROPT_PATTERN),
+            None,
         )
         ratio = round(ours / theirs, 1) if ours and theirs else None
         found.append(
@@ -110,7 +111,7 @@ def ratios(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 "agents": n,
                 "algorithm": algorithm,
                 "ratio": ratio,
-                "promised": PROMISED[algorithm],
+                "promised": PROMISED_RATIOS[algorithm],
             }
         )
     return found
@@ -150,7 +151,7 @@ def table(result: dict[str, Any]) -> Table:
     for ratio in result["ratios"]:
         times = "-" if ratio["ratio"] is None else f"{ratio['ratio']:g}"
         notes[
-            f"{ratio['algorithm']}, {ratio['agents']} agents: {times} times {PATTERN}"
+            f"{ratio['algorithm']}, {ratio['agents']} agents: {times} times {DISROPT_PATTERN}"
         ] = None
     made.caption = Text("\n".join(notes))
     made.caption_justify = "left"

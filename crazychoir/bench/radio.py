@@ -8,30 +8,39 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.table import Table
 
-from crazychoir.bus.topics import LINK, POSE
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import Refused
-from crazychoir.launch.network import attached, isolate_swarm, observer
-from crazychoir.runtime.clock import SECOND, Clock, run_wall
+from crazychoir.launch.network import isolate_swarm, make_observer_link, run_attached
+from crazychoir.runtime.clock import NS_PER_SECOND, Clock, run_wall
 from crazychoir.runtime.mailbox import Call
 from crazychoir.types import LinkStatus
 
-LINKS = 20
-"""Number of links of the second phase."""
-PER_DONGLE = 4
-"""Links of one dongle."""
-RATE = 100.0
-"""Rate of the measured ticks, Hz."""
-PATIENCE = 60.0
-"""Seconds within which all links must be up."""
-PHASES = ("idle", "20 links", "a 21st connects")
-"""The phases of a run, in order."""
+
+@dataclass(frozen=True, slots=True)
+class RadioBenchSettings:
+    """Settings of `crazychoir bench radio`: its links, its ticks and its phases."""
+
+    links: int = 20
+    """Number of links of the second phase."""
+    links_per_dongle: int = 4
+    """Links of one dongle."""
+    tick_rate: float = 100.0
+    """Rate of the measured ticks, Hz."""
+    connect_timeout: float = 60.0
+    """Seconds within which all links must be up."""
+    phases: tuple[str, ...] = ("idle", "20 links", "a 21st connects")
+    """The phases of a run, in order."""
+
+
+RADIO_BENCH = RadioBenchSettings()
 
 
 def run(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
@@ -45,12 +54,15 @@ def run(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
     async def main(clock: Clock) -> dict[str, Any]:
         config = _swarm()
         found = dict[int, str]()
-        link = observer(clock, config)
+        link = make_observer_link(clock, config)
         address = next(iter(link.bus.ports))
         for i in config.ids:
             for topic, hear in (
-                (POSE, _nothing),
-                (LINK, lambda status, age, i=i: _note(found, i, status)),
+                (DRONE_TOPICS.pose, _ignore_value),
+                (
+                    DRONE_TOPICS.link,
+                    lambda status, age, i=i: _note_link_state(found, i, status),
+                ),
             ):
                 link.bus.subscribe(
                     topic, config.source(topic, i), address, Call(clock, hear)
@@ -58,27 +70,37 @@ def run(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
         with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as started:
             file = Path(folder) / "swarm.json"
             file.write_text(config.dumps(), encoding="utf-8")
-            async with attached(link):
+            async with run_attached(link):
                 say("idle")
-                late = {PHASES[0]: await _lateness(clock, seconds)}
+                late = {RADIO_BENCH.phases[0]: await _measure_lateness(clock, seconds)}
                 for words in _programs(file):
-                    started.enter_context(_running(words, {}))
-                say(f"connecting {LINKS} virtual drones")
-                await _until(
+                    started.enter_context(_run_program(words, {}))
+                say(f"connecting {RADIO_BENCH.links} virtual drones")
+                await _wait_until(
                     clock,
-                    lambda: sum(state == "up" for state in found.values()) >= LINKS,
+                    lambda: (
+                        sum(state == "up" for state in found.values())
+                        >= RADIO_BENCH.links
+                    ),
                 )
-                say(f"{LINKS} links")
-                late[PHASES[1]] = await _lateness(clock, seconds)
+                say(f"{RADIO_BENCH.links} links")
+                late[RADIO_BENCH.phases[1]] = await _measure_lateness(clock, seconds)
                 say("one more connects")
                 started.enter_context(
-                    _running(
-                        _owner(file, LINKS // PER_DONGLE), {"XDG_CACHE_HOME": folder}
+                    _run_program(
+                        _owner(file, RADIO_BENCH.links // RADIO_BENCH.links_per_dongle),
+                        {"XDG_CACHE_HOME": folder},
                     )
                 )
-                late[PHASES[2]] = await _lateness(clock, seconds / 2.0)
-                await _until(clock, lambda: found.get(LINKS) == "up")
-        return {"links": LINKS, "ticks_hz": RATE, "late_ms": late}
+                late[RADIO_BENCH.phases[2]] = await _measure_lateness(
+                    clock, seconds / 2.0
+                )
+                await _wait_until(clock, lambda: found.get(RADIO_BENCH.links) == "up")
+        return {
+            "links": RADIO_BENCH.links,
+            "ticks_hz": RADIO_BENCH.tick_rate,
+            "late_ms": late,
+        }
 
     return run_wall(main)
 
@@ -86,15 +108,15 @@ def run(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
 def _swarm() -> SwarmConfig:
     """Return twenty drones on five dongles, and one more on a sixth."""
     with contextlib.ExitStack() as kept:
-        first = _free_ports(LINKS + 2, kept)
+        first = _free_ports(RADIO_BENCH.links + 2, kept)
     drones = [
         {
             "id": i,
             "home": drone.home,
             "uri": f"udp://127.0.0.1:{first + 1 + i}",
-            "dongle": i // PER_DONGLE,
+            "dongle": i // RADIO_BENCH.links_per_dongle,
         }
-        for i, drone in enumerate(default_swarm(LINKS + 1).drones)
+        for i, drone in enumerate(default_swarm(RADIO_BENCH.links + 1).drones)
     ]
     raw = {
         "name": "bench",
@@ -125,7 +147,7 @@ def _programs(file: Path) -> Iterator[list[str]]:
     swarm = ["--swarm", str(file)]
     yield ["crazychoir.cli.main", "virtual", *swarm]
     yield ["crazychoir.cli.fly.mocap", *swarm]
-    for dongle in range(LINKS // PER_DONGLE):
+    for dongle in range(RADIO_BENCH.links // RADIO_BENCH.links_per_dongle):
         yield _owner(file, dongle)
 
 
@@ -140,7 +162,7 @@ def _owner(file: Path, dongle: int) -> list[str]:
 
 
 @contextlib.contextmanager
-def _running(words: list[str], environment: dict[str, str]) -> Iterator[None]:
+def _run_program(words: list[str], environment: dict[str, str]) -> Iterator[None]:
     quiet = subprocess.DEVNULL
     child = subprocess.Popen(
         [sys.executable, "-m", *words],
@@ -158,29 +180,32 @@ def _running(words: list[str], environment: dict[str, str]) -> Iterator[None]:
         child.wait()
 
 
-def _nothing(value: Any, age: float) -> None:
+def _ignore_value(value: Any, age: float) -> None:
     """Ignore a value that is only received."""
 
 
-def _note(found: dict[int, str], i: int, status: LinkStatus) -> None:
+def _note_link_state(found: dict[int, str], i: int, status: LinkStatus) -> None:
     found[i] = status.state
 
 
-async def _until(clock: Clock, holds: Callable[[], bool]) -> None:
-    ends = clock.now() + PATIENCE
+async def _wait_until(clock: Clock, holds: Callable[[], bool]) -> None:
+    ends = clock.now() + RADIO_BENCH.connect_timeout
     while not holds():
         if clock.now() > ends:
-            raise Refused("bench radio", f"not all links are up within {PATIENCE:g} s")
+            raise Refused(
+                "bench radio",
+                f"not all links are up within {RADIO_BENCH.connect_timeout:g} s",
+            )
         await clock.sleep(0.05)
 
 
-async def _lateness(clock: Clock, seconds: float) -> dict[str, float]:
+async def _measure_lateness(clock: Clock, seconds: float) -> dict[str, float]:
     """Return the delays of ticks, ms."""
-    ticks = clock.ticks(RATE)
+    ticks = clock.ticks(RADIO_BENCH.tick_rate)
     late = list[float]()
     async for _ in ticks:
-        late.append((clock.now_ns() - ticks.due_ns) / SECOND * 1e3)
-        if len(late) >= seconds * RATE:
+        late.append((clock.now_ns() - ticks.due_ns) / NS_PER_SECOND * 1e3)
+        if len(late) >= seconds * RADIO_BENCH.tick_rate:
             break
     p50, p99 = np.percentile(late, (50.0, 99.0))
     return {

@@ -21,50 +21,72 @@ from rich.console import Group as Shown
 from rich.table import Table
 from rich.text import Text
 
-from crazychoir.bench.exchange import BARE, INSTALL, PACKAGE
-from crazychoir.bench.significance import paired, relative, spread
+from crazychoir.bench.exchange import (
+    BARE_PACKAGE_PROGRAM,
+    NOT_INSTALLED_NOTE,
+    PACKAGE_FOLDER,
+)
+from crazychoir.bench.significance import compare_pairs, relative_excess, spread
 from crazychoir.errors import ConfigError, CrazyChoirError, error_text
-from crazychoir.routing.distributed.member import Settings
-from crazychoir.routing.distributed.pickup_delivery import METHODS
-from crazychoir.routing.instance.checker import check
+from crazychoir.routing.distributed.member import RoutingSettings
+from crazychoir.routing.distributed.pickup_delivery import PLANNING_METHODS
+from crazychoir.routing.instance.checker import check_plan
 from crazychoir.routing.instance.generate import random_instance
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.routing.instance.plan import Plan, Route
-from crazychoir.solve.group import Group
+from crazychoir.routing.instance.plan import Route, RoutePlan
+from crazychoir.solve.group import ProgramGroup
 from crazychoir.solve.solving import solve_here
-from crazychoir.solve.team import best_so_far, solve_in_processes
-from crazychoir.team.graph import named
+from crazychoir.solve.team import merge_best_points, solve_in_processes
+from crazychoir.team.graph import graph_from_name
 
-SIZES = {"tiny": (3, 5), "small": (10, 20), "middle": (20, 40), "large": (50, 100)}
+INSTANCE_SIZES = {
+    "tiny": (3, 5),
+    "small": (10, 20),
+    "middle": (20, 40),
+    "large": (50, 100),
+}
 """Robots and tasks, in a room of 10 m by 10 m, with routes of at most LIMIT m."""
-INSTANCES = {"tiny": 5, "small": 20, "middle": 5, "large": 5}
+INSTANCE_COUNTS = {"tiny": 5, "small": 20, "middle": 5, "large": 5}
 """Number of instances of each size, if the command line does not give it."""
-MOST_INSTANCES = 1000
-"""Largest number of instances of a size."""
-DEFAULT = "small:20,middle:5,large:5"
-"""Sizes and numbers of instances, if the command line does not give them."""
-PROVABLE = ("tiny", "small", "middle")
-"""Sizes for which a proof may end in reasonable time."""
-LIMIT = 25.0
-"""Largest length of a route, m."""
-OURS = "crazychoir"
-PROOF = "crazychoir, proof"
-LOSS = 0.1
-"""Share of the team's messages that is lost."""
-PROCESSES = 2
-"""Number of processes of the team."""
-PATIENCE = 300.0
-"""Seconds that a peer gets at most."""
-LEGEND = """
+
+
+@dataclass(frozen=True, slots=True)
+class RoutingBenchSettings:
+    """Settings of `crazychoir bench routing`: its instances, the team's network and its limits."""
+
+    most_instances: int = 1000
+    """Largest number of instances of a size."""
+    default_sizes: str = "small:20,middle:5,large:5"
+    """Sizes and numbers of instances, if the command line does not give them."""
+    provable_sizes: tuple[str, ...] = ("tiny", "small", "middle")
+    """Sizes for which a proof may end in reasonable time."""
+    route_length_limit: float = 25.0
+    """Largest length of a route, m."""
+    message_loss: float = 0.1
+    """Share of the team's messages that is lost."""
+    team_processes: int = 2
+    """Number of processes of the team."""
+    peer_timeout: float = 300.0
+    """Seconds that a peer gets at most."""
+    optimality_gap: float = 1e-6
+    """Relative gap up to which a plan counts as proven optimal."""
+    rival_methods: tuple[str, ...] = ("cbba", "auction")
+    """Methods of the team that are measured as peers, in virtual time."""
+
+
+ROUTING_BENCH = RoutingBenchSettings()
+
+
+TEAM_ROW = "crazychoir"
+PROOF_ROW = "crazychoir, proof"
+RESULT_LEGEND = """
 Medians over the instances that are done, that is, solved. opt.: proven optimal.
 gap, worst: % over the proven optimum, else over the bound. wall, CPU: s.
 path: s, of the critical path. wins: of the team, p: that it is better."""
-CLOSED = 1e-6
-"""Relative gap up to which a plan counts as proven optimal."""
 
 
 @dataclass(frozen=True)
-class Peer:
+class PeerSolver:
     """A program that solves an instance."""
 
     name: str
@@ -75,19 +97,19 @@ class Peer:
     """Package that must be installed; empty for none."""
     options: dict[str, Any] = field(default_factory=dict)
     """Its options."""
-    sizes: tuple[str, ...] = tuple(SIZES)
+    sizes: tuple[str, ...] = tuple(INSTANCE_SIZES)
     """Sizes that it solves."""
     covers: bool = False
     """Whether its model lets several robots serve the same task."""
 
 
-PEERS = (
-    Peer(
+PEER_SOLVERS = (
+    PeerSolver(
         "VROOM", "vroom_peer", "vroom", {"exploration": 5, "threads": 2, "restarts": 5}
     ),
-    Peer("OR-tools", "ortools_peer", "ortools", {"seconds": 10.0}),
-    Peer("arc-flow MILP", "compact", "", {"nodes": 20_000}, ("tiny",)),
-    Peer(
+    PeerSolver("OR-tools", "ortools_peer", "ortools", {"seconds": 10.0}),
+    PeerSolver("arc-flow MILP", "compact", "", {"nodes": 20_000}, ("tiny",)),
+    PeerSolver(
         "DISROPT's rule",
         "disropt_peer",
         "",
@@ -96,12 +118,10 @@ PEERS = (
         covers=True,
     ),
 )
-RIVALS = ("cbba", "auction")
-"""Methods of the team that are measured as peers, in virtual time."""
 
 
 def run(
-    sizes: str = DEFAULT,
+    sizes: str = ROUTING_BENCH.default_sizes,
     *,
     graph: str = "k-regular:4",
     method: str | None = None,
@@ -120,12 +140,14 @@ def run(
     say: called with a text that says what is being measured
     Raises ConfigError for an unknown size, graph or method.
     """
-    chosen = {"tiny": 2} if quick else instances(sizes)
-    method = method or METHODS[0]
-    if method not in METHODS:
-        raise ConfigError("--method", method, ", ".join(METHODS))
+    chosen = {"tiny": 2} if quick else parse_sizes(sizes)
+    method = method or PLANNING_METHODS[0]
+    if method not in PLANNING_METHODS:
+        raise ConfigError("--method", method, ", ".join(PLANNING_METHODS))
     for size in chosen:
-        named(_graph(graph, SIZES[size][0]), SIZES[size][0], 1)
+        graph_from_name(
+            _graph(graph, INSTANCE_SIZES[size][0]), INSTANCE_SIZES[size][0], 1
+        )
     rows: list[dict[str, Any]] = []
     cases = [
         (size, seed) for size, count in chosen.items() for seed in range(1, count + 1)
@@ -134,18 +156,18 @@ def run(
         tell = partial(_tell, say, f"instance {number} of {len(cases)}")
         of_one = list(_rows(size, seed, graph, method, quick, tell))
         of_one += (
-            [_proof(size, seed, graph, method, tell)]
-            if prove and size in PROVABLE
+            [_prove_with_team(size, seed, graph, method, tell)]
+            if prove and size in ROUTING_BENCH.provable_sizes
             else []
         )
-        rows += rated(of_one)
+        rows += rate_rows(of_one)
     return {
         "rows": rows,
         "summary": summary(rows),
         "graph": graph,
         "method": method,
-        "loss": LOSS,
-        "processes": PROCESSES,
+        "loss": ROUTING_BENCH.message_loss,
+        "processes": ROUTING_BENCH.team_processes,
     }
 
 
@@ -153,7 +175,7 @@ def _tell(say: Callable[[str], None], where: str, what: str) -> None:
     say(f"{where}: {what}")
 
 
-def instances(sizes: str) -> dict[str, int]:
+def parse_sizes(sizes: str) -> dict[str, int]:
     """Return the number of instances of each size of a text such as "small:20,middle".
 
     Raises ConfigError for a text that is not valid.
@@ -161,18 +183,23 @@ def instances(sizes: str) -> dict[str, int]:
     chosen: dict[str, int] = {}
     for word in sizes.split(","):
         size, _, count = word.strip().partition(":")
-        if size not in SIZES or size in chosen:
-            raise ConfigError(
-                "--sizes", word, f"each of {', '.join(SIZES)} once", f"As {DEFAULT}."
-            )
-        if count and not (count.isdecimal() and 1 <= int(count) <= MOST_INSTANCES):
+        if size not in INSTANCE_SIZES or size in chosen:
             raise ConfigError(
                 "--sizes",
                 word,
-                f"1 to {MOST_INSTANCES} instances after the colon",
-                f"As {DEFAULT}.",
+                f"each of {', '.join(INSTANCE_SIZES)} once",
+                f"As {ROUTING_BENCH.default_sizes}.",
             )
-        chosen[size] = int(count or INSTANCES[size])
+        if count and not (
+            count.isdecimal() and 1 <= int(count) <= ROUTING_BENCH.most_instances
+        ):
+            raise ConfigError(
+                "--sizes",
+                word,
+                f"1 to {ROUTING_BENCH.most_instances} instances after the colon",
+                f"As {ROUTING_BENCH.default_sizes}.",
+            )
+        chosen[size] = int(count or INSTANCE_COUNTS[size])
     return chosen
 
 
@@ -189,23 +216,24 @@ def _rows(
     head = _head(size, seed)
     robots = instance.robots
     say(
-        f"{size} {seed}: {OURS}: {robots} robots in {PROCESSES} processes, {LOSS:.0%} of messages lost"
+        f"{size} {seed}: {TEAM_ROW}: {robots} robots in {ROUTING_BENCH.team_processes} "
+        f"processes, {ROUTING_BENCH.message_loss:.0%} of messages lost"
     )
     ours = _team(
         instance,
         lambda: solve_in_processes(
             instance,
-            PROCESSES,
+            ROUTING_BENCH.team_processes,
             method=method,
-            loss=LOSS,
+            loss=ROUTING_BENCH.message_loss,
             graph=_graph(graph, robots),
             seed=seed,
         ),
     )
-    yield head | {"name": OURS} | ours
-    for rival in RIVALS:
+    yield head | {"name": TEAM_ROW} | ours
+    for rival in ROUTING_BENCH.rival_methods:
         say(f"{size} {seed}: {rival}")
-        known = rival in METHODS
+        known = rival in PLANNING_METHODS
         yield (
             head
             | {"name": rival}
@@ -215,16 +243,16 @@ def _rows(
                     lambda rival=rival: solve_here(  # type: ignore[misc]
                         instance,
                         method=rival,
-                        loss=LOSS,
+                        loss=ROUTING_BENCH.message_loss,
                         graph=_graph(graph, robots),
                         seed=seed,
                     ),
                 )
                 if known
-                else _nothing("no such method")
+                else _row_without_result("no such method")
             )
         )
-    for peer in (peer for peer in PEERS if size in peer.sizes):
+    for peer in (peer for peer in PEER_SOLVERS if size in peer.sizes):
         say(f"{size} {seed}: {peer.name}")
         options = peer.options | {
             "seed": seed,
@@ -232,26 +260,26 @@ def _rows(
         }
         options.setdefault("seconds", ours["wall_s"] or 1.0)
         options |= {"seconds": min(1.0, options["seconds"])} if quick else {}
-        yield head | {"name": peer.name} | measured(instance, peer, options)
+        yield head | {"name": peer.name} | measure_peer(instance, peer, options)
 
 
-def _proof(
+def _prove_with_team(
     size: str, seed: int, graph: str, method: str, say: Callable[[str], None]
 ) -> dict[str, Any]:
     """Return the row of the team when it runs until it has proven what it can."""
     say(f"{size} {seed}: proof")
     instance = _instance(size, seed)
-    settings = Settings(prove=True)
+    settings = RoutingSettings(prove=True)
     return (
         _head(size, seed)
-        | {"name": PROOF}
+        | {"name": PROOF_ROW}
         | _team(
             instance,
             lambda: solve_in_processes(
                 instance,
-                PROCESSES,
+                ROUTING_BENCH.team_processes,
                 method=method,
-                loss=LOSS,
+                loss=ROUTING_BENCH.message_loss,
                 graph=_graph(graph, instance.robots),
                 seed=seed,
                 settings=settings,
@@ -261,18 +289,22 @@ def _proof(
 
 
 def _instance(size: str, seed: int) -> Instance:
-    return random_instance(*SIZES[size], seed, route_length_limit=LIMIT)
+    return random_instance(
+        *INSTANCE_SIZES[size], seed, route_length_limit=ROUTING_BENCH.route_length_limit
+    )
 
 
 def _head(size: str, seed: int) -> dict[str, Any]:
-    robots, tasks = SIZES[size]
+    robots, tasks = INSTANCE_SIZES[size]
     return {"size": size, "robots": robots, "tasks": tasks, "seed": seed}
 
 
-def measured(instance: Instance, peer: Peer, options: dict[str, Any]) -> dict[str, Any]:
+def measure_peer(
+    instance: Instance, peer: PeerSolver, options: dict[str, Any]
+) -> dict[str, Any]:
     """Return the row of a peer; if it has no result, the note says why."""
     if peer.extra and importlib.util.find_spec(peer.extra) is None:
-        return _nothing(INSTALL)
+        return _row_without_result(NOT_INSTALLED_NOTE)
     with tempfile.TemporaryDirectory(prefix="crazychoir-bench-") as folder:
         file = Path(folder) / "instance.json"
         file.write_text(json.dumps(instance.to_json()), encoding="utf-8")
@@ -280,20 +312,22 @@ def measured(instance: Instance, peer: Peer, options: dict[str, Any]) -> dict[st
         command = [
             sys.executable,
             "-c",
-            BARE,
-            str(PACKAGE),
+            BARE_PACKAGE_PROGRAM,
+            str(PACKAGE_FOLDER),
             f"crazychoir.bench.peers.{peer.module}",
             spec,
         ]
         try:
-            with Group([command]) as group:
-                ((_, answer),) = group.answers(1, PATIENCE, "do not answer")
+            with ProgramGroup([command]) as group:
+                ((_, answer),) = group.answers(
+                    1, ROUTING_BENCH.peer_timeout, "do not answer"
+                )
         except TimeoutError as error:
-            return _nothing(f"failed: {error}")
-    return judged(instance, answer, peer.covers)
+            return _row_without_result(f"failed: {error}")
+    return judge_answer(instance, answer, peer.covers)
 
 
-def judged(
+def judge_answer(
     instance: Instance, answer: dict[str, Any], covers: bool = False
 ) -> dict[str, Any]:
     """Return the row of a peer's answer: its routes as they are flown, and their faults.
@@ -303,7 +337,7 @@ def judged(
     covers: whether a task served by several robots is only noted, not a fault
     """
     if answer["routes"] is None:
-        return _nothing(answer["note"]) | {
+        return _row_without_result(answer["note"]) | {
             key: answer[key] for key in ("wall_s", "cpu_s")
         }
     routes = [
@@ -311,10 +345,10 @@ def judged(
         for route in answer["routes"]
         if route["nodes"]
     ]
-    plan = Plan(tuple(routes))
+    plan = RoutePlan(tuple(routes))
     services = Counter(task for route in routes for task in route.tasks)
     repeated = sum(count > 1 for count in services.values())
-    wrong = check(instance, plan)
+    wrong = check_plan(instance, plan)
     note = answer["note"]
     if repeated and covers:
         note += f"; {repeated} tasks are served by several"
@@ -328,7 +362,7 @@ def judged(
         "critical_path_s": None,
         "lower_bound": None,
         "bound_exact": False,
-        "curve": best_so_far(answer["curve"]),
+        "curve": merge_best_points(answer["curve"]),
         "note": note,
     }
 
@@ -345,7 +379,7 @@ def _team(instance: Instance, solve: Callable[[], dict[str, Any]]) -> dict[str, 
     try:
         result = solve()
     except CrazyChoirError as error:
-        return _nothing(error_text(error))
+        return _row_without_result(error_text(error))
     keys = (
         "cost",
         "feasible",
@@ -364,7 +398,7 @@ def _team(instance: Instance, solve: Callable[[], dict[str, Any]]) -> dict[str, 
     )
 
 
-def _nothing(note: str) -> dict[str, Any]:
+def _row_without_result(note: str) -> dict[str, Any]:
     keys = ("cost", "wall_s", "cpu_s", "critical_path_s", "lower_bound")
     return dict.fromkeys(keys) | {
         "feasible": False,
@@ -374,7 +408,7 @@ def _nothing(note: str) -> dict[str, Any]:
     }
 
 
-def rated(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def rate_rows(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the rows of one instance, each with its gap_percent to the `reference`.
 
     The reference is the proven optimum, else the best exact bound. A plan that costs less than
@@ -385,12 +419,16 @@ def rated(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     if not bounds or best is None:
         return [row | {"gap_percent": None, "reference": None} for row in rows]
     bound = max(bounds)
-    if best < bound * (1.0 - CLOSED):
+    if best < bound * (1.0 - ROUTING_BENCH.optimality_gap):
         return [
             row | {"gap_percent": None, "reference": "broken bound"} for row in rows
         ]
-    reference = "optimum" if best <= bound * (1.0 + CLOSED) else "bound"
-    gaps = [relative(row["cost"], bound) if row["feasible"] else None for row in rows]
+    reference = (
+        "optimum" if best <= bound * (1.0 + ROUTING_BENCH.optimality_gap) else "bound"
+    )
+    gaps = [
+        relative_excess(row["cost"], bound) if row["feasible"] else None for row in rows
+    ]
     return [
         row | {"gap_percent": gap, "reference": reference}
         for row, gap in zip(rows, gaps, strict=True)
@@ -409,7 +447,7 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
         of_team = {
             row["seed"]: row
             for row in rows
-            if row["size"] == size and row["name"] == OURS and row["feasible"]
+            if row["size"] == size and row["name"] == TEAM_ROW and row["feasible"]
         }
         both = [seed for seed in solved if seed in of_team]
         row: dict[str, Any] = {
@@ -425,10 +463,12 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
             row[key] = spread(values) if values else None
         pairs = (
             [(of_team[seed]["cost"], solved[seed]["cost"]) for seed in both]
-            if name != OURS
+            if name != TEAM_ROW
             else []
         )
-        row["against_team"] = paired(*zip(*pairs, strict=True)) if pairs else None
+        row["against_team"] = (
+            compare_pairs(*zip(*pairs, strict=True)) if pairs else None
+        )
         row["notes"] = list(dict.fromkeys(one["note"] for one in mine if one["note"]))
         found.append(row)
     return found
@@ -438,7 +478,7 @@ def _is_optimal(row: dict[str, Any]) -> bool:
     return (
         row["reference"] == "optimum"
         and row["gap_percent"] is not None
-        and row["gap_percent"] <= 100.0 * CLOSED
+        and row["gap_percent"] <= 100.0 * ROUTING_BENCH.optimality_gap
     )
 
 
@@ -458,12 +498,12 @@ def table(result: dict[str, Any]) -> Shown:
     return Shown(
         Text(head),
         *tables,
-        Text("\n".join([*dict.fromkeys([*broken, *notes]), LEGEND])),
+        Text("\n".join([*dict.fromkeys([*broken, *notes]), RESULT_LEGEND])),
     )
 
 
 def _table_of(size: str, rows: list[dict[str, Any]]) -> Table:
-    robots, tasks = SIZES[size]
+    robots, tasks = INSTANCE_SIZES[size]
     made = Table(
         title=f"{size}: {robots} robots, {tasks} tasks",
         box=box.SIMPLE_HEAD,
@@ -492,7 +532,9 @@ def _table_of(size: str, rows: list[dict[str, Any]]) -> Table:
         wins = f"{versus['wins']}/{versus['pairs']}" if versus else ""
         p = "" if versus.get("p") is None else f"{versus['p']:.1g}"
         worst = (
-            "-" if row["gap_percent"] is None else _short(row["gap_percent"]["most"])
+            "-"
+            if row["gap_percent"] is None
+            else _format_figure(row["gap_percent"]["most"])
         )
         cost = "-" if row["cost"] is None else f"{row['cost']['median']:.2f}"
         gap, *times = (
@@ -514,10 +556,10 @@ def _table_of(size: str, rows: list[dict[str, Any]]) -> Table:
 
 
 def _median(figures: dict[str, float] | None) -> str:
-    return "-" if figures is None else _short(figures["median"])
+    return "-" if figures is None else _format_figure(figures["median"])
 
 
-def _short(figure: float) -> str:
+def _format_figure(figure: float) -> str:
     """Return a figure with three digits and at most two decimals."""
     return (
         f"{figure:.2f}"
@@ -534,5 +576,5 @@ def _graph(graph: str, robots: int) -> str:
 
 
 def _neighbors(graph: str, robots: int, seed: int) -> dict[int, tuple[int, ...]]:
-    links = named(_graph(graph, robots), robots, seed)
+    links = graph_from_name(_graph(graph, robots), robots, seed)
     return {i: links.neighbors(i) for i in links.ids}

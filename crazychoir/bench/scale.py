@@ -28,36 +28,57 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from crazychoir.bench.exchange import BARE, PACKAGE
-from crazychoir.config.swarm_config import LOCAL
-from crazychoir.launch.namespaces import Switched, switched
-from crazychoir.launch.network import reserved_ports
-from crazychoir.solve.group import Group
+from crazychoir.bench.exchange import BARE_PACKAGE_PROGRAM, PACKAGE_FOLDER
+from crazychoir.config.swarm_config import LOCAL_ADDRESS
+from crazychoir.launch.namespaces import SwitchedNamespaces, make_switched_namespaces
+from crazychoir.launch.network import reserve_ports
+from crazychoir.solve.group import ProgramGroup
 from crazychoir.team.graph import k_regular
 
-AGENTS = (10, 30, 100, 300, 1000)
-"""Numbers of agents."""
-PROCESSES = (1, 2, 4, 8)
-"""Numbers of processes."""
-QUICK = (10, 40), (1, 2)
+
+@dataclass(frozen=True, slots=True)
+class ScaleBenchSettings:
+    """Settings of `crazychoir bench scale`: the measured cells."""
+
+    agents: tuple[int, ...] = (10, 30, 100, 300, 1000)
+    """Numbers of agents."""
+    processes: tuple[int, ...] = (1, 2, 4, 8)
+    """Numbers of processes."""
+    degree: int = 4
+    """Neighbours of each agent."""
+    start_deadline: float = 120.0
+    """Seconds until all processes must have found each other."""
+    warm_up_time: float = 0.5
+    """Seconds of exchange before the measured window."""
+
+
+SCALE_BENCH = ScaleBenchSettings()
+
+
+QUICK_RUN_CELLS = (10, 40), (1, 2)
 """Numbers of agents and of processes of a quick run."""
-DEGREE = 4
-"""Neighbours of each agent."""
-START_DEADLINE = 120.0
-"""Seconds until all processes must have found each other."""
-WARM = 0.5
-"""Seconds of exchange before the measured window."""
-HOSTS = 100
-"""Number of hosts in the estimate."""
-EACH = 100
-"""Agents on each of these hosts."""
-RATE = 10.0
-"""Rounds a second in the estimate."""
-CORES = 8
-"""Cores of each host."""
-NETWORK = 125e6
-"""Speed of each host's network, B/s."""
-TERMS = {
+
+
+@dataclass(frozen=True, slots=True)
+class HostEstimateSettings:
+    """The hosts for which the model estimates the cost of a large swarm."""
+
+    hosts: int = 100
+    """Number of hosts in the estimate."""
+    agents_per_host: int = 100
+    """Agents on each of these hosts."""
+    round_rate: float = 10.0
+    """Rounds a second in the estimate."""
+    cores: int = 8
+    """Cores of each host."""
+    network_speed: float = 125e6
+    """Speed of each host's network, B/s."""
+
+
+HOST_ESTIMATE = HostEstimateSettings()
+
+
+MODEL_TERMS = {
     "processor": ("step", "far", "frame"),
     "memory": ("process", "agent", "link"),
     "start": ("once", "process", "link"),
@@ -67,7 +88,7 @@ TERMS = {
 
 
 @dataclass
-class Cell:
+class ScaleCell:
     """One measurement: some agents in some processes.
 
     Figures are sums over all processes and rates a second, unless the field says otherwise.
@@ -104,7 +125,7 @@ class Cell:
 
 
 @dataclass
-class Fit:
+class FittedModel:
     """A model of one figure, with its relative errors as shares."""
 
     coefficients: dict[str, float]
@@ -132,7 +153,9 @@ def run(
     repeats: measurements of each cell; its figures are medians
     say: called with a text that says what is being measured
     """
-    agents, processes = QUICK if quick else (AGENTS, PROCESSES)
+    agents, processes = (
+        QUICK_RUN_CELLS if quick else (SCALE_BENCH.agents, SCALE_BENCH.processes)
+    )
     cells = []
     count = 1 if quick else repeats
     for n in agents:
@@ -145,7 +168,7 @@ def run(
                 turns.append(measure(n, p, 1.0 if quick else 3.0, namespaces))
             rows = [asdict(turn) for turn in turns]
             cells.append(
-                Cell(
+                ScaleCell(
                     **{
                         key: statistics.median(row[key] for row in rows)
                         for key in rows[0]
@@ -157,11 +180,11 @@ def run(
                     }
                 )
             )
-    fits = {name: fit(name, cells) for name in TERMS}
+    fits = {name: fit_model(name, cells) for name in MODEL_TERMS}
     return {
         "cells": [asdict(cell) for cell in cells],
         "fits": {name: asdict(one) for name, one in fits.items()},
-        "needs": needs(fits),
+        "needs": estimate_hosts(fits),
         "namespaces": namespaces,
         "repeats": count,
     }
@@ -170,7 +193,7 @@ def run(
 # One measurement ----------------------------------------------------------------------------------------------------
 
 
-def measure(n: int, p: int, seconds: float, namespaces: bool) -> Cell:
+def measure(n: int, p: int, seconds: float, namespaces: bool) -> ScaleCell:
     """Measure one window of one cell.
 
     n: number of agents
@@ -180,24 +203,32 @@ def measure(n: int, p: int, seconds: float, namespaces: bool) -> Cell:
     Raises TimeoutError if the processes do not find each other.
     """
     ids = random.Random(1).sample(range(n), n)  # noqa: S311 - scatters the agents
-    graph = k_regular(n, DEGREE)
+    graph = k_regular(n, SCALE_BENCH.degree)
     neighbors = {
         ids[i]: sorted(ids[j] for j in graph.in_neighbors(i)) for i in range(n)
     }
     with ExitStack() as stack:
         addresses = {f"h{k}": f"10.76.0.{k + 1}" for k in range(p)}
-        hosts = stack.enter_context(switched(addresses)) if namespaces else None
-        began = time.perf_counter()
-        base = stack.enter_context(reserved_ports(dict.fromkeys(range(p), LOCAL)))
-        group = stack.enter_context(
-            Group(commands(neighbors, p, seconds, hosts, addresses, base))
+        hosts = (
+            stack.enter_context(make_switched_namespaces(addresses))
+            if namespaces
+            else None
         )
-        list(group.answers(p, START_DEADLINE, "do not find each other"))
+        began = time.perf_counter()
+        base = stack.enter_context(
+            reserve_ports(dict.fromkeys(range(p), LOCAL_ADDRESS))
+        )
+        group = stack.enter_context(
+            ProgramGroup(peer_commands(neighbors, p, seconds, hosts, addresses, base))
+        )
+        list(group.answers(p, SCALE_BENCH.start_deadline, "do not find each other"))
         start = time.perf_counter() - began
         group.tell("go")
         found = [
             answer
-            for _, answer in group.answers(p, WARM + seconds + 30.0, "do not answer")
+            for _, answer in group.answers(
+                p, SCALE_BENCH.warm_up_time + seconds + 30.0, "do not answer"
+            )
         ]
     total = {
         key: sum(one[key] for one in found)
@@ -205,7 +236,7 @@ def measure(n: int, p: int, seconds: float, namespaces: bool) -> Cell:
     }
     far = sum(one["far"] * one["messages"] for one in found)
     slowest = min(one["steps"] for one in found) / (n / p)
-    return Cell(
+    return ScaleCell(
         n,
         p,
         slowest,
@@ -221,11 +252,11 @@ def measure(n: int, p: int, seconds: float, namespaces: bool) -> Cell:
     )
 
 
-def commands(
+def peer_commands(
     neighbors: Mapping[int, list[int]],
     p: int,
     seconds: float,
-    hosts: Switched | None,
+    hosts: SwitchedNamespaces | None,
     addresses: dict[str, str],
     base: int,
 ) -> list[list[str]]:
@@ -234,11 +265,11 @@ def commands(
     The processes use the ports from `base` on.
     """
     n = len(neighbors)
-    at = list(addresses.values()) if hosts is not None else [LOCAL] * p
+    at = list(addresses.values()) if hosts is not None else [LOCAL_ADDRESS] * p
     ends = [f"tcp/{address}:{base + k}" for k, address in enumerate(at)]
     common = {
         "neighbors": neighbors,
-        "warm": WARM,
+        "warm": SCALE_BENCH.warm_up_time,
         "seconds": seconds,
         "processes": p,
         "swarm": f"bench{secrets.token_hex(4)}",
@@ -256,8 +287,8 @@ def commands(
         program = [
             sys.executable,
             "-c",
-            BARE,
-            str(PACKAGE),
+            BARE_PACKAGE_PROGRAM,
+            str(PACKAGE_FOLDER),
             "crazychoir.bench.peers.scale",
         ]
         made.append([*inside, *program, json.dumps({**common, **own})])
@@ -267,7 +298,7 @@ def commands(
 # The model ----------------------------------------------------------------------------------------------------------
 
 
-def features(name: str, cell: Cell) -> list[float]:
+def cell_factors(name: str, cell: ScaleCell) -> list[float]:
     """Return the factors of a model's coefficients in a cell."""
     match name:
         case "processor":
@@ -280,7 +311,7 @@ def features(name: str, cell: Cell) -> list[float]:
             return [cell.far, cell.frames]
 
 
-def figure(name: str, cell: Cell) -> float:
+def measured_figure(name: str, cell: ScaleCell) -> float:
     """Return the measured figure that a model predicts."""
     return {
         "processor": cell.cpu,
@@ -290,45 +321,50 @@ def figure(name: str, cell: Cell) -> float:
     }[name]
 
 
-def solved(name: str, cells: list[Cell]) -> np.ndarray:
+def fit_coefficients(name: str, cells: list[ScaleCell]) -> np.ndarray:
     """Return the coefficients >= 0 with the least squares of relative errors."""
     from scipy.optimize import nnls
 
-    y = np.array([figure(name, cell) for cell in cells])
-    rows = np.array([features(name, cell) for cell in cells]) / y[:, None]
+    y = np.array([measured_figure(name, cell) for cell in cells])
+    rows = np.array([cell_factors(name, cell) for cell in cells]) / y[:, None]
     scale = np.where(rows.any(axis=0), np.abs(rows).max(axis=0), 1.0)
     return np.asarray(nnls(rows / scale, np.ones(len(y)))[0] / scale)
 
 
-def off(name: str, coefficients: np.ndarray, cells: list[Cell]) -> list[float]:
+def relative_errors(
+    name: str, coefficients: np.ndarray, cells: list[ScaleCell]
+) -> list[float]:
     """Return the relative errors of a model in these cells."""
     return [
-        abs(float(coefficients @ features(name, cell)) / figure(name, cell) - 1.0)
+        abs(
+            float(coefficients @ cell_factors(name, cell)) / measured_figure(name, cell)
+            - 1.0
+        )
         for cell in cells
     ]
 
 
-def fit(name: str, cells: list[Cell]) -> Fit:
+def fit_model(name: str, cells: list[ScaleCell]) -> FittedModel:
     """Return the model of a figure, with its errors in cells of the fit and in other cells."""
-    cells = [cell for cell in cells if figure(name, cell) > 0.0]
-    coefficients = solved(name, cells)
-    inside = off(name, coefficients, cells)
+    cells = [cell for cell in cells if measured_figure(name, cell) > 0.0]
+    coefficients = fit_coefficients(name, cells)
+    inside = relative_errors(name, coefficients, cells)
     outside = []
     for key in ("agents", "processes"):
         for value in dict.fromkeys(getattr(cell, key) for cell in cells):
             others = [cell for cell in cells if getattr(cell, key) != value]
             if len(others) >= len(coefficients):
-                outside += off(
+                outside += relative_errors(
                     name,
-                    solved(name, others),
+                    fit_coefficients(name, others),
                     [cell for cell in cells if getattr(cell, key) == value],
                 )
-    named = dict(zip(TERMS[name], map(float, coefficients), strict=True))
+    named = dict(zip(MODEL_TERMS[name], map(float, coefficients), strict=True))
     unseen = (statistics.median(outside), max(outside)) if outside else (None, None)
-    return Fit(named, statistics.median(inside), max(inside), *unseen)
+    return FittedModel(named, statistics.median(inside), max(inside), *unseen)
 
 
-def needs(fits: dict[str, Fit]) -> list[dict[str, float]]:
+def estimate_hosts(fits: dict[str, FittedModel]) -> list[dict[str, float]]:
     """Return what HOSTS hosts with EACH agents each need at RATE rounds/s.
 
     The first row has one process a host, the second one process a core.
@@ -336,10 +372,10 @@ def needs(fits: dict[str, Fit]) -> list[dict[str, float]]:
     real swarms need less.
     """
     rows = []
-    for p in (1, CORES):
-        processes = HOSTS * p
-        steps = EACH * RATE
-        far = frames = steps * DEGREE
+    for p in (1, HOST_ESTIMATE.cores):
+        processes = HOST_ESTIMATE.hosts * p
+        steps = HOST_ESTIMATE.agents_per_host * HOST_ESTIMATE.round_rate
+        far = frames = steps * SCALE_BENCH.degree
         links = processes - 1
         cpu, memory, bytes_, start = (
             fits[name].coefficients
@@ -353,7 +389,7 @@ def needs(fits: dict[str, Fit]) -> list[dict[str, float]]:
                 + far * cpu["far"]
                 + frames * cpu["frame"],
                 "memory_a_host": p * memory["process"]
-                + EACH * memory["agent"]
+                + HOST_ESTIMATE.agents_per_host * memory["agent"]
                 + p * links * memory["link"],
                 "bytes_a_host": far * bytes_["message"] + frames * bytes_["head"],
                 "start": start["once"]
@@ -367,7 +403,7 @@ def needs(fits: dict[str, Fit]) -> list[dict[str, float]]:
 # What is shown ------------------------------------------------------------------------------------------------------
 
 
-def share(error: float | None) -> str:
+def format_share(error: float | None) -> str:
     """Return a share in per cent, "-" for None."""
     return "-" if error is None else f"{error:.0%}"
 
@@ -390,7 +426,7 @@ def table(result: dict[str, Any]) -> RenderableType:
         title="Exchange with four neighbours each, scattered over the processes",
     )
     for row in result["cells"]:
-        cell = Cell(**row)
+        cell = ScaleCell(**row)
         messages = cell.near + cell.far
         cells.add_row(
             str(cell.agents),
@@ -414,7 +450,7 @@ def table(result: dict[str, Any]) -> RenderableType:
             name,
             said,
             *map(
-                share,
+                format_share,
                 (one[key] for key in ("error", "worst", "left_out", "left_out_worst")),
             ),
         )
@@ -425,7 +461,10 @@ def table(result: dict[str, Any]) -> RenderableType:
         "MiB/host",
         "Mbit/s a host",
         "start, s",
-        title=f"{HOSTS * EACH:,} agents on {HOSTS} hosts, {RATE:g} rounds/s",
+        title=(
+            f"{HOST_ESTIMATE.hosts * HOST_ESTIMATE.agents_per_host:,} agents on "
+            f"{HOST_ESTIMATE.hosts} hosts, {HOST_ESTIMATE.round_rate:g} rounds/s"
+        ),
     )
     for row in result["needs"]:
         more.add_row(

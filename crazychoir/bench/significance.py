@@ -21,7 +21,7 @@ def spread(values: Sequence[float]) -> dict[str, float]:
     }
 
 
-def paired(ours: Sequence[float], theirs: Sequence[float]) -> dict[str, Any]:
+def compare_pairs(ours: Sequence[float], theirs: Sequence[float]) -> dict[str, Any]:
     """Compare costs on the same instances: number of wins, and Wilcoxon's signed-rank test.
 
     The alternative hypothesis is that ours costs less.
@@ -40,6 +40,6 @@ def paired(ours: Sequence[float], theirs: Sequence[float]) -> dict[str, Any]:
     }
 
 
-def relative(cost: float, reference: float) -> float:
+def relative_excess(cost: float, reference: float) -> float:
     """Return how much more a plan costs, in per cent of the reference."""
     return 100.0 * (cost / reference - 1.0)

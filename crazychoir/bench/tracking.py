@@ -12,48 +12,58 @@ import numpy as np
 from rich.table import Table
 
 from crazychoir.agent.agent import Agent
-from crazychoir.bus.topics import REFERENCE
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.control.attitude import GeometryAttitudeCtrl
-from crazychoir.control.choice import Controls, controls
+from crazychoir.control.choice import Controls, make_controls
 from crazychoir.control.controller import HierarchicalController
 from crazychoir.control.gains import Gains
 from crazychoir.control.margin import Plant
 from crazychoir.control.position import FlatnessPositionCtrl
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 from crazychoir.planning.figure import Figure, circle, eight
 from crazychoir.platforms import CRAZYFLIE_21
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock, run_virtual
 from crazychoir.runtime.mailbox import Call
-from crazychoir.simulation.engines import worlds
+from crazychoir.simulation.engines import make_worlds
 from crazychoir.types import Command, FullState, State, Vec
 
-TICK = 0.01
-"""Period of the control law, s."""
-SETTLE = 4.0
-"""Seconds at full speed that do not count."""
-SECONDS = 20.0
-"""Seconds that count."""
-RAMP = 4.0
-"""Seconds from rest to full speed."""
-DELAY = 0.02
-"""Delay of a command at the motor level, s."""
-LOST = 1.0
-"""Distance from the reference at which the drone counts as lost, m."""
-NOMINAL = "nominal"
-URI = {"lightweight": "sim://", "motors": "sim://motors"}
-CAMERAS = {"noise": 0.0005, "noise_angle": math.radians(0.25), "latency": 0.01}
+
+@dataclass(frozen=True, slots=True)
+class TrackingBenchSettings:
+    """Settings of `crazychoir bench tracking`: the times of a flight, and its limits."""
+
+    tick_period: float = 0.01
+    """Period of the control law, s."""
+    settling_time: float = 4.0
+    """Seconds at full speed that do not count."""
+    counted_time: float = 20.0
+    """Seconds that count."""
+    ramp_time: float = 4.0
+    """Seconds from rest to full speed."""
+    command_delay: float = 0.02
+    """Delay of a command at the motor level, s."""
+    lost_distance: float = 1.0
+    """Distance from the reference at which the drone counts as lost, m."""
+
+
+TRACKING_BENCH = TrackingBenchSettings()
+
+
+NOMINAL_CORNER = "nominal"
+TRACKING_URIS = {"lightweight": "sim://", "motors": "sim://motors"}
+CAMERA_ERRORS = {"noise": 0.0005, "noise_angle": math.radians(0.25), "latency": 0.01}
 """Errors of the cameras: m, rad, s."""
 
 Say = Callable[[str], None]
 Errors = list[Vec]
 Path = Literal["circle", "eight-1", "eight-2"]
-PATHS: tuple[Path, ...] = ("circle", "eight-1", "eight-2")
+TRACKING_PATHS: tuple[Path, ...] = ("circle", "eight-1", "eight-2")
 
 
 @dataclass(frozen=True)
-class Corner:
+class ModelCorner:
     """A drone that differs from the model of its controllers."""
 
     thrust: float
@@ -74,14 +84,14 @@ class Corner:
         )
 
 
-CORNERS = [
-    Corner(*c)
+MODEL_CORNERS = [
+    ModelCorner(*c)
     for c in product((-0.05, 0.05), (-0.03, 0.03), ((1, 0), (-1, 0), (0, 1), (0, -1)))
 ]
 
 
 @dataclass(frozen=True)
-class Row:
+class TrackingRow:
     """One row of the table."""
 
     plant: str
@@ -94,14 +104,14 @@ class Row:
     """Largest distance from the reference, mm; None if the drone was lost."""
 
 
-def row(
+def tracking_row(
     plant: str, name: str, controller: str, corner: str, errors: Errors | None
-) -> Row:
+) -> TrackingRow:
     """Return a row with the root mean square and the largest distance from the reference."""
     if not errors:
-        return Row(plant, name, controller, corner, None, None)
+        return TrackingRow(plant, name, controller, corner, None, None)
     distances = 1e3 * np.linalg.norm(errors, axis=1)
-    return Row(
+    return TrackingRow(
         plant,
         name,
         controller,
@@ -111,7 +121,7 @@ def row(
     )
 
 
-def shape(name: Path) -> dict[str, Any]:
+def figure_options(name: Path) -> dict[str, Any]:
     """Return the options of the mission `figure` for a path.
 
     The circle has a radius of 0.4 m and takes 40 s. The eight measures 2 m by 1 m, with a peak
@@ -125,14 +135,19 @@ def shape(name: Path) -> dict[str, Any]:
         "figure": kind,
         "size": size,
         "period": period,
-        "laps": (RAMP + SETTLE + SECONDS) / period,
-        "ramp": RAMP,
+        "laps": (
+            TRACKING_BENCH.ramp_time
+            + TRACKING_BENCH.settling_time
+            + TRACKING_BENCH.counted_time
+        )
+        / period,
+        "ramp": TRACKING_BENCH.ramp_time,
     }
 
 
-def path(name: Path) -> Figure:
+def path_trajectory(name: Path) -> Figure:
     """Return the path as a trajectory around (0, 0, 1)."""
-    chosen = shape(name)
+    chosen = figure_options(name)
     size = chosen.pop("size")
     kind = chosen.pop("figure")
     center = (0.0, 0.0, 1.0)
@@ -143,16 +158,22 @@ def path(name: Path) -> Figure:
     )
 
 
-def counts(t: float) -> bool:
+def is_counted(t: float) -> bool:
     """Return whether the drone is at full speed and settled at t s of a path."""
-    return RAMP + SETTLE <= t <= RAMP + SETTLE + SECONDS
+    return (
+        TRACKING_BENCH.ramp_time + TRACKING_BENCH.settling_time
+        <= t
+        <= TRACKING_BENCH.ramp_time
+        + TRACKING_BENCH.settling_time
+        + TRACKING_BENCH.counted_time
+    )
 
 
-def swarm(
+def tracking_swarm(
     plant: Plant,
     name: Path,
     home: tuple[float, float, float],
-    corner: Corner | None = None,
+    corner: ModelCorner | None = None,
 ) -> SwarmConfig:
     """Return one Crazyflie 2.1 with the mission `figure`, in still air.
 
@@ -161,7 +182,10 @@ def swarm(
     home: (3,) m, world
     corner: errors of its model, None for none
     """
-    exact = {"command_delay": DELAY if plant == "motors" else 0.0, "rate_lag": 0.0}
+    exact = {
+        "command_delay": TRACKING_BENCH.command_delay if plant == "motors" else 0.0,
+        "rate_lag": 0.0,
+    }
     off = (
         {}
         if corner is None
@@ -176,11 +200,13 @@ def swarm(
         {
             "name": "tracking",
             "mission": "figure",
-            "mission_options": shape(name),
+            "mission_options": figure_options(name),
             "graph": "empty",
-            "drones": [{"id": 0, "home": home, "uri": URI[plant], "platform": "cf21"}],
+            "drones": [
+                {"id": 0, "home": home, "uri": TRACKING_URIS[plant], "platform": "cf21"}
+            ],
             "flight": {"speed_limit": 2.5, "acceleration_limit": 5.0},
-            "mocap": {**CAMERAS, **tilt},
+            "mocap": {**CAMERA_ERRORS, **tilt},
             "plant": {**exact, **off},
         }
     )
@@ -189,26 +215,32 @@ def swarm(
 # The controllers alone: they see the truth, each tick of 10 ms ----------------------------------------------------
 
 
-def alone(plant: Plant, name: Path, chosen: Controls) -> Errors | None:
+def fly_controllers(plant: Plant, name: Path, chosen: Controls) -> Errors | None:
     """Return the errors of a flight with controllers that see the true state; None if it is lost.
 
     They are counted from the start of the path. A lightweight drone obeys at once, a drone at the
     motor level DELAY s later.
     """
-    figure = path(name)
-    [world] = worlds(swarm(plant, name, tuple(figure.sample(0.0).p.tolist())), (0,))
-    late = round(DELAY / TICK) if plant == "motors" else 0
+    figure = path_trajectory(name)
+    [world] = make_worlds(
+        tracking_swarm(plant, name, tuple(figure.sample(0.0).p.tolist())), (0,)
+    )
+    late = (
+        round(TRACKING_BENCH.command_delay / TRACKING_BENCH.tick_period)
+        if plant == "motors"
+        else 0
+    )
     link = world.link(0, chosen.sender.kind)
     way = deque[Command]()
     errors = []
     chosen.trim.frozen = False
-    for k in range(round(figure.duration / TICK)):
-        t = k * TICK
+    for k in range(round(figure.duration / TRACKING_BENCH.tick_period)):
+        t = k * TRACKING_BENCH.tick_period
         reference = figure.sample(t)
         error = world.states[0, :3] - reference.p
-        if not np.linalg.norm(error) < LOST:
+        if not np.linalg.norm(error) < TRACKING_BENCH.lost_distance:
             return None
-        if counts(t):
+        if is_counted(t):
             errors.append(error)
         command = chosen.tracker.command(State(world.states[0].copy()), reference, t)
         assert command is not None  # noqa: S101 - every tick has one
@@ -219,7 +251,7 @@ def alone(plant: Plant, name: Path, chosen: Controls) -> Errors | None:
     return errors
 
 
-def original(plant: Plant) -> Controls:
+def original_controller(plant: Plant) -> Controls:
     """Return the flatness controller with the gains of CrazyChoir's Webots simulation.
 
     It has no early feed-forward and learns nothing.
@@ -228,49 +260,51 @@ def original(plant: Plant) -> Controls:
     gains = Gains(
         (0.4 / m, 0.4 / m, 1.25 / m), (0.2 / m, 0.2 / m, 0.4 / m), (16.0, 16.0, 0.2)
     )
-    chosen = controls(platform=CRAZYFLIE_21, plant=plant)
+    chosen = make_controls(platform=CRAZYFLIE_21, plant=plant)
     assert isinstance(chosen.tracker, HierarchicalController)  # noqa: S101 - it sends fpqr
     chosen.tracker.pos_strategy = FlatnessPositionCtrl(gains, CRAZYFLIE_21)
     chosen.tracker.attitude_strategy = GeometryAttitudeCtrl(gains, CRAZYFLIE_21)
     return chosen
 
 
-def ours(plant: Plant) -> Controls:
+def standard_controllers(plant: Plant) -> Controls:
     """Return the standard controllers."""
-    return controls(
+    return make_controls(
         platform=CRAZYFLIE_21,
         plant=plant,
         rate_lag=0.0,
-        command_delay=DELAY if plant == "motors" else 0.0,
+        command_delay=TRACKING_BENCH.command_delay if plant == "motors" else 0.0,
     )
 
 
 # The whole stack: cameras, filter, pilot, controllers, firmware, rotors, in virtual time -----------------------------
 
 
-def whole(name: Path, corner: Corner | None = None) -> Errors | None:
+def fly_whole_stack(name: Path, corner: ModelCorner | None = None) -> Errors | None:
     """Return the errors of the mission `figure` flown by an agent.
 
     None if the drone is lost, or if it has not flown all the time that counts.
     """
-    config = swarm("motors", name, (0.0, 0.0, 0.0), corner)
+    config = tracking_swarm("motors", name, (0.0, 0.0, 0.0), corner)
 
     async def main(clock: Clock) -> Errors | None:
-        agent = Agent(clock, config, load("figure"), config.ids)
-        meter = Meter(agent)
+        agent = Agent(clock, config, load_mission("figure"), config.ids)
+        meter = TrackingMeter(agent)
         agent.services.append(meter)
         results = await agent.run()
         flown = results[0].get("success", True) and not agent.owners[0].world.crashed
         return (
             meter.errors
-            if flown and len(meter.errors) >= 0.99 * SECONDS / TICK
+            if flown
+            and len(meter.errors)
+            >= 0.99 * TRACKING_BENCH.counted_time / TRACKING_BENCH.tick_period
             else None
         )
 
     return run_virtual(main)
 
 
-class Meter(Actor):
+class TrackingMeter(Actor):
     """Compares the true place with the reference at each tick in which drone 0 flies its figure."""
 
     name = "meter"
@@ -280,7 +314,9 @@ class Meter(Actor):
         self.pilot = agent.drones[0].pilot
         self.world = agent.owners[0].world
         self.errors: Errors = []
-        agent.bus.subscribe(REFERENCE, 0, 0, Call(agent.clock, self._flown))
+        agent.bus.subscribe(
+            DRONE_TOPICS.reference, 0, 0, Call(agent.clock, self._flown)
+        )
 
     async def run(self) -> None:
         """Wait for ever: the subscription to references does the work."""
@@ -288,7 +324,7 @@ class Meter(Actor):
 
     def _flown(self, reference: FullState, age: float) -> None:
         flights = self.pilot.flights
-        if isinstance(flights.plan, Figure) and counts(
+        if isinstance(flights.plan, Figure) and is_counted(
             self.clock.now() - flights.start
         ):
             self.errors.append(self.world.states[0, :3] - reference.p)
@@ -305,28 +341,42 @@ def run(quick: bool = False, say: Say = lambda line: None) -> dict[str, Any]:
     return {"rows": [asdict(row) for row in _rows(quick, say)]}
 
 
-def _rows(quick: bool, say: Say) -> Iterator[Row]:
+def _rows(quick: bool, say: Say) -> Iterator[TrackingRow]:
     plants: tuple[tuple[Plant, str], ...] = (
         ("lightweight", "lightweight"),
         ("motors", "motor"),
     )
     for plant, title in plants:
-        for name in PATHS:
+        for name in TRACKING_PATHS:
             say(f"{title}, {name}")
-            yield row(title, name, "standard", NOMINAL, alone(plant, name, ours(plant)))
-            yield row(
+            yield tracking_row(
+                title,
+                name,
+                "standard",
+                NOMINAL_CORNER,
+                fly_controllers(plant, name, standard_controllers(plant)),
+            )
+            yield tracking_row(
                 title,
                 name,
                 "original's gains",
-                NOMINAL,
-                alone(plant, name, original(plant)),
+                NOMINAL_CORNER,
+                fly_controllers(plant, name, original_controller(plant)),
             )
-    for name in PATHS:
+    for name in TRACKING_PATHS:
         say(f"whole stack, {name}")
-        yield row("full", name, "standard", NOMINAL, whole(name))
-    for corner in CORNERS[:2] if quick else CORNERS:
+        yield tracking_row(
+            "full", name, "standard", NOMINAL_CORNER, fly_whole_stack(name)
+        )
+    for corner in MODEL_CORNERS[:2] if quick else MODEL_CORNERS:
         say(f"whole stack, eight-1, {corner.name}")
-        yield row("full", "eight-1", "standard", corner.name, whole("eight-1", corner))
+        yield tracking_row(
+            "full",
+            "eight-1",
+            "standard",
+            corner.name,
+            fly_whole_stack("eight-1", corner),
+        )
 
 
 def table(result: dict[str, Any]) -> Table:

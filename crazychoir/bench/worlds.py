@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 from rich.table import Table
 
 from crazychoir.errors import Refused
-from crazychoir.numerics.math3d import GRAVITY
+from crazychoir.numerics.math3d import STANDARD_GRAVITY
 from crazychoir.platforms import CRAZYFLIE_21
 from crazychoir.simulation.lightweight.integrator import CFIntegrator
 from crazychoir.simulation.motor_level.air import Wind
@@ -23,26 +24,36 @@ from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
 from crazychoir.simulation.motor_level.motors import MotorWorld
 from crazychoir.types import Mat
 
-COUNTS = (100, 1000)
-"""Numbers of drones."""
-TICK = 0.01
-"""Length of one step, s."""
-REPEATS = 7
-"""Repetitions of a measurement; the median counts."""
-PATIENCE = 300.0
-"""Seconds that another simulator gets."""
-REFRESH = 40
-"""Steps after which set-points are sent again.
 
-This is before the firmware takes the silence for a lost radio.
-"""
-WIND = Wind((0.5, 0.0, 0.0), 0.2)
+@dataclass(frozen=True, slots=True)
+class WorldBenchSettings:
+    """Settings of the measurement of a simulated world alone."""
+
+    drone_counts: tuple[int, ...] = (100, 1000)
+    """Numbers of drones."""
+    step_length: float = 0.01
+    """Length of one step, s."""
+    repeats: int = 7
+    """Repetitions of a measurement; the median counts."""
+    simulator_timeout: float = 300.0
+    """Seconds that another simulator gets."""
+    set_point_interval: int = 40
+    """Steps after which set-points are sent again.
+
+    This is before the firmware takes the silence for a lost radio.
+    """
+
+
+WORLD_BENCH = WorldBenchSettings()
+
+
+BENCH_WIND = Wind((0.5, 0.0, 0.0), 0.2)
 
 Step = Callable[[], object]
 Engine = Callable[[int], Step]
 
 
-def places(n: int) -> Mat:
+def lattice_places(n: int) -> Mat:
     """Return n places in a lattice of 0.8 m, from 1 m above the floor: as dense as drones fly."""
     side = int(np.ceil(np.cbrt(n)))
     lattice = np.stack(
@@ -51,22 +62,24 @@ def places(n: int) -> Mat:
     return np.asarray(0.8 * lattice + [0.0, 0.0, 1.0])
 
 
-def lightweight(n: int) -> Step:
+def lightweight_step(n: int) -> Step:
     """Return the step of the paper's model."""
-    return CFIntegrator(range(n), places(n)).step
+    return CFIntegrator(range(n), lattice_places(n)).step
 
 
-def motors(n: int) -> Step:
+def motor_level_step(n: int) -> Step:
     """Return the step of the whole motor level, with wind, gusts and constant motor commands."""
-    return MotorWorld(range(n), places(n), wind=WIND).step
+    return MotorWorld(range(n), lattice_places(n), wind=BENCH_WIND).step
 
 
-def crazyflies(n: int) -> Step:
+def crazyflies_step(n: int) -> Step:
     """Return the step of the motor level with the firmware on board, flying body rates."""
-    return _hovering(CrazyflieWorld(range(n), places(n), wind=WIND), n)
+    return _hovering_step(
+        CrazyflieWorld(range(n), lattice_places(n), wind=BENCH_WIND), n
+    )
 
 
-def crazyflies_in_mujoco(n: int) -> Step:
+def mujoco_crazyflies_step(n: int) -> Step:
     """Return the step of the same drones in MuJoCo, with contacts.
 
     Raises ModuleNotFoundError if MuJoCo is not installed.
@@ -74,10 +87,10 @@ def crazyflies_in_mujoco(n: int) -> Step:
     importlib.import_module("mujoco")
     from crazychoir.simulation.mujoco.world import MujocoWorld
 
-    return _hovering(MujocoWorld(range(n), places(n), wind=WIND), n)
+    return _hovering_step(MujocoWorld(range(n), lattice_places(n), wind=BENCH_WIND), n)
 
 
-def _hovering(world: CrazyflieWorld, n: int) -> Step:
+def _hovering_step(world: CrazyflieWorld, n: int) -> Step:
     """Return the step of a world with armed drones that get their weight as thrust."""
     steps = 0
     links = [world.link(i, "fpqr") for i in range(n)]
@@ -86,7 +99,7 @@ def _hovering(world: CrazyflieWorld, n: int) -> Step:
 
     def step() -> None:
         nonlocal steps
-        if steps % REFRESH == 0:
+        if steps % WORLD_BENCH.set_point_interval == 0:
             for link in links:
                 link.onboard.fpqr(
                     0.0 if steps == 0 else CRAZYFLIE_21.weight, 0.0, 0.0, 0.0
@@ -94,12 +107,12 @@ def _hovering(world: CrazyflieWorld, n: int) -> Step:
         steps += 1
         world.step()
 
-    for _ in range(REFRESH + 1):
+    for _ in range(WORLD_BENCH.set_point_interval + 1):
         step()
     return step
 
 
-def in_mujoco(n: int) -> Step:
+def mujoco_bodies_step(n: int) -> Step:
     """Return the step of n free bodies in one model of MuJoCo, at 1 kHz, without contacts.
 
     Wrenches are held for 10 ms. Contacts are off because nothing touches.
@@ -107,8 +120,8 @@ def in_mujoco(n: int) -> Step:
     mujoco: Any = importlib.import_module("mujoco")
     spec = mujoco.MjSpec()
     spec.option.timestep = 0.001
-    spec.option.gravity = [0, 0, -GRAVITY]
-    for p in places(n):
+    spec.option.gravity = [0, 0, -STANDARD_GRAVITY]
+    for p in lattice_places(n):
         body = spec.worldbody.add_body(pos=p)
         body.add_freejoint()
         body.mass = CRAZYFLIE_21.mass
@@ -126,7 +139,7 @@ def in_mujoco(n: int) -> Step:
     return step
 
 
-def in_crazyflow(n: int, calls: int) -> float:
+def measure_crazyflow(n: int, calls: int) -> float:
     """Return the s of a step of crazyflow, in a process of its own.
 
     Raises ModuleNotFoundError if it is not installed.
@@ -134,13 +147,13 @@ def in_crazyflow(n: int, calls: int) -> float:
     if importlib.util.find_spec("crazyflow") is None:
         raise ModuleNotFoundError("crazyflow")
     program = Path(__file__).with_name("peers") / "crazyflow_peer.py"
-    words = [sys.executable, str(program), *map(str, (n, calls, REPEATS))]
+    words = [sys.executable, str(program), *map(str, (n, calls, WORLD_BENCH.repeats))]
     done = subprocess.run(
         words,
         capture_output=True,
         text=True,
         errors="replace",
-        timeout=PATIENCE,
+        timeout=WORLD_BENCH.simulator_timeout,
         check=False,
     )
     if done.returncode:
@@ -150,24 +163,27 @@ def in_crazyflow(n: int, calls: int) -> float:
     return float(json.loads(done.stdout.splitlines()[-1])["seconds"])
 
 
-ENGINES: dict[str, Engine] = {
-    "lightweight": lightweight,
-    "motor level": motors,
-    "  with firmware": crazyflies,
-    "    in MuJoCo, contacts": crazyflies_in_mujoco,
-    "MuJoCo, free bodies": in_mujoco,
+WORLD_ENGINES: dict[str, Engine] = {
+    "lightweight": lightweight_step,
+    "motor level": motor_level_step,
+    "  with firmware": crazyflies_step,
+    "    in MuJoCo, contacts": mujoco_crazyflies_step,
+    "MuJoCo, free bodies": mujoco_bodies_step,
 }
-CRAZYFLOW = "crazyflow"
+CRAZYFLOW_ROW = "crazyflow"
 
 
 def run(
-    counts: tuple[int, ...] = COUNTS, say: Callable[[str], None] = lambda line: None
+    counts: tuple[int, ...] = WORLD_BENCH.drone_counts,
+    say: Callable[[str], None] = lambda line: None,
 ) -> list[dict[str, Any]]:
     """Return rows {engine, drones, real_time_factor, ns_per_drone_ms} of medians.
 
     The note of a row says if the simulator is not installed.
     """
-    return [_row(name, n, say) for n in counts for name in (*ENGINES, CRAZYFLOW)]
+    return [
+        _row(name, n, say) for n in counts for name in (*WORLD_ENGINES, CRAZYFLOW_ROW)
+    ]
 
 
 def _row(name: str, n: int, say: Callable[[str], None]) -> dict[str, Any]:
@@ -182,22 +198,22 @@ def _row(name: str, n: int, say: Callable[[str], None]) -> dict[str, Any]:
     calls = max(5, 1000 // n)
     try:
         took = (
-            in_crazyflow(n, calls)
-            if name == CRAZYFLOW
-            else _seconds(ENGINES[name](n), calls)
+            measure_crazyflow(n, calls)
+            if name == CRAZYFLOW_ROW
+            else _measure_step(WORLD_ENGINES[name](n), calls)
         )
     except ModuleNotFoundError:
         return row | {"note": "not installed"}
     return row | {
-        "real_time_factor": TICK / took,
-        "ns_per_drone_ms": took / n / (1e3 * TICK) * 1e9,
+        "real_time_factor": WORLD_BENCH.step_length / took,
+        "ns_per_drone_ms": took / n / (1e3 * WORLD_BENCH.step_length) * 1e9,
     }
 
 
-def _seconds(step: Step, calls: int) -> float:
+def _measure_step(step: Step, calls: int) -> float:
     """Return the s of one call: the median over repeats, each with `calls` calls."""
     took = []
-    for _ in range(REPEATS):
+    for _ in range(WORLD_BENCH.repeats):
         start = time.perf_counter()
         for _ in range(calls):
             step()

@@ -6,8 +6,10 @@ payload is an aligned, read-only view of it.
 
 import struct
 from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
 from math import prod
-from typing import Any, Final, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -15,42 +17,62 @@ import numpy as np
 from crazychoir.errors import CodecError
 from crazychoir.types import Vec, Wire
 
-FORMAT: Final = 1
-"""Version of the format: the upper 2 bits of a payload's first byte."""
-VECTOR = FORMAT << 6 | 2
-"""First byte of a one-dimensional float64 array."""
-ARRAY = FORMAT << 6 | 3
-"""First byte of any other array."""
-MAX_DIMENSIONS: Final = 8
-"""Most dimensions of an array."""
-DTYPES: Final = (
-    "float64",
-    "float32",
-    "int64",
-    "int32",
-    "int16",
-    "uint8",
-    "uint16",
-    "uint32",
-    "uint64",
-    "bool",
-)
-"""Types of numbers that can travel; the index is the code in the payload, so only append."""
+
+@dataclass(frozen=True, slots=True)
+class PayloadFormat:
+    """The format of payloads, and the arrays that it can hold."""
+
+    version: int = 1
+    """Version of the format: the upper 2 bits of a payload's first byte."""
+    max_dimensions: int = 8
+    """Most dimensions of an array."""
+    dtype_names: tuple[str, ...] = (
+        "float64",
+        "float32",
+        "int64",
+        "int32",
+        "int16",
+        "uint8",
+        "uint16",
+        "uint32",
+        "uint64",
+        "bool",
+    )
+    """Types of numbers that can travel; the index is the code in the payload, so only append.
+    """
+
+
+PAYLOAD_FORMAT = PayloadFormat()
+
+
+class ArrayPayload(IntEnum):
+    """The first byte of the payload of an array."""
+
+    VECTOR = PAYLOAD_FORMAT.version << 6 | 2
+    """A one-dimensional float64 array."""
+    ARRAY = PAYLOAD_FORMAT.version << 6 | 3
+    """Any other array."""
+
 
 Payload = bytes | bytearray | memoryview
 Encode = Callable[[Any], bytes]
 Decode = Callable[[Any], Any]
 W = TypeVar("W", bound=Wire)
 
-_LITTLE = [np.dtype(np.dtype(name).newbyteorder("<").str) for name in DTYPES]
+_LITTLE_ENDIAN_DTYPES = [
+    np.dtype(np.dtype(name).newbyteorder("<").str)
+    for name in PAYLOAD_FORMAT.dtype_names
+]
 """Little-endian dtypes, by code."""
-_CODES = {dtype: code for code, dtype in enumerate(_LITTLE)}
+_DTYPE_CODES = {dtype: code for code, dtype in enumerate(_LITTLE_ENDIAN_DTYPES)}
 """Code of each dtype."""
-_BOOL = np.dtype(bool)
-_F8 = np.dtype("<f8")
-_VECTOR_HEAD = bytes([VECTOR]) + bytes(7)
+_BOOL_DTYPE = np.dtype(bool)
+_FLOAT64_DTYPE = np.dtype("<f8")
+_VECTOR_HEAD = bytes([ArrayPayload.VECTOR]) + bytes(7)
 """Head of a vector's payload."""
-_ARRAY_HEADS = [struct.Struct(f"<BBB5x{n}Q") for n in range(MAX_DIMENSIONS + 1)]
+_ARRAY_HEADS = [
+    struct.Struct(f"<BBB5x{n}Q") for n in range(PAYLOAD_FORMAT.max_dimensions + 1)
+]
 """Layout of the head of an array's payload, by number of dimensions."""
 
 
@@ -61,20 +83,20 @@ def encode_array(value: Any) -> bytes:
     dimensions, its shape, and its numbers.
     Raises KeyError for an unknown dtype, IndexError for too many dimensions.
     """
-    if value.dtype is _F8 and value.ndim == 1:
+    if value.dtype is _FLOAT64_DTYPE and value.ndim == 1:
         numbers: bytes = value.tobytes()
         return _VECTOR_HEAD + numbers
     little = value.astype(value.dtype.newbyteorder("<"), copy=False)
     numbers = little.tobytes()
     head: bytes = _ARRAY_HEADS[value.ndim].pack(
-        ARRAY, _CODES[little.dtype], value.ndim, *value.shape
+        ArrayPayload.ARRAY, _DTYPE_CODES[little.dtype], value.ndim, *value.shape
     )
     return head + numbers
 
 
 def decode_vector(payload: Payload) -> Vec:
     """Return the (n,) view of a payload of kind VECTOR."""
-    return np.frombuffer(payload, _F8, -1, 8)
+    return np.frombuffer(payload, _FLOAT64_DTYPE, -1, 8)
 
 
 def decode_array(payload: Payload) -> Any:
@@ -82,7 +104,7 @@ def decode_array(payload: Payload) -> Any:
 
     Raises CodecError if its shape and its length do not agree, or a truth value is neither 0 nor 1.
     """
-    dtype = _LITTLE[payload[1]]
+    dtype = _LITTLE_ENDIAN_DTYPES[payload[1]]
     ndim = payload[2]
     head = _ARRAY_HEADS[ndim]
     shape = head.unpack_from(payload)[3:]
@@ -92,7 +114,7 @@ def decode_array(payload: Payload) -> Any:
             f"payload: shape {shape} of {dtype} does not fit its {len(payload)} bytes."
         )
     if (
-        dtype is _BOOL
+        dtype is _BOOL_DTYPE
         and np.frombuffer(payload, np.uint8, count, head.size).max(initial=0) > 1
     ):
         raise CodecError("payload: a truth value is neither 0 nor 1.")
@@ -123,10 +145,10 @@ def flat_layout(
         vector = values[0]
         if (
             type(vector) is not np.ndarray
-            or vector.dtype is not _F8
+            or vector.dtype is not _FLOAT64_DTYPE
             or vector.shape != shape
         ):
-            vector = _vector(vector, shape)
+            vector = _read_vector(vector, shape)
         numbers: bytes = vector.tobytes()
         return pack(tag, *values[1:]) + numbers
 
@@ -135,7 +157,7 @@ def flat_layout(
             raise CodecError(
                 f"payload: {len(payload)} bytes; allowed for {cls.__name__}: {length}."
             )
-        return cls(from_buffer(payload, _F8, size, offset), *unpack(payload))
+        return cls(from_buffer(payload, _FLOAT64_DTYPE, size, offset), *unpack(payload))
 
     return encode_flat, decode_flat
 
@@ -160,16 +182,16 @@ def _flat_layout_of_two(
         last = values[-1]
         if (
             type(first) is not np.ndarray
-            or first.dtype is not _F8
+            or first.dtype is not _FLOAT64_DTYPE
             or first.shape != shapes[0]
         ):
-            first = _vector(first, shapes[0])
+            first = _read_vector(first, shapes[0])
         if (
             type(last) is not np.ndarray
-            or last.dtype is not _F8
+            or last.dtype is not _FLOAT64_DTYPE
             or last.shape != shapes[1]
         ):
-            last = _vector(last, shapes[1])
+            last = _read_vector(last, shapes[1])
         return pack(tag, *values[1:-1]) + first.tobytes() + last.tobytes()  # type: ignore[no-any-return]
 
     def decode_flat(payload: Payload) -> W:
@@ -179,15 +201,15 @@ def _flat_layout_of_two(
             )
         numbers = unpack(payload)
         return cls(
-            from_buffer(payload, _F8, size, offset),
+            from_buffer(payload, _FLOAT64_DTYPE, size, offset),
             *numbers,
-            from_buffer(payload, _F8, more, second),
+            from_buffer(payload, _FLOAT64_DTYPE, more, second),
         )
 
     return encode_flat, decode_flat
 
 
-def _vector(vector: Any, shape: tuple[int]) -> Vec:
+def _read_vector(vector: Any, shape: tuple[int]) -> Vec:
     array = np.asarray(vector, dtype=np.float64)
     if array.shape != shape:
         raise TypeError(f"its vector has shape {array.shape}, not {shape}")

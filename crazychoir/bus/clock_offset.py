@@ -13,11 +13,11 @@ from msgspec import Meta
 
 from crazychoir.bus.codec import decode, encode
 from crazychoir.errors import CodecError
-from crazychoir.runtime.clock import SECOND
+from crazychoir.runtime.clock import NS_PER_SECOND
 
-SAMPLES: Final = 128
+OFFSET_SAMPLES: Final = 128
 """Newest answers that are kept, one a second."""
-DRIFT: Final = 30e-6
+CLOCK_DRIFT: Final = 30e-6
 """Seconds a second that two clocks of 15 ppm each can drift apart."""
 
 _Times = Annotated[
@@ -26,7 +26,7 @@ _Times = Annotated[
 """ns."""
 
 
-class Estimate(NamedTuple):
+class OffsetEstimate(NamedTuple):
     """An estimate of the offset of another clock."""
 
     offset: float
@@ -34,12 +34,12 @@ class Estimate(NamedTuple):
     error: float
     """Largest error, in seconds."""
 
-    def contradicts(self, other: "Estimate") -> bool:
+    def contradicts(self, other: "OffsetEstimate") -> bool:
         """Return True if no offset fits both estimates."""
         return abs(self.offset - other.offset) > self.error + other.error
 
 
-class Offset:
+class ClockOffset:
     """The offset of the clock of another process to ours, from our questions and its answers.
 
         theta = ((t2 - t1) + (t3 - t4)) / 2,   error <= ((t4 - t1) - (t3 - t2)) / 2 + DRIFT age
@@ -58,7 +58,7 @@ class Offset:
 
     def __init__(self) -> None:
         self._asked_ns: int | None = None
-        self._samples: deque[tuple[int, Estimate]] = deque(maxlen=SAMPLES)
+        self._samples: deque[tuple[int, OffsetEstimate]] = deque(maxlen=OFFSET_SAMPLES)
 
     def ask(self, now_ns: int) -> bytes:
         """Return a question; an answer to an earlier question no longer counts."""
@@ -91,18 +91,19 @@ class Offset:
         if t1 != self._asked_ns:
             return  # the answer is late, or a duplicate
         self._asked_ns = None
-        sample = Estimate(
-            ((t2 - t1) + (t3 - t4)) / 2 / SECOND, (away - held) / 2 / SECOND
+        sample = OffsetEstimate(
+            ((t2 - t1) + (t3 - t4)) / 2 / NS_PER_SECOND,
+            (away - held) / 2 / NS_PER_SECOND,
         )
         known = self.estimate(t4)
         if known is not None and sample.contradicts(known):
             self._samples.clear()
         self._samples.append((t4, sample))
 
-    def estimate(self, now_ns: int) -> Estimate | None:
+    def estimate(self, now_ns: int) -> OffsetEstimate | None:
         """Return the best estimate now, or None."""
         aged = [
-            Estimate(theta, error + DRIFT * (now_ns - t4) / SECOND)
+            OffsetEstimate(theta, error + CLOCK_DRIFT * (now_ns - t4) / NS_PER_SECOND)
             for t4, (theta, error) in self._samples
         ]
         return min(aged, key=lambda one: one.error, default=None)

@@ -12,24 +12,52 @@ from typing import Any
 
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.port import Port
-from crazychoir.bus.topics import ANSWER, ESTOP, REQUEST
+from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.errors import CodecError, ConfigError, Refused, error_text
 
-RESEND = 0.1  # s between repeats of a request without an answer
-AGAIN = 0.5  # s between repeats of an accepted request
-ALONE = "alone"
+
+@dataclass(frozen=True, slots=True)
+class RequestRules:
+    """How often a request is repeated, and how many answers a server remembers."""
+
+    resend_interval: float = 0.1
+    """s between repeats of a request without an answer."""
+    accepted_interval: float = 0.5
+    """s between repeats of an accepted request."""
+    remembered_answers: int = 256
+    """Answers, and issuers of commands, that a server remembers."""
+
+
+REQUEST_RULES = RequestRules()
+
+
+STOP_ALONE = "alone"
 """Content of a stop for its targets only: it does not keep other drones on the ground."""
-COMMANDED = "commanded: "
+COMMANDED_PREFIX = "commanded: "
 """Prefix of the log line of a drone that executes an operator's command."""
-REMEMBERED = 256
-"""Answers, and issuers, that a server remembers."""
-ACCEPTED = "accepted"
-REFUSED = "refused"
-DONE = "done"
-NOT_READY = "it is not ready"
-"""Prefix of a temporary refusal; the command may be retried."""
-_ACCEPTED = encode([ACCEPTED, None])
-_OLD = encode([REFUSED, "it is older than what was asked since"])
+
+
+@dataclass(frozen=True, slots=True)
+class AnswerTexts:
+    """The kinds of answers to a command, and the prefix of a temporary refusal."""
+
+    accepted: str = "accepted"
+    """The drone has the command and executes it."""
+    refused: str = "refused"
+    """The drone does not execute the command; the detail is the reason."""
+    done: str = "done"
+    """The drone has executed the command."""
+    not_ready: str = "it is not ready"
+    """Prefix of a temporary refusal; the command may be retried."""
+
+
+ANSWER_TEXTS = AnswerTexts()
+
+
+_ACCEPTED_ANSWER = encode([ANSWER_TEXTS.accepted, None])
+_OUTDATED_ANSWER = encode(
+    [ANSWER_TEXTS.refused, "it is older than what was asked since"]
+)
 _Key = tuple[int, str, int]
 """Key of a request: its issuer, the issuer's incarnation, its number."""
 
@@ -64,7 +92,7 @@ class Commander:
         self._accepted: dict[int, None] = {}
         self._on_accepted: dict[int, Callable[[], None]] = {}
         self._acknowledged: dict[int, dict[int, None]] = {}
-        port.handlers[ANSWER.number] = self._answered
+        port.handlers[MESSAGE_TOPICS.answer.number] = self._answered
 
     async def request(
         self,
@@ -93,7 +121,7 @@ class Commander:
                 while not future.done():
                     body = encode([verb, arguments, ends - clock.now()])
                     self.port.send(
-                        REQUEST,
+                        MESSAGE_TOPICS.request,
                         (target,),
                         body,
                         number,
@@ -103,12 +131,17 @@ class Commander:
                     )
                     attempt += 1
                     await asyncio.wait(
-                        [future], timeout=AGAIN if number in self._accepted else RESEND
+                        [future],
+                        timeout=REQUEST_RULES.accepted_interval
+                        if number in self._accepted
+                        else REQUEST_RULES.resend_interval,
                     )
                 return future.result()
         except TimeoutError:
             if number in self._accepted:
-                return Answer(target, ACCEPTED, f"not done within {deadline:g} s")
+                return Answer(
+                    target, ANSWER_TEXTS.accepted, f"not done within {deadline:g} s"
+                )
             text = f"drone {target}: no answer to {verb!r} within {deadline:g} s; is its agent running?"
             raise TimeoutError(text) from None
         finally:
@@ -141,11 +174,15 @@ class Commander:
             while missing := [j for j in targets if j not in answered]:
                 if clock.now() > ends:
                     break
-                body = encode(ALONE if alone else clear)
+                body = encode(STOP_ALONE if alone else clear)
                 self.port.send(
-                    ESTOP, tuple(missing), body, number, f"{self.port.incarnation:x}"
+                    MESSAGE_TOPICS.emergency_stop,
+                    tuple(missing),
+                    body,
+                    number,
+                    f"{self.port.incarnation:x}",
                 )
-                await clock.sleep(RESEND)
+                await clock.sleep(REQUEST_RULES.resend_interval)
             return missing
         finally:
             del self._acknowledged[number]
@@ -173,7 +210,7 @@ class Commander:
         if future is None or future.done() or source != target:
             # Only the target itself may answer.
             return
-        if kind == ACCEPTED:
+        if kind == ANSWER_TEXTS.accepted:
             if number not in self._accepted:
                 self._accepted[number] = None
                 self._on_accepted[number]()
@@ -202,8 +239,8 @@ class CommandServer:
         self._forgotten: dict[tuple[int, str], int] = {}
         # {(issuer, incarnation, clear): number of the newest stop or clear}
         self._newest: dict[tuple[int, str, bool], int] = {}
-        port.handlers[REQUEST.number] = self._requested
-        port.handlers[ESTOP.number] = self._stopped
+        port.handlers[MESSAGE_TOPICS.request.number] = self._requested
+        port.handlers[MESSAGE_TOPICS.emergency_stop.number] = self._stopped
 
     def _requested(
         self,
@@ -222,10 +259,10 @@ class CommandServer:
             self._send(key, self._answers[key])
             return
         if key in self._running:
-            self._send(key, _ACCEPTED)
+            self._send(key, _ACCEPTED_ANSWER)
             return
         if number <= self._forgotten.get((source, channel), -1):
-            self._send(key, _OLD)
+            self._send(key, _OUTDATED_ANSWER)
             return
         try:
             verb, arguments, remaining = decode(payload)
@@ -236,7 +273,7 @@ class CommandServer:
         if not known:
             self.port.counters.malformed += 1
         elif late:
-            self._answer(key, REFUSED, "the deadline has passed")
+            self._answer(key, ANSWER_TEXTS.refused, "the deadline has passed")
         else:
             self._start(key, verb, arguments)
 
@@ -247,21 +284,21 @@ class CommandServer:
         )
         self._running[key] = task
         task.add_done_callback(lambda task: self._running.pop(key))
-        self._send(key, _ACCEPTED)
+        self._send(key, _ACCEPTED_ANSWER)
 
     async def _run(self, key: _Key, verb: str, arguments: dict[str, Any]) -> None:
         try:
-            self._answer(key, DONE, await self.execute(verb, arguments))
+            self._answer(key, ANSWER_TEXTS.done, await self.execute(verb, arguments))
         except Refused as refused:
-            self._answer(key, REFUSED, refused.reason)
+            self._answer(key, ANSWER_TEXTS.refused, refused.reason)
         except ConfigError as error:
-            self._answer(key, REFUSED, str(error))
+            self._answer(key, ANSWER_TEXTS.refused, str(error))
         except Exception as error:  # noqa: BLE001 - the issuer is told; the drone flies on
-            self._answer(key, REFUSED, error_text(error))
+            self._answer(key, ANSWER_TEXTS.refused, error_text(error))
 
     def _answer(self, key: _Key, kind: str, detail: Any) -> None:
         payload = self._answers[key] = encode([kind, detail])
-        while len(self._answers) > REMEMBERED:
+        while len(self._answers) > REQUEST_RULES.remembered_answers:
             self._forget(next(iter(self._answers)))
         self._send(key, payload)
 
@@ -270,12 +307,12 @@ class CommandServer:
         source, channel, number = key
         forgotten = self._forgotten
         forgotten[source, channel] = max(number, forgotten.pop((source, channel), -1))
-        while len(forgotten) > REMEMBERED:
+        while len(forgotten) > REQUEST_RULES.remembered_answers:
             del forgotten[next(iter(forgotten))]
 
     def _send(self, key: _Key, payload: bytes) -> None:
         source, channel, number = key
-        self.port.send(ANSWER, (source,), payload, number, channel)
+        self.port.send(MESSAGE_TOPICS.answer, (source,), payload, number, channel)
 
     def _stopped(
         self,
@@ -302,16 +339,16 @@ class CommandServer:
         if key not in self._answers and number > self._newest.get(
             (source, channel, not clear), -1
         ):
-            if said != ALONE:
+            if said != STOP_ALONE:
                 self.port.bus.stopped = not clear
             self.on_stop(not clear)
         self._note(source, channel, clear, number)
-        self._answer(key, DONE, None)
+        self._answer(key, ANSWER_TEXTS.done, None)
 
     def _note(self, source: int, channel: str, clear: bool, number: int) -> None:
         newest = self._newest
         newest[source, channel, clear] = max(
             number, newest.pop((source, channel, clear), -1)
         )
-        while len(newest) > REMEMBERED:
+        while len(newest) > REQUEST_RULES.remembered_answers:
             del newest[next(iter(newest))]

@@ -5,7 +5,8 @@
 The module has no clock and no session. Every limit is checked before memory is taken.
 """
 
-from typing import Annotated, Final
+from dataclasses import dataclass
+from typing import Annotated
 
 import msgspec
 from msgspec import Meta
@@ -13,26 +14,35 @@ from msgspec import Meta
 from crazychoir.bus.codec import MAX_PAYLOAD
 from crazychoir.errors import CodecError, error_text
 
-VERSION: Final = 1
-"""Version of the format."""
-MAX_FRAME: Final = MAX_PAYLOAD + 50_000
-"""Bytes of one frame, unless the caller passes another limit:
-the largest payload with the largest header.
-"""
-MAX_ENVELOPES: Final = 4096
-"""Most envelopes of a frame."""
-MAX_DESTINATIONS: Final = 1024
-"""Most destinations of an envelope."""
-MAX_AGE: Final = 1e9
-"""Largest age of a message, in seconds."""
-MAX_NAME: Final = 255
-"""Most characters in the name of a channel or a process."""
+
+@dataclass(frozen=True, slots=True)
+class FrameFormat:
+    """The version of the format of frames, and its limits."""
+
+    version: int = 1
+    """Version of the format."""
+    max_bytes: int = MAX_PAYLOAD + 50_000
+    """Bytes of one frame, unless the caller passes another limit:
+    the largest payload with the largest header.
+    """
+    max_envelopes: int = 4096
+    """Most envelopes of a frame."""
+    max_destinations: int = 1024
+    """Most destinations of an envelope."""
+    max_age: float = 1e9
+    """Largest age of a message, in seconds."""
+    max_name_length: int = 255
+    """Most characters in the name of a channel or a process."""
+
+
+FRAME_FORMAT = FrameFormat()
+
 
 _Small = Annotated[int, Meta(ge=0, lt=1 << 16)]
 _Address = Annotated[int, Meta(ge=0, lt=1 << 32)]
 _Count = Annotated[int, Meta(ge=0)]
-_Age = Annotated[float, Meta(ge=0.0, le=MAX_AGE)]
-_Name = Annotated[str, Meta(max_length=MAX_NAME)]
+_Age = Annotated[float, Meta(ge=0.0, le=FRAME_FORMAT.max_age)]
+_Name = Annotated[str, Meta(max_length=FRAME_FORMAT.max_name_length)]
 
 
 class FrameVersionError(CodecError):
@@ -41,7 +51,7 @@ class FrameVersionError(CodecError):
     def __init__(self, found: int) -> None:
         self.found = found
         super().__init__(
-            f"frame: version {found}; allowed: {VERSION}. Run the same crazychoir on all hosts."
+            f"frame: version {found}; allowed: {FRAME_FORMAT.version}. Run the same crazychoir on all hosts."
         )
 
 
@@ -52,7 +62,7 @@ class Envelope(msgspec.Struct, frozen=True, array_like=True, gc=False):
     """Number in the table of topics."""
     source: _Address
     """Address of the sender, a drone or an observer."""
-    to: Annotated[tuple[_Address, ...], Meta(max_length=MAX_DESTINATIONS)]
+    to: Annotated[tuple[_Address, ...], Meta(max_length=FRAME_FORMAT.max_destinations)]
     """Addresses of the receivers; empty for messages between processes."""
     number: _Count
     """Sequence number or round."""
@@ -75,17 +85,17 @@ class Frame(msgspec.Struct, frozen=True, array_like=True, gc=False):
     """64 random bits, drawn when the sender started."""
     kind: Annotated[int, Meta(ge=0, lt=256)]
     """Number of the class."""
-    envelopes: Annotated[list[Envelope], Meta(max_length=MAX_ENVELOPES)]
+    envelopes: Annotated[list[Envelope], Meta(max_length=FRAME_FORMAT.max_envelopes)]
     """The messages."""
 
 
-def encode_frame(frame: Frame, limit: int = MAX_FRAME) -> bytes:
+def encode_frame(frame: Frame, limit: int = FRAME_FORMAT.max_bytes) -> bytes:
     """Return the bytes of a frame.
 
     Raises CodecError if they are more than `limit`, or if a field cannot be encoded.
     """
     try:
-        data = _HEAD + _encode(frame)
+        data = _FRAME_HEAD + _encode(frame)
     except Exception as error:
         raise CodecError(f"frame: cannot be encoded: {error_text(error)}") from error
     if len(data) > limit:
@@ -95,14 +105,16 @@ def encode_frame(frame: Frame, limit: int = MAX_FRAME) -> bytes:
     return data
 
 
-def decode_frame(data: bytes | bytearray | memoryview, limit: int = MAX_FRAME) -> Frame:
+def decode_frame(
+    data: bytes | bytearray | memoryview, limit: int = FRAME_FORMAT.max_bytes
+) -> Frame:
     """Return the frame of received bytes.
 
     Raises FrameVersionError for another version, CodecError for anything else.
     """
     if not 0 < len(data) <= limit:
         raise CodecError(f"frame: {len(data)} bytes; allowed: 1 to {limit}.")
-    if data[0] != VERSION:
+    if data[0] != FRAME_FORMAT.version:
         raise FrameVersionError(data[0])
     try:
         return _decode(memoryview(data)[1:])
@@ -124,7 +136,7 @@ class FrameBuffer:
         incarnation: int,
         kind: int,
         conflate: bool = False,
-        limit: int = MAX_FRAME,
+        limit: int = FRAME_FORMAT.max_bytes,
     ) -> None:
         self.process = process
         self.incarnation = incarnation
@@ -144,8 +156,8 @@ class FrameBuffer:
         """Add an envelope; raise CodecError if no frame can hold
         it, or if the receiver would refuse it.
         """
-        size = _size(envelope)
-        if size > self._room or not _acceptable(envelope):
+        size = _bound_size(envelope)
+        if size > self._room or not _is_acceptable(envelope):
             raise self._refusal(envelope, size)
         self._total += size
         if self.conflate:
@@ -164,7 +176,7 @@ class FrameBuffer:
         self._envelopes = []
         self._total = 0
         self._places.clear()
-        fits = total <= self._room and 0 < len(envelopes) <= MAX_ENVELOPES
+        fits = total <= self._room and 0 < len(envelopes) <= FRAME_FORMAT.max_envelopes
         return [
             self._frame(part)
             for part in ([envelopes] if fits else self._parts(envelopes))
@@ -174,7 +186,8 @@ class FrameBuffer:
         return CodecError(
             f"topic {envelope.topic} of {envelope.source}: found {size} bytes, age {envelope.age} s, a channel's name "
             f"of {len(envelope.channel)}, {len(envelope.to)} destinations; allowed: {self._room} bytes, 0 to "
-            f"{MAX_AGE:g} s, {MAX_NAME} characters, {MAX_DESTINATIONS} destinations."
+            f"{FRAME_FORMAT.max_age:g} s, {FRAME_FORMAT.max_name_length} characters, "
+            f"{FRAME_FORMAT.max_destinations} destinations."
         )
 
     def _frame(self, envelopes: list[Envelope]) -> bytes:
@@ -187,8 +200,8 @@ class FrameBuffer:
         parts: list[list[Envelope]] = []
         room = -1
         for envelope in envelopes:
-            size = _size(envelope)
-            if size > room or len(parts[-1]) == MAX_ENVELOPES:
+            size = _bound_size(envelope)
+            if size > room or len(parts[-1]) == FRAME_FORMAT.max_envelopes:
                 parts.append([])
                 room = self._room
             parts[-1].append(envelope)
@@ -196,21 +209,24 @@ class FrameBuffer:
         return parts
 
 
-def _acceptable(envelope: Envelope) -> bool:
+def _is_acceptable(envelope: Envelope) -> bool:
     """Return True if the receiver accepts the fields that a sender can get wrong."""
     name = envelope.channel
     text = name.isascii() or not any("\ud800" <= letter <= "\udfff" for letter in name)
-    short = len(name) <= MAX_NAME and len(envelope.to) <= MAX_DESTINATIONS
-    return text and short and 0.0 <= envelope.age <= MAX_AGE
+    short = (
+        len(name) <= FRAME_FORMAT.max_name_length
+        and len(envelope.to) <= FRAME_FORMAT.max_destinations
+    )
+    return text and short and 0.0 <= envelope.age <= FRAME_FORMAT.max_age
 
 
-def _size(envelope: Envelope) -> int:
+def _bound_size(envelope: Envelope) -> int:
     """Return an upper bound for the bytes of an envelope: 9 a
     number, 4 a character, 5 for each of three heads.
     """
     return len(envelope.payload) + 9 * len(envelope.to) + 4 * len(envelope.channel) + 61
 
 
-_HEAD = bytes([VERSION])
+_FRAME_HEAD = bytes([FRAME_FORMAT.version])
 _encode = msgspec.msgpack.Encoder().encode
 _decode = msgspec.msgpack.Decoder(Frame).decode

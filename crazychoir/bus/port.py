@@ -10,35 +10,60 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Protocol
 
-from crazychoir.bus.clock_offset import Estimate
+from crazychoir.bus.clock_offset import OffsetEstimate
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.impairment.model import Impairment
-from crazychoir.bus.topics import BY_NAME, BY_NUMBER, OBSERVABLE, Class, Topic
+from crazychoir.bus.topics import (
+    OBSERVABLE_TOPICS,
+    TOPIC_BY_NAME,
+    TOPIC_BY_NUMBER,
+    MessageClass,
+    Topic,
+)
 from crazychoir.errors import CodecError
-from crazychoir.runtime.clock import MESSAGE, SECOND, Clock
+from crazychoir.runtime.clock import NS_PER_SECOND, AlarmPriority, Clock
 from crazychoir.runtime.mailbox import AnyMailbox
-from crazychoir.runtime.tick_stages import Stages
+from crazychoir.runtime.tick_stages import TickStages
 from crazychoir.types import Wire
 
-ANY = -1
-"""Source of an interest in all drones but the reader; a mailbox then gets (drone, value)."""
-NEVER_NS = 1 << 62
-"""ns: a time that never comes."""
-SLOW_NS = SECOND // 10
-"""ns: values with at least this interval leave at another time at each drone."""
-PHASE_NS = SECOND // 100
-"""ns: difference of these times from one drone id to the next."""
-OBSERVER = 10_000
-"""Addresses from here on are observers and operators; lower ones are drones."""
-BODIES = 1 << 25
-"""Offset of the address of a drone's body, if another process than the drone's holds it.
 
-It is above the addresses of all observers.
-"""
-EYES = 1 << 26
-"""Offset of the address at which motion capture publishes the poses
-of a drone, if the cameras have their own process.
-"""
+@dataclass(frozen=True, slots=True)
+class PortAddresses:
+    """Ranges of the addresses of ports."""
+
+    any_drone: int = -1
+    """Source of an interest in all drones but the reader; a mailbox then gets (drone, value).
+    """
+    first_observer: int = 10_000
+    """Addresses from here on are observers and operators; lower ones are drones."""
+    body_offset: int = 1 << 25
+    """Offset of the address of a drone's body, if another process than the drone's holds it.
+
+    It is above the addresses of all observers.
+    """
+    camera_offset: int = 1 << 26
+    """Offset of the address at which motion capture publishes the poses
+    of a drone, if the cameras have their own process.
+    """
+
+
+PORT_ADDRESSES = PortAddresses()
+
+
+@dataclass(frozen=True, slots=True)
+class ReaderTiming:
+    """Times at which readers with a rate get values."""
+
+    never_ns: int = 1 << 62
+    """ns: a time that never comes."""
+    slow_interval_ns: int = NS_PER_SECOND // 10
+    """ns: values with at least this interval leave at another time at each drone."""
+    phase_step_ns: int = NS_PER_SECOND // 100
+    """ns: difference of these times from one drone id to the next."""
+
+
+READER_RATES = ReaderTiming()
+
 
 Handler = Callable[[int, bytes, int, str, int, float], None]
 """Callable that gets (source, payload, number, channel, flags, age)."""
@@ -107,7 +132,7 @@ class Readers:
 
     An entry of a port is ignored if its due time has changed since.
     """
-    next_ns: int = NEVER_NS
+    next_ns: int = READER_RATES.never_ns
     """ns: no port of `some` is due before."""
 
     def add(self, address: int, interval_ns: int, phase: int = 0) -> None:
@@ -127,7 +152,9 @@ class Readers:
         else:
             rate = Rate(
                 interval_ns,
-                phase % interval_ns if interval_ns >= SLOW_NS else 0,
+                phase % interval_ns
+                if interval_ns >= READER_RATES.slow_interval_ns
+                else 0,
                 interval_ns,
             )
             self.some[address] = rate
@@ -156,7 +183,7 @@ class Readers:
                 if rate is not None and rate.due_ns == at and rate.due(now_ns):
                     found.append(j)
                     self.due.setdefault(rate.due_ns, []).append(j)
-        self.next_ns = min(self.due, default=NEVER_NS)
+        self.next_ns = min(self.due, default=READER_RATES.never_ns)
         return found
 
     def drop(self, addresses: Sequence[int]) -> None:
@@ -214,13 +241,13 @@ class Bus:
         host: str = "local",
     ) -> None:
         self.clock = clock
-        self.stages = Stages(clock)
+        self.stages = TickStages(clock)
         self.impairment = impairment or Impairment(0)
         self.process = process
         self.host = host
         self.ports: dict[int, Port] = {}
         self.forwarder: Forwarder | None = None
-        self.offsets: dict[str, Estimate] = {}
+        self.offsets: dict[str, OffsetEstimate] = {}
         self.interests: list[Interest] = []
         self.unroutable = 0
         self.stopped = False
@@ -256,7 +283,7 @@ class Bus:
         if payload is opened:
             return value
         value = decode(payload)
-        row = BY_NUMBER[topic]
+        row = TOPIC_BY_NUMBER[topic]
         if row.type is not None and not isinstance(value, row.type):
             raise CodecError(
                 f"{row.name}: found a {type(value).__name__}; allowed: {row.allowed}."
@@ -267,7 +294,9 @@ class Bus:
 
     def drones(self) -> list[int]:
         """Return the ids of the drones of this process."""
-        return [address for address in self.ports if address < OBSERVER]
+        return [
+            address for address in self.ports if address < PORT_ADDRESSES.first_observer
+        ]
 
     def subscribe(
         self,
@@ -290,7 +319,7 @@ class Bus:
                 interest, mailbox if address == reader else None
             )
         if (
-            source == ANY or source not in self.ports
+            source == PORT_ADDRESSES.any_drone or source not in self.ports
         ) and interest not in self.interests:
             self.interests.append(interest)
             if self.forwarder is not None:
@@ -299,13 +328,13 @@ class Bus:
     def add_remote_interests(self, interests: list[Interest]) -> None:
         """Add the interests of another process."""
         for interest in interests:
-            if interest.topic in OBSERVABLE:
+            if interest.topic in OBSERVABLE_TOPICS:
                 for address in self._sources(interest):
                     self.ports[address].add_reader(interest, None)
 
     def _sources(self, interest: Interest) -> list[int]:
         """Return the open ports of this process that an interest names."""
-        if interest.source != ANY:
+        if interest.source != PORT_ADDRESSES.any_drone:
             return [interest.source] if interest.source in self.ports else []
         return [address for address in self.drones() if address != interest.reader]
 
@@ -364,13 +393,19 @@ class Port:
             far = []
             # A loop is faster here: a comprehension makes a function for each message.
             for j in to:
-                if j not in ports and not (impaired and j < OBSERVER):
+                if j not in ports and not (
+                    impaired and j < PORT_ADDRESSES.first_observer
+                ):
                     far.append(j)
             if far:
                 self._forward(topic, far, payload, number, channel, flags, age)
-                sent += sum(j < OBSERVER for j in far)
-                to = [j for j in to if j in ports or (impaired and j < OBSERVER)]
-                if to and topic.klass is Class.ROUNDS:
+                sent += sum(j < PORT_ADDRESSES.first_observer for j in far)
+                to = [
+                    j
+                    for j in to
+                    if j in ports or (impaired and j < PORT_ADDRESSES.first_observer)
+                ]
+                if to and topic.klass is MessageClass.ROUNDS:
                     # Other processes wait for this round, and we wait for theirs: they go first.
                     here = partial(
                         self.send,
@@ -386,7 +421,7 @@ class Port:
                     bus.forwarder.then(here)
                     to = ()
         for j in to:
-            if j < OBSERVER:
+            if j < PORT_ADDRESSES.first_observer:
                 sent += 1
                 if impaired:
                     self._send_impaired(
@@ -408,7 +443,7 @@ class Port:
         if topic.latched:
             self._latched[topic.number] = (
                 value,
-                self.bus.clock.now_ns() - round(age * SECOND),
+                self.bus.clock.now_ns() - round(age * NS_PER_SECOND),
             )
         readers = self._readers.get(topic.number)
         if readers is None:
@@ -440,7 +475,7 @@ class Port:
         now_ns = self._now_ns()
         sent = 0
         for j in to:
-            sent += j < OBSERVER
+            sent += j < PORT_ADDRESSES.first_observer
             port = bus.ports.get(j)
             inputs = port.mailboxes.get(topic.number) if port is not None else None
             if port is None:
@@ -453,7 +488,7 @@ class Port:
                 value = bus.open(topic.number, payload)
                 for box in inputs.get(source, ()):
                     box.put(value, age)
-                for box in inputs.get(ANY, ()):
+                for box in inputs.get(PORT_ADDRESSES.any_drone, ()):
                     box.put((source, value), age)
         self.counters.sent += sent
         self.counters.bytes += sent * len(payload)
@@ -482,7 +517,7 @@ class Port:
         if inputs is None:
             return
         boxes = inputs.get(source, ())
-        every = inputs.get(ANY, ())
+        every = inputs.get(PORT_ADDRESSES.any_drone, ())
         if not boxes and not every:
             return
         try:
@@ -502,11 +537,15 @@ class Port:
 
         A port is served once, at its fastest rate.
         """
-        topic = BY_NAME[interest.topic]
+        topic = TOPIC_BY_NAME[interest.topic]
         readers = self._readers.setdefault(topic.number, Readers())
         if mailbox is None:
-            interval_ns = round(SECOND / interest.rate) if interest.rate > 0 else 0
-            readers.add(interest.reader, interval_ns, PHASE_NS * self.address)
+            interval_ns = (
+                round(NS_PER_SECOND / interest.rate) if interest.rate > 0 else 0
+            )
+            readers.add(
+                interest.reader, interval_ns, READER_RATES.phase_step_ns * self.address
+            )
         elif mailbox not in readers.mailboxes:
             readers.mailboxes.append(mailbox)
         if topic.number in self._latched:
@@ -514,7 +553,7 @@ class Port:
 
     def _give_latched(self, topic: Topic, j: int, mailbox: AnyMailbox | None) -> None:
         value, born_ns = self._latched[topic.number]
-        age = (self.bus.clock.now_ns() - born_ns) / SECOND
+        age = (self.bus.clock.now_ns() - born_ns) / NS_PER_SECOND
         if mailbox is not None:
             mailbox.put(value, age)
         else:
@@ -526,7 +565,10 @@ class Port:
         """
         readers = self._readers.get(topic.number)
         if readers is not None:
-            readers.pace(reader, round(SECOND / rate) if rate > 0.0 else NEVER_NS)
+            readers.pace(
+                reader,
+                round(NS_PER_SECOND / rate) if rate > 0.0 else READER_RATES.never_ns,
+            )
 
     def drop_readers(self, addresses: list[int]) -> None:
         """Remove the readers at these addresses."""
@@ -556,10 +598,14 @@ class Port:
             self.counters.lost += 1
         for delay in verdict.deliveries:
             if delay > 0.0:
-                when_ns = bus.clock.now_ns() + round(delay * SECOND)
+                when_ns = bus.clock.now_ns() + round(delay * NS_PER_SECOND)
                 arguments = (topic, j, payload, number, channel, flags, age + delay)
                 bus.clock.call_at(
-                    when_ns, self._arrive, *arguments, priority=MESSAGE, drone=j
+                    when_ns,
+                    self._arrive,
+                    *arguments,
+                    priority=AlarmPriority.MESSAGE,
+                    drone=j,
                 )
             else:
                 self._arrive(topic, j, payload, number, channel, flags, age)

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from enum import Enum
 
 from crazychoir.bus.port import Port
-from crazychoir.bus.topics import HEARTBEAT
-from crazychoir.runtime.actor import ON_FAILURE, Actor
-from crazychoir.runtime.clock import SECOND
+from crazychoir.bus.topics import MESSAGE_TOPICS
+from crazychoir.runtime.actor import RESTART_ON_FAILURE, Actor
+from crazychoir.runtime.clock import NS_PER_SECOND
 
-SILENCE = 1.0  # s without any message after which a member is suspected
+SILENCE_TIMEOUT = 1.0  # s without any message after which a member is suspected
 
 
 class Presence(Enum):
@@ -58,7 +58,7 @@ class PresenceMonitor(Actor):
     """
 
     name = "presence"
-    restart = ON_FAILURE
+    restart = RESTART_ON_FAILURE
 
     def __init__(
         self,
@@ -81,7 +81,7 @@ class PresenceMonitor(Actor):
         """Send a heartbeat and check all members, four times a second."""
         self.tick()
         async for _ in self.port.bus.clock.ticks(
-            HEARTBEAT.rate, drone=self.port.address
+            MESSAGE_TOPICS.heartbeat.rate, drone=self.port.address
         ):
             self.tick()
 
@@ -90,7 +90,11 @@ class PresenceMonitor(Actor):
         self._number += 1
         if not self.silent:
             self.port.send(
-                HEARTBEAT, self.watched, self.beat(), self._number, "heartbeat"
+                MESSAGE_TOPICS.heartbeat,
+                self.watched,
+                self.beat(),
+                self._number,
+                "heartbeat",
             )
         for j in self.watched:
             self._look(j)
@@ -122,7 +126,7 @@ class PresenceMonitor(Actor):
         if heard_ns is None:
             return
         now_ns = self.port.bus.clock.now_ns()
-        silent = now_ns - heard_ns > SILENCE * SECOND
+        silent = now_ns - heard_ns > SILENCE_TIMEOUT * NS_PER_SECOND
         if not silent and not member.token_gone:
             if member.state is not Presence.ALIVE:
                 self._change(j, member, Presence.ALIVE)
@@ -130,7 +134,7 @@ class PresenceMonitor(Actor):
             self._change(j, member, Presence.SUSPECT)
         elif (
             member.state is Presence.SUSPECT
-            and now_ns - member.since_ns > self.lost_after * SECOND
+            and now_ns - member.since_ns > self.lost_after * NS_PER_SECOND
         ):
             self._change(j, member, Presence.LOST)
 

@@ -1,7 +1,7 @@
 """Reliable messages between two ports over lossy links: sequence
 numbers, acknowledgements and retransmission.
 
-The memory is bounded in messages and in age. A message without an acknowledgement within `MAX_AGE`
+The memory is bounded in messages and in age. A message without an acknowledgement within `RELIABLE_LIMITS.max_age`
 is given up and counted, and the sequence continues after it. Messages are delivered once and in
 order. A restarted sender begins a new sequence with its new incarnation.
 """
@@ -10,16 +10,28 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from crazychoir.bus.port import Port
-from crazychoir.bus.topics import ACK, Topic
-from crazychoir.runtime.clock import SECOND, Alarm
+from crazychoir.bus.topics import MESSAGE_TOPICS, Topic
+from crazychoir.runtime.clock import NS_PER_SECOND, Alarm
 
-RTO = 0.03  # s until the first retransmission; doubles up to MAX_RTO
-MAX_RTO = 0.5  # s
-MAX_AGE = 15.0  # s
-MAX_PENDING = 256
-"""Most messages to one port without an acknowledgement."""
-FORMER = 16
-"""Former incarnations of a sender that are remembered, the newest."""
+
+@dataclass(frozen=True, slots=True)
+class ReliableLimits:
+    """When a reliable message is sent again or given up, and what is remembered of each port."""
+
+    first_timeout: float = 0.03
+    """s until the first retransmission. It doubles up to longest_timeout."""
+    longest_timeout: float = 0.5
+    """s: longest time until a retransmission."""
+    max_age: float = 15.0
+    """s: age at which a message without an acknowledgement is given up."""
+    max_pending: int = 256
+    """Most messages to one port without an acknowledgement."""
+    former_incarnations: int = 16
+    """Former incarnations of a sender that are remembered, the newest."""
+
+
+RELIABLE_LIMITS = ReliableLimits()
+
 
 Receive = Callable[[int, bytes], None]
 """Callable that gets (source, payload), in the sender's order."""
@@ -37,7 +49,7 @@ class _Pending:
     """ns: time of the first transmission."""
     due_ns: int
     """ns: time of the next transmission."""
-    rto: float = RTO
+    rto: float = RELIABLE_LIMITS.first_timeout
     """s until the next transmission."""
     attempt: int = 0
     """Retransmissions so far."""
@@ -95,7 +107,7 @@ class Reliable:
         self._incoming: dict[int, _Incoming] = {}
         self._receivers: dict[int, Receive] = {}
         self._alarm: Alarm | None = None
-        port.handlers[ACK.number] = self._acknowledged
+        port.handlers[MESSAGE_TOPICS.acknowledgement.number] = self._acknowledged
 
     def listen(self, topic: Topic, receive: Receive) -> None:
         """Pass the messages of a reliable topic to `receive`."""
@@ -119,11 +131,16 @@ class Reliable:
         The message arrives once, after all earlier messages, or is counted in `given_up`.
         """
         outgoing = self._outgoing.setdefault(j, _Outgoing())
-        if len(outgoing.pending) >= MAX_PENDING:
+        if len(outgoing.pending) >= RELIABLE_LIMITS.max_pending:
             self.given_up += 1
             return
         now_ns = self.clock.now_ns()
-        message = _Pending(topic, payload, now_ns, now_ns + round(RTO * SECOND))
+        message = _Pending(
+            topic,
+            payload,
+            now_ns,
+            now_ns + round(RELIABLE_LIMITS.first_timeout * NS_PER_SECOND),
+        )
         outgoing.pending[outgoing.number] = message
         self._transmit(j, outgoing.number, message)
         outgoing.number += 1
@@ -171,18 +188,31 @@ class Reliable:
             if label in incoming.former:
                 return
             former = dict(
-                list({**incoming.former, incoming.incarnation: None}.items())[-FORMER:]
+                list({**incoming.former, incoming.incarnation: None}.items())[
+                    -RELIABLE_LIMITS.former_incarnations :
+                ]
             )
             incoming = self._incoming[source] = _Incoming(label, former=former)
         incoming.skip(number - after_oldest)
-        if number >= incoming.expected and len(incoming.early) < MAX_PENDING:
+        if (
+            number >= incoming.expected
+            and len(incoming.early) < RELIABLE_LIMITS.max_pending
+        ):
             incoming.early[number] = (topic, payload)
         while incoming.expected in incoming.early:
             kind, content = incoming.early.pop(incoming.expected)
             incoming.expected += 1
             self._receivers[kind](source, content)
         incoming.acks += 1
-        self.port.send(ACK, (source,), b"", incoming.expected, label, 0, incoming.acks)
+        self.port.send(
+            MESSAGE_TOPICS.acknowledgement,
+            (source,),
+            b"",
+            incoming.expected,
+            label,
+            0,
+            incoming.acks,
+        )
 
     def _acknowledged(
         self,
@@ -200,7 +230,9 @@ class Reliable:
 
     def _schedule(self) -> None:
         if self._alarm is None:
-            due = self.clock.now_ns() + round(RTO / 2 * SECOND)
+            due = self.clock.now_ns() + round(
+                RELIABLE_LIMITS.first_timeout / 2 * NS_PER_SECOND
+            )
             self._alarm = self.clock.call_at(due, self._sweep, drone=self.port.address)
 
     def _sweep(self) -> None:
@@ -213,7 +245,7 @@ class Reliable:
             for number, message in list(outgoing.pending.items()):
                 if number not in outgoing.pending:
                     continue
-                if now_ns - message.sent_ns > MAX_AGE * SECOND:
+                if now_ns - message.sent_ns > RELIABLE_LIMITS.max_age * NS_PER_SECOND:
                     del outgoing.pending[number]
                     self.given_up += 1
                 elif now_ns >= message.due_ns:
@@ -223,7 +255,7 @@ class Reliable:
 
     def _resend(self, j: int, number: int, message: _Pending, now_ns: int) -> None:
         message.attempt += 1
-        message.rto = min(2.0 * message.rto, MAX_RTO)
-        message.due_ns = now_ns + round(message.rto * SECOND)
+        message.rto = min(2.0 * message.rto, RELIABLE_LIMITS.longest_timeout)
+        message.due_ns = now_ns + round(message.rto * NS_PER_SECOND)
         self.port.counters.resent += 1
         self._transmit(j, number, message)

@@ -22,7 +22,7 @@ from crazychoir.types import (
 )
 
 
-class Class(IntEnum):
+class MessageClass(IntEnum):
     """The treatment of a message on its way.
 
     The key of a frame has the name, the frame the number.
@@ -56,7 +56,7 @@ class Topic:
     """Seconds after which a value is stale."""
     queue: int
     """0 for a mailbox with the latest value, n for the n newest values."""
-    klass: Class
+    klass: MessageClass
     """Class of its messages."""
     latched: bool = False
     """True if a new reader gets the last value at once."""
@@ -88,141 +88,256 @@ NEVER_STALE = float("inf")
 """Maximum age of values that never become stale."""
 
 # From one drone's actors to each other and to observers.
-POSE = Topic(1, "pose", Pose, 100, 0.1, 0, Class.CONTROL, impaired=False, of_body=True)
-"""Pose of the drone, from cameras or from its own estimator."""
-STATE = Topic(2, "state", State, 100, 0.25, 0, Class.CONTROL, public=10)
-"""Estimated state of the drone."""
-REFERENCE = Topic(3, "reference", FullState, 100, 0.5, 0, Class.CONTROL, impaired=False)
-"""Reference that the drone tracks."""
-COMMAND = Topic(4, "command", Command, 100, 0.1, 0, Class.CONTROL, impaired=False)
-"""Command to the motors or the firmware."""
-TRUTH = Topic(
-    5, "truth", State, 20, 0.5, 0, Class.CONTROL, impaired=False, of_body=True
-)
-"""True state in simulation, else the best measurement."""
-STATUS = Topic(
-    6,
-    "status",
-    Status,
-    4,
-    2.0,
-    0,
-    Class.CONTROL,
-    latched=True,
-    impaired=False,
-    public=2,
-)
-"""Status of the drone, for people."""
-RESULT = Topic(
-    7, "result", dict, 0, NEVER_STALE, 0, Class.BULK, latched=True, impaired=False
-)
-"""Result of the mission."""
-LOG = Topic(8, "log", str, 0, NEVER_STALE, 256, Class.BULK, impaired=False)
-"""Log lines of the drone."""
-BODY = Topic(
-    9,
-    "body",
-    Body,
-    4,
-    1.0,
-    0,
-    Class.CONTROL,
-    latched=True,
-    impaired=False,
-    of_body=True,
-)
-"""State of the drone's body."""
-LINK = Topic(
-    15,
-    "link",
-    LinkStatus,
-    10,
-    0.5,
-    0,
-    Class.CONTROL,
-    latched=True,
-    impaired=False,
-    of_body=True,
-)
-"""State of the radio link."""
-TELEMETRY = Topic(
-    11, "telemetry", dict, 100, 0.25, 0, Class.CONTROL, impaired=False, of_body=True
-)
-"""Log variables of the drone."""
-PLAN = Topic(12, "plan", Plan, 20, 0.5, 0, Class.CONTROL)
-"""Path that the drone is going to fly."""
-# From a drone to its body in another process: it replaces COMMAND after the motors are cut.
-CUT = Topic(
-    10, "cut", None, 0, NEVER_STALE, 0, Class.CONTROL, impaired=False, wire="edge"
-)
-"""Cut of the motors."""
-# Along the edges of the graph.
-ROUND = Topic(16, "round", None, 0, NEVER_STALE, 0, Class.ROUNDS, wire="edge")
-"""Messages of round algorithms."""
-HEARTBEAT = Topic(17, "heartbeat", None, 4, 1.0, 0, Class.CONTROL, wire="edge")
-"""Sign of life, with the state of the team."""
-ROSTER = Topic(18, "roster", None, 0, NEVER_STALE, 0, Class.RELIABLE, wire="edge")
-"""Messages about the composition of the team."""
-ACK = Topic(19, "ack", None, 0, NEVER_STALE, 0, Class.ROUNDS, wire="edge")
-"""Acknowledgements of reliable messages."""
-# Commands of operators.
-REQUEST = Topic(
-    24, "request", None, 0, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="edge"
-)
-"""Commands of operators."""
-ANSWER = Topic(
-    25, "answer", None, 0, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="edge"
-)
-"""Answers to commands."""
-ESTOP = Topic(
-    26, "estop", None, 0, NEVER_STALE, 0, Class.ESTOP, impaired=False, wire="edge"
-)
-"""Emergency stop, or its end."""
-# Between any two drones: a request for missing states of other drones, and the answer.
-SOUGHT = Topic(13, "sought", None, 0, NEVER_STALE, 0, Class.CONTROL, wire="edge")
-"""Request for missing states of other drones."""
-HEARSAY = Topic(14, "hearsay", None, 0, NEVER_STALE, 0, Class.CONTROL, wire="edge")
-"""States of other drones, as the sender received them."""
-# Between processes.
-HELLO = Topic(
-    32, "hello", None, 1, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="process"
-)
-"""Description of a process."""
-CLOCK = Topic(
-    33, "clock", None, 1, NEVER_STALE, 0, Class.ROUNDS, impaired=False, wire="process"
-)
-"""Times, to estimate the offset of clocks."""
 
-TOPICS = (
-    POSE,
-    STATE,
-    REFERENCE,
-    COMMAND,
-    TRUTH,
-    STATUS,
-    RESULT,
-    LOG,
-    BODY,
-    LINK,
-    TELEMETRY,
-    CUT,
-    PLAN,
-    ROUND,
-    HEARTBEAT,
-    ROSTER,
-    ACK,
-    REQUEST,
-    ANSWER,
-    ESTOP,
-    SOUGHT,
-    HEARSAY,
-    HELLO,
-    CLOCK,
+
+@dataclass(frozen=True, slots=True)
+class DroneTopics:
+    """Topics that each drone publishes. Any other port may read them."""
+
+    pose: Topic = Topic(
+        1, "pose", Pose, 100, 0.1, 0, MessageClass.CONTROL, impaired=False, of_body=True
+    )
+    """Pose of the drone, from cameras or from its own estimator."""
+    state: Topic = Topic(
+        2, "state", State, 100, 0.25, 0, MessageClass.CONTROL, public=10
+    )
+    """Estimated state of the drone."""
+    reference: Topic = Topic(
+        3, "reference", FullState, 100, 0.5, 0, MessageClass.CONTROL, impaired=False
+    )
+    """Reference that the drone tracks."""
+    command: Topic = Topic(
+        4, "command", Command, 100, 0.1, 0, MessageClass.CONTROL, impaired=False
+    )
+    """Command to the motors or the firmware."""
+    truth: Topic = Topic(
+        5,
+        "truth",
+        State,
+        20,
+        0.5,
+        0,
+        MessageClass.CONTROL,
+        impaired=False,
+        of_body=True,
+    )
+    """True state in simulation, else the best measurement."""
+    status: Topic = Topic(
+        6,
+        "status",
+        Status,
+        4,
+        2.0,
+        0,
+        MessageClass.CONTROL,
+        latched=True,
+        impaired=False,
+        public=2,
+    )
+    """Status of the drone, for people."""
+    result: Topic = Topic(
+        7,
+        "result",
+        dict,
+        0,
+        NEVER_STALE,
+        0,
+        MessageClass.BULK,
+        latched=True,
+        impaired=False,
+    )
+    """Result of the mission."""
+    log: Topic = Topic(
+        8, "log", str, 0, NEVER_STALE, 256, MessageClass.BULK, impaired=False
+    )
+    """Log lines of the drone."""
+    body: Topic = Topic(
+        9,
+        "body",
+        Body,
+        4,
+        1.0,
+        0,
+        MessageClass.CONTROL,
+        latched=True,
+        impaired=False,
+        of_body=True,
+    )
+    """State of the drone's body."""
+    link: Topic = Topic(
+        15,
+        "link",
+        LinkStatus,
+        10,
+        0.5,
+        0,
+        MessageClass.CONTROL,
+        latched=True,
+        impaired=False,
+        of_body=True,
+    )
+    """State of the radio link."""
+    telemetry: Topic = Topic(
+        11,
+        "telemetry",
+        dict,
+        100,
+        0.25,
+        0,
+        MessageClass.CONTROL,
+        impaired=False,
+        of_body=True,
+    )
+    """Log variables of the drone."""
+    plan: Topic = Topic(12, "plan", Plan, 20, 0.5, 0, MessageClass.CONTROL)
+    """Path that the drone is going to fly."""
+
+
+DRONE_TOPICS = DroneTopics()
+
+
+# From a drone to its body in another process: it replaces COMMAND after the motors are cut.
+
+
+@dataclass(frozen=True, slots=True)
+class MessageTopics:
+    """Topics of messages that are sent to given receivers: to drones and operators along an edge,
+    or to a process.
+    """
+
+    cut: Topic = Topic(
+        10,
+        "cut",
+        None,
+        0,
+        NEVER_STALE,
+        0,
+        MessageClass.CONTROL,
+        impaired=False,
+        wire="edge",
+    )
+    """Cut of the motors, from a drone to its body in another process. It replaces the command.
+    """
+    rounds: Topic = Topic(
+        16, "round", None, 0, NEVER_STALE, 0, MessageClass.ROUNDS, wire="edge"
+    )
+    """Messages of round algorithms."""
+    heartbeat: Topic = Topic(
+        17, "heartbeat", None, 4, 1.0, 0, MessageClass.CONTROL, wire="edge"
+    )
+    """Sign of life, with the state of the team."""
+    roster: Topic = Topic(
+        18, "roster", None, 0, NEVER_STALE, 0, MessageClass.RELIABLE, wire="edge"
+    )
+    """Messages about the composition of the team."""
+    acknowledgement: Topic = Topic(
+        19, "ack", None, 0, NEVER_STALE, 0, MessageClass.ROUNDS, wire="edge"
+    )
+    """Acknowledgements of reliable messages."""
+    request: Topic = Topic(
+        24,
+        "request",
+        None,
+        0,
+        NEVER_STALE,
+        0,
+        MessageClass.ROUNDS,
+        impaired=False,
+        wire="edge",
+    )
+    """Commands of operators."""
+    answer: Topic = Topic(
+        25,
+        "answer",
+        None,
+        0,
+        NEVER_STALE,
+        0,
+        MessageClass.ROUNDS,
+        impaired=False,
+        wire="edge",
+    )
+    """Answers to commands."""
+    emergency_stop: Topic = Topic(
+        26,
+        "estop",
+        None,
+        0,
+        NEVER_STALE,
+        0,
+        MessageClass.ESTOP,
+        impaired=False,
+        wire="edge",
+    )
+    """Emergency stop, or its end."""
+    wanted_states: Topic = Topic(
+        13, "sought", None, 0, NEVER_STALE, 0, MessageClass.CONTROL, wire="edge"
+    )
+    """Request for missing states of other drones."""
+    relayed_states: Topic = Topic(
+        14, "hearsay", None, 0, NEVER_STALE, 0, MessageClass.CONTROL, wire="edge"
+    )
+    """States of other drones, as the sender received them."""
+    hello: Topic = Topic(
+        32,
+        "hello",
+        None,
+        1,
+        NEVER_STALE,
+        0,
+        MessageClass.ROUNDS,
+        impaired=False,
+        wire="process",
+    )
+    """Description of a process."""
+    clock: Topic = Topic(
+        33,
+        "clock",
+        None,
+        1,
+        NEVER_STALE,
+        0,
+        MessageClass.ROUNDS,
+        impaired=False,
+        wire="process",
+    )
+    """Times, to estimate the offset of clocks."""
+
+
+MESSAGE_TOPICS = MessageTopics()
+
+ALL_TOPICS = (
+    DRONE_TOPICS.pose,
+    DRONE_TOPICS.state,
+    DRONE_TOPICS.reference,
+    DRONE_TOPICS.command,
+    DRONE_TOPICS.truth,
+    DRONE_TOPICS.status,
+    DRONE_TOPICS.result,
+    DRONE_TOPICS.log,
+    DRONE_TOPICS.body,
+    DRONE_TOPICS.link,
+    DRONE_TOPICS.telemetry,
+    MESSAGE_TOPICS.cut,
+    DRONE_TOPICS.plan,
+    MESSAGE_TOPICS.rounds,
+    MESSAGE_TOPICS.heartbeat,
+    MESSAGE_TOPICS.roster,
+    MESSAGE_TOPICS.acknowledgement,
+    MESSAGE_TOPICS.request,
+    MESSAGE_TOPICS.answer,
+    MESSAGE_TOPICS.emergency_stop,
+    MESSAGE_TOPICS.wanted_states,
+    MESSAGE_TOPICS.relayed_states,
+    MESSAGE_TOPICS.hello,
+    MESSAGE_TOPICS.clock,
 )
 """All topics."""
-BY_NAME = {topic.name: topic for topic in TOPICS}
+TOPIC_BY_NAME = {topic.name: topic for topic in ALL_TOPICS}
 """Topics by name."""
-BY_NUMBER = {topic.number: topic for topic in TOPICS}
+TOPIC_BY_NUMBER = {topic.number: topic for topic in ALL_TOPICS}
 """Topics by number."""
-OBSERVABLE = tuple(topic.name for topic in TOPICS if topic.wire == "interest")
+OBSERVABLE_TOPICS = tuple(
+    topic.name for topic in ALL_TOPICS if topic.wire == "interest"
+)
 """Names of the topics that an observer may ask for."""

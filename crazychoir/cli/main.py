@@ -26,16 +26,16 @@ from crazychoir.cli.setup import (
 from crazychoir.errors import ConfigError, CrazyChoirError, refuse_exit
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
-    STDOUT,
-    Outputs,
-    Progress,
-    fail,
-    interrupted,
-    prints_aside,
+    ANSWER_CONSOLE,
+    CommandOutputs,
+    LiveTable,
+    build_status_table,
+    build_summary_table,
+    exit_interrupted,
+    exit_with_error,
+    redirect_prints,
     require_drawable,
     set_up_logging,
-    status_table,
-    summary_table,
     write_json,
 )
 from crazychoir.launch.process import ending
@@ -62,8 +62,8 @@ app.command()(router.router)
 app.command()(push.push)
 for command in (look.topics, look.echo, look.hz, look.status, look.impair, orders.stop):
     app.command()(command)
-for verb in orders.TEXTS:
-    app.command(name=verb)(orders.order(verb, orders.LONGEST[verb]))
+for verb in orders.ORDER_HELP:
+    app.command(name=verb)(orders.make_order_command(verb, orders.ORDER_TIMEOUTS[verb]))
 
 app.command(name="go-to")(steer.go_to)
 app.command()(steer.fly)
@@ -75,9 +75,9 @@ app.add_typer(virtual.app, name="virtual")
 app.add_typer(rigid_bodies.app, name="mocap")
 
 
-def _told(wanted: bool) -> None:
+def _print_version(wanted: bool) -> None:
     if wanted:
-        STDOUT.print(f"crazychoir {version('crazychoir')}", highlight=False)
+        ANSWER_CONSOLE.print(f"crazychoir {version('crazychoir')}", highlight=False)
         raise typer.Exit
 
 
@@ -86,7 +86,7 @@ def crazychoir(
     tell: Annotated[
         bool,
         typer.Option(
-            "--version", is_eager=True, callback=_told, help="Tell it and end."
+            "--version", is_eager=True, callback=_print_version, help="Tell it and end."
         ),
     ] = False,
 ) -> None:
@@ -163,20 +163,25 @@ def run(
     with KERNEL_QUEUE.checks_first():
         from crazychoir.cli.shared.chosen_swarm import (  # takes 1 s, which --help does not need
             check_options,
-            named_file,
-            to_run,
-            to_start,
+            drones_to_start,
+            resolve_swarm_file,
+            swarm_and_mission_to_run,
             with_operator,
         )
-        from crazychoir.guidance.mission import look_before
+        from crazychoir.guidance.mission import check_before_flight
         from crazychoir.launch.extras import require_extras
-        from crazychoir.launch.flight import dongles, fly_fast, fly_real, owners
-        from crazychoir.launch.network import isolated_swarm, swarm_file
-        from crazychoir.launch.recording import recording_file
-        from crazychoir.launch.run_registry import Run, recorded
+        from crazychoir.launch.flight import (
+            fly_fast,
+            fly_real,
+            list_dongles,
+            list_owners,
+        )
+        from crazychoir.launch.network import hold_isolated_swarm, write_swarm_file
+        from crazychoir.launch.recording import open_recording_file
+        from crazychoir.launch.run_registry import RunRecord, record_run
         from crazychoir.radio.link.ownership import require_free
 
-    outputs = Outputs()
+    outputs = CommandOutputs()
     given = {
         "--fast": fast,
         "--processes": processes,
@@ -185,40 +190,44 @@ def run(
     }
     try:
         check_options(what, swarm, only, given)
-        with prints_aside(), refuse_exit("the mission"):
+        with redirect_prints(), refuse_exit("the mission"):
             with KERNEL_QUEUE.checks_first():
-                config, mission = to_run(what, drones, swarm, loss, seed)
+                config, mission = swarm_and_mission_to_run(
+                    what, drones, swarm, loss, seed
+                )
                 config = with_operator(config, wait, fast)
                 require_drawable(picture)
-                started = to_start(only, config)
-                source = named_file(what, swarm)
-                require_extras(config, [] if fast else owners(config, started), fast)
+                started = drones_to_start(only, config)
+                source = resolve_swarm_file(what, swarm)
+                require_extras(
+                    config, [] if fast else list_owners(config, started), fast
+                )
                 if not fast:
-                    require_free(config, dongles(config, started))
+                    require_free(config, list_dongles(config, started))
                 named = {} if source is None else {"swarm": config.name}
-                warned = look_before(mission, config, force)
+                warned = check_before_flight(mission, config, force)
             began = time.perf_counter()
             KERNEL_QUEUE.compile()
             compiled_s = time.perf_counter() - began
-            with Progress(status_table, enabled=not as_json) as progress:
+            with LiveTable(build_status_table, enabled=not as_json) as progress:
                 for text in warned:
                     progress.say(text)
                 as_it_is = fast or only is not None
                 own = (
                     nullcontext(config)
                     if as_it_is
-                    else isolated_swarm(config, processes, keeps_port=True)
+                    else hold_isolated_swarm(config, processes, keeps_port=True)
                 )
                 with (
                     own as config,
-                    recording_file(record, config, mission, virtual=fast) as file,
+                    open_recording_file(record, config, mission, virtual=fast) as file,
                 ):
                     if fast:
                         result = fly_fast(config, mission, progress, file)
                     else:
                         with (
-                            swarm_file(config) as path,
-                            recorded(Run(config.name, what, source, str(path))),
+                            write_swarm_file(config) as path,
+                            record_run(RunRecord(config.name, what, source, str(path))),
                         ):
                             progress.say(
                                 f"Look into it (or echo, hz, land, stop): crazychoir status --swarm {path}"
@@ -237,7 +246,7 @@ def run(
             result["startup_s"] += compiled_s
             result["picture"] = None
             with outputs.writing("--picture"):
-                result["picture"] = _drawn(mission, config, result, picture)
+                result["picture"] = _draw_mission(mission, config, result, picture)
                 if picture is not None and result["picture"] is None:
                     do = "The mission's own picture() draws it: see what it said above."
                     raise ConfigError(
@@ -249,15 +258,15 @@ def run(
             del result["tracks"]
             result = named | result | outputs.told
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     except KeyboardInterrupt:
-        interrupted(as_json)
+        exit_interrupted(as_json)
     _show(result, as_json)
     outputs.say()
     raise typer.Exit(0 if result["success"] and not outputs.failed else 1)
 
 
-def _drawn(
+def _draw_mission(
     mission: "Mission", config: "SwarmConfig", result: dict[str, Any], path: Path | None
 ) -> str | None:
     """Draw the picture of the mission; a mission without a picture gets the flown paths.
@@ -267,13 +276,13 @@ def _drawn(
     """
     if path is None:
         return None
-    from crazychoir.guidance.mission import has
+    from crazychoir.guidance.mission import has_hook
     from crazychoir.recording.analysis.tracks import draw_tracks
 
     path.parent.mkdir(parents=True, exist_ok=True)
     tracks = result["tracks"]
     flown = {i: {**r, "track": tracks[i]} for i, r in result["results"].items()}
-    if has(mission, "picture"):
+    if has_hook(mission, "picture"):
         before = _version(path)
         mission.picture(config, flown, str(path))
         if _version(path) == before:
@@ -300,12 +309,12 @@ def _show(result: dict[str, Any], as_json: bool) -> None:
     if as_json:
         write_json(result)
     else:
-        STDOUT.print(summary_table(result))
+        ANSWER_CONSOLE.print(build_summary_table(result))
 
 
 def main() -> None:
     """Run the command line."""
-    ending.run(app)
+    ending.run_to_exit(app)
 
 
 if __name__ == "__main__":

@@ -6,43 +6,59 @@ Each error names the file, the key, the value, and what to do.
 import math
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib.metadata import entry_points
 from itertools import chain, combinations
 
 from crazychoir import platforms
 from crazychoir.bus.network.endpoints import address_fault, is_loopback
-from crazychoir.config.flight_room import ABOVE_FLOOR, EDGE, largest_room
-from crazychoir.config.radio_checks import check_radios, dongles, is_reached
-from crazychoir.config.reader import show
+from crazychoir.config.flight_room import ABOVE_FLOOR, EDGE_MARGIN, largest_room
+from crazychoir.config.radio_checks import check_radios, drones_by_dongle, has_radio
+from crazychoir.config.reader import show_value
 from crazychoir.config.tables import Position, Swarm
 from crazychoir.config.uris import RADIO_FORM, parse_uri
 from crazychoir.errors import ConfigError
-from crazychoir.team.graph import Graph, named, span
+from crazychoir.team.graph import Graph, describe_ids, graph_from_name
 
-LIGHTWEIGHT = "sim://"
-"""Uri of the lightweight world: each drone in its agent's
-process, unless the file names a world's owner.
-"""
-MOTORS = "sim://motors"
-"""Uri of the motor-level world: all drones together in the process of the world's owner."""
-MUJOCO = "mujoco://"
-"""Uri of the MuJoCo world: all drones together in the process of the world's owner."""
-SINGLE = "sim://single"
-"""Uri of a point robot that does not fly and takes velocities."""
-DOUBLE = "sim://double"
-"""Uri of a point robot that does not fly and takes accelerations."""
-UNICYCLE = "sim://unicycle"
-"""Uri of a wheeled robot that does not fly and takes (v, w)."""
-ALONE = (LIGHTWEIGHT, SINGLE, DOUBLE, UNICYCLE)
+
+@dataclass(frozen=True, slots=True)
+class WorldUris:
+    """Uris of the worlds of this package."""
+
+    lightweight: str = "sim://"
+    """Uri of the lightweight world: each drone in its agent's
+    process, unless the file names a world's owner.
+    """
+    motor_level: str = "sim://motors"
+    """Uri of the motor-level world: all drones together in the process of the world's owner."""
+    mujoco: str = "mujoco://"
+    """Uri of the MuJoCo world: all drones together in the process of the world's owner."""
+    single_integrator: str = "sim://single"
+    """Uri of a point robot that does not fly and takes velocities."""
+    double_integrator: str = "sim://double"
+    """Uri of a point robot that does not fly and takes accelerations."""
+    unicycle: str = "sim://unicycle"
+    """Uri of a wheeled robot that does not fly and takes (v, w)."""
+    replay: str = "replay://"
+    """Start of the uri of a drone that is replayed; the file of its recording follows."""
+
+
+WORLD_URIS = WorldUris()
+
+
+INDEPENDENT_WORLDS = (
+    WORLD_URIS.lightweight,
+    WORLD_URIS.single_integrator,
+    WORLD_URIS.double_integrator,
+    WORLD_URIS.unicycle,
+)
 """Worlds in which robots do not act on each other."""
-OURS = (*ALONE, MOTORS, MUJOCO)
+BUILT_IN_WORLDS = (*INDEPENDENT_WORLDS, WORLD_URIS.motor_level, WORLD_URIS.mujoco)
 """All worlds of this package."""
-REPLAY = "replay://"
-"""Start of the uri of a drone that is replayed; the file of its recording follows."""
-WORLDS = "crazychoir.worlds"
+WORLD_ENTRY_POINTS = "crazychoir.worlds"
 """Group of entry points with the worlds of other packages, named by the scheme of their uris."""
-CABLES = {
+UNSUPPORTED_LINKS = {
     "usb": "A drone on a USB cable cannot be flown here: write the uri of its radio.",
     "serial": "A drone on a serial cable cannot be flown here: write the uri of its radio.",
     "tcp": "cflib's tcp:// is the WiFi of an AI deck, which is not supported here: write the uri of its radio.",
@@ -51,38 +67,52 @@ CABLES = {
 }
 """Links of cflib that are not supported here, and what to do instead."""
 WORLD_STEP = 0.01  # s: step of the simulated worlds
-LOWEST_PORT = 1024
-"""First port that does not need root."""
-PATIENCE = 2.0  # s: least time that drones wait for a console
+
+
+@dataclass(frozen=True, slots=True)
+class SwarmLimits:
+    """Limits that a swarm file must respect."""
+
+    lowest_port: int = 1024
+    """First port that does not need root."""
+    least_patience: float = 2.0
+    """s: least time that drones wait for a console."""
+    touching_distance: float = 0.137
+    """Distance between the centres of two Crazyflies below which they may touch.
+
+    It is 92 mm from motor to motor along the diagonal (data sheet of the Crazyflie 2.1, Bitcraze), and
+    half a propeller of 45 mm at each end.
+    """
+    planned_speed: float = 1.0
+    """m/s: limit of the firmware for a drone that flies to places."""
+    limit_area_margin: float = 0.5
+    """m from the fence to the limit area, if the swarm file has none."""
+    least_limit_area_margin: float = 0.3
+    """Least distance from the fence to the limit area.
+
+    A drone lands 0.25 m outside the fence, see safety/rules/guard.py.
+    """
+    oldest_pose: float = 0.10
+    """Age of a pose above which a drone brakes, see safety/rules/guard.py.
+
+    A drone with only older poses never flies.
+    """
+
+
+SWARM_LIMITS = SwarmLimits()
+
+
 ROUTER_BELOW = 19
 """Distance of the router's port below base_port: below the owners of 16 dongles."""
-TOUCHING = 0.137  # m
-"""Distance between the centres of two Crazyflies below which they may touch.
-
-It is 92 mm from motor to motor along the diagonal (data sheet of the Crazyflie 2.1, Bitcraze), and
-half a propeller of 45 mm at each end.
-"""
-FASTEST_PLANNED = 1.0  # m/s: limit of the firmware for a drone that flies to places
-AROUND = 0.5  # m from the fence to the limit area, if the swarm file has none
-OUTSIDE = 0.3  # m
-"""Least distance from the fence to the limit area.
-
-A drone lands 0.25 m outside the fence, see safety/rules/guard.py.
-"""
-OLDEST_POSE = 0.10  # s
-"""Age of a pose above which a drone brakes, see safety/rules/guard.py.
-
-A drone with only older poses never flies.
-"""
 
 
-def check(swarm: Swarm, where: str) -> None:
+def check_swarm(swarm: Swarm, where: str) -> None:
     """Raise ConfigError for the first rule that does not hold.
 
     where: name of the file, for errors
     """
-    _ids(swarm, where)
-    for rule in RULES:
+    _check_ids(swarm, where)
+    for rule in SWARM_CHECKS:
         rule(swarm, where)
     graph_of(swarm, where)
 
@@ -110,7 +140,7 @@ def graph_of(swarm: Swarm, where: str) -> Graph:
     if swarm.edges is not None:
         return _from_edges(swarm, where)
     try:
-        return named(
+        return graph_from_name(
             swarm.topology or "ring", _members(swarm), swarm.seed, swarm.directed
         )
     except ConfigError as error:
@@ -123,11 +153,11 @@ def _from_edges(swarm: Swarm, where: str) -> Graph:
     """Return the graph with the edges of the file."""
     ids = _members(swarm)
     for n, edge in enumerate(swarm.edges or ()):
-        _known(ids, edge, f"{where}: edges[{n}]")
+        _check_known(ids, edge, f"{where}: edges[{n}]")
         if edge[0] == edge[1]:
             raise ConfigError(
                 f"{where}: edges[{n}]",
-                show(edge),
+                show_value(edge),
                 "an edge joins two drones",
                 "Remove it.",
                 "a loop",
@@ -148,22 +178,22 @@ def _from_neighbors(swarm: Swarm, where: str) -> Graph:
                 "a list, as the other drones have one",
                 "For none, neighbors = [].",
             )
-        _known(ids, drone.neighbors, key)
+        _check_known(ids, drone.neighbors, key)
         if drone.id in drone.neighbors:
             raise ConfigError(
                 key,
-                show(drone.neighbors),
+                show_value(drone.neighbors),
                 "a neighbour is another one",
                 "Remove it.",
                 "the drone itself",
             )
         heard[drone.id] = drone.neighbors
     if not swarm.directed:
-        _mutual(swarm, heard, where)
+        _check_mutual(swarm, heard, where)
     return Graph.from_neighbors(heard)
 
 
-def _mutual(swarm: Swarm, heard: dict[int, tuple[int, ...]], where: str) -> None:
+def _check_mutual(swarm: Swarm, heard: dict[int, tuple[int, ...]], where: str) -> None:
     """Check that neighbours of an undirected graph list each other."""
     at = {drone.id: n for n, drone in enumerate(swarm.drones)}
     one_sided = [
@@ -172,7 +202,7 @@ def _mutual(swarm: Swarm, heard: dict[int, tuple[int, ...]], where: str) -> None
     for i, j in one_sided[:1]:
         raise ConfigError(
             f"{where}: drones[{at[i]}].neighbors",
-            show(heard[i]),
+            show_value(heard[i]),
             "neighbours of an undirected graph list each other",
             f"Add {i} to drones[{at[j]}].neighbors, or set directed = true.",
             f"drone {j} does not list drone {i}",
@@ -183,27 +213,27 @@ def _members(swarm: Swarm) -> list[int]:
     return sorted(drone.id for drone in swarm.drones)
 
 
-def _known(ids: list[int], named_ids: tuple[int, ...], key: str) -> None:
+def _check_known(ids: list[int], named_ids: tuple[int, ...], key: str) -> None:
     """Check that all of these ids are drones of the swarm."""
     for j in named_ids:
         if j not in ids:
             raise ConfigError(
                 key,
-                show(named_ids),
-                f"this swarm has {span(ids)}",
+                show_value(named_ids),
+                f"this swarm has {describe_ids(ids)}",
                 f"Add a [[drones]] with id = {j}, or mend the list.",
                 f"there is no drone {j}",
             )
 
 
-def _roles(swarm: Swarm, where: str) -> None:
+def _check_roles(swarm: Swarm, where: str) -> None:
     """Check that roles are unique, and that each drone's role exists."""
     names = [row.name for row in swarm.roles]
     for n, name in enumerate(names):
         if name in names[:n]:
             raise ConfigError(
                 f"{where}: roles[{n}].name",
-                show(name),
+                show_value(name),
                 "each role is there once",
                 "Rename it.",
             )
@@ -213,14 +243,14 @@ def _roles(swarm: Swarm, where: str) -> None:
             allowed = f"one of {', '.join(names)}, or nothing"
             raise ConfigError(
                 f"{where}: drones[{n}].role",
-                show(drone.role),
+                show_value(drone.role),
                 allowed,
                 "Mend the name.",
                 problem,
             )
 
 
-def _ids(swarm: Swarm, where: str) -> None:
+def _check_ids(swarm: Swarm, where: str) -> None:
     """Check that there are drones, and that each id is unique."""
     if not swarm.drones:
         raise ConfigError(
@@ -240,24 +270,26 @@ def _ids(swarm: Swarm, where: str) -> None:
         first[drone.id] = n
 
 
-def _uris(swarm: Swarm, where: str) -> None:
+def _check_uris(swarm: Swarm, where: str) -> None:
     """Check that each uri names a world or a radio address."""
     for n, drone in enumerate(swarm.drones):
-        if drone.uri in OURS or drone.uri.startswith(REPLAY):
+        if drone.uri in BUILT_IN_WORLDS or drone.uri.startswith(WORLD_URIS.replay):
             continue
-        if is_reached(drone):
+        if has_radio(drone):
             parse_uri(drone.uri, f"{where}: drones[{n}].uri")
             continue
         key, (scheme, mark, _) = f"{where}: drones[{n}].uri", drone.uri.partition("://")
         is_foreign = bool(mark) and scheme != "sim"
         if is_foreign and scheme in engines_of_others():
             continue
-        if scheme in CABLES:
-            raise ConfigError(key, show(drone.uri), RADIO_FORM, CABLES[scheme])
+        if scheme in UNSUPPORTED_LINKS:
+            raise ConfigError(
+                key, show_value(drone.uri), RADIO_FORM, UNSUPPORTED_LINKS[scheme]
+            )
         links = "udp://HOST:PORT", "radio://DONGLE/CHANNEL/RATE/ADDRESS"
         flown = (
-            *OURS,
-            f"{REPLAY}FILE",
+            *BUILT_IN_WORLDS,
+            f"{WORLD_URIS.replay}FILE",
             *links,
             *(f"{name}://" for name in engines_of_others()),
         )
@@ -268,41 +300,46 @@ def _uris(swarm: Swarm, where: str) -> None:
             (form for form in flown if near and form.startswith(near[0])), "sim://"
         )
         other = (
-            f"install a package with the entry point {scheme} in {WORLDS}"
+            f"install a package with the entry point {scheme} in {WORLD_ENTRY_POINTS}"
             if is_foreign
             else "leave it out"
         )
         raise ConfigError(
-            key, show(drone.uri), ", ".join(flown), f'Write uri = "{like}", or {other}.'
+            key,
+            show_value(drone.uri),
+            ", ".join(flown),
+            f'Write uri = "{like}", or {other}.',
         )
 
 
 def engines_of_others() -> tuple[str, ...]:
     """Return the schemes of the worlds of installed packages."""
-    return tuple(sorted({entry.name: None for entry in entry_points(group=WORLDS)}))
+    return tuple(
+        sorted({entry.name: None for entry in entry_points(group=WORLD_ENTRY_POINTS)})
+    )
 
 
-def _platforms(swarm: Swarm, where: str) -> None:
+def _check_platforms(swarm: Swarm, where: str) -> None:
     """Check that each platform exists."""
     for n, drone in enumerate(swarm.drones):
-        platforms.platform(drone.platform, f"{where}: drones[{n}].platform")
+        platforms.find_platform(drone.platform, f"{where}: drones[{n}].platform")
 
 
-def _delay(swarm: Swarm, where: str) -> None:
+def _check_delay(swarm: Swarm, where: str) -> None:
     """Check the command delay: only the lightweight world can have a fraction of a step."""
     steps = swarm.plant.command_delay / WORLD_STEP
     if abs(steps - round(steps)) > 1e-6 and any(
-        drone.uri != LIGHTWEIGHT for drone in swarm.drones
+        drone.uri != WORLD_URIS.lightweight for drone in swarm.drones
     ):
         raise ConfigError(
             f"{where}: plant.command_delay",
             swarm.plant.command_delay,
-            f"multiples of {WORLD_STEP:g} s, a step of the world, unless all drones are {LIGHTWEIGHT}",
+            f"multiples of {WORLD_STEP:g} s, a step of the world, unless all drones are {WORLD_URIS.lightweight}",
             f"For example {WORLD_STEP * round(steps):g}.",
         )
 
 
-def _speed(swarm: Swarm, where: str) -> None:
+def _check_speed(swarm: Swarm, where: str) -> None:
     """Check the speed limit of drones with the sender "xyz".
 
     Nothing on board reports that a drone is behind its places: its reference would run away from
@@ -314,9 +351,12 @@ def _speed(swarm: Swarm, where: str) -> None:
         for drone in swarm.drones
         if rows.get(drone.role, swarm.control).sender == "xyz"
     ]
-    if planned and swarm.flight.speed_limit > FASTEST_PLANNED:
-        problem = f"drone {planned[0]} is sent places (xyz), which the firmware flies to at {FASTEST_PLANNED:g} m/s"
-        allowed = f"at most {FASTEST_PLANNED:g} m/s with xyz"
+    if planned and swarm.flight.speed_limit > SWARM_LIMITS.planned_speed:
+        problem = (
+            f"drone {planned[0]} is sent places (xyz), which the firmware flies to at "
+            f"{SWARM_LIMITS.planned_speed:g} m/s"
+        )
+        allowed = f"at most {SWARM_LIMITS.planned_speed:g} m/s with xyz"
         do = "Lower it, or choose another sender."
         raise ConfigError(
             f"{where}: flight.speed_limit",
@@ -327,7 +367,7 @@ def _speed(swarm: Swarm, where: str) -> None:
         )
 
 
-def _box(swarm: Swarm, where: str) -> None:
+def _check_box(swarm: Swarm, where: str) -> None:
     """Check that the fence is a box, and that the take-off height is in it."""
     low = swarm.fence.min
     high = swarm.fence.max
@@ -343,7 +383,8 @@ def _box(swarm: Swarm, where: str) -> None:
         raise ConfigError(
             f"{where}: fence",
             _between(low, high),
-            f"a box of more than {2.0 * EDGE:g} m aside, and more than {ABOVE_FLOOR + EDGE:g} m above flight.ground",
+            f"a box of more than {2.0 * EDGE_MARGIN:g} m aside, and more than "
+            f"{ABOVE_FLOOR + EDGE_MARGIN:g} m above flight.ground",
             "Widen it.",
             "no room is left inside it in which a drone may be sent",
         )
@@ -366,14 +407,18 @@ def limit_area(swarm: Swarm) -> tuple[Position, Position]:
     (a, b, c), (d, e, f) = swarm.fence.min, swarm.fence.max
     low = swarm.keep_out.min
     high = swarm.keep_out.max
-    return low or (a - AROUND, b - AROUND, c - AROUND), high or (
-        d + AROUND,
-        e + AROUND,
-        f + AROUND,
+    return low or (
+        a - SWARM_LIMITS.limit_area_margin,
+        b - SWARM_LIMITS.limit_area_margin,
+        c - SWARM_LIMITS.limit_area_margin,
+    ), high or (
+        d + SWARM_LIMITS.limit_area_margin,
+        e + SWARM_LIMITS.limit_area_margin,
+        f + SWARM_LIMITS.limit_area_margin,
     )
 
 
-def _limit_area(swarm: Swarm, where: str) -> None:
+def _check_limit_area(swarm: Swarm, where: str) -> None:
     """Check the limit area.
 
     A drone that leaves the fence lands before its motors are cut. It needs room for that above and
@@ -382,19 +427,20 @@ def _limit_area(swarm: Swarm, where: str) -> None:
     fence, (low, high) = swarm.fence, limit_area(swarm)
     room = [a - b for a, b in zip(fence.min[:2], low[:2], strict=True)]
     room += [b - a for a, b in zip(fence.max, high, strict=True)]
-    if min(room) < OUTSIDE or low[2] > fence.min[2]:
+    if min(room) < SWARM_LIMITS.least_limit_area_margin or low[2] > fence.min[2]:
         raise ConfigError(
             f"{where}: keep_out",
             _between(low, high),
-            f"{OUTSIDE:g} m or more around [fence], which goes from {_between(fence.min, fence.max)}",
+            f"{SWARM_LIMITS.least_limit_area_margin:g} m or more around [fence], which goes "
+            f"from {_between(fence.min, fence.max)}",
             "Widen it, shrink [fence], or leave [keep_out] out: 0.5 m around the fence.",
             f"{min(room):.2g} m from a side of the fence"
-            if min(room) < OUTSIDE
+            if min(room) < SWARM_LIMITS.least_limit_area_margin
             else "its floor is above the fence's",
         )
 
 
-def _homes(swarm: Swarm, where: str) -> None:
+def _check_homes(swarm: Swarm, where: str) -> None:
     """Check that homes are inside the fence."""
     low = swarm.fence.min
     high = swarm.fence.max
@@ -408,32 +454,32 @@ def _homes(swarm: Swarm, where: str) -> None:
         ):
             raise ConfigError(
                 f"{where}: drones[{n}].home",
-                show(drone.home),
+                show_value(drone.home),
                 f"[fence] goes from {_between(low, high)}",
                 "Move the drone, or widen [fence].",
-                f"nearer than {EDGE:g} m to a side of the fence"
+                f"nearer than {EDGE_MARGIN:g} m to a side of the fence"
                 if is_inside
                 else "outside the fence",
             )
-    _apart(swarm, where)
+    _check_spacing(swarm, where)
 
 
-def _apart(swarm: Swarm, where: str) -> None:
+def _check_spacing(swarm: Swarm, where: str) -> None:
     """Check that homes are far enough from each other."""
     places = {drone.id: drone.home for drone in swarm.drones}
-    for i, j, d in too_near(places, (1.0, 1.0, 1.0), TOUCHING):
+    for i, j, d in near_pairs(places, (1.0, 1.0, 1.0), SWARM_LIMITS.touching_distance):
         n = next(n for n, drone in enumerate(swarm.drones) if drone.id == i)
         raise ConfigError(
             f"{where}: drones[{n}].home",
-            show(places[i]),
-            f"homes are {TOUCHING} m apart or more",
+            show_value(places[i]),
+            f"homes are {SWARM_LIMITS.touching_distance} m apart or more",
             "Move one of them.",
             f"{d:.2g} m from the home of drone {j}",
         )
     refuse_conflicts(swarm, {i: p for i, p in places.items()}, f"{where}: homes")
 
 
-def too_near(
+def near_pairs(
     places: Mapping[int, Position], scale: Position, least: float
 ) -> Iterator[tuple[int, int, float]]:
     """Yield pairs of drones at places less than `least` m apart, with their distance.
@@ -459,14 +505,14 @@ def refuse_conflicts(swarm: Swarm, places: Mapping[int, Position], where: str) -
     if swarm.collision.method == "off":
         return
     x, y, z = swarm.collision.semi_axes
-    for i, j, d in too_near(places, (1.0, x / y, x / z), 2.0 * x):
-        found = f"drone {i} at {show(places[i])}, drone {j} at {show(places[j])}"
+    for i, j, d in near_pairs(places, (1.0, x / y, x / z), 2.0 * x):
+        found = f"drone {i} at {show_value(places[i])}, drone {j} at {show_value(places[j])}"
         allowed = f"places {2.0 * x:g} m apart or more, vertical distances times {x / z:.2g} ([collision] semi_axes)"
         problem = f"{d:.2g} m apart: in conflict"
         raise ConfigError(where, found, allowed, "Move one of them.", problem)
 
 
-def _cameras(swarm: Swarm, where: str) -> None:
+def _check_pose_age(swarm: Swarm, where: str) -> None:
     """Check the age of poses.
 
     Just before the next pose arrives, the last one is latency + 1 / rate old. Simulated cameras
@@ -481,33 +527,38 @@ def _cameras(swarm: Swarm, where: str) -> None:
             f"multiples of {1.0 / mocap.rate:g} s, 1 / rate",
         )
     oldest = mocap.latency + 1.0 / mocap.rate
-    if oldest > OLDEST_POSE:
+    if oldest > SWARM_LIMITS.oldest_pose:
         raise ConfigError(
             f"{where}: mocap",
             f"latency {mocap.latency:g} s, rate {mocap.rate:g} Hz",
-            f"at most {OLDEST_POSE:g} s: a drone whose pose is older brakes",
+            f"at most {SWARM_LIMITS.oldest_pose:g} s: a drone whose pose is older brakes",
             "Lower the latency, or raise the rate.",
             f"poses get {oldest:.3g} s old before the next one comes",
         )
 
 
 def _between(low: Position, high: Position) -> str:
-    return f"{show(low)} to {show(high)}"
+    return f"{show_value(low)} to {show_value(high)}"
 
 
-def _hosts(swarm: Swarm, where: str) -> None:
+def _check_hosts(swarm: Swarm, where: str) -> None:
     """Check the names and addresses of hosts."""
     for name, address in swarm.hosts.items():
         key = f"{where}: hosts.{name}"
         if not re.fullmatch(r"[a-z0-9_-]{1,40}", name):
             raise ConfigError(
-                key, show(name), "names of 1 to 40 of a-z, 0-9, _ and -", "Rename it."
+                key,
+                show_value(name),
+                "names of 1 to 40 of a-z, 0-9, _ and -",
+                "Rename it.",
             )
         if fault := address_fault(address):
-            raise ConfigError(key, show(address), "an IP address or a DNS name", fault)
+            raise ConfigError(
+                key, show_value(address), "an IP address or a DNS name", fault
+            )
 
 
-def secured(swarm: Swarm) -> bool:
+def is_secured(swarm: Swarm) -> bool:
     """Return True if the network is encrypted and closed.
 
     Without `insecure` it is, as soon as a host is not this machine.
@@ -520,9 +571,9 @@ def secured(swarm: Swarm) -> bool:
     )
 
 
-def _security(swarm: Swarm, where: str) -> None:
+def _check_security(swarm: Swarm, where: str) -> None:
     """Check that a closed network has hosts and operators."""
-    if not secured(swarm):
+    if not is_secured(swarm):
         return
     if not swarm.hosts:
         do = "Add [hosts], or leave security.insecure out: nobody else reaches this machine's own addresses."
@@ -530,7 +581,7 @@ def _security(swarm: Swarm, where: str) -> None:
             f"{where}: security.insecure", "false", "a swarm with [hosts]", do
         )
     if not swarm.security.operators:
-        do = f"Add [security] with operators = {show([next(iter(swarm.hosts))])}, or with insecure = true."
+        do = f"Add [security] with operators = {show_value([next(iter(swarm.hosts))])}, or with insecure = true."
         raise ConfigError(
             f"{where}: security.operators",
             "nothing",
@@ -539,12 +590,12 @@ def _security(swarm: Swarm, where: str) -> None:
         )
 
 
-def _placement(swarm: Swarm, where: str) -> None:
+def _check_placement(swarm: Swarm, where: str) -> None:
     """Check that each drone's host exists."""
     names = ", ".join(swarm.hosts) or "none, there is no [hosts]"
     for n, drone in enumerate(swarm.drones):
         if drone.host is None and swarm.hosts:
-            do = f"Add host = {show(next(iter(swarm.hosts)))}."
+            do = f"Add host = {show_value(next(iter(swarm.hosts)))}."
             raise ConfigError(
                 f"{where}: drones[{n}].host",
                 "nothing",
@@ -554,26 +605,30 @@ def _placement(swarm: Swarm, where: str) -> None:
         if drone.host is not None and drone.host not in swarm.hosts:
             raise ConfigError(
                 f"{where}: drones[{n}].host",
-                show(drone.host),
+                show_value(drone.host),
                 f"[hosts] has {names}",
                 f'Add {drone.host} = "its address" to [hosts], or mend the name.',
                 "there is no such host",
             )
 
 
-def owned(swarm: Swarm) -> tuple[int, ...]:
+def world_owned_drones(swarm: Swarm) -> tuple[int, ...]:
     """Return the drones simulated, in real time, by the process of the world's owner.
 
     The ids are in increasing order.
     """
     named = swarm.world.owned or swarm.world.host is not None
-    simulated = [drone for drone in swarm.drones if not is_reached(drone)]
+    simulated = [drone for drone in swarm.drones if not has_radio(drone)]
     return tuple(
-        sorted(drone.id for drone in simulated if named or drone.uri not in ALONE)
+        sorted(
+            drone.id
+            for drone in simulated
+            if named or drone.uri not in INDEPENDENT_WORLDS
+        )
     )
 
 
-def _world(swarm: Swarm, where: str) -> None:
+def _check_world(swarm: Swarm, where: str) -> None:
     """Check that the host of the world's owner exists."""
     host = swarm.world.host
     names = ", ".join(swarm.hosts) or "none, there is no [hosts]"
@@ -581,30 +636,34 @@ def _world(swarm: Swarm, where: str) -> None:
         problem = "there is no such host"
         raise ConfigError(
             f"{where}: world.host",
-            show(host),
+            show_value(host),
             f"[hosts] has {names}",
             "Mend the name.",
             problem,
         )
-    if host is None and swarm.hosts and owned(swarm):
-        do = f"Add [world] with host = {show(next(iter(swarm.hosts)))}: crazychoir-world runs there."
+    if host is None and swarm.hosts and world_owned_drones(swarm):
+        do = f"Add [world] with host = {show_value(next(iter(swarm.hosts)))}: crazychoir-world runs there."
         raise ConfigError(
             f"{where}: world.host", "nothing", f"a name of [hosts]: {names}", do
         )
 
 
-def _router(swarm: Swarm, where: str) -> None:
+def _check_router(swarm: Swarm, where: str) -> None:
     """Check that the router's host exists."""
     names = ", ".join(swarm.hosts) or "none, there is no [hosts]"
     if swarm.router is not None and swarm.router not in swarm.hosts:
         problem = "there is no such host"
         do = "Mend the name, or leave router out: hosts then reach each other directly."
         raise ConfigError(
-            f"{where}: router", show(swarm.router), f"[hosts] has {names}", do, problem
+            f"{where}: router",
+            show_value(swarm.router),
+            f"[hosts] has {names}",
+            do,
+            problem,
         )
 
 
-def _processes(swarm: Swarm, where: str) -> None:
+def _check_processes(swarm: Swarm, where: str) -> None:
     """Check that each drone is in one process, and each process on one host."""
     if swarm.processes is None:
         return
@@ -612,11 +671,11 @@ def _processes(swarm: Swarm, where: str) -> None:
     host = {drone.id: drone.host for drone in swarm.drones}
     for n, group in enumerate(swarm.processes):
         key = f"{where}: processes[{n}]"
-        _known(ids, group, key)
+        _check_known(ids, group, key)
         if any(host[i] != host[group[0]] for i in group):
             raise ConfigError(
                 key,
-                show(group),
+                show_value(group),
                 "a process is on one host",
                 "Split it.",
                 "drones of several hosts",
@@ -626,18 +685,21 @@ def _processes(swarm: Swarm, where: str) -> None:
         problem = f"drone {wrong[0]} is there {placed.count(wrong[0])} times"
         raise ConfigError(
             f"{where}: processes",
-            show(swarm.processes),
+            show_value(swarm.processes),
             "each drone is in one process",
             "Mend it, or leave processes out: one process a drone.",
             problem,
         )
 
 
-def _dead_man(swarm: Swarm, where: str) -> None:
+def _check_dead_man(swarm: Swarm, where: str) -> None:
     """Check that the time without a console is not too short."""
     seconds = swarm.flight.dead_man
-    if 0.0 < seconds < PATIENCE:
-        allowed = f"0 (never), or {PATIENCE:g} s and more: a console speaks twice a second, and one word may be lost"
+    if 0.0 < seconds < SWARM_LIMITS.least_patience:
+        allowed = (
+            f"0 (never), or {SWARM_LIMITS.least_patience:g} s and more: a console speaks "
+            "twice a second, and one word may be lost"
+        )
         raise ConfigError(
             f"{where}: flight.dead_man",
             seconds,
@@ -646,7 +708,7 @@ def _dead_man(swarm: Swarm, where: str) -> None:
         )
 
 
-def _start(swarm: Swarm, where: str) -> None:
+def _check_start(swarm: Swarm, where: str) -> None:
     """Check that the swarm has as many drones as the start needs."""
     if isinstance(swarm.start, int) and swarm.start > len(swarm.drones):
         allowed = f'"all", or 1 to {len(swarm.drones)} drones'
@@ -655,7 +717,7 @@ def _start(swarm: Swarm, where: str) -> None:
         )
 
 
-def _ports(swarm: Swarm, where: str) -> None:
+def _check_ports(swarm: Swarm, where: str) -> None:
     """Check that all ports are in the allowed range."""
     last = _members(swarm)[-1]
     if swarm.base_port + last > 65535:
@@ -667,22 +729,28 @@ def _ports(swarm: Swarm, where: str) -> None:
             "Lower it.",
             problem,
         )
-    below = 3 + max(found) if (found := dongles(swarm)) else 1 if owned(swarm) else 0
+    below = (
+        3 + max(found)
+        if (found := drones_by_dongle(swarm))
+        else 1
+        if world_owned_drones(swarm)
+        else 0
+    )
     below = ROUTER_BELOW if swarm.router is not None else below
-    if swarm.base_port - below < LOWEST_PORT:
+    if swarm.base_port - below < SWARM_LIMITS.lowest_port:
         problem = (
             f"routers, owners of worlds and radios listen down to base_port - {below}"
         )
         raise ConfigError(
             f"{where}: base_port",
             swarm.base_port,
-            f"ports begin at {LOWEST_PORT}",
+            f"ports begin at {SWARM_LIMITS.lowest_port}",
             "Raise it.",
             problem,
         )
 
 
-def _links(swarm: Swarm, where: str) -> None:
+def _check_link_edges(swarm: Swarm, where: str) -> None:
     """Check that the rules of edges name drones of the swarm."""
     for n, edge in enumerate(swarm.network.edges):
         key = f"{where}: network.edges[{n}]"
@@ -694,15 +762,15 @@ def _links(swarm: Swarm, where: str) -> None:
                 "one or both",
                 "A rule for all goes into [network].",
             )
-        _known(_members(swarm), ends, key)
+        _check_known(_members(swarm), ends, key)
 
 
-def _partitions(swarm: Swarm, where: str) -> None:
+def _check_partitions(swarm: Swarm, where: str) -> None:
     """Check that partitions end after they begin, and that their groups are disjoint."""
     for n, cut in enumerate(swarm.network.partitions):
         key = f"{where}: network.partitions[{n}]"
         for group in cut.groups:
-            _known(_members(swarm), group, f"{key}.groups")
+            _check_known(_members(swarm), group, f"{key}.groups")
         if cut.until is not None and cut.until <= cut.at:
             raise ConfigError(
                 f"{key}.until",
@@ -714,34 +782,34 @@ def _partitions(swarm: Swarm, where: str) -> None:
             problem = f"drone {twice[0]} is in two groups"
             raise ConfigError(
                 f"{key}.groups",
-                show(cut.groups),
+                show_value(cut.groups),
                 "groups are disjoint",
                 "Mend the groups.",
                 problem,
             )
 
 
-RULES = (
-    _uris,
-    _platforms,
-    _delay,
-    _roles,
-    _speed,
-    _box,
-    _limit_area,
-    _homes,
-    _cameras,
-    _hosts,
-    _placement,
-    _world,
-    _router,
-    _processes,
-    _dead_man,
-    _start,
-    _ports,
-    _links,
-    _partitions,
+SWARM_CHECKS = (
+    _check_uris,
+    _check_platforms,
+    _check_delay,
+    _check_roles,
+    _check_speed,
+    _check_box,
+    _check_limit_area,
+    _check_homes,
+    _check_pose_age,
+    _check_hosts,
+    _check_placement,
+    _check_world,
+    _check_router,
+    _check_processes,
+    _check_dead_man,
+    _check_start,
+    _check_ports,
+    _check_link_edges,
+    _check_partitions,
     check_radios,
-    _security,
+    _check_security,
 )
 """All rules, in the order of their errors."""

@@ -1,7 +1,7 @@
 """Where one drone may fly, and where it may be sent: for its guard, and for the checks of a mission before take-off."""
 
 from crazychoir.config.flight_room import Corners, flight_room
-from crazychoir.config.link_loss import TILTED, inset
+from crazychoir.config.link_loss import TILT_TIMES, fence_inset
 from crazychoir.config.swarm_config import SwarmConfig
 
 
@@ -13,9 +13,9 @@ def fence_of(config: SwarmConfig, i: int) -> Corners:
     low = config.fence.min
     high = config.fence.max
     sender = config.control_of(i).sender
-    if i not in config.reached or sender not in TILTED:
+    if i not in config.reached or sender not in TILT_TIMES:
         return low, high
-    x = inset(config, sender).given
+    x = fence_inset(config, sender).given
     return (low[0] + x, low[1] + x, low[2]), (high[0] - x, high[1] - x, high[2])
 
 

@@ -7,14 +7,14 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from crazychoir.config.reader import show
+from crazychoir.config.reader import show_value
 from crazychoir.errors import ConfigError
 from crazychoir.files.output_files import output_file
-from crazychoir.files.text_files import BYTE_ORDER_MARK, read_text
+from crazychoir.files.text_files import TEXT_MARKS, read_text
 
-HEADER = re.compile(r"\s*\[")
+TABLE_HEADER = re.compile(r"\s*\[")
 """First line of a table."""
-DRONES = re.compile(r"\s*\[\[\s*drones\s*\]\]\s*(#.*)?")
+DRONES_HEADER = re.compile(r"\s*\[\[\s*drones\s*\]\]\s*(#.*)?")
 """First line of a [[drones]]."""
 
 
@@ -24,7 +24,7 @@ def lines_of(i: int, keys: Mapping[str, object]) -> str:
         [
             "[[drones]]",
             f"id = {i}",
-            *(f"{key} = {show(value)}" for key, value in keys.items()),
+            *(f"{key} = {show_value(value)}" for key, value in keys.items()),
         ]
     )
 
@@ -42,9 +42,9 @@ def with_keys(
     lines = text.splitlines(keepends=True)
     for i, keys in changes.items():
         for key, value in keys.items():
-            lines = _with_key(lines, i, key, show(value))
+            lines = _with_key(lines, i, key, show_value(value))
     after = "".join(lines)
-    expected = _changed(before, changes)
+    expected = _expected_values(before, changes)
     if expected is None or _parsed(after) != expected:
         do = "\n".join(
             [
@@ -64,7 +64,11 @@ def with_keys(
 def write_keys(path: Path, changes: Mapping[int, Mapping[str, object]]) -> None:
     """Write other values of some keys of [[drones]] into a file; see `with_keys`."""
     text = read_text(path, "a swarm file that can be written", exact=True)
-    mark = BYTE_ORDER_MARK if text.startswith(BYTE_ORDER_MARK) else ""
+    mark = (
+        TEXT_MARKS.byte_order_mark
+        if text.startswith(TEXT_MARKS.byte_order_mark)
+        else ""
+    )
     changed = with_keys(text.removeprefix(mark), changes, str(path))
     with output_file(path, "swarm file") as place:
         place.write_bytes((mark + changed).encode())
@@ -82,7 +86,7 @@ def _with_key(lines: list[str], i: int, key: str, value: str) -> list[str]:
         if line is not None:
             return [
                 *lines[:line],
-                _replaced(lines[line], key, value),
+                _replace_value(lines[line], key, value),
                 *lines[line + 1 :],
             ]
         last = max(n for n in range(begin, end) if lines[n].split("#")[0].strip())
@@ -94,13 +98,13 @@ def _with_key(lines: list[str], i: int, key: str, value: str) -> list[str]:
 
 def _tables(lines: list[str]) -> Iterator[tuple[int, int]]:
     """Yield the first line of each [[drones]] and the first line of the next table."""
-    headers = [n for n, line in enumerate(lines) if HEADER.match(line)]
+    headers = [n for n, line in enumerate(lines) if TABLE_HEADER.match(line)]
     for n, end in pairwise([*headers, len(lines)]):
-        if DRONES.fullmatch(lines[n].rstrip("\r\n")):
+        if DRONES_HEADER.fullmatch(lines[n].rstrip("\r\n")):
             yield n, end
 
 
-def _replaced(line: str, key: str, value: str) -> str:
+def _replace_value(line: str, key: str, value: str) -> str:
     """Return the line with another value; a comment after it stays."""
     found = re.match(
         rf"(\s*{key}\s*=\s*)(\"[^\"]*\"|'[^']*'|\[[^\]]*\]|[^#\s]*)(.*)",
@@ -125,7 +129,7 @@ def _parsed(text: str) -> dict[str, Any] | None:
         return None
 
 
-def _changed(
+def _expected_values(
     raw: dict[str, Any] | None, changes: Mapping[int, Mapping[str, object]]
 ) -> dict[str, Any] | None:
     """Return the plain values that the changed text must have; None if that is impossible."""

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from crazychoir.config.tables import Position, Swarm
 
-EDGE = 0.005  # m
+EDGE_MARGIN = 0.005  # m
 """Distance from the sides and the top of the fence: nearer, noise alone carries a drone out."""
 ABOVE_FLOOR = 0.1  # m
 """Height above the ground: lower, a hovering drone touches the floor with its motors on."""
@@ -23,13 +23,13 @@ def flight_room(low: Position, high: Position, ground: float | None) -> Corners:
     ground: m, world: height of the floor; None for a robot that drives, which may be anywhere in
         the fence
     """
-    floor = low[2] + EDGE
+    floor = low[2] + EDGE_MARGIN
     if ground is not None:
         floor = max(floor, ground + ABOVE_FLOOR)
-    return (low[0] + EDGE, low[1] + EDGE, floor), (
-        high[0] - EDGE,
-        high[1] - EDGE,
-        high[2] - EDGE,
+    return (low[0] + EDGE_MARGIN, low[1] + EDGE_MARGIN, floor), (
+        high[0] - EDGE_MARGIN,
+        high[1] - EDGE_MARGIN,
+        high[2] - EDGE_MARGIN,
     )
 
 

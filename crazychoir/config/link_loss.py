@@ -6,37 +6,49 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from crazychoir.config.checks import TOUCHING, limit_area
-from crazychoir.config.radio_checks import dongles, is_reached
+from crazychoir.config.checks import SWARM_LIMITS, limit_area
+from crazychoir.config.radio_checks import drones_by_dongle, has_radio
 from crazychoir.config.tables import Position, Swarm
 
-HELD = 0.5  # s
-"""Time for which the firmware holds the last set-point; afterwards the drone is level."""
-CUT = 2.0  # s
-"""Time without set-points after which the motors are off."""
-BRAKES = 0.67
-"""Factor on v^2 / a that gives the braking distance in m, with the delays of the drone."""
-TILTED = {"fpqr": 0.0, "frpy": 0.2, "vel": 0.0, "fullstate": 0.2}
+
+@dataclass(frozen=True, slots=True)
+class LinkLossRules:
+    """What a streamed drone does when its link fails, and how much of the fence is given up for
+    that.
+    """
+
+    held_time: float = 0.5
+    """Time for which the firmware holds the last set-point; afterwards the drone is level."""
+    cut_time: float = 2.0
+    """Time without set-points after which the motors are off."""
+    braking_factor: float = 0.67
+    """Factor on v^2 / a that gives the braking distance in m, with the delays of the drone."""
+    offered_senders: tuple[str, ...] = ("frpy", "vel")
+    """Senders that an error offers in place of one with a longer
+    distance, in addition to xyz, which has none.
+    """
+    home_clearance: float = 0.3
+    """Room that is left around each home."""
+    largest_share: float = 0.25
+    """Largest share of half the fence's width that is given up."""
+
+
+LINK_LOSS_RULES = LinkLossRules()
+
+
+TILT_TIMES = {"fpqr": 0.0, "frpy": 0.2, "vel": 0.0, "fullstate": 0.2}
 """s: additional metres for each m/s of speed, because the last tilt is held."""
-STRAYS = {"fpqr": 0.5, "frpy": 0.15, "vel": 0.05, "fullstate": 0.15}
+STRAY_DISTANCES = {"fpqr": 0.5, "frpy": 0.15, "vel": 0.05, "fullstate": 0.15}
 """m: additional distance because the last rates or the last tilt are held, even at low speed.
 
 With these values no drone of the motor level has flown further in 2 s. There were 150 flights on
 circles of 0.25 to 0.5 m at 0.02 to 1 m/s for each sender but "fullstate", which is assumed to be as
 "frpy".
 """
-OFFERED = ("frpy", "vel")
-"""Senders that an error offers in place of one with a longer
-distance, in addition to xyz, which has none.
-"""
-SPACE = 0.3  # m
-"""Room that is left around each home."""
-MOST = 0.25
-"""Largest share of half the fence's width that is given up."""
 
 
 @dataclass(frozen=True)
-class Inset:
+class FenceInset:
     """The distance that streamed drones keep from the sides of the fence."""
 
     needed: float
@@ -59,7 +71,7 @@ class Inset:
         )
 
 
-def flies_on(speed: float, acceleration: float, sender: str) -> float:
+def distance_without_link(speed: float, acceleration: float, sender: str) -> float:
     """Return the m beyond the fence at which a drone's motors
     stop, if it was inside when its radio failed.
 
@@ -71,23 +83,23 @@ def flies_on(speed: float, acceleration: float, sender: str) -> float:
     acceleration: m/s2: a
     sender: kind of command
     """
-    seconds = CUT + TILTED[sender]
-    k = acceleration / BRAKES
+    seconds = LINK_LOSS_RULES.cut_time + TILT_TIMES[sender]
+    k = acceleration / LINK_LOSS_RULES.braking_factor
     v = min(speed, 0.5 * seconds * k)
-    return STRAYS[sender] + seconds * v - v * v / k
+    return STRAY_DISTANCES[sender] + seconds * v - v * v / k
 
 
-def slow_enough(far: float, acceleration: float, sender: str) -> float:
-    """Return the speed_limit, m/s, with which `flies_on` is at most `far` m; 0 if there is none."""
-    seconds = CUT + TILTED[sender]
-    k = acceleration / BRAKES
-    rest = far - STRAYS[sender]
+def allowed_speed(far: float, acceleration: float, sender: str) -> float:
+    """Return the speed_limit, m/s, with which `distance_without_link` is at most `far` m; 0 if there is none."""
+    seconds = LINK_LOSS_RULES.cut_time + TILT_TIMES[sender]
+    k = acceleration / LINK_LOSS_RULES.braking_factor
+    rest = far - STRAY_DISTANCES[sender]
     if rest <= 0.0:
         return 0.0
     return 0.5 * k * (seconds - math.sqrt(max(0.0, seconds * seconds - 4.0 * rest / k)))
 
 
-def inset(swarm: Swarm, sender: str) -> Inset:
+def fence_inset(swarm: Swarm, sender: str) -> FenceInset:
     """Return how far inside [fence] streamed drones stay, so
     that they do not end beyond [keep_out].
     """
@@ -101,22 +113,32 @@ def inset(swarm: Swarm, sender: str) -> Inset:
     )
     needed = max(
         0.0,
-        flies_on(swarm.flight.speed_limit, swarm.flight.acceleration_limit, sender)
+        distance_without_link(
+            swarm.flight.speed_limit, swarm.flight.acceleration_limit, sender
+        )
         - room,
     )
     half = min(b - a for a, b in zip(fence.min[:2], fence.max[:2], strict=True)) / 2.0
-    homes = [drone.home for drone in swarm.drones if is_reached(drone)]
+    homes = [drone.home for drone in swarm.drones if has_radio(drone)]
     given = max(
-        0.0, min(needed, MOST * half, *(_inside(home, swarm) - SPACE for home in homes))
+        0.0,
+        min(
+            needed,
+            LINK_LOSS_RULES.largest_share * half,
+            *(
+                _distance_to_fence(home, swarm) - LINK_LOSS_RULES.home_clearance
+                for home in homes
+            ),
+        ),
     )
-    return Inset(
+    return FenceInset(
         needed,
         given,
-        slow_enough(given + room, swarm.flight.acceleration_limit, sender),
+        allowed_speed(given + room, swarm.flight.acceleration_limit, sender),
     )
 
 
-def crowded(swarm: Swarm, i: int, senders: Mapping[int, str]) -> str:
+def describe_crowding(swarm: Swarm, i: int, senders: Mapping[int, str]) -> str:
     """Return a text with the drone of the same dongle that drone i may touch if the dongle fails.
 
     The text is empty if there is none.
@@ -126,9 +148,11 @@ def crowded(swarm: Swarm, i: int, senders: Mapping[int, str]) -> str:
     senders: {drone: kind of command} of all streamed drones, with i
     """
     homes = {drone.id: drone.home[:2] for drone in swarm.drones}
-    here = next(ids for ids in dongles(swarm).values() if i in ids)
+    here = next(ids for ids in drones_by_dongle(swarm).values() if i in ids)
     needed = {
-        j: STRAYS[senders[i]] + STRAYS[senders[j]] + TOUCHING
+        j: STRAY_DISTANCES[senders[i]]
+        + STRAY_DISTANCES[senders[j]]
+        + SWARM_LIMITS.touching_distance
         for j in here
         if i < j and j in senders
     }
@@ -141,8 +165,12 @@ def crowded(swarm: Swarm, i: int, senders: Mapping[int, str]) -> str:
         return ""
     j = max(near, key=near.__getitem__)
     far = math.dist(homes[i], homes[j])
-    most = max(STRAYS[senders[i]], STRAYS[senders[j]])
-    senders_less = [sender for sender in OFFERED if STRAYS[sender] < most]
+    most = max(STRAY_DISTANCES[senders[i]], STRAY_DISTANCES[senders[j]])
+    senders_less = [
+        sender
+        for sender in LINK_LOSS_RULES.offered_senders
+        if STRAY_DISTANCES[sender] < most
+    ]
     return (
         f"starts {far:.2f} m from drone {j}, which the same dongle reaches: when that fails, both stray, and "
         f"{needed[j]:.2f} m are needed. Put them further apart, or on two dongles, or send "
@@ -150,7 +178,7 @@ def crowded(swarm: Swarm, i: int, senders: Mapping[int, str]) -> str:
     )
 
 
-def _inside(p: Position, swarm: Swarm) -> float:
+def _distance_to_fence(p: Position, swarm: Swarm) -> float:
     """Return the m from p to the nearest side of the fence."""
     sides = zip(swarm.fence.min[:2], p[:2], swarm.fence.max[:2], strict=True)
     return min((min(x - a, b - x) for a, x, b in sides), default=math.inf)

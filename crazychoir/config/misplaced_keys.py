@@ -13,9 +13,9 @@ import msgspec
 from msgspec.structs import FieldInfo
 
 Kind = type[msgspec.Struct]
-FILE = ""
+FILE_LABEL = ""
 """Label of the file itself."""
-ROW = re.compile(r"\[\d+\]")
+ROW_NUMBER = re.compile(r"\[\d+\]")
 """Number of a table in a list of tables."""
 MOST_TABLES = 4
 """Most tables that are named for one key."""
@@ -23,7 +23,9 @@ OWN_KEYS = "mission_options"
 """Table for the user's own keys."""
 
 
-def remedy(name: str, value: object, kind: Kind, key: str, file: Kind | None) -> str:
+def advise_on_unknown_key(
+    name: str, value: object, kind: Kind, key: str, file: Kind | None
+) -> str:
     """Return what to do with a key that its table does not have.
 
     name: the key
@@ -33,7 +35,7 @@ def remedy(name: str, value: object, kind: Kind, key: str, file: Kind | None) ->
     file: the whole file; None if a table is read alone
     """
     tables = {} if file is None else _tables_of_keys(file)
-    near = difflib.get_close_matches(name, names(kind), n=1)
+    near = difflib.get_close_matches(name, key_names(kind), n=1)
     if name in tables:
         alternative = (
             f" Or did you mean {near[0]}, a key of this table?" if near else ""
@@ -61,8 +63,8 @@ def place_of_missing(name: str, raw: Mapping[str, Any], kind: Kind) -> str:
     for other, value in raw.items():
         table = _table_of(fields[other])[0] if other in fields else None
         for path, row in _rows(other, value):
-            if name in row and (table is None or name not in names(table)):
-                return f"It stands in {label(path)}. {_write_it_in_the_file(name, row[name], path)}"
+            if name in row and (table is None or name not in key_names(table)):
+                return f"It stands in {table_label(path)}. {_write_it_in_the_file(name, row[name], path)}"
     return ""
 
 
@@ -75,7 +77,7 @@ def keys_of_the_file(raw: object, key: str, file: Kind | None) -> str:
         return ""
     return "".join(
         f" {name}: {_write_it_in_the_file(name, raw[name], key)}"
-        for name in names(file)
+        for name in key_names(file)
         if name in raw
     )
 
@@ -94,21 +96,21 @@ def not_a_table(raw: object, key: str) -> str:
     return ""
 
 
-def names(kind: Kind) -> list[str]:
+def key_names(kind: Kind) -> list[str]:
     """Return the keys of a table."""
     return [entry.encode_name for entry in msgspec.structs.fields(kind)]
 
 
-def label(path: str) -> str:
+def table_label(path: str) -> str:
     """Return the path of a table as a TOML file writes it: [flight], [[drones]]."""
-    plain = ROW.sub("", path)
+    plain = ROW_NUMBER.sub("", path)
     return f"[[{plain}]]" if path.endswith("]") else f"[{plain}]"
 
 
 def _where_it_belongs(name: str, value: object, labels: list[str], key: str) -> str:
     """Return the advice for a key that is in the tables `labels`."""
-    if FILE in labels:
-        others = ", ".join(table for table in labels if table != FILE)
+    if FILE_LABEL in labels:
+        others = ", ".join(table for table in labels if table != FILE_LABEL)
         also = f" {others} has a key of this name, too." if others else ""
         return _write_it_in_the_file(name, value, key) + also
     if len(labels) == 1:
@@ -129,19 +131,21 @@ def _write_it_in_the_file(name: str, value: object, key: str) -> str:
     beside = (
         "in JSON beside name" if name != "name" else "in JSON in the outermost braces"
     )
-    told = f" What stands below {label(key)} is a key of that table." if key else ""
+    told = (
+        f" What stands below {table_label(key)} is a key of that table." if key else ""
+    )
     return f"It is a key of the file itself: write it above the first table ({beside}).{told}"
 
 
 def _plain(key: str, name: str) -> str:
-    return ".".join(filter(None, (ROW.sub("", key), name)))
+    return ".".join(filter(None, (ROW_NUMBER.sub("", key), name)))
 
 
 def _tables_of_keys(file: Kind) -> dict[str, list[str]]:
     """Return the labels of the tables that have each key."""
     found: dict[str, list[str]] = {}
-    for table, kind in [(FILE, file), *_tables(file, "")]:
-        for name in names(kind):
+    for table, kind in [(FILE_LABEL, file), *_tables(file, "")]:
+        for name in key_names(kind):
             found.setdefault(name, []).append(table)
     return found
 

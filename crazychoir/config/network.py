@@ -4,22 +4,22 @@ from collections.abc import Mapping
 from typing import Any
 
 from crazychoir.bus.impairment.model import Impairment
-from crazychoir.bus.impairment.rules import Partition, Rule
+from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 
-FOREVER = 1e9
+ENDLESS_TIME = 1e9
 """s: end of a partition without an end."""
-PLAIN = ("delay", "jitter", "duplicate", "reorder", "bandwidth")
+COMMON_EFFECTS = ("delay", "jitter", "duplicate", "reorder", "bandwidth")
 """Effects with the same name in a swarm file and in the simulated network."""
-LOSSES = ("loss", "p_good_bad", "p_bad_good", "loss_bad")
+LOSS_EFFECTS = ("loss", "p_good_bad", "p_bad_good", "loss_bad")
 """Names of the loss model in the simulated network."""
 
 
 def impairment_of(config: SwarmConfig) -> Impairment:
     """Return the simulated network of [network], with the swarm's seed."""
     table = config.impairment()
-    rules = [Rule(effects)] if (effects := _effects(table)) else []
+    rules = [ImpairmentRule(effects)] if (effects := _effects(table)) else []
     rules += [_edge_rule(edge) for edge in table.get("edges", [])]
     return Impairment(
         config.seed,
@@ -28,7 +28,7 @@ def impairment_of(config: SwarmConfig) -> Impairment:
     )
 
 
-def changes(options: Mapping[str, float | None]) -> dict[str, float | None]:
+def impairment_changes(options: Mapping[str, float | None]) -> dict[str, float | None]:
     """Return the arguments for `Impairment.update`, from effects with the names of a swarm file.
 
     A new loss replaces the old one completely.
@@ -42,14 +42,16 @@ def changes(options: Mapping[str, float | None]) -> dict[str, float | None]:
         found = f"{burst:g} with loss {'unsaid' if loss is None else f'{loss:g}'}"
         raise ConfigError("burst", found, "1 or more, with a loss between 0 and 1")
     given: dict[str, float | None] = {
-        name: options[name] for name in PLAIN if options.get(name) is not None
+        name: options[name] for name in COMMON_EFFECTS if options.get(name) is not None
     }
     return (
-        given if loss is None else given | dict.fromkeys(LOSSES) | _losses(loss, burst)
+        given
+        if loss is None
+        else given | dict.fromkeys(LOSS_EFFECTS) | _losses(loss, burst)
     )
 
 
-def in_words(network: Mapping[str, Any]) -> list[str]:
+def rules_in_words(network: Mapping[str, Any]) -> list[str]:
     """Return the rules of `Impairment.describe` as text, one line for each."""
     lines = [_rule_in_words(rule) for rule in network["rules"]]
     lines += [_partition_in_words(cut) for cut in network["partitions"]]
@@ -91,7 +93,7 @@ def _partition_in_words(cut: Mapping[str, Any]) -> str:
 
 
 def _effects(table: dict[str, Any]) -> dict[str, float]:
-    effects = {name: float(table[name]) for name in PLAIN if table.get(name)}
+    effects = {name: float(table[name]) for name in COMMON_EFFECTS if table.get(name)}
     return effects | (
         _losses(float(table["loss"]), table.get("burst")) if table.get("loss") else {}
     )
@@ -112,20 +114,22 @@ def _losses(loss: float, burst: float | None) -> dict[str, float]:
     }
 
 
-def _edge_rule(entry: dict[str, Any]) -> Rule:
+def _edge_rule(entry: dict[str, Any]) -> ImpairmentRule:
     source = entry.get("source")
     destination = entry.get("destination")
     if source is None or destination is None:
-        return Rule(_effects(entry), drone=destination if source is None else source)
-    return Rule(_effects(entry), edge=(source, destination), directed=True)
+        return ImpairmentRule(
+            _effects(entry), drone=destination if source is None else source
+        )
+    return ImpairmentRule(_effects(entry), edge=(source, destination), directed=True)
 
 
-def _cuts(entry: dict[str, Any]) -> list[Partition]:
+def _cuts(entry: dict[str, Any]) -> list[NetworkPartition]:
     """Return a partition for every pair of groups."""
     groups = entry["groups"]
-    until = entry.get("until") or FOREVER
+    until = entry.get("until") or ENDLESS_TIME
     return [
-        Partition(entry["at"], until, tuple(a), tuple(b))
+        NetworkPartition(entry["at"], until, tuple(a), tuple(b))
         for n, a in enumerate(groups)
         for b in groups[n + 1 :]
     ]

@@ -6,9 +6,9 @@ from crazychoir.errors import ConfigError
 
 LAST_DRONE = 9999
 """Largest id of a drone."""
-_PART = re.compile(r"\s*([0-9]+)\s*(?:-\s*([0-9]+)\s*(?::\s*([0-9]+)\s*)?)?")
+_LIST_PART = re.compile(r"\s*([0-9]+)\s*(?:-\s*([0-9]+)\s*(?::\s*([0-9]+)\s*)?)?")
 """One number, a range, or a range with a step."""
-_LONGEST = 9
+_MOST_DIGITS = 9
 """Most digits of a number; longer ones are larger than any limit."""
 
 
@@ -35,9 +35,9 @@ def parse_spans(
     """
     found: dict[int, None] = {}
     for word in text.split(","):
-        match = _PART.fullmatch(word)
+        match = _LIST_PART.fullmatch(word)
         if match is None or (match[2] and not ranges) or (match[3] and not steps):
-            raise ConfigError(where, _shown(text), allowed, _hint(text))
+            raise ConfigError(where, _shorten(text), allowed, _hint(text))
         first = _number(match[1])
         end = first if match[2] is None else _number(match[2])
         step = 1 if match[3] is None else _number(match[3])
@@ -50,13 +50,13 @@ def parse_spans(
             )
         if end > last:
             raise ConfigError(
-                where, _shown(word.strip()), allowed, f"The largest number is {last}."
+                where, _shorten(word.strip()), allowed, f"The largest number is {last}."
             )
         if step < 1:
             raise ConfigError(where, word.strip(), allowed, "A step is 1 or more.")
         if not repeats and any(first <= number <= end for number in found):
             raise ConfigError(
-                where, _shown(text), allowed, f"{word.strip()} is there already."
+                where, _shorten(text), allowed, f"{word.strip()} is there already."
             )
         found |= dict.fromkeys(range(first, end + 1, step))
     return list(found)
@@ -75,8 +75,8 @@ def _hint(text: str) -> str:
 
 def _number(digits: str) -> int:
     stripped = digits.lstrip("0") or "0"
-    return int(stripped) if len(stripped) <= _LONGEST else 10**_LONGEST
+    return int(stripped) if len(stripped) <= _MOST_DIGITS else 10**_MOST_DIGITS
 
 
-def _shown(text: str) -> str:
+def _shorten(text: str) -> str:
     return text if len(text) <= 60 else f"{text[:60]}..."

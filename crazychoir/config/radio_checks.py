@@ -2,33 +2,40 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 
-from crazychoir.config.reader import show
-from crazychoir.config.tables import Drone, Swarm
-from crazychoir.config.uris import RADIO, UDP, parse_uri, radio_uri, udp_uri
+from crazychoir.config.reader import show_value
+from crazychoir.config.tables import DroneTable, Swarm
+from crazychoir.config.uris import (
+    RADIO_SCHEME,
+    UDP_SCHEME,
+    parse_uri,
+    radio_uri,
+    udp_uri,
+)
 from crazychoir.errors import ConfigError
 
 
-def is_reached(drone: Drone) -> bool:
+def has_radio(drone: DroneTable) -> bool:
     """Return True if a radio reaches the drone."""
-    return drone.uri.startswith((UDP, RADIO))
+    return drone.uri.startswith((UDP_SCHEME, RADIO_SCHEME))
 
 
-def reached(swarm: Swarm) -> tuple[int, ...]:
+def radio_drones(swarm: Swarm) -> tuple[int, ...]:
     """Return the drones that a radio reaches; increasing."""
-    return tuple(sorted(drone.id for drone in swarm.drones if is_reached(drone)))
+    return tuple(sorted(drone.id for drone in swarm.drones if has_radio(drone)))
 
 
-def dongles(swarm: Swarm) -> dict[int, tuple[int, ...]]:
+def drones_by_dongle(swarm: Swarm) -> dict[int, tuple[int, ...]]:
     """Return the drones of each dongle; both increasing."""
     found: dict[int, list[int]] = {}
     for drone in sorted(swarm.drones, key=lambda drone: drone.id):
-        if is_reached(drone):
+        if has_radio(drone):
             found.setdefault(_dongle(drone), []).append(drone.id)
     return {number: tuple(found[number]) for number in sorted(found)}
 
 
-def _dongle(drone: Drone) -> int:
+def _dongle(drone: DroneTable) -> int:
     """Return the dongle of the key, else of a radio:// uri, else 0."""
     if drone.dongle is not None:
         return drone.dongle
@@ -46,19 +53,23 @@ def check_radios(swarm: Swarm, where: str) -> None:
     first: dict[tuple[object, ...], int] = {}
     numbers: dict[int, str] = {}
     for n, drone in enumerate(swarm.drones):
-        if not is_reached(drone):
+        if not has_radio(drone):
             continue
         key = f"{where}: drones[{n}]"
         same = parse_uri(drone.uri, f"{key}.uri").drone
         if same in first:
             other = swarm.drones[first[same]].uri
-            written = "" if other == drone.uri else f", written as {show(other)}"
+            written = "" if other == drone.uri else f", written as {show_value(other)}"
             problem = f"drones[{first[same]}] has this address{written}"
             do = "Give each virtual drone its own port."
-            if drone.uri.startswith(RADIO):
+            if drone.uri.startswith(RADIO_SCHEME):
                 do = "Give each drone its own address: cfclient writes a new one into the drone, by USB."
             raise ConfigError(
-                f"{key}.uri", show(drone.uri), "an address of its own", do, problem
+                f"{key}.uri",
+                show_value(drone.uri),
+                "an address of its own",
+                do,
+                problem,
             )
         first[same] = n
         found = radio_uri(drone.uri)
@@ -68,7 +79,7 @@ def check_radios(swarm: Swarm, where: str) -> None:
             do = "Mend the uri, or its dongle."
             raise ConfigError(
                 f"{key}.uri",
-                show(drone.uri),
+                show_value(drone.uri),
                 "one number on its host for each dongle",
                 do,
                 problem,
@@ -90,23 +101,25 @@ def _parameters(table: Mapping[str, object], where: str) -> None:
     for name, value in table.items():
         if name.count(".") != 1:
             do = 'Put it into quotes: "posCtlPid.xKp" = 2.0.'
-            raise ConfigError(where, show(name), "GROUP.NAME, as posCtlPid.xKp", do)
+            raise ConfigError(
+                where, show_value(name), "GROUP.NAME, as posCtlPid.xKp", do
+            )
         if not isinstance(value, int | float) or not math.isfinite(value):
-            raise ConfigError(f"{where}.{name}", show(value), "a number")
+            raise ConfigError(f"{where}.{name}", show_value(value), "a number")
 
 
-def seen(swarm: Swarm) -> tuple[int, ...]:
+def camera_drones(swarm: Swarm) -> tuple[int, ...]:
     """Return the drones with poses from the process of motion capture; increasing."""
     return tuple(
         sorted(
             drone.id
             for drone in swarm.drones
-            if is_reached(drone) and drone.pose == "mocap"
+            if has_radio(drone) and drone.pose == "mocap"
         )
     )
 
 
-def body_name(drone: Drone) -> str:
+def body_name(drone: DroneTable) -> str:
     """Return the name of the drone in motion capture."""
     return drone.body or f"cf{drone.id}"
 
@@ -117,7 +130,7 @@ def _check_bodies(swarm: Swarm, where: str) -> None:
     """
     first: dict[str, int] = {}
     for n, drone in enumerate(swarm.drones):
-        if drone.id not in seen(swarm):
+        if drone.id not in camera_drones(swarm):
             continue
         name = body_name(drone)
         if name in first:
@@ -125,7 +138,7 @@ def _check_bodies(swarm: Swarm, where: str) -> None:
             do = 'Give each drone its own; without `body` it is "cf" and its id.'
             raise ConfigError(
                 f"{where}: drones[{n}].body",
-                show(name),
+                show_value(name),
                 "each body is there once",
                 do,
                 problem,
@@ -153,30 +166,56 @@ def _own_poses(swarm: Swarm, where: str) -> None:
     """Check that a drone that estimates its own pose reports it often enough to fly by it."""
     for n, drone in enumerate(swarm.drones):
         if (
-            is_reached(drone)
+            has_radio(drone)
             and drone.pose == "onboard"
-            and swarm.radio.log_rate < SEES
+            and swarm.radio.log_rate < RADIO_TRAFFIC.least_own_pose_rate
         ):
             problem = f"drones[{n}] says itself where it is, and a pose that is older than 0.1 s brakes it"
-            do = (
-                f"Set log_rate = {SEES:g} in [radio]; more where the dongle carries it."
-            )
+            do = f"Set log_rate = {RADIO_TRAFFIC.least_own_pose_rate:g} in [radio]; more where the dongle carries it."
             raise ConfigError(
                 f"{where}: radio.log_rate",
                 swarm.radio.log_rate,
-                f"{SEES:g} Hz or more",
+                f"{RADIO_TRAFFIC.least_own_pose_rate:g} Hz or more",
                 do,
                 problem,
             )
 
 
-SEES = 25.0
-"""Least Hz at which a drone must report its own pose if no camera sees it."""
+@dataclass(frozen=True, slots=True)
+class RadioTraffic:
+    """Packets a second that drones need, and the share of the capacity of a dongle that is used."""
+
+    least_own_pose_rate: float = 25.0
+    """Least Hz at which a drone must report its own pose if no camera sees it."""
+    echo_rate: float = 10.0
+    """Packets a second and drone: echoes."""
+    planner_rate: float = 10.0
+    """Packets a second and drone: lines for the planner on board."""
+    request_rate: float = 2.0
+    """Packets a second and drone: other requests."""
+    least_attitude_rate: float = 20.0
+    """Least Hz at which a drone that cameras see reports its attitude."""
+    uncertainty_rate: float = 10.0
+    """Hz at which a drone that estimates its own pose reports the uncertainty of it."""
+    single_drone_capacity: float = 1000.0
+    """Packets a second of a dongle that reaches one drone, and so never changes its channel and
+    address. Source: reports of users of cflib; it was not measured here.
+    """
+    planned_share: float = 0.85
+    """Share of the capacity that is used if the rate is chosen here.
+
+    Close to 1, packets wait for each other.
+    """
+    largest_command_rate: float = 100.0
+    """Hz: one command for each pose."""
+
+
+RADIO_TRAFFIC = RadioTraffic()
 
 
 def _radio_hosts(swarm: Swarm, where: str) -> None:
     """Check that each owner of a dongle, and motion capture, has a host, if there are [hosts]."""
-    flown = dongles(swarm)
+    flown = drones_by_dongle(swarm)
     rows = {row.dongle: row for row in swarm.radio.dongles}
     for n, row in enumerate(swarm.radio.dongles):
         if row.dongle in [other.dongle for other in swarm.radio.dongles[:n]]:
@@ -190,7 +229,7 @@ def _radio_hosts(swarm: Swarm, where: str) -> None:
         f"radio.dongles: host of dongle {k}": rows[k].host if k in rows else None
         for k in flown
     }
-    if seen(swarm):
+    if camera_drones(swarm):
         named["mocap.host"] = swarm.mocap.host
     for key, host in named.items():
         if host is None and swarm.hosts:
@@ -207,29 +246,14 @@ def _radio_hosts(swarm: Swarm, where: str) -> None:
             )
             raise ConfigError(
                 f"{where}: {key}",
-                show(host),
+                show_value(host),
                 allowed,
                 "Mend the name.",
                 "there is no such host",
             )
 
 
-PINGS = 10.0
-"""Packets a second and drone: echoes."""
-PLANS = 10.0
-"""Packets a second and drone: lines for the planner on board."""
-OTHERS = 2.0
-"""Packets a second and drone: other requests."""
-MOTION = 20.0
-"""Least Hz at which a drone that cameras see reports its attitude."""
-SPREADS = 10.0
-"""Hz at which a drone that estimates its own pose reports the uncertainty of it."""
-ALONE = 1000.0
-"""Packets a second of a dongle that never changes its channel and address.
-
-Source: reports of users of cflib; it was not measured here.
-"""
-LEAST = {"fpqr": 50.0, "frpy": 30.0, "vel": 10.0, "fullstate": 20.0}
+LEAST_COMMAND_RATES = {"fpqr": 50.0, "frpy": 30.0, "vel": 10.0, "fullstate": 20.0}
 """Least Hz of set-points, by the kind of command; a drone does not fly with fewer."""
 
 
@@ -244,10 +268,14 @@ def capacity_of(swarm: Swarm, dongle: int) -> float:
         if row is not None and row.capacity is not None
         else swarm.radio.capacity
     )
-    return max(capacity, ALONE) if len(dongles(swarm)[dongle]) == 1 else capacity
+    return (
+        max(capacity, RADIO_TRAFFIC.single_drone_capacity)
+        if len(drones_by_dongle(swarm)[dongle]) == 1
+        else capacity
+    )
 
 
-def carried(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> float:
+def carried_rate(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> float:
     """Return the Hz of set-points of each streamed drone that a dongle reaches.
 
     senders: {drone: kind of command}
@@ -257,20 +285,28 @@ def carried(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> float:
     Raises ConfigError, with the numbers, if the dongle cannot carry either direction.
     """
     radio = swarm.radio
-    ids = dongles(swarm)[dongle]
+    ids = drones_by_dongle(swarm)[dongle]
     capacity = capacity_of(swarm, dongle)
-    _check_said(swarm, dongle, senders)
-    streamed = [i for i in ids if senders[i] in LEAST]
+    _check_uplink(swarm, dongle, senders)
+    streamed = [i for i in ids if senders[i] in LEAST_COMMAND_RATES]
     poses = (
         radio.pose_rate
-        if all(_told(swarm, i) for i in ids)
+        if all(_is_sent_poses(swarm, i) for i in ids)
         else max(radio.pose_rate, radio.log_rate)
     )
-    beside = len(ids) * (poses + PINGS + OTHERS) + PLANS * (len(ids) - len(streamed))
-    least = max((LEAST[senders[i]] for i in streamed), default=0.0)
-    spare = (PLANNED * capacity - beside) / len(streamed) if streamed else 0.0
-    rate = radio.command_rate or min(math.floor(spare), MOST_COMMANDS)
-    most = capacity if streamed else PLANNED * capacity
+    beside = len(ids) * (
+        poses + RADIO_TRAFFIC.echo_rate + RADIO_TRAFFIC.request_rate
+    ) + RADIO_TRAFFIC.planner_rate * (len(ids) - len(streamed))
+    least = max((LEAST_COMMAND_RATES[senders[i]] for i in streamed), default=0.0)
+    spare = (
+        (RADIO_TRAFFIC.planned_share * capacity - beside) / len(streamed)
+        if streamed
+        else 0.0
+    )
+    rate = radio.command_rate or min(
+        math.floor(spare), RADIO_TRAFFIC.largest_command_rate
+    )
+    most = capacity if streamed else RADIO_TRAFFIC.planned_share * capacity
     if rate >= least and beside + rate * len(streamed) <= most:
         return rate
     asked = max(rate, least)
@@ -289,20 +325,20 @@ def carried(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> float:
     found = f"drones {', '.join(map(str, ids))} ({kinds}) need {beside + asked * len(streamed):g} packets a second"
     sums = f"{len(streamed)} x {asked:g} set-points, " if streamed else ""
     what = "poses" if poses == radio.pose_rate else "logs"
-    each = f"{len(ids)} x {poses + PINGS + OTHERS:g} {what}, echoes and requests"
+    each = f"{len(ids)} x {poses + RADIO_TRAFFIC.echo_rate + RADIO_TRAFFIC.request_rate:g} {what}, echoes and requests"
     plans = (
-        f", {len(ids) - len(streamed)} x {PLANS:g} plans"
+        f", {len(ids) - len(streamed)} x {RADIO_TRAFFIC.planner_rate:g} plans"
         if len(streamed) < len(ids)
         else ""
     )
     spared = (
         f"{max(spare, 0.0):.0f} set-points a second and drone"
         if streamed
-        else _spared(capacity)
+        else _describe_spare_rate(capacity)
     )
     room = f"it carries {capacity:g}, {spared}"
     less = (
-        _less(fits, least)
+        _advise_fewer_commands(fits, least)
         if streamed
         else "tell poses at a lower pose_rate ([radio]), "
     )
@@ -310,7 +346,7 @@ def carried(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> float:
     raise ConfigError(f"dongle {dongle}", found, room, do, f"{sums}{each}{plans}")
 
 
-def _less(fits: float, least: float) -> str:
+def _advise_fewer_commands(fits: float, least: float) -> str:
     """Return advice to need fewer set-points, or an empty text.
 
     fits: Hz of set-points a drone that the dongle carries
@@ -318,51 +354,51 @@ def _less(fits: float, least: float) -> str:
     """
     if fits >= least:
         return f"set command_rate = {least:g} to {fits:g} ([radio]), "
-    lighter = [kind for kind, rate in LEAST.items() if rate <= fits]
+    lighter = [kind for kind, rate in LEAST_COMMAND_RATES.items() if rate <= fits]
     return f"send {' or '.join(lighter)} ({fits:g} Hz at most), " if lighter else ""
 
 
-def _check_said(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> None:
+def _check_uplink(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> None:
     """Raise ConfigError if the packets from the drones of a dongle do not fit.
 
     They would wait on board and grow old, and answers with them.
     """
-    ids = dongles(swarm)[dongle]
+    ids = drones_by_dongle(swarm)[dongle]
     log_rate = swarm.radio.log_rate
     logs = sum(
-        max(log_rate, MOTION) if _told(swarm, i) else log_rate + SPREADS for i in ids
+        max(log_rate, RADIO_TRAFFIC.least_attitude_rate)
+        if _is_sent_poses(swarm, i)
+        else log_rate + RADIO_TRAFFIC.uncertainty_rate
+        for i in ids
     )
-    plans = sum(senders[i] not in LEAST for i in ids)
-    said = logs + len(ids) * (PINGS + OTHERS) + plans * PLANS
+    plans = sum(senders[i] not in LEAST_COMMAND_RATES for i in ids)
+    said = (
+        logs
+        + len(ids) * (RADIO_TRAFFIC.echo_rate + RADIO_TRAFFIC.request_rate)
+        + plans * RADIO_TRAFFIC.planner_rate
+    )
     carries = capacity_of(swarm, dongle)
-    if said <= PLANNED * carries:
+    if said <= RADIO_TRAFFIC.planned_share * carries:
         return
     kinds = ", ".join(sorted({senders[i] for i in ids}))
     found = f"drones {', '.join(map(str, ids))} ({kinds}) say {said:g} packets a second"
-    answers = f"{len(ids)} x {PINGS + OTHERS:g} echoes and answers"
-    answers += f", {plans} x {PLANS:g} to plans" if plans else ""
-    room = f"it carries {carries:g}, {_spared(carries)}"
+    answers = f"{len(ids)} x {RADIO_TRAFFIC.echo_rate + RADIO_TRAFFIC.request_rate:g} echoes and answers"
+    answers += f", {plans} x {RADIO_TRAFFIC.planner_rate:g} to plans" if plans else ""
+    room = f"it carries {carries:g}, {_describe_spare_rate(carries)}"
     less = (
         "a lower log_rate ([radio]), "
-        if log_rate > MOTION or not all(_told(swarm, i) for i in ids)
+        if log_rate > RADIO_TRAFFIC.least_attitude_rate
+        or not all(_is_sent_poses(swarm, i) for i in ids)
         else ""
     )
     do = f"Use more dongles, {less}or measure its capacity."
     raise ConfigError(f"dongle {dongle}", found, room, do, f"{logs:g} logs, {answers}")
 
 
-def _spared(capacity: float) -> str:
-    return f"{PLANNED * capacity:g} with room to spare"
+def _describe_spare_rate(capacity: float) -> str:
+    return f"{RADIO_TRAFFIC.planned_share * capacity:g} with room to spare"
 
 
-def _told(swarm: Swarm, i: int) -> bool:
+def _is_sent_poses(swarm: Swarm, i: int) -> bool:
     """Return True if drone i is sent its pose, False if it reports its own."""
     return next(drone for drone in swarm.drones if drone.id == i).pose == "mocap"
-
-
-PLANNED = 0.85
-"""Share of the capacity that is used if the rate is chosen here.
-
-Close to 1, packets wait for each other.
-"""
-MOST_COMMANDS = 100.0  # Hz: one command for each pose

@@ -13,19 +13,19 @@ import msgspec
 from msgspec.structs import FieldInfo
 
 from crazychoir.config.misplaced_keys import (
+    advise_on_unknown_key,
+    key_names,
     keys_of_the_file,
-    names,
     not_a_table,
     place_of_missing,
-    remedy,
 )
 from crazychoir.errors import ConfigError
 
 T = TypeVar("T", bound=msgspec.Struct)
 
-DEPTH = 16
+NESTING_LIMIT = 16
 """Most levels of lists and tables."""
-SHOWN = 80
+SHOWN_LETTERS = 80
 """Most letters of a value in an error text."""
 
 
@@ -70,11 +70,11 @@ def require_plain(raw: dict[str, Any], where: str) -> None:
     pending = [(key, value, 1) for key, value in raw.items()]
     while pending:
         key, value, depth = pending.pop()
-        if depth > DEPTH:
+        if depth > NESTING_LIMIT:
             raise ConfigError(
                 f"{where}: {key}",
                 "a deeper nest",
-                f"{DEPTH} levels of lists and tables",
+                f"{NESTING_LIMIT} levels of lists and tables",
             )
         if isinstance(value, Mapping):
             pending += [
@@ -87,7 +87,7 @@ def require_plain(raw: dict[str, Any], where: str) -> None:
         elif not _is_plain(value):
             raise ConfigError(
                 f"{where}: {key}",
-                show(value),
+                show_value(value),
                 "finite numbers below 2^63, texts, true, false",
             )
 
@@ -102,7 +102,7 @@ def _is_plain(value: object) -> bool:
     )
 
 
-def read(
+def read_table(
     raw: object,
     kind: type[T],
     where: str,
@@ -121,7 +121,7 @@ def read(
     if not isinstance(raw, Mapping):
         raise ConfigError(
             _at(where, key),
-            show(raw),
+            show_value(raw),
             f"a table with {_names(kind)}",
             not_a_table(raw, key),
         )
@@ -145,10 +145,10 @@ def read(
     )
 
 
-def show(value: object) -> str:
+def show_value(value: object) -> str:
     """Return a value as a swarm file writes it, shortened."""
     text = _toml(value)
-    return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
+    return text if len(text) <= SHOWN_LETTERS else f"{text[:SHOWN_LETTERS]}..."
 
 
 def _toml(value: object) -> str:
@@ -170,17 +170,18 @@ def _value(
     """Return the converted value of a key; raise ConfigError if it is not allowed."""
     kind = _bare(entry.type)
     if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
-        return read(raw, kind, where, key, file)
+        return read_table(raw, kind, where, key, file)
     if isinstance(raw, list | tuple) and (table := _row(kind)):
         return tuple(
-            read(item, table, where, f"{key}[{n}]", file) for n, item in enumerate(raw)
+            read_table(item, table, where, f"{key}[{n}]", file)
+            for n, item in enumerate(raw)
         )
     try:
         return msgspec.convert(raw, entry.type, str_keys=True)
     except msgspec.ValidationError:
         description, example = _allowed(entry)
         do = f"For example {entry.encode_name} = {example}.{keys_of_the_file(raw, key, file)}"
-        raise ConfigError(f"{where}: {key}", show(raw), description, do) from None
+        raise ConfigError(f"{where}: {key}", show_value(raw), description, do) from None
 
 
 def _bare(kind: Any) -> Any:
@@ -199,7 +200,7 @@ def _allowed(entry: FieldInfo) -> tuple[str, str]:
     """Return the allowed values of a key as text, and an example."""
     kinds = (entry.type, *get_args(entry.type))
     meta = next(kind.__metadata__[0] for kind in kinds if get_origin(kind) is Annotated)
-    return meta.description, show(meta.examples[0])
+    return meta.description, show_value(meta.examples[0])
 
 
 def _unknown(
@@ -211,17 +212,23 @@ def _unknown(
     file: type[msgspec.Struct] | None,
 ) -> ConfigError:
     """Return the error for a key that the table does not have."""
-    do = remedy(name, value, kind, key, file)
+    do = advise_on_unknown_key(name, value, kind, key, file)
     allowed = (
-        f"the keys here are {_names(kind)}" if names(kind) else "there is no key here"
+        f"the keys here are {_names(kind)}"
+        if key_names(kind)
+        else "there is no key here"
     )
     return ConfigError(
-        _at(where, key, name), show(value), allowed, do, problem="there is no such key"
+        _at(where, key, name),
+        show_value(value),
+        allowed,
+        do,
+        problem="there is no such key",
     )
 
 
 def _names(kind: type[msgspec.Struct]) -> str:
-    return ", ".join(names(kind))
+    return ", ".join(key_names(kind))
 
 
 def _path(*keys: str) -> str:

@@ -7,62 +7,79 @@ import ipaddress
 import json
 import math
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
 import msgspec
 
 from crazychoir.bus.network import authority
-from crazychoir.bus.network.access import Access
+from crazychoir.bus.network.access import NetworkAccess
 from crazychoir.bus.network.endpoints import are_local
-from crazychoir.bus.port import BODIES, EYES
-from crazychoir.bus.topics import POSE, TRUTH, Topic
+from crazychoir.bus.port import PORT_ADDRESSES
+from crazychoir.bus.topics import DRONE_TOPICS, Topic
 from crazychoir.config.checks import (
-    REPLAY,
     ROUTER_BELOW,
-    check,
+    WORLD_URIS,
+    check_swarm,
     graph_of,
-    owned,
-    secured,
+    is_secured,
+    world_owned_drones,
 )
-from crazychoir.config.radio_checks import body_name, dongles, is_reached, reached, seen
-from crazychoir.config.reader import parse, read, require_plain
+from crazychoir.config.radio_checks import (
+    body_name,
+    camera_drones,
+    drones_by_dongle,
+    has_radio,
+    radio_drones,
+)
+from crazychoir.config.reader import parse, read_table, require_plain
 from crazychoir.config.tables import (
-    AGREED,
-    OF_BODIES,
-    OWN_TO_A_HOST,
-    Control,
-    Drone,
+    AGREED_KEYS,
+    BODY_KEYS,
+    HOST_KEYS,
+    ControlTable,
+    DroneTable,
     Sender,
     Swarm,
-    Table,
+    SwarmTable,
 )
-from crazychoir.config.uris import canonical
+from crazychoir.config.uris import canonical_uri
 from crazychoir.errors import ConfigError
 from crazychoir.files.path_texts import as_path, json_bytes
 from crazychoir.files.text_files import read_text
-from crazychoir.team.graph import Graph, span
+from crazychoir.team.graph import Graph, describe_ids
 
-LOCAL = "127.0.0.1"
+LOCAL_ADDRESS = "127.0.0.1"
 """Address of this machine."""
-WORLD = -1
-"""Number of the process of the world's owner.
 
-The process of an agent has the number of its lowest drone.
-"""
-MOCAP = -2
-"""Number of the process of motion capture."""
-DONGLES = -3
-"""Number of the process of dongle 0; the process of dongle K has DONGLES - K."""
-ROUTER = -ROUTER_BELOW
-"""Number of the process of the router."""
-SPACING = 0.6
+
+@dataclass(frozen=True, slots=True)
+class ProcessNumbers:
+    """Numbers of the processes without agents. The process of an agent has the number of its
+    lowest drone.
+    """
+
+    world: int = -1
+    """Process of the world's owner."""
+    motion_capture: int = -2
+    """Process of motion capture."""
+    first_dongle: int = -3
+    """Process of dongle 0; that of dongle K has first_dongle - K."""
+    router: int = -ROUTER_BELOW
+    """Process of the router."""
+
+
+PROCESS_NUMBERS = ProcessNumbers()
+
+
+HOME_SPACING = 0.6
 """m between the homes of a built-in swarm."""
-MARGIN = 4.0
+FENCE_MARGIN = 4.0
 """m from the homes of a built-in swarm to its fence."""
-FILES = ("instance", "drawing")
+FILE_OPTIONS = ("instance", "drawing")
 """Options of missions that name a file."""
-SHAPES = ("model", "scene")
+SHAPE_FILE_KEYS = ("model", "scene")
 """Keys of [mujoco] that name a file; only the host of the world's owner needs these files."""
 
 
@@ -100,10 +117,10 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
     def of(cls, raw: dict[str, Any], where: str = "swarm") -> Self:
         """Return the swarm of plain values, as a parser returns them."""
         require_plain(raw, where)
-        config = read(raw, cls, where)
-        check(config, where)
+        config = read_table(raw, cls, where)
+        check_swarm(config, where)
         drones = tuple(
-            msgspec.structs.replace(drone, uri=canonical(drone.uri))
+            msgspec.structs.replace(drone, uri=canonical_uri(drone.uri))
             for drone in config.drones
         )
         return msgspec.structs.replace(config, drones=drones)
@@ -130,7 +147,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         if self.mission is None or not self.mission.endswith(".py"):
             return self
         return msgspec.structs.replace(
-            self, mission=_resolved(folder, self.mission, "mission")
+            self, mission=_full_path(folder, self.mission, "mission")
         )
 
     def _with_files_from(self, folder: Path) -> Self:
@@ -138,17 +155,17 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         named = {
             key: value
             for key, value in self.mission_options.items()
-            if key in FILES and isinstance(value, str)
+            if key in FILE_OPTIONS and isinstance(value, str)
         }
         found = {
-            key: _resolved(folder, value, f"mission_options.{key}")
+            key: _full_path(folder, value, f"mission_options.{key}")
             for key, value in named.items()
         }
-        drones = tuple(_replaying(drone, folder) for drone in self.drones)
+        drones = tuple(_resolve_replay(drone, folder) for drone in self.drones)
         mocap = self.mocap
         if mocap.file:
             mocap = msgspec.structs.replace(
-                mocap, file=_resolved(folder, mocap.file, "mocap.file")
+                mocap, file=_full_path(folder, mocap.file, "mocap.file")
             )
         return msgspec.structs.replace(
             self,
@@ -159,9 +176,13 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
 
     def _with_shapes_from(self, folder: Path) -> Self:
         """Return the swarm with the full paths of the files of [mujoco]."""
-        named = {key: value for key in SHAPES if (value := getattr(self.mujoco, key))}
+        named = {
+            key: value
+            for key in SHAPE_FILE_KEYS
+            if (value := getattr(self.mujoco, key))
+        }
         found = {
-            key: _resolved(folder, value, f"mujoco.{key}")
+            key: _full_path(folder, value, f"mujoco.{key}")
             for key, value in named.items()
         }
         mujoco = msgspec.structs.replace(self.mujoco, **found)
@@ -171,7 +192,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         """Return the swarm with the full path of its folder of keys."""
         if not self.secured:
             return self
-        keys = _resolved(folder, self.security.keys, "security.keys")
+        keys = _full_path(folder, self.security.keys, "security.keys")
         return msgspec.structs.replace(
             self, security=msgspec.structs.replace(self.security, keys=keys)
         )
@@ -183,16 +204,18 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         mujoco = self.mujoco
         named = {
             f"mission_options.{key}": options[key]
-            for key in FILES
+            for key in FILE_OPTIONS
             if isinstance(options.get(key), str)
         }
         named |= {
-            f"mujoco.{key}": name for key in SHAPES if (name := getattr(mujoco, key))
+            f"mujoco.{key}": name
+            for key in SHAPE_FILE_KEYS
+            if (name := getattr(mujoco, key))
         }
         for drone in self.drones:
-            if drone.uri.startswith(REPLAY):
+            if drone.uri.startswith(WORLD_URIS.replay):
                 named[f"drone {drone.id}: uri"] = drone.uri.removeprefix(
-                    REPLAY
+                    WORLD_URIS.replay
                 ).partition("?")[0]
         return {key: Path(name) for key, name in named.items()}
 
@@ -213,7 +236,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         name the keys in which two files differ.
         """
         agreed = self._agreed()
-        said = [json_bytes(agreed[key], order="sorted") for key in AGREED]
+        said = [json_bytes(agreed[key], order="sorted") for key in AGREED_KEYS]
         return "".join(
             hashlib.blake2b(value, digest_size=1).hexdigest() for value in said
         )
@@ -225,15 +248,15 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         """
         agreed: dict[str, Any] = msgspec.to_builtins(self)
         agreed["mujoco"] |= {
-            key: Path(getattr(self.mujoco, key)).name for key in SHAPES
+            key: Path(getattr(self.mujoco, key)).name for key in SHAPE_FILE_KEYS
         }
         for drone in agreed["drones"]:
             drone["uri"] = (
                 drone["uri"].rpartition("/")[2]
-                if drone["uri"].startswith(REPLAY)
+                if drone["uri"].startswith(WORLD_URIS.replay)
                 else drone["uri"]
             )
-        said = {key: json_bytes(agreed[key], order="sorted") for key in OF_BODIES}
+        said = {key: json_bytes(agreed[key], order="sorted") for key in BODY_KEYS}
         return {
             key: hashlib.blake2b(value, digest_size=4).hexdigest()
             for key, value in said.items()
@@ -246,22 +269,24 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         agreed = {
             key: value
             for key, value in msgspec.to_builtins(self).items()
-            if key not in OWN_TO_A_HOST
+            if key not in HOST_KEYS
         }
         agreed["mission"] = Path(self.mission or "").name
         agreed["mujoco"] |= {
-            key: Path(getattr(self.mujoco, key)).name for key in SHAPES
+            key: Path(getattr(self.mujoco, key)).name for key in SHAPE_FILE_KEYS
         }
         agreed["mocap"]["file"] = Path(self.mocap.file).name
         agreed["mission_options"] = {
             key: _content(value) for key, value in self.mission_options.items()
         }
         for drone in agreed["drones"]:
-            name, mark, number = drone["uri"].removeprefix(REPLAY).partition("?")
+            name, mark, number = (
+                drone["uri"].removeprefix(WORLD_URIS.replay).partition("?")
+            )
             drone["uri"] = (
                 drone["uri"]
                 if name == drone["uri"]
-                else f"{REPLAY}{_content(name)}{mark}{number}"
+                else f"{WORLD_URIS.replay}{_content(name)}{mark}{number}"
             )
         return agreed
 
@@ -270,21 +295,21 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         """Drone ids, increasing."""
         return tuple(sorted(drone.id for drone in self.drones))
 
-    def drone(self, i: int) -> Drone:
+    def drone(self, i: int) -> DroneTable:
         """Return the [[drones]] with id i; raise ConfigError if there is none."""
         for drone in self.drones:
             if drone.id == i:
                 return drone
-        raise ConfigError(f"swarm {self.name}", f"drone {i}", span(self.ids))
+        raise ConfigError(f"swarm {self.name}", f"drone {i}", describe_ids(self.ids))
 
-    def control_of(self, i: int) -> Control:
+    def control_of(self, i: int) -> ControlTable:
         """Return the [[roles]] of drone i, else [control], with its sender filled in.
 
         The default for a drone with a radio is "frpy": if the link fails, it flies on level.
         """
         drone = self.drone(i)
         row = next((row for row in self.roles if row.name == drone.role), self.control)
-        streamed: Sender = "frpy" if is_reached(drone) else "fpqr"
+        streamed: Sender = "frpy" if has_radio(drone) else "fpqr"
         return msgspec.structs.replace(row, sender=row.sender or streamed)
 
     def graph(self) -> Graph:
@@ -332,20 +357,27 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
     @property
     def routers(self) -> list[str]:
         """The endpoint of the router, if there is one: then every process connects only to it."""
-        return [self._listens(self.router, ROUTER)] if self.router is not None else []
+        return (
+            [self._listens(self.router, PROCESS_NUMBERS.router)]
+            if self.router is not None
+            else []
+        )
 
     def _owners(self) -> dict[int, str | None]:
         """Return the hosts of the processes that are not agents."""
         owners: dict[int, str | None] = (
-            {ROUTER: self.router} if self.router is not None else {}
+            {PROCESS_NUMBERS.router: self.router} if self.router is not None else {}
         )
-        owners |= {DONGLES - k: self.dongle_host(k) for k in reversed(self.dongles)}
-        owners |= {MOCAP: self.mocap.host} if self.seen else {}
-        return owners | ({WORLD: self.world.host} if self.owned else {})
+        owners |= {
+            PROCESS_NUMBERS.first_dongle - k: self.dongle_host(k)
+            for k in reversed(self.dongles)
+        }
+        owners |= {PROCESS_NUMBERS.motion_capture: self.mocap.host} if self.seen else {}
+        return owners | ({PROCESS_NUMBERS.world: self.world.host} if self.owned else {})
 
     def _listens(self, host: str | None, process: int) -> str:
-        address = LOCAL if host is None else self.hosts[host]
-        return f"{self.scheme}/{_bracketed(address)}:{self.base_port + process}"
+        address = LOCAL_ADDRESS if host is None else self.hosts[host]
+        return f"{self.scheme}/{_bracket_address(address)}:{self.base_port + process}"
 
     @property
     def scheme(self) -> str:
@@ -355,9 +387,9 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
     @property
     def secured(self) -> bool:
         """True if the network is encrypted, and open only to holders of a certificate."""
-        return secured(self)
+        return is_secured(self)
 
-    def access(self, host: str, *endpoints: str) -> Access | None:
+    def access(self, host: str, *endpoints: str) -> NetworkAccess | None:
         """Return the access rules as a host applies them; None if the network is open to all.
 
         endpoints: given instead of those of the file
@@ -377,15 +409,19 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         for of, name in (*owners, *agents):
             processes[str(of)] += (name,)
         holders = {drone.id: str(drone.host) for drone in self.drones}
-        holders |= {BODIES + i: str(self.world.host) for i in self.owned}
         holders |= {
-            BODIES + i: str(self.dongle_host(k))
+            PORT_ADDRESSES.body_offset + i: str(self.world.host) for i in self.owned
+        }
+        holders |= {
+            PORT_ADDRESSES.body_offset + i: str(self.dongle_host(k))
             for k, ids in self.dongles.items()
             for i in ids
         }
-        holders |= {EYES + i: str(self.mocap.host) for i in self.seen}
-        folder = authority.checked(Path(self.security.keys), host)
-        return Access(
+        holders |= {
+            PORT_ADDRESSES.camera_offset + i: str(self.mocap.host) for i in self.seen
+        }
+        folder = authority.check_keys(Path(self.security.keys), host)
+        return NetworkAccess(
             self.name,
             host,
             folder,
@@ -414,17 +450,17 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
     @property
     def owned(self) -> tuple[int, ...]:
         """The drones simulated, in real time, by the process of the world's owner; increasing."""
-        return owned(self)
+        return world_owned_drones(self)
 
     @property
     def reached(self) -> tuple[int, ...]:
         """The drones with a radio, udp:// or radio://; increasing."""
-        return reached(self)
+        return radio_drones(self)
 
     @property
     def seen(self) -> tuple[int, ...]:
         """The drones with poses from the process of motion capture; increasing."""
-        return seen(self)
+        return camera_drones(self)
 
     @property
     def unseen(self) -> tuple[int, ...]:
@@ -442,7 +478,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
     @property
     def dongles(self) -> dict[int, tuple[int, ...]]:
         """The drones of each dongle, by its number; both increasing."""
-        return dongles(self)
+        return drones_by_dongle(self)
 
     def dongle_host(self, number: int) -> str | None:
         """Return the host of a dongle's owner."""
@@ -460,7 +496,11 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         """
         if not topic.of_body or i not in self.elsewhere:
             return i
-        return EYES + i if topic in (POSE, TRUTH) and i in self.seen else BODIES + i
+        return (
+            PORT_ADDRESSES.camera_offset + i
+            if topic in (DRONE_TOPICS.pose, DRONE_TOPICS.truth) and i in self.seen
+            else PORT_ADDRESSES.body_offset + i
+        )
 
     def impairment(self) -> dict[str, Any]:
         """Return [network] as plain values, with only the keys that are written in the file.
@@ -468,12 +508,12 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         The groups of a partition name every drone.
         """
         network = self.network
-        rules = _written(network)
+        rules = _written_values(network)
         if network.edges:
-            rules["edges"] = [_written(edge) for edge in network.edges]
+            rules["edges"] = [_written_values(edge) for edge in network.edges]
         if network.partitions:
             rules["partitions"] = [
-                _written(cut) | {"groups": self._complete(cut.groups)}
+                _written_values(cut) | {"groups": self._complete(cut.groups)}
                 for cut in network.partitions
             ]
         return rules
@@ -484,17 +524,18 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True):
         return [list(group) for group in groups] + ([rest] if rest else [])
 
 
-def _replaying(drone: Drone, folder: Path) -> Drone:
+def _resolve_replay(drone: DroneTable, folder: Path) -> DroneTable:
     """Return the drone with the full path of the recording that it replays, if it replays one."""
-    name = drone.uri.removeprefix(REPLAY)
+    name = drone.uri.removeprefix(WORLD_URIS.replay)
     if name == drone.uri:
         return drone
     return msgspec.structs.replace(
-        drone, uri=f"{REPLAY}{_resolved(folder, name, f'drone {drone.id}: uri')}"
+        drone,
+        uri=f"{WORLD_URIS.replay}{_full_path(folder, name, f'drone {drone.id}: uri')}",
     )
 
 
-def _resolved(folder: Path, name: str, key: str) -> str:
+def _full_path(folder: Path, name: str, key: str) -> str:
     """Return the full path of a file.
 
     key: the key that names the file, for the error
@@ -543,26 +584,33 @@ def find_swarm(option: str | None = None) -> tuple[SwarmConfig, str]:
 def _on_a_grid(name: str, n: int, columns: int) -> SwarmConfig:
     """Return a swarm of n simulated drones on a grid."""
     homes = [
-        [round(SPACING * (k % columns), 3), round(SPACING * (k // columns), 3), 0.0]
+        [
+            round(HOME_SPACING * (k % columns), 3),
+            round(HOME_SPACING * (k // columns), 3),
+            0.0,
+        ]
         for k in range(n)
     ]
-    far = [max((home[axis] for home in homes), default=0.0) + MARGIN for axis in (0, 1)]
+    far = [
+        max((home[axis] for home in homes), default=0.0) + FENCE_MARGIN
+        for axis in (0, 1)
+    ]
     drones = [{"id": k, "home": home} for k, home in enumerate(homes)]
-    fence = {"min": [-MARGIN, -MARGIN, 0.0], "max": [*far, 3.0]}
+    fence = {"min": [-FENCE_MARGIN, -FENCE_MARGIN, 0.0], "max": [*far, 3.0]}
     return SwarmConfig.of(
         {"name": name, "drones": drones, "graph": "ring", "fence": fence},
         f"swarm {name}",
     )
 
 
-def _bracketed(address: str) -> str:
+def _bracket_address(address: str) -> str:
     try:
         return f"[{address}]" if ipaddress.ip_address(address).version == 6 else address
     except ValueError:
         return address
 
 
-def _written(table: Table) -> dict[str, Any]:
+def _written_values(table: SwarmTable) -> dict[str, Any]:
     """Return the values of a table that are written in the file, without its lists."""
     values: dict[str, Any] = msgspec.to_builtins(table)
     return {

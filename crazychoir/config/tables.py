@@ -268,11 +268,11 @@ ThrustMap = Annotated[
 ]
 
 
-class Table(Struct, frozen=True, kw_only=True):
+class SwarmTable(Struct, frozen=True, kw_only=True):
     """Base of all tables of a swarm file."""
 
 
-class Drone(Table, frozen=True, kw_only=True):
+class DroneTable(SwarmTable, frozen=True, kw_only=True):
     """One [[drones]]."""
 
     id: Id
@@ -314,7 +314,7 @@ class Drone(Table, frozen=True, kw_only=True):
     """Firmware parameters that are set at connection, in addition to those of [radio]."""
 
 
-class Link(Table, frozen=True, kw_only=True):
+class LinkTable(SwarmTable, frozen=True, kw_only=True):
     """Effects on messages between drones; a key that is left out has no effect."""
 
     loss: Probability | None = None
@@ -333,7 +333,7 @@ class Link(Table, frozen=True, kw_only=True):
     """bytes/s of the link."""
 
 
-class Edge(Link, frozen=True, kw_only=True):
+class EdgeTable(LinkTable, frozen=True, kw_only=True):
     """One [[network.edges]]: another rule for messages from `source` to `destination`."""
 
     source: Id | None = None
@@ -342,7 +342,7 @@ class Edge(Link, frozen=True, kw_only=True):
     """Receiver; without it any drone."""
 
 
-class Partition(Table, frozen=True, kw_only=True):
+class PartitionTable(SwarmTable, frozen=True, kw_only=True):
     """One [[network.partitions]]: groups that do not receive each other for a time."""
 
     at: Seconds
@@ -353,7 +353,7 @@ class Partition(Table, frozen=True, kw_only=True):
     """s since GO: end of the partition; without it there is no end."""
 
 
-class Fence(Table, frozen=True, kw_only=True):
+class FenceTable(SwarmTable, frozen=True, kw_only=True):
     """[fence]: the box, in the world frame, that no drone may leave."""
 
     min: Position = (-4.0, -4.0, 0.0)
@@ -362,7 +362,7 @@ class Fence(Table, frozen=True, kw_only=True):
     """(3,) m: highest corner."""
 
 
-class KeepOut(Table, frozen=True, kw_only=True):
+class KeepOutTable(SwarmTable, frozen=True, kw_only=True):
     """[keep_out]: the limit area, in the world frame.
 
     The motors of a drone outside it stop at once.
@@ -376,7 +376,7 @@ class KeepOut(Table, frozen=True, kw_only=True):
     """(3,) m: highest corner."""
 
 
-class Flight(Table, frozen=True, kw_only=True):
+class FlightTable(SwarmTable, frozen=True, kw_only=True):
     """[flight]: the floor, the limits of references, and the operator."""
 
     ground: Level = 0.0
@@ -395,7 +395,7 @@ class Flight(Table, frozen=True, kw_only=True):
     """Seconds without the operator's console after which all drones land; 0 for never."""
 
 
-class Mocap(Table, frozen=True, kw_only=True):
+class MocapTable(SwarmTable, frozen=True, kw_only=True):
     """[mocap]: the cameras, simulated or real.
 
     rate, noise, noise_angle, dropout, latency and tilt describe simulated cameras. All other keys
@@ -430,7 +430,7 @@ class Mocap(Table, frozen=True, kw_only=True):
     """Host on which crazychoir-mocap runs."""
 
 
-class RadioHost(Table, frozen=True, kw_only=True):
+class DongleTable(SwarmTable, frozen=True, kw_only=True):
     """One [[radio.dongles]]: a dongle, the host of its process, and its capacity."""
 
     dongle: Dongle
@@ -442,7 +442,7 @@ class RadioHost(Table, frozen=True, kw_only=True):
 
 
 Dongles = Annotated[
-    tuple[RadioHost, ...],
+    tuple[DongleTable, ...],
     Meta(
         description="a list of tables [[radio.dongles]]",
         examples=[[{"dongle": 0, "host": "laptop"}]],
@@ -450,7 +450,7 @@ Dongles = Annotated[
 ]
 
 
-class Radio(Table, frozen=True, kw_only=True):
+class RadioTable(SwarmTable, frozen=True, kw_only=True):
     """[radio]: the connection to drones with a uri udp:// or radio://."""
 
     capacity: Packets = 250.0
@@ -483,7 +483,7 @@ class Radio(Table, frozen=True, kw_only=True):
     """Hosts and capacities of the dongles."""
 
 
-class Plant(Table, frozen=True, kw_only=True):
+class PlantTable(SwarmTable, frozen=True, kw_only=True):
     """[plant]: the properties of a simulated drone.
 
     inputs and rate_lag are for the lightweight world only, all other keys for every world.
@@ -503,7 +503,7 @@ class Plant(Table, frozen=True, kw_only=True):
     """Share by which its thrust is larger than that of the platform."""
 
 
-class Motors(Table, frozen=True, kw_only=True):
+class MotorsTable(SwarmTable, frozen=True, kw_only=True):
     """[motors]: the motor-level world."""
 
     wind: Wind = (0.0, 0.0, 0.0)
@@ -524,7 +524,7 @@ class Motors(Table, frozen=True, kw_only=True):
     """(2,) rad, roll, pitch about the world's axes: tilt of the floor below each drone."""
 
 
-class Mujoco(Table, frozen=True, kw_only=True):
+class MujocoTable(SwarmTable, frozen=True, kw_only=True):
     """[mujoco]: the shapes in mujoco://, in addition to [motors].
 
     Paths are relative to the swarm file.
@@ -540,7 +540,7 @@ class Mujoco(Table, frozen=True, kw_only=True):
     """MJCF file with the objects in the room."""
 
 
-class World(Table, frozen=True, kw_only=True):
+class WorldTable(SwarmTable, frozen=True, kw_only=True):
     """[world]: the process that owns the simulated world in real time."""
 
     owned: Flag = False
@@ -554,7 +554,7 @@ class World(Table, frozen=True, kw_only=True):
     """Keys for a simulation engine of another package."""
 
 
-class Collision(Table, frozen=True, kw_only=True):
+class CollisionTable(SwarmTable, frozen=True, kw_only=True):
     """[collision]: collision avoidance."""
 
     method: Avoidance = "barrier"
@@ -590,7 +590,7 @@ class Collision(Table, frozen=True, kw_only=True):
     """1/s: largest relative rate at which a gap closes."""
 
 
-class Control(Table, frozen=True, kw_only=True):
+class ControlTable(SwarmTable, frozen=True, kw_only=True):
     """[control]: the controller and the commands of a drone."""
 
     sender: Sender | None = None
@@ -603,7 +603,7 @@ class Control(Table, frozen=True, kw_only=True):
     """Filter that computes velocities from poses."""
 
 
-class Role(Control, frozen=True, kw_only=True):
+class RoleTable(ControlTable, frozen=True, kw_only=True):
     """One [[roles]]: a separate [control] for the drones with this `role`."""
 
     name: Text
@@ -611,28 +611,28 @@ class Role(Control, frozen=True, kw_only=True):
 
 
 Roles = Annotated[
-    tuple[Role, ...],
+    tuple[RoleTable, ...],
     Meta(
         description="a list of tables [[roles]]",
         examples=[[{"name": "scout", "sender": "frpy"}]],
     ),
 ]
 Drones = Annotated[
-    tuple[Drone, ...],
+    tuple[DroneTable, ...],
     Meta(
         description="a list of drones: one table [[drones]] each",
         examples=[[{"id": 0, "home": [0.0, 0.6, 0.0]}]],
     ),
 ]
 LinkEdges = Annotated[
-    tuple[Edge, ...],
+    tuple[EdgeTable, ...],
     Meta(
         description="a list of tables [[network.edges]]",
         examples=[[{"source": 0, "destination": 1, "loss": 0.1}]],
     ),
 ]
 Partitions = Annotated[
-    tuple[Partition, ...],
+    tuple[PartitionTable, ...],
     Meta(
         description="a list of tables [[network.partitions]]",
         examples=[[{"at": 5.0, "groups": [[0, 1]]}]],
@@ -640,7 +640,7 @@ Partitions = Annotated[
 ]
 
 
-class Network(Link, frozen=True, kw_only=True):
+class NetworkTable(LinkTable, frozen=True, kw_only=True):
     """[network]: a simulated bad network between the drones.
 
     A key that is left out has no effect.
@@ -652,7 +652,7 @@ class Network(Link, frozen=True, kw_only=True):
     """Groups of drones that do not receive each other for a time."""
 
 
-class Security(Table, frozen=True, kw_only=True):
+class SecurityTable(SwarmTable, frozen=True, kw_only=True):
     """[security]: encryption and access control of the network between hosts.
 
     By default the network is encrypted and closed as soon as one host is not this machine.
@@ -669,7 +669,7 @@ class Security(Table, frozen=True, kw_only=True):
 BASE_PORT = 7460  # the port if the swarm file has none
 
 
-class Swarm(Table, frozen=True, kw_only=True):
+class Swarm(SwarmTable, frozen=True, kw_only=True):
     """The keys of a swarm file, in SI units and the world frame; see deploy/README.md."""
 
     name: Name
@@ -704,43 +704,43 @@ class Swarm(Table, frozen=True, kw_only=True):
     """Address of each host, by name."""
     router: Name | None = None
     """Host of the router; without it processes connect to each other directly."""
-    security: Security = Security()
+    security: SecurityTable = SecurityTable()
     """Encryption and access control."""
-    network: Network = Network()
+    network: NetworkTable = NetworkTable()
     """Simulated bad network."""
-    flight: Flight = Flight()
+    flight: FlightTable = FlightTable()
     """Floor, limits of references, and operator."""
-    fence: Fence = Fence()
+    fence: FenceTable = FenceTable()
     """Box that no drone may leave."""
-    keep_out: KeepOut = KeepOut()
+    keep_out: KeepOutTable = KeepOutTable()
     """Limit area around the fence."""
-    mocap: Mocap = Mocap()
+    mocap: MocapTable = MocapTable()
     """Cameras."""
-    radio: Radio = Radio()
+    radio: RadioTable = RadioTable()
     """Connection to real and virtual Crazyflies."""
-    plant: Plant = Plant()
+    plant: PlantTable = PlantTable()
     """Properties of simulated drones."""
-    motors: Motors = Motors()
+    motors: MotorsTable = MotorsTable()
     """Motor-level world."""
-    mujoco: Mujoco = Mujoco()
+    mujoco: MujocoTable = MujocoTable()
     """Shapes in mujoco://."""
-    world: World = World()
+    world: WorldTable = WorldTable()
     """Process that owns the simulated world."""
-    collision: Collision = Collision()
+    collision: CollisionTable = CollisionTable()
     """Collision avoidance."""
-    control: Control = Control()
+    control: ControlTable = ControlTable()
     """Controller and commands of drones without a role."""
     roles: Roles = ()
     """Controllers of drones with a role."""
 
 
-OWN_TO_A_HOST = ("hosts", "router", "security", "base_port", "network")
+HOST_KEYS = ("hosts", "router", "security", "base_port", "network")
 """Keys that may differ between hosts: the ways to reach each other, and the simulated network."""
-AGREED = tuple(
-    key for key in Swarm.__struct_encode_fields__ if key not in OWN_TO_A_HOST
+AGREED_KEYS = tuple(
+    key for key in Swarm.__struct_encode_fields__ if key not in HOST_KEYS
 )
 """All other keys of a swarm file: they must be equal at all hosts."""
-OF_BODIES = (
+BODY_KEYS = (
     "drones",
     "flight",
     "fence",

@@ -5,14 +5,14 @@ from typing import Protocol
 
 import numpy as np
 
-from crazychoir.control.gains import STANDARD, Gains, Tuned
+from crazychoir.control.gains import STANDARD_GAINS, Gains, TunedStrategy
 from crazychoir.numerics.kernels import kernel, memory, vector
-from crazychoir.numerics.math3d import clip, columns, dot
-from crazychoir.platforms import PAPER, Platform
+from crazychoir.numerics.math3d import clip, dot, rotation_columns
+from crazychoir.platforms import PAPER_PLATFORM, Platform
 from crazychoir.types import State, Vec
 
-ATTITUDE_ON_BOARD = 6.0  # 1/s, kp of the firmware's roll and pitch control
-MOST_ANGLE = 1.0  # rad, of a roll or pitch that is asked for
+FIRMWARE_ATTITUDE_GAIN = 6.0  # 1/s, kp of the firmware's roll and pitch control
+LARGEST_ANGLE = 1.0  # rad, of a roll or pitch that is asked for
 
 
 class AttitudeControl(Protocol):
@@ -31,7 +31,7 @@ class AttitudeControl(Protocol):
 
 
 @kernel(vector, vector, vector, memory)
-def _geometric(x: Vec, desired: Vec, figures: Vec, out: Vec) -> None:
+def _compute_body_rates(x: Vec, desired: Vec, figures: Vec, out: Vec) -> None:
     """Apply the law of GeometryAttitudeCtrl.
 
     x: (13,): state
@@ -39,7 +39,7 @@ def _geometric(x: Vec, desired: Vec, figures: Vec, out: Vec) -> None:
     figures: (6,): kr, largest rates
     out: (4,): the result
     """
-    r = columns((x[6], x[7], x[8], x[9]))
+    r = rotation_columns((x[6], x[7], x[8], x[9]))
     d = (
         (desired[1], desired[2], desired[3]),
         (desired[4], desired[5], desired[6]),
@@ -62,7 +62,7 @@ def _geometric(x: Vec, desired: Vec, figures: Vec, out: Vec) -> None:
         )
 
 
-class GeometryAttitudeCtrl(Tuned):
+class GeometryAttitudeCtrl(TunedStrategy):
     """Geometric attitude control on SO(3) with body rates as output.
 
         e_R = 1/2 (R_d^T R - R^T R_d)^vee,   w = - K_R e_R + R^T R_d w_d
@@ -74,7 +74,9 @@ class GeometryAttitudeCtrl(Tuned):
     Source: Lee, Leok & McClamroch 2010, IEEE CDC, its attitude error; the rate loop flies on board.
     """
 
-    def __init__(self, gains: Gains = STANDARD, platform: Platform = PAPER) -> None:
+    def __init__(
+        self, gains: Gains = STANDARD_GAINS, platform: Platform = PAPER_PLATFORM
+    ) -> None:
         self.platform = platform
         super().__init__(gains)
 
@@ -84,12 +86,12 @@ class GeometryAttitudeCtrl(Tuned):
     def command(self, state: State, desired: Vec) -> Vec:
         """Return a new (4,): thrust N, body rates rad/s."""
         out = np.empty(4)
-        _geometric(state.flat, desired, self._figures, out)
+        _compute_body_rates(state.flat, desired, self._figures, out)
         return out
 
 
 @kernel(vector, vector, vector, memory)
-def _angles(x: Vec, desired: Vec, figures: Vec, out: Vec) -> None:
+def _compute_angles(x: Vec, desired: Vec, figures: Vec, out: Vec) -> None:
     """Apply the law of AngleAttitudeCtrl.
 
     x: (13,): state
@@ -97,7 +99,7 @@ def _angles(x: Vec, desired: Vec, figures: Vec, out: Vec) -> None:
     figures: (4,): k, K_R of the yaw, largest yaw rate, largest angle
     out: (4,): the result
     """
-    bx = columns((x[6], x[7], x[8], x[9]))[0]
+    bx = rotation_columns((x[6], x[7], x[8], x[9]))[0]
     n = 1.0 / math.sqrt(max(bx[0] * bx[0] + bx[1] * bx[1], 1e-12))
     c = bx[0] * n
     s = bx[1] * n
@@ -121,7 +123,7 @@ def _angles(x: Vec, desired: Vec, figures: Vec, out: Vec) -> None:
     out[3] = clip(w[2] + figures[1] * turn, -figures[2], figures[2])
 
 
-class AngleAttitudeCtrl(Tuned):
+class AngleAttitudeCtrl(TunedStrategy):
     """Roll, pitch and yaw rate for an attitude control on board, which turns by k times the error.
 
         phi = asin(-z_2) + w_x / k,   theta = atan2(z_1, z_3) + w_y / k,   psi' = w_z + K_R psi_e
@@ -133,17 +135,24 @@ class AngleAttitudeCtrl(Tuned):
     k: 1/s, of the attitude control on board
     """
 
-    def __init__(self, gains: Gains = STANDARD, platform: Platform = PAPER) -> None:
+    def __init__(
+        self, gains: Gains = STANDARD_GAINS, platform: Platform = PAPER_PLATFORM
+    ) -> None:
         self.platform = platform
         super().__init__(gains)
 
     def _tuned(self, gains: Gains) -> Vec:
         return np.array(
-            [ATTITUDE_ON_BOARD, gains.kr[2], self.platform.max_rate[2], MOST_ANGLE]
+            [
+                FIRMWARE_ATTITUDE_GAIN,
+                gains.kr[2],
+                self.platform.max_rate[2],
+                LARGEST_ANGLE,
+            ]
         )
 
     def command(self, state: State, desired: Vec) -> Vec:
         """Return a new (4,): thrust N, roll and pitch rad, yaw rate rad/s."""
         out = np.empty(4)
-        _angles(state.flat, desired, self._figures, out)
+        _compute_angles(state.flat, desired, self._figures, out)
         return out

@@ -6,17 +6,23 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.config.tables import Control
+from crazychoir.config.tables import ControlTable
 from crazychoir.control.attitude import (
-    ATTITUDE_ON_BOARD,
+    FIRMWARE_ATTITUDE_GAIN,
     AngleAttitudeCtrl,
     AttitudeControl,
     GeometryAttitudeCtrl,
 )
 from crazychoir.control.controller import CrazyflieController, HierarchicalController
-from crazychoir.control.gains import FORMATION, OF_TRACKING, RANGES, STANDARD, Gains
+from crazychoir.control.gains import (
+    FORMATION_GAINS,
+    GAIN_RANGES,
+    STANDARD_GAINS,
+    TRACKING_GAIN_NAMES,
+    Gains,
+)
 from crazychoir.control.handlers import AccelerationTraj, FullStateTraj
-from crazychoir.control.margin import REQUIRED, Plant, margin
+from crazychoir.control.margin import REQUIRED_DELAY_MARGIN, Plant, compute_delay_margin
 from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositionCtrl
 from crazychoir.control.senders import (
     CommunicationHandler,
@@ -34,9 +40,9 @@ from crazychoir.control.velocity import (
     WaypointController,
 )
 from crazychoir.errors import ConfigError
-from crazychoir.platforms import PAPER, Platform
+from crazychoir.platforms import PAPER_PLATFORM, Platform
 
-SENDERS: dict[str, type[CommunicationHandler]] = {
+SENDERS_BY_KIND: dict[str, type[CommunicationHandler]] = {
     "fpqr": FPQRSender,
     "frpy": FRPYSender,
     "vel": VelSender,
@@ -44,7 +50,7 @@ SENDERS: dict[str, type[CommunicationHandler]] = {
     "fullstate": FullStateSender,
 }
 """The sender of each kind that a swarm file may name."""
-ON_BOARD = ("vel", "xyz", "fullstate")
+FIRMWARE_GAIN_SENDERS = ("vel", "xyz", "fullstate")
 """Senders that leave the gains to the firmware."""
 
 
@@ -82,7 +88,7 @@ class Controls:
         """
         if not isinstance(self.tracker, HierarchicalController):
             return {}
-        return {name: getattr(self.gains, name) for name in OF_TRACKING}
+        return {name: getattr(self.gains, name) for name in TRACKING_GAIN_NAMES}
 
     def lead_by(self, gains: Gains) -> None:
         """Fly Accelerations with these gains from the next tick on.
@@ -105,9 +111,9 @@ class Controls:
             self.tracker.attitude_strategy.gains = gains
 
 
-def controls(
-    choice: Control | None = None,
-    platform: Platform = PAPER,
+def make_controls(
+    choice: ControlTable | None = None,
+    platform: Platform = PAPER_PLATFORM,
     plant: Plant = "lightweight",
     rate_lag: float = 0.03,
     command_delay: float = 0.02,
@@ -124,23 +130,23 @@ def controls(
     Raises ConfigError for gains that are not stable on this platform, or that the sender leaves to
     the firmware.
     """
-    choice = Control() if choice is None else choice
+    choice = ControlTable() if choice is None else choice
     sender = choice.sender or "fpqr"
     late = (
-        STANDARD.on_motors(platform, command_delay)
+        STANDARD_GAINS.on_motors(platform, command_delay)
         if plant == "motors"
-        else STANDARD.on_rates(rate_lag, command_delay)
+        else STANDARD_GAINS.on_rates(rate_lag, command_delay)
     )
-    gains = changed(late, choice.gains, f"{where}.gains")
+    gains = change_gains(late, choice.gains, f"{where}.gains")
     require_stable(gains, platform, plant, where, sender)
-    if choice.gains and sender in ON_BOARD:
+    if choice.gains and sender in FIRMWARE_GAIN_SENDERS:
         found = f"gains for the sender {sender}"
         allowed = "none: the firmware's own fly what it is sent"
         raise ConfigError(
             f"{where}.gains", found, allowed, "Leave them out, or send fpqr or frpy."
         )
     trim = Trim()
-    send = SENDERS[sender]()
+    send = SENDERS_BY_KIND[sender]()
     if sender == "vel":
         tracker: CrazyflieController = VelocityController(
             VelocityCtrlStrategy(), send, FullStateTraj()
@@ -168,7 +174,7 @@ def controls(
         AngleAttitudeCtrl(row, platform)
         if sender == "frpy"
         else GeometryAttitudeCtrl(row, platform)
-        for row in (gains, FORMATION)
+        for row in (gains, FORMATION_GAINS)
     ]
     tracker = HierarchicalController(
         FlatnessPositionCtrl(gains, platform, trim),
@@ -178,7 +184,7 @@ def controls(
         choice.position_rate,
     )
     follower = HierarchicalController(
-        FlatnessAccelerationCtrl(FORMATION, platform, trim),
+        FlatnessAccelerationCtrl(FORMATION_GAINS, platform, trim),
         attitudes[1],
         send,
         AccelerationTraj(),
@@ -186,7 +192,7 @@ def controls(
     return Controls(platform, plant, tracker, follower, trim, gains)
 
 
-def changed(gains: Gains, values: dict[str, Any], where: str) -> Gains:
+def change_gains(gains: Gains, values: dict[str, Any], where: str) -> Gains:
     """Return these gains with some values replaced.
 
     gains: the gains
@@ -194,7 +200,7 @@ def changed(gains: Gains, values: dict[str, Any], where: str) -> Gains:
     where: name in errors
     Raises ConfigError for an unknown name, or a value of another shape or out of range.
     """
-    known = {name: getattr(gains, name) for name in OF_TRACKING}
+    known = {name: getattr(gains, name) for name in TRACKING_GAIN_NAMES}
     for name, value in values.items():
         if name not in known:
             raise ConfigError(f"{where}.{name}", value, f"one of {', '.join(known)}")
@@ -211,7 +217,7 @@ def changed(gains: Gains, values: dict[str, Any], where: str) -> Gains:
                 else "a finite number, not negative"
             )
             raise ConfigError(f"{where}.{name}", value, kind)
-        low, high = RANGES.get(name, (0.0, math.inf))
+        low, high = GAIN_RANGES.get(name, (0.0, math.inf))
         if not np.all((np.asarray(value) >= low) & (np.asarray(value) <= high)):
             raise ConfigError(f"{where}.{name}", value, f"{low:g} to {high:g}")
         known[name] = tuple(map(float, value)) if shape else float(value)
@@ -231,13 +237,16 @@ def require_stable(
     attitude of roll and pitch is controlled on board, whatever kr is.
     """
     if sender == "frpy":
-        gains = replace(gains, kr=(ATTITUDE_ON_BOARD, ATTITUDE_ON_BOARD, gains.kr[2]))
-    left = margin(gains, platform, plant)
-    if left < REQUIRED:
+        gains = replace(
+            gains, kr=(FIRMWARE_ATTITUDE_GAIN, FIRMWARE_ATTITUDE_GAIN, gains.kr[2])
+        )
+    left = compute_delay_margin(gains, platform, plant)
+    if left < REQUIRED_DELAY_MARGIN:
         raise ConfigError(
             f"{where}.gains",
             f"kp {gains.kp}, kv {gains.kv}, kr {gains.kr}, ki {gains.ki_thrust}, {gains.ki_trim}",
-            f"gains that bear {1e3 * REQUIRED:.0f} ms more delay behind {platform.name} with 1.3 times its lag",
-            f"Move towards the standard: kp {STANDARD.kp}, kv {STANDARD.kv}, kr {STANDARD.kr}.",
+            f"gains that bear {1e3 * REQUIRED_DELAY_MARGIN:.0f} ms more delay behind "
+            f"{platform.name} with 1.3 times its lag",
+            f"Move towards the standard: kp {STANDARD_GAINS.kp}, kv {STANDARD_GAINS.kv}, kr {STANDARD_GAINS.kr}.",
             f"they bear {1e3 * left:.0f} ms",
         )

@@ -10,10 +10,10 @@ from crazychoir.control.handlers import TrajectoryHandler
 from crazychoir.control.position import PositionControl
 from crazychoir.control.senders import CommunicationHandler
 from crazychoir.numerics.kernels import kernel, memory, real, vector
-from crazychoir.numerics.math3d import columns, exponential, finite
-from crazychoir.types import STILL, Command, Reference, State, Vec
+from crazychoir.numerics.math3d import is_finite, rotation_columns, rotation_exponential
+from crazychoir.types import ZERO_ACCELERATION, Command, Reference, State, Vec
 
-EARLY = 1e-4
+EARLY_TOLERANCE = 1e-4
 """Seconds that a tick may be early for the next look at the position: clocks and cameras jitter."""
 
 
@@ -55,7 +55,7 @@ class CrazyflieController(ABC):
         It is the acceleration of the reference if the controller does not know better.
         """
         if self._last is None:
-            return STILL
+            return ZERO_ACCELERATION
         a = self._last[6:9].copy()
         a.setflags(write=False)
         return a
@@ -91,7 +91,7 @@ class CrazyflieController(ABC):
 
 
 @kernel(vector, vector, memory, real)
-def _turned(x: Vec, ref: Vec, desired: Vec, t: float) -> bool:
+def _turn_desired(x: Vec, ref: Vec, desired: Vec, t: float) -> bool:
     """Turn the desired attitude on by its feed-forward: R_d exp(t w_d).
 
     x: (13,): state
@@ -100,9 +100,11 @@ def _turned(x: Vec, ref: Vec, desired: Vec, t: float) -> bool:
     t: s
     Returns False, and changes nothing, if x or ref is not finite.
     """
-    if not (finite(x) and finite(ref)):
+    if not (is_finite(x) and is_finite(ref)):
         return False
-    turn = columns(exponential(t * desired[10], t * desired[11], t * desired[12]))
+    turn = rotation_columns(
+        rotation_exponential(t * desired[10], t * desired[11], t * desired[12])
+    )
     for c in range(3):
         a = desired[1 + c]
         b = desired[4 + c]
@@ -156,10 +158,10 @@ class HierarchicalController(CrazyflieController):
         """Return the desired attitude, computed at the rate of the position strategy."""
         t = now - self._at
         self._at = now
-        if self._at < self._next - EARLY and 0.0 <= t < 1.0:
+        if self._at < self._next - EARLY_TOLERANCE and 0.0 <= t < 1.0:
             return (
                 self._desired
-                if _turned(state.flat, reference, self._desired, t)
+                if _turn_desired(state.flat, reference, self._desired, t)
                 else None
             )
         desired = self.pos_strategy.desired(state, reference, now)

@@ -12,8 +12,8 @@ from crazychoir.platforms import Platform
 from crazychoir.types import Vec
 
 Axes = tuple[float, float, float]
-HOLD = 0.005  # s, half a tick at 100 Hz: the delay of holding commands
-SETTLING = 0.005
+HOLD_DELAY = 0.005  # s, half a tick at 100 Hz: the delay of holding commands
+RATE_LOOP_DELAY = 0.005
 """Time in s that the rate loop on board takes for the slow rates of a flat trajectory.
 
 Most of it comes from the integral of that loop.
@@ -77,9 +77,11 @@ class Gains:
         platform: of the drone
         command_delay: s, until the drone receives a command
         """
-        late = HOLD + command_delay
+        late = HOLD_DELAY + command_delay
         return replace(
-            self, rate_delay=late + SETTLING, thrust_delay=late + platform.rotor.lag
+            self,
+            rate_delay=late + RATE_LOOP_DELAY,
+            thrust_delay=late + platform.rotor.lag,
         )
 
     def on_rates(self, rate_lag: float, command_delay: float) -> "Gains":
@@ -88,11 +90,11 @@ class Gains:
         rate_lag: s, of its body rates; its thrust follows at once
         command_delay: s, until the plant receives a command
         """
-        late = HOLD + command_delay
+        late = HOLD_DELAY + command_delay
         return replace(self, rate_delay=late + rate_lag, thrust_delay=late)
 
 
-class Tuned(ABC):
+class TunedStrategy(ABC):
     """A strategy with gains that may change in flight."""
 
     def __init__(self, gains: Gains) -> None:
@@ -112,7 +114,7 @@ class Tuned(ABC):
         """Return the figures of the kernel."""
 
 
-STANDARD = Gains(
+STANDARD_GAINS = Gains(
     kp=(6.0, 6.0, 10.0),
     kv=(4.0, 4.0, 5.0),
     kr=(8.0, 8.0, 4.0),
@@ -122,23 +124,31 @@ STANDARD = Gains(
 """Gains for tracking."""
 # Behind a bearing law: a slow attitude loop and some lead leave the delay margin to the formation's
 # modes. The position gains are as fast as this attitude loop allows.
-FORMATION = Gains(kp=(1.0, 1.0, 10.0), kv=(1.5, 1.5, 5.0), kr=(2.0, 2.0, 4.0), lead=0.4)
+FORMATION_GAINS = Gains(
+    kp=(1.0, 1.0, 10.0), kv=(1.5, 1.5, 5.0), kr=(2.0, 2.0, 4.0), lead=0.4
+)
 # As FORMATION, behind a rate loop on board, faster than RATE_LAG: gyro errors cause less tilt.
-FORMATION_ON_MOTORS = replace(FORMATION, kr=(3.5, 3.5, 4.0), lead=0.3)
+FORMATION_GAINS_ON_MOTORS = replace(FORMATION_GAINS, kr=(3.5, 3.5, 4.0), lead=0.3)
 # Behind a law with equal modes, such as the normalised law. 8 1/s2 and 4.5 1/s are as fast as a
 # margin of 40 ms allows.
-AGILE = Gains(kp=(8.0, 8.0, 10.0), kv=(4.5, 4.5, 5.0), kr=(7.0, 7.0, 4.0), lead=0.5)
-SHIPPED = {
-    "standard": STANDARD,
-    "formation": FORMATION,
-    "formation_on_motors": FORMATION_ON_MOTORS,
-    "agile": AGILE,
+AGILE_GAINS = Gains(
+    kp=(8.0, 8.0, 10.0), kv=(4.5, 4.5, 5.0), kr=(7.0, 7.0, 4.0), lead=0.5
+)
+SHIPPED_GAINS = {
+    "standard": STANDARD_GAINS,
+    "formation": FORMATION_GAINS,
+    "formation_on_motors": FORMATION_GAINS_ON_MOTORS,
+    "agile": AGILE_GAINS,
 }
 """All gains that ship, by name."""
-RANGES = {"max_tilt": (0.2, 1.2), "rate_delay": (0.0, 0.2), "thrust_delay": (0.0, 0.2)}
+GAIN_RANGES = {
+    "max_tilt": (0.2, 1.2),
+    "rate_delay": (0.0, 0.2),
+    "thrust_delay": (0.0, 0.2),
+}
 """Allowed ranges in rad and s of gains that the delay margin does not cover.
 
 Below 0.2 rad a drone can hardly brake; from pi/2 on it runs away.
 """
-OF_TRACKING = ("kp", "kv", "kr", *RANGES, "ki_thrust", "ki_trim")
+TRACKING_GAIN_NAMES = ("kp", "kv", "kr", *GAIN_RANGES, "ki_thrust", "ki_trim")
 """Gains that FlatnessPositionCtrl and its attitude control use: all that a user may set."""

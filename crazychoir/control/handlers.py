@@ -7,10 +7,10 @@ import numpy as np
 from crazychoir.numerics.math3d import yaw_of
 from crazychoir.types import Acceleration, FullState, Reference, State, Vec
 
-_NOWHERE = State.at((0.0, 0.0, 0.0))
+_STATE_AT_ORIGIN = State.at((0.0, 0.0, 0.0))
 
 
-def _at_rest(state: State, last: Vec | None) -> Vec:
+def _make_resting_reference(state: State, last: Vec | None) -> Vec:
     """Return the reference (14,) that stays at the place of `last`, or at the state without one."""
     at = np.zeros(14)
     at[0:3] = state.p if last is None else last[0:3]
@@ -53,7 +53,7 @@ class FullStateTraj:
 
     def hold(self, state: State, last: Vec | None) -> Vec:
         """Stay at the place and heading of the last reference, or of the state."""
-        return _at_rest(state, last)
+        return _make_resting_reference(state, last)
 
 
 class PositionTraj:
@@ -65,11 +65,11 @@ class PositionTraj:
         """Return place and heading, without velocity and acceleration to feed forward."""
         if not isinstance(reference, FullState) or reference.flat.shape != (14,):
             return None
-        return self.hold(_NOWHERE, reference.flat)
+        return self.hold(_STATE_AT_ORIGIN, reference.flat)
 
     def hold(self, state: State, last: Vec | None) -> Vec:
         """Stay at the place and heading of the last reference, or of the state."""
-        return _at_rest(state, last)
+        return _make_resting_reference(state, last)
 
 
 class AccelerationTraj:

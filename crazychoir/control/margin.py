@@ -17,14 +17,14 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from crazychoir.control.gains import HOLD, Gains
+from crazychoir.control.gains import HOLD_DELAY, Gains
 from crazychoir.platforms import Platform, rotor_speed
 
 Plant = Literal["motors", "lightweight"]
 Polynomial = npt.NDArray[np.floating[Any]]
 Loop = tuple[Polynomial, Polynomial]
-REQUIRED = 0.040  # s, the delay margin that all gains that ship must keep
-MARGINS = {
+REQUIRED_DELAY_MARGIN = 0.040  # s, the delay margin that all gains that ship must keep
+STANDARD_GAIN_MARGINS = {
     "motors": {
         "paper": 0.103,
         "cf21": 0.103,
@@ -42,16 +42,16 @@ MARGINS = {
 }
 """Delay margin in s of STANDARD by plant and platform.
 
-It is checked with 1.3 times the identified lag; see `margin`.
+It is checked with 1.3 times the identified lag; see `compute_delay_margin`.
 """
-RATE_LAG = 0.086
+SLOWEST_RATE_LAG = 0.086
 """Lag in s of the body rates of the slowest platform.
 
 It is the rotor lag of a Crazyflie 2.1, identified in the drone-models package.
 """
 
 
-def _outer(kp: float, kv: float, cutoff: float, ki: float = 0.0) -> Loop:
+def _make_outer_loop(kp: float, kv: float, cutoff: float, ki: float = 0.0) -> Loop:
     """Return (kv s F(s) + kp + ki / s) / s^2 with F = cutoff / (s + cutoff).
 
     An infinite cutoff is no filter.
@@ -64,12 +64,12 @@ def _outer(kp: float, kv: float, cutoff: float, ki: float = 0.0) -> Loop:
     )
 
 
-def lag_loop(lag: float) -> Loop:
+def make_lag_loop(lag: float) -> Loop:
     """Return W(s) = 1 / (lag s + 1)."""
     return np.array([1.0]), np.array([lag, 1.0])
 
 
-def rate_loop(platform: Platform, axis: int, worse: float = 1.0) -> Loop:
+def make_rate_loop(platform: Platform, axis: int, worse: float = 1.0) -> Loop:
     """Return W(s) of the rate loop on board.
 
         W = b (kp s + ki) / (lag s^3 + (1 + b kd) s^2 + b kp s + b ki)
@@ -105,12 +105,12 @@ def rate_loop(platform: Platform, axis: int, worse: float = 1.0) -> Loop:
 
 
 @dataclass(frozen=True)
-class Inner:
+class InnerLoop:
     """The inner loop between a commanded acceleration and the drone's acceleration."""
 
     kr: float
     """1/s."""
-    lag: float = RATE_LAG
+    lag: float = SLOWEST_RATE_LAG
     """s, of the body rates."""
     cutoff: float = 50.0
     """rad/s, of the velocity filter; inf for none."""
@@ -130,10 +130,10 @@ class Inner:
     @property
     def response(self) -> Loop:
         """W(s)."""
-        return lag_loop(self.lag) if self.rates is None else self.rates
+        return make_lag_loop(self.lag) if self.rates is None else self.rates
 
 
-def command_loop(kp: float, kv: float, inner: Inner, ki: float = 0.0) -> Loop:
+def make_command_loop(kp: float, kv: float, inner: InnerLoop, ki: float = 0.0) -> Loop:
     """Return the loop opened at the rate command.
 
         L(s) = (KR + (KR + lead s G) (kv s F + kp + ki / s) / s^2) W / s
@@ -146,49 +146,55 @@ def command_loop(kp: float, kv: float, inner: Inner, ki: float = 0.0) -> Loop:
     inner: the inner loop
     ki: 1/s3
     """
-    num, den = _outer(kp, kv, inner.cutoff, ki)
+    num, den = _make_outer_loop(kp, kv, inner.cutoff, ki)
     att, low = inner.attitude
     over, under = inner.response
     command = np.polyadd(np.polymul(num, att), inner.kr * np.polymul(den, low))
-    return np.polymul(command, over), _product(den, low, under, [1.0, 0.0])
+    return np.polymul(command, over), _multiply_polynomials(den, low, under, [1.0, 0.0])
 
 
-def guidance_loop(kp: float, kv: float, inner: Inner) -> Loop:
+def make_guidance_loop(kp: float, kv: float, inner: InnerLoop) -> Loop:
     """Return the loop opened at the acceleration reference.
 
         L(s) = (kv s F + kp) / s^2 * (KR + lead s G) W / (s + KR W)
 
-    A delay of guidance or of the neighbours' data enters here. Symbols as in `command_loop`.
+    A delay of guidance or of the neighbours' data enters here. Symbols as in `make_command_loop`.
     """
-    num, den = _outer(kp, kv, inner.cutoff)
+    num, den = _make_outer_loop(kp, kv, inner.cutoff)
     att, low = inner.attitude
     over, under = inner.response
     closed = np.polyadd(np.polymul(under, [1.0, 0.0]), inner.kr * over)
-    return _product(num, att, over), _product(den, low, closed)
+    return _multiply_polynomials(num, att, over), _multiply_polynomials(
+        den, low, closed
+    )
 
 
-def vertical_loop(
-    kp: float, kv: float, lag: float = RATE_LAG, cutoff: float = 50.0, ki: float = 0.0
+def make_vertical_loop(
+    kp: float,
+    kv: float,
+    lag: float = SLOWEST_RATE_LAG,
+    cutoff: float = 50.0,
+    ki: float = 0.0,
 ) -> Loop:
     """Return the loop of the height, on which the thrust acts without attitude.
 
     L(s) = (kv s F + kp + ki / s) / (s^2 (lag s + 1)),   lag of the thrust
     """
-    num, den = _outer(kp, kv, cutoff, ki)
+    num, den = _make_outer_loop(kp, kv, cutoff, ki)
     return num, np.polymul(den, [lag, 1.0])
 
 
-def heading_loop(kr: float, rates: Loop) -> Loop:
+def make_heading_loop(kr: float, rates: Loop) -> Loop:
     """Return the loop of the yaw: L(s) = KR W / s."""
     return kr * rates[0], np.polymul(rates[1], [1.0, 0.0])
 
 
-def _product(*factors: Any) -> Polynomial:
+def _multiply_polynomials(*factors: Any) -> Polynomial:
     """Return the product of polynomials."""
     return reduce(np.polymul, factors)
 
 
-def margin(
+def compute_delay_margin(
     gains: Gains, platform: Platform, plant: Plant = "motors", worse: float = 1.3
 ) -> float:
     """Return the smallest delay margin in s of a drone that tracks with these gains.
@@ -204,25 +210,33 @@ def margin(
     lag = worse * platform.rotor.lag
     loops = []
     for axis in (0, 1):
-        rates = rate_loop(platform, axis, worse) if plant == "motors" else lag_loop(lag)
-        inner = Inner(gains.kr[axis], rates=rates)
-        loops.append(command_loop(gains.kp[axis], gains.kv[axis], inner, gains.ki_trim))
-    loops.append(vertical_loop(gains.kp[2], gains.kv[2], lag, ki=gains.ki_thrust))
+        rates = (
+            make_rate_loop(platform, axis, worse)
+            if plant == "motors"
+            else make_lag_loop(lag)
+        )
+        inner = InnerLoop(gains.kr[axis], rates=rates)
+        loops.append(
+            make_command_loop(gains.kp[axis], gains.kv[axis], inner, gains.ki_trim)
+        )
+    loops.append(make_vertical_loop(gains.kp[2], gains.kv[2], lag, ki=gains.ki_thrust))
     loops.append(
-        heading_loop(
+        make_heading_loop(
             gains.kr[2],
-            rate_loop(platform, 2, worse) if plant == "motors" else lag_loop(lag),
+            make_rate_loop(platform, 2, worse)
+            if plant == "motors"
+            else make_lag_loop(lag),
         )
     )
-    return max(min(map(delay_margin, loops)) - HOLD, 0.0)
+    return max(min(map(find_delay_margin, loops)) - HOLD_DELAY, 0.0)
 
 
-def stable(loop: Loop) -> bool:
+def is_stable(loop: Loop) -> bool:
     """Return whether all roots of den + num are in the open left half plane."""
     return bool(np.all(np.roots(np.polyadd(*loop)).real < 0.0))
 
 
-def delay_margin(loop: Loop) -> float:
+def find_delay_margin(loop: Loop) -> float:
     """Return the smallest delay in s that makes the closed loop unstable.
 
         min over |L(jw)| = 1 of (pi + arg L(jw)) / w,  the angle taken in [0, 2 pi)
@@ -230,10 +244,10 @@ def delay_margin(loop: Loop) -> float:
     The crossings are the positive roots of |num(jw)|^2 - |den(jw)|^2, a polynomial in w^2.
     Returns 0 if the loop is already unstable, inf if no delay makes it so.
     """
-    if not stable(loop):
+    if not is_stable(loop):
         return 0.0
     num, den = loop
-    squares = np.roots(np.polysub(_squared_magnitude(num), _squared_magnitude(den)))
+    squares = np.roots(np.polysub(_square_magnitude(num), _square_magnitude(den)))
     w = np.sqrt(
         [s.real for s in squares if s.real > 0.0 and abs(s.imag) < 1e-7 * abs(s)]
     )
@@ -244,7 +258,7 @@ def delay_margin(loop: Loop) -> float:
     return float(np.min(phase / w, initial=math.inf))
 
 
-def _squared_magnitude(p: Polynomial) -> Polynomial:
+def _square_magnitude(p: Polynomial) -> Polynomial:
     """Return |p(jw)|^2 as a polynomial in w^2: p(s) p(-s) at s^2 = -w^2, for real coefficients."""
     mirrored = p * (-1.0) ** np.arange(len(p) - 1, -1, -1)
     even = np.polymul(p, mirrored)[::2]

@@ -2,10 +2,10 @@
 
 from typing import Any
 
-from crazychoir.control.choice import Controls, changed
+from crazychoir.control.choice import Controls, change_gains
 from crazychoir.errors import ConfigError
 
-READ_ONLY = (
+READ_ONLY_PARAMETERS = (
     "trim.thrust",
     "trim.roll_rad",
     "trim.pitch_rad",
@@ -14,7 +14,7 @@ READ_ONLY = (
 )
 
 
-class Parameters:
+class ControllerParameters:
     """The parameters of one drone.
 
     `control.kp`, `control.kr`, ... may be set within their stable range. A drone that gets
@@ -54,9 +54,9 @@ class Parameters:
         Raises ConfigError if it is read-only, of another kind, or would not be stable.
         """
         self.get(name)
-        if name in READ_ONLY:
+        if name in READ_ONLY_PARAMETERS:
             raise ConfigError(name, value, "nothing: it can only be read")
-        gains = changed(
+        gains = change_gains(
             self.controls.gains, {name.removeprefix("control."): value}, "control"
         )
         self.controls.retune(gains)

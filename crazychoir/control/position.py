@@ -1,49 +1,73 @@
 """Position control by differential flatness: from reference and state to thrust and attitude."""
 
 import math
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from crazychoir.control.gains import FORMATION, STANDARD, Gains, Tuned
+from crazychoir.control.gains import (
+    FORMATION_GAINS,
+    STANDARD_GAINS,
+    Gains,
+    TunedStrategy,
+)
 from crazychoir.control.trim import Trim
 from crazychoir.numerics.kernels import kernel, memory, real, vector
 from crazychoir.numerics.math3d import (
-    GRAVITY,
+    STANDARD_GRAVITY,
     Triple,
     clip,
-    columns,
     dot,
-    finite,
     flat_attitude,
     flat_rates,
+    is_finite,
+    rotation_columns,
 )
-from crazychoir.platforms import PAPER, Platform
+from crazychoir.platforms import PAPER_PLATFORM, Platform
 from crazychoir.types import State, Vec
 
-GAINS = 13
-"""Number of Gains.position, before those of Platform.flat in the figures of the kernels."""
-DESIRED = 13
-"""Size of the result of `desired`.
 
-thrust N; x_b, y_b, z_b of R_d (3 each); rate feed-forward w_d rad/s in the axes of R_d (3)
-"""
-LEAST_LIFT = 0.2 * GRAVITY
-"""Least upward desired acceleration, m/s2.
+class FlatnessLayout(NamedTuple):
+    """Sizes and places in the arrays of the kernels of flatness control."""
 
-The desired thrust always points up, far from F = 0 and from z_b parallel to x_c.
-"""
-LONGEST_GAP = 0.1  # s between two desired attitudes that still define a rate
-HEIGHT_SHARE = 0.9
-"""Largest upward share of the desired force: 26 degrees of tilt remain in the fastest climb."""
-FREE = DESIRED
-"""Index where the kernels write whether F was not cut."""
-COMMANDED = DESIRED + 1
-"""First index where the kernels write the acceleration of F."""
-MOST_EARLY = 1.0
-"""Largest feed-forward in rad/s for the delay of the rates: a jump must not shake the drone."""
-HEADROOM = 0.95
-"""Share of the thrust for the desired acceleration; the rest is left to the attitude."""
+    gain_count: int = 13
+    """Count of numbers in Gains.position, before those of Platform.flat in the figures of the
+    kernels.
+    """
+    desired_size: int = 13
+    """Size of the result of desired: thrust N; x_b, y_b, z_b of R_d (3 each); rate feed-forward
+    w_d rad/s in the axes of R_d (3).
+    """
+    free_index: int = desired_size
+    """Index where the kernels write whether F was not cut."""
+    acceleration_start: int = desired_size + 1
+    """First index where the kernels write the acceleration of F."""
+
+
+FLATNESS_LAYOUT = FlatnessLayout()
+
+
+class FlatnessLimits(NamedTuple):
+    """Limits of the force, the feed-forward and the time step in flatness control."""
+
+    least_lift: float = 0.2 * STANDARD_GRAVITY
+    """Least upward desired acceleration, m/s2.
+
+    The desired thrust always points up, far from F = 0 and from z_b parallel to x_c.
+    """
+    longest_gap: float = 0.1
+    """Longest time in s between two desired attitudes that still define a rate."""
+    height_share: float = 0.9
+    """Largest upward share of the desired force: 26 degrees of tilt remain in the fastest climb.
+    """
+    largest_delay_rate: float = 1.0
+    """Largest feed-forward in rad/s for the delay of the rates: a jump must not shake the drone.
+    """
+    acceleration_share: float = 0.95
+    """Share of the thrust for the desired acceleration; the rest is left to the attitude."""
+
+
+FLATNESS_LIMITS = FlatnessLimits()
 
 
 class PositionControl(Protocol):
@@ -71,9 +95,9 @@ class PositionControl(Protocol):
 
 
 @kernel()
-def _drag(q: Vec, v: Triple, platform: Vec) -> Triple:
+def _compute_drag(q: Vec, v: Triple, platform: Vec) -> Triple:
     """Return R A R^T v / m, m/s2 world: the rotor drag that the thrust must balance."""
-    bx, by, bz = columns((q[6], q[7], q[8], q[9]))
+    bx, by, bz = rotation_columns((q[6], q[7], q[8], q[9]))
     x = platform[1] * dot(bx, v)
     y = platform[2] * dot(by, v)
     z = platform[3] * dot(bz, v)
@@ -86,12 +110,12 @@ def _drag(q: Vec, v: Triple, platform: Vec) -> Triple:
 
 
 @kernel()
-def _within_limits(f: Triple, max_tilt: float, most: float) -> Triple:
+def _limit_force(f: Triple, max_tilt: float, most: float) -> Triple:
     """Return f with enough lift, a tilt of at most max_tilt and a length of at most `most`.
 
     Height comes first.
     """
-    z = clip(f[2], LEAST_LIFT, HEIGHT_SHARE * most)
+    z = clip(f[2], FLATNESS_LIMITS.least_lift, FLATNESS_LIMITS.height_share * most)
     side = math.sqrt(f[0] * f[0] + f[1] * f[1])
     room = min(z * math.tan(max_tilt), math.sqrt(max(most * most - z * z, 0.0)))
     s = room / side if side > room else 1.0
@@ -99,14 +123,14 @@ def _within_limits(f: Triple, max_tilt: float, most: float) -> Triple:
 
 
 @kernel()
-def _wish(x: Vec, ref: Vec, gains: Vec, follow: float, c: int) -> float:
+def _compute_wish(x: Vec, ref: Vec, gains: Vec, follow: float, c: int) -> float:
     """Return the wanted acceleration along axis c: a_d - follow (kp (p - p_d) + kv (v - v_d))."""
     pull: float = gains[c] * (x[c] - ref[c]) + gains[3 + c] * (x[3 + c] - ref[3 + c])
     return float(ref[6 + c]) - follow * pull
 
 
 @kernel(vector, vector, vector, vector, real, memory)
-def _flatness(
+def _compute_flatness(
     x: Vec, ref: Vec, figures: Vec, trim: Vec, follow: float, out: Vec
 ) -> bool:
     """Apply the law of FlatnessPositionCtrl or of FlatnessAccelerationCtrl, in its basic form.
@@ -121,23 +145,25 @@ def _flatness(
     out: (17,): desired, 1 where F was not cut, and the acceleration m/s2 that is left of the wish
     Returns False if x or ref is not finite.
     """
-    if not (finite(x) and finite(ref)):
+    if not (is_finite(x) and is_finite(ref)):
         return False
-    gains = figures[:GAINS]
-    platform = figures[GAINS:]
+    gains = figures[: FLATNESS_LAYOUT.gain_count]
+    platform = figures[FLATNESS_LAYOUT.gain_count :]
     v = (ref[3], ref[4], ref[5]) if follow > 0.0 else (x[3], x[4], x[5])
-    drag = _drag(x, v, platform)
-    rise = _drag(x, (ref[6], ref[7], ref[8]), platform)
-    bx, _, bz = columns((x[6], x[7], x[8], x[9]))
+    drag = _compute_drag(x, v, platform)
+    rise = _compute_drag(x, (ref[6], ref[7], ref[8]), platform)
+    bx, _, bz = rotation_columns((x[6], x[7], x[8], x[9]))
     n = math.sqrt(max(bx[0] * bx[0] + bx[1] * bx[1], 1e-12))
     dx = (bx[0] * trim[1] - bx[1] * trim[2]) / n
     dy = (bx[1] * trim[1] + bx[0] * trim[2]) / n
-    ax = _wish(x, ref, gains, follow, 0)
-    ay = _wish(x, ref, gains, follow, 1)
-    az = _wish(x, ref, gains, follow, 2)
-    rest = (drag[0] + dx, drag[1] + dy, drag[2] + GRAVITY)
+    ax = _compute_wish(x, ref, gains, follow, 0)
+    ay = _compute_wish(x, ref, gains, follow, 1)
+    az = _compute_wish(x, ref, gains, follow, 2)
+    rest = (drag[0] + dx, drag[1] + dy, drag[2] + STANDARD_GRAVITY)
     wish = (ax + rest[0], ay + rest[1], az + rest[2])
-    f = _within_limits(wish, gains[6], HEADROOM * platform[4] / platform[0])
+    f = _limit_force(
+        wish, gains[6], FLATNESS_LIMITS.acceleration_share * platform[4] / platform[0]
+    )
     axes = flat_attitude(f, ref[12])
     free = 1.0 if f == wish else 0.0
     jerk = (
@@ -159,36 +185,46 @@ def _flatness(
 
 
 @kernel(vector, vector, vector, vector, memory, real, memory)
-def _tracked(
+def _track_reference(
     x: Vec, ref: Vec, figures: Vec, trim: Vec, mem: Vec, h: float, out: Vec
 ) -> bool:
     """Apply the law of FlatnessPositionCtrl, h s after the last call.
 
     mem: (3,): w_r of the last call, NaN before the first
-    out: (17,), as in `_flatness`
+    out: (17,), as in `_compute_flatness`
     Returns False if x or ref is not finite.
     """
-    if not _flatness(x, ref, figures, trim, 1.0, out):
+    if not _compute_flatness(x, ref, figures, trim, 1.0, out):
         return False
-    f = (ref[6], ref[7], max(ref[8] + GRAVITY, LEAST_LIFT))
+    f = (ref[6], ref[7], max(ref[8] + STANDARD_GRAVITY, FLATNESS_LIMITS.least_lift))
     w = flat_rates(
         f, (ref[9], ref[10], ref[11]), flat_attitude(f, ref[12]), ref[12], ref[13]
     )
-    early = figures[9] / h if 0.0 < h < LONGEST_GAP and out[13] > 0.0 else 0.0
+    early = (
+        figures[9] / h
+        if 0.0 < h < FLATNESS_LIMITS.longest_gap and out[13] > 0.0
+        else 0.0
+    )
     for c in range(3):
         more = early * (w[c] - mem[c])
         out[10 + c] += (
-            clip(more, -MOST_EARLY, MOST_EARLY) if math.isfinite(more) else 0.0
+            clip(
+                more,
+                -FLATNESS_LIMITS.largest_delay_rate,
+                FLATNESS_LIMITS.largest_delay_rate,
+            )
+            if math.isfinite(more)
+            else 0.0
         )
         mem[c] = w[c]
     return True
 
 
 @kernel(vector, vector, vector, vector, memory, real, memory)
-def _led(
+def _track_acceleration(
     x: Vec, ref: Vec, figures: Vec, trim: Vec, mem: Vec, h: float, desired: Vec
 ) -> bool:
-    """Apply `_flatness` without follow, with the rate feed-forward of roll and pitch.
+    """Apply `_compute_flatness` without follow, with the rate feed-forward of roll and pitch.
 
     The feed-forward is `lead` times the low-passed rate w_f of R_d.
 
@@ -200,10 +236,10 @@ def _led(
     mem: (13,): columns of the last R_d, w_f since then (2), owed rad (2)
     h: s since the last measurement. If 0, nothing new was measured, and w_f goes on. After a gap,
         or from NaN, w_f starts anew.
-    desired: (17,), as out of `_flatness`
+    desired: (17,), as out of `_compute_flatness`
     Returns False if x or ref is not finite.
     """
-    if not _flatness(x, ref, figures, trim, 0.0, desired):
+    if not _compute_flatness(x, ref, figures, trim, 0.0, desired):
         return False
     x_d = (desired[1], desired[2], desired[3])
     y_d = (desired[4], desired[5], desired[6])
@@ -215,7 +251,9 @@ def _led(
     for n in range(2):
         if h > 0.0:
             owed = mem[11 + n] + turn[n] - mem[9 + n] * h
-            mem[11 + n] = owed if h < LONGEST_GAP and math.isfinite(owed) else 0.0
+            mem[11 + n] = (
+                owed if h < FLATNESS_LIMITS.longest_gap and math.isfinite(owed) else 0.0
+            )
             mem[9 + n] = mem[11 + n] * (1.0 - math.exp(-figures[8] * h)) / h
         desired[10 + n] = figures[7] * mem[9 + n]
     if h > 0.0:
@@ -223,7 +261,7 @@ def _led(
     return True
 
 
-class FlatnessPositionCtrl(Tuned):
+class FlatnessPositionCtrl(TunedStrategy):
     """Tracks a flat trajectory: position, velocity, acceleration, jerk and yaw.
 
         F/m = g e3 + a_d - Kp (p - p_d) - Kv (v - v_d) + (1/m) R A R^T v_d + Rz d
@@ -243,15 +281,15 @@ class FlatnessPositionCtrl(Tuned):
 
     def __init__(
         self,
-        gains: Gains = STANDARD,
-        platform: Platform = PAPER,
+        gains: Gains = STANDARD_GAINS,
+        platform: Platform = PAPER_PLATFORM,
         trim: Trim | None = None,
     ) -> None:
         self.trim = Trim() if trim is None else trim
         self.platform = platform
         super().__init__(gains)
-        self._out = np.zeros(COMMANDED + 3)
-        self._desired = self._out[:DESIRED]
+        self._out = np.zeros(FLATNESS_LAYOUT.acceleration_start + 3)
+        self._desired = self._out[: FLATNESS_LAYOUT.desired_size]
         self._memory = np.full(3, np.nan)
         self._time = -math.inf
 
@@ -266,7 +304,7 @@ class FlatnessPositionCtrl(Tuned):
 
         It is F/m after its limits, without gravity, drag and trim.
         """
-        a = self._out[COMMANDED:].copy()
+        a = self._out[FLATNESS_LAYOUT.acceleration_start :].copy()
         a.setflags(False)  # type: ignore[call-arg]  # faster by position than by name, in each tick
         return a
 
@@ -278,12 +316,15 @@ class FlatnessPositionCtrl(Tuned):
         h = now - self._time
         out = self._out
         flat = state.flat
-        if not _tracked(
+        if not _track_reference(
             flat, reference, self._figures, self.trim.flat, self._memory, h, out
         ):
             return None
         self._time = now
-        if 0.0 < h < LONGEST_GAP and out[FREE] > 0.0:
+        if (
+            0.0 < h < FLATNESS_LIMITS.longest_gap
+            and out[FLATNESS_LAYOUT.free_index] > 0.0
+        ):
             self.trim.learn(flat, reference, self._rates, h)
         return self._desired
 
@@ -306,8 +347,8 @@ class FlatnessAccelerationCtrl(FlatnessPositionCtrl):
 
     def __init__(
         self,
-        gains: Gains = FORMATION,
-        platform: Platform = PAPER,
+        gains: Gains = FORMATION_GAINS,
+        platform: Platform = PAPER_PLATFORM,
         trim: Trim | None = None,
     ) -> None:
         super().__init__(gains, platform, trim)
@@ -320,7 +361,7 @@ class FlatnessAccelerationCtrl(FlatnessPositionCtrl):
         """
         measured = max(now - state.age, self._time)
         h = measured - self._time
-        if _led(
+        if _track_acceleration(
             state.flat,
             reference,
             self._figures,

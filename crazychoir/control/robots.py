@@ -9,12 +9,12 @@ from typing import Protocol
 
 import numpy as np
 
-from crazychoir.config.checks import DOUBLE, SINGLE, UNICYCLE
+from crazychoir.config.checks import WORLD_URIS
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.config.tables import Flight
+from crazychoir.config.tables import FlightTable
 from crazychoir.control.choice import Controls
 from crazychoir.control.controller import CrazyflieController
-from crazychoir.control.gains import STANDARD
+from crazychoir.control.gains import STANDARD_GAINS
 from crazychoir.control.handlers import AccelerationTraj, FullStateTraj
 from crazychoir.control.senders import (
     AccSender,
@@ -24,15 +24,15 @@ from crazychoir.control.senders import (
 )
 from crazychoir.control.trim import Trim
 from crazychoir.control.unicycle import UnicycleCtrl
-from crazychoir.numerics.math3d import saturate, wrap, yaw_of
-from crazychoir.platforms import PAPER
+from crazychoir.numerics.math3d import saturate, wrap_angle, yaw_of
+from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.types import State, Vec
 
-SILENT = 0.1
+ROBOT_TICK_TIMEOUT = 0.1
 """Seconds without a tick after which a robot counts as standing."""
 
 
-class Strategy(Protocol):
+class RobotStrategy(Protocol):
     """Turns a state and a reference into the input of the robot."""
 
     def input(self, state: State, reference: Vec) -> Vec:
@@ -57,7 +57,7 @@ class RobotController(CrazyflieController):
 
     def __init__(
         self,
-        strategy: Strategy,
+        strategy: RobotStrategy,
         size: int,
         sender: CommunicationHandler,
         smooth: int = 0,
@@ -79,9 +79,9 @@ class RobotController(CrazyflieController):
         h = now - self._at
         self._at = now
         if self.smooth:
-            sent = self._sent if h < SILENT else np.zeros(self.smooth)
+            sent = self._sent if h < ROBOT_TICK_TIMEOUT else np.zeros(self.smooth)
             self._sent = sent + saturate(
-                u[: self.smooth] - sent, self.a_max * min(h, SILENT)
+                u[: self.smooth] - sent, self.a_max * min(h, ROBOT_TICK_TIMEOUT)
             )
             u[: self.smooth] = self._sent
         return u
@@ -125,7 +125,7 @@ class SingleIntegratorCtrl:
         """Return (4,): velocity m/s, turn rate rad/s."""
         u = saturate(reference[3:6] + self.k * (reference[0:3] - state.p), self.v_max)
         return np.append(
-            u, reference[13] + self.k * wrap(reference[12] - yaw_of(state.q))
+            u, reference[13] + self.k * wrap_angle(reference[12] - yaw_of(state.q))
         )
 
 
@@ -152,65 +152,71 @@ class DoubleIntegratorCtrl:
         return saturate(reference[6:9] + pull, self.a_max)
 
 
-def single_integrator(flight: Flight) -> Controls:
+def make_single_integrator_controls(flight: FlightTable) -> Controls:
     """Return the controls of a point that gets velocities.
 
     Twice the speed limit leaves room to catch up.
     """
     strategy = SingleIntegratorCtrl(v_max=2.0 * flight.speed_limit)
-    return _controls(
+    return _make_robot_controls(
         RobotController(
             strategy, 4, VelSender(), smooth=3, a_max=2.0 * flight.acceleration_limit
         )
     )
 
 
-def double_integrator(flight: Flight) -> Controls:
+def make_double_integrator_controls(flight: FlightTable) -> Controls:
     """Return the controls of a point that gets accelerations."""
     strategy = DoubleIntegratorCtrl(a_max=2.0 * flight.acceleration_limit)
     send = AccSender()
-    return _controls(RobotController(strategy, 3, send), AccelerationController(send))
+    return _make_robot_controls(
+        RobotController(strategy, 3, send), AccelerationController(send)
+    )
 
 
-def unicycle(flight: Flight) -> Controls:
+def make_unicycle_controls(flight: FlightTable) -> Controls:
     """Return the controls of a robot with two wheels on one axle, which gets (v, w)."""
     strategy = UnicycleCtrl(v_max=flight.speed_limit)
     a_max = 2.0 * flight.acceleration_limit
-    return _controls(
+    return _make_robot_controls(
         RobotController(strategy, 2, DriveSender(), smooth=1, a_max=a_max), planar=True
     )
 
 
-def _controls(
+def _make_robot_controls(
     tracker: CrazyflieController,
     follower: CrazyflieController | None = None,
     planar: bool = False,
 ) -> Controls:
     """Return the controls of a robot that does not take off."""
     return Controls(
-        PAPER,
+        PAPER_PLATFORM,
         "lightweight",
         tracker,
         follower,
         Trim(),
-        STANDARD,
+        STANDARD_GAINS,
         takes_off=False,
         planar=planar,
     )
 
 
-ROBOTS: dict[str, tuple[str, Callable[[Flight], Controls]]] = {
-    SINGLE: ("vel", single_integrator),
-    DOUBLE: ("acc", double_integrator),
-    UNICYCLE: ("drive", unicycle),
+ROBOT_CONTROLS: dict[str, tuple[str, Callable[[FlightTable], Controls]]] = {
+    WORLD_URIS.single_integrator: ("vel", make_single_integrator_controls),
+    WORLD_URIS.double_integrator: ("acc", make_double_integrator_controls),
+    WORLD_URIS.unicycle: ("drive", make_unicycle_controls),
 }
 """For each uri of a robot: the kind of command it gets, and its controllers."""
 
 
-def sender_of(config: SwarmConfig, i: int) -> str:
+def find_sender(config: SwarmConfig, i: int) -> str:
     """Return the kind of command that robot i gets.
 
     Its uri says so, or its row [control] or [[roles]].
     """
     uri = config.drone(i).uri
-    return ROBOTS[uri][0] if uri in ROBOTS else str(config.control_of(i).sender)
+    return (
+        ROBOT_CONTROLS[uri][0]
+        if uri in ROBOT_CONTROLS
+        else str(config.control_of(i).sender)
+    )

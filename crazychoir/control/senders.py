@@ -6,7 +6,7 @@ import numpy as np
 
 from crazychoir.types import FPQR, FRPY, XYZ, Acc, Command, Drive, FullState, Vec, Vel
 
-STOP = XYZ("stop", np.zeros(5))
+STOP_COMMAND = XYZ("stop", np.zeros(5))
 """The command that stops a planner on board."""
 
 
@@ -73,7 +73,7 @@ class VelSender:
 
     topic = "cmd"
     kind = "vel"
-    idle: Command = STOP
+    idle: Command = STOP_COMMAND
 
     def message(self, u: Vec) -> Vel:
         """Return the command of u (4,), not copied."""
@@ -89,7 +89,7 @@ class FullStateSender:
 
     topic = "cmd"
     kind = "fullstate"
-    idle: Command = STOP
+    idle: Command = STOP_COMMAND
 
     def message(self, u: Vec) -> FullState:
         """Return the command of u (14,), not copied."""
@@ -105,7 +105,7 @@ class AccSender:
 
     topic = "cmd"
     kind = "acc"
-    idle: Command = STOP
+    idle: Command = STOP_COMMAND
 
     def message(self, u: Vec) -> Acc:
         """Return the command of u (3,), not copied."""
@@ -137,7 +137,7 @@ class XYZSender:
 
     topic = "cmd"
     kind = "xyz"
-    idle: Command = STOP
+    idle: Command = STOP_COMMAND
 
     def message(self, u: Vec) -> XYZ:
         """Return a straight line at constant velocity from the present set-point."""

@@ -1,30 +1,43 @@
 """The trim: the errors of a drone's thrust and attitude, learnt in flight."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from crazychoir.numerics.kernels import kernel, memory, real, vector
-from crazychoir.numerics.math3d import GRAVITY, clip, columns
+from crazychoir.numerics.math3d import STANDARD_GRAVITY, clip, rotation_columns
 from crazychoir.types import Vec
 
-MOST_THRUST = 0.25
-"""Largest error of the thrust, as a share.
 
-It covers old propellers, a low battery and a wrong mass, but not a wrong thrust map.
-"""
-MOST_TRIM = 0.6
-"""Largest error of the attitude, m/s2: 3.5 degrees."""
+class TrimLimits(NamedTuple):
+    """Bounds of the trim, and the errors at which it learns: an error tells something about the
+    trim when it is small and lasts.
+    """
+
+    largest_thrust_error: float = 0.25
+    """Largest error of the thrust, as a share.
+
+    It covers old propellers, a low battery and a wrong mass, but not a wrong thrust map.
+    """
+    largest_attitude_error: float = 0.6
+    """Largest error of the attitude, m/s2: 3.5 degrees."""
+    learning_distance: float = 0.12
+    """Largest horizontal distance in m from its place at which the trim learns, along each axis.
+    """
+    learning_height: float = 0.3
+    """Largest vertical distance in m from its place at which the trim learns."""
+    noise_level: float = 0.005
+    """Twice the trim in m/s2 that the noise of good cameras produces."""
+    learning_speed: float = 0.15
+    """Largest speed in m/s of that error at which the trim learns, along each axis."""
+
+
+TRIM_LIMITS = TrimLimits()
+
+
 # An error tells something about the trim when it is small and lasts. On the return from a large
 # error it does not.
-NEAR = 0.12
-"""Largest horizontal distance in m from its place at which the trim learns, along each axis."""
-NEAR_IN_HEIGHT = 0.3
-"""Largest vertical distance in m from its place at which the trim learns."""
-DOUBT = 0.005
-"""Twice the trim in m/s2 that the noise of good cameras produces."""
-SLOW = 0.15
-"""Largest speed in m/s of that error at which the trim learns, along each axis."""
 
 
 @kernel(vector, vector, vector, real, memory, memory)
@@ -39,24 +52,40 @@ def _learn(x: Vec, ref: Vec, rates: Vec, h: float, trim: Vec, sure: Vec) -> None
     sure: (3,): the trim without what may be noise
     """
     e = (ref[0] - x[0], ref[1] - x[1], ref[2] - x[2])
-    if max(abs(ref[3] - x[3]), abs(ref[4] - x[4]), abs(ref[5] - x[5])) > SLOW:
+    if (
+        max(abs(ref[3] - x[3]), abs(ref[4] - x[4]), abs(ref[5] - x[5]))
+        > TRIM_LIMITS.learning_speed
+    ):
         return
-    if max(abs(e[0]), abs(e[1])) > NEAR or abs(e[2]) > NEAR_IN_HEIGHT:
+    if (
+        max(abs(e[0]), abs(e[1])) > TRIM_LIMITS.learning_distance
+        or abs(e[2]) > TRIM_LIMITS.learning_height
+    ):
         return
-    bx = columns((x[6], x[7], x[8], x[9]))[0]
+    bx = rotation_columns((x[6], x[7], x[8], x[9]))[0]
     n = 1.0 / math.sqrt(max(bx[0] * bx[0] + bx[1] * bx[1], 1e-12))
     c = bx[0] * n
     s = bx[1] * n
-    trim[0] = clip(trim[0] + h * rates[0] * e[2] / GRAVITY, -MOST_THRUST, MOST_THRUST)
+    trim[0] = clip(
+        trim[0] + h * rates[0] * e[2] / STANDARD_GRAVITY,
+        -TRIM_LIMITS.largest_thrust_error,
+        TRIM_LIMITS.largest_thrust_error,
+    )
     trim[1] = clip(
-        trim[1] + h * rates[1] * (c * e[0] + s * e[1]), -MOST_TRIM, MOST_TRIM
+        trim[1] + h * rates[1] * (c * e[0] + s * e[1]),
+        -TRIM_LIMITS.largest_attitude_error,
+        TRIM_LIMITS.largest_attitude_error,
     )
     trim[2] = clip(
-        trim[2] + h * rates[1] * (c * e[1] - s * e[0]), -MOST_TRIM, MOST_TRIM
+        trim[2] + h * rates[1] * (c * e[1] - s * e[0]),
+        -TRIM_LIMITS.largest_attitude_error,
+        TRIM_LIMITS.largest_attitude_error,
     )
-    sure[0] = trim[0] if GRAVITY * abs(trim[0]) > DOUBT else 0.0
+    sure[0] = (
+        trim[0] if STANDARD_GRAVITY * abs(trim[0]) > TRIM_LIMITS.noise_level else 0.0
+    )
     for k in range(1, 3):
-        sure[k] = trim[k] if abs(trim[k]) > DOUBT else 0.0
+        sure[k] = trim[k] if abs(trim[k]) > TRIM_LIMITS.noise_level else 0.0
 
 
 class Trim:
@@ -93,7 +122,7 @@ class Trim:
     @property
     def tilt(self) -> Vec:
         """(2,) rad, d / g: more tilt about the pitch axis, less about the roll axis."""
-        return self.flat[1:3] / GRAVITY
+        return self.flat[1:3] / STANDARD_GRAVITY
 
     def keep(self) -> None:
         """Remember the present trim, for `restore`."""

@@ -1,18 +1,27 @@
 """Control of a unicycle: of a point ahead of its axle by a velocity, and of its pose."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
-from crazychoir.numerics.math3d import clip, saturate, wrap, yaw_of
+from crazychoir.numerics.math3d import clip, saturate, wrap_angle, yaw_of
 from crazychoir.types import State, Vec
 
-STANDS = 1e-3
-"""Speed in m/s of a reference below which it is a pose to come to."""
-THERE = 0.02
-"""Distance in m from a pose at which the pose is reached."""
-AWAY = 0.10
-"""Distance in m from a reached pose from which on the robot drives to it again."""
+
+@dataclass(frozen=True, slots=True)
+class UnicycleLimits:
+    """Limits that decide whether a unicycle follows a velocity, drives to a pose, or stands."""
+
+    standing_speed: float = 1e-3
+    """Speed in m/s of a reference below which it is a pose to come to."""
+    reached_distance: float = 0.02
+    """Distance in m from a pose at which the pose is reached."""
+    departed_distance: float = 0.10
+    """Distance in m from a reached pose from which on the robot drives to it again."""
+
+
+UNICYCLE_LIMITS = UnicycleLimits()
 
 
 class UnicycleVelocityCtrl:
@@ -110,7 +119,7 @@ class UnicyclePoseCtrl:
         x, y = (goal - p).tolist()
         r = math.hypot(x, y)
         alpha = math.atan2(y, x)
-        kappa = self.curvature(r, wrap(goal_yaw - alpha), wrap(yaw - alpha))
+        kappa = self.curvature(r, wrap_angle(goal_yaw - alpha), wrap_angle(yaw - alpha))
         v = min(
             self.v_max / (1.0 + self.beta * abs(kappa) ** self.exponent), self.k3 * r
         )
@@ -142,13 +151,17 @@ class UnicycleCtrl:
         p = state.p[0:2]
         goal = reference[0:2]
         v_d = reference[3:5]
-        if float(np.linalg.norm(v_d)) > STANDS:
+        if float(np.linalg.norm(v_d)) > UNICYCLE_LIMITS.standing_speed:
             self._there = True
             return self.velocity.input(
                 yaw, saturate(v_d + self.k * (goal - p), self.v_max)
             )
         far = float(np.linalg.norm(goal - p))
-        self._there = far < (AWAY if self._there else THERE)
+        self._there = far < (
+            UNICYCLE_LIMITS.departed_distance
+            if self._there
+            else UNICYCLE_LIMITS.reached_distance
+        )
         return (
             np.zeros(2)
             if self._there

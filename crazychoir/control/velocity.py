@@ -1,33 +1,43 @@
 """Velocity control: from a reference to a velocity, for drones with velocity control on board."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from crazychoir.control.controller import EARLY, CrazyflieController
+from crazychoir.control.controller import EARLY_TOLERANCE, CrazyflieController
 from crazychoir.control.handlers import TrajectoryHandler
 from crazychoir.control.senders import CommunicationHandler
 from crazychoir.numerics.kernels import kernel, memory, real, vector
-from crazychoir.numerics.math3d import GRAVITY, finite, wrap
+from crazychoir.numerics.math3d import STANDARD_GRAVITY, is_finite, wrap_angle
 from crazychoir.types import Command, Reference, State, Vec
 
-VELOCITY_ON_BOARD = math.radians(25.0) * GRAVITY
-"""1/s, kp of the firmware's control of a velocity by a tilt."""
-POSITION_ON_BOARD = 2.0
-"""1/s, kp of the firmware's control of a place by a velocity."""
-YAW_ON_BOARD = 6.0
-"""1/s, kp of the firmware's control of the yaw by a rate."""
-GROUNDED = 1.0
+
+class FirmwareGains(NamedTuple):
+    """Gains of the firmware's own control of velocity, position and yaw."""
+
+    velocity: float = math.radians(25.0) * STANDARD_GRAVITY
+    """1/s, kp of the firmware's control of a velocity by a tilt."""
+    position: float = 2.0
+    """1/s, kp of the firmware's control of a place by a velocity."""
+    yaw: float = 6.0
+    """1/s, kp of the firmware's control of the yaw by a rate."""
+
+
+FIRMWARE_GAINS = FirmwareGains()
+
+
+NEW_FLIGHT_GAP = 1.0
 """Seconds without a line after which the next line begins another flight."""
-LEARNING = np.array([0.5, 1.0]) / (
-    POSITION_ON_BOARD,
-    YAW_ON_BOARD,
+FIRMWARE_LEARNING_RATES = np.array([0.5, 1.0]) / (
+    FIRMWARE_GAINS.position,
+    FIRMWARE_GAINS.yaw,
 )
 """1/s, ki / kp of the firmware's control of the height and of the yaw."""
 
 
 @kernel(vector, vector, vector, real, memory)
-def _velocity(x: Vec, ref: Vec, gains: Vec, heading: float, out: Vec) -> bool:
+def _compute_velocity(x: Vec, ref: Vec, gains: Vec, heading: float, out: Vec) -> bool:
     """Apply the law of VelocityCtrlStrategy.
 
     x: (13,): state
@@ -37,11 +47,11 @@ def _velocity(x: Vec, ref: Vec, gains: Vec, heading: float, out: Vec) -> bool:
     out: (4,): the result
     Returns False if x or ref is not finite.
     """
-    if not (finite(x) and finite(ref)):
+    if not (is_finite(x) and is_finite(ref)):
         return False
     squares = 0.0
     for c in range(3):
-        ahead = ref[6 + c] / VELOCITY_ON_BOARD if c < 2 else 0.0
+        ahead = ref[6 + c] / FIRMWARE_GAINS.velocity if c < 2 else 0.0
         out[c] = (
             ref[3 + c]
             + ahead
@@ -52,7 +62,7 @@ def _velocity(x: Vec, ref: Vec, gains: Vec, heading: float, out: Vec) -> bool:
     share = min(1.0, gains[3] / math.sqrt(squares)) if squares > 0.0 else 1.0
     for c in range(3):
         out[c] *= share
-    out[3] = ref[13] + gains[2] * wrap(ref[12] - heading)
+    out[3] = ref[13] + gains[2] * wrap_angle(ref[12] - heading)
     return True
 
 
@@ -85,7 +95,9 @@ class VelocityCtrlStrategy:
         heading = math.atan2(2.0 * (x * y + z * w), 1.0 - 2.0 * (y * y + z * z))
         out = np.empty(4)
         return (
-            out if _velocity(state.flat, reference, self._gains, heading, out) else None
+            out
+            if _compute_velocity(state.flat, reference, self._gains, heading, out)
+            else None
         )
 
 
@@ -110,7 +122,7 @@ class VelocityController(CrazyflieController):
         return np.zeros(4)
 
 
-class Learnt:
+class LearntIntegrals:
     """Lasting climb and turn that the firmware's integrals of height and yaw have learnt."""
 
     def __init__(self) -> None:
@@ -124,9 +136,9 @@ class Learnt:
         """
         h = now - self._asked
         self._asked = now
-        if 0.0 <= h < GROUNDED:
+        if 0.0 <= h < NEW_FLIGHT_GAP:
             self._learnt += (np.array([climb, turn]) - self._learnt) * -np.expm1(
-                -h * LEARNING
+                -h * FIRMWARE_LEARNING_RATES
             )
         else:
             self._learnt[:] = 0.0
@@ -154,11 +166,11 @@ class FullStateController(CrazyflieController):
     ) -> None:
         super().__init__(command_sender, traj_handler)
         self.late = late
-        self._learnt = Learnt()
+        self._learnt = LearntIntegrals()
 
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
         """Return the reference (14,), moved ahead."""
-        if not finite(reference):
+        if not is_finite(reference):
             return None
         t = self.late
         a = reference[6:9]
@@ -168,9 +180,11 @@ class FullStateController(CrazyflieController):
         v = out[3:6]
         climb, turn = self._learnt.missing(float(v[2]), rate, now)
         out[0:3] += t * v - 0.5 * t * t * a
-        out[0:2] += (v[0:2] + a[0:2] / VELOCITY_ON_BOARD) / POSITION_ON_BOARD
-        out[2] += climb / POSITION_ON_BOARD
-        out[12] += t * rate + turn / YAW_ON_BOARD
+        out[0:2] += (
+            v[0:2] + a[0:2] / FIRMWARE_GAINS.velocity
+        ) / FIRMWARE_GAINS.position
+        out[2] += climb / FIRMWARE_GAINS.position
+        out[12] += t * rate + turn / FIRMWARE_GAINS.yaw
         return out
 
     def blind(self) -> Vec:
@@ -216,13 +230,13 @@ class WaypointController(CrazyflieController):
         self.late = late
         self._next = -math.inf
         self._line = np.zeros(5)
-        self._learnt = Learnt()
+        self._learnt = LearntIntegrals()
 
     def command(
         self, state: State, reference: Reference | None, now: float
     ) -> Command | None:
         """Return the next line if it is time for it; else None."""
-        if now < self._next - EARLY:
+        if now < self._next - EARLY_TOLERANCE:
             return None
         self._next = now + self.every
         return super().command(state, reference, now)
@@ -235,14 +249,16 @@ class WaypointController(CrazyflieController):
         v = reference[3:6] + t * a
         line = np.empty(5)
         line[0:3] = reference[0:3] + t * v - 0.5 * t * t * a
-        line[0:2] += (v[0:2] + a[0:2] / VELOCITY_ON_BOARD) / POSITION_ON_BOARD
+        line[0:2] += (
+            v[0:2] + a[0:2] / FIRMWARE_GAINS.velocity
+        ) / FIRMWARE_GAINS.position
         line[3] = reference[12] + t * rate
         line[4] = self.ahead
         if not math.isfinite(sum(line.tolist())):
             return None
         climb, turn = self._learnt.missing(float(v[2]), rate, now)
-        line[2] += climb / POSITION_ON_BOARD
-        line[3] += turn / YAW_ON_BOARD
+        line[2] += climb / FIRMWARE_GAINS.position
+        line[3] += turn / FIRMWARE_GAINS.yaw
         self._line = line
         return line
 

@@ -8,39 +8,76 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from crazychoir.bus.commands import (
-    ACCEPTED,
-    DONE,
-    NOT_READY,
-    REFUSED,
+    ANSWER_TEXTS,
     Answer,
     Commander,
 )
-from crazychoir.bus.port import BODIES
+from crazychoir.bus.port import PORT_ADDRESSES
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.dashboard.event_log import Watch
+from crazychoir.dashboard.event_log import EventLog
 from crazychoir.errors import CrazyChoirError, error_text
 from crazychoir.runtime.clock import Clock
 
-SENT = "sent"
-"""Kind of answer: not acknowledged yet."""
-SILENT = "silent"
-"""Kind of answer: not acknowledged in time."""
-UNFINISHED = "unfinished"
-"""Kind of answer: accepted, not done in time; the drone may still do it."""
-WITHDRAWN = "withdrawn"
-"""Kind of answer: withdrawn by a later order."""
-ABSENT = "no agent of it is there"
-"""Words of a receipt if no agent answers for the drone."""
-REPLAYED = "REPLAY: nobody obeys"
-"""Words of a refusal if the messages come from a recording."""
-ENDED = "ENDED: no drone is there"
-"""Notice of the page if no drone is there any more."""
-ACKNOWLEDGED = 2.0
-"""Seconds within which a drone should acknowledge a command.
 
-The command is resent before and after that time.
-"""
-SECONDS = {
+@dataclass(frozen=True, slots=True)
+class ReceiptKinds:
+    """Kinds of answers in a receipt, beside those that the drones send."""
+
+    sent: str = "sent"
+    """Kind of answer: not acknowledged yet."""
+    silent: str = "silent"
+    """Kind of answer: not acknowledged in time."""
+    unfinished: str = "unfinished"
+    """Kind of answer: accepted, not done in time; the drone may still do it."""
+    withdrawn: str = "withdrawn"
+    """Kind of answer: withdrawn by a later order."""
+
+
+RECEIPT_KINDS = ReceiptKinds()
+
+
+@dataclass(frozen=True, slots=True)
+class ReceiptTexts:
+    """Words for why a drone, or the whole swarm, does not obey."""
+
+    absent: str = "no agent of it is there"
+    """Words of a receipt if no agent answers for the drone."""
+    replayed: str = "REPLAY: nobody obeys"
+    """Words of a refusal if the messages come from a recording."""
+    ended: str = "ENDED: no drone is there"
+    """Notice of the page if no drone is there any more."""
+
+
+RECEIPT_TEXTS = ReceiptTexts()
+
+
+@dataclass(frozen=True, slots=True)
+class OrderLimits:
+    """Times that the drones get for a command, and the number of receipts."""
+
+    acknowledge_timeout: float = 2.0
+    """Seconds within which a drone should acknowledge a command.
+
+    The command is resent before and after that time.
+    """
+    request_timeout: float = 5.0
+    """Seconds to wait for a command that is not a motion."""
+    stop_timeout: float = 10.0
+    """Seconds after which a drone that has not acknowledged a stop is called silent."""
+    check_period: float = 0.05
+    """Seconds between two checks."""
+    ready_timeout: float = 15.0
+    """Seconds for which a drone that is not ready yet is asked again."""
+    retry_period: float = 0.3
+    """Seconds between two such requests."""
+    most_receipts: int = 50
+    """Number of receipts that are kept."""
+
+
+ORDER_LIMITS = OrderLimits()
+
+
+MOTION_TIMEOUTS = {
     "arm": 5.0,
     "take-off": 30.0,
     "start": 5.0,
@@ -51,10 +88,10 @@ SECONDS = {
     "go-to": 120.0,
 }
 """Seconds to wait until each command is done; all others get REQUEST seconds."""
-MOTION = (*SECONDS, "fly")
+MOTION_ORDERS = (*MOTION_TIMEOUTS, "fly")
 """Orders that move a drone or let it move; a stop of the drone withdraws them."""
-BESIDE = {
-    "arm": MOTION,
+COMPATIBLE_ORDERS = {
+    "arm": MOTION_ORDERS,
     "take-off": ("arm", "start", "go"),
     "start": ("arm", "take-off", "hold", "go"),
     "go": ("arm", "take-off", "start"),
@@ -65,26 +102,14 @@ BESIDE = {
 
 It withdraws all other orders that are not acknowledged yet.
 """
-IN_TURN = "impair"
+SEQUENTIAL_ORDER = "impair"
 """A drone gets the next order of this kind only after it has answered the previous one.
 
 Some of these orders add up, others do not, so their sequence matters.
 """
-REQUEST = 5.0
-"""Seconds to wait for a command that is not a motion."""
-STOP = 10.0
-"""Seconds after which a drone that has not acknowledged a stop is called silent."""
-LOOK = 0.05
-"""Seconds between two checks."""
-READY = 15.0
-"""Seconds for which a drone that is not ready yet is asked again."""
-RETRY = 0.3
-"""Seconds between two such requests."""
-KEPT = 50
-"""Number of receipts that are kept."""
 
 
-class Place(Protocol):
+class CommandPlace(Protocol):
     """The place on the network from which commands are given."""
 
     clock: Clock
@@ -127,17 +152,20 @@ class Receipt:
     @property
     def open(self) -> bool:
         """Whether a drone may still answer."""
-        return any(kind in (SENT, ACCEPTED) for kind, _ in self.answers.values())
+        return any(
+            kind in (RECEIPT_KINDS.sent, ANSWER_TEXTS.accepted)
+            for kind, _ in self.answers.values()
+        )
 
     def done(self) -> bool:
         """Return whether all drones have done it."""
         return bool(self.answers) and all(
-            kind == DONE for kind, _ in self.answers.values()
+            kind == ANSWER_TEXTS.done for kind, _ in self.answers.values()
         )
 
 
 @dataclass(eq=False)
-class _Asked:
+class _PendingOrder:
     """An order to one drone that is still being sent or carried out."""
 
     receipt: Receipt
@@ -151,7 +179,7 @@ class _Asked:
 
 
 @dataclass(eq=False)
-class _Stop:
+class _PendingStop:
     """A stop, or its clearing, that is still being sent."""
 
     receipt: Receipt
@@ -168,11 +196,12 @@ class _Stop:
     def has_obeyed(self, i: int) -> bool:
         """Return whether drone i has obeyed: its agent, and its body if another process owns it."""
         return i in self.obeyed and (
-            BODIES + i in self.obeyed or BODIES + i not in self.targets
+            PORT_ADDRESSES.body_offset + i in self.obeyed
+            or PORT_ADDRESSES.body_offset + i not in self.targets
         )
 
 
-class Desk:
+class CommandDesk:
     """Gives commands without waiting for them; their receipts are updated as answers come.
 
     Later orders take precedence. A stop withdraws every open order that could move its drones. An
@@ -181,15 +210,15 @@ class Desk:
     no such order therefore arrives late.
     """
 
-    def __init__(self, place: Place, watch: Watch) -> None:
+    def __init__(self, place: CommandPlace, watch: EventLog) -> None:
         self.place = place
         self.watch = watch
         self.receipts: deque[Receipt] = deque()
         self.version = 0
         self._count = 0
         self._tasks: dict[asyncio.Task[None], None] = {}
-        self._asked: dict[_Asked, asyncio.Task[None]] = {}
-        self._stops: dict[_Stop, None] = {}
+        self._asked: dict[_PendingOrder, asyncio.Task[None]] = {}
+        self._stops: dict[_PendingStop, None] = {}
 
     def after(self, version: int) -> list[Receipt]:
         """Return the receipts that have changed since `version`, oldest first."""
@@ -198,8 +227,12 @@ class Desk:
     def ended(self) -> str:
         """Return the reason why no drone can obey; empty if a drone may."""
         if self.place.replays:
-            return REPLAYED
-        return "" if any(map(self.place.is_there, self.place.config.ids)) else ENDED
+            return RECEIPT_TEXTS.replayed
+        return (
+            ""
+            if any(map(self.place.is_there, self.place.config.ids))
+            else RECEIPT_TEXTS.ended
+        )
 
     def order(
         self,
@@ -225,20 +258,24 @@ class Desk:
         receipt = self._new(
             verb, self.place.config.ids if drones is None else drones, words
         )
-        if why := REPLAYED if self.place.replays else "":
+        if why := RECEIPT_TEXTS.replayed if self.place.replays else "":
             for i in receipt.answers:
-                self._answer(receipt, i, REFUSED, why)
+                self._answer(receipt, i, ANSWER_TEXTS.refused, why)
             return receipt
-        limit = SECONDS.get(verb, REQUEST) if seconds is None else seconds
-        if verb in MOTION:
-            self._outdo(receipt, BESIDE.get(verb, ()))
+        limit = (
+            MOTION_TIMEOUTS.get(verb, ORDER_LIMITS.request_timeout)
+            if seconds is None
+            else seconds
+        )
+        if verb in MOTION_ORDERS:
+            self._outdo(receipt, COMPATIBLE_ORDERS.get(verb, ()))
         before = {
             asked.drone: task
             for asked, task in self._asked.items()
-            if asked.receipt.verb == verb == IN_TURN
+            if asked.receipt.verb == verb == SEQUENTIAL_ORDER
         }
         for i in receipt.answers:
-            asked = _Asked(receipt, i)
+            asked = _PendingOrder(receipt, i)
             self._asked[asked] = self._spawn(
                 self._ask(asked, limit, each, says, before.get(i, first))
             )
@@ -268,8 +305,12 @@ class Desk:
             "",
         )
         receipt.key = key
-        bodies = [BODIES + i for i in config.elsewhere if i in receipt.answers]
-        stop = _Stop(
+        bodies = [
+            PORT_ADDRESSES.body_offset + i
+            for i in config.elsewhere
+            if i in receipt.answers
+        ]
+        stop = _PendingStop(
             receipt,
             [*receipt.answers, *bodies],
             clear,
@@ -285,7 +326,7 @@ class Desk:
     async def settled(self, receipt: Receipt) -> Receipt:
         """Wait until no drone may answer any more, and return the receipt."""
         while receipt.open:
-            await self.place.clock.sleep(LOOK)
+            await self.place.clock.sleep(ORDER_LIMITS.check_period)
         return receipt
 
     def close(self) -> None:
@@ -296,8 +337,8 @@ class Desk:
     def _new(self, verb: str, drones: Iterable[int], words: str) -> Receipt:
         self._count += 1
         receipt = Receipt(self._count, verb, words, round(self.place.clock.now(), 2))
-        receipt.answers = {i: (SENT, "") for i in drones}
-        if len(self.receipts) == KEPT:
+        receipt.answers = {i: (RECEIPT_KINDS.sent, "") for i in drones}
+        if len(self.receipts) == ORDER_LIMITS.most_receipts:
             self._forget()
         self.receipts.append(receipt)
         self._changed(receipt)
@@ -316,12 +357,12 @@ class Desk:
         task.add_done_callback(lambda done: self._tasks.pop(done, None))
         return task
 
-    def _motions(self, newer: Receipt) -> list[_Asked]:
+    def _motions(self, newer: Receipt) -> list[_PendingOrder]:
         """Return the open orders that could move a drone of a newer order."""
         return [
             one
             for one in self._asked
-            if one.drone in newer.answers and one.receipt.verb in MOTION
+            if one.drone in newer.answers and one.receipt.verb in MOTION_ORDERS
         ]
 
     def _outdo(self, newer: Receipt, beside: Sequence[str]) -> None:
@@ -342,11 +383,11 @@ class Desk:
         for asked in self._motions(stop):
             self._drop(asked, "stop")
 
-    def _drop(self, asked: _Asked, by: str) -> None:
+    def _drop(self, asked: _PendingOrder, by: str) -> None:
         self._asked.pop(asked).cancel()
         self._withdrawn(asked.receipt, asked.drone, by)
 
-    def _replace(self, newer: _Stop) -> None:
+    def _replace(self, newer: _PendingStop) -> None:
         """Do not send older stops and clears to the targets of a newer stop any more.
 
         A stop of the whole swarm remains in force beside a stop of some drones.
@@ -357,12 +398,15 @@ class Desk:
                 continue
             older.targets[:] = [j for j in older.targets if j not in told]
             for i in newer.receipt.answers:
-                if older.receipt.answers.get(i, (DONE, ""))[0] in (SENT, SILENT):
+                if older.receipt.answers.get(i, (ANSWER_TEXTS.done, ""))[0] in (
+                    RECEIPT_KINDS.sent,
+                    RECEIPT_KINDS.silent,
+                ):
                     self._withdrawn(older.receipt, i, newer.receipt.verb)
 
     def _withdrawn(self, receipt: Receipt, i: int, by: str) -> None:
         """Mark an order as withdrawn; this is no trouble and not worth a line of the log."""
-        receipt.answers[i] = WITHDRAWN, f"by {by}"
+        receipt.answers[i] = RECEIPT_KINDS.withdrawn, f"by {by}"
         self._changed(receipt)
 
     def _changed(self, receipt: Receipt) -> None:
@@ -373,12 +417,16 @@ class Desk:
         if receipt.answers[i] != (kind, words):
             receipt.answers[i] = kind, words
             self._changed(receipt)
-            if kind in (REFUSED, SILENT, UNFINISHED):
+            if kind in (
+                ANSWER_TEXTS.refused,
+                RECEIPT_KINDS.silent,
+                RECEIPT_KINDS.unfinished,
+            ):
                 self.watch.add(f"{receipt.verb}: {kind}: {words}", "warning", i)
 
     async def _ask(
         self,
-        asked: _Asked,
+        asked: _PendingOrder,
         seconds: float,
         each: Callable[[int], Mapping[str, Any]],
         says: Callable[[Any], Any],
@@ -396,36 +444,43 @@ class Desk:
             self._answer(
                 receipt,
                 i,
-                SILENT,
+                RECEIPT_KINDS.silent,
                 f"no answer within {seconds:g} s; is its agent running?",
             )
             return
         except CrazyChoirError as error:
-            self._answer(receipt, i, REFUSED, str(error))
+            self._answer(receipt, i, ANSWER_TEXTS.refused, str(error))
             return
         except Exception as error:  # noqa: BLE001 - its receipt tells it
-            self._answer(receipt, i, REFUSED, error_text(error))
+            self._answer(receipt, i, ANSWER_TEXTS.refused, error_text(error))
             return
         finally:
             self._asked.pop(asked, None)
-        if asked.outdone and answer.kind == REFUSED:
+        if asked.outdone and answer.kind == ANSWER_TEXTS.refused:
             self._withdrawn(receipt, i, asked.outdone)
-        elif answer.kind == ACCEPTED:
+        elif answer.kind == ANSWER_TEXTS.accepted:
             self._answer(
-                receipt, i, UNFINISHED, f"accepted, not done within {seconds:g} s"
+                receipt,
+                i,
+                RECEIPT_KINDS.unfinished,
+                f"accepted, not done within {seconds:g} s",
             )
         else:
-            detail = says(answer.detail) if answer.kind == DONE else answer.detail
+            detail = (
+                says(answer.detail)
+                if answer.kind == ANSWER_TEXTS.done
+                else answer.detail
+            )
             self._answer(receipt, i, answer.kind, "" if detail is None else detail)
 
     async def _heard(
-        self, asked: _Asked, ends: float, arguments: Mapping[str, Any]
+        self, asked: _PendingOrder, ends: float, arguments: Mapping[str, Any]
     ) -> Answer:
         """Return the last answer of a drone; report if it does not acknowledge in time."""
         clock = self.place.clock
         i = asked.drone
         timer = clock.call_at(
-            clock.now_ns() + round(ACKNOWLEDGED * 1e9),
+            clock.now_ns() + round(ORDER_LIMITS.acknowledge_timeout * 1e9),
             self._unheard,
             asked.receipt,
             i,
@@ -437,45 +492,51 @@ class Desk:
             timer.cancel()
 
     async def _answered(
-        self, asked: _Asked, ends: float, arguments: Mapping[str, Any]
+        self, asked: _PendingOrder, ends: float, arguments: Mapping[str, Any]
     ) -> Answer:
         """Return the last answer of a drone; ask again for READY s if it is not ready yet."""
         clock = self.place.clock
         commander = self.place.commander
         verb = asked.receipt.verb
-        asks = min(ends, clock.now() + READY)
+        asks = min(ends, clock.now() + ORDER_LIMITS.ready_timeout)
         while True:
             left = ends - clock.now()
             answer = await commander.request(
                 asked.drone, verb, left, lambda: self._begun(asked), **arguments
             )
-            if not _waits(answer) or asked.outdone or clock.now() + RETRY >= asks:
+            if (
+                not _may_be_repeated(answer)
+                or asked.outdone
+                or clock.now() + ORDER_LIMITS.retry_period >= asks
+            ):
                 return answer
             asked.begun = False
-            await clock.sleep(RETRY)
+            await clock.sleep(ORDER_LIMITS.retry_period)
 
-    def _begun(self, asked: _Asked) -> None:
+    def _begun(self, asked: _PendingOrder) -> None:
         asked.begun = True
-        self._answer(asked.receipt, asked.drone, ACCEPTED)
+        self._answer(asked.receipt, asked.drone, ANSWER_TEXTS.accepted)
 
     def _unheard(self, receipt: Receipt, i: int) -> None:
-        if receipt.answers[i][0] == SENT:
+        if receipt.answers[i][0] == RECEIPT_KINDS.sent:
             why = (
-                f"not acknowledged within {ACKNOWLEDGED:g} s"
+                f"not acknowledged within {ORDER_LIMITS.acknowledge_timeout:g} s"
                 if self.place.is_there(i)
-                else ABSENT
+                else RECEIPT_TEXTS.absent
             )
-            self._answer(receipt, i, SENT, f"{why}; resent")
+            self._answer(receipt, i, RECEIPT_KINDS.sent, f"{why}; resent")
 
-    async def _stop(self, stop: _Stop) -> None:
+    async def _stop(self, stop: _PendingStop) -> None:
         """Send a stop to the agents, and to the bodies that other processes own.
 
         A drone has obeyed when both have. A clear is only sent for STOP s, because a late one is
         of no use.
         """
         clock = self.place.clock
-        limit = STOP if stop.clear else math.inf
-        timer = clock.call_at(clock.now_ns() + round(STOP * 1e9), self._silent, stop)
+        limit = ORDER_LIMITS.stop_timeout if stop.clear else math.inf
+        timer = clock.call_at(
+            clock.now_ns() + round(ORDER_LIMITS.stop_timeout * 1e9), self._silent, stop
+        )
         order = self.place.commander.emergency_stop(
             stop.targets, stop.clear, limit, stop.alone, stop.obeyed
         )
@@ -483,34 +544,45 @@ class Desk:
         try:
             while not sending.done():
                 self._tell_obeyed(stop)
-                await clock.sleep(LOOK)
+                await clock.sleep(ORDER_LIMITS.check_period)
             self._tell_obeyed(stop)
         finally:
             sending.cancel()
             timer.cancel()
             del self._stops[stop]
 
-    def _silent(self, stop: _Stop) -> None:
+    def _silent(self, stop: _PendingStop) -> None:
         """Mark the drones that have not acknowledged as silent; a stop is still sent to them."""
         still = "" if stop.clear else ", still sent"
         for i, (kind, _) in stop.receipt.answers.items():
-            if kind == SENT:
-                body = "; its body has obeyed" if BODIES + i in stop.obeyed else ""
+            if kind == RECEIPT_KINDS.sent:
+                body = (
+                    "; its body has obeyed"
+                    if PORT_ADDRESSES.body_offset + i in stop.obeyed
+                    else ""
+                )
                 self._answer(
                     stop.receipt,
                     i,
-                    SILENT,
-                    f"no acknowledgement within {STOP:g} s{still}{body}",
+                    RECEIPT_KINDS.silent,
+                    f"no acknowledgement within {ORDER_LIMITS.stop_timeout:g} s{still}{body}",
                 )
 
-    def _tell_obeyed(self, stop: _Stop) -> None:
+    def _tell_obeyed(self, stop: _PendingStop) -> None:
         for i, (kind, _) in stop.receipt.answers.items():
-            if kind in (SENT, SILENT) and stop.has_obeyed(i):
+            if kind in (RECEIPT_KINDS.sent, RECEIPT_KINDS.silent) and stop.has_obeyed(
+                i
+            ):
                 self._answer(
-                    stop.receipt, i, DONE, "cleared" if stop.clear else "motors off"
+                    stop.receipt,
+                    i,
+                    ANSWER_TEXTS.done,
+                    "cleared" if stop.clear else "motors off",
                 )
 
 
-def _waits(answer: Answer) -> bool:
+def _may_be_repeated(answer: Answer) -> bool:
     """Return whether the command may be repeated soon."""
-    return answer.kind == REFUSED and str(answer.detail).startswith(NOT_READY)
+    return answer.kind == ANSWER_TEXTS.refused and str(answer.detail).startswith(
+        ANSWER_TEXTS.not_ready
+    )

@@ -7,16 +7,16 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from crazychoir.dashboard.access import network_of
 
-IDLE = 5.0
+IDLE_CHECK_PERIOD = 5.0
 """Seconds between two checks of a connection.
 
 A request must arrive, and the next one follow an answer, within one to two such intervals.
 """
-MOST = 64
+MOST_CONNECTIONS_PER_ADDRESS = 64
 """Largest number of connections of one address, WebSockets included; a browser has some six."""
 
 
-class Guest(H11Protocol):  # type: ignore[misc]
+class GuestConnection(H11Protocol):  # type: ignore[misc]
     """One HTTP connection; it is no longer checked once it has become a WebSocket."""
 
     _answered: Any = None  # the request that had been answered at the last check
@@ -25,11 +25,14 @@ class Guest(H11Protocol):  # type: ignore[misc]
     def connection_made(self, transport: asyncio.Transport) -> None:
         """Accept the connection, or close it if its address has too many."""
         super().connection_made(transport)
-        mine = _network(self)
-        if sum(_network(one) == mine for one in self.connections) > MOST:
+        mine = _network_of_connection(self)
+        if (
+            sum(_network_of_connection(one) == mine for one in self.connections)
+            > MOST_CONNECTIONS_PER_ADDRESS
+        ):
             transport.close()
             return
-        self._timer = self.loop.call_later(IDLE, self._look)
+        self._timer = self.loop.call_later(IDLE_CHECK_PERIOD, self._look)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Stop the checks."""
@@ -46,8 +49,8 @@ class Guest(H11Protocol):  # type: ignore[misc]
             self.transport.close()
             return
         self._answered = self.cycle
-        self._timer = self.loop.call_later(IDLE, self._look)
+        self._timer = self.loop.call_later(IDLE_CHECK_PERIOD, self._look)
 
 
-def _network(connection: Any) -> str:
+def _network_of_connection(connection: Any) -> str:
     return network_of(connection.client[0]) if connection.client else ""

@@ -1,26 +1,42 @@
 """The drawing tab: canvas, pen, limits, the planned flight, and the drones that fly it."""
 
+from dataclasses import dataclass
 from typing import Any
 
 from crazychoir.dashboard.layout import button, choice, field, row, text
 
-HELP = (
-    "Draw, in one stroke or several; straight flights join them. Thin is what was drawn, thick what will be flown. "
-    "Choose in the table who flies it."
-)
-ABOVE = 0.7
-"""m: default height of a drawing above drones that hover where they took off."""
-BELOW = 0.3
-"""m: a drawing's default height is at least this far below the top of the fence."""
+
+@dataclass(frozen=True, slots=True)
+class DrawingTabDefaults:
+    """The help of the drawing tab, and the default height of a drawing."""
+
+    help_text: str = (
+        "Draw, in one stroke or several; straight flights join them. Thin is what was drawn, thick what will be flown. "
+        "Choose in the table who flies it."
+    )
+    """Text above the canvas."""
+    height_above_hover: float = 0.7
+    """m: default height of a drawing above drones that hover where they took off."""
+    distance_below_fence: float = 0.3
+    """m: a drawing's default height is at least this far below the top of the fence."""
 
 
-def build(about: dict[str, Any]) -> None:
+DRAWING_TAB = DrawingTabDefaults()
+
+
+def build_drawing_tab(about: dict[str, Any]) -> None:
     """Build the whole tab."""
     v_max = about["speed_limit"]
     a_max = about["acceleration_limit"]
-    height = round(min(about["height"] + ABOVE, about["fence"][1][2] - BELOW), 2)
+    height = round(
+        min(
+            about["height"] + DRAWING_TAB.height_above_hover,
+            about["fence"][1][2] - DRAWING_TAB.distance_below_fence,
+        ),
+        2,
+    )
     text(
-        f'<p class="help">{HELP}</p><canvas id="sketch" role="img" '
+        f'<p class="help">{DRAWING_TAB.help_text}</p><canvas id="sketch" role="img" '
         'aria-label="Drawing of a path, x to the right, y up; a file can be loaded instead"></canvas>'
     )
     with row():

@@ -4,18 +4,18 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Literal
 
-from crazychoir.bus.commands import COMMANDED
+from crazychoir.bus.commands import COMMANDED_PREFIX
 from crazychoir.runtime.clock import Clock
 
 Level = Literal["info", "warning", "error"]
-KEPT = 500
+MOST_LOG_LINES = 500
 """Number of lines that are kept."""
-GRAVE = ("failed", "hangs", "late by")
+ERROR_WORDS = ("failed", "hangs", "late by")
 """Words that mark an error: a part of an agent has failed, or a process's loop hangs."""
 
 
 @dataclass(frozen=True)
-class Line:
+class LogLine:
     """One line of the log."""
 
     number: int
@@ -30,19 +30,19 @@ class Line:
     """Id of the drone, None for the page itself."""
 
 
-class Watch:
+class EventLog:
     """The log with its newest lines."""
 
     def __init__(self, clock: Clock) -> None:
         self.clock = clock
-        self._lines: deque[Line] = deque(maxlen=KEPT)
+        self._lines: deque[LogLine] = deque(maxlen=MOST_LOG_LINES)
         self.count = 0
 
     def add(self, text: str, level: Level = "info", drone: int | None = None) -> None:
         """Add one line."""
         self.count += 1
         self._lines.append(
-            Line(self.count, round(self.clock.now(), 2), level, text, drone)
+            LogLine(self.count, round(self.clock.now(), 2), level, text, drone)
         )
 
     def told(self, i: int, text: str, grave: bool = False) -> None:
@@ -53,10 +53,10 @@ class Watch:
         """
         bare = text.removeprefix(f"drone {i}: ")
         trouble: Level = (
-            "error" if grave or any(word in bare for word in GRAVE) else "warning"
+            "error" if grave or any(word in bare for word in ERROR_WORDS) else "warning"
         )
-        self.add(bare, "info" if bare.startswith(COMMANDED) else trouble, i)
+        self.add(bare, "info" if bare.startswith(COMMANDED_PREFIX) else trouble, i)
 
-    def after(self, number: int) -> list[Line]:
+    def after(self, number: int) -> list[LogLine]:
         """Return the lines after line `number`, oldest first."""
         return [line for line in self._lines if line.number > number]

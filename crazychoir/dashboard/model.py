@@ -9,38 +9,48 @@ from typing import Any
 import numpy as np
 
 from crazychoir.bus.port import Bus
-from crazychoir.bus.topics import LINK, LOG, REFERENCE, RESULT, STATE, STATUS, Topic
+from crazychoir.bus.topics import DRONE_TOPICS, Topic
 from crazychoir.config.checks import limit_area
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.dashboard.event_log import Watch
-from crazychoir.dashboard.recent_loss import Lately, share
+from crazychoir.dashboard.event_log import EventLog
+from crazychoir.dashboard.recent_loss import RecentCounts, lost_share
 from crazychoir.runtime.mailbox import Call
 from crazychoir.types import FullState, LinkStatus, State, Status, Vec
 
-RATE = 30.0
-"""Hz, of states."""
-SELDOM = 10.0
-"""Hz, of references."""
-LINKS = 4.0
-"""Hz, of the state of radio links."""
-WINDOW = 5.0
-"""Seconds over which a share of lost messages is taken."""
-STALE = 2.0
-"""Seconds without a status after which a drone counts as not heard."""
-SILENT = LINK.max_age + 1.0 / LINKS
+
+@dataclass(frozen=True, slots=True)
+class PageDataLimits:
+    """Rates at which the page receives data, and how long it counts."""
+
+    state_rate: float = 30.0
+    """Hz: rate of the states, and of the frames of a page."""
+    reference_rate: float = 10.0
+    """Hz: rate of the references."""
+    link_rate: float = 4.0
+    """Hz: rate of the states of radio links."""
+    loss_window: float = 5.0
+    """Seconds over which a share of lost messages is taken."""
+    status_timeout: float = 2.0
+    """Seconds without a status after which a drone counts as not heard."""
+    most_rounds: int = 240
+    """Number of rounds in the curves of costs."""
+
+
+PAGE_DATA = PageDataLimits()
+
+
+LINK_STATUS_TIMEOUT = DRONE_TOPICS.link.max_age + 1.0 / PAGE_DATA.link_rate
 """Seconds after which the last message about a radio link is too old to be used."""
-COLUMNS = 17
+FRAME_COLUMNS = 17
 """Numbers in a row of a frame: p, v, q, w as in State, the age in s, p of the reference."""
-AGE = 13
+AGE_COLUMN = 13
 """Column of the age."""
-WANTED = slice(14, 17)
+REFERENCE_COLUMNS = slice(14, 17)
 """Columns of the reference position."""
-KEPT = 240
-"""Number of rounds in the curves of costs."""
 
 
 @dataclass
-class Seen:
+class LastMessages:
     """The last messages of one drone."""
 
     status: Status | None = None
@@ -53,7 +63,9 @@ class Seen:
     """s, when the link was in that state."""
     result: dict[str, Any] | None = None
     """Result of its mission."""
-    lately: Lately = field(default_factory=lambda: Lately(WINDOW))
+    lately: RecentCounts = field(
+        default_factory=lambda: RecentCounts(PAGE_DATA.loss_window)
+    )
     """Recent counts of its messages to other drones."""
 
 
@@ -64,26 +76,38 @@ class SwarmModel:
     """
 
     def __init__(
-        self, bus: Bus, address: int, config: SwarmConfig, watch: Watch
+        self, bus: Bus, address: int, config: SwarmConfig, watch: EventLog
     ) -> None:
         self.bus = bus
         self.address = address
         self.config = config
         self.watch = watch
-        self.drones = {i: Seen() for i in config.ids}
+        self.drones = {i: LastMessages() for i in config.ids}
         self._plans: dict[
             int, dict[int, tuple[float, float]]
         ] = {}  # by round and drone: its cost and the value of its relaxation
-        self._rows = np.full((len(config.ids), COLUMNS), np.nan, dtype="<f4")
+        self._rows = np.full((len(config.ids), FRAME_COLUMNS), np.nan, dtype="<f4")
         self._seen = np.full(len(config.ids), -np.inf)
         self._wanted = np.full(len(config.ids), -np.inf)
         for k, i in enumerate(config.ids):
-            self._read(STATE, i, partial(self._hear_state, k), RATE)
-            self._read(REFERENCE, i, partial(self._hear_reference, k), SELDOM)
-            self._read(STATUS, i, partial(self._hear_status, i))
-            self._read(LINK, i, partial(self._hear_link, i), LINKS)
-            self._read(RESULT, i, partial(self._hear_result, i))
-            self._read(LOG, i, partial(self._hear_log, i))
+            self._read(
+                DRONE_TOPICS.state,
+                i,
+                partial(self._hear_state, k),
+                PAGE_DATA.state_rate,
+            )
+            self._read(
+                DRONE_TOPICS.reference,
+                i,
+                partial(self._hear_reference, k),
+                PAGE_DATA.reference_rate,
+            )
+            self._read(DRONE_TOPICS.status, i, partial(self._hear_status, i))
+            self._read(
+                DRONE_TOPICS.link, i, partial(self._hear_link, i), PAGE_DATA.link_rate
+            )
+            self._read(DRONE_TOPICS.result, i, partial(self._hear_result, i))
+            self._read(DRONE_TOPICS.log, i, partial(self._hear_log, i))
 
     def _read(
         self,
@@ -102,7 +126,7 @@ class SwarmModel:
         self._seen[k] = self.bus.clock.now() - max(age, state.age)
 
     def _hear_reference(self, k: int, reference: FullState, age: float) -> None:
-        self._rows[k, WANTED] = reference.p
+        self._rows[k, REFERENCE_COLUMNS] = reference.p
         self._wanted[k] = self.bus.clock.now() - age
 
     def _hear_status(self, i: int, status: Status, age: float) -> None:
@@ -124,7 +148,7 @@ class SwarmModel:
             }
         if math.isfinite(status.cost):
             self._plans.setdefault(status.round, {})[i] = status.cost, status.relaxed
-            if len(self._plans) > KEPT:
+            if len(self._plans) > PAGE_DATA.most_rounds:
                 del self._plans[min(self._plans)]
 
     def _hear_link(self, i: int, link: LinkStatus, age: float) -> None:
@@ -152,7 +176,10 @@ class SwarmModel:
     def heard_by(self, i: int) -> int:
         """Return how many drones drone i hears, itself included; 0 if i is not heard here."""
         seen = self.drones[i]
-        if seen.status is None or self.bus.clock.now() - seen.heard > STALE:
+        if (
+            seen.status is None
+            or self.bus.clock.now() - seen.heard > PAGE_DATA.status_timeout
+        ):
             return 0
         return len(self.config.ids) - len(seen.status.suspect) - len(seen.status.gone)
 
@@ -164,8 +191,10 @@ class SwarmModel:
         """
         now = self.bus.clock.now()
         rows = self._rows
-        rows[:, AGE] = now - self._seen
-        rows[now - self._wanted > REFERENCE.max_age, WANTED] = np.nan
+        rows[:, AGE_COLUMN] = now - self._seen
+        rows[now - self._wanted > DRONE_TOPICS.reference.max_age, REFERENCE_COLUMNS] = (
+            np.nan
+        )
         return np.float64(now).tobytes() + rows.tobytes()
 
     def about(self) -> dict[str, Any]:
@@ -176,12 +205,12 @@ class SwarmModel:
             "swarm": config.name,
             "mission": config.mission,
             "ids": list(config.ids),
-            "rate": RATE,
+            "rate": PAGE_DATA.state_rate,
             "edges": sorted({(min(arc), max(arc)) for arc in config.graph().arcs}),
             "fence": [list(config.fence.min), list(config.fence.max)],
             "limit": [list(low), list(high)],
             "ground": config.flight.ground,
-            "columns": COLUMNS,
+            "columns": FRAME_COLUMNS,
             "leaders": [drone.id for drone in config.drones if drone.leader],
             "speed_limit": config.flight.speed_limit,
             "acceleration_limit": config.flight.acceleration_limit,
@@ -196,7 +225,11 @@ class SwarmModel:
         """
         of = {k: list(self._plans[k].values()) for k in sorted(self._plans)}
         return [
-            (k, _mean(cost for cost, _ in told), _mean(relaxed for _, relaxed in told))
+            (
+                k,
+                _mean_of_finite(cost for cost, _ in told),
+                _mean_of_finite(relaxed for _, relaxed in told),
+            )
             for k, told in of.items()
         ]
 
@@ -210,47 +243,49 @@ class SwarmModel:
         status = seen.status or Status("")
         row: dict[str, Any] = {
             "id": i,
-            "heard": now - seen.heard < STALE,
+            "heard": now - seen.heard < PAGE_DATA.status_timeout,
             "phase": status.phase,
             "task": status.task,
             "stopped": status.stopped,
             "round": status.round,
-            "cost": _known(status.cost),
-            "lost": round(share(seen.lately), 3),
+            "cost": _round_finite(status.cost),
+            "lost": round(lost_share(seen.lately), 3),
             "process": status.process,
             "host": status.host,
             "note": status.note,
             "suspect": status.suspect,
             "gone": status.gone,
-            "age": _known(float(now - self._seen[k]), 2),
+            "age": _round_finite(float(now - self._seen[k]), 2),
         }
         return (
-            row if seen.link is None else row | _reached(seen.link, now - seen.linked)
+            row
+            if seen.link is None
+            else row | _link_state(seen.link, now - seen.linked)
         )
 
 
-def _reached(link: LinkStatus, age: float) -> dict[str, Any]:
+def _link_state(link: LinkStatus, age: float) -> dict[str, Any]:
     """Return the state of a drone's radio link, `age` s old.
 
     If it is too old, return only for how long the link has been silent.
     """
-    if age > SILENT:
+    if age > LINK_STATUS_TIMEOUT:
         return {"link": "silent", "silent": round(age, 1)}
     return {
         "link": link.state,
-        "latency": _known(link.latency, 4),
-        "answered": _known(link.answered, 3),
-        "rssi": _known(link.rssi, 0),
-        "battery": _known(link.battery, 2),
+        "latency": _round_finite(link.latency, 4),
+        "answered": _round_finite(link.answered, 3),
+        "rssi": _round_finite(link.rssi, 0),
+        "battery": _round_finite(link.battery, 2),
     }
 
 
-def _mean(x: Iterable[float]) -> float:
+def _mean_of_finite(x: Iterable[float]) -> float:
     """Return the mean of the finite values, NaN if there are none."""
     known = [value for value in x if math.isfinite(value)]
     return float(np.mean(known)) if known else math.nan
 
 
-def _known(value: float, digits: int = 3) -> float | None:
+def _round_finite(value: float, digits: int = 3) -> float | None:
     """Return the rounded value, None if it is not finite."""
     return round(value, digits) if math.isfinite(value) else None

@@ -8,16 +8,16 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 
 from crazychoir.agent.sketch import (
-    Planned,
-    loaded_with_words,
-    messages,
-    places,
-    planned,
-    saved,
+    PlannedSketch,
+    flight_messages,
+    flight_places,
+    load_with_remarks,
+    plan_sketch,
+    strokes_as_text,
 )
-from crazychoir.config.network import changes, in_words
+from crazychoir.config.network import impairment_changes, rules_in_words
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.dashboard.commands import Desk
+from crazychoir.dashboard.commands import CommandDesk
 from crazychoir.dashboard.polling import TaskBoard
 from crazychoir.dashboard.requests import (
     AddTask,
@@ -36,26 +36,28 @@ from crazychoir.dashboard.requests import (
 )
 from crazychoir.errors import ConfigError
 from crazychoir.planning.drawing.drawing import Pen
-from crazychoir.team.graph import span
+from crazychoir.team.graph import describe_ids
 
 P = ParamSpec("P")
 T = TypeVar("T")
 Work = Callable[[], Coroutine[Any, Any, dict[str, Any] | None]]
 """Work that takes a while; it returns the answer for the page."""
-SCOPE = 2
+MOST_LINK_ENDS = 2
 """Largest number of drones that can select a link."""
-REACHES = 60.0
+PATH_START_TIMEOUT = 60.0
 """Seconds that a drone gets to reach the begin of a drawn path."""
 
 
-class Operator:
+class PageOperator:
     """The operator of one page."""
 
-    def __init__(self, config: SwarmConfig, desk: Desk, board: TaskBoard) -> None:
+    def __init__(
+        self, config: SwarmConfig, desk: CommandDesk, board: TaskBoard
+    ) -> None:
         self.config = config
         self.desk = desk
         self.board = board
-        self._plan: Planned | None = None
+        self._plan: PlannedSketch | None = None
         self._drawn, self._planning = 0, asyncio.Lock()
 
     def asked(self, message: Message) -> Work | None:
@@ -77,9 +79,9 @@ class Operator:
             case Fly():
                 self._fly(message)
             case Load(name, text):
-                return partial(_loaded, name, text)
+                return partial(_answer_load_in_thread, name, text)
             case Save(strokes, kind):
-                return partial(_saved, strokes, kind)
+                return partial(_answer_save_in_thread, strokes, kind)
             case Impair():
                 self._impair(message)
             case AddTask(pickup, delivery, load):
@@ -116,7 +118,7 @@ class Operator:
                 raise ConfigError("cut off", "no drones", "the drones of one side")
             told["cut"] = {"since": 0.0, "a": list(drones)}
             words.append("cut off")
-        elif drones is not None and len(drones) > SCOPE:
+        elif drones is not None and len(drones) > MOST_LINK_ENDS:
             raise ConfigError(
                 "drones",
                 f"{len(drones)} of them",
@@ -124,17 +126,17 @@ class Operator:
             )
         elif drones is not None:
             told |= {"drone": drones[0]} if len(drones) == 1 else {"edge": list(drones)}
-        words.append(span(drones) if drones else "all links")
+        words.append(describe_ids(drones) if drones else "all links")
         self.desk.order(
             "impair",
             words=", ".join(words),
-            each=lambda i: told | changes(given),
-            says=lambda network: "; ".join(in_words(network)),
+            each=lambda i: told | impairment_changes(given),
+            says=lambda network: "; ".join(rules_in_words(network)),
         )
 
     def _go_to(self, message: GoTo) -> None:
         drones = self._checked(message.drones)
-        goals = places(message.p, message.offset, drones, self.config)
+        goals = flight_places(message.p, message.offset, drones, self.config)
         self.desk.order(
             "go-to",
             goals,
@@ -162,7 +164,9 @@ class Operator:
         async with self._planning:
             if number != self._drawn:
                 return None
-            plan = await _aside(planned, message.strokes, pen, self.config, **limits)
+            plan = await _run_in_thread(
+                plan_sketch, message.strokes, pen, self.config, **limits
+            )
         if number != self._drawn:
             return None
         self._plan = plan
@@ -179,9 +183,11 @@ class Operator:
             )
         drones = self._checked(message.drones)
         told = asyncio.create_task(
-            _aside(messages, plan.path, drones, message.offset, self.config)
+            _run_in_thread(
+                flight_messages, plan.path, drones, message.offset, self.config
+            )
         )
-        seconds = plan.path.duration + REACHES
+        seconds = plan.path.duration + PATH_START_TIMEOUT
         words = f"{plan.path.duration:.1f} s"
         self.desk.order(
             "fly", drones, seconds, words, each=lambda i: told.result()[i], first=told
@@ -197,29 +203,33 @@ class Operator:
         """
         for i in drones:
             if i not in self.config.ids:
-                raise ConfigError("drones", i, span(self.config.ids))
+                raise ConfigError("drones", i, describe_ids(self.config.ids))
         return tuple(dict.fromkeys(drones))
 
 
-def loaded(text: str, name: str) -> dict[str, Any]:
+def answer_load(text: str, name: str) -> dict[str, Any]:
     """Return the answer to Load: the strokes, and remarks on parts that cannot be flown."""
-    strokes, words = loaded_with_words(text, name)
+    strokes, words = load_with_remarks(text, name)
     return {"remarks": words, "strokes": strokes}
 
 
-async def _loaded(name: str, text: str) -> dict[str, Any]:
-    return await _aside(loaded, text, name)
+async def _answer_load_in_thread(name: str, text: str) -> dict[str, Any]:
+    return await _run_in_thread(answer_load, text, name)
 
 
-async def _saved(strokes: Strokes, kind: str) -> dict[str, Any]:
+async def _answer_save_in_thread(strokes: Strokes, kind: str) -> dict[str, Any]:
     return {
         "saved": {
-            "text": await _aside(saved, [np.array(stroke) for stroke in strokes], kind),
+            "text": await _run_in_thread(
+                strokes_as_text, [np.array(stroke) for stroke in strokes], kind
+            ),
             "kind": kind,
         }
     }
 
 
-async def _aside(work: Callable[P, T], *arguments: P.args, **named: P.kwargs) -> T:
+async def _run_in_thread(
+    work: Callable[P, T], *arguments: P.args, **named: P.kwargs
+) -> T:
     """Run a long computation in a thread and return its result."""
     return await asyncio.to_thread(work, *arguments, **named)

@@ -1,6 +1,7 @@
 """The page: its layout, and the request behind each button. The rest is in static/."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from html import escape
 from pathlib import Path
@@ -21,9 +22,9 @@ from crazychoir.dashboard.layout import (
     text,
 )
 
-THREE = Path(nicegui.__file__).parent / "elements" / "scene" / "dist"
+THREE_JS_FOLDER = Path(nicegui.__file__).parent / "elements" / "scene" / "dist"
 """Folder of NiceGUI's own three.js."""
-VERBS = {
+COMMAND_LABELS = {
     "arm": "Arm",
     "take-off": "Take off",
     "start": "Start",
@@ -33,18 +34,32 @@ VERBS = {
     "home": "Fly home",
 }
 """Labels of the buttons, by command."""
-HEAD = """<link rel="stylesheet" href="/own/page.css"><script type="module">
-import { start } from "/own/page.js"; start();</script>"""
 
-SAID = """<p id="kept" role="alert" hidden><span id="kept-said"></span> <button id="kept-send" hidden>Send it
+
+@dataclass(frozen=True, slots=True)
+class PageHtml:
+    """Fixed parts of the page in HTML."""
+
+    head: str = """<link rel="stylesheet" href="/own/page.css"><script type="module">
+import { start } from "/own/page.js"; start();</script>"""
+    """The style sheet and the program."""
+    notices: str = """<p id="kept" role="alert" hidden><span id="kept-said"></span>
+<button id="kept-send" hidden>Send it
 now</button> <button id="kept-withdraw">Withdraw</button></p><p id="stopped" role="alert"></p>
 <p id="trouble" role="alert"></p><p id="newest" role="status"></p>"""
-CLEAR = """<dialog id="clear" aria-labelledby="clear-what"><form method="dialog"><p id="clear-what">Is the
+    """Places of the notices above the commands."""
+    clear_dialog: str = """<dialog id="clear" aria-labelledby="clear-what"><form method="dialog">
+<p id="clear-what">Is the
 emergency stop to end? Space still stops all.</p><button value="no" autofocus>Cancel</button>
 <button value="yes">End it</button></form></dialog>"""
+    """Dialog before an emergency stop is cleared."""
+    link_legend: str = """<p class="help legend">
+Links: <em>simulated</em> loss from green, 0 %, to red, 67 %; grey where an end
+is not heard.</p>"""
+    """Legend of the links in the scene."""
 
-LINKS = """<p class="help legend">Links: <em>simulated</em> loss from green, 0 %, to red, 67 %; grey where an end is not
-heard.</p>"""
+
+PAGE_HTML = PageHtml()
 
 
 class Page:
@@ -55,21 +70,21 @@ class Page:
         self.swarm = str(about["swarm"])
         self.panels: dict[str, tuple[str, Callable[[], None]]] = {
             "fly": ("Fly", self._fly),
-            "draw": ("Draw", partial(drawing_tab.build, about)),
-            "tasks": ("Tasks", _tasks),
-            "network": ("Network", _network),
+            "draw": ("Draw", partial(drawing_tab.build_drawing_tab, about)),
+            "tasks": ("Tasks", _build_tasks),
+            "network": ("Network", _build_network),
             "plots": ("Plots", self._plots),
-            "log": ("Log", _log),
+            "log": ("Log", _build_log),
         }
 
     def build(self) -> None:
         """Build the page of one browser."""
-        ui.add_body_html(HEAD)
+        ui.add_body_html(PAGE_HTML.head)
         ui.colors(primary="#0b5cad", positive="#1a7f37", negative="#c0182b")
         self._top()
         with ui.element("main").classes("board"):
             with card("view", "view of the room"):
-                text(f'<div id="scene"></div>{LINKS}')
+                text(f'<div id="scene"></div>{PAGE_HTML.link_legend}')
             with card("side", "controls"):
                 tabs({name: label for name, (label, _) in self.panels.items()})
                 for name, (_, build) in self.panels.items():
@@ -88,13 +103,13 @@ class Page:
             button("Light or dark", "turn()", "flat dense")
             button("Clear stop", "clearStop()", "outline")
             button("STOP ALL (space)", "stopAll()", color="negative").classes("stop")
-            text(CLEAR)
-            text(SAID).classes("said")
+            text(PAGE_HTML.clear_dialog)
+            text(PAGE_HTML.notices).classes("said")
 
     def _fly(self) -> None:
         text('<h2>Commands <span id="chosen" role="status"></span></h2>')
         with row():
-            for verb, label in VERBS.items():
+            for verb, label in COMMAND_LABELS.items():
                 button(label, f"order('{verb}')")
             button("Motors off", "stopChosen()", "outline", color="negative")
         text("<h3>Go to a place</h3>")
@@ -117,7 +132,7 @@ class Page:
         text(f'<h2>Plots</h2>{choice("plotted", "Of", ids)}<div id="plots"></div>')
 
 
-def _tasks() -> None:
+def _build_tasks() -> None:
     text('<h2>Tasks</h2><p id="tasks-said" role="status"></p>')
     with row():
         text(
@@ -138,7 +153,7 @@ def _tasks() -> None:
     text('<ul id="tasks" class="lines"></ul>')
 
 
-def _network() -> None:
+def _build_network() -> None:
     text(
         '<h2>Simulated network</h2><p class="help">None chosen: all links. One drone: its links. Two: the link '
         'between them.</p><p>In force: <span id="network-said">not known yet</span></p>'
@@ -154,7 +169,7 @@ def _network() -> None:
         button("Take everything back", "network.clear()", "outline")
 
 
-def _log() -> None:
+def _build_log() -> None:
     levels = choice(
         "level", "From level", {name: name for name in ("info", "warning", "error")}
     )

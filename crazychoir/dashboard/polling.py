@@ -2,31 +2,41 @@
 
 import asyncio
 import math
+from dataclasses import dataclass
 from typing import Any
 
-from crazychoir.bus.commands import DONE, REFUSED
-from crazychoir.config.network import in_words
-from crazychoir.dashboard.commands import Desk, Receipt
+from crazychoir.bus.commands import ANSWER_TEXTS
+from crazychoir.config.network import rules_in_words
+from crazychoir.dashboard.commands import CommandDesk, Receipt
 from crazychoir.dashboard.model import SwarmModel
-from crazychoir.dashboard.recent_loss import Lately, share
+from crazychoir.dashboard.recent_loss import RecentCounts, lost_share
 from crazychoir.runtime.actor import Actor
-from crazychoir.team.graph import span
+from crazychoir.team.graph import describe_ids
 
-OVERVIEWS = 8.0
-"""Hz: requests for an overview, to one drone after the other."""
-TASKS = 1.0
-"""Hz: requests for the list of tasks, to one drone."""
-LATER = 10.0
-"""Seconds before a swarm without tasks is asked for tasks again."""
-PATIENCE = 0.8
-"""Seconds to wait for an answer to such a request."""
-WINDOW = 4.0
-"""Shortest time in seconds over which a share of lost messages is taken.
 
-It is longer if two turns through all drones take longer.
-"""
-MOST_ASKED = 3
-"""A task request goes to at most this many drones, one after the other, until one accepts it."""
+@dataclass(frozen=True, slots=True)
+class PollingLimits:
+    """Rates and limits of the requests to drones while a page is open."""
+
+    overview_rate: float = 8.0
+    """Hz: requests for an overview, to one drone after the other."""
+    task_rate: float = 1.0
+    """Hz: requests for the list of tasks, to one drone."""
+    no_tasks_pause: float = 10.0
+    """Seconds before a swarm without tasks is asked for tasks again."""
+    answer_timeout: float = 0.8
+    """Seconds to wait for an answer to such a request."""
+    shortest_loss_window: float = 4.0
+    """Shortest time in seconds over which a share of lost messages is taken.
+
+    It is longer if two turns through all drones take longer.
+    """
+    most_asked_drones: int = 3
+    """A task request goes to at most this many drones, one after the other, until one accepts it.
+    """
+
+
+POLLING_LIMITS = PollingLimits()
 
 
 class Overview(Actor):
@@ -40,25 +50,28 @@ class Overview(Actor):
 
     name = "overview"
 
-    def __init__(self, desk: Desk) -> None:
+    def __init__(self, desk: CommandDesk) -> None:
         self.desk = desk
         self.ids = desk.place.config.ids
         self.watched = False
         self.lost: dict[tuple[int, int], float] = {}
         self.routes: dict[int, list[list[float]]] = {}
         self.networks: dict[int, dict[str, Any]] = {}
-        self._of: dict[tuple[int, int], Lately] = {}
+        self._of: dict[tuple[int, int], RecentCounts] = {}
 
     async def run(self) -> None:
         """Ask the drones in turn; forget route and network of a drone that does not answer."""
         k = 0
-        window = max(WINDOW, 2.0 * len(self.ids) / OVERVIEWS)
-        async for _ in self.desk.place.clock.ticks(OVERVIEWS):
+        window = max(
+            POLLING_LIMITS.shortest_loss_window,
+            2.0 * len(self.ids) / POLLING_LIMITS.overview_rate,
+        )
+        async for _ in self.desk.place.clock.ticks(POLLING_LIMITS.overview_rate):
             if not self.watched:
                 continue
             i = self.ids[k % len(self.ids)]
             k += 1
-            answer = await _answer(self.desk, i, "overview")
+            answer = await _answer_of_drone(self.desk, i, "overview")
             self.routes.pop(i, None)
             self.networks.pop(i, None)
             if answer is None:
@@ -81,11 +94,11 @@ class Overview(Actor):
         """
         same: dict[str, list[int]] = {}
         for i in sorted(self.networks):
-            same.setdefault("; ".join(in_words(self.networks[i])), []).append(i)
+            same.setdefault("; ".join(rules_in_words(self.networks[i])), []).append(i)
         if not same:
             return None
         words = [
-            text if len(same) == 1 else f"drones {span(ids)}: {text}"
+            text if len(same) == 1 else f"drones {describe_ids(ids)}: {text}"
             for text, ids in same.items()
         ]
         return {
@@ -94,11 +107,11 @@ class Overview(Actor):
         }
 
     def _note(self, i: int, j: int, sent: int, lost: int, window: float) -> None:
-        self._of.setdefault((i, j), Lately(window)).note(
+        self._of.setdefault((i, j), RecentCounts(window)).note(
             self.desk.place.clock.now(), sent, lost
         )
         both = [self._of[pair] for pair in ((i, j), (j, i)) if pair in self._of]
-        self.lost[min(i, j), max(i, j)] = share(*both)
+        self.lost[min(i, j), max(i, j)] = lost_share(*both)
 
 
 class TaskBoard(Actor):
@@ -106,7 +119,7 @@ class TaskBoard(Actor):
 
     name = "tasks"
 
-    def __init__(self, desk: Desk, model: SwarmModel) -> None:
+    def __init__(self, desk: CommandDesk, model: SwarmModel) -> None:
         self.desk = desk
         self.ids = desk.place.config.ids
         self.model = model
@@ -119,7 +132,7 @@ class TaskBoard(Actor):
 
     async def run(self) -> None:
         """Ask one drone regularly, the next one if it does not answer."""
-        async for _ in self.desk.place.clock.ticks(TASKS):
+        async for _ in self.desk.place.clock.ticks(POLLING_LIMITS.task_rate):
             if self.watched and self.desk.place.clock.now() >= self._again:
                 await self.look()
 
@@ -137,13 +150,15 @@ class TaskBoard(Actor):
             if 2 * self.model.heard_by(self.ids[(self._k + k) % n]) > n
         )
         self._k += next(steps, 0)
-        answer = await _answer(
+        answer = await _answer_of_drone(
             self.desk, self.ids[self._k % len(self.ids)], "task_list"
         )
         if answer is None:
             self._k += 1
             if self._k % len(self.ids) == 0:
-                self._again = self.desk.place.clock.now() + LATER
+                self._again = (
+                    self.desk.place.clock.now() + POLLING_LIMITS.no_tasks_pause
+                )
         else:
             self.tasks = answer["tasks"]
 
@@ -162,20 +177,24 @@ class TaskBoard(Actor):
         do it. No other drone is asked then.
         """
         first = self._k % len(self.ids)
-        for i in [*self.ids[first:], *self.ids[:first]][:MOST_ASKED]:
+        for i in [*self.ids[first:], *self.ids[:first]][
+            : POLLING_LIMITS.most_asked_drones
+        ]:
             receipt = self.desk.order(verb, [i], words=words, each=lambda i: arguments)
             await self.desk.settled(receipt)
-            if receipt.answers[i][0] != REFUSED:
+            if receipt.answers[i][0] != ANSWER_TEXTS.refused:
                 break
         self._again = -math.inf
         await self.look()
         return receipt
 
 
-async def _answer(desk: Desk, i: int, verb: str) -> Any:
+async def _answer_of_drone(desk: CommandDesk, i: int, verb: str) -> Any:
     """Return the answer of drone i; None if it refuses or does not answer."""
     try:
-        answer = await desk.place.commander.request(i, verb, PATIENCE)
+        answer = await desk.place.commander.request(
+            i, verb, POLLING_LIMITS.answer_timeout
+        )
     except TimeoutError:
         return None
-    return answer.detail if answer.kind == DONE else None
+    return answer.detail if answer.kind == ANSWER_TEXTS.done else None

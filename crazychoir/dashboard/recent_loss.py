@@ -3,7 +3,7 @@
 from collections import deque
 
 
-class Lately:
+class RecentCounts:
     """Recent counts of one sender.
 
     window: s, older counts are forgotten, except the last two.
@@ -31,7 +31,7 @@ class Lately:
         return sent_now - sent, lost_now - lost
 
 
-def share(*of: Lately) -> float:
+def lost_share(*of: RecentCounts) -> float:
     """Return the lost share of the messages of all these senders."""
     counts = [one.counts for one in of]
     return sum(lost for _, lost in counts) / max(sum(sent for sent, _ in counts), 1)

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta, Struct
 
-from crazychoir.agent.sketch import HAND
+from crazychoir.agent.sketch import SKETCH_LIMITS
 
 MOST_DRONES = 1000
 """Largest number of drones in a message."""
@@ -85,7 +85,7 @@ class Draw(Ask, frozen=True):
     """rad, see Pen."""
     timing: Literal["even", "drawn"] = "even"
     """See Pen."""
-    smoothing: Annotated[float, Meta(ge=0.0, le=1.0)] = HAND
+    smoothing: Annotated[float, Meta(ge=0.0, le=1.0)] = SKETCH_LIMITS.hand_deviation
     """m, see Pen."""
     v_max: Annotated[float, Meta(gt=0.01, le=20.0)] = 0.5
     """m/s, at most that of [flight]."""
@@ -157,10 +157,10 @@ class CancelTask(Ask, frozen=True, tag="cancel-task"):
 
 Message = Order | Stop | GoTo | Draw | Fly | Load | Save | Impair | AddTask | CancelTask
 """Any message of a page."""
-_READER = msgspec.json.Decoder(Message)
+_MESSAGE_DECODER = msgspec.json.Decoder(Message)
 
 
-def read(text: str | bytes) -> Message:
+def decode_page_message(text: str | bytes) -> Message:
     """Return the message; raises msgspec.ValidationError or DecodeError, with the reason."""
-    message: Message = _READER.decode(text)
+    message: Message = _MESSAGE_DECODER.decode(text)
     return message

@@ -15,53 +15,63 @@ from fastapi import FastAPI, WebSocket, WebSocketDisconnect
 from nicegui import ui
 from starlette.staticfiles import StaticFiles
 
-from crazychoir.agent.dead_man import Console, is_console
+from crazychoir.agent.dead_man import ConsoleReporter, is_console
 from crazychoir.bus.port import Bus
-from crazychoir.dashboard.access import LOOPBACK, MOST_BODY, Gate
-from crazychoir.dashboard.commands import Desk, Place
-from crazychoir.dashboard.connection_limits import Guest
-from crazychoir.dashboard.event_log import Watch
+from crazychoir.dashboard.access import REQUEST_RULES, AccessGate
+from crazychoir.dashboard.commands import CommandDesk, CommandPlace
+from crazychoir.dashboard.connection_limits import GuestConnection
+from crazychoir.dashboard.event_log import EventLog
 from crazychoir.dashboard.model import SwarmModel
-from crazychoir.dashboard.operator import Operator
-from crazychoir.dashboard.page import THREE, Page
+from crazychoir.dashboard.operator import PageOperator
+from crazychoir.dashboard.page import THREE_JS_FOLDER, Page
 from crazychoir.dashboard.polling import Overview, TaskBoard
-from crazychoir.dashboard.stream import Stream
+from crazychoir.dashboard.stream import PageStream
 from crazychoir.errors import ConfigError
 from crazychoir.runtime.supervisor import Supervisor
 
-PORT = 8765
-"""First port that is tried if none is given."""
-PORTS = 20
-"""Number of ports that are tried; the first free one is used."""
-STATIC = Path(__file__).with_name("static")
+
+@dataclass(frozen=True, slots=True)
+class PageServerLimits:
+    """Ports and limits of the page's server."""
+
+    first_port: int = 8765
+    """First port that is tried if none is given."""
+    tried_ports: int = 20
+    """Number of ports that are tried; the first free one is used."""
+    shutdown_time: int = 1
+    """Seconds that open connections get when the server ends."""
+    most_connections: int = 512
+    """Beyond this number of connections requests are refused; open WebSockets stay open."""
+
+
+PAGE_SERVER = PageServerLimits()
+
+
+STATIC_FOLDER = Path(__file__).with_name("static")
 """Folder of the page's own scripts and styles."""
-GRACE = 1
-"""Seconds that open connections get when the server ends."""
-MOST_CONNECTIONS = 512
-"""Beyond this number of connections requests are refused; open WebSockets stay open."""
-USUAL = {"http": 80, "https": 443}
+DEFAULT_PORTS = {"http": 80, "https": 443}
 """Default ports, which browsers leave out of an address."""
 
 
-class Link(Protocol):
+class PageLink(Protocol):
     """The part of a network connection that the page needs."""
 
     bus: Bus
 
 
-class Outlook(Place, Protocol):
+class PagePlace(CommandPlace, Protocol):
     """A place on the network that observes and commands."""
 
     address: int
 
     @property
-    def link(self) -> Link:
+    def link(self) -> PageLink:
         """Its connection to the network."""
         ...
 
 
 @dataclass(frozen=True)
-class Served:
+class PageAddress:
     """The address of a page, and the conditions to open it.
 
     Raises ConfigError if other machines could open it without a password or certificate, or if
@@ -108,7 +118,7 @@ class Served:
         """Raise ConfigError if the certificate, key or authority file cannot be used."""
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         if self.certificate is not None:
-            with _readable(
+            with _refuse_unreadable(
                 "--certificate",
                 f"{self.certificate}, {self.key}",
                 "a PEM certificate and its own key",
@@ -117,7 +127,7 @@ class Served:
                     self.certificate, self.key, lambda: ""
                 )  # an empty password, so that OpenSSL never asks for one
         if self.authority is not None:
-            with _readable(
+            with _refuse_unreadable(
                 "--authority", str(self.authority), "a PEM file of certificates"
             ):
                 context.load_verify_locations(self.authority)
@@ -149,8 +159,8 @@ class Served:
         """
         if not self.loopback:
             return None
-        names = tuple(dict.fromkeys((*LOOPBACK, self.name)))
-        bare = names if port == USUAL[self.scheme] else ()
+        names = tuple(dict.fromkeys((*REQUEST_RULES.loopback_names, self.name)))
+        bare = names if port == DEFAULT_PORTS[self.scheme] else ()
         return (*(f"{name}:{port}" for name in names), *bare)
 
     def bound(self) -> socket.socket:
@@ -158,7 +168,13 @@ class Served:
 
         Raises ConfigError if the address is not one of this machine, or if the port is taken.
         """
-        ports = [self.port] if self.port is not None else range(PORT, PORT + PORTS)
+        ports = (
+            [self.port]
+            if self.port is not None
+            else range(
+                PAGE_SERVER.first_port, PAGE_SERVER.first_port + PAGE_SERVER.tried_ports
+            )
+        )
         for port in ports:
             try:
                 family = socket.AF_INET6 if ":" in self.host else socket.AF_INET
@@ -168,7 +184,7 @@ class Served:
         where = (
             f"{self.host}:{self.port}"
             if self.port is not None
-            else f"{self.host}:{PORT} to {PORT + PORTS - 1}"
+            else f"{self.host}:{PAGE_SERVER.first_port} to {PAGE_SERVER.first_port + PAGE_SERVER.tried_ports - 1}"
         )
         raise ConfigError(
             "--port",
@@ -179,7 +195,7 @@ class Served:
 
 
 @contextlib.contextmanager
-def _readable(option: str, found: str, allowed: str) -> Iterator[None]:
+def _refuse_unreadable(option: str, found: str, allowed: str) -> Iterator[None]:
     try:
         yield
     except ssl.SSLError as error:
@@ -193,7 +209,9 @@ def _readable(option: str, found: str, allowed: str) -> Iterator[None]:
         ) from error
 
 
-async def serve(place: Outlook, served: Served, say: Callable[[str], None]) -> None:
+async def serve(
+    place: PagePlace, served: PageAddress, say: Callable[[str], None]
+) -> None:
     """Serve the page of a swarm until a signal ends it.
 
     place: the place on the network.
@@ -203,31 +221,33 @@ async def serve(place: Outlook, served: Served, say: Callable[[str], None]) -> N
     bus = place.link.bus
     clock = place.clock
     config = place.config
-    watch = Watch(clock)
+    watch = EventLog(clock)
     model = SwarmModel(bus, place.address, config, watch)
-    desk = Desk(place, watch)
+    desk = CommandDesk(place, watch)
     overview = Overview(desk)
     board = TaskBoard(desk, model)
-    stream = Stream(model, desk, watch, overview, board)
+    stream = PageStream(model, desk, watch, overview, board)
     listening = served.bound()
     port = listening.getsockname()[1]
-    app = _app(stream, lambda: Operator(config, desk, board), Page(model.about()))
-    gate = Gate(
+    app = _make_app(
+        stream, lambda: PageOperator(config, desk, board), Page(model.about())
+    )
+    gate = AccessGate(
         app, clock, served.hosts(port), served.password, tls=served.scheme == "https"
     )
     server = uvicorn.Server(
         uvicorn.Config(
             gate,
-            http=Guest,
+            http=GuestConnection,
             log_level="warning",
             lifespan="on",
-            ws_max_size=MOST_BODY,
+            ws_max_size=REQUEST_RULES.largest_body,
             ws_per_message_deflate=False,
             ws_max_queue=8,
-            timeout_graceful_shutdown=GRACE,
+            timeout_graceful_shutdown=PAGE_SERVER.shutdown_time,
             server_header=False,
             proxy_headers=False,
-            limit_concurrency=MOST_CONNECTIONS,
+            limit_concurrency=PAGE_SERVER.most_connections,
             ssl_certfile=served.certificate,
             ssl_keyfile=served.key,
             ssl_ca_certs=served.authority,
@@ -236,15 +256,15 @@ async def serve(place: Outlook, served: Served, say: Callable[[str], None]) -> N
             else ssl.CERT_REQUIRED,
         )
     )
-    if served.port is None and port != PORT:
+    if served.port is None and port != PAGE_SERVER.first_port:
         say(
-            f"port {PORT} is taken, as by the page of another swarm: this one is at {port}"
+            f"port {PAGE_SERVER.first_port} is taken, as by the page of another swarm: this one is at {port}"
         )
     say(
         f"page of swarm {config.name}: {served.scheme}://{served.name}:{port}; Ctrl-C ends it, and the swarm flies on"
     )
     console = (
-        [Console(place.commander, config.ids)]
+        [ConsoleReporter(place.commander, config.ids)]
         if not place.replays and is_console(config, bus.host)
         else []
     )
@@ -260,7 +280,7 @@ async def serve(place: Outlook, served: Served, say: Callable[[str], None]) -> N
         listening.close()
 
 
-class _Line:
+class _PageSocket:
     """A WebSocket that raises ConnectionError when it has ended, in every case; see Socket."""
 
     def __init__(self, websocket: WebSocket) -> None:
@@ -300,16 +320,18 @@ def _ending() -> Iterator[None]:
         raise ConnectionError(str(error)) from error
 
 
-def _app(stream: Stream, operator: Callable[[], Operator], page: Page) -> FastAPI:
+def _make_app(
+    stream: PageStream, operator: Callable[[], PageOperator], page: Page
+) -> FastAPI:
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
 
     async def line(websocket: WebSocket) -> None:
         await websocket.accept()
-        await stream.serve(_Line(websocket), operator())
+        await stream.serve(_PageSocket(websocket), operator())
 
     app.add_api_websocket_route("/line", line)
-    app.mount("/own", StaticFiles(directory=STATIC))
-    app.mount("/three", StaticFiles(directory=THREE))
+    app.mount("/own", StaticFiles(directory=STATIC_FOLDER))
+    app.mount("/three", StaticFiles(directory=THREE_JS_FOLDER))
     ui.page("/", title=f"{page.swarm} · crazychoir")(page.build)
     ui.run_with(
         app,

@@ -5,38 +5,53 @@ import logging
 import math
 from collections import deque
 from collections.abc import Callable, Coroutine
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
+from enum import IntEnum
 from typing import Any, Protocol
 
 import msgspec
 
-from crazychoir.dashboard.commands import Desk
-from crazychoir.dashboard.event_log import Watch
-from crazychoir.dashboard.model import RATE, SwarmModel
+from crazychoir.dashboard.commands import CommandDesk
+from crazychoir.dashboard.event_log import EventLog
+from crazychoir.dashboard.model import PAGE_DATA, SwarmModel
 from crazychoir.dashboard.polling import Overview, TaskBoard
-from crazychoir.dashboard.requests import Message, Stop, read
+from crazychoir.dashboard.requests import Message, Stop, decode_page_message
 from crazychoir.errors import CrazyChoirError, error_text
 from crazychoir.files.path_texts import json_bytes
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
 
 log = logging.getLogger(__name__)
-TABLES = 2.0
-"""Hz, of the table of drones."""
-MOST_PAGES = 32
-"""Largest number of open pages."""
-MOST_ASKED = 60
-"""Messages of a page within PER_SECONDS s; further ones are refused, except stops."""
-FLOOD = 600
-"""Messages of a page within PER_SECONDS s after which the page is closed."""
-PER_SECONDS = 2.0
-"""Seconds over which messages of a page are counted."""
-TOLD = 1.0
-"""Seconds between two notices to a page that it sends too much."""
-POLICY = 1008
-"""WebSocket close code: the page has broken a rule."""
-TOO_MANY = 1013
-"""WebSocket close code: try again later."""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamLimits:
+    """Limits of the open pages and of their messages."""
+
+    table_rate: float = 2.0
+    """Hz: rate of the table of drones."""
+    most_pages: int = 32
+    """Largest number of open pages."""
+    most_messages: int = 60
+    """Messages of a page within PER_SECONDS s; further ones are refused, except stops."""
+    flood_messages: int = 600
+    """Messages of a page within PER_SECONDS s after which the page is closed."""
+    counting_time: float = 2.0
+    """Seconds over which messages of a page are counted."""
+    notice_interval: float = 1.0
+    """Seconds between two notices to a page that it sends too much."""
+
+
+STREAM_LIMITS = StreamLimits()
+
+
+class CloseCode(IntEnum):
+    """Codes with which the WebSocket of a page is closed (RFC 6455; IANA's registry)."""
+
+    POLICY_VIOLATION = 1008
+    """WebSocket close code: the page has broken a rule."""
+    TRY_AGAIN_LATER = 1013
+    """WebSocket close code: try again later."""
 
 
 class Socket(Protocol):
@@ -66,7 +81,7 @@ Work = Callable[[], Coroutine[Any, Any, dict[str, Any] | None]]
 """Work that takes a while; it returns the answer for the page that asked for it, or None."""
 
 
-class Answering(Protocol):
+class RequestHandler(Protocol):
     """Carries out a page's requests."""
 
     def asked(self, message: Message) -> Work | None:
@@ -77,14 +92,14 @@ class Answering(Protocol):
         ...
 
 
-class _Pace:
+class _MessageRate:
     """Rate of the messages of one page."""
 
     def __init__(self, clock: Clock) -> None:
         self.clock = clock
         self._all, self._taken = (
-            deque[float](maxlen=FLOOD),
-            deque[float](maxlen=MOST_ASKED),
+            deque[float](maxlen=STREAM_LIMITS.flood_messages),
+            deque[float](maxlen=STREAM_LIMITS.most_messages),
         )
         self._told = -math.inf
 
@@ -92,7 +107,10 @@ class _Pace:
         """Count one message and return whether it is accepted."""
         now = self.clock.now()
         self._all.append(now)
-        if len(self._taken) == MOST_ASKED and now - self._taken[0] < PER_SECONDS:
+        if (
+            len(self._taken) == STREAM_LIMITS.most_messages
+            and now - self._taken[0] < STREAM_LIMITS.counting_time
+        ):
             return False
         self._taken.append(now)
         return True
@@ -100,17 +118,20 @@ class _Pace:
     def tells(self) -> bool:
         """Return whether it is time to tell the page that it sends too much."""
         now = self.clock.now()
-        due = now - self._told >= TOLD
+        due = now - self._told >= STREAM_LIMITS.notice_interval
         self._told = now if due else self._told
         return due
 
     @property
     def flood(self) -> bool:
         """Whether the page sends so much that it must be closed."""
-        return len(self._all) == FLOOD and self._all[-1] - self._all[0] < PER_SECONDS
+        return (
+            len(self._all) == STREAM_LIMITS.flood_messages
+            and self._all[-1] - self._all[0] < STREAM_LIMITS.counting_time
+        )
 
 
-class Stream(Actor):
+class PageStream(Actor):
     """All open pages. A slow page gets fewer frames, and no other page waits for it."""
 
     name = "stream"
@@ -118,8 +139,8 @@ class Stream(Actor):
     def __init__(
         self,
         model: SwarmModel,
-        desk: Desk,
-        watch: Watch,
+        desk: CommandDesk,
+        watch: EventLog,
         overview: Overview,
         board: TaskBoard,
     ) -> None:
@@ -137,9 +158,9 @@ class Stream(Actor):
 
     async def run(self) -> None:
         """Make each frame once for all pages."""
-        every = round(RATE / TABLES)
+        every = round(PAGE_DATA.state_rate / STREAM_LIMITS.table_rate)
         count = 0
-        async for _ in self.clock.ticks(RATE):
+        async for _ in self.clock.ticks(PAGE_DATA.state_rate):
             self.overview.watched = self.board.watched = self.pages > 0
             if not self.pages:
                 continue
@@ -166,10 +187,13 @@ class Stream(Actor):
             **self.overview.news(),
         }
 
-    async def serve(self, socket: Socket, answering: Answering) -> None:
+    async def serve(self, socket: Socket, answering: RequestHandler) -> None:
         """Serve one page until it is gone."""
-        if self.pages >= MOST_PAGES:
-            await socket.close(TOO_MANY, f"{MOST_PAGES} pages look on already")
+        if self.pages >= STREAM_LIMITS.most_pages:
+            await socket.close(
+                CloseCode.TRY_AGAIN_LATER,
+                f"{STREAM_LIMITS.most_pages} pages look on already",
+            )
             return
         self.pages += 1
         telling = asyncio.create_task(self._tell(socket))
@@ -183,11 +207,11 @@ class Stream(Actor):
             await asyncio.gather(telling, hearing, return_exceptions=True)
         for task in (telling, hearing):
             error = None if task.cancelled() else task.exception()
-            if error is not None and not _gone(error):
+            if error is not None and not _is_gone(error):
                 raise error
 
     async def _tell(self, socket: Socket) -> None:
-        await socket.send_text(_text({"about": self.model.about()}))
+        await socket.send_text(_json_text({"about": self.model.about()}))
         told = 0
         line = 0
         version = 0
@@ -201,40 +225,48 @@ class Stream(Actor):
                 receipts = self.desk.after(version)
                 version = self.desk.version
                 await socket.send_text(
-                    _text({"receipts": [asdict(receipt) for receipt in receipts]})
+                    _json_text({"receipts": [asdict(receipt) for receipt in receipts]})
                 )
             if self.watch.count > line:
                 lines = self.watch.after(line)
                 line = self.watch.count
-                await socket.send_text(_text({"log": [asdict(one) for one in lines]}))
+                await socket.send_text(
+                    _json_text({"log": [asdict(one) for one in lines]})
+                )
             if self.tables != told:
                 told = self.tables
                 await socket.send_text(self.table.decode())
 
-    async def _hear(self, socket: Socket, answering: Answering) -> None:
+    async def _hear(self, socket: Socket, answering: RequestHandler) -> None:
         """Receive the messages of a page.
 
         No request waits for an earlier one: a stop may come while a drawing is planned. Commands
         are given before the next message is read, even if the page has gone by then.
         """
-        pace = _Pace(self.clock)
+        pace = _MessageRate(self.clock)
         async with asyncio.TaskGroup() as group:
             while True:
                 text = await socket.receive_text()
                 reply = self._asked(text, answering, pace)
                 if pace.flood:
-                    await socket.close(POLICY, f"{FLOOD} messages in {PER_SECONDS:g} s")
+                    await socket.close(
+                        CloseCode.POLICY_VIOLATION,
+                        f"{STREAM_LIMITS.flood_messages} messages in {STREAM_LIMITS.counting_time:g} s",
+                    )
                     raise ConnectionError("closed")
                 if reply is not None:
                     group.create_task(self._reply(socket, reply))
 
     def _asked(
-        self, text: str, answering: Answering, pace: _Pace
+        self, text: str, answering: RequestHandler, pace: _MessageRate
     ) -> Work | dict[str, Any] | None:
         """Return the answer to the page, or the work that returns it."""
-        message = _message(text)
+        message = _decode_message(text)
         if not isinstance(message, Stop) and not pace.takes():
-            why = f"what a page asks for beyond {MOST_ASKED} messages in {PER_SECONDS:g} s"
+            why = (
+                f"what a page asks for beyond {STREAM_LIMITS.most_messages} messages in "
+                f"{STREAM_LIMITS.counting_time:g} s"
+            )
             return self._not_done(why) if pace.tells() else None
         if isinstance(message, Exception):
             return self._refused(message)
@@ -246,7 +278,7 @@ class Stream(Actor):
     async def _reply(self, socket: Socket, reply: Work | dict[str, Any]) -> None:
         told = reply if isinstance(reply, dict) else await self._done(reply)
         if told is not None:
-            await socket.send_text(_text(told))
+            await socket.send_text(_json_text(told))
 
     async def _done(self, work: Work) -> dict[str, Any] | None:
         try:
@@ -267,20 +299,20 @@ class Stream(Actor):
         return {"refused": why}
 
 
-def _message(text: str) -> Message | Exception:
+def _decode_message(text: str) -> Message | Exception:
     """Return the message, or the error if the text is not a valid message."""
     try:
-        return read(text)
+        return decode_page_message(text)
     except Exception as error:  # noqa: BLE001 - the page is told, whatever is wrong with its text
         return error
 
 
-def _gone(error: BaseException) -> bool:
+def _is_gone(error: BaseException) -> bool:
     """Return whether the error says only that the page is gone."""
     if isinstance(error, BaseExceptionGroup):
-        return all(map(_gone, error.exceptions))
+        return all(map(_is_gone, error.exceptions))
     return isinstance(error, ConnectionError)
 
 
-def _text(value: Any) -> str:
+def _json_text(value: Any) -> str:
     return json_bytes(value, enc_hook=str).decode()

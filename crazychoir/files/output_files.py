@@ -10,19 +10,29 @@ import secrets
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from crazychoir.errors import ConfigError
 
-CANNOT_REPLACE = (errno.EBUSY, errno.EPERM, errno.EACCES)
-"""Errors of a file that can be written, but not replaced."""
-LONGEST_SUFFIX = 64  # characters of a suffix that a temporary name keeps
-PROBE = b"\0" * 4096
-"""Bytes written into a new file and removed again.
 
-A full disk still creates files, but cannot fill them.
-"""
+@dataclass(frozen=True, slots=True)
+class OutputFileRules:
+    """How an output file is tried out and replaced."""
+
+    replacing_errors: tuple[int, ...] = (errno.EBUSY, errno.EPERM, errno.EACCES)
+    """Errors of a file that can be written, but not replaced."""
+    longest_suffix: int = 64
+    """Characters of a suffix that a temporary name keeps."""
+    probe: bytes = b"\0" * 4096
+    """Bytes written into a new file and removed again.
+
+    A full disk still creates files, but cannot fill them.
+    """
+
+
+OUTPUT_FILE_RULES = OutputFileRules()
 
 
 def require_writable_file(
@@ -124,7 +134,9 @@ def output_file(path: str | Path, what: str) -> Iterator[Path]:
 
 def _new_file_beside(place: Path) -> Path:
     """Make an empty file in the folder of `place` under a name that was free, with the usual permissions."""
-    suffix = place.suffix if len(place.suffix) <= LONGEST_SUFFIX else ""
+    suffix = (
+        place.suffix if len(place.suffix) <= OUTPUT_FILE_RULES.longest_suffix else ""
+    )
     while True:
         new = place.with_name(f".{secrets.token_hex(8)}{suffix}")
         try:
@@ -142,7 +154,7 @@ def _put_in_place(new: Path, place: Path) -> None:
     try:
         new.replace(place)
     except OSError as error:
-        if error.errno not in CANNOT_REPLACE or not place.exists():
+        if error.errno not in OUTPUT_FILE_RULES.replacing_errors or not place.exists():
             raise
         shutil.copyfile(new, place)
 
@@ -178,7 +190,7 @@ def _probe(path: Path) -> None:
     with contextlib.suppress(FileNotFoundError):
         path.lstat()
     with tempfile.TemporaryFile(dir=path.parent, buffering=0) as file:
-        if file.write(PROBE) < len(PROBE):
+        if file.write(OUTPUT_FILE_RULES.probe) < len(OUTPUT_FILE_RULES.probe):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
 

@@ -4,6 +4,7 @@ import contextlib
 import os
 import tempfile
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from crazychoir.errors import ConfigError
@@ -16,22 +17,34 @@ from crazychoir.files.user_folders import (
     write_fault,
 )
 
-ALLOWED = "a folder of this user alone"
-"""The allowed folder, for errors."""
-REMOVE_IT = (
-    f"Remove it, if need be as root; or set {RUNTIME_VARIABLE} to a folder of yours, "
-    "alike in every shell and service."
-)
-"""Advice if another user has taken the place, by mistake or on purpose."""
-NAME_ANOTHER = (
-    f"Let {RUNTIME_VARIABLE} name a folder of yours that others cannot use "
-    "(mkdir -m 700 FOLDER), alike in every shell and service."
-)
-"""What to do where the folder was named, and must not be changed or removed."""
+
+@dataclass(frozen=True, slots=True)
+class FolderTexts:
+    """What is allowed as the private folder, and what to do about another one, for errors."""
+
+    allowed: str = "a folder of this user alone"
+    """The allowed folder, for errors."""
+    remove_it: str = (
+        f"Remove it, if need be as root; or set {RUNTIME_VARIABLE} to a folder of yours, "
+        "alike in every shell and service."
+    )
+    """Advice if another user has taken the place, by mistake or on purpose."""
+    name_another: str = (
+        f"Let {RUNTIME_VARIABLE} name a folder of yours that others cannot use "
+        "(mkdir -m 700 FOLDER), alike in every shell and service."
+    )
+    """What to do where the folder was named, and must not be changed or removed."""
+
+
+FOLDER_TEXTS = FolderTexts()
 
 
 def _remedy(folder: Path) -> str:
-    return REMOVE_IT if folder == private_folder_of(os.getuid()) else NAME_ANOTHER
+    return (
+        FOLDER_TEXTS.remove_it
+        if folder == private_folder_of(os.getuid())
+        else FOLDER_TEXTS.name_another
+    )
 
 
 def runtime_folder() -> Path:
@@ -45,7 +58,7 @@ def runtime_folder() -> Path:
     folder = private_folder()
     fault = make_private(folder)
     if fault:
-        raise ConfigError(str(folder), fault, ALLOWED, _remedy(folder))
+        raise ConfigError(str(folder), fault, FOLDER_TEXTS.allowed, _remedy(folder))
     return folder
 
 
@@ -60,7 +73,7 @@ def existing_runtime_folder() -> Path | None:
     except FileNotFoundError:
         return None
     if fault:
-        raise ConfigError(str(folder), fault, ALLOWED, _remedy(folder))
+        raise ConfigError(str(folder), fault, FOLDER_TEXTS.allowed, _remedy(folder))
     return folder
 
 

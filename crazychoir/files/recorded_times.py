@@ -2,19 +2,35 @@
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from crazychoir.errors import ConfigError
 
-LARGEST_TIME = 1e11  # s
-"""What is beyond is no time in seconds, from whatever origin: 1970 was 1.8e9 s ago, which are 1.8e12 ms."""
-LONGEST_GAP = 600.0  # s
-"""Between two rows: beyond, the clock of the recording was set, and a replay would wait for as long."""
-SLOWEST_PERIOD = 2.0  # s
-"""Half of the rows of a recording come faster than that, where times are in s."""
-PERIODS = (1e-4, 1.0)  # s
-"""Between two rows of a recording, for guessing the unit of times that are not in s."""
-UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # s
+
+@dataclass(frozen=True, slots=True)
+class RecordedTimeLimits:
+    """Limits by which the unit of recorded times, and jumps of their clock, are recognised."""
+
+    largest_time: float = 1e11
+    """s: a larger number is no time in seconds from whatever origin; 1970 was 1.8e9 s ago, which
+    are 1.8e12 ms.
+    """
+    longest_gap: float = 600.0
+    """s between two rows: with a longer gap the clock of the recording was set, and a replay would
+    wait for as long.
+    """
+    slowest_period: float = 2.0
+    """s: half of the rows of a recording come faster, where times are in s."""
+    plausible_periods: tuple[float, ...] = (1e-4, 1.0)
+    """s: shortest and longest period of rows, for guessing the unit of times that are not in s.
+    """
+
+
+RECORDED_TIME_LIMITS = RecordedTimeLimits()
+
+
+TIME_UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # s
 
 
 def require_seconds(
@@ -30,20 +46,27 @@ def require_seconds(
     different = sorted(set(times))
     periods = sorted(b - a for a, b in itertools.pairwise(different))
     period = periods[len(periods) // 2] if periods else 0.0
-    if largest < LARGEST_TIME and (len(different) < least or period < SLOWEST_PERIOD):
+    if largest < RECORDED_TIME_LIMITS.largest_time and (
+        len(different) < least or period < RECORDED_TIME_LIMITS.slowest_period
+    ):
         return
     found = f"t = {times[lines.index(line)]!r}, rows {period:g} apart"
     fits = [
         unit
-        for unit, factor in UNITS.items()
-        if PERIODS[0] <= period * factor <= PERIODS[1]
+        for unit, factor in TIME_UNITS.items()
+        if RECORDED_TIME_LIMITS.plausible_periods[0]
+        <= period * factor
+        <= RECORDED_TIME_LIMITS.plausible_periods[1]
     ]
     do = (
         f"They are {' or '.join(fits)}, as it seems: convert t to s."
         if fits
         else "Convert t to s."
     )
-    allowed = f"t in s: below {LARGEST_TIME:g} s, from any origin, and mostly less than {SLOWEST_PERIOD:g} s apart"
+    allowed = (
+        f"t in s: below {RECORDED_TIME_LIMITS.largest_time:g} s, from any origin, and "
+        f"mostly less than {RECORDED_TIME_LIMITS.slowest_period:g} s apart"
+    )
     raise ConfigError(f"{path}, line {line}", found, allowed, do)
 
 
@@ -58,10 +81,10 @@ def require_later(path: str | Path, line: int, before: float, t: float) -> None:
     do = "The clock of the recording was set there: cut the file in two, or shift the times that follow."
     if t < before:
         raise ConfigError(where, f"t = {t!r}", f"{before!r} or more, as before", do)
-    if t - before > LONGEST_GAP:
+    if t - before > RECORDED_TIME_LIMITS.longest_gap:
         raise ConfigError(
             where,
             f"t = {t!r}, {t - before:.6g} s after the row before",
-            f"{LONGEST_GAP:g} s",
+            f"{RECORDED_TIME_LIMITS.longest_gap:g} s",
             do,
         )

@@ -1,21 +1,32 @@
 """Read the text files of a user: swarm files, instances, tables, drawings."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from crazychoir.errors import ConfigError
 
-BYTE_ORDER_MARK = "\ufeff"
-"""The mark that may begin a text."""
-UTF_8 = b"\xef\xbb\xbf"
-"""The byte-order mark in UTF-8."""
-WIDE_MARKS = (
-    (b"\xff\xfe\x00\x00", "UTF-32"),
-    (b"\x00\x00\xfe\xff", "UTF-32"),
-    (b"\xff\xfe", "UTF-16"),
-    (b"\xfe\xff", "UTF-16"),
-)
-"""First bytes of texts in other encodings, longer ones first."""
-AS_UTF_8 = "Save it as UTF-8: with an editor, or by `iconv -f ENCODING -t UTF-8 FILE > NEW_FILE`."
+
+@dataclass(frozen=True, slots=True)
+class TextMarks:
+    """First characters and bytes that tell the encoding of a text."""
+
+    byte_order_mark: str = "\ufeff"
+    """The mark that may begin a text."""
+    utf_8_mark: bytes = b"\xef\xbb\xbf"
+    """The byte-order mark in UTF-8."""
+    wide_marks: tuple[tuple[bytes, str], ...] = (
+        (b"\xff\xfe\x00\x00", "UTF-32"),
+        (b"\x00\x00\xfe\xff", "UTF-32"),
+        (b"\xff\xfe", "UTF-16"),
+        (b"\xfe\xff", "UTF-16"),
+    )
+    """First bytes of texts in other encodings, longer ones first."""
+
+
+TEXT_MARKS = TextMarks()
+
+
+UTF_8_ADVICE = "Save it as UTF-8: with an editor, or by `iconv -f ENCODING -t UTF-8 FILE > NEW_FILE`."
 """Advice for a file in another encoding."""
 
 
@@ -57,34 +68,38 @@ def decode_text(
 
     where: name of the file for errors; the other arguments are the same as for `read_text`
     """
-    for mark, encoding in WIDE_MARKS:
+    for mark, encoding in TEXT_MARKS.wide_marks:
         if data.startswith(mark):
             found = f"a text in {encoding}, by its first bytes {mark.hex(' ')}"
             raise kind(
                 where,
                 found,
                 f"{allowed}, in UTF-8",
-                AS_UTF_8.replace("ENCODING", encoding),
+                UTF_8_ADVICE.replace("ENCODING", encoding),
             )
     zero = data.find(b"\0")
     if zero >= 0:
         found = f"a zero byte at {_place(data, zero)}: UTF-16 without a byte-order mark, or no text"
-        raise kind(where, found, f"{allowed}, in UTF-8", AS_UTF_8)
+        raise kind(where, found, f"{allowed}, in UTF-8", UTF_8_ADVICE)
     try:
         text = data.decode()
     except UnicodeDecodeError as error:
         found = f"bytes that are not UTF-8: {data[error.start]:#04x} at {_place(data, error.start)}"
-        raise kind(where, found, f"{allowed}, in UTF-8", AS_UTF_8) from error
+        raise kind(where, found, f"{allowed}, in UTF-8", UTF_8_ADVICE) from error
     if exact:
         return text
-    return text.lstrip(BYTE_ORDER_MARK).replace("\r\n", "\n").replace("\r", "\n")
+    return (
+        text.lstrip(TEXT_MARKS.byte_order_mark)
+        .replace("\r\n", "\n")
+        .replace("\r", "\n")
+    )
 
 
 def _place(data: bytes, position: int) -> str:
     """Return the line and column of a byte, both from 1; columns count characters."""
     before = (
         data[:position]
-        .removeprefix(UTF_8)
+        .removeprefix(TEXT_MARKS.utf_8_mark)
         .replace(b"\r\n", b"\n")
         .replace(b"\r", b"\n")
     )

@@ -9,6 +9,7 @@ import os
 import stat
 import sys
 import uuid
+from dataclasses import dataclass
 from pathlib import Path
 
 RUNTIME_VARIABLE = "CRAZYCHOIR_RUNTIME_DIR"
@@ -21,10 +22,24 @@ SHARED_FOLDER = "/tmp"  # noqa: S108 - the private folder below it is checked: i
 
 It is not TMPDIR or XDG_RUNTIME_DIR: a login shell, cron and sudo set these to different folders.
 """
-PROBE_SIZE = 1 << 16  # bytes: a folder must have room for so many
-PRIVATE_MODE = 0o700  # permissions of the private folder
-FOR_OTHERS = 0o077  # permissions of the group and of all others
-WARNING = "cache: "
+
+
+@dataclass(frozen=True, slots=True)
+class FolderRequirements:
+    """Room and permissions that the folders of a user need."""
+
+    probe_size: int = 1 << 16
+    """bytes: a folder must have room for so many."""
+    private_mode: int = 0o700
+    """Permissions of the private folder."""
+    others_mask: int = 0o077
+    """Permissions of the group and of all others."""
+
+
+FOLDER_REQUIREMENTS = FolderRequirements()
+
+
+CACHE_WARNING = "cache: "
 """Start of every warning about a cache.
 
 A run prints only the first warning of its processes about each cache.
@@ -33,7 +48,7 @@ TOLD_VARIABLE = "CRAZYCHOIR_TOLD"
 """Environment variable with the caches about which this process, or its parent, has warned."""
 
 
-def home() -> Path | None:
+def user_home() -> Path | None:
     """Return the home of this user.
 
     Returns None if HOME is not set and the system does not know the user.
@@ -58,7 +73,7 @@ def cache_home() -> Path | None:
     if os.path.isabs(named):
         folder = Path(named)
     else:
-        own = home()
+        own = user_home()
         if own is None:
             return None
         folder = own / ".cache"
@@ -92,7 +107,7 @@ def write_fault(folder: Path) -> str:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         try:
-            probe.write_bytes(bytes(PROBE_SIZE))
+            probe.write_bytes(bytes(FOLDER_REQUIREMENTS.probe_size))
         finally:
             probe.unlink(missing_ok=True)
     except OSError as error:
@@ -136,19 +151,19 @@ def make_private(folder: Path) -> str:
     Raises OSError if it cannot be made.
     """
     try:
-        folder.mkdir(mode=PRIVATE_MODE)
+        folder.mkdir(mode=FOLDER_REQUIREMENTS.private_mode)
     except FileExistsError:
         fault = owner_fault(folder, os.getuid())
         if fault:
             return fault
         mode = stat.S_IMODE(folder.lstat().st_mode)
-        if not mode & FOR_OTHERS:
+        if not mode & FOLDER_REQUIREMENTS.others_mask:
             return ""
         if folder != private_folder_of(
             os.getuid()
         ):  # a folder that was named, such as /tmp
             return f"others may use it, as its mode is {mode:o}"
-        folder.chmod(PRIVATE_MODE)
+        folder.chmod(FOLDER_REQUIREMENTS.private_mode)
     return ""
 
 
@@ -186,7 +201,7 @@ def prepare_matplotlib() -> None:
     """
     if os.environ.get("MPLCONFIGDIR") or sys.platform == "win32":
         return
-    own = home()
+    own = user_home()
     configuration = os.environ.get("XDG_CONFIG_HOME") or (own and own / ".config")
     cache = os.environ.get("XDG_CACHE_HOME") or (own and own / ".cache")
     if all(

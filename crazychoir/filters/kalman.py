@@ -1,93 +1,151 @@
 """A Kalman filter of the poses of motion capture that knows the commands of its drone."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from crazychoir.filters.motion import RATE_LAG, STANDING, Commanded, fly, stands
-from crazychoir.filters.velocity import ROUNDING, SOONEST, lateness, readable
+from crazychoir.filters.motion import (
+    RATE_LAG,
+    STANDING_TOLERANCE,
+    CommandedMotion,
+    advance_flight,
+    is_standing,
+)
+from crazychoir.filters.velocity import POSE_TIMING, compute_lateness, is_readable
 from crazychoir.numerics.kernels import kernel, memory, real, table, vector
 from crazychoir.numerics.math3d import (
     Triple,
     clip,
-    conjugate,
-    exponential,
-    finite,
-    logarithm,
-    product,
-    unit,
+    is_finite,
+    normalize_quaternion,
+    quaternion_conjugate,
+    quaternion_product,
+    rotation_exponential,
+    rotation_logarithm,
 )
 from crazychoir.types import Mat, Pose, State, Vec
 
-GATE = 25.0
-"""Chi-square of 3 degrees of freedom: one good pose of 65 000 is beyond it."""
-SLACK_P = 0.002
-"""Standard deviation in m that a manoeuvre adds, for the gate only."""
-SLACK_ANGLE = 0.035
-"""Standard deviation in rad that a manoeuvre adds, for the gate only."""
-DOUBTS = (
-    5  # poses in a row beyond the gate after which the filter is wrong, not the poses
-)
-UNKNOWN_V = 1.0  # m/s, standard deviation at a start
-UNKNOWN_D = 5.0  # m/s2, standard deviation at a start
-UNKNOWN_W = 3.0  # rad/s, standard deviation at a start
-SHAKY_V = 0.01  # m/s, standard deviation on the floor
-DOUBTFUL_D = 0.5  # m/s2, standard deviation on the floor
-FADE = 0.5  # s, in which d fades without measurements
-HISTORY = 512  # commands that are remembered: 2.1 s at 240 Hz
-LATE = 0.02
-"""Lag in s that stands for the delays of command and measurement behind a known rate loop."""
-FINE = 0.0025  # s, longest step of the integration of that loop
-FORGOTTEN = 0.5  # s without a command, after which that loop is at rest
+
+class KalmanGate(NamedTuple):
+    """Which poses the filter refuses, and when it believes them all the same."""
+
+    chi_square: float = 25.0
+    """Chi-square of 3 degrees of freedom: one good pose of 65 000 is beyond it."""
+    place_slack: float = 0.002
+    """Standard deviation in m that a manoeuvre adds, for the gate only."""
+    angle_slack: float = 0.035
+    """Standard deviation in rad that a manoeuvre adds, for the gate only."""
+    doubts: int = 5
+    """Poses in a row beyond the gate after which the filter is wrong, not the poses."""
+
+
+KALMAN_GATE = KalmanGate()
+
+
+class KalmanDeviations(NamedTuple):
+    """Standard deviations of a filter that starts, and of a drone on the floor."""
+
+    start_velocity: float = 1.0
+    """m/s, standard deviation at a start."""
+    start_disturbance: float = 5.0
+    """m/s2, standard deviation at a start."""
+    start_turn_rate: float = 3.0
+    """rad/s, standard deviation at a start."""
+    floor_velocity: float = 0.01
+    """m/s, standard deviation on the floor."""
+    floor_disturbance: float = 0.5
+    """m/s2, standard deviation on the floor."""
+
+
+KALMAN_DEVIATIONS = KalmanDeviations()
+
+
+DISTURBANCE_FADE_TIME = 0.5  # s, in which d fades without measurements
+COMMAND_HISTORY_SIZE = 512  # commands that are remembered: 2.1 s at 240 Hz
+
+
+class RateLoopModel(NamedTuple):
+    """How the known rate loop on board is integrated."""
+
+    lag: float = 0.02
+    """Lag in s that stands for the delays of command and measurement behind a known rate loop.
+    """
+    step: float = 0.0025
+    """s, longest step of the integration of that loop."""
+    command_timeout: float = 0.5
+    """s without a command, after which that loop is at rest."""
+
+
+RATE_LOOP_MODEL = RateLoopModel()
+
 
 # Indices of the memory. It begins with x (13,) at the time of the last measurement.
-D = 13
-"""Index of d (3,)."""
-P = 16
-"""Index of the upper triangle of the covariance of (p, v, d)."""
-A = 22
-"""Index of the upper triangle of the covariance of (a, w)."""
-CALLED = 25
-"""Index of the time in s of the last call."""
-NEWEST = 26
-"""Index of the row of the newest command."""
-RATE = 27
-"""Index of r of the rate loop, (3,)."""
-TURN = 30
-"""Index of r' of the rate loop, (3,)."""
-SUM = 33
-"""Index of the integral of e of the rate loop, (3,)."""
-MEMORY = 36
-"""Size of the memory."""
+
+
+class KalmanMemory(NamedTuple):
+    """Offsets of the filter's memory. It begins with x (13,) at the time of the last measurement."""
+
+    disturbance: int = 13
+    """Index of d (3,)."""
+    place_covariance: int = 16
+    """Index of the upper triangle of the covariance of (p, v, d)."""
+    attitude_covariance: int = 22
+    """Index of the upper triangle of the covariance of (a, w)."""
+    call_time: int = 25
+    """Index of the time in s of the last call."""
+    newest_command: int = 26
+    """Index of the row of the newest command."""
+    loop_rate: int = 27
+    """Index of r of the rate loop, (3,)."""
+    loop_acceleration: int = 30
+    """Index of r' of the rate loop, (3,)."""
+    loop_integral: int = 33
+    """Index of the integral of e of the rate loop, (3,)."""
+    size: int = 36
+    """Size of the memory."""
+
+
+KALMAN_MEMORY = KalmanMemory()
+
+
 # Indices of the figures.
-R_P = 0
-"""Index of the variance of a place."""
-R_ANGLE = 1
-"""Index of the variance of an attitude."""
-JERK = 2
-"""Index of the density of n_j."""
-PUSH = 3
-"""Index of the density of n_s."""
-SWING = 4
-"""Index of the density of n_g."""
-FADING = 5
-"""Index of the rate in 1/s at which d fades."""
-TOLD = 6
-"""Index: 1 if the filter knows the commands."""
-FLOOR = 7
-"""Index of the height of the floor."""
-LAG = 8
-"""Index of the lag of the rates behind the recorded ones."""
-LOOPED = 9
-"""Index: 1 if the rate loop is known."""
-LOOP = 10
-"""Index of the rows of the rate loop, (15,)."""
-PLATFORM = 25
-"""Index of Platform.flat."""
+
+
+class KalmanFigures(NamedTuple):
+    """Offsets of the filter's figures."""
+
+    place_variance: int = 0
+    """Index of the variance of a place."""
+    attitude_variance: int = 1
+    """Index of the variance of an attitude."""
+    jerk_density: int = 2
+    """Index of the density of n_j."""
+    push_density: int = 3
+    """Index of the density of n_s."""
+    swing_density: int = 4
+    """Index of the density of n_g."""
+    fading_rate: int = 5
+    """Index of the rate in 1/s at which d fades."""
+    knows_commands: int = 6
+    """Index: 1 if the filter knows the commands."""
+    floor_height: int = 7
+    """Index of the height of the floor."""
+    rate_lag: int = 8
+    """Index of the lag of the rates behind the recorded ones."""
+    knows_loop: int = 9
+    """Index: 1 if the rate loop is known."""
+    loop: int = 10
+    """Index of the rows of the rate loop, (15,)."""
+    platform: int = 25
+    """Index of Platform.flat."""
+
+
+KALMAN_FIGURES = KalmanFigures()
 
 
 @kernel()
-def _respond(mem: Vec, loop: Vec, u: Vec, h: float) -> Triple:
+def _advance_rate_loop(mem: Vec, loop: Vec, u: Vec, h: float) -> Triple:
     """Advance the rates of the loop by h s under u, and return their means, rad/s.
 
     It is Euler's method, with the lag backwards. Without thrust the firmware resets its loops, and
@@ -99,14 +157,18 @@ def _respond(mem: Vec, loop: Vec, u: Vec, h: float) -> Triple:
     h: s
     """
     if h <= 0.0:  # a refused pose: this tick has already been recorded
-        return (mem[RATE], mem[RATE + 1], mem[RATE + 2])
-    if not h < FORGOTTEN:
+        return (
+            mem[KALMAN_MEMORY.loop_rate],
+            mem[KALMAN_MEMORY.loop_rate + 1],
+            mem[KALMAN_MEMORY.loop_rate + 2],
+        )
+    if not h < RATE_LOOP_MODEL.command_timeout:
         for c in range(3):
-            mem[RATE + c] = u[1 + c]
-            mem[TURN + c] = 0.0
-            mem[SUM + c] = 0.0
+            mem[KALMAN_MEMORY.loop_rate + c] = u[1 + c]
+            mem[KALMAN_MEMORY.loop_acceleration + c] = 0.0
+            mem[KALMAN_MEMORY.loop_integral + c] = 0.0
         return (u[1], u[2], u[3])
-    steps = math.ceil(h / FINE)
+    steps = math.ceil(h / RATE_LOOP_MODEL.step)
     step = h / steps
     mean = (0.0, 0.0, 0.0)
     for _ in range(steps):
@@ -116,22 +178,40 @@ def _respond(mem: Vec, loop: Vec, u: Vec, h: float) -> Triple:
             ki = loop[5 * c + 2]
             kd = loop[5 * c + 3]
             most = loop[5 * c + 4]
-            error = u[1 + c] - mem[RATE + c]
-            mem[SUM + c] = mem[SUM + c] + step * error if u[0] > 0.0 else 0.0
-            wanted = (
-                clip(kp * error + ki * mem[SUM + c] - kd * mem[TURN + c], -most, most)
+            error = u[1 + c] - mem[KALMAN_MEMORY.loop_rate + c]
+            mem[KALMAN_MEMORY.loop_integral + c] = (
+                mem[KALMAN_MEMORY.loop_integral + c] + step * error
                 if u[0] > 0.0
                 else 0.0
             )
-            mem[TURN + c] = (lag * mem[TURN + c] + step * wanted) / (lag + step)
-            mem[RATE + c] += step * mem[TURN + c]
-        r = (mem[RATE], mem[RATE + 1], mem[RATE + 2])
+            wanted = (
+                clip(
+                    kp * error
+                    + ki * mem[KALMAN_MEMORY.loop_integral + c]
+                    - kd * mem[KALMAN_MEMORY.loop_acceleration + c],
+                    -most,
+                    most,
+                )
+                if u[0] > 0.0
+                else 0.0
+            )
+            mem[KALMAN_MEMORY.loop_acceleration + c] = (
+                lag * mem[KALMAN_MEMORY.loop_acceleration + c] + step * wanted
+            ) / (lag + step)
+            mem[KALMAN_MEMORY.loop_rate + c] += (
+                step * mem[KALMAN_MEMORY.loop_acceleration + c]
+            )
+        r = (
+            mem[KALMAN_MEMORY.loop_rate],
+            mem[KALMAN_MEMORY.loop_rate + 1],
+            mem[KALMAN_MEMORY.loop_rate + 2],
+        )
         mean = (mean[0] + r[0] / steps, mean[1] + r[1] / steps, mean[2] + r[2] / steps)
     return mean
 
 
 @kernel()
-def _record(mem: Vec, history: Mat, figures: Vec, u: Vec, now: float) -> None:
+def _record_command(mem: Vec, history: Mat, figures: Vec, u: Vec, now: float) -> None:
     """Record that the drone obeyed u from the last call until now.
 
     A new row of the history (since s, thrust N, rates rad/s) is written if u is new. For a known
@@ -143,42 +223,62 @@ def _record(mem: Vec, history: Mat, figures: Vec, u: Vec, now: float) -> None:
     u: (4,): command
     now: s
     """
-    if finite(u):
+    if is_finite(u):
         rates = (u[1], u[2], u[3])
-        if figures[LOOPED] > 0.0:
-            rates = _respond(mem, figures[LOOP:PLATFORM], u, now - mem[CALLED])
+        if figures[KALMAN_FIGURES.knows_loop] > 0.0:
+            rates = _advance_rate_loop(
+                mem,
+                figures[KALMAN_FIGURES.loop : KALMAN_FIGURES.platform],
+                u,
+                now - mem[KALMAN_MEMORY.call_time],
+            )
         row = (u[0], rates[0], rates[1], rates[2])
-        k = int(mem[NEWEST])
+        k = int(mem[KALMAN_MEMORY.newest_command])
         fresh = False
         for c in range(4):
             fresh = fresh or history[k, 1 + c] != row[c]
         if fresh:
             k = (k + 1) % history.shape[0]
-            mem[NEWEST], history[k, 0] = k, mem[CALLED]
+            mem[KALMAN_MEMORY.newest_command], history[k, 0] = (
+                k,
+                mem[KALMAN_MEMORY.call_time],
+            )
             for c in range(4):
                 history[k, 1 + c] = row[c]
-    mem[CALLED] = now
+    mem[KALMAN_MEMORY.call_time] = now
 
 
 @kernel()
-def _move(x: Vec, d: Triple, u: Vec, figures: Vec, h: float) -> bool:
+def _move_state(x: Vec, d: Triple, u: Vec, figures: Vec, h: float) -> bool:
     """Advance x by h s under u and the acceleration d.
 
     Return whether it then stands on the floor.
     """
-    if figures[TOLD] > 0.0 and (u[0] > 0.0 or x[2] < figures[FLOOR] + STANDING):
-        return bool(fly(x, u, figures[PLATFORM:], figures[FLOOR], figures[LAG], d, h))
+    if figures[KALMAN_FIGURES.knows_commands] > 0.0 and (
+        u[0] > 0.0 or x[2] < figures[KALMAN_FIGURES.floor_height] + STANDING_TOLERANCE
+    ):
+        return bool(
+            advance_flight(
+                x,
+                u,
+                figures[KALMAN_FIGURES.platform :],
+                figures[KALMAN_FIGURES.floor_height],
+                figures[KALMAN_FIGURES.rate_lag],
+                d,
+                h,
+            )
+        )
     for c in range(3):
         x[c] += h * (x[3 + c] + 0.5 * h * d[c])
         x[3 + c] += h * d[c]
-    x[6], x[7], x[8], x[9] = product(
-        (x[6], x[7], x[8], x[9]), exponential(h * x[10], h * x[11], h * x[12])
+    x[6], x[7], x[8], x[9] = quaternion_product(
+        (x[6], x[7], x[8], x[9]), rotation_exponential(h * x[10], h * x[11], h * x[12])
     )
     return False
 
 
 @kernel()
-def _advance(
+def _advance_state(
     x: Vec,
     d: Triple,
     mem: Vec,
@@ -192,7 +292,7 @@ def _advance(
 
     d fades with the rate `fade`, 1/s; each part of the time takes its mean.
     """
-    newest = int(mem[NEWEST])
+    newest = int(mem[KALMAN_MEMORY.newest_command])
     rows = history.shape[0]
     k = newest
     for _ in range(rows - 1):
@@ -203,10 +303,10 @@ def _advance(
         after = (k + 1) % rows
         until = end if k == newest else min(end, history[after, 0])
         h = until - t
-        if h > ROUNDING:
+        if h > POSE_TIMING.rounding:
             keep = math.exp(-fade * h)
             mean = (1.0 - keep) / (fade * h) if fade > 0.0 else 1.0
-            stands = _move(
+            stands = _move_state(
                 x, (mean * d[0], mean * d[1], mean * d[2]), history[k, 1:5], figures, h
             )
             d = (0.0, 0.0, 0.0) if stands else (keep * d[0], keep * d[1], keep * d[2])
@@ -216,20 +316,22 @@ def _advance(
 
 
 @kernel()
-def _grow(mem: Vec, figures: Vec, h: float) -> tuple[Triple, Triple, Triple]:
+def _grow_covariances(
+    mem: Vec, figures: Vec, h: float
+) -> tuple[Triple, Triple, Triple]:
     """Return both covariances h s later.
 
     They are (pp, pv, pd), (vv, vd, dd) and, of the attitude, (aa, aw, ww).
     """
-    pp = mem[P]
-    pv = mem[P + 1]
-    pd = mem[P + 2]
-    vv = mem[P + 3]
-    vd = mem[P + 4]
-    dd = mem[P + 5]
-    j = figures[JERK]
-    s = figures[PUSH]
-    g = figures[SWING]
+    pp = mem[KALMAN_MEMORY.place_covariance]
+    pv = mem[KALMAN_MEMORY.place_covariance + 1]
+    pd = mem[KALMAN_MEMORY.place_covariance + 2]
+    vv = mem[KALMAN_MEMORY.place_covariance + 3]
+    vd = mem[KALMAN_MEMORY.place_covariance + 4]
+    dd = mem[KALMAN_MEMORY.place_covariance + 5]
+    j = figures[KALMAN_FIGURES.jerk_density]
+    s = figures[KALMAN_FIGURES.push_density]
+    g = figures[KALMAN_FIGURES.swing_density]
     h2 = h * h
     h3 = h * h * h
     pp += (
@@ -246,13 +348,26 @@ def _grow(mem: Vec, figures: Vec, h: float) -> tuple[Triple, Triple, Triple]:
     pd += h * vd + 0.5 * h2 * dd + j * h3 / 6.0
     vv += 2.0 * h * vd + h2 * dd + j * h3 / 3.0 + s * h
     vd += h * dd + j * h2 / 2.0
-    aa = mem[A] + 2.0 * h * mem[A + 1] + h2 * mem[A + 2] + g * h3 / 3.0
-    aw = mem[A + 1] + h * mem[A + 2] + g * h2 / 2.0
-    return (pp, pv, pd), (vv, vd, dd + j * h), (aa, aw, mem[A + 2] + g * h)
+    aa = (
+        mem[KALMAN_MEMORY.attitude_covariance]
+        + 2.0 * h * mem[KALMAN_MEMORY.attitude_covariance + 1]
+        + h2 * mem[KALMAN_MEMORY.attitude_covariance + 2]
+        + g * h3 / 3.0
+    )
+    aw = (
+        mem[KALMAN_MEMORY.attitude_covariance + 1]
+        + h * mem[KALMAN_MEMORY.attitude_covariance + 2]
+        + g * h2 / 2.0
+    )
+    return (
+        (pp, pv, pd),
+        (vv, vd, dd + j * h),
+        (aa, aw, mem[KALMAN_MEMORY.attitude_covariance + 2] + g * h),
+    )
 
 
 @kernel()
-def _joseph(
+def _apply_joseph_form(
     p: float, p_1m: float, p_1n: float, k_m: float, k_n: float, s: float
 ) -> float:
     """Return element (m, n) of (I - K H) P (I - K H)^T + K r K^T where H = (1, 0, ..).
@@ -283,26 +398,26 @@ def _correct_place(
     for c in range(3):
         x[c] += kp * e[c]
         x[3 + c] += kv * e[c]
-        mem[D + c] = d[c] + kd * e[c]
-    mem[P] = _joseph(pp, pp, pp, kp, kp, s)
-    mem[P + 1] = _joseph(pv, pp, pv, kp, kv, s)
-    mem[P + 2] = _joseph(pd, pp, pd, kp, kd, s)
-    mem[P + 3] = _joseph(vv, pv, pv, kv, kv, s)
-    mem[P + 4] = _joseph(vd, pv, pd, kv, kd, s)
-    mem[P + 5] = _joseph(dd, pd, pd, kd, kd, s)
+        mem[KALMAN_MEMORY.disturbance + c] = d[c] + kd * e[c]
+    mem[KALMAN_MEMORY.place_covariance] = _apply_joseph_form(pp, pp, pp, kp, kp, s)
+    mem[KALMAN_MEMORY.place_covariance + 1] = _apply_joseph_form(pv, pp, pv, kp, kv, s)
+    mem[KALMAN_MEMORY.place_covariance + 2] = _apply_joseph_form(pd, pp, pd, kp, kd, s)
+    mem[KALMAN_MEMORY.place_covariance + 3] = _apply_joseph_form(vv, pv, pv, kv, kv, s)
+    mem[KALMAN_MEMORY.place_covariance + 4] = _apply_joseph_form(vd, pv, pd, kv, kd, s)
+    mem[KALMAN_MEMORY.place_covariance + 5] = _apply_joseph_form(dd, pd, pd, kd, kd, s)
 
 
 @kernel()
-def _rest(mem: Vec, x: Vec, r: float) -> None:
+def _set_at_rest(mem: Vec, x: Vec, r: float) -> None:
     """Set the state of a drone on the floor: no velocity, and an unknown error of the thrust."""
     for c in range(3):
-        x[3 + c] = mem[D + c] = 0.0
-    mem[P] = min(mem[P], r)
-    mem[P + 1] = 0.0
-    mem[P + 2] = 0.0
-    mem[P + 3] = SHAKY_V**2
-    mem[P + 4] = 0.0
-    mem[P + 5] = DOUBTFUL_D**2
+        x[3 + c] = mem[KALMAN_MEMORY.disturbance + c] = 0.0
+    mem[KALMAN_MEMORY.place_covariance] = min(mem[KALMAN_MEMORY.place_covariance], r)
+    mem[KALMAN_MEMORY.place_covariance + 1] = 0.0
+    mem[KALMAN_MEMORY.place_covariance + 2] = 0.0
+    mem[KALMAN_MEMORY.place_covariance + 3] = KALMAN_DEVIATIONS.floor_velocity**2
+    mem[KALMAN_MEMORY.place_covariance + 4] = 0.0
+    mem[KALMAN_MEMORY.place_covariance + 5] = KALMAN_DEVIATIONS.floor_disturbance**2
 
 
 @kernel()
@@ -315,33 +430,42 @@ def _correct_attitude(mem: Vec, x: Vec, e: Triple, grown: Triple, r: float) -> N
     s = aa + r
     ka = aa / s
     kw = aw / s
-    x[6], x[7], x[8], x[9] = unit(
-        product((x[6], x[7], x[8], x[9]), exponential(ka * e[0], ka * e[1], ka * e[2]))
+    x[6], x[7], x[8], x[9] = normalize_quaternion(
+        quaternion_product(
+            (x[6], x[7], x[8], x[9]),
+            rotation_exponential(ka * e[0], ka * e[1], ka * e[2]),
+        )
     )
     for c in range(3):
         x[10 + c] += kw * e[c]
-    mem[A] = _joseph(aa, aa, aa, ka, ka, s)
-    mem[A + 1] = _joseph(aw, aa, aw, ka, kw, s)
-    mem[A + 2] = _joseph(ww, aw, aw, kw, kw, s)
+    mem[KALMAN_MEMORY.attitude_covariance] = _apply_joseph_form(aa, aa, aa, ka, ka, s)
+    mem[KALMAN_MEMORY.attitude_covariance + 1] = _apply_joseph_form(
+        aw, aa, aw, ka, kw, s
+    )
+    mem[KALMAN_MEMORY.attitude_covariance + 2] = _apply_joseph_form(
+        ww, aw, aw, kw, kw, s
+    )
 
 
 @kernel()
-def _beyond(e: Triple, variance: float) -> bool:
+def _is_beyond_gate(e: Triple, variance: float) -> bool:
     """Return whether an innovation with this variance per axis is beyond the gate.
 
     An innovation that is not finite is beyond it.
     """
-    return not (e[0] * e[0] + e[1] * e[1] + e[2] * e[2] <= GATE * variance)
+    return not (
+        e[0] * e[0] + e[1] * e[1] + e[2] * e[2] <= KALMAN_GATE.chi_square * variance
+    )
 
 
 @kernel()
-def _speed(x: Vec) -> float:
+def _compute_speed(x: Vec) -> float:
     """Return the speed in m/s."""
     return math.sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5])
 
 
 @kernel(vector, memory, table, vector, vector, real, real, real, real, memory)
-def _measure(
+def _take_in_pose(
     pose: Vec,
     mem: Vec,
     history: Mat,
@@ -368,13 +492,17 @@ def _measure(
     Returns -1 for a pose that is not readable, -2 for a pose beyond the gate; then only u is
     recorded.
     """
-    _record(mem, history, figures, u, now)
-    if not readable(pose):
+    _record_command(mem, history, figures, u, now)
+    if not is_readable(pose):
         return -1.0
-    out[:] = mem[0:D]
-    d = _advance(
+    out[:] = mem[0 : KALMAN_MEMORY.disturbance]
+    d = _advance_state(
         out,
-        (mem[D], mem[D + 1], mem[D + 2]),
+        (
+            mem[KALMAN_MEMORY.disturbance],
+            mem[KALMAN_MEMORY.disturbance + 1],
+            mem[KALMAN_MEMORY.disturbance + 2],
+        ),
         mem,
         history,
         figures,
@@ -382,26 +510,55 @@ def _measure(
         last + h,
         0.0,
     )
-    first, second, attitude = _grow(mem, figures, h)
+    first, second, attitude = _grow_covariances(mem, figures, h)
     e = (pose[0] - out[0], pose[1] - out[1], pose[2] - out[2])
-    q = unit((pose[3], pose[4], pose[5], pose[6]))
-    turn = logarithm(product(conjugate((out[6], out[7], out[8], out[9])), q))
-    if _beyond(e, first[0] + figures[R_P] + SLACK_P**2):
+    q = normalize_quaternion((pose[3], pose[4], pose[5], pose[6]))
+    turn = rotation_logarithm(
+        quaternion_product(quaternion_conjugate((out[6], out[7], out[8], out[9])), q)
+    )
+    if _is_beyond_gate(
+        e,
+        first[0] + figures[KALMAN_FIGURES.place_variance] + KALMAN_GATE.place_slack**2,
+    ):
         return -2.0
-    if _beyond(turn, attitude[0] + figures[R_ANGLE] + SLACK_ANGLE**2):
+    if _is_beyond_gate(
+        turn,
+        attitude[0]
+        + figures[KALMAN_FIGURES.attitude_variance]
+        + KALMAN_GATE.angle_slack**2,
+    ):
         return -2.0
-    _correct_place(mem, out, d, e, first, second, figures[R_P])
-    if figures[TOLD] > 0.0 and stands(out, u, figures[PLATFORM:], figures[FLOOR]):
-        _rest(mem, out, figures[R_P])
-    _correct_attitude(mem, out, turn, attitude, figures[R_ANGLE])
-    mem[0:D] = out
-    d = (mem[D], mem[D + 1], mem[D + 2])
-    _advance(out, d, mem, history, figures, last + h, last + h + t, figures[FADING])
-    return _speed(out)
+    _correct_place(
+        mem, out, d, e, first, second, figures[KALMAN_FIGURES.place_variance]
+    )
+    if figures[KALMAN_FIGURES.knows_commands] > 0.0 and is_standing(
+        out, u, figures[KALMAN_FIGURES.platform :], figures[KALMAN_FIGURES.floor_height]
+    ):
+        _set_at_rest(mem, out, figures[KALMAN_FIGURES.place_variance])
+    _correct_attitude(
+        mem, out, turn, attitude, figures[KALMAN_FIGURES.attitude_variance]
+    )
+    mem[0 : KALMAN_MEMORY.disturbance] = out
+    d = (
+        mem[KALMAN_MEMORY.disturbance],
+        mem[KALMAN_MEMORY.disturbance + 1],
+        mem[KALMAN_MEMORY.disturbance + 2],
+    )
+    _advance_state(
+        out,
+        d,
+        mem,
+        history,
+        figures,
+        last + h,
+        last + h + t,
+        figures[KALMAN_FIGURES.fading_rate],
+    )
+    return _compute_speed(out)
 
 
 @kernel(vector, memory, table, vector, vector, real, real, real, real, memory)
-def _go_on(
+def _predict_state(
     x: Vec,
     mem: Vec,
     history: Mat,
@@ -426,13 +583,17 @@ def _go_on(
     now: s
     out: (13,): the result
     """
-    _record(mem, history, figures, u, now)
+    _record_command(mem, history, figures, u, now)
     out[:] = x
-    fade = figures[FADING]
+    fade = figures[KALMAN_FIGURES.fading_rate]
     left = math.exp(fade * (measured - t))
-    _advance(
+    _advance_state(
         out,
-        (left * mem[D], left * mem[D + 1], left * mem[D + 2]),
+        (
+            left * mem[KALMAN_MEMORY.disturbance],
+            left * mem[KALMAN_MEMORY.disturbance + 1],
+            left * mem[KALMAN_MEMORY.disturbance + 2],
+        ),
         mem,
         history,
         figures,
@@ -440,7 +601,7 @@ def _go_on(
         end,
         fade,
     )
-    return _speed(out)
+    return _compute_speed(out)
 
 
 class KalmanFilter:
@@ -507,7 +668,7 @@ class KalmanFilter:
         self,
         horizon: float = 0.5,
         period: float = 0.0,
-        motion: Commanded | None = None,
+        motion: CommandedMotion | None = None,
         noise_p: float = 0.0005,
         noise_angle: float = math.radians(0.25),
         jerk: float = 0.1,
@@ -523,18 +684,30 @@ class KalmanFilter:
         self.speed = 0.0
         self.measured = -math.inf
         known = None if motion is None or loop is None else loop.ravel()
-        rates = (RATE_LAG, 0.0, *np.zeros(15)) if known is None else (LATE, 1.0, *known)
+        rates = (
+            (RATE_LAG, 0.0, *np.zeros(15))
+            if known is None
+            else (RATE_LOOP_MODEL.lag, 1.0, *known)
+        )
         model = (
             (0.0, 0.0, *rates, *np.zeros(9))
             if motion is None
             else (1.0, motion.floor, *rates, *motion.platform)
         )
         self._figures = np.array(
-            [noise_p**2, noise_angle**2, jerk, push, swing, 1.0 / FADE, *model]
+            [
+                noise_p**2,
+                noise_angle**2,
+                jerk,
+                push,
+                swing,
+                1.0 / DISTURBANCE_FADE_TIME,
+                *model,
+            ]
         )
-        self._memory = np.zeros(MEMORY)
-        self._history = np.zeros((HISTORY, 5))
-        self._memory[CALLED] = -math.inf
+        self._memory = np.zeros(KALMAN_MEMORY.size)
+        self._history = np.zeros((COMMAND_HISTORY_SIZE, 5))
+        self._memory[KALMAN_MEMORY.call_time] = -math.inf
         self._history[:, 0] = -math.inf
         self._doubted = 0
         self._state: State | None = None
@@ -550,15 +723,15 @@ class KalmanFilter:
         if h > horizon:  # the first one too: h is infinite
             return self._begin(pose, now, h)
         if self.period > 0.0:  # the rate of the cameras tells it better than a clock
-            late = lateness(h, self.period)
+            late = compute_lateness(h, self.period)
             age = age + late
             h = h - late
-            if h < SOONEST * self.period:
+            if h < POSE_TIMING.least_period_share * self.period:
                 last = now - age - self.period
                 h = self.period
         out = np.empty(13)
         t = age if age < horizon else horizon
-        speed = _measure(
+        speed = _take_in_pose(
             pose.flat,
             self._memory,
             self._history,
@@ -590,7 +763,7 @@ class KalmanFilter:
         t = measured + min(last.age, horizon)
         end = measured + min(age, horizon)
         out = np.empty(13)
-        self.speed = _go_on(
+        self.speed = _predict_state(
             last.flat,
             self._memory,
             self._history,
@@ -609,7 +782,7 @@ class KalmanFilter:
     def _refuse(self, pose: Pose, now: float, doubtful: bool) -> State | None:
         """Count a pose as missing, or believe it if too many in a row were doubtful."""
         self._doubted += doubtful
-        if doubtful and self._doubted >= DOUBTS:
+        if doubtful and self._doubted >= KALMAN_GATE.doubts:
             return self._start(
                 pose, now, self._memory[3:6].copy(), self._memory[10:13].copy()
             )
@@ -618,7 +791,7 @@ class KalmanFilter:
 
     def _begin(self, pose: Pose, now: float, h: float) -> State | None:
         """Start after a gap of h s, without body rates."""
-        if not readable(pose.flat):
+        if not is_readable(pose.flat):
             self.refused += 1
             return self.predict(now)
         return self._start(pose, now, (pose.p - self._memory[0:3]) / h, np.zeros(3))
@@ -638,10 +811,21 @@ class KalmanFilter:
             pose.q / np.linalg.norm(pose.q),
             w,
         )
-        memory[D:P] = 0.0
-        memory[P:A] = r_p, 0.0, 0.0, UNKNOWN_V**2, 0.0, UNKNOWN_D**2
-        memory[A:CALLED] = r_angle, 0.0, UNKNOWN_W**2
+        memory[KALMAN_MEMORY.disturbance : KALMAN_MEMORY.place_covariance] = 0.0
+        memory[KALMAN_MEMORY.place_covariance : KALMAN_MEMORY.attitude_covariance] = (
+            r_p,
+            0.0,
+            0.0,
+            KALMAN_DEVIATIONS.start_velocity**2,
+            0.0,
+            KALMAN_DEVIATIONS.start_disturbance**2,
+        )
+        memory[KALMAN_MEMORY.attitude_covariance : KALMAN_MEMORY.call_time] = (
+            r_angle,
+            0.0,
+            KALMAN_DEVIATIONS.start_turn_rate**2,
+        )
         self.measured = now - pose.age
         self._doubted = 0
-        self._state = State(memory[:D].copy())
+        self._state = State(memory[: KALMAN_MEMORY.disturbance].copy())
         return self.predict(now)

@@ -7,26 +7,26 @@ import numpy as np
 
 from crazychoir.numerics.kernels import kernel, memory, real, vector
 from crazychoir.numerics.math3d import (
-    GRAVITY,
+    STANDARD_GRAVITY,
     Triple,
-    columns,
     dot,
-    exponential,
-    product,
-    unit,
+    normalize_quaternion,
+    quaternion_product,
+    rotation_columns,
+    rotation_exponential,
 )
 from crazychoir.types import Vec
 
-STEP = 0.01  # s, longest step of the integration
+MOTION_STEP = 0.01  # s, longest step of the integration
 RATE_LAG = 0.05
 """Lag in s from a commanded body rate to that of the drone.
 
 It includes the delays of command and measurement.
 """
-STANDING = 0.01  # m above the floor that still count as standing on it: the noise of the cameras
+STANDING_TOLERANCE = 0.01  # m above the floor that still count as standing on it: the noise of the cameras
 
 
-class Motion(Protocol):
+class MotionModel(Protocol):
     """A model of how a state continues."""
 
     def after(self, x: Vec, u: Vec, t: float) -> Vec:
@@ -40,7 +40,7 @@ class Motion(Protocol):
 
 
 @kernel(vector, real, memory)
-def coast(x: Vec, t: float, out: Vec) -> None:
+def predict_coasting(x: Vec, t: float, out: Vec) -> None:
     """Compute the state after t seconds of constant velocity and body rate.
 
     x: (13,)
@@ -50,7 +50,9 @@ def coast(x: Vec, t: float, out: Vec) -> None:
     out[:] = x
     for c in range(3):
         out[c] += t * x[3 + c]
-    q = product((x[6], x[7], x[8], x[9]), exponential(t * x[10], t * x[11], t * x[12]))
+    q = quaternion_product(
+        (x[6], x[7], x[8], x[9]), rotation_exponential(t * x[10], t * x[11], t * x[12])
+    )
     out[6], out[7], out[8], out[9] = q
 
 
@@ -60,19 +62,19 @@ class ConstantVelocity:
     def after(self, x: Vec, u: Vec, t: float) -> Vec:
         """Return a new state (13,)."""
         out = np.empty(13)
-        coast(x, t, out)
+        predict_coasting(x, t, out)
         return out
 
 
 @kernel()
-def _stand(x: Vec) -> None:
+def _stop_moving(x: Vec) -> None:
     """Set velocity and rates to zero."""
     for c in range(3):
         x[3 + c] = x[10 + c] = 0.0
 
 
 @kernel()
-def stands(x: Vec, u: Vec, platform: Vec, floor: float) -> bool:
+def is_standing(x: Vec, u: Vec, platform: Vec, floor: float) -> bool:
     """Return whether x is on the floor and the thrust u[0] does not lift it.
 
     x: (13,): state
@@ -81,29 +83,34 @@ def stands(x: Vec, u: Vec, platform: Vec, floor: float) -> bool:
     floor: m
     """
     upright = 1.0 - 2.0 * (x[6] * x[6] + x[7] * x[7])
-    return bool(x[2] < floor + STANDING and u[0] * upright <= platform[0] * GRAVITY)
+    return bool(
+        x[2] < floor + STANDING_TOLERANCE
+        and u[0] * upright <= platform[0] * STANDARD_GRAVITY
+    )
 
 
 @kernel()
-def _turn(x: Vec, u: Vec, lag: float, h: float) -> None:
+def _advance_attitude(x: Vec, u: Vec, lag: float, h: float) -> None:
     """Advance attitude and body rates of x by h s.
 
     The lag of the rates is exact; the attitude turns about their mean axis.
     """
     keep = math.exp(-h / lag)
     mean = lag * (1.0 - keep)
-    turn = exponential(
+    turn = rotation_exponential(
         h * u[1] + mean * (x[10] - u[1]),
         h * u[2] + mean * (x[11] - u[2]),
         h * u[3] + mean * (x[12] - u[3]),
     )
-    x[6], x[7], x[8], x[9] = unit(product((x[6], x[7], x[8], x[9]), turn))
+    x[6], x[7], x[8], x[9] = normalize_quaternion(
+        quaternion_product((x[6], x[7], x[8], x[9]), turn)
+    )
     for c in range(3):
         x[10 + c] = u[1 + c] + keep * (x[10 + c] - u[1 + c])
 
 
 @kernel()
-def fly(
+def advance_flight(
     x: Vec, u: Vec, platform: Vec, floor: float, lag: float, push: Triple, t: float
 ) -> bool:
     """Advance a state by the law of Commanded, and return whether it then stands on the floor.
@@ -116,18 +123,18 @@ def fly(
     push: m/s2, world: a constant acceleration that the law does not know
     t: s
     """
-    steps = math.ceil(t / STEP)
+    steps = math.ceil(t / MOTION_STEP)
     # A drone seen below the floor stays there: the floor is not where it was thought to be.
     lowest = min(x[2], floor)
     standing = False
     for _ in range(steps):
         h = t / steps
-        _turn(x, u, lag, 0.5 * h)
-        standing = stands(x, u, platform, floor)
+        _advance_attitude(x, u, lag, 0.5 * h)
+        standing = is_standing(x, u, platform, floor)
         if standing:
-            _stand(x)
+            _stop_moving(x)
             continue
-        bx, by, bz = columns((x[6], x[7], x[8], x[9]))
+        bx, by, bz = rotation_columns((x[6], x[7], x[8], x[9]))
         v = (x[3], x[4], x[5])
         drag = (
             platform[1] * dot(bx, v),
@@ -136,19 +143,21 @@ def fly(
         )
         for c in range(3):
             a = -(drag[0] * bx[c] + drag[1] * by[c] + drag[2] * bz[c]) / platform[0] - (
-                GRAVITY if c == 2 else 0.0
+                STANDARD_GRAVITY if c == 2 else 0.0
             )
             x[c] += h * (v[c] + 0.5 * h * (a + push[c]))
             x[3 + c] += h * (a + push[c])
-        _turn(x, u, lag, 0.5 * h)
+        _advance_attitude(x, u, lag, 0.5 * h)
         if x[2] < lowest:
             x[2] = lowest
-            _stand(x)
+            _stop_moving(x)
     return standing
 
 
 @kernel(vector, vector, vector, real, real, memory)
-def _fly(x: Vec, u: Vec, platform: Vec, floor: float, t: float, out: Vec) -> None:
+def _predict_flight(
+    x: Vec, u: Vec, platform: Vec, floor: float, t: float, out: Vec
+) -> None:
     """Compute the state after t s by the law of Commanded.
 
     x: (13,)
@@ -159,10 +168,10 @@ def _fly(x: Vec, u: Vec, platform: Vec, floor: float, t: float, out: Vec) -> Non
     out: (13,): the result
     """
     out[:] = x
-    fly(out, u, platform, floor, RATE_LAG, (0.0, 0.0, 0.0), t)
+    advance_flight(out, u, platform, floor, RATE_LAG, (0.0, 0.0, 0.0), t)
 
 
-class Commanded:
+class CommandedMotion:
     """The paper's dynamics under the present command, with a first-order lag of the body rates.
 
         p' = v,  v' = -g e3 + (u_1 / m) R e3 - (1/m) R A R^T v
@@ -182,5 +191,5 @@ class Commanded:
     def after(self, x: Vec, u: Vec, t: float) -> Vec:
         """Return a new state (13,)."""
         out = np.empty(13)
-        _fly(x, u, self.platform, self.floor, t, out)
+        _predict_flight(x, u, self.platform, self.floor, t, out)
         return out

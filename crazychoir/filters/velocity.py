@@ -1,17 +1,23 @@
 """Velocities from the poses of motion capture, by a derivative and a low-pass."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from crazychoir.filters.motion import ConstantVelocity, Motion, coast
+from crazychoir.filters.motion import ConstantVelocity, MotionModel, predict_coasting
 from crazychoir.numerics.kernels import kernel, memory, real, vector
-from crazychoir.numerics.math3d import conjugate, logarithm, product, unit
+from crazychoir.numerics.math3d import (
+    normalize_quaternion,
+    quaternion_conjugate,
+    quaternion_product,
+    rotation_logarithm,
+)
 from crazychoir.types import Pose, State, Vec
 
 
 @kernel(vector)
-def readable(pose: Vec) -> bool:
+def is_readable(pose: Vec) -> bool:
     """Return whether a pose (7,) is finite and its quaternion needs no more than normalising."""
     for c in range(7):
         if not math.isfinite(pose[c]):
@@ -21,7 +27,9 @@ def readable(pose: Vec) -> bool:
 
 
 @kernel(vector, memory, real, real, real, memory)
-def _measure(pose: Vec, mem: Vec, h: float, cutoff: float, t: float, out: Vec) -> float:
+def _differentiate_pose(
+    pose: Vec, mem: Vec, h: float, cutoff: float, t: float, out: Vec
+) -> float:
     """Take in a pose measured h seconds after the last one, and return the speed in m/s.
 
     pose: (7,)
@@ -32,46 +40,61 @@ def _measure(pose: Vec, mem: Vec, h: float, cutoff: float, t: float, out: Vec) -
     out: (13,): the state t s after the pose
     Returns -1, and changes nothing, for a pose that is not readable.
     """
-    if not readable(pose):
+    if not is_readable(pose):
         return -1.0
     keep = math.exp(-cutoff * h)
     gain = (1.0 - keep) / h
-    q = unit((pose[3], pose[4], pose[5], pose[6]))
-    turn = logarithm(product(conjugate((mem[6], mem[7], mem[8], mem[9])), q))
+    q = normalize_quaternion((pose[3], pose[4], pose[5], pose[6]))
+    turn = rotation_logarithm(
+        quaternion_product(quaternion_conjugate((mem[6], mem[7], mem[8], mem[9])), q)
+    )
     for c in range(3):
         mem[3 + c] = keep * mem[3 + c] + gain * (pose[c] - mem[c])
         mem[10 + c] = keep * mem[10 + c] + gain * turn[c]
         mem[c] = pose[c]
     mem[6], mem[7], mem[8], mem[9] = q
-    coast(mem, t, out)
+    predict_coasting(mem, t, out)
     return math.sqrt(mem[3] ** 2 + mem[4] ** 2 + mem[5] ** 2)
 
 
-TRUST = 0.002
-"""Weight of the time at which a pose seems to be measured; the rest is the rate of the cameras."""
-ROUNDING = 1e-9  # s
-EARLY = 0.25
-"""Share of a period by which a pose may seem early; by the rest of the period it may seem late."""
+class PoseTiming(NamedTuple):
+    """How the times of poses follow the steady rate of the cameras."""
+
+    seen_time_weight: float = 0.002
+    """Weight of the time at which a pose seems to be measured; the rest is the rate of the
+    cameras.
+    """
+    rounding: float = 1e-9
+    """s, differences below it are rounding."""
+    early_share: float = 0.25
+    """Share of a period by which a pose may seem early; by the rest of the period it may seem
+    late.
+    """
+    least_period_share: float = 0.2
+    """Least share of a period between two poses that are on time.
+
+    Poses that come sooner were late and arrive together, for example after a program that stood still.
+    How late they are is unknown, but they were seen a period apart. By the clock, a drone at 1 m/s
+    would fly at 50.
+    """
 
 
-def lateness(h: float, period: float) -> float:
+POSE_TIMING = PoseTiming()
+
+
+def compute_lateness(h: float, period: float) -> float:
     """Return by how many s a pose is late.
 
     h: s since the last pose
     period: s, between two poses of the cameras
     """
-    whole = period * int(h / period + EARLY)
+    whole = period * int(h / period + POSE_TIMING.early_share)
     late = h - whole
-    return (1.0 - TRUST) * late if whole and abs(late) > ROUNDING else 0.0
-
-
-SOONEST = 0.2
-"""Least share of a period between two poses that are on time.
-
-Poses that come sooner were late and arrive together, for example after a program that stood still.
-How late they are is unknown, but they were seen a period apart. By the clock, a drone at 1 m/s
-would fly at 50.
-"""
+    return (
+        (1.0 - POSE_TIMING.seen_time_weight) * late
+        if whole and abs(late) > POSE_TIMING.rounding
+        else 0.0
+    )
 
 
 class VelocityFilter:
@@ -107,7 +130,7 @@ class VelocityFilter:
         cutoff: float = 50.0,
         horizon: float = 0.5,
         period: float = 0.0,
-        motion: Motion | None = None,
+        motion: MotionModel | None = None,
     ) -> None:
         self.cutoff = cutoff
         self.horizon = horizon
@@ -133,14 +156,14 @@ class VelocityFilter:
         if self._state is None:
             return self._start(pose, now)
         if self.period > 0.0:  # the rate of the cameras tells it better than a clock
-            late = lateness(h, self.period)
+            late = compute_lateness(h, self.period)
             age = age + late
             h = h - late
-            if h < SOONEST * self.period:
+            if h < POSE_TIMING.least_period_share * self.period:
                 h = self.period
         out = np.empty(13)
         t = age if age < self.horizon else self.horizon
-        speed = _measure(pose.flat, self._memory, h, self.cutoff, t, out)
+        speed = _differentiate_pose(pose.flat, self._memory, h, self.cutoff, t, out)
         if speed >= 0.0:
             out.setflags(False)  # type: ignore[call-arg]  # faster by position than by name, in each tick
             self.speed = speed
@@ -168,7 +191,7 @@ class VelocityFilter:
 
     def _start(self, pose: Pose, now: float) -> State | None:
         """Take the first pose, at rest."""
-        if not readable(pose.flat):
+        if not is_readable(pose.flat):
             self.refused += 1
             return None
         self._memory[0:3], self._memory[6:10] = pose.p, pose.q / np.linalg.norm(pose.q)

@@ -1,48 +1,65 @@
 """The clearance of one drone from the others, by a collision filter or by agreed paths."""
 
 import math
+from dataclasses import dataclass
 
-from crazychoir.flight.point_flights import LONGEST_WAIT, Flights
+from crazychoir.flight.point_flights import FLIGHT_PATIENCE, PointFlights
 from crazychoir.numerics.math3d import yaw_of
 from crazychoir.planning.point_to_point import PointToPoint
-from crazychoir.safety.collision.agreed.planned import Future, PlannedFlights
+from crazychoir.safety.collision.agreed.planned import FutureReference, PlannedFlights
 from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.types import Acceleration, FullState, State, Vec
 
-BACK = 0.05
-"""Distance in m from its plan at which a drone that was pushed aside is back."""
-BEHIND = 0.15
-"""Distance in m from its plan at which a landing drone lands where it is."""
-AHEAD = 0.5
-"""Distance in m between drone and plan at which the plan waits for the drone.
 
-So far ahead, the plan is beyond a drone that stands in the way.
-"""
+@dataclass(frozen=True, slots=True)
+class PlanDeviation:
+    """What a drone does that was pushed aside, by its distance from its plan."""
 
-ALONE = 0.5
-"""Seconds since it last gave way after which giving way counts as a first time."""
-STAYS = 3.0
-"""Seconds that a drone on the floor may keep up a landing drone.
+    back_distance: float = 0.05
+    """Distance in m from its plan at which a drone that was pushed aside is back."""
+    landing_distance: float = 0.15
+    """Distance in m from its plan at which a landing drone lands where it is."""
+    waiting_distance: float = 0.5
+    """Distance in m between drone and plan at which the plan waits for the drone.
 
-Then the landing drone lands beside it.
-"""
-LEAVES = 15.0
-"""Seconds that a flying drone may keep up a landing drone.
+    So far ahead, the plan is beyond a drone that stands in the way.
+    """
+    gentle_return_time: float = 2.0
+    """Seconds since the collision filter last acted, during which the drone comes back gently.
+    """
 
-Then the landing drone lands beside it.
-"""
-SOON = 1.0
-"""Seconds without an answer before this is reported."""
-UNHEARD = 5.0
-"""Seconds without an answer before a drone that needs it lands."""
-RETURN = 2.0
-"""Seconds since the collision filter last acted, during which the drone comes back gently."""
 
-DEAF = 4.0
-"""Seconds of being cut off after which a drone lands.
+PLAN_DEVIATION = PlanDeviation()
 
-In at most GONE s it is down, and out of the way of all others.
-"""
+
+@dataclass(frozen=True, slots=True)
+class ClearanceTimes:
+    """How long a drone puts up with others before it says so, turns aside, or lands."""
+
+    first_time_gap: float = 0.5
+    """Seconds since it last gave way after which giving way counts as a first time."""
+    standing_drone_wait: float = 3.0
+    """Seconds that a drone on the floor may keep up a landing drone.
+
+    Then the landing drone lands beside it.
+    """
+    flying_drone_wait: float = 15.0
+    """Seconds that a flying drone may keep up a landing drone.
+
+    Then the landing drone lands beside it.
+    """
+    answer_report: float = 1.0
+    """Seconds without an answer before this is reported."""
+    answer_timeout: float = 5.0
+    """Seconds without an answer before a drone that needs it lands."""
+    cut_off_timeout: float = 4.0
+    """Seconds of being cut off after which a drone lands.
+
+    In at most GONE s it is down, and out of the way of all others.
+    """
+
+
+CLEARANCE_TIMES = ClearanceTimes()
 
 
 class Clearance:
@@ -58,7 +75,7 @@ class Clearance:
     def __init__(
         self,
         collision: CollisionFilter | PlannedFlights | None,
-        flights: Flights,
+        flights: PointFlights,
         period: float,
     ) -> None:
         self.filter = collision if isinstance(collision, CollisionFilter) else None
@@ -109,7 +126,7 @@ class Clearance:
 
     def deaf(self, now: float) -> bool:
         """Return whether the drone has been cut off from half of the flying drones for too long."""
-        return now >= self._cut_off + DEAF
+        return now >= self._cut_off + CLEARANCE_TIMES.cut_off_timeout
 
     def astray(self, state: State, planned: FullState, now: float) -> bool:
         """Return whether a drone that was pushed aside is far from its plan.
@@ -118,8 +135,11 @@ class Clearance:
         coming back, and the control fights the wind with all it has.
         """
         far = math.dist(planned.p.tolist(), state.p.tolist())
-        self.aside = far > BACK and now < self.gave_way + RETURN
-        return far > BEHIND
+        self.aside = (
+            far > PLAN_DEVIATION.back_distance
+            and now < self.gave_way + PLAN_DEVIATION.gentle_return_time
+        )
+        return far > PLAN_DEVIATION.landing_distance
 
     def awaited(self, state: State, planned: FullState, now: float) -> FullState:
         """Return the reference of a drone that was pushed aside.
@@ -127,7 +147,10 @@ class Clearance:
         Far from its plan, the drone begins a new flight from where it is, or the plan waits.
         """
         flights = self.flights
-        if math.dist(planned.p.tolist(), state.p.tolist()) <= AHEAD:
+        if (
+            math.dist(planned.p.tolist(), state.p.tolist())
+            <= PLAN_DEVIATION.waiting_distance
+        ):
             return planned
         if flights.resume(FullState.at(state.p, yaw=yaw_of(state.q)), now):
             return flights.sample(now) or planned
@@ -161,8 +184,8 @@ class Clearance:
         flights = self.flights
         plan = flights.plan
         whole = flights.remaining(now) if isinstance(plan, PointToPoint) else 0.0
-        waits = flights.waited < LONGEST_WAIT
-        future: Future = lambda later: flights.sample(now + later) or wanted  # noqa: E731
+        waits = flights.waited < FLIGHT_PATIENCE.longest_wait
+        future: FutureReference = lambda later: flights.sample(now + later) or wanted  # noqa: E731
         flown = self.agreed(state, wanted, future, whole, now, lands, waits)
         if planned.delayed:
             arrives = isinstance(plan, PointToPoint) and planned.comes_to(plan.goal)
@@ -173,7 +196,7 @@ class Clearance:
         self,
         state: State,
         wanted: FullState,
-        future: Future,
+        future: FutureReference,
         whole: float,
         now: float,
         lands: bool = False,
@@ -196,7 +219,7 @@ class Clearance:
             return wanted
         flown = planned.fly(state, wanted, future, whole, now, lands, waits)
         if self.delayed_by is not None:
-            if not lands or now > self.gave_way + ALONE:
+            if not lands or now > self.gave_way + CLEARANCE_TIMES.first_time_gap:
                 self._kept_up = now
             self.gave_way = now
         return flown
@@ -228,7 +251,9 @@ class Clearance:
         if planned is None or self.delayed_by is None or planned.left(now) > 0.0:
             return None
         if now - self._kept_up < (
-            STAYS if planned.obstacles.stands(self.delayed_by) else LEAVES
+            CLEARANCE_TIMES.standing_drone_wait
+            if planned.obstacles.stands(self.delayed_by)
+            else CLEARANCE_TIMES.flying_drone_wait
         ):
             return None
         self._kept_up = now
@@ -240,14 +265,17 @@ class Clearance:
         mine = None if self.planned is None else self.planned.agreement
         return (
             ""
-            if mine is None or mine.in_vain < SOON
+            if mine is None or mine.in_vain < CLEARANCE_TIMES.answer_report
             else f"drone {mine.lacking} does not answer"
         )
 
     @property
     def gives_up(self) -> bool:
         """Whether the drone has waited so long for an answer that it should land."""
-        return self.planned is not None and self.planned.agreement.in_vain > UNHEARD
+        return (
+            self.planned is not None
+            and self.planned.agreement.in_vain > CLEARANCE_TIMES.answer_timeout
+        )
 
     @property
     def delayed_by(self) -> int | None:

@@ -5,25 +5,27 @@ import math
 import numpy as np
 
 from crazychoir.control.choice import Controls
-from crazychoir.control.margin import rate_loop
+from crazychoir.control.margin import make_rate_loop
 from crazychoir.control.senders import FPQRSender
 from crazychoir.filters.kalman import KalmanFilter
-from crazychoir.filters.motion import Commanded
+from crazychoir.filters.motion import CommandedMotion
 from crazychoir.filters.state_filter import StateFilter
 from crazychoir.filters.velocity import VelocityFilter
-from crazychoir.platforms import MOST_TURN, Platform
+from crazychoir.platforms import LARGEST_AXIS_COMMAND, Platform
 from crazychoir.types import FullState, Mat, State, Vec
 
-SEEN = 0.1
+SEEN_AGE = 0.1
 """Age in s of a state beyond which it is a prediction; controllers learn nothing from it."""
-BLIND = 2.0
+BLIND_HORIZON = 2.0
 """Seconds that the filter predicts its own motion without a pose.
 
 The safety table lets the drone fly as long without poses.
 """
 
 
-def filter_of(name: str, chosen: Controls, ground: float, rate: float) -> StateFilter:
+def choose_filter(
+    name: str, chosen: Controls, ground: float, rate: float
+) -> StateFilter:
     """Return the filter of [control], "kalman" or "derivative".
 
     The filter knows the commands if these are thrust and body rates.
@@ -32,20 +34,22 @@ def filter_of(name: str, chosen: Controls, ground: float, rate: float) -> StateF
     rate: Hz, of the poses
     """
     motion = (
-        Commanded(chosen.platform.flat, ground)
+        CommandedMotion(chosen.platform.flat, ground)
         if isinstance(chosen.sender, FPQRSender)
         else None
     )
     if name == "kalman":
-        loop = rates_on_board(chosen.platform) if chosen.plant == "motors" else None
-        return KalmanFilter(horizon=BLIND, period=1.0 / rate, motion=motion, loop=loop)
-    return VelocityFilter(horizon=BLIND, period=1.0 / rate, motion=motion)
+        loop = compute_rate_loops(chosen.platform) if chosen.plant == "motors" else None
+        return KalmanFilter(
+            horizon=BLIND_HORIZON, period=1.0 / rate, motion=motion, loop=loop
+        )
+    return VelocityFilter(horizon=BLIND_HORIZON, period=1.0 / rate, motion=motion)
 
 
-def rates_on_board(platform: Platform) -> Mat:
+def compute_rate_loops(platform: Platform) -> Mat:
     """Return (3, 5): the parameters of the firmware's rate loops for roll, pitch and yaw.
 
-    They are the `loop` of KalmanFilter, see `rate_loop`. They are valid as the firmware is
+    They are the `loop` of KalmanFilter, see `make_rate_loop`. They are valid as the firmware is
     compiled: its parameters pid_rate may change them. Left out are the firmware's hold of a heading
     instead of a yaw rate, and the limit of its integrals.
     """
@@ -54,14 +58,20 @@ def rates_on_board(platform: Platform) -> Mat:
     for axis, (gain, _, _) in enumerate(
         (firmware.rate_pid, firmware.rate_pid, firmware.yaw_rate_pid)
     ):
-        lag, damped, kp, ki = rate_loop(platform, axis)[1]
+        lag, damped, kp, ki = make_rate_loop(platform, axis)[1]
         rows.append(
-            (lag, kp, ki, damped - 1.0, kp * MOST_TURN / (gain * math.degrees(1.0)))
+            (
+                lag,
+                kp,
+                ki,
+                damped - 1.0,
+                kp * LARGEST_AXIS_COMMAND / (gain * math.degrees(1.0)),
+            )
         )
     return np.array(rows)
 
 
-def believed(state: State, flown: FullState | None) -> Vec:
+def compute_believed_state(state: State, flown: FullState | None) -> Vec:
     """Return (13,): the believed state of an unseen drone if the filter does not know its commands.
 
     It is where the drone should be. The filter lets the drone go on at its last speed. A controller

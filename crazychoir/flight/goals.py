@@ -14,9 +14,9 @@ from crazychoir.planning.trajectory import Trajectory
 from crazychoir.safety.rules.guard import Guard
 from crazychoir.types import FullState, Mat, Point, Vec
 
-SLACK = 1e-6  # m by which a place may be outside the room: rounding
-AT_HOME = 0.05  # m from a home, in the plane, that counts as above it
-PLACE = "three finite numbers, m"
+ROOM_TOLERANCE = 1e-6  # m by which a place may be outside the room: rounding
+HOME_DISTANCE = 0.05  # m from a home, in the plane, that counts as above it
+PLACE_TEXT = "three finite numbers, m"
 
 
 def require_goal(
@@ -42,19 +42,19 @@ def require_goal(
     """
     place = to_floats(p, (3,))
     if place is None or not np.isfinite(place).all():
-        raise ConfigError(where, describe_value(p), PLACE, "Give it as [x, y, z].")
+        raise ConfigError(where, describe_value(p), PLACE_TEXT, "Give it as [x, y, z].")
     for name, value in (("yaw", yaw), ("duration", duration)):
         number = to_floats(0.0 if value is None else value, ())
         if number is None or not math.isfinite(float(number)):
             raise ConfigError(
                 f"{where}: {name}", describe_value(value), "a finite number"
             )
-    if any(math.dist(place[0:2], home[0:2]) <= AT_HOME for home in homes):
+    if any(math.dist(place[0:2], home[0:2]) <= HOME_DISTANCE for home in homes):
         place = np.array([*guard.room.nearest(place, inset=0.0)[0:2], place[2]])
     rest = np.zeros((1, 14))
     rest[0, 0:3] = place
-    if _leaves(rest, guard, planar)[0]:
-        raise _outside(where, place.tolist(), guard)
+    if _find_outside(rest, guard, planar)[0]:
+        raise _build_outside_error(where, place.tolist(), guard)
     return place
 
 
@@ -67,10 +67,10 @@ def require_path(where: str, t: Vec, path: Mat, guard: Guard, planar: bool) -> N
     guard: of the drone
     planar: whether the robot does not choose its height
     """
-    is_outside = _leaves(path, guard, planar)
+    is_outside = _find_outside(path, guard, planar)
     if is_outside.any():
         k = int(np.argmax(is_outside))
-        raise _outside(
+        raise _build_outside_error(
             f"{where}: set-point at {t[k]:.2f} s", path[k, 0:3].round(3).tolist(), guard
         )
 
@@ -147,7 +147,7 @@ class CheckedTrajectory:
         return self._trajectory.done(t)
 
 
-def _leaves(path: Mat, guard: Guard, planar: bool) -> npt.NDArray[np.bool_]:
+def _find_outside(path: Mat, guard: Guard, planar: bool) -> npt.NDArray[np.bool_]:
     """Return (n,): whether each set-point of a path is outside the room.
 
     A set-point that is not a number counts as outside.
@@ -158,10 +158,12 @@ def _leaves(path: Mat, guard: Guard, planar: bool) -> npt.NDArray[np.bool_]:
     if planar:
         rows = path.copy()
         rows[:, 2] = 0.5 * (guard.room.low[2] + guard.room.high[2])
-    return np.asarray(~(guard.leaves_room(rows) <= SLACK))
+    return np.asarray(~(guard.leaves_room(rows) <= ROOM_TOLERANCE))
 
 
-def _outside(where: str, place: Iterable[float], guard: Guard) -> ConfigError:
+def _build_outside_error(
+    where: str, place: Iterable[float], guard: Guard
+) -> ConfigError:
     allowed = room_text(guard.room.low, guard.room.high)
     do = "Choose a place further inside, or widen [fence]."
     return ConfigError(

@@ -2,22 +2,31 @@
 
 import math
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
 from crazychoir.types import Point, Vec
 
-THERE = 0.2
-"""Distance in m from the end of a leg at which the leg is done."""
-TRIES = 5
-"""Number of attempts at a leg before the drone lands where it is."""
-CLEARANCE = 0.6
-"""Height in m above another drone.
 
-These are two semi-axes of 0.3 m of the ellipsoids that downwash fills.
-"""
-ASIDE = 0.5
-"""Distance in m from the straight way home within which another drone is in the way."""
+@dataclass(frozen=True, slots=True)
+class HomecomingLimits:
+    """When a leg of a return is done or given up, and how far it keeps from others."""
+
+    arrival_distance: float = 0.2
+    """Distance in m from the end of a leg at which the leg is done."""
+    attempts: int = 5
+    """Number of attempts at a leg before the drone lands where it is."""
+    vertical_clearance: float = 0.6
+    """Height in m above another drone.
+
+    These are two semi-axes of 0.3 m of the ellipsoids that downwash fills.
+    """
+    side_clearance: float = 0.5
+    """Distance in m from the straight way home within which another drone is in the way."""
+
+
+HOMECOMING_LIMITS = HomecomingLimits()
 
 
 class Homecoming:
@@ -38,11 +47,18 @@ class Homecoming:
 
     def leg(self, p: Vec) -> Vec | None:
         """Return where to fly next from p; None if the drone is above home or makes no progress."""
-        while self.legs and math.dist(p, self.legs[0]) < THERE:
+        while (
+            self.legs
+            and math.dist(p, self.legs[0]) < HOMECOMING_LIMITS.arrival_distance
+        ):
             del self.legs[0]
             self.tries = 0
         self.tries += 1
-        return self.legs[0] if self.legs and self.tries <= TRIES else None
+        return (
+            self.legs[0]
+            if self.legs and self.tries <= HOMECOMING_LIMITS.attempts
+            else None
+        )
 
     @property
     def stuck(self) -> bool:
@@ -50,7 +66,7 @@ class Homecoming:
         return bool(self.legs)
 
 
-def level_above(
+def compute_return_height(
     p: Point, home: Point, others: Iterable[Point], rank: int, top: float
 ) -> float:
     """Return the height in m of a return above all others in the way; at most `top`.
@@ -72,14 +88,19 @@ def level_above(
     highest = [
         float(q[2])
         for q in others
-        if _beside(np.asarray(q[:2], dtype=float), a, b) < ASIDE
+        if _compute_segment_distance(np.asarray(q[:2], dtype=float), a, b)
+        < HOMECOMING_LIMITS.side_clearance
     ]
     if not highest and rank == 0:
         return min(float(p[2]), top)
-    return min(max([float(p[2]), *highest]) + (bool(highest) + rank) * CLEARANCE, top)
+    return min(
+        max([float(p[2]), *highest])
+        + (bool(highest) + rank) * HOMECOMING_LIMITS.vertical_clearance,
+        top,
+    )
 
 
-def _beside(q: Vec, a: Vec, b: Vec) -> float:
+def _compute_segment_distance(q: Vec, a: Vec, b: Vec) -> float:
     """Return the distance in m from q, (2,) m, to the segment from a to b."""
     way = b - a
     share = float(np.clip((q - a) @ way / max(float(way @ way), 1e-12), 0.0, 1.0))

@@ -9,67 +9,72 @@ import asyncio
 import logging
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from crazychoir.bus.port import Port
-from crazychoir.bus.topics import COMMAND, LOG, POSE, REFERENCE, STATE
-from crazychoir.config.tables import Flight
-from crazychoir.control.choice import Controls, controls
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.config.tables import FlightTable
+from crazychoir.control.choice import Controls, make_controls
 from crazychoir.control.controller import CrazyflieController
-from crazychoir.control.parameters import Parameters
-from crazychoir.control.position import HEADROOM, HEIGHT_SHARE
+from crazychoir.control.parameters import ControllerParameters
+from crazychoir.control.position import FLATNESS_LIMITS
 from crazychoir.control.senders import FPQRSender
 from crazychoir.errors import ConfigError, error_text
 from crazychoir.filters.state_filter import StateFilter
 from crazychoir.flight.clearance import Clearance
-from crazychoir.flight.estimate import SEEN, believed, filter_of
+from crazychoir.flight.estimate import SEEN_AGE, choose_filter, compute_believed_state
 from crazychoir.flight.goals import require_goal
 from crazychoir.flight.homecoming import Homecoming
-from crazychoir.flight.point_flights import Flights, braking
-from crazychoir.flight.references import ahead, convert_reference, explain_refusal
+from crazychoir.flight.point_flights import PointFlights, compute_braking_limit
+from crazychoir.flight.references import (
+    convert_reference,
+    explain_refusal,
+    extrapolate_reference,
+)
 from crazychoir.numerics.math3d import yaw_of
 from crazychoir.planning.landing import Landing
 from crazychoir.planning.trajectory import Trajectory
-from crazychoir.runtime.actor import Actor, Restart
-from crazychoir.runtime.clock import SECOND
+from crazychoir.runtime.actor import Actor, RestartPolicy
+from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.collision.agreed.planned import PlannedFlights
 from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.safety.identity.pose_gate import PoseGate
 from crazychoir.safety.rules.guard import (
-    BELOW_GROUND,
-    EDGE,
-    PLANS_ON_BOARD,
-    REACHED,
-    TABLE,
+    EDGE_MARGIN,
+    FENCE_BELOW_GROUND,
+    ON_BOARD_SAFETY_TABLE,
+    RADIO_SAFETY_TABLE,
+    SAFETY_TABLE,
     Action,
     Fence,
     Guard,
+    SafetyVerdict,
     Throttle,
-    Verdict,
 )
 from crazychoir.safety.rules.limits import ReferenceLimits
 from crazychoir.safety.rules.modes import (
-    DOWN,
-    FOLLOW,
-    GROUND,
-    GUIDED,
-    HELD,
-    HOVER,
-    LAND,
-    RETURN,
-    TAKEOFF,
-    Event,
+    FOLLOW_MODE,
+    GROUND_MODE,
+    GUIDED_MODES,
+    HELD_TEXT,
+    HOVER_MODE,
+    LAND_MODE,
+    MOTORS_OFF_MODES,
+    RETURN_MODE,
+    TAKEOFF_MODE,
     Mode,
-    after,
-    refusal,
+    ModeEvent,
+    get_next_mode,
+    get_refusal,
 )
 from crazychoir.types import (
-    STILL,
     XYZ,
+    ZERO_ACCELERATION,
     Acceleration,
     Command,
     FullState,
@@ -83,15 +88,38 @@ from crazychoir.types import (
 )
 
 log = logging.getLogger(__name__)
-ON_THE_FLOOR = 0.04
-"""Height in m above the ground at which a landing drone stops its motors."""
-TOUCHDOWN_LATE = 2.0
-"""Seconds after the planned touch-down when a drone below AT_REST m/s counts as landed."""
-TOUCHDOWN_UNSEEN = 0.5
-"""Seconds after the planned touch-down when an unseen drone at rest counts as landed."""
-AT_REST = 0.05
-REPLAY_LATE = 5.0  # s after the planned touch-down when the landing of a replayed drone is over, wherever its body is
-OBEYS_NOTHING = "follows a recording and obeys nothing"
+
+
+@dataclass(frozen=True, slots=True)
+class TouchdownLimits:
+    """When a landing drone counts as landed."""
+
+    floor_height: float = 0.04
+    """Height in m above the ground at which a landing drone stops its motors."""
+    overdue_time: float = 2.0
+    """Seconds after the planned touch-down when a drone below AT_REST m/s counts as landed."""
+    unseen_overdue_time: float = 0.5
+    """Seconds after the planned touch-down when an unseen drone at rest counts as landed."""
+    rest_speed: float = 0.05
+    """m/s below which a drone is at rest."""
+    replay_overdue_time: float = 5.0
+    """s after the planned touch-down when the landing of a replayed drone is over, wherever its
+    body is.
+    """
+    replanning_distance: float = 0.05
+    """Distance in m from a drone to its landing plan at which the plan begins anew.
+
+    While commands may be lost, each command that arrives asks for no more than this.
+    """
+    airborne_height: float = 0.2
+    """Height in m above the ground at which a seen drone has not landed, whatever its plan says.
+    """
+
+
+TOUCHDOWN_LIMITS = TouchdownLimits()
+
+
+REPLAY_TEXT = "follows a recording and obeys nothing"
 """What is said of a replayed drone that does not do what its mission asks."""
 GIVE_UP_HOVER = 2.0
 """Seconds of hovering after guidance has failed, before the landing."""
@@ -101,76 +129,102 @@ GIVE_UP_TICKS = 0.5
 The safety table lets the drone fly for as long without a pose.
 """
 
-DEAF = "hears no more than half of the drones that fly: landing"
+CUT_OFF_TEXT = "hears no more than half of the drones that fly: landing"
 """Reason of the landing of a drone that is cut off from the others."""
-LIFTED = 0.03
-"""Height in m above its place on the floor at which a drone flies.
-
-Below, its controllers learn nothing from an error of the height.
-"""
 
 
-BLIND = 0.5
-"""Seconds without a pose after which the firmware lands a drone that is landing.
+@dataclass(frozen=True, slots=True)
+class LiftOffLimits:
+    """When a drone that takes off has lifted off, or should have."""
 
-The reason of the landing does not matter.
-"""
-BLIND_DEPTH = 0.03
-"""Depth in m below the ground where a landing by the firmware without poses ends.
+    height: float = 0.03
+    """Height in m above its place on the floor at which a drone flies.
 
-Its estimate of the height is off by cm after 3 s, that of its place by 1 m.
-"""
-BLIND_SPEED = 0.35
-"""Descent speed in m/s of a landing by the firmware without poses."""
-STILL_TURNING = 10.0
-"""Seconds beyond the planned time of a landing by the firmware, before the motors are stopped."""
-UNREACHED = 1.0
-"""Seconds of silence of its radio after which a drone may no longer obey."""
-LEFT_BEHIND = 0.05
-"""Distance in m from a drone to its landing plan at which the plan begins anew.
+    Below, its controllers learn nothing from an error of the height.
+    """
+    plan_height: float = 0.2
+    """Height in m of the plan above the floor from which on the drone should have lifted off.
+    """
+    thrust_time: float = 0.4
+    """Seconds after which a drone that is still on the floor does not rise; for senders of a
+    thrust.
+    """
+    on_board_time: float = 0.8
+    """Seconds after which a drone that is still on the floor does not rise, for other senders.
 
-While commands may be lost, each command that arrives asks for no more than this.
-"""
-IN_THE_AIR = 0.2
-"""Height in m above the ground at which a seen drone has not landed, whatever its plan says."""
-TELL_OWNER = 0.2
-"""Seconds between two commands to the owner of a dongle to land a drone by its firmware."""
-Reached = Literal["no", "seen", "own"]
+    Its firmware flies it, and takes off later.
+    """
+
+
+LIFT_OFF_LIMITS = LiftOffLimits()
+
+
+@dataclass(frozen=True, slots=True)
+class FirmwareLanding:
+    """The landing of a drone by its firmware, without poses or commands."""
+
+    pose_timeout: float = 0.5
+    """Seconds without a pose after which the firmware lands a drone that is landing.
+
+    The reason of the landing does not matter.
+    """
+    depth: float = 0.03
+    """Depth in m below the ground where a landing by the firmware without poses ends.
+
+    Its estimate of the height is off by cm after 3 s, that of its place by 1 m.
+    """
+    speed: float = 0.35
+    """Descent speed in m/s of a landing by the firmware without poses."""
+    motor_timeout: float = 10.0
+    """Seconds beyond the planned time of a landing by the firmware, before the motors are stopped.
+    """
+    radio_timeout: float = 1.0
+    """Seconds of silence of its radio after which a drone may no longer obey."""
+    command_interval: float = 0.2
+    """Seconds between two commands to the owner of a dongle to land a drone by its firmware."""
+
+
+FIRMWARE_LANDING = FirmwareLanding()
+
+
+ReachKind = Literal["no", "seen", "own"]
 """Kinds of reach: "no" radio, a radio and "seen" by cameras, or a radio and its "own" poses."""
-THRUST = ("fpqr", "frpy")
+THRUST_SENDERS = ("fpqr", "frpy")
 """Kinds of senders that command a thrust."""
-MISJUDGED = 0.15
+LARGEST_THRUST_ERROR = 0.15
 """Largest allowed error of the hover thrust, as a share; a wrong thrust map is off by 0.27."""
-RISING = 0.2
-"""Height in m of the plan above the floor from which on the drone should have lifted off."""
-STANDS = 0.4
-"""Seconds after which a drone that is still on the floor does not rise; for senders of a thrust."""
-STANDS_ON_BOARD = 0.8
-"""Seconds after which a drone that is still on the floor does not rise, for other senders.
 
-Its firmware flies it, and takes off later.
-"""
-OUTSIDE = 0.2
-"""Seconds for which a body is seen outside the limit area, where none should be."""
-ON_FLOOR = 1.0
-"""Seconds for which a drone that should fly is seen on the floor."""
-SILENT = 0.5
-"""Seconds of silence of its radio that explain why a drone has come down."""
-FALLS = 0.4
-"""Height in m above the floor up to which the motors are cut if the pose is not the drone's own.
 
-Above, its firmware lands it without poses. A drone that flies by its own estimate, which was fed
-with these poses, is cut at any height: it would fly away by metres.
-"""
+@dataclass(frozen=True, slots=True)
+class StrayBodyLimits:
+    """When the seen body of a flying drone is where it should not be, and what is done then."""
+
+    outside_time: float = 0.2
+    """Seconds for which a body is seen outside the limit area, where none should be."""
+    on_floor_time: float = 1.0
+    """Seconds for which a drone that should fly is seen on the floor."""
+    silence: float = 0.5
+    """Seconds of silence of its radio that explain why a drone has come down."""
+    cut_height: float = 0.4
+    """Height in m above the floor up to which the motors are cut if the pose is not the drone's own.
+
+    Above, its firmware lands it without poses. A drone that flies by its own estimate, which was fed
+    with these poses, is cut at any height: it would fly away by metres.
+    """
+
+
+STRAY_BODY_LIMITS = StrayBodyLimits()
+
+
 LANDS_ASTRAY = 1.0
 """Value of the measure "astray" of a drone that may land by its firmware."""
 
-NOMINAL = Action.NOMINAL  # members of an enumeration are slow to look up
-LOW = (TAKEOFF, LAND)
+NOMINAL_ACTION = Action.NOMINAL  # members of an enumeration are slow to look up
+LOW_MODES = (TAKEOFF_MODE, LAND_MODE)
 """Modes in which the drone leaves the fence downwards."""
 
 
-class Link(Protocol):
+class PilotLink(Protocol):
     """The way to the drone: a simulated world or a radio."""
 
     def send(self, command: Command) -> None:
@@ -210,8 +264,8 @@ class Pilot(Actor):
     def __init__(
         self,
         port: Port,
-        link: Link,
-        limits: Flight,
+        link: PilotLink,
+        limits: FlightTable,
         fence: Fence,
         rate: float = 100.0,
         chosen: Controls | None = None,
@@ -219,31 +273,35 @@ class Pilot(Actor):
         body: int | None = None,
         collision: CollisionFilter | PlannedFlights | None = None,
         limit_area: Fence | None = None,
-        reached: Reached = "no",
+        reached: ReachKind = "no",
         home: Point | None = None,
         is_replayed: bool = False,
     ) -> None:
         self.port = port
         self.link = link
         self.limits = limits
-        self.controls = controls() if chosen is None else chosen
-        self.parameters = Parameters(self.controls)
+        self.controls = make_controls() if chosen is None else chosen
+        self.parameters = ControllerParameters(self.controls)
         platform = self.controls.platform
-        a_max = braking(limits, platform, HEIGHT_SHARE * HEADROOM)
+        a_max = compute_braking_limit(
+            limits,
+            platform,
+            FLATNESS_LIMITS.height_share * FLATNESS_LIMITS.acceleration_share,
+        )
         self._takes_off = self.controls.takes_off
         self._planar = self.controls.planar
         ground = max(fence.low[2], limits.ground)
         self.fence = fence.with_floor(
-            ground if self._takes_off else ground - BELOW_GROUND
+            ground if self._takes_off else ground - FENCE_BELOW_GROUND
         )
-        self.flights = Flights(limits, self.fence, a_max)
+        self.flights = PointFlights(limits, self.fence, a_max)
         self.clearance = Clearance(collision, self.flights, 1.0 / rate)
         table = (
-            TABLE
+            SAFETY_TABLE
             if reached == "no"
-            else REACHED
+            else RADIO_SAFETY_TABLE
             if self.controls.sender.kind != "xyz"
-            else PLANS_ON_BOARD
+            else ON_BOARD_SAFETY_TABLE
         )
         self.guard = Guard(
             self.fence, table, a_max=a_max, ground=limits.ground, limit=limit_area
@@ -259,7 +317,7 @@ class Pilot(Actor):
         self._stages = port.bus.stages
         self.drone = port.address
         """Id of the drone."""
-        self.mode: Mode = GROUND
+        self.mode: Mode = GROUND_MODE
         """Its mode, see modes."""
         self.state: State | None = None
         """Its newest state; None before the first pose."""
@@ -305,22 +363,24 @@ class Pilot(Actor):
         self._way: Homecoming | None = None
         self._models = isinstance(self.controls.sender, FPQRSender)
         self.filter = (
-            filter_of("kalman", self.controls, limits.ground, rate)
+            choose_filter("kalman", self.controls, limits.ground, rate)
             if state_filter is None
             else state_filter
         )
         self._reference: Reference | None = None
         self._reference_ns = 0
         seen = Call(self.clock, self._posed, f"drone {self.drone} pose")
-        port.bus.subscribe(POSE, self.drone if body is None else body, self.drone, seen)
-        self.period_ns = round(SECOND / rate)
-        self.restart = Restart(
+        port.bus.subscribe(
+            DRONE_TOPICS.pose, self.drone if body is None else body, self.drone, seen
+        )
+        self.period_ns = round(NS_PER_SECOND / rate)
+        self.restart = RestartPolicy(
             limit=max(5, round(GIVE_UP_TICKS * rate)), backoff=0.0
         )  # a drone in flight cannot wait
         self._goto: tuple[float, ...] = ()  # the last Goto that was flown
         # The plan of that Goto.
         self._goto_plan: Trajectory | None = None
-        self._a = STILL  # m/s2, acceleration that the last command asks of the drone
+        self._a = ZERO_ACCELERATION  # m/s2, acceleration that the last command asks of the drone
         self._flown: FullState | None = (
             None  # reference of the last tick, if it was a FullState
         )
@@ -377,12 +437,12 @@ class Pilot(Actor):
         beyond = self.guard.beyond(pose.p)
         if believed or not beyond > 0.0:
             self._outside_at = math.inf
-        elif self._outside_at == math.inf or now - self._outside_seen > SEEN:
+        elif self._outside_at == math.inf or now - self._outside_seen > SEEN_AGE:
             self._outside_at = now
         self._outside_seen = now
         if believed:
             return pose
-        if now - self._outside_at > OUTSIDE:
+        if now - self._outside_at > STRAY_BODY_LIMITS.outside_time:
             self.guard.tell("gone", beyond)
         self._say(
             "jump",
@@ -423,10 +483,10 @@ class Pilot(Actor):
         """Forget what made the tick fail: come to rest and hover, or continue to land."""
         self._reference = self._flown = None
         self.flights.clear()
-        if self.mode is LAND:
+        if self.mode is LAND_MODE:
             self._descend()
-        elif self.mode in GUIDED:
-            self._change(Event.HOLD)
+        elif self.mode in GUIDED_MODES:
+            self._change(ModeEvent.HOLD)
 
     def set_parameter(self, name: str, value: Any) -> Any:
         """Change a parameter from the next tick on, and return its value.
@@ -446,18 +506,20 @@ class Pilot(Actor):
         """Update the state, with a pose or by prediction, and start the stages of this tick."""
         try:
             now_ns = self._ticked_ns = self.clock.now_ns()
-            now = now_ns / SECOND
+            now = now_ns / NS_PER_SECOND
             state = (
                 self.filter.predict(now)
                 if pose is None
                 else self.filter.update(pose, now)
             )
             if state is not None:
-                known = self._models or state.age <= SEEN
+                known = self._models or state.age <= SEEN_AGE
                 flat = (
                     state.flat
                     if known
-                    else believed(state, self.flights.sample(now) or self._flown)
+                    else compute_believed_state(
+                        state, self.flights.sample(now) or self._flown
+                    )
                 )
                 state = State(flat, state.age, self._a)
             self.state = state
@@ -478,7 +540,7 @@ class Pilot(Actor):
         state = self.state
         try:
             assert state is not None  # noqa: S101 - no state, no such stage
-            self.port.publish(STATE, state, state.age)
+            self.port.publish(DRONE_TOPICS.state, state, state.age)
         except BaseException as error:  # noqa: BLE001 - see _fail
             self._fail(error)
 
@@ -489,10 +551,10 @@ class Pilot(Actor):
         if state is None or (run is not None and run.done()):
             return
         try:
-            self._a = STILL
-            self._send(self._command(state, self._ticked_ns / SECOND))
+            self._a = ZERO_ACCELERATION
+            self._send(self._command(state, self._ticked_ns / NS_PER_SECOND))
             if self._flown is not None:
-                self.port.publish(REFERENCE, self._flown)
+                self.port.publish(DRONE_TOPICS.reference, self._flown)
         except BaseException as error:  # noqa: BLE001 - see _fail
             self._fail(error)
 
@@ -503,7 +565,7 @@ class Pilot(Actor):
         self.link.send(command)
         if self._models:
             self.filter.commanded = command.flat
-        self.port.publish(COMMAND, command)
+        self.port.publish(DRONE_TOPICS.command, command)
 
     # What guidance asks -------------------------------------------------------------------------
 
@@ -521,21 +583,24 @@ class Pilot(Actor):
         if why:
             self._say(rule, why)
             return 0.0
-        if refusal(self.mode, Event.TAKE_OFF) or self.state is None:
+        if get_refusal(self.mode, ModeEvent.TAKE_OFF) or self.state is None:
             return 0.0
         if not self._takes_off:
-            self.mode = HOVER
+            self.mode = HOVER_MODE
             return 0.0
         goal = self.above(height)
         start = FullState.at(self.state.p, yaw=yaw_of(self.state.q))
         duration = self.flights.go_to(start, goal, start.yaw, 0.0, self.clock.now())
         self._flown = start
         self._beyond = False
-        self._lift_off, self._rises_at = self.state.p[2] + LIFTED, self.clock.now()
+        self._lift_off, self._rises_at = (
+            self.state.p[2] + LIFT_OFF_LIMITS.height,
+            self.clock.now(),
+        )
         if self.started_at is None:
             self.started_at = start.p
         self.guard.forget()
-        self._change(Event.TAKE_OFF)
+        self._change(ModeEvent.TAKE_OFF)
         return duration
 
     def unready(self) -> tuple[str, str]:
@@ -550,7 +615,7 @@ class Pilot(Actor):
         if problems := self.unfit():
             return "unfit", f"{'; '.join(problems)}: no take-off"
         return (
-            ("held", f"{HELD}: no take-off until it is let go")
+            ("held", f"{HELD_TEXT}: no take-off until it is let go")
             if self.held
             else ("", "")
         )
@@ -612,9 +677,9 @@ class Pilot(Actor):
             )
         self._flown = start
         self._reference = None
-        self._obeyed = NOMINAL
-        self._change(Event.FLY)
-        self._beyond = bool(np.abs(wanted - goal).max() > 2.0 * EDGE)
+        self._obeyed = NOMINAL_ACTION
+        self._change(ModeEvent.FLY)
+        self._beyond = bool(np.abs(wanted - goal).max() > 2.0 * EDGE_MARGIN)
         if self._beyond:
             self._say(
                 "goal",
@@ -632,9 +697,9 @@ class Pilot(Actor):
             return 0.0
         self._flown = trajectory.sample(0.0)
         self._reference = None
-        self._obeyed = NOMINAL
+        self._obeyed = NOMINAL_ACTION
         self._beyond = False
-        self._change(Event.FLY)
+        self._change(ModeEvent.FLY)
         return self.flights.fly(trajectory, self.clock.now())
 
     def require_goal(
@@ -690,8 +755,8 @@ class Pilot(Actor):
                 self.clock.now_ns(),
                 False,
             )
-            if self.mode is not FOLLOW:
-                self._change(Event.FLY)
+            if self.mode is not FOLLOW_MODE:
+                self._change(ModeEvent.FLY)
         return True
 
     def unflown(self, reference: object) -> str:
@@ -737,7 +802,7 @@ class Pilot(Actor):
 
         A drone at rest stays where it is. A flight that its operator has commanded goes on.
         """
-        if self.mode in GUIDED and not self.commanded:
+        if self.mode in GUIDED_MODES and not self.commanded:
             self._rest()
 
     def _rest(self) -> None:
@@ -747,7 +812,7 @@ class Pilot(Actor):
         if self._reference is not None or (self.remaining() > 0.0 and not stops):
             self._brake()
         self._reference = None
-        self._change(Event.HOLD)
+        self._change(ModeEvent.HOLD)
 
     def land(self, reason: str = "", grave: bool = False) -> float:
         """Come to rest, then fly straight down inside the fence, and stop the motors.
@@ -757,9 +822,9 @@ class Pilot(Actor):
         Returns s until the motors stop, 0 if the drone does not begin to land.
         """
         if (
-            self.mode in (*DOWN, LAND)
+            self.mode in (*MOTORS_OFF_MODES, LAND_MODE)
             or self.state is None
-            or (not reason and (self.held or self.mode is RETURN))
+            or (not reason and (self.held or self.mode is RETURN_MODE))
         ):
             return 0.0
         if reason:
@@ -774,12 +839,12 @@ class Pilot(Actor):
         factor = self.controls.trim.thrust
         if (
             not self._reached
-            or self.controls.sender.kind not in THRUST
-            or abs(factor - 1.0) <= MISJUDGED
+            or self.controls.sender.kind not in THRUST_SENDERS
+            or abs(factor - 1.0) <= LARGEST_THRUST_ERROR
         ):
             return ""
-        low = 1.0 - MISJUDGED
-        high = 1.0 + MISJUDGED
+        low = 1.0 - LARGEST_THRUST_ERROR
+        high = 1.0 + LARGEST_THRUST_ERROR
         return (
             f"hovers with {factor:.2f} times the thrust that its platform and firmware are known for, {low:g} to "
             f"{high:g} are allowed: look at platform, thrust_map, propellers and battery"
@@ -795,16 +860,16 @@ class Pilot(Actor):
     def _found(self) -> None:
         """Land from where the drone is seen, in the air, where others have flown it."""
         self._takes_over = False
-        if self.mode is GROUND:
-            self._change(Event.FOUND)
+        if self.mode is GROUND_MODE:
+            self._change(ModeEvent.FOUND)
             self.land("found in the air, where others have flown it: landing")
-        elif self.mode is LAND:
+        elif self.mode is LAND_MODE:
             self.flights.clear()
             self._descend()
 
     def cut(self, reason: str) -> None:
         """Stop the motors, for good."""
-        self._change(Event.STOP)
+        self._change(ModeEvent.STOP)
         self.cut_for = self.cut_for or reason
         self.link.cut()
         self._say("cut", reason, grave=True)
@@ -829,7 +894,7 @@ class Pilot(Actor):
         self.unguided = reason
         self.commanded = False
         self.hover()
-        due_ns = self.clock.now_ns() + round(GIVE_UP_HOVER * SECOND)
+        due_ns = self.clock.now_ns() + round(GIVE_UP_HOVER * NS_PER_SECOND)
         self.clock.call_at(
             due_ns, self.land, f"guidance failed ({reason}): landing", drone=self.drone
         )
@@ -839,37 +904,37 @@ class Pilot(Actor):
 
         Returns 0 for a landing that may begin anew again and again.
         """
-        if self.mode is LAND and self.unreached:
+        if self.mode is LAND_MODE and self.unreached:
             return 0.0
         return self.flights.remaining(self.clock.now())
 
     @property
     def airborne(self) -> bool:
         """Whether the motors may be running."""
-        return self.mode not in DOWN
+        return self.mode not in MOTORS_OFF_MODES
 
     @property
     def obeys(self) -> bool:
         """Whether guidance moves the drone: in the air, not held, not waiting for its operator."""
-        return self.mode in GUIDED and not (self.held or self.awaits_start)
+        return self.mode in GUIDED_MODES and not (self.held or self.awaits_start)
 
     @property
     def steerable(self) -> bool:
         """Whether the operator moves the drone: it flies, and guidance is there and waits."""
         return (
-            self.mode in (HOVER, FOLLOW)
+            self.mode in (HOVER_MODE, FOLLOW_MODE)
             and (self.held or self.awaits_start)
             and not self.unguided
         )
 
     # What its operator commands -----------------------------------------------------------------
 
-    def refuses(self, command: Event) -> str:
+    def refuses(self, command: ModeEvent) -> str:
         """Return why the drone cannot do what its operator commands, in this mode.
 
         Returns an empty text if it can.
         """
-        return refusal(self.mode, command)
+        return get_refusal(self.mode, command)
 
     def start(self) -> None:
         """Let the mission fly the drone."""
@@ -880,14 +945,14 @@ class Pilot(Actor):
 
         A landing drone cannot be held.
         """
-        if self.refuses(Event.HOLD if on else Event.GO):
+        if self.refuses(ModeEvent.HOLD if on else ModeEvent.GO):
             return
         self.held = on
         self.commanded = False
         if on and self.airborne:
             self._rest()
-        elif not on and self.mode is HOVER and self._way is not None:
-            self._change(Event.HOME)
+        elif not on and self.mode is HOVER_MODE and self._way is not None:
+            self._change(ModeEvent.HOME)
 
     def go_home(self, home: Point, level: float) -> None:
         """Rise to `level` m, fly home at that height, and land there.
@@ -896,7 +961,7 @@ class Pilot(Actor):
             first
         level: m, height of the flight
         """
-        if self.refuses(Event.HOME) or self.state is None:
+        if self.refuses(ModeEvent.HOME) or self.state is None:
             return
         inside = self.guard.room.nearest(
             np.array([*self.state.p[:2], level]), inset=0.0
@@ -908,7 +973,7 @@ class Pilot(Actor):
         self.commanded = False
         self._reference = None
         self._brake()
-        self._change(Event.HOME)
+        self._change(ModeEvent.HOME)
 
     def _go_on_home(self, state: State, now: float) -> None:
         """Begin the next leg of the way home.
@@ -930,63 +995,74 @@ class Pilot(Actor):
             start, self.guard.room.nearest(leg, inset=0.0), start.yaw, 0.0, now
         )
 
-    def _change(self, event: Event) -> None:
+    def _change(self, event: ModeEvent) -> None:
         """Change the mode as the table of modes says for this event."""
-        self.mode = after(self.mode, event)
+        self.mode = get_next_mode(self.mode, event)
 
     # The chain ----------------------------------------------------------------------------------
 
     def _command(self, state: State, now: float) -> Command | None:
         """Return the command of this tick; None lets the drone continue as it does."""
-        if self._takes_over and state.age <= SEEN:
+        if self._takes_over and state.age <= SEEN_AGE:
             self._found()
         mode = self.mode
-        if mode in DOWN:
+        if mode in MOTORS_OFF_MODES:
             self.clearance.rest(now)
-            return None if self._takes_over and mode is GROUND else self._idle
+            return None if self._takes_over and mode is GROUND_MODE else self._idle
         if self.unheard():
-            self.guard.bear_unseen(state.age + TOUCHDOWN_LATE)
+            self.guard.bear_unseen(state.age + TOUCHDOWN_LIMITS.overdue_time)
         if self._reference is not None:
             verdict = self.guard.check(
-                now, state, state.age, (self._ticked_ns - self._reference_ns) / SECOND
+                now,
+                state,
+                state.age,
+                (self._ticked_ns - self._reference_ns) / NS_PER_SECOND,
             )
         else:
-            verdict = self.guard.check(now, state, state.age, None, mode in LOW)
-        if verdict.action is not NOMINAL or self._obeyed is not NOMINAL:
+            verdict = self.guard.check(now, state, state.age, None, mode in LOW_MODES)
+        if verdict.action is not NOMINAL_ACTION or self._obeyed is not NOMINAL_ACTION:
             self._obey(verdict)
             if not self.airborne:
                 return self._idle
-        if self.mode is TAKEOFF and self._reached:
+        if self.mode is TAKEOFF_MODE and self._reached:
             self.guard.tell("body", float(self._stays_down(state, now)))
         if self._reached and self._down_at == math.inf and (why := self.astray()):
             falls = (
-                state.flat[2] < self._lift_off - LIFTED + FALLS
-                or self.controls.sender.kind not in THRUST
+                state.flat[2]
+                < self._lift_off - LIFT_OFF_LIMITS.height + STRAY_BODY_LIMITS.cut_height
+                or self.controls.sender.kind not in THRUST_SENDERS
             )
             self.guard.tell("astray", 2.0 if falls else LANDS_ASTRAY, why)
         if (
             self._reached
-            and self.mode is LAND
-            and (state.age > BLIND or self.guard.told("astray") == LANDS_ASTRAY)
+            and self.mode is LAND_MODE
+            and (
+                state.age > FIRMWARE_LANDING.pose_timeout
+                or self.guard.told("astray") == LANDS_ASTRAY
+            )
         ):
             self._hand_over()
         if self._reached and self._fallen(state, now):
             silent = self.guard.told("link")
             why = (
                 f"its radio is silent for {silent:.2f} s, and it is "
-                if silent > SILENT
+                if silent > STRAY_BODY_LIMITS.silence
                 else ""
             )
             self._give_up(f"{why}seen on the floor, where it should fly: landing")
         if self._held_at_fence(verdict, now):
             self.at_fence += 1
-        if self.mode is not LAND and self.clearance.deaf(now):
-            self._give_up(DEAF)
-        if self.mode is not LAND and self.clearance.gives_up:
+        if self.mode is not LAND_MODE and self.clearance.deaf(now):
+            self._give_up(CUT_OFF_TEXT)
+        if self.mode is not LAND_MODE and self.clearance.gives_up:
             self._give_up(f"{self.clearance.silent}: landing")
-        if self.mode is RETURN and self._obeyed is NOMINAL and self.flights.done(now):
+        if (
+            self.mode is RETURN_MODE
+            and self._obeyed is NOMINAL_ACTION
+            and self.flights.done(now)
+        ):
             self._go_on_home(state, now)
-        if self.mode is LAND and self._is_down(state, now):
+        if self.mode is LAND_MODE and self._is_down(state, now):
             self._landed()
             return self._idle
         if self._down_at < math.inf:
@@ -994,7 +1070,7 @@ class Pilot(Actor):
             return None
         if self._takes_over:
             return None
-        if self.unreached and self.mode is LAND:
+        if self.unreached and self.mode is LAND_MODE:
             return self._land_unheard(state, now)
         return self._follow(state, now)
 
@@ -1005,30 +1081,35 @@ class Pilot(Actor):
         """
         plan = self.flights.sample(now)
         flown = self._flown
-        floor = self._lift_off - LIFTED
+        floor = self._lift_off - LIFT_OFF_LIMITS.height
         # Others kept it down in the last tick.
         kept_down = self.clearance.aside and flown is not None and flown.a[2] <= 0.0
-        low = plan is None or plan.p[2] - floor <= RISING
+        low = plan is None or plan.p[2] - floor <= LIFT_OFF_LIMITS.plan_height
         if low or kept_down or state.flat[2] >= self._lift_off or not self.turning():
             self._rises_at = now
         return now - self._rises_at > (
-            STANDS if self.controls.sender.kind in THRUST else STANDS_ON_BOARD
+            LIFT_OFF_LIMITS.thrust_time
+            if self.controls.sender.kind in THRUST_SENDERS
+            else LIFT_OFF_LIMITS.on_board_time
         )
 
     def _fallen(self, state: State, now: float) -> bool:
         """Return whether the drone has come down by itself and pushes against the floor."""
-        up = state.age > SEEN or state.flat[2] > self.limits.ground + ON_THE_FLOOR
-        if up or self.mode not in GUIDED or self.mode is TAKEOFF:
+        up = (
+            state.age > SEEN_AGE
+            or state.flat[2] > self.limits.ground + TOUCHDOWN_LIMITS.floor_height
+        )
+        if up or self.mode not in GUIDED_MODES or self.mode is TAKEOFF_MODE:
             self._up_at = now
-        return now - self._up_at > ON_FLOOR
+        return now - self._up_at > STRAY_BODY_LIMITS.on_floor_time
 
-    def _held_at_fence(self, verdict: Verdict, now: float) -> bool:
+    def _held_at_fence(self, verdict: SafetyVerdict, now: float) -> bool:
         """Return whether the fence keeps the drone from where guidance wants it.
 
         Either the safety table keeps it inside, or a flight to a place outside has ended at the
         fence.
         """
-        if self.mode not in GUIDED or self.held:
+        if self.mode not in GUIDED_MODES or self.held:
             return False
         return verdict.measure == "stop" or (self._beyond and self.flights.done(now))
 
@@ -1046,7 +1127,7 @@ class Pilot(Actor):
         return (
             self._reached
             and self.controls.sender.kind == "xyz"
-            and self.guard.told("link") > UNREACHED
+            and self.guard.told("link") > FIRMWARE_LANDING.radio_timeout
         )
 
     def _land_unheard(self, state: State, now: float) -> Command | None:
@@ -1055,9 +1136,15 @@ class Pilot(Actor):
         The landing begins anew from where the drone is seen, as soon as the plan leaves it behind.
         """
         planned = self.flights.sample(now)
-        if planned is None or np.linalg.norm(planned.p - state.p) > LEFT_BEHIND:
+        if (
+            planned is None
+            or np.linalg.norm(planned.p - state.p)
+            > TOUCHDOWN_LIMITS.replanning_distance
+        ):
             start = FullState.at(state.p, state.v, yaw=yaw_of(state.q))
-            self.flights.descend(start, now, self.limits.ground + ON_THE_FLOOR)
+            self.flights.descend(
+                start, now, self.limits.ground + TOUCHDOWN_LIMITS.floor_height
+            )
             planned = self.flights.sample(now)
         self._flown = planned
         return self._commanded(self.controls.tracker, state, planned, now)
@@ -1069,26 +1156,41 @@ class Pilot(Actor):
         floor suggest. A height that is only predicted does not count: it may be wrong by a fall
         that breaks the drone.
         """
-        seen = state.age <= SEEN
-        if self.unreached and seen and state.flat[2] > self.limits.ground + IN_THE_AIR:
+        seen = state.age <= SEEN_AGE
+        if (
+            self.unreached
+            and seen
+            and state.flat[2] > self.limits.ground + TOUCHDOWN_LIMITS.airborne_height
+        ):
             return False
         if now > self._down_at:
-            return not self.turning() or now > self._down_at + STILL_TURNING
+            return (
+                not self.turning()
+                or now > self._down_at + FIRMWARE_LANDING.motor_timeout
+            )
         if not self._takes_off:
-            return self.flights.done(now) and bool(np.linalg.norm(state.v) < AT_REST)
+            return self.flights.done(now) and bool(
+                np.linalg.norm(state.v) < TOUCHDOWN_LIMITS.rest_speed
+            )
         if now > self._replay_lands_at:
             up = state.flat[2] - self.limits.ground
             self._say(
                 "replay",
-                f"{OBEYS_NOTHING}: its landing ends {up:.2f} m above the ground",
+                f"{REPLAY_TEXT}: its landing ends {up:.2f} m above the ground",
             )
             return True
-        low = seen and state.flat[2] < self.limits.ground + ON_THE_FLOOR
+        low = (
+            seen and state.flat[2] < self.limits.ground + TOUCHDOWN_LIMITS.floor_height
+        )
         landing = isinstance(self.flights.plan, Landing)
         # Its owner has seen it land, or does not come back.
         if not seen and (self.turning() or self.unheard()):
             return not self.turning()
-        late = TOUCHDOWN_LATE if seen else TOUCHDOWN_UNSEEN
+        late = (
+            TOUCHDOWN_LIMITS.overdue_time
+            if seen
+            else TOUCHDOWN_LIMITS.unseen_overdue_time
+        )
         over = (
             landing
             and self.flights.done(now, late)
@@ -1097,13 +1199,15 @@ class Pilot(Actor):
         # A delayed drone waits until it may go down.
         planned = self.clearance.planned
         over = over and not (planned is not None and planned.delayed)
-        return bool(low or (over and np.linalg.norm(state.v) < AT_REST))
+        return bool(
+            low or (over and np.linalg.norm(state.v) < TOUCHDOWN_LIMITS.rest_speed)
+        )
 
     def _follow(self, state: State, now: float) -> Command | None:
         """Return the command that flies the reference of guidance, or the plan."""
         chosen = self.controls
         flights = self.flights
-        if self.mode is FOLLOW and self._obeyed is NOMINAL:
+        if self.mode is FOLLOW_MODE and self._obeyed is NOMINAL_ACTION:
             reference = self._reference
             if isinstance(reference, Acceleration) and chosen.follower is not None:
                 self._flown = None
@@ -1117,12 +1221,14 @@ class Pilot(Actor):
                 wanted = self.reference_limits.full_state(reference, state)
                 flights.plan = None
                 self._flown = self.clearance.agreed(
-                    state, wanted, partial(ahead, reference), 0.0, now
+                    state, wanted, partial(extrapolate_reference, reference), 0.0, now
                 )
                 self._say_delayed()
                 if (safe := self._kept_clear(state, self._flown, now)) is not None:
                     return self._evade(state, safe, self._flown.yaw, now)
-                chosen.trim.frozen = self._flown is not reference or state.age > SEEN
+                chosen.trim.frozen = (
+                    self._flown is not reference or state.age > SEEN_AGE
+                )
                 return self._commanded(chosen.tracker, state, self._flown, now)
         if flights.plan is None:
             self._brake()
@@ -1130,16 +1236,16 @@ class Pilot(Actor):
         assert planned is not None  # noqa: S101 - there is a plan
         self._flown = flown = self._flown_of(state, planned, now)
         if (
-            self.mode in (TAKEOFF, FOLLOW)
+            self.mode in (TAKEOFF_MODE, FOLLOW_MODE)
             and self._reference is None
             and flights.done(now)
         ):
-            self._change(Event.ARRIVED)
+            self._change(ModeEvent.ARRIVED)
         if (safe := self._kept_clear(state, flown, now)) is not None:
             self.clearance.aside = True
             return self._evade(state, safe, flown.yaw, now)
-        low = self.mode is TAKEOFF and state.flat[2] < self._lift_off
-        chosen.trim.frozen = low or state.age > SEEN or flown is not planned
+        low = self.mode is TAKEOFF_MODE and state.flat[2] < self._lift_off
+        chosen.trim.frozen = low or state.age > SEEN_AGE or flown is not planned
         return self._commanded(chosen.tracker, state, self._flown, now)
 
     def _flown_of(self, state: State, planned: FullState, now: float) -> FullState:
@@ -1149,7 +1255,7 @@ class Pilot(Actor):
         """
         clearance = self.clearance
         if clearance.planned is not None:
-            lands = self.mode is LAND
+            lands = self.mode is LAND_MODE
             if lands:
                 planned = self._down_elsewhere(clearance.planned, planned, now)
             flown = clearance.planned_flight(
@@ -1194,7 +1300,7 @@ class Pilot(Actor):
         A landing drone lands where it is.
         """
         flights = self.flights
-        if self.mode is LAND:
+        if self.mode is LAND_MODE:
             flights.clear()
             self._descend()
             return flights.sample(now) or planned
@@ -1220,7 +1326,11 @@ class Pilot(Actor):
         Returns None if nothing is in the way.
         """
         safe = self.clearance.evasion(
-            state, reference, self.reference_limits.gains, now, lands=self.mode is LAND
+            state,
+            reference,
+            self.reference_limits.gains,
+            now,
+            lands=self.mode is LAND_MODE,
         )
         if safe is None and self.note == self._evades:
             self.note = ""
@@ -1231,7 +1341,7 @@ class Pilot(Actor):
         """Return the command that flies the acceleration a, (3,) m/s2, of the collision filter."""
         assert self.clearance.filter is not None  # noqa: S101 - the filter has acted
         # If the safety table acts, it has already given the reason.
-        if self._obeyed is NOMINAL:
+        if self._obeyed is NOMINAL_ACTION:
             self._say_evades(self.clearance.filter.gives_way_to)
         self.controls.trim.frozen = True
         self._flown = FullState(
@@ -1262,7 +1372,7 @@ class Pilot(Actor):
         self._a = controller.acceleration
         return command
 
-    def _obey(self, verdict: Verdict) -> None:
+    def _obey(self, verdict: SafetyVerdict) -> None:
         """Act on a verdict of the safety table when its action changes."""
         if verdict.action is not Action.NOMINAL:
             self._say(
@@ -1278,7 +1388,7 @@ class Pilot(Actor):
             self.cut(verdict.reason)
         elif verdict.action is Action.LAND:
             self._give_up(verdict.reason)
-        elif verdict.action is Action.BRAKE and self.mode is not LAND:
+        elif verdict.action is Action.BRAKE and self.mode is not LAND_MODE:
             self._brake()
 
     def _hand_over(self) -> None:
@@ -1288,11 +1398,11 @@ class Pilot(Actor):
         """
         if self._down_at < math.inf or self.state is None:
             return
-        depth = float(self.state.p[2]) - self.limits.ground + BLIND_DEPTH
-        seconds = max(depth / BLIND_SPEED, 1.0)
+        depth = float(self.state.p[2]) - self.limits.ground + FIRMWARE_LANDING.depth
+        seconds = max(depth / FIRMWARE_LANDING.speed, 1.0)
         self._down_at = self.clock.now() + seconds
-        self.guard.bear_unseen(self.state.age + seconds + TOUCHDOWN_LATE)
-        floor = self.limits.ground - BLIND_DEPTH
+        self.guard.bear_unseen(self.state.age + seconds + TOUCHDOWN_LIMITS.overdue_time)
+        floor = self.limits.ground - FIRMWARE_LANDING.depth
         self._to_firmware = XYZ(
             "land", np.array([0.0, 0.0, floor, yaw_of(self.state.q), seconds])
         )
@@ -1301,7 +1411,7 @@ class Pilot(Actor):
     def _tell_owner(self, now: float) -> None:
         """Repeat the command to land by the firmware; the owner takes a silent agent for gone."""
         if self._to_firmware is not None and now >= self._tell_owner_at:
-            self._tell_owner_at = now + TELL_OWNER
+            self._tell_owner_at = now + FIRMWARE_LANDING.command_interval
             self.link.send(self._to_firmware)
 
     def _brake(self) -> None:
@@ -1318,21 +1428,26 @@ class Pilot(Actor):
 
         beside: (3,) m, world: where the drone comes down instead
         """
-        begins = self.mode is not LAND
+        begins = self.mode is not LAND_MODE
         if begins:
             self.controls.trim.keep()
         self._flown = start = self._departure()
         self._reference = None
         self._way = None
         self.commanded = False
-        self._change(Event.ARRIVED if self.mode is RETURN else Event.LAND)
+        self._change(ModeEvent.ARRIVED if self.mode is RETURN_MODE else ModeEvent.LAND)
         if not self._takes_off:
             return self.flights.brake(start, self.clock.now())
         seconds = self.flights.descend(
-            start, self.clock.now(), self.limits.ground + ON_THE_FLOOR, beside
+            start,
+            self.clock.now(),
+            self.limits.ground + TOUCHDOWN_LIMITS.floor_height,
+            beside,
         )
         if begins and self.is_replayed:
-            self._replay_lands_at = self.clock.now() + seconds + REPLAY_LATE
+            self._replay_lands_at = (
+                self.clock.now() + seconds + TOUCHDOWN_LIMITS.replay_overdue_time
+            )
         return seconds
 
     def _departure(self) -> FullState:
@@ -1350,7 +1465,7 @@ class Pilot(Actor):
 
     def _landed(self) -> None:
         """Enter the mode on the ground, and forget the flight."""
-        self._change(Event.DOWN)
+        self._change(ModeEvent.DOWN)
         self._down_at = self._replay_lands_at = math.inf
         self._to_firmware = None
         self._tell_owner_at = 0.0
@@ -1363,7 +1478,7 @@ class Pilot(Actor):
         if self.braked > 1:
             text = f"the safety table has braked it {self.braked} times in this flight"
             self._say("braked", text)
-            self.port.publish(LOG, f"drone {self.drone}: {text}")
+            self.port.publish(DRONE_TOPICS.log, f"drone {self.drone}: {text}")
         self.braked = 0
 
     def _say(self, topic: str, text: str, grave: bool = False) -> None:

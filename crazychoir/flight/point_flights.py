@@ -1,42 +1,54 @@
 """The flights that a pilot plans itself: to a place, to rest, down; within fence and limits."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from crazychoir.config.tables import Flight
-from crazychoir.numerics.math3d import GRAVITY, yaw_of
-from crazychoir.planning.landing import Landing, Legs
+from crazychoir.config.tables import FlightTable
+from crazychoir.numerics.math3d import STANDARD_GRAVITY, yaw_of
+from crazychoir.planning.landing import FlightLegs, Landing
 from crazychoir.planning.point_to_point import (
     PEAK_SPEED,
     PointToPoint,
-    duration_for,
-    stopping,
+    compute_flight_time,
+    plan_stop,
 )
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.platforms import Platform
-from crazychoir.safety.rules.guard import INSET, Fence
+from crazychoir.safety.rules.guard import FENCE_INSET, Fence
 from crazychoir.types import FullState, State, Vec
 
-DETOUR = 2.0
-"""Time for a robot that finds its own way to a pose, as a multiple of a straight drive."""
-PARKING = 4.0
-"""Further seconds that such a robot gets to come to rest."""
-LONGEST_WAIT = 60.0
-"""Longest time in s that a plan waits for a drone that others keep off it."""
-IN_VAIN = 1.5
-"""Seconds that a plan waits before it begins anew."""
+
+@dataclass(frozen=True, slots=True)
+class FlightPatience:
+    """How much time a planned flight gets beyond the estimate, and how long it waits."""
+
+    detour_factor: float = 2.0
+    """Time for a robot that finds its own way to a pose, as a multiple of a straight drive."""
+    parking_time: float = 4.0
+    """Further seconds that such a robot gets to come to rest."""
+    longest_wait: float = 60.0
+    """Longest time in s that a plan waits for a drone that others keep off it."""
+    restart_wait: float = 1.5
+    """Seconds that a plan waits before it begins anew."""
 
 
-def braking(limits: Flight, platform: Platform, share: float) -> float:
+FLIGHT_PATIENCE = FlightPatience()
+
+
+def compute_braking_limit(
+    limits: FlightTable, platform: Platform, share: float
+) -> float:
     """Return the acceleration in m/s2 with which a drone comes to rest from any direction.
 
     share: largest share of its thrust that acts upwards
     """
     # The acceleration that stops a fall.
-    lift = share * platform.max_thrust / platform.mass - GRAVITY
+    lift = share * platform.max_thrust / platform.mass - STANDARD_GRAVITY
     return min(limits.acceleration_limit, lift)
 
 
-class Flights:
+class PointFlights:
     """The planned flight, if there is one, and the start of new flights.
 
     limits: [flight]
@@ -44,7 +56,7 @@ class Flights:
     a_max: m/s2, with which it brakes
     """
 
-    def __init__(self, limits: Flight, fence: Fence, a_max: float) -> None:
+    def __init__(self, limits: FlightTable, fence: Fence, a_max: float) -> None:
         self.limits = limits
         self.fence = fence
         self.a_max = a_max
@@ -92,7 +104,7 @@ class Flights:
         Returns s that the flight takes.
         """
         limits = self.limits
-        fastest = duration_for(
+        fastest = compute_flight_time(
             start, goal, yaw, limits.speed_limit, limits.acceleration_limit
         )
         return self.fly(PointToPoint(start, goal, yaw, max(duration, fastest)), now)
@@ -109,18 +121,27 @@ class Flights:
         """
         v_max = self.limits.speed_limit
         a_max = self.limits.acceleration_limit
-        fastest = duration_for(
+        fastest = compute_flight_time(
             FullState.at(start.p, yaw=start.yaw), goal, yaw, v_max, a_max
         )
         there = FullState.at(goal, yaw=yaw)
         return self.fly(
-            PointToPoint(there, goal, yaw, max(duration, DETOUR * fastest + PARKING)),
+            PointToPoint(
+                there,
+                goal,
+                yaw,
+                max(
+                    duration,
+                    FLIGHT_PATIENCE.detour_factor * fastest
+                    + FLIGHT_PATIENCE.parking_time,
+                ),
+            ),
             now,
         )
 
     def brake(self, start: FullState, now: float) -> float:
         """Come to rest inside the fence by the shortest path; return s that this takes."""
-        return self.fly(Legs(*self._stop(start, self.fence)), now)
+        return self.fly(FlightLegs(*self._stop(start, self.fence)), now)
 
     def descend(
         self, start: FullState, now: float, touchdown: float, beside: Vec | None = None
@@ -133,17 +154,17 @@ class Flights:
         Returns s until the drone is at the height `touchdown`.
         """
         limits = self.limits
-        stop = self._stop(start, self.fence.with_floor(limits.ground - INSET))
+        stop = self._stop(start, self.fence.with_floor(limits.ground - FENCE_INSET))
         if beside is not None:
             here = FullState.at(stop[-1].goal, yaw=start.yaw)
-            duration = duration_for(
+            duration = compute_flight_time(
                 here, beside, start.yaw, limits.speed_limit, limits.acceleration_limit
             )
             stop = [*stop, PointToPoint(here, beside, start.yaw, duration)]
         above = FullState.at(stop[-1].goal, yaw=start.yaw)
         floor = stop[-1].goal.copy()
         floor[2] = limits.ground - 0.05
-        fastest = duration_for(
+        fastest = compute_flight_time(
             above, floor, start.yaw, limits.speed_limit, limits.acceleration_limit
         )
         slow = PEAK_SPEED * (above.p[2] - floor[2]) / limits.landing_speed
@@ -158,12 +179,12 @@ class Flights:
 
         If it ends outside the fence, a second flight leads from there to the nearest place inside.
         """
-        stop = stopping(start, self.a_max)
+        stop = plan_stop(start, self.a_max)
         inside = fence.nearest(stop.goal)
         if np.array_equal(inside, stop.goal):
             return [stop]
         outside = FullState.at(stop.goal, yaw=start.yaw)
-        duration = duration_for(
+        duration = compute_flight_time(
             outside, inside, start.yaw, self.limits.speed_limit, self.a_max
         )
         return [stop, PointToPoint(outside, inside, start.yaw, duration)]
@@ -173,7 +194,7 @@ class Flights:
 
         Returns False if the plan has waited for LONGEST_WAIT s and is to wait longer.
         """
-        if seconds > 0.0 and self.waited >= LONGEST_WAIT:
+        if seconds > 0.0 and self.waited >= FLIGHT_PATIENCE.longest_wait:
             return False
         self.start += seconds
         self.waited += seconds
@@ -192,8 +213,8 @@ class Flights:
         waited = self.waited
         if (
             not isinstance(plan, PointToPoint)
-            or waited >= LONGEST_WAIT
-            or waited - self._resumed < IN_VAIN
+            or waited >= FLIGHT_PATIENCE.longest_wait
+            or waited - self._resumed < FLIGHT_PATIENCE.restart_wait
         ):
             return False
         yaw = plan.sample(plan.duration).yaw

@@ -68,7 +68,7 @@ def _to_number(value: object) -> float:
     return math.nan if found is None else float(found)
 
 
-def ahead(reference: FullState, later: float) -> FullState:
+def extrapolate_reference(reference: FullState, later: float) -> FullState:
     """Return where a reference will be `later` s from now if its acceleration stays constant."""
     p = reference.p
     v = reference.v

@@ -14,10 +14,10 @@ from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.member import Member
 from crazychoir.guidance.timed import Way
 from crazychoir.optimization.algorithms.aggregative_tracking import AggregativeTracking
-from crazychoir.planning.smoothing import Smoother
+from crazychoir.planning.smoothing import GoalSmoother
 from crazychoir.types import FullState, Heard, Mat, State, Vec
 
-CHANNEL = "aggregative"
+AGGREGATIVE_CHANNEL = "aggregative"
 """Channel of the tracking rounds."""
 SPEED_SHARE = 0.5
 """Share of speed_limit that references use.
@@ -90,7 +90,7 @@ class AggregativeGuidance(CFDistributedFeedback):
 
     agent: AggregativeTracking
     """This drone's part of the algorithm."""
-    smoother: Smoother
+    smoother: GoalSmoother
     """Limits speed and acceleration of the reference."""
 
     def __init__(self, mates: tuple[int, ...], round_rate: float = 20.0) -> None:
@@ -130,7 +130,7 @@ class AggregativeGuidance(CFDistributedFeedback):
         self.agent = self.algorithm(place)
         v_max = SPEED_SHARE * flight.speed_limit
         a_max = ACCELERATION_SHARE * flight.acceleration_limit
-        self.smoother = Smoother(place, v_max, a_max, 1.0 / self.rate)
+        self.smoother = GoalSmoother(place, v_max, a_max, 1.0 / self.rate)
         rounds = asyncio.create_task(self._rounds(), name=f"drone {self.id} rounds")
         try:
             await super().run_law()
@@ -147,7 +147,7 @@ class AggregativeGuidance(CFDistributedFeedback):
         try:
             while not agent.done:
                 heard = await self.neighbors_exchange(
-                    agent.message(), self.mates, self.mates, channel=CHANNEL
+                    agent.message(), self.mates, self.mates, channel=AGGREGATIVE_CHANNEL
                 )
                 agent.step(heard)
                 due = max(due + 1.0 / self.round_rate, clock.now())

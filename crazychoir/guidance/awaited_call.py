@@ -20,11 +20,11 @@ R = TypeVar("R")
 
 IS_WATCHED = "_is_watched"
 """The attribute of functions that are decorated here."""
-KEPT = 10
+MOST_REMEMBERED_CALLS = 10
 """Places with forgotten calls that are remembered with their text; of others only their number is."""
 
 
-class Unawaited:
+class UnawaitedCalls:
     """The calls of one guidance that nothing has awaited.
 
     waiting: by their identity, those that still exist and may be awaited.
@@ -34,7 +34,7 @@ class Unawaited:
     """
 
     def __init__(self) -> None:
-        self.waiting: dict[int, weakref.ref[Call[Any]]] = {}
+        self.waiting: dict[int, weakref.ref[GuidanceCall[Any]]] = {}
         self.dropped: dict[tuple[str, str], None] = {}
         self.left: dict[tuple[str, str], None] = {}
         self.more = 0
@@ -46,13 +46,13 @@ class Unawaited:
         line: "file:line" that was executed when it was thrown away.
         """
         calls = self.dropped if line == call[0] else self.left
-        if len(calls) < KEPT:
+        if len(calls) < MOST_REMEMBERED_CALLS:
             calls[call] = None
         elif call not in calls:
             self.more += 1
 
 
-class Call(Coroutine[Any, Any, R], Generic[R]):
+class GuidanceCall(Coroutine[Any, Any, R], Generic[R]):
     """A call of a coroutine function of a guidance.
 
     Nothing happens before it is awaited or made a task.
@@ -69,7 +69,7 @@ class Call(Coroutine[Any, Any, R], Generic[R]):
         inner: Coroutine[Any, Any, R],
         name: str,
         place: str,
-        unawaited: Unawaited,
+        unawaited: UnawaitedCalls,
     ) -> None:
         self.inner = inner
         self.name = name
@@ -147,7 +147,7 @@ class Call(Coroutine[Any, Any, R], Generic[R]):
         return f"<call of {self.name} at {self.place}>"
 
 
-def awaited(
+def remember_calls(
     function: Callable[P, Coroutine[Any, Any, R]],
 ) -> Callable[P, Coroutine[Any, Any, R]]:
     """Decorate a coroutine function of a guidance: remember its calls until they are awaited."""
@@ -159,7 +159,7 @@ def awaited(
         guidance = args[0] if args else next((kwargs.get(name) for name in own), None)
         if not hasattr(guidance, "__dict__"):
             return function(*args, **kwargs)
-        return called_from(
+        return find_call_from(
             caller.f_code.co_filename,
             caller.f_lineno,
             guidance,
@@ -183,7 +183,7 @@ def as_coroutine_function(function: Function) -> Function:
     return function
 
 
-def called_from(
+def find_call_from(
     file: str,
     line: int,
     guidance: object,
@@ -192,8 +192,10 @@ def called_from(
     **kwargs: Any,
 ) -> Coroutine[Any, Any, R]:
     """Return the call of a coroutine function, made in this line of this file for this guidance."""
-    calls: Unawaited = guidance.__dict__.setdefault("_unawaited", Unawaited())
-    return Call(function(*args, **kwargs), function.__name__, f"{file}:{line}", calls)
+    calls: UnawaitedCalls = guidance.__dict__.setdefault("_unawaited", UnawaitedCalls())
+    return GuidanceCall(
+        function(*args, **kwargs), function.__name__, f"{file}:{line}", calls
+    )
 
 
 def watch_coroutines(kind: type, kept: frozenset[str]) -> None:
@@ -205,16 +207,16 @@ def watch_coroutines(kind: type, kept: frozenset[str]) -> None:
     for name, value in list(vars(kind).items()):
         is_watched = hasattr(value, IS_WATCHED) or name in kept
         if inspect.iscoroutinefunction(value) and not is_watched:
-            setattr(kind, name, awaited(value))
+            setattr(kind, name, remember_calls(value))
 
 
-def forgotten(guidance: object, has_ended_by_itself: bool) -> str:
+def describe_forgotten_calls(guidance: object, has_ended_by_itself: bool) -> str:
     """Say which calls of a guidance nothing has awaited, and what to write; empty if there are none. They are ended.
 
     has_ended_by_itself: whether the mission has returned. If an error or a command has ended it, calls that it has kept
     are no mistake: it would have awaited them later. Calls that were dropped where they were made always are one.
     """
-    calls: Unawaited | None = getattr(guidance, "__dict__", {}).get("_unawaited")
+    calls: UnawaitedCalls | None = getattr(guidance, "__dict__", {}).get("_unawaited")
     if calls is None:
         return ""
     waiting = [call for made in calls.waiting.values() if (call := made()) is not None]
@@ -228,7 +230,7 @@ def forgotten(guidance: object, has_ended_by_itself: bool) -> str:
         f"write `await self.{name}(...)`"
         for place, name in dict.fromkeys(found)
     ]
-    more = calls.more + max(0, len(texts) - KEPT)
+    more = calls.more + max(0, len(texts) - MOST_REMEMBERED_CALLS)
     if more and texts:
-        texts[KEPT:] = [f"and {more} more calls without await"]
+        texts[MOST_REMEMBERED_CALLS:] = [f"and {more} more calls without await"]
     return "; ".join(texts)

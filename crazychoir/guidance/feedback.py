@@ -1,6 +1,6 @@
 """CFDistributedFeedback: a feedback law as a mission.
 
-`amiss` reports references that cannot be flown.
+`explain_wrong_return` reports references that cannot be flown.
 """
 
 import asyncio
@@ -8,19 +8,29 @@ import logging
 import math
 from abc import abstractmethod
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from crazychoir.bus.topics import STATE
-from crazychoir.control.gains import FORMATION, Gains
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.control.gains import FORMATION_GAINS, Gains
 from crazychoir.errors import ConfigError
 from crazychoir.flight.references import convert_reference, explain_refusal
 from crazychoir.guidance.guidance import CFGuidance
-from crazychoir.guidance.member import Interrupted, Member, raisable, standing
-from crazychoir.guidance.neighbour_state import Hearing, Paired, VelocitySum
-from crazychoir.guidance.user_hook import Hook, place_of
-from crazychoir.runtime.clock import SECOND, wake
+from crazychoir.guidance.member import (
+    Interrupted,
+    Member,
+    describe_state,
+    make_raisable,
+)
+from crazychoir.guidance.neighbour_state import (
+    PairedStateMailbox,
+    StateMailbox,
+    VelocitySum,
+)
+from crazychoir.guidance.user_hook import Hook, locate_function
+from crazychoir.runtime.clock import NS_PER_SECOND, wake_waiter
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import (
@@ -34,15 +44,26 @@ from crazychoir.types import (
 )
 
 log = logging.getLogger(__name__)
-LAW = "feedback law"
+LAW_TASK = "feedback law"
 """The task in the status while a CFDistributedFeedback runs."""
-SLOWEST = 1e-3
-"""Hz: lowest rate of a law."""
-FASTEST = 1000.0
-"""Hz: highest rate of a law."""
-FOR_EVER = 1e9
-"""s: duration of a law without an end, since timers count in nanoseconds."""
-TAKEOFF = Mode.TAKEOFF
+
+
+@dataclass(frozen=True, slots=True)
+class LawTiming:
+    """Limits of the rate and of the duration of a law."""
+
+    lowest_rate: float = 1e-3
+    """Hz: lowest rate of a law."""
+    highest_rate: float = 1000.0
+    """Hz: highest rate of a law."""
+    longest_duration: float = 1e9
+    """s: duration of a law without an end, since timers count in nanoseconds."""
+
+
+LAW_TIMING = LawTiming()
+
+
+RISING_MODE = Mode.TAKEOFF
 """The mode in which a law waits for the end of the take-off."""
 LAW_MODES = (Mode.HOVER, Mode.FOLLOW)
 """The modes of the pilot in which a law may fly."""
@@ -65,7 +86,7 @@ class CFDistributedFeedback(CFGuidance):
     """Hz, at most the rate of the poses."""
     duration = 20.0
     """s: duration of the law, from the moment when all drones hover."""
-    gains: Gains = FORMATION
+    gains: Gains = FORMATION_GAINS
     """Gains of the control that flies the Accelerations of the law."""
     rest = 0.0
     """s: how long the drone hovers before the law.
@@ -94,11 +115,15 @@ class CFDistributedFeedback(CFGuidance):
         super().bind(member)
         member.pilot.controls.lead_by(self.gains)
         bus = member.communicator.port.bus
-        self._hearings: dict[int, Hearing | Paired] = {}
+        self._hearings: dict[int, StateMailbox | PairedStateMailbox] = {}
         for j in self.graph.in_neighbors(self.id):
             hearing = self._hearings[j] = self._hearing(f"drone {self.id} state of {j}")
             bus.subscribe(
-                STATE, j, self.id, hearing, self.rate if self.rate < STATE.rate else 0.0
+                DRONE_TOPICS.state,
+                j,
+                self.id,
+                hearing,
+                self.rate if self.rate < DRONE_TOPICS.state.rate else 0.0,
             )
         self._own = self._sum()
         self._measured = 0.0
@@ -110,16 +135,18 @@ class CFDistributedFeedback(CFGuidance):
         self._me = self.state
         self._stages = bus.stages
         bus.subscribe(
-            STATE,
+            DRONE_TOPICS.state,
             self.id,
             self.id,
             Call(member.clock, self._moved, f"drone {self.id} state"),
         )
 
-    def _hearing(self, name: str) -> Hearing | Paired:
+    def _hearing(self, name: str) -> StateMailbox | PairedStateMailbox:
         if self.paired:
-            return Paired(self.member.clock, name, 1.0 / self.member.config.mocap.rate)
-        return Hearing(self.member.clock, name, self._sum())
+            return PairedStateMailbox(
+                self.member.clock, name, 1.0 / self.member.config.mocap.rate
+            )
+        return StateMailbox(self.member.clock, name, self._sum())
 
     def _sum(self) -> VelocitySum:
         member = self.member
@@ -138,7 +165,7 @@ class CFDistributedFeedback(CFGuidance):
         await self.take_off(self.height())
         await self.sleep(self.rest)
         await self.rendezvous()
-        self.member.report = lambda: {"task": LAW}
+        self.member.report = lambda: {"task": LAW_TASK}
         self.member.announce()
         started = self.member.clock.now()
         await self.run_law()
@@ -189,7 +216,7 @@ class CFDistributedFeedback(CFGuidance):
         that fails or does not return, and for a take-off beyond the fence.
         """
         for name, least, most, unit in (
-            ("rate", SLOWEST, FASTEST, "Hz"),
+            ("rate", LAW_TIMING.lowest_rate, LAW_TIMING.highest_rate, "Hz"),
             ("duration", 0.0, math.inf, "s"),
         ):
             value = getattr(self, name)
@@ -236,15 +263,18 @@ class CFDistributedFeedback(CFGuidance):
         Raises all errors of `step`, and Interrupted when the pilot stops obeying.
         """
         clock = self.member.clock
-        self._period_ns = round(SECOND / self.rate)
+        self._period_ns = round(NS_PER_SECOND / self.rate)
         self._due_ns = clock.now_ns()
         self._own.forget()
         for hearing in self._hearings.values():
             hearing.forget()
         self._law = asyncio.get_running_loop().create_future()
-        seconds = min(float(self.duration), FOR_EVER)
+        seconds = min(float(self.duration), LAW_TIMING.longest_duration)
         end = clock.call_at(
-            self._due_ns + round(seconds * SECOND), wake, self._law, drone=self.id
+            self._due_ns + round(seconds * NS_PER_SECOND),
+            wake_waiter,
+            self._law,
+            drone=self.id,
         )
         try:
             await self._law
@@ -270,11 +300,13 @@ class CFDistributedFeedback(CFGuidance):
         pilot = self.member.pilot
         try:
             late_ns = self.member.clock.now_ns() - self._due_ns
-            if late_ns < -pilot.period_ns // 2 or pilot.mode is TAKEOFF:
+            if late_ns < -pilot.period_ns // 2 or pilot.mode is RISING_MODE:
                 return
             self._due_ns += max(1, late_ns // self._period_ns + 1) * self._period_ns
             if pilot.mode not in LAW_MODES:
-                raise Interrupted(f"drone {self.id}: {standing(pilot)}{self._deaf()}")
+                raise Interrupted(
+                    f"drone {self.id}: {describe_state(pilot)}{self._deaf()}"
+                )
             reference = self._stepped(self._me)
             self._steps += 1
             if reference is None:
@@ -285,7 +317,7 @@ class CFDistributedFeedback(CFGuidance):
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # noqa: BLE001 - run_law raises it
-            law.set_exception(raisable(error, f"drone {self.id}: step"))
+            law.set_exception(make_raisable(error, f"drone {self.id}: step"))
 
     def _stepped(self, me: State) -> Reference | None:
         """Return the reference of `step`, guarded by the watchdog."""
@@ -312,10 +344,10 @@ class CFDistributedFeedback(CFGuidance):
         """Count a reference that can never be flown, and log the reason once."""
         self._refused += 1
         if convert_reference(reference) is None:
-            why = f"{amiss(reference)}; {explain_refusal(reference)}"
+            why = f"{explain_wrong_return(reference)}; {explain_refusal(reference)}"
         else:
             why = self.member.pilot.unflown(reference)
-        self._amiss = f"{why} ({place_of(self.step)})"
+        self._amiss = f"{why} ({locate_function(self.step)})"
         if self._refused == 1:
             log.warning("drone %d: %s: not flown", self.id, self._amiss)
 
@@ -343,7 +375,7 @@ class CFDistributedFeedback(CFGuidance):
         return heard
 
 
-def amiss(reference: object) -> str:
+def explain_wrong_return(reference: object) -> str:
     """Return why a return value of a law can never be flown."""
     numbers: list[Any]
     match reference:
@@ -371,7 +403,7 @@ def amiss(reference: object) -> str:
     return f"step() must return finite numbers, {kind} of ({size},); found {kind}({found:.80})"
 
 
-def idle(results: Mapping[int, Mapping[str, Any]]) -> bool:
+def are_all_idle(results: Mapping[int, Mapping[str, Any]]) -> bool:
     """Return whether all drones flew laws that returned None in every step.
 
     Then no drone has moved.

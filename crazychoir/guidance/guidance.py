@@ -4,6 +4,7 @@ import logging
 import sys
 from abc import abstractmethod
 from collections.abc import Callable
+from dataclasses import dataclass
 from types import MethodType
 from typing import (
     Any,
@@ -17,33 +18,39 @@ from typing import (
 
 import numpy as np
 
-from crazychoir.control.position import HEADROOM
+from crazychoir.control.position import FLATNESS_LIMITS
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.flight.goals import require_path, require_trajectory
-from crazychoir.flight.pilot import OBEYS_NOTHING, Pilot
+from crazychoir.flight.pilot import REPLAY_TEXT, Pilot
 from crazychoir.guidance.awaited_call import (
     as_coroutine_function,
-    awaited,
-    called_from,
+    find_call_from,
+    remember_calls,
     watch_coroutines,
 )
 from crazychoir.guidance.member import (
-    PATIENCE,
-    SETTLE,
+    FLIGHT_LOOK_INTERVAL,
+    HELD_FLIGHT_PATIENCE,
     Interrupted,
     Member,
-    standing,
-    touch_down,
+    describe_state,
+    wait_for_touchdown,
 )
-from crazychoir.guidance.sensors import Readings
-from crazychoir.guidance.turns import CLOSE, TURN, aside, blocked, first_at
-from crazychoir.guidance.user_hook import shown
+from crazychoir.guidance.sensors import SensorReadings
+from crazychoir.guidance.turns import (
+    TURN_DISTANCES,
+    TURN_TIMES,
+    choose_place_aside,
+    find_first_at,
+    is_blocked,
+)
+from crazychoir.guidance.user_hook import shorten_value_text
 from crazychoir.optimization.rounds.checks import require_graph
-from crazychoir.planning.feasibility import Limits, check_references, references
-from crazychoir.planning.scaling import GETS_UP, Resumed
+from crazychoir.planning.feasibility import Limits, check_references, sample_references
+from crazychoir.planning.scaling import PICK_UP_TIME, ResumedTrajectory
 from crazychoir.planning.trajectory import Trajectory
-from crazychoir.safety.rules.modes import HELD, Mode
-from crazychoir.team.algorithm_run import Pace, run_algorithm
+from crazychoir.safety.rules.modes import HELD_TEXT, Mode
+from crazychoir.team.algorithm_run import WakingTimes, run_algorithm
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph
 from crazychoir.team.round import Round
@@ -52,40 +59,63 @@ from crazychoir.types import Point, Reference, State, Vec
 log = logging.getLogger(__name__)
 P = ParamSpec("P")
 R = TypeVar("R")
-FLYING = (Mode.TAKEOFF, Mode.HOVER, Mode.FOLLOW)
+FLYING_MODES = (Mode.TAKEOFF, Mode.HOVER, Mode.FOLLOW)
 """Modes in which guidance flies the drone."""
-UNFIT = 5.0
-"""s: how long a drone may take to become fit to fly, for example while a pose is missing."""
-ARRIVED = 0.2
-"""m: a drone nearer to its goal has arrived."""
-RISEN = 0.04
-"""m: a drone farther from its take-off goal has not completed its take-off."""
-THERE = 0.003
-"""m: distance from the take-off goal within which a drone counts as settled.
 
-After take-off a drone is settled when it stays this close, slower than STILL, for STOOD seconds.
-Its thrust trim is then known to about 0.1 %.
-"""
-STILL = 0.02
-"""m/s: speed below which a drone counts as settled."""
-STOOD = 0.3
-"""s: how long a drone must stay close and slow to count as settled."""
-PATIENT = 5.0
-"""s: how long a mission waits for a drone to settle."""
-ATTEMPTS = 5
-"""Number of attempts to reach a goal, or to fly a trajectory, before the mission gives up."""
-TICK = 1e-3
-"""s: shortest wait for the rest of a flight."""
-BLOWN = 2.0
-"""s: how long after its planned time a flight may still arrive.
 
-A drone may be late in a wind that its control has yet to learn.
-"""
-TOUCHDOWN = 5.0
-"""s: how long a mission waits for a landing beyond its planned time."""
-UNCOMMANDED = 1800.0
+@dataclass(frozen=True, slots=True)
+class FlightLimits:
+    """When a flight of a mission has arrived, and how long a mission tries and waits."""
+
+    unfit_time: float = 5.0
+    """s: how long a drone may take to become fit to fly, for example while a pose is missing.
+    """
+    arrival_distance: float = 0.2
+    """m: a drone nearer to its goal has arrived."""
+    most_attempts: int = 5
+    """Number of attempts to reach a goal, or to fly a trajectory, before the mission gives up.
+    """
+    shortest_wait: float = 1e-3
+    """s: shortest wait for the rest of a flight."""
+    late_arrival_time: float = 2.0
+    """s: how long after its planned time a flight may still arrive.
+
+    A drone may be late in a wind that its control has yet to learn.
+    """
+    touchdown_time: float = 5.0
+    """s: how long a mission waits for a landing beyond its planned time."""
+
+
+FLIGHT_LIMITS = FlightLimits()
+
+
+@dataclass(frozen=True, slots=True)
+class SettlingLimits:
+    """When a drone has completed its take-off and stands still, so that its control has learnt its
+    trim.
+    """
+
+    risen_distance: float = 0.04
+    """m: a drone farther from its take-off goal has not completed its take-off."""
+    settled_distance: float = 0.003
+    """m: distance from the take-off goal within which a drone counts as settled. A drone is
+    settled when it stays this close, slower than `settled_speed`, for `settled_time`. Its
+    thrust trim is then known to about 0.1 %.
+    """
+    settled_speed: float = 0.02
+    """m/s: speed below which a drone counts as settled."""
+    settled_time: float = 0.3
+    """s: how long a drone must stay close and slow to count as settled."""
+    patience: float = 5.0
+    """s: how long a mission waits for a drone to settle."""
+
+
+SETTLING_LIMITS = SettlingLimits()
+
+
+COMMAND_TIMEOUT = 1800.0
 """s: how long a drone waits on the ground for an operator, in a run that has one."""
-GATES = {
+GATE_STATUS_TEXTS = {
     "take-off": "waits for its operator: take-off",
     "start": "waits for its operator: start",
 }
@@ -96,7 +126,7 @@ WATCHED_BY_RUNTIME = frozenset({"mission", "asked"})
 """Coroutine functions that the runtime itself awaits."""
 
 
-class Verb(Generic[P, R]):
+class CommunicatorVerb(Generic[P, R]):
     """A method of the communicator, offered as a method of CFGuidance.
 
     Arguments, defaults and documentation stay those of the communicator.
@@ -114,18 +144,18 @@ class Verb(Generic[P, R]):
     def __get__(self, guidance: "CFGuidance | None", owner: type) -> Callable[..., R]:
         if guidance is None:
             return self.verb
-        return MethodType(_talk, (guidance, self.verb))
+        return MethodType(_call_verb, (guidance, self.verb))
 
 
 @as_coroutine_function
-def _talk(
+def _call_verb(
     verb: "tuple[CFGuidance, Callable[..., Any]]", *args: Any, **kwargs: Any
 ) -> Any:
     """Call a verb of the communicator for a guidance, and remember the call until it is awaited."""
     caller = sys._getframe(1)
     guidance, function = verb
     communicator = guidance.member.communicator
-    return called_from(
+    return find_call_from(
         caller.f_code.co_filename,
         caller.f_lineno,
         guidance,
@@ -205,7 +235,7 @@ class CFGuidance:
             State.at(self.member.config.drone(self.id).home) if state is None else state
         )
 
-    def log(self, *names: str, period: float = 0.1) -> Readings:
+    def log(self, *names: str, period: float = 0.1) -> SensorReadings:
         """Return the readings of this drone's sensors, by the firmware's names.
 
         Example: `self.log("pm.vbat", period=0.5)["pm.vbat"]` is the battery voltage in V. A reading
@@ -227,18 +257,18 @@ class CFGuidance:
 
     # Talking --------------------------------------------------------------------------
 
-    send = Verb(Communicator.send)
-    receive = Verb(Communicator.receive)
-    asynchronous_receive = Verb(Communicator.asynchronous_receive)
-    neighbors_exchange = Verb(Communicator.neighbors_exchange)
+    send = CommunicatorVerb(Communicator.send)
+    receive = CommunicatorVerb(Communicator.receive)
+    asynchronous_receive = CommunicatorVerb(Communicator.asynchronous_receive)
+    neighbors_exchange = CommunicatorVerb(Communicator.neighbors_exchange)
 
-    @awaited
+    @remember_calls
     async def optimize(
         self,
         algorithm: Round,
         channel: str = "optimize",
         deadline: float | None = None,
-        pace: Pace | None = None,
+        pace: WakingTimes | None = None,
     ) -> None:
         """Run a distributed algorithm to its end, together with the neighbours; end the channel.
 
@@ -262,20 +292,20 @@ class CFGuidance:
         if not getattr(algorithm, "asynchronous", False):
             await communicator.close(channel)
 
-    @awaited
+    @remember_calls
     async def rendezvous(self, channel: str = "rendezvous") -> None:
         """Wait until the whole team has come to this point.
 
         The drones exchange as many empty rounds as the diameter of the graph.
         In a run with an operator a drone waits up to PATIENCE s for drones that are started later.
         """
-        deadline = PATIENCE if self.member.config.flight.operator else None
+        deadline = HELD_FLIGHT_PATIENCE if self.member.config.flight.operator else None
         for _ in range(max(1, self.graph.diameter())):
             await self.neighbors_exchange(None, channel=channel, deadline=deadline)
 
     # Flying ---------------------------------------------------------------------------
 
-    @awaited
+    @remember_calls
     async def take_off(self, height: float | None = None) -> None:
         """Take off to `height`, and return when the drone is there.
 
@@ -293,22 +323,26 @@ class CFGuidance:
         pilot = self.member.pilot
         if pilot.awaits_start:
             self.member.rise = height
-            await self._told("take-off", UNCOMMANDED, lambda: not pilot.airborne)
+            await self._told("take-off", COMMAND_TIMEOUT, lambda: not pilot.airborne)
             await self._told(
-                "start", PATIENCE, lambda: pilot.awaits_start and pilot.airborne
+                "start",
+                HELD_FLIGHT_PATIENCE,
+                lambda: pilot.awaits_start and pilot.airborne,
             )
-        ends = self.member.clock.now() + PATIENCE
+        ends = self.member.clock.now() + HELD_FLIGHT_PATIENCE
         while (pilot.state is None or pilot.held) and self.member.clock.now() < ends:
-            await self.sleep(SETTLE)
-        ends = self.member.clock.now() + UNFIT
+            await self.sleep(FLIGHT_LOOK_INTERVAL)
+        ends = self.member.clock.now() + FLIGHT_LIMITS.unfit_time
         while pilot.unfit() and self.member.clock.now() < ends:
-            await self.sleep(SETTLE)
+            await self.sleep(FLIGHT_LOOK_INTERVAL)
         self._may_fly()
         if pilot.state is None:
-            raise Interrupted(f"drone {self.id}: no pose within {PATIENCE:g} s")
+            raise Interrupted(
+                f"drone {self.id}: no pose within {HELD_FLIGHT_PATIENCE:g} s"
+            )
         goal = pilot.above(height)
         await self._while(pilot.take_off(height), Mode.TAKEOFF)
-        if pilot.gap(goal) > RISEN:
+        if pilot.gap(goal) > SETTLING_LIMITS.risen_distance:
             await self._fly_to_place(goal)
         await self._settle(goal)
         if why := pilot.misjudged():
@@ -325,9 +359,9 @@ class CFGuidance:
         top = pilot.fence.high[2] - pilot.limits.ground
         if height is None or not pilot.controls.takes_off:
             return
-        rise = _number(height)
+        rise = _convert_number(height)
         if rise is None or not 0.0 <= rise <= top:
-            found = shown(height)
+            found = shorten_value_text(height)
             do = "It must be one number, as float(...)."
             if rise is not None:
                 found = f"{rise!r}"
@@ -345,7 +379,7 @@ class CFGuidance:
         Raises ConfigError for flights that are not possible.
         """
 
-    @awaited
+    @remember_calls
     async def wait_for_start(self) -> None:
         """Wait on the ground for the start command of the operator, and then for the team.
 
@@ -354,7 +388,7 @@ class CFGuidance:
         """
         pilot = self.member.pilot
         if pilot.awaits_start:
-            await self._told("start", UNCOMMANDED, lambda: pilot.awaits_start)
+            await self._told("start", COMMAND_TIMEOUT, lambda: pilot.awaits_start)
             await self.rendezvous("started")
             await self.member.communicator.close("started")
 
@@ -378,12 +412,15 @@ class CFGuidance:
                 else ""
             )
 
-        member.gate, member.report = gate, lambda: {"task": GATES[gate] + lands()}
+        member.gate, member.report = (
+            gate,
+            lambda: {"task": GATE_STATUS_TEXTS[gate] + lands()},
+        )
         member.announce()
         while waits() and member.clock.now() < ends and not member.ended:
             if pilot.commanded and pilot.remaining() > 0.0:
                 ends = member.clock.now() + seconds  # its operator is at work
-            await self.sleep(SETTLE)
+            await self.sleep(FLIGHT_LOOK_INTERVAL)
         member.gate = ""
         member.report = report
         self._may_fly()
@@ -392,7 +429,7 @@ class CFGuidance:
                 f"drone {self.id}: no {gate} by its operator within {seconds:g} s"
             )
         if pilot.mode is Mode.CUT:
-            raise Interrupted(f"drone {self.id}: {standing(pilot)}")
+            raise Interrupted(f"drone {self.id}: {describe_state(pilot)}")
 
     async def _settle(self, goal: Vec) -> None:
         """Wait, at most PATIENT s, until the drone has stood still at the goal for STOOD s.
@@ -402,17 +439,21 @@ class CFGuidance:
         clock = self.member.clock
         pilot = self.member.pilot
         stood = 0
-        ends = clock.now() + PATIENT
-        while pilot.mode in FLYING and clock.now() < ends and stood * SETTLE < STOOD:
+        ends = clock.now() + SETTLING_LIMITS.patience
+        while (
+            pilot.mode in FLYING_MODES
+            and clock.now() < ends
+            and stood * FLIGHT_LOOK_INTERVAL < SETTLING_LIMITS.settled_time
+        ):
             state = self.state
             there = (
-                np.linalg.norm(state.p - goal) < THERE
-                and np.linalg.norm(state.v) < STILL
+                np.linalg.norm(state.p - goal) < SETTLING_LIMITS.settled_distance
+                and np.linalg.norm(state.v) < SETTLING_LIMITS.settled_speed
             )
             stood = stood + 1 if there else 0
-            await self.sleep(SETTLE)
+            await self.sleep(FLIGHT_LOOK_INTERVAL)
 
-    @awaited
+    @remember_calls
     async def go_to(
         self, p: Point, duration: float = 0.0, yaw: float | None = None
     ) -> None:
@@ -442,25 +483,35 @@ class CFGuidance:
         hindered = 0
         pilot = self.member.pilot
         clock = self.member.clock
-        ends = clock.now() + PATIENCE
-        while attempts < ATTEMPTS and clock.now() < ends:
+        ends = clock.now() + HELD_FLIGHT_PATIENCE
+        while attempts < FLIGHT_LIMITS.most_attempts and clock.now() < ends:
             self._may_fly()
             began = clock.now()
             seconds = pilot.go_to(p, yaw, duration)
-            await self._while(seconds or SETTLE, Mode.TAKEOFF, Mode.FOLLOW)
-            hindered = hindered + 1 if blocked(pilot) else 0
-            blown = clock.now() + BLOWN if seconds > 0.0 and not hindered else 0.0
-            while pilot.gap(p) >= ARRIVED and clock.now() < blown:
-                await self._while(SETTLE, Mode.TAKEOFF, Mode.FOLLOW)
-            if pilot.gap(p) < (CLOSE if hindered else ARRIVED):
+            await self._while(
+                seconds or FLIGHT_LOOK_INTERVAL, Mode.TAKEOFF, Mode.FOLLOW
+            )
+            hindered = hindered + 1 if is_blocked(pilot) else 0
+            blown = (
+                clock.now() + FLIGHT_LIMITS.late_arrival_time
+                if seconds > 0.0 and not hindered
+                else 0.0
+            )
+            while (
+                pilot.gap(p) >= FLIGHT_LIMITS.arrival_distance and clock.now() < blown
+            ):
+                await self._while(FLIGHT_LOOK_INTERVAL, Mode.TAKEOFF, Mode.FOLLOW)
+            if pilot.gap(p) < (
+                TURN_DISTANCES.arrived if hindered else FLIGHT_LIMITS.arrival_distance
+            ):
                 return
             attempts += seconds > 0.0 and pilot.clearance.gave_way < began
-            if hindered > 2 and first_at(pilot, p) < self.id:
+            if hindered > 2 and find_first_at(pilot, p) < self.id:
                 await self._wait_aside(p)
         place = np.round(p, 2).tolist()
-        why = HELD if pilot.held else pilot.note or "no reason"
+        why = HELD_TEXT if pilot.held else pilot.note or "no reason"
         if pilot.is_replayed:
-            why = OBEYS_NOTHING
+            why = REPLAY_TEXT
         raise Interrupted(
             f"drone {self.id}: does not reach {place}, still {pilot.gap(p):.2f} m from it: {why}"
         )
@@ -469,12 +520,14 @@ class CFGuidance:
         """Move aside, at most TURN s, while it is another drone's turn at the place p (3,) m."""
         pilot = self.member.pilot
         clock = self.member.clock
-        ends = clock.now() + TURN
-        await self._while(pilot.go_to(aside(self.state.p, p, pilot.fence)), Mode.FOLLOW)
-        while first_at(pilot, p) < self.id and clock.now() < ends:
-            await self._while(SETTLE, Mode.FOLLOW)
+        ends = clock.now() + TURN_TIMES.turn
+        await self._while(
+            pilot.go_to(choose_place_aside(self.state.p, p, pilot.fence)), Mode.FOLLOW
+        )
+        while find_first_at(pilot, p) < self.id and clock.now() < ends:
+            await self._while(FLIGHT_LOOK_INTERVAL, Mode.FOLLOW)
 
-    @awaited
+    @remember_calls
     async def fly(self, trajectory: Trajectory) -> None:
         """Go to the start of a trajectory, fly it, and return when the drone is at its end.
 
@@ -494,26 +547,32 @@ class CFGuidance:
         left = trajectory
         attempts = 0
         end = trajectory.sample(trajectory.duration)
-        ends = clock.now() + trajectory.duration + PATIENCE
-        while attempts < ATTEMPTS and clock.now() < ends:
+        ends = clock.now() + trajectory.duration + HELD_FLIGHT_PATIENCE
+        while attempts < FLIGHT_LIMITS.most_attempts and clock.now() < ends:
             start = left.sample(0.0)
             braked = pilot.braked
             await self.go_to(start.p, yaw=start.yaw)
             t = await self._flown(left)
-            if pilot.flights.plan is left and pilot.gap(end.p) <= ARRIVED:
+            if (
+                pilot.flights.plan is left
+                and pilot.gap(end.p) <= FLIGHT_LIMITS.arrival_distance
+            ):
                 return
             if pilot.braked == braked and not pilot.guard.acts:
                 break
             if 0.0 < t < left.duration:
                 flight = self.member.config.flight
                 attempts += 1
-                left = Resumed(
+                left = ResumedTrajectory(
                     left,
                     t,
-                    max(GETS_UP, 4.0 * flight.speed_limit / flight.acceleration_limit),
+                    max(
+                        PICK_UP_TIME,
+                        4.0 * flight.speed_limit / flight.acceleration_limit,
+                    ),
                 )
-            await self.sleep(SETTLE)
-        why = HELD if pilot.held else standing(pilot)
+            await self.sleep(FLIGHT_LOOK_INTERVAL)
+        why = HELD_TEXT if pilot.held else describe_state(pilot)
         raise Interrupted(
             f"drone {self.id}: its trajectory of {trajectory.duration:.1f} s was not flown: {why}"
         )
@@ -526,11 +585,14 @@ class CFGuidance:
         left = pilot.fly(trajectory)
         while pilot.flights.plan is trajectory and left > 0.0:
             t = clock.now() - pilot.flights.start
-            await self._while(min(SETTLE, max(left, TICK)), Mode.FOLLOW)
+            await self._while(
+                min(FLIGHT_LOOK_INTERVAL, max(left, FLIGHT_LIMITS.shortest_wait)),
+                Mode.FOLLOW,
+            )
             left = pilot.remaining()
         return t
 
-    @awaited
+    @remember_calls
     async def land(self) -> None:
         """Come down and stop the motors.
 
@@ -539,13 +601,15 @@ class CFGuidance:
         cut.
         """
         pilot = self.member.pilot
-        ends = self.member.clock.now() + PATIENCE
-        while pilot.held and pilot.mode in FLYING and self.member.clock.now() < ends:
-            await self.sleep(SETTLE)
+        ends = self.member.clock.now() + HELD_FLIGHT_PATIENCE
+        while (
+            pilot.held and pilot.mode in FLYING_MODES and self.member.clock.now() < ends
+        ):
+            await self.sleep(FLIGHT_LOOK_INTERVAL)
         pilot.land()
-        await touch_down(pilot, TOUCHDOWN)
+        await wait_for_touchdown(pilot, FLIGHT_LIMITS.touchdown_time)
         if pilot.mode is not Mode.GROUND:
-            raise Interrupted(f"drone {self.id}: {standing(pilot)}")
+            raise Interrupted(f"drone {self.id}: {describe_state(pilot)}")
 
     def follow(self, reference: Reference) -> None:
         """Fly this reference. Renew it before it is stale.
@@ -565,7 +629,7 @@ class CFGuidance:
                 said.add(place)
                 log.warning("drone %d: %s: follow(): %s", self.id, place, pilot.note)
 
-    @awaited
+    @remember_calls
     async def sleep(self, seconds: float) -> None:
         """Wait for some seconds, in the time of the swarm."""
         await self.member.clock.sleep(seconds, drone=self.id)
@@ -592,9 +656,9 @@ class CFGuidance:
             pilot.mode in flying
             and (left := ends + pilot.flights.waited - clock.now()) > 0.0
         ):
-            await self.sleep(min(SETTLE, max(left, 1e-3)))
+            await self.sleep(min(FLIGHT_LOOK_INTERVAL, max(left, 1e-3)))
         if pilot.mode not in flying:
-            raise Interrupted(f"drone {self.id}: {standing(pilot)}")
+            raise Interrupted(f"drone {self.id}: {describe_state(pilot)}")
 
 
 def require_feasible(trajectory: Trajectory, pilot: Pilot) -> None:
@@ -604,19 +668,19 @@ def require_feasible(trajectory: Trajectory, pilot: Pilot) -> None:
     """
     flight = pilot.limits
     platform = pilot.controls.platform
-    t, path = references(trajectory)
+    t, path = sample_references(trajectory)
     limits = Limits(
         v_max=flight.speed_limit,
         a_max=flight.acceleration_limit,
         mass=platform.mass,
-        thrust_max=HEADROOM * platform.max_thrust,
+        thrust_max=FLATNESS_LIMITS.acceleration_share * platform.max_thrust,
         rate_max=platform.max_rate,
     )
     require_path("trajectory", t, path, pilot.guard, pilot.controls.planar)
     check_references(t, path, limits)
 
 
-def _number(value: object) -> float | None:
+def _convert_number(value: object) -> float | None:
     """Return the value as a float, or None if it is not one number.
 
     An array is not a number, even with one element.

@@ -8,15 +8,15 @@ from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import CrazyChoirError
 from crazychoir.flight.pilot import Pilot
 from crazychoir.guidance.sensors import Sensors
-from crazychoir.guidance.turns import blocked
+from crazychoir.guidance.turns import is_blocked
 from crazychoir.runtime.clock import Clock
-from crazychoir.runtime.user_code_guard import Guards
+from crazychoir.runtime.user_code_guard import GuardFactory
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.team.communicator import Communicator
 
-SETTLE = 0.05
+FLIGHT_LOOK_INTERVAL = 0.05
 """s: interval at which a mission looks again."""
-PATIENCE = 300.0
+HELD_FLIGHT_PATIENCE = 300.0
 """s: how long a flight waits while the pilot is held or the safety table stops it.
 
 A take-off also waits this long for the first pose.
@@ -37,7 +37,7 @@ class Member:
     """The link to the neighbours."""
     pilot: Pilot
     """The pilot that flies the drone."""
-    watchdog: Guards | None = None
+    watchdog: GuardFactory | None = None
     """Guard against user code that does not return. None: no guard."""
     report: Callable[[], dict[str, Any]] = dict
     """Returns the state of the mission for the status: task, round, cost."""
@@ -63,7 +63,7 @@ class Interrupted(CrazyChoirError):
     """The pilot does something else than the guidance asked: it lands, or its motors are cut."""
 
 
-UNSAID_OF = {
+UNNOTED_REASONS = {
     Mode.GROUND: "it has not taken off, or has landed",
     Mode.TAKEOFF: "it still rises",
     Mode.HOVER: "nothing has stopped it",
@@ -75,15 +75,15 @@ UNSAID_OF = {
 """Reason for each mode when the pilot has noted none."""
 
 
-def standing(pilot: Pilot) -> str:
+def describe_state(pilot: Pilot) -> str:
     """Return what a drone does and why, such as "landing: pose 0.61 s old".
 
     The reason is never empty.
     """
-    return f"{pilot.mode.value}: {pilot.note or UNSAID_OF[pilot.mode]}"
+    return f"{pilot.mode.value}: {pilot.note or UNNOTED_REASONS[pilot.mode]}"
 
 
-async def touch_down(pilot: Pilot, grace: float) -> None:
+async def wait_for_touchdown(pilot: Pilot, grace: float) -> None:
     """Wait until the motors of a pilot are off.
 
     While the drone gives way to others it waits at most PATIENCE s.
@@ -93,18 +93,20 @@ async def touch_down(pilot: Pilot, grace: float) -> None:
     """
     clock = pilot.clock
     ends = clock.now() + grace
-    patient = clock.now() + PATIENCE
+    patient = clock.now() + HELD_FLIGHT_PATIENCE
     while pilot.airborne and clock.now() < ends:
         if pilot.held and pilot.mode is Mode.HOVER:  # the operator has sent it home
             ends = clock.now() + grace
             if clock.now() > patient:
-                pilot.land(f"held for {PATIENCE:g} s, with its mission over: landing")
-        if pilot.remaining() > 0.0 or (blocked(pilot) and clock.now() < patient):
+                pilot.land(
+                    f"held for {HELD_FLIGHT_PATIENCE:g} s, with its mission over: landing"
+                )
+        if pilot.remaining() > 0.0 or (is_blocked(pilot) and clock.now() < patient):
             ends = clock.now() + pilot.remaining() + grace
-        await clock.sleep(SETTLE, drone=pilot.drone)
+        await clock.sleep(FLIGHT_LOOK_INTERVAL, drone=pilot.drone)
 
 
-def raisable(error: BaseException, where: str) -> BaseException:
+def make_raisable(error: BaseException, where: str) -> BaseException:
     """Return an error with which a task may end.
 
     asyncio and generators use some exceptions as signals of their own, such as StopIteration. Such

@@ -15,11 +15,11 @@ from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError, Hung, error_text, refuse_exit
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.mission_hooks import MissionFile
-from crazychoir.radio.budget import rates
-from crazychoir.runtime.user_code_guard import HOOK, limited
+from crazychoir.radio.budget import compute_setpoint_rates
+from crazychoir.runtime.user_code_guard import USER_CODE_TIMES, limit_duration
 from crazychoir.types import Point
 
-PACKAGE = "crazychoir.agents"
+MISSION_PACKAGE = "crazychoir.agents"
 """The package with the missions that come with crazychoir."""
 
 
@@ -72,16 +72,16 @@ class Mission(Protocol):
         ...
 
 
-def load(name: str) -> Mission:
+def load_mission(name: str) -> Mission:
     """Return a mission with its hooks guarded.
 
     name: name of a mission in agents/, or path of a .py file.
     Raises ConfigError if there is no such mission.
     """
     module = (
-        from_file(Path(name), "mission")
+        import_from_file(Path(name), "mission")
         if name.endswith(".py")
-        else _from_package(name)
+        else _import_from_package(name)
     )
     if not callable(getattr(module, "guidance", None)):
         do = "See agents/bearing_formation.py."
@@ -94,12 +94,12 @@ def load(name: str) -> Mission:
     return cast(Mission, MissionFile(module))
 
 
-def has(mission: Mission, what: str) -> bool:
+def has_hook(mission: Mission, what: str) -> bool:
     """Return whether the mission file defines this optional function."""
     return callable(getattr(mission, what, None))
 
 
-def look_before(
+def check_before_flight(
     mission: Mission, config: SwarmConfig, force: bool = False
 ) -> list[str]:
     """Check a mission before any drone flies, and return its warnings.
@@ -107,9 +107,9 @@ def look_before(
     Raises all errors of the mission's check. Raises ConfigError for goals that are in conflict, and
     for radio dongles that cannot carry the traffic of their drones.
     """
-    rates(config)
-    warnings = mission.check(config, force) if has(mission, "check") else []
-    if has(mission, "goal"):
+    compute_setpoint_rates(config)
+    warnings = mission.check(config, force) if has_hook(mission, "check") else []
+    if has_hook(mission, "goal"):
         goals = {
             i: (float(p[0]), float(p[1]), float(p[2]))
             for i, p in mission.goal(config).items()
@@ -118,7 +118,7 @@ def look_before(
     return warnings
 
 
-def mission_hash(config: SwarmConfig, mission: Mission) -> str:
+def compute_mission_hash(config: SwarmConfig, mission: Mission) -> str:
     """Return a hash of all that hosts must have in common: swarm file and mission text.
 
     After a colon follow the hashes of the parts, see strangers.difference.
@@ -131,20 +131,20 @@ def mission_hash(config: SwarmConfig, mission: Mission) -> str:
     )
 
 
-def names() -> list[str]:
+def list_mission_names() -> list[str]:
     """Return the names of the missions in agents/."""
-    package = importlib.import_module(PACKAGE)
+    package = importlib.import_module(MISSION_PACKAGE)
     return sorted(module.name for module in pkgutil.iter_modules(package.__path__))
 
 
-def _from_package(name: str) -> ModuleType:
-    if name not in names():
+def _import_from_package(name: str) -> ModuleType:
+    if name not in list_mission_names():
         do = "Or give the path of a .py file."
-        raise ConfigError("mission", name, ", ".join(names()), do)
-    return importlib.import_module(f"{PACKAGE}.{name}")
+        raise ConfigError("mission", name, ", ".join(list_mission_names()), do)
+    return importlib.import_module(f"{MISSION_PACKAGE}.{name}")
 
 
-def from_file(path: Path, kind: str) -> ModuleType:
+def import_from_file(path: Path, kind: str) -> ModuleType:
     """Return the module of a user's .py file.
 
     kind: what errors call the file, such as "mission".
@@ -156,9 +156,12 @@ def from_file(path: Path, kind: str) -> ModuleType:
     if spec is None or spec.loader is None:
         raise ConfigError(kind, str(path), "a Python file")
     module = importlib.util.module_from_spec(spec)
-    _see_neighbors(path)
+    _allow_neighbor_imports(path)
     try:
-        with limited(HOOK, f"the import of {path}"), refuse_exit(f"the {kind} file"):
+        with (
+            limit_duration(USER_CODE_TIMES.hook_limit, f"the import of {path}"),
+            refuse_exit(f"the {kind} file"),
+        ):
             spec.loader.exec_module(module)
     except Exception as error:
         if isinstance(error.__cause__, SystemExit):
@@ -171,7 +174,9 @@ def from_file(path: Path, kind: str) -> ModuleType:
         where = f"{kind} {path}{f':{lines[-1]}' if lines else ''}"
         hangs = isinstance(error, Hung)
         found = (
-            f"no end within {HOOK:g} s of its import" if hangs else error_text(error)
+            f"no end within {USER_CODE_TIMES.hook_limit:g} s of its import"
+            if hangs
+            else error_text(error)
         )
         raise ConfigError(
             where, found, "a file that Python can import", "Mend it."
@@ -179,7 +184,7 @@ def from_file(path: Path, kind: str) -> ModuleType:
     return module
 
 
-def _see_neighbors(path: Path) -> None:
+def _allow_neighbor_imports(path: Path) -> None:
     """Let a mission file import the files beside it, as a script may.
 
     Installed modules of the same name come first. The folder stays in the import path, because a

@@ -20,14 +20,14 @@ from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import WATCHED_BY_RUNTIME, CFGuidance
 from crazychoir.guidance.user_hook import (
-    README,
+    README_ADVICE,
     Hook,
     is_coroutine_function,
-    place_of,
+    locate_function,
     require_signature,
-    shown,
+    shorten_value_text,
 )
-from crazychoir.team.graph import span
+from crazychoir.team.graph import describe_ids
 
 log = logging.getLogger(__name__)
 
@@ -40,7 +40,7 @@ class MissionFile:
         self._module = module
         self.__file__ = str(module.__file__)
         self._guarded: dict[str, Callable[..., Any]] = {}
-        for name, (arguments, returns, guard) in HOOKS.items():
+        for name, (arguments, returns, guard) in MISSION_HOOKS.items():
             function = getattr(module, name, None)
             if function is not None:
                 hook = Hook(self.__file__, name, function, arguments, returns)
@@ -78,18 +78,18 @@ def _require_kinds(kind: type) -> None:
     """
     for n, owner in enumerate(kind.__mro__):
         for name, function in vars(owner).items():
-            inherited = _inherited(kind.__mro__[n + 1 :], name)
+            inherited = _find_inherited(kind.__mro__[n + 1 :], name)
             if not (inspect.isfunction(function) and inspect.isfunction(inherited)):
                 continue
             is_async = is_coroutine_function(function)
             must_be_async = is_coroutine_function(inherited)
             if is_async and not must_be_async:
-                raise _of_wrong_kind(owner, function, "async def", "def")
+                raise _build_kind_error(owner, function, "async def", "def")
             if not is_async and must_be_async and name in WATCHED_BY_RUNTIME:
-                raise _of_wrong_kind(owner, function, "def", "async def")
+                raise _build_kind_error(owner, function, "def", "async def")
 
 
-def _inherited(owners: Sequence[type], name: str) -> object:
+def _find_inherited(owners: Sequence[type], name: str) -> object:
     """Return the method of this package that `name` overrides; None if there is none."""
     for owner in owners:
         if owner.__module__.startswith("crazychoir.") and name in vars(owner):
@@ -97,11 +97,11 @@ def _inherited(owners: Sequence[type], name: str) -> object:
     return None
 
 
-def _of_wrong_kind(
+def _build_kind_error(
     owner: type, function: Callable[..., Any], wrong: str, right: str
 ) -> ConfigError:
     name = function.__name__
-    place, _, _ = place_of(function).rpartition(" ")
+    place, _, _ = locate_function(function).rpartition(" ")
     return ConfigError(
         f"{place}: class {owner.__name__}: {name}",
         f"{wrong} {name}",
@@ -125,65 +125,67 @@ def _require_own(
         ],
         1,
     )
-    do = f"Is {near[0]!r} meant to be {name!r}?" if near else README
+    do = f"Is {near[0]!r} meant to be {name!r}?" if near else README_ADVICE
     raise ConfigError(kind, f"no {name} of its own", wanted, do)
 
 
 # What each hook may return ------------------------------------------------------------
 
 
-def _guidance(hook: Hook, i: int, config: SwarmConfig) -> CFGuidance:
+def _guard_guidance(hook: Hook, i: int, config: SwarmConfig) -> CFGuidance:
     found = hook(i, config)
     if not isinstance(found, CFGuidance):
-        raise hook.wrong(f"{shown(found)} for drone {i}")
+        raise hook.wrong(f"{shorten_value_text(found)} for drone {i}")
     require_complete(found, f"mission {hook.file}")
     return found
 
 
-def _swarm(hook: Hook, *values: Any) -> SwarmConfig:
+def _guard_swarm(hook: Hook, *values: Any) -> SwarmConfig:
     found = hook(*values)
     if not isinstance(found, SwarmConfig):
-        raise hook.wrong(shown(found))
+        raise hook.wrong(shorten_value_text(found))
     return found
 
 
-def _check(hook: Hook, config: SwarmConfig, force: bool = False) -> list[str]:
+def _guard_check(hook: Hook, config: SwarmConfig, force: bool = False) -> list[str]:
     found = hook(config, force)
     if found is not None and not (
         isinstance(found, list | tuple) and all(isinstance(text, str) for text in found)
     ):
-        raise hook.wrong(shown(found))
+        raise hook.wrong(shorten_value_text(found))
     return list(found or [])
 
 
-def _goal(hook: Hook, config: SwarmConfig) -> dict[int, Any]:
+def _guard_goal(hook: Hook, config: SwarmConfig) -> dict[int, Any]:
     found = hook(config)
     if not isinstance(found, Mapping) or any(i not in config.ids for i in found):
-        raise hook.wrong(f"{shown(found)}, with drones {span(config.ids)} in the swarm")
+        raise hook.wrong(
+            f"{shorten_value_text(found)}, with drones {describe_ids(config.ids)} in the swarm"
+        )
     for i, place in found.items():
         if np.shape(place) != (3,) or not np.all(np.isfinite(place)):
-            raise hook.wrong(f"{shown(place)} for drone {i}")
+            raise hook.wrong(f"{shorten_value_text(place)} for drone {i}")
     return dict(found)
 
 
-def _report(
+def _guard_report(
     hook: Hook, config: SwarmConfig, results: dict[int, dict[str, Any]]
 ) -> dict[str, Any]:
     """Return the report of the hook. If the hook fails, return a report with that error."""
     try:
         found = hook(config, results)
         if found is not None and not isinstance(found, Mapping):
-            raise hook.wrong(shown(found))
+            raise hook.wrong(shorten_value_text(found))
         figures = dict(found or {})
         if not isinstance(figures.get("reasons", {}), Mapping):
-            raise hook.wrong(f"reasons = {shown(figures['reasons'])}")
+            raise hook.wrong(f"reasons = {shorten_value_text(figures['reasons'])}")
     except CrazyChoirError as error:
         log.error("%s", error)
         return {"success": False, "reasons": {min(config.ids): str(error)}}
     return figures
 
 
-def _picture(
+def _guard_picture(
     hook: Hook, config: SwarmConfig, results: dict[int, dict[str, Any]], path: str
 ) -> None:
     """Draw the picture, or log why there is none."""
@@ -193,29 +195,29 @@ def _picture(
         log.error("no picture: %s", error)
 
 
-HOOKS: dict[str, tuple[tuple[str, ...], str, Callable[..., Any]]] = {
+MISSION_HOOKS: dict[str, tuple[tuple[str, ...], str, Callable[..., Any]]] = {
     "guidance": (
         ("i", "config"),
         "a CFGuidance or a CFDistributedFeedback, one for each drone",
-        _guidance,
+        _guard_guidance,
     ),
-    "swarm": (("drones",), "a SwarmConfig", _swarm),
-    "scatter": (("config",), "a SwarmConfig", _swarm),
-    "check": (("config", "force"), "a list of warnings, each a text", _check),
+    "swarm": (("drones",), "a SwarmConfig", _guard_swarm),
+    "scatter": (("config",), "a SwarmConfig", _guard_swarm),
+    "check": (("config", "force"), "a list of warnings, each a text", _guard_check),
     "goal": (
         ("config",),
         "{i: (3,) m}, a place for each drone that is to be somewhere",
-        _goal,
+        _guard_goal,
     ),
     "report": (
         ("config", "results"),
         'a dictionary of figures, with "success" and "reasons" {i: text}',
-        _report,
+        _guard_report,
     ),
     "picture": (
         ("config", "results", "path"),
         "nothing: a PNG written to path",
-        _picture,
+        _guard_picture,
     ),
 }
 """Arguments, allowed result in words, and guard of each hook."""

@@ -8,13 +8,13 @@ from typing import Annotated, Literal, TypeVar
 
 from msgspec import Meta
 
-from crazychoir.config.reader import read
+from crazychoir.config.reader import read_table
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.config.tables import Drone, Height, Id, Swarm, Table
+from crazychoir.config.tables import DroneTable, Height, Id, Swarm, SwarmTable
 from crazychoir.errors import ConfigError
-from crazychoir.team.graph import span
+from crazychoir.team.graph import describe_ids
 
-T = TypeVar("T", bound=Table)
+T = TypeVar("T", bound=SwarmTable)
 """The table that a mission reads."""
 Coordinate = Annotated[float, Meta(ge=-1000, le=1000)]
 Spot = Annotated[
@@ -85,11 +85,11 @@ Yaw = Annotated[
 ]
 
 
-class NoOptions(Table, frozen=True, kw_only=True):
+class NoOptions(SwarmTable, frozen=True, kw_only=True):
     """The table of a mission without options, or of drones without options."""
 
 
-class HeightOption(Table, frozen=True, kw_only=True):
+class HeightOption(SwarmTable, frozen=True, kw_only=True):
     """`options` of a drone that may take off to its own height."""
 
     height: Height | None = None
@@ -101,17 +101,17 @@ def given(config: SwarmConfig, kind: type[T]) -> T:
 
     Raises ConfigError with the key, what was found and what is allowed.
     """
-    return read(
+    return read_table(
         config.mission_options, kind, f"swarm {config.name}", "mission_options", Swarm
     )
 
 
-def own(config: SwarmConfig, drone: Drone, kind: type[T]) -> T:
+def own(config: SwarmConfig, drone: DroneTable, kind: type[T]) -> T:
     """Return the `options` of a drone as the table `kind`.
 
     Raises ConfigError with the key, what was found and what is allowed.
     """
-    return read(
+    return read_table(
         drone.options, kind, f"swarm {config.name}: drone {drone.id}", "options", Swarm
     )
 
@@ -130,5 +130,5 @@ def require_each(config: SwarmConfig, found: Collection[int], key: str) -> None:
     """
     if tuple(sorted(found)) != config.ids:
         where = f"swarm {config.name}: mission_options.{key}"
-        allowed = f"one for each drone, {span(config.ids)}"
+        allowed = f"one for each drone, {describe_ids(config.ids)}"
         raise ConfigError(where, f"places of drones {sorted(found)}", allowed)

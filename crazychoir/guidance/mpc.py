@@ -23,14 +23,14 @@ from crazychoir.optimization.predictive_control import (
 from crazychoir.types import FullState, Heard, State, Vec
 
 log = logging.getLogger(__name__)
-CHANNEL = "mpc"
+MPC_CHANNEL = "mpc"
 """Channel of the plans."""
-TALKS = 10
+TALKS_PER_STEP = 10
 """How often a drone listens and repeats its decision in a step.
 
 It works if at least one of these messages arrives.
 """
-TUBE = 0.1
+TUBE_RADIUS = 0.1
 """m: a drone farther from its plan plans from where it is."""
 
 
@@ -161,7 +161,7 @@ class MPCGuidance(CFDistributedFeedback):
         v = x[2:4]
         a = x[4:6]
         place = self.goal + p + s * (v + s * (0.5 * a + s * u / 6.0))
-        self._off = bool(np.linalg.norm(me.p[:2] - place) > TUBE)
+        self._off = bool(np.linalg.norm(me.p[:2] - place) > TUBE_RADIUS)
         return FullState.at(
             (*place, self._z),
             (*(v + s * (a + 0.5 * s * u)), 0.0),
@@ -180,12 +180,12 @@ class MPCGuidance(CFDistributedFeedback):
         """Listen, decide and send the decision, again and again, because messages may be lost."""
         clock = self.member.clock
         scheme = self.scheme
-        pause = self.motion.step / TALKS
+        pause = self.motion.step / TALKS_PER_STEP
         try:
             while True:
                 failed = scheme.tally.infeasible
                 scheme.step(
-                    await self.asynchronous_receive(self.mates, channel=CHANNEL)
+                    await self.asynchronous_receive(self.mates, channel=MPC_CHANNEL)
                 )
                 if scheme.tally.infeasible > failed:
                     log.warning(
@@ -193,7 +193,7 @@ class MPCGuidance(CFDistributedFeedback):
                         self.id,
                         scheme.tally.why,
                     )
-                await self.send(scheme.message(), self.mates, channel=CHANNEL)
+                await self.send(scheme.message(), self.mates, channel=MPC_CHANNEL)
                 await clock.sleep(pause, drone=self.id)
         except Exception as error:
             if self._law is not None and not self._law.done():

@@ -7,18 +7,18 @@ import math
 
 import numpy as np
 
-from crazychoir.bus.topics import STATE
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.numerics.kernels import kernel, memory, real, vector
-from crazychoir.runtime.clock import SECOND, Clock
+from crazychoir.runtime.clock import NS_PER_SECOND, Clock
 from crazychoir.runtime.mailbox import Latest
-from crazychoir.types import STILL, State, Vec
+from crazychoir.types import ZERO_ACCELERATION, State, Vec
 
-SPREAD = 10.0  # steps in which a missing amount of velocity is made up
-NOTHING = 1e-7  # m: smaller amounts are not made up
+CORRECTION_STEPS = 10.0  # steps in which a missing amount of velocity is made up
+NEGLIGIBLE_AMOUNT = 1e-7  # m: smaller amounts are not made up
 
 
 @kernel(vector, real, vector, real, real, real, real, memory, memory)
-def _settle(
+def _correct_velocity(
     x: Vec,
     reach: float,
     last: Vec,
@@ -86,7 +86,7 @@ class VelocitySum:
     def __init__(self, cutoff: float, h: float, period: float) -> None:
         self.h = h
         self.reach = -h / math.expm1(-cutoff * h)
-        self.spread = SPREAD * period
+        self.spread = CORRECTION_STEPS * period
         self.even = True
         """Nothing is owed.
 
@@ -121,7 +121,7 @@ class VelocitySum:
         before = self.reach + last.age
         now = self.reach + state.age
         new = float(steps > 0)
-        owed = _settle(
+        owed = _correct_velocity(
             state.flat,
             now,
             last.flat,
@@ -132,13 +132,13 @@ class VelocitySum:
             memory,
             out,
         )
-        self.even = owed < NOTHING
+        self.even = owed < NEGLIGIBLE_AMOUNT
         if steps > 0:
             self.last = state
         return State(out, age, state.a)
 
 
-class Hearing(Latest[State]):
+class StateMailbox(Latest[State]):
     """The mailbox for the states of one neighbour. A law takes a state from it once a step.
 
     In a step without a new message the newest state is extrapolated, p + v age. Velocities are
@@ -146,10 +146,10 @@ class Hearing(Latest[State]):
     """
 
     def __init__(self, clock: Clock, name: str, sums: VelocitySum) -> None:
-        super().__init__(clock, name, STATE.max_age)
+        super().__init__(clock, name, DRONE_TOPICS.state.max_age)
         self.sums = sums
-        self._h_ns = round(sums.h * SECOND)
-        self._max_ns = round(STATE.max_age * SECOND)
+        self._h_ns = round(sums.h * NS_PER_SECOND)
+        self._max_ns = round(DRONE_TOPICS.state.max_age * NS_PER_SECOND)
         self._half_ns = self._h_ns // 2
         self._told_version = self._told_ns = 0
 
@@ -172,7 +172,7 @@ class Hearing(Latest[State]):
             self.stale += state is not None
             sums.forget()
             return None
-        age = (now_ns - born_ns) / SECOND
+        age = (now_ns - born_ns) / NS_PER_SECOND
         version = self.version
         steps = (born_ns - self._told_ns + self._half_ns) // self._h_ns
         self._told_ns = born_ns
@@ -184,12 +184,12 @@ class Hearing(Latest[State]):
             sums.last = state
             return state if age == state.age else State(state.flat, age, state.a)
         if version == self._told_version:
-            state = State(moved_on(state.flat, age - state.age), age, state.a)
+            state = State(extrapolate_state(state.flat, age - state.age), age, state.a)
         self._told_version = version
         return sums.told(state, age, held, steps)
 
 
-class Paired(Latest[State]):
+class PairedStateMailbox(Latest[State]):
     """The mailbox for the states of one neighbour, for a law that uses its acceleration.
 
     Message m holds the acceleration that was commanded in the tick of message m - 1. Position and
@@ -206,12 +206,12 @@ class Paired(Latest[State]):
     """
 
     def __init__(self, clock: Clock, name: str, h: float) -> None:
-        super().__init__(clock, name, STATE.max_age)
-        self._h_ns = round(h * SECOND)
-        self._max_ns = round(STATE.max_age * SECOND)
+        super().__init__(clock, name, DRONE_TOPICS.state.max_age)
+        self._h_ns = round(h * NS_PER_SECOND)
+        self._max_ns = round(DRONE_TOPICS.state.max_age * NS_PER_SECOND)
         self._told_version = self._told_ns = 0
         self._last: State | None = None
-        self._flat = STILL
+        self._flat = ZERO_ACCELERATION
 
     def forget(self) -> None:
         """Start anew: the steps of the law begin now."""
@@ -235,21 +235,21 @@ class Paired(Latest[State]):
             if last is None or steps < 1:
                 self._flat = state.flat
             else:
-                self._flat = between(state.flat, last.flat, 1.0 / steps)
+                self._flat = interpolate_state(state.flat, last.flat, 1.0 / steps)
             self._told_version = self.version
             self._told_ns = born_ns
             self._last = state
-        return State(self._flat, (now_ns - born_ns) / SECOND, state.a)
+        return State(self._flat, (now_ns - born_ns) / NS_PER_SECOND, state.a)
 
 
-def between(flat: Vec, before: Vec, share: float) -> Vec:
+def interpolate_state(flat: Vec, before: Vec, share: float) -> Vec:
     """Return a state (13,) with p and v moved by this share of the way back to the state before."""
     now = flat.copy()
     now[0:6] += share * (before[0:6] - now[0:6])
     return now
 
 
-def moved_on(flat: Vec, seconds: float) -> Vec:
+def extrapolate_state(flat: Vec, seconds: float) -> Vec:
     """Return a state (13,) extrapolated by some seconds at constant velocity.
 
     Attitude and body rates stay the same.

@@ -7,19 +7,19 @@ import logging
 from collections.abc import Callable, Iterable
 
 from crazychoir.bus.port import Port
-from crazychoir.bus.topics import TELEMETRY
-from crazychoir.runtime.clock import SECOND, Clock
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.runtime.clock import NS_PER_SECOND, Clock
 from crazychoir.runtime.mailbox import Call
-from crazychoir.simulation.telemetry import check, check_period
+from crazychoir.simulation.telemetry import check_log_names, check_log_period
 
 log = logging.getLogger(__name__)
-MISSED = 3.0
+MOST_MISSED_PERIODS = 3.0
 """Periods without a value after which the last value is stale."""
 Ask = Callable[[tuple[str, ...], float], None]
 """Requests log variables (names, period s) from the drone."""
 
 
-class Readings:
+class SensorReadings:
     """The newest values of some log variables.
 
     `readings["pm.vbat"]` is None before the first value, and when the last value is stale.
@@ -42,7 +42,7 @@ class Readings:
         for name in self.names:
             if name in said:
                 value, old = said[name]
-                born_ns = now_ns - round((age + old) * SECOND)
+                born_ns = now_ns - round((age + old) * NS_PER_SECOND)
                 if born_ns >= self._born_ns.get(name, born_ns):
                     self._values[name] = value
                     self._born_ns[name] = born_ns
@@ -60,7 +60,7 @@ class Readings:
         return (
             float("inf")
             if born_ns is None
-            else (self.clock.now_ns() - born_ns) / SECOND
+            else (self.clock.now_ns() - born_ns) / NS_PER_SECOND
         )
 
     def fresh(self) -> dict[str, float]:
@@ -84,10 +84,10 @@ class Sensors:
         self.port = port
         self.known = known
         self.ask = ask
-        self._readings: dict[tuple[tuple[str, ...], float], Readings] = {}
+        self._readings: dict[tuple[tuple[str, ...], float], SensorReadings] = {}
         self._body = body
 
-    def log(self, names: tuple[str, ...], period: float) -> Readings:
+    def log(self, names: tuple[str, ...], period: float) -> SensorReadings:
         """Return the newest values of these variables.
 
         names: names of the variables.
@@ -98,15 +98,17 @@ class Sensors:
             return self._readings[names, period]
         where = f"drone {self.port.address}: log"
         clock = self.port.bus.clock
-        check_period(period, where)
+        check_log_period(period, where)
         if self.known is not None:
-            check(names, self.known, where)
+            check_log_names(names, self.known, where)
         self.ask(names, period)
         if not self._readings:
             told = Call(clock, self._told, f"drone {self.port.address} telemetry")
-            self.port.bus.subscribe(TELEMETRY, self._body, self.port.address, told)
-        readings = self._readings[names, period] = Readings(
-            clock, names, MISSED * period + TELEMETRY.max_age
+            self.port.bus.subscribe(
+                DRONE_TOPICS.telemetry, self._body, self.port.address, told
+            )
+        readings = self._readings[names, period] = SensorReadings(
+            clock, names, MOST_MISSED_PERIODS * period + DRONE_TOPICS.telemetry.max_age
         )
         return readings
 

@@ -3,26 +3,37 @@
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from crazychoir.config.tables import Flight
+from crazychoir.config.tables import FlightTable
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import CFGuidance
-from crazychoir.planning.point_to_point import duration_for
+from crazychoir.planning.point_to_point import compute_flight_time
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.types import FullState, Goto, Heard, Point, State, Vec
 
-SETTLE = 1.0
-"""s: time after the end of a trajectory in which the drone comes to rest."""
-THERE = 0.05
-"""m: distance from a target at which it counts as reached."""
-SLACK = 1.5
-"""Duration of a law for targets, as a multiple of the planned time."""
-NOTED = 0.1
-"""s: time between two rows of a way."""
+
+@dataclass(frozen=True, slots=True)
+class TimedFlightLimits:
+    """How long timed flights last, when a target counts as reached, and how often a way is
+    recorded.
+    """
+
+    rest_time: float = 1.0
+    """s: time after the end of a trajectory in which the drone comes to rest."""
+    reached_distance: float = 0.05
+    """m: distance from a target at which it counts as reached."""
+    duration_factor: float = 1.5
+    """Duration of a law for targets, as a multiple of the planned time."""
+    way_interval: float = 0.1
+    """s: time between two rows of a way."""
+
+
+TIMED_FLIGHT_LIMITS = TimedFlightLimits()
 
 
 class Way:
@@ -39,13 +50,16 @@ class Way:
         """Record the place p (3,) m, and return the s since the first record."""
         self._began = self._began if self.rows else now
         t = now - self._began
-        if not self.rows or t >= self.rows[-1][0] + NOTED - 1e-6:
+        if (
+            not self.rows
+            or t >= self.rows[-1][0] + TIMED_FLIGHT_LIMITS.way_interval - 1e-6
+        ):
             self.rows.append([round(t, 4), *np.round(p, 4).tolist()])
         return t
 
 
 @contextlib.asynccontextmanager
-async def noted(guidance: CFGuidance, way: Way) -> AsyncIterator[None]:
+async def record_way(guidance: CFGuidance, way: Way) -> AsyncIterator[None]:
     """Record where a drone is while the block runs.
 
     async with noted(self, way):
@@ -55,7 +69,7 @@ async def noted(guidance: CFGuidance, way: Way) -> AsyncIterator[None]:
     async def note() -> None:
         while True:
             way.note(guidance.member.clock.now(), guidance.state.p)
-            await guidance.sleep(NOTED)
+            await guidance.sleep(TIMED_FLIGHT_LIMITS.way_interval)
 
     task = asyncio.create_task(note(), name=f"drone {guidance.id} way")
     try:
@@ -79,7 +93,7 @@ class TimedFlight(CFDistributedFeedback):
     def __init__(self, trajectory: Trajectory, marks: Sequence[float] = ()) -> None:
         self.trajectory = trajectory
         self.marks = tuple(marks)
-        self.duration = trajectory.duration + SETTLE
+        self.duration = trajectory.duration + TIMED_FLIGHT_LIMITS.rest_time
         self.way, self._at_marks, self._off = Way(), list[float](), list[float]()
 
     def height(self) -> float:
@@ -130,17 +144,25 @@ class TargetList(CFDistributedFeedback):
 
     rate = 20.0
 
-    def __init__(self, targets: Sequence[Point], home: Point, flight: Flight) -> None:
+    def __init__(
+        self, targets: Sequence[Point], home: Point, flight: FlightTable
+    ) -> None:
         self.targets = [np.asarray(p, float) for p in targets]
         start = np.array([home[0], home[1], flight.ground + flight.takeoff_height])
-        self.duration = SLACK * planned_s([start, *self.targets], flight)
+        self.duration = TIMED_FLIGHT_LIMITS.duration_factor * compute_planned_time(
+            [start, *self.targets], flight
+        )
         self.way, self._reached = Way(), list[float]()
 
     def step(self, me: State, heard: Heard) -> Goto:
         """Return the first target that is not reached yet, or the last one."""
         t = self.way.note(self.member.clock.now(), me.p)
         k = len(self._reached)
-        if k < len(self.targets) and np.linalg.norm(me.p - self.targets[k]) <= THERE:
+        if (
+            k < len(self.targets)
+            and np.linalg.norm(me.p - self.targets[k])
+            <= TIMED_FLIGHT_LIMITS.reached_distance
+        ):
             self._reached.append(t)
         return Goto(self.targets[min(len(self._reached), len(self.targets) - 1)])
 
@@ -153,7 +175,7 @@ class TargetList(CFDistributedFeedback):
         }
 
 
-def planned_s(places: Sequence[Vec], flight: Flight) -> float:
+def compute_planned_time(places: Sequence[Vec], flight: FlightTable) -> float:
     """Return the s that a drone needs from each place to the next, as fast as the limits allow.
 
     The drone is at rest at each place.
@@ -162,5 +184,6 @@ def planned_s(places: Sequence[Vec], flight: Flight) -> float:
     a = flight.acceleration_limit
     pairs = pairwise(places)
     return sum(
-        duration_for(FullState.at(start), goal, 0.0, v, a) for start, goal in pairs
+        compute_flight_time(FullState.at(start), goal, 0.0, v, a)
+        for start, goal in pairs
     )

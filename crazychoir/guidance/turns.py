@@ -1,50 +1,70 @@
 """The order of drones that want the same place: the lowest id first, the others wait around it."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from crazychoir.flight.pilot import Pilot
-from crazychoir.safety.collision.filter import STANDING
-from crazychoir.safety.collision.neighbour_table import BORN, USABLE
-from crazychoir.safety.rules.guard import EDGE, Fence
+from crazychoir.safety.collision.filter import COLLISION_DISTANCES
+from crazychoir.safety.collision.neighbour_table import NEIGHBOUR_AGES, NEIGHBOUR_ROW
+from crazychoir.safety.rules.guard import EDGE_MARGIN, Fence
 from crazychoir.types import Vec
 
-NEAR = 0.5
-"""m, in the plane: a drone that flies nearer to a place probably wants it too."""
-AROUND = 0.75
-"""m, in the plane: distance from the place at which a drone waits for its turn."""
-BLOCKED = 0.5
-"""s: a drone that gave way less than this ago is blocked by others."""
-CLOSE = 0.1
-"""m: a blocked drone that is nearer to its goal has arrived."""
-TURN = 10.0
-"""s: how long a drone leaves a place to another drone that comes first."""
-PATIENT = 3.0
-"""s: how long a drone waits for others to clear its way before it moves aside.
 
-The others may not want the place.
-"""
-LEAVES = 5.0
-"""s: how long a drone stays aside."""
-SIDES = (0.0, 0.5 * math.pi, -0.5 * math.pi, math.pi)
+@dataclass(frozen=True, slots=True)
+class TurnDistances:
+    """Distances by which drones that want the same place take turns."""
+
+    near: float = 0.5
+    """m, in the plane: a drone that flies nearer to a place probably wants it too."""
+    waiting: float = 0.75
+    """m, in the plane: distance from the place at which a drone waits for its turn."""
+    arrived: float = 0.1
+    """m: a blocked drone that is nearer to its goal has arrived."""
+
+
+TURN_DISTANCES = TurnDistances()
+
+
+@dataclass(frozen=True, slots=True)
+class TurnTimes:
+    """Times by which drones that want the same place take turns."""
+
+    blocked: float = 0.5
+    """s: a drone that gave way less than this ago is blocked by others."""
+    turn: float = 10.0
+    """s: how long a drone leaves a place to another drone that comes first."""
+    patience: float = 3.0
+    """s: how long a drone waits for others to clear its way before it moves aside.
+
+    The others may not want the place.
+    """
+    aside: float = 5.0
+    """s: how long a drone stays aside."""
+
+
+TURN_TIMES = TurnTimes()
+
+
+ASIDE_DIRECTIONS = (0.0, 0.5 * math.pi, -0.5 * math.pi, math.pi)
 """rad: directions to move aside, from the drone's own side of the place, in order of preference."""
 
 
-def blocked(pilot: Pilot) -> bool:
+def is_blocked(pilot: Pilot) -> bool:
     """Return whether other drones are in this drone's way, or it is in theirs."""
-    return pilot.clock.now() < pilot.clearance.gave_way + BLOCKED
+    return pilot.clock.now() < pilot.clearance.gave_way + TURN_TIMES.blocked
 
 
-def first_at(pilot: Pilot, p: Vec) -> int:
+def find_first_at(pilot: Pilot, p: Vec) -> int:
     """Return the lowest id of the drones that fly near a place p (3,) m.
 
     It is this drone's own id if it hears of no drone there.
     """
-    return min(_flying_near(pilot, p, NEAR), default=pilot.drone)
+    return min(_find_flying_near(pilot, p, TURN_DISTANCES.near), default=pilot.drone)
 
 
-def aside(at: Vec, p: Vec, fence: Fence) -> Vec:
+def choose_place_aside(at: Vec, p: Vec, fence: Fence) -> Vec:
     """Return the place where a drone waits for its turn at p, at the same height as p.
 
     It is on the drone's own side if the fence allows.
@@ -55,18 +75,20 @@ def aside(at: Vec, p: Vec, fence: Fence) -> Vec:
     """
     angle = math.atan2(at[1] - p[1], at[0] - p[0])
     places = [
-        p + AROUND * np.array([math.cos(angle + side), math.sin(angle + side), 0.0])
-        for side in SIDES
+        p
+        + TURN_DISTANCES.waiting
+        * np.array([math.cos(angle + side), math.sin(angle + side), 0.0])
+        for side in ASIDE_DIRECTIONS
     ]
     inside = [
         place
         for place in places
-        if np.array_equal(fence.nearest(place, inset=EDGE)[0:2], place[0:2])
+        if np.array_equal(fence.nearest(place, inset=EDGE_MARGIN)[0:2], place[0:2])
     ]
     return inside[0] if inside else places[0]
 
 
-def _flying_near(pilot: Pilot, p: Vec, far: float) -> dict[int, Vec]:
+def _find_flying_near(pilot: Pilot, p: Vec, far: float) -> dict[int, Vec]:
     """Return {id: (3,) m} of the drones that fly near a place, as far as this drone hears them.
 
     p: (3,) m: the place.
@@ -77,13 +99,17 @@ def _flying_near(pilot: Pilot, p: Vec, far: float) -> dict[int, Vec]:
         return {}
     now = pilot.clock.now()
     rows = traffic.rows
-    floor = pilot.limits.ground + STANDING
+    floor = pilot.limits.ground + COLLISION_DISTANCES.standing_height
     near = np.hypot(rows[:, 0] - p[0], rows[:, 1] - p[1]) < far
-    fly = near & (rows[:, 2] > floor) & (now - rows[:, BORN] < USABLE)
+    fly = (
+        near
+        & (rows[:, 2] > floor)
+        & (now - rows[:, NEIGHBOUR_ROW.state_time] < NEIGHBOUR_AGES.usable)
+    )
     return {traffic.ids[k]: rows[k, 0:3].copy() for k in np.flatnonzero(fly)}
 
 
-class Turns:
+class TurnTaking:
     """Where a drone flies that decides again and again: to its own place, or aside for others."""
 
     def __init__(self, pilot: Pilot) -> None:
@@ -99,15 +125,15 @@ class Turns:
         """
         pilot = self.pilot
         now = self.pilot.clock.now()
-        if not blocked(pilot):
+        if not is_blocked(pilot):
             self._free = now
-        if now < self._until and first_at(pilot, p) < pilot.drone:
+        if now < self._until and find_first_at(pilot, p) < pilot.drone:
             return self._aside
         self._until = 0.0
         if (
-            now - self._free > PATIENT
-            and pilot.gap(p) < NEAR
-            and first_at(pilot, p) < pilot.drone
+            now - self._free > TURN_TIMES.patience
+            and pilot.gap(p) < TURN_DISTANCES.near
+            and find_first_at(pilot, p) < pilot.drone
         ):
             return self._leave(p)
         return p
@@ -121,11 +147,15 @@ class Turns:
         now = self.pilot.clock.now()
         assert pilot.state is not None  # noqa: S101 - a drone in flight has a state
         here = pilot.state.p
-        if now < self._until and pilot.gap(self._aside) > CLOSE:
+        if now < self._until and pilot.gap(self._aside) > TURN_DISTANCES.arrived:
             return self._aside
         self._until = 0.0
         self._free = now
-        others = _flying_near(pilot, here, AROUND) if blocked(pilot) else {}
+        others = (
+            _find_flying_near(pilot, here, TURN_DISTANCES.waiting)
+            if is_blocked(pilot)
+            else {}
+        )
         if not others:
             return None
         nearest = min(others.values(), key=lambda p: math.dist(p, here))
@@ -133,6 +163,6 @@ class Turns:
 
     def _leave(self, p: Vec) -> Vec:
         assert self.pilot.state is not None  # noqa: S101 - a drone in flight has a state
-        self._aside = aside(self.pilot.state.p, p, self.pilot.fence)
-        self._until = self.pilot.clock.now() + LEAVES
+        self._aside = choose_place_aside(self.pilot.state.p, p, self.pilot.fence)
+        self._until = self.pilot.clock.now() + TURN_TIMES.aside
         return self._aside

@@ -18,12 +18,12 @@ from crazychoir.errors import (
     error_text,
     refuse_exit,
 )
-from crazychoir.runtime.user_code_guard import HOOK, limited
+from crazychoir.runtime.user_code_guard import USER_CODE_TIMES, limit_duration
 
-README = 'See "Write your own mission" in agents/README.md.'
+README_ADVICE = 'See "Write your own mission" in agents/README.md.'
 """Advice for the user: the chapter about missions."""
-CHAPTERS = {
-    "mission": README,
+CHAPTER_ADVICE = {
+    "mission": README_ADVICE,
     "algorithm": 'See "A new distributed algorithm" in crazychoir/optimization/README.md.',
 }
 """Advice for the user, by kind of file: the chapter that explains it."""
@@ -58,7 +58,7 @@ class Hook:
             self.arguments,
             f"{self.kind} {self.file}",
             self.name,
-            CHAPTERS[self.kind],
+            CHAPTER_ADVICE[self.kind],
         )
 
     def __call__(self, *values: Any) -> Any:
@@ -69,12 +69,16 @@ class Hook:
         """
         try:
             with (
-                limited(HOOK, f"{self.kind} {self.file}: {self.call}"),
+                limit_duration(
+                    USER_CODE_TIMES.hook_limit, f"{self.kind} {self.file}: {self.call}"
+                ),
                 refuse_exit(f"{self.kind} {self.call}"),
             ):
                 return self.function(*values)
         except Hung as error:
-            raise self.wrong(f"no end within {HOOK:g} s", self._line(error)) from error
+            raise self.wrong(
+                f"no end within {USER_CODE_TIMES.hook_limit:g} s", self._line(error)
+            ) from error
         except CrazyChoirError:
             raise
         except Exception as error:
@@ -87,7 +91,7 @@ class Hook:
             f"{self.kind} {self.file}{line}: {self.call}",
             found,
             self.returns,
-            CHAPTERS[self.kind],
+            CHAPTER_ADVICE[self.kind],
         )
 
     def _line(self, error: Exception) -> str:
@@ -105,7 +109,7 @@ def require_signature(
     arguments: tuple[str, ...],
     where: str,
     name: str,
-    chapter: str = README,
+    chapter: str = README_ADVICE,
 ) -> None:
     """Raise ConfigError unless `function` is a plain function that takes `arguments` by position.
 
@@ -117,12 +121,12 @@ def require_signature(
     if not callable(function):
         raise ConfigError(
             f"{where}: {name}",
-            f"{name} = {shown(function)}",
+            f"{name} = {shorten_value_text(function)}",
             wanted,
             "Or give it another name.",
         )
     if is_coroutine_function(function):
-        place, _, _ = place_of(function).rpartition(" ")
+        place, _, _ = locate_function(function).rpartition(" ")
         raise ConfigError(
             f"{place or where}: {name}",
             f"async {wanted}",
@@ -143,7 +147,7 @@ def is_coroutine_function(function: Callable[..., Any]) -> bool:
     return inspect.iscoroutinefunction(inspect.unwrap(function))
 
 
-def place_of(function: Callable[..., Any]) -> str:
+def locate_function(function: Callable[..., Any]) -> str:
     """Return where a user's function is defined, as "file:line name".
 
     Its name alone if the file is not known.
@@ -154,7 +158,7 @@ def place_of(function: Callable[..., Any]) -> str:
     return name if code is None else f"{code.co_filename}:{code.co_firstlineno} {name}"
 
 
-def shown(value: object) -> str:
+def shorten_value_text(value: object) -> str:
     """Return a value in a few words."""
     if value is None:
         return "None"

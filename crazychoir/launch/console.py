@@ -17,27 +17,27 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from crazychoir.bus.json_view import plain
+from crazychoir.bus.json_view import to_plain_values
 from crazychoir.bus.network import handshakes
 from crazychoir.errors import ConfigError, CrazyChoirError, Refused, error_text
 from crazychoir.files.output_files import require_writable_file
 
 if TYPE_CHECKING:
     from crazychoir.config.swarm_config import SwarmConfig
-    from crazychoir.launch.flight_observer import Score
+    from crazychoir.launch.flight_observer import FlightScore
     from crazychoir.recording.mcap.reading import Recording
     from crazychoir.types import Status
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
-STDERR = Console(stderr=True, markup=False, emoji=False)
+ERROR_CONSOLE = Console(stderr=True, markup=False, emoji=False)
 """Console for progress and errors.
 
 A text is printed as it is, because names may look like the markup of rich.
 """
 
 
-class Answers(Console):
+class AnswerConsole(Console):
     """Standard output, for the answers of commands.
 
     If standard output cannot be written, the answer goes to standard error.
@@ -54,21 +54,21 @@ class Answers(Console):
             raise
         except OSError as error:
             _give_up_on_output(error)
-            STDERR.print(*objects, **options)
+            ERROR_CONSOLE.print(*objects, **options)
             raise typer.Exit(1) from error
 
 
-STDOUT = Answers(markup=False, emoji=False)
+ANSWER_CONSOLE = AnswerConsole(markup=False, emoji=False)
 """Console for the answers of commands."""
-REFRESH = 4
+LIVE_TABLE_RATE = 4
 """Updates of a live table, Hz."""
-WIDE = 100
+WIDE_TERMINAL = 100
 """Width of a terminal, in columns, from which on tables show all counters."""
-PICTURES = (".png", ".pdf", ".svg")
+PICTURE_SUFFIXES = (".png", ".pdf", ".svg")
 """Suffixes of the pictures that can be drawn."""
 
 
-class TracesOnce(logging.Formatter):
+class SingleTraceFormatter(logging.Formatter):
     """Formats log records, and prints each traceback only once.
 
     If thirty drones fail in the same law, each reports its failure, but the traceback appears once.
@@ -90,23 +90,23 @@ class TracesOnce(logging.Formatter):
 
 def set_up_logging(level: int = logging.WARNING) -> None:
     """Send all logs to standard error, those of the network too."""
-    handshakes.overhear()
+    handshakes.read_output()
     if sys.stderr.isatty():
         from rich.logging import RichHandler
 
         handler: logging.Handler = RichHandler(
-            console=STDERR, show_path=False, rich_tracebacks=False
+            console=ERROR_CONSOLE, show_path=False, rich_tracebacks=False
         )
     else:
         handler = logging.StreamHandler()
-    handler.setFormatter(TracesOnce())
+    handler.setFormatter(SingleTraceFormatter())
     logging.basicConfig(level=level, handlers=[handler], force=True)
     # Matplotlib otherwise logs the place of its list of fonts.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
 
 
 @contextlib.contextmanager
-def prints_aside() -> Iterator[None]:
+def redirect_prints() -> Iterator[None]:
     """Redirect standard output to standard error.
 
     Standard output is for the answer of the command. This concerns what missions print, and the
@@ -114,13 +114,15 @@ def prints_aside() -> Iterator[None]:
     """
     with (
         contextlib.redirect_stdout(sys.stderr),
-        contextlib.nullcontext() if handshakes.overhears() else _aside(),
+        contextlib.nullcontext()
+        if handshakes.is_reading_output()
+        else _redirect_output(),
     ):
         yield
 
 
 @contextlib.contextmanager
-def _aside() -> Iterator[None]:
+def _redirect_output() -> Iterator[None]:
     output = os.dup(1)
     os.dup2(2, 1)
     try:
@@ -132,7 +134,7 @@ def _aside() -> Iterator[None]:
 
 def write_json(value: Any) -> None:
     """Write a value as one line of JSON to standard output, and flush."""
-    line = json.dumps(plain(value), default=str) + "\n"
+    line = json.dumps(to_plain_values(value), default=str) + "\n"
     try:
         sys.stdout.write(line)
         sys.stdout.flush()
@@ -147,7 +149,9 @@ def write_json(value: Any) -> None:
 def _give_up_on_output(error: OSError) -> None:
     """Report that standard output cannot be written, as on a full disk, and drop its buffer."""
     text = f"standard output: {error.strerror}: the answer is printed here. Name another file, or make room."
-    STDERR.print(text, style="red", markup=False, highlight=False, soft_wrap=True)
+    ERROR_CONSOLE.print(
+        text, style="red", markup=False, highlight=False, soft_wrap=True
+    )
     with contextlib.suppress(OSError, ValueError):
         nothing = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nothing, sys.stdout.fileno())
@@ -160,7 +164,7 @@ def require_drawable(path: Path | None) -> None:
     The reason is an unknown suffix, or a folder that does not exist.
     """
     if path is not None:
-        require_writable_file(path, "--picture", PICTURES)
+        require_writable_file(path, "--picture", PICTURE_SUFFIXES)
 
 
 def require_reached(config: "SwarmConfig", which: str, drone: int) -> None:
@@ -181,7 +185,7 @@ def require_reached(config: "SwarmConfig", which: str, drone: int) -> None:
         )
 
 
-class Outputs:
+class CommandOutputs:
     """Writes the files that a command must write beside its answer.
 
     If a file fails, this is reported and the answer is still printed.
@@ -211,7 +215,7 @@ class Outputs:
         """Print a line to standard error for each file that was not written."""
         for option, why in self.failed.items():
             text = why if why.startswith(option) else f"{option}: {why}"
-            STDERR.print(
+            ERROR_CONSOLE.print(
                 f"Not written: {text}",
                 style="red",
                 markup=False,
@@ -225,29 +229,29 @@ class Outputs:
         return {"not_written": self.failed} if self.failed else {}
 
 
-def fail(error: CrazyChoirError, as_json: bool) -> NoReturn:
+def exit_with_error(error: CrazyChoirError, as_json: bool) -> NoReturn:
     """Print the error and exit with 2."""
     if as_json:
         write_json(
             {"success": False, "error": str(error), "kind": type(error).__name__}
         )
-    STDERR.print(Text.assemble((type(error).__name__, "bold red"), ": "), end="")
+    ERROR_CONSOLE.print(Text.assemble((type(error).__name__, "bold red"), ": "), end="")
     # The text of Refused would repeat the name of the class.
     text = f"{error.by}: {error.reason}" if isinstance(error, Refused) else str(error)
-    STDERR.print(text, markup=False, highlight=False, soft_wrap=True)
+    ERROR_CONSOLE.print(text, markup=False, highlight=False, soft_wrap=True)
     raise typer.Exit(2)
 
 
-def interrupted(as_json: bool) -> NoReturn:
+def exit_interrupted(as_json: bool) -> NoReturn:
     """Report that Ctrl-C has ended a command that flies no real drone, and exit with 130."""
     text = "Ctrl-C: the run ends here, without a result"
     if as_json:
         write_json({"success": False, "error": text, "kind": "KeyboardInterrupt"})
-    STDERR.print(text)
+    ERROR_CONSOLE.print(text)
     raise typer.Exit(130)
 
 
-def warn_of(recording: "Recording", left: str) -> None:
+def warn_of_gaps(recording: "Recording", left: str) -> None:
     """Warn about what a recording lacks.
 
     recording: the recording
@@ -266,7 +270,7 @@ def warn_of(recording: "Recording", left: str) -> None:
         else []
     )
     for text in said:
-        STDERR.print(
+        ERROR_CONSOLE.print(
             f"{recording.path}: {text}",
             style="yellow",
             markup=False,
@@ -275,36 +279,40 @@ def warn_of(recording: "Recording", left: str) -> None:
         )
 
 
-def result_table(results: dict[Any, dict[str, Any]]) -> Table:
+def build_result_table(results: dict[Any, dict[str, Any]]) -> Table:
     """Return a table with one row a drone."""
     table = Table("drone", "success", "detail")
     for i, result in results.items():
         rest = ", ".join(
-            f"{k} {_short(v)}" for k, v in result.items() if k != "success"
+            f"{k} {_format_short_value(v)}" for k, v in result.items() if k != "success"
         )
-        detail = _of(i, result["reason"]) if result.get("reason") else rest
+        detail = _strip_drone(i, result["reason"]) if result.get("reason") else rest
         table.add_row(
             str(i), "yes" if result.get("success") else Text("no", "red"), Text(detail)
         )
     return table
 
 
-def _of(i: Any, reason: Any) -> str:
+def _strip_drone(i: Any, reason: Any) -> str:
     """Return the reason of drone i without "drone i: " at its beginning."""
     return str(reason).removeprefix(f"drone {i}: ")
 
 
-def _short(value: Any) -> str:
+def _format_short_value(value: Any) -> str:
     text = f"{value:.4g}" if isinstance(value, float) else str(value)
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 
-def status_table(score: "Score") -> Group:
+def build_status_table(score: "FlightScore") -> Group:
     """Return the live view of a swarm: one line a drone, and the notes of the drones below.
 
     A narrow terminal leaves out two counters.
     """
-    counters = ("sent", "lost", "resent") if STDERR.width >= WIDE else ("lost",)
+    counters = (
+        ("sent", "lost", "resent")
+        if ERROR_CONSOLE.width >= WIDE_TERMINAL
+        else ("lost",)
+    )
     columns = ("drone", "phase", "task", "round", "cost", *counters, "silent")
     table = Table(*columns, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
     below = []
@@ -314,7 +322,7 @@ def status_table(score: "Score") -> Group:
         if status is None:
             table.add_row(str(i), "", Text("not heard yet", "dim"))
             continue
-        silent = _silent(status, score.statuses)
+        silent = _list_silent_drones(status, score.statuses)
         marked = marked or bool(silent)
         cost = "" if status.cost != status.cost else f"{status.cost:.3f}"
         numbers = [
@@ -324,35 +332,40 @@ def status_table(score: "Score") -> Group:
         ]
         table.add_row(
             str(i),
-            *(_line(text) for text in (status.phase, status.task, *numbers, silent)),
+            *(
+                _fit_on_line(text)
+                for text in (status.phase, status.task, *numbers, silent)
+            ),
         )
         if status.note:
-            below.append(_line(f"drone {i}: {status.note}"))
-    below += [_line(text) for text in _clocks(score.statuses.values())]
+            below.append(_fit_on_line(f"drone {i}: {status.note}"))
+    below += [_fit_on_line(text) for text in _describe_clocks(score.statuses.values())]
     if marked:
         below.append(
-            _line(
+            _fit_on_line(
                 "silent: those that it does not hear; ? for a second or more, ! given up"
             )
         )
     return Group(table, *below)
 
 
-def _silent(status: "Status", statuses: Mapping[int, "Status"]) -> str:
+def _list_silent_drones(status: "Status", statuses: Mapping[int, "Status"]) -> str:
     """Return the drones that this drone does not hear, as text.
 
     Drones that have ended on the ground are left out: they need not send any more.
     """
-    from crazychoir.agent.drone import WAITING
+    from crazychoir.agent.drone import WAITING_TASK
 
     ended = [
-        j for j, s in statuses.items() if s.phase == "on ground" and s.task != WAITING
+        j
+        for j, s in statuses.items()
+        if s.phase == "on ground" and s.task != WAITING_TASK
     ]
     marks = [*((j, "?") for j in status.suspect), *((j, "!") for j in status.gone)]
     return ", ".join(f"{j}{mark}" for j, mark in marks if j not in ended)
 
 
-def _clocks(statuses: Iterable["Status"]) -> list[str]:
+def _describe_clocks(statuses: Iterable["Status"]) -> list[str]:
     """Return the difference between the clocks of each two hosts, a line a pair."""
     said: dict[frozenset[str], str] = {}
     for status in statuses:
@@ -367,12 +380,12 @@ def _clocks(statuses: Iterable["Status"]) -> list[str]:
     return list(said.values())
 
 
-def _line(text: str) -> Text:
+def _fit_on_line(text: str) -> Text:
     """Return a text that stays on one line and is cut if the terminal is too narrow."""
     return Text(text, no_wrap=True, overflow="ellipsis")
 
 
-class Progress(Generic[T]):
+class LiveTable(Generic[T]):
     """A live table, updated REFRESH times a second, with lines above it.
 
     table: makes the table from the newest state
@@ -384,7 +397,11 @@ class Progress(Generic[T]):
 
         self.table = table
         self.live = (
-            Live(console=STDERR, refresh_per_second=REFRESH, transient=True)
+            Live(
+                console=ERROR_CONSOLE,
+                refresh_per_second=LIVE_TABLE_RATE,
+                transient=True,
+            )
             if enabled
             else None
         )
@@ -394,12 +411,12 @@ class Progress(Generic[T]):
         """Show the newest state if an update is due."""
         if self.live is None or time.perf_counter() < self._due:
             return
-        self._due = time.perf_counter() + 1.0 / REFRESH
+        self._due = time.perf_counter() + 1.0 / LIVE_TABLE_RATE
         self.live.update(self.table(seen))
 
     def say(self, line: str) -> None:
         """Print a line above the table."""
-        STDERR.print(line, markup=False, highlight=False, soft_wrap=True)
+        ERROR_CONSOLE.print(line, markup=False, highlight=False, soft_wrap=True)
 
     def __enter__(self) -> Self:
         if self.live is not None:
@@ -411,15 +428,17 @@ class Progress(Generic[T]):
             self.live.stop()
 
 
-def _verdict(run: dict[str, Any]) -> str:
+def _describe_success(run: dict[str, Any]) -> str:
     if not run["success"]:
         return "failed"
     return "success, ended by its operator" if run.get("ended") else "success"
 
 
-def summary_table(run: dict[str, Any]) -> Table:
+def build_summary_table(run: dict[str, Any]) -> Table:
     """Return the result of a run, one row a figure."""
-    table = Table("figure", "value", title=f"{_flown(run)}: {_verdict(run)}")
+    table = Table(
+        "figure", "value", title=f"{_describe_flown(run)}: {_describe_success(run)}"
+    )
     shown = [
         ("drones", "{}"),
         ("tasks", "{}"),
@@ -452,30 +471,32 @@ def summary_table(run: dict[str, Any]) -> Table:
             table.add_row(
                 key,
                 form.format(
-                    run[key] if not isinstance(run[key], dict) else _pairs(run[key])
+                    run[key]
+                    if not isinstance(run[key], dict)
+                    else _format_pairs(run[key])
                 ),
             )
     for key in run.get("report", ()):
-        if key not in dict(shown) and (text := _figures(run[key])):
+        if key not in dict(shown) and (text := _format_report_value(run[key])):
             table.add_row(key, Text(text))
     if run.get("recording"):
-        table.add_row("recording", Text(_recording(run["recording"])))
+        table.add_row("recording", Text(_describe_recording(run["recording"])))
     if run.get("reason"):
         table.add_row("reason", Text(run["reason"], "red"))
     for i, words in run.get("ended", {}).items():
-        table.add_row(f"drone {i}", Text(_of(i, words)))
+        table.add_row(f"drone {i}", Text(_strip_drone(i, words)))
     for i, reason in run["reasons"].items():
-        table.add_row(f"drone {i}", Text(_of(i, reason), "red"))
+        table.add_row(f"drone {i}", Text(_strip_drone(i, reason), "red"))
     return table
 
 
-def _flown(run: dict[str, Any]) -> str:
+def _describe_flown(run: dict[str, Any]) -> str:
     """Return the mission without its folder, and the name of the swarm if it has its own file."""
     mission = Path(run["mission"]).name
     return f"swarm {run['swarm']}, {mission}" if "swarm" in run else mission
 
 
-def _recording(recording: dict[str, Any]) -> str:
+def _describe_recording(recording: dict[str, Any]) -> str:
     """Return where the recording is, and what it lacks."""
     text = f"{recording['file']}: {recording['messages']} messages"
     error = recording["error"]
@@ -485,19 +506,21 @@ def _recording(recording: dict[str, Any]) -> str:
     return text + (f"; ended early: {error}" if error else "")
 
 
-def _figures(value: Any) -> str:
+def _format_report_value(value: Any) -> str:
     """Return a value of a mission's report on one line.
 
     Empty for a list with other entries than figures and texts: only JSON shows these.
     """
     value = value.tolist() if hasattr(value, "tolist") else value
     if isinstance(value, dict):
-        return _pairs(value)
+        return _format_pairs(value)
     if not isinstance(value, list | tuple):
-        return _short(value)
+        return _format_short_value(value)
     plain = all(isinstance(one, bool | int | float | str) for one in value)
-    return ", ".join(_short(one) for one in value) if plain else ""
+    return ", ".join(_format_short_value(one) for one in value) if plain else ""
 
 
-def _pairs(values: dict[Any, Any]) -> str:
-    return ", ".join(f"{key}: {_short(value)}" for key, value in values.items())
+def _format_pairs(values: dict[Any, Any]) -> str:
+    return ", ".join(
+        f"{key}: {_format_short_value(value)}" for key, value in values.items()
+    )

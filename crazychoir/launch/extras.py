@@ -3,13 +3,13 @@
 import importlib.util
 from collections.abc import Iterable
 
-from crazychoir.config.checks import MUJOCO
+from crazychoir.config.checks import WORLD_URIS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.launch.processes import WORLD_OWNER, Owner
-from crazychoir.mocap.system import EXTRA, MODULE
+from crazychoir.mocap.system import MOCAP_EXTRA, MOCAP_LIBRARY
 
-WITHOUT_EXTRA = ("virtual", "replay")
+SOURCES_WITHOUT_EXTRA = ("virtual", "replay")
 """Sources of [mocap] that need no extra."""
 
 
@@ -21,13 +21,19 @@ def require_extras(config: SwarmConfig, owners: Iterable[Owner], fast: bool) -> 
     fast: whether it flies in this process, in virtual time
     """
     started = {owner.name for owner in owners}
-    in_mujoco = [drone.id for drone in config.drones if drone.uri.startswith(MUJOCO)]
+    in_mujoco = [
+        drone.id for drone in config.drones if drone.uri.startswith(WORLD_URIS.mujoco)
+    ]
     if in_mujoco and (fast or WORLD_OWNER.name in started):
         where = f'swarm {config.name}: drone {in_mujoco[0]}: uri = "{config.drone(in_mujoco[0]).uri}"'
         _require(where, "mujoco", "mujoco")
     source = config.mocap.source
-    if not fast and "mocap" in started and source not in WITHOUT_EXTRA:
-        _require(f'swarm {config.name}: [mocap] source = "{source}"', MODULE, EXTRA)
+    if not fast and "mocap" in started and source not in SOURCES_WITHOUT_EXTRA:
+        _require(
+            f'swarm {config.name}: [mocap] source = "{source}"',
+            MOCAP_LIBRARY,
+            MOCAP_EXTRA,
+        )
 
 
 def _require(where: str, module: str, extra: str) -> None:

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 
 from crazychoir.agent.agent import Agent
-from crazychoir.agent.dead_man import Console, is_console
-from crazychoir.agent.drone import WAITING
-from crazychoir.agent.mission_runner import ENDED, NO_REASON
+from crazychoir.agent.dead_man import ConsoleReporter, is_console
+from crazychoir.agent.drone import WAITING_TASK
+from crazychoir.agent.mission_runner import ENDED_KEY, MISSION_REASONS
 from crazychoir.bus.commands import Commander
-from crazychoir.config.checks import TOUCHING
+from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import reason_or
-from crazychoir.guidance.feedback import idle
-from crazychoir.guidance.mission import Mission, has
-from crazychoir.launch.flight_observer import Score, Watch, goal_of
-from crazychoir.launch.network import attached, observer
+from crazychoir.guidance.feedback import are_all_idle
+from crazychoir.guidance.mission import Mission, has_hook
+from crazychoir.launch.flight_observer import FlightScore, Watch, list_goals
+from crazychoir.launch.network import make_observer_link, run_attached
 from crazychoir.launch.processes import WORLD_OWNER, Owner, run_children
 from crazychoir.recording.mcap.file import RecordingFile
 from crazychoir.recording.recorder import Recorder
@@ -29,7 +29,7 @@ from crazychoir.simulation.trace import Trace
 
 log = logging.getLogger(__name__)
 NO_REASONS = "the mission's report returned success = False, without reasons"
-HELD = {
+HINDRANCE_TEXTS = {
     "kept_clear_s": "the collision filter has flown it for {:g} s",
     "at_fence_s": "held at the fence for {:g} s",
     "apart": "at its end the {}",
@@ -55,17 +55,17 @@ def fly_fast(
     mission: its mission
     watch: called with the score at every tick, None for no view
     file: recording of the flight, None for none
-    Returns the object of `summary`, with the figures of the whole flight.
+    Returns the object of `summarise_flight`, with the figures of the whole flight.
     """
     began = time.perf_counter()
 
     async def main(clock: Clock) -> dict[str, Any]:
         trace = Trace()
         agent = Agent(clock, config, mission, config.ids, trace=trace)
-        score = Score(
+        score = FlightScore(
             agent.bus,
             config.ids,
-            goal_of(mission, config),
+            list_goals(mission, config),
             watch or (lambda score: None),
         )
         agent.services.append(score)
@@ -85,7 +85,7 @@ def fly_fast(
             for name in ("sent", "lost", "resent")
         }
         wall = time.perf_counter() - ready
-        return summary(config, mission, results, score, clock.now(), wall) | {
+        return summarise_flight(config, mission, results, score, clock.now(), wall) | {
             "startup_s": ready - began,
             "messages": messages,
             "rounds": rounds,
@@ -125,14 +125,14 @@ def fly_real(
     ]
 
     async def main(clock: Clock) -> dict[str, Any]:
-        link = observer(clock, config)
+        link = make_observer_link(clock, config)
         began = clock.now()
         address = next(iter(link.bus.ports))
         watched = watch or (lambda score: None)
-        score = Score(
+        score = FlightScore(
             link.bus,
             config.ids,
-            goal_of(mission, config),
+            list_goals(mission, config),
             watched,
             address=address,
             source=config.source,
@@ -144,23 +144,27 @@ def fly_real(
             else None
         )
         console = (
-            [Console(Commander(link.bus.ports[address]), config.ids)]
+            [ConsoleReporter(Commander(link.bus.ports[address]), config.ids)]
             if is_console(config, link.bus.host)
             else []
         )
-        async with attached(link, score, *([recorder] if recorder else []), *console):
+        async with run_attached(
+            link, score, *([recorder] if recorder else []), *console
+        ):
             results = await run_children(
                 groups,
                 path,
                 config,
                 list(options),
                 say,
-                lambda: all_wait(config, score),
-                owners(config, started),
+                lambda: do_all_wait(config, score),
+                list_owners(config, started),
             )
         ready = began if score.go_at is None else score.go_at
         wall = clock.now() - ready
-        return summary(config, mission, results, score, wall, wall, started) | {
+        return summarise_flight(
+            config, mission, results, score, wall, wall, started
+        ) | {
             "startup_s": ready - began,
             "recording": recorder.result() if recorder else None,
         }
@@ -168,11 +172,11 @@ def fly_real(
     return run_wall(main)
 
 
-def summary(
+def summarise_flight(
     config: SwarmConfig,
     mission: Mission,
     results: Results,
-    score: Score,
+    score: FlightScore,
     simulated: float,
     wall: float,
     started: tuple[int, ...] | None = None,
@@ -190,10 +194,10 @@ def summary(
     The mission's own report needs the results of all drones. It is left out if some are missing.
     """
     started = config.ids if started is None else started
-    ended = {i: r[ENDED] for i, r in sorted(results.items()) if ENDED in r}
+    ended = {i: r[ENDED_KEY] for i, r in sorted(results.items()) if ENDED_KEY in r}
     report = (
-        mission.report(config, operator_ends_as_failures(results))
-        if started == config.ids and has(mission, "report")
+        mission.report(config, mark_operator_ends(results))
+        if started == config.ids and has_hook(mission, "report")
         else {}
     )
     reached = bool(report.pop("success", True))
@@ -205,9 +209,11 @@ def summary(
         reached = reached and not of_all
         said = said if of_all else None
     held = describe_hindrances(results)
-    failed = failures(results, score.touching, started)
+    failed = list_failures(results, score.touching, started)
     absent = [i for i in started if i not in results]
-    told = {i: reason_or(text, NO_REASON) for i, text in (off | failed).items()}
+    told = {
+        i: reason_or(text, MISSION_REASONS.unsaid) for i, text in (off | failed).items()
+    }
     reasons = {i: "; ".join([text, *held.get(i, [])]) for i, text in told.items()}
     reasons |= dict.fromkeys(absent, NO_RESULT)
     if not (reached or reasons):
@@ -226,7 +232,7 @@ def summary(
         ),
     ]
     separation = score.min_separation
-    if idle(results):
+    if are_all_idle(results):
         log.warning(NOBODY_MOVED)
         score.log.append(NOBODY_MOVED)
     return {
@@ -242,7 +248,7 @@ def summary(
         "min_separation_m": separation if np.isfinite(separation) else None,
         **{
             key: {i: r[key] for i, r in sorted(results.items()) if key in r} or None
-            for key in HELD
+            for key in HINDRANCE_TEXTS
         },
         "messages": score.messages(),
         "rounds": max((status.round for status in score.statuses.values()), default=0),
@@ -259,19 +265,19 @@ def summary(
     }
 
 
-def owners(config: SwarmConfig, started: tuple[int, ...] | None) -> list[Owner]:
+def list_owners(config: SwarmConfig, started: tuple[int, ...] | None) -> list[Owner]:
     """Return the owner processes to start here.
 
     An owner starts with all drones, or with the lowest drone of its host.
     """
     found = (
         [WORLD_OWNER]
-        if config.owned and _starts(config, config.world.host, started)
+        if config.owned and _is_start_here(config, config.world.host, started)
         else []
     )
-    if config.seen and _starts(config, config.mocap.host, started):
+    if config.seen and _is_start_here(config, config.mocap.host, started):
         found.append(Owner("mocap", "crazychoir.cli.fly.mocap", again=True))
-    for k in dongles(config, started):
+    for k in list_dongles(config, started):
         options = ("--dongle", str(k))
         found.append(
             Owner(
@@ -285,14 +291,16 @@ def owners(config: SwarmConfig, started: tuple[int, ...] | None) -> list[Owner]:
     return found
 
 
-def dongles(config: SwarmConfig, started: tuple[int, ...] | None) -> list[int]:
+def list_dongles(config: SwarmConfig, started: tuple[int, ...] | None) -> list[int]:
     """Return the dongles with an owner that starts here."""
     return [
-        k for k in config.dongles if _starts(config, config.dongle_host(k), started)
+        k
+        for k in config.dongles
+        if _is_start_here(config, config.dongle_host(k), started)
     ]
 
 
-def _starts(
+def _is_start_here(
     config: SwarmConfig, host: str | None, started: tuple[int, ...] | None
 ) -> bool:
     here = config.ids if started is None else started
@@ -300,17 +308,21 @@ def _starts(
     return here == config.ids or any(i in here for i in beside[:1])
 
 
-def all_wait(config: SwarmConfig, score: Score) -> bool:
+def do_all_wait(config: SwarmConfig, score: FlightScore) -> bool:
     """Return whether the start needs every drone, and no drone is known to have begun."""
     return config.start == "all" and all(
-        status.task == WAITING for status in score.statuses.values()
+        status.task == WAITING_TASK for status in score.statuses.values()
     )
 
 
 def describe_hindrances(results: Results) -> dict[int, list[str]]:
     """Return for each hindered drone the texts that say what has kept it from its target."""
     told = {
-        i: [text.format(r[key]) for key, text in HELD.items() if _is_ours(key, r)]
+        i: [
+            text.format(r[key])
+            for key, text in HINDRANCE_TEXTS.items()
+            if _is_ours(key, r)
+        ]
         for i, r in sorted(results.items())
     }
     return {i: texts for i, texts in told.items() if texts}
@@ -322,12 +334,14 @@ def _is_ours(key: str, result: Mapping[str, Any]) -> bool:
     return isinstance(value, str) if key == "apart" else isinstance(value, int | float)
 
 
-def operator_ends_as_failures(results: Results) -> Results:
+def mark_operator_ends(results: Results) -> Results:
     """Return the results for the mission's report.
 
     A drone that its operator has ended counts as failed.
     """
-    return {i: {**r, "success": False} if ENDED in r else r for i, r in results.items()}
+    return {
+        i: {**r, "success": False} if ENDED_KEY in r else r for i, r in results.items()
+    }
 
 
 def excuse_operator_ends(
@@ -350,7 +364,7 @@ def excuse_operator_ends(
     return not others, others, words
 
 
-def failures(
+def list_failures(
     results: Results,
     touching: Mapping[tuple[int, int], float],
     started: tuple[int, ...],
@@ -362,13 +376,16 @@ def failures(
     started: drones that were started here
     """
     reasons = {
-        i: [reason_or(r.get("reason"), NO_REASON)]
+        i: [reason_or(r.get("reason"), MISSION_REASONS.unsaid)]
         for i, r in sorted(results.items())
         if not r.get("success")
     }
     for (i, j), gap in touching.items():
         for one, other in ((i, j), (j, i)):
             if one in started:
-                text = f"came within {gap:.3f} m of drone {other}, and may have touched it: allowed {TOUCHING:g} m"
+                text = (
+                    f"came within {gap:.3f} m of drone {other}, and may have touched it: "
+                    f"allowed {SWARM_LIMITS.touching_distance:g} m"
+                )
                 reasons.setdefault(one, []).append(text)
     return {i: "; ".join(texts) for i, texts in sorted(reasons.items())}

@@ -11,41 +11,50 @@ from typing import Any
 import numpy as np
 from scipy.spatial.distance import pdist
 
-from crazychoir.agent.drone import WAITING
-from crazychoir.agent.operator_commands import STANDING
-from crazychoir.bus.port import OBSERVER, Bus
-from crazychoir.bus.topics import LOG, STATUS, TRUTH, Topic
-from crazychoir.config.checks import TOUCHING
+from crazychoir.agent.drone import WAITING_TASK
+from crazychoir.agent.operator_commands import GROUNDED_PHASES
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.bus.topics import DRONE_TOPICS, Topic
+from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.guidance.feedback import LAW
-from crazychoir.guidance.mission import Mission, has
+from crazychoir.guidance.feedback import LAW_TASK
+from crazychoir.guidance.mission import Mission, has_hook
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.mailbox import Call
 from crazychoir.types import State, Status, Vec
 
-SETTLED = 0.01
-"""Distance from the goal, m: a formation is settled while every drone is nearer."""
-COMPARABLE = 0.15
-"""Age of a place, s, up to which distances are computed from it.
 
-Places are extrapolated by their velocity. Two drones that brake with 2 m/s2 each are then
-0.05 m off, which is precise enough to tell whether drones touch.
-"""
-DRAWN = 0.1
-"""Seconds between two places of a track, at first."""
-LONGEST = 2000
-"""Largest number of places in a track.
+@dataclass(frozen=True, slots=True)
+class ScoreLimits:
+    """When a score counts drones as settled or compares them, and how much of a flight it keeps."""
 
-Beyond that every second place is removed, and the time between two places doubles.
-"""
-LOGGED = 1000
-"""Number of log lines that a score keeps: the newest."""
+    settled_distance: float = 0.01
+    """Distance from the goal, m: a formation is settled while every drone is nearer."""
+    comparable_age: float = 0.15
+    """Age of a place, s, up to which distances are computed from it.
 
-Watch = Callable[["Score"], None]
+    Places are extrapolated by their velocity. Two drones that brake with 2 m/s2 each are then
+    0.05 m off, which is precise enough to tell whether drones touch.
+    """
+    track_interval: float = 0.1
+    """Seconds between two places of a track, at first."""
+    most_track_places: int = 2000
+    """Largest number of places in a track.
+
+    Beyond that every second place is removed, and the time between two places doubles.
+    """
+    most_log_lines: int = 1000
+    """Number of log lines that a score keeps: the newest."""
+
+
+SCORE_LIMITS = ScoreLimits()
+
+
+Watch = Callable[["FlightScore"], None]
 
 
 @dataclass
-class Score(Actor):
+class FlightScore(Actor):
     """What an observer measures of a swarm: states, distances, lengths flown, distance from a goal.
 
     Its memory does not grow with the duration of the flight.
@@ -66,7 +75,7 @@ class Score(Actor):
     """Called with this score at every tick."""
     name: str = "score"
     """Name of this actor."""
-    address: int = OBSERVER
+    address: int = PORT_ADDRESSES.first_observer
     """Address on the bus at which it listens."""
     source: Callable[[Topic, int], int] = lambda topic, i: i
     """Returns the address that publishes a topic of a drone."""
@@ -75,14 +84,14 @@ class Score(Actor):
 
     def __post_init__(self) -> None:
         self.statuses: dict[int, Status] = {}
-        self.log: deque[str] = deque(maxlen=LOGGED)
+        self.log: deque[str] = deque(maxlen=SCORE_LIMITS.most_log_lines)
         self.min_separation = float("inf")
         self.touching: dict[tuple[int, int], float] = {}
         self._lengths = dict.fromkeys(self.ids, 0.0)
         self._flew: set[int] = set()
         self.errors: list[tuple[float, float]] = []
         self._tracks: dict[int, list[tuple[float, ...]]] = {i: [] for i in self.ids}
-        self._apart = dict.fromkeys(self.ids, DRAWN)
+        self._apart = dict.fromkeys(self.ids, SCORE_LIMITS.track_interval)
         # For each drone: p in m, v in m/s, and the time in s at which they were true.
         self._truth: dict[int, tuple[Vec, Vec, float]] = {}
         self._law_began: float | None = None
@@ -92,9 +101,9 @@ class Score(Actor):
         if self.address not in self.bus.ports:
             self.bus.port(self.address)
         for i in self.ids:
-            self._listen(TRUTH, i, partial(self._hear_truth, i))
-            self._listen(STATUS, i, partial(self._hear_status, i))
-            self._listen(LOG, i, self._hear_log)
+            self._listen(DRONE_TOPICS.truth, i, partial(self._hear_truth, i))
+            self._listen(DRONE_TOPICS.status, i, partial(self._hear_status, i))
+            self._listen(DRONE_TOPICS.log, i, self._hear_log)
 
     def _listen(
         self, topic: Topic, i: int, function: Callable[[Any, float], None]
@@ -105,7 +114,7 @@ class Score(Actor):
 
     async def run(self) -> None:
         """Compare the drones as often as the true states arrive."""
-        async for _ in self.bus.clock.ticks(TRUTH.rate):
+        async for _ in self.bus.clock.ticks(DRONE_TOPICS.truth.rate):
             self._look()
             self.watch(self)
 
@@ -122,7 +131,7 @@ class Score(Actor):
         if track and t - track[-1][0] < self._apart[i] - 1e-6:
             return
         track.append((t, *p.tolist()))
-        if len(track) > LONGEST:
+        if len(track) > SCORE_LIMITS.most_track_places:
             del track[1::2]
             self._apart[i] *= 2.0
 
@@ -160,11 +169,11 @@ class Score(Actor):
 
     def _hear_status(self, i: int, status: Status, age: float) -> None:
         self.statuses[i] = status
-        if status.phase not in STANDING:
+        if status.phase not in GROUNDED_PHASES:
             self._flew.add(i)
-        if self.go_at is None and status.task != WAITING:
+        if self.go_at is None and status.task != WAITING_TASK:
             self.go_at = self.bus.clock.now()
-        flying = status.phase in ("hovering", "mission") and status.task == LAW
+        flying = status.phase in ("hovering", "mission") and status.task == LAW_TASK
         if self.goal and flying and self._law_began is None:
             self._law_began = self.bus.clock.now()
         if self._law_began is not None and status.task == "landing":
@@ -183,7 +192,11 @@ class Score(Actor):
                 float(np.linalg.norm(self._truth[i][0] - self.goal[i]))
                 for i in self.goal
             )
-            beyond = [error for error in self.errors if error[1] > SETTLED]
+            beyond = [
+                error
+                for error in self.errors
+                if error[1] > SCORE_LIMITS.settled_distance
+            ]
             self.errors = [*beyond[-1:], (now - self._law_began, far)]
 
     def _compare(self, now: float) -> None:
@@ -191,7 +204,11 @@ class Score(Actor):
 
         Pairs that have both never flown are left out.
         """
-        ids = [i for i in self.ids if now - self._truth[i][2] <= COMPARABLE]
+        ids = [
+            i
+            for i in self.ids
+            if now - self._truth[i][2] <= SCORE_LIMITS.comparable_age
+        ]
         if len(ids) < 2:
             return
         p, v, when = (
@@ -204,9 +221,9 @@ class Score(Actor):
             gaps[[a and b for a, b in combinations(stand, 2)]] = math.inf
         least = float(gaps.min())
         self.min_separation = min(self.min_separation, least)
-        if least < TOUCHING:
+        if least < SWARM_LIMITS.touching_distance:
             for pair, gap in zip(combinations(ids, 2), gaps.tolist(), strict=True):
-                if gap < TOUCHING:
+                if gap < SWARM_LIMITS.touching_distance:
                     self.touching[pair] = min(gap, self.touching.get(pair, math.inf))
 
     def formation(self) -> dict[str, float | None]:
@@ -218,8 +235,12 @@ class Score(Actor):
         """
         if not self.errors:
             return {}
-        late = [t for t, far in self.errors if far > SETTLED]
-        settled = (late[-1] if late else 0.0) if self.errors[-1][1] <= SETTLED else None
+        late = [t for t, far in self.errors if far > SCORE_LIMITS.settled_distance]
+        settled = (
+            (late[-1] if late else 0.0)
+            if self.errors[-1][1] <= SCORE_LIMITS.settled_distance
+            else None
+        )
         return {"formation_error_m": self.errors[-1][1], "settling_s": settled}
 
     def messages(self) -> dict[str, int]:
@@ -231,10 +252,10 @@ class Score(Actor):
         }
 
 
-def goal_of(mission: Mission, config: SwarmConfig) -> dict[int, Vec]:
+def list_goals(mission: Mission, config: SwarmConfig) -> dict[int, Vec]:
     """Return the goals of the drones; empty if the mission has none."""
     return (
         {i: np.asarray(p) for i, p in mission.goal(config).items()}
-        if has(mission, "goal")
+        if has_hook(mission, "goal")
         else {}
     )

@@ -3,21 +3,21 @@
 from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.team.graph import Graph
 
-LOOK = 0.01
+CONNECTION_LOOK_INTERVAL = 0.01
 """Seconds between two checks of the connections."""
 
 
-async def joined(link: ZenohLink, links: Graph) -> None:
+async def wait_until_joined(link: ZenohLink, links: Graph) -> None:
     """Wait until HELLO has gone both ways with every process that holds a neighbour of ours."""
     here = link.bus.ports
     elsewhere = dict.fromkeys(
         j for i in here for j in links.neighbors(i) if j not in here
     )
-    while not all(_greeted(link, j) for j in elsewhere):
-        await link.bus.clock.sleep(LOOK)
+    while not all(_is_greeted(link, j) for j in elsewhere):
+        await link.bus.clock.sleep(CONNECTION_LOOK_INTERVAL)
 
 
-def _greeted(link: ZenohLink, j: int) -> bool:
+def _is_greeted(link: ZenohLink, j: int) -> bool:
     peer = link.directory.get(j)
     return (
         peer is not None

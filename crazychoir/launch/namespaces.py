@@ -1,7 +1,7 @@
 """Simulated workstations on one machine, to test a swarm of several hosts.
 
 They are network namespaces on one switch. This needs Linux, root and iproute2.
-Each namespace has an address and a loopback of its own. It sees the others through `DEVICE` only.
+Each namespace has an address and a loopback of its own. It sees the others through `NAMESPACE_DEVICE` only.
 """
 
 import contextlib
@@ -14,14 +14,14 @@ from typing import Final
 
 from crazychoir.errors import ConfigError
 
-DEVICE: Final = "veth0"
+NAMESPACE_DEVICE: Final = "veth0"
 """Name of the network device of each workstation."""
-SWITCH: Final = "bridge0"
+SWITCH_BRIDGE: Final = "bridge0"
 """Name of the bridge that connects the workstations."""
 
 
 @dataclass(frozen=True)
-class Switched:
+class SwitchedNamespaces:
     """The namespaces of the hosts."""
 
     switch: str
@@ -35,50 +35,56 @@ class Switched:
 
     def cut(self, host: str) -> None:
         """Cut the link of a host: from now on no packet reaches it or leaves it."""
-        ip("-n", self.names[host], "link", "set", DEVICE, "down")
+        run_iproute("-n", self.names[host], "link", "set", NAMESPACE_DEVICE, "down")
 
     def mend(self, host: str) -> None:
         """Restore the link of a host."""
-        ip("-n", self.names[host], "link", "set", DEVICE, "up")
+        run_iproute("-n", self.names[host], "link", "set", NAMESPACE_DEVICE, "up")
 
 
 @contextlib.contextmanager
-def switched(addresses: Mapping[str, str]) -> Iterator[Switched]:
+def make_switched_namespaces(
+    addresses: Mapping[str, str],
+) -> Iterator[SwitchedNamespaces]:
     """Make one namespace a host with its IPv4 address (network of 24 bits); delete all at the end.
 
     The names are random, so that two runs at the same time do not meet.
     Raises ConfigError if namespaces cannot be made.
     """
     token = secrets.token_hex(3)
-    hosts = Switched(f"cc-{token}-switch")
+    hosts = SwitchedNamespaces(f"cc-{token}-switch")
     with contextlib.ExitStack() as stack:
-        stack.enter_context(namespace(hosts.switch))
-        ip("-n", hosts.switch, "link", "add", SWITCH, "type", "bridge")
-        ip("-n", hosts.switch, "link", "set", SWITCH, "up")
+        stack.enter_context(make_namespace(hosts.switch))
+        run_iproute("-n", hosts.switch, "link", "add", SWITCH_BRIDGE, "type", "bridge")
+        run_iproute("-n", hosts.switch, "link", "set", SWITCH_BRIDGE, "up")
         for k, (host, address) in enumerate(addresses.items()):
-            name = stack.enter_context(namespace(f"cc-{token}-{k}"))
+            name = stack.enter_context(make_namespace(f"cc-{token}-{k}"))
             hosts.names[host] = name
-            cable((name, DEVICE), (hosts.switch, f"port{k}"))
-            ip("-n", hosts.switch, "link", "set", f"port{k}", "master", SWITCH)
-            ip("-n", name, "address", "add", f"{address}/24", "dev", DEVICE)
+            connect_devices((name, NAMESPACE_DEVICE), (hosts.switch, f"port{k}"))
+            run_iproute(
+                "-n", hosts.switch, "link", "set", f"port{k}", "master", SWITCH_BRIDGE
+            )
+            run_iproute(
+                "-n", name, "address", "add", f"{address}/24", "dev", NAMESPACE_DEVICE
+            )
         yield hosts
 
 
 @contextlib.contextmanager
-def namespace(name: str) -> Iterator[str]:
+def make_namespace(name: str) -> Iterator[str]:
     """Make a namespace with a loopback, and delete it at the end."""
-    ip("netns", "add", name)
+    run_iproute("netns", "add", name)
     try:
-        ip("-n", name, "link", "set", "lo", "up")
+        run_iproute("-n", name, "link", "set", "lo", "up")
         yield name
     finally:
-        ip("netns", "delete", name)
+        run_iproute("netns", "delete", name)
 
 
-def cable(one: tuple[str, str], other: tuple[str, str]) -> None:
+def connect_devices(one: tuple[str, str], other: tuple[str, str]) -> None:
     """Connect two devices, each given as (namespace, name), and bring them up."""
     (here, device), (there, peer) = one, other
-    ip(
+    run_iproute(
         "link",
         "add",
         device,
@@ -92,11 +98,11 @@ def cable(one: tuple[str, str], other: tuple[str, str]) -> None:
         "netns",
         there,
     )
-    ip("-n", here, "link", "set", device, "up")
-    ip("-n", there, "link", "set", peer, "up")
+    run_iproute("-n", here, "link", "set", device, "up")
+    run_iproute("-n", there, "link", "set", peer, "up")
 
 
-def ip(*arguments: str) -> None:
+def run_iproute(*arguments: str) -> None:
     """Run iproute2.
 
     Raises ConfigError with its message if it fails or is not installed.
@@ -105,7 +111,7 @@ def ip(*arguments: str) -> None:
     needed = "They need Linux, root and iproute2."
     program = shutil.which("ip")
     if program is None:
-        raise ConfigError(where, "no program `ip`", "that of iproute2", needed)
+        raise ConfigError(where, "no program `run_iproute`", "that of iproute2", needed)
     done = subprocess.run(
         [program, *arguments],
         capture_output=True,

@@ -7,16 +7,17 @@ import random
 import resource
 import socket
 from collections.abc import AsyncIterator, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from crazychoir.bus.network.access import OBSERVERS
-from crazychoir.bus.network.hello import VERSION
+from crazychoir.bus.network.access import ACCESS_RULES
+from crazychoir.bus.network.hello import PACKAGE_VERSION
 from crazychoir.bus.network.zenoh_link import ZenohLink
-from crazychoir.bus.port import OBSERVER, Bus
-from crazychoir.config.checks import LOWEST_PORT
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import BASE_PORT
 from crazychoir.errors import ConfigError
@@ -25,39 +26,54 @@ from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.supervisor import Supervisor
 
-REPLAY = "Replay"
+REPLAY_HOST = "Replay"
 """Host name of a replayed recording; no host of a swarm file can have this name."""
-LOWEST = 10_000
-"""Lowest port that is drawn.
 
-Below it are the ports of well-known services and the default base_port.
-"""
-TIME_WAIT = 6  # state of a closed connection, in /proc/net/tcp
-HIGHEST_PORT = 65_535
-"""Largest number of a port."""
-ATTEMPTS = 200
-"""Attempts to find a base port below the ports that the system gives to connections."""
+
+@dataclass(frozen=True, slots=True)
+class PortSearch:
+    """How a base port is searched."""
+
+    lowest_drawn: int = 10_000
+    """Lowest port that is drawn.
+
+    Below it are the ports of well-known services and the default base_port.
+    """
+    highest: int = 65_535
+    """Largest number of a port."""
+    most_attempts: int = 200
+    """Attempts to find a base port below the ports that the system gives to connections."""
+
+
+PORT_SEARCH = PortSearch()
+
+
+TIME_WAIT_STATE = 6  # state of a closed connection, in /proc/net/tcp
 FILES_BESIDE = 256
 """Open files of a run, beside those for its processes."""
 FILES_PER_PROCESS = 4
 """Open files for each process of a run: a port, two pipes and a process handle."""
 
 
-def observer(clock: Clock, config: SwarmConfig) -> ZenohLink:
+def make_observer_link(clock: Clock, config: SwarmConfig) -> ZenohLink:
     """Return the link of an observer.
 
     Its name and address are random, so that many observers on many hosts can join a swarm.
     """
     draw = random.SystemRandom()
-    host = own_name(config)
+    host = choose_certificate_name(config)
     bus = Bus(
-        clock, process=f"{OBSERVERS}-{host}.{draw.getrandbits(32):08x}", host=host
+        clock,
+        process=f"{ACCESS_RULES.observer_prefix}-{host}.{draw.getrandbits(32):08x}",
+        host=host,
     )
-    bus.port(OBSERVER + 1 + draw.getrandbits(24), draw.getrandbits(32))
-    return observer_link(bus, config)
+    bus.port(
+        PORT_ADDRESSES.first_observer + 1 + draw.getrandbits(24), draw.getrandbits(32)
+    )
+    return configure_observer(bus, config)
 
 
-def observer_link(bus: Bus, config: SwarmConfig) -> ZenohLink:
+def configure_observer(bus: Bus, config: SwarmConfig) -> ZenohLink:
     """Return the network as an observer sees it.
 
     The link connects to every process of the swarm file. It listens at a free port of this machine.
@@ -69,13 +85,13 @@ def observer_link(bus: Bus, config: SwarmConfig) -> ZenohLink:
         connect=list(config.endpoints().values()),
         routers=config.routers,
         incarnation=random.SystemRandom().getrandbits(62),
-        version=VERSION,
+        version=PACKAGE_VERSION,
         lease=config.lease,
         access=config.access(bus.host),
     )
 
 
-def own_name(config: SwarmConfig) -> str:
+def choose_certificate_name(config: SwarmConfig) -> str:
     """Return the name on the certificate that an observer shows.
 
     This is an operator's, if its keys are here, else that of a host.
@@ -99,7 +115,7 @@ def own_name(config: SwarmConfig) -> str:
 
 
 @contextlib.asynccontextmanager
-async def attached(link: ZenohLink, *actors: Actor) -> AsyncIterator[None]:
+async def run_attached(link: ZenohLink, *actors: Actor) -> AsyncIterator[None]:
     """Connect the link and run the actors; at the end stop all of them."""
     link.open()
     serving = asyncio.create_task(
@@ -116,7 +132,7 @@ async def attached(link: ZenohLink, *actors: Actor) -> AsyncIterator[None]:
 
 
 @contextlib.contextmanager
-def swarm_file(config: SwarmConfig) -> Iterator[Path]:
+def write_swarm_file(config: SwarmConfig) -> Iterator[Path]:
     """Write the swarm into a temporary file for its processes and observers, and yield the path."""
     with scratch_folder(f"crazychoir-{config.name}-") as folder:
         path = folder / "swarm.json"
@@ -129,12 +145,12 @@ def isolate_swarm(config: SwarmConfig, processes: int | None) -> SwarmConfig:
 
     Two runs side by side then do not meet. None keeps the processes of the swarm file.
     """
-    with isolated_swarm(config, processes) as changed:
+    with hold_isolated_swarm(config, processes) as changed:
         return changed
 
 
 @contextlib.contextmanager
-def isolated_swarm(
+def hold_isolated_swarm(
     config: SwarmConfig, processes: int | None, *, keeps_port: bool = False
 ) -> Iterator[SwarmConfig]:
     """Yield the swarm with a name and ports of its own, and hold these ports meanwhile.
@@ -155,15 +171,16 @@ def isolated_swarm(
         changes["processes"] = [group for group in groups if group]
     changed = config.replace(**changes)
     places = {
-        process: _address(endpoint) for process, endpoint in changed.endpoints().items()
+        process: _parse_address(endpoint)
+        for process, endpoint in changed.endpoints().items()
     }
     given = config.base_port if keeps_port and config.base_port != BASE_PORT else None
-    with reserved_ports(places, given, highest=max(config.ids)) as base:
+    with reserve_ports(places, given, highest=max(config.ids)) as base:
         yield changed.replace(base_port=base)
 
 
 @contextlib.contextmanager
-def reserved_ports(
+def reserve_ports(
     places: Mapping[int, str], given: int | None = None, highest: int = 0
 ) -> Iterator[int]:
     """Choose a base port such that base + offset is free for each offset, and hold these ports.
@@ -178,7 +195,7 @@ def reserved_ports(
     Raises ConfigError if no block of ports is free.
     """
     _allow_files(len(places))
-    for base in _bases([*places, highest]) if given is None else [given]:
+    for base in _draw_base_ports([*places, highest]) if given is None else [given]:
         with contextlib.ExitStack() as kept:
             taken = next(
                 (
@@ -202,10 +219,10 @@ def reserved_ports(
             raise ConfigError(
                 "base_port", given, "each process needs a free port", do, problem
             )
-    raise _no_block(len(places))
+    raise _build_no_block_error(len(places))
 
 
-def _no_block(count: int) -> ConfigError:
+def _build_no_block_error(count: int) -> ConfigError:
     found = f"no free block for {count} processes"
     return ConfigError(
         "base_port",
@@ -215,7 +232,7 @@ def _no_block(count: int) -> ConfigError:
     )
 
 
-def _bases(offsets: list[int]) -> Iterator[int]:
+def _draw_base_ports(offsets: list[int]) -> Iterator[int]:
     """Yield base ports to try.
 
     First come some ports below the range that the system gives to connections, then all ports. A
@@ -223,17 +240,17 @@ def _bases(offsets: list[int]) -> Iterator[int]:
     listen below it, so every port may be chosen.
     """
     draw = random.SystemRandom()
-    lowest = LOWEST_PORT - min(0, *offsets)
-    end = _first_of_connections() - max(offsets)
-    below = range(max(lowest, min(LOWEST, end // 2)), end)
+    lowest = SWARM_LIMITS.lowest_port - min(0, *offsets)
+    end = _read_first_connection_port() - max(offsets)
+    below = range(max(lowest, min(PORT_SEARCH.lowest_drawn, end // 2)), end)
     if below:
-        for _ in range(ATTEMPTS):
+        for _ in range(PORT_SEARCH.most_attempts):
             yield draw.choice(below)
-    every = range(lowest, HIGHEST_PORT + 1 - max(offsets))
+    every = range(lowest, PORT_SEARCH.highest + 1 - max(offsets))
     yield from draw.sample(every, len(every))
 
 
-def _first_of_connections() -> int:
+def _read_first_connection_port() -> int:
     try:
         return int(
             Path("/proc/sys/net/ipv4/ip_local_port_range")
@@ -293,10 +310,10 @@ def _has_only_closed_connections(port: int) -> bool:
                 _, local, _, state, *_ = line.split()
                 if int(local.rpartition(":")[2], 16) == port:
                     states.append(int(state, 16))
-    return bool(states) and all(state == TIME_WAIT for state in states)
+    return bool(states) and all(state == TIME_WAIT_STATE for state in states)
 
 
-def _address(endpoint: str) -> str:
+def _parse_address(endpoint: str) -> str:
     """Return the address of an endpoint such as tcp/127.0.0.1:7460."""
     return endpoint.partition("/")[2].rpartition(":")[0].strip("[]")
 

@@ -16,23 +16,35 @@ from crazychoir.errors import ConfigError
 if TYPE_CHECKING:
     from crazychoir.team.graph import Graph
 
-YEAR = 31_536_000.0
-"""Longest time that an option takes, s."""
-LARGEST_SEED = 2**63 - 1
-"""Largest seed."""
-LARGEST_COUNT = 1_000_000
-"""Largest count."""
-LARGEST_SWARM = 10_000
-"""Largest number of drones."""
-LARGEST_TEAM = 1_000_000
-"""Largest number of simulated agents."""
-FACTORS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
+
+@dataclass(frozen=True, slots=True)
+class OptionLimits:
+    """Largest numbers that options of commands take."""
+
+    time: float = 31_536_000.0
+    """Longest time that an option takes, s."""
+    seed: int = 2**63 - 1
+    """Largest seed."""
+    number: int = 1_000_000
+    """Largest count."""
+    drones: int = 10_000
+    """Largest number of drones."""
+    agents: int = 1_000_000
+    """Largest number of simulated agents."""
+
+
+OPTION_LIMITS = OptionLimits()
+
+
+UNIT_FACTORS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
 """Length in s of the units that users may write."""
-_WITH_UNIT = re.compile(r"([0-9.]+(?:e[+-]?[0-9]+)?)\s*(ms|s|min|h)", re.IGNORECASE)
+_NUMBER_WITH_UNIT = re.compile(
+    r"([0-9.]+(?:e[+-]?[0-9]+)?)\s*(ms|s|min|h)", re.IGNORECASE
+)
 
 
 @dataclass(frozen=True)
-class Real:
+class RealNumber:
     """Reads a finite number within limits."""
 
     least: float = -math.inf
@@ -52,10 +64,12 @@ class Real:
         try:
             number = float(text)
         except ValueError:
-            raise _refused(str(text), self.allowed, self._meant(str(text))) from None
+            raise _build_refusal(
+                str(text), self.allowed, self._meant(str(text))
+            ) from None
         above = self.least < number if self.open_below else self.least <= number
         if not (math.isfinite(number) and above and number <= self.most):
-            raise _refused(str(text), self.allowed, self._hint(number))
+            raise _build_refusal(str(text), self.allowed, self._hint(number))
         return number
 
     @property
@@ -69,13 +83,13 @@ class Real:
             return (
                 kind
                 if self.most == math.inf
-                else f"{kind}, at most {_plain(self.most)}"
+                else f"{kind}, at most {_format_limit(self.most)}"
             )
         if self.most == math.inf:
-            return f"{kind}, {above}{_plain(self.least)}{'' if above else ' or more'}"
+            return f"{kind}, {above}{_format_limit(self.least)}{'' if above else ' or more'}"
         if self.open_below:
-            return f"{kind}, above {_plain(self.least)}, at most {_plain(self.most)}"
-        return f"{kind}, {_plain(self.least)} to {_plain(self.most)}"
+            return f"{kind}, above {_format_limit(self.least)}, at most {_format_limit(self.most)}"
+        return f"{kind}, {_format_limit(self.least)} to {_format_limit(self.most)}"
 
     def _hint(self, number: float) -> str:
         """Return what was probably meant by a number that is not allowed."""
@@ -90,14 +104,14 @@ class Real:
             return f"{bare[:-1].strip()} % is {float(bare[:-1]) / 100.0:g}."
         if _is_number(bare.replace(",", ".", 1)):
             return f"Write {bare.replace(',', '.', 1)}."
-        match = _WITH_UNIT.fullmatch(bare)
+        match = _NUMBER_WITH_UNIT.fullmatch(bare)
         if match and self.unit == "s" and _is_number(match[1]):
-            return f"Write {float(match[1]) * FACTORS[match[2].lower()]:g}."
+            return f"Write {float(match[1]) * UNIT_FACTORS[match[2].lower()]:g}."
         return ""
 
 
 @dataclass(frozen=True)
-class Whole:
+class WholeNumber:
     """Reads a whole number within limits."""
 
     least: int
@@ -114,15 +128,17 @@ class Whole:
         try:
             number = int(text)
         except ValueError:
-            raise _refused(str(text), allowed, _whole(str(text))) from None
+            raise _build_refusal(
+                str(text), allowed, _suggest_whole(str(text))
+            ) from None
         if not self.least <= number <= self.most:
-            raise _refused(str(text), allowed, "")
+            raise _build_refusal(str(text), allowed, "")
         return number
 
 
-def _refused(found: str, allowed: str, hint: str) -> typer.BadParameter:
+def _build_refusal(found: str, allowed: str, hint: str) -> typer.BadParameter:
     return typer.BadParameter(
-        f"found {_shown(found)}; allowed: {allowed}. {hint}".rstrip()
+        f"found {_quote_shortened(found)}; allowed: {allowed}. {hint}".rstrip()
     )
 
 
@@ -141,33 +157,35 @@ def real(
     most: upper limit
     open_below: whether `least` itself is not allowed
     """
-    return _option(text, names, Real(least, most, open_below))
+    return _option(text, names, RealNumber(least, most, open_below))
 
 
 def share(text: str, *names: str) -> Any:
     """Return an option that takes a share, 0 to 1."""
-    return _option(text, names, Real(0.0, 1.0, unit="share"))
+    return _option(text, names, RealNumber(0.0, 1.0, unit="share"))
 
 
 def seconds(
     text: str,
     *names: str,
     least: float = 0.0,
-    most: float = YEAR,
+    most: float = OPTION_LIMITS.time,
     open_below: bool = False,
 ) -> Any:
     """Return an option that takes a time in s."""
-    return _option(text, names, Real(least, most, open_below, unit="s"))
+    return _option(text, names, RealNumber(least, most, open_below, unit="s"))
 
 
-def whole(text: str, *names: str, least: int = 1, most: int = LARGEST_COUNT) -> Any:
+def whole(
+    text: str, *names: str, least: int = 1, most: int = OPTION_LIMITS.number
+) -> Any:
     """Return an option that takes a whole number."""
-    return _option(text, names, Whole(least, most))
+    return _option(text, names, WholeNumber(least, most))
 
 
 def size(text: str, *names: str) -> Any:
     """Return an option for a number of drones, or of things with at most one for each drone."""
-    return whole(text, *names, most=LARGEST_SWARM)
+    return whole(text, *names, most=OPTION_LIMITS.drones)
 
 
 def drone(text: str, *names: str) -> Any:
@@ -177,32 +195,36 @@ def drone(text: str, *names: str) -> Any:
 
 def seed(text: str, *names: str) -> Any:
     """Return an option that takes a seed."""
-    return whole(text, *names, least=0, most=LARGEST_SEED)
+    return whole(text, *names, least=0, most=OPTION_LIMITS.seed)
 
 
-def _option(text: str, names: tuple[str, ...], reader: Real | Whole) -> Any:
+def _option(text: str, names: tuple[str, ...], reader: RealNumber | WholeNumber) -> Any:
     return typer.Option(
         *names,
         help=text,
         parser=reader,
-        metavar="<int>" if isinstance(reader, Whole) else "<float>",
+        metavar="<int>" if isinstance(reader, WholeNumber) else "<float>",
     )
 
 
-def graph_of(text: str, size: int, seed: int, directed: bool = False) -> "Graph":
+def build_named_graph(
+    text: str, size: int, seed: int, directed: bool = False
+) -> "Graph":
     """Return the graph that --graph names, for `size` drones.
 
     Raises ConfigError, which names the option.
     """
-    from crazychoir.team.graph import named  # numerics: --help does not need them
+    from crazychoir.team.graph import (
+        graph_from_name,  # numerics: --help does not need them
+    )
 
     try:
-        return named(text, size, seed, directed)
+        return graph_from_name(text, size, seed, directed)
     except ConfigError as error:
         raise ConfigError("--graph", error.found, error.allowed, error.do) from error
 
 
-def finite_numbers(
+def parse_finite_numbers(
     text: str, where: str, allowed: str, count: int | None = None
 ) -> list[float]:
     """Return the numbers of a text such as "1,0.5,1.2".
@@ -218,7 +240,7 @@ def finite_numbers(
         or not all(map(math.isfinite, found))
         or count not in (None, len(found))
     ):
-        raise ConfigError(where, _shown(text), allowed)
+        raise ConfigError(where, _quote_shortened(text), allowed)
     return found
 
 
@@ -229,16 +251,16 @@ def _is_number(text: str) -> bool:
         return False
 
 
-def _whole(text: str) -> str:
+def _suggest_whole(text: str) -> str:
     """Return how to write a whole number that has another form; empty for other texts."""
     if _is_number(text) and float(text).is_integer() and abs(float(text)) < 1e15:
         return f"Write {float(text):.0f}."
     return ""
 
 
-def _plain(limit: float) -> str:
+def _format_limit(limit: float) -> str:
     return f"{limit:.0f}" if float(limit).is_integer() else f"{limit:g}"
 
 
-def _shown(text: str) -> str:
+def _quote_shortened(text: str) -> str:
     return text if len(text) <= 60 else f"{text[:60]}..."

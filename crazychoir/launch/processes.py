@@ -13,42 +13,61 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.agent.mission_runner import LANDING_DEADLINE
+from crazychoir.agent.mission_runner import MISSION_TIMES
 from crazychoir.bus.codec import decode, encode
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import CodecError, ProcessFailed
 from crazychoir.files.path_texts import child_environment
-from crazychoir.files.user_folders import WARNING
-from crazychoir.numerics.kernel_cache import COMPILES, shared_by_children
-from crazychoir.planning.point_to_point import PEAK_SPEED, duration_for
+from crazychoir.files.user_folders import CACHE_WARNING
+from crazychoir.numerics.kernel_cache import COMPILING_MESSAGE, share_with_children
+from crazychoir.planning.point_to_point import PEAK_SPEED, compute_flight_time
 from crazychoir.runtime.worker_thread import add_signal_handler
 from crazychoir.types import FullState
 
-GRACE = 20.0
+END_GRACE = 20.0
 """Seconds beside the time for landing that processes get to end after SIGTERM.
 
 Then they are killed.
 """
-ORPHANED = 8.0
+ORPHAN_GRACE = 8.0
 """Seconds that agents get after the end of their owner process.
 
 They notice it within 3 s and end. Agents that have never heard of the owner wait longer.
 """
-STARTS_AGAIN = 5
-"""How often within WITHIN an owner is started again that has ended too early."""
-WITHIN = 600.0
-"""Seconds in which these starts are counted."""
-REFUSED = 2
-"""Exit code of a program that has refused its input."""
-CHUNK = 1 << 16
-"""Bytes of output read at once."""
-LONGEST = 1 << 20
-"""Largest length of a line, bytes; a longer line is passed on in parts."""
-LARGEST = 1 << 30
-"""Largest size of the results of one process, bytes.
 
-The codec limits the size of each result, and the swarm file limits their number.
-"""
+
+@dataclass(frozen=True, slots=True)
+class OwnerRestarts:
+    """How often an owner process that has ended too early is started again."""
+
+    most_starts: int = 5
+    """How often within `period` an owner is started again that has ended too early."""
+    period: float = 600.0
+    """Seconds in which these starts are counted."""
+    refused_exit_code: int = 2
+    """Exit code of a program that has refused its input; it is not started again."""
+
+
+OWNER_RESTARTS = OwnerRestarts()
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessOutputLimits:
+    """Sizes of what child processes write, in bytes."""
+
+    chunk: int = 1 << 16
+    """Bytes of output read at once."""
+    line: int = 1 << 20
+    """Largest length of a line, bytes; a longer line is passed on in parts."""
+    results: int = 1 << 30
+    """Largest size of the results of one process, bytes.
+
+    The codec limits the size of each result, and the swarm file limits their number.
+    """
+
+
+PROCESS_OUTPUT_LIMITS = ProcessOutputLimits()
+
 
 Say = Callable[[str], None]
 Results = dict[int, dict[str, Any]]
@@ -101,13 +120,13 @@ async def run_children(
     owners: owners of the world, the cameras and the dongles, which are started too
     A drone without a result is missing in the answer.
     """
-    say = _once(say)
+    say = _drop_repetitions(say)
     files = {group: path.with_name(f"result-{group[0]}") for group in groups}
     children: Children = {}
     async with contextlib.AsyncExitStack() as stack:
-        stack.enter_context(shared_by_children(path.parent))
+        stack.enter_context(share_with_children(path.parent))
         for owner in owners:
-            await stack.enter_async_context(_owner(owner, path, children, say))
+            await stack.enter_async_context(_run_owner(owner, path, children, say))
         await _run_agents(children, path, files, config, options, say, all_wait)
     results: Results = {}
     for group, child in children.items():
@@ -115,7 +134,7 @@ async def run_children(
         results |= found
         if not found:
             say(
-                f"drone(s) {', '.join(map(str, group))}: no result: the process {_end_of(child)}"
+                f"drone(s) {', '.join(map(str, group))}: no result: the process {_describe_end(child)}"
             )
     return results
 
@@ -131,63 +150,68 @@ async def _run_agents(
 ) -> None:
     """Start one process for each result file, and wait until all have ended."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        add_signal_handler(number, _signal, children.values(), number)
+        add_signal_handler(number, _signal_all, children.values(), number)
 
     async def until_its_end(group: tuple[int, ...]) -> None:
-        await _listen(children[group], say)
+        await _pass_on_output(children[group], say)
         if all_wait() and not read_results(files[group]):
             say(
                 f"drone(s) {', '.join(map(str, group))}: ended before the start: the others wait no more"
             )
-            _signal(children.values(), signal.SIGTERM)
+            _signal_all(children.values(), signal.SIGTERM)
 
     try:
         for group, file in files.items():
-            children[group] = await _spawn(group, path, file, options)
+            children[group] = await _spawn_agent(group, path, file, options)
         await asyncio.gather(*map(until_its_end, files))
     finally:
-        await _end(
+        await _end_all(
             [child for child in children.values() if child.returncode is None],
-            patience(config),
+            compute_patience(config),
         )
 
 
 @contextlib.asynccontextmanager
-async def _owner(
+async def _run_owner(
     owner: Owner, path: Path, agents: Children, say: Say
 ) -> AsyncIterator[None]:
     """Run an owner process during the block: it starts before the agents and ends after them."""
     command = (owner.module, "--swarm", str(path), *owner.options, "--child")
-    child = await _start(*command)
+    child = await _start_module(*command)
     over = asyncio.Event()
     now = asyncio.get_running_loop().time
 
     async def watch() -> None:
         nonlocal child
-        starts = [-math.inf] * STARTS_AGAIN  # times of the last starts, s
-        await _listen(child, say)
+        starts = [-math.inf] * OWNER_RESTARTS.most_starts  # times of the last starts, s
+        await _pass_on_output(child, say)
         while (
             owner.again
-            and starts[0] < now() - WITHIN
+            and starts[0] < now() - OWNER_RESTARTS.period
             and not over.is_set()
-            and child.returncode != REFUSED
+            and child.returncode != OWNER_RESTARTS.refused_exit_code
         ):
-            say(f"{owner.name}: its owner {_end_of(child)}: started again")
+            say(f"{owner.name}: its owner {_describe_end(child)}: started again")
             starts = [*starts[1:], now()]
-            child = await _start(*command)
+            child = await _start_module(*command)
             if over.is_set():
-                await _end([child], GRACE)
-            await _listen(child, say)
+                await _end_all([child], END_GRACE)
+            await _pass_on_output(child, say)
         if over.is_set():
             return
         # Refused at the first start: none of its drones has ever flown.
-        refused = child.returncode == REFUSED and starts[-1] == -math.inf
+        refused = (
+            child.returncode == OWNER_RESTARTS.refused_exit_code
+            and starts[-1] == -math.inf
+        )
         say(
-            f"{owner.name}: its owner {_end_of(child)}: its drones {'do not fly' if refused else 'stop'}"
+            f"{owner.name}: its owner {_describe_end(child)}: its drones {'do not fly' if refused else 'stop'}"
         )
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(
-                0.0 if child.returncode == REFUSED else ORPHANED
+                0.0
+                if child.returncode == OWNER_RESTARTS.refused_exit_code
+                else ORPHAN_GRACE
             ):
                 await over.wait()
         needed = [
@@ -195,7 +219,9 @@ async def _owner(
             for ids, agent in agents.items()
             if owner.ids is None or {*ids} <= {*owner.ids}
         ]
-        _signal([agent for agent in needed if agent.returncode is None], signal.SIGTERM)
+        _signal_all(
+            [agent for agent in needed if agent.returncode is None], signal.SIGTERM
+        )
 
     watching = asyncio.create_task(watch())
     try:
@@ -203,7 +229,7 @@ async def _owner(
     finally:
         over.set()
         if child.returncode is None:
-            await _end([child], GRACE)
+            await _end_all([child], END_GRACE)
         await watching
 
 
@@ -214,7 +240,7 @@ def write_results(path: Path, results: Results) -> None:
     Raises ProcessFailed if there is no room for it.
     """
     try:
-        path.write_bytes(encode(results, LARGEST))
+        path.write_bytes(encode(results, PROCESS_OUTPUT_LIMITS.results))
     except OSError as error:
         reason = f"its result is lost: {path.parent}: {error.strerror or error}. Set TMPDIR to a folder with more room."
         raise ProcessFailed(f"drones {', '.join(map(str, results))}", reason) from error
@@ -223,13 +249,13 @@ def write_results(path: Path, results: Results) -> None:
 def read_results(path: Path) -> Results:
     """Return the results that a process has written; empty if it has not come so far."""
     try:
-        results: Results = decode(path.read_bytes(), LARGEST)
+        results: Results = decode(path.read_bytes(), PROCESS_OUTPUT_LIMITS.results)
     except (OSError, CodecError):
         return {}
     return results
 
 
-def patience(config: SwarmConfig) -> float:
+def compute_patience(config: SwarmConfig) -> float:
     """Return the seconds that processes get to land their drones and end.
 
     The landing may begin at the top of the fence, and may be delayed by up to LANDING_DEADLINE.
@@ -239,21 +265,21 @@ def patience(config: SwarmConfig) -> float:
     height = config.fence.max[2] - flight.ground
     top = FullState.at((0.0, 0.0, height))
     floor = np.zeros(3)
-    fastest = duration_for(
+    fastest = compute_flight_time(
         top, floor, 0.0, flight.speed_limit, flight.acceleration_limit
     )
     return (
         max(PEAK_SPEED * height / flight.landing_speed, fastest)
-        + LANDING_DEADLINE
-        + GRACE
+        + MISSION_TIMES.landing_deadline
+        + END_GRACE
     )
 
 
-async def _spawn(
+async def _spawn_agent(
     group: tuple[int, ...], path: Path, result: Path, options: list[str]
 ) -> Process:
     ids = [word for i in group for word in ("--id", str(i))]
-    return await _start(
+    return await _start_module(
         "crazychoir.cli.fly.agent",
         "--swarm",
         str(path),
@@ -264,7 +290,7 @@ async def _spawn(
     )
 
 
-async def _start(module: str, *words: str) -> Process:
+async def _start_module(module: str, *words: str) -> Process:
     return await asyncio.create_subprocess_exec(
         sys.executable,
         "-m",
@@ -279,13 +305,13 @@ async def _start(module: str, *words: str) -> Process:
     )
 
 
-async def _listen(child: Process, say: Say) -> None:
+async def _pass_on_output(child: Process, say: Say) -> None:
     """Pass on the output of a process, line by line, until it ends."""
     assert child.stdout is not None  # noqa: S101 - it was asked for
     rest = b""
-    while chunk := await child.stdout.read(CHUNK):
+    while chunk := await child.stdout.read(PROCESS_OUTPUT_LIMITS.chunk):
         *lines, rest = (rest + chunk).split(b"\n")
-        if len(rest) > LONGEST:
+        if len(rest) > PROCESS_OUTPUT_LIMITS.line:
             lines = [*lines, rest]
             rest = b""
         for line in lines:
@@ -295,7 +321,7 @@ async def _listen(child: Process, say: Say) -> None:
     await child.wait()
 
 
-def _once(say: Say) -> Say:
+def _drop_repetitions(say: Say) -> Say:
     """Return a function that passes on lines but drops repetitions.
 
     All processes may report the same missing compiled code. Of these lines only the first of each
@@ -304,9 +330,13 @@ def _once(say: Say) -> Say:
     told: list[str] = []
 
     def passed(line: str) -> None:
-        cache = line.removeprefix(WARNING).partition(":")[0]
+        cache = line.removeprefix(CACHE_WARNING).partition(":")[0]
         reason = (
-            line if line == COMPILES else cache if line.startswith(WARNING) else None
+            line
+            if line == COMPILING_MESSAGE
+            else cache
+            if line.startswith(CACHE_WARNING)
+            else None
         )
         if reason is None or reason not in told:
             say(line)
@@ -316,7 +346,7 @@ def _once(say: Say) -> Say:
     return passed
 
 
-def _end_of(child: Process) -> str:
+def _describe_end(child: Process) -> str:
     """Return how a process has ended, in words."""
     code = child.returncode
     if code is None or code >= 0:
@@ -327,17 +357,17 @@ def _end_of(child: Process) -> str:
         return f"was ended by signal {-code}"
 
 
-def _signal(children: Iterable[Process], number: signal.Signals) -> None:
+def _signal_all(children: Iterable[Process], number: signal.Signals) -> None:
     for child in children:
         with contextlib.suppress(ProcessLookupError):
             child.send_signal(number)
 
 
-async def _end(children: list[Process], seconds: float) -> None:
+async def _end_all(children: list[Process], seconds: float) -> None:
     """Ask every process to land and exit; kill those still running after `seconds`."""
     if not children:
         return
-    _signal(children, signal.SIGTERM)
+    _signal_all(children, signal.SIGTERM)
     waits = [asyncio.create_task(child.wait()) for child in children]
     _, late = await asyncio.wait(waits, timeout=seconds)
     for child in children if late else []:

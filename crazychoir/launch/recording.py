@@ -16,19 +16,19 @@ import numba
 import numpy as np
 import scipy
 
-from crazychoir.bus.network.hello import VERSION
+from crazychoir.bus.network.hello import PACKAGE_VERSION
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import is_library
-from crazychoir.guidance.mission import PACKAGE, Mission
-from crazychoir.recording.analysis.figures import UNSEEN
+from crazychoir.guidance.mission import MISSION_PACKAGE, Mission
+from crazychoir.recording.analysis.figures import UNSEEN_DRONES_KEY
 from crazychoir.recording.mcap.file import RecordingFile
 
-FILES = "files"
-"""Key of a recording's `about` for the digests of files, as JSON."""
+FILES_KEY = "files"
+"""Key of a recording's `describe_flight` for the digests of files, as JSON."""
 
 
 @contextlib.contextmanager
-def recording_file(
+def open_recording_file(
     path: Path | None, config: SwarmConfig, mission: Mission, virtual: bool
 ) -> Iterator[RecordingFile | None]:
     """Yield a new file for a flight of this swarm, and close it at the end; None without a path.
@@ -38,28 +38,34 @@ def recording_file(
     if path is None:
         yield None
         return
-    with contextlib.closing(new_recording(path, config, mission, virtual)) as file:
+    with contextlib.closing(make_recording(path, config, mission, virtual)) as file:
         yield file
 
 
-def new_recording(
+def make_recording(
     path: Path, config: SwarmConfig, mission: Mission | None, virtual: bool
 ) -> RecordingFile:
     """Return a new file for a flight of this swarm.
 
     Raises ConfigError if it cannot be made.
     """
-    told = about(config, virtual) | {FILES: json.dumps(digests(config, mission))}
-    return RecordingFile(path, told, config.dumps(), not virtual, text_of(mission))
+    told = describe_flight(config, virtual) | {
+        FILES_KEY: json.dumps(compute_file_digests(config, mission))
+    }
+    return RecordingFile(
+        path, told, config.dumps(), not virtual, read_mission_text(mission)
+    )
 
 
-def text_of(mission: Mission | None) -> str:
+def read_mission_text(mission: Mission | None) -> str:
     """Return the text of a mission's file; empty if there is none."""
     path = Path(getattr(mission, "__file__", None) or "")
     return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
 
 
-def digests(config: SwarmConfig, mission: Mission | None) -> dict[str, str]:
+def compute_file_digests(
+    config: SwarmConfig, mission: Mission | None
+) -> dict[str, str]:
     """Return the SHA-256 of each file that a flight depends on, beside the mission's own file.
 
     They are the files that the swarm file names, by their keys, and the modules imported from the
@@ -67,12 +73,13 @@ def digests(config: SwarmConfig, mission: Mission | None) -> dict[str, str]:
     Files that cannot be read are left out.
     """
     found = {
-        name: _digest(path) for name, path in (config.files | _modules(mission)).items()
+        name: _compute_digest(path)
+        for name, path in (config.files | _list_mission_modules(mission)).items()
     }
     return {name: digest for name, digest in found.items() if digest}
 
 
-def other_files(
+def list_changed_files(
     told: Mapping[str, str], config: SwarmConfig, mission: Mission
 ) -> dict[str, str]:
     """Return the files that have changed since these digests, each with the kind of change.
@@ -80,8 +87,8 @@ def other_files(
     told: SHA-256 by name
     """
     named = config.files
-    folder = _folder(mission)
-    now = {name: _digest(named.get(name, folder / name)) for name in told}
+    folder = _find_mission_folder(mission)
+    now = {name: _compute_digest(named.get(name, folder / name)) for name in told}
     return {
         name: "its content is another now" if now[name] else "it is not there any more"
         for name, digest in told.items()
@@ -89,14 +96,14 @@ def other_files(
     }
 
 
-def _modules(mission: Mission | None) -> dict[str, Path]:
+def _list_mission_modules(mission: Mission | None) -> dict[str, Path]:
     """Return the modules that were imported from the mission's folder or below, by their paths.
 
     Modules of this package and of libraries do not count.
     """
     if not (name := getattr(mission, "__file__", None)):
         return {}
-    folder = _folder(mission)
+    folder = _find_mission_folder(mission)
     found = dict[str, Path]()
     for module, loaded in sorted(sys.modules.items()):
         file = str(getattr(loaded, "__file__", None) or "")
@@ -104,7 +111,7 @@ def _modules(mission: Mission | None) -> dict[str, Path]:
         within = f"{module}."
         ours = within.startswith(
             ("crazychoir.", "__main__.")
-        ) and not within.startswith(f"{PACKAGE}.")
+        ) and not within.startswith(f"{MISSION_PACKAGE}.")
         if (
             path != Path(name).resolve()
             and path.is_relative_to(folder)
@@ -114,11 +121,11 @@ def _modules(mission: Mission | None) -> dict[str, Path]:
     return found
 
 
-def _folder(mission: Mission | None) -> Path:
+def _find_mission_folder(mission: Mission | None) -> Path:
     return Path(str(getattr(mission, "__file__", None) or "")).resolve().parent
 
 
-def _digest(path: Path) -> str:
+def _compute_digest(path: Path) -> str:
     """Return the SHA-256 of a file; empty if it cannot be read."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
@@ -126,26 +133,26 @@ def _digest(path: Path) -> str:
         return ""
 
 
-def about(config: SwarmConfig, virtual: bool) -> dict[str, str]:
+def describe_flight(config: SwarmConfig, virtual: bool) -> dict[str, str]:
     """Return what is flown: swarm, mission, seed, drones, kind of time, versions."""
     return {
         "swarm": config.name,
         "mission": config.mission or "",
         "seed": str(config.seed),
         "drones": ",".join(map(str, config.ids)),
-        UNSEEN: ",".join(map(str, config.unseen)),
+        UNSEEN_DRONES_KEY: ",".join(map(str, config.unseen)),
         "time": "virtual" if virtual else "wall",
-        **versions(),
+        **list_versions(),
     }
 
 
-def versions() -> dict[str, str]:
+def list_versions() -> dict[str, str]:
     """Return the versions that a flight in virtual time depends on.
 
     They are those of this package, Python, the numeric libraries and the processor.
     """
     return {
-        "version": VERSION,
+        "version": PACKAGE_VERSION,
         "python": platform.python_version(),
         "numpy": np.__version__,
         "scipy": scipy.__version__,

@@ -34,7 +34,7 @@ LARGEST_RECORD = 1 << 16  # bytes
 
 
 @dataclass(frozen=True)
-class Run:
+class RunRecord:
     """One `crazychoir run`."""
 
     swarm: str
@@ -48,7 +48,7 @@ class Run:
 
 
 @contextlib.contextmanager
-def recorded(run: Run) -> Iterator[None]:
+def record_run(run: RunRecord) -> Iterator[None]:
     """Keep a record of this run until it ends, so that other shells find it.
 
     The record is locked. The lock ends with the process, even if the process crashes.
@@ -57,7 +57,7 @@ def recorded(run: Run) -> Iterator[None]:
     """
     with contextlib.ExitStack() as kept:
         try:
-            kept.enter_context(_record(run))
+            kept.enter_context(_write_record(run))
         except OSError as error:
             do = f"Other shells must name it: crazychoir land --swarm {run.file}"
             log.warning(
@@ -70,7 +70,7 @@ def recorded(run: Run) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _record(run: Run) -> Iterator[None]:
+def _write_record(run: RunRecord) -> Iterator[None]:
     """Write and lock the record of a run, and delete it at the end.
 
     Raises OSError if it cannot be written.
@@ -81,7 +81,7 @@ def _record(run: Run) -> Iterator[None]:
     )
     with contextlib.ExitStack() as kept:
         for left in (path, hidden):
-            kept.callback(_remove, left)
+            kept.callback(_delete_record, left)
         file = kept.enter_context(hidden.open("w", encoding="utf-8"))
         fcntl.flock(file, fcntl.LOCK_EX)
         json.dump(asdict(run), file)
@@ -90,41 +90,41 @@ def _record(run: Run) -> Iterator[None]:
         yield
 
 
-def _remove(path: Path) -> None:
+def _delete_record(path: Path) -> None:
     with contextlib.suppress(OSError):
         path.unlink()
 
 
-def runs() -> list[Run]:
+def list_own_runs() -> list[RunRecord]:
     """Return the runs that a command without a swarm file may mean, in the order of names.
 
     These are the runs of this user. If root has none, they are those of the user of `sudo`, and
     if there are none either, all runs.
     Several runs of one swarm, each with some of its drones, count once.
     """
-    for group in _runs_by_user():
+    for group in _list_runs_by_user():
         if group:
             return group
     return []
 
 
-def every_run() -> list[Run]:
+def list_every_run() -> list[RunRecord]:
     """Return all runs that this user may see."""
-    found = [run for group in _runs_by_user() for run in group]
+    found = [run for group in _list_runs_by_user() for run in group]
     return list({run.swarm: run for run in found}.values())
 
 
-def of_file(path: str | Path) -> list[Run]:
+def list_runs_of_file(path: str | Path) -> list[RunRecord]:
     """Return the runs that fly this swarm file."""
     source = str(Path(path).resolve())
-    return [run for run in every_run() if run.source == source]
+    return [run for run in list_every_run() if run.source == source]
 
 
-def _runs_by_user() -> Iterator[list[Run]]:
+def _list_runs_by_user() -> Iterator[list[RunRecord]]:
     """Yield the runs of this user; for root also those of the user of `sudo`, then all others."""
     try:
         folder = existing_runtime_folder()
-        yield _runs_in(folder, os.getuid()) if folder else []
+        yield _list_runs_in(folder, os.getuid()) if folder else []
     except (ConfigError, OSError) as error:
         _warn_once(
             f"runs of this user are not found: {error}. Or name the swarm: --swarm FILE"
@@ -133,7 +133,7 @@ def _runs_by_user() -> Iterator[list[Run]]:
         return
     caller = os.environ.get("SUDO_UID", "")
     if caller.isdecimal() and int(caller) != 0:
-        yield _runs_of(int(caller))
+        yield _list_runs_of(int(caller))
     others = [
         path.name.rpartition("-")[2]
         for path in sorted(Path(SHARED_FOLDER).glob("crazychoir-*"))
@@ -141,7 +141,7 @@ def _runs_by_user() -> Iterator[list[Run]]:
     uids = [
         int(text) for text in others if text.isdecimal() and text not in ("0", caller)
     ]
-    yield [run for uid in uids for run in _runs_of(uid)]
+    yield [run for uid in uids for run in _list_runs_of(uid)]
 
 
 @cache
@@ -150,24 +150,26 @@ def _warn_once(text: str) -> None:
     log.warning("%s", text)
 
 
-def _runs_of(uid: int) -> list[Run]:
+def _list_runs_of(uid: int) -> list[RunRecord]:
     """Return the runs of another user.
 
     A folder or record that does not belong to that user is ignored.
     """
     folder = private_folder_of(uid)
     try:
-        return [] if owner_fault(folder, uid) else _runs_in(folder, uid)
+        return [] if owner_fault(folder, uid) else _list_runs_in(folder, uid)
     except OSError:
         return []
 
 
-def _runs_in(folder: Path, uid: int) -> list[Run]:
-    found = [run for path in sorted(folder.iterdir()) if (run := _read(path, uid))]
+def _list_runs_in(folder: Path, uid: int) -> list[RunRecord]:
+    found = [
+        run for path in sorted(folder.iterdir()) if (run := _read_record(path, uid))
+    ]
     return list({run.swarm: run for run in found}.values())
 
 
-def _read(path: Path, uid: int) -> Run | None:
+def _read_record(path: Path, uid: int) -> RunRecord | None:
     """Return the run of a record; None if it has ended, and then delete the record."""
     if path.name.startswith("."):
         return None
@@ -176,11 +178,11 @@ def _read(path: Path, uid: int) -> Run | None:
             found = os.fstat(file.fileno())
             if not stat.S_ISREG(found.st_mode) or found.st_uid != uid:
                 return None
-            if _locked(file.fileno()):
+            if _is_locked(file.fileno()):
                 # json, not msgspec: file names that are not UTF-8 are written as surrogates.
                 said = json.loads(file.read(LARGEST_RECORD))
-                said["what"] = _printable(str(said["what"]))
-                run = msgspec.convert(said, Run)
+                said["what"] = _make_printable(str(said["what"]))
+                run = msgspec.convert(said, RunRecord)
                 return run if _is_sound(run, uid) else None
             if uid == os.getuid():
                 path.unlink()
@@ -196,12 +198,12 @@ def _read(path: Path, uid: int) -> Run | None:
     return None
 
 
-def _printable(text: str) -> str:
+def _make_printable(text: str) -> str:
     """Return the text with a question mark for each character that a terminal could obey or not show."""
     return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
-def _is_sound(run: Run, uid: int) -> bool:
+def _is_sound(run: RunRecord, uid: int) -> bool:
     """Return whether a record says what a run of this user may say: a plain name, and a regular swarm file."""
     if not re.fullmatch(r"[\w.-]+", run.swarm):
         return False
@@ -217,7 +219,7 @@ def _open_file(path: str, flags: int) -> int:
     return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK)
 
 
-def _locked(file: int) -> bool:
+def _is_locked(file: int) -> bool:
     try:
         fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:

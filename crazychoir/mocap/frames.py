@@ -14,26 +14,36 @@ import numpy as np
 from crazychoir.errors import CodecError
 from crazychoir.types import Vec
 
-ASK: Final = b"CHOIR?"
-"""Request for frames."""
-PATIENCE: Final = 3.0
-"""Seconds for which one ASK counts."""
-_HEAD = struct.Struct("<6sIdH")
+
+@dataclass(frozen=True, slots=True)
+class FrameProtocol:
+    """The numbers and marks that both ends of the datagrams must agree on."""
+
+    request: bytes = b"CHOIR?"
+    """Datagram that requests frames."""
+    request_lifetime: float = 3.0
+    """s: time for which one request counts."""
+    frame_mark: bytes = b"CHOIR1"
+    """First bytes of a frame."""
+    name_size: int = 40
+    """Most bytes of a body's name."""
+    most_bodies: int = 450
+    """Most bodies in one frame: a datagram holds no more."""
+
+
+FRAME_PROTOCOL = FrameProtocol()
+
+
+_HEAD_LAYOUT = struct.Struct("<6sIdH")
 """Layout of the start: mark, number, time, count of bodies."""
-_BODY = struct.Struct("<40s7d")
+_BODY_LAYOUT = struct.Struct("<40s7d")
 """Layout of a body: name and pose."""
-_MARK = b"CHOIR1"
-"""First bytes of a frame."""
-NAME: Final = 40
-"""Most bytes of a body's name."""
-MOST: Final = 450
-"""Most bodies in one frame: a datagram holds no more."""
 NO_POSE: Final = np.full(7, np.nan)
 """Pose that is written for a body with a name that is there twice."""
 
 
 @dataclass(frozen=True)
-class Frame:
+class PoseFrame:
     """The bodies that were seen at one time."""
 
     number: int
@@ -56,15 +66,22 @@ class Frame:
         rows = [*self.bodies.items()]
         for name in self.doubled:
             rows += [(name, NO_POSE), (name, NO_POSE)]
-        if len(rows) > MOST or any(len(name.encode()) > NAME for name, _ in rows):
+        if len(rows) > FRAME_PROTOCOL.most_bodies or any(
+            len(name.encode()) > FRAME_PROTOCOL.name_size for name, _ in rows
+        ):
             raise CodecError(
-                f"frame of {len(rows)} bodies; allowed: {MOST}, names of {NAME} bytes at most."
+                f"frame of {len(rows)} bodies; allowed: {FRAME_PROTOCOL.most_bodies}, names of "
+                f"{FRAME_PROTOCOL.name_size} bytes at most."
             )
-        head = _HEAD.pack(_MARK, self.number & 0xFFFFFFFF, self.time, len(rows))
-        return head + b"".join(_BODY.pack(name.encode(), *flat) for name, flat in rows)
+        head = _HEAD_LAYOUT.pack(
+            FRAME_PROTOCOL.frame_mark, self.number & 0xFFFFFFFF, self.time, len(rows)
+        )
+        return head + b"".join(
+            _BODY_LAYOUT.pack(name.encode(), *flat) for name, flat in rows
+        )
 
 
-def frame_of(number: int, time: float, rows: Iterable[tuple[str, Vec]]) -> Frame:
+def make_frame(number: int, time: float, rows: Iterable[tuple[str, Vec]]) -> PoseFrame:
     """Return the frame of these names and poses; names that come twice are its `doubled`."""
     bodies: dict[str, Vec] = {}
     doubled: dict[str, None] = {}
@@ -74,23 +91,25 @@ def frame_of(number: int, time: float, rows: Iterable[tuple[str, Vec]]) -> Frame
             doubled[name] = None
         else:
             bodies[name] = flat
-    return Frame(number, time, bodies, tuple(doubled))
+    return PoseFrame(number, time, bodies, tuple(doubled))
 
 
-def parse(datagram: bytes) -> Frame:
+def parse_frame(datagram: bytes) -> PoseFrame:
     """Return the frame of a datagram. Raises CodecError for anything else."""
-    if len(datagram) < _HEAD.size or not datagram.startswith(_MARK):
+    if len(datagram) < _HEAD_LAYOUT.size or not datagram.startswith(
+        FRAME_PROTOCOL.frame_mark
+    ):
         raise CodecError(f"{len(datagram)} bytes that are no frame of poses.")
-    _, number, time, count = _HEAD.unpack_from(datagram)
-    if len(datagram) != _HEAD.size + count * _BODY.size:
+    _, number, time, count = _HEAD_LAYOUT.unpack_from(datagram)
+    if len(datagram) != _HEAD_LAYOUT.size + count * _BODY_LAYOUT.size:
         raise CodecError(
             f"frame of poses: {len(datagram)} bytes; allowed for {count} bodies: "
-            f"{_HEAD.size + count * _BODY.size}."
+            f"{_HEAD_LAYOUT.size + count * _BODY_LAYOUT.size}."
         )
     rows = []
-    for name, *flat in _BODY.iter_unpack(datagram[_HEAD.size :]):
+    for name, *flat in _BODY_LAYOUT.iter_unpack(datagram[_HEAD_LAYOUT.size :]):
         try:
             rows.append((name.rstrip(b"\0").decode(), np.array(flat)))
         except UnicodeDecodeError as error:
             raise CodecError("frame of poses: a name that is not UTF-8.") from error
-    return frame_of(number, time, rows)
+    return make_frame(number, time, rows)

@@ -2,22 +2,31 @@
 
 import asyncio
 import contextlib
+from dataclasses import dataclass
 
 from crazychoir.errors import Refused
-from crazychoir.mocap.frames import Frame
-from crazychoir.mocap.source import Source
-from crazychoir.mocap.view import View
+from crazychoir.mocap.frames import PoseFrame
+from crazychoir.mocap.source import FrameSource
+from crazychoir.mocap.view import FrameFilter
 from crazychoir.runtime.clock import Clock
 
-FIRST = 10.0
-"""Seconds within which the first frame must arrive."""
-LOOK = 0.02
-"""Seconds between two checks for the first frame."""
+
+@dataclass(frozen=True, slots=True)
+class GatherTiming:
+    """How long and how often `gather_frames` looks for the first frame."""
+
+    first_frame_deadline: float = 10.0
+    """s: time within which the first frame must arrive."""
+    check_period: float = 0.02
+    """s: time between two checks for the first frame."""
 
 
-async def gather(
-    clock: Clock, source: Source, view: View, seconds: float
-) -> list[Frame]:
+GATHER_TIMING = GatherTiming()
+
+
+async def gather_frames(
+    clock: Clock, source: FrameSource, view: FrameFilter, seconds: float
+) -> list[PoseFrame]:
     """Return the frames of a source for some seconds after its first frame.
 
     Their times are those of the source.
@@ -25,9 +34,9 @@ async def gather(
     seconds: s
     Raises Refused if no frame arrives within FIRST s, whatever the source does.
     """
-    frames: list[Frame] = []
+    frames: list[PoseFrame] = []
 
-    def take(frame: Frame, age: float) -> None:
+    def take(frame: PoseFrame, age: float) -> None:
         seen = view.see(frame)
         if seen is not None:
             frames.append(seen[0])
@@ -36,7 +45,7 @@ async def gather(
     running = asyncio.create_task(source.run(take))
     try:
         while not frames:
-            if clock.now() - began > FIRST:
+            if clock.now() - began > GATHER_TIMING.first_frame_deadline:
                 dropped = (
                     f" {view.timeless} were dropped, whose time is no time in s."
                     if view.timeless
@@ -44,9 +53,9 @@ async def gather(
                 )
                 raise Refused(
                     source.where,
-                    f"no frame within {FIRST:g} s ({source.state}).{dropped}",
+                    f"no frame within {GATHER_TIMING.first_frame_deadline:g} s ({source.state}).{dropped}",
                 )
-            await clock.sleep(LOOK)
+            await clock.sleep(GATHER_TIMING.check_period)
         await clock.sleep(seconds)
     finally:
         running.cancel()

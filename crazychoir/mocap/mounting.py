@@ -7,12 +7,17 @@ from functools import cached_property
 import numpy as np
 
 from crazychoir.numerics.kernels import kernel, vector
-from crazychoir.numerics.math3d import conjugate, exponential, product, unit
+from crazychoir.numerics.math3d import (
+    normalize_quaternion,
+    quaternion_conjugate,
+    quaternion_product,
+    rotation_exponential,
+)
 from crazychoir.types import Vec
 
 
 @kernel(vector, vector, vector)
-def _drone(seen: Vec, offset: Vec, turn: Vec) -> Vec:
+def _drone_pose(seen: Vec, offset: Vec, turn: Vec) -> Vec:
     """Return the drone's pose (7,) from the body's pose: see Mounting.
 
     seen: (7,): pose of the body
@@ -20,23 +25,30 @@ def _drone(seen: Vec, offset: Vec, turn: Vec) -> Vec:
     turn: (4,): q_m
     """
     out = np.empty(7)
-    body = unit((seen[3], seen[4], seen[5], seen[6]))
-    q = product(body, conjugate((turn[0], turn[1], turn[2], turn[3])))
-    way = product(product(q, (offset[0], offset[1], offset[2], 0.0)), conjugate(q))
+    body = normalize_quaternion((seen[3], seen[4], seen[5], seen[6]))
+    q = quaternion_product(
+        body, quaternion_conjugate((turn[0], turn[1], turn[2], turn[3]))
+    )
+    way = quaternion_product(
+        quaternion_product(q, (offset[0], offset[1], offset[2], 0.0)),
+        quaternion_conjugate(q),
+    )
     for c in range(3):
         out[c] = seen[c] - way[c]
     out[3], out[4], out[5], out[6] = q
     return out
 
 
-def turned(rpy: Sequence[float]) -> Vec:
+def quaternion_of_rpy(rpy: Sequence[float]) -> Vec:
     """Return the unit quaternion (4,) of R = Rz(yaw) Ry(pitch) Rx(roll).
 
     rpy: rad: roll, pitch, yaw
     """
     roll, pitch, yaw = rpy
-    level = product(exponential(0.0, pitch, 0.0), exponential(roll, 0.0, 0.0))
-    return np.array(product(exponential(0.0, 0.0, yaw), level))
+    level = quaternion_product(
+        rotation_exponential(0.0, pitch, 0.0), rotation_exponential(roll, 0.0, 0.0)
+    )
+    return np.array(quaternion_product(rotation_exponential(0.0, 0.0, yaw), level))
 
 
 @dataclass(frozen=True)
@@ -63,15 +75,19 @@ class Mounting:
 
     @cached_property
     def _arrays(self) -> tuple[Vec, Vec]:
-        return np.array(self.offset), turned(self.rotation)
+        return np.array(self.offset), quaternion_of_rpy(self.rotation)
 
     def drone(self, seen: Vec) -> Vec:
         """Return the drone's pose (7,) if its body has the pose seen (7,)."""
-        return seen if self.is_none else _drone(seen, *self._arrays)
+        return seen if self.is_none else _drone_pose(seen, *self._arrays)
 
     def body(self, drone: Vec) -> Vec:
         """Return the body's pose (7,) if the drone has the pose drone (7,)."""
         o, turn = self._arrays
         q = tuple(drone[3:7])
-        way = product(product(q, (*o, 0.0)), conjugate(q))
-        return np.array([*(drone[0:3] + np.array(way[0:3])), *product(q, tuple(turn))])
+        way = quaternion_product(
+            quaternion_product(q, (*o, 0.0)), quaternion_conjugate(q)
+        )
+        return np.array(
+            [*(drone[0:3] + np.array(way[0:3])), *quaternion_product(q, tuple(turn))]
+        )

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from crazychoir.mocap.frames import Frame
+from crazychoir.mocap.frames import PoseFrame
 from crazychoir.types import Vec
 
-FAR = 0.3
+HOME_RADIUS = 0.3
 """Metres from its home within which a drone is assumed to stand there."""
 
 
 @dataclass(frozen=True)
-class Seen:
+class BodyMeasurement:
     """The measurements of a body."""
 
     name: str
@@ -28,7 +28,7 @@ class Seen:
 
 
 @dataclass(frozen=True)
-class Match:
+class BodyMatch:
     """A body and the drone that it probably belongs to."""
 
     drone: int
@@ -41,24 +41,33 @@ class Match:
     @property
     def sure(self) -> bool:
         """Whether the body is near enough to the home."""
-        return self.distance <= FAR
+        return self.distance <= HOME_RADIUS
 
 
-def bodies(frames: Sequence[Frame], seconds: float) -> list[Seen]:
+def measure_bodies(
+    frames: Sequence[PoseFrame], seconds: float
+) -> list[BodyMeasurement]:
     """Return the bodies in the frames of so many seconds, by name."""
     places: dict[str, list[Vec]] = {}
     for frame in frames:
         for name, flat in frame.bodies.items():
             places.setdefault(name, []).append(flat[0:3])
-    return [_seen(name, np.array(at), seconds) for name, at in sorted(places.items())]
+    return [
+        _measure_body(name, np.array(at), seconds)
+        for name, at in sorted(places.items())
+    ]
 
 
-def _seen(name: str, at: Vec, seconds: float) -> Seen:
+def _measure_body(name: str, at: Vec, seconds: float) -> BodyMeasurement:
     p = at.mean(axis=0)
-    return Seen(name, p, float(np.linalg.norm(at - p, axis=1).max()), len(at) / seconds)
+    return BodyMeasurement(
+        name, p, float(np.linalg.norm(at - p, axis=1).max()), len(at) / seconds
+    )
 
 
-def matched(seen: Sequence[Seen], homes: Mapping[int, Sequence[float]]) -> list[Match]:
+def match_bodies(
+    seen: Sequence[BodyMeasurement], homes: Mapping[int, Sequence[float]]
+) -> list[BodyMatch]:
     """Return one body for each drone, with the least sum of distances.
 
     If there are too few bodies, some drones have none.
@@ -81,6 +90,6 @@ def matched(seen: Sequence[Seen], homes: Mapping[int, Sequence[float]]) -> list[
     )
     rows, columns = linear_sum_assignment(cost)
     return [
-        Match(ids[r], seen[c].name, float(cost[r, c]))
+        BodyMatch(ids[r], seen[c].name, float(cost[r, c]))
         for r, c in zip(rows, columns, strict=True)
     ]

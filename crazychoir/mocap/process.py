@@ -5,38 +5,40 @@ from dataclasses import dataclass
 from typing import Any
 
 from crazychoir.bus.network.zenoh_link import ZenohLink
-from crazychoir.bus.port import EYES, Bus, Port
-from crazychoir.bus.topics import BODY, POSE, TRUTH
+from crazychoir.bus.port import PORT_ADDRESSES, Bus, Port
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError, Refused, error_text
 from crazychoir.filters.velocity import VelocityFilter
-from crazychoir.mocap.frames import Frame
+from crazychoir.mocap.frames import PoseFrame
 from crazychoir.mocap.mounting import Mounting
-from crazychoir.mocap.recording import Recorder, ReplaySource
-from crazychoir.mocap.source import Say, Source
+from crazychoir.mocap.recording import FrameRecorder, ReplaySource
+from crazychoir.mocap.source import FrameSource, ReportText
 from crazychoir.mocap.system import SystemSource
-from crazychoir.mocap.view import Blur, RateLimit, View
+from crazychoir.mocap.view import CameraBlur, FrameFilter, RateLimit
 from crazychoir.mocap.virtual import VirtualSource
-from crazychoir.mocap.watch import Watch
-from crazychoir.runtime.actor import ON_FAILURE, Actor
+from crazychoir.mocap.watch import TrackingWatch
+from crazychoir.runtime.actor import RESTART_ON_FAILURE, Actor
 from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.mailbox import Latest
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.types import Body, Pose, Vec
 
 log = logging.getLogger(__name__)
-LOOKS = 4.0
+TRACKING_CHECK_RATE = 4.0
 """Hz at which the quality of the tracking is checked."""
-SHOWN = 8
+LISTED_BODIES = 8
 """Most names of bodies in an error."""
-PATIENT = 60.0
+SHUTDOWN_PATIENCE = 60.0
 """Seconds for which the process goes on after it was asked to end.
 
 It does so while a drone that it sees has an agent on the network, or flies.
 """
 
 
-def source_of(clock: Clock, config: SwarmConfig, say: Say | None = None) -> Source:
+def make_source(
+    clock: Clock, config: SwarmConfig, say: ReportText | None = None
+) -> FrameSource:
     """Return the source of [mocap].
 
     Raises ConfigError if a recording cannot be read, or a library is missing.
@@ -51,18 +53,19 @@ def source_of(clock: Clock, config: SwarmConfig, say: Say | None = None) -> Sour
     )
 
 
-def view_of(config: SwarmConfig) -> View:
+def make_frame_filter(config: SwarmConfig) -> FrameFilter:
     """Return the view of [mocap] on its frames.
 
     Exact poses of virtual drones are blurred, as if cameras had measured them.
     """
-    return View(
-        config.mocap.rate, Blur(config) if config.mocap.source == "virtual" else None
+    return FrameFilter(
+        config.mocap.rate,
+        CameraBlur(config) if config.mocap.source == "virtual" else None,
     )
 
 
 @dataclass(frozen=True)
-class Track:
+class TrackedDrone:
     """One drone that the cameras see."""
 
     name: str
@@ -83,11 +86,11 @@ class Track:
         return body is not None and body.flying
 
 
-class Feed(Actor):
+class SourceRunner(Actor):
     """Runs a source, and runs it again after a failure."""
 
     name = "cameras"
-    restart = ON_FAILURE
+    restart = RESTART_ON_FAILURE
 
     def __init__(self, process: "MocapProcess") -> None:
         self._process = process
@@ -118,11 +121,11 @@ class MocapProcess(Actor):
         self,
         clock: Clock,
         config: SwarmConfig,
-        source: Source,
+        source: FrameSource,
         process: str,
         host: str,
         incarnation: int,
-        recorder: Recorder | None = None,
+        recorder: FrameRecorder | None = None,
     ) -> None:
         self.clock = clock
         self.bus = Bus(clock, process=process, host=host)
@@ -137,18 +140,20 @@ class MocapProcess(Actor):
                 do,
             )
         self.tracks = {
-            i: _track(config, self.bus.port(EYES + i, incarnation), i)
+            i: _make_track(
+                config, self.bus.port(PORT_ADDRESSES.camera_offset + i, incarnation), i
+            )
             for i in config.seen
         }
-        self.watch = Watch(
+        self.watch = TrackingWatch(
             {i: track.name for i, track in self.tracks.items()},
             config.mocap.rate,
             source.live,
         )
-        self.view = view_of(config)
+        self.view = make_frame_filter(config)
         self.failure = ""
         """Reason why the process failed; empty if it did not."""
-        self._truth = RateLimit(TRUTH.rate)
+        self._truth = RateLimit(DRONE_TOPICS.truth.rate)
         self._link: ZenohLink | None = None
         self._ending = ""
         self._until = 0.0
@@ -157,7 +162,7 @@ class MocapProcess(Actor):
     async def serve(self, link: ZenohLink, *services: Actor) -> None:
         """Run the process until its end."""
         self._link = link
-        await self._supervisor.run([link, *services, Feed(self), self])
+        await self._supervisor.run([link, *services, SourceRunner(self), self])
         if not self.failure and (nothing := self._nothing_seen()):
             self.failure = nothing
             log.error("mocap: %s", nothing)
@@ -175,20 +180,22 @@ class MocapProcess(Actor):
         names = [track.name for track in self.tracks.values()]
         if any(name in self.watch.sights for name in names):
             return ""
-        there = ", ".join(map(repr, sorted(self.watch.sights)[:SHOWN])) or "no body"
-        wanted = ", ".join(map(repr, names[:SHOWN]))
+        there = (
+            ", ".join(map(repr, sorted(self.watch.sights)[:LISTED_BODIES])) or "no body"
+        )
+        wanted = ", ".join(map(repr, names[:LISTED_BODIES]))
         do = "Mend `body` in the swarm file, or the names at the cameras; see `crazychoir mocap names`."
         return f"{where}: no body of a drone was seen: the frames have {there}, the swarm file {wanted}. {do}"
 
     async def run(self) -> None:
         """Log what is wrong with the tracking."""
-        async for _ in self.clock.ticks(LOOKS):
+        async for _ in self.clock.ticks(TRACKING_CHECK_RATE):
             for text in self.watch.look(self.clock.now()):
                 log.warning("%s: %s", self.source.where, text)
             if self._ending:
                 self._end_if_alone()
 
-    def take(self, frame: Frame, age: float) -> None:
+    def take(self, frame: PoseFrame, age: float) -> None:
         """Take a frame that is `age` s old, and publish its poses."""
         found = self.view.see(frame)
         if found is None:
@@ -201,14 +208,16 @@ class MocapProcess(Actor):
         due = self._truth.passes(frame.time)
         for track in self.tracks.values():
             pose = self._publish(track, seen.bodies.get(track.name), age + late, now)
-            true = pose if exact is None else _pose(exact.bodies.get(track.name), age)
+            true = (
+                pose if exact is None else _make_pose(exact.bodies.get(track.name), age)
+            )
             if true is not None:
                 state = track.velocity.update(true, now)
                 if due and state is not None:
-                    track.port.publish(TRUTH, state, state.age)
+                    track.port.publish(DRONE_TOPICS.truth, state, state.age)
 
     def _publish(
-        self, track: Track, flat: Vec | None, age: float, now: float
+        self, track: TrackedDrone, flat: Vec | None, age: float, now: float
     ) -> Pose | None:
         """Publish and return one drone's pose.
 
@@ -217,18 +226,18 @@ class MocapProcess(Actor):
         if flat is None:
             return None
         pose = Pose(track.mounting.drone(flat), age + self.watch.age(track.name, now))
-        track.port.publish(POSE, pose, pose.age)
+        track.port.publish(DRONE_TOPICS.pose, pose, pose.age)
         return pose
 
     def end(self, reason: str) -> None:
         """End as soon as no drone has an agent or flies."""
         if not self._ending:
-            self._ending, self._until = reason, self.clock.now() + PATIENT
+            self._ending, self._until = reason, self.clock.now() + SHUTDOWN_PATIENCE
             if flown := self.flown:
                 log.warning(
                     "mocap: %s: it goes on until drone(s) %s are down and without agents",
                     reason,
-                    _ids(flown),
+                    _join_ids(flown),
                 )
         self._end_if_alone()
 
@@ -284,11 +293,13 @@ class MocapProcess(Actor):
         }
 
 
-def _track(config: SwarmConfig, port: Port, i: int) -> Track:
+def _make_track(config: SwarmConfig, port: Port, i: int) -> TrackedDrone:
     drone = config.drone(i)
-    body = Latest[Body](port.bus.clock, "body", BODY.max_age)
-    port.bus.subscribe(BODY, config.source(BODY, i), port.address, body)
-    return Track(
+    body = Latest[Body](port.bus.clock, "body", DRONE_TOPICS.body.max_age)
+    port.bus.subscribe(
+        DRONE_TOPICS.body, config.source(DRONE_TOPICS.body, i), port.address, body
+    )
+    return TrackedDrone(
         config.body_name(i),
         Mounting(drone.body_offset, drone.body_rotation),
         port,
@@ -297,9 +308,9 @@ def _track(config: SwarmConfig, port: Port, i: int) -> Track:
     )
 
 
-def _pose(flat: Vec | None, age: float) -> Pose | None:
+def _make_pose(flat: Vec | None, age: float) -> Pose | None:
     return None if flat is None else Pose(flat, age)
 
 
-def _ids(drones: list[int]) -> str:
+def _join_ids(drones: list[int]) -> str:
     return ", ".join(map(str, drones))

@@ -9,20 +9,31 @@ import ctypes
 import signal
 import socket
 import sys
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
 from crazychoir.errors import error_text
-from crazychoir.mocap.frames import NAME, frame_of
+from crazychoir.mocap.frames import FRAME_PROTOCOL, make_frame
 from crazychoir.runtime.clock import Stopwatch
 
-CONNECTING: Final = b"connecting"
-"""Text: the library is loaded, and the program connects."""
-CONNECTED: Final = b"connected"
-"""Text: the program is connected."""
-FAILED: Final = b"failed: "
-"""Start of the text with an error."""
+
+@dataclass(frozen=True, slots=True)
+class ReaderMessages:
+    """The texts by which the reader tells its progress."""
+
+    connecting: bytes = b"connecting"
+    """The library is loaded, and the program connects."""
+    connected: bytes = b"connected"
+    """The program is connected."""
+    failed: bytes = b"failed: "
+    """Start of the text with an error."""
+
+
+READER_MESSAGES = ReaderMessages()
+
+
 PR_SET_PDEATHSIG: Final = 1
 """Option of prctl: signal to send when the parent process ends."""
 
@@ -34,14 +45,14 @@ def main(words: list[str]) -> None:
     try:
         import motioncapture  # imported here: the deadline to start covers its import
 
-        out.send(CONNECTING)
+        out.send(READER_MESSAGES.connecting)
         system = motioncapture.connect(
             words[1], dict(word.split("=", 1) for word in words[2:])
         )
-        out.send(CONNECTED)
+        out.send(READER_MESSAGES.connected)
         _send_frames(system, out)
     except Exception as error:  # noqa: BLE001 - whatever a foreign library raises is told
-        out.send(FAILED + error_text(error).encode()[:1000])
+        out.send(READER_MESSAGES.failed + error_text(error).encode()[:1000])
 
 
 def _send_frames(system: Any, out: socket.socket) -> None:
@@ -50,9 +61,10 @@ def _send_frames(system: Any, out: socket.socket) -> None:
     while True:
         system.waitForNextFrame()
         bodies = [
-            (_short(name), _flat(body)) for name, body in system.rigidBodies.items()
+            (_shorten_name(name), _pose_of_body(body))
+            for name, body in system.rigidBodies.items()
         ]
-        frame = frame_of(number, clock.now(), bodies)
+        frame = make_frame(number, clock.now(), bodies)
         number += 1
         try:
             out.send(frame.packed(), socket.MSG_DONTWAIT)
@@ -61,17 +73,17 @@ def _send_frames(system: Any, out: socket.socket) -> None:
             continue
 
 
-def _flat(body: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
+def _pose_of_body(body: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
     q = body.rotation
     return np.array([*body.position, q.x, q.y, q.z, q.w], dtype=float)
 
 
-def _short(name: str) -> str:
+def _shorten_name(name: str) -> str:
     """Return a name cut to the size in a frame.
 
     Two long names that become equal are doubled in the frame.
     """
-    return name.encode()[:NAME].decode(errors="ignore")
+    return name.encode()[: FRAME_PROTOCOL.name_size].decode(errors="ignore")
 
 
 if __name__ == "__main__":

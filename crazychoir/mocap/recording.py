@@ -14,16 +14,16 @@ import numpy as np
 from crazychoir.errors import ConfigError
 from crazychoir.files.recorded_times import require_later, require_seconds
 from crazychoir.files.text_files import read_text
-from crazychoir.mocap.frames import Frame, frame_of
-from crazychoir.mocap.source import Complaints, Say, Take
-from crazychoir.runtime.clock import SECOND, Clock
+from crazychoir.mocap.frames import PoseFrame, make_frame
+from crazychoir.mocap.source import ReportText, SourceComplaints, TakeFrame
+from crazychoir.runtime.clock import NS_PER_SECOND, Clock
 
 log = logging.getLogger(__name__)
-HEAD = ("t", "name", "x", "y", "z", "qx", "qy", "qz", "qw")
+RECORDING_COLUMNS = ("t", "name", "x", "y", "z", "qx", "qy", "qz", "qw")
 """t: s from any origin, the same in all rows of a frame;  x, y, z: m;  q: body to world."""
 
 
-class Recorder:
+class FrameRecorder:
     """Writes frames into a new file, until its `with` block ends.
 
     Raises ConfigError if the file cannot be made.
@@ -42,10 +42,10 @@ class Recorder:
                 "--record", str(path), "a new file", f"{error.strerror}."
             ) from error
         self._writer = csv.writer(self._file, lineterminator="\n")
-        self._writer.writerow(HEAD)
+        self._writer.writerow(RECORDING_COLUMNS)
         self._began = math.nan
 
-    def write(self, frame: Frame, at: float) -> None:
+    def write(self, frame: PoseFrame, at: float) -> None:
         """Write a frame that was seen at `at` s. A full disk ends only the recording."""
         if self.error:
             return
@@ -79,22 +79,22 @@ class Recorder:
         return {"file": str(self.path), "frames": self.frames, "error": self.error}
 
 
-def read_recording(path: str | Path) -> list[Frame]:
+def read_recording(path: str | Path) -> list[PoseFrame]:
     """Return the frames of a file, in order of time.
 
     Raises ConfigError, with file, line and content, if the file is not valid.
     """
-    allowed = f"a CSV file with the columns {','.join(HEAD)}"
+    allowed = f"a CSV file with the columns {','.join(RECORDING_COLUMNS)}"
     text = read_text(path, allowed)
     try:
         rows = list(csv.reader(io.StringIO(text)))
     except csv.Error as error:
         raise ConfigError(str(path), str(error), allowed) from error
-    if not rows or tuple(cell.strip() for cell in rows[0]) != HEAD:
+    if not rows or tuple(cell.strip() for cell in rows[0]) != RECORDING_COLUMNS:
         found = ",".join(rows[0]) if rows else "an empty file"
-        raise ConfigError(f"{path}, line 1", found, ",".join(HEAD))
+        raise ConfigError(f"{path}, line 1", found, ",".join(RECORDING_COLUMNS))
     read = [
-        _row(path, line, cells)
+        _parse_row(path, line, cells)
         for line, cells in enumerate(rows[1:], 2)
         if any(cell.strip() for cell in cells)
     ]
@@ -102,14 +102,14 @@ def read_recording(path: str | Path) -> list[Frame]:
         raise ConfigError(
             str(path), "no row", "at least one row below the names of the columns"
         )
-    return _frames(path, read)
+    return _group_frames(path, read)
 
 
-Row = tuple[int, float, str, list[float]]
+RecordedRow = tuple[int, float, str, list[float]]
 """Line number, time, name and pose."""
 
 
-def _row(path: str | Path, line: int, cells: list[str]) -> Row:
+def _parse_row(path: str | Path, line: int, cells: list[str]) -> RecordedRow:
     """Return line, time, name and pose."""
     try:
         t, *numbers = (float(cell) for cell in (cells[0], *cells[2:]))
@@ -120,36 +120,36 @@ def _row(path: str | Path, line: int, cells: list[str]) -> Row:
         raise ConfigError(
             f"{path}, line {line}",
             ",".join(cells),
-            f"{','.join(HEAD)}: finite numbers, and a name",
+            f"{','.join(RECORDING_COLUMNS)}: finite numbers, and a name",
         )
     name = cells[1].strip()
     if not name:
         raise ConfigError(
             f"{path}, line {line}",
             ",".join(cells),
-            f"{','.join(HEAD)}: a name in the second column",
+            f"{','.join(RECORDING_COLUMNS)}: a name in the second column",
         )
     return line, t, name, numbers
 
 
-def _frames(path: str | Path, rows: list[Row]) -> list[Frame]:
+def _group_frames(path: str | Path, rows: list[RecordedRow]) -> list[PoseFrame]:
     require_seconds(path, [row[0] for row in rows], [row[1] for row in rows])
-    frames: list[Frame] = []
+    frames: list[PoseFrame] = []
     for t, group in itertools.groupby(rows, key=lambda row: row[1]):
         seen = list(group)
         line = seen[0][0]
         if frames:
             require_later(path, line, frames[-1].time, t)
-        frame = frame_of(
+        frame = make_frame(
             len(frames), t, [(name, np.array(flat)) for _, _, name, flat in seen]
         )
         if frame.doubled:
-            raise _doubled(path, seen, frame.doubled[0])
+            raise _doubled_error(path, seen, frame.doubled[0])
         frames.append(frame)
     return frames
 
 
-def _doubled(path: str | Path, seen: list[Row], name: str) -> ConfigError:
+def _doubled_error(path: str | Path, seen: list[RecordedRow], name: str) -> ConfigError:
     """Return the error for a body with two poses in one frame."""
     lines = [row[0] for row in seen if row[2] == name]
     found = (
@@ -171,22 +171,25 @@ class ReplaySource:
     live = False
     again = 0
 
-    def __init__(self, clock: Clock, path: str, say: Say | None = None) -> None:
+    def __init__(self, clock: Clock, path: str, say: ReportText | None = None) -> None:
         self.clock = clock
         self.where = f"replay of {path}"
         self.state = "replaying"
         self.frames = read_recording(path)
-        self._complain = Complaints(self.where, say)
+        self._complain = SourceComplaints(self.where, say)
 
-    async def run(self, take: Take) -> None:
+    async def run(self, take: TakeFrame) -> None:
         """Replay the recording to its end."""
         began_ns = self.clock.now_ns()
         origin = self.frames[0].time
         for frame in self.frames:
             seconds = frame.time - origin
-            due_ns = began_ns + round(seconds * SECOND)
+            due_ns = began_ns + round(seconds * NS_PER_SECOND)
             await self.clock.sleep_until(due_ns)
-            take(replace(frame, time=seconds), (self.clock.now_ns() - due_ns) / SECOND)
+            take(
+                replace(frame, time=seconds),
+                (self.clock.now_ns() - due_ns) / NS_PER_SECOND,
+            )
         self.state = "over"
         seconds = self.frames[-1].time - origin
         self._complain(

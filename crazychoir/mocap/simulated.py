@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from crazychoir.numerics.kernels import kernel, matrix, real, table, vector
-from crazychoir.numerics.math3d import exponential, product
+from crazychoir.numerics.math3d import quaternion_product, rotation_exponential
 from crazychoir.types import Mat, Pose, Vec
 
 
@@ -26,12 +26,12 @@ def _disturb(
     out: (N, 7): poses
     """
     for i in range(x.shape[0]):
-        q = product(
+        q = quaternion_product(
             (x[i, 6], x[i, 7], x[i, 8], x[i, 9]), (tilt[0], tilt[1], tilt[2], tilt[3])
         )
         a = noise_angle
-        r = exponential(a * normal[i, 3], a * normal[i, 4], a * normal[i, 5])
-        out[i, 3], out[i, 4], out[i, 5], out[i, 6] = product(q, r)
+        r = rotation_exponential(a * normal[i, 3], a * normal[i, 4], a * normal[i, 5])
+        out[i, 3], out[i, 4], out[i, 5], out[i, 6] = quaternion_product(q, r)
         for c in range(3):
             out[i, c] = x[i, c] + noise_p * normal[i, c]
 
@@ -73,7 +73,10 @@ class SimulatedMocap:
         self.dropout = dropout
         self.latency_steps = latency_steps
         self._tilt = np.array(
-            product(exponential(0.0, tilt[1], 0.0), exponential(tilt[0], 0.0, 0.0))
+            quaternion_product(
+                rotation_exponential(0.0, tilt[1], 0.0),
+                rotation_exponential(tilt[0], 0.0, 0.0),
+            )
         )
         self._rows = np.array(self.ids)
         self._exposures: deque[tuple[int, Mat]] = deque()

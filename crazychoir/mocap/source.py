@@ -4,20 +4,20 @@ import logging
 from collections.abc import Callable
 from typing import Protocol
 
-from crazychoir.mocap.frames import Frame
+from crazychoir.mocap.frames import PoseFrame
 from crazychoir.runtime.throttle import Throttle
 
 log = logging.getLogger(__name__)
-SILENT = 2.0
+FRAME_TIMEOUT = 2.0
 """Seconds without a frame after which this is reported."""
 
-Take = Callable[[Frame, float], None]
+TakeFrame = Callable[[PoseFrame, float], None]
 """Callback: called with each frame, and its age in s as far as it is known."""
-Say = Callable[[str], None]
+ReportText = Callable[[str], None]
 """Callback that reports a text."""
 
 
-class Source(Protocol):
+class FrameSource(Protocol):
     """Cameras, or a replacement for them."""
 
     where: str
@@ -29,7 +29,7 @@ class Source(Protocol):
     again: int
     """Number of restarts."""
 
-    async def run(self, take: Take) -> None:
+    async def run(self, take: TakeFrame) -> None:
         """Deliver each frame as it arrives, and return when there are no more.
 
         It must not block the event loop. A source that fails reports it and tries again.
@@ -37,14 +37,14 @@ class Source(Protocol):
         ...
 
 
-class Complaints:
+class SourceComplaints:
     """Reports problems of a source: each topic at most once a second, and more and more rarely.
 
     where: name of the source
     say: reports a text; None: to the log
     """
 
-    def __init__(self, where: str, say: Say | None = None) -> None:
+    def __init__(self, where: str, say: ReportText | None = None) -> None:
         self.where, self.say = where, say or (lambda text: log.warning("%s", text))
         self._throttle = Throttle()
 

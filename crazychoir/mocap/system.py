@@ -10,37 +10,53 @@ import socket
 import sys
 from asyncio.subprocess import DEVNULL, Process
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from crazychoir.errors import CodecError, ConfigError
-from crazychoir.mocap.frames import parse
-from crazychoir.mocap.reader import FAILED
-from crazychoir.mocap.source import SILENT, Complaints, Say, Take
+from crazychoir.mocap.frames import parse_frame
+from crazychoir.mocap.reader import READER_MESSAGES
+from crazychoir.mocap.source import (
+    FRAME_TIMEOUT,
+    ReportText,
+    SourceComplaints,
+    TakeFrame,
+)
 from crazychoir.runtime.clock import Clock
 
-STARTED = 15.0
-"""Seconds in which the reader must load its libraries."""
-ENDED = 5.0
-"""Seconds in which a killed process must end."""
-FIRST = 1.0
-"""Seconds until the second attempt; doubled with each further one."""
-LONGEST = 30.0
-"""Seconds: longest time between two attempts."""
-LARGEST = 1 << 16
+
+@dataclass(frozen=True, slots=True)
+class AttemptTiming:
+    """Deadlines of one reader process, and the pauses between two attempts."""
+
+    start_deadline: float = 15.0
+    """s: time in which the reader must load its libraries."""
+    end_deadline: float = 5.0
+    """s: time in which a killed process must end."""
+    first_pause: float = 1.0
+    """s: time until the second attempt; doubled with each further one."""
+    longest_pause: float = 30.0
+    """s: longest time between two attempts."""
+
+
+ATTEMPT_TIMING = AttemptTiming()
+
+
+RECEIVE_SIZE = 1 << 16
 """Most bytes of a datagram."""
-PROGRAMS = {
+SYSTEM_PROGRAMS = {
     "vicon": "Vicon Tracker or Nexus, with its DataStream,",
     "optitrack": "Motive, with its NatNet stream,",
     "qualisys": "Qualisys Track Manager, with its real-time output,",
     "vrpn": "its VRPN server",
 }
 """The program that each system needs."""
-MODULE = "motioncapture"
+MOCAP_LIBRARY = "motioncapture"
 """The library."""
-EXTRA = "mocap"
+MOCAP_EXTRA = "mocap"
 """The extra of this package that installs the library."""
 
 
-class _Failed(Exception):
+class _AttemptFailed(Exception):
     """The reason why an attempt ended."""
 
 
@@ -68,14 +84,14 @@ class SystemSource:
         hostname: str,
         options: Mapping[str, object] | None = None,
         deadline: float = 5.0,
-        say: Say | None = None,
+        say: ReportText | None = None,
     ) -> None:
-        if importlib.util.find_spec(MODULE) is None:
-            do = f"pip install 'crazychoir[{EXTRA}]'"
+        if importlib.util.find_spec(MOCAP_LIBRARY) is None:
+            do = f"pip install 'crazychoir[{MOCAP_EXTRA}]'"
             raise ConfigError(
                 f'[mocap] source = "{system}"',
-                f"no module {MODULE}",
-                f"the extra {EXTRA}",
+                f"no module {MOCAP_LIBRARY}",
+                f"the extra {MOCAP_EXTRA}",
                 f"{do}.",
             )
         self.clock = clock
@@ -87,16 +103,16 @@ class SystemSource:
         self._deadline = deadline
         settings = {"hostname": hostname, **(options or {})}
         self._words = [system, *(f"{key}={value}" for key, value in settings.items())]
-        self._running = f"Is {PROGRAMS.get(system, system)} running there?"
-        self._complain = Complaints(self.where, say)
-        self._wait = FIRST
+        self._running = f"Is {SYSTEM_PROGRAMS.get(system, system)} running there?"
+        self._complain = SourceComplaints(self.where, say)
+        self._wait = ATTEMPT_TIMING.first_pause
 
-    async def run(self, take: Take) -> None:
+    async def run(self, take: TakeFrame) -> None:
         """Run one reader after another."""
         while True:
             try:
                 await self._attempt(take)
-            except _Failed as failed:
+            except _AttemptFailed as failed:
                 self.state = "trying again"
                 self._complain(
                     self.clock.now(),
@@ -105,9 +121,9 @@ class SystemSource:
                 )
             self.again += 1
             await self.clock.sleep(self._wait)
-            self._wait = min(2.0 * self._wait, LONGEST)
+            self._wait = min(2.0 * self._wait, ATTEMPT_TIMING.longest_pause)
 
-    async def _attempt(self, take: Take) -> None:
+    async def _attempt(self, take: TakeFrame) -> None:
         """Run one reader until it fails. Raises _Failed then."""
         ours, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         ours.setblocking(False)
@@ -126,12 +142,14 @@ class SystemSource:
             try:
                 await self._read(ours, take)
             finally:
-                await _end(process)
+                await _kill_process(process)
 
-    async def _read(self, ours: socket.socket, take: Take) -> None:
+    async def _read(self, ours: socket.socket, take: TakeFrame) -> None:
         self.state = "starting"
         await self._next(
-            ours, STARTED, f"its reader does not start within {STARTED:g} s."
+            ours,
+            ATTEMPT_TIMING.start_deadline,
+            f"its reader does not start within {ATTEMPT_TIMING.start_deadline:g} s.",
         )
         self.state = "connecting"
         hangs = f"no connection within {self._deadline:g} s; its library waits for ever where nobody answers."
@@ -139,14 +157,14 @@ class SystemSource:
         self.state = "connected"
         while True:
             data = await self._next(
-                ours, SILENT, f"connected, and no frame for {SILENT:g} s."
+                ours, FRAME_TIMEOUT, f"connected, and no frame for {FRAME_TIMEOUT:g} s."
             )
             try:
-                frame = parse(data)
+                frame = parse_frame(data)
             except CodecError:
                 self.malformed += 1
                 continue
-            self._wait = FIRST
+            self._wait = ATTEMPT_TIMING.first_pause
             take(frame, max(0.0, self.clock.now() - frame.time))
 
     async def _next(self, ours: socket.socket, seconds: float, otherwise: str) -> bytes:
@@ -158,24 +176,24 @@ class SystemSource:
         """
         try:
             async with asyncio.timeout(seconds):
-                data = await asyncio.get_running_loop().sock_recv(ours, LARGEST)
+                data = await asyncio.get_running_loop().sock_recv(ours, RECEIVE_SIZE)
         except TimeoutError:
-            raise _Failed(f"{otherwise} {self._running}") from None
+            raise _AttemptFailed(f"{otherwise} {self._running}") from None
         except OSError as error:
-            raise _Failed(f"its reader is gone: {error.strerror}.") from error
+            raise _AttemptFailed(f"its reader is gone: {error.strerror}.") from error
         if not data:
-            raise _Failed("its reader has ended.")
-        if data.startswith(FAILED):
-            raise _Failed(
-                f"{data.removeprefix(FAILED).decode(errors='replace')}. {self._running}"
+            raise _AttemptFailed("its reader has ended.")
+        if data.startswith(READER_MESSAGES.failed):
+            raise _AttemptFailed(
+                f"{data.removeprefix(READER_MESSAGES.failed).decode(errors='replace')}. {self._running}"
             )
         return data
 
 
-async def _end(process: Process) -> None:
+async def _kill_process(process: Process) -> None:
     """Kill the process: it may hang."""
     with contextlib.suppress(ProcessLookupError):
         process.kill()
     with contextlib.suppress(TimeoutError):
-        async with asyncio.timeout(ENDED):
+        async with asyncio.timeout(ATTEMPT_TIMING.end_deadline):
             await process.wait()

@@ -4,23 +4,30 @@ These are in order, at a limited rate, and blurred if they are exact.
 """
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.files.recorded_times import LARGEST_TIME
-from crazychoir.filters.velocity import readable
-from crazychoir.mocap.frames import Frame
+from crazychoir.files.recorded_times import RECORDED_TIME_LIMITS
+from crazychoir.filters.velocity import is_readable
+from crazychoir.mocap.frames import PoseFrame
 from crazychoir.mocap.simulated import SimulatedMocap
 
-EARLY = 0.9
-"""Share of a period by which a frame may come early.
 
-A smaller share would let only 90 of 120 frames a second pass a limit of 100.
-"""
-BACK = 1.0
-"""s by which time goes back when a source was started again."""
+@dataclass(frozen=True, slots=True)
+class FrameTiming:
+    """How the times of frames are judged."""
+
+    early_share: float = 0.9
+    """Share of a period by which a frame may come early. A smaller share would let only 90 of 120
+    frames a second pass a limit of 100.
+    """
+    restart_jump: float = 1.0
+    """s: time goes back by at least this when a source was started again."""
+
+
+FRAME_TIMING = FrameTiming()
 
 
 class RateLimit:
@@ -47,13 +54,13 @@ class RateLimit:
         self._last = t
         if is_set_back:
             self._due = t
-        if t < self._due - EARLY * self.period:
+        if t < self._due - FRAME_TIMING.early_share * self.period:
             return False
         self._due = max(self._due, t) + self.period
         return True
 
 
-class Blur:
+class CameraBlur:
     """Makes of exact poses what cameras would measure.
 
     Noise, tilt, dropouts and latency are those of [mocap]. Bodies that belong to no drone stay
@@ -78,7 +85,7 @@ class Blur:
         self._tick = -1
         self._began = math.nan
 
-    def see(self, frame: Frame) -> tuple[Frame, float]:
+    def see(self, frame: PoseFrame) -> tuple[PoseFrame, float]:
         """Return the frame that arrives in place of this one, and its age in s."""
         x = np.full((len(self._names), 13), np.nan)
         for row, name in enumerate(self._names):
@@ -92,7 +99,7 @@ class Blur:
         shown = {
             name: pose
             for name, pose in zip(self._names, poses, strict=True)
-            if pose and readable(pose.flat)
+            if pose and is_readable(pose.flat)
         }
         age = next((pose.age for pose in shown.values()), 0.0)
         return replace(
@@ -110,7 +117,7 @@ class Blur:
         return self._tick
 
 
-class View:
+class FrameFilter:
     """Decides which frames of a source are published, and in which form.
 
     Invalid poses are left out. Times may have any origin. The number of a frame distinguishes a
@@ -120,7 +127,7 @@ class View:
     blur: blurs exact poses; None for cameras
     """
 
-    def __init__(self, rate: float, blur: Blur | None = None) -> None:
+    def __init__(self, rate: float, blur: CameraBlur | None = None) -> None:
         self.blur = blur
         self.lost = 0
         """Frames that never arrived, by their numbers."""
@@ -129,26 +136,29 @@ class View:
         self.timeless = 0
         """Frames with a time that is not in seconds."""
         self._pace = RateLimit(rate)
-        self._last = Frame(-1, -math.inf, {})
+        self._last = PoseFrame(-1, -math.inf, {})
 
-    def see(self, frame: Frame) -> tuple[Frame, float] | None:
+    def see(self, frame: PoseFrame) -> tuple[PoseFrame, float] | None:
         """Return the frame to publish, and how many s older it is than the given frame.
 
         Returns None if no frame is published.
         """
         if not self._follows(frame) or not self._pace.passes(frame.time):
             return None
-        good = {name: flat for name, flat in frame.bodies.items() if readable(flat)}
+        good = {name: flat for name, flat in frame.bodies.items() if is_readable(flat)}
         frame = replace(frame, bodies=good)
         return (frame, 0.0) if self.blur is None else self.blur.see(frame)
 
-    def _follows(self, frame: Frame) -> bool:
+    def _follows(self, frame: PoseFrame) -> bool:
         """Return whether a frame is later than the last, or its source was started again."""
         last = self._last
-        if not abs(frame.time) < LARGEST_TIME:  # also true for NaN
+        if not abs(frame.time) < RECORDED_TIME_LIMITS.largest_time:  # also true for NaN
             self.timeless += 1
             return False
-        if last.time - BACK < frame.time <= last.time and frame.number <= last.number:
+        if (
+            last.time - FRAME_TIMING.restart_jump < frame.time <= last.time
+            and frame.number <= last.number
+        ):
             self.late += 1
             return False
         if last.number >= 0 and frame.time > last.time:

@@ -1,28 +1,42 @@
 """The poses of virtual Crazyflies, which their server sends over UDP."""
 
 import asyncio
+from dataclasses import dataclass
 
 from crazychoir.errors import CodecError
-from crazychoir.mocap.frames import ASK, Frame, parse
-from crazychoir.mocap.source import SILENT, Complaints, Say, Take
+from crazychoir.mocap.frames import FRAME_PROTOCOL, PoseFrame, parse_frame
+from crazychoir.mocap.source import (
+    FRAME_TIMEOUT,
+    ReportText,
+    SourceComplaints,
+    TakeFrame,
+)
 from crazychoir.runtime.clock import Clock
 
-ASKS = 1.0
-"""Hz of requests: the server forgets a client without a request for 3 s."""
-RESOLVED = 5.0
-"""Seconds within which the address of the host must be found."""
+
+@dataclass(frozen=True, slots=True)
+class RequestTiming:
+    """How the server of virtual drones is found and asked for frames."""
+
+    rate: float = 1.0
+    """Hz of requests: the server forgets a client without a request for 3 s."""
+    resolve_deadline: float = 5.0
+    """s: time within which the address of the host must be found."""
+
+
+REQUEST_TIMING = RequestTiming()
 
 
 class _Client(asyncio.DatagramProtocol):
     """A connected UDP socket: the system passes only datagrams of its server."""
 
-    def __init__(self, source: "VirtualSource", take: Take) -> None:
+    def __init__(self, source: "VirtualSource", take: TakeFrame) -> None:
         self.source = source
         self.take = take
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
         try:
-            frame = parse(data)
+            frame = parse_frame(data)
         except CodecError:
             self.source.malformed += 1
             return
@@ -43,7 +57,7 @@ class VirtualSource:
     again = 0
 
     def __init__(
-        self, clock: Clock, hostname: str, port: int, say: Say | None = None
+        self, clock: Clock, hostname: str, port: int, say: ReportText | None = None
     ) -> None:
         self.clock = clock
         self.address = (hostname, port)
@@ -51,29 +65,29 @@ class VirtualSource:
         self.state = "asking"
         self.malformed = 0
         """Datagrams that were no frames."""
-        self._complain = Complaints(self.where, say)
+        self._complain = SourceComplaints(self.where, say)
         self._heard = clock.now()
 
-    async def run(self, take: Take) -> None:
+    async def run(self, take: TakeFrame) -> None:
         """Ask for frames and receive them."""
         self._heard = self.clock.now()
         while True:
             transport = await self._opened(take)
             try:
-                async for _ in self.clock.ticks(ASKS):
+                async for _ in self.clock.ticks(REQUEST_TIMING.rate):
                     if transport is None or transport.is_closing():
                         break
-                    transport.sendto(ASK)
+                    transport.sendto(FRAME_PROTOCOL.request)
                     self._look()
             finally:
                 if transport is not None:
                     transport.close()
 
-    async def _opened(self, take: Take) -> asyncio.DatagramTransport | None:
+    async def _opened(self, take: TakeFrame) -> asyncio.DatagramTransport | None:
         """Return a socket; None if the host is unknown, or not found within RESOLVED s."""
         loop = asyncio.get_running_loop()
         try:
-            async with asyncio.timeout(RESOLVED):
+            async with asyncio.timeout(REQUEST_TIMING.resolve_deadline):
                 found = await loop.create_datagram_endpoint(
                     lambda: _Client(self, take), remote_addr=self.address
                 )
@@ -86,14 +100,14 @@ class VirtualSource:
             return None
         return found[0]
 
-    def heard(self, frame: Frame) -> None:
+    def heard(self, frame: PoseFrame) -> None:
         """Note that a frame has arrived."""
         self._heard = self.clock.now()
         self.state = "connected"
 
     def _look(self) -> None:
         silence = self.clock.now() - self._heard
-        if silence > SILENT:
+        if silence > FRAME_TIMEOUT:
             self.state = "silent"
             do = "Is `crazychoir virtual` running there, and does it tell poses at this port?"
             self._complain(

@@ -10,33 +10,40 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crazychoir.mocap.frames import Frame
+from crazychoir.mocap.frames import PoseFrame
 from crazychoir.runtime.throttle import Throttle
 from crazychoir.types import Vec
 
-WINDOW = 2.0
-"""Seconds over which rates are averaged."""
-SLOW = 0.8
-"""Share of [mocap] rate below which the rate is reported: the drones' filters expect that rate."""
-GAP = 3.0
-"""Periods without a frame, or without a body in the frames, that count as a gap."""
-SHORT = 0.05
-"""Seconds: a shorter gap between frames is harmless.
 
-Drones brake after 0.1 s without a pose.
-"""
-MISSING = 0.5
-"""Seconds after which a body is missing."""
-FROZEN = 0.5
-"""Seconds of identical numbers after which a pose is not a measurement."""
-OFTEN = 0.05
-"""Share of frames without a body above which this is reported, even if no gap is long."""
-STRANGE = 1.0
-"""Seconds for which an unknown body must be seen until it is reported."""
+@dataclass(frozen=True, slots=True)
+class TrackingLimits:
+    """Limits beyond which the tracking of bodies is reported as bad."""
+
+    window: float = 2.0
+    """s: time over which rates are averaged."""
+    least_rate_share: float = 0.8
+    """Share of [mocap] rate below which the rate is reported: the drones' filters expect that
+    rate.
+    """
+    gap_periods: float = 3.0
+    """Periods without a frame, or without a body in the frames, that count as a gap."""
+    harmless_gap: float = 0.05
+    """s: a shorter gap between frames is harmless. Drones brake after 0.1 s without a pose."""
+    missing_time: float = 0.5
+    """s: time after which a body is missing."""
+    frozen_time: float = 0.5
+    """s: time of identical numbers after which a pose is not a measurement."""
+    dropout_share: float = 0.05
+    """Share of frames without a body above which this is reported, even if no gap is long."""
+    stranger_time: float = 1.0
+    """s: time for which an unknown body must be seen until it is reported."""
+
+
+TRACKING_LIMITS = TrackingLimits()
 
 
 @dataclass
-class Sight:
+class BodyRecord:
     """The record of one body.
 
     A body is measured when it is in a frame; if the source is live, also with other numbers than
@@ -86,7 +93,7 @@ class Sight:
         self._counted = self.frames, self.dropped
 
 
-class Watch:
+class TrackingWatch:
     """Takes each published frame; call `look` some times a second.
 
     names: name of each drone's body
@@ -98,7 +105,7 @@ class Watch:
         self.names = dict(names)
         self.rate = rate
         self.live = live
-        self.sights: dict[str, Sight] = {}
+        self.sights: dict[str, BodyRecord] = {}
         """Record of each body, by name."""
         self.frames = 0
         """Frames so far."""
@@ -116,7 +123,7 @@ class Watch:
         self._throttle = Throttle()
         self._doubled: dict[str, float] = {}  # s: when a name was last doubled
 
-    def note(self, frame: Frame, now: float) -> None:
+    def note(self, frame: PoseFrame, now: float) -> None:
         """Take a frame."""
         if math.isnan(self._began):
             self._began = self._window = self._last = now
@@ -131,7 +138,7 @@ class Watch:
         for name, flat in frame.bodies.items():
             sight = self.sights.get(name)
             if sight is None:
-                sight = self.sights[name] = Sight(now, now, now, flat)
+                sight = self.sights[name] = BodyRecord(now, now, now, flat)
             sight.see(flat, now, self.live)
         for name, sight in self.sights.items():
             sight.dropped += name not in frame.bodies
@@ -145,9 +152,9 @@ class Watch:
 
     def look(self, now: float) -> list[str]:
         """Return what is wrong: each problem at most once a second, and more and more rarely."""
-        if now - self._window >= WINDOW:
+        if now - self._window >= TRACKING_LIMITS.window:
             self._average(now)
-        if math.isnan(self._began) or now - self._last > WINDOW:
+        if math.isnan(self._began) or now - self._last > TRACKING_LIMITS.window:
             return []  # the source itself reports the silence
         found = [*self._of_frames(), *self._of_strangers(now), *self._of_doubled(now)]
         for i, name in self.names.items():
@@ -163,7 +170,9 @@ class Watch:
     @property
     def _limit(self) -> float:
         """Seconds without a frame from which a gap is reported."""
-        return max(GAP / self.rate, SHORT)
+        return max(
+            TRACKING_LIMITS.gap_periods / self.rate, TRACKING_LIMITS.harmless_gap
+        )
 
     def _average(self, now: float) -> None:
         seconds = now - self._window
@@ -176,7 +185,7 @@ class Watch:
     def _of_frames(self) -> list[tuple[str, str]]:
         found, (gap, self._gap) = [], (self._gap, 0.0)
         self._frames_gap = gap
-        if self.mean_rate < SLOW * self.rate:
+        if self.mean_rate < TRACKING_LIMITS.least_rate_share * self.rate:
             slow = f"frames come at {self.mean_rate:.0f} Hz; the drones count on [mocap] rate = {self.rate:g}"
             found.append(
                 (
@@ -200,37 +209,41 @@ class Watch:
         strange = [
             name
             for name, one in self.sights.items()
-            if name not in own and one.shown - one.first > STRANGE
+            if name not in own and one.shown - one.first > TRACKING_LIMITS.stranger_time
         ]
         if not strange or all(
-            now - self.sights[name].shown > WINDOW for name in strange
+            now - self.sights[name].shown > TRACKING_LIMITS.window for name in strange
         ):
             return []
         return [
             (
                 "strangers",
-                f"seen, and nobody's: {_list(strange)}. The swarm file has {_list(list(own))}.",
+                f"seen, and nobody's: {_list_names(strange)}. The swarm file has {_list_names(list(own))}.",
             )
         ]
 
     def _of_doubled(self, now: float) -> list[tuple[str, str]]:
         """Return the names that were recently given to two bodies of a frame."""
         said = "is there twice in a frame: which is meant is not known, so it counts as not seen. Rename one of them."
-        names = sorted(name for name, at in self._doubled.items() if now - at <= WINDOW)
+        names = sorted(
+            name
+            for name, at in self._doubled.items()
+            if now - at <= TRACKING_LIMITS.window
+        )
         return [(f"{name} doubled", f"body {name!r} {said}") for name in names]
 
     def _of_body(self, i: int, name: str, now: float) -> list[tuple[str, str]]:
         sight = self.sights.get(name)
         who = f"body {name!r} of drone {i}"
         if sight is None:
-            if now - self._began < MISSING:
+            if now - self._began < TRACKING_LIMITS.missing_time:
                 return []
             return [(f"{i} missing", f"{who} was never seen. {self._meant(name)}")]
-        if now - sight.shown > MISSING:
+        if now - sight.shown > TRACKING_LIMITS.missing_time:
             return [
                 (f"{i} missing", f"{who} is not seen for {now - sight.shown:.1f} s")
             ]
-        if now - sight.last > FROZEN:
+        if now - sight.last > TRACKING_LIMITS.frozen_time:
             still = f"{who} shows the very same pose for {now - sight.last:.1f} s"
             return [
                 (
@@ -240,21 +253,27 @@ class Watch:
             ]
         return self._of_rate(i, who, sight)
 
-    def _of_rate(self, i: int, who: str, sight: Sight) -> list[tuple[str, str]]:
+    def _of_rate(self, i: int, who: str, sight: BodyRecord) -> list[tuple[str, str]]:
         """Return gaps, dropouts, and measurements that come less often than frames."""
         gap = sight.gap
         sight.gap = 0.0
         # A shorter gap of the body is explained by a gap between frames.
-        if gap > max(GAP, 1.0 + self._frames_gap * self.rate) / self.rate:
+        if (
+            gap
+            > max(TRACKING_LIMITS.gap_periods, 1.0 + self._frames_gap * self.rate)
+            / self.rate
+        ):
             return [(f"{i} gap", f"{who} was not seen for {gap:.3f} s")]
-        if self.live and sight.share > OFTEN:
+        if self.live and sight.share > TRACKING_LIMITS.dropout_share:
             return [
                 (
                     f"{i} often",
                     f"{who} is missing in {100.0 * sight.share:.0f} % of the frames",
                 )
             ]
-        if self.live and sight.rate < SLOW * min(self.rate, self.mean_rate):
+        if self.live and sight.rate < TRACKING_LIMITS.least_rate_share * min(
+            self.rate, self.mean_rate
+        ):
             return [
                 (
                     f"{i} slow",
@@ -274,7 +293,9 @@ class Watch:
             (other for other in free if near and other.lower() == near[0]), None
         )
         there = (
-            f"Seen are {_list(list(self.sights))}" if self.sights else "No body is seen"
+            f"Seen are {_list_names(list(self.sights))}"
+            if self.sights
+            else "No body is seen"
         )
         return (
             f'{there}. Did you mean body = "{meant}"?'
@@ -283,7 +304,7 @@ class Watch:
         )
 
 
-def _list(names: list[str]) -> str:
+def _list_names(names: list[str]) -> str:
     """Return the first names as text."""
     shown = ", ".join(map(repr, sorted(names)[:8]))
     return shown + (f" and {len(names) - 8} more" if len(names) > 8 else "")

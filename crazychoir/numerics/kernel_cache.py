@@ -6,6 +6,7 @@ machine code is made of: the law's byte code and, recursively, every part and ev
 names. Comments, docstrings and file times do not count.
 
 Processes that start together take turns: the first compiles a law; the others wait and then load it
+from dataclasses import dataclass
 from disk. If nothing can be kept, or a kept file is damaged, the laws are compiled again and one
 line says so.
 """
@@ -21,6 +22,7 @@ import threading
 import uuid
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from enum import EnumType
 from functools import cache, cached_property
 from hashlib import blake2b
@@ -37,8 +39,8 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.serialize import dumps
 
 from crazychoir.files.user_folders import (
+    CACHE_WARNING,
     TOLD_VARIABLE,
-    WARNING,
     cache_home,
     first_warning,
     write_fault,
@@ -50,58 +52,83 @@ try:
 except ImportError:  # without Unix locks each process compiles for itself
     locks = None
 
-FORMAT = "checked"  # name of the file format
-VERSIONS = (FORMAT, numba.__version__, np.__version__)
+
+@dataclass(frozen=True, slots=True)
+class KernelCacheRules:
+    """The files of the cache of compiled laws, and the wait for another process that compiles."""
+
+    format_name: str = "checked"
+    """Name of the file format."""
+    cache_name: str = "compiled laws"
+    """Name of this cache in warnings."""
+    all_may_write: int = 0o002
+    """Permission of a file that every user may write."""
+    digest_size: int = 16
+    """Bytes at the start of a file: the digest of the rest."""
+    waiting_checks: int = 2400
+    """Checks of whether another process has compiled a law; after them this process compiles it
+    too.
+    """
+    check_interval: float = 0.05
+    """Seconds between two checks."""
+
+
+KERNEL_CACHE_RULES = KernelCacheRules()
+
+
+CODE_VERSIONS = (KERNEL_CACHE_RULES.format_name, numba.__version__, np.__version__)
 """Versions that the machine code depends on; part of the digest."""
-NAME = "compiled laws"
-"""Name of this cache in warnings."""
-FOR_ALL_TO_WRITE = 0o002  # permission
-CHECK_SIZE = 16  # bytes at the start of a file: the digest of the rest
-LIBRARIES = ("builtins", "math", "cmath", "numpy", "numba")
+NAMED_LIBRARIES = ("builtins", "math", "cmath", "numpy", "numba")
 """Packages that enter the digest only by the names of their functions and constants.
 
 VERSIONS covers their content.
 """
-COMPILES = (
+COMPILING_MESSAGE = (
     "crazychoir compiles its laws, once on this machine; that takes a minute or two"
 )
 """The line that explains the wait."""
-PATIENCE = 2400
-"""Checks of whether another process has compiled a law; after them this process compiles it too."""
-LOOK = 0.05
-"""Seconds between two checks."""
-EXACT = (type(None), bool, int, float, complex, str, bytes, type(Ellipsis))
+EXACT_TYPES = (type(None), bool, int, float, complex, str, bytes, type(Ellipsis))
 """Types with a `repr` that tells the whole value; NUMBERS holds more."""
-NUMBERS = (np.number, np.bool_, np.dtype, numba.types.Type)
+NUMBER_TYPES = (np.number, np.bool_, np.dtype, numba.types.Type)
 """More types with a `repr` that tells the whole value."""
 
 # Parts of numba that have no type annotations.
-_SETTINGS: Any = numba.config
+_numba_settings: Any = numba.config
 """Settings of numba."""
-_REBUILD: Any = CompileResult._rebuild
+_rebuild_law: Any = CompileResult._rebuild
 """Function of numba that builds a compiled law from kept data."""
 
-GLOBAL = opmap["LOAD_GLOBAL"]
-"""Byte code operation that loads a global name."""
-EXTENDED = opmap["EXTENDED_ARG"]
-"""Byte code operation that extends the number of the next operation."""
-ATTRIBUTES = {
+
+@dataclass(frozen=True, slots=True)
+class ByteCodes:
+    """Byte code operations that name the values that a law reads."""
+
+    load_global: int = opmap["LOAD_GLOBAL"]
+    """Byte code operation that loads a global name."""
+    extended_argument: int = opmap["EXTENDED_ARG"]
+    """Byte code operation that extends the number of the next operation."""
+    between_attributes: tuple[int, ...] = (opmap["CACHE"], extended_argument)
+    """Byte code operations that may stand between the attributes of a name."""
+
+
+BYTE_CODES = ByteCodes()
+
+
+ATTRIBUTE_LOADS = {
     opmap["LOAD_ATTR"]: int(sys.version_info >= (3, 12)),
-    opmap.get("LOAD_METHOD", GLOBAL): 0,
+    opmap.get("LOAD_METHOD", BYTE_CODES.load_global): 0,
 }
 """Byte code operations that load an attribute.
 
 The value is the number of bits by which the number of the name is shifted.
 """
-SILENT = (opmap["CACHE"], EXTENDED)
-"""Byte code operations that may stand between the attributes of a name."""
 
 
-class Untold(Exception):
+class UnknownDigest(Exception):
     """A law names something that has no digest."""
 
 
-class Kept(NullCache):
+class LawCache(NullCache):
     """The cache of one law.
 
     It reads nothing before the law is to be compiled, because a law may use a part that is defined
@@ -115,7 +142,7 @@ class Kept(NullCache):
         self._law = law
         self._options = options
         self._busy = False
-        self._turn: _Turn | None = None
+        self._turn: _CompilingTurn | None = None
 
     @cached_property
     def digest(self) -> str:
@@ -124,32 +151,37 @@ class Kept(NullCache):
         Raises Untold if there is none, also for a law that calls itself.
         """
         if self._busy:
-            raise Untold(self._law.__qualname__)
+            raise UnknownDigest(self._law.__qualname__)
         self._busy = True
         try:
             # Machine code contains the module names of its parts: after a module has moved it
             # cannot be loaded.
             content = repr(
-                (VERSIONS, self._options, self._law.__module__, _function(self._law))
+                (
+                    CODE_VERSIONS,
+                    self._options,
+                    self._law.__module__,
+                    _describe_function(self._law),
+                )
             )
         finally:
             self._busy = False
         return blake2b(content.encode(), digest_size=16).hexdigest()
 
     @cached_property
-    def _stores(self) -> "list[_Store]":
+    def _stores(self) -> "list[_LawFiles]":
         """The files of this law in each folder, in the order of the folders.
 
         The list is empty if there is no digest.
         """
         try:
             digest = self.digest
-        except (Untold, RecursionError):
+        except (UnknownDigest, RecursionError):
             return []
         file = inspect.getfile(self._law)
         module = os.path.splitext(os.path.basename(file))[0]
         name = f"{module}.{self._law.__qualname__}".replace("<", "").replace(">", "")
-        return [_Store(folder, name, digest) for folder in _folders(file)]
+        return [_LawFiles(folder, name, digest) for folder in _cache_folders(file)]
 
     @property
     def cache_path(self) -> Any:
@@ -166,16 +198,20 @@ class Kept(NullCache):
         found = self._read(key)
         if found is None:
             self._tell()
-            self._turn = _Turn(
+            self._turn = _CompilingTurn(
                 next(
-                    (store.place for store in self._stores if not _fault(store.folder)),
+                    (
+                        store.place
+                        for store in self._stores
+                        if not _folder_fault(store.folder)
+                    ),
                     "",
                 )
             )
             found = self._read(key)
             if found is not None:
                 self._turn.end()
-        return None if found is None else _REBUILD(target_context, *found)
+        return None if found is None else _rebuild_law(target_context, *found)
 
     def _read(self, key: Any) -> Any:
         """Return the content from the first folder that has it, or None."""
@@ -188,20 +224,21 @@ class Kept(NullCache):
     def _tell(self) -> None:
         """Log in one line why the user waits: the law is compiled."""
         stores = self._stores
-        named = _SETTINGS.CACHE_DIR
-        free = [store for store in stores if not _fault(store.folder)]
+        named = _numba_settings.CACHE_DIR
+        free = [store for store in stores if not _folder_fault(store.folder)]
         if stores and not free:
             _warn_of_no_folder(stores)
         elif damaged := [store for store in stores if store.damaged]:
-            warn(
+            warn_of_cache(
                 f"files in {damaged[0].folder} are damaged: the laws are compiled anew, which takes a minute or two."
             )
         elif named and free and free[0] is not stores[0]:
-            warn(
-                f"NUMBA_CACHE_DIR = {named}: {_fault(stores[0].folder)}: laws are kept in {free[0].folder} instead."
+            warn_of_cache(
+                f"NUMBA_CACHE_DIR = {named}: {_folder_fault(stores[0].folder)}: laws are kept "
+                f"in {free[0].folder} instead."
             )
         else:
-            say_once()
+            announce_compiling()
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep the machine code for these types in the first folder that can be written."""
@@ -214,12 +251,12 @@ class Kept(NullCache):
 
     def _save(self, key: Any, data: Any) -> None:
         for store in self._stores:
-            if _fault(store.folder):
+            if _folder_fault(store.folder):
                 continue
             try:
                 store.save(key, data)
             except OSError as error:
-                _FAULTS[store.folder] = error.strerror or str(error)
+                _fault_of_folder[store.folder] = error.strerror or str(error)
             else:
                 return
         if self._stores:
@@ -236,13 +273,13 @@ class Kept(NullCache):
             store.forget()
 
 
-def keep(dispatcher: Any, law: Callable[..., Any], *options: Any) -> None:
+def attach_cache(dispatcher: Any, law: Callable[..., Any], *options: Any) -> None:
     """Give a law its cache.
 
     An error or a signal that interrupts compiling ends the turn; else this process and the others
     would wait for it.
     """
-    kept = Kept(law, *options)
+    kept = LawCache(law, *options)
     compile_law = dispatcher.compile
 
     def compile_in_turn(types: Any) -> Any:
@@ -256,7 +293,7 @@ def keep(dispatcher: Any, law: Callable[..., Any], *options: Any) -> None:
     dispatcher.compile = compile_in_turn
 
 
-def say(text: str) -> None:
+def print_line(text: str) -> None:
     """Print a line for the waiting user.
 
     A program replaces this function if its standard error is not read.
@@ -266,30 +303,32 @@ def say(text: str) -> None:
 
 
 @cache
-def say_once() -> None:
+def announce_compiling() -> None:
     """Print once that laws are compiled and take a while, unless a warning was printed before."""
-    if NAME not in os.environ.get(TOLD_VARIABLE, "").split(","):
-        say(COMPILES)
+    if KERNEL_CACHE_RULES.cache_name not in os.environ.get(TOLD_VARIABLE, "").split(
+        ","
+    ):
+        print_line(COMPILING_MESSAGE)
 
 
-def warn(text: str) -> None:
+def warn_of_cache(text: str) -> None:
     """Print what is wrong with the cache, once for this process and its child processes."""
-    tell(f"{WARNING}{NAME}: {text}")
+    print_first_warning(f"{CACHE_WARNING}{KERNEL_CACHE_RULES.cache_name}: {text}")
 
 
-def tell(warning: str) -> None:
+def print_first_warning(warning: str) -> None:
     """Print a warning of this process or of a child process if it is the first."""
-    if first_warning(NAME):
-        say(warning)
+    if first_warning(KERNEL_CACHE_RULES.cache_name):
+        print_line(warning)
 
 
-def is_kept() -> bool:
+def is_cache_writable() -> bool:
     """Return whether compiled laws of this package can be written to some folder."""
-    return any(not _fault(folder) for folder in _folders(__file__))
+    return any(not _folder_fault(folder) for folder in _cache_folders(__file__))
 
 
 @contextmanager
-def shared_by_children(folder: Path) -> Iterator[None]:
+def share_with_children(folder: Path) -> Iterator[None]:
     """Let the processes that are started inside this context share their compiled laws.
 
     If no other folder can be written they use a temporary one; without it each would compile all
@@ -297,7 +336,7 @@ def shared_by_children(folder: Path) -> Iterator[None]:
 
     folder: the temporary folder
     """
-    if is_kept():
+    if is_cache_writable():
         yield
         return
     before = os.environ.get("NUMBA_CACHE_DIR")
@@ -310,7 +349,7 @@ def shared_by_children(folder: Path) -> Iterator[None]:
             os.environ["NUMBA_CACHE_DIR"] = before
 
 
-def _folders(file: str) -> list[Path]:
+def _cache_folders(file: str) -> list[Path]:
     """Return the folders for the laws of a source file.
 
     They are NUMBA_CACHE_DIR, `__pycache__` beside the file, and the user's cache. Laws are read
@@ -319,8 +358,8 @@ def _folders(file: str) -> list[Path]:
     """
     found = []
     below = InTreeCacheLocator.get_suitable_cache_subpath(file)  # type: ignore[no-untyped-call]
-    if _SETTINGS.CACHE_DIR:
-        found.append(Path(_SETTINGS.CACHE_DIR, below))
+    if _numba_settings.CACHE_DIR:
+        found.append(Path(_numba_settings.CACHE_DIR, below))
     if os.path.exists(file):  # a cell of a notebook has none
         found.append(Path(file).parent / "__pycache__")
     own = cache_home()
@@ -329,30 +368,32 @@ def _folders(file: str) -> list[Path]:
     return found
 
 
-_FAULTS: dict[Path, str] = {}
+_fault_of_folder: dict[Path, str] = {}
 """Reason why nothing can be written to a folder; empty if it can.
 
 It has each folder that this process has tried.
 """
 
 
-def _fault(folder: Path) -> str:
-    if folder not in _FAULTS:
-        _FAULTS[folder] = write_fault(folder)
-    return _FAULTS[folder]
+def _folder_fault(folder: Path) -> str:
+    if folder not in _fault_of_folder:
+        _fault_of_folder[folder] = write_fault(folder)
+    return _fault_of_folder[folder]
 
 
-def _warn_of_no_folder(stores: "list[_Store]") -> None:
-    tried = "; ".join(f"{store.folder}: {_fault(store.folder)}" for store in stores)
+def _warn_of_no_folder(stores: "list[_LawFiles]") -> None:
+    tried = "; ".join(
+        f"{store.folder}: {_folder_fault(store.folder)}" for store in stores
+    )
     if cache_home() is None:
         tried += "; there is no home folder"
-    warn(
+    warn_of_cache(
         f"no folder can keep them ({tried}): they are compiled anew each time, which takes a minute or two. "
         "Set NUMBA_CACHE_DIR to a folder that can be written and has room."
     )
 
 
-class _Turn:
+class _CompilingTurn:
     """The right to compile a law, for one process at a time, until `end` or the end of the process.
 
     place: path of the lock file; "": no lock
@@ -370,11 +411,11 @@ class _Turn:
 
     def _wait(self) -> None:
         pause = threading.Event()
-        for _ in range(PATIENCE):
+        for _ in range(KERNEL_CACHE_RULES.waiting_checks):
             try:
                 locks.flock(self._file, locks.LOCK_EX | locks.LOCK_NB)
             except BlockingIOError:
-                pause.wait(LOOK)
+                pause.wait(KERNEL_CACHE_RULES.check_interval)
             else:
                 return
 
@@ -384,12 +425,12 @@ class _Turn:
         Waiting processes then check for the machine code.
         """
         if self._file >= 0:
-            _remove(self._place)
+            _remove_file(self._place)
             os.close(self._file)
             self._file = -1
 
 
-class _Store:
+class _LawFiles:
     """The files of one law, with one digest, in one folder.
 
     They are the machine code for each signature, and an index. Each file begins with the digest of
@@ -420,9 +461,9 @@ class _Store:
         content = None if name is None else self._read(name)
         if content is None:
             return None
-        saved_key, data = pickle.loads(content)  # noqa: S301 - from folders of this user, of root, or of the package
+        saved = _unpickle(content)
         # Another process may have used the same number for its file.
-        return data if saved_key == key else None
+        return saved[1] if saved is not None and saved[0] == key else None
 
     def save(self, key: Any, data: Any) -> None:
         """Write the data, and remove the files of other digests of the law.
@@ -442,15 +483,15 @@ class _Store:
             os.path.join(glob.escape(str(self.folder)), f"{others}.*nb[ic]")
         ):
             if self._digest not in path:
-                _remove(path)
+                _remove_file(path)
 
     def forget(self) -> None:
         """Remove the index."""
-        _remove(str(self.folder / self._index_name))
+        _remove_file(str(self.folder / self._index_name))
 
     def _index(self) -> dict[Any, str]:
         content = self._read(self._index_name)
-        index = {} if content is None else pickle.loads(content)  # noqa: S301 - as above
+        index = None if content is None else _unpickle(content)
         return index if isinstance(index, dict) else {}
 
     def _read(self, name: str) -> bytes | None:
@@ -465,9 +506,9 @@ class _Store:
                 content = file.read()
         except OSError:
             return None
-        check = content[:CHECK_SIZE]
-        rest = content[CHECK_SIZE:]
-        if check != blake2b(rest, digest_size=CHECK_SIZE).digest():
+        check = content[: KERNEL_CACHE_RULES.digest_size]
+        rest = content[KERNEL_CACHE_RULES.digest_size :]
+        if check != blake2b(rest, digest_size=KERNEL_CACHE_RULES.digest_size).digest():
             self.damaged = True
             return None
         return rest
@@ -482,7 +523,7 @@ class _Store:
         package_owner = os.stat(__file__).st_uid
         return (
             file.st_uid in (0, os.getuid(), package_owner)
-            and not file.st_mode & FOR_ALL_TO_WRITE
+            and not file.st_mode & KERNEL_CACHE_RULES.all_may_write
         )
 
     def _write(self, name: str, value: Any) -> None:
@@ -491,42 +532,60 @@ class _Store:
         partial = self.folder / f"{name}.tmp.{uuid.uuid4().hex[:16]}"
         try:
             partial.write_bytes(
-                blake2b(content, digest_size=CHECK_SIZE).digest() + content
+                blake2b(content, digest_size=KERNEL_CACHE_RULES.digest_size).digest()
+                + content
             )
-            partial.chmod(partial.stat().st_mode & ~FOR_ALL_TO_WRITE)  # with any umask
+            partial.chmod(
+                partial.stat().st_mode & ~KERNEL_CACHE_RULES.all_may_write
+            )  # with any umask
             partial.replace(self.folder / name)
         except BaseException:
-            _remove(str(partial))
+            _remove_file(str(partial))
             raise
 
 
-def _remove(path: str) -> None:
+def _unpickle(content: bytes) -> Any:
+    """Return the saved value.
+
+    Returns None if it names a class that this version of the package does not have.
+    """
+    try:
+        return pickle.loads(content)  # noqa: S301 - from folders of this user, of root, or of the package
+    except (AttributeError, ImportError):
+        return None
+
+
+def _remove_file(path: str) -> None:
     try:
         os.remove(path)
     except OSError:  # another process has removed it, or it belongs to another user
         return
 
 
-def _function(law: Callable[..., Any]) -> Any:
+def _describe_function(law: Callable[..., Any]) -> Any:
     """Return everything that a function is made of, as nested tuples.
 
     Raises Untold if that is not possible.
     """
     if not isinstance(law, FunctionType):
-        raise Untold(repr(law))
+        raise UnknownDigest(repr(law))
     try:
         cells = [cell.cell_contents for cell in law.__closure__ or ()]
     except ValueError as empty:
-        raise Untold(law.__qualname__) from empty
+        raise UnknownDigest(law.__qualname__) from empty
     given = (
         law.__defaults__,
         tuple(sorted((law.__kwdefaults__ or {}).items())),
         tuple(cells),
     )
-    return _code(law.__code__, law.__globals__, law.__doc__), _value(given)
+    return _describe_code(
+        law.__code__, law.__globals__, law.__doc__
+    ), _describe_value_for_digest(given)
 
 
-def _code(code: CodeType, names: Mapping[str, Any], doc: str | None = None) -> Any:
+def _describe_code(
+    code: CodeType, names: Mapping[str, Any], doc: str | None = None
+) -> Any:
     """Return the byte code with its constants and the meaning of its global names."""
     constants = [
         None if k == 0 and c == doc else c for k, c in enumerate(code.co_consts)
@@ -540,12 +599,17 @@ def _code(code: CodeType, names: Mapping[str, Any], doc: str | None = None) -> A
             code.co_varnames,
         ),
         (code.co_freevars, code.co_cellvars),
-        [_code(c, names) if isinstance(c, CodeType) else _value(c) for c in constants],
-        [_meaning(path, names) for path in _paths(code)],
+        [
+            _describe_code(c, names)
+            if isinstance(c, CodeType)
+            else _describe_value_for_digest(c)
+            for c in constants
+        ],
+        [_value_of_path(path, names) for path in _global_paths(code)],
     )
 
 
-def _paths(code: CodeType) -> list[list[str]]:
+def _global_paths(code: CodeType) -> list[list[str]]:
     """Return the global names of a byte code, with the attributes that it reads from them.
 
     An example of an element is ["math", "sqrt"]. The result is that of `dis`, in a twentieth of its
@@ -556,18 +620,18 @@ def _paths(code: CodeType) -> list[list[str]]:
     high = 0
     for operation, low in zip(code.co_code[::2], code.co_code[1::2], strict=True):
         number = high | low
-        high = number << 8 if operation == EXTENDED else 0
-        if operation == GLOBAL:
+        high = number << 8 if operation == BYTE_CODES.extended_argument else 0
+        if operation == BYTE_CODES.load_global:
             paths.append([code.co_names[number >> 1]])
             inside = True
-        elif inside and operation in ATTRIBUTES:
-            paths[-1].append(code.co_names[number >> ATTRIBUTES[operation]])
-        elif operation not in SILENT:
+        elif inside and operation in ATTRIBUTE_LOADS:
+            paths[-1].append(code.co_names[number >> ATTRIBUTE_LOADS[operation]])
+        elif operation not in BYTE_CODES.between_attributes:
             inside = False
     return paths
 
 
-def _meaning(path: list[str], names: Mapping[str, Any]) -> Any:
+def _value_of_path(path: list[str], names: Mapping[str, Any]) -> Any:
     """Return the value that a path of names leads to.
 
     Attributes are followed through modules only: the digest of any other value covers its
@@ -575,38 +639,42 @@ def _meaning(path: list[str], names: Mapping[str, Any]) -> Any:
     """
     first, *rest = path
     if first not in names and not hasattr(builtins, first):
-        raise Untold(first)
+        raise UnknownDigest(first)
     value = names[first] if first in names else getattr(builtins, first)
     for name in rest:
         if not isinstance(value, ModuleType):
             break
-        if _of_library(value.__name__):
+        if _is_of_library(value.__name__):
             return value.__name__, rest
         value = getattr(value, name)
-    return _value(value)
+    return _describe_value_for_digest(value)
 
 
-def _value(value: Any) -> Any:
+def _describe_value_for_digest(value: Any) -> Any:
     """Return an object with a unique `repr` for a constant, a compiled part or a library function.
 
     Raises Untold for anything else.
     """
     kind = type(value)
-    if kind in EXACT or isinstance(value, NUMBERS):
+    if kind in EXACT_TYPES or isinstance(value, NUMBER_TYPES):
         return f"{kind.__module__}.{kind.__qualname__}", repr(value)
     if isinstance(value, Dispatcher):
-        return _piece(value)
+        return _digest_of_part(value)
     if isinstance(value, tuple):
         return (
             f"{kind.__module__}.{kind.__qualname__}",
             getattr(value, "_fields", ()),
-            [_value(v) for v in value],
+            [_describe_value_for_digest(v) for v in value],
         )
     if isinstance(value, EnumType):
-        members = [(member.name, _value(member.value)) for member in value]
-        return f"{value.__module__}.{value.__qualname__}", members
+        members: Mapping[str, Any] = value.__members__
+        described = [
+            (name, _describe_value_for_digest(member.value))
+            for name, member in members.items()
+        ]
+        return f"{value.__module__}.{value.__qualname__}", described
     if isinstance(value, frozenset):
-        return "frozenset", sorted(repr(_value(v)) for v in value)
+        return "frozenset", sorted(repr(_describe_value_for_digest(v)) for v in value)
     if isinstance(value, np.ndarray) and not value.dtype.hasobject:
         return (
             "array",
@@ -616,23 +684,28 @@ def _value(value: Any) -> Any:
             value.flags.writeable,
             value.tobytes(),
         )
-    if isinstance(value, type | FunctionType | BuiltinFunctionType) and _of_library(
+    if isinstance(value, type | FunctionType | BuiltinFunctionType) and _is_of_library(
         value.__module__
     ):
         return value.__module__, value.__qualname__
-    raise Untold(repr(value))
+    raise UnknownDigest(repr(value))
 
 
-def _piece(piece: Any) -> Any:
+def _digest_of_part(piece: Any) -> Any:
     """Return the digest of a compiled part.
 
     A part without this cache may have fixed types; for it, return everything that it is made of.
     """
-    if isinstance(piece._cache, Kept):
+    if isinstance(piece._cache, LawCache):
         return "piece", piece._cache.digest
     types = [] if piece._can_compile else [repr(types) for types in piece.signatures]
-    return "piece", sorted(piece.targetoptions.items()), types, _function(piece.py_func)
+    return (
+        "piece",
+        sorted(piece.targetoptions.items()),
+        types,
+        _describe_function(piece.py_func),
+    )
 
 
-def _of_library(module: str | None) -> bool:
-    return module is not None and module.partition(".")[0] in LIBRARIES
+def _is_of_library(module: str | None) -> bool:
+    return module is not None and module.partition(".")[0] in NAMED_LIBRARIES

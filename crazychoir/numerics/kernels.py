@@ -6,7 +6,7 @@ from typing import Any, TypeVar, cast
 import numba
 
 from crazychoir.numerics.compiling import KERNEL_QUEUE
-from crazychoir.numerics.kernel_cache import keep
+from crazychoir.numerics.kernel_cache import attach_cache
 
 Law = TypeVar("Law", bound=Callable[..., Any])
 """A function of Python that is compiled."""
@@ -45,7 +45,9 @@ def kernel(*arguments: Any, **options: bool) -> Callable[[Law], Law]:
         dispatcher = njit(error_model="numpy", no_cfunc_wrapper=True, **options)(law)
         if dispatcher is law:  # with NUMBA_DISABLE_JIT
             return law
-        keep(dispatcher, law, arguments, sorted(dispatcher.targetoptions.items()))
+        attach_cache(
+            dispatcher, law, arguments, sorted(dispatcher.targetoptions.items())
+        )
         if arguments:
             KERNEL_QUEUE.compile_or_wait(dispatcher, arguments)
         return cast(Law, dispatcher)

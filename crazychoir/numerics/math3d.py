@@ -17,8 +17,8 @@ Triple = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 """A quaternion (x, y, z, w)."""
 
-GRAVITY = 9.80665  # m/s2, standard gravity
-E3 = np.array([0.0, 0.0, 1.0])
+STANDARD_GRAVITY = 9.80665  # m/s2, standard gravity
+UPWARD_AXIS = np.array([0.0, 0.0, 1.0])
 """The unit vector upwards, world."""
 
 
@@ -52,7 +52,7 @@ def clip(value: float, low: float, high: float) -> float:
 
 
 @kernel()
-def finite(x: Vec) -> bool:
+def is_finite(x: Vec) -> bool:
     """Return whether all elements of x (n,) are finite numbers."""
     nothing = 0.0
     for c in range(x.shape[0]):
@@ -61,13 +61,13 @@ def finite(x: Vec) -> bool:
 
 
 @kernel()
-def wrap(angle: float) -> float:
+def wrap_angle(angle: float) -> float:
     """Return the equal angle in [-pi, pi), rad."""
     return angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
 
 
 @kernel()
-def product(a: Quaternion, b: Quaternion) -> Quaternion:
+def quaternion_product(a: Quaternion, b: Quaternion) -> Quaternion:
     """Return the quaternion product a b: first the rotation b, then the rotation a."""
     return (
         a[3] * b[0] + a[0] * b[3] + a[1] * b[2] - a[2] * b[1],
@@ -78,20 +78,20 @@ def product(a: Quaternion, b: Quaternion) -> Quaternion:
 
 
 @kernel()
-def conjugate(q: Quaternion) -> Quaternion:
+def quaternion_conjugate(q: Quaternion) -> Quaternion:
     """Return the inverse rotation of a unit quaternion."""
     return (-q[0], -q[1], -q[2], q[3])
 
 
 @kernel()
-def unit(q: Quaternion) -> Quaternion:
+def normalize_quaternion(q: Quaternion) -> Quaternion:
     """Return q scaled to length 1."""
     n = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return (q[0] * n, q[1] * n, q[2] * n, q[3] * n)
 
 
 @kernel()
-def exponential(x: float, y: float, z: float) -> Quaternion:
+def rotation_exponential(x: float, y: float, z: float) -> Quaternion:
     """Return the unit quaternion of the rotation vector (x, y, z), rad.
 
     q = (sin(a/2) r/a, cos(a/2)),  a = |r|
@@ -102,7 +102,7 @@ def exponential(x: float, y: float, z: float) -> Quaternion:
 
 
 @kernel()
-def logarithm(q: Quaternion) -> Triple:
+def rotation_logarithm(q: Quaternion) -> Triple:
     """Return the rotation vector of a unit quaternion, rad, for the shorter rotation: |r| <= pi."""
     sign = 1.0 if q[3] >= 0.0 else -1.0
     s = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
@@ -111,7 +111,7 @@ def logarithm(q: Quaternion) -> Triple:
 
 
 @kernel()
-def columns(q: Quaternion) -> tuple[Triple, Triple, Triple]:
+def rotation_columns(q: Quaternion) -> tuple[Triple, Triple, Triple]:
     """Return the body axes x_b, y_b, z_b in the world: the columns of R(q) for q of length 1."""
     x = q[0]
     y = q[1]
@@ -195,7 +195,7 @@ def flat_rates(
 
 def rotation(q: Vec) -> Mat:
     """Return R (3, 3), body to world, of the unit quaternion q (4,)."""
-    return np.array(columns(tuple(q))).T
+    return np.array(rotation_columns(tuple(q))).T
 
 
 def rotation_from_flat(f: Vec, yaw: float) -> Mat:

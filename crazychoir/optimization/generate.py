@@ -45,7 +45,7 @@ def random_quadratics(agents: int, n: int, seed: int = 0) -> Quadratics:
 
     P_i = R R' + I/2, where the entries of R and q_i/2 are standard normal.
     """
-    chance = _chance(seed, agents=agents, n=n)
+    chance = _make_generator(seed, agents=agents, n=n)
     roots = chance.normal(size=(agents, n, n))
     return Quadratics(
         roots @ roots.transpose(0, 2, 1) + 0.5 * np.eye(n),
@@ -54,7 +54,7 @@ def random_quadratics(agents: int, n: int, seed: int = 0) -> Quadratics:
 
 
 @dataclass(frozen=True, eq=False)
-class LinearProgram:
+class RandomLinearProgram:
     """A linear program with its unique solution.
 
     Inequality form: min c'x subject to A x <= b. Standard form: min c'x subject to A x = b, x >= 0.
@@ -82,7 +82,9 @@ class LinearProgram:
         return float(self.c @ self.x)
 
 
-def random_lp(agents: int, n: int, constraints: int, seed: int = 0) -> LinearProgram:
+def random_lp(
+    agents: int, n: int, constraints: int, seed: int = 0
+) -> RandomLinearProgram:
     """Return a bounded and feasible program  min c'x, a_r'x <= b_r.
 
     The solution x* is drawn first. At x*, n random rows are active and have multipliers above 0,
@@ -92,7 +94,7 @@ def random_lp(agents: int, n: int, constraints: int, seed: int = 0) -> LinearPro
 
     constraints: n or more
     """
-    chance = _chance(seed, agents=agents, n=n)
+    chance = _make_generator(seed, agents=agents, n=n)
     if constraints < n:
         raise ConfigError(
             "random LP: constraints", constraints, f"{n} or more, as many as variables"
@@ -105,14 +107,14 @@ def random_lp(agents: int, n: int, constraints: int, seed: int = 0) -> LinearPro
     active = chance.permutation(constraints)[:n]
     dual[active] = chance.uniform(0.5, 1.5, n)
     slack[active] = 0.0
-    return LinearProgram(
-        -a.T @ dual, a, a @ x + slack, x, dual, _dealt(agents, constraints)
+    return RandomLinearProgram(
+        -a.T @ dual, a, a @ x + slack, x, dual, _deal_items(agents, constraints)
     )
 
 
 def random_standard_lp(
     agents: int, columns: int, constraints: int, seed: int = 0
-) -> LinearProgram:
+) -> RandomLinearProgram:
     """Return a bounded and feasible program  min c'x, A x = b, x >= 0.
 
     A random basis, its x and the multipliers y are drawn first. Then c = A'y + s, with s above 0
@@ -120,7 +122,7 @@ def random_standard_lp(
 
     columns: as many as constraints, or more
     """
-    chance = _chance(seed, agents=agents, constraints=constraints)
+    chance = _make_generator(seed, agents=agents, constraints=constraints)
     if columns < constraints:
         raise ConfigError(
             "random LP: columns",
@@ -134,7 +136,9 @@ def random_standard_lp(
     basis = chance.permutation(columns)[:constraints]
     x[basis] = chance.uniform(0.5, 2.0, constraints)
     reduced[basis] = 0.0
-    return LinearProgram(a.T @ y + reduced, a, a @ x, x, y, _dealt(agents, columns))
+    return RandomLinearProgram(
+        a.T @ y + reduced, a, a @ x, x, y, _deal_items(agents, columns)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +177,7 @@ def random_milp(
     coupling: number of resources
     tightness: b as a part of the use of all agents at their upper bounds, above 0, below 1
     """
-    chance = _chance(seed, agents=agents, n=n, coupling=coupling)
+    chance = _make_generator(seed, agents=agents, n=n, coupling=coupling)
     if not (0.0 < tightness < 1.0 and 0 <= integers <= n):
         found = f"tightness {tightness}, {integers} integers"
         raise ConfigError(
@@ -187,12 +191,12 @@ def random_milp(
     )
 
 
-def _chance(seed: int, **sizes: int) -> np.random.Generator:
+def _make_generator(seed: int, **sizes: int) -> np.random.Generator:
     for name, size in sizes.items():
         if size < 1:
             raise ConfigError(f"random problem: {name}", size, "1 or more")
     return np.random.default_rng(seed)
 
 
-def _dealt(agents: int, items: int) -> dict[int, tuple[int, ...]]:
+def _deal_items(agents: int, items: int) -> dict[int, tuple[int, ...]]:
     return {i: tuple(range(i, items, agents)) for i in range(agents)}

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.bus.json_view import plain
+from crazychoir.bus.json_view import to_plain_values
 from crazychoir.errors import ConfigError
 from crazychoir.files.output_files import output_file, require_writable_file
 
-SUFFIXES = (".csv", ".json", ".npz")
+HISTORY_SUFFIXES = (".csv", ".json", ".npz")
 """Suffixes of the files that `History.save` can write."""
 
 
@@ -129,14 +129,14 @@ class History:
             for i, values in self.values.items()
         }
         for i, result in self.results.items():
-            last[i]["result"] = _told(
-                parts_of(result) if is_dataclass(result) else result
+            last[i]["result"] = _round_trip_json(
+                list_parts(result) if is_dataclass(result) else result
             )
         ends = {
             "disagreement": {name: self.disagreement(name) for name in names},
             "agents": last,
         }
-        counted: dict[str, Any] = plain(
+        counted: dict[str, Any] = to_plain_values(
             {name: getattr(self, name) for name in figures} | ends
         )
         return counted
@@ -165,7 +165,9 @@ class History:
             with path.open("w", encoding="utf-8", newline="") as file:
                 csv.writer(file, lineterminator="\n").writerows(self._rows())
         elif kind == ".json":
-            told = plain(self.to_json() | {"values": self.values, "times": self.times})
+            told = to_plain_values(
+                self.to_json() | {"values": self.values, "times": self.times}
+            )
             path.write_text(json.dumps(told), encoding="utf-8")
         else:
             series = {
@@ -208,7 +210,7 @@ class History:
             "agent",
             "round",
             "time_s",
-            *(name + _place(at) for name, at in columns),
+            *(name + _format_index(at) for name, at in columns),
         ]
         cells = {
             row: [entries.get(column, "") for column in columns]
@@ -229,22 +231,22 @@ class History:
 
     def _result(self, i: int) -> dict[str, Any]:
         """Return the result of agent i, one array for each part."""
-        parts = parts_of(self.results[i])
+        parts = list_parts(self.results[i])
         return {
-            f"result.{name}" if name else "result": _array(part)
+            f"result.{name}" if name else "result": _convert_to_array(part)
             for name, part in parts.items()
         }
 
 
 def require_suffix(path: Path, where: str = "history") -> None:
     """Raise ConfigError unless the file name has one of the suffixes of a history."""
-    if path.suffix.lower() not in SUFFIXES:
+    if path.suffix.lower() not in HISTORY_SUFFIXES:
         raise ConfigError(
-            where, path.name, f"a file that ends in {', '.join(SUFFIXES)}"
+            where, path.name, f"a file that ends in {', '.join(HISTORY_SUFFIXES)}"
         )
 
 
-def parts_of(result: Any) -> dict[str, Any]:
+def list_parts(result: Any) -> dict[str, Any]:
     """Return the fields of a dataclass by name; other results are one part with the name ""."""
     return (
         {f.name: getattr(result, f.name) for f in fields(result)}
@@ -253,19 +255,23 @@ def parts_of(result: Any) -> dict[str, Any]:
     )
 
 
-def _told(value: Any) -> Any:
+def _round_trip_json(value: Any) -> Any:
     """Return the value as it looks after a round trip through JSON; unknown types become text."""
-    return json.loads(json.dumps(plain(value), default=str))
+    return json.loads(json.dumps(to_plain_values(value), default=str))
 
 
-def _array(value: Any) -> Any:
+def _convert_to_array(value: Any) -> Any:
     """Return an array of numbers or text; other values become their JSON text."""
     try:
         array = np.array(value)
     except ValueError:  # parts of different lengths
-        return np.array(json.dumps(_told(value)))
-    return array if array.dtype.kind in "biufU" else np.array(json.dumps(_told(value)))
+        return np.array(json.dumps(_round_trip_json(value)))
+    return (
+        array
+        if array.dtype.kind in "biufU"
+        else np.array(json.dumps(_round_trip_json(value)))
+    )
 
 
-def _place(at: tuple[int, ...]) -> str:
+def _format_index(at: tuple[int, ...]) -> str:
     return "".join(f"[{n}]" for n in at)

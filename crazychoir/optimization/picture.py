@@ -1,6 +1,7 @@
 """Draw how a team converges, as a picture for a page or a paper."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,16 +15,34 @@ from crazychoir.types import Vec
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Colours of Okabe and Ito, which differ for every kind of colour vision.
 
-The dashes of the lines carry the same information.
-"""
-DASHES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
-"""Line styles of the entries."""
-INK = "#303030"
-"""Colour of the title."""
-MOST_ENTRIES = 4
+@dataclass(frozen=True, slots=True)
+class PictureStyle:
+    """Colours and lines of all pictures."""
+
+    colours: tuple[str, ...] = (
+        "#0072B2",
+        "#D55E00",
+        "#009E73",
+        "#CC79A7",
+        "#E69F00",
+        "#56B4E9",
+        "#000000",
+    )
+    """Colours of Okabe and Ito, which differ for every kind of colour vision.
+
+    The dashes of the lines carry the same information.
+    """
+    dashes: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.2)), (0, (5, 1.5, 1, 1.5)))
+    """Line styles of the entries."""
+    ink: str = "#303030"
+    """Colour of the title."""
+
+
+PICTURE_STYLE = PictureStyle()
+
+
+MOST_DRAWN_ENTRIES = 4
 """Number of entries of x that are drawn."""
 
 
@@ -51,7 +70,7 @@ def draw_convergence(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    x = {i: _entries(i, name, values) for i, values in series.items()}
+    x = {i: _stack_entries(i, name, values) for i, values in series.items()}
     at = times or {i: np.arange(len(values), dtype=float) for i, values in x.items()}
     figure = Figure(figsize=(6.4, 5.2), dpi=200, layout="constrained")
     FigureCanvasAgg(figure)
@@ -63,11 +82,13 @@ def draw_convergence(
         axes.grid(color="#e6e6e6", linewidth=0.6)
         axes.set_axisbelow(True)
         axes.spines[["top", "right"]].set_visible(False)
-    figure.suptitle(make_readable(title), color=INK, fontsize=10, parse_math=False)
+    figure.suptitle(
+        make_readable(title), color=PICTURE_STYLE.ink, fontsize=10, parse_math=False
+    )
     save_figure(figure, path, bbox_inches="tight")
 
 
-def _entries(i: int, name: str, values: Any) -> Vec:
+def _stack_entries(i: int, name: str, values: Any) -> Vec:
     """Return the values of agent i as an array (K+1, entries)."""
     if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiub":
         raise ConfigError(
@@ -82,7 +103,7 @@ def _draw_entries(
     axes: "Axes", x: Mapping[int, Vec], at: Mapping[int, Vec], name: str
 ) -> None:
     for i, values in x.items():
-        for n in range(min(values.shape[1], MOST_ENTRIES)):
+        for n in range(min(values.shape[1], MOST_DRAWN_ENTRIES)):
             label = (
                 (f"{name}[{n}]" if values.shape[1] > 1 else name)
                 if i == min(x)
@@ -91,14 +112,14 @@ def _draw_entries(
             axes.plot(
                 at[i],
                 values[:, n],
-                color=COLOURS[n],
-                linestyle=DASHES[n],
+                color=PICTURE_STYLE.colours[n],
+                linestyle=PICTURE_STYLE.dashes[n],
                 linewidth=0.9,
                 alpha=0.8,
                 label=label,
             )
     axes.set_ylabel(f"{name} of each agent")
-    axes.legend(frameon=False, fontsize=8, ncols=MOST_ENTRIES)
+    axes.legend(frameon=False, fontsize=8, ncols=MOST_DRAWN_ENTRIES)
 
 
 def _draw_distances(
@@ -117,12 +138,12 @@ def _draw_distances(
     for i, values in x.items():
         distance = np.abs(values - (values[-1] if mean is None else mean)).max(axis=1)
         distance[distance == 0.0] = np.nan
-        colour = COLOURS[i % len(COLOURS)]
+        colour = PICTURE_STYLE.colours[i % len(PICTURE_STYLE.colours)]
         axes.semilogy(
             at[i],
             distance,
             color=colour,
-            linestyle=DASHES[i % len(DASHES)],
+            linestyle=PICTURE_STYLE.dashes[i % len(PICTURE_STYLE.dashes)],
             linewidth=0.9,
         )
     what = "its own end" if mean is None else "the mean at the end"

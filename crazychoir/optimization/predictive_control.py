@@ -9,12 +9,16 @@ import numpy as np
 
 from crazychoir.errors import ConfigError
 from crazychoir.optimization.problems.quadratic import MovingProgram, Polyhedron
-from crazychoir.optimization.rounds.messages import INTEGER, malformed, parts
+from crazychoir.optimization.rounds.messages import (
+    INTEGER_TYPES,
+    build_malformed_error,
+    check_parts,
+)
 from crazychoir.types import Mat, Vec
 
-DEAR = 1e4
+REACH_EXCESS_COST = 1e4
 """Cost of an excess of the reach by 1: larger than any gain from it."""
-LEAST = 1e-12
+ZERO_ROW_LENGTH = 1e-12
 """A constraint row shorter than this does not depend on the inputs: it holds or does not."""
 
 
@@ -73,7 +77,7 @@ class Prediction:
         return np.array(found)
 
 
-class _Program:
+class _MovingQuadraticProgram:
     """A quadratic program over z with moving bounds and slopes; its rows are scaled once.
 
     P: (n, n), symmetrised: the Hessian of the cost
@@ -82,8 +86,8 @@ class _Program:
     """
 
     def __init__(self, P: Mat, rows: Mat, ends: Mat) -> None:
-        self._lengths, scaled = _unit_rows(rows)
-        self._end_lengths, scaled_ends = _unit_rows(ends)
+        self._lengths, scaled = _scale_rows_to_one(rows)
+        self._end_lengths, scaled_ends = _scale_rows_to_one(ends)
         over = Polyhedron(
             scaled, np.zeros(len(scaled)), scaled_ends, np.zeros(len(ends))
         )
@@ -121,7 +125,7 @@ class PredictiveControl:
     def __init__(self, of: Prediction, reach: float | None = None) -> None:
         self.of = of
         self.reach = reach
-        self.F, self.H = _condensed(of.A, of.B, of.T)
+        self.F, self.H = _condense_model(of.A, of.B, of.T)
         weights = np.kron(np.eye(of.T), of.Q)
         weights[-len(of.A) :, -len(of.A) :] = 0.0 if of.P is None else of.P
         self._hessian = 2.0 * (
@@ -133,7 +137,9 @@ class PredictiveControl:
         self._ends = end @ self.H[-len(of.A) :]
         self._rows, self._moved, self._fixed = self._constraints()
         try:
-            self.program = _Program(self._hessian, self._rows, self._ends)
+            self.program = _MovingQuadraticProgram(
+                self._hessian, self._rows, self._ends
+            )
         except np.linalg.LinAlgError as error:
             raise ConfigError(
                 "Prediction: R", f"{error}", "a positive definite matrix"
@@ -158,7 +164,7 @@ class PredictiveControl:
         return rows, moved, np.concatenate([np.tile(of.f, of.T), np.tile(of.h, of.T)])
 
     @cached_property
-    def _soft(self) -> _Program:
+    def _soft(self) -> _MovingQuadraticProgram:
         """The program with one more variable s, the excess of the reach."""
         size = len(self._hessian)
         near = np.arange(len(self._rows)) >= len(self._fixed)
@@ -168,7 +174,7 @@ class PredictiveControl:
         rows = np.vstack(
             [np.column_stack([self._rows, -1.0 * near]), -np.eye(1, size + 1, size)]
         )
-        return _Program(
+        return _MovingQuadraticProgram(
             P, rows, np.column_stack([self._ends, np.zeros(len(self._ends))])
         )
 
@@ -190,7 +196,7 @@ class PredictiveControl:
 
         Arguments and results are those of `solve`.
         """
-        slope = np.append(self._slope @ x, DEAR)
+        slope = np.append(self._slope @ x, REACH_EXCESS_COST)
         bounds = np.append(self._bounds(x, others), 0.0)
         found = self._soft.solve(slope, bounds, -self._end @ x)
         return found if isinstance(found, str) else found[:-1].reshape(self.of.T, -1)
@@ -206,20 +212,20 @@ class PredictiveControl:
         return left
 
 
-def _unit_rows(rows: Mat) -> tuple[Vec, Mat]:
+def _scale_rows_to_one(rows: Mat) -> tuple[Vec, Mat]:
     """Return the lengths (m,) of the rows, and the rows (m, n) divided by them.
 
     The length of a row of zeros counts as 1.
     """
     lengths = np.linalg.norm(rows, axis=1)
-    is_zero = lengths <= LEAST
+    is_zero = lengths <= ZERO_ROW_LENGTH
     lengths[is_zero] = 1.0
     scaled = np.ascontiguousarray(rows / lengths[:, None])
     scaled[is_zero] = 0.0
     return lengths, scaled
 
 
-def _condensed(A: Mat, B: Mat, T: int) -> tuple[Mat, Mat]:
+def _condense_model(A: Mat, B: Mat, T: int) -> tuple[Mat, Mat]:
     """Return F (T n, n) and H (T n, T m) for the states of T steps.
 
     x_t = A^t x_0 + sum_s<t A^(t-1-s) B u_s,  t = 1..T
@@ -236,7 +242,7 @@ def _condensed(A: Mat, B: Mat, T: int) -> tuple[Mat, Mat]:
 
 
 @dataclass
-class Tally:
+class StepTally:
     """Counts of the steps of a robot."""
 
     solved: int = 0
@@ -282,7 +288,7 @@ class SequentialMPC:
     """(n,) state at the start of step k."""
     k: int = 0
     """The step that is being decided."""
-    tally: Tally = field(default_factory=Tally)
+    tally: StepTally = field(default_factory=StepTally)
     """Counts of the steps."""
     asynchronous = True
     done = False
@@ -307,10 +313,10 @@ class SequentialMPC:
 
     def step(self, heard: Mapping[int, Any]) -> None:
         """Take the messages of the neighbours, and decide if they are enough."""
-        parts(self.i, self.k, heard, INTEGER, np.ndarray)
+        check_parts(self.i, self.k, heard, INTEGER_TYPES, np.ndarray)
         for j, (k, y) in heard.items():
             if y.shape != self._y.shape:
-                raise malformed(
+                raise build_malformed_error(
                     f"agent {self.i}",
                     j,
                     k,

@@ -8,15 +8,27 @@ import numpy as np
 
 from crazychoir.errors import ConfigError
 from crazychoir.numerics.kernels import kernel, matrix, table
-from crazychoir.numerics.math3d import GRAVITY, dot, flat_attitude, flat_rates
-from crazychoir.planning.trajectory import Trajectory, setpoints
+from crazychoir.numerics.math3d import STANDARD_GRAVITY, dot, flat_attitude, flat_rates
+from crazychoir.planning.trajectory import Trajectory, sample_setpoints
 from crazychoir.types import Mat, Vec
 
-RATE = 200.0  # Hz, of the checks
-LEAST = 200  # least number of checks
-TOLERANCE = 1e-3
-"""Share of a limit that is left for the times between two checks."""
-DEMANDS = (
+
+@dataclass(frozen=True, slots=True)
+class FeasibilityCheck:
+    """How closely a trajectory is checked against its limits."""
+
+    rate: float = 200.0
+    """Hz, of the checks."""
+    least_checks: int = 200
+    """Least number of checks."""
+    tolerance: float = 1e-3
+    """Share of a limit that is left for the times between two checks."""
+
+
+FEASIBILITY_CHECK = FeasibilityCheck()
+
+
+DEMAND_NAMES = (
     "speed",
     "acceleration",
     "jerk",
@@ -27,15 +39,15 @@ DEMANDS = (
     "pitch_rate",
     "body_yaw_rate",
 )
-"""Names of what a trajectory demands; the columns of `demands`."""
-UNITS = ("m/s", "m/s2", "m/s3", "rad/s", "rad", "N", "rad/s", "rad/s", "rad/s")
+"""Names of what a trajectory demands; the columns of `compute_demands`."""
+DEMAND_UNITS = ("m/s", "m/s2", "m/s3", "rad/s", "rad", "N", "rad/s", "rad/s", "rad/s")
 """Units of DEMANDS."""
-THRUST = DEMANDS.index("thrust")
+THRUST_COLUMN = DEMAND_NAMES.index("thrust")
 """Column of the thrust."""
 
 
 @kernel(matrix, table)
-def _demands(references: Mat, out: Mat) -> None:
+def _fill_demands(references: Mat, out: Mat) -> None:
     """Compute the demands of each reference; the thrust in N/kg.
 
     references: (n, 14)
@@ -46,7 +58,7 @@ def _demands(references: Mat, out: Mat) -> None:
         o = out[k]
         a = (x[6], x[7], x[8])
         j = (x[9], x[10], x[11])
-        f = (a[0], a[1], a[2] + GRAVITY)
+        f = (a[0], a[1], a[2] + STANDARD_GRAVITY)
         thrust = math.sqrt(dot(f, f))
         o[0] = math.sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5])
         o[1], o[2], o[3] = math.sqrt(dot(a, a)), math.sqrt(dot(j, j)), abs(x[13])
@@ -57,7 +69,7 @@ def _demands(references: Mat, out: Mat) -> None:
             o[6 + c] = abs(w[c]) if math.isfinite(w[c]) else math.inf
 
 
-def demands(references: Mat, mass: float) -> Mat:
+def compute_demands(references: Mat, mass: float) -> Mat:
     """Return what references demand of a drone.
 
         f = a + g e3,  thrust = m |f|,  cos tilt = f_z / |f|
@@ -71,9 +83,9 @@ def demands(references: Mat, mass: float) -> Mat:
     in the body frame.
     Source: Mellinger & Kumar 2011, ICRA, section III.
     """
-    out = np.empty((len(references), len(DEMANDS)))
-    _demands(np.ascontiguousarray(references), out)
-    out[:, THRUST] *= mass
+    out = np.empty((len(references), len(DEMAND_NAMES)))
+    _fill_demands(np.ascontiguousarray(references), out)
+    out[:, THRUST_COLUMN] *= mass
     return out
 
 
@@ -121,8 +133,8 @@ class Limits:
             raise ConfigError(
                 "Limits: low", list(self.low), f"below high = {list(self.high)}, each"
             )
-        if self.thrust_max <= self.mass * GRAVITY:
-            weight = self.mass * GRAVITY
+        if self.thrust_max <= self.mass * STANDARD_GRAVITY:
+            weight = self.mass * STANDARD_GRAVITY
             raise ConfigError(
                 "Limits: thrust_max",
                 self.thrust_max,
@@ -168,60 +180,65 @@ class Limits:
             raise ConfigError(f"{where}[{k}]", places[k].round(3).tolist(), fence)
 
 
-def references(trajectory: Trajectory) -> tuple[Vec, Mat]:
+def sample_references(trajectory: Trajectory) -> tuple[Vec, Mat]:
     """Return times (n,) and references (n, 14) at which a trajectory is checked.
 
     They are 200 a second, at least 200.
     """
-    return setpoints(trajectory, max(RATE, LEAST / trajectory.duration))
+    return sample_setpoints(
+        trajectory,
+        max(
+            FEASIBILITY_CHECK.rate, FEASIBILITY_CHECK.least_checks / trajectory.duration
+        ),
+    )
 
 
-def peaks(trajectory: Trajectory, mass: float = 1.0) -> dict[str, float]:
+def compute_peaks(trajectory: Trajectory, mass: float = 1.0) -> dict[str, float]:
     """Return the largest value of each of DEMANDS, by name.
 
     mass: kg
     """
-    _, x = references(trajectory)
-    return dict(zip(DEMANDS, demands(x, mass).max(axis=0).tolist(), strict=True))
+    _, x = sample_references(trajectory)
+    return dict(
+        zip(DEMAND_NAMES, compute_demands(x, mass).max(axis=0).tolist(), strict=True)
+    )
 
 
-def check(trajectory: Trajectory, limits: Limits) -> None:
+def check_limits(trajectory: Trajectory, limits: Limits) -> None:
     """Raise ConfigError, with when, where and by how much, if the trajectory leaves the limits."""
-    check_references(*references(trajectory), limits)
+    check_references(*sample_references(trajectory), limits)
 
 
 def check_references(t: Vec, x: Mat, limits: Limits) -> None:
-    """Apply `check` to references x (n, 14) at the times t (n,) s."""
+    """Apply `check_limits` to references x (n, 14) at the times t (n,) s."""
     if not np.isfinite(x).all():
         k = int(np.argmin(np.isfinite(x).all(axis=1)))
         raise ConfigError(
             f"trajectory at {t[k]:.2f} s", x[k].tolist(), "finite numbers"
         )
     limits.check_places(x[:, 0:3], "trajectory: set-point")
-    asked = demands(x, limits.mass)
+    asked = compute_demands(x, limits.mass)
     largest = limits.largest
-    over = asked > largest * (1.0 + TOLERANCE)
+    over = asked > largest * (1.0 + FEASIBILITY_CHECK.tolerance)
     if over.any():
         k = int(np.argmax(over.any(axis=1)))
         n = int(np.argmax(over[k]))
         most = asked[:, n].max()
         when = t[int(np.argmax(asked[:, n]))]
-        found = (
-            f"{asked[k, n]:.3g} {UNITS[n]}, and {most:.3g} {UNITS[n]} at {when:.2f} s"
-        )
-        allowed = f"at most {largest[n]:.3g} {UNITS[n]}"
+        found = f"{asked[k, n]:.3g} {DEMAND_UNITS[n]}, and {most:.3g} {DEMAND_UNITS[n]} at {when:.2f} s"
+        allowed = f"at most {largest[n]:.3g} {DEMAND_UNITS[n]}"
         raise ConfigError(
-            f"trajectory at {t[k]:.2f} s: {DEMANDS[n]}",
+            f"trajectory at {t[k]:.2f} s: {DEMAND_NAMES[n]}",
             found,
             allowed,
             "Give it more time.",
         )
 
 
-def keeps(trajectory: Trajectory, limits: Limits) -> bool:
-    """Return whether the trajectory passes the `check`."""
+def is_within_limits(trajectory: Trajectory, limits: Limits) -> bool:
+    """Return whether the trajectory passes the `check_limits`."""
     try:
-        check(trajectory, limits)
+        check_limits(trajectory, limits)
     except ConfigError:
         return False
     return True

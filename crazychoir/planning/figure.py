@@ -12,14 +12,14 @@ from crazychoir.numerics.math3d import Triple
 from crazychoir.types import FullState, Vec
 
 Yaw = float | Literal["along"]
-GIVEN = 0.0
+YAW_GIVEN = 0.0
 """Kind of yaw: a given angle and rate."""
-ALONG = 1.0
+YAW_ALONG = 1.0
 """Kind of yaw: along the path."""
 
 
 @kernel()
-def _eased(s: float, w: float, ramp: float) -> tuple[float, float, float, float]:
+def _compute_ramp(s: float, w: float, ramp: float) -> tuple[float, float, float, float]:
     """Return phi, phi', phi'', phi''' at s, 0 <= s <= ramp.
 
     phi' grows from 0 to w along 10 s^3 - 15 s^4 + 6 s^5.
@@ -33,21 +33,21 @@ def _eased(s: float, w: float, ramp: float) -> tuple[float, float, float, float]
 
 
 @kernel()
-def _phase(
+def _compute_phase(
     t: float, w: float, ramp: float, duration: float
 ) -> tuple[float, float, float, float]:
     """Return phi and its derivatives at t, 0 <= t <= duration."""
     whole = w * (duration - ramp)
     if t < ramp:
-        return _eased(t, w, ramp)
+        return _compute_ramp(t, w, ramp)
     if t > duration - ramp:
-        phi, first, second, third = _eased(duration - t, w, ramp)
+        phi, first, second, third = _compute_ramp(duration - t, w, ramp)
         return whole - phi, first, -second, third
     return w * (t - 0.5 * ramp), w, 0.0, 0.0
 
 
 @kernel()
-def _curve(
+def _compute_curve(
     phi: float, size: float, n: float, offset: float
 ) -> tuple[float, float, float, float]:
     """Return size sin(n phi + offset) and its derivatives by phi."""
@@ -57,7 +57,7 @@ def _curve(
 
 
 @kernel()
-def _heading(
+def _compute_heading(
     x: tuple[float, float, float, float],
     y: tuple[float, float, float, float],
     is_circle: bool,
@@ -72,16 +72,16 @@ def _heading(
 
 
 @kernel(vector, real, memory)
-def _sample(g: Vec, t: float, out: Vec) -> None:
+def _sample_figure(g: Vec, t: float, out: Vec) -> None:
     """Compute the flat output at t.
 
     g: (14,), see Figure
     t: s
     out: (14,): the result
     """
-    phi, d1, d2, d3 = _phase(t, g[3], g[4], g[5])
-    x = _curve(phi, g[6], g[7], g[8])
-    y = _curve(phi, g[9], g[10], 0.0)
+    phi, d1, d2, d3 = _compute_phase(t, g[3], g[4], g[5])
+    x = _compute_curve(phi, g[6], g[7], g[8])
+    y = _compute_curve(phi, g[9], g[10], 0.0)
     for c in range(2):
         q = x if c == 0 else y
         out[c] = g[c] + q[0]
@@ -92,8 +92,8 @@ def _sample(g: Vec, t: float, out: Vec) -> None:
     out[5] = 0.0
     out[8] = 0.0
     out[11] = 0.0
-    if g[11] == ALONG:
-        out[12], rate = _heading(x, y, g[7] == g[10], phi)
+    if g[11] == YAW_ALONG:
+        out[12], rate = _compute_heading(x, y, g[7] == g[10], phi)
         out[13] = rate * d1
     else:
         out[12] = g[12] + g[13] * phi
@@ -122,7 +122,7 @@ class Figure:
     def sample(self, t: float) -> FullState:
         """Return the reference t seconds after the start."""
         out = np.empty(14)
-        _sample(self._figures, min(max(t, 0.0), self.duration), out)
+        _sample_figure(self._figures, min(max(t, 0.0), self.duration), out)
         return FullState(out)
 
     def done(self, t: float) -> bool:
@@ -152,8 +152,8 @@ def circle(
     yaw_rate: rad/s at full speed, for a yaw that is not along the path
     Raises ConfigError for sizes, laps, a ramp or a yaw that do not fit.
     """
-    w = _frequency("circle", period, radius=radius)
-    return _figure(
+    w = _compute_frequency("circle", period, radius=radius)
+    return _build_figure(
         "circle",
         center,
         w,
@@ -187,13 +187,13 @@ def eight(
     laps, ramp, yaw, yaw_rate: as in `circle`
     Raises ConfigError as `circle` does.
     """
-    w = _frequency("eight", period, a=a, b=b)
-    return _figure(
+    w = _compute_frequency("eight", period, a=a, b=b)
+    return _build_figure(
         "eight", center, w, laps, ramp, (a, 1.0, 0.0), (b, 2.0), yaw, yaw_rate
     )
 
 
-def _frequency(name: str, period: float, **sizes: float) -> float:
+def _compute_frequency(name: str, period: float, **sizes: float) -> float:
     """Return 2 pi / period; raise ConfigError unless period and sizes are positive."""
     for key, value in {"period": period, **sizes}.items():
         if not (math.isfinite(value) and value > 0.0):
@@ -201,7 +201,7 @@ def _frequency(name: str, period: float, **sizes: float) -> float:
     return 2.0 * math.pi / period
 
 
-def _figure(
+def _build_figure(
     name: str,
     center: Sequence[float] | Vec,
     w: float,
@@ -237,7 +237,7 @@ def _figure(
             [*center, yaw, yaw_rate],
             "three m, rad, rad/s: finite",
         )
-    kind = ALONG if along else GIVEN
+    kind = YAW_ALONG if along else YAW_GIVEN
     return Figure(
         np.array(
             [*center, w, ramp, laps * period + ramp, *x, *y, kind, angle, yaw_rate / w]

@@ -6,13 +6,17 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError
-from crazychoir.planning.feasibility import Limits, check, references
+from crazychoir.planning.feasibility import Limits, check_limits, sample_references
 from crazychoir.planning.landing import Landing
-from crazychoir.planning.piecewise import Piecewise, joined
-from crazychoir.planning.point_to_point import PointToPoint, duration_for, stopping
+from crazychoir.planning.piecewise import Piecewise, join_pieces
+from crazychoir.planning.point_to_point import (
+    PointToPoint,
+    compute_flight_time,
+    plan_stop,
+)
 from crazychoir.types import FullState, Vec
 
-LIMITS = Limits(v_max=1.0, a_max=2.0, yaw_rate_max=2.0)
+GOAL_LIMITS = Limits(v_max=1.0, a_max=2.0, yaw_rate_max=2.0)
 """Default limits."""
 
 
@@ -21,7 +25,7 @@ def goto(
     goal: Vec,
     yaw: float | None = None,
     duration: float = 0.0,
-    limits: Limits = LIMITS,
+    limits: Limits = GOAL_LIMITS,
 ) -> PointToPoint:
     """Return the flight from any state to rest at a goal.
 
@@ -38,18 +42,18 @@ def goto(
         raise ConfigError("goto: goal", np.asarray(goal).tolist(), "three numbers, m")
     limits.check_places(np.array([goal]), "goto: goal")
     heading = start.yaw if yaw is None else yaw
-    fastest = duration_for(
+    fastest = compute_flight_time(
         start, goal, heading, limits.v_max, limits.a_max, limits.yaw_rate_max
     )
     flight = PointToPoint(
         start, np.asarray(goal, dtype=float), heading, max(duration, fastest)
     )
-    limits.check_places(references(flight)[1][:, 0:3], "goto: set-point")
+    limits.check_places(sample_references(flight)[1][:, 0:3], "goto: set-point")
     return flight
 
 
 def takeoff(
-    start: FullState, height: float, duration: float = 0.0, limits: Limits = LIMITS
+    start: FullState, height: float, duration: float = 0.0, limits: Limits = GOAL_LIMITS
 ) -> PointToPoint:
     """Return the flight straight up to rest at z = height m, world.
 
@@ -65,7 +69,10 @@ def takeoff(
 
 
 def land(
-    start: FullState, ground: float = 0.0, speed: float = 0.3, limits: Limits = LIMITS
+    start: FullState,
+    ground: float = 0.0,
+    speed: float = 0.3,
+    limits: Limits = GOAL_LIMITS,
 ) -> Landing:
     """Return the flight from any state to rest, then straight down.
 
@@ -75,14 +82,14 @@ def land(
     limits: speed, acceleration, yaw rate and fence
     Raises ConfigError unless the ground is below the place at rest.
     """
-    stop = stopping(start, limits.a_max)
+    stop = plan_stop(start, limits.a_max)
     if not ground < stop.goal[2]:
         raise ConfigError(
             "land: ground",
             ground,
             f"less than the height at rest, {stop.goal[2]:.3f} m",
         )
-    limits.check_places(references(stop)[1][:, 0:3], "land: set-point")
+    limits.check_places(sample_references(stop)[1][:, 0:3], "land: set-point")
     above = FullState.at(stop.goal, yaw=start.yaw)
     floor = np.array([*stop.goal[0:2], ground])
     return Landing(
@@ -91,7 +98,7 @@ def land(
 
 
 def timed_goals(
-    start: FullState, goals: npt.ArrayLike, limits: Limits = LIMITS
+    start: FullState, goals: npt.ArrayLike, limits: Limits = GOAL_LIMITS
 ) -> Piecewise:
     """Return the flight from `start` at t = 0 to each goal in turn, at rest there at its time.
 
@@ -102,7 +109,7 @@ def timed_goals(
     Raises ConfigError, with the row, for times that do not increase, numbers that are not finite, a
     goal outside of the fence, or a goal too far for its time.
     """
-    rows = _checked(goals)
+    rows = _check_goals(goals)
     limits.check_places(rows[:, 1:4], "goals")
     legs = []
     here = start
@@ -113,7 +120,7 @@ def timed_goals(
             continue
         leg = PointToPoint(here, np.array([x, y, z]), yaw, t - before)
         try:
-            check(leg, limits)
+            check_limits(leg, limits)
         except ConfigError as error:
             raise ConfigError(
                 f"goals[{k}]: {error.where}", str(error.found), error.allowed, error.do
@@ -121,10 +128,10 @@ def timed_goals(
         legs.append(leg)
         here = leg.sample(leg.duration)
         before = t
-    return joined(legs)
+    return join_pieces(legs)
 
 
-def _checked(goals: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def _check_goals(goals: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """Return the goals as rows; raise ConfigError for wrong ones."""
     rows = np.asarray(goals, dtype=float)
     if rows.ndim != 2 or rows.shape[1] != 5 or len(rows) == 0:

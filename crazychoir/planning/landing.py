@@ -1,14 +1,14 @@
 """Flights of several legs, and the way down."""
 
-from crazychoir.planning.piecewise import Piecewise, joined
+from crazychoir.planning.piecewise import Piecewise, join_pieces
 from crazychoir.planning.point_to_point import PointToPoint
 
 
-class Legs(Piecewise):
+class FlightLegs(Piecewise):
     """Several flights, each from where the one before comes to rest."""
 
     def __init__(self, *legs: PointToPoint) -> None:
-        flight = joined(legs)
+        flight = join_pieces(legs)
         last = legs[-1]
         super().__init__(flight.coefficients, flight.durations)
         self.legs = legs
@@ -22,7 +22,7 @@ class Legs(Piecewise):
         return self.legs[-1]
 
 
-class Landing(Legs):
+class Landing(FlightLegs):
     """First to rest, then straight down.
 
     However fast the drone flew, it touches the ground where it came to rest. The last leg goes

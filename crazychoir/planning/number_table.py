@@ -5,6 +5,7 @@ import csv
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,9 @@ import numpy as np
 from crazychoir.errors import ConfigError
 from crazychoir.types import Mat
 
-CSV = "a readable CSV file, UTF-8"
+READABLE_CSV_TEXT = "a readable CSV file, UTF-8"
 """Text for what is allowed."""
-UNITS = (
+COLUMN_UNITS = (
     "s",
     "m",
     "rad",
@@ -28,16 +29,32 @@ UNITS = (
     "m/s³",
 )
 """Units that may follow the name of a column; numbers are never converted."""
-ALIASES = {"time": "t"}
+COLUMN_ALIASES = {"time": "t"}
 """Other names of columns."""
-_LINE_END = re.compile(r"\r\n|\r|\n")
-_SEPARATOR_LINE = re.compile(r"\s*\"?sep=([,;\t])\"?\s*\Z")
-_NAME = re.compile(r"([^\[\](){}]*)[\[(]([^\[\](){}]*)[\])]")
-_NUMBER = re.compile(
-    r"\s*[-+]?(?:[0-9]+(?:[.,][0-9]*)?|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?\s*\Z"
-)
 
-Line = tuple[int, list[str]]
+
+@dataclass(frozen=True, slots=True)
+class _TablePatterns:
+    """Patterns of a CSV file of numbers."""
+
+    line_end: re.Pattern[str] = re.compile(r"\r\n|\r|\n")
+    """The end of a line."""
+    separator_line: re.Pattern[str] = re.compile(r"\s*\"?sep=([,;\t])\"?\s*\Z")
+    """a line that declares the separator, as Excel writes it."""
+    name_and_unit: re.Pattern[str] = re.compile(
+        r"([^\[\](){}]*)[\[(]([^\[\](){}]*)[\])]"
+    )
+    """The name of a column with its unit in brackets."""
+    number: re.Pattern[str] = re.compile(
+        r"\s*[-+]?(?:[0-9]+(?:[.,][0-9]*)?|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?\s*\Z"
+    )
+    """a number with a point or a comma."""
+
+
+_TABLE_PATTERNS = _TablePatterns()
+
+
+TableLine = tuple[int, list[str]]
 """The number of a line, and its cells."""
 
 
@@ -64,9 +81,9 @@ def read_table(
     """
     try:
         raw = Path(path).read_bytes()
-        text = _decoded(raw)
+        text = _decode_text(raw)
     except (OSError, ValueError) as error:
-        raise TableError(f"{path}", f"{error}", CSV) from error
+        raise TableError(f"{path}", f"{error}", READABLE_CSV_TEXT) from error
     return parse_table(text, path, required, optional)
 
 
@@ -78,10 +95,12 @@ def parse_table(
 ) -> dict[str, Mat]:
     """Apply `read_table` to the contents of a file; `path` is its name in errors."""
     try:
-        (first, names), rows = _lines(text.removeprefix("\ufeff"), path, required)
+        (first, names), rows = _split_lines(text.removeprefix("\ufeff"), path, required)
     except csv.Error as error:
-        raise TableError(f"{path}", f"{error}", CSV) from error
-    head = [_column(path, first, column, name) for column, name in enumerate(names, 1)]
+        raise TableError(f"{path}", f"{error}", READABLE_CSV_TEXT) from error
+    head = [
+        _parse_column(path, first, column, name) for column, name in enumerate(names, 1)
+    ]
     _check_head(path, first, head, required, optional)
     if not rows:
         raise TableError(
@@ -90,12 +109,12 @@ def parse_table(
             "at least one row below the names of the columns",
         )
     _check_decimals(path, head, rows)
-    numbers = [_numbers(path, number, head, cells) for number, cells in rows]
+    numbers = [_parse_row_numbers(path, number, head, cells) for number, cells in rows]
     table = dict(zip(head, np.array(numbers).T, strict=True))
     return table | {"line": np.array([float(number) for number, _ in rows])}
 
 
-def _decoded(raw: bytes) -> str:
+def _decode_text(raw: bytes) -> str:
     """Return the text of a file.
 
     Latin-1 is taken if nothing else fits, for comments: numbers and names are ASCII.
@@ -110,35 +129,35 @@ def _decoded(raw: bytes) -> str:
         return raw.decode("latin-1")
 
 
-def _lines(
+def _split_lines(
     text: str, path: str | Path, required: Sequence[str]
-) -> tuple[Line, list[Line]]:
+) -> tuple[TableLine, list[TableLine]]:
     """Return the line of names and the lines of numbers, cut into cells."""
     separator = ""
     comments: list[tuple[int, str]] = []
-    head: Line | None = None
-    rows: list[Line] = []
-    for number, written in enumerate(_LINE_END.split(text), 1):
+    head: TableLine | None = None
+    rows: list[TableLine] = []
+    for number, written in enumerate(_TABLE_PATTERNS.line_end.split(text), 1):
         line, _, comment = written.partition("#")
         if not line.strip(" \t,;"):
             comments.append((number, comment))
-        elif head is None and (declared := _SEPARATOR_LINE.match(line)):
+        elif head is None and (declared := _TABLE_PATTERNS.separator_line.match(line)):
             separator = declared[1]
         elif head is None and not all(
-            map(_is_number, _cells(line, separator or _separator(line)))
+            map(_is_number, _split_cells(line, separator or _find_separator(line)))
         ):
-            separator = separator or _separator(line)
-            head = (number, _cells(line, separator))
+            separator = separator or _find_separator(line)
+            head = (number, _split_cells(line, separator))
         else:
             if head is None:
-                head = _head_in(comments, required)
+                head = _find_head(comments, required)
                 if head is None:
                     allowed = f"first a line with the names of the columns: {', '.join(required)}"
                     raise TableError(
                         f"{path}, line {number}", "numbers without names", allowed
                     )
-                separator = separator or _separator(line)
-            rows.append((number, _row_cells(line, separator, len(head[1]))))
+                separator = separator or _find_separator(line)
+            rows.append((number, _split_row(line, separator, len(head[1]))))
     if head is None:
         raise TableError(
             f"{path}",
@@ -148,28 +167,30 @@ def _lines(
     return head, rows
 
 
-def _head_in(comments: list[tuple[int, str]], required: Sequence[str]) -> Line | None:
+def _find_head(
+    comments: list[tuple[int, str]], required: Sequence[str]
+) -> TableLine | None:
     """Return the last comment that names all required columns; None if there is none."""
     for number, comment in reversed(comments):
-        names = _cells(comment, _separator(comment))
-        if {_name_and_unit(name)[0] for name in names} >= set(required):
+        names = _split_cells(comment, _find_separator(comment))
+        if {_split_name_and_unit(name)[0] for name in names} >= set(required):
             return number, names
     return None
 
 
-def _separator(line: str) -> str:
+def _find_separator(line: str) -> str:
     """Return the separator of the cells of a line; a blank stands for any number of blanks."""
     return next((mark for mark in (";", "\t", ",") if mark in line.strip()), " ")
 
 
-def _row_cells(line: str, separator: str, columns: int) -> list[str]:
+def _split_row(line: str, separator: str, columns: int) -> list[str]:
     """Return the cells of a row; an empty last one counts where the row has no more cells than columns."""
-    cells = _cells(line, separator)
+    cells = _split_cells(line, separator)
     ends_empty = separator != " " and line.rstrip().endswith(separator)
     return [*cells, ""] if ends_empty and len(cells) == columns - 1 else cells
 
 
-def _cells(line: str, separator: str) -> list[str]:
+def _split_cells(line: str, separator: str) -> list[str]:
     """Return the cells of a line, without an empty last cell."""
     if separator == " ":
         return line.split()
@@ -177,26 +198,26 @@ def _cells(line: str, separator: str) -> list[str]:
     return cells if cells[-1] else cells[:-1]
 
 
-def _column(path: str | Path, line: int, column: int, written: str) -> str:
+def _parse_column(path: str | Path, line: int, column: int, written: str) -> str:
     """Return the name of a column in small letters, without its unit."""
-    name, unit = _name_and_unit(written)
-    if unit and unit not in UNITS:
+    name, unit = _split_name_and_unit(written)
+    if unit and unit not in COLUMN_UNITS:
         raise TableError(
             f"{path}, line {line}, column {column}",
             repr(written),
-            f"units: {', '.join(UNITS)}",
+            f"units: {', '.join(COLUMN_UNITS)}",
         )
     return name
 
 
-def _name_and_unit(written: str) -> tuple[str, str]:
+def _split_name_and_unit(written: str) -> tuple[str, str]:
     """Return the parts of x [m]; the unit is empty if there is none."""
-    found = _NAME.fullmatch(written.lower().strip())
+    found = _TABLE_PATTERNS.name_and_unit.fullmatch(written.lower().strip())
     name = (found[1] if found else written.lower()).strip()
-    return ALIASES.get(name, name), found[2].strip() if found else ""
+    return COLUMN_ALIASES.get(name, name), found[2].strip() if found else ""
 
 
-def _check_decimals(path: str | Path, head: list[str], rows: list[Line]) -> None:
+def _check_decimals(path: str | Path, head: list[str], rows: list[TableLine]) -> None:
     """Raise TableError if some decimals have a comma and others a point."""
     has_point = any("." in cell for _, cells in rows for cell in cells)
     for line, cells in rows if has_point else ():
@@ -210,7 +231,7 @@ def _check_decimals(path: str | Path, head: list[str], rows: list[Line]) -> None
 
 def _is_number(cell: str) -> bool:
     """Return whether a cell is a number."""
-    return _NUMBER.match(cell) is not None
+    return _TABLE_PATTERNS.number.match(cell) is not None
 
 
 def _check_head(
@@ -241,7 +262,7 @@ def _check_head(
             )
 
 
-def _numbers(
+def _parse_row_numbers(
     path: str | Path, line: int, head: list[str], cells: list[str]
 ) -> list[float]:
     """Return the numbers of a row."""
@@ -258,10 +279,14 @@ def _numbers(
             do,
         )
     named = enumerate(zip(head, cells, strict=True), 1)
-    return [_number(path, line, column, name, cell) for column, (name, cell) in named]
+    return [
+        _parse_number(path, line, column, name, cell) for column, (name, cell) in named
+    ]
 
 
-def _number(path: str | Path, line: int, column: int, name: str, cell: str) -> float:
+def _parse_number(
+    path: str | Path, line: int, column: int, name: str, cell: str
+) -> float:
     """Return the number in a cell; raise TableError if it is not finite."""
     value = float(cell.replace(",", ".")) if _is_number(cell) else math.nan
     if not math.isfinite(value):

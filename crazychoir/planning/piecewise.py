@@ -8,17 +8,19 @@ import numpy.typing as npt
 
 from crazychoir.errors import ConfigError
 from crazychoir.numerics.kernels import kernel, matrix, memory, real, table, vector
-from crazychoir.numerics.math3d import wrap
+from crazychoir.numerics.math3d import wrap_angle
 from crazychoir.types import FullState, Mat, Vec
 
-DEGREE = 7
+POLYNOMIAL_DEGREE = 7
 """Degree of the polynomials."""
-FACTORIALS = np.array([math.factorial(n) for n in range(DEGREE + 1)], dtype=float)
+FACTORIAL_TABLE = np.array(
+    [math.factorial(n) for n in range(POLYNOMIAL_DEGREE + 1)], dtype=float
+)
 """n! for n = 0 .. DEGREE."""
 
 
 @kernel(matrix, vector, real, memory)
-def _sample(coefficients: Mat, knots: Vec, t: float, out: Vec) -> None:
+def _sample_pieces(coefficients: Mat, knots: Vec, t: float, out: Vec) -> None:
     """Compute the flat output at t.
 
     coefficients: (4 k, 8)
@@ -55,7 +57,7 @@ def _sample(coefficients: Mat, knots: Vec, t: float, out: Vec) -> None:
 
 
 @kernel(matrix, vector, memory)
-def _peaks(coefficients: Mat, knots: Vec, out: Vec) -> None:
+def _fill_peaks(coefficients: Mat, knots: Vec, out: Vec) -> None:
     """Compute the largest speed, acceleration and yaw rate, at 33 times of each piece.
 
     coefficients: (4 k, 8)
@@ -66,7 +68,7 @@ def _peaks(coefficients: Mat, knots: Vec, out: Vec) -> None:
     out[:] = 0.0
     for i in range(knots.shape[0] - 1):
         for k in range(33):
-            _sample(
+            _sample_pieces(
                 coefficients, knots, knots[i] + (knots[i + 1] - knots[i]) * k / 32.0, at
             )
             out[0] = max(out[0], math.sqrt(at[3] ** 2 + at[4] ** 2 + at[5] ** 2))
@@ -75,7 +77,7 @@ def _peaks(coefficients: Mat, knots: Vec, out: Vec) -> None:
 
 
 @kernel(matrix, vector, vector, table)
-def _samples(coefficients: Mat, knots: Vec, t: Vec, out: Mat) -> None:
+def _sample_many(coefficients: Mat, knots: Vec, t: Vec, out: Mat) -> None:
     """Compute the flat outputs at several times.
 
     coefficients: (4 k, 8)
@@ -84,7 +86,7 @@ def _samples(coefficients: Mat, knots: Vec, t: Vec, out: Mat) -> None:
     out: (n, 14): the result
     """
     for k in range(t.shape[0]):
-        _sample(coefficients, knots, t[k], out[k])
+        _sample_pieces(coefficients, knots, t[k], out[k])
 
 
 class Piecewise:
@@ -104,7 +106,7 @@ class Piecewise:
     def __init__(self, coefficients: npt.ArrayLike, durations: npt.ArrayLike) -> None:
         c = np.asarray(coefficients, dtype=float)
         d = np.asarray(durations, dtype=float)
-        if c.shape != (d.size, 4, DEGREE + 1) or d.ndim != 1 or d.size == 0:
+        if c.shape != (d.size, 4, POLYNOMIAL_DEGREE + 1) or d.ndim != 1 or d.size == 0:
             raise ConfigError(
                 "Piecewise: shapes",
                 f"{c.shape} and {d.shape}",
@@ -123,10 +125,10 @@ class Piecewise:
                 float(d[worst]),
                 "a positive number of seconds",
             )
-        rows = np.ascontiguousarray(c.reshape(-1, DEGREE + 1))
+        rows = np.ascontiguousarray(c.reshape(-1, POLYNOMIAL_DEGREE + 1))
         knots = np.concatenate([[0.0], np.cumsum(d)])
         end = np.empty(14)
-        _sample(rows, knots, knots[-1], end)
+        _sample_pieces(rows, knots, knots[-1], end)
         self._fill(rows, knots, end)
 
     def _fill(self, rows: Mat, knots: Vec, end: Vec) -> None:
@@ -149,14 +151,14 @@ class Piecewise:
     @property
     def coefficients(self) -> npt.NDArray[np.float64]:
         """c (k, 4, 8)."""
-        return self._rows.reshape(-1, 4, DEGREE + 1)
+        return self._rows.reshape(-1, 4, POLYNOMIAL_DEGREE + 1)
 
     def sample(self, t: float) -> FullState:
         """Return the reference t seconds after the start."""
         if t >= self.duration:
             return self._at_end(t)
         out = np.empty(14)
-        _sample(self._rows, self.knots, max(t, 0.0), out)
+        _sample_pieces(self._rows, self.knots, max(t, 0.0), out)
         return FullState(out)
 
     def _at_end(self, t: float) -> FullState:
@@ -170,7 +172,7 @@ class Piecewise:
     def samples(self, t: Vec) -> Mat:
         """Return the references (n, 14) at times t (n,), 0 <= t <= duration."""
         out = np.empty((len(t), 14))
-        _samples(self._rows, self.knots, t, out)
+        _sample_many(self._rows, self.knots, t, out)
         return out
 
     def done(self, t: float) -> bool:
@@ -181,7 +183,7 @@ class Piecewise:
     def peaks(self) -> tuple[float, float, float]:
         """Largest speed m/s, acceleration m/s2 and yaw rate rad/s of the flight."""
         out = np.empty(3)
-        _peaks(self._rows, self.knots, out)
+        _fill_peaks(self._rows, self.knots, out)
         return float(out[0]), float(out[1]), float(out[2])
 
     @property
@@ -193,27 +195,28 @@ class Piecewise:
         The derivatives are those from the 0th to the 7th. The jump is exact, not sampled.
         """
         c = self.coefficients
-        jumps = np.zeros((4, DEGREE + 1))
-        for m in range(DEGREE + 1):
-            n = np.arange(m, DEGREE + 1)
+        jumps = np.zeros((4, POLYNOMIAL_DEGREE + 1))
+        for m in range(POLYNOMIAL_DEGREE + 1):
+            n = np.arange(m, POLYNOMIAL_DEGREE + 1)
             powers = self.durations[:-1, None, None] ** (n - m)
             ends = np.sum(
-                FACTORIALS[n] / FACTORIALS[n - m] * c[:-1, :, m:] * powers, axis=2
+                FACTORIAL_TABLE[n] / FACTORIAL_TABLE[n - m] * c[:-1, :, m:] * powers,
+                axis=2,
             )
             jumps[:, m] = np.max(
-                np.abs(ends - FACTORIALS[m] * c[1:, :, m]), axis=0, initial=0.0
+                np.abs(ends - FACTORIAL_TABLE[m] * c[1:, :, m]), axis=0, initial=0.0
             )
         return jumps
 
     def slowed(self, factor: float) -> "Piecewise":
         """Return the same path with `factor` times the duration: q(t) = p(t / factor)."""
         return Piecewise(
-            self.coefficients / factor ** np.arange(DEGREE + 1.0),
+            self.coefficients / factor ** np.arange(POLYNOMIAL_DEGREE + 1.0),
             self.durations * factor,
         )
 
 
-def joined(parts: Sequence[Piecewise]) -> Piecewise:
+def join_pieces(parts: Sequence[Piecewise]) -> Piecewise:
     """Return the parts one after the other.
 
     The yaw of each part is shifted by whole turns to where the part before it ends.
@@ -222,7 +225,7 @@ def joined(parts: Sequence[Piecewise]) -> Piecewise:
     yaw = parts[0].sample(0.0).yaw
     for part in parts:
         c = part.coefficients.copy()
-        turns = yaw + wrap(c[0, 3, 0] - yaw) - c[0, 3, 0]
+        turns = yaw + wrap_angle(c[0, 3, 0] - yaw) - c[0, 3, 0]
         c[:, 3, 0] += turns
         coefficients.append(c)
         yaw = part.sample(part.duration).yaw + turns

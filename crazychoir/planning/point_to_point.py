@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import wrap
+from crazychoir.numerics.math3d import wrap_angle
 from crazychoir.planning.polynomial import Polynomial7th
 from crazychoir.types import FullState, Vec
 
@@ -15,8 +15,8 @@ PEAK_ACCELERATION = (
     84.0 * math.sqrt(5.0) / 25.0
 )  # m/s2, of a rest-to-rest flight of 1 m in 1 s
 PEAK_DECELERATION = 15.0 / 8.0  # m/s2, of a stop from 1 m/s in 1 s
-STOP = PEAK_DECELERATION / 2.0  # m, of a stop from 1 m/s with 1 m/s2
-SHORTEST = 0.1  # s, of a flight to the present place
+STOP_DISTANCE = PEAK_DECELERATION / 2.0  # m, of a stop from 1 m/s with 1 m/s2
+SHORTEST_FLIGHT = 0.1  # s, of a flight to the present place
 
 
 class PointToPoint(Polynomial7th):
@@ -47,7 +47,7 @@ class PointToPoint(Polynomial7th):
         super().__init__(start, FullState(rest), duration)
 
 
-def duration_for(
+def compute_flight_time(
     start: FullState,
     goal: Vec,
     yaw: float,
@@ -69,9 +69,9 @@ def duration_for(
     yaw_rate_max: rad/s
     """
     d = float(np.linalg.norm(np.asarray(goal) - start.p))
-    turn = abs(wrap(yaw - start.yaw))
+    turn = abs(wrap_angle(yaw - start.yaw))
     straight = max(PEAK_SPEED * d / v_max, math.sqrt(PEAK_ACCELERATION * d / a_max))
-    at_rest = max(straight, PEAK_SPEED * turn / yaw_rate_max, SHORTEST)
+    at_rest = max(straight, PEAK_SPEED * turn / yaw_rate_max, SHORTEST_FLIGHT)
     speed = float(np.linalg.norm(start.v))
     acceleration = float(np.linalg.norm(start.a))
     if speed + acceleration + abs(start.flat[13]) < 1e-9:
@@ -83,10 +83,10 @@ def duration_for(
             max(yaw_rate_max, abs(start.flat[13])),
         ]
     )
-    return _shortest(lambda t: PointToPoint(start, goal, yaw, t), limits).duration
+    return _find_shortest(lambda t: PointToPoint(start, goal, yaw, t), limits).duration
 
 
-def stopping(start: FullState, a_max: float = 2.0) -> PointToPoint:
+def plan_stop(start: FullState, a_max: float = 2.0) -> PointToPoint:
     """Return the shortest flight to rest within a_max m/s2, to 5 %, wherever it ends.
 
         p(T) = p + v T / 2 + a T^2 / 10 + j T^3 / 120
@@ -110,19 +110,25 @@ def stopping(start: FullState, a_max: float = 2.0) -> PointToPoint:
 
     acceleration = float(np.linalg.norm(a))
     if acceleration + float(np.linalg.norm(j)) < 1e-9:
-        return stop(max(PEAK_DECELERATION * float(np.linalg.norm(v)) / a_max, SHORTEST))
-    return _shortest(stop, np.array([math.inf, max(a_max, acceleration), math.inf]))
+        return stop(
+            max(PEAK_DECELERATION * float(np.linalg.norm(v)) / a_max, SHORTEST_FLIGHT)
+        )
+    return _find_shortest(
+        stop, np.array([math.inf, max(a_max, acceleration), math.inf])
+    )
 
 
-def _shortest(flight: Callable[[float], PointToPoint], limits: Vec) -> PointToPoint:
+def _find_shortest(
+    flight: Callable[[float], PointToPoint], limits: Vec
+) -> PointToPoint:
     """Return the first of flights, each 5 % longer, with peaks (3,) within the limits (3,).
 
     Returns the flight with the least excess if none is.
     """
-    best = flight(SHORTEST)
+    best = flight(SHORTEST_FLIGHT)
     least = math.inf
     for n in range(120):
-        plan = flight(SHORTEST * 1.05**n)
+        plan = flight(SHORTEST_FLIGHT * 1.05**n)
         excess = float(np.max(plan.peaks / (1.001 * limits)))
         if excess <= 1.0:
             return plan

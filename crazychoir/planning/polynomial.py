@@ -6,13 +6,13 @@ import numpy as np
 
 from crazychoir.errors import ConfigError
 from crazychoir.numerics.kernels import kernel, real, table, vector
-from crazychoir.numerics.math3d import wrap
-from crazychoir.planning.piecewise import DEGREE, Piecewise
+from crazychoir.numerics.math3d import wrap_angle
+from crazychoir.planning.piecewise import POLYNOMIAL_DEGREE, Piecewise
 from crazychoir.types import FullState, Vec
 
 
 @kernel(vector, vector, real, table)
-def _coefficients(start: Vec, goal: Vec, duration: float, out: Vec) -> None:
+def _fill_coefficients(start: Vec, goal: Vec, duration: float, out: Vec) -> None:
     """Compute the coefficients of x, y, z, yaw in t, ascending.
 
     In s = t / T, c0..c3 are the start, and c4..c7 close the remaining gaps of p, p', p'', p'''
@@ -39,7 +39,7 @@ def _coefficients(start: Vec, goal: Vec, duration: float, out: Vec) -> None:
             v = start[13]
             a = 0.0
             j = 0.0
-            end = start[12] + wrap(goal[12] - start[12])
+            end = start[12] + wrap_angle(goal[12] - start[12])
             v1 = goal[13]
             a1 = 0.0
             j1 = 0.0
@@ -88,10 +88,10 @@ class Polynomial7th(Piecewise):
             raise ConfigError(
                 f"{name}: duration", duration, "a positive number of seconds"
             )
-        rows = np.empty((4, DEGREE + 1))
+        rows = np.empty((4, POLYNOMIAL_DEGREE + 1))
         end = goal.flat.copy()
-        _coefficients(start.flat, goal.flat, float(duration), rows)
-        end[12] = start.flat[12] + wrap(goal.flat[12] - start.flat[12])
+        _fill_coefficients(start.flat, goal.flat, float(duration), rows)
+        end[12] = start.flat[12] + wrap_angle(goal.flat[12] - start.flat[12])
         self._fill(rows, np.array([0.0, duration]), end)
 
     @property

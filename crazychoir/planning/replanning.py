@@ -3,20 +3,25 @@
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import wrap
-from crazychoir.planning.feasibility import TOLERANCE, Limits, demands, references
-from crazychoir.planning.point_to_point import SHORTEST
+from crazychoir.numerics.math3d import wrap_angle
+from crazychoir.planning.feasibility import (
+    FEASIBILITY_CHECK,
+    Limits,
+    compute_demands,
+    sample_references,
+)
+from crazychoir.planning.point_to_point import SHORTEST_FLIGHT
 from crazychoir.planning.polynomial import Polynomial7th
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.types import FullState
 
-GROWTH = 1.05
+DURATION_GROWTH = 1.05
 """Ratio of successive durations that are tried."""
-TRIES = 150
+DURATION_TRIALS = 150
 """Number of durations that are tried: from 0.1 s to 2.5 minutes."""
 
 
-class Joined:
+class JoinedTrajectory:
     """A path onto a trajectory, then the rest of the trajectory.
 
     p, v, a and j are continuous where the path meets the trajectory. The yaw goes on without a
@@ -34,7 +39,7 @@ class Joined:
         self.duration = way.duration + max(trajectory.duration - at, 0.0)
         end = way.sample(way.duration).yaw
         there = trajectory.sample(at).yaw
-        self._turns = end - there - wrap(end - there)
+        self._turns = end - there - wrap_angle(end - there)
 
     def sample(self, t: float) -> FullState:
         """Return the reference t seconds after the start."""
@@ -49,13 +54,13 @@ class Joined:
         return t >= self.duration
 
 
-def join(
+def join_trajectory(
     start: FullState,
     trajectory: Trajectory,
     now: float,
     limits: Limits,
     duration: float | None = None,
-) -> Joined:
+) -> JoinedTrajectory:
     """Return the flight onto a running trajectory.
 
         p(t) = polynomial of degree 7 from `start` to trajectory(now + T), t < T
@@ -74,12 +79,12 @@ def join(
     durations = (
         [duration]
         if duration is not None
-        else [SHORTEST * GROWTH**n for n in range(TRIES)]
+        else [SHORTEST_FLIGHT * DURATION_GROWTH**n for n in range(DURATION_TRIALS)]
     )
     for seconds in durations:
         way = Polynomial7th(start, trajectory.sample(now + seconds), seconds)
-        if _keeps(way, limits):
-            return Joined(way, trajectory, now + seconds)
+        if _is_way_within_limits(way, limits):
+            return JoinedTrajectory(way, trajectory, now + seconds)
     tried = (
         f"{durations[0]:g} s"
         if duration is not None
@@ -93,12 +98,12 @@ def join(
     )
 
 
-def _keeps(way: Polynomial7th, limits: Limits) -> bool:
+def _is_way_within_limits(way: Polynomial7th, limits: Limits) -> bool:
     """Return whether the path keeps the limits, or the demands of its two ends."""
-    _, x = references(way)
-    asked = demands(x, limits.mass)
+    _, x = sample_references(way)
+    asked = compute_demands(x, limits.mass)
     allowed = np.maximum(limits.largest, np.maximum(asked[0], asked[-1])) * (
-        1.0 + TOLERANCE
+        1.0 + FEASIBILITY_CHECK.tolerance
     )
     places = x[:, 0:3]
     ends = x[[0, -1], 0:3]

@@ -5,20 +5,25 @@ import math
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import GRAVITY
-from crazychoir.planning.feasibility import THRUST, Limits, demands, references
+from crazychoir.numerics.math3d import STANDARD_GRAVITY
+from crazychoir.planning.feasibility import (
+    THRUST_COLUMN,
+    Limits,
+    compute_demands,
+    sample_references,
+)
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.types import FullState, Mat, Vec
 
-SLOWEST = 1e4
+LARGEST_SLOWDOWN = 1e4
 """Largest factor of the time: a path that breaks the limits then always does."""
-GETS_UP = 2.0  # s, in which a path that was stopped gets its own pace again
-HEADROOM = 1e-3
+PICK_UP_TIME = 2.0  # s, in which a path that was stopped gets its own pace again
+LIMIT_HEADROOM = 1e-3
 """Share of each limit that is left for the times between two checks."""
 
 
-def _slowed(references: Mat, factor: float) -> Mat:
+def _slow_down_references(references: Mat, factor: float) -> Mat:
     """Return the references (n, 14) of the path in `factor` times the time."""
     powers = factor ** -np.array(
         [*[0.0] * 3, *[1.0] * 3, *[2.0] * 3, *[3.0] * 3, 0.0, 1.0]
@@ -26,7 +31,7 @@ def _slowed(references: Mat, factor: float) -> Mat:
     return np.asarray(references * powers)
 
 
-class Slowed:
+class SlowedTrajectory:
     """A trajectory in `factor` times the time.
 
         q(t) = p(t / k),  q' = p' / k,  q'' = p'' / k^2,  q''' = p''' / k^3
@@ -44,7 +49,9 @@ class Slowed:
     def sample(self, t: float) -> FullState:
         """Return the reference t seconds after the start."""
         return FullState(
-            _slowed(self.trajectory.sample(t / self.factor).flat, self.factor)
+            _slow_down_references(
+                self.trajectory.sample(t / self.factor).flat, self.factor
+            )
         )
 
     def done(self, t: float) -> bool:
@@ -52,26 +59,28 @@ class Slowed:
         return t >= self.duration
 
 
-def slowdown(trajectory: Trajectory, limits: Limits) -> float:
+def compute_slowdown(trajectory: Trajectory, limits: Limits) -> float:
     """Return the smallest k such that the path in k times the time keeps the limits, to 1e-4.
 
     Below 1 there is time to spare.
     Raises ConfigError if the path leaves the fence, which no time changes, or if no k to 10 000 is
     enough.
     """
-    _, x = references(trajectory)
+    _, x = sample_references(trajectory)
     limits.check_places(x[:, 0:3], "trajectory: set-point")
-    largest = _with_headroom(limits)
+    largest = _subtract_headroom(limits)
 
     def keeps(k: float) -> bool:
-        return bool(np.all(demands(_slowed(x, k), limits.mass) <= largest))
+        return bool(
+            np.all(compute_demands(_slow_down_references(x, k), limits.mass) <= largest)
+        )
 
-    fast = 1.0 / SLOWEST
-    slow = SLOWEST
+    fast = 1.0 / LARGEST_SLOWDOWN
+    slow = LARGEST_SLOWDOWN
     if not keeps(slow):
         raise ConfigError(
             "trajectory: scaling",
-            f"{SLOWEST:g} times as slow",
+            f"{LARGEST_SLOWDOWN:g} times as slow",
             "limits that it keeps at some speed",
         )
     while slow / fast > 1.0 + 1e-4:
@@ -80,37 +89,39 @@ def slowdown(trajectory: Trajectory, limits: Limits) -> float:
     return slow
 
 
-def _with_headroom(limits: Limits) -> Vec:
+def _subtract_headroom(limits: Limits) -> Vec:
     """Return (9,): what the checked times may demand.
 
     Of the thrust, the headroom is a share of the part above the weight.
     """
-    largest = limits.largest * (1.0 - HEADROOM)
-    weight = limits.mass * GRAVITY
-    largest[THRUST] = weight + (limits.thrust_max - weight) * (1.0 - HEADROOM)
+    largest = limits.largest * (1.0 - LIMIT_HEADROOM)
+    weight = limits.mass * STANDARD_GRAVITY
+    largest[THRUST_COLUMN] = weight + (limits.thrust_max - weight) * (
+        1.0 - LIMIT_HEADROOM
+    )
     return largest
 
 
-def scaled(trajectory: Trajectory, limits: Limits) -> Trajectory:
+def fit_to_limits(trajectory: Trajectory, limits: Limits) -> Trajectory:
     """Return the trajectory, slowed down as little as the limits need; itself if it keeps them.
 
     A trajectory that starts or ends moving then does so more slowly. If that is not allowed, plan
     it anew with more time.
     """
-    k = max(1.0, slowdown(trajectory, limits))
-    return trajectory if k == 1.0 else slowed(trajectory, k)
+    k = max(1.0, compute_slowdown(trajectory, limits))
+    return trajectory if k == 1.0 else slow_down(trajectory, k)
 
 
-def slowed(trajectory: Trajectory, factor: float) -> Trajectory:
+def slow_down(trajectory: Trajectory, factor: float) -> Trajectory:
     """Return the trajectory in `factor` times the time; pieces stay pieces."""
     return (
         trajectory.slowed(factor)
         if isinstance(trajectory, Piecewise)
-        else Slowed(trajectory, factor)
+        else SlowedTrajectory(trajectory, factor)
     )
 
 
-class Resumed:
+class ResumedTrajectory:
     """The rest of a trajectory from t_0 s on, entered from rest.
 
         q(t) = p(tau),  q' = p' tau',  q'' = p'' tau'^2 + p' tau''
@@ -128,7 +139,7 @@ class Resumed:
     """
 
     def __init__(
-        self, trajectory: Trajectory, t_0: float, gets_up: float = GETS_UP
+        self, trajectory: Trajectory, t_0: float, gets_up: float = PICK_UP_TIME
     ) -> None:
         whole = trajectory.duration
         if not 0.0 <= t_0 < whole:

@@ -1,21 +1,33 @@
 """A smooth reference towards a place that jumps, for the result of an optimisation in flight."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from crazychoir.errors import ConfigError
 from crazychoir.types import FullState, Mat, Vec
 
-SLOPE = 0.4481
-"""Integral of |h'|, where h(t) = t^3 e^-t / 6 is the pulse response of the filter for w = 1."""
-CURVE = 0.3750
-"""Integral of |h''| of the same pulse response."""
-QUICKEST = 10.0
-"""Largest w in 1/s: with a larger one, the attitude control could not follow the rest of a jump."""
+
+@dataclass(frozen=True, slots=True)
+class PulseResponse:
+    """The pulse response of the smoothing filter, and how fast the filter may be."""
+
+    slope: float = 0.4481
+    """Integral of |h'|, where h(t) = t^3 e^-t / 6 is the pulse response of the filter for w = 1.
+    """
+    curvature: float = 0.3750
+    """Integral of |h''| of the same pulse response."""
+    largest_frequency: float = 10.0
+    """Largest w in 1/s: with a larger one, the attitude control could not follow the rest of a
+    jump.
+    """
 
 
-class Smoother:
+PULSE_RESPONSE = PulseResponse()
+
+
+class GoalSmoother:
     """Turns a goal that jumps or moves in steps into a full state with continuous p, v, a and j.
 
         |u'| <= v_max towards the goal,   (1/w d/dt + 1)^4 p = u
@@ -39,13 +51,15 @@ class Smoother:
         for name, value in (("v_max", v_max), ("a_max", a_max), ("period", period)):
             if not (math.isfinite(value) and value > 0.0):
                 raise ConfigError(f"Smoother: {name}", value, "a positive number")
-        self.w = min(QUICKEST, a_max / (SLOPE * v_max))
+        self.w = min(
+            PULSE_RESPONSE.largest_frequency, a_max / (PULSE_RESPONSE.slope * v_max)
+        )
         self.v_max = v_max
         self.period = period
         self._u = np.array(p, float)
         self._x = np.zeros((4, len(p)))
         self._x[0] = self._u
-        self._keep, self._take = transition(self.w, period)
+        self._keep, self._take = compute_transition(self.w, period)
 
     @property
     def lag(self) -> float:
@@ -70,7 +84,7 @@ class Smoother:
         return FullState(np.concatenate([self._x.reshape(-1), [yaw, 0.0]]))
 
 
-def transition(w: float, h: float) -> tuple[Mat, Vec]:
+def compute_transition(w: float, h: float) -> tuple[Mat, Vec]:
     """Return F and g of x(t + h) = F x(t) + g u for (1/w d/dt + 1)^4 p = u, with u held.
 
         F = e^(-w h) sum_k (h (A + w I))^k / k!, k = 0..3,   g = (1, 0, 0, 0) - F (1, 0, 0, 0)

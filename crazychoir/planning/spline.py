@@ -5,21 +5,21 @@ import numpy.typing as npt
 from scipy.interpolate import BSpline, make_interp_spline
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import wrap
-from crazychoir.planning.piecewise import DEGREE, FACTORIALS, Piecewise
+from crazychoir.numerics.math3d import wrap_angle
+from crazychoir.planning.piecewise import FACTORIAL_TABLE, POLYNOMIAL_DEGREE, Piecewise
 from crazychoir.types import FullState, Mat, Vec
 
-DERIVATIVES = {
+END_DERIVATIVES = {
     3: 1,
     5: 2,
     7: 3,
 }
 """For each degree, how many of v, a, j can be given at an end."""
-NAMES = ("velocity", "acceleration", "jerk")
+DERIVATIVE_NAMES = ("velocity", "acceleration", "jerk")
 """Names of these derivatives."""
 
 
-def spline(
+def fit_spline(
     times: npt.ArrayLike,
     places: npt.ArrayLike,
     yaws: npt.ArrayLike | None = None,
@@ -45,25 +45,31 @@ def spline(
     Source: Biagiotti & Melchiorri 2008, Trajectory Planning for Automatic Machines and Robots,
         chapter 4.
     """
-    if degree not in DERIVATIVES:
+    if degree not in END_DERIVATIVES:
         raise ConfigError("spline: degree", degree, "3, 5 or 7")
-    t, p = _checked(times, places)
-    psi = unwrapped(np.zeros(len(t)) if yaws is None else yaws, len(t))
+    t, p = _check_points(times, places)
+    psi = unwrap_yaws(np.zeros(len(t)) if yaws is None else yaws, len(t))
     ends = [FullState(np.zeros(14)) if end is None else end for end in (start, goal)]
     rates = [end.flat[13] for end in ends]
     flat = make_interp_spline(
-        t, p, degree, bc_type=(_honoured(ends[0], degree), _honoured(ends[1], degree))
+        t,
+        p,
+        degree,
+        bc_type=(
+            _select_derivatives(ends[0], degree),
+            _select_derivatives(ends[1], degree),
+        ),
     )
     heading = make_interp_spline(t, psi, 3, bc_type=([(1, rates[0])], [(1, rates[1])]))
-    coefficients = np.zeros((len(t) - 1, 4, DEGREE + 1))
-    coefficients[:, 0:3] = _taylor(flat, t).transpose(0, 2, 1)
-    coefficients[:, 3] = _taylor(heading, t)
+    coefficients = np.zeros((len(t) - 1, 4, POLYNOMIAL_DEGREE + 1))
+    coefficients[:, 0:3] = _compute_taylor(flat, t).transpose(0, 2, 1)
+    coefficients[:, 3] = _compute_taylor(heading, t)
     return Piecewise(coefficients, np.diff(t))
 
 
-def _checked(times: npt.ArrayLike, places: npt.ArrayLike) -> tuple[Vec, Mat]:
+def _check_points(times: npt.ArrayLike, places: npt.ArrayLike) -> tuple[Vec, Mat]:
     """Return times from 0 on and places; raise ConfigError for wrong ones."""
-    p = checked_places(places, "spline: places")
+    p = check_waypoints(places, "spline: places")
     t = np.asarray(times, dtype=float)
     if t.shape != (len(p),) or not np.isfinite(t).all():
         raise ConfigError(
@@ -79,7 +85,7 @@ def _checked(times: npt.ArrayLike, places: npt.ArrayLike) -> tuple[Vec, Mat]:
     return t - t[0], p
 
 
-def checked_places(places: npt.ArrayLike, where: str) -> Mat:
+def check_waypoints(places: npt.ArrayLike, where: str) -> Mat:
     """Return the places as (k, 3) m.
 
     Raises ConfigError for fewer than two places, or a place that is not three finite numbers.
@@ -98,23 +104,23 @@ def checked_places(places: npt.ArrayLike, where: str) -> Mat:
     return p
 
 
-def unwrapped(yaws: npt.ArrayLike, k: int) -> Vec:
+def unwrap_yaws(yaws: npt.ArrayLike, k: int) -> Vec:
     """Return the yaws (k,) rad, each turned to the short way from the one before."""
     psi = np.asarray(yaws, dtype=float)
     if psi.shape != (k,) or not np.isfinite(psi).all():
         raise ConfigError("yaws", psi.tolist(), f"{k} finite numbers, rad, one a place")
-    turns = [wrap(turn) for turn in np.diff(psi).tolist()]
+    turns = [wrap_angle(turn) for turn in np.diff(psi).tolist()]
     return np.cumsum([psi[0], *turns])
 
 
-def _honoured(end: FullState, degree: int) -> list[tuple[int, Vec]]:
+def _select_derivatives(end: FullState, degree: int) -> list[tuple[int, Vec]]:
     """Return the derivatives (order, value (3,)) of an end that the degree has room for.
 
     Raises ConfigError if a further derivative is not 0.
     """
     given = [end.flat[3 * n : 3 * n + 3] for n in (1, 2, 3)]
-    room = DERIVATIVES[degree]
-    for name, value in zip(NAMES[room:], given[room:], strict=True):
+    room = END_DERIVATIVES[degree]
+    for name, value in zip(DERIVATIVE_NAMES[room:], given[room:], strict=True):
         if np.any(value != 0.0):
             raise ConfigError(
                 f"spline: {name} at an end",
@@ -129,15 +135,15 @@ def _honoured(end: FullState, degree: int) -> list[tuple[int, Vec]]:
     return [(n + 1, given[n]) for n in range(room)]
 
 
-def _taylor(curve: BSpline, t: Vec) -> npt.NDArray[np.float64]:
+def _compute_taylor(curve: BSpline, t: Vec) -> npt.NDArray[np.float64]:
     """Return the coefficients (k - 1, 8, ...) at each knot but the last, per s^n."""
     orders = range(curve.k + 1)
-    values = np.array([curve(t[:-1], nu=n) / FACTORIALS[n] for n in orders])
-    padding = [(0, DEGREE - curve.k)] + [(0, 0)] * (values.ndim - 1)
+    values = np.array([curve(t[:-1], nu=n) / FACTORIAL_TABLE[n] for n in orders])
+    padding = [(0, POLYNOMIAL_DEGREE - curve.k)] + [(0, 0)] * (values.ndim - 1)
     return np.asarray(np.moveaxis(np.pad(values, padding), 0, 1))
 
 
-def chord_times(places: Mat) -> Vec:
+def compute_chord_times(places: Mat) -> Vec:
     """Return times (k,) s of places (k, 3) at 1 m/s on straight lines.
 
     Raises ConfigError for two equal places in a row.

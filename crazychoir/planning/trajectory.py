@@ -33,7 +33,7 @@ class Trajectory(Protocol):
         ...
 
 
-def instants(duration: float, rate: float) -> Vec:
+def compute_instants(duration: float, rate: float) -> Vec:
     """Return t_k = k / rate from 0 to the duration, and the duration itself.
 
     duration: s
@@ -53,14 +53,14 @@ def instants(duration: float, rate: float) -> Vec:
     return np.append(t, duration)
 
 
-def setpoints(trajectory: Trajectory, rate: float) -> tuple[Vec, Mat]:
+def sample_setpoints(trajectory: Trajectory, rate: float) -> tuple[Vec, Mat]:
     """Return the set-points of a trajectory.
 
     rate: Hz; the end is a further set-point
     Returns times (n,) s and references (n, 14), rows as FullState.flat.
-    Raises ConfigError if a sample is not a FullState of 14 numbers, or as `instants`.
+    Raises ConfigError if a sample is not a FullState of 14 numbers, or as `compute_instants`.
     """
-    t = instants(trajectory.duration, rate)
+    t = compute_instants(trajectory.duration, rate)
     if isinstance(trajectory, Piecewise):
         return t, trajectory.samples(t)
     rows = [trajectory.sample(k).flat for k in t.tolist()]

@@ -1,5 +1,6 @@
 """Trajectories in CSV files: samples, or the pieces of crazyswarm and uav_trajectories."""
 
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,24 +14,42 @@ from crazychoir.planning.number_table import (
     read_table,
     write_table,
 )
-from crazychoir.planning.piecewise import DEGREE, Piecewise
-from crazychoir.planning.spline import spline, unwrapped
-from crazychoir.planning.trajectory import Trajectory, setpoints
+from crazychoir.planning.piecewise import POLYNOMIAL_DEGREE, Piecewise
+from crazychoir.planning.spline import fit_spline, unwrap_yaws
+from crazychoir.planning.trajectory import Trajectory, sample_setpoints
 from crazychoir.types import Mat
 
-PLACE = ("t", "x", "y", "z")
-"""Columns of time and place."""
-YAW = ("yaw",)
-"""Column of the yaw."""
-DERIVATIVES = (("vx", "vy", "vz"), ("ax", "ay", "az"), ("jx", "jy", "jz"))
-"""Columns of velocity, acceleration and jerk."""
-YAW_RATE = ("yaw_rate",)
-"""Column of the yaw rate."""
-PIECE = (
+
+@dataclass(frozen=True, slots=True)
+class SampleColumns:
+    """Columns of a file of samples."""
+
+    place: tuple[str, ...] = ("t", "x", "y", "z")
+    """Columns of time and place."""
+    yaw: tuple[str] = ("yaw",)
+    """Column of the yaw."""
+    derivatives: tuple[tuple[str, ...], ...] = (
+        ("vx", "vy", "vz"),
+        ("ax", "ay", "az"),
+        ("jx", "jy", "jz"),
+    )
+    """Columns of velocity, acceleration and jerk."""
+    yaw_rate: tuple[str] = ("yaw_rate",)
+    """Column of the yaw rate."""
+
+
+SAMPLE_COLUMNS = SampleColumns()
+
+
+PIECE_COLUMNS = (
     "duration",
-    *(f"{axis}^{n}" for axis in ("x", "y", "z", "yaw") for n in range(DEGREE + 1)),
+    *(
+        f"{axis}^{n}"
+        for axis in ("x", "y", "z", "yaw")
+        for n in range(POLYNOMIAL_DEGREE + 1)
+    ),
 )
-SPARSE = 20
+SPARSE_TABLE_ROWS = 20
 """Rows of a table: one with fewer is written by hand, and its samples may be far from each other."""
 LARGEST_JUMP = (
     0.01,
@@ -51,12 +70,12 @@ def write_samples(
     trajectory: the trajectory
     rate: Hz, of the rows; the end is a further row
     """
-    t, x = setpoints(trajectory, rate)
+    t, x = sample_setpoints(trajectory, rate)
     names = [
-        *PLACE,
-        *YAW,
-        *(name for group in DERIVATIVES for name in group),
-        *YAW_RATE,
+        *SAMPLE_COLUMNS.place,
+        *SAMPLE_COLUMNS.yaw,
+        *(name for group in SAMPLE_COLUMNS.derivatives for name in group),
+        *SAMPLE_COLUMNS.yaw_rate,
     ]
     write_table(
         path, names, np.column_stack([t, x[:, 0:3], x[:, 12], x[:, 3:12], x[:, 13]])
@@ -74,7 +93,11 @@ def read_samples(path: str | Path, is_recording: bool = False) -> Piecewise:
     at rest at both ends. The yaw goes the short way from each row to the next; it is cubic.
     Errors: TableError naming file, line and column.
     """
-    table = read_table(path, PLACE, [YAW, *DERIVATIVES, YAW_RATE])
+    table = read_table(
+        path,
+        SAMPLE_COLUMNS.place,
+        [SAMPLE_COLUMNS.yaw, *SAMPLE_COLUMNS.derivatives, SAMPLE_COLUMNS.yaw_rate],
+    )
     if is_recording:
         _require_times(path, table)
     check_increasing(path, table, "t")
@@ -85,31 +108,33 @@ def read_samples(path: str | Path, is_recording: bool = False) -> Piecewise:
         )
     given = [
         np.column_stack([table[name] for name in group])
-        for group in DERIVATIVES
+        for group in SAMPLE_COLUMNS.derivatives
         if group[0] in table
     ]
-    if [group[0] in table for group in DERIVATIVES] != [
-        n < len(given) for n in range(len(DERIVATIVES))
+    if [group[0] in table for group in SAMPLE_COLUMNS.derivatives] != [
+        n < len(given) for n in range(len(SAMPLE_COLUMNS.derivatives))
     ]:
         raise TableError(
             f"{path}",
             "a higher derivative without the lower ones",
             "v; v and a; v, a and j",
         )
-    if YAW_RATE[0] in table and YAW[0] not in table:
+    if SAMPLE_COLUMNS.yaw_rate[0] in table and SAMPLE_COLUMNS.yaw[0] not in table:
         raise TableError(
             f"{path}",
             "a column yaw_rate without yaw",
             "yaw and yaw_rate, yaw alone, or neither",
         )
-    places = np.column_stack([table[name] for name in PLACE[1:]])
-    yaws = unwrapped(table.get(YAW[0], np.zeros(len(t))), len(t))
-    plain = spline(t, places, yaws, degree=3)
+    places = np.column_stack([table[name] for name in SAMPLE_COLUMNS.place[1:]])
+    yaws = unwrap_yaws(table.get(SAMPLE_COLUMNS.yaw[0], np.zeros(len(t))), len(t))
+    plain = fit_spline(t, places, yaws, degree=3)
     coefficients = plain.coefficients.copy()
     if given:
-        coefficients[:, 0:3] = _hermite(t, [places, *given])
-    if YAW_RATE[0] in table:
-        coefficients[:, 3:] = _hermite(t, [yaws[:, None], table["yaw_rate"][:, None]])
+        coefficients[:, 0:3] = _fit_hermite(t, [places, *given])
+    if SAMPLE_COLUMNS.yaw_rate[0] in table:
+        coefficients[:, 3:] = _fit_hermite(
+            t, [yaws[:, None], table["yaw_rate"][:, None]]
+        )
     return Piecewise(coefficients, np.diff(t))
 
 
@@ -117,12 +142,12 @@ def _require_times(path: str | Path, table: dict[str, Mat]) -> None:
     """Raise ConfigError for times of a recording that are not in s, or that jump."""
     lines = [round(line) for line in table["line"].tolist()]
     times: list[float] = table["t"].tolist()
-    require_seconds(path, lines, times, SPARSE)
+    require_seconds(path, lines, times, SPARSE_TABLE_ROWS)
     for line, (before, t) in zip(lines[1:], pairwise(times), strict=True):
         require_later(path, line, before, t)
 
 
-def _hermite(t: Mat, derivatives: list[Mat]) -> Mat:
+def _fit_hermite(t: Mat, derivatives: list[Mat]) -> Mat:
     """Return the coefficients of the polynomials with given derivatives.
 
     t: (k,) s
@@ -133,7 +158,7 @@ def _hermite(t: Mat, derivatives: list[Mat]) -> Mat:
         BPoly.from_derivatives(t, np.stack(derivatives, axis=1))
     )
     c = np.asarray(curve.c)[::-1].transpose(1, 2, 0)
-    return np.pad(c, [(0, 0), (0, 0), (0, DEGREE + 1 - c.shape[2])])
+    return np.pad(c, [(0, 0), (0, 0), (0, POLYNOMIAL_DEGREE + 1 - c.shape[2])])
 
 
 def write_pieces(path: str | Path, flight: Piecewise) -> None:
@@ -144,7 +169,7 @@ def write_pieces(path: str | Path, flight: Piecewise) -> None:
     k = len(flight.durations)
     write_table(
         path,
-        PIECE,
+        PIECE_COLUMNS,
         np.column_stack([flight.durations, flight.coefficients.reshape(k, -1)]),
     )
 
@@ -155,7 +180,7 @@ def read_pieces(path: str | Path) -> Piecewise:
     Raises TableError with file, line and column; also if a piece starts more than 0.01 m or 0.1 m/s
     (rad, rad/s) from the end of the piece before.
     """
-    table = read_table(path, PIECE)
+    table = read_table(path, PIECE_COLUMNS)
     short = table["duration"] <= 0.0
     if short.any():
         k = int(np.argmax(short))
@@ -163,8 +188,8 @@ def read_pieces(path: str | Path) -> Piecewise:
         raise TableError(
             where, f"{table['duration'][k]:g}", "a positive number of seconds"
         )
-    coefficients = np.column_stack([table[name] for name in PIECE[1:]]).reshape(
-        -1, 4, DEGREE + 1
+    coefficients = np.column_stack([table[name] for name in PIECE_COLUMNS[1:]]).reshape(
+        -1, 4, POLYNOMIAL_DEGREE + 1
     )
     flight = Piecewise(coefficients, table["duration"])
     _check_joints(path, flight, table["line"])

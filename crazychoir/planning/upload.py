@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import wrap
+from crazychoir.numerics.math3d import wrap_angle
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.planning.polynomial import Polynomial7th
 from crazychoir.planning.trajectory import Trajectory
@@ -13,18 +13,20 @@ from crazychoir.types import Mat, Vec
 
 MOST_PIECES = 31
 """Largest number of pieces of 132 bytes in 4096 bytes of trajectory memory (Crazyflie firmware)."""
-INSTANTS = 33  # number of times of each piece at which the fit is checked
-SHORTEST = 0.01  # s, least length of a piece
-S = np.linspace(0.0, 1.0, INSTANTS)
+FIT_INSTANTS = 33  # number of times of each piece at which the fit is checked
+SHORTEST_PIECE = 0.01  # s, least length of a piece
+FIT_TIMES = np.linspace(0.0, 1.0, FIT_INSTANTS)
 """Times of a piece at which the fit is checked, as shares of its length."""
-FREE = (S**2 * (1.0 - S) ** 2)[:, None] * S[:, None] ** np.arange(4)
+FREE_POLYNOMIALS = (FIT_TIMES**2 * (1.0 - FIT_TIMES) ** 2)[:, None] * FIT_TIMES[
+    :, None
+] ** np.arange(4)
 """Polynomials that leave yaw and yaw' at both ends unchanged, at the times S."""
-TO_FREE = np.linalg.pinv(FREE)
+FREE_FIT = np.linalg.pinv(FREE_POLYNOMIALS)
 """Matrix from values at the times S to the factors of FREE."""
 
 
 @dataclass(frozen=True)
-class Upload:
+class TrajectoryUpload:
     """The contents of the trajectory memory."""
 
     pieces: Piecewise
@@ -50,9 +52,9 @@ class Upload:
         )
 
 
-def uploaded(
+def fit_upload(
     trajectory: Trajectory, tolerance: float = 0.001, yaw_tolerance: float = 0.01
-) -> Upload:
+) -> TrajectoryUpload:
     """Return the trajectory in at most 31 pieces.
 
     Pieces of degree 7 are used unchanged. Any other trajectory is cut, from its start on, into the
@@ -67,13 +69,15 @@ def uploaded(
     for name, value in (("tolerance", tolerance), ("yaw_tolerance", yaw_tolerance)):
         if not value > 0.0:
             raise ConfigError(f"upload: {name}", value, "a positive number")
-    upload = _rounded(trajectory, _pieces(trajectory, tolerance, yaw_tolerance))
+    upload = _round_pieces(
+        trajectory, _fit_pieces(trajectory, tolerance, yaw_tolerance)
+    )
     widened = 1.0
     while upload is None:  # how much tolerance would be needed
         widened *= 1.5
-        upload = _rounded(
+        upload = _round_pieces(
             trajectory,
-            _pieces(trajectory, widened * tolerance, widened * yaw_tolerance),
+            _fit_pieces(trajectory, widened * tolerance, widened * yaw_tolerance),
         )
     if not (upload.error <= tolerance and upload.yaw_error <= yaw_tolerance):
         k = len(upload.pieces.durations)
@@ -85,35 +89,39 @@ def uploaded(
     return upload
 
 
-def _rounded(trajectory: Trajectory, pieces: Piecewise | None) -> Upload | None:
+def _round_pieces(
+    trajectory: Trajectory, pieces: Piecewise | None
+) -> TrajectoryUpload | None:
     """Return the pieces in single precision, with their errors; None without pieces."""
     if pieces is None:
         return None
     rounded = Piecewise(np.float32(pieces.coefficients), np.float32(pieces.durations))
-    return Upload(rounded, *difference(trajectory, rounded))
+    return TrajectoryUpload(rounded, *compute_difference(trajectory, rounded))
 
 
-def difference(a: Trajectory, b: Trajectory) -> tuple[float, float]:
+def compute_difference(a: Trajectory, b: Trajectory) -> tuple[float, float]:
     """Return the largest distance m and yaw angle rad between two trajectories.
 
     They are compared at 1000 equal times.
     """
     times = np.linspace(0.0, min(a.duration, b.duration), 1000)
-    return _difference(_references(a, times), _references(b, times))
+    return _compute_reference_difference(
+        _sample_trajectory(a, times), _sample_trajectory(b, times)
+    )
 
 
-def _references(trajectory: Trajectory, times: Vec) -> Mat:
+def _sample_trajectory(trajectory: Trajectory, times: Vec) -> Mat:
     """Return the references of a trajectory at these times."""
     return np.array([trajectory.sample(t).flat for t in times.tolist()])
 
 
-def _difference(x: Mat, y: Mat) -> tuple[float, float]:
+def _compute_reference_difference(x: Mat, y: Mat) -> tuple[float, float]:
     """Return the largest distance and yaw angle between references."""
-    turns = [abs(wrap(angle)) for angle in (x[:, 12] - y[:, 12]).tolist()]
+    turns = [abs(wrap_angle(angle)) for angle in (x[:, 12] - y[:, 12]).tolist()]
     return float(np.linalg.norm(x[:, 0:3] - y[:, 0:3], axis=1).max()), max(turns)
 
 
-def _pieces(
+def _fit_pieces(
     trajectory: Trajectory, tolerance: float, yaw_tolerance: float
 ) -> Piecewise | None:
     """Return the trajectory itself if it has few enough pieces, else the longest pieces that fit.
@@ -128,13 +136,14 @@ def _pieces(
         if len(pieces) == MOST_PIECES:
             return None
         knots.append(
-            knots[-1] + _longest(trajectory, knots[-1], tolerance, yaw_tolerance)
+            knots[-1]
+            + _find_longest_piece(trajectory, knots[-1], tolerance, yaw_tolerance)
         )
-        pieces.append(_piece(trajectory, *knots[-2:]).coefficients[0])
+        pieces.append(_fit_piece(trajectory, *knots[-2:]).coefficients[0])
     return Piecewise(np.array(pieces), np.diff(knots))
 
 
-def _piece(trajectory: Trajectory, t: float, until: float) -> Piecewise:
+def _fit_piece(trajectory: Trajectory, t: float, until: float) -> Piecewise:
     """Return the polynomial from t to `until`.
 
     Its yaw is fitted in between, and turns as the trajectory does.
@@ -147,15 +156,17 @@ def _piece(trajectory: Trajectory, t: float, until: float) -> Piecewise:
     r0 = a.flat[13] * duration
     r1 = b.flat[13] * duration
     cubic = np.array([a.yaw, r0, 3.0 * turn - 2.0 * r0 - r1, r0 + r1 - 2.0 * turn])
-    yaws = np.array([trajectory.sample(t + s * duration).yaw for s in S.tolist()])
-    free = TO_FREE @ (yaws - S[:, None] ** np.arange(4) @ cubic)
+    yaws = np.array(
+        [trajectory.sample(t + s * duration).yaw for s in FIT_TIMES.tolist()]
+    )
+    free = FREE_FIT @ (yaws - FIT_TIMES[:, None] ** np.arange(4) @ cubic)
     c[0, 3] = np.convolve(free, (0.0, 0.0, 1.0, -2.0, 1.0))
     c[0, 3, 0:4] += cubic
     c[0, 3] /= duration ** np.arange(8.0)
     return Piecewise(c, [duration])
 
 
-def _longest(
+def _find_longest_piece(
     trajectory: Trajectory, t: float, tolerance: float, yaw_tolerance: float
 ) -> float:
     """Return the length in s of the longest piece from t on that fits, to 2 %.
@@ -164,17 +175,17 @@ def _longest(
     """
 
     def fits(length: float) -> bool:
-        times = S * length
-        piece = _piece(trajectory, t, t + length)
-        error, yaw_error = _difference(
-            _references(trajectory, times + t), _references(piece, times)
+        times = FIT_TIMES * length
+        piece = _fit_piece(trajectory, t, t + length)
+        error, yaw_error = _compute_reference_difference(
+            _sample_trajectory(trajectory, times + t), _sample_trajectory(piece, times)
         )
         return error <= 0.9 * tolerance and yaw_error <= 0.9 * yaw_tolerance
 
     left = trajectory.duration - t
-    if left <= SHORTEST or fits(left):
+    if left <= SHORTEST_PIECE or fits(left):
         return left
-    short = SHORTEST
+    short = SHORTEST_PIECE
     long = left
     while long / short > 1.02:
         middle = (short * long) ** 0.5

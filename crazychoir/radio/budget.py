@@ -1,14 +1,14 @@
 """Check that dongles can carry a swarm's packets, and compute the rate of set-points."""
 
-from crazychoir.config.radio_checks import carried
+from crazychoir.config.radio_checks import carried_rate
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.control.robots import sender_of
+from crazychoir.control.robots import find_sender
 
 
-def rates(config: SwarmConfig) -> dict[int, float]:
+def compute_setpoint_rates(config: SwarmConfig) -> dict[int, float]:
     """Return the set-point rate in Hz for each dongle.
 
     Raises ConfigError if a dongle cannot carry its drones.
     """
-    senders = {i: sender_of(config, i) for i in config.reached}
-    return {dongle: carried(config, dongle, senders) for dongle in config.dongles}
+    senders = {i: find_sender(config, i) for i in config.reached}
+    return {dongle: carried_rate(config, dongle, senders) for dongle in config.dongles}

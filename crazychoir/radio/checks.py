@@ -4,38 +4,53 @@ The functions take values and return the problems as text.
 """
 
 import math
+from dataclasses import dataclass
+from enum import IntEnum
 
-from crazychoir.safety.rules.radio_watch import CRASHED as CRASHED
-from crazychoir.safety.rules.radio_watch import LOCKED as LOCKED
-from crazychoir.safety.rules.radio_watch import TUMBLED as TUMBLED
-
-# Bits of the firmware's supervisor; radio_watch.py has those of a drone that can no longer fly.
-CAN_ARM, ARMED, AUTO_ARM, CAN_FLY, FLYING = (1 << k for k in range(5))
-"""Bits 0 to 4: the drone may be armed, is armed, arms itself, may fly, flies."""
-DECK_FAULT = 1 << 11
-"""Bit: a deck is faulty."""
+from crazychoir.safety.rules.radio_watch import SupervisorBit
 
 
-def harm(supervisor: int) -> str:
+class ReadinessBit(IntEnum):
+    """Bits of the firmware's supervisor; `SupervisorBit` has those of damage."""
+
+    CAN_ARM = 1 << 0
+    """The drone may be armed."""
+    ARMED = 1 << 1
+    """The drone is armed."""
+    AUTO_ARM = 1 << 2
+    """The drone arms itself."""
+    CAN_FLY = 1 << 3
+    """The drone may fly."""
+    FLYING = 1 << 4
+    """The drone flies."""
+    DECK_FAULT = 1 << 11
+    """A deck is faulty."""
+
+
+def describe_harm(supervisor: int) -> str:
     """Return what has damaged or locked a drone; empty if nothing has.
 
     supervisor: bits of its supervisor
     """
     words = {
-        CRASHED: "crashed",
-        TUMBLED: "tumbled",
-        LOCKED: "locked by its firmware until it is switched off and on",
+        SupervisorBit.CRASHED: "crashed",
+        SupervisorBit.TUMBLED: "tumbled",
+        SupervisorBit.LOCKED: "locked by its firmware until it is switched off and on",
     }
     return next((text for bit, text in words.items() if supervisor & bit), "")
 
 
 def supervisor_problems(supervisor: int) -> list[str]:
     """Return why the firmware does not let the drone fly."""
-    if text := harm(supervisor):
+    if text := describe_harm(supervisor):
         return [text]
-    if supervisor & DECK_FAULT:
+    if supervisor & ReadinessBit.DECK_FAULT:
         return ["a deck is faulty"]
-    ready = CAN_FLY if supervisor & AUTO_ARM else CAN_FLY | ARMED | CAN_ARM
+    ready = (
+        ReadinessBit.CAN_FLY
+        if supervisor & ReadinessBit.AUTO_ARM
+        else ReadinessBit.CAN_FLY | ReadinessBit.ARMED | ReadinessBit.CAN_ARM
+    )
     if not supervisor & ready:
         return [f"its firmware does not let it fly (supervisor {supervisor:#06x})"]
     return []
@@ -56,10 +71,21 @@ def battery_problems(volts: float, begin: float) -> list[str]:
     )
 
 
-LATE = 0.3
-"""Seconds: longest round trip of a link for a drone that is to fly."""
-ANSWERED = 0.5
-"""Least share of echoes that a link for a drone that is to fly must answer."""
+@dataclass(frozen=True, slots=True)
+class ReadinessLimits:
+    """What a link and a drone's own position must satisfy for a flight."""
+
+    longest_round_trip: float = 0.3
+    """s: longest round trip of a link for a drone that is to fly."""
+    least_answered: float = 0.5
+    """Least share of echoes that a link for a drone that is to fly must answer."""
+    largest_variance: float = 0.01
+    """m2: largest variance of the position, on each axis, for a take-off without cameras. It is a
+    standard deviation of 0.1 m.
+    """
+
+
+READINESS_LIMITS = ReadinessLimits()
 
 
 def link_problems(latency: float, answered: float) -> list[str]:
@@ -69,22 +95,18 @@ def link_problems(latency: float, answered: float) -> list[str]:
     answered: share of echoes that were answered; NaN if unknown
     """
     found = (
-        [f"its link takes {latency:.2f} s there and back, at most {LATE:g} s may be"]
-        if latency > LATE
+        [
+            f"its link takes {latency:.2f} s there and back, at most {READINESS_LIMITS.longest_round_trip:g} s may be"
+        ]
+        if latency > READINESS_LIMITS.longest_round_trip
         else []
     )
-    if answered < ANSWERED:
+    if answered < READINESS_LIMITS.least_answered:
         found.append(
-            f"its link answers {100.0 * answered:.0f} of 100 echoes, {100.0 * ANSWERED:g} are needed"
+            f"its link answers {100.0 * answered:.0f} of 100 echoes, "
+            f"{100.0 * READINESS_LIMITS.least_answered:g} are needed"
         )
     return found
-
-
-UNSURE = 0.01
-"""m2: largest variance of the position, on each axis, for a take-off without cameras.
-
-It is a standard deviation of 0.1 m.
-"""
 
 
 def spread_problems(variances: list[float]) -> list[str]:
@@ -95,8 +117,9 @@ def spread_problems(variances: list[float]) -> list[str]:
     worst = max(variances, key=lambda v: math.inf if math.isnan(v) else v)
     if math.isnan(worst):
         return ["does not say how well it knows where it is"]
-    if worst > UNSURE:
+    if worst > READINESS_LIMITS.largest_variance:
         return [
-            f"knows its place to {math.sqrt(worst):.2f} m, {math.sqrt(UNSURE):g} m are needed"
+            f"knows its place to {math.sqrt(worst):.2f} m, "
+            f"{math.sqrt(READINESS_LIMITS.largest_variance):g} m are needed"
         ]
     return []

@@ -8,23 +8,23 @@ from crazychoir.radio import checks
 from crazychoir.radio.link.connection import Connection
 from crazychoir.radio.link.firmware import Firmware
 from crazychoir.radio.link.toc_cache import TableOfContents
-from crazychoir.radio.protocol.crtp import SUPERVISOR, Packet
+from crazychoir.radio.protocol.crtp import CrtpPort, Packet
 from crazychoir.runtime.clock import Clock
 
-BOARD: dict[str, float] = {"led.bitmask": 0xFF}
+BOARD_LEDS: dict[str, float] = {"led.bitmask": 0xFF}
 """Parameters that light all LEDs of the board; the upper bit takes the LEDs from the firmware."""
-RING: dict[str, float] = {
+RING_LEDS: dict[str, float] = {
     "ring.solidRed": 255,
     "ring.solidGreen": 255,
     "ring.solidBlue": 255,
     "ring.effect": 7,
 }
 """Parameters that light the LED ring deck, in one colour."""
-RING_DECK = "deck.bcLedRing"
+RING_DECK_PARAMETER = "deck.bcLedRing"
 """Parameter that is there if the drone has the LED ring deck."""
-ASKED = Packet(SUPERVISOR, 0, b"\x0c")
+STATE_REQUEST = Packet(CrtpPort.SUPERVISOR, 0, b"\x0c")
 """Packet that asks the supervisor for its state."""
-SAYS = 0.5
+STATE_DEADLINE = 0.5
 """Seconds for the supervisor to answer whether the drone flies.
 
 Older firmware has no such answer.
@@ -54,7 +54,9 @@ async def identify(
         await connection.open(deadline)
         await _require_rest(connection)
         firmware = Firmware(connection)
-        lit = BOARD | (RING if await firmware.has(RING_DECK) else {})
+        lit = BOARD_LEDS | (
+            RING_LEDS if await firmware.has(RING_DECK_PARAMETER) else {}
+        )
         before = {name: await firmware.get(name) for name in lit}
         try:
             await firmware.set_all(lit)
@@ -71,9 +73,9 @@ async def _require_rest(connection: Connection) -> None:
     """Raise Refused if the drone answers that it flies."""
 
     def answers(packet: Packet) -> bool:
-        return packet[:2] == ASKED[:2] and packet.data[:1] == b"\x8c"
+        return packet[:2] == STATE_REQUEST[:2] and packet.data[:1] == b"\x8c"
 
     with contextlib.suppress(TimeoutError):
-        answer = await connection.ask(ASKED, answers, SAYS)
-        if int.from_bytes(answer.data[1:3], "little") & checks.FLYING:
+        answer = await connection.ask(STATE_REQUEST, answers, STATE_DEADLINE)
+        if int.from_bytes(answer.data[1:3], "little") & checks.ReadinessBit.FLYING:
             raise Refused(connection.uri, "it flies: nobody should look for its LEDs")

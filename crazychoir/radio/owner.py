@@ -5,21 +5,26 @@ The agents of its drones run in other processes.
 
 import logging
 import math
+from dataclasses import dataclass
 from typing import Any
 
-from crazychoir.bus.port import BODIES, Bus
-from crazychoir.bus.topics import LINK
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.checks import limit_area
 from crazychoir.config.radio_checks import capacity_of
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.control.robots import sender_of
+from crazychoir.control.robots import find_sender
 from crazychoir.errors import Refused, error_text
-from crazychoir.radio.budget import rates
-from crazychoir.radio.drone.radio_drone import LOOKS, LOST, RadioDrone
-from crazychoir.radio.link.dongles import DONGLES
-from crazychoir.radio.link.toc_cache import TableOfContents, folder
-from crazychoir.radio.link.writer import Turns
-from crazychoir.radio.visibility import Sights
+from crazychoir.radio.budget import compute_setpoint_rates
+from crazychoir.radio.drone.radio_drone import (
+    LINK_CHECK_RATE,
+    SILENCE_LIMITS,
+    RadioDrone,
+)
+from crazychoir.radio.link.dongles import PROCESS_DONGLES
+from crazychoir.radio.link.toc_cache import TableOfContents, tables_folder
+from crazychoir.radio.link.writer import SendPacer
+from crazychoir.radio.visibility import BodySights
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.supervisor import Supervisor
@@ -27,12 +32,21 @@ from crazychoir.safety.rules.guard import Fence
 from crazychoir.simulation.remote import RemoteBody
 
 log = logging.getLogger(__name__)
-LEFT_ALONE = 1.0
-"""Seconds without a command after which a drone counts as left by its agent."""
-PACED = 0.9
-"""Share of a dongle's capacity at which packets are sent to it."""
-LANDS_WITHIN = 15.0
-"""Seconds in which flying drones may land after the owner was asked to end."""
+
+
+@dataclass(frozen=True, slots=True)
+class OwnerLimits:
+    """How fast the owner of a dongle sends, and when it takes over or gives up a drone."""
+
+    command_silence: float = 1.0
+    """s: time without a command after which a drone counts as left by its agent."""
+    capacity_share: float = 0.9
+    """Share of a dongle's capacity at which packets are sent to it."""
+    landing_time: float = 15.0
+    """s: time in which flying drones may land after the owner was asked to end."""
+
+
+OWNER_LIMITS = OwnerLimits()
 
 
 class RadioProcess(Actor):
@@ -63,21 +77,28 @@ class RadioProcess(Actor):
         self.dongle = dongle
         self.bus = Bus(clock, process=process, host=host)
         self.ids = config.dongles[dongle]
-        rate = rates(config)[dongle]
-        contents = TableOfContents(folder())
+        rate = compute_setpoint_rates(config)[dongle]
+        contents = TableOfContents(tables_folder())
         for i in self.ids:
-            self.bus.port(BODIES + i, incarnation)
+            self.bus.port(PORT_ADDRESSES.body_offset + i, incarnation)
         turn = self._turns().turn
-        sights = Sights(self.bus, config, BODIES + self.ids[0])
+        sights = BodySights(self.bus, config, PORT_ADDRESSES.body_offset + self.ids[0])
         self.drones = {
             i: RadioDrone(
-                self.bus, config, i, sender_of(config, i), rate, contents, turn, sights
+                self.bus,
+                config,
+                i,
+                find_sender(config, i),
+                rate,
+                contents,
+                turn,
+                sights,
             )
             for i in self.ids
         }
         self.bodies = {
             i: RemoteBody(
-                self.bus.ports[BODIES + i],
+                self.bus.ports[PORT_ADDRESSES.body_offset + i],
                 drone,
                 drone,
                 drone.kind,
@@ -96,12 +117,15 @@ class RadioProcess(Actor):
         self._limit = Fence.box(*limit_area(config))
         self._supervisor = Supervisor(clock, f"dongle {dongle}", self._failed)
 
-    def _turns(self) -> Turns:
+    def _turns(self) -> SendPacer:
         """Return the pace of packets: a little less than the dongle carries.
 
         Packets that wait in the dongle become old.
         """
-        return Turns(self.clock, PACED * capacity_of(self.config, self.dongle))
+        return SendPacer(
+            self.clock,
+            OWNER_LIMITS.capacity_share * capacity_of(self.config, self.dongle),
+        )
 
     async def serve(self, *services: Actor) -> None:
         """Run the drones and services until the owner ends."""
@@ -110,9 +134,9 @@ class RadioProcess(Actor):
     async def run(self) -> None:
         """Publish the state of the links, and look after drones that receive no commands."""
         tick = 0
-        every = round(LOOKS / LINK.rate)
+        every = round(LINK_CHECK_RATE / DRONE_TOPICS.link.rate)
         began = self.clock.now()
-        async for _ in self.clock.ticks(LOOKS):
+        async for _ in self.clock.ticks(LINK_CHECK_RATE):
             self._look_at_dongle(self.clock.now() - began)
             for i, body in self.bodies.items():
                 body.look()
@@ -135,7 +159,7 @@ class RadioProcess(Actor):
         age: s since the start
         """
         before = self._missing
-        self._missing = DONGLES.failure(self.config.drone(self.ids[0]).uri)
+        self._missing = PROCESS_DONGLES.failure(self.config.drone(self.ids[0]).uri)
         if not self._missing:
             return
         used = any(math.isfinite(drone.silence) for drone in self.drones.values())
@@ -152,18 +176,24 @@ class RadioProcess(Actor):
         """
         drone = self.drones[i]
         now = self.clock.now()
-        flies = drone.flying and drone.silence < LOST
-        seen = drone.place if flies and body.silence > LEFT_ALONE else None
+        flies = drone.flying and drone.silence < SILENCE_LIMITS.link_lost
+        seen = (
+            drone.place
+            if flies and body.silence > OWNER_LIMITS.command_silence
+            else None
+        )
         if (
             seen is not None
-            and now - seen[0] < LEFT_ALONE
+            and now - seen[0] < OWNER_LIMITS.command_silence
             and (beyond := self._limit.outside(*seen[1].p)) > 0.0
         ):
             body.stop(f"{beyond:.2f} m outside the limit area, and nobody commands it")
 
     def _alone(self) -> bool:
         """Return whether no drone is commanded and none flies, or the time to land has passed."""
-        commanded = any(body.silence < LEFT_ALONE for body in self.bodies.values())
+        commanded = any(
+            body.silence < OWNER_LIMITS.command_silence for body in self.bodies.values()
+        )
         flying = any(drone.flying for drone in self.drones.values())
         return self.clock.now() > self._ending or not (commanded or flying)
 
@@ -171,13 +201,14 @@ class RadioProcess(Actor):
         """End: all drones have landed, or had the time to land."""
         if flying := [str(i) for i, drone in self.drones.items() if drone.flying]:
             self.abort(
-                f"ends {LANDS_WITHIN:g} s after it was told to; not known to have landed: {', '.join(flying)}"
+                f"ends {OWNER_LIMITS.landing_time:g} s after it was told to; not known to have "
+                f"landed: {', '.join(flying)}"
             )
         self._supervisor.stop()
 
     def end(self, reason: str) -> None:
         """End as soon as no drone flies."""
-        self._ending = self._ending or self.clock.now() + LANDS_WITHIN
+        self._ending = self._ending or self.clock.now() + OWNER_LIMITS.landing_time
 
     def abort(self, reason: str) -> None:
         """End at once."""

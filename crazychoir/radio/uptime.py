@@ -1,17 +1,26 @@
 """The time at which a drone took its logs, from its own clock, which counts since its start."""
 
 import math
+from dataclasses import dataclass
 
-RUNS = 1e-3
-"""Largest relative error of the drone's clock."""
-WRAPS = 1 << 24
-"""Milliseconds after which the drone's time starts again at 0."""
-MILLI = 1e-3
-"""Seconds in a millisecond, the unit of the drone's time."""
-SLACK = 0.5
-"""Seconds by which the known age of the last log may be wrong."""
-WAITS = 10.0
-"""Seconds that no log waits in a link: a longer wait means that the drone was restarted."""
+
+@dataclass(frozen=True, slots=True)
+class DroneClock:
+    """What is known of a drone's clock and of the delay of its logs."""
+
+    rate_error: float = 1e-3
+    """Largest relative error of the drone's clock."""
+    wrap_period: int = 1 << 24
+    """ms: time after which the drone's time starts again at 0."""
+    tick: float = 1e-3
+    """s: a millisecond, the unit of the drone's time."""
+    age_error: float = 0.5
+    """s: time by which the known age of the last log may be wrong."""
+    longest_wait: float = 10.0
+    """s: no log waits so long in a link; a longer wait means that the drone was restarted."""
+
+
+DRONE_CLOCK = DroneClock()
 
 
 class Uptime:
@@ -41,8 +50,14 @@ class Uptime:
         since = self._since(at)
         ago = now - self._taken
         if since < 0.0:
-            return since < -SLACK and MILLI * at < ago + SLACK
-        return since > ago + SLACK + RUNS * ago or since < ago - WAITS - RUNS * ago
+            return (
+                since < -DRONE_CLOCK.age_error
+                and DRONE_CLOCK.tick * at < ago + DRONE_CLOCK.age_error
+            )
+        return (
+            since > ago + DRONE_CLOCK.age_error + DRONE_CLOCK.rate_error * ago
+            or since < ago - DRONE_CLOCK.longest_wait - DRONE_CLOCK.rate_error * ago
+        )
 
     def overtaken(self, at: int) -> bool:
         """Return whether a newer log has already arrived."""
@@ -59,7 +74,7 @@ class Uptime:
         since = self._since(at)
         self._at = at
         self._own = self._own + since
-        self._least = min(self._least + RUNS * since, now - self._own)
+        self._least = min(self._least + DRONE_CLOCK.rate_error * since, now - self._own)
         self._taken = self._own + self._least
         return self._taken
 
@@ -70,5 +85,8 @@ class Uptime:
         from the drone's start.
         """
         if self._at is None:
-            return MILLI * at
-        return MILLI * ((at - self._at + WRAPS // 2) % WRAPS - WRAPS // 2)
+            return DRONE_CLOCK.tick * at
+        return DRONE_CLOCK.tick * (
+            (at - self._at + DRONE_CLOCK.wrap_period // 2) % DRONE_CLOCK.wrap_period
+            - DRONE_CLOCK.wrap_period // 2
+        )

@@ -13,23 +13,34 @@ from functools import partial
 from typing import Any
 
 from crazychoir.bus.port import Bus
-from crazychoir.bus.topics import BY_NAME, OBSERVABLE, ROUND, Topic
+from crazychoir.bus.topics import (
+    MESSAGE_TOPICS,
+    OBSERVABLE_TOPICS,
+    TOPIC_BY_NAME,
+    Topic,
+)
 from crazychoir.errors import error_text
-from crazychoir.recording.mcap.file import Entry, RecordingFile, Series
-from crazychoir.recording.mcap.messages import MESSAGES, Exchanged, Pack, packer, usual
+from crazychoir.recording.mcap.file import RecordingEntry, RecordingFile, Series
+from crazychoir.recording.mcap.messages import (
+    MESSAGE_BY_VALUE_TYPE,
+    Exchanged,
+    Pack,
+    make_packer,
+    usual_type,
+)
 from crazychoir.runtime.actor import Actor
-from crazychoir.runtime.clock import SECOND
+from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.runtime.mailbox import Call
 
 log = logging.getLogger(__name__)
-BATCHES = 4.0
+BATCH_RATE = 4.0
 """Batches a second; a program that is killed loses the messages since its last batch."""
 MOST_WAITING = 64 << 20
 """Largest number of bytes that wait for the disk; further messages are lost."""
 
 
 @dataclass
-class Recorded:
+class RecordingOutcome:
     """Outcome of a recording."""
 
     file: str
@@ -75,7 +86,7 @@ class Recorder(Actor):
         observer: int | None = None,
         source: Callable[[Topic, int], int] = lambda topic, i: i,
         outcome: Callable[[], Mapping[str, str]] = dict,
-        topics: Sequence[str] = OBSERVABLE,
+        topics: Sequence[str] = OBSERVABLE_TOPICS,
     ) -> None:
         self.bus = bus
         self.clock = bus.clock
@@ -83,12 +94,12 @@ class Recorder(Actor):
         self.ended = "its flight has ended"
         self._outcome = outcome
         self._series: dict[tuple[int, str, Any], tuple[Series, Pack]] = {}
-        self._waiting: list[Entry] = []
+        self._waiting: list[RecordingEntry] = []
         self._bytes = 0
         self._said = False
         self._numbers: dict[tuple[int, int], int] = {}
         for i in ids:
-            for topic in map(BY_NAME.__getitem__, topics):
+            for topic in map(TOPIC_BY_NAME.__getitem__, topics):
                 take = partial(self._take, i, topic)
                 bus.subscribe(
                     topic,
@@ -101,7 +112,7 @@ class Recorder(Actor):
 
     async def run(self) -> None:
         """Write the messages that have come, a few times a second, until the recording ends."""
-        async for _ in self.clock.ticks(BATCHES):
+        async for _ in self.clock.ticks(BATCH_RATE):
             batch = self._waiting
             self._waiting = []
             self._bytes = 0
@@ -121,7 +132,7 @@ class Recorder(Actor):
             self._finish, self._waiting, {"ended": self.ended, **self._outcome()}
         )
 
-    def _finish(self, batch: list[Entry], outcome: Mapping[str, str]) -> None:
+    def _finish(self, batch: list[RecordingEntry], outcome: Mapping[str, str]) -> None:
         self.file.write(batch)
         self.file.close(outcome)
 
@@ -129,7 +140,9 @@ class Recorder(Actor):
         """Return the outcome of the recording as a dictionary."""
         file = self.file
         return asdict(
-            Recorded(str(file.path), file.written, file.lost, file.missed, file.error)
+            RecordingOutcome(
+                str(file.path), file.written, file.lost, file.missed, file.error
+            )
         )
 
     def _open(self, drone: int, topic: Topic, kind: Any) -> tuple[Series, Pack]:
@@ -139,13 +152,13 @@ class Recorder(Actor):
         """
         name = (
             topic.name
-            if kind in (usual(topic), Exchanged)
+            if kind in (usual_type(topic), Exchanged)
             else f"{topic.name}/{kind.__name__.lower()}"
         )
-        message = MESSAGES.get(kind, MESSAGES[dict])
+        message = MESSAGE_BY_VALUE_TYPE.get(kind, MESSAGE_BY_VALUE_TYPE[dict])
         opened = self._series[drone, topic.name, kind] = (
             Series(drone, name, message),
-            packer(message, drone),
+            make_packer(message, drone),
         )
         return opened
 
@@ -160,7 +173,7 @@ class Recorder(Actor):
             series, pack = self._series.get((drone, topic.name, kind)) or self._open(
                 drone, topic, kind
             )
-            born_ns = max(0, came_ns - round(age * SECOND)) if age else came_ns
+            born_ns = max(0, came_ns - round(age * NS_PER_SECOND)) if age else came_ns
             data = pack(value, born_ns)
         except Exception as error:  # noqa: BLE001 - see above
             self._lose(f"{topic.name} of drone {drone}: {error_text(error)}")
@@ -169,7 +182,7 @@ class Recorder(Actor):
         if self._bytes > MOST_WAITING:
             self._lose("the disk is too slow")
             return
-        self._waiting.append(Entry(series, came_ns, born_ns, data))
+        self._waiting.append(RecordingEntry(series, came_ns, born_ns, data))
 
     def _lose(self, why: str) -> None:
         self.file.lost += 1
@@ -195,9 +208,12 @@ class Recorder(Actor):
         """Record a message of a round under its sender; other messages are recorded elsewhere."""
         if self._next is not None:
             self._next(to, topic, source, number, payload, channel, flags, age)
-        if topic == ROUND.number:
+        if topic == MESSAGE_TOPICS.rounds.number:
             self._take(
-                source, ROUND, Exchanged(to, number, flags, channel, payload), age
+                source,
+                MESSAGE_TOPICS.rounds,
+                Exchanged(to, number, flags, channel, payload),
+                age,
             )
 
     def _count(

@@ -6,17 +6,26 @@ from pathlib import Path
 import numpy as np
 
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.optimization.picture import COLOURS
-from crazychoir.platforms import platform
-from crazychoir.recording.analysis.figures import Flight, Track, joined
-from crazychoir.recording.analysis.plots import scale
+from crazychoir.optimization.picture import PICTURE_STYLE
+from crazychoir.platforms import find_platform
+from crazychoir.recording.analysis.figures import (
+    RecordedFlight,
+    RecordedTrack,
+    interpolate_track,
+)
+from crazychoir.recording.analysis.plots import colour_scale
 from crazychoir.recording.video import Image
 from crazychoir.simulation.mujoco.film import Film
-from crazychoir.simulation.mujoco.model import model_of
-from crazychoir.simulation.mujoco.shape import Colour, crazyflie, scaled, shape_of
+from crazychoir.simulation.mujoco.model import compile_model
+from crazychoir.simulation.mujoco.shape import (
+    Colour,
+    make_crazyflie_shape,
+    read_shape,
+    scale_shape,
+)
 from crazychoir.types import Mat, Vec
 
-POINTS = 25
+TRAIL_POINTS = 25
 """Points of a trail."""
 
 
@@ -32,7 +41,7 @@ class Reenactment:
 
     def __init__(
         self,
-        flight: Flight,
+        flight: RecordedFlight,
         config: SwarmConfig,
         scene: Path | None = None,
         enlarge: float = 1.0,
@@ -42,22 +51,26 @@ class Reenactment:
         self.trail = trail
         self.times = flight.times
         self.ids = tuple(track.drone for track in self.tracks)
-        self.colours = _colours(len(self.ids))
-        rows = [platform(config.drone(i).platform) for i in self.ids]
+        self.colours = _drone_colours(len(self.ids))
+        rows = [find_platform(config.drone(i).platform) for i in self.ids]
         given = config.mujoco.model
         user = (
-            shape_of(Path(given), config.mujoco.body, config.mujoco.scale)
+            read_shape(Path(given), config.mujoco.body, config.mujoco.scale)
             if given
             else None
         )
         drawn = [
-            user or crazyflie(row, colour)
+            user or make_crazyflie_shape(row, colour)
             for row, colour in zip(rows, self.colours, strict=True)
         ]
-        drawn = [scaled(shape, enlarge) for shape in drawn] if enlarge != 1.0 else drawn
+        drawn = (
+            [scale_shape(shape, enlarge) for shape in drawn]
+            if enlarge != 1.0
+            else drawn
+        )
         self._stands = np.array([-shape.lowest for shape in drawn])
         room = scene or (Path(config.mujoco.scene) if config.mujoco.scene else None)
-        self.model = model_of(self.ids, rows, drawn, room)
+        self.model = compile_model(self.ids, rows, drawn, room)
 
     def film(self, width: int, height: int, camera: str = "") -> Film:
         """Return the camera.
@@ -78,8 +91,12 @@ class Reenactment:
     def picture(self, film: Film, t: float) -> Image:
         """Return the picture t s after the beginning of the recording."""
         moment = np.array([t])
-        p = np.array([joined(track.t, track.p, moment)[0] for track in self.tracks])
-        q = np.array([_turned(track, moment)[0] for track in self.tracks])
+        p = np.array(
+            [interpolate_track(track.t, track.p, moment)[0] for track in self.tracks]
+        )
+        q = np.array(
+            [_interpolate_attitudes(track, moment)[0] for track in self.tracks]
+        )
         p[:, 2] += self._stands
         return film.picture(p, q, tuple(self._trails(t)), self.colours)
 
@@ -90,24 +107,31 @@ class Reenactment:
     def _trails(self, t: float) -> Iterator[Mat]:
         for track, stand in zip(self.tracks, self._stands, strict=True):
             since = (
-                np.linspace(t - self.trail, t, POINTS)
+                np.linspace(t - self.trail, t, TRAIL_POINTS)
                 if self.trail > 0.0
                 else np.zeros(0)
             )
-            yield joined(track.t, track.p, since) + np.array([0.0, 0.0, stand])
+            yield interpolate_track(track.t, track.p, since) + np.array(
+                [0.0, 0.0, stand]
+            )
 
 
-def _turned(track: Track, at: Vec) -> Mat:
+def _interpolate_attitudes(track: RecordedTrack, at: Vec) -> Mat:
     """Return attitudes at times `at`, interpolated between recorded attitudes close together."""
-    q = joined(track.t, track.q, at)
+    q = interpolate_track(track.t, track.q, at)
     unit: Mat = q / np.linalg.norm(q, axis=1, keepdims=True)
     return unit
 
 
-def _colours(n: int) -> tuple[Colour, ...]:
+def _drone_colours(n: int) -> tuple[Colour, ...]:
     """Return the colours of the plots: distinct colours for few drones, a scale for many."""
     from matplotlib.colors import to_rgba
 
     return tuple(
-        to_rgba(one) for one in (COLOURS[:n] if n <= len(COLOURS) else scale(n))
+        to_rgba(one)
+        for one in (
+            PICTURE_STYLE.colours[:n]
+            if n <= len(PICTURE_STYLE.colours)
+            else colour_scale(n)
+        )
     )

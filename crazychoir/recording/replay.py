@@ -10,17 +10,22 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from crazychoir.bus.topics import TRUTH
-from crazychoir.config.checks import REPLAY
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.config.checks import WORLD_URIS
 from crazychoir.errors import ConfigError
 from crazychoir.planning.trajectory_file import read_samples
-from crazychoir.recording.mcap.odometry import into_world
+from crazychoir.recording.mcap.odometry import rotate_to_world
 from crazychoir.recording.mcap.reading import read
 from crazychoir.simulation.common.truth import Truth
-from crazychoir.simulation.common.world import KINDS, Link, WorldSetup, not_flown
+from crazychoir.simulation.common.world import (
+    COMMAND_TYPES,
+    DroneLink,
+    WorldSetup,
+    make_unsupported_kind_error,
+)
 from crazychoir.types import Command, Mat, Vec
 
-NEAR = 0.1
+LARGEST_HOME_OFFSET = 0.1
 """Largest distance in m from a drone's home to the place where its recording begins."""
 
 
@@ -31,34 +36,36 @@ def engine(setup: WorldSetup) -> "ReplayWorld":
     """
     tables = []
     for i, uri, home in zip(setup.ids, setup.uris, setup.homes, strict=True):
-        tables.append(states_of(uri, i, setup.dt))
+        tables.append(replayed_states(uri, i, setup.dt))
         start = tables[-1][0, 0:3]
-        if np.linalg.norm(start - home) > NEAR:
+        if np.linalg.norm(start - home) > LARGEST_HOME_OFFSET:
             do = f"Set home = {np.round(start, 3).tolist()}."
             raise ConfigError(
                 f"drone {i}: home",
                 list(home),
-                f"at most {NEAR} m from where {uri} begins",
+                f"at most {LARGEST_HOME_OFFSET} m from where {uri} begins",
                 do,
             )
     return ReplayWorld(setup, tables)
 
 
-def states_of(uri: str, drone: int, dt: float) -> Mat:
+def replayed_states(uri: str, drone: int, dt: float) -> Mat:
     """Return the states (K, 13), rows as State.flat, every dt s from the beginning of a recording.
 
     Raises ConfigError for a wrong uri or a file that cannot be read.
     """
-    name, _, number = uri.removeprefix(REPLAY).partition("?drone=")
+    name, _, number = uri.removeprefix(WORLD_URIS.replay).partition("?drone=")
     if number and not number.isdecimal():
         raise ConfigError(
-            f"drone {drone}: uri", uri, f"{REPLAY}FILE, or {REPLAY}FILE?drone=NUMBER"
+            f"drone {drone}: uri",
+            uri,
+            f"{WORLD_URIS.replay}FILE, or {WORLD_URIS.replay}FILE?drone=NUMBER",
         )
     path = Path(name)
     if path.suffix.lower() == ".csv":
-        return _of_samples(path, dt)
+        return _states_of_samples(path, dt)
     if path.suffix == ".mcap":
-        return _of_flight(path, int(number) if number else drone, dt)
+        return _states_of_flight(path, int(number) if number else drone, dt)
     raise ConfigError(
         f"drone {drone}: uri",
         uri,
@@ -66,7 +73,7 @@ def states_of(uri: str, drone: int, dt: float) -> Mat:
     )
 
 
-def _of_samples(path: Path, dt: float) -> Mat:
+def _states_of_samples(path: Path, dt: float) -> Mat:
     """Return level states with the positions and yaw of the table."""
     flight = read_samples(path, is_recording=True)
     flat = flight.samples(
@@ -78,13 +85,13 @@ def _of_samples(path: Path, dt: float) -> Mat:
     return np.hstack([flat[:, 0:6], level, np.sin(half), np.cos(half), rates])
 
 
-def _of_flight(path: Path, drone: int, dt: float) -> Mat:
+def _states_of_flight(path: Path, drone: int, dt: float) -> Mat:
     """Return the recorded true states of one drone from the beginning of the recording.
 
     Positions are interpolated by Hermite polynomials, attitudes by chords.
     """
-    recording = read(path, (TRUTH.name,))
-    found = recording.of(drone, TRUTH.name)
+    recording = read(path, (DRONE_TOPICS.truth.name,))
+    found = recording.of(drone, DRONE_TOPICS.truth.name)
     if len(found) < 2:
         do = f"Add ?drone= one of {recording.drones}."
         raise ConfigError(
@@ -102,18 +109,23 @@ def _of_flight(path: Path, drone: int, dt: float) -> Mat:
             "states of a drone over some time",
         )
     x = found.numbers[first]
-    q = _one_way(x[:, 3:7])
+    q = _align_signs(x[:, 3:7])
     at = np.arange(0.0, t[-1], dt)
     inside = np.maximum(at, t[0])  # before its first true state the drone stands there
-    curve = CubicHermiteSpline(t, x[:, 0:3], into_world(q, x[:, 7:10]))
-    turned = _columns(inside, t, q)
+    curve = CubicHermiteSpline(t, x[:, 0:3], rotate_to_world(q, x[:, 7:10]))
+    turned = _interpolate_columns(inside, t, q)
     turned /= np.linalg.norm(turned, axis=1)[:, None]
     return np.hstack(
-        [curve(inside), curve(inside, 1), turned, _columns(inside, t, x[:, 10:13])]
+        [
+            curve(inside),
+            curve(inside, 1),
+            turned,
+            _interpolate_columns(inside, t, x[:, 10:13]),
+        ]
     )
 
 
-def _one_way(q: Mat) -> Mat:
+def _align_signs(q: Mat) -> Mat:
     """Return the attitudes with each sign chosen such that a quaternion is close to the previous.
 
     q and -q are the same attitude.
@@ -123,7 +135,7 @@ def _one_way(q: Mat) -> Mat:
     return found
 
 
-def _columns(at: Vec, t: Vec, x: Mat) -> Mat:
+def _interpolate_columns(at: Vec, t: Vec, x: Mat) -> Mat:
     return np.column_stack([np.interp(at, t, column) for column in x.T])
 
 
@@ -133,7 +145,7 @@ class ReplayWorld(Truth):
     They count as resting wherever they are, so no agent waits for them to land.
     """
 
-    flies: tuple[str, ...] = tuple(KINDS)
+    flies: tuple[str, ...] = tuple(COMMAND_TYPES)
     command_timeout: float | None = None
 
     def __init__(self, setup: WorldSetup, tables: list[Mat]) -> None:
@@ -156,17 +168,17 @@ class ReplayWorld(Truth):
             if self.tick >= len(table):
                 self.states[row, 3:6] = self.states[row, 10:13] = 0.0
 
-    def link(self, i: int, kind: str) -> Link:
+    def link(self, i: int, kind: str) -> DroneLink:
         """Return a link that discards all commands.
 
         Raises ConfigError for an unknown kind of command.
         """
         if kind not in self.flies:
-            raise not_flown(i, kind, self.flies)
-        return Deaf()
+            raise make_unsupported_kind_error(i, kind, self.flies)
+        return DeafLink()
 
 
-class Deaf:
+class DeafLink:
     """The link of a body that obeys no commands."""
 
     def send(self, command: Command) -> None:

@@ -7,11 +7,11 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 from crazychoir.bus.port import Bus
-from crazychoir.bus.topics import BY_NAME, OBSERVABLE, Topic
-from crazychoir.recording.mcap.decode import Values
-from crazychoir.recording.mcap.sequence import told
+from crazychoir.bus.topics import OBSERVABLE_TOPICS, TOPIC_BY_NAME, Topic
+from crazychoir.recording.mcap.decode import MessageDecoder
+from crazychoir.recording.mcap.sequence import read_messages
 from crazychoir.runtime.actor import Actor
-from crazychoir.runtime.clock import SECOND
+from crazychoir.runtime.clock import NS_PER_SECOND
 
 Step = Callable[[], Awaitable[float]]
 """Waits until the replay may continue, and returns by how many seconds of the flight."""
@@ -52,16 +52,16 @@ class Replayer(Actor):
 
     async def run(self) -> None:
         """Publish from the first message to the last."""
-        values = Values(self.path)
+        values = MessageDecoder(self.path)
         first_ns = -1
         began_ns = self.clock.now_ns()
-        for message in told(self.path):
-            topic = BY_NAME.get(message.source.topic.partition("/")[0])
-            if topic is None or topic.name not in OBSERVABLE:
+        for message in read_messages(self.path):
+            topic = TOPIC_BY_NAME.get(message.source.topic.partition("/")[0])
+            if topic is None or topic.name not in OBSERVABLE_TOPICS:
                 continue
             if first_ns < 0:
                 first_ns = message.came_ns
-            at = (message.came_ns - first_ns) / SECOND
+            at = (message.came_ns - first_ns) / NS_PER_SECOND
             if at > self.at:
                 await self._wait(at, began_ns)
                 self.at = at
@@ -70,14 +70,16 @@ class Replayer(Actor):
             port.publish(
                 topic,
                 values.of(message),
-                max(0.0, (message.came_ns - message.born_ns) / SECOND),
+                max(0.0, (message.came_ns - message.born_ns) / NS_PER_SECOND),
             )
             self.said += 1
 
     async def _wait(self, at: float, began_ns: int) -> None:
         """Wait until a message that came `at` s after the first message is due."""
         if self.step is None:
-            await self.clock.sleep_until(began_ns + round(at / self.speed * SECOND))
+            await self.clock.sleep_until(
+                began_ns + round(at / self.speed * NS_PER_SECOND)
+            )
             return
         while at > self._may:
             self._may += await self.step()

@@ -12,18 +12,18 @@ from crazychoir.errors import ConfigError
 from crazychoir.files.output_files import output_file
 
 Image = npt.NDArray[np.uint8]
-ENDINGS = (".mp4", ".gif", ".webp")
+VIDEO_SUFFIXES = (".mp4", ".gif", ".webp")
 
 
 def check_video(path: Path, width: int, height: int) -> None:
     """Raise ConfigError for a file that cannot be written, before hours of drawing are lost."""
     ending = path.suffix.lower()
-    if ending not in ENDINGS:
+    if ending not in VIDEO_SUFFIXES:
         raise ConfigError(
-            "--video", path.name, f"a file that ends in {', '.join(ENDINGS)}"
+            "--video", path.name, f"a file that ends in {', '.join(VIDEO_SUFFIXES)}"
         )
     if ending == ".mp4":
-        _av()
+        _import_av()
         if width % 2 or height % 2:
             raise ConfigError(
                 "--size",
@@ -42,7 +42,7 @@ def write_video(path: Path, images: Iterable[Image], fps: int) -> None:
             _write_animation(place, images, fps, path.suffix.lower())
 
 
-def _av() -> Any:
+def _import_av() -> Any:
     try:
         import av
     except ImportError as error:
@@ -52,7 +52,7 @@ def _av() -> Any:
 
 
 def _write_mp4(path: Path, images: Iterable[Image], fps: int) -> None:
-    av = _av()
+    av = _import_av()
     with av.open(str(path), "w", format="mp4") as container:
         stream: Any = None
         for image in images:

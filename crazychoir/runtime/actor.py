@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Restart:
+class RestartPolicy:
     """The restarts that a supervisor allows an actor that fails."""
 
     limit: int = 0
@@ -15,9 +15,9 @@ class Restart:
     """Seconds before the first restart; doubles with each restart. 0: restart at once, always."""
 
 
-NEVER = Restart()
+NEVER_RESTART = RestartPolicy()
 """Do not restart the actor."""
-ON_FAILURE = Restart(limit=5)
+RESTART_ON_FAILURE = RestartPolicy(limit=5)
 """Restart the actor at most 5 times in 10 s."""
 
 
@@ -30,7 +30,7 @@ class Actor:
 
     name: str = "actor"
     """Name in log lines and reports."""
-    restart: Restart = NEVER
+    restart: RestartPolicy = NEVER_RESTART
     """Restarts that the supervisor allows this actor."""
 
     async def run(self) -> None:

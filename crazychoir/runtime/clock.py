@@ -18,6 +18,7 @@ from collections import deque
 from collections.abc import Callable, Coroutine, Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import Context
+from enum import IntEnum
 from types import FrameType
 from typing import Any, TypeVar
 
@@ -25,7 +26,7 @@ from crazychoir.errors import Deadlock, Livelock
 from crazychoir.runtime.worker_thread import Worker, is_inside_loop
 
 T = TypeVar("T")
-SECOND = 1_000_000_000
+NS_PER_SECOND = 1_000_000_000
 """Nanoseconds in a second."""
 LIVELOCK_PASSES = 100_000
 """Loop passes at one instant of virtual time that count as a livelock."""
@@ -37,14 +38,20 @@ The event loop does not wait longer.
 """
 
 # Priorities of alarms at the same instant.
-WORLD = 0
-"""Priority of the simulated world: it moves first."""
-TICK = 1
-"""Priority of ticks."""
-MESSAGE = 2
-"""Priority of messages."""
-TIMEOUT = 3
-"""Priority of timeouts: they come last."""
+
+
+class AlarmPriority(IntEnum):
+    """Order of the alarms of one instant: the lowest comes first."""
+
+    WORLD = 0
+    """The simulated world moves first."""
+    TICK = 1
+    """Ticks."""
+    MESSAGE = 2
+    """Messages."""
+    TIMEOUT = 3
+    """Timeouts come last."""
+
 
 Alarm = asyncio.Handle
 """A callback on the heap; `cancel` removes it."""
@@ -77,14 +84,14 @@ class Clock:
 
     def now(self) -> float:
         """Return the seconds since the same fixed instant."""
-        return self.now_ns() / SECOND
+        return self.now_ns() / NS_PER_SECOND
 
     def call_at(
         self,
         when_ns: int,
         callback: Callable[..., object],
         *args: Any,
-        priority: int = TICK,
+        priority: int = AlarmPriority.TICK,
         drone: int = -1,
     ) -> Alarm:
         """Call `callback(*args)` at `when_ns`; the returned alarm can be cancelled."""
@@ -107,11 +114,13 @@ class Clock:
         self._arm()
 
     async def sleep_until(
-        self, when_ns: int, priority: int = TICK, drone: int = -1
+        self, when_ns: int, priority: int = AlarmPriority.TICK, drone: int = -1
     ) -> None:
         """Wait until `when_ns`."""
         waiter: asyncio.Future[None] = self._loop.create_future()
-        alarm = self.call_at(when_ns, wake, waiter, priority=priority, drone=drone)
+        alarm = self.call_at(
+            when_ns, wake_waiter, waiter, priority=priority, drone=drone
+        )
         try:
             await waiter
         finally:
@@ -119,9 +128,13 @@ class Clock:
 
     async def sleep(self, seconds: float, drone: int = -1) -> None:
         """Wait for so many seconds."""
-        await self.sleep_until(self.now_ns() + round(seconds * SECOND), drone=drone)
+        await self.sleep_until(
+            self.now_ns() + round(seconds * NS_PER_SECOND), drone=drone
+        )
 
-    def ticks(self, hz: float, priority: int = TICK, drone: int = -1) -> "Ticks":
+    def ticks(
+        self, hz: float, priority: int = AlarmPriority.TICK, drone: int = -1
+    ) -> "Ticks":
         """Return an absolute schedule of `hz` ticks a second, for `async for`."""
         return Ticks(self, hz, priority, drone)
 
@@ -148,7 +161,7 @@ Main = Callable[[Clock], Coroutine[Any, Any, T]]
 """The coroutine function that a clock's loop runs."""
 
 
-def wake(waiter: "asyncio.Future[None]") -> None:
+def wake_waiter(waiter: "asyncio.Future[None]") -> None:
     """Resolve a waiter, unless it is resolved or cancelled already."""
     if not waiter.done():
         waiter.set_result(None)
@@ -168,7 +181,7 @@ class Ticks:
         self.clock = clock
         self.priority = priority
         self.drone = drone
-        self.period_ns = round(SECOND / hz)
+        self.period_ns = round(NS_PER_SECOND / hz)
         self.due_ns = clock.now_ns()
         """ns: due time of the newest tick."""
         self.missed = 0
@@ -233,7 +246,7 @@ class Stopwatch(Clock):
     now_ns = staticmethod(time.monotonic_ns)
 
 
-def today() -> datetime.datetime:
+def date_and_time() -> datetime.datetime:
     """Return the date and time of day of this host, in UTC.
 
     Use it for things that expire on a date, never for anything in flight.
@@ -321,7 +334,7 @@ class Timerfd:
 
         The descriptor is not readable until then.
         """
-        self._spec.value_s, self._spec.value_ns = divmod(when_ns, SECOND)
+        self._spec.value_s, self._spec.value_ns = divmod(when_ns, NS_PER_SECOND)
         self._libc.timerfd_settime(*self._arguments)
 
     def close(self) -> None:
@@ -362,7 +375,7 @@ class VirtualClock(Clock):
         if self._passes > LIVELOCK_PASSES:
             raise Livelock(
                 f"{LIVELOCK_PASSES} loop passes at {self.now():.9f} s of virtual time. "
-                f"Somebody runs for ever without waiting on the clock. {waiting(self._loop)}"
+                f"Somebody runs for ever without waiting on the clock. {describe_tasks(self._loop)}"
             )
 
     def advance(self) -> Alarm:
@@ -370,7 +383,7 @@ class VirtualClock(Clock):
         found = self._next()
         if found is None:
             raise Deadlock(
-                f"at {self.now():.9f} s of virtual time nobody can go on. {waiting(self._loop)}"
+                f"at {self.now():.9f} s of virtual time nobody can go on. {describe_tasks(self._loop)}"
             )
         when_ns, alarm = found
         if when_ns > self._now_ns:
@@ -393,7 +406,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
     def time(self) -> float:
         """Return the virtual time in s."""
-        return self._clock.now_ns() / SECOND
+        return self._clock.now_ns() / NS_PER_SECOND
 
     def call_soon(  # type: ignore[override]
         self,
@@ -431,7 +444,10 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         """Put a timer of asyncio itself (a timeout) on the clock's heap."""
         alarm = asyncio.TimerHandle(when, callback, args, self, context)
         self._clock.push(
-            max(round(when * SECOND), self._clock.now_ns()), alarm, TIMEOUT, -1
+            max(round(when * NS_PER_SECOND), self._clock.now_ns()),
+            alarm,
+            AlarmPriority.TIMEOUT,
+            -1,
         )
         return alarm
 
@@ -487,13 +503,15 @@ class _Selector(selectors.BaseSelector):
         return self._keys
 
 
-def waiting(loop: asyncio.AbstractEventLoop) -> str:
+def describe_tasks(loop: asyncio.AbstractEventLoop) -> str:
     """Return a text that names every task and the line at which it waits."""
     tasks = sorted(asyncio.all_tasks(loop), key=lambda task: task.get_name())
-    return "; ".join(f"{task.get_name()} waits in {_place(task)}" for task in tasks)
+    return "; ".join(
+        f"{task.get_name()} waits in {_waiting_line(task)}" for task in tasks
+    )
 
 
-def _place(task: "asyncio.Task[Any]") -> str:
+def _waiting_line(task: "asyncio.Task[Any]") -> str:
     coroutine: Any = task.get_coro()
     while getattr(coroutine, "cr_await", None) is not None and hasattr(
         coroutine.cr_await, "cr_frame"
@@ -548,12 +566,12 @@ def _run_wall(main: Main[T]) -> T:
         finally:
             clock.close()
 
-    with prompt(), asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+    with without_pauses(), asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
         return runner.run(with_clock())
 
 
 @contextlib.contextmanager
-def prompt() -> Iterator[None]:
+def without_pauses() -> Iterator[None]:
     """Avoid long pauses of the interpreter inside this context.
 
     Threads give up the interpreter after SWITCH_INTERVAL, and the garbage collector ignores what is

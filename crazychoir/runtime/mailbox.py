@@ -12,10 +12,10 @@ from collections.abc import Callable
 from math import inf
 from typing import Any, Generic, TypeVar
 
-from crazychoir.runtime.clock import SECOND, Clock, wake
+from crazychoir.runtime.clock import NS_PER_SECOND, Clock, wake_waiter
 
 T = TypeVar("T")
-SAME_TIME = 1_000
+AGE_TOLERANCE = 1_000
 """Nanoseconds by which two ages may differ although they are equal: ages are rounded."""
 
 
@@ -45,7 +45,7 @@ class Mailbox(Generic[T]):
         if self._waiter is not None:
             waiter = self._waiter
             self._waiter = None
-            wake(waiter)
+            wake_waiter(waiter)
 
     async def _wait(self) -> None:
         self._waiter = asyncio.get_running_loop().create_future()
@@ -75,8 +75,8 @@ class Latest(Mailbox[T]):
     def put(self, value: T, age: float = 0.0) -> None:
         """Replace the content, unless it is newer: one message may overtake another on the way."""
         self.received += 1
-        born_ns = self._now_ns() - round(age * SECOND) if age else self._now_ns()
-        if born_ns < self._born_ns - SAME_TIME:
+        born_ns = self._now_ns() - round(age * NS_PER_SECOND) if age else self._now_ns()
+        if born_ns < self._born_ns - AGE_TOLERANCE:
             self.dropped += 1
             return
         if self.version > self._seen:
@@ -108,7 +108,7 @@ class Latest(Mailbox[T]):
 
     def fresh_with_age(self) -> tuple[T | None, float]:
         """Return `fresh()` and the age of the content in s."""
-        age = (self._now_ns() - self._born_ns) / SECOND if self.version else inf
+        age = (self._now_ns() - self._born_ns) / NS_PER_SECOND if self.version else inf
         if self.max_age is not None and age > self.max_age:
             self.stale += self.version > 0
             return None, age
@@ -117,7 +117,7 @@ class Latest(Mailbox[T]):
 
     def age(self) -> float:
         """Return the age of the content in s; infinite before the first message."""
-        return (self._now_ns() - self._born_ns) / SECOND if self.version else inf
+        return (self._now_ns() - self._born_ns) / NS_PER_SECOND if self.version else inf
 
     def clear(self) -> None:
         """Return to the state before the first message."""
@@ -158,7 +158,7 @@ class DropOldest(Mailbox[T]):
         self._queue.clear()
 
 
-class Block(Mailbox[T]):
+class BlockingQueue(Mailbox[T]):
     """A queue of at most `size` messages; the sender waits for room.
 
     Use it inside one process only.

@@ -19,7 +19,7 @@ def let_outputs_take_any_text() -> None:
             stream.reconfigure(errors=OUTPUT_ERRORS)
 
 
-def _replacement(error: UnicodeError) -> tuple[str | bytes, int]:
+def _replace_character(error: UnicodeError) -> tuple[str | bytes, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
     characters = error.object[error.start : error.end]
@@ -34,4 +34,4 @@ def _output_bytes(character: str) -> bytes:
         return character.encode("ascii", "backslashreplace")
 
 
-codecs.register_error(OUTPUT_ERRORS, _replacement)
+codecs.register_error(OUTPUT_ERRORS, _replace_character)

@@ -16,7 +16,7 @@ Work = Callable[[], None]
 """One piece of work of one drone."""
 
 
-class Stages:
+class TickStages:
     """The work that the drones of a process still have to do in this pass of the loop.
 
     Append work to a stage, then call `due`. The poses are taken before, as they arrive. Each piece
@@ -45,18 +45,18 @@ class Stages:
         failed: list[Exception] = []
         say = self.say
         self.say = []
-        _do(say, failed)
+        _run_stage(say, failed)
         decide = self.decide
         self.decide = []
-        _do(decide, failed)
+        _run_stage(decide, failed)
         act = self.act
         self.act = []
-        _do(act, failed)
+        _run_stage(act, failed)
         if failed:
             raise failed[0]
 
 
-def _do(stage: list[Work], failed: list[Exception]) -> None:
+def _run_stage(stage: list[Work], failed: list[Exception]) -> None:
     """Do all work of a stage.
 
     An error of one drone must not keep another drone from its command.

@@ -7,34 +7,46 @@ import contextlib
 import logging
 import threading
 from collections.abc import Callable, Coroutine, Generator, Iterator
+from dataclasses import dataclass
 from functools import partial
 from types import TracebackType
 from typing import Any, Generic, Protocol, TypeVar
 
 from crazychoir.runtime.clock import Stopwatch
-from crazychoir.runtime.watchdog import Guard, standing
+from crazychoir.runtime.watchdog import InterruptGuard, standing_place
 
 T = TypeVar("T")
-STEP = 60.0
-"""Seconds of real time for one step of a law."""
-MISSION = 600.0
-"""Seconds of real time for one turn of a mission: its code between two awaits."""
-HOOK = 300.0
-"""Seconds of real time for a hook of a mission file."""
-LOOK = 0.25
-"""Seconds of real time between two checks."""
-SAID = 5.0
-"""Seconds of real time after which a computation is logged.
 
-It is logged again each time they have doubled.
-"""
+
+@dataclass(frozen=True, slots=True)
+class UserCodeTimes:
+    """How long the code of a user may run, and when a long computation is logged."""
+
+    step_limit: float = 60.0
+    """Seconds of real time for one step of a law."""
+    mission_limit: float = 600.0
+    """Seconds of real time for one turn of a mission: its code between two awaits."""
+    hook_limit: float = 300.0
+    """Seconds of real time for a hook of a mission file."""
+    check_interval: float = 0.25
+    """Seconds of real time between two checks."""
+    first_report: float = 5.0
+    """Seconds of real time after which a computation is logged.
+
+    It is logged again each time they have doubled.
+    """
+
+
+USER_CODE_TIMES = UserCodeTimes()
+
+
 log = logging.getLogger(__name__)
 
 
-class Guards(Protocol):
+class GuardFactory(Protocol):
     """Frees the loop from user code that hangs: see `Watchdog.guard`."""
 
-    def guard(self, actor: str, patient: bool = False) -> Guard:
+    def guard(self, actor: str, patient: bool = False) -> InterruptGuard:
         """Return a context in which code that does not return is interrupted by Hung.
 
         actor: name for reports
@@ -50,18 +62,21 @@ class HangWatch:
     """
 
     def __init__(self) -> None:
-        self._guard = Guard(Stopwatch())
+        self._guard = InterruptGuard(Stopwatch())
         self._thread = threading.get_ident()
         self._ending = threading.Event()
 
-    def guard(self, actor: str, patient: bool = False) -> Guard:
+    def guard(self, actor: str, patient: bool = False) -> InterruptGuard:
         """Return a context in which code is interrupted by Hung after STEP s.
 
         If it is patient, it is interrupted after MISSION s.
         """
-        return self.within(MISSION if patient else STEP, actor)
+        return self.within(
+            USER_CODE_TIMES.mission_limit if patient else USER_CODE_TIMES.step_limit,
+            actor,
+        )
 
-    def within(self, seconds: float, actor: str) -> Guard:
+    def within(self, seconds: float, actor: str) -> InterruptGuard:
         """Return a context in which code is interrupted by Hung after so many seconds.
 
         seconds: s of real time
@@ -86,22 +101,26 @@ class HangWatch:
     def _watch(self) -> None:
         guard = self._guard
         since_ns = 0
-        say_at = SAID
-        while not self._ending.wait(LOOK):
+        say_at = USER_CODE_TIMES.first_report
+        while not self._ending.wait(USER_CODE_TIMES.check_interval):
             if guard.since_ns != since_ns:
                 since_ns = guard.since_ns
-                say_at = SAID
+                say_at = USER_CODE_TIMES.first_report
             if (seconds := guard.seconds()) >= say_at:
                 say_at = 2.0 * seconds
                 text = "%s has computed for %.0f s, in %s; it is given up after %g s"
                 log.warning(
-                    text, guard.actor, seconds, standing(self._thread), guard.limit
+                    text,
+                    guard.actor,
+                    seconds,
+                    standing_place(self._thread),
+                    guard.limit,
                 )
             guard.interrupt(self._thread)
 
 
 @contextlib.contextmanager
-def limited(seconds: float, who: str) -> Iterator[None]:
+def limit_duration(seconds: float, who: str) -> Iterator[None]:
     """Interrupt the code in this context by Hung after so many seconds.
 
     It is for hooks, which run before the first drone flies or after all have landed.
@@ -113,7 +132,7 @@ def limited(seconds: float, who: str) -> Iterator[None]:
         yield
 
 
-class Guarded(Generic[T]):
+class GuardedCoroutine(Generic[T]):
     """A coroutine that may not hang between two of its awaits: each turn runs under a guard.
 
     inner: the coroutine
@@ -125,7 +144,7 @@ class Guarded(Generic[T]):
     def __init__(
         self,
         inner: Coroutine[Any, Any, T],
-        guards: Guards,
+        guards: GuardFactory,
         actor: str,
         patient: Callable[[], bool],
     ) -> None:

@@ -15,48 +15,58 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from crazychoir.errors import Hung
-from crazychoir.runtime.clock import SECOND, Clock, thread_seconds
+from crazychoir.runtime.clock import NS_PER_SECOND, Clock, thread_seconds
 
 log = logging.getLogger(__name__)
-LATE = 0.100
-"""Seconds of delay from which a late loop is reported."""
-HAND_OVER = 0.300
-"""Seconds of delay after which the owner of a radio hands its drones to the on-board landing."""
-INTERRUPT = 1.000
-"""Seconds after which user code under `guard` is interrupted."""
-PATIENT = 8.000
-"""Seconds after which patient code under `guard` is interrupted.
 
-An example is a mission that plans on the ground. It is less than GIVE_UP: the code is interrupted
-before the process ends itself.
-"""
-GIVE_UP = 10.000
-"""Seconds of delay after which the process ends itself.
 
-The drones' own safety functions, and the other drones, must not wait for it.
-"""
-FROZEN = 0.500
-"""Seconds between two checks of the watchdog from which the whole process was stopped (SIGSTOP).
+@dataclass(frozen=True, slots=True)
+class WatchdogTimes:
+    """Delays of the event loop at which the watchdog acts, and how often it looks."""
 
-Such a pause is not counted against the loop.
-"""
-QUIET = 10.000
-"""Seconds in which short stalls of one actor are logged once. A stall is short below HAND_OVER.
+    report_delay: float = 0.100
+    """Seconds of delay from which a late loop is reported."""
+    hand_over_delay: float = 0.300
+    """Seconds of delay after which the owner of a radio hands its drones to the on-board landing.
+    """
+    interrupt_limit: float = 1.000
+    """Seconds after which user code under `guard` is interrupted."""
+    patient_limit: float = 8.000
+    """Seconds after which patient code under `guard` is interrupted. An example is a mission that
+    plans on the ground. It is less than give_up_delay: the code is interrupted before the
+    process ends itself.
+    """
+    give_up_delay: float = 10.000
+    """Seconds of delay after which the process ends itself.
 
-Stalls without an actor count together as one actor.
-"""
-STUCK = 15.000
-"""Seconds without a turn of this thread after which C code ends the process.
+    The drones' own safety functions, and the other drones, must not wait for it.
+    """
+    frozen_gap: float = 0.500
+    """Seconds between two checks of the watchdog from which the whole process was stopped (SIGSTOP).
 
-Foreign code then holds the interpreter's lock. A process that was stopped (SIGSTOP) for that long
-ends too: the other processes have lost it by then.
-"""
-STDERR = 2
+    Such a pause is not counted against the loop.
+    """
+    quiet_time: float = 10.000
+    """Seconds in which short stalls of one actor are logged once. A stall is short below
+    hand_over_delay. Stalls without an actor count together as one actor.
+    """
+    stuck_time: float = 15.000
+    """Seconds without a turn of this thread after which C code ends the process.
+
+    Foreign code then holds the interpreter's lock. A process that was stopped (SIGSTOP) for that long
+    ends too: the other processes have lost it by then.
+    """
+    beat_interval: float = 0.020
+    """Seconds between two beats of the loop, and between two checks of the watchdog."""
+
+
+WATCHDOG_TIMES = WatchdogTimes()
+
+
+STDERR_DESCRIPTOR = 2
 """File descriptor of standard error."""
 EXIT_CODE = 70
 """Exit code of a process that ends itself."""
-BEAT = 0.020
-"""Seconds between two beats of the loop, and between two checks of the watchdog."""
 
 
 @dataclass(frozen=True)
@@ -108,9 +118,9 @@ class Watchdog:
         self._loop = asyncio.get_running_loop()
         self._loop_thread = threading.get_ident()
         self._beat_ns = clock.now_ns()
-        self._guard = Guard(clock)
+        self._guard = InterruptGuard(clock)
         self._ending = threading.Event()
-        self._report_at = LATE
+        self._report_at = WATCHDOG_TIMES.report_delay
         # By actor: ns of its last report, and its short stalls since then that were not reported.
         self._said: dict[str, tuple[int, int]] = {}
         # ns at which guarded code began, and s of processor time of the loop's thread by then.
@@ -130,7 +140,7 @@ class Watchdog:
         if self._thread.is_alive():
             self._thread.join(1.0)
 
-    def guard(self, actor: str, patient: bool = False) -> "Guard":
+    def guard(self, actor: str, patient: bool = False) -> "InterruptGuard":
         """Return a context in which Hung interrupts code that blocks the loop for INTERRUPT s.
 
         The code may not await, and guards may not nest. Code that swallows Hung gets it again as
@@ -140,44 +150,60 @@ class Watchdog:
         patient: interrupt only after PATIENT s
         """
         self._guard.actor = actor
-        self._guard.limit = PATIENT if patient else INTERRUPT
+        self._guard.limit = (
+            WATCHDOG_TIMES.patient_limit if patient else WATCHDOG_TIMES.interrupt_limit
+        )
         return self._guard
 
     def _beat(self) -> None:
         self._beat_ns = self.clock.now_ns()
         self._guard.since_ns = 0
         if not self._ending.is_set():
-            self.clock.call_at(self._beat_ns + round(BEAT * SECOND), self._beat)
+            self.clock.call_at(
+                self._beat_ns + round(WATCHDOG_TIMES.beat_interval * NS_PER_SECOND),
+                self._beat,
+            )
 
     def _watch(self) -> None:
         looked_ns = self.clock.now_ns()
         frozen = 0.0
         armed_ns = 0
-        while not self._ending.wait(BEAT):
+        while not self._ending.wait(WATCHDOG_TIMES.beat_interval):
             now_ns = self.clock.now_ns()
-            if now_ns - armed_ns > SECOND:
+            if now_ns - armed_ns > NS_PER_SECOND:
                 armed_ns = now_ns
-                faulthandler.dump_traceback_later(STUCK, exit=True, file=STDERR)
-            late = (now_ns - self._beat_ns) / SECOND - BEAT
-            if self.soon and late > BEAT:
+                faulthandler.dump_traceback_later(
+                    WATCHDOG_TIMES.stuck_time, exit=True, file=STDERR_DESCRIPTOR
+                )
+            late = (
+                now_ns - self._beat_ns
+            ) / NS_PER_SECOND - WATCHDOG_TIMES.beat_interval
+            if self.soon and late > WATCHDOG_TIMES.beat_interval:
                 self._computed()
-            looked_ns, gap = now_ns, (now_ns - looked_ns) / SECOND
-            frozen = 0.0 if late < LATE else frozen + gap if gap > FROZEN else frozen
+            looked_ns, gap = now_ns, (now_ns - looked_ns) / NS_PER_SECOND
+            frozen = (
+                0.0
+                if late < WATCHDOG_TIMES.report_delay
+                else frozen + gap
+                if gap > WATCHDOG_TIMES.frozen_gap
+                else frozen
+            )
             self.worst = max(self.worst, late)
-            if late < LATE:
-                self._report_at = LATE
+            if late < WATCHDOG_TIMES.report_delay:
+                self._report_at = WATCHDOG_TIMES.report_delay
                 continue
             if late >= self._report_at:
                 self._report(late)
-            if late - frozen >= INTERRUPT:
+            if late - frozen >= WATCHDOG_TIMES.interrupt_limit:
                 self._guard.interrupt(self._loop_thread)
             elif (
                 self.soon
-                and late >= HAND_OVER
-                and self._computed() >= HAND_OVER - 2.0 * BEAT
+                and late >= WATCHDOG_TIMES.hand_over_delay
+                and self._computed()
+                >= WATCHDOG_TIMES.hand_over_delay - 2.0 * WATCHDOG_TIMES.beat_interval
             ):
-                self._guard.interrupt(self._loop_thread, HAND_OVER)
-            if late - frozen >= GIVE_UP:
+                self._guard.interrupt(self._loop_thread, WATCHDOG_TIMES.hand_over_delay)
+            if late - frozen >= WATCHDOG_TIMES.give_up_delay:
                 self._give_up(late)
         faulthandler.cancel_dump_traceback_later()
 
@@ -203,10 +229,18 @@ class Watchdog:
         os._exit(EXIT_CODE)
 
     def _report(self, late: float) -> None:
-        begins = self._report_at == LATE
+        begins = self._report_at == WATCHDOG_TIMES.report_delay
         self.stalls += begins
         self._report_at = next(
-            (limit for limit in (HAND_OVER, INTERRUPT) if limit > late), 2.0 * late
+            (
+                limit
+                for limit in (
+                    WATCHDOG_TIMES.hand_over_delay,
+                    WATCHDOG_TIMES.interrupt_limit,
+                )
+                if limit > late
+            ),
+            2.0 * late,
         )
         task = asyncio.current_task(self._loop)
         actor = (
@@ -219,15 +253,15 @@ class Watchdog:
         now_ns = self.clock.now_ns()
         said_ns, more = self._said.get(actor, (None, 0))
         if (
-            late < HAND_OVER
+            late < WATCHDOG_TIMES.hand_over_delay
             and said_ns is not None
-            and now_ns - said_ns < QUIET * SECOND
+            and now_ns - said_ns < WATCHDOG_TIMES.quiet_time * NS_PER_SECOND
         ):
             self._said[actor] = said_ns, more + 1
             return
         self._said[actor] = now_ns, 0
         more -= bool(more) and not begins  # do not count this stall's own beginning
-        stall = Stall(late, actor, standing(self._loop_thread), more)
+        stall = Stall(late, actor, standing_place(self._loop_thread), more)
         log.warning("%s", stall)
         try:
             self.on_stall(stall)
@@ -235,14 +269,14 @@ class Watchdog:
             log.exception("watchdog: error in what hears of the stall")
 
 
-def standing(thread: int) -> str:
+def standing_place(thread: int) -> str:
     """Return the file, line and function at which the code of a thread stands."""
     frame = sys._current_frames().get(thread)
     stack = traceback.extract_stack(frame)[-1] if frame else None
     return f"{stack.filename}:{stack.lineno} {stack.name}" if stack else "unknown code"
 
 
-class Guard:
+class InterruptGuard:
     """A region of the loop's thread in which Hung may be raised, and nowhere else.
 
     See `Watchdog.guard`.
@@ -251,7 +285,7 @@ class Guard:
     def __init__(self, clock: Clock) -> None:
         self.clock = clock
         self.actor = ""
-        self.limit = INTERRUPT
+        self.limit = WATCHDOG_TIMES.interrupt_limit
         self.since_ns = 0
         self._lock = threading.Lock()
 
@@ -269,7 +303,7 @@ class Guard:
     def seconds(self) -> float:
         """Return for how many s code has been inside; 0 if none is."""
         since_ns = self.since_ns
-        return (self.clock.now_ns() - since_ns) / SECOND if since_ns else 0.0
+        return (self.clock.now_ns() - since_ns) / NS_PER_SECOND if since_ns else 0.0
 
     def interrupt(self, thread: int, sooner: float | None = None) -> None:
         """Raise Hung in a thread if its code has been inside for its limit.
@@ -279,10 +313,14 @@ class Guard:
         thread: identifier of the thread
         sooner: s, used instead of the limit unless the code is patient
         """
-        limit = self.limit if sooner is None or self.limit > INTERRUPT else sooner
+        limit = (
+            self.limit
+            if sooner is None or self.limit > WATCHDOG_TIMES.interrupt_limit
+            else sooner
+        )
         with self._lock:
             now_ns = self.clock.now_ns()
-            if self.since_ns and now_ns - self.since_ns >= limit * SECOND:
+            if self.since_ns and now_ns - self.since_ns >= limit * NS_PER_SECOND:
                 self.since_ns = now_ns
                 ctypes.pythonapi.PyThreadState_SetAsyncExc(
                     ctypes.c_ulong(thread), ctypes.py_object(Hung)

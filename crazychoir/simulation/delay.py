@@ -3,7 +3,7 @@
 from collections import deque
 from dataclasses import dataclass, field
 
-from crazychoir.simulation.common.world import Link
+from crazychoir.simulation.common.world import DroneLink
 from crazychoir.types import Command
 
 
@@ -14,7 +14,7 @@ class DelayedLink:
     A cut takes effect at once.
     """
 
-    link: Link
+    link: DroneLink
     """The link of the drone without delay."""
     steps: int
     """Steps of the world between sending and effect."""

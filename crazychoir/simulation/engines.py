@@ -11,41 +11,53 @@ import msgspec
 import numpy as np
 
 from crazychoir.config.checks import (
-    DOUBLE,
-    LIGHTWEIGHT,
-    MOTORS,
-    MUJOCO,
-    REPLAY,
-    SINGLE,
-    UNICYCLE,
+    WORLD_ENTRY_POINTS,
     WORLD_STEP,
-    WORLDS,
+    WORLD_URIS,
 )
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.config.tables import Drone, Table
+from crazychoir.config.tables import DroneTable, SwarmTable
 from crazychoir.errors import ConfigError, CrazyChoirError, error_text
-from crazychoir.platforms import platform
-from crazychoir.simulation.common.mismatch import scaled
+from crazychoir.platforms import find_platform
+from crazychoir.simulation.common.mismatch import find_equivalent_platform
 from crazychoir.simulation.common.world import World, WorldSetup
 from crazychoir.simulation.lightweight.integrator import CFIntegrator
 
 Engine = Callable[[WorldSetup], World]
 
-OURS = {
-    LIGHTWEIGHT: EntryPoint(
-        LIGHTWEIGHT, "crazychoir.simulation.engines:lightweight", WORLDS
+BUILT_IN_ENGINES = {
+    WORLD_URIS.lightweight: EntryPoint(
+        WORLD_URIS.lightweight,
+        "crazychoir.simulation.engines:lightweight",
+        WORLD_ENTRY_POINTS,
     ),
-    MOTORS: EntryPoint(MOTORS, "crazychoir.simulation.engines:motors", WORLDS),
-    MUJOCO: EntryPoint(MUJOCO, "crazychoir.simulation.mujoco.world:engine", WORLDS),
-    REPLAY: EntryPoint(REPLAY, "crazychoir.recording.replay:engine", WORLDS),
-    SINGLE: EntryPoint(
-        SINGLE, "crazychoir.simulation.lightweight.points:single_integrators", WORLDS
+    WORLD_URIS.motor_level: EntryPoint(
+        WORLD_URIS.motor_level,
+        "crazychoir.simulation.engines:motors",
+        WORLD_ENTRY_POINTS,
     ),
-    DOUBLE: EntryPoint(
-        DOUBLE, "crazychoir.simulation.lightweight.points:double_integrators", WORLDS
+    WORLD_URIS.mujoco: EntryPoint(
+        WORLD_URIS.mujoco,
+        "crazychoir.simulation.mujoco.world:engine",
+        WORLD_ENTRY_POINTS,
     ),
-    UNICYCLE: EntryPoint(
-        UNICYCLE, "crazychoir.simulation.lightweight.points:unicycles", WORLDS
+    WORLD_URIS.replay: EntryPoint(
+        WORLD_URIS.replay, "crazychoir.recording.replay:engine", WORLD_ENTRY_POINTS
+    ),
+    WORLD_URIS.single_integrator: EntryPoint(
+        WORLD_URIS.single_integrator,
+        "crazychoir.simulation.lightweight.points:single_integrators",
+        WORLD_ENTRY_POINTS,
+    ),
+    WORLD_URIS.double_integrator: EntryPoint(
+        WORLD_URIS.double_integrator,
+        "crazychoir.simulation.lightweight.points:double_integrators",
+        WORLD_ENTRY_POINTS,
+    ),
+    WORLD_URIS.unicycle: EntryPoint(
+        WORLD_URIS.unicycle,
+        "crazychoir.simulation.lightweight.points:unicycles",
+        WORLD_ENTRY_POINTS,
     ),
 }
 
@@ -54,7 +66,8 @@ def lightweight(setup: WorldSetup) -> World:
     """Make a world with the paper's integrator."""
     homes = np.array(setup.homes, dtype=float)
     bodies = [
-        scaled(row, setup.mass_error, setup.thrust_error) for row in setup.platforms
+        find_equivalent_platform(row, setup.mass_error, setup.thrust_error)
+        for row in setup.platforms
     ]
     options = {
         name: setup.options[name] for name in ("inputs", "rate_lag", "command_delay")
@@ -73,18 +86,18 @@ def motors(setup: WorldSetup) -> World:
     return CrazyflieWorld.of(setup)
 
 
-def worlds(config: SwarmConfig, ids: tuple[int, ...]) -> list[World]:
+def make_worlds(config: SwarmConfig, ids: tuple[int, ...]) -> list[World]:
     """Make the worlds of these drones, one world an engine.
 
     Raises ConfigError if an engine is not available.
     """
-    together: dict[str, list[Drone]] = {}
+    together: dict[str, list[DroneTable]] = {}
     for drone in (config.drone(i) for i in ids):
         together.setdefault(_entry_point(drone.uri).name, []).append(drone)
     return [_world(config, tuple(drones)) for drones in together.values()]
 
 
-def delay_steps(config: SwarmConfig, world: World) -> int:
+def count_delay_steps(config: SwarmConfig, world: World) -> int:
     """Return the number of world steps by which commands arrive late.
 
     It is 0 for the lightweight world, which has this delay in its own model.
@@ -98,15 +111,15 @@ def delay_steps(config: SwarmConfig, world: World) -> int:
 
 def _entry_point(uri: str) -> EntryPoint:
     """Return the entry point of the engine for a uri that the swarm file allows."""
-    uri = REPLAY if uri.startswith(REPLAY) else uri
+    uri = WORLD_URIS.replay if uri.startswith(WORLD_URIS.replay) else uri
     return (
-        OURS[uri]
-        if uri in OURS
-        else entry_points(group=WORLDS)[uri.partition("://")[0]]
+        BUILT_IN_ENGINES[uri]
+        if uri in BUILT_IN_ENGINES
+        else entry_points(group=WORLD_ENTRY_POINTS)[uri.partition("://")[0]]
     )
 
 
-def _world(config: SwarmConfig, drones: tuple[Drone, ...]) -> World:
+def _world(config: SwarmConfig, drones: tuple[DroneTable, ...]) -> World:
     """Make one world of these drones and check that it has the requested drones and step.
 
     Raises ConfigError if the engine fails or makes a different world.
@@ -119,7 +132,7 @@ def _world(config: SwarmConfig, drones: tuple[Drone, ...]) -> World:
         uris=tuple(drone.uri for drone in drones),
         homes=tuple(drone.home for drone in drones),
         yaws=tuple(drone.yaw for drone in drones),
-        platforms=tuple(platform(drone.platform) for drone in drones),
+        platforms=tuple(find_platform(drone.platform) for drone in drones),
         options=_options(config, uri),
         wind=config.motors.wind,
         seed=config.seed,
@@ -151,10 +164,10 @@ def _options(config: SwarmConfig, uri: str) -> dict[str, Any]:
     plant = config.plant
     motors = config.motors
     shapes = config.mujoco
-    ours: dict[str, tuple[Table, ...]] = {
-        LIGHTWEIGHT: (plant,),
-        MOTORS: (motors,),
-        MUJOCO: (motors, shapes),
+    ours: dict[str, tuple[SwarmTable, ...]] = {
+        WORLD_URIS.lightweight: (plant,),
+        WORLD_URIS.motor_level: (motors,),
+        WORLD_URIS.mujoco: (motors, shapes),
     }
     if uri not in ours:
         return config.world.options

@@ -7,22 +7,22 @@ from collections.abc import Callable
 from typing import Protocol
 
 from crazychoir.bus.port import Bus
-from crazychoir.bus.topics import BODY, POSE, TRUTH
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.runtime.actor import Actor
-from crazychoir.runtime.clock import SECOND, WORLD
-from crazychoir.simulation.common.world import Link, World
+from crazychoir.runtime.clock import NS_PER_SECOND, AlarmPriority
+from crazychoir.simulation.common.world import DroneLink, World
 from crazychoir.simulation.delay import DelayedLink
 from crazychoir.simulation.telemetry import Telemetry
 from crazychoir.types import Body, Mat, Pose
 
-MOST_CATCH_UP = 20
+LARGEST_CATCH_UP = 20
 """Largest number of missed steps that a late world makes up for.
 
 Missed steps are computed because simulated drones continue to fall while no code runs.
 """
 
 
-class Cameras(Protocol):
+class PoseSampler(Protocol):
     """Simulated cameras, which turn true states into poses."""
 
     def sample(self, x: Mat, k: int) -> list[Pose | None]:
@@ -56,7 +56,7 @@ class WorldOwner(Actor):
         self,
         bus: Bus,
         world: World,
-        cameras: Cameras,
+        cameras: PoseSampler,
         rate: float,
         trace: Digest | None = None,
         base: int = 0,
@@ -66,13 +66,13 @@ class WorldOwner(Actor):
         self.world = world
         self.cameras = cameras
         self.trace = trace
-        self.ticks = bus.clock.ticks(1.0 / world.dt, WORLD)
+        self.ticks = bus.clock.ticks(1.0 / world.dt, AlarmPriority.WORLD)
         self._ports = {i: bus.ports[base + i] for i in world.ids}
         self.telemetry = Telemetry(world, self._ports)
         self._delay, self._delayed = delay, dict[int, DelayedLink]()
         self._look_every = max(1, round(1.0 / (world.dt * rate)))
-        self._truth_every = max(1, round(1.0 / (world.dt * TRUTH.rate)))
-        self._body_every = max(1, round(1.0 / (world.dt * BODY.rate)))
+        self._truth_every = max(1, round(1.0 / (world.dt * DRONE_TOPICS.truth.rate)))
+        self._body_every = max(1, round(1.0 / (world.dt * DRONE_TOPICS.body.rate)))
         self._tick = 0
         self.looked_ns = 0
         """Time of the last camera frame in ns, on the clock of the bus."""
@@ -81,7 +81,7 @@ class WorldOwner(Actor):
         self.cut: Callable[[int], bool] = lambda i: False
         """Returns True if another process has cut the motors of drone i."""
 
-    def link(self, i: int, kind: str) -> Link:
+    def link(self, i: int, kind: str) -> DroneLink:
         """Return the link to drone i, with the delay of commands.
 
         Raises ConfigError if the world of the drone does not obey this kind.
@@ -102,9 +102,9 @@ class WorldOwner(Actor):
             ticks.skip()
             late = ticks.missed - missed
             missed = ticks.missed
-            for _ in range(min(late, MOST_CATCH_UP)):
+            for _ in range(min(late, LARGEST_CATCH_UP)):
                 self._advance()
-            self.step((self.bus.clock.now_ns() - ticks.due_ns) / SECOND)
+            self.step((self.bus.clock.now_ns() - ticks.due_ns) / NS_PER_SECOND)
 
     def step(self, late: float = 0.0) -> None:
         """Advance the world, take a camera frame if one is due, and publish.
@@ -124,16 +124,18 @@ class WorldOwner(Actor):
                 if pose is not None:
                     seen = Pose(pose.flat, pose.age + late) if late else pose
                     world.see(i, seen)
-                    port.publish(POSE, seen, seen.age)
+                    port.publish(DRONE_TOPICS.pose, seen, seen.age)
         if self._tick % self._truth_every == 0:
             for i, port in self._ports.items():
-                port.publish(TRUTH, world.state(i), late)
+                port.publish(DRONE_TOPICS.truth, world.state(i), late)
         if self.telemetry.every:
             self.telemetry.step(self._tick, late)
         if self._tick % self._body_every == 0:
             for i, port in self._ports.items():
                 port.publish(
-                    BODY, Body(world.harm(i), self.flying(i), self.cut(i)), late
+                    DRONE_TOPICS.body,
+                    Body(world.harm(i), self.flying(i), self.cut(i)),
+                    late,
                 )
 
     def _advance(self) -> None:

@@ -7,22 +7,23 @@ import asyncio
 import logging
 import math
 from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
 from crazychoir.bus.codec import encode
-from crazychoir.bus.commands import DONE, Commander, CommandServer
-from crazychoir.bus.port import BODIES, Port
-from crazychoir.bus.topics import BODY, COMMAND, CUT
-from crazychoir.config.tables import Flight
+from crazychoir.bus.commands import ANSWER_TEXTS, Commander, CommandServer
+from crazychoir.bus.port import PORT_ADDRESSES, Port
+from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS
+from crazychoir.config.tables import FlightTable
 from crazychoir.errors import CodecError, Refused
 from crazychoir.numerics.math3d import yaw_of
 from crazychoir.planning.point_to_point import PEAK_SPEED
 from crazychoir.runtime.actor import Actor
-from crazychoir.runtime.clock import SECOND, Clock
+from crazychoir.runtime.clock import NS_PER_SECOND, Clock
 from crazychoir.runtime.mailbox import Call, Latest
-from crazychoir.simulation.common.world import KINDS, Link
+from crazychoir.simulation.common.world import COMMAND_TYPES, DroneLink
 from crazychoir.types import (
     FPQR,
     FRPY,
@@ -37,7 +38,7 @@ from crazychoir.types import (
 )
 
 log = logging.getLogger(__name__)
-SIZES: dict[type[Any], int] = {
+COMMAND_SIZES: dict[type[Any], int] = {
     FPQR: 4,
     FRPY: 4,
     Vel: 4,
@@ -47,37 +48,48 @@ SIZES: dict[type[Any], int] = {
     Drive: 2,
 }
 """Count of numbers in a command of each kind."""
-THRUST = ("fpqr", "frpy")
+THRUST_KINDS = ("fpqr", "frpy")
 """Kinds of commands with a thrust: without them the drone falls."""
-GONE = 3.0
-"""Seconds of silence after which a world's owner counts as gone for good.
 
-By then all its drones have stopped their motors or are landed by their firmware.
-"""
-HANDS_OVER = 0.4
-"""Seconds without a command before a drone with streamed commands is told to land.
 
-This applies if its firmware can land it. Without this command the firmware would level the drone
-after 0.5 s and let it fall after 2 s.
-"""
-LANDS = 1.0
-"""Seconds without a command before a drone with "xyz" commands is told to land.
+@dataclass(frozen=True, slots=True)
+class RemoteTimeouts:
+    """Times in seconds after which the two ends of a remote link stop waiting."""
 
-Such a drone gets a goal seldom, and would hover forever after its last goal.
-"""
-STOOD_STILL = 1.0
-"""Seconds between two checks of the silent owners beyond which this process itself may have hung.
+    owner_gone: float = 3.0
+    """Seconds of silence after which a world's owner counts as gone for good.
 
-The checks run four times a second.
-"""
-ARMS = 3.0
-"""Seconds to wait for the answer to an arming request."""
-ASKS = 30.0
-"""Seconds to wait for the owner's answer to a request for log variables."""
-PATIENT = 5.0
-"""Seconds after which a drone that waits for its world logs a warning."""
-OFF = "its motors were cut: they stay off until its world is started again"
-_NOTHING = encode(None)
+    By then all its drones have stopped their motors or are landed by their firmware.
+    """
+    streamed_landing: float = 0.4
+    """Seconds without a command before a drone with streamed commands is told to land.
+
+    This applies if its firmware can land it. Without this command the firmware would level the drone
+    after 0.5 s and let it fall after 2 s.
+    """
+    goal_landing: float = 1.0
+    """Seconds without a command before a drone with "xyz" commands is told to land.
+
+    Such a drone gets a goal seldom, and would hover forever after its last goal.
+    """
+    process_hang: float = 1.0
+    """Seconds between two checks of the silent owners beyond which this process itself may have hung.
+
+    The checks run four times a second.
+    """
+    arming_answer: float = 3.0
+    """Seconds to wait for the answer to an arming request."""
+    log_answer: float = 30.0
+    """Seconds to wait for the owner's answer to a request for log variables."""
+    waiting_warning: float = 5.0
+    """Seconds after which a drone that waits for its world logs a warning."""
+
+
+REMOTE_TIMEOUTS = RemoteTimeouts()
+
+
+MOTORS_CUT_TEXT = "its motors were cut: they stay off until its world is started again"
+_EMPTY_PAYLOAD = encode(None)
 
 
 class RemoteLink:
@@ -96,12 +108,12 @@ class RemoteLink:
         self,
         port: Port,
         owner: str = "its world's owner (crazychoir-world)",
-        gone: float = GONE,
+        gone: float = REMOTE_TIMEOUTS.owner_gone,
     ) -> None:
         self.port = port
         self.owner = owner
         self.gone = gone
-        self._body = BODIES + port.address
+        self._body = PORT_ADDRESSES.body_offset + port.address
         self._cut = self._heard = False
         self._commander, self._asking = Commander(port), list[asyncio.Task[None]]()
         self.found_flying: Callable[[], None] = lambda: None
@@ -113,11 +125,14 @@ class RemoteLink:
         """Called with the reason if the motors are off for good because an earlier agent cut them.
         """
         self._condition: Latest[Body] = Latest(
-            port.bus.clock, f"drone {port.address} body", BODY.max_age
+            port.bus.clock, f"drone {port.address} body", DRONE_TOPICS.body.max_age
         )
-        port.bus.subscribe(BODY, self._body, port.address, self._condition)
+        port.bus.subscribe(DRONE_TOPICS.body, self._body, port.address, self._condition)
         port.bus.subscribe(
-            BODY, self._body, port.address, Call(port.bus.clock, self._begin, "body")
+            DRONE_TOPICS.body,
+            self._body,
+            port.address,
+            Call(port.bus.clock, self._begin, "body"),
         )
 
     def _begin(self, body: Body, age: float) -> None:
@@ -125,7 +140,7 @@ class RemoteLink:
         if not self._heard:
             self._heard = True
             if body.cut:
-                self.found_cut(OFF)
+                self.found_cut(MOTORS_CUT_TEXT)
             elif body.flying:
                 self.found_flying()
 
@@ -138,13 +153,13 @@ class RemoteLink:
         if self._cut:
             self.cut()
         elif self._heard and not self.unheard():
-            self.port.send(COMMAND, (self._body,), encode(command))
+            self.port.send(DRONE_TOPICS.command, (self._body,), encode(command))
         else:
             self._heard = False
 
     def unheard(self) -> bool:
         """Return True if no recent report of the body has arrived; commands may be lost as well."""
-        return self.silence > BODY.max_age
+        return self.silence > DRONE_TOPICS.body.max_age
 
     def flying(self) -> bool:
         """Return True if the body is in the air according to its last report."""
@@ -159,17 +174,21 @@ class RemoteLink:
     async def _ask(self, names: tuple[str, ...], period: float) -> None:
         try:
             answer = await self._commander.request(
-                self._body, "log", ASKS, names=list(names), period=period
+                self._body,
+                "log",
+                REMOTE_TIMEOUTS.log_answer,
+                names=list(names),
+                period=period,
             )
         except TimeoutError:
             log.error(
                 "drone %d: log: no answer of %s within %g s",
                 self.port.address,
                 self.owner,
-                ASKS,
+                REMOTE_TIMEOUTS.log_answer,
             )
             return
-        if answer.kind != DONE:
+        if answer.kind != ANSWER_TEXTS.done:
             log.error("%s", answer.detail)
 
     async def arm(self) -> str:
@@ -178,20 +197,22 @@ class RemoteLink:
         Raises Refused with the reason if the owner refuses or does not answer.
         """
         try:
-            answer = await self._commander.request(self._body, "arm", ARMS)
+            answer = await self._commander.request(
+                self._body, "arm", REMOTE_TIMEOUTS.arming_answer
+            )
         except TimeoutError:
             raise Refused(
                 f"drone {self.port.address}",
-                f"no answer of {self.owner} within {ARMS:g} s",
+                f"no answer of {self.owner} within {REMOTE_TIMEOUTS.arming_answer:g} s",
             ) from None
-        if answer.kind != DONE:
+        if answer.kind != ANSWER_TEXTS.done:
             raise Refused(f"drone {self.port.address}", str(answer.detail))
         return str(answer.detail)
 
     def cut(self) -> None:
         """Stop the motors for good."""
         self._cut = True
-        self.port.send(CUT, (self._body,), _NOTHING)
+        self.port.send(MESSAGE_TOPICS.cut, (self._body,), _EMPTY_PAYLOAD)
 
     @property
     def silence(self) -> float:
@@ -201,7 +222,7 @@ class RemoteLink:
     def problems(self) -> list[str]:
         """Return the reasons why the drone may not take off, according to the last report."""
         body = self._condition.peek()
-        return [OFF] if body is not None and body.cut else []
+        return [MOTORS_CUT_TEXT] if body is not None and body.cut else []
 
     def harm(self) -> str:
         """Return what broke the body, or a text that the owner is silent."""
@@ -236,10 +257,10 @@ class OwnerWatch(Actor):
         If this process itself hung, for example because it was suspended, one check is skipped so
         that waiting reports are read first.
         """
-        patient_until = self.clock.now() + PATIENT
+        patient_until = self.clock.now() + REMOTE_TIMEOUTS.waiting_warning
         before = self.clock.now()
-        async for _ in self.clock.ticks(BODY.rate):
-            stood_still = self.clock.now() - before > STOOD_STILL
+        async for _ in self.clock.ticks(DRONE_TOPICS.body.rate):
+            stood_still = self.clock.now() - before > REMOTE_TIMEOUTS.process_hang
             before = self.clock.now()
             if stood_still:
                 continue
@@ -257,7 +278,7 @@ class OwnerWatch(Actor):
                 self.gone(i)
 
 
-class Place(Protocol):
+class BodyObserver(Protocol):
     """Questions about the body of a drone, answered by a simulated world or by a radio."""
 
     flies: tuple[str, ...]
@@ -292,11 +313,11 @@ class RemoteBody:
     def __init__(
         self,
         port: Port,
-        world: Place,
-        link: Link,
+        world: BodyObserver,
+        link: DroneLink,
         kind: str,
         obeyed: Callable[[], None] = lambda: None,
-        flight: Flight | None = None,
+        flight: FlightTable | None = None,
         ask: Callable[[list[str], float], None] | None = None,
         arm: Callable[[], Awaitable[str]] | None = None,
     ) -> None:
@@ -307,16 +328,16 @@ class RemoteBody:
         self.obeyed = obeyed
         self._ask = ask
         self._arm = arm
-        self.flight = Flight() if flight is None else flight
-        self.drone = port.address - BODIES
+        self.flight = FlightTable() if flight is None else flight
+        self.drone = port.address - PORT_ADDRESSES.body_offset
         self.refused = 0
         self._clock = port.bus.clock
         self._commanded_ns: int | None = None
         self.was_cut = False
         """True if the motors were cut: they stay off until the world is started again."""
         self._idle = False
-        port.handlers[COMMAND.number] = self._commanded
-        port.handlers[CUT.number] = self._cut
+        port.handlers[DRONE_TOPICS.command.number] = self._commanded
+        port.handlers[MESSAGE_TOPICS.cut.number] = self._cut
         CommandServer(port, self._execute, self._stop)
 
     @property
@@ -325,7 +346,7 @@ class RemoteBody:
         return (
             math.inf
             if self._commanded_ns is None
-            else (self._clock.now_ns() - self._commanded_ns) / SECOND
+            else (self._clock.now_ns() - self._commanded_ns) / NS_PER_SECOND
         )
 
     @property
@@ -348,9 +369,9 @@ class RemoteBody:
         limit = (
             self.world.command_timeout
             if not on_board
-            else LANDS
+            else REMOTE_TIMEOUTS.goal_landing
             if self.kind == "xyz"
-            else HANDS_OVER
+            else REMOTE_TIMEOUTS.streamed_landing
         )
         if limit is None or self._idle or not limit < self.silence < math.inf:
             return
@@ -362,7 +383,7 @@ class RemoteBody:
                 "landing"
                 if on_board
                 else "no thrust"
-                if self.kind in THRUST
+                if self.kind in THRUST_KINDS
                 else "stands still"
             )
             log.warning(
@@ -386,11 +407,11 @@ class RemoteBody:
 
     def _nothing(self) -> Command:
         """Return the command for no thrust and no speed."""
-        kinds = KINDS[self.kind]
+        kinds = COMMAND_TYPES[self.kind]
         stop: Command = (
             XYZ("stop", np.zeros(5))
             if XYZ in kinds
-            else kinds[0](np.zeros(SIZES[kinds[0]]))
+            else kinds[0](np.zeros(COMMAND_SIZES[kinds[0]]))
         )
         return stop
 
@@ -419,21 +440,21 @@ class RemoteBody:
         age: float,
     ) -> None:
         try:
-            command = self.port.bus.open(COMMAND.number, payload)
+            command = self.port.bus.open(DRONE_TOPICS.command.number, payload)
         except CodecError:
             self.port.counters.malformed += 1
             return
-        if source != self.drone or not _whole(command):
+        if source != self.drone or not _is_well_formed(command):
             self.port.counters.malformed += 1
-        elif not isinstance(command, KINDS[self.kind]) and not self._lands_by_itself(
-            command
-        ):
+        elif not isinstance(
+            command, COMMAND_TYPES[self.kind]
+        ) and not self._lands_by_itself(command):
             sent = type(command).__name__
             self._refuse(
                 f"drone {self.drone}: its agent sends {sent}, the swarm file says {self.kind}"
             )
         elif self.was_cut:
-            self._refuse(f"drone {self.drone}: {OFF}")
+            self._refuse(f"drone {self.drone}: {MOTORS_CUT_TEXT}")
         else:
             self._commanded_ns = self._clock.now_ns()
             self._idle = False
@@ -492,11 +513,11 @@ class RemoteBody:
         )
 
 
-def _whole(command: Any) -> bool:
+def _is_well_formed(command: Any) -> bool:
     """Return True if the command has the right count of numbers, all finite.
 
     The sum is finite exactly if all numbers are, and is fast to test.
     """
     flat = command.flat
-    fits = flat.shape == (SIZES[type(command)],) and flat.dtype == np.float64
+    fits = flat.shape == (COMMAND_SIZES[type(command)],) and flat.dtype == np.float64
     return fits and math.isfinite(sum(flat.tolist()))

@@ -4,28 +4,28 @@ import difflib
 from collections.abc import Iterable, Mapping
 
 from crazychoir.bus.port import Port
-from crazychoir.bus.topics import TELEMETRY
-from crazychoir.config.checks import LIGHTWEIGHT, MOTORS
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.config.checks import WORLD_URIS
 from crazychoir.errors import ConfigError
-from crazychoir.simulation.common.logs import LIGHT
+from crazychoir.simulation.common.logs import LIGHTWEIGHT_LOG_READERS
 from crazychoir.simulation.common.world import World
 
-TICK = 0.01  # s: periods of the firmware's log blocks are multiples of this
-LONGEST = 2.55  # s: longest period of a log block
+LOG_PERIOD_STEP = 0.01  # s: periods of the firmware's log blocks are multiples of this
+LONGEST_LOG_PERIOD = 2.55  # s: longest period of a log block
 
 
-def names_of(uri: str) -> Iterable[str] | None:
+def list_log_names(uri: str) -> Iterable[str] | None:
     """Return the log variables of drones with this uri; None if only their world knows them."""
-    if uri == MOTORS:
+    if uri == WORLD_URIS.motor_level:
         from crazychoir.simulation.onboard.logs import (
-            TABLE,
+            FIRMWARE_LOG_READERS,
         )  # kernels that a lightweight world does not need
 
-        return TABLE
-    return LIGHT if uri == LIGHTWEIGHT else None
+        return FIRMWARE_LOG_READERS
+    return LIGHTWEIGHT_LOG_READERS if uri == WORLD_URIS.lightweight else None
 
 
-def check(names: Iterable[str], known: Iterable[str], where: str) -> None:
+def check_log_names(names: Iterable[str], known: Iterable[str], where: str) -> None:
     """Raise ConfigError for an unknown variable name; the error lists the nearest known names."""
     there = tuple(known)
     for name in names:
@@ -38,8 +38,8 @@ def check(names: Iterable[str], known: Iterable[str], where: str) -> None:
                 f"the {len(there)} variables that it has, such as {', '.join(near)}"
             )
             do = (
-                f'With uri = "{MOTORS}" it has those of the firmware.'
-                if there == tuple(LIGHT)
+                f'With uri = "{WORLD_URIS.motor_level}" it has those of the firmware.'
+                if there == tuple(LIGHTWEIGHT_LOG_READERS)
                 else ""
             )
             raise ConfigError(
@@ -50,11 +50,17 @@ def check(names: Iterable[str], known: Iterable[str], where: str) -> None:
             )
 
 
-def check_period(period: float, where: str) -> None:
+def check_log_period(period: float, where: str) -> None:
     """Raise ConfigError for a period that no log block can have."""
-    ticks = period / TICK
-    if not (TICK <= period <= LONGEST and abs(ticks - round(ticks)) < 1e-6):
-        allowed = f"multiples of {TICK:g} s up to {LONGEST:g} s, as the firmware's log blocks have"
+    ticks = period / LOG_PERIOD_STEP
+    if not (
+        LOG_PERIOD_STEP <= period <= LONGEST_LOG_PERIOD
+        and abs(ticks - round(ticks)) < 1e-6
+    ):
+        allowed = (
+            f"multiples of {LOG_PERIOD_STEP:g} s up to {LONGEST_LOG_PERIOD:g} s, as the "
+            "firmware's log blocks have"
+        )
         raise ConfigError(where, period, allowed)
 
 
@@ -80,8 +86,8 @@ class Telemetry:
         """
         where = f"drone {i}: log"
         wanted = tuple(names)
-        check(wanted, names_of_world(self.world), where)
-        check_period(period, where)
+        check_log_names(wanted, list_log_names_of_world(self.world), where)
+        check_log_period(period, where)
         steps = max(1, round(period / self.world.dt))
         every = self.every.setdefault(i, {})
         for name in wanted:
@@ -100,13 +106,13 @@ class Telemetry:
             found.update({name: (self.world.log(i, name), tick) for name in due})  # type: ignore[attr-defined]
             dt = self.world.dt
             self.ports[i].publish(
-                TELEMETRY,
+                DRONE_TOPICS.telemetry,
                 {n: [x, (tick - at) * dt] for n, (x, at) in found.items()},
                 late,
             )
 
 
-def names_of_world(world: World) -> Iterable[str]:
+def list_log_names_of_world(world: World) -> Iterable[str]:
     """Return the log variables of the drones of a world; none if its engine has no log.
 
     An engine with a log has `variables`, the names, and `log(i, name)`, the value of drone i now.

@@ -3,9 +3,9 @@
 import hashlib
 import struct
 
-from crazychoir.bus.port import OBSERVER
+from crazychoir.bus.port import PORT_ADDRESSES
 
-_HEAD = struct.Struct("<iiiq")
+_MESSAGE_HEADER = struct.Struct("<iiiq")
 
 
 class Trace:
@@ -25,8 +25,11 @@ class Trace:
         *_: object,
     ) -> None:
         """Add one message when it arrives; messages to observers are not part of the run."""
-        if destination < OBSERVER:
-            self._parts += (_HEAD.pack(destination, topic, source, number), payload)
+        if destination < PORT_ADDRESSES.first_observer:
+            self._parts += (
+                _MESSAGE_HEADER.pack(destination, topic, source, number),
+                payload,
+            )
 
     def update(self, part: bytes) -> None:
         """Add one step of the world and hash it together with the messages since the last step."""

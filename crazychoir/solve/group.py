@@ -14,7 +14,7 @@ from typing import Any, Self
 from crazychoir.files.path_texts import child_environment
 
 
-class Ended(TimeoutError):
+class ProgramEnded(TimeoutError):
     """A program has ended before its answer.
 
     number: index of the program in the list of commands
@@ -29,7 +29,7 @@ class Ended(TimeoutError):
         )
 
 
-class Group:
+class ProgramGroup:
     """Programs that are started together and answer with lines that are JSON objects.
 
     The last other line of each program is kept, for error texts.
@@ -101,7 +101,7 @@ class Group:
                     f"{count - done} of {count} processes {complaint} in {patience:g} s"
                 ) from None
             if not line:
-                raise Ended(number, self._last_words[number])
+                raise ProgramEnded(number, self._last_words[number])
             yield number, json.loads(line)
 
     def __exit__(self, *exception: object) -> None:

@@ -12,13 +12,13 @@ from typing import Any, Final, TypeVar
 import numpy as np
 
 from crazychoir.bus.impairment.model import Impairment
-from crazychoir.bus.impairment.rules import Rule
+from crazychoir.bus.impairment.rules import ImpairmentRule
 from crazychoir.bus.port import Bus
 from crazychoir.errors import AgentFailed, ConfigError, CrazyChoirError, RoundTimeout
 from crazychoir.optimization.history import History
-from crazychoir.optimization.rounds.checks import nan_in, require_team
+from crazychoir.optimization.rounds.checks import find_nan, require_team
 from crazychoir.runtime.clock import Clock, run_virtual
-from crazychoir.team.algorithm_run import Interval, Pace, run_algorithm
+from crazychoir.team.algorithm_run import Interval, WakingTimes, run_algorithm
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph, GraphSequence
 from crazychoir.team.round import Round
@@ -27,11 +27,11 @@ A = TypeVar("A", bound=Round)
 Run = Callable[[Callable[[Clock], Any]], Any]
 MOST_ROUNDS: Final = 1_000_000
 """Largest number of rounds of an algorithm that never ends by itself."""
-DELAY: Final = 0.001
+MESSAGE_DELAY: Final = 0.001
 """s that each message takes, so that time advances with the rounds."""
 
 
-class Interrupted(KeyboardInterrupt):
+class SimulationInterrupted(KeyboardInterrupt):
     """Ctrl-C has ended a simulation.
 
     history: the history until then; agents may have stopped in different rounds
@@ -86,17 +86,17 @@ def simulate(
     """
     began = time.perf_counter()
     require_team(agents, graph)
-    names = recorded(agents, record)
+    names = list_recorded_names(agents, record)
     followed = {
-        i: _Followed(i, agents[i], names, rounds, lambda: watch(agents))
+        i: _FollowedAgent(i, agents[i], names, rounds, lambda: watch(agents))
         for i in graph.ids
     }
-    rule = Rule({"delay": DELAY, "loss": loss, **(network or {})})
-    pace = Pace(sleep, compute, seed)
+    rule = ImpairmentRule({"delay": MESSAGE_DELAY, "loss": loss, **(network or {})})
+    pace = WakingTimes(sleep, compute, seed)
     errors: dict[int, CrazyChoirError] = {}
     buses: list[Bus] = []
 
-    async def part(communicator: Communicator, agent: _Followed) -> None:
+    async def part(communicator: Communicator, agent: _FollowedAgent) -> None:
         try:
             await run_algorithm(communicator, agent, channel=channel, pace=pace)
             if not agent.asynchronous:
@@ -120,14 +120,14 @@ def simulate(
 
     interrupted = False
     try:
-        simulated_s = _unwrapped(run, main)
+        simulated_s = _run_unwrapped(run, main)
     except KeyboardInterrupt:
         if not buses:
             raise
         interrupted = True
         simulated_s = max(agent.whole() for agent in followed.values())
     if errors:
-        raise _origin(errors)
+        raise _find_original_error(errors)
     counters = [port.counters for port in buses[0].ports.values()]
     history = History(
         values={i: agent.values() for i, agent in followed.items()},
@@ -148,15 +148,15 @@ def simulate(
         violations={
             i: v
             for i in graph.ids
-            if (v := _largest(getattr(agents[i], "violation", None))) is not None
+            if (v := _find_largest(getattr(agents[i], "violation", None))) is not None
         },
     )
     if interrupted:
-        raise Interrupted(history)
+        raise SimulationInterrupted(history)
     return history
 
 
-def recorded(
+def list_recorded_names(
     agents: Mapping[int, Any], record: Sequence[str] | None = None
 ) -> tuple[str, ...]:
     """Return the names of the attributes to keep: `record`, else x if all agents have one."""
@@ -165,7 +165,7 @@ def recorded(
     return ("x",) if all(hasattr(agent, "x") for agent in agents.values()) else ()
 
 
-class _Followed:
+class _FollowedAgent:
     """An agent with a record of its values, their times, and the computing time of each step."""
 
     def __init__(
@@ -224,7 +224,7 @@ class _Followed:
         return self.times[-1]
 
     def _require_numbers(self, value: Any, name: str, k: int) -> None:
-        place = nan_in(value)
+        place = find_nan(value)
         if place is not None:
             do = "Look at its data, at divisions by zero, and at its step size: too large a one overflows."
             raise AgentFailed(self.i, f"round {k}: nan in {name}{place}. {do}")
@@ -236,7 +236,10 @@ class _Followed:
             try:
                 series.append(np.array(getattr(self.agent, name)))
             except AttributeError:
-                allowed = f"attributes of agent {self.i}, a {kind}, as {', '.join(_numbers(self.agent)) or 'x'}"
+                allowed = (
+                    f"attributes of agent {self.i}, a {kind}, as "
+                    f"{', '.join(_list_number_names(self.agent)) or 'x'}"
+                )
                 do = (
                     "A `result` is kept without it, at the end."
                     if name == "result"
@@ -259,7 +262,7 @@ class _Followed:
         }
 
 
-def _numbers(agent: Any) -> list[str]:
+def _list_number_names(agent: Any) -> list[str]:
     """Return the names of the attributes that are numbers or arrays of numbers."""
     # A wrapper such as `Until` also has the attributes of its algorithm.
     names = {*dir(agent), *dir(getattr(agent, "algorithm", None))}
@@ -275,7 +278,7 @@ def _numbers(agent: Any) -> list[str]:
     return found
 
 
-def _largest(violation: Any) -> float | None:
+def _find_largest(violation: Any) -> float | None:
     """Return the largest entry of a violation, or None if it is not numbers."""
     if not isinstance(violation, float | int | np.ndarray | np.generic):
         return None
@@ -283,7 +286,7 @@ def _largest(violation: Any) -> float | None:
     return float(entries.max(initial=0.0)) if entries.dtype.kind in "fiu" else None
 
 
-def _unwrapped(run: Run, main: Callable[[Clock], Any]) -> Any:
+def _run_unwrapped(run: Run, main: Callable[[Clock], Any]) -> Any:
     """Run the simulation; raise the first error of a group of errors.
 
     Such a group contains errors of several agents that are not CrazyChoirErrors.
@@ -294,7 +297,7 @@ def _unwrapped(run: Run, main: Callable[[Clock], Any]) -> Any:
         raise errors.exceptions[0] from errors
 
 
-def _origin(errors: Mapping[int, CrazyChoirError]) -> CrazyChoirError:
+def _find_original_error(errors: Mapping[int, CrazyChoirError]) -> CrazyChoirError:
     """Return the error of the agent that failed by itself; of several, the lowest id."""
     own = [errors[i] for i in sorted(errors) if not isinstance(errors[i], AgentFailed)]
     return own[0] if own else errors[min(errors)]

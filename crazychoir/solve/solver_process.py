@@ -17,18 +17,21 @@ from typing import Any
 
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.impairment.model import Impairment
-from crazychoir.bus.impairment.rules import Rule
-from crazychoir.bus.json_view import plain
+from crazychoir.bus.impairment.rules import ImpairmentRule
+from crazychoir.bus.json_view import to_plain_values
 from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.port import Bus
 from crazychoir.errors import CrazyChoirError, RoundTimeout
-from crazychoir.launch.joining import joined
+from crazychoir.launch.joining import wait_until_joined
 from crazychoir.numerics import kernel_cache as cache
-from crazychoir.routing.distributed.member import Settings
+from crazychoir.routing.distributed.member import RoutingSettings
 from crazychoir.routing.distributed.pickup_delivery import PickupDelivery
-from crazychoir.routing.distributed.plain_loop import member, warm
+from crazychoir.routing.distributed.plain_loop import (
+    compile_routing_kernels,
+    make_member,
+)
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.runtime.clock import SECOND, Clock, run_wall
+from crazychoir.runtime.clock import NS_PER_SECOND, Clock, run_wall
 from crazychoir.team.algorithm_run import run_algorithm
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph
@@ -36,18 +39,18 @@ from crazychoir.types import PerNeighbor
 
 PR_SET_PDEATHSIG = 1
 """Option of prctl: the signal that this process gets when its parent ends."""
-SOLVE = "pickup_delivery"
+SOLUTION_CHANNEL = "pickup_delivery"
 """Channel of the solution."""
-REPLAY = "replay"
+REPLAY_CHANNEL = "replay"
 """Channel of the replay."""
-SHOWN = 4
+PROGRESS_REPORT_RATE = 4
 """Progress reports a second."""
 Packed = bytes | dict[int, bytes]
 """A message as bytes, or as bytes for each neighbour."""
 
 
 @dataclass
-class Robot:
+class SolverRobot:
     """One robot with its agent, its access to the network, and records of its rounds.
 
     It is a Round itself.
@@ -78,7 +81,7 @@ class Robot:
         No later change of the message reaches the copy.
         """
         message = self.agent.message()
-        self.payloads.append(packed(message))
+        self.payloads.append(pack_message(message))
         return message
 
     def step(self, heard: Mapping[int, Any]) -> None:
@@ -98,7 +101,7 @@ class Robot:
         }
 
 
-class Replay:
+class MessageReplay:
     """The messages of a robot once more, as a Round that computes nothing."""
 
     def __init__(self, payloads: list[Packed]) -> None:
@@ -112,14 +115,14 @@ class Replay:
 
     def message(self) -> Any:
         """Return the next message."""
-        return unpacked(self._payloads[self._k])
+        return unpack_message(self._payloads[self._k])
 
     def step(self, heard: Mapping[int, Any]) -> None:
         """Ignore the messages, and count the round."""
         self._k += 1
 
 
-class Process:
+class SolverProcess:
     """The robots `mine` of the team, from the start to their reports.
 
     spec: the specification that `crazychoir.solve.team` has written
@@ -128,7 +131,7 @@ class Process:
 
     def __init__(self, spec: dict[str, Any]) -> None:
         self.spec = spec
-        self.robots: dict[int, Robot] = {}
+        self.robots: dict[int, SolverRobot] = {}
         self.curve: list[list[float]] = []
         self._orders: asyncio.Queue[str] = asyncio.Queue()
         self._clock: Clock
@@ -148,23 +151,23 @@ class Process:
         )
         bus = Bus(
             clock,
-            Impairment(spec["seed"], [Rule(spec["effects"])]),
+            Impairment(spec["seed"], [ImpairmentRule(spec["effects"])]),
             spec["process"],
             "solve",
         )
-        await clock.compute(warm, instance.local(0), spec["method"])
+        await clock.compute(compile_routing_kernels, instance.local(0), spec["method"])
         neighbors = {j: links.neighbors(j) for j in links.ids}
         for i in spec["mine"]:
-            agent = member(
+            agent = make_member(
                 instance,
                 neighbors,
                 i,
                 links.diameter(),
                 spec["method"],
-                Settings(**spec["settings"]),
+                RoutingSettings(**spec["settings"]),
             )
             communicator = Communicator(bus.port(i), links, deadline=spec["deadline"])
-            self.robots[i] = Robot(communicator, agent, self._look)
+            self.robots[i] = SolverRobot(communicator, agent, self._look)
         async with asyncio.TaskGroup() as group:
             serving = None
             if spec["connect"] or spec["listen"]:
@@ -178,22 +181,22 @@ class Process:
                 )
                 link.open()
                 serving = group.create_task(link.run())
-                await joined(link, links)
+                await wait_until_joined(link, links)
             await self._work()
             if serving is not None:
                 serving.cancel()
 
     async def _work(self) -> None:
         clock = self._clock
-        say({"ready": True, "start_cpu_s": time.process_time()})
+        write_line({"ready": True, "start_cpu_s": time.process_time()})
         await self._order("go")
         self._go_ns, cpu = clock.now_ns(), time.process_time()
         ended = await self._all(self._solve)
-        say({"solved": self._report(time.process_time() - cpu, ended)})
+        write_line({"solved": self._report(time.process_time() - cpu, ended)})
         await self._order("replay")
         began = clock.now_ns()
         ended = await self._all(self._replay)
-        say({"replayed_s": (max(ended) - began) / SECOND})
+        write_line({"replayed_s": (max(ended) - began) / NS_PER_SECOND})
         await self._order("end")
 
     async def _all(self, work: Any) -> list[int]:
@@ -204,10 +207,10 @@ class Process:
             ]
         return [task.result() for task in tasks]
 
-    async def _solve(self, robot: Robot) -> int:
+    async def _solve(self, robot: SolverRobot) -> int:
         """Compute all rounds of one robot; return the time at which its plan was ready, ns."""
         try:
-            await run_algorithm(robot.communicator, robot, channel=SOLVE)
+            await run_algorithm(robot.communicator, robot, channel=SOLUTION_CHANNEL)
         except RoundTimeout as late:
             raise late.simulated() from None
         ended = self._clock.now_ns()
@@ -216,30 +219,33 @@ class Process:
             "messages": counters.sent,
             **{k: getattr(counters, k) for k in ("bytes", "lost", "resent")},
         }
-        await robot.communicator.close(SOLVE)
+        await robot.communicator.close(SOLUTION_CHANNEL)
         return ended
 
-    async def _replay(self, robot: Robot) -> int:
+    async def _replay(self, robot: SolverRobot) -> int:
         """Send the same messages once more, without any computation; return the end, ns."""
-        await run_algorithm(robot.communicator, Replay(robot.payloads), channel=REPLAY)
+        await run_algorithm(
+            robot.communicator, MessageReplay(robot.payloads), channel=REPLAY_CHANNEL
+        )
         ended = self._clock.now_ns()
-        await robot.communicator.close(REPLAY)
+        await robot.communicator.close(REPLAY_CHANNEL)
         return ended
 
     def _look(self, agent: PickupDelivery) -> None:
         """Note a better plan, and report the progress now and then, in a step's thread."""
         with self._lock:
             self._note(
-                agent.progress.cost, (self._clock.now_ns() - self._go_ns) / SECOND
+                agent.progress.cost,
+                (self._clock.now_ns() - self._go_ns) / NS_PER_SECOND,
             )
 
     def _note(self, cost: float | None, now: float) -> None:
         if cost is not None and (not self.curve or cost < self.curve[-1][1]):
             self.curve.append([now, cost])
         if self.spec["watched"] and now >= self._shown:
-            self._shown = now + 1.0 / SHOWN
+            self._shown = now + 1.0 / PROGRESS_REPORT_RATE
             progress = {i: robot.agent.progress for i, robot in self.robots.items()}
-            say(
+            write_line(
                 {
                     "progress": {
                         i: [p.phase, p.round, p.cost] for i, p in progress.items()
@@ -250,7 +256,7 @@ class Process:
     def _report(self, cpu: float, ended: list[int]) -> dict[str, Any]:
         robots = self.robots.values()
         return {
-            "wall_s": (max(ended) - self._go_ns) / SECOND,
+            "wall_s": (max(ended) - self._go_ns) / NS_PER_SECOND,
             "cpu_s": cpu,
             "steps": [
                 max(times)
@@ -272,7 +278,7 @@ class Process:
             pass
 
 
-def packed(message: Any) -> Packed:
+def pack_message(message: Any) -> Packed:
     """Return a message as bytes, or as bytes for each neighbour.
 
     The copy is small, and no later change of the message reaches it.
@@ -282,16 +288,16 @@ def packed(message: Any) -> Packed:
     return encode(message)
 
 
-def unpacked(payload: Packed) -> Any:
+def unpack_message(payload: Packed) -> Any:
     """Return the message of a payload."""
     if isinstance(payload, dict):
         return PerNeighbor({j: decode(value) for j, value in payload.items()})
     return decode(payload)
 
 
-def say(answer: dict[str, Any]) -> None:
+def write_line(answer: dict[str, Any]) -> None:
     """Write one line to `crazychoir.solve.team`."""
-    sys.stdout.write(json.dumps(plain(answer)) + "\n")
+    sys.stdout.write(json.dumps(to_plain_values(answer)) + "\n")
     sys.stdout.flush()
 
 
@@ -301,17 +307,17 @@ def main() -> None:
     An error is written as an answer, and ends the process.
     """
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    cache.say = lambda text: say(
-        {"compiles": True} if text == cache.COMPILES else {"warning": text}
+    cache.print_line = lambda text: write_line(
+        {"compiles": True} if text == cache.COMPILING_MESSAGE else {"warning": text}
     )
-    process = Process(json.loads(sys.argv[1]))
+    process = SolverProcess(json.loads(sys.argv[1]))
     try:
         run_wall(process.run)
     except* CrazyChoirError as errors:
         first: BaseException = errors
         while isinstance(first, BaseExceptionGroup):
             first = first.exceptions[0]
-        say({"error": str(first), "kind": type(first).__name__})
+        write_line({"error": str(first), "kind": type(first).__name__})
 
 
 if __name__ == "__main__":

@@ -7,14 +7,18 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from crazychoir.routing.distributed.member import Settings
+from crazychoir.routing.distributed.member import RoutingSettings
 from crazychoir.routing.distributed.pickup_delivery import PickupDelivery
-from crazychoir.routing.distributed.plain_loop import joined, team, warm
+from crazychoir.routing.distributed.plain_loop import (
+    compile_routing_kernels,
+    join_solutions,
+    make_team,
+)
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.routing.instance.schedule import outcome
+from crazychoir.routing.instance.schedule import summarise_plan
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.solve.simulate import Run, simulate
-from crazychoir.team.graph import named
+from crazychoir.team.graph import graph_from_name
 
 Team = Mapping[int, PickupDelivery]
 
@@ -26,7 +30,7 @@ def solve_here(
     loss: float = 0.0,
     graph: str = "ring",
     seed: int = 0,
-    settings: Settings | None = None,
+    settings: RoutingSettings | None = None,
     watch: Callable[[Team], None] = lambda team: None,
     run: Run = run_virtual,
 ) -> dict[str, Any]:
@@ -49,9 +53,9 @@ def solve_here(
     Raises InstanceError, SolverError or ConfigError.
     """
     began = time.perf_counter()
-    links = named(graph, instance.robots, seed)
-    warm(instance.local(0), method)
-    agents = team(
+    links = graph_from_name(graph, instance.robots, seed)
+    compile_routing_kernels(instance.local(0), method)
+    agents = make_team(
         instance, {i: list(links.neighbors(i)) for i in links.ids}, method, settings
     )
     started = time.perf_counter() - began
@@ -66,9 +70,9 @@ def solve_here(
         run=run,
         channel="pickup_delivery",
     )
-    solution = joined(instance, [agent.solution for agent in agents.values()])
+    solution = join_solutions(instance, [agent.solution for agent in agents.values()])
     figures = ("messages", "lost", "resent", "bytes", "wall_s", "critical_path_s")
     measured = {name: getattr(history, name) for name in figures} | {
         "startup_s": started
     }
-    return solution.to_json() | outcome(instance, solution.routes) | measured
+    return solution.to_json() | summarise_plan(instance, solution.routes) | measured

@@ -13,28 +13,32 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.bus.impairment.rules import Rule
-from crazychoir.config.network import changes
-from crazychoir.config.swarm_config import LOCAL
+from crazychoir.bus.impairment.rules import ImpairmentRule
+from crazychoir.config.network import impairment_changes
+from crazychoir.config.swarm_config import LOCAL_ADDRESS
 from crazychoir.errors import ConfigError, ProcessFailed
 from crazychoir.files.private_folder import scratch_folder
-from crazychoir.launch.network import reserved_ports
-from crazychoir.numerics.kernel_cache import say_once, shared_by_children, tell
-from crazychoir.routing.distributed.member import Settings
-from crazychoir.routing.distributed.pickup_delivery import METHODS
-from crazychoir.routing.distributed.plain_loop import joined
+from crazychoir.launch.network import reserve_ports
+from crazychoir.numerics.kernel_cache import (
+    announce_compiling,
+    print_first_warning,
+    share_with_children,
+)
+from crazychoir.routing.distributed.member import RoutingSettings
+from crazychoir.routing.distributed.pickup_delivery import PLANNING_METHODS
+from crazychoir.routing.distributed.plain_loop import join_solutions
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.plan import Solution
-from crazychoir.routing.instance.schedule import outcome
-from crazychoir.solve.group import Ended, Group
-from crazychoir.team.graph import Graph, named, span
+from crazychoir.routing.instance.schedule import summarise_plan
+from crazychoir.solve.group import ProgramEnded, ProgramGroup
+from crazychoir.team.graph import Graph, describe_ids, graph_from_name
 
 START_DEADLINE = 300.0
 """s until all processes have found each other and loaded their kernels.
 
 Kernels are compiled at the first use.
 """
-DEADLINE = 600.0
+SOLVE_DEADLINE = 600.0
 """s from GO to the plan."""
 
 Progress = dict[int, tuple[str, int, float | None]]
@@ -47,13 +51,13 @@ def solve_in_processes(
     instance: Instance,
     processes: int,
     *,
-    method: str = METHODS[0],
+    method: str = PLANNING_METHODS[0],
     loss: float = 0.0,
     burst: float | None = None,
     graph: str = "ring",
     seed: int = 0,
-    settings: Settings | None = None,
-    deadline: float = DEADLINE,
+    settings: RoutingSettings | None = None,
+    deadline: float = SOLVE_DEADLINE,
     watch: Callable[[Progress], None] | None = None,
 ) -> dict[str, Any]:
     """Solve the instance together, with the robots spread over several processes.
@@ -86,17 +90,21 @@ def solve_in_processes(
     too long.
     """
     began = time.perf_counter()
-    links = named(graph, instance.robots, seed)
+    links = graph_from_name(graph, instance.robots, seed)
     if not 1 <= processes <= instance.robots:
         raise ConfigError(
             "processes",
             processes,
             f"1 to {instance.robots}, the robots of {instance.name}",
         )
-    if method not in METHODS:
-        raise ConfigError("method", method, ", ".join(METHODS), "Choose one of them.")
-    losses = changes({"loss": loss, "burst": burst})
-    rule = Rule({name: value for name, value in losses.items() if value is not None})
+    if method not in PLANNING_METHODS:
+        raise ConfigError(
+            "method", method, ", ".join(PLANNING_METHODS), "Choose one of them."
+        )
+    losses = impairment_changes({"loss": loss, "burst": burst})
+    rule = ImpairmentRule(
+        {name: value for name, value in losses.items() if value is not None}
+    )
     parts = [
         part.tolist() for part in np.array_split(np.arange(instance.robots), processes)
     ]
@@ -109,18 +117,18 @@ def solve_in_processes(
             "seed": seed,
             "deadline": deadline,
             "effects": rule.effects,
-            "settings": asdict(settings or Settings()),
+            "settings": asdict(settings or RoutingSettings()),
         }
         common |= {
             "neighbors": {i: links.neighbors(i) for i in links.ids},
             "watched": watch is not None,
         }
         with (
-            reserved_ports(dict.fromkeys(range(len(parts)), LOCAL)) as base,
-            shared_by_children(folder),
-            Group(_commands(parts, common | {"base": base})) as group,
+            reserve_ports(dict.fromkeys(range(len(parts)), LOCAL_ADDRESS)) as base,
+            share_with_children(folder),
+            ProgramGroup(_build_commands(parts, common | {"base": base})) as group,
         ):
-            run = _Run(group, parts, watch or (lambda progress: None))
+            run = _SolverRun(group, parts, watch or (lambda progress: None))
             run.wait("ready", START_DEADLINE, "do not find each other")
             started = time.perf_counter() - began
             group.tell("go")
@@ -130,17 +138,20 @@ def solve_in_processes(
                 "replayed_s", deadline + 10.0, "do not repeat the rounds"
             )
             group.tell("end")
-    return _result(instance, links, solved, replayed) | {
+    return _combine_results(instance, links, solved, replayed) | {
         "startup_s": started,
         "processes": processes,
     }
 
 
-class _Run:
+class _SolverRun:
     """The answers of the processes, in order; raises ProcessFailed if something goes wrong."""
 
     def __init__(
-        self, group: Group, parts: list[list[int]], watch: Callable[[Progress], None]
+        self,
+        group: ProgramGroup,
+        parts: list[list[int]],
+        watch: Callable[[Progress], None],
     ) -> None:
         self._group = group
         self._parts = parts
@@ -170,9 +181,9 @@ class _Run:
                     self._look,
                     self._group.answers(1, ends - time.perf_counter(), complaint),
                 )
-            except Ended as error:
+            except ProgramEnded as error:
                 raise ProcessFailed(
-                    f"robots {span(self._parts[error.number])}", str(error)
+                    f"robots {describe_ids(self._parts[error.number])}", str(error)
                 ) from None
             except TimeoutError as error:
                 raise ProcessFailed("the team's processes", str(error)) from None
@@ -180,12 +191,12 @@ class _Run:
     def _look(self, heard: Answer) -> Answer:
         number, answer = heard
         if "compiles" in answer:
-            say_once()
+            announce_compiling()
         if "warning" in answer:
-            tell(answer["warning"])
+            print_first_warning(answer["warning"])
         if "error" in answer:
             raise ProcessFailed(
-                f"robots {span(self._parts[number])}",
+                f"robots {describe_ids(self._parts[number])}",
                 f"{answer['kind']}: {answer['error']}",
             )
         if "progress" in answer:
@@ -196,14 +207,14 @@ class _Run:
         return heard
 
 
-def _commands(parts: list[list[int]], common: dict[str, Any]) -> list[list[str]]:
+def _build_commands(parts: list[list[int]], common: dict[str, Any]) -> list[list[str]]:
     """Return one command for each process.
 
     Each process listens on a port of its own and connects to the ports of the processes before it.
     """
     swarm = f"solve-{secrets.token_hex(4)}"
     endpoints = (
-        [f"tcp/{LOCAL}:{common['base'] + p}" for p in range(len(parts))]
+        [f"tcp/{LOCAL_ADDRESS}:{common['base'] + p}" for p in range(len(parts))]
         if len(parts) > 1
         else [""]
     )
@@ -227,14 +238,14 @@ def _commands(parts: list[list[int]], common: dict[str, Any]) -> list[list[str]]
     return commands
 
 
-def _result(
+def _combine_results(
     instance: Instance,
     links: Graph,
     solved: list[dict[str, Any]],
     replayed: list[float],
 ) -> dict[str, Any]:
     """Combine the results of all processes into the result of the team."""
-    solution = joined(
+    solution = join_solutions(
         instance,
         [Solution.from_json(raw) for part in solved for raw in part["solutions"]],
     )
@@ -248,22 +259,24 @@ def _result(
     }
     return (
         solution.to_json()
-        | outcome(instance, solution.routes)
+        | summarise_plan(instance, solution.routes)
         | totals
         | {
             "wall_s": max(part["wall_s"] for part in solved),
             "cpu_s": sum(part["cpu_s"] for part in solved),
-            "critical_path_s": critical_path(steps, max(replayed)),
+            "critical_path_s": compute_critical_path(steps, max(replayed)),
             "critical_cpu_s": sum(steps),
             "exchange_s": max(replayed),
             "diameter": links.diameter(),
             "robots": robots,
-            "curve": best_so_far([point for part in solved for point in part["curve"]]),
+            "curve": merge_best_points(
+                [point for part in solved for point in part["curve"]]
+            ),
         }
     )
 
 
-def critical_path(steps: list[float], exchange: float) -> float:
+def compute_critical_path(steps: list[float], exchange: float) -> float:
     """Return the critical path in s: sum_k max_i c_ik + sum_k T_k.
 
     steps: max_i c_ik of each round, s
@@ -272,7 +285,7 @@ def critical_path(steps: list[float], exchange: float) -> float:
     return sum(steps, exchange)
 
 
-def best_so_far(points: list[list[float]]) -> list[list[float]]:
+def merge_best_points(points: list[list[float]]) -> list[list[float]]:
     """Return the points [s, m] of all processes that are below all earlier points."""
     best: list[list[float]] = []
     for point in sorted(points):

@@ -21,21 +21,21 @@ from crazychoir.errors import (
     raised_at,
     refuse_exit,
 )
-from crazychoir.team.communicator import LAST_WORDS, Communicator, Policy
+from crazychoir.team.communicator import CLOSING_RULES, Communicator, Policy
 from crazychoir.team.graph import GraphSequence
 from crazychoir.team.round import Round
 from crazychoir.types import Failure
 
 Interval = tuple[float, float]
 """(shortest, longest), in seconds."""
-KINDS = 4
+LISTED_KINDS = 4
 """Kinds of messages that the error of a failed step lists, the rarest first."""
-SENDERS = 4
+LISTED_SENDERS = 4
 """Senders that it lists for each kind."""
 
 
 @dataclass(frozen=True)
-class Pace:
+class WakingTimes:
     """The times at which an asynchronous agent wakes and
     computes: uniform draws from two intervals.
 
@@ -68,7 +68,7 @@ async def run_algorithm(
     channel: str = "main",
     deadline: float | None = None,
     policy: Policy = "raise",
-    pace: Pace | None = None,
+    pace: WakingTimes | None = None,
 ) -> None:
     """Run a pure algorithm to its end: in rounds, or, if its
     `asynchronous` is True, whenever it wakes.
@@ -87,30 +87,32 @@ async def run_algorithm(
     asynchronous = getattr(algorithm, "asynchronous", False)
     try:
         if asynchronous:
-            await _wake_and_sleep(communicator, algorithm, channel, pace or Pace())
+            await _wake_and_sleep(
+                communicator, algorithm, channel, pace or WakingTimes()
+            )
         else:
-            await _in_rounds(
+            await _run_in_rounds(
                 communicator,
                 algorithm,
                 channel=channel,
                 deadline=deadline,
                 policy=policy,
             )
-    except _Ended as ended:
+    except _AlgorithmEnded as ended:
         failed = ended.failed
         # The reason why the neighbours cannot be told is not the error to report.
         with contextlib.suppress(CrazyChoirError):
             if asynchronous:
-                async for _ in _repeat(
-                    communicator, _word(failed), channel, pace or Pace()
+                async for _ in _repeat_message(
+                    communicator, _word_of_kind(failed), channel, pace or WakingTimes()
                 ):
                     pass
             else:
-                await _tell(communicator, _word(failed), channel)
+                await _send_failure(communicator, _word_of_kind(failed), channel)
         raise ended.error from ended.error.__cause__
 
 
-async def _in_rounds(
+async def _run_in_rounds(
     communicator: Communicator,
     algorithm: Round,
     *,
@@ -131,17 +133,19 @@ async def _in_rounds(
             with refuse_exit(f"message() of agent {i}"):
                 message = algorithm.message()
         except Exception as error:
-            raise _Ended.at(i, error) from error
+            raise _AlgorithmEnded.at(i, error) from error
         try:
             heard = await communicator.neighbors_exchange(
                 message, channel=channel, deadline=deadline, policy=policy
             )
         except CodecError as error:
-            raise _Ended.at(i, _unsent(communicator, channel, error)) from error
+            raise _AlgorithmEnded.at(
+                i, _encoding_failure(communicator, channel, error)
+            ) from error
         except (PeerLost, ChannelEnded) as error:
-            raise _Ended.by(error) from error
+            raise _AlgorithmEnded.by(error) from error
         except AgentFailed as error:
-            raise _Ended(error, error) from error
+            raise _AlgorithmEnded(error, error) from error
         _require_alive(heard)
         try:
             with refuse_exit(f"step() of agent {i}"):
@@ -150,11 +154,11 @@ async def _in_rounds(
                 else:
                     algorithm.step(heard)
         except Exception as error:
-            raise _Ended.at(i, error, heard) from error
+            raise _AlgorithmEnded.at(i, error, heard) from error
 
 
 async def _wake_and_sleep(
-    communicator: Communicator, algorithm: Round, channel: str, pace: Pace
+    communicator: Communicator, algorithm: Round, channel: str, pace: WakingTimes
 ) -> None:
     """Repeat: sleep, take the latest message of each neighbour, compute, step, send.
 
@@ -181,32 +185,36 @@ async def _wake_and_sleep(
                 else:
                     algorithm.step(heard)
         except Exception as error:
-            raise _Ended.at(i, error, heard) from error
+            raise _AlgorithmEnded.at(i, error, heard) from error
         try:
             with refuse_exit(f"message() of agent {i}"):
                 message = algorithm.message()
         except Exception as error:
-            raise _Ended.at(i, error) from error
+            raise _AlgorithmEnded.at(i, error) from error
         try:
             await communicator.send(message, channel=channel)
         except CodecError as error:
-            raise _Ended.at(i, _unsent(communicator, channel, error)) from error
-    async for _ in _repeat(communicator, message, channel, pace):
+            raise _AlgorithmEnded.at(
+                i, _encoding_failure(communicator, channel, error)
+            ) from error
+    async for _ in _repeat_message(communicator, message, channel, pace):
         _require_alive(await communicator.asynchronous_receive(channel=channel))
 
 
-async def _repeat(
-    communicator: Communicator, message: Any, channel: str, pace: Pace
+async def _repeat_message(
+    communicator: Communicator, message: Any, channel: str, pace: WakingTimes
 ) -> AsyncIterator[None]:
     """Send the last message again and again, until all connected neighbours have it."""
     pause = max(sum(pace.sleep) / 2, 1e-3)
-    for _ in range(LAST_WORDS):
+    for _ in range(CLOSING_RULES.last_messages):
         await communicator.send(message, channel=channel)
         await communicator.port.bus.clock.sleep(pause, drone=communicator.id)
         yield
 
 
-async def _tell(communicator: Communicator, word: Failure, channel: str) -> None:
+async def _send_failure(
+    communicator: Communicator, word: Failure, channel: str
+) -> None:
     """Send the failure in place of the next message.
 
     If the graph changes with the round, send it once for each graph of the period, to reach all
@@ -226,10 +234,12 @@ def _require_alive(heard: Mapping[int, Any]) -> None:
     for word in heard.values():
         if type(word) is Failure:
             failed = AgentFailed(word.agent, word.reason)
-            raise _Ended(failed, failed)
+            raise _AlgorithmEnded(failed, failed)
 
 
-def _unsent(communicator: Communicator, channel: str, error: CodecError) -> CodecError:
+def _encoding_failure(
+    communicator: Communicator, channel: str, error: CodecError
+) -> CodecError:
     """Return the error for a message that cannot be encoded, with the agent and the round."""
     return CodecError(
         f"agent {communicator.id}: message(), round {communicator.open(channel).sending}: {error}"
@@ -245,14 +255,14 @@ def _require_all(communicator: Communicator) -> None:
     ]
     if lost:
         error = PeerLost(communicator.id, lost, communicator.silence(lost))
-        raise _Ended.by(error) from error
+        raise _AlgorithmEnded.by(error) from error
 
 
-def _word(failed: AgentFailed) -> Failure:
+def _word_of_kind(failed: AgentFailed) -> Failure:
     return Failure(failed.agent, failed.reason)
 
 
-def _heard(heard: Mapping[int, Any] | None) -> str:
+def _describe_messages(heard: Mapping[int, Any] | None) -> str:
     """Return a text with the kinds of received messages and their
     senders: they may have caused the failure.
     """
@@ -260,22 +270,22 @@ def _heard(heard: Mapping[int, Any] | None) -> str:
         return ""
     senders: dict[str, list[int]] = {}
     for j, message in heard.items():
-        senders.setdefault(_kind(message), []).append(j)
+        senders.setdefault(_message_kind(message), []).append(j)
     rarest = sorted(
         senders.items(), key=lambda kind: (len(kind[1]), kind[0] != "None")
-    )[:KINDS]
+    )[:LISTED_KINDS]
     return "; it had heard " + ", ".join(
-        f"{kind} from {_some(ids)}" for kind, ids in rarest
+        f"{kind} from {_list_senders(ids)}" for kind, ids in rarest
     )
 
 
-def _some(ids: list[int]) -> str:
-    return ", ".join(map(str, ids[:SENDERS])) + (
-        f" and {len(ids) - SENDERS} more" if len(ids) > SENDERS else ""
+def _list_senders(ids: list[int]) -> str:
+    return ", ".join(map(str, ids[:LISTED_SENDERS])) + (
+        f" and {len(ids) - LISTED_SENDERS} more" if len(ids) > LISTED_SENDERS else ""
     )
 
 
-def _kind(message: Any) -> str:
+def _message_kind(message: Any) -> str:
     """Return the type of a message, with its shape or length."""
     if message is None:
         return "None"
@@ -289,7 +299,7 @@ def _kind(message: Any) -> str:
     )
 
 
-class _Ended(Exception):
+class _AlgorithmEnded(Exception):
     """The algorithm has ended at this agent by a failure that the neighbours must receive.
 
     failed: the error that the neighbours get
@@ -303,7 +313,7 @@ class _Ended(Exception):
     @classmethod
     def at(
         cls, i: int, error: Exception, heard: Mapping[int, Any] | None = None
-    ) -> "_Ended":
+    ) -> "_AlgorithmEnded":
         """Return the end by an error of this agent.
 
         error: raised by the algorithm, or AgentFailed received from a neighbour
@@ -316,13 +326,14 @@ class _Ended(Exception):
             return cls(AgentFailed(i, reason), error)
         place = raised_at(error)
         failed = AgentFailed(
-            i, f"{reason} ({Path(place.filename).name}:{place.lineno}){_heard(heard)}"
+            i,
+            f"{reason} ({Path(place.filename).name}:{place.lineno}){_describe_messages(heard)}",
         )
         failed.__cause__ = error
         return cls(failed, failed)
 
     @classmethod
-    def by(cls, error: PeerLost | ChannelEnded) -> "_Ended":
+    def by(cls, error: PeerLost | ChannelEnded) -> "_AlgorithmEnded":
         """Return the end by a neighbour that will not answer: it counts as the failed agent."""
         who = error.lost[0] if isinstance(error, PeerLost) else next(iter(error.ended))
         return cls(AgentFailed(who, error_text(error)), error)

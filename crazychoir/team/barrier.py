@@ -17,25 +17,25 @@ import msgspec
 
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.port import Port
-from crazychoir.bus.presence import SILENCE, Presence, PresenceMonitor
+from crazychoir.bus.presence import SILENCE_TIMEOUT, Presence, PresenceMonitor
 from crazychoir.bus.reliable import Reliable
-from crazychoir.bus.topics import HEARTBEAT, ROSTER
+from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.errors import CodecError, Refused
-from crazychoir.runtime.clock import SECOND
+from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.team.graph import Graph
-from crazychoir.team.messages import Beat, Go, Roster
+from crazychoir.team.messages import GoMessage, Roster, TeamHeartbeat
 from crazychoir.team.strangers import Strangers
 
-__all__ = ["Barrier", "Beat", "Roster"]
+__all__ = ["Barrier", "Roster", "TeamHeartbeat"]
 
-POLL: Final = 0.02  # s
-REMEMBERED: Final = 1000
+BARRIER_POLL_INTERVAL: Final = 0.02  # s
+PRESENCE_HISTORY: Final = 1000
 """Changes of presence that are kept in the history."""
 
 
 @lru_cache(maxsize=2048)  # all drones of a process receive the same heartbeats
-def _read(payload: bytes) -> Beat:
-    return Beat.of(decode(payload))
+def _read_payload(payload: bytes) -> TeamHeartbeat:
+    return TeamHeartbeat.of(decode(payload))
 
 
 class Barrier:
@@ -81,7 +81,7 @@ class Barrier:
         self.start_deadline = start_deadline
         self.id = port.address
         self.roster: Roster | None = None
-        self.beats: dict[int, Beat] = {}
+        self.beats: dict[int, TeamHeartbeat] = {}
         self.hold: Callable[[], int] = lambda: 0
         self.listeners: list[Callable[[Roster], None]] = []
         self.history: list[tuple[float, int, str]] = []
@@ -103,12 +103,12 @@ class Barrier:
         self._halves: dict[int, int] = {}
         self._give_up_ns = 0
         self._target = 0
-        self._beaten: tuple[Beat | None, bytes] = (None, b"")
+        self._beaten: tuple[TeamHeartbeat | None, bytes] = (None, b"")
         self.monitor = PresenceMonitor(port, self._others, self._beat, lost_after)
         self.monitor.listeners.append(self._changed)
         self.reliable = Reliable(port)
-        self.reliable.listen(ROSTER, self._told)
-        port.handlers[HEARTBEAT.number] = self._heard
+        self.reliable.listen(MESSAGE_TOPICS.roster, self._told)
+        port.handlers[MESSAGE_TOPICS.heartbeat.number] = self._heard
 
     @property
     def absent(self) -> tuple[int, ...]:
@@ -168,7 +168,7 @@ class Barrier:
             patient = max(ends, self._came.get(first, 0.0) + self.start_deadline) + 1.0
             if clock.now() > patient and self.roster is None:
                 raise Refused(f"drone {self.id}", self._absent_text())
-            await clock.sleep(POLL, drone=self.id)
+            await clock.sleep(BARRIER_POLL_INTERVAL, drone=self.id)
         return self.roster
 
     # Forming --------------------------------------------------------------------------
@@ -241,7 +241,9 @@ class Barrier:
     def _tell(self, j: int, roster: Roster) -> None:
         bus = self.port.bus
         self.reliable.send(
-            ROSTER, j, Go(roster, bus.impairment.age(bus.clock.now())).wire()
+            MESSAGE_TOPICS.roster,
+            j,
+            GoMessage(roster, bus.impairment.age(bus.clock.now())).wire(),
         )
 
     def _told(self, source: int, payload: bytes) -> None:
@@ -251,12 +253,12 @@ class Barrier:
         roster as id, incarnation, id, incarnation, ...] (HELD).
         """
         try:
-            told = msgspec.convert(decode(payload), Go | list[int])
+            told = msgspec.convert(decode(payload), GoMessage | list[int])
         except (CodecError, msgspec.ValidationError):
             self.port.counters.malformed += 1
             return
         epoch = self.roster.epoch if self.roster is not None else 0
-        if isinstance(told, Go):
+        if isinstance(told, GoMessage):
             roster = told.roster
             ours = (
                 roster.mission_hash == self.mission_hash
@@ -283,7 +285,7 @@ class Barrier:
             return
         members = self.roster.members if self.roster is not None else {}
         self.reliable.send(
-            ROSTER,
+            MESSAGE_TOPICS.roster,
             source,
             encode(
                 [target, self.hold(), *(n for pair in members.items() for n in pair)]
@@ -318,7 +320,7 @@ class Barrier:
         self._halves = {}
         self._target = 0
         self._settled_ns = self.port.bus.clock.now_ns() + int(
-            SILENCE * SECOND
+            SILENCE_TIMEOUT * NS_PER_SECOND
         )  # until then the others adopt the roster and begin to watch fewer drones
         for listener in self.listeners:
             listener(roster)
@@ -356,7 +358,9 @@ class Barrier:
         )
         lost = tuple(self._lost)
         texts = (mission, self.refused)
-        beat = Beat(self.port.incarnation, epoch, self._checksum, hears, lost, *texts)
+        beat = TeamHeartbeat(
+            self.port.incarnation, epoch, self._checksum, hears, lost, *texts
+        )
         if beat != self._beaten[0]:
             self._beaten = beat, encode(beat.wire())
         return self._beaten[1]
@@ -374,7 +378,7 @@ class Barrier:
         if self._calm.get(source) == payload:
             return  # the heartbeat is unchanged since a check that found nothing to do
         try:
-            beat = _read(payload)
+            beat = _read_payload(payload)
         except (CodecError, TypeError, ValueError):
             self.port.counters.malformed += 1
             return
@@ -411,7 +415,7 @@ class Barrier:
             if agreed and not (beat.lost or self._lost or self._next):
                 self._calm[source] = payload
 
-    def _review(self, source: int, beat: Beat, roster: Roster) -> None:
+    def _review(self, source: int, beat: TeamHeartbeat, roster: Roster) -> None:
         """Act, as the coordinator, on a heartbeat: a lost member, a
         new or restarted one, or a wrong roster.
         """
@@ -426,7 +430,7 @@ class Barrier:
                 dict(self._next), roster
             )  # it followed another coordinator while we did not receive it
         elif self._next and source not in self._held and beat.epoch:
-            self.reliable.send(ROSTER, source, encode([self._target]))
+            self.reliable.send(MESSAGE_TOPICS.roster, source, encode([self._target]))
         elif self._next:
             return
         elif beat.epoch < roster.epoch:
@@ -439,7 +443,7 @@ class Barrier:
     def _changed(self, j: int, state: Presence) -> None:
         """React to a new presence of drone j."""
         self.history.append((self.port.bus.clock.now(), j, state.value))
-        del self.history[:-REMEMBERED]
+        del self.history[:-PRESENCE_HISTORY]
         roster = self.roster
         if state is Presence.LOST:
             self._lost[j] = None
@@ -484,11 +488,11 @@ class Barrier:
             self._held = {}  # a drone that held for a lower epoch may have continued since
         self._held[self.id] = self.hold()
         clock = self.port.bus.clock
-        self._give_up_ns = clock.now_ns() + int(self.monitor.lost_after * SECOND)
+        self._give_up_ns = clock.now_ns() + int(self.monitor.lost_after * NS_PER_SECOND)
         clock.call_at(self._give_up_ns, self._give_up, drone=self.id)
         for j in self._running(roster):
             if j not in self._held:
-                self.reliable.send(ROSTER, j, encode([self._target]))
+                self.reliable.send(MESSAGE_TOPICS.roster, j, encode([self._target]))
         self._conclude()
 
     def _give_up(self) -> None:
@@ -558,7 +562,8 @@ class Barrier:
         heard_ns = self.port.heard_ns.get(j)
         return (
             heard_ns is not None
-            and self.port.bus.clock.now_ns() - heard_ns < SILENCE * SECOND
+            and self.port.bus.clock.now_ns() - heard_ns
+            < SILENCE_TIMEOUT * NS_PER_SECOND
         )
 
     def _present(self, j: int) -> bool:

@@ -11,18 +11,26 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Final
 
-HISTORY: Final = 64
-"""Own rounds that are kept for late neighbours.
 
-Also the most rounds of a neighbour that are buffered ahead.
-"""
-MIN_RTO: Final = 0.010
-"""Seconds: shortest time before a round is resent.
+@dataclass(frozen=True, slots=True)
+class RoundWindow:
+    """How many rounds a channel keeps, and when it sends a round again."""
 
-The time is 1.5 smoothed round times and doubles with every fourth attempt up to MAX_RTO.
-"""
-MAX_RTO: Final = 0.100
-"""Seconds: longest time before a round is resent."""
+    kept_rounds: int = 64
+    """Own rounds that are kept for late neighbours.
+
+    Also the most rounds of a neighbour that are buffered ahead.
+    """
+    shortest_resend: float = 0.010
+    """Seconds: shortest time before a round is resent. The time is 1.5 smoothed round times and
+    doubles with every fourth attempt up to longest_resend.
+    """
+    longest_resend: float = 0.100
+    """Seconds: longest time before a round is resent."""
+
+
+ROUND_WINDOW = RoundWindow()
+
 
 Content = bytes | dict[int, bytes]
 """One payload for all readers, or one for each reader."""
@@ -156,7 +164,7 @@ class Channel:
         while self.oldest < self.sending and not (
             late := self.behind(self.oldest, gone, pacing_only)
         ):
-            if pacing_only and self.sending - self.oldest < HISTORY:
+            if pacing_only and self.sending - self.oldest < ROUND_WINDOW.kept_rounds:
                 break
             readers = self.sent.pop(self.oldest, NOT_SENT)[1]
             self.oldest += 1
@@ -189,5 +197,7 @@ class Channel:
     def rto(self, attempt: int) -> float:
         """Return the seconds until the next resend."""
         return min(
-            MAX_RTO, max(MIN_RTO, 1.5 * self.round_time) * 2.0 ** min(attempt // 4, 8)
+            ROUND_WINDOW.longest_resend,
+            max(ROUND_WINDOW.shortest_resend, 1.5 * self.round_time)
+            * 2.0 ** min(attempt // 4, 8),
         )

@@ -3,37 +3,49 @@ asynchronous_receive, neighbors_exchange.
 """
 
 import asyncio
+from dataclasses import dataclass
 from math import inf
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 from crazychoir.bus.codec import decode, encode
-from crazychoir.bus.topics import ROUND
+from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.errors import CodecError, PeerLost, RoundTimeout
-from crazychoir.runtime.clock import SECOND, wake
-from crazychoir.team.channel import HISTORY, MAX_RTO, MIN_RTO, Channel
+from crazychoir.runtime.clock import NS_PER_SECOND, wake_waiter
+from crazychoir.team.channel import ROUND_WINDOW, Channel
 from crazychoir.team.rounds import (
     AHEAD,
     CREDIT,
     CREDIT_EVERY,
     DATA,
-    FAILED,
+    FAILURE_CHANNEL,
     FIN,
     FIN_TOO,
-    PUSH,
+    FIRST_UNASKED_ATTEMPT,
     REPEAT,
     Rounds,
 )
 from crazychoir.types import Failure, PerNeighbor
 
-LINGER: Final = 2.0
-"""Seconds without a question from unfinished neighbours after which `close` returns."""
-LAST_WORDS: Final = 32
-"""Times that an important message is sent to neighbours that do not ask for it.
 
-At 50 % loss all copies are lost once in 4e9 cases.
-"""
-FAREWELLS: Final = 3
-"""Times that the end of a channel is sent to neighbours that need not answer."""
+@dataclass(frozen=True, slots=True)
+class ClosingRules:
+    """How a channel ends: how long a drone stays for its neighbours, and how often it sends its
+    last messages.
+    """
+
+    linger_time: float = 2.0
+    """Seconds without a question from unfinished neighbours after which `close` returns."""
+    last_messages: int = 32
+    """Times that an important message is sent to neighbours that do not ask for it.
+
+    At 50 % loss all copies are lost once in 4e9 cases.
+    """
+    end_messages: int = 3
+    """Times that the end of a channel is sent to neighbours that need not answer."""
+
+
+CLOSING_RULES = ClosingRules()
+
 
 Policy = Literal["raise", "partial", "hold"]
 """Action of an exchange at its deadline."""
@@ -162,7 +174,7 @@ class Communicator(Rounds):
             if neighbors is None
             else neighbors
         )
-        oldest_ns = self._clock.now_ns() - max_age * SECOND
+        oldest_ns = self._clock.now_ns() - max_age * NS_PER_SECOND
         found = {j: ch.latest[j] for j in wanted if j in ch.latest}
         return {
             j: self._decoded(payload)
@@ -170,7 +182,9 @@ class Communicator(Rounds):
             if born_ns >= oldest_ns
         }
 
-    async def close(self, channel: str = "main", linger: float = LINGER) -> None:
+    async def close(
+        self, channel: str = "main", linger: float = CLOSING_RULES.linger_time
+    ) -> None:
         """End a channel: send FIN to the neighbours and answer the late
         ones until all have finished or are silent.
 
@@ -204,9 +218,11 @@ class Communicator(Rounds):
             if self._clock.now_ns() >= due_ns:
                 self._control(ch, FIN_TOO, tuple(late), n, attempt)
                 attempt = attempt + 1
-                due_ns = self._clock.now_ns() + round(2 * MIN_RTO * SECOND)
-            await self._pause(ch, (due_ns - self._clock.now_ns()) / SECOND)
-        for again in range(attempt, attempt + FAREWELLS):
+                due_ns = self._clock.now_ns() + round(
+                    2 * ROUND_WINDOW.shortest_resend * NS_PER_SECOND
+                )
+            await self._pause(ch, (due_ns - self._clock.now_ns()) / NS_PER_SECOND)
+        for again in range(attempt, attempt + CLOSING_RULES.end_messages):
             self._control(ch, FIN, neighbors, n, again)
         ch.sent.clear()
         ch.oldest = ch.sending
@@ -219,10 +235,12 @@ class Communicator(Rounds):
         """
         payload = encode(word)
         flags = self._flags | AHEAD
-        for k in range(LAST_WORDS):
+        for k in range(CLOSING_RULES.last_messages):
             readers = self._epochs.at(False, k).out_neighbors(self.id)
-            self.port.send(ROUND, readers, payload, k, FAILED, flags)
-            await self._clock.sleep(MIN_RTO, drone=self.id)
+            self.port.send(
+                MESSAGE_TOPICS.rounds, readers, payload, k, FAILURE_CHANNEL, flags
+            )
+            await self._clock.sleep(ROUND_WINDOW.shortest_resend, drone=self.id)
 
     # Sending --------------------------------------------------------------------------
 
@@ -241,11 +259,11 @@ class Communicator(Rounds):
             payloads = {j: encode(data[j]) for j in to}
             ch.sent[k] = (payloads, to)
             for j, payload in payloads.items():
-                self.port.send(ROUND, (j,), payload, k, ch.name, flags)
+                self.port.send(MESSAGE_TOPICS.rounds, (j,), payload, k, ch.name, flags)
         else:
             payload = encode(data)
             ch.sent[k] = (payload, to)
-            self.port.send(ROUND, to, payload, k, ch.name, flags)
+            self.port.send(MESSAGE_TOPICS.rounds, to, payload, k, ch.name, flags)
         ch.sending = k + 1
         self.rounds += 1
 
@@ -264,26 +282,31 @@ class Communicator(Rounds):
                 raise error
             late = ch.trim(self._epochs.gone, not patient)
             held = ch.joinable and ch.sending >= self._epochs.held
-            if not held and ch.sending < ch.oldest + HISTORY:
+            if not held and ch.sending < ch.oldest + ROUND_WINDOW.kept_rounds:
                 break
             lost = [j for j in late if self.membership.lost(j)]
             if lost and not ch.joinable:
                 raise PeerLost(self.id, lost, self.silence(lost))
             if self._clock.now() >= ends:
                 raise RoundTimeout(self.id, ch.name, ch.oldest, late or ch.ins, seconds)
-            await self._pause(ch, MAX_RTO)
+            await self._pause(ch, ROUND_WINDOW.longest_resend)
             attempt += 1
             for j in ch.behind(ch.oldest, self._epochs.gone, not patient):
-                self._again(ch, ch.oldest, j, 2 * PUSH + attempt, REPEAT)
+                self._again(
+                    ch, ch.oldest, j, 2 * FIRST_UNASKED_ATTEMPT + attempt, REPEAT
+                )
         ch.limit = int(
-            min(ch.oldest + HISTORY, self._epochs.held if ch.joinable else inf)
+            min(
+                ch.oldest + ROUND_WINDOW.kept_rounds,
+                self._epochs.held if ch.joinable else inf,
+            )
         )
 
     async def _pause(self, ch: Channel, seconds: float) -> None:
         """Wait for news of a channel, but not longer than `seconds`."""
         gate = ch.gate = asyncio.get_running_loop().create_future()
-        due_ns = self._clock.now_ns() + round(seconds * SECOND)
-        alarm = self._clock.call_at(due_ns, wake, gate, drone=self.id)
+        due_ns = self._clock.now_ns() + round(seconds * NS_PER_SECOND)
+        alarm = self._clock.call_at(due_ns, wake_waiter, gate, drone=self.id)
         try:
             await gate
         finally:

@@ -7,7 +7,7 @@ from typing import Final
 from crazychoir.team.graph import Graph, GraphSequence
 
 AnyGraph = Graph | GraphSequence
-KEPT: Final = 16
+KEPT_GRAPHS: Final = 16
 """Graphs of earlier epochs that are kept for channels that are still behind."""
 
 
@@ -114,15 +114,15 @@ class Epochs:
             self.graph = (
                 graph
                 if isinstance(self._whole, Graph)
-                else among(self._whole, graph.ids)
+                else restrict_to(self._whole, graph.ids)
             )
             earlier = [
                 (first, old) for first, old in self._graphs if first < first_round
             ]
-            self._graphs = [*earlier[-KEPT:], (first_round, self.graph)]
+            self._graphs = [*earlier[-KEPT_GRAPHS:], (first_round, self.graph)]
 
 
-def among(sequence: GraphSequence, ids: tuple[int, ...]) -> GraphSequence:
+def restrict_to(sequence: GraphSequence, ids: tuple[int, ...]) -> GraphSequence:
     """Return the same sequence of graphs, restricted to these drones."""
     inside = dict.fromkeys(ids)
     return GraphSequence(

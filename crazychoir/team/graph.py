@@ -18,11 +18,11 @@ Arc = tuple[int, int]
 Weights = dict[int, dict[int, float]]
 """w[i][j]: weight of j at i."""
 
-NAMES = "ring, path, star, complete, empty, k-regular:K, erdos-renyi:P, geometric:R, grid:ROWSxCOLUMNS"
+SHAPE_NAMES = "ring, path, star, complete, empty, k-regular:K, erdos-renyi:P, geometric:R, grid:ROWSxCOLUMNS"
 """Shapes that a swarm file can name."""
-DIRECTED = "ring, erdos-renyi:P"
+DIRECTED_SHAPES = "ring, erdos-renyi:P"
 """Shapes of NAMES that can be directed."""
-FORMS = {
+SHAPE_FORMS = {
     "k-regular": ("k-regular:K", "K a whole number of neighbours, as k-regular:4"),
     "erdos-renyi": ("erdos-renyi:P", "P a probability of 0 to 1, as erdos-renyi:0.3"),
     "geometric": (
@@ -32,15 +32,15 @@ FORMS = {
     "grid": ("grid:ROWSxCOLUMNS", "ROWS and COLUMNS whole numbers, as grid:3x4"),
 }
 """Shapes that take numbers: how each is written, and the meaning of its numbers."""
-DIGITS = 9
+SHAPE_DIGITS = 9
 """Largest number of digits of a whole number in a shape."""
-_PLAIN = re.compile(r"[0-9]{1,9}\.?[0-9]{0,9}|\.[0-9]{1,9}")
+_PLAIN_NUMBER = re.compile(r"[0-9]{1,9}\.?[0-9]{0,9}|\.[0-9]{1,9}")
 """A number in plain decimal digits, without a sign or an exponent."""
-HOPELESS = 40.0
+HOPELESS_ISOLATION = 40.0
 """Mean number of isolated drones above which a random graph is not even
 drawn: the probability of a connected draw is below exp(-40).
 """
-DRAWS = 1000
+CONNECTED_DRAWS = 1000
 """Most attempts to draw a connected random graph."""
 
 
@@ -75,7 +75,7 @@ class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
                 raise ConfigError(
                     "graph",
                     f"edge [{i}, {j}]",
-                    f"two different drones of {span(self.ids)}",
+                    f"two different drones of {describe_ids(self.ids)}",
                 )
 
     @classmethod
@@ -131,7 +131,7 @@ class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
 
     def _member(self, i: int) -> int:
         if i not in self._in:
-            raise ConfigError("graph", f"drone {i}", span(self.ids))
+            raise ConfigError("graph", f"drone {i}", describe_ids(self.ids))
         return i
 
     def edges(self) -> tuple[Arc, ...]:
@@ -210,7 +210,7 @@ class GraphSequence(Wire, frozen=True, array_like=True, gc=False):
 
         Edge number e is always in graph e mod `length`, therefore the union of all is `graph`.
         """
-        chance = _chance(p, seed, length, *graph.ids)
+        chance = _random_stream(p, seed, length, *graph.ids)
         directed = not graph.is_undirected
         kept: list[list[Arc]] = [[] for _ in range(length)]
         for (e, edge), k in product(
@@ -259,7 +259,9 @@ class GraphSequence(Wire, frozen=True, array_like=True, gc=False):
                 "Add an edge to one of them.",
             )
         return max(
-            _flooded(self, i, k) for i in self.ids for k in range(len(self.graphs))
+            _flooding_rounds(self, i, k)
+            for i in self.ids
+            for k in range(len(self.graphs))
         )
 
 
@@ -325,17 +327,17 @@ def erdos_renyi_connected(n: Ids, p: float, seed: int, directed: bool = False) -
     Raises ConfigError if no draw is connected.
     """
     ids = _ids(n)
-    chance = _chance(p, seed, *ids)
-    if len(ids) * (1.0 - p) ** (len(ids) - 1) > HOPELESS:
-        raise _never_connected("erdos-renyi", f"p = {p:g}", "a larger p", len(ids))
+    chance = _random_stream(p, seed, *ids)
+    if len(ids) * (1.0 - p) ** (len(ids) - 1) > HOPELESS_ISOLATION:
+        raise _connection_error("erdos-renyi", f"p = {p:g}", "a larger p", len(ids))
     pairs = list(permutations(ids, 2) if directed else combinations(ids, 2))
-    for _ in range(DRAWS):
+    for _ in range(CONNECTED_DRAWS):
         graph = Graph.from_edges(
             ids, (pair for pair in pairs if chance.random() < p), directed
         )
         if graph.is_connected:
             return graph
-    raise _never_connected("erdos-renyi", f"p = {p:g}", "a larger p", len(ids))
+    raise _connection_error("erdos-renyi", f"p = {p:g}", "a larger p", len(ids))
 
 
 def geometric(n: Ids, radius: float, seed: int) -> Graph:
@@ -352,12 +354,12 @@ def geometric(n: Ids, radius: float, seed: int) -> Graph:
             f"radius {radius:g}",
             "above 0, at most 2; 1 is the side of the square",
         )
-    chance = _chance(0.0, seed, *ids)
-    if len(ids) * max(0.0, 1.0 - pi * radius**2) ** (len(ids) - 1) > HOPELESS:
-        raise _never_connected(
+    chance = _random_stream(0.0, seed, *ids)
+    if len(ids) * max(0.0, 1.0 - pi * radius**2) ** (len(ids) - 1) > HOPELESS_ISOLATION:
+        raise _connection_error(
             "geometric", f"radius {radius:g}", "a larger one", len(ids)
         )
-    for _ in range(DRAWS):
+    for _ in range(CONNECTED_DRAWS):
         points = {i: (chance.random(), chance.random()) for i in ids}
         graph = Graph.from_edges(
             ids,
@@ -369,13 +371,13 @@ def geometric(n: Ids, radius: float, seed: int) -> Graph:
         )
         if graph.is_connected:
             return graph
-    raise _never_connected("geometric", f"radius {radius:g}", "a larger one", len(ids))
+    raise _connection_error("geometric", f"radius {radius:g}", "a larger one", len(ids))
 
 
-def _never_connected(shape: str, given: str, larger: str, size: int) -> ConfigError:
+def _connection_error(shape: str, given: str, larger: str, size: int) -> ConfigError:
     return ConfigError(
         f"{shape} graph",
-        f"{given}: none of {DRAWS} draws is connected",
+        f"{given}: none of {CONNECTED_DRAWS} draws is connected",
         f"{larger} for {size} drones",
     )
 
@@ -405,7 +407,7 @@ def grid(
     return Graph.from_edges(members, pairs)
 
 
-def named(name: str, n: Ids, seed: int = 0, directed: bool = False) -> Graph:
+def graph_from_name(name: str, n: Ids, seed: int = 0, directed: bool = False) -> Graph:
     """Return the graph that a swarm file names; NAMES lists the shapes.
 
     seed: seed of the random shapes
@@ -414,34 +416,34 @@ def named(name: str, n: Ids, seed: int = 0, directed: bool = False) -> Graph:
     """
     plain = {"path": path, "star": star, "complete": complete, "empty": empty}
     shape, colon, given = name.strip().partition(":")
-    if colon and shape not in FORMS:
+    if colon and shape not in SHAPE_FORMS:
         takes_none = shape == "ring" or shape in plain
         raise ConfigError(
             "graph",
             name,
-            NAMES,
-            f"Write {shape}." if takes_none else _meant(shape, given),
+            SHAPE_NAMES,
+            f"Write {shape}." if takes_none else _hint_at_shape(shape, given),
         )
     if shape == "ring":
         return ring(n, directed)
     if shape == "erdos-renyi":
-        return erdos_renyi_connected(n, _number(name, given), seed, directed)
-    if directed and (shape in plain or shape in FORMS):
+        return erdos_renyi_connected(n, _read_number(name, given), seed, directed)
+    if directed and (shape in plain or shape in SHAPE_FORMS):
         do = "Name one of these, list `edges` or the drones' `neighbors`, or leave directed out."
-        raise ConfigError("graph", f"{name} with directed = true", DIRECTED, do)
+        raise ConfigError("graph", f"{name} with directed = true", DIRECTED_SHAPES, do)
     if shape in plain:
         return plain[shape](n)
     if shape == "geometric":
-        return geometric(n, _number(name, given), seed)
+        return geometric(n, _read_number(name, given), seed)
     if shape == "k-regular":
-        return k_regular(n, _whole(name, given))
+        return k_regular(n, _read_whole_number(name, given))
     if shape == "grid":
-        rows, columns = _sides(name, given)
+        rows, columns = _read_sides(name, given)
         return grid(rows, columns, ids=n)
-    raise ConfigError("graph", name, NAMES, _meant(shape, given))
+    raise ConfigError("graph", name, SHAPE_NAMES, _hint_at_shape(shape, given))
 
 
-def _number(name: str, given: str) -> float:
+def _read_number(name: str, given: str) -> float:
     """Return the number of "erdos-renyi:0.3", in any notation that Python reads.
 
     Raises ConfigError if it is not a finite number.
@@ -454,39 +456,43 @@ def _number(name: str, given: str) -> float:
         bare = given.strip().removesuffix("%").strip().replace(",", ".")
         share = (
             f"{float(bare) / 100.0:g}"
-            if given.strip().endswith("%") and _PLAIN.fullmatch(bare)
+            if given.strip().endswith("%") and _PLAIN_NUMBER.fullmatch(bare)
             else bare
         )
-        raise _wrong(name, share if _PLAIN.fullmatch(share) else "")
+        raise _shape_error(name, share if _PLAIN_NUMBER.fullmatch(share) else "")
     return number
 
 
-def _whole(name: str, given: str) -> int:
+def _read_whole_number(name: str, given: str) -> int:
     """Return the number of "k-regular:4"; raise ConfigError if it is not a whole number."""
     text = given.strip()
-    if text.isascii() and text.isdecimal() and len(text) <= DIGITS:
+    if text.isascii() and text.isdecimal() and len(text) <= SHAPE_DIGITS:
         return int(text)
-    whole = _PLAIN.fullmatch(text) and float(text).is_integer() and len(text) <= DIGITS
-    raise _wrong(name, f"{float(text):.0f}" if whole else "")
+    whole = (
+        _PLAIN_NUMBER.fullmatch(text)
+        and float(text).is_integer()
+        and len(text) <= SHAPE_DIGITS
+    )
+    raise _shape_error(name, f"{float(text):.0f}" if whole else "")
 
 
-def _sides(name: str, given: str) -> tuple[int, int]:
+def _read_sides(name: str, given: str) -> tuple[int, int]:
     """Return the two numbers of "grid:3x4"; raise ConfigError if there are not two."""
     rows, cross, columns = (
         given.lower().replace("\N{MULTIPLICATION SIGN}", "x").partition("x")
     )
     if not cross:
-        raise _wrong(name, "")
-    return _whole(name, rows), _whole(name, columns)
+        raise _shape_error(name, "")
+    return _read_whole_number(name, rows), _read_whole_number(name, columns)
 
 
-def _wrong(name: str, meant: str) -> ConfigError:
+def _shape_error(name: str, meant: str) -> ConfigError:
     """Return the error for a shape with an invalid number.
 
     meant: the number that was probably meant, or an empty text
     """
     shape = name.strip().partition(":")[0]
-    form, what = FORMS[shape]
+    form, what = SHAPE_FORMS[shape]
     do = f"Write {shape}:{meant}." if meant and shape != "grid" else ""
     return ConfigError(
         "graph",
@@ -496,15 +502,15 @@ def _wrong(name: str, meant: str) -> ConfigError:
     )
 
 
-def _meant(shape: str, given: str) -> str:
+def _hint_at_shape(shape: str, given: str) -> str:
     """Return a hint with the shape that was probably meant, or an empty text.
 
     A known shape matches if it has the same letters with other capitals, hyphens or blanks.
     """
     letters = re.sub(r"[^a-z]", "", shape.lower())
-    for known in ("ring", "path", "star", "complete", "empty", *FORMS):
+    for known in ("ring", "path", "star", "complete", "empty", *SHAPE_FORMS):
         if known.replace("-", "") == letters:
-            return f"Did you mean {known}{':' + given if given and known in FORMS else ''}?"
+            return f"Did you mean {known}{':' + given if given and known in SHAPE_FORMS else ''}?"
     return ""
 
 
@@ -566,7 +572,7 @@ def column_stochastic(graph: Graph) -> Weights:
     }
 
 
-def span(ids: Iterable[int]) -> str:
+def describe_ids(ids: Iterable[int]) -> str:
     """Return ids as text for an error: "0 to 7" without gaps, else "0, 2, 5"."""
     known = sorted(ids)
     if len(known) > 1 and known[-1] - known[0] == len(known) - 1:
@@ -608,7 +614,7 @@ def _distances(start: int, step: Mapping[int, tuple[int, ...]]) -> dict[int, int
     return hops
 
 
-def _flooded(graphs: GraphSequence, start: int, first: int) -> int:
+def _flooding_rounds(graphs: GraphSequence, start: int, first: int) -> int:
     """Return the rounds until a flood from `start`, which
     begins in round `first`, reaches all drones.
     """
@@ -622,7 +628,7 @@ def _flooded(graphs: GraphSequence, start: int, first: int) -> int:
     return k - first
 
 
-def _chance(p: float, seed: int, *salt: int) -> random.Random:
+def _random_stream(p: float, seed: int, *salt: int) -> random.Random:
     """Return a random stream that is the same on every host and every Python.
 
     Raises ConfigError if p is not a probability.

@@ -49,7 +49,7 @@ class Roster(msgspec.Struct, frozen=True):
         return crc32(encode(msgspec.to_builtins(self)))
 
 
-class Go(msgspec.Struct, frozen=True):
+class GoMessage(msgspec.Struct, frozen=True):
     """A roster on the wire, with the age of the mission."""
 
     roster: Roster
@@ -66,7 +66,7 @@ class Go(msgspec.Struct, frozen=True):
 
 
 @dataclass(frozen=True)
-class Beat:
+class TeamHeartbeat:
     """The content of a heartbeat."""
 
     incarnation: int
@@ -99,7 +99,7 @@ class Beat:
         ]
 
     @classmethod
-    def of(cls, value: Any) -> "Beat":
+    def of(cls, value: Any) -> "TeamHeartbeat":
         """Return the heartbeat that a decoded list describes.
 
         Raises TypeError or ValueError if the list is not a heartbeat.

@@ -14,12 +14,13 @@ import asyncio
 import contextlib
 from collections import deque
 from collections.abc import Iterable
+from dataclasses import dataclass
 from math import inf
 from typing import Final, Protocol
 
 from crazychoir.bus.codec import decode
 from crazychoir.bus.port import Port
-from crazychoir.bus.topics import ROUND
+from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.errors import (
     AgentFailed,
     ChannelEnded,
@@ -29,9 +30,9 @@ from crazychoir.errors import (
     RosterChanged,
     RoundTimeout,
 )
-from crazychoir.runtime.clock import SECOND, Alarm, wake
+from crazychoir.runtime.clock import NS_PER_SECOND, Alarm, wake_waiter
 from crazychoir.team.barrier import Barrier, Roster
-from crazychoir.team.channel import HISTORY, Channel
+from crazychoir.team.channel import ROUND_WINDOW, Channel
 from crazychoir.team.epochs import AnyGraph, Epochs
 from crazychoir.team.graph import Graph
 from crazychoir.types import Failure
@@ -50,26 +51,39 @@ GONE: the sender no longer has the rounds before this one
 """
 KIND_BITS: Final = 3
 """Bits of the kind in a message's flags; the epoch is above them."""
-KINDS: Final = (1 << KIND_BITS) - 1
+KIND_MASK: Final = (1 << KIND_BITS) - 1
 """Mask of the kind in the flags."""
 CREDIT_EVERY: Final = 16
 """Rounds between two credits."""
-MAX_CHANNELS: Final = 256
-"""Most channels that are open at once."""
-MAX_EARLY: Final = 256
-"""Messages that are kept for channels and epochs that this drone does not have yet.
 
-Newer messages replace older ones.
-"""
-MAX_EARLY_BYTES: Final = 8192
-"""Largest payload of such a message; a larger one is not kept, and its sender resends it."""
-MAX_ROUND: Final = 1 << 48
-"""First round number that is refused as malformed."""
-PUSH: Final = 1 << 20
+
+@dataclass(frozen=True, slots=True)
+class RoundLimits:
+    """Limits of the channels of a drone, and of the messages that it takes or keeps."""
+
+    max_channels: int = 256
+    """Most channels that are open at once."""
+    max_early_messages: int = 256
+    """Messages that are kept for channels and epochs that this drone does not have yet.
+
+    Newer messages replace older ones.
+    """
+    max_early_bytes: int = 8192
+    """Largest payload of a message for a channel or an epoch that this drone does not have yet; a
+    larger one is not kept, and its sender resends it.
+    """
+    first_refused_round: int = 1 << 48
+    """First round number that is refused as malformed."""
+
+
+ROUND_LIMITS = RoundLimits()
+
+
+FIRST_UNASKED_ATTEMPT: Final = 1 << 20
 """Attempt numbers from here on mark messages that no neighbour asked for."""
-FAILED: Final = "failed"
+FAILURE_CHANNEL: Final = "failed"
 """Channel on which an agent says that it stops on all channels."""
-SWEEP: Final = 5_000_000
+SWEEP_INTERVAL: Final = 5_000_000
 """ns between two checks of the waiting channels.
 
 All drones of a process check at the same instants.
@@ -84,7 +98,7 @@ class Membership(Protocol):
         ...
 
 
-class _Everybody:
+class _FullMembership:
     """A membership without lost drones."""
 
     def lost(self, j: int) -> bool:
@@ -114,7 +128,7 @@ class Rounds:
         self.port = port
         self.deadline = deadline
         self.id = port.address
-        self.membership: Membership = membership or _Everybody()
+        self.membership: Membership = membership or _FullMembership()
         self.rounds = 0
         self.ahead = 0
         self._epochs = Epochs(graph)
@@ -126,12 +140,12 @@ class Rounds:
         self._made_ns = self._now_ns()
         self._channels: dict[str, Channel] = {}
         self._early: deque[tuple[int, bytes, int, str, int, int]] = deque(
-            maxlen=MAX_EARLY
+            maxlen=ROUND_LIMITS.max_early_messages
         )
         self._alarm: Alarm | None = None
         self._due_ns = 0
-        port.handlers[ROUND.number] = self._arrived
-        self.open(FAILED, joinable=True)  # a failed agent stops in every epoch
+        port.handlers[MESSAGE_TOPICS.rounds.number] = self._arrived
+        self.open(FAILURE_CHANNEL, joinable=True)  # a failed agent stops in every epoch
 
     @property
     def graph(self) -> AnyGraph:
@@ -157,7 +171,7 @@ class Rounds:
         """
         return (
             self._now_ns() - max(self._heard_ns.get(j, self._made_ns) for j in lost)
-        ) / SECOND
+        ) / NS_PER_SECOND
 
     # Channels and epochs --------------------------------------------------------------
 
@@ -268,7 +282,7 @@ class Rounds:
         """
         new = self._begin(ch.name, False)
         if ch.waiter is not None and not ch.waiter.done():
-            fail(ch, error)
+            fail_waiter(ch, error)
         elif ch.gate is not None:
             ch.changed = error
             wake_if(ch.gate)
@@ -283,8 +297,8 @@ class Rounds:
 
     def _make_room(self, channel: str) -> None:
         """Remove a closed channel if there are too many; raise ConfigError if all are in use."""
-        used = len(self._channels) - (FAILED in self._channels)
-        if used >= MAX_CHANNELS:
+        used = len(self._channels) - (FAILURE_CHANNEL in self._channels)
+        if used >= ROUND_LIMITS.max_channels:
             closed = next(
                 (
                     name
@@ -296,7 +310,10 @@ class Rounds:
             if closed is None:
                 where = f"drone {self.id}: channel {channel!r}"
                 raise ConfigError(
-                    where, used, f"{MAX_CHANNELS} channels at once", "Close some."
+                    where,
+                    used,
+                    f"{ROUND_LIMITS.max_channels} channels at once",
+                    "Close some.",
                 )
             del self._channels[closed]
 
@@ -318,14 +335,22 @@ class Rounds:
         if payload is not None:
             self.port.counters.resent += 1
             self.port.send(
-                ROUND, (j,), payload, k, ch.name, self._flags | kind, attempt
+                MESSAGE_TOPICS.rounds,
+                (j,),
+                payload,
+                k,
+                ch.name,
+                self._flags | kind,
+                attempt,
             )
 
     def _control(
         self, ch: Channel, kind: int, to: tuple[int, ...], k: int, attempt: int = 0
     ) -> None:
         """Send a message without content."""
-        self.port.send(ROUND, to, b"", k, ch.name, self._flags | kind, attempt)
+        self.port.send(
+            MESSAGE_TOPICS.rounds, to, b"", k, ch.name, self._flags | kind, attempt
+        )
 
     # Arriving -------------------------------------------------------------------------
 
@@ -344,13 +369,13 @@ class Rounds:
         if (
             ch is None
             or flags != self._flags
-            or number >= MAX_ROUND
+            or number >= ROUND_LIMITS.first_refused_round
             or source not in self._known
         ):
             if not self._counts(ch, source, payload, number, channel, flags, age):
                 return
             ch = self._channels[channel]
-            kind = flags & KINDS
+            kind = flags & KIND_MASK
             if kind > AHEAD:
                 self._controlled(ch, kind, source, number)
                 return
@@ -360,7 +385,7 @@ class Rounds:
             ch.latest[source] = (
                 number,
                 payload,
-                heard_ns - int(age * SECOND) if age else heard_ns,
+                heard_ns - int(age * NS_PER_SECOND) if age else heard_ns,
             )
             if kind != AHEAD:
                 ch.progress[source] = number
@@ -368,7 +393,7 @@ class Rounds:
             self._answer(ch, number, source)
         k = ch.receiving
         inbox = ch.inbox
-        if k <= number < k + HISTORY:
+        if k <= number < k + ROUND_WINDOW.kept_rounds:
             box = inbox.get(number)
             if box is None:
                 box = inbox[number] = {}
@@ -398,14 +423,14 @@ class Rounds:
         channel or its epoch may soon be ours, it is kept for later. A message of an earlier epoch
         is dropped.
         """
-        if number >= MAX_ROUND or source not in self._known:
+        if number >= ROUND_LIMITS.first_refused_round or source not in self._known:
             self.port.counters.malformed += 1
             return False
         epoch = flags >> KIND_BITS
         if ch is not None and (ch.joinable or epoch == self._epochs.epoch):
             return True
-        if epoch >= self._epochs.epoch and len(payload) <= MAX_EARLY_BYTES:
-            born_ns = self.port.heard_ns[source] - int(age * SECOND)
+        if epoch >= self._epochs.epoch and len(payload) <= ROUND_LIMITS.max_early_bytes:
+            born_ns = self.port.heard_ns[source] - int(age * NS_PER_SECOND)
             self._early.append((source, payload, number, channel, flags, born_ns))
         return False
 
@@ -414,7 +439,7 @@ class Rounds:
         early = list(self._early)
         self._early.clear()
         for source, payload, number, channel, flags, born_ns in early:
-            age = (self.port.heard_ns[source] - born_ns) / SECOND
+            age = (self.port.heard_ns[source] - born_ns) / NS_PER_SECOND
             self._arrived(source, payload, number, channel, flags, age)
 
     def _answer(self, ch: Channel, number: int, source: int) -> None:
@@ -462,7 +487,9 @@ class Rounds:
         """
         if 0 <= ch.closed_at <= number and ch.closed_at >= ch.sending:
             ch.told += 1
-            self._control(ch, FIN, (source,), ch.closed_at, PUSH + ch.told)
+            self._control(
+                ch, FIN, (source,), ch.closed_at, FIRST_UNASKED_ATTEMPT + ch.told
+            )
 
     def _controlled(self, ch: Channel, kind: int, source: int, number: int) -> None:
         """Take a message without content: WANT, CREDIT, FIN, FIN_TOO or GONE."""
@@ -513,7 +540,7 @@ class Rounds:
         ch.missing = missing
         now_ns = ch.since_ns = self._now_ns()
         ch.attempt = ch.resend_ns = 0
-        due_ns = ch.deadline_ns = now_ns + int(SECOND * seconds)
+        due_ns = ch.deadline_ns = now_ns + int(NS_PER_SECOND * seconds)
         if self._alarm is None or due_ns < self._due_ns:
             self._schedule(now_ns)
         return waiter
@@ -524,7 +551,7 @@ class Rounds:
             ch.round_time *= 0.875  # the round ended before the first sweep
         elif ch.attempt == 0:
             ch.round_time += 0.125 * (
-                (self._clock.now_ns() - ch.since_ns) / SECOND - ch.round_time
+                (self._clock.now_ns() - ch.since_ns) / NS_PER_SECOND - ch.round_time
             )
 
     def _schedule(self, now_ns: int) -> None:
@@ -532,7 +559,7 @@ class Rounds:
             self._alarm.cancel()
         self._due_ns = min(
             [
-                now_ns - now_ns % SWEEP + SWEEP,
+                now_ns - now_ns % SWEEP_INTERVAL + SWEEP_INTERVAL,
                 *(ch.deadline_ns for ch in self._waiting()),
             ]
         )
@@ -551,20 +578,20 @@ class Rounds:
                 else tuple(j for j in ch.missing if self.membership.lost(j))
             )
             if lost:
-                fail(ch, PeerLost(self.id, lost, self.silence(lost)))
+                fail_waiter(ch, PeerLost(self.id, lost, self.silence(lost)))
             elif ch.strict and (word := self._failure(ch.missing)):
-                fail(ch, AgentFailed(word.agent, word.reason))
+                fail_waiter(ch, AgentFailed(word.agent, word.reason))
             elif now_ns >= ch.deadline_ns:
-                seconds = (ch.deadline_ns - ch.since_ns) / SECOND
-                fail(
+                seconds = (ch.deadline_ns - ch.since_ns) / NS_PER_SECOND
+                fail_waiter(
                     ch,
                     RoundTimeout(self.id, ch.name, ch.receiving, ch.missing, seconds),
                 )
             elif not ch.resend_ns:
-                ch.resend_ns = ch.since_ns + int(SECOND * ch.rto(0))
+                ch.resend_ns = ch.since_ns + int(NS_PER_SECOND * ch.rto(0))
             elif now_ns >= ch.resend_ns:
                 if ch.strict and (ended := ch.ended()):
-                    fail(ch, ChannelEnded(self.id, ch.name, ch.receiving, ended))
+                    fail_waiter(ch, ChannelEnded(self.id, ch.name, ch.receiving, ended))
                 else:
                     self._resend(ch, now_ns)
         if self._waiting():
@@ -572,7 +599,7 @@ class Rounds:
 
     def _failure(self, missing: Iterable[int]) -> Failure | None:
         """Return the Failure that the first of these drones has sent on FAILED, or None."""
-        said = self._channels[FAILED].latest
+        said = self._channels[FAILURE_CHANNEL].latest
         for j in missing:
             if j in said:
                 with contextlib.suppress(CodecError):
@@ -595,11 +622,11 @@ class Rounds:
         the round before.
         """
         ch.attempt += 1
-        ch.resend_ns = now_ns + int(SECOND * ch.rto(ch.attempt))
+        ch.resend_ns = now_ns + int(NS_PER_SECOND * ch.rto(ch.attempt))
         k = ch.receiving
         for j in list(ch.missing):
             if ch.reads(k - 1, j):
-                self._again(ch, k - 1, j, PUSH + ch.attempt, AHEAD)
+                self._again(ch, k - 1, j, FIRST_UNASKED_ATTEMPT + ch.attempt, AHEAD)
             if ch.reads(k, j):
                 self._again(ch, k, j, 2 * ch.attempt, REPEAT)
             else:
@@ -609,10 +636,10 @@ class Rounds:
 def wake_if(waiter: "asyncio.Future[None] | None") -> None:
     """Resolve a waiter, if there is one."""
     if waiter is not None:
-        wake(waiter)
+        wake_waiter(waiter)
 
 
-def fail(ch: Channel, error: Exception) -> None:
+def fail_waiter(ch: Channel, error: Exception) -> None:
     """End the wait of a channel with an error."""
     if ch.waiter is not None and not ch.waiter.done():
         ch.waiter.set_exception(error)

@@ -6,28 +6,28 @@ Decides which side is refused.
 from collections.abc import Collection, Sequence
 from typing import Final
 
-from crazychoir.runtime.clock import SECOND, Clock
+from crazychoir.runtime.clock import NS_PER_SECOND, Clock
 
-SETTLE: Final = 2.0
+SETTLE_TIME: Final = 2.0
 """Seconds after the first stranger until the smaller group is decided.
 
 It comes earlier if all drones are known.
 """
 
-COPY: Final = "Copy one swarm file and one mission to every host."
+COPY_SWARM_ADVICE: Final = "Copy one swarm file and one mission to every host."
 """Advice of the error text."""
-CODE: Final = "the text of the mission"
+MISSION_CODE_NAME: Final = "the text of the mission"
 """Name of the last part of a mission hash, after the keys of the swarm file."""
 
 
-def difference(ours: str, theirs: str, keys: Sequence[str]) -> list[str]:
+def differing_keys(ours: str, theirs: str, keys: Sequence[str]) -> list[str]:
     """Return the keys of the swarm file in which two mission hashes differ.
 
     keys: the keys for which each hash holds two hex digits, in their order
     Returns [] if a hash holds no keys or other keys, or if the digits agree by chance.
     """
     (_, _, a), (_, _, b) = ours.partition(":"), theirs.partition(":")
-    names = (*keys, CODE)
+    names = (*keys, MISSION_CODE_NAME)
     if len(a) != 2 * len(names) or len(b) != len(a):
         return []
     return [
@@ -37,8 +37,8 @@ def difference(ours: str, theirs: str, keys: Sequence[str]) -> list[str]:
     ]
 
 
-def _told(theirs: str, ours: str, keys: Sequence[str]) -> str:
-    differs = difference(ours, theirs, keys)
+def _describe_difference(theirs: str, ours: str, keys: Sequence[str]) -> str:
+    differs = differing_keys(ours, theirs, keys)
     return theirs.partition(":")[0] + (
         f", which has another {', '.join(differs)}" if differs else ""
     )
@@ -72,7 +72,9 @@ class Strangers:
         if mission_hash.partition(":")[0] == self.mission_hash.partition(":")[0]:
             self.missions.pop(j, None)
             return False
-        self._judge_ns = self._judge_ns or self.clock.now_ns() + int(SETTLE * SECOND)
+        self._judge_ns = self._judge_ns or self.clock.now_ns() + int(
+            SETTLE_TIME * NS_PER_SECOND
+        )
         self.missions[j] = mission_hash
         return True
 
@@ -100,6 +102,7 @@ class Strangers:
         whole = self.mission_hash.partition(":")[0]
         missions = sorted(self.missions.items())
         others = ", ".join(
-            f"drone {j} ({_told(theirs, ours, self.keys)})" for j, theirs in missions
+            f"drone {j} ({_describe_difference(theirs, ours, self.keys)})"
+            for j, theirs in missions
         )
-        return f"its swarm file or mission ({whole}) is not that of {others}. {COPY}"
+        return f"its swarm file or mission ({whole}) is not that of {others}. {COPY_SWARM_ADVICE}"

@@ -27,12 +27,12 @@ from system.browsers import FLAGS
 from system.pages import dashboard, looking_on, six
 
 from crazychoir.bus.commands import CommandServer
-from crazychoir.bus.network.hello import VERSION
+from crazychoir.bus.network.hello import PACKAGE_VERSION
 from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.port import Bus
-from crazychoir.bus.topics import REFERENCE, STATE, STATUS
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.launch.network import attached, isolate_swarm
+from crazychoir.launch.network import isolate_swarm, run_attached
 from crazychoir.runtime.clock import run_wall
 from crazychoir.types import FullState, State, Status
 
@@ -96,18 +96,20 @@ def speak(path: str, group: int) -> None:
             listen=[config.endpoint(ids[0])],
             connect=[],
             incarnation=group + 1,
-            version=VERSION,
+            version=PACKAGE_VERSION,
         )
-        async with attached(link):
+        async with run_attached(link):
             k = 0
             async for _ in clock.ticks(100.0):
                 for i in ids:
                     p = np.array([i % 10 + 0.3 * np.sin(0.01 * k), i // 10, 1.0])
-                    bus.ports[i].publish(STATE, State.at(p, (0.1, 0.0, 0.0)))
-                    bus.ports[i].publish(REFERENCE, FullState.at(p))
+                    bus.ports[i].publish(
+                        DRONE_TOPICS.state, State.at(p, (0.1, 0.0, 0.0))
+                    )
+                    bus.ports[i].publish(DRONE_TOPICS.reference, FullState.at(p))
                     if k % 25 == 0:
                         bus.ports[i].publish(
-                            STATUS,
+                            DRONE_TOPICS.status,
                             Status(
                                 "hovering",
                                 "waits",

@@ -9,10 +9,10 @@ from rich import print as show
 
 from crazychoir.bench import filters as bench_filters
 from crazychoir.filters.kalman import KalmanFilter
-from crazychoir.filters.motion import Commanded
+from crazychoir.filters.motion import CommandedMotion
 from crazychoir.filters.state_filter import StateFilter
 from crazychoir.filters.velocity import VelocityFilter
-from crazychoir.platforms import PAPER
+from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.types import Pose
 
 
@@ -20,7 +20,8 @@ def cost(filtering: StateFilter) -> float:
     """us a call, with poses that are 10 ms old and another command each tick."""
     clock, pose = Clock(), Pose(np.array([0.0, 0, 1, 0, 0, 0, 1]), 0.01)
     commands = [
-        np.array([thrust * PAPER.weight, 0.0, 0.0, 0.0]) for thrust in (0.99, 1.01)
+        np.array([thrust * PAPER_PLATFORM.weight, 0.0, 0.0, 0.0])
+        for thrust in (0.99, 1.01)
     ]
 
     def tick() -> None:
@@ -33,7 +34,7 @@ def cost(filtering: StateFilter) -> float:
 
 if __name__ == "__main__":
     show(bench_filters.table(bench_filters.run()))
-    motion = Commanded(PAPER.flat, 0.0)
+    motion = CommandedMotion(PAPER_PLATFORM.flat, 0.0)
     for name, filtering in {
         "derivative": VelocityFilter(period=0.01, motion=motion),
         "kalman": KalmanFilter(period=0.01, motion=motion),

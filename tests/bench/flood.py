@@ -32,9 +32,9 @@ from system.link_process import linked, wall_clock
 
 from crazychoir.bus.frames import Frame, encode_frame
 from crazychoir.bus.network import authority
-from crazychoir.bus.network.authority import CERTIFICATE, KEY, ROOT
+from crazychoir.bus.network.authority import KEY_FILES
 from crazychoir.bus.network.zenoh_link import ZenohLink
-from crazychoir.bus.topics import STATUS
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
 
 ARMS = ("nobody", "unrelated", "itself")
@@ -108,9 +108,9 @@ def send(folder: Path, port: int, seconds: float) -> int:
     """EACH frames at a time, RATE a second."""
     keys = folder / "b"
     tls = {
-        "root_ca_certificate": str(keys / ROOT),
-        "connect_private_key": str(keys / KEY),
-        "connect_certificate": str(keys / CERTIFICATE),
+        "root_ca_certificate": str(keys / KEY_FILES.authority_certificate),
+        "connect_private_key": str(keys / KEY_FILES.private_key),
+        "connect_certificate": str(keys / KEY_FILES.certificate),
         "enable_mtls": True,
         "verify_name_on_connect": False,
     }
@@ -122,7 +122,7 @@ def send(folder: Path, port: int, seconds: float) -> int:
     }
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
-    frame, sent = encode_frame(Frame("1-f", 1, STATUS.klass, [])), 0
+    frame, sent = encode_frame(Frame("1-f", 1, DRONE_TOPICS.status.klass, [])), 0
     with zenoh.open(config) as session:
         began = time.monotonic()
         while (spent := time.monotonic() - began) < seconds:
@@ -157,9 +157,9 @@ def turns(
     found: dict[str, list[dict[str, Any]]] = {arm: [] for arm in ARMS}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "keys"
-        authority.init(folder)
+        authority.make_authority(folder)
         for host in "ab":
-            authority.add(folder, host)
+            authority.add_host(folder, host)
         ports = {
             "itself": free_ports([0, 1]),
             "unrelated": free_ports([0, 1]) + 10,

@@ -20,12 +20,12 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.bus.network.hello import VERSION
+from crazychoir.bus.network.hello import PACKAGE_VERSION
 from crazychoir.bus.network.zenoh_link import ZenohLink
-from crazychoir.bus.port import OBSERVER, Bus
-from crazychoir.bus.topics import STATE
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.launch.network import attached, isolate_swarm, observer
+from crazychoir.launch.network import isolate_swarm, make_observer_link, run_attached
 from crazychoir.recording.mcap.file import RecordingFile
 from crazychoir.recording.recorder import Recorder
 from crazychoir.runtime.clock import Clock, run_wall
@@ -47,7 +47,7 @@ async def said(
     ports, count = [bus.ports[i] for i in ids], 0
     async for _ in clock.ticks(rate):
         for port in ports:
-            port.publish(STATE, states[count % VALUES])
+            port.publish(DRONE_TOPICS.state, states[count % VALUES])
             count += 1
         if count >= len(ids) * rate * seconds:
             return count
@@ -124,9 +124,9 @@ def speak(path: str, group: int, rate: float, seconds: float) -> None:
             listen=[config.endpoint(ids[0])],
             connect=[],
             incarnation=group + 1,
-            version=VERSION,
+            version=PACKAGE_VERSION,
         )
-        async with attached(link):
+        async with run_attached(link):
             async with asyncio.timeout(START):
                 while not any(
                     peer.hello and peer.hello.interests for peer in link.peers.values()
@@ -153,11 +153,14 @@ def over_zenoh(
     file.write_text(config.dumps())
 
     async def main(clock: Clock) -> dict[str, Any]:
-        link = observer(clock, config)
-        bus, address = link.bus, next(a for a in link.bus.ports if a >= OBSERVER)
+        link = make_observer_link(clock, config)
+        bus, address = (
+            link.bus,
+            next(a for a in link.bus.ports if a >= PORT_ADDRESSES.first_observer),
+        )
         opened = RecordingFile(path, {"version": "bench"}, "{}", durable=True)
         recorder = Recorder(bus, config.ids, opened, address, topics=["state"])
-        async with attached(link, recorder):
+        async with run_attached(link, recorder):
             words = [
                 [
                     sys.executable,

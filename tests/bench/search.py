@@ -8,7 +8,7 @@ import time
 
 from crazychoir.routing.instance.generate import random_instance
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.routing.search.search import search
+from crazychoir.routing.search.search import search_plan
 
 CASES = [(8, 16, 6_000, 2), (20, 40, 40_000, 2), (50, 100, 300_000, 3)]
 """Robots, tasks, steps, rounds."""
@@ -20,7 +20,7 @@ def run(instance: Instance, steps: int, rounds: int) -> tuple[float, int, float]
     """Cost, vehicles that leave, CPU seconds."""
     team = [instance.local(i).vehicle for i in range(instance.robots)]
     start = time.process_time()
-    found = search(
+    found = search_plan(
         team, [[]] * len(team), instance.tasks.penalty, steps, 1, rounds=rounds
     )
     return found.total, sum(map(bool, found.routes)), time.process_time() - start

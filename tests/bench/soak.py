@@ -27,11 +27,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from system.agents import AGENT, WORLD, Program, results
 
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 from crazychoir.launch.network import isolate_swarm
 
 FILE = Path(__file__).resolve().parents[2] / "deploy/grid30.toml"
-MISSION = load("bearing_formation")
+MISSION = load_mission("bearing_formation")
 EACH_S, SETTLED = 5.0, 0.1
 MIB = 1 << 20
 TRAFFIC = ("frames_sent", "frames_received", "bytes_sent", "worst_put_s")

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from campaign.report import Report
-from crazychoir.bus.impairment.rules import Partition, Rule
+from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
 from crazychoir.team import graph as graphs
 from crazychoir.team.graph import Graph
 
@@ -54,12 +54,14 @@ def graph(draw: Draw, n: int) -> Graph:
 
 def rules(
     draw: Draw, report: Report, ids: tuple[int, ...], worst: float = 0.4
-) -> list[Rule]:
+) -> list[ImpairmentRule]:
     """For all, and now and then worse ones for one drone."""
-    made = [Rule(effects(draw, report, worst))]
+    made = [ImpairmentRule(effects(draw, report, worst))]
     if draw.random() < 0.3:
         made.append(
-            Rule({"loss": float(draw.uniform(0.2, 0.7))}, drone=int(draw.choice(ids)))
+            ImpairmentRule(
+                {"loss": float(draw.uniform(0.2, 0.7))}, drone=int(draw.choice(ids))
+            )
         )
         report.inject("bad link of one drone")
     return made
@@ -67,15 +69,15 @@ def rules(
 
 def partitions(
     draw: Draw, report: Report, ids: tuple[int, ...], until: float
-) -> list[Partition]:
+) -> list[NetworkPartition]:
     """Up to two, of 0.2 to 15 s, that are over before `until` s."""
-    found: list[Partition] = []
+    found: list[NetworkPartition] = []
     for _ in range(int(draw.integers(0, 3))):
         size = int(draw.integers(1, len(ids)))
         since = float(draw.uniform(0.0, until - 0.5))
         ends = min(until, since + float(draw.choice([0.2, 1.0, 2.0, 5.0, 15.0])))
         found.append(
-            Partition(
+            NetworkPartition(
                 since,
                 ends,
                 tuple(sorted(draw.choice(ids, size, replace=False).tolist())),

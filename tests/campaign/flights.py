@@ -11,11 +11,11 @@ from campaign.faults import Draw
 from campaign.report import Report, digest
 from crazychoir.agent.agent import Agent
 from crazychoir.bus.impairment.model import Impairment
-from crazychoir.bus.impairment.rules import Partition
-from crazychoir.bus.topics import POSE
-from crazychoir.config.checks import TOUCHING
+from crazychoir.bus.impairment.rules import NetworkPartition
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.guidance.mission import Mission, load
+from crazychoir.guidance.mission import Mission, load_mission
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock, run_virtual
 from crazychoir.safety.rules.modes import Mode
@@ -128,7 +128,7 @@ class Invariants(Actor):
         for a, i in enumerate(up):
             for j in up[a + 1 :]:
                 apart = float(np.linalg.norm(p[i] - p[j]))
-                if apart < TOUCHING:
+                if apart < SWARM_LIMITS.touching_distance:
                     self._wrong(
                         ("near", i, j),
                         f"drones {i} and {j} are {apart:.3f} m from each other at {now:.2f} s",
@@ -160,11 +160,11 @@ def dropouts(agent: Agent, report: Report, draw: Draw, watch: Invariants) -> Non
             topic: Any, value: Any, age: float = 0.0, i: int = i, publish: Any = publish
         ) -> None:
             now = agent.clock.now()
-            blind = topic is POSE and any(
+            blind = topic is DRONE_TOPICS.pose and any(
                 j == i and since <= now < until for j, since, until in gaps
             )
             if not blind:
-                if topic is POSE:
+                if topic is DRONE_TOPICS.pose:
                     watch.seen[i] = now
                 publish(topic, value, age)
 
@@ -214,7 +214,7 @@ def flown(
     network = faults.rules(draw, report, ids, 0.3)
     cuts = faults.partitions(draw, report, ids, 15.0)
     if until == LONG:
-        cuts.append(Partition(float(draw.uniform(2.0, 10.0)), LONGEST, ids[-1:]))
+        cuts.append(NetworkPartition(float(draw.uniform(2.0, 10.0)), LONGEST, ids[-1:]))
         report.inject("cut off for good")
     victims = draw.choice(ids, kills, replace=False).tolist() if kills else []
     report.inject("crashes", kills)
@@ -254,7 +254,7 @@ def flown(
 
 def formation(report: Report, draw: Draw) -> None:
     """A formation by bearings, scattered at first."""
-    mission = load("bearing_formation")
+    mission = load_mission("bearing_formation")
     made = mission.swarm(None).replace(
         seed=report.seed,
         flight=BRISK,
@@ -268,7 +268,7 @@ def formation(report: Report, draw: Draw) -> None:
 
 def crossing(report: Report, draw: Draw) -> None:
     """Drones that fly straight at each other."""
-    mission, n = load("crossing"), int(draw.integers(2, 6))
+    mission, n = load_mission("crossing"), int(draw.integers(2, 6))
     made = mission.swarm(n).replace(seed=report.seed, lost_after=2.0)
     options = {
         "pattern": "antipodal",
@@ -287,7 +287,7 @@ def crossing(report: Report, draw: Draw) -> None:
 def delivery(report: Report, draw: Draw) -> None:
     """Goods that appear in flight: none picked up or delivered twice, or forgotten; what one has done others know."""
     mission, until = (
-        load("online_delivery"),
+        load_mission("online_delivery"),
         float(draw.choice([IN_FLIGHT, DELIVERING, LONG], p=[0.3, 0.5, 0.2])),
     )
     n, tasks, later = (

@@ -13,15 +13,15 @@ from living import Team, as_graph_says, counting, team
 from campaign import faults
 from campaign.faults import Draw
 from campaign.report import Report, digest
-from crazychoir.bus.commands import ACCEPTED, DONE, Commander, CommandServer
-from crazychoir.bus.port import OBSERVER, Bus
-from crazychoir.bus.topics import ESTOP
+from crazychoir.bus.commands import ANSWER_TEXTS, Commander, CommandServer
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.errors import CrazyChoirError, PeerLost, Refused, RosterChanged
 from crazychoir.optimization.algorithms.consensus import Consensus
 from crazychoir.optimization.algorithms.convexified import Convexified
 from crazychoir.optimization.algorithms.primal_decomposition import PrimalDecomposition
 from crazychoir.optimization.rounds.step_size import Diminishing
-from crazychoir.routing.distributed.pickup_delivery import METHODS
+from crazychoir.routing.distributed.pickup_delivery import PLANNING_METHODS
 from crazychoir.routing.distributed.primal_decomposition import PriceRounds
 from crazychoir.routing.instance.generate import random_instance
 from crazychoir.runtime.clock import Clock, run_virtual
@@ -96,7 +96,7 @@ def plan(report: Report, draw: Draw) -> None:
     """Pickups and deliveries: the plan of a perfect network, each task served once; shares of tasks sum up to one."""
     robots, tasks = int(draw.integers(2, 5)), int(draw.integers(2, 6))
     method, seed = (
-        METHODS[int(draw.integers(len(METHODS)))],
+        PLANNING_METHODS[int(draw.integers(len(PLANNING_METHODS)))],
         int(draw.integers(1 << 30)),
     )
     instance = random_instance(
@@ -307,7 +307,7 @@ def commands(report: Report, draw: Draw) -> None:
 
     async def main(clock: Clock) -> None:
         bus, done, stopped = Bus(clock), Counter[tuple[int, int]](), dict[int, bool]()
-        operator = Commander(bus.port(OBSERVER, 0xF1))
+        operator = Commander(bus.port(PORT_ADDRESSES.first_observer, 0xF1))
         kept: list[tuple[Any, ...]] = []
 
         def server(i: int) -> None:
@@ -328,12 +328,13 @@ def commands(report: Report, draw: Draw) -> None:
             def lossy(*message: Any, deliver: Any = deliver) -> None:
                 if draw.random() < loss:
                     kept.extend(
-                        [(deliver, message)] * (message[0] == ESTOP.number)
+                        [(deliver, message)]
+                        * (message[0] == MESSAGE_TOPICS.emergency_stop.number)
                     )  # it comes for the first time then
                     return
                 for _ in range(1 + (draw.random() < 0.2)):
                     deliver(*message)
-                if message[1] == OBSERVER and draw.random() < 0.2:
+                if message[1] == PORT_ADDRESSES.first_observer and draw.random() < 0.2:
                     kept.append((deliver, message))
 
             port.deliver = lossy  # type: ignore[method-assign]
@@ -344,10 +345,11 @@ def commands(report: Report, draw: Draw) -> None:
             try:
                 answer = await operator.request(i, "do", deadline, k=k)
                 report.holds(
-                    answer.kind in (DONE, ACCEPTED) or k % 7 == 6,
+                    answer.kind in (ANSWER_TEXTS.done, ANSWER_TEXTS.accepted)
+                    or k % 7 == 6,
                     f"request {k}: {answer}",
                 )
-                if answer.kind == DONE:
+                if answer.kind == ANSWER_TEXTS.done:
                     once = done[i, k] == 1 and answer.detail == k
                     report.holds(once, f"request {k} done {done[i, k]} times: {answer}")
             except TimeoutError:

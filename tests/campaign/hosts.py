@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import Topic
-from crazychoir.runtime.clock import SECOND, Alarm, Clock
+from crazychoir.runtime.clock import NS_PER_SECOND, Alarm, Clock
 
 T = TypeVar("T")
 
@@ -21,7 +21,7 @@ class Skewed(Clock):
         self._clock, self._loop, self._ahead_ns = (
             clock,
             clock._loop,
-            round(ahead * SECOND),
+            round(ahead * NS_PER_SECOND),
         )
 
     def now_ns(self) -> int:

@@ -5,7 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from crazychoir.simulation.onboard.bezier import DECI, expanded, power_basis
+from crazychoir.simulation.onboard.bezier import (
+    COMPRESSED_FORMAT,
+    convert_to_power_basis,
+    expand_segments,
+)
 
 
 def _bezier(points, s):
@@ -19,7 +23,7 @@ def _bezier(points, s):
 @pytest.mark.parametrize("degree", [0, 1, 3, 7])
 def test_the_coefficients_are_those_of_the_curve(degree):
     points, duration = np.random.default_rng(degree).normal(size=degree + 1), 1.7
-    c = power_basis(points, duration)
+    c = convert_to_power_basis(points, duration)
     for s in np.linspace(0.0, 1.0, 11):
         assert np.polynomial.polynomial.polyval(s * duration, c) == pytest.approx(
             _bezier(points, s), abs=1e-9
@@ -45,7 +49,7 @@ def test_segments_go_on_where_the_last_one_has_ended():
         (500, [], [20, 20, 20, 30, 30, 30, 40], [7], []),
     )
     memory = _packed([100, 0, -50, 900], first, second)
-    rows = expanded(memory, 9)
+    rows = expand_segments(memory, 9)
     assert rows.shape == (2, 33)
     assert rows[:, -1].tolist() == [1.5, 0.5]
 
@@ -55,7 +59,7 @@ def test_segments_go_on_where_the_last_one_has_ended():
         )
 
     assert [at(0, axis, 0.0) for axis in range(4)] == pytest.approx(
-        [0.1, 0.0, -0.05, 900 * DECI]
+        [0.1, 0.0, -0.05, 900 * COMPRESSED_FORMAT.angle_unit]
     )
     assert [at(0, axis, 1.5) for axis in range(4)] == pytest.approx(
         [0.4, 0.01, -0.05, 0.0], abs=1e-5
@@ -73,7 +77,7 @@ def test_segments_go_on_where_the_last_one_has_ended():
 
 def test_it_ends_at_so_many_segments_and_where_the_memory_does():
     memory = _packed([0] * 4, (100, [1], [], [], []), (100, [2], [], [], []))
-    assert len(expanded(memory, 1)) == 1
-    assert len(expanded(memory, 5)) == 2
-    assert len(expanded(memory[: 8 + 5 + 4], 5)) == 1
-    assert expanded(memory[:3].repeat(4), 0).shape == (0, 33)
+    assert len(expand_segments(memory, 1)) == 1
+    assert len(expand_segments(memory, 5)) == 2
+    assert len(expand_segments(memory[: 8 + 5 + 4], 5)) == 1
+    assert expand_segments(memory[:3].repeat(4), 0).shape == (0, 33)

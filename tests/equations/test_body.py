@@ -8,11 +8,20 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from crazychoir.numerics.math3d import GRAVITY, exponential, rotation
+from crazychoir.numerics.math3d import STANDARD_GRAVITY, rotation, rotation_exponential
 from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS, rotor_speed
 from crazychoir.simulation.motor_level import lanes
-from crazychoir.simulation.motor_level.body import ROTOR_HEIGHT, fly, near_floor
-from crazychoir.simulation.motor_level.lanes import FULL, G1, HALF, LANES
+from crazychoir.simulation.motor_level.body import (
+    ROTOR_HEIGHT,
+    compute_ground_effect,
+    integrate_bodies,
+)
+from crazychoir.simulation.motor_level.lanes import (
+    FULL_STEP_DECAY,
+    GOAL_THRUST_1,
+    HALF_STEP_DECAY,
+    LANE_COUNT,
+)
 from crazychoir.simulation.motor_level.motors import MotorWorld
 
 P = CRAZYFLIE_21
@@ -21,7 +30,18 @@ PUSH, TWIST = np.array([0.01, -0.02, 0.015]), np.array([1e-5, -2e-5, 1.5e-5])
 PLACES = P.arm * np.array([[1, -1, 0], [-1, -1, 0], [-1, 1, 0], [1, 1, 0]])
 TURNS = np.array([1, -1, 1, -1])  # counter-clockwise seen from above
 START = np.array(
-    [0.3, -0.2, 0.15, 0.8, -0.5, 0.9, *exponential(0.2, -0.3, 0.5), 2.0, -3.0, 4.0]
+    [
+        0.3,
+        -0.2,
+        0.15,
+        0.8,
+        -0.5,
+        0.9,
+        *rotation_exponential(0.2, -0.3, 0.5),
+        2.0,
+        -3.0,
+        4.0,
+    ]
 )
 
 
@@ -59,7 +79,7 @@ def slope(t, y, goal):
     force, torque = wrench(p, v, r, w, f, goal)
     j = np.array(P.inertia)
     dq = 0.5 * np.array([*(q[3] * w + np.cross(q[:3], w)), -q[:3] @ w])
-    a = force / P.mass - [0, 0, GRAVITY]
+    a = force / P.mass - [0, 0, STANDARD_GRAVITY]
     return np.concatenate(
         [v, a, dq, (torque - np.cross(w, j * w)) / j, (goal - f) / P.rotor.lag]
     )
@@ -80,17 +100,17 @@ def flown(h, until, goal):
     world._run(0, 0)
     m = world._blocks[0]
     for name, value in {
-        HALF: math.exp(-0.5 * h / P.rotor.lag),
-        FULL: math.exp(-h / P.rotor.lag),
+        HALF_STEP_DECAY: math.exp(-0.5 * h / P.rotor.lag),
+        FULL_STEP_DECAY: math.exp(-h / P.rotor.lag),
     }.items():
-        m[name : name + LANES] = value
+        m[name : name + LANE_COUNT] = value
     for c in range(4):
-        m[G1 + c * LANES] = goal[c]
+        m[GOAL_THRUST_1 + c * LANE_COUNT] = goal[c]
     for c in range(3):
-        m[lanes.AIRX + c * LANES] = WIND[c]
+        m[lanes.WIND_X + c * LANE_COUNT] = WIND[c]
     for _ in range(round(until / h)):
-        fly(m, h)
-    return m[0 : 13 * LANES : LANES].copy()
+        integrate_bodies(m, h)
+    return m[0 : 13 * LANE_COUNT : LANE_COUNT].copy()
 
 
 GOAL = np.array([0.093, 0.086, 0.088, 0.090])
@@ -124,14 +144,29 @@ def test_a_step_of_a_millisecond_follows_the_equations_to_a_nanometre(truth):
 def test_without_torque_and_drag_a_tumbling_fall_keeps_energy_and_angular_momentum():
     platform = replace(CRAZYFLIE_21_BRUSHLESS, drag=(0.0, 0.0, 0.0))
     world = hovering(
-        np.array([0, 0, 50.0, 1, -2, 3, *exponential(0.2, -0.3, 0.5), 9.0, -7.0, 4.0]),
+        np.array(
+            [
+                0,
+                0,
+                50.0,
+                1,
+                -2,
+                3,
+                *rotation_exponential(0.2, -0.3, 0.5),
+                9.0,
+                -7.0,
+                4.0,
+            ]
+        ),
         platform,
     )
     world.cut(0)
     m = world._blocks[0]
     for c in range(4):  # rotors that stand still from the start
-        m[lanes.F1 + c * LANES] = m[lanes.N1 + c * LANES] = 0.0
-        m[lanes.S1 + c * LANES] = abs(platform.rotor.thrust[0])
+        m[lanes.ROTOR_THRUST_1 + c * LANE_COUNT] = m[
+            lanes.STAGE_THRUST_1 + c * LANE_COUNT
+        ] = 0.0
+        m[lanes.THRUST_SLOPE_1 + c * LANE_COUNT] = abs(platform.rotor.thrust[0])
     j = np.array(platform.inertia)
 
     def kept():
@@ -176,7 +211,7 @@ def in_mujoco(start, ticks, platform):
     )
     body.ipos, body.iquat = [0, 0, 0], [1, 0, 0, 0]
     spec.option.timestep, spec.option.integrator = 0.001, mujoco.mjtIntegrator.mjINT_RK4
-    spec.option.gravity = [0, 0, -GRAVITY]
+    spec.option.gravity = [0, 0, -STANDARD_GRAVITY]
     model = spec.compile()
     data = mujoco.MjData(model)
     data.qpos[:] = [*start[:3], start[9], *start[6:9]]
@@ -245,9 +280,11 @@ def test_ground_effect_is_that_of_cheeseman_and_bennett_bounded_and_gone_far_abo
     radius = P.rotor.radius
     ground = (radius / 4) ** 2
     for height in (0.03, 0.05, 0.1):
-        assert near_floor(height - ROTOR_HEIGHT, ground) == pytest.approx(
+        assert compute_ground_effect(height - ROTOR_HEIGHT, ground) == pytest.approx(
             1 / (1 - (radius / 4 / height) ** 2)
         )
-    assert near_floor(-1.0, ground) == near_floor(0.0, ground) < 1.1
-    assert near_floor(0.5, ground) == pytest.approx(1.0, abs=2e-4)
-    assert near_floor(0.0, 0.0) == 1.0
+    assert (
+        compute_ground_effect(-1.0, ground) == compute_ground_effect(0.0, ground) < 1.1
+    )
+    assert compute_ground_effect(0.5, ground) == pytest.approx(1.0, abs=2e-4)
+    assert compute_ground_effect(0.0, 0.0) == 1.0

@@ -5,9 +5,7 @@ import pytest
 
 from crazychoir.bus.impairment import random_draws as draws
 from crazychoir.bus.impairment.random_draws import (
-    BLOCK,
-    LOOK_BACK,
-    ONE,
+    RANDOM_DRAWS,
     bad_states,
     draw,
 )
@@ -16,7 +14,7 @@ from crazychoir.bus.impairment.random_draws import (
 def states(key, count, p_good_bad, p_bad_good):
     blocks = [
         bad_states(key, block, p_good_bad, p_bad_good)
-        for block in range(count // BLOCK)
+        for block in range(count // RANDOM_DRAWS.block_size)
     ]
     return np.frombuffer(b"".join(blocks), np.uint8)
 
@@ -25,7 +23,7 @@ def states(key, count, p_good_bad, p_bad_good):
     ("p_good_bad", "p_bad_good"), [(0.02, 0.2), (0.3, 0.7), (0.01, 0.02), (0.5, 0.05)]
 )
 def test_stationary_law_and_transitions(p_good_bad, p_bad_good):
-    chain = states(77, 200 * BLOCK * 4, p_good_bad, p_bad_good)
+    chain = states(77, 200 * RANDOM_DRAWS.block_size * 4, p_good_bad, p_bad_good)
     now, then = chain[:-1], chain[1:]
     good, bad = then[now == 0], then[now == 1]
     assert chain.mean() == pytest.approx(
@@ -41,7 +39,7 @@ def test_stationary_law_and_transitions(p_good_bad, p_bad_good):
 
 @pytest.mark.parametrize(("p_good_bad", "p_bad_good"), [(0.02, 0.2), (0.001, 0.01)])
 def test_bursts_are_geometric_across_blocks(p_good_bad, p_bad_good):
-    chain = states(5, 4000 * BLOCK, p_good_bad, p_bad_good)
+    chain = states(5, 4000 * RANDOM_DRAWS.block_size, p_good_bad, p_bad_good)
     edges = np.flatnonzero(np.diff(chain))
     runs = np.diff(edges)[int(chain[0] == 1) :: 2]
     mean = 1 / p_bad_good
@@ -51,11 +49,11 @@ def test_bursts_are_geometric_across_blocks(p_good_bad, p_bad_good):
 
 def walked(key, count, p_good_bad, p_bad_good):
     """u < p_gb: bad; u >= 1 - p_bg: good; else as before."""
-    state = draw(key ^ draws._START, 0, 0) / ONE < p_good_bad / (
-        p_good_bad + p_bad_good
-    )
+    state = draw(
+        key ^ draws._DRAW_CONSTANTS.start_salt, 0, 0
+    ) / RANDOM_DRAWS.range_size < p_good_bad / (p_good_bad + p_bad_good)
     for t in range(count):
-        u = (draw(key ^ draws._BURST, t, 0) >> 11) * 2.0**-53
+        u = (draw(key ^ draws._DRAW_CONSTANTS.burst_salt, t, 0) >> 11) * 2.0**-53
         state = u < p_good_bad or (state and u < 1 - p_bad_good)
         yield int(state)
 
@@ -63,7 +61,7 @@ def walked(key, count, p_good_bad, p_bad_good):
 @pytest.mark.parametrize("key", [1, 2, 3])
 def test_blocks_join_into_the_chain_that_is_walked(key):
     p_good_bad, p_bad_good = 0.003, 0.006
-    count = 4 * LOOK_BACK * BLOCK
+    count = 4 * RANDOM_DRAWS.earlier_blocks * RANDOM_DRAWS.block_size
     assert list(states(key, count, p_good_bad, p_bad_good)) == list(
         walked(key, count, p_good_bad, p_bad_good)
     )

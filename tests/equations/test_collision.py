@@ -5,10 +5,14 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from crazychoir.numerics.math3d import GRAVITY
-from crazychoir.safety.collision.barrier import approach, barrier, part
-from crazychoir.safety.collision.cells import cell
-from crazychoir.safety.collision.motion import late
+from crazychoir.numerics.math3d import STANDARD_GRAVITY
+from crazychoir.safety.collision.barrier import (
+    compute_barrier_acceleration,
+    compute_closing_speed,
+    compute_yield_share,
+)
+from crazychoir.safety.collision.cells import compute_cell_acceleration
+from crazychoir.safety.collision.motion import predict_late_motion
 from crazychoir.safety.collision.projection import project
 
 STIFF, GAMMA = 1.5, 4.0
@@ -29,12 +33,12 @@ def motions(seed):
 
 
 def limit(gap, brake):
-    return approach(gap, brake, STIFF)[0]
+    return compute_closing_speed(gap, brake, STIFF)[0]
 
 
 def test_the_braking_curve_is_smooth_and_beyond_its_knee_one_can_brake_on_it():
     gaps = np.linspace(-0.2, 2.0, 2001)
-    speeds, slopes = np.array([approach(g, 1.0, STIFF) for g in gaps]).T
+    speeds, slopes = np.array([compute_closing_speed(g, 1.0, STIFF) for g in gaps]).T
     assert np.allclose(np.gradient(speeds, gaps)[1:-1], slopes[1:-1], atol=5e-3)
     assert np.all(np.abs(np.diff(slopes)) < 5e-3), "no kink"
     assert np.allclose((speeds * slopes)[gaps > 0.45], 1.0), (
@@ -55,7 +59,9 @@ def test_the_barrier_asks_for_its_own_derivative(seed):
 
     rate = (h(dt) - h(-dt)) / (2.0 * dt)
     gap = float(np.linalg.norm(r)) - width
-    asked = barrier(tuple(r), tuple(w), gap, 0.1, brake, STIFF, GAMMA)
+    asked = compute_barrier_acceleration(
+        tuple(r), tuple(w), gap, 0.1, brake, STIFF, GAMMA
+    )
     given = r @ (a_i - a_j) / np.linalg.norm(r)
     assert given - asked == pytest.approx(rate + GAMMA * h(0.0), abs=1e-5)
 
@@ -73,7 +79,9 @@ def test_the_cell_asks_for_its_own_derivative(seed):
 
     rate = (h(dt) - h(-dt)) / (2.0 * dt)
     gap = float(np.linalg.norm(r)) - width
-    asked = cell(tuple(r), tuple(w), tuple(own), gap, 0.1, brake, STIFF, GAMMA)
+    asked = compute_cell_acceleration(
+        tuple(r), tuple(w), tuple(own), gap, 0.1, brake, STIFF, GAMMA
+    )
     assert r @ a_i / np.linalg.norm(r) - asked == pytest.approx(
         rate + GAMMA * h(0.0), abs=1e-5
     )
@@ -81,8 +89,10 @@ def test_the_cell_asks_for_its_own_derivative(seed):
 
 def test_both_drones_together_take_the_whole_barrier():
     for own, other in ((-1.0, 0.0), (-0.3, -0.9), (0.5, 0.2), (0.0, 0.0)):
-        assert part(own, other) + part(other, own) == pytest.approx(1.0)
-    assert part(0.0, -1.0) < 0.06, "who stands gives way little"
+        assert compute_yield_share(own, other) + compute_yield_share(
+            other, own
+        ) == pytest.approx(1.0)
+    assert compute_yield_share(0.0, -1.0) < 0.06, "who stands gives way little"
 
 
 def test_a_drone_that_obeys_late_is_a_double_integrator_in_its_late_motion():
@@ -95,15 +105,19 @@ def test_a_drone_that_obeys_late_is_a_double_integrator_in_its_late_motion():
     )
 
     def state(p, v, a):
-        z = np.array([a[0], a[1], GRAVITY]) / np.linalg.norm([a[0], a[1], GRAVITY])
+        z = np.array([a[0], a[1], STANDARD_GRAVITY]) / np.linalg.norm(
+            [a[0], a[1], STANDARD_GRAVITY]
+        )
         q = np.array([-z[1], z[0], 0.0, 1.0 + z[2]])
         return np.concatenate([p, v, q / np.linalg.norm(q), np.zeros(3)])
 
-    expected = np.array(late(state(p, v, a), u, lag, h * steps, 1.0))
+    expected = np.array(predict_late_motion(state(p, v, a), u, lag, h * steps, 1.0))
     for _ in range(steps):
         p, v, a = p + h * v, v + h * a, a + h * (u - a) / lag
     assert np.allclose(
-        np.array(late(state(p, v, a), u, lag, 0.0, 1.0)), expected, atol=2e-5
+        np.array(predict_late_motion(state(p, v, a), u, lag, 0.0, 1.0)),
+        expected,
+        atol=2e-5,
     )
 
 

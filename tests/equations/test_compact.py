@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from crazychoir.routing.instance.checker import check
+from crazychoir.routing.instance.checker import check_plan
 from crazychoir.routing.instance.generate import random_instance
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.pricing.arc_flow import solve_compact
@@ -194,7 +194,7 @@ def test_the_arc_flow_model_and_route_tables_have_the_same_optimum(case, seed):
     fields, options = CASES[case]
     instance = drawn(seed, 2, 3, fields, **options)
     plan = solve_compact(instance)
-    assert check(instance, plan) == []
+    assert check_plan(instance, plan) == []
     tasks = instance.tasks
     weighed = plan.values[0] + sum(
         tasks.refusal[j] - tasks.penalty[j] for j in refused(plan, instance)

@@ -16,7 +16,7 @@ from crazychoir.optimization.algorithms.dual_subgradient import DualSubgradient
 from crazychoir.optimization.problems.active_set import minimise
 from crazychoir.optimization.problems.problems import CommonCost, ConstraintCoupled
 from crazychoir.optimization.problems.quadratic import Polyhedron, QuadraticProgram
-from crazychoir.optimization.problems.smooth import Smooth, descended
+from crazychoir.optimization.problems.smooth import SmoothFunction, descend_once
 from crazychoir.team.graph import erdos_renyi_connected, metropolis, path
 
 GRAPH = erdos_renyi_connected(5, 0.5, 2)
@@ -235,13 +235,13 @@ def test_the_cost_of_constraints_consensus_never_falls_and_its_basis_has_the_sam
 
 
 def test_the_gradient_of_asymm_is_that_of_its_augmented_lagrangian():
-    f = Smooth(
+    f = SmoothFunction(
         lambda x: np.cos(x[0]) + x @ x, lambda x: np.array([-np.sin(x[0]), 0.0]) + 2 * x
     )
-    h = Smooth(
+    h = SmoothFunction(
         lambda x: np.array([x[0] * x[1] - 1]), lambda x: np.array([[x[1], x[0]]])
     )
-    g = Smooth(
+    g = SmoothFunction(
         lambda x: np.array([x[0] - 0.2, -x[1]]),
         lambda x: np.array([[1.0, 0.0], [0.0, -1.0]]),
     )
@@ -266,8 +266,10 @@ def test_the_gradient_of_asymm_is_that_of_its_augmented_lagrangian():
 
 
 def test_the_multipliers_of_asymm_are_those_of_the_method_of_multipliers():
-    h = Smooth(lambda x: np.array([x[0] - 1.0]), lambda x: np.array([[1.0, 0.0]]))
-    g = Smooth(
+    h = SmoothFunction(
+        lambda x: np.array([x[0] - 1.0]), lambda x: np.array([[1.0, 0.0]])
+    )
+    g = SmoothFunction(
         lambda x: np.array([x[1] - 0.2, x[0] - 9.0]),
         lambda x: np.array([[0.0, 1.0], [1.0, 0.0]]),
     )
@@ -276,7 +278,7 @@ def test_the_multipliers_of_asymm_are_those_of_the_method_of_multipliers():
         (1,),
         1,
         [0.0, 0.0],
-        Smooth(lambda x: 0.0, np.zeros_like),
+        SmoothFunction(lambda x: 0.0, np.zeros_like),
         equalities=h,
         inequalities=g,
     )._own
@@ -304,7 +306,7 @@ def test_asymm_descends_on_the_lagrangian_with_its_neighbors():
         (1,),
         1,
         [0.0, 0.0],
-        Smooth(lambda x: x @ x + q @ x, lambda x: 2 * x + q),
+        SmoothFunction(lambda x: x @ x + q @ x, lambda x: 2 * x + q),
         penalty=1.5,
     )
     agent.nu[1] = np.array([-0.2, 0.6])
@@ -330,7 +332,7 @@ def test_newtons_step_descends_also_where_the_function_is_not_convex():
 
     for x in np.random.default_rng(0).normal(size=(30, 2)) * 2:
         for _ in range(60):
-            new = descended(value, slope, x)
+            new = descend_once(value, slope, x)
             assert value(new) <= value(x) + 1e-13
             x = new
         assert np.abs(slope(x)).max() < 1e-6

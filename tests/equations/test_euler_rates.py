@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from crazychoir.numerics.math3d import quaternion
-from crazychoir.platforms import PAPER
+from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.simulation.common.links import EulerRatesLink
 from crazychoir.simulation.lightweight.integrator import CFIntegrator
 from crazychoir.types import FPQR
@@ -34,7 +34,7 @@ def test_the_drone_turns_at_the_body_rates_that_were_commanded(seed):
     eta = draw.uniform([-3.0, -1.2, -3.0], [3.0, 1.2, 3.0])
     rates = draw.uniform(-1.0, 1.0, 3)
     world = world_at(eta)
-    EulerRatesLink(world, 4).send(FPQR(np.array([PAPER.weight, *rates])))
+    EulerRatesLink(world, 4).send(FPQR(np.array([PAPER_PLATFORM.weight, *rates])))
     world.step()
     assert world.limited[0] == 0.0
     assert world.state(4).w == pytest.approx(rates, abs=1e-5)
@@ -47,7 +47,7 @@ def test_what_it_sends_are_the_rates_of_the_angles(seed):
     eta = draw.uniform([-3.0, -1.2, -3.0], [3.0, 1.2, 3.0])
     p, q, r = draw.uniform(-1.0, 1.0, 3)
     world, h = world_at(eta), 1e-6
-    EulerRatesLink(world, 4).send(FPQR(np.array([PAPER.weight, p, q, r])))
+    EulerRatesLink(world, 4).send(FPQR(np.array([PAPER_PLATFORM.weight, p, q, r])))
     eta_rates = world.commands[0, 1:]
     slope = (attitude(*(eta + h * eta_rates)) - attitude(*(eta - h * eta_rates))) / (
         2.0 * h
@@ -61,7 +61,9 @@ def test_what_it_sends_are_the_rates_of_the_angles(seed):
 def test_nose_down_it_stays_finite_and_the_world_clips_it():
     world = world_at((0.0, 0.0, 0.0))
     world.states[0, 6:10] = [0.5, 0.5, -0.5, 0.5]  # theta = 90 degrees, exactly
-    EulerRatesLink(world, 4).send(FPQR(np.array([PAPER.weight, 0.5, 0.5, 0.5])))
+    EulerRatesLink(world, 4).send(
+        FPQR(np.array([PAPER_PLATFORM.weight, 0.5, 0.5, 0.5]))
+    )
     world.step()
     assert np.isfinite(world.states).all()
     assert world.limited[0] == 1.0

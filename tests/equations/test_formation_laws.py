@@ -8,20 +8,20 @@ from hypothesis.extra.numpy import arrays
 
 from crazychoir.agents.bearing_formation import BearingFormation
 from crazychoir.agents.containment import Containment
-from crazychoir.agents.distance_formation import HEIGHT, DistanceFormation
-from crazychoir.control.gains import AGILE
-from crazychoir.control.margin import Inner, guidance_loop
+from crazychoir.agents.distance_formation import HEIGHT_GAINS, DistanceFormation
+from crazychoir.control.gains import AGILE_GAINS
+from crazychoir.control.margin import InnerLoop, make_guidance_loop
 from crazychoir.guidance.formation.bearing import (
-    bearing_laplacian,
-    equilibrium,
-    normalised,
+    build_bearing_laplacian,
+    compute_equilibrium,
+    normalise_laplacian,
 )
 from crazychoir.guidance.formation.modes import (
-    FREQUENCIES,
-    TICK,
-    Chain,
-    _attitude_response,
-    slowest_normalised,
+    FORMATION_DELAYS,
+    NYQUIST_FREQUENCIES,
+    AccelerationChain,
+    _compute_attitude_response,
+    compute_slowest_normalised_mode,
 )
 from crazychoir.guidance.formation.rigidity import (
     distance_to_hull,
@@ -113,8 +113,8 @@ def test_all_modes_of_the_normalised_law_are_alike():
 
 
 def test_the_normalised_matrix_has_the_sums_of_the_laws_weights():
-    b_ff, b_fl, followers = bearing_laplacian(SQUARE, NEIGHBORS, [0, 1])
-    m = normalised(b_ff, followers)
+    b_ff, b_fl, followers = build_bearing_laplacian(SQUARE, NEIGHBORS, [0, 1])
+    m = normalise_laplacian(b_ff, followers)
     np.testing.assert_allclose(m[0:3, 0:3], np.eye(3), atol=1e-12)
     law = BearingFormation(2, SQUARE, NEIGHBORS[2])
     np.testing.assert_allclose(
@@ -125,24 +125,26 @@ def test_the_normalised_matrix_has_the_sums_of_the_laws_weights():
 
 
 def test_the_slowest_mode_is_that_of_the_law_or_of_the_way_through_the_graph():
-    assert slowest_normalised([1.0], KP, KV) == pytest.approx(0.5 * KV)
+    assert compute_slowest_normalised_mode([1.0], KP, KV) == pytest.approx(0.5 * KV)
     for share in (0.002, 0.01):
         x, steps = 1.0, 0
         while (
             x > np.exp(-1.0)
         ):  # what a neighbour commanded goes on, a tick later, all but its share of the leaders
             x, steps = (1.0 - share) * x, steps + 1
-        assert slowest_normalised([share], KP, KV) == pytest.approx(
-            1.0 / (steps * TICK), rel=0.02
+        assert compute_slowest_normalised_mode([share], KP, KV) == pytest.approx(
+            1.0 / (steps * FORMATION_DELAYS.state_delay), rel=0.02
         )
 
 
 def test_the_attitude_in_the_ages_margin_is_that_of_the_guidance_loop():
-    chain = Chain(AGILE)
-    s = 1j * FREQUENCIES
-    num, den = guidance_loop(KP, KV, Inner(AGILE.kr[0], lead=AGILE.lead))
+    chain = AccelerationChain(AGILE_GAINS)
+    s = 1j * NYQUIST_FREQUENCIES
+    num, den = make_guidance_loop(
+        KP, KV, InnerLoop(AGILE_GAINS.kr[0], lead=AGILE_GAINS.lead)
+    )
     outer = (KP + KV * s * 50.0 / (s + 50.0)) / s**2
-    found = outer * _attitude_response(chain) * np.exp(0.005 * s)
+    found = outer * _compute_attitude_response(chain) * np.exp(0.005 * s)
     np.testing.assert_allclose(
         found, np.polyval(num, s) / np.polyval(den, s), rtol=1e-9
     )
@@ -151,7 +153,7 @@ def test_the_attitude_in_the_ages_margin_is_that_of_the_guidance_loop():
 @given(st.floats(0.5, 3.0), arrays(float, 3, elements=st.floats(-2.0, 2.0)))
 def test_the_equilibrium_is_the_shape_moved_and_scaled_with_its_leaders(scale, offset):
     at = {i: scale * np.array(p) + offset for i, p in SQUARE.items()}
-    found = equilibrium(SQUARE, NEIGHBORS, {i: at[i] for i in (0, 1)})
+    found = compute_equilibrium(SQUARE, NEIGHBORS, {i: at[i] for i in (0, 1)})
     for i, p in at.items():
         np.testing.assert_allclose(found[i], p, atol=1e-9)
 
@@ -175,7 +177,7 @@ def test_the_distance_law_goes_down_its_gradient_and_brakes(x):
     np.testing.assert_allclose(u, -gradient - brake, atol=1e-6)
     flat = DistanceFormation(d, k, kv, 1.0).step(at[2], {j: at[j] for j in d}).a
     assert flat[2] == pytest.approx(
-        HEIGHT[0] * (1.0 - at[2].p[2]) - HEIGHT[1] * at[2].v[2]
+        HEIGHT_GAINS[0] * (1.0 - at[2].p[2]) - HEIGHT_GAINS[1] * at[2].v[2]
     )
 
 

@@ -5,12 +5,19 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from crazychoir.numerics.math3d import GRAVITY, exponential, quaternion, rotation
-from crazychoir.platforms import PAPER
+from crazychoir.numerics.math3d import (
+    STANDARD_GRAVITY,
+    quaternion,
+    rotation,
+    rotation_exponential,
+)
+from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.simulation.lightweight.integrator import CFIntegrator
 
-U = np.array([1.1 * PAPER.weight, 2.0, -1.5, 1.0])
-START = np.array([0.3, -0.2, 5.0, 0.8, -0.5, 0.3, *exponential(0.2, -0.3, 0.5)])
+U = np.array([1.1 * PAPER_PLATFORM.weight, 2.0, -1.5, 1.0])
+START = np.array(
+    [0.3, -0.2, 5.0, 0.8, -0.5, 0.3, *rotation_exponential(0.2, -0.3, 0.5)]
+)
 
 
 def body_rate_slope(t, y, inputs):
@@ -26,10 +33,14 @@ def body_rate_slope(t, y, inputs):
             -x * p - yy * q - z * s,
         ]
     )
-    drag = r @ np.diag(PAPER.drag) @ r.T @ y[3:6]
+    drag = r @ np.diag(PAPER_PLATFORM.drag) @ r.T @ y[3:6]
     return [
         *y[3:6],
-        *(r[:, 2] * u[0] / PAPER.mass - drag / PAPER.mass - [0, 0, GRAVITY]),
+        *(
+            r[:, 2] * u[0] / PAPER_PLATFORM.mass
+            - drag / PAPER_PLATFORM.mass
+            - [0, 0, STANDARD_GRAVITY]
+        ),
         *dq,
     ]
 
@@ -68,7 +79,7 @@ def test_the_order_is_four():
 
 def test_the_order_is_four_behind_a_lag():
     def lagged(t):
-        return U + (np.array([PAPER.weight, 0.0, 0.0, 0.0]) - U) * np.exp(
+        return U + (np.array([PAPER_PLATFORM.weight, 0.0, 0.0, 0.0]) - U) * np.exp(
             -t / np.array([0.05, 0.086, 0.086, 0.086])
         )
 
@@ -85,7 +96,7 @@ def test_the_order_is_four_behind_a_lag():
 
 def test_a_delay_is_exact_although_it_is_no_multiple_of_the_step():
     delay = 0.0237
-    hover = np.array([PAPER.weight, 0.0, 0.0, 0.0])
+    hover = np.array([PAPER_PLATFORM.weight, 0.0, 0.0, 0.0])
     truth = exact(lambda t: hover if t < delay else U, breaks=(delay - 1e-15,))
     early = exact(
         lambda t: U, start=exact(lambda t: hover, until=delay), until=1.0 - delay
@@ -106,14 +117,18 @@ def test_euler_rates_are_the_papers_model():
 
     def slope(t, y, inputs):
         u, r = inputs(t), attitude(y[6:9])
-        drag = r @ np.diag(PAPER.drag) @ r.T @ y[3:6]
+        drag = r @ np.diag(PAPER_PLATFORM.drag) @ r.T @ y[3:6]
         return [
             *y[3:6],
-            *(r[:, 2] * u[0] / PAPER.mass - drag / PAPER.mass - [0, 0, GRAVITY]),
+            *(
+                r[:, 2] * u[0] / PAPER_PLATFORM.mass
+                - drag / PAPER_PLATFORM.mass
+                - [0, 0, STANDARD_GRAVITY]
+            ),
             *u[1:],
         ]
 
-    u = np.array([1.1 * PAPER.weight, 0.8, -0.6, 1.0])
+    u = np.array([1.1 * PAPER_PLATFORM.weight, 0.8, -0.6, 1.0])
     truth = exact(lambda t: u, start=[*START[:6], *eta0], slope=slope)
     x = flown(
         0.005,
@@ -128,30 +143,30 @@ def test_euler_rates_are_the_papers_model():
 def test_the_fall_ends_at_the_speed_where_drag_is_weight():
     world = CFIntegrator([0], np.array([[0.0, 0.0, 2000.0]]))
     world.command(0, [0.0, 0.0, 0.0, 0.0])
-    tau = PAPER.mass / PAPER.drag[2]
+    tau = PAPER_PLATFORM.mass / PAPER_PLATFORM.drag[2]
     for _ in range(1000):
         world.step()
-    expected = -GRAVITY * tau * (1.0 - math.exp(-10.0 / tau))
+    expected = -STANDARD_GRAVITY * tau * (1.0 - math.exp(-10.0 / tau))
     assert world.states[0, 5] == pytest.approx(expected, rel=1e-9)
 
 
 def test_without_drag_a_tumbling_fall_keeps_its_energy():
-    platform = replace(PAPER, drag=(0.0, 0.0, 0.0))
+    platform = replace(PAPER_PLATFORM, drag=(0.0, 0.0, 0.0))
     world = CFIntegrator([0], np.array([[0.0, 0.0, 20.0]]), platform=platform)
     world.states[0, 3:6] = [1.0, 0.5, 2.0]
     world.command(0, [0.0, 5.0, 3.0, 1.0])
-    energy = 0.5 * 5.25 + GRAVITY * 20.0
+    energy = 0.5 * 5.25 + STANDARD_GRAVITY * 20.0
     for _ in range(100):
         world.step()
     v = world.states[0, 3:6]
-    assert 0.5 * v @ v + GRAVITY * world.states[0, 2] == pytest.approx(
+    assert 0.5 * v @ v + STANDARD_GRAVITY * world.states[0, 2] == pytest.approx(
         energy, rel=1e-12
     )
     assert np.linalg.norm(world.states[0, 6:10]) == pytest.approx(1.0, abs=1e-15)
 
 
 def test_each_drone_has_the_figures_of_its_own_platform():
-    rows = [PAPER, replace(PAPER, mass=0.04, drag=(0.03, 0.02, 0.01))]
+    rows = [PAPER_PLATFORM, replace(PAPER_PLATFORM, mass=0.04, drag=(0.03, 0.02, 0.01))]
     together = CFIntegrator([0, 1], np.array([START[:3], START[:3]]), platform=rows)
     together.states[:, :10] = START
     for i in (0, 1):

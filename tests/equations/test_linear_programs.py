@@ -9,9 +9,13 @@ from scipy.optimize import linprog
 
 from crazychoir.optimization.algorithms.convexified import Convexified
 from crazychoir.optimization.algorithms.simplex import BasisExchange
-from crazychoir.optimization.problems.lexicographic import Columns, optimal_basis, union
+from crazychoir.optimization.problems.lexicographic import (
+    ProgramColumns,
+    find_optimal_basis,
+    unite_columns,
+)
 from crazychoir.optimization.problems.mixed_integer import MixedIntegerBlock
-from crazychoir.optimization.problems.options_lp import Options, Pool
+from crazychoir.optimization.problems.options_lp import AgentOptions, OptionsPool
 from crazychoir.team.graph import complete, metropolis
 
 DRAW = np.random.default_rng(11)
@@ -28,8 +32,8 @@ def degenerate(seed):
 def test_the_lexicographic_basis_is_the_best_of_all_with_a_small_number_for_e(seed):
     """Where d -> 0, costs are compared in turn: artificial columns, c, then x_0, x_1, ... by id."""
     c, A, b = degenerate(seed)
-    columns = union([Columns.artificial(4), Columns.own(0, c, A)])
-    basis = optimal_basis(columns, Columns.artificial(4), b)
+    columns = unite_columns([ProgramColumns.artificial(4), ProgramColumns.own(0, c, A)])
+    basis = find_optimal_basis(columns, ProgramColumns.artificial(4), b)
     right = b + 0.05 ** np.arange(1, 5)
     best, least = None, (np.inf,)
     for chosen in itertools.combinations(range(len(columns)), 4):
@@ -147,9 +151,9 @@ def test_trade_by_metropolis_weights_keeps_the_sum_of_the_shares():
 def test_the_best_options_are_those_of_all_choices():
     blocks = random_blocks(3, seed=2, tightness=0.5)
     capacity = sum(block.share for block in blocks)
-    pool, tables = Pool(capacity, [0, 1, 2]), []
+    pool, tables = OptionsPool(capacity, [0, 1, 2]), []
     for block in blocks:
-        options = Options(block)
+        options = AgentOptions(block)
         for y in DRAW.uniform(0.0, 3.0, (5, 3)):
             options.add(block.within(y)[0])
         tables.append(options.table)

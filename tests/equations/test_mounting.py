@@ -6,9 +6,19 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import ConfigError
-from crazychoir.mocap.calibration import angles, from_rest, from_turn, mean_attitude
-from crazychoir.mocap.mounting import Mounting, turned
-from crazychoir.numerics.math3d import exponential, product, quaternion_of_yaw, rotation
+from crazychoir.mocap.calibration import (
+    estimate_from_rest,
+    estimate_from_turn,
+    mean_attitude,
+    roll_pitch_yaw_of,
+)
+from crazychoir.mocap.mounting import Mounting, quaternion_of_rpy
+from crazychoir.numerics.math3d import (
+    quaternion_of_yaw,
+    quaternion_product,
+    rotation,
+    rotation_exponential,
+)
 
 MOUNTINGS = [
     Mounting(),
@@ -33,9 +43,9 @@ def rpy(roll, pitch, yaw):
 
 def test_angles_are_those_of_their_rotation_and_back():
     for roll, pitch, yaw in [(0.1, -0.2, 3.0), (-1.0, 1.2, -2.0), (0.0, 0.0, 0.0)]:
-        q = turned((roll, pitch, yaw))
+        q = quaternion_of_rpy((roll, pitch, yaw))
         np.testing.assert_allclose(rotation(q), rpy(roll, pitch, yaw), atol=1e-12)
-        np.testing.assert_allclose(angles(q), (roll, pitch, yaw), atol=1e-12)
+        np.testing.assert_allclose(roll_pitch_yaw_of(q), (roll, pitch, yaw), atol=1e-12)
 
 
 @pytest.mark.parametrize("mounting", MOUNTINGS)
@@ -62,16 +72,21 @@ def test_the_body_is_where_its_equation_says(mounting):
 
 def test_the_mean_attitude_is_nearest_to_all_whatever_their_signs():
     draw = np.random.default_rng(1)
-    q = turned((0.3, -0.4, 2.0))
+    q = quaternion_of_rpy((0.3, -0.4, 2.0))
     noisy = np.array(
-        [product(tuple(q), exponential(*draw.normal(0.0, 0.05, 3))) for _ in range(400)]
+        [
+            quaternion_product(
+                tuple(q), rotation_exponential(*draw.normal(0.0, 0.05, 3))
+            )
+            for _ in range(400)
+        ]
     )
     noisy *= draw.choice([-1.0, 1.0], 400)[:, None]
     mean = mean_attitude(noisy)
-    np.testing.assert_allclose(angles(mean), (0.3, -0.4, 2.0), atol=0.01)
+    np.testing.assert_allclose(roll_pitch_yaw_of(mean), (0.3, -0.4, 2.0), atol=0.01)
     value = np.sum((noisy @ mean) ** 2)
     others = [
-        product(tuple(mean), exponential(*d))
+        quaternion_product(tuple(mean), rotation_exponential(*d))
         for d in 0.01 * np.vstack([np.eye(3), -np.eye(3)])
     ]
     assert all(np.sum((noisy @ np.array(other)) ** 2) < value for other in others)
@@ -81,7 +96,8 @@ def noisy(poses, draw, place=0.0005, angle=0.002):
     out = np.array(poses)
     out[:, 0:3] += draw.normal(0.0, place, (len(out), 3))
     out[:, 3:7] = [
-        product(tuple(q), exponential(*draw.normal(0.0, angle, 3))) for q in out[:, 3:7]
+        quaternion_product(tuple(q), rotation_exponential(*draw.normal(0.0, angle, 3)))
+        for q in out[:, 3:7]
     ]
     return out
 
@@ -91,12 +107,12 @@ def test_a_level_drone_shows_how_its_body_is_tilted(heading):
     mounting = MOUNTINGS[2]
     drone = np.array([1.0, 2.0, 0.1, *quaternion_of_yaw(heading)])
     poses = noisy([mounting.body(drone)] * 300, np.random.default_rng(2))
-    found = from_rest(poses, 0.1, heading)
+    found = estimate_from_rest(poses, 0.1, heading)
     np.testing.assert_allclose(found.rotation, mounting.rotation, atol=5e-4)
     assert found.height == pytest.approx(0.03, abs=1e-4)
     assert found.spread == pytest.approx(0.0005 * math.sqrt(3.0), rel=0.1)
     np.testing.assert_allclose(
-        from_rest(poses, 0.1, yaw=0.7).rotation,
+        estimate_from_rest(poses, 0.1, yaw=0.7).rotation,
         (*mounting.rotation[0:2], 0.7),
         atol=5e-4,
     )
@@ -106,8 +122,8 @@ def turning(mounting, angle, drift=(0.0, 0.0, 0.0), seed=3):
     draw, times = np.random.default_rng(seed), np.linspace(0.0, 20.0, 1000)
     drones = []
     for t in times:
-        tilt = exponential(*draw.normal(0.0, 0.01, 2), 0.0)
-        q = product(tuple(quaternion_of_yaw(0.4 + angle * t / 20.0)), tilt)
+        tilt = rotation_exponential(*draw.normal(0.0, 0.01, 2), 0.0)
+        q = quaternion_product(tuple(quaternion_of_yaw(0.4 + angle * t / 20.0)), tilt)
         drones.append(
             np.array([0.3, -0.2, 1.0, *q])
             + np.array([*(np.array(drift) * t), 0, 0, 0, 0])
@@ -120,7 +136,7 @@ def turning(mounting, angle, drift=(0.0, 0.0, 0.0), seed=3):
 def test_a_turn_shows_how_far_from_its_centre_the_body_is(mounting, angle):
     """Also of a drone that drifts by 10 cm meanwhile; to what the fit says of itself."""
     times, poses = turning(mounting, angle, (0.005, -0.003, 0.001))
-    found = from_turn(times, poses, mounting.rotation, mounting.offset[2])
+    found = estimate_from_turn(times, poses, mounting.rotation, mounting.offset[2])
     error = math.dist(found.offset, mounting.offset)
     assert error < 3.0 * found.error < 5e-4
     assert found.deviation == pytest.approx(0.0005, rel=0.1)
@@ -132,8 +148,8 @@ def test_what_says_too_little_is_refused():
     with pytest.raises(
         ConfigError, match=r"a turn of 11\d deg; allowed: 180 deg or more"
     ):
-        from_turn(times, poses, (0.0, 0.0, 0.0), 0.0)
+        estimate_from_turn(times, poses, (0.0, 0.0, 0.0), 0.0)
     with pytest.raises(ConfigError, match="Put it down"):
-        from_rest(poses, 0.0)
+        estimate_from_rest(poses, 0.0)
     with pytest.raises(ConfigError, match="10 poses; allowed: 20 or more"):
-        from_rest(poses[:10], 0.0)
+        estimate_from_rest(poses[:10], 0.0)

@@ -4,24 +4,41 @@ import mujoco
 import numpy as np
 import pytest
 
-from crazychoir.numerics.math3d import GRAVITY, exponential, rotation
+from crazychoir.numerics.math3d import STANDARD_GRAVITY, rotation, rotation_exponential
 from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
 from crazychoir.simulation.motor_level.imu import Imu
 from crazychoir.simulation.mujoco.world import MujocoWorld
-from crazychoir.simulation.mujoco.wrench import impel, settle, touch
+from crazychoir.simulation.mujoco.wrench import (
+    find_contacts,
+    read_joint_states,
+    write_mean_wrenches,
+)
 
 H = 0.001
 STILL = Imu(0.0, 0.0, 0.0, 0.0)
 BEFORE = np.array(
-    [[0.3, -0.2, 2.0, 0.8, -0.5, 0.9, *exponential(0.2, -0.3, 0.5), 2.0, -3.0, 4.0]]
+    [
+        [
+            0.3,
+            -0.2,
+            2.0,
+            0.8,
+            -0.5,
+            0.9,
+            *rotation_exponential(0.2, -0.3, 0.5),
+            2.0,
+            -3.0,
+            4.0,
+        ]
+    ]
 )
 CHANGE = np.array([0.004, -0.006, 0.01]), np.array([0.05, -0.04, 0.06])
 
 
 def body(platform):
     spec = mujoco.MjSpec()
-    spec.option.timestep, spec.option.gravity = H, [0, 0, -GRAVITY]
+    spec.option.timestep, spec.option.gravity = H, [0, 0, -STANDARD_GRAVITY]
     one = spec.worldbody.add_body()
     one.add_freejoint()
     one.explicitinertial, one.ipos, one.iquat = True, [0, 0, 0], [1, 0, 0, 0]
@@ -44,10 +61,10 @@ def test_the_mean_wrench_brings_mujoco_to_the_velocities_that_it_was_made_of(pla
     after[0, 3:6] += CHANGE[0]
     after[0, 10:13] += CHANGE[1]
     inertia = np.array([[platform.mass, *platform.inertia]])
-    impel(BEFORE, after, inertia, np.array([1]), H, data.xfrc_applied)
+    write_mean_wrenches(BEFORE, after, inertia, np.array([1]), H, data.xfrc_applied)
     r, j = rotation(BEFORE[0, 6:10]), np.array(platform.inertia)
     w = BEFORE[0, 10:13]
-    force = platform.mass * (CHANGE[0] / H + [0, 0, GRAVITY])
+    force = platform.mass * (CHANGE[0] / H + [0, 0, STANDARD_GRAVITY])
     torque = r @ (j * CHANGE[1] / H + np.cross(w, j * w))
     np.testing.assert_allclose(data.xfrc_applied[1], [*force, *torque], rtol=1e-9)
     mujoco.mj_step(model, data)
@@ -59,7 +76,7 @@ def test_places_go_on_by_the_mean_of_two_velocities():
     v, w = BEFORE[0, 3:6] + CHANGE[0], BEFORE[0, 10:13] + CHANGE[1]
     world = CrazyflieWorld([0], np.array([[0.0, 0.0, 1.0]]))
     after = np.zeros((1, 13))
-    settle(
+    read_joint_states(
         BEFORE,
         np.array([*v, *w]),
         np.array([0]),
@@ -72,7 +89,7 @@ def test_places_go_on_by_the_mean_of_two_velocities():
     np.testing.assert_allclose(after[0, :3], x[:3] + H * (x[3:6] + v) / 2, atol=1e-15)
     np.testing.assert_allclose(after[0, [3, 4, 5, 10, 11, 12]], [*v, *w])
     turned = rotation(x[6:10]) @ rotation(
-        np.array(exponential(*(H * (x[10:13] + w) / 2)))
+        np.array(rotation_exponential(*(H * (x[10:13] + w) / 2)))
     )
     np.testing.assert_allclose(rotation(after[0, 6:10]), turned, atol=1e-14)
 
@@ -85,7 +102,7 @@ def test_the_speed_of_an_impact_is_that_of_two_points_along_the_normal():
     touching, impact, against = np.zeros(1), np.zeros(1), np.zeros(1, np.int64)
     for geoms in ((1, 2), (2, 1)):
         impact[:] = 0.0
-        touch(
+        find_contacts(
             np.array([geoms], np.int32),
             p[None],
             np.array([[*n, *np.zeros(6)]]),

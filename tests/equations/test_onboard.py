@@ -9,7 +9,7 @@ from scipy import signal
 from scipy.spatial.transform import Rotation
 
 from crazychoir.numerics.kernels import kernel
-from crazychoir.numerics.math3d import GRAVITY, rotation, rotation_from_flat
+from crazychoir.numerics.math3d import STANDARD_GRAVITY, rotation, rotation_from_flat
 from crazychoir.platforms import CRAZYFLIE_21
 from crazychoir.simulation.onboard import (
     attitude,
@@ -24,18 +24,18 @@ from crazychoir.simulation.onboard import (
 from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.record import rows
 
-UP = np.array([0.0, 0.0, GRAVITY])
+UP = np.array([0.0, 0.0, STANDARD_GRAVITY])
 singles = numba.float32[::1]
 
 
 @kernel(singles, numba.float32, singles, singles)
 def connect(c, duration, start, end):
-    polynomial.connect(c, 0, duration, start, end)
+    polynomial.connect_ends(c, 0, duration, start, end)
 
 
 @kernel(singles, numba.float32, singles)
 def evaluate(c, t, out):
-    polynomial.evaluate(c, t, out)
+    polynomial.evaluate_piece(c, t, out)
 
 
 def vec(*numbers):
@@ -89,7 +89,7 @@ def test_body_rates_turn_the_flat_attitude(t):
     h = 1e-5
     skew = r(t).T @ (r(t + h) - r(t - h)) / (2 * h)
     a, j, yaw, rate = flat(t)
-    w = planner.body_rates(tuple(a), tuple(j), yaw, rate)
+    w = planner.compute_flat_body_rates(tuple(a), tuple(j), yaw, rate)
     assert w[:2] == pytest.approx([skew[2, 1], skew[0, 2]], abs=1e-6)
     # the firmware's third rate leaves out the turn of the thrust axis
     assert w[2] == pytest.approx(r(t)[2, 2] * rate)
@@ -98,8 +98,8 @@ def test_body_rates_turn_the_flat_attitude(t):
 @kernel(rows, numba.float64[::1])
 def laws(fleet, out):
     fw = fleet[0]
-    axes, force = attitude.wanted(fw, fw.wanted, (0.02, -0.01, 0.3))
-    e = attitude.error(axes, fw)
+    axes, force = attitude.compute_wanted_attitude(fw, fw.wanted, (0.02, -0.01, 0.3))
+    e = attitude.compute_attitude_error(axes, fw)
     for k in range(3):
         for c in range(3):
             out[3 * k + c] = axes[k][c]
@@ -248,7 +248,7 @@ def test_a_prediction_and_a_correction_are_kalmans():
     assert [fw["xy_pp"], fw["xy_pv"], fw["xy_vv"]] == pytest.approx(
         covariance[np.triu_indices(2)]
     )
-    a = 0.2 * GRAVITY
+    a = 0.2 * STANDARD_GRAVITY
     x = np.array([1 + 0.5 * dt + a * dt * dt / 2, 0.5 + a * dt])
     assert [fw["x"], fw["vx"]] == pytest.approx(x)
     attitude_variance = 0.02 + (0.1 * dt) ** 2
@@ -279,7 +279,7 @@ def test_in_flight_only_the_force_along_the_body_counts():
     )
     fw["flying"] = 1
     predict(onboard.rows)
-    a = tilt.apply([0.0, 0.0, 1.1 * GRAVITY]) - [0.0, 0.0, GRAVITY]
+    a = tilt.apply([0.0, 0.0, 1.1 * STANDARD_GRAVITY]) - [0.0, 0.0, STANDARD_GRAVITY]
     assert [fw["vx"], fw["vy"], fw["vz"]] == pytest.approx(0.01 * a)
 
 
@@ -310,10 +310,10 @@ def test_sensors_pass_a_butterworth_filter(axis, hertz):
     got = []
     for value in x:
         rate, force = (value, 0.0) if axis == "gx" else (0.0, value)
-        loop.run(onboard.rows, 1.0, rate, 0.0, 0.0, force, 0.0, GRAVITY)
+        loop.run(onboard.rows, 1.0, rate, 0.0, 0.0, force, 0.0, STANDARD_GRAVITY)
         got.append(float(onboard.record[axis]))
     b, a = signal.butter(2, hertz, fs=1000.0)
-    unit = 180 / math.pi if axis == "gx" else 1 / GRAVITY
+    unit = 180 / math.pi if axis == "gx" else 1 / STANDARD_GRAVITY
     assert got == pytest.approx(signal.lfilter(b, a, x) * unit, abs=1e-9)
     assert onboard.record["az"] == pytest.approx(1.0, abs=1e-12)
 
@@ -321,7 +321,7 @@ def test_sensors_pass_a_butterworth_filter(axis, hertz):
 def test_the_batterys_low_pass_has_a_time_constant_of_100_ms():
     onboard = Onboard(CRAZYFLIE_21)
     onboard.record["vbat"] = 3.2
-    loop.run(onboard.rows, 100.0, 0, 0, 0, 0, 0, GRAVITY)
+    loop.run(onboard.rows, 100.0, 0, 0, 0, 0, 0, STANDARD_GRAVITY)
     assert onboard.record["vbat_low"] == pytest.approx(
-        3.2 + (1 - mixing.LOW_PASS) ** 100
+        3.2 + (1 - mixing.POWER_DISTRIBUTION.voltage_low_pass) ** 100
     )

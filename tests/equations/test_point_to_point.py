@@ -9,7 +9,7 @@ from crazychoir.planning.point_to_point import (
     PEAK_ACCELERATION,
     PEAK_SPEED,
     PointToPoint,
-    duration_for,
+    compute_flight_time,
 )
 from crazychoir.types import FullState
 
@@ -61,7 +61,7 @@ def test_the_duration_from_rest_keeps_the_limits_and_wastes_nothing(
     p, goal, v_max, a_max
 ):
     start, goal = FullState.at(p), np.array(goal)
-    duration = duration_for(start, goal, 0.0, v_max, a_max)
+    duration = compute_flight_time(start, goal, 0.0, v_max, a_max)
     speed, acceleration, _ = PointToPoint(start, goal, 0.0, duration).peaks
     assert speed <= 1.0001 * v_max
     assert acceleration <= 1.0001 * a_max
@@ -77,7 +77,7 @@ def test_the_duration_under_way_keeps_the_limits_where_any_duration_does(start, 
             / [4.0, 20.0, 6.0]
         )
 
-    duration = duration_for(
+    duration = compute_flight_time(
         start, np.array(goal), 0.0, v_max=4.0, a_max=20.0, yaw_rate_max=6.0
     )
     others = [excess(other) for other in np.geomspace(0.1, 30.0, 60)]

@@ -7,40 +7,42 @@ from crazychoir.radio.survey import simulated_radio
 from crazychoir.radio.survey.interference import (
     Bluetooth,
     Jammer,
-    Network,
-    Uses,
-    frames,
+    UsageTimes,
+    WifiNetwork,
+    draw_frames,
 )
 from crazychoir.radio.survey.simulated_radio import (
-    BITS,
-    Room,
+    RECEIVER_MODEL,
+    RadioRoom,
     SimulatedRadio,
     random_room,
-    success,
+    reception_probability,
 )
 
 
 def test_one_bit_in_a_thousand_is_wrong_at_the_sensitivity():
-    sinr = 10.0 ** ((-82.0 - simulated_radio.NOISE) / 10.0)
-    assert 1.0 - success(np.array([sinr]))[0] ** (1.0 / BITS) == pytest.approx(
-        1e-3, rel=0.2
-    )
+    sinr = 10.0 ** ((-82.0 - simulated_radio.RECEIVER_MODEL.noise) / 10.0)
+    assert 1.0 - reception_probability(np.array([sinr]))[0] ** (
+        1.0 / RECEIVER_MODEL.packet_bits
+    ) == pytest.approx(1e-3, rel=0.2)
 
 
 def test_a_packet_comes_through_where_no_bit_is_wrong():
-    assert success(np.array([0.0]))[0] == pytest.approx(0.5**BITS)
-    assert success(np.array([100.0]))[0] == pytest.approx(1.0)
-    assert np.all(np.diff(success(np.linspace(0.0, 30.0, 50))) > 0.0)
+    assert reception_probability(np.array([0.0]))[0] == pytest.approx(
+        0.5**RECEIVER_MODEL.packet_bits
+    )
+    assert reception_probability(np.array([100.0]))[0] == pytest.approx(1.0)
+    assert np.all(np.diff(reception_probability(np.linspace(0.0, 30.0, 50))) > 0.0)
 
 
 ROOMS = {
-    "a network": (Network(37.0, -55.0, 0.4, 0.001, Uses(1.0, 2.0, 1)),),
-    "a jammer": (Jammer(40.0, -68.0, Uses(1.5, 0.5, 2)),),
+    "a network": (WifiNetwork(37.0, -55.0, 0.4, 0.001, UsageTimes(1.0, 2.0, 1)),),
+    "a jammer": (Jammer(40.0, -68.0, UsageTimes(1.5, 0.5, 2)),),
     "a phone": (Bluetooth(-50.0, 0.5),),
     "all": (
-        Network(37.0, -68.0, 0.6, 0.002, Uses(1.0, 1.0, 3)),
-        Network(42.0, -60.0, 0.2, 0.0005, Uses(0.5, 2.0, 4)),
-        Jammer(37.0, -72.0, Uses(1.0, 3.0, 5)),
+        WifiNetwork(37.0, -68.0, 0.6, 0.002, UsageTimes(1.0, 1.0, 3)),
+        WifiNetwork(42.0, -60.0, 0.2, 0.0005, UsageTimes(0.5, 2.0, 4)),
+        Jammer(37.0, -72.0, UsageTimes(1.0, 3.0, 5)),
         Bluetooth(-50.0, 0.5),
     ),
 }
@@ -48,7 +50,7 @@ ROOMS = {
 
 @pytest.mark.parametrize("sources", ROOMS.values(), ids=ROOMS)
 def test_what_is_expected_is_what_is_measured_in_the_long_run(sources):
-    room = Room({38: -62.0}, sources)
+    room = RadioRoom({38: -62.0}, sources)
     radio = SimulatedRadio(room, seed=7)
     rates = []
     for _ in range(600):
@@ -61,14 +63,14 @@ def test_what_is_expected_is_what_is_measured_in_the_long_run(sources):
 
 def test_a_network_that_nobody_uses_sends_beacons():
     draw = np.random.default_rng(9)
-    network = Network(37.0, -55.0, 0.6, 0.001, Uses(1e-9, 1e9, 1))
+    network = WifiNetwork(37.0, -55.0, 0.6, 0.001, UsageTimes(1e-9, 1e9, 1))
     sent = network.sends(37, np.arange(0.0, 20.0, 0.001), draw).mean()
     assert sent == pytest.approx(network.share(37, False), rel=0.2)
     assert 0.005 < network.share(37, False) < 0.02
 
 
 def test_while_all_is_in_use_less_comes_through():
-    room = Room({38: -62.0}, ROOMS["all"])
+    room = RadioRoom({38: -62.0}, ROOMS["all"])
     assert room.expected(38, in_use=True) < room.expected(38) - 0.05
 
 
@@ -76,7 +78,10 @@ def test_while_all_is_in_use_less_comes_through():
 def test_frames_take_their_share_of_the_time(share):
     draw = np.random.default_rng(3)
     on = np.concatenate(
-        [frames(np.arange(0.0, 0.1, 0.0005), share, 0.001, draw) for _ in range(200)]
+        [
+            draw_frames(np.arange(0.0, 0.1, 0.0005), share, 0.001, draw)
+            for _ in range(200)
+        ]
     )
     assert on.mean() == pytest.approx(share, abs=0.03)
     stays = np.mean(on[1:] == on[:-1])
@@ -86,8 +91,8 @@ def test_frames_take_their_share_of_the_time(share):
 
 
 def test_things_are_used_for_their_share_of_the_time_whoever_asks_how_often():
-    uses = Uses(2.0, 6.0, seed=5)
-    often, seldom = Uses(2.0, 6.0, seed=5), Uses(2.0, 6.0, seed=5)
+    uses = UsageTimes(2.0, 6.0, seed=5)
+    often, seldom = UsageTimes(2.0, 6.0, seed=5), UsageTimes(2.0, 6.0, seed=5)
     times = np.arange(0.0, 20000.0, 0.5)
     on = np.concatenate([often.at(part) for part in np.split(times, 400)])
     assert on.mean() == pytest.approx(uses.share, abs=0.02)
@@ -97,7 +102,7 @@ def test_things_are_used_for_their_share_of_the_time_whoever_asks_how_often():
 def test_reflections_keep_the_power_and_change_within_a_few_megahertz():
     draw = np.random.default_rng(11)
     channels = np.arange(84.0)
-    gains = np.array([simulated_radio._gains(channels, draw) for _ in range(400)])
+    gains = np.array([simulated_radio._draw_gains(channels, draw) for _ in range(400)])
     assert np.mean(10.0 ** (gains / 10.0)) == pytest.approx(1.0, abs=0.05)
     assert (
         np.abs(np.diff(gains, axis=1)).mean()

@@ -7,10 +7,10 @@ import pytest
 from robots import heading, world_of
 from scipy.integrate import solve_ivp
 
-from crazychoir.config.checks import DOUBLE, SINGLE, UNICYCLE
+from crazychoir.config.checks import WORLD_URIS
 from crazychoir.control.robots import DoubleIntegratorCtrl, SingleIntegratorCtrl
 from crazychoir.control.unicycle import UnicyclePoseCtrl, UnicycleVelocityCtrl
-from crazychoir.numerics.math3d import quaternion_of_yaw, wrap
+from crazychoir.numerics.math3d import quaternion_of_yaw, wrap_angle
 from crazychoir.types import Acc, Drive, FullState, State, Vel
 
 DRAW = np.random.default_rng(3)
@@ -33,10 +33,10 @@ def test_a_unicycle_moves_as_its_equations_say(v, w):
         rtol=1e-12,
         atol=1e-12,
     ).y[:, -1]
-    world = world_of(UNICYCLE, [(*start[:2], 0.0)], [start[2]], dt=0.1)
+    world = world_of(WORLD_URIS.unicycle, [(*start[:2], 0.0)], [start[2]], dt=0.1)
     state = after(world, Drive(np.array([v, w])), 2.0)
     assert [*state.p[:2], 0.0] == pytest.approx([*exact[:2], 0.0], abs=1e-9)
-    assert wrap(heading(world) - exact[2]) == pytest.approx(0.0, abs=1e-9)
+    assert wrap_angle(heading(world) - exact[2]) == pytest.approx(0.0, abs=1e-9)
     assert state.v[:2] == pytest.approx(
         [v * math.cos(exact[2]), v * math.sin(exact[2])], abs=1e-9
     )
@@ -45,11 +45,17 @@ def test_a_unicycle_moves_as_its_equations_say(v, w):
 
 def test_integrators_move_as_their_equations_say():
     u = np.array([0.4, -0.3, 0.2])
-    single = after(world_of(SINGLE, [(1.0, 2.0, 3.0)]), Vel(np.array([*u, 0.5])), 2.0)
+    single = after(
+        world_of(WORLD_URIS.single_integrator, [(1.0, 2.0, 3.0)]),
+        Vel(np.array([*u, 0.5])),
+        2.0,
+    )
     assert single.p == pytest.approx([1.8, 1.4, 3.4])
     assert single.v == pytest.approx(u)
     assert 2.0 * math.atan2(single.q[2], single.q[3]) == pytest.approx(1.0)
-    double = after(world_of(DOUBLE, [(1.0, 2.0, 3.0)], dt=0.1), Acc(u), 2.0)
+    double = after(
+        world_of(WORLD_URIS.double_integrator, [(1.0, 2.0, 3.0)], dt=0.1), Acc(u), 2.0
+    )
     assert double.p == pytest.approx(np.array([1.0, 2.0, 3.0]) + 2.0 * u), (
         "p + u t^2 / 2, whatever dt is"
     )
@@ -60,7 +66,7 @@ def test_integrators_move_as_their_equations_say():
 def test_the_point_ahead_of_the_axle_obeys_its_velocity(yaw):
     law = UnicycleVelocityCtrl(ahead=0.1, v_max=9.0, w_max=99.0)
     u, h = np.array([0.3, -0.4]), 1e-6
-    world = world_of(UNICYCLE, [(0.5, 0.2, 0.0)], [yaw], dt=h)
+    world = world_of(WORLD_URIS.unicycle, [(0.5, 0.2, 0.0)], [yaw], dt=h)
     before = world.state(0).p[:2] + 0.1 * np.array([math.cos(yaw), math.sin(yaw)])
     p = after(world, Drive(law.input(yaw, u)), h).p[:2]
     turned = heading(world)
@@ -87,7 +93,7 @@ def test_a_cut_of_v_and_w_keeps_the_way():
 def test_the_axle_never_goes_away_from_a_goal_that_it_is_drawn_to():
     law, goal = UnicycleVelocityCtrl(), np.array([0.4, -0.7])
     for yaw in DRAW.uniform(-3.0, 3.0, 5):
-        world, far = world_of(UNICYCLE, [(-0.5, 0.6, 0.0)], [yaw]), []
+        world, far = world_of(WORLD_URIS.unicycle, [(-0.5, 0.6, 0.0)], [yaw]), []
         for _ in range(1000):
             state = after(
                 world,
@@ -119,7 +125,7 @@ def test_the_error_of_the_steering_decays_over_the_way():
 @pytest.mark.parametrize("place", [(1.5, 0.0), (-1.0, 0.8), (0.0, -1.2)])
 def test_it_parks_at_a_place_with_a_heading(place, goal_yaw):
     law, goal = UnicyclePoseCtrl(v_max=0.5), np.array(place)
-    world = world_of(UNICYCLE, [(0.0, 0.0, 0.0)], [0.3])
+    world = world_of(WORLD_URIS.unicycle, [(0.0, 0.0, 0.0)], [0.3])
     for _ in range(1500):
         state = world.state(0)
         if np.linalg.norm(state.p[:2] - goal) < 0.02:
@@ -128,7 +134,7 @@ def test_it_parks_at_a_place_with_a_heading(place, goal_yaw):
         assert 0.0 < u[0] <= 0.5, "forwards, never faster than allowed"
         after(world, Drive(u), 0.01)
     assert np.linalg.norm(world.state(0).p[:2] - goal) < 0.02
-    assert abs(wrap(heading(world) - goal_yaw)) < 0.05
+    assert abs(wrap_angle(heading(world) - goal_yaw)) < 0.05
 
 
 def test_integrators_come_to_a_reference_as_their_laws_say():

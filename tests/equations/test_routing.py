@@ -5,14 +5,18 @@ import pytest
 
 from crazychoir.routing.distributed.bound import Bound
 from crazychoir.routing.distributed.columns import ColumnProgram
-from crazychoir.routing.distributed.master import Pool
-from crazychoir.routing.distributed.member import Member, Place, Settings
+from crazychoir.routing.distributed.master import ColumnPool
+from crazychoir.routing.distributed.member import (
+    GraphPosition,
+    RoutingMember,
+    RoutingSettings,
+)
 from crazychoir.routing.distributed.plain_loop import solve_in_loop
 from crazychoir.routing.distributed.primal_decomposition import PriceRounds
 from crazychoir.routing.instance.generate import random_instance
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.routing.pricing.bidirectional_pricing import Halves
-from crazychoir.routing.pricing.route_table import Column, RouteTable
+from crazychoir.routing.pricing.bidirectional_pricing import HalfRoutes
+from crazychoir.routing.pricing.route_table import RouteColumn, RouteTable
 
 N, M = 4, 6
 RING = {0: [1, 3], 1: [0, 2], 2: [1, 3], 3: [0, 2]}
@@ -33,7 +37,7 @@ def tables(instance):
 @pytest.fixture(scope="module")
 def relaxation(tables):
     """Value of the central relaxation over all columns."""
-    pool = Pool(M)
+    pool = ColumnPool(M)
     for i, table in enumerate(tables):
         pool.add(i, (table.column(c) for c in range(1, len(table))))
     return pool.relax(np.full(M, 100.0)).value
@@ -43,8 +47,10 @@ def trade(instance, graph, span, settings):
     """Price rounds of all robots; returns them after the last round, with the sum of the shares of every round."""
     members = []
     for i in range(N):
-        place = Place(i, N, tuple(graph[i]), span, {j: len(graph[j]) for j in graph[i]})
-        members.append(Member(instance.local(i), place, settings))
+        place = GraphPosition(
+            i, N, tuple(graph[i]), span, {j: len(graph[j]) for j in graph[i]}
+        )
+        members.append(RoutingMember(instance.local(i), place, settings))
     agents = [PriceRounds(member) for member in members]
     programs = [agent.run() for agent in agents]
     messages, sums, ended = [next(program) for program in programs], [], []
@@ -90,7 +96,7 @@ def test_prices_are_between_zero_and_the_penalty(tables):
 
 @pytest.mark.parametrize(("graph", "span"), [(RING, 2), (PATH, 3)])
 def test_every_round_keeps_the_sum_of_the_shares(instance, graph, span):
-    _, _, sums = trade(instance, graph, span, Settings(price_rounds=40))
+    _, _, sums = trade(instance, graph, span, RoutingSettings(price_rounds=40))
     assert len(sums) > 10
     np.testing.assert_allclose(sums, np.ones((len(sums), M)), atol=1e-12)
 
@@ -102,7 +108,7 @@ def test_the_local_values_converge_to_the_central_relaxation(
     values = []
     for rounds in (1, 400):
         agents, members, _ = trade(
-            instance, graph, span, Settings(price_rounds=rounds, still=0.0)
+            instance, graph, span, RoutingSettings(price_rounds=rounds, still=0.0)
         )
         programs = [ColumnProgram(tables[i], members[i].penalty) for i in range(N)]
         values.append(
@@ -116,7 +122,9 @@ def test_the_local_values_converge_to_the_central_relaxation(
 
 
 def test_all_robots_stop_in_the_same_round_when_shares_stand_still(instance):
-    agents, _, _ = trade(instance, PATH, 3, Settings(price_rounds=300, still=0.02))
+    agents, _, _ = trade(
+        instance, PATH, 3, RoutingSettings(price_rounds=300, still=0.02)
+    )
     assert len({agent.rounds for agent in agents}) == 1
     assert agents[0].rounds < 300
     assert agents[0].rounds % 3 == 0
@@ -153,10 +161,12 @@ def test_a_reward_for_robots_that_leave_keeps_the_bound_and_the_excesses(instanc
         bound = Bound(n * mu + pi.sum() + sum(least.values()), pi, mu, n, least)
         assert bound.value <= solution.cost + 1e-9
         flown = {
-            route.robot: Column(route.length + 300.0, route.tasks)
+            route.robot: RouteColumn(route.length + 300.0, route.tasks)
             for route in solution.routes
         }
-        excess = sum(bound.excess(i, flown.get(i, Column(0.0, ()))) for i in range(N))
+        excess = sum(
+            bound.excess(i, flown.get(i, RouteColumn(0.0, ()))) for i in range(N)
+        )
         assert bound.value + excess == pytest.approx(solution.cost)
 
 
@@ -164,7 +174,10 @@ def test_prices_sum_up_to_a_bound_with_the_least_of_all_routes_put_together_of_h
     instance, tables, relaxation
 ):
     """sum_j pi_j + sum_i least_i <= the relaxation for every pi >= 0, and equal at its own prices."""
-    halves, pool = [Halves(instance.local(i).vehicle) for i in range(N)], Pool(M)
+    halves, pool = (
+        [HalfRoutes(instance.local(i).vehicle) for i in range(N)],
+        ColumnPool(M),
+    )
     for i, table in enumerate(tables):
         pool.add(i, (table.column(c) for c in range(1, len(table))))
     at_its_own = pool.relax(np.full(M, 100.0)).prices

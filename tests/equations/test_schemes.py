@@ -12,7 +12,7 @@ from crazychoir.optimization.predictive_control import (
     integrators,
 )
 from crazychoir.planning import smoothing
-from crazychoir.planning.smoothing import transition
+from crazychoir.planning.smoothing import compute_transition
 
 
 def test_the_smoother_moves_as_four_equal_lags():
@@ -20,7 +20,7 @@ def test_the_smoother_moves_as_four_equal_lags():
     a, b = np.zeros((5, 5)), np.arange(3)
     a[b, b + 1] = 1.0  # p' = v, v' = a, a' = j, and u stays
     a[3] = [-(w**4), -4 * w**3, -6 * w**2, -4 * w, w**4]
-    keep, take = transition(w, h)
+    keep, take = compute_transition(w, h)
     np.testing.assert_allclose(
         np.column_stack([keep, take]), expm(h * a)[:4], atol=1e-12
     )
@@ -30,7 +30,10 @@ def test_the_bounds_of_the_smoother_are_the_integrals_of_its_answer():
     slope = lambda t: (t**2 / 2 - t**3 / 6) * np.exp(-t)  # noqa: E731
     curve = lambda t: (t - t**2 + t**3 / 6) * np.exp(-t)  # noqa: E731
     peaks = [3.0, 3 - 3**0.5, 3 + 3**0.5]
-    for found, of in ((smoothing.SLOPE, slope), (smoothing.CURVE, curve)):
+    for found, of in (
+        (smoothing.PULSE_RESPONSE.slope, slope),
+        (smoothing.PULSE_RESPONSE.curvature, curve),
+    ):
         assert found == pytest.approx(
             quad(lambda t, of=of: abs(of(t)), 0, 60, points=peaks, limit=200)[0],
             abs=2e-4,

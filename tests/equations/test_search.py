@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from crazychoir.routing.search.annealing import exponential
-from crazychoir.routing.search.ruin import draw
+from crazychoir.routing.search.annealing import draw_exponential
+from crazychoir.routing.search.ruin import draw_fraction
 
 
 def test_draw_is_splitmix64():
@@ -17,7 +17,7 @@ def test_draw_is_splitmix64():
         16408922859458223821,
     ]
     random = np.array([1234567], np.uint64)
-    assert [draw(random) for _ in words] == [
+    assert [draw_fraction(random) for _ in words] == [
         ((word >> 11) + 0.5) * 2.0**-53 for word in words
     ]
 
@@ -25,6 +25,6 @@ def test_draw_is_splitmix64():
 def test_exponential_is_minus_the_logarithm_of_the_uniform_number():
     one, other = np.array([3], np.uint64), np.array([3], np.uint64)
     for _ in range(1000):
-        assert exponential(one) == pytest.approx(
-            -np.log(draw(other)), rel=1e-13, abs=1e-15
+        assert draw_exponential(one) == pytest.approx(
+            -np.log(draw_fraction(other)), rel=1e-13, abs=1e-15
         )

@@ -7,15 +7,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crazychoir.numerics.math3d import E3, GRAVITY, rotation_from_flat
-from crazychoir.planning.feasibility import DEMANDS, Limits, demands, peaks
+from crazychoir.numerics.math3d import STANDARD_GRAVITY, UPWARD_AXIS, rotation_from_flat
+from crazychoir.planning.feasibility import (
+    DEMAND_NAMES,
+    Limits,
+    compute_demands,
+    compute_peaks,
+)
 from crazychoir.planning.figure import circle, eight
-from crazychoir.planning.minimum_snap import allocated, minimum_snap, snap
-from crazychoir.planning.piecewise import Piecewise, joined
+from crazychoir.planning.minimum_snap import allocate_times, compute_snap, minimum_snap
+from crazychoir.planning.piecewise import Piecewise, join_pieces
 from crazychoir.planning.polynomial import Polynomial7th
-from crazychoir.planning.scaling import Slowed, scaled, slowdown
-from crazychoir.planning.spline import spline
-from crazychoir.planning.trajectory import setpoints
+from crazychoir.planning.scaling import (
+    SlowedTrajectory,
+    compute_slowdown,
+    fit_to_limits,
+)
+from crazychoir.planning.spline import fit_spline
+from crazychoir.planning.trajectory import sample_setpoints
 from crazychoir.types import FullState
 
 number = st.floats(-2.0, 2.0)
@@ -91,7 +100,7 @@ def test_a_spline_goes_through_its_places_and_has_the_ends_that_it_was_given(
         (0, 0.3, 0) if degree > 3 else (0, 0, 0),
         (0.5, 0, 0) if degree > 5 else (0, 0, 0),
     )
-    flight = spline(TIMES, WAYPOINTS, [0, 1, 2, 3, -3], start, goal, degree)
+    flight = fit_spline(TIMES, WAYPOINTS, [0, 1, 2, 3, -3], start, goal, degree)
     for t, place in zip(TIMES, WAYPOINTS, strict=True):
         np.testing.assert_allclose(flight.sample(t).p, place, atol=1e-12)
     span = slice(*honoured)
@@ -179,17 +188,17 @@ def test_the_snap_is_its_integral():
             * duration
             / 20000
         )
-    assert snap(flight) == pytest.approx(total, rel=1e-4)
+    assert compute_snap(flight) == pytest.approx(total, rel=1e-4)
 
 
 def test_allocated_times_have_less_snap_than_any_near_them():
-    times = allocated(WAYPOINTS)
-    least = snap(spline(times, WAYPOINTS, degree=7))
+    times = allocate_times(WAYPOINTS)
+    least = compute_snap(fit_spline(times, WAYPOINTS, degree=7))
     for i in range(1, len(times) - 1):
         for step in (-0.05, 0.05):
             other = times.copy()
             other[i] += step
-            assert snap(spline(other, WAYPOINTS, degree=7)) > least
+            assert compute_snap(fit_spline(other, WAYPOINTS, degree=7)) > least
 
 
 @pytest.mark.parametrize(
@@ -203,7 +212,7 @@ def test_allocated_times_have_less_snap_than_any_near_them():
 )
 def test_a_figure_is_flat_and_smooth_from_rest_to_rest(figure):
     assert_flat(figure, np.linspace(0.01, figure.duration - 0.01, 60))
-    _, x = setpoints(figure, 2000.0)
+    _, x = sample_setpoints(figure, 2000.0)
     assert (
         np.abs(np.diff(x[:, 9:12], axis=0)).max() < 0.02 * np.abs(x[:, 9:12]).max()
     )  # no jump of the jerk
@@ -212,12 +221,12 @@ def test_a_figure_is_flat_and_smooth_from_rest_to_rest(figure):
 
 def test_the_speeds_of_circle_and_eight():
     w = 2.0 * math.pi / 4.0
-    assert peaks(circle((0, 0, 1), 0.5, 4.0, laps=2))["speed"] == pytest.approx(
+    assert compute_peaks(circle((0, 0, 1), 0.5, 4.0, laps=2))["speed"] == pytest.approx(
         0.5 * w, rel=1e-4
     )
-    assert peaks(eight((0, 0, 1), 1.0, 0.4, 4.0, laps=2))["speed"] == pytest.approx(
-        w * math.hypot(1, 0.8), rel=1e-4
-    )
+    assert compute_peaks(eight((0, 0, 1), 1.0, 0.4, 4.0, laps=2))[
+        "speed"
+    ] == pytest.approx(w * math.hypot(1, 0.8), rel=1e-4)
 
 
 def test_a_figure_has_its_equation_and_takes_the_time_of_its_laps_and_a_ramp():
@@ -235,7 +244,7 @@ def test_yaw_along_a_figure_is_the_direction_of_its_velocity_and_never_jumps():
         circle((0, 0, 1), 0.5, 4.0, laps=2, yaw="along"),
         eight((0, 0, 1), 1, 0.5, 8.0, 2, yaw="along"),
     ):
-        _, x = setpoints(figure, 50.0)
+        _, x = sample_setpoints(figure, 50.0)
         moving = np.linalg.norm(x[:, 3:5], axis=1) > 1e-6
         heading = np.arctan2(x[moving, 4], x[moving, 3])
         np.testing.assert_allclose(np.cos(x[moving, 12] - heading), 1.0, atol=1e-9)
@@ -252,16 +261,18 @@ def test_flatness_agrees_with_the_attitude_that_turns(state):
     )
     asked = dict(
         zip(
-            DEMANDS, demands(plan.sample(0.3).flat[None], 0.03)[0].tolist(), strict=True
+            DEMAND_NAMES,
+            compute_demands(plan.sample(0.3).flat[None], 0.03)[0].tolist(),
+            strict=True,
         )
     )
-    f = here.a + GRAVITY * E3
+    f = here.a + STANDARD_GRAVITY * UPWARD_AXIS
     if np.linalg.norm(f) < 1.0 or abs(f[2]) < 1.0:
         return
     r = rotation_from_flat(f, here.yaw)
     rates = (
-        rotation_from_flat(after.a + GRAVITY * E3, after.yaw)
-        - rotation_from_flat(before.a + GRAVITY * E3, before.yaw)
+        rotation_from_flat(after.a + STANDARD_GRAVITY * UPWARD_AXIS, after.yaw)
+        - rotation_from_flat(before.a + STANDARD_GRAVITY * UPWARD_AXIS, before.yaw)
     ) / (2 * h)
     w = r.T @ rates
     scale = max(1.0, float(np.abs(w).max()))
@@ -280,7 +291,7 @@ def test_flatness_agrees_with_the_attitude_that_turns(state):
 @given(st.floats(0.3, 4.0), st.floats(0.05, 0.95))
 def test_slowed_derivatives_go_with_the_powers_of_the_factor(factor, part):
     flight = minimum_snap(WAYPOINTS, TIMES, yaws=[0, 1, 2, 1, 0])
-    pieces, any_other = flight.slowed(factor), Slowed(flight, factor)
+    pieces, any_other = flight.slowed(factor), SlowedTrajectory(flight, factor)
     t = part * flight.duration * factor
     np.testing.assert_allclose(
         pieces.sample(t).flat, any_other.sample(t).flat, rtol=1e-9, atol=1e-9
@@ -307,10 +318,14 @@ def test_slowed_derivatives_go_with_the_powers_of_the_factor(factor, part):
 )
 def test_scaling_takes_no_more_time_than_the_limit_needs(limits, name, most):
     flight = minimum_snap(WAYPOINTS, TIMES, yaws=[0, 1, 2, 1, 0])
-    assert peaks(flight, limits.mass)[name] > most
-    assert 0.995 * most <= peaks(scaled(flight, limits), limits.mass)[name] <= most
-    k = slowdown(flight, limits)
-    assert slowdown(flight.slowed(k), limits) == pytest.approx(1.0, abs=2e-3)
+    assert compute_peaks(flight, limits.mass)[name] > most
+    assert (
+        0.995 * most
+        <= compute_peaks(fit_to_limits(flight, limits), limits.mass)[name]
+        <= most
+    )
+    k = compute_slowdown(flight, limits)
+    assert compute_slowdown(flight.slowed(k), limits) == pytest.approx(1.0, abs=2e-3)
 
 
 def test_joined_flights_follow_each_other():
@@ -320,7 +335,7 @@ def test_joined_flights_follow_each_other():
         FullState.at(WAYPOINTS[0]),
         3.0,
     )
-    both = joined([a, back])
+    both = join_pieces([a, back])
     assert both.duration == pytest.approx(a.duration + 3.0)
     assert both.jumps[:, 0:2].max() < 1e-9
     np.testing.assert_allclose(

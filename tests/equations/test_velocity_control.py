@@ -8,15 +8,13 @@ import pytest
 from crazychoir.control.handlers import FullStateTraj
 from crazychoir.control.senders import FullStateSender, VelSender, XYZSender
 from crazychoir.control.velocity import (
-    POSITION_ON_BOARD,
-    VELOCITY_ON_BOARD,
-    YAW_ON_BOARD,
+    FIRMWARE_GAINS,
     FullStateController,
     VelocityController,
     VelocityCtrlStrategy,
     WaypointController,
 )
-from crazychoir.numerics.math3d import exponential, wrap, yaw_of
+from crazychoir.numerics.math3d import rotation_exponential, wrap_angle, yaw_of
 from crazychoir.types import FullState, State
 
 H = 0.001
@@ -42,18 +40,18 @@ def moving(t, p0=(0.1, 0.2, 0.3), a=A, yaw=3.0, rate=0.8):
 def test_the_velocity_strategy_is_its_equation():
     x = np.zeros(13)
     x[0:6] = [0.2, 0.1, 0.5, 0.3, 0.3, 0.1]
-    x[6:10] = exponential(0.0, 0.0, -3.0)
+    x[6:10] = rotation_exponential(0.0, 0.0, -3.0)
     reference = moving(0.0)
     kp, kd, k_yaw = 1.2, 0.3, 1.7
     u = VelocityCtrlStrategy(kp, kd, k_yaw).velocity(State(x), reference.flat)
     wanted = (
         V
-        + [*A[:2] / VELOCITY_ON_BOARD, 0.0]
+        + [*A[:2] / FIRMWARE_GAINS.velocity, 0.0]
         + kp * (reference.p - x[0:3])
         + kd * (V - x[3:6])
     )
     np.testing.assert_allclose(u[:3], wanted, rtol=1e-12)
-    assert u[3] == pytest.approx(0.8 + k_yaw * wrap(3.0 - yaw_of(x[6:10])))
+    assert u[3] == pytest.approx(0.8 + k_yaw * wrap_angle(3.0 - yaw_of(x[6:10])))
     assert u[3] < 0.8  # 3.0 is 0.28 rad to the right of -3.0
 
 
@@ -84,15 +82,18 @@ def test_a_line_ends_where_the_set_point_must_be():
     t = ahead + late
     line = controller.law(State.at((0.0, 0.0, 0.0)), moving(0.0).flat, 5.0)
     then = moving(t)
-    lead = np.add(then.v, [*A[:2] / VELOCITY_ON_BOARD, 0.0]) / POSITION_ON_BOARD
+    lead = (
+        np.add(then.v, [*A[:2] / FIRMWARE_GAINS.velocity, 0.0])
+        / FIRMWARE_GAINS.position
+    )
     np.testing.assert_allclose(line[:3], then.p + lead, rtol=1e-12)
     assert (line[3], line[4]) == (
-        pytest.approx(3.0 + 0.8 * t + 0.8 / YAW_ON_BOARD),
+        pytest.approx(3.0 + 0.8 * t + 0.8 / FIRMWARE_GAINS.yaw),
         ahead,
     )
     for seconds, axis, speed, kp in (
-        (POSITION_ON_BOARD / LEARNT_HEIGHT, 2, V[2], POSITION_ON_BOARD),
-        (YAW_ON_BOARD / LEARNT_YAW, 3, 0.8, YAW_ON_BOARD),
+        (FIRMWARE_GAINS.position / LEARNT_HEIGHT, 2, V[2], FIRMWARE_GAINS.position),
+        (FIRMWARE_GAINS.yaw / LEARNT_YAW, 3, 0.8, FIRMWARE_GAINS.yaw),
     ):
         controller = WaypointController(
             XYZSender(), FullStateTraj(), every, ahead, late
@@ -142,9 +143,9 @@ def cascade(controller, reference, seconds):
         e, turn = line[0:3] - p, line[3] - yaw
         learnt += H * np.array([LEARNT_HEIGHT * e[2], LEARNT_YAW * turn])
         p[:2] += H * v
-        v += H * VELOCITY_ON_BOARD * (POSITION_ON_BOARD * e[:2] - v)
-        p[2] += H * (POSITION_ON_BOARD * e[2] + learnt[0])
-        yaw += H * (YAW_ON_BOARD * turn + learnt[1])
+        v += H * FIRMWARE_GAINS.velocity * (FIRMWARE_GAINS.position * e[:2] - v)
+        p[2] += H * (FIRMWARE_GAINS.position * e[2] + learnt[0])
+        yaw += H * (FIRMWARE_GAINS.yaw * turn + learnt[1])
     end = reference(seconds)
     return np.array([*(p - end.p), yaw - end.yaw])
 

@@ -1,12 +1,12 @@
 """The safety table in safety/README.md, from safety/rules/guard.py."""
 
 from crazychoir.safety.rules.guard import (
-    PLANS_ON_BOARD,
-    REACHED,
-    TABLE,
-    TOLD,
+    ON_BOARD_SAFETY_TABLE,
+    RADIO_SAFETY_TABLE,
+    REPORTED_MEASURES,
+    SAFETY_TABLE,
     Action,
-    Rule,
+    SafetyRule,
 )
 from reference.markdown import table as markdown_table
 
@@ -34,7 +34,9 @@ FOUND = {
 """Measures that are levels, and what each level means."""
 ACTIONS = {Action.BRAKE: "brakes", Action.LAND: "lands", Action.CUT: "cuts the motors"}
 """What the drone does."""
-SIMULATED = tuple(rule for rule in TABLE if rule.measure not in TOLD)
+SIMULATED = tuple(
+    rule for rule in SAFETY_TABLE if rule.measure not in REPORTED_MEASURES
+)
 """Rules of a simulated drone, which has no radio that reports."""
 DRONES = {
     (True, True, True): "all",
@@ -48,14 +50,14 @@ DRONES = {
 def table() -> str:
     """Return a row for each rule: measure, limit, action, end, and for which drones."""
     rules = sorted(
-        dict.fromkeys(SIMULATED + REACHED + PLANS_ON_BOARD),
+        dict.fromkeys(SIMULATED + RADIO_SAFETY_TABLE + ON_BOARD_SAFETY_TABLE),
         key=lambda rule: ([*MEASURED, *FOUND].index(rule.measure), rule.limit),
     )
     head = ("measure", "limit", "the drone", "until", "drones")
     return markdown_table(head, map(_row, rules))
 
 
-def _row(rule: Rule) -> list[str]:
+def _row(rule: SafetyRule) -> list[str]:
     if rule.measure in FOUND:
         what, limit = FOUND[rule.measure][int(rule.limit)], ""
     else:
@@ -66,5 +68,11 @@ def _row(rule: Rule) -> list[str]:
         limit,
         ACTIONS[rule.action],
         "for good" if rule.latched else settled,
-        DRONES[(rule in SIMULATED, rule in REACHED, rule in PLANS_ON_BOARD)],
+        DRONES[
+            (
+                rule in SIMULATED,
+                rule in RADIO_SAFETY_TABLE,
+                rule in ON_BOARD_SAFETY_TABLE,
+            )
+        ],
     ]

@@ -16,10 +16,13 @@ READERS = {
 
 def table() -> str:
     """Return a row for each topic: what it carries, how often, and how it travels."""
-    names = {id(value): name for name, value in vars(topics).items()}
-    docs = attribute_docs(topics)
+    docs = {
+        getattr(group, field).name: text
+        for group in (topics.DRONE_TOPICS, topics.MESSAGE_TOPICS)
+        for field, text in attribute_docs(type(group)).items()
+    }
     rows = []
-    for topic in topics.TOPICS:
+    for topic in topics.ALL_TOPICS:
         stale = "never" if math.isinf(topic.max_age) else f"{topic.max_age:g}"
         notes = [
             text
@@ -33,7 +36,7 @@ def table() -> str:
         rows.append(
             [
                 f"`{topic.name}`",
-                docs[names[id(topic)]],
+                docs[topic.name],
                 topic.allowed,
                 f"{topic.rate:g}" if topic.rate else "",
                 stale,

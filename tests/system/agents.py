@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.guidance.feedback import LAW
+from crazychoir.guidance.feedback import LAW_TASK
 
 AGENT = (sys.executable, "-m", "crazychoir.cli.fly.agent")
 CRAZYCHOIR = (sys.executable, "-m", "crazychoir.cli.main")
@@ -196,7 +196,8 @@ class Team:
         """Wait until every drone was seen in the law of its mission: they have met in the air."""
         await until(
             lambda: all(
-                any(s["task"] == LAW for s in self.statuses(i)) for i in self.config.ids
+                any(s["task"] == LAW_TASK for s in self.statuses(i))
+                for i in self.config.ids
             ),
             seconds,
             lambda: f"not all in the law: {self.text}",

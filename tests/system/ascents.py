@@ -10,21 +10,21 @@ import numpy as np
 from system.flights import mission_of
 
 from crazychoir.agent.agent import Agent
-from crazychoir.bus.port import BODIES, EYES
-from crazychoir.bus.topics import LINK, POSE, TRUTH
+from crazychoir.bus.port import PORT_ADDRESSES
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.mocap.frames import Frame
-from crazychoir.mocap.view import Blur
-from crazychoir.numerics.math3d import product, quaternion_of_yaw
-from crazychoir.radio.budget import rates
-from crazychoir.radio.drone.radio_drone import LOOKS, RadioDrone
+from crazychoir.mocap.frames import PoseFrame
+from crazychoir.mocap.view import CameraBlur
+from crazychoir.numerics.math3d import quaternion_of_yaw, quaternion_product
+from crazychoir.radio.budget import compute_setpoint_rates
+from crazychoir.radio.drone.radio_drone import LINK_CHECK_RATE, RadioDrone
 from crazychoir.radio.link.toc_cache import TableOfContents
 from crazychoir.radio.protocol.crtp import Packet
 from crazychoir.radio.virtual.drone import VirtualCrazyflie
-from crazychoir.radio.virtual.readings import readings
-from crazychoir.radio.virtual.setup import of_swarm
+from crazychoir.radio.virtual.readings import make_readings
+from crazychoir.radio.virtual.setup import select_from_swarm
 from crazychoir.runtime.actor import Actor
-from crazychoir.runtime.clock import SECOND, Clock, run_virtual
+from crazychoir.runtime.clock import NS_PER_SECOND, Clock, run_virtual
 from crazychoir.simulation.remote import RemoteBody
 from crazychoir.types import Pose, State
 
@@ -45,7 +45,7 @@ class Wire:
             clock,
             drone,
             draw,
-            readings(drone),
+            make_readings(drone),
         )
 
     def send(self, packet: Packet) -> None:
@@ -64,7 +64,7 @@ class Wire:
     async def log(
         self, name: str, variables: Any, period: float, data: Any, seconds: float
     ) -> None:
-        self._say(tuple(variables), round(period * SECOND), data)
+        self._say(tuple(variables), round(period * NS_PER_SECOND), data)
 
     def _say(self, names: tuple[str, ...], period_ns: int, data: Any) -> None:
         on, more = self.drone.onboard, self._logs
@@ -79,7 +79,8 @@ class Wire:
 
     def _later(self, does: Any) -> None:
         self.clock.call_at(
-            self.clock.now_ns() + round(self.draw.uniform(0.003, SLOWEST) * SECOND),
+            self.clock.now_ns()
+            + round(self.draw.uniform(0.003, SLOWEST) * NS_PER_SECOND),
             does,
         )
 
@@ -112,10 +113,10 @@ class Hall(Actor):
         turned: dict[int, float],
     ) -> None:
         self.agent, self.clock, config = agent, agent.clock, agent.config
-        hall = of_swarm(config, ())
+        hall = select_from_swarm(config, ())
         self.world = hall.world(seed)
         self.body_of, self.turned, draw = body_of, turned, np.random.default_rng(seed)
-        self.blur, self.ids = Blur(config.replace(seed=seed)), config.ids
+        self.blur, self.ids = CameraBlur(config.replace(seed=seed)), config.ids
         bus, contents = agent.bus, TableOfContents(Path("nowhere"))
         self.drones, self.bodies, self.tracks = (
             {},
@@ -124,17 +125,17 @@ class Hall(Actor):
         )
         self.at = {i: reaches.get(i, i) for i in config.ids}
         for i in config.ids:
-            bus.port(EYES + i)
+            bus.port(PORT_ADDRESSES.camera_offset + i)
         for i in config.ids:
             onboard = self.world.onboard[self.at[i]]
-            port = bus.port(BODIES + i)
+            port = bus.port(PORT_ADDRESSES.body_offset + i)
             kind = config.control_of(i).sender
             drone = RadioDrone(
                 bus,
                 config,
                 i,
                 kind,
-                rates(config)[config.drone(i).dongle or 0],
+                compute_setpoint_rates(config)[config.drone(i).dongle or 0],
                 contents,
             )
             virtual = VirtualCrazyflie(onboard)
@@ -158,17 +159,20 @@ class Hall(Actor):
             k += 1
             self.world.step()
             for i, pose in self.seen(k).items():
-                self.agent.bus.ports[EYES + i].publish(POSE, pose, pose.age)
+                self.agent.bus.ports[PORT_ADDRESSES.camera_offset + i].publish(
+                    DRONE_TOPICS.pose, pose, pose.age
+                )
                 if k % 5 == 0:
-                    self.agent.bus.ports[EYES + i].publish(
-                        TRUTH, State(self.world.states[self.world.row[i]].copy())
+                    self.agent.bus.ports[PORT_ADDRESSES.camera_offset + i].publish(
+                        DRONE_TOPICS.truth,
+                        State(self.world.states[self.world.row[i]].copy()),
                     )
-            if k % round(1.0 / STEP / LOOKS) == 0:
+            if k % round(1.0 / STEP / LINK_CHECK_RATE) == 0:
                 for i, drone in self.drones.items():
                     drone._feed_watchdog()
                     drone._go_on_landing()
                     self.bodies[i].look()
-            if k % round(1.0 / STEP / LINK.rate) == 0:
+            if k % round(1.0 / STEP / DRONE_TOPICS.link.rate) == 0:
                 for drone in self.drones.values():
                     drone.report()
             self._note()
@@ -177,11 +181,11 @@ class Hall(Actor):
         bodies = {}
         for i in self.ids:
             x = self.world.states[self.world.row[self.body_of.get(i, i)]]
-            q = product(
+            q = quaternion_product(
                 tuple(x[6:10]), tuple(quaternion_of_yaw(self.turned.get(i, 0.0)))
             )
             bodies[self.agent.config.body_name(i)] = np.array([*x[:3], *q])
-        frame, late = self.blur.see(Frame(k, k * STEP, bodies))
+        frame, late = self.blur.see(PoseFrame(k, k * STEP, bodies))
         return {
             i: Pose(frame.bodies[name], late)
             for i in self.ids

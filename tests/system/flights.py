@@ -11,8 +11,8 @@ from system.agents import BRISK
 from crazychoir.agent.agent import Agent
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.guidance import CFGuidance
-from crazychoir.guidance.mission import load
-from crazychoir.numerics.math3d import wrap, yaw_of
+from crazychoir.guidance.mission import load_mission
+from crazychoir.numerics.math3d import wrap_angle, yaw_of
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.safety.rules.modes import Mode
@@ -69,7 +69,7 @@ class Flight:
     def yaw_errors_deg(self) -> np.ndarray:
         """(n,) true yaw minus reference, the short way."""
         pairs = zip(self.yaws, np.array(self.wanted)[:, 12], strict=True)
-        return np.degrees([wrap(yaw - wanted) for yaw, wanted in pairs])
+        return np.degrees([wrap_angle(yaw - wanted) for yaw, wanted in pairs])
 
 
 class Observer(Actor):
@@ -131,7 +131,7 @@ def swarm_of(rows: list[tuple[str, str]], yaw: float, **tables: Any) -> SwarmCon
 
 def scattered(seed: int) -> SwarmConfig:
     """The formation with a quick take-off and landing; the law has 18 s."""
-    mission = load("bearing_formation")
+    mission = load_mission("bearing_formation")
     return mission.scatter(
         mission.swarm(None).replace(
             seed=seed, flight=BRISK, mission_options={"duration": 18.0}

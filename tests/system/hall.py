@@ -14,7 +14,7 @@ from system.agents import CRAZYCHOIR, Program
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import Refused
 from crazychoir.launch.network import isolate_swarm
-from crazychoir.radio.virtual.control import ask
+from crazychoir.radio.virtual.control import ask_server
 
 
 def udp_block(count: int) -> int:
@@ -98,7 +98,7 @@ class Hall:
 
     def ask(self, question: dict[str, Any]) -> dict[str, Any]:
         """An answer of the hall."""
-        return ask(question, port=self.config.mocap.port)
+        return ask_server(question, port=self.config.mocap.port)
 
     def state(self) -> dict[int, dict[str, Any]]:
         """The truth about each drone."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.port import Bus
-from crazychoir.bus.topics import BY_NAME
+from crazychoir.bus.topics import TOPIC_BY_NAME
 from crazychoir.errors import CrazyChoirError, Refused, SolverError
 from crazychoir.runtime.clock import Clock, WallClock, run_wall
 from crazychoir.team.algorithm_run import run_algorithm
@@ -143,7 +143,7 @@ class Commands:
         self, topic: str, source: int, reader: int, rate: float = 0.0
     ) -> dict[str, Any]:
         """Read a topic of a drone."""
-        row = BY_NAME[topic]
+        row = TOPIC_BY_NAME[topic]
         self.boxes[topic] = row.mailbox(self.link.bus.clock)
         self.link.bus.subscribe(row, source, reader, self.boxes[topic], rate)
         return {}

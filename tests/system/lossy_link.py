@@ -10,7 +10,12 @@ from pathlib import Path
 
 from system.agents import Program
 
-from crazychoir.launch.namespaces import DEVICE, cable, ip, namespace
+from crazychoir.launch.namespaces import (
+    NAMESPACE_DEVICE,
+    connect_devices,
+    make_namespace,
+    run_iproute,
+)
 
 RELAY = (sys.executable, str(Path(__file__).with_name("relay.py")))
 
@@ -36,15 +41,23 @@ async def wired(addresses: dict[str, str], **now_on: float) -> AsyncIterator[Cab
     """Two hosts, by name and IPv4 address, at the ends of a cable that is as bad as `Cable.change` says."""
     token, middle = secrets.token_hex(3), []
     async with contextlib.AsyncExitStack() as stack:
-        between = stack.enter_context(namespace(f"cc-{token}-cable"))
+        between = stack.enter_context(make_namespace(f"cc-{token}-cable"))
         names = {host: f"cc-{token}-{k}" for k, host in enumerate(addresses)}
         for host, address in addresses.items():
-            stack.enter_context(namespace(names[host]))
+            stack.enter_context(make_namespace(names[host]))
             middle.append(f"end{len(middle)}")
-            cable((names[host], DEVICE), (between, middle[-1]))
-            ip("-n", names[host], "address", "add", f"{address}/24", "dev", DEVICE)
+            connect_devices((names[host], NAMESPACE_DEVICE), (between, middle[-1]))
+            run_iproute(
+                "-n",
+                names[host],
+                "address",
+                "add",
+                f"{address}/24",
+                "dev",
+                NAMESPACE_DEVICE,
+            )
             done = await Program.start(
-                "ip", "netns", "exec", names[host], *RELAY, DEVICE
+                "ip", "netns", "exec", names[host], *RELAY, NAMESPACE_DEVICE
             )
             assert (await done.end(20.0))["code"] == 0, done.text
         process = await asyncio.create_subprocess_exec(

@@ -4,13 +4,18 @@ import contextlib
 import secrets
 from collections.abc import Iterator
 
-from crazychoir.launch.namespaces import DEVICE, cable, ip, namespace
+from crazychoir.launch.namespaces import (
+    NAMESPACE_DEVICE,
+    connect_devices,
+    make_namespace,
+    run_iproute,
+)
 
 ADDRESSES = ("10.77.0.1", "10.77.0.2")
 
 
 class Hosts:
-    """Two namespaces; what runs in one sees the other through `DEVICE`, and nothing else.
+    """Two namespaces; what runs in one sees the other through `NAMESPACE_DEVICE`, and nothing else.
 
     names: of the namespaces;  skew: s that the second one's monotonic clock is ahead.
     """
@@ -35,11 +40,11 @@ class Hosts:
 
     def cut(self) -> None:
         """From now on no packet crosses; both ends see their link go down."""
-        ip("-n", self.names[0], "link", "set", DEVICE, "down")
+        run_iproute("-n", self.names[0], "link", "set", NAMESPACE_DEVICE, "down")
 
     def mend(self) -> None:
         """The link is back."""
-        ip("-n", self.names[0], "link", "set", DEVICE, "up")
+        run_iproute("-n", self.names[0], "link", "set", NAMESPACE_DEVICE, "up")
 
 
 @contextlib.contextmanager
@@ -48,9 +53,11 @@ def two_hosts(skew: float = 0.0) -> Iterator[Hosts]:
     hosts = Hosts(skew)
     with contextlib.ExitStack() as stack:
         for name in hosts.names:
-            stack.enter_context(namespace(name))
+            stack.enter_context(make_namespace(name))
         one, other = hosts.names
-        cable((one, DEVICE), (other, DEVICE))
+        connect_devices((one, NAMESPACE_DEVICE), (other, NAMESPACE_DEVICE))
         for name, address in zip(hosts.names, ADDRESSES, strict=True):
-            ip("-n", name, "address", "add", f"{address}/24", "dev", DEVICE)
+            run_iproute(
+                "-n", name, "address", "add", f"{address}/24", "dev", NAMESPACE_DEVICE
+            )
         yield hosts

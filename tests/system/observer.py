@@ -10,11 +10,11 @@ from typing import Any
 
 import msgspec
 
-from crazychoir.bus.network.access import OBSERVERS
-from crazychoir.bus.port import OBSERVER, Bus
-from crazychoir.bus.topics import LOG, STATUS
+from crazychoir.bus.network.access import ACCESS_RULES
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.launch.network import observer_link, own_name
+from crazychoir.launch.network import choose_certificate_name, configure_observer
 from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.runtime.mailbox import Call
 from crazychoir.runtime.supervisor import Supervisor
@@ -33,17 +33,21 @@ def say(clock: Clock, drone: int, topic: str, value: Any) -> None:
 
 async def look(clock: Clock) -> None:
     config = SwarmConfig.load(sys.argv[1])
-    host = own_name(config)
-    bus = Bus(clock, process=f"{OBSERVERS}-{host}.{secrets.token_hex(4)}", host=host)
-    bus.port(OBSERVER + 1)
+    host = choose_certificate_name(config)
+    bus = Bus(
+        clock,
+        process=f"{ACCESS_RULES.observer_prefix}-{host}.{secrets.token_hex(4)}",
+        host=host,
+    )
+    bus.port(PORT_ADDRESSES.first_observer + 1)
     for i in config.ids:
-        for topic in (STATUS, LOG):
+        for topic in (DRONE_TOPICS.status, DRONE_TOPICS.log):
             box = Call(
                 clock,
                 lambda value, age, i=i, topic=topic: say(clock, i, topic.name, value),
             )
-            bus.subscribe(topic, i, OBSERVER + 1, box)
-    link = observer_link(bus, config)
+            bus.subscribe(topic, i, PORT_ADDRESSES.first_observer + 1, box)
+    link = configure_observer(bus, config)
     link.open()
     await Supervisor(clock, "observer").run([link])
 

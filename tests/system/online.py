@@ -8,9 +8,9 @@ import numpy as np
 
 from crazychoir.agent.agent import Agent
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 from crazychoir.guidance.tasks.task_book import Fate
-from crazychoir.launch.flight_observer import Score
+from crazychoir.launch.flight_observer import FlightScore
 from crazychoir.runtime.clock import run_virtual
 
 FALL = 1.5
@@ -95,12 +95,12 @@ def fly_online(
     kills: {drone: s};  prepare: called with the agent, before it runs;  killed: what each drone carried that `prepare`
     has killed.
     """
-    mission = load("online_delivery")
+    mission = load_mission("online_delivery")
     mission.check(config, False)
 
     async def main(clock: Any) -> Outcome:
         agent = Agent(clock, config, mission, config.ids)
-        score = Score(agent.bus, config.ids, {})
+        score = FlightScore(agent.bus, config.ids, {})
         agent.services.append(score)
         aboard: dict[int, list[int]] = {} if killed is None else killed
         struck: dict[tuple[int, int], float] = {}
@@ -153,7 +153,7 @@ def fly_online(
 
 def faults(outcome: Outcome) -> Any:
     """What is wrong: a living drone that failed, other stories, goods twice or not delivered, drones that touch."""
-    config, mission = outcome.config, load("online_delivery")
+    config, mission = outcome.config, load_mission("online_delivery")
     instance, tasks = (
         mission.instance(config),
         {task.id: task for task in mission.known(config)},
@@ -206,7 +206,7 @@ def drawn(
     seed: int, loss: float = 0.2, drones: int = 10, **options: Any
 ) -> SwarmConfig:
     """The mission's own swarm with this seed."""
-    mission = load("online_delivery")
+    mission = load_mission("online_delivery")
     return mission.swarm(drones).replace(
         seed=seed, network={"loss": loss}, mission_options=options
     )

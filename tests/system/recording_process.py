@@ -9,7 +9,7 @@ from itertools import count
 from pathlib import Path
 
 from crazychoir.bus.port import Bus
-from crazychoir.bus.topics import STATE
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.recording.mcap.file import RecordingFile
 from crazychoir.recording.recorder import Recorder
 from crazychoir.runtime.clock import Clock, run_wall
@@ -25,9 +25,9 @@ async def main(clock: Clock) -> None:
         Supervisor(clock, "test").run([Recorder(bus, (0,), file)])
     )
     numbers = count()
-    async for _ in clock.ticks(STATE.rate):
+    async for _ in clock.ticks(DRONE_TOPICS.state.rate):
         k = next(numbers)
-        port.publish(STATE, State.at((k, 0.0, 0.0)))
+        port.publish(DRONE_TOPICS.state, State.at((k, 0.0, 0.0)))
         sys.stdout.write(f"{k}\n")
         sys.stdout.flush()
     await recording

@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from crazychoir.bench import exchange as bench_exchange
-from crazychoir.bench.exchange import Row
+from crazychoir.bench.exchange import ExchangeRow
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
 
@@ -24,7 +24,7 @@ pytestmark = [pytest.mark.system, pytest.mark.real_time]
 def test_each_program_exchanges(module: str, extra: str, processes: int) -> None:
     if extra and importlib.util.find_spec(extra) is None:
         pytest.skip(f"the extra `bench` is not installed: no {extra}")
-    row = Row(module, f"{module}_peer", "ring", 4, processes, extra)
+    row = ExchangeRow(module, f"{module}_peer", "ring", 4, processes, extra)
     bench_exchange.measure(row, 0.2)
     assert row.note == ""
     assert row.rounds[0] > 1.0
@@ -34,7 +34,7 @@ def test_each_program_exchanges(module: str, extra: str, processes: int) -> None
 def test_a_missing_program_is_a_row_that_says_how_to_install_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    rows = [Row("absent", "absent_peer", "ring", 10, 10, "no_such_module")]
+    rows = [ExchangeRow("absent", "absent_peer", "ring", 10, 10, "no_such_module")]
     monkeypatch.setattr(bench_exchange, "_rows", lambda graphs: rows)
     monkeypatch.setattr(bench_exchange, "_ratios", lambda rows: {})
     result = bench_exchange.run(quick=True)
@@ -49,7 +49,7 @@ def test_a_missing_program_is_a_row_that_says_how_to_install_it(
 
 
 def test_a_program_that_fails_is_a_row_that_says_so() -> None:
-    row = Row("broken", "broken_peer", "ring", 4, 2)
+    row = ExchangeRow("broken", "broken_peer", "ring", 4, 2)
     bench_exchange.measure(row, 0.1)
     assert row.note.startswith("failed: a process has ended before its answer: ")
     assert "broken_peer" in row.note

@@ -4,7 +4,7 @@ import importlib.util
 
 import pytest
 
-from crazychoir.bench.exchange import Row, measure
+from crazychoir.bench.exchange import ExchangeRow, measure
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
 PROGRAMS = [("rounds", "", 2), ("mpi4py_rounds", "mpi4py", 3)]
@@ -17,7 +17,7 @@ def test_each_program_makes_rounds(module, extra, processes, algorithm):
         importlib.util.find_spec(name) is None for name in (extra, "dill")
     ):
         pytest.skip("the extra `bench` is not installed")
-    row = Row(
+    row = ExchangeRow(
         module, module, "ring", 3, processes, extra, options={"algorithm": algorithm}
     )
     measure(row, 0.2)

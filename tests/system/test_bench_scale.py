@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from crazychoir.bench import scale as bench_scale
-from crazychoir.bench.scale import Cell
+from crazychoir.bench.scale import ScaleCell
 
 pytestmark = pytest.mark.system
 
@@ -21,7 +21,7 @@ def cell(n, p, noise=0.0):
         3e7 * p + 2e4 * n + 5e5 * p * (p - 1),
         0.2 + 0.3 * p + 0.01 * p * (p - 1),
     )
-    return Cell(
+    return ScaleCell(
         n,
         p,
         1000.0,
@@ -43,8 +43,8 @@ GRID = [(n, p) for n in (10, 100, 1000) for p in (1, 2, 4, 8) if n >= 5 * p]
 def test_a_model_finds_the_costs_of_a_machine_that_obeys_it():
     cells = [cell(n, p) for n, p in GRID]
     processor, memory = (
-        bench_scale.fit("processor", cells),
-        bench_scale.fit("memory", cells),
+        bench_scale.fit_model("processor", cells),
+        bench_scale.fit_model("memory", cells),
     )
     assert processor.coefficients == pytest.approx(
         {"step": 1.4e-5, "far": 2e-6, "frame": 1e-4}, rel=1e-3
@@ -57,7 +57,7 @@ def test_a_model_finds_the_costs_of_a_machine_that_obeys_it():
 
 def test_a_model_says_how_far_it_is_off():
     draw = np.random.default_rng(1)
-    fit = bench_scale.fit(
+    fit = bench_scale.fit_model(
         "processor", [cell(n, p, float(draw.uniform(-0.2, 0.2))) for n, p in GRID]
     )
     assert 0.01 < fit.error < fit.worst
@@ -65,17 +65,17 @@ def test_a_model_says_how_far_it_is_off():
 
 
 def test_a_grid_too_small_to_leave_cells_out_says_no_error_of_them():
-    fit = bench_scale.fit("processor", [cell(10, 2), cell(20, 2)])
+    fit = bench_scale.fit_model("processor", [cell(10, 2), cell(20, 2)])
     assert (fit.left_out, fit.left_out_worst) == (None, None)
-    assert bench_scale.share(fit.left_out) == "-"
+    assert bench_scale.format_share(fit.left_out) == "-"
 
 
 def test_what_more_agents_need_is_what_the_model_says():
     fits = {
-        name: bench_scale.fit(name, [cell(n, p) for n, p in GRID])
-        for name in bench_scale.TERMS
+        name: bench_scale.fit_model(name, [cell(n, p) for n, p in GRID])
+        for name in bench_scale.MODEL_TERMS
     }
-    one, each = bench_scale.needs(fits)
+    one, each = bench_scale.estimate_hosts(fits)
     assert (one["processes"], one["links"], each["links"]) == (100, 4950, 319_600)
     assert one["cores_a_host"] == pytest.approx(
         1000.0 * (1e-5 + 4 * (3e-6 + 1e-4)), rel=1e-3
@@ -90,7 +90,7 @@ def test_what_more_agents_need_is_what_the_model_says():
 @pytest.mark.real_time
 @pytest.mark.parametrize("namespaces", [False, True])
 def test_cells_are_measured_and_shown(monkeypatch, namespaces):
-    monkeypatch.setattr(bench_scale, "QUICK", ((10, 20), (1, 2)))
+    monkeypatch.setattr(bench_scale, "QUICK_RUN_CELLS", ((10, 20), (1, 2)))
     said = []
     result = bench_scale.run(True, namespaces, 1, said.append)
     assert [(row["agents"], row["processes"]) for row in result["cells"]] == [

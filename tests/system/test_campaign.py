@@ -9,7 +9,7 @@ from campaign import flights, seeds
 from campaign.report import Report
 
 from crazychoir.agent.agent import Agent
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 from crazychoir.runtime.clock import run_virtual
 
 pytestmark = pytest.mark.system
@@ -62,7 +62,7 @@ def test_a_scenario_that_hangs_is_a_finding(monkeypatch):
 
 def formation():
     """Half a minute of it."""
-    mission = load("bearing_formation")
+    mission = load_mission("bearing_formation")
     made = mission.swarm(None).replace(
         flight=flights.BRISK, mission_options={"duration": 30.0}
     )
@@ -77,7 +77,12 @@ def test_all_are_told_to_land_once(monkeypatch):
     )
     report = Report(17, "formation")
     flights.flown(
-        report, np.random.default_rng(1), formation(), load("bearing_formation"), 0, 5.0
+        report,
+        np.random.default_rng(1),
+        formation(),
+        load_mission("bearing_formation"),
+        0,
+        5.0,
     )
     assert report.wrong == []
     assert told == ["the scenario is over"]

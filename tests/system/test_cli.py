@@ -17,8 +17,8 @@ from system.commands import call
 
 from crazychoir.cli.shared import observer as window
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.guidance.mission import load, names
-from crazychoir.launch.flight import NO_REASON, fly_fast
+from crazychoir.guidance.mission import list_mission_names, load_mission
+from crazychoir.launch.flight import MISSION_REASONS, fly_fast
 from crazychoir.launch.network import isolate_swarm
 
 pytestmark = pytest.mark.system
@@ -67,7 +67,7 @@ DRONE = "[[drones]]\nid = 0\nhome = [0.0, 0.0, 0.0]\n"
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["nothing", "--fast"], ["nothing", *names()]),
+        (["nothing", "--fast"], ["nothing", *list_mission_names()]),
         (["no_file.toml", "--fast"], ["no_file.toml"]),
         (
             ["bearing_formation", "--only", "2,3"],
@@ -98,7 +98,7 @@ def test_run_refuses(here, repository, monkeypatch, words, said):
 
 def test_what_is_refused_is_one_json_object_and_exit_code_2():
     said = call("crazychoir", "run", "nothing", "--fast", "--json")
-    said.refuses(*names())
+    said.refuses(*list_mission_names())
     assert said.json["kind"] == "ConfigError"
     assert said.json["success"] is False
 
@@ -164,7 +164,7 @@ def test_a_report_gets_the_same_results_in_both_worlds_whatever_a_mission_prints
     said = call("crazychoir", *words, PYTHONUNBUFFERED="")  # prints late, if it can
     assert said.code == 1, said.err
     assert said.json["types"] == {i: ["bool", "float", "ndarray", [1]] for i in "01"}
-    assert said.json["reasons"] == {"1": NO_REASON}
+    assert said.json["reasons"] == {"1": MISSION_REASONS.unsaid}
     assert said.json["results"]["0"]["far"] == 9.0
     assert len(said.json["results"]["0"]["at"]) == 3
     assert sorted(line for line in said.err.splitlines() if "hovering" in line) == [
@@ -174,7 +174,7 @@ def test_a_report_gets_the_same_results_in_both_worlds_whatever_a_mission_prints
 
 
 def test_the_live_table_shows_a_drone_flying_only_when_it_flies():
-    mission, told = load("pickup_delivery"), {}
+    mission, told = load_mission("pickup_delivery"), {}
 
     def watch(score):
         for i, status in score.statuses.items():
@@ -219,7 +219,7 @@ def test_an_option_of_a_bench_is_read_by_it(here):
 def four(tmp_path):
     """A swarm file of a long formation, two drones a process, on ports of its own."""
     config = isolate_swarm(
-        load("bearing_formation")
+        load_mission("bearing_formation")
         .swarm(None)
         .replace(flight=BRISK, mission_options={"duration": 300.0}),
         2,
@@ -261,7 +261,7 @@ def test_who_is_absent_at_the_start_is_named(four):
     ],
 )
 def test_looking_into_a_swarm_that_does_not_run(here, four, monkeypatch, words):
-    monkeypatch.setattr(window, "DISCOVERY", 0.1)
+    monkeypatch.setattr(window, "NEXT_PROCESS_TIMEOUT", 0.1)
     here("crazychoir", *words, "--swarm", four[0]).refuses(
         "no agent found", "is it running?"
     )

@@ -6,7 +6,7 @@ from system.flights import fly
 
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.flight.pilot import Mode
-from crazychoir.guidance.mission import load, look_before
+from crazychoir.guidance.mission import check_before_flight, load_mission
 from crazychoir.runtime.actor import Actor
 
 pytestmark = pytest.mark.system
@@ -16,7 +16,7 @@ WITHIN = 0.05
 
 
 def crossing(n, seed, method, pattern="antipodal", **options):
-    mission = load("crossing")
+    mission = load_mission("crossing")
     config = mission.swarm(n).replace(seed=seed, collision={"method": method})
     options = config.mission_options | {"pattern": pattern} | options
     return mission, mission.scatter(config.replace(mission_options=options))
@@ -130,13 +130,13 @@ def test_two_whose_link_fails_are_told_of_each_other_by_the_rest(method):
 
 
 def test_goals_in_conflict_are_refused_before_the_flight():
-    mission = load("bearing_formation")
+    mission = load_mission("bearing_formation")
     shape = {"0": [0, 0, 1], "1": [1, 0, 1], "2": [1, 0.1, 1], "3": [0, 1, 1]}
     config = mission.swarm(None).replace(
         mission_options={"shape": shape}, collision={"method": "barrier"}
     )
     with pytest.raises(ConfigError, match=r"drone 1 at .* drone 2 at .* conflict"):
-        look_before(mission, config, force=True)
+        check_before_flight(mission, config, force=True)
 
 
 def test_a_crowd_that_wants_through_one_point_is_refused_before_the_flight():

@@ -23,7 +23,10 @@ from system.pages import FLIGHT, dashboard, looking_on, six
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidMessage, InvalidStatus
 
-from crazychoir.dashboard.connection_limits import IDLE, MOST
+from crazychoir.dashboard.connection_limits import (
+    IDLE_CHECK_PERIOD,
+    MOST_CONNECTIONS_PER_ADDRESS,
+)
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
 
@@ -358,9 +361,9 @@ async def test_strangers_who_say_nothing_keep_nobody_out(tmp_path):
         strangers[0][1].write(b"GET / HTTP/1.1\r\nHost: x\r\n")  # and no more
         ends = [asyncio.create_task(reader.read()) for reader, _ in strangers]
         await asyncio.sleep(1.0)
-        assert sum(end.done() for end in ends) == 600 - 2 * MOST
+        assert sum(end.done() for end in ends) == 600 - 2 * MOST_CONNECTIONS_PER_ADDRESS
         assert (await asyncio.to_thread(asks, f"http://127.0.0.1:{port}"))[0] == 401
-        async with asyncio.timeout(2 * IDLE):
+        async with asyncio.timeout(2 * IDLE_CHECK_PERIOD):
             await asyncio.gather(*ends)
         for _, writer in strangers:
             writer.close()

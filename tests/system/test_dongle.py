@@ -18,22 +18,22 @@ from system.hall import udp_block
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import LinkFailed
 from crazychoir.planning.minimum_snap import minimum_snap
-from crazychoir.planning.upload import uploaded
-from crazychoir.radio.drone.radio_drone import TABLES
+from crazychoir.planning.upload import fit_upload
+from crazychoir.radio.drone.radio_drone import CONNECT_ATTEMPTS
 from crazychoir.radio.link import drivers
 from crazychoir.radio.link.connection import Connection
 from crazychoir.radio.link.dongles import DongleFailed
 from crazychoir.radio.link.firmware import Firmware
 from crazychoir.radio.link.toc_cache import TableOfContents
 from crazychoir.radio.owner import RadioProcess
-from crazychoir.radio.protocol.crtp import FORMS, MEMORY, Packet
-from crazychoir.radio.protocol.handlers import emergency
+from crazychoir.radio.protocol.crtp import PACKET_FORMS, CrtpPort, Packet
+from crazychoir.radio.protocol.handlers import emergency_packets
 from crazychoir.radio.virtual.server import VirtualServer
-from crazychoir.radio.virtual.setup import on_a_grid
+from crazychoir.radio.virtual.setup import place_on_grid
 from crazychoir.runtime.clock import WallClock
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
-HOVER = FORMS["hover"]
+HOVER = PACKET_FORMS["hover"]
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def known(tmp_path_factory):
 @contextlib.contextmanager
 def plugged(*dongles):
     """These are there for cflib, the first as number 0; the sockets of their drones are closed at the end."""
-    drivers.ready()
+    drivers.register_drivers()
     try:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(
@@ -65,7 +65,7 @@ def plugged(*dongles):
 async def air(n, exchanges=1000.0, loss=0.0):
     """clock;  server: of virtual drones;  dongle: reaches them at addresses E7E7E7E700 and following, channel 80."""
     clock, port = WallClock(asyncio.get_running_loop()), udp_block(n)
-    hall = on_a_grid(n, port, None)
+    hall = place_on_grid(n, port, None)
     server = VirtualServer(clock, hall.world(0), hall.seats, hall.poses)
     server.listen()
     running = asyncio.create_task(server.run())
@@ -124,7 +124,7 @@ def plain(packet):
     return bytes([packet[0] | 0x0C]) + packet[1:]
 
 
-EMERGENCY = [packet.framed() for packet in emergency()]
+EMERGENCY = [packet.framed() for packet in emergency_packets()]
 
 
 async def until(holds, seconds=5.0):
@@ -192,7 +192,7 @@ async def test_a_dongle_without_time_hangs_nobody_and_an_emergency_stop_goes_fir
         before = [len(drone.up) for drone in there.dongle.drones.values()]
         for link in links:
             link.send(Packet(15, 2, b"an order that waits"))
-            link.urgent(emergency())
+            link.urgent(emergency_packets())
         flood(links, 0.3)
         await until(
             lambda: all(
@@ -297,7 +297,7 @@ async def test_trajectories_are_uploaded_and_what_does_not_fit_is_not_sent(
     async with air(1) as there:
         links = await opened(there, known, 1)
         firmware, (receiver,) = Firmware(links[0]), there.dongle.drones.values()
-        flown = uploaded(minimum_snap([[0, 0, 0.5], [0.3, 0, 0.5], [0.3, 0.3, 0.5]]))
+        flown = fit_upload(minimum_snap([[0, 0, 0.5], [0.3, 0, 0.5], [0.3, 0.3, 0.5]]))
         pieces = len(flown.pieces.durations)
         await firmware.upload(flown.memory, 3, pieces, offset=132)
         kept = bytes(there.server.drones[0].memories.all[2].content)
@@ -314,7 +314,8 @@ async def test_trajectories_are_uploaded_and_what_does_not_fit_is_not_sent(
         with pytest.raises(LinkFailed, match="its planner refuses"):
             await firmware.start(7)
         asked = sum(
-            packet[0] >> 4 == MEMORY and packet[0] & 3 == 0 for packet in receiver.up
+            packet[0] >> 4 == CrtpPort.MEMORY and packet[0] & 3 == 0
+            for packet in receiver.up
         )
         assert asked <= 2 * len(there.server.drones[0].memories.all), (
             "those of decks are not read"
@@ -331,7 +332,7 @@ async def test_three_cold_ones_are_told_their_tables_once_and_in_time(
         air(3, 250.0) as there,
         owner(there.clock, swarm(3), tmp_path, monkeypatch) as (radios, _),
     ):
-        limit = radios.config.radio.connect_deadline + TABLES
+        limit = radios.config.radio.connect_deadline + CONNECT_ATTEMPTS.tables_deadline
         await until(
             lambda: all(
                 drone.state_of_link == "up" for drone in radios.drones.values()
@@ -360,7 +361,7 @@ async def test_one_that_comes_within_reach_while_its_link_is_being_opened_is_rea
         drone.silent = False
         (link,) = await asyncio.wait_for(opening, 5.0)
         assert await Firmware(link).release() == "2025.12"
-        assert not any(packet[0] >> 4 == MEMORY for packet in drone.up), (
+        assert not any(packet[0] >> 4 == CrtpPort.MEMORY for packet in drone.up), (
             "memories of decks are not read"
         )
         await closed([link])
@@ -371,7 +372,7 @@ async def test_an_emergency_stop_leaves_while_a_link_is_being_opened(tmp_path) -
         opening = asyncio.create_task(opened(there, tmp_path, 1, 60.0))
         (drone,) = there.server.drones.values()
         await until(lambda: there.dongle.used > 50)
-        there.links[0].urgent(emergency())
+        there.links[0].urgent(emergency_packets())
         await until(lambda: drone.onboard.state == "locked", 1.0)
         assert not opening.done(), "its tables are being read"
         opening.cancel()
@@ -404,7 +405,7 @@ def swarm(n, **radio) -> SwarmConfig:
 @contextlib.asynccontextmanager
 async def owner(clock, config, known, monkeypatch):
     """The owner of the dongle, in this process, without a network; and the task in which it serves."""
-    monkeypatch.setattr("crazychoir.radio.owner.folder", lambda: known)
+    monkeypatch.setattr("crazychoir.radio.owner.tables_folder", lambda: known)
     radios = RadioProcess(clock, config, 0, "dongle0", "here", 1)
     serving = asyncio.create_task(radios.serve())
     try:

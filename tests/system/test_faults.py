@@ -18,9 +18,9 @@ from system.agents import BRISK, CRAZYCHOIR, Program, Team, flying, results, see
 
 from crazychoir.bus.codec import encode
 from crazychoir.bus.frames import Envelope, Frame, encode_frame
-from crazychoir.bus.topics import ESTOP, HEARTBEAT, HELLO, ROSTER, ROUND, STATE, Class
+from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS, MessageClass
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 from crazychoir.launch.network import isolate_swarm
 from crazychoir.runtime.watchdog import EXIT_CODE
 
@@ -88,7 +88,7 @@ def ahead_of_others() -> list[str]:
 
 def planners(instance: str, **network: float) -> SwarmConfig:
     """Drones in a ring that share pickups and deliveries, over a network that makes them plan for some seconds."""
-    config = load("pickup_delivery").swarm(
+    config = load_mission("pickup_delivery").swarm(
         None, DATA / f"pickup_delivery_{instance}.json"
     )
     options = {**json.loads(config.dumps())["mission_options"], "service_time": 0.2}
@@ -310,7 +310,14 @@ def lies(draw: np.random.Generator, process: str) -> list[Envelope]:
         encode({"epoch": 10**9}),
         draw.bytes(40),
     ]
-    topics = [ROUND, HEARTBEAT, ROSTER, STATE, ESTOP, HELLO]
+    topics = [
+        MESSAGE_TOPICS.rounds,
+        MESSAGE_TOPICS.heartbeat,
+        MESSAGE_TOPICS.roster,
+        DRONE_TOPICS.state,
+        MESSAGE_TOPICS.emergency_stop,
+        MESSAGE_TOPICS.hello,
+    ]
     return [
         Envelope(
             topic.number,
@@ -340,7 +347,7 @@ def attack(config: SwarmConfig, ends: Callable[[], bool]) -> int:
                 for host, claimed in (*tokens, ("nowhere", "stranger")):
                     key = f"choir/{config.name}/f/{process}/{host}/{claimed}"
                     frame = encode_frame(
-                        Frame(claimed, 1, Class.ROUNDS, lies(draw, claimed))
+                        Frame(claimed, 1, MessageClass.ROUNDS, lies(draw, claimed))
                     )
                     session.put(f"{key}/rounds", draw.bytes(int(draw.integers(0, 400))))
                     session.put(f"{key}/control", frame)
@@ -361,7 +368,7 @@ async def plan_and_fly_under_attack(folder: Path) -> None:
         )
         ended = await team.end(60.0)
     assert [one["code"] for one in ended.values()] == [0] * len(config.ids), team.text
-    assert load("pickup_delivery").report(config, results(ended))["success"]
+    assert load_mission("pickup_delivery").report(config, results(ended))["success"]
     for one in ended.values():
         assert one["network"]["malformed"] > 10
         assert one["network"]["strangers"] > 10

@@ -5,12 +5,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from crazychoir.bench.formation import CASES, summary, table, times
+from crazychoir.bench.formation import (
+    FORMATION_CASES,
+    measure_forming_times,
+    summary,
+    table,
+)
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import Refused
 from crazychoir.flight.pilot import Pilot
-from crazychoir.guidance.formation.bearing import bearing_laplacian
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.formation.bearing import build_bearing_laplacian
+from crazychoir.guidance.mission import load_mission
 from crazychoir.launch.flight import fly_fast
 from crazychoir.types import Pose
 
@@ -20,7 +25,7 @@ DEPLOY = Path(__file__).parents[2] / "deploy"
 
 def flown(name, drones=None, seed=1, **changes):
     """A mission's own swarm, in virtual time."""
-    mission = load(name)
+    mission = load_mission(name)
     config = mission.swarm(drones).replace(seed=seed, **changes)
     if hasattr(mission._module, "scatter"):
         config = mission.scatter(config)
@@ -32,27 +37,31 @@ def of_file(name, watch=None, **options):
     """A swarm file in virtual time, with these options besides."""
     config = SwarmConfig.load(DEPLOY / f"{name}.toml")
     config = config.replace(mission_options=config.mission_options | options)
-    mission = load(config.mission)
+    mission = load_mission(config.mission)
     assert mission.check(config, False) == []
     return fly_fast(config, mission, watch), config, mission
 
 
 @pytest.mark.parametrize(
     "case",
-    [c for c in CASES if (c.drones, c.network) in {(4, "perfect"), (4, "lossy")}],
+    [
+        c
+        for c in FORMATION_CASES
+        if (c.drones, c.network) in {(4, "perfect"), (4, "lossy")}
+    ],
     ids=str,
 )
 def test_four_with_motors_form_up_in_time(case):
-    [settled] = times(case, range(1, 2))
+    [settled] = measure_forming_times(case, range(1, 2))
     assert settled is not None
     assert 0.5 < settled <= case.limit
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(7200)
-@pytest.mark.parametrize("case", CASES, ids=str)
+@pytest.mark.parametrize("case", FORMATION_CASES, ids=str)
 def test_the_worst_of_fifty_starts_is_in_time(case):
-    found = summary(case, times(case, range(50), print))
+    found = summary(case, measure_forming_times(case, range(50), print))
     assert found["reached"], found
     assert str(case.drones) in str(
         table({"seeds": 50, "rows": [found]}).columns[0]._cells
@@ -78,7 +87,7 @@ def test_thirty_keep_their_places_though_frames_come_late_by_other_times(monkeyp
         posed(pilot, None if pose is None else Pose(pose.flat, frame[now]), frame[now])
 
     monkeypatch.setattr(Pilot, "_posed", late)
-    config = load("bearing_formation").swarm(30)
+    config = load_mission("bearing_formation").swarm(30)
     result = flown(
         "bearing_formation",
         30,
@@ -100,7 +109,7 @@ def similarity(a, b):
 def test_the_originals_letter_is_at_rest_as_a_larger_letter_distorted():
     config, mission = (
         SwarmConfig.load(DEPLOY / "original_letter.toml"),
-        load("bearing_formation"),
+        load_mission("bearing_formation"),
     )
     shape, goal = mission.shape(config), mission.goal(config)
     of, at = (np.array([p[i][:2] for i in config.ids]) for p in (shape, goal))
@@ -116,7 +125,7 @@ def test_the_originals_letter_is_at_rest_as_a_larger_letter_distorted():
 def test_the_originals_grid_is_rigid_and_as_slow_as_it_is_known():
     config, mission = (
         SwarmConfig.load(DEPLOY / "original_grid.toml"),
-        load("bearing_formation"),
+        load_mission("bearing_formation"),
     )
     assert len(config.graph().edges()) == 99
     assert max(len(config.graph().neighbors(i)) for i in config.ids) == 14
@@ -164,7 +173,7 @@ def test_the_originals_reach_them_by_the_papers_law_too_in_minutes(name, uri, op
         drones=drones,
         mission_options=config.mission_options | {"law": "paper"} | options,
     )
-    result = fly_fast(config, load(config.mission))
+    result = fly_fast(config, load_mission(config.mission))
     assert result["success"], result["reasons"]
     assert result["formation_error_m"] <= 0.01
     assert 60.0 < result["settling_s"] < options["duration"] - 10.0
@@ -172,9 +181,9 @@ def test_the_originals_reach_them_by_the_papers_law_too_in_minutes(name, uri, op
 
 def worst_beside_leaders(config, rows):
     """(n,) m: how far followers are from where the leaders' true places want them; rows: {i: (3,) m}."""
-    mission = load("bearing_formation")
+    mission = load_mission("bearing_formation")
     leaders = [i for i in config.ids if config.drone(i).leader]
-    b_ff, b_fl, followers = bearing_laplacian(
+    b_ff, b_fl, followers = build_bearing_laplacian(
         mission.shape(config), mission.neighbors(config), leaders
     )
     wanted = [
@@ -200,7 +209,7 @@ def test_followers_of_leaders_on_a_circle_are_within_2_mm(uri):
     config = config.replace(
         drones=drones, mission_options=config.mission_options | {"duration": 20.0}
     )
-    mission, rows = load("bearing_formation"), []
+    mission, rows = load_mission("bearing_formation"), []
 
     def watch(score):
         if score.law_s is not None and 12.0 < score.law_s < 19.9:
@@ -244,7 +253,7 @@ def test_distances_are_what_they_should_be():
 
 
 def test_what_distances_do_not_hold_is_refused_with_the_loose_drones():
-    mission = load("distance_formation")
+    mission = load_mission("distance_formation")
     config = mission.swarm(6)
     ring = [[k, (k + 1) % 6] for k in range(6)]
     with pytest.raises(
@@ -259,7 +268,7 @@ def test_what_distances_do_not_hold_is_refused_with_the_loose_drones():
 
 
 def test_followers_that_hear_no_leader_are_refused_with_their_names():
-    mission = load("containment")
+    mission = load_mission("containment")
     config = mission.swarm(None)
     edges = [[4, 0], [4, 1], [5, 1], [6, 7], [0, 2], [2, 3]]
     with pytest.raises(Refused, match=r"drones \[6, 7\] hear no leader"):
@@ -267,7 +276,7 @@ def test_followers_that_hear_no_leader_are_refused_with_their_names():
 
 
 def test_a_drone_whose_bearings_are_all_parallel_is_refused_by_name():
-    mission = load("bearing_formation")
+    mission = load_mission("bearing_formation")
     config = mission.swarm(4).replace(edges=[[0, 1], [0, 3], [1, 3], [1, 2]])
     with pytest.raises(Refused, match="all bearings of drone 2 are parallel"):
         mission.check(config)

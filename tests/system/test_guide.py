@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.launch.namespaces import switched
+from crazychoir.launch.namespaces import make_switched_namespaces
 
 PYTHON, SYSTEMD = Path("/usr/bin/python3"), Path("/usr/lib/systemd/systemd")
 SSHD = shutil.which("sshd", path="/usr/sbin:/usr/bin")
@@ -222,7 +222,7 @@ class Lab:
 @contextlib.asynccontextmanager
 async def lab(folder, repository):
     config = SwarmConfig.load(repository / "deploy/three_workstations.toml")
-    with switched(config.hosts) as hosts:
+    with make_switched_namespaces(config.hosts) as hosts:
         made = Lab(folder, hosts, config, repository)
         await asyncio.to_thread(made.prepare)
         try:

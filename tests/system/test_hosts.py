@@ -13,12 +13,12 @@ from system.namespaces import ADDRESSES, Hosts, two_hosts
 
 from crazychoir.bus.network import authority
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 
 pytestmark = pytest.mark.system
 SKEW = 1000.0
 OUTAGE = 1.3
-MISSION = load("pickup_delivery")
+MISSION = load_mission("pickup_delivery")
 
 
 def demo(
@@ -26,9 +26,9 @@ def demo(
 ) -> SwarmConfig:
     """The demo's six drones and ten goods, three drones a host, flown briskly; with mutual TLS."""
     keys = folder / "keys"
-    authority.init(keys)
+    authority.make_authority(keys)
     for name in "ab":
-        authority.add(keys, name)
+        authority.add_host(keys, name)
     config = MISSION.swarm(None)
     raw = json.loads(config.dumps())
     return config.replace(

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from crazychoir.cli.main import app
 from crazychoir.config.swarm_config import default_swarm
-from crazychoir.radio.link.ownership import owned
+from crazychoir.radio.link.ownership import own_dongle
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time, pytest.mark.timeout(120)]
 
@@ -48,7 +48,7 @@ async def test_its_leds_are_lit_and_nobody_elses_and_not_while_another_has_its_d
         state = hall.state()
         assert state[1]["led"] == 0
         assert state[1]["zeros"] == 0
-        with owned(config, 0):
+        with own_dongle(config, 0):
             refused = CliRunner().invoke(app, command[-7:])
         assert refused.exit_code == 2
         assert (

@@ -7,7 +7,7 @@ import pytest
 from crazychoir.bench.latency import (
     added_p99_ms,
     pose_to_command,
-    ten_robots,
+    ten_robot_instance,
     tick_alone,
     tick_while_solving,
 )
@@ -48,7 +48,7 @@ def quiet_median(measure, wanted=3):
 
 @pytest.fixture(scope="module")
 def instance():
-    problem = ten_robots()
+    problem = ten_robot_instance()
     solve_here(problem)  # its kernels are loaded
     return problem
 

@@ -7,9 +7,9 @@ from system.commands import fly, run
 from system.flights import scattered
 
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.guidance.mission import has, load
+from crazychoir.guidance.mission import has_hook, load_mission
 from crazychoir.launch.flight import fly_fast
-from crazychoir.launch.flight_observer import Score
+from crazychoir.launch.flight_observer import FlightScore
 from crazychoir.types import Status
 
 pytestmark = pytest.mark.system
@@ -29,7 +29,7 @@ KEYS = {
 
 def formed(seed, loss=0.0):
     """A formation of four in this process, in virtual time."""
-    mission = load("bearing_formation")
+    mission = load_mission("bearing_formation")
     return fly_fast(
         mission.scatter(mission.swarm(None).replace(seed=seed, network={"loss": loss})),
         mission,
@@ -38,7 +38,7 @@ def formed(seed, loss=0.0):
 
 def flown(seed, loss):
     """The pickups and deliveries in this process, in virtual time."""
-    mission = load("pickup_delivery")
+    mission = load_mission("pickup_delivery")
     return fly_fast(
         mission.swarm(None).replace(seed=seed, network={"loss": loss}), mission
     )
@@ -84,7 +84,7 @@ def test_four_take_their_places_though_messages_are_lost(seed, loss):
 
 def test_the_settling_time_is_the_last_time_that_anybody_is_far():
     @dataclass
-    class Seen(Score):
+    class Seen(FlightScore):
         def __post_init__(self):
             """No bus."""
 
@@ -177,7 +177,7 @@ def served(result):
 
 
 def test_a_drone_that_is_stopped_on_its_way_still_gets_there():
-    mission = load("pickup_delivery")
+    mission = load_mission("pickup_delivery")
     config = mission.swarm(None).replace(seed=2, mocap={"dropout": 0.6})
     notes = set()
 
@@ -199,11 +199,11 @@ def test_a_drone_that_is_stopped_on_its_way_still_gets_there():
 def test_every_swarm_file_that_ships_is_valid(repository):
     for path in sorted((repository / "deploy").glob("*.toml")):
         config = SwarmConfig.load(path)
-        mission = load(str(config.mission))
+        mission = load_mission(str(config.mission))
         original = path.stem.startswith(
             "original_"
         )  # one of them is as slow as it is known to be
-        notes = mission.check(config, original) if has(mission, "check") else []
+        notes = mission.check(config, original) if has_hook(mission, "check") else []
         assert original or not any(
             "slow" in note or "margin" in note for note in notes
         ), path.name

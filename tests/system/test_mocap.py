@@ -12,12 +12,12 @@ import pytest
 from ports import free_ports
 from system.agents import MOCAP, Program, until
 
-from crazychoir.bus.port import EYES
-from crazychoir.bus.topics import POSE
+from crazychoir.bus.port import PORT_ADDRESSES
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.launch.network import attached, observer
-from crazychoir.mocap.frames import ASK, Frame
-from crazychoir.mocap.recording import Recorder, read_recording
+from crazychoir.launch.network import make_observer_link, run_attached
+from crazychoir.mocap.frames import FRAME_PROTOCOL, PoseFrame
+from crazychoir.mocap.recording import FrameRecorder, read_recording
 from crazychoir.numerics.math3d import quaternion_of_yaw
 from crazychoir.runtime.clock import run_wall
 from crazychoir.runtime.mailbox import Call
@@ -37,7 +37,7 @@ def pose(i, k):
 
 def flight(count=3000):
     return [
-        Frame(k, 0.01 * k, {name: pose(i, k) for i, name in enumerate(NAMES)})
+        PoseFrame(k, 0.01 * k, {name: pose(i, k) for i, name in enumerate(NAMES)})
         for k in range(count)
     ]
 
@@ -52,7 +52,7 @@ class Server(asyncio.DatagramProtocol):
         self.transport = transport
 
     def datagram_received(self, data, addr):
-        if data == ASK:
+        if data == FRAME_PROTOCOL.request:
             self.asked[addr] = None
 
     async def run(self):
@@ -101,12 +101,14 @@ def udp_port():
 @contextlib.asynccontextmanager
 async def subscribed(clock, config):
     """What a process of the network hears of each drone: {i: [pose]}."""
-    link, heard = observer(clock, config), {i: [] for i in config.seen}
+    link, heard = make_observer_link(clock, config), {i: [] for i in config.seen}
     (address,) = link.bus.ports
     for i, kept in heard.items():
         box = Call(clock, lambda value, age, kept=kept: kept.append(value))
-        link.bus.subscribe(POSE, EYES + i, address, box)
-    async with attached(link):
+        link.bus.subscribe(
+            DRONE_TOPICS.pose, PORT_ADDRESSES.camera_offset + i, address, box
+        )
+    async with run_attached(link):
         yield heard
 
 
@@ -129,7 +131,7 @@ def told(poses, i):
 def test_virtual_drones_and_a_recording_give_the_same_poses_and_who_hangs_keeps_nobody(
     tmp_path, monkeypatch
 ):
-    with Recorder(tmp_path / "flight.csv") as recorder:
+    with FrameRecorder(tmp_path / "flight.csv") as recorder:
         for frame in flight():
             recorder.write(frame, frame.time)
     (tmp_path / "motioncapture.py").write_text(HANGS)

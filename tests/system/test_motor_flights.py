@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from system.flights import TICK, fly, mission_of, swarm_of
 
-from crazychoir.guidance.mission import load
-from crazychoir.numerics.math3d import wrap
+from crazychoir.guidance.mission import load_mission
+from crazychoir.numerics.math3d import wrap_angle
 from crazychoir.safety.rules.modes import Mode
 
 pytestmark = pytest.mark.system
@@ -44,7 +44,7 @@ def circles():
     config = swarm_of(
         TURNING, YAW, mission_options=options, flight={"takeoff_height": 0.6}
     )
-    return dict(zip(TURNING, fly(config, load("figure")).values(), strict=True))
+    return dict(zip(TURNING, fly(config, load_mission("figure")).values(), strict=True))
 
 
 def at_full_rate(flight):
@@ -109,7 +109,7 @@ def corner():
     config = swarm_of(
         ALIKE, YAW, mission_options=options, flight={"takeoff_height": 0.6}, **errors
     )
-    return dict(zip(ALIKE, fly(config, load("figure")).values(), strict=True))
+    return dict(zip(ALIKE, fly(config, load_mission("figure")).values(), strict=True))
 
 
 MOST_OFF = {"fpqr": 0.004, "frpy": 0.008, "vel": 0.08, "xyz": 0.08}
@@ -170,7 +170,7 @@ def test_a_take_off_from_a_tilted_floor_goes_straight_up_without_much_overshoot(
 
 @pytest.mark.parametrize("row", TILTED, **names)
 def test_take_off_and_landing_keep_the_yaw(tilted, row):
-    off = [abs(math.degrees(wrap(yaw - YAW))) for yaw in tilted[row].yaws]
+    off = [abs(math.degrees(wrap_angle(yaw - YAW))) for yaw in tilted[row].yaws]
     assert max(off) <= 3.0
 
 

@@ -9,7 +9,7 @@ from PIL import Image
 from system.commands import run
 
 from crazychoir.errors import ConfigError
-from crazychoir.simulation.mujoco.film import _context
+from crazychoir.simulation.mujoco.film import _make_context
 
 pytestmark = pytest.mark.system
 SENDERS = ("fpqr", "frpy", "vel", "xyz")
@@ -39,7 +39,7 @@ RED = np.array([0.8, 0.37, 0.0])
 
 def has_graphics():
     try:
-        _context(16, 16).free()
+        _make_context(16, 16).free()
     except ConfigError as error:
         return str(error)
     return ""

@@ -9,17 +9,17 @@ from system.agents import CRAZYCHOIR, Program, flying, results, until
 from system.online import carried, crash, drawn, fly_online, killed_at, wilson
 
 from crazychoir.bus.commands import Commander
-from crazychoir.bus.port import OBSERVER
-from crazychoir.config.checks import TOUCHING
+from crazychoir.bus.port import PORT_ADDRESSES
+from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.errors import SolverError
 from crazychoir.guidance.delivery import replanning
-from crazychoir.guidance.delivery.online_delivery import NO_PLAN
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.delivery.online_delivery import NO_PLAN_REASON
+from crazychoir.guidance.mission import load_mission
 from crazychoir.guidance.tasks.task_book import Fate, Task
-from crazychoir.guidance.tasks.task_source import ADDED
+from crazychoir.guidance.tasks.task_source import FIRST_ADDED_ID
 from crazychoir.launch.network import isolate_swarm
 from crazychoir.routing.distributed.pickup_delivery import PickupDelivery
-from crazychoir.routing.search.parallel_auction import parallel_auction
+from crazychoir.routing.search.parallel_auction import run_parallel_auction
 
 pytestmark = pytest.mark.system
 SECONDS = 1e9
@@ -55,7 +55,7 @@ def test_one_that_falls_past_another_is_told_apart_from_two_that_fly():
     assert outcome.reasons == []
     assert outcome.touching == {}
     ((pair, gap),) = outcome.struck.items()
-    assert (pair, gap < TOUCHING) == ((0, 1), True)
+    assert (pair, gap < SWARM_LIMITS.touching_distance) == ((0, 1), True)
 
 
 def test_drones_do_not_go_where_none_can_stand_and_fly_on():
@@ -65,8 +65,8 @@ def test_drones_do_not_go_where_none_can_stand_and_fly_on():
     def prepare(agent):
         def learn():
             for j, place in (
-                (ADDED, (40.0, 1.0)),
-                (ADDED + 1, config.drone(2).home[:2]),
+                (FIRST_ADDED_ID, (40.0, 1.0)),
+                (FIRST_ADDED_ID + 1, config.drone(2).home[:2]),
             ):
                 agent.drones[1].guidance.news.book.learn(
                     Task(j, 0, False, place, (2.0, 2.0))
@@ -77,20 +77,23 @@ def test_drones_do_not_go_where_none_can_stand_and_fly_on():
     outcome = fly_online(config, {}, prepare)
     assert outcome.touching == {}
     assert all(result["success"] for result in outcome.results.values())
-    assert {j: fate for j, (fate, _) in outcome.fates.items() if j >= ADDED} == {
-        ADDED: "open",
-        ADDED + 1: "open",
+    assert {
+        j: fate for j, (fate, _) in outcome.fates.items() if j >= FIRST_ADDED_ID
+    } == {
+        FIRST_ADDED_ID: "open",
+        FIRST_ADDED_ID + 1: "open",
     }
-    assert {fate for j, (fate, _) in outcome.fates.items() if j < ADDED} == {
+    assert {fate for j, (fate, _) in outcome.fates.items() if j < FIRST_ADDED_ID} == {
         "delivered"
     }
     for result in outcome.results.values():
-        assert "outside the fence" in result["unserved"][str(ADDED)]
-        assert "from the home of drone 2" in result["unserved"][str(ADDED + 1)]
-    report = load("online_delivery").report(config, outcome.results)
+        assert "outside the fence" in result["unserved"][str(FIRST_ADDED_ID)]
+        assert "from the home of drone 2" in result["unserved"][str(FIRST_ADDED_ID + 1)]
+    report = load_mission("online_delivery").report(config, outcome.results)
     assert not report["success"]
     assert (
-        f"task {ADDED}: its pickup [40, 1] is outside the fence" in report["reasons"][0]
+        f"task {FIRST_ADDED_ID}: its pickup [40, 1] is outside the fence"
+        in report["reasons"][0]
     )
 
 
@@ -232,7 +235,7 @@ def test_an_operator_adds_a_task_and_cancels_one():
 
     def prepare(agent):
         async def operate():
-            commander = Commander(agent.bus.port(OBSERVER + 7))
+            commander = Commander(agent.bus.port(PORT_ADDRESSES.first_observer + 7))
             while agent.clock.now() < 4.0:
                 await agent.clock.sleep(0.5)
             task = {"pickup": [1.0, 1.0], "delivery": [3.0, 3.0]}
@@ -471,7 +474,7 @@ def test_a_method_that_raises_in_flight_is_replaced_by_the_auction(
     }
     assert fallbacks[0][0] == told
     assert (
-        load("online_delivery").report(config, outcome.results)["fallbacks"]
+        load_mission("online_delivery").report(config, outcome.results)["fallbacks"]
         == fallbacks[0]
     )
     assert caplog.text.count(f"planning 1: columns: {why}") == 1
@@ -486,9 +489,9 @@ def test_a_team_that_finds_no_plan_at_all_delivers_what_is_aboard_and_comes_home
     def broken(robot, *args):
         if robot == 1 and now[0]() > 12.0:
             raise SolverError("auction", "broken")
-        return (yield from parallel_auction(robot, *args))
+        return (yield from run_parallel_auction(robot, *args))
 
-    monkeypatch.setattr(replanning, "parallel_auction", broken)
+    monkeypatch.setattr(replanning, "run_parallel_auction", broken)
     config = drawn(
         4,
         0.2,
@@ -510,10 +513,13 @@ def test_a_team_that_finds_no_plan_at_all_delivers_what_is_aboard_and_comes_home
             for kind in KINDS
         )
         assert sorted(picked) == sorted(dropped)
-        assert outcome.results[i]["fallbacks"][0]["instead"] == NO_PLAN
-    report = load("online_delivery").report(config, outcome.results)
+        assert outcome.results[i]["fallbacks"][0]["instead"] == NO_PLAN_REASON
+    report = load_mission("online_delivery").report(config, outcome.results)
     assert not report["success"]
-    assert f"task 6: {NO_PLAN}: robot 1: SolverError: auction" in report["reasons"][0]
+    assert (
+        f"task 6: {NO_PLAN_REASON}: robot 1: SolverError: auction"
+        in report["reasons"][0]
+    )
 
 
 # Over processes ------------------------------------------------------------------------------------------------

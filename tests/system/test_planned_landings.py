@@ -5,7 +5,7 @@ import pytest
 from system.flights import fly, mission_of
 
 from crazychoir.bus.impairment.model import Impairment
-from crazychoir.bus.impairment.rules import Rule
+from crazychoir.bus.impairment.rules import ImpairmentRule
 from crazychoir.config.swarm_config import SwarmConfig
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
@@ -86,7 +86,7 @@ def test_who_is_not_answered_lands_after_some_seconds(edge):
         if guidance.id == 0:
             bus = guidance.member.communicator.port.bus
             bus.impairment = Impairment(
-                1, [Rule({"loss": 1.0}, edge=edge, directed=True)]
+                1, [ImpairmentRule({"loss": 1.0}, edge=edge, directed=True)]
             )
             bus.impairment.begin(guidance.member.clock.now())
         await guidance.sleep(20.0 * (1 - guidance.id) + 5.0)

@@ -15,8 +15,8 @@ from system.agents import CRAZYCHOIR, WORLD, Program, flying, results, seen, unt
 from system.lossy_link import wired
 
 from crazychoir.bus.network import authority
-from crazychoir.flight.pilot import DEAF
-from crazychoir.guidance.mission import load
+from crazychoir.flight.pilot import CUT_OFF_TEXT
+from crazychoir.guidance.mission import load_mission
 
 pytestmark = [
     pytest.mark.system,
@@ -25,7 +25,7 @@ pytestmark = [
     pytest.mark.timeout(300),
     pytest.mark.usefixtures("compiled"),
 ]
-MISSION = load("online_delivery")
+MISSION = load_mission("online_delivery")
 ADDRESSES = {"a": "10.79.0.1", "b": "10.79.0.2"}
 LEASE = 1.0
 VICTIM = 3
@@ -37,9 +37,9 @@ FIRST, SECOND = (0, 1, 2), (3, 4, 5)
 def delivery(folder):
     """Six drones with motors and firmware, eight goods."""
     keys = folder / "keys"
-    authority.init(keys)
+    authority.make_authority(keys)
     for name in ADDRESSES:
-        authority.add(keys, name)
+        authority.add_host(keys, name)
     config = MISSION.swarm(6)
     drones = [
         {
@@ -192,7 +192,7 @@ async def test_a_partition_that_heals(tmp_path, repository, length):
     )
     assert max(named.values()) <= 2 * LEASE
     deaf = (
-        DEAF if length > 10.0 else "-"
+        CUT_OFF_TEXT if length > 10.0 else "-"
     )  # by then half of the team lands, wherever it is
     assert all(found[i]["success"] or deaf in found[i]["reason"] for i in FIRST), line
 

@@ -16,9 +16,9 @@ from system.agents import Program
 from system.hall import Hall, processes, reached
 
 from crazychoir.config.checks import limit_area
-from crazychoir.config.link_loss import TILTED, crowded, inset
+from crazychoir.config.link_loss import TILT_TIMES, describe_crowding, fence_inset
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
-from crazychoir.control.robots import sender_of
+from crazychoir.control.robots import find_sender
 from crazychoir.safety.rules.guard import Fence
 
 pytestmark = [
@@ -159,11 +159,13 @@ async def test_whatever_fails_nobody_is_outside_nobody_collides_nobody_hangs(
     tmp_path, seed
 ) -> None:
     config, faults = drawn(seed)
-    for sender in TILTED:
-        margin = inset(config, sender)
+    for sender in TILT_TIMES:
+        margin = fence_inset(config, sender)
         assert margin.given == margin.needed, "drones start inside the inset fence"
-    streamed = {i: kind for i in config.ids if (kind := sender_of(config, i)) in TILTED}
-    assert not any(crowded(config, i, streamed) for i in streamed)
+    streamed = {
+        i: kind for i in config.ids if (kind := find_sender(config, i)) in TILT_TIMES
+    }
+    assert not any(describe_crowding(config, i, streamed) for i in streamed)
     loop = asyncio.get_running_loop()
     watched = Watched(Fence.box(*limit_area(config)))
     async with Hall(config, tmp_path) as hall:

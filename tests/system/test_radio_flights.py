@@ -13,7 +13,7 @@ from system.agents import RADIO, Program
 from system.hall import Hall, processes, reached
 
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 
 pytestmark = [
     pytest.mark.system,
@@ -232,7 +232,7 @@ async def test_thrust_is_known_by_the_release_and_a_wrong_map_is_found_in_hover(
 
 def pickup(per_dongle: int) -> SwarmConfig:
     config = (
-        load("pickup_delivery")
+        load_mission("pickup_delivery")
         .swarm(None)
         .replace(mission="pickup_delivery", control={"sender": "xyz"})
     )
@@ -298,7 +298,7 @@ async def test_a_dongle_has_one_owner(tmp_path, exclusive) -> None:
 @pytest.mark.slow
 async def test_a_word_is_drawn_by_body_rates(tmp_path) -> None:
     config = reached(
-        load("drawn_path")
+        load_mission("drawn_path")
         .swarm(None)
         .replace(mission="drawn_path", control={"sender": "fpqr"})
     )
@@ -310,7 +310,7 @@ async def test_a_formation_stands_by_roll_and_pitch_at_the_rate_that_a_dongle_ca
     tmp_path,
 ) -> None:
     config = (
-        load("bearing_formation")
+        load_mission("bearing_formation")
         .swarm(4)
         .replace(mission="bearing_formation", control={"sender": "frpy"})
     )

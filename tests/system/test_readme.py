@@ -13,8 +13,8 @@ from pages import FRONT_PAGE, block, first_column, page, printed, rows
 
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import CFGuidance
-from crazychoir.guidance.mission import names as missions
-from crazychoir.guidance.mission_hooks import HOOKS
+from crazychoir.guidance.mission import list_mission_names as missions
+from crazychoir.guidance.mission_hooks import MISSION_HOOKS
 from crazychoir.optimization.problems.problems import CostCoupled
 
 pytestmark = pytest.mark.system
@@ -330,7 +330,7 @@ def test_the_program_of_the_routing_page_prints_what_the_page_says(
 def test_the_tables_of_the_mission_api_name_what_there_is():
     hooks = [text.removesuffix(")").split("(") for text in first_column(AGENTS, "hook")]
     assert {name: tuple(arguments.split(", ")) for name, arguments in hooks} == {
-        n: h[0] for n, h in HOOKS.items()
+        n: h[0] for n, h in MISSION_HOOKS.items()
     }
     for text in first_column(AGENTS, "in both"):
         name = re.search(r"self\.(\w+)", text)[1]

@@ -14,17 +14,17 @@ from ros2_decoders import by_mcap_ros2, by_rosbags
 from rosbags.rosbag2 import Reader
 from system.agents import BRISK
 
-from crazychoir.bus.topics import OBSERVABLE
-from crazychoir.cli.recordings.record import _until_gone
+from crazychoir.bus.topics import OBSERVABLE_TOPICS
+from crazychoir.cli.recordings.record import _wait_until_gone
 from crazychoir.cli.recordings.replay import _replay
 from crazychoir.cli.shared.observer import Window
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.guidance.mission import load
-from crazychoir.launch.network import attached, isolate_swarm, observer
-from crazychoir.launch.recording import new_recording
+from crazychoir.guidance.mission import load_mission
+from crazychoir.launch.network import isolate_swarm, make_observer_link, run_attached
+from crazychoir.launch.recording import make_recording
 from crazychoir.recording.analysis import plots
-from crazychoir.recording.analysis.figures import flight_of
-from crazychoir.recording.mcap.reading import header, read
+from crazychoir.recording.analysis.figures import recorded_flight
+from crazychoir.recording.mcap.reading import read, read_header
 from crazychoir.recording.recorder import Recorder
 from crazychoir.runtime.clock import run_wall
 from crazychoir.runtime.supervisor import Supervisor
@@ -50,7 +50,7 @@ def guidance(i, config):
 def fly_short(here, tmp_path_factory):
     """Flies a short formation in virtual time with lost messages; what the run says."""
     swarm = (
-        load(MISSION)
+        load_mission(MISSION)
         .swarm(None)
         .replace(flight=BRISK, mission_options={"duration": 3.0})
     )
@@ -110,7 +110,9 @@ def test_others_read_every_message(recorded):
         for name in {topic for topic, *_ in found}
     }
     said = {
-        name for name in OBSERVABLE if name not in ("log", "telemetry", "plan", "link")
+        name
+        for name in OBSERVABLE_TOPICS
+        if name not in ("log", "telemetry", "plan", "link")
     } | {"round"}
     assert set(times) >= {f"/drone{i}/{name}" for i in range(4) for name in said}
     for i in range(4):
@@ -134,7 +136,7 @@ def test_the_figures_are_those_of_the_run(recorded):
     ) == (MISSION, "3", "virtual")
     config = SwarmConfig.loads(recording.swarm)
     assert (config.seed, config.network.loss) == (3, 0.2)
-    figures = flight_of(recording).figures()
+    figures = recorded_flight(recording).figures()
     assert figures["min_separation_m"] == pytest.approx(
         result["min_separation_m"], abs=0.005
     )
@@ -295,23 +297,23 @@ def test_a_cut_off_recording_is_plotted_with_a_warning(here, recorded, tmp_path)
 def test_a_replay_is_seen_as_a_swarm_and_recorded_anew(recorded, tmp_path):
     """Over Zenoh: what the one says again, the other records until it is gone, with the same values."""
     path, new = recorded[0], tmp_path / "new.mcap"
-    config = isolate_swarm(SwarmConfig.loads(header(path).swarm), 1)
+    config = isolate_swarm(SwarmConfig.loads(read_header(path).swarm), 1)
 
     async def main(clock):
         replaying = asyncio.create_task(_replay(clock, config, path, 4.0, None, 60.0))
-        link = observer(clock, config)
-        async with attached(link):
+        link = make_observer_link(clock, config)
+        async with run_attached(link):
             window = Window(clock, config, link, None, 60.0)
             assert await window.find() == [0, 1, 2, 3]
             file, topics = (
-                new_recording(new, config, None, virtual=False),
+                make_recording(new, config, None, virtual=False),
                 ("state", "truth", "result"),
             )
             recorder = Recorder(
                 link.bus, config.ids, file, window.address, config.source, topics=topics
             )
             recording = asyncio.create_task(Supervisor(clock, "record").run([recorder]))
-            assert (await _until_gone(window, recorder, 100.0)).startswith(
+            assert (await _wait_until_gone(window, recorder, 100.0)).startswith(
                 "no drone was there"
             )
             recording.cancel()

@@ -2,14 +2,14 @@
 
 import pytest
 
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 from crazychoir.launch.flight import fly_fast
 
 pytestmark = pytest.mark.system
 
 
 def driven(name, loss=0.0, **changes):
-    mission = load(name)
+    mission = load_mission(name)
     return fly_fast(
         mission.swarm(None).replace(seed=1, network={"loss": loss}, **changes), mission
     )
@@ -37,7 +37,7 @@ def test_points_with_and_without_inertia_are_drawn_into_the_triangle():
 @pytest.mark.slow
 def test_robots_that_would_leave_the_fence_stop_at_it_and_are_not_where_they_should_be():
     """The square is wider than the fence."""
-    mission = load("unicycles")
+    mission = load_mission("unicycles")
     robots = [
         {"id": i, "home": [0.6 * i - 0.9, 0.0, 0.0], "uri": "sim://unicycle"}
         for i in range(4)

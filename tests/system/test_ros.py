@@ -10,8 +10,8 @@ from ports import free_ports
 from ros2_decoders import fields
 from rosbags.typesys import Stores, get_typestore
 
-from crazychoir.bus.network.zenoh_link import Outside
-from crazychoir.cli.recordings.ros import Bridge
+from crazychoir.bus.network.zenoh_link import OutsideSession
+from crazychoir.cli.recordings.ros import RosBridge
 from crazychoir.types import State
 
 pytestmark = pytest.mark.system
@@ -53,8 +53,8 @@ def test_what_a_router_of_ros_hears(router):
     pytest.importorskip("xxhash", reason="keys of rmw_zenoh need the extra `ros2`")
     endpoint, samples, tokens = router
     store = get_typestore(Stores.ROS2_JAZZY)
-    with Outside(endpoint) as outside:
-        bridge = Bridge(outside, 0, [3, 5])
+    with OutsideSession(endpoint) as outside:
+        bridge = RosBridge(outside, 0, [3, 5])
         until(lambda: len(tokens) == 7)
         assert all(f"/{outside.id}/" in token for token in tokens)
         assert sum("/NN/" in token for token in tokens) == 1

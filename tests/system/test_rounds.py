@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from crazychoir.bus.impairment.model import Impairment
-from crazychoir.bus.impairment.rules import Partition, Rule
+from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
 from crazychoir.bus.port import Bus
 from crazychoir.runtime.clock import Clock, run_virtual, run_wall
 from crazychoir.team import graph as graphs
@@ -18,7 +18,7 @@ from crazychoir.team.graph import Graph, metropolis
 
 pytestmark = pytest.mark.system
 LOSSY = [
-    Rule(
+    ImpairmentRule(
         {
             "loss": 0.5,
             "delay": 0.001,
@@ -99,7 +99,7 @@ def in_a_loop(graph: Graph, rounds: int) -> list[bytes]:
 @pytest.mark.parametrize("n", [6, 30])
 def test_a_bad_network_in_virtual_time(n):
     graph = graphs.k_regular(n, 4)
-    impairment = Impairment(3, LOSSY, [Partition(4.0, 5.5, (0, 1, 2))])
+    impairment = Impairment(3, LOSSY, [NetworkPartition(4.0, 5.5, (0, 1, 2))])
     assert run_virtual(mission(graph, impairment, 100)) == in_a_loop(graph, 100)
 
 

@@ -12,11 +12,16 @@ import pytest
 from system.agents import BRISK, CRAZYCHOIR, Program, flying, results
 
 from crazychoir.bus.network import authority
-from crazychoir.guidance.mission import load
-from crazychoir.launch.namespaces import DEVICE, cable, ip, namespace
+from crazychoir.guidance.mission import load_mission
+from crazychoir.launch.namespaces import (
+    NAMESPACE_DEVICE,
+    connect_devices,
+    make_namespace,
+    run_iproute,
+)
 
 pytestmark = pytest.mark.system
-MISSION = load("pickup_delivery")
+MISSION = load_mission("pickup_delivery")
 ADDRESSES = {"a": "10.78.1.1", "b": "10.78.2.1", "r": "10.78.1.254"}
 GATES = {"a": "10.78.1.254", "b": "10.78.2.254"}
 
@@ -37,26 +42,36 @@ def apart():
     hosts = Apart({name: f"cc-{token}-{name}" for name in "abr"})
     with contextlib.ExitStack() as stack:
         for name in hosts.names.values():
-            stack.enter_context(namespace(name))
+            stack.enter_context(make_namespace(name))
         router = hosts.names["r"]
         subprocess.run(
             [*hosts.command("r"), "sysctl", "-qw", "net.ipv4.ip_forward=0"], check=True
         )
         for name, gate in GATES.items():
             there = hosts.names[name]
-            cable((there, DEVICE), (router, f"veth{name}"))
-            ip("-n", there, "address", "add", f"{ADDRESSES[name]}/24", "dev", DEVICE)
-            ip("-n", router, "address", "add", f"{gate}/24", "dev", f"veth{name}")
-            ip("-n", there, "route", "add", "default", "via", gate)
+            connect_devices((there, NAMESPACE_DEVICE), (router, f"veth{name}"))
+            run_iproute(
+                "-n",
+                there,
+                "address",
+                "add",
+                f"{ADDRESSES[name]}/24",
+                "dev",
+                NAMESPACE_DEVICE,
+            )
+            run_iproute(
+                "-n", router, "address", "add", f"{gate}/24", "dev", f"veth{name}"
+            )
+            run_iproute("-n", there, "route", "add", "default", "via", gate)
         yield hosts
 
 
 def demo(folder, secured):
     """The demo's six drones, three on a, three on b, the router on r."""
     keys = folder / "keys"
-    authority.init(keys)
+    authority.make_authority(keys)
     for name in "abr":
-        authority.add(keys, name)
+        authority.add_host(keys, name)
     config = MISSION.swarm(None)
     raw = json.loads(config.dumps())
     security = (

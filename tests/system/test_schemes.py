@@ -6,12 +6,12 @@ import pytest
 from crazychoir.agent.agent import Agent
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 from crazychoir.guidance.mpc import MPCGuidance
 from crazychoir.launch.flight import fly_fast
-from crazychoir.launch.recording import recording_file
+from crazychoir.launch.recording import open_recording_file
 from crazychoir.optimization.algorithms.aggregative_tracking import AggregativeTracking
-from crazychoir.runtime.clock import SECOND, run_virtual
+from crazychoir.runtime.clock import NS_PER_SECOND, run_virtual
 
 pytestmark = pytest.mark.system
 QUICK = {"takeoff_height": 0.5, "landing_speed": 1.0}
@@ -22,7 +22,7 @@ ABOVE = {str(i): [[9.0, 0.5 * i, 0.0, 4.0]] for i in range(4)}
 
 def flown(name, loss=0.0, file=None, config=None, **changes):
     """A mission's own swarm, or this one, with changes, in virtual time; checked first, as `run` does."""
-    mission = load(name)
+    mission = load_mission(name)
     config = (config or mission.swarm(None)).replace(
         **{"network": {"loss": loss}, **changes}
     )
@@ -67,7 +67,9 @@ def test_defenders_follow_intruders_that_fly_and_the_same_ones_replayed_from_a_r
 ):
     config = SwarmConfig.load(repository / "deploy" / "aggregative_moving.toml")
     options, path = {"leg": 7.0, "legs": 1}, tmp_path / "a.mcap"
-    with recording_file(path, config, load("aggregative"), virtual=True) as file:
+    with open_recording_file(
+        path, config, load_mission("aggregative"), virtual=True
+    ) as file:
         config, first = flown(
             "aggregative",
             file=file,
@@ -126,14 +128,16 @@ def test_a_row_moves_on_together_though_one_is_slow_and_messages_are_lost(monkey
 
 
 def test_a_row_waits_for_a_drone_that_its_operator_holds():
-    mission = load("mpc")
+    mission = load_mission("mpc")
     options = {"shift": [1.5, 0.0], "duration": 14.0}
     config = mission.swarm(None).replace(flight=QUICK, mission_options=options)
 
     async def main(clock):
         agent = Agent(clock, config, mission, config.ids)
         for seconds, on in ((4.0, True), (8.0, False)):
-            clock.call_at(round(seconds * SECOND), agent.drones[1].pilot.hold, on)
+            clock.call_at(
+                round(seconds * NS_PER_SECOND), agent.drones[1].pilot.hold, on
+            )
         return await agent.run()
 
     results = run_virtual(main)
@@ -170,7 +174,7 @@ def test_defenders_go_on_after_a_partition_and_land_when_a_mate_is_lost(until):
 
 
 def test_defenders_that_stand_wrong_or_follow_late_are_no_success():
-    mission = load("aggregative")
+    mission = load_mission("aggregative")
     config = mission.swarm(None)
     t = np.arange(0.0, 12.0, 0.1)
     seen = {
@@ -261,7 +265,7 @@ PICTURE = """<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 600 600"><defs
 def test_an_svg_picture_is_flown_as_it_is_seen(tmp_path):
     file = tmp_path / "picture.svg"
     file.write_text(PICTURE)
-    mission = load("drawn_path")
+    mission = load_mission("drawn_path")
     config = mission.swarm(1).replace(mission_options={"drawing": str(file)})
     said = mission.check(config)
     assert said[1:] == [f'{file}: <path id="off"> in line 3: left out: display: none']
@@ -284,7 +288,7 @@ def test_long_sides_between_round_corners_are_flown_straight(tmp_path):
     file.write_text(
         '<svg xmlns="http://www.w3.org/2000/svg"><rect width="1000" height="800" rx="30"/></svg>'
     )
-    mission = load("drawn_path")
+    mission = load_mission("drawn_path")
     config = mission.swarm(1).replace(mission_options={"drawing": str(file)})
     result = fly_fast(config, mission)
     assert result["success"], result["reasons"]
@@ -300,7 +304,7 @@ def test_a_drawing_that_is_too_fine_is_refused_before_the_flight(tmp_path):
     y = 0.1 * np.sin(2.0 * np.pi * x / 0.03)
     rows = [f"0,{0.01 * k:.2f},{x[k]:.5f},{y[k]:.5f}" for k in range(len(x))]
     file.write_text("\n".join(["stroke,t,x,y", *rows]))
-    mission = load("drawn_path")
+    mission = load_mission("drawn_path")
     config = mission.swarm(1).replace(mission_options={"drawing": str(file)})
     words = r"drone 0: drawing: strokes\[0\]: found a flight \d+ mm beside it.*at most 39 mm.*Draw it larger"
     with pytest.raises(ConfigError, match=words):
@@ -308,7 +312,7 @@ def test_a_drawing_that_is_too_fine_is_refused_before_the_flight(tmp_path):
 
 
 def test_a_word_that_is_not_flown_as_it_was_drawn_is_no_success():
-    mission = load("drawn_path")
+    mission = load_mission("drawn_path")
     config = mission.swarm(1)
     path = mission.drawn(config, 0).path
     rows = [[t, *path.sample(t).p.tolist()] for t in np.arange(0.0, path.duration, 0.1)]
@@ -424,7 +428,7 @@ PATH = [[0, 1], [1, 2], [0, 3], [1, 4]]
     ],
 )
 def test_what_cannot_be_flown_is_refused(name, changes, says):
-    mission = load(name)
+    mission = load_mission(name)
     base = (
         SwarmConfig.of({"name": "a", **changes})
         if "drones" in changes
@@ -435,7 +439,7 @@ def test_what_cannot_be_flown_is_refused(name, changes, says):
 
 
 def test_flights_that_meet_are_named_before_the_flight():
-    mission = load("goto")
+    mission = load_mission("goto")
     assert mission.check(mission.swarm(None), False) == []
     notes = mission.check(
         mission.swarm(None).replace(collision={"method": "off"}), False

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import dataclasses
 import datetime
 import json
 import signal
@@ -16,9 +17,9 @@ from system.link_process import linked, wall_clock
 from crazychoir.bus.codec import encode
 from crazychoir.bus.frames import Envelope, Frame, encode_frame
 from crazychoir.bus.network import authority, flood_limit
-from crazychoir.bus.network.authority import CERTIFICATE, KEY, ROOT
-from crazychoir.bus.network.zenoh_link import LOOKS
-from crazychoir.bus.topics import REQUEST, STATUS
+from crazychoir.bus.network.authority import KEY_FILES
+from crazychoir.bus.network.zenoh_link import HELLO_TIMING
+from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS
 from crazychoir.cli.setup import host_facts
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.types import Status
@@ -39,9 +40,9 @@ class Lab:
             stack,
             folder / "keys",
         )
-        authority.init(self.keys)
+        authority.make_authority(self.keys)
         for name in ("a", "b", "console"):
-            authority.add(self.keys, name)
+            authority.add_host(self.keys, name)
         self.config = SwarmConfig.of(
             {
                 "name": "closed",
@@ -76,13 +77,15 @@ class Lab:
         """A session of another program, with the keys of a folder, or with none."""
         config = zenoh.Config()
         tls = {
-            "root_ca_certificate": str((folder or self.keys / "a") / ROOT),
+            "root_ca_certificate": str(
+                (folder or self.keys / "a") / KEY_FILES.authority_certificate
+            ),
             "verify_name_on_connect": False,
         }
         if folder is not None:
             tls |= {
-                "connect_private_key": str(folder / KEY),
-                "connect_certificate": str(folder / CERTIFICATE),
+                "connect_private_key": str(folder / KEY_FILES.private_key),
+                "connect_certificate": str(folder / KEY_FILES.certificate),
             }
             tls["enable_mtls"] = True
         settings = {
@@ -127,13 +130,13 @@ async def speaks(lab, of, link, host="b", process="1-f", seconds=HEARD, asks="**
         Frame(
             process,
             1,
-            STATUS.klass,
-            [Envelope(STATUS.number, 1, (0,), 1, 0, 0.0, "", b"x")],
+            DRONE_TOPICS.status.klass,
+            [Envelope(DRONE_TOPICS.status.number, 1, (0,), 1, 0, 0.0, "", b"x")],
         )
     )
     for _ in range(round(seconds / 0.05)):
         of.put(f"choir/closed/f/{link.bus.process}/{host}/{process}/control", frame)
-        link.bus.ports[0].publish(STATUS, Status("on ground"))
+        link.bus.ports[0].publish(DRONE_TOPICS.status, Status("on ground"))
         await asyncio.sleep(0.05)
     token.undeclare()
     subscriber.undeclare()
@@ -148,25 +151,27 @@ async def speaks(lab, of, link, host="b", process="1-f", seconds=HEARD, asks="**
 
 def foreign(lab):
     other = lab.folder / "other"
-    authority.init(other)
-    return authority.add(other, "a")
+    authority.make_authority(other)
+    return authority.add_host(other, "a")
 
 
 def pretender(lab):
     """A foreign certificate beside the lab's own root."""
     folder = foreign(lab)
-    (folder / ROOT).write_bytes((lab.keys / "a" / ROOT).read_bytes())
+    (folder / KEY_FILES.authority_certificate).write_bytes(
+        (lab.keys / "a" / KEY_FILES.authority_certificate).read_bytes()
+    )
     return folder
 
 
 def expired(lab):
     """One that the authority has signed, good until a minute ago."""
-    now = authority.today
-    authority.today = lambda: now() - datetime.timedelta(days=1, minutes=1)
+    now = authority.date_and_time
+    authority.date_and_time = lambda: now() - datetime.timedelta(days=1, minutes=1)
     try:
-        return authority.add(lab.keys, "late", days=1)
+        return authority.add_host(lab.keys, "late", days=1)
     finally:
-        authority.today = now
+        authority.date_and_time = now
 
 
 @pytest.mark.parametrize("keys", [lambda lab: None, foreign, pretender, expired])
@@ -225,7 +230,7 @@ async def test_a_program_with_the_certificate_of_a_host_that_is_no_process_of_it
             in caplog.text
         )
     )
-    await asyncio.sleep(2.0 * LOOKS)
+    await asyncio.sleep(2.0 * HELLO_TIMING.check_period)
     assert caplog.text.count("a program with the certificate of host") == 1
     assert link.peers == {}
 
@@ -246,8 +251,8 @@ async def test_a_host_speaks_for_its_drones_alone(lab, caplog):
 async def test_only_operators_are_obeyed_and_the_others_are_named_once(lab, caplog):
     link = await lab.link("a", "0-1", [0])
     commanded = []
-    link.bus.ports[0].handlers[REQUEST.number] = lambda *message: commanded.append(
-        message
+    link.bus.ports[0].handlers[MESSAGE_TOPICS.request.number] = lambda *message: (
+        commanded.append(message)
     )
     others = {"b": await lab.link("b", "observer-b.2", [OBSERVER + 1])}
     others["console"] = await lab.link("console", "observer-console.1", [OBSERVER])
@@ -260,7 +265,15 @@ async def test_only_operators_are_obeyed_and_the_others_are_named_once(lab, capl
     for other in others.values():
         (port,) = other.bus.ports.values()
         for number in range(3):
-            port.send(REQUEST, (0,), encode(["land", {}, 5.0]), number, "1", 0, 0)
+            port.send(
+                MESSAGE_TOPICS.request,
+                (0,),
+                encode(["land", {}, 5.0]),
+                number,
+                "1",
+                0,
+                0,
+            )
     await until(lambda: len(commanded) == 3 and link.counters.forbidden == 3)
     assert (
         caplog.text.count(
@@ -275,7 +288,9 @@ async def test_the_doctor_says_whose_certificate_is_not_taken(lab):
     port = int(lab.config.endpoint(0).rpartition(":")[2])
 
     async def found(keys):
-        return await asyncio.to_thread(host_facts.handshake, "127.0.0.1", port, keys)
+        return await asyncio.to_thread(
+            host_facts.try_handshake, "127.0.0.1", port, keys
+        )
 
     assert await found(lab.keys / "b") == ""
     assert await found(lab.keys / "nobody") == "No such file or directory"
@@ -283,9 +298,9 @@ async def test_the_doctor_says_whose_certificate_is_not_taken(lab):
         pretender(lab)
     )
     elsewhere = lab.folder / "elsewhere"
-    authority.init(elsewhere)
+    authority.make_authority(elsewhere)
     assert "its certificate is not good here: " in await found(
-        authority.add(elsewhere, "b")
+        authority.add_host(elsewhere, "b")
     )
 
 
@@ -308,8 +323,8 @@ async def test_who_is_turned_away_is_said_once_by_the_programs_of_the_swarm(lab)
             f"{refused}peer sent no certificates. Nothing of it was read" in router.text
         )
         elsewhere = lab.folder / "elsewhere"
-        authority.init(elsewhere)
-        authority.add(elsewhere, "console")
+        authority.make_authority(elsewhere)
+        authority.add_host(elsewhere, "console")
         other = lab.config.replace(security=SECURED | {"keys": str(elsewhere)})
         (lab.folder / "other.json").write_text(other.dumps())
         status = await Program.start(
@@ -330,8 +345,8 @@ async def test_who_is_turned_away_is_said_once_by_the_programs_of_the_swarm(lab)
 async def test_who_is_revoked_is_out_from_the_next_session_on(lab):
     old = lab.folder / "kept"
     (lab.keys / "b").rename(old)
-    authority.add(lab.keys, "b")
-    authority.revoke(lab.keys, "b")
+    authority.add_host(lab.keys, "b")
+    authority.revoke_host(lab.keys, "b")
     link = await lab.link("a", "0-1", [0])
     assert await speaks(lab, lab.intruder(Path(old)), link) == ([], 0)
 
@@ -340,7 +355,11 @@ async def test_a_flood_is_cut_off_and_named_once_and_others_are_heard(
     lab, caplog, monkeypatch
 ):
     # A loaded machine sends more slowly than the limit of 20 000 frames/s.
-    monkeypatch.setattr(flood_limit, "RATE", 1_000.0)
+    monkeypatch.setattr(
+        flood_limit,
+        "FLOOD_LIMITS",
+        dataclasses.replace(flood_limit.FLOOD_LIMITS, frame_rate=1_000.0),
+    )
     link = await lab.link("a", "0-1", [0])
     friend = await lab.link("console", "observer-console.1", [OBSERVER])
     await until(
@@ -351,8 +370,10 @@ async def test_a_flood_is_cut_off_and_named_once_and_others_are_heard(
     )
     intruder = lab.intruder(lab.keys / "b")
     heard = []
-    link.bus.ports[0].handlers[REQUEST.number] = lambda *message: heard.append(message)
-    frame = encode_frame(Frame("1-f", 1, STATUS.klass, []))
+    link.bus.ports[0].handlers[MESSAGE_TOPICS.request.number] = lambda *message: (
+        heard.append(message)
+    )
+    frame = encode_frame(Frame("1-f", 1, DRONE_TOPICS.status.klass, []))
 
     def flood():
         block = zenoh.CongestionControl.BLOCK
@@ -365,7 +386,7 @@ async def test_a_flood_is_cut_off_and_named_once_and_others_are_heard(
     asked = 0
     while not flooding.done():
         friend.bus.ports[OBSERVER].send(
-            REQUEST, (0,), encode(["land", {}, 5.0]), asked, "1", 0, 0
+            MESSAGE_TOPICS.request, (0,), encode(["land", {}, 5.0]), asked, "1", 0, 0
         )
         asked += 1
         await asyncio.sleep(0.01)
@@ -388,13 +409,22 @@ async def test_a_host_cannot_put_another_s_name_behind_its_own_in_a_key(lab):
         )
     )
     commanded = []
-    link.bus.ports[0].handlers[REQUEST.number] = lambda *message: commanded.append(
-        message
+    link.bus.ports[0].handlers[MESSAGE_TOPICS.request.number] = lambda *message: (
+        commanded.append(message)
     )
     order = Envelope(
-        REQUEST.number, OBSERVER, (0,), 99, 0, 0.0, "1", encode(["land", {}, 5.0])
+        MESSAGE_TOPICS.request.number,
+        OBSERVER,
+        (0,),
+        99,
+        0,
+        0.0,
+        "1",
+        encode(["land", {}, 5.0]),
     )
-    frame = encode_frame(Frame("observer-console.1", 7, REQUEST.klass, [order]))
+    frame = encode_frame(
+        Frame("observer-console.1", 7, MESSAGE_TOPICS.request.klass, [order])
+    )
     intruder = lab.intruder(lab.keys / "b")
     for _ in range(round(HEARD / 0.05)):
         for middle in ("b", "b/1-f", "b/1-f/x", "*", "**/b", "b/**"):

@@ -7,7 +7,7 @@ import pytest
 from system.flights import fly, mission_of
 
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 from crazychoir.launch.flight import fly_fast
 from crazychoir.safety.rules.modes import Mode
 
@@ -37,7 +37,7 @@ def depot(path):
     "seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 12))]
 )
 def test_all_bring_their_goods_to_one_place_one_after_the_other(seed, tmp_path):
-    mission = load("pickup_delivery")
+    mission = load_mission("pickup_delivery")
     config = mission.swarm(None, depot(tmp_path / "depot.json")).replace(
         seed=seed, network={"loss": 0.2}
     )

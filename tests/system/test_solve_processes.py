@@ -61,14 +61,14 @@ def test_options_that_cannot_be_are_refused_before_anything_starts(demo):
 
 
 def test_an_error_of_a_robot_names_it_and_ends_all(demo, monkeypatch):
-    commands = team._commands
+    commands = team._build_commands
 
     def other_method(parts, common):
         first, second = commands(parts, common)
         second[-1] = json.dumps(json.loads(second[-1]) | {"method": "resource"})
         return [first, second]
 
-    monkeypatch.setattr(team, "_commands", other_method)
+    monkeypatch.setattr(team, "_build_commands", other_method)
     with pytest.raises(
         ProcessFailed,
         match=r"robots \d to \d: ConfigError: .*another task list, method",
@@ -78,7 +78,7 @@ def test_an_error_of_a_robot_names_it_and_ends_all(demo, monkeypatch):
 
 def test_a_process_that_ends_is_told_with_its_last_words(demo, monkeypatch):
     end = [sys.executable, "-c", "raise SystemExit('out of memory, say')"]
-    monkeypatch.setattr(team, "_commands", lambda parts, common: [end, end])
+    monkeypatch.setattr(team, "_build_commands", lambda parts, common: [end, end])
     with pytest.raises(
         ProcessFailed,
         match=r"robots \d to \d: .* ended before its answer: out of memory, say",
@@ -87,23 +87,27 @@ def test_a_process_that_ends_is_told_with_its_last_words(demo, monkeypatch):
 
 
 def test_that_processes_compile_is_told_once(demo, monkeypatch, capsys):
-    cache.say_once.cache_clear()
+    cache.announce_compiling.cache_clear()
     words = (
         "import json; print(json.dumps({'compiles': True})); raise SystemExit('done')"
     )
     monkeypatch.setattr(
-        team, "_commands", lambda parts, common: [[sys.executable, "-c", words]] * 2
+        team,
+        "_build_commands",
+        lambda parts, common: [[sys.executable, "-c", words]] * 2,
     )
     with pytest.raises(ProcessFailed, match="done"):
         team.solve_in_processes(Instance.load(demo), 2)
-    assert capsys.readouterr().err == f"{cache.COMPILES}\n"
+    assert capsys.readouterr().err == f"{cache.COMPILING_MESSAGE}\n"
 
 
 def test_that_processes_keep_nothing_is_told_once(demo, monkeypatch, capsys):
     monkeypatch.setenv("CRAZYCHOIR_TOLD", "")
     words = "import json; print(json.dumps({'warning': 'cache: compiled laws: none'})); raise SystemExit('done')"
     monkeypatch.setattr(
-        team, "_commands", lambda parts, common: [[sys.executable, "-c", words]] * 2
+        team,
+        "_build_commands",
+        lambda parts, common: [[sys.executable, "-c", words]] * 2,
     )
     with pytest.raises(ProcessFailed, match="done"):
         team.solve_in_processes(Instance.load(demo), 2)

@@ -6,15 +6,15 @@ import pytest
 from system.online import crash
 
 from crazychoir.agent.agent import Agent
-from crazychoir.config.checks import TOUCHING
-from crazychoir.guidance.mission import load
-from crazychoir.guidance.tasks.task_source import ADDED
+from crazychoir.config.checks import SWARM_LIMITS
+from crazychoir.guidance.mission import load_mission
+from crazychoir.guidance.tasks.task_source import FIRST_ADDED_ID
 from crazychoir.launch.flight import fly_fast
-from crazychoir.launch.flight_observer import Score
+from crazychoir.launch.flight_observer import FlightScore
 from crazychoir.runtime.clock import run_virtual
 
 pytestmark = pytest.mark.system
-MISSION = load("task_assignment")
+MISSION = load_mission("task_assignment")
 SECOND = 10**9
 LONGEST = 200.0
 
@@ -28,7 +28,7 @@ def flown(seed, loss=0.2, prepare=lambda agent: None, **options):
 
     async def main(clock):
         agent = Agent(clock, config, MISSION, config.ids)
-        score = Score(agent.bus, config.ids, {})
+        score = FlightScore(agent.bus, config.ids, {})
         agent.services.append(score)
         prepare(agent)
         async with asyncio.timeout(LONGEST):
@@ -96,11 +96,11 @@ def test_operators_add_and_cancel_tasks_in_flight():
         generations=1,
     )
     assert asking[0].exception() is None
-    assert [answer["id"] for answer in answers] == [ADDED + 2, 2]
+    assert [answer["id"] for answer in answers] == [FIRST_ADDED_ID + 2, 2]
     served(report, results, score)
     done = {task: i for i, result in results.items() for task, _ in result["done"]}
-    assert sorted(done) == [0, 1, 3, 4, 5, ADDED + 2]
-    assert done[ADDED + 2] in (1, 4)
+    assert sorted(done) == [0, 1, 3, 4, 5, FIRST_ADDED_ID + 2]
+    assert done[FIRST_ADDED_ID + 2] in (1, 4)
 
 
 def test_a_team_of_which_nobody_flies_any_more_comes_to_an_end():
@@ -151,7 +151,7 @@ def test_a_part_that_is_cut_off_comes_back_or_goes_home(until):
     cut = {"at": 5.0, "groups": [[1, 4]], **({"until": until} if until else {})}
     config = MISSION.swarm(None).replace(network={"loss": 0.1, "partitions": [cut]})
     result = fly_fast(config, MISSION)
-    assert result["min_separation_m"] > TOUCHING
+    assert result["min_separation_m"] > SWARM_LIMITS.touching_distance
     assert all(
         not ("touched" in why or "twice" in why) for why in result["reasons"].values()
     )

@@ -4,20 +4,20 @@ import pytest
 
 from crazychoir.bench import tracking as bench_tracking
 from crazychoir.bench.tracking import (
-    CORNERS,
-    NOMINAL,
-    alone,
-    original,
-    ours,
-    row,
-    whole,
+    MODEL_CORNERS,
+    NOMINAL_CORNER,
+    fly_controllers,
+    fly_whole_stack,
+    original_controller,
+    standard_controllers,
+    tracking_row,
 )
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 from crazychoir.launch.flight import fly_fast
-from crazychoir.launch.recording import recording_file
-from crazychoir.recording.analysis.figures import TOPICS, flight_of
+from crazychoir.launch.recording import open_recording_file
+from crazychoir.recording.analysis.figures import FLIGHT_TOPICS, recorded_flight
 from crazychoir.recording.mcap.reading import read
 
 pytestmark = pytest.mark.system
@@ -28,31 +28,34 @@ LIMITS_MM = {
 
 
 def rmse_mm(errors):
-    return row("", "", "", NOMINAL, errors).rmse_mm
+    return tracking_row("", "", "", NOMINAL_CORNER, errors).rmse_mm
 
 
 @pytest.mark.parametrize("plant", LIMITS_MM)
 @pytest.mark.parametrize("name", ["circle", "eight-1", "eight-2"])
 def test_the_controllers_alone(plant, name):
-    assert rmse_mm(alone(plant, name, ours(plant))) <= LIMITS_MM[plant][name]
+    assert (
+        rmse_mm(fly_controllers(plant, name, standard_controllers(plant)))
+        <= LIMITS_MM[plant][name]
+    )
 
 
 def test_the_gains_of_the_original_are_lost_behind_rotors_that_lag():
-    assert alone("motors", "eight-1", original("motors")) is None
+    assert fly_controllers("motors", "eight-1", original_controller("motors")) is None
 
 
 def test_the_whole_stack_at_1_m_s():
-    assert rmse_mm(whole("eight-1")) <= 8.0
+    assert rmse_mm(fly_whole_stack("eight-1")) <= 8.0
 
 
 def test_a_part_of_a_flight_is_no_flight(monkeypatch):
-    monkeypatch.setattr(bench_tracking, "counts", lambda t: 8.0 <= t <= 18.0)
-    assert whole("eight-1") is None
+    monkeypatch.setattr(bench_tracking, "is_counted", lambda t: 8.0 <= t <= 18.0)
+    assert fly_whole_stack("eight-1") is None
 
 
-@pytest.mark.parametrize("corner", CORNERS[1::5], ids=lambda corner: corner.name)
+@pytest.mark.parametrize("corner", MODEL_CORNERS[1::5], ids=lambda corner: corner.name)
 def test_the_whole_stack_with_a_drone_that_is_not_what_its_controllers_believe(corner):
-    assert rmse_mm(whole("eight-1", corner)) <= 20.0
+    assert rmse_mm(fly_whole_stack("eight-1", corner)) <= 20.0
 
 
 @pytest.mark.parametrize(
@@ -83,19 +86,21 @@ def test_what_one_of_the_drones_cannot_fly_is_refused_before_the_flight(
         }
     )
     with pytest.raises(ConfigError, match=says):
-        load(mission).check(config, False)
+        load_mission(mission).check(config, False)
 
 
 def test_a_drawn_word_is_flown_within_its_limits(tmp_path):
     config = SwarmConfig.load("deploy/casy.toml")
     path = tmp_path / "casy.mcap"
-    with recording_file(path, config, load("drawn_path"), virtual=True) as file:
-        result = fly_fast(config, load("drawn_path"), file=file)
+    with open_recording_file(
+        path, config, load_mission("drawn_path"), virtual=True
+    ) as file:
+        result = fly_fast(config, load_mission("drawn_path"), file=file)
     assert result["success"], result["reasons"]
     assert result["speed_m_s"] <= config.flight.speed_limit
     assert result["acceleration_m_s2"] <= config.flight.acceleration_limit
     assert result["deviation_mm"] < 15.0
-    flown = flight_of(read(path, TOPICS)).figures()["drones"][0]
+    flown = recorded_flight(read(path, FLIGHT_TOPICS)).figures()["drones"][0]
     assert flown["tracking_rmse_m"] < 0.005
     assert flown["fastest_m_s"] < 1.05 * config.flight.speed_limit
     assert result["drawing_s"] > 20.0

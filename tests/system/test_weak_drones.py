@@ -3,7 +3,7 @@
 import pytest
 
 from crazychoir.config.swarm_config import default_swarm
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 from crazychoir.launch.flight import fly_fast
 
 pytestmark = pytest.mark.system
@@ -35,7 +35,7 @@ def test_it_neither_sinks_nor_rises_as_it_has_learnt_its_thrust_before(
         plant={"thrust_error": thrust_error, "command_delay": 0.02},
         drones=[{"id": 0, "home": [0.0, 0.0, 0.0], "uri": uri, "platform": "cf21"}],
     )
-    result = fly_fast(config, load(str(path)))
+    result = fly_fast(config, load_mission(str(path)))
     assert result["success"], result["reasons"]
     assert result["results"][0]["place"][2] == pytest.approx(1.0, abs=0.12), (
         "0.5 m and more without"

@@ -18,8 +18,8 @@ from system.agents import (
 )
 
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.guidance.mission import load
-from crazychoir.launch.namespaces import switched
+from crazychoir.guidance.mission import load_mission
+from crazychoir.launch.namespaces import make_switched_namespaces
 
 pytestmark = [
     pytest.mark.system,
@@ -27,7 +27,7 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.timeout(300),
 ]
-FORMATION = load("bearing_formation")
+FORMATION = load_mission("bearing_formation")
 FOR_ALL = 120.0  # s
 
 
@@ -67,7 +67,7 @@ class Lab:
 @contextlib.asynccontextmanager
 async def lab(file, folder):
     config = SwarmConfig.load(file)
-    with switched(config.hosts) as hosts:
+    with make_switched_namespaces(config.hosts) as hosts:
         made = Lab(file, folder, hosts)
         try:
             await made.keys()

@@ -5,7 +5,7 @@ import importlib
 import pytest
 
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 from crazychoir.launch.flight import fly_fast
 
 pytestmark = pytest.mark.system
@@ -162,7 +162,7 @@ def test_drones_in_a_world_of_another_package_reach_their_goals_and_land(
             "world": {"options": {"colour": "blue"}},
         }
     )
-    result = fly_fast(config, load(str(tmp_path / "hop.py")))
+    result = fly_fast(config, load_mission(str(tmp_path / "hop.py")))
     assert result["success"], result["reasons"]
     assert all(far > 2.4 for far in result["flown_m"].values()), result["flown_m"]
     (world,) = installed.MADE

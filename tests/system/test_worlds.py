@@ -14,7 +14,7 @@ from ports import is_free
 from system.agents import BRISK, CRAZYCHOIR, OBSERVER, WORLD, Program, until
 from system.commands import call
 
-from crazychoir.config.checks import MOTORS
+from crazychoir.config.checks import WORLD_URIS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.launch.network import isolate_swarm
 
@@ -66,7 +66,11 @@ def standing(
                 {
                     "id": i,
                     "home": [float(i), 0.0, 0.0],
-                    **({"uri": MOTORS, "platform": "cf21"} if i < motors else {}),
+                    **(
+                        {"uri": WORLD_URIS.motor_level, "platform": "cf21"}
+                        if i < motors
+                        else {}
+                    ),
                 }
                 for i in range(drones)
             ],

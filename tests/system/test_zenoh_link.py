@@ -21,11 +21,11 @@ from ports import free_ports
 from system.link_process import consensus_here, endings_here, linked, wall_clock
 
 from crazychoir.bus.codec import encode
-from crazychoir.bus.frames import MAX_DESTINATIONS, Envelope, Frame, encode_frame
+from crazychoir.bus.frames import FRAME_FORMAT, Envelope, Frame, encode_frame
 from crazychoir.bus.network.hello import Hello
 from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.port import Bus
-from crazychoir.bus.topics import ESTOP, HELLO, LOG, RESULT, ROUND, STATE, STATUS
+from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph
@@ -230,12 +230,12 @@ async def test_an_observer_elsewhere_gets_what_it_asked_for_at_its_rate(
     child = await ground.child([OBSERVER])
     await until(ground.knows(link))
     sent = link.bus.ports[0]
-    link.bus.ports[0].publish(STATE, State.at([0.0, 0.0, 0.0]))
-    assert not sent._readers.get(STATE.number), "nobody has asked"
+    link.bus.ports[0].publish(DRONE_TOPICS.state, State.at([0.0, 0.0, 0.0]))
+    assert not sent._readers.get(DRONE_TOPICS.state.number), "nobody has asked"
     await child.ask("subscribe", topic="state", source=0, reader=OBSERVER, rate=20.0)
-    await until(lambda: link.bus.ports[0]._readers.get(STATE.number))
+    await until(lambda: link.bus.ports[0]._readers.get(DRONE_TOPICS.state.number))
     for k in range(200):
-        link.bus.ports[0].publish(STATE, State.at([0.005 * k, 0.0, 0.0]))
+        link.bus.ports[0].publish(DRONE_TOPICS.state, State.at([0.005 * k, 0.0, 0.0]))
         await asyncio.sleep(0.005)
     received = (await child.ask("status"))["received"]["state"]
     assert 8 <= received <= 30
@@ -245,7 +245,7 @@ async def test_an_observer_gets_the_last_value_of_a_latched_topic(
     ground: Ground,
 ) -> None:
     link = await ground.link([0])
-    link.bus.ports[0].publish(STATUS, Status("landed", note="long ago"))
+    link.bus.ports[0].publish(DRONE_TOPICS.status, Status("landed", note="long ago"))
     child = await ground.child([OBSERVER])
     await child.ask("subscribe", topic="status", source=0, reader=OBSERVER)
     assert "long ago" in (await child.ask("get", topic="status"))["value"]
@@ -258,7 +258,7 @@ async def test_a_port_opened_later_serves_earlier_interests(ground: Ground) -> N
     await until(lambda: ground.knows(link)() and link.peers["b-1"].hello.interests)
     port = link.bus.port(5)
     await until(lambda: port._readers)
-    port.publish(LOG, "here I am")
+    port.publish(DRONE_TOPICS.log, "here I am")
     assert "here I am" in (await child.ask("get", topic="log"))["value"]
 
 
@@ -268,13 +268,13 @@ async def test_a_killed_process_is_noticed_at_once_and_its_messages_are_dropped(
     link = await ground.link([0])
     child = await ground.child([1])
     await until(ground.knows(link))
-    link.bus.ports[0].send(ROUND, (1,), b"x")
+    link.bus.ports[0].send(MESSAGE_TOPICS.rounds, (1,), b"x")
     assert link.bus.unroutable == 0
     child.process.kill()
     killed = time.perf_counter()
     await until(lambda: ground.tokens[-1][:2] == ([1], False))
     assert ground.tokens[-1][2] - killed < 0.1
-    link.bus.ports[0].send(ROUND, (1,), b"x")
+    link.bus.ports[0].send(MESSAGE_TOPICS.rounds, (1,), b"x")
     assert link.bus.unroutable == 1
     assert link.peers == {}
 
@@ -338,10 +338,12 @@ async def test_a_busy_port_is_named(ground: Ground) -> None:
 async def test_a_stop_of_more_drones_than_one_message_names_reaches_them_all(
     ground: Ground,
 ) -> None:
-    link, there = await ground.link([0]), range(1, MAX_DESTINATIONS + 100)
+    link, there = await ground.link([0]), range(1, FRAME_FORMAT.max_destinations + 100)
     child = await ground.child(list(there))
     await until(ground.knows(link))
-    link.bus.ports[0].send(ESTOP, tuple(there), encode(False), 1, "f1")
+    link.bus.ports[0].send(
+        MESSAGE_TOPICS.emergency_stop, tuple(there), encode(False), 1, "f1"
+    )
     assert (await child.when("messages"))["messages"] == len(there)
     assert link.counters.unsendable == 0
 
@@ -352,7 +354,9 @@ async def test_hostile_frames_are_counted_and_nothing_breaks(ground: Ground) -> 
     await until(ground.knows(link))
     outsider = ground.outsider()
     prefix = f"choir/{ground.swarm}/f/a-1"
-    message = Envelope(ROUND.number, 1, (0,), 0, 0, 0.0, "main", encode(1.0))
+    message = Envelope(
+        MESSAGE_TOPICS.rounds.number, 1, (0,), 0, 0, 0.0, "main", encode(1.0)
+    )
     forged = encode_frame(Frame("b-1", 7, 2, [message]))
     await until(
         lambda: outsider.declare_publisher(f"{prefix}/x").matching_status.matching
@@ -409,7 +413,12 @@ async def test_a_peer_that_sends_nonsense_is_counted(ground: Ground) -> None:
     others = Hello("b-1", "there", 7, "1", 0.0, [1], [], [], [], False).payload()
     for payload in (b"", os.urandom(40), encode({"process": "z-1"}), others, hello):
         frame = encode_frame(
-            Frame("z-1", 7, 2, [Envelope(HELLO.number, 0, (), 0, 0, 0.0, "", payload)])
+            Frame(
+                "z-1",
+                7,
+                2,
+                [Envelope(MESSAGE_TOPICS.hello.number, 0, (), 0, 0, 0.0, "", payload)],
+            )
         )
         outsider.put(f"choir/{ground.swarm}/f/a-1/there/z-1/rounds", frame)
     await until(lambda: 1 in link.directory)
@@ -471,10 +480,10 @@ async def test_a_token_that_is_lost_while_the_link_holds_is_made_up_for(
         "they answer each other for ever"
     )
     arrived: list[bytes] = []
-    link.bus.ports[0].handlers[ROUND.number] = lambda *message: arrived.append(
-        message[1]
+    link.bus.ports[0].handlers[MESSAGE_TOPICS.rounds.number] = lambda *message: (
+        arrived.append(message[1])
     )
-    other.bus.ports[1].send(ROUND, (0,), b"y")
+    other.bus.ports[1].send(MESSAGE_TOPICS.rounds, (0,), b"y")
     await until(lambda: arrived == [b"y"], 1.0)
 
 
@@ -482,11 +491,11 @@ async def test_what_cannot_be_sent_is_counted(ground: Ground) -> None:
     link = await ground.link([0])
     await ground.child([1])
     await until(ground.knows(link))
-    link.forward(RESULT, 0, [1], bytes(5 << 20), 0, "", 0, 0.0)
-    link.forward(RESULT, 0, [1], b"", 0, "c" * 300, 0, 0.0)
-    link.forward(RESULT, 0, [1], b"", 0, "", 0, float("inf"))
+    link.forward(DRONE_TOPICS.result, 0, [1], bytes(5 << 20), 0, "", 0, 0.0)
+    link.forward(DRONE_TOPICS.result, 0, [1], b"", 0, "c" * 300, 0, 0.0)
+    link.forward(DRONE_TOPICS.result, 0, [1], b"", 0, "", 0, float("inf"))
     assert link.counters.unsendable == 3
-    link.forward(RESULT, 0, [1], b"", 0, "", 0, -1e-9)
+    link.forward(DRONE_TOPICS.result, 0, [1], b"", 0, "", 0, -1e-9)
     assert link.counters.unsendable == 3
     before = link.counters.frames_sent
     await until(lambda: link.counters.frames_sent > before)
@@ -499,11 +508,11 @@ async def test_large_messages_arrive(ground: Ground, size: int) -> None:
     await until(ground.knows(link, "c-1"))
     await until(ground.knows(other, "a-1"))
     arrived: list[int] = []
-    other.bus.ports[1].handlers[ROUND.number] = lambda *message: arrived.append(
-        len(message[1])
+    other.bus.ports[1].handlers[MESSAGE_TOPICS.rounds.number] = lambda *message: (
+        arrived.append(len(message[1]))
     )
     for k in range(5):
-        link.forward(ROUND, 0, [1], bytes(size), k, "", 0, 0.0)
+        link.forward(MESSAGE_TOPICS.rounds, 0, [1], bytes(size), k, "", 0, 0.0)
         await asyncio.sleep(0.1)
     await until(lambda: len(arrived) >= 3, 2.0)
 
@@ -513,8 +522,10 @@ async def test_a_message_ages_while_the_loop_hangs(ground: Ground) -> None:
     other = await ground.link([1], "c-1", listen=[endpoint(ground.ports[1])])
     await until(ground.knows(link, "c-1"))
     ages: list[float] = []
-    link.bus.ports[0].handlers[ROUND.number] = lambda *message: ages.append(message[-1])
-    other.bus.ports[1].send(ROUND, (0,), b"x")
+    link.bus.ports[0].handlers[MESSAGE_TOPICS.rounds.number] = lambda *message: (
+        ages.append(message[-1])
+    )
+    other.bus.ports[1].send(MESSAGE_TOPICS.rounds, (0,), b"x")
     other._flush()
     time.sleep(0.2)  # noqa: ASYNC251 - the loop hangs
     await until(lambda: ages)
@@ -530,7 +541,7 @@ async def test_an_alarm_is_heard_while_the_loop_hangs(ground: Ground) -> None:
         f"choir/{ground.swarm}/drone/0/alarm",
         lambda sample: public.append(sample.payload.to_string()),
     )
-    await until(lambda: link.bus.ports[0]._readers.get(LOG.number))
+    await until(lambda: link.bus.ports[0]._readers.get(DRONE_TOPICS.log.number))
     await asyncio.sleep(0.1)
     got = asyncio.create_task(child.ask("get", topic="log"))
     await asyncio.sleep(0.05)
@@ -563,7 +574,7 @@ async def test_a_stopped_peer_delays_nobody(ground: Ground) -> None:
     for _ in range(3):
         link.counters.worst_put_s = 0.0
         for _ in range(200):
-            link.bus.ports[0].send(ROUND, (1,), bytes(20_000))
+            link.bus.ports[0].send(MESSAGE_TOPICS.rounds, (1,), bytes(20_000))
             await asyncio.sleep(0.001)
         worst.append(link.counters.worst_put_s)
     assert min(worst) < 0.002, "this machine may steal some ms, but not always"
@@ -581,7 +592,7 @@ async def test_closing_ends_a_link_for_good(ground: Ground) -> None:
     await link.on_stop()
     assert time.perf_counter() - began < 3.0
     dropped = link.counters.dropped
-    link.forward(RESULT, 0, [1], b"", 0, "", 0, 0.0)
+    link.forward(DRONE_TOPICS.result, 0, [1], b"", 0, "", 0, 0.0)
     link.alarm(0, "too late")
     assert link.counters.dropped == dropped + 1
     assert (await child.when("heard", empty=True))["heard"] == []

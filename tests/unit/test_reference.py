@@ -28,7 +28,7 @@ def test_a_page_without_its_marks_is_refused():
 
 def test_another_limit_of_the_guard_makes_another_table(monkeypatch):
     before = safety_rules.table()
-    for name in ("SIMULATED", "REACHED", "PLANS_ON_BOARD"):
+    for name in ("SIMULATED", "RADIO_SAFETY_TABLE", "ON_BOARD_SAFETY_TABLE"):
         first, *others = getattr(safety_rules, name)
         changed = (replace(first, limit=0.17), *others)
         monkeypatch.setattr(safety_rules, name, changed)

@@ -11,15 +11,19 @@ from itertools import product
 from typing import Any
 
 from crazychoir.bench.significance import spread
-from crazychoir.config.network import changes
-from crazychoir.routing.distributed.pickup_delivery import METHODS
-from crazychoir.routing.distributed.plain_loop import joined, team, warm
+from crazychoir.config.network import impairment_changes
+from crazychoir.routing.distributed.pickup_delivery import PLANNING_METHODS
+from crazychoir.routing.distributed.plain_loop import (
+    compile_routing_kernels,
+    join_solutions,
+    make_team,
+)
 from crazychoir.routing.instance.generate import random_instance
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.solve.simulate import simulate
-from crazychoir.team.graph import named
+from crazychoir.team.graph import graph_from_name
 
-GRAPHS: dict[str, Callable[[int], str]] = {
+ABLATION_GRAPHS: dict[str, Callable[[int], str]] = {
     "path": lambda n: "path",
     "ring": lambda n: "ring",
     "4-regular": lambda n: "k-regular:4",
@@ -33,35 +37,43 @@ GRAPHS: dict[str, Callable[[int], str]] = {
 
 The random graphs are two and three times as dense as needed to be connected.
 """
-LOSSES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
-"""Shares of messages that are lost."""
-BURSTS = (None, 4.0)
-"""Mean number of messages lost in a row; None: each message is lost independently."""
-SIZES = (6, 10, 20, 30, 50, 100)
-"""Numbers of robots."""
-DELAY = 0.002
-"""Delay of a message, s."""
-LIMIT = 25.0
-"""Largest length of a route, m."""
-LARGE = 30
-"""Number of robots above which there is only one seed and no complete graph.
 
-On a complete graph each round of 50 robots would need 2450 messages.
-"""
-FIGURES = (
-    "cost",
-    "rounds",
-    "communication_s",
-    "bytes_a_robot",
-    "resent_a_robot",
-    "cpu_s_a_robot",
-    "critical_path_s",
-)
-"""Figures of the summary."""
+
+@dataclass(frozen=True, slots=True)
+class AblationSettings:
+    """Settings of the ablation study: its instances, its networks and the figures of its summary."""
+
+    losses: tuple[float, ...] = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+    """Shares of messages that are lost."""
+    burst_lengths: tuple[None, float] = (None, 4.0)
+    """Mean number of messages lost in a row; None: each message is lost independently."""
+    team_sizes: tuple[int, ...] = (6, 10, 20, 30, 50, 100)
+    """Numbers of robots."""
+    message_delay: float = 0.002
+    """Delay of a message, s."""
+    route_length_limit: float = 25.0
+    """Largest length of a route, m."""
+    largest_repeated_team: int = 30
+    """Largest number of robots with several seeds and with a complete graph. On a complete graph
+    each round of 50 robots would need 2450 messages.
+    """
+    summary_figures: tuple[str, ...] = (
+        "cost",
+        "rounds",
+        "communication_s",
+        "bytes_a_robot",
+        "resent_a_robot",
+        "cpu_s_a_robot",
+        "critical_path_s",
+    )
+    """Figures of the summary."""
+
+
+ABLATION_STUDY = AblationSettings()
 
 
 @dataclass(frozen=True)
-class Case:
+class AblationCase:
     """One run of a team."""
 
     study: str
@@ -80,47 +92,57 @@ class Case:
     """Seed of the instance, the graph and the network."""
 
 
-def cases(quick: bool = False, seeds: int = 3) -> list[Case]:
+def list_cases(quick: bool = False, seeds: int = 3) -> list[AblationCase]:
     """Return the cases of three studies.
 
     They are loss by graph and pattern, size by graph, and method by size.
     """
     if quick:
         return [
-            *_loss(6, ("ring", "complete"), (0.0, 0.3), 1),
-            *_size((6, 8), ("ring",), 1),
-            *_method((6,), 1),
+            *_loss_cases(6, ("ring", "complete"), (0.0, 0.3), 1),
+            *_size_cases((6, 8), ("ring",), 1),
+            *_method_cases((6,), 1),
         ]
     return [
-        *_loss(10, GRAPHS, LOSSES, seeds),
-        *_size(SIZES, GRAPHS, seeds),
-        *_method(SIZES[:3], seeds),
+        *_loss_cases(10, ABLATION_GRAPHS, ABLATION_STUDY.losses, seeds),
+        *_size_cases(ABLATION_STUDY.team_sizes, ABLATION_GRAPHS, seeds),
+        *_method_cases(ABLATION_STUDY.team_sizes[:3], seeds),
     ]
 
 
-def _loss(
+def _loss_cases(
     robots: int, graphs: Iterable[str], losses: Iterable[float], seeds: int
-) -> list[Case]:
-    combinations = product(graphs, BURSTS, losses, _seeds(seeds))
+) -> list[AblationCase]:
+    combinations = product(graphs, ABLATION_STUDY.burst_lengths, losses, _seeds(seeds))
     return [
-        Case("loss", robots, graph, METHODS[0], loss, burst if loss else None, seed)
+        AblationCase(
+            "loss",
+            robots,
+            graph,
+            PLANNING_METHODS[0],
+            loss,
+            burst if loss else None,
+            seed,
+        )
         for graph, burst, loss, seed in combinations
         if loss or burst is None
     ]
 
 
-def _size(sizes: Iterable[int], graphs: Iterable[str], seeds: int) -> list[Case]:
+def _size_cases(
+    sizes: Iterable[int], graphs: Iterable[str], seeds: int
+) -> list[AblationCase]:
     return [
-        Case("size", n, graph, METHODS[0], 0.1, None, s)
+        AblationCase("size", n, graph, PLANNING_METHODS[0], 0.1, None, s)
         for n, graph, s in product(sizes, graphs, _seeds(seeds))
-        if n <= LARGE or (s == 1 and graph != "complete")
+        if n <= ABLATION_STUDY.largest_repeated_team or (s == 1 and graph != "complete")
     ]
 
 
-def _method(sizes: Iterable[int], seeds: int) -> list[Case]:
+def _method_cases(sizes: Iterable[int], seeds: int) -> list[AblationCase]:
     return [
-        Case("method", n, "ring", method, 0.1, None, s)
-        for n, method, s in product(sizes, METHODS, _seeds(seeds))
+        AblationCase("method", n, "ring", method, 0.1, None, s)
+        for n, method, s in product(sizes, PLANNING_METHODS, _seeds(seeds))
     ]
 
 
@@ -128,25 +150,34 @@ def _seeds(count: int) -> range:
     return range(1, count + 1)
 
 
-def instance_of(case: Case) -> Instance:
+def instance_of(case: AblationCase) -> Instance:
     """Return the instance of a case, which depends on its size and seed only."""
     return random_instance(
-        case.robots, case.robots, case.seed, route_length_limit=LIMIT
+        case.robots,
+        case.robots,
+        case.seed,
+        route_length_limit=ABLATION_STUDY.route_length_limit,
     )
 
 
-def measured(case: Case) -> dict[str, Any]:
+def run_case(case: AblationCase) -> dict[str, Any]:
     """Run a case and return its row: the case and its figures."""
-    links = named(GRAPHS[case.graph](case.robots), case.robots, case.seed)
+    links = graph_from_name(
+        ABLATION_GRAPHS[case.graph](case.robots), case.robots, case.seed
+    )
     instance = instance_of(case)
     n = case.robots
-    warm(instance.local(0), case.method)
-    agents = team(
+    compile_routing_kernels(instance.local(0), case.method)
+    agents = make_team(
         instance, {i: list(links.neighbors(i)) for i in links.ids}, case.method
     )
-    losses = changes({"loss": case.loss, "burst": case.burst}) if case.loss else {}
+    losses = (
+        impairment_changes({"loss": case.loss, "burst": case.burst})
+        if case.loss
+        else {}
+    )
     network = {
-        "delay": DELAY,
+        "delay": ABLATION_STUDY.message_delay,
         **{name: value for name, value in losses.items() if value is not None},
     }
     history = simulate(
@@ -157,7 +188,7 @@ def measured(case: Case) -> dict[str, Any]:
         record=(),
         channel="pickup_delivery",
     )
-    solution = joined(instance, [agent.solution for agent in agents.values()])
+    solution = join_solutions(instance, [agent.solution for agent in agents.values()])
     return asdict(case) | {
         "diameter": links.diameter(),
         "edges": len(links.edges()),
@@ -177,7 +208,7 @@ def measured(case: Case) -> dict[str, Any]:
 
 
 def run(
-    of: list[Case], say: Callable[[str], None] = lambda text: None
+    of: list[AblationCase], say: Callable[[str], None] = lambda text: None
 ) -> list[dict[str, Any]]:
     """Run all cases and return their rows.
 
@@ -189,7 +220,7 @@ def run(
         say(
             f"{number + 1}/{len(of)}: {case.study}: {case.robots} robots, {case.graph}, {case.loss:.0%} lost"
         )
-        rows.append(measured(case))
+        rows.append(run_case(case))
     plans: dict[tuple[Any, ...], str] = {}
     for row in rows:
         key = (row["robots"], row["graph"], row["method"], row["seed"])
@@ -211,7 +242,7 @@ def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
             "seeds": len(mine),
             "same_plans": all(r["same_plan"] for r in mine),
         }
-        for figure in FIGURES:
+        for figure in ABLATION_STUDY.summary_figures:
             row |= {
                 f"{figure}_{name}": value
                 for name, value in spread([r[figure] for r in mine]).items()

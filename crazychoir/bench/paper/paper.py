@@ -30,7 +30,7 @@ def run(
     say: called with a text that says what is being measured
     """
     require_writable_folder(folder, "--out")
-    rows = bench_ablation.run(bench_ablation.cases(quick), say)
+    rows = bench_ablation.run(bench_ablation.list_cases(quick), say)
     cells = bench_ablation.summary(rows)
     files = [
         write_csv(folder / "ablation_runs.csv", rows),
@@ -38,7 +38,7 @@ def run(
     ]
     files += bench_pictures.draw_ablation(cells, folder)
     if peers:
-        files += _solvers(folder, quick, say)
+        files += _write_solvers(folder, quick, say)
     same = all(row["same_plan"] for row in rows)
     return {
         "folder": str(folder),
@@ -48,7 +48,7 @@ def run(
     }
 
 
-def _solvers(folder: Path, quick: bool, say: Callable[[str], None]) -> list[Path]:
+def _write_solvers(folder: Path, quick: bool, say: Callable[[str], None]) -> list[Path]:
     found = bench_routing.run(prove=True, quick=quick, say=say)
     with output_file(folder / "routing.json", "--out") as place:
         place.write_text(json.dumps(found), encoding="utf-8")
@@ -58,7 +58,9 @@ def _solvers(folder: Path, quick: bool, say: Callable[[str], None]) -> list[Path
     ]
     files = [folder / "routing.json", write_csv(folder / "routing_runs.csv", runs)]
     files.append(
-        write_csv(folder / "routing.csv", [flat(row) for row in found["summary"]])
+        write_csv(
+            folder / "routing.csv", [flatten_row(row) for row in found["summary"]]
+        )
     )
     return files + bench_pictures.draw_routing(found["rows"], folder)
 
@@ -76,7 +78,7 @@ def write_csv(path: Path, rows: Rows) -> Path:
     return path
 
 
-def flat(row: dict[str, Any]) -> dict[str, Any]:
+def flatten_row(row: dict[str, Any]) -> dict[str, Any]:
     """Return the row with nested figures as columns: gap_percent_median, ..."""
     plain: dict[str, Any] = {}
     for name, value in row.items():

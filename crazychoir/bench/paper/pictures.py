@@ -9,19 +9,19 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from crazychoir.bench.paper.ablation import GRAPHS
-from crazychoir.bench.significance import relative
+from crazychoir.bench.paper.ablation import ABLATION_GRAPHS
+from crazychoir.bench.significance import relative_excess
 from crazychoir.files.output_files import save_figure
-from crazychoir.optimization.picture import COLOURS, DASHES
-from crazychoir.recording.analysis.plots import STYLE, WIDTH
-from crazychoir.routing.distributed.pickup_delivery import METHODS
+from crazychoir.optimization.picture import PICTURE_STYLE
+from crazychoir.recording.analysis.plots import COLUMN_WIDTH, PLOT_STYLE
+from crazychoir.routing.distributed.pickup_delivery import PLANNING_METHODS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MARKS = "os^vDPX"
-TICKS = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500)
+MARKER_SHAPES = "os^vDPX"
+PERCENT_TICKS = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500)
 """Ticks in per cent, on a scale that is linear up to 1."""
 Rows = list[dict[str, Any]]
 
@@ -34,8 +34,8 @@ def draw(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, height), dpi=300, layout="constrained")
+    with mpl.rc_context(PLOT_STYLE):
+        figure = Figure(figsize=(COLUMN_WIDTH, height), dpi=300, layout="constrained")
         FigureCanvasAgg(figure)
         picture(figure)
         file = folder / f"{name}.png"
@@ -72,7 +72,7 @@ def _draw_loss(figure: "Figure", rows: Rows) -> None:
         axes[0, column].set_title(title, fontsize=8)
         axes[1, column].set_xlabel("loss [%]")
         for line, (figure_of, scale, label) in enumerate(figures):
-            for graph in _present(GRAPHS, here, "graph"):
+            for graph in _names_in_rows(ABLATION_GRAPHS, here, "graph"):
                 _line(
                     axes[line, column],
                     here,
@@ -97,7 +97,7 @@ def _draw_size(figure: "Figure", rows: Rows) -> None:
         ("cpu_s_a_robot", 1.0, "CPU s a robot"),
     ]
     for panel, (figure_of, scale, label) in zip(axes, figures, strict=True):
-        for graph in _present(GRAPHS, rows, "graph"):
+        for graph in _names_in_rows(ABLATION_GRAPHS, rows, "graph"):
             _line(panel, rows, ("graph", graph), "robots", 1.0, figure_of, scale)
         panel.set(ylabel=label, xscale="log")
         _logarithmic(panel)
@@ -119,7 +119,7 @@ def _draw_method(figure: "Figure", rows: Rows) -> None:
         row | {"over_median": 100.0 * (row["cost_median"] / best[row["robots"]] - 1.0)}
         for row in rows
     ]
-    for method in _present(METHODS, rows, "method"):
+    for method in _names_in_rows(PLANNING_METHODS, rows, "method"):
         _line(
             axes[0],
             extra,
@@ -166,7 +166,7 @@ def _draw_anytime(figure: "Figure", rows: Rows) -> None:
             label=row["name"],
             markersize=2.5,
             markevery=1 + len(times) // 10,
-            **_look(number),
+            **_marked_line_style(number),
         )
     if rows:
         axes.set_title(
@@ -183,13 +183,13 @@ def _draw_solvers(figure: "Figure", rows: Rows) -> None:
     A point is an instance, a bar the median.
     """
     axes = figure.add_subplot()
-    over = _over_best([row for row in rows if row["feasible"]])
+    over = _excess_over_best([row for row in rows if row["feasible"]])
     names = list(dict.fromkeys(name for name, _ in over))
     sizes = sorted({tasks for _, tasks in over})
     width = 0.8 / max(len(names), 1)
     for number, name in enumerate(names):
-        colour = COLOURS[number % len(COLOURS)]
-        mark = MARKS[number % len(MARKS)]
+        colour = PICTURE_STYLE.colours[number % len(PICTURE_STYLE.colours)]
+        mark = MARKER_SHAPES[number % len(MARKER_SHAPES)]
         of = {
             place: over[name, tasks]
             for place, tasks in enumerate(sizes)
@@ -209,7 +209,7 @@ def _draw_solvers(figure: "Figure", rows: Rows) -> None:
                 linewidth=1.2,
             )
     axes.set_yscale("symlog", linthresh=1.0)
-    axes.set_yticks(TICKS, [str(tick) for tick in TICKS])
+    axes.set_yticks(PERCENT_TICKS, [str(tick) for tick in PERCENT_TICKS])
     axes.set_ylim(
         -0.1, 2.0 * max((max(values) for values in over.values()), default=1.0) + 0.1
     )
@@ -218,7 +218,7 @@ def _draw_solvers(figure: "Figure", rows: Rows) -> None:
     _legend(figure, axes, columns=2)
 
 
-def _over_best(rows: Rows) -> dict[tuple[str, int], list[float]]:
+def _excess_over_best(rows: Rows) -> dict[tuple[str, int], list[float]]:
     """Return {(solver, tasks): per cent over the best plan of each instance}."""
     best: dict[tuple[int, int], float] = {}
     for row in rows:
@@ -226,7 +226,7 @@ def _over_best(rows: Rows) -> dict[tuple[str, int], list[float]]:
     found: dict[tuple[str, int], list[float]] = {}
     for row in rows:
         found.setdefault((row["name"], row["tasks"]), []).append(
-            relative(row["cost"], best[_key(row)])
+            relative_excess(row["cost"], best[_key(row)])
         )
     return found
 
@@ -258,15 +258,17 @@ def _line(
     """
     key, value = of
     mine = sorted((row for row in rows if row[key] == value), key=lambda row: row[x])
-    number = [*GRAPHS, *METHODS].index(value) % len(GRAPHS)
+    number = [*ABLATION_GRAPHS, *PLANNING_METHODS].index(value) % len(ABLATION_GRAPHS)
     places = [row[x] * x_scale for row in mine]
     middle = [row[f"{y}_median"] * y_scale for row in mine]
-    axes.plot(places, middle, label=value, markersize=2.5, **_look(number))
+    axes.plot(places, middle, label=value, markersize=2.5, **_marked_line_style(number))
     if quartiles:
         low, high = (
             [row[f"{y}_{end}"] * y_scale for row in mine] for end in ("lower", "upper")
         )
-        axes.vlines(places, low, high, color=COLOURS[number], linewidth=0.8)
+        axes.vlines(
+            places, low, high, color=PICTURE_STYLE.colours[number], linewidth=0.8
+        )
 
 
 def _logarithmic(axes: "Axes", which: str = "y") -> None:
@@ -280,16 +282,16 @@ def _logarithmic(axes: "Axes", which: str = "y") -> None:
     axis.set_major_formatter(FuncFormatter(lambda value, place: f"{value:g}"))
 
 
-def _look(number: int) -> dict[str, Any]:
-    at = number % len(COLOURS)
+def _marked_line_style(number: int) -> dict[str, Any]:
+    at = number % len(PICTURE_STYLE.colours)
     return {
-        "color": COLOURS[at],
-        "linestyle": DASHES[at % len(DASHES)],
-        "marker": MARKS[at],
+        "color": PICTURE_STYLE.colours[at],
+        "linestyle": PICTURE_STYLE.dashes[at % len(PICTURE_STYLE.dashes)],
+        "marker": MARKER_SHAPES[at],
     }
 
 
-def _present(names: Iterable[str], rows: Rows, key: str) -> list[str]:
+def _names_in_rows(names: Iterable[str], rows: Rows, key: str) -> list[str]:
     there = {row[key] for row in rows}
     return [name for name in names if name in there]
 

@@ -8,7 +8,7 @@ import time
 from crazychoir.bench.peers.routing import end_with_parent
 from crazychoir.errors import SolverError
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.routing.instance.plan import Plan
+from crazychoir.routing.instance.plan import RoutePlan
 from crazychoir.routing.pricing.arc_flow import solve_compact
 
 
@@ -19,7 +19,7 @@ def main() -> None:
     instance = Instance.load(spec["instance"])
     began = time.perf_counter()
     cpu = time.process_time()
-    plan = Plan(())
+    plan = RoutePlan(())
     note = f"no proof within {spec['nodes']} nodes"
     with contextlib.suppress(SolverError):
         plan = solve_compact(instance, spec["nodes"])

@@ -8,13 +8,13 @@ import numpy as np
 from crazychoir.bench.peers.peers import report, say, specification, wait_for_go
 from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.port import Bus
-from crazychoir.launch.joining import joined
+from crazychoir.launch.joining import wait_until_joined
 from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph
 
 
-async def agent(communicator: Communicator, rounds: dict[int, int]) -> None:
+async def exchange_forever(communicator: Communicator, rounds: dict[int, int]) -> None:
     """Exchange for ever."""
     x = np.zeros(6)
     i = communicator.id
@@ -38,7 +38,7 @@ async def start(
         )
         link.open()
         group.create_task(link.run())
-        await joined(link, team)
+        await wait_until_joined(link, team)
     say({"ready": True})
     await asyncio.to_thread(wait_for_go)
     report(rounds, spec)
@@ -54,7 +54,7 @@ async def main(clock: Clock) -> None:
     async with asyncio.TaskGroup() as group:
         await start(group, bus, team, spec, rounds)
         for member in members:
-            group.create_task(agent(member, rounds))
+            group.create_task(exchange_forever(member, rounds))
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import statistics
 import sys
 import time
 
-TICK = 0.01
+CRAZYFLOW_STEP = 0.01
 """Length of a step, s."""
 
 
@@ -26,7 +26,7 @@ def main(n: int, calls: int, repeats: int) -> None:
     sim.reset()
 
     def step() -> None:
-        sim.step(max(1, round(TICK * sim.freq)))
+        sim.step(max(1, round(CRAZYFLOW_STEP * sim.freq)))
         sim.data.states.pos.block_until_ready()
 
     step()

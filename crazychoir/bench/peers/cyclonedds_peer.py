@@ -14,7 +14,7 @@ from typing import Any
 
 from crazychoir.bench.peers.peers import report, say, specification, wait_for_go
 
-SETTINGS = """<CycloneDDS><Domain>
+CYCLONEDDS_SETTINGS = """<CycloneDDS><Domain>
 <General><Interfaces><NetworkInterface name='lo' multicast='false'/></Interfaces>
 <AllowMulticast>false</AllowMulticast></General>
 <Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>100</MaxAutoParticipantIndex>
@@ -169,5 +169,5 @@ async def main() -> None:
 
 
 if __name__ == "__main__":
-    os.environ["CYCLONEDDS_URI"] = SETTINGS
+    os.environ["CYCLONEDDS_URI"] = CYCLONEDDS_SETTINGS
     importlib.import_module("uvloop").run(main())

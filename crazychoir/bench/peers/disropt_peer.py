@@ -11,11 +11,15 @@ import time
 
 from crazychoir.bench.peers.routing import end_with_parent
 from crazychoir.optimization.rounds.program import Exchange, Program
-from crazychoir.routing.distributed.member import Member, Place, Settings
-from crazychoir.routing.distributed.plain_loop import diameter
+from crazychoir.routing.distributed.member import (
+    GraphPosition,
+    RoutingMember,
+    RoutingSettings,
+)
+from crazychoir.routing.distributed.plain_loop import compute_diameter
 from crazychoir.routing.distributed.primal_decomposition import PriceRounds
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.routing.pricing.route_table import Column, shortest_route
+from crazychoir.routing.pricing.route_table import RouteColumn, find_shortest_route
 from crazychoir.types import Vec
 
 
@@ -30,7 +34,7 @@ class ShareRule(Program[tuple[int, ...]]):
     restriction.
     """
 
-    def __init__(self, member: Member) -> None:
+    def __init__(self, member: RoutingMember) -> None:
         self._member = member
         super().__init__()
 
@@ -38,13 +42,13 @@ class ShareRule(Program[tuple[int, ...]]):
         """Run the prices, then the robot's own choice."""
         prices = PriceRounds(self._member)
         yield from prices.run()
-        return served(
+        return first_serving_column(
             prices.y,
             [self._member.table.column(c) for c in range(len(self._member.table))],
         )
 
 
-def served(y: Vec, columns: list[Column]) -> tuple[int, ...]:
+def first_serving_column(y: Vec, columns: list[RouteColumn]) -> tuple[int, ...]:
     """Return the tasks of the first column that serves every task with a share above rho.
 
     rho is the least value for which such a column exists.
@@ -67,14 +71,16 @@ def main() -> None:
     spec = json.loads(sys.argv[1])
     instance = Instance.load(spec["instance"])
     graph = {int(i): list(js) for i, js in spec["neighbors"].items()}
-    span = diameter(graph)
-    settings = Settings(price_rounds=spec["rounds"], still=0.0)
+    span = compute_diameter(graph)
+    settings = RoutingSettings(price_rounds=spec["rounds"], still=0.0)
     began = time.perf_counter()
     cpu = time.process_time()
     members = {
-        i: Member(
+        i: RoutingMember(
             instance.local(i),
-            Place(i, len(graph), tuple(js), span, {j: len(graph[j]) for j in js}),
+            GraphPosition(
+                i, len(graph), tuple(js), span, {j: len(graph[j]) for j in js}
+            ),
             settings,
         )
         for i, js in graph.items()
@@ -85,7 +91,7 @@ def main() -> None:
         for i, rule in rules.items():
             rule.step({j: messages[j] for j in graph[i]})
     stops = {
-        i: shortest_route(members[i].local.vehicle, rule.result)[0]
+        i: find_shortest_route(members[i].local.vehicle, rule.result)[0]
         for i, rule in rules.items()
     }
     routes = [{"robot": i, "nodes": nodes} for i, nodes in stops.items()]

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.bench.peers.optimization import STEP, problem, start, weights
+from crazychoir.bench.peers.optimization import DUAL_STEP_SIZE, problem, start, weights
 from crazychoir.bench.peers.peers import report, say, specification
 from crazychoir.types import Vec
 
@@ -83,7 +83,7 @@ def dual_decomposition(
         )
         heard = exchange(x)
         for j in neighbors[i]:
-            multipliers[j] = multipliers[j] + STEP * (x - heard[j])
+            multipliers[j] = multipliers[j] + DUAL_STEP_SIZE * (x - heard[j])
 
     return step
 

@@ -14,15 +14,15 @@ from crazychoir.types import Mat, Vec
 if TYPE_CHECKING:
     from crazychoir.optimization.problems.problems import CostCoupled
 
-SIZE = 3
+VARIABLE_SIZE = 3
 """Number of entries of x."""
-STEP = 0.05
+DUAL_STEP_SIZE = 0.05
 """Step size of dual decomposition."""
 
 
 def start(i: int) -> Vec:
     """Return the initial x of agent i for consensus."""
-    return np.random.default_rng(i).normal(size=SIZE)
+    return np.random.default_rng(i).normal(size=VARIABLE_SIZE)
 
 
 def weights(neighbors: dict[int, tuple[int, ...]], i: int) -> dict[int, float]:
@@ -37,10 +37,11 @@ def problem(i: int) -> "CostCoupled":
     # The problem is modelled as users do. The import takes 1 s, which consensus does not need.
     cp = importlib.import_module("cvxpy")
     draw = np.random.default_rng(i)
-    half: Mat = draw.normal(size=(SIZE, SIZE))
-    x = cp.Variable(SIZE)
+    half: Mat = draw.normal(size=(VARIABLE_SIZE, VARIABLE_SIZE))
+    x = cp.Variable(VARIABLE_SIZE)
     cost = (
-        0.5 * cp.quad_form(x, half @ half.T + np.eye(SIZE)) + draw.normal(size=SIZE) @ x
+        0.5 * cp.quad_form(x, half @ half.T + np.eye(VARIABLE_SIZE))
+        + draw.normal(size=VARIABLE_SIZE) @ x
     )
     return CostCoupled(i, x, cost, [x >= -10.0, x <= 10.0])
 
@@ -53,4 +54,4 @@ def algorithm(name: str, neighbors: dict[int, tuple[int, ...]], i: int) -> Any:
         return Consensus(i, start(i), weights(neighbors, i))
     from crazychoir.optimization.algorithms.dual_decomposition import DualDecomposition
 
-    return DualDecomposition(problem(i), STEP)
+    return DualDecomposition(problem(i), DUAL_STEP_SIZE)

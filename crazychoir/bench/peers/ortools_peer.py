@@ -5,30 +5,42 @@ The better result counts.
 
 import importlib
 import time
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from crazychoir.bench.peers.routing import Best, Problem, Routes, answer
-
-SCALE = 10_000.0
-"""Units of its whole numbers, 1/m."""
-PATIENCE = 3.0
-"""Limit on the wall clock, as a multiple of the CPU time that it gets."""
-FIRST = ("PARALLEL_CHEAPEST_INSERTION", "LOCAL_CHEAPEST_INSERTION")
-"""Strategies for the first plan."""
+from crazychoir.bench.peers.routing import BestPlan, Problem, Routes, answer
 
 
-def solve(spec: dict[str, Any], problem: Problem, best: Best) -> str:
+@dataclass(frozen=True, slots=True)
+class OrtoolsSettings:
+    """Settings of the search with OR-tools."""
+
+    length_scale: float = 10_000.0
+    """Units of its whole numbers, 1/m."""
+    wall_clock_factor: float = 3.0
+    """Limit on the wall clock, as a multiple of the CPU time that it gets."""
+    first_strategies: tuple[str, ...] = (
+        "PARALLEL_CHEAPEST_INSERTION",
+        "LOCAL_CHEAPEST_INSERTION",
+    )
+    """Strategies for the first plan."""
+
+
+ORTOOLS_SETTINGS = OrtoolsSettings()
+
+
+def solve(spec: dict[str, Any], problem: Problem, best: BestPlan) -> str:
     """Search for `seconds` of CPU from each first plan, in one thread; return the costs as text."""
     found = [
         f"{first.lower()}: {_cost(search(problem, first, spec['seconds'], best))}"
-        for first in FIRST
+        for first in ORTOOLS_SETTINGS.first_strategies
     ]
     return "; ".join(found)
 
 
-def search(problem: Problem, first: str, seconds: float, best: Best) -> float:
+def search(problem: Problem, first: str, seconds: float, best: BestPlan) -> float:
     """Run one search; return the cost of its best plan in m, inf if it has none."""
     c = importlib.import_module("ortools.constraint_solver.pywrapcp")
     enums = importlib.import_module("ortools.constraint_solver.routing_enums_pb2")
@@ -43,10 +55,14 @@ def search(problem: Problem, first: str, seconds: float, best: Best) -> float:
     parameters.local_search_metaheuristic = (
         enums.LocalSearchMetaheuristic.GUIDED_LOCAL_SEARCH
     )
-    parameters.time_limit.FromMilliseconds(round(1000 * PATIENCE * seconds))
+    parameters.time_limit.FromMilliseconds(
+        round(1000 * ORTOOLS_SETTINGS.wall_clock_factor * seconds)
+    )
 
     def seen() -> None:
-        best.curve.append([best.elapsed(), model.CostVar().Max() / SCALE])
+        best.curve.append(
+            [best.elapsed(), model.CostVar().Max() / ORTOOLS_SETTINGS.length_scale]
+        )
 
     ends = time.process_time() + seconds
     model.AddAtSolutionCallback(seen)
@@ -64,9 +80,13 @@ def search(problem: Problem, first: str, seconds: float, best: Best) -> float:
 def _add_rules(model: Any, manager: Any, problem: Problem) -> None:
     n = problem.robots
     m = problem.tasks
-    transit = model.RegisterTransitMatrix(problem.whole(SCALE).tolist())
+    transit = model.RegisterTransitMatrix(
+        problem.whole(ORTOOLS_SETTINGS.length_scale).tolist()
+    )
     model.SetArcCostEvaluatorOfAllVehicles(transit)
-    model.AddDimension(transit, 0, problem.longest(SCALE), True, "length")
+    model.AddDimension(
+        transit, 0, problem.longest(ORTOOLS_SETTINGS.length_scale), True, "length"
+    )
     load = [0] * n + problem.load.tolist() + (-problem.load).tolist()
     carried = model.RegisterUnaryTransitVector(load)
     model.AddDimensionWithVehicleCapacity(

@@ -11,17 +11,17 @@ import threading
 import time
 from typing import Any
 
-PATIENCE = 150.0
+PROGRAM_TIME_LIMIT = 150.0
 """Seconds after which a program ends itself."""
 
 
 def specification() -> dict[str, Any]:
     """Return the argument of the program: neighbors, warm, seconds, and what the program needs.
 
-    From this call on `PATIENCE` counts. If the argument has a `core`, this process and all its
+    From this call on `PROGRAM_TIME_LIMIT` counts. If the argument has a `core`, this process and all its
     later threads are bound to it.
     """
-    giving_up = threading.Timer(PATIENCE, os._exit, (1,))
+    giving_up = threading.Timer(PROGRAM_TIME_LIMIT, os._exit, (1,))
     giving_up.daemon = True
     giving_up.start()
     found: dict[str, Any] = json.loads(sys.argv[1])

@@ -14,7 +14,7 @@ from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph
 
 
-class Counted:
+class CountedAlgorithm:
     """An algorithm that counts its rounds and never ends."""
 
     done = False
@@ -40,7 +40,7 @@ async def main(clock: Clock) -> None:
     team = Graph.from_neighbors(neighbors)
     rounds = dict.fromkeys(spec["mine"], 0)
     agents = {
-        i: Counted(algorithm(spec["algorithm"], neighbors, i), i, rounds)
+        i: CountedAlgorithm(algorithm(spec["algorithm"], neighbors, i), i, rounds)
         for i in spec["mine"]
     }
     members = {i: Communicator(bus.port(i), team) for i in spec["mine"]}

@@ -92,7 +92,7 @@ class Problem:
         return sum(map(len, routes.values())) == 2 * self.tasks
 
 
-class Best:
+class BestPlan:
     """The best plan so far.
 
     curve: [[s, m], ...]: time and cost of each better plan
@@ -125,13 +125,13 @@ def end_with_parent() -> None:
     ).start()
 
 
-def answer(solve: Callable[[dict[str, Any], Problem, Best], str]) -> None:
+def answer(solve: Callable[[dict[str, Any], Problem, BestPlan], str]) -> None:
     """Solve the instance of the argument and print the answer; `solve` returns the note."""
     end_with_parent()
     spec = json.loads(sys.argv[1])
     problem = Problem.load_from(spec["instance"])
     cpu = time.process_time()
-    best = Best(problem)
+    best = BestPlan(problem)
     note = solve(spec, problem, best)
     routes = [{"robot": i, "nodes": stops} for i, stops in (best.routes or {}).items()]
     found = {

@@ -15,13 +15,15 @@ import numpy as np
 from crazychoir.bench.peers.peers import say, specification, wait_for_go
 from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.port import Bus
-from crazychoir.launch.joining import joined
+from crazychoir.launch.joining import wait_until_joined
 from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph
 
 
-async def agent(communicator: Communicator, rounds: dict[int, int]) -> None:
+async def exchange_with_team(
+    communicator: Communicator, rounds: dict[int, int]
+) -> None:
     """Exchange for ever."""
     x = np.zeros(6)
     i = communicator.id
@@ -30,7 +32,7 @@ async def agent(communicator: Communicator, rounds: dict[int, int]) -> None:
         rounds[i] += 1
 
 
-def private() -> int:
+def private_memory() -> int:
     """Return the bytes of memory that only this process uses."""
     lines = Path("/proc/self/smaps_rollup").read_text(encoding="utf-8").splitlines()
     return 1024 * sum(
@@ -38,7 +40,7 @@ def private() -> int:
     )
 
 
-def looked_at(
+def read_process_counters(
     bus: Bus, link: ZenohLink | None, rounds: dict[int, int]
 ) -> dict[str, float]:
     """Return the counters up to now."""
@@ -76,14 +78,16 @@ async def main(clock: Clock) -> None:
             link = ZenohLink(bus, spec["swarm"], incarnation=1, version="bench", **ends)
             link.open()
             group.create_task(link.run())
-            await joined(link, team)
+            await wait_until_joined(link, team)
         say({"ready": True})
         await asyncio.to_thread(wait_for_go)
-        running = [group.create_task(agent(member, rounds)) for member in members]
+        running = [
+            group.create_task(exchange_with_team(member, rounds)) for member in members
+        ]
         await clock.sleep(spec["warm"])
-        first = looked_at(bus, link, rounds)
+        first = read_process_counters(bus, link, rounds)
         await clock.sleep(spec["seconds"])
-        last = looked_at(bus, link, rounds)
+        last = read_process_counters(bus, link, rounds)
         seconds = last["t"] - first["t"]
         figures = {
             key: (last[key] - first[key]) / seconds for key in last if key != "t"
@@ -94,7 +98,7 @@ async def main(clock: Clock) -> None:
             {
                 **figures,
                 "far": far,
-                "memory": private(),
+                "memory": private_memory(),
                 "threads": len(os.listdir("/proc/self/task")),
             }
         )

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.bench.peers.routing import Best, Problem, Routes, answer
+from crazychoir.bench.peers.routing import BestPlan, Problem, Routes, answer
 
-SCALES = (100.0, 10_000.0)
+VROOM_SCALE_RANGE = (100.0, 10_000.0)
 """Range of the scale of VROOM's whole numbers, 1/m; its plans depend on it by some per cent."""
 
 
-def solve(spec: dict[str, Any], problem: Problem, best: Best) -> str:
+def solve(spec: dict[str, Any], problem: Problem, best: BestPlan) -> str:
     """Run until `seconds` are over, and at least `restarts` times.
 
     Returns a note with the number of runs, and of runs that left a task unserved.
@@ -23,14 +23,14 @@ def solve(spec: dict[str, Any], problem: Problem, best: Best) -> str:
     draw = np.random.default_rng(spec["seed"])
     runs = unserved = 0
     while runs < spec["restarts"] or best.elapsed() < spec["seconds"]:
-        routes = once(vroom, problem, draw, spec["exploration"], spec["threads"])
+        routes = run_vroom(vroom, problem, draw, spec["exploration"], spec["threads"])
         unserved += not problem.serves_all(routes)
         runs += 1
         best.offer(routes)
     return f"{runs} runs" + (f", {unserved} left tasks unserved" if unserved else "")
 
 
-def once(
+def run_vroom(
     vroom: Any,
     problem: Problem,
     draw: np.random.Generator,
@@ -47,7 +47,7 @@ def once(
     """
     n = problem.robots
     m = problem.tasks
-    low, high = np.log(SCALES)
+    low, high = np.log(VROOM_SCALE_RANGE)
     scale = float(np.exp(draw.uniform(low, high)))
     data = vroom.Input()
     data.set_durations_matrix("car", problem.whole(scale).astype(np.uint32))

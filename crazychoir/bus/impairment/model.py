@@ -11,15 +11,37 @@ from dataclasses import dataclass, field
 from math import inf
 from typing import Any, NamedTuple
 
-from crazychoir.bus.impairment.random_draws import BLOCK, ONE, bad_states, draw, key
-from crazychoir.bus.impairment.rules import Link, Partition, Rule, changed, resolve
+from crazychoir.bus.impairment.random_draws import (
+    RANDOM_DRAWS,
+    bad_states,
+    draw,
+    draw_key,
+)
+from crazychoir.bus.impairment.rules import (
+    EdgeEffects,
+    ImpairmentRule,
+    NetworkPartition,
+    apply_changes,
+    effects_on_edge,
+)
 
-_HALF = 1 << 32  # half of a 64-bit draw: two draws of 32 bits
-_LATENESS = 0x3C6EF372FE94F82B  # salt of the draws of delays
-_COPY = 0xA54FF53A5F1D36F1  # salt of the draws of duplicates
+
+@dataclass(frozen=True, slots=True)
+class _ImpairmentDraws:
+    """Constants of the draws of delays and duplicates."""
+
+    half_range: int = 1 << 32
+    """Half of a 64-bit draw: two draws of 32 bits."""
+    delay_salt: int = 0x3C6EF372FE94F82B
+    """Salt of the draws of delays."""
+    duplicate_salt: int = 0xA54FF53A5F1D36F1
+    """Salt of the draws of duplicates."""
 
 
-class Verdict(NamedTuple):
+_IMPAIRMENT_DRAWS = _ImpairmentDraws()
+
+
+class MessageFate(NamedTuple):
     """The fate of a message."""
 
     deliveries: tuple[float, ...]
@@ -40,9 +62,9 @@ class EdgeCounters:
     """Messages that arrived late."""
 
 
-LOST = Verdict(())
+LOST_MESSAGE = MessageFate(())
 """The message is lost."""
-AT_ONCE = Verdict((0.0,))
+UNDELAYED_MESSAGE = MessageFate((0.0,))
 """The message arrives without a delay."""
 
 
@@ -57,8 +79,8 @@ class Impairment:
     def __init__(
         self,
         seed: int,
-        rules: Iterable[Rule] = (),
-        partitions: Iterable[Partition] = (),
+        rules: Iterable[ImpairmentRule] = (),
+        partitions: Iterable[NetworkPartition] = (),
     ) -> None:
         self.seed = seed
         self.began = inf
@@ -66,13 +88,15 @@ class Impairment:
         self.replace(rules, partitions)
 
     def replace(
-        self, rules: Iterable[Rule], partitions: Iterable[Partition] = ()
+        self,
+        rules: Iterable[ImpairmentRule],
+        partitions: Iterable[NetworkPartition] = (),
     ) -> None:
         """Use these rules and partitions and no others from now on; queues become empty."""
         self.rules = tuple(rules)
         self.partitions = tuple(partitions)
         self.active = bool(self.rules or self.partitions)
-        self._edges: dict[tuple[int, int], _Edge] = {}
+        self._edges: dict[tuple[int, int], _ImpairedEdge] = {}
 
     def update(self, changes: Mapping[str, Any]) -> None:
         """Change a rule, or the partitions.
@@ -87,7 +111,7 @@ class Impairment:
         {"cut": {"a": [2]}} adds one.
         Raises ConfigError, and then changes nothing.
         """
-        self.replace(*changed(self.rules, self.partitions, changes))
+        self.replace(*apply_changes(self.rules, self.partitions, changes))
 
     def begin(self, now: float, age: float = 0.0) -> None:
         """Set the time of GO: the mission is `age` s old.
@@ -109,7 +133,7 @@ class Impairment:
         attempt: int,
         size: int,
         now: float,
-    ) -> Verdict:
+    ) -> MessageFate:
         """Return the fate of a message of `size` bytes.
 
         now: seconds, sender's clock
@@ -124,8 +148,12 @@ class Impairment:
         )
         if wait < 0.0 or draw(lane.key, number, attempt) < threshold:
             counters.lost += 1
-            return LOST
-        return edge.late(lane.key, number, attempt, wait) if edge.slow else AT_ONCE
+            return LOST_MESSAGE
+        return (
+            edge.late(lane.key, number, attempt, wait)
+            if edge.slow
+            else UNDELAYED_MESSAGE
+        )
 
     def describe(self) -> dict[str, Any]:
         """Return the settings in the terms of `update`, for people and for JSON."""
@@ -135,7 +163,7 @@ class Impairment:
             "partitions": [partition.describe() for partition in self.partitions],
         }
 
-    def _edge(self, source: int, destination: int) -> "_Edge":
+    def _edge(self, source: int, destination: int) -> "_ImpairedEdge":
         pair = (source, destination)
         if pair not in self._edges:
             cuts = tuple(
@@ -144,23 +172,23 @@ class Impairment:
                 if cut.cuts(source, destination)
             )
             counters = self.counters.setdefault(pair, EdgeCounters())
-            link = resolve(self.rules, source, destination)
-            self._edges[pair] = _Edge(
+            link = effects_on_edge(self.rules, source, destination)
+            self._edges[pair] = _ImpairedEdge(
                 link,
                 cuts,
                 counters,
-                lambda channel: key(self.seed, source, destination, channel),
+                lambda channel: draw_key(self.seed, source, destination, channel),
             )
         return self._edges[pair]
 
 
 @dataclass(slots=True)
-class _Lane:
+class _ChannelDraws:
     """One channel of an edge: its key, and the latest block of burst states."""
 
     key: int
     """Key of its draws."""
-    link: Link
+    link: EdgeEffects
     """Effects on the edge."""
     block: int = -1
     """Number of the block in `states`; -1 for none."""
@@ -168,7 +196,7 @@ class _Lane:
     """Burst states of the block, a byte each: 1 bad, 0 good."""
 
     def bad(self, index: int) -> bool:
-        block, place = divmod(index, BLOCK)
+        block, place = divmod(index, RANDOM_DRAWS.block_size)
         if block != self.block:
             self.states = bad_states(
                 self.key, block, self.link.p_good_bad, self.link.p_bad_good
@@ -178,10 +206,10 @@ class _Lane:
 
 
 @dataclass(slots=True)
-class _Edge:
+class _ImpairedEdge:
     """A directed edge: its link, with the probabilities as thresholds of draws."""
 
-    link: Link
+    link: EdgeEffects
     """Effects on the edge."""
     cuts: tuple[tuple[float, float], ...]
     """(since, until) of the partitions that cut it, in s since GO."""
@@ -189,7 +217,7 @@ class _Edge:
     """Counts of its messages."""
     key_of: Callable[[int | str], int]
     """Callable that returns the key of a channel."""
-    lanes: dict[int | str, _Lane] = field(default_factory=dict)
+    lanes: dict[int | str, _ChannelDraws] = field(default_factory=dict)
     """Its channels."""
     free_at: float = 0.0
     """s, sender's clock: time at which the bandwidth is free again."""
@@ -208,8 +236,8 @@ class _Edge:
 
     def __post_init__(self) -> None:
         link = self.link
-        self.loss = round(link.loss * ONE)
-        self.loss_bad = round(link.loss_bad * ONE)
+        self.loss = round(link.loss * RANDOM_DRAWS.range_size)
+        self.loss_bad = round(link.loss_bad * RANDOM_DRAWS.range_size)
         self.bursty = link.p_good_bad > 0.0
         self.stateful = bool(self.cuts) or link.bandwidth > 0.0
         self.slow = (
@@ -218,8 +246,8 @@ class _Edge:
         )
         self.affected = self.slow or self.stateful or self.bursty or self.loss > 0
 
-    def lane(self, channel: int | str) -> _Lane:
-        lane = self.lanes[channel] = _Lane(self.key_of(channel), self.link)
+    def lane(self, channel: int | str) -> _ChannelDraws:
+        lane = self.lanes[channel] = _ChannelDraws(self.key_of(channel), self.link)
         return lane
 
     def wait(self, size: int, now: float, age: float) -> float:
@@ -237,20 +265,33 @@ class _Edge:
         self.free_at = now + queued + size / self.link.bandwidth
         return self.free_at - now
 
-    def late(self, lane: int, number: int, attempt: int, wait: float) -> Verdict:
+    def late(self, lane: int, number: int, attempt: int, wait: float) -> MessageFate:
         """Return the delays of a message that arrives, and of its
         copy, by delay, jitter and reordering.
         """
         link = self.link
-        first, second = divmod(draw(lane ^ _LATENESS, number, attempt), _HALF)
-        delay = wait + link.delay + link.jitter * (first / _HALF)
-        if second < link.reorder * _HALF:
+        first, second = divmod(
+            draw(lane ^ _IMPAIRMENT_DRAWS.delay_salt, number, attempt),
+            _IMPAIRMENT_DRAWS.half_range,
+        )
+        delay = wait + link.delay + link.jitter * (first / _IMPAIRMENT_DRAWS.half_range)
+        if second < link.reorder * _IMPAIRMENT_DRAWS.half_range:
             delay += link.reorder_delay
         self.counters.delayed += delay > 0.0
         if link.duplicate <= 0.0:
-            return Verdict((delay,))
-        first, second = divmod(draw(lane ^ _COPY, number, attempt), _HALF)
-        if first >= link.duplicate * _HALF:
-            return Verdict((delay,))
+            return MessageFate((delay,))
+        first, second = divmod(
+            draw(lane ^ _IMPAIRMENT_DRAWS.duplicate_salt, number, attempt),
+            _IMPAIRMENT_DRAWS.half_range,
+        )
+        if first >= link.duplicate * _IMPAIRMENT_DRAWS.half_range:
+            return MessageFate((delay,))
         self.counters.duplicated += 1
-        return Verdict((delay, wait + link.delay + link.jitter * (second / _HALF)))
+        return MessageFate(
+            (
+                delay,
+                wait
+                + link.delay
+                + link.jitter * (second / _IMPAIRMENT_DRAWS.half_range),
+            )
+        )

@@ -4,29 +4,53 @@ them can be computed in any order, in any process.
 Source of the mixing function: Steele, Lea & Flood 2014, OOPSLA (SplitMix64).
 """
 
+from dataclasses import dataclass
 from hashlib import blake2b
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-ONE: Final = 1 << 64
-"""Draws are integers from 0 to ONE - 1."""
-BLOCK: Final = 256
-"""States of a burst chain that are computed together."""
-LOOK_BACK: Final = 8
-"""Earlier blocks that are searched for the draw that decided a state."""
 
-_MASK: Final = ONE - 1
-_NUMBER = 0x9E3779B97F4A7C15  # SplitMix64 increment, times the number
-_ATTEMPT = 0xD1342543DE82EF95  # increment, times the attempt
-_M1 = 0xBF58476D1CE4E5B9  # first multiplier of SplitMix64
-_M2 = 0x94D049BB133111EB  # second multiplier of SplitMix64
-_BURST = 0x6A09E667F3BCC909  # salt of the burst chain
-_START = 0xBB67AE8584CAA73B  # salt of its stationary start
+@dataclass(frozen=True, slots=True)
+class RandomDraws:
+    """The range of a draw, and the blocks in which burst chains are computed."""
+
+    range_size: int = 1 << 64
+    """Number of values of a draw: draws are integers from 0 to range_size - 1."""
+    block_size: int = 256
+    """States of a burst chain that are computed together."""
+    earlier_blocks: int = 8
+    """Earlier blocks that are searched for the draw that decided a state."""
 
 
-def key(*parts: object) -> int:
+RANDOM_DRAWS = RandomDraws()
+
+
+@dataclass(frozen=True, slots=True)
+class _DrawConstants:
+    """Constants of the draws: those of SplitMix64, and the salts of burst chains."""
+
+    word_mask: int = RANDOM_DRAWS.range_size - 1
+    """The lowest 64 bits."""
+    number_increment: int = 0x9E3779B97F4A7C15
+    """SplitMix64 increment, times the number."""
+    attempt_increment: int = 0xD1342543DE82EF95
+    """Increment, times the attempt."""
+    first_multiplier: int = 0xBF58476D1CE4E5B9
+    """First multiplier of SplitMix64."""
+    second_multiplier: int = 0x94D049BB133111EB
+    """Second multiplier of SplitMix64."""
+    burst_salt: int = 0x6A09E667F3BCC909
+    """Salt of the burst chain."""
+    start_salt: int = 0xBB67AE8584CAA73B
+    """Salt of its stationary start."""
+
+
+_DRAW_CONSTANTS = _DrawConstants()
+
+
+def draw_key(*parts: object) -> int:
     """Return the 64-bit key of numbers and strings, equal in every process."""
     return int.from_bytes(
         blake2b(repr(parts).encode(), digest_size=8).digest(), "little"
@@ -35,9 +59,15 @@ def key(*parts: object) -> int:
 
 def draw(key: int, number: int, attempt: int) -> int:
     """Return a uniform integer in 0 .. ONE - 1."""
-    z = (key + number * _NUMBER + attempt * _ATTEMPT) & _MASK
-    z = ((z ^ (z >> 30)) * _M1) & _MASK
-    z = ((z ^ (z >> 27)) * _M2) & _MASK
+    z = (
+        key
+        + number * _DRAW_CONSTANTS.number_increment
+        + attempt * _DRAW_CONSTANTS.attempt_increment
+    ) & _DRAW_CONSTANTS.word_mask
+    z = ((z ^ (z >> 30)) * _DRAW_CONSTANTS.first_multiplier) & _DRAW_CONSTANTS.word_mask
+    z = (
+        (z ^ (z >> 27)) * _DRAW_CONSTANTS.second_multiplier
+    ) & _DRAW_CONSTANTS.word_mask
     return z ^ (z >> 31)
 
 
@@ -52,8 +82,10 @@ def bad_states(key: int, block: int, p_good_bad: float, p_bad_good: float) -> by
     draw that decided, so no process needs to walk from 0. If no draw in the last LOOK_BACK blocks
     decided, the state is drawn from the stationary law, P(bad) = p_gb / (p_gb + p_bg).
     """
-    decided, bad = _decisions(key, block, p_good_bad, p_bad_good)
-    cause = np.maximum.accumulate(np.where(decided, np.arange(BLOCK), -1))
+    decided, bad = _find_decisions(key, block, p_good_bad, p_bad_good)
+    cause = np.maximum.accumulate(
+        np.where(decided, np.arange(RANDOM_DRAWS.block_size), -1)
+    )
     states = np.where(
         cause >= 0,
         bad[cause],
@@ -63,30 +95,39 @@ def bad_states(key: int, block: int, p_good_bad: float, p_bad_good: float) -> by
 
 
 def _state_before(key: int, block: int, p_good_bad: float, p_bad_good: float) -> bool:
-    first = max(block - LOOK_BACK, 0)
+    first = max(block - RANDOM_DRAWS.earlier_blocks, 0)
     for earlier in range(block - 1, first - 1, -1):
-        decided, bad = _decisions(key, earlier, p_good_bad, p_bad_good)
+        decided, bad = _find_decisions(key, earlier, p_good_bad, p_bad_good)
         if decided.any():
             return bool(bad[np.flatnonzero(decided)[-1]])
-    return draw(key ^ _START, first, 0) * (p_good_bad + p_bad_good) < p_good_bad * ONE
+    return (
+        draw(key ^ _DRAW_CONSTANTS.start_salt, first, 0) * (p_good_bad + p_bad_good)
+        < p_good_bad * RANDOM_DRAWS.range_size
+    )
 
 
-def _decisions(
+def _find_decisions(
     key: int, block: int, p_good_bad: float, p_bad_good: float
 ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
     """Return two masks over a block: the indices that decide the
     state, and the indices that decide for bad.
     """
-    u = _uniforms(key ^ _BURST, block * BLOCK)
+    u = _draw_uniforms(
+        key ^ _DRAW_CONSTANTS.burst_salt, block * RANDOM_DRAWS.block_size
+    )
     bad = u < p_good_bad
     return bad | (u >= 1.0 - p_bad_good), bad
 
 
-def _uniforms(key: int, first: int) -> npt.NDArray[np.float64]:
+def _draw_uniforms(key: int, first: int) -> npt.NDArray[np.float64]:
     """Return the BLOCK draws from `first` on, in [0, 1)."""
-    start = np.uint64((key + first * _NUMBER) & _MASK)
-    z = start + np.arange(BLOCK, dtype=np.uint64) * np.uint64(_NUMBER)
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(_M1)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(_M2)
+    start = np.uint64(
+        (key + first * _DRAW_CONSTANTS.number_increment) & _DRAW_CONSTANTS.word_mask
+    )
+    z = start + np.arange(RANDOM_DRAWS.block_size, dtype=np.uint64) * np.uint64(
+        _DRAW_CONSTANTS.number_increment
+    )
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(_DRAW_CONSTANTS.first_multiplier)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(_DRAW_CONSTANTS.second_multiplier)
     z ^= z >> np.uint64(31)
     return (z >> np.uint64(11)).astype(np.float64) * 2.0**-53

@@ -7,28 +7,28 @@ from typing import Any, Final
 
 from crazychoir.errors import ConfigError
 
-_CHANCE = (0.0, 1.0, "a probability from 0 to 1")
-_SECONDS = (0.0, 3600.0, "s, from 0 to 3600")
-LIMITS: Final = {
-    "loss": _CHANCE,
-    "p_good_bad": _CHANCE,
-    "p_bad_good": _CHANCE,
-    "loss_bad": _CHANCE,
-    "delay": _SECONDS,
-    "jitter": _SECONDS,
-    "duplicate": _CHANCE,
-    "reorder": _CHANCE,
-    "reorder_delay": _SECONDS,
+_CHANCE_RANGE = (0.0, 1.0, "a probability from 0 to 1")
+_SECONDS_RANGE = (0.0, 3600.0, "s, from 0 to 3600")
+EFFECT_RANGES: Final = {
+    "loss": _CHANCE_RANGE,
+    "p_good_bad": _CHANCE_RANGE,
+    "p_bad_good": _CHANCE_RANGE,
+    "loss_bad": _CHANCE_RANGE,
+    "delay": _SECONDS_RANGE,
+    "jitter": _SECONDS_RANGE,
+    "duplicate": _CHANCE_RANGE,
+    "reorder": _CHANCE_RANGE,
+    "reorder_delay": _SECONDS_RANGE,
     "bandwidth": (0.0, inf, "bytes/s, 0 for no limit"),
-    "queue": _SECONDS,
+    "queue": _SECONDS_RANGE,
 }
 """Least value, largest value, and description of each effect."""
-SCOPE: Final = ("drone", "edge", "directed")
+SCOPE_KEYS: Final = ("drone", "edge", "directed")
 """Keys that name the edges of a rule."""
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class EdgeEffects:
     """All effects on one directed edge."""
 
     loss: float = 0.0
@@ -56,7 +56,7 @@ class Link:
 
 
 @dataclass(frozen=True)
-class Rule:
+class ImpairmentRule:
     """Effects on all edges, on those of one drone, or on one edge.
 
     If several rules cover an edge, a directed edge wins over an edge, an edge over a drone, and a
@@ -121,7 +121,7 @@ class Rule:
 
 
 @dataclass(frozen=True)
-class Partition:
+class NetworkPartition:
     """A time in which no message passes between two groups of drones.
 
     Raises ConfigError for wrong values.
@@ -170,39 +170,47 @@ class Partition:
         return i in self.a and (j in self.b if self.b else j not in self.a)
 
 
-def resolve(rules: Iterable[Rule], source: int, destination: int) -> Link:
+def effects_on_edge(
+    rules: Iterable[ImpairmentRule], source: int, destination: int
+) -> EdgeEffects:
     """Return the effects of all rules on one edge."""
     effects: dict[str, float] = {}
     for rule in sorted(rules, key=lambda rule: rule.rank):
         if rule.covers(source, destination):
             effects.update(rule.effects)
-    return Link(**effects)
+    return EdgeEffects(**effects)
 
 
-def changed(
-    rules: tuple[Rule, ...],
-    partitions: tuple[Partition, ...],
+def apply_changes(
+    rules: tuple[ImpairmentRule, ...],
+    partitions: tuple[NetworkPartition, ...],
     changes: Mapping[str, Any],
-) -> tuple[tuple[Rule, ...], tuple[Partition, ...]]:
+) -> tuple[tuple[ImpairmentRule, ...], tuple[NetworkPartition, ...]]:
     """Return the rules and partitions after the changes that `Impairment.update` describes.
 
     Raises ConfigError for wrong names or values.
     """
-    _check_names("impairment", changes, (*LIMITS, *SCOPE, "clear", "partitions", "cut"))
+    _check_names(
+        "impairment",
+        changes,
+        (*EFFECT_RANGES, *SCOPE_KEYS, "clear", "partitions", "cut"),
+    )
     if changes.get("clear"):
         rules = ()
         partitions = ()
     if "partitions" in changes:
-        partitions = _partitions(changes["partitions"])
+        partitions = _read_partitions(changes["partitions"])
     if "cut" in changes:
-        partitions = tuple(dict.fromkeys((*partitions, *_partitions([changes["cut"]]))))
+        partitions = tuple(
+            dict.fromkeys((*partitions, *_read_partitions([changes["cut"]])))
+        )
     edge = changes.get("edge")
-    scope = Rule(
+    scope = ImpairmentRule(
         drone=changes.get("drone"),
         edge=tuple(edge) if isinstance(edge, list) else edge,
         directed=changes.get("directed", False),
     )
-    effects = {name: changes[name] for name in LIMITS if name in changes}
+    effects = {name: changes[name] for name in EFFECT_RANGES if name in changes}
     if (
         not effects
         and not any(name in changes for name in ("partitions", "cut"))
@@ -211,15 +219,15 @@ def changed(
         raise ConfigError(
             "impairment",
             dict(changes),
-            "at least one of " + ", ".join(LIMITS),
+            "at least one of " + ", ".join(EFFECT_RANGES),
             "Say what to change.",
         )
-    return _merged(rules, scope, effects) if effects else rules, partitions
+    return _merge_rules(rules, scope, effects) if effects else rules, partitions
 
 
-def _merged(
-    rules: tuple[Rule, ...], scope: Rule, effects: Mapping[str, Any]
-) -> tuple[Rule, ...]:
+def _merge_rules(
+    rules: tuple[ImpairmentRule, ...], scope: ImpairmentRule, effects: Mapping[str, Any]
+) -> tuple[ImpairmentRule, ...]:
     """Return the rules after the effects of one scope have changed; None removes an effect."""
     before = next(
         (dict(rule.effects) for rule in rules if rule.scope == scope.scope), {}
@@ -234,7 +242,7 @@ def _merged(
     return (*others, rule) if after else others
 
 
-def _partitions(entries: Any) -> tuple[Partition, ...]:
+def _read_partitions(entries: Any) -> tuple[NetworkPartition, ...]:
     if not isinstance(entries, list | tuple) or not all(
         isinstance(entry, Mapping) for entry in entries
     ):
@@ -243,17 +251,17 @@ def _partitions(entries: Any) -> tuple[Partition, ...]:
             entries,
             "a list of tables with since, until, a, b",
         )
-    return tuple(map(_partition, entries))
+    return tuple(map(_read_partition, entries))
 
 
-def _partition(entry: Mapping[str, Any]) -> Partition:
-    _check_names("partition", entry, [item.name for item in fields(Partition)])
+def _read_partition(entry: Mapping[str, Any]) -> NetworkPartition:
+    _check_names("partition", entry, [item.name for item in fields(NetworkPartition)])
     a = entry.get("a", ())
     b = entry.get("b", ())
     until = entry.get("until")
     if not isinstance(a, list | tuple) or not isinstance(b, list | tuple):
         raise ConfigError("partition", f"a = {a!r}, b = {b!r}", "lists of drone ids")
-    return Partition(
+    return NetworkPartition(
         entry.get("since", 0.0), inf if until is None else until, tuple(a), tuple(b)
     )
 
@@ -264,7 +272,7 @@ def _check_names(where: str, found: Mapping[str, Any], allowed: Iterable[str]) -
             raise ConfigError(where, name, ", ".join(allowed), "Mend the name.")
 
 
-def _check_scope(rule: Rule) -> None:
+def _check_scope(rule: ImpairmentRule) -> None:
     """Raise ConfigError if the drone or the edge of a rule is invalid."""
     if rule.drone is not None and (not _is_id(rule.drone) or rule.edge is not None):
         found = f"drone = {rule.drone!r}, edge = {rule.edge!r}"
@@ -288,9 +296,11 @@ def _check_scope(rule: Rule) -> None:
 
 
 def _check_effect(name: str, value: Any) -> None:
-    if name not in LIMITS:
-        raise ConfigError("impairment", name, ", ".join(LIMITS), "Mend the name.")
-    low, high, words = LIMITS[name]
+    if name not in EFFECT_RANGES:
+        raise ConfigError(
+            "impairment", name, ", ".join(EFFECT_RANGES), "Mend the name."
+        )
+    low, high, words = EFFECT_RANGES[name]
     if not _is_number(value) or not low <= value < inf or value > high:
         raise ConfigError(f"impairment: {name}", value, words)
 

@@ -11,23 +11,40 @@ from pathlib import Path
 from typing import Any
 
 from crazychoir.bus.frames import Envelope
-from crazychoir.bus.port import BODIES, OBSERVER
-from crazychoir.bus.topics import ESTOP, REQUEST
+from crazychoir.bus.port import PORT_ADDRESSES
+from crazychoir.bus.topics import MESSAGE_TOPICS
 
-COMMANDS = (REQUEST.number, ESTOP.number)
-"""Topics that only operators may send."""
-OBSERVERS = "observer"
-"""First part of the names of observing processes; their host follows."""
-LOOKING = 32
-"""Most observing processes of a host at once."""
-_TALK = ["put", "delete", "declare_subscriber"]
+
+@dataclass(frozen=True, slots=True)
+class AccessRules:
+    """What observers and operators may do on the network."""
+
+    operator_topics: tuple[int, ...] = (
+        MESSAGE_TOPICS.request.number,
+        MESSAGE_TOPICS.emergency_stop.number,
+    )
+    """Topics that only operators may send."""
+    observer_prefix: str = "observer"
+    """First part of the names of observing processes; their host follows."""
+    max_observers: int = 32
+    """Most observing processes of a host at once."""
+
+
+ACCESS_RULES = AccessRules()
+
+
+_DATA_MESSAGES = ["put", "delete", "declare_subscriber"]
 """Zenoh's messages with data."""
-_TOKENS = ["liveliness_token", "liveliness_query", "declare_liveliness_subscriber"]
+_TOKEN_MESSAGES = [
+    "liveliness_token",
+    "liveliness_query",
+    "declare_liveliness_subscriber",
+]
 """Zenoh's messages about tokens."""
 
 
 @dataclass(frozen=True)
-class Access:
+class NetworkAccess:
     """The rules of the swarm file."""
 
     swarm: str
@@ -53,7 +70,7 @@ class Access:
 
         Any host may have observers.
         """
-        if OBSERVER <= address < BODIES:
+        if PORT_ADDRESSES.first_observer <= address < PORT_ADDRESSES.body_offset:
             return True
         return self.holders.get(address) == host
 
@@ -68,7 +85,7 @@ class Access:
 
         Each process counts twice: it may be restarted before its end is noticed.
         """
-        return 2 * len(self.processes.get(host, ())) + LOOKING
+        return 2 * len(self.processes.get(host, ())) + ACCESS_RULES.max_observers
 
     def _begins(self, host: str) -> tuple[str, ...]:
         """Return the first parts of the names of a host's processes.
@@ -77,7 +94,7 @@ class Access:
         """
         return (
             *(f"{start}-" for start in self.processes.get(host, ())),
-            f"{OBSERVERS}-{host}.",
+            f"{ACCESS_RULES.observer_prefix}-{host}.",
         )
 
     def may_say(self, host: str, message: Envelope) -> bool:
@@ -85,10 +102,14 @@ class Access:
 
         A drone may send requests to its own body on any host.
         """
-        own_body = message.topic == REQUEST.number and message.to == (
-            BODIES + message.source,
+        own_body = message.topic == MESSAGE_TOPICS.request.number and message.to == (
+            PORT_ADDRESSES.body_offset + message.source,
         )
-        return message.topic not in COMMANDS or host in self.operators or own_body
+        return (
+            message.topic not in ACCESS_RULES.operator_topics
+            or host in self.operators
+            or own_body
+        )
 
     def settings(self) -> dict[str, Any]:
         """Return Zenoh's settings, by path."""
@@ -119,40 +140,49 @@ class Access:
         own name, and only subscribe to its own messages.
         """
         top = f"choir/{self.swarm}"
-        rules = [_rule("out", "egress", _TALK + _TOKENS, [f"{top}/**"])]
+        rules = [
+            _access_rule(
+                "out", "egress", _DATA_MESSAGES + _TOKEN_MESSAGES, [f"{top}/**"]
+            )
+        ]
         policies: list[dict[str, Any]] = []
         for host in self.processes:
             here = [f"{top}/f/{begin}$*/**" for begin in self._begins(host)]
             drones = [
                 f"{top}/drone/{i}/**"
                 for i, of in self.holders.items()
-                if of == host and i < OBSERVER
+                if of == host and i < PORT_ADDRESSES.first_observer
             ]
             own = [
-                _rule(
+                _access_rule(
                     f"{host} says",
                     "ingress",
                     ["put", "delete"],
                     [f"{top}/f/*/{host}/*/*", *drones],
                 ),
-                _rule(
+                _access_rule(
                     f"{host} hears",
                     "ingress",
                     ["declare_subscriber"],
                     [*here, f"{top}/drone/**"],
                 ),
-                _rule(
+                _access_rule(
                     f"{host} is there",
                     "ingress",
                     ["liveliness_token"],
                     [f"{top}/live/{host}/**"],
                 ),
-                _rule(f"{host} looks", "ingress", _TOKENS[1:], [f"{top}/live/**"]),
+                _access_rule(
+                    f"{host} looks", "ingress", _TOKEN_MESSAGES[1:], [f"{top}/live/**"]
+                ),
             ]
             if host == self.router:
                 own = [
-                    _rule(
-                        f"{host} passes on", "ingress", _TALK + _TOKENS, [f"{top}/**"]
+                    _access_rule(
+                        f"{host} passes on",
+                        "ingress",
+                        _DATA_MESSAGES + _TOKEN_MESSAGES,
+                        [f"{top}/**"],
                     )
                 ]
             rules += own
@@ -170,7 +200,9 @@ class Access:
         }
 
 
-def _rule(name: str, flow: str, messages: list[str], keys: list[str]) -> dict[str, Any]:
+def _access_rule(
+    name: str, flow: str, messages: list[str], keys: list[str]
+) -> dict[str, Any]:
     return {
         "id": name,
         "permission": "allow",

@@ -26,27 +26,37 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from crazychoir.bus.network import CERTIFICATE_DAYS
 from crazychoir.errors import ConfigError
-from crazychoir.runtime.clock import today
+from crazychoir.runtime.clock import date_and_time
 
-AUTHORITY = "authority"
-"""Name of the authority's folder."""
-CERTIFICATE = "certificate.pem"
-"""File with the certificate."""
-KEY = "key.pem"
-"""File with the private key."""
-ROOT = "authority.pem"
-"""File with the authority's certificate, in the folder of a host."""
-SLACK = datetime.timedelta(minutes=5)
+
+@dataclass(frozen=True, slots=True)
+class KeyFiles:
+    """Names of the folder of the authority, and of the files in the folder of a host."""
+
+    authority_folder: str = "authority"
+    """Name of the authority's folder."""
+    certificate: str = "certificate.pem"
+    """File with the certificate."""
+    private_key: str = "key.pem"
+    """File with the private key."""
+    authority_certificate: str = "authority.pem"
+    """File with the authority's certificate, in the folder of a host."""
+
+
+KEY_FILES = KeyFiles()
+
+
+CLOCK_TOLERANCE = datetime.timedelta(minutes=5)
 """Difference between the clocks of two hosts that a new certificate tolerates."""
-NAME = re.compile(r"[a-z0-9_-]{1,40}")
+HOST_NAME = re.compile(r"[a-z0-9_-]{1,40}")
 """Name of a host."""
-_AGAIN = "Copy the folder of this host again from the machine of the authority, or make it anew there."
+_COPY_AGAIN_ADVICE = "Copy the folder of this host again from the machine of the authority, or make it anew there."
 
-_ANEW = "crazychoir keys init, then crazychoir keys add HOST for each"
+_RENEW_COMMANDS = "crazychoir keys init, then crazychoir keys add HOST for each"
 
 
 @dataclass(frozen=True)
-class Holder:
+class CertifiedHost:
     """A host with a certificate."""
 
     name: str
@@ -55,43 +65,45 @@ class Holder:
     """End of its certificate's validity."""
 
 
-def init(folder: Path, days: int = CERTIFICATE_DAYS) -> Path:
+def make_authority(folder: Path, days: int = CERTIFICATE_DAYS) -> Path:
     """Make an authority and return the path of its certificate.
 
     Raises ConfigError if there is one.
     """
-    own = folder / AUTHORITY
+    own = folder / KEY_FILES.authority_folder
     if own.exists():
         do = f"Add hosts to it (crazychoir keys add HOST), or remove {folder} and begin anew."
         raise ConfigError(
             str(own), "an authority", "none yet", do, "it is not replaced"
         )
-    return _issue(own, f"crazychoir {os.urandom(4).hex()}", None, days)
+    return _issue_certificate(own, f"crazychoir {os.urandom(4).hex()}", None, days)
 
 
-def add(folder: Path, host: str, days: int = CERTIFICATE_DAYS) -> Path:
+def add_host(folder: Path, host: str, days: int = CERTIFICATE_DAYS) -> Path:
     """Make a certificate for a host and return the folder to copy there.
 
     Raises ConfigError for a wrong name, or if the host has a certificate.
     """
-    if not NAME.fullmatch(host) or host == AUTHORITY:
+    if not HOST_NAME.fullmatch(host) or host == KEY_FILES.authority_folder:
         raise ConfigError(
-            "host", host, f"1 to 40 of a-z, 0-9, _ and -, but not {AUTHORITY}"
+            "host",
+            host,
+            f"1 to 40 of a-z, 0-9, _ and -, but not {KEY_FILES.authority_folder}",
         )
     if (folder / host).exists():
         do = f"Use that, or take it out first: crazychoir keys revoke {host}"
         raise ConfigError(str(folder / host), "a certificate", "none yet", do)
-    _give(folder, host, days)
+    _make_host_certificate(folder, host, days)
     return folder / host
 
 
-def revoke(folder: Path, host: str, days: int = CERTIFICATE_DAYS) -> list[str]:
+def revoke_host(folder: Path, host: str, days: int = CERTIFICATE_DAYS) -> list[str]:
     """Remove a host: the others get a new authority and new certificates. Return their names.
 
     The folder is replaced as a whole: after an error it is as before.
     Raises ConfigError if the host has no certificate.
     """
-    names = [holder.name for holder in holders(folder)]
+    names = [holder.name for holder in certified_hosts(folder)]
     if host not in names:
         raise ConfigError(
             "host",
@@ -104,43 +116,46 @@ def revoke(folder: Path, host: str, days: int = CERTIFICATE_DAYS) -> list[str]:
     old = folder.with_name(f".{folder.name}.old")
     for left in (new, old):
         shutil.rmtree(left, ignore_errors=True)
-    init(new, days)
+    make_authority(new, days)
     for name in names:
-        _give(new, name, days)
+        _make_host_certificate(new, name, days)
     folder.rename(old)
     new.rename(folder)
     shutil.rmtree(old)
     return names
 
 
-def holders(folder: Path) -> list[Holder]:
+def certified_hosts(folder: Path) -> list[CertifiedHost]:
     """Return the hosts with a certificate, by name.
 
     Raises ConfigError if there is no authority.
     """
-    _authority(folder)
+    _load_authority(folder)
     found = sorted(
         path.parent
-        for path in folder.glob(f"*/{CERTIFICATE}")
-        if path.parent.name != AUTHORITY
+        for path in folder.glob(f"*/{KEY_FILES.certificate}")
+        if path.parent.name != KEY_FILES.authority_folder
     )
     return [
-        Holder(path.name, _read(path / CERTIFICATE).not_valid_after_utc)
+        CertifiedHost(
+            path.name,
+            _read_certificate(path / KEY_FILES.certificate).not_valid_after_utc,
+        )
         for path in found
     ]
 
 
-def checked(folder: Path, host: str, now: datetime.datetime | None = None) -> Path:
+def check_keys(folder: Path, host: str, now: datetime.datetime | None = None) -> Path:
     """Return the folder of a host if its keys are complete, consistent, valid and private.
 
     Other hosts check the certificate themselves and report their own reasons.
     Raises ConfigError otherwise.
     """
     own = folder / host
-    now = now or today()
-    certificate = _read(own / CERTIFICATE)
-    root = _read(own / ROOT)
-    key = own / KEY
+    now = now or date_and_time()
+    certificate = _read_certificate(own / KEY_FILES.certificate)
+    root = _read_certificate(own / KEY_FILES.authority_certificate)
+    key = own / KEY_FILES.private_key
     try:
         mode = key.stat().st_mode
         secret = key.read_bytes()
@@ -150,7 +165,10 @@ def checked(folder: Path, host: str, now: datetime.datetime | None = None) -> Pa
         )
     except (OSError, ValueError, TypeError) as error:
         raise ConfigError(
-            str(key), str(error), "the private key of its certificate", _AGAIN
+            str(key),
+            str(error),
+            "the private key of its certificate",
+            _COPY_AGAIN_ADVICE,
         ) from error
     if stat.S_IMODE(mode) & 0o077:
         raise ConfigError(
@@ -164,25 +182,28 @@ def checked(folder: Path, host: str, now: datetime.datetime | None = None) -> Pa
             str(key),
             "a key of another certificate",
             "the private key of its certificate",
-            _AGAIN,
+            _COPY_AGAIN_ADVICE,
         )
-    if _named(certificate) != host:
+    if _distinguished_name(certificate) != host:
         raise ConfigError(
-            str(own / CERTIFICATE),
-            f"that of {_named(certificate)}",
+            str(own / KEY_FILES.certificate),
+            f"that of {_distinguished_name(certificate)}",
             f"that of {host}",
-            _AGAIN,
+            _COPY_AGAIN_ADVICE,
         )
     try:
         certificate.verify_directly_issued_by(root)
     except (ValueError, TypeError, InvalidSignature) as error:
         raise ConfigError(
-            str(own / CERTIFICATE),
+            str(own / KEY_FILES.certificate),
             "signed by another authority",
-            f"that of {ROOT}",
-            _AGAIN,
+            f"that of {KEY_FILES.authority_certificate}",
+            _COPY_AGAIN_ADVICE,
         ) from error
-    for path, one in ((own / CERTIFICATE, certificate), (own / ROOT, root)):
+    for path, one in (
+        (own / KEY_FILES.certificate, certificate),
+        (own / KEY_FILES.authority_certificate, root),
+    ):
         if not one.not_valid_before_utc <= now <= one.not_valid_after_utc:
             first, last = (
                 f"{day:%Y-%m-%d %H:%M}"
@@ -190,26 +211,33 @@ def checked(folder: Path, host: str, now: datetime.datetime | None = None) -> Pa
             )
             found = f"good from {first} to {last} UTC; now is {now:%Y-%m-%d %H:%M}"
             its = f"remove {folder.name}/{host}, then crazychoir keys add {host}"
-            anew = f"remove {folder.name}, then {_ANEW}" if one is root else its
+            anew = (
+                f"remove {folder.name}, then {_RENEW_COMMANDS}" if one is root else its
+            )
             do = f"Set the clock of this host; or, where the authority is, {anew}."
             raise ConfigError(str(path), found, "one that is good now", do)
     return own
 
 
-def good_until(own: Path) -> datetime.datetime:
+def earliest_expiry(own: Path) -> datetime.datetime:
     """Return the earliest end of validity of the certificates in a host's folder.
 
     Raises ConfigError if they cannot be read.
     """
-    return min(_read(own / name).not_valid_after_utc for name in (CERTIFICATE, ROOT))
+    return min(
+        _read_certificate(own / name).not_valid_after_utc
+        for name in (KEY_FILES.certificate, KEY_FILES.authority_certificate)
+    )
 
 
-def _authority(folder: Path) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
+def _load_authority(
+    folder: Path,
+) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
     """Return the certificate and the private key of the authority.
 
     Raises ConfigError if they cannot be read.
     """
-    own = folder / AUTHORITY
+    own = folder / KEY_FILES.authority_folder
     if not own.exists():
         do = "Make one, once for a lab: crazychoir keys init"
         raise ConfigError(
@@ -220,42 +248,50 @@ def _authority(folder: Path) -> tuple[x509.Certificate, ec.EllipticCurvePrivateK
             "there is no authority here",
         )
     try:
-        key = serialization.load_pem_private_key((own / KEY).read_bytes(), None)
+        key = serialization.load_pem_private_key(
+            (own / KEY_FILES.private_key).read_bytes(), None
+        )
     except (OSError, ValueError, TypeError) as error:
         raise ConfigError(
-            str(own / KEY), str(error), "a private key in PEM", _AGAIN
+            str(own / KEY_FILES.private_key),
+            str(error),
+            "a private key in PEM",
+            _COPY_AGAIN_ADVICE,
         ) from error
     if not isinstance(key, ec.EllipticCurvePrivateKey):
         raise ConfigError(
-            str(own / KEY), "a key of another kind", "one on the curve P-256", _AGAIN
+            str(own / KEY_FILES.private_key),
+            "a key of another kind",
+            "one on the curve P-256",
+            _COPY_AGAIN_ADVICE,
         )
-    return _read(own / CERTIFICATE), key
+    return _read_certificate(own / KEY_FILES.certificate), key
 
 
-def _give(folder: Path, host: str, days: int) -> None:
+def _make_host_certificate(folder: Path, host: str, days: int) -> None:
     """Make a certificate for a host, and copy the authority's certificate into its folder.
 
     Raises ConfigError if the authority's certificate has expired.
     """
-    issuer = _authority(folder)
+    issuer = _load_authority(folder)
     until = issuer[0].not_valid_after_utc
-    if until <= today():
+    if until <= date_and_time():
         found = f"good until {until:%Y-%m-%d %H:%M} UTC"
-        do = f"Remove {folder}, then make all anew: {_ANEW}"
+        do = f"Remove {folder}, then make all anew: {_RENEW_COMMANDS}"
         raise ConfigError(
-            str(folder / AUTHORITY / CERTIFICATE),
+            str(folder / KEY_FILES.authority_folder / KEY_FILES.certificate),
             found,
             "one that is good now",
             do,
             "it has expired",
         )
-    _issue(folder / host, host, issuer, days)
-    (folder / host / ROOT).write_bytes(
+    _issue_certificate(folder / host, host, issuer, days)
+    (folder / host / KEY_FILES.authority_certificate).write_bytes(
         issuer[0].public_bytes(serialization.Encoding.PEM)
     )
 
 
-def _issue(
+def _issue_certificate(
     folder: Path,
     name: str,
     issuer: tuple[x509.Certificate, ec.EllipticCurvePrivateKey] | None,
@@ -266,7 +302,7 @@ def _issue(
     issuer: certificate and key of the authority; None to make an authority, which signs itself
     """
     key = ec.generate_private_key(ec.SECP256R1())
-    now = today()
+    now = date_and_time()
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
     signer, secret = (
         (subject, key) if issuer is None else (issuer[0].subject, issuer[1])
@@ -276,7 +312,7 @@ def _issue(
         x509.CertificateBuilder(
             signer, subject, key.public_key(), x509.random_serial_number()
         )
-        .not_valid_before(now - SLACK)
+        .not_valid_before(now - CLOCK_TOLERANCE)
         .not_valid_after(
             last if issuer is None else min(last, issuer[0].not_valid_after_utc)
         )
@@ -288,26 +324,31 @@ def _issue(
             critical=False,
         )
     )
-    for extension, critical in _OF_AUTHORITY if issuer is None else _of_host(name):
+    for extension, critical in (
+        _AUTHORITY_EXTENSIONS if issuer is None else _host_extensions(name)
+    ):
         built = built.add_extension(extension, critical)
     folder.mkdir(parents=True, mode=0o700)
     certificate = built.sign(secret, hashes.SHA256()).public_bytes(
         serialization.Encoding.PEM
     )
-    (folder / CERTIFICATE).write_bytes(certificate)
+    (folder / KEY_FILES.certificate).write_bytes(certificate)
     text = key.private_bytes(
         serialization.Encoding.PEM,
         serialization.PrivateFormat.PKCS8,
         serialization.NoEncryption(),
     )
     with open(
-        os.open(folder / KEY, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb"
+        os.open(
+            folder / KEY_FILES.private_key, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600
+        ),
+        "wb",
     ) as file:
         file.write(text)
-    return folder / CERTIFICATE
+    return folder / KEY_FILES.certificate
 
 
-_OF_AUTHORITY: list[tuple[x509.ExtensionType, bool]] = [
+_AUTHORITY_EXTENSIONS: list[tuple[x509.ExtensionType, bool]] = [
     (x509.BasicConstraints(ca=True, path_length=0), True),
     (
         x509.KeyUsage(
@@ -326,7 +367,7 @@ _OF_AUTHORITY: list[tuple[x509.ExtensionType, bool]] = [
 ]
 
 
-def _of_host(name: str) -> list[tuple[x509.ExtensionType, bool]]:
+def _host_extensions(name: str) -> list[tuple[x509.ExtensionType, bool]]:
     """Return the certificate extensions of a host.
 
     Both ends of a connection show their certificate. TLS requires an alternative name, although no
@@ -343,14 +384,15 @@ def _of_host(name: str) -> list[tuple[x509.ExtensionType, bool]]:
     ]
 
 
-def _read(path: Path) -> x509.Certificate:
+def _read_certificate(path: Path) -> x509.Certificate:
     """Return a certificate; raise ConfigError, with advice, if it cannot be read."""
     try:
         return x509.load_pem_x509_certificate(path.read_bytes())
     except OSError as error:
         do = f"On the machine of the authority: crazychoir keys add {path.parent.name}; then copy {path.parent} here."
         if others := sorted(
-            at.parent.name for at in path.parent.parent.glob(f"*/{CERTIFICATE}")
+            at.parent.name
+            for at in path.parent.parent.glob(f"*/{KEY_FILES.certificate}")
         ):
             do = f"Here are keys of {', '.join(others)}. Start it on the host that the swarm file names. {do}"
         raise ConfigError(
@@ -358,11 +400,11 @@ def _read(path: Path) -> x509.Certificate:
         ) from error
     except ValueError as error:
         raise ConfigError(
-            str(path), str(error), "a certificate in PEM", _AGAIN
+            str(path), str(error), "a certificate in PEM", _COPY_AGAIN_ADVICE
         ) from error
 
 
-def _named(certificate: x509.Certificate) -> str:
+def _distinguished_name(certificate: x509.Certificate) -> str:
     return next(
         (
             str(name.value)

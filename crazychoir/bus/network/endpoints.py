@@ -5,46 +5,70 @@ errors for endpoints that cannot be used.
 import ipaddress
 import re
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any
 
 from crazychoir.errors import ConfigError
 
-MAX_MESSAGE = 8 << 20
-"""Bytes that Zenoh assembles from fragments; a larger message ends the link to its sender."""
-LOCAL_LEASE = 10.0
-"""s: least lease if all processes are on one host, because 4
-keep-alives for each lease and connection cost CPU time.
-"""
-BATCHES = 16
-"""Batches of 64 kB, for each class, that may wait for the network; this is Zenoh's maximum.
 
-As no put waits, a frame must fit into them. frames.MAX_FRAME is 10 of them: of 12 at once Zenoh
-drops some, also on an idle link.
-"""
+@dataclass(frozen=True, slots=True)
+class ZenohSettings:
+    """Settings of Zenoh that are the same in every process."""
 
-_ENDPOINT = re.compile(
-    r"(tcp|udp|tls|quic|ws)/(\[(?P<ipv6>[^/\[\]\s]+)\]|(?P<host>[^/:\[\]\s]+)):(?P<port>\d{1,5})([?#]\S*)?"
-    r"|unixsock-stream/\S+"
-)
-"""An endpoint in Zenoh's form."""
-_LABEL = r"[A-Za-z0-9]([A-Za-z0-9-]{0,61}[A-Za-z0-9])?"
+    max_message_bytes: int = 8 << 20
+    """Bytes that Zenoh assembles from fragments; a larger message ends the link to its sender.
+    """
+    local_lease: float = 10.0
+    """s: least lease if all processes are on one host, because 4
+    keep-alives for each lease and connection cost CPU time.
+    """
+    batches: int = 16
+    """Batches of 64 kB, for each class, that may wait for the network; this is Zenoh's maximum.
+
+    As no put waits, a frame must fit into them. frames.MAX_FRAME is 10 of them: of 12 at once Zenoh
+    drops some, also on an idle link.
+    """
+    priorities: tuple[str, ...] = (
+        *("control", "real_time", "interactive_high", "interactive_low"),
+        *("data_high", "data", "data_low", "background"),
+    )
+    """Zenoh's priorities."""
+    drop_path: str = "transport/link/tx/queue/congestion_control/drop"
+    """Path of Zenoh's settings for messages that find no room."""
+
+
+ZENOH_SETTINGS = ZenohSettings()
+
+
+@dataclass(frozen=True, slots=True)
+class _ZenohTexts:
+    """Forms of the texts that Zenoh reads, and of those in its errors."""
+
+    endpoint: re.Pattern[str] = re.compile(
+        r"(tcp|udp|tls|quic|ws)/(\[(?P<ipv6>[^/\[\]\s]+)\]|(?P<host>[^/:\[\]\s]+)):(?P<port>\d{1,5})([?#]\S*)?"
+        r"|unixsock-stream/\S+"
+    )
+    """An endpoint in Zenoh's form."""
+    key_part: re.Pattern[str] = re.compile(r"[A-Za-z0-9_.-]{1,100}")
+    """Part of a Zenoh key without special letters."""
+    error_reason: re.Pattern[str] = re.compile(
+        r"([A-Z][\w ]+) \(os error|message: \"([^\"]+)\""
+    )
+    """Reason within Zenoh's error text."""
+    foreign_address: str = "Cannot assign requested address"
+    """Text of the error for an address of another host."""
+
+
+_ZENOH_TEXTS = _ZenohTexts()
+
+
+_DNS_LABEL = r"[A-Za-z0-9]([A-Za-z0-9-]{0,61}[A-Za-z0-9])?"
 """Part of a DNS name."""
-_NAME = re.compile(rf"{_LABEL}(\.{_LABEL}){{0,20}}")
+_DNS_NAME = re.compile(rf"{_DNS_LABEL}(\.{_DNS_LABEL}){{0,20}}")
 """DNS name of a host."""
-_PRIORITIES = (
-    *("control", "real_time", "interactive_high", "interactive_low"),
-    *("data_high", "data", "data_low", "background"),
-)
-"""Zenoh's priorities."""
-_CHUNK = re.compile(r"[A-Za-z0-9_.-]{1,100}")
-"""Part of a Zenoh key without special letters."""
-_REASON = re.compile(r"([A-Z][\w ]+) \(os error|message: \"([^\"]+)\"")
-"""Reason within Zenoh's error text."""
-_DROP = "transport/link/tx/queue/congestion_control/drop"
-"""Path of Zenoh's settings for messages that find no room."""
 
 
-def settings(
+def zenoh_settings(
     listen: list[str], connect: list[str], lease: float, mode: str = "peer"
 ) -> dict[str, Any]:
     """Return Zenoh's settings by path: explicit endpoints, no multicast, puts that never wait.
@@ -60,9 +84,9 @@ def settings(
     peers.
     Raises ConfigError for a malformed endpoint.
     """
-    check(listen, connect)
+    check_endpoint(listen, connect)
     if are_local(listen + connect):
-        lease = max(lease, LOCAL_LEASE)
+        lease = max(lease, ZENOH_SETTINGS.local_lease)
     return {
         "mode": mode,
         "listen/endpoints": listen,
@@ -76,20 +100,22 @@ def settings(
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": True,
         "transport/link/tx/lease": round(1000 * lease),
-        "transport/link/tx/queue/size": dict.fromkeys(_PRIORITIES, BATCHES),
-        f"{_DROP}/wait_before_drop": 0,
-        f"{_DROP}/max_wait_before_drop_fragments": 0,
-        "transport/link/rx/max_message_size": MAX_MESSAGE,
+        "transport/link/tx/queue/size": dict.fromkeys(
+            ZENOH_SETTINGS.priorities, ZENOH_SETTINGS.batches
+        ),
+        f"{ZENOH_SETTINGS.drop_path}/wait_before_drop": 0,
+        f"{ZENOH_SETTINGS.drop_path}/max_wait_before_drop_fragments": 0,
+        "transport/link/rx/max_message_size": ZENOH_SETTINGS.max_message_bytes,
         "transport/shared_memory/enabled": False,
     }
 
 
-def of_router(listen: list[str], lease: float) -> dict[str, Any]:
+def router_settings(listen: list[str], lease: float) -> dict[str, Any]:
     """Return the settings of a process that passes on the messages between its clients.
 
     Raises ConfigError for a malformed endpoint.
     """
-    return settings(listen, [], lease, "router") | {"timestamping/enabled": False}
+    return zenoh_settings(listen, [], lease, "router") | {"timestamping/enabled": False}
 
 
 def are_local(endpoints: Iterable[str]) -> bool:
@@ -98,7 +124,7 @@ def are_local(endpoints: Iterable[str]) -> bool:
 
 
 def _is_local(endpoint: str) -> bool:
-    found = _ENDPOINT.fullmatch(endpoint)
+    found = _ZENOH_TEXTS.endpoint.fullmatch(endpoint)
     if found is None:
         return False
     return endpoint.startswith("unixsock-stream/") or is_loopback(
@@ -131,7 +157,7 @@ def address_fault(address: str) -> str:
     try:
         found = ipaddress.ip_address(address)
     except ValueError:
-        is_name = _NAME.fullmatch(address) and not re.fullmatch(r"[\d.]+", address)
+        is_name = _DNS_NAME.fullmatch(address) and not re.fullmatch(r"[\d.]+", address)
         return "" if is_name else _name_fault(address)
     if found.is_unspecified or found.is_multicast:
         return "Write the address by which the others reach this one host."
@@ -153,11 +179,11 @@ def _is_ip(text: str) -> bool:
     return True
 
 
-def check(listen: Iterable[str], connect: Iterable[str]) -> None:
+def check_endpoint(listen: Iterable[str], connect: Iterable[str]) -> None:
     """Raise ConfigError for a text that is not an endpoint."""
     for where, endpoints in (("listen", listen), ("connect", connect)):
         for endpoint in endpoints:
-            found = _ENDPOINT.fullmatch(endpoint)
+            found = _ZENOH_TEXTS.endpoint.fullmatch(endpoint)
             allowed = "tcp/<address>:<port>, as tcp/192.168.1.10:7460, port 0 to 65535; also udp, tls, quic, ws"
             if found is None or int(found["port"] or 0) > 65535:
                 do = "Look at base_port and [hosts] in the swarm file."
@@ -181,7 +207,7 @@ def _ipv6_fault(address: str) -> str:
 
 def is_name(text: str) -> bool:
     """Return True if a text can be one part of a key, without a special meaning."""
-    return _CHUNK.fullmatch(text) is not None
+    return _ZENOH_TEXTS.key_part.fullmatch(text) is not None
 
 
 def check_name(where: str, name: str) -> None:
@@ -192,14 +218,10 @@ def check_name(where: str, name: str) -> None:
         )
 
 
-_NOT_OURS = "Cannot assign requested address"
-"""Text of the error for an address of another host."""
-
-
-def cannot_open(listen: list[str], connect: list[str], error: str) -> ConfigError:
+def opening_error(listen: list[str], connect: list[str], error: str) -> ConfigError:
     """Return the error for the user, from Zenoh's error text."""
     at_fault = next((endpoint for endpoint in listen if endpoint in error), "")
-    reason = _REASON.search(error)
+    reason = _ZENOH_TEXTS.error_reason.search(error)
     said = (
         next((text for text in reason.groups() if text), "")
         if reason
@@ -219,7 +241,7 @@ def cannot_open(listen: list[str], connect: list[str], error: str) -> ConfigErro
         at_fault or ", ".join(listen + connect),
         "it must be a free port of an address of this host",
         "The address of this host in [hosts] is not its own: see `ip -brief address`."
-        if _NOT_OURS in error
+        if _ZENOH_TEXTS.foreign_address in error
         else "Is another agent with this id running here? Stop it, or set another base_port in the swarm file.",
         problem=said,
     )

@@ -2,53 +2,65 @@
 
 from dataclasses import dataclass
 
-from crazychoir.runtime.clock import SECOND
+from crazychoir.runtime.clock import NS_PER_SECOND
 
-RATE = 20_000.0
-"""Frames/s of a host; a team that exchanges as fast as two processes can sends about 8000."""
-BURST = 5_000.0
-"""Frames that a host may send at once."""
-PART = 16_384
-"""Bytes that count as one frame; a larger frame counts as several.
 
-So a burst that waits for the event loop has at most 80 MB, and 320 MB/s pass.
-"""
-MAX_HOSTS = 512
-"""Hosts with their own budget; all others share one."""
+@dataclass(frozen=True, slots=True)
+class FloodLimits:
+    """Limits of the frames that this process takes from a host."""
+
+    frame_rate: float = 20_000.0
+    """Frames/s of a host; a team that exchanges as fast as two processes can sends about 8000.
+    """
+    burst_size: float = 5_000.0
+    """Frames that a host may send at once."""
+    frame_part: int = 16_384
+    """Bytes that count as one frame; a larger frame counts as several.
+
+    So a burst that waits for the event loop has at most 80 MB, and 320 MB/s pass.
+    """
+    max_hosts: int = 512
+    """Hosts with their own budget; all others share one."""
+
+
+FLOOD_LIMITS = FloodLimits()
 
 
 @dataclass(slots=True)
-class Budget:
+class FrameBudget:
     """The frames that a host may still send."""
 
     at_ns: int
     """ns: time of the last frame."""
-    left: float = BURST
+    left: float = FLOOD_LIMITS.burst_size
     """Frames left at that time."""
     said: bool = False
     """True if the flood was logged."""
 
     def take(self, now_ns: int, size: int = 0) -> bool:
         """Return True if one more frame of `size` bytes is within the budget, and take it."""
-        self.left = min(BURST, self.left + (now_ns - self.at_ns) * RATE / SECOND)
+        self.left = min(
+            FLOOD_LIMITS.burst_size,
+            self.left + (now_ns - self.at_ns) * FLOOD_LIMITS.frame_rate / NS_PER_SECOND,
+        )
         self.at_ns = now_ns
-        cost = 1 + size // PART
+        cost = 1 + size // FLOOD_LIMITS.frame_part
         if self.left < cost:
             return False
         self.left -= cost
         return True
 
 
-class Budgets:
+class FrameBudgets:
     """The budgets of all hosts."""
 
     def __init__(self) -> None:
-        self._of: dict[str, Budget] = {}
+        self._of: dict[str, FrameBudget] = {}
 
-    def of(self, host: str, now_ns: int) -> Budget:
+    def of(self, host: str, now_ns: int) -> FrameBudget:
         """Return the budget of a host; a new one is full."""
         found = self._of.get(host)
         if found is None:
-            name = host if len(self._of) < MAX_HOSTS else ""
-            found = self._of.setdefault(name, Budget(now_ns))
+            name = host if len(self._of) < FLOOD_LIMITS.max_hosts else ""
+            found = self._of.setdefault(name, FrameBudget(now_ns))
         return found

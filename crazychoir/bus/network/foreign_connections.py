@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterable
 
 
-class Connections:
+class ForeignConnections:
     """Compares, now and then, the connections with the processes that have a token."""
 
     def __init__(self) -> None:

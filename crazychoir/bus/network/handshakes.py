@@ -10,33 +10,55 @@ import os
 import re
 import sys
 import threading
+from dataclasses import dataclass
 
 log = logging.getLogger(__name__)
-WANTED = "zenoh::net::runtime::orchestrator=debug,zenoh_link_tls=warn,zenoh_link_quic=warn,zenoh_link_commons=warn"
-"""Log levels of Zenoh."""
-STDOUT = 1
-"""File descriptor of standard output."""
-MOST = 64
-"""Most different log lines, so that an intruder cannot fill the log."""
-_COLOUR = re.compile(r"\x1b\[[0-9;]*m")
-"""Escape sequence of a terminal."""
-_ZENOH = re.compile(
-    r"^\S+Z +(?:WARN|INFO|DEBUG|ERROR) .*?(?P<module>zenoh\w*(?:::\w+)*): (?P<text>.*)$"
-)
-"""Line of Zenoh's log."""
-_TO_US = re.compile(r"^(?P<why>.*?)\.? Hint: ")
-"""Failed connection of another host to us."""
-_BY_US = re.compile(
-    r"^Unable to connect to configured \w+ (?P<where>\S+)! (?P<why>.*?) at /"
-)
-"""Failed connection of ours to another host."""
-_CERTIFICATE = re.compile(
-    r"certificate|alert|handshake|InvalidContentType", re.IGNORECASE
-)
-"""Text of an error that concerns certificates."""
 
 
-class Overheard:
+@dataclass(frozen=True, slots=True)
+class ZenohLogReading:
+    """How the log of Zenoh is read."""
+
+    log_levels: str = (
+        "zenoh::net::runtime::orchestrator=debug,"
+        "zenoh_link_tls=warn,zenoh_link_quic=warn,zenoh_link_commons=warn"
+    )
+    """Log levels of Zenoh."""
+    output_descriptor: int = 1
+    """File descriptor of standard output."""
+    max_reports: int = 64
+    """Most different log lines, so that an intruder cannot fill the log."""
+
+
+ZENOH_LOG_READING = ZenohLogReading()
+
+
+@dataclass(frozen=True, slots=True)
+class _LogPatterns:
+    """Patterns of the lines of Zenoh's log."""
+
+    colour: re.Pattern[str] = re.compile(r"\x1b\[[0-9;]*m")
+    """Escape sequence of a terminal."""
+    line: re.Pattern[str] = re.compile(
+        r"^\S+Z +(?:WARN|INFO|DEBUG|ERROR) .*?(?P<module>zenoh\w*(?:::\w+)*): (?P<text>.*)$"
+    )
+    """Line of Zenoh's log."""
+    incoming_failure: re.Pattern[str] = re.compile(r"^(?P<why>.*?)\.? Hint: ")
+    """Failed connection of another host to us."""
+    outgoing_failure: re.Pattern[str] = re.compile(
+        r"^Unable to connect to configured \w+ (?P<where>\S+)! (?P<why>.*?) at /"
+    )
+    """Failed connection of ours to another host."""
+    certificate_error: re.Pattern[str] = re.compile(
+        r"certificate|alert|handshake|InvalidContentType", re.IGNORECASE
+    )
+    """Text of an error that concerns certificates."""
+
+
+_LOG_PATTERNS = _LogPatterns()
+
+
+class HandshakeReporter:
     """Reads the lines of Zenoh's log and reports those about certificates."""
 
     def __init__(self) -> None:
@@ -44,68 +66,72 @@ class Overheard:
 
     def line(self, text: str) -> bool:
         """Handle a line; return False if it is not Zenoh's."""
-        found = _ZENOH.match(_COLOUR.sub("", text))
+        found = _LOG_PATTERNS.line.match(_LOG_PATTERNS.colour.sub("", text))
         if found is None:
             return False
-        if "_link_" in found["module"] and (why := _TO_US.match(found["text"])):
+        if "_link_" in found["module"] and (
+            why := _LOG_PATTERNS.incoming_failure.match(found["text"])
+        ):
             self._say(
                 "somebody connected and was turned away",
                 why["why"],
                 "Nothing of it was read",
             )
-        elif (to := _BY_US.match(found["text"])) and _CERTIFICATE.search(to["why"]):
+        elif (
+            to := _LOG_PATTERNS.outgoing_failure.match(found["text"])
+        ) and _LOG_PATTERNS.certificate_error.search(to["why"]):
             who = f"{to['where']} and we do not accept each other's certificate"
             self._say(who, to["why"].rpartition("): ")[2], "See `crazychoir doctor`")
         return True
 
     def _say(self, what: str, why: str, then: str) -> None:
         told = (what, re.sub(r"\d+", "", why))  # the text may contain the time of day
-        if told not in self._said and len(self._said) < MOST:
+        if told not in self._said and len(self._said) < ZENOH_LOG_READING.max_reports:
             self._said.add(told)
             log.warning("%s: %s. %s", what, why, then)
 
 
-class _Listening:
+class _OutputReader:
     """The state of this process, which has only one standard output."""
 
     begun = False
 
 
-def overhear() -> None:
+def read_output() -> None:
     """Begin to read standard output, once for each process.
 
     Nothing happens if standard output is not ours to replace, or if RUST_LOG asks for the whole
     log.
     """
-    if _Listening.begun or "RUST_LOG" in os.environ:
+    if _OutputReader.begun or "RUST_LOG" in os.environ:
         return
     try:
-        ours = sys.stdout.fileno() == STDOUT
+        ours = sys.stdout.fileno() == ZENOH_LOG_READING.output_descriptor
     except (OSError, ValueError, AttributeError):  # for example in a test
         return
     if not ours:
         return
-    _Listening.begun = True
+    _OutputReader.begun = True
     sys.stdout.flush()
-    copy = os.dup(STDOUT)
+    copy = os.dup(ZENOH_LOG_READING.output_descriptor)
     read, write = os.pipe()
-    os.dup2(write, STDOUT)
+    os.dup2(write, ZENOH_LOG_READING.output_descriptor)
     os.close(write)
     sys.stdout = os.fdopen(
         copy, "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors
     )
     threading.Thread(
-        target=_listen, args=(read,), name="zenoh log", daemon=True
+        target=_read_lines, args=(read,), name="zenoh log", daemon=True
     ).start()
 
 
-def overhears() -> bool:
+def is_reading_output() -> bool:
     """Return True if this process reads text on standard output that Python did not write."""
-    return _Listening.begun
+    return _OutputReader.begun
 
 
-def _listen(read: int) -> None:
-    heard = Overheard()
+def _read_lines(read: int) -> None:
+    heard = HandshakeReporter()
     with os.fdopen(read, errors="replace") as lines:
         for text in lines:
             if text.strip() and not heard.line(text.rstrip("\n")):

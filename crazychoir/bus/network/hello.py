@@ -3,6 +3,7 @@
 Checks which parts of it are believed.
 """
 
+from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Annotated, Any
 
@@ -10,33 +11,45 @@ import msgspec
 from msgspec import Meta
 
 from crazychoir.bus.codec import decode, encode
-from crazychoir.bus.frames import MAX_NAME
-from crazychoir.bus.port import BODIES, OBSERVER, Interest
+from crazychoir.bus.frames import FRAME_FORMAT
+from crazychoir.bus.port import PORT_ADDRESSES, Interest
 from crazychoir.errors import CodecError, error_text
 
-VERSION = version("crazychoir")
+PACKAGE_VERSION = version("crazychoir")
 """Version of crazychoir."""
-MAX_ADDRESSES = 4096
-"""Most drones, and most observers, in a HELLO."""
-MAX_OBSERVERS = 16
-"""Most observers of a process, without the bodies and eyes of drones."""
-MAX_INTERESTS = 16_384
-"""Most interests in a HELLO."""
-MAX_AGREED = 32
-"""Most digests in a HELLO."""
-MIN_RATE = 1e-3  # Hz
-"""Lowest rate of an interest; 0 asks for every value."""
-MAX_RATE = 1e6  # Hz
-"""Highest rate of an interest."""
-TIE = 0.05  # s
-"""Longer than a HELLO takes, so that two processes agree which of them started first."""
 
-_Name = Annotated[str, Meta(max_length=MAX_NAME)]
+
+@dataclass(frozen=True, slots=True)
+class HelloRules:
+    """Limits of the contents of a HELLO, and of its time on the way."""
+
+    max_addresses: int = 4096
+    """Most drones, and most observers, in a HELLO."""
+    max_observers: int = 16
+    """Most observers of a process, without the bodies and eyes of drones."""
+    max_interests: int = 16_384
+    """Most interests in a HELLO."""
+    max_digests: int = 32
+    """Most digests in a HELLO."""
+    lowest_rate: float = 1e-3
+    """Lowest rate of an interest; 0 asks for every value."""
+    highest_rate: float = 1e6
+    """Highest rate of an interest."""
+    start_tie: float = 0.05
+    """Longer than a HELLO takes, so that two processes agree which of them started first."""
+
+
+HELLO_RULES = HelloRules()
+
+
+_Name = Annotated[str, Meta(max_length=FRAME_FORMAT.max_name_length)]
 _Drones = Annotated[
-    list[Annotated[int, Meta(ge=0, lt=OBSERVER)]], Meta(max_length=MAX_ADDRESSES)
+    list[Annotated[int, Meta(ge=0, lt=PORT_ADDRESSES.first_observer)]],
+    Meta(max_length=HELLO_RULES.max_addresses),
 ]
 _Observers = Annotated[
-    list[Annotated[int, Meta(ge=OBSERVER, lt=1 << 32)]], Meta(max_length=MAX_ADDRESSES)
+    list[Annotated[int, Meta(ge=PORT_ADDRESSES.first_observer, lt=1 << 32)]],
+    Meta(max_length=HELLO_RULES.max_addresses),
 ]
 
 
@@ -60,13 +73,13 @@ class Hello(msgspec.Struct, frozen=True):
     """Ids of its drones."""
     observers: _Observers
     """Addresses of its other ports."""
-    interests: Annotated[list[Interest], Meta(max_length=MAX_INTERESTS)]
+    interests: Annotated[list[Interest], Meta(max_length=HELLO_RULES.max_interests)]
     """Topics that it wants from other processes."""
-    heard: Annotated[list[_Name], Meta(max_length=MAX_ADDRESSES)]
+    heard: Annotated[list[_Name], Meta(max_length=HELLO_RULES.max_addresses)]
     """Processes with a HELLO that has arrived there."""
     stopped: bool
     """True while an emergency stop is in force."""
-    agreed: Annotated[dict[_Name, _Name], Meta(max_length=MAX_AGREED)] = {}
+    agreed: Annotated[dict[_Name, _Name], Meta(max_length=HELLO_RULES.max_digests)] = {}
     """Digest of each key of its swarm file that bodies and agents must agree on.
 
     It is empty for an observer.
@@ -80,10 +93,10 @@ class Hello(msgspec.Struct, frozen=True):
             hello = msgspec.convert(value, cls)
         except Exception as error:
             raise CodecError(f"HELLO: {error_text(error)}") from error
-        looking = sum(j < BODIES for j in hello.observers)
-        if looking > MAX_OBSERVERS:
+        looking = sum(j < PORT_ADDRESSES.body_offset for j in hello.observers)
+        if looking > HELLO_RULES.max_observers:
             raise CodecError(
-                f"HELLO: {looking} observers; allowed: {MAX_OBSERVERS} of a process."
+                f"HELLO: {looking} observers; allowed: {HELLO_RULES.max_observers} of a process."
             )
         return hello
 
@@ -104,7 +117,8 @@ class Hello(msgspec.Struct, frozen=True):
         sensible = [
             one
             for one in self.interests
-            if one.rate == 0.0 or MIN_RATE <= one.rate <= MAX_RATE
+            if one.rate == 0.0
+            or HELLO_RULES.lowest_rate <= one.rate <= HELLO_RULES.highest_rate
         ]
         return [one for one in sensible if one.reader in own]
 
@@ -113,4 +127,4 @@ class Hello(msgspec.Struct, frozen=True):
 
         lead: seconds that the sender has been up longer
         """
-        return lead > 0.0 or (lead > -TIE and self.process < process)
+        return lead > 0.0 or (lead > -HELLO_RULES.start_tie and self.process < process)

@@ -8,20 +8,28 @@ Therefore a process without a token that sends frames, or had a token before, ge
 then. A process that is missing in the HELLOs that it receives declares one more token.
 """
 
+from dataclasses import dataclass
 from itertools import islice
-from typing import Final
 
-from crazychoir.bus.network.peers import MAX_PEERS
-
-PATIENCE: Final = 4
-"""HELLOs without us before we declare another token; then twice as many each time."""
-REMEMBERED: Final = 64
-"""Departed processes that are remembered, the newest: their links may come back."""
-ANSWERS: Final = 64
-"""Most strangers that are answered at once."""
+from crazychoir.bus.network.peers import PEER_LIMITS
 
 
-class Estranged:
+@dataclass(frozen=True, slots=True)
+class LostTokenLimits:
+    """When a process repairs tokens that were lost, and how many processes it keeps for that."""
+
+    patience: int = 4
+    """HELLOs without us before we declare another token; then twice as many each time."""
+    departed_processes: int = 64
+    """Departed processes that are remembered, the newest: their links may come back."""
+    answered_strangers: int = 64
+    """Most strangers that are answered at once."""
+
+
+LOST_TOKEN_LIMITS = LostTokenLimits()
+
+
+class TokenRepair:
     """Decides which processes without a token get a HELLO, and
     when to declare another token of ours.
     """
@@ -40,12 +48,12 @@ class Estranged:
         """Note that its last token has disappeared."""
         self._missing.pop(process, None)
         self._gone[process] = None
-        if len(self._gone) > REMEMBERED:
+        if len(self._gone) > LOST_TOKEN_LIMITS.departed_processes:
             del self._gone[next(iter(self._gone))]
 
     def heard(self, process: str) -> None:
         """Note that a frame of the process has arrived, but no token."""
-        if len(self._strangers) < MAX_PEERS:
+        if len(self._strangers) < PEER_LIMITS.max_peers:
             self._strangers[process] = None
 
     def greeted(self, process: str, knows_us: bool) -> bool:
@@ -53,17 +61,17 @@ class Estranged:
         if knows_us:
             self._missing.pop(process, None)
             return False
-        if process not in self._missing and len(self._missing) >= MAX_PEERS:
+        if process not in self._missing and len(self._missing) >= PEER_LIMITS.max_peers:
             return False
         count = self._missing[process] = self._missing.get(process, 0) + 1
-        return count >= PATIENCE and count & (count - 1) == 0
+        return count >= LOST_TOKEN_LIMITS.patience and count & (count - 1) == 0
 
     def due(self, gone_too: bool) -> list[str]:
         """Return the processes to send a HELLO to now.
 
         gone_too: True to add departed processes
         """
-        some = list(islice(self._strangers, ANSWERS))
+        some = list(islice(self._strangers, LOST_TOKEN_LIMITS.answered_strangers))
         for process in some:
             del self._strangers[process]
         return some + [

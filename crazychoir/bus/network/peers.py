@@ -1,6 +1,7 @@
 """The other processes: their tokens, their HELLOs, and the process that holds each address.
 
 The module only handles keys, tokens and bytes; it acts through its callbacks. A HELLO counts only
+from dataclasses import dataclass
 from a process with a token.
 """
 
@@ -9,23 +10,34 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from crazychoir.bus.clock_offset import Estimate, Offset
-from crazychoir.bus.network.access import Access
+from crazychoir.bus.clock_offset import ClockOffset, OffsetEstimate
+from crazychoir.bus.network.access import NetworkAccess
 from crazychoir.bus.network.endpoints import is_name
 from crazychoir.bus.network.hello import Hello
-from crazychoir.bus.port import BODIES, EYES, OBSERVER, Bus
-from crazychoir.bus.topics import Class
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.bus.topics import MessageClass
 from crazychoir.errors import CodecError, Refused
-from crazychoir.runtime.clock import SECOND
+from crazychoir.runtime.clock import NS_PER_SECOND
 
 log = logging.getLogger(__name__)
-MAX_PEERS = 512
-"""Most peers."""
-MAX_TOKENS = 16
-"""Most tokens of a peer."""
 
-NEW: Final = 10.0  # s after its start in which a process ends if another one refuses it
-COPY: Final = "Copy one file to every host, and start both again."
+
+@dataclass(frozen=True, slots=True)
+class PeerLimits:
+    """Limits of the other processes that this process knows."""
+
+    max_peers: int = 512
+    """Most peers."""
+    max_tokens: int = 16
+    """Most tokens of a peer."""
+    new_process_time: float = 10.0
+    """s after its start in which a process ends if another one refuses it."""
+
+
+PEER_LIMITS = PeerLimits()
+
+
+COPY_FILE_ADVICE: Final = "Copy one file to every host, and start both again."
 """Advice of an error text."""
 
 OnToken = Callable[[list[int], bool], None]
@@ -58,9 +70,9 @@ class Peer:
     """Reason why its HELLO was refused; empty if it was not."""
     forbidden: bool = False
     """True if a forbidden command of it was logged."""
-    offset: Offset = field(default_factory=Offset)
+    offset: ClockOffset = field(default_factory=ClockOffset)
     """Offset of its clock."""
-    lanes: dict[Class, Any] = field(default_factory=dict)
+    lanes: dict[MessageClass, Any] = field(default_factory=dict)
     """Lanes of the link, by class."""
 
 
@@ -73,7 +85,7 @@ class Peers:
         swarm: str,
         incarnation: int,
         version: str,
-        access: Access | None,
+        access: NetworkAccess | None,
         on_token: OnToken,
         on_refused: OnRefused,
         agreed: Mapping[str, str] | None = None,
@@ -97,7 +109,11 @@ class Peers:
     def came(self, host: str, process: str, token: str) -> Peer | None:
         """Add a token and return the peer if it is new."""
         known = self.by_name.get(process)
-        if known is not None and known.host == host and len(known.tokens) < MAX_TOKENS:
+        if (
+            known is not None
+            and known.host == host
+            and len(known.tokens) < PEER_LIMITS.max_tokens
+        ):
             known.tokens.add(token)
         if (
             known is not None
@@ -117,7 +133,7 @@ class Peers:
     def _room(self, host: str) -> bool:
         """Return True if there is room for one more process of a host."""
         there = sum(peer.host == host for peer in self.by_name.values())
-        return len(self.by_name) < MAX_PEERS and (
+        return len(self.by_name) < PEER_LIMITS.max_peers and (
             self.access is None or there < self.access.most(host)
         )
 
@@ -165,8 +181,8 @@ class Peers:
             incarnation=self.incarnation,
             version=self.version,
             uptime=uptime,
-            drones=[i for i in self._ports if i < OBSERVER],
-            observers=[i for i in self._ports if i >= OBSERVER],
+            drones=[i for i in self._ports if i < PORT_ADDRESSES.first_observer],
+            observers=[i for i in self._ports if i >= PORT_ADDRESSES.first_observer],
             interests=list(self.bus.interests),
             heard=[
                 peer.process for peer in self.by_name.values() if peer.hello is not None
@@ -191,7 +207,7 @@ class Peers:
         peer.said = payload
         uptime = hello.uptime + age
         peer.since_ns = peer.since_ns or self.bus.clock.now_ns() - round(
-            uptime * SECOND
+            uptime * NS_PER_SECOND
         )
         if self._forbids(peer, hello):
             return False
@@ -210,10 +226,10 @@ class Peers:
             if peer.host != self.bus.host and self.mutual(peer)
         ]
 
-    def offsets(self) -> dict[str, Estimate]:
+    def offsets(self) -> dict[str, OffsetEstimate]:
         """Return the clock offset of each other host, the best of all its processes."""
         now_ns = self.bus.clock.now_ns()
-        best = dict[str, Estimate]()
+        best = dict[str, OffsetEstimate]()
         for peer in self.on_other_hosts:
             found = peer.offset.estimate(now_ns)
             if found is not None and (
@@ -258,7 +274,7 @@ class Peers:
         if not others:
             return False
         who = f"process {hello.process} on host {hello.host}"
-        what = _named(others[0])
+        what = _describe_address(others[0])
         refusal = (
             f"{who} speaks for {what}, which the swarm file does not give to that host"
         )
@@ -282,7 +298,10 @@ class Peers:
         doubles = ", ".join(str(i) for i in hello.drones if i in self.bus.ports)
         if doubles:
             return f"{who} flies drone(s) {doubles} too {since}", stop
-        for base, owns in ((EYES, "the motion capture"), (BODIES, "the world")):
+        for base, owns in (
+            (PORT_ADDRESSES.camera_offset, "the motion capture"),
+            (PORT_ADDRESSES.body_offset, "the world"),
+        ):
             same = ", ".join(
                 str(j - base)
                 for j in hello.observers
@@ -295,7 +314,9 @@ class Peers:
                 f"{who} runs version {hello.version}, this one runs {self.version}",
                 "",
             )
-        owner = any(j >= BODIES for j in (*hello.observers, *self.bus.ports))
+        owner = any(
+            j >= PORT_ADDRESSES.body_offset for j in (*hello.observers, *self.bus.ports)
+        )
         differ = [
             key
             for key, value in hello.agreed.items()
@@ -304,7 +325,7 @@ class Peers:
         if owner and differ:
             return (
                 f"{who} has another swarm file than this process, with another {', '.join(differ)}",
-                COPY,
+                COPY_FILE_ADVICE,
             )
         return "", ""
 
@@ -321,7 +342,7 @@ class Peers:
         peer.refusal = refusal
         if said:
             return False
-        new = self._uptime() < NEW
+        new = self._uptime() < PEER_LIMITS.new_process_time
         if (
             new
             and hello.version == self.version
@@ -339,7 +360,7 @@ class Peers:
         peer.hello = hello
         peer.refusal = ""
         if previous is None or previous.incarnation != hello.incarnation:
-            peer.offset = Offset()
+            peer.offset = ClockOffset()
         if previous is None:
             self.bus.stopped = self.bus.stopped or hello.stopped
         if previous is None or previous.addresses != hello.addresses:
@@ -375,11 +396,11 @@ class Peers:
                 self.directory.setdefault(address, peer)
 
 
-def _named(address: int) -> str:
+def _describe_address(address: int) -> str:
     """Return an address in words."""
     for base, what in (
-        (EYES, "what cameras see of drone"),
-        (BODIES, "the body of drone"),
+        (PORT_ADDRESSES.camera_offset, "what cameras see of drone"),
+        (PORT_ADDRESSES.body_offset, "the body of drone"),
     ):
         if address >= base:
             return f"{what} {address - base}"

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from crazychoir.bus.port import Bus
-from crazychoir.bus.topics import TOPICS, Topic
+from crazychoir.bus.topics import ALL_TOPICS, Topic
 from crazychoir.files.path_texts import json_bytes
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.mailbox import Latest
@@ -34,7 +34,7 @@ class PublicCopies(Actor):
         self.drone = drone
         self._clock = link.bus.clock
         self._boxes: dict[Topic, Latest[Any]] = {}
-        for topic in TOPICS:
+        for topic in ALL_TOPICS:
             if topic.public > 0:
                 box = self._boxes[topic] = Latest(
                     self._clock, topic.name, topic.max_age
@@ -55,11 +55,11 @@ class PublicCopies(Actor):
                     and box.version > sent[topic]
                 ):
                     sent[topic] = box.version
-                    self.link.announce(self.drone, topic.name, as_json(value))
+                    self.link.announce(self.drone, topic.name, fields_as_json(value))
             tick += 1
 
 
-def by_name(value: msgspec.Struct) -> dict[str, Any]:
+def fields_by_name(value: msgspec.Struct) -> dict[str, Any]:
     """Return the fields of a wire type by name, with a flat vector divided into its parts.
 
     The vector stays whole if its parts have no names, or not all of them.
@@ -77,10 +77,10 @@ def by_name(value: msgspec.Struct) -> dict[str, Any]:
     return parts | fields
 
 
-def as_json(value: msgspec.Struct) -> bytes:
+def fields_as_json(value: msgspec.Struct) -> bytes:
     """Return the fields of a wire type as JSON.
 
     A flat vector is divided into its parts, arrays become lists, and numbers that are not finite
     become null.
     """
-    return json_bytes(by_name(value), enc_hook=np.ndarray.tolist)
+    return json_bytes(fields_by_name(value), enc_hook=np.ndarray.tolist)

@@ -26,7 +26,7 @@ import zenoh
 
 from crazychoir.bus.codec import encode
 from crazychoir.bus.frames import (
-    MAX_DESTINATIONS,
+    FRAME_FORMAT,
     Envelope,
     Frame,
     FrameBuffer,
@@ -35,63 +35,98 @@ from crazychoir.bus.frames import (
     encode_frame,
 )
 from crazychoir.bus.network import endpoints, handshakes
-from crazychoir.bus.network.access import Access
-from crazychoir.bus.network.flood_limit import Budget, Budgets
-from crazychoir.bus.network.foreign_connections import Connections
+from crazychoir.bus.network.access import NetworkAccess
+from crazychoir.bus.network.flood_limit import FrameBudget, FrameBudgets
+from crazychoir.bus.network.foreign_connections import ForeignConnections
 from crazychoir.bus.network.hello import Hello
-from crazychoir.bus.network.lost_tokens import Estranged
+from crazychoir.bus.network.lost_tokens import TokenRepair
 from crazychoir.bus.network.peers import OnRefused, OnToken, Peer, Peers
-from crazychoir.bus.port import ANY, Bus
-from crazychoir.bus.topics import CLOCK, HELLO, LOG, Class, Topic
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS, MessageClass, Topic
 from crazychoir.errors import CodecError, ConfigError
 from crazychoir.runtime.actor import Actor
-from crazychoir.runtime.clock import SECOND
+from crazychoir.runtime.clock import NS_PER_SECOND
 
 log = logging.getLogger(__name__)
-BACKLOG = 10_000
-"""Frames that may wait for the event loop; if it hangs, the oldest are dropped."""
-SLICE = 64
-"""Most frames that are read in one pass of the event loop, so that ticks need not wait for more."""
-SLICE_NS = SECOND // 500
-"""ns: least time for reading frames in one pass of the event loop.
 
-If frames were left unread, the time is as long as the loop was busy elsewhere since then, so that
-reading gets half of the loop's time. A frame that is being read is always finished.
-"""
-SLICE_MOST_NS = SECOND // 50
-"""ns: most time for reading frames in one pass."""
-CLOSE_DEADLINE = 1.5  # s
-"""Time to close the session; shorter than the time that a supervisor grants."""
-CLOSING = "zenoh close"
-"""Name of the thread in which a session may be left behind, see launch/process/ending.py."""
-SETTLED = 5
-"""Seconds for which a changed HELLO is repeated every second.
 
-It is also the time between later repeats.
-"""
-RUNTIME = "(rx: (worker_threads: 64))"
-"""Zenoh's receiving threads.
+@dataclass(frozen=True, slots=True)
+class FrameReading:
+    """How many received frames wait, and how long the event loop reads them in one pass."""
 
-If a process vanishes, for example by a cut cable, Zenoh closes its connection in one of these
-threads. The thread then waits up to 10 s for the network (SO_LINGER; zenoh issues 1101, 2718). If
-no thread is left, no message is received.
-"""
-ASKING = 4
-"""HELLOs a second to a peer until HELLO has gone both ways."""
-LOOKS = 2
-"""Seconds between checks of the connections."""
-TOKENS = 8
-"""Additional tokens of this process that are kept, the newest."""
-KEY_PARTS = 7
-"""Parts of the key of a frame."""
-OPEN = "the network is neither encrypted nor closed (security.insecure): whoever is on it reads, and commands"
+    backlog: int = 10_000
+    """Frames that may wait for the event loop; if it hangs, the oldest are dropped."""
+    slice_frames: int = 64
+    """Most frames that are read in one pass of the event loop, so that ticks need not wait for
+    more.
+    """
+    least_slice_ns: int = NS_PER_SECOND // 500
+    """ns: least time for reading frames in one pass of the event loop.
+
+    If frames were left unread, the time is as long as the loop was busy elsewhere since then, so that
+    reading gets half of the loop's time. A frame that is being read is always finished.
+    """
+    longest_slice_ns: int = NS_PER_SECOND // 50
+    """ns: most time for reading frames in one pass."""
+    key_parts: int = 7
+    """Parts of the key of a frame."""
+
+
+FRAME_READING = FrameReading()
+
+
+@dataclass(frozen=True, slots=True)
+class ZenohSession:
+    """How the session with Zenoh runs and ends."""
+
+    close_deadline: float = 1.5
+    """s: time to close the session; shorter than the time that a supervisor grants."""
+    close_thread: str = "zenoh close"
+    """Name of the thread in which a session may be left behind, see launch/process/ending.py.
+    """
+    runtime: str = "(rx: (worker_threads: 64))"
+    """Zenoh's receiving threads.
+
+    If a process vanishes, for example by a cut cable, Zenoh closes its connection in one of these
+    threads. The thread then waits up to 10 s for the network (SO_LINGER; zenoh issues 1101, 2718). If
+    no thread is left, no message is received.
+    """
+    kept_tokens: int = 8
+    """Additional tokens of this process that are kept, the newest."""
+
+
+ZENOH_SESSION = ZenohSession()
+
+
+@dataclass(frozen=True, slots=True)
+class HelloTiming:
+    """How often a process describes itself, and checks its connections."""
+
+    settling_time: int = 5
+    """Seconds for which a changed HELLO is repeated every second.
+
+    It is also the time between later repeats.
+    """
+    asking_rate: int = 4
+    """HELLOs a second to a peer until HELLO has gone both ways."""
+    check_period: int = 2
+    """Seconds between checks of the connections."""
+
+
+HELLO_TIMING = HelloTiming()
+
+
+OPEN_NETWORK_WARNING = (
+    "the network is neither encrypted nor closed (security.insecure): "
+    "whoever is on it reads, and commands"
+)
 """Warning for a network that is neither encrypted nor closed."""
-_PRIORITY = {
-    Class.ESTOP: zenoh.Priority.REAL_TIME,
-    Class.CONTROL: zenoh.Priority.INTERACTIVE_HIGH,
-    Class.ROUNDS: zenoh.Priority.DATA_HIGH,
-    Class.RELIABLE: zenoh.Priority.DATA,
-    Class.BULK: zenoh.Priority.DATA_LOW,
+_CLASS_PRIORITIES = {
+    MessageClass.ESTOP: zenoh.Priority.REAL_TIME,
+    MessageClass.CONTROL: zenoh.Priority.INTERACTIVE_HIGH,
+    MessageClass.ROUNDS: zenoh.Priority.DATA_HIGH,
+    MessageClass.RELIABLE: zenoh.Priority.DATA,
+    MessageClass.BULK: zenoh.Priority.DATA_LOW,
 }
 """Zenoh's priority of each class."""
 
@@ -100,7 +135,7 @@ Handler = Callable[[str, bytes, int], None]
 
 
 @dataclass(slots=True, eq=False)
-class Lane:
+class PeerQueue:
     """The messages of one class on their way to one peer."""
 
     buffer: FrameBuffer
@@ -177,7 +212,7 @@ class ZenohLink(Actor):
         version: str,
         lease: float = 1.0,
         routers: list[str] | None = None,
-        access: Access | None = None,
+        access: NetworkAccess | None = None,
         agreed: Mapping[str, str] | None = None,
         settings: Mapping[str, Any] | None = None,
         on_token: OnToken = lambda drones, there: None,
@@ -202,21 +237,23 @@ class ZenohLink(Actor):
         self.directory = self.table.directory
         secured = access.settings() if access is not None else {}
         mode = "client" if routers else "peer"
-        own = endpoints.settings(self.listen, self.connect, lease, mode)
-        self._config = _config({**own, **secured, **(settings or {})})
+        own = endpoints.zenoh_settings(self.listen, self.connect, lease, mode)
+        self._config = _zenoh_config({**own, **secured, **(settings or {})})
         self._loop = asyncio.get_running_loop()
         self._now_ns = bus.clock.now_ns
-        self._queue: deque[tuple[Handler, str, bytes, int]] = deque(maxlen=BACKLOG)
-        self._budgets = Budgets()
-        self._token_budgets = Budgets()
+        self._queue: deque[tuple[Handler, str, bytes, int]] = deque(
+            maxlen=FRAME_READING.backlog
+        )
+        self._budgets = FrameBudgets()
+        self._token_budgets = FrameBudgets()
         self._armed = False
         self._behind_ns = 0
         self._flushing = False
-        self._full: list[Lane] = []
+        self._full: list[PeerQueue] = []
         self._after: deque[Callable[[], None]] = deque()
         self._to_greet: dict[str, None] = {}
-        self._estranged = Estranged()
-        self._connections = Connections()
+        self._estranged = TokenRepair()
+        self._connections = ForeignConnections()
         self._tokens: deque[Any] = deque()
         self._declared: list[Any] = []
         self._session: zenoh.Session | None = None
@@ -228,14 +265,14 @@ class ZenohLink(Actor):
 
         Raises ConfigError if the session cannot be opened, for example for a busy endpoint.
         """
-        os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
-        _tell_of_handshakes(self.access)
+        os.environ.setdefault("ZENOH_RUNTIME", ZENOH_SESSION.runtime)
+        _report_handshakes(self.access)
         if self.access is None and not endpoints.are_local(self.listen + self.connect):
-            log.warning("%s", OPEN)
+            log.warning("%s", OPEN_NETWORK_WARNING)
         try:
             session = zenoh.open(self._config)
         except zenoh.ZError as error:
-            raise endpoints.cannot_open(
+            raise endpoints.opening_error(
                 self.listen, self.connect, str(error)
             ) from error
         self._session = session
@@ -261,20 +298,29 @@ class ZenohLink(Actor):
         all are known.
         """
         tick = 0
-        async for _ in self.bus.clock.ticks(ASKING * HELLO.rate):
+        async for _ in self.bus.clock.ticks(
+            HELLO_TIMING.asking_rate * MESSAGE_TOPICS.hello.rate
+        ):
             tick += 1
             self.table.offer_new_ports()
             _, age = self.table.hello()
-            due = tick % ASKING == 0 and age < SETTLED
-            if due or age == 0.0 or tick % (SETTLED * ASKING) == 0:
+            due = (
+                tick % HELLO_TIMING.asking_rate == 0
+                and age < HELLO_TIMING.settling_time
+            )
+            if (
+                due
+                or age == 0.0
+                or tick % (HELLO_TIMING.settling_time * HELLO_TIMING.asking_rate) == 0
+            ):
                 self.greet()
             for peer in self.peers.values():
                 if not peer.refusal and not self.table.mutual(peer):
                     self._greet(peer)
-            self._greet_estranged(gone_too=tick % ASKING == 0)
-            if tick % ASKING == 0:
+            self._greet_estranged(gone_too=tick % HELLO_TIMING.asking_rate == 0)
+            if tick % HELLO_TIMING.asking_rate == 0:
                 self._ask_clocks()
-            if tick % (LOOKS * ASKING) == 0:
+            if tick % (HELLO_TIMING.check_period * HELLO_TIMING.asking_rate) == 0:
                 self._look_who_is_connected()
 
     async def on_stop(self) -> None:
@@ -288,15 +334,18 @@ class ZenohLink(Actor):
             return
         closed = asyncio.Event()
         threading.Thread(
-            target=self._close, args=(session, closed), name=CLOSING, daemon=True
+            target=self._close,
+            args=(session, closed),
+            name=ZENOH_SESSION.close_thread,
+            daemon=True,
         ).start()
         try:
-            async with asyncio.timeout(CLOSE_DEADLINE):
+            async with asyncio.timeout(ZENOH_SESSION.close_deadline):
                 await closed.wait()
         except TimeoutError:
             log.warning(
                 "the Zenoh session does not close within %g s; left behind",
-                CLOSE_DEADLINE,
+                ZENOH_SESSION.close_deadline,
             )
 
     def _close(self, session: zenoh.Session, closed: asyncio.Event) -> None:
@@ -344,8 +393,8 @@ class ZenohLink(Actor):
             if peer is None:
                 self.bus.unroutable += len(there)
                 continue
-            for k in range(0, len(there), MAX_DESTINATIONS):
-                some = tuple(there[k : k + MAX_DESTINATIONS])
+            for k in range(0, len(there), FRAME_FORMAT.max_destinations):
+                some = tuple(there[k : k + FRAME_FORMAT.max_destinations])
                 message = Envelope(
                     topic.number,
                     source,
@@ -402,7 +451,9 @@ class ZenohLink(Actor):
 
     def _say_time(self, peer: Peer, payload: bytes) -> None:
         self._add(
-            peer, CLOCK.klass, Envelope(CLOCK.number, 0, (), 0, 0, 0.0, "", payload)
+            peer,
+            MESSAGE_TOPICS.clock.klass,
+            Envelope(MESSAGE_TOPICS.clock.number, 0, (), 0, 0, 0.0, "", payload),
         )
 
     def _greet_estranged(self, gone_too: bool) -> None:
@@ -412,14 +463,19 @@ class ZenohLink(Actor):
         if session is None or not processes:
             return
         payload, age = self.table.hello()
-        hello = Envelope(HELLO.number, 0, (), 0, 0, age, "", payload)
+        hello = Envelope(MESSAGE_TOPICS.hello.number, 0, (), 0, 0, age, "", payload)
         frame = encode_frame(
-            Frame(self.bus.process, self.table.incarnation, HELLO.klass, [hello])
+            Frame(
+                self.bus.process,
+                self.table.incarnation,
+                MESSAGE_TOPICS.hello.klass,
+                [hello],
+            )
         )
         drop = zenoh.CongestionControl.DROP
-        priority = _PRIORITY[HELLO.klass]
+        priority = _CLASS_PRIORITIES[MESSAGE_TOPICS.hello.klass]
         for process in processes:
-            key = self._key(process, HELLO.klass)
+            key = self._key(process, MESSAGE_TOPICS.hello.klass)
             self._put(
                 partial(session.put, key, congestion_control=drop, priority=priority),
                 frame,
@@ -438,12 +494,12 @@ class ZenohLink(Actor):
         log.info("%s hears us and has no token of ours: one more", process)
         try:
             self._tokens.append(session.liveliness().declare_token(key))
-            if len(self._tokens) > TOKENS:
+            if len(self._tokens) > ZENOH_SESSION.kept_tokens:
                 self._tokens.popleft().undeclare()
         except zenoh.ZError as error:
             log.warning("a liveliness token could not be declared: %s", error)
 
-    def _add(self, peer: Peer, klass: Class, message: Envelope) -> None:
+    def _add(self, peer: Peer, klass: MessageClass, message: Envelope) -> None:
         """Add a message to the next frame for a peer and a class."""
         session = self._session
         if session is None:
@@ -460,22 +516,24 @@ class ZenohLink(Actor):
             return
         self._schedule_flush()
 
-    def _lane(self, session: zenoh.Session, peer: Peer, klass: Class) -> Lane:
+    def _lane(
+        self, session: zenoh.Session, peer: Peer, klass: MessageClass
+    ) -> PeerQueue:
         """Open the lane of a class to a peer."""
         publisher = session.declare_publisher(
             self._key(peer.process, klass),
             congestion_control=zenoh.CongestionControl.DROP,
-            priority=_PRIORITY[klass],
+            priority=_CLASS_PRIORITIES[klass],
             reliability=zenoh.Reliability.RELIABLE,
         )
         name = self.bus.process
         number = self.table.incarnation
-        conflate = klass is Class.CONTROL
+        conflate = klass is MessageClass.CONTROL
         buffer = FrameBuffer(name, number, klass, conflate)
-        lane = peer.lanes[klass] = Lane(buffer, publisher)
+        lane = peer.lanes[klass] = PeerQueue(buffer, publisher)
         return lane
 
-    def _key(self, process: str, klass: Class) -> str:
+    def _key(self, process: str, klass: MessageClass) -> str:
         return f"choir/{self.swarm}/f/{process}/{self.bus.host}/{self.bus.process}/{klass.name.lower()}"
 
     def _schedule_flush(self) -> None:
@@ -508,10 +566,10 @@ class ZenohLink(Actor):
         names = self._to_greet
         self._to_greet = {}
         payload, age = self.table.hello()
-        hello = Envelope(HELLO.number, 0, (), 0, 0, age, "", payload)
+        hello = Envelope(MESSAGE_TOPICS.hello.number, 0, (), 0, 0, age, "", payload)
         for name in names:
             if name in self.peers:
-                self._add(self.peers[name], HELLO.klass, hello)
+                self._add(self.peers[name], MESSAGE_TOPICS.hello.klass, hello)
 
     def _put(self, put: Callable[[bytes], None], frame: bytes) -> None:
         """Send a frame, and measure how long the put takes."""
@@ -523,7 +581,7 @@ class ZenohLink(Actor):
             counters.put_errors += 1
             return
         counters.worst_put_s = max(
-            counters.worst_put_s, (self._now_ns() - began_ns) / SECOND
+            counters.worst_put_s, (self._now_ns() - began_ns) / NS_PER_SECOND
         )
         counters.frames_sent += 1
         counters.bytes_sent += len(frame)
@@ -544,20 +602,27 @@ class ZenohLink(Actor):
             return
         session.put(f"choir/{self.swarm}/drone/{drone}/alarm", text)
         for peer in list(self.peers.values()):
-            readers = _readers(peer, LOG, drone)
+            readers = _readers_at_peer(peer, DRONE_TOPICS.log, drone)
             if readers:
-                line = Envelope(LOG.number, drone, readers, 0, 0, 0.0, "", encode(text))
-                frame = encode_frame(
-                    Frame(self.bus.process, self.table.incarnation, LOG.klass, [line])
+                line = Envelope(
+                    DRONE_TOPICS.log.number, drone, readers, 0, 0, 0.0, "", encode(text)
                 )
-                session.put(self._key(peer.process, LOG.klass), frame)
+                frame = encode_frame(
+                    Frame(
+                        self.bus.process,
+                        self.table.incarnation,
+                        DRONE_TOPICS.log.klass,
+                        [line],
+                    )
+                )
+                session.put(self._key(peer.process, DRONE_TOPICS.log.klass), frame)
 
     # Receiving ------------------------------------------------------------------------
 
     def _received(self, sample: zenoh.Sample) -> None:
         """Take a frame in Zenoh's thread: add it to the queue, without blocking."""
         key = str(sample.key_expr)
-        host, _ = _speaker(key)
+        host, _ = _sender_of_key(key)
         budget = self._budgets.of(host, now := self._now_ns())
         if budget.take(now, len(sample.payload)):
             self._enqueue(self._frame, key, sample.payload.to_bytes())
@@ -575,7 +640,7 @@ class ZenohLink(Actor):
         else:
             self._flooded(budget, host)
 
-    def _flooded(self, budget: Budget, host: str) -> None:
+    def _flooded(self, budget: FrameBudget, host: str) -> None:
         """Count a frame that is not read, and log the host once."""
         self.counters.flooded += 1
         if not budget.said:
@@ -590,7 +655,7 @@ class ZenohLink(Actor):
 
     def _enqueue(self, handler: Handler, key: str, data: bytes) -> None:
         queue = self._queue
-        if len(queue) == BACKLOG:
+        if len(queue) == FRAME_READING.backlog:
             self.counters.overflowed += 1
         queue.append((handler, key, data, self._now_ns()))
         if not self._armed:
@@ -604,8 +669,10 @@ class ZenohLink(Actor):
         queue = self._queue
         now = self._now_ns()
         busy = now - self._behind_ns if self._behind_ns else 0
-        ends_ns = now + max(SLICE_NS, min(busy, SLICE_MOST_NS))
-        for _ in range(min(len(queue), SLICE)):
+        ends_ns = now + max(
+            FRAME_READING.least_slice_ns, min(busy, FRAME_READING.longest_slice_ns)
+        )
+        for _ in range(min(len(queue), FRAME_READING.slice_frames)):
             handler, key, data, arrived_ns = queue.popleft()
             try:
                 handler(key, data, arrived_ns)
@@ -666,7 +733,7 @@ class ZenohLink(Actor):
 
         Its key, its token and its content must agree, since certificates protect only keys.
         """
-        host, process = _speaker(key)
+        host, process = _sender_of_key(key)
         peer = self.peers.get(process)
         return (
             peer
@@ -679,13 +746,13 @@ class ZenohLink(Actor):
 
         The process gets an answer, unless its name is forged, known, our own, or invalid.
         """
-        host, process = _speaker(key)
+        host, process = _sender_of_key(key)
         known = process == self.bus.process or process in self.peers
         if known or process != frame.process or not self.table.may_be(host, process):
             return
         self._estranged.heard(process)
         for message in frame.envelopes:
-            if message.topic == HELLO.number:
+            if message.topic == MESSAGE_TOPICS.hello.number:
                 self._greeted_by_stranger(host, process, message.payload)
 
     def _greeted_by_stranger(self, host: str, process: str, payload: bytes) -> None:
@@ -707,11 +774,11 @@ class ZenohLink(Actor):
         """Deliver the messages of a peer that it may send to the ports of this process."""
         directory = self.directory
         ports = self.bus.ports
-        waited = (self._now_ns() - arrived_ns) / SECOND
+        waited = (self._now_ns() - arrived_ns) / NS_PER_SECOND
         for message in messages:
-            if message.topic == HELLO.number:
+            if message.topic == MESSAGE_TOPICS.hello.number:
                 self._greeted(peer, message.payload, message.age + waited)
-            elif message.topic == CLOCK.number:
+            elif message.topic == MESSAGE_TOPICS.clock.number:
                 self._asked(peer, message.payload, arrived_ns)
             elif directory.get(message.source) is not peer:
                 self.counters.strangers += 1
@@ -771,44 +838,50 @@ class ZenohLink(Actor):
 
 
 @contextlib.contextmanager
-def routing(listen: list[str], lease: float, access: Access | None) -> Iterator[None]:
+def route_messages(
+    listen: list[str], lease: float, access: NetworkAccess | None
+) -> Iterator[None]:
     """Pass on the messages between the processes of a swarm, while its `with` lasts.
 
     lease: seconds without a sign of a host before its tokens disappear
     Raises ConfigError if the session cannot be opened.
     """
-    os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
-    _tell_of_handshakes(access)
+    os.environ.setdefault("ZENOH_RUNTIME", ZENOH_SESSION.runtime)
+    _report_handshakes(access)
     if access is None and not endpoints.are_local(listen):
-        log.warning("%s", OPEN)
+        log.warning("%s", OPEN_NETWORK_WARNING)
     secured = access.settings() if access is not None else {}
     try:
-        session = zenoh.open(_config({**endpoints.of_router(listen, lease), **secured}))
+        session = zenoh.open(
+            _zenoh_config({**endpoints.router_settings(listen, lease), **secured})
+        )
     except zenoh.ZError as error:
-        raise endpoints.cannot_open(listen, [], str(error)) from error
+        raise endpoints.opening_error(listen, [], str(error)) from error
     try:
         yield
     finally:
         session.close()
 
 
-def _tell_of_handshakes(access: Access | None) -> None:
-    if access is not None and handshakes.overhears():
-        zenoh.init_log_from_env_or(handshakes.WANTED)
+def _report_handshakes(access: NetworkAccess | None) -> None:
+    if access is not None and handshakes.is_reading_output():
+        zenoh.init_log_from_env_or(handshakes.ZENOH_LOG_READING.log_levels)
 
 
-class Outside:
+class OutsideSession:
     """A session with programs outside of a swarm, at an endpoint, while its `with` lasts.
 
     Raises ConfigError if the session cannot be opened.
     """
 
     def __init__(self, connect: str) -> None:
-        os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
+        os.environ.setdefault("ZENOH_RUNTIME", ZENOH_SESSION.runtime)
         try:
-            self._session = zenoh.open(_config(endpoints.settings([], [connect], 1.0)))
+            self._session = zenoh.open(
+                _zenoh_config(endpoints.zenoh_settings([], [connect], 1.0))
+            )
         except zenoh.ZError as error:
-            raise endpoints.cannot_open([], [connect], str(error)) from error
+            raise endpoints.opening_error([], [connect], str(error)) from error
         self._declared: list[Any] = []
 
     def __enter__(self) -> Self:
@@ -834,7 +907,7 @@ class Outside:
         self._session.put(key, data, attachment=attachment, congestion_control=drop)
 
 
-def _config(settings: Mapping[str, Any]) -> zenoh.Config:
+def _zenoh_config(settings: Mapping[str, Any]) -> zenoh.Config:
     config = zenoh.Config()
     for key, value in settings.items():
         try:
@@ -846,20 +919,20 @@ def _config(settings: Mapping[str, Any]) -> zenoh.Config:
     return config
 
 
-def _speaker(key: str) -> tuple[str, str]:
+def _sender_of_key(key: str) -> tuple[str, str]:
     """Return the host and the process in the key of a frame,
     where access control looks for the host.
 
     Returns two empty texts if the key does not have KEY_PARTS parts.
     """
     parts = key.split("/")
-    return (parts[4], parts[5]) if len(parts) == KEY_PARTS else ("", "")
+    return (parts[4], parts[5]) if len(parts) == FRAME_READING.key_parts else ("", "")
 
 
-def _readers(peer: Peer, topic: Topic, drone: int) -> tuple[int, ...]:
+def _readers_at_peer(peer: Peer, topic: Topic, drone: int) -> tuple[int, ...]:
     wants = peer.hello.wants() if peer.hello is not None else []
     return tuple(
         one.reader
         for one in wants
-        if one.topic == topic.name and one.source in (ANY, drone)
+        if one.topic == topic.name and one.source in (PORT_ADDRESSES.any_drone, drone)
     )

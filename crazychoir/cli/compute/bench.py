@@ -14,7 +14,12 @@ from rich.text import Text
 from crazychoir.bench.latency import latency
 from crazychoir.errors import CrazyChoirError
 from crazychoir.launch import number_options as options
-from crazychoir.launch.console import STDERR, STDOUT, fail, set_up_logging
+from crazychoir.launch.console import (
+    ANSWER_CONSOLE,
+    ERROR_CONSOLE,
+    exit_with_error,
+    set_up_logging,
+)
 
 app = typer.Typer(no_args_is_help=True, help="Measure, against peers of the same run.")
 app.command()(latency)
@@ -91,7 +96,11 @@ def filters(as_json: JsonOption = False, quick: QuickOption = False) -> None:
     """Measure the velocity errors of the filters, beside the original's difference equation."""
     from crazychoir.bench import filters as bench_filters
 
-    seeds = bench_filters.SEEDS[:1] if quick else bench_filters.SEEDS
+    seeds = (
+        bench_filters.FILTER_BENCH.seeds[:1]
+        if quick
+        else bench_filters.FILTER_BENCH.seeds
+    )
     _show(
         lambda say: bench_filters.run(seeds=seeds, say=say),
         bench_filters.table,
@@ -124,7 +133,9 @@ def formation(
     from crazychoir.bench import formation as bench_formation
 
     cases = tuple(
-        case for case in bench_formation.CASES if drones in (None, case.drones)
+        case
+        for case in bench_formation.FORMATION_CASES
+        if drones in (None, case.drones)
     )
     found = range(3 if quick else seeds)
     _show(
@@ -230,18 +241,18 @@ def _show(
     """
     set_up_logging()
     try:
-        if STDERR.is_terminal:
-            with STDERR.status("starting") as status:
+        if ERROR_CONSOLE.is_terminal:
+            with ERROR_CONSOLE.status("starting") as status:
                 result = measure(lambda text: status.update(Text(text)))
         else:
             result = measure(
-                lambda text: STDERR.print(
+                lambda text: ERROR_CONSOLE.print(
                     text, markup=False, highlight=False, soft_wrap=True
                 )
             )
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     if as_json:
         sys.stdout.write(json.dumps(result) + "\n")
     else:
-        STDOUT.print(table(result))
+        ANSWER_CONSOLE.print(table(result))

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,12 +15,12 @@ from crazychoir.errors import ConfigError, CrazyChoirError, refuse_exit
 from crazychoir.files.output_files import require_writable_file
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
-    STDERR,
-    STDOUT,
-    Outputs,
-    Progress,
-    fail,
-    prints_aside,
+    ANSWER_CONSOLE,
+    ERROR_CONSOLE,
+    CommandOutputs,
+    LiveTable,
+    exit_with_error,
+    redirect_prints,
     require_drawable,
     set_up_logging,
     write_json,
@@ -33,20 +34,30 @@ if TYPE_CHECKING:
 
     Seen = tuple[str, Mapping[int, Any]]
 
-SHOWN_AGENTS = 20
-"""Largest number of agents that a table shows."""
-ENTRIES = 6
-"""Number of entries of an array that a table shows."""
-QUIET = 10.0
+
+@dataclass(frozen=True, slots=True)
+class SimulateTableLimits:
+    """Limits of what the tables of `crazychoir simulate` show."""
+
+    most_agents: int = 20
+    """Largest number of agents that a table shows."""
+    most_entries: int = 6
+    """Number of entries of an array that a table shows."""
+    longest_value: int = 60
+    """Largest number of characters shown of a value that is not an array."""
+    violation_tolerance: float = 1e-6
+    """Constraint violations up to this are tolerances of a solver, and are not reported."""
+
+
+SIMULATE_TABLE_LIMITS = SimulateTableLimits()
+
+
+FIRST_PROGRESS_DELAY = 10.0
 """Seconds without output before the first progress line, where no live table is possible.
 
 The interval doubles after each line.
 """
-INTERRUPTED = "Ctrl-C: the run ends here, with what there is"
-WIDEST = 60
-"""Largest number of characters shown of a value that is not an array."""
-SMALL = 1e-6
-"""Constraint violations up to this are tolerances of a solver, and are not reported."""
+INTERRUPTION_TEXT = "Ctrl-C: the run ends here, with what there is"
 
 
 def simulate(
@@ -54,7 +65,7 @@ def simulate(
         Path, typer.Argument(help="Python file that defines agent(i, graph).")
     ],
     agents: Annotated[
-        int, options.whole("So many agents.", most=options.LARGEST_TEAM)
+        int, options.whole("So many agents.", most=options.OPTION_LIMITS.agents)
     ] = 10,
     graph: Annotated[
         str,
@@ -113,7 +124,7 @@ def simulate(
             simulate as simulation,
         )  # takes 1 s, which --help does not need
 
-    outputs = Outputs()
+    outputs = CommandOutputs()
     asked = (
         None
         if record is None
@@ -124,10 +135,10 @@ def simulate(
         if save is not None:
             require_suffix(save, "--save")
             require_writable_file(save, "--save")
-        with prints_aside(), refuse_exit("the algorithm"):
+        with redirect_prints(), refuse_exit("the algorithm"):
             with KERNEL_QUEUE.checks_first():
-                links, team = _team(file, agents, graph, seed, directed)
-                names = simulation.recorded(team, asked)
+                links, team = _make_team(file, agents, graph, seed, directed)
+                names = simulation.list_recorded_names(team, asked)
                 if picture is not None and not names:
                     raise ConfigError(
                         "--picture",
@@ -137,8 +148,8 @@ def simulate(
             KERNEL_QUEUE.compile()
             ended = False
             try:
-                with Progress(
-                    _progress_table, enabled=STDERR.is_terminal and not as_json
+                with LiveTable(
+                    _progress_table, enabled=ERROR_CONSOLE.is_terminal and not as_json
                 ) as progress:
                     history = simulation.simulate(
                         team,
@@ -147,11 +158,11 @@ def simulate(
                         seed=seed,
                         rounds=rounds,
                         record=names,
-                        watch=_Watch(progress, rounds),
+                        watch=_ProgressDisplay(progress, rounds),
                         sleep=(0.0, sleep),
                         compute=(0.0, compute),
                     )
-            except simulation.Interrupted as end:
+            except simulation.SimulationInterrupted as end:
                 history = end.history
                 ended = True
             if save is not None:
@@ -170,31 +181,31 @@ def simulate(
                         f"{file.stem}: {agents} agents, {graph}, {loss:.0%} lost",
                     )
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     said = (
-        {"success": False, "error": INTERRUPTED, "kind": "KeyboardInterrupt"}
+        {"success": False, "error": INTERRUPTION_TEXT, "kind": "KeyboardInterrupt"}
         if ended
         else {}
     )
     if as_json:
         write_json(history.to_json() | outputs.told | said)
     else:
-        STDOUT.print(_tables(history, file.stem))
+        ANSWER_CONSOLE.print(_tables(history, file.stem))
     outputs.say()
     if ended:
-        STDERR.print(INTERRUPTED)
+        ERROR_CONSOLE.print(INTERRUPTION_TEXT)
         raise typer.Exit(130)
     if outputs.failed:
         raise typer.Exit(1)
 
 
-class _Watch:
+class _ProgressDisplay:
     """Shows the progress of a simulation: a live table on a terminal, else a line now and then.
 
     The time between two lines doubles.
     """
 
-    def __init__(self, progress: "Progress[Seen]", rounds: int | None) -> None:
+    def __init__(self, progress: "LiveTable[Seen]", rounds: int | None) -> None:
         self.progress = progress
         self.steps = 0
         self.end = (
@@ -203,7 +214,7 @@ class _Watch:
             else f"of at most {rounds}"
         )
         self.began = time.perf_counter()
-        self.due = QUIET
+        self.due = FIRST_PROGRESS_DELAY
 
     def __call__(self, team: "Mapping[int, Any]") -> None:
         self.steps += 1
@@ -221,19 +232,19 @@ class _Watch:
         return f"round {self.steps // len(team)}, {self.end}"
 
 
-def _team(
+def _make_team(
     file: Path, agents: int, graph: str, seed: int, directed: bool
 ) -> "tuple[Graph, dict[int, Round]]":
     """Return the graph and the agents that the file makes for it.
 
     Raises ConfigError if the file defines no agent(i, graph), or if it returns no agent.
     """
-    from crazychoir.guidance.mission import from_file
+    from crazychoir.guidance.mission import import_from_file
     from crazychoir.guidance.user_hook import Hook
     from crazychoir.team.round import Round
 
-    links = options.graph_of(graph, agents, seed, directed)
-    module = from_file(file, "algorithm")
+    links = options.build_named_graph(graph, agents, seed, directed)
+    module = import_from_file(file, "algorithm")
     make = getattr(module, "agent", None)
     if make is None:
         allowed = "a file that defines agent(i, graph)"
@@ -269,20 +280,20 @@ def _progress_table(seen: "Seen") -> Group:
     """Return the round and a table with one row an agent."""
     now, team = seen
     table = Table("agent", "x")
-    for i, agent in list(team.items())[:SHOWN_AGENTS]:
-        table.add_row(str(i), Text(_short(getattr(agent, "x", ""))))
-    return Group(Text(now), _with_the_rest(table, len(team)))
+    for i, agent in list(team.items())[: SIMULATE_TABLE_LIMITS.most_agents]:
+        table.add_row(str(i), Text(_shorten_value(getattr(agent, "x", ""))))
+    return Group(Text(now), _add_hidden_count(table, len(team)))
 
 
-def _with_the_rest(table: Table, agents: int) -> Table:
+def _add_hidden_count(table: Table, agents: int) -> Table:
     """Add the number of agents that the table leaves out."""
-    if agents > SHOWN_AGENTS:
-        table.caption = f"and {agents - SHOWN_AGENTS} more agents"
+    if agents > SIMULATE_TABLE_LIMITS.most_agents:
+        table.caption = f"and {agents - SIMULATE_TABLE_LIMITS.most_agents} more agents"
     return table
 
 
 def _tables(history: "History", name: str) -> Group:
-    from crazychoir.optimization.history import parts_of
+    from crazychoir.optimization.history import list_parts
 
     figures = Table("figure", "value", title=name)
     result = history.to_json()
@@ -303,7 +314,7 @@ def _tables(history: "History", name: str) -> Group:
                 f"{name}: {v:.3g}" for name, v in value.items() if v is not None
             )
         if key == "violation":
-            value = _violation(history)
+            value = _violation_text(history)
         if value not in ("", None):
             figures.add_row(
                 key, f"{value:.4g}" if isinstance(value, float) else str(value)
@@ -313,7 +324,7 @@ def _tables(history: "History", name: str) -> Group:
         for i, values in history.values.items()
     }
     results = {
-        i: {name or "result": v for name, v in parts_of(part).items()}
+        i: {name or "result": v for name, v in list_parts(part).items()}
         for i, part in history.results.items()
     }
     tables = [
@@ -327,21 +338,26 @@ def _agents_table(rows: "Mapping[int, Mapping[str, Any]]", title: str) -> Table 
     """Return a table with one row an agent and one column a name; None if there are no names."""
     names = dict.fromkeys(name for row in rows.values() for name in row)
     table = Table("agent", *names, title=title)
-    for i, row in list(rows.items())[:SHOWN_AGENTS]:
+    for i, row in list(rows.items())[: SIMULATE_TABLE_LIMITS.most_agents]:
         table.add_row(
-            str(i), *(Text(_short(row[name]) if name in row else "") for name in names)
+            str(i),
+            *(Text(_shorten_value(row[name]) if name in row else "") for name in names),
         )
-    return _with_the_rest(table, len(rows)) if names else None
+    return _add_hidden_count(table, len(rows)) if names else None
 
 
-def _violation(history: "History") -> str | Text:
+def _violation_text(history: "History") -> str | Text:
     """Return the largest constraint violation, and which agents it concerns if it is not small.
 
     The x of these agents is not feasible, so it is no solution. Returns "" if none is known.
     """
     if history.violation is None:
         return ""
-    over = [i for i, violation in history.violations.items() if not violation <= SMALL]
+    over = [
+        i
+        for i, violation in history.violations.items()
+        if not violation <= SIMULATE_TABLE_LIMITS.violation_tolerance
+    ]
     if not over:
         return f"{history.violation:.3g}"
     whose = (
@@ -350,14 +366,18 @@ def _violation(history: "History") -> str | Text:
     return Text(f"{history.violation:.3g}, of {whose}: their x is not feasible", "red")
 
 
-def _short(x: Any) -> str:
+def _shorten_value(x: Any) -> str:
     import numpy as np
 
     if not isinstance(x, float | int | list | tuple | np.ndarray | np.generic):
-        return str(x) if len(str(x)) <= WIDEST else f"{str(x)[: WIDEST - 3]}..."
+        return (
+            str(x)
+            if len(str(x)) <= SIMULATE_TABLE_LIMITS.longest_value
+            else f"{str(x)[: SIMULATE_TABLE_LIMITS.longest_value - 3]}..."
+        )
     entries = list(x) if isinstance(x, list | tuple) else np.ravel(x).tolist()
     text = ", ".join(
         f"{entry:.6g}" if isinstance(entry, float) else str(entry)
-        for entry in entries[:ENTRIES]
+        for entry in entries[: SIMULATE_TABLE_LIMITS.most_entries]
     )
-    return text + (", ..." if len(entries) > ENTRIES else "")
+    return text + (", ..." if len(entries) > SIMULATE_TABLE_LIMITS.most_entries else "")

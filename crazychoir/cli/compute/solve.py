@@ -11,11 +11,11 @@ from rich.text import Text
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
-    STDOUT,
-    Outputs,
-    Progress,
-    fail,
-    interrupted,
+    ANSWER_CONSOLE,
+    CommandOutputs,
+    LiveTable,
+    exit_interrupted,
+    exit_with_error,
     require_drawable,
     set_up_logging,
     write_json,
@@ -90,14 +90,14 @@ def solve(
     bound_relaxation: the kind of routes that priced a bound that is not exact.
     """
     set_up_logging()
-    from crazychoir.routing.distributed.member import Settings
+    from crazychoir.routing.distributed.member import RoutingSettings
     from crazychoir.routing.instance.instance import Instance
     from crazychoir.solve.solving import solve_here
     from crazychoir.solve.team import (
         solve_in_processes,
     )  # takes 1 s, which --help does not need
 
-    outputs = Outputs()
+    outputs = CommandOutputs()
     try:
         require_drawable(picture)
         if loss >= 1.0:
@@ -107,19 +107,19 @@ def solve(
                 "less than 1: robots that hear nothing of each other agree on nothing",
             )
         problem = Instance.load(instance)
-        options.graph_of(graph, problem.robots, seed)
+        options.build_named_graph(graph, problem.robots, seed)
         how: dict[str, Any] = {
             "method": method,
             "loss": loss,
             "graph": graph,
             "seed": seed,
-            "settings": Settings(prove=prove),
+            "settings": RoutingSettings(prove=prove),
         }
         if processes is None:
-            with Progress(_team_table, enabled=not as_json) as shown:
+            with LiveTable(_team_table, enabled=not as_json) as shown:
                 result = solve_here(problem, watch=shown, **how)
         else:
-            with Progress(_progress_table, enabled=not as_json) as progress:
+            with LiveTable(_progress_table, enabled=not as_json) as progress:
                 result = solve_in_processes(
                     problem, processes, watch=None if as_json else progress, **how
                 )
@@ -127,23 +127,25 @@ def solve(
             with outputs.writing("--picture"):
                 _draw(problem, result, picture)
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     except KeyboardInterrupt:
-        interrupted(as_json)
+        exit_interrupted(as_json)
     if as_json:
         write_json(result | outputs.told)
     else:
-        STDOUT.print(_tables(result))
+        ANSWER_CONSOLE.print(_tables(result))
     outputs.say()
     raise typer.Exit(0 if result["feasible"] and not outputs.failed else 1)
 
 
 def _draw(problem: "Instance", result: dict[str, Any], path: Path) -> None:
     from crazychoir.routing.instance.picture import draw_routes
-    from crazychoir.routing.instance.plan import Plan, Route
+    from crazychoir.routing.instance.plan import Route, RoutePlan
 
     draw_routes(
-        problem, Plan(tuple(Route.from_json(route) for route in result["routes"])), path
+        problem,
+        RoutePlan(tuple(Route.from_json(route) for route in result["routes"])),
+        path,
     )
 
 

@@ -9,11 +9,11 @@ import typer
 from crazychoir.errors import CrazyChoirError, refuse_exit
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
-    STDERR,
-    STDOUT,
-    fail,
-    prints_aside,
-    result_table,
+    ANSWER_CONSOLE,
+    ERROR_CONSOLE,
+    build_result_table,
+    exit_with_error,
+    redirect_prints,
     set_up_logging,
     write_json,
 )
@@ -63,43 +63,43 @@ def agent(
 ) -> None:
     """Fly drones of a swarm; Ctrl-C lands them."""
     if child is not None:
-        ending.with_parent()
+        ending.end_after_parent()
     set_up_logging()
     with KERNEL_QUEUE.checks_first():
         from crazychoir.cli.shared.chosen_swarm import (
-            configured,
+            configured_swarm,
         )  # takes 1 s, which --help does not need
-        from crazychoir.guidance.mission import load, look_before
+        from crazychoir.guidance.mission import check_before_flight, load_mission
         from crazychoir.launch.process.process import run_agent
         from crazychoir.launch.processes import write_results
 
     try:
-        with prints_aside(), refuse_exit("the mission"):
+        with redirect_prints(), refuse_exit("the mission"):
             with KERNEL_QUEUE.checks_first():
-                config, which = configured(swarm, mission, loss, seed)
+                config, which = configured_swarm(swarm, mission, loss, seed)
                 members = tuple(sorted({config.drone(i).id: None for i in ids}))
-                flown = load(str(config.mission))
-                warned = look_before(flown, config, force)
+                flown = load_mission(str(config.mission))
+                warned = check_before_flight(flown, config, force)
             KERNEL_QUEUE.compile()
             if not as_json and child is None:
-                STDERR.print(
+                ERROR_CONSOLE.print(
                     f"swarm {config.name} ({which}), mission {config.mission}, drone(s) {ids}"
                 )
             for text in warned:
                 log.warning("%s", text)
             flight = run_agent(config, flown, members, listen, connect)
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     results = flight["results"]
     if child is not None:
         try:
             write_results(child, results)
         except CrazyChoirError as error:
-            fail(error, as_json)
+            exit_with_error(error, as_json)
     elif as_json:
         write_json(flight)
     else:
-        STDOUT.print(result_table(results))
+        ANSWER_CONSOLE.print(build_result_table(results))
     raise typer.Exit(
         0 if all(result.get("success") for result in results.values()) else 1
     )
@@ -107,7 +107,7 @@ def agent(
 
 def main() -> None:
     """Run the command line."""
-    ending.run(app)
+    ending.run_to_exit(app)
 
 
 if __name__ == "__main__":

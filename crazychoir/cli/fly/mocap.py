@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from crazychoir.errors import ConfigError, CrazyChoirError
-from crazychoir.launch.console import STDERR, Progress, fail, set_up_logging, write_json
+from crazychoir.launch.console import (
+    ERROR_CONSOLE,
+    LiveTable,
+    exit_with_error,
+    set_up_logging,
+    write_json,
+)
 from crazychoir.launch.process import ending
 
 if TYPE_CHECKING:
@@ -48,11 +54,11 @@ def mocap(
 ) -> None:
     """Send each drone of a swarm its pose. Ctrl-C ends it as soon as no drone has an agent."""
     if child:
-        ending.with_parent()
+        ending.end_after_parent()
     set_up_logging()
     from crazychoir.config.swarm_config import find_swarm
     from crazychoir.launch.process.mocap_process import (
-        mocap_table,
+        build_mocap_table,
         run_mocap,
     )  # takes 1 s, which --help does not need
 
@@ -60,15 +66,15 @@ def mocap(
         config, which = find_swarm(swarm)
         config = with_source(config, source)
         if not as_json and not child:
-            STDERR.print(
+            ERROR_CONSOLE.print(
                 f"swarm {config.name} ({which}): the cameras of drone(s) {list(config.seen)}",
                 highlight=False,
             )
         shown = not as_json and not child and sys.stderr.isatty()
-        with Progress(mocap_table, enabled=shown) as progress:
+        with LiveTable(build_mocap_table, enabled=shown) as progress:
             report = run_mocap(config, listen, record, progress if shown else None)
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     if as_json:
         write_json(report)
     raise typer.Exit(0 if report["success"] else 1)
@@ -119,7 +125,7 @@ def host_and_port(text: str) -> tuple[str, str]:
 
 def main() -> None:
     """Run the command line."""
-    ending.run(app)
+    ending.run_to_exit(app)
 
 
 if __name__ == "__main__":

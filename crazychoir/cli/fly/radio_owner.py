@@ -9,7 +9,12 @@ import typer
 
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.launch import number_options as options
-from crazychoir.launch.console import STDERR, fail, set_up_logging, write_json
+from crazychoir.launch.console import (
+    ERROR_CONSOLE,
+    exit_with_error,
+    set_up_logging,
+    write_json,
+)
 from crazychoir.launch.process import ending
 
 app = typer.Typer(add_completion=False)
@@ -41,7 +46,7 @@ def radios(
 ) -> None:
     """Own a dongle and the links to all its drones. Ctrl-C ends it as soon as no drone flies."""
     if child:
-        ending.with_parent()
+        ending.end_after_parent()
     set_up_logging()
     from crazychoir.cli.shared.chosen_swarm import (
         chosen_swarm,
@@ -59,12 +64,12 @@ def radios(
                 f"{which}: dongle", dongle, names, "Name one of them, or mend the uris."
             )
         if not as_json and not child:
-            STDERR.print(
+            ERROR_CONSOLE.print(
                 f"swarm {config.name} ({which}), dongle {dongle}, drone(s) {list(config.dongles[dongle])}"
             )
         report = run_radios(config, dongle, listen)
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     if as_json:
         write_json(report)
     raise typer.Exit(0 if report["success"] else 1)
@@ -72,7 +77,7 @@ def radios(
 
 def main() -> None:
     """Run the command line."""
-    ending.run(app)
+    ending.run_to_exit(app)
 
 
 if __name__ == "__main__":

@@ -9,18 +9,18 @@ from rich.table import Table
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
-    STDERR,
-    STDOUT,
-    Progress,
-    fail,
+    ANSWER_CONSOLE,
+    ERROR_CONSOLE,
+    LiveTable,
+    exit_with_error,
     set_up_logging,
     write_json,
 )
 
 if TYPE_CHECKING:
-    from crazychoir.radio.virtual.setup import Hall
+    from crazychoir.radio.virtual.setup import VirtualSwarm
 
-FIRST_PORT = 19850
+FIRST_VIRTUAL_PORT = 19850
 """Default UDP port of the first drone."""
 app = typer.Typer(
     help="Virtual Crazyflies on UDP, which any cflib program may fly, and what goes wrong with them."
@@ -42,7 +42,7 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.
 def virtual(
     context: typer.Context,
     drones: Annotated[int, options.whole("So many, on a grid.", most=200)] = 1,
-    port: PortOption = FIRST_PORT,
+    port: PortOption = FIRST_VIRTUAL_PORT,
     swarm: Annotated[
         str | None,
         typer.Option(
@@ -83,53 +83,61 @@ def virtual(
         return
     set_up_logging()
     from crazychoir.config.swarm_config import SwarmConfig
-    from crazychoir.launch.process.serving import serve
+    from crazychoir.launch.process.serving import serve_virtual_drones
     from crazychoir.radio.virtual.drone import (
-        RELEASE,
+        MODELLED_DRONE,
     )  # takes 1 s, which --help does not need
-    from crazychoir.radio.virtual.setup import known_decks, of_swarm, on_a_grid
+    from crazychoir.radio.virtual.setup import (
+        parse_decks,
+        place_on_grid,
+        select_from_swarm,
+    )
     from crazychoir.runtime.clock import run_wall
 
     try:
-        decks = None if deck is None else known_decks(deck)
-        release = firmware or RELEASE
+        decks = None if deck is None else parse_decks(deck)
+        release = firmware or MODELLED_DRONE.release
         if not release.isascii() or len(release) > 29:
             raise ConfigError(
                 "--firmware", release, "at most 29 plain characters, as 2025.12"
             )
         if swarm is None:
-            hall = on_a_grid(drones, port, decks, release)
+            hall = place_on_grid(drones, port, decks, release)
         else:
-            hall = of_swarm(SwarmConfig.load(swarm), decks, release)
+            hall = select_from_swarm(SwarmConfig.load(swarm), decks, release)
         shared = (
-            _shared(hall, dongles, per_dongle, capacity)
+            _shared_dongles(hall, dongles, per_dongle, capacity)
             if swarm or dongles or per_dongle
             else []
         )
-        with Progress(_table, enabled=not as_json and STDERR.is_terminal) as progress:
+        with LiveTable(
+            _table, enabled=not as_json and ERROR_CONSOLE.is_terminal
+        ) as progress:
             report = run_wall(
-                lambda clock: serve(clock, hall, shared, seed, release, progress)
+                lambda clock: serve_virtual_drones(
+                    clock, hall, shared, seed, release, progress
+                )
             )
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     if as_json:
         write_json(report)
     else:
-        STDOUT.print(_summary(report))
+        ANSWER_CONSOLE.print(_summary(report))
     raise typer.Exit(0 if report["success"] else 1)
 
 
 Shared = list[tuple[tuple[int, ...], float | None]]
 
 
-def _shared(
-    hall: "Hall", text: str | None, each: int | None, capacity: float | None
+def _shared_dongles(
+    hall: "VirtualSwarm", text: str | None, each: int | None, capacity: float | None
 ) -> Shared:
-    from crazychoir.radio.virtual.setup import groups
+    from crazychoir.radio.virtual.setup import dongle_groups
 
     if text is not None and each is not None:
         raise ConfigError("--dongles and --per-dongle", "both", "one of them")
-    return [(group, capacity or own) for group, own in groups(hall, text, each)]
+    return [(group, capacity or own) for group, own in dongle_groups(hall, text, each)]
 
 
 def _table(states: dict[int, Any]) -> Table:
@@ -185,12 +193,12 @@ def fault(
             help="As loss=0.3 delay=0.02 offset=0.2,0,0; `faults` lists them."
         ),
     ],
-    port: PortOption = FIRST_PORT,
+    port: PortOption = FIRST_VIRTUAL_PORT,
     swarm: OfSwarm = None,
     as_json: JsonOption = False,
 ) -> None:
     """Change the faults of a drone in flight."""
-    wanted = _wanted(changes, as_json)
+    wanted = _parse_faults(changes, as_json)
     _ask({"faults": {drone: wanted}}, port, swarm, as_json)
     if as_json:
         write_json({"success": True})
@@ -198,17 +206,19 @@ def fault(
 
 @app.command()
 def faults(
-    port: PortOption = FIRST_PORT, swarm: OfSwarm = None, as_json: JsonOption = False
+    port: PortOption = FIRST_VIRTUAL_PORT,
+    swarm: OfSwarm = None,
+    as_json: JsonOption = False,
 ) -> None:
     """List the possible faults and the present ones."""
-    from crazychoir.radio.virtual.faults import KNOBS
+    from crazychoir.radio.virtual.faults import FAULT_SETTINGS
 
     answer = _ask({"ask": "faults"}, port, swarm, as_json)
     if as_json:
         write_json(answer)
         return
     table = Table("fault", "allowed", "what it does", "now", box=box.SIMPLE_HEAD)
-    for name, knob in KNOBS.items():
+    for name, knob in FAULT_SETTINGS.items():
         now = {
             i: row[name]
             for i, row in answer["drones"].items()
@@ -220,31 +230,33 @@ def faults(
             knob.means,
             ", ".join(f"{i}: {value}" for i, value in now.items()),
         )
-    STDOUT.print(table)
+    ANSWER_CONSOLE.print(table)
 
 
 @app.command()
 def state(
-    port: PortOption = FIRST_PORT, swarm: OfSwarm = None, as_json: JsonOption = False
+    port: PortOption = FIRST_VIRTUAL_PORT,
+    swarm: OfSwarm = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Print the true state of each drone."""
     answer = _ask({"ask": "state"}, port, swarm, as_json)
     if as_json:
         write_json(answer)
     else:
-        STDOUT.print(_table(answer["drones"]))
+        ANSWER_CONSOLE.print(_table(answer["drones"]))
 
 
-def _wanted(changes: list[str], as_json: bool) -> dict[str, Any]:
+def _parse_faults(changes: list[str], as_json: bool) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for change in changes:
         name, _, text = change.partition("=")
         try:
-            numbers = options.finite_numbers(
+            numbers = options.parse_finite_numbers(
                 text, f"fault {name}", "name=number, as loss=0.3, or offset=0.2,0,0"
             )
         except ConfigError as error:
-            fail(error, as_json)
+            exit_with_error(error, as_json)
         found[name] = numbers if len(numbers) > 1 else numbers[0]
     return found
 
@@ -253,12 +265,12 @@ def _ask(
     question: dict[str, Any], port: int, swarm: str | None, as_json: bool
 ) -> dict[str, Any]:
     from crazychoir.config.swarm_config import SwarmConfig
-    from crazychoir.radio.virtual.control import ask
+    from crazychoir.radio.virtual.control import ask_server
 
     try:
-        return ask(
+        return ask_server(
             question,
             port=port - 1 if swarm is None else SwarmConfig.load(swarm).mocap.port,
         )
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)

@@ -8,7 +8,12 @@ from typing import Annotated
 import typer
 
 from crazychoir.errors import ConfigError, CrazyChoirError
-from crazychoir.launch.console import STDERR, fail, set_up_logging, write_json
+from crazychoir.launch.console import (
+    ERROR_CONSOLE,
+    exit_with_error,
+    set_up_logging,
+    write_json,
+)
 from crazychoir.launch.process import ending
 
 app = typer.Typer(add_completion=False)
@@ -32,7 +37,7 @@ def world(
 ) -> None:
     """Own the simulated world of a swarm. Ctrl-C ends it as soon as no drone flies."""
     if child:
-        ending.with_parent()
+        ending.end_after_parent()
     set_up_logging()
     from crazychoir.cli.shared.chosen_swarm import (
         chosen_swarm,
@@ -46,12 +51,12 @@ def world(
             do = 'Write owned = true into [world], or uri = "sim://motors" into its [[drones]].'
             raise ConfigError(which, "drones that fly in their agents", allowed, do)
         if not as_json and not child:
-            STDERR.print(
+            ERROR_CONSOLE.print(
                 f"swarm {config.name} ({which}), the world of drone(s) {list(config.owned)}"
             )
         report = run_world(config, listen)
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     if as_json:
         write_json(report)
     raise typer.Exit(0 if report["success"] else 1)
@@ -59,7 +64,7 @@ def world(
 
 def main() -> None:
     """Run the command line."""
-    ending.run(app)
+    ending.run_to_exit(app)
 
 
 if __name__ == "__main__":

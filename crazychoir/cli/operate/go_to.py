@@ -5,16 +5,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, looking
-from crazychoir.cli.operate.orders import conclude, numbers
+from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, run_as_observer
+from crazychoir.cli.operate.orders import parse_drones, print_answers
 from crazychoir.errors import ConfigError
 from crazychoir.launch import number_options as options
-from crazychoir.launch.console import STDERR, fail
+from crazychoir.launch.console import ERROR_CONSOLE, exit_with_error
 
 if TYPE_CHECKING:
     from crazychoir.cli.shared.observer import Answers, Window
 
-LATE = 60.0
+DRAWING_START_TIMEOUT = 60.0
 """Seconds that drones get to reach the start of a drawing, beside the duration of the drawing."""
 DronesOption = Annotated[str, typer.Option("--drones", help="Which, as 3,5-7.")]
 OffsetOption = Annotated[
@@ -40,21 +40,23 @@ def go_to(
 
     Exits with 0 only if every drone arrives.
     """
-    from crazychoir.agent.sketch import places  # kernels: 1 s that --help does not need
+    from crazychoir.agent.sketch import (
+        flight_places,  # kernels: 1 s that --help does not need
+    )
 
     p = _metres("PLACE", place)
     step = _metres("--offset", offset)
-    chosen = tuple(numbers(drones) or ())
+    chosen = tuple(parse_drones(drones) or ())
 
     async def work(window: "Window") -> "Answers":
         window.check("--drones", chosen)
-        goals = places(p, step, chosen, window.config)
+        goals = flight_places(p, step, chosen, window.config)
         told = {
             i: {"p": goal, "yaw": yaw, "duration": seconds} for i, goal in goals.items()
         }
         return await window.command("go-to", told, wait)
 
-    conclude(looking(swarm, work, as_json), as_json)
+    print_answers(run_as_observer(swarm, work, as_json), as_json)
 
 
 def fly(
@@ -84,13 +86,18 @@ def fly(
     The drones wait for their start or are held. Leaders may also fly it with
     their formation.
     """
-    from crazychoir.agent.sketch import HAND, loaded_file, messages, planned
+    from crazychoir.agent.sketch import (
+        SKETCH_LIMITS,
+        flight_messages,
+        load_file,
+        plan_sketch,
+    )
     from crazychoir.planning.drawing.drawing import Pen
 
     step = _metres("--offset", offset)
-    chosen = tuple(numbers(drones) or ())
+    chosen = tuple(parse_drones(drones) or ())
     told: dict[int, dict[str, Any]] = {}
-    spent = LATE
+    spent = DRAWING_START_TIMEOUT
 
     async def work(window: "Window") -> "Answers":
         nonlocal spent
@@ -101,23 +108,23 @@ def fly(
             if height is None
             else height
         )
-        pen = Pen(height=level, smoothing=HAND)
-        plan = planned(loaded_file(file), pen, config, v_max=speed, slower=slower)
-        told.update(messages(plan.path, chosen, step, config))
+        pen = Pen(height=level, smoothing=SKETCH_LIMITS.hand_deviation)
+        plan = plan_sketch(load_file(file), pen, config, v_max=speed, slower=slower)
+        told.update(flight_messages(plan.path, chosen, step, config))
         spent += plan.path.duration
-        STDERR.print(
+        ERROR_CONSOLE.print(
             f"{plan.path.duration:.1f} s, at most {plan.speed:.2f} m/s, {plan.acceleration:.2f} m/s2"
         )
         return await window.command("fly", told, spent)
 
-    conclude(looking(swarm, work, as_json), as_json)
+    print_answers(run_as_observer(swarm, work, as_json), as_json)
 
 
 def _metres(option: str, text: str) -> tuple[float, float, float]:
     try:
-        x, y, z = options.finite_numbers(
+        x, y, z = options.parse_finite_numbers(
             text, option, "three numbers of m, as 1,0.5,1.2", 3
         )
     except ConfigError as error:
-        fail(error, as_json=False)
+        exit_with_error(error, as_json=False)
     return x, y, z

@@ -12,17 +12,17 @@ from crazychoir.config.number_lists import parse_spans
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
-    STDOUT,
-    fail,
+    ANSWER_CONSOLE,
+    build_status_table,
+    exit_with_error,
     set_up_logging,
-    status_table,
     write_json,
 )
 
 if TYPE_CHECKING:
     from crazychoir.bus.topics import Topic
     from crazychoir.cli.shared.observer import Answers, Window, Work
-    from crazychoir.launch.flight_observer import Score
+    from crazychoir.launch.flight_observer import FlightScore
 
 SwarmOption = Annotated[
     str | None,
@@ -33,14 +33,14 @@ SwarmOption = Annotated[
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print JSON on standard output, nothing else.")
 ]
-LONGEST = 1.0
+STATUS_TIMEOUT = 1.0
 """Seconds to wait for the status of every drone, which comes four times a second."""
 SecondsOption = Annotated[
     float, options.seconds("How long to look, in s.", open_below=True)
 ]
 
 
-def looking(swarm: str | None, work: "Work", as_json: bool = False) -> Any:
+def run_as_observer(swarm: str | None, work: "Work", as_json: bool = False) -> Any:
     """Join the swarm as an observer, do the work and leave.
 
     Ends the command with an error if there is no swarm.
@@ -51,14 +51,14 @@ def looking(swarm: str | None, work: "Work", as_json: bool = False) -> Any:
     )  # takes 1 s, which --help does not need
 
     try:
-        return window.look(swarm, work)
+        return window.observe_swarm(swarm, work)
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
 
 
 def topics(as_json: JsonOption = False) -> None:
     """Print the table of topics."""
-    from crazychoir.bus.topics import TOPICS
+    from crazychoir.bus.topics import ALL_TOPICS
 
     rows = [
         {
@@ -71,7 +71,7 @@ def topics(as_json: JsonOption = False) -> None:
             "impaired": topic.impaired,
             "public_hz": topic.public,
         }
-        for topic in TOPICS
+        for topic in ALL_TOPICS
     ]
     if as_json:
         write_json(rows)
@@ -79,7 +79,7 @@ def topics(as_json: JsonOption = False) -> None:
     table = Table(*rows[0], box=box.SIMPLE_HEAD, padding=0)
     for row in rows:
         table.add_row(*(str(value) for value in row.values()))
-    STDOUT.print(table)
+    ANSWER_CONSOLE.print(table)
 
 
 def echo(
@@ -107,7 +107,7 @@ def echo(
             window.read(chosen, i, partial(_print_value, i), rate)
         await window.clock.sleep(seconds)
 
-    looking(swarm, work)
+    run_as_observer(swarm, work)
 
 
 def hz(
@@ -129,7 +129,7 @@ def hz(
         await window.clock.sleep(seconds)
         return {i: (box.received - before[i]) / seconds for i, box in boxes.items()}
 
-    _print_pairs(looking(swarm, work, as_json), ("drone", "Hz"), as_json)
+    _print_pairs(run_as_observer(swarm, work, as_json), ("drone", "Hz"), as_json)
 
 
 def status(
@@ -139,28 +139,28 @@ def status(
 ) -> None:
     """Show the state of each drone."""
 
-    async def work(window: "Window") -> "Score":
+    async def work(window: "Window") -> "FlightScore":
         # The agents may be starting just now on other hosts.
         if watch and window.patience:
             window.patience = max(window.patience, window.config.start_deadline)
         there = await window.find()
         score = window.score()
-        ends = window.clock.now() + LONGEST
+        ends = window.clock.now() + STATUS_TIMEOUT
         while any(i not in score.statuses for i in there) and window.clock.now() < ends:
             await window.clock.sleep(0.02)
         if watch:
             from rich.live import Live
 
-            with Live(console=STDOUT, refresh_per_second=4) as live:
+            with Live(console=ANSWER_CONSOLE, refresh_per_second=4) as live:
                 async for _ in window.clock.ticks(4.0):
-                    live.update(status_table(score))
+                    live.update(build_status_table(score))
         return score
 
-    score = looking(swarm, work, as_json)
+    score = run_as_observer(swarm, work, as_json)
     if as_json:
         write_json(dict(sorted(score.statuses.items())))
     else:
-        STDOUT.print(status_table(score))
+        ANSWER_CONSOLE.print(build_status_table(score))
 
 
 def impair(
@@ -210,7 +210,7 @@ def impair(
     pair = _edge(edge)
     if burst is not None and not (loss is not None and 0.0 < loss < 1.0):
         found = f"{burst:g} with {'no --loss' if loss is None else f'--loss {loss:g}'}"
-        fail(
+        exit_with_error(
             ConfigError("--burst", found, "1 or more, with a --loss between 0 and 1"),
             as_json,
         )
@@ -218,15 +218,15 @@ def impair(
     given = {key: value for key, value in scope.items() if value is not None}
 
     async def work(window: "Window") -> "Answers":
-        from crazychoir.config.network import changes
+        from crazychoir.config.network import impairment_changes
 
         await window.find()
         window.check("--edge", pair or ())
         window.check("--drone", () if drone is None else (drone,))
-        arguments: dict[str, Any] = {**given, **changes(effects)}
+        arguments: dict[str, Any] = {**given, **impairment_changes(effects)}
         return await window.request("impair", None, **arguments)
 
-    answers = looking(swarm, work, as_json)
+    answers = run_as_observer(swarm, work, as_json)
     shown = (
         answers
         if as_json
@@ -243,10 +243,14 @@ def _conclude(answers: "Answers", heads: tuple[str, str], as_json: bool) -> None
 
 def _in_words(network: Any) -> str:
     """Return the simulated network of a drone as text, one line a rule."""
-    from crazychoir.config.network import in_words
+    from crazychoir.config.network import rules_in_words
 
     # A drone that has refused gives its reason instead.
-    return "\n".join(in_words(network)) if isinstance(network, dict) else str(network)
+    return (
+        "\n".join(rules_in_words(network))
+        if isinstance(network, dict)
+        else str(network)
+    )
 
 
 def _edge(text: str | None) -> list[int] | None:
@@ -258,22 +262,28 @@ def _edge(text: str | None) -> list[int] | None:
         if len(pair) != 2:
             raise ConfigError("--edge", text, allowed)
     except ConfigError as error:
-        fail(error, as_json=False)
+        exit_with_error(error, as_json=False)
     return pair
 
 
 def _topic(name: str) -> "Topic":
-    from crazychoir.bus.topics import BY_NAME, OBSERVABLE
+    from crazychoir.bus.topics import OBSERVABLE_TOPICS, TOPIC_BY_NAME
 
-    if name not in OBSERVABLE:
-        fail(ConfigError("topic", name, ", ".join(OBSERVABLE)), as_json=False)
-    return BY_NAME[name]
+    if name not in OBSERVABLE_TOPICS:
+        exit_with_error(
+            ConfigError("topic", name, ", ".join(OBSERVABLE_TOPICS)), as_json=False
+        )
+    return TOPIC_BY_NAME[name]
 
 
 def _print_value(i: int, value: Any, age: float) -> None:
-    from crazychoir.bus.network.public_topics import by_name
+    from crazychoir.bus.network.public_topics import fields_by_name
 
-    fields = by_name(value) if hasattr(value, "__struct_fields__") else {"value": value}
+    fields = (
+        fields_by_name(value)
+        if hasattr(value, "__struct_fields__")
+        else {"value": value}
+    )
     write_json({"drone": i, **fields, "age": max(0.0, round(age, 4))})
 
 
@@ -286,4 +296,4 @@ def _print_pairs(pairs: dict[int, Any], heads: tuple[str, str], as_json: bool) -
         table.add_row(
             str(i), f"{value:.1f}" if isinstance(value, float) else str(value)
         )
-    STDOUT.print(table)
+    ANSWER_CONSOLE.print(table)

@@ -1,16 +1,17 @@
 """Command the drones of a running swarm: arm, take-off, start, hold, go, land, home, stop."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
 
-from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, looking
+from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, run_as_observer
 from crazychoir.config.number_lists import parse_spans
 from crazychoir.errors import ConfigError
 from crazychoir.launch import number_options as options
-from crazychoir.launch.console import STDOUT, fail, write_json
+from crazychoir.launch.console import ANSWER_CONSOLE, exit_with_error, write_json
 
 if TYPE_CHECKING:
     from crazychoir.cli.shared.observer import Answers, Window
@@ -18,10 +19,24 @@ if TYPE_CHECKING:
 DronesOption = Annotated[
     str | None, typer.Option("--drones", help="Only these, as 3,5-7; else all.")
 ]
-DONE = "done"
-ABSENT = "absent"
-SILENT = "silent"
-LONGEST = {
+
+
+@dataclass(frozen=True, slots=True)
+class OrderAnswers:
+    """Words for what a drone answers to a flight command."""
+
+    done: str = "done"
+    """The drone has done it."""
+    absent: str = "absent"
+    """No agent of the drone was found."""
+    silent: str = "silent"
+    """The drone does not answer."""
+
+
+ORDER_ANSWERS = OrderAnswers()
+
+
+ORDER_TIMEOUTS = {
     "arm": 5.0,
     "take-off": 30.0,
     "start": 5.0,
@@ -32,7 +47,7 @@ LONGEST = {
 }
 """Default seconds to wait until a command is done, by command."""
 Rows = dict[int, dict[str, str]]
-TEXTS = {
+ORDER_HELP = {
     "arm": "Ask drones on the ground whether they could take off; motors that wait for it are armed.",
     "take-off": "Rise and hover: drones of a run that waits for its operator (`crazychoir run --wait`).",
     "start": "Let the missions of a run that waits begin, of drones that hover.",
@@ -43,7 +58,7 @@ TEXTS = {
 }
 
 
-def order(verb: str, seconds: float) -> Callable[..., None]:
+def make_order_command(verb: str, seconds: float) -> Callable[..., None]:
     """Return the command line of a flight command; seconds: default of its option --wait."""
 
     def command(
@@ -54,15 +69,15 @@ def order(verb: str, seconds: float) -> Callable[..., None]:
         ] = seconds,
         as_json: JsonOption = False,
     ) -> None:
-        chosen = numbers(drones)
+        chosen = parse_drones(drones)
 
         async def work(window: "Window") -> "Answers":
             window.check("--drones", chosen or ())
             return await window.order(verb, chosen, wait)
 
-        conclude(looking(swarm, work, as_json), as_json)
+        print_answers(run_as_observer(swarm, work, as_json), as_json)
 
-    command.__doc__ = f"{TEXTS[verb]} Exit code 0 only if all have done it."
+    command.__doc__ = f"{ORDER_HELP[verb]} Exit code 0 only if all have done it."
     return command
 
 
@@ -77,22 +92,22 @@ def stop(
 
     Exits with 0 if all have obeyed.
     """
-    chosen = numbers(drones)
+    chosen = parse_drones(drones)
 
     async def work(window: "Window") -> "Answers":
         window.check("--drones", chosen or ())
         return await window.emergency_stop(clear, chosen)
 
-    answers: Answers = looking(swarm, work, as_json)
+    answers: Answers = run_as_observer(swarm, work, as_json)
     words = "cleared" if clear else "motors off"
     rows = {
-        i: {"answer": DONE, "says": words} if obeyed else _row(said)
+        i: {"answer": ORDER_ANSWERS.done, "says": words} if obeyed else _row(said)
         for i, (obeyed, said) in answers.items()
     }
     _conclude(rows, as_json)
 
 
-def conclude(answers: "Answers", as_json: bool) -> None:
+def print_answers(answers: "Answers", as_json: bool) -> None:
     """Print what each drone answers to a flight command; exit with 0 only if all have done it."""
     _conclude({i: _row(said) for i, (_, said) in answers.items()}, as_json)
 
@@ -100,10 +115,10 @@ def conclude(answers: "Answers", as_json: bool) -> None:
 def _row(said: "tuple[str, str] | list[str] | str") -> dict[str, str]:
     if not isinstance(said, str):
         return {"answer": said[0], "says": said[1]}
-    absent = said.startswith(ABSENT)
+    absent = said.startswith(ORDER_ANSWERS.absent)
     return {
-        "answer": ABSENT if absent else SILENT,
-        "says": said.removeprefix(ABSENT).lstrip("; "),
+        "answer": ORDER_ANSWERS.absent if absent else ORDER_ANSWERS.silent,
+        "says": said.removeprefix(ORDER_ANSWERS.absent).lstrip("; "),
     }
 
 
@@ -115,17 +130,19 @@ def _conclude(rows: Rows, as_json: bool) -> None:
         table = Table("drone", "answer", "says")
         for i, row in rows.items():
             table.add_row(str(i), row["answer"], row["says"])
-        STDOUT.print(table)
+        ANSWER_CONSOLE.print(table)
     raise typer.Exit(
-        0 if rows and all(row["answer"] == DONE for row in rows.values()) else 1
+        0
+        if rows and all(row["answer"] == ORDER_ANSWERS.done for row in rows.values())
+        else 1
     )
 
 
-def numbers(text: str | None) -> list[int] | None:
+def parse_drones(text: str | None) -> list[int] | None:
     """Return the drones of a text such as "3,5-7"; None, for all drones, without a text."""
     if text is None:
         return None
     try:
         return parse_spans(text, "--drones", "drones with commas between, as 3,5-7")
     except ConfigError as error:
-        fail(error, as_json=False)
+        exit_with_error(error, as_json=False)

@@ -7,10 +7,15 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, looking
+from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, run_as_observer
 from crazychoir.errors import ConfigError
 from crazychoir.launch import number_options as options
-from crazychoir.launch.console import STDERR, STDOUT, fail, write_json
+from crazychoir.launch.console import (
+    ANSWER_CONSOLE,
+    ERROR_CONSOLE,
+    exit_with_error,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from crazychoir.cli.shared.observer import Answers, Window
@@ -32,7 +37,7 @@ def read(
 ) -> None:
     """Print the parameters of each drone."""
     _conclude(
-        _asked(
+        _ask_drones(
             swarm,
             drone,
             "param_get",
@@ -56,12 +61,12 @@ def change(
     Exits with 0 only if every drone has changed it.
     """
     _conclude(
-        _asked(swarm, drone, "param_set", as_json, name=name, value=_value(value)),
+        _ask_drones(swarm, drone, "param_set", as_json, name=name, value=_value(value)),
         as_json,
     )
 
 
-def _asked(
+def _ask_drones(
     swarm: str | None, drone: int | None, verb: str, as_json: bool, **arguments: Any
 ) -> "Answers":
     async def work(window: "Window") -> "Answers":
@@ -70,16 +75,18 @@ def _asked(
             verb, None if drone is None else (drone,), **arguments
         )
 
-    answers: Answers = looking(swarm, work, as_json)
+    answers: Answers = run_as_observer(swarm, work, as_json)
     return answers
 
 
 def _value(text: str) -> Any:
     """Return the number in the text, or a list if there are several."""
     try:
-        found = options.finite_numbers(text, "VALUE", "a number, or three as 8,8,4")
+        found = options.parse_finite_numbers(
+            text, "VALUE", "a number, or three as 8,8,4"
+        )
     except ConfigError as error:
-        fail(error, as_json=False)
+        exit_with_error(error, as_json=False)
     return found if len(found) > 1 else found[0]
 
 
@@ -88,7 +95,7 @@ def _conclude(answers: "Answers", as_json: bool) -> None:
     if as_json:
         write_json({i: said for i, (_, said) in answers.items()})
     else:
-        STDOUT.print(_table(answers))
+        ANSWER_CONSOLE.print(_table(answers))
     raise typer.Exit(0 if all(done for done, _ in answers.values()) else 1)
 
 
@@ -104,27 +111,27 @@ def _table(answers: "Answers") -> Table:
         if done
     }
     table = Table("parameter", *(f"drone {i}" for i in good))
-    for name in _names(good.values()):
+    for name in _parameter_names(good.values()):
         table.add_row(
             Text(name),
             *(
-                Text(_shown(said[name]) if name in said else "")
+                Text(_format_parameter(said[name]) if name in said else "")
                 for said in good.values()
             ),
         )
     for i, (done, said) in answers.items():
         if not done:
-            STDERR.print(f"drone {i}: {said}", markup=False)
+            ERROR_CONSOLE.print(f"drone {i}: {said}", markup=False)
     return table
 
 
-def _names(answers: Iterable[Mapping[str, Any]]) -> list[str]:
+def _parameter_names(answers: Iterable[Mapping[str, Any]]) -> list[str]:
     """Return all parameter names, first those of the drone that has the most parameters."""
     most_first = sorted(answers, key=len, reverse=True)
     return list(dict.fromkeys(name for said in most_first for name in said))
 
 
-def _shown(value: Any) -> str:
+def _format_parameter(value: Any) -> str:
     if isinstance(value, list | tuple):
-        return ", ".join(map(_shown, value))
+        return ", ".join(map(_format_parameter, value))
     return f"{value:.4g}" if isinstance(value, float) else str(value)

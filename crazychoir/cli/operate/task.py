@@ -1,21 +1,43 @@
 """crazychoir task: add a task to a swarm in flight, or cancel one."""
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, looking
+from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, run_as_observer
 from crazychoir.config.number_lists import parse_spans
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.launch import number_options as options
-from crazychoir.launch.console import STDERR, STDOUT, fail, write_json
+from crazychoir.launch.console import (
+    ANSWER_CONSOLE,
+    ERROR_CONSOLE,
+    exit_with_error,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from crazychoir.cli.shared.observer import Answers, Window
 
-REFUSED = "refused"
-UNSURE = "It may have done it all the same: look at the report of the mission before you ask another with --drone."
-START = "crazychoir run online_delivery"
+
+@dataclass(frozen=True, slots=True)
+class TaskTexts:
+    """Texts of the answers to `crazychoir task`."""
+
+    refused: str = "refused"
+    """First word of a refusal."""
+    unsure: str = (
+        "It may have done it all the same: look at the report of the mission before "
+        "you ask another with --drone."
+    )
+    """Advice if a drone may have accepted the task."""
+    start_command: str = "crazychoir run online_delivery"
+    """Command that starts a swarm with tasks."""
+
+
+TASK_TEXTS = TaskTexts()
+
+
 app = typer.Typer(
     no_args_is_help=True, help="Add or cancel tasks of a swarm, in flight."
 )
@@ -80,7 +102,7 @@ def _ask(
 
     async def work(window: "Window") -> "Answers":
         window.check("--drone", () if drone is None else (drone,))
-        there = await _found(window)
+        there = await _find_drones(window)
         if drone is not None and drone not in there:
             raise Refused(
                 f"drone {drone}", f"absent; there are {', '.join(map(str, there))}"
@@ -89,11 +111,11 @@ def _ask(
         for i in there if drone is None else [drone]:
             answers |= await window.request(verb, (i,), **arguments)
             done, said = answers[i]
-            if done or not str(said).startswith(REFUSED):
+            if done or not str(said).startswith(TASK_TEXTS.refused):
                 break
         return answers
 
-    answers: Answers = looking(swarm, work, as_json)
+    answers: Answers = run_as_observer(swarm, work, as_json)
     done = [said for good, said in answers.values() if good]
     if as_json:
         write_json(
@@ -101,13 +123,13 @@ def _ask(
         )
     else:
         for line in _lines(answers):
-            (STDOUT if done else STDERR).print(
+            (ANSWER_CONSOLE if done else ERROR_CONSOLE).print(
                 line, markup=False, highlight=False, soft_wrap=True
             )
     raise typer.Exit(0 if done else 1)
 
 
-async def _found(window: "Window") -> list[int]:
+async def _find_drones(window: "Window") -> list[int]:
     """Return the drones that are there.
 
     Raises Refused, with the command that starts a swarm, if no drone flies.
@@ -115,7 +137,10 @@ async def _found(window: "Window") -> list[int]:
     try:
         return await window.find()
     except Refused as refused:
-        do = f"Only a swarm that flies takes tasks: start one in real time, as with `{START}`, and name it by --swarm."
+        do = (
+            "Only a swarm that flies takes tasks: start one in real time, as with "
+            f"`{TASK_TEXTS.start_command}`, and name it by --swarm."
+        )
         raise Refused(refused.by, f"{refused.reason} {do}") from None
 
 
@@ -129,7 +154,10 @@ def _lines(answers: "Answers") -> list[str]:
     for i, (_, said) in answers.items():
         text = str(said).removeprefix(f"drone {i}: ")
         by_word.setdefault(
-            text if text.startswith(REFUSED) else f"{text} {UNSURE}", []
+            text
+            if text.startswith(TASK_TEXTS.refused)
+            else f"{text} {TASK_TEXTS.unsure}",
+            [],
         ).append(str(i))
     return [f"drone {', '.join(who)}: {said}" for said, who in by_word.items()]
 
@@ -140,9 +168,9 @@ def _in_words(said: dict[str, Any]) -> str:
 
 def _place(option: str, text: str) -> list[float]:
     try:
-        return options.finite_numbers(text, option, "2 numbers, as 1.5,2", 2)
+        return options.parse_finite_numbers(text, option, "2 numbers, as 1.5,2", 2)
     except ConfigError as error:
-        fail(error, as_json=False)
+        exit_with_error(error, as_json=False)
 
 
 def _robots(text: str) -> list[int]:
@@ -151,4 +179,4 @@ def _robots(text: str) -> list[int]:
             text.strip().strip("[]()"), "--robots", "whole numbers, as 0,3"
         )
     except ConfigError as error:
-        fail(error, as_json=False)
+        exit_with_error(error, as_json=False)

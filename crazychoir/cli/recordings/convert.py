@@ -6,7 +6,13 @@ from typing import Annotated
 import typer
 
 from crazychoir.errors import CrazyChoirError
-from crazychoir.launch.console import STDOUT, fail, set_up_logging, warn_of, write_json
+from crazychoir.launch.console import (
+    ANSWER_CONSOLE,
+    exit_with_error,
+    set_up_logging,
+    warn_of_gaps,
+    write_json,
+)
 
 
 def convert(
@@ -31,17 +37,17 @@ def convert(
     and exit code 1.
     """
     set_up_logging()
-    from crazychoir.recording.mcap.reading import header
+    from crazychoir.recording.mcap.reading import read_header
     from crazychoir.recording.ros import (
         rosbag2 as bags,
     )  # takes 1 s, which --help does not need
 
     try:
-        recording = header(file)
-        warn_of(recording, "the bag has what lies before")
+        recording = read_header(file)
+        warn_of_gaps(recording, "the bag has what lies before")
         bag = bags.convert(file, rosbag2)
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     success = recording.complete or partial
     if as_json:
         topics = {
@@ -52,5 +58,5 @@ def convert(
         write_json({"success": success, **told, "topics": topics})
     else:
         text = f"{rosbag2}: {bag.count} messages of {len(bag.channels)} topics"
-        STDOUT.print(text, markup=False, highlight=False, soft_wrap=True)
+        ANSWER_CONSOLE.print(text, markup=False, highlight=False, soft_wrap=True)
     raise typer.Exit(0 if success else 1)

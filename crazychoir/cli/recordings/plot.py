@@ -10,22 +10,22 @@ from rich.table import Table
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.files.output_files import output_file, require_writable_folder
 from crazychoir.launch.console import (
-    STDOUT,
-    Outputs,
-    fail,
+    ANSWER_CONSOLE,
+    CommandOutputs,
+    exit_with_error,
     set_up_logging,
-    warn_of,
+    warn_of_gaps,
     write_json,
 )
 
 if TYPE_CHECKING:
-    from crazychoir.recording.analysis.activity import Work
-    from crazychoir.recording.analysis.communication import Talk
-    from crazychoir.recording.analysis.figures import Flight
+    from crazychoir.recording.analysis.activity import FlightActivity
+    from crazychoir.recording.analysis.communication import TeamMessages
+    from crazychoir.recording.analysis.figures import RecordedFlight
     from crazychoir.recording.analysis.plots import Pictures, Reasons
     from crazychoir.recording.mcap.reading import Recording
 
-HEADS = {
+FIGURE_HEADINGS = {
     "source": "place by",
     "flown_m": "flown m",
     "highest_m": "highest m",
@@ -36,11 +36,14 @@ HEADS = {
     "estimation_rmse_m": "state RMSE m",
 }
 """Heading of each figure in the table."""
-COMPARED = (
+RMSE_NOTE = (
     "RMSE, worst: its place against the reference position, for so many seconds as there was one (a law that commands "
     "accelerations has none). State RMSE: truth against what the drone took for its position."
 )
-BY_STATE = "By state: where the drone took itself to be, as its truth was not recorded, or nobody saw it from outside."
+STATE_SOURCE_NOTE = (
+    "By state: where the drone took itself to be, as its truth was not "
+    "recorded, or nobody saw it from outside."
+)
 
 
 def plot(
@@ -61,31 +64,32 @@ def plot(
     """
     set_up_logging()
     from crazychoir.bus.topics import (
-        RESULT,
-        STATUS,
+        DRONE_TOPICS,
     )  # takes 1 s, which --help does not need
-    from crazychoir.recording.analysis.activity import work_of
-    from crazychoir.recording.analysis.communication import talk_of
-    from crazychoir.recording.analysis.figures import TOPICS, flight_of
+    from crazychoir.recording.analysis.activity import read_activity
+    from crazychoir.recording.analysis.communication import read_team_messages
+    from crazychoir.recording.analysis.figures import FLIGHT_TOPICS, recorded_flight
     from crazychoir.recording.mcap.reading import read
 
-    outputs = Outputs()
+    outputs = CommandOutputs()
     folder = out or file.with_suffix("")
     files: list[Path] = []
     try:
-        recording = read(file, (*TOPICS, STATUS.name, RESULT.name))
-        flight = flight_of(recording)
+        recording = read(
+            file, (*FLIGHT_TOPICS, DRONE_TOPICS.status.name, DRONE_TOPICS.result.name)
+        )
+        flight = recorded_flight(recording)
         began, ended = recording.seconds
-        work = work_of(file, began)
-        talk = talk_of(file, began)
+        work = read_activity(file, began)
+        talk = read_team_messages(file, began)
         pictures, missing = _pictures(file, flight, work, talk)
         require_writable_folder(folder, "--out")
         with outputs.writing("--out"):
             _write(flight, work, talk, pictures, folder, files)
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     figures = {"seconds": ended - began, **flight.figures()}
-    warn_of(recording, f"only its first {figures['seconds']:.1f} s are there")
+    warn_of_gaps(recording, f"only its first {figures['seconds']:.1f} s are there")
     if as_json:
         told = {"file": file, **recording.lacks, "about": recording.about}
         success = not outputs.failed
@@ -103,46 +107,49 @@ def plot(
         _show(recording, figures)
         if missing:
             text = "; ".join(f"{name}: {why}" for name, why in missing.items())
-            STDOUT.print(
+            ANSWER_CONSOLE.print(
                 f"Not drawn: {text}", markup=False, highlight=False, soft_wrap=True
             )
         names = ", ".join(path.stem for path in files if path.suffix == ".png")
         text = f"In {folder}/: {names} (.png and .pdf), and what they show as tables (.csv)"
-        STDOUT.print(text, markup=False, highlight=False, soft_wrap=True)
+        ANSWER_CONSOLE.print(text, markup=False, highlight=False, soft_wrap=True)
     outputs.say()
     if outputs.failed:
         raise typer.Exit(1)
 
 
 def _pictures(
-    file: Path, flight: "Flight", work: "Work", talk: "Talk"
+    file: Path, flight: "RecordedFlight", work: "FlightActivity", talk: "TeamMessages"
 ) -> "tuple[Pictures, Reasons]":
     """Return the pictures that can be drawn, and for each other picture the reason.
 
     Raises ConfigError if nothing can be drawn.
     """
-    from crazychoir.recording.analysis.plots import of_flight
-    from crazychoir.recording.analysis.team_plots import of_team
-    from crazychoir.recording.mcap.reading import FLIGHT
-    from crazychoir.recording.mcap.records import DO
+    from crazychoir.recording.analysis.plots import flight_pictures
+    from crazychoir.recording.analysis.team_plots import team_pictures
+    from crazychoir.recording.mcap.reading import EXPECTED_RECORDING
+    from crazychoir.recording.mcap.records import RECORDING_HINT
 
     (pictures, missing), (more, without) = (
-        of_flight(flight),
-        of_team(flight, work, talk),
+        flight_pictures(flight),
+        team_pictures(flight, work, talk),
     )
     pictures = pictures | more
     missing = missing | without
     if not pictures:
         raise ConfigError(
-            str(file), "; ".join(dict.fromkeys(missing.values())), FLIGHT, DO
+            str(file),
+            "; ".join(dict.fromkeys(missing.values())),
+            EXPECTED_RECORDING,
+            RECORDING_HINT,
         )
     return pictures, missing
 
 
 def _write(
-    flight: "Flight",
-    work: "Work",
-    talk: "Talk",
+    flight: "RecordedFlight",
+    work: "FlightActivity",
+    talk: "TeamMessages",
     pictures: "Pictures",
     folder: Path,
     files: list[Path],
@@ -172,23 +179,25 @@ def _show(recording: "Recording", figures: dict[str, Any]) -> None:
     title = f"{about['mission']}, seed {about['seed']}, {figures['seconds']:.2f} s of {about['time']} time"
     table = Table(
         "drone",
-        *HEADS.values(),
+        *FIGURE_HEADINGS.values(),
         title=title,
         box=box.SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
         show_edge=False,
     )
     for i, own in figures["drones"].items():
-        table.add_row(str(i), *(_cell(own[key]) for key in HEADS))
+        table.add_row(str(i), *(_cell(own[key]) for key in FIGURE_HEADINGS))
     if not figures["drones"]:
-        STDOUT.print(title, markup=False, highlight=False, soft_wrap=True)
+        ANSWER_CONSOLE.print(title, markup=False, highlight=False, soft_wrap=True)
         return
-    STDOUT.print(table)
-    STDOUT.print(COMPARED)
+    ANSWER_CONSOLE.print(table)
+    ANSWER_CONSOLE.print(RMSE_NOTE)
     if any(own["source"] == "state" for own in figures["drones"].values()):
-        STDOUT.print(BY_STATE)
+        ANSWER_CONSOLE.print(STATE_SOURCE_NOTE)
     if least is not None:
-        STDOUT.print(f"Least distance of two drones: {least:.3f} m", highlight=False)
+        ANSWER_CONSOLE.print(
+            f"Least distance of two drones: {least:.3f} m", highlight=False
+        )
 
 
 def _cell(figure: float | str | None) -> str:

@@ -7,16 +7,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from crazychoir.cli.operate.inspect import SwarmOption, looking
+from crazychoir.cli.operate.inspect import SwarmOption, run_as_observer
 from crazychoir.errors import ConfigError
 from crazychoir.launch import number_options as options
-from crazychoir.launch.console import STDERR, STDOUT, fail, write_json
+from crazychoir.launch.console import (
+    ANSWER_CONSOLE,
+    ERROR_CONSOLE,
+    exit_with_error,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from crazychoir.cli.shared.observer import Window
     from crazychoir.recording.recorder import Recorder
 
-LOOK = 0.25
+PRESENCE_CHECK_PERIOD = 0.25
 """Seconds between two checks for drones that are still there."""
 
 
@@ -38,17 +43,17 @@ def record(
     try:
         chosen = _topics(topics)
     except ConfigError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
 
     async def work(window: "Window") -> None:
         import asyncio
 
-        from crazychoir.launch.recording import new_recording
+        from crazychoir.launch.recording import make_recording
         from crazychoir.recording.recorder import Recorder
         from crazychoir.runtime.supervisor import Supervisor
 
         with contextlib.closing(
-            new_recording(file, window.config, None, virtual=False)
+            make_recording(file, window.config, None, virtual=False)
         ) as opened:
             await window.find()
             config = window.config
@@ -58,7 +63,7 @@ def record(
             )
             recorder.ended = "Ctrl-C"
             recorders.append(recorder)
-            STDERR.print(
+            ERROR_CONSOLE.print(
                 f"recording {file}; Ctrl-C ends it",
                 markup=False,
                 highlight=False,
@@ -68,7 +73,7 @@ def record(
                 Supervisor(window.clock, "record").run([recorder])
             )
             try:
-                recorder.ended = await _until_gone(
+                recorder.ended = await _wait_until_gone(
                     window, recorder, math.inf if seconds is None else seconds
                 )
             finally:
@@ -76,14 +81,14 @@ def record(
                 await asyncio.wait([running])
 
     try:
-        looking(swarm, work, as_json)
+        run_as_observer(swarm, work, as_json)
     except KeyboardInterrupt:
         if not recorders:
             raise
     told = recorders[0].result()
     ended = recorders[0].ended
     if not (told["messages"] or told["error"]):
-        told["error"] = _nothing(topics)
+        told["error"] = _no_message_text(topics)
     success = not (told["error"] or told["lost"])
     if as_json:
         write_json({"success": success, **told, "ended": ended})
@@ -92,9 +97,9 @@ def record(
             f"{told[name]} {name}" for name in ("messages", "lost", "missed")
         )
         text = f"{told['file']}: {figures}; it ended: {ended}"
-        STDOUT.print(text, markup=False, highlight=False, soft_wrap=True)
+        ANSWER_CONSOLE.print(text, markup=False, highlight=False, soft_wrap=True)
         if not told["messages"]:
-            STDERR.print(
+            ERROR_CONSOLE.print(
                 f"There is no file: {told['error']}",
                 markup=False,
                 highlight=False,
@@ -103,14 +108,16 @@ def record(
     raise typer.Exit(0 if success else 1)
 
 
-def _nothing(named: str | None) -> str:
+def _no_message_text(named: str | None) -> str:
     """Return why the recording has no message, and what to do."""
     of = f" of {named}" if named else ""
     do = "Record for longer, or more topics; a result is said only at the end of a mission."
     return f"no message{of} came while it was recorded. {do}"
 
 
-async def _until_gone(window: "Window", recorder: "Recorder", seconds: float) -> str:
+async def _wait_until_gone(
+    window: "Window", recorder: "Recorder", seconds: float
+) -> str:
     """Wait until the file fails, the time is over, or no drone has been there for too long.
 
     seconds: s after which the recording ends
@@ -118,11 +125,11 @@ async def _until_gone(window: "Window", recorder: "Recorder", seconds: float) ->
     Returns a text that says which of the three it was.
     """
     from crazychoir.cli.shared.running_swarm import (
-        DISCOVERY,
+        NEXT_PROCESS_TIMEOUT,
     )  # takes 1 s, which --help does not need
 
     clock = window.clock
-    patience = window.config.lost_after + DISCOVERY
+    patience = window.config.lost_after + NEXT_PROCESS_TIMEOUT
     ends = clock.now() + seconds
     seen = clock.now()
     waiting = False
@@ -133,27 +140,27 @@ async def _until_gone(window: "Window", recorder: "Recorder", seconds: float) ->
         elif clock.now() - seen >= patience:
             return f"no drone was there for {patience:g} s"
         elif not waiting:
-            STDERR.print(
+            ERROR_CONSOLE.print(
                 f"no drone is there: it ends in {patience:g} s, unless one comes back",
                 soft_wrap=True,
             )
             waiting = True
-        await clock.sleep(min(LOOK, ends - clock.now()))
+        await clock.sleep(min(PRESENCE_CHECK_PERIOD, ends - clock.now()))
     return recorder.file.error or f"after {seconds:g} s"
 
 
 def _topics(named: str | None) -> tuple[str, ...]:
-    from crazychoir.bus.topics import OBSERVABLE
+    from crazychoir.bus.topics import OBSERVABLE_TOPICS
 
     if named is None:
-        return OBSERVABLE
+        return OBSERVABLE_TOPICS
     chosen = tuple(named.split(","))
     for name in chosen:
-        if name not in OBSERVABLE:
+        if name not in OBSERVABLE_TOPICS:
             raise ConfigError(
                 "--topics",
                 name,
-                ", ".join(OBSERVABLE),
+                ", ".join(OBSERVABLE_TOPICS),
                 "Name some of them, with commas between.",
             )
     return chosen

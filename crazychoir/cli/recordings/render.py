@@ -10,12 +10,12 @@ from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.files.output_files import output_file, require_writable_file
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
-    STDERR,
-    STDOUT,
-    Outputs,
-    fail,
+    ANSWER_CONSOLE,
+    ERROR_CONSOLE,
+    CommandOutputs,
+    exit_with_error,
     set_up_logging,
-    warn_of,
+    warn_of_gaps,
     write_json,
 )
 
@@ -63,14 +63,14 @@ def render(
     set_up_logging()
     import numpy as np  # takes 1 s, which --help does not need
 
-    from crazychoir.bus.topics import STATE, TRUTH
+    from crazychoir.bus.topics import DRONE_TOPICS
     from crazychoir.config.swarm_config import SwarmConfig
-    from crazychoir.recording.analysis.figures import flight_of
-    from crazychoir.recording.mcap.reading import FLIGHT, read
-    from crazychoir.recording.mcap.records import DO
+    from crazychoir.recording.analysis.figures import recorded_flight
+    from crazychoir.recording.mcap.reading import EXPECTED_RECORDING, read
+    from crazychoir.recording.mcap.records import RECORDING_HINT
     from crazychoir.recording.video import check_video, write_video
 
-    outputs = Outputs()
+    outputs = CommandOutputs()
     files: list[Path] = []
     try:
         width, height = _size(size)
@@ -78,12 +78,17 @@ def render(
         if video is not None:
             check_video(video, width, height)
             require_writable_file(video, "--video", parents=True)
-        recording = read(file, (TRUTH.name, STATE.name))
-        warn_of(recording, "what lies before is drawn")
-        flight = flight_of(recording)
+        recording = read(file, (DRONE_TOPICS.truth.name, DRONE_TOPICS.state.name))
+        warn_of_gaps(recording, "what lies before is drawn")
+        flight = recorded_flight(recording)
         config = SwarmConfig.loads(recording.swarm, str(file))
         if not flight.tracks:
-            raise ConfigError(str(file), "no two places of any drone", FLIGHT, DO)
+            raise ConfigError(
+                str(file),
+                "no two places of any drone",
+                EXPECTED_RECORDING,
+                RECORDING_HINT,
+            )
         from crazychoir.recording.reenactment import (
             Reenactment,
         )  # raises an error with instructions if MuJoCo is missing
@@ -92,23 +97,23 @@ def render(
         times = np.arange(flight.times[0], flight.times[-1], speed / fps)
         with shown.film(width, height, camera) as film:
             if picture is not None:
-                moment = _moment(at, times)
+                moment = _picture_time(at, times)
                 with outputs.writing("--picture"):
                     _save(picture, shown.picture(film, moment))
                     files.append(picture)
             if video is not None:
-                STDERR.print(f"{len(times)} pictures", highlight=False)
+                ERROR_CONSOLE.print(f"{len(times)} pictures", highlight=False)
                 with outputs.writing("--video"):
                     write_video(video, shown.pictures(film, times), fps)
                     files.append(video)
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     success = not outputs.failed
     if as_json:
         told = {"file": file, **recording.lacks, "files": files, **outputs.told}
         write_json({"success": success, **told, "seconds": float(times[-1] - times[0])})
     elif files:
-        STDOUT.print(
+        ANSWER_CONSOLE.print(
             f"In {', '.join(map(str, files))}",
             markup=False,
             highlight=False,
@@ -139,7 +144,7 @@ def _check(picture: Path | None, video: Path | None) -> None:
         require_writable_file(picture, "--picture", parents=True)
 
 
-def _moment(at: float | None, times: Any) -> float:
+def _picture_time(at: float | None, times: Any) -> float:
     """Return the time of the picture, in s of the recording; at: s, None for the middle."""
     first = float(times[0])
     last = float(times[-1])

@@ -3,6 +3,7 @@
 import contextlib
 import math
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,11 +12,11 @@ import typer
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
-    STDERR,
-    STDOUT,
-    fail,
+    ANSWER_CONSOLE,
+    ERROR_CONSOLE,
+    exit_with_error,
     set_up_logging,
-    warn_of,
+    warn_of_gaps,
     write_json,
 )
 
@@ -24,12 +25,20 @@ if TYPE_CHECKING:
     from crazychoir.recording.replayer import Step
     from crazychoir.runtime.clock import Clock
 
-LOOK = 0.1
-"""Seconds between two looks for observers."""
-SETTLE = 1.0
-"""Seconds that an observer which has just joined gets to subscribe, at most."""
-LINGER = 1.0
-"""Seconds for which the swarm stays after the last message."""
+
+@dataclass(frozen=True, slots=True)
+class ReplayTiming:
+    """Times of `crazychoir replay` before the first message and after the last one."""
+
+    observer_check_period: float = 0.1
+    """Seconds between two looks for observers."""
+    subscription_time: float = 1.0
+    """Seconds that an observer which has just joined gets to subscribe, at most."""
+    linger_time: float = 1.0
+    """Seconds for which the swarm stays after the last message."""
+
+
+REPLAY_TIMING = ReplayTiming()
 
 
 def replay(
@@ -61,25 +70,25 @@ def replay(
     set_up_logging()
     from crazychoir.config.swarm_config import SwarmConfig
     from crazychoir.launch.network import (
-        isolated_swarm,
-        swarm_file,
+        hold_isolated_swarm,
+        write_swarm_file,
     )  # takes 1 s, which --help does not need
-    from crazychoir.launch.run_registry import Run, recorded
-    from crazychoir.recording.mcap.reading import header
+    from crazychoir.launch.run_registry import RunRecord, record_run
+    from crazychoir.recording.mcap.reading import read_header
     from crazychoir.runtime.clock import run_wall
 
     try:
-        recording = header(file)
-        warn_of(recording, "what lies before is said")
-        recorded_swarm = _here(
+        recording = read_header(file)
+        warn_of_gaps(recording, "what lies before is said")
+        recorded_swarm = _local_swarm(
             SwarmConfig.loads(recording.swarm, f"{file}: swarm.json")
         )
         with (
-            isolated_swarm(recorded_swarm, 1) as config,
-            swarm_file(config) as path,
-            recorded(Run(config.name, str(file), None, str(path))),
+            hold_isolated_swarm(recorded_swarm, 1) as config,
+            write_swarm_file(config) as path,
+            record_run(RunRecord(config.name, str(file), None, str(path))),
         ):
-            STDERR.print(
+            ERROR_CONSOLE.print(
                 f"Look at it (or echo, hz, record): crazychoir status --swarm {path}",
                 soft_wrap=True,
             )
@@ -87,21 +96,21 @@ def replay(
                 lambda clock: _replay(clock, config, file, speed, step, wait)
             )
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     except KeyboardInterrupt:
         raise typer.Exit(130) from None
     if as_json:
         of_file = {"file": file, **recording.lacks}
         write_json({"success": told["messages"] > 0, **of_file, **told})
     else:
-        STDOUT.print(
+        ANSWER_CONSOLE.print(
             f"{told['messages']} messages, {told['seconds']:.2f} s of flight",
             highlight=False,
         )
     raise typer.Exit(0 if told["messages"] else 1)
 
 
-def _here(config: "SwarmConfig") -> "SwarmConfig":
+def _local_swarm(config: "SwarmConfig") -> "SwarmConfig":
     """Return the same swarm on this machine alone: without hosts and keys."""
     import msgspec
 
@@ -132,18 +141,18 @@ async def _replay(
     """
     import random
 
-    from crazychoir.bus.network.hello import VERSION
+    from crazychoir.bus.network.hello import PACKAGE_VERSION
     from crazychoir.bus.network.zenoh_link import ZenohLink
     from crazychoir.bus.port import Bus
-    from crazychoir.bus.topics import BY_NAME, OBSERVABLE
-    from crazychoir.launch.network import REPLAY, attached
+    from crazychoir.bus.topics import OBSERVABLE_TOPICS, TOPIC_BY_NAME
+    from crazychoir.launch.network import REPLAY_HOST, run_attached
     from crazychoir.recording.replayer import Replayer
 
     incarnation = random.SystemRandom().getrandbits(62)
-    bus = Bus(clock, process=f"replay-{incarnation & 0xFFFFFFFF:08x}", host=REPLAY)
+    bus = Bus(clock, process=f"replay-{incarnation & 0xFFFFFFFF:08x}", host=REPLAY_HOST)
     for i in config.ids:
         for address in sorted(
-            {i, *(config.source(BY_NAME[name], i) for name in OBSERVABLE)}
+            {i, *(config.source(TOPIC_BY_NAME[name], i) for name in OBSERVABLE_TOPICS)}
         ):
             bus.port(address, incarnation)
     link = ZenohLink(
@@ -152,23 +161,23 @@ async def _replay(
         listen=list(config.endpoints().values()),
         connect=[],
         incarnation=incarnation,
-        version=VERSION,
+        version=PACKAGE_VERSION,
         lease=config.lease,
     )
     replayer = Replayer(
-        bus, file, speed, None if step is None else _asked(step), config.source
+        bus, file, speed, None if step is None else _read_steps(step), config.source
     )
-    async with attached(link):
+    async with run_attached(link):
         latest = clock.now() + wait
         while not link.peers and clock.now() < latest:
-            await clock.sleep(LOOK)
-        await clock.sleep(min(wait, SETTLE))
+            await clock.sleep(REPLAY_TIMING.observer_check_period)
+        await clock.sleep(min(wait, REPLAY_TIMING.subscription_time))
         await replayer.run()
-        await clock.sleep(LINGER)
+        await clock.sleep(REPLAY_TIMING.linger_time)
     return {"messages": replayer.said, "seconds": replayer.at}
 
 
-def _asked(step: float) -> "Step":
+def _read_steps(step: float) -> "Step":
     """Return a function that gives the next step, in s, as read from standard input.
 
     At the end of the input the step is infinite: the flight runs to its end.
@@ -182,12 +191,12 @@ def _asked(step: float) -> "Step":
         return seconds
 
     async def asked() -> float:
-        STDERR.print(
+        ERROR_CONSOLE.print(
             f"at {at:.2f} s; Enter: on by {step:g} s; a number and Enter: by that many; Ctrl-C ends it",
             highlight=False,
             soft_wrap=True,
         )
-        while line := await _line():
+        while line := await _next_input_line():
             if not line.strip():
                 return step
             with contextlib.suppress(ValueError):
@@ -197,13 +206,13 @@ def _asked(step: float) -> "Step":
             error = ConfigError(
                 "--step", found, "Enter, or a number of seconds above 0 and Enter"
             )
-            STDERR.print(error, markup=False, highlight=False, soft_wrap=True)
+            ERROR_CONSOLE.print(error, markup=False, highlight=False, soft_wrap=True)
         return math.inf
 
     return next_step
 
 
-async def _line() -> bytes:
+async def _next_input_line() -> bytes:
     """Return the next line of standard input, empty at its end.
 
     A daemon thread reads, so that the caller can be cancelled and the program can end meanwhile.

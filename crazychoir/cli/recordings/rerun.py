@@ -12,21 +12,21 @@ from rich.text import Text
 
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.launch.console import (
-    STDERR,
-    STDOUT,
-    Progress,
-    fail,
-    prints_aside,
+    ANSWER_CONSOLE,
+    ERROR_CONSOLE,
+    LiveTable,
+    build_status_table,
+    exit_with_error,
+    redirect_prints,
     set_up_logging,
-    status_table,
-    warn_of,
+    warn_of_gaps,
     write_json,
 )
 
 if TYPE_CHECKING:
     from crazychoir.recording.mcap.reading import Recording
 
-UNSEEN = "in no recorded message: in truth between two of them, or in messages that are not recorded"
+UNSEEN_DIFFERENCE = "in no recorded message: in truth between two of them, or in messages that are not recorded"
 
 
 def rerun(
@@ -48,37 +48,44 @@ def rerun(
     set_up_logging()
     from crazychoir.config.swarm_config import SwarmConfig
     from crazychoir.guidance.mission import (
-        load,
+        load_mission,
     )  # takes 1 s, which --help does not need
     from crazychoir.launch.flight import fly_fast
-    from crazychoir.launch.recording import FILES, other_files, recording_file, text_of
+    from crazychoir.launch.recording import (
+        FILES_KEY,
+        list_changed_files,
+        open_recording_file,
+        read_mission_text,
+    )
     from crazychoir.recording.analysis.comparison import first_difference
-    from crazychoir.recording.mcap.reading import header
+    from crazychoir.recording.mcap.reading import read_header
 
     try:
-        recording = header(file)
+        recording = read_header(file)
         _check(recording)
-        with prints_aside(), _into(record) as path:
+        with redirect_prints(), _repetition_file(record) as path:
             config = SwarmConfig.loads(recording.swarm, f"{file}: swarm.json")
-            mission = load(str(config.mission))
+            mission = load_mission(str(config.mission))
             others = _other_versions(recording)
-            if text_of(mission) != recording.mission:
+            if read_mission_text(mission) != recording.mission:
                 others["mission"] = f"the text of {config.mission} is another now"
-            others |= other_files(
-                json.loads(recording.about.get(FILES, "{}")), config, mission
+            others |= list_changed_files(
+                json.loads(recording.about.get(FILES_KEY, "{}")), config, mission
             )
-            with Progress(status_table, enabled=not as_json) as progress:
+            with LiveTable(build_status_table, enabled=not as_json) as progress:
                 for what, text in others.items():
                     progress.say(f"{what}: {text}")
-                with recording_file(path, config, mission, virtual=True) as repeated:
+                with open_recording_file(
+                    path, config, mission, virtual=True
+                ) as repeated:
                     result = fly_fast(config, mission, progress, repeated)
             broken = "" if repeated is None else repeated.error
             difference = None if broken else first_difference(file, path)
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     digest = recording.outcome.get("digest")
     same = difference is None and digest in (None, result["digest"])
-    where = UNSEEN if difference is None else str(difference)
+    where = UNSEEN_DIFFERENCE if difference is None else str(difference)
     whole = recording.lacks["complete"]
     told = {
         "success": same and whole and not broken,
@@ -102,7 +109,9 @@ def rerun(
         text = (
             f"Not written as a whole: --record: {broken}; only the digests are compared"
         )
-        STDERR.print(text, style="red", markup=False, highlight=False, soft_wrap=True)
+        ERROR_CONSOLE.print(
+            text, style="red", markup=False, highlight=False, soft_wrap=True
+        )
     raise typer.Exit(0 if told["success"] else 1)
 
 
@@ -116,11 +125,11 @@ def _check(recording: "Recording") -> None:
             "one in virtual time, which repeats itself",
             do,
         )
-    warn_of(recording, "it is compared as far as it goes")
+    warn_of_gaps(recording, "it is compared as far as it goes")
 
 
 @contextlib.contextmanager
-def _into(record: Path | None) -> Iterator[Path]:
+def _repetition_file(record: Path | None) -> Iterator[Path]:
     """Yield the file for the repetition: the given one, or a temporary file."""
     from crazychoir.files.private_folder import scratch_folder
 
@@ -130,11 +139,11 @@ def _into(record: Path | None) -> Iterator[Path]:
 
 def _other_versions(recording: "Recording") -> dict[str, str]:
     """Return the versions that have changed since the recording and may round differently."""
-    from crazychoir.launch.recording import versions
+    from crazychoir.launch.recording import list_versions
 
     pairs = {
         name: (recording.about.get(name, "unknown"), now)
-        for name, now in versions().items()
+        for name, now in list_versions().items()
     }
     return {
         name: f"{then} then, {now} now"
@@ -161,4 +170,4 @@ def _show(told: dict[str, Any]) -> None:
     table.add_row("wall_s", f"{told['wall_s']:.2f} s")
     if told["first_difference"]:
         table.add_row("they differ first", Text(told["first_difference"], "red"))
-    STDOUT.print(table)
+    ANSWER_CONSOLE.print(table)

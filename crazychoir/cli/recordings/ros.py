@@ -4,37 +4,47 @@ Experimental.
 """
 
 from collections import deque
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from crazychoir.cli.operate.inspect import SwarmOption, looking
+from crazychoir.cli.operate.inspect import SwarmOption, run_as_observer
 from crazychoir.launch import number_options as options
 
 if TYPE_CHECKING:
-    from crazychoir.bus.network.zenoh_link import Outside
+    from crazychoir.bus.network.zenoh_link import OutsideSession
     from crazychoir.cli.shared.observer import Window
     from crazychoir.recording.ros.rviz import Places
     from crazychoir.types import State, Vec
 
-ROUTER = "tcp/127.0.0.1:7447"
-"""Endpoint of `rmw_zenohd`."""
-NODE = "crazychoir"
-"""Name of the ROS node."""
-PATH_POINTS = 600
-"""Largest number of places in a path."""
-PATH_EVERY = 10
-"""Publish a path with every tenth pose."""
-READ = 2.0
-"""Smallest number of places to read within STATE.max_age, the age limit of a published place."""
+
+@dataclass(frozen=True, slots=True)
+class RosBridgeSettings:
+    """Settings of the bridge to ROS 2: its router, its node and what it publishes."""
+
+    router: str = "tcp/127.0.0.1:7447"
+    """Endpoint of `rmw_zenohd`."""
+    node: str = "crazychoir"
+    """Name of the ROS node."""
+    most_path_points: int = 600
+    """Largest number of places in a path."""
+    poses_per_path: int = 10
+    """Poses of a drone after which its path is published again."""
+    reads_per_age: float = 2.0
+    """Smallest number of places to read within STATE.max_age, the age limit of a published place.
+    """
+
+
+ROS_BRIDGE = RosBridgeSettings()
 
 
 def ros(
     swarm: SwarmOption = None,
     connect: Annotated[
         str, typer.Option(help="Endpoint of `rmw_zenohd`, or of another Zenoh router.")
-    ] = ROUTER,
+    ] = ROS_BRIDGE.router,
     domain: Annotated[int, options.whole("ROS_DOMAIN_ID.", least=0, most=232)] = 0,
     rate: Annotated[
         float, options.real("Messages of each topic a second.", least=0.1, most=100.0)
@@ -44,33 +54,38 @@ def ros(
     """Publish poses, paths, markers and transforms of a running swarm as rmw_zenoh does (experimental)."""
 
     async def work(window: "Window") -> None:
-        from crazychoir.bus.network.zenoh_link import Outside
+        from crazychoir.bus.network.zenoh_link import OutsideSession
 
         ids = await window.find()
-        with Outside(connect) as outside:
-            await serve(window, Bridge(outside, domain, ids), ids, rate, seconds)
+        with OutsideSession(connect) as outside:
+            await serve(window, RosBridge(outside, domain, ids), ids, rate, seconds)
 
-    looking(swarm, work)
+    run_as_observer(swarm, work)
 
 
 async def serve(
-    window: "Window", bridge: "Bridge", ids: list[int], rate: float, seconds: float
+    window: "Window", bridge: "RosBridge", ids: list[int], rate: float, seconds: float
 ) -> None:
     """Publish the places of these drones until all have gone, or until `seconds` have passed.
 
     rate: Hz of each topic
     """
-    from crazychoir.bus.topics import STATE
-    from crazychoir.runtime.clock import SECOND
+    from crazychoir.bus.topics import DRONE_TOPICS
+    from crazychoir.runtime.clock import NS_PER_SECOND
 
     clock = window.clock
     places = dict[int, tuple["State", int]]()
 
     def hear(i: int, state: "State", age: float) -> None:
-        places[i] = state, clock.now_ns() + clock.epoch_ns - round(age * SECOND)
+        places[i] = state, clock.now_ns() + clock.epoch_ns - round(age * NS_PER_SECOND)
 
     for i in ids:
-        window.read(STATE, i, partial(hear, i), max(rate, READ / STATE.max_age))
+        window.read(
+            DRONE_TOPICS.state,
+            i,
+            partial(hear, i),
+            max(rate, ROS_BRIDGE.reads_per_age / DRONE_TOPICS.state.max_age),
+        )
     ends = clock.now() + seconds
     async for _ in clock.ticks(rate):
         bridge.publish(places, clock.now_ns() + clock.epoch_ns)
@@ -78,7 +93,7 @@ async def serve(
             return
 
 
-class Bridge:
+class RosBridge:
     """The ROS node: its publishers and their message counters.
 
     outside: session with the ROS network
@@ -86,7 +101,7 @@ class Bridge:
     ids: drones to publish
     """
 
-    def __init__(self, outside: "Outside", domain: int, ids: list[int]) -> None:
+    def __init__(self, outside: "OutsideSession", domain: int, ids: list[int]) -> None:
         from crazychoir.recording.ros.rmw_zenoh import Publisher, node_token
 
         topics = {f"/drone{i}/pose": "geometry_msgs/PoseStamped" for i in ids}
@@ -97,15 +112,17 @@ class Bridge:
         }
         self._outside = outside
         session = outside.id
-        outside.token(node_token(domain, session, NODE))
+        outside.token(node_token(domain, session, ROS_BRIDGE.node))
         self._publishers: dict[str, Publisher] = {}
         for number, (topic, kind) in enumerate(topics.items(), 1):
             self._publishers[topic] = Publisher(
-                domain, session, NODE, number, topic, kind
+                domain, session, ROS_BRIDGE.node, number, topic, kind
             )
             outside.token(self._publishers[topic].token)
         self._said = dict.fromkeys(topics, 0)
-        self._ways: dict[int, deque[Vec]] = {i: deque(maxlen=PATH_POINTS) for i in ids}
+        self._ways: dict[int, deque[Vec]] = {
+            i: deque(maxlen=ROS_BRIDGE.most_path_points) for i in ids
+        }
         self._shown: set[int] = set()
         self._count = 0
 
@@ -115,11 +132,11 @@ class Bridge:
         places: for each drone its state and the time of that state, ns after 1970
         now_ns: ns after 1970
         """
-        from crazychoir.bus.topics import STATE
+        from crazychoir.bus.topics import DRONE_TOPICS
         from crazychoir.recording.ros import rviz
-        from crazychoir.runtime.clock import SECOND
+        from crazychoir.runtime.clock import NS_PER_SECOND
 
-        since_ns = now_ns - STATE.max_age * SECOND
+        since_ns = now_ns - DRONE_TOPICS.state.max_age * NS_PER_SECOND
         fresh = {
             i: (state, born_ns)
             for i, (state, born_ns) in places.items()
@@ -129,14 +146,16 @@ class Bridge:
         self._shown = set(fresh)
         for i, (state, born_ns) in fresh.items():
             self._ways[i].append(state.p)
-            self._put(f"/drone{i}/pose", rviz.pose(state, born_ns), now_ns)
-            if self._count % PATH_EVERY == 0:
-                self._put(f"/drone{i}/path", rviz.path(self._ways[i], born_ns), now_ns)
+            self._put(f"/drone{i}/pose", rviz.pack_pose(state, born_ns), now_ns)
+            if self._count % ROS_BRIDGE.poses_per_path == 0:
+                self._put(
+                    f"/drone{i}/path", rviz.pack_path(self._ways[i], born_ns), now_ns
+                )
         if fresh:
-            self._put("/tf", rviz.transforms(fresh), now_ns)
+            self._put("/tf", rviz.pack_transforms(fresh), now_ns)
             self._count += 1
         if fresh or gone:
-            self._put("/drones", rviz.markers(fresh, gone), now_ns)
+            self._put("/drones", rviz.pack_markers(fresh, gone), now_ns)
 
     def _put(self, topic: str, data: bytes, now_ns: int) -> None:
         self._said[topic] += 1

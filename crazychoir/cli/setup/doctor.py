@@ -10,13 +10,18 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from crazychoir.cli.setup.host_checks import Row, is_wrong
-from crazychoir.launch.console import STDOUT, prints_aside, write_json
+from crazychoir.cli.setup.host_checks import CheckResult, is_wrong
+from crazychoir.launch.console import ANSWER_CONSOLE, redirect_prints, write_json
 
 if TYPE_CHECKING:
     from crazychoir.config.swarm_config import SwarmConfig
 
-COLOURS = {"ok": "green", "warning": "yellow", "wrong": "bold red", "not here": "dim"}
+STATE_COLOURS = {
+    "ok": "green",
+    "warning": "yellow",
+    "wrong": "bold red",
+    "not here": "dim",
+}
 
 
 def doctor(
@@ -36,7 +41,7 @@ def doctor(
     Prints each fault with the command that repairs it. Exits with 1 if there is a
     fault.
     """
-    rows = machine() + of_swarm(swarm, host)
+    rows = check_machine() + check_swarm(swarm, host)
     if as_json:
         write_json(
             {"success": not is_wrong(rows), "rows": [asdict(row) for row in rows]}
@@ -46,25 +51,25 @@ def doctor(
     raise typer.Exit(1 if is_wrong(rows) else 0)
 
 
-def machine(sys_folder: Path = Path("/sys")) -> list[Row]:
+def check_machine(sys_folder: Path = Path("/sys")) -> list[CheckResult]:
     """Return the checks that do not depend on a swarm; sys_folder: for tests."""
     from crazychoir.cli.setup import host_checks, host_facts
 
-    needed = host_facts.needed()
+    needed = host_facts.required_packages()
     names = [line.partition(">=")[0] for line in needed]
     return [
-        host_checks.python(tuple(sys.version_info[:3])),
-        *host_checks.packages(needed, host_facts.installed(names)),
-        host_checks.clock(*host_facts.clock()),
-        host_checks.timer(host_facts.late_ms()),
-        host_checks.governor(host_facts.governors(sys_folder)),
-        host_checks.files(host_facts.files()),
-        host_checks.disk(host_facts.disk_mb(Path.cwd()), str(Path.cwd())),
-        host_checks.multicast(),
+        host_checks.check_python(tuple(sys.version_info[:3])),
+        *host_checks.check_packages(needed, host_facts.installed_versions(names)),
+        host_checks.check_synchronisation(*host_facts.clock_synchronisation()),
+        host_checks.check_wake_ups(host_facts.wake_up_delay_ms()),
+        host_checks.check_governor(host_facts.governors(sys_folder)),
+        host_checks.check_open_files(host_facts.open_file_limit()),
+        host_checks.check_disk(host_facts.disk_mb(Path.cwd()), str(Path.cwd())),
+        host_checks.report_multicast(),
     ]
 
 
-def of_swarm(swarm: str | None, host: str | None) -> list[Row]:
+def check_swarm(swarm: str | None, host: str | None) -> list[CheckResult]:
     """Return the checks of what the swarm file needs on this host.
 
     swarm: path of the swarm file, None to search it
@@ -77,7 +82,7 @@ def of_swarm(swarm: str | None, host: str | None) -> list[Row]:
         config, which = find_swarm(swarm)
     except ConfigError as error:
         return [
-            Row(
+            CheckResult(
                 "swarm file",
                 "wrong",
                 str(error),
@@ -85,48 +90,48 @@ def of_swarm(swarm: str | None, host: str | None) -> list[Row]:
             )
         ]
     rows = [
-        Row("swarm file", "ok", f"{which}: {len(config.ids)} drone(s)"),
-        mission(config),
+        CheckResult("swarm file", "ok", f"{which}: {len(config.ids)} drone(s)"),
+        check_mission(config),
     ]
-    return rows + files(config) + network(config, host)
+    return rows + find_missing_files(config) + check_network(config, host)
 
 
-def mission(config: "SwarmConfig") -> Row:
+def check_mission(config: "SwarmConfig") -> CheckResult:
     """Return the check that the mission can be loaded."""
     from crazychoir.errors import CrazyChoirError
-    from crazychoir.guidance.mission import load
+    from crazychoir.guidance.mission import load_mission
 
     if config.mission is None:
-        return Row(
+        return CheckResult(
             "mission",
             "warning",
             "none",
             'Write mission = "..." into the swarm file, or give --mission.',
         )
     try:
-        with prints_aside():
-            load(config.mission)
+        with redirect_prints():
+            load_mission(config.mission)
     except CrazyChoirError as error:
-        return Row(
+        return CheckResult(
             "mission",
             "wrong",
             str(error),
             "Copy it here beside the swarm file: crazychoir push",
         )
-    return Row("mission", "ok", config.mission)
+    return CheckResult("mission", "ok", config.mission)
 
 
-def files(config: "SwarmConfig") -> list[Row]:
+def find_missing_files(config: "SwarmConfig") -> list[CheckResult]:
     """Return a fault for each file that the swarm file names and that is missing."""
     lost = {key: path for key, path in config.files.items() if not path.is_file()}
     do = "Copy it here: crazychoir push"
     return [
-        Row(f"file of {key}", "wrong", f"{path}: it is not there", do)
+        CheckResult(f"file of {key}", "wrong", f"{path}: it is not there", do)
         for key, path in lost.items()
     ]
 
 
-def network(config: "SwarmConfig", host: str | None) -> list[Row]:
+def check_network(config: "SwarmConfig", host: str | None) -> list[CheckResult]:
     """Return the checks of the network and the devices of this host.
 
     They concern addresses, ports, other hosts, keys, radios, and memory for its processes.
@@ -136,29 +141,31 @@ def network(config: "SwarmConfig", host: str | None) -> list[Row]:
     own = [name for name, address in config.hosts.items() if host_facts.is_own(address)]
     here = [name for name in own if host in (None, name)]
     inward = {
-        name: at for name in here if (at := host_facts.loopback(config.hosts[name]))
+        name: at for name in here if (at := host_facts.loopback_of(config.hosts[name]))
     }
-    rows = [host_checks.own_host(config.hosts, own, host, inward)]
-    names = listeners(config, here)
+    rows = [host_checks.check_own_host(config.hosts, own, host, inward)]
+    names = listening_processes(config, here)
     held = {
-        port: host_facts.holder(port)
+        port: host_facts.port_holder(port)
         for port, (address, _) in names.items()
         if not host_facts.is_free(address, port)
     }
-    rows += host_checks.ports({port: name for port, (_, name) in names.items()}, held)
+    rows += host_checks.check_ports(
+        {port: name for port, (_, name) in names.items()}, held
+    )
     # With a router a host connects to nothing else.
     others = config.hosts if config.router is None else [config.router]
     for name in (name for name in others if name not in own):
-        port = min(listeners(config, [name]), default=config.base_port)
+        port = min(listening_processes(config, [name]), default=config.base_port)
         address = config.hosts[name]
-        answer = host_facts.answer(address, port)
+        answer = host_facts.connect_to_host(address, port)
         stranger = ""
         if answer == "connected" and config.secured and here:
-            stranger = host_facts.handshake(
+            stranger = host_facts.try_handshake(
                 address, port, Path(config.security.keys) / here[0]
             )
-        rows.append(host_checks.reachable(name, address, answer, stranger))
-    rows += certificates(config, here)
+        rows.append(host_checks.check_other_host(name, address, answer, stranger))
+    rows += check_certificates(config, here)
     ids = [
         i
         for k, ids in config.dongles.items()
@@ -167,60 +174,68 @@ def network(config: "SwarmConfig", host: str | None) -> list[Row]:
     ]
     uris = [config.drone(i).uri for i in ids]
     numbers = [int(uri.split("/")[2]) for uri in uris if uri.startswith("radio://")]
-    rows += host_checks.radios(host_facts.crazyradios(), numbers)
+    rows += host_checks.check_crazyradios(host_facts.crazyradios(), numbers)
     processes = sum(
         _is_here(config.host_of(process), here) for process in config.endpoints()
     )
-    return [*rows, host_checks.memory(host_facts.memory_mb(), processes)]
+    return [*rows, host_checks.check_memory(host_facts.memory_mb(), processes)]
 
 
-def listeners(config: "SwarmConfig", hosts: list[str]) -> dict[int, tuple[str, str]]:
+def listening_processes(
+    config: "SwarmConfig", hosts: list[str]
+) -> dict[int, tuple[str, str]]:
     """Return the ports of these hosts, each with its address and the process that listens there.
 
     In a swarm with a router only the router listens.
     """
-    from crazychoir.cli.setup.systemd_units import ROUTER, name_of
+    from crazychoir.cli.setup.systemd_units import UnitNumber, name_of
 
     found = {}
     for process, endpoint in config.endpoints().items():
-        listens = config.router is None or process == ROUTER
+        listens = config.router is None or process == UnitNumber.ROUTER
         if listens and _is_here(config.host_of(process), hosts):
             address, _, port = endpoint.partition("/")[2].rpartition(":")
             found[int(port)] = (address.strip("[]"), name_of(process))
     return found
 
 
-def certificates(config: "SwarmConfig", hosts: list[str]) -> list[Row]:
+def check_certificates(config: "SwarmConfig", hosts: list[str]) -> list[CheckResult]:
     """Return the checks of the keys of this machine, for each of its names in [hosts]."""
     from crazychoir.bus.network import authority
     from crazychoir.cli.setup import host_checks
     from crazychoir.errors import ConfigError
-    from crazychoir.runtime.clock import today
+    from crazychoir.runtime.clock import date_and_time
 
     if not config.secured:
         if config.security.insecure:
             do = "Leave security.insecure out, and make keys: crazychoir keys init"
             return [
-                Row(
+                CheckResult(
                     "keys",
                     "warning",
                     "the network is open (security.insecure): whoever is on it commands",
                     do,
                 )
             ]
-        return [Row("keys", "not here", "a network of this machine alone needs none")]
+        return [
+            CheckResult(
+                "keys", "not here", "a network of this machine alone needs none"
+            )
+        ]
     rows = []
     for name in hosts:
         fault = ""
         do = ""
         days = 0.0
         try:
-            own = authority.checked(Path(config.security.keys), name)
-            days = (authority.good_until(own) - today()).total_seconds() / 86400
+            own = authority.check_keys(Path(config.security.keys), name)
+            days = (
+                authority.earliest_expiry(own) - date_and_time()
+            ).total_seconds() / 86400
         except ConfigError as error:
             fault = str(error).removesuffix(error.do).rstrip()
             do = error.do
-        rows.append(host_checks.keys(name, fault, do, days))
+        rows.append(host_checks.check_host_keys(name, fault, do, days))
     return rows
 
 
@@ -228,11 +243,11 @@ def _is_here(host: str | None, here: list[str]) -> bool:
     return host is None or host in here
 
 
-def _show(rows: list[Row]) -> None:
+def _show(rows: list[CheckResult]) -> None:
     table = Table(
         "", "what", "found", "how to mend it", box=box.SIMPLE_HEAD, padding=(0, 1)
     )
     for row in rows:
-        colour = COLOURS[row.state]
+        colour = STATE_COLOURS[row.state]
         table.add_row(Text(row.state, colour), row.what, row.found, row.mend)
-    STDOUT.print(table)
+    ANSWER_CONSOLE.print(table)

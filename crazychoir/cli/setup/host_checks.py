@@ -6,29 +6,41 @@ from dataclasses import dataclass
 from typing import Literal
 
 State = Literal["ok", "warning", "wrong", "not here"]
-PYTHONS = ((3, 11), (3, 14))
-"""First supported version of Python, and the first version that is not supported any more."""
-BOOTLOADER = "1915:0101"
+
+
+@dataclass(frozen=True, slots=True)
+class HostRequirements:
+    """What a host needs for a flight."""
+
+    python_versions: tuple[tuple[int, ...], ...] = ((3, 11), (3, 14))
+    """First supported version of Python, and the first version that is not supported any more.
+    """
+    process_memory: float = 300.0
+    """MB: memory of one agent."""
+    disk_space: float = 1000.0
+    """MB: size of the recording of a long flight of many drones."""
+    open_files: int = 1024
+    """Open files and sockets that a process needs: it has a link to each other process."""
+    wake_up_delay: float = 5.0
+    """ms: latest wake-up allowed, half a period of the control law at 100 Hz."""
+    certificate_warning: int = 30
+    """Days before the end of a certificate from which on there is a warning."""
+
+
+HOST_REQUIREMENTS = HostRequirements()
+
+
+BOOTLOADER_ID = "1915:0101"
 """USB vendor and product of a Crazyradio PA in its bootloader."""
-CRAZYRADIOS = ("1915:7777", BOOTLOADER, "35f0:bad2")
+CRAZYRADIO_IDS = ("1915:7777", BOOTLOADER_ID, "35f0:bad2")
 """USB vendor and product: Crazyradio PA, its bootloader, Crazyradio 2.0."""
-UDEV = (
+UDEV_COMMANDS = (
     """echo 'SUBSYSTEM=="usb", ATTRS{idVendor}=="1915|35f0", MODE="0664", GROUP="plugdev"' | """
     "sudo tee /etc/udev/rules.d/99-crazyradio.rules && sudo udevadm control --reload && sudo udevadm trigger; "
     "sudo usermod -aG plugdev $USER, which counts from the next login"
 )
 """Commands that let users of the group plugdev write to Crazyradios."""
-PROCESS_MB = 300.0
-"""Memory of one agent, MB."""
-DISK_MB = 1000.0
-"""Size of the recording of a long flight of many drones, MB."""
-FILES = 1024
-"""Open files and sockets that a process needs: it has a link to each other process."""
-LATE_MS = 5.0
-"""Latest wake-up allowed, ms: half a period of the control law at 100 Hz."""
-SOON = 30
-"""Days before the end of a certificate from which on there is a warning."""
-_OURS = re.compile(
+_OWN_PROCESS = re.compile(
     r"process \d+: (\S+ (-\S+ )*)?(\S*/)?(crazychoir(-\w+)?|crazychoir(\.\w+)+)( |$)"
 )
 """Matches a command line of our own processes.
@@ -36,11 +48,11 @@ _OURS = re.compile(
 The name must be the program itself or the module that an interpreter runs. A word of its
 arguments does not count.
 """
-_REQUIREMENT = re.compile(r"([A-Za-z0-9._-]+)>=([\d.]+)")
+_REQUIREMENT_PATTERN = re.compile(r"([A-Za-z0-9._-]+)>=([\d.]+)")
 
 
 @dataclass(frozen=True)
-class Row:
+class CheckResult:
     """The result of one check."""
 
     what: str
@@ -54,7 +66,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Usb:
+class UsbDevice:
     """A device on the USB."""
 
     kind: str
@@ -65,13 +77,13 @@ class Usb:
     """Whether this user may write to the file."""
 
 
-def python(version: tuple[int, ...]) -> Row:
+def check_python(version: tuple[int, ...]) -> CheckResult:
     """Check the version of Python; version: as in sys.version_info."""
-    first, last = PYTHONS
+    first, last = HOST_REQUIREMENTS.python_versions
     found = ".".join(map(str, version[:3]))
     if first <= version[:2] < last:
-        return Row("python", "ok", found)
-    return Row(
+        return CheckResult("python", "ok", found)
+    return CheckResult(
         "python",
         "wrong",
         found,
@@ -79,7 +91,9 @@ def python(version: tuple[int, ...]) -> Row:
     )
 
 
-def packages(needed: Iterable[str], installed: Mapping[str, str]) -> list[Row]:
+def check_packages(
+    needed: Iterable[str], installed: Mapping[str, str]
+) -> list[CheckResult]:
     """Check that the required packages are installed, in a version that is new enough.
 
     needed: lines of our metadata, such as "numpy>=2.4"
@@ -88,7 +102,7 @@ def packages(needed: Iterable[str], installed: Mapping[str, str]) -> list[Row]:
     rows = []
     good = []
     for line in needed:
-        found = _REQUIREMENT.match(line)
+        found = _REQUIREMENT_PATTERN.match(line)
         if found is None or "extra ==" in line:
             continue
         name, least = found.groups()
@@ -98,23 +112,25 @@ def packages(needed: Iterable[str], installed: Mapping[str, str]) -> list[Row]:
                 f"{there}, needed {least} or newer" if there else "it is not installed"
             )
             rows.append(
-                Row(f"package {name}", "wrong", state, f"pip install '{name}>={least}'")
+                CheckResult(
+                    f"package {name}", "wrong", state, f"pip install '{name}>={least}'"
+                )
             )
         else:
             good.append(f"{name} {there}")
-    return rows or [Row("packages", "ok", ", ".join(good))]
+    return rows or [CheckResult("packages", "ok", ", ".join(good))]
 
 
 def _number(version: str) -> tuple[int, ...]:
     return tuple(int(part) for part in re.findall(r"\d+", version)[:4])
 
 
-def own_host(
+def check_own_host(
     hosts: Mapping[str, str],
     own: list[str],
     meant: str | None,
     inward: Mapping[str, str],
-) -> Row:
+) -> CheckResult:
     """Check that [hosts] has an address of this machine, which other machines can reach.
 
     hosts: address of each host, by name
@@ -123,10 +139,12 @@ def own_host(
     inward: for each of its names that resolves to the loopback here: that loopback address
     """
     if not hosts:
-        return Row("own host", "ok", "a swarm of this machine alone: no [hosts]")
+        return CheckResult(
+            "own host", "ok", "a swarm of this machine alone: no [hosts]"
+        )
     names = ", ".join(f"{name} {address}" for name, address in hosts.items())
     if meant is not None and meant not in hosts:
-        return Row(
+        return CheckResult(
             "own host",
             "wrong",
             f"no host {meant} in [hosts]: {names}",
@@ -134,7 +152,7 @@ def own_host(
         )
     if meant is not None and meant not in own:
         do = f"Write this machine's address into [hosts] ({meant} = ...): see `ip -brief address`."
-        return Row(
+        return CheckResult(
             "own host",
             "wrong",
             f"{meant} is {hosts[meant]}: no address of this machine",
@@ -143,14 +161,16 @@ def own_host(
     for name, address in inward.items():
         do = "Write the address that others see into [hosts]: see `ip -brief address`; or mend /etc/hosts."
         found = f"{name} is {hosts[name]}, which is {address} on this machine: others do not reach that"
-        return Row("own host", "wrong", found, do)
+        return CheckResult("own host", "wrong", found, do)
     if own:
-        return Row("own host", "ok", ", ".join(f"{name} {hosts[name]}" for name in own))
+        return CheckResult(
+            "own host", "ok", ", ".join(f"{name} {hosts[name]}" for name in own)
+        )
     do = "Write this machine's address into [hosts]: see `ip -brief address`."
-    return Row("own host", "wrong", f"no address of this machine: {names}", do)
+    return CheckResult("own host", "wrong", f"no address of this machine: {names}", do)
 
 
-def ports(names: Mapping[int, str], held: Mapping[int, str]) -> list[Row]:
+def check_ports(names: Mapping[int, str], held: Mapping[int, str]) -> list[CheckResult]:
     """Check that the ports of this host are free, or are held by our own processes.
 
     names: the process that listens on each port, by port
@@ -158,11 +178,13 @@ def ports(names: Mapping[int, str], held: Mapping[int, str]) -> list[Row]:
     """
     if not names:
         return [
-            Row("ports", "not here", "no process of the swarm listens on this host")
+            CheckResult(
+                "ports", "not here", "no process of the swarm listens on this host"
+            )
         ]
-    others = {port: by for port, by in held.items() if not _OURS.match(by)}
+    others = {port: by for port, by in held.items() if not _OWN_PROCESS.match(by)}
     rows = [
-        Row(
+        CheckResult(
             f"port {port}",
             "wrong",
             f"of {names[port]}: taken by {by or 'a process of another user'}",
@@ -177,10 +199,12 @@ def ports(names: Mapping[int, str], held: Mapping[int, str]) -> list[Row]:
         if not ours
         else f"{span}: held by our own processes: {'; '.join(ours)}"
     )
-    return rows or [Row("ports", "ok", said)]
+    return rows or [CheckResult("ports", "ok", said)]
 
 
-def reachable(host: str, address: str, answer: str, stranger: str = "") -> Row:
+def check_other_host(
+    host: str, address: str, answer: str, stranger: str = ""
+) -> CheckResult:
     """Check that another host answers.
 
     host: its name
@@ -191,19 +215,19 @@ def reachable(host: str, address: str, answer: str, stranger: str = "") -> Row:
     what = f"host {host}"
     if stranger:
         do = f"Copy the folders of both hosts again from where the authority is, and start all anew on {host}"
-        return Row(what, "wrong", f"{address} answers, and {stranger}", do)
+        return CheckResult(what, "wrong", f"{address} answers, and {stranger}", do)
     if answer in ("connected", "refused"):
-        return Row(
+        return CheckResult(
             what,
             "ok",
             f"{address} answers"
             + (": nothing runs there yet" if answer == "refused" else ""),
         )
     do = f"Is it on, and its firewall open? `ping {address}`; on {host}: sudo ufw allow from THIS_ADDRESS"
-    return Row(what, "wrong", f"{address}: {answer}", do)
+    return CheckResult(what, "wrong", f"{address}: {answer}", do)
 
 
-def keys(host: str, fault: str, do: str, days: float) -> Row:
+def check_host_keys(host: str, fault: str, do: str, days: float) -> CheckResult:
     """Check the keys of a host.
 
     host: its name
@@ -213,27 +237,27 @@ def keys(host: str, fault: str, do: str, days: float) -> Row:
     """
     what = f"keys of {host}"
     if fault:
-        return Row(what, "wrong", fault, do)
-    if days < SOON:
+        return CheckResult(what, "wrong", fault, do)
+    if days < HOST_REQUIREMENTS.certificate_warning:
         do = "crazychoir keys init --folder NEW, and so on, on the machine of the authority"
-        return Row(what, "warning", f"good for {days:.0f} days more", do)
-    return Row(what, "ok", f"good for {days:.0f} days")
+        return CheckResult(what, "warning", f"good for {days:.0f} days more", do)
+    return CheckResult(what, "ok", f"good for {days:.0f} days")
 
 
-def clock(synchronised: bool | None, worst: float) -> Row:
+def check_synchronisation(synchronised: bool | None, worst: float) -> CheckResult:
     """Check that the clock is synchronised.
 
     synchronised: as the kernel says, None if it does not say
     worst: s: its estimated error
     """
     if synchronised is None:
-        return Row(
+        return CheckResult(
             "clock", "not here", "the kernel does not say whether it is synchronised"
         )
     if synchronised:
-        return Row("clock", "ok", f"synchronised within {1000 * worst:.3g} ms")
+        return CheckResult("clock", "ok", f"synchronised within {1000 * worst:.3g} ms")
     do = "sudo timedatectl set-ntp true   (or install chrony)"
-    return Row(
+    return CheckResult(
         "clock",
         "warning",
         "not synchronised: certificates and recordings are dated by it, no flight is",
@@ -241,7 +265,9 @@ def clock(synchronised: bool | None, worst: float) -> Row:
     )
 
 
-def radios(devices: list[Usb], needed: Iterable[int]) -> list[Row]:
+def check_crazyradios(
+    devices: list[UsbDevice], needed: Iterable[int]
+) -> list[CheckResult]:
     """Check the Crazyradios of this host.
 
     devices: Crazyradios on the USB
@@ -252,17 +278,17 @@ def radios(devices: list[Usb], needed: Iterable[int]) -> list[Row]:
     for device in devices:
         if not device.writable:
             rows.append(
-                Row(
+                CheckResult(
                     f"radio {device.kind}",
                     "wrong",
                     f"no right to write to {device.path}",
-                    UDEV,
+                    UDEV_COMMANDS,
                 )
             )
-        if device.kind == BOOTLOADER:
+        if device.kind == BOOTLOADER_ID:
             do = "Take it out and plug it in again; if it stays so, write its firmware anew."
             rows.append(
-                Row(
+                CheckResult(
                     f"radio {device.kind}",
                     "wrong",
                     f"{device.path} is in its bootloader",
@@ -270,11 +296,11 @@ def radios(devices: list[Usb], needed: Iterable[int]) -> list[Row]:
                 )
             )
     last = max(wanted, default=-1)
-    ready = sum(device.kind != BOOTLOADER for device in devices)
+    ready = sum(device.kind != BOOTLOADER_ID for device in devices)
     if last >= ready:
         do = "Plug it in: `lsusb -d 1915:` shows it."
         rows.append(
-            Row(
+            CheckResult(
                 "radios",
                 "wrong",
                 f"{ready} there; the swarm file names dongle {last} here",
@@ -282,24 +308,26 @@ def radios(devices: list[Usb], needed: Iterable[int]) -> list[Row]:
             )
         )
     if not devices and not wanted:
-        return [Row("radios", "not here", "none, and none is needed")]
-    return rows or [Row("radios", "ok", ", ".join(device.path for device in devices))]
+        return [CheckResult("radios", "not here", "none, and none is needed")]
+    return rows or [
+        CheckResult("radios", "ok", ", ".join(device.path for device in devices))
+    ]
 
 
-def governor(governors: Mapping[str, str]) -> Row:
+def check_governor(governors: Mapping[str, str]) -> CheckResult:
     """Check that the processors run at full speed.
 
     governors: by processor, from /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor
     """
     slow = [cpu for cpu, name in governors.items() if name != "performance"]
     if not governors:
-        return Row(
+        return CheckResult(
             "cpu governor", "not here", "this machine does not let its kernel choose"
         )
     if not slow:
-        return Row("cpu governor", "ok", "performance")
+        return CheckResult("cpu governor", "ok", "performance")
     do = "sudo cpupower frequency-set -g performance"
-    return Row(
+    return CheckResult(
         "cpu governor",
         "warning",
         f"{governors[slow[0]]} on {', '.join(slow)}: late wake-ups",
@@ -307,17 +335,19 @@ def governor(governors: Mapping[str, str]) -> Row:
     )
 
 
-def memory(free_mb: float, processes: int) -> Row:
+def check_memory(free_mb: float, processes: int) -> CheckResult:
     """Check the memory.
 
     free_mb: MB that are free
     processes: number of processes of the swarm on this host
     """
-    needed = PROCESS_MB * processes
+    needed = HOST_REQUIREMENTS.process_memory * processes
     if free_mb >= needed:
-        return Row("memory", "ok", f"{free_mb:.0f} MB free for {processes} process(es)")
+        return CheckResult(
+            "memory", "ok", f"{free_mb:.0f} MB free for {processes} process(es)"
+        )
     do = "Let drones share processes: crazychoir run --processes, or `processes` in the swarm file."
-    return Row(
+    return CheckResult(
         "memory",
         "warning",
         f"{free_mb:.0f} MB free; {processes} process(es) take {needed:.0f} MB",
@@ -325,10 +355,10 @@ def memory(free_mb: float, processes: int) -> Row:
     )
 
 
-def disk(free_mb: float, folder: str) -> Row:
+def check_disk(free_mb: float, folder: str) -> CheckResult:
     """Check the disk; free_mb: MB that are free in the folder of recordings."""
-    state: State = "ok" if free_mb >= DISK_MB else "warning"
-    return Row(
+    state: State = "ok" if free_mb >= HOST_REQUIREMENTS.disk_space else "warning"
+    return CheckResult(
         "disk",
         state,
         f"{free_mb:.0f} MB free in {folder}",
@@ -336,22 +366,22 @@ def disk(free_mb: float, folder: str) -> Row:
     )
 
 
-def files(limit: int) -> Row:
+def check_open_files(limit: int) -> CheckResult:
     """Check the limit of open files of a process."""
-    state: State = "ok" if limit >= FILES else "warning"
-    return Row(
+    state: State = "ok" if limit >= HOST_REQUIREMENTS.open_files else "warning"
+    return CheckResult(
         "open files",
         state,
         f"{limit} a process",
-        "" if state == "ok" else f"ulimit -n {FILES}",
+        "" if state == "ok" else f"ulimit -n {HOST_REQUIREMENTS.open_files}",
     )
 
 
-def timer(late_ms: float) -> Row:
+def check_wake_ups(late_ms: float) -> CheckResult:
     """Check the delay of wake-ups; late_ms: ms: the worst delay of several."""
-    if late_ms <= LATE_MS:
-        return Row("timer", "ok", f"wakes at most {late_ms:.2f} ms late")
-    return Row(
+    if late_ms <= HOST_REQUIREMENTS.wake_up_delay:
+        return CheckResult("timer", "ok", f"wakes at most {late_ms:.2f} ms late")
+    return CheckResult(
         "timer",
         "warning",
         f"wakes {late_ms:.1f} ms late",
@@ -359,15 +389,15 @@ def timer(late_ms: float) -> Row:
     )
 
 
-def multicast() -> Row:
+def report_multicast() -> CheckResult:
     """Return that multicast is not needed: it is never used."""
-    return Row(
+    return CheckResult(
         "multicast",
         "ok",
         "not needed: hosts are found by their addresses in the swarm file",
     )
 
 
-def is_wrong(rows: Iterable[Row]) -> bool:
+def is_wrong(rows: Iterable[CheckResult]) -> bool:
     """Return whether a fault must be repaired before a flight."""
     return any(row.state == "wrong" for row in rows)

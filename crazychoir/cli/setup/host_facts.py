@@ -12,16 +12,16 @@ from collections.abc import Iterable
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 
-from crazychoir.cli.setup.host_checks import CRAZYRADIOS, Usb
+from crazychoir.cli.setup.host_checks import CRAZYRADIO_IDS, UsbDevice
 
-SYS = Path("/sys")
-DEV = Path("/dev/bus/usb")
-PROC = Path("/proc")
-DEADLINE = 1.0
+SYS_FOLDER = Path("/sys")
+USB_FOLDER = Path("/dev/bus/usb")
+PROC_FOLDER = Path("/proc")
+OTHER_HOST_TIMEOUT = 1.0
 """Seconds that another host gets to answer."""
-_UNSYNCHRONISED = 0x40  # STA_UNSYNC, a flag in the status of adjtimex(2)
-_ERROR = 5  # TIME_ERROR, a return value of adjtimex(2)
-_LISTENS = "0A"
+_STA_UNSYNC = 0x40  # STA_UNSYNC, a flag in the status of adjtimex(2)
+_TIME_ERROR = 5  # TIME_ERROR, a return value of adjtimex(2)
+_TCP_LISTEN = "0A"
 """State of a listening socket in /proc/net/tcp."""
 
 
@@ -39,12 +39,12 @@ class _Timex(ctypes.Structure):
     )
 
 
-def needed() -> list[str]:
+def required_packages() -> list[str]:
     """Return the requirements of this package, as its metadata state them."""
     return requires("crazychoir") or []
 
 
-def installed(names: Iterable[str]) -> dict[str, str]:
+def installed_versions(names: Iterable[str]) -> dict[str, str]:
     """Return the versions of those packages that are installed."""
     found = {}
     for name in names:
@@ -65,7 +65,7 @@ def is_own(address: str) -> bool:
     return False
 
 
-def loopback(name: str) -> str:
+def loopback_of(name: str) -> str:
     """Return the loopback address that a host name has here, such as 127.0.1.1 in /etc/hosts.
 
     Empty for an address, for localhost, and for a name with another address.
@@ -93,7 +93,7 @@ def is_free(address: str, port: int) -> bool:
     return True
 
 
-def holder(port: int, proc: Path = PROC) -> str:
+def port_holder(port: int, proc: Path = PROC_FOLDER) -> str:
     """Return the process id and command line that hold a port.
 
     Empty for a process of another user.
@@ -103,7 +103,10 @@ def holder(port: int, proc: Path = PROC) -> str:
         with contextlib.suppress(OSError):
             for line in (proc / "net" / table).read_text().splitlines()[1:]:
                 words = line.split()
-                if int(words[1].rsplit(":", 1)[1], 16) == port and words[3] == _LISTENS:
+                if (
+                    int(words[1].rsplit(":", 1)[1], 16) == port
+                    and words[3] == _TCP_LISTEN
+                ):
                     inodes[f"socket:[{words[9]}]"] = None
     for process in proc.glob("[0-9]*"):
         with contextlib.suppress(OSError):
@@ -119,7 +122,9 @@ def holder(port: int, proc: Path = PROC) -> str:
     return ""
 
 
-def answer(address: str, port: int, deadline: float = DEADLINE) -> str:
+def connect_to_host(
+    address: str, port: int, deadline: float = OTHER_HOST_TIMEOUT
+) -> str:
     """Return the answer of another host to a connection.
 
     This is "connected", "refused" (the host is there, but no process listens), or the reason for
@@ -137,7 +142,9 @@ def answer(address: str, port: int, deadline: float = DEADLINE) -> str:
     return "connected"
 
 
-def handshake(address: str, port: int, keys: Path, deadline: float = DEADLINE) -> str:
+def try_handshake(
+    address: str, port: int, keys: Path, deadline: float = OTHER_HOST_TIMEOUT
+) -> str:
     """Return why a TLS connection to a process fails; empty if it succeeds.
 
     keys: folder with the keys of this host
@@ -165,7 +172,7 @@ def handshake(address: str, port: int, keys: Path, deadline: float = DEADLINE) -
     return ""
 
 
-def clock() -> tuple[bool | None, float]:
+def clock_synchronisation() -> tuple[bool | None, float]:
     """Return whether the kernel's clock is synchronised, and its largest error in s.
 
     The first value is None if the kernel does not say.
@@ -175,10 +182,10 @@ def clock() -> tuple[bool | None, float]:
     state = libc.adjtimex(ctypes.byref(timex))
     if state < 0:
         return None, 0.0
-    return state != _ERROR and not timex.status & _UNSYNCHRONISED, timex.maxerror / 1e6
+    return state != _TIME_ERROR and not timex.status & _STA_UNSYNC, timex.maxerror / 1e6
 
 
-def crazyradios(sys: Path = SYS, dev: Path = DEV) -> list[Usb]:
+def crazyradios(sys: Path = SYS_FOLDER, dev: Path = USB_FOLDER) -> list[UsbDevice]:
     """Return the Crazyradios on the USB, in the order of their paths."""
     found = []
     for device in sorted((sys / "bus/usb/devices").glob("*")):
@@ -191,18 +198,20 @@ def crazyradios(sys: Path = SYS, dev: Path = DEV) -> list[Usb]:
                 int((device / name).read_text()) for name in ("busnum", "devnum")
             )
             path = dev / f"{bus:03}" / f"{number:03}"
-            if kind in CRAZYRADIOS:
-                found.append(Usb(kind, str(path), os.access(path, os.R_OK | os.W_OK)))
+            if kind in CRAZYRADIO_IDS:
+                found.append(
+                    UsbDevice(kind, str(path), os.access(path, os.R_OK | os.W_OK))
+                )
     return found
 
 
-def governors(sys: Path = SYS) -> dict[str, str]:
+def governors(sys: Path = SYS_FOLDER) -> dict[str, str]:
     """Return the frequency governor of each processor that has one."""
     files = sorted(sys.glob("devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor"))
     return {file.parent.parent.name: file.read_text().strip() for file in files}
 
 
-def memory_mb(proc: Path = PROC) -> float:
+def memory_mb(proc: Path = PROC_FOLDER) -> float:
     """Return the MB that processes may take without swapping."""
     lines = (proc / "meminfo").read_text().splitlines()
     return next(
@@ -215,12 +224,12 @@ def disk_mb(folder: Path) -> float:
     return shutil.disk_usage(folder).free / 1e6
 
 
-def files() -> int:
+def open_file_limit() -> int:
     """Return how many files a process may have open."""
     return resource.getrlimit(resource.RLIMIT_NOFILE)[0]
 
 
-def late_ms(times: int = 50, period: float = 0.01) -> float:
+def wake_up_delay_ms(times: int = 50, period: float = 0.01) -> float:
     """Return the delay of the latest of some wake-ups of our clock, in ms; period: s."""
     from crazychoir.runtime.clock import Clock, run_wall
 

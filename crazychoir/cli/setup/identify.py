@@ -9,10 +9,10 @@ from crazychoir.cli.operate.inspect import JsonOption
 from crazychoir.errors import CrazyChoirError
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
-    STDERR,
-    fail,
-    interrupted,
-    prints_aside,
+    ERROR_CONSOLE,
+    exit_interrupted,
+    exit_with_error,
+    redirect_prints,
     require_reached,
     set_up_logging,
     write_json,
@@ -33,8 +33,8 @@ def identify(
     set_up_logging()
     from crazychoir.config.swarm_config import find_swarm
     from crazychoir.radio import identify as leds  # cflib: --help does not need it
-    from crazychoir.radio.link.ownership import owned
-    from crazychoir.radio.link.toc_cache import TableOfContents, folder
+    from crazychoir.radio.link.ownership import own_dongle
+    from crazychoir.radio.link.toc_cache import TableOfContents, tables_folder
     from crazychoir.runtime.clock import Clock, run_wall
 
     try:
@@ -44,22 +44,22 @@ def identify(
         dongle = next(dongle for dongle, ids in config.dongles.items() if drone in ids)
 
         def say(text: str) -> None:
-            STDERR.print(f"drone {drone} ({uri}): {text}", highlight=False)
+            ERROR_CONSOLE.print(f"drone {drone} ({uri}): {text}", highlight=False)
 
         async def light(clock: Clock) -> dict[str, float]:
-            contents = TableOfContents(folder())
+            contents = TableOfContents(tables_folder())
             deadline = config.radio.connect_deadline
             lit_now = partial(say, f"its LEDs are lit for {seconds:g} s")
             return await leds.identify(clock, uri, contents, seconds, deadline, lit_now)
 
-        with owned(config, dongle), prints_aside():
+        with own_dongle(config, dongle), redirect_prints():
             say(f"is being connected, within {config.radio.connect_deadline:g} s")
             lit = run_wall(light)
             say("its LEDs are as they were")
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     except KeyboardInterrupt:
-        interrupted(as_json)
+        exit_interrupted(as_json)
     if as_json:
         write_json(
             {

@@ -9,7 +9,7 @@ from rich.table import Table
 from crazychoir.bus.network import CERTIFICATE_DAYS
 from crazychoir.errors import ConfigError
 from crazychoir.launch import number_options as options
-from crazychoir.launch.console import STDOUT, fail, write_json
+from crazychoir.launch.console import ANSWER_CONSOLE, exit_with_error, write_json
 
 app = typer.Typer(
     help="Certificates: who may take part in a swarm of several hosts.",
@@ -23,19 +23,19 @@ Days = Annotated[int, options.whole("For which they are good.", most=36_500)]
 Json = Annotated[
     bool, typer.Option("--json", help="Print one JSON object, nothing else.")
 ]
-HERE = Path("keys")
-NEXT = "It counts for a process from its next start: copy each folder to its host, then start all anew."
+KEYS_FOLDER = Path("keys")
+RESTART_NOTE = "It counts for a process from its next start: copy each folder to its host, then start all anew."
 
 
 @app.command()
 def init(
-    folder: Folder = HERE, days: Days = CERTIFICATE_DAYS, as_json: Json = False
+    folder: Folder = KEYS_FOLDER, days: Days = CERTIFICATE_DAYS, as_json: Json = False
 ) -> None:
     """Make an authority, once for a lab. Its key stays on this machine."""
     from crazychoir.bus.network import authority
 
     try:
-        certificate = authority.init(folder, days)
+        certificate = authority.make_authority(folder, days)
     except (ConfigError, OSError) as error:
         _fail(error, folder, as_json)
     _say(
@@ -51,7 +51,7 @@ def add(
         str,
         typer.Argument(help="Its name, as in the table hosts or security.operators."),
     ],
-    folder: Folder = HERE,
+    folder: Folder = KEYS_FOLDER,
     days: Days = CERTIFICATE_DAYS,
     as_json: Json = False,
 ) -> None:
@@ -59,7 +59,7 @@ def add(
     from crazychoir.bus.network import authority
 
     try:
-        own = authority.add(folder, host, days)
+        own = authority.add_host(folder, host, days)
     except (ConfigError, OSError) as error:
         _fail(error, folder, as_json)
     do = f"{own}: copy it to {host}, to where the swarm file there has its {folder.name}/"
@@ -69,7 +69,7 @@ def add(
 @app.command()
 def revoke(
     host: Annotated[str, typer.Argument(help="Who is to be kept out.")],
-    folder: Folder = HERE,
+    folder: Folder = KEYS_FOLDER,
     days: Days = CERTIFICATE_DAYS,
     as_json: Json = False,
 ) -> None:
@@ -81,10 +81,12 @@ def revoke(
     from crazychoir.bus.network import authority
 
     try:
-        others = authority.revoke(folder, host, days)
+        others = authority.revoke_host(folder, host, days)
     except (ConfigError, OSError) as error:
         _fail(error, folder, as_json)
-    text = f"{host} is out; new: {', '.join(others) or 'nobody is left'}. {NEXT}"
+    text = (
+        f"{host} is out; new: {', '.join(others) or 'nobody is left'}. {RESTART_NOTE}"
+    )
     _say(
         {"success": True, "revoked": host, "new": others, "effective": "next start"},
         text,
@@ -93,13 +95,13 @@ def revoke(
 
 
 @app.command(name="list")
-def held(folder: Folder = HERE, as_json: Json = False) -> None:
+def held(folder: Folder = KEYS_FOLDER, as_json: Json = False) -> None:
     """List the hosts that have a certificate, and how long it is valid."""
     from crazychoir.bus.network import authority
-    from crazychoir.runtime.clock import today
+    from crazychoir.runtime.clock import date_and_time
 
     try:
-        found = authority.holders(folder)
+        found = authority.certified_hosts(folder)
     except (ConfigError, OSError) as error:
         _fail(error, folder, as_json)
     if as_json:
@@ -111,10 +113,10 @@ def held(folder: Folder = HERE, as_json: Json = False) -> None:
         )
         return
     table = Table("host", "good until", "days left")
-    now = today()
+    now = date_and_time()
     for one in found:
         table.add_row(one.name, f"{one.until:%Y-%m-%d}", str((one.until - now).days))
-    STDOUT.print(table)
+    ANSWER_CONSOLE.print(table)
 
 
 def _fail(error: Exception, folder: Path, as_json: bool) -> NoReturn:
@@ -122,11 +124,11 @@ def _fail(error: Exception, folder: Path, as_json: bool) -> NoReturn:
         error = ConfigError(
             "--folder", str(folder), "a folder to write to", problem=str(error)
         )
-    fail(error, as_json)
+    exit_with_error(error, as_json)
 
 
 def _say(told: dict[str, Any], text: str, as_json: bool) -> None:
     if as_json:
         write_json(told)
     else:
-        STDOUT.print(text, markup=False, highlight=False, soft_wrap=True)
+        ANSWER_CONSOLE.print(text, markup=False, highlight=False, soft_wrap=True)

@@ -13,32 +13,57 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from crazychoir.errors import ConfigError, CrazyChoirError, ProcessFailed
-from crazychoir.launch.console import STDOUT, fail
+from crazychoir.launch.console import ANSWER_CONSOLE, exit_with_error
 
 if TYPE_CHECKING:
     from crazychoir.config.swarm_config import SwarmConfig
 
-FOLDER = "choir"
-"""Folder on the host, in the home of the user."""
-DEADLINE = 60.0
-"""Seconds for a step."""
-INSTALL = 900.0
-"""Seconds for a step that installs packages."""
-SSH = ("ssh", "-o", "BatchMode=yes", "-o", "ConnectTimeout=10")
-SCP = ("scp", "-q", "-p", "-r", "-o", "BatchMode=yes", "-o", "ConnectTimeout=10")
-UNITS = ".config/systemd/user"
-"""Folder of the user's systemd units on the host."""
+
+@dataclass(frozen=True, slots=True)
+class PushSettings:
+    """How a swarm is copied to a host."""
+
+    folder: str = "choir"
+    """Folder on the host, in the home of the user."""
+    step_timeout: float = 60.0
+    """Seconds for a step."""
+    install_timeout: float = 900.0
+    """Seconds for a step that installs packages."""
+    ssh_command: tuple[str, ...] = (
+        "ssh",
+        "-o",
+        "BatchMode=yes",
+        "-o",
+        "ConnectTimeout=10",
+    )
+    """Command that runs a program on the host, without its arguments."""
+    scp_command: tuple[str, ...] = (
+        "scp",
+        "-q",
+        "-p",
+        "-r",
+        "-o",
+        "BatchMode=yes",
+        "-o",
+        "ConnectTimeout=10",
+    )
+    """Command that copies files to the host, without its arguments."""
+    units_folder: str = ".config/systemd/user"
+    """Folder of the user's systemd units on the host."""
+
+
+PUSH_SETTINGS = PushSettings()
 
 
 @dataclass(frozen=True)
-class Step:
+class PushStep:
     """One command that runs on this machine."""
 
     what: str
     """What it does, for the log."""
     command: tuple[str, ...]
     """The words of its command line."""
-    deadline: float = DEADLINE
+    deadline: float = PUSH_SETTINGS.step_timeout
     """Seconds that it may take."""
 
 
@@ -58,7 +83,8 @@ def push(
         typer.Option(help="Folder of systemd units, as deploy/systemd; else none."),
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print the commands, do nothing.")
+        bool,
+        typer.Option("--dry-run_push_step", help="Print the commands, do nothing."),
     ] = False,
 ) -> None:
     """Copy a swarm to its hosts, into ~/choir: by ssh and scp, with your ssh keys."""
@@ -70,29 +96,31 @@ def push(
                 "--swarm",
                 str(swarm),
                 "a TOML file",
-                f"The units there read ~/{FOLDER}/swarm.toml.",
+                f"The units there read ~/{PUSH_SETTINGS.folder}/swarm.toml.",
             )
         config = SwarmConfig.load(swarm)
         plans = {
-            name: list(steps(config, swarm, name, user, package, units))
-            for name in chosen(config, swarm, host)
+            name: list(push_steps(config, swarm, name, user, package, units))
+            for name in hosts_to_push(config, swarm, host)
         }
         for name, step in [
             (name, step) for name, plan in plans.items() for step in plan
         ]:
-            STDOUT.print(
+            ANSWER_CONSOLE.print(
                 shlex.join(step.command) if dry_run else f"{name}: {step.what}",
                 markup=False,
                 highlight=False,
                 soft_wrap=True,
             )
             if not dry_run:
-                run(name, step)
+                run_push_step(name, step)
     except CrazyChoirError as error:
-        fail(error, as_json=False)
+        exit_with_error(error, as_json=False)
 
 
-def chosen(config: "SwarmConfig", swarm: Path, only: list[str] | None) -> list[str]:
+def hosts_to_push(
+    config: "SwarmConfig", swarm: Path, only: list[str] | None
+) -> list[str]:
     """Return the hosts to push to.
 
     Raises ConfigError for a host that [hosts] does not have.
@@ -111,14 +139,14 @@ def chosen(config: "SwarmConfig", swarm: Path, only: list[str] | None) -> list[s
     return only or list(config.hosts)
 
 
-def steps(
+def push_steps(
     config: "SwarmConfig",
     swarm: Path,
     host: str,
     user: str | None,
     package: Path | None,
     units: Path | None,
-) -> Iterator[Step]:
+) -> Iterator[PushStep]:
     """Yield the steps for one host, in order.
 
     The swarm file becomes ~/choir/swarm.toml on the host. The files that it names lie beside it as
@@ -127,15 +155,18 @@ def steps(
     """
     from importlib.metadata import version
 
-    at, into = reached(config.hosts[host], user)
-    files = {path: within(swarm, path) for path in named(config)}
+    at, into = ssh_and_scp_targets(config.hosts[host], user)
+    files = {path: path_in_swarm_folder(swarm, path) for path in files_to_push(config)}
     folders = sorted(
-        {FOLDER: None}
-        | {str(Path(FOLDER, path).parent): None for path in files.values()}
+        {PUSH_SETTINGS.folder: None}
+        | {
+            str(Path(PUSH_SETTINGS.folder, path).parent): None
+            for path in files.values()
+        }
     )
     own = Path(config.security.keys) / host
     if config.secured:
-        keys = str(Path(FOLDER, within(swarm, own)).parent)
+        keys = str(Path(PUSH_SETTINGS.folder, path_in_swarm_folder(swarm, own)).parent)
         if not own.is_dir():
             raise ConfigError(
                 "security.keys",
@@ -144,22 +175,57 @@ def steps(
                 f"crazychoir keys add {host}",
             )
         folders.append(keys)
-    yield Step("folders", (*SSH, at, f"mkdir -p -m 700 {shlex.join(folders)} {UNITS}"))
-    yield Step(
-        "swarm file", (*SCP, str(swarm.resolve()), f"{into}:{FOLDER}/swarm.toml")
+    yield PushStep(
+        "folders",
+        (
+            *PUSH_SETTINGS.ssh_command,
+            at,
+            f"mkdir -p -m 700 {shlex.join(folders)} {PUSH_SETTINGS.units_folder}",
+        ),
+    )
+    yield PushStep(
+        "swarm file",
+        (
+            *PUSH_SETTINGS.scp_command,
+            str(swarm.resolve()),
+            f"{into}:{PUSH_SETTINGS.folder}/swarm.toml",
+        ),
     )
     for path, place in files.items():
-        yield Step(f"{place}", (*SCP, str(path), f"{into}:{FOLDER}/{place}"))
+        yield PushStep(
+            f"{place}",
+            (
+                *PUSH_SETTINGS.scp_command,
+                str(path),
+                f"{into}:{PUSH_SETTINGS.folder}/{place}",
+            ),
+        )
     if config.secured:
-        yield Step("its keys", (*SCP, str(own), f"{into}:{keys}/"))
-    for unit in services(units) if units is not None else ():
-        yield Step(f"unit {unit.name}", (*SCP, str(unit), f"{into}:{UNITS}/"))
+        yield PushStep(
+            "its keys", (*PUSH_SETTINGS.scp_command, str(own), f"{into}:{keys}/")
+        )
+    for unit in find_units(units) if units is not None else ():
+        yield PushStep(
+            f"unit {unit.name}",
+            (
+                *PUSH_SETTINGS.scp_command,
+                str(unit),
+                f"{into}:{PUSH_SETTINGS.units_folder}/",
+            ),
+        )
     if units is not None:
-        yield Step("units known", (*SSH, at, "systemctl --user daemon-reload"))
-    yield Step(
+        yield PushStep(
+            "units known",
+            (*PUSH_SETTINGS.ssh_command, at, "systemctl --user daemon-reload"),
+        )
+    yield PushStep(
         "environment",
-        (*SSH, at, f"test -x {FOLDER}/venv/bin/pip || python3 -m venv {FOLDER}/venv"),
-        INSTALL,
+        (
+            *PUSH_SETTINGS.ssh_command,
+            at,
+            f"test -x {PUSH_SETTINGS.folder}/venv/bin/pip || python3 -m venv {PUSH_SETTINGS.folder}/venv",
+        ),
+        PUSH_SETTINGS.install_timeout,
     )
     what = f"crazychoir=={version('crazychoir')}"
     if package is not None:
@@ -171,19 +237,39 @@ def steps(
                 "python -m build --wheel",
             )
         package = package.resolve()
-        yield Step("package", (*SCP, str(package), f"{into}:{FOLDER}/"), INSTALL)
-        what = f"{FOLDER}/{package.name}"
-    install = f"{FOLDER}/venv/bin/pip install --quiet"
-    yield Step("installed", (*SSH, at, f"{install} {shlex.quote(what)}"), INSTALL)
+        yield PushStep(
+            "package",
+            (
+                *PUSH_SETTINGS.scp_command,
+                str(package),
+                f"{into}:{PUSH_SETTINGS.folder}/",
+            ),
+            PUSH_SETTINGS.install_timeout,
+        )
+        what = f"{PUSH_SETTINGS.folder}/{package.name}"
+    install = f"{PUSH_SETTINGS.folder}/venv/bin/pip install --quiet"
+    yield PushStep(
+        "installed",
+        (*PUSH_SETTINGS.ssh_command, at, f"{install} {shlex.quote(what)}"),
+        PUSH_SETTINGS.install_timeout,
+    )
     if package is not None:  # pip does not replace a package of the same version
         again = f"{install} --force-reinstall --no-deps {shlex.quote(what)}"
-        yield Step("installed anew", (*SSH, at, again), INSTALL)
+        yield PushStep(
+            "installed anew",
+            (*PUSH_SETTINGS.ssh_command, at, again),
+            PUSH_SETTINGS.install_timeout,
+        )
     # Compile the kernels once, before the agents of the host start together and wait for them.
-    laws = f"{FOLDER}/venv/bin/python -c 'import crazychoir.launch.process.process'"
-    yield Step("laws compiled", (*SSH, at, laws), INSTALL)
+    laws = f"{PUSH_SETTINGS.folder}/venv/bin/python -c 'import crazychoir.launch.process.process'"
+    yield PushStep(
+        "laws compiled",
+        (*PUSH_SETTINGS.ssh_command, at, laws),
+        PUSH_SETTINGS.install_timeout,
+    )
 
 
-def reached(address: str, user: str | None) -> tuple[str, str]:
+def ssh_and_scp_targets(address: str, user: str | None) -> tuple[str, str]:
     """Return a host as ssh and as scp want it.
 
     scp takes the text before the first colon for the host. So an IPv6 address stands in brackets.
@@ -195,7 +281,7 @@ def reached(address: str, user: str | None) -> tuple[str, str]:
     )
 
 
-def services(folder: Path) -> list[Path]:
+def find_units(folder: Path) -> list[Path]:
     """Return the systemd units of a folder.
 
     Raises ConfigError if there is none.
@@ -211,7 +297,7 @@ def services(folder: Path) -> list[Path]:
     return found
 
 
-def named(config: "SwarmConfig") -> list[Path]:
+def files_to_push(config: "SwarmConfig") -> list[Path]:
     """Return the files beside the swarm file that a flight needs."""
     files = list(config.files.values())
     if config.mission is not None and config.mission.endswith(".py"):
@@ -221,7 +307,7 @@ def named(config: "SwarmConfig") -> list[Path]:
     return list(dict.fromkeys(files))
 
 
-def within(swarm: Path, path: Path) -> Path:
+def path_in_swarm_folder(swarm: Path, path: Path) -> Path:
     """Return the path relative to the folder of the swarm file.
 
     Raises ConfigError if the path lies outside of it.
@@ -236,7 +322,7 @@ def within(swarm: Path, path: Path) -> Path:
     return place.relative_to(folder)
 
 
-def run(host: str, step: Step) -> None:
+def run_push_step(host: str, step: PushStep) -> None:
     """Run the command of a step.
 
     Raises ProcessFailed with the last line of its output.

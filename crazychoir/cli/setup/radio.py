@@ -18,33 +18,33 @@ from crazychoir.cli.setup.radio_tables import progress_table, row_of, survey_tab
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
-    STDERR,
-    STDOUT,
-    Outputs,
-    Progress,
-    fail,
-    interrupted,
-    prints_aside,
+    ANSWER_CONSOLE,
+    ERROR_CONSOLE,
+    CommandOutputs,
+    LiveTable,
+    exit_interrupted,
+    exit_with_error,
+    redirect_prints,
     require_drawable,
     set_up_logging,
     write_json,
 )
 
 if TYPE_CHECKING:
-    from crazychoir.radio.survey.ping import Echoes
-    from crazychoir.radio.survey.simulated_radio import Room
+    from crazychoir.radio.survey.ping import PingResult
+    from crazychoir.radio.survey.simulated_radio import RadioRoom
     from crazychoir.radio.survey.survey import Probe, Survey
 
 app = typer.Typer(
     no_args_is_help=True,
     help="Which channels are quiet, and how long the way to a drone takes.",
 )
-DRONE = "radio://0/80/2M/E7E7E7E7E7"
+NEW_DRONE_URI = "radio://0/80/2M/E7E7E7E7E7"
 """Address of a new Crazyflie."""
 
 
 @dataclass(frozen=True)
-class Wanted:
+class SurveyRequest:
     """The request of the command line."""
 
     channels: tuple[int, ...]
@@ -86,7 +86,7 @@ def survey(
     drone: Annotated[
         str | None,
         typer.Option(
-            help=f"Who answers: its uri; else the first of the swarm file, or {DRONE}."
+            help=f"Who answers: its uri; else the first of the swarm file, or {NEW_DRONE_URI}."
         ),
     ] = None,
     swarm: Annotated[
@@ -120,7 +120,7 @@ def survey(
     channels until you change them there too, for example with Bitcraze's client.
     """
     set_up_logging()
-    outputs = Outputs()
+    outputs = CommandOutputs()
     try:
         require_drawable(picture)
         if write and swarm is None:
@@ -130,9 +130,11 @@ def survey(
             raise ConfigError(
                 "--write", "--simulated beside it", "what a dongle has measured", do
             )
-        wanted = _wanted(dongles, spacing, channels, drone, swarm, write, simulated)
-        with prints_aside():
-            found, expected = _surveyed(wanted, passes, packets, as_json)
+        wanted = _survey_request(
+            dongles, spacing, channels, drone, swarm, write, simulated
+        )
+        with redirect_prints():
+            found, expected = _measure_channels(wanted, passes, packets, as_json)
             result = _result(wanted, found, expected)
             if picture is not None:
                 from crazychoir.radio.survey.survey_picture import draw_survey
@@ -147,18 +149,18 @@ def survey(
                     write_channels(swarm, result["dongles"])
                     result["written"] = swarm
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     except KeyboardInterrupt:
-        interrupted(as_json)
+        exit_interrupted(as_json)
     if as_json:
         write_json(result | outputs.told)
     else:
-        STDOUT.print(survey_table(found.measured(), result))
+        ANSWER_CONSOLE.print(survey_table(found.measured(), result))
     outputs.say()
     raise typer.Exit(0 if result["success"] and not outputs.failed else 1)
 
 
-def _wanted(
+def _survey_request(
     count: int | None,
     spacing: int,
     channels: str,
@@ -166,13 +168,12 @@ def _wanted(
     swarm: Path | None,
     write: bool,
     simulated: int | None,
-) -> Wanted:
+) -> SurveyRequest:
     """Return the request, after a check of the options against each other."""
     from crazychoir.radio.protocol.channels import (
-        LEAST_SPACING,
-        LICENSED,
+        RADIO_BAND,
         parse_channels,
-        pick,
+        pick_channels,
     )
 
     those = {} if swarm is None else _dongles(swarm, write)
@@ -186,23 +187,23 @@ def _wanted(
         )
     candidates = parse_channels(channels)
     # Raises ConfigError if the candidates have no room for so many channels.
-    pick(dict.fromkeys(candidates, (0.0, 0.0)), count, spacing)
+    pick_channels(dict.fromkeys(candidates, (0.0, 0.0)), count, spacing)
     if simulated is not None and drone is not None:
         raise ConfigError(
             "--drone",
             "--simulated beside it",
             "one of them: no real drone hears a simulated radio",
         )
-    if candidates[-1] > LICENSED:
-        STDERR.print(
-            f"Channels above {LICENSED} lie outside the licence-free band of many countries."
+    if candidates[-1] > RADIO_BAND.licence_free_channel:
+        ERROR_CONSOLE.print(
+            f"Channels above {RADIO_BAND.licence_free_channel} lie outside the licence-free band of many countries."
         )
-    if count > 1 and spacing < LEAST_SPACING:
-        STDERR.print(
-            f"Links of 2 Mbit/s disturb each other with less than {LEAST_SPACING} MHz between them."
+    if count > 1 and spacing < RADIO_BAND.least_spacing:
+        ERROR_CONSOLE.print(
+            f"Links of 2 Mbit/s disturb each other with less than {RADIO_BAND.least_spacing} MHz between them."
         )
-    first = next((uris[0] for uris in those.values()), DRONE)
-    return Wanted(candidates, count, spacing, those, drone or first, simulated)
+    first = next((uris[0] for uris in those.values()), NEW_DRONE_URI)
+    return SurveyRequest(candidates, count, spacing, those, drone or first, simulated)
 
 
 def _dongles(swarm: Path, write: bool) -> dict[str, list[str]]:
@@ -211,26 +212,30 @@ def _dongles(swarm: Path, write: bool) -> dict[str, list[str]]:
     Raises ConfigError if the file must be written and cannot be.
     """
     from crazychoir.config.swarm_config import SwarmConfig
-    from crazychoir.radio.protocol.addresses import dongles, read_text, require_writable
+    from crazychoir.radio.protocol.addresses import (
+        find_dongle_uris,
+        read_swarm_text,
+        require_writable,
+    )
 
     SwarmConfig.load(swarm)
     if write:
         require_writable(swarm)
-    return dongles(read_text(swarm), str(swarm))
+    return find_dongle_uris(read_swarm_text(swarm), str(swarm))
 
 
-def _surveyed(
-    wanted: Wanted, passes: int, packets: int, as_json: bool
+def _measure_channels(
+    wanted: SurveyRequest, passes: int, packets: int, as_json: bool
 ) -> "tuple[Survey, dict[int, float]]":
     """Measure while a live table shows the progress.
 
     Returns the survey and, for a simulated radio, the true share of each channel.
     """
     from crazychoir.radio.survey.survey import Survey
-    from crazychoir.radio.survey.survey import survey as measure
+    from crazychoir.radio.survey.survey import run_survey as measure
 
     found = Survey(wanted.channels, passes, packets, seed=wanted.simulated or 0)
-    shown = Progress(progress_table, enabled=STDERR.is_terminal and not as_json)
+    shown = LiveTable(progress_table, enabled=ERROR_CONSOLE.is_terminal and not as_json)
     with _probe(wanted) as (probe, room), shown as progress:
         measure(found, probe, lambda found, visit: progress((found, visit)))
     return found, {} if room is None else {
@@ -239,7 +244,7 @@ def _surveyed(
 
 
 def _result(
-    wanted: Wanted, found: "Survey", expected: dict[int, float]
+    wanted: SurveyRequest, found: "Survey", expected: dict[int, float]
 ) -> dict[str, Any]:
     """Return the JSON object.
 
@@ -262,7 +267,7 @@ def _result(
 
 
 @contextlib.contextmanager
-def _probe(wanted: Wanted) -> "Iterator[tuple[Probe, Room | None]]":
+def _probe(wanted: SurveyRequest) -> "Iterator[tuple[Probe, RadioRoom | None]]":
     if wanted.simulated is not None:
         from crazychoir.radio.survey.simulated_radio import SimulatedRadio, random_room
 
@@ -283,7 +288,7 @@ def ping(
             help="Drones, as udp://127.0.0.1:19850 or radio://0/80/2M/E7E7E7E701."
         ),
     ],
-    count: Annotated[int, options.whole("Echoes to each.")] = 100,
+    count: Annotated[int, options.whole("PingResult to each.")] = 100,
     deadline: Annotated[
         float, options.seconds("s after which it ends.", least=0.1)
     ] = 20.0,
@@ -299,23 +304,23 @@ def ping(
 
     try:
         wanted = [echo.require_uri(uri) for uri in uris]
-        with prints_aside():
+        with redirect_prints():
             found = echo.ping(
                 list(dict.fromkeys(wanted)), time.perf_counter, count, deadline
             )
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     except KeyboardInterrupt:
-        interrupted(as_json)
+        exit_interrupted(as_json)
     success = all(not one.error and one.lost == 0 for one in found)
     if as_json:
         write_json({"success": success, "links": [_link(one) for one in found]})
     else:
-        STDOUT.print(_ping_table(found))
+        ANSWER_CONSOLE.print(_ping_table(found))
     raise typer.Exit(0 if success else 1)
 
 
-def _link(one: "Echoes") -> dict[str, Any]:
+def _link(one: "PingResult") -> dict[str, Any]:
     times = {f"p{share}_s": one.percentile(share) for share in (50, 95, 99)}
     return {
         "uri": one.uri,
@@ -326,7 +331,7 @@ def _link(one: "Echoes") -> dict[str, Any]:
     }
 
 
-def _ping_table(found: "Sequence[Echoes]") -> Group:
+def _ping_table(found: "Sequence[PingResult]") -> Group:
     """Return a table with one row a drone, and the errors."""
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
     table.add_column("drone")

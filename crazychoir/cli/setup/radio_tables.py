@@ -1,6 +1,7 @@
 """The tables and texts of `crazychoir radio survey`."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from rich import box
@@ -11,14 +12,22 @@ from rich.text import Text
 from crazychoir.radio.protocol.channels import frequency
 
 if TYPE_CHECKING:
-    from crazychoir.radio.survey.survey import Measured, Survey, Visit
+    from crazychoir.radio.survey.survey import ChannelResult, Survey, Visit
 
-BLOCKS = " ▁▂▃▄▅▆▇█"
-"""Blocks of the live picture: the share of acknowledged packets, from none to all."""
-GOOD = 0.95
-"""Smallest share of acknowledged packets that is shown in green."""
-FAIR = 0.8
-"""Smallest share of acknowledged packets that is shown in yellow."""
+
+@dataclass(frozen=True, slots=True)
+class ShareScale:
+    """How a share of acknowledged packets is shown."""
+
+    blocks: str = " ▁▂▃▄▅▆▇█"
+    """Blocks of the live picture: the share of acknowledged packets, from none to all."""
+    good_share: float = 0.95
+    """Smallest share of acknowledged packets that is shown in green."""
+    fair_share: float = 0.8
+    """Smallest share of acknowledged packets that is shown in yellow."""
+
+
+SHARE_SCALE = ShareScale()
 
 
 def progress_table(seen: "tuple[Survey, Visit]") -> Group:
@@ -29,17 +38,26 @@ def progress_table(seen: "tuple[Survey, Visit]") -> Group:
     head = f"pass {visit.number + 1} of {found.passes}, channel {visit.channel:3d}: {done:4.0%}"
     bars = Text(f"{rows[0].channel} ")
     for row in rows:
-        bars.append(BLOCKS[round(row.worst * (len(BLOCKS) - 1))], _colour(row.worst))
+        bars.append(
+            SHARE_SCALE.blocks[round(row.worst * (len(SHARE_SCALE.blocks) - 1))],
+            _colour(row.worst),
+        )
     bars.append(f" {rows[-1].channel}")
     return Group(Text(head), bars, Text("worst pass of each channel so far", "dim"))
 
 
 def _colour(share: float) -> str:
-    return "green" if share >= GOOD else "yellow" if share >= FAIR else "red"
+    return (
+        "green"
+        if share >= SHARE_SCALE.good_share
+        else "yellow"
+        if share >= SHARE_SCALE.fair_share
+        else "red"
+    )
 
 
 def row_of(
-    row: "Measured", chosen: Sequence[int], expected: Mapping[int, float]
+    row: "ChannelResult", chosen: Sequence[int], expected: Mapping[int, float]
 ) -> dict[str, Any]:
     """Return a channel as a JSON object; expected: true share by channel, of a simulated radio."""
     p50, p95 = row.round_trip or (None, None)
@@ -64,7 +82,7 @@ def row_of(
     }
 
 
-def survey_table(rows: "Sequence[Measured]", result: Mapping[str, Any]) -> Group:
+def survey_table(rows: "Sequence[ChannelResult]", result: Mapping[str, Any]) -> Group:
     """Return a table with one row a channel, and the result as text."""
     chosen = result["chosen"]
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
@@ -87,7 +105,7 @@ def survey_table(rows: "Sequence[Measured]", result: Mapping[str, Any]) -> Group
     return Group(table, *(Text(line) for line in _lines(result)))
 
 
-def _cells(row: "Measured", chosen: bool) -> tuple[str | Text, ...]:
+def _cells(row: "ChannelResult", chosen: bool) -> tuple[str | Text, ...]:
     packets = sum(row.retries)
     *counts, lost = (f"{100 * n / packets:.0f}" for n in row.retries)
     trip = (
@@ -115,7 +133,7 @@ def _lines(result: Mapping[str, Any]) -> list[str]:
     )
     of = " of the worst of them" if len(result["chosen"]) > 1 else ""
     lines = [f"Picked: {names}. In the worst pass{of} {worst:.0%} came through."]
-    if worst < FAIR:
+    if worst < SHARE_SCALE.fair_share:
         lines.append(
             "That is little: take fewer dongles, a smaller spacing, more --channels, or another room."
         )

@@ -13,10 +13,10 @@ from crazychoir.errors import ConfigError, CrazyChoirError, Refused
 from crazychoir.files.output_files import require_writable_file
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
-    STDERR,
-    STDOUT,
-    Outputs,
-    fail,
+    ANSWER_CONSOLE,
+    ERROR_CONSOLE,
+    CommandOutputs,
+    exit_with_error,
     require_reached,
     set_up_logging,
     write_json,
@@ -24,9 +24,9 @@ from crazychoir.launch.console import (
 
 if TYPE_CHECKING:
     from crazychoir.config.swarm_config import SwarmConfig
-    from crazychoir.mocap.calibration import Rest, Turn
-    from crazychoir.mocap.frames import Frame
-    from crazychoir.mocap.naming import Match, Seen
+    from crazychoir.mocap.calibration import RestEstimate, TurnEstimate
+    from crazychoir.mocap.frames import PoseFrame
+    from crazychoir.mocap.naming import BodyMatch, BodyMeasurement
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -41,7 +41,7 @@ WriteOption = Annotated[
     typer.Option("--write", help="Write it into the swarm file; all else there stays."),
 ]
 Changes = dict[int, dict[str, object]]
-DIGITS = 5
+SWARM_FILE_DECIMALS = 5
 """Decimals of the numbers in the swarm file."""
 
 
@@ -59,16 +59,16 @@ def names(
     """
     set_up_logging()
     from crazychoir.mocap.naming import (
-        bodies,
-        matched,
+        match_bodies,
+        measure_bodies,
     )  # takes long, and --help does not need it
 
-    outputs = Outputs()
+    outputs = CommandOutputs()
     try:
         file = _file(swarm, write)
-        config, frames = _gathered(swarm, source, seconds)
-        seen = bodies(frames, seconds)
-        matches = matched(seen, {i: config.drone(i).home for i in config.seen})
+        config, frames = _gather_frames(swarm, source, seconds)
+        seen = measure_bodies(frames, seconds)
+        matches = match_bodies(seen, {i: config.drone(i).home for i in config.seen})
         sure = [match for match in matches if match.sure]
         changes: Changes = {
             m.drone: {"body": m.name}
@@ -77,7 +77,7 @@ def names(
         }
         _write(file, changes if write else {}, outputs)
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     written = write and not outputs.failed
     if as_json:
         rows = [
@@ -92,7 +92,7 @@ def names(
             {"bodies": rows, "proposed": proposed, "written": written, **outputs.told}
         )
     else:
-        STDOUT.print(_table(seen, matches))
+        ANSWER_CONSOLE.print(_table(seen, matches))
         _print_lines(changes, written)
         _say_left(config, matches)
     outputs.say()
@@ -132,10 +132,10 @@ def calibrate(
     --turn its offset.
     """
     set_up_logging()
-    outputs = Outputs()
+    outputs = CommandOutputs()
     try:
         file = _file(swarm, write)
-        config, frames = _gathered(
+        config, frames = _gather_frames(
             swarm, source, seconds or (20.0 if turn else 3.0), drone
         )
         found = (
@@ -143,17 +143,17 @@ def calibrate(
             if turn
             else _from_rest(config, drone, frames, heading)
         )
-        keys = _keys(config, drone, found)
+        keys = _measured_keys(config, drone, found)
         _write(file, {drone: keys} if write else {}, outputs)
     except CrazyChoirError as error:
-        fail(error, as_json)
+        exit_with_error(error, as_json)
     written = write and not outputs.failed
     if as_json:
         write_json(
             {"drone": drone, **keys, "found": found, "written": written, **outputs.told}
         )
     else:
-        STDERR.print(
+        ERROR_CONSOLE.print(
             f"drone {drone}: {_in_words(found)}", highlight=False, soft_wrap=True
         )
         _print_lines({drone: keys}, written)
@@ -162,16 +162,16 @@ def calibrate(
         raise typer.Exit(1)
 
 
-def _gathered(
+def _gather_frames(
     swarm: str | None, source: str | None, seconds: float, drone: int | None = None
-) -> "tuple[SwarmConfig, list[Frame]]":
+) -> "tuple[SwarmConfig, list[PoseFrame]]":
     """Return the swarm, and the frames that its cameras see for `seconds`.
 
     drone: the drone to calibrate, None for all drones that motion capture sees
     """
     from crazychoir.config.swarm_config import find_swarm
-    from crazychoir.mocap.gathering import gather
-    from crazychoir.mocap.process import source_of, view_of
+    from crazychoir.mocap.gathering import gather_frames
+    from crazychoir.mocap.process import make_frame_filter, make_source
     from crazychoir.runtime.clock import Clock, run_wall
 
     found, which = find_swarm(swarm)
@@ -187,13 +187,15 @@ def _gathered(
     if drone is not None:
         # A drone that flies by its own estimate may have a body too.
         require_reached(config, which, drone)
-    STDERR.print(
+    ERROR_CONSOLE.print(
         f"looking for {seconds:g} s ({which}, source {config.mocap.source})",
         highlight=False,
     )
 
-    async def main(clock: Clock) -> "list[Frame]":
-        return await gather(clock, source_of(clock, config), view_of(config), seconds)
+    async def main(clock: Clock) -> "list[PoseFrame]":
+        return await gather_frames(
+            clock, make_source(clock, config), make_frame_filter(config), seconds
+        )
 
     return config, run_wall(main)
 
@@ -216,7 +218,9 @@ def _file(swarm: str | None, write: bool) -> Path:
     return file
 
 
-def _poses(config: "SwarmConfig", drone: int, frames: "list[Frame]") -> tuple[Any, Any]:
+def _poses(
+    config: "SwarmConfig", drone: int, frames: "list[PoseFrame]"
+) -> tuple[Any, Any]:
     """Return the times and poses of the drone's body: (k,) s and (k, 7)."""
     import numpy as np
 
@@ -236,45 +240,49 @@ def _poses(config: "SwarmConfig", drone: int, frames: "list[Frame]") -> tuple[An
 
 
 def _from_rest(
-    config: "SwarmConfig", drone: int, frames: "list[Frame]", heading: bool
-) -> "Rest":
-    from crazychoir.mocap.calibration import from_rest
+    config: "SwarmConfig", drone: int, frames: "list[PoseFrame]", heading: bool
+) -> "RestEstimate":
+    from crazychoir.mocap.calibration import estimate_from_rest
 
     one = config.drone(drone)
     looks = one.yaw if heading else None
-    return from_rest(
+    return estimate_from_rest(
         _poses(config, drone, frames)[1], one.home[2], looks, one.body_rotation[2]
     )
 
 
-def _from_turn(config: "SwarmConfig", drone: int, frames: "list[Frame]") -> "Turn":
-    from crazychoir.mocap.calibration import from_turn
+def _from_turn(
+    config: "SwarmConfig", drone: int, frames: "list[PoseFrame]"
+) -> "TurnEstimate":
+    from crazychoir.mocap.calibration import estimate_from_turn
 
     one = config.drone(drone)
-    return from_turn(
+    return estimate_from_turn(
         *_poses(config, drone, frames), one.body_rotation, one.body_offset[2]
     )
 
 
-def _keys(config: "SwarmConfig", drone: int, found: "Rest | Turn") -> dict[str, object]:
+def _measured_keys(
+    config: "SwarmConfig", drone: int, found: "RestEstimate | TurnEstimate"
+) -> dict[str, object]:
     """Return the keys of [[drones]] that the measurement determines."""
-    from crazychoir.mocap.calibration import Turn
+    from crazychoir.mocap.calibration import TurnEstimate
 
-    if isinstance(found, Turn):
-        return {"body_offset": _rounded(found.offset)}
+    if isinstance(found, TurnEstimate):
+        return {"body_offset": _round_values(found.offset)}
     x, y, _ = config.drone(drone).body_offset
     return {
-        "body_rotation": _rounded(found.rotation),
-        "body_offset": _rounded((x, y, found.height)),
+        "body_rotation": _round_values(found.rotation),
+        "body_offset": _round_values((x, y, found.height)),
     }
 
 
-def _in_words(found: "Rest | Turn") -> str:
+def _in_words(found: "RestEstimate | TurnEstimate") -> str:
     from math import degrees
 
-    from crazychoir.mocap.calibration import Rest
+    from crazychoir.mocap.calibration import RestEstimate
 
-    if isinstance(found, Rest):
+    if isinstance(found, RestEstimate):
         roll, pitch, _ = (f"{degrees(angle):.2f}" for angle in found.rotation)
         tilted = f"its body is tilted by roll {roll} and pitch {pitch} deg, {found.height:.4f} m above its centre"
         return f"{tilted} ({found.poses} poses, {1e3 * found.spread:.1f} mm of noise)"
@@ -283,12 +291,12 @@ def _in_words(found: "Rest | Turn") -> str:
     return f"{turned}, to {2e3 * found.error:.1f} mm (two standard errors; {1e3 * found.deviation:.1f} mm from the fit)"
 
 
-def _rounded(values: tuple[float, float, float]) -> list[float]:
-    return [round(value, DIGITS) + 0.0 for value in values]
+def _round_values(values: tuple[float, float, float]) -> list[float]:
+    return [round(value, SWARM_FILE_DECIMALS) + 0.0 for value in values]
 
 
 def _write(
-    file: Path, changes: Mapping[int, Mapping[str, object]], outputs: Outputs
+    file: Path, changes: Mapping[int, Mapping[str, object]], outputs: CommandOutputs
 ) -> None:
     from crazychoir.config.editing import write_keys
 
@@ -301,14 +309,16 @@ def _print_lines(changes: Changes, written: bool) -> None:
     from crazychoir.config.editing import lines_of
 
     if changes:
-        STDERR.print(
+        ERROR_CONSOLE.print(
             "written:" if written else "for the swarm file (--write writes it):"
         )
     for i, keys in changes.items():
-        STDOUT.print(lines_of(i, keys), markup=False, highlight=False, soft_wrap=True)
+        ANSWER_CONSOLE.print(
+            lines_of(i, keys), markup=False, highlight=False, soft_wrap=True
+        )
 
 
-def _table(seen: "list[Seen]", matches: "list[Match]") -> Table:
+def _table(seen: "list[BodyMeasurement]", matches: "list[BodyMatch]") -> Table:
     table = Table("body", "Hz", "x", "y", "z", "moved m", "drone", "from its home m")
     whose = {match.name: match for match in matches}
     for body in seen:
@@ -326,16 +336,16 @@ def _table(seen: "list[Seen]", matches: "list[Match]") -> Table:
     return table
 
 
-def _say_left(config: "SwarmConfig", matches: "list[Match]") -> None:
+def _say_left(config: "SwarmConfig", matches: "list[BodyMatch]") -> None:
     """Say which drones have no body near their homes."""
-    from crazychoir.mocap.naming import FAR
+    from crazychoir.mocap.naming import HOME_RADIUS
 
     sure = {m.drone: m.name for m in matches if m.sure}
     if all(sure.get(i) == config.body_name(i) for i in config.seen):
-        STDERR.print("the swarm file has these names")
+        ERROR_CONSOLE.print("the swarm file has these names")
     left = [i for i in config.seen if i not in sure]
     if left:
         names = ", ".join(map(str, left))
-        STDERR.print(
-            f"no body within {FAR:g} m of the home of drone(s) {names}: put them there, or mend `home`."
+        ERROR_CONSOLE.print(
+            f"no body within {HOME_RADIUS:g} m of the home of drone(s) {names}: put them there, or mend `home`."
         )

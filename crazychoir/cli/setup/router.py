@@ -6,9 +6,9 @@ from typing import Annotated
 import typer
 
 from crazychoir.errors import ConfigError, CrazyChoirError
-from crazychoir.launch.console import STDERR, fail, set_up_logging
+from crazychoir.launch.console import ERROR_CONSOLE, exit_with_error, set_up_logging
 
-ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that end the router."""
 
 
@@ -24,8 +24,8 @@ def router(
     """Run a Zenoh router for a swarm with hosts that cannot reach each other, until Ctrl-C."""
     set_up_logging()
     # The threads of Zenoh inherit this mask, so that only sigwait receives these signals.
-    unmasked = signal.pthread_sigmask(signal.SIG_BLOCK, ENDS)
-    from crazychoir.bus.network.zenoh_link import routing
+    unmasked = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)
+    from crazychoir.bus.network.zenoh_link import route_messages
     from crazychoir.config.swarm_config import find_swarm
 
     try:
@@ -37,14 +37,14 @@ def router(
             )
         at = config.routers if listen is None else [listen]
         access = config.access(config.router or "", *at)
-        with routing(at, config.lease, access):
+        with route_messages(at, config.lease, access):
             closed = "mutual TLS" if access is not None else "open to everybody"
-            STDERR.print(
+            ERROR_CONSOLE.print(
                 f"swarm {config.name} ({which}): router at {', '.join(at)}, {closed}",
                 markup=False,
             )
-            signal.sigwait(ENDS)
+            signal.sigwait(ENDING_SIGNALS)
     except CrazyChoirError as error:
-        fail(error, as_json=False)
+        exit_with_error(error, as_json=False)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, unmasked)

@@ -9,15 +9,15 @@ import msgspec
 from crazychoir.config.number_lists import parse_spans
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm, find_swarm
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.mission import Mission, has, load
-from crazychoir.team.graph import span
+from crazychoir.guidance.mission import Mission, has_hook, load_mission
+from crazychoir.team.graph import describe_ids
 
-FEW = 4
+DEFAULT_DRONE_COUNT = 4
 """Number of drones for a mission that brings no swarm of its own."""
-SWARM_FILES = (".toml", ".json")
+SWARM_FILE_SUFFIXES = (".toml", ".json")
 
 
-def configured(
+def configured_swarm(
     swarm: str | None, mission: str | None, loss: float | None, seed: int | None
 ) -> tuple[SwarmConfig, str]:
     """Return the swarm with the values of the command line, and a text that says its source.
@@ -31,7 +31,7 @@ def configured(
         raise ConfigError(
             which, "no mission", 'mission = "name" in the swarm file, or --mission'
         )
-    return changed(config, loss, seed, mission), which
+    return replace_swarm_values(config, loss, seed, mission), which
 
 
 def chosen_swarm(
@@ -44,18 +44,18 @@ def chosen_swarm(
     """
     config, which = find_swarm(swarm)
     if which.startswith("the built-in demo"):
-        found = load(str(mission or config.mission))
-        config = found.swarm(None) if has(found, "swarm") else config
+        found = load_mission(str(mission or config.mission))
+        config = found.swarm(None) if has_hook(found, "swarm") else config
     return config, which
 
 
-def named_file(what: str, swarm: str | None) -> str | None:
+def resolve_swarm_file(what: str, swarm: str | None) -> str | None:
     """Return the resolved path of the swarm file given to `crazychoir run`; None without a file."""
-    file = what if what.endswith(SWARM_FILES) else swarm
+    file = what if what.endswith(SWARM_FILE_SUFFIXES) else swarm
     return None if file is None else str(Path(file).resolve())
 
 
-def changed(
+def replace_swarm_values(
     config: SwarmConfig, loss: float | None, seed: int | None, mission: str | None
 ) -> SwarmConfig:
     """Return the swarm with each value replaced that is not None."""
@@ -72,7 +72,7 @@ def changed(
     return config.replace(**changes) if changes else config
 
 
-def to_run(
+def swarm_and_mission_to_run(
     what: str,
     drones: int | None,
     swarm: str | None,
@@ -84,18 +84,22 @@ def to_run(
     Raises ConfigError if a swarm file names no mission, or if the mission cannot fly this number
     of drones.
     """
-    if what.endswith(SWARM_FILES):
+    if what.endswith(SWARM_FILE_SUFFIXES):
         config = SwarmConfig.load(what)
         if config.mission is None:
             raise ConfigError(what, "no mission", 'mission = "name"')
-        return changed(config, loss, seed, None), load(config.mission)
-    mission = load(what)
+        return replace_swarm_values(config, loss, seed, None), load_mission(
+            config.mission
+        )
+    mission = load_mission(what)
     if swarm is not None:
-        return changed(SwarmConfig.load(swarm), loss, seed, what), mission
+        return replace_swarm_values(SwarmConfig.load(swarm), loss, seed, what), mission
     own = (
-        mission.swarm(drones) if has(mission, "swarm") else default_swarm(drones or FEW)
+        mission.swarm(drones)
+        if has_hook(mission, "swarm")
+        else default_swarm(drones or DEFAULT_DRONE_COUNT)
     )
-    config = changed(own, loss, seed, what)
+    config = replace_swarm_values(own, loss, seed, what)
     if drones not in (None, len(config.ids)):
         raise ConfigError(
             "--drones",
@@ -116,8 +120,8 @@ def check_options(
     only: value of --only
     given: value of each option that concerns a whole swarm on this machine, by option
     """
-    own_file = swarm is not None or what.endswith(SWARM_FILES)
-    if swarm is not None and what.endswith(SWARM_FILES):
+    own_file = swarm is not None or what.endswith(SWARM_FILE_SUFFIXES)
+    if swarm is not None and what.endswith(SWARM_FILE_SUFFIXES):
         raise ConfigError("--swarm", f"{swarm} beside {what}", "one swarm file")
     if own_file and given["--drones"]:
         do = "Change the [[drones]] of the file."
@@ -175,7 +179,7 @@ def with_operator(config: SwarmConfig, wait: bool, fast: bool) -> SwarmConfig:
     )
 
 
-def to_start(only: str | None, config: SwarmConfig) -> tuple[int, ...]:
+def drones_to_start(only: str | None, config: SwarmConfig) -> tuple[int, ...]:
     """Return the drones that `--only` names; all drones without it.
 
     Raises ConfigError unless they are whole processes of the swarm file: each process has a single
@@ -183,7 +187,7 @@ def to_start(only: str | None, config: SwarmConfig) -> tuple[int, ...]:
     """
     if only is None:
         return config.ids
-    allowed = f"drones {span(config.ids)}, with commas between, as 3,5-7"
+    allowed = f"drones {describe_ids(config.ids)}, with commas between, as 3,5-7"
     here = sorted(parse_spans(only, "--only", allowed))
     for i in here:
         if i not in config.ids:

@@ -6,21 +6,26 @@ import math
 from typing import Protocol
 
 from crazychoir.bus.commands import Commander
-from crazychoir.bus.port import BODIES
-from crazychoir.cli.shared.running_swarm import DISCOVERY, LOOK, SOON, nobody, starting
+from crazychoir.bus.port import PORT_ADDRESSES
+from crazychoir.cli.shared.running_swarm import (
+    NEXT_PROCESS_TIMEOUT,
+    SWARM_SEARCH,
+    no_agent_error,
+    starting_text,
+)
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.runtime.clock import Clock
-from crazychoir.team.graph import span
+from crazychoir.team.graph import describe_ids
 
-ABSENT = "absent"
-OBEYS = 10.0
+ABSENT_ANSWER = "absent"
+OBEY_TIMEOUT = 10.0
 """Seconds that an agent gets to obey after it was found, unless its body has obeyed."""
-TELL = 0.5
+STOP_REPORT_PERIOD = 0.5
 """Seconds before the first progress line, and between two of them."""
 log = logging.getLogger(__name__)
 
 
-class Place(Protocol):
+class StopWindow(Protocol):
     """The part of Window that an emergency stop needs."""
 
     clock: Clock
@@ -48,7 +53,7 @@ class EmergencyStop:
     """
 
     def __init__(
-        self, place: Place, meant: tuple[int, ...], clear: bool, alone: bool
+        self, place: StopWindow, meant: tuple[int, ...], clear: bool, alone: bool
     ) -> None:
         self.place = place
         self.meant = meant
@@ -67,7 +72,7 @@ class EmergencyStop:
         Raises Refused if no agent and no body was found.
         """
         place = self.place
-        targets = [*self.meant, *(BODIES + i for i in self.owned)]
+        targets = [*self.meant, *(PORT_ADDRESSES.body_offset + i for i in self.owned)]
         order = place.commander.emergency_stop(
             targets, self.clear, math.inf, self.alone, self.obeyed
         )
@@ -77,7 +82,7 @@ class EmergencyStop:
         finally:
             sending.cancel()
         if not self.found and not self.obeyed:
-            raise nobody(place.config, place.option)
+            raise no_agent_error(place.config, place.option)
         return {i: self._said(i) for i in self.meant}
 
     async def _wait(self, sending: asyncio.Future[list[int]]) -> None:
@@ -87,31 +92,31 @@ class EmergencyStop:
         began = clock.now()
         # The owner of the bodies may run without any agent: then no port of an agent is open,
         # and the patience of the place may be 0.
-        ends = began + max(place.patience, DISCOVERY if self.owned else 0.0)
-        self._tells = began + TELL
+        ends = began + max(place.patience, NEXT_PROCESS_TIMEOUT if self.owned else 0.0)
+        self._tells = began + STOP_REPORT_PERIOD
         while not sending.done():
             now = clock.now()
             self.found |= {i: now for i in place.drones if i not in self.found}
             count = len(self.found) + len(self._bodies())
             if count > news:
                 news = count
-                ends = now + DISCOVERY
+                ends = now + NEXT_PROCESS_TIMEOUT
             if now >= ends and not any(self._may_obey(i, now) for i in self.meant):
                 return
             self._tell(now, began)
-            await clock.sleep(LOOK)
+            await clock.sleep(SWARM_SEARCH.check_period)
         sending.result()
 
     def _may_obey(self, i: int, now: float) -> bool:
         """Return whether the agent of drone i was found and still has time to obey."""
         return (
-            not {i, BODIES + i} & self.obeyed.keys()
-            and now < self.found.get(i, -math.inf) + OBEYS
+            not {i, PORT_ADDRESSES.body_offset + i} & self.obeyed.keys()
+            and now < self.found.get(i, -math.inf) + OBEY_TIMEOUT
         )
 
     def _bodies(self) -> list[int]:
         """Return the drones with a body that has obeyed."""
-        return [i for i in self.owned if BODIES + i in self.obeyed]
+        return [i for i in self.owned if PORT_ADDRESSES.body_offset + i in self.obeyed]
 
     def _tell(self, now: float, began: float) -> None:
         """Log the agents and bodies that have obeyed so far, or that none has been found yet."""
@@ -119,33 +124,35 @@ class EmergencyStop:
         patience = self.place.patience
         if len(self.obeyed) > self._told and now >= self._tells:
             self._told = len(self.obeyed)
-            self._tells = now + TELL
+            self._tells = now + STOP_REPORT_PERIOD
             ids = {
                 "agents": [i for i in self.meant if i in self.obeyed],
                 "bodies": self._bodies(),
             }
             who = "; ".join(
-                f"{whose} {span(known)}" for whose, known in ids.items() if known
+                f"{whose} {describe_ids(known)}"
+                for whose, known in ids.items()
+                if known
             )
             verb = "cleared" if self.clear else "stopped"
             log.warning("swarm %s: %s: %s; waiting for the others", name, verb, who)
         elif (
             not (self.found or self.obeyed or self._waited)
-            and patience > DISCOVERY
-            and now > began + SOON
+            and patience > NEXT_PROCESS_TIMEOUT
+            and now > began + SWARM_SEARCH.notice_delay
         ):
             self._waited = True
-            log.warning("%s", starting(self.place.config, patience))
+            log.warning("%s", starting_text(self.place.config, patience))
 
     def _said(self, i: int) -> tuple[bool, str]:
         obeys = i in self.obeyed
-        body = i not in self.owned or BODIES + i in self.obeyed
+        body = i not in self.owned or PORT_ADDRESSES.body_offset + i in self.obeyed
         said = (
             "acknowledged"
             if obeys
             else "no acknowledgement"
             if i in self.found
-            else ABSENT
+            else ABSENT_ANSWER
         )
         if i not in self.owned or (obeys and body):
             return obeys, said

@@ -6,44 +6,39 @@ from collections.abc import Awaitable, Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from crazychoir.bus.commands import (
-    ACCEPTED,
-    DONE,
-    NOT_READY,
-    REFUSED,
+    ANSWER_TEXTS,
     Answer,
     Commander,
 )
 from crazychoir.bus.network.zenoh_link import ZenohLink
-from crazychoir.bus.port import OBSERVER
+from crazychoir.bus.port import PORT_ADDRESSES
 from crazychoir.bus.topics import Topic
-from crazychoir.cli.shared.emergency import ABSENT, EmergencyStop
+from crazychoir.cli.shared.emergency import ABSENT_ANSWER, EmergencyStop
 from crazychoir.cli.shared.running_swarm import (
-    DISCOVERY,
-    LOOK,
-    SOON,
-    STARTS,
-    nobody,
-    patience,
+    NEXT_PROCESS_TIMEOUT,
+    SWARM_SEARCH,
+    first_process_timeout,
+    no_agent_error,
     running_swarm,
     runs_here,
-    starting,
+    starting_text,
 )
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError, Refused
-from crazychoir.launch.network import REPLAY, attached, observer
+from crazychoir.launch.network import REPLAY_HOST, make_observer_link, run_attached
 from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.runtime.mailbox import Call
-from crazychoir.team.graph import span
+from crazychoir.team.graph import describe_ids
 
-READY = 15.0
+NOT_READY_TIMEOUT = 15.0
 """Seconds for which a command is repeated to a drone that is not ready yet."""
-RETRY = 0.3
+NOT_READY_RETRY_PERIOD = 0.3
 """Seconds between two of these repetitions."""
-SILENT = "silent"
+SILENT_ANSWER = "silent"
 log = logging.getLogger(__name__)
 
 if TYPE_CHECKING:
-    from crazychoir.launch.flight_observer import Score
+    from crazychoir.launch.flight_observer import FlightScore
 
 Work = Callable[["Window"], Awaitable[Any]]
 Answers = dict[int, tuple[bool, Any]]
@@ -66,7 +61,7 @@ class Window:
         config: SwarmConfig,
         link: ZenohLink,
         option: str | None = None,
-        patience: float = DISCOVERY,
+        patience: float = NEXT_PROCESS_TIMEOUT,
     ) -> None:
         self.clock = clock
         self.config = config
@@ -79,7 +74,9 @@ class Window:
     @property
     def drones(self) -> list[int]:
         """Drones that were found, in order."""
-        return sorted(j for j in self.link.directory if j < OBSERVER)
+        return sorted(
+            j for j in self.link.directory if j < PORT_ADDRESSES.first_observer
+        )
 
     def is_there(self, i: int) -> bool:
         """Return whether an agent of drone i was found."""
@@ -88,7 +85,7 @@ class Window:
     @property
     def replays(self) -> bool:
         """Whether the swarm is the replay of a recording."""
-        return any(peer.host == REPLAY for peer in self.link.peers.values())
+        return any(peer.host == REPLAY_HOST for peer in self.link.peers.values())
 
     async def find(self) -> list[int]:
         """Wait until all drones are found, at most DISCOVERY s after the last one.
@@ -101,10 +98,10 @@ class Window:
         while len(self.drones) < len(self.config.ids):
             if len(self.drones) > seen:
                 seen = len(self.drones)
-                ends = self.clock.now() + DISCOVERY
+                ends = self.clock.now() + NEXT_PROCESS_TIMEOUT
             if self.clock.now() >= ends:
                 break
-            await self.clock.sleep(LOOK)
+            await self.clock.sleep(SWARM_SEARCH.check_period)
         return self.drones
 
     async def somebody(self) -> None:
@@ -118,23 +115,27 @@ class Window:
         while not self.drones:
             now = self.clock.now()
             ended = (
-                self.patience == STARTS
-                and now - looked > DISCOVERY
+                self.patience == SWARM_SEARCH.start_timeout
+                and now - looked > NEXT_PROCESS_TIMEOUT
                 and not runs_here(self.config)
             )
-            looked = now if now - looked > DISCOVERY else looked
+            looked = now if now - looked > NEXT_PROCESS_TIMEOUT else looked
             if ended or now - began >= self.patience:
-                raise nobody(self.config, self.option)
-            if now - began > SOON and not said and self.patience > DISCOVERY:
-                log.warning("%s", starting(self.config, self.patience))
+                raise no_agent_error(self.config, self.option)
+            if (
+                now - began > SWARM_SEARCH.notice_delay
+                and not said
+                and self.patience > NEXT_PROCESS_TIMEOUT
+            ):
+                log.warning("%s", starting_text(self.config, self.patience))
                 said = True
-            await self.clock.sleep(LOOK)
+            await self.clock.sleep(SWARM_SEARCH.check_period)
 
     def check(self, option: str, ids: Iterable[int]) -> None:
         """Raise ConfigError for a drone that the swarm does not have."""
         for i in ids:
             if i not in self.config.ids:
-                raise ConfigError(option, f"drone {i}", span(self.config.ids))
+                raise ConfigError(option, f"drone {i}", describe_ids(self.config.ids))
 
     def read(
         self,
@@ -153,13 +154,13 @@ class Window:
         )
         return box
 
-    def score(self) -> "Score":
+    def score(self) -> "FlightScore":
         """Return a score that follows the whole swarm from now on."""
         from crazychoir.launch.flight_observer import (
-            Score,
+            FlightScore,
         )  # takes 1 s, for which a command should not wait
 
-        return Score(
+        return FlightScore(
             self.link.bus,
             self.config.ids,
             address=self.address,
@@ -194,7 +195,7 @@ class Window:
         self, i: int, verb: str, seconds: float, arguments: Mapping[str, Any]
     ) -> tuple[bool, Any]:
         began = self.clock.now()
-        asks = self.clock.now() + min(seconds, READY)
+        asks = self.clock.now() + min(seconds, NOT_READY_TIMEOUT)
         while True:
             try:
                 answer = await self.commander.request(
@@ -202,17 +203,22 @@ class Window:
                 )
             except TimeoutError:
                 return False, (
-                    SILENT,
+                    SILENT_ANSWER,
                     f"no answer within {seconds:g} s; is its agent running?",
                 )
             # The detail of this answer names only the time left at the last request, which is
             # not the time that the caller has waited. So we write our own text.
-            if answer.kind == ACCEPTED:
-                return False, (ACCEPTED, f"not done within {seconds:g} s")
-            waits = answer.kind == REFUSED and str(answer.detail).startswith(NOT_READY)
-            if not waits or self.clock.now() + RETRY >= asks:
-                return answer.kind == DONE, (answer.kind, str(answer.detail or ""))
-            await self.clock.sleep(RETRY)
+            if answer.kind == ANSWER_TEXTS.accepted:
+                return False, (ANSWER_TEXTS.accepted, f"not done within {seconds:g} s")
+            waits = answer.kind == ANSWER_TEXTS.refused and str(
+                answer.detail
+            ).startswith(ANSWER_TEXTS.not_ready)
+            if not waits or self.clock.now() + NOT_READY_RETRY_PERIOD >= asks:
+                return answer.kind == ANSWER_TEXTS.done, (
+                    answer.kind,
+                    str(answer.detail or ""),
+                )
+            await self.clock.sleep(NOT_READY_RETRY_PERIOD)
 
     async def emergency_stop(
         self, clear: bool, drones: Iterable[int] | None = None
@@ -251,9 +257,9 @@ class Window:
             answer: Answer = await self.commander.request(i, verb, **arguments)
         except TimeoutError as error:
             return False, str(error)
-        if answer.kind == ACCEPTED:
+        if answer.kind == ANSWER_TEXTS.accepted:
             return False, f"accepted, {answer.detail}"
-        if answer.kind == REFUSED:
+        if answer.kind == ANSWER_TEXTS.refused:
             return False, f"refused: {answer.detail}"
         return True, "acknowledged" if answer.detail is None else answer.detail
 
@@ -276,7 +282,7 @@ class Window:
             there = await self.find()
             await asyncio.gather(*(asked[i] for i in there if i in asked))
             return {
-                i: task.result() if task.done() else (False, ABSENT)
+                i: task.result() if task.done() else (False, ABSENT_ANSWER)
                 for i, task in asked.items()
             }
         finally:
@@ -284,13 +290,15 @@ class Window:
                 task.cancel()
 
 
-def look(swarm: str | None, work: Work) -> Any:
+def observe_swarm(swarm: str | None, work: Work) -> Any:
     """Join the swarm as an observer, do the work and leave; return the result of the work."""
 
     async def main(clock: Clock) -> Any:
         config = running_swarm(swarm)
-        link = observer(clock, config)
-        async with attached(link):
-            return await work(Window(clock, config, link, swarm, patience(config)))
+        link = make_observer_link(clock, config)
+        async with run_attached(link):
+            return await work(
+                Window(clock, config, link, swarm, first_process_timeout(config))
+            )
 
     return run_wall(main)

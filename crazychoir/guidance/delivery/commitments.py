@@ -5,7 +5,7 @@ Nothing here flies.
 
 from collections.abc import Sequence
 
-from crazychoir.guidance.delivery.replanning import Share
+from crazychoir.guidance.delivery.replanning import PlanShare
 from crazychoir.guidance.tasks.task_book import Deed, Fate
 from crazychoir.guidance.tasks.team_news import TeamNews
 from crazychoir.routing.instance.plan import Stop
@@ -80,7 +80,7 @@ class Commitments:
         )
         return tuple(j for j in self.bound if j not in aboard), tuple(aboard)
 
-    def adopt(self, share: Share) -> None:
+    def adopt(self, share: PlanShare) -> None:
         """Take a new route: the bound stops that are not done yet, then the stops of the plan."""
         self.news.book.merge(share.book)
         for i, error in share.dropped.items():

@@ -7,22 +7,22 @@ import numpy as np
 
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.delivery.delivery_options import Appearance, DeliveryOptions
-from crazychoir.guidance.delivery.site import Site
+from crazychoir.guidance.delivery.site import DeliverySite
 from crazychoir.guidance.tasks.task_book import Task
-from crazychoir.guidance.tasks.task_source import ADDED
+from crazychoir.guidance.tasks.task_source import FIRST_ADDED_ID
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.routing.instance.vehicle import TOTAL
-from crazychoir.team.graph import span
+from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES
+from crazychoir.team.graph import describe_ids
 
-IDLE = (("tasks", "instance"), ("later", "instance"), ("later", "appear"))
+IDLE_KEYS = (("tasks", "instance"), ("later", "instance"), ("later", "appear"))
 """(key, other): a key that has no effect beside the other key."""
-STRAIGHT_HOME = "in flight robots fly straight, as soon as they can, end at home, and refuse nothing"
+FLIGHT_ABILITIES = "in flight robots fly straight, as soon as they can, end at home, and refuse nothing"
 """What robots can do in flight, for the error."""
 
 
-def require_used(written: Mapping[str, Any], where: str) -> None:
+def require_used_keys(written: Mapping[str, Any], where: str) -> None:
     """Raise ConfigError for a key that has no effect beside another key."""
-    for key, other in IDLE:
+    for key, other in IDLE_KEYS:
         if key in written and other in written:
             allowed = "no tasks are drawn then"
             do = "Remove one of the two."
@@ -31,11 +31,11 @@ def require_used(written: Mapping[str, Any], where: str) -> None:
             )
 
 
-def require_flown(
+def require_flyable_features(
     problem: Instance,
     key: str,
     flown: Collection[str] = (),
-    allowed: str = STRAIGHT_HOME,
+    allowed: str = FLIGHT_ABILITIES,
 ) -> None:
     """Raise ConfigError for features of an instance that no robot obeys in flight.
 
@@ -58,7 +58,7 @@ def require_flown(
         or np.isfinite(problem.window[:, 1]).any(),
         "penalty": np.isfinite(tasks.penalty).any(),
         "recharge": problem.recharge != 1,
-        "objective": problem.objective != (TOTAL,),
+        "objective": problem.objective != (OBJECTIVE_NAMES.total,),
     }
     if found := [
         name for name, is_there in there.items() if is_there and name not in flown
@@ -72,8 +72,8 @@ def require_flown(
         raise ConfigError(key, problem.name, allowed, do, f"it has {', '.join(found)}")
 
 
-def require_servable(
-    site: Site,
+def require_servable_places(
+    site: DeliverySite,
     known: Sequence[Task],
     appearing: Sequence[Appearance],
     chosen: DeliveryOptions,
@@ -89,13 +89,13 @@ def require_servable(
     chosen: the options.
     where: the key of the options, for the error.
     """
-    if len(known) + len(appearing) > ADDED:
+    if len(known) + len(appearing) > FIRST_ADDED_ID:
         raise ConfigError(
-            where, f"{len(known) + len(appearing)} tasks", f"at most {ADDED}"
+            where, f"{len(known) + len(appearing)} tasks", f"at most {FIRST_ADDED_ID}"
         )
     for task in known:
         if found := site.lies_badly(task, task.pickup) or site.never(task):
-            raise _refused(
+            raise _build_place_error(
                 f"{where}.{'tasks' if chosen.instance is None else 'instance'}",
                 task.id,
                 found,
@@ -106,21 +106,21 @@ def require_servable(
         )
         if not chosen.appear:
             if found := site.lies_badly(task, task.pickup):
-                raise _refused(f"{where}.later", task.id, found)
+                raise _build_place_error(f"{where}.later", task.id, found)
             continue
         key = f"{where}.appear[{n}]"
         for name, place in (("pickup", row.pickup), ("delivery", row.delivery)):
             if found := site.objection(place):
-                raise _refused(f"{key}.{name}", list(place), found)
-        _require_there(site, row.robots, f"{key}.robots")
-        _require_there(site, row.heard_by, f"{key}.heard_by")
+                raise _build_place_error(f"{key}.{name}", list(place), found)
+        _require_known_drones(site, row.robots, f"{key}.robots")
+        _require_known_drones(site, row.heard_by, f"{key}.heard_by")
         if found := site.never(task):
-            raise _refused(f"{key}.load", row.load, found)
+            raise _build_place_error(f"{key}.load", row.load, found)
     for n, cancel in enumerate(chosen.cancel):
-        _require_there(site, cancel.heard_by, f"{where}.cancel[{n}].heard_by")
+        _require_known_drones(site, cancel.heard_by, f"{where}.cancel[{n}].heard_by")
 
 
-def _refused(key: str, found: object, problem: str) -> ConfigError:
+def _build_place_error(key: str, found: object, problem: str) -> ConfigError:
     allowed = "places inside the fence, `clearance` away from homes, and loads that somebody can carry"
     return ConfigError(
         key,
@@ -131,10 +131,10 @@ def _refused(key: str, found: object, problem: str) -> ConfigError:
     )
 
 
-def _require_there(site: Site, ids: tuple[int, ...], key: str) -> None:
+def _require_known_drones(site: DeliverySite, ids: tuple[int, ...], key: str) -> None:
     if strangers := [i for i in ids if i not in site.config.ids]:
-        allowed = f"this swarm has {span(site.config.ids)}"
-        problem = f"there is no drone {span(strangers)}"
+        allowed = f"this swarm has {describe_ids(site.config.ids)}"
+        problem = f"there is no drone {describe_ids(strangers)}"
         raise ConfigError(
             key,
             list(ids),

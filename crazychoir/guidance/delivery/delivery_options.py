@@ -7,31 +7,41 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from crazychoir.config.checks import TOUCHING
-from crazychoir.config.tables import Flag, Ids, Seconds, Table, Text
-from crazychoir.guidance.delivery.replanning import AUCTION, KINDS
-from crazychoir.guidance.tasks.task_book import LARGEST, Place
-from crazychoir.guidance.tasks.task_source import ADDED
+from crazychoir.config.checks import SWARM_LIMITS
+from crazychoir.config.tables import Flag, Ids, Seconds, SwarmTable, Text
+from crazychoir.guidance.delivery.replanning import AUCTION_METHOD, REPLANNING_METHODS
+from crazychoir.guidance.tasks.task_book import LARGEST_TASK_NUMBER, Place
+from crazychoir.guidance.tasks.task_source import FIRST_ADDED_ID
 
 Spot = Annotated[Place, Meta(description="a place [x, y] in m", examples=[[1.0, 2.5]])]
 Load = Annotated[
     float,
     Meta(
         ge=0.0,
-        le=LARGEST,
+        le=LARGEST_TASK_NUMBER,
         description="a load, 0 to 1e6, as the capacities",
         examples=[1.0],
     ),
 ]
-MOST = ADDED // 2
+MOST_OPTION_TASKS = FIRST_ADDED_ID // 2
 """Largest number of tasks of an option."""
 Number = Annotated[
     int,
-    Meta(ge=1, le=MOST, description=f"a number of tasks, 1 to {MOST}", examples=[15]),
+    Meta(
+        ge=1,
+        le=MOST_OPTION_TASKS,
+        description=f"a number of tasks, 1 to {MOST_OPTION_TASKS}",
+        examples=[15],
+    ),
 ]
 Further = Annotated[
     int,
-    Meta(ge=0, le=MOST, description=f"a number of tasks, 0 to {MOST}", examples=[5]),
+    Meta(
+        ge=0,
+        le=MOST_OPTION_TASKS,
+        description=f"a number of tasks, 0 to {MOST_OPTION_TASKS}",
+        examples=[5],
+    ),
 ]
 TaskId = Annotated[
     int, Meta(ge=0, description="the number of a task, not negative", examples=[4])
@@ -39,23 +49,23 @@ TaskId = Annotated[
 Gap = Annotated[
     float,
     Meta(
-        ge=TOUCHING,
+        ge=SWARM_LIMITS.touching_distance,
         le=100.0,
-        description=f"m, {TOUCHING:g} (nearer, drones touch) to 100",
+        description=f"m, {SWARM_LIMITS.touching_distance:g} (nearer, drones touch) to 100",
         examples=[0.4],
     ),
 ]
 Method = Annotated[
     str,
     Meta(
-        pattern=f"^({'|'.join(KINDS)})$",
-        description=", ".join(KINDS),
-        examples=[AUCTION],
+        pattern=f"^({'|'.join(REPLANNING_METHODS)})$",
+        description=", ".join(REPLANNING_METHODS),
+        examples=[AUCTION_METHOD],
     ),
 ]
 
 
-class Appearance(Table, frozen=True, kw_only=True):
+class Appearance(SwarmTable, frozen=True, kw_only=True):
     """One [[mission_options.appear]]: a task that appears in flight."""
 
     t: Seconds
@@ -72,7 +82,7 @@ class Appearance(Table, frozen=True, kw_only=True):
     """Ids of the robots that learn of it first, and tell the others. Empty: all robots."""
 
 
-class Cancellation(Table, frozen=True, kw_only=True):
+class Cancellation(SwarmTable, frozen=True, kw_only=True):
     """One [[mission_options.cancel]]: a task that is cancelled in flight."""
 
     t: Seconds
@@ -96,7 +106,7 @@ Cancellations = Annotated[
 ]
 
 
-class DeliveryOptions(Table, frozen=True, kw_only=True):
+class DeliveryOptions(SwarmTable, frozen=True, kw_only=True):
     """[mission_options]."""
 
     instance: Text | None = None
@@ -117,5 +127,5 @@ class DeliveryOptions(Table, frozen=True, kw_only=True):
     """s after the start before which the mission does not end."""
     clearance: Gap = 0.4
     """m, in the plane: distance of goods from other robots' homes."""
-    method: Method = AUCTION
+    method: Method = AUCTION_METHOD
     """How tasks are shared out, see Replanning."""

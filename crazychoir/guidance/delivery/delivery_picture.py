@@ -9,17 +9,17 @@ import numpy as np
 
 from crazychoir.files.output_files import save_figure
 from crazychoir.guidance.tasks.task_book import Place
-from crazychoir.optimization.picture import COLOURS, DASHES, INK
+from crazychoir.optimization.picture import PICTURE_STYLE
 from crazychoir.types import Mat
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-RED = "#c00000"
+FAILURE_COLOUR = "#c00000"
 """Colour of lost robots and undelivered tasks."""
 
 
-def draw_flown(
+def draw_flown_ways(
     path: str | Path,
     homes: Mapping[int, Place],
     ways: Mapping[int, Mat],
@@ -49,14 +49,16 @@ def draw_flown(
     for i, way in ways.items():
         _draw_way(axes, i, way)
     _draw_goods(axes, pickups, "^", "white", "pickup of task", undelivered)
-    _draw_goods(axes, deliveries, "v", INK, "delivery of task", undelivered)
+    _draw_goods(
+        axes, deliveries, "v", PICTURE_STYLE.ink, "delivery of task", undelivered
+    )
     _draw_robots(axes, homes, ways, lost)
     axes.set_aspect("equal")
     axes.set(xlabel="x [m]", ylabel="y [m]")
     axes.grid(color="#e6e6e6", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.set_title(title, color=INK, fontsize=10)
+    axes.set_title(title, color=PICTURE_STYLE.ink, fontsize=10)
     figure.legend(
         loc="outside right upper", frameon=False, fontsize=8, handlelength=3.2
     )
@@ -64,9 +66,9 @@ def draw_flown(
 
 
 def _draw_way(axes: "Axes", i: int, way: Mat) -> None:
-    colour = COLOURS[i % len(COLOURS)]
+    colour = PICTURE_STYLE.colours[i % len(PICTURE_STYLE.colours)]
     length = float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
-    dash = DASHES[i % len(DASHES)]
+    dash = PICTURE_STYLE.dashes[i % len(PICTURE_STYLE.dashes)]
     axes.plot(
         way[:, 0],
         way[:, 1],
@@ -105,10 +107,17 @@ def _draw_goods(
 ) -> None:
     x, y = np.reshape(list(places.values()), (-1, 2)).T
     axes.scatter(
-        x, y, s=46, marker=marker, c=fill, edgecolors=INK, label=label, zorder=4
+        x,
+        y,
+        s=46,
+        marker=marker,
+        c=fill,
+        edgecolors=PICTURE_STYLE.ink,
+        label=label,
+        zorder=4,
     )
     for j, place in places.items():
-        colour = RED if j in undelivered else INK
+        colour = FAILURE_COLOUR if j in undelivered else PICTURE_STYLE.ink
         axes.annotate(
             str(j),
             place,
@@ -127,7 +136,7 @@ def _draw_robots(
     lost: Collection[int],
 ) -> None:
     for i, (x, y) in homes.items():
-        colour = COLOURS[i % len(COLOURS)]
+        colour = PICTURE_STYLE.colours[i % len(PICTURE_STYLE.colours)]
         axes.plot(
             x, y, "s", color=colour, markersize=11, markeredgecolor="white", zorder=5
         )
@@ -149,7 +158,7 @@ def _draw_robots(
             x,
             y,
             "X",
-            color=RED,
+            color=FAILURE_COLOUR,
             markersize=13,
             markeredgecolor="white",
             zorder=7,

@@ -30,51 +30,67 @@ import numpy as np
 from crazychoir.errors import CrazyChoirError, RosterChanged
 from crazychoir.guidance.delivery.commitments import Commitments
 from crazychoir.guidance.delivery.replanning import (
-    AUCTION,
-    Goods,
+    AUCTION_METHOD,
     Mark,
+    PlannedGoods,
+    PlanShare,
     Replanning,
-    Share,
-    mark,
+    identify_tasks,
 )
-from crazychoir.guidance.delivery.site import Site
-from crazychoir.guidance.guidance import ARRIVED, TOUCHDOWN, CFGuidance
-from crazychoir.guidance.member import Interrupted, Member, touch_down
-from crazychoir.guidance.tasks.task_book import LARGEST, Place, Task
-from crazychoir.guidance.tasks.task_source import Event, TaskSource
-from crazychoir.guidance.tasks.team_news import PERIOD, UNREACHED, Key, TeamNews
-from crazychoir.guidance.tasks.together import given_up, run_together, unless
-from crazychoir.planning.point_to_point import duration_for
+from crazychoir.guidance.delivery.site import DeliverySite
+from crazychoir.guidance.guidance import FLIGHT_LIMITS, CFGuidance
+from crazychoir.guidance.member import Interrupted, Member, wait_for_touchdown
+from crazychoir.guidance.tasks.task_book import LARGEST_TASK_NUMBER, Place, Task
+from crazychoir.guidance.tasks.task_source import TaskEvent, TaskSource
+from crazychoir.guidance.tasks.team_news import (
+    NEWS_TIMING,
+    UNREACHED_REASON,
+    Key,
+    TeamNews,
+)
+from crazychoir.guidance.tasks.together import cancel_task, run_together, wait_unless
+from crazychoir.planning.point_to_point import compute_flight_time
 from crazychoir.routing.instance.instance import LocalProblem
 from crazychoir.routing.instance.plan import Stop
 from crazychoir.types import FullState, Vec
 
 log = logging.getLogger(__name__)
-POLL = 0.05
-"""s: interval at which the robot looks for changes."""
-HORIZON = 3.0
-"""s of its flight to which a robot is bound when a planning begins.
 
-A planning in which a robot is lost takes this long.
-"""
-LATE = 5.0
-"""s: the team plans again when a robot is this much later than its plan."""
-REUNION = 30.0
-"""s after which a robot that neither flies nor serves ends its mission.
 
-It applies when the robot is cut off, or when no other robot flies.
-"""
-NO_PLAN = "no plan, only what is aboard is delivered"
+@dataclass(frozen=True, slots=True)
+class OnlineTiming:
+    """Times of a robot of the online mission."""
+
+    poll_interval: float = 0.05
+    """s: interval at which the robot looks for changes."""
+    binding_horizon: float = 3.0
+    """s of its flight to which a robot is bound when a planning begins.
+
+    A planning in which a robot is lost takes this long.
+    """
+    late_time: float = 5.0
+    """s: the team plans again when a robot is this much later than its plan."""
+    reunion_time: float = 30.0
+    """s after which a robot that neither flies nor serves ends its mission.
+
+    It applies when the robot is cut off, or when no other robot flies.
+    """
+
+
+ONLINE_TIMING = OnlineTiming()
+
+
+NO_PLAN_REASON = "no plan, only what is aboard is delivered"
 """Reason when all methods have failed."""
-TOO_FAR = "no drone that can serve it has enough left of its route_length_limit"
+TOO_FAR_REASON = "no drone that can serve it has enough left of its route_length_limit"
 """Reason when no robot has enough range left."""
 
 
 @dataclass(frozen=True)
-class Options:
+class OnlineDeliveryOptions:
     """What all robots of a mission have in common."""
 
-    site: Site
+    site: DeliverySite
     """Where goods may lie, and which robots may serve which."""
     service_time: float = 1.0
     """s at each stop."""
@@ -82,7 +98,7 @@ class Options:
     """Goods of a lost robot are fetched from its last place."""
     until: float = 0.0
     """s after GO before which no robot considers the mission over."""
-    method: str = AUCTION
+    method: str = AUCTION_METHOD
     """How tasks are shared out, see Replanning."""
 
 
@@ -100,15 +116,15 @@ class OnlinePDVRPGuidance(CFGuidance):
         self,
         own: LocalProblem,
         tasks: Sequence[Task],
-        events: Sequence[Event],
-        options: Options,
+        events: Sequence[TaskEvent],
+        options: OnlineDeliveryOptions,
     ) -> None:
         self.own = own
         self.options = options
         self.events = tuple(sorted(events, key=lambda event: event.t))
         self.tasks = tuple(tasks)
         self.served: list[dict[str, Any]] = []
-        self.way: list[Place] = [_flat(own.home)]
+        self.way: list[Place] = [_project_to_plane(own.home)]
         self.unserved: dict[int, str] = {}
         self.plannings: list[float] = []
         self.fallbacks: list[dict[str, Any]] = []
@@ -122,7 +138,7 @@ class OnlinePDVRPGuidance(CFGuidance):
     def bind(self, member: Member) -> None:
         """Connect this guidance to its drone."""
         super().bind(member)
-        self._seen = _flat(self.own.home)
+        self._seen = _project_to_plane(self.own.home)
         self.news = TeamNews(
             member.communicator, self.tasks, self._here, self.options.recover
         )
@@ -170,7 +186,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         They then come to its place for its goods.
         """
         self.member.pilot.land(reason)
-        await touch_down(self.member.pilot, TOUCHDOWN)
+        await wait_for_touchdown(self.member.pilot, FLIGHT_LIMITS.touchdown_time)
 
     def outcome(self) -> dict[str, Any]:
         """Return this drone's part of the report."""
@@ -205,8 +221,8 @@ class OnlinePDVRPGuidance(CFGuidance):
         If its estimate is beyond LARGEST, it is the last valid place: other robots could not read
         the new one.
         """
-        place = _flat(self.state.p)
-        if all(abs(x) <= LARGEST for x in place):
+        place = _project_to_plane(self.state.p)
+        if all(abs(x) <= LARGEST_TASK_NUMBER for x in place):
             self._seen = place
         return self._seen
 
@@ -242,7 +258,9 @@ class OnlinePDVRPGuidance(CFGuidance):
             if not self.news.count():
                 await self._cut_off(key)
             elif self.id in key[1]:
-                await self.sleep(PERIOD)  # out: the others continue without this robot
+                await self.sleep(
+                    NEWS_TIMING.period
+                )  # out: the others continue without this robot
             else:
                 try:
                     await self._plannings(key)
@@ -257,7 +275,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         n = 0
         while self.news.key() == key and not self.news.ended:
             if n and not self._wanted(key, n):
-                await self.sleep(POLL)
+                await self.sleep(ONLINE_TIMING.poll_interval)
                 continue
             n += 1
             began = self._now
@@ -274,16 +292,20 @@ class OnlinePDVRPGuidance(CFGuidance):
         begun = any(r.run[:2] == (key[0], len(key[1])) and r.run[2] > n for r in alive)
         return (
             begun
-            or mark(self.news.book) != self._mark
+            or identify_tasks(self.news.book) != self._mark
             or self._late()
             or all(r.idle for r in alive)
         )
 
     def _late(self) -> bool:
         route = self.commitments.route
-        return bool(route) and self._now + self._seconds(route) > self._promised + LATE
+        return (
+            bool(route)
+            and self._now + self._seconds(route)
+            > self._promised + ONLINE_TIMING.late_time
+        )
 
-    async def _planned(self, key: Key) -> Share | None:
+    async def _planned(self, key: Key) -> PlanShare | None:
         """Run one planning with the team. Returns None if the team has changed meanwhile."""
         links = self.news.links(without=key[1])
         head, start, ready = self._head()
@@ -320,7 +342,9 @@ class OnlinePDVRPGuidance(CFGuidance):
         p = np.array(self._here())
         seconds = max(0.0, self._serving_until - self._now)
         for stop in self.commitments.route:
-            if not self.commitments.allow(stop) or (head and seconds > HORIZON):
+            if not self.commitments.allow(stop) or (
+                head and seconds > ONLINE_TIMING.binding_horizon
+            ):
                 break
             goal = self._place(stop)
             seconds += self._leg(p, goal) + self.options.service_time
@@ -329,7 +353,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         return head, p, seconds
 
     def _problem(
-        self, goods: Goods, start: Vec, ready: float, left: float
+        self, goods: PlannedGoods, start: Vec, ready: float, left: float
     ) -> LocalProblem:
         """Return this robot's own problem of a planning.
 
@@ -359,14 +383,16 @@ class OnlinePDVRPGuidance(CFGuidance):
             speed=self.member.config.flight.speed_limit,
         )
 
-    def _adopt(self, share: Share) -> None:
+    def _adopt(self, share: PlanShare) -> None:
         """Fly by this plan from now on."""
         self.commitments.adopt(share)
-        self._mark = mark(share.book)
+        self._mark = identify_tasks(share.book)
         self._promised = self._now + self._seconds(self.commitments.route)
         self._say_trouble(share.trouble)
         unplanned = (
-            f"{NO_PLAN}: {share.trouble[AUCTION]}" if AUCTION in share.trouble else ""
+            f"{NO_PLAN_REASON}: {share.trouble[AUCTION_METHOD]}"
+            if AUCTION_METHOD in share.trouble
+            else ""
         )
         self._say_unserved({j: unplanned or self._why(j) for j in share.unserved})
         self._redirected.set()
@@ -378,7 +404,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         site = self.options.site
         flying = self.news.book.alive(self.news.members)
         badly = site.lies_badly(task, standing.pickup, standing.robot)
-        return badly or site.never(task) or site.waits(task, flying) or TOO_FAR
+        return badly or site.never(task) or site.waits(task, flying) or TOO_FAR_REASON
 
     @property
     def _speaks(self) -> bool:
@@ -389,7 +415,11 @@ class OnlinePDVRPGuidance(CFGuidance):
         """Record which methods have found no plan, and why: once in the log, and in the result."""
         n = len(self.plannings)
         for method, why in trouble.items():
-            instead = NO_PLAN if method == AUCTION else f"planned by {AUCTION}"
+            instead = (
+                NO_PLAN_REASON
+                if method == AUCTION_METHOD
+                else f"planned by {AUCTION_METHOD}"
+            )
             self.fallbacks.append(
                 {"planning": n, "method": method, "why": why, "instead": instead}
             )
@@ -415,18 +445,18 @@ class OnlinePDVRPGuidance(CFGuidance):
 
         If others may fetch the goods of a lost robot, it stays where it is.
         """
-        log.warning("drone %d: %s", self.id, UNREACHED)
+        log.warning("drone %d: %s", self.id, UNREACHED_REASON)
         if self.options.recover and self.up:
-            self.reason = UNREACHED
+            self.reason = UNREACHED_REASON
             self.news.say(out=True)
         self.commitments.keep_aboard()
         self._redirected.set()
         while self.news.key() == key and not self.news.ended:
-            await self.sleep(PERIOD)
+            await self.sleep(NEWS_TIMING.period)
 
     async def _left_alone(self) -> None:
         """End the mission if it waits for robots that are lost. Raises Interrupted."""
-        why = await self.news.left_alone(REUNION, self._busy)
+        why = await self.news.left_alone(ONLINE_TIMING.reunion_time, self._busy)
         raise Interrupted(
             f"{self.reason}; then {why}" if self.reason else f"drone {self.id}: {why}"
         )
@@ -451,7 +481,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         flight = self.member.config.flight
         start = FullState.at(np.array([*a, 0.0]))
         goal = np.array([*b, 0.0])
-        return duration_for(
+        return compute_flight_time(
             start, goal, 0.0, flight.speed_limit, flight.acceleration_limit
         )
 
@@ -508,7 +538,8 @@ class OnlinePDVRPGuidance(CFGuidance):
         """
         return (
             self.commitments.next() == stop
-            and float(np.linalg.norm(self._place(stop) - goal)) < ARRIVED
+            and float(np.linalg.norm(self._place(stop) - goal))
+            < FLIGHT_LIMITS.arrival_distance
         )
 
     async def _to(self, goal: Vec, valid: Callable[[], bool]) -> bool:
@@ -519,12 +550,12 @@ class OnlinePDVRPGuidance(CFGuidance):
         try:
             while not leg.done():
                 self._redirected.clear()
-                await unless(leg, self._redirected)
+                await wait_unless(leg, self._redirected)
                 if not valid():
                     return False
             leg.result()
         finally:
-            await given_up(leg)
+            await cancel_task(leg)
             self.flown += float(np.linalg.norm(self._here() - began))
             self.way.append(self._here())
         return valid()
@@ -560,7 +591,7 @@ class OnlinePDVRPGuidance(CFGuidance):
         while self.commitments.next() == stop:
             if self.commitments.allow(stop):
                 return True
-            await self.sleep(POLL)
+            await self.sleep(ONLINE_TIMING.poll_interval)
             self._waited(since)
         return False
 
@@ -578,7 +609,7 @@ class OnlinePDVRPGuidance(CFGuidance):
                 if stop.kind == "pickup":
                     self.commitments.take_back(stop.task)
                 return stop.kind == "delivery" and not self.options.recover
-            await self.sleep(POLL)
+            await self.sleep(ONLINE_TIMING.poll_interval)
             self._waited(since)
 
     def _waited(self, since: float) -> None:
@@ -601,9 +632,9 @@ class OnlinePDVRPGuidance(CFGuidance):
         )
         if idle != self.news.record.idle:
             self.news.say(idle=idle)
-        await self.sleep(POLL)
+        await self.sleep(ONLINE_TIMING.poll_interval)
 
 
-def _flat(p: Vec) -> Place:
+def _project_to_plane(p: Vec) -> Place:
     """Return a place in the plane, in m."""
     return float(p[0]), float(p[1])

@@ -8,17 +8,17 @@ import numpy as np
 from crazychoir.config.drone_room import shared_room
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.delivery.delivery_checks import require_flown
-from crazychoir.guidance.delivery.site import Site
+from crazychoir.guidance.delivery.delivery_checks import require_flyable_features
+from crazychoir.guidance.delivery.site import DeliverySite
 from crazychoir.routing.distributed.pickup_delivery import PickupDelivery
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.types import Vec
 
-FLOWN = ("end", "service_time", "penalty", "recharge")
-"""Features of an instance, of those in `require_flown`, that robots obey in flight."""
-CLEARANCE = 0.4
+OBEYED_FEATURES = ("end", "service_time", "penalty", "recharge")
+"""Features of an instance, of those in `require_flyable_features`, that robots obey in flight."""
+LANDING_CLEARANCE = 0.4
 """m, in the plane: distance of a landing place from the places where others stand and land."""
-LOWEST = 0.1
+LOWEST_STOP = 0.1
 """m above the ground: lowest stop, since no drone touches down at a stop."""
 
 
@@ -32,7 +32,7 @@ def require_ready(
     part of the instance cannot be flown.
     """
     allowed = "in flight robots fly straight, as soon as they can, and come down at home or at their end"
-    require_flown(problem, where, FLOWN, allowed)
+    require_flyable_features(problem, where, OBEYED_FEATURES, allowed)
     _require_homes(config, problem)
     _require_graph(config)
     PickupDelivery(
@@ -71,16 +71,14 @@ def _require_graph(config: SwarmConfig) -> None:
 
 
 def _require_places(config: SwarmConfig, problem: Instance, where: str) -> None:
-    site = Site(config, 0.0, problem)  # drones wait for each other above homes
+    site = DeliverySite(config, 0.0, problem)  # drones wait for each other above homes
     for name, points in (
         ("pickup", problem.tasks.pickup),
         ("delivery", problem.tasks.delivery),
     ):
         for j, p in enumerate(points):
-            if found := site.objection((p[0], p[1])) or _height(config, p):
-                allowed = (
-                    f"places inside the fence, {LOWEST:g} m or more above the ground"
-                )
+            if found := site.objection((p[0], p[1])) or _explain_height(config, p):
+                allowed = f"places inside the fence, {LOWEST_STOP:g} m or more above the ground"
                 raise ConfigError(
                     f"{where}: {name}[{j}]",
                     p.tolist(),
@@ -90,7 +88,7 @@ def _require_places(config: SwarmConfig, problem: Instance, where: str) -> None:
                 )
 
 
-def _height(config: SwarmConfig, p: Vec) -> str:
+def _explain_height(config: SwarmConfig, p: Vec) -> str:
     """Return why no drone may stand at the height of a place in space. Empty if it may."""
     (_, _, low), (_, _, high) = shared_room(config)
     return (
@@ -107,19 +105,17 @@ def _require_ends(config: SwarmConfig, problem: Instance, where: str) -> None:
     """
     if problem.end is None:
         return
-    site = Site(config, CLEARANCE, problem)
+    site = DeliverySite(config, LANDING_CLEARANCE, problem)
     ends = [(float(p[0]), float(p[1])) for p in problem.end]
     moved = [i for i in config.ids if math.dist(ends[i], problem.home[i][:2]) > 0.0]
-    allowed = (
-        f"places inside the fence, {CLEARANCE:g} m away from homes and ends of others"
-    )
+    allowed = f"places inside the fence, {LANDING_CLEARANCE:g} m away from homes and ends of others"
     for i in moved:
         if found := site.objection(ends[i], i):
             raise ConfigError(
                 f"{where}: end[{i}]", list(ends[i]), allowed, "Move it.", found
             )
     for i, j in combinations(moved, 2):
-        if (gap := math.dist(ends[i], ends[j])) < CLEARANCE:
+        if (gap := math.dist(ends[i], ends[j])) < LANDING_CLEARANCE:
             found = f"{gap:.2f} m from the end of drone {j}"
             raise ConfigError(
                 f"{where}: end[{i}]", list(ends[i]), allowed, "Move one of them.", found

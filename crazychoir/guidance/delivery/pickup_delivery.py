@@ -7,13 +7,16 @@ import numpy as np
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.member import Member
-from crazychoir.routing.distributed.pickup_delivery import METHODS, PickupDelivery
-from crazychoir.routing.distributed.plain_loop import warm
+from crazychoir.routing.distributed.pickup_delivery import (
+    PLANNING_METHODS,
+    PickupDelivery,
+)
+from crazychoir.routing.distributed.plain_loop import compile_routing_kernels
 from crazychoir.routing.instance.instance import LocalProblem
 from crazychoir.routing.instance.plan import Route, Solution, Stop
 from crazychoir.types import Vec
 
-DEADLINE = 120.0
+PICKUP_ROUND_DEADLINE = 120.0
 """s for one round, in which the slowest neighbour prices its routes."""
 
 
@@ -29,7 +32,10 @@ class PDVRPGuidance(CFGuidance):
     """
 
     def __init__(
-        self, problem: LocalProblem, method: str = METHODS[0], service_time: float = 1.0
+        self,
+        problem: LocalProblem,
+        method: str = PLANNING_METHODS[0],
+        service_time: float = 1.0,
     ) -> None:
         self.problem = problem
         self.method = method
@@ -40,7 +46,7 @@ class PDVRPGuidance(CFGuidance):
 
     def foresee(self, member: Member) -> None:
         """Compile or load the route search before another robot waits for this one."""
-        warm(self.problem, self.method)
+        compile_routing_kernels(self.problem, self.method)
 
     async def mission(self) -> dict[str, Any]:
         """Plan together, then fly the routes, all at the same time.
@@ -78,7 +84,9 @@ class PDVRPGuidance(CFGuidance):
             "cost": solver.progress.cost,
             "relaxed": solver.progress.relaxed,
         }
-        await self.optimize(solver, channel="pickup_delivery", deadline=DEADLINE)
+        await self.optimize(
+            solver, channel="pickup_delivery", deadline=PICKUP_ROUND_DEADLINE
+        )
         self.history = solver.history
         return solver.solution
 

@@ -7,25 +7,25 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from crazychoir.config.tables import Seconds, Table, Text
-from crazychoir.routing.distributed.pickup_delivery import METHODS
+from crazychoir.config.tables import Seconds, SwarmTable, Text
+from crazychoir.routing.distributed.pickup_delivery import PLANNING_METHODS
 
 Method = Annotated[
     str,
     Meta(
-        pattern=rf"^({'|'.join(METHODS)})\Z",
-        description=", ".join(METHODS),
-        examples=[METHODS[0]],
+        pattern=rf"^({'|'.join(PLANNING_METHODS)})\Z",
+        description=", ".join(PLANNING_METHODS),
+        examples=[PLANNING_METHODS[0]],
     ),
 ]
 
 
-class PickupOptions(Table, frozen=True, kw_only=True):
+class PickupOptions(SwarmTable, frozen=True, kw_only=True):
     """[mission_options]."""
 
     instance: Text | None = None
     """File of the instance. None: the instance of the demonstration."""
-    method: Method = METHODS[0]
+    method: Method = PLANNING_METHODS[0]
     """How the integer plan is recovered, see PickupDelivery."""
     service_time: Seconds = 1.0
     """s at each stop, at least. A longer time of the instance holds."""

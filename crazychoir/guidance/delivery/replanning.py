@@ -12,19 +12,22 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import CodecError
-from crazychoir.guidance.tasks.attempt import attempt
+from crazychoir.guidance.tasks.attempt import attempt_work
 from crazychoir.guidance.tasks.task_book import Fate, Place, Task, TaskBook
-from crazychoir.optimization.rounds.agreement import flood
+from crazychoir.optimization.rounds.agreement import flood_values
 from crazychoir.optimization.rounds.program import Exchange, Program
-from crazychoir.routing.distributed.pickup_delivery import METHODS, PickupDelivery
+from crazychoir.routing.distributed.pickup_delivery import (
+    PLANNING_METHODS,
+    PickupDelivery,
+)
 from crazychoir.routing.instance.instance import LocalProblem, Tasks
 from crazychoir.routing.instance.plan import Stop
-from crazychoir.routing.search.parallel_auction import parallel_auction
+from crazychoir.routing.search.parallel_auction import run_parallel_auction
 from crazychoir.team.graph import Graph
 
-AUCTION = "parallel-auction"
+AUCTION_METHOD = "parallel-auction"
 """The method that uses the auction alone."""
-KINDS = (AUCTION, *METHODS)
+REPLANNING_METHODS = (AUCTION_METHOD, *PLANNING_METHODS)
 """Methods to share out tasks in flight.
 
 The auction alone, or a method of PickupDelivery after the auction.
@@ -36,7 +39,7 @@ Dropped = dict[int, CodecError]
 
 
 @dataclass(frozen=True)
-class Share:
+class PlanShare:
     """One robot's part of a plan."""
 
     stops: tuple[Stop, ...]
@@ -54,7 +57,7 @@ class Share:
 
 
 @dataclass(frozen=True)
-class Goods:
+class PlannedGoods:
     """The tasks of one planning, in the order of their ids.
 
     These are the free tasks, and the tasks aboard a robot that continues with them.
@@ -83,7 +86,7 @@ class Goods:
         )
 
 
-class Replanning(Program[Share]):
+class Replanning(Program[PlanShare]):
     """A Round: all robots of `members` end it in the same round, each with its share of one plan.
 
         flood of books and bonds
@@ -117,9 +120,9 @@ class Replanning(Program[Share]):
         book: TaskBook,
         bound: tuple[int, ...],
         carried: tuple[int, ...],
-        problem: Callable[[Goods], LocalProblem],
+        problem: Callable[[PlannedGoods], LocalProblem],
         recover: bool = False,
-        method: str = AUCTION,
+        method: str = AUCTION_METHOD,
     ) -> None:
         self.robot = robot
         self.graph = graph
@@ -131,14 +134,14 @@ class Replanning(Program[Share]):
         self._problem = problem
         super().__init__()
 
-    def run(self) -> Exchange[Share]:
+    def run(self) -> Exchange[PlanShare]:
         """Agree on what is known, then share out the free tasks."""
-        said = yield from flood(self.robot, self._mine, self.diameter)
-        book, bound, carried, dropped = _merged(said)
+        said = yield from flood_values(self.robot, self._mine, self.diameter)
+        book, bound, carried, dropped = _merge_messages(said)
         goods = self._goods(book, bound, carried)
         stops, left, trouble = yield from self._shared_out(goods)
         idle = all(record.idle for record in book.alive(self.members).values())
-        return Share(
+        return PlanShare(
             stops,
             unserved=tuple(goods.tasks[n].id for n in left),
             book=book,
@@ -148,7 +151,7 @@ class Replanning(Program[Share]):
         )
 
     def _shared_out(
-        self, goods: Goods
+        self, goods: PlannedGoods
     ) -> Exchange[tuple[tuple[Stop, ...], tuple[int, ...], dict[str, str]]]:
         """Return this robot's stops, the tasks left, and the methods without a plan.
 
@@ -156,7 +159,9 @@ class Replanning(Program[Share]):
         """
         m = len(goods.tasks)
         trouble = dict[str, str]()
-        found, why = yield from attempt(self.robot, self._auction(goods), self.diameter)
+        found, why = yield from attempt_work(
+            self.robot, self._auction(goods), self.diameter
+        )
         if found is None:
             aboard = [
                 task.id
@@ -164,11 +169,15 @@ class Replanning(Program[Share]):
                 if mine
             ]
             left = tuple(n for n, free in enumerate(goods.free) if free)
-            return tuple(Stop(j, "delivery") for j in aboard), left, {AUCTION: why}
+            return (
+                tuple(Stop(j, "delivery") for j in aboard),
+                left,
+                {AUCTION_METHOD: why},
+            )
         local, route, left = found
         sold = [n for n in range(m) if n not in left]
-        if self.method != AUCTION and sold and self.diameter:
-            better, why = yield from attempt(
+        if self.method != AUCTION_METHOD and sold and self.diameter:
+            better, why = yield from attempt_work(
                 self.robot, self._better(local, route, sold), self.diameter
             )
             if better is None:
@@ -185,12 +194,12 @@ class Replanning(Program[Share]):
         )
 
     def _auction(
-        self, goods: Goods
+        self, goods: PlannedGoods
     ) -> Exchange[tuple[LocalProblem, tuple[int, ...], tuple[int, ...]]]:
         """Return this robot's problem, its route as nodes, and the tasks left as indices."""
         local = self._problem(goods)
         free = [n for n, is_free in enumerate(goods.free) if is_free]
-        route, left = yield from parallel_auction(
+        route, left = yield from run_parallel_auction(
             self.robot, local.vehicle, free, self.diameter
         )
         return local, route, left
@@ -250,7 +259,7 @@ class Replanning(Program[Share]):
 
     def _goods(
         self, book: TaskBook, bound: dict[int, None], carried: dict[int, int]
-    ) -> Goods:
+    ) -> PlannedGoods:
         standings = book.standings(self.members, self.recover)
         free = [
             j
@@ -258,7 +267,7 @@ class Replanning(Program[Share]):
             if s.fate is Fate.OPEN and j not in bound and j not in carried
         ]
         ids = sorted([*free, *carried])
-        return Goods(
+        return PlannedGoods(
             tuple(book.tasks[j] for j in ids),
             tuple(standings[j].pickup for j in ids),
             mine=tuple(carried.get(j) == self.robot for j in ids),
@@ -267,7 +276,7 @@ class Replanning(Program[Share]):
         )
 
 
-def mark(book: TaskBook) -> Mark:
+def identify_tasks(book: TaskBook) -> Mark:
     """Return the tasks that a plan made with this book was made for."""
     return tuple(
         (task.id, task.version, task.cancelled)
@@ -275,7 +284,7 @@ def mark(book: TaskBook) -> Mark:
     )
 
 
-def _merged(
+def _merge_messages(
     said: dict[int, Any],
 ) -> tuple[TaskBook, dict[int, None], dict[int, int], Dropped]:
     """Combine the messages of all robots.
@@ -291,7 +300,7 @@ def _merged(
     dropped = Dropped()
     for i, value in said.items():
         try:
-            wire, bonds, aboard = _read(value)
+            wire, bonds, aboard = _read_message(value)
             bound.update(dict.fromkeys(bonds))
             for j in aboard:
                 carried.setdefault(j, i)
@@ -301,7 +310,7 @@ def _merged(
     return book, bound, {j: i for j, i in carried.items() if j in book.tasks}, dropped
 
 
-def _read(value: Any) -> tuple[Any, list[int], list[int]]:
+def _read_message(value: Any) -> tuple[Any, list[int], list[int]]:
     """Return the book (as a message), the bonds and the goods aboard of one robot's message.
 
     Raises CodecError.

@@ -13,12 +13,12 @@ from crazychoir.config.drone_room import shared_room
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.tasks.task_book import Place, Task
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.team.graph import span
+from crazychoir.team.graph import describe_ids
 from crazychoir.types import Vec
 
 
 @dataclass(frozen=True)
-class Site:
+class DeliverySite:
     """The fence, the homes above which drones rise and land, and the loads of the robots."""
 
     config: SwarmConfig
@@ -52,9 +52,9 @@ class Site:
             fence = self.config.fence
             sides = zip(fence.min[:2], place, fence.max[:2], strict=True)
             if not all(a <= x <= b for a, x, b in sides):
-                room = f"{_shown(fence.min[:2])} to {_shown(fence.max[:2])} m"
+                room = f"{_format_place(fence.min[:2])} to {_format_place(fence.max[:2])} m"
                 return f"outside the fence, {room}"
-            room = f"{_shown(self.low.round(3))} to {_shown(self.high.round(3))} m"
+            room = f"{_format_place(self.low.round(3))} to {_format_place(self.high.round(3))} m"
             return f"at the edge of the fence: drones are sent to {room}"
         for drone in self.config.drones:
             gap = math.dist(place, drone.home[:2])
@@ -77,7 +77,7 @@ class Site:
             ("delivery", task.delivery, None),
         ):
             if found := self.objection(place, whose):
-                return f"its {name} {_shown(place)} is {found}"
+                return f"its {name} {_format_place(place)} is {found}"
         return ""
 
     # Robots ---------------------------------------------------------------------------
@@ -102,14 +102,14 @@ class Site:
         Empty if one can.
         """
         if strangers := [i for i in task.robots if i not in self.config.ids]:
-            return f"there is no drone {span(strangers)}; this swarm has {span(self.config.ids)}"
+            return f"there is no drone {describe_ids(strangers)}; this swarm has {describe_ids(self.config.ids)}"
         if self.able(task):
             return ""
         chosen = [i for i in self.config.ids if self.may(i, task)]
         who = (
             "any drone"
             if len(chosen) == len(self.config.ids)
-            else f"drone {span(chosen)}, who alone may serve it,"
+            else f"drone {describe_ids(chosen)}, who alone may serve it,"
         )
         return f"its load {task.load:g} is more than {who} can carry: {self._most(chosen):g}"
 
@@ -121,7 +121,7 @@ class Site:
         able = self.able(task)
         if any(i in flying for i in able):
             return ""
-        return f"drone {span(able)}, who alone can serve it, does not fly"
+        return f"drone {describe_ids(able)}, who alone can serve it, does not fly"
 
     def _room(self, i: int) -> float:
         return float(self.crew.capacity[i] - self.crew.initial_load[i])
@@ -130,5 +130,5 @@ class Site:
         return max((self._room(i) for i in ids), default=0.0)
 
 
-def _shown(place: Collection[float]) -> str:
+def _format_place(place: Collection[float]) -> str:
     return f"[{', '.join(f'{x:g}' for x in place)}]"

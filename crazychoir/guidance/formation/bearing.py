@@ -6,16 +6,16 @@ from typing import Literal
 
 import numpy as np
 
-from crazychoir.control.gains import AGILE, FORMATION
-from crazychoir.control.margin import REQUIRED
+from crazychoir.control.gains import AGILE_GAINS, FORMATION_GAINS
+from crazychoir.control.margin import REQUIRED_DELAY_MARGIN
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.formation.modes import (
-    LEVEL,
-    Chain,
-    age_margin,
-    mode_margin,
-    slowest_mode,
-    slowest_normalised,
+    LEAST_HORIZONTAL_PART,
+    AccelerationChain,
+    compute_age_margin,
+    compute_mode_margin,
+    compute_slowest_mode,
+    compute_slowest_normalised_mode,
 )
 from crazychoir.guidance.formation.shapes import Shape
 from crazychoir.numerics.math3d import projector
@@ -25,35 +25,48 @@ Neighbors = Mapping[int, Collection[int]]
 """By drone: the ids that it hears."""
 Law = Literal["paper", "normalised"]
 """The paper's law, or the normalised law."""
-KP = 1.6
-"""1/s2: gain of the paper's law for the paper's example.
 
-The example has four drones, edges 01 03 12 13 23 and leaders 0 and 1. Its body rates may be as late
-as RATE_LAG.
-"""
-KV = 4.6
-"""1/s: velocity gain of the paper's law for the same example."""
-KP_ON_MOTORS = 4.0
-"""1/s2: KP for drones with rate loops on board."""
-KV_ON_MOTORS = 6.0
-"""1/s: KV for drones with rate loops on board."""
-IN_HEIGHT = 0.5
-"""Share of the paper's gains that holds the height.
 
-Thrust follows later than attitude. If all drones fly at one height, all their edges hold that
-height, so its modes are faster.
-"""
-KP_NORMALISED = 8.0
-"""1/s2: gain of the normalised law, for any graph."""
-KV_NORMALISED = 4.5
-"""1/s: velocity gain of the normalised law, for any graph."""
-SLOWEST = 0.02
+@dataclass(frozen=True, slots=True)
+class BearingGains:
+    """Gains of the bearing laws: of the paper's law for its example, of the same law for drones
+    with rate loops on board, and of the normalised law.
+    """
+
+    kp: float = 1.6
+    """1/s2: gain of the paper's law for the paper's example.
+
+    The example has four drones, edges 01 03 12 13 23 and leaders 0 and 1. Its body rates may be as late
+    as RATE_LAG.
+    """
+    kv: float = 4.6
+    """1/s: velocity gain of the paper's law for the same example."""
+    kp_on_motors: float = 4.0
+    """1/s2: `kp` for drones with rate loops on board."""
+    kv_on_motors: float = 6.0
+    """1/s: `kv` for drones with rate loops on board."""
+    height_share: float = 0.5
+    """Share of the paper's gains that holds the height.
+
+    Thrust follows later than attitude. If all drones fly at one height, all their edges hold that
+    height, so its modes are faster.
+    """
+    kp_normalised: float = 8.0
+    """1/s2: gain of the normalised law, for any graph."""
+    kv_normalised: float = 4.5
+    """1/s: velocity gain of the normalised law, for any graph."""
+
+
+BEARING_GAINS = BearingGains()
+
+
+SLOWEST_DECAY_RATE = 0.02
 """1/s: a slower formation needs minutes, and flies only with `force`."""
-FLEXIBLE = 1e-9
+ZERO_EIGENVALUE_SHARE = 1e-9
 """Share of the largest eigenvalue below which an eigenvalue counts as zero."""
 
 
-def bearing_laplacian(
+def build_bearing_laplacian(
     shape: Shape, neighbors: Neighbors, leaders: Collection[int]
 ) -> tuple[Mat, Mat, list[int]]:
     """Return the rows of the bearing Laplacian that belong to the followers.
@@ -84,20 +97,20 @@ def bearing_laplacian(
             b[row[i], row[i]] += p
             b[row[i], row[j]] -= p
     followers = [i for i in ids if i not in leaders]
-    f = _indices(row, followers)
+    f = _list_indices(row, followers)
     return (
         b[np.ix_(f, f)],
-        b[np.ix_(f, _indices(row, [i for i in ids if i in leaders]))],
+        b[np.ix_(f, _list_indices(row, [i for i in ids if i in leaders]))],
         followers,
     )
 
 
-def _indices(row: Mapping[int, slice], ids: Sequence[int]) -> list[int]:
+def _list_indices(row: Mapping[int, slice], ids: Sequence[int]) -> list[int]:
     """Return the rows of the coordinates of these drones."""
     return [n for i in ids for n in range(row[i].start, row[i].stop)]
 
 
-def normalised(b_ff: Mat, followers: Sequence[int]) -> Mat:
+def normalise_laplacian(b_ff: Mat, followers: Sequence[int]) -> Mat:
     """Return K^-1 B_ff (3 F, 3 F), with the blocks K_i = sum_j P_ij on the diagonal of B_ff.
 
     An eigenvalue l is the share of a mode that depends on leaders. 1 - l of it comes from other
@@ -109,16 +122,16 @@ def normalised(b_ff: Mat, followers: Sequence[int]) -> Mat:
     alone = [
         i
         for i, k in zip(followers, blocks, strict=True)
-        if np.linalg.eigvalsh(k)[0] < FLEXIBLE
+        if np.linalg.eigvalsh(k)[0] < ZERO_EIGENVALUE_SHARE
     ]
     if alone:
-        raise Refused("bearing formation", _parallel(alone))
+        raise Refused("bearing formation", _explain_parallel(alone))
     return np.vstack(
         [np.linalg.solve(k, b_ff[3 * n : 3 * n + 3]) for n, k in enumerate(blocks)]
     )
 
 
-def equilibrium(
+def compute_equilibrium(
     shape: Shape, neighbors: Neighbors, leaders: Mapping[int, Point]
 ) -> dict[int, Vec]:
     """Return where each drone is when the followers are at rest and the leaders at these places.
@@ -132,7 +145,7 @@ def equilibrium(
     neighbors: {id: ids that it hears}.
     leaders: {id: (3,) m}.
     """
-    b_ff, b_fl, followers = bearing_laplacian(shape, neighbors, leaders)
+    b_ff, b_fl, followers = build_bearing_laplacian(shape, neighbors, leaders)
     led = {i: np.array(leaders[i], dtype=float) for i in sorted(leaders)}
     p = -np.linalg.solve(b_ff, b_fl @ np.concatenate([*led.values()])).reshape(-1, 3)
     return led | dict(zip(followers, p, strict=True))
@@ -164,7 +177,7 @@ def check_formation(
     law: Law = "paper",
     in_height: float = 1.0,
     moving: bool = False,
-    chain: Chain | None = None,
+    chain: AccelerationChain | None = None,
     force: bool = False,
 ) -> FormationReport:
     """Return how the bearing law with these gains will behave on this graph.
@@ -183,13 +196,13 @@ def check_formation(
     Raises Refused if all bearings of a follower are parallel, if the graph is not bearing-rigid, if
     the formation is slower than 0.02 1/s without force, or if it is unstable.
     """
-    b_ff, _, followers = bearing_laplacian(shape, neighbors, leaders)
+    b_ff, _, followers = build_bearing_laplacian(shape, neighbors, leaders)
     if not followers:
         raise Refused(
             "bearing formation",
             "every drone is a leader. Name only the drones that shall stand still.",
         )
-    scaled = normalised(b_ff, followers)
+    scaled = normalise_laplacian(b_ff, followers)
     matrix = (
         scaled
         if law == "normalised"
@@ -197,40 +210,43 @@ def check_formation(
     )
     values, vectors = np.linalg.eig(matrix)
     size = np.abs(values)
-    if size.min() <= FLEXIBLE * max(size.max(), 1.0):
+    if size.min() <= ZERO_EIGENVALUE_SHARE * max(size.max(), 1.0):
         raise Refused(
             "bearing formation",
-            _flexible(vectors[:, size.argmin()], followers, sorted(leaders)),
+            _explain_flexible(vectors[:, size.argmin()], followers, sorted(leaders)),
         )
     least = float(size.min())
-    slowest = (slowest_normalised if law == "normalised" else slowest_mode)(
-        values.tolist(), kp, kv
-    )
-    if slowest < SLOWEST and not force:
-        raise Refused("bearing formation", _slow(least, slowest))
+    slowest = (
+        compute_slowest_normalised_mode if law == "normalised" else compute_slowest_mode
+    )(values.tolist(), kp, kv)
+    if slowest < SLOWEST_DECAY_RATE and not force:
+        raise Refused("bearing formation", _explain_slow(least, slowest))
     if law == "normalised":
-        chain = chain or Chain(AGILE)
-        alike = mode_margin([1.0, 1.0], [True, False], kp, kv, chain)
-        margin = min(alike, age_margin(values.tolist(), kp, kv, chain, moving))
+        chain = chain or AccelerationChain(AGILE_GAINS)
+        alike = compute_mode_margin([1.0, 1.0], [True, False], kp, kv, chain)
+        margin = min(alike, compute_age_margin(values.tolist(), kp, kv, chain, moving))
         what = f"kp = {kp:g} 1/s2, kv = {kv:g} 1/s with a smallest eigenvalue of {least:.4f}"
     else:
-        chain = chain or Chain(FORMATION)
+        chain = chain or AccelerationChain(FORMATION_GAINS)
         horizontal = (
-            np.abs(vectors.reshape(-1, 3, len(values))[:, :2]).max(axis=(0, 1)) > LEVEL
+            np.abs(vectors.reshape(-1, 3, len(values))[:, :2]).max(axis=(0, 1))
+            > LEAST_HORIZONTAL_PART
         )
-        margin = mode_margin(size.tolist(), horizontal.tolist(), kp, kv, chain)
+        margin = compute_mode_margin(size.tolist(), horizontal.tolist(), kp, kv, chain)
         what = f"kv * lambda_max = {kv * float(size.max()):.1f} 1/s"
     if margin <= 0.0:
-        raise Refused("bearing formation", _fast(what, "unstable", chain))
-    warnings = [_slow(least, slowest)] if slowest < SLOWEST else []
-    if margin < REQUIRED:
+        raise Refused("bearing formation", _explain_fast(what, "unstable", chain))
+    warnings = [_explain_slow(least, slowest)] if slowest < SLOWEST_DECAY_RATE else []
+    if margin < REQUIRED_DELAY_MARGIN:
         warnings.append(
-            _fast(what, f"left with {1e3 * margin:.0f} ms of delay margin", chain)
+            _explain_fast(
+                what, f"left with {1e3 * margin:.0f} ms of delay margin", chain
+            )
         )
     return FormationReport(least, float(size.max()), slowest, margin, tuple(warnings))
 
 
-def _flexible(mode: Mat, followers: list[int], leaders: list[int]) -> str:
+def _explain_flexible(mode: Mat, followers: list[int], leaders: list[int]) -> str:
     """Return why a graph is not bearing-rigid, with the drones that nothing holds."""
     loose = [
         i
@@ -245,14 +261,15 @@ def _flexible(mode: Mat, followers: list[int], leaders: list[int]) -> str:
     )
 
 
-def _slow(lambda_min: float, slowest: float) -> str:
+def _explain_slow(lambda_min: float, slowest: float) -> str:
     return (
         f"its slowest mode decays at {slowest:.4f} 1/s (time constant {1.0 / slowest:.0f} s; smallest eigenvalue "
-        f"{lambda_min:.4f}), below {SLOWEST} 1/s. Add diagonals, take leaders at opposite corners, or force it."
+        f"{lambda_min:.4f}), below {SLOWEST_DECAY_RATE} 1/s. Add diagonals, take leaders at "
+        "opposite corners, or force it."
     )
 
 
-def _parallel(alone: Sequence[int]) -> str:
+def _explain_parallel(alone: Sequence[int]) -> str:
     drones = (
         f"drone {alone[0]}" if len(alone) == 1 else f"each of the drones {list(alone)}"
     )
@@ -262,7 +279,7 @@ def _parallel(alone: Sequence[int]) -> str:
     )
 
 
-def _fast(what: str, found: str, chain: Chain) -> str:
+def _explain_fast(what: str, found: str, chain: AccelerationChain) -> str:
     behind = (
         f"{1e3 * chain.lag:.0f} ms of lag"
         if chain.rates is None
@@ -270,5 +287,5 @@ def _fast(what: str, found: str, chain: Chain) -> str:
     )
     return (
         f"{what} is {found} behind an attitude loop of KR = {chain.gains.kr[0]:g} 1/s and {behind}; "
-        f"{1e3 * REQUIRED:.0f} ms are required. Lower kv, or remove neighbours."
+        f"{1e3 * REQUIRED_DELAY_MARGIN:.0f} ms are required. Lower kv, or remove neighbours."
     )

@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import Meta
 
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.config.tables import Table, Text
+from crazychoir.config.tables import SwarmTable, Text
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import require_feasible
@@ -22,16 +22,16 @@ from crazychoir.guidance.mission_options import (
     Ramp,
     own,
 )
-from crazychoir.guidance.path_checks import inside
+from crazychoir.guidance.path_checks import get_place_limits
 from crazychoir.planning import feasibility
-from crazychoir.planning.drawing.drawing import Pen, drawing
+from crazychoir.planning.drawing.drawing import Pen, plan_drawing
 from crazychoir.planning.drawing.drawing_file import read_drawing
 from crazychoir.planning.feasibility import Limits
 from crazychoir.planning.figure import circle
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.types import FullState, Heard, Mat, Point, State, Vec
 
-SETTLING = 20.0
+STANDING_LEADER_TIME = 20.0
 """s: duration of a law in which leaders stand still."""
 Kind = Annotated[
     Literal["still", "circle", "drawn"],
@@ -41,7 +41,7 @@ Kind = Annotated[
 ]
 
 
-class LeaderOptions(Table, frozen=True, kw_only=True):
+class LeaderOptions(SwarmTable, frozen=True, kw_only=True):
     """[mission_options] of every mission with leaders that may move."""
 
     leaders: Kind = "still"
@@ -91,8 +91,8 @@ class Leader(CFDistributedFeedback):
         Raises ConfigError if the path cannot be flown.
         """
         if self.path is not None and self._started is not None:
-            self.place = shifted(self.path, self.place, self._since()).p
-        require_feasible(Moved(path, self.place), self.member.pilot)
+            self.place = sample_shifted(self.path, self.place, self._since()).p
+        require_feasible(MovedPath(path, self.place), self.member.pilot)
         self.path = path
         self.begin = 0.0
         self._started = None
@@ -108,7 +108,7 @@ class Leader(CFDistributedFeedback):
             return None
         now = self.member.clock.now()
         self._started = now if self._started is None else self._started
-        return shifted(self.path, self.place, self._since())
+        return sample_shifted(self.path, self.place, self._since())
 
     def _since(self) -> float:
         """Return the s since the begin of the path, negative before."""
@@ -116,7 +116,7 @@ class Leader(CFDistributedFeedback):
         return self.member.clock.now() - self._started - self.begin
 
 
-class Moved:
+class MovedPath:
     """A path, moved so that it begins at `place`."""
 
     def __init__(self, path: Trajectory, place: Vec) -> None:
@@ -126,14 +126,14 @@ class Moved:
 
     def sample(self, t: float) -> FullState:
         """Return the reference t seconds after the start."""
-        return shifted(self.path, self.place, t)
+        return sample_shifted(self.path, self.place, t)
 
     def done(self, t: float) -> bool:
         """Return whether the end is reached at t."""
         return self.path.done(t)
 
 
-def shifted(path: Trajectory, place: Vec, t: float) -> FullState:
+def sample_shifted(path: Trajectory, place: Vec, t: float) -> FullState:
     """Return the path at t, moved so that it begins at `place`.
 
     Before its begin and after its end the path is at rest.
@@ -166,7 +166,7 @@ def path_of(config: SwarmConfig, options: LeaderOptions) -> Trajectory | None:
         a_max=0.25 * config.flight.acceleration_limit,
     )
     drawn = read_drawing(options.drawing)
-    return drawing(
+    return plan_drawing(
         drawn.strokes, Pen(timing="drawn" if drawn.is_timed else "even"), limits
     ).path
 
@@ -187,12 +187,12 @@ def require_flyable(config: SwarmConfig, options: LeaderOptions) -> None:
     for i, place in places(config).items():
         room.check_places(place[None], f"swarm {config.name}: drone {i}: hovers")
     if path := path_of(config, options):
-        t, x = feasibility.references(path)
+        t, x = feasibility.sample_references(path)
         for i, place in leaders_of(config).items():
             moved = x.copy()
             moved[:, 0:3] += place - x[0, 0:3]
             _require_within(config, i, t, moved, room)
-            inside(config, i).check_places(
+            get_place_limits(config, i).check_places(
                 moved[:, 0:3], f"swarm {config.name}: drone {i}: leads"
             )
 
@@ -246,7 +246,7 @@ def leaders_at_last(config: SwarmConfig, options: LeaderOptions) -> dict[int, Ve
     if path is None:
         return leaders
     t = duration_of(config, options) - options.begin
-    return {i: shifted(path, place, t).p for i, place in leaders.items()}
+    return {i: sample_shifted(path, place, t).p for i, place in leaders.items()}
 
 
 def leader_of(i: int, config: SwarmConfig, options: LeaderOptions) -> Leader:
@@ -261,4 +261,4 @@ def duration_of(config: SwarmConfig, options: LeaderOptions) -> float:
     if options.duration is not None:
         return options.duration
     path = path_of(config, options)
-    return SETTLING if path is None else options.begin + path.duration + 5.0
+    return STANDING_LEADER_TIME if path is None else options.begin + path.duration + 5.0

@@ -8,59 +8,73 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from crazychoir.control.gains import FORMATION, HOLD, Gains
+from crazychoir.control.gains import FORMATION_GAINS, HOLD_DELAY, Gains
 from crazychoir.control.margin import (
-    RATE_LAG,
-    Inner,
+    SLOWEST_RATE_LAG,
+    InnerLoop,
     Loop,
-    command_loop,
-    delay_margin,
-    guidance_loop,
-    rate_loop,
-    vertical_loop,
+    find_delay_margin,
+    make_command_loop,
+    make_guidance_loop,
+    make_rate_loop,
+    make_vertical_loop,
 )
 from crazychoir.platforms import Platform
 
-TICK = 0.01
-"""s: a received acceleration was commanded one tick before the state beside it."""
-WORSE = 1.3
-"""Factor on the identified lag of the rotors."""
-LEVEL = 1e-6
+
+@dataclass(frozen=True, slots=True)
+class FormationDelays:
+    """Delays that the analysis of a formation's modes assumes and checks."""
+
+    state_delay: float = 0.01
+    """s: a received acceleration was commanded one tick before the state beside it."""
+    rotor_lag_factor: float = 1.3
+    """Factor on the identified lag of the rotors."""
+    largest_age: float = 0.15
+    """s: larger ages are not checked."""
+
+
+FORMATION_DELAYS = FormationDelays()
+
+
+LEAST_HORIZONTAL_PART = 1e-6
 """A mode with a smaller horizontal part moves in height only."""
-FREQUENCIES = np.concatenate(
+NYQUIST_FREQUENCIES = np.concatenate(
     [-np.geomspace(500.0, 1e-3, 3000), np.geomspace(1e-3, 500.0, 3000)]
 )
 """rad/s: frequencies of the Nyquist plot."""
-OLDEST = 0.15
-"""s: larger ages are not checked."""
 
 Complex = npt.NDArray[np.complexfloating[Any, Any]]
 
 
 @dataclass(frozen=True)
-class Chain:
+class AccelerationChain:
     """The dynamics between the acceleration that a law wants and the acceleration of the drone."""
 
-    gains: Gains = FORMATION
+    gains: Gains = FORMATION_GAINS
     """Gains of the control behind the law."""
-    lag: float = RATE_LAG
+    lag: float = SLOWEST_RATE_LAG
     """s: lag of the body rates, and of the thrust."""
     rates: Loop | None = None
     """W(s) of a rate loop on board. None: the body rates have only the lag."""
 
     @classmethod
-    def of_motors(cls, gains: Gains, platform: Platform) -> "Chain":
+    def of_motors(cls, gains: Gains, platform: Platform) -> "AccelerationChain":
         """Return the chain of a drone with a rate loop on board.
 
         Its rotors are slower than identified.
         """
-        return cls(gains, WORSE * platform.rotor.lag, rate_loop(platform, 0, WORSE))
+        return cls(
+            gains,
+            FORMATION_DELAYS.rotor_lag_factor * platform.rotor.lag,
+            make_rate_loop(platform, 0, FORMATION_DELAYS.rotor_lag_factor),
+        )
 
     @property
-    def inner(self) -> Inner:
+    def inner(self) -> InnerLoop:
         """The attitude loop of roll and pitch."""
         gains = self.gains
-        return Inner(
+        return InnerLoop(
             min(gains.kr[:2]),
             self.lag,
             lead=gains.lead,
@@ -69,7 +83,7 @@ class Chain:
         )
 
 
-def slowest_mode(eigenvalues: Sequence[complex], kp: float, kv: float) -> float:
+def compute_slowest_mode(eigenvalues: Sequence[complex], kp: float, kv: float) -> float:
     """Return the decay rate of the slowest mode in 1/s.
 
     It is the smallest -Re s over s^2 + kv l s + kp l = 0.
@@ -81,7 +95,9 @@ def slowest_mode(eigenvalues: Sequence[complex], kp: float, kv: float) -> float:
     return float(min(-np.roots([1.0, kv * e, kp * e]).real.max() for e in eigenvalues))
 
 
-def slowest_normalised(eigenvalues: Sequence[complex], kp: float, kv: float) -> float:
+def compute_slowest_normalised_mode(
+    eigenvalues: Sequence[complex], kp: float, kv: float
+) -> float:
     """Return the decay rate of the slowest mode of the normalised law in 1/s.
 
         s^2 + kv s + kp = 0,   or   e^(s h) = 1 - l
@@ -89,16 +105,19 @@ def slowest_normalised(eigenvalues: Sequence[complex], kp: float, kv: float) -> 
     The second equation describes how commanded accelerations pass from one neighbour to the next in
     a tick h.
     """
-    through = min(-math.log(max(abs(1.0 - e), 1e-12)) / TICK for e in eigenvalues)
-    return min(slowest_mode([1.0], kp, kv), through)
+    through = min(
+        -math.log(max(abs(1.0 - e), 1e-12)) / FORMATION_DELAYS.state_delay
+        for e in eigenvalues
+    )
+    return min(compute_slowest_mode([1.0], kp, kv), through)
 
 
-def mode_margin(
+def compute_mode_margin(
     eigenvalues: Sequence[float],
     horizontal: Sequence[bool],
     kp: float,
     kv: float,
-    chain: Chain = Chain(),
+    chain: AccelerationChain = AccelerationChain(),
 ) -> float:
     """Return the smallest delay margin in s over the modes l, each with the gains kp l and kv l.
 
@@ -117,19 +136,19 @@ def mode_margin(
     for e, tilts in zip(eigenvalues, horizontal, strict=True):
         if tilts:
             loops += [
-                command_loop(kp * e, kv * e, chain.inner),
-                guidance_loop(kp * e, kv * e, chain.inner),
+                make_command_loop(kp * e, kv * e, chain.inner),
+                make_guidance_loop(kp * e, kv * e, chain.inner),
             ]
         else:
-            loops.append(vertical_loop(kp * e, kv * e, chain.lag))
-    return max(min(map(delay_margin, loops), default=math.inf) - HOLD, 0.0)
+            loops.append(make_vertical_loop(kp * e, kv * e, chain.lag))
+    return max(min(map(find_delay_margin, loops), default=math.inf) - HOLD_DELAY, 0.0)
 
 
-def age_margin(
+def compute_age_margin(
     eigenvalues: Sequence[complex],
     kp: float,
     kv: float,
-    chain: Chain,
+    chain: AccelerationChain,
     moving: bool = False,
 ) -> float:
     """Return how much older, in s, the neighbours' data may be in the normalised law.
@@ -151,45 +170,61 @@ def age_margin(
     chain: dynamics of the drones.
     moving: the leaders move.
     """
-    lags = (0.0, 0.005, 0.01, 0.02, 0.03, 0.04, 0.06, 0.08, 0.1, OLDEST)
+    lags = (
+        0.0,
+        0.005,
+        0.01,
+        0.02,
+        0.03,
+        0.04,
+        0.06,
+        0.08,
+        0.1,
+        FORMATION_DELAYS.largest_age,
+    )
     m: Complex = np.array([[1.0 - e] for e in eigenvalues], dtype=np.complex128)
-    responses = [_attitude_response(chain), _thrust_response(chain)]
+    responses = [_compute_attitude_response(chain), _compute_thrust_response(chain)]
     borne = 0.0
     for d in lags:
         if not all(
-            _all_stable(m, kp, kv, g, d, 0.0 if moving else TICK) for g in responses
+            _are_all_stable(
+                m, kp, kv, g, d, 0.0 if moving else FORMATION_DELAYS.state_delay
+            )
+            for g in responses
         ):
             return borne
         borne = d
     return borne
 
 
-def _all_stable(
+def _are_all_stable(
     m: Complex, kp: float, kv: float, response: Complex, d: float, older: float
 ) -> bool:
-    s = 1j * FREQUENCIES
+    s = 1j * NYQUIST_FREQUENCIES
     law = response * (kp + kv * s * 50.0 / (s + 50.0))
-    share = (1.0 - m * np.exp(-(d + older) * s)) / (1.0 - m * np.exp(-(d + TICK) * s))
+    share = (1.0 - m * np.exp(-(d + older) * s)) / (
+        1.0 - m * np.exp(-(d + FORMATION_DELAYS.state_delay) * s)
+    )
     phase = np.unwrap(np.angle(s**2 + law * share), axis=1)
     turns = (phase[:, -1] - phase[:, 0]) / (2.0 * math.pi)
     return bool(np.all(np.round(turns) == 1))
 
 
-def _attitude_response(chain: Chain) -> Complex:
+def _compute_attitude_response(chain: AccelerationChain) -> Complex:
     """Return G(jw) = A W / (jw + KR W), half a tick late.
 
     A is the response from the desired attitude to the rates.
     """
-    s = 1j * FREQUENCIES
+    s = 1j * NYQUIST_FREQUENCIES
     inner = chain.inner
     a = np.polyval(inner.attitude[0], s) / np.polyval(inner.attitude[1], s)
     w = np.polyval(inner.response[0], s) / np.polyval(inner.response[1], s)
-    found: Complex = np.exp(-HOLD * s) * a * w / (s + inner.kr * w)
+    found: Complex = np.exp(-HOLD_DELAY * s) * a * w / (s + inner.kr * w)
     return found
 
 
-def _thrust_response(chain: Chain) -> Complex:
+def _compute_thrust_response(chain: AccelerationChain) -> Complex:
     """Return G(jw) = 1 / (lag jw + 1), half a tick late."""
-    s = 1j * FREQUENCIES
-    found: Complex = np.exp(-HOLD * s) / (chain.lag * s + 1.0)
+    s = 1j * NYQUIST_FREQUENCIES
+    found: Complex = np.exp(-HOLD_DELAY * s) / (chain.lag * s + 1.0)
     return found

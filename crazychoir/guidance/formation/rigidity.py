@@ -14,9 +14,9 @@ from crazychoir.types import Mat, Vec
 
 Edges = Iterable[tuple[int, int]]
 """Pairs of ids."""
-FLEXIBLE = 1e-6
+ZERO_SINGULAR_VALUE = 1e-6
 """m: a smaller singular value of the rigidity matrix counts as zero, for edges of some metres."""
-CLOSE = 1e3
+WEIGHT_SUM_PENALTY = 1e3
 """Weight of the condition that the weights of a hull sum up to one, relative to the distance."""
 
 
@@ -62,7 +62,7 @@ def require_rigid(shape: Shape, edges: Edges, leaders: Collection[int]) -> Mat:
             "every drone is a leader. Name only the drones that shall not follow the formation.",
         )
     _, sizes, modes = np.linalg.svd(r, full_matrices=True)
-    rank = int(np.sum(sizes > FLEXIBLE))
+    rank = int(np.sum(sizes > ZERO_SINGULAR_VALUE))
     if rank < r.shape[1]:
         free = np.abs(modes[rank:]).max(axis=0).reshape(len(followers), -1).max(axis=1)
         loose = [i for i, part in zip(followers, free, strict=True) if part > 1e-3]
@@ -124,7 +124,7 @@ def distance_to_hull(corners: Sequence[Vec] | Mat, p: Vec) -> float:
     """
     c = np.asarray(corners, dtype=float)
     weights, _ = nnls(
-        np.vstack([(c - p).T, np.full(len(c), CLOSE)]),
-        np.array([*np.zeros(c.shape[1]), CLOSE]),
+        np.vstack([(c - p).T, np.full(len(c), WEIGHT_SUM_PENALTY)]),
+        np.array([*np.zeros(c.shape[1]), WEIGHT_SUM_PENALTY]),
     )
     return float(np.linalg.norm((c - p).T @ (weights / weights.sum())))

@@ -1,5 +1,6 @@
 """Random starts, clear of each other: a formation that begins in its places would show nothing."""
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import msgspec
@@ -10,12 +11,21 @@ from crazychoir.errors import Refused
 from crazychoir.guidance.formation.leader import places
 from crazychoir.types import Vec
 
-CLEAR = 0.35
-"""m: smallest distance between two starts, seen from above. The collision filter keeps less."""
-LOWEST = 0.3
-"""m above the ground: lowest start. Below, the air is rough."""
-ATTEMPTS = 10_000
-"""Number of draws after which there is no free place."""
+
+@dataclass(frozen=True, slots=True)
+class ScatterLimits:
+    """How far apart and how high scattered starts are, and how often they are drawn."""
+
+    clear_distance: float = 0.35
+    """m: smallest distance between two starts, seen from above. The collision filter keeps less.
+    """
+    lowest_start: float = 0.3
+    """m above the ground: lowest start. Below, the air is rough."""
+    most_draws: int = 10_000
+    """Number of draws after which there is no free place."""
+
+
+SCATTER_LIMITS = ScatterLimits()
 
 
 class Scatter(NamedTuple):
@@ -29,7 +39,7 @@ class Scatter(NamedTuple):
     """m."""
 
 
-def scattered(config: SwarmConfig, by: Scatter) -> SwarmConfig:
+def scatter_swarm(config: SwarmConfig, by: Scatter) -> SwarmConfig:
     """Return the swarm with its followers' homes and heights moved by up to `by`.
 
     The seed of the swarm determines the places.
@@ -43,7 +53,7 @@ def scattered(config: SwarmConfig, by: Scatter) -> SwarmConfig:
     moved = {}
     for drone in config.drones:
         if not drone.leader:
-            moved[drone.id] = _clear_place(draw, drone.id, at[drone.id], by, taken)
+            moved[drone.id] = _draw_clear_place(draw, drone.id, at[drone.id], by, taken)
             taken.append(moved[drone.id])
     drones = []
     for drone in config.drones:
@@ -54,7 +64,7 @@ def scattered(config: SwarmConfig, by: Scatter) -> SwarmConfig:
         }
         if drone.id in moved:
             x, y, z = moved[drone.id].tolist()
-            height = max(z - config.flight.ground, LOWEST)
+            height = max(z - config.flight.ground, SCATTER_LIMITS.lowest_start)
             row |= {
                 "home": [x, y, drone.home[2]],
                 "options": {**drone.options, "height": height},
@@ -63,14 +73,17 @@ def scattered(config: SwarmConfig, by: Scatter) -> SwarmConfig:
     return config.replace(drones=drones)
 
 
-def _clear_place(
+def _draw_clear_place(
     draw: np.random.Generator, i: int, center: Vec, by: Scatter, taken: list[Vec]
 ) -> Vec:
-    for _ in range(ATTEMPTS):
+    for _ in range(SCATTER_LIMITS.most_draws):
         place: Vec = center + draw.uniform(-1.0, 1.0, 3) * by
-        if all(np.hypot(*(place - other)[:2]) > CLEAR for other in taken):
+        if all(
+            np.hypot(*(place - other)[:2]) > SCATTER_LIMITS.clear_distance
+            for other in taken
+        ):
             return place
     raise Refused(
         f"drone {i}",
-        f"no start within {by[0]:g} m that is {CLEAR} m from the others. Scatter less.",
+        f"no start within {by[0]:g} m that is {SCATTER_LIMITS.clear_distance} m from the others. Scatter less.",
     )

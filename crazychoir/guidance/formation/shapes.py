@@ -9,16 +9,16 @@ from crazychoir.types import Point
 
 Shape = Mapping[int, Point]
 """{id: (3,) m}."""
-SQUARE: Shape = {
+PAPER_SQUARE: Shape = {
     0: (0.0, 0.0, 1.0),
     1: (1.0, 0.0, 1.0),
     2: (1.0, 1.0, 1.0),
     3: (0.0, 1.0, 1.0),
 }
 """The square of the paper."""
-SQUARE_EDGES = [[0, 1], [0, 3], [1, 2], [1, 3], [2, 3]]
+PAPER_SQUARE_EDGES = [[0, 1], [0, 3], [1, 2], [1, 3], [2, 3]]
 """The edges of the paper: the sides and one diagonal."""
-LETTERS: Mapping[str, tuple[tuple[float, float], ...]] = {
+LETTER_PLACES: Mapping[str, tuple[tuple[float, float], ...]] = {
     "S": (
         (0.5, 0.667),
         (-0.5, -0.667),
@@ -81,9 +81,9 @@ def corners(columns: int, rows: int) -> tuple[int, int, int, int]:
 
 def letter(name: str, size: float, height: float = 1.0) -> Shape:
     """Return eleven places of a letter, `size` m high."""
-    if name not in LETTERS:
-        raise ConfigError("letter", name, f"one of {', '.join(LETTERS)}")
-    points = LETTERS[name]
+    if name not in LETTER_PLACES:
+        raise ConfigError("letter", name, f"one of {', '.join(LETTER_PLACES)}")
+    points = LETTER_PLACES[name]
     scale = size / (max(y for _, y in points) - min(y for _, y in points))
     return {
         i: (round(scale * x, 6), round(scale * y, 6), height)

@@ -15,7 +15,7 @@ T = TypeVar("T")
 """The result of the work."""
 
 
-class Word(NamedTuple):
+class FailureWord(NamedTuple):
     """A message that the work has failed. The smallest of several counts."""
 
     k: int
@@ -26,7 +26,7 @@ class Word(NamedTuple):
     """The reason."""
 
 
-def attempt(
+def attempt_work(
     robot: int, work: Exchange[T], diameter: int
 ) -> Exchange[tuple[T | None, str]]:
     """Run the work, and return its result and "", or None and the reason if it fails at any robot.
@@ -41,7 +41,7 @@ def attempt(
     """
     message: list[Any] = []
     heard: Mapping[int, Any] | None = None
-    word: Word | None = None
+    word: FailureWord | None = None
     found: T | None = None
     ends: int | None = None
     for k in count():
@@ -55,7 +55,7 @@ def attempt(
             except Hung:
                 raise
             except Exception as error:  # noqa: BLE001 - all robots fly: none may fail alone
-                word = Word(k, robot, _told(error))
+                word = FailureWord(k, robot, _explain_error(error))
         if word is not None:
             found = None
             message = list(word)
@@ -64,15 +64,19 @@ def attempt(
             break
         arrived = yield message
         try:
-            words = [Word(*said) for j, said in arrived.items() if _is_word(j, said, k)]
+            words = [
+                FailureWord(*said)
+                for j, said in arrived.items()
+                if _is_failure_word(j, said, k)
+            ]
         except CodecError as error:
-            words = [Word(k + 1, robot, _told(error))]
+            words = [FailureWord(k + 1, robot, _explain_error(error))]
         word = min([*words, *([word] if word else [])], default=None)
         heard = None if words else {j: said[0] for j, said in arrived.items()}
     return found, f"robot {word.robot}: {word.why}" if word else ""
 
 
-def _is_word(j: int, said: Any, k: int) -> bool:
+def _is_failure_word(j: int, said: Any, k: int) -> bool:
     """Return whether the message of robot j in round k says that the work has failed.
 
     Raises CodecError for a message that is neither a failure nor a message of the work.
@@ -87,7 +91,7 @@ def _is_word(j: int, said: Any, k: int) -> bool:
     )
 
 
-def _told(error: Exception) -> str:
+def _explain_error(error: Exception) -> str:
     """Return the text of an error; unexpected errors include file and line."""
     text = error_text(error)
     if isinstance(error, CrazyChoirError):

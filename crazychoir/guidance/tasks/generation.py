@@ -13,10 +13,14 @@ from msgspec import ValidationError, convert
 
 from crazychoir.errors import CodecError
 from crazychoir.guidance.tasks.task_book import Count, Fate, Task, TaskBook
-from crazychoir.guidance.tasks.task_source import ADDED
+from crazychoir.guidance.tasks.task_source import FIRST_ADDED_ID
 from crazychoir.optimization.assignment import assignment
-from crazychoir.optimization.assignment.assignment import Outcome, Table, TaskAssignment
-from crazychoir.optimization.rounds.agreement import flood
+from crazychoir.optimization.assignment.assignment import (
+    AssignmentOutcome,
+    TaskAssignment,
+    TaskTable,
+)
+from crazychoir.optimization.rounds.agreement import flood_values
 from crazychoir.optimization.rounds.program import Exchange, Program
 from crazychoir.team.graph import Graph
 
@@ -38,7 +42,7 @@ class Generation:
     """The tasks that were open, in the order of their ids."""
     costs: tuple[float, ...]
     """Cost of each task for this robot."""
-    outcome: Outcome
+    outcome: AssignmentOutcome
     """What the team agreed on."""
     book: TaskBook
     """The book from which the table was made, the same at all robots."""
@@ -99,15 +103,15 @@ class NextGeneration(Program[Generation]):
 
     def run(self) -> Exchange[Generation]:
         """Agree on the open tasks, fill the table up, assign it."""
-        said = yield from flood(self.robot, self._mine, self.diameter)
-        book, number, filled, dropped = _merged(said)
-        missing = len(self.members) - len(open_tasks(book, self.members))
+        said = yield from flood_values(self.robot, self._mine, self.diameter)
+        book, number, filled, dropped = _merge_generation(said)
+        missing = len(self.members) - len(list_open_tasks(book, self.members))
         if filled < self.most and missing > 0:
             filled += 1
-            drawn = sum(j < ADDED for j in book.tasks)
+            drawn = sum(j < FIRST_ADDED_ID for j in book.tasks)
             for task in self.draw(drawn + missing)[drawn:]:
                 book.learn(task)
-        tasks = open_tasks(book, self.members)
+        tasks = list_open_tasks(book, self.members)
         costs = tuple(
             self.cost(task) if self.robot in task.robots or not task.robots else inf
             for task in tasks
@@ -119,12 +123,12 @@ class NextGeneration(Program[Generation]):
 
     def _assigned(
         self, number: int, tasks: tuple[Task, ...], costs: dict[int, float]
-    ) -> Exchange[Outcome]:
+    ) -> Exchange[AssignmentOutcome]:
         """Return the cheapest assignment, by the distributed simplex. Without tasks it is empty."""
         if not tasks:
-            return Outcome(number, None, 0.0, (), "", 0)
+            return AssignmentOutcome(number, None, 0.0, (), "", 0)
         rows = tuple(assignment.Task(task.id, np.array(task.pickup)) for task in tasks)
-        table = Table(number, rows, last=True)
+        table = TaskTable(number, rows, last=True)
         solver = TaskAssignment(
             self.robot, lambda task: costs[task.id], self.members, self.diameter, table
         )
@@ -134,7 +138,7 @@ class NextGeneration(Program[Generation]):
         return solver.outcome
 
 
-def open_tasks(book: TaskBook, members: Sequence[int]) -> tuple[Task, ...]:
+def list_open_tasks(book: TaskBook, members: Sequence[int]) -> tuple[Task, ...]:
     """Return the tasks that are neither done nor cancelled, in the order of their ids."""
     standings = book.standings(members, recover=True)
     return tuple(
@@ -142,7 +146,9 @@ def open_tasks(book: TaskBook, members: Sequence[int]) -> tuple[Task, ...]:
     )
 
 
-def _merged(said: dict[int, Any]) -> tuple[TaskBook, int, int, dict[int, CodecError]]:
+def _merge_generation(
+    said: dict[int, Any],
+) -> tuple[TaskBook, int, int, dict[int, CodecError]]:
     """Combine the messages of all robots.
 
     Returns the book, the number of the newest generation that any robot has been part of, how often
@@ -154,7 +160,7 @@ def _merged(said: dict[int, Any]) -> tuple[TaskBook, int, int, dict[int, CodecEr
     dropped = dict[int, CodecError]()
     for i, value in said.items():
         try:
-            wire, its_number, its_filled = _read(value)
+            wire, its_number, its_filled = _read_generation(value)
             book.merge(TaskBook.of(wire))
             number = max(number, its_number)
             filled = max(filled, its_filled)
@@ -163,7 +169,7 @@ def _merged(said: dict[int, Any]) -> tuple[TaskBook, int, int, dict[int, CodecEr
     return book, number, filled, dropped
 
 
-def _read(value: Any) -> tuple[bytes, int, int]:
+def _read_generation(value: Any) -> tuple[bytes, int, int]:
     try:
         return convert(value, tuple[bytes, Count, Count])
     except ValidationError as error:

@@ -10,10 +10,10 @@ import numpy as np
 from crazychoir.config.drone_room import shared_room
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.tasks.task_book import Place, Task
-from crazychoir.team.graph import span
+from crazychoir.team.graph import describe_ids
 
 
-class Room:
+class TaskRoom:
     """Where tasks of operators may be, and which robots may serve them."""
 
     def __init__(self, config: SwarmConfig) -> None:
@@ -36,7 +36,7 @@ class Room:
         """Return why no robot of this swarm can serve the task. Empty if one can."""
         strangers = [i for i in task.robots if i not in self.ids]
         return (
-            f"there is no drone {span(strangers)}; this swarm has {span(self.ids)}"
+            f"there is no drone {describe_ids(strangers)}; this swarm has {describe_ids(self.ids)}"
             if strangers
             else ""
         )
@@ -45,4 +45,6 @@ class Room:
         """Return why no flying robot can serve the task. Empty if one can."""
         if not task.robots or any(i in flying for i in task.robots):
             return ""
-        return f"drone {span(task.robots)}, who alone may serve it, does not fly"
+        return (
+            f"drone {describe_ids(task.robots)}, who alone may serve it, does not fly"
+        )

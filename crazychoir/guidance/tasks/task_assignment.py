@@ -14,57 +14,75 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import CrazyChoirError, RosterChanged, error_text, reason_or
-from crazychoir.guidance.guidance import TOUCHDOWN, CFGuidance
-from crazychoir.guidance.member import Interrupted, Member, standing, touch_down
+from crazychoir.guidance.guidance import FLIGHT_LIMITS, CFGuidance
+from crazychoir.guidance.member import (
+    Interrupted,
+    Member,
+    describe_state,
+    wait_for_touchdown,
+)
 from crazychoir.guidance.tasks.generation import (
     Draw,
     Generation,
     NextGeneration,
-    open_tasks,
+    list_open_tasks,
 )
-from crazychoir.guidance.tasks.room import Room
+from crazychoir.guidance.tasks.room import TaskRoom
 from crazychoir.guidance.tasks.task_book import Deed, Place, Task
 from crazychoir.guidance.tasks.task_source import TaskSource
-from crazychoir.guidance.tasks.team_news import UNREACHED, Key, TeamNews
+from crazychoir.guidance.tasks.team_news import UNREACHED_REASON, Key, TeamNews
 from crazychoir.guidance.tasks.together import run_together
-from crazychoir.guidance.turns import Turns
+from crazychoir.guidance.turns import TurnTaking
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Goto, State, Vec
 
 log = logging.getLogger(__name__)
-POLL = 0.05
-"""s: interval at which the robot looks again, and sends its news."""
-REACHED = 0.05
-"""m, in the plane: a task is done at this distance."""
-NOTED = 0.2
-"""s between two recorded places of a way."""
-REUNION = 20.0
-"""s: how long a robot waits for others before it goes on.
 
-It applies to a robot over its home, to a robot that is cut off, and to a robot that is out while
-all robots that it hears are out.
-"""
-FLIES = (Mode.TAKEOFF, Mode.HOVER, Mode.FOLLOW)
+
+@dataclass(frozen=True, slots=True)
+class AssignmentLimits:
+    """When a robot of the task assignment looks again, has reached a task, records its way, and
+    goes on alone.
+    """
+
+    poll_interval: float = 0.05
+    """s: interval at which the robot looks again, and sends its news."""
+    reached_distance: float = 0.05
+    """m, in the plane: a task is done at this distance."""
+    way_interval: float = 0.2
+    """s between two recorded places of a way."""
+    reunion_time: float = 20.0
+    """s: how long a robot waits for others before it goes on.
+
+    It applies to a robot over its home, to a robot that is cut off, and to a robot that is out while
+    all robots that it hears are out.
+    """
+
+
+ASSIGNMENT_LIMITS = AssignmentLimits()
+
+
+MISSION_MODES = (Mode.TAKEOFF, Mode.HOVER, Mode.FOLLOW)
 """Modes in which the mission flies the drone."""
 
 CostFunction = Callable[[State, Task], float]
 """Cost of a task for a robot in this state; inf if the robot cannot do it."""
 
 
-def distance(state: State, task: Task) -> float:
+def measure_distance(state: State, task: Task) -> float:
     """Return |task - p| in the plane, in m."""
     return math.dist(state.p[:2].tolist(), task.pickup)
 
 
 @dataclass(frozen=True)
-class Work:
+class TeamAssignment:
     """What all robots of a mission have in common."""
 
     draw: Draw
     """Draws the tasks, in their order."""
     generations: int
     """How often the table is filled up to as many open tasks as robots."""
-    cost: CostFunction = distance
+    cost: CostFunction = measure_distance
     """Cost of a task for a robot."""
 
 
@@ -82,7 +100,7 @@ class TaskAssignmentGuidance(CFGuidance):
     lost or cut off, is done again.
     """
 
-    def __init__(self, work: Work) -> None:
+    def __init__(self, work: TeamAssignment) -> None:
         self.work = work
         self.generation: Generation | None = None
         self.tables: list[dict[str, Any]] = []
@@ -100,10 +118,16 @@ class TaskAssignmentGuidance(CFGuidance):
         super().bind(member)
         self._born = self._now
         self.news = TeamNews(
-            member.communicator, (), self._here, recover=True, period=POLL
+            member.communicator,
+            (),
+            self._here,
+            recover=True,
+            period=ASSIGNMENT_LIMITS.poll_interval,
         )
-        self.source = TaskSource(self.news, Room(member.config), may_end=self._may_end)
-        self._turns = Turns(member.pilot)
+        self.source = TaskSource(
+            self.news, TaskRoom(member.config), may_end=self._may_end
+        )
+        self._turns = TurnTaking(member.pilot)
         member.report = lambda: {
             "task": self._doing(),
             "cost": self.tables[-1]["cost"] if self.tables else None,
@@ -132,7 +156,7 @@ class TaskAssignmentGuidance(CFGuidance):
                 if isinstance(cause, asyncio.CancelledError)
                 else f"mission failed: {reason_or(cause, error_text(cause))}"
             )
-            await touch_down(self.member.pilot, TOUCHDOWN)
+            await wait_for_touchdown(self.member.pilot, FLIGHT_LIMITS.touchdown_time)
             await self.news.last_words()
             if cause is error:
                 raise
@@ -142,7 +166,7 @@ class TaskAssignmentGuidance(CFGuidance):
     def outcome(self) -> dict[str, Any]:
         """Return this drone's part of the report."""
         failed = {"success": False, "reason": self.reason} if self.reason else {}
-        left = [task.id for task in open_tasks(self.news.book, self.news.members)]
+        left = [task.id for task in list_open_tasks(self.news.book, self.news.members)]
         return {
             "done": self.done,
             "tables": self.tables,
@@ -163,7 +187,7 @@ class TaskAssignmentGuidance(CFGuidance):
 
     def route(self) -> list[Vec]:
         """Return the place of its task, or its home when all tasks are done."""
-        if self.member.pilot.mode not in FLIES:
+        if self.member.pilot.mode not in MISSION_MODES:
             return []
         if self.news.ended or self._alone:
             return [self._home]
@@ -199,7 +223,7 @@ class TaskAssignmentGuidance(CFGuidance):
                     await self._cut_off(key)
                 elif self.id in key[1]:
                     await self.sleep(
-                        POLL
+                        ASSIGNMENT_LIMITS.poll_interval
                     )  # out: the others continue without this robot
                 else:
                     await self._generations(key)
@@ -214,7 +238,7 @@ class TaskAssignmentGuidance(CFGuidance):
         n = 0
         while self.news.key() == key and not (self.news.ended or self._alone):
             if n and not self._wanted(key, n):
-                await self.sleep(POLL)
+                await self.sleep(ASSIGNMENT_LIMITS.poll_interval)
                 continue
             n = n + 1
             self._shares = True
@@ -235,11 +259,11 @@ class TaskAssignmentGuidance(CFGuidance):
         return (
             begun
             or self.generation is None
-            or self._open() != _ids(self.generation.tasks)
+            or self._open() != _list_ids(self.generation.tasks)
         )
 
     def _open(self) -> list[int]:
-        return _ids(open_tasks(self.news.book, self.news.members))
+        return _list_ids(list_open_tasks(self.news.book, self.news.members))
 
     async def _next(self, key: Key) -> Generation | None:
         """Plan the next generation with the team.
@@ -281,7 +305,7 @@ class TaskAssignmentGuidance(CFGuidance):
                 "number": generation.number,
                 "filled": generation.filled,
                 "team": list(self.news.alive_ids()),
-                "tasks": _ids(generation.tasks),
+                "tasks": _list_ids(generation.tasks),
                 "places": [task.pickup for task in generation.tasks],
                 "costs": costs,
                 "mine": generation.mine,
@@ -306,15 +330,15 @@ class TaskAssignmentGuidance(CFGuidance):
 
     async def _cut_off(self, key: Key) -> None:
         """Wait in the air for the others, while too few robots are here to decide."""
-        log.warning("drone %d: %s", self.id, UNREACHED)
+        log.warning("drone %d: %s", self.id, UNREACHED_REASON)
         self._shares = True
         self.generation = None
         while self.news.key() == key and not (self.news.ended or self._alone):
-            await self.sleep(POLL)
+            await self.sleep(ASSIGNMENT_LIMITS.poll_interval)
 
     async def _left_alone(self) -> None:
         """End the mission if it waits for robots that are lost."""
-        why = await self.news.left_alone(REUNION)
+        why = await self.news.left_alone(ASSIGNMENT_LIMITS.reunion_time)
         self._alone = True
         self.reason = (
             f"{self.reason}; then {why}" if self.reason else f"drone {self.id}: {why}"
@@ -334,7 +358,7 @@ class TaskAssignmentGuidance(CFGuidance):
             while not (self.news.ended or self._alone):
                 self._pursue()
                 self._note()
-                await self.sleep(POLL)
+                await self.sleep(ASSIGNMENT_LIMITS.poll_interval)
             await self._go_home()
             self._note()
             await self.land()
@@ -342,7 +366,7 @@ class TaskAssignmentGuidance(CFGuidance):
             log.warning("drone %d: %s", self.id, error)
             self.reason = str(error)
             self.member.pilot.land()
-            await touch_down(self.member.pilot, TOUCHDOWN)
+            await wait_for_touchdown(self.member.pilot, FLIGHT_LIMITS.touchdown_time)
             self.news.say(out=True)
 
     def _above(self, place: Sequence[float]) -> Vec:
@@ -360,8 +384,8 @@ class TaskAssignmentGuidance(CFGuidance):
         Without a task it waits in the air, where no other robot wants to be.
         """
         pilot = self.member.pilot
-        if pilot.mode not in FLIES:
-            raise Interrupted(f"drone {self.id}: {standing(pilot)}")
+        if pilot.mode not in MISSION_MODES:
+            raise Interrupted(f"drone {self.id}: {describe_state(pilot)}")
         generation = self.generation
         mine = self._mine
         if generation is None or mine is None:
@@ -372,7 +396,10 @@ class TaskAssignmentGuidance(CFGuidance):
             return
         place = self.news.book.tasks[mine].pickup
         self.follow(Goto(self._turns.to(self._above(place))))
-        if not self._shares and math.dist(self._here(), place) < REACHED:
+        if (
+            not self._shares
+            and math.dist(self._here(), place) < ASSIGNMENT_LIMITS.reached_distance
+        ):
             self.done.append((mine, generation.number))
             self.news.say(deeds=(*self.news.record.deeds, Deed(mine, "delivery", 1)))
 
@@ -385,7 +412,7 @@ class TaskAssignmentGuidance(CFGuidance):
     def _note(self) -> None:
         """Record the way, every NOTED s."""
         t = self._now - self._born
-        if self.way and t < float(self.way[-1][0]) + NOTED:
+        if self.way and t < float(self.way[-1][0]) + ASSIGNMENT_LIMITS.way_interval:
             return
         mine = self._mine
         left = (
@@ -399,9 +426,9 @@ class TaskAssignmentGuidance(CFGuidance):
         """Fly above its own home. No robot lands while another robot still flies around."""
         await self.go_to(self._home)
         self.news.say(idle=True)
-        ends = self._now + REUNION
+        ends = self._now + ASSIGNMENT_LIMITS.reunion_time
         while self._now < ends and not (self._alone or self._all_home()):
-            await self.sleep(POLL)
+            await self.sleep(ASSIGNMENT_LIMITS.poll_interval)
 
     def _all_home(self) -> bool:
         return all(
@@ -409,5 +436,5 @@ class TaskAssignmentGuidance(CFGuidance):
         )
 
 
-def _ids(tasks: Collection[Task]) -> list[int]:
+def _list_ids(tasks: Collection[Task]) -> list[int]:
     return [task.id for task in tasks]

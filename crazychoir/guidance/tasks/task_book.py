@@ -16,9 +16,9 @@ from msgspec import Meta, Struct
 from crazychoir.errors import CodecError
 from crazychoir.routing.instance.plan import Kind
 
-LARGEST = 1e6
+LARGEST_TASK_NUMBER = 1e6
 """m, or units of load: largest number in a task or a place."""
-Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
+Number = Annotated[float, Meta(ge=-LARGEST_TASK_NUMBER, le=LARGEST_TASK_NUMBER)]
 """A coordinate or a load, within LARGEST."""
 Place = tuple[Number, Number]
 """(2,) m, in the plane: robots fly at one height."""
@@ -45,7 +45,7 @@ class Task(Struct, frozen=True, order=True, array_like=True):
     """(2,) m: where the goods lie at first."""
     delivery: Place
     """(2,) m: where to bring the goods."""
-    load: Annotated[float, Meta(ge=0.0, le=LARGEST)] = 1.0
+    load: Annotated[float, Meta(ge=0.0, le=LARGEST_TASK_NUMBER)] = 1.0
     """Load of the goods, in the unit of the capacities."""
     robots: tuple[Count, ...] = ()
     """Ids of the only robots that may do the task. Empty: all robots."""
@@ -106,7 +106,7 @@ class Fate(Enum):
     LOST = "lost"
 
 
-class Standing(NamedTuple):
+class TaskState(NamedTuple):
     """The present state of a task."""
 
     fate: Fate
@@ -134,7 +134,7 @@ class TaskBook:
         self.records: dict[tuple[int, int], Record] = {}
         self.changes = 0
         self._newest: dict[int, Record] = {}
-        self._standings: tuple[Any, dict[int, Standing]] = (None, {})
+        self._standings: tuple[Any, dict[int, TaskState]] = (None, {})
         self._fallen: dict[
             int | None, None
         ] = {}  # robots: their places determine these standings
@@ -170,7 +170,11 @@ class TaskBook:
             and known is not None
             and known.place != record.place
         )
-        if moved or known is None or _done(known) != _done(record):
+        if (
+            moved
+            or known is None
+            or _select_fate_parts(known) != _select_fate_parts(record)
+        ):
             self.changes += 1
         return True
 
@@ -222,7 +226,9 @@ class TaskBook:
 
     # What has become of the tasks -----------------------------------------------------
 
-    def standings(self, members: Collection[int], recover: bool) -> dict[int, Standing]:
+    def standings(
+        self, members: Collection[int], recover: bool
+    ) -> dict[int, TaskState]:
         """Return the present state of each task, by id.
 
         Goods belong to the robot that has picked them up last, until it delivers them. If several
@@ -248,7 +254,7 @@ class TaskBook:
 
     def _all_standings(
         self, members: Collection[int], recover: bool
-    ) -> dict[int, Standing]:
+    ) -> dict[int, TaskState]:
         carriers: dict[int, tuple[int, int, int]] = {}
         delivered: dict[int, int] = {}
         for (i, incarnation), record in sorted(self.records.items()):
@@ -276,20 +282,20 @@ class TaskBook:
         by: int | None,
         alive: Mapping[tuple[int, int], None],
         recover: bool,
-    ) -> Standing:
+    ) -> TaskState:
         if by is not None:
-            return Standing(Fate.DELIVERED, task.pickup, by)
+            return TaskState(Fate.DELIVERED, task.pickup, by)
         if carrier is None:
-            return Standing(
+            return TaskState(
                 Fate.CANCELLED if task.cancelled else Fate.OPEN, task.pickup
             )
         generation, i, incarnation = carrier
         if (i, incarnation) in alive:
-            return Standing(Fate.ABOARD, task.pickup, i, generation)
+            return TaskState(Fate.ABOARD, task.pickup, i, generation)
         if not recover:
-            return Standing(Fate.LOST, task.pickup, i, generation)
+            return TaskState(Fate.LOST, task.pickup, i, generation)
         fate = Fate.CANCELLED if task.cancelled else Fate.OPEN
-        return Standing(fate, self.records[i, incarnation].place, i, generation)
+        return TaskState(fate, self.records[i, incarnation].place, i, generation)
 
     # On the wire ----------------------------------------------------------------------
 
@@ -310,15 +316,15 @@ class TaskBook:
     def of(cls, wire: object) -> "TaskBook":
         """Return the book of a message. Raises CodecError."""
         try:
-            return cls(*_READER.decode(wire))  # type: ignore[arg-type]  # what is no bytes raises
+            return cls(*_BOOK_DECODER.decode(wire))  # type: ignore[arg-type]  # what is no bytes raises
         except (msgspec.MsgspecError, TypeError, ValueError, RecursionError) as error:
             raise CodecError(f"task book: {error}") from error
 
 
-def _done(record: Record) -> tuple[Any, ...]:
+def _select_fate_parts(record: Record) -> tuple[Any, ...]:
     """Return the parts of a record that may change the fate of tasks, apart from its place."""
     return record.deeds, record.life, record.out
 
 
-_READER = msgspec.msgpack.Decoder(tuple[list[Task], list[Record]])
+_BOOK_DECODER = msgspec.msgpack.Decoder(tuple[list[Task], list[Record]])
 """Decodes the tasks and records of a message."""

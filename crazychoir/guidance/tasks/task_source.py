@@ -12,22 +12,22 @@ import msgspec
 from crazychoir.errors import Refused
 from crazychoir.guidance.tasks.task_book import Fate, Place, Task
 from crazychoir.guidance.tasks.team_news import TeamNews
-from crazychoir.team.graph import span
+from crazychoir.team.graph import describe_ids
 
-ADDED = 10_000
+FIRST_ADDED_ID = 10_000
 """Smallest id of a task that an operator added in flight.
 
 The last digits of such an id are the robot that received the command.
 """
-LOOK = 0.05, 1.0
+EVENT_WAIT_RANGE = 0.05, 1.0
 """s: shortest and longest wait before looking for the next event."""
-PATIENCE = 2.0
+COMMAND_PATIENCE = 2.0
 """s: how long a command of an operator may wait for the team."""
-_FIELD = re.compile(r"`\$\[(\d+)\]")
+_DECODER_FIELD_PATTERN = re.compile(r"`\$\[(\d+)\]")
 """How the error of a decoder names a field of a task: `$[3]`."""
 
 
-class Event(NamedTuple):
+class TaskEvent(NamedTuple):
     """A task that appears, or a cancellation."""
 
     t: float
@@ -38,7 +38,7 @@ class Event(NamedTuple):
     """Ids of the robots that learn of the event directly. Empty: all robots that are there."""
 
 
-class Site(Protocol):
+class TaskSite(Protocol):
     """Where tasks may be, and which robots may serve them."""
 
     def lies_badly(self, task: Task, pickup: Place) -> str:
@@ -70,8 +70,8 @@ class TaskSource:
     def __init__(
         self,
         news: TeamNews,
-        site: Site,
-        events: Sequence[Event] = (),
+        site: TaskSite,
+        events: Sequence[TaskEvent] = (),
         may_end: Callable[[], bool] = lambda: False,
     ) -> None:
         self.news = news
@@ -92,7 +92,7 @@ class TaskSource:
 
     async def hear(self) -> None:
         """Learn of each event at its time."""
-        least, most = LOOK
+        least, most = EVENT_WAIT_RANGE
         for event in self.events:
             while self.age < event.t:
                 await self._pause(min(max(event.t - self.age, least), most))
@@ -155,7 +155,7 @@ class TaskSource:
         Raises Refused if the mission is over, if the robot flies no more, or if the wait takes too
         long.
         """
-        ends = self.news.clock.now() + PATIENCE
+        ends = self.news.clock.now() + COMMAND_PATIENCE
         while True:
             if self.news.ended:
                 raise self._refused("the mission is over")
@@ -165,20 +165,20 @@ class TaskSource:
                 return
             if self.news.clock.now() > ends:
                 raise self._refused(
-                    f"for {PATIENCE:g} s, it has heard of too few others; ask another one, or again"
+                    f"for {COMMAND_PATIENCE:g} s, it has heard of too few others; ask another one, or again"
                 )
-            await self._pause(LOOK[0])
+            await self._pause(EVENT_WAIT_RANGE[0])
 
     async def _told(self, number: int) -> str:
         """Wait until more than half of the team know an edition of the record.
 
         Returns a note for the operator if they do not know it in time.
         """
-        ends = self.news.clock.now() + PATIENCE
+        ends = self.news.clock.now() + COMMAND_PATIENCE
         while not self.news.known(number):
             if self.news.clock.now() > ends:
-                return f"for {PATIENCE:g} s, less than half of the team has heard of it: is this drone cut off?"
-            await self._pause(LOOK[0])
+                return f"for {COMMAND_PATIENCE:g} s, less than half of the team has heard of it: is this drone cut off?"
+            await self._pause(EVENT_WAIT_RANGE[0])
         return ""
 
     def _read(self, arguments: dict[str, Any]) -> Task:
@@ -187,7 +187,7 @@ class TaskSource:
             "load": 1.0,
             "robots": [],
             **arguments,
-            "id": ADDED,
+            "id": FIRST_ADDED_ID,
             "version": 0,
             "cancelled": False,
         }
@@ -195,7 +195,9 @@ class TaskSource:
         try:
             task = msgspec.convert([raw.pop(name, None) for name in names], Task)
         except msgspec.ValidationError as error:
-            wrong = _FIELD.sub(lambda found: f"`{names[int(found[1])]}`", str(error))
+            wrong = _DECODER_FIELD_PATTERN.sub(
+                lambda found: f"`{names[int(found[1])]}`", str(error)
+            )
             raise self._refused(
                 f"{wrong}; allowed: places [x, y] in m, a load of 0 to 1e6, drone ids"
             ) from error
@@ -217,11 +219,16 @@ class TaskSource:
         me = self.news.id
         count = (
             max(
-                (j // ADDED for j in tasks if j >= ADDED and j % ADDED == me), default=0
+                (
+                    j // FIRST_ADDED_ID
+                    for j in tasks
+                    if j >= FIRST_ADDED_ID and j % FIRST_ADDED_ID == me
+                ),
+                default=0,
             )
             + 1
         )
-        task = msgspec.structs.replace(task, id=ADDED * count + me)
+        task = msgspec.structs.replace(task, id=FIRST_ADDED_ID * count + me)
         self.news.book.learn(task)
         waits = self.site.waits(task, self.news.book.alive(self.news.members))
         return task.id, waits and f"it waits: {waits}"
@@ -231,11 +238,11 @@ class TaskSource:
         book = self.news.book
         if not isinstance(j, int) or j not in book.tasks:
             groups = (
-                [k for k in book.tasks if k < ADDED],
-                [k for k in book.tasks if k >= ADDED],
+                [k for k in book.tasks if k < FIRST_ADDED_ID],
+                [k for k in book.tasks if k >= FIRST_ADDED_ID],
             )
             raise self._refused(
-                f"there is no {j}; there are {', '.join(map(span, filter(None, groups))) or 'none'}"
+                f"there is no {j}; there are {', '.join(map(describe_ids, filter(None, groups))) or 'none'}"
             )
         standing = self.news.standings()[j]
         was_cancelled = book.tasks[j].cancelled

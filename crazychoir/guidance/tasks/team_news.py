@@ -6,6 +6,7 @@ Gossip keeps the task books of all robots equal.
 import asyncio
 import logging
 from collections.abc import Callable, Collection
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
 from math import inf
@@ -14,25 +15,36 @@ from typing import Any
 import msgspec
 
 from crazychoir.errors import CodecError, RosterChanged
-from crazychoir.guidance.tasks.task_book import Place, Record, Standing, Task, TaskBook
+from crazychoir.guidance.tasks.task_book import Place, Record, Task, TaskBook, TaskState
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph
-from crazychoir.team.rounds import FAILED
+from crazychoir.team.rounds import FAILURE_CHANNEL
 
 log = logging.getLogger(__name__)
-PERIOD = 0.2
-"""s: interval at which a robot merges its neighbours' books and sends its own."""
-FAREWELL = 2.0
-"""s: how long a robot repeats that the team has ended, while others may not know it."""
-LAST = 5
-"""How often a robot repeats that its own mission has ended."""
-BOOK = "book"
+
+
+@dataclass(frozen=True, slots=True)
+class NewsTiming:
+    """How often a robot sends its news, and when another robot counts as not heard."""
+
+    period: float = 0.2
+    """s: interval at which a robot merges its neighbours' books and sends its own."""
+    farewell: float = 2.0
+    """s: how long a robot repeats that the team has ended, while others may not know it."""
+    last_repeats: int = 5
+    """How often a robot repeats that its own mission has ended."""
+    silence: float = 5.0
+    """s: without news for this time a robot counts as not heard."""
+
+
+NEWS_TIMING = NewsTiming()
+
+
+BOOK_CHANNEL = "book"
 """Channel of the books."""
-SILENT = 5.0
-"""s: without news for this time a robot counts as not heard."""
-UNREACHED = "cut off from more than half of the team"
+UNREACHED_REASON = "cut off from more than half of the team"
 """Reason of a robot that hears too few others."""
-NOBODY = "nobody that it hears flies any more"
+NOBODY_FLIES_REASON = "nobody that it hears flies any more"
 """Reason of a robot that hears no flying robot."""
 Key = tuple[int, tuple[int, ...]]
 """Identifies the team of a series of plannings: the epoch, and the members that fly no more."""
@@ -56,7 +68,7 @@ class TeamNews:
         tasks: tuple[Task, ...],
         here: Callable[[], Place],
         recover: bool,
-        period: float = PERIOD,
+        period: float = NEWS_TIMING.period,
     ) -> None:
         self.communicator = communicator
         self.here = here
@@ -89,12 +101,12 @@ class TeamNews:
                 neighbors = self.links().neighbors(self.id)
                 self.hear(
                     await self.communicator.asynchronous_receive(
-                        neighbors, channel=BOOK
+                        neighbors, channel=BOOK_CHANNEL
                     )
                 )
                 self._write_off(
                     await self.communicator.asynchronous_receive(
-                        neighbors, channel=FAILED
+                        neighbors, channel=FAILURE_CHANNEL
                     )
                 )
                 await self._tell()
@@ -107,7 +119,7 @@ class TeamNews:
     async def _tell(self) -> None:
         letter = self.letter()
         await self.communicator.send(
-            letter, self.links().neighbors(self.id), channel=BOOK
+            letter, self.links().neighbors(self.id), channel=BOOK_CHANNEL
         )
 
     def letter(self) -> bytes:
@@ -182,7 +194,7 @@ class TeamNews:
         `gossip` runs beside it.
         """
         self.say(ended=True)
-        ends = self.clock.now() + FAREWELL
+        ends = self.clock.now() + NEWS_TIMING.farewell
         while self.clock.now() < ends and not all(
             r.ended for r in self.book.alive(self.members).values()
         ):
@@ -193,7 +205,7 @@ class TeamNews:
     async def last_words(self) -> None:
         """Tell the others that this robot flies no more."""
         self.say(out=True)
-        for _ in range(LAST):
+        for _ in range(NEWS_TIMING.last_repeats):
             try:
                 await self._tell()
             except RosterChanged:
@@ -233,7 +245,7 @@ class TeamNews:
         """Return the members that still fly."""
         return tuple(self.book.alive(self.members))
 
-    def standings(self) -> dict[int, Standing]:
+    def standings(self) -> dict[int, TaskState]:
         """Return the present state of each task, as far as it is known here."""
         return self.book.standings(self.members, self.recover)
 
@@ -270,7 +282,7 @@ class TeamNews:
         heard = [
             i
             for i in self.members
-            if i == self.id or now <= self._heard.get(i, -inf) + SILENT
+            if i == self.id or now <= self._heard.get(i, -inf) + NEWS_TIMING.silence
         ]
         missing = [
             i
@@ -280,8 +292,8 @@ class TeamNews:
         if self.ended:
             return ""
         if not self.quorate or len(heard) <= len(missing):
-            return UNREACHED
-        return "" if any(i in flying for i in heard) else NOBODY
+            return UNREACHED_REASON
+        return "" if any(i in flying for i in heard) else NOBODY_FLIES_REASON
 
     # The team -------------------------------------------------------------------------
 
@@ -291,7 +303,7 @@ class TeamNews:
 
     def links(self, without: tuple[int, ...] = ()) -> Graph:
         """Return the communication graph, repaired where lost members have cut it into parts."""
-        return mended(self.communicator.graph.at(0), without)
+        return mend_graph(self.communicator.graph.at(0), without)
 
     @property
     def quorate(self) -> bool:
@@ -319,7 +331,7 @@ class TeamNews:
 
 
 @lru_cache(maxsize=64)
-def mended(graph: Graph, without: tuple[int, ...] = ()) -> Graph:
+def mend_graph(graph: Graph, without: tuple[int, ...] = ()) -> Graph:
     """Return the graph without some members, its parts joined in a row by their lowest ids.
 
     All robots compute the same graph.

@@ -11,9 +11,9 @@ from crazychoir.guidance.tasks.team_news import Key, TeamNews
 from crazychoir.optimization.rounds.program import Program
 from crazychoir.team.graph import Graph
 
-DEADLINE = 30.0
+TOGETHER_ROUND_DEADLINE = 30.0
 """s for one round."""
-POLL = 0.05
+TEAM_LOOK_INTERVAL = 0.05
 """s: interval at which a robot looks at a team with a silent neighbour."""
 
 
@@ -47,15 +47,19 @@ async def _exchange(
     It waits for a neighbour that is lost or has failed, until the team continues without that
     neighbour.
     """
-    ends = news.clock.now() + DEADLINE
+    ends = news.clock.now() + TOGETHER_ROUND_DEADLINE
     while True:
         exchange = asyncio.ensure_future(
             news.communicator.neighbors_exchange(
-                message, neighbors, neighbors, channel=channel, deadline=DEADLINE
+                message,
+                neighbors,
+                neighbors,
+                channel=channel,
+                deadline=TOGETHER_ROUND_DEADLINE,
             )
         )
         try:
-            await unless(exchange, news.changed)
+            await wait_unless(exchange, news.changed)
             if exchange.done():
                 return exchange.result()
             if news.key() != key:
@@ -64,23 +68,23 @@ async def _exchange(
         except (PeerLost, AgentFailed):
             if news.clock.now() > ends:
                 raise
-            await news.clock.sleep(POLL, drone=news.id)
+            await news.clock.sleep(TEAM_LOOK_INTERVAL, drone=news.id)
             if news.key() != key:
                 return None
         finally:
-            await given_up(exchange)
+            await cancel_task(exchange)
 
 
-async def unless(task: "asyncio.Future[Any]", event: asyncio.Event) -> None:
+async def wait_unless(task: "asyncio.Future[Any]", event: asyncio.Event) -> None:
     """Wait for a task or for an event, until one of them is done."""
     waits = asyncio.ensure_future(event.wait())
     try:
         await asyncio.wait({task, waits}, return_when=asyncio.FIRST_COMPLETED)
     finally:
-        await given_up(waits)
+        await cancel_task(waits)
 
 
-async def given_up(task: "asyncio.Future[Any]") -> None:
+async def cancel_task(task: "asyncio.Future[Any]") -> None:
     """Cancel a task that is not needed any more, and wait for its end."""
     if not task.done():
         task.cancel()

@@ -12,7 +12,7 @@ _PR_SET_PDEATHSIG = 1
 """Option of prctl(2): the signal that this process gets when its parent ends."""
 
 
-def with_parent() -> None:
+def end_after_parent() -> None:
     """Let this process land or end by SIGHUP when its parent process has ended.
 
     Ctrl-C comes through the parent. Before there is anything to land, it ends this process at once
@@ -22,7 +22,7 @@ def with_parent() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
-def run(app: Callable[[], None]) -> None:
+def run_to_exit(app: Callable[[], None]) -> None:
     """Run a command and end at once with its exit code.
 
     A process that has had a Zenoh session has threads of Zenoh, and one of them may not close.

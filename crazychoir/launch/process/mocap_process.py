@@ -13,23 +13,23 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from crazychoir.bus.network.hello import VERSION
+from crazychoir.bus.network.hello import PACKAGE_VERSION
 from crazychoir.bus.network.zenoh_link import ZenohLink
-from crazychoir.config.swarm_config import MOCAP, SwarmConfig
+from crazychoir.config.swarm_config import PROCESS_NUMBERS, SwarmConfig
 from crazychoir.launch.process.signals import end_on_signals
-from crazychoir.mocap.process import MocapProcess, source_of
-from crazychoir.mocap.recording import Recorder
-from crazychoir.mocap.watch import MISSING, Sight
+from crazychoir.mocap.process import MocapProcess, make_source
+from crazychoir.mocap.recording import FrameRecorder
+from crazychoir.mocap.watch import TRACKING_LIMITS, BodyRecord
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.runtime.watchdog import Watchdog
 
-SHOWS = 4.0
+MOCAP_TABLE_RATE = 4.0
 """Updates of the live table, Hz."""
 Show = Callable[[MocapProcess], None]
 
 
-class Showing(Actor):
+class MocapTableActor(Actor):
     """Shows the live table."""
 
     name = "table"
@@ -40,7 +40,7 @@ class Showing(Actor):
 
     async def run(self) -> None:
         """Show the table SHOWS times a second."""
-        async for _ in self._process.clock.ticks(SHOWS):
+        async for _ in self._process.clock.ticks(MOCAP_TABLE_RATE):
             self._show(self._process)
 
 
@@ -59,17 +59,19 @@ def run_mocap(
         incarnation = random.SystemRandom().getrandbits(62)
         name = f"mocap-{incarnation & 0xFFFFFFFF:08x}"
         host = config.mocap.host or socket.gethostname().split(".")[0]
-        source = source_of(clock, config)
-        recorder = None if record is None else stack.enter_context(Recorder(record))
+        source = make_source(clock, config)
+        recorder = (
+            None if record is None else stack.enter_context(FrameRecorder(record))
+        )
         mocap = MocapProcess(clock, config, source, name, host, incarnation, recorder)
         link = ZenohLink(
             mocap.bus,
             config.name,
-            listen=[listen or config.endpoints()[MOCAP]],
+            listen=[listen or config.endpoints()[PROCESS_NUMBERS.motion_capture]],
             connect=[],
             routers=config.routers,
             incarnation=incarnation,
-            version=VERSION,
+            version=PACKAGE_VERSION,
             lease=config.lease,
             access=config.access(host, *filter(None, [listen])),
             on_refused=mocap.refuse,
@@ -80,7 +82,7 @@ def run_mocap(
         watchdog.start()
         end_on_signals(clock, mocap)
         try:
-            await mocap.serve(link, *([Showing(mocap, show)] if show else []))
+            await mocap.serve(link, *([MocapTableActor(mocap, show)] if show else []))
         finally:
             watchdog.stop()
             stack.close()
@@ -93,13 +95,11 @@ def run_mocap(
         return run_wall(main)
 
 
-def mocap_table(process: MocapProcess) -> Table:
+def build_mocap_table(process: MocapProcess) -> Table:
     """Return a table of the bodies: drone, rate, age, place, number of frames without the body."""
     watch = process.watch
     now = process.clock.now()
-    title = (
-        f"{process.source.where}: {process.source.state}, {_hertz(watch.mean_rate)} Hz"
-    )
+    title = f"{process.source.where}: {process.source.state}, {_format_hertz(watch.mean_rate)} Hz"
     table = Table(
         "body",
         "drone",
@@ -115,21 +115,27 @@ def mocap_table(process: MocapProcess) -> Table:
     owners = {name: str(i) for i, name in watch.names.items()}
     for name in dict.fromkeys([*owners, *sorted(watch.sights)]):
         sight = watch.sights.get(name)
-        cells = ["never seen"] if sight is None else _cells(sight, now - sight.last)
+        cells = (
+            ["never seen"] if sight is None else _format_cells(sight, now - sight.last)
+        )
         table.add_row(name, owners.get(name, "-"), *cells)
     return table
 
 
-def _cells(sight: Sight, age: float) -> list[str | Text]:
-    shown = Text(f"{age:.1f}", "red") if age > MISSING else f"{age:.2f}"
+def _format_cells(sight: BodyRecord, age: float) -> list[str | Text]:
+    shown = (
+        Text(f"{age:.1f}", "red")
+        if age > TRACKING_LIMITS.missing_time
+        else f"{age:.2f}"
+    )
     return [
-        _hertz(sight.rate),
+        _format_hertz(sight.rate),
         shown,
         *(f"{c:.3f}" for c in sight.flat[0:3]),
         str(sight.dropped),
     ]
 
 
-def _hertz(rate: float) -> str:
+def _format_hertz(rate: float) -> str:
     """Return a mean rate as text; "-" if there is none yet."""
     return "-" if math.isnan(rate) else f"{rate:.0f}"

@@ -9,16 +9,16 @@ from typing import Any
 
 from crazychoir.agent.agent import Agent
 from crazychoir.agent.worlds import WorldProcess
-from crazychoir.bus.network.hello import VERSION
+from crazychoir.bus.network.hello import PACKAGE_VERSION
 from crazychoir.bus.network.public_topics import PublicCopies
 from crazychoir.bus.network.zenoh_link import ZenohLink
-from crazychoir.config.swarm_config import DONGLES, MOCAP, WORLD, SwarmConfig
+from crazychoir.config.swarm_config import PROCESS_NUMBERS, SwarmConfig
 from crazychoir.errors import Refused
 from crazychoir.guidance.mission import Mission
-from crazychoir.launch.process.signals import AGAIN, NAMES, end_on_signals
-from crazychoir.radio.link.ownership import owned
+from crazychoir.launch.process.signals import REPEAT_TIME, SIGNAL_NAMES, end_on_signals
+from crazychoir.radio.link.ownership import own_dongle
 from crazychoir.radio.owner import RadioProcess
-from crazychoir.runtime.clock import SECOND, Clock, run_wall
+from crazychoir.runtime.clock import NS_PER_SECOND, Clock, run_wall
 from crazychoir.runtime.watchdog import Watchdog
 from crazychoir.runtime.worker_thread import add_signal_handler
 
@@ -47,7 +47,7 @@ def run_agent(
             alone=False,
         )
         _obey_signals(clock, agent)  # before others can find this process and end it
-        link = _link(agent, config, ids, listen, connect)
+        link = _make_process_link(agent, config, ids, listen, connect)
         link.open()
         agent.alarm = link.alarm
         others_hang_too = bool(agent.owned) or len(ids) > 1
@@ -70,7 +70,7 @@ def run_agent(
     return run_wall(main)
 
 
-def _link(
+def _make_process_link(
     agent: Agent,
     config: SwarmConfig,
     ids: tuple[int, ...],
@@ -106,7 +106,7 @@ def _link(
         connect=lower if connect is None else connect,
         routers=[] if listen or connect else config.routers,
         incarnation=agent.incarnation,
-        version=VERSION,
+        version=PACKAGE_VERSION,
         lease=config.lease,
         access=config.access(agent.bus.host, *filter(None, [listen, *(connect or ())])),
         on_token=on_token,
@@ -126,11 +126,11 @@ def run_world(config: SwarmConfig, listen: str | None) -> dict[str, Any]:
         link = ZenohLink(
             world.bus,
             config.name,
-            listen=[listen or config.endpoints()[WORLD]],
+            listen=[listen or config.endpoints()[PROCESS_NUMBERS.world]],
             connect=[],
             routers=config.routers,
             incarnation=incarnation,
-            version=VERSION,
+            version=PACKAGE_VERSION,
             lease=config.lease,
             access=config.access(host, *filter(None, [listen])),
             on_refused=world.refuse,
@@ -167,11 +167,13 @@ def run_radios(config: SwarmConfig, dongle: int, listen: str | None) -> dict[str
         link = ZenohLink(
             radios.bus,
             config.name,
-            listen=[listen or endpoints[DONGLES - dongle]],
-            connect=[endpoints[MOCAP]] if MOCAP in endpoints else [],
+            listen=[listen or endpoints[PROCESS_NUMBERS.first_dongle - dongle]],
+            connect=[endpoints[PROCESS_NUMBERS.motion_capture]]
+            if PROCESS_NUMBERS.motion_capture in endpoints
+            else [],
             routers=config.routers,
             incarnation=incarnation,
-            version=VERSION,
+            version=PACKAGE_VERSION,
             lease=config.lease,
             access=config.access(host, *filter(None, [listen])),
             on_refused=radios.refuse,
@@ -182,7 +184,7 @@ def run_radios(config: SwarmConfig, dongle: int, listen: str | None) -> dict[str
         await radios.serve(link)
         return radios.report() | {"network": asdict(link.counters)}
 
-    with owned(config, dongle):
+    with own_dongle(config, dongle):
         return run_wall(main)
 
 
@@ -199,13 +201,13 @@ def _obey_signals(clock: Clock, agent: Agent) -> None:
             agent.land_all("SIGHUP: landing")
             return
         times.append(clock.now_ns())
-        recent = [t for t in times if t > times[-1] - AGAIN * SECOND]
+        recent = [t for t in times if t > times[-1] - REPEAT_TIME * NS_PER_SECOND]
         if len(recent) >= 3:
             agent.cut_all("third signal")
         elif len(recent) == 2:
-            log.warning("landing; once more within %g s cuts the motors", AGAIN)
+            log.warning("landing; once more within %g s cuts the motors", REPEAT_TIME)
         else:
-            agent.land_all(f"{NAMES[number]}: landing")
+            agent.land_all(f"{SIGNAL_NAMES[number]}: landing")
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         add_signal_handler(number, on_signal, number)

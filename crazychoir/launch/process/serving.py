@@ -5,27 +5,27 @@ import signal
 from typing import Any
 
 from crazychoir.errors import ConfigError
-from crazychoir.launch.console import Progress
-from crazychoir.radio.virtual.air import Dongle
+from crazychoir.launch.console import LiveTable
+from crazychoir.radio.virtual.air import VirtualDongle
 from crazychoir.radio.virtual.server import VirtualServer
-from crazychoir.radio.virtual.setup import Hall
+from crazychoir.radio.virtual.setup import VirtualSwarm
 from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.runtime.worker_thread import add_signal_handler
 
-LOOKS = 4.0
+SERVING_TABLE_RATE = 4.0
 """Updates of the live table, Hz."""
 Shared = list[tuple[tuple[int, ...], float | None]]
 """For each dongle: its drones and its capacity in packets/s, None if not given."""
 
 
-async def serve(
+async def serve_virtual_drones(
     clock: Clock,
-    hall: Hall,
+    hall: VirtualSwarm,
     shared: Shared,
     seed: int,
     release: str,
-    progress: Progress[dict[int, Any]],
+    progress: LiveTable[dict[int, Any]],
 ) -> dict[str, Any]:
     """Serve virtual Crazyflies until a signal; return a report.
 
@@ -36,7 +36,7 @@ async def serve(
     progress: live table
     Raises ConfigError if a port is taken.
     """
-    radios = [Dongle(clock, group, capacity) for group, capacity in shared]
+    radios = [VirtualDongle(clock, group, capacity) for group, capacity in shared]
     server = VirtualServer(
         clock, hall.world(seed, release), hall.seats, hall.poses, radios, seed
     )
@@ -52,8 +52,8 @@ async def serve(
     )
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         add_signal_handler(number, supervisor.stop)
-    progress.say(_where(hall))
-    shows = asyncio.create_task(_show(clock, server, progress))
+    progress.say(_describe_addresses(hall))
+    shows = asyncio.create_task(_show_progress(clock, server, progress))
     try:
         await supervisor.run([server])
     finally:
@@ -63,14 +63,14 @@ async def serve(
     )
 
 
-def _where(hall: Hall) -> str:
+def _describe_addresses(hall: VirtualSwarm) -> str:
     uris = [f"udp://{seat.at[0]}:{seat.at[1]}" for seat in hall.seats]
     shown = uris[0] if len(uris) == 1 else f"{uris[0]} to {uris[-1]}"
     return f"virtual Crazyflies: {shown}; poses at udp://{hall.poses[0]}:{hall.poses[1]}; Ctrl-C ends"
 
 
-async def _show(
-    clock: Clock, server: VirtualServer, progress: Progress[dict[int, Any]]
+async def _show_progress(
+    clock: Clock, server: VirtualServer, progress: LiveTable[dict[int, Any]]
 ) -> None:
-    async for _ in clock.ticks(LOOKS):
+    async for _ in clock.ticks(SERVING_TABLE_RATE):
         progress({i: server.state(i) for i in server.ports})

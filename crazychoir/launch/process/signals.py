@@ -3,16 +3,19 @@
 import signal
 from typing import Protocol
 
-from crazychoir.runtime.clock import SECOND, Clock
+from crazychoir.runtime.clock import NS_PER_SECOND, Clock
 from crazychoir.runtime.worker_thread import add_signal_handler
 
-AGAIN = 2.0
+REPEAT_TIME = 2.0
 """Seconds within which a signal counts as a repetition of the one before."""
-NAMES: dict[int, str] = {signal.SIGINT: "Ctrl-C (SIGINT)", signal.SIGTERM: "SIGTERM"}
+SIGNAL_NAMES: dict[int, str] = {
+    signal.SIGINT: "Ctrl-C (SIGINT)",
+    signal.SIGTERM: "SIGTERM",
+}
 """Names of the signals, for the log."""
 
 
-class Owner(Protocol):
+class EndableProcess(Protocol):
     """A process that can be ended."""
 
     def end(self, reason: str) -> None:
@@ -24,7 +27,7 @@ class Owner(Protocol):
         ...
 
 
-def end_on_signals(clock: Clock, owner: Owner) -> None:
+def end_on_signals(clock: Clock, owner: EndableProcess) -> None:
     """End the owner as soon as no drone needs it; end it at once at a second signal within 2 s.
 
     SIGHUP never counts as the second signal.
@@ -33,12 +36,12 @@ def end_on_signals(clock: Clock, owner: Owner) -> None:
 
     def on_signal(number: int) -> None:
         again = number != signal.SIGHUP and any(
-            t > clock.now_ns() - AGAIN * SECOND for t in times
+            t > clock.now_ns() - REPEAT_TIME * NS_PER_SECOND for t in times
         )
         if again:
             owner.abort("a second signal")
         else:
-            owner.end(NAMES.get(number, "SIGHUP"))
+            owner.end(SIGNAL_NAMES.get(number, "SIGHUP"))
         if number != signal.SIGHUP:
             times.append(clock.now_ns())
 

@@ -8,7 +8,7 @@ from crazychoir.errors import ConfigError
 from crazychoir.optimization.problems.problems import CostCoupled, require_problem
 from crazychoir.optimization.rounds.arrays import is_number
 from crazychoir.optimization.rounds.iteration import Iteration
-from crazychoir.optimization.rounds.messages import like, require_heard
+from crazychoir.optimization.rounds.messages import check_array, require_heard
 from crazychoir.types import Vec
 
 
@@ -80,7 +80,9 @@ class ADMM(Iteration):
         """Compute z in even rounds; in odd rounds compute L, and x for the next iteration."""
         require_heard(self.i, self.neighbors, heard)
         own = self.z if self.k % 2 else self.x
-        total = sum((like(self.i, j, x, own) for j, x in heard.items()), start=own)
+        total = sum(
+            (check_array(self.i, j, x, own) for j, x in heard.items()), start=own
+        )
         if self.k % 2 == 0:
             self.z = total / self._members
             return

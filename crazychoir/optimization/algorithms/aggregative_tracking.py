@@ -7,9 +7,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from crazychoir.errors import ConfigError
-from crazychoir.optimization.problems.gradient import Checked, Project, anywhere
-from crazychoir.optimization.rounds.iteration import vector
-from crazychoir.optimization.rounds.messages import parts
+from crazychoir.optimization.problems.gradient import (
+    CheckedFunction,
+    Project,
+    keep_point,
+)
+from crazychoir.optimization.rounds.iteration import copy_state
+from crazychoir.optimization.rounds.messages import check_parts
 from crazychoir.optimization.rounds.mixing import Mixing, Row, Rows, mix
 from crazychoir.optimization.rounds.step_size import StepSize, step_size
 from crazychoir.types import Vec
@@ -63,24 +67,24 @@ class AggregativeTracking(Mixing):
         gradient_own: OfBoth,
         gradient_sigma: OfBoth,
         step: float | StepSize,
-        project: Project = anywhere,
+        project: Project = keep_point,
         delta: float = 1.0,
         rounds: int | None = None,
     ) -> None:
         super().__init__(i, weights, rounds)
-        self.x = vector(f"agent {i}: x", x)
-        self.aggregate = Checked(i, "aggregate", aggregate)
-        self.jacobian = Checked(i, "jacobian", jacobian)
-        self.gradient_own = Checked(i, "gradient_own", gradient_own)
-        self.gradient_sigma = Checked(i, "gradient_sigma", gradient_sigma)
+        self.x = copy_state(f"agent {i}: x", x)
+        self.aggregate = CheckedFunction(i, "aggregate", aggregate)
+        self.jacobian = CheckedFunction(i, "jacobian", jacobian)
+        self.gradient_own = CheckedFunction(i, "gradient_own", gradient_own)
+        self.gradient_sigma = CheckedFunction(i, "gradient_sigma", gradient_sigma)
         self.project, self.step_size, self.delta = (
-            Checked(i, "project", project),
+            CheckedFunction(i, "project", project),
             step_size(step),
             delta,
         )
         if not 0.0 < delta <= 1.0:
             raise ConfigError(f"agent {i}: delta", delta, "above 0, at most 1")
-        self.phi = self.sigma = vector(f"agent {i}: aggregate", aggregate(self.x))
+        self.phi = self.sigma = copy_state(f"agent {i}: aggregate", aggregate(self.x))
         self.g = self.y = self._pull(0, self.x, self.sigma)
 
     def _pull(self, k: int, x: Vec, sigma: Vec) -> Vec:
@@ -95,7 +99,7 @@ class AggregativeTracking(Mixing):
         """Move x, track sigma, and track the gradient with respect to sigma."""
         k = self.k
         x = self.x
-        parts(self.i, k, heard, object, object)
+        check_parts(self.i, k, heard, object, object)
         jacobian = self.jacobian(k, x, shape=(len(self.sigma), len(x)))
         down = self.gradient_own(k, x, self.sigma) + jacobian.T @ self.y
         new = x + self.delta * (self.project(k, x - self.step_size(k) * down) - x)

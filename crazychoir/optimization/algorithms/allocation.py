@@ -6,8 +6,8 @@ import cvxpy as cp
 import numpy as np
 
 from crazychoir.errors import SolverError
-from crazychoir.optimization.algorithms.primal_decomposition import Allocated
-from crazychoir.optimization.problems.conic import MOST_ITERATIONS
+from crazychoir.optimization.algorithms.primal_decomposition import AllocatedSolution
+from crazychoir.optimization.problems.conic import CONIC_LIMITS
 from crazychoir.optimization.problems.problems import ConstraintCoupled, require_problem
 from crazychoir.types import Vec
 
@@ -34,7 +34,7 @@ class Allocation:
         )
         self._rho = rho
 
-    def allocate(self, y: Vec) -> Allocated:
+    def allocate(self, y: Vec) -> AllocatedSolution:
         """Return p_i(y) and its prices.
 
         y: (S,)
@@ -45,7 +45,9 @@ class Allocation:
             with warnings.catch_warnings():
                 # An inaccurate answer shows in the status, which is checked below.
                 warnings.simplefilter("ignore")
-                self._program.solve(solver=cp.CLARABEL, max_iter=MOST_ITERATIONS)
+                self._program.solve(
+                    solver=cp.CLARABEL, max_iter=CONIC_LIMITS.most_iterations
+                )
         except cp.SolverError as error:
             raise SolverError(f"{problem.where}: local problem", str(error)) from error
         if self._program.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
@@ -56,4 +58,6 @@ class Allocation:
             )
         x = np.array(np.ravel(problem.x.value), dtype=float)
         mu = np.maximum(np.ravel(self._row.dual_value), 0.0)
-        return Allocated(float(self._program.value), x, mu, float(self._rho.value))
+        return AllocatedSolution(
+            float(self._program.value), x, mu, float(self._rho.value)
+        )

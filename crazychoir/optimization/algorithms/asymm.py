@@ -1,32 +1,48 @@
 """ASYMM: the asynchronous method of multipliers, for problems that need not be convex."""
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from crazychoir.errors import ConfigError, SolverError
-from crazychoir.optimization.problems.smooth import Smooth, descended
-from crazychoir.optimization.rounds.iteration import vector
-from crazychoir.optimization.rounds.messages import INTEGER, NUMBER, like, parts
+from crazychoir.optimization.problems.smooth import SmoothFunction, descend_once
+from crazychoir.optimization.rounds.iteration import copy_state
+from crazychoir.optimization.rounds.messages import (
+    INTEGER_TYPES,
+    REAL_NUMBER_TYPES,
+    check_array,
+    check_parts,
+)
 from crazychoir.optimization.rounds.stopping import Flags
 from crazychoir.types import PerNeighbor, Vec
 
-MOST_PENALTY: Final = 1e5
-"""Largest penalty rho and s."""
-CALM: Final = 5
-"""Number of times in a row that an agent must find its gradient small.
 
-In this time the last steps of the other agents can arrive.
-"""
-GROWING: Final = 0.05
-"""Largest last change of nu_ij, relative to 1 + |nu_ij|, that counts as converged."""
-UNMET: Final = 1e-3
-"""Tolerance of a constraint at the largest penalty, relative to 1 + |x_k|.
+@dataclass(frozen=True, slots=True)
+class AsymmLimits:
+    """Limits of the penalties of ASYMM, and when an agent counts as calm, growing or stuck."""
 
-A constraint that is missed by more will not be met.
-"""
+    largest_penalty: float = 1e5
+    """Largest penalty rho and s."""
+    calm_times: int = 5
+    """Number of times in a row that an agent must find its gradient small.
+
+    In this time the last steps of the other agents can arrive.
+    """
+    growing_change: float = 0.05
+    """Largest last change of nu_ij, relative to 1 + |nu_ij|, that counts as converged."""
+    unmet_tolerance: float = 1e-3
+    """Tolerance of a constraint at the largest penalty, relative to 1 + |x_k|.
+
+    A constraint that is missed by more will not be met.
+    """
+
+
+ASYMM_LIMITS = AsymmLimits()
+
+
 MOST_STEPS: Final = 5_000
 """Largest number of steps of an agent in an epoch."""
 Heard = tuple[int, bytes, Vec, Vec, float]
@@ -98,10 +114,10 @@ class ASYMM:
         neighbors: Iterable[int],
         diameter: int,
         x: ArrayLike,
-        objective: Smooth,
+        objective: SmoothFunction,
         *,
-        equalities: Smooth | None = None,
-        inequalities: Smooth | None = None,
+        equalities: SmoothFunction | None = None,
+        inequalities: SmoothFunction | None = None,
         epochs: int = 25,
         penalty: float = 1.0,
         tolerance: float = 0.1,
@@ -110,7 +126,7 @@ class ASYMM:
         sharpen: float = 0.5,
     ) -> None:
         for name, value, most in (
-            ("penalty", penalty, MOST_PENALTY),
+            ("penalty", penalty, ASYMM_LIMITS.largest_penalty),
             ("tolerance", tolerance, np.inf),
         ):
             if not 0.0 < value <= most:
@@ -133,7 +149,7 @@ class ASYMM:
         self.i = i
         self.where = f"agent {i}"
         self.neighbors = tuple(sorted(neighbors))
-        self.x = vector(f"{self.where}: x", x)
+        self.x = copy_state(f"{self.where}: x", x)
         self.epochs = epochs
         self.tolerance = tolerance
         self.growth = growth
@@ -144,7 +160,7 @@ class ASYMM:
         self.nu = {j: np.zeros_like(self.x) for j in self.neighbors}
         self.rho = dict.fromkeys(self.neighbors, penalty)
         self._gap = dict.fromkeys(self.neighbors, np.inf)
-        self._own = _Own(
+        self._own = _AugmentedLagrangian(
             self.where, len(self.x), objective, equalities, inequalities, penalty
         )
         self.diameter = diameter
@@ -170,13 +186,22 @@ class ASYMM:
     def step(self, heard: Mapping[int, Any]) -> None:
         """Take the messages; then make a step, enter the next epoch, or wait."""
         self.k += 1
-        said = parts(self.i, self.k, heard, INTEGER, bytes, object, object, NUMBER)
+        said = check_parts(
+            self.i,
+            self.k,
+            heard,
+            INTEGER_TYPES,
+            bytes,
+            object,
+            object,
+            REAL_NUMBER_TYPES,
+        )
         for j, (epoch, bits, x, nu, rho) in said.items():
             self._heard[j] = (
                 epoch,
                 bits,
-                like(self.i, j, x, self.x),
-                like(self.i, j, nu, self.x),
+                check_array(self.i, j, x, self.x),
+                check_array(self.i, j, nu, self.x),
                 rho,
             )
         others = [self._heard[j] for j in self.neighbors if j in self._heard]
@@ -199,7 +224,7 @@ class ASYMM:
         Returns True if the gradient has been small for some time.
         """
         self._calm = 0 if self._descend() else self._calm + 1
-        return self._calm >= CALM
+        return self._calm >= ASYMM_LIMITS.calm_times
 
     def _descend(self) -> bool:
         """Make a step unless the gradient is small; return True if x has changed."""
@@ -228,7 +253,7 @@ class ASYMM:
                 "no minimum, or tolerance too sharp",
             )
         before = self.x
-        self.x = descended(value, gradient, self.x)
+        self.x = descend_once(value, gradient, self.x)
         return self.x is not before
 
     def _ascend(self) -> None:
@@ -237,16 +262,18 @@ class ASYMM:
             self.nu[j] = self.nu[j] + self.rho[j] * (self.x - x)
             gap = float(np.linalg.norm(self.x - x))
             size = float(np.linalg.norm(self.nu[j]))
-            if self.epoch + 1 == self.epochs and self.rho[j] * gap > GROWING * (
-                1.0 + size
-            ):
+            if self.epoch + 1 == self.epochs and self.rho[
+                j
+            ] * gap > ASYMM_LIMITS.growing_change * (1.0 + size):
                 why = "constraints that exclude each other, or too few epochs"
                 found = (
                     f"x is {gap:.3g} from that of agent {j} after {self.epochs} epochs"
                 )
                 raise SolverError(f"{self.where}: {found}", why)
             if gap > self.shrink * self._gap[j] and self.rho[j] * gap > self.tolerance:
-                self.rho[j] = min(self.growth * self.rho[j], MOST_PENALTY)
+                self.rho[j] = min(
+                    self.growth * self.rho[j], ASYMM_LIMITS.largest_penalty
+                )
             self._gap[j] = gap
         if self.epoch + 1 == self.epochs:
             self._own.require_met(self.x, self.epochs)
@@ -257,7 +284,7 @@ class ASYMM:
         self._calm = self._steps = 0
 
 
-class _Own:
+class _AugmentedLagrangian:
     """f_i with its constraints in an augmented Lagrangian of its own.
 
     where: text that names the agent, for errors
@@ -274,12 +301,12 @@ class _Own:
         self,
         where: str,
         n: int,
-        f: Smooth,
-        h: Smooth | None,
-        g: Smooth | None,
+        f: SmoothFunction,
+        h: SmoothFunction | None,
+        g: SmoothFunction | None,
         penalty: float,
     ) -> None:
-        nothing = Smooth(lambda x: np.zeros(0), lambda x: np.zeros((0, n)))
+        nothing = SmoothFunction(lambda x: np.zeros(0), lambda x: np.zeros((0, n)))
         self._f = f
         self._h = h or nothing
         self._g = g or nothing
@@ -335,10 +362,12 @@ class _Own:
                 continue
             row = int(np.argmax(missed))
             size = float(np.linalg.norm(multipliers))
-            is_growing = self.s * missed[row] > GROWING * (1.0 + size)
-            is_stuck = self.s >= MOST_PENALTY and missed[row] > UNMET * (
-                1.0 + float(np.abs(x).max())
+            is_growing = self.s * missed[row] > ASYMM_LIMITS.growing_change * (
+                1.0 + size
             )
+            is_stuck = self.s >= ASYMM_LIMITS.largest_penalty and missed[
+                row
+            ] > ASYMM_LIMITS.unmet_tolerance * (1.0 + float(np.abs(x).max()))
             if is_growing or is_stuck:
                 found = f"{name}, row {row}: violated by {missed[row]:.3g} after {epochs} epochs"
                 why = "constraints that exclude each other, or too few epochs"
@@ -352,5 +381,5 @@ class _Own:
         self.l = self.l + self.s * h
         self.m = m
         if missed > shrink * self._missed and self.s * missed > tolerance:
-            self.s = min(growth * self.s, MOST_PENALTY)
+            self.s = min(growth * self.s, ASYMM_LIMITS.largest_penalty)
         self._missed = missed

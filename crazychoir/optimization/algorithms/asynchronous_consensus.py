@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from numpy.typing import ArrayLike
 
 from crazychoir.errors import ConfigError
-from crazychoir.optimization.rounds.iteration import Iteration, vector
-from crazychoir.optimization.rounds.mixing import Row, checked_rows, shape_of
+from crazychoir.optimization.rounds.iteration import Iteration, copy_state
+from crazychoir.optimization.rounds.mixing import Row, check_rows, describe_shape
 from crazychoir.types import Vec
 
 
@@ -33,8 +33,8 @@ class AsynchronousConsensus(Iteration):
         self, i: int, x: ArrayLike, weights: Row, rounds: int | None = None
     ) -> None:
         super().__init__(i, rounds)
-        self.x = vector(f"agent {i}: x", x)
-        self.weights = checked_rows(i, weights)
+        self.x = copy_state(f"agent {i}: x", x)
+        self.weights = check_rows(i, weights)
         if min(weights.values()) < 0.0 or weights[i] <= 0.0:
             raise ConfigError(
                 f"agent {i}: weights",
@@ -57,7 +57,9 @@ class AsynchronousConsensus(Iteration):
                     f"shape {x.shape}, of agents {[j for j in row if j != self.i]}"
                 )
                 raise ConfigError(
-                    f"agent {self.i}: message of agent {j}", shape_of(other), allowed
+                    f"agent {self.i}: message of agent {j}",
+                    describe_shape(other),
+                    allowed,
                 )
             moved += row[j] * (other - x)
         self.x = x + moved

@@ -6,9 +6,13 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from crazychoir.errors import ConfigError
-from crazychoir.optimization.rounds.blocks import Blocks, flat
-from crazychoir.optimization.rounds.iteration import vector
-from crazychoir.optimization.rounds.messages import INTEGER, like, parts
+from crazychoir.optimization.rounds.blocks import Blocks, require_vector
+from crazychoir.optimization.rounds.iteration import copy_state
+from crazychoir.optimization.rounds.messages import (
+    INTEGER_TYPES,
+    check_array,
+    check_parts,
+)
 from crazychoir.optimization.rounds.mixing import Mixing, Row, Rows, require_heard
 from crazychoir.types import Vec
 
@@ -59,7 +63,7 @@ class BlockConsensus(Mixing):
                 f"{len(self.weights)} rows",
                 "one: the graph must not change",
             )
-        self.x = flat(i, vector(f"agent {i}: x", x))
+        self.x = require_vector(i, copy_state(f"agent {i}: x", x))
         self.blocks = Blocks(i, len(self.x), blocks, chances, awake, seed)
         self._known: dict[int, Vec] = {}
         self._changed: int | None = None
@@ -105,9 +109,9 @@ class BlockConsensus(Mixing):
         if message is None:
             return
         if not isinstance(message, list):
-            self._known[j] = like(self.i, j, message, self.x).copy()
+            self._known[j] = check_array(self.i, j, message, self.x).copy()
             return
-        parts(self.i, self.k, {j: message}, INTEGER, object)
+        check_parts(self.i, self.k, {j: message}, INTEGER_TYPES, object)
         block, values = message
         if j not in self._known or not 0 <= block < len(self.blocks):
             allowed = f"all of x, then of blocks 0 to {len(self.blocks) - 1}"
@@ -117,4 +121,4 @@ class BlockConsensus(Mixing):
                 allowed,
             )
         part = self.blocks.part(block)
-        self._known[j][part] = like(self.i, j, values, self.x[part])
+        self._known[j][part] = check_array(self.i, j, values, self.x[part])

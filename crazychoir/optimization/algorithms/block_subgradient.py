@@ -6,10 +6,10 @@ from numpy.typing import ArrayLike
 
 from crazychoir.optimization.algorithms.block_consensus import BlockConsensus
 from crazychoir.optimization.problems.gradient import (
-    Checked,
+    CheckedFunction,
     Gradient,
     Project,
-    anywhere,
+    keep_point,
 )
 from crazychoir.optimization.rounds.mixing import Row, Rows
 from crazychoir.optimization.rounds.step_size import StepSize, step_size
@@ -45,15 +45,15 @@ class BlockSubgradientMethod(BlockConsensus):
         blocks: Sequence[int],
         gradient: Gradient,
         step: float | StepSize,
-        project: Project = anywhere,
+        project: Project = keep_point,
         chances: Sequence[float] | None = None,
         awake: float = 1.0,
         rounds: int | None = None,
         seed: int = 0,
     ) -> None:
         super().__init__(i, x, weights, blocks, chances, awake, rounds, seed)
-        self.gradient = Checked(i, "gradient", gradient)
-        self.project = Checked(i, "project", project)
+        self.gradient = CheckedFunction(i, "gradient", gradient)
+        self.project = CheckedFunction(i, "project", project)
         self.step_size = step_size(step)
 
     def changed(self, row: Row, part: slice) -> Vec:

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from numpy.typing import ArrayLike
 
-from crazychoir.optimization.rounds.iteration import vector
+from crazychoir.optimization.rounds.iteration import copy_state
 from crazychoir.optimization.rounds.mixing import Mixing, Row, Rows, mix
 from crazychoir.types import Vec
 
@@ -33,7 +33,7 @@ class Consensus(Mixing):
         self, i: int, x: ArrayLike, weights: Rows, rounds: int | None = None
     ) -> None:
         super().__init__(i, weights, rounds)
-        self.x = vector(f"agent {i}: x", x)
+        self.x = copy_state(f"agent {i}: x", x)
 
     def payload(self) -> Vec:
         """Return x_i."""

@@ -4,6 +4,7 @@ They agree in finite time.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -15,24 +16,35 @@ from crazychoir.optimization.problems.problems import CommonCost, require_proble
 from crazychoir.optimization.problems.quadratic import (
     Polyhedron,
     QuadraticProgram,
-    positive,
+    require_positive_definite,
 )
 from crazychoir.optimization.rounds.iteration import Iteration
-from crazychoir.optimization.rounds.messages import INTEGER, parts
+from crazychoir.optimization.rounds.messages import INTEGER_TYPES, check_parts
 from crazychoir.types import Mat, Vec
 
-TOLERANCE: Final = 1e-7
-"""Tolerance of a row a'x <= b with |a| = 1.
 
-It is relative to the row's own terms, |a|'|x| + |b|, and to 1 + |b|.
-"""
-NEGLIGIBLE: Final = 1e-12
-"""In the units of x: a row that is missed by less counts as met, whatever its terms are."""
-TIE: Final = 1e-5
-"""Weight of the tie-break 1/2 |x|^2 beside a linear objective of length one."""
-CERTAIN: Final = 1e-8
-"""Largest part of a gradient entry without multipliers, relative to the entry's own terms."""
-BATCH: Final = 4
+@dataclass(frozen=True, slots=True)
+class ConstraintTolerances:
+    """Tolerances of the rows and of the optimality of a local solution."""
+
+    row: float = 1e-7
+    """Tolerance of a row a'x <= b with |a| = 1.
+
+    It is relative to the row's own terms, |a|'|x| + |b|, and to 1 + |b|.
+    """
+    negligible_miss: float = 1e-12
+    """In the units of x: a row that is missed by less counts as met, whatever its terms are."""
+    tie_break_weight: float = 1e-5
+    """Weight of the tie-break 1/2 |x|^2 beside a linear objective of length one."""
+    gradient: float = 1e-8
+    """Largest part of a gradient entry without multipliers, relative to the entry's own terms.
+    """
+
+
+CONSTRAINT_TOLERANCES = ConstraintTolerances()
+
+
+VIOLATED_ROW_BATCH: Final = 4
 """Violated rows that a local solution takes in at once, in multiples of the size of x."""
 
 
@@ -85,8 +97,8 @@ class ConstraintsConsensus(Iteration):
         self.problem = problem
         self.diameter = diameter
         self.unchanged = 0
-        self._P, self._q, self._flat = _strictly_convex(problem)
-        self._own = _inequalities(problem)
+        self._P, self._q, self._flat = _make_strictly_convex(problem)
+        self._own = _list_inequalities(problem)
         self.x = np.zeros(problem.n)
         self.basis = np.zeros((0, problem.n + 1))
 
@@ -109,7 +121,9 @@ class ConstraintsConsensus(Iteration):
 
         If x violates one of their rows, find the new optimum and its basis.
         """
-        for j, (_, basis) in parts(self.i, self.k, heard, INTEGER, object).items():
+        for j, (_, basis) in check_parts(
+            self.i, self.k, heard, INTEGER_TYPES, object
+        ).items():
             if getattr(basis, "ndim", 0) != 2 or basis.shape[1] != self.basis.shape[1]:
                 allowed = f"(m, {self.basis.shape[1]}), as its own"
                 raise ConfigError(
@@ -134,13 +148,19 @@ class ConstraintsConsensus(Iteration):
 
         The condition is -grad f(x) = A'u over the basis, with some u >= 0.
         """
-        pull = self._q + self._P @ self.x - TIE * self.x
+        pull = (
+            self._q + self._P @ self.x - CONSTRAINT_TOLERANCES.tie_break_weight * self.x
+        )
         rows = self.basis[:, :-1]
         # Each entry is measured in its own unit. Otherwise a small entry, of an x in small units,
         # would vanish beside a large one.
         unit = np.abs(self._q) + np.abs(self._P) @ np.abs(self.x)
         unit = np.where(
-            unit > 0.0, unit, np.maximum(np.abs(rows).max(axis=0, initial=0.0), CERTAIN)
+            unit > 0.0,
+            unit,
+            np.maximum(
+                np.abs(rows).max(axis=0, initial=0.0), CONSTRAINT_TOLERANCES.gradient
+            ),
         )
         pull = pull / unit
         missing = (
@@ -148,9 +168,12 @@ class ConstraintsConsensus(Iteration):
             if len(rows)
             else float(np.linalg.norm(pull))
         )
-        if missing > CERTAIN:
+        if missing > CONSTRAINT_TOLERANCES.gradient:
             k = int(np.argmax(np.abs(self.x)))
-            found = f"x[{k}] = {self.x[k]:.6g} is held by the tie-break {TIE:g} |x|^2 / 2, not by constraints"
+            found = (
+                f"x[{k}] = {self.x[k]:.6g} is held by the tie-break "
+                f"{CONSTRAINT_TOLERANCES.tie_break_weight:g} |x|^2 / 2, not by constraints"
+            )
             do = "the optimum is farther away, or there is none; bound x, take larger units, or DualDistributedSimplex"
             raise SolverError(
                 f"agent {self.i}: constraints consensus", f"{found}: {do}"
@@ -175,8 +198,15 @@ class ConstraintsConsensus(Iteration):
         a = rows[:, :-1]
         b = rows[:, -1]
         terms = np.minimum(np.abs(a) @ np.abs(self.x), 1.0) + np.abs(b)
-        excess = a @ self.x - b - TOLERANCE * terms - NEGLIGIBLE
-        worst = np.argsort(-excess, kind="stable")[: BATCH * self.problem.n]
+        excess = (
+            a @ self.x
+            - b
+            - CONSTRAINT_TOLERANCES.row * terms
+            - CONSTRAINT_TOLERANCES.negligible_miss
+        )
+        worst = np.argsort(-excess, kind="stable")[
+            : VIOLATED_ROW_BATCH * self.problem.n
+        ]
         return np.asarray(rows[worst[excess[worst] > 0.0]])
 
     def _take(self, rows: Mat) -> None:
@@ -235,17 +265,22 @@ class ConstraintsConsensus(Iteration):
         return f"infeasible: row {row} <= {rows[r, -1]:.4g}: violated by {size * missed[n + r]:.4g}, at best"
 
 
-def _strictly_convex(problem: CommonCost) -> tuple[Mat, Vec, bool]:
+def _make_strictly_convex(problem: CommonCost) -> tuple[Mat, Vec, bool]:
     """Return P and q of f, with a tie-break if f needs one, and whether it does."""
     form = problem.cost
     try:
-        return positive(form.P), form.q, False
+        return require_positive_definite(form.P), form.q, False
     except np.linalg.LinAlgError:
         length = max(float(np.abs(form.P).max()), float(np.linalg.norm(form.q))) or 1.0
-        return form.P / length + TIE * np.eye(problem.n), form.q / length, True
+        return (
+            form.P / length
+            + CONSTRAINT_TOLERANCES.tie_break_weight * np.eye(problem.n),
+            form.q / length,
+            True,
+        )
 
 
-def _inequalities(problem: CommonCost) -> Mat:
+def _list_inequalities(problem: CommonCost) -> Mat:
     """Return X_i as rows [a', b]; an equality becomes two rows."""
     over = problem.polyhedron
     equal = np.column_stack([over.E, over.e])

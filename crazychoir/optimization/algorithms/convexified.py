@@ -3,24 +3,34 @@
 Only the corners that matter at the prices are computed.
 """
 
+from dataclasses import dataclass
+
 import highspy
 import numpy as np
 
 from crazychoir.errors import SolverError
-from crazychoir.optimization.algorithms.primal_decomposition import Allocated
-from crazychoir.optimization.problems.linear import quiet_highs
+from crazychoir.optimization.algorithms.primal_decomposition import AllocatedSolution
+from crazychoir.optimization.problems.linear import make_quiet_highs
 from crazychoir.optimization.problems.mixed_integer import (
     MixedIntegerBlock,
     require_block,
 )
 from crazychoir.types import Vec
 
-GAP = 1e-9
-"""Relative gap of the value at which column generation ends."""
-MOST_CORNERS = 10_000
-"""Largest number of corners in one solve."""
-ACTIVE = 1e-7
-"""A weight above this is not zero."""
+
+@dataclass(frozen=True, slots=True)
+class CornerGeneration:
+    """When column generation over the corners of conv(X_i) ends, and which corners are in use."""
+
+    relative_gap: float = 1e-9
+    """Relative gap of the value at which column generation ends."""
+    most_corners: int = 10_000
+    """Largest number of corners in one solve."""
+    least_weight: float = 1e-7
+    """A weight above this is not zero."""
+
+
+CORNER_GENERATION = CornerGeneration()
 
 
 class Convexified:
@@ -48,7 +58,7 @@ class Convexified:
         self.active = np.zeros((0, block.n))
         S = block.S
         none = np.array([], np.int32)
-        self._highs = quiet_highs()
+        self._highs = make_quiet_highs()
         for _ in range(S):
             self._highs.addRow(-highspy.kHighsInf, 0.0, 0, none, none)
         self._highs.addRow(1.0, 1.0, 0, none, none)
@@ -56,7 +66,7 @@ class Convexified:
         self._highs.addCol(penalty, 0.0, highspy.kHighsInf, S, rows, -np.ones(S))
         self._add(block.corner(block.c))
 
-    def allocate(self, y: Vec) -> Allocated:
+    def allocate(self, y: Vec) -> AllocatedSolution:
         """Return p_i(y) and its prices.
 
         y: (S,)
@@ -64,21 +74,26 @@ class Convexified:
         for s, most in enumerate(y):
             self._highs.changeRowBounds(s, -highspy.kHighsInf, float(most))
         block = self._block
-        for _ in range(MOST_CORNERS):
+        for _ in range(CORNER_GENERATION.most_corners):
             value, weights, dual = self._master()
             mu = np.maximum(-dual[:-1], 0.0)
             priced = block.c + mu @ block.A
             corner = block.corner(priced)
-            if float(priced @ corner) >= float(dual[-1]) - GAP * (
-                1.0 + abs(value)
-            ) or self._known(corner):
-                self.active = self._corners[weights[1:] > ACTIVE]
-                return Allocated(
+            if float(priced @ corner) >= float(
+                dual[-1]
+            ) - CORNER_GENERATION.relative_gap * (1.0 + abs(value)) or self._known(
+                corner
+            ):
+                self.active = self._corners[
+                    weights[1:] > CORNER_GENERATION.least_weight
+                ]
+                return AllocatedSolution(
                     value, weights[1:] @ self._corners, mu, float(weights[0])
                 )
             self._add(corner)
         raise SolverError(
-            f"{block.where}: local problem", f"{MOST_CORNERS} corners without an end"
+            f"{block.where}: local problem",
+            f"{CORNER_GENERATION.most_corners} corners without an end",
         )
 
     def _known(self, corner: Vec) -> bool:
@@ -87,7 +102,10 @@ class Convexified:
         If such a corner still seems to gain, the gain is within the tolerance of HiGHS.
         """
         return bool(
-            (np.abs(self._corners - corner) <= GAP * (1.0 + np.abs(corner)))
+            (
+                np.abs(self._corners - corner)
+                <= CORNER_GENERATION.relative_gap * (1.0 + np.abs(corner))
+            )
             .all(axis=1)
             .any()
         )

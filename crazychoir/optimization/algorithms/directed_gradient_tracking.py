@@ -5,10 +5,10 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from crazychoir.optimization.problems.gradient import Checked, Gradient
-from crazychoir.optimization.rounds.iteration import Iteration, vector
-from crazychoir.optimization.rounds.messages import like, parts
-from crazychoir.optimization.rounds.mixing import Rows, checked_rows, mix
+from crazychoir.optimization.problems.gradient import CheckedFunction, Gradient
+from crazychoir.optimization.rounds.iteration import Iteration, copy_state
+from crazychoir.optimization.rounds.messages import check_array, check_parts
+from crazychoir.optimization.rounds.mixing import Rows, check_rows, mix
 from crazychoir.optimization.rounds.step_size import StepSize, step_size
 from crazychoir.types import PerNeighbor, Vec
 
@@ -52,13 +52,13 @@ class DirectedGradientTracking(Iteration):
         rounds: int | None = None,
     ) -> None:
         super().__init__(i, rounds)
-        self.x = vector(f"agent {i}: x", x)
+        self.x = copy_state(f"agent {i}: x", x)
         self.weights, self.shares = (
-            checked_rows(i, weights),
-            checked_rows(i, shares, "shares"),
+            check_rows(i, weights),
+            check_rows(i, shares, "shares"),
         )
         self.gradient, self.step_size = (
-            Checked(i, "gradient", gradient),
+            CheckedFunction(i, "gradient", gradient),
             step_size(step),
         )
         self.g = self.d = self.gradient(0, self.x)
@@ -77,14 +77,14 @@ class DirectedGradientTracking(Iteration):
     def update(self, heard: Mapping[int, Any]) -> None:
         """Pull x and push d."""
         row = self.weights[self.k % len(self.weights)]
-        parts(self.i, self.k, heard, object, object)
+        check_parts(self.i, self.k, heard, object, object)
         x = mix(
             self.i, row, self._moved(), {j: theirs[0] for j, theirs in heard.items()}
         )
         g = self.gradient(self.k, x)
         d = self.shares[self.k % len(self.shares)][self.i] * self.d + g - self.g
         for j, (_, theirs) in heard.items():
-            d = d + like(self.i, j, theirs, d)
+            d = d + check_array(self.i, j, theirs, d)
         self.x = x
         self.d = d
         self.g = g

@@ -6,7 +6,7 @@ import numpy as np
 
 from crazychoir.optimization.problems.problems import CostCoupled, require_problem
 from crazychoir.optimization.rounds.iteration import Iteration
-from crazychoir.optimization.rounds.messages import like
+from crazychoir.optimization.rounds.messages import check_array
 from crazychoir.optimization.rounds.step_size import StepSize, step_size
 from crazychoir.types import Vec
 
@@ -60,6 +60,6 @@ class DualDecomposition(Iteration):
         """Ascend along the dual, then minimise for the next round."""
         apart = len(heard) * self.x
         for j, x in heard.items():
-            apart -= like(self.i, j, x, self.x)
+            apart -= check_array(self.i, j, x, self.x)
         self.v += 2.0 * self.step_size(self.k) * apart
         self.x = self.problem.argmin(self.v)

@@ -5,9 +5,9 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from crazychoir.optimization.problems.gradient import Checked, Gradient
-from crazychoir.optimization.rounds.iteration import vector
-from crazychoir.optimization.rounds.messages import parts
+from crazychoir.optimization.problems.gradient import CheckedFunction, Gradient
+from crazychoir.optimization.rounds.iteration import copy_state
+from crazychoir.optimization.rounds.messages import check_parts
 from crazychoir.optimization.rounds.mixing import Mixing, Row, Rows, mix
 from crazychoir.optimization.rounds.step_size import StepSize, step_size
 from crazychoir.types import Vec
@@ -46,9 +46,9 @@ class GradientTracking(Mixing):
         rounds: int | None = None,
     ) -> None:
         super().__init__(i, weights, rounds)
-        self.x = vector(f"agent {i}: x", x)
+        self.x = copy_state(f"agent {i}: x", x)
         self.gradient, self.step_size = (
-            Checked(i, "gradient", gradient),
+            CheckedFunction(i, "gradient", gradient),
             step_size(step),
         )
         self.g = self.d = self.gradient(0, self.x)
@@ -59,7 +59,7 @@ class GradientTracking(Mixing):
 
     def mix_in(self, row: Row, heard: Mapping[int, Any]) -> None:
         """Average, move along the tracked gradient, and update the tracked gradient."""
-        parts(self.i, self.k, heard, object, object)
+        check_parts(self.i, self.k, heard, object, object)
         x = (
             mix(self.i, row, self.x, {j: theirs[0] for j, theirs in heard.items()})
             - self.step_size(self.k) * self.d

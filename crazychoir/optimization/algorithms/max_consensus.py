@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from crazychoir.optimization.rounds.iteration import Iteration, vector
-from crazychoir.optimization.rounds.messages import like
+from crazychoir.optimization.rounds.iteration import Iteration, copy_state
+from crazychoir.optimization.rounds.messages import check_array
 from crazychoir.types import Vec
 
 
@@ -31,7 +31,7 @@ class MaxConsensus(Iteration):
     def __init__(self, i: int, x: ArrayLike, diameter: int) -> None:
         super().__init__(i, diameter)
         self.diameter = diameter
-        self.x = vector(f"agent {i}: x", x)
+        self.x = copy_state(f"agent {i}: x", x)
 
     def message(self) -> Vec:
         """Return x_i."""
@@ -41,5 +41,5 @@ class MaxConsensus(Iteration):
         """Take the greatest of all values heard."""
         x = self.x
         for j, other in heard.items():
-            x = np.maximum(x, like(self.i, j, other, x))
+            x = np.maximum(x, check_array(self.i, j, other, x))
         self.x = x

@@ -13,28 +13,41 @@ from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.algorithms.convexified import Convexified
 from crazychoir.optimization.algorithms.primal_decomposition import PrimalDecomposition
 from crazychoir.optimization.problems.mixed_integer import (
-    SLACK,
+    MILP_TOLERANCE,
     MixedIntegerBlock,
     require_block,
 )
 from crazychoir.optimization.problems.options_lp import (
-    Options,
-    Pool,
-    column_sums,
-    exceeded,
+    AgentOptions,
+    OptionsPool,
+    sum_columns,
+    sum_excess,
 )
-from crazychoir.optimization.rounds.agreement import best_offer, flood, greatest
-from crazychoir.optimization.rounds.mixing import Rows, checked_rows
+from crazychoir.optimization.rounds.agreement import (
+    find_best_offer,
+    find_greatest,
+    flood_values,
+)
+from crazychoir.optimization.rounds.mixing import Rows, check_rows
 from crazychoir.optimization.rounds.program import Exchange, Program
 from crazychoir.optimization.rounds.step_size import StepSize
 from crazychoir.types import Vec
 
-PASSES = 20
-"""Largest number of times that agents ask for options at new prices, or vary their choice."""
-VARIATIONS = (-1.0, -0.5, -0.25, 0.25, 0.5, 1.0)
-"""Changes of the resources that are tried, in parts of an agent's equal share."""
-WORTH = 1e-9
-"""Least saving of an improvement, relative to 1 + |cost|."""
+
+@dataclass(frozen=True, slots=True)
+class ImprovementSearch:
+    """How agents look for better mixed-integer solutions."""
+
+    passes: int = 20
+    """Largest number of times that agents ask for options at new prices, or vary their choice.
+    """
+    variations: tuple[float, ...] = (-1.0, -0.5, -0.25, 0.25, 0.5, 1.0)
+    """Changes of the resources that are tried, in parts of an agent's equal share."""
+    least_saving: float = 1e-9
+    """Least saving of an improvement, relative to 1 + |cost|."""
+
+
+IMPROVEMENT_SEARCH = ImprovementSearch()
 
 
 @dataclass(frozen=True)
@@ -125,7 +138,7 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         self._block, self._i, self.weights = (
             block,
             block.agent,
-            checked_rows(block.agent, weights),
+            check_rows(block.agent, weights),
         )
         self._agents = agents
         self.diameter = diameter
@@ -146,7 +159,7 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         found = yield from self._attempt(np.zeros(self._block.S), restricted=False)
         if found is None:
             sigma = self._block.S * (
-                yield from greatest(self._block.tightening(), self.diameter)
+                yield from find_greatest(self._block.tightening(), self.diameter)
             )
             found = yield from self._attempt(sigma, restricted=True)
         if found is None:
@@ -163,7 +176,9 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         Raises ConfigError unless all agents have the same number of resources, and their number is
         N.
         """
-        known = yield from flood(self._i, self._block.share.tolist(), self.diameter)
+        known = yield from flood_values(
+            self._i, self._block.share.tolist(), self.diameter
+        )
         for j, share in known.items():
             if len(share) != self._block.S:
                 raise ConfigError(
@@ -174,7 +189,7 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         if len(known) != self._agents:
             allowed = f"{len(known)}, those within {self.diameter} hops"
             raise ConfigError(f"{self._where}: agents", self._agents, allowed)
-        self._capacity = column_sums(known.values())
+        self._capacity = sum_columns(known.values())
         self._members = list(known)
 
     def _attempt(
@@ -186,31 +201,32 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         prices = PrimalDecomposition(
             self._i, self.weights, self._local, share, self._step, self._rounds
         )
-        options = Options(block)
+        options = AgentOptions(block)
         while not prices.done:
             prices.step((yield prices.message()))
             if prices.k > self._rounds - self._options:
                 options.add(block.within(prices.y)[0])
                 for corner in self._local.active:
                     options.add(corner)
-        pool = Pool(self._capacity, self._members)
+        pool = OptionsPool(self._capacity, self._members)
         bound = yield from self._share(options, pool)
         yield from self._choose(options, pool)
         yield from self._improve()
-        for _ in range(PASSES):
+        for _ in range(IMPROVEMENT_SEARCH.passes):
             before = self._x, self._cost, self._left
             yield from self._vary(options, pool)
             yield from self._choose(options, pool)
             yield from self._improve()
-            less = exceeded(before[2]) - exceeded(self._left)
-            if less <= SLACK and (
-                less < -SLACK
-                or self._cost >= before[1] - WORTH * (1.0 + abs(before[1]))
+            less = sum_excess(before[2]) - sum_excess(self._left)
+            if less <= MILP_TOLERANCE and (
+                less < -MILP_TOLERANCE
+                or self._cost
+                >= before[1] - IMPROVEMENT_SEARCH.least_saving * (1.0 + abs(before[1]))
             ):
                 self._x, self._cost, self._left = before
                 break
         self._excess = -self._left
-        if (self._excess > SLACK * (1.0 + np.abs(self._capacity))).any():
+        if (self._excess > MILP_TOLERANCE * (1.0 + np.abs(self._capacity))).any():
             return None
         self._require_dual(*bound)
         return MixedIntegerSolution(
@@ -223,13 +239,15 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         sum_i min_x (c_i + A_i'pi)'x - pi'b <= cost - pi'left  holds for any x_i in X_i.
         """
         most = self._cost - float(pi @ self._left)
-        if bound > most + SLACK * (
+        if bound > most + MILP_TOLERANCE * (
             1.0 + abs(most) + float(pi @ np.abs(self._capacity))
         ):
             found = f"bound {bound:.9g} above cost - pi'left = {most:.9g}: a local problem was not solved to its end"
             raise SolverError(self._where, found)
 
-    def _share(self, options: Options, pool: Pool) -> Exchange[tuple[float, Vec]]:
+    def _share(
+        self, options: AgentOptions, pool: OptionsPool
+    ) -> Exchange[tuple[float, Vec]]:
         """Exchange the options of all agents: the first half of stage 2.
 
         In each pass agents add the options that are best at the prices of the cheapest mixture.
@@ -240,8 +258,8 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         asked: list[Any] = [None, 0.0]
         bound = -np.inf
         at = np.zeros(block.S)
-        for _ in range(PASSES):
-            known = yield from flood(
+        for _ in range(IMPROVEMENT_SEARCH.passes):
+            known = yield from flood_values(
                 self._i, [options.table[fresh:], *asked], self.diameter
             )
             fresh = len(options.table)
@@ -266,23 +284,23 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
             asked = [pi.tolist(), proven]
         return bound, at
 
-    def _vary(self, options: Options, pool: Pool) -> Exchange[None]:
+    def _vary(self, options: AgentOptions, pool: OptionsPool) -> Exchange[None]:
         """Exchange options that use the present resources, or more or less of them."""
         fresh = len(options.table)
-        for part in (0.0, *VARIATIONS):
+        for part in (0.0, *IMPROVEMENT_SEARCH.variations):
             options.add(
                 self._block.within(
                     self._block.A @ self._x + part * self._capacity / self._agents
                 )[0]
             )
-        known = yield from flood(self._i, options.table[fresh:], self.diameter)
+        known = yield from flood_values(self._i, options.table[fresh:], self.diameter)
         pool.add(known)
 
-    def _choose(self, options: Options, pool: Pool) -> Exchange[None]:
+    def _choose(self, options: AgentOptions, pool: OptionsPool) -> Exchange[None]:
         """Agree on one option an agent: the second half of stage 2."""
         # The search of one agent is enough.
         offer = pool.best(self._i) if self._i == pool.agents[0] else None
-        agreed = yield from best_offer(offer, self.diameter)
+        agreed = yield from find_best_offer(offer, self.diameter)
         if agreed is None:
             raise SolverError(
                 self._where, "no choice of options within the nodes of a search"
@@ -301,17 +319,22 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
             used = block.A @ self._x
             x, _ = block.within(used + self._left)
             left = self._left + used - block.A @ x
-            excess = exceeded(self._left) - exceeded(left)
+            excess = sum_excess(self._left) - sum_excess(left)
             saved = float(block.c @ (self._x - x))
-            gains = excess > SLACK or (
-                excess > -SLACK and saved > WORTH * (1.0 + abs(self._cost))
+            gains = excess > MILP_TOLERANCE or (
+                excess > -MILP_TOLERANCE
+                and saved > IMPROVEMENT_SEARCH.least_saving * (1.0 + abs(self._cost))
             )
             offer = (
-                [[-excess if excess > SLACK else 0.0, -saved], self._i, left.tolist()]
+                [
+                    [-excess if excess > MILP_TOLERANCE else 0.0, -saved],
+                    self._i,
+                    left.tolist(),
+                ]
                 if gains
                 else None
             )
-            agreed = yield from best_offer(offer, self.diameter)
+            agreed = yield from find_best_offer(offer, self.diameter)
             if agreed is None:
                 return
             (_, change), winner, after = agreed

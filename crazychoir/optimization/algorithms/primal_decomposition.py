@@ -9,14 +9,14 @@ from typing import Any, Protocol, runtime_checkable
 
 from crazychoir.errors import ConfigError
 from crazychoir.optimization.algorithms.average import RunningAverage
-from crazychoir.optimization.rounds.arrays import vector
+from crazychoir.optimization.rounds.arrays import copy_vector
 from crazychoir.optimization.rounds.mixing import Mixing, Row, Rows, mix
 from crazychoir.optimization.rounds.step_size import StepSize, step_size
 from crazychoir.types import Vec
 
 
 @dataclass(frozen=True)
-class Allocated:
+class AllocatedSolution:
     """The local solution at an allocation y."""
 
     value: float
@@ -30,13 +30,13 @@ class Allocated:
 
 
 @runtime_checkable
-class Local(Protocol):
+class LocalProgram(Protocol):
     """An agent's problem for a given allocation.
 
     Convexified is one, and Allocation for a convex problem.
     """
 
-    def allocate(self, y: Vec) -> Allocated:
+    def allocate(self, y: Vec) -> AllocatedSolution:
         """Return p_i(y) and its prices."""
         ...
 
@@ -78,20 +78,20 @@ class PrimalDecomposition(Mixing):
         self,
         i: int,
         weights: Rows,
-        local: Local,
+        local: LocalProgram,
         share: Vec,
         step: float | StepSize,
         rounds: int | None = None,
     ) -> None:
         super().__init__(i, weights, rounds)
-        if not isinstance(local, Local):
+        if not isinstance(local, LocalProgram):
             do = "Wrap it: Allocation(problem, penalty) of optimization/algorithms/allocation.py, or Convexified."
             raise ConfigError(
                 f"agent {i}: local", type(local).__name__, "one with allocate(y)", do
             )
         self._local, self.step_size = local, step_size(step)
         self._mean = RunningAverage()
-        self._set(vector(share, f"agent {i}", "share"))
+        self._set(copy_vector(share, f"agent {i}", "share"))
 
     def _set(self, y: Vec, weight: float = 1.0) -> None:
         found = self._local.allocate(y)

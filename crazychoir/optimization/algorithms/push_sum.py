@@ -7,9 +7,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from crazychoir.errors import ConfigError
-from crazychoir.optimization.rounds.iteration import Iteration, vector
-from crazychoir.optimization.rounds.messages import NUMBER, like, parts
-from crazychoir.optimization.rounds.mixing import Rows, checked_rows
+from crazychoir.optimization.rounds.iteration import Iteration, copy_state
+from crazychoir.optimization.rounds.messages import (
+    REAL_NUMBER_TYPES,
+    check_array,
+    check_parts,
+)
+from crazychoir.optimization.rounds.mixing import Rows, check_rows
 from crazychoir.types import PerNeighbor
 
 
@@ -39,9 +43,9 @@ class PushSum(Iteration):
         self, i: int, x: ArrayLike, shares: Rows, rounds: int | None = None
     ) -> None:
         super().__init__(i, rounds)
-        self.x = self.s = vector(f"agent {i}: x", x)
+        self.x = self.s = copy_state(f"agent {i}: x", x)
         self.y = 1.0
-        self.shares = checked_rows(i, shares, "shares")
+        self.shares = check_rows(i, shares, "shares")
         for share in self.shares:
             if min(share.values()) < 0.0 or share[i] == 0.0:
                 raise ConfigError(
@@ -62,8 +66,10 @@ class PushSum(Iteration):
         a = self.shares[self.k % len(self.shares)][self.i]
         s = a * self.s
         y = a * self.y
-        for j, (theirs, weight) in parts(self.i, self.k, heard, object, NUMBER).items():
-            s = s + like(self.i, j, theirs, s)
+        for j, (theirs, weight) in check_parts(
+            self.i, self.k, heard, object, REAL_NUMBER_TYPES
+        ).items():
+            s = s + check_array(self.i, j, theirs, s)
             y += weight
         self.s = s
         self.y = y

@@ -17,7 +17,7 @@ from crazychoir.types import Vec
 Measure = Callable[[], ConvexSet | None]
 
 
-def nothing_new() -> None:
+def measure_nothing() -> None:
     """Return no further measurement."""
 
 
@@ -48,7 +48,7 @@ class SetMembership(Consensus):
         x: ArrayLike,
         weights: Rows,
         first: tuple[ConvexSet, ...],
-        measure: Measure = nothing_new,
+        measure: Measure = measure_nothing,
         rounds: int | None = None,
     ) -> None:
         super().__init__(i, x, weights, rounds)
@@ -76,7 +76,7 @@ class AsynchronousSetMembership(AsynchronousConsensus):
         x: ArrayLike,
         weights: Row,
         first: tuple[ConvexSet, ...],
-        measure: Measure = nothing_new,
+        measure: Measure = measure_nothing,
         rounds: int | None = None,
     ) -> None:
         super().__init__(i, x, weights, rounds)

@@ -8,25 +8,28 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError, SolverError
-from crazychoir.optimization.problems.equilibration import CANNOT_TELL
+from crazychoir.optimization.problems.equilibration import ROUNDING_DECIDES_TEXT
 from crazychoir.optimization.problems.lexicographic import (
-    DISTINCT,
-    FEASIBLE,
-    Basis,
-    Columns,
-    optimal_basis,
-    union,
+    FEASIBILITY_TOLERANCE,
+    LEAST_DISTINCTNESS,
+    OptimalBasis,
+    ProgramColumns,
+    find_optimal_basis,
+    unite_columns,
 )
-from crazychoir.optimization.rounds.agreement import greatest, same_everywhere
-from crazychoir.optimization.rounds.arrays import matrix, vector
+from crazychoir.optimization.rounds.agreement import (
+    find_greatest,
+    require_same_everywhere,
+)
+from crazychoir.optimization.rounds.arrays import copy_matrix, copy_vector
 from crazychoir.optimization.rounds.program import Exchange, Program
 from crazychoir.optimization.rounds.stillness import Stillness
 from crazychoir.types import Mat, Vec
 
 Status = Literal["optimal", "infeasible", "unbounded"]
 """Result of a linear program."""
-ROUNDS = 10_000
-LARGEST = 1e60
+MOST_EXCHANGE_ROUNDS = 10_000
+LARGEST_NUMBER = 1e60
 """Numbers beyond this, or nearer to 0 than its inverse: their products leave the range of double precision."""
 
 
@@ -75,15 +78,15 @@ class BasisExchange:
         b: Vec,
         diameter: int,
         first: Vec | None = None,
-        common: Columns | None = None,
+        common: ProgramColumns | None = None,
     ) -> None:
         sign = np.where(b < 0, -1.0, 1.0)
         self._sign = sign
         self._b = b * sign
         self._agent = agent
-        own = Columns.own(agent, c, entries * sign[:, None], first)
+        own = ProgramColumns.own(agent, c, entries * sign[:, None], first)
         self._n = len(own)
-        self._own = own if common is None else union([own, common])
+        self._own = own if common is None else unite_columns([own, common])
         self._stillness = Stillness(diameter)
         self._ray: list[int] | None = None
         self._weighed: set[tuple[int, int]] = set()
@@ -92,15 +95,15 @@ class BasisExchange:
         self._calm = 0
         self.undecided = False
         self.failure: str | None = None
-        identity = Columns.artificial(len(b))
-        self.basis = Basis.of(identity, self._b)
+        identity = ProgramColumns.artificial(len(b))
+        self.basis = OptimalBasis.of(identity, self._b)
         self._improve([identity, self._own])
         self._held.add(self._fingerprint)
 
     def message(self) -> list[Any]:
         """Return whether all are still, the ray, whether bases are undecided, the failure, the columns of the basis."""
         flags = [self._stillness.message(), self._ray, self.undecided, self.failure]
-        return [*flags, *_packed(self.basis.columns)]
+        return [*flags, *_pack_columns(self.basis.columns)]
 
     def step(self, heard: Mapping[int, Any]) -> None:
         """Take the neighbours' bases; None from a neighbour that is not at this problem yet."""
@@ -146,7 +149,7 @@ class BasisExchange:
             (text for text in failures if text is not None), default=None
         )
 
-    def _weigh(self, received: list[Columns], is_new_ray: bool) -> None:
+    def _weigh(self, received: list[ProgramColumns], is_new_ray: bool) -> None:
         """Find the best basis of own and received columns, unless all have been weighed before."""
         before = self._fingerprint
         news = {key for columns in received for key in columns.id_pairs()}
@@ -161,18 +164,18 @@ class BasisExchange:
         else:
             self._weighed |= news
 
-    def _improve(self, parts: list[Columns]) -> None:
+    def _improve(self, parts: list[ProgramColumns]) -> None:
         """Find the best basis, or keep the failure."""
         try:
             self.basis = self._best(parts, self.basis)
         except SolverError as error:
             self.failure = error.status
 
-    def _keep_the_least(self, received: list[Columns]) -> None:
+    def _keep_the_least(self, received: list[ProgramColumns]) -> None:
         """Keep the least of own and received bases."""
         try:
             others = [
-                Basis.of(columns, self._b)
+                OptimalBasis.of(columns, self._b)
                 for columns in received
                 if not np.array_equal(columns.ids, self.basis.columns.ids)
             ]
@@ -181,13 +184,18 @@ class BasisExchange:
             return
         self.basis = min([self.basis, *others], key=self._rank)
 
-    def _rank(self, basis: Basis) -> tuple[Any, ...]:
+    def _rank(self, basis: OptimalBasis) -> tuple[Any, ...]:
         """Return the place of a basis in an order of all agents: certain, feasible, cheap ones first."""
         cost = float(basis.columns.cost[1] @ basis.level) if self._ray is None else 0.0
         is_doubtful = basis.doubt is not None
-        return is_doubtful, len(_unmet(basis)), cost, basis.columns.ids.tolist()
+        return (
+            is_doubtful,
+            len(_find_unmet_rows(basis)),
+            cost,
+            basis.columns.ids.tolist(),
+        )
 
-    def _unpacked(self, j: int, message: Any) -> Columns:
+    def _unpacked(self, j: int, message: Any) -> ProgramColumns:
         try:
             still, ray, undecided, failure, *packed = message
             flags = [still, ray, undecided, failure]
@@ -195,19 +203,19 @@ class BasisExchange:
             if not all(map(isinstance, flags, kinds)):
                 found = ", ".join(type(flag).__name__ for flag in flags)
                 raise TypeError(f"{found} before it")
-            return _unpacked(packed, len(self._b))
+            return _unpack_columns(packed, len(self._b))
         except (TypeError, ValueError, LookupError) as error:
             allowed = f"flags, a ray, and {len(self._b)} columns: ids, costs, entries"
             where = f"agent {self._agent}: message of agent {j}"
             raise ConfigError(where, "no basis", allowed, "", str(error)) from error
 
-    def _best(self, parts: list[Columns], start: Basis) -> Basis:
+    def _best(self, parts: list[ProgramColumns], start: OptimalBasis) -> OptimalBasis:
         if self._ray is None:
-            basis = optimal_basis(union(parts), start, self._b)
+            basis = find_optimal_basis(unite_columns(parts), start, self._b)
             if basis.ray is None:
                 return basis
             self._ray = list(basis.ray)
-        return optimal_basis(union(parts).free(), start, self._b)
+        return find_optimal_basis(unite_columns(parts).free(), start, self._b)
 
     @property
     def settled(self) -> bool:
@@ -241,7 +249,7 @@ class BasisExchange:
     @property
     def unmet(self) -> list[int]:
         """Return the rows of which more remains than right-hand sides with errors of FEASIBLE explain."""
-        return _unmet(self.basis)
+        return _find_unmet_rows(self.basis)
 
     @property
     def certificate(self) -> Vec:
@@ -307,7 +315,7 @@ class BasisExchange:
         if self.unmet:
             is_barred[:] = True
         matters = (change < 0.0) & is_barred
-        share[~matters | (share > DISTINCT)] = 0.0
+        share[~matters | (share > LEAST_DISTINCTNESS)] = 0.0
         return np.asarray(share.max(axis=1, initial=0.0))
 
     def require_distinct(self, doubts: Vec, where: str) -> None:
@@ -319,7 +327,7 @@ class BasisExchange:
             k = int(np.argmax(doubts))
             row = int(self.basis.columns.ids[self._artificial[k], 1])
             found = f"row {row} differs from a sum of other rows by {doubts[k]:.1g} of its terms"
-            raise SolverError(where, f"{found}: {CANNOT_TELL}")
+            raise SolverError(where, f"{found}: {ROUNDING_DECIDES_TEXT}")
 
     def excess(self) -> float:
         """Return by how much an own column would lower the cost of the basis, relative to the terms of its cost."""
@@ -358,23 +366,25 @@ class BasisExchange:
         return np.flatnonzero(self.basis.columns.ids[:, 0] < 0)
 
 
-def _unmet(basis: Basis) -> list[int]:
+def _find_unmet_rows(basis: OptimalBasis) -> list[int]:
     """Return the rows of which more remains than right-hand sides with errors of FEASIBLE explain."""
-    remains = (basis.columns.ids[:, 0] < 0) & (basis.level > FEASIBLE * basis.terms)
+    remains = (basis.columns.ids[:, 0] < 0) & (
+        basis.level > FEASIBILITY_TOLERANCE * basis.terms
+    )
     return [int(row) for row in basis.columns.ids[remains, 1]]
 
 
-def _exchange(bases: BasisExchange, where: str, diameter: int) -> Exchange[Vec]:
+def _exchange_bases(bases: BasisExchange, where: str, diameter: int) -> Exchange[Vec]:
     """Exchange bases until all agents hold the same basis.
 
     Returns the penalties that make its prices dual feasible.
     """
     rounds = 0
     while not bases.settled:
-        if rounds == ROUNDS:
+        if rounds == MOST_EXCHANGE_ROUNDS:
             raise SolverError(
                 where,
-                f"no common basis after {ROUNDS} rounds; is {diameter} the diameter of the graph?",
+                f"no common basis after {MOST_EXCHANGE_ROUNDS} rounds; is {diameter} the diameter of the graph?",
             )
         bases.step((yield bases.message()))
         rounds += 1
@@ -383,16 +393,16 @@ def _exchange(bases: BasisExchange, where: str, diameter: int) -> Exchange[Vec]:
         raise SolverError(where, problem)
     if bases.undecided and bases.unmet:
         found = f"agents find different bases, and row {bases.unmet[0]} is not met"
-        raise SolverError(where, f"{found}: {CANNOT_TELL}")
+        raise SolverError(where, f"{found}: {ROUNDING_DECIDES_TEXT}")
     if bases.undecided:
-        excess = yield from greatest(np.array([bases.excess()]), diameter)
-        if excess[0] > FEASIBLE:
+        excess = yield from find_greatest(np.array([bases.excess()]), diameter)
+        if excess[0] > FEASIBILITY_TOLERANCE:
             found = f"agents find different bases, and a column would lower the cost by {excess[0]:.1g} of its terms"
-            raise SolverError(where, f"{found}: {CANNOT_TELL}")
+            raise SolverError(where, f"{found}: {ROUNDING_DECIDES_TEXT}")
     M = np.zeros(bases.left_over)
     for _ in range(len(M)):
         before = M
-        agreed = yield from greatest(
+        agreed = yield from find_greatest(
             np.concatenate([bases.penalties(before), bases.doubts()]), diameter
         )
         M, doubts = np.split(agreed, 2)
@@ -426,7 +436,7 @@ class DistributedSimplex(Program[LinearSolution]):
 
     def __init__(self, agent: int, c: Vec, A: Mat, b: Vec, diameter: int) -> None:
         where = f"agent {agent}: distributed simplex"
-        b = vector(b, where, "b")
+        b = copy_vector(b, where, "b")
         if not len(b):
             do = "Without rows each column is 0, or grows for ever, whatever the others do."
             raise ConfigError(
@@ -436,8 +446,8 @@ class DistributedSimplex(Program[LinearSolution]):
         self._b = b
         self._agent = agent
         self.diameter = diameter
-        c = vector(c, where, "c")
-        A = matrix(A, where, "A", (len(b), len(c)))
+        c = copy_vector(c, where, "c")
+        A = copy_matrix(A, where, "A", (len(b), len(c)))
         _require_range(where, c=c, A=A, b=b)
         self._bases = BasisExchange(agent, c, A, b, diameter)
         super().__init__()
@@ -454,11 +464,11 @@ class DistributedSimplex(Program[LinearSolution]):
 
     def run(self) -> Exchange[LinearSolution]:
         """Compare b, exchange bases, end together."""
-        yield from same_everywhere(self._b.tolist(), self._where, "b")
+        yield from require_same_everywhere(self._b.tolist(), self._where, "b")
         bases = self._bases
-        penalties = yield from _exchange(bases, self._where, self.diameter)
+        penalties = yield from _exchange_bases(bases, self._where, self.diameter)
         if bases.status == "infeasible":
-            raise SolverError(self._where, f"infeasible: {_remaining(bases)}")
+            raise SolverError(self._where, f"infeasible: {_describe_remainder(bases)}")
         if bases.ray is not None:
             owner, column = bases.ray
             raise SolverError(
@@ -513,14 +523,14 @@ class DualDistributedSimplex(Program[CommonSolution]):
 
     def __init__(self, agent: int, c: Vec, A: Mat, b: Vec, diameter: int) -> None:
         where = f"agent {agent}: dual distributed simplex"
-        self._c, b = vector(c, where, "c"), vector(b, where, "b")
+        self._c, b = copy_vector(c, where, "c"), copy_vector(b, where, "b")
         if not len(self._c):
             raise ConfigError(
                 f"{where}: c",
                 "no variables",
                 "one variable or more, the same at all agents",
             )
-        rows = matrix(A, where, "A", (len(b), len(self._c)))
+        rows = copy_matrix(A, where, "A", (len(b), len(self._c)))
         _require_range(where, c=self._c, A=rows, b=b)
         self._where = where
         self.diameter = diameter
@@ -534,9 +544,9 @@ class DualDistributedSimplex(Program[CommonSolution]):
 
     def run(self) -> Exchange[CommonSolution]:
         """Compare c, exchange bases, end together."""
-        yield from same_everywhere(self._c.tolist(), self._where, "c")
+        yield from require_same_everywhere(self._c.tolist(), self._where, "c")
         bases = self._bases
-        penalties = yield from _exchange(bases, self._where, self.diameter)
+        penalties = yield from _exchange_bases(bases, self._where, self.diameter)
         if bases.ray is not None:
             owner, row = bases.ray
             raise SolverError(
@@ -546,7 +556,7 @@ class DualDistributedSimplex(Program[CommonSolution]):
         if bases.status == "infeasible":
             raise SolverError(
                 self._where,
-                f"unbounded: {_remaining(bases, 'variable')} without a limit",
+                f"unbounded: {_describe_remainder(bases, 'variable')} without a limit",
             )
         x = bases.prices(penalties)
         active = [
@@ -564,10 +574,14 @@ def _require_range(where: str, **arrays: npt.NDArray[np.float64]) -> None:
     """
     for name, array in arrays.items():
         size = np.abs(array)
-        beyond = np.argwhere((size > LARGEST) | ((size > 0.0) & (size < 1.0 / LARGEST)))
+        beyond = np.argwhere(
+            (size > LARGEST_NUMBER) | ((size > 0.0) & (size < 1.0 / LARGEST_NUMBER))
+        )
         if len(beyond):
             place = tuple(int(k) for k in beyond[0])
-            allowed = f"0, or a size from {1.0 / LARGEST:g} to {LARGEST:g}"
+            allowed = (
+                f"0, or a size from {1.0 / LARGEST_NUMBER:g} to {LARGEST_NUMBER:g}"
+            )
             do = "Take other units."
             raise ConfigError(
                 f"{where}: {name}[{', '.join(map(str, place))}]",
@@ -577,13 +591,13 @@ def _require_range(where: str, **arrays: npt.NDArray[np.float64]) -> None:
             )
 
 
-def _remaining(bases: BasisExchange, what: str = "row") -> str:
+def _describe_remainder(bases: BasisExchange, what: str = "row") -> str:
     """Return a text with the rows that are not met, and how much remains of each."""
     violation = bases.violation
     return ", ".join(f"{what} {r} ({violation[r]:.6g} left)" for r in bases.unmet[:10])
 
 
-def _packed(columns: Columns) -> list[Any]:
+def _pack_columns(columns: ProgramColumns) -> list[Any]:
     """Return the columns as a list for a message.
 
     It contains the ids, c, the entries that are not zero, and a, which is empty if it is zero. The
@@ -602,7 +616,7 @@ def _packed(columns: Columns) -> list[Any]:
     return [ids, columns.cost[1], *entries, first]
 
 
-def _unpacked(packed: list[Any], m: int) -> Columns:
+def _unpack_columns(packed: list[Any], m: int) -> ProgramColumns:
     """Return the columns of a message, with m rows.
 
     Raises ValueError, IndexError or TypeError if the message does not contain such columns.
@@ -620,4 +634,4 @@ def _unpacked(packed: list[Any], m: int) -> Columns:
     entries = np.zeros((m, len(ids)))
     entries[row, np.repeat(np.arange(len(ids)), counts)] = value
     before = np.where(ids[:, 0] < 0, 1.0, first if len(first) else 0.0)
-    return Columns(ids, np.vstack([before, c]), entries)
+    return ProgramColumns(ids, np.vstack([before, c]), entries)

@@ -7,12 +7,12 @@ from numpy.typing import ArrayLike
 
 from crazychoir.optimization.algorithms.average import RunningAverage
 from crazychoir.optimization.problems.gradient import (
-    Checked,
+    CheckedFunction,
     Gradient,
     Project,
-    anywhere,
+    keep_point,
 )
-from crazychoir.optimization.rounds.iteration import vector
+from crazychoir.optimization.rounds.iteration import copy_state
 from crazychoir.optimization.rounds.mixing import Mixing, Row, Rows, mix
 from crazychoir.optimization.rounds.step_size import StepSize, step_size
 from crazychoir.types import Vec
@@ -45,13 +45,13 @@ class SubgradientMethod(Mixing):
         weights: Rows,
         gradient: Gradient,
         step: float | StepSize,
-        project: Project = anywhere,
+        project: Project = keep_point,
         rounds: int | None = None,
     ) -> None:
         super().__init__(i, weights, rounds)
-        self.x = vector(f"agent {i}: x", x)
-        self.gradient = Checked(i, "gradient", gradient)
-        self.project = Checked(i, "project", project)
+        self.x = copy_state(f"agent {i}: x", x)
+        self.gradient = CheckedFunction(i, "gradient", gradient)
+        self.project = CheckedFunction(i, "project", project)
         self.step_size = step_size(step)
         self._average = RunningAverage()
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.algorithms.simplex import BasisExchange
-from crazychoir.optimization.problems.lexicographic import Columns, union
-from crazychoir.team.graph import span
+from crazychoir.optimization.problems.lexicographic import ProgramColumns, unite_columns
+from crazychoir.team.graph import describe_ids
 from crazychoir.types import Vec, Wire
 
 
@@ -26,7 +26,7 @@ class Task(Wire, frozen=True, array_like=True, gc=False):
     """(3,) m, world: position of the task."""
 
 
-class Table(Wire, frozen=True, array_like=True, gc=False):
+class TaskTable(Wire, frozen=True, array_like=True, gc=False):
     """The tasks of one generation."""
 
     label: int
@@ -38,7 +38,7 @@ class Table(Wire, frozen=True, array_like=True, gc=False):
 
 
 @dataclass(frozen=True)
-class Outcome:
+class AssignmentOutcome:
     """The agreement of the team on one table."""
 
     label: int
@@ -92,21 +92,21 @@ class TaskAssignment:
         cost: Callable[[Task], float],
         robots: Sequence[int],
         diameter: int,
-        table: Table | None = None,
+        table: TaskTable | None = None,
     ) -> None:
         self._where = f"robot {robot}: task assignment"
         if robot not in robots:
-            raise ConfigError(self._where, f"robot {robot}", span(robots))
+            raise ConfigError(self._where, f"robot {robot}", describe_ids(robots))
         self._robot = robot
         self._cost = cost
         self._robots = sorted(robots)
         self.diameter = diameter
-        self._table: Table | None = None
-        self.outcome: Outcome | None = None
+        self._table: TaskTable | None = None
+        self.outcome: AssignmentOutcome | None = None
         if table is not None:
             self.post(table)
 
-    def post(self, table: Table) -> None:
+    def post(self, table: TaskTable) -> None:
         """Give this robot a table; ignore it unless it is newer than all known tables.
 
         Raises ConfigError if a known table has the same label and other tasks.
@@ -114,19 +114,19 @@ class TaskAssignment:
         if (
             self._table is not None
             and table.label == self._table.label
-            and _ids(table) != _ids(self._table)
+            and _list_task_ids(table) != _list_task_ids(self._table)
         ):
             do = "Number the tables in one place."
             raise ConfigError(
                 f"{self._where}: table {table.label}",
-                _ids(table),
-                f"tasks {_ids(self._table)}",
+                _list_task_ids(table),
+                f"tasks {_list_task_ids(self._table)}",
                 do,
             )
         if self._table is None or table.label > self._table.label:
             self._table = table
             self._age = 0
-            self._program = _Program(
+            self._program = _AssignmentProgram(
                 self._robot, self._robots, table.tasks, self._costs(table.tasks)
             )
             self._bases = self._program.exchange(self.diameter)
@@ -169,7 +169,7 @@ class TaskAssignment:
             if message is not None and len(message) > 1 and message[2] is not None:
                 label, last, tasks = message[:3]
                 self.post(
-                    Table(
+                    TaskTable(
                         label, tuple(Task(id_, np.asarray(p)) for id_, p in tasks), last
                     )
                 )
@@ -199,7 +199,7 @@ class TaskAssignment:
         return costs
 
     @property
-    def solution(self) -> Outcome:
+    def solution(self) -> AssignmentOutcome:
         """The outcome; raises SolverError if there is none yet, or if the table is infeasible."""
         if self.outcome is None:
             raise SolverError(self._where, "not agreed upon yet")
@@ -211,7 +211,7 @@ class TaskAssignment:
         return self.outcome
 
 
-class _Program:
+class _AssignmentProgram:
     """The linear program of one table.
 
     Rows: robots, then tasks.
@@ -245,9 +245,9 @@ class _Program:
         pairs = len(self._allowed)
         must = range(n, n + m) if m <= n else range(n)
         singles = [self._singles(i) for i in range(n)]
-        common = union(
+        common = unite_columns(
             [
-                Columns.own(
+                ProgramColumns.own(
                     robot,
                     np.zeros(len(rows)),
                     np.eye(n + m)[:, rows],
@@ -275,7 +275,9 @@ class _Program:
         n = len(self._robots)
         return [i, *(n + k for k in range(i, len(self._tasks), n))]
 
-    def outcome(self, label: int, bases: BasisExchange, rounds: int) -> Outcome:
+    def outcome(
+        self, label: int, bases: BasisExchange, rounds: int
+    ) -> AssignmentOutcome:
         """Return the outcome that the common basis describes."""
         n = len(self._robots)
         pairs = bases.x[len(self._singles(self._robots.index(self._robot))) :]
@@ -291,7 +293,7 @@ class _Program:
         infeasible = "" if without < 0.5 else self._why(bases.certificate)
         if bases.failure is not None:
             infeasible = bases.failure
-        return Outcome(
+        return AssignmentOutcome(
             label=label,
             task=self._tasks[mine[0]] if mine else None,
             cost=bases.cost,
@@ -318,19 +320,21 @@ class _Program:
         if len(tasks) <= len(robots):
             few = robots[of_robots < 0]
             many = tasks[of_tasks > 0]
-            return f"task(s) {_names(many)} may be done by {_only(few, 'robot')}"
+            return f"task(s) {_format_ids(many)} may be done by {_describe_only(few, 'robot')}"
         few = tasks[of_tasks < 0]
         many = robots[of_robots > 0]
-        return f"robot(s) {_names(many)} may do {_only(few, 'task')}"
+        return f"robot(s) {_format_ids(many)} may do {_describe_only(few, 'task')}"
 
 
-def _names(ids: Any) -> str:
+def _format_ids(ids: Any) -> str:
     return ", ".join(str(i) for i in ids)
 
 
-def _only(ids: Any, what: str) -> str:
-    return f"{len(ids)} {what}(s) only: {_names(ids)}" if len(ids) else f"no {what}"
+def _describe_only(ids: Any, what: str) -> str:
+    return (
+        f"{len(ids)} {what}(s) only: {_format_ids(ids)}" if len(ids) else f"no {what}"
+    )
 
 
-def _ids(table: Table) -> list[int]:
+def _list_task_ids(table: TaskTable) -> list[int]:
     return [task.id for task in table.tasks]

@@ -12,15 +12,15 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError, SolverError
-from crazychoir.optimization.rounds.agreement import best_offer
-from crazychoir.optimization.rounds.messages import like, parts
+from crazychoir.optimization.rounds.agreement import find_best_offer
+from crazychoir.optimization.rounds.messages import check_array, check_parts
 from crazychoir.optimization.rounds.program import Exchange, Program
 from crazychoir.optimization.rounds.stillness import Stillness
 from crazychoir.types import Vec
 
-NOBODY: Final = -1
+NO_WINNER: Final = -1
 """Winner of a task without a bid."""
-ROUNDS = 10_000
+MOST_CBBA_ROUNDS = 10_000
 """Largest number of rounds of CBBA."""
 Path = TypeVar("Path")
 
@@ -59,10 +59,10 @@ class Bundle:
     @property
     def open_tasks(self) -> tuple[int, ...]:
         """Tasks without a winner."""
-        return tuple(j for j, winner in enumerate(self.winners) if winner == NOBODY)
+        return tuple(j for j, winner in enumerate(self.winners) if winner == NO_WINNER)
 
 
-def sequential_auction(
+def run_sequential_auction(
     robot: int, bidder: Bidder[Path], tasks: int, diameter: int
 ) -> Exchange[Bundle]:
     """Assign one task after the other to the robot with the highest value.
@@ -77,17 +77,17 @@ def sequential_auction(
     path = bidder.start
     won = list[int]()
     rounds = 0
-    winners = np.full(tasks, NOBODY)
-    scores = _checked(bidder.scores(path), tasks, robot)
+    winners = np.full(tasks, NO_WINNER)
+    scores = _check_scores(bidder.scores(path), tasks, robot)
     while True:
-        open_scores = np.where(winners == NOBODY, scores, -np.inf)
+        open_scores = np.where(winners == NO_WINNER, scores, -np.inf)
         best = int(np.argmax(open_scores)) if tasks else 0
         offer = (
             [-float(open_scores[best]), robot, best]
             if tasks and open_scores[best] > -np.inf
             else None
         )
-        agreed = yield from best_offer(offer, diameter)
+        agreed = yield from find_best_offer(offer, diameter)
         rounds += diameter
         if agreed is None:
             return Bundle(tuple(won), path, tuple(winners.tolist()), rounds)
@@ -96,11 +96,11 @@ def sequential_auction(
         if winner == robot:
             path = bidder.insert(path, j)
             won.append(j)
-            scores = _checked(bidder.scores(path), tasks, robot)
+            scores = _check_scores(bidder.scores(path), tasks, robot)
 
 
 class SequentialAuction(Program[Bundle]):
-    """Robot i's part of a sequential auction of single tasks, see `sequential_auction`.
+    """Robot i's part of a sequential auction of single tasks, see `run_sequential_auction`.
 
     robot: id of this robot
     bidder: values of the tasks
@@ -121,7 +121,7 @@ class SequentialAuction(Program[Bundle]):
 
     def run(self) -> Exchange[Bundle]:
         """Run the auctions."""
-        return (yield from sequential_auction(*self._arguments))
+        return (yield from run_sequential_auction(*self._arguments))
 
 
 class CBBA(Program[Bundle]):
@@ -181,7 +181,7 @@ class CBBA(Program[Bundle]):
         self._most = tasks if most is None else most
         self.diameter = diameter
         self._stillness = Stillness(diameter)
-        self._table = Table(robot, tasks)
+        self._table = BidTable(robot, tasks)
         self._order: list[int] = []
         self._paths = [bidder.start]
         super().__init__()
@@ -190,7 +190,7 @@ class CBBA(Program[Bundle]):
         """Build a bundle; then agree and build again, until no robot changes."""
         table = self._table
         self._extend()
-        for _ in range(ROUNDS):
+        for _ in range(MOST_CBBA_ROUNDS):
             if self._stillness.reached:
                 return Bundle(
                     tuple(self._order),
@@ -205,12 +205,14 @@ class CBBA(Program[Bundle]):
                 table.winner,
                 table.stamps(self._robots, self.k),
             ]
-            for j, (_, bid, winner, stamps) in parts(
+            for j, (_, bid, winner, stamps) in check_parts(
                 self._i, self.k, heard, bytes, object, object, object
             ).items():
-                bids = like(self._i, j, bid, table.bid)
-                winners = like(self._i, j, winner, table.winner)
-                known = like(self._i, j, stamps, table.stamps(self._robots, self.k))
+                bids = check_array(self._i, j, bid, table.bid)
+                winners = check_array(self._i, j, winner, table.winner)
+                known = check_array(
+                    self._i, j, stamps, table.stamps(self._robots, self.k)
+                )
                 table.hear(
                     j,
                     bids.tolist(),
@@ -227,7 +229,9 @@ class CBBA(Program[Bundle]):
             self._stillness.step(
                 changed, {j: message[0] for j, message in heard.items()}
             )
-        raise SolverError(f"robot {self._i}: CBBA", f"no agreement in {ROUNDS} rounds")
+        raise SolverError(
+            f"robot {self._i}: CBBA", f"no agreement in {MOST_CBBA_ROUNDS} rounds"
+        )
 
     def _release(self) -> None:
         """Keep the bundle up to the first lost task, and release the tasks after it."""
@@ -245,7 +249,7 @@ class CBBA(Program[Bundle]):
         table = self._table
         ceiling = min((float(table.bid[j]) for j in self._order), default=math.inf)
         while len(self._order) < self._most:
-            scores = _checked(
+            scores = _check_scores(
                 self._bidder.scores(self._paths[-1]), self._tasks, self._i
             )
             bids = np.minimum(scores, ceiling)
@@ -264,7 +268,7 @@ class CBBA(Program[Bundle]):
             table.winner[j] = self._i
 
 
-class Table:
+class BidTable:
     """Winning bids as one robot knows them, with the rules to update them.
 
     bid: y (M,), -inf where there is no bid
@@ -274,7 +278,7 @@ class Table:
     def __init__(self, robot: int, tasks: int) -> None:
         self._i, self._stamp = robot, dict[int, int]()
         self.bid: Vec = np.full(tasks, -np.inf)
-        self.winner: npt.NDArray[np.int64] = np.full(tasks, NOBODY)
+        self.winner: npt.NDArray[np.int64] = np.full(tasks, NO_WINNER)
 
     def stamps(self, robots: Sequence[int], k: int) -> npt.NDArray[np.int64]:
         """Return s (N,): the round of the latest news of each robot; for this robot it is k."""
@@ -284,7 +288,7 @@ class Table:
     def reset(self, j: int) -> None:
         """Clear the winner of task j."""
         self.bid[j] = -np.inf
-        self.winner[j] = NOBODY
+        self.winner[j] = NO_WINNER
 
     def hear(
         self,
@@ -334,19 +338,19 @@ class Table:
             return False
         if theirs == sender:
             return (
-                mine in (sender, NOBODY)
+                mine in (sender, NO_WINNER)
                 or higher
                 or (mine != i and self._newer(mine, stamp))
             )
-        if theirs == NOBODY:
+        if theirs == NO_WINNER:
             return mine == sender or (
-                mine not in (i, NOBODY) and self._newer(mine, stamp)
+                mine not in (i, NO_WINNER) and self._newer(mine, stamp)
             )
         if not self._newer(theirs, stamp):
             return False
-        others = mine not in (i, sender, theirs, NOBODY)
+        others = mine not in (i, sender, theirs, NO_WINNER)
         return (
-            mine in (sender, theirs, NOBODY)
+            mine in (sender, theirs, NO_WINNER)
             or higher
             or (others and self._newer(mine, stamp))
         )
@@ -362,13 +366,13 @@ class Table:
         i = self._i
         if theirs == i:
             return mine == sender or (
-                mine not in (i, NOBODY) and self._newer(mine, stamp)
+                mine not in (i, NO_WINNER) and self._newer(mine, stamp)
             )
-        if theirs in (sender, NOBODY):
+        if theirs in (sender, NO_WINNER):
             return False
         if mine == sender:
             return not self._newer(theirs, stamp)
-        others = mine not in (i, sender, theirs, NOBODY)
+        others = mine not in (i, sender, theirs, NO_WINNER)
         return (
             others
             and self._newer(mine, stamp)
@@ -376,7 +380,7 @@ class Table:
         )
 
 
-def _checked(scores: Vec, tasks: int, robot: int) -> Vec:
+def _check_scores(scores: Vec, tasks: int, robot: int) -> Vec:
     found = np.asarray(scores, dtype=float)
     if found.shape != (tasks,):
         raise ConfigError(

@@ -1,6 +1,6 @@
 """Compiled kernel for small quadratic programs: a dual active-set method."""
 
-from typing import Final
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -10,31 +10,47 @@ from crazychoir.types import Mat, Vec
 
 Rows = npt.NDArray[np.int64]
 
-INFEASIBLE: Final = -1
-"""Status: the rows exclude each other."""
-CAPPED: Final = -2
-"""Status: the method reached its limit of steps."""
-NOT_FINITE: Final = -3
-"""Status: the cost has entries that are not finite."""
-ROUNDING = 1e-13
-"""A slack below this is zero, relative to the terms that it is the sum of."""
-DOUBT = 1e-9
-"""A slack below this proves no infeasibility, relative to the terms that it is the sum of."""
-DEPENDENT = 1e-11
-"""A row depends on the active rows if less than this part of its own curvature is left."""
-CANCELLED = 1e-9
-"""Coefficient of an active row in a dependent row below which it is a rounded zero.
 
-It is relative to the lengths of both rows.
-"""
-NEGLIGIBLE = 1e-12
-"""In the units of x: a row that is missed by less counts as met, whatever its terms are."""
-MET: Final = 1e-11
-"""Tolerance by which a solution may miss a row, relative to the row's own terms."""
+class ActiveSetStatus(NamedTuple):
+    """Statuses of `minimise` that are no number of steps."""
+
+    infeasible: int = -1
+    """The rows exclude each other."""
+    step_limit: int = -2
+    """The method reached its limit of steps."""
+    not_finite: int = -3
+    """The cost has entries that are not finite."""
+
+
+ACTIVE_SET_STATUS = ActiveSetStatus()
+
+
+class ActiveSetTolerances(NamedTuple):
+    """Tolerances of the dual active-set method."""
+
+    rounding: float = 1e-13
+    """A slack below this is zero, relative to the terms that it is the sum of."""
+    doubtful_slack: float = 1e-9
+    """A slack below this proves no infeasibility, relative to the terms that it is the sum of.
+    """
+    dependent_curvature: float = 1e-11
+    """A row depends on the active rows if less than this part of its own curvature is left."""
+    cancelled_coefficient: float = 1e-9
+    """Coefficient of an active row in a dependent row below which it is a rounded zero.
+
+    It is relative to the lengths of both rows.
+    """
+    negligible_miss: float = 1e-12
+    """In the units of x: a row that is missed by less counts as met, whatever its terms are."""
+    row_miss: float = 1e-11
+    """Tolerance by which a solution may miss a row, relative to the row's own terms."""
+
+
+ACTIVE_SET_TOLERANCES = ActiveSetTolerances()
 
 
 @kernel()
-def _factorise(gram: Mat, rows: Rows, count: int, factor: Mat) -> bool:
+def _factorise_rows(gram: Mat, rows: Rows, count: int, factor: Mat) -> bool:
     """Compute L with L L' = gram over the active rows; return True if these rows are independent.
 
     factor: L in its lower triangle, in place
@@ -46,7 +62,10 @@ def _factorise(gram: Mat, rows: Rows, count: int, factor: Mat) -> bool:
                 total -= factor[i, k] * factor[j, k]
             if j < i:
                 factor[i, j] = total / factor[j, j]
-            elif total <= DEPENDENT * gram[rows[i], rows[i]]:
+            elif (
+                total
+                <= ACTIVE_SET_TOLERANCES.dependent_curvature * gram[rows[i], rows[i]]
+            ):
                 return False
             else:
                 factor[i, i] = np.sqrt(total)
@@ -54,7 +73,7 @@ def _factorise(gram: Mat, rows: Rows, count: int, factor: Mat) -> bool:
 
 
 @kernel()
-def _divide(factor: Mat, s: Vec, count: int) -> None:
+def _solve_factorised(factor: Mat, s: Vec, count: int) -> None:
     """Solve in place: s <- (L L')^-1 s."""
     for i in range(count):
         for k in range(i):
@@ -67,7 +86,9 @@ def _divide(factor: Mat, s: Vec, count: int) -> None:
 
 
 @kernel()
-def _resume(gram: Mat, free: Vec, u: Vec, rows: Rows, factor: Mat, s: Vec) -> int:
+def _resume_active_rows(
+    gram: Mat, free: Vec, u: Vec, rows: Rows, factor: Mat, s: Vec
+) -> int:
     """Start from the rows that were active in the last solve; return their number.
 
     Starts from no rows, and returns 0, if these rows are dependent or one of their
@@ -81,11 +102,11 @@ def _resume(gram: Mat, free: Vec, u: Vec, rows: Rows, factor: Mat, s: Vec) -> in
                 break
             rows[count] = p
             count += 1
-    good = _factorise(gram, rows, count, factor)
+    good = _factorise_rows(gram, rows, count, factor)
     if good:
         for i in range(count):
             s[i] = -free[rows[i]]
-        _divide(factor, s, count)
+        _solve_factorised(factor, s, count)
         for i in range(count):
             good = good and s[i] > 0.0
     u[:] = 0.0
@@ -97,7 +118,9 @@ def _resume(gram: Mat, free: Vec, u: Vec, rows: Rows, factor: Mat, s: Vec) -> in
 
 
 @kernel()
-def _slack(gram: Mat, free: Vec, u: Vec, rows: Rows, count: int, p: int) -> float:
+def _compute_slack(
+    gram: Mat, free: Vec, u: Vec, rows: Rows, count: int, p: int
+) -> float:
     total: float = free[p]
     for i in range(count):
         total += gram[p, rows[i]] * u[rows[i]]
@@ -105,7 +128,9 @@ def _slack(gram: Mat, free: Vec, u: Vec, rows: Rows, count: int, p: int) -> floa
 
 
 @kernel()
-def _terms(gram: Mat, size: Vec, u: Vec, rows: Rows, count: int, p: int) -> float:
+def _sum_slack_terms(
+    gram: Mat, size: Vec, u: Vec, rows: Rows, count: int, p: int
+) -> float:
     """Return the sum of the absolute terms of the slack of row p."""
     total: float = size[p]
     for i in range(count):
@@ -114,7 +139,9 @@ def _terms(gram: Mat, size: Vec, u: Vec, rows: Rows, count: int, p: int) -> floa
 
 
 @kernel()
-def _worst(gram: Mat, free: Vec, size: Vec, u: Vec, rows: Rows, count: int) -> int:
+def _find_worst_row(
+    gram: Mat, free: Vec, size: Vec, u: Vec, rows: Rows, count: int
+) -> int:
     """Return the row with the most negative slack, or -1 if no row is violated.
 
     A slack counts as negative only if the rounding of its own terms does not explain it.
@@ -123,9 +150,12 @@ def _worst(gram: Mat, free: Vec, size: Vec, u: Vec, rows: Rows, count: int) -> i
     least = 0.0
     for p in range(len(free)):
         if u[p] == 0.0:
-            slack = _slack(gram, free, u, rows, count, p)
-            if slack < least and slack < -ROUNDING * _terms(
-                gram, size, u, rows, count, p
+            slack = _compute_slack(gram, free, u, rows, count, p)
+            if (
+                slack < least
+                and slack
+                < -ACTIVE_SET_TOLERANCES.rounding
+                * _sum_slack_terms(gram, size, u, rows, count, p)
             ):
                 worst = p
                 least = slack
@@ -133,7 +163,7 @@ def _worst(gram: Mat, free: Vec, size: Vec, u: Vec, rows: Rows, count: int) -> i
 
 
 @kernel()
-def _exclude(u: Vec, rows: Rows, s: Vec, count: int, p: int) -> None:
+def _prove_exclusion(u: Vec, rows: Rows, s: Vec, count: int, p: int) -> None:
     """Set u (m,) to the proof that row p and the active rows exclude each other.
 
     The proof is:
@@ -147,7 +177,7 @@ def _exclude(u: Vec, rows: Rows, s: Vec, count: int, p: int) -> None:
 
 
 @kernel()
-def _multipliers(gram: Mat, free: Vec, size: Vec, u: Vec, most: int) -> int:
+def _compute_multipliers(gram: Mat, free: Vec, size: Vec, u: Vec, most: int) -> int:
     """Compute the multipliers u (m,) of `minimise`.
 
     Returns the number of steps, or a negative status if there is no solution.
@@ -157,27 +187,30 @@ def _multipliers(gram: Mat, free: Vec, size: Vec, u: Vec, most: int) -> int:
     rows = np.empty(m, np.int64)
     factor = np.empty((width, width))
     s = np.empty(width)
-    count = _resume(gram, free, u, rows, factor, s)
+    count = _resume_active_rows(gram, free, u, rows, factor, s)
     steps = 0
-    p = _worst(gram, free, size, u, rows, count)
+    p = _find_worst_row(gram, free, size, u, rows, count)
     while p >= 0:
         steps += 1
         if steps > 50 + 10 * m:
-            return CAPPED
+            return ACTIVE_SET_STATUS.step_limit
         # Raise u_p by t. The active slacks stay zero if their multipliers fall by t s.
-        _factorise(gram, rows, count, factor)
+        _factorise_rows(gram, rows, count, factor)
         for i in range(count):
             s[i] = gram[rows[i], p]
-        _divide(factor, s, count)
+        _solve_factorised(factor, s, count)
         curvature = gram[p, p]
         blocked = np.inf
         place = -1
         for i in range(count):
             curvature -= gram[rows[i], p] * s[i]
         full = np.inf
-        slack = _slack(gram, free, u, rows, count, p) + gram[p, p] * u[p]
-        least = CANCELLED
-        if curvature > DEPENDENT * gram[p, p] and count < width:
+        slack = _compute_slack(gram, free, u, rows, count, p) + gram[p, p] * u[p]
+        least = ACTIVE_SET_TOLERANCES.cancelled_coefficient
+        if (
+            curvature > ACTIVE_SET_TOLERANCES.dependent_curvature * gram[p, p]
+            and count < width
+        ):
             full = max(0.0, -slack / curvature)
             least = 0.0
         for i in range(count):
@@ -189,13 +222,18 @@ def _multipliers(gram: Mat, free: Vec, size: Vec, u: Vec, most: int) -> int:
                 place = i
         t = min(full, blocked)
         if t == np.inf:
-            if -slack >= DOUBT * _terms(gram, size, u, rows, count, p) + NEGLIGIBLE:
-                _exclude(u, rows, s, count, p)
-                return INFEASIBLE
+            if (
+                -slack
+                >= ACTIVE_SET_TOLERANCES.doubtful_slack
+                * _sum_slack_terms(gram, size, u, rows, count, p)
+                + ACTIVE_SET_TOLERANCES.negligible_miss
+            ):
+                _prove_exclusion(u, rows, s, count, p)
+                return ACTIVE_SET_STATUS.infeasible
             if u[p] > 0.0:
                 return steps
             free[p] -= slack  # the row is met, but for its rounding
-            p = _worst(gram, free, size, u, rows, count)
+            p = _find_worst_row(gram, free, size, u, rows, count)
             continue
         for i in range(count):
             u[rows[i]] -= t * s[i]
@@ -203,7 +241,7 @@ def _multipliers(gram: Mat, free: Vec, size: Vec, u: Vec, most: int) -> int:
         if full <= blocked:
             rows[count] = p
             count += 1
-            p = _worst(gram, free, size, u, rows, count)
+            p = _find_worst_row(gram, free, size, u, rows, count)
         else:
             u[rows[place]] = 0.0
             for i in range(place, count - 1):
@@ -242,7 +280,7 @@ def minimise(
     m = len(slack)
     for i in range(n):
         if not np.isfinite(q[i]):
-            return NOT_FINITE
+            return ACTIVE_SET_STATUS.not_finite
     free = np.empty(m)
     size = np.empty(m)
     for p in range(m):
@@ -251,7 +289,7 @@ def minimise(
         for i in range(n):
             free[p] -= image[p, i] * q[i]
             size[p] += abs(image[p, i] * q[i])
-    steps = _multipliers(gram, free, size, u, n)
+    steps = _compute_multipliers(gram, free, size, u, n)
     if steps < 0:
         return steps
     for i in range(n):
@@ -265,7 +303,7 @@ def minimise(
 
 
 @kernel()
-def _misses(row: Vec, bound: float, x: Vec, largest: float, is_equal: bool) -> bool:
+def _is_missed(row: Vec, bound: float, x: Vec, largest: float, is_equal: bool) -> bool:
     """Return True if x misses row'x <= bound, or row'x = bound if is_equal.
 
     A row is missed if it is violated by more than the rounding of its terms.
@@ -278,7 +316,12 @@ def _misses(row: Vec, bound: float, x: Vec, largest: float, is_equal: bool) -> b
     if is_equal:
         beyond = abs(beyond)
     # Written as `not <=` so that a value that is not a number counts as missed.
-    return not beyond <= MET * size + ROUNDING * largest + NEGLIGIBLE
+    return (
+        not beyond
+        <= ACTIVE_SET_TOLERANCES.row_miss * size
+        + ACTIVE_SET_TOLERANCES.rounding * largest
+        + ACTIVE_SET_TOLERANCES.negligible_miss
+    )
 
 
 @kernel(matrix, vector, matrix, vector, vector)
@@ -289,7 +332,7 @@ def is_met(A: Mat, b: Vec, E: Mat, e: Vec, x: Vec) -> bool:
         largest = max(largest, abs(x[i]))
     good = True
     for p in range(len(b)):
-        good = good and not _misses(A[p], b[p], x, largest, False)
+        good = good and not _is_missed(A[p], b[p], x, largest, False)
     for p in range(len(e)):
-        good = good and not _misses(E[p], e[p], x, largest, True)
+        good = good and not _is_missed(E[p], e[p], x, largest, True)
     return good

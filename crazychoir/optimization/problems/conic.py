@@ -3,7 +3,8 @@
 Only the linear cost changes between two solves.
 """
 
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Any
 
 import clarabel
 import cvxpy as cp
@@ -13,13 +14,24 @@ from cvxpy.reductions.solvers.conic_solvers.clarabel_conif import dims_to_solver
 
 from crazychoir.types import Vec
 
-MOST_ITERATIONS: Final = 200
-"""Interior-point iterations of one solve."""
-GAP = 1e-12
-"""Relative duality gap that is asked for first: x is only as accurate as its square root."""
-STANDARD = 1e-8
-"""Relative duality gap that is accepted for problems which do not reach GAP."""
-WORDS = {
+
+@dataclass(frozen=True, slots=True)
+class ConicLimits:
+    """Limits of a solve by the interior-point method."""
+
+    most_iterations: int = 200
+    """Interior-point iterations of one solve."""
+    first_gap: float = 1e-12
+    """Relative duality gap that is asked for first: x is only as accurate as its square root.
+    """
+    accepted_gap: float = 1e-8
+    """Relative duality gap that is accepted for problems which do not reach `first_gap`."""
+
+
+CONIC_LIMITS = ConicLimits()
+
+
+CLARABEL_STATUS_TEXTS = {
     "PrimalInfeasible": "infeasible",
     "AlmostPrimalInfeasible": "infeasible",
     "DualInfeasible": "unbounded",
@@ -94,37 +106,41 @@ class ConicProgram:
             return "not finite"
         q = self._q.copy()
         q[self._columns] += p
-        solution = self._solution(q, GAP)
-        if str(solution.status) not in WORDS and not _accurate(solution):
-            solution = self._solution(q, STANDARD)
+        solution = self._solution(q, CONIC_LIMITS.first_gap)
+        if str(solution.status) not in CLARABEL_STATUS_TEXTS and not _is_accurate(
+            solution
+        ):
+            solution = self._solution(q, CONIC_LIMITS.accepted_gap)
         status = str(solution.status)
-        if status in WORDS or not (status == "Solved" or _accurate(solution)):
-            return WORDS.get(status, status)
+        if status in CLARABEL_STATUS_TEXTS or not (
+            status == "Solved" or _is_accurate(solution)
+        ):
+            return CLARABEL_STATUS_TEXTS.get(status, status)
         return np.array(solution.x)[self._columns]
 
     def _solution(self, q: Vec, gap: float) -> Any:
         solver = self._solvers.get(gap)
         if solver is None:
             solver = self._solvers[gap] = clarabel.DefaultSolver(
-                *self._given, _settings(gap)
+                *self._given, _build_settings(gap)
             )
         solver.update(q=q)
         return solver.solve()
 
 
-def _accurate(solution: Any) -> bool:
+def _is_accurate(solution: Any) -> bool:
     """Return True if the solution is accurate to STANDARD, whatever its status says.
 
     Clarabel also reports failure when rounding stops it at a point that is accurate already.
     """
     gap = abs(solution.obj_val - solution.obj_val_dual) / (1.0 + abs(solution.obj_val))
-    return bool(max(solution.r_prim, solution.r_dual, gap) <= STANDARD)
+    return bool(max(solution.r_prim, solution.r_dual, gap) <= CONIC_LIMITS.accepted_gap)
 
 
-def _settings(gap: float) -> Any:
+def _build_settings(gap: float) -> Any:
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    settings.max_iter = MOST_ITERATIONS
+    settings.max_iter = CONIC_LIMITS.most_iterations
     settings.max_threads = 1
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = gap
     settings.presolve_enable = False  # it would forbid updates

@@ -3,21 +3,21 @@
 import numpy as np
 
 from crazychoir.errors import SolverError
-from crazychoir.optimization.problems.tableau import ROUNDING, solve_identity
+from crazychoir.optimization.problems.tableau import SUM_ROUNDING, solve_identity
 from crazychoir.types import Mat, Vec
 
-PASSES = 8
+SCALING_PASSES = 8
 """Sweeps over rows and columns of the scaling."""
-CANNOT_TELL = (
+ROUNDING_DECIDES_TEXT = (
     "double precision cannot tell which basis is the best; "
     "remove rows or columns that are nearly the same as sums of others"
 )
 """What the errors say that follow from rounding."""
-EVEN = 12.0
+EVEN_DIGIT_RANGE = 12.0
 """Range of entries that needs no scaling: binary digits between the largest and the smallest."""
 
 
-def without_rounding(value: Mat, terms: Mat, share: float = ROUNDING) -> Mat:
+def remove_rounding(value: Mat, terms: Mat, share: float = SUM_ROUNDING) -> Mat:
     """Return `value` with zeros where it is a rounding error.
 
     value: sums;  terms: the sums of the absolute values of their terms, of the same shape;  share: of the terms, below
@@ -26,7 +26,7 @@ def without_rounding(value: Mat, terms: Mat, share: float = ROUNDING) -> Mat:
     return np.where(np.abs(value) <= share * terms, 0.0, value)
 
 
-def scaled_inverse(B: Mat) -> Mat:
+def invert_scaled(B: Mat) -> Mat:
     """Return the inverse of B, with exact zeros where its entries are rounding errors.
 
         B^-1 = S (R B S)^-1 R
@@ -37,14 +37,16 @@ def scaled_inverse(B: Mat) -> Mat:
     Raises SolverError if B is singular.
     """
     m = len(B)
-    rows, columns = scaling_exponents(B)
+    rows, columns = find_scaling_exponents(B)
     work = np.hstack([np.ldexp(B, rows[:, None] + columns), np.eye(m)])
     if not solve_identity(work):
-        raise SolverError("lexicographic simplex", f"a singular basis: {CANNOT_TELL}")
+        raise SolverError(
+            "lexicographic simplex", f"a singular basis: {ROUNDING_DECIDES_TEXT}"
+        )
     return np.asarray(np.ldexp(work[:, m:], columns[:, None] + rows))
 
 
-def scaling_exponents(B: Mat) -> tuple[Vec, Vec]:
+def find_scaling_exponents(B: Mat) -> tuple[Vec, Vec]:
     """Return the exponents of R and S that bring the entries of R B S as close to 1 as possible.
 
         min over r, s of  sum over B_ij != 0 of (log2 |B_ij| + r_i + s_j)^2
@@ -59,10 +61,10 @@ def scaling_exponents(B: Mat) -> tuple[Vec, Vec]:
     digits = np.log2(np.abs(B), where=used, out=np.zeros_like(B))
     r = np.zeros(m)
     s = np.zeros(n)
-    if digits.max(initial=0.0) - digits.min(initial=0.0) > EVEN:
+    if digits.max(initial=0.0) - digits.min(initial=0.0) > EVEN_DIGIT_RANGE:
         in_row = np.maximum(used.sum(axis=1), 1)
         in_column = np.maximum(used.sum(axis=0), 1)
-        for _ in range(PASSES):
+        for _ in range(SCALING_PASSES):
             r = -(digits.sum(axis=1) + used @ s) / in_row
             s = -(digits.sum(axis=0) + r @ used) / in_column
     return np.rint(r).astype(np.int64), np.rint(s).astype(np.int64)

@@ -13,10 +13,10 @@ from crazychoir.errors import ConfigError
 from crazychoir.optimization.problems.quadratic import Polyhedron
 from crazychoir.types import Mat, Vec
 
-EXPRESSION = "a cvxpy expression, or numbers"
+ALLOWED_EXPRESSION = "a cvxpy expression, or numbers"
 
 
-def decision(x: Any, where: str) -> int:
+def require_decision_variable(x: Any, where: str) -> int:
     """Return the dimension n of the decision variable x.
 
     Raises ConfigError unless x is a cvxpy variable, a scalar or a vector.
@@ -35,7 +35,9 @@ def decision(x: Any, where: str) -> int:
     return int(x.size)
 
 
-def domain(x: cp.Variable, where: str, whole: bool = False) -> list[cp.Constraint]:
+def list_domain_constraints(
+    x: cp.Variable, where: str, whole: bool = False
+) -> list[cp.Constraint]:
     """Return the attributes of x, such as nonneg or bounds, as constraints.
 
     whole: accept the attributes integer and boolean
@@ -80,7 +82,7 @@ def require_continuous(expressions: Sequence[Any], where: str) -> None:
             )
 
 
-def whole(x: cp.Variable) -> tuple[list[int], list[int]]:
+def find_integer_entries(x: cp.Variable) -> tuple[list[int], list[int]]:
     """Return the indices of the integer entries of x, and the indices of the entries in {0, 1}.
 
     The first list contains the second.
@@ -96,7 +98,7 @@ def whole(x: cp.Variable) -> tuple[list[int], list[int]]:
     return sorted({*found[0], *found[1]}), found[1]
 
 
-def convex(expression: Any, where: str) -> cp.Expression:
+def require_convex(expression: Any, where: str) -> cp.Expression:
     """Return a scalar objective f that is convex by the rules of DCP and DPP, with finite data.
 
     cp.Minimize(f) is accepted and gives f. Raises ConfigError for all other input.
@@ -113,18 +115,18 @@ def convex(expression: Any, where: str) -> cp.Expression:
             "one cvxpy expression",
             "Sum it up.",
         )
-    found = _expression(expression, where)
+    found = _convert_to_expression(expression, where)
     if found.size != 1:
         raise ConfigError(where, f"shape {found.shape}", "one number", "Sum it up.")
-    return _ruled(found, where)
+    return _require_convex_by_rules(found, where)
 
 
-def coupling(expression: Any, where: str) -> cp.Expression:
+def build_coupling(expression: Any, where: str) -> cp.Expression:
     """Return a vector g of convex expressions, built from one expression or a list of them."""
     listed = isinstance(expression, (list, tuple))
     given = list(expression) if isinstance(expression, (list, tuple)) else [expression]
     parts = [
-        _expression(part, f"{where}[{s}]" if listed else where)
+        _convert_to_expression(part, f"{where}[{s}]" if listed else where)
         for s, part in enumerate(given)
     ]
     if not sum(part.size for part in parts):
@@ -133,29 +135,31 @@ def coupling(expression: Any, where: str) -> cp.Expression:
             where, "no rows", "one row or more, the same number at all agents", do
         )
     ruled = [
-        _ruled(part, f"{where}[{s}]" if listed else where)
+        _require_convex_by_rules(part, f"{where}[{s}]" if listed else where)
         for s, part in enumerate(parts)
     ]
     return cp.hstack([cp.vec(part, order="F") for part in ruled])
 
 
-def _expression(given: Any, where: str) -> cp.Expression:
+def _convert_to_expression(given: Any, where: str) -> cp.Expression:
     """Return the given expression, or the given numbers as a constant expression."""
     if isinstance(given, cp.Expression):
         found = given
     elif isinstance(given, cp.constraints.constraint.Constraint):
         do = "A comparison belongs to the constraints; of g <= b, give g here and b as the share."
-        raise ConfigError(where, str(given), EXPRESSION, do)
+        raise ConfigError(where, str(given), ALLOWED_EXPRESSION, do)
     elif isinstance(given, cp.Problem):
         do = "Give its objective and its constraints apart."
-        raise ConfigError(where, "a cvxpy problem", EXPRESSION, do)
+        raise ConfigError(where, "a cvxpy problem", ALLOWED_EXPRESSION, do)
     elif given is None or isinstance(given, (bool, np.bool_, str, bytes)):
-        raise ConfigError(where, repr(given), EXPRESSION)
+        raise ConfigError(where, repr(given), ALLOWED_EXPRESSION)
     else:
         try:
             found = cp.Expression.cast_to_const(given)
         except (TypeError, ValueError) as error:
-            raise ConfigError(where, type(given).__name__, EXPRESSION) from error
+            raise ConfigError(
+                where, type(given).__name__, ALLOWED_EXPRESSION
+            ) from error
     if found.is_complex():
         raise ConfigError(
             where, str(found), "real numbers", "Take real and imaginary parts apart."
@@ -163,8 +167,8 @@ def _expression(given: Any, where: str) -> cp.Expression:
     return found
 
 
-def _ruled(expression: cp.Expression, where: str) -> cp.Expression:
-    finite(expression, where)
+def _require_convex_by_rules(expression: cp.Expression, where: str) -> cp.Expression:
+    require_finite(expression, where)
     if not expression.is_convex():
         raise ConfigError(
             where,
@@ -181,7 +185,7 @@ def _ruled(expression: cp.Expression, where: str) -> cp.Expression:
     return expression
 
 
-def constraint_list(constraints: Any, where: str) -> list[cp.Constraint]:
+def list_constraints(constraints: Any, where: str) -> list[cp.Constraint]:
     """Return the constraints as a list, each convex and with finite data.
 
     A single constraint counts as a list of one.
@@ -193,7 +197,7 @@ def constraint_list(constraints: Any, where: str) -> list[cp.Constraint]:
     elif isinstance(constraints, (str, bytes, Mapping, Set)) or not isinstance(
         constraints, Iterable
     ):
-        do = _advice(constraints)
+        do = _advise_on_entry(constraints)
         raise ConfigError(
             f"{where}: constraints",
             repr(constraints),
@@ -205,7 +209,7 @@ def constraint_list(constraints: Any, where: str) -> list[cp.Constraint]:
         at = f"{where}: constraints[{r}]"
         if not isinstance(constraint, cp.constraints.constraint.Constraint):
             raise ConfigError(
-                at, repr(constraint), "a cvxpy constraint", _advice(constraint)
+                at, repr(constraint), "a cvxpy constraint", _advise_on_entry(constraint)
             )
         if any(part.is_complex() for part in constraint.args):
             raise ConfigError(
@@ -214,7 +218,7 @@ def constraint_list(constraints: Any, where: str) -> list[cp.Constraint]:
                 "real numbers",
                 "Take real and imaginary parts apart.",
             )
-        finite(constraint, at)
+        require_finite(constraint, at)
         if not constraint.is_dcp():
             raise ConfigError(
                 at,
@@ -231,7 +235,7 @@ def constraint_list(constraints: Any, where: str) -> list[cp.Constraint]:
     return listed
 
 
-def _advice(found: Any) -> str:
+def _advise_on_entry(found: Any) -> str:
     """Return advice about an entry of a list of constraints that is not a constraint."""
     if isinstance(found, (bool, np.bool_)):
         return "Compare expressions of cvxpy variables."
@@ -242,13 +246,13 @@ def _advice(found: Any) -> str:
     return ""
 
 
-def finite(expression: Any, where: str) -> None:
+def require_finite(expression: Any, where: str) -> None:
     """Raise ConfigError for a number that is not finite, or a parameter without a value.
 
     The error names the first one.
     """
     for data in [*expression.constants(), *expression.parameters()]:
-        with _sparse_read():
+        with _suppress_sparse_warning():
             given = data.value
         if given is None:
             raise ConfigError(
@@ -257,7 +261,7 @@ def finite(expression: Any, where: str) -> None:
                 "a value",
                 "Set its `value`.",
             )
-        value = _dense(given)
+        value = _convert_to_dense(given)
         bad = np.argwhere(~np.isfinite(value))
         if len(bad):
             at = tuple(int(k) for k in bad[0])
@@ -270,13 +274,13 @@ def finite(expression: Any, where: str) -> None:
             )
 
 
-def only(expression: Any, x: cp.Variable) -> bool:
+def is_function_of(expression: Any, x: cp.Variable) -> bool:
     """Return True if the expression depends on no variable but x."""
     return all(variable.id == x.id for variable in expression.variables())
 
 
 @contextmanager
-def _sparse_read() -> Iterator[None]:
+def _suppress_sparse_warning() -> Iterator[None]:
     """Suppress cvxpy's warning about reading a sparse parameter.
 
     The warning does not matter: the parameter becomes a dense matrix in any case.
@@ -289,48 +293,48 @@ def _sparse_read() -> Iterator[None]:
 
 
 @contextmanager
-def _placed(x: cp.Variable, point: Vec) -> Iterator[None]:
+def _place_variable(x: cp.Variable, point: Vec) -> Iterator[None]:
     """Set the value of x to a point, and restore the user's value at the end."""
     before = x.value
     x.save_value(point.reshape(x.shape))
     try:
-        with _sparse_read():
+        with _suppress_sparse_warning():
             yield
     finally:
         x.save_value(before)
 
 
-def at(expression: cp.Expression, x: cp.Variable, point: Vec) -> Vec:
+def evaluate_at(expression: cp.Expression, x: cp.Variable, point: Vec) -> Vec:
     """Return the values (S,) of the expression at x = point."""
-    with _placed(x, point), np.errstate(all="ignore"):
-        return _dense(expression.value).reshape(-1, order="F")
+    with _place_variable(x, point), np.errstate(all="ignore"):
+        return _convert_to_dense(expression.value).reshape(-1, order="F")
 
 
-def slope(expression: cp.Expression, x: cp.Variable, point: Vec) -> Mat:
+def compute_slope(expression: cp.Expression, x: cp.Variable, point: Vec) -> Mat:
     """Return a (sub)gradient (S, n) of each entry of the expression at x = point.
 
     Entries are nan if the point is outside the domain.
     """
     if not np.isfinite(
-        at(expression, x, point)
+        evaluate_at(expression, x, point)
     ).all():  # cvxpy does not report a sum outside its domain
         return np.full((expression.size, x.size), np.nan)
-    with _placed(x, point):
+    with _place_variable(x, point):
         found = expression.grad
     if x not in found:
         return np.zeros((expression.size, x.size))
     if found[x] is None:
         return np.full((expression.size, x.size), np.nan)
-    return _dense(found[x]).reshape(x.size, expression.size).T
+    return _convert_to_dense(found[x]).reshape(x.size, expression.size).T
 
 
-def affine(expression: cp.Expression, x: cp.Variable) -> tuple[Mat, Vec]:
+def decompose_affine(expression: cp.Expression, x: cp.Variable) -> tuple[Mat, Vec]:
     """Return G (S, n) and h (S,) of an affine expression G x + h."""
     zero = np.zeros(x.size)
-    return slope(expression, x, zero), at(expression, x, zero)
+    return compute_slope(expression, x, zero), evaluate_at(expression, x, zero)
 
 
-def _dense(value: Any) -> Vec:
+def _convert_to_dense(value: Any) -> Vec:
     """Return the numbers of cvxpy, a float, an array or a sparse matrix, as a dense array."""
     return np.atleast_1d(
         np.asarray(value.toarray() if hasattr(value, "toarray") else value, float)
@@ -369,28 +373,32 @@ class Quadratic:
         return Quadratic(factor * self.P, factor * self.q, factor * self.r)
 
 
-def linear(expression: cp.Expression, x: cp.Variable, where: str) -> tuple[Mat, Vec]:
-    """Return G and h as `affine` does.
+def decompose_linear(
+    expression: cp.Expression, x: cp.Variable, where: str
+) -> tuple[Mat, Vec]:
+    """Return G and h as `decompose_affine` does.
 
     Raises ConfigError unless the expression is affine in x alone.
     """
-    if not (expression.is_affine() and only(expression, x)):
+    if not (expression.is_affine() and is_function_of(expression, x)):
         raise ConfigError(where, str(expression), f"a linear function of {x.name()}")
-    return affine(expression, x)
+    return decompose_affine(expression, x)
 
 
-def quadratics(expression: cp.Expression, x: cp.Variable) -> list[Quadratic] | None:
+def decompose_quadratics(
+    expression: cp.Expression, x: cp.Variable
+) -> list[Quadratic] | None:
     """Return the entries of the expression if all are quadratic functions of x alone, else None.
 
     The matrices are read from the gradients, which are linear for a quadratic function.
     """
-    if not only(expression, x) or not expression.is_quadratic():
+    if not is_function_of(expression, x) or not expression.is_quadratic():
         return None
     zero = np.zeros(x.size)
-    r = at(expression, x, zero)
-    q = slope(expression, x, zero)
+    r = evaluate_at(expression, x, zero)
+    q = compute_slope(expression, x, zero)
     hessians = np.array(
-        [slope(expression, x, e) - q for e in np.eye(x.size)]
+        [compute_slope(expression, x, e) - q for e in np.eye(x.size)]
     ).transpose(1, 0, 2)
     return [
         Quadratic((P + P.T) / 2, *rest)
@@ -406,7 +414,7 @@ def require_polyhedral(
     The error names the first constraint that is not.
     """
     for r, c in enumerate(constraints):
-        if not polyhedral([c], x):
+        if not is_polyhedral([c], x):
             raise ConfigError(
                 f"{where}: constraints[{r}]",
                 str(c),
@@ -414,32 +422,39 @@ def require_polyhedral(
             )
 
 
-def polyhedral(constraints: Sequence[cp.Constraint], x: cp.Variable) -> bool:
+def is_polyhedral(constraints: Sequence[cp.Constraint], x: cp.Variable) -> bool:
     """Return True if all constraints are linear (in)equalities of x alone."""
     return all(
-        isinstance(c, LINEAR) and c.expr.is_affine() and only(c, x) for c in constraints
+        isinstance(c, LINEAR_CONSTRAINT_TYPES)
+        and c.expr.is_affine()
+        and is_function_of(c, x)
+        for c in constraints
     )
 
 
-def polyhedron(
+def build_polyhedron(
     constraints: Sequence[cp.Constraint], x: cp.Variable
 ) -> Polyhedron | None:
     """Return the set that the constraints describe.
 
     Returns None if it is not a polyhedron, or if it involves variables other than x.
     """
-    return Polyhedron.of(*rows(constraints, x)) if polyhedral(constraints, x) else None
+    return (
+        Polyhedron.of(*decompose_rows(constraints, x))
+        if is_polyhedral(constraints, x)
+        else None
+    )
 
 
-def rows(
+def decompose_rows(
     constraints: Sequence[cp.Constraint], x: cp.Variable
 ) -> tuple[Mat, Vec, Mat, Vec]:
     """Return A, b, E, e of linear constraints: A x <= b, E x = e."""
     found: dict[bool, list[tuple[Mat, Vec]]] = {False: [], True: []}
     for c in constraints:
-        G, h = affine(c.expr, x)
-        sign = -1.0 if isinstance(c, NONNEGATIVE) else 1.0
-        found[isinstance(c, EQUAL)].append((sign * G, -sign * h))
+        G, h = decompose_affine(c.expr, x)
+        sign = -1.0 if isinstance(c, NONNEGATIVITY_TYPES) else 1.0
+        found[isinstance(c, EQUALITY_TYPES)].append((sign * G, -sign * h))
     empty = (np.zeros((0, x.size)), np.zeros(0))
     upper, equal = ([empty, *found[kind]] for kind in (False, True))
     return (
@@ -450,13 +465,13 @@ def rows(
     )
 
 
-EQUAL = (cp.constraints.zero.Equality, cp.constraints.zero.Zero)
+EQUALITY_TYPES = (cp.constraints.zero.Equality, cp.constraints.zero.Zero)
 """Types of constraints expr = 0."""
-NONNEGATIVE = (cp.constraints.nonpos.NonNeg,)
+NONNEGATIVITY_TYPES = (cp.constraints.nonpos.NonNeg,)
 """Types of constraints expr >= 0."""
-LINEAR = (
-    *EQUAL,
-    *NONNEGATIVE,
+LINEAR_CONSTRAINT_TYPES = (
+    *EQUALITY_TYPES,
+    *NONNEGATIVITY_TYPES,
     cp.constraints.nonpos.Inequality,
     cp.constraints.nonpos.NonPos,
 )

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from crazychoir.errors import ConfigError
-from crazychoir.optimization.rounds.iteration import result
+from crazychoir.optimization.rounds.iteration import require_result
 from crazychoir.types import Vec
 
 Gradient = Callable[[Vec], ArrayLike]
 Project = Callable[[Vec], ArrayLike]
 
 
-class Checked:
+class CheckedFunction:
     """A function of x that the user wrote for agent i, with a check of its results.
 
     The result must be finite and have the shape of x, or the shape `shape` of the call.
@@ -43,12 +43,12 @@ class Checked:
     def __call__(self, k: int, *x: Vec, shape: tuple[int, ...] | None = None) -> Vec:
         """Return the value at x in round k."""
         wanted = x[0].shape if shape is None else shape
-        return result(
+        return require_result(
             f"agent {self.i}: {self.name}, round {k}", self.function(*x), wanted
         )
 
 
-def anywhere(x: Vec) -> Vec:
+def keep_point(x: Vec) -> Vec:
     """Return x: the projection onto the whole space."""
     return x
 

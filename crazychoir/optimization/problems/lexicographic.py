@@ -11,38 +11,38 @@ import numpy.typing as npt
 
 from crazychoir.errors import SolverError
 from crazychoir.optimization.problems.equilibration import (
-    CANNOT_TELL,
-    scaled_inverse,
-    without_rounding,
+    ROUNDING_DECIDES_TEXT,
+    invert_scaled,
+    remove_rounding,
 )
 from crazychoir.optimization.problems.tableau import (
-    SAME,
+    SAME_NUMBER_TOLERANCE,
     drop_negligible,
-    walk,
+    pivot_to_optimum,
 )
 from crazychoir.types import Mat, Vec
 
 Ints = npt.NDArray[np.int64]
-PIVOTS = 100_000
+MOST_PIVOTS = 100_000
 """Largest number of pivots before the method gives up."""
-REFRESH = 50
+PIVOTS_PER_REFRESH = 50
 """Number of pivots after which the tableau is computed anew."""
-EPSILON = float(np.finfo(float).eps)
-FEASIBLE = 1e-7
+MACHINE_EPSILON = float(np.finfo(float).eps)
+FEASIBILITY_TOLERANCE = 1e-7
 """Relative error of right-hand sides up to which what remains of a row is explained by it."""
-DISTINCT = 10.0 * FEASIBLE
+LEAST_DISTINCTNESS = 10.0 * FEASIBILITY_TOLERANCE
 """What a basic column must differ by from any sum of the others, relative to the sizes of its terms added up.
 
 Below this, what may remain of a row changes the levels by a tenth and more.
 """
-UNCERTAIN = 1e-3
+LARGEST_UNCERTAINTY = 1e-3
 """Rounding error of a level, relative to the level, from which on the level says nothing."""
-ARTIFICIAL = -1
+ARTIFICIAL_OWNER = -1
 """Owner id of the artificial columns."""
 
 
 @dataclass(frozen=True, eq=False)
-class Columns:
+class ProgramColumns:
     """n columns of a standard-form program with m rows."""
 
     ids: Ints
@@ -62,7 +62,7 @@ class Columns:
     @classmethod
     def own(
         cls, owner: int, c: Vec, entries: Mat, first: Vec | None = None
-    ) -> "Columns":
+    ) -> "ProgramColumns":
         """Return the columns of one agent.
 
         owner: id of the agent
@@ -78,28 +78,30 @@ class Columns:
         )
 
     @classmethod
-    def artificial(cls, m: int) -> "Columns":
+    def artificial(cls, m: int) -> "ProgramColumns":
         """Return the m artificial columns: an identity matrix."""
         return cls(
-            cls.own(ARTIFICIAL, np.zeros(m), np.eye(m)).ids,
+            cls.own(ARTIFICIAL_OWNER, np.zeros(m), np.eye(m)).ids,
             np.vstack([np.ones(m), np.zeros(m)]),
             np.eye(m),
         )
 
-    def take(self, which: Ints) -> "Columns":
+    def take(self, which: Ints) -> "ProgramColumns":
         """Return the columns at the positions `which`, in increasing order."""
-        return Columns(
+        return ProgramColumns(
             self.ids[which],
             np.ascontiguousarray(self.cost[:, which]),
             np.ascontiguousarray(self.entries[:, which]),
         )
 
-    def free(self) -> "Columns":
+    def free(self) -> "ProgramColumns":
         """Return these columns without the cost c: what remains is to find a feasible basis."""
-        return Columns(self.ids, self.cost * np.array([[1.0], [0.0]]), self.entries)
+        return ProgramColumns(
+            self.ids, self.cost * np.array([[1.0], [0.0]]), self.entries
+        )
 
 
-def union(parts: list[Columns]) -> Columns:
+def unite_columns(parts: list[ProgramColumns]) -> ProgramColumns:
     """Return the columns of all parts, each once."""
     ids = np.vstack([part.ids for part in parts])
     order = np.lexsort((ids[:, 1], ids[:, 0]))
@@ -109,11 +111,13 @@ def union(parts: list[Columns]) -> Columns:
         np.hstack([getattr(part, name) for part in parts])
         for name in ("cost", "entries")
     )
-    return Columns(ids[which], cost[:, which], np.ascontiguousarray(entries[:, which]))
+    return ProgramColumns(
+        ids[which], cost[:, which], np.ascontiguousarray(entries[:, which])
+    )
 
 
 @dataclass(frozen=True, eq=False)
-class Basis:
+class OptimalBasis:
     """An optimal basis B of the given columns, or the end of a ray.
 
     columns: (m of them), B, in increasing order of id;  b: (m,);  inverse: (m, m), B^-1;  level: (m,) their values
@@ -121,7 +125,7 @@ class Basis:
     All depend on B and b alone, bit by bit, so that agents with the same basis have the same numbers.
     """
 
-    columns: Columns
+    columns: ProgramColumns
     """The m columns of B, in increasing order of id."""
     b: Vec
     """(m,) right-hand side."""
@@ -133,26 +137,27 @@ class Basis:
     """Id of a column that may grow for ever while c'x falls, or None."""
 
     @classmethod
-    def of(cls, columns: Columns, b: Vec) -> "Basis":
+    def of(cls, columns: ProgramColumns, b: Vec) -> "OptimalBasis":
         """Return the basis of m columns in increasing order of id.
 
         Raises SolverError if the columns are dependent.
         """
         # Sums in another layout of the memory would end with other bits.
         columns = columns.take(np.arange(len(columns)))
-        inverse = scaled_inverse(columns.entries)
-        level = without_rounding(inverse @ b, np.abs(inverse) @ np.abs(b))
-        share = _shares(columns.entries, level, b)
-        level[(share <= SAME) | ((level < 0.0) & (share <= FEASIBLE))] = 0.0
+        inverse = invert_scaled(columns.entries)
+        level = remove_rounding(inverse @ b, np.abs(inverse) @ np.abs(b))
+        share = _compute_shares(columns.entries, level, b)
+        level[
+            (share <= SAME_NUMBER_TOLERANCE)
+            | ((level < 0.0) & (share <= FEASIBILITY_TOLERANCE))
+        ] = 0.0
         return cls(columns, b, inverse, level)
 
     @cached_property
     def prices(self) -> Mat:
         """(2, m) prices of the rows, at the two levels of cost."""
         cost = self.columns.cost
-        return without_rounding(
-            cost @ self.inverse, np.abs(cost) @ np.abs(self.inverse)
-        )
+        return remove_rounding(cost @ self.inverse, np.abs(cost) @ np.abs(self.inverse))
 
     @cached_property
     def terms(self) -> Vec:
@@ -177,15 +182,17 @@ class Basis:
         """Why double precision cannot tell what this basis is worth; None if it can."""
         level = self.level
         negative = level < 0.0
-        vague = (level != 0.0) & (self.uncertainty > UNCERTAIN * np.abs(level))
-        if self.distinctness.min() < DISTINCT:
+        vague = (level != 0.0) & (
+            self.uncertainty > LARGEST_UNCERTAINTY * np.abs(level)
+        )
+        if self.distinctness.min() < LEAST_DISTINCTNESS:
             p = int(np.argmin(self.distinctness))
             share = self.distinctness[p]
             found = f"{self._name(p)} differs from a sum of others by {share:.1g} of its terms"
         elif negative.any():
             p = int(np.argmax(negative))
             found = f"{self._name(p)} is {level[p]:.3g}"
-        elif self.residual.max() > FEASIBLE:
+        elif self.residual.max() > FEASIBILITY_TOLERANCE:
             row = int(np.argmax(self.residual))
             found = f"row {row} is met up to {self.residual[row]:.1g} of its terms only"
         elif vague.any():
@@ -194,7 +201,7 @@ class Basis:
             found = f"{self._name(p)} is {level[p]:.3g}, with a rounding error of up to {error:.3g}"
         else:
             return None
-        return f"{found}: {CANNOT_TELL}"
+        return f"{found}: {ROUNDING_DECIDES_TEXT}"
 
     def _name(self, p: int) -> str:
         owner, number = self.columns.ids[p].tolist()
@@ -206,11 +213,11 @@ class Basis:
     def uncertainty(self) -> Vec:
         """(m,) bound of the rounding error of the levels: epsilon |B^-1| (|B| |x_B| + |b|)."""
         size = np.abs(self.columns.entries) @ np.abs(self.level) + np.abs(self.b)
-        return np.asarray(EPSILON * (np.abs(self.inverse) @ size))
+        return np.asarray(MACHINE_EPSILON * (np.abs(self.inverse) @ size))
 
-    def price_out(self, columns: Columns) -> Mat:
+    def price_out(self, columns: ProgramColumns) -> Mat:
         """Return the reduced costs (2, n) of `columns`, at the two levels of cost."""
-        return reduced_costs(
+        return price_columns(
             columns.cost, self.columns.cost, self.expressed(columns.entries)
         )
 
@@ -222,30 +229,32 @@ class Basis:
         """
         value = self.inverse @ entries
         terms = np.abs(self.inverse) @ np.abs(entries)
-        value = np.ascontiguousarray(without_rounding(value, terms))
+        value = np.ascontiguousarray(remove_rounding(value, terms))
         B = self.columns.entries
         size = np.abs(entries) + np.abs(B) @ np.abs(value)
-        drop_negligible(value, B, np.ascontiguousarray(size), SAME)
+        drop_negligible(value, B, np.ascontiguousarray(size), SAME_NUMBER_TOLERANCE)
         return value
 
 
-def _shares(B: Mat, level: Vec, b: Vec) -> Vec:
+def _compute_shares(B: Mat, level: Vec, b: Vec) -> Vec:
     """Return (m,) max over k of |B_ki x_i| / (|B| |x| + |b|)_k."""
     terms = np.abs(B) * np.abs(level)
     size = terms.sum(axis=1) + np.abs(b)
     return np.asarray((terms / np.where(size > 0.0, size, 1.0)[:, None]).max(axis=0))
 
 
-def reduced_costs(cost: Mat, basic: Mat, expressed: Mat) -> Mat:
+def price_columns(cost: Mat, basic: Mat, expressed: Mat) -> Mat:
     """Return (2, n) cost - basic B^-1 A.
 
     cost: (2, n);  basic: (2, m) the costs of the basic columns;  expressed: (m, n) B^-1 A.
     """
     terms = np.abs(cost) + np.abs(basic) @ np.abs(expressed)
-    return without_rounding(cost - basic @ expressed, terms, SAME)
+    return remove_rounding(cost - basic @ expressed, terms, SAME_NUMBER_TOLERANCE)
 
 
-def optimal_basis(columns: Columns, start: "Columns | Basis", b: Vec) -> Basis:
+def find_optimal_basis(
+    columns: ProgramColumns, start: "ProgramColumns | OptimalBasis", b: Vec
+) -> OptimalBasis:
     """Return the lexicographically optimal basis among `columns`, by pivots from `start`.
 
         min (z_1, ..., z_m, a'x, c'x, delta'x)   s.t.  A x = b + (e, e^2, ..., e^m),  x >= 0,
@@ -262,21 +271,25 @@ def optimal_basis(columns: Columns, start: "Columns | Basis", b: Vec) -> Basis:
     Raises SolverError beyond PIVOTS pivots, for a basis that comes back, and for a singular basis.
     Source: Dantzig, Orden & Wolfe 1955; Buerger, Notarstefano, Bullo & Allgoewer 2012, Automatica 48, 2298-2304.
     """
-    basis = start if isinstance(start, Basis) else Basis.of(start, b)
+    basis = start if isinstance(start, OptimalBasis) else OptimalBasis.of(start, b)
     artificial = int(np.searchsorted(columns.ids[:, 0], 0))
     where = {key: p for p, key in enumerate(columns.id_pairs())}
     basic = np.array([where[key] for key in basis.columns.id_pairs()], dtype=np.int64)
     seen = {basic.tobytes()}
-    most = REFRESH
-    for _ in range(PIVOTS // REFRESH):
+    most = PIVOTS_PER_REFRESH
+    for _ in range(MOST_PIVOTS // PIVOTS_PER_REFRESH):
         after = basic.copy()
-        pivots, end = walk(_tableau(columns, basis, basic), after, artificial, most)
+        pivots, end = pivot_to_optimum(
+            _build_tableau(columns, basis, basic), after, artificial, most
+        )
         if not pivots:
             owner, number = columns.ids[end].tolist()
             ray = (owner, number) if end >= 0 else None
-            return Basis(columns.take(basic), basis.b, basis.inverse, basis.level, ray)
+            return OptimalBasis(
+                columns.take(basic), basis.b, basis.inverse, basis.level, ray
+            )
         after.sort()
-        following = _basis_if_distinct(columns.take(after), b) if most > 1 else None
+        following = _build_distinct_basis(columns.take(after), b) if most > 1 else None
         if most > 1 and following is None:
             # Rounding has become a pivot. Single pivots see each difference beside its terms.
             most = 1
@@ -285,21 +298,21 @@ def optimal_basis(columns: Columns, start: "Columns | Basis", b: Vec) -> Basis:
         if basic.tobytes() in seen:
             break
         seen.add(basic.tobytes())
-        basis = following or Basis.of(columns.take(basic), b)
-    found = f"pivots without an end: {CANNOT_TELL}"
+        basis = following or OptimalBasis.of(columns.take(basic), b)
+    found = f"pivots without an end: {ROUNDING_DECIDES_TEXT}"
     raise SolverError("lexicographic simplex", found)
 
 
-def _basis_if_distinct(columns: Columns, b: Vec) -> Basis | None:
+def _build_distinct_basis(columns: ProgramColumns, b: Vec) -> OptimalBasis | None:
     """Return the basis, or None where its columns are nearly dependent."""
     try:
-        basis = Basis.of(columns, b)
+        basis = OptimalBasis.of(columns, b)
     except SolverError:
         return None
-    return basis if basis.distinctness.min() >= DISTINCT else None
+    return basis if basis.distinctness.min() >= LEAST_DISTINCTNESS else None
 
 
-def _tableau(columns: Columns, basis: Basis, basic: Ints) -> Mat:
+def _build_tableau(columns: ProgramColumns, basis: OptimalBasis, basic: Ints) -> Mat:
     """Return the tableau (m + 2, n + m + 1): B^-1 [A, I, b], and the reduced costs at two levels.
 
     basic: (m,) positions of the columns of the basis
@@ -312,6 +325,6 @@ def _tableau(columns: Columns, basis: Basis, basic: Ints) -> Mat:
     # A basis with a level that is negative is doubtful, and if it is the last one it is refused.
     tableau[:m, -1] = np.maximum(basis.level, 0.0)
     cost = columns.cost[:, basic]
-    tableau[m:, :n] = reduced_costs(columns.cost, cost, tableau[:m, :n])
+    tableau[m:, :n] = price_columns(columns.cost, cost, tableau[:m, :n])
     tableau[m:, basic] = 0.0
     return tableau

@@ -13,11 +13,11 @@ from crazychoir.types import Mat, Vec
 
 Mask = npt.NDArray[np.bool_]
 
-MOST_ITERATIONS: Final = 100_000
+MOST_SIMPLEX_ITERATIONS: Final = 100_000
 """Simplex iterations of one solve."""
-MOST_NODES: Final = 100_000
+MOST_BRANCH_NODES: Final = 100_000
 """Branch-and-bound nodes of one solve."""
-WORDS = {
+HIGHS_STATUS_TEXTS = {
     highspy.HighsModelStatus.kInfeasible: "infeasible",
     highspy.HighsModelStatus.kUnbounded: "unbounded",
     highspy.HighsModelStatus.kUnboundedOrInfeasible: "infeasible",  # `_minimise` tests for unbounded
@@ -27,7 +27,7 @@ WORDS = {
 """Status texts of HiGHS that callers test for."""
 
 
-class _Quiet(highspy.Highs):  # type: ignore[misc]
+class _QuietHighs(highspy.Highs):  # type: ignore[misc]
     """A HiGHS object that prints nothing.
 
     HiGHS 1.16 prints a banner as soon as it has callbacks, so the output is switched off before.
@@ -38,15 +38,15 @@ class _Quiet(highspy.Highs):  # type: ignore[misc]
         return super().enableCallbacks()
 
 
-def quiet_highs(seed: int = 0) -> highspy.Highs:
+def make_quiet_highs(seed: int = 0) -> highspy.Highs:
     """Return a HiGHS object with repeatable results.
 
     It uses one thread and a fixed seed. It has no output and no time limit.
     """
-    highs = _Quiet()
+    highs = _QuietHighs()
     highs.setOptionValue("threads", 1)
     highs.setOptionValue("random_seed", seed)
-    highs.setOptionValue("simplex_iteration_limit", MOST_ITERATIONS)
+    highs.setOptionValue("simplex_iteration_limit", MOST_SIMPLEX_ITERATIONS)
     return highs
 
 
@@ -75,7 +75,7 @@ class LinearProgram:
         equalities: tuple[Mat, Vec] | None = None,
         bounds: tuple[Vec, Vec] | None = None,
         integer: Mask | None = None,
-        most_nodes: int = MOST_NODES,
+        most_nodes: int = MOST_BRANCH_NODES,
     ) -> None:
         (A, b), n = rows, len(c)
         self._c = np.asarray(c, float)
@@ -84,7 +84,7 @@ class LinearProgram:
             (np.full(n, -np.inf), np.full(n, np.inf)) if bounds is None else bounds
         )
         self._index = np.arange(n, dtype=np.int32)
-        self._highs = quiet_highs()
+        self._highs = make_quiet_highs()
         self._highs.addVars(n, np.asarray(low, float), np.asarray(high, float))
         self._add(A, np.full(len(b), -np.inf), b)
         self._add(E, e, e)
@@ -134,7 +134,7 @@ class LinearProgram:
         if status == highspy.HighsModelStatus.kUnboundedOrInfeasible and np.any(c):
             feasible = self._minimise(np.zeros_like(c))
             return "unbounded" if not isinstance(feasible, str) else feasible
-        return WORDS.get(status, str(status.name))
+        return HIGHS_STATUS_TEXTS.get(status, str(status.name))
 
     def _add(self, rows: Mat, low: Vec, high: Vec) -> None:
         for a, least, most in zip(np.asarray(rows, float), low, high, strict=True):

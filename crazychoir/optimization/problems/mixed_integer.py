@@ -9,16 +9,16 @@ import numpy as np
 
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.problems.linear import (
-    MOST_NODES,
-    WORDS,
+    HIGHS_STATUS_TEXTS,
+    MOST_BRANCH_NODES,
     LinearProgram,
     Mask,
-    quiet_highs,
+    make_quiet_highs,
 )
-from crazychoir.optimization.rounds.arrays import matrix, vector
+from crazychoir.optimization.rounds.arrays import copy_matrix, copy_vector
 from crazychoir.types import Mat, Vec
 
-SLACK = 1e-6
+MILP_TOLERANCE = 1e-6
 """Tolerance of the solver: a row may miss its bound by this, relative to 1 + |bound|."""
 SMALLEST_RESOURCE = 1e-5
 """Least size of the largest number of a resource: the tolerance would hide a smaller resource."""
@@ -54,9 +54,9 @@ class MixedIntegerBlock:
     ) -> None:
         self.agent = agent
         self.where = f"agent {agent}"
-        self.c = vector(c, self.where, "c")
+        self.c = copy_vector(c, self.where, "c")
         self.n = len(self.c)
-        self.share = vector(share, self.where, "share")
+        self.share = copy_vector(share, self.where, "share")
         self.S = len(self.share)
         if not self.S:
             do = "Without a common resource each agent solves its problem alone."
@@ -66,10 +66,12 @@ class MixedIntegerBlock:
                 "one row or more, the same number at all agents",
                 do,
             )
-        self.A = matrix(A, self.where, "A", (self.S, self.n))
+        self.A = copy_matrix(A, self.where, "A", (self.S, self.n))
         D, d = (np.zeros((0, self.n)), np.zeros(0)) if rows is None else rows
-        d = vector(d, self.where, "d")
-        self.rows = _near_one(matrix(D, self.where, "D", (len(d), self.n)), d)
+        d = copy_vector(d, self.where, "d")
+        self.rows = _scale_near_one(
+            copy_matrix(D, self.where, "D", (len(d), self.n)), d
+        )
         self._require_resources_to_be_seen()
         low = self._bound(bounds[0], "low")
         high = self._bound(bounds[1], "high")
@@ -92,13 +94,16 @@ class MixedIntegerBlock:
         if len(hidden):
             s = int(hidden[0])
             found = f"numbers of {sizes[s]:.3g} at most"
-            allowed = f"{SMALLEST_RESOURCE:g} or more, or zeros: smaller ones are below the tolerance {SLACK:g}"
+            allowed = (
+                f"{SMALLEST_RESOURCE:g} or more, or zeros: smaller ones are below the "
+                f"tolerance {MILP_TOLERANCE:g}"
+            )
             do = "Measure this resource in a smaller unit, at all agents."
             raise ConfigError(f"{self.where}: A[{s}], share[{s}]", found, allowed, do)
 
     def _bound(self, bound: Any, name: str) -> Vec:
         every = np.full(self.n, float(bound)) if np.ndim(bound) == 0 else bound
-        return vector(every, self.where, name, self.n, infinite=True)
+        return copy_vector(every, self.where, name, self.n, infinite=True)
 
     def _mask(self, integer: Sequence[int]) -> Mask:
         for k in integer:
@@ -125,8 +130,8 @@ class MixedIntegerBlock:
         return self.corner(cost), self._over.proven
 
     @cached_property
-    def _elastic(self) -> "_Elastic":
-        return _Elastic(self)
+    def _elastic(self) -> "_ElasticProgram":
+        return _ElasticProgram(self)
 
     def within(self, y: Vec) -> tuple[Vec, Vec]:
         """Return (x, v): first the least sum of v >= 0 with A x <= y + v, then the least c'x.
@@ -184,7 +189,7 @@ class MixedIntegerBlock:
         return f"{len(self.rows[1])} rows D x <= d, low <= x <= high, {int(self.integer.sum())} integers"
 
 
-def _near_one(rows: Mat, bounds: Vec) -> tuple[Mat, Vec]:
+def _scale_near_one(rows: Mat, bounds: Vec) -> tuple[Mat, Vec]:
     """Return the rows in units in which their largest entry is 1 to 2.
 
     The tolerances of HiGHS are absolute, so rows of other sizes would be judged wrongly.
@@ -202,7 +207,7 @@ def require_block(block: Any, algorithm: str) -> None:
         raise ConfigError(f"{algorithm}: block", type(block).__name__, allowed)
 
 
-class _Elastic:
+class _ElasticProgram:
     """min c'x over X with A x <= y + v, in the variables (x, v), for many y."""
 
     def __init__(self, block: MixedIntegerBlock) -> None:
@@ -215,7 +220,7 @@ class _Elastic:
         self._cost = np.concatenate([block.c, self._zero])
         self._short = np.concatenate([np.zeros(n), np.ones(S)])
         self._low = np.concatenate([block.bounds[0], np.zeros(S)])
-        self._highs = quiet_highs()
+        self._highs = make_quiet_highs()
         self._highs.addVars(n + S, self._low, self._high)
         for s, row in enumerate(block.A):
             self._add(np.concatenate([row, -np.eye(S)[s]]), 0.0)
@@ -224,7 +229,7 @@ class _Elastic:
         kinds = np.zeros(n + S, np.uint8)
         kinds[:n][block.integer] = int(highspy.HighsVarType.kInteger)
         self._highs.changeColsIntegrality(n + S, self._index, kinds)
-        self._highs.setOptionValue("mip_max_nodes", MOST_NODES)
+        self._highs.setOptionValue("mip_max_nodes", MOST_BRANCH_NODES)
         self._highs.setOptionValue("mip_rel_gap", 0.0)
 
     def solve(self, y: Vec) -> Vec | str:
@@ -241,7 +246,7 @@ class _Elastic:
         if isinstance(missing, str):
             return missing
         found = self._minimise(
-            self._cost, missing[self._n :] + SLACK * (1.0 + np.abs(y))
+            self._cost, missing[self._n :] + MILP_TOLERANCE * (1.0 + np.abs(y))
         )
         return found if isinstance(found, str) else found[: self._n]
 
@@ -259,7 +264,7 @@ class _Elastic:
         self._highs.run()
         status = self._highs.getModelStatus()
         if status != highspy.HighsModelStatus.kOptimal:
-            return WORDS.get(status, str(status.name))
+            return HIGHS_STATUS_TEXTS.get(status, str(status.name))
         return np.array(self._highs.getSolution().col_value)
 
     def _add(self, row: Vec, most: float) -> None:

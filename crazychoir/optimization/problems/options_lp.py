@@ -5,25 +5,34 @@ An option has a cost and uses common resources.
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import highspy
 import numpy as np
 
 from crazychoir.errors import SolverError
-from crazychoir.optimization.problems.linear import quiet_highs
+from crazychoir.optimization.problems.linear import make_quiet_highs
 from crazychoir.optimization.problems.mixed_integer import MixedIntegerBlock
 from crazychoir.types import Vec
 
-NODES = 1_000
-"""Limit of branch-and-bound nodes when the options are combined."""
-ENOUGH = 1e-6
-"""Relative gap at which the branch and bound ends."""
-DEAR = 10.0
-"""Cost of one unit of excess, in sums of the absolute costs of all options."""
+
+@dataclass(frozen=True, slots=True)
+class OptionsSearch:
+    """How the options of all agents are combined by branch and bound."""
+
+    most_nodes: int = 1_000
+    """Limit of branch-and-bound nodes when the options are combined."""
+    relative_gap: float = 1e-6
+    """Relative gap at which the branch and bound ends."""
+    excess_cost: float = 10.0
+    """Cost of one unit of excess, in sums of the absolute costs of all options."""
 
 
-class Options:
+OPTIONS_SEARCH = OptionsSearch()
+
+
+class AgentOptions:
     """Distinct solutions of one agent.
 
     x: each solution
@@ -43,7 +52,7 @@ class Options:
             self.table.append(row)
 
 
-class Pool:
+class OptionsPool:
     """All agents' options, as far as they are known.
 
         min  sum_io cost_io l_io + W sum_s v_s
@@ -89,8 +98,8 @@ class Pool:
         highs.changeColsIntegrality(
             count, binary, np.full(count, int(highspy.HighsVarType.kInteger), np.uint8)
         )
-        highs.setOptionValue("mip_rel_gap", ENOUGH)
-        highs.setOptionValue("mip_max_nodes", NODES)
+        highs.setOptionValue("mip_rel_gap", OPTIONS_SEARCH.relative_gap)
+        highs.setOptionValue("mip_max_nodes", OPTIONS_SEARCH.most_nodes)
         highs.run()
         if highs.getInfo().primal_solution_status != int(
             highspy.SolutionStatus.kSolutionStatusFeasible
@@ -100,7 +109,7 @@ class Pool:
         weights = np.split(np.array(highs.getSolution().col_value)[:count], ends)
         chosen = [int(np.argmax(of_agent)) for of_agent in weights]
         cost, left = self.value(chosen)
-        return [[exceeded(left), cost], searcher, chosen]
+        return [[sum_excess(left), cost], searcher, chosen]
 
     def value(self, chosen: Sequence[int]) -> tuple[float, Vec]:
         """Return the cost of one option an agent, and the resources (S,) that remain.
@@ -110,13 +119,13 @@ class Pool:
         rows = [
             table[o] for table, o in zip(self._tables.values(), chosen, strict=True)
         ]
-        return math.fsum(row[0] for row in rows), self._capacity - column_sums(
+        return math.fsum(row[0] for row in rows), self._capacity - sum_columns(
             row[1:] for row in rows
         )
 
     def _model(self, seed: int = 0) -> tuple[highspy.Highs, int]:
         """Return the model and the number of options. Its columns are the options, then v."""
-        highs = quiet_highs(seed)
+        highs = make_quiet_highs(seed)
         S = len(self._capacity)
         none = np.array([], np.int32)
         for most in self._capacity:
@@ -129,7 +138,9 @@ class Pool:
         for i, (cost, *use) in columns:
             at = np.array([*range(S), S + i], np.int32)
             highs.addCol(cost, 0.0, highspy.kHighsInf, S + 1, at, np.array([*use, 1.0]))
-        large = 1.0 + DEAR * math.fsum(abs(row[0]) for _, row in columns)
+        large = 1.0 + OPTIONS_SEARCH.excess_cost * math.fsum(
+            abs(row[0]) for _, row in columns
+        )
         for s in range(S):
             highs.addCol(
                 large, 0.0, highspy.kHighsInf, 1, np.array([s], np.int32), -np.ones(1)
@@ -137,7 +148,7 @@ class Pool:
         return highs, len(columns)
 
 
-def exceeded(left: Vec) -> float:
+def sum_excess(left: Vec) -> float:
     """Return the sum by which resources are exceeded.
 
     left: (S,) what remains of each resource, negative where it is exceeded
@@ -145,7 +156,7 @@ def exceeded(left: Vec) -> float:
     return math.fsum(np.maximum(-left, 0.0))
 
 
-def column_sums(rows: Iterable[Sequence[float] | Vec]) -> Vec:
+def sum_columns(rows: Iterable[Sequence[float] | Vec]) -> Vec:
     """Return the exact sum of each column, rounded once, so that all agents get the same bits."""
     return np.array(
         [math.fsum(column) for column in np.array(list(rows), dtype=float).T]

@@ -17,12 +17,12 @@ from crazychoir.optimization.problems.expressions import Quadratic
 from crazychoir.optimization.problems.mixed_integer import MixedIntegerBlock
 from crazychoir.optimization.problems.quadratic import Polyhedron
 from crazychoir.optimization.problems.solver_choice import (
+    CompiledProgram,
     DecidedProgram,
-    Program,
-    compiled,
-    fast,
+    choose_fast_program,
+    compile_problem,
 )
-from crazychoir.optimization.rounds.arrays import is_number, numbers, vector
+from crazychoir.optimization.rounds.arrays import copy_numbers, copy_vector, is_number
 from crazychoir.types import Mat, Vec
 
 MOST_PENALTIES = 8
@@ -63,14 +63,14 @@ class CostCoupled:
         self.agent = agent
         self.x = x
         self.where = f"agent {agent}"
-        self.n = ex.decision(x, self.where)
-        self.objective = ex.convex(objective, f"{self.where}: objective")
+        self.n = ex.require_decision_variable(x, self.where)
+        self.objective = ex.require_convex(objective, f"{self.where}: objective")
         self.constraints = [
-            *ex.constraint_list(constraints, self.where),
-            *ex.domain(x, self.where),
+            *ex.list_constraints(constraints, self.where),
+            *ex.list_domain_constraints(x, self.where),
         ]
         ex.require_continuous([self.objective, *self.constraints], self.where)
-        self._programs: dict[tuple[float, bool], Program] = {}
+        self._programs: dict[tuple[float, bool], CompiledProgram] = {}
 
     def refresh(self) -> None:
         """Read the parameters of the model again, after their values have changed."""
@@ -81,13 +81,13 @@ class CostCoupled:
     @cached_property
     def form(self) -> Quadratic | None:
         """f_i as a quadratic function of x, or None if it is not quadratic."""
-        found = ex.quadratics(self.objective, self.x)
+        found = ex.decompose_quadratics(self.objective, self.x)
         return None if found is None else found[0]
 
     @cached_property
     def over(self) -> Polyhedron | None:
         """X_i as a polyhedron, or None if X_i is another set or involves further variables."""
-        return ex.polyhedron(self.constraints, self.x)
+        return ex.build_polyhedron(self.constraints, self.x)
 
     # Values -----------------------------------------------------------------------------
 
@@ -96,7 +96,7 @@ class CostCoupled:
         point = self._vector(x, "x")
         if self.form is not None:
             return self.form.value(point)
-        found = float(ex.at(self._own("value"), self.x, point)[0])
+        found = float(ex.evaluate_at(self._own("value"), self.x, point)[0])
         return found if np.isfinite(found) else inf
 
     def gradient(self, x: Vec) -> Vec:
@@ -104,7 +104,7 @@ class CostCoupled:
         point = self._vector(x, "x")
         if self.form is not None:
             return self.form.gradient(point)
-        found: Vec = ex.slope(self._own("gradient"), self.x, point)[0]
+        found: Vec = ex.compute_slope(self._own("gradient"), self.x, point)[0]
         if not np.isfinite(found).all():
             raise SolverError(
                 f"{self.where}: gradient of the objective at {x}",
@@ -113,7 +113,7 @@ class CostCoupled:
         return found
 
     def _own(self, what: str) -> cp.Expression:
-        if not ex.only(self.objective, self.x):
+        if not ex.is_function_of(self.objective, self.x):
             names = [variable.name() for variable in self.objective.variables()]
             raise ConfigError(
                 f"{self.where}: {what} of the objective",
@@ -152,7 +152,7 @@ class CostCoupled:
         """Return True if `argmin` takes microseconds, so that it may run in the event loop."""
         return self.solver(penalty) in ("closed form", "active set")
 
-    def _solved(self, program: Program, p: Vec) -> Vec:
+    def _solved(self, program: CompiledProgram, p: Vec) -> Vec:
         found = program.solve(p)
         if isinstance(found, str):
             raise SolverError(f"{self.where}: local problem", self.why(found, p))
@@ -164,14 +164,14 @@ class CostCoupled:
             k = int(np.argmin(np.isfinite(p)))
             return f"not finite: entry {k} of what was heard or asked for is {p[k]}"
         if status == "unbounded":
-            return diagnosis.unbounded(
+            return diagnosis.explain_unbounded(
                 self.x,
                 self.objective + p.reshape(self.x.shape) @ self.x,
                 self.constraints,
             )
-        return diagnosis.no_point(status, self.constraints, self.x)
+        return diagnosis.explain_no_point(status, self.constraints, self.x)
 
-    def _program(self, penalty: float, cost: bool = True) -> Program:
+    def _program(self, penalty: float, cost: bool = True) -> CompiledProgram:
         """Return the compiled problem for this penalty rho, with or without the objective."""
         if not is_number(penalty) or not 0.0 <= penalty < inf:
             raise ConfigError(
@@ -187,13 +187,13 @@ class CostCoupled:
             if cost
             else (cp.Constant(0.0), Quadratic.zero(self.n))
         )
-        made = self._programs[penalty, cost] = compiled(
+        made = self._programs[penalty, cost] = compile_problem(
             form, self.over, self.x, objective, self.constraints, penalty
         )
         return made
 
     def _vector(self, value: Vec, name: str) -> Vec:
-        found: Vec = numbers(value, self.where, name)
+        found: Vec = copy_numbers(value, self.where, name)
         if found.shape != (self.n,):
             raise ConfigError(
                 f"{self.where}: {name}",
@@ -235,7 +235,7 @@ class CommonCost(CostCoupled):
             raise ConfigError(f"{self.where}: objective", str(self.objective), allowed)
         ex.require_polyhedral(self.constraints, x, self.where)
         self.cost: Quadratic = self.form
-        self.polyhedron = Polyhedron.of(*ex.rows(self.constraints, x))
+        self.polyhedron = Polyhedron.of(*ex.decompose_rows(self.constraints, x))
 
 
 class ConstraintCoupled:
@@ -265,34 +265,38 @@ class ConstraintCoupled:
         self.x = x
         self.n = self.local.n
         self.where = self.local.where
-        self.coupling = ex.coupling(coupling, f"{self.where}: coupling")
-        if not ex.only(self.coupling, x):
+        self.coupling = ex.build_coupling(coupling, f"{self.where}: coupling")
+        if not ex.is_function_of(self.coupling, x):
             names = [variable.name() for variable in self.coupling.variables()]
             raise ConfigError(
                 f"{self.where}: coupling", f"variables {names}", f"{x.name()} alone"
             )
         self.S = int(self.coupling.size)
-        self.share = _share(share, self.S, self.where)
+        self.share = _read_share(share, self.S, self.where)
 
     @cached_property
     def _affine(self) -> tuple[Mat, Vec] | None:
-        return ex.affine(self.coupling, self.x) if self.coupling.is_affine() else None
+        return (
+            ex.decompose_affine(self.coupling, self.x)
+            if self.coupling.is_affine()
+            else None
+        )
 
     @cached_property
-    def _priced(self) -> "_Priced":
-        return _Priced(self)
+    def _priced(self) -> "_PricedProgram":
+        return _PricedProgram(self)
 
     def excess(self, x: Vec) -> Vec:
         """Return g_i(x) - b_i (S,): what the agent uses beyond its share."""
         if self._affine is not None:
             G, h = self._affine
             return G @ x + h - self.share
-        return ex.at(self.coupling, self.x, np.asarray(x, float)) - self.share
+        return ex.evaluate_at(self.coupling, self.x, np.asarray(x, float)) - self.share
 
     def jacobian(self, x: Vec) -> Mat:
         """Return the (sub)gradients (S, n) of g_i at x."""
         return (
-            ex.slope(self.coupling, self.x, np.asarray(x, float))
+            ex.compute_slope(self.coupling, self.x, np.asarray(x, float))
             if self._affine is None
             else self._affine[0]
         )
@@ -317,7 +321,7 @@ class ConstraintCoupled:
         return found
 
     def _prices(self, value: Vec) -> Vec:
-        found: Vec = numbers(value, self.where, "prices")
+        found: Vec = copy_numbers(value, self.where, "prices")
         if found.shape != (self.S,):
             raise ConfigError(
                 f"{self.where}: prices",
@@ -330,12 +334,12 @@ class ConstraintCoupled:
         return found
 
 
-def _share(given: ArrayLike | None, S: int, where: str) -> Vec:
+def _read_share(given: ArrayLike | None, S: int, where: str) -> Vec:
     """Return the share b_i (S,), or zeros if `given` is None.
 
     Raises ConfigError that names the wrong entry.
     """
-    return vector(np.zeros(S) if given is None else given, where, "share", S)
+    return copy_vector(np.zeros(S) if given is None else given, where, "share", S)
 
 
 class MixedIntegerConstraintCoupled(MixedIntegerBlock):
@@ -364,32 +368,37 @@ class MixedIntegerConstraintCoupled(MixedIntegerBlock):
         share: ArrayLike | None = None,
     ) -> None:
         where = f"agent {agent}"
-        n, (integer, binary) = ex.decision(x, where), ex.whole(x)
+        n, (integer, binary) = (
+            ex.require_decision_variable(x, where),
+            ex.find_integer_entries(x),
+        )
         own = [
-            *ex.constraint_list(constraints, where),
-            *ex.domain(x, where, whole=True),
+            *ex.list_constraints(constraints, where),
+            *ex.list_domain_constraints(x, where, whole=True),
         ]
         ex.require_polyhedral(own, x, where)
-        cost = ex.linear(
-            ex.convex(objective, f"{where}: objective"), x, f"{where}: objective"
+        cost = ex.decompose_linear(
+            ex.require_convex(objective, f"{where}: objective"),
+            x,
+            f"{where}: objective",
         )[0][0]
-        G, h = ex.linear(
-            ex.coupling(coupling, f"{where}: coupling"), x, f"{where}: coupling"
+        G, h = ex.decompose_linear(
+            ex.build_coupling(coupling, f"{where}: coupling"), x, f"{where}: coupling"
         )
-        A, b, E, e = ex.rows(own, x)
+        A, b, E, e = ex.decompose_rows(own, x)
         low = np.full(n, -inf)
         high = np.full(n, inf)
         low[binary] = 0.0
         high[binary] = 1.0
         rows = (np.vstack([A, E, -E]), np.concatenate([b, e, -e]))
-        left = _share(share, len(h), where) - h
+        left = _read_share(share, len(h), where) - h
         super().__init__(
             agent, cost, G, left, rows=rows, bounds=(low, high), integer=integer
         )
         self.x = x
 
 
-class _Priced:
+class _PricedProgram:
     """Minimise f + mu'g over X for many mu, where g is not affine.
 
     If f and g are quadratic, the Hessian is computed for each mu. Otherwise mu is a DPP parameter.
@@ -398,7 +407,7 @@ class _Priced:
     def __init__(self, problem: ConstraintCoupled) -> None:
         self._local = problem.local
         self._coupling = problem.coupling
-        self._forms = ex.quadratics(problem.coupling, problem.x)
+        self._forms = ex.decompose_quadratics(problem.coupling, problem.x)
         self._mu = cp.Parameter(problem.S, nonneg=True, value=np.zeros(problem.S))
         self._zero = np.zeros(problem.n)
 
@@ -413,7 +422,7 @@ class _Priced:
         if form is not None and self._forms is not None:
             for g, m in zip(self._forms, mu.tolist(), strict=True):
                 form = form + g.times(m)
-            if program := fast(form, self._local.over):
+            if program := choose_fast_program(form, self._local.over):
                 return DecidedProgram(program, lambda: self._at(mu)).solve(self._zero)
         return self._at(mu).solve(self._zero)
 

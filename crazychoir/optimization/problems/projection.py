@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.rounds.arrays import is_number
-from crazychoir.optimization.rounds.iteration import vector
+from crazychoir.optimization.rounds.iteration import copy_state
 from crazychoir.types import Vec
 
 
@@ -40,8 +40,8 @@ class Box:
     """Shape of the points; () if low and high are numbers and hold for points of any shape."""
 
     def __post_init__(self) -> None:
-        low = _bound("low", self.low)
-        high = _bound("high", self.high)
+        low = _read_bound("low", self.low)
+        high = _read_bound("high", self.high)
         found = f"low {low.tolist()}, high {high.tolist()}"
         if low.ndim and high.ndim and low.shape != high.shape:
             raise ConfigError(
@@ -54,7 +54,7 @@ class Box:
     def project(self, x: Vec) -> Vec:
         """Return the nearest point of the set."""
         if self.shape and np.shape(x) != self.shape:
-            raise _another_size("box", np.shape(x), self.shape)
+            raise _build_size_error("box", np.shape(x), self.shape)
         return np.minimum(np.maximum(x, self.low), self.high)
 
     def constraints(self, x: Any) -> list[Any]:
@@ -90,7 +90,7 @@ class Strip:
     """Shape of the points."""
 
     def __post_init__(self) -> None:
-        a = vector("strip: a", self.a)
+        a = copy_state("strip: a", self.a)
         if a.ndim != 1:
             raise ConfigError("strip: a", f"shape {a.shape}", "a vector")
         for name, value in (("b", self.b), ("width", self.width)):
@@ -104,7 +104,7 @@ class Strip:
     def project(self, x: Vec) -> Vec:
         """Return the nearest point of the set."""
         if np.shape(x) != self.shape:
-            raise _another_size("strip", np.shape(x), self.shape)
+            raise _build_size_error("strip", np.shape(x), self.shape)
         a = np.atleast_1d(np.asarray(self.a, dtype=float))
         r = float(a @ x - self.b)
         beyond = r - min(max(r, -self.width / 2), self.width / 2)
@@ -131,7 +131,7 @@ class Disc:
     """Shape of the points."""
 
     def __post_init__(self) -> None:
-        c = vector("disc: c", self.c)
+        c = copy_state("disc: c", self.c)
         if c.ndim != 1:
             raise ConfigError("disc: c", f"shape {c.shape}", "a vector")
         object.__setattr__(self, "shape", c.shape)
@@ -143,7 +143,7 @@ class Disc:
     def project(self, x: Vec) -> Vec:
         """Return the nearest point of the set."""
         if np.shape(x) != self.shape:
-            raise _another_size("disc", np.shape(x), self.shape)
+            raise _build_size_error("disc", np.shape(x), self.shape)
         c = np.atleast_1d(np.asarray(self.c, dtype=float))
         away = x - c
         distance = float(np.linalg.norm(away))
@@ -154,7 +154,7 @@ class Disc:
     def constraints(self, x: Any) -> list[Any]:
         """Return |x - c| <= radius."""
         return [
-            _cvxpy().norm2(x - np.atleast_1d(np.asarray(self.c, dtype=float)))
+            _import_cvxpy().norm2(x - np.atleast_1d(np.asarray(self.c, dtype=float)))
             <= self.radius
         ]
 
@@ -178,30 +178,30 @@ class Convex:
             solver_choice as programs,
         )
 
-        n = expressions.decision(x, where)
+        n = expressions.require_decision_variable(x, where)
         self.x = x
         self.where = where
         self.shape = (n,)
         self._given = [
-            *expressions.constraint_list(constraints, where),
-            *expressions.domain(x, where),
+            *expressions.list_constraints(constraints, where),
+            *expressions.list_domain_constraints(x, where),
         ]
-        over = expressions.polyhedron(self._given, x)
+        over = expressions.build_polyhedron(self._given, x)
         zero = expressions.Quadratic.zero(n)
-        nothing = _cvxpy().Constant(0.0)
-        self._program = programs.compiled(
+        nothing = _import_cvxpy().Constant(0.0)
+        self._program = programs.compile_problem(
             zero, over, x, nothing, self._given, penalty=1.0
         )
 
     def project(self, x: Vec) -> Vec:
         """Return the nearest point of the set; raise SolverError if the set is empty."""
         if np.shape(x) != self.shape:
-            raise _another_size(self.where, np.shape(x), self.shape)
+            raise _build_size_error(self.where, np.shape(x), self.shape)
         found = self._program.solve(-np.asarray(x, float))
         if isinstance(found, str):
             from crazychoir.optimization.problems import diagnosis
 
-            why = diagnosis.no_point(found, self._given, self.x)
+            why = diagnosis.explain_no_point(found, self._given, self.x)
             raise SolverError(
                 f"{self.where}: projection of {np.asarray(x).tolist()}", why
             )
@@ -229,7 +229,7 @@ class Intersection:
         self.where = where
         self.sets = [
             self._checked(one, f"{where}[{r}]")
-            for r, one in enumerate(_listed(sets, where))
+            for r, one in enumerate(_list_sets(sets, where))
         ]
         self._whole = self._joined()
 
@@ -270,7 +270,7 @@ class Intersection:
         boxes = [one for one in self.sets if isinstance(one, Box)]
         if len(boxes) == len(self.sets):
             return self._box(boxes)
-        x = _cvxpy().Variable(self.n)
+        x = _import_cvxpy().Variable(self.n)
         return Convex(x, self.constraints(x), self.where)
 
     def _box(self, boxes: Sequence[Box]) -> Box:
@@ -286,7 +286,7 @@ class Intersection:
         return Box(low, high)
 
 
-def _listed(sets: Any, where: str) -> Sequence[Any]:
+def _list_sets(sets: Any, where: str) -> Sequence[Any]:
     """Return the sets as a list; a single set counts as a list of one."""
     if callable(getattr(sets, "project", None)):
         return [sets]
@@ -295,7 +295,7 @@ def _listed(sets: Any, where: str) -> Sequence[Any]:
     return list(sets)
 
 
-def _bound(name: str, value: ArrayLike) -> Vec:
+def _read_bound(name: str, value: ArrayLike) -> Vec:
     """Return the lower or upper bound of a box as an array of numbers, which may be infinite."""
     try:
         return np.asarray(value, dtype=float)
@@ -305,7 +305,7 @@ def _bound(name: str, value: ArrayLike) -> Vec:
         ) from error
 
 
-def _another_size(
+def _build_size_error(
     where: str, found: tuple[int, ...], shape: tuple[int, ...]
 ) -> ConfigError:
     """Return the error for a point of another shape than the points of the set."""
@@ -314,7 +314,7 @@ def _another_size(
     )
 
 
-def _cvxpy() -> Any:
+def _import_cvxpy() -> Any:
     """Import cvxpy when it is first needed: it takes 1 s, and closed forms do without it."""
     import cvxpy
 

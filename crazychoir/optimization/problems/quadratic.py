@@ -9,34 +9,51 @@ from scipy.linalg import qr, solve_triangular
 
 from crazychoir.optimization.problems import active_set
 from crazychoir.optimization.problems.active_set import (
-    CAPPED,
-    INFEASIBLE,
-    NEGLIGIBLE,
-    NOT_FINITE,
-    ROUNDING,
+    ACTIVE_SET_STATUS,
+    ACTIVE_SET_TOLERANCES,
     Rows,
 )
 from crazychoir.optimization.problems.linear import Mask
 from crazychoir.types import Mat, Vec
 
-FLAT = 1e-7
-"""A Hessian has no unique minimum if an eigenvalue is below this, relative to the largest."""
-PARALLEL: Final = 1e-10
-"""Equalities are dependent if a singular value is below this.
 
-The singular values are those of the unit rows, relative to the largest.
-"""
-ROUNDED: Final = 1e-14
-"""A singular value of the unit rows below this is a rounded zero, relative to the largest."""
-CONSISTENT: Final = 1e-9
-"""Tolerance of a row that no x changes, relative to the row's own terms.
+@dataclass(frozen=True, slots=True)
+class QuadraticTolerances:
+    """Relative tolerances of quadratic programs."""
 
-It covers the rounding of the data.
-"""
-DOUBTFUL = "rows so nearly dependent that rounding decides"
-INACCURATE = "inaccurate: double precision cannot tell whether all rows hold; scale the rows and variables alike"
-WORDS = {INFEASIBLE: "infeasible", CAPPED: "too many steps", NOT_FINITE: "not finite"}
-UNDECIDED: Final = (DOUBTFUL, INACCURATE, WORDS[CAPPED])
+    flat_eigenvalue: float = 1e-7
+    """A Hessian has no unique minimum if an eigenvalue is below this, relative to the largest.
+    """
+    dependent_rows: float = 1e-10
+    """Equalities are dependent if a singular value is below this.
+
+    The singular values are those of the unit rows, relative to the largest.
+    """
+    rounded_zero: float = 1e-14
+    """A singular value of the unit rows below this is a rounded zero, relative to the largest.
+    """
+    consistent_row: float = 1e-9
+    """Tolerance of a row that no x changes, relative to the row's own terms.
+
+    It covers the rounding of the data.
+    """
+
+
+QUADRATIC_TOLERANCES = QuadraticTolerances()
+
+
+DOUBTFUL_STATUS = "rows so nearly dependent that rounding decides"
+INACCURATE_STATUS = "inaccurate: double precision cannot tell whether all rows hold; scale the rows and variables alike"
+QUADRATIC_STATUS_TEXTS = {
+    ACTIVE_SET_STATUS.infeasible: "infeasible",
+    ACTIVE_SET_STATUS.step_limit: "too many steps",
+    ACTIVE_SET_STATUS.not_finite: "not finite",
+}
+UNDECIDED_STATUSES: Final = (
+    DOUBTFUL_STATUS,
+    INACCURATE_STATUS,
+    QUADRATIC_STATUS_TEXTS[ACTIVE_SET_STATUS.step_limit],
+)
 """Statuses that leave open whether there is a solution: another method may find it."""
 
 
@@ -58,8 +75,10 @@ class Polyhedron:
         """Build the set from rows of any length. Rows of zeros that always hold are left out."""
         upper, equal = (np.asarray(bounds, float) for bounds in (b, e))
         return cls(
-            *scaled(A, upper, upper < -NEGLIGIBLE)[:2],
-            *scaled(E, equal, np.abs(equal) > NEGLIGIBLE)[:2],
+            *scale_rows(A, upper, upper < -ACTIVE_SET_TOLERANCES.negligible_miss)[:2],
+            *scale_rows(
+                E, equal, np.abs(equal) > ACTIVE_SET_TOLERANCES.negligible_miss
+            )[:2],
         )
 
     @property
@@ -85,7 +104,9 @@ class AffineHull:
     shares: c (l - rank, rank)
     """
 
-    def __init__(self, E: Mat, least: float = PARALLEL) -> None:
+    def __init__(
+        self, E: Mat, least: float = QUADRATIC_TOLERANCES.dependent_rows
+    ) -> None:
         directions, factor, order = (
             qr(E.T, pivoting=True)
             if E.size
@@ -104,8 +125,12 @@ class AffineHull:
         if rank:
             self.lift[:, self.basis] = solve_triangular(triangle, span.T).T
             self.shares = solve_triangular(triangle, factor[:rank, rank:]).T
-        is_rounded = sizes[rank:].max(initial=0.0) <= ROUNDED * sizes.max(initial=0.0)
-        self._finer = None if is_rounded else AffineHull(E, ROUNDED)
+        is_rounded = sizes[rank:].max(
+            initial=0.0
+        ) <= QUADRATIC_TOLERANCES.rounded_zero * sizes.max(initial=0.0)
+        self._finer = (
+            None if is_rounded else AffineHull(E, QUADRATIC_TOLERANCES.rounded_zero)
+        )
 
     def point(self, e: Vec) -> Vec:
         """Return the point x_0 (n,) that meets the rows of the basis.
@@ -129,8 +154,9 @@ class AffineHull:
         gap = e[self.others] - self.shares @ e[self.basis]
         size = self.sizes(x, e)
         allowed = (
-            CONSISTENT * (size[self.others] + np.abs(self.shares) @ size[self.basis])
-            + NEGLIGIBLE
+            QUADRATIC_TOLERANCES.consistent_row
+            * (size[self.others] + np.abs(self.shares) @ size[self.basis])
+            + ACTIVE_SET_TOLERANCES.negligible_miss
         )
         found: Vec = np.where(np.abs(gap) <= allowed, 0.0, gap)
         return found
@@ -146,8 +172,8 @@ class AffineHull:
         if not len(self.others) or not self.gaps(x, e).any():
             return ""
         if self._finer is None or self._finer.verdict(self._finer.point(e), e):
-            return WORDS[INFEASIBLE]
-        return DOUBTFUL
+            return QUADRATIC_STATUS_TEXTS[ACTIVE_SET_STATUS.infeasible]
+        return DOUBTFUL_STATUS
 
 
 @dataclass
@@ -183,10 +209,13 @@ class QuadraticProgram:
         self.hull = AffineHull(self.over.E)
         null = self.hull.null
         self.inverse = np.ascontiguousarray(
-            -null @ np.linalg.solve(positive(null.T @ self.P @ null), null.T)
+            -null
+            @ np.linalg.solve(require_positive_definite(null.T @ self.P @ null), null.T)
         )
         self._free = over.A @ null
-        self._is_fixed = np.linalg.norm(self._free, axis=1) <= PARALLEL
+        self._is_fixed = (
+            np.linalg.norm(self._free, axis=1) <= QUADRATIC_TOLERANCES.dependent_rows
+        )
         self._sizes = np.abs(over.A)
         self._A = np.ascontiguousarray(over.A)
         self._E = np.ascontiguousarray(over.E[self.hull.basis])
@@ -212,9 +241,15 @@ class QuadraticProgram:
         self.verdict = self.hull.verdict(origin, e)
         if self._is_fixed.any() and not self.verdict:
             known = size + self._shares @ self.hull.sizes(origin, e)
-            if (slack < -CONSISTENT * known - NEGLIGIBLE)[self._is_fixed].any():
-                self.verdict = WORDS[INFEASIBLE]
-        slack[self._is_fixed | (np.abs(slack) <= ROUNDING * size)] = 0.0
+            if (
+                slack
+                < -QUADRATIC_TOLERANCES.consistent_row * known
+                - ACTIVE_SET_TOLERANCES.negligible_miss
+            )[self._is_fixed].any():
+                self.verdict = QUADRATIC_STATUS_TEXTS[ACTIVE_SET_STATUS.infeasible]
+        slack[
+            self._is_fixed | (np.abs(slack) <= ACTIVE_SET_TOLERANCES.rounding * size)
+        ] = 0.0
         self.slack = slack
 
     def solve(self, p: Vec) -> Vec | str:
@@ -227,18 +262,26 @@ class QuadraticProgram:
             return self.verdict
         if not len(self.slack):
             x = self.inverse @ q + self.origin
-            return x if isfinite(x.sum()) else WORDS[NOT_FINITE]
+            return (
+                x
+                if isfinite(x.sum())
+                else QUADRATIC_STATUS_TEXTS[ACTIVE_SET_STATUS.not_finite]
+            )
         x = np.empty_like(self.origin)
         steps = active_set.minimise(
             self.inverse, self.origin, self.image, self.slack, self.gram, q, self.u, x
         )
         if steps >= 0:
             return x if self._is_met(x) else self._polished(x)
-        if steps == INFEASIBLE:
+        if steps == ACTIVE_SET_STATUS.infeasible:
             certain = self._exclude_each_other(np.flatnonzero(self.u))
             self.u[:] = 0.0
-            return WORDS[INFEASIBLE] if certain else DOUBTFUL
-        return WORDS[steps]
+            return (
+                QUADRATIC_STATUS_TEXTS[ACTIVE_SET_STATUS.infeasible]
+                if certain
+                else DOUBTFUL_STATUS
+            )
+        return QUADRATIC_STATUS_TEXTS[steps]
 
     def _polished(self, x: Vec) -> Vec | str:
         """Return the point nearest to x (n,) that meets the equalities and the active rows.
@@ -250,8 +293,13 @@ class QuadraticProgram:
         C = np.vstack([self.over.E, self.over.A[rows]])
         d = np.concatenate([self._e, self._b[rows]])
         for _ in range(2):
-            x = x + np.linalg.lstsq(C, d - C @ x, rcond=ROUNDED)[0]
-        return x if self._is_met(x) else INACCURATE
+            x = (
+                x
+                + np.linalg.lstsq(
+                    C, d - C @ x, rcond=QUADRATIC_TOLERANCES.rounded_zero
+                )[0]
+            )
+        return x if self._is_met(x) else INACCURATE_STATUS
 
     def _is_met(self, x: Vec) -> bool:
         """Return True if x (n,) meets the inequalities and the basis of the equalities.
@@ -273,9 +321,16 @@ class QuadraticProgram:
         gap = -float((self.slack[rows] / lengths) @ weights)
         size = self._sizes[rows] @ np.abs(self.origin) + np.abs(self._b[rows])
         is_seen = (
-            gap > CONSISTENT * float((size / lengths) @ np.abs(weights)) + NEGLIGIBLE
+            gap
+            > QUADRATIC_TOLERANCES.consistent_row
+            * float((size / lengths) @ np.abs(weights))
+            + ACTIVE_SET_TOLERANCES.negligible_miss
         )
-        return bool(least <= PARALLEL and is_seen and weights.min() >= -CONSISTENT)
+        return bool(
+            least <= QUADRATIC_TOLERANCES.dependent_rows
+            and is_seen
+            and weights.min() >= -QUADRATIC_TOLERANCES.consistent_row
+        )
 
 
 @dataclass
@@ -301,18 +356,20 @@ class MovingProgram(QuadraticProgram):
         self._place(self.lift @ e, b, e)
 
 
-def positive(H: Mat) -> Mat:
+def require_positive_definite(H: Mat) -> Mat:
     """Return the symmetric matrix H if it is positive definite; else raise LinAlgError."""
     if len(H):
         values = np.linalg.eigvalsh(H)
-        if not values[0] > FLAT * max(values[-1], FLAT):
+        if not values[0] > QUADRATIC_TOLERANCES.flat_eigenvalue * max(
+            values[-1], QUADRATIC_TOLERANCES.flat_eigenvalue
+        ):
             raise np.linalg.LinAlgError(
                 f"smallest eigenvalue {values[0]:g} of {values[-1]:g}"
             )
     return H
 
 
-def scaled(rows: Mat, bounds: Vec, keep: Mask) -> tuple[Mat, Vec, Vec]:
+def scale_rows(rows: Mat, bounds: Vec, keep: Mask) -> tuple[Mat, Vec, Vec]:
     """Return the rows scaled to length one, their bounds, and the lengths before scaling.
 
     rows: (m, n)

@@ -2,27 +2,36 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.types import Mat, Vec
 
-DIFFERENCE: Final = 1e-6
-"""Step of the differences of gradients, relative to 1 + |x_k|."""
-LEAST_CURVATURE: Final = 1e-8
-"""Smallest curvature that is used, relative to the largest."""
-HALVINGS: Final = 40
-"""Halvings of the step length before the line search ends."""
-ARMIJO: Final = 1e-4
-"""Part of the predicted decrease that Armijo's rule demands."""
-ROUNDING: Final = 1e-14
-"""Relative change of a value that counts as rounding: the line search accepts such a step."""
+
+@dataclass(frozen=True, slots=True)
+class NewtonStep:
+    """A step of Newton's method with a line search by Armijo's rule."""
+
+    difference: float = 1e-6
+    """Step of the differences of gradients, relative to 1 + |x_k|."""
+    least_curvature: float = 1e-8
+    """Smallest curvature that is used, relative to the largest."""
+    most_halvings: int = 40
+    """Halvings of the step length before the line search ends."""
+    armijo_share: float = 1e-4
+    """Part of the predicted decrease that Armijo's rule demands."""
+    rounding: float = 1e-14
+    """Relative change of a value that counts as rounding: the line search accepts such a step.
+    """
+
+
+NEWTON_STEP = NewtonStep()
 
 
 @dataclass(frozen=True)
-class Smooth:
+class SmoothFunction:
     """A function of x (n,), given by its value and its derivative.
 
     For a problem modelled with cvxpy, write Smooth(problem.value, problem.gradient).
@@ -55,7 +64,7 @@ class Smooth:
         return value, derivative
 
 
-def descended(
+def descend_once(
     value: Callable[[Vec], float], gradient: Callable[[Vec], Vec], x: Vec
 ) -> Vec:
     """Return x after one step of Newton's method that descends whatever the curvature is.
@@ -69,11 +78,13 @@ def descended(
     """
     g = gradient(x)
     now = value(x)
-    direction = -_solved(_hessian(gradient, x, g), g)
+    direction = -_solve_positive(_estimate_hessian(gradient, x, g), g)
     slope = float(g @ direction)
     t = 1.0
-    for _ in range(HALVINGS):
-        if value(x + t * direction) <= now + ARMIJO * t * slope + ROUNDING * (
+    for _ in range(NEWTON_STEP.most_halvings):
+        if value(
+            x + t * direction
+        ) <= now + NEWTON_STEP.armijo_share * t * slope + NEWTON_STEP.rounding * (
             1.0 + abs(now)
         ):
             return x + t * direction
@@ -81,8 +92,8 @@ def descended(
     return x
 
 
-def _hessian(gradient: Callable[[Vec], Vec], x: Vec, g: Vec) -> Mat:
-    steps = DIFFERENCE * (1.0 + np.abs(x))
+def _estimate_hessian(gradient: Callable[[Vec], Vec], x: Vec, g: Vec) -> Mat:
+    steps = NEWTON_STEP.difference * (1.0 + np.abs(x))
     H = np.array(
         [
             (gradient(x + h * e) - g) / h
@@ -93,11 +104,11 @@ def _hessian(gradient: Callable[[Vec], Vec], x: Vec, g: Vec) -> Mat:
     return symmetric
 
 
-def _solved(H: Mat, g: Vec) -> Vec:
+def _solve_positive(H: Mat, g: Vec) -> Vec:
     values, vectors = np.linalg.eigh(H)
     size = np.abs(values)
     size = np.maximum(
-        size, max(LEAST_CURVATURE * float(size.max()), np.finfo(float).tiny)
+        size, max(NEWTON_STEP.least_curvature * float(size.max()), np.finfo(float).tiny)
     )
     solved: Vec = vectors @ ((vectors.T @ g) / size)
     return solved

@@ -17,18 +17,18 @@ from crazychoir.types import Mat
 Ints = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 
-SAME: Final = 1e-9
+SAME_NUMBER_TOLERANCE: Final = 1e-9
 """Two numbers that differ by less than this, relative to the larger one, are the same: users round their data."""
-ROUNDING: Final = 1e-13
+SUM_ROUNDING: Final = 1e-13
 """A sum smaller than this, relative to the sizes of its terms added up, is a rounding error: zero."""
-OPTIMAL: Final = -1
+NO_ENTERING_COLUMN: Final = -1
 """Status: no column enters."""
-MORE: Final = -2
+PIVOTS_USED_UP: Final = -2
 """Status: the pivots are used up."""
 
 
 @kernel()
-def _pivot(tableau: Mat, row: int, column: int, cancelled: float) -> None:
+def _pivot_once(tableau: Mat, row: int, column: int, cancelled: float) -> None:
     """Make `column` a unit vector with its 1 in `row`, in place.
 
         T_rj <- T_rj / T_rc,     T_ij <- T_ij - T_ic T_rj   for i != r
@@ -56,7 +56,7 @@ def _pivot(tableau: Mat, row: int, column: int, cancelled: float) -> None:
 
 
 @kernel()
-def _towards_feasibility(
+def _find_feasibility_column(
     tableau: Mat, order: Ints, basic: Ints, artificial: int, is_open: Mask
 ) -> int:
     """Return a column that lowers the first artificial variable that it changes, or OPTIMAL.
@@ -67,7 +67,7 @@ def _towards_feasibility(
         first
     is_open: (n,) columns that may enter, changed in place
     """
-    entering = OPTIMAL
+    entering = NO_ENTERING_COLUMN
     best_level = len(order)
     best_change = 0.0
     for j in range(len(is_open)):
@@ -97,13 +97,13 @@ def _towards_feasibility(
 
 
 @kernel()
-def _entering(tableau: Mat, basic: Ints, artificial: int, n: int) -> int:
+def _find_entering_column(tableau: Mat, basic: Ints, artificial: int, n: int) -> int:
     """Return a column with lexicographically negative reduced costs, or OPTIMAL."""
     m = len(basic)
     order = np.argsort(basic)
     is_open = np.ones(n, np.bool_)
     is_open[basic] = False
-    entering = _towards_feasibility(tableau, order, basic, artificial, is_open)
+    entering = _find_feasibility_column(tableau, order, basic, artificial, is_open)
     if entering >= 0:
         return entering
     for cost in (m, m + 1):
@@ -125,11 +125,11 @@ def _entering(tableau: Mat, basic: Ints, artificial: int, n: int) -> int:
                     if tableau[row, j] > 0.0 and basic[row] < j:
                         return j
                     break
-    return OPTIMAL
+    return NO_ENTERING_COLUMN
 
 
 @kernel()
-def _leaving(tableau: Mat, m: int, n: int, entering: int) -> int:
+def _find_leaving_row(tableau: Mat, m: int, n: int, entering: int) -> int:
     """Return the row with the lexicographically least [B^-1 b, B^-1] / direction, or -1.
 
     The direction is the entering column. Only rows with a positive direction count.
@@ -145,7 +145,7 @@ def _leaving(tableau: Mat, m: int, n: int, entering: int) -> int:
         least = np.inf
         for k in range(count):
             least = min(least, tableau[rows[k], column] / tableau[rows[k], entering])
-        most = least + SAME * abs(least)
+        most = least + SAME_NUMBER_TOLERANCE * abs(least)
         kept = 0
         for k in range(count):
             if tableau[rows[k], column] / tableau[rows[k], entering] <= most:
@@ -156,7 +156,9 @@ def _leaving(tableau: Mat, m: int, n: int, entering: int) -> int:
 
 
 @kernel(table, numba.int64[::1], numba.int64, numba.int64)
-def walk(tableau: Mat, basic: Ints, artificial: int, most: int) -> tuple[int, int]:
+def pivot_to_optimum(
+    tableau: Mat, basic: Ints, artificial: int, most: int
+) -> tuple[int, int]:
     """Pivot in place until no column enters.
 
     tableau: (m + 2, n + m + 1)
@@ -168,15 +170,15 @@ def walk(tableau: Mat, basic: Ints, artificial: int, most: int) -> tuple[int, in
     m = len(basic)
     n = tableau.shape[1] - m - 1
     for pivots in range(most):
-        entering = _entering(tableau, basic, artificial, n)
+        entering = _find_entering_column(tableau, basic, artificial, n)
         if entering < 0:
-            return pivots, OPTIMAL
-        row = _leaving(tableau, m, n, entering)
+            return pivots, NO_ENTERING_COLUMN
+        row = _find_leaving_row(tableau, m, n, entering)
         if row < 0:
             return pivots, entering
-        _pivot(tableau, row, entering, SAME)
+        _pivot_once(tableau, row, entering, SAME_NUMBER_TOLERANCE)
         basic[row] = entering
-    return most, MORE
+    return most, PIVOTS_USED_UP
 
 
 @kernel(table, table, table, numba.float64)
@@ -221,5 +223,5 @@ def solve_identity(work: Mat) -> bool:
         if best != c:
             for j in range(2 * m):
                 work[best, j], work[c, j] = work[c, j], work[best, j]
-        _pivot(work, c, c, ROUNDING)
+        _pivot_once(work, c, c, SUM_ROUNDING)
     return True

@@ -10,12 +10,16 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.optimization.rounds.messages import INTEGER, NUMBER, malformed
+from crazychoir.optimization.rounds.messages import (
+    INTEGER_TYPES,
+    REAL_NUMBER_TYPES,
+    build_malformed_error,
+)
 from crazychoir.optimization.rounds.program import Exchange
 from crazychoir.types import Vec
 
 
-def flood(robot: int, value: Any, diameter: int) -> Exchange[dict[int, Any]]:
+def flood_values(robot: int, value: Any, diameter: int) -> Exchange[dict[int, Any]]:
     """Return the values of all robots, by robot id in increasing order.
 
     Each value crosses each edge at most once in each direction.
@@ -30,8 +34,8 @@ def flood(robot: int, value: Any, diameter: int) -> Exchange[dict[int, Any]]:
         heard = yield news
         news = []
         for j, arrived in heard.items():
-            if not _rows(arrived, INTEGER, object):
-                raise malformed(
+            if not _are_rows(arrived, INTEGER_TYPES, object):
+                raise build_malformed_error(
                     f"agent {robot}: flood", j, k, arrived, "a list of [agent, value]"
                 )
             for origin, item in arrived:
@@ -41,7 +45,9 @@ def flood(robot: int, value: Any, diameter: int) -> Exchange[dict[int, Any]]:
     return {i: known[i] for i in sorted(known)}
 
 
-def best_offer(offer: list[Any] | None, diameter: int) -> Exchange[list[Any] | None]:
+def find_best_offer(
+    offer: list[Any] | None, diameter: int
+) -> Exchange[list[Any] | None]:
     """Return the offer with the least (offer[0], offer[1]), or None if no robot makes an offer.
 
     offer: [cost, robot id, ...], or None
@@ -55,7 +61,7 @@ def best_offer(offer: list[Any] | None, diameter: int) -> Exchange[list[Any] | N
                     best is None or (other[0], other[1]) < (best[0], best[1])
                 )
             except (TypeError, LookupError, ValueError):
-                raise malformed(
+                raise build_malformed_error(
                     "best offer", j, k, other, "an offer, [cost, robot, ...], or None"
                 ) from None
             if better:
@@ -63,7 +69,7 @@ def best_offer(offer: list[Any] | None, diameter: int) -> Exchange[list[Any] | N
     return best
 
 
-def highest_bids(
+def find_highest_bids(
     bids: dict[int, list[Any]], diameter: int
 ) -> Exchange[dict[int, list[Any]]]:
     """Return the highest bid of all robots for each task that has a bid.
@@ -75,8 +81,8 @@ def highest_bids(
     for k in range(diameter):
         heard = yield [[task, *bid] for task, bid in sorted(best.items())]
         for j, arrived in heard.items():
-            if not _rows(arrived, INTEGER, NUMBER, INTEGER):
-                raise malformed(
+            if not _are_rows(arrived, INTEGER_TYPES, REAL_NUMBER_TYPES, INTEGER_TYPES):
+                raise build_malformed_error(
                     "highest bids", j, k, arrived, "a list of [task, amount, robot]"
                 )
             for task, amount, robot in arrived:
@@ -88,7 +94,7 @@ def highest_bids(
     return {task: best[task] for task in sorted(best)}
 
 
-def greatest(values: Vec, diameter: int) -> Exchange[Vec]:
+def find_greatest(values: Vec, diameter: int) -> Exchange[Vec]:
     """Return the greatest value of each entry over all agents (max-consensus).
 
     The graph may change from round to round.
@@ -101,14 +107,14 @@ def greatest(values: Vec, diameter: int) -> Exchange[Vec]:
                 and other.shape == values.shape
                 and other.dtype.kind in "fiu"
             ):
-                raise malformed(
+                raise build_malformed_error(
                     "greatest", j, k, other, f"shape {values.shape}, of numbers"
                 )
         values = np.maximum.reduce([values, *heard.values()])
     return values
 
 
-def same_everywhere(value: Any, where: str, name: str) -> Exchange[None]:
+def require_same_everywhere(value: Any, where: str, name: str) -> Exchange[None]:
     """Raise ConfigError if a neighbour has another `value`; takes one round.
 
     value: a number or a list
@@ -125,7 +131,7 @@ def same_everywhere(value: Any, where: str, name: str) -> Exchange[None]:
             )
 
 
-def _rows(arrived: Any, *kinds: Any) -> bool:
+def _are_rows(arrived: Any, *kinds: Any) -> bool:
     """Return True if `arrived` is a list of lists with parts of these types."""
     return isinstance(arrived, list) and all(
         isinstance(row, list)

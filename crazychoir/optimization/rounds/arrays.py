@@ -8,7 +8,7 @@ from crazychoir.errors import ConfigError
 from crazychoir.types import Mat, Vec
 
 
-def vector(
+def copy_vector(
     values: Any, where: str, name: str, size: int | None = None, infinite: bool = False
 ) -> Vec:
     """Return a copy of the values as (size,) floats.
@@ -17,7 +17,7 @@ def vector(
     infinite: accept inf
     Raises ConfigError that names the wrong entry.
     """
-    array: Vec = numbers(values, where, name)
+    array: Vec = copy_numbers(values, where, name)
     if array.ndim != 1 or (size is not None and len(array) != size):
         raise ConfigError(
             f"{where}: {name}",
@@ -28,7 +28,7 @@ def vector(
     return array
 
 
-def matrix(
+def copy_matrix(
     values: Any, where: str, name: str, shape: tuple[int | None, int | None]
 ) -> Mat:
     """Return a copy of the values as floats of this shape.
@@ -36,7 +36,7 @@ def matrix(
     shape: wanted shape, None for any size
     Raises ConfigError that names row, column and value.
     """
-    array: Mat = numbers(values, where, name)
+    array: Mat = copy_numbers(values, where, name)
     if array.ndim != 2 or any(
         want not in (None, have) for want, have in zip(shape, array.shape, strict=True)
     ):
@@ -55,7 +55,7 @@ def is_number(value: Any) -> bool:
     )
 
 
-def numbers(values: Any, where: str, name: str) -> Any:
+def copy_numbers(values: Any, where: str, name: str) -> Any:
     """Return a copy of the values as floats; raise ConfigError if they are not numbers."""
     try:
         return np.array(values, dtype=float)

@@ -67,7 +67,7 @@ class Blocks:
         return self._parts[block]
 
 
-def flat(i: int, x: Vec) -> Vec:
+def require_vector(i: int, x: Vec) -> Vec:
     """Return x; raise ConfigError unless it is a vector."""
     if x.ndim != 1:
         raise ConfigError(

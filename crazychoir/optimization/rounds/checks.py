@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.team.graph import Graph, GraphSequence, span
+from crazychoir.team.graph import Graph, GraphSequence, describe_ids
 
-NUMBERLESS = frozenset({type(None), bool, int, str, bytes})
+NUMBERLESS_TYPES = frozenset({type(None), bool, int, str, bytes})
 """Types of values that contain no float."""
 
-ROUNDS = (0, 1, 10, 1000)
+COMPARED_ROUNDS = (0, 1, 10, 1000)
 """Rounds in which functions of the round, such as step sizes, are compared."""
 
 
@@ -30,8 +30,8 @@ def require_team(agents: Mapping[int, Any], graph: Graph | GraphSequence) -> Non
     - the attributes that `require_graph` checks
     """
     if sorted(agents) != list(graph.ids):
-        allowed = f"one for each node of the graph, {span(graph.ids)}"
-        raise ConfigError("team", f"agents {span(agents) or 'none'}", allowed)
+        allowed = f"one for each node of the graph, {describe_ids(graph.ids)}"
+        raise ConfigError("team", f"agents {describe_ids(agents) or 'none'}", allowed)
     for i in graph.ids:
         if getattr(agents[i], "i", i) != i:
             raise ConfigError(
@@ -76,7 +76,7 @@ def require_graph(agent: Any, graph: Graph | GraphSequence) -> None:
     ) and not graph.is_connected:
         raise ConfigError(
             where,
-            _cut(graph),
+            _describe_missing_path(graph),
             "a connected graph",
             "Add edges, or draw with another probability.",
         )
@@ -90,7 +90,7 @@ def require_graph(agent: Any, graph: Graph | GraphSequence) -> None:
         )
 
 
-def nan_in(value: Any) -> str | None:
+def find_nan(value: Any) -> str | None:
     """Return the place of the first nan in a message, or None if there is none.
 
     The place is an index text: "", "[2]", "['x'][0, 1]".
@@ -99,24 +99,26 @@ def nan_in(value: Any) -> str | None:
     if type(value) is float:
         return None if value == value else ""
     if isinstance(value, np.ndarray | np.generic):
-        return _nan_of(np.asarray(value))
+        return _find_array_nan(np.asarray(value))
     if isinstance(value, dict):
-        return _first_nan(value.items(), value.values())
+        return _find_first_nan(value.items(), value.values())
     if isinstance(value, list | tuple):
-        return _first_nan(enumerate(value), value)
+        return _find_first_nan(enumerate(value), value)
     return None
 
 
-def _first_nan(items: Iterable[tuple[Any, Any]], values: Iterable[Any]) -> str | None:
-    if NUMBERLESS.issuperset(map(type, values)):
+def _find_first_nan(
+    items: Iterable[tuple[Any, Any]], values: Iterable[Any]
+) -> str | None:
+    if NUMBERLESS_TYPES.issuperset(map(type, values)):
         return None
     for key, item in items:
-        if type(item) not in NUMBERLESS and (place := nan_in(item)) is not None:
+        if type(item) not in NUMBERLESS_TYPES and (place := find_nan(item)) is not None:
             return f"[{key!r}]{place}"
     return None
 
 
-def _nan_of(array: Any) -> str | None:
+def _find_array_nan(array: Any) -> str | None:
     if array.dtype.kind not in "fc" or not np.isnan(array).any():
         return None
     at = np.argwhere(np.isnan(array))[0].tolist()
@@ -147,7 +149,7 @@ def _require_fitting(i: int, agent: Any, graph: Graph | GraphSequence) -> None:
                 )
 
 
-def _cut(graph: Graph | GraphSequence) -> str:
+def _describe_missing_path(graph: Graph | GraphSequence) -> str:
     """Describe a missing path of the graph, for an error text."""
     whole = graph.union() if isinstance(graph, GraphSequence) else graph
     first = whole.ids[0]
@@ -178,8 +180,8 @@ def _require_one_shape(arrays: Mapping[int, Any]) -> None:
 def _require_same(i: int, agent: Any, first: int, other: Any) -> None:
     """Raise ConfigError unless the values named in `same` equal the first agent's."""
     for name in getattr(agent, "same", ()):
-        found = _values(getattr(agent, name))
-        wanted = _values(getattr(other, name, None))
+        found = _sample_values(getattr(agent, name))
+        wanted = _sample_values(getattr(other, name, None))
         for at, value in found.items():
             if value != wanted.get(at):
                 do = "With different ones the team would solve another problem."
@@ -191,6 +193,6 @@ def _require_same(i: int, agent: Any, first: int, other: Any) -> None:
                 )
 
 
-def _values(x: Any) -> dict[str, Any]:
+def _sample_values(x: Any) -> dict[str, Any]:
     """Return a number, or the values of a function of the round in ROUNDS, by their place."""
-    return {f", round {k}": x(k) for k in ROUNDS} if callable(x) else {"": x}
+    return {f", round {k}": x(k) for k in COMPARED_ROUNDS} if callable(x) else {"": x}

@@ -52,7 +52,7 @@ class Iteration:
         self.k += 1
 
 
-def vector(where: str, x: ArrayLike) -> Vec:
+def copy_state(where: str, x: ArrayLike) -> Vec:
     """Return a copy of x as float64; a number becomes an array of shape (1,).
 
     Raises ConfigError that names the first entry that is not finite.
@@ -63,10 +63,10 @@ def vector(where: str, x: ArrayLike) -> Vec:
         raise ConfigError(
             where, type(x).__name__, "numbers, or an array of them"
         ) from error
-    return finite(where, values)
+    return require_finite_state(where, values)
 
 
-def finite(where: str, values: Vec) -> Vec:
+def require_finite_state(where: str, values: Vec) -> Vec:
     """Return the values; raise ConfigError that names the first value that is not finite."""
     if not np.isfinite(values).all():
         place = tuple(int(n) for n in np.argwhere(~np.isfinite(values))[0])
@@ -75,7 +75,7 @@ def finite(where: str, values: Vec) -> Vec:
     return values
 
 
-def result(where: str, value: ArrayLike, shape: tuple[int, ...]) -> Vec:
+def require_result(where: str, value: ArrayLike, shape: tuple[int, ...]) -> Vec:
     """Return the result of a user's function as finite float64 of this shape.
 
     Raises ConfigError if the shape is wrong or a value is not finite.
@@ -83,4 +83,4 @@ def result(where: str, value: ArrayLike, shape: tuple[int, ...]) -> Vec:
     values = np.asarray(value, dtype=float)
     if values.shape != shape:
         raise ConfigError(where, f"shape {values.shape}", f"shape {shape}")
-    return finite(where, values)
+    return require_finite_state(where, values)

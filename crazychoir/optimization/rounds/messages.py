@@ -9,15 +9,15 @@ import numpy.typing as npt
 from crazychoir.errors import ConfigError
 
 A = TypeVar("A", bound=npt.NDArray[Any])
-INTEGER: Final = (int, np.integer)
+INTEGER_TYPES: Final = (int, np.integer)
 """Types of an integer."""
-NUMBER: Final = (float, *INTEGER)
+REAL_NUMBER_TYPES: Final = (float, *INTEGER_TYPES)
 """Types of a real number."""
-SHOWN: Final = 8
+MOST_SHOWN_PARTS: Final = 8
 """Largest number of parts of a malformed message that an error names."""
 
 
-def like(i: int, j: int, x: Any, own: A) -> A:
+def check_array(i: int, j: int, x: Any, own: A) -> A:
     """Return the array x that agent j sent to agent i.
 
     Raises ConfigError unless it has the shape of agent i's own array.
@@ -30,7 +30,9 @@ def like(i: int, j: int, x: Any, own: A) -> A:
     return cast(A, x)
 
 
-def parts(i: int, k: int, heard: Mapping[int, Any], *kinds: Any) -> Mapping[int, Any]:
+def check_parts(
+    i: int, k: int, heard: Mapping[int, Any], *kinds: Any
+) -> Mapping[int, Any]:
     """Return the messages of round k, after a check of their parts.
 
     i: id of the receiver
@@ -42,29 +44,31 @@ def parts(i: int, k: int, heard: Mapping[int, Any], *kinds: Any) -> Mapping[int,
     for j, message in heard.items():
         whole = isinstance(message, list | tuple) and len(message) == len(kinds)
         if not (whole and all(map(isinstance, message, kinds))):
-            raise malformed(
+            raise build_malformed_error(
                 f"agent {i}",
                 j,
                 k,
                 message,
-                f"a list of {len(kinds)}: {', '.join(map(_named, kinds))}",
+                f"a list of {len(kinds)}: {', '.join(map(_name_type, kinds))}",
             )
     return heard
 
 
-def malformed(where: str, j: int, k: int, message: Any, allowed: str) -> ConfigError:
+def build_malformed_error(
+    where: str, j: int, k: int, message: Any, allowed: str
+) -> ConfigError:
     """Return the error for a malformed message that agent j sent in round k."""
     found = type(message).__name__
     if isinstance(message, list | tuple):
-        found = f"a list of {len(message)}: {', '.join(type(part).__name__ for part in message[:SHOWN])}"
+        found = f"a list of {len(message)}: {', '.join(type(part).__name__ for part in message[:MOST_SHOWN_PARTS])}"
     elif isinstance(message, np.ndarray):
         found = f"shape {message.shape}"
     return ConfigError(f"{where}: message of agent {j}, round {k}", found, allowed)
 
 
-def _named(kind: Any) -> str:
+def _name_type(kind: Any) -> str:
     if isinstance(kind, tuple):
-        return " or ".join(map(_named, kind))
+        return " or ".join(map(_name_type, kind))
     return "anything" if kind is object else str(kind.__name__)
 
 

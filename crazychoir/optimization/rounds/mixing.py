@@ -12,18 +12,22 @@ from typing import Any, Final, TypeVar
 from crazychoir.errors import ConfigError
 from crazychoir.numerics.kernels import kernel, memory, real, vector
 from crazychoir.optimization.rounds.iteration import Iteration
-from crazychoir.optimization.rounds.messages import NUMBER, like, parts
+from crazychoir.optimization.rounds.messages import (
+    REAL_NUMBER_TYPES,
+    check_array,
+    check_parts,
+)
 from crazychoir.team.graph import Graph, GraphSequence, Weights, metropolis
 from crazychoir.types import PerNeighbor, Vec
 
 T = TypeVar("T")
 Row = Mapping[int, float]
 Rows = Row | Sequence[Row]
-EXACT: Final = 1e-9
+WEIGHT_SUM_TOLERANCE: Final = 1e-9
 """Error that is allowed in the sum of weights."""
 
 
-def checked_rows(i: int, weights: Rows, what: str = "weights") -> tuple[Row, ...]:
+def check_rows(i: int, weights: Rows, what: str = "weights") -> tuple[Row, ...]:
     """Return the rows of agent i: one for each graph of the sequence.
 
     weights: one row, or a sequence of rows
@@ -50,7 +54,7 @@ def _check_row(i: int, row: Row, what: str) -> None:
             f"one of agent {i} itself too",
         )
     total = math.fsum(row.values())
-    if abs(total - 1.0) > EXACT:
+    if abs(total - 1.0) > WEIGHT_SUM_TOLERANCE:
         do = "Take those of crazychoir.team.graph: metropolis, row_stochastic, column_stochastic."
         raise ConfigError(
             f"agent {i}: {what}",
@@ -62,7 +66,7 @@ def _check_row(i: int, row: Row, what: str) -> None:
 
 
 @kernel(memory, real, vector)
-def _add(total: Vec, weight: float, x: Vec) -> bool:
+def _add_weighted(total: Vec, weight: float, x: Vec) -> bool:
     """Add weight x to total, in place; return False if their lengths differ."""
     if len(x) != len(total):
         return False
@@ -84,18 +88,22 @@ def mix(i: int, row: Row, own: Vec, heard: Mapping[int, Vec]) -> Vec:
         if j not in row:
             require_heard(i, row, heard)
         try:
-            fits = _add(
-                total, row[j], x if own.ndim == 1 else like(i, j, x, own).reshape(-1)
+            fits = _add_weighted(
+                total,
+                row[j],
+                x if own.ndim == 1 else check_array(i, j, x, own).reshape(-1),
             )
         except TypeError:  # not a vector of floats
             fits = False
         if not fits:
             allowed = f"floats of shape {own.shape}, as its own"
-            raise ConfigError(f"agent {i}: message of agent {j}", shape_of(x), allowed)
+            raise ConfigError(
+                f"agent {i}: message of agent {j}", describe_shape(x), allowed
+            )
     return mixed
 
 
-def shape_of(x: Any) -> str:
+def describe_shape(x: Any) -> str:
     """Describe the shape of x for an error text, and its type if it does not hold floats."""
     if not hasattr(x, "shape"):
         return type(x).__name__
@@ -136,7 +144,7 @@ class Mixing(Iteration):
 
     def __init__(self, i: int, weights: Rows, rounds: int | None) -> None:
         super().__init__(i, rounds)
-        self.weights = checked_rows(i, weights)
+        self.weights = check_rows(i, weights)
 
     @property
     def row(self) -> Row:
@@ -165,7 +173,7 @@ class Mixing(Iteration):
         row = self.row
         if self.k < len(self.weights) and self.doubly_stochastic:
             require_heard(self.i, row, heard)
-            parts(self.i, self.k, heard, NUMBER, object)
+            check_parts(self.i, self.k, heard, REAL_NUMBER_TYPES, object)
             self._check_column(
                 math.fsum([row[self.i], *(w for w, _ in heard.values())])
             )
@@ -173,7 +181,7 @@ class Mixing(Iteration):
         self.mix_in(row, heard)
 
     def _check_column(self, total: float) -> None:
-        if abs(total - 1.0) > EXACT:
+        if abs(total - 1.0) > WEIGHT_SUM_TOLERANCE:
             allowed = "columns that sum to one, too: doubly stochastic weights"
             do = "Take those of crazychoir.team.graph.metropolis."
             where = f"agent {self.i}: weights, column {self.i}, round {self.k}"

@@ -12,7 +12,7 @@ from crazychoir.team.round import Round
 from crazychoir.types import PerNeighbor, Vec
 
 A = TypeVar("A", bound=Round)
-NEVER: Final = 1 << 62
+NEVER_REACHED_ROUND: Final = 1 << 62
 """A round that is never reached."""
 
 
@@ -177,7 +177,7 @@ class AsynchronousLogicAnd(LogicAnd):
         super().step({**dict.fromkeys(self.neighbors, b""), **heard})
 
 
-class Riding(Generic[A]):
+class MessageRider(Generic[A]):
     """An algorithm with an extra word on each of its messages; a subclass defines the word.
 
     The word is also added to messages that differ by neighbour.
@@ -217,7 +217,7 @@ class Riding(Generic[A]):
         return getattr(self.algorithm, name)
 
 
-class Until(Riding[A]):
+class Until(MessageRider[A]):
     """Run any algorithm until a criterion holds at all agents.
 
     A logical AND travels with the messages: one byte for 8 hops.
@@ -287,7 +287,7 @@ class Until(Riding[A]):
         self._flags.step(holds, {**dict.fromkeys(self.neighbors, b""), **bits})
 
 
-class Stoppable(Riding[A]):
+class Stoppable(MessageRider[A]):
     """Run any algorithm until one agent calls `stop`.
 
     The round of the end travels with the messages, D rounds ahead:
@@ -304,7 +304,7 @@ class Stoppable(Riding[A]):
         super().__init__(algorithm)
         self.diameter = diameter
         self.k = 0
-        self.at = NEVER
+        self.at = NEVER_REACHED_ROUND
         self._asked = False
 
     def stop(self) -> None:

@@ -11,29 +11,50 @@ from scipy.interpolate import splev, splprep
 from scipy.spatial import cKDTree
 
 from crazychoir.errors import ConfigError
-from crazychoir.planning.drawing.stroke import checked, filled, split
-from crazychoir.planning.feasibility import RATE, Limits, peaks, references
-from crazychoir.planning.piecewise import Piecewise, joined
-from crazychoir.planning.point_to_point import PointToPoint, duration_for
-from crazychoir.planning.scaling import slowdown
-from crazychoir.planning.spline import spline
+from crazychoir.planning.drawing.stroke import check_stroke, fill_line, split_stroke
+from crazychoir.planning.feasibility import (
+    FEASIBILITY_CHECK,
+    Limits,
+    compute_peaks,
+    sample_references,
+)
+from crazychoir.planning.piecewise import Piecewise, join_pieces
+from crazychoir.planning.point_to_point import PointToPoint, compute_flight_time
+from crazychoir.planning.scaling import compute_slowdown
+from crazychoir.planning.spline import fit_spline
 from crazychoir.planning.trajectory import MOST_SETPOINTS
 from crazychoir.types import FullState, Mat, Vec
 
-STANDARD = Limits(v_max=0.5, a_max=1.0, yaw_rate_max=2.0)
+DRAWING_LIMITS = Limits(v_max=0.5, a_max=1.0, yaw_rate_max=2.0)
 """Default limits."""
-DENSE = 0.002  # m, between the places by which the deviation is measured
-SHARE = 0.5  # of a_max for the bends, and as much for the changes of speed
-END_WEIGHT = 1e3  # of both ends in the smoothing, against 1 of each point in between
-STRAYING = 3.5  # of the smoothing: places are moved by so much at most
-BULGE = (
-    0.25  # of the longest line between two places: a bend goes so far beyond it at most
+DEVIATION_STEP = 0.002  # m, between the places by which the deviation is measured
+BEND_ACCELERATION_SHARE = (
+    0.5  # of a_max for the bends, and as much for the changes of speed
 )
-ROUNDING = 1e-9  # m
-TRIALS = (
-    6  # of smoothings, each half of the one before; then places are not moved at all
-)
-SMOOTH_SHARE = 0.5  # of the length of a stroke, at least: the rest may be tremor
+
+
+@dataclass(frozen=True, slots=True)
+class LineSmoothing:
+    """How a hand-drawn line is smoothed, and how far the smoothed line may be from it."""
+
+    end_weight: float = 1e3
+    """Weight of both ends, against 1 of each point in between."""
+    largest_shift: float = 3.5
+    """How far places are moved at most, as a multiple of the smoothing."""
+    largest_bulge: float = 0.25
+    """How far a bend goes beyond the longest line between two places at most, as a share of that
+    line.
+    """
+    rounding: float = 1e-9
+    """m."""
+    trials: int = 6
+    """Number of smoothings, each half of the one before; then places are not moved at all."""
+
+
+LINE_SMOOTHING = LineSmoothing()
+
+
+LEAST_LENGTH_SHARE = 0.5  # of the length of a stroke, at least: the rest may be tremor
 SLOWEST_PACE, FASTEST_PACE = (
     3.0,
     1.0 / 3.0,
@@ -88,7 +109,7 @@ class Pen:
 
         Corners between two knots are rounded, and the tremor is smoothed out.
         """
-        return 0.5 * self.spacing + STRAYING * self.smoothing
+        return 0.5 * self.spacing + LINE_SMOOTHING.largest_shift * self.smoothing
 
 
 @dataclass(frozen=True)
@@ -109,10 +130,10 @@ class Drawing:
     """m/s2, the largest of the flight."""
 
 
-def drawing(
+def plan_drawing(
     strokes: Sequence[npt.ArrayLike],
     pen: Pen = Pen(),
-    limits: Limits = STANDARD,
+    limits: Limits = DRAWING_LIMITS,
     longest: float = math.inf,
 ) -> Drawing:
     """Return the smooth flight along drawn strokes, each from rest to rest, from end to end.
@@ -127,13 +148,14 @@ def drawing(
     """
     limits.check_timed("drawing")
     drawn = [
-        checked(stroke, f"drawing: strokes[{n}]") for n, stroke in enumerate(strokes)
+        check_stroke(stroke, f"drawing: strokes[{n}]")
+        for n, stroke in enumerate(strokes)
     ]
     if pen.timing == "drawn" and any(np.shape(stroke)[1] == 2 for stroke in strokes):
         raise ConfigError(
             "drawing: strokes", "rows of x, y", 'rows of t, x, y for the timing "drawn"'
         )
-    longest = min(longest, MOST_SETPOINTS / RATE)
+    longest = min(longest, MOST_SETPOINTS / FEASIBILITY_CHECK.rate)
     parts: list[Piecewise] = []
     deviations: list[float] = []
     has_line = False
@@ -141,15 +163,19 @@ def drawing(
     spent = 0.0
     for number, (t, xy) in enumerate(drawn):
         flown: list[Mat] = []
-        for n, (clock, places) in enumerate(split(t, xy, pen.spacing)):
+        for n, (clock, places) in enumerate(split_stroke(t, xy, pen.spacing)):
             line = (
-                _line(clock, places, pen, limits, spent, longest)
+                _plan_line(clock, places, pen, limits, spent, longest)
                 if len(places) > 1
                 else None
             )
-            begin = line.sample(0.0) if line else _dot(places[0], pen, here)
-            new = _transfer(here, begin, 0.0 if n else pen.lift, limits) if here else []
-            flown.append(references(line)[1][:, 0:2] if line else places)
+            begin = line.sample(0.0) if line else _plan_dot(places[0], pen, here)
+            new = (
+                _plan_transfer(here, begin, 0.0 if n else pen.lift, limits)
+                if here
+                else []
+            )
+            flown.append(sample_references(line)[1][:, 0:2] if line else places)
             if line:
                 has_line = True
                 new.append(line)
@@ -157,13 +183,13 @@ def drawing(
             spent += sum(part.duration for part in new)
             _check_time(spent, longest)
             here = line.sample(line.duration) if line else begin
-        deviations.append(_deviation(np.concatenate(flown), xy, pen, number))
+        deviations.append(_compute_deviation(np.concatenate(flown), xy, pen, number))
     if not has_line:
         raise ConfigError(
             "drawing: strokes", f"{len(drawn)}, of one place each", "at least one line"
         )
-    path = joined(parts)
-    most = peaks(path)
+    path = join_pieces(parts)
+    most = compute_peaks(path)
     return Drawing(path, max(deviations), most["speed"], most["acceleration"])
 
 
@@ -176,7 +202,7 @@ def _check_time(seconds: float, longest: float) -> None:
         )
 
 
-def _line(
+def _plan_line(
     t: Vec, xy: Mat, pen: Pen, limits: Limits, spent: float, longest: float
 ) -> Piecewise:
     """Return one part of a stroke from rest to rest, as fast as the limits allow.
@@ -189,27 +215,31 @@ def _line(
     longest: s, of the flight
     """
     length = float(np.linalg.norm(np.diff(xy, axis=0), axis=1).sum())
-    _check_time(spent + SMOOTH_SHARE * length / limits.v_max, longest)
-    t, xy = filled(t, xy, pen.spacing)
-    places, clock = _even(xy, t, pen)
-    durations = _durations(places, limits)
+    _check_time(spent + LEAST_LENGTH_SHARE * length / limits.v_max, longest)
+    t, xy = fill_line(t, xy, pen.spacing)
+    places, clock = _space_evenly(xy, t, pen)
+    durations = _compute_durations(places, limits)
     if pen.timing == "drawn":
-        durations = np.maximum(durations, _drawn_pace(clock) * durations.mean())
+        durations = np.maximum(durations, _compute_drawn_pace(clock) * durations.mean())
     _check_time(spent + float(durations.sum()), longest)
     space = np.column_stack([places, np.full(len(places), pen.height)])
-    yaws = np.full(len(places), pen.yaw) if pen.yaw != "along" else _directions(places)
-    flight = spline(np.cumsum([0.0, *durations]), space, yaws, degree=7)
-    return flight.slowed(slowdown(flight, limits))
+    yaws = (
+        np.full(len(places), pen.yaw)
+        if pen.yaw != "along"
+        else _compute_directions(places)
+    )
+    flight = fit_spline(np.cumsum([0.0, *durations]), space, yaws, degree=7)
+    return flight.slowed(compute_slowdown(flight, limits))
 
 
-def _even(xy: Mat, t: Vec, pen: Pen) -> tuple[Mat, Vec]:
+def _space_evenly(xy: Mat, t: Vec, pen: Pen) -> tuple[Mat, Vec]:
     """Return places (n, 2) at equal distances on the smoothed line, and the drawn times (n,) there.
 
     The ends are as drawn.
     """
     u = np.cumsum([0.0, *np.linalg.norm(np.diff(xy, axis=0), axis=1)])
     fine = np.linspace(0.0, u[-1], max(10 * len(u), 100))
-    curve = smoothed(xy, u, pen.smoothing, fine)
+    curve = smooth_line(xy, u, pen.smoothing, fine)
     length = np.cumsum([0.0, *np.linalg.norm(np.diff(curve, axis=0), axis=1)])
     at = np.interp(
         np.linspace(0.0, length[-1], max(math.ceil(length[-1] / pen.spacing), 2) + 1),
@@ -223,7 +253,7 @@ def _even(xy: Mat, t: Vec, pen: Pen) -> tuple[Mat, Vec]:
     return places, np.interp(at, u, t)
 
 
-def smoothed(xy: Mat, u: Vec, sigma: float, at: Vec) -> Mat:
+def smooth_line(xy: Mat, u: Vec, sigma: float, at: Vec) -> Mat:
     """Return the cubic smoothing spline through places, evaluated.
 
         sum (w d / s)^2 <= k,  d <= STRAYING sigma
@@ -237,8 +267,8 @@ def smoothed(xy: Mat, u: Vec, sigma: float, at: Vec) -> Mat:
     if len(xy) < 4:
         return np.column_stack([np.interp(at, u, xy[:, 0]), np.interp(at, u, xy[:, 1])])
     w = np.ones(len(xy))
-    w[[0, -1]] = END_WEIGHT
-    for scale in (*0.5 ** np.arange(TRIALS), 0.0):
+    w[[0, -1]] = LINE_SMOOTHING.end_weight
+    for scale in (*0.5 ** np.arange(LINE_SMOOTHING.trials), 0.0):
         budget = len(xy) * (scale * sigma) ** 2
         # With full_output a fit that did not converge is no warning: the curve itself is judged.
         (curve, _), *_ = splprep(xy.T, w=w, u=u, k=3, s=budget, full_output=1)
@@ -259,11 +289,14 @@ def _is_close(curve: Any, xy: Mat, u: Vec, sigma: float) -> bool:
     )
     at_places = off[::4].max()
     between = off.max()
-    allowed = STRAYING * sigma + ROUNDING
-    return bool(at_places <= allowed and between <= allowed + BULGE * np.diff(u).max())
+    allowed = LINE_SMOOTHING.largest_shift * sigma + LINE_SMOOTHING.rounding
+    return bool(
+        at_places <= allowed
+        and between <= allowed + LINE_SMOOTHING.largest_bulge * np.diff(u).max()
+    )
 
 
-def _durations(places: Mat, limits: Limits) -> Vec:
+def _compute_durations(places: Mat, limits: Limits) -> Vec:
     """Return times (n - 1,) s between places (n, 2).
 
     v^2 <= SHARE a_max / curvature,  |v'| <= SHARE a_max,  v = 0 at both ends
@@ -272,18 +305,30 @@ def _durations(places: Mat, limits: Limits) -> Vec:
     v = np.zeros(len(places))
     v[1:-1] = np.minimum(
         limits.v_max,
-        np.sqrt(SHARE * limits.a_max / np.maximum(_curvatures(places), 1e-9)),
+        np.sqrt(
+            BEND_ACCELERATION_SHARE
+            * limits.a_max
+            / np.maximum(_compute_curvatures(places), 1e-9)
+        ),
     )
     for k in range(1, len(v)):
         v[k] = min(
-            v[k], math.sqrt(v[k - 1] ** 2 + 2.0 * SHARE * limits.a_max * d[k - 1])
+            v[k],
+            math.sqrt(
+                v[k - 1] ** 2 + 2.0 * BEND_ACCELERATION_SHARE * limits.a_max * d[k - 1]
+            ),
         )
     for k in range(len(v) - 2, -1, -1):
-        v[k] = min(v[k], math.sqrt(v[k + 1] ** 2 + 2.0 * SHARE * limits.a_max * d[k]))
+        v[k] = min(
+            v[k],
+            math.sqrt(
+                v[k + 1] ** 2 + 2.0 * BEND_ACCELERATION_SHARE * limits.a_max * d[k]
+            ),
+        )
     return np.asarray(2.0 * d / (v[:-1] + v[1:]))
 
 
-def _curvatures(places: Mat) -> Vec:
+def _compute_curvatures(places: Mat) -> Vec:
     """Return 1/m of the circles through three places in a row (Menger): 4 area / (a b c)."""
     a = places[1:-1] - places[:-2]
     b = places[2:] - places[1:-1]
@@ -297,7 +342,7 @@ def _curvatures(places: Mat) -> Vec:
     )
 
 
-def _drawn_pace(clock: Vec) -> Vec:
+def _compute_drawn_pace(clock: Vec) -> Vec:
     """Return the share of each step in the drawn times (n,).
 
     The mean is 1, and each is within a third and three times of it.
@@ -308,7 +353,7 @@ def _drawn_pace(clock: Vec) -> Vec:
     )
 
 
-def _directions(places: Mat) -> Vec:
+def _compute_directions(places: Mat) -> Vec:
     """Return the direction in rad of the line at each of places (n, 2).
 
     It points from the place before to the next place.
@@ -323,13 +368,13 @@ def _directions(places: Mat) -> Vec:
     return np.asarray(np.arctan2(step[:, 1], step[:, 0]))
 
 
-def _dot(xy: Vec, pen: Pen, here: FullState | None) -> FullState:
+def _plan_dot(xy: Vec, pen: Pen, here: FullState | None) -> FullState:
     """Return rest at a place; a yaw along the path stays as it is."""
     yaw = pen.yaw if pen.yaw != "along" else here.yaw if here else 0.0
     return FullState.at((xy[0], xy[1], pen.height), yaw=yaw)
 
 
-def _transfer(
+def _plan_transfer(
     here: FullState, there: FullState, lift: float, limits: Limits
 ) -> list[Piecewise]:
     """Return straight flights from rest to rest, above the drawing if the pen is lifted."""
@@ -344,20 +389,20 @@ def _transfer(
             here,
             corner,
             yaw,
-            duration_for(here, corner, yaw, limits.v_max, limits.a_max),
+            compute_flight_time(here, corner, yaw, limits.v_max, limits.a_max),
         )
-        legs.append(leg.slowed(max(1.0, slowdown(leg, limits))))
+        legs.append(leg.slowed(max(1.0, compute_slowdown(leg, limits))))
         here = FullState.at(corner, yaw=yaw)
     return legs
 
 
-def _deviation(flown: Mat, drawn: Mat, pen: Pen, number: int) -> float:
+def _compute_deviation(flown: Mat, drawn: Mat, pen: Pen, number: int) -> float:
     """Return the largest distance between the flown and the drawn lines of a stroke, m, from each to the other.
 
     flown: (n, 2) m;  drawn: (k, 2) m;  number: of the stroke.  Errors: ConfigError where it is more than is allowed.
     """
-    flown = _dense(flown)
-    wanted = _dense(drawn)
+    flown = _densify(flown)
+    wanted = _densify(drawn)
     left_out, _ = cKDTree(flown).query(wanted)
     beside, _ = cKDTree(wanted).query(flown)
     deviation = float(max(left_out.max(), beside.max()))
@@ -377,8 +422,8 @@ def _deviation(flown: Mat, drawn: Mat, pen: Pen, number: int) -> float:
     return deviation
 
 
-def _dense(xy: Mat) -> Mat:
+def _densify(xy: Mat) -> Mat:
     """Return places along the straight lines between places (k, 2), at most DENSE m apart."""
     u = np.cumsum([0.0, *np.linalg.norm(np.diff(xy, axis=0), axis=1)])
-    at = np.union1d(u, np.linspace(0.0, u[-1], math.ceil(u[-1] / DENSE) + 1))
+    at = np.union1d(u, np.linspace(0.0, u[-1], math.ceil(u[-1] / DEVIATION_STEP) + 1))
     return np.column_stack([np.interp(at, u, xy[:, 0]), np.interp(at, u, xy[:, 1])])

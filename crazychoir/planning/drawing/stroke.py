@@ -12,12 +12,12 @@ from crazychoir.errors import ConfigError
 from crazychoir.planning.number_table import TableError, parse_table, read_table
 from crazychoir.types import Mat, Vec
 
-COLUMNS = ("stroke", "t", "x", "y")
+STROKE_COLUMNS = ("stroke", "t", "x", "y")
 """Columns of a CSV file of strokes."""
 
-THINNING = 0.25
+THINNING_SHARE = 0.25
 """Share of the spacing: closer points tell nothing about the shape, only about the hand."""
-SHARP = math.radians(80.0)
+SHARP_TURN = math.radians(80.0)
 """Turn in rad within one spacing that is flown as a stop, not as a bend."""
 
 
@@ -28,25 +28,25 @@ def read_strokes(path: str | Path) -> list[Mat]:
     Raises TableError with file, line and column; also if a stroke comes back, or t goes back within
     a stroke.
     """
-    return _strokes(read_table(path, COLUMNS), path)
+    return _split_into_strokes(read_table(path, STROKE_COLUMNS), path)
 
 
 def parse_strokes(text: str, path: str) -> list[Mat]:
     """Apply `read_strokes` to the contents of a file; `path` is its name in errors."""
-    return _strokes(parse_table(text, path, COLUMNS), path)
+    return _split_into_strokes(parse_table(text, path, STROKE_COLUMNS), path)
 
 
-def csv_of(strokes: Sequence[Mat]) -> str:
+def format_strokes(strokes: Sequence[Mat]) -> str:
     """Return strokes, (k, 3) rows t, x, y, as a text that `parse_strokes` reads."""
     rows = (
         f"{n},{t:.4f},{x:.5f},{y:.5f}"
         for n, stroke in enumerate(strokes)
         for t, x, y in stroke.tolist()
     )
-    return "\n".join([",".join(COLUMNS), *rows]) + "\n"
+    return "\n".join([",".join(STROKE_COLUMNS), *rows]) + "\n"
 
 
-def _strokes(table: dict[str, Mat], path: str | Path) -> list[Mat]:
+def _split_into_strokes(table: dict[str, Mat], path: str | Path) -> list[Mat]:
     """Return the strokes of a table; raise TableError for rows out of order."""
     ids = table["stroke"]
     rows = np.column_stack([table["t"], table["x"], table["y"]])
@@ -71,7 +71,7 @@ def _strokes(table: dict[str, Mat], path: str | Path) -> list[Mat]:
     return np.split(rows, starts[1:])
 
 
-def checked(stroke: npt.ArrayLike, where: str) -> tuple[Vec, Mat]:
+def check_stroke(stroke: npt.ArrayLike, where: str) -> tuple[Vec, Mat]:
     """Return times and places of a stroke, without repetitions of a place.
 
     stroke: (k, 2) rows x, y or (k, 3) rows t, x, y
@@ -104,7 +104,7 @@ def checked(stroke: npt.ArrayLike, where: str) -> tuple[Vec, Mat]:
     return rows[:, 0], rows[:, 1:]
 
 
-def thinned(xy: Mat, distance: float) -> list[int]:
+def thin_line(xy: Mat, distance: float) -> list[int]:
     """Return the indices of the places that are kept of a line.
 
     They are the first place, each place `distance` m from the kept one before it, and the last
@@ -122,18 +122,18 @@ def thinned(xy: Mat, distance: float) -> list[int]:
     return kept if math.dist(xy[-1], xy[kept[-1]]) < 1e-9 else [*kept, len(xy) - 1]
 
 
-def split(t: Vec, xy: Mat, spacing: float) -> list[tuple[Vec, Mat]]:
+def split_stroke(t: Vec, xy: Mat, spacing: float) -> list[tuple[Vec, Mat]]:
     """Return times and places of the thinned stroke, in parts.
 
     A part ends, and the next one begins, where the stroke turns sharply.
     """
-    kept = thinned(xy, THINNING * spacing)
-    cuts = [0, *_corners(xy[kept], spacing), len(kept) - 1]
+    kept = thin_line(xy, THINNING_SHARE * spacing)
+    cuts = [0, *_find_corners(xy[kept], spacing), len(kept) - 1]
     parts = [kept[a : b + 1] for a, b in pairwise(cuts)]
     return [(t[part], xy[part]) for part in parts]
 
 
-def filled(t: Vec, xy: Mat, distance: float) -> tuple[Vec, Mat]:
+def fill_line(t: Vec, xy: Mat, distance: float) -> tuple[Vec, Mat]:
     """Return times and places with more of them along straight lines, so that two are at most `distance` m apart.
 
     t: (k,) s;  xy: (k, 2) m, all of which are kept.
@@ -147,7 +147,7 @@ def filled(t: Vec, xy: Mat, distance: float) -> tuple[Vec, Mat]:
     return np.interp(at, index, t), np.column_stack(places)
 
 
-def _corners(xy: Mat, reach: float) -> list[int]:
+def _find_corners(xy: Mat, reach: float) -> list[int]:
     """Return the indices where the line turns by SHARP or more; of neighbours the sharpest.
 
     The turn is measured between the places `reach` m behind and ahead.
@@ -162,7 +162,7 @@ def _corners(xy: Mat, reach: float) -> list[int]:
             b = xy[i + ahead[0]] - xy[i]
             turns[i] = abs(math.atan2(a[0] * b[1] - a[1] * b[0], a @ b))
     corners: list[int] = []
-    while turns.max(initial=0.0) >= SHARP:
+    while turns.max(initial=0.0) >= SHARP_TURN:
         sharpest = int(np.argmax(turns))
         corners.append(sharpest)
         turns[np.linalg.norm(xy - xy[sharpest], axis=1) < 2.0 * reach] = 0.0

@@ -23,24 +23,28 @@ from pathlib import Path
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.planning.drawing.svg_document import READABLE, Element, read_document
-from crazychoir.planning.drawing.svg_reader import DRAWN, MOST_POINTS, Reader
+from crazychoir.planning.drawing.svg_document import (
+    READABLE_SVG_TEXT,
+    SvgElement,
+    read_document,
+)
+from crazychoir.planning.drawing.svg_reader import MOST_POINTS, SVG_ADVICE, SvgReader
 from crazychoir.types import Mat
 
 __all__ = [
+    "METRES_PER_UNIT",
     "MOST_POINTS",
-    "SCALE",
     "Picture",
+    "format_svg",
     "parse_picture",
     "parse_svg",
     "read_picture",
     "read_svg",
-    "svg_of",
 ]
 
-SCALE = 0.001
+METRES_PER_UNIT = 0.001
 """Metres a unit of the picture."""
-WORDS_SHOWN = 5
+QUOTED_REMARKS = 5
 """Largest number of remarks that are quoted."""
 
 
@@ -54,26 +58,30 @@ class Picture:
     """The first remarks on the rest of the document."""
 
 
-def read_svg(path: str | Path, scale: float = SCALE) -> list[Mat]:
+def read_svg(path: str | Path, scale: float = METRES_PER_UNIT) -> list[Mat]:
     """Return the strokes of an SVG file, see `parse_picture`."""
     return read_picture(path, scale).strokes
 
 
-def read_picture(path: str | Path, scale: float = SCALE) -> Picture:
+def read_picture(path: str | Path, scale: float = METRES_PER_UNIT) -> Picture:
     """Return what is seen in an SVG file, in the encoding that it declares; see `parse_picture`."""
     try:
         data = Path(path).read_bytes()
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}", f"{error}", READABLE) from error
+        raise ConfigError(f"{path}", f"{error}", READABLE_SVG_TEXT) from error
     return parse_picture(data, str(path), scale)
 
 
-def parse_svg(text: str | bytes, where: str, scale: float = SCALE) -> list[Mat]:
+def parse_svg(
+    text: str | bytes, where: str, scale: float = METRES_PER_UNIT
+) -> list[Mat]:
     """Return the strokes of an SVG text, see `parse_picture`."""
     return parse_picture(text, where, scale).strokes
 
 
-def parse_picture(text: str | bytes, where: str, scale: float = SCALE) -> Picture:
+def parse_picture(
+    text: str | bytes, where: str, scale: float = METRES_PER_UNIT
+) -> Picture:
     """Return what is seen in an SVG text.
 
     text: the text, or bytes in the encoding that they declare
@@ -82,37 +90,39 @@ def parse_picture(text: str | bytes, where: str, scale: float = SCALE) -> Pictur
     Raises ConfigError, with `where`, the element, its id and its line; also if nothing is seen.
     """
     root = read_document(text, where)
-    reader = Reader(root, where, scale)
+    reader = SvgReader(root, where, scale)
     try:
         with np.errstate(divide="raise", over="raise", invalid="raise"):
             reader.read()
     except ArithmeticError as error:
         raise ConfigError(
-            where, f"places that are too far off: {error}", DRAWN
+            where, f"places that are too far off: {error}", SVG_ADVICE.flown
         ) from error
     if not reader.strokes:
-        raise ConfigError(where, _nothing(root, reader.words), DRAWN)
+        raise ConfigError(
+            where, _describe_nothing_visible(root, reader.words), SVG_ADVICE.flown
+        )
     return Picture(
         [stroke * (scale, -scale) + 0.0 for stroke in reader.strokes],
-        first_of(reader.words),
+        shorten_remarks(reader.words),
     )
 
 
-def _nothing(root: Element, words: list[str]) -> str:
+def _describe_nothing_visible(root: SvgElement, words: list[str]) -> str:
     """Return what was found in a picture without a visible line."""
     counts = Counter(element.name for element in root.walk() if element.name)
     names = ", ".join(f"{count} {name}" for name, count in counts.items())
-    said = f" ({'; '.join(first_of(words))})" if words else ""
+    said = f" ({'; '.join(shorten_remarks(words))})" if words else ""
     return f"no line that is seen among {names}{said}"
 
 
-def first_of(words: list[str]) -> list[str]:
+def shorten_remarks(words: list[str]) -> list[str]:
     """Return the first remarks, and how many more there are."""
-    more = len(words) - WORDS_SHOWN
-    return [*words[:WORDS_SHOWN], f"and {more} more"] if more > 0 else words
+    more = len(words) - QUOTED_REMARKS
+    return [*words[:QUOTED_REMARKS], f"and {more} more"] if more > 0 else words
 
 
-def svg_of(strokes: Sequence[Mat], scale: float = SCALE) -> str:
+def format_svg(strokes: Sequence[Mat], scale: float = METRES_PER_UNIT) -> str:
     """Return a picture of strokes, which `parse_svg` reads to 0.01 mm.
 
     strokes: rows x, y or t, x, y m

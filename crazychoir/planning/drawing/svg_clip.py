@@ -9,7 +9,7 @@ from crazychoir.types import Mat
 
 
 @dataclass(frozen=True)
-class Clip:
+class ClipOutline:
     """A convex outline outside which nothing is seen."""
 
     corners: Mat
@@ -22,7 +22,7 @@ class Clip:
         sides = np.roll(self.corners, -1, axis=0) - self.corners
         x = places[None, :, 0] - self.corners[:, None, 0]
         y = places[None, :, 1] - self.corners[:, None, 1]
-        turns = (sides[:, None, 0] * y - sides[:, None, 1] * x) * orientation(
+        turns = (sides[:, None, 0] * y - sides[:, None, 1] * x) * find_orientation(
             self.corners
         )
         slack = 1e-6 * np.abs(sides).max() ** 2
@@ -30,7 +30,7 @@ class Clip:
         return passed
 
 
-def corners_of(strokes: Sequence[Mat]) -> Mat | None:
+def find_convex_corners(strokes: Sequence[Mat]) -> Mat | None:
     """Return the corners of a convex shape with these strokes as its outline.
 
     Returns None for another shape.
@@ -43,10 +43,10 @@ def corners_of(strokes: Sequence[Mat]) -> Mat | None:
         > 1e-9 * np.abs(stroke).max()
     )
     corners = stroke[is_new]
-    return corners if len(corners) >= 3 and orientation(corners) else None
+    return corners if len(corners) >= 3 and find_orientation(corners) else None
 
 
-def orientation(corners: Mat) -> float:
+def find_orientation(corners: Mat) -> float:
     """Return 1 or -1 for corners (k, 2) that turn one way or the other, once around; else 0."""
     sides = np.roll(corners, -1, axis=0) - corners
     after = np.roll(sides, -1, axis=0)

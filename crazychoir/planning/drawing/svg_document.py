@@ -9,18 +9,33 @@ from crazychoir.errors import ConfigError
 SVG_NAMESPACE = "http://www.w3.org/2000/svg"
 XLINK_NAMESPACE = "http://www.w3.org/1999/xlink"
 GZIP_BEGINNING = b"\x1f\x8b"
-LARGEST_FILE = 20_000_000  # bytes
-MOST_ELEMENTS = 200_000
-DEEPEST_NESTING = 100  # elements within elements
-LONGEST_ENTITY = 200  # characters: namespaces, as Illustrator names them
-LONGEST_QUOTE = 80  # characters of a text that an error quotes
 
-READABLE = "a readable SVG file"
-UNPACK = "Unpack it: gunzip -S .svgz FILE.svgz, or save it as plain SVG."
+
+@dataclass(frozen=True, slots=True)
+class SvgLimits:
+    """Limits of a document that is read: a larger one is a mistake, or hostile."""
+
+    file_size: int = 20_000_000
+    """bytes."""
+    elements: int = 200_000
+    """Largest number of elements."""
+    nesting: int = 100
+    """Elements within elements."""
+    entity_length: int = 200
+    """characters: namespaces, as Illustrator names them."""
+    quote_length: int = 80
+    """Characters of a text that an error quotes."""
+
+
+SVG_LIMITS = SvgLimits()
+
+
+READABLE_SVG_TEXT = "a readable SVG file"
+UNPACKING_ADVICE = "Unpack it: gunzip -S .svgz FILE.svgz, or save it as plain SVG."
 
 
 @dataclass
-class Element:
+class SvgElement:
     """One element of a document."""
 
     name: str
@@ -29,7 +44,7 @@ class Element:
     """Its attributes by name."""
     line: int
     """Line of the document where it begins."""
-    children: list["Element"] = field(default_factory=list)
+    children: list["SvgElement"] = field(default_factory=list)
     """The elements directly in it."""
     text: str = ""
     """The text directly in it."""
@@ -38,13 +53,13 @@ class Element:
     def label(self) -> str:
         """Its name in errors."""
         name = (
-            f' id="{shortened(self.attributes["id"])}"'
+            f' id="{shorten_text(self.attributes["id"])}"'
             if self.attributes.get("id")
             else ""
         )
-        return f"<{shortened(self.name)}{name}> in line {self.line}"
+        return f"<{shorten_text(self.name)}{name}> in line {self.line}"
 
-    def walk(self) -> Iterator["Element"]:
+    def walk(self) -> Iterator["SvgElement"]:
         """Yield this element and all below it, in the order of the document."""
         waiting = [self]
         while waiting:
@@ -53,17 +68,21 @@ class Element:
             waiting.extend(reversed(element.children))
 
 
-def quoted(text: str) -> str:
+def quote_text(text: str) -> str:
     """Return a text as errors quote it."""
-    return repr(shortened(text))
+    return repr(shorten_text(text))
 
 
-def shortened(text: str) -> str:
+def shorten_text(text: str) -> str:
     """Return a text, or the beginning of a long one."""
-    return text if len(text) <= LONGEST_QUOTE else f"{text[: LONGEST_QUOTE - 3]}..."
+    return (
+        text
+        if len(text) <= SVG_LIMITS.quote_length
+        else f"{text[: SVG_LIMITS.quote_length - 3]}..."
+    )
 
 
-def read_document(data: str | bytes, where: str) -> Element:
+def read_document(data: str | bytes, where: str) -> SvgElement:
     """Return the root of an SVG document.
 
     Nothing is loaded: no DTD, no external entity. Entities of the document itself are short texts
@@ -81,9 +100,11 @@ def read_document(data: str | bytes, where: str) -> Element:
     if raw.startswith(GZIP_BEGINNING) or (
         isinstance(data, str) and data.startswith("\x1f")
     ):
-        raise ConfigError(where, "a compressed file (.svgz)", READABLE, UNPACK)
-    if len(raw) > LARGEST_FILE:
-        raise ConfigError(where, f"{len(raw)} bytes", f"at most {LARGEST_FILE}")
+        raise ConfigError(
+            where, "a compressed file (.svgz)", READABLE_SVG_TEXT, UNPACKING_ADVICE
+        )
+    if len(raw) > SVG_LIMITS.file_size:
+        raise ConfigError(where, f"{len(raw)} bytes", f"at most {SVG_LIMITS.file_size}")
     builder = _Builder(where, "utf-8" if isinstance(data, str) else None)
     return builder.build(raw if isinstance(data, str) else raw.lstrip(b" \t\r\n"))
 
@@ -97,8 +118,8 @@ class _Builder:
 
     def __init__(self, where: str, encoding: str | None) -> None:
         self.where = where
-        self._open: list[Element] = []
-        self._root: Element | None = None
+        self._open: list[SvgElement] = []
+        self._root: SvgElement | None = None
         self._count = 0
         parser = expat.ParserCreate(encoding, namespace_separator=" ")
         parser.buffer_text = True
@@ -110,7 +131,7 @@ class _Builder:
         parser.ProcessingInstructionHandler = self._check_instruction
         self._parser = parser
 
-    def build(self, raw: bytes) -> Element:
+    def build(self, raw: bytes) -> SvgElement:
         """Return the root."""
         try:
             self._parser.Parse(raw, True)
@@ -125,20 +146,23 @@ class _Builder:
     def _start(self, name: str, attributes: dict[str, str]) -> None:
         """Add an element; raise ConfigError for too many or too deep elements."""
         self._count += 1
-        if self._count > MOST_ELEMENTS:
+        if self._count > SVG_LIMITS.elements:
             raise ConfigError(
                 self.where,
-                f"more than {MOST_ELEMENTS} elements",
-                f"at most {MOST_ELEMENTS}",
+                f"more than {SVG_LIMITS.elements} elements",
+                f"at most {SVG_LIMITS.elements}",
             )
-        if len(self._open) >= DEEPEST_NESTING:
-            found = f"elements {DEEPEST_NESTING + 1} deep in line {self._parser.CurrentLineNumber}"
+        if len(self._open) >= SVG_LIMITS.nesting:
+            found = f"elements {SVG_LIMITS.nesting + 1} deep in line {self._parser.CurrentLineNumber}"
             raise ConfigError(
-                self.where, found, f"at most {DEEPEST_NESTING}", "Ungroup the drawing."
+                self.where,
+                found,
+                f"at most {SVG_LIMITS.nesting}",
+                "Ungroup the drawing.",
             )
-        element = Element(
-            _local(name, SVG_NAMESPACE),
-            _local_attributes(attributes),
+        element = SvgElement(
+            _get_local_name(name, SVG_NAMESPACE),
+            _get_local_attributes(attributes),
             self._parser.CurrentLineNumber,
         )
         if self._open:
@@ -148,10 +172,10 @@ class _Builder:
             self._root = element
         self._open.append(element)
 
-    def _check_root(self, name: str, element: Element) -> None:
+    def _check_root(self, name: str, element: SvgElement) -> None:
         """Raise ConfigError unless the root is an SVG element."""
         if not element.name or element.name == "html":
-            found = f"a document of <{shortened(name.rpartition(' ')[2])}>"
+            found = f"a document of <{shorten_text(name.rpartition(' ')[2])}>"
             raise ConfigError(
                 self.where, found, f'an <svg xmlns="{SVG_NAMESPACE}"> document'
             )
@@ -176,7 +200,7 @@ class _Builder:
         if (
             is_parameter
             or value is None
-            or len(value) > LONGEST_ENTITY
+            or len(value) > SVG_LIMITS.entity_length
             or any(mark in value for mark in "&%<")
         ):
             self._refuse_entity(name, is_parameter)
@@ -185,7 +209,7 @@ class _Builder:
         """Raise ConfigError for a style sheet in another file."""
         if target == "xml-stylesheet":
             line = self._parser.CurrentLineNumber
-            found = f"a style sheet in another file, <?{target} {shortened(said)}?> in line {line}"
+            found = f"a style sheet in another file, <?{target} {shorten_text(said)}?> in line {line}"
             raise ConfigError(
                 self.where,
                 found,
@@ -195,18 +219,18 @@ class _Builder:
 
     def _refuse_entity(self, name: str, _: object) -> None:
         """Raise ConfigError for an entity."""
-        found = f"entity {quoted(name)} in line {self._parser.CurrentLineNumber}"
-        allowed = f"entities that the document declares as texts of at most {LONGEST_ENTITY} characters"
+        found = f"entity {quote_text(name)} in line {self._parser.CurrentLineNumber}"
+        allowed = f"entities that the document declares as texts of at most {SVG_LIMITS.entity_length} characters"
         raise ConfigError(self.where, found, allowed, "Save the drawing as plain SVG.")
 
 
-def _local(name: str, namespace: str) -> str:
+def _get_local_name(name: str, namespace: str) -> str:
     """Return the local name in the namespace, or without one; empty in another."""
     space, _, local = name.rpartition(" ")
     return local if space in ("", namespace) else ""
 
 
-def _local_attributes(attributes: dict[str, str]) -> dict[str, str]:
+def _get_local_attributes(attributes: dict[str, str]) -> dict[str, str]:
     """Return the attributes without a namespace, and the link."""
     own = {name: value for name, value in attributes.items() if " " not in name}
     link = attributes.get(f"{XLINK_NAMESPACE} href")

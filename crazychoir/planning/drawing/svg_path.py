@@ -3,18 +3,19 @@
 import math
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from svgpathtools import Arc, CubicBezier, QuadraticBezier
 
-from crazychoir.planning.drawing.svg_document import shortened
+from crazychoir.planning.drawing.svg_document import shorten_text
 
-LEAST_LINES = 24
+LEAST_LINES_PER_CURVE = 24
 """Least number of straight lines a curve."""
-MOST_LINES = 10_000
+MOST_LINES_PER_CURVE = 10_000
 """Largest number of straight lines a curve."""
-COORDINATES = {
+COMMAND_NUMBERS = {
     "M": 2,
     "L": 2,
     "H": 1,
@@ -27,21 +28,34 @@ COORDINATES = {
     "Z": 0,
 }
 """Number of numbers that each command takes."""
-FLAGS = (3, 4)
-"""Positions of the flags of an arc: one digit, 0 or 1, after which no separator is needed."""
-COMMANDS = "path data of M L H V C S Q T A Z and finite numbers"
-"""Text for what is allowed."""
-_TOKEN = re.compile(
-    r"(?P<command>[MmLlHhVvCcSsQqTtAaZz])"
-    r"|(?P<number>[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)"
-    r"|(?P<separator>[\s,]+)",
-    re.ASCII,
-)
-_FLAG = re.compile(r"[01]")
+
+
+@dataclass(frozen=True, slots=True)
+class PathGrammar:
+    """The grammar of path data."""
+
+    flag_positions: tuple[int, ...] = (3, 4)
+    """Positions of the flags of an arc: one digit, 0 or 1, after which no separator is needed.
+    """
+    allowed: str = "path data of M L H V C S Q T A Z and finite numbers"
+    """Text for what is allowed."""
+    token: re.Pattern[str] = re.compile(
+        r"(?P<command>[MmLlHhVvCcSsQqTtAaZz])"
+        r"|(?P<number>[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)"
+        r"|(?P<separator>[\s,]+)",
+        re.ASCII,
+    )
+    """a command, a number, or a separator."""
+    flag: re.Pattern[str] = re.compile(r"[01]")
+    """One digit, 0 or 1."""
+
+
+PATH_GRAMMAR = PathGrammar()
+
 
 Places = list[tuple[float, float]]
 """x and y of each place."""
-Command = tuple[str, list[float]]
+PathCommand = tuple[str, list[float]]
 """A command and its numbers."""
 
 
@@ -53,7 +67,7 @@ class PathSizeError(PathDataError):
     """Path data of too many places."""
 
 
-def strokes_of(d: str, tolerance: float, most: int) -> list[Places]:
+def parse_path_data(d: str, tolerance: float, most: int) -> list[Places]:
     """Return the lines of path data, each from a move to the next.
 
     A curve becomes straight lines that stay within `tolerance` of it.
@@ -69,9 +83,9 @@ def strokes_of(d: str, tolerance: float, most: int) -> list[Places]:
     here = (0.0, 0.0)
     handle = (0.0, 0.0)
     before = ""
-    for name, written in _commands(d):
+    for name, written in _iterate_commands(d):
         kind = name.upper()
-        numbers = _absolute(kind, written, here) if name.islower() else written
+        numbers = _make_absolute(kind, written, here) if name.islower() else written
         if kind == "M":
             here = (numbers[0], numbers[1])
             handle = here
@@ -88,8 +102,8 @@ def strokes_of(d: str, tolerance: float, most: int) -> list[Places]:
             strokes[-1].append(here)
             strokes.append([here])
         else:
-            handle = _smooth_handle(kind, before, here, handle)
-            line, handle = _drawn(kind, numbers, here, handle, tolerance)
+            handle = _compute_smooth_handle(kind, before, here, handle)
+            line, handle = _draw_command(kind, numbers, here, handle, tolerance)
             count += len(line)
             if count > most:
                 raise PathSizeError(f"path data of more than {most} places")
@@ -99,7 +113,7 @@ def strokes_of(d: str, tolerance: float, most: int) -> list[Places]:
     return [stroke for stroke in strokes if len(stroke) > 1]
 
 
-def _commands(d: str) -> Iterator[Command]:
+def _iterate_commands(d: str) -> Iterator[PathCommand]:
     """Yield each command with its numbers.
 
     A command that is followed by more numbers than it takes is repeated.
@@ -107,7 +121,7 @@ def _commands(d: str) -> Iterator[Command]:
     name = ""
     numbers: list[float] = []
     is_complete = True
-    for command, number in _tokens(d):
+    for command, number in _iterate_tokens(d):
         if command:
             _check_complete(name, numbers, is_complete)
             name = command
@@ -115,14 +129,14 @@ def _commands(d: str) -> Iterator[Command]:
             if is_complete:
                 yield name, []
             continue
-        if not name or COORDINATES[name.upper()] == 0:
+        if not name or COMMAND_NUMBERS[name.upper()] == 0:
             raise PathDataError(
-                f"path data with {shortened(number)} after {name or 'nothing'!r}"
+                f"path data with {shorten_text(number)} after {name or 'nothing'!r}"
             )
         if not math.isfinite(float(number)):
-            raise PathDataError(f"path data with {shortened(number)} after {name!r}")
+            raise PathDataError(f"path data with {shorten_text(number)} after {name!r}")
         numbers.append(float(number))
-        if len(numbers) == COORDINATES[name.upper()]:
+        if len(numbers) == COMMAND_NUMBERS[name.upper()]:
             yield name, numbers
             name = {"M": "L", "m": "l"}.get(name, name)
             numbers = []
@@ -136,17 +150,21 @@ def _check_complete(name: str, numbers: list[float], is_complete: bool) -> None:
         raise PathDataError(f"path data that breaks off in {name!r}")
 
 
-def _tokens(d: str) -> Iterator[tuple[str, str]]:
+def _iterate_tokens(d: str) -> Iterator[tuple[str, str]]:
     """Yield commands and numbers, one of the two empty. A flag of an arc is a single digit."""
     at = 0
     is_arc = False
     count = 0
     while at < len(d):
-        token = _TOKEN.match(d, at)
+        token = PATH_GRAMMAR.token.match(d, at)
         if token is None:
             raise PathDataError(f"path data with {d[at]!r}")
-        if token["number"] and is_arc and count % COORDINATES["A"] in FLAGS:
-            token = _FLAG.match(d, at)
+        if (
+            token["number"]
+            and is_arc
+            and count % COMMAND_NUMBERS["A"] in PATH_GRAMMAR.flag_positions
+        ):
+            token = PATH_GRAMMAR.flag.match(d, at)
             if token is None:
                 raise PathDataError(
                     f"path data with {d[at : at + 8]!r} where an arc has a flag, 0 or 1"
@@ -163,7 +181,7 @@ def _tokens(d: str) -> Iterator[tuple[str, str]]:
         at = token.end()
 
 
-def _absolute(
+def _make_absolute(
     kind: str, numbers: list[float], here: tuple[float, float]
 ) -> list[float]:
     """Return the numbers of a relative command as those of an absolute one."""
@@ -177,7 +195,7 @@ def _absolute(
     return [number + here[k % 2] for k, number in enumerate(numbers)]
 
 
-def _smooth_handle(
+def _compute_smooth_handle(
     kind: str, before: str, here: tuple[float, float], handle: tuple[float, float]
 ) -> tuple[float, float]:
     """Return the first handle of S and T: the last handle of a curve before, mirrored."""
@@ -186,7 +204,7 @@ def _smooth_handle(
     return here
 
 
-def _drawn(
+def _draw_command(
     kind: str,
     n: list[float],
     here: tuple[float, float],
@@ -200,24 +218,29 @@ def _drawn(
         case "V":
             return [(here[0], n[0])], here
         case "C":
-            return _bezier(
+            return _draw_bezier(
                 [here, (n[0], n[1]), (n[2], n[3]), (n[4], n[5])], tolerance
             ), (n[2], n[3])
         case "S":
-            return _bezier([here, handle, (n[0], n[1]), (n[2], n[3])], tolerance), (
+            return _draw_bezier(
+                [here, handle, (n[0], n[1]), (n[2], n[3])], tolerance
+            ), (
                 n[0],
                 n[1],
             )
         case "Q":
-            return _bezier([here, (n[0], n[1]), (n[2], n[3])], tolerance), (n[0], n[1])
+            return _draw_bezier([here, (n[0], n[1]), (n[2], n[3])], tolerance), (
+                n[0],
+                n[1],
+            )
         case "T":
-            return _bezier([here, handle, (n[0], n[1])], tolerance), handle
+            return _draw_bezier([here, handle, (n[0], n[1])], tolerance), handle
         case "A":
-            return _arc(here, n, tolerance), here
+            return _draw_arc(here, n, tolerance), here
     return [(n[0], n[1])], here
 
 
-def _bezier(points: Places, tolerance: float) -> Places:
+def _draw_bezier(points: Places, tolerance: float) -> Places:
     """Return places on a Bezier curve of degree 2 or 3.
 
     |chord - curve| <= |B''| / (8 n^2)
@@ -228,10 +251,10 @@ def _bezier(points: Places, tolerance: float) -> Places:
     curve = QuadraticBezier(*corners) if degree == 2 else CubicBezier(*corners)
     steps = list(pairwise(corners))
     bend = max(abs((c - b) - (b - a)) for (a, b), (_, c) in pairwise(steps))
-    return _sampled(curve, degree * (degree - 1) * bend, points[-1], tolerance)
+    return _sample_curve(curve, degree * (degree - 1) * bend, points[-1], tolerance)
 
 
-def _arc(here: tuple[float, float], n: list[float], tolerance: float) -> Places:
+def _draw_arc(here: tuple[float, float], n: list[float], tolerance: float) -> Places:
     """Return places on an elliptical arc from `here`.
 
     n: rx, ry, rotation deg, large, sweep, x, y
@@ -246,10 +269,10 @@ def _arc(here: tuple[float, float], n: list[float], tolerance: float) -> Places:
         complex(*here), complex(*radii), n[2], bool(n[3]), bool(n[4]), complex(*end)
     )
     bend = max(curve.radius.real, curve.radius.imag) * math.radians(curve.delta) ** 2
-    return _sampled(curve, bend, end, tolerance)
+    return _sample_curve(curve, bend, end, tolerance)
 
 
-def _sampled(
+def _sample_curve(
     curve: Arc | QuadraticBezier | CubicBezier,
     bend: float,
     end: tuple[float, float],
@@ -263,8 +286,8 @@ def _sampled(
     tol: largest distance from the curve
     """
     count = math.sqrt(bend / (8.0 * tol))
-    if not count <= MOST_LINES:
+    if not count <= MOST_LINES_PER_CURVE:
         raise OverflowError("a curve of very many lines")
-    n = max(LEAST_LINES, math.ceil(count))
+    n = max(LEAST_LINES_PER_CURVE, math.ceil(count))
     places = curve.point(np.arange(1, n) / n)
     return [*zip(places.real.tolist(), places.imag.tolist(), strict=True), end]

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from svgpathtools import parse_transform
 
-from crazychoir.planning.drawing.svg_document import Element, quoted
+from crazychoir.planning.drawing.svg_document import SvgElement, quote_text
 from crazychoir.types import Mat
 
-Size = tuple[float, float]
+ViewportSize = tuple[float, float]
 """Width and height of a viewport, in its own units."""
-SHAPES = ("path", "rect", "circle", "ellipse", "line", "polyline", "polygon")
+SHAPE_NAMES = ("path", "rect", "circle", "ellipse", "line", "polyline", "polygon")
 """Elements that are flown."""
-UNITS = {
+LENGTH_UNITS = {
     "": 1.0,
     "px": 1.0,
     "in": 96.0,
@@ -25,17 +25,35 @@ UNITS = {
     "pc": 16.0,
 }
 """Units of the picture per unit of length, as CSS defines them."""
-LENGTHS = f"a number, or one with %, {', '.join(filter(None, UNITS))}"
+ALLOWED_LENGTHS = f"a number, or one with %, {', '.join(filter(None, LENGTH_UNITS))}"
 """Text for what is allowed."""
-TRANSFORMS = "matrix(a b c d e f), translate(x y), scale(x y), rotate(deg x y), skewX(deg), skewY(deg)"
+ALLOWED_TRANSFORMS = "matrix(a b c d e f), translate(x y), scale(x y), rotate(deg x y), skewX(deg), skewY(deg)"
 """Text for what is allowed."""
-MILLIMETRE = UNITS["mm"]  # units of the picture
+UNITS_PER_MILLIMETRE = LENGTH_UNITS["mm"]  # units of the picture
 
 # No expression matches a text in two ways: a hostile text costs as much as a good one as long.
-_NUMBER = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
-_LENGTH = re.compile(rf"\s*({_NUMBER})\s*([a-zA-Z]*|%)\s*\Z", re.ASCII)
-_NUMBER_OR_GAP = re.compile(rf"({_NUMBER})|[\s,]+", re.ASCII)
-_FUNCTION = re.compile(r"[\s,]*([a-zA-Z]+)\s*\(([^()]*)\)", re.ASCII)
+_NUMBER_PATTERN = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+
+
+@dataclass(frozen=True, slots=True)
+class _AttributePatterns:
+    """Patterns of attributes that are numbers, lengths or transforms."""
+
+    length: re.Pattern[str] = re.compile(
+        rf"\s*({_NUMBER_PATTERN})\s*([a-zA-Z]*|%)\s*\Z", re.ASCII
+    )
+    """a number with a unit."""
+    number_or_gap: re.Pattern[str] = re.compile(
+        rf"({_NUMBER_PATTERN})|[\s,]+", re.ASCII
+    )
+    """a number, or blanks and commas."""
+    function: re.Pattern[str] = re.compile(
+        r"[\s,]*([a-zA-Z]+)\s*\(([^()]*)\)", re.ASCII
+    )
+    """a transform with its arguments."""
+
+
+_ATTRIBUTE_PATTERNS = _AttributePatterns()
 
 
 class ShapeError(ValueError):
@@ -47,8 +65,8 @@ class ShapeError(ValueError):
         super().__init__(f"{found}; allowed: {allowed}")
 
 
-def length(
-    element: Element, name: str, whole: float | None, default: str = "0"
+def parse_length(
+    element: SvgElement, name: str, whole: float | None, default: str = "0"
 ) -> float:
     """Return an attribute that is a length, in units of the picture.
 
@@ -59,25 +77,25 @@ def length(
     Raises ShapeError for a text that is no length.
     """
     text = element.attributes.get(name, default)
-    found = _LENGTH.match(text)
+    found = _ATTRIBUTE_PATTERNS.length.match(text)
     unit = found[2].lower() if found else ""
     if (
         found is None
-        or not (unit == "%" or unit in UNITS)
+        or not (unit == "%" or unit in LENGTH_UNITS)
         or not math.isfinite(float(found[1]))
     ):
-        raise ShapeError(f"{name}={quoted(text)}", LENGTHS)
+        raise ShapeError(f"{name}={quote_text(text)}", ALLOWED_LENGTHS)
     if unit != "%":
-        return float(found[1]) * UNITS[unit]
+        return float(found[1]) * LENGTH_UNITS[unit]
     if whole is None:
         raise ShapeError(
-            f"{name}={quoted(text)} of a page without viewBox, width and height",
+            f"{name}={quote_text(text)} of a page without viewBox, width and height",
             "a length without %",
         )
     return float(found[1]) / 100.0 * whole
 
 
-def numbers(text: str, what: str) -> list[float]:
+def parse_numbers(text: str, what: str) -> list[float]:
     """Return a list of numbers, with or without separators.
 
     Raises ShapeError for another text.
@@ -85,18 +103,18 @@ def numbers(text: str, what: str) -> list[float]:
     found: list[float] = []
     at = 0
     while at < len(text):
-        token = _NUMBER_OR_GAP.match(text, at)
+        token = _ATTRIBUTE_PATTERNS.number_or_gap.match(text, at)
         if token is None:
-            raise ShapeError(f"{what}={quoted(text)}", "a list of numbers")
+            raise ShapeError(f"{what}={quote_text(text)}", "a list of numbers")
         if token[1]:
             found.append(float(token[1]))
         at = token.end()
     if not all(map(math.isfinite, found)):
-        raise ShapeError(f"{what}={quoted(text)}", "finite numbers")
+        raise ShapeError(f"{what}={quote_text(text)}", "finite numbers")
     return found
 
 
-def transform_of(text: str) -> Mat:
+def parse_transforms(text: str) -> Mat:
     """Return the matrix (3, 3) of a list of matrix, translate, scale, rotate, skewX and skewY.
 
     Numbers may stand without separators, as in translate(10-5).
@@ -106,8 +124,8 @@ def transform_of(text: str) -> Mat:
         return np.eye(3)
     written: list[str] = []
     at = 0
-    while found := _FUNCTION.match(text, at):
-        arguments = numbers(found[2], f"transform {found[1]}")
+    while found := _ATTRIBUTE_PATTERNS.function.match(text, at):
+        arguments = parse_numbers(found[2], f"transform {found[1]}")
         written.append(f"{found[1]}({','.join(map(repr, arguments))})")
         at = found.end()
     try:
@@ -115,11 +133,11 @@ def transform_of(text: str) -> Mat:
             raise ValueError(text[at:])
         matrix: Mat = parse_transform(" ".join(written), strict=True)
     except ValueError as error:
-        raise ShapeError(f"transform={quoted(text)}", TRANSFORMS) from error
+        raise ShapeError(f"transform={quote_text(text)}", ALLOWED_TRANSFORMS) from error
     return matrix
 
 
-def path_data(element: Element, viewport: Size | None) -> str:
+def build_path_data(element: SvgElement, viewport: ViewportSize | None) -> str:
     """Return a shape as path data; empty for a shape without size.
 
     element: the shape
@@ -132,41 +150,43 @@ def path_data(element: Element, viewport: Size | None) -> str:
             d = attributes.get("d", "").strip()
             return "" if d == "none" else d
         case "rect":
-            return _rectangle(element, viewport)
+            return _build_rectangle(element, viewport)
         case "circle" | "ellipse":
-            return _ellipse(element, viewport)
+            return _build_ellipse(element, viewport)
         case "line":
             ends = [
-                length(element, name, _whole(name, viewport))
+                parse_length(element, name, _get_whole_length(name, viewport))
                 for name in ("x1", "y1", "x2", "y2")
             ]
-            return _data("M", ends[:2], "L", ends[2:])
-    places = numbers(attributes.get("points", ""), "points")
+            return _format_path_data("M", ends[:2], "L", ends[2:])
+    places = parse_numbers(attributes.get("points", ""), "points")
     if len(places) % 2:
         raise ShapeError(f"points of {len(places)} numbers", "two for each place")
     if not places:
         return ""
-    return _data("M", places) + ("Z" if element.name == "polygon" else "")
+    return _format_path_data("M", places) + ("Z" if element.name == "polygon" else "")
 
 
-def _rectangle(element: Element, viewport: Size | None) -> str:
+def _build_rectangle(element: SvgElement, viewport: ViewportSize | None) -> str:
     """Return a rectangle, with round corners if it has radii, as path data."""
     x, y, width, height = (
-        length(element, name, _whole(name, viewport))
+        parse_length(element, name, _get_whole_length(name, viewport))
         for name in ("x", "y", "width", "height")
     )
     if not (width > 0.0 and height > 0.0):
         return ""
-    radii = _radii(element, viewport)
+    radii = _parse_radii(element, viewport)
     rx = min(radii[0], 0.5 * width)
     ry = min(radii[1], 0.5 * height)
     right = x + width
     bottom = y + height
     if not (rx > 0.0 and ry > 0.0):
-        return _data("M", [x, y], "H", [right], "V", [bottom], "H", [x]) + "Z"
+        return (
+            _format_path_data("M", [x, y], "H", [right], "V", [bottom], "H", [x]) + "Z"
+        )
     corner = [rx, ry, 0, 0, 1]
     return (
-        _data(
+        _format_path_data(
             "M",
             [x + rx, y],
             "L",
@@ -190,20 +210,20 @@ def _rectangle(element: Element, viewport: Size | None) -> str:
     )
 
 
-def _ellipse(element: Element, viewport: Size | None) -> str:
+def _build_ellipse(element: SvgElement, viewport: ViewportSize | None) -> str:
     """Return a circle or an ellipse as path data."""
-    cx = length(element, "cx", _whole("x", viewport))
-    cy = length(element, "cy", _whole("y", viewport))
+    cx = parse_length(element, "cx", _get_whole_length("x", viewport))
+    cy = parse_length(element, "cy", _get_whole_length("y", viewport))
     if element.name == "circle":
-        rx = length(element, "r", _whole("r", viewport))
+        rx = parse_length(element, "r", _get_whole_length("r", viewport))
         ry = rx
     else:
-        rx, ry = _radii(element, viewport)
+        rx, ry = _parse_radii(element, viewport)
     if not (rx > 0.0 and ry > 0.0):
         return ""
     quarter = [rx, ry, 0, 0, 1]
     return (
-        _data(
+        _format_path_data(
             "M",
             [cx + rx, cy],
             "A",
@@ -219,12 +239,16 @@ def _ellipse(element: Element, viewport: Size | None) -> str:
     )
 
 
-def _radii(element: Element, viewport: Size | None) -> Size:
+def _parse_radii(element: SvgElement, viewport: ViewportSize | None) -> ViewportSize:
     """Return rx and ry; a missing, auto or negative one equals the other."""
     found: list[float | None] = []
     for name in ("rx", "ry"):
         is_auto = element.attributes.get(name, "auto").strip() == "auto"
-        radius = None if is_auto else length(element, name, _whole(name, viewport))
+        radius = (
+            None
+            if is_auto
+            else parse_length(element, name, _get_whole_length(name, viewport))
+        )
         found.append(radius if radius is None or radius >= 0.0 else None)
     rx, ry = found
     if rx is None:
@@ -232,7 +256,7 @@ def _radii(element: Element, viewport: Size | None) -> Size:
     return rx, rx if ry is None else ry
 
 
-def _whole(name: str, viewport: Size | None) -> float | None:
+def _get_whole_length(name: str, viewport: ViewportSize | None) -> float | None:
     """Return the length of 100 % of an attribute."""
     if viewport is None:
         return None
@@ -241,7 +265,7 @@ def _whole(name: str, viewport: Size | None) -> float | None:
     return viewport[0] if "x" in name or name == "width" else viewport[1]
 
 
-def _data(*parts: str | list[float]) -> str:
+def _format_path_data(*parts: str | list[float]) -> str:
     """Return commands and numbers as path data."""
     return " ".join(
         part if isinstance(part, str) else " ".join(map(repr, part)) for part in parts
@@ -249,45 +273,48 @@ def _data(*parts: str | list[float]) -> str:
 
 
 @dataclass(frozen=True)
-class View:
+class SvgView:
     """The view of the inside of an <svg> or <symbol>."""
 
     matrix: Mat
     """(3, 3), from its units to those around it."""
-    size: Size | None
+    size: ViewportSize | None
     """Size of its viewport in its own units; None if the document does not say it."""
     window: Mat | None
     """(4, 2): corners of the visible part, in the units around it; None if not said."""
 
 
 @dataclass(frozen=True)
-class Page:
+class SvgPage:
     """The page of a document, in units of the picture."""
 
     corner: tuple[float, float]
     """(2,): its upper left corner."""
-    size: Size
+    size: ViewportSize
     """Its width and height."""
 
 
-def page_of(element: Element) -> Page | None:
+def read_page(element: SvgElement) -> SvgPage | None:
     """Return the page of the outermost element: its viewBox, or else its width and height.
 
     Returns None without them.
     """
-    if box := _view_box(element):
-        return Page((box[0], box[1]), (box[2], box[3]))
+    if box := _parse_view_box(element):
+        return SvgPage((box[0], box[1]), (box[2], box[3]))
     if element.name != "svg" or any(
         element.attributes.get(name, "auto").strip().endswith(("%", "auto"))
         for name in ("width", "height")
     ):
         return None
-    return Page(
-        (0.0, 0.0), (length(element, "width", None), length(element, "height", None))
+    return SvgPage(
+        (0.0, 0.0),
+        (parse_length(element, "width", None), parse_length(element, "height", None)),
     )
 
 
-def view_of(element: Element, outer: Size | None, given: dict[str, str]) -> View | None:
+def compute_view(
+    element: SvgElement, outer: ViewportSize | None, given: dict[str, str]
+) -> SvgView | None:
     """Return how the inside of a nested <svg> or a used <symbol> is shown; None if it has no size.
 
     element: the element
@@ -295,22 +322,22 @@ def view_of(element: Element, outer: Size | None, given: dict[str, str]) -> View
     given: width and height of the <use>, which replace its own
     Raises ShapeError for attributes that cannot be read.
     """
-    asked = Element(element.name, element.attributes | given, element.line)
-    x = length(asked, "x", _whole("x", outer))
-    y = length(asked, "y", _whole("y", outer))
-    box = _view_box(element)
+    asked = SvgElement(element.name, element.attributes | given, element.line)
+    x = parse_length(asked, "x", _get_whole_length("x", outer))
+    y = parse_length(asked, "y", _get_whole_length("y", outer))
+    box = _parse_view_box(element)
     sizes = [asked.attributes.get(name, "auto").strip() for name in ("width", "height")]
     if outer is None and any(size == "auto" or size.endswith("%") for size in sizes):
         if box is not None:
             raise ShapeError(
                 "a viewBox and no size", "width and height, or a page with them"
             )
-        return View(_moved(x, y), None, None)
+        return SvgView(_build_translation(x, y), None, None)
     for name, size in zip(("width", "height"), sizes, strict=True):
         if size == "auto":
             asked.attributes[name] = "100%"
-    width = length(asked, "width", _whole("width", outer))
-    height = length(asked, "height", _whole("height", outer))
+    width = parse_length(asked, "width", _get_whole_length("width", outer))
+    height = parse_length(asked, "height", _get_whole_length("height", outer))
     if not (width > 0.0 and height > 0.0) or (
         box is not None and not (box[2] > 0.0 and box[3] > 0.0)
     ):
@@ -319,43 +346,49 @@ def view_of(element: Element, outer: Size | None, given: dict[str, str]) -> View
         [(x, y), (x + width, y), (x + width, y + height), (x, y + height)]
     )
     if box is None:
-        return View(_moved(x, y), (width, height), window)
-    fit = _fit(asked.attributes.get("preserveAspectRatio", ""), box, (width, height))
-    return View(_moved(x, y) @ fit, (box[2], box[3]), window)
+        return SvgView(_build_translation(x, y), (width, height), window)
+    fit = _fit_view_box(
+        asked.attributes.get("preserveAspectRatio", ""), box, (width, height)
+    )
+    return SvgView(_build_translation(x, y) @ fit, (box[2], box[3]), window)
 
 
-def _view_box(element: Element) -> list[float] | None:
+def _parse_view_box(element: SvgElement) -> list[float] | None:
     """Return the viewBox of an element; None without one."""
     text = element.attributes.get("viewBox", "").strip()
     if not text or text == "none":
         return None
-    box = numbers(text, "viewBox")
+    box = parse_numbers(text, "viewBox")
     if len(box) != 4 or box[2] < 0.0 or box[3] < 0.0:
         raise ShapeError(
-            f"viewBox={quoted(text)}", "x, y, width and height, these not negative"
+            f"viewBox={quote_text(text)}", "x, y, width and height, these not negative"
         )
     return box
 
 
-def _fit(text: str, box: list[float], size: Size) -> Mat:
+def _fit_view_box(text: str, box: list[float], size: ViewportSize) -> Mat:
     """Return the matrix from a viewBox to a viewport of this size, as preserveAspectRatio says."""
     words = text.replace("defer", "").split() or ["xMidYMid"]
     scales = [size[0] / box[2], size[1] / box[3]]
     if words[0] == "none":
-        return np.diag([*scales, 1.0]) @ _moved(-box[0], -box[1])
+        return np.diag([*scales, 1.0]) @ _build_translation(-box[0], -box[1])
     align = re.fullmatch(r"x(Min|Mid|Max)Y(Min|Mid|Max)", words[0])
     if align is None or words[1:] not in ([], ["meet"], ["slice"]):
         raise ShapeError(
-            f"preserveAspectRatio={quoted(text)}",
+            f"preserveAspectRatio={quote_text(text)}",
             "none, or xMidYMid and its like with meet or slice",
         )
     scale = max(scales) if words[1:] == ["slice"] else min(scales)
     share = {"Min": 0.0, "Mid": 0.5, "Max": 1.0}
     left = [share[align[k + 1]] * (size[k] - scale * box[k + 2]) for k in range(2)]
-    return _moved(*left) @ np.diag([scale, scale, 1.0]) @ _moved(-box[0], -box[1])
+    return (
+        _build_translation(*left)
+        @ np.diag([scale, scale, 1.0])
+        @ _build_translation(-box[0], -box[1])
+    )
 
 
-def _moved(x: float, y: float) -> Mat:
+def _build_translation(x: float, y: float) -> Mat:
     """Return the matrix of a translation."""
     matrix = np.eye(3)
     matrix[:2, 2] = (x, y)

@@ -8,136 +8,214 @@ import asyncio
 import logging
 import math
 from collections.abc import Callable, Coroutine, Iterable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from crazychoir.bus.port import BODIES, EYES, Bus
-from crazychoir.bus.topics import BODY, LINK, POSE, TELEMETRY, TRUTH
-from crazychoir.config.radio_checks import MOTION, SPREADS
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.config.radio_checks import RADIO_TRAFFIC
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.control.senders import STOP
+from crazychoir.control.senders import STOP_COMMAND
 from crazychoir.errors import CodecError, ConfigError, LinkFailed, Refused
 from crazychoir.mocap.view import RateLimit
-from crazychoir.numerics.math3d import product, quaternion_of_yaw, yaw_of
-from crazychoir.platforms import platform
+from crazychoir.numerics.math3d import quaternion_of_yaw, quaternion_product, yaw_of
+from crazychoir.platforms import find_platform
 from crazychoir.radio import checks
-from crazychoir.radio.link.connection import WORDLESS, Connection
+from crazychoir.radio.link.connection import AWAITING_LOG, Connection
 from crazychoir.radio.link.dongles import DongleFailed
 from crazychoir.radio.link.firmware import Firmware
 from crazychoir.radio.link.toc_cache import TableOfContents
-from crazychoir.radio.protocol.compressed import quaternion
-from crazychoir.radio.protocol.crtp import FORMS, HIGH_LEVEL, Packet
+from crazychoir.radio.protocol.compressed import unpack_quaternion
+from crazychoir.radio.protocol.crtp import PACKET_FORMS, CrtpPort, Packet
 from crazychoir.radio.protocol.handlers import (
-    HANDLERS,
+    RADIO_HANDLERS,
     RadioHandler,
-    emergency,
-    idles,
+    emergency_packets,
+    is_idle_command,
     pose_packet,
     position_packet,
 )
-from crazychoir.radio.protocol.thrust import command_a_newton
+from crazychoir.radio.protocol.thrust import thrust_command_per_newton
 from crazychoir.radio.protocol.version_check import check_protocol
 from crazychoir.radio.uptime import Uptime
-from crazychoir.radio.visibility import RATE, Sights, TakeOff
-from crazychoir.runtime.actor import ON_FAILURE, Actor
-from crazychoir.runtime.clock import SECOND
+from crazychoir.radio.visibility import SIGHT_LIMITS, BodySights, TakeOffWatch
+from crazychoir.runtime.actor import RESTART_ON_FAILURE, Actor
+from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.runtime.mailbox import Call, Latest
 from crazychoir.safety.identity.pose_gate import PoseGate
-from crazychoir.safety.identity.preflight_check import Standing, before_arming
+from crazychoir.safety.identity.preflight_check import (
+    GroundedDrone,
+    find_arming_problems,
+)
 from crazychoir.safety.rules.guard import Throttle
-from crazychoir.simulation.telemetry import check_period
+from crazychoir.safety.rules.radio_watch import SupervisorBit
+from crazychoir.simulation.telemetry import check_log_period
 from crazychoir.types import XYZ, Body, Command, LinkStatus, Pose, State, Vec
 
 log = logging.getLogger(__name__)
-DEGRADED = 0.3
-"""Seconds of silence after which a link is degraded.
 
-Set-points are still sent: the firmware takes the first that arrives, if it arrives within 2 s.
-"""
-LOST = 2.5
-"""Seconds of silence after which a link is lost and is opened again."""
-UNREACHED = 1.0
-"""Seconds of silence after which a drone may not have obeyed its last command."""
-ON_THE_FLOOR = 0.2
-"""Metres above the ground below which a drone in view of the cameras stands, or may fall."""
-LOOKS = 20.0
+
+@dataclass(frozen=True, slots=True)
+class SilenceLimits:
+    """Seconds without packets, logs or commands after which a link or a drone counts as troubled."""
+
+    link_degraded: float = 0.3
+    """s of silence after which a link is degraded. Set-points are still sent: the firmware takes
+    the first that arrives, if it arrives within 2 s.
+    """
+    link_lost: float = 2.5
+    """s of silence after which a link is lost and is opened again."""
+    drone_unreached: float = 1.0
+    """s of silence after which a drone may not have obeyed its last command."""
+    logs_dropped: float = 1.0
+    """s without a log from a drone that still answers: its firmware has dropped its log blocks.
+    The firmware drops them after 1 s of silence.
+    """
+    drone_orphaned: float = 3.0
+    """s without commands after which a flying drone is landed."""
+
+
+SILENCE_LIMITS = SilenceLimits()
+
+
+@dataclass(frozen=True, slots=True)
+class CommandLimits:
+    """How a command is judged by the drone's position."""
+
+    standing_height: float = 0.2
+    """m above the ground below which a drone in view of the cameras stands, or may fall."""
+    line_lag: float = 0.5
+    """m by which a drone may be behind the line that it flies."""
+    catch_up_factor: float = 1.8
+    """Multiple of speed_limit for a drone further away: it has missed earlier lines."""
+
+
+COMMAND_LIMITS = CommandLimits()
+
+
+LINK_CHECK_RATE = 20.0
 """Hz at which links are checked."""
-FIRST = 0.2
-"""Seconds between two attempts to connect, before the deadline."""
-AGAIN = 1.0
-"""Seconds between two attempts to connect, after the deadline."""
-REOPENS = 1.5
-"""Seconds for an attempt to connect in flight; the tables of contents are known by then."""
-TABLES = 30.0
-"""More seconds for a first connection, on the ground, that still loads its tables of contents.
 
-Over a dongle that four drones share, the tables take about 10 s, once for each firmware.
-"""
-FORGOTTEN = 1.0
-"""Seconds without a log from a drone that still answers: its firmware has dropped its log blocks.
 
-The firmware drops them after 1 s of silence.
-"""
-UNHEARD = 0.25
-"""Seconds between two commands to land until the planner on board answers."""
-REFUSED = 1.0
-"""Seconds until the next command to land after the planner has refused one."""
-ORPHANED = 3.0
-"""Seconds without commands after which a flying drone is landed."""
-LANDING = (0, 1)
-"""Results in the answer of a planner that starts to land, or lands already."""
-LANDED = 1.0
-"""Seconds after the planned end of a landing until the drone is told to stop.
+@dataclass(frozen=True, slots=True)
+class ConnectAttempts:
+    """Pauses between the attempts to connect, and their deadlines."""
 
-The planner has then ended the landing. Another command to land would start a new one. From then on
-the command to land is not repeated: the planner would start a new landing.
-"""
-IN_VAIN = 3.0
-"""Seconds of unanswered commands to land after which the motors may be stopped instead.
+    early_pause: float = 0.2
+    """s: time between two attempts to connect, before the deadline."""
+    late_pause: float = 1.0
+    """s: time between two attempts to connect, after the deadline."""
+    reopen_deadline: float = 1.5
+    """s for an attempt to connect in flight; the tables of contents are known by then."""
+    tables_deadline: float = 30.0
+    """More s for a first connection, on the ground, that still loads its tables of contents. Over
+    a dongle that four drones share, the tables take about 10 s, once for each firmware.
+    """
 
-The link works meanwhile: otherwise the drone may still land when it receives the command.
-"""
-STOPS = 0.5
-"""Seconds between two commands to stop, for a drone that stands."""
-WATCHDOG = 0.25
-"""Seconds between two packets for the emergency-stop watchdog, which needs one a second."""
-NEWEST = 0.1
-"""Seconds: a drone is not told a pose that is older."""
-LATELY = 1.0
-"""Seconds for which the last pose from the cameras is used as the drone's position."""
-JUMPS = 0.1
-"""Seconds of jumping poses after which the check of the take-off is given up."""
-UNSEEN = 0.5
-"""Seconds without a pose after which the drone counts as not seen, at any rate of poses."""
-REMEDY = ": put its body right, out of the cameras' sight, or switch it off and on"
-"""Advice for a drone with the wrong body."""
-WAS_CUT = "its motors were cut: switch it off and on, and start the owner of its dongle (crazychoir-radio) again"
-"""Problem of a drone with motors that were cut."""
-TRAILS = 0.5
-"""Metres by which a drone may be behind the line that it flies."""
-CATCHES_UP = 1.8
-"""Multiple of speed_limit for a drone further away: it has missed earlier lines."""
-MILLI = 1e-3
+
+CONNECT_ATTEMPTS = ConnectAttempts()
+
+
+@dataclass(frozen=True, slots=True)
+class RepeatRules:
+    """When packets to land, to stop and to feed the watchdog are sent again."""
+
+    land_period: float = 0.25
+    """s between two commands to land until the planner on board answers."""
+    refused_pause: float = 1.0
+    """s until the next command to land after the planner has refused one."""
+    landing_results: tuple[int, ...] = (0, 1)
+    """Results in the answer of a planner that starts to land, or lands already."""
+    stop_delay: float = 1.0
+    """s after the planned end of a landing until the drone is told to stop. The planner has then
+    ended the landing. The command to land is not repeated from then on: the planner would start
+    a new landing.
+    """
+    vain_time: float = 3.0
+    """s of unanswered commands to land after which the motors may be stopped instead. The link
+    works meanwhile: otherwise the drone may still land when it receives the command.
+    """
+    stop_period: float = 0.5
+    """s between two commands to stop, for a drone that stands."""
+    watchdog_period: float = 0.25
+    """s between two packets for the emergency-stop watchdog, which needs one a second."""
+
+
+REPEAT_RULES = RepeatRules()
+
+
+@dataclass(frozen=True, slots=True)
+class CameraPoseLimits:
+    """How old, rare or jumping the cameras' poses of a drone may be."""
+
+    oldest_sent: float = 0.1
+    """s: a drone is not told a pose that is older."""
+    oldest_used: float = 1.0
+    """s for which the last pose from the cameras is used as the drone's position."""
+    longest_jump: float = 0.1
+    """s of jumping poses after which the check of the take-off is given up."""
+    longest_gap: float = 0.5
+    """s without a pose after which the drone counts as not seen, at any rate of poses."""
+
+
+CAMERA_POSE_LIMITS = CameraPoseLimits()
+
+
+@dataclass(frozen=True, slots=True)
+class ProblemTexts:
+    """Texts about a drone that may not take off."""
+
+    wrong_body: str = (
+        ": put its body right, out of the cameras' sight, or switch it off and on"
+    )
+    """Advice for a drone with the wrong body."""
+    motors_cut: str = (
+        "its motors were cut: switch it off and on, and start the owner of its "
+        "dongle (crazychoir-radio) again"
+    )
+    """Problem of a drone with motors that were cut."""
+
+
+PROBLEM_TEXTS = ProblemTexts()
+
+
+LOG_UNIT = 1e-3
 """SI units in a unit of the logs (mm, mm/s)."""
-OWN = (
-    "stateEstimateZ.x",
-    "stateEstimateZ.y",
-    "stateEstimateZ.z",
-    "stateEstimateZ.vx",
-    "stateEstimateZ.vy",
-    "stateEstimateZ.vz",
-    "stateEstimateZ.quat",
-)
-"""Log variables of the drone's own estimate."""
-WELL = ("pm.vbat", "supervisor.info")
-"""Log variables of its battery and its supervisor."""
-POSITIONING = ("bcLighthouse4", "bcDWM1000", "bcLoco", "bcFlow2", "bcFlow")
-"""Names of the parameters for decks that locate a drone."""
-COMMON = POSITIONING[:3]
-"""Positioning decks that give all drones one common frame."""
-SPREAD = ("kalman.varX", "kalman.varY", "kalman.varZ")
-"""Log variables with the variances of the drone's own position."""
+
+
+@dataclass(frozen=True, slots=True)
+class FirmwareNames:
+    """Names of the log variables and parameters that are read from a drone."""
+
+    estimate: tuple[str, ...] = (
+        "stateEstimateZ.x",
+        "stateEstimateZ.y",
+        "stateEstimateZ.z",
+        "stateEstimateZ.vx",
+        "stateEstimateZ.vy",
+        "stateEstimateZ.vz",
+        "stateEstimateZ.quat",
+    )
+    """Log variables of the drone's own estimate."""
+    health: tuple[str, ...] = ("pm.vbat", "supervisor.info")
+    """Log variables of its battery and its supervisor."""
+    positioning_decks: tuple[str, ...] = (
+        "bcLighthouse4",
+        "bcDWM1000",
+        "bcLoco",
+        "bcFlow2",
+        "bcFlow",
+    )
+    """Names of the parameters for decks that locate a drone."""
+    common_frame_decks: tuple[str, ...] = positioning_decks[:3]
+    """Positioning decks that give all drones one common frame."""
+    variances: tuple[str, ...] = ("kalman.varX", "kalman.varY", "kalman.varZ")
+    """Log variables with the variances of the drone's own position."""
+
+
+FIRMWARE_NAMES = FirmwareNames()
 
 
 class RadioDrone(Actor):
@@ -152,7 +230,7 @@ class RadioDrone(Actor):
     """
 
     name = "radio"
-    restart = ON_FAILURE
+    restart = RESTART_ON_FAILURE
     flies: tuple[str, ...] = ("xyz",)
     """Kinds of commands that the drone obeys."""
     command_timeout: float | None = None
@@ -167,24 +245,27 @@ class RadioDrone(Actor):
         rate: float,
         contents: TableOfContents,
         turn: Callable[[], None] = lambda: None,
-        sights: Sights | None = None,
+        sights: BodySights | None = None,
     ) -> None:
         self.bus = bus
         self.clock = bus.clock
         self.config = config
         self.drone = i
         self.kind = kind
-        self.port = bus.ports[BODIES + i]
+        self.port = bus.ports[PORT_ADDRESSES.body_offset + i]
         self.rate = rate
         self._contents = contents
         self._turn = turn
-        self.row, self._platform = config.drone(i), platform(config.drone(i).platform)
+        self.row, self._platform = (
+            config.drone(i),
+            find_platform(config.drone(i).platform),
+        )
         self.seen_by_cameras = self.row.pose == "mocap"
         self.connection: Connection | None = None
         # The connection while it is opened and the drone answers the first questions.
         self._opening: Connection | None = None
         self._work: asyncio.Task[None] | None = None
-        self.handler: RadioHandler = HANDLERS[kind](self._platform)
+        self.handler: RadioHandler = RADIO_HANDLERS[kind](self._platform)
         self.release = ""
         self.state_of_link = "connecting"
         self.why = ""
@@ -212,15 +293,27 @@ class RadioDrone(Actor):
         self._jumped_at = math.inf
         self._asked: dict[tuple[str, ...], float] = {}
         self._tasks: list[asyncio.Task[None]] = []
-        self._pose: Latest[Pose] = Latest(self.clock, f"drone {i} pose", UNSEEN)
-        self._take_off: TakeOff | None = None
+        self._pose: Latest[Pose] = Latest(
+            self.clock, f"drone {i} pose", CAMERA_POSE_LIMITS.longest_gap
+        )
+        self._take_off: TakeOffWatch | None = None
         if self.seen_by_cameras:
             here = self.port.address
-            self._take_off = TakeOff(i, sights or Sights(bus, config, here))
+            self._take_off = TakeOffWatch(i, sights or BodySights(bus, config, here))
             self._told = RateLimit(config.radio.pose_rate)
-            bus.subscribe(POSE, EYES + i, here, self._pose, RATE)
             bus.subscribe(
-                POSE, EYES + i, here, Call(self.clock, self._seen, "pose"), RATE
+                DRONE_TOPICS.pose,
+                PORT_ADDRESSES.camera_offset + i,
+                here,
+                self._pose,
+                SIGHT_LIMITS.pose_rate,
+            )
+            bus.subscribe(
+                DRONE_TOPICS.pose,
+                PORT_ADDRESSES.camera_offset + i,
+                here,
+                Call(self.clock, self._seen, "pose"),
+                SIGHT_LIMITS.pose_rate,
             )
 
     # Connecting and looking after the link --------------------------------------------------------
@@ -253,14 +346,19 @@ class RadioDrone(Actor):
                 await self._end_work()
                 await connection.close()
             late = self.clock.now() - began > self.config.radio.connect_deadline
-            await self.clock.sleep(AGAIN if late and not self.flying else FIRST)
+            await self.clock.sleep(
+                CONNECT_ATTEMPTS.late_pause
+                if late and not self.flying
+                else CONNECT_ATTEMPTS.early_pause
+            )
 
     async def _connect(self, connection: Connection, began: float) -> None:
         self._opening = connection
         deadline = self.config.radio.connect_deadline
         left = max(began + deadline - self.clock.now(), deadline / 4.0)
         await connection.open(
-            REOPENS if self._prepared else left, 0.0 if self._prepared else TABLES
+            CONNECT_ATTEMPTS.reopen_deadline if self._prepared else left,
+            0.0 if self._prepared else CONNECT_ATTEMPTS.tables_deadline,
         )
         firmware = Firmware(connection)
         refused = self._too_old(connection)
@@ -318,20 +416,23 @@ class RadioDrone(Actor):
 
         The packets are sent from the opening of the link on.
         """
-        async for _ in self.clock.ticks(LOOKS):
+        async for _ in self.clock.ticks(LINK_CHECK_RATE):
             if self._cut and not self._cut_heard:
-                connection.urgent(emergency())
+                connection.urgent(emergency_packets())
 
     async def _until_told(self, connection: Connection) -> None:
         """Wait until the drone has told whether it flies: another program may have started it.
 
         Raises LinkFailed if it does not tell in time.
         """
-        for _ in range(round(REOPENS * LOOKS)):
+        for _ in range(round(CONNECT_ATTEMPTS.reopen_deadline * LINK_CHECK_RATE)):
             if self._own_ns > self._logs_ns:
                 return
-            await self.clock.sleep(1.0 / LOOKS)
-        raise LinkFailed(connection.uri, f"says nothing of itself within {REOPENS:g} s")
+            await self.clock.sleep(1.0 / LINK_CHECK_RATE)
+        raise LinkFailed(
+            connection.uri,
+            f"says nothing of itself within {CONNECT_ATTEMPTS.reopen_deadline:g} s",
+        )
 
     def _learn_thrust(self, release: str) -> None:
         """Set the thrust command a newton.
@@ -341,7 +442,7 @@ class RadioDrone(Actor):
         if self.handler.needs_thrust:
             given = self.config.radio.thrust_map
             where = f"drone {self.drone}"
-            self.handler.thrust = command_a_newton(
+            self.handler.thrust = thrust_command_per_newton(
                 release, self._platform, given, where
             )
 
@@ -364,14 +465,21 @@ class RadioDrone(Actor):
         """
         if self.config.radio.drift or len(self.config.ids) == 1:
             return
-        decks = [deck for deck in POSITIONING if await firmware.has(f"deck.{deck}")]
-        if not any(deck in COMMON for deck in decks):
+        decks = [
+            deck
+            for deck in FIRMWARE_NAMES.positioning_decks
+            if await firmware.has(f"deck.{deck}")
+        ]
+        if not any(deck in FIRMWARE_NAMES.common_frame_decks for deck in decks):
             found = f"{', '.join(decks) or 'no deck'} on board: its frame drifts from that of the others"
             do = "Set drift = true in [radio] if the mission bears that, or let the cameras see it."
             if self.row.uri.startswith("udp://"):
                 do += " A virtual drone gets a deck from `crazychoir virtual`, started with this swarm file."
             raise ConfigError(
-                f"drone {self.drone}: pose", found, f"one of {', '.join(COMMON)}", do
+                f"drone {self.drone}: pose",
+                found,
+                f"one of {', '.join(FIRMWARE_NAMES.common_frame_decks)}",
+                do,
             )
 
     async def _place(self, firmware: Firmware, p: Vec, yaw: float) -> None:
@@ -394,20 +502,34 @@ class RadioDrone(Actor):
 
     async def _begin_logs(self, connection: Connection) -> None:
         rate = self.config.radio.log_rate
-        seconds = REOPENS
-        period = 1.0 / (max(rate, MOTION) if self.seen_by_cameras else rate)
+        seconds = CONNECT_ATTEMPTS.reopen_deadline
+        period = 1.0 / (
+            max(rate, RADIO_TRAFFIC.least_attitude_rate)
+            if self.seen_by_cameras
+            else rate
+        )
         self._logs_ns = self.clock.now_ns()
-        await connection.log("own", (*OWN, *WELL), period, self._take_own, seconds)
+        await connection.log(
+            "own",
+            (*FIRMWARE_NAMES.estimate, *FIRMWARE_NAMES.health),
+            period,
+            self._take_own,
+            seconds,
+        )
         if not self.seen_by_cameras:
             await connection.log(
-                "spread", SPREAD, 1.0 / SPREADS, self._take_spread, seconds
+                "spread",
+                FIRMWARE_NAMES.variances,
+                1.0 / RADIO_TRAFFIC.uncertainty_rate,
+                self._take_spread,
+                seconds,
             )
 
     async def _begin_logs_again(self, connection: Connection) -> None:
         """Start the logs again, because the drone sends none any more."""
         self._logs_ns = self.clock.now_ns()
         try:
-            await connection.reset_logs(REOPENS)
+            await connection.reset_logs(CONNECT_ATTEMPTS.reopen_deadline)
             await self._begin_logs(connection)
         except LinkFailed as error:
             if not self.flying:
@@ -417,7 +539,7 @@ class RadioDrone(Actor):
 
     async def _look_after(self, connection: Connection) -> None:
         """Look after the link until it fails. Raises LinkFailed then."""
-        async for _ in self.clock.ticks(LOOKS, drone=self.drone):
+        async for _ in self.clock.ticks(LINK_CHECK_RATE, drone=self.drone):
             if self.why:
                 raise LinkFailed(self.row.uri, self.why)
             if gone := connection.dongle_failure:
@@ -427,10 +549,12 @@ class RadioDrone(Actor):
             if self.bus.stopped and self.flying and not self._cut:
                 self.cut()
             silence = connection.silence
-            if silence > LOST:
+            if silence > SILENCE_LIMITS.link_lost:
                 raise LinkFailed(self.row.uri, f"silent for {silence:.1f} s")
-            self.state_of_link = "degraded" if silence > DEGRADED else "up"
-            if silence > UNREACHED:
+            self.state_of_link = (
+                "degraded" if silence > SILENCE_LIMITS.link_degraded else "up"
+            )
+            if silence > SILENCE_LIMITS.drone_unreached:
                 self._flown_here, self._up_ns = False, self.clock.now_ns()
             if failure := connection.failure:
                 self._say("sending", f"a packet could not be sent: {failure}")
@@ -465,9 +589,9 @@ class RadioDrone(Actor):
         The work is to start the logs again, to prepare the drone, or to start its estimator.
         """
         if (
-            silence < DEGRADED
+            silence < SILENCE_LIMITS.link_degraded
             and self.clock.now_ns() - max(self._own_ns, self._logs_ns)
-            > FORGOTTEN * SECOND
+            > SILENCE_LIMITS.logs_dropped * NS_PER_SECOND
         ):
             return self._begin_logs_again(connection)
         if self.flying:
@@ -513,8 +637,10 @@ class RadioDrone(Actor):
         )
         # Once started it must be fed, on the ground too.
         if self._fed and now_ns >= self._watchdog_ns:
-            self._watchdog_ns = now_ns + round(WATCHDOG * SECOND)
-            self._send_now([FORMS["emergency_stop_watchdog"].packet()])
+            self._watchdog_ns = now_ns + round(
+                REPEAT_RULES.watchdog_period * NS_PER_SECOND
+            )
+            self._send_now([PACKET_FORMS["emergency_stop_watchdog"].packet()])
 
     def _go_on_landing(self) -> None:
         """Repeat the command to land until the planner on board confirms it.
@@ -528,7 +654,7 @@ class RadioDrone(Actor):
             self._landed_at = math.inf
             self._told_ns = None
         elif now_ns >= self._landing_ns:
-            self._landing_ns = now_ns + round(UNHEARD * SECOND)
+            self._landing_ns = now_ns + round(REPEAT_RULES.land_period * NS_PER_SECOND)
             if math.isinf(self._landed_at):
                 if self._told_ns is None or self._silent():
                     self._told_ns = now_ns
@@ -536,15 +662,18 @@ class RadioDrone(Actor):
             elif self.clock.now() < self._landed_at:
                 self._send_now(self.handler.relax)
             else:
-                self._landing_ns = now_ns + round(STOPS * SECOND)
-                self._transmit(STOP)
+                self._landing_ns = now_ns + round(
+                    REPEAT_RULES.stop_period * NS_PER_SECOND
+                )
+                self._transmit(STOP_COMMAND)
 
     @property
     def orphan(self) -> bool:
         """Whether the drone flies, this owner can reach it, and no agent commands it."""
         up = (
             self.connection is not None
-            and self.clock.now_ns() - self._up_ns > ORPHANED * SECOND
+            and self.clock.now_ns() - self._up_ns
+            > SILENCE_LIMITS.drone_orphaned * NS_PER_SECOND
         )
         return (
             up
@@ -597,19 +726,21 @@ class RadioDrone(Actor):
         if self._only_lands:
             return
         if self.connection is None or (
-            idles(command) and (self._flies_unheard() or self._comes_down())
+            is_idle_command(command) and (self._flies_unheard() or self._comes_down())
         ):
             return  # the drone flies, and the sender may not know it
         now_ns = self.clock.now_ns()
-        stops = idles(command)
+        stops = is_idle_command(command)
         if isinstance(command, XYZ):
             if stops and now_ns < self._stop_due_ns:
                 return
-            self._stop_due_ns = now_ns + round(STOPS * SECOND) if stops else 0
+            self._stop_due_ns = (
+                now_ns + round(REPEAT_RULES.stop_period * NS_PER_SECOND) if stops else 0
+            )
         elif now_ns < self._due_ns:
             return
         else:
-            period_ns = round(SECOND / (self.rate or LOOKS))
+            period_ns = round(NS_PER_SECOND / (self.rate or LINK_CHECK_RATE))
             self._due_ns = max(self._due_ns + period_ns, now_ns - period_ns // 2)
         if self._platform.firmware.needs_arming and not stops:
             self._arm()
@@ -627,10 +758,10 @@ class RadioDrone(Actor):
 
         A drone on the floor does not count.
         """
-        low = self.config.flight.ground + ON_THE_FLOOR
+        low = self.config.flight.ground + COMMAND_LIMITS.standing_height
         stands = (
             self.place is not None
-            and self.clock.now() - self.place[0] < LATELY
+            and self.clock.now() - self.place[0] < CAMERA_POSE_LIMITS.oldest_used
             and self.place[1].p[2] < low
         )
         return self.flying and not self._flown_here and not stands
@@ -647,25 +778,30 @@ class RadioDrone(Actor):
         return (
             self._silent()
             or self._told_ns is None
-            or self.clock.now_ns() - self._told_ns < IN_VAIN * SECOND
+            or self.clock.now_ns() - self._told_ns
+            < REPEAT_RULES.vain_time * NS_PER_SECOND
         )
 
     def _silent(self) -> bool:
-        return self.connection is None or self.connection.silence > DEGRADED
+        return (
+            self.connection is None
+            or self.connection.silence > SILENCE_LIMITS.link_degraded
+        )
 
     def _within_reach(self, command: Command) -> Command:
         """Return the command; a line that ends far from the drone gets more time."""
         here = (
             self.place[1].p
-            if self.place is not None and self.clock.now() - self.place[0] < LATELY
+            if self.place is not None
+            and self.clock.now() - self.place[0] < CAMERA_POSE_LIMITS.oldest_used
             else None
         )
         here = self._own.p if here is None and self._own is not None else here
         if here is None or not isinstance(command, XYZ) or command.verb != "line":
             return command
         far = math.dist(command.flat[0:3], here)
-        fastest = CATCHES_UP * self.config.flight.speed_limit
-        if far <= TRAILS + fastest * command.flat[4]:
+        fastest = COMMAND_LIMITS.catch_up_factor * self.config.flight.speed_limit
+        if far <= COMMAND_LIMITS.line_lag + fastest * command.flat[4]:
             return command
         return XYZ("line", np.array([*command.flat[0:4], far / fastest]))
 
@@ -689,7 +825,11 @@ class RadioDrone(Actor):
 
     def _arm(self) -> None:
         """Arm the drone, once a flight: its motors wait for this."""
-        if self.supervisor & checks.ARMED or self._arming or self.connection is None:
+        if (
+            self.supervisor & checks.ReadinessBit.ARMED
+            or self._arming
+            or self.connection is None
+        ):
             return
         self._arming = True
         self._do(self._armed(self.connection))
@@ -730,7 +870,7 @@ class RadioDrone(Actor):
         if self._cut_heard:
             return
         if (way := self.connection or self._opening) is not None:
-            way.urgent(emergency())
+            way.urgent(emergency_packets())
 
     def _send_now(self, packets: Iterable[Packet]) -> None:
         for packet in packets if self.connection is not None else ():
@@ -749,7 +889,7 @@ class RadioDrone(Actor):
             self._jumped_at = min(self._jumped_at, self.clock.now())
             if (
                 self._take_off is not None
-                and self.clock.now() - self._jumped_at > JUMPS
+                and self.clock.now() - self._jumped_at > CAMERA_POSE_LIMITS.longest_jump
             ):
                 self._take_off.give_up()
             return
@@ -758,7 +898,7 @@ class RadioDrone(Actor):
         if self._astray():
             return  # the drone lands with its own sensors
         if (
-            age <= NEWEST
+            age <= CAMERA_POSE_LIMITS.oldest_sent
             and self.connection is not None
             and self._told.passes(self.clock.now())
         ):
@@ -777,7 +917,7 @@ class RadioDrone(Actor):
 
         period: s
         """
-        check_period(period, f"drone {self.drone}: log")
+        check_log_period(period, f"drone {self.drone}: log")
         self._asked[tuple(names)] = period
         if self.connection is not None:
             self._do(self._begin_asked(self.connection, tuple(names), period))
@@ -786,7 +926,13 @@ class RadioDrone(Actor):
         self, connection: Connection, names: tuple[str, ...], period: float
     ) -> None:
         try:
-            await connection.log("asked", names, period, self._take_asked, REOPENS)
+            await connection.log(
+                "asked",
+                names,
+                period,
+                self._take_asked,
+                CONNECT_ATTEMPTS.reopen_deadline,
+            )
         except LinkFailed as error:
             self._say("log", str(error))
 
@@ -807,20 +953,24 @@ class RadioDrone(Actor):
     # What the drone answers -----------------------------------------------------------------------
 
     def _heard(self, packet: Packet) -> None:
-        if packet.port != HIGH_LEVEL or len(packet.data) < 4:
+        if packet.port != CrtpPort.HIGH_LEVEL or len(packet.data) < 4:
             return
         result = packet.data[3]
-        if packet.data[:1] == FORMS["land"].head and self._landing is not None:
+        if packet.data[:1] == PACKET_FORMS["land"].head and self._landing is not None:
             if self._told_ns is None:
                 return  # the answer to an earlier landing, which has been ended since
-            if result in LANDING:
+            if result in REPEAT_RULES.landing_results:
                 self._landed_at = min(
                     self._landed_at,
-                    self.clock.now() + float(self._landing.flat[4]) + LANDED,
+                    self.clock.now()
+                    + float(self._landing.flat[4])
+                    + REPEAT_RULES.stop_delay,
                 )
                 self._send_now(self.handler.relax)
                 return
-            self._landing_ns = self.clock.now_ns() + round(REFUSED * SECOND)
+            self._landing_ns = self.clock.now_ns() + round(
+                REPEAT_RULES.refused_pause * NS_PER_SECOND
+            )
         if result != 0:
             self.refused_plans += 1
             self._say(
@@ -839,13 +989,15 @@ class RadioDrone(Actor):
         if self._uptime.overtaken(at):
             return
         taken = self._uptime.taken(self.clock.now(), at)
-        self._well = {name: values[name] for name in WELL}
+        self._well = {name: values[name] for name in FIRMWARE_NAMES.health}
         self._cut_heard = self._cut_heard or (
-            self._cut and bool(self.supervisor & checks.LOCKED)
+            self._cut and bool(self.supervisor & SupervisorBit.LOCKED)
         )
-        p = MILLI * np.array([values[name] for name in OWN[0:3]])
-        v = MILLI * np.array([values[name] for name in OWN[3:6]])
-        p, v, q = self._in_the_world(p, v, quaternion(int(values[OWN[6]])))
+        p = LOG_UNIT * np.array([values[name] for name in FIRMWARE_NAMES.estimate[0:3]])
+        v = LOG_UNIT * np.array([values[name] for name in FIRMWARE_NAMES.estimate[3:6]])
+        p, v, q = self._in_the_world(
+            p, v, unpack_quaternion(int(values[FIRMWARE_NAMES.estimate[6]]))
+        )
         self._own, self._own_ns = (
             State(np.array([*p, *v, *q, 0.0, 0.0, 0.0])),
             self.clock.now_ns(),
@@ -856,8 +1008,8 @@ class RadioDrone(Actor):
         ):
             self.report()
         if not self.seen_by_cameras:
-            self.port.publish(POSE, Pose(np.array([*p, *q])))
-            self.port.publish(TRUTH, self._own)
+            self.port.publish(DRONE_TOPICS.pose, Pose(np.array([*p, *q])))
+            self.port.publish(DRONE_TOPICS.truth, self._own)
 
     def _in_the_world(self, p: Vec, v: Vec, q: Vec) -> tuple[Vec, Vec, Vec]:
         """Return p, v and q in the world, from the frame of the drone's own estimate.
@@ -873,7 +1025,9 @@ class RadioDrone(Actor):
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         a = quaternion_of_yaw(radio.origin_yaw).tolist()
         b = q.tolist()
-        turned = np.array(product((a[0], a[1], a[2], a[3]), (b[0], b[1], b[2], b[3])))
+        turned = np.array(
+            quaternion_product((a[0], a[1], a[2], a[3]), (b[0], b[1], b[2], b[3]))
+        )
         return turn @ p + np.array(radio.origin), turn @ v, turned
 
     def _take_spread(self, values: dict[str, float], at: int) -> None:
@@ -881,7 +1035,8 @@ class RadioDrone(Actor):
 
     def _take_asked(self, values: dict[str, float], at: int) -> None:
         self.port.publish(
-            TELEMETRY, {name: [float(value), 0.0] for name, value in values.items()}
+            DRONE_TOPICS.telemetry,
+            {name: [float(value), 0.0] for name, value in values.items()},
         )
 
     @property
@@ -905,7 +1060,7 @@ class RadioDrone(Actor):
     @property
     def flying(self) -> bool:
         """Whether the motors turn, or have turned within 2 s."""
-        return bool(self.supervisor & checks.FLYING)
+        return bool(self.supervisor & checks.ReadinessBit.FLYING)
 
     def problems(self) -> list[str]:
         """Return why the drone may not take off."""
@@ -918,7 +1073,9 @@ class RadioDrone(Actor):
         harm = self._harm()
         found = [harm] if harm else checks.supervisor_problems(self.supervisor)
         found += checks.battery_problems(self.battery, begin)
-        found += [text + REMEDY for text in self._astray()] + [WAS_CUT] * self._cut
+        found += [text + PROBLEM_TEXTS.wrong_body for text in self._astray()] + [
+            PROBLEM_TEXTS.motors_cut
+        ] * self._cut
         if self.flying:
             return found
         found += checks.link_problems(self.connection.latency, self.connection.answered)
@@ -929,7 +1086,7 @@ class RadioDrone(Actor):
         if self._opening is None:
             return "is being connected"
         stage = self._opening.stage
-        spoken = stage == WORDLESS and self._own_ns > self._logs_ns
+        spoken = stage == AWAITING_LOG and self._own_ns > self._logs_ns
         return "is being prepared" if spoken else f"is being connected, {stage} so far"
 
     def _harm(self) -> str:
@@ -937,9 +1094,11 @@ class RadioDrone(Actor):
 
         For a virtual drone the text also tells how to restart it.
         """
-        switch = self.row.uri.startswith("udp") and self.supervisor & checks.LOCKED
+        switch = (
+            self.row.uri.startswith("udp") and self.supervisor & SupervisorBit.LOCKED
+        )
         hint = f" (`crazychoir virtual fault {self.drone} reboot=1`)" if switch else ""
-        return checks.harm(self.supervisor) + hint
+        return checks.describe_harm(self.supervisor) + hint
 
     def _astray(self) -> list[str]:
         """Return the fault of the last take-off: the body does not move as the drone does."""
@@ -960,14 +1119,16 @@ class RadioDrone(Actor):
             if self._has_flown
             else {j: np.array(self.config.drone(j).home) for j in self.config.seen}
         )
-        drones = {j: Standing(home, None, None) for j, home in homes.items()}
-        drones[self.drone] = Standing(homes.get(self.drone), own, self._pose.fresh())
-        return before_arming(self.drone, drones)
+        drones = {j: GroundedDrone(home, None, None) for j, home in homes.items()}
+        drones[self.drone] = GroundedDrone(
+            homes.get(self.drone), own, self._pose.fresh()
+        )
+        return find_arming_problems(self.drone, drones)
 
     def _unsure(self) -> list[str]:
         """Return why a drone without cameras does not know its position well enough."""
         return checks.spread_problems(
-            [self._spread.get(name, math.nan) for name in SPREAD]
+            [self._spread.get(name, math.nan) for name in FIRMWARE_NAMES.variances]
         )
 
     def status(self) -> LinkStatus:
@@ -995,9 +1156,11 @@ class RadioDrone(Actor):
     def report(self) -> None:
         """Publish the state of the link and of the body."""
         self._has_flown = self._has_flown or self.flying
-        self.port.publish(LINK, self.status())
+        self.port.publish(DRONE_TOPICS.link, self.status())
         if self._own_ns:  # before the first log it is unknown whether the drone flies
-            self.port.publish(BODY, Body(self._harm(), self.flying and not self._cut))
+            self.port.publish(
+                DRONE_TOPICS.body, Body(self._harm(), self.flying and not self._cut)
+            )
 
     # What the body asks ---------------------------------------------------------------------------
 
@@ -1014,7 +1177,10 @@ class RadioDrone(Actor):
 
         Without such a pose it is the drone's own estimate, or its home before the first log.
         """
-        if self.place is not None and self.clock.now() - self.place[0] < LATELY:
+        if (
+            self.place is not None
+            and self.clock.now() - self.place[0] < CAMERA_POSE_LIMITS.oldest_used
+        ):
             pose = self.place[1]
             return State(np.array([*pose.p, 0.0, 0.0, 0.0, *pose.q, 0.0, 0.0, 0.0]))
         return self._own or State.at(self.row.home)

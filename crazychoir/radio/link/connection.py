@@ -9,6 +9,7 @@ import logging
 import math
 import threading
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from functools import partial
 from types import MethodType
 from typing import Any
@@ -19,37 +20,49 @@ from cflib.crazyflie.param import ParamTocElement
 from cflib.crazyflie.toc import TocFetcher
 from cflib.crtp.crtpstack import CRTPPacket
 
-from crazychoir.config.radio_checks import PINGS
+from crazychoir.config.radio_checks import RADIO_TRAFFIC
 from crazychoir.errors import LinkFailed, error_text
 from crazychoir.radio.link import drivers
-from crazychoir.radio.link.dongles import DONGLES, DongleFailed
-from crazychoir.radio.link.round_trips import ECHO, RoundTrips
+from crazychoir.radio.link.dongles import PROCESS_DONGLES, DongleFailed
+from crazychoir.radio.link.round_trips import ECHO_CHANNEL, RoundTrips
 from crazychoir.radio.link.toc_cache import TableOfContents
-from crazychoir.radio.link.writer import Writer
-from crazychoir.radio.protocol.crtp import LINK, LOG, MEMORY, PARAM, Packet
-from crazychoir.runtime.clock import SECOND, Clock
+from crazychoir.radio.link.writer import PacketWriter
+from crazychoir.radio.protocol.crtp import CrtpPort, Packet
+from crazychoir.runtime.clock import NS_PER_SECOND, Clock
 
 log = logging.getLogger(__name__)
-SOURCE = Packet(LINK, 1, b"\x00")
+VERSION_REQUEST = Packet(CrtpPort.LINK, 1, b"\x00")
 """Packet that makes the drone tell its protocol version to cflib."""
-VERSION_KNOWN = 0
+LEAST_VERSION = 0
 """Least protocol version; cflib gives a negative number before the drone has told its version."""
-AGAIN = 0.25
-"""Seconds after which an unanswered request is sent again."""
-ENDS = 0.5
-"""Seconds in which a thread may end."""
-CLOSES = 3.0
-"""Longest time in s to close a link; threads of cflib that hang in a driver are left behind."""
-NOBODY = "Connection refused"
+
+
+@dataclass(frozen=True, slots=True)
+class LinkTiming:
+    """Times of the requests, threads and closing of a connection."""
+
+    retry_period: float = 0.25
+    """s: time after which an unanswered request is sent again."""
+    thread_deadline: float = 0.5
+    """s: time in which a thread may end."""
+    close_deadline: float = 3.0
+    """s: longest time to close a link; threads of cflib that hang in a driver are left behind.
+    """
+
+
+LINK_TIMING = LinkTiming()
+
+
+CONNECTION_REFUSED = "Connection refused"
 """Text of the operating system for a port without a listener."""
-WORDLESS = "no word of itself"
+AWAITING_LOG = "no word of itself"
 """Stage of an open connection that has not yet delivered a log."""
-LOG_DATA = 2
+LOG_DATA_CHANNEL = 2
 """Channel of log data."""
-RESET_LOGS = Packet(LOG, 1, b"\x05")
+RESET_LOGS = Packet(CrtpPort.LOG, 1, b"\x05")
 """Packet that makes the drone drop its log blocks."""
 
-Data = Callable[[dict[str, float], int], None]
+LogCallback = Callable[[dict[str, float], int], None]
 """Callback: called with log variables, and ms since the drone's start at which they were taken."""
 
 
@@ -72,7 +85,7 @@ class Connection:
         heard: Callable[[Packet], None] = lambda packet: None,
         turn: Callable[[], None] = lambda: None,
     ) -> None:
-        drivers.ready()
+        drivers.register_drivers()
         self.clock = clock
         self.uri = uri
         self._lost = lost
@@ -83,7 +96,7 @@ class Connection:
         self._asked: list[tuple[Callable[[Packet], bool], asyncio.Future[Packet]]] = []
         self._opened: asyncio.Future[None] = self._loop.create_future()
         self._over = False
-        self._writer: Writer | None = None
+        self._writer: PacketWriter | None = None
         self._heard_ns: int | None = None
         self._echoing: asyncio.Task[None] | None = None
         self._trips = RoundTrips()
@@ -99,10 +112,10 @@ class Connection:
         cf = Crazyflie()
         cf._toc_cache = contents
         # cflib's own refresh also reads the memories of decks, and never ends if one fails.
-        cf.mem.refresh = _unread
-        cf.remove_port_callback(MEMORY, cf.mem._new_packet_cb)
-        cf.param.request_update_of_all_params = _nothing
-        cf.param.refresh_toc = MethodType(_only_contents, cf.param)
+        cf.mem.refresh = _skip_memories
+        cf.remove_port_callback(CrtpPort.MEMORY, cf.mem._new_packet_cb)
+        cf.param.request_update_of_all_params = _do_nothing
+        cf.param.refresh_toc = MethodType(_load_parameter_table, cf.param)
         cf.connected.add_callback(lambda uri: self._from_thread(self._is_open))
         cf.connection_failed.add_callback(
             lambda uri, message: self._from_thread(self._failed, message)
@@ -111,7 +124,7 @@ class Connection:
             lambda uri, message: self._from_thread(self._failed, message)
         )
         cf.packet_received.add_callback(self._received)
-        _without_echoes(cf)
+        _disable_echoes(cf)
         cf.link_statistics.uplink_rssi_updated.add_callback(self._set_rssi)
         return cf
 
@@ -135,8 +148,8 @@ class Connection:
                     self.uri, f"{self.stage} within {seconds:.3g} s"
                 ) from None
             await self._until_told(seconds, tables)
-        self._writer = Writer(
-            self.uri, self._put, self._turn, partial(drivers.room, self.cf)
+        self._writer = PacketWriter(
+            self.uri, self._put, self._turn, partial(drivers.has_room, self.cf)
         )
         self._echoing = self._loop.create_task(self._echo())
 
@@ -151,12 +164,12 @@ class Connection:
     async def _until_open(self, seconds: float) -> None:
         async with asyncio.timeout(seconds):
             while not self._opened.done():
-                await asyncio.wait([self._opened], timeout=AGAIN)
+                await asyncio.wait([self._opened], timeout=LINK_TIMING.retry_period)
                 if not self._opened.done() and self.cf.link is not None:
                     if gone := self.dongle_failure:
                         raise DongleFailed(self.uri, gone)
-                    if self.version < VERSION_KNOWN:
-                        self._to_thread(SOURCE)  # cflib itself asks only once
+                    if self.version < LEAST_VERSION:
+                        self._to_thread(VERSION_REQUEST)  # cflib itself asks only once
             self._opened.result()
 
     async def _echo(self) -> None:
@@ -164,7 +177,7 @@ class Connection:
 
         cflib's own thread for echoes competes with other packets, and hangs when the air is full.
         """
-        async for _ in self.clock.ticks(PINGS):
+        async for _ in self.clock.ticks(RADIO_TRAFFIC.echo_rate):
             self.newest("echo", self._trips.echo())
 
     def _open(self) -> None:
@@ -186,10 +199,10 @@ class Connection:
     def stage(self) -> str:
         """The data still missing until the connection is usable."""
         if self._opened.done():
-            return WORDLESS
+            return AWAITING_LOG
         if self._heard_ns is None:
             return "no answer"
-        if self.version < VERSION_KNOWN:
+        if self.version < LEAST_VERSION:
             return "it does not say its protocol's version"
         table = self.cf.log.toc  # None until the drone has confirmed the reset of logs
         missing = "parameters" if table is not None and table.toc else "log variables"
@@ -213,13 +226,13 @@ class Connection:
             target=self._close, args=(closed,), name=f"{self.uri} closing", daemon=True
         ).start()
         with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(CLOSES):
+            async with asyncio.timeout(LINK_TIMING.close_deadline):
                 await closed
 
     def _close(self, closed: "asyncio.Future[None]") -> None:
         cf = self.cf
         if self._writer is not None:
-            self._writer.join(ENDS)
+            self._writer.join(LINK_TIMING.thread_deadline)
         self._close_link()
         cf.incoming.stop()
         for timer in list(cf._answer_patterns.values()):
@@ -227,8 +240,8 @@ class Connection:
         cf._answer_patterns = {}
         cf.disconnected.call(self.uri)
         if cf.incoming.is_alive():
-            cf.incoming.join(ENDS)
-        self._quietly(_resolve, closed)
+            cf.incoming.join(LINK_TIMING.thread_deadline)
+        self._quietly(_resolve_waiting, closed)
 
     def _close_link(self) -> None:
         link = self.cf.link
@@ -269,7 +282,7 @@ class Connection:
         packet: Packet,
         answers: Callable[[Packet], bool],
         seconds: float,
-        again: float = AGAIN,
+        again: float = LINK_TIMING.retry_period,
     ) -> Packet:
         """Send a packet until the answer arrives; return the answer.
 
@@ -298,7 +311,7 @@ class Connection:
         return (
             math.inf
             if self._heard_ns is None
-            else (self.clock.now_ns() - self._heard_ns) / SECOND
+            else (self.clock.now_ns() - self._heard_ns) / NS_PER_SECOND
         )
 
     @property
@@ -314,14 +327,14 @@ class Connection:
     @property
     def dongle_failure(self) -> str:
         """Reason why the dongle cannot be used; empty if it can."""
-        return DONGLES.failure(self.uri)
+        return PROCESS_DONGLES.failure(self.uri)
 
     async def log(
         self,
         name: str,
         variables: Iterable[str],
         period: float,
-        data: Data,
+        data: LogCallback,
         seconds: float,
     ) -> None:
         """Let the drone send log variables.
@@ -343,7 +356,9 @@ class Connection:
         )
         config.started_cb.add_callback(partial(self._begun, started))
         config.error_cb.add_callback(
-            lambda block, message: self._from_thread(_fail, started, str(message))
+            lambda block, message: self._from_thread(
+                _fail_waiting, started, str(message)
+            )
         )
         try:
             self.cf.log.add_config(config)
@@ -374,9 +389,9 @@ class Connection:
         cflib also calls it for a block that the drone refuses to start; `on` is then false.
         """
         if on:
-            self._from_thread(_resolve, started)
+            self._from_thread(_resolve_waiting, started)
         else:
-            self._from_thread(_fail, started, "the drone does not begin it")
+            self._from_thread(_fail_waiting, started, "the drone does not begin it")
 
     async def reset_logs(self, seconds: float) -> None:
         """Let the drone drop all its log blocks.
@@ -413,7 +428,7 @@ class Connection:
         out.data = packet.data
         if (link := self.cf.link) is None:
             raise LinkFailed(self.uri, "its link is closed")
-        echoes = packet[:2] == (LINK, ECHO)
+        echoes = packet[:2] == (CrtpPort.LINK, ECHO_CHANNEL)
         if echoes:
             self._trips.left(packet, self.clock.now())  # note it before it can return
         went = link.send_packet(out) is not False
@@ -435,9 +450,9 @@ class Connection:
         self._heard_ns = self.clock.now_ns()
         port = packet.port
         channel = packet.channel
-        if port == LINK and channel == ECHO:
+        if port == CrtpPort.LINK and channel == ECHO_CHANNEL:
             self._trips.came(bytes(packet.data), self.clock.now())
-        elif not (port == LOG and channel == LOG_DATA):
+        elif not (port == CrtpPort.LOG and channel == LOG_DATA_CHANNEL):
             self._from_thread(self._arrived, Packet(port, channel, bytes(packet.data)))
 
     def _set_rssi(self, rssi: float) -> None:
@@ -455,7 +470,7 @@ class Connection:
             if message.strip()
             else "no reason is known"
         )
-        if NOBODY in reason and self.uri.startswith("udp"):
+        if CONNECTION_REFUSED in reason and self.uri.startswith("udp"):
             reason = "no virtual drone is there: start `crazychoir virtual` with this swarm file"
         if not self._opened.done():
             gone = self.dongle_failure
@@ -472,37 +487,39 @@ class Connection:
         self._heard(packet)
 
 
-def _resolve(waiting: "asyncio.Future[None]") -> None:
+def _resolve_waiting(waiting: "asyncio.Future[None]") -> None:
     if not waiting.done():
         waiting.set_result(None)
 
 
-def _fail(waiting: "asyncio.Future[None]", message: str) -> None:
+def _fail_waiting(waiting: "asyncio.Future[None]", message: str) -> None:
     if not waiting.done():
         waiting.set_exception(LinkFailed("log", message))
 
 
-def _unread(done: Callable[[], None]) -> None:
+def _skip_memories(done: Callable[[], None]) -> None:
     """Replace cflib's reading of all memories at each connection."""
     done()
 
 
-def _nothing() -> None:
+def _do_nothing() -> None:
     """Replace cflib's reading of all parameters at each connection, and its thread of echoes."""
 
 
-def _without_echoes(cf: Crazyflie) -> None:
+def _disable_echoes(cf: Crazyflie) -> None:
     """Keep cflib's thread of echoes from starting. Signal strength of a radio is still reported."""
     latency = cf.link_statistics.latency
-    latency.start = latency.stop = _nothing
-    cf.remove_header_callback(latency._ping_response, LINK, ECHO)
+    latency.start = latency.stop = _do_nothing
+    cf.remove_header_callback(latency._ping_response, CrtpPort.LINK, ECHO_CHANNEL)
 
 
-def _only_contents(
+def _load_parameter_table(
     param: Any, done: Callable[[], None], contents: TableOfContents
 ) -> None:
     """Replace cflib's loading of the parameter table.
 
     cflib's own asks for each parameter, one after the other, whether it is persistent.
     """
-    TocFetcher(param.cf, ParamTocElement, PARAM, param.toc, done, contents).start()
+    TocFetcher(
+        param.cf, ParamTocElement, CrtpPort.PARAMETERS, param.toc, done, contents
+    ).start()

@@ -9,35 +9,54 @@ import contextlib
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from cflib.crtp import radiodriver
 
 from crazychoir.errors import LinkFailed, error_text
 
-PLUG = "Plug a Crazyradio in, let your user open it (Bitcraze's udev rules), and end what else uses it."
+PLUG_ADVICE = "Plug a Crazyradio in, let your user open it (Bitcraze's udev rules), and end what else uses it."
 """Advice for a missing dongle."""
-PAUSE = 0.05
-"""Seconds until a dongle that has not answered is asked again."""
-ANSWERS = 0.002
-"""Seconds for this process to answer a drone's packet, before the drone is asked for more."""
-SOON = 0.005
-"""Seconds until an idle link asks its drone again after the first request without data.
 
-The time doubles with each further one, up to LATER times the links of the dongle. cflib asks again
-at once, and takes time from the other links.
-"""
-LATER = 0.01
-"""Seconds for each link of the dongle: limit of that time."""
-PATIENT = 5
-"""Packets in a row without an acknowledgement, after which the link sends more rarely too."""
-SAFELINK = (0xFF, 0x05, 0x01)
-"""First packet of a link.
 
-It switches on a count of packets both ways, so that none is lost or taken twice.
-"""
-NULL = 0xF3
-"""Header of an empty packet, apart from the two bits of safelink."""
+@dataclass(frozen=True, slots=True)
+class DonglePacing:
+    """How often a dongle and its idle links ask again."""
+
+    retry_pause: float = 0.05
+    """s: time until a dongle that has not answered is asked again."""
+    answer_time: float = 0.002
+    """s: time for this process to answer a drone's packet, before the drone is asked for more.
+    """
+    first_pause: float = 0.005
+    """s: time until an idle link asks its drone again after the first request without data. The
+    time doubles with each further one, up to `longest_pause` times the links of the dongle.
+    cflib asks again at once, and takes time from the other links.
+    """
+    longest_pause: float = 0.01
+    """s for each link of the dongle: limit of that time."""
+    missed_limit: int = 5
+    """Packets in a row without an acknowledgement, after which the link sends more rarely too.
+    """
+
+
+DONGLE_PACING = DonglePacing()
+
+
+@dataclass(frozen=True, slots=True)
+class SafelinkBytes:
+    """The bytes of safelink, which counts packets both ways."""
+
+    start_packet: tuple[int, ...] = (0xFF, 0x05, 0x01)
+    """First packet of a link. It switches on a count of packets both ways, so that none is lost or
+    taken twice.
+    """
+    null_header: int = 0xF3
+    """Header of an empty packet, apart from the two bits of safelink."""
+
+
+SAFELINK_BYTES = SafelinkBytes()
 
 
 class DongleFailed(LinkFailed):
@@ -89,13 +108,13 @@ class Dongle:
         """
         with self._turn():
             answer = self._use(
-                lambda radio: _exchanged(radio, channel, address, rate, data)
+                lambda radio: _exchange_packet(radio, channel, address, rate, data)
             )
             if answer is None:
                 # cflib hides the errors of packets; this request shows them.
                 self._use(lambda radio: radio.set_arc(radio.arc))
         if answer is None:
-            self._never.wait(PAUSE)
+            self._never.wait(DONGLE_PACING.retry_pause)
         return answer
 
     def set_arc(self, retries: int) -> None:
@@ -120,7 +139,7 @@ class Dongle:
                 self._radio.close()
 
 
-def _exchanged(
+def _exchange_packet(
     radio: Any, channel: int, address: bytes, rate: int, data: Sequence[int]
 ) -> Any:
     radio.set_channel(channel)
@@ -129,7 +148,7 @@ def _exchanged(
     return radio.send_packet(data)
 
 
-class Turns:
+class DongleShare:
     """One link's share of a dongle, in the form of the radio that cflib's driver expects.
 
     closed: called when the link is closed
@@ -177,7 +196,7 @@ class Turns:
         """
         answer = self._exchanged(data)
         while (
-            tuple(data) == SAFELINK
+            tuple(data) == SAFELINK_BYTES.start_packet
             and not (answer and answer.ack)
             and self._open
             and not self.ends
@@ -190,10 +209,10 @@ class Turns:
             return None
         answer = self._dongle.exchange(self._channel, self._address, self._rate, data)
         if answer is not None:
-            self._heard = not _says_nothing(answer.data)
-            self._vain = 0 if self._heard or not _says_nothing(data) else self._vain + 1
+            self._heard = not _is_empty(answer.data)
+            self._vain = 0 if self._heard or not _is_empty(data) else self._vain + 1
             self._missed = 0 if answer.ack else self._missed + 1
-            if self._missed > PATIENT:
+            if self._missed > DONGLE_PACING.missed_limit:
                 self._never.wait(self._longest)
         return answer
 
@@ -201,12 +220,16 @@ class Turns:
     def idle(self) -> float:
         """Seconds for which the drone need not be asked, unless there is a packet to send."""
         if self._vain == 0:
-            return ANSWERS if self._heard else 0.0
-        return min(SOON * 2.0 ** min(self._vain - 1, PATIENT), self._longest)
+            return DONGLE_PACING.answer_time if self._heard else 0.0
+        return min(
+            DONGLE_PACING.first_pause
+            * 2.0 ** min(self._vain - 1, DONGLE_PACING.missed_limit),
+            self._longest,
+        )
 
     @property
     def _longest(self) -> float:
-        return LATER * self._dongle.links
+        return DONGLE_PACING.longest_pause * self._dongle.links
 
     def close(self) -> None:
         """End this link's share."""
@@ -215,11 +238,14 @@ class Turns:
             self._closed()
 
 
-def _says_nothing(data: Sequence[int]) -> bool:
-    return not len(data) or data[0] & NULL == NULL
+def _is_empty(data: Sequence[int]) -> bool:
+    return (
+        not len(data)
+        or data[0] & SAFELINK_BYTES.null_header == SAFELINK_BYTES.null_header
+    )
 
 
-class Dongles:
+class DonglePool:
     """The dongles of this process by number, and why one cannot be used."""
 
     def __init__(self) -> None:
@@ -227,7 +253,7 @@ class Dongles:
         self._open: dict[int, Dongle] = {}
         self._why: dict[int, str] = {}
 
-    def open(self, number: int) -> Turns:
+    def open(self, number: int) -> DongleShare:
         """Return a link's share of a dongle, which is opened for its first link.
 
         Raises the errors of cflib.
@@ -237,7 +263,7 @@ class Dongles:
             if dongle is None or dongle.over:
                 dongle = self._open[number] = self._opened(number)
             dongle.links += 1
-        return Turns(dongle, lambda: self._leave(number, dongle))
+        return DongleShare(dongle, lambda: self._leave(number, dongle))
 
     def _opened(self, number: int) -> Dongle:
         try:
@@ -248,7 +274,7 @@ class Dongles:
                 ),
             )
         except Exception as error:
-            self._fails(number, f"{error}. {PLUG}")
+            self._fails(number, f"{error}. {PLUG_ADVICE}")
             raise
         self._why.pop(number, None)
         return dongle
@@ -277,5 +303,5 @@ class Dongles:
         )
 
 
-DONGLES = Dongles()
+PROCESS_DONGLES = DonglePool()
 """The dongles of this process."""

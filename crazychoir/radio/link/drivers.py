@@ -9,6 +9,7 @@ import logging
 import queue
 import socket
 import threading
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -17,15 +18,22 @@ from cflib.crtp import radiodriver
 from cflib.crtp.radiodriver import RadioDriver
 from cflib.crtp.udpdriver import UdpDriver
 
-from crazychoir.radio.link.dongles import DONGLES, Turns
+from crazychoir.radio.link.dongles import PROCESS_DONGLES, DongleShare
 
-ROOM = 0.05
-"""Longest time in s that a packet waits for room.
 
-A driver's queue holds one packet, which leaves with the next exchange.
-"""
-ENDS = 0.5
-"""Seconds in which the thread of a link may end its last exchange."""
+@dataclass(frozen=True, slots=True)
+class DriverTiming:
+    """How long a driver waits for room and for the end of its thread."""
+
+    room_timeout: float = 0.05
+    """s: longest time that a packet waits for room. A driver's queue holds one packet, which
+    leaves with the next exchange.
+    """
+    thread_deadline: float = 0.5
+    """s: time in which the thread of a link may end its last exchange."""
+
+
+DRIVER_TIMING = DriverTiming()
 
 
 class LossyUdpDriver(UdpDriver):  # type: ignore[misc]
@@ -44,7 +52,7 @@ class LossyUdpDriver(UdpDriver):  # type: ignore[misc]
     ) -> None:
         """Open the link as cflib does; errors without a callback are ignored."""
         super().connect(
-            uri, radio_link_statistics_callback, link_error_callback or _ignored
+            uri, radio_link_statistics_callback, link_error_callback or _ignore_error
         )
 
     def close(self) -> None:
@@ -68,7 +76,7 @@ class Outbox(queue.Queue[Any]):
     An idle link waits here until it listens again.
     """
 
-    def __init__(self, turns: Turns) -> None:
+    def __init__(self, turns: DongleShare) -> None:
         super().__init__(1)
         self._turns = turns
 
@@ -103,13 +111,13 @@ class PatientRadioDriver(RadioDriver):  # type: ignore[misc]
         self, uri: str, radio_link_statistics_callback: Any, link_error_callback: Any
     ) -> None:
         """Open the link as cflib does, on a shared dongle of this package."""
-        super().connect(uri, radio_link_statistics_callback, _ignored)
+        super().connect(uri, radio_link_statistics_callback, _ignore_error)
         self.out_queue = self._thread._out_queue = Outbox(self._radio)
 
     def send_packet(self, pk: Any) -> bool:
         """Queue a packet; return whether there was room in time."""
         try:
-            self.out_queue.put(pk, timeout=ROOM)
+            self.out_queue.put(pk, timeout=DRIVER_TIMING.room_timeout)
         except queue.Full:
             return False
         return True
@@ -118,7 +126,9 @@ class PatientRadioDriver(RadioDriver):  # type: ignore[misc]
         """Return whether there is room, now or within ROOM s."""
         waiting: Outbox = self.out_queue
         with waiting.not_full:
-            return waiting.not_full.wait_for(lambda: not waiting.queue, ROOM)
+            return waiting.not_full.wait_for(
+                lambda: not waiting.queue, DRIVER_TIMING.room_timeout
+            )
 
     def close(self) -> None:
         """Close the link once its thread has ended, or has had the time to.
@@ -132,7 +142,7 @@ class PatientRadioDriver(RadioDriver):  # type: ignore[misc]
         if thread is not None:
             thread._sp = True
             if thread is not threading.current_thread():
-                thread.join(ENDS)
+                thread.join(DRIVER_TIMING.thread_deadline)
         if turns is not None:
             turns.close()
         if self.in_queue is not None:
@@ -140,7 +150,7 @@ class PatientRadioDriver(RadioDriver):  # type: ignore[misc]
         self._radio = None
 
 
-def room(cf: Any) -> bool:
+def has_room(cf: Any) -> bool:
     """Return whether a packet would leave soon.
 
     A closed link has room: the sender gets its error when it sends.
@@ -149,16 +159,16 @@ def room(cf: Any) -> bool:
     return link.room() if isinstance(link, PatientRadioDriver) else True
 
 
-def _ignored(message: str) -> None:
+def _ignore_error(message: str) -> None:
     """Ignore an error of a link."""
 
 
-OURS = {UdpDriver: LossyUdpDriver, RadioDriver: PatientRadioDriver}
+DRIVER_REPLACEMENTS = {UdpDriver: LossyUdpDriver, RadioDriver: PatientRadioDriver}
 """Our driver in place of each of cflib's."""
 
 
 @cache
-def ready() -> None:
+def register_drivers() -> None:
     """Register cflib's drivers, with ours in place of its own.
 
     This is done once a process, because cflib adds its drivers again at each call.
@@ -166,5 +176,7 @@ def ready() -> None:
     # The caller reports each failure, once.
     logging.getLogger("cflib").setLevel(logging.CRITICAL)
     cflib.crtp.init_drivers()
-    radiodriver.RadioManager = DONGLES
-    cflib.crtp.CLASSES[:] = [OURS.get(driver, driver) for driver in cflib.crtp.CLASSES]
+    radiodriver.RadioManager = PROCESS_DONGLES
+    cflib.crtp.CLASSES[:] = [
+        DRIVER_REPLACEMENTS.get(driver, driver) for driver in cflib.crtp.CLASSES
+    ]

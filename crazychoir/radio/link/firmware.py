@@ -7,33 +7,50 @@ import difflib
 import math
 import struct
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
 from functools import partial
 
 from cflib.crazyflie.mem import MemoryElement
 
 from crazychoir.errors import LinkFailed
-from crazychoir.radio.link.connection import AGAIN, Connection
-from crazychoir.radio.protocol.crtp import FORMS, MEMORY, PARAM, PLATFORM, Packet
-from crazychoir.radio.protocol.handlers import ALL
+from crazychoir.radio.link.connection import LINK_TIMING, Connection
+from crazychoir.radio.protocol.crtp import PACKET_FORMS, CrtpPort, Packet
+from crazychoir.radio.protocol.handlers import ALL_GROUPS
 
-LISTED = 0
-"""Channel of the list of memories."""
-READ = 1
-"""Channel that reads parameters."""
-WRITE = 2
-"""Channel that writes parameters and memories."""
-COUNT = Packet(MEMORY, LISTED, b"\x01")
+
+class RequestChannel(IntEnum):
+    """Channels of requests for parameters and memories."""
+
+    LIST = 0
+    """The list of memories."""
+    READ = 1
+    """Reads parameters."""
+    WRITE = 2
+    """Writes parameters and memories."""
+
+
+COUNT_REQUEST = Packet(CrtpPort.MEMORY, RequestChannel.LIST, b"\x01")
 """Packet that asks for the number of memories."""
-DEADLINE = 2.0
+REQUEST_DEADLINE = 2.0
 """Seconds for one request, which is sent eight times by then."""
-CHUNK = 24
-"""Bytes of a memory in one packet."""
-TRAJECTORIES = MemoryElement.TYPE_TRAJ
-"""Kind of the memory of trajectories."""
-SIZE = 4096
-"""Bytes of the memory of trajectories."""
-SLOTS = 31
-"""Trajectories that have a number."""
+
+
+@dataclass(frozen=True, slots=True)
+class UploadMemory:
+    """The memory of trajectories on board."""
+
+    chunk_size: int = 24
+    """Bytes of a memory in one packet."""
+    kind: int = MemoryElement.TYPE_TRAJ
+    """Kind of this memory, by cflib's number."""
+    size: int = 4096
+    """Bytes of this memory."""
+    slots: int = 31
+    """Trajectories that have a number."""
+
+
+UPLOAD_MEMORY = UploadMemory()
 
 
 class Firmware:
@@ -47,7 +64,7 @@ class Firmware:
 
     async def release(self) -> str:
         """Return the firmware's release tag, such as "2025.12"."""
-        asked = Packet(PLATFORM, 1, b"\x01")
+        asked = Packet(CrtpPort.PLATFORM, 1, b"\x01")
         answer = await self._ask(
             asked, lambda p: p[:2] == asked[:2] and p.data[:1] == b"\x01", "its release"
         )
@@ -58,8 +75,11 @@ class Firmware:
         element = self._parameter(name)
         ident = struct.pack("<H", element.ident)
         answer = await self._ask(
-            Packet(PARAM, READ, ident),
-            lambda p: p[:2] == (PARAM, READ) and p.data[:2] == ident,
+            Packet(CrtpPort.PARAMETERS, RequestChannel.READ, ident),
+            lambda p: (
+                p[:2] == (CrtpPort.PARAMETERS, RequestChannel.READ)
+                and p.data[:2] == ident
+            ),
             f"parameter {name}",
         )
         if len(answer.data) != 3 + struct.calcsize(element.pytype):
@@ -83,15 +103,19 @@ class Firmware:
         if element.access == element.RO_ACCESS:
             raise LinkFailed(uri, f"parameter {name} can only be read")
         try:
-            said = _packed(element.pytype, value)
+            said = _pack_value(element.pytype, value)
         except (struct.error, OverflowError, TypeError, ValueError) as error:
-            allowed = f"{_allowed(element.pytype)} ({element.ctype})"
+            allowed = f"{_describe_range(element.pytype)} ({element.ctype})"
             raise LinkFailed(
                 uri, f"parameter {name} = {value!r}; allowed: {allowed}"
             ) from error
-        asked = Packet(PARAM, WRITE, struct.pack("<H", element.ident) + said)
+        asked = Packet(
+            CrtpPort.PARAMETERS,
+            RequestChannel.WRITE,
+            struct.pack("<H", element.ident) + said,
+        )
         answer = await self._ask(
-            asked, partial(_taken_or_not, asked), f"parameter {name} = {value}"
+            asked, partial(_is_write_answer, asked), f"parameter {name} = {value}"
         )
         if answer.data != asked.data:
             raise LinkFailed(
@@ -106,7 +130,7 @@ class Firmware:
 
     async def arm(self, on: bool = True) -> None:
         """Arm the drone, or disarm it."""
-        asked = FORMS["arm"].packet(on)
+        asked = PACKET_FORMS["arm"].packet(on)
         head = bytes([0x80 | asked.data[0]])
         answer = await self._ask(
             asked, lambda p: p[:2] == asked[:2] and p.data[:1] == head, "arming"
@@ -128,28 +152,35 @@ class Firmware:
         offset: first byte in the memory of trajectories
         """
         uri = self.connection.uri
-        if not 0 <= slot < SLOTS:
+        if not 0 <= slot < UPLOAD_MEMORY.slots:
             raise LinkFailed(
-                uri, f"trajectory {slot}: slots 0 to {SLOTS - 1} are there"
+                uri,
+                f"trajectory {slot}: slots 0 to {UPLOAD_MEMORY.slots - 1} are there",
             )
-        if not 0 <= offset <= offset + len(memory) <= SIZE:
-            allowed = f"{SIZE} are there: 31 pieces"
+        if not 0 <= offset <= offset + len(memory) <= UPLOAD_MEMORY.size:
+            allowed = f"{UPLOAD_MEMORY.size} are there: 31 pieces"
             raise LinkFailed(
                 uri, f"trajectory {slot} ends at byte {offset + len(memory)}; {allowed}"
             )
         where = await self._memory()
-        for start in range(0, len(memory), CHUNK):
+        for start in range(0, len(memory), UPLOAD_MEMORY.chunk_size):
             head = struct.pack("<BI", where, offset + start)
-            asked = Packet(MEMORY, WRITE, head + memory[start : start + CHUNK])
+            asked = Packet(
+                CrtpPort.MEMORY,
+                RequestChannel.WRITE,
+                head + memory[start : start + UPLOAD_MEMORY.chunk_size],
+            )
             answer = await self._ask(
-                asked, partial(_written, head), f"trajectory {slot}"
+                asked, partial(_is_memory_write_answer, head), f"trajectory {slot}"
             )
             if answer.data[5:6] != b"\0":
                 raise LinkFailed(
                     self.connection.uri,
                     f"trajectory {slot}: its memory does not take byte {start}",
                 )
-        await self.plan(FORMS["define_trajectory"].packet(slot, 1, 0, offset, pieces))
+        await self.plan(
+            PACKET_FORMS["define_trajectory"].packet(slot, 1, 0, offset, pieces)
+        )
 
     async def start(
         self, slot: int, timescale: float = 1.0, relative: bool = False
@@ -163,8 +194,8 @@ class Firmware:
         relative: start from where the drone is
         """
         await self.plan(
-            FORMS["start_trajectory"].packet(
-                ALL, relative, False, False, slot, timescale
+            PACKET_FORMS["start_trajectory"].packet(
+                ALL_GROUPS, relative, False, False, slot, timescale
             ),
             math.inf,
         )
@@ -175,22 +206,24 @@ class Firmware:
         cflib would read the memories of decks too.
         """
         count = await self._ask(
-            COUNT,
-            lambda p: p[:2] == COUNT[:2] and p.data[:1] == COUNT.data,
+            COUNT_REQUEST,
+            lambda p: p[:2] == COUNT_REQUEST[:2] and p.data[:1] == COUNT_REQUEST.data,
             "its memories",
         )
         for number in range(count.data[1] if len(count.data) > 1 else 0):
-            asked = Packet(MEMORY, LISTED, bytes([2, number]))
+            asked = Packet(CrtpPort.MEMORY, RequestChannel.LIST, bytes([2, number]))
             answer = await self._ask(
-                asked, partial(_details, asked), f"memory {number}"
+                asked, partial(_is_memory_description, asked), f"memory {number}"
             )
-            if answer.data[2:3] == bytes([TRAJECTORIES]):
+            if answer.data[2:3] == bytes([UPLOAD_MEMORY.kind]):
                 return number
         raise LinkFailed(
             self.connection.uri, "its firmware has no memory for trajectories"
         )
 
-    async def plan(self, packet: Packet, again: float = AGAIN) -> None:
+    async def plan(
+        self, packet: Packet, again: float = LINK_TIMING.retry_period
+    ) -> None:
         """Send a packet to the planner on board.
 
         again: s after which it is sent again; infinite for a packet that must not be sent twice
@@ -211,16 +244,17 @@ class Firmware:
         packet: Packet,
         answers: Callable[[Packet], bool],
         what: str,
-        again: float = AGAIN,
+        again: float = LINK_TIMING.retry_period,
     ) -> Packet:
         try:
-            return await self.connection.ask(packet, answers, DEADLINE, again)
+            return await self.connection.ask(packet, answers, REQUEST_DEADLINE, again)
         except TimeoutError:
             raise LinkFailed(
-                self.connection.uri, f"no answer about {what} within {DEADLINE:g} s"
+                self.connection.uri,
+                f"no answer about {what} within {REQUEST_DEADLINE:g} s",
             ) from None
 
-    def _parameter(self, name: str) -> "Element":
+    def _parameter(self, name: str) -> "ParameterElement":
         element = self.connection.cf.param.toc.get_element_by_complete_name(name)
         if element is None:
             toc = self.connection.cf.param.toc.toc
@@ -238,26 +272,26 @@ class Firmware:
         return element  # type: ignore[no-any-return]
 
 
-FLOATS = {"e": 65504.0, "f": 3.4028235e38, "d": 1.7976931348623157e308}
+LARGEST_FLOATS = {"e": 65504.0, "f": 3.4028235e38, "d": 1.7976931348623157e308}
 """Largest number of each floating-point kind, by struct's letter."""
 
 
-def _packed(kind: str, value: float) -> bytes:
+def _pack_value(kind: str, value: float) -> bytes:
     """Return a value in the firmware's format.
 
     Raises the errors of int, float and struct; ValueError if it is not finite.
     """
-    if kind[-1] not in FLOATS:
+    if kind[-1] not in LARGEST_FLOATS:
         return struct.pack(kind, int(value))
     if not math.isfinite(value):
         raise ValueError(value)
     return struct.pack(kind, value)
 
 
-def _allowed(kind: str) -> str:
+def _describe_range(kind: str) -> str:
     """Return the range of a kind as text."""
-    if kind[-1] in FLOATS:
-        return f"finite numbers, {-FLOATS[kind[-1]]:.5g} to {FLOATS[kind[-1]]:.5g}"
+    if kind[-1] in LARGEST_FLOATS:
+        return f"finite numbers, {-LARGEST_FLOATS[kind[-1]]:.5g} to {LARGEST_FLOATS[kind[-1]]:.5g}"
     bits = 8 * struct.calcsize(kind)
     signed = kind[-1].islower()
     return (
@@ -267,29 +301,35 @@ def _allowed(kind: str) -> str:
     )
 
 
-def _taken_or_not(asked: Packet, packet: Packet) -> bool:
+def _is_write_answer(asked: Packet, packet: Packet) -> bool:
     """Return whether a packet answers this write of a parameter.
 
     The answer has the value written, or an error of three bytes. A repeated request gets two
     answers, and a late answer to an earlier value must not count. A value of one byte is as long as
     an error; then only the written value counts.
     """
-    if packet[:2] != (PARAM, WRITE) or packet.data[:2] != asked.data[:2]:
+    if (
+        packet[:2] != (CrtpPort.PARAMETERS, RequestChannel.WRITE)
+        or packet.data[:2] != asked.data[:2]
+    ):
         return False
     return packet.data == asked.data or len(packet.data) == 3 != len(asked.data)
 
 
-def _details(asked: Packet, packet: Packet) -> bool:
+def _is_memory_description(asked: Packet, packet: Packet) -> bool:
     """Return whether a packet describes this memory."""
     return packet[:2] == asked[:2] and packet.data[:2] == asked.data
 
 
-def _written(head: bytes, packet: Packet) -> bool:
+def _is_memory_write_answer(head: bytes, packet: Packet) -> bool:
     """Return whether a packet answers a write of a memory with this head."""
-    return packet[:2] == (MEMORY, WRITE) and packet.data[:5] == head
+    return (
+        packet[:2] == (CrtpPort.MEMORY, RequestChannel.WRITE)
+        and packet.data[:5] == head
+    )
 
 
-class Element:
+class ParameterElement:
     """The fields of cflib's table entries that are read here."""
 
     ident: int

@@ -16,33 +16,62 @@ import socket
 import struct
 import threading
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import Refused
 from crazychoir.files.user_folders import user_name
 
-LAND_FIRST = "and may fly drones: land them first (Ctrl-C there, or `crazychoir land`)"
-"""Advice about drones of a process of the same user."""
-LAND_AS_OWNER = "and may fly drones: that user, or root, must land them first (Ctrl-C there, or `crazychoir land`)"
-"""Advice about drones of a process of another user."""
-PREFIX = "crazychoir-"
+
+@dataclass(frozen=True, slots=True)
+class LandAdvice:
+    """Advice about the drones of the process that owns a dongle."""
+
+    same_user: str = (
+        "and may fly drones: land them first (Ctrl-C there, or `crazychoir land`)"
+    )
+    """Advice about drones of a process of the same user."""
+    other_user: str = (
+        "and may fly drones: that user, or root, must land them first (Ctrl-C "
+        "there, or `crazychoir land`)"
+    )
+    """Advice about drones of a process of another user."""
+
+
+LAND_ADVICE = LandAdvice()
+
+
+LOCK_PREFIX = "crazychoir-"
 """Start of the name of each lock."""
-LONGEST_NAME = 107  # bytes of a name, after the zero byte that makes it abstract
-ANSWER_TIMEOUT = 0.5  # s
-"""Time for the owner to tell its swarm; a stopped process does not answer."""
-CREDENTIALS = struct.Struct("3i")  # process, user and group, from the kernel
-ANSWER_SIZE = 256  # bytes
+
+
+@dataclass(frozen=True, slots=True)
+class LockLimits:
+    """Sizes and times of the locks of dongles."""
+
+    longest_name: int = 107
+    """Bytes of a name, after the zero byte that makes it abstract."""
+    answer_timeout: float = 0.5
+    """s: time for the owner to tell its swarm; a stopped process does not answer."""
+    answer_size: int = 256
+    """Most bytes of that answer."""
+
+
+LOCK_LIMITS = LockLimits()
+
+
+PEER_CREDENTIALS = struct.Struct("3i")  # process, user and group, from the kernel
 
 
 @contextlib.contextmanager
-def owned(config: SwarmConfig, dongle: int) -> Iterator[None]:
+def own_dongle(config: SwarmConfig, dongle: int) -> Iterator[None]:
     """Own a dongle inside this context; for virtual drones, own their addresses.
 
     Raises Refused while another process owns them.
     """
     with contextlib.ExitStack() as kept:
-        for name in _names(config, dongle):
-            kept.enter_context(_locked(name, dongle, config.name))
+        for name in _lock_names(config, dongle):
+            kept.enter_context(_hold_lock(name, dongle, config.name))
         yield
 
 
@@ -52,13 +81,13 @@ def require_free(config: SwarmConfig, dongles: Iterable[int]) -> None:
     Call it before anything is started that needs them.
     """
     for dongle in dongles:
-        for name in _names(config, dongle):
-            owner = _owner(name)
+        for name in _lock_names(config, dongle):
+            owner = _describe_owner(name)
             if owner is not None:
                 raise Refused(f"dongle {dongle}", owner)
 
 
-def _names(config: SwarmConfig, dongle: int) -> list[str]:
+def _lock_names(config: SwarmConfig, dongle: int) -> list[str]:
     """Return the names of a dongle's locks, in an order that all processes use."""
     uris = [config.drone(i).uri for i in config.dongles[dongle]]
     names = {
@@ -68,29 +97,34 @@ def _names(config: SwarmConfig, dongle: int) -> list[str]:
     return sorted(names)
 
 
-def _address(name: str) -> bytes:
+def _lock_address(name: str) -> bytes:
     """Return the abstract name of a lock."""
-    text = f"{PREFIX}{name}".encode()
-    if len(text) > LONGEST_NAME:
-        text = f"{PREFIX}{hashlib.blake2b(text, digest_size=16).hexdigest()}".encode()
+    text = f"{LOCK_PREFIX}{name}".encode()
+    if len(text) > LOCK_LIMITS.longest_name:
+        text = (
+            f"{LOCK_PREFIX}{hashlib.blake2b(text, digest_size=16).hexdigest()}".encode()
+        )
     return b"\0" + text
 
 
 @contextlib.contextmanager
-def _locked(name: str, dongle: int, swarm: str) -> Iterator[None]:
+def _hold_lock(name: str, dongle: int, swarm: str) -> Iterator[None]:
     """Hold the lock inside this context.
 
     swarm: name that other processes receive
     """
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as lock:
         try:
-            lock.bind(_address(name))
+            lock.bind(_lock_address(name))
         except OSError as error:
-            found = _owner(name) or f"it cannot be locked ({error.strerror or error})"
+            found = (
+                _describe_owner(name)
+                or f"it cannot be locked ({error.strerror or error})"
+            )
             raise Refused(f"dongle {dongle}", found) from None
         lock.listen()
         answering = threading.Thread(
-            target=_answer,
+            target=_answer_requests,
             args=(lock, swarm.encode()),
             name=f"lock {name}",
             daemon=True,
@@ -105,7 +139,7 @@ def _locked(name: str, dongle: int, swarm: str) -> Iterator[None]:
             answering.join()
 
 
-def _answer(lock: socket.socket, swarm: bytes) -> None:
+def _answer_requests(lock: socket.socket, swarm: bytes) -> None:
     """Send the name of the swarm to each asking process, until the lock is released."""
     with contextlib.suppress(OSError):
         while True:
@@ -114,26 +148,26 @@ def _answer(lock: socket.socket, swarm: bytes) -> None:
                 asking.sendall(swarm)
 
 
-def _owner(name: str) -> str | None:
+def _describe_owner(name: str) -> str | None:
     """Return which process holds a lock and what to do; None if no process does."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
-        asking.settimeout(ANSWER_TIMEOUT)
+        asking.settimeout(LOCK_LIMITS.answer_timeout)
         try:
-            asking.connect(_address(name))
+            asking.connect(_lock_address(name))
         except ConnectionRefusedError:
             return None
         except OSError:  # too many processes ask at once
-            return f"another process has it, {LAND_FIRST}"
-        process, user, _ = CREDENTIALS.unpack(
-            asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS.size)
+            return f"another process has it, {LAND_ADVICE.same_user}"
+        process, user, _ = PEER_CREDENTIALS.unpack(
+            asking.getsockopt(
+                socket.SOL_SOCKET, socket.SO_PEERCRED, PEER_CREDENTIALS.size
+            )
         )
         try:
-            said = asking.recv(ANSWER_SIZE).decode(errors="replace")
+            said = asking.recv(LOCK_LIMITS.answer_size).decode(errors="replace")
         except OSError:
             said = ""
     swarm = f" (swarm {said})" if re.fullmatch(r"[\w.-]+", said) else ""
     if user == os.getuid():
-        return f"process {process or '?'}{swarm} has it, {LAND_FIRST}"
-    return (
-        f"process {process or '?'}{swarm} of {user_name(user)} has it, {LAND_AS_OWNER}"
-    )
+        return f"process {process or '?'}{swarm} has it, {LAND_ADVICE.same_user}"
+    return f"process {process or '?'}{swarm} of {user_name(user)} has it, {LAND_ADVICE.other_user}"

@@ -5,19 +5,29 @@ import struct
 import threading
 from bisect import bisect_left, insort
 from collections import OrderedDict, deque
+from dataclasses import dataclass
 
-from crazychoir.radio.protocol.crtp import LINK, Packet
+from crazychoir.radio.protocol.crtp import CrtpPort, Packet
 
-ECHO = 0
+ECHO_CHANNEL = 0
 """Channel of the link port that returns each packet."""
-FORM = struct.Struct("<Bd")
+ECHO_FORMAT = struct.Struct("<Bd")
 """Format of cflib's own echoes: other listeners take ours for cflib's."""
-SHARED = 20
-"""Echoes in the answered share."""
-TIMED = 100
-"""Echoes in the latency."""
-WORST = 0.95
-"""Share of the round trips that are not longer than the latency."""
+
+
+@dataclass(frozen=True, slots=True)
+class EchoStatistics:
+    """How the latency and the answered share are computed from echoes."""
+
+    share_window: int = 20
+    """Echoes in the answered share."""
+    latency_window: int = 100
+    """Echoes in the latency."""
+    latency_quantile: float = 0.95
+    """Share of the round trips that are not longer than the latency."""
+
+
+ECHO_STATISTICS = EchoStatistics()
 
 
 class RoundTrips:
@@ -36,13 +46,13 @@ class RoundTrips:
     def echo(self) -> Packet:
         """Return the next echo to send."""
         self._number += 1
-        return Packet(LINK, ECHO, FORM.pack(0, self._number))
+        return Packet(CrtpPort.LINK, ECHO_CHANNEL, ECHO_FORMAT.pack(0, self._number))
 
     def left(self, echo: Packet, now: float) -> None:
         """Note that an echo is being sent."""
         with self._lock:
             self._answered[echo.data] = now
-            if len(self._answered) > SHARED + 1:
+            if len(self._answered) > ECHO_STATISTICS.share_window + 1:
                 self._answered.popitem(last=False)
 
     def stayed(self, echo: Packet) -> None:
@@ -57,7 +67,7 @@ class RoundTrips:
                 self._answered[data] = None
                 self._took.append(now - sent)
                 insort(self._sorted, now - sent)
-                if len(self._took) > TIMED:
+                if len(self._took) > ECHO_STATISTICS.latency_window:
                     del self._sorted[bisect_left(self._sorted, self._took.popleft())]
 
     @property
@@ -65,7 +75,11 @@ class RoundTrips:
         """Round trip in s that 95 of 100 echoes do not exceed; NaN before the first."""
         with self._lock:
             took = self._sorted
-            return took[math.ceil(WORST * len(took)) - 1] if took else math.nan
+            return (
+                took[math.ceil(ECHO_STATISTICS.latency_quantile * len(took)) - 1]
+                if took
+                else math.nan
+            )
 
     @property
     def answered(self) -> float:

@@ -10,28 +10,39 @@ import logging
 import os
 import tempfile
 import threading
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from cflib.crazyflie.log import LogTocElement
 from cflib.crazyflie.param import ParamTocElement
 
-from crazychoir.files.user_folders import WARNING, cache_home
+from crazychoir.files.user_folders import CACHE_WARNING, cache_home
 
 log = logging.getLogger(__name__)
-PATIENCE = 60.0
-"""Seconds for which a link waits while another link loads the table.
 
-This is longer than a link may take to open.
-"""
-LOOKS = 0.25
-"""Seconds between two checks whether that link, or this one, was closed meanwhile."""
-FIELDS = ("ident", "group", "name", "ctype", "pytype", "access")
+
+@dataclass(frozen=True, slots=True)
+class TableWait:
+    """How a link waits for the table that another link loads."""
+
+    longest: float = 60.0
+    """s: time for which a link waits while another link loads the table. This is longer than a
+    link may take to open.
+    """
+    check_period: float = 0.25
+    """s: time between two checks whether that link, or this one, was closed meanwhile."""
+
+
+TABLE_WAIT = TableWait()
+
+
+ENTRY_FIELDS = ("ident", "group", "name", "ctype", "pytype", "access")
 """Fields of a table entry that are kept."""
-KINDS = {"log": LogTocElement, "param": ParamTocElement}
+ENTRY_CLASSES = {"log": LogTocElement, "param": ParamTocElement}
 """cflib's class of the entries of each kind of table."""
 
-NAME = "tables of contents"
+TABLE_CACHE_NAME = "tables of contents"
 """Name of this cache in warnings."""
 
 Contents = dict[str, dict[str, Any]]
@@ -65,14 +76,14 @@ class TableOfContents:
         me = threading.get_ident()
         with self._told:
             self._closed.pop(me, None)
-            for _ in range(round(PATIENCE / LOOKS)):
+            for _ in range(round(TABLE_WAIT.longest / TABLE_WAIT.check_period)):
                 found = self._known.get(crc) or self._read(crc)
                 if found is not None:
                     self._known[crc] = found
                     return found
                 if self._asked.setdefault(crc, me) == me or me in self._closed:
                     return None
-                self._told.wait(LOOKS)
+                self._told.wait(TABLE_WAIT.check_period)
         return None
 
     def insert(self, crc: int, contents: Contents) -> None:
@@ -96,8 +107,8 @@ class TableOfContents:
             do = "Set XDG_CACHE_HOME to a folder that can be written and has room."
             log.warning(
                 "%s%s: %s: they are not kept, connecting takes longer. %s",
-                WARNING,
-                NAME,
+                CACHE_WARNING,
+                TABLE_CACHE_NAME,
                 fault,
                 do,
             )
@@ -117,9 +128,9 @@ class TableOfContents:
     def _read(self, crc: int) -> Contents | None:
         if self.folder is None or crc in self._damaged:
             return None
-        file = _file(self.folder, crc)
+        file = _table_file(self.folder, crc)
         try:
-            return decoded(file.read_text(encoding="utf-8"))
+            return decode_table(file.read_text(encoding="utf-8"))
         except FileNotFoundError:
             return None
         except (
@@ -139,26 +150,26 @@ class TableOfContents:
         handle, name = tempfile.mkstemp(dir=folder, prefix=".")
         try:
             with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(encoded(contents))
-            os.replace(name, _file(folder, crc))
+                file.write(encode_table(contents))
+            os.replace(name, _table_file(folder, crc))
         except BaseException:
             with contextlib.suppress(OSError):
                 os.unlink(name)
             raise
 
 
-def _file(folder: Path, crc: int) -> Path:
+def _table_file(folder: Path, crc: int) -> Path:
     return folder / f"{crc:08X}.json"
 
 
-def _check(kind: str, elements: list[Any]) -> str:
+def _table_digest(kind: str, elements: list[Any]) -> str:
     """Return the digest of a table, which reveals a damaged file that is still valid JSON."""
     return hashlib.blake2b(
         json.dumps([kind, elements]).encode(), digest_size=8
     ).hexdigest()
 
 
-def encoded(contents: Contents) -> str:
+def encode_table(contents: Contents) -> str:
     """Return a table as text."""
     elements = [element for group in contents.values() for element in group.values()]
     kind = (
@@ -166,30 +177,32 @@ def encoded(contents: Contents) -> str:
         if any(isinstance(element, ParamTocElement) for element in elements)
         else "log"
     )
-    values = [[getattr(element, f) for f in FIELDS] for element in elements]
-    return json.dumps({"kind": kind, "check": _check(kind, values), "elements": values})
+    values = [[getattr(element, f) for f in ENTRY_FIELDS] for element in elements]
+    return json.dumps(
+        {"kind": kind, "check": _table_digest(kind, values), "elements": values}
+    )
 
 
-def decoded(text: str) -> Contents:
+def decode_table(text: str) -> Contents:
     """Return the table of a text.
 
     cflib would ask at every connection whether a parameter is persistent; this is not kept.
     Raises ValueError, KeyError, TypeError or AttributeError if the text is not valid.
     """
     raw = json.loads(text)
-    kind = KINDS[raw["kind"]]
+    kind = ENTRY_CLASSES[raw["kind"]]
     found = Contents()
-    if raw["check"] != _check(raw["kind"], raw["elements"]):
+    if raw["check"] != _table_digest(raw["kind"], raw["elements"]):
         raise ValueError("it is damaged: its digest is another")
     for values in raw["elements"]:
         element = kind()
-        for name, value in zip(FIELDS, values, strict=True):
+        for name, value in zip(ENTRY_FIELDS, values, strict=True):
             setattr(element, name, value)
         found.setdefault(element.group, {})[element.name] = element
     return found
 
 
-def folder() -> Path | None:
+def tables_folder() -> Path | None:
     """Return this user's folder for tables; None if there is no place for caches."""
     own = cache_home()
     return None if own is None else own / "crazychoir" / "contents"

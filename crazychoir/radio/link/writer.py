@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterable
 
 from crazychoir.errors import error_text
 from crazychoir.radio.protocol.crtp import Packet
-from crazychoir.runtime.clock import SECOND, Clock
+from crazychoir.runtime.clock import NS_PER_SECOND, Clock
 
 
-class Turns:
+class SendPacer:
     """Turns of the drones that share a dongle: as many a second as the dongle carries.
 
     The driver of a radio blocks the sender until the air is free. A network does not, and packets
@@ -24,7 +24,7 @@ class Turns:
 
     def __init__(self, clock: Clock, capacity: float) -> None:
         self._clock = clock
-        self._period_ns = round(SECOND / capacity)
+        self._period_ns = round(NS_PER_SECOND / capacity)
         self._free_ns, self._lock, self._never = 0, threading.Lock(), threading.Event()
 
     def turn(self) -> None:
@@ -34,14 +34,14 @@ class Turns:
             start_ns = max(now_ns, self._free_ns)
             self._free_ns = start_ns + self._period_ns
         if start_ns > now_ns:
-            self._never.wait((start_ns - now_ns) / SECOND)
+            self._never.wait((start_ns - now_ns) / NS_PER_SECOND)
 
 
-MOST = 1000
+LONGEST_QUEUE = 1000
 """Most packets that wait in order; beyond that the link counts as lost."""
 
 
-class Writer:
+class PacketWriter:
     """Sends packets in order, and between them the newest of each kind, in turn.
 
     Urgent packets go before all others.
@@ -82,7 +82,7 @@ class Writer:
     def put(self, packet: Packet) -> bool:
         """Queue a packet after all earlier ones; return False if too many wait."""
         with self._work:
-            if len(self._ordered) >= MOST:
+            if len(self._ordered) >= LONGEST_QUEUE:
                 self.refused += 1
                 return False
             self._ordered.append(packet)

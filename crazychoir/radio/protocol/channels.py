@@ -4,20 +4,33 @@ Channel c is at 2400 + c MHz.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from crazychoir.config.number_lists import parse_spans
 from crazychoir.errors import ConfigError
 
-LAST = 125
-"""Highest channel."""
-LICENSED = 83
-"""Highest channel in the licence-free 2.4 GHz band of many countries, which ends at 2483.5 MHz."""
-LEAST_SPACING = 2
-"""MHz between two links of 2 Mbit/s: each is so wide."""
-WIFI = {1: 12, 6: 37, 11: 62}
+
+@dataclass(frozen=True, slots=True)
+class RadioBand:
+    """The Crazyradio's channels, and the widths of its links and of WiFi."""
+
+    highest_channel: int = 125
+    """Highest channel."""
+    licence_free_channel: int = 83
+    """Highest channel in the licence-free 2.4 GHz band of many countries, which ends at 2483.5
+    MHz.
+    """
+    least_spacing: int = 2
+    """MHz between two links of 2 Mbit/s: each is so wide."""
+    wifi_half_width: int = 11
+    """MHz by which a WiFi channel extends to each side of its centre."""
+
+
+RADIO_BAND = RadioBand()
+
+
+WIFI_CENTRES = {1: 12, 6: 37, 11: 62}
 """Crazyradio channel at the centre of each of the WiFi channels that do not overlap."""
-WIFI_HALF = 11
-"""MHz by which a WiFi channel extends to each side of its centre."""
 
 
 def frequency(channel: int) -> int:
@@ -30,11 +43,15 @@ def parse_channels(text: str, where: str = "--channels") -> tuple[int, ...]:
 
     "2-82:2" is every second channel from 2 to 82; another example is "4,20-30,76".
     """
-    allowed = f"channels 0 to {LAST}, as 2-82:2 (each second) or 4,20-30,76"
-    return tuple(sorted(parse_spans(text, where, allowed, LAST, steps=True)))
+    allowed = f"channels 0 to {RADIO_BAND.highest_channel}, as 2-82:2 (each second) or 4,20-30,76"
+    return tuple(
+        sorted(
+            parse_spans(text, where, allowed, RADIO_BAND.highest_channel, steps=True)
+        )
+    )
 
 
-def pick(
+def pick_channels(
     scores: Mapping[int, Sequence[float]], k: int, spacing: int
 ) -> tuple[int, ...]:
     """Return the k channels with the largest minimal score; no two are closer than `spacing` MHz.

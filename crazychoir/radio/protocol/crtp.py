@@ -8,29 +8,56 @@ Sources: Bitcraze's CRTP documentation; protocol version 12 as measured on the f
 
 import struct
 from dataclasses import dataclass
+from enum import IntEnum
 from functools import cached_property
 from typing import Any, Final, NamedTuple
 
 from crazychoir.errors import CodecError
 
-PROTOCOL: Final = 12
-"""Version of the protocol that the forms below belong to."""
-MOST: Final = 30
-"""Most bytes after the header."""
+
+@dataclass(frozen=True, slots=True)
+class CrtpFormat:
+    """The protocol version, and the size and header of a packet."""
+
+    version: int = 12
+    """Version of the protocol that the forms below belong to."""
+    payload_size: int = 30
+    """Most bytes after the header."""
+    safelink_bits: int = 0b1100
+    """Header bits that safelink counts with; cflib sets them in each packet."""
+
+
+CRTP_FORMAT = CrtpFormat()
+
+
 # Ports.
-CONSOLE = 0
-PARAM = 2
-COMMANDER = 3
-MEMORY = 4
-LOG = 5
-LOCALIZATION = 6
-SETPOINT = 7
-HIGH_LEVEL = 8
-SUPERVISOR = 9
-PLATFORM = 13
-LINK = 15
-_RESERVED = 0b1100
-"""Header bits that safelink counts with; cflib sets them in each packet."""
+
+
+class CrtpPort(IntEnum):
+    """Ports of CRTP."""
+
+    CONSOLE = 0
+    """Texts from the drone."""
+    PARAMETERS = 2
+    """Parameters, and their table of contents."""
+    COMMANDER = 3
+    """Set-points of roll, pitch, yaw rate and thrust."""
+    MEMORY = 4
+    """Memories."""
+    LOG = 5
+    """Log blocks, and the table of log variables."""
+    LOCALIZATION = 6
+    """Poses from outside, and the emergency stop."""
+    SETPOINT = 7
+    """Set-points of all other kinds."""
+    HIGH_LEVEL = 8
+    """Commands for the planner on board."""
+    SUPERVISOR = 9
+    """Arming, and the state of the supervisor."""
+    PLATFORM = 13
+    """Versions and the type of the device."""
+    LINK = 15
+    """Echoes, and packets that only the link handles."""
 
 
 class Packet(NamedTuple):
@@ -45,20 +72,23 @@ class Packet(NamedTuple):
 
     def framed(self) -> bytes:
         """Return the packet as a datagram."""
-        return bytes([self.port << 4 | _RESERVED | self.channel]) + self.data
+        return (
+            bytes([self.port << 4 | CRTP_FORMAT.safelink_bits | self.channel])
+            + self.data
+        )
 
 
-def parse(datagram: bytes) -> Packet:
+def parse_packet(datagram: bytes) -> Packet:
     """Return the packet of a datagram. Raises CodecError if it is empty or too long for a radio."""
-    if not 1 <= len(datagram) <= 1 + MOST:
+    if not 1 <= len(datagram) <= 1 + CRTP_FORMAT.payload_size:
         raise CodecError(
-            f"CRTP packet: {len(datagram)} bytes; allowed: 1 to {1 + MOST}."
+            f"CRTP packet: {len(datagram)} bytes; allowed: 1 to {1 + CRTP_FORMAT.payload_size}."
         )
     return Packet(datagram[0] >> 4, datagram[0] & 0b11, bytes(datagram[1:]))
 
 
 @dataclass(frozen=True)
-class Form:
+class PacketForm:
     """One kind of packet: its port and channel, its first bytes, and its fields."""
 
     name: str
@@ -116,120 +146,156 @@ class Form:
         return self.layout.unpack(body)
 
 
-def _forms(*rows: tuple[str, int, int, bytes, str]) -> dict[str, Form]:
-    return {row[0]: Form(*row) for row in rows}
+def _index_forms(*rows: tuple[str, int, int, bytes, str]) -> dict[str, PacketForm]:
+    return {row[0]: PacketForm(*row) for row in rows}
 
 
-FORMS: Final = _forms(
+PACKET_FORMS: Final = _index_forms(
     # Set-points: deg and deg/s. Pitch is positive nose up; RPYT and the legacy forms reverse the
     # sign of the yaw rate.
-    ("rpyt", COMMANDER, 0, b"", "roll:f pitch:f yaw:f thrust:H"),
-    ("stop", SETPOINT, 0, b"\x00", ""),
-    ("velocity_world_legacy", SETPOINT, 0, b"\x01", "vx:f vy:f vz:f yaw_rate:f"),
-    ("z_distance_legacy", SETPOINT, 0, b"\x02", "roll:f pitch:f yaw_rate:f z:f"),
-    ("hover_legacy", SETPOINT, 0, b"\x05", "vx:f vy:f yaw_rate:f z:f"),
-    ("altitude_hold", SETPOINT, 0, b"\x04", "roll:f pitch:f yaw_rate:f vz:f"),
+    ("rpyt", CrtpPort.COMMANDER, 0, b"", "roll:f pitch:f yaw:f thrust:H"),
+    ("stop", CrtpPort.SETPOINT, 0, b"\x00", ""),
+    (
+        "velocity_world_legacy",
+        CrtpPort.SETPOINT,
+        0,
+        b"\x01",
+        "vx:f vy:f vz:f yaw_rate:f",
+    ),
+    (
+        "z_distance_legacy",
+        CrtpPort.SETPOINT,
+        0,
+        b"\x02",
+        "roll:f pitch:f yaw_rate:f z:f",
+    ),
+    ("hover_legacy", CrtpPort.SETPOINT, 0, b"\x05", "vx:f vy:f yaw_rate:f z:f"),
+    ("altitude_hold", CrtpPort.SETPOINT, 0, b"\x04", "roll:f pitch:f yaw_rate:f vz:f"),
     (
         "full_state",
-        SETPOINT,
+        CrtpPort.SETPOINT,
         0,
         b"\x06",
         "x:h y:h z:h vx:h vy:h vz:h ax:h ay:h az:h q:I p:h q_rate:h r:h",
     ),
-    ("velocity_world", SETPOINT, 0, b"\x08", "vx:f vy:f vz:f yaw_rate:f"),
-    ("z_distance", SETPOINT, 0, b"\x09", "roll:f pitch:f yaw_rate:f z:f"),
-    ("hover", SETPOINT, 0, b"\x0a", "vx:f vy:f yaw_rate:f z:f"),
-    ("position", SETPOINT, 0, b"\x07", "x:f y:f z:f yaw:f"),
-    ("manual", SETPOINT, 0, b"\x0b", "roll:f pitch:f yaw_rate:f thrust:H rates:B"),
-    ("notify_setpoint_stop", SETPOINT, 1, b"\x00", "remain_ms:I"),
+    ("velocity_world", CrtpPort.SETPOINT, 0, b"\x08", "vx:f vy:f vz:f yaw_rate:f"),
+    ("z_distance", CrtpPort.SETPOINT, 0, b"\x09", "roll:f pitch:f yaw_rate:f z:f"),
+    ("hover", CrtpPort.SETPOINT, 0, b"\x0a", "vx:f vy:f yaw_rate:f z:f"),
+    ("position", CrtpPort.SETPOINT, 0, b"\x07", "x:f y:f z:f yaw:f"),
+    (
+        "manual",
+        CrtpPort.SETPOINT,
+        0,
+        b"\x0b",
+        "roll:f pitch:f yaw_rate:f thrust:H rates:B",
+    ),
+    ("notify_setpoint_stop", CrtpPort.SETPOINT, 1, b"\x00", "remain_ms:I"),
     # The planner on board: m, rad, s; `group` is a mask, 0 is all.
-    ("group_mask", HIGH_LEVEL, 0, b"\x00", "group:B"),
-    ("planner_stop", HIGH_LEVEL, 0, b"\x03", "group:B"),
+    ("group_mask", CrtpPort.HIGH_LEVEL, 0, b"\x00", "group:B"),
+    ("planner_stop", CrtpPort.HIGH_LEVEL, 0, b"\x03", "group:B"),
     (
         "go_to_legacy",
-        HIGH_LEVEL,
+        CrtpPort.HIGH_LEVEL,
         0,
         b"\x04",
         "group:B relative:B x:f y:f z:f yaw:f duration:f",
     ),
     (
         "start_trajectory_legacy",
-        HIGH_LEVEL,
+        CrtpPort.HIGH_LEVEL,
         0,
         b"\x05",
         "group:B relative:B reversed:B id:B timescale:f",
     ),
     (
         "define_trajectory",
-        HIGH_LEVEL,
+        CrtpPort.HIGH_LEVEL,
         0,
         b"\x06",
         "id:B location:B type:B offset:I pieces:B",
     ),
     (
         "take_off",
-        HIGH_LEVEL,
+        CrtpPort.HIGH_LEVEL,
         0,
         b"\x07",
         "group:B height:f yaw:f keep_yaw:? duration:f",
     ),
-    ("land", HIGH_LEVEL, 0, b"\x08", "group:B height:f yaw:f keep_yaw:? duration:f"),
+    (
+        "land",
+        CrtpPort.HIGH_LEVEL,
+        0,
+        b"\x08",
+        "group:B height:f yaw:f keep_yaw:? duration:f",
+    ),
     (
         "take_off_with_velocity",
-        HIGH_LEVEL,
+        CrtpPort.HIGH_LEVEL,
         0,
         b"\x09",
         "group:B height:f relative:? yaw:f keep_yaw:? speed:f",
     ),
     (
         "land_with_velocity",
-        HIGH_LEVEL,
+        CrtpPort.HIGH_LEVEL,
         0,
         b"\x0a",
         "group:B height:f relative:? yaw:f keep_yaw:? speed:f",
     ),
     (
         "spiral",
-        HIGH_LEVEL,
+        CrtpPort.HIGH_LEVEL,
         0,
         b"\x0b",
         "group:B sideways:B clockwise:B angle:f r0:f r1:f climb:f duration:f",
     ),
     (
         "go_to",
-        HIGH_LEVEL,
+        CrtpPort.HIGH_LEVEL,
         0,
         b"\x0c",
         "group:B relative:B linear:B x:f y:f z:f yaw:f duration:f",
     ),
     (
         "start_trajectory",
-        HIGH_LEVEL,
+        CrtpPort.HIGH_LEVEL,
         0,
         b"\x0d",
         "group:B relative:B relative_yaw:B reversed:B id:B timescale:f",
     ),
     # Measurements from outside: m, quaternions [x, y, z, w].
-    ("external_position", LOCALIZATION, 0, b"", "x:f y:f z:f"),
-    ("emergency_stop", LOCALIZATION, 1, b"\x03", ""),
-    ("emergency_stop_watchdog", LOCALIZATION, 1, b"\x04", ""),
-    ("lighthouse_persist", LOCALIZATION, 1, b"\x0b", "geometries:H calibrations:H"),
-    ("external_pose", LOCALIZATION, 1, b"\x08", "x:f y:f z:f qx:f qy:f qz:f qw:f"),
+    ("external_position", CrtpPort.LOCALIZATION, 0, b"", "x:f y:f z:f"),
+    ("emergency_stop", CrtpPort.LOCALIZATION, 1, b"\x03", ""),
+    ("emergency_stop_watchdog", CrtpPort.LOCALIZATION, 1, b"\x04", ""),
+    (
+        "lighthouse_persist",
+        CrtpPort.LOCALIZATION,
+        1,
+        b"\x0b",
+        "geometries:H calibrations:H",
+    ),
+    (
+        "external_pose",
+        CrtpPort.LOCALIZATION,
+        1,
+        b"\x08",
+        "x:f y:f z:f qx:f qy:f qz:f qw:f",
+    ),
     # The supervisor.
-    ("arm", SUPERVISOR, 1, b"\x01", "on:?"),
-    ("recover", SUPERVISOR, 1, b"\x02", ""),
-    ("supervisor_stop", SUPERVISOR, 1, b"\x03", ""),
-    ("supervisor_watchdog", SUPERVISOR, 1, b"\x04", ""),
-    ("supervisor_info", SUPERVISOR, 0, b"\x0c", ""),
-    ("platform_arm", PLATFORM, 0, b"\x01", "on:?"),
-    ("platform_recover", PLATFORM, 0, b"\x02", ""),
+    ("arm", CrtpPort.SUPERVISOR, 1, b"\x01", "on:?"),
+    ("recover", CrtpPort.SUPERVISOR, 1, b"\x02", ""),
+    ("supervisor_stop", CrtpPort.SUPERVISOR, 1, b"\x03", ""),
+    ("supervisor_watchdog", CrtpPort.SUPERVISOR, 1, b"\x04", ""),
+    ("supervisor_info", CrtpPort.SUPERVISOR, 0, b"\x0c", ""),
+    ("platform_arm", CrtpPort.PLATFORM, 0, b"\x01", "on:?"),
+    ("platform_recover", CrtpPort.PLATFORM, 0, b"\x02", ""),
 )
 """All forms, by name.
 
 The packets of logs, parameters and memories contain lists; they are read by the code that serves
 them.
 """
-SINCE: Final = {
+FIRST_VERSIONS: Final = {
     "go_to": 8,
     "spiral": 8,
     "velocity_world": 9,

@@ -10,24 +10,24 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.control.senders import STOP
+from crazychoir.control.senders import STOP_COMMAND
 from crazychoir.errors import CodecError
-from crazychoir.numerics.math3d import GRAVITY, flat_attitude, quaternion
+from crazychoir.numerics.math3d import STANDARD_GRAVITY, flat_attitude, quaternion
 from crazychoir.platforms import Platform
-from crazychoir.radio.protocol.compressed import compressed
-from crazychoir.radio.protocol.crtp import FORMS, Packet
-from crazychoir.simulation.motor_level.motor_control import BASE_THRUST
-from crazychoir.simulation.onboard.planner import body_rates
+from crazychoir.radio.protocol.compressed import pack_quaternion
+from crazychoir.radio.protocol.crtp import PACKET_FORMS, Packet
+from crazychoir.simulation.motor_level.motor_control import BASE_THRUST_SHARE
+from crazychoir.simulation.onboard.planner import compute_flat_body_rates
 from crazychoir.simulation.onboard.units import (
-    FULL,
-    roll_pitch_yaw_rate_raw,
-    thrust_raw,
+    FULL_THRUST_COMMAND,
+    convert_roll_pitch_yaw_rate_to_raw,
+    convert_thrust_to_raw,
 )
 from crazychoir.types import FPQR, FRPY, XYZ, Command, FullState, Pose, Vel
 
-ALL = 0
+ALL_GROUPS = 0
 """Group mask of every drone that receives the packet."""
-LARGEST = 32_767
+LARGEST_INT16 = 32_767
 """Largest value in 16 bits: mm, mm/s, mm/s2, mrad/s."""
 
 
@@ -98,18 +98,31 @@ class RadioHandler:
         x, y, z, yaw, duration = command.flat.tolist()
         match command.verb:
             case "stop":
-                before = [FORMS["stop"].packet()] if relax else []
-                return [*before, FORMS["planner_stop"].packet(ALL), *relax]
+                before = [PACKET_FORMS["stop"].packet()] if relax else []
+                return [
+                    *before,
+                    PACKET_FORMS["planner_stop"].packet(ALL_GROUPS),
+                    *relax,
+                ]
             case "go_to" | "line":
                 line = int(command.verb == "line")
                 return [
-                    FORMS["go_to"].packet(ALL, 0, line, x, y, z, yaw, duration),
+                    PACKET_FORMS["go_to"].packet(
+                        ALL_GROUPS, 0, line, x, y, z, yaw, duration
+                    ),
                     *relax,
                 ]
             case "take_off" if duration > 0.0:
-                return [FORMS["take_off"].packet(ALL, z, yaw, False, duration), *relax]
+                return [
+                    PACKET_FORMS["take_off"].packet(
+                        ALL_GROUPS, z, yaw, False, duration
+                    ),
+                    *relax,
+                ]
             case "land" if duration > 0.0:
-                return [FORMS["land"].packet(ALL, z, yaw, False, duration)]
+                return [
+                    PACKET_FORMS["land"].packet(ALL_GROUPS, z, yaw, False, duration)
+                ]
         plans = "stop, go_to, line, and take_off and land, which take some time"
         raise CodecError(
             f"no plan {command.verb!r} of {duration:g} s; there are {plans}."
@@ -118,14 +131,18 @@ class RadioHandler:
     @property
     def relax(self) -> list[Packet]:
         """Packets that give control back to the planner, if set-points may have taken it."""
-        return [FORMS["notify_setpoint_stop"].packet(0)] if self._streamed_last else []
+        return (
+            [PACKET_FORMS["notify_setpoint_stop"].packet(0)]
+            if self._streamed_last
+            else []
+        )
 
     def _streamed(self, packet: Packet) -> list[Packet]:
         self._streamed_last = True
         return [packet]
 
 
-class _Thrust(RadioHandler):
+class _ThrustHandler(RadioHandler):
     """Set-points with a thrust; roll and pitch are rates or angles."""
 
     needs_thrust = True
@@ -145,21 +162,21 @@ class _Thrust(RadioHandler):
     def setpoint(self, command: FPQR | FRPY) -> list[Packet]:
         """Return one set-point; the firmware holds its thrust for 2 s."""
         thrust, roll, pitch, yaw_rate = command.flat.tolist()
-        raw = round(min(max(self.thrust * thrust, 0.0), FULL))
+        raw = round(min(max(self.thrust * thrust, 0.0), FULL_THRUST_COMMAND))
         return self._streamed(
-            FORMS[self.form].packet(
-                *roll_pitch_yaw_rate_raw(roll, pitch, yaw_rate), raw
+            PACKET_FORMS[self.form].packet(
+                *convert_roll_pitch_yaw_rate_to_raw(roll, pitch, yaw_rate), raw
             )
         )
 
 
-class RadioHandlerFPQR(_Thrust):
+class RadioHandlerFPQR(_ThrustHandler):
     """Thrust and body rates."""
 
     kind = "fpqr"
 
 
-class RadioHandlerFRPY(_Thrust):
+class RadioHandlerFRPY(_ThrustHandler):
     """Thrust, roll, pitch and yaw rate.
 
     If the link fails, the drone can fly on with this, level, for 2 s.
@@ -169,17 +186,19 @@ class RadioHandlerFRPY(_Thrust):
     angles = 1
 
 
-class _OnBoard(RadioHandler):
+class _OnboardHandler(RadioHandler):
     """Velocities and positions, which the firmware controls."""
 
     @property
     def parameters(self) -> dict[str, float]:
         """Thrust of hovering, which the firmware's climb control starts from."""
-        base = BASE_THRUST * thrust_raw(self.platform.weight, self.platform.firmware)
+        base = BASE_THRUST_SHARE * convert_thrust_to_raw(
+            self.platform.weight, self.platform.firmware
+        )
         return {"posCtlPid.thrustBase": round(base)}
 
 
-class RadioHandlerVel(_OnBoard):
+class RadioHandlerVel(_OnboardHandler):
     """Velocity in the world and yaw rate."""
 
     kind = "vel"
@@ -188,17 +207,19 @@ class RadioHandlerVel(_OnBoard):
     def setpoint(self, command: Vel) -> list[Packet]:
         """Return one set-point."""
         vx, vy, vz, rate = command.flat.tolist()
-        return self._streamed(FORMS[self.form].packet(vx, vy, vz, math.degrees(rate)))
+        return self._streamed(
+            PACKET_FORMS[self.form].packet(vx, vy, vz, math.degrees(rate))
+        )
 
 
-class RadioHandlerXYZ(_OnBoard):
+class RadioHandlerXYZ(_OnboardHandler):
     """Positions for the planner on board."""
 
     kind = "xyz"
     form = "go_to"
 
 
-class RadioHandlerFullState(_OnBoard):
+class RadioHandlerFullState(_OnboardHandler):
     """A flat output with its attitude and body rates."""
 
     kind = "fullstate"
@@ -210,21 +231,23 @@ class RadioHandlerFullState(_OnBoard):
         a = tuple(s[6:9])
         j = tuple(s[9:12])
         yaw = float(s[12])
-        axes = flat_attitude((a[0], a[1], a[2] + GRAVITY), yaw)
+        axes = flat_attitude((a[0], a[1], a[2] + STANDARD_GRAVITY), yaw)
         q = quaternion(np.array(axes).T)
-        w = body_rates(a, j, yaw, float(s[13]))
+        w = compute_flat_body_rates(a, j, yaw, float(s[13]))
         milli = [round(1e3 * float(x)) for x in (*s[0:9], *w)]
-        if max(map(abs, milli)) > LARGEST:
+        if max(map(abs, milli)) > LARGEST_INT16:
             found = [x / 1e3 for x in milli]
             raise CodecError(
-                f"full state {found}: {LARGEST / 1e3:g} m, m/s, m/s2 and rad/s are allowed at most."
+                f"full state {found}: {LARGEST_INT16 / 1e3:g} m, m/s, m/s2 and rad/s are allowed at most."
             )
         return self._streamed(
-            FORMS[self.form].packet(*milli[:9], compressed(np.array(q)), *milli[9:])
+            PACKET_FORMS[self.form].packet(
+                *milli[:9], pack_quaternion(np.array(q)), *milli[9:]
+            )
         )
 
 
-HANDLERS: dict[str, type[RadioHandler]] = {
+RADIO_HANDLERS: dict[str, type[RadioHandler]] = {
     handler.kind: handler
     for handler in (
         RadioHandlerFPQR,
@@ -239,21 +262,24 @@ HANDLERS: dict[str, type[RadioHandler]] = {
 
 def pose_packet(pose: Pose) -> Packet:
     """Return the packet that tells a drone its pose."""
-    return FORMS["external_pose"].packet(*pose.flat.tolist())
+    return PACKET_FORMS["external_pose"].packet(*pose.flat.tolist())
 
 
 def position_packet(pose: Pose) -> Packet:
     """Return the packet that tells a drone its position, without its attitude."""
-    return FORMS["external_position"].packet(*pose.p.tolist())
+    return PACKET_FORMS["external_position"].packet(*pose.p.tolist())
 
 
-def emergency() -> list[Packet]:
+def emergency_packets() -> list[Packet]:
     """Return the packets that stop the motors for good, in both forms that firmware knows."""
-    return [FORMS["emergency_stop"].packet(), FORMS["supervisor_stop"].packet()]
+    return [
+        PACKET_FORMS["emergency_stop"].packet(),
+        PACKET_FORMS["supervisor_stop"].packet(),
+    ]
 
 
-def idles(command: Command) -> bool:
+def is_idle_command(command: Command) -> bool:
     """Return whether this command asks for motors that are off."""
     if isinstance(command, XYZ):
-        return command.verb == STOP.verb
+        return command.verb == STOP_COMMAND.verb
     return isinstance(command, FPQR | FRPY) and not command.flat.any()

@@ -2,8 +2,8 @@
 
 from crazychoir.errors import ConfigError
 from crazychoir.platforms import Platform
-from crazychoir.radio.protocol.crtp import SINCE
-from crazychoir.radio.protocol.handlers import HANDLERS
+from crazychoir.radio.protocol.crtp import FIRST_VERSIONS
+from crazychoir.radio.protocol.handlers import RADIO_HANDLERS
 
 
 def check_protocol(version: int, kind: str, platform: Platform, where: str) -> None:
@@ -13,22 +13,28 @@ def check_protocol(version: int, kind: str, platform: Platform, where: str) -> N
     kind: kind of command, as a swarm file names it
     where: name of the drone for errors
     """
-    missing = _missing(version, kind, platform)
+    missing = _missing_forms(version, kind, platform)
     if not missing:
         return
-    form = max(missing, key=SINCE.__getitem__)
+    form = max(missing, key=FIRST_VERSIONS.__getitem__)
     others = ", ".join(
-        other for other in HANDLERS if not _missing(version, other, platform)
+        other
+        for other in RADIO_HANDLERS
+        if not _missing_forms(version, other, platform)
     )
     found = f"version {version}" if version >= 0 else "no version"
-    allowed = f"{SINCE[form]} or newer, for {form} (sender {kind} on {platform.name})"
+    allowed = f"{FIRST_VERSIONS[form]} or newer, for {form} (sender {kind} on {platform.name})"
     do = "Write newer firmware" + (
         f", or choose another sender in [control]: {others}." if others else "."
     )
     raise ConfigError(f"{where}: protocol of its firmware", found, allowed, do)
 
 
-def _missing(version: int, kind: str, platform: Platform) -> list[str]:
+def _missing_forms(version: int, kind: str, platform: Platform) -> list[str]:
     """Return the forms that are needed but unknown to the firmware."""
-    forms = [HANDLERS[kind].form] + ["arm"] * platform.firmware.needs_arming
-    return [form for form in forms if form in SINCE and version < SINCE[form]]
+    forms = [RADIO_HANDLERS[kind].form] + ["arm"] * platform.firmware.needs_arming
+    return [
+        form
+        for form in forms
+        if form in FIRST_VERSIONS and version < FIRST_VERSIONS[form]
+    ]

@@ -1,6 +1,7 @@
 """Other transmitters around 2.4 GHz, for a simulated radio: WiFi, Bluetooth, jammers.
 
 Each source gives its power in a receiver on a channel, and the times at which it sends: in bursts,
+from dataclasses import dataclass
 from a seed. Frequencies are MHz above 2400, the same as channels; powers are dBm at the drones.
 """
 
@@ -14,31 +15,42 @@ from crazychoir.types import Vec
 
 Active = npt.NDArray[np.bool_]
 """Flags (n,): whether a source sends."""
-WIDTH = 2.0
-"""MHz: width of a receiver of 2 Mbit/s."""
-SILENT = -200.0
+
+
+@dataclass(frozen=True, slots=True)
+class InterferenceModel:
+    """Widths and shares of time of the transmitters and the receiver."""
+
+    receiver_width: float = 2.0
+    """MHz: width of a receiver of 2 Mbit/s."""
+    wifi_width: float = 18.0
+    """MHz that hold the power of a WiFi channel."""
+    beacon_share: float = 0.01
+    """Share of the time that an unused network sends."""
+    bluetooth_channels: int = 79
+    """Bluetooth channels, each 1 MHz wide."""
+    first_bluetooth_channel: int = 2
+    """The first Bluetooth channel, MHz above 2400."""
+
+
+INTERFERENCE_MODEL = InterferenceModel()
+
+
+UNHEARD_POWER = -200.0
 """dBm that no receiver hears."""
-MASK = ((0.0, 9.0, 11.0, 20.0, 30.0), (0.0, 0.0, -20.0, -28.0, -40.0))
+WIFI_MASK = ((0.0, 9.0, 11.0, 20.0, 30.0), (0.0, 0.0, -20.0, -28.0, -40.0))
 """MHz from the centre of a WiFi channel, and dB by which its power density is lower there.
 
 Source: the transmit mask of IEEE 802.11 for OFDM in 20 MHz, which a transmitter may not exceed.
 """
-WIFI_FLAT = 18.0
-"""MHz that hold the power of a WiFi channel."""
-SELECTIVITY = ((0.0, 2.0, 4.0, 6.0, 12.0), (0.0, -7.0, -29.0, -35.0, -50.0))
+RECEIVER_SELECTIVITY = ((0.0, 2.0, 4.0, 6.0, 12.0), (0.0, -7.0, -29.0, -35.0, -50.0))
 """MHz from the receiver's channel, and dB by which it weakens a narrow signal there.
 
 The values are typical of such chips.
 """
-BEACONS = 0.01
-"""Share of the time that an unused network sends."""
-HOPS = 79
-"""Bluetooth channels, each 1 MHz wide."""
-FIRST_HOP = 2
-"""The first Bluetooth channel, MHz above 2400."""
 
 
-class Source(Protocol):
+class Transmitter(Protocol):
     """A transmitter of others."""
 
     def level(self, channel: int) -> float:
@@ -60,7 +72,7 @@ class Source(Protocol):
         ...
 
 
-class Uses:
+class UsageTimes:
     """The times at which a source is in use: spans of exponential length, one after another.
 
     Ask for them in order of time.
@@ -101,7 +113,7 @@ class Uses:
         )
 
 
-def frames(
+def draw_frames(
     times: Vec, share: float, length: float, draw: np.random.Generator
 ) -> Active:
     """Return (n,) whether a frame is on the air: frames and gaps have exponential lengths.
@@ -125,7 +137,7 @@ def frames(
 
 
 @dataclass(frozen=True)
-class Network:
+class WifiNetwork:
     """A WiFi network."""
 
     middle: float
@@ -136,25 +148,34 @@ class Network:
     """Share of the time that its frames take while it is in use."""
     frame: float
     """s: mean length of a frame."""
-    uses: Uses
+    uses: UsageTimes
     """Times of use; at other times it sends only beacons."""
 
     def level(self, channel: int) -> float:
         """Return the part of its power that falls into the receiver, dBm."""
-        below = float(np.interp(abs(channel - self.middle), *MASK))
-        return self.power + 10.0 * float(np.log10(WIDTH / WIFI_FLAT)) + below
+        below = float(np.interp(abs(channel - self.middle), *WIFI_MASK))
+        return (
+            self.power
+            + 10.0
+            * float(
+                np.log10(
+                    INTERFERENCE_MODEL.receiver_width / INTERFERENCE_MODEL.wifi_width
+                )
+            )
+            + below
+        )
 
     def share(self, channel: int, in_use: bool) -> float:
         """Return the share of frames while it is in use, and of beacons otherwise."""
         used = 1.0 if in_use else self.uses.share
-        return used * self.load + (1.0 - used) * BEACONS
+        return used * self.load + (1.0 - used) * INTERFERENCE_MODEL.beacon_share
 
     def sends(self, channel: int, times: Vec, draw: np.random.Generator) -> Active:
         """Return the times of frames and beacons."""
-        beacons = draw.random(len(times)) < BEACONS
+        beacons = draw.random(len(times)) < INTERFERENCE_MODEL.beacon_share
         used = self.uses.at(times)
         return (
-            np.where(used, frames(times, self.load, self.frame, draw), beacons)
+            np.where(used, draw_frames(times, self.load, self.frame, draw), beacons)
             if used.any()
             else beacons
         )
@@ -175,8 +196,12 @@ class Bluetooth:
 
     def share(self, channel: int, in_use: bool) -> float:
         """Return its share of the time, times the share of hops that the receiver hears."""
-        heard = sum(abs(FIRST_HOP + hop - channel) <= WIDTH / 2 for hop in range(HOPS))
-        return self.load * heard / HOPS
+        heard = sum(
+            abs(INTERFERENCE_MODEL.first_bluetooth_channel + hop - channel)
+            <= INTERFERENCE_MODEL.receiver_width / 2
+            for hop in range(INTERFERENCE_MODEL.bluetooth_channels)
+        )
+        return self.load * heard / INTERFERENCE_MODEL.bluetooth_channels
 
     def sends(self, channel: int, times: Vec, draw: np.random.Generator) -> Active:
         """Return the times at which it disturbs; each hop is independent of the one before."""
@@ -191,12 +216,14 @@ class Jammer:
     """MHz above 2400."""
     power: float
     """dBm."""
-    uses: Uses
+    uses: UsageTimes
     """Times of use."""
 
     def level(self, channel: int) -> float:
         """Return the power that the receiver's filter passes, dBm."""
-        return self.power + float(np.interp(abs(channel - self.middle), *SELECTIVITY))
+        return self.power + float(
+            np.interp(abs(channel - self.middle), *RECEIVER_SELECTIVITY)
+        )
 
     def share(self, channel: int, in_use: bool) -> float:
         """Return the share of the time: all of it while the jammer is in use."""

@@ -14,22 +14,34 @@ import numpy as np
 
 from crazychoir.config.uris import parse_uri
 from crazychoir.errors import ConfigError
-from crazychoir.radio.link.dongles import PLUG
-from crazychoir.radio.link.round_trips import ECHO, FORM
-from crazychoir.radio.protocol.crtp import LINK
+from crazychoir.radio.link.dongles import PLUG_ADVICE
+from crazychoir.radio.link.round_trips import ECHO_CHANNEL, ECHO_FORMAT
+from crazychoir.radio.protocol.crtp import CrtpPort
 
-PATIENCE = 0.2
-"""Seconds after which an echo counts as lost."""
-FIRST = 3.0
-"""Seconds without any answer after which the drone counts as absent."""
-CLOSING = 3.0
-"""Seconds after the deadline in which cflib may open or close a link."""
-NOBODY = "nobody answers. Is it on, in reach, and not connected to somebody else?"
+
+@dataclass(frozen=True, slots=True)
+class PingTiming:
+    """Deadlines of echoes and links."""
+
+    echo_timeout: float = 0.2
+    """s: time after which an echo counts as lost."""
+    first_answer_timeout: float = 3.0
+    """s without any answer after which the drone counts as absent."""
+    closing_time: float = 3.0
+    """s after the deadline in which cflib may open or close a link."""
+
+
+PING_TIMING = PingTiming()
+
+
+NO_ANSWER_TEXT = (
+    "nobody answers. Is it on, in reach, and not connected to somebody else?"
+)
 """Text of the error for a drone that does not answer."""
 
 
 @dataclass(frozen=True)
-class Echoes:
+class PingResult:
     """The result of a ping."""
 
     uri: str
@@ -71,7 +83,7 @@ def ping(
     now: Callable[[], float],
     count: int = 100,
     deadline: float = 20.0,
-) -> list[Echoes]:
+) -> list[PingResult]:
     """Send `count` echoes to each uri, each after the answer to the last.
 
     All uris are served at the same time. Each link has a thread, which has ended on return. If
@@ -80,7 +92,7 @@ def ping(
     now: returns the time in s
     deadline: s until the ping ends at the latest
     """
-    found: dict[str, Echoes] = {}
+    found: dict[str, PingResult] = {}
     end = now() + deadline
     threads = [
         threading.Thread(
@@ -91,25 +103,32 @@ def ping(
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(max(end + CLOSING - now(), 0.0))
-    hangs = f"cflib does not come back: {NOBODY}"
-    return [found.get(uri, Echoes(uri, 0, (), hangs)) for uri in uris]
+        thread.join(max(end + PING_TIMING.closing_time - now(), 0.0))
+    hangs = f"cflib does not come back: {NO_ANSWER_TEXT}"
+    return [found.get(uri, PingResult(uri, 0, (), hangs)) for uri in uris]
 
 
 def _collect(
-    found: dict[str, Echoes], uri: str, now: Callable[[], float], count: int, end: float
+    found: dict[str, PingResult],
+    uri: str,
+    now: Callable[[], float],
+    count: int,
+    end: float,
 ) -> None:
     try:
         found[uri] = _ping(uri, now, count, end)
     except Exception as error:  # noqa: BLE001 - cflib raises nothing more special
-        found[uri] = Echoes(
-            uri, 0, (), f"{error}. {PLUG}" if uri.startswith("radio:") else str(error)
+        found[uri] = PingResult(
+            uri,
+            0,
+            (),
+            f"{error}. {PLUG_ADVICE}" if uri.startswith("radio:") else str(error),
         )
 
 
-def _ping(uri: str, now: Callable[[], float], count: int, end: float) -> Echoes:
+def _ping(uri: str, now: Callable[[], float], count: int, end: float) -> PingResult:
     errors: list[str] = []
-    link = _link(uri)
+    link = _make_link(uri)
     try:
         link.connect(uri, None, errors.append)
         return _exchange(link, uri, now, count, end, errors)
@@ -119,7 +138,7 @@ def _ping(uri: str, now: Callable[[], float], count: int, end: float) -> Echoes:
             link.close()
 
 
-def _link(uri: str) -> Any:
+def _make_link(uri: str) -> Any:
     from cflib.crtp.radiodriver import RadioDriver
     from cflib.crtp.udpdriver import UdpDriver
 
@@ -133,44 +152,46 @@ def _exchange(
     count: int,
     end: float,
     errors: Sequence[str],
-) -> Echoes:
+) -> PingResult:
     """Send echo after echo; `errors` grows while the link finds errors."""
     sent = 0
     took: list[float] = []
-    first = min(now() + FIRST, end)
+    first = min(now() + PING_TIMING.first_answer_timeout, end)
     while sent < count and not errors and now() < (end if took else first):
         began = now()
-        link.send_packet(_echo(sent))
-        if _comes_back(link, sent, now, min(began + PATIENCE, end)):
+        link.send_packet(_make_echo(sent))
+        if _comes_back(link, sent, now, min(began + PING_TIMING.echo_timeout, end)):
             took.append(now() - began)
         sent += 1
-    return Echoes(uri, sent, tuple(took), _error(errors, bool(took), count - sent))
+    return PingResult(
+        uri, sent, tuple(took), _describe_error(errors, bool(took), count - sent)
+    )
 
 
-def _error(errors: Sequence[str], heard: bool, left: int) -> str:
+def _describe_error(errors: Sequence[str], heard: bool, left: int) -> str:
     """Return why the ping ended early, or that there was no answer.
 
     The text is empty if neither is the case.
     """
     if not heard:
-        return ": ".join([*map(_reason, errors[:1]), NOBODY])
+        return ": ".join([*map(_short_reason, errors[:1]), NO_ANSWER_TEXT])
     if errors:
-        return _reason(errors[0])
+        return _short_reason(errors[0])
     return f"{left} more echoes were to be sent at the deadline" if left else ""
 
 
-def _echo(number: int) -> Any:
+def _make_echo(number: int) -> Any:
     from cflib.crtp.crtpstack import CRTPPacket
 
     packet = CRTPPacket()
-    packet.set_header(LINK, ECHO)
-    packet.data = FORM.pack(0, number)
+    packet.set_header(CrtpPort.LINK, ECHO_CHANNEL)
+    packet.data = ECHO_FORMAT.pack(0, number)
     return packet
 
 
 def _comes_back(link: Any, number: int, now: Callable[[], float], until: float) -> bool:
     """Wait for this echo; return whether it came. Other packets, and late echoes, are ignored."""
-    expected = (LINK, ECHO, FORM.pack(0, number))
+    expected = (CrtpPort.LINK, ECHO_CHANNEL, ECHO_FORMAT.pack(0, number))
     # cflib would not wait at all for 0 s, and would wait for ever for less.
     while (left := until - now()) > 0.0:
         packet = link.receive_packet(left)
@@ -182,6 +203,6 @@ def _comes_back(link: Any, number: int, now: Callable[[], float], until: float) 
     return False
 
 
-def _reason(text: str) -> str:
+def _short_reason(text: str) -> str:
     """Return the text before cflib's traceback, without the word Exception."""
     return " ".join(text.split("\n\n")[0].split("Exception:")[-1].split())

@@ -15,70 +15,97 @@ from itertools import product
 
 import numpy as np
 
-from crazychoir.radio.protocol.channels import WIFI
+from crazychoir.radio.protocol.channels import WIFI_CENTRES
 from crazychoir.radio.survey.interference import (
     Bluetooth,
     Jammer,
-    Network,
-    Source,
-    Uses,
+    Transmitter,
+    UsageTimes,
+    WifiNetwork,
 )
 from crazychoir.radio.survey.survey import Sample
 from crazychoir.types import Mat, Vec
 
-NOISE = -93.0
-"""dBm in 2 MHz.
 
-One bit in a thousand is then wrong at -82 dBm, the specification of nRF24L01+ receivers at 2
-Mbit/s.
-"""
-NEGLIGIBLE = -108.0
-"""dBm: 15 dB below the noise."""
-BITS = 178
-"""Bits of a packet of one byte and its answer of three.
+@dataclass(frozen=True, slots=True)
+class ReceiverModel:
+    """The noise of a receiver and the length of its packets."""
 
-They include preamble, address, control field and checksum of both.
-"""
-USB = 0.0008
-"""Seconds that an exchange takes at least; about what users of the dongle report."""
-USB_JITTER = 0.0001
-"""Seconds: mean of the additional time of an exchange."""
-ATTEMPT = 0.0005
-"""Seconds from one attempt to the next."""
-HOP = 0.02
-"""Seconds to take the drone to another channel."""
-FLICKER = 1.0
-"""dB: standard deviation of the signal from packet to packet."""
-ECHOES = 6
-"""Reflections of the signal."""
-SPREAD = 50e-9
-"""Seconds by which the last reflection is late."""
-DIRECT = 4.0
-"""Power of the direct signal in relation to the power of all reflections."""
-NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(9)
-WEIGHTS = WEIGHTS / WEIGHTS.sum()
+    noise: float = -93.0
+    """dBm in 2 MHz. One bit in a thousand is then wrong at -82 dBm, the specification of nRF24L01+
+    receivers at 2 Mbit/s.
+    """
+    negligible: float = -108.0
+    """dBm: 15 dB below the noise."""
+    packet_bits: int = 178
+    """Bits of a packet of one byte and its answer of three. They include preamble, address,
+    control field and checksum of both.
+    """
+
+
+RECEIVER_MODEL = ReceiverModel()
+
+
+@dataclass(frozen=True, slots=True)
+class RadioTiming:
+    """Times of the exchanges of a dongle."""
+
+    exchange_time: float = 0.0008
+    """s that an exchange takes at least; about what users of the dongle report."""
+    exchange_jitter: float = 0.0001
+    """s: mean of the additional time of an exchange."""
+    retry_period: float = 0.0005
+    """s from one attempt to the next."""
+    channel_change: float = 0.02
+    """s to take the drone to another channel."""
+
+
+RADIO_TIMING = RadioTiming()
+
+
+@dataclass(frozen=True, slots=True)
+class FadingModel:
+    """The paths of the signal, and its changes in time."""
+
+    flicker: float = 1.0
+    """dB: standard deviation of the signal from packet to packet."""
+    reflections: int = 6
+    """Reflections of the signal."""
+    delay_spread: float = 50e-9
+    """s by which the last reflection is late."""
+    direct_ratio: float = 4.0
+    """Power of the direct signal in relation to the power of all reflections: K."""
+
+
+FADING_MODEL = FadingModel()
+
+
+HERMITE_NODES, HERMITE_WEIGHTS = np.polynomial.hermite_e.hermegauss(9)
+HERMITE_WEIGHTS = HERMITE_WEIGHTS / HERMITE_WEIGHTS.sum()
 """NODES and WEIGHTS compute means over a normal distribution."""
 
 
-def success(sinr: Mat) -> Mat:
+def reception_probability(sinr: Mat) -> Mat:
     """Return the probability that a packet is received; sinr: a ratio of powers."""
-    return np.asarray((1.0 - 0.5 * np.exp(-0.5 * sinr)) ** BITS)
+    return np.asarray((1.0 - 0.5 * np.exp(-0.5 * sinr)) ** RECEIVER_MODEL.packet_bits)
 
 
 @dataclass(frozen=True)
-class Room:
+class RadioRoom:
     """The signal and the interference on the air."""
 
     signal: dict[int, float]
     """{channel: dBm} of the link itself, the sum of all its paths."""
-    sources: tuple[Source, ...]
+    sources: tuple[Transmitter, ...]
     """Other transmitters."""
 
-    def heard(self, channel: int) -> list[tuple[Source, float]]:
+    def heard(self, channel: int) -> list[tuple[Transmitter, float]]:
         """Return the sources that a receiver on this channel hears, with their power in mW."""
         levels = [(source, source.level(channel)) for source in self.sources]
         return [
-            (source, _power(level)) for source, level in levels if level > NEGLIGIBLE
+            (source, _to_milliwatts(level))
+            for source, level in levels
+            if level > RECEIVER_MODEL.negligible
         ]
 
     def expected(self, channel: int, in_use: bool = False) -> float:
@@ -94,10 +121,17 @@ class Room:
         )
         shares = np.array([source.share(channel, in_use) for source, _ in heard])
         chances = np.where(sent, shares, 1.0 - shares).prod(axis=1)
-        noise = _power(NOISE) + sent @ np.array([power for _, power in heard])
+        noise = _to_milliwatts(RECEIVER_MODEL.noise) + sent @ np.array(
+            [power for _, power in heard]
+        )
         through = (
-            success(_powers(self.signal[channel] + FLICKER * NODES) / noise[:, None])
-            @ WEIGHTS
+            reception_probability(
+                _array_to_milliwatts(
+                    self.signal[channel] + FADING_MODEL.flicker * HERMITE_NODES
+                )
+                / noise[:, None]
+            )
+            @ HERMITE_WEIGHTS
         )
         return float(chances @ through)
 
@@ -108,7 +142,7 @@ class SimulatedRadio:
     seed: seed of all draws
     """
 
-    def __init__(self, room: Room, seed: int) -> None:
+    def __init__(self, room: RadioRoom, seed: int) -> None:
         self.room = room
         self.now = 0.0
         """s."""
@@ -123,78 +157,91 @@ class SimulatedRadio:
         """
         if channel != self.channel:
             self.channel = channel
-            self.now = self.now + HOP
-        period = USB + USB_JITTER + retries * ATTEMPT
+            self.now = self.now + RADIO_TIMING.channel_change
+        period = (
+            RADIO_TIMING.exchange_time
+            + RADIO_TIMING.exchange_jitter
+            + retries * RADIO_TIMING.retry_period
+        )
         starts = self.now + period * np.arange(packets)
         self.now += period * packets
-        signal = _powers(
-            self.room.signal[channel] + FLICKER * self._draw.standard_normal(packets)
+        signal = _array_to_milliwatts(
+            self.room.signal[channel]
+            + FADING_MODEL.flicker * self._draw.standard_normal(packets)
         )[:, None]
-        times = starts[:, None] + ATTEMPT * np.arange(retries + 1)
+        times = starts[:, None] + RADIO_TIMING.retry_period * np.arange(retries + 1)
         noise = self._noise(channel, times)
-        came = self._draw.random(times.shape) < success(signal / noise)
+        came = self._draw.random(times.shape) < reception_probability(signal / noise)
         acknowledged = np.asarray(came.any(axis=1))
         used = np.where(acknowledged, came.argmax(axis=1), retries)
-        took = USB + self._draw.exponential(USB_JITTER, packets) + ATTEMPT * used
+        took = (
+            RADIO_TIMING.exchange_time
+            + self._draw.exponential(RADIO_TIMING.exchange_jitter, packets)
+            + RADIO_TIMING.retry_period * used
+        )
         received = np.take_along_axis(signal + noise, used[:, None], axis=1)[:, 0]
         rssi = np.where(acknowledged, np.round(10.0 * np.log10(received)), np.nan)
         return Sample(acknowledged, used, took, rssi)
 
     def _noise(self, channel: int, times: Mat) -> Mat:
         """Return the noise in mW at each attempt."""
-        noise = np.full(times.size, _power(NOISE))
+        noise = np.full(times.size, _to_milliwatts(RECEIVER_MODEL.noise))
         for source, power in self._heard[channel]:
             noise += source.sends(channel, times.ravel(), self._draw) * power
         return noise.reshape(times.shape)
 
 
-def random_room(seed: int, channels: Sequence[int]) -> Room:
+def random_room(seed: int, channels: Sequence[int]) -> RadioRoom:
     """Return a room with a link of some metres.
 
     It has one to seven networks, up to two Bluetooth devices and up to two jammers.
     """
     draw = np.random.default_rng(seed)
-    networks = [_network(draw) for _ in range(draw.integers(1, 8))]
+    networks = [_random_network(draw) for _ in range(draw.integers(1, 8))]
     phones = [
         Bluetooth(draw.uniform(-75.0, -45.0), draw.uniform(0.1, 0.5))
         for _ in range(draw.integers(0, 3))
     ]
-    jammers = [_jammer(draw) for _ in range(draw.integers(0, 3))]
+    jammers = [_random_jammer(draw) for _ in range(draw.integers(0, 3))]
     strength = draw.uniform(-65.0, -45.0)
-    gains = _gains(np.array(channels, float), draw)
+    gains = _draw_gains(np.array(channels, float), draw)
     signal = {
         c: float(strength + gain) for c, gain in zip(channels, gains, strict=True)
     }
-    return Room(signal, (*networks, *phones, *jammers))
+    return RadioRoom(signal, (*networks, *phones, *jammers))
 
 
-def _network(draw: np.random.Generator) -> Network:
+def _random_network(draw: np.random.Generator) -> WifiNetwork:
     """Return a WiFi network.
 
     It is on one of the three channels without overlap or, two times in five, on any channel from 1
     to 13.
     """
-    number = draw.choice(list(WIFI)) if draw.random() < 0.6 else draw.integers(1, 14)
-    return Network(
+    number = (
+        draw.choice(list(WIFI_CENTRES)) if draw.random() < 0.6 else draw.integers(1, 14)
+    )
+    return WifiNetwork(
         middle=7.0 + 5.0 * float(number),
         power=draw.uniform(-75.0, -40.0),
         load=draw.uniform(0.1, 0.8),
         frame=draw.uniform(0.0003, 0.0025),
-        uses=_uses(draw),
+        uses=_random_usage(draw),
     )
 
 
-def _jammer(draw: np.random.Generator) -> Jammer:
-    return Jammer(draw.uniform(0.0, 83.0), draw.uniform(-75.0, -45.0), _uses(draw))
+def _random_jammer(draw: np.random.Generator) -> Jammer:
+    return Jammer(
+        draw.uniform(0.0, 83.0), draw.uniform(-75.0, -45.0), _random_usage(draw)
+    )
 
 
-def _uses(draw: np.random.Generator) -> Uses:
-    return Uses(
+def _random_usage(draw: np.random.Generator) -> UsageTimes:
+    return UsageTimes(
         draw.uniform(2.0, 20.0), draw.uniform(1.0, 60.0), int(draw.integers(2**32))
     )
 
 
-def _gains(channels: Vec, draw: np.random.Generator) -> Vec:
+def _draw_gains(channels: Vec, draw: np.random.Generator) -> Vec:
     """Return the gain of each channel in dB.
 
     The direct path and its reflections add up or cancel, by frequency.
@@ -202,21 +249,22 @@ def _gains(channels: Vec, draw: np.random.Generator) -> Vec:
         h(f) = sqrt(K / (K + 1)) + sqrt(1 / (K + 1)) sum_m a_m exp(-2 pi i f t_m)
     """
     amplitudes = (
-        draw.standard_normal(ECHOES) + 1j * draw.standard_normal(ECHOES)
-    ) / np.sqrt(2.0 * ECHOES)
-    delays = draw.uniform(0.0, SPREAD, ECHOES)
+        draw.standard_normal(FADING_MODEL.reflections)
+        + 1j * draw.standard_normal(FADING_MODEL.reflections)
+    ) / np.sqrt(2.0 * FADING_MODEL.reflections)
+    delays = draw.uniform(0.0, FADING_MODEL.delay_spread, FADING_MODEL.reflections)
     turns = np.exp(-2j * np.pi * np.outer((2400.0 + channels) * 1e6, delays))
     h = (
-        np.sqrt(DIRECT / (DIRECT + 1.0))
-        + np.sqrt(1.0 / (DIRECT + 1.0)) * turns @ amplitudes
+        np.sqrt(FADING_MODEL.direct_ratio / (FADING_MODEL.direct_ratio + 1.0))
+        + np.sqrt(1.0 / (FADING_MODEL.direct_ratio + 1.0)) * turns @ amplitudes
     )
     return np.asarray(20.0 * np.log10(np.abs(h)))
 
 
-def _power(dbm: float) -> float:
+def _to_milliwatts(dbm: float) -> float:
     """Return mW."""
     return float(10.0 ** (dbm / 10.0))
 
 
-def _powers(dbm: Vec) -> Vec:
+def _array_to_milliwatts(dbm: Vec) -> Vec:
     return np.asarray(10.0 ** (dbm / 10.0))

@@ -16,18 +16,25 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from crazychoir.radio.protocol.channels import pick
+from crazychoir.radio.protocol.channels import pick_channels
 from crazychoir.types import Vec
 
-RETRIES = 3
-"""Retransmissions that the Crazyradio does by itself, as cflib sets it."""
-PASSES = 20
-"""Default number of passes.
 
-With PACKETS they take two and a half minutes for 41 channels, at 1 to 2 ms a packet.
-"""
-PACKETS = 50
-"""Default number of packets in a visit, for each kind."""
+@dataclass(frozen=True, slots=True)
+class SurveyPlan:
+    """How often a survey visits each channel, and what it sends there."""
+
+    retries: int = 3
+    """Retransmissions that the Crazyradio does by itself, as cflib sets it."""
+    passes: int = 20
+    """Default number of passes. With the default number of packets they take two and a half
+    minutes for 41 channels, at 1 to 2 ms a packet.
+    """
+    packets: int = 50
+    """Default number of packets in a visit, for each kind."""
+
+
+SURVEY_PLAN = SurveyPlan()
 
 
 @dataclass(frozen=True)
@@ -61,7 +68,7 @@ class Visit(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Measured:
+class ChannelResult:
     """The results of a channel."""
 
     channel: int
@@ -100,8 +107,8 @@ class Survey:
     def __init__(
         self,
         channels: Sequence[int],
-        passes: int = PASSES,
-        packets: int = PACKETS,
+        passes: int = SURVEY_PLAN.passes,
+        packets: int = SURVEY_PLAN.packets,
         seed: int = 0,
     ) -> None:
         self.channels = tuple(channels)
@@ -122,13 +129,13 @@ class Survey:
         self._single[channel].append(single)
         self._retried[channel].append(retried)
 
-    def measured(self) -> list[Measured]:
+    def measured(self) -> list[ChannelResult]:
         """Return the results of all visited channels, in increasing order."""
         return [
             self._of(channel) for channel in self.channels if channel in self._single
         ]
 
-    def _of(self, channel: int) -> Measured:
+    def _of(self, channel: int) -> ChannelResult:
         single = self._single[channel]
         retried = self._retried[channel]
         came = np.concatenate([sample.acknowledged for sample in retried])
@@ -136,8 +143,8 @@ class Survey:
         took = np.concatenate([sample.round_trip for sample in retried])[came]
         rssi = np.concatenate([sample.rssi for sample in (*single, *retried)])
         heard = rssi[~np.isnan(rssi)]
-        counts = np.bincount(tries, minlength=RETRIES + 1)
-        return Measured(
+        counts = np.bincount(tries, minlength=SURVEY_PLAN.retries + 1)
+        return ChannelResult(
             channel,
             tuple(float(np.mean(sample.acknowledged)) for sample in single),
             (*(int(n) for n in counts), int(np.sum(~came))),
@@ -152,12 +159,12 @@ class Survey:
 
         See channels.pick.
         """
-        return pick(
+        return pick_channels(
             {row.channel: (row.worst, row.mean) for row in self.measured()}, k, spacing
         )
 
 
-def survey(
+def run_survey(
     found: Survey,
     probe: Probe,
     watch: Callable[[Survey, Visit], None] = lambda found, visit: None,
@@ -166,6 +173,8 @@ def survey(
     for visit in found.visits():
         single = probe.measure(visit.channel, found.packets, 0)
         found.take(
-            visit.channel, single, probe.measure(visit.channel, found.packets, RETRIES)
+            visit.channel,
+            single,
+            probe.measure(visit.channel, found.packets, SURVEY_PLAN.retries),
         )
         watch(found, visit)

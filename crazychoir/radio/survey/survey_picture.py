@@ -1,27 +1,36 @@
 """A picture of a survey for a page or a paper."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from crazychoir.files.output_files import save_figure
-from crazychoir.optimization.picture import COLOURS, INK
-from crazychoir.radio.protocol.channels import WIFI, WIFI_HALF, frequency
-from crazychoir.radio.survey.survey import Measured
+from crazychoir.optimization.picture import PICTURE_STYLE
+from crazychoir.radio.protocol.channels import RADIO_BAND, WIFI_CENTRES, frequency
+from crazychoir.radio.survey.survey import ChannelResult
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FREE = COLOURS[0]
-"""Colour of measured channels: blue."""
-TAKEN = COLOURS[1]
-"""Colour of picked channels: vermilion."""
-BAND = "#f0f0f0"
-"""Colour of WiFi bands."""
+
+@dataclass(frozen=True, slots=True)
+class SurveyColours:
+    """Colours of the picture."""
+
+    measured: str = PICTURE_STYLE.colours[0]
+    """Colour of measured channels: blue."""
+    picked: str = PICTURE_STYLE.colours[1]
+    """Colour of picked channels: vermilion."""
+    wifi_band: str = "#f0f0f0"
+    """Colour of WiFi bands."""
+
+
+SURVEY_COLOURS = SurveyColours()
 
 
 def draw_survey(
-    rows: Sequence[Measured],
+    rows: Sequence[ChannelResult],
     chosen: Sequence[int],
     path: str | Path,
     expected: Mapping[int, float] | None = None,
@@ -60,7 +69,7 @@ def draw_survey(
 
 def _draw_rates(
     axes: "Axes",
-    rows: Sequence[Measured],
+    rows: Sequence[ChannelResult],
     chosen: Sequence[int],
     expected: Mapping[int, float],
 ) -> None:
@@ -84,7 +93,7 @@ def _draw_rates(
         axes.plot(
             at,
             [100.0 * expected[c] for c in at],
-            color=INK,
+            color=PICTURE_STYLE.ink,
             linewidth=0.8,
             label="truth of the model",
         )
@@ -94,7 +103,7 @@ def _draw_rates(
             (channel, 101.5),
             ha="center",
             va="bottom",
-            color=TAKEN,
+            color=SURVEY_COLOURS.picked,
             fontsize=8,
             weight="bold",
             annotation_clip=False,
@@ -104,7 +113,9 @@ def _draw_rates(
     axes.set_ylabel("acknowledged [%]\nworst, mean, best pass")
 
 
-def _draw_rssi(axes: "Axes", rows: Sequence[Measured], chosen: Sequence[int]) -> None:
+def _draw_rssi(
+    axes: "Axes", rows: Sequence[ChannelResult], chosen: Sequence[int]
+) -> None:
     for colour, _, those in _by_choice(rows, chosen):
         heard = [(row.channel, *row.rssi) for row in those if row.rssi is not None]
         if heard:
@@ -123,25 +134,32 @@ def _draw_rssi(axes: "Axes", rows: Sequence[Measured], chosen: Sequence[int]) ->
 
 
 def _by_choice(
-    rows: Sequence[Measured], chosen: Sequence[int]
-) -> list[tuple[str, str, list[Measured]]]:
+    rows: Sequence[ChannelResult], chosen: Sequence[int]
+) -> list[tuple[str, str, list[ChannelResult]]]:
     """Return colour, label and rows: of the other channels, and of the picked ones."""
     free = [row for row in rows if row.channel not in chosen]
     taken = [row for row in rows if row.channel in chosen]
-    return [(FREE, "measured", free), (TAKEN, "picked", taken)]
+    return [
+        (SURVEY_COLOURS.measured, "measured", free),
+        (SURVEY_COLOURS.picked, "picked", taken),
+    ]
 
 
 def _draw_bands(axes: "Axes") -> None:
     """Draw the bands of WiFi."""
-    for middle in WIFI.values():
+    for middle in WIFI_CENTRES.values():
         axes.axvspan(
-            middle - WIFI_HALF, middle + WIFI_HALF, color=BAND, zorder=0, linewidth=0
+            middle - RADIO_BAND.wifi_half_width,
+            middle + RADIO_BAND.wifi_half_width,
+            color=SURVEY_COLOURS.wifi_band,
+            zorder=0,
+            linewidth=0,
         )
 
 
 def _name_bands(axes: "Axes", low: int, high: int) -> None:
     """Label the WiFi bands that have their centre inside the picture, above its upper edge."""
-    for number, middle in WIFI.items():
+    for number, middle in WIFI_CENTRES.items():
         name = f"WiFi {number}, {frequency(middle)} MHz"
         if low < middle < high:
             axes.text(

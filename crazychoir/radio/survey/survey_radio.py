@@ -7,31 +7,50 @@ probe must search for the drone.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
 
-from crazychoir.config.uris import RADIO, parse_uri
+from crazychoir.config.uris import RADIO_SCHEME, parse_uri
 from crazychoir.errors import ConfigError, Refused
-from crazychoir.radio.link.dongles import PLUG
+from crazychoir.radio.link.dongles import PLUG_ADVICE
 from crazychoir.radio.survey.survey import Sample
 
-NULL = (0xFF,)
-"""An empty packet."""
-NO_SAFELINK = (0xFF, 0x05, 0x00)
-"""Packet that ends the counting of packets.
 
-A drone that counts packets since an earlier connection would take the first of ours and no other.
-"""
-GO = (0xFF, 0x03, 0x01)
-"""First bytes of the order to change the channel."""
-TRIES = 50
-"""Packets without an answer until the probe gives up."""
-PATIENT = 15
-"""Retransmissions of each of these: the most that the dongle allows."""
-ROUNDS = 5
-"""Number of searches for the drone on its possible channels."""
-RESTART = "Switch it off and on: it starts on its own channel."
+@dataclass(frozen=True, slots=True)
+class ProbePackets:
+    """Packets that a probe sends."""
+
+    null: tuple[int] = (0xFF,)
+    """An empty packet."""
+    safelink_off: tuple[int, ...] = (0xFF, 0x05, 0x00)
+    """Packet that ends the counting of packets. A drone that counts packets since an earlier
+    connection would take the first of ours and no other.
+    """
+    channel_order: tuple[int, ...] = (0xFF, 0x03, 0x01)
+    """First bytes of the order to change the channel."""
+
+
+PROBE_PACKETS = ProbePackets()
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeLimits:
+    """How long a probe searches for a drone."""
+
+    packets: int = 50
+    """Packets without an answer until the probe gives up."""
+    retries: int = 15
+    """Retransmissions of each of these: the most that the dongle allows."""
+    searches: int = 5
+    """Number of searches for the drone on its possible channels."""
+
+
+PROBE_LIMITS = ProbeLimits()
+
+
+RESTART_ADVICE = "Switch it off and on: it starts on its own channel."
 """Advice for a lost drone."""
 
 
@@ -55,10 +74,10 @@ class CrazyradioProbe:
     def __enter__(self) -> Self:
         try:
             self._tune(self.home)
-            if not self._says(NO_SAFELINK):
+            if not self._says(PROBE_PACKETS.safelink_off):
                 raise Refused(
                     f"drone on channel {self.home}",
-                    f"no answer. Is it on, and is that its uri? {RESTART}",
+                    f"no answer. Is it on, and is that its uri? {RESTART_ADVICE}",
                 )
         except BaseException:
             self.radio.close()
@@ -82,13 +101,14 @@ class CrazyradioProbe:
             np.array([min(ack.retry, retries) for ack, _ in answers], int),
             np.array([seconds for _, seconds in answers], float),
             np.array(
-                [rssi(ack.data) if ack.ack else np.nan for ack, _ in answers], float
+                [parse_rssi(ack.data) if ack.ack else np.nan for ack, _ in answers],
+                float,
             ),
         )
 
     def _timed(self) -> tuple[Any, float]:
         began = self.now()
-        ack = self._send(NULL)
+        ack = self._send(PROBE_PACKETS.null)
         return ack, self.now() - began
 
     def _go(self, channel: int) -> None:
@@ -98,14 +118,16 @@ class CrazyradioProbe:
         """
         if channel == self._at:
             return
-        for _ in range(ROUNDS):
+        for _ in range(PROBE_LIMITS.searches):
             self._tune(self._at)
-            if self._says((*GO, channel)):
+            if self._says((*PROBE_PACKETS.channel_order, channel)):
                 self._tune(channel)
                 self._at = channel
                 return
             self._tune(channel)
-            if self._says(NULL):  # the drone moved, and only its answer was lost
+            if self._says(
+                PROBE_PACKETS.null
+            ):  # the drone moved, and only its answer was lost
                 self._at = channel
                 return
         places = (
@@ -113,31 +135,31 @@ class CrazyradioProbe:
         )
         raise Refused(
             "drone",
-            f"no answer on {places}. {RESTART} Then leave out --channels where nothing passes.",
+            f"no answer on {places}. {RESTART_ADVICE} Then leave out --channels where nothing passes.",
         )
 
     def _tune(self, channel: int) -> None:
-        self._set(self.radio.set_arc, PATIENT)
+        self._set(self.radio.set_arc, PROBE_LIMITS.retries)
         self._set(self.radio.set_channel, channel)
 
     def _says(self, packet: Sequence[int]) -> bool:
         """Return whether the drone acknowledges one of TRIES packets."""
-        return any(self._send(packet).ack for _ in range(TRIES))
+        return any(self._send(packet).ack for _ in range(PROBE_LIMITS.packets))
 
     def _send(self, packet: Sequence[int]) -> Any:
         ack = self.radio.send_packet(packet)
         if ack is None:
-            raise Refused("Crazyradio", f"no answer over USB. {PLUG}")
+            raise Refused("Crazyradio", f"no answer over USB. {PLUG_ADVICE}")
         return ack
 
     def _set(self, setter: Callable[[int], None], value: int) -> None:
         try:
             setter(value)
         except OSError as error:  # USB errors are OSErrors
-            raise Refused("Crazyradio", f"{error}. {PLUG}") from error
+            raise Refused("Crazyradio", f"{error}. {PLUG_ADVICE}") from error
 
 
-def rssi(data: Sequence[int]) -> float:
+def parse_rssi(data: Sequence[int]) -> float:
     """Return the dBm at which the drone has received a packet, from its answer.
 
     Returns NaN if the answer does not tell it. An idle drone answers f3 01 and the absolute value;
@@ -153,7 +175,7 @@ def open_probe(uri: str, now: Callable[[], float]) -> CrazyradioProbe:
     Raises ConfigError if the uri is not one of a radio.
     Raises Refused without a dongle.
     """
-    if not uri.startswith(RADIO):
+    if not uri.startswith(RADIO_SCHEME):
         raise ConfigError(
             "uri",
             uri,
@@ -169,5 +191,5 @@ def open_probe(uri: str, now: Callable[[], float]) -> CrazyradioProbe:
         radio.set_data_rate(rate)
         radio.set_address(address)
     except Exception as error:  # cflib raises plain Exceptions
-        raise Refused(uri, f"{error}. {PLUG}") from error
+        raise Refused(uri, f"{error}. {PLUG_ADVICE}") from error
     return CrazyradioProbe(radio, channel, now)

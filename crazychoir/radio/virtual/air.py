@@ -6,31 +6,40 @@ It has the time of a shared dongle, losses, delays and silence; all may change.
 import random
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from crazychoir.radio.virtual.faults import Faults
-from crazychoir.runtime.clock import MESSAGE, SECOND, Clock
+from crazychoir.runtime.clock import NS_PER_SECOND, AlarmPriority, Clock
 
-CAPACITY = 250.0
-"""Exchanges a second of a dongle that several drones share through cflib.
 
-This is a figure of its users, not measured here.
-"""
-ALONE = 1000.0
-"""Exchanges a second of a dongle with one drone: also a figure of users."""
-UP = 25
-"""Most packets of one drone that wait at the client's end (a chosen number)."""
-DOWN = 120
-"""Most packets of one drone that wait on board (the firmware's queue)."""
-BEHIND_NS = SECOND // 10
-"""Nanoseconds by which exchanges may be late on a busy machine and are made up for.
+@dataclass(frozen=True, slots=True)
+class AirModel:
+    """The capacity and the queues of a virtual dongle."""
 
-A radio does not wait for this program.
-"""
+    shared_capacity: float = 250.0
+    """Exchanges a second of a dongle that several drones share through cflib. This is a figure of
+    its users, not measured here.
+    """
+    single_capacity: float = 1000.0
+    """Exchanges a second of a dongle with one drone: also a figure of users."""
+    up_queue: int = 25
+    """Most packets of one drone that wait at the client's end (a chosen number)."""
+    down_queue: int = 120
+    """Most packets of one drone that wait on board (the firmware's queue)."""
+    lateness_ns: int = NS_PER_SECOND // 10
+    """ns by which exchanges may be late on a busy machine and are made up for. A radio does not
+    wait for this program.
+    """
+
+
+AIR_MODEL = AirModel()
+
+
 Deliver = Callable[[], None]
 """Callback that delivers a packet."""
 
 
-class Dongle:
+class VirtualDongle:
     """One radio with drones that take turns.
 
     An exchange carries at most one packet up, and one down on its acknowledgement. A drone with a
@@ -45,7 +54,11 @@ class Dongle:
     ) -> None:
         self.clock = clock
         self.drones = tuple(drones)
-        self.capacity = capacity or (ALONE if len(self.drones) == 1 else CAPACITY)
+        self.capacity = capacity or (
+            AIR_MODEL.single_capacity
+            if len(self.drones) == 1
+            else AIR_MODEL.shared_capacity
+        )
         self.exchanges = self.refused = 0
         """Exchanges so far, and packets refused because too many waited."""
         self._up: dict[int, deque[Deliver]] = {i: deque() for i in self.drones}
@@ -56,11 +69,11 @@ class Dongle:
 
     def up(self, drone: int, deliver: Deliver) -> bool:
         """Queue a packet for this drone; return False if too many wait."""
-        return self._wait(self._up[drone], UP, deliver)
+        return self._wait(self._up[drone], AIR_MODEL.up_queue, deliver)
 
     def down(self, drone: int, deliver: Deliver) -> bool:
         """Queue a packet from this drone; return False if too many wait."""
-        return self._wait(self._down[drone], DOWN, deliver)
+        return self._wait(self._down[drone], AIR_MODEL.down_queue, deliver)
 
     def _wait(self, queue: deque[Deliver], most: int, deliver: Deliver) -> bool:
         if len(queue) >= most:
@@ -77,9 +90,14 @@ class Dongle:
         least_ns: ns
         """
         self._busy = True
-        self._free_ns = max(least_ns, self._free_ns) + round(SECOND / self.capacity)
+        self._free_ns = max(least_ns, self._free_ns) + round(
+            NS_PER_SECOND / self.capacity
+        )
         self.clock.call_at(
-            self._free_ns, self._exchange, priority=MESSAGE, drone=self.drones[0]
+            self._free_ns,
+            self._exchange,
+            priority=AlarmPriority.MESSAGE,
+            drone=self.drones[0],
         )
 
     def _exchange(self) -> None:
@@ -100,7 +118,7 @@ class Dongle:
         for deliver in carried:
             deliver()
         if not self._busy and any(self._up.values()) | any(self._down.values()):
-            self._begin(self.clock.now_ns() - BEHIND_NS)
+            self._begin(self.clock.now_ns() - AIR_MODEL.lateness_ns)
 
 
 class Air:
@@ -117,7 +135,7 @@ class Air:
         clock: Clock,
         drone: int,
         faults: Faults,
-        dongle: Dongle | None = None,
+        dongle: VirtualDongle | None = None,
         seed: int = 0,
     ) -> None:
         self.clock = clock
@@ -156,8 +174,10 @@ class Air:
             self.lost += 1
             return False
         if faults.delay > 0.0:
-            late_ns = self.clock.now_ns() + round(faults.delay * SECOND)
-            self.clock.call_at(late_ns, deliver, priority=MESSAGE, drone=self.drone)
+            late_ns = self.clock.now_ns() + round(faults.delay * NS_PER_SECOND)
+            self.clock.call_at(
+                late_ns, deliver, priority=AlarmPriority.MESSAGE, drone=self.drone
+            )
         else:
             deliver()
         return True

@@ -9,17 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.bus.json_view import plain
+from crazychoir.bus.json_view import to_plain_values
 from crazychoir.errors import CodecError, CrazyChoirError
-from crazychoir.mocap.frames import ASK, MOST, PATIENCE, Frame
-from crazychoir.numerics.math3d import product, quaternion_of_yaw
-from crazychoir.radio.virtual.control import LARGEST
+from crazychoir.mocap.frames import FRAME_PROTOCOL, PoseFrame
+from crazychoir.numerics.math3d import quaternion_of_yaw, quaternion_product
+from crazychoir.radio.virtual.control import QUESTION_LIMITS
 from crazychoir.radio.virtual.faults import Faults
-from crazychoir.radio.virtual.port import Address, opened, waiting
-from crazychoir.runtime.clock import SECOND, Clock
+from crazychoir.radio.virtual.port import Address, open_socket, receive_waiting
+from crazychoir.runtime.clock import NS_PER_SECOND, Clock
 from crazychoir.types import Mat, Vec
 
-SHOWN = 4000
+LONGEST_ERROR = 4000
 """Most characters of an error."""
 Question = dict[str, Any]
 """A question: a JSON object."""
@@ -27,7 +27,7 @@ Answer = Callable[[Question], Any]
 """Callback that answers a question."""
 
 
-def seen(
+def observe_bodies(
     states: Mat, rows: dict[int, int], faults: dict[int, Faults], names: dict[int, str]
 ) -> dict[str, Any]:
     """Return the bodies as the cameras see them.
@@ -44,48 +44,48 @@ def seen(
     for i, name in names.items():
         fault = faults[i]
         other = int(fault.swap) if fault.swap >= 0.0 else i
-        if not fault.pose_lost and len(bodies) < MOST:
+        if not fault.pose_lost and len(bodies) < FRAME_PROTOCOL.most_bodies:
             state = states[rows[other]]
             bodies[name] = np.array(
                 [
                     *(state[:3] + np.array(fault.offset)),
-                    *_turned(state[6:10], fault.turned),
+                    *_turn_about_z(state[6:10], fault.turned),
                 ]
             )
     return bodies
 
 
-def _turned(q: Vec, yaw: float) -> Any:
+def _turn_about_z(q: Vec, yaw: float) -> Any:
     """Return q (4,) of a body with its axes turned by `yaw` (rad) about its z axis.
 
     q q_z(yaw)
     """
     (a, b, c, d), (e, f, g, h) = q.tolist(), quaternion_of_yaw(yaw).tolist()
-    return product((a, b, c, d), (e, f, g, h)) if yaw else q
+    return quaternion_product((a, b, c, d), (e, f, g, h)) if yaw else q
 
 
-def _short(text: str) -> str:
+def _shorten_text(text: str) -> str:
     """Return a text, with its middle left out if it is too long: it may repeat a long question."""
     return (
         text
-        if len(text) <= SHOWN
-        else f"{text[: SHOWN // 2]} ... {text[-SHOWN // 2 :]}"
+        if len(text) <= LONGEST_ERROR
+        else f"{text[: LONGEST_ERROR // 2]} ... {text[-LONGEST_ERROR // 2 :]}"
     )
 
 
-def _packed(answer: Any) -> bytes:
+def _pack_answer(answer: Any) -> bytes:
     """Return an answer as a datagram; if it is too long, return an error that says so."""
-    packed = json.dumps(plain(answer)).encode()
-    if len(packed) <= LARGEST:
+    packed = json.dumps(to_plain_values(answer)).encode()
+    if len(packed) <= QUESTION_LIMITS.datagram_size:
         return packed
     return json.dumps(
         {
-            "error": f"the answer has {len(packed)} bytes; a datagram has {LARGEST} at most."
+            "error": f"the answer has {len(packed)} bytes; a datagram has {QUESTION_LIMITS.datagram_size} at most."
         }
     ).encode()
 
 
-class Cameras:
+class CameraPort:
     """The port of the cameras.
 
     A client that has recently sent ASK gets frames, and a client that sends JSON gets an answer.
@@ -105,7 +105,7 @@ class Cameras:
 
     def open(self) -> None:
         """Open the port. Raises ConfigError if it is taken."""
-        self._socket = opened(self.at)
+        self._socket = open_socket(self.at)
         asyncio.get_running_loop().add_reader(self._socket, self._readable)
 
     def close(self) -> None:
@@ -131,16 +131,18 @@ class Cameras:
         bodies: poses by name
         """
         self.frames += 1
-        datagram = Frame(self.frames, time, bodies).packed()
+        datagram = PoseFrame(self.frames, time, bodies).packed()
         for who in self._watchers:
             self._send(datagram, who)
 
     def _readable(self) -> None:
-        for data, sender in waiting(self._socket):
-            if data == ASK:
-                self._watchers[sender] = self.clock.now_ns() + round(PATIENCE * SECOND)
+        for data, sender in receive_waiting(self._socket):
+            if data == FRAME_PROTOCOL.request:
+                self._watchers[sender] = self.clock.now_ns() + round(
+                    FRAME_PROTOCOL.request_lifetime * NS_PER_SECOND
+                )
             else:
-                self._send(_packed(self._answered(data)), sender)
+                self._send(_pack_answer(self._answered(data)), sender)
 
     def _answered(self, data: bytes) -> Any:
         try:
@@ -150,9 +152,9 @@ class Cameras:
             return self._answer(question)
         except (ValueError, RecursionError) as error:
             # A CrazyChoirError about a wrong value is a ValueError too.
-            return {"error": _short(str(error))}
+            return {"error": _shorten_text(str(error))}
         except CrazyChoirError as error:
-            return {"error": _short(str(error))}
+            return {"error": _shorten_text(str(error))}
 
     def _send(self, datagram: bytes, to: Address) -> None:
         if self._socket is not None:

@@ -2,25 +2,37 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from crazychoir.radio.protocol.compressed import quaternion
+from crazychoir.radio.protocol.compressed import unpack_quaternion
 from crazychoir.simulation.onboard.onboard import Onboard
 
-UNKNOWN = 8
+UNKNOWN_COMMAND = 8
 """Answer ENOEXEC of the planner's port to an unknown command."""
-MILLI = 1e-3
-"""SI units in a thousandth."""
-RADIANS = math.pi / 180.0
-"""Radians in a degree."""
 
 
-def _full_state(on: Onboard, *values: float) -> None:
+@dataclass(frozen=True, slots=True)
+class PacketUnits:
+    """The units of packets in SI units."""
+
+    thousandth: float = 1e-3
+    """SI units in a thousandth."""
+    degree: float = math.pi / 180.0
+    """Radians in a degree."""
+
+
+PACKET_UNITS = PacketUnits()
+
+
+def _set_full_state(on: Onboard, *values: float) -> None:
     """Apply a full state in mm, mm/s, mm/s2, and mrad/s of the body."""
-    milli = np.array([*values[:9], *values[10:]]) * MILLI
-    on.full_state(np.array([*milli[:9], *quaternion(int(values[9])), *milli[9:]]))
+    milli = np.array([*values[:9], *values[10:]]) * PACKET_UNITS.thousandth
+    on.full_state(
+        np.array([*milli[:9], *unpack_quaternion(int(values[9])), *milli[9:]])
+    )
 
 
 def _spiral(on: Onboard, group: int, sideways: int, clockwise: int, *arc: float) -> int:
@@ -40,7 +52,7 @@ def _land(
     return on.land(height, duration, None if keep else yaw)
 
 
-def _rise(
+def _take_off_at_speed(
     on: Onboard,
     group: int,
     height: float,
@@ -49,14 +61,14 @@ def _rise(
     keep: bool,
     speed: float,
 ) -> int:
-    here = _height(on)
+    here = _planned_height(on)
     goal = here + height if relative else height
     return on.take_off(
         goal, abs(goal - here) / speed if speed > 0.0 else None, None if keep else yaw
     )
 
 
-def _sink(
+def _land_at_speed(
     on: Onboard,
     group: int,
     height: float,
@@ -65,14 +77,14 @@ def _sink(
     keep: bool,
     speed: float,
 ) -> int:
-    here = _height(on)
+    here = _planned_height(on)
     goal = here - height if relative else height
     return on.land(
         goal, abs(goal - here) / speed if speed > 0.0 else None, None if keep else yaw
     )
 
 
-def _height(on: Onboard) -> float:
+def _planned_height(on: Onboard) -> float:
     """Return the height of the planner's last set-point, m."""
     return float(on.record["planner"]["last"][2])
 
@@ -82,7 +94,7 @@ def _go_to(on: Onboard, group: int, relative: int, linear: int, *goal: float) ->
     return on.go_to((x, y, z), yaw, duration, bool(relative), bool(linear))
 
 
-def _start(
+def _start_trajectory(
     on: Onboard,
     group: int,
     relative: int,
@@ -96,11 +108,15 @@ def _start(
     )
 
 
-def _define(
+def _define_trajectory(
     on: Onboard, slot: int, location: int, kind: int, offset: int, pieces: int
 ) -> int:
     known = location == 1 and kind in (0, 1)
-    return on.define_trajectory(slot, offset, pieces, kind == 1) if known else UNKNOWN
+    return (
+        on.define_trajectory(slot, offset, pieces, kind == 1)
+        if known
+        else UNKNOWN_COMMAND
+    )
 
 
 def _stop_planner(on: Onboard, group: int) -> int:
@@ -108,23 +124,37 @@ def _stop_planner(on: Onboard, group: int) -> int:
     return 0
 
 
-def _tilted(on: Onboard, roll: float, pitch: float, rate: float, z: float) -> None:
-    on.z_distance(RADIANS * roll, -RADIANS * pitch, RADIANS * rate, z)
+def _set_z_distance(
+    on: Onboard, roll: float, pitch: float, rate: float, z: float
+) -> None:
+    on.z_distance(
+        PACKET_UNITS.degree * roll,
+        -PACKET_UNITS.degree * pitch,
+        PACKET_UNITS.degree * rate,
+        z,
+    )
 
 
-def _climb(on: Onboard, roll: float, pitch: float, rate: float, vz: float) -> None:
-    on.altitude_hold(RADIANS * roll, -RADIANS * pitch, RADIANS * rate, vz)
+def _set_altitude_hold(
+    on: Onboard, roll: float, pitch: float, rate: float, vz: float
+) -> None:
+    on.altitude_hold(
+        PACKET_UNITS.degree * roll,
+        -PACKET_UNITS.degree * pitch,
+        PACKET_UNITS.degree * rate,
+        vz,
+    )
 
 
-def _velocity(on: Onboard, vx: float, vy: float, vz: float, rate: float) -> None:
-    on.velocity((vx, vy, vz), RADIANS * rate)
+def _set_velocity(on: Onboard, vx: float, vy: float, vz: float, rate: float) -> None:
+    on.velocity((vx, vy, vz), PACKET_UNITS.degree * rate)
 
 
-def _hover(on: Onboard, vx: float, vy: float, rate: float, z: float) -> None:
-    on.hover(vx, vy, RADIANS * rate, z)
+def _set_hover(on: Onboard, vx: float, vy: float, rate: float, z: float) -> None:
+    on.hover(vx, vy, PACKET_UNITS.degree * rate, z)
 
 
-def manual(
+def apply_manual(
     on: Onboard, roll: float, pitch: float, yaw: float, thrust: float, rates: int
 ) -> None:
     """Apply a manual set-point.
@@ -135,46 +165,54 @@ def manual(
     thrust: 0 to 65535
     """
     newtons = thrust / 65535.0 * 4.0 * on.firmware.thrust_max
-    on.manual(newtons, RADIANS * roll, -RADIANS * pitch, RADIANS * yaw, rates == 1)
+    on.manual(
+        newtons,
+        PACKET_UNITS.degree * roll,
+        -PACKET_UNITS.degree * pitch,
+        PACKET_UNITS.degree * yaw,
+        rates == 1,
+    )
 
 
-def _done(taken: bool) -> None:
+def _ignore_result(taken: bool) -> None:
     """Ignore whether a set-point was accepted: it gets no answer."""
 
 
-COMMANDS: dict[str, Callable[..., Any]] = {
-    "rpyt": lambda on, roll, pitch, yaw, thrust: _done(
+COMMAND_FUNCTIONS: dict[str, Callable[..., Any]] = {
+    "rpyt": lambda on, roll, pitch, yaw, thrust: _ignore_result(
         on.rpyt_raw(roll, pitch, yaw, thrust)
     ),
-    "stop": lambda on: _done(on.stop_setpoint()),
-    "velocity_world_legacy": lambda on, vx, vy, vz, rate: _velocity(
+    "stop": lambda on: _ignore_result(on.stop_setpoint()),
+    "velocity_world_legacy": lambda on, vx, vy, vz, rate: _set_velocity(
         on, vx, vy, vz, -rate
     ),
-    "z_distance_legacy": lambda on, roll, pitch, rate, z: _tilted(
+    "z_distance_legacy": lambda on, roll, pitch, rate, z: _set_z_distance(
         on, roll, pitch, -rate, z
     ),
-    "hover_legacy": lambda on, vx, vy, rate, z: _hover(on, vx, vy, -rate, z),
-    "altitude_hold": _climb,
-    "full_state": _full_state,
-    "velocity_world": _velocity,
-    "z_distance": _tilted,
-    "hover": _hover,
-    "position": lambda on, x, y, z, yaw: _done(on.position((x, y, z), RADIANS * yaw)),
-    "manual": manual,
+    "hover_legacy": lambda on, vx, vy, rate, z: _set_hover(on, vx, vy, -rate, z),
+    "altitude_hold": _set_altitude_hold,
+    "full_state": _set_full_state,
+    "velocity_world": _set_velocity,
+    "z_distance": _set_z_distance,
+    "hover": _set_hover,
+    "position": lambda on, x, y, z, yaw: _ignore_result(
+        on.position((x, y, z), PACKET_UNITS.degree * yaw)
+    ),
+    "manual": apply_manual,
     "notify_setpoint_stop": lambda on, remain: on.notify_setpoint_stop(),
     "planner_stop": _stop_planner,
-    "define_trajectory": _define,
+    "define_trajectory": _define_trajectory,
     "take_off": _take_off,
     "land": _land,
-    "take_off_with_velocity": _rise,
-    "land_with_velocity": _sink,
+    "take_off_with_velocity": _take_off_at_speed,
+    "land_with_velocity": _land_at_speed,
     "spiral": _spiral,
     "go_to": _go_to,
     "go_to_legacy": lambda on, group, relative, *goal: _go_to(
         on, group, relative, 0, *goal
     ),
-    "start_trajectory": _start,
-    "start_trajectory_legacy": lambda on, group, relative, *rest: _start(
+    "start_trajectory": _start_trajectory,
+    "start_trajectory_legacy": lambda on, group, relative, *rest: _start_trajectory(
         on, group, relative, 0, *rest
     ),
     "emergency_stop": lambda on: on.emergency_stop(),

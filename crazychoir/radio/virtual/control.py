@@ -2,16 +2,28 @@
 
 import json
 import socket
+from dataclasses import dataclass
 from typing import Any
 
 from crazychoir.errors import Refused
 
-LONGEST = 1 << 16  # bytes: buffer for a received datagram
-LARGEST = 65_507  # bytes: largest datagram of UDP
-TRIES = 3  # times that a question is sent
+
+@dataclass(frozen=True, slots=True)
+class QuestionLimits:
+    """Sizes and attempts of a question to the server."""
+
+    receive_size: int = 1 << 16
+    """Bytes of the buffer for a received datagram."""
+    datagram_size: int = 65_507
+    """Bytes of the largest datagram of UDP."""
+    attempts: int = 3
+    """Times that a question is sent."""
 
 
-def ask(
+QUESTION_LIMITS = QuestionLimits()
+
+
+def ask_server(
     question: dict[str, Any],
     host: str = "127.0.0.1",
     port: int = 19849,
@@ -28,13 +40,13 @@ def ask(
     Raises Refused if a part has no answer in time, or the question is not allowed.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as door:
-        door.settimeout(deadline / TRIES)
+        door.settimeout(deadline / QUESTION_LIMITS.attempts)
         door.connect((host, port))
-        answer = _part(door, question, f"virtual Crazyflies at {host}:{port}")
+        answer = _ask_part(door, question, f"virtual Crazyflies at {host}:{port}")
         more = answer.pop("more", False)
         while more:
             last = int(list(answer["drones"])[-1])
-            part = _part(
+            part = _ask_part(
                 door,
                 {**question, "after": last},
                 f"virtual Crazyflies at {host}:{port}",
@@ -44,27 +56,29 @@ def ask(
         return answer
 
 
-def _part(door: socket.socket, question: dict[str, Any], who: str) -> dict[str, Any]:
+def _ask_part(
+    door: socket.socket, question: dict[str, Any], who: str
+) -> dict[str, Any]:
     """Return one part of an answer.
 
     An answer may arrive after its question was sent again, so only the answer to this question
     counts.
     """
     asked = json.dumps(question).encode()
-    if len(asked) > LARGEST:
+    if len(asked) > QUESTION_LIMITS.datagram_size:
         do = "Ask for fewer drones at once, or name them as 3,4 with one table for all."
         raise Refused(
             who,
-            f"a question of {len(asked)} bytes; a datagram has {LARGEST} at most. {do}",
+            f"a question of {len(asked)} bytes; a datagram has {QUESTION_LIMITS.datagram_size} at most. {do}",
         )
-    for _ in range(TRIES):
+    for _ in range(QUESTION_LIMITS.attempts):
         try:
             door.send(asked)
-            answer = _heard(door)
+            answer = _receive_answer(door)
             while (
                 answer.get("after") != question.get("after") and "error" not in answer
             ):
-                answer = _heard(door)
+                answer = _receive_answer(door)
         except OSError:
             continue
         except ValueError as error:
@@ -82,8 +96,8 @@ def _part(door: socket.socket, question: dict[str, Any], who: str) -> dict[str, 
     )
 
 
-def _heard(door: socket.socket) -> dict[str, Any]:
-    answer = json.loads(door.recv(LONGEST))
+def _receive_answer(door: socket.socket) -> dict[str, Any]:
+    answer = json.loads(door.recv(QUESTION_LIMITS.receive_size))
     if not isinstance(answer, dict):
         raise ValueError("no object")
     return answer

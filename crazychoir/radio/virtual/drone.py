@@ -9,70 +9,83 @@ from dataclasses import dataclass, field, replace
 
 from crazychoir.platforms import Platform
 from crazychoir.radio.protocol.crtp import (
-    COMMANDER,
-    CONSOLE,
-    HIGH_LEVEL,
-    LINK,
-    LOCALIZATION,
-    LOG,
-    MEMORY,
-    PARAM,
-    PLATFORM,
-    SETPOINT,
-    SUPERVISOR,
+    CrtpPort,
     Packet,
 )
-from crazychoir.radio.virtual.flight import Assertion, Flight
-from crazychoir.radio.virtual.logs import Logs
-from crazychoir.radio.virtual.memories import Memories
-from crazychoir.radio.virtual.parameters import Parameters
-from crazychoir.radio.virtual.power import Power
-from crazychoir.radio.virtual.readings import readings
-from crazychoir.radio.virtual.toc import names
-from crazychoir.simulation.onboard.commander import HIGH_LEVEL as PLANNER
-from crazychoir.simulation.onboard.logs import TABLE
+from crazychoir.radio.virtual.flight import FirmwareAssertion, FlightService
+from crazychoir.radio.virtual.logs import LogService
+from crazychoir.radio.virtual.memories import MemoryService
+from crazychoir.radio.virtual.parameters import ParameterService
+from crazychoir.radio.virtual.power import PowerManagement
+from crazychoir.radio.virtual.readings import make_readings
+from crazychoir.radio.virtual.toc import read_firmware_names
+from crazychoir.simulation.onboard.commander import SETPOINT_PRIORITIES
+from crazychoir.simulation.onboard.logs import FIRMWARE_LOG_READERS
 from crazychoir.simulation.onboard.onboard import Onboard
 
 log = logging.getLogger(__name__)
 # Channels of the link's port: echoes, the source of a link, packets to drop.
-ECHO, SOURCE, SINK = range(3)
-NAME = b"Bitcraze Crazyflie".ljust(30, b"\0")
+LINK_ECHO_CHANNEL, LINK_SOURCE_CHANNEL, LINK_SINK_CHANNEL = range(3)
+SOURCE_ANSWER = b"Bitcraze Crazyflie".ljust(30, b"\0")
 """Answer to a request for the source of a link."""
-FLIES = (COMMANDER, SETPOINT, HIGH_LEVEL, LOCALIZATION, SUPERVISOR, PLATFORM)
+FLIGHT_PORTS = (
+    CrtpPort.COMMANDER,
+    CrtpPort.SETPOINT,
+    CrtpPort.HIGH_LEVEL,
+    CrtpPort.LOCALIZATION,
+    CrtpPort.SUPERVISOR,
+    CrtpPort.PLATFORM,
+)
 """Ports of packets that concern the flight."""
-TEXT = 30
+CONSOLE_PACKET_SIZE = 30
 """Bytes of console text in one packet."""
-BOOT = 1000
-"""Milliseconds after a restart in which the drone hears nothing."""
-HELD = 1000
-"""Milliseconds after a plan until a warning that a set-point still has control.
 
-The plan then has no effect.
-"""
-SILENCE = 1000
-"""Milliseconds without a packet after which the link counts as lost.
 
-A returning client starts its log blocks again.
-"""
-RELEASE = "2025.12"
-"""Firmware release that is modelled."""
-DECKS = ("bcFlow2", "bcLighthouse4", "bcMultiranger")
-"""Decks that a drone carries by default; the lighthouse deck gives it its position."""
-POSITIONING = "bcLighthouse4"
-"""Deck that gives a drone its position."""
-FLOW = "bcFlow2"
-"""Deck that gives a drone its velocity."""
+@dataclass(frozen=True, slots=True)
+class FirmwareTimeouts:
+    """Times after which a virtual drone hears, warns or forgets its client."""
+
+    boot: int = 1000
+    """ms after a restart in which the drone hears nothing."""
+    ignored_plan: int = 1000
+    """ms after a plan until a warning that a set-point still has control. The plan then has no
+    effect.
+    """
+    link_silence: int = 1000
+    """ms without a packet after which the link counts as lost. A returning client starts its log
+    blocks again.
+    """
+
+
+FIRMWARE_TIMEOUTS = FirmwareTimeouts()
+
+
+@dataclass(frozen=True, slots=True)
+class ModelledDrone:
+    """The firmware release and the decks that are modelled."""
+
+    release: str = "2025.12"
+    """Firmware release that is modelled."""
+    decks: tuple[str, ...] = ("bcFlow2", "bcLighthouse4", "bcMultiranger")
+    """Decks that a drone carries by default; the lighthouse deck gives it its position."""
+    position_deck: str = "bcLighthouse4"
+    """Deck that gives a drone its position."""
+    velocity_deck: str = "bcFlow2"
+    """Deck that gives a drone its velocity."""
+
+
+MODELLED_DRONE = ModelledDrone()
 
 
 @dataclass
-class Identity:
+class DroneIdentity:
     """The properties that distinguish a drone from others."""
 
     name: str = "virtual Crazyflie"
     """Name for log lines."""
     number: int = 0xE7
     """Last byte of its address."""
-    release: str = RELEASE
+    release: str = MODELLED_DRONE.release
     """Release of its firmware."""
     device: str = "CF21"
     """Type of the device, as the firmware tells it."""
@@ -81,7 +94,7 @@ class Identity:
 
 
 @dataclass
-class Kept:
+class PersistentContent:
     """Data that survive a restart."""
 
     parameters: dict[str, float] = field(default_factory=dict)
@@ -90,7 +103,7 @@ class Kept:
     """Memories, by type."""
 
 
-def device_of(platform: Platform) -> str:
+def device_type_of(platform: Platform) -> str:
     """Return the device type that a drone of this platform tells."""
     return "C21B" if platform.firmware.needs_arming else "CF21"
 
@@ -106,21 +119,21 @@ class VirtualCrazyflie:
     def __init__(
         self,
         onboard: Onboard,
-        identity: Identity | None = None,
+        identity: DroneIdentity | None = None,
         truth: Callable[[], Sequence[float]] = lambda: (0.0, 0.0, 0.0),
     ) -> None:
         self.onboard = onboard
-        self.identity = Identity() if identity is None else identity
+        self.identity = DroneIdentity() if identity is None else identity
         self.truth = truth
-        self.kept = Kept()
+        self.kept = PersistentContent()
         self.starts = 0
         """Number of times that the drone was switched on."""
         self.received = 0
         """Packets received."""
         self.sent = 0
         """Packets sent."""
-        self.positioned = POSITIONING in self.identity.decks
-        self.flows = FLOW in self.identity.decks
+        self.positioned = MODELLED_DRONE.position_deck in self.identity.decks
+        self.flows = MODELLED_DRONE.velocity_deck in self.identity.decks
         self.rates = (0.0, 0.0)
         self._counted = (0, 0, 0)
         self._deaf_until = 0
@@ -145,9 +158,9 @@ class VirtualCrazyflie:
     def _start(self) -> None:
         me = self.identity
         on = self.onboard
-        logs, parameters = names()
+        logs, parameters = read_firmware_names()
         self.starts += 1
-        self.power = Power()
+        self.power = PowerManagement()
         levels = {
             "pm.lowVoltage": on.firmware.low,
             "pm.criticalLowVoltage": on.firmware.critical,
@@ -156,11 +169,11 @@ class VirtualCrazyflie:
             replace(e, boot=levels[e.full]) if e.full in levels else e
             for e in parameters
         )
-        self.parameters = Parameters(on, tuple(of_platform), self.kept.parameters)
+        self.parameters = ParameterService(on, tuple(of_platform), self.kept.parameters)
         for deck in me.decks:
             self.parameters.set(f"deck.{deck}", 1.0)
-        self.memories = Memories(on, self.kept.memories, me.number)
-        self.flight = Flight(
+        self.memories = MemoryService(on, self.kept.memories, me.number)
+        self.flight = FlightService(
             on,
             me.number,
             me.release,
@@ -168,11 +181,13 @@ class VirtualCrazyflie:
             self.parameters.read,
             self.parameters.set,
         )
-        more = readings(self)
+        more = make_readings(self)
         served = tuple(
-            entry for entry in logs if entry.full in TABLE or entry.full in more
+            entry
+            for entry in logs
+            if entry.full in FIRMWARE_LOG_READERS or entry.full in more
         )
-        self.logs = Logs(
+        self.logs = LogService(
             served, lambda name: more[name]() if name in more else on.log(name)
         )
         self._said: list[Packet] = []
@@ -191,7 +206,7 @@ class VirtualCrazyflie:
         self.onboard.restart()
         self.rates = (0.0, 0.0)
         self._counted = (0, self.received, self.sent)
-        self._deaf_until = BOOT
+        self._deaf_until = FIRMWARE_TIMEOUTS.boot
         self._heard = 0
         self._start()
         self.flight.zeros, self.flight.malformed, self.flight.unknown = counted
@@ -232,7 +247,7 @@ class VirtualCrazyflie:
             for answer in self._take(packet):
                 self.sent += 1
                 yield answer
-        except Assertion as error:
+        except FirmwareAssertion as error:
             self.restart(str(error))
             return
         except Exception as error:  # noqa: BLE001 - an error of one drone must not end the others
@@ -245,19 +260,19 @@ class VirtualCrazyflie:
 
     def _take(self, packet: Packet) -> Iterator[Packet]:
         port = packet.port
-        if port in FLIES:
+        if port in FLIGHT_PORTS:
             yield from self.flight.take(packet)
-        elif port == LOG:
+        elif port == CrtpPort.LOG:
             yield from self.logs.take(packet, self.uptime)
-        elif port == PARAM:
+        elif port == CrtpPort.PARAMETERS:
             yield from self.parameters.take(packet)
-        elif port == MEMORY:
+        elif port == CrtpPort.MEMORY:
             yield from self.memories.take(packet)
-        elif port == LINK and packet.channel == ECHO:
+        elif port == CrtpPort.LINK and packet.channel == LINK_ECHO_CHANNEL:
             yield packet
-        elif port == LINK and packet.channel == SOURCE:
-            yield Packet(LINK, SOURCE, NAME)
-        elif port != LINK:
+        elif port == CrtpPort.LINK and packet.channel == LINK_SOURCE_CHANNEL:
+            yield Packet(CrtpPort.LINK, LINK_SOURCE_CHANNEL, SOURCE_ANSWER)
+        elif port != CrtpPort.LINK:
             self.flight.unknown += 1
 
     def pass_time(self) -> Iterator[Packet]:
@@ -274,7 +289,7 @@ class VirtualCrazyflie:
         self._watch(now)
         if self.booting:
             return
-        if self.logs.running and now - self._heard > SILENCE:
+        if self.logs.running and now - self._heard > FIRMWARE_TIMEOUTS.link_silence:
             self.logs.blocks.clear()
         said = self._said
         self._said = []
@@ -286,9 +301,12 @@ class VirtualCrazyflie:
         read = self.parameters.read
         vbat = float(self.onboard.record["vbat"])
         self.power.look(now, vbat, read("pm.lowVoltage"), read("pm.criticalLowVoltage"))
-        if self.onboard.record["priority"] <= PLANNER:
+        if self.onboard.record["priority"] <= SETPOINT_PRIORITIES.high_level:
             self.flight.planned_at = None
-        elif self.flight.planned_at is not None and now - self.flight.planned_at > HELD:
+        elif (
+            self.flight.planned_at is not None
+            and now - self.flight.planned_at > FIRMWARE_TIMEOUTS.ignored_plan
+        ):
             self.flight.planned_at = None
             told = "plans, but a set-point holds control: send_notify_setpoint_stop ends it"
             log.warning("%s: %s", self.identity.name, told)
@@ -306,8 +324,8 @@ class VirtualCrazyflie:
         line = b""
         for character in text:
             more = character.encode()
-            if len(line) + len(more) > TEXT:
-                self._said.append(Packet(CONSOLE, 0, line))
+            if len(line) + len(more) > CONSOLE_PACKET_SIZE:
+                self._said.append(Packet(CrtpPort.CONSOLE, 0, line))
                 line = b""
             line += more
-        self._said.append(Packet(CONSOLE, 0, line))
+        self._said.append(Packet(CrtpPort.CONSOLE, 0, line))

@@ -7,12 +7,12 @@ from typing import Any
 
 from crazychoir.errors import ConfigError
 
-Value = float | tuple[float, ...]
+FaultValue = float | tuple[float, ...]
 """Value of a fault: one number or several."""
 
 
 @dataclass(frozen=True)
-class Knob:
+class FaultSetting:
     """One fault that can be set."""
 
     low: float
@@ -35,7 +35,7 @@ class Knob:
         each = f"{'0, or ' if self.low > 0 else ''}{self.low:g} to {self.high:g}"
         return each if self.size == 1 else f"{self.size} {kind} of {each}"
 
-    def checked(self, name: str, value: Any) -> Value:
+    def checked(self, name: str, value: Any) -> FaultValue:
         """Return the value. Raises ConfigError if it is not allowed."""
         found = [value] if not isinstance(value, list | tuple) else list(value)
         good = len(found) == self.size and all(self._fits(one) for one in found)
@@ -51,34 +51,36 @@ class Knob:
         return number and (not self.whole or one == int(one))
 
 
-def _switch(means: str) -> Knob:
-    return Knob(0, 1, means, whole=True)
+def _switch(means: str) -> FaultSetting:
+    return FaultSetting(0, 1, means, whole=True)
 
 
-KNOBS = {
-    "loss": Knob(0, 1, "probability that a packet is lost, each way"),
-    "delay": Knob(0, 10, "s that a packet is late, each way"),
+FAULT_SETTINGS = {
+    "loss": FaultSetting(0, 1, "probability that a packet is lost, each way"),
+    "delay": FaultSetting(0, 10, "s that a packet is late, each way"),
     "silent": _switch("nothing passes its link, either way; its port stays open"),
     "off": _switch(
         "it is switched off: its port is closed, its motors stand; 0 starts it again"
     ),
     "refuse_arming": _switch("its checks before flight fail"),
-    "voltage": Knob(3, 4.2, "V of its battery at rest, held there; 0: as it is"),
+    "voltage": FaultSetting(
+        3, 4.2, "V of its battery at rest, held there; 0: as it is"
+    ),
     "tumble": _switch("its body is turned over, and held so"),
-    "motor": Knob(0, 4, "the motor that stands still, 0: none", whole=True),
+    "motor": FaultSetting(0, 4, "the motor that stands still, 0: none", whole=True),
     "home": _switch("1 carries it home, charged and whole, and stands it there, once"),
     "reboot": _switch("1 restarts it where it lies, once"),
     "deck_lost": _switch("its deck does not see the lighthouses"),
     "pose_lost": _switch("the cameras do not see it"),
-    "offset": Knob(
+    "offset": FaultSetting(
         -10, 10, "m along x, y, z by which the cameras see it elsewhere", size=3
     ),
-    "turned": Knob(
+    "turned": FaultSetting(
         -math.pi,
         math.pi,
         "rad about its z by which its body is put on, or defined, the wrong way round",
     ),
-    "swap": Knob(
+    "swap": FaultSetting(
         -1,
         9999,
         "the drone that the cameras take for it, and the other way round; -1: none",
@@ -111,17 +113,19 @@ class Faults:
         return asdict(self)
 
 
-def checked(wanted: Mapping[str, Any], ids: Sequence[int]) -> dict[str, Value]:
+def check_faults(
+    wanted: Mapping[str, Any], ids: Sequence[int]
+) -> dict[str, FaultValue]:
     """Return the faults if all are allowed. Raises ConfigError, with the allowed ones, otherwise.
 
     wanted: values by name of the fault
     ids: ids of the drones
     """
-    found: dict[str, Value] = {}
+    found: dict[str, FaultValue] = {}
     for name, value in wanted.items():
-        if name not in KNOBS:
-            raise ConfigError("fault", name, ", ".join(KNOBS))
-        found[name] = KNOBS[name].checked(name, value)
+        if name not in FAULT_SETTINGS:
+            raise ConfigError("fault", name, ", ".join(FAULT_SETTINGS))
+        found[name] = FAULT_SETTINGS[name].checked(name, value)
     if "swap" in found and found["swap"] not in (-1.0, *ids):
         raise ConfigError(
             "fault swap", found["swap"], f"-1, or one of {', '.join(map(str, ids))}"

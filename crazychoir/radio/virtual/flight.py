@@ -5,59 +5,79 @@ The firmware's units become the SI units of the model.
 
 import struct
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from crazychoir.errors import CodecError
-from crazychoir.radio.protocol.compressed import quaternion
+from crazychoir.radio.protocol.compressed import unpack_quaternion
 from crazychoir.radio.protocol.crtp import (
-    COMMANDER,
-    FORMS,
-    HIGH_LEVEL,
-    LOCALIZATION,
-    PLATFORM,
-    PROTOCOL,
-    SETPOINT,
-    SUPERVISOR,
-    Form,
+    CRTP_FORMAT,
+    PACKET_FORMS,
+    CrtpPort,
     Packet,
+    PacketForm,
 )
-from crazychoir.radio.virtual.commands import COMMANDS, MILLI, UNKNOWN, manual
+from crazychoir.radio.virtual.commands import (
+    COMMAND_FUNCTIONS,
+    PACKET_UNITS,
+    UNKNOWN_COMMAND,
+    apply_manual,
+)
 from crazychoir.simulation.onboard.onboard import Onboard
 
-SHORT_LPP = 2
-"""Command of LOCALIZATION's channel 1: a packet for an anchor."""
-PACKED_POSE = 9
-"""Command of LOCALIZATION's channel 1: packed poses."""
-POSITIONS = 2
-"""Channel of packed positions."""
-EMULATED = 3
-"""Set-point of an emulated receiver; its length depends on its content."""
-UNCHECKED = ("position", "stop")
-"""Set-points with a length that the firmware does not check."""
-_POSE = struct.Struct("<BhhhI")
+
+@dataclass(frozen=True, slots=True)
+class FormlessPackets:
+    """Commands and channels of the packets that `PACKET_FORMS` does not describe."""
+
+    short_lpp: int = 2
+    """Command of LOCALIZATION's channel 1: a packet for an anchor."""
+    packed_pose: int = 9
+    """Command of LOCALIZATION's channel 1: packed poses."""
+    position_channel: int = 2
+    """Channel of packed positions."""
+    emulated_receiver: int = 3
+    """Set-point of an emulated receiver; its length depends on its content."""
+
+
+FORMLESS_PACKETS = FormlessPackets()
+
+
+@dataclass(frozen=True, slots=True)
+class SpecialForms:
+    """Names of the forms that are treated in a special way."""
+
+    unchecked: tuple[str, ...] = ("position", "stop")
+    """Set-points with a length that the firmware does not check."""
+    planned: tuple[str, ...] = (
+        "take_off",
+        "take_off_with_velocity",
+        "go_to",
+        "go_to_legacy",
+        "spiral",
+        "start_trajectory",
+    )
+    """Commands by which the planner on board flies, unless a set-point has control."""
+
+
+SPECIAL_FORMS = SpecialForms()
+
+
+_PACKED_POSE_LAYOUT = struct.Struct("<BhhhI")
 """Layout of a packed pose."""
-_POSITION = struct.Struct("<Bhhh")
+_PACKED_POSITION_LAYOUT = struct.Struct("<Bhhh")
 """Layout of a packed position."""
-PLANS = (
-    "take_off",
-    "take_off_with_velocity",
-    "go_to",
-    "go_to_legacy",
-    "spiral",
-    "start_trajectory",
-)
-"""Commands by which the planner on board flies, unless a set-point has control."""
-CAN_ARM = 1
+MAY_ARM_BIT = 1
 """Bit of the supervisor's information: the drone may be armed."""
 
 
-class Assertion(CodecError):
+class FirmwareAssertion(CodecError):
     """A failed assertion of the firmware: a real drone restarts."""
 
 
-class Flight:
+class FlightService:
     """Takes set-points, plans, poses and requests, and counts them.
 
     onboard: model of the firmware
@@ -83,8 +103,8 @@ class Flight:
         self.device = device
         self.read = read
         self.write = write
-        self._forms: dict[tuple[int, int, int], Form] = {}
-        for form in FORMS.values():
+        self._forms: dict[tuple[int, int, int], PacketForm] = {}
+        for form in PACKET_FORMS.values():
             self._forms[form.port, form.channel, form.head[0] if form.head else -1] = (
                 form
             )
@@ -106,16 +126,29 @@ class Flight:
         """
         port, channel, data = packet
         command = data[0] if data else -1
-        if port == PLATFORM:
+        if port == CrtpPort.PLATFORM:
             yield from self._platform(packet)
-        elif port == LOCALIZATION and (channel, command) == (1, SHORT_LPP):
+        elif port == CrtpPort.LOCALIZATION and (channel, command) == (
+            1,
+            FORMLESS_PACKETS.short_lpp,
+        ):
             # The answer says that the packet was not passed on: there is no anchor.
             yield Packet(port, channel, data[:2].ljust(2, b"\0") + b"\0")
-        elif port == LOCALIZATION and (channel, command) == (1, PACKED_POSE):
-            self._packed(data[1:], _POSE)
-        elif port == LOCALIZATION and channel == POSITIONS:
-            self._packed(data, _POSITION)
-        elif port == SETPOINT and channel == 0 and command == EMULATED:
+        elif port == CrtpPort.LOCALIZATION and (channel, command) == (
+            1,
+            FORMLESS_PACKETS.packed_pose,
+        ):
+            self._packed(data[1:], _PACKED_POSE_LAYOUT)
+        elif (
+            port == CrtpPort.LOCALIZATION
+            and channel == FORMLESS_PACKETS.position_channel
+        ):
+            self._packed(data, _PACKED_POSITION_LAYOUT)
+        elif (
+            port == CrtpPort.SETPOINT
+            and channel == 0
+            and command == FORMLESS_PACKETS.emulated_receiver
+        ):
             self._emulated(data[1:])
         else:
             yield from self._answered(packet)
@@ -123,22 +156,22 @@ class Flight:
     def _answered(self, packet: Packet) -> Iterator[Packet]:
         port, channel, data = packet
         answer = self._obey(packet)
-        if port == HIGH_LEVEL:
+        if port == CrtpPort.HIGH_LEVEL:
             yield Packet(
                 port,
                 channel,
                 data[:3].ljust(3, b"\0")
-                + bytes([UNKNOWN if answer is None else answer]),
+                + bytes([UNKNOWN_COMMAND if answer is None else answer]),
             )
-        elif answer is not None and port == SUPERVISOR:
+        elif answer is not None and port == CrtpPort.SUPERVISOR:
             yield Packet(port, channel, bytes([0x80 | data[0]]) + answer)
-        elif answer is not None and port == LOCALIZATION:
+        elif answer is not None and port == CrtpPort.LOCALIZATION:
             yield Packet(port, channel, data[:1] + answer)
 
     def _obey(self, packet: Packet) -> Any:
         """Return the answer of the model; None if there is none."""
         forms, (port, channel, data) = self._forms, packet
-        if port == SUPERVISOR and channel == 0:
+        if port == CrtpPort.SUPERVISOR and channel == 0:
             return self._asked(data)
         form = forms.get((port, channel, data[0] if data else -1)) or forms.get(
             (port, channel, -1)
@@ -149,20 +182,20 @@ class Flight:
             values = form.values(packet)
         except CodecError as error:
             return self._wrong(form, error)
-        if port in (COMMANDER, SETPOINT) and channel == 0:
+        if port in (CrtpPort.COMMANDER, CrtpPort.SETPOINT) and channel == 0:
             self.last = form.name
             self.zeros += form.name == "rpyt" and not any(values)
         if (
-            port == HIGH_LEVEL
+            port == CrtpPort.HIGH_LEVEL
             and form.name not in ("group_mask", "define_trajectory")
             and not self._meant(values[0])
         ):
             return 0
-        if form.name in PLANS:
+        if form.name in SPECIAL_FORMS.planned:
             self.planned_at = int(self.onboard.record["tick"])
-        if form.name in COMMANDS:
-            return COMMANDS[form.name](self.onboard, *values)
-        return OWN[form.name](self, *values)
+        if form.name in COMMAND_FUNCTIONS:
+            return COMMAND_FUNCTIONS[form.name](self.onboard, *values)
+        return FLIGHT_FUNCTIONS[form.name](self, *values)
 
     def _nobody_knows(self, packet: Packet) -> None:
         """Count an unknown packet.
@@ -170,16 +203,20 @@ class Flight:
         An unknown set-point acts as a set-point without thrust; an empty one fails an assertion.
         """
         self.unknown += 1
-        if packet.port == SETPOINT and packet.channel == 0:
+        if packet.port == CrtpPort.SETPOINT and packet.channel == 0:
             if not packet.data:
-                raise Assertion("CRTP set-point: 0 bytes; allowed: 1 or more.")
+                raise FirmwareAssertion("CRTP set-point: 0 bytes; allowed: 1 or more.")
             self.last = f"unknown {packet.data[0]}"
             self.onboard.stop_setpoint()
 
-    def _wrong(self, form: Form, error: CodecError) -> None:
+    def _wrong(self, form: PacketForm, error: CodecError) -> None:
         self.malformed += 1
-        if form.port == SETPOINT and form.channel == 0 and form.name not in UNCHECKED:
-            raise Assertion(str(error)) from error
+        if (
+            form.port == CrtpPort.SETPOINT
+            and form.channel == 0
+            and form.name not in SPECIAL_FORMS.unchecked
+        ):
+            raise FirmwareAssertion(str(error)) from error
 
     def _meant(self, group: int) -> bool:
         """Return whether the drone is in a group of this mask; 0 means every drone."""
@@ -190,7 +227,7 @@ class Flight:
     @property
     def info(self) -> int:
         """The supervisor's bits."""
-        return self.onboard.info & ~(CAN_ARM * self.refuses)
+        return self.onboard.info & ~(MAY_ARM_BIT * self.refuses)
 
     def _asked(self, data: bytes) -> bytes | None:
         """Return the supervisor's answer: all bits for request 12, one bit for requests 1 to 11."""
@@ -232,11 +269,17 @@ class Flight:
     def _version(self, command: bytes) -> Iterator[Packet]:
         match command:
             case b"\x00":
-                yield Packet(PLATFORM, 1, command + PROTOCOL.to_bytes(4, "little"))
+                yield Packet(
+                    CrtpPort.PLATFORM,
+                    1,
+                    command + CRTP_FORMAT.version.to_bytes(4, "little"),
+                )
             case b"\x01":
-                yield Packet(PLATFORM, 1, command + self.firmware.encode()[:29])
+                yield Packet(
+                    CrtpPort.PLATFORM, 1, command + self.firmware.encode()[:29]
+                )
             case b"\x02":
-                yield Packet(PLATFORM, 1, command + self.device.encode()[:29])
+                yield Packet(CrtpPort.PLATFORM, 1, command + self.device.encode()[:29])
 
     # Poses from outside
 
@@ -261,9 +304,13 @@ class Flight:
             body[: len(body) // layout.size * layout.size]
         ):
             if number == self.number:
-                p = (x * MILLI, y * MILLI, z * MILLI)
+                p = (
+                    x * PACKET_UNITS.thousandth,
+                    y * PACKET_UNITS.thousandth,
+                    z * PACKET_UNITS.thousandth,
+                )
                 if q:
-                    self.pose(p, quaternion(q[0]))
+                    self.pose(p, unpack_quaternion(q[0]))
                 else:
                     self.position(p)
 
@@ -278,7 +325,9 @@ class Flight:
         if len(body) != 9 + 2 * count:
             self.malformed += 1
             allowed = f"allowed for {count} more channels: {9 + 2 * count}"
-            raise Assertion(f"CRTP emulated receiver: {len(body)} bytes; {allowed}.")
+            raise FirmwareAssertion(
+                f"CRTP emulated receiver: {len(body)} bytes; {allowed}."
+            )
         roll, pitch, yaw, thrust, *more = struct.unpack(f"<{4 + count}H", body[1:])
         self.last = "receiver"
         rates = bool(more) and more[0] < 1500
@@ -292,25 +341,25 @@ class Flight:
         r = turn[0] * read(names[0])
         p = turn[1] * read(names[1])
         w = turn[2] * read("cppm.rateYaw")
-        manual(
+        apply_manual(
             self.onboard, r, p, w, max(thrust - 1000, 0) / 1000.0 * 65535.0, int(rates)
         )
 
 
-def _group_mask(me: Flight, group: int) -> int:
+def _set_group_mask(me: FlightService, group: int) -> int:
     me.write("hlCommander.groupmask", group)
     return 0
 
 
-OWN: dict[str, Callable[..., Any]] = {
-    "group_mask": _group_mask,
+FLIGHT_FUNCTIONS: dict[str, Callable[..., Any]] = {
+    "group_mask": _set_group_mask,
     "external_position": lambda me, *p: me.position(p),
     "external_pose": lambda me, *values: me.pose(values[:3], values[3:]),
     "lighthouse_persist": lambda me, geometries, calibrations: b"\x01",
-    "arm": Flight.arm,
-    "platform_arm": Flight.arm,
-    "recover": Flight.recover,
-    "platform_recover": Flight.recover,
+    "arm": FlightService.arm,
+    "platform_arm": FlightService.arm,
+    "recover": FlightService.recover,
+    "platform_recover": FlightService.recover,
 }
 """Functions of the forms that the model does not handle.
 

@@ -4,42 +4,79 @@ import math
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from enum import IntEnum
 
-from crazychoir.radio.protocol.crtp import LOG, Packet
-from crazychoir.radio.virtual.toc import LETTERS, LOG_TYPES, Entry, Toc
-from crazychoir.simulation.onboard.logs import whole
+from crazychoir.radio.protocol.crtp import CrtpPort, Packet
+from crazychoir.radio.virtual.toc import LOG_TYPES, STRUCT_LETTERS, Toc, TocEntry
+from crazychoir.simulation.onboard.logs import truncate_to_range
 
 # Channels.
-TOC, SETTINGS, DATA = range(3)
+LOG_TOC_CHANNEL, LOG_SETTINGS_CHANNEL, LOG_VALUES_CHANNEL = range(3)
 # Commands of SETTINGS.
-_V1_CREATE, _V1_APPEND, DELETE, START, STOP, RESET, CREATE, APPEND, START_V2 = range(9)
+(
+    _BLOCK_CREATE_V1,
+    _BLOCK_APPEND_V1,
+    BLOCK_DELETE,
+    BLOCK_START,
+    BLOCK_STOP,
+    BLOCK_RESET,
+    BLOCK_CREATE,
+    BLOCK_APPEND,
+    BLOCK_START_V2,
+) = range(9)
 # Results, with the numbers of errno.
-OK = 0
-ENOENT = 2
-E2BIG = 7
-ENOEXEC = 8
-ENOMEM = 12
-EEXIST = 17
-BY_ADDRESS = 0xFFFF
+
+
+class LogResult(IntEnum):
+    """Results of commands for log blocks, with the numbers of errno."""
+
+    OK = 0
+    """The command was done."""
+    ENOENT = 2
+    """There is no such block or variable."""
+    E2BIG = 7
+    """The values of the block would be too long."""
+    ENOEXEC = 8
+    """The command is unknown."""
+    ENOMEM = 12
+    """There are too many blocks or variables."""
+    EEXIST = 17
+    """The block is there already."""
+
+
+BY_ADDRESS_INDEX = 0xFFFF
 """Index of a variable that is named by an address in the drone's memory, which follows."""
-BLOCKS = 16
-"""Most blocks."""
-VARIABLES = 128
-"""Most variables in all blocks."""
-SIZE = 26
-"""Most bytes of the values of one block."""
-LETTER = {LOG_TYPES[kind]: letter for kind, letter in LETTERS.items()} | {8: "e"}
+
+
+@dataclass(frozen=True, slots=True)
+class LogLimits:
+    """Limits of log blocks and of their values."""
+
+    blocks: int = 16
+    """Most blocks."""
+    variables: int = 128
+    """Most variables in all blocks."""
+    block_size: int = 26
+    """Most bytes of the values of one block."""
+    largest_half_float: float = 65504.0
+    """Largest number in a float of 16 bits."""
+    largest_float: float = 3.4028234e38
+    """A little less than the largest number in a float of 32 bits."""
+
+
+LOG_LIMITS = LogLimits()
+
+
+LETTER_OF_TYPE = {
+    LOG_TYPES[kind]: letter for kind, letter in STRUCT_LETTERS.items()
+} | {8: "e"}
 """struct letter of each type; the last is a float of 16 bits, which a client may ask for."""
-HALF_FLOAT = 65504.0
-"""Largest number in a float of 16 bits."""
-FLOAT = 3.4028234e38
-"""A little less than the largest number in a float of 32 bits."""
-Read = Callable[[str], float]
+ReadVariable = Callable[[str], float]
 """Callback that returns a log variable by name."""
 
 
 @dataclass
-class Block:
+class LogBlock:
     """Variables that are sent together."""
 
     variables: list[tuple[str, str]] = field(default_factory=list)
@@ -57,17 +94,22 @@ class Block:
         return sum(struct.calcsize(letter) for _, letter in self.variables)
 
 
-class Logs:
+class LogService:
     """The log blocks that clients have asked for.
 
     entries: log variables of the table of contents
     read: returns the current value of a log variable by name
     """
 
-    def __init__(self, entries: tuple[Entry, ...], read: Read) -> None:
-        self.toc = Toc(LOG, entries, LOG_TYPES, bytes([BLOCKS, VARIABLES]))
+    def __init__(self, entries: tuple[TocEntry, ...], read: ReadVariable) -> None:
+        self.toc = Toc(
+            CrtpPort.LOG,
+            entries,
+            LOG_TYPES,
+            bytes([LOG_LIMITS.blocks, LOG_LIMITS.variables]),
+        )
         self.read = read
-        self.blocks: dict[int, Block] = {}
+        self.blocks: dict[int, LogBlock] = {}
 
     @property
     def running(self) -> bool:
@@ -76,14 +118,16 @@ class Logs:
 
     def take(self, packet: Packet, now: int) -> Iterator[Packet]:
         """Return the answers to a packet; now: ms of uptime."""
-        if packet.channel == TOC:
+        if packet.channel == LOG_TOC_CHANNEL:
             yield from self.toc.take(packet.data)
-        elif packet.channel == SETTINGS and packet.data:
+        elif packet.channel == LOG_SETTINGS_CHANNEL and packet.data:
             command = packet.data[0]
             rest = packet.data[1:]
             number = rest[0] if rest else 0
             error = self._do(command, number, rest[1:], now)
-            yield Packet(LOG, SETTINGS, bytes([command, number, error]))
+            yield Packet(
+                CrtpPort.LOG, LOG_SETTINGS_CHANNEL, bytes([command, number, error])
+            )
 
     def due(self, now: int) -> Iterator[Packet]:
         """Return the packets that are due at this ms of uptime.
@@ -98,50 +142,52 @@ class Logs:
                 block.due += ((now - block.due) // block.period + 1) * block.period
                 yield self._data(number, block, now)
 
-    def _data(self, number: int, block: Block, now: int) -> Packet:
+    def _data(self, number: int, block: LogBlock, now: int) -> Packet:
         values = b"".join(
-            value_of(letter, self.read(name) if name else 0.0)
+            pack_log_value(letter, self.read(name) if name else 0.0)
             for name, letter in block.variables
         )
         return Packet(
-            LOG, DATA, bytes([number]) + (now & 0xFFFFFF).to_bytes(3, "little") + values
+            CrtpPort.LOG,
+            LOG_VALUES_CHANNEL,
+            bytes([number]) + (now & 0xFFFFFF).to_bytes(3, "little") + values,
         )
 
     def _do(self, command: int, number: int, rest: bytes, now: int) -> int:
-        if command == RESET:
+        if command == BLOCK_RESET:
             self.blocks.clear()
-            return OK
-        if command == CREATE:
+            return LogResult.OK
+        if command == BLOCK_CREATE:
             return self._create(number) or self._append(number, rest)
-        if command == APPEND:
+        if command == BLOCK_APPEND:
             return self._append(number, rest)
-        if command not in (DELETE, START, STOP, START_V2):
-            return ENOEXEC
+        if command not in (BLOCK_DELETE, BLOCK_START, BLOCK_STOP, BLOCK_START_V2):
+            return LogResult.ENOEXEC
         block = self.blocks.get(number)
         if block is None:
-            return ENOENT
-        if command == DELETE:
+            return LogResult.ENOENT
+        if command == BLOCK_DELETE:
             del self.blocks[number]
-        elif command == STOP:
+        elif command == BLOCK_STOP:
             block.period = 0
         else:
             period = (
                 10 * int.from_bytes(rest[:1], "little")
-                if command == START
+                if command == BLOCK_START
                 else int.from_bytes(rest[:2], "little")
             )
             block.once = not period
             block.period = period or block.period
             block.due = now + period
-        return OK
+        return LogResult.OK
 
     def _create(self, number: int) -> int:
         if number in self.blocks:
-            return EEXIST
-        if len(self.blocks) == BLOCKS:
-            return ENOMEM
-        self.blocks[number] = Block()
-        return OK
+            return LogResult.EEXIST
+        if len(self.blocks) == LOG_LIMITS.blocks:
+            return LogResult.ENOMEM
+        self.blocks[number] = LogBlock()
+        return LogResult.OK
 
     def _append(self, number: int, rest: bytes) -> int:
         """Add variables up to the first that does not fit.
@@ -150,22 +196,31 @@ class Logs:
         """
         block = self.blocks.get(number)
         if block is None:
-            return ENOENT
-        for kind, index in _wanted(rest):
-            letter = LETTER.get(kind)
-            if letter is None or block.size + struct.calcsize(letter) > SIZE:
-                return E2BIG
-            if sum(len(other.variables) for other in self.blocks.values()) == VARIABLES:
-                return ENOMEM
-            if index != BY_ADDRESS and index >= len(self.toc.entries):
-                return ENOENT
+            return LogResult.ENOENT
+        for kind, index in _parse_variables(rest):
+            letter = LETTER_OF_TYPE.get(kind)
+            if (
+                letter is None
+                or block.size + struct.calcsize(letter) > LOG_LIMITS.block_size
+            ):
+                return LogResult.E2BIG
+            if (
+                sum(len(other.variables) for other in self.blocks.values())
+                == LOG_LIMITS.variables
+            ):
+                return LogResult.ENOMEM
+            if index != BY_ADDRESS_INDEX and index >= len(self.toc.entries):
+                return LogResult.ENOENT
             block.variables.append(
-                ("" if index == BY_ADDRESS else self.toc.entries[index].full, letter)
+                (
+                    "" if index == BY_ADDRESS_INDEX else self.toc.entries[index].full,
+                    letter,
+                )
             )
-        return OK
+        return LogResult.OK
 
 
-def _wanted(rest: bytes) -> Iterator[tuple[int, int]]:
+def _parse_variables(rest: bytes) -> Iterator[tuple[int, int]]:
     """Return types and indices of variables.
 
     A variable by address has four more bytes, and its value is 0.
@@ -174,19 +229,28 @@ def _wanted(rest: bytes) -> Iterator[tuple[int, int]]:
     while at + 3 <= len(rest):
         index = int.from_bytes(rest[at + 1 : at + 3], "little")
         yield rest[at] & 0x0F, index
-        at += 7 if index == BY_ADDRESS else 3
+        at += 7 if index == BY_ADDRESS_INDEX else 3
 
 
-def value_of(letter: str, value: float) -> bytes:
+def pack_log_value(letter: str, value: float) -> bytes:
     """Return a value in the format of its letter.
 
     Whole numbers are limited to their range. A float that does not fit becomes 0.
     """
     if letter == "e":
-        return struct.pack("<e", min(max(value, -HALF_FLOAT), HALF_FLOAT))
+        return struct.pack(
+            "<e",
+            min(
+                max(value, -LOG_LIMITS.largest_half_float),
+                LOG_LIMITS.largest_half_float,
+            ),
+        )
     if letter == "f":
         return struct.pack(
-            "<f", value if abs(value) <= FLOAT or not math.isfinite(value) else 0.0
+            "<f",
+            value
+            if abs(value) <= LOG_LIMITS.largest_float or not math.isfinite(value)
+            else 0.0,
         )
     bits = 8 * struct.calcsize(letter)
     low, high = (
@@ -194,6 +258,6 @@ def value_of(letter: str, value: float) -> bytes:
         if letter.islower()
         else (0, (1 << bits) - 1)
     )
-    return whole(value, low, high).to_bytes(
+    return truncate_to_range(value, low, high).to_bytes(
         bits // 8, "little", signed=letter.islower()
     )

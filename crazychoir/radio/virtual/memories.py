@@ -2,38 +2,71 @@
 
 import struct
 from collections.abc import Iterator
+from enum import IntEnum
 from typing import Protocol
 
-from crazychoir.radio.protocol.crtp import MEMORY, Packet
+from crazychoir.radio.protocol.crtp import CrtpPort, Packet
 from crazychoir.simulation.onboard.onboard import Onboard
 
 # Channels.
-INFO, READ, WRITE = range(3)
+MEMORY_INFO_CHANNEL, MEMORY_READ_CHANNEL, MEMORY_WRITE_CHANNEL = range(3)
 # Commands of INFO.
-COUNT = 1
-ABOUT = 2
+
+
+class MemoryInfo(IntEnum):
+    """Commands of the channel for information."""
+
+    COUNT = 1
+    """Asks for the number of memories."""
+    DESCRIPTION = 2
+    """Asks for the type and size of one memory."""
+
+
 # Types. There is no 1-wire memory: clients would read it at each connection.
-EEPROM = 0x00
-LEDS = 0x10
-TRAJECTORY = 0x12
-LIGHTHOUSE = 0x14
-TESTER = 0x15
-TIMINGS = 0x17
-DECKS = 0x19
-DECK_VERSION = 3
+
+
+class MemoryKind(IntEnum):
+    """Types of memories. There is no 1-wire memory: clients would read it at each connection."""
+
+    EEPROM = 0x00
+    """Configuration of the radio."""
+    LEDS = 0x10
+    """Colours of the LED ring."""
+    TRAJECTORY = 0x12
+    """Trajectories."""
+    LIGHTHOUSE = 0x14
+    """Geometry and calibration of the lighthouses."""
+    TESTER = 0x15
+    """Test of memories."""
+    TIMINGS = 0x17
+    """Timings of the LED ring."""
+    DECKS = 0x19
+    """Properties of decks."""
+
+
+DECK_MEMORY_VERSION = 3
 """Version of the content of DECKS."""
 # Results, with the numbers of errno.
-OK = 0
-EIO = 5
-MOST = 24
+
+
+class MemoryResult(IntEnum):
+    """Results of reading and writing, with the numbers of errno."""
+
+    OK = 0
+    """The bytes were read or written."""
+    EIO = 5
+    """There is no such memory, or no such address."""
+
+
+MEMORY_PACKET_SIZE = 24
 """Most bytes that one packet reads or writes."""
-_ABOUT = struct.Struct("<BBBI8x")
+_DESCRIPTION_LAYOUT = struct.Struct("<BBBI8x")
 """Layout of the description of a memory."""
-_WHERE = struct.Struct("<BI")
+_ADDRESS_LAYOUT = struct.Struct("<BI")
 """Layout of a memory's number and an address."""
 
 
-class Memory(Protocol):
+class DroneMemory(Protocol):
     """Bytes that a client may read and write."""
 
     kind: int
@@ -50,7 +83,7 @@ class Memory(Protocol):
         ...
 
 
-class Bytes:
+class StoredMemory:
     """A memory that keeps what is written.
 
     kind: type of the memory
@@ -81,10 +114,10 @@ class Bytes:
         return True
 
 
-class Tester:
+class MemoryTester:
     """The firmware's test of memories: each byte is the lowest byte of its address."""
 
-    kind = TESTER
+    kind: int = MemoryKind.TESTER
     size = 0x1000
 
     def __init__(self) -> None:
@@ -101,7 +134,7 @@ class Tester:
         return True
 
 
-def configured(
+def make_eeprom(
     channel: int = 80, speed: int = 2, address: int = 0xE7E7E7E7E7
 ) -> bytearray:
     """Return the EEPROM of a drone.
@@ -114,7 +147,7 @@ def configured(
     return bytearray((image + bytes([sum(image) % 256])).ljust(8192, b"\0"))
 
 
-class Memories:
+class MemoryService:
     """All memories of a drone, numbered by position.
 
     A restart keeps the EEPROM and the memory of the lighthouse.
@@ -131,51 +164,75 @@ class Memories:
         number: int = 0xE7,
     ) -> None:
         kept = {} if kept is None else kept
-        self.tester = Tester()
+        self.tester = MemoryTester()
         trajectories = onboard.memory.data
-        self.all: tuple[Memory, ...] = (
-            Bytes(
-                EEPROM,
-                kept.setdefault(EEPROM, configured(address=0xE7E7E7E700 | number)),
+        self.all: tuple[DroneMemory, ...] = (
+            StoredMemory(
+                MemoryKind.EEPROM,
+                kept.setdefault(
+                    MemoryKind.EEPROM, make_eeprom(address=0xE7E7E7E700 | number)
+                ),
             ),
-            Bytes(LEDS, bytearray(24)),
-            Bytes(TRAJECTORY, trajectories),
+            StoredMemory(MemoryKind.LEDS, bytearray(24)),
+            StoredMemory(MemoryKind.TRAJECTORY, trajectories),
             self.tester,
-            Bytes(LIGHTHOUSE, kept.setdefault(LIGHTHOUSE, bytearray(0x2000))),
-            Bytes(TIMINGS, bytearray(2000)),
-            Bytes(DECKS, bytearray([DECK_VERSION]) + bytearray(0x1FFF)),
+            StoredMemory(
+                MemoryKind.LIGHTHOUSE,
+                kept.setdefault(MemoryKind.LIGHTHOUSE, bytearray(0x2000)),
+            ),
+            StoredMemory(MemoryKind.TIMINGS, bytearray(2000)),
+            StoredMemory(
+                MemoryKind.DECKS, bytearray([DECK_MEMORY_VERSION]) + bytearray(0x1FFF)
+            ),
         )
 
     def take(self, packet: Packet) -> Iterator[Packet]:
         """Return the answers to a packet."""
         data = packet.data
-        if packet.channel == INFO:
+        if packet.channel == MEMORY_INFO_CHANNEL:
             yield from self._about(data)
-        elif packet.channel in (READ, WRITE) and len(data) > _WHERE.size:
-            number, address = _WHERE.unpack_from(data)
-            body = data[_WHERE.size :]
-            reads = packet.channel == READ
+        elif (
+            packet.channel in (MEMORY_READ_CHANNEL, MEMORY_WRITE_CHANNEL)
+            and len(data) > _ADDRESS_LAYOUT.size
+        ):
+            number, address = _ADDRESS_LAYOUT.unpack_from(data)
+            body = data[_ADDRESS_LAYOUT.size :]
+            reads = packet.channel == MEMORY_READ_CHANNEL
             found = (
                 self._read(number, address, body[0])
                 if reads
                 else self._write(number, address, body)
             )
-            answer = bytes([EIO]) if found is None else bytes([OK]) + found
-            yield Packet(MEMORY, packet.channel, data[: _WHERE.size] + answer)
+            answer = (
+                bytes([MemoryResult.EIO])
+                if found is None
+                else bytes([MemoryResult.OK]) + found
+            )
+            yield Packet(
+                CrtpPort.MEMORY, packet.channel, data[: _ADDRESS_LAYOUT.size] + answer
+            )
 
     def _about(self, data: bytes) -> Iterator[Packet]:
-        if data[:1] == bytes([COUNT]):
-            yield Packet(MEMORY, INFO, bytes([COUNT, len(self.all)]))
-        elif data[:1] == bytes([ABOUT]) and len(data) > 1:
+        if data[:1] == bytes([MemoryInfo.COUNT]):
+            yield Packet(
+                CrtpPort.MEMORY,
+                MEMORY_INFO_CHANNEL,
+                bytes([MemoryInfo.COUNT, len(self.all)]),
+            )
+        elif data[:1] == bytes([MemoryInfo.DESCRIPTION]) and len(data) > 1:
             number = data[1]
             memory = self.all[number] if number < len(self.all) else None
             kind, size = (0, 0) if memory is None else (memory.kind, memory.size)
-            yield Packet(MEMORY, INFO, _ABOUT.pack(ABOUT, number, kind, size))
+            yield Packet(
+                CrtpPort.MEMORY,
+                MEMORY_INFO_CHANNEL,
+                _DESCRIPTION_LAYOUT.pack(MemoryInfo.DESCRIPTION, number, kind, size),
+            )
 
     def _read(self, number: int, address: int, length: int) -> bytes | None:
         return (
             self.all[number].read(address, length)
-            if number < len(self.all) and length <= MOST
+            if number < len(self.all) and length <= MEMORY_PACKET_SIZE
             else None
         )
 

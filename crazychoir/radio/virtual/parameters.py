@@ -6,41 +6,68 @@ Those of the firmware model act at once; the others are only stored.
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass
+from enum import IntEnum
 
 from crazychoir.errors import ConfigError
-from crazychoir.radio.protocol.crtp import PARAM, Packet
-from crazychoir.radio.virtual.toc import PARAM_TYPES, Entry, Toc
+from crazychoir.radio.protocol.crtp import CrtpPort, Packet
+from crazychoir.radio.virtual.toc import PARAM_TYPES, Toc, TocEntry
 from crazychoir.simulation.onboard.onboard import Onboard
-from crazychoir.simulation.onboard.parameters import RESET_ESTIMATION, TABLE
+from crazychoir.simulation.onboard.parameters import PARAMETER_PLACES, RESET_ESTIMATION
 
 # Channels.
-TOC, READ, WRITE, MISC = range(4)
+(
+    PARAMETER_TOC_CHANNEL,
+    PARAMETER_READ_CHANNEL,
+    PARAMETER_WRITE_CHANNEL,
+    PARAMETER_MISC_CHANNEL,
+) = range(4)
 # Results, with the numbers of errno.
-OK = 0
-ENOENT = 2
-EACCES = 13
-EINVAL = 22
+
+
+class ParameterResult(IntEnum):
+    """Results of requests for parameters, with the numbers of errno."""
+
+    OK = 0
+    """The request was done."""
+    ENOENT = 2
+    """There is no such parameter, or it cannot be stored."""
+    EACCES = 13
+    """The parameter is read-only."""
+    EINVAL = 22
+    """The type is not that of the parameter."""
+
+
 # Commands of MISC.
 (
-    SET_BY_NAME,
-    UPDATED,
-    EXTENDED_V1,
-    STORE,
-    STATE,
-    CLEAR,
-    DEFAULT_V1,
-    EXTENDED,
-    DEFAULT,
+    SET_BY_NAME_COMMAND,
+    VALUE_UPDATED_COMMAND,
+    EXTENDED_TYPE_V1_COMMAND,
+    STORE_COMMAND,
+    STORED_STATE_COMMAND,
+    CLEAR_STORED_COMMAND,
+    DEFAULT_VALUE_V1_COMMAND,
+    EXTENDED_TYPE_COMMAND,
+    DEFAULT_VALUE_COMMAND,
 ) = range(9)
-PERSISTENT = 1
-"""Answer: the parameter can be stored."""
-NOT_STORED = 0
-"""Answer: the parameter is not stored."""
-STORED = 1
-"""Answer: the parameter is stored."""
 
 
-class Parameters:
+@dataclass(frozen=True, slots=True)
+class StorageAnswers:
+    """Answers about the storage of a parameter."""
+
+    persistent: int = 1
+    """The parameter can be stored."""
+    not_stored: int = 0
+    """The parameter is not stored."""
+    stored: int = 1
+    """The parameter is stored."""
+
+
+STORAGE_ANSWERS = StorageAnswers()
+
+
+class ParameterService:
     """Parameters by name.
 
     onboard: model of the firmware
@@ -51,11 +78,11 @@ class Parameters:
     def __init__(
         self,
         onboard: Onboard,
-        entries: tuple[Entry, ...],
+        entries: tuple[TocEntry, ...],
         stored: dict[str, float] | None = None,
     ) -> None:
         self.onboard = onboard
-        self.toc = Toc(PARAM, entries, PARAM_TYPES)
+        self.toc = Toc(CrtpPort.PARAMETERS, entries, PARAM_TYPES)
         self.values = {entry.full: entry.boot for entry in entries}
         self.stored = {} if stored is None else stored
         self._channels: tuple[Callable[[bytes], Iterator[Packet]], ...] = (
@@ -72,25 +99,25 @@ class Parameters:
         """Return the answers to a packet."""
         return self._channels[packet.channel](packet.data)
 
-    def get(self, entry: Entry) -> float:
+    def get(self, entry: TocEntry) -> float:
         """Return the current value of an entry."""
         return self.read(entry.full)
 
     def read(self, name: str) -> float:
         """Return the current value of a parameter in the table of contents."""
-        return self.onboard.get(name) if name in TABLE else self.values[name]
+        return self.onboard.get(name) if name in PARAMETER_PLACES else self.values[name]
 
     def set(self, name: str, value: float) -> None:
         """Set a parameter, even a read-only one, as the firmware itself does.
 
         A value that the model refuses is only stored.
         """
-        if name in TABLE or name == RESET_ESTIMATION:
+        if name in PARAMETER_PLACES or name == RESET_ESTIMATION:
             with suppress(ConfigError):
                 self.onboard.set(name, value)
         self.values[name] = value
 
-    def _found(self, data: bytes) -> Entry | None:
+    def _found(self, data: bytes) -> TocEntry | None:
         k = int.from_bytes(data[:2], "little")
         return (
             self.toc.entries[k]
@@ -101,11 +128,11 @@ class Parameters:
     def _read(self, data: bytes) -> Iterator[Packet]:
         entry = self._found(data)
         body = (
-            bytes([ENOENT])
+            bytes([ParameterResult.ENOENT])
             if entry is None
-            else bytes([OK]) + packed(entry, self.get(entry))
+            else bytes([ParameterResult.OK]) + pack_parameter(entry, self.get(entry))
         )
-        yield Packet(PARAM, READ, data[:2] + body)
+        yield Packet(CrtpPort.PARAMETERS, PARAMETER_READ_CHANNEL, data[:2] + body)
 
     def _write(self, data: bytes) -> Iterator[Packet]:
         """Set a parameter and echo the packet.
@@ -114,10 +141,14 @@ class Parameters:
         """
         entry = self._found(data)
         if entry is None:
-            yield Packet(PARAM, WRITE, data[:2] + bytes([ENOENT]))
+            yield Packet(
+                CrtpPort.PARAMETERS,
+                PARAMETER_WRITE_CHANNEL,
+                data[:2] + bytes([ParameterResult.ENOENT]),
+            )
         elif not entry.read_only:
             self._take(entry, data[2:])
-            yield Packet(PARAM, WRITE, data)
+            yield Packet(CrtpPort.PARAMETERS, PARAMETER_WRITE_CHANNEL, data)
             yield from self._done()
 
     def _done(self) -> Iterator[Packet]:
@@ -128,9 +159,13 @@ class Parameters:
         if self.values[RESET_ESTIMATION]:
             self.values[RESET_ESTIMATION] = 0.0
             index = self.toc.index[RESET_ESTIMATION].to_bytes(2, "little")
-            yield Packet(PARAM, MISC, bytes([UPDATED]) + index + b"\0")
+            yield Packet(
+                CrtpPort.PARAMETERS,
+                PARAMETER_MISC_CHANNEL,
+                bytes([VALUE_UPDATED_COMMAND]) + index + b"\0",
+            )
 
-    def _take(self, entry: Entry, body: bytes) -> None:
+    def _take(self, entry: TocEntry, body: bytes) -> None:
         """Set a parameter from as many bytes as its type has.
 
         Missing bytes are 0, as in the firmware.
@@ -149,30 +184,38 @@ class Parameters:
                 entry = self._found(body)
                 known = entry is not None and entry.persistent
                 answer = (
-                    bytes([ENOENT])
+                    bytes([ParameterResult.ENOENT])
                     if entry is None
-                    else bytes([OK, PERSISTENT * known])
+                    else bytes([ParameterResult.OK, STORAGE_ANSWERS.persistent * known])
                 )
                 yield Packet(
-                    PARAM,
-                    MISC,
+                    CrtpPort.PARAMETERS,
+                    PARAMETER_MISC_CHANNEL,
                     command
                     + body[:2]
-                    + (answer if command[0] == EXTENDED else answer[-1:]),
+                    + (answer if command[0] == EXTENDED_TYPE_COMMAND else answer[-1:]),
                 )
             case 3 | 5:
                 yield Packet(
-                    PARAM,
-                    MISC,
-                    command + body[:2] + bytes([self._keep(body, command[0] == STORE)]),
+                    CrtpPort.PARAMETERS,
+                    PARAMETER_MISC_CHANNEL,
+                    command
+                    + body[:2]
+                    + bytes([self._keep(body, command[0] == STORE_COMMAND)]),
                 )
             case 4:
-                yield Packet(PARAM, MISC, command + body[:2] + self._kept(body))
+                yield Packet(
+                    CrtpPort.PARAMETERS,
+                    PARAMETER_MISC_CHANNEL,
+                    command + body[:2] + self._kept(body),
+                )
             case 6 | 8:
                 yield Packet(
-                    PARAM,
-                    MISC,
-                    command + body[:2] + self._boot(body, command[0] == DEFAULT),
+                    CrtpPort.PARAMETERS,
+                    PARAMETER_MISC_CHANNEL,
+                    command
+                    + body[:2]
+                    + self._boot(body, command[0] == DEFAULT_VALUE_COMMAND),
                 )
 
     def _by_name(self, body: bytes) -> Iterator[Packet]:
@@ -185,49 +228,55 @@ class Parameters:
         if len(parts) == 3:
             names = b"\0".join(parts[:2]) + b"\0"
             yield Packet(
-                PARAM, MISC, bytes([SET_BY_NAME]) + names + bytes([self._named(parts)])
+                CrtpPort.PARAMETERS,
+                PARAMETER_MISC_CHANNEL,
+                bytes([SET_BY_NAME_COMMAND]) + names + bytes([self._named(parts)]),
             )
             yield from self._done()
 
     def _named(self, parts: list[bytes]) -> int:
         k = self.toc.index.get(b".".join(parts[:2]).decode(errors="replace"))
         if k is None:
-            return ENOENT
+            return ParameterResult.ENOENT
         entry = self.toc.entries[k]
         if parts[2][:1] != bytes([PARAM_TYPES[entry.kind]]):
-            return EINVAL
+            return ParameterResult.EINVAL
         if entry.read_only:
-            return EACCES
+            return ParameterResult.EACCES
         self._take(entry, parts[2][1:])
-        return OK
+        return ParameterResult.OK
 
     def _keep(self, body: bytes, store: bool) -> int:
         entry = self._found(body)
         if entry is None or not entry.persistent:
-            return ENOENT
+            return ParameterResult.ENOENT
         if store:
             self.stored[entry.full] = self.get(entry)
         else:
             self.stored.pop(entry.full, None)
-        return OK
+        return ParameterResult.OK
 
     def _kept(self, body: bytes) -> bytes:
         entry = self._found(body)
         if entry is None or not entry.persistent:
-            return bytes([ENOENT])
-        default = packed(entry, entry.boot)
+            return bytes([ParameterResult.ENOENT])
+        default = pack_parameter(entry, entry.boot)
         if entry.full not in self.stored:
-            return bytes([NOT_STORED]) + default
-        return bytes([STORED]) + default + packed(entry, self.stored[entry.full])
+            return bytes([STORAGE_ANSWERS.not_stored]) + default
+        return (
+            bytes([STORAGE_ANSWERS.stored])
+            + default
+            + pack_parameter(entry, self.stored[entry.full])
+        )
 
     def _boot(self, body: bytes, second: bool) -> bytes:
         entry = self._found(body)
         if entry is None or entry.read_only:
-            return bytes([ENOENT])
-        return bytes([OK] * second) + packed(entry, entry.boot)
+            return bytes([ParameterResult.ENOENT])
+        return bytes([ParameterResult.OK] * second) + pack_parameter(entry, entry.boot)
 
 
-def packed(entry: Entry, value: float) -> bytes:
+def pack_parameter(entry: TocEntry, value: float) -> bytes:
     """Return a value in the format of its entry.
 
     Whole numbers are cut to the size of their type.

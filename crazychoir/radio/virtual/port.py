@@ -7,34 +7,46 @@ import asyncio
 import contextlib
 import socket
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import partial
 
 from crazychoir.errors import CodecError, ConfigError
-from crazychoir.radio.protocol.crtp import LINK, Packet, parse
+from crazychoir.radio.protocol.crtp import CrtpPort, Packet, parse_packet
 from crazychoir.radio.virtual.air import Air
 from crazychoir.radio.virtual.drone import VirtualCrazyflie
 
-PROBE = b"\xff"
+SCAN_PROBE = b"\xff"
 """Packet of a scan.
 
 Any reply means that the port is in use; a scan does not make the sender the client.
 """
-BUFFER = 1 << 20
-"""Bytes that the system buffers for a socket, so that a late server loses nothing."""
-NULL = 3
+
+
+@dataclass(frozen=True, slots=True)
+class SocketLimits:
+    """Sizes of the buffers and reads of a drone's socket."""
+
+    buffer_size: int = 1 << 20
+    """Bytes that the system buffers for a socket, so that a late server loses nothing."""
+    datagrams_per_pass: int = 200
+    """Datagrams that are read in one pass of the loop."""
+    datagram_size: int = 65_536
+    """Most bytes of a datagram."""
+
+
+SOCKET_LIMITS = SocketLimits()
+
+
+NULL_CHANNEL = 3
 """Channel of the link's port for empty packets."""
-AT_ONCE = 200
-"""Datagrams that are read in one pass of the loop."""
-LONGEST = 65_536
-"""Most bytes of a datagram."""
 Address = tuple[str, int]
 """Host and port."""
 
 
-def opened(at: Address) -> socket.socket:
+def open_socket(at: Address) -> socket.socket:
     """Return a socket at this address. Raises ConfigError if it is taken."""
     found = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    found.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)
+    found.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SOCKET_LIMITS.buffer_size)
     found.setblocking(False)
     try:
         found.bind(at)
@@ -45,23 +57,23 @@ def opened(at: Address) -> socket.socket:
     return found
 
 
-def waiting(at: socket.socket | None) -> Iterator[tuple[bytes, Address]]:
+def receive_waiting(at: socket.socket | None) -> Iterator[tuple[bytes, Address]]:
     """Return the datagrams that wait at a socket, with their senders.
 
     There are at most AT_ONCE, and none once the socket is closed.
     """
-    for _ in range(AT_ONCE):
+    for _ in range(SOCKET_LIMITS.datagrams_per_pass):
         if at is None or at.fileno() < 0:
             return
         try:
-            yield at.recvfrom(LONGEST)
+            yield at.recvfrom(SOCKET_LIMITS.datagram_size)
         except BlockingIOError:
             return
         except OSError:  # a client has gone, which does not matter here
             continue
 
 
-class Port:
+class DronePort:
     """The port at which clients reach a drone.
 
     drone: the drone
@@ -83,7 +95,7 @@ class Port:
     def open(self) -> None:
         """Open the port. Raises ConfigError if it is taken."""
         if self._socket is None:
-            self._socket = opened(self.at)
+            self._socket = open_socket(self.at)
             asyncio.get_running_loop().add_reader(self._socket, self._readable)
 
     def close(self) -> None:
@@ -103,16 +115,16 @@ class Port:
                 self.open()
 
     def _readable(self) -> None:
-        for data, sender in waiting(self._socket):
+        for data, sender in receive_waiting(self._socket):
             self._received(data, sender)
 
     def _received(self, data: bytes, sender: Address) -> None:
-        if data == PROBE:
+        if data == SCAN_PROBE:
             if not self.air.faults.silent:
-                self._leave(Packet(LINK, NULL), sender)
+                self._leave(Packet(CrtpPort.LINK, NULL_CHANNEL), sender)
             return
         try:
-            packet = parse(data)
+            packet = parse_packet(data)
         except CodecError:
             self.malformed += 1
             return

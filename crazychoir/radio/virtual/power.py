@@ -1,18 +1,45 @@
 """The state of the battery, as a drone's own power management judges it."""
 
-ON_BATTERY = 0
-"""pm.state: the battery is fine."""
-LOW = 3
-"""pm.state: the battery is low."""
-SHUTDOWN = 4
-"""pm.state: the battery is so low that the drone switches off."""
-PATIENCE = 5000
-"""Milliseconds for which a voltage must be too low before it counts."""
-LEVELS = (3.00, 3.78, 3.83, 3.87, 3.89, 3.92, 3.96, 4.00, 4.04, 4.10)
-"""Volts from which a cell is 0, 10, ... 90 % full, in the firmware (pm_stm32f4.c)."""
+from dataclasses import dataclass
+from enum import IntEnum
 
 
-class Power:
+class PowerState(IntEnum):
+    """Values of pm.state."""
+
+    ON_BATTERY = 0
+    """The battery is fine."""
+    LOW_POWER = 3
+    """The battery is low."""
+    SHUTDOWN = 4
+    """The battery is so low that the drone switches off."""
+
+
+@dataclass(frozen=True, slots=True)
+class BatteryRules:
+    """How the drone's power management judges a voltage."""
+
+    low_time: int = 5000
+    """ms for which a voltage must be too low before it counts."""
+    charge_levels: tuple[float, ...] = (
+        3.00,
+        3.78,
+        3.83,
+        3.87,
+        3.89,
+        3.92,
+        3.96,
+        4.00,
+        4.04,
+        4.10,
+    )
+    """V from which a cell is 0, 10, ... 90 % full, in the firmware (pm_stm32f4.c)."""
+
+
+BATTERY_RULES = BatteryRules()
+
+
+class PowerManagement:
     """Decides whether the battery is low: for PATIENCE below `low` V, or below `critical` V."""
 
     def __init__(self) -> None:
@@ -31,11 +58,15 @@ class Power:
 
     def state(self, now: int) -> int:
         """Return pm.state at this ms of uptime."""
-        if now - self._alive > PATIENCE:
-            return SHUTDOWN
-        return LOW if now - self._fine > PATIENCE else ON_BATTERY
+        if now - self._alive > BATTERY_RULES.low_time:
+            return PowerState.SHUTDOWN
+        return (
+            PowerState.LOW_POWER
+            if now - self._fine > BATTERY_RULES.low_time
+            else PowerState.ON_BATTERY
+        )
 
 
-def level(vbat: float) -> int:
+def battery_level(vbat: float) -> int:
     """Return pm.batteryLevel: %, in steps of 10."""
-    return 10 * max(sum(vbat >= least for least in LEVELS) - 1, 0)
+    return 10 * max(sum(vbat >= least for least in BATTERY_RULES.charge_levels) - 1, 0)

@@ -5,36 +5,46 @@ They concern the battery, the radio, decks and sensors.
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from crazychoir.numerics.math3d import GRAVITY
-from crazychoir.radio.protocol.compressed import compressed
-from crazychoir.radio.virtual.flight import Flight
-from crazychoir.radio.virtual.memories import Memories
-from crazychoir.radio.virtual.parameters import Parameters
-from crazychoir.radio.virtual.power import Power, level
+from crazychoir.numerics.math3d import STANDARD_GRAVITY
+from crazychoir.radio.protocol.compressed import pack_quaternion
+from crazychoir.radio.virtual.flight import FlightService
+from crazychoir.radio.virtual.memories import MemoryService
+from crazychoir.radio.virtual.parameters import ParameterService
+from crazychoir.radio.virtual.power import PowerManagement, battery_level
 from crazychoir.simulation.onboard.onboard import Onboard
 
 Readings = dict[str, Callable[[], float]]
 """Functions that return log variables, by name."""
-NOTHING_NEAR = 32767.0
-"""mm: a range without an obstacle."""
-RSSI = 40.0
-"""-dBm: a drone two metres away."""
-LH_OK = 2.0
-"""lighthouse.status: the position is known."""
 
 
-class Parts(Protocol):
+@dataclass(frozen=True, slots=True)
+class FixedReadings:
+    """Log variables that never change."""
+
+    free_range: float = 32767.0
+    """mm: a range without an obstacle."""
+    rssi: float = 40.0
+    """-dBm: a drone two metres away."""
+    lighthouse_status: float = 2.0
+    """lighthouse.status: the position is known."""
+
+
+FIXED_READINGS = FixedReadings()
+
+
+class DroneParts(Protocol):
     """The parts of a drone that are logged."""
 
     onboard: Onboard
-    power: Power
-    flight: Flight
-    memories: Memories
-    parameters: Parameters
+    power: PowerManagement
+    flight: FlightService
+    memories: MemoryService
+    parameters: ParameterService
     received: int
     rates: tuple[float, float]
     positioned: bool
@@ -54,28 +64,34 @@ class Parts(Protocol):
         ...
 
 
-def readings(me: Parts) -> Readings:
+def make_readings(me: DroneParts) -> Readings:
     """Return the log variables by name, in the firmware's units."""
-    return {**_electric(me), **_linked(me), **_sensed(me), **_thought(me), **_decks(me)}
+    return {
+        **_battery_readings(me),
+        **_link_readings(me),
+        **_sensor_readings(me),
+        **_estimator_readings(me),
+        **_deck_readings(me),
+    }
 
 
-def _electric(me: Parts) -> Readings:
+def _battery_readings(me: DroneParts) -> Readings:
     return {
         "pm.state": lambda: me.power.state(me.uptime),
-        "pm.batteryLevel": lambda: level(me.onboard.log("pm.vbat")),
+        "pm.batteryLevel": lambda: battery_level(me.onboard.log("pm.vbat")),
         "pm.extVbat": lambda: 0.0,
         "pm.chargeCurrent": lambda: 0.0,
     }
 
 
-def _linked(me: Parts) -> Readings:
+def _link_readings(me: DroneParts) -> Readings:
     external = {"x": 0, "y": 1, "z": 2, "qx": 3, "qy": 4, "qz": 5, "qw": 6}
 
     def said(k: int) -> float:
         return me.flight.external[k] if k < len(me.flight.external) else 0.0
 
     return {
-        "radio.rssi": lambda: RSSI,
+        "radio.rssi": lambda: FIXED_READINGS.rssi,
         "radio.numRxUc": lambda: float(me.received & 0xFFFF),
         "radio.numRxBc": lambda: 0.0,
         "radio.isConnected": lambda: 1.0,
@@ -91,7 +107,7 @@ def _linked(me: Parts) -> Readings:
     }
 
 
-def _sensed(me: Parts) -> Readings:
+def _sensor_readings(me: DroneParts) -> Readings:
     on = me.onboard
     return {
         "baro.asl": lambda: on.estimate.p[2],
@@ -108,12 +124,12 @@ def _sensed(me: Parts) -> Readings:
     }
 
 
-def _thought(me: Parts) -> Readings:
+def _estimator_readings(me: DroneParts) -> Readings:
     log = me.onboard.log
 
     def turned() -> float:
         q = me.onboard.estimate.q
-        return float(compressed(q)) if np.all(np.isfinite(q)) else 0.0
+        return float(pack_quaternion(q)) if np.all(np.isfinite(q)) else 0.0
 
     def scaled(name: str, factor: float) -> Callable[[], float]:
         return lambda: factor * log(name)
@@ -131,7 +147,7 @@ def _thought(me: Parts) -> Readings:
             f"ctrltargetZ.{name}": scaled(f"ctrltarget.{name}", 1000.0) for name in axes
         },
         "controller.actuatorThrust": scaled("controller.cmd_thrust", 1.0),
-        "controller.accelz": scaled("stateEstimate.az", GRAVITY),
+        "controller.accelz": scaled("stateEstimate.az", STANDARD_GRAVITY),
         "controller.ctr_yaw": scaled("controller.cmd_yaw", 1.0),
         **{
             f"controller.r_{name.lower()}": scaled(f"gyro.{axis}", degree)
@@ -140,7 +156,7 @@ def _thought(me: Parts) -> Readings:
     }
 
 
-def _decks(me: Parts) -> Readings:
+def _deck_readings(me: DroneParts) -> Readings:
     """Return the variables of decks.
 
     The range downwards, in mm, is the height above the floor; in other directions nothing is near.
@@ -148,7 +164,7 @@ def _decks(me: Parts) -> Readings:
     """
 
     def far(side: str) -> float:
-        return NOTHING_NEAR if "bcMultiranger" in me.decks else 0.0
+        return FIXED_READINGS.free_range if "bcMultiranger" in me.decks else 0.0
 
     def height() -> float:
         return (
@@ -165,7 +181,7 @@ def _decks(me: Parts) -> Readings:
         },
         "range.zrange": height,
         **{f"lighthouse.{axis}": lambda k=k: seen(k) for k, axis in enumerate("xyz")},  # type: ignore[misc]
-        "lighthouse.status": lambda: LH_OK * me.positioned,
+        "lighthouse.status": lambda: FIXED_READINGS.lighthouse_status * me.positioned,
         "motion.squal": lambda: 100.0 * ("bcFlow2" in me.decks),
         "motion.motion": lambda: 176.0 * ("bcFlow2" in me.decks),
         "motion.deltaX": lambda: 0.0,

@@ -3,48 +3,74 @@
 import json
 import random
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from crazychoir.bus.json_view import plain
+from crazychoir.bus.json_view import to_plain_values
 from crazychoir.errors import CodecError, ConfigError
 from crazychoir.numerics.math3d import yaw_of
-from crazychoir.radio.virtual.air import Air, Dongle
-from crazychoir.radio.virtual.cameras import Cameras, seen
-from crazychoir.radio.virtual.drone import Identity, VirtualCrazyflie
-from crazychoir.radio.virtual.faults import Faults, checked
-from crazychoir.radio.virtual.port import Address, Port
-from crazychoir.radio.virtual.setup import Seat
+from crazychoir.radio.virtual.air import Air, VirtualDongle
+from crazychoir.radio.virtual.cameras import CameraPort, observe_bodies
+from crazychoir.radio.virtual.drone import DroneIdentity, VirtualCrazyflie
+from crazychoir.radio.virtual.faults import Faults, check_faults
+from crazychoir.radio.virtual.port import Address, DronePort
+from crazychoir.radio.virtual.setup import DroneSeat
 from crazychoir.runtime.actor import Actor
-from crazychoir.runtime.clock import SECOND, Clock
-from crazychoir.simulation.motor_level.battery import OPEN_CIRCUIT
+from crazychoir.runtime.clock import NS_PER_SECOND, Clock
+from crazychoir.simulation.motor_level.battery import OPEN_CIRCUIT_CURVE
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
 from crazychoir.types import Vec
 
-AT_ONCE = 10
-"""Steps of the world that a late server makes up for in one pass."""
-BEHIND = 50
-"""Steps of delay beyond which the server skips them."""
-DECK_EVERY = 2
-"""Steps of the world between two poses from a deck on board."""
-DECK_NOISE = 0.001
-"""m: standard deviation, for each axis, of a position from a deck."""
-FLOW_NOISE = 0.02
-"""m/s: standard deviation, for each axis, of a velocity from a flow deck."""
-LEAST_CHARGE = 1e-3
-"""Least charge of a battery, from 0 to 1."""
-PART = 48_000  # bytes
-"""Most bytes of the rows of drones in one answer.
 
-With the rest of the answer they fit into a datagram.
-"""
-SHOWN = 40
-"""Most characters of wrong words, and most drones, in an error."""
-ROLLS = 15.0
-"""rad/s: roll rate of a body that tumbles; cameras can follow it."""
-ON_ITS_BACK = -0.9
-"""Cosine of the tilt of a body that lies on its back."""
+@dataclass(frozen=True, slots=True)
+class ServerLimits:
+    """Limits of one pass, one answer and one error of the server."""
+
+    steps_per_pass: int = 10
+    """Steps of the world that a late server makes up for in one pass."""
+    most_late_steps: int = 50
+    """Steps of delay beyond which the server skips them."""
+    answer_size: int = 48_000
+    """Most bytes of the rows of drones in one answer. With the rest of the answer they fit into a
+    datagram.
+    """
+    error_size: int = 40
+    """Most characters of wrong words, and most drones, in an error."""
+
+
+SERVER_LIMITS = ServerLimits()
+
+
+@dataclass(frozen=True, slots=True)
+class DeckModel:
+    """How the decks on board measure."""
+
+    period: int = 2
+    """Steps of the world between two poses from a deck on board."""
+    position_noise: float = 0.001
+    """m: standard deviation, for each axis, of a position from a deck."""
+    velocity_noise: float = 0.02
+    """m/s: standard deviation, for each axis, of a velocity from a flow deck."""
+
+
+DECK_MODEL = DeckModel()
+
+
+@dataclass(frozen=True, slots=True)
+class FaultEffects:
+    """How faults act on a body and its battery."""
+
+    least_charge: float = 1e-3
+    """Least charge of a battery, from 0 to 1."""
+    tumble_rate: float = 15.0
+    """rad/s: roll rate of a body that tumbles; cameras can follow it."""
+    upside_down_cosine: float = -0.9
+    """Cosine of the tilt of a body that lies on its back."""
+
+
+FAULT_EFFECTS = FaultEffects()
 
 
 class VirtualServer(Actor):
@@ -62,9 +88,9 @@ class VirtualServer(Actor):
         self,
         clock: Clock,
         world: CrazyflieWorld,
-        seats: Sequence[Seat],
+        seats: Sequence[DroneSeat],
         poses: Address,
-        dongles: Sequence[Dongle] = (),
+        dongles: Sequence[VirtualDongle] = (),
         seed: int = 0,
     ) -> None:
         self.clock = clock
@@ -78,23 +104,23 @@ class VirtualServer(Actor):
         shared = {i: dongle for dongle in self.dongles for i in dongle.drones}
         self.faults = {seat.id: Faults() for seat in self.seats}
         self.ports = {
-            seat.id: Port(
+            seat.id: DronePort(
                 self._drone(seat),
                 Air(clock, seat.id, self.faults[seat.id], shared.get(seat.id), seed),
                 seat.at,
             )
             for seat in self.seats
         }
-        self.cameras = Cameras(clock, poses, self.answer)
+        self.cameras = CameraPort(clock, poses, self.answer)
         self._names = {seat.id: seat.body for seat in self.seats if seat.body}
         self._noise = random.Random(f"{seed} decks")  # noqa: S311 - a simulated sensor
 
-    def _drone(self, seat: Seat) -> VirtualCrazyflie:
+    def _drone(self, seat: DroneSeat) -> VirtualCrazyflie:
         """Switch on the drone of a seat where it stands; it does not know its position yet."""
         row = self.world.row[seat.id]
         onboard = self.world.onboard[seat.id]
         onboard.place((0.0, 0.0, 0.0), 0.0)
-        identity = Identity(
+        identity = DroneIdentity(
             f"virtual drone {seat.id}",
             seat.number,
             seat.release,
@@ -122,17 +148,17 @@ class VirtualServer(Actor):
 
     async def run(self) -> None:
         """Step the world by the clock, and send what each drone has to send."""
-        step_ns = round(self.world.dt * SECOND)
+        step_ns = round(self.world.dt * NS_PER_SECOND)
         due_ns = self.clock.now_ns() + step_ns
         async for _ in self.clock.ticks(1.0 / self.world.dt):
             began_ns = now_ns = self.clock.now_ns()
-            for _ in range(AT_ONCE):
+            for _ in range(SERVER_LIMITS.steps_per_pass):
                 if due_ns > now_ns:
                     break
-                self.step(due_ns / SECOND)
+                self.step(due_ns / NS_PER_SECOND)
                 due_ns += step_ns
             late = (self.clock.now_ns() - due_ns) // step_ns
-            if late > BEHIND:
+            if late > SERVER_LIMITS.most_late_steps:
                 self.behind = self.behind + late
                 due_ns = due_ns + late * step_ns
             self.busy_ns += self.clock.now_ns() - began_ns
@@ -143,7 +169,7 @@ class VirtualServer(Actor):
         time: s of the clock at the end of the step
         """
         self._hold()
-        if self.world.tick % DECK_EVERY == 0:
+        if self.world.tick % DECK_MODEL.period == 0:
             self._look_around()
         self.world.step()
         self._start_anew()
@@ -153,7 +179,10 @@ class VirtualServer(Actor):
                 port.say(packet)
         if self.cameras.watched:
             self.cameras.show(
-                time, seen(self.world.states, self.world.row, self.faults, self._names)
+                time,
+                observe_bodies(
+                    self.world.states, self.world.row, self.faults, self._names
+                ),
             )
 
     def _hold(self) -> None:
@@ -164,7 +193,7 @@ class VirtualServer(Actor):
             if fault.voltage > 0.0:
                 self.world.charge_to(
                     i,
-                    charge_of(
+                    charge_at_voltage(
                         fault.voltage, self.world.platforms[self.world.row[i]].battery
                     ),
                 )
@@ -191,11 +220,13 @@ class VirtualServer(Actor):
             onboard = port.drone.onboard
             if port.drone.flows:
                 onboard.measured_velocity(
-                    state[3:6] + self._error(FLOW_NOISE), FLOW_NOISE
+                    state[3:6] + self._error(DECK_MODEL.velocity_noise),
+                    DECK_MODEL.velocity_noise,
                 )
             if port.drone.positioned:
                 onboard.external_pose(
-                    state[:3] + self._error(DECK_NOISE), state[6:10].copy()
+                    state[:3] + self._error(DECK_MODEL.position_noise),
+                    state[6:10].copy(),
                 )
 
     def _error(self, std: float) -> Any:
@@ -242,8 +273,8 @@ class VirtualServer(Actor):
         size = 0
         for i in left:
             row = row_of(i)
-            size += len(json.dumps({i: plain(row)}))
-            if drones and size > PART:
+            size += len(json.dumps({i: to_plain_values(row)}))
+            if drones and size > SERVER_LIMITS.answer_size:
                 break
             drones[i] = row
         said = {} if after is None else {"after": after}
@@ -260,7 +291,7 @@ class VirtualServer(Actor):
         ):
             raise ConfigError("faults", wanted, "{id: {name: value}}")
         found = [
-            (i, checked(row, tuple(self.ports)))
+            (i, check_faults(row, tuple(self.ports)))
             for who, row in wanted.items()
             for i in self._who(who)
         ]
@@ -278,11 +309,15 @@ class VirtualServer(Actor):
         ]
         unknown = [word for word in words if word not in names]
         if unknown or not words:
-            there = [*names][:SHOWN]
-            left = [f"and {len(names) - SHOWN} more"] if len(names) > SHOWN else []
+            there = [*names][: SERVER_LIMITS.error_size]
+            left = (
+                [f"and {len(names) - SERVER_LIMITS.error_size} more"]
+                if len(names) > SERVER_LIMITS.error_size
+                else []
+            )
             raise ConfigError(
                 "faults: drone",
-                ", ".join(unknown)[:SHOWN],
+                ", ".join(unknown)[: SERVER_LIMITS.error_size],
                 ", ".join(["all", *there, *left]),
             )
         return [names[word] for word in dict.fromkeys(words)]
@@ -373,7 +408,7 @@ class VirtualServer(Actor):
             "success": True,
             "seconds": seconds,
             "behind_s": self.behind * self.world.dt,
-            "busy": self.busy_ns / SECOND / seconds if seconds > 0.0 else 0.0,
+            "busy": self.busy_ns / NS_PER_SECOND / seconds if seconds > 0.0 else 0.0,
             "exchanges": [dongle.exchanges for dongle in self.dongles],
             "drones": {i: self.state(i) for i in self.ports},
         }
@@ -388,7 +423,7 @@ class VirtualServer(Actor):
         self.cameras.close()
 
 
-def charge_of(volts: float, battery: Any) -> float:
+def charge_at_voltage(volts: float, battery: Any) -> float:
     """Return the charge, 0 to 1 but not empty, at which a cell at rest has this voltage.
 
     volts: V
@@ -396,8 +431,12 @@ def charge_of(volts: float, battery: Any) -> float:
     """
     x = (volts - battery.empty) / (battery.full - battery.empty)
     return max(
-        float(np.interp(x, OPEN_CIRCUIT, np.linspace(0.0, 1.0, len(OPEN_CIRCUIT)))),
-        LEAST_CHARGE,
+        float(
+            np.interp(
+                x, OPEN_CIRCUIT_CURVE, np.linspace(0.0, 1.0, len(OPEN_CIRCUIT_CURVE))
+            )
+        ),
+        FAULT_EFFECTS.least_charge,
     )
 
 
@@ -406,5 +445,5 @@ def overturn(x: Vec) -> None:
 
     x: (13,) state, changed in place
     """
-    upright = 1.0 - 2.0 * (x[6] ** 2 + x[7] ** 2) > ON_ITS_BACK
-    x[10:13] = (ROLLS if upright else 0.0, 0.0, 0.0)
+    upright = 1.0 - 2.0 * (x[6] ** 2 + x[7] ** 2) > FAULT_EFFECTS.upside_down_cosine
+    x[10:13] = (FAULT_EFFECTS.tumble_rate if upright else 0.0, 0.0, 0.0)

@@ -10,22 +10,32 @@ import msgspec
 from crazychoir.config.checks import WORLD_STEP
 from crazychoir.config.number_lists import parse_spans
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
-from crazychoir.config.tables import Drone
+from crazychoir.config.tables import DroneTable
 from crazychoir.config.uris import udp_uri
 from crazychoir.errors import ConfigError
-from crazychoir.mocap.frames import MOST
-from crazychoir.platforms import Platform, platform
-from crazychoir.radio.protocol.thrust import MEASURED_UNTIL
-from crazychoir.radio.virtual.drone import DECKS, POSITIONING, RELEASE, device_of
-from crazychoir.radio.virtual.toc import names
+from crazychoir.mocap.frames import FRAME_PROTOCOL
+from crazychoir.platforms import Platform, find_platform
+from crazychoir.radio.protocol.thrust import THRUST_RELEASES
+from crazychoir.radio.virtual.drone import MODELLED_DRONE, device_type_of
+from crazychoir.radio.virtual.toc import read_firmware_names
 from crazychoir.simulation.common.world import WorldSetup
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
 
-ADDRESS = 0xE7
-"""Last byte of the address of drone 0; the address of drone k is k higher."""
-HOST = "127.0.0.1"
-"""Host of drones on a grid."""
-OF_FILE = (
+
+@dataclass(frozen=True, slots=True)
+class GridAddresses:
+    """The addresses of virtual drones."""
+
+    first_byte: int = 0xE7
+    """Last byte of the address of drone 0; the address of drone k is k higher."""
+    host: str = "127.0.0.1"
+    """Host of drones on a grid."""
+
+
+GRID_ADDRESSES = GridAddresses()
+
+
+PORT_TAKEN_ADVICE = (
     "The swarm file names it, and another `crazychoir virtual`, or another program, has it: end that, or change the "
     "uri of the drone, or mocap.port, in the file."
 )
@@ -33,7 +43,7 @@ OF_FILE = (
 
 
 @dataclass(frozen=True)
-class Seat:
+class DroneSeat:
     """The address and the properties of one drone."""
 
     id: int
@@ -46,28 +56,28 @@ class Seat:
     """Last byte of its address."""
     decks: tuple[str, ...]
     """Decks that it carries."""
-    release: str = RELEASE
+    release: str = MODELLED_DRONE.release
     """Release of its firmware."""
     device: str = "CF21"
     """Type of the device."""
 
 
 @dataclass(frozen=True)
-class Hall:
+class VirtualSwarm:
     """All virtual drones in one world."""
 
     config: SwarmConfig
     """The swarm."""
-    drones: tuple[Drone, ...]
+    drones: tuple[DroneTable, ...]
     """Rows of the swarm file for the virtual drones."""
-    seats: tuple[Seat, ...]
+    seats: tuple[DroneSeat, ...]
     """Address and properties of each drone."""
     poses: tuple[str, int]
     """Address of the cameras."""
     taken: str = "Choose another --port."
     """Advice if one of its ports is taken."""
 
-    def world(self, seed: int, release: str = RELEASE) -> CrazyflieWorld:
+    def world(self, seed: int, release: str = MODELLED_DRONE.release) -> CrazyflieWorld:
         """Return the world with the drones at home.
 
         It has the drones' platforms, the swarm's [motors] and the thrust map of a release.
@@ -81,7 +91,8 @@ class Hall:
                 homes=tuple(drone.home for drone in drones),
                 yaws=tuple(drone.yaw for drone in drones),
                 platforms=tuple(
-                    released(platform(drone.platform), release) for drone in drones
+                    platform_of_release(find_platform(drone.platform), release)
+                    for drone in drones
                 ),
                 options=msgspec.to_builtins(config.motors),
                 wind=config.motors.wind,
@@ -93,26 +104,35 @@ class Hall:
         )
 
 
-def on_a_grid(
-    n: int, port: int, decks: Sequence[str] | None, release: str = RELEASE
-) -> Hall:
+def place_on_grid(
+    n: int,
+    port: int,
+    decks: Sequence[str] | None,
+    release: str = MODELLED_DRONE.release,
+) -> VirtualSwarm:
     """Return n drones on a square grid on the floor, at consecutive ports."""
     config = default_swarm(n)
     drones = tuple(
         msgspec.structs.replace(drone, platform="cf21") for drone in config.drones
     )
-    places = [(drone, (HOST, port + k)) for k, drone in enumerate(drones)]
-    return Hall(
+    places = [
+        (drone, (GRID_ADDRESSES.host, port + k)) for k, drone in enumerate(drones)
+    ]
+    return VirtualSwarm(
         config,
         drones,
-        _seats(config, places, DECKS if decks is None else decks, release),
-        (HOST, port - 1),
+        _make_seats(
+            config, places, MODELLED_DRONE.decks if decks is None else decks, release
+        ),
+        (GRID_ADDRESSES.host, port - 1),
     )
 
 
-def of_swarm(
-    config: SwarmConfig, decks: Sequence[str] | None, release: str = RELEASE
-) -> Hall:
+def select_from_swarm(
+    config: SwarmConfig,
+    decks: Sequence[str] | None,
+    release: str = MODELLED_DRONE.release,
+) -> VirtualSwarm:
     """Return the drones of a swarm with a udp:// uri on this machine, at the ports of their uris.
 
     Raises ConfigError if there are none, or more than the cameras can see.
@@ -120,7 +140,7 @@ def of_swarm(
     places = []
     for drone in config.drones:
         found = udp_uri(drone.uri)
-        if found and _ours(found.host):
+        if found and _is_local_host(found.host):
             places.append((drone, (found.host, found.port)))
     if not places:
         uris = ", ".join(sorted({drone.uri for drone in config.drones}))
@@ -131,16 +151,22 @@ def of_swarm(
             "udp://HOST:PORT on this machine",
             do,
         )
-    if len(places) > MOST:
+    if len(places) > FRAME_PROTOCOL.most_bodies:
         do = "Serve the others by another file, or on another machine."
-        allowed = f"at most {MOST} at once: cameras see no more"
+        allowed = f"at most {FRAME_PROTOCOL.most_bodies} at once: cameras see no more"
         raise ConfigError("virtual Crazyflies", f"{len(places)} drones", allowed, do)
     drones = tuple(drone for drone, _ in places)
     poses = (places[0][1][0], config.mocap.port)
-    return Hall(config, drones, _seats(config, places, decks, release), poses, OF_FILE)
+    return VirtualSwarm(
+        config,
+        drones,
+        _make_seats(config, places, decks, release),
+        poses,
+        PORT_TAKEN_ADVICE,
+    )
 
 
-def _ours(host: str) -> bool:
+def _is_local_host(host: str) -> bool:
     """Return whether a host is an address of this machine."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as door:
         try:
@@ -150,71 +176,77 @@ def _ours(host: str) -> bool:
         return True
 
 
-def _seats(
+def _make_seats(
     config: SwarmConfig,
-    places: Sequence[tuple[Drone, tuple[str, int]]],
+    places: Sequence[tuple[DroneTable, tuple[str, int]]],
     decks: Sequence[str] | None,
     release: str,
-) -> tuple[Seat, ...]:
+) -> tuple[DroneSeat, ...]:
     seen = {config.body_name(i) for i in config.seen}
 
-    def body(drone: Drone) -> str:
+    def body(drone: DroneTable) -> str:
         name = config.body_name(drone.id)
         # Empty if the name belongs to the body of another drone.
         return "" if name in seen and drone.id not in config.seen else name
 
     return tuple(
-        Seat(
+        DroneSeat(
             drone.id,
             at,
             body(drone),
-            (ADDRESS + drone.id) % 256,
-            _decks(drone) if decks is None else tuple(decks),
+            (GRID_ADDRESSES.first_byte + drone.id) % 256,
+            _default_decks(drone) if decks is None else tuple(decks),
             release,
-            device_of(platform(drone.platform)),
+            device_type_of(find_platform(drone.platform)),
         )
         for drone, at in places
     )
 
 
-def _decks(drone: Drone) -> tuple[str, ...]:
+def _default_decks(drone: DroneTable) -> tuple[str, ...]:
     """Return the decks of a drone: DECKS if it locates itself, otherwise none."""
-    return DECKS if drone.pose == "onboard" else ()
+    return MODELLED_DRONE.decks if drone.pose == "onboard" else ()
 
 
-def known_decks(text: str) -> tuple[str, ...]:
+def parse_decks(text: str) -> tuple[str, ...]:
     """Return the decks of a text such as "bcFlow2,bcLighthouse4" or "none".
 
     Raises ConfigError, with the known decks, if one is unknown.
     """
-    there = sorted(entry.name for entry in names()[1] if entry.group == "deck")
+    there = sorted(
+        entry.name for entry in read_firmware_names()[1] if entry.group == "deck"
+    )
     found = () if text == "none" else tuple(text.split(","))
     for name in found:
         if name not in there:
             raise ConfigError(
                 "--deck",
                 name,
-                f"none, or of {', '.join(there)}; {POSITIONING} knows where it is",
+                f"none, or of {', '.join(there)}; {MODELLED_DRONE.position_deck} knows where it is",
             )
     return found
 
 
-def released(base: Platform, release: str) -> Platform:
+def platform_of_release(base: Platform, release: str) -> Platform:
     """Return the platform with the thrust map of a release (year and month).
 
     If the release is unknown, the platform has its newest thrust map.
     """
     found = re.match(r"(\d{4})\.(\d{1,2})", release)
     old = base.firmware.old_thrust_map
-    if not found or (int(found[1]), int(found[2])) > MEASURED_UNTIL or old is None:
+    if (
+        not found
+        or (int(found[1]), int(found[2])) > THRUST_RELEASES.measured_until
+        or old is None
+    ):
         return base
     return replace(
         base, firmware=replace(base.firmware, thrust_max=65535.0 / old / 4.0)
     )
 
 
-def groups(
-    hall: Hall, text: str | None, each: int | None
+def dongle_groups(
+    hall: VirtualSwarm, text: str | None, each: int | None
 ) -> list[tuple[tuple[int, ...], float | None]]:
     """Return the drones of each dongle, and its capacity if the swarm file states one.
 
@@ -224,7 +256,7 @@ def groups(
     """
     ids = tuple(seat.id for seat in hall.seats)
     if text is not None:
-        return [(group, None) for group in _told(text, ids)]
+        return [(group, None) for group in _parse_groups(text, ids)]
     if each is not None:
         return [(ids[k : k + each], None) for k in range(0, len(ids), each)]
     rows = {
@@ -243,7 +275,7 @@ def groups(
     return [(group, shared.get(k)) for k, group in found.items() if group]
 
 
-def _told(text: str, ids: tuple[int, ...]) -> list[tuple[int, ...]]:
+def _parse_groups(text: str, ids: tuple[int, ...]) -> list[tuple[int, ...]]:
     allowed = (
         f"groups of drones, as 0,1|2,3, each of {', '.join(map(str, ids))} at most once"
     )

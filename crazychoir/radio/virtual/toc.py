@@ -4,16 +4,23 @@ import struct
 import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from enum import IntEnum
 from functools import cache
 from importlib.resources import files
 
 from crazychoir.radio.protocol.crtp import Packet
 
-ITEM = 2
-"""Command of channel 0, with indices of two bytes: describe an entry."""
-INFO = 3
-"""Command of channel 0, with indices of two bytes: describe the table."""
-LETTERS = {
+
+class TocCommand(IntEnum):
+    """Commands of channel 0, with indices of two bytes."""
+
+    ITEM = 2
+    """Asks for the description of an entry."""
+    INFO = 3
+    """Asks for the description of the table."""
+
+
+STRUCT_LETTERS = {
     "uint8_t": "B",
     "uint16_t": "H",
     "uint32_t": "I",
@@ -43,14 +50,19 @@ PARAM_TYPES = {
     "float": 0x06,
 }
 """Number of each type in the table of parameters."""
-EXTENDED = 0x10
-"""Bit of a parameter's type: a further request tells whether it is persistent."""
-READ_ONLY = 0x40
-"""Bit of a parameter's type: it cannot be written."""
+
+
+class TypeFlag(IntEnum):
+    """Bits of a parameter's type."""
+
+    EXTENDED = 0x10
+    """A further request tells whether the parameter is persistent."""
+    READ_ONLY = 0x40
+    """The parameter cannot be written."""
 
 
 @dataclass(frozen=True)
-class Entry:
+class TocEntry:
     """One entry of a table."""
 
     group: str
@@ -74,14 +86,14 @@ class Entry:
     @property
     def letter(self) -> str:
         """Letter of its type in struct."""
-        return LETTERS[self.kind]
+        return STRUCT_LETTERS[self.kind]
 
 
 @cache
-def names() -> tuple[tuple[Entry, ...], tuple[Entry, ...]]:
+def read_firmware_names() -> tuple[tuple[TocEntry, ...], tuple[TocEntry, ...]]:
     """Return log variables and parameters of the firmware, in the order of their indices."""
-    logs: list[Entry] = []
-    parameters: list[Entry] = []
+    logs: list[TocEntry] = []
+    parameters: list[TocEntry] = []
     for line in (
         (files("crazychoir.radio.virtual") / "names.txt")
         .read_text(encoding="utf-8")
@@ -90,21 +102,21 @@ def names() -> tuple[tuple[Entry, ...], tuple[Entry, ...]]:
         if not line.startswith("#"):
             which, group, *items = line.split()
             (logs if which == "L" else parameters).extend(
-                _entry(group, item) for item in items
+                _parse_entry(group, item) for item in items
             )
-    return _grouped(logs), _grouped(parameters)
+    return _sort_entries(logs), _sort_entries(parameters)
 
 
-def _grouped(entries: list[Entry]) -> tuple[Entry, ...]:
+def _sort_entries(entries: list[TocEntry]) -> tuple[TocEntry, ...]:
     """Return the entries sorted by group and name, as the firmware has them."""
     return tuple(sorted(entries, key=lambda entry: (entry.group, entry.name)))
 
 
-def _entry(group: str, item: str) -> Entry:
+def _parse_entry(group: str, item: str) -> TocEntry:
     """Return the entry of a text "name:type*!=boot"; the last three parts are optional."""
     name, _, rest = item.partition(":")
     kind, _, boot = rest.partition("=")
-    return Entry(
+    return TocEntry(
         group, name, kind.rstrip("*!"), "*" in kind, "!" in kind, float(boot or 0.0)
     )
 
@@ -121,7 +133,7 @@ class Toc:
     def __init__(
         self,
         port: int,
-        entries: Iterable[Entry],
+        entries: Iterable[TocEntry],
         kinds: dict[str, int],
         info: bytes = b"",
     ) -> None:
@@ -136,9 +148,11 @@ class Toc:
                 bytes([self.kind(entry)]) + entry.full.encode(), self.crc
             )
 
-    def kind(self, entry: Entry) -> int:
+    def kind(self, entry: TocEntry) -> int:
         """Return the type byte of an entry."""
-        flags = EXTENDED * entry.persistent | READ_ONLY * entry.read_only
+        flags = (
+            TypeFlag.EXTENDED * entry.persistent | TypeFlag.READ_ONLY * entry.read_only
+        )
         return self._kinds[entry.kind] | flags
 
     def take(self, data: bytes) -> Iterator[Packet]:
@@ -146,7 +160,7 @@ class Toc:
         match list(data):
             case [3]:
                 body = (
-                    bytes([INFO])
+                    bytes([TocCommand.INFO])
                     + struct.pack("<HI", len(self.entries), self.crc)
                     + self._info
                 )
@@ -157,9 +171,9 @@ class Toc:
     def _item(self, k: int) -> bytes:
         """Return the answer for entry k; only the command if there is no such entry."""
         if k >= len(self.entries):
-            return bytes([ITEM])
+            return bytes([TocCommand.ITEM])
         entry = self.entries[k]
         return (
-            struct.pack("<BHB", ITEM, k, self.kind(entry))
+            struct.pack("<BHB", TocCommand.ITEM, k, self.kind(entry))
             + f"{entry.group}\0{entry.name}\0".encode()
         )

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from crazychoir.bus.topics import RESULT, STATUS
-from crazychoir.recording.mcap.sequence import told
-from crazychoir.runtime.clock import SECOND
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.recording.mcap.sequence import read_messages
+from crazychoir.runtime.clock import NS_PER_SECOND
 
-COUNT = re.compile(r"(\d+)(?:/\d+)? (?:stops|done)")
+STOP_COUNT_PATTERN = re.compile(r"(\d+)(?:/\d+)? (?:stops|done)")
 """Pattern of the count of stops in a task's text: "1/4 stops", "3 stops done", "2 done, task 9"."""
-SIGNS = {
+STOP_SIGNS = {
     "pickup": "+",
     "delivery": "\N{MINUS SIGN}",
 }  # before the task's number in a label
@@ -36,7 +36,7 @@ class Span:
 
 
 @dataclass(frozen=True)
-class Stop:
+class CompletedStop:
     """A stop that a drone has completed."""
 
     drone: int
@@ -52,7 +52,7 @@ class Stop:
 
 
 @dataclass(frozen=True)
-class Work:
+class FlightActivity:
     """Activity of all drones, each in order of time.
 
     Times are as exact as the statuses are frequent: four a second.
@@ -60,7 +60,7 @@ class Work:
 
     spans: tuple[Span, ...]
     """Phases of flight."""
-    stops: tuple[Stop, ...]
+    stops: tuple[CompletedStop, ...]
     """Completed stops."""
 
     @property
@@ -82,26 +82,28 @@ class Work:
                 for s in self.stops
                 if s.drone == span.drone and span.begin <= s.t < span.end
             )
-            words = (span.phase, span.task, done.replace(SIGNS["delivery"], "-"))
+            words = (span.phase, span.task, done.replace(STOP_SIGNS["delivery"], "-"))
             texts = ",".join('"' + word.replace('"', '""') + '"' for word in words)
             rows.append(f"{span.drone},{span.begin:.3f},{span.end:.3f},{texts}")
         path.write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 
-def work_of(path: Path, began: float) -> Work:
+def read_activity(path: Path, began: float) -> FlightActivity:
     """Return the activity of a recorded flight, in s after `began`.
 
     Raises ConfigError if the file is no recording.
     """
     said: dict[int, list[tuple[float, str, str]]] = {}
     served: dict[int, list[str]] = {}
-    for message in told(path, (STATUS.name, RESULT.name)):
+    for message in read_messages(
+        path, (DRONE_TOPICS.status.name, DRONE_TOPICS.result.name)
+    ):
         values = message.values()
         drone = message.source.drone
-        if message.source.topic == RESULT.name:
+        if message.source.topic == DRONE_TOPICS.result.name:
             served[drone] = _labels(json.loads(values["json"]))
         else:
-            t = message.came_ns / SECOND - began
+            t = message.came_ns / NS_PER_SECOND - began
             said.setdefault(drone, []).append((t, values["phase"], values["task"]))
     spans = tuple(
         span for drone, rows in sorted(said.items()) for span in _spans(drone, rows)
@@ -109,7 +111,7 @@ def work_of(path: Path, began: float) -> Work:
     stops = tuple(
         s for drone in sorted(said) for s in _stops(drone, spans, served.get(drone, []))
     )
-    return Work(spans, stops)
+    return FlightActivity(spans, stops)
 
 
 def _spans(drone: int, rows: list[tuple[float, str, str]]) -> list[Span]:
@@ -125,17 +127,21 @@ def _spans(drone: int, rows: list[tuple[float, str, str]]) -> list[Span]:
     ]
 
 
-def _stops(drone: int, spans: tuple[Span, ...], served: list[str]) -> list[Stop]:
+def _stops(
+    drone: int, spans: tuple[Span, ...], served: list[str]
+) -> list[CompletedStop]:
     """Return the stops of a drone: one wherever its count rises."""
-    found: list[Stop] = []
+    found: list[CompletedStop] = []
     for span in spans:
         if span.drone != drone:
             continue
-        count = COUNT.search(span.task)
+        count = STOP_COUNT_PATTERN.search(span.task)
         while count is not None and len(found) < int(count[1]):
             k = len(found)
             found.append(
-                Stop(drone, span.begin, served[k] if k < len(served) else f"({k + 1})")
+                CompletedStop(
+                    drone, span.begin, served[k] if k < len(served) else f"({k + 1})"
+                )
             )
     return found
 
@@ -148,7 +154,7 @@ def _labels(result: Any) -> list[str]:
     """
     try:
         served = [
-            f"{SIGNS.get(stop['kind'], '')}{stop['task']}"
+            f"{STOP_SIGNS.get(stop['kind'], '')}{stop['task']}"
             for stop in result.get("served", ())
         ]
         return served or [str(task) for task, *_ in result.get("done", ())]

@@ -8,20 +8,30 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.bus.topics import RESULT, ROUND, STATUS
-from crazychoir.recording.mcap.sequence import told
-from crazychoir.routing.instance.vehicle import MAKESPAN
-from crazychoir.runtime.clock import SECOND
+from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS
+from crazychoir.recording.mcap.sequence import read_messages
+from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES
+from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.types import Mat, Vec
 
-COUNTERS = ("sent", "lost", "resent")  # fields of a status
-STEP = 0.5
-"""Seconds between two values of the message rates."""
-WITH_CONTENT = ("data", "repeat", "ahead")  # kinds of round messages with a value
+
+@dataclass(frozen=True, slots=True)
+class MessageStatistics:
+    """How the messages between the drones of a recording are counted."""
+
+    counters: tuple[str, ...] = ("sent", "lost", "resent")
+    """Fields of a status that count messages."""
+    rate_step: float = 0.5
+    """Seconds between two values of the message rates."""
+    kinds_with_content: tuple[str, ...] = ("data", "repeat", "ahead")
+    """Kinds of round messages with a value."""
+
+
+MESSAGE_STATISTICS = MessageStatistics()
 
 
 @dataclass(frozen=True)
-class Channel:
+class ChannelRounds:
     """The rounds of one algorithm."""
 
     name: str
@@ -38,7 +48,7 @@ class Channel:
 
 
 @dataclass(frozen=True)
-class Talk:
+class TeamMessages:
     """Messages between the drones of a recorded flight."""
 
     t: Vec
@@ -47,7 +57,7 @@ class Talk:
     """(n, 3) 1/s: messages sent, lost and resent between all drones, averaged since the time
     before.
     """
-    channels: tuple[Channel, ...]
+    channels: tuple[ChannelRounds, ...]
     """Channels in order of their first message."""
     history: dict[int, Mat]
     """Planning of each drone with planned routes, (n, 3).
@@ -63,7 +73,9 @@ class Talk:
 
     def write(self, path: Path) -> None:
         """Write the rates as a CSV file."""
-        header = ",".join(["t_s", *(f"{name}_1_s" for name in COUNTERS)])
+        header = ",".join(
+            ["t_s", *(f"{name}_1_s" for name in MESSAGE_STATISTICS.counters)]
+        )
         np.savetxt(
             path,
             np.column_stack([self.t, self.rates]),
@@ -101,7 +113,7 @@ class Talk:
         np.savetxt(path, table, formats, ",", header=header, comments="")
 
 
-def talk_of(path: Path, began: float) -> Talk:
+def read_team_messages(path: Path, began: float) -> TeamMessages:
     """Return the messages of a recorded flight, in s after `began`.
 
     Raises ConfigError if the file is no recording.
@@ -110,41 +122,49 @@ def talk_of(path: Path, began: float) -> Talk:
     said: dict[str, dict[int, dict[int, str]]] = {}
     history: dict[int, Mat] = {}
     unit = "m"
-    for message in told(path, (STATUS.name, ROUND.name, RESULT.name)):
+    for message in read_messages(
+        path,
+        (
+            DRONE_TOPICS.status.name,
+            MESSAGE_TOPICS.rounds.name,
+            DRONE_TOPICS.result.name,
+        ),
+    ):
         values = message.values()
         drone = message.source.drone
-        if message.source.topic == RESULT.name:
+        if message.source.topic == DRONE_TOPICS.result.name:
             result = json.loads(values["json"])
-            changes = _planned(result)
+            changes = _planned_rows(result)
             if changes is not None:
                 history[drone] = changes
                 objective = result.get("objective")
                 unit = (
                     "s"
-                    if isinstance(objective, list) and objective[:1] == [MAKESPAN]
+                    if isinstance(objective, list)
+                    and objective[:1] == [OBJECTIVE_NAMES.makespan]
                     else "m"
                 )
-        elif message.source.topic == STATUS.name:
+        elif message.source.topic == DRONE_TOPICS.status.name:
             row = (
-                message.came_ns / SECOND - began,
-                *(float(values[name]) for name in COUNTERS),
+                message.came_ns / NS_PER_SECOND - began,
+                *(float(values[name]) for name in MESSAGE_STATISTICS.counters),
             )
             counted.setdefault(drone, []).append(row)
-        elif values["kind"] in WITH_CONTENT:
+        elif values["kind"] in MESSAGE_STATISTICS.kinds_with_content:
             said.setdefault(values["channel"], {}).setdefault(
                 values["round"], {}
             ).setdefault(drone, values["json"])
-    t, rates = _rates([np.array(rows) for rows in counted.values()])
-    return Talk(
+    t, rates = _message_rates([np.array(rows) for rows in counted.values()])
+    return TeamMessages(
         t,
         rates,
-        tuple(_channel(name, rounds) for name, rounds in said.items()),
+        tuple(_channel_rounds(name, rounds) for name, rounds in said.items()),
         history,
         unit,
     )
 
 
-def _planned(result: Any) -> Mat | None:
+def _planned_rows(result: Any) -> Mat | None:
     """Return the rows (n, 3) of Talk.history in a drone's result.
 
     Return None if the result has none, or uses the name for something else.
@@ -156,26 +176,29 @@ def _planned(result: Any) -> Mat | None:
     return rows if rows.ndim == 2 and rows.shape[1] == 3 and len(rows) else None
 
 
-def _rates(counted: list[Mat]) -> tuple[Vec, Mat]:
+def _message_rates(counted: list[Mat]) -> tuple[Vec, Mat]:
     """Return the times and the rates of the whole team from rows [t, counters] of each drone.
 
     The drones report at different times. Before its first and after its last report a drone adds
     no messages.
     """
     if not counted:
-        return np.zeros(0), np.zeros((0, len(COUNTERS)))
+        return np.zeros(0), np.zeros((0, len(MESSAGE_STATISTICS.counters)))
     first = min(rows[0, 0] for rows in counted)
     last = max(rows[-1, 0] for rows in counted)
-    at = np.arange(first, last + 1e-9, STEP)
-    total = np.zeros((len(at), len(COUNTERS)))
-    for rows in map(_growing, counted):
+    at = np.arange(first, last + 1e-9, MESSAGE_STATISTICS.rate_step)
+    total = np.zeros((len(at), len(MESSAGE_STATISTICS.counters)))
+    for rows in map(_make_monotonic, counted):
         total += np.column_stack(
-            [np.interp(at, rows[:, 0], rows[:, n + 1]) for n in range(len(COUNTERS))]
+            [
+                np.interp(at, rows[:, 0], rows[:, n + 1])
+                for n in range(len(MESSAGE_STATISTICS.counters))
+            ]
         )
-    return at[1:], np.diff(total, axis=0) / STEP
+    return at[1:], np.diff(total, axis=0) / MESSAGE_STATISTICS.rate_step
 
 
-def _growing(rows: Mat) -> Mat:
+def _make_monotonic(rows: Mat) -> Mat:
     """Make counters monotonic: if one falls, the drone was restarted and counts from 0."""
     steps = np.diff(rows[:, 1:], axis=0)
     anew = (steps < 0.0).any(axis=1)
@@ -185,12 +208,14 @@ def _growing(rows: Mat) -> Mat:
     )
 
 
-def _channel(name: str, rounds: Mapping[int, Mapping[int, str]]) -> Channel:
+def _channel_rounds(
+    name: str, rounds: Mapping[int, Mapping[int, str]]
+) -> ChannelRounds:
     ks = sorted(rounds)
     different = np.array([len(set(rounds[k].values())) for k in ks], dtype=float)
-    spread = [_spread(rounds[k]) for k in ks]
+    spread = [_spread_of_messages(rounds[k]) for k in ks]
     known = [far for far in spread if far is not None]
-    return Channel(
+    return ChannelRounds(
         name,
         np.array(ks, dtype=float),
         different,
@@ -198,7 +223,7 @@ def _channel(name: str, rounds: Mapping[int, Mapping[int, str]]) -> Channel:
     )
 
 
-def _spread(messages: Mapping[int, str]) -> float | None:
+def _spread_of_messages(messages: Mapping[int, str]) -> float | None:
     """Return the spread of messages that are numbers of one shape; None for other messages."""
     values: list[Any] = [json.loads(text) for text in messages.values()]
     try:

@@ -5,12 +5,23 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
-from crazychoir.recording.mcap.sequence import Told, told
-from crazychoir.runtime.clock import SECOND
+from crazychoir.recording.mcap.sequence import RecordedMessage, read_messages
+from crazychoir.runtime.clock import NS_PER_SECOND
 
-NOTHING = "no message"
-MESSAGE = "the message"
-TIME = "the time of the message"
+
+@dataclass(frozen=True, slots=True)
+class DifferenceTexts:
+    """Texts that describe a difference between two recordings."""
+
+    no_message: str = "no message"
+    """A recording has ended."""
+    next_message: str = "the message"
+    """The other recording goes on."""
+    message_time: str = "the time of the message"
+    """The messages are equal, but came at different times."""
+
+
+DIFFERENCE_TEXTS = DifferenceTexts()
 
 
 @dataclass(frozen=True)
@@ -38,20 +49,24 @@ def first_difference(one: Path, other: Path) -> Difference | None:
     If the first recording is truncated or damaged, further messages of the second are no
     difference. Raises ConfigError if a file is no recording.
     """
-    firsts = told(one)
-    for first, second in zip_longest(firsts, told(other)):
+    firsts = read_messages(one)
+    for first, second in zip_longest(firsts, read_messages(other)):
         if first is None and firsts.fault:
             return None
         if first is None:
-            return _alone(second, NOTHING, MESSAGE)
+            return _end_difference(
+                second, DIFFERENCE_TEXTS.no_message, DIFFERENCE_TEXTS.next_message
+            )
         if second is None:
-            return _alone(first, MESSAGE, NOTHING)
-        if not _same(first, second):
-            return _difference(first, second)
+            return _end_difference(
+                first, DIFFERENCE_TEXTS.next_message, DIFFERENCE_TEXTS.no_message
+            )
+        if not _is_same(first, second):
+            return _message_difference(first, second)
     return None
 
 
-def _same(a: Told, b: Told) -> bool:
+def _is_same(a: RecordedMessage, b: RecordedMessage) -> bool:
     return (a.came_ns, a.born_ns, a.data) == (
         b.came_ns,
         b.born_ns,
@@ -59,21 +74,26 @@ def _same(a: Told, b: Told) -> bool:
     ) and a.source == b.source
 
 
-def _alone(there: Told, first: str, second: str) -> Difference:
+def _end_difference(there: RecordedMessage, first: str, second: str) -> Difference:
     """Return the difference that one of the recordings ends before the other."""
-    return Difference(there.came_ns / SECOND, there.source.name, "end", first, second)
+    return Difference(
+        there.came_ns / NS_PER_SECOND, there.source.name, "end", first, second
+    )
 
 
-def _difference(a: Told, b: Told) -> Difference:
+def _message_difference(a: RecordedMessage, b: RecordedMessage) -> Difference:
     """Return the difference of two messages at the same place."""
-    t = min(a.came_ns, b.came_ns) / SECOND
+    t = min(a.came_ns, b.came_ns) / NS_PER_SECOND
     if a.source != b.source:
         return Difference(
             t, a.source.name, "order of messages", a.source.name, b.source.name
         )
     if a.data == b.data:
         return Difference(
-            t, a.source.name, TIME, *(f"{x.came_ns / SECOND:.9f} s" for x in (a, b))
+            t,
+            a.source.name,
+            DIFFERENCE_TEXTS.message_time,
+            *(f"{x.came_ns / NS_PER_SECOND:.9f} s" for x in (a, b)),
         )
     first = a.values()
     second = b.values()

@@ -7,17 +7,21 @@ from typing import Any
 import numpy as np
 from scipy.spatial.distance import pdist
 
-from crazychoir.bus.topics import REFERENCE, STATE, TRUTH
-from crazychoir.recording.mcap.odometry import into_world
-from crazychoir.recording.mcap.reading import Recording, Values
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.recording.mcap.odometry import rotate_to_world
+from crazychoir.recording.mcap.reading import RecordedValues, Recording
 from crazychoir.types import Mat, Vec
 
-TOPICS = (TRUTH.name, STATE.name, REFERENCE.name)
-UNSEEN = "unseen"
+FLIGHT_TOPICS = (
+    DRONE_TOPICS.truth.name,
+    DRONE_TOPICS.state.name,
+    DRONE_TOPICS.reference.name,
+)
+UNSEEN_DRONES_KEY = "unseen"
 """Key in a recording's `about` with the drones that no cameras see."""
-JOINED = 0.15
+LARGEST_JOINED_GAP = 0.15
 """Seconds between two positions up to which they are joined by a line."""
-COLUMNS = (
+TRACK_COLUMNS = (
     "t_s",
     "x_m",
     "y_m",
@@ -41,7 +45,7 @@ COLUMNS = (
 
 
 @dataclass(frozen=True)
-class Track:
+class RecordedTrack:
     """One drone at the n times t with a known position."""
 
     drone: int
@@ -97,7 +101,7 @@ class Track:
                 )
             ),
             "tracking_rmse_m": rms(self.tracking),
-            "tracking_max_m": _greatest(self.tracking),
+            "tracking_max_m": _greatest_finite(self.tracking),
             "estimation_rmse_m": rms(self.estimation),
         }
 
@@ -118,16 +122,16 @@ class Track:
             np.column_stack(parts),
             fmt="%.6f",
             delimiter=",",
-            header=",".join(COLUMNS),
+            header=",".join(TRACK_COLUMNS),
             comments="",
         )
 
 
 @dataclass(frozen=True)
-class Flight:
+class RecordedFlight:
     """All drones with known positions."""
 
-    tracks: tuple[Track, ...]
+    tracks: tuple[RecordedTrack, ...]
     """One track a drone."""
     times: Vec
     """(m,) s since the recording began."""
@@ -145,26 +149,28 @@ class Flight:
         }
 
 
-def flight_of(recording: Recording) -> Flight:
+def recorded_flight(recording: Recording) -> RecordedFlight:
     """Return the flight of a recording, with the drones that have a recorded truth or state."""
-    sources = {i: _source(recording, i) for i in recording.drones}
-    tracks = [_track(recording, i, source) for i, source in sources.items() if source]
+    sources = {i: _position_topic(recording, i) for i in recording.drones}
+    tracks = [
+        _read_track(recording, i, source) for i, source in sources.items() if source
+    ]
     if not tracks:
-        return Flight((), np.zeros(0), np.zeros(0))
+        return RecordedFlight((), np.zeros(0), np.zeros(0))
     times = np.arange(
         min(track.t[0] for track in tracks),
         max(track.t[-1] for track in tracks),
-        1.0 / TRUTH.rate,
+        1.0 / DRONE_TOPICS.truth.rate,
     )
-    places = np.array([joined(track.t, track.p, times) for track in tracks])
-    return Flight(
+    places = np.array([interpolate_track(track.t, track.p, times) for track in tracks])
+    return RecordedFlight(
         tuple(tracks),
         times,
-        np.array([_nearest(places[:, k]) for k in range(len(times))]),
+        np.array([_least_distance(places[:, k]) for k in range(len(times))]),
     )
 
 
-def joined(t: Vec, x: Mat, at: Vec) -> Mat:
+def interpolate_track(t: Vec, x: Mat, at: Vec) -> Mat:
     """Interpolate x (n, m), known at increasing times t (n,) s, at the times `at` (k,) s: (k, m).
 
         x(s) = x_a + (s - t_a) / (t_b - t_a) (x_b - x_a),  t_a <= s <= t_b neighbours
@@ -177,7 +183,7 @@ def joined(t: Vec, x: Mat, at: Vec) -> Mat:
     gap = t[b] - t[b - 1]
     share = (at - t[b - 1]) / gap
     found: Mat = x[b - 1] + share[:, None] * (x[b] - x[b - 1])
-    found[(gap > JOINED) | (share < 0.0) | (share > 1.0)] = np.nan
+    found[(gap > LARGEST_JOINED_GAP) | (share < 0.0) | (share > 1.0)] = np.nan
     return found
 
 
@@ -187,33 +193,39 @@ def rms(e: Vec) -> float | None:
     return float(np.sqrt(np.mean(e**2))) if len(e) else None
 
 
-def _source(recording: Recording, i: int) -> str:
+def _position_topic(recording: Recording, i: int) -> str:
     """Return the topic with the positions of drone i; empty if there is none.
 
     The truth of a drone that no cameras see is its own estimate, so it is not used.
     """
-    unseen = str(i) in recording.about.get(UNSEEN, "").split(",")
-    topics = [STATE.name] if unseen else [TRUTH.name, STATE.name]
+    unseen = str(i) in recording.about.get(UNSEEN_DRONES_KEY, "").split(",")
+    topics = (
+        [DRONE_TOPICS.state.name]
+        if unseen
+        else [DRONE_TOPICS.truth.name, DRONE_TOPICS.state.name]
+    )
     return next((name for name in topics if len(recording.of(i, name)) > 1), "")
 
 
-def _track(recording: Recording, i: int, source: str) -> Track:
+def _read_track(recording: Recording, i: int, source: str) -> RecordedTrack:
     began = recording.seconds[0]
-    t, x = _in_order(recording.of(i, source), began)
+    t, x = _sort_by_birth(recording.of(i, source), began)
     p = x[:, 0:3]
     q = x[:, 3:7]
     v_b = x[:, 7:10]
     w = x[:, 10:13]
     reference, estimate = (
-        joined(*_in_order(recording.of(i, name), began), t)[:, :3]
-        for name in (REFERENCE.name, STATE.name)
+        interpolate_track(*_sort_by_birth(recording.of(i, name), began), t)[:, :3]
+        for name in (DRONE_TOPICS.reference.name, DRONE_TOPICS.state.name)
     )
-    if source == STATE.name:
+    if source == DRONE_TOPICS.state.name:
         estimate = np.full_like(p, np.nan)
-    return Track(i, source, t, p, q, into_world(q, v_b), w, reference, estimate)
+    return RecordedTrack(
+        i, source, t, p, q, rotate_to_world(q, v_b), w, reference, estimate
+    )
 
 
-def _in_order(values: Values, began: float) -> tuple[Vec, Mat]:
+def _sort_by_birth(values: RecordedValues, began: float) -> tuple[Vec, Mat]:
     """Return the times of birth in s since `began`, increasing, and the numbers at these times.
 
     Over a network one message may overtake another.
@@ -222,12 +234,12 @@ def _in_order(values: Values, began: float) -> tuple[Vec, Mat]:
     return t, values.numbers[first]
 
 
-def _nearest(places: Mat) -> float:
+def _least_distance(places: Mat) -> float:
     """Return the least distance in m between two known positions; NaN if there are not two."""
     known = places[np.isfinite(places[:, 0])]
     return float(pdist(known).min()) if len(known) > 1 else float("nan")
 
 
-def _greatest(e: Vec) -> float | None:
+def _greatest_finite(e: Vec) -> float | None:
     e = e[np.isfinite(e)]
     return float(e.max()) if len(e) else None

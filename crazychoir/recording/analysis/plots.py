@@ -8,22 +8,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from crazychoir.bus.topics import STATE
-from crazychoir.config.checks import TOUCHING
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.files.output_files import save_figure
-from crazychoir.optimization.picture import COLOURS, DASHES, INK
-from crazychoir.recording.analysis.figures import Flight, Track
+from crazychoir.optimization.picture import PICTURE_STYLE
+from crazychoir.recording.analysis.figures import RecordedFlight, RecordedTrack
 from crazychoir.types import Mat
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-WIDTH = 3.5
+COLUMN_WIDTH = 3.5
 """Width of a column in inches."""
-NAMED = len(COLOURS)
+MOST_NAMED_DRONES = len(PICTURE_STYLE.colours)
 """Largest number of drones that a legend names; more are shown by a scale of colours."""
-FORMATS = ("png", "pdf")
-STYLE: Any = {
+PICTURE_FORMATS = ("png", "pdf")
+PLOT_STYLE: Any = {
     "font.size": 8,
     "axes.labelsize": 8,
     "xtick.labelsize": 7,
@@ -46,7 +46,11 @@ Pictures = dict[str, tuple[float, "Callable[[Figure], None]"]]
 """Height in inches and the drawing function of each picture, by its name."""
 Reasons = dict[str, str]
 """Why a picture is not drawn, by its name."""
-BAND: dict[str, Any] = {"color": "#cccccc", "linewidth": 2.8, "zorder": 1.5}
+REFERENCE_BAND_STYLE: dict[str, Any] = {
+    "color": "#cccccc",
+    "linewidth": 2.8,
+    "zorder": 1.5,
+}
 """Style of a broad band below the line of what was flown."""
 
 
@@ -58,17 +62,19 @@ def draw(pictures: Pictures, folder: Path) -> list[Path]:
 
     files = []
     for name, (height, picture) in pictures.items():
-        with mpl.rc_context(STYLE):
-            figure = Figure(figsize=(WIDTH, height), dpi=300, layout="constrained")
+        with mpl.rc_context(PLOT_STYLE):
+            figure = Figure(
+                figsize=(COLUMN_WIDTH, height), dpi=300, layout="constrained"
+            )
             FigureCanvasAgg(figure)
             picture(figure)
-            for suffix in FORMATS:
+            for suffix in PICTURE_FORMATS:
                 files.append(folder / f"{name}.{suffix}")
                 save_figure(figure, files[-1])
     return files
 
 
-def of_flight(flight: Flight) -> tuple[Pictures, Reasons]:
+def flight_pictures(flight: RecordedFlight) -> tuple[Pictures, Reasons]:
     """Return the pictures of the drones' positions, and why others cannot be drawn."""
     all_pictures: Pictures = {
         "top": (3.3, partial(_draw_top, flight=flight)),
@@ -89,24 +95,24 @@ def of_flight(flight: Flight) -> tuple[Pictures, Reasons]:
     }, missing
 
 
-def _draw_top(figure: "Figure", flight: Flight) -> None:
+def _draw_top(figure: "Figure", flight: RecordedFlight) -> None:
     axes = figure.add_subplot()
-    for line, track in lines(flight):
+    for line, track in styled_tracks(flight):
         axes.plot(*track.p[:, :2].T, **line)
-        axes.plot(*track.reference[:, :2].T, **BAND)
+        axes.plot(*track.reference[:, :2].T, **REFERENCE_BAND_STYLE)
         axes.plot(*track.p[0, :2], "o", color=line["color"], markersize=3.5, zorder=4)
     axes.set_aspect("equal")
     axes.margins(0.08)
     axes.set_xlabel("$x$ [m]")
     axes.set_ylabel("$y$ [m]")
-    name(figure, flight, band=_reference(flight), started=True)
+    add_flight_legend(figure, flight, band=_reference_label(flight), started=True)
 
 
-def _draw_space(figure: "Figure", flight: Flight) -> None:
+def _draw_space(figure: "Figure", flight: RecordedFlight) -> None:
     axes: Any = figure.add_subplot(projection="3d")
-    for line, track in lines(flight):
+    for line, track in styled_tracks(flight):
         axes.plot(*track.p.T, **line)
-        axes.plot(*track.reference.T, **BAND)
+        axes.plot(*track.reference.T, **REFERENCE_BAND_STYLE)
         axes.plot(*track.p[:1].T, "o", color=line["color"], markersize=3.5, zorder=4)
     axes.set_aspect("equal")
     axes.set_xlabel("$x$ [m]", labelpad=-6)
@@ -114,68 +120,75 @@ def _draw_space(figure: "Figure", flight: Flight) -> None:
     axes.set_zlabel("$z$ [m]", labelpad=-6)
     axes.tick_params(pad=-3)
     axes.locator_params(nbins=4)
-    name(figure, flight, band=_reference(flight), started=True, pad=0.16)
+    add_flight_legend(
+        figure, flight, band=_reference_label(flight), started=True, pad=0.16
+    )
 
 
-def _draw_tracking(figure: "Figure", flight: Flight) -> None:
+def _draw_tracking(figure: "Figure", flight: RecordedFlight) -> None:
     axes = figure.add_subplot()
-    for line, track in lines(flight):
+    for line, track in styled_tracks(flight):
         axes.plot(track.t, 100.0 * track.tracking, **line)
     axes.set_ylim(bottom=0.0)
-    along_time(axes, float(flight.times[-1]), "distance from reference [cm]")
-    name(figure, flight)
+    set_time_axis(axes, float(flight.times[-1]), "distance from reference [cm]")
+    add_flight_legend(figure, flight)
 
 
-def _draw_heights(figure: "Figure", flight: Flight) -> None:
+def _draw_heights(figure: "Figure", flight: RecordedFlight) -> None:
     axes = figure.add_subplot()
-    for line, track in lines(flight):
+    for line, track in styled_tracks(flight):
         axes.plot(track.t, track.p[:, 2], **line)
-        axes.plot(track.t, track.reference[:, 2], **BAND)
-    along_time(axes, float(flight.times[-1]), "$z$ [m]")
-    name(figure, flight, band=_reference(flight))
+        axes.plot(track.t, track.reference[:, 2], **REFERENCE_BAND_STYLE)
+    set_time_axis(axes, float(flight.times[-1]), "$z$ [m]")
+    add_flight_legend(figure, flight, band=_reference_label(flight))
 
 
-def _draw_separation(figure: "Figure", flight: Flight) -> None:
+def _draw_separation(figure: "Figure", flight: RecordedFlight) -> None:
     axes = figure.add_subplot()
-    axes.plot(flight.times, flight.separation, color=COLOURS[0])
-    axes.axhline(TOUCHING, color=COLOURS[1], linestyle=DASHES[1], linewidth=0.8)
+    axes.plot(flight.times, flight.separation, color=PICTURE_STYLE.colours[0])
+    axes.axhline(
+        SWARM_LIMITS.touching_distance,
+        color=PICTURE_STYLE.colours[1],
+        linestyle=PICTURE_STYLE.dashes[1],
+        linewidth=0.8,
+    )
     axes.annotate(
-        f"may touch: {TOUCHING:g} m",
-        (flight.times[-1], TOUCHING),
+        f"may touch: {SWARM_LIMITS.touching_distance:g} m",
+        (flight.times[-1], SWARM_LIMITS.touching_distance),
         xytext=(0, 2),
         textcoords="offset points",
         ha="right",
         va="bottom",
-        color=COLOURS[1],
+        color=PICTURE_STYLE.colours[1],
         fontsize=7,
     )
     axes.set_ylim(bottom=0.0)
-    along_time(axes, float(flight.times[-1]), "least distance of two [m]")
+    set_time_axis(axes, float(flight.times[-1]), "least distance of two [m]")
 
 
-def along_time(axes: Any, last: float, label: str) -> None:
+def set_time_axis(axes: Any, last: float, label: str) -> None:
     """Set up the time axis from 0 to `last` s, and the label of the other axis."""
     axes.set_xlim(0.0, last)
     axes.set_xlabel("$t$ [s]")
     axes.set_ylabel(label)
 
 
-def lines(flight: Flight) -> list[tuple[dict[str, Any], Track]]:
+def styled_tracks(flight: RecordedFlight) -> list[tuple[dict[str, Any], RecordedTrack]]:
     """Return the line style of each drone with its track."""
-    return list(zip(looks(len(flight.tracks)), flight.tracks, strict=True))
+    return list(zip(line_styles(len(flight.tracks)), flight.tracks, strict=True))
 
 
-def looks(n: int) -> list[dict[str, Any]]:
+def line_styles(n: int) -> list[dict[str, Any]]:
     """Return the styles of the lines of n drones; dashes let a line below be seen."""
     told: Any = (
-        zip(COLOURS[:n], cycle(DASHES), strict=False)
-        if n <= NAMED
-        else zip(scale(n), n * ["-"], strict=True)
+        zip(PICTURE_STYLE.colours[:n], cycle(PICTURE_STYLE.dashes), strict=False)
+        if n <= MOST_NAMED_DRONES
+        else zip(colour_scale(n), n * ["-"], strict=True)
     )
     return [{"color": colour, "linestyle": dash} for colour, dash in told]
 
 
-def scale(n: int) -> Mat:
+def colour_scale(n: int) -> Mat:
     """Return n colours, from dark to light."""
     from matplotlib import colormaps
 
@@ -183,7 +196,7 @@ def scale(n: int) -> Mat:
     return colours
 
 
-def _reference(flight: Flight) -> str:
+def _reference_label(flight: RecordedFlight) -> str:
     """Return the name of the band; empty if there is no reference."""
     return (
         "reference"
@@ -192,9 +205,9 @@ def _reference(flight: Flight) -> str:
     )
 
 
-def name(
+def add_flight_legend(
     figure: "Figure",
-    flight: Flight,
+    flight: RecordedFlight,
     band: str = "",
     started: bool = False,
     pad: float = 0.02,
@@ -203,22 +216,22 @@ def name(
 
     Drones without recorded truth are drawn from their own state and marked.
     """
-    own = [track.source == STATE.name for track in flight.tracks]
+    own = [track.source == DRONE_TOPICS.state.name for track in flight.tracks]
     marks = [" (state)" if one else "" for one in own]
     names = [
         f"{track.drone}{mark}" for track, mark in zip(flight.tracks, marks, strict=True)
     ]
     note = (
         ""
-        if len(own) <= NAMED or not any(own)
+        if len(own) <= MOST_NAMED_DRONES or not any(own)
         else " (state)"
         if all(own)
         else " (some: state)"
     )
-    name_drones(figure, names, f"drone{note}", band, started, pad)
+    add_drone_legend(figure, names, f"drone{note}", band, started, pad)
 
 
-def name_drones(
+def add_drone_legend(
     figure: "Figure",
     names: Sequence[str],
     label: str = "drone",
@@ -230,20 +243,20 @@ def name_drones(
     from matplotlib.lines import Line2D
 
     handles = []
-    if len(names) <= NAMED:
-        styles = zip(names, looks(len(names)), strict=True)
+    if len(names) <= MOST_NAMED_DRONES:
+        styles = zip(names, line_styles(len(names)), strict=True)
         handles += [
             Line2D([], [], label=f"drone {one}", **style) for one, style in styles
         ]
     if band:
-        handles.append(Line2D([], [], label=band, **BAND))
+        handles.append(Line2D([], [], label=band, **REFERENCE_BAND_STYLE))
     if started:
         handles.append(
             Line2D(
                 [],
                 [],
                 label="start",
-                color=INK,
+                color=PICTURE_STYLE.ink,
                 marker="o",
                 linestyle="",
                 markersize=3.5,
@@ -255,7 +268,7 @@ def name_drones(
             loc="outside upper center",
             ncols=4 if max(map(len, names)) < 6 else 3,
         )
-    if len(names) > NAMED:
+    if len(names) > MOST_NAMED_DRONES:
         _draw_scale(figure, names, label, pad)
 
 
@@ -265,7 +278,7 @@ def _draw_scale(figure: "Figure", names: Sequence[str], label: str, pad: float) 
 
     n = len(names)
     norm = BoundaryNorm(np.arange(n + 1) - 0.5, n)
-    mappable = ScalarMappable(norm, ListedColormap(list(scale(n))))
+    mappable = ScalarMappable(norm, ListedColormap(list(colour_scale(n))))
     bar = figure.colorbar(
         mappable, ax=figure.axes[0], label=label, fraction=0.04, pad=pad
     )

@@ -1,30 +1,31 @@
 """Pictures of a team's work: activity over time, rates of messages, and convergence."""
 
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from crazychoir.guidance.feedback import LAW
-from crazychoir.optimization.picture import COLOURS, DASHES, INK
-from crazychoir.recording.analysis.activity import ON_GROUND, Work
-from crazychoir.recording.analysis.communication import COUNTERS, Talk
-from crazychoir.recording.analysis.figures import Flight
+from crazychoir.guidance.feedback import LAW_TASK
+from crazychoir.optimization.picture import PICTURE_STYLE
+from crazychoir.recording.analysis.activity import ON_GROUND, FlightActivity
+from crazychoir.recording.analysis.communication import MESSAGE_STATISTICS, TeamMessages
+from crazychoir.recording.analysis.figures import RecordedFlight
 from crazychoir.recording.analysis.plots import (
-    BAND,
+    REFERENCE_BAND_STYLE,
     Pictures,
     Reasons,
-    along_time,
-    lines,
-    looks,
-    name,
-    name_drones,
+    add_drone_legend,
+    add_flight_legend,
+    line_styles,
+    set_time_axis,
+    styled_tracks,
 )
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-PHASES = {
+PHASE_COLOURS = {
     ON_GROUND: "#e0e0e0",
     "taking off": "#56B4E9",
     "mission": "#0072B2",
@@ -37,24 +38,39 @@ PHASES = {
 
 They also differ in lightness, for print without colours.
 """
-MOST_LABELLED = 60
-"""Largest number of stops that are labelled; more labels would cover each other."""
-LETTER = 0.017
-"""Width of a letter of a stop's name, as a share of the picture's width."""
-MOST_CHANNELS = 4  # channels drawn in one picture
-LEAST = 1e-6
-"""Least value on a logarithmic axis, in m or in the units of messages; smaller values are raised.
-"""
-END = 1.0
-"""Seconds at the end of a drone's law over which its final position is averaged."""
-SAID = {"lost": "lost (simulated)"}
+
+
+@dataclass(frozen=True, slots=True)
+class TeamPlotLimits:
+    """Limits of the pictures of a team's work."""
+
+    most_labelled_stops: int = 60
+    """Largest number of stops that are labelled; more labels would cover each other."""
+    letter_width: float = 0.017
+    """Width of a letter of a stop's name, as a share of the picture's width."""
+    most_channels: int = 4
+    """Largest number of channels drawn in one picture."""
+    least_value: float = 1e-6
+    """Least value on a logarithmic axis, in m or in the units of messages; smaller values are
+    raised.
+    """
+    averaged_end: float = 1.0
+    """Seconds at the end of a drone's law over which its final position is averaged."""
+
+
+TEAM_PLOT_LIMITS = TeamPlotLimits()
+
+
+COUNTER_LABELS = {"lost": "lost (simulated)"}
 """Names in the legend of counters that need another name; a real network's losses are not counted.
 """
-PLANNED = {"m": "length of all routes [m]", "s": "time until all are back [s]"}
+COST_LABELS = {"m": "length of all routes [m]", "s": "time until all are back [s]"}
 """Label of the cost, by its unit."""
 
 
-def of_team(flight: Flight, work: Work, talk: Talk) -> tuple[Pictures, Reasons]:
+def team_pictures(
+    flight: RecordedFlight, work: FlightActivity, talk: TeamMessages
+) -> tuple[Pictures, Reasons]:
     """Return the pictures that the recording has data for, and why others cannot be drawn."""
     pictures: Pictures = {}
     missing: Reasons = {}
@@ -85,22 +101,22 @@ def of_team(flight: Flight, work: Work, talk: Talk) -> tuple[Pictures, Reasons]:
     return pictures, missing
 
 
-def law_times(work: Work) -> dict[int, tuple[float, float]]:
+def law_times(work: FlightActivity) -> dict[int, tuple[float, float]]:
     """Return the interval in s in which each drone flew by a law."""
     spans = {
-        i: [span for span in work.spans if span.drone == i and span.task == LAW]
+        i: [span for span in work.spans if span.drone == i and span.task == LAW_TASK]
         for i in work.drones
     }
     return {i: (of[0].begin, of[-1].end) for i, of in spans.items() if of}
 
 
-def _draw_tasks(figure: "Figure", work: Work) -> None:
+def _draw_tasks(figure: "Figure", work: FlightActivity) -> None:
     """Draw a bar a drone in the colours of its phases, and a labelled mark at each completed stop."""
     axes = figure.add_subplot()
     rows = {i: -k for k, i in enumerate(work.drones)}
     for span in work.spans:
         bar: Any = {
-            "color": PHASES.get(span.phase, INK),
+            "color": PHASE_COLOURS.get(span.phase, PICTURE_STYLE.ink),
             "height": 0.5,
             "linewidth": 0.0,
         }
@@ -115,24 +131,28 @@ def _draw_tasks(figure: "Figure", work: Work) -> None:
             solid_capstyle="butt",
         )
     last = max(span.end for span in work.spans)
-    if len(work.stops) <= MOST_LABELLED:
+    if len(work.stops) <= TEAM_PLOT_LIMITS.most_labelled_stops:
         _name_stops(axes, work, rows, last)
     axes.set_yticks(list(rows.values()), [str(i) for i in rows])
     axes.set_ylim(min(rows.values()) - 0.65, 0.85)
     axes.grid(visible=False, axis="y")
-    along_time(axes, last, "drone")
+    set_time_axis(axes, last, "drone")
     seen = [
-        phase for phase in PHASES if any(span.phase == phase for span in work.spans)
+        phase
+        for phase in PHASE_COLOURS
+        if any(span.phase == phase for span in work.spans)
     ]
     _name_phases(figure, seen, bool(work.stops))
 
 
-def _name_stops(axes: Any, work: Work, rows: dict[int, int], last: float) -> None:
+def _name_stops(
+    axes: Any, work: FlightActivity, rows: dict[int, int], last: float
+) -> None:
     """Write the stops' names above the bars, or below where the previous name would be covered."""
     ends: dict[int, float] = {}
     for stop in work.stops:
         row = rows[stop.drone]
-        half = 0.5 * LETTER * last * len(stop.label)
+        half = 0.5 * TEAM_PLOT_LIMITS.letter_width * last * len(stop.label)
         above = stop.t - half >= ends.get(stop.drone, 0.0)
         if above:
             ends[stop.drone] = stop.t + half
@@ -146,7 +166,9 @@ def _name_phases(figure: "Figure", seen: list[str], stopped: bool) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    handles: list[Any] = [Patch(color=PHASES[phase], label=phase) for phase in seen]
+    handles: list[Any] = [
+        Patch(color=PHASE_COLOURS[phase], label=phase) for phase in seen
+    ]
     if stopped:
         mark: Any = {"color": "black", "marker": "|", "linestyle": "", "markersize": 6}
         handles.append(Line2D([], [], label="stop done", **mark))
@@ -155,73 +177,96 @@ def _name_phases(figure: "Figure", seen: list[str], stopped: bool) -> None:
     )
 
 
-def _draw_messages(figure: "Figure", talk: Talk) -> None:
+def _draw_messages(figure: "Figure", talk: TeamMessages) -> None:
     axes = figure.add_subplot()
     for label, rate, colour, dash in zip(
-        COUNTERS, talk.rates.T, COLOURS, DASHES, strict=False
+        MESSAGE_STATISTICS.counters,
+        talk.rates.T,
+        PICTURE_STYLE.colours,
+        PICTURE_STYLE.dashes,
+        strict=False,
     ):
         axes.plot(
-            talk.t, rate, color=colour, linestyle=dash, label=SAID.get(label, label)
+            talk.t,
+            rate,
+            color=colour,
+            linestyle=dash,
+            label=COUNTER_LABELS.get(label, label),
         )
     axes.set_ylim(bottom=0.0)
-    along_time(axes, float(talk.t[-1]), "messages of all [1/s]")
+    set_time_axis(axes, float(talk.t[-1]), "messages of all [1/s]")
     figure.legend(loc="outside upper center", ncols=3)
 
 
-def _draw_history(figure: "Figure", talk: Talk) -> None:
+def _draw_history(figure: "Figure", talk: TeamMessages) -> None:
     """Draw what each drone knew in each round: value of the relaxation, cost of the best plan."""
     axes = figure.add_subplot()
     last = max(float(own[-1, 0]) for own in talk.history.values())
     for line, (_, own) in zip(
-        looks(len(talk.history)), sorted(talk.history.items()), strict=True
+        line_styles(len(talk.history)), sorted(talk.history.items()), strict=True
     ):
         rounds = np.append(own[:, 0], last + 1)
         axes.step(rounds, np.append(own[:, 1], own[-1, 1]), where="post", **line)
-        axes.step(rounds, np.append(own[:, 2], own[-1, 2]), where="post", **BAND)
+        axes.step(
+            rounds,
+            np.append(own[:, 2], own[-1, 2]),
+            where="post",
+            **REFERENCE_BAND_STYLE,
+        )
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("round")
-    axes.set_ylabel(PLANNED[talk.unit])
-    name_drones(figure, [str(i) for i in sorted(talk.history)], band="best plan")
+    axes.set_ylabel(COST_LABELS[talk.unit])
+    add_drone_legend(figure, [str(i) for i in sorted(talk.history)], band="best plan")
 
 
-def _draw_law(figure: "Figure", flight: Flight, work: Work) -> None:
+def _draw_law(figure: "Figure", flight: RecordedFlight, work: FlightActivity) -> None:
     """Draw how far each drone is from its position at the end of its law, on a logarithmic axis."""
     axes = figure.add_subplot()
     times = law_times(work)
     last = 0.0
-    for line, track in lines(flight):
+    for line, track in styled_tracks(flight):
         if track.drone not in times:
             continue
         begin, end = times[track.drone]
         during = (track.t >= begin) & (track.t <= end)
         if np.any(during):
             p = track.p[during]
-            there = p[track.t[during] >= end - END].mean(axis=0)
+            there = p[track.t[during] >= end - TEAM_PLOT_LIMITS.averaged_end].mean(
+                axis=0
+            )
             axes.semilogy(
                 track.t[during] - begin,
-                np.maximum(np.linalg.norm(p - there, axis=1), LEAST),
+                np.maximum(
+                    np.linalg.norm(p - there, axis=1), TEAM_PLOT_LIMITS.least_value
+                ),
                 **line,
             )
             last = max(last, end - begin)
-    along_time(axes, last, "distance from end [m]")
+    set_time_axis(axes, last, "distance from end [m]")
     axes.set_xlabel("$t$ since the law began [s]")
-    name(figure, flight)
+    add_flight_legend(figure, flight)
 
 
-def _draw_rounds(figure: "Figure", talk: Talk) -> None:
+def _draw_rounds(figure: "Figure", talk: TeamMessages) -> None:
     """Draw how the messages of a round converge.
 
     The quantity is their spread if all are numbers, else the count of different messages.
     """
     axes = figure.add_subplot()
     chosen = sorted(talk.channels, key=lambda channel: -len(channel.rounds))[
-        :MOST_CHANNELS
+        : TEAM_PLOT_LIMITS.most_channels
     ]
     numbers = all(channel.spread is not None for channel in chosen)
-    for channel, colour, dash in zip(chosen, COLOURS, DASHES, strict=False):
+    for channel, colour, dash in zip(
+        chosen, PICTURE_STYLE.colours, PICTURE_STYLE.dashes, strict=False
+    ):
         look: Any = {"color": colour, "linestyle": dash, "label": channel.name}
         if numbers and channel.spread is not None:
-            axes.semilogy(channel.rounds, np.maximum(channel.spread, LEAST), **look)
+            axes.semilogy(
+                channel.rounds,
+                np.maximum(channel.spread, TEAM_PLOT_LIMITS.least_value),
+                **look,
+            )
         else:
             axes.step(channel.rounds, channel.different, where="mid", **look)
     if not numbers:

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from crazychoir.files.output_files import save_figure
-from crazychoir.optimization.picture import COLOURS, DASHES, INK
+from crazychoir.optimization.picture import PICTURE_STYLE
 from crazychoir.types import Mat, Point, Vec
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-LEADER = "#D55E00"  # colour of leaders
-GREY = "#909090"
+LEADER_COLOUR = "#D55E00"  # colour of leaders
+SEEN_WAY_COLOUR = "#909090"
 Ways = Mapping[int, Sequence[Sequence[float]]]
 
 
@@ -60,7 +60,9 @@ def draw_tracks(
                 zorder=1,
             )
     for i, track in tracks.items():
-        colour, mark = (LEADER, "s") if i in leaders else (COLOURS[0], "o")
+        colour, mark = (
+            (LEADER_COLOUR, "s") if i in leaders else (PICTURE_STYLE.colours[0], "o")
+        )
         axes.plot(*track.T, color=colour, linewidth=0.9, alpha=0.8, zorder=2)
         axes.plot(
             *track[0],
@@ -77,10 +79,12 @@ def draw_tracks(
             xytext=(3, 3),
             textcoords="offset points",
             fontsize=6,
-            color=INK,
+            color=PICTURE_STYLE.ink,
             zorder=5,
         )
-    for colour, (name, places) in zip(COLOURS[2:], (marks or {}).items(), strict=False):
+    for colour, (name, places) in zip(
+        PICTURE_STYLE.colours[2:], (marks or {}).items(), strict=False
+    ):
         axes.plot(
             *np.atleast_2d(places)[:, :2].T,
             "x",
@@ -89,15 +93,15 @@ def draw_tracks(
             label=name,
             zorder=5,
         )
-    _name(axes, leaders, tracks, bool(marks))
+    _draw_tracks_legend(axes, leaders, tracks, bool(marks))
     axes.set_aspect("equal")
     axes.margins(0.08)
     axes.set(xlabel="x [m]", ylabel="y [m]", title=title)
-    _tidy(axes)
+    _tidy_axes(axes)
     save_figure(figure, path)
 
 
-def _name(
+def _draw_tracks_legend(
     axes: "Axes", leaders: Collection[int], tracks: Collection[int], marked: bool
 ) -> None:
     """Draw the legend above the picture."""
@@ -114,10 +118,12 @@ def _name(
             markerfacecolor=fill or colour,
         )
 
-    handles: list[Any] = [mark("start", "o", COLOURS[0], "white")]
-    handles.append(mark("follower" if leaders else "end", "o", COLOURS[0]))
+    handles: list[Any] = [mark("start", "o", PICTURE_STYLE.colours[0], "white")]
+    handles.append(
+        mark("follower" if leaders else "end", "o", PICTURE_STYLE.colours[0])
+    )
     if any(i in tracks for i in leaders):
-        handles.append(mark("leader", "s", LEADER))
+        handles.append(mark("leader", "s", LEADER_COLOUR))
     handles += axes.get_legend_handles_labels()[0] if marked else []
     axes.figure.legend(
         handles=handles, loc="outside upper center", ncols=4, frameon=False, fontsize=7
@@ -153,14 +159,14 @@ def draw_ways(
     for other in (seen or {}).values():
         above.plot(
             *np.array(other)[:, 1:3].T,
-            color=GREY,
+            color=SEEN_WAY_COLOUR,
             linewidth=0.9,
             linestyle=(0, (1, 1.2)),
         )
-        above.plot(*other[-1][1:3], "s", color=GREY, markersize=4)
+        above.plot(*other[-1][1:3], "s", color=SEEN_WAY_COLOUR, markersize=4)
     for i, way in ways.items():
         rows = np.array(way)
-        look = _look(i)
+        look = _way_style(i)
         above.plot(rows[:, 1], rows[:, 2], **look, label=f"drone {i}")
         above.plot(rows[0, 1], rows[0, 2], "o", color=look["color"], markersize=3.5)
         right.plot(rows[: len(beside[i]), 0], beside[i], **look)
@@ -169,30 +175,30 @@ def draw_ways(
             place[0],
             place[1],
             "x",
-            color=_look(i)["color"],
+            color=_way_style(i)["color"],
             markersize=7,
             markeredgewidth=1.6,
         )
     if target is not None:
-        above.plot(target[0], target[1], "*", color=INK, markersize=9)
+        above.plot(target[0], target[1], "*", color=PICTURE_STYLE.ink, markersize=9)
     above.set_aspect("equal", adjustable="datalim")
     above.set(xlabel="x [m]", ylabel="y [m]")
     right.set(xlabel="t [s]", ylabel=label)
     for axes in (above, right):
-        _tidy(axes)
+        _tidy_axes(axes)
     figure.legend(loc="outside upper center", ncols=6, frameon=False, fontsize=8)
     save_figure(figure, path)
 
 
-def _look(i: int) -> dict[str, Any]:
+def _way_style(i: int) -> dict[str, Any]:
     return {
-        "color": COLOURS[i % len(COLOURS)],
-        "linestyle": DASHES[i % len(DASHES)],
+        "color": PICTURE_STYLE.colours[i % len(PICTURE_STYLE.colours)],
+        "linestyle": PICTURE_STYLE.dashes[i % len(PICTURE_STYLE.dashes)],
         "linewidth": 1.3,
     }
 
 
-def _tidy(axes: "Axes") -> None:
+def _tidy_axes(axes: "Axes") -> None:
     axes.grid(color="#e6e6e6", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from itertools import takewhile
 from typing import Any, Final
 
-HEAD: Final = b"\x00\x01\x00\x00"
+CDR_HEADER: Final = b"\x00\x01\x00\x00"
 """First bytes of every message: CDR, little-endian, no options."""
-NUMBERS: Final = {
+NUMBER_FORMATS: Final = {
     "bool": "?",
     "uint8": "B",
     "int32": "i",
@@ -28,8 +28,8 @@ NUMBERS: Final = {
     "float64": "d",
 }
 """Types of numbers, with their letters in `struct`."""
-RULE: Final = "=" * 80  # line between the definitions in a schema
-_FIELD = re.compile(r"([\w/]+)(\[(\d*)\])? +(\w+)")
+SCHEMA_SEPARATOR: Final = "=" * 80  # line between the definitions in a schema
+_FIELD_PATTERN = re.compile(r"([\w/]+)(\[(\d*)\])? +(\w+)")
 
 Definitions = Mapping[str, str]
 """Text of each message by `package/Name`, a field a line."""
@@ -59,15 +59,15 @@ def schema(name: str, definitions: Definitions) -> str:
     """
     parts = [definitions[name]]
     parts += [
-        f"{RULE}\nMSG: {other}\n{definitions[other]}"
-        for other in _needed(name, definitions)
+        f"{SCHEMA_SEPARATOR}\nMSG: {other}\n{definitions[other]}"
+        for other in _nested_messages(name, definitions)
     ]
     return "\n".join(parts)
 
 
 def definitions_of(name: str, text: str) -> Definitions:
     """Return the definitions in such a text: of the named message and of the messages it contains."""
-    first, *others = text.split(f"{RULE}\nMSG: ")
+    first, *others = text.split(f"{SCHEMA_SEPARATOR}\nMSG: ")
     pairs = (part.split("\n", 1) for part in others)
     return {name: first, **{other: own for other, own in pairs}}
 
@@ -118,12 +118,12 @@ class Layout:
                 letters = f"{numbers * width}x"
                 size = numbers * width
             else:
-                letters = numbers * NUMBERS[leaf.type]
+                letters = numbers * NUMBER_FORMATS[leaf.type]
                 size = numbers * width
                 count += numbers
             form = f"{form}{pad}x{letters}"
             end = end + pad + size
-        self._constants.append((0, HEAD))
+        self._constants.append((0, CDR_HEADER))
         self._front = struct.Struct(form)
         self._rest = list(fields[len(front) :])
         self._values = count
@@ -154,14 +154,14 @@ class Layout:
         return self._read.unpack_from(message)
 
 
-def unpacked(fields: Sequence[Leaf], message: bytes) -> dict[str, Any]:
+def unpack_values(fields: Sequence[Leaf], message: bytes) -> dict[str, Any]:
     """Return the values of a message by the paths of its fields; arrays and sequences are lists.
 
     Raises struct.error, IndexError or UnicodeDecodeError if the message is cut off or has other
     fields.
     """
     found: dict[str, Any] = {}
-    at = len(HEAD)
+    at = len(CDR_HEADER)
     for leaf in fields:
         count = leaf.count
         if count is None:
@@ -177,9 +177,11 @@ def unpacked(fields: Sequence[Leaf], message: bytes) -> dict[str, Any]:
 def _read(message: bytes, at: int, kind: str) -> tuple[Any, int]:
     """Return the value at a place, after its padding, and the place where it ends."""
     width = _width(kind)
-    at += -(at - len(HEAD)) % width
+    at += -(at - len(CDR_HEADER)) % width
     if kind != "string":
-        return struct.unpack_from(f"<{NUMBERS[kind]}", message, at)[0], at + width
+        return struct.unpack_from(f"<{NUMBER_FORMATS[kind]}", message, at)[
+            0
+        ], at + width
     end = at + width + int(struct.unpack_from("<I", message, at)[0])
     if end > len(message):
         raise IndexError(f"a text up to byte {end} in a message of {len(message)}")
@@ -206,7 +208,7 @@ def _append(message: bytearray, leaf: Leaf, value: Any) -> None:
 
 def _number(message: bytearray, kind: str, value: Any) -> None:
     message += bytes(-(len(message) - 4) % _width(kind)) + struct.pack(
-        f"<{NUMBERS[kind]}", value
+        f"<{NUMBER_FORMATS[kind]}", value
     )
 
 
@@ -217,20 +219,20 @@ def _content(text: str) -> bytes:
 
 def _width(kind: str) -> int:
     """Return the bytes of a number, or of the length before a text; they are also its alignment."""
-    return 4 if kind == "string" else struct.calcsize(f"<{NUMBERS[kind]}")
+    return 4 if kind == "string" else struct.calcsize(f"<{NUMBER_FORMATS[kind]}")
 
 
-def _needed(name: str, definitions: Definitions) -> list[str]:
+def _nested_messages(name: str, definitions: Definitions) -> list[str]:
     """Return the messages within a message, each once."""
     found: dict[str, None] = {}
     for kind, *_ in _fields(definitions[name]):
         if kind in definitions:
-            found |= dict.fromkeys([kind, *_needed(kind, definitions)])
+            found |= dict.fromkeys([kind, *_nested_messages(kind, definitions)])
     return list(found)
 
 
 def _fields(text: str) -> list[tuple[str, str, str, str]]:
     """Return (type, brackets, count, name) of each line."""
     lines = (line.split("#")[0].strip() for line in text.splitlines())
-    found = [_FIELD.fullmatch(line) for line in lines if line]
+    found = [_FIELD_PATTERN.fullmatch(line) for line in lines if line]
     return [(m[1], m[2] or "", m[3] or "", m[4]) for m in found if m]

@@ -6,20 +6,22 @@ from typing import Any
 
 from crazychoir.errors import ConfigError
 from crazychoir.recording.mcap.cdr import Layout
-from crazychoir.recording.mcap.messages import MESSAGES
-from crazychoir.recording.mcap.reading import STAMP
-from crazychoir.recording.mcap.sequence import Source, Told
+from crazychoir.recording.mcap.messages import MESSAGE_BY_VALUE_TYPE
+from crazychoir.recording.mcap.reading import STAMP_NUMBERS
+from crazychoir.recording.mcap.sequence import RecordedChannel, RecordedMessage
 
-NEEDLESS = ("header.", "child_frame_id", "pose.covariance", "twist.covariance")
+SKIPPED_PREFIXES = ("header.", "child_frame_id", "pose.covariance", "twist.covariance")
 """Prefixes of the paths of fields that are no part of a value."""
 Reader = tuple[Layout | None, Callable[[Sequence[Any]], Any]]
 """Layout of a message's numbers if they have fixed places, and the function that makes the value.
 """
-BY_TYPE = {message.type: message for message in MESSAGES.values()}
+MESSAGE_BY_ROS_TYPE = {
+    message.type: message for message in MESSAGE_BY_VALUE_TYPE.values()
+}
 """Messages by their type in the notation of ROS 2."""
 
 
-class Values:
+class MessageDecoder:
     """Decodes the messages of one recording.
 
     path: the recording, for error texts
@@ -27,24 +29,24 @@ class Values:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._known: dict[Source, Reader] = {}
+        self._known: dict[RecordedChannel, Reader] = {}
 
-    def of(self, message: Told) -> Any:
+    def of(self, message: RecordedMessage) -> Any:
         """Return the value of a message; raises ConfigError for a message of another version."""
         source = message.source
         layout, make = self._known.get(source) or self._find(source)
         if layout is not None:
-            return make(layout.numbers(message.data)[STAMP:])
+            return make(layout.numbers(message.data)[STAMP_NUMBERS:])
         return make(
             [
                 value
                 for name, value in message.values().items()
-                if not name.startswith(NEEDLESS)
+                if not name.startswith(SKIPPED_PREFIXES)
             ]
         )
 
-    def _find(self, source: Source) -> Reader:
-        found = BY_TYPE.get(source.type)
+    def _find(self, source: RecordedChannel) -> Reader:
+        found = MESSAGE_BY_ROS_TYPE.get(source.type)
         if found is None or found.value is None or found.schema != source.schema:
             do = "Use the version that recorded it."
             raise ConfigError(
@@ -54,7 +56,9 @@ class Values:
                 do,
             )
         fixed = all(
-            leaf.fixed for leaf in found.leaves if not leaf.path.startswith(NEEDLESS)
+            leaf.fixed
+            for leaf in found.leaves
+            if not leaf.path.startswith(SKIPPED_PREFIXES)
         )
         reader = self._known[source] = (
             found.layout(source.drone) if fixed else None,

@@ -1,6 +1,6 @@
 """Definitions of the ROS 2 messages in a recording."""
 
-DEFINITIONS = {
+MESSAGE_DEFINITIONS = {
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
     "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
     "std_msgs/String": "string data",

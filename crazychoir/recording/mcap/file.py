@@ -20,18 +20,32 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from crazychoir.errors import ConfigError, error_text
 from crazychoir.files.path_texts import readable_texts
 from crazychoir.recording.mcap.messages import Message
-from crazychoir.recording.mcap.writer import Timed, Writer
-from crazychoir.runtime.clock import SECOND
+from crazychoir.recording.mcap.writer import McapWriter, Timed
+from crazychoir.runtime.clock import NS_PER_SECOND
 
-ABOUT = "crazychoir"
-"""Name of the record that says what was flown."""
-OUTCOME = "crazychoir outcome"
-"""Name of the record with the outcome of the flight."""
-UNKNOWN = "nobody has said why"
-SWARM_FILE = "swarm.json"  # name of the attachment
-MISSION_FILE = "mission.py"  # name of the attachment
-SUFFIX = ".mcap"
-LARGEST = 4 << 20
+
+@dataclass(frozen=True, slots=True)
+class RecordingFormat:
+    """The parts of a recording in an MCAP file."""
+
+    about_record: str = "crazychoir"
+    """Name of the record that says what was flown."""
+    outcome_record: str = "crazychoir outcome"
+    """Name of the record with the outcome of the flight."""
+    unknown_ending: str = "nobody has said why"
+    """Outcome of a recording that was ended without a reason."""
+    swarm_attachment: str = "swarm.json"
+    """Name of the attachment with the swarm."""
+    mission_attachment: str = "mission.py"
+    """Name of the attachment with the mission."""
+    suffix: str = ".mcap"
+    """Suffix of the file's name."""
+
+
+RECORDING_FORMAT = RecordingFormat()
+
+
+LARGEST_CHUNK = 4 << 20
 """Bytes of messages in a chunk after which it is closed, before compression."""
 
 
@@ -55,7 +69,7 @@ class Series:
 
 
 @dataclass(slots=True)
-class Entry:
+class RecordingEntry:
     """One message on its way to the file."""
 
     series: Series
@@ -105,19 +119,23 @@ class RecordingFile:
         self._turn = threading.Lock()
         self._synced_ns = 0
         self._schemas: dict[str, int] = {}
-        self._writer = Writer()
+        self._writer = McapWriter()
         self._writer.begin(profile="ros2", library=f"crazychoir {about['version']}")
-        self._writer.metadata(ABOUT, readable_texts(about))
-        self._writer.attachment(SWARM_FILE, "application/json", swarm.encode())
+        self._writer.metadata(RECORDING_FORMAT.about_record, readable_texts(about))
+        self._writer.attachment(
+            RECORDING_FORMAT.swarm_attachment, "application/json", swarm.encode()
+        )
         if mission:
-            self._writer.attachment(MISSION_FILE, "text/x-python", mission.encode())
+            self._writer.attachment(
+                RECORDING_FORMAT.mission_attachment, "text/x-python", mission.encode()
+            )
         if not self._put(sync=durable):
             self.close()
             raise ConfigError(
                 "--record", str(path), "a disk with room", problem=self.error
             )
 
-    def write(self, entries: Sequence[Entry]) -> None:
+    def write(self, entries: Sequence[RecordingEntry]) -> None:
         """Add these messages as chunks of their own; after a failure they are lost."""
         with self._turn:
             before = self.written
@@ -144,10 +162,12 @@ class RecordingFile:
                 said = {
                     "lost": str(self.lost),
                     "missed": str(self.missed),
-                    "ended": UNKNOWN,
+                    "ended": RECORDING_FORMAT.unknown_ending,
                     **(outcome or {}),
                 }
-                self._writer.metadata(OUTCOME, readable_texts(said))
+                self._writer.metadata(
+                    RECORDING_FORMAT.outcome_record, readable_texts(said)
+                )
                 self._writer.finish()
                 self._put(sync=self.durable)
             os.close(self._fd)
@@ -155,7 +175,7 @@ class RecordingFile:
             if not self.written:
                 self.path.unlink(missing_ok=True)
 
-    def _add(self, entries: Sequence[Entry]) -> None:
+    def _add(self, entries: Sequence[RecordingEntry]) -> None:
         messages: list[Timed] = []
         size = 0
         for entry in entries:
@@ -163,14 +183,14 @@ class RecordingFile:
             series.id = series.id or self._channel(series)
             messages.append((series.id, entry.came_ns, entry.born_ns, entry.data))
             size += len(entry.data)
-            if size > LARGEST:
+            if size > LARGEST_CHUNK:
                 self._writer.chunk(messages)
                 messages = []
                 size = 0
         if messages:
             self._writer.chunk(messages)
         now_ns = entries[-1].came_ns
-        due = self.durable and now_ns - self._synced_ns >= SECOND
+        due = self.durable and now_ns - self._synced_ns >= NS_PER_SECOND
         if self._put(sync=due):
             self.written += len(entries)
             self._synced_ns = now_ns if due else self._synced_ns
@@ -208,11 +228,11 @@ class RecordingFile:
 
 def check_path(path: Path) -> None:
     """Raise ConfigError for a file name that no reader would accept, before anything is done."""
-    if path.suffix != SUFFIX:
+    if path.suffix != RECORDING_FORMAT.suffix:
         raise ConfigError(
             "--record",
             str(path),
-            f"a new file whose name ends in {SUFFIX}, for example flight{SUFFIX}",
+            f"a new file whose name ends in {RECORDING_FORMAT.suffix}, for example flight{RECORDING_FORMAT.suffix}",
         )
 
 

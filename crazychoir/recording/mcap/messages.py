@@ -15,12 +15,12 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 
 from crazychoir.bus.codec import decode
-from crazychoir.bus.json_view import plain
+from crazychoir.bus.json_view import to_plain_values
 from crazychoir.bus.topics import Topic
 from crazychoir.recording.mcap.cdr import Layout, Leaf, leaves, schema
-from crazychoir.recording.mcap.definitions import DEFINITIONS
-from crazychoir.recording.mcap.odometry import odometry, state_of
-from crazychoir.runtime.clock import SECOND
+from crazychoir.recording.mcap.definitions import MESSAGE_DEFINITIONS
+from crazychoir.recording.mcap.odometry import odometry_numbers, state_of
+from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.team.rounds import (
     AHEAD,
     CREDIT,
@@ -29,7 +29,7 @@ from crazychoir.team.rounds import (
     FIN_TOO,
     GONE,
     KIND_BITS,
-    KINDS,
+    KIND_MASK,
     REPEAT,
     WANT,
 )
@@ -53,7 +53,7 @@ from crazychoir.types import (
     Velocity,
 )
 
-WAY = 25
+WAY_COLUMNS = 25
 """Numbers in a row of a plan's way."""
 KIND_NAMES = {
     DATA: "data",
@@ -102,12 +102,12 @@ class Message:
     @property
     def schema(self) -> str:
         """The text of its definition."""
-        return schema(self.name, DEFINITIONS)
+        return schema(self.name, MESSAGE_DEFINITIONS)
 
     @property
     def leaves(self) -> list[Leaf]:
         """Its fields."""
-        return list(leaves(self.name, DEFINITIONS))
+        return list(leaves(self.name, MESSAGE_DEFINITIONS))
 
     @property
     def stamped(self) -> bool:
@@ -134,28 +134,30 @@ Pack = Callable[[Any, int], bytes]
 """Returns the message for a value and the time of its birth, ns."""
 
 
-def packer(message: Message, drone: int) -> Pack:
+def make_packer(message: Message, drone: int) -> Pack:
     """Return the function that makes a message of a value of this drone and the time of its birth."""
     pack = message.layout(drone).pack
     values = message.values
     if not message.stamped:
         return lambda value, born_ns: pack(values(value))
-    return lambda value, born_ns: pack((*divmod(born_ns, SECOND), *values(value)))
+    return lambda value, born_ns: pack(
+        (*divmod(born_ns, NS_PER_SECOND), *values(value))
+    )
 
 
 def in_json(value: Any) -> str:
     """Return a value of any kind as JSON."""
-    return dumps(plain(value), default=str)
+    return dumps(to_plain_values(value), default=str)
 
 
-def exchanged(message: Exchanged) -> tuple[Any, ...]:
+def round_fields(message: Exchanged) -> tuple[Any, ...]:
     """Return the fields of crazychoir_msgs/Round."""
     to, k, flags, channel, payload = message
     return (
         to,
         k,
         flags >> KIND_BITS,
-        KIND_NAMES[flags & KINDS],
+        KIND_NAMES[flags & KIND_MASK],
         channel,
         _content(payload),
     )
@@ -170,13 +172,13 @@ def _vec(x: Sequence[Any]) -> Vec:
     return np.array(x, dtype=float)
 
 
-def _said(x: Sequence[Any]) -> Any:
+def _value_from_json(x: Sequence[Any]) -> Any:
     raw = loads(x[0])
-    return _plan(raw) if isinstance(raw, dict) and "awaits" in raw else raw
+    return _plan_from_json(raw) if isinstance(raw, dict) and "awaits" in raw else raw
 
 
-def _plan(raw: Mapping[str, Any]) -> Plan:
-    way, offer = (_vec(raw[name]).reshape(-1, WAY) for name in ("way", "offer"))
+def _plan_from_json(raw: Mapping[str, Any]) -> Plan:
+    way, offer = (_vec(raw[name]).reshape(-1, WAY_COLUMNS) for name in ("way", "offer"))
     agreed = {int(i): number for i, number in raw["agreed"].items()}
     return Plan(
         way, raw["since"], offer, raw["due"], raw["number"], agreed, _vec(raw["awaits"])
@@ -197,9 +199,9 @@ def _record(name: str, kind: Callable[..., Any]) -> Message:
     )
 
 
-MESSAGES: dict[Any, Message] = {
+MESSAGE_BY_VALUE_TYPE: dict[Any, Message] = {
     Pose: _array("geometry_msgs/PoseStamped", Pose),
-    State: Message("nav_msgs/Odometry", odometry, state_of),
+    State: Message("nav_msgs/Odometry", odometry_numbers, state_of),
     Acceleration: Message(
         "crazychoir_msgs/Acceleration",
         lambda wanted: (*wanted.a.tolist(), wanted.yaw),
@@ -230,14 +232,18 @@ MESSAGES: dict[Any, Message] = {
     Body: _record("crazychoir_msgs/Body", Body),
     Status: _record("crazychoir_msgs/Status", Status),
     str: Message("std_msgs/String", lambda line: (line,), lambda x: x[0]),
-    Plan: Message("crazychoir_msgs/Value", lambda plan: (in_json(plan),), _said),
-    dict: Message("crazychoir_msgs/Value", lambda value: (in_json(value),), _said),
-    Exchanged: Message("crazychoir_msgs/Round", exchanged),
+    Plan: Message(
+        "crazychoir_msgs/Value", lambda plan: (in_json(plan),), _value_from_json
+    ),
+    dict: Message(
+        "crazychoir_msgs/Value", lambda value: (in_json(value),), _value_from_json
+    ),
+    Exchanged: Message("crazychoir_msgs/Round", round_fields),
 }
 """Messages by the type of a value; any other value is written like a dictionary."""
 
 
-def usual(topic: Topic) -> Any:
+def usual_type(topic: Topic) -> Any:
     """Return the type of messages that are recorded under the topic's name alone.
 
     It is the only type of the topic, or the first of several.

@@ -7,7 +7,7 @@ import numpy as np
 from crazychoir.types import Mat, State
 
 
-def odometry(state: State) -> list[float]:
+def odometry_numbers(state: State) -> list[float]:
     """Return p, q, v_b, w: nav_msgs/Odometry has velocities in the frame of the body.
 
         v_b = R(q)^T v = v - q_w t + u x t,  t = 2 u x v,  u = (q_x, q_y, q_z)
@@ -28,13 +28,13 @@ def odometry(state: State) -> list[float]:
 
 
 def state_of(x: Sequence[float]) -> State:
-    """Return the State of the numbers of `odometry`; the drone's command is not recorded."""
+    """Return the State of the numbers of `odometry_numbers`; the drone's command is not recorded."""
     flat = np.array(x, dtype=float)
-    v = into_world(flat[None, 3:7], flat[None, 7:10])[0]
+    v = rotate_to_world(flat[None, 3:7], flat[None, 7:10])[0]
     return State(np.concatenate([flat[0:3], v, flat[3:7], flat[10:13]]))
 
 
-def into_world(q: Mat, v_b: Mat) -> Mat:
+def rotate_to_world(q: Mat, v_b: Mat) -> Mat:
     """Return v = R(q) v_b, row by row.
 
         v = v_b + 2 q_w (u x v_b) + 2 u x (u x v_b),  u = (q_x, q_y, q_z)

@@ -11,30 +11,30 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 
-from crazychoir.bus.topics import BY_NAME
+from crazychoir.bus.topics import TOPIC_BY_NAME
 from crazychoir.errors import ConfigError
 from crazychoir.recording.mcap.cdr import Layout
-from crazychoir.recording.mcap.file import ABOUT, MISSION_FILE, OUTCOME, SWARM_FILE
-from crazychoir.recording.mcap.messages import MESSAGES, usual
+from crazychoir.recording.mcap.file import RECORDING_FORMAT
+from crazychoir.recording.mcap.messages import MESSAGE_BY_VALUE_TYPE, usual_type
 from crazychoir.recording.mcap.records import (
-    DO,
-    MESSAGE,
+    MESSAGE_HEADER,
+    RECORDING_HINT,
     Records,
-    of_another_program,
-    opened,
+    body_stream,
+    foreign_file_error,
+    open_recording,
     records_of,
-    stream,
 )
-from crazychoir.runtime.clock import SECOND
+from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.types import Mat
 
-STAMP = 2
+STAMP_NUMBERS = 2
 """Count of numbers in a header's stamp."""
-FLIGHT = "a recording of a flight"
+EXPECTED_RECORDING = "a recording of a flight"
 
 
 @dataclass
-class Values:
+class RecordedValues:
     """The recorded values of one topic of one drone, the oldest first."""
 
     came: Mat
@@ -76,7 +76,7 @@ class Recording:
     """Count of whole chunks with messages."""
     fault: str = "not read"
     """Place where the file is cut off or damaged; empty if it was ended in order."""
-    topics: dict[tuple[int, str], Values] = field(default_factory=dict)
+    topics: dict[tuple[int, str], RecordedValues] = field(default_factory=dict)
     """Values by (drone, topic)."""
 
     @property
@@ -100,10 +100,10 @@ class Recording:
         came = [values.came for values in self.topics.values()]
         return min(column[0] for column in came), max(column[-1] for column in came)
 
-    def of(self, drone: int, topic: str) -> Values:
+    def of(self, drone: int, topic: str) -> RecordedValues:
         """Return the values of a topic; empty if it was not recorded."""
         return self.topics.get(
-            (drone, topic), Values(np.zeros(0), np.zeros(0), np.zeros((0, 0)))
+            (drone, topic), RecordedValues(np.zeros(0), np.zeros(0), np.zeros((0, 0)))
         )
 
 
@@ -112,35 +112,38 @@ def read(path: Path, topics: tuple[str, ...]) -> Recording:
 
     Raises ConfigError if the file is no recording, or has no message of these topics.
     """
-    recording = _whole(path, topics)
+    recording = _read_recording(path, topics)
     if not recording.topics:
         raise ConfigError(
-            str(path), f"no {' and no '.join(topics)} of any drone", FLIGHT, DO
+            str(path),
+            f"no {' and no '.join(topics)} of any drone",
+            EXPECTED_RECORDING,
+            RECORDING_HINT,
         )
     return recording
 
 
-def header(path: Path) -> Recording:
+def read_header(path: Path) -> Recording:
     """Return a recording without its messages: what was flown, the outcome, and the fault.
 
     Raises ConfigError if the file is no recording, or has no message.
     """
-    recording = _whole(path, ())
+    recording = _read_recording(path, ())
     if not recording.chunks:
         raise ConfigError(
             str(path),
             f"no message: it was {recording.fault or 'ended in order'}",
-            FLIGHT,
-            DO,
+            EXPECTED_RECORDING,
+            RECORDING_HINT,
         )
     return recording
 
 
-def _whole(path: Path, topics: tuple[str, ...]) -> Recording:
-    with opened(path) as content:
+def _read_recording(path: Path, topics: tuple[str, ...]) -> Recording:
+    with open_recording(path) as content:
         recording = _read(path, content, topics)
     if not recording.about:
-        raise of_another_program(path)
+        raise foreign_file_error(path)
     return recording
 
 
@@ -164,19 +167,19 @@ def _read(path: Path, content: mmap.mmap, topics: tuple[str, ...]) -> Recording:
 def _take(recording: Recording, found: "_Series", opcode: int, body: bytes) -> None:
     match opcode:
         case Opcode.METADATA:
-            told = Metadata.read(stream(body))
-            if told.name == ABOUT:
+            told = Metadata.read(body_stream(body))
+            if told.name == RECORDING_FORMAT.about_record:
                 recording.about = told.metadata
-            elif told.name == OUTCOME:
+            elif told.name == RECORDING_FORMAT.outcome_record:
                 recording.outcome = told.metadata
                 recording.lost, recording.missed = (
                     int(told.metadata.get(name, 0)) for name in ("lost", "missed")
                 )
         case Opcode.ATTACHMENT:
-            attached = Attachment.read(stream(body))
-            if attached.name == SWARM_FILE:
+            attached = Attachment.read(body_stream(body))
+            if attached.name == RECORDING_FORMAT.swarm_attachment:
                 recording.swarm = attached.data.decode()
-            elif attached.name == MISSION_FILE:
+            elif attached.name == RECORDING_FORMAT.mission_attachment:
                 recording.mission = attached.data.decode(errors="replace")
         case Opcode.CHUNK:
             recording.chunks += any(
@@ -186,7 +189,7 @@ def _take(recording: Recording, found: "_Series", opcode: int, body: bytes) -> N
                 found.add(body)
 
 
-class _Columns:
+class _ValueColumns:
     """Values of one topic of one drone while they are read: 8 bytes a number."""
 
     def __init__(self) -> None:
@@ -197,14 +200,14 @@ class _Columns:
 
     def add(self, came_ns: int, born_ns: int, numbers: Sequence[float]) -> None:
         """Add a message; each must have the same count of numbers."""
-        self._times.extend((came_ns / SECOND, born_ns / SECOND))
+        self._times.extend((came_ns / NS_PER_SECOND, born_ns / NS_PER_SECOND))
         self._numbers.extend(numbers)
 
-    def values(self) -> Values:
+    def values(self) -> RecordedValues:
         """Return all values; there must be at least one message."""
         times = np.frombuffer(self._times).reshape(-1, 2)
         n = len(self)
-        return Values(
+        return RecordedValues(
             times[:, 0],
             times[:, 1],
             np.frombuffer(self._numbers).reshape(n, len(self._numbers) // n),
@@ -220,7 +223,7 @@ class _Series:
         self._schemas: dict[int, Schema] = {}
         self._keys: dict[int, tuple[int, str]] = {}
         self._layouts: dict[int, Layout] = {}
-        self._found: dict[int, _Columns] = {}
+        self._found: dict[int, _ValueColumns] = {}
 
     def add(self, chunk: bytes) -> None:
         """Add the records of a chunk."""
@@ -229,12 +232,12 @@ class _Series:
                 case Opcode.MESSAGE:
                     self._hear(body)
                 case Opcode.SCHEMA:
-                    schema = Schema.read(stream(body))
+                    schema = Schema.read(body_stream(body))
                     self._schemas[schema.id] = schema
                 case Opcode.CHANNEL:
-                    self._open(Channel.read(stream(body)))
+                    self._open(Channel.read(body_stream(body)))
 
-    def values(self) -> dict[tuple[int, str], Values]:
+    def values(self) -> dict[tuple[int, str], RecordedValues]:
         """Return the values by (drone, topic)."""
         return {
             self._keys[channel]: rows.values()
@@ -243,18 +246,20 @@ class _Series:
         }
 
     def _hear(self, body: bytes) -> None:
-        channel, _, came_ns, born_ns = MESSAGE.unpack_from(body)
+        channel, _, came_ns, born_ns = MESSAGE_HEADER.unpack_from(body)
         layout = self._layouts.get(channel)
         if layout is not None:
             self._found[channel].add(
-                came_ns, born_ns, layout.numbers(body[MESSAGE.size :])[STAMP:]
+                came_ns,
+                born_ns,
+                layout.numbers(body[MESSAGE_HEADER.size :])[STAMP_NUMBERS:],
             )
 
     def _open(self, channel: Channel) -> None:
         topic = channel.metadata.get("topic", "")
         if topic not in self.topics or channel.id in self._layouts:
             return
-        message = MESSAGES[usual(BY_NAME[topic])]
+        message = MESSAGE_BY_VALUE_TYPE[usual_type(TOPIC_BY_NAME[topic])]
         schema = self._schemas[channel.schema_id]
         if (schema.name, schema.data.decode()) != (message.type, message.schema):
             do = "Plot it with the version that recorded it."
@@ -262,5 +267,8 @@ class _Series:
                 str(self._path), f"another {schema.name} for {topic}", message.type, do
             )
         drone = int(channel.metadata["drone"])
-        self._keys[channel.id], self._found[channel.id] = (drone, topic), _Columns()
+        self._keys[channel.id], self._found[channel.id] = (
+            (drone, topic),
+            _ValueColumns(),
+        )
         self._layouts[channel.id] = message.layout(drone)

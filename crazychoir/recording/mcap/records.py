@@ -4,6 +4,7 @@ import contextlib
 import mmap
 import struct
 from collections.abc import Iterator
+from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 
@@ -15,21 +16,31 @@ from mcap.writer import MCAP0_MAGIC
 
 from crazychoir.errors import ConfigError, CrazyChoirError
 
-DO = "Give it a file of `crazychoir run ... --record FILE`."
-MESSAGE = struct.Struct("<HIQQ")
+RECORDING_HINT = "Give it a file of `crazychoir run ... --record FILE`."
+MESSAGE_HEADER = struct.Struct("<HIQQ")
 """Numbers before the data of a message: channel, sequence, when it came, when it was born (ns)."""
-_RECORD = struct.Struct("<BQ")
-COMPRESSIONS = ("", "zstd", "lz4")
+_RECORD_HEADER = struct.Struct("<BQ")
+READABLE_COMPRESSIONS = ("", "zstd", "lz4")
 """Compressions of chunks that can be read; "" is none."""
-BARE = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
-"""Records that stand in a chunk, or directly in a file without chunks."""
-ENDS_RUN = (Opcode.CHUNK, Opcode.DATA_END, Opcode.FOOTER)
-"""Records before which the collected bare records are handed over."""
-LARGEST_RUN = 4 << 20  # bytes of bare records that are handed over together
+
+
+@dataclass(frozen=True, slots=True)
+class BareRecordRules:
+    """How bare records, outside of chunks, are collected and handed over."""
+
+    opcodes: tuple[Opcode, ...] = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+    """Records that stand in a chunk, or directly in a file without chunks."""
+    ending_opcodes: tuple[Opcode, ...] = (Opcode.CHUNK, Opcode.DATA_END, Opcode.FOOTER)
+    """Records before which the collected bare records are handed over."""
+    largest_run: int = 4 << 20
+    """Bytes of bare records that are handed over together."""
+
+
+BARE_RECORDS = BareRecordRules()
 
 
 @contextlib.contextmanager
-def opened(path: Path) -> Iterator[mmap.mmap]:
+def open_recording(path: Path) -> Iterator[mmap.mmap]:
     """Open an MCAP file and yield its bytes; raises ConfigError if it is no MCAP file."""
     try:
         with path.open("rb") as file:
@@ -40,20 +51,23 @@ def opened(path: Path) -> Iterator[mmap.mmap]:
                     if not first
                     else f"a file that begins with {first!r}"
                 )
-                raise ConfigError(str(path), found, "an MCAP file", DO)
+                raise ConfigError(str(path), found, "an MCAP file", RECORDING_HINT)
             content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     except OSError as error:
         raise ConfigError(
-            str(path), str(error.strerror), "a file that can be read", DO
+            str(path), str(error.strerror), "a file that can be read", RECORDING_HINT
         ) from error
     with content:
         yield content
 
 
-def of_another_program(path: Path) -> ConfigError:
+def foreign_file_error(path: Path) -> ConfigError:
     """Return the error for an MCAP file that does not say what was flown."""
     return ConfigError(
-        str(path), "an MCAP file of another program", "one of crazychoir", DO
+        str(path),
+        "an MCAP file of another program",
+        "one of crazychoir",
+        RECORDING_HINT,
     )
 
 
@@ -61,9 +75,9 @@ def records(
     content: mmap.mmap | bytes, at: int = len(MCAP0_MAGIC)
 ) -> Iterator[tuple[int, bytes]]:
     """Yield (opcode, body) of every whole record."""
-    while at + _RECORD.size <= len(content):
-        opcode, length = _RECORD.unpack_from(content, at)
-        at += _RECORD.size
+    while at + _RECORD_HEADER.size <= len(content):
+        opcode, length = _RECORD_HEADER.unpack_from(content, at)
+        at += _RECORD_HEADER.size
         if opcode == 0 or at + length > len(content):
             return
         yield opcode, content[at : at + length]
@@ -102,20 +116,22 @@ class Records:
         in_summary = False
         for opcode, body in records(self._content):
             self.at = after
-            after += _RECORD.size + len(body)
-            if opcode in BARE:
+            after += _RECORD_HEADER.size + len(body)
+            if opcode in BARE_RECORDS.opcodes:
                 if not in_summary:
-                    bare += _RECORD.pack(opcode, len(body)) + body
-                if len(bare) < LARGEST_RUN:
+                    bare += _RECORD_HEADER.pack(opcode, len(body)) + body
+                if len(bare) < BARE_RECORDS.largest_run:
                     continue
-            if bare and (opcode in BARE or opcode in ENDS_RUN):
+            if bare and (
+                opcode in BARE_RECORDS.opcodes or opcode in BARE_RECORDS.ending_opcodes
+            ):
                 yield Opcode.CHUNK, bytes(bare)
                 bare.clear()
-            if opcode in BARE:
+            if opcode in BARE_RECORDS.opcodes:
                 continue
             in_summary = in_summary or opcode == Opcode.DATA_END
             try:
-                content = _unpacked(body) if opcode == Opcode.CHUNK else body
+                content = _unpack_chunk(body) if opcode == Opcode.CHUNK else body
             except UnknownCompression as error:
                 self.fault = f"{error}, at byte {self.at}"
                 return
@@ -135,13 +151,13 @@ class Records:
         self.fault = f"spoilt at byte {self.at}"
 
 
-def _unpacked(chunk: bytes) -> bytes:
+def _unpack_chunk(chunk: bytes) -> bytes:
     """Return the records of a chunk.
 
     Raises UnknownCompression, or any error if the chunk is damaged.
     """
-    packed = Chunk.read(stream(chunk))
-    if packed.compression not in COMPRESSIONS:
+    packed = Chunk.read(body_stream(chunk))
+    if packed.compression not in READABLE_COMPRESSIONS:
         raise UnknownCompression(
             f"compressed by {packed.compression!r}, where zstd, lz4 and nothing are read"
         )
@@ -149,6 +165,6 @@ def _unpacked(chunk: bytes) -> bytes:
     return unpacked.read(length)
 
 
-def stream(body: bytes) -> ReadDataStream:
+def body_stream(body: bytes) -> ReadDataStream:
     """Return the body as the stream that the classes of mcap.records read."""
     return ReadDataStream(BytesIO(body))

@@ -13,19 +13,19 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from crazychoir.errors import ConfigError
-from crazychoir.recording.mcap.cdr import Leaf, definitions_of, leaves, unpacked
+from crazychoir.recording.mcap.cdr import Leaf, definitions_of, leaves, unpack_values
 from crazychoir.recording.mcap.records import (
-    DO,
-    MESSAGE,
+    MESSAGE_HEADER,
+    RECORDING_HINT,
     Records,
-    opened,
+    body_stream,
+    open_recording,
     records_of,
-    stream,
 )
 
 
 @dataclass(frozen=True)
-class Source:
+class RecordedChannel:
     """A channel of a file."""
 
     drone: int
@@ -50,10 +50,10 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class RecordedMessage:
     """A message of a recording; times are by the recording's clock."""
 
-    source: Source
+    source: RecordedChannel
     """Its channel."""
     came_ns: int
     """Time of arrival, ns."""
@@ -64,10 +64,10 @@ class Told:
 
     def values(self) -> dict[str, Any]:
         """Return its values by the path of each field."""
-        return unpacked(self.source.fields, self.data)
+        return unpack_values(self.source.fields, self.data)
 
 
-class Messages:
+class RecordedMessages:
     """Iterates over the messages of all whole chunks.
 
     path: the file
@@ -82,10 +82,10 @@ class Messages:
         self.topics = topics
         self.fault = "not read"
 
-    def __iter__(self) -> Iterator[Told]:
-        with opened(self.path) as content:
+    def __iter__(self) -> Iterator[RecordedMessage]:
+        with open_recording(self.path) as content:
             whole = Records(content)
-            sources = dict[int, Source]()
+            sources = dict[int, RecordedChannel]()
             schemas = dict[int, Schema]()
             for opcode, body in whole:
                 if opcode == Opcode.CHUNK:
@@ -93,43 +93,55 @@ class Messages:
             self.fault = whole.fault
 
     def _of_chunk(
-        self, chunk: bytes, sources: dict[int, Source], schemas: dict[int, Schema]
-    ) -> Iterator[Told]:
+        self,
+        chunk: bytes,
+        sources: dict[int, RecordedChannel],
+        schemas: dict[int, Schema],
+    ) -> Iterator[RecordedMessage]:
         """Yield the messages of a chunk, and add its sources and schemas to those known before."""
         for opcode, record in records_of(chunk):
             match opcode:
                 case Opcode.MESSAGE:
-                    channel, _, came_ns, born_ns = MESSAGE.unpack_from(record)
+                    channel, _, came_ns, born_ns = MESSAGE_HEADER.unpack_from(record)
                     if channel not in sources:
                         raise ConfigError(
                             str(self.path),
                             f"a message of channel {channel}, which is not there",
                             "messages of channels that the file names before",
-                            DO,
+                            RECORDING_HINT,
                         )
                     source = sources[channel]
                     if self.topics is None or source.topic in self.topics:
-                        yield Told(source, came_ns, born_ns, record[MESSAGE.size :])
+                        yield RecordedMessage(
+                            source, came_ns, born_ns, record[MESSAGE_HEADER.size :]
+                        )
                 case Opcode.SCHEMA:
-                    schema = Schema.read(stream(record))
+                    schema = Schema.read(body_stream(record))
                     schemas[schema.id] = schema
                 case Opcode.CHANNEL:
-                    opened_now = Channel.read(stream(record))
+                    opened_now = Channel.read(body_stream(record))
                     sources[opened_now.id] = _source(self.path, opened_now, schemas)
 
 
-def told(path: Path, topics: Collection[str] | None = None) -> Messages:
+def read_messages(
+    path: Path, topics: Collection[str] | None = None
+) -> RecordedMessages:
     """Return the messages of a recording, or those of some topics."""
-    return Messages(path, topics)
+    return RecordedMessages(path, topics)
 
 
-def _source(path: Path, channel: Channel, schemas: dict[int, Schema]) -> Source:
+def _source(
+    path: Path, channel: Channel, schemas: dict[int, Schema]
+) -> RecordedChannel:
     try:
         schema = schemas[channel.schema_id]
         drone = int(channel.metadata["drone"])
         topic = channel.metadata["topic"]
     except (KeyError, ValueError):
         raise ConfigError(
-            str(path), f"channel {channel.topic} of another program", "a recording", DO
+            str(path),
+            f"channel {channel.topic} of another program",
+            "a recording",
+            RECORDING_HINT,
         ) from None
-    return Source(drone, topic, schema.name, schema.data.decode())
+    return RecordedChannel(drone, topic, schema.name, schema.data.decode())

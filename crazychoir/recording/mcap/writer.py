@@ -34,18 +34,18 @@ from mcap.records import (
 from mcap.records import Chunk as ChunkRecord
 from mcap.writer import MCAP0_MAGIC
 
-COMPRESSION = "zstd"
-_MESSAGE = struct.Struct("<BQHIQQ")
-_INDEX = struct.Struct("<BQHI")
-_FOOTER = struct.Struct("<BQQQ")
-_REST = _MESSAGE.size - 9
+CHUNK_COMPRESSION = "zstd"
+_MESSAGE_RECORD = struct.Struct("<BQHIQQ")
+_INDEX_RECORD = struct.Struct("<BQHI")
+_FOOTER_RECORD = struct.Struct("<BQQQ")
+_MESSAGE_REST = _MESSAGE_RECORD.size - 9
 """Bytes of a message's record between its length and its data."""
 
 Timed = tuple[int, int, int, bytes]
 """A message: channel, when it came (ns), when it was born (ns), and its data."""
 
 
-class Writer:
+class McapWriter:
     """Makes the bytes of a file in the order of the calls.
 
     `take` returns the bytes made since its last call. The first call is `begin`, the last `finish`.
@@ -111,8 +111,8 @@ class Writer:
         for channel, came_ns, born_ns, data in messages:
             size = len(data)
             parts += (
-                _MESSAGE.pack(
-                    Opcode.MESSAGE, _REST + size, channel, 0, came_ns, born_ns
+                _MESSAGE_RECORD.pack(
+                    Opcode.MESSAGE, _MESSAGE_REST + size, channel, 0, came_ns, born_ns
                 ),
                 data,
             )
@@ -120,7 +120,7 @@ class Writer:
             if places is None:
                 places = index[channel] = []
             places += (came_ns, at)
-            at += _MESSAGE.size + size
+            at += _MESSAGE_RECORD.size + size
         content = b"".join(parts)
         came = [message[1] for message in messages]
         self._chunk(content, min(came), max(came), index)
@@ -136,7 +136,7 @@ class Writer:
         begin = self._end
         length = self._record(
             ChunkRecord(
-                COMPRESSION,
+                CHUNK_COMPRESSION,
                 packed,
                 last_ns,
                 first_ns,
@@ -149,7 +149,7 @@ class Writer:
         for channel, places in index.items():
             offsets[channel] = self._end
             self._counts[channel] = self._counts.get(channel, 0) + len(places) // 2
-            head = _INDEX.pack(
+            head = _INDEX_RECORD.pack(
                 Opcode.MESSAGE_INDEX, 6 + 8 * len(places), channel, 8 * len(places)
             )
             self._add(head + struct.pack(f"<{len(places)}Q", *places))
@@ -157,7 +157,7 @@ class Writer:
             ChunkIndex(
                 length,
                 begin,
-                COMPRESSION,
+                CHUNK_COMPRESSION,
                 len(packed),
                 last_ns,
                 self._end - indexed,
@@ -191,7 +191,8 @@ class Writer:
             offset.write(summary)
         data = summary.end()
         crc = zlib.crc32(
-            _FOOTER.pack(Opcode.FOOTER, 20, start, offsets_start), zlib.crc32(data)
+            _FOOTER_RECORD.pack(Opcode.FOOTER, 20, start, offsets_start),
+            zlib.crc32(data),
         )
         self._add(data)
         self._record(Footer(start, offsets_start, crc))

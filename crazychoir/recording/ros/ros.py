@@ -9,15 +9,15 @@ import math
 from dataclasses import dataclass
 from functools import cache
 
-from crazychoir.bus.topics import STATE, TRUTH
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.recording.mcap.cdr import Definitions, Layout, Leaf, leaves, schema
-from crazychoir.recording.mcap.definitions import DEFINITIONS
-from crazychoir.recording.mcap.messages import MESSAGES, in_json
-from crazychoir.recording.mcap.sequence import Told
+from crazychoir.recording.mcap.definitions import MESSAGE_DEFINITIONS
+from crazychoir.recording.mcap.messages import MESSAGE_BY_VALUE_TYPE, in_json
+from crazychoir.recording.mcap.sequence import RecordedMessage
 from crazychoir.types import FullState, State
 
-ROS: Definitions = {
-    **DEFINITIONS,
+ROS_DEFINITIONS: Definitions = {
+    **MESSAGE_DEFINITIONS,
     "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation",
     "geometry_msgs/TransformStamped": """\
 std_msgs/Header header
@@ -25,18 +25,34 @@ string child_frame_id
 geometry_msgs/Transform transform""",
     "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms",
 }
-STANDARD = ("std_msgs/", "geometry_msgs/", "nav_msgs/")
-REFERENCE = MESSAGES[FullState].type
-STATE_TYPE = MESSAGES[State].type
-POSE = "geometry_msgs/PoseStamped"
-TEXT = "std_msgs/String"
-TF = "tf2_msgs/TFMessage"
-TF_TOPIC = "/tf"
+
+
+@dataclass(frozen=True, slots=True)
+class RosNames:
+    """Names of the packages, types and topics of ROS 2."""
+
+    standard_packages: tuple[str, ...] = ("std_msgs/", "geometry_msgs/", "nav_msgs/")
+    """Prefixes of the types that every ROS 2 knows."""
+    pose_type: str = "geometry_msgs/PoseStamped"
+    """Type of a pose."""
+    text_type: str = "std_msgs/String"
+    """Type of a text."""
+    transform_type: str = "tf2_msgs/TFMessage"
+    """Type of the messages on the topic of transforms."""
+    transform_topic: str = "/tf"
+    """Topic of transforms."""
+
+
+ROS_NAMES = RosNames()
+
+
+REFERENCE_TYPE = MESSAGE_BY_VALUE_TYPE[FullState].type
+STATE_TYPE = MESSAGE_BY_VALUE_TYPE[State].type
 Numbers = tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class Said:
+class RosMessage:
     """A message for ROS 2."""
 
     topic: str
@@ -54,51 +70,71 @@ class Said:
     @property
     def schema(self) -> str:
         """The definition of its type."""
-        return schema(self.name, ROS)
+        return schema(self.name, ROS_DEFINITIONS)
 
 
-def for_ros(message: Told, truths: frozenset[int]) -> list[Said]:
+def to_ros_messages(
+    message: RecordedMessage, truths: frozenset[int]
+) -> list[RosMessage]:
     """Return the messages for ROS 2 that a recorded message becomes.
 
     truths: drones with a recorded truth
     """
     source = message.source
     name = source.type.replace("/msg/", "/")
-    if name.startswith(STANDARD):
-        said = [Said(source.name, name, message.data)]
-    elif source.type == REFERENCE:
-        said = [Said(source.name, POSE, pose(message))]
+    if name.startswith(ROS_NAMES.standard_packages):
+        said = [RosMessage(source.name, name, message.data)]
+    elif source.type == REFERENCE_TYPE:
+        said = [
+            RosMessage(source.name, ROS_NAMES.pose_type, pack_reference_pose(message))
+        ]
     else:
-        said = [Said(source.name, TEXT, _text(in_json(message.values())))]
-    moves = TRUTH.name if source.drone in truths else STATE.name
+        said = [
+            RosMessage(
+                source.name, ROS_NAMES.text_type, _text(in_json(message.values()))
+            )
+        ]
+    moves = (
+        DRONE_TOPICS.truth.name if source.drone in truths else DRONE_TOPICS.state.name
+    )
     if source.topic == moves and source.type == STATE_TYPE:
-        said.append(Said(TF_TOPIC, TF, transform(message)))
+        said.append(
+            RosMessage(
+                ROS_NAMES.transform_topic,
+                ROS_NAMES.transform_type,
+                pack_transform(message),
+            )
+        )
     return said
 
 
-def pose(reference: Told) -> bytes:
+def pack_reference_pose(reference: RecordedMessage) -> bytes:
     """Return a geometry_msgs/PoseStamped for a reference: its position, level, with its yaw."""
-    x = _numbers(reference, MESSAGES[FullState].layout(reference.source.drone))
-    return _layout(POSE, "").pack(
+    x = _stamped_numbers(
+        reference, MESSAGE_BY_VALUE_TYPE[FullState].layout(reference.source.drone)
+    )
+    return _layout(ROS_NAMES.pose_type, "").pack(
         (*x[:5], 0.0, 0.0, math.sin(0.5 * x[14]), math.cos(0.5 * x[14]))
     )
 
 
-def transform(odometry: Told) -> bytes:
+def pack_transform(odometry: RecordedMessage) -> bytes:
     """Return a tf2_msgs/TFMessage for an Odometry: world -> drone."""
-    x = _numbers(odometry, MESSAGES[State].layout(odometry.source.drone))
+    x = _stamped_numbers(
+        odometry, MESSAGE_BY_VALUE_TYPE[State].layout(odometry.source.drone)
+    )
     return _layout(
         "geometry_msgs/TransformStamped", f"drone{odometry.source.drone}", 1
     ).pack((1, *x[:9]))
 
 
-def _numbers(message: Told, layout: Layout) -> Numbers:
+def _stamped_numbers(message: RecordedMessage, layout: Layout) -> Numbers:
     """Return the seconds and nanoseconds of its stamp, and its other numbers."""
     return layout.numbers(message.data)
 
 
 def _text(text: str) -> bytes:
-    return _layout(TEXT, "").pack((text,))
+    return _layout(ROS_NAMES.text_type, "").pack((text,))
 
 
 @cache
@@ -109,7 +145,7 @@ def _layout(name: str, child: str, count: int | None = None) -> Layout:
     count: None for the message alone; a number for a sequence with its count, one message here
     """
     constants = {"header.frame_id": "world", "child_frame_id": child}
-    fields = list(leaves(name, ROS))
+    fields = list(leaves(name, ROS_DEFINITIONS))
     return Layout(
         fields if count is None else [Leaf("count", "uint32"), *fields], constants
     )

@@ -11,21 +11,21 @@ from pathlib import Path
 
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
-from crazychoir.bus.network.hello import VERSION
-from crazychoir.bus.topics import TRUTH
+from crazychoir.bus.network.hello import PACKAGE_VERSION
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.errors import ConfigError
-from crazychoir.recording.mcap.file import LARGEST
-from crazychoir.recording.mcap.sequence import told
-from crazychoir.recording.mcap.writer import Timed, Writer
-from crazychoir.recording.ros.ros import Said, for_ros
+from crazychoir.recording.mcap.file import LARGEST_CHUNK
+from crazychoir.recording.mcap.sequence import read_messages
+from crazychoir.recording.mcap.writer import McapWriter, Timed
+from crazychoir.recording.ros.ros import RosMessage, to_ros_messages
 
-METADATA = "metadata.yaml"
+METADATA_FILE = "metadata.yaml"
 BAG_VERSION = 5
 """Version of the format of metadata.yaml: that of Humble, which later releases read too."""
 
 
 @dataclass
-class Channel:
+class BagTopic:
     """A topic of a bag."""
 
     id: int
@@ -45,7 +45,7 @@ class Bag:
 
     folder: Path
     """The folder."""
-    channels: dict[str, Channel] = field(default_factory=dict)
+    channels: dict[str, BagTopic] = field(default_factory=dict)
     """Topics by name."""
     first_ns: int = 0
     """Time of arrival of the first message, ns."""
@@ -67,10 +67,10 @@ class Bag:
             raise ConfigError(
                 "--rosbag2", str(self.folder), "a new folder", do, str(error.strerror)
             ) from error
-        self._writer, self._schemas = Writer(), dict[str, int]()
+        self._writer, self._schemas = McapWriter(), dict[str, int]()
         self._waiting: list[Timed] = []
         self._bytes = 0
-        self._writer.begin("ros2", f"crazychoir {VERSION}")
+        self._writer.begin("ros2", f"crazychoir {PACKAGE_VERSION}")
 
     @property
     def path(self) -> Path:
@@ -82,7 +82,7 @@ class Bag:
         """Count of its messages."""
         return sum(channel.count for channel in self.channels.values())
 
-    def write(self, said: Said, came_ns: int, born_ns: int) -> None:
+    def write(self, said: RosMessage, came_ns: int, born_ns: int) -> None:
         """Add a message."""
         channel = self.channels.get(said.topic) or self._open(said)
         self.first_ns = min(self.first_ns, came_ns) if self.count else came_ns
@@ -90,7 +90,7 @@ class Bag:
         channel.count += 1
         self._waiting.append((channel.id, came_ns, born_ns, said.data))
         self._bytes += len(said.data)
-        if self._bytes > LARGEST:
+        if self._bytes > LARGEST_CHUNK:
             self._flush()
 
     def close(self) -> None:
@@ -99,7 +99,7 @@ class Bag:
         self._writer.finish()
         self._file.write(self._writer.take())
         self._file.close()
-        (self.folder / METADATA).write_text(self._metadata(), encoding="utf-8")
+        (self.folder / METADATA_FILE).write_text(self._metadata(), encoding="utf-8")
         self.whole = True
 
     def discard(self) -> None:
@@ -110,7 +110,7 @@ class Bag:
             self._file.close()
         shutil.rmtree(self.folder, ignore_errors=True)
 
-    def _open(self, said: Said) -> Channel:
+    def _open(self, said: RosMessage) -> BagTopic:
         if said.type not in self._schemas:
             self._schemas[said.type] = self._writer.schema(
                 said.type, SchemaEncoding.ROS2, said.schema
@@ -119,7 +119,7 @@ class Bag:
         number = self._writer.channel(
             said.topic, MessageEncoding.CDR, self._schemas[said.type], told
         )
-        channel = self.channels[said.topic] = Channel(number, said.type)
+        channel = self.channels[said.topic] = BagTopic(number, said.type)
         return channel
 
     def _flush(self) -> None:
@@ -162,11 +162,14 @@ def convert(path: Path, folder: Path) -> Bag:
 
     Raises ConfigError if the file is no recording or the disk is full; then no folder is left.
     """
-    truths = frozenset(message.source.drone for message in told(path, (TRUTH.name,)))
+    truths = frozenset(
+        message.source.drone
+        for message in read_messages(path, (DRONE_TOPICS.truth.name,))
+    )
     bag = Bag(folder)
     try:
-        for message in told(path):
-            for said in for_ros(message, truths):
+        for message in read_messages(path):
+            for said in to_ros_messages(message, truths):
                 bag.write(said, message.came_ns, message.born_ns)
         bag.close()
     except OSError as error:

@@ -1,16 +1,17 @@
 """Messages for RViz about a swarm: poses, paths, transforms, and a ball and a name a drone."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from crazychoir.recording.mcap.cdr import Definitions, Layout, Leaf, leaves
-from crazychoir.recording.ros.ros import ROS
-from crazychoir.runtime.clock import SECOND
+from crazychoir.recording.ros.ros import ROS_DEFINITIONS
+from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.types import State, Vec
 
-FORMS: Definitions = {
-    **ROS,
+RVIZ_DEFINITIONS: Definitions = {
+    **ROS_DEFINITIONS,
     "visualization_msgs/Marker": """\
 std_msgs/Header header
 string ns
@@ -41,66 +42,108 @@ bool mesh_use_embedded_materials""",
 
 Sequences of messages that stay empty are declared as bytes.
 """
-SPHERE = 2  # type of a marker
-TEXT = 9  # type of a marker
-ADD = 0  # action of a marker
-DELETE = 2  # action of a marker
-BALL = 0.1  # m: diameter of a ball
-LETTERS = 0.12  # m: height of the name above it
-FRAME = "world"
+
+
+@dataclass(frozen=True, slots=True)
+class RvizSettings:
+    """How RViz shows the drones: its codes of markers, their sizes, and the frame of all messages."""
+
+    sphere_type: int = 2
+    """Type of a marker that is a sphere."""
+    text_marker_type: int = 9
+    """Type of a marker that is a text."""
+    add_action: int = 0
+    """Action that adds a marker or changes it."""
+    delete_action: int = 2
+    """Action that deletes a marker."""
+    ball_diameter: float = 0.1
+    """m: diameter of the ball at a drone."""
+    letter_height: float = 0.12
+    """m: height of the letters of a drone's name above its ball."""
+    frame: str = "world"
+    """Frame of the coordinates."""
+
+
+RVIZ_SETTINGS = RvizSettings()
+
+
 Places = Mapping[int, tuple[State, int]]
 """State of each drone by id, and the time of its birth in ns since 1970."""
 
 
-def pose(state: State, born_ns: int) -> bytes:
+def pack_pose(state: State, born_ns: int) -> bytes:
     """Return a geometry_msgs/PoseStamped."""
-    return _packed(
+    return _pack_messages(
         "geometry_msgs/PoseStamped",
         [(*_header(born_ns), *state.p.tolist(), *state.q.tolist())],
     )
 
 
-def path(places: Sequence[Vec], born_ns: int) -> bytes:
+def pack_path(places: Sequence[Vec], born_ns: int) -> bytes:
     """Return a nav_msgs/Path of places (3,) m, the oldest first."""
-    head = list(leaves("std_msgs/Header", ROS))
-    poses = len(places) * list(leaves("geometry_msgs/PoseStamped", ROS))
+    head = list(leaves("std_msgs/Header", ROS_DEFINITIONS))
+    poses = len(places) * list(leaves("geometry_msgs/PoseStamped", ROS_DEFINITIONS))
     values = [(*_header(born_ns), *p.tolist(), 0.0, 0.0, 0.0, 1.0) for p in places]
     flat = [*_header(born_ns), len(places), *(x for row in values for x in row)]
     return Layout([*head, Leaf("count", "uint32"), *poses], {}).pack(flat)
 
 
-def transforms(places: Places) -> bytes:
+def pack_transforms(places: Places) -> bytes:
     """Return a tf2_msgs/TFMessage: world -> drone3 for each drone."""
     rows = [
         (*_header(ns), f"drone{i}", *x.p.tolist(), *x.q.tolist())
         for i, (x, ns) in sorted(places.items())
     ]
-    return _packed("geometry_msgs/TransformStamped", rows, counted=True)
+    return _pack_messages("geometry_msgs/TransformStamped", rows, counted=True)
 
 
-def markers(places: Places, gone: Iterable[int] = ()) -> bytes:
+def pack_markers(places: Places, gone: Iterable[int] = ()) -> bytes:
     """Return a visualization_msgs/MarkerArray: a ball at each drone, and its number above it.
 
     gone: drones that have left; their markers are deleted
     """
     rows = []
     for i, (state, ns) in sorted(places.items()):
-        rows.append(_marker(i, "drones", SPHERE, state.p, BALL, "", ns))
+        rows.append(
+            _marker(
+                i,
+                "drones",
+                RVIZ_SETTINGS.sphere_type,
+                state.p,
+                RVIZ_SETTINGS.ball_diameter,
+                "",
+                ns,
+            )
+        )
         rows.append(
             _marker(
                 i,
                 "names",
-                TEXT,
-                state.p + np.array([0.0, 0.0, BALL]),
-                LETTERS,
+                RVIZ_SETTINGS.text_marker_type,
+                state.p + np.array([0.0, 0.0, RVIZ_SETTINGS.ball_diameter]),
+                RVIZ_SETTINGS.letter_height,
                 str(i),
                 ns,
             )
         )
     for i in gone:
-        for space, kind in (("drones", SPHERE), ("names", TEXT)):
-            rows.append(_marker(i, space, kind, np.zeros(3), BALL, "", 0, DELETE))
-    return _packed("visualization_msgs/Marker", rows, counted=True)
+        for space, kind in (
+            ("drones", RVIZ_SETTINGS.sphere_type),
+            ("names", RVIZ_SETTINGS.text_marker_type),
+        ):
+            rows.append(
+                _marker(
+                    i,
+                    space,
+                    kind,
+                    np.zeros(3),
+                    RVIZ_SETTINGS.ball_diameter,
+                    "",
+                    0,
+                    RVIZ_SETTINGS.delete_action,
+                )
+            )
+    return _pack_messages("visualization_msgs/Marker", rows, counted=True)
 
 
 def _marker(
@@ -111,7 +154,7 @@ def _marker(
     size: float,
     text: str,
     born_ns: int,
-    action: int = ADD,
+    action: int = RVIZ_SETTINGS.add_action,
 ) -> tuple[object, ...]:
     place = (*p.tolist(), 0.0, 0.0, 0.0, 1.0)
     looks = (size, size, size, (0.0, 0.447, 0.698, 1.0), 1, 0, False)
@@ -134,14 +177,14 @@ def _marker(
 
 
 def _header(born_ns: int) -> tuple[int, int, str]:
-    return (*divmod(born_ns, SECOND), FRAME)
+    return (*divmod(born_ns, NS_PER_SECOND), RVIZ_SETTINGS.frame)
 
 
-def _packed(
+def _pack_messages(
     name: str, rows: Sequence[Sequence[object]], counted: bool = False
 ) -> bytes:
     """Return messages of this type one after the other; counted: True to write them as a sequence."""
-    fields = len(rows) * list(leaves(name, FORMS))
+    fields = len(rows) * list(leaves(name, RVIZ_DEFINITIONS))
     values = [x for row in rows for x in row]
     if counted:
         return Layout([Leaf("count", "uint32"), *fields], {}).pack([len(rows), *values])

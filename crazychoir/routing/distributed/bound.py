@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.optimization.rounds.agreement import flood
+from crazychoir.optimization.rounds.agreement import flood_values
 from crazychoir.optimization.rounds.program import Exchange
-from crazychoir.routing.distributed.master import Pool
-from crazychoir.routing.distributed.member import Member
-from crazychoir.routing.distributed.packing import packed, unpacked
-from crazychoir.routing.pricing.route_table import Column
+from crazychoir.routing.distributed.master import ColumnPool
+from crazychoir.routing.distributed.member import RoutingMember
+from crazychoir.routing.distributed.packing import pack_columns, unpack_columns
+from crazychoir.routing.pricing.route_table import RouteColumn
 from crazychoir.types import Vec
 
-ROUNDING = 1e-6
+ROBOT_COUNT_ROUNDING = 1e-6
 """A number of robots that exceeds a whole number by at most this counts as that number."""
 
 
@@ -36,13 +36,13 @@ class Bound:
     reward: float = 0.0
     """mu, m."""
     robots: int = 0
-    """n, see `least_robots`."""
+    """n, see `count_needed_robots`."""
     least: dict[int, float] = field(default_factory=dict)
     """m: least_i of each robot, the idle column included."""
     exact: bool = True
     """Whether all route tables were complete."""
 
-    def excess(self, robot: int, column: Column) -> float:
+    def excess(self, robot: int, column: RouteColumn) -> float:
         """Return a lower bound in m on how far a plan with this column costs above the bound.
 
         It is the column's reduced cost minus the robot's least reduced cost.
@@ -53,7 +53,7 @@ class Bound:
         )
 
 
-def least_robots(bound: Bound, member: Member) -> Exchange[int]:
+def count_needed_robots(bound: Bound, member: RoutingMember) -> Exchange[int]:
     """Return a number n of robots that leave home in every plan.
 
         value <= cost of a plan <= (robots that leave) longest + penalties
@@ -65,19 +65,24 @@ def least_robots(bound: Bound, member: Member) -> Exchange[int]:
     robots in the relaxation, rounded up.
     """
     own = float(member.table.length.max()) if member.speaks else 0.0
-    told = yield from flood(member.place.robot, own, member.place.diameter)
+    told = yield from flood_values(member.place.robot, own, member.place.diameter)
     refusal = member.local.tasks.refusal
     must = bound.value - math.fsum(refusal[np.isfinite(refusal)])
     longest = max(told.values())
     return (
-        max(0, math.ceil(must / longest - ROUNDING))
+        max(0, math.ceil(must / longest - ROBOT_COUNT_ROUNDING))
         if longest > 0.0 and bound.exact
         else 0
     )
 
 
-def improve(
-    bound: Bound, member: Member, pool: Pool, pi: Vec, batch: int, mu: float = 0.0
+def improve_bound(
+    bound: Bound,
+    member: RoutingMember,
+    pool: ColumnPool,
+    pi: Vec,
+    batch: int,
+    mu: float = 0.0,
 ) -> Exchange[bool]:
     """Price at pi and mu, flood the columns that are new, and keep the better bound.
 
@@ -90,8 +95,10 @@ def improve(
     Returns whether any robot had new columns. The sum is rounded once (fsum over the flooded
     values), so that all robots compute the same bound.
     """
-    known = yield from flood(
-        member.place.robot, _priced(member, pool, pi, batch, mu), member.place.diameter
+    known = yield from flood_values(
+        member.place.robot,
+        _price_routes(member, pool, pi, batch, mu),
+        member.place.diameter,
     )
     told = {i: known[i] for i in member.alike}
     saved = [len(member.alike[i]) * least for i, (least, _, _) in told.items()]
@@ -102,11 +109,13 @@ def improve(
         bound.prices = pi
         bound.reward = mu
         bound.least = {i: least for i, (least, _, _) in told.items()}
-    return sum(pool.add(i, unpacked(news)) for i, (_, _, news) in told.items()) > 0
+    return (
+        sum(pool.add(i, unpack_columns(news)) for i, (_, _, news) in told.items()) > 0
+    )
 
 
-def _priced(
-    member: Member, pool: Pool, pi: Vec, batch: int, mu: float
+def _price_routes(
+    member: RoutingMember, pool: ColumnPool, pi: Vec, batch: int, mu: float
 ) -> list[Any] | None:
     """Return least_i, whether the table is complete, and columns of i.
 
@@ -121,4 +130,4 @@ def _priced(
         for c in table.cheapest(pi, batch, 0.0, mu)
         if c.tasks and not pool.has(robot, c)
     ]
-    return [table.least(pi, mu), table.complete, packed(columns)]
+    return [table.least(pi, mu), table.complete, pack_columns(columns)]

@@ -5,15 +5,15 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from crazychoir.routing.distributed.clusters import Cluster, Stops, tasks_of
-from crazychoir.routing.distributed.robot_profile import restricted
+from crazychoir.routing.distributed.clusters import Cluster, Stops, list_served_tasks
+from crazychoir.routing.distributed.robot_profile import restrict_problem
 from crazychoir.routing.instance.instance import LocalProblem
-from crazychoir.routing.instance.vehicle import MAKESPAN, VEHICLES
-from crazychoir.routing.search.search import search
+from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES
+from crazychoir.routing.search.search import search_plan
 from crazychoir.types import Ints, Vec
 
 
-def reoptimize(
+def reoptimize_cluster(
     robots: Mapping[int, LocalProblem],
     routes: Stops,
     cluster: Cluster,
@@ -31,18 +31,20 @@ def reoptimize(
     seed: of the search.
     """
     chosen = np.array(cluster.tasks, dtype=np.int64)
-    fleet = [restricted(robots[i], chosen).vehicle for i in cluster.robots]
-    inner = _inner(chosen, len(penalty))
+    fleet = [restrict_problem(robots[i], chosen).vehicle for i in cluster.robots]
+    inner = _map_into_part(chosen, len(penalty))
     present = [[inner[s] for s in routes.get(i, ())] for i in cluster.robots]
     objective = robots[cluster.robots[0]].objective
-    found = search(fleet, present, penalty[chosen], steps, seed, objective=objective)
+    found = search_plan(
+        fleet, present, penalty[chosen], steps, seed, objective=objective
+    )
     return {
-        i: renamed(stops, chosen, len(penalty))
+        i: rename_nodes(stops, chosen, len(penalty))
         for i, stops in zip(cluster.robots, found.routes, strict=True)
     }
 
 
-def most_saved(robots: Mapping[int, LocalProblem], reach: float) -> float:
+def bound_saving(robots: Mapping[int, LocalProblem], reach: float) -> float:
     """Return more than any plan of these robots could save by leaving a task out.
 
     It is an upper bound on the cost of the most expensive plan:
@@ -60,7 +62,7 @@ def most_saved(robots: Mapping[int, LocalProblem], reach: float) -> float:
     ways = (3 * len(one.tasks) + 2 * n) * reach
     saved = 1.0 + ways + n * max(r.fixed for r in robots.values())
     saved += math.fsum(tasks.refusal[np.isfinite(tasks.refusal)])
-    if MAKESPAN in one.objective:
+    if OBJECTIVE_NAMES.makespan in one.objective:
         opens = max(
             float(tasks.earliest.max(initial=0.0)),
             *(max(r.window[0], r.start_time) for r in robots.values()),
@@ -73,7 +75,7 @@ def most_saved(robots: Mapping[int, LocalProblem], reach: float) -> float:
     return saved
 
 
-def flown(local: LocalProblem, stops: Sequence[int]) -> tuple[float, float]:
+def measure_route(local: LocalProblem, stops: Sequence[int]) -> tuple[float, float]:
     """Return the distance with the fixed cost in m, and the finish time in s, of a route.
 
     If vehicles are counted first, the distance excludes the fixed cost. Only the tasks of the route
@@ -82,25 +84,25 @@ def flown(local: LocalProblem, stops: Sequence[int]) -> tuple[float, float]:
     if not len(stops):
         return 0.0, 0.0
     m = len(local.tasks)
-    chosen = np.array(tasks_of(stops, m), dtype=np.int64)
-    inner = _inner(chosen, m)
-    vehicle = restricted(local, chosen).vehicle
+    chosen = np.array(list_served_tasks(stops, m), dtype=np.int64)
+    inner = _map_into_part(chosen, m)
+    vehicle = restrict_problem(local, chosen).vehicle
     route = [inner[s] for s in stops]
-    fixed = 0.0 if VEHICLES in local.objective else vehicle.fixed
+    fixed = 0.0 if OBJECTIVE_NAMES.vehicles in local.objective else vehicle.fixed
     return vehicle.length(route) + fixed, vehicle.finish(route)
 
 
-def renamed(stops: Sequence[int], chosen: Ints, m: int) -> list[int]:
+def rename_nodes(stops: Sequence[int], chosen: Ints, m: int) -> list[int]:
     """Return nodes of the problem of the tasks `chosen` as nodes of the problem of m tasks."""
-    outer = _outer(chosen, m)
+    outer = _map_into_whole(chosen, m)
     return [outer[s] for s in stops]
 
 
-def _inner(chosen: Ints, m: int) -> dict[int, int]:
+def _map_into_part(chosen: Ints, m: int) -> dict[int, int]:
     """Return the map from nodes of the whole problem to nodes of the part."""
-    return {v: k for k, v in _outer(chosen, m).items()}
+    return {v: k for k, v in _map_into_whole(chosen, m).items()}
 
 
-def _outer(chosen: Ints, m: int) -> dict[int, int]:
+def _map_into_whole(chosen: Ints, m: int) -> dict[int, int]:
     """Return the map from nodes of the part to nodes of the whole problem."""
     return dict(enumerate([*chosen.tolist(), *(m + chosen).tolist(), 2 * m, 2 * m + 1]))

@@ -24,14 +24,14 @@ class Cluster:
     """The robots of the cluster that solve the joint problem."""
 
 
-def tasks_of(stops: Sequence[int], m: int) -> list[int]:
+def list_served_tasks(stops: Sequence[int], m: int) -> list[int]:
     """Return the tasks that a route serves, increasing; m: number of all tasks."""
     return sorted({s % m for s in stops if s < 2 * m})
 
 
-def unserved(routes: Stops, m: int) -> list[int]:
+def list_unserved_tasks(routes: Stops, m: int) -> list[int]:
     """Return the tasks that no route serves, increasing."""
-    served = {j for stops in routes.values() for j in tasks_of(stops, m)}
+    served = {j for stops in routes.values() for j in list_served_tasks(stops, m)}
     return [j for j in range(m) if j not in served]
 
 
@@ -43,8 +43,11 @@ class Neighbors:
         tasks = robots[self.robots[0]].tasks
         self.m = len(tasks)
         stops = np.vstack([tasks.pickup, tasks.delivery])
-        starts = np.array([_start(robots[i]) for i in self.robots])
-        self._between, self._out = _ways(stops, stops), _ways(starts, stops)
+        starts = np.array([_choose_start(robots[i]) for i in self.robots])
+        self._between, self._out = (
+            _compute_distances(stops, stops),
+            _compute_distances(starts, stops),
+        )
         can = np.array(
             [
                 robots[i].capable & (tasks.load <= robots[i].capacity)
@@ -71,15 +74,16 @@ class Neighbors:
         random = np.random.default_rng(seed)
         share = random.uniform(0.5, 1.0)
         room = max(2, round(share * most[0])), max(2, round(share * most[1]))
-        size = [len(tasks_of(routes.get(i, ()), self.m)) for i in self.robots]
+        size = [len(list_served_tasks(routes.get(i, ()), self.m)) for i in self.robots]
         far = self.nearness(routes) * random.uniform(
             0.5, 1.5, size=(len(size), len(size))
         )
-        groups = _gathered(
+        groups = _gather_groups(
             far, size, room, [int(k) for k in random.permutation(len(size))]
         )
         nearest = {
-            j: int(np.argmin(self._alone[:, j])) for j in unserved(routes, self.m)
+            j: int(np.argmin(self._alone[:, j]))
+            for j in list_unserved_tasks(routes, self.m)
         }
         return [
             self._cluster(
@@ -99,9 +103,9 @@ class Neighbors:
         leaders: list[int],
     ) -> Cluster:
         ids = [self.robots[k] for k in group]
-        tasks = {j for i in ids for j in tasks_of(routes.get(i, ()), self.m)} | {
-            j for j, k in nearest.items() if k in group
-        }
+        tasks = {
+            j for i in ids for j in list_served_tasks(routes.get(i, ()), self.m)
+        } | {j for j, k in nearest.items() if k in group}
         return Cluster(
             tuple(sorted(ids)),
             tuple(sorted(tasks)),
@@ -122,7 +126,7 @@ class Neighbors:
         ]
         to_route = np.array(
             [
-                _least(self._between[:, own], out)
+                _find_least_distances(self._between[:, own], out)
                 for own, out in zip(stops, self._out, strict=True)
             ]
         )
@@ -146,7 +150,7 @@ class Neighbors:
         )
 
 
-def _gathered(
+def _gather_groups(
     far: Mat, size: list[int], room: tuple[int, int], order: list[int]
 ) -> list[list[int]]:
     """Return groups of rows; the first free row of `order` gathers the nearest that fit."""
@@ -165,17 +169,17 @@ def _gathered(
     return groups
 
 
-def _start(local: LocalProblem) -> Vec:
+def _choose_start(local: LocalProblem) -> Vec:
     return local.home if local.start is None else local.start
 
 
-def _ways(a: Mat, b: Mat) -> Mat:
+def _compute_distances(a: Mat, b: Mat) -> Mat:
     """Return the (A, B) distances in m between points."""
     squares = ((a[:, None, axis] - b[None, :, axis]) ** 2 for axis in range(a.shape[1]))
     return np.asarray(np.sqrt(sum(squares, np.zeros((len(a), len(b))))))
 
 
-def _least(to_stops: Mat, to_start: Vec) -> Vec:
+def _find_least_distances(to_stops: Mat, to_start: Vec) -> Vec:
     return (
         np.asarray(np.minimum(to_stops.min(axis=1), to_start))
         if to_stops.shape[1]

@@ -2,17 +2,17 @@
 
 import numpy as np
 
-from crazychoir.optimization.rounds.agreement import flood
+from crazychoir.optimization.rounds.agreement import flood_values
 from crazychoir.optimization.rounds.program import Exchange
-from crazychoir.routing.distributed.bound import Bound, improve
-from crazychoir.routing.distributed.master import Pool
-from crazychoir.routing.distributed.member import Member
-from crazychoir.routing.distributed.packing import packed, unpacked
+from crazychoir.routing.distributed.bound import Bound, improve_bound
+from crazychoir.routing.distributed.master import ColumnPool
+from crazychoir.routing.distributed.member import RoutingMember
+from crazychoir.routing.distributed.packing import pack_columns, unpack_columns
 from crazychoir.routing.distributed.primal_decomposition import PriceRounds
-from crazychoir.routing.distributed.proof import Assignment, Proof
+from crazychoir.routing.distributed.proof import PlanProof, TaskPartition
 from crazychoir.types import Vec
 
-DISCLOSED: tuple[str, ...] = (
+COLUMN_RECOVERY_DISCLOSURES: tuple[str, ...] = (
     "task prices",
     "largest change of a share",
     "whether its routes could be listed",
@@ -37,46 +37,46 @@ class ColumnRecovery:
     rounds alike, so that all robots end in the same round.
     """
 
-    def __init__(self, member: Member, prices: PriceRounds) -> None:
+    def __init__(self, member: RoutingMember, prices: PriceRounds) -> None:
         self._member = member
         self._prices = prices
         self._i = member.place.robot
         self._diameter = member.place.diameter
-        self._pool = Pool(len(member.local.tasks))
+        self._pool = ColumnPool(len(member.local.tasks))
         self._bound = Bound(prices=prices.mean_price)
 
-    def run(self) -> Exchange[Assignment]:
+    def run(self) -> Exchange[TaskPartition]:
         """Run steps 1 to 4."""
         pi = yield from self._start()
         yield from self._generate(pi)
-        return (yield from Proof(self._member, self._pool, self._bound).run())
+        return (yield from PlanProof(self._member, self._pool, self._bound).run())
 
     def _start(self) -> Exchange[Vec]:
         self._member.report(phase="columns")
-        own = packed([c for _, c in sorted(self._prices.active.items())])
-        known = yield from flood(
+        own = pack_columns([c for _, c in sorted(self._prices.active.items())])
+        known = yield from flood_values(
             self._i, [own, self._prices.mean_price.tolist()], self._diameter
         )
         for robot, (columns, _) in known.items():
-            self._pool.add(robot, unpacked(columns))
-        return _mean([mu for _, mu in known.values()])
+            self._pool.add(robot, unpack_columns(columns))
+        return _average_rows([mu for _, mu in known.values()])
 
     def _generate(self, pi: Vec) -> Exchange[None]:
         member = self._member
         bound = self._bound
         for _ in range(member.settings.passes):
-            new = yield from improve(
+            new = yield from improve_bound(
                 bound, member, self._pool, pi, member.settings.batch
             )
             relaxed = self._pool.relax(member.unserved)
-            known = yield from flood(
+            known = yield from flood_values(
                 self._i, [relaxed.value, relaxed.prices.tolist()], self._diameter
             )
             value = min(v for v, _ in known.values())
             if not new or value - bound.value <= member.tolerance(value):
                 return
-            pi = _mean([prices for _, prices in known.values()])
+            pi = _average_rows([prices for _, prices in known.values()])
 
 
-def _mean(rows: list[list[float]]) -> Vec:
+def _average_rows(rows: list[list[float]]) -> Vec:
     return np.asarray(np.mean(np.array(rows), axis=0))

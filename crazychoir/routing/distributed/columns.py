@@ -6,13 +6,13 @@ import highspy
 import numpy as np
 
 from crazychoir.errors import SolverError
-from crazychoir.optimization.problems.linear import quiet_highs
-from crazychoir.routing.pricing.route_table import Column, RouteTable
+from crazychoir.optimization.problems.linear import make_quiet_highs
+from crazychoir.routing.pricing.route_table import RouteColumn, RouteTable
 from crazychoir.types import Vec
 
-TOLERANCE = 1e-7
+COLUMN_TOLERANCE = 1e-7
 """Tolerance of reduced costs (m) and of the weights of columns."""
-BATCH = 10
+PRICING_BATCH = 10
 """Columns added after each pricing, at most."""
 
 
@@ -26,7 +26,7 @@ class LocalSolution:
     """(M,) m >= 0: price of each task."""
     violation: Vec
     """(M,): unserved demand v."""
-    active: list[Column]
+    active: list[RouteColumn]
     """The columns with positive weight."""
 
 
@@ -53,8 +53,8 @@ class ColumnProgram:
         self._where = f"robot {robot}: local problem"
         self._rows = np.unique(table.task)
         self._row_of = {int(j): r for r, j in enumerate(self._rows)}
-        self._columns: dict[Column, None] = {Column(0.0, ()): None}
-        self._highs = quiet_highs()
+        self._columns: dict[RouteColumn, None] = {RouteColumn(0.0, ()): None}
+        self._highs = make_quiet_highs()
         self._build()
 
     def solve(self, y: Vec) -> LocalSolution:
@@ -83,7 +83,7 @@ class ColumnProgram:
         active = [
             c
             for c, w in zip(self._columns, weights[count:], strict=True)
-            if w > TOLERANCE and c.tasks
+            if w > COLUMN_TOLERANCE and c.tasks
         ]
         return LocalSolution(value, mu, violation, active)
 
@@ -112,7 +112,7 @@ class ColumnProgram:
             prices = np.zeros_like(self._penalty)
             prices[self._rows] = dual[:-1]
             cheap = self._table.cheapest(
-                prices, BATCH, below=float(dual[-1]) - TOLERANCE
+                prices, PRICING_BATCH, below=float(dual[-1]) - COLUMN_TOLERANCE
             )
             new = [column for column in cheap if column not in self._columns]
             if not new:

@@ -7,32 +7,36 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import SolverError
-from crazychoir.optimization.rounds.agreement import best_offer, flood
+from crazychoir.optimization.rounds.agreement import find_best_offer, flood_values
 from crazychoir.optimization.rounds.program import Exchange
 from crazychoir.routing.distributed.cluster_problem import (
-    flown,
-    most_saved,
-    renamed,
-    reoptimize,
+    bound_saving,
+    measure_route,
+    rename_nodes,
+    reoptimize_cluster,
 )
 from crazychoir.routing.distributed.clusters import (
     Cluster,
     Neighbors,
-    tasks_of,
-    unserved,
+    list_served_tasks,
+    list_unserved_tasks,
 )
 from crazychoir.routing.distributed.gossip import Gossip
 from crazychoir.routing.distributed.large_bound import LargeBound
-from crazychoir.routing.distributed.member import Member
-from crazychoir.routing.distributed.proof import Assignment, Offer, Proof
-from crazychoir.routing.distributed.robot_profile import TOLD, introduce, restricted
+from crazychoir.routing.distributed.member import RoutingMember
+from crazychoir.routing.distributed.proof import PlanOffer, PlanProof, TaskPartition
+from crazychoir.routing.distributed.robot_profile import (
+    SENT_FIELD_NAMES,
+    introduce_robots,
+    restrict_problem,
+)
 from crazychoir.routing.instance.instance import LocalProblem
-from crazychoir.routing.instance.vehicle import MAKESPAN, TOTAL, VEHICLES
-from crazychoir.routing.pricing.route_table import Column, shortest_route
+from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES
+from crazychoir.routing.pricing.route_table import RouteColumn, find_shortest_route
 from crazychoir.types import Vec
 
-DISCLOSED: tuple[str, ...] = (
-    *(f"own {name}" for name in TOLD),
+DISTRIBUTED_COLUMNS_DISCLOSURES: tuple[str, ...] = (
+    *(f"own {name}" for name in SENT_FIELD_NAMES),
     "how many tasks it can serve, and whether its routes could be listed",
     "route columns (task sets and lengths)",
     "task prices",
@@ -40,7 +44,7 @@ DISCLOSED: tuple[str, ...] = (
     "plans (stops of all robots)",
 )
 """Data that the robots disclose to each other."""
-BETTER = 1e-9
+EQUAL_COST_TOLERANCE = 1e-9
 """m: costs of plans that differ by at most this count as equal."""
 
 
@@ -60,7 +64,7 @@ class DistributedColumns:
     `routes`: nodes of each robot's stops in the plan in force.
     """
 
-    def __init__(self, member: Member) -> None:
+    def __init__(self, member: RoutingMember) -> None:
         self._member = member
         self._i = member.place.robot
         self._diameter = member.place.diameter
@@ -70,15 +74,15 @@ class DistributedColumns:
         self._costs: dict[tuple[int, tuple[int, ...]], tuple[float, float]] = {}
         self.routes: dict[int, list[int]] = {}
 
-    def run(self) -> Exchange[Assignment]:
+    def run(self) -> Exchange[TaskPartition]:
         """Run steps 1 to 6."""
-        self._robots = yield from introduce(self._member)
+        self._robots = yield from introduce_robots(self._member)
         gossip = yield from self._relax()
         yield from self._begin()
         if gossip is None:
             yield from self._improve(-np.inf)
             return (yield from self._bounded())
-        proof = Proof(self._member, gossip.pool, gossip.bound, self._offer())
+        proof = PlanProof(self._member, gossip.pool, gossip.bound, self._offer())
         settings = self._member.settings
         yield from proof.search(np.inf if settings.prove else settings.most_proven)
         self._take_over(proof)
@@ -86,7 +90,7 @@ class DistributedColumns:
             yield from self._improve(proof.proven)
         return self._assignment(proof.proven)
 
-    def _bounded(self) -> Exchange[Assignment]:
+    def _bounded(self) -> Exchange[TaskPartition]:
         """Return the plan in force, with a bound if one is asked for and possible.
 
         A bound needs `prove`, lengths as the objective, and no priorities.
@@ -94,13 +98,13 @@ class DistributedColumns:
         member = self._member
         if (
             not member.settings.prove
-            or MAKESPAN in member.local.objective
+            or OBJECTIVE_NAMES.makespan in member.local.objective
             or (member.local.tasks.priority > 0).any()
         ):
             return self._assignment(None)
         weight = member.vehicle_weight
         plan = [
-            (i, Column(weight + self._flown(i, tuple(self.routes[i]))[0], tasks))
+            (i, RouteColumn(weight + self._flown(i, tuple(self.routes[i]))[0], tasks))
             for i, tasks in self._sets().items()
         ]
         large = LargeBound(member, plan)
@@ -116,7 +120,7 @@ class DistributedColumns:
         return np.where(
             np.isfinite(self._refusal),
             self._refusal,
-            most_saved(self._robots, self._member.reach),
+            bound_saving(self._robots, self._member.reach),
         )
 
     def _relax(self) -> Exchange[Gossip | None]:
@@ -125,12 +129,14 @@ class DistributedColumns:
         Returns None otherwise.
         """
         member = self._member
-        if MAKESPAN in member.local.objective:
+        if OBJECTIVE_NAMES.makespan in member.local.objective:
             return None
-        servable = yield from flood(self._i, len(member.local.servable), self._diameter)
+        servable = yield from flood_values(
+            self._i, len(member.local.servable), self._diameter
+        )
         if max(servable.values()) > member.settings.most_listed:
             return None
-        complete = yield from flood(
+        complete = yield from flood_values(
             self._i, not member.speaks or member.table.complete, self._diameter
         )
         if not all(complete.values()):
@@ -152,7 +158,7 @@ class DistributedColumns:
             everybody = Cluster(
                 tuple(sorted(self._robots)), tuple(range(self._m)), (self._i,)
             )
-            routes = reoptimize(
+            routes = reoptimize_cluster(
                 self._robots,
                 {},
                 everybody,
@@ -160,11 +166,11 @@ class DistributedColumns:
                 settings.first_steps,
                 self._i,
             )
-            mine = [self._worth(routes), self._i, _flat(routes)]
-        best = yield from best_offer(mine, self._diameter)
+            mine = [self._worth(routes), self._i, _flatten_routes(routes)]
+        best = yield from find_best_offer(mine, self._diameter)
         if best is None:
             raise SolverError(f"robot {self._i}: first plan", "nobody offered one")
-        self.routes = _unflat(best[2])
+        self.routes = _unflatten_routes(best[2])
         self._member.report(cost=self._shown_cost())
 
     def _improve(self, bound: float) -> Exchange[None]:
@@ -186,7 +192,7 @@ class DistributedColumns:
             if met or still == settings.still_passes:
                 return
             clusters = near.draw(self.routes, settings.cluster, settings.leaders, [k])
-            offers = yield from flood(
+            offers = yield from flood_values(
                 self._i,
                 self._lead(clusters, settings.steps // passes, k),
                 self._diameter,
@@ -205,12 +211,17 @@ class DistributedColumns:
         if own is None or not own.tasks:
             return None
         seed = k * self._member.place.robots + self._i
-        new = reoptimize(self._robots, self.routes, own, self._left_out, steps, seed)
+        new = reoptimize_cluster(
+            self._robots, self.routes, own, self._left_out, steps, seed
+        )
         old = {i: self.routes.get(i, []) for i in own.robots}
         worth = self._worth(new, own.tasks)
-        if not _better(worth, self._worth(old, own.tasks)):
+        if not _is_smaller(worth, self._worth(old, own.tasks)):
             return None
-        return [worth, _flat({i: stops for i, stops in new.items() if stops != old[i]})]
+        return [
+            worth,
+            _flatten_routes({i: stops for i, stops in new.items() if stops != old[i]}),
+        ]
 
     def _accept(self, clusters: Sequence[Cluster], offers: Mapping[int, Any]) -> bool:
         """Adopt the best offer of each cluster; return whether there was any."""
@@ -222,13 +233,13 @@ class DistributedColumns:
                 if offers[i] is not None
             ]
             if made:
-                self.routes.update(_unflat(offers[min(made)[1]][1]))
+                self.routes.update(_unflatten_routes(offers[min(made)[1]][1]))
                 better = True
         return better
 
-    def _offer(self) -> Offer | None:
+    def _offer(self) -> PlanOffer | None:
         """Return the plan in force as an offer, None if a task that must be served is missing."""
-        return None if self._missing() else Offer(self._weighed(), self._sets())
+        return None if self._missing() else PlanOffer(self._weighed(), self._sets())
 
     def _weighed(self) -> float:
         """Return the cost of the plan in force in m, as the relaxations count it.
@@ -244,7 +255,7 @@ class DistributedColumns:
         worth = self._worth(self.routes)
         return worth[2] if self._member.vehicle_weight else worth[1]
 
-    def _take_over(self, proof: Proof) -> None:
+    def _take_over(self, proof: PlanProof) -> None:
         """Adopt the routes of the proof's plan if it is better than the plan in force.
 
         Raises SolverError if the proof says that there is no plan.
@@ -264,7 +275,7 @@ class DistributedColumns:
             if weight
             else [proof.best.cost]
         )
-        if not _better([0, *worth], self._worth(self.routes)):
+        if not _is_smaller([0, *worth], self._worth(self.routes)):
             return
         for i in self._robots:
             self.routes[i] = self._shortest(i, proof.best.routes.get(i, ()))
@@ -272,27 +283,34 @@ class DistributedColumns:
     def _shortest(self, i: int, tasks: tuple[int, ...]) -> list[int]:
         """Return the stops of the shortest route of robot i that serves exactly these tasks."""
         chosen = np.array(tasks, dtype=np.int64)
-        vehicle = restricted(self._robots[i], chosen).vehicle
-        stops, _ = shortest_route(
+        vehicle = restrict_problem(self._robots[i], chosen).vehicle
+        stops, _ = find_shortest_route(
             vehicle, range(len(tasks)), self._member.local.objective
         )
-        return renamed(stops, chosen, self._m)
+        return rename_nodes(stops, chosen, self._m)
 
     def _assignment(
         self, bound: float | None, relaxation: str | None = None
-    ) -> Assignment:
+    ) -> TaskPartition:
         left = self._missing()
         if left:
             why = f"incomplete: no plan found that serves task(s) {', '.join(map(str, left))}"
             raise SolverError(f"robot {self._i}: clusters", why)
-        return Assignment(self._sets(), bound, self.routes, relaxation)
+        return TaskPartition(self._sets(), bound, self.routes, relaxation)
 
     def _missing(self) -> list[int]:
         """Return the tasks that must be served and are not."""
-        return [j for j in unserved(self.routes, self._m) if np.isinf(self._refusal[j])]
+        return [
+            j
+            for j in list_unserved_tasks(self.routes, self._m)
+            if np.isinf(self._refusal[j])
+        ]
 
     def _sets(self) -> dict[int, tuple[int, ...]]:
-        sets = {i: tuple(tasks_of(stops, self._m)) for i, stops in self.routes.items()}
+        sets = {
+            i: tuple(list_served_tasks(stops, self._m))
+            for i, stops in self.routes.items()
+        }
         return {i: tasks for i, tasks in sorted(sets.items()) if tasks}
 
     def _worth(
@@ -306,16 +324,22 @@ class DistributedColumns:
         routes: nodes of each robot's stops.
         tasks: only these tasks count as left out; all if None.
         """
-        left = [j for j in unserved(routes, self._m) if tasks is None or j in tasks]
+        left = [
+            j
+            for j in list_unserved_tasks(routes, self._m)
+            if tasks is None or j in tasks
+        ]
         flights = [
             self._flown(i, tuple(stops))
             for i, stops in sorted(routes.items())
             if len(stops)
         ]
         value = {
-            TOTAL: math.fsum(length for length, _ in flights),
-            MAKESPAN: max((finish for _, finish in flights), default=0.0),
-            VEHICLES: float(len(flights)),
+            OBJECTIVE_NAMES.total: math.fsum(length for length, _ in flights),
+            OBJECTIVE_NAMES.makespan: max(
+                (finish for _, finish in flights), default=0.0
+            ),
+            OBJECTIVE_NAMES.vehicles: float(len(flights)),
         }
         first, *rest = (value[name] for name in self._member.local.objective)
         refusals = self._refusal[left]
@@ -328,18 +352,23 @@ class DistributedColumns:
 
     def _flown(self, i: int, stops: tuple[int, ...]) -> tuple[float, float]:
         if (i, stops) not in self._costs:
-            self._costs[i, stops] = flown(self._robots[i], stops)
+            self._costs[i, stops] = measure_route(self._robots[i], stops)
         return self._costs[i, stops]
 
 
-def _better(new: Sequence[float], old: Sequence[float]) -> bool:
+def _is_smaller(new: Sequence[float], old: Sequence[float]) -> bool:
     """Return whether `new` is less than `old` at the first place where they differ."""
     return next(
-        (a < b for a, b in zip(new, old, strict=True) if abs(a - b) > BETTER), False
+        (
+            a < b
+            for a, b in zip(new, old, strict=True)
+            if abs(a - b) > EQUAL_COST_TOLERANCE
+        ),
+        False,
     )
 
 
-def _flat(routes: Mapping[int, Sequence[int]]) -> list[Any]:
+def _flatten_routes(routes: Mapping[int, Sequence[int]]) -> list[Any]:
     """Return robots, numbers of stops, and all stops in one array."""
     ids = sorted(routes)
     stops = [s for i in ids for s in routes[i]]
@@ -351,7 +380,7 @@ def _flat(routes: Mapping[int, Sequence[int]]) -> list[Any]:
     ]
 
 
-def _unflat(parts: Sequence[Any]) -> dict[int, list[int]]:
+def _unflatten_routes(parts: Sequence[Any]) -> dict[int, list[int]]:
     ids, sizes, stops = (part.tolist() for part in parts)
     ends = np.cumsum(sizes).tolist()
     return {i: stops[end - n : end] for i, n, end in zip(ids, sizes, ends, strict=True)}

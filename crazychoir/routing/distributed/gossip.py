@@ -2,17 +2,21 @@
 
 from typing import Any
 
-from crazychoir.optimization.rounds.agreement import best_offer
+from crazychoir.optimization.rounds.agreement import find_best_offer
 from crazychoir.optimization.rounds.program import Exchange
-from crazychoir.routing.distributed.bound import Bound, improve, least_robots
-from crazychoir.routing.distributed.master import Master, Pool, Relaxation
-from crazychoir.routing.distributed.member import Member
-from crazychoir.routing.distributed.packing import packed, unpacked
+from crazychoir.routing.distributed.bound import (
+    Bound,
+    count_needed_robots,
+    improve_bound,
+)
+from crazychoir.routing.distributed.master import ColumnPool, Master, Relaxation
+from crazychoir.routing.distributed.member import RoutingMember
+from crazychoir.routing.distributed.packing import pack_columns, unpack_columns
 from crazychoir.types import Vec
 
-TOLERANCE = 1e-7
+REDUCED_COST_ROUNDING = 1e-7
 """m: a reduced cost above minus this value is rounding."""
-SPREAD = 1e-3
+RIGHT_HAND_SIDE_SPREAD = 1e-3
 """Spread of the master's right-hand sides.
 
 With degenerate bases each robot could stop at different prices.
@@ -36,7 +40,7 @@ class Gossip:
     gossip then repeats with the new columns.
 
     If robots have a fixed cost, fractions of robots leave a gap of fractions of it. Everything then
-    repeats with the additional row that at least n robots leave, see `least_robots`. Every plan
+    repeats with the additional row that at least n robots leave, see `count_needed_robots`. Every plan
     satisfies that row.
 
     `run` returns the value of the relaxation in m.
@@ -47,13 +51,15 @@ class Gossip:
     Automatica 48(9)), with columns priced instead of listed.
     """
 
-    def __init__(self, member: Member) -> None:
+    def __init__(self, member: RoutingMember) -> None:
         self._member = member
         self._i = member.place.robot
         self.master = Master(
-            member.unserved, SPREAD, {i: len(same) for i, same in member.alike.items()}
+            member.unserved,
+            RIGHT_HAND_SIDE_SPREAD,
+            {i: len(same) for i, same in member.alike.items()},
         )
-        self.pool = Pool(len(member.local.tasks))
+        self.pool = ColumnPool(len(member.local.tasks))
         self.bound = Bound()
         self._told: set[Any] = set()
         self._latest = 0
@@ -63,7 +69,7 @@ class Gossip:
         self._member.report(phase="columns")
         value, used = yield from self._converge()
         if self._member.fixed > 0.0:
-            robots = yield from least_robots(self.bound, self._member)
+            robots = yield from count_needed_robots(self.bound, self._member)
             if robots > used:
                 self.bound.robots = robots
                 self.master.at_least(robots, self._member.fixed)
@@ -80,7 +86,7 @@ class Gossip:
         for _ in range(settings.passes):
             best = yield from self._spread(best)
             value, pi, used, reward = yield from self._agree(best)
-            news = yield from improve(
+            news = yield from improve_bound(
                 self.bound, self._member, self.pool, pi, settings.batch, reward
             )
             if not news or value - self.bound.value <= self._member.tolerance(value):
@@ -112,12 +118,12 @@ class Gossip:
         """Return the columns of the basis that were not sent yet."""
         news = [(i, c) for i, c in self.master.basis if (i, c) not in self._told]
         self._told.update(news)
-        return [[i for i, _ in news], packed([c for _, c in news])]
+        return [[i for i, _ in news], pack_columns([c for _, c in news])]
 
     def _learn(self, arrived: list[list[Any]]) -> int:
         new = 0
         for robots, columns in arrived:
-            for robot, column in zip(robots, unpacked(columns), strict=True):
+            for robot, column in zip(robots, unpack_columns(columns), strict=True):
                 new += self.master.add(robot, [column])
         return new
 
@@ -127,7 +133,7 @@ class Gossip:
         batch = self._member.settings.batch
         while True:
             best = self.master.relax()
-            below = self.master.sigma(self._i) - TOLERANCE
+            below = self.master.sigma(self._i) - REDUCED_COST_ROUNDING
             own = (
                 member.table.cheapest(best.prices, batch, below, best.reward)
                 if member.speaks
@@ -144,6 +150,6 @@ class Gossip:
         """
         self._member.kind = "prices"
         own: list[Any] = [best.value, self._i, best.prices, best.used, best.reward]
-        offer = yield from best_offer(own, self._member.place.diameter)
+        offer = yield from find_best_offer(own, self._member.place.diameter)
         value, _, prices, used, reward = offer or own  # every robot makes an offer
         return float(value), prices, float(used), float(reward)

@@ -6,23 +6,27 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import SolverError
-from crazychoir.optimization.assignment.bundles import CBBA, Bundle, sequential_auction
+from crazychoir.optimization.assignment.bundles import (
+    CBBA,
+    Bundle,
+    run_sequential_auction,
+)
 from crazychoir.optimization.rounds.program import Exchange
-from crazychoir.routing.distributed.member import Member
-from crazychoir.routing.distributed.proof import Assignment
+from crazychoir.routing.distributed.member import RoutingMember
+from crazychoir.routing.distributed.proof import TaskPartition
 from crazychoir.routing.instance.instance import LocalProblem
-from crazychoir.routing.search.fleet import fleet_of
-from crazychoir.routing.search.insertion import cheapest
-from crazychoir.routing.search.tours import Tours, insert, refresh
+from crazychoir.routing.search.fleet import build_fleet
+from crazychoir.routing.search.insertion import find_cheapest_insertion
+from crazychoir.routing.search.tours import Tours, insert_task, refresh_route
 from crazychoir.types import Vec
 
-METHODS = ("cbba", "auction")
+BIDDING_METHODS = ("cbba", "auction")
 """Names of the methods of this module."""
-DISCLOSED = ("what tasks would cost robots", "who serves which task")
+INSERTION_BIDS_DISCLOSURES = ("what tasks would cost robots", "who serves which task")
 """Data that the robots disclose to each other."""
-ANYWHERE = -9
+NO_EXCLUDED_PLACE = -9
 """Place that excludes no pair of positions."""
-WORTH = 1e7
+REQUIRED_TASK_WORTH = 1e7
 """m: worth of a task that must be served.
 
 It exceeds any detour and is the same at all robots.
@@ -47,8 +51,8 @@ class InsertionBids:
     def __init__(self, local: LocalProblem) -> None:
         refusal = local.tasks.refusal
         self._must = np.isinf(refusal)
-        self._worth = np.where(self._must, WORTH, refusal)
-        self._fleet = fleet_of([local.vehicle], refusal)
+        self._worth = np.where(self._must, REQUIRED_TASK_WORTH, refusal)
+        self._fleet = build_fleet([local.vehicle], refusal)
         self._end = 2 * len(refusal) + 1
         self._extra = np.zeros((2, 3 * len(refusal) + 4))
         self.start: Stops = ()
@@ -71,21 +75,23 @@ class InsertionBids:
         cost, first, second = self._cheapest(tours, task)
         if cost == np.inf:
             raise SolverError(f"a route with task {task}", "infeasible")
-        insert(self._fleet, tours, 0, task, first, second)
+        insert_task(self._fleet, tours, 0, task, first, second)
         return tuple(
             np.minimum(tours.stop[0, 1 : tours.stops[0] + 1], self._end).tolist()
         )
 
     def _cheapest(self, tours: Tours, j: int) -> Any:
-        return cheapest(self._fleet, tours, self._extra, j, 0, ANYWHERE, ANYWHERE)
+        return find_cheapest_insertion(
+            self._fleet, tours, self._extra, j, 0, NO_EXCLUDED_PLACE, NO_EXCLUDED_PLACE
+        )
 
     def _tours(self, path: Stops) -> Tours:
         tours = Tours.of(self._fleet, [path])
-        refresh(self._fleet, tours, 0)
+        refresh_route(self._fleet, tours, 0)
         return tours
 
 
-def insertion_plan(member: Member, method: str) -> Exchange[Assignment]:
+def plan_by_insertion(member: RoutingMember, method: str) -> Exchange[TaskPartition]:
     """Return this robot's route by a method of METHODS, without a bound.
 
     Raises SolverError, at all robots alike, if a task that must be served remains without a robot.
@@ -96,11 +102,11 @@ def insertion_plan(member: Member, method: str) -> Exchange[Assignment]:
     member.report(phase="bids")
     member.kind = "bids"
     if method == "auction":
-        bundle = yield from sequential_auction(
+        bundle = yield from run_sequential_auction(
             place.robot, bidder, tasks, place.diameter
         )
     else:
-        bundle = yield from _rounds_of(
+        bundle = yield from _run_inside(
             CBBA(place.robot, bidder, range(place.robots), tasks, place.diameter)
         )
     missing = [j for j in bundle.open_tasks if np.isinf(member.local.tasks.refusal[j])]
@@ -111,10 +117,10 @@ def insertion_plan(member: Member, method: str) -> Exchange[Assignment]:
             f"incomplete: nobody's route has room for task(s) {names}; use the method columns",
         )
     mine = tuple(sorted(bundle.tasks))
-    return Assignment({place.robot: mine}, None, {place.robot: bundle.path})
+    return TaskPartition({place.robot: mine}, None, {place.robot: bundle.path})
 
 
-def _rounds_of(program: CBBA) -> Generator[Any, Any, Bundle]:
+def _run_inside(program: CBBA) -> Generator[Any, Any, Bundle]:
     """Run a program inside another one and return its result."""
     while not program.done:
         program.step((yield program.message()))

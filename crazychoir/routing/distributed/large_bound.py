@@ -2,22 +2,23 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from crazychoir.optimization.rounds.agreement import best_offer, flood
+from crazychoir.optimization.rounds.agreement import find_best_offer, flood_values
 from crazychoir.optimization.rounds.program import Exchange
 from crazychoir.routing.distributed.master import Master
-from crazychoir.routing.distributed.member import Member
-from crazychoir.routing.distributed.packing import packed, unpacked
-from crazychoir.routing.pricing.bidirectional_pricing import Halves
+from crazychoir.routing.distributed.member import RoutingMember
+from crazychoir.routing.distributed.packing import pack_columns, unpack_columns
+from crazychoir.routing.pricing.bidirectional_pricing import HalfRoutes
 from crazychoir.routing.pricing.labels import MOST_TASKS
 from crazychoir.routing.pricing.reduced_cost import (
-    least_reduced_cost,
-    relaxed_reduced_cost,
+    bound_reduced_cost,
+    find_least_reduced_cost,
 )
-from crazychoir.routing.pricing.route_table import Column
+from crazychoir.routing.pricing.route_table import RouteColumn
 from crazychoir.types import Vec
 
 NG_ROUTE = "ng-route"
@@ -25,14 +26,26 @@ NG_ROUTE = "ng-route"
 
 A robot prices by it if its routes cannot be halved, or can be halved in too many ways.
 """
-DRAWN = 0.6
-"""Share of the best prices so far in the next prices."""
-HALF = 3
-"""A half-route search may have this many times the labels of a table, which stores more a label."""
-CLOSE = 0.01
-"""Relative gap below which prices are no longer mixed with the best prices."""
-ENOUGH = 1e-5
-"""Relative gap between the value of the known columns and the bound at which the passes end."""
+
+
+@dataclass(frozen=True, slots=True)
+class BoundPasses:
+    """How the passes of a large bound mix prices, how far they search, and when they end."""
+
+    best_price_share: float = 0.6
+    """Share of the best prices so far in the next prices."""
+    label_factor: int = 3
+    """A half-route search may have this many times the labels of a table, which stores more a
+    label.
+    """
+    mixing_gap: float = 0.01
+    """Relative gap below which prices are no longer mixed with the best prices."""
+    final_gap: float = 1e-5
+    """Relative gap between the value of the known columns and the bound at which the passes end.
+    """
+
+
+BOUND_PASSES = BoundPasses()
 
 
 class LargeBound:
@@ -62,12 +75,14 @@ class LargeBound:
     Source: Wentges 1997, International Transactions in Operational Research 4(2), for the prices.
     """
 
-    def __init__(self, member: Member, plan: Sequence[tuple[int, Column]]) -> None:
+    def __init__(
+        self, member: RoutingMember, plan: Sequence[tuple[int, RouteColumn]]
+    ) -> None:
         self._member = member
         self._i = member.place.robot
         speaker = {i: same[0] for same in member.alike.values() for i in same}
         self._plan = [(speaker[i], column) for i, column in plan]
-        self._halves: Halves | None = None
+        self._halves: HalfRoutes | None = None
         self.value: float | None = None
         self.relaxation: str | None = None
 
@@ -88,7 +103,9 @@ class LargeBound:
         pi = self._start()
         drawn = True
         for _ in range(settings.passes * 2):
-            known = yield from flood(self._i, self._priced(pi), member.place.diameter)
+            known = yield from flood_values(
+                self._i, self._priced(pi), member.place.diameter
+            )
             told = {i: known[i] for i in member.alike}
             if any(least == -np.inf for least, _, _ in told.values()):
                 break
@@ -108,29 +125,37 @@ class LargeBound:
                 best = value
                 centre = pi
             new = sum(
-                master.add(i, unpacked(columns)) for i, (_, _, columns) in told.items()
+                master.add(i, unpack_columns(columns))
+                for i, (_, _, columns) in told.items()
             )
             if not new and not drawn:
                 break
             relaxed, prices = yield from self._agree(master)
-            if relaxed - best <= ENOUGH * max(1.0, abs(relaxed)):
+            if relaxed - best <= BOUND_PASSES.final_gap * max(1.0, abs(relaxed)):
                 break
             # If mixed prices find no columns, or the gap is small, use the columns' own prices.
-            drawn = new > 0 and relaxed - best > CLOSE * abs(relaxed)
-            pi = DRAWN * centre + (1.0 - DRAWN) * prices if drawn else prices
+            drawn = new > 0 and relaxed - best > BOUND_PASSES.mixing_gap * abs(relaxed)
+            pi = (
+                BOUND_PASSES.best_price_share * centre
+                + (1.0 - BOUND_PASSES.best_price_share) * prices
+                if drawn
+                else prices
+            )
         self.value = best if best > -np.inf else None
 
-    def _listed(self) -> Halves | None:
+    def _listed(self) -> HalfRoutes | None:
         """Return all half-routes of this robot, None if there are too many."""
         member = self._member
         vehicle = self._member.local.vehicle
         if not (
             member.speaks
-            and Halves.fits(vehicle)
+            and HalfRoutes.fits(vehicle)
             and len(vehicle.servable) <= MOST_TASKS
         ):
             return None
-        halves = Halves(vehicle, HALF * member.settings.most_labels)
+        halves = HalfRoutes(
+            vehicle, BOUND_PASSES.label_factor * member.settings.most_labels
+        )
         return halves if halves.complete else None
 
     def _start(self) -> Vec:
@@ -158,12 +183,12 @@ class LargeBound:
         if self._halves is not None:
             columns = self._halves.cheapest(pi, batch, 0.0)
             values = [c.length - math.fsum(pi[list(c.tasks)]) for c in columns[:1]]
-            return [min([0.0, *values]), True, packed(columns)]
+            return [min([0.0, *values]), True, pack_columns(columns)]
         if len(vehicle.servable) > MOST_TASKS:
-            return [-np.inf, False, packed([])]
-        found = least_reduced_cost(vehicle, pi, most=0)
-        least = min(0.0, relaxed_reduced_cost(vehicle, pi, found.value, most=most))
-        return [least, False, packed(found.columns[:batch])]
+            return [-np.inf, False, pack_columns([])]
+        found = find_least_reduced_cost(vehicle, pi, most=0)
+        least = min(0.0, bound_reduced_cost(vehicle, pi, found.value, most=most))
+        return [least, False, pack_columns(found.columns[:batch])]
 
     def _agree(self, master: Master) -> Exchange[tuple[float, Vec]]:
         """Return the value and the prices of the known columns."""
@@ -172,6 +197,6 @@ class LargeBound:
             relaxed = master.relax()
             own = [relaxed.value, self._i, relaxed.prices]
         value, _, prices = (
-            yield from best_offer(own, self._member.place.diameter)
+            yield from find_best_offer(own, self._member.place.diameter)
         ) or [np.inf, 0, self._start()]
         return float(value), np.asarray(prices)

@@ -8,30 +8,34 @@ import highspy
 import numpy as np
 
 from crazychoir.errors import SolverError
-from crazychoir.optimization.problems.linear import quiet_highs
-from crazychoir.routing.pricing.route_table import Column
+from crazychoir.optimization.problems.linear import make_quiet_highs
+from crazychoir.routing.pricing.route_table import RouteColumn
 from crazychoir.types import Vec
 
-GOLDEN = 0.6180339887498949
+GOLDEN_RATIO_FRACTION = 0.6180339887498949
 """Fraction of the golden ratio: its multiples modulo 1 spread evenly over an interval."""
-STATUS = highspy.HighsModelStatus
-NONE = (STATUS.kInfeasible, STATUS.kUnboundedOrInfeasible, STATUS.kModelEmpty)
+HIGHS_STATUS = highspy.HighsModelStatus
+NO_SOLUTION_STATUSES = (
+    HIGHS_STATUS.kInfeasible,
+    HIGHS_STATUS.kUnboundedOrInfeasible,
+    HIGHS_STATUS.kModelEmpty,
+)
 """Statuses that mean, in a search over x in [0, 1], that there is no solution."""
-REACHED = (
-    STATUS.kOptimal,
-    *NONE,
-    STATUS.kSolutionLimit,
-    STATUS.kIterationLimit,
-    STATUS.kObjectiveBound,
-    STATUS.kObjectiveTarget,
+PROPER_END_STATUSES = (
+    HIGHS_STATUS.kOptimal,
+    *NO_SOLUTION_STATUSES,
+    HIGHS_STATUS.kSolutionLimit,
+    HIGHS_STATUS.kIterationLimit,
+    HIGHS_STATUS.kObjectiveBound,
+    HIGHS_STATUS.kObjectiveTarget,
 )
 """Statuses of a search that ended properly: an answer or a limit.
 
 HiGHS reports a limit of nodes as kSolutionLimit.
 """
-ROUNDED = 1e-6
+COLUMN_COUNT_ROUNDING = 1e-6
 """A number of columns that exceeds a whole number by at most this counts as that number."""
-ROUNDING = 1e-9
+ROUTE_LENGTH_ROUNDING = 1e-9
 """m: rounding of the length of one route if its legs are added in another order."""
 Key = tuple[int, tuple[int, ...]]
 """A robot and the tasks of a column."""
@@ -54,7 +58,7 @@ class Relaxation:
 
 
 @dataclass(frozen=True)
-class Partition:
+class PartitionResult:
     """Result of a search for an integer plan.
 
     If no plan was found the cost is inf. If it is proven that there is none, the bound is inf too.
@@ -68,7 +72,7 @@ class Partition:
     """m: lower bound over these columns that the search proved."""
 
 
-class Pool:
+class ColumnPool:
     """The known columns of each robot: each set of tasks once, with its shortest length."""
 
     def __init__(self, tasks: int) -> None:
@@ -78,14 +82,14 @@ class Pool:
     def __len__(self) -> int:
         return len(self._length)
 
-    def items(self) -> list[tuple[int, Column]]:
+    def items(self) -> list[tuple[int, RouteColumn]]:
         """Return all (robot, column), sorted by robot and tasks."""
         return [
-            (robot, Column(self._length[robot, tasks], tasks))
+            (robot, RouteColumn(self._length[robot, tasks], tasks))
             for robot, tasks in sorted(self._length)
         ]
 
-    def add(self, robot: int, columns: Iterable[Column]) -> int:
+    def add(self, robot: int, columns: Iterable[RouteColumn]) -> int:
         """Add columns of a robot; return how many are new or shorter than the known ones."""
         new = 0
         for column in columns:
@@ -94,7 +98,7 @@ class Pool:
                 new += 1
         return new
 
-    def has(self, robot: int, column: Column) -> bool:
+    def has(self, robot: int, column: RouteColumn) -> bool:
         """Return whether the robot's column is known at this length or a shorter one."""
         return self._length.get((robot, column.tasks), np.inf) <= column.length
 
@@ -128,9 +132,9 @@ class Master:
         self._spread = spread
         self._penalty = penalty
         self._number = number or {}
-        self._highs = quiet_highs()
+        self._highs = make_quiet_highs()
         self._tasks = len(penalty)
-        self._columns: list[tuple[int, Column]] = []
+        self._columns: list[tuple[int, RouteColumn]] = []
         self._index: dict[Key, int] = {}
         self._row: dict[int, int] = {}
         self._count: tuple[int, int] | None = None
@@ -154,7 +158,7 @@ class Master:
     def __len__(self) -> int:
         return len(self._columns)
 
-    def add(self, robot: int, columns: Iterable[Column]) -> int:
+    def add(self, robot: int, columns: Iterable[RouteColumn]) -> int:
         """Add columns of a robot; return how many are new or shorter than the known ones."""
         new = [
             column
@@ -165,13 +169,16 @@ class Master:
             self._append(self._row_of(robot), new)
         return len(new)
 
-    def _is_news(self, robot: int, column: Column) -> bool:
+    def _is_news(self, robot: int, column: RouteColumn) -> bool:
         """Store the column and return True if it is new or shorter than the known one.
 
         A column that is shorter only by rounding is not stored.
         """
         k = self._index.get((robot, column.tasks))
-        if k is not None and self._columns[k][1].length <= column.length + ROUNDING:
+        if (
+            k is not None
+            and self._columns[k][1].length <= column.length + ROUTE_LENGTH_ROUNDING
+        ):
             return False
         self._index[robot, column.tasks] = len(self._columns)
         self._columns.append((robot, column))
@@ -188,9 +195,9 @@ class Master:
 
     def _raised(self, row: int, number: int = 1) -> float:
         """Return the right-hand side of a row, raised by its share of `spread`."""
-        return number + self._spread * ((row + 1) * GOLDEN % 1.0)
+        return number + self._spread * ((row + 1) * GOLDEN_RATIO_FRACTION % 1.0)
 
-    def _append(self, row: int, columns: list[Column]) -> None:
+    def _append(self, row: int, columns: list[RouteColumn]) -> None:
         common = [row] if self._count is None else [row, self._count[0]]
         rows = [[*column.tasks, *common] for column in columns]
         starts = np.cumsum([0, *(len(r) for r in rows)])[:-1].astype(np.int32)
@@ -219,7 +226,7 @@ class Master:
             reward, 0.0, highspy.kHighsInf, 1, np.array([row], np.int32), np.ones(1)
         )
         self._columns.append(
-            (-1, Column(reward, ()))
+            (-1, RouteColumn(reward, ()))
         )  # keeps the column numbers of HiGHS
 
     def relax(self) -> Relaxation:
@@ -253,7 +260,7 @@ class Master:
         return self._sigma.get(robot, 0.0)
 
     @property
-    def basis(self) -> list[tuple[int, Column]]:
+    def basis(self) -> list[tuple[int, RouteColumn]]:
         """Columns of the last basis, in the order in which they were added."""
         _, basic = self._highs.getBasicVariables()
         basis = [
@@ -273,15 +280,15 @@ class Master:
         )
 
 
-def partition(
-    columns: list[tuple[int, Column]],
+def find_partition(
+    columns: list[tuple[int, RouteColumn]],
     tasks: int,
     seed: int,
     nodes: int,
     known: Routes | None = None,
     alike: Mapping[int, Sequence[int]] | None = None,
     most: int | None = None,
-) -> Partition:
+) -> PartitionResult:
     """Find the cheapest set of columns that serves each task exactly once.
 
         min  sum length_c x_c
@@ -309,22 +316,26 @@ def partition(
                 for robot, c in columns
             ]
         )
-    highs = _searched(_model(columns, tasks, seed, number, most), nodes, start)
+    highs = _search_columns(
+        _build_partition_model(columns, tasks, seed, number, most), nodes, start
+    )
     if (
-        highs.getModelStatus() not in REACHED
+        highs.getModelStatus() not in PROPER_END_STATUSES
     ):  # HiGHS 1.x presolves some infeasible problems to a solution that it then rejects
-        highs = _model(columns, tasks, seed, number, most)
+        highs = _build_partition_model(columns, tasks, seed, number, most)
         highs.setOptionValue("presolve", "off")
-        highs = _searched(highs, nodes, None)
+        highs = _search_columns(highs, nodes, None)
     status = highs.getModelStatus()
     info = highs.getInfo()
-    if status not in REACHED:
+    if status not in PROPER_END_STATUSES:
         raise SolverError(f"set partitioning of {len(columns)} columns", status.name)
     if info.primal_solution_status != int(
         highspy.SolutionStatus.kSolutionStatusFeasible
     ):
-        return Partition(
-            np.inf, {}, np.inf if not columns or status in NONE else -np.inf
+        return PartitionResult(
+            np.inf,
+            {},
+            np.inf if not columns or status in NO_SOLUTION_STATUSES else -np.inf,
         )
     chosen = [
         c
@@ -332,11 +343,13 @@ def partition(
         if x > 0.5
     ]
     cost = sum(column.length for _, column in chosen)
-    return Partition(cost, _shared_out(chosen, same), min(cost, info.mip_dual_bound))
+    return PartitionResult(
+        cost, _assign_columns(chosen, same), min(cost, info.mip_dual_bound)
+    )
 
 
-def fewest(
-    columns: list[tuple[int, Column]],
+def find_fewest_columns(
+    columns: list[tuple[int, RouteColumn]],
     tasks: int,
     seed: int,
     nodes: int,
@@ -344,7 +357,7 @@ def fewest(
     least: int,
     known: Routes | None = None,
     alike: Mapping[int, Sequence[int]] | None = None,
-) -> Partition:
+) -> PartitionResult:
     """Find the smallest set of columns that serves each task once; among these, the shortest.
 
         n* = min sum_c x_c,    then  min sum (length_c - weight) x_c  s.t.  sum_c x_c <= n*
@@ -354,35 +367,39 @@ def fewest(
 
     weight: m, the part of each length that counts the vehicle, more than any plan costs without it.
     least: no plan has fewer columns.
-    The other arguments are those of `partition`.
+    The other arguments are those of `find_partition`.
     """
     count = None if known is None else len(known)
     if count is None or count > least:
-        counted = [(robot, Column(1.0, column.tasks)) for robot, column in columns]
-        few = partition(counted, tasks, seed, nodes, known, alike)
+        counted = [(robot, RouteColumn(1.0, column.tasks)) for robot, column in columns]
+        few = find_partition(counted, tasks, seed, nodes, known, alike)
         if few.cost == np.inf:
             return few
         known = few.routes
         count = len(known)
         least = (
-            max(least, math.ceil(few.bound - ROUNDED)) if few.bound > -np.inf else least
+            max(least, math.ceil(few.bound - COLUMN_COUNT_ROUNDING))
+            if few.bound > -np.inf
+            else least
         )
     light = [
-        (robot, Column(column.length - weight, column.tasks))
+        (robot, RouteColumn(column.length - weight, column.tasks))
         for robot, column in columns
     ]
-    found = partition(light, tasks, seed, nodes, known, alike, count)
+    found = find_partition(light, tasks, seed, nodes, known, alike, count)
     if found.cost == np.inf:
-        return Partition(np.inf, {}, np.inf if found.bound == np.inf else -np.inf)
+        return PartitionResult(np.inf, {}, np.inf if found.bound == np.inf else -np.inf)
     proven = found.bound if least >= len(found.routes) else 0.0
-    return Partition(
+    return PartitionResult(
         cost=weight * len(found.routes) + found.cost,
         routes=found.routes,
         bound=weight * min(least, len(found.routes)) + proven,
     )
 
 
-def _searched(highs: highspy.Highs, nodes: int, start: Vec | None) -> highspy.Highs:
+def _search_columns(
+    highs: highspy.Highs, nodes: int, start: Vec | None
+) -> highspy.Highs:
     """Run branch and bound over binary columns and return the solver."""
     n = highs.getNumCol()
     index = np.arange(n, dtype=np.int32)
@@ -397,26 +414,26 @@ def _searched(highs: highspy.Highs, nodes: int, start: Vec | None) -> highspy.Hi
     return highs
 
 
-def _shared_out(
-    chosen: list[tuple[int, Column]], same: Mapping[int, Sequence[int]]
+def _assign_columns(
+    chosen: list[tuple[int, RouteColumn]], same: Mapping[int, Sequence[int]]
 ) -> Routes:
     """Assign each column to a robot of its own."""
     free = {robot: iter(robots) for robot, robots in same.items()}
     return {next(free[robot]): column.tasks for robot, column in chosen}
 
 
-def _model(
-    columns: list[tuple[int, Column]],
+def _build_partition_model(
+    columns: list[tuple[int, RouteColumn]],
     tasks: int,
     seed: int,
     number: Mapping[int, int],
     most: int | None,
 ) -> highspy.Highs:
-    """Return the model of `partition` with 0 <= x <= 1.
+    """Return the model of `find_partition` with 0 <= x <= 1.
 
     Rows: tasks = 1, robots in use <= number, all columns <= most. Columns: in the given order.
     """
-    highs = quiet_highs(seed)
+    highs = make_quiet_highs(seed)
     robots = sorted(number)
     row_of = {robot: tasks + r for r, robot in enumerate(robots)}
     empty = np.array([], np.int32), np.array([])

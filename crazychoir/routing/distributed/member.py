@@ -7,14 +7,14 @@ from functools import cached_property
 import numpy as np
 
 from crazychoir.routing.instance.instance import LocalProblem
-from crazychoir.routing.instance.plan import sha256
-from crazychoir.routing.instance.vehicle import VEHICLES
-from crazychoir.routing.pricing.route_table import MOST_LABELS, RouteTable
+from crazychoir.routing.instance.plan import hash_json
+from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES
+from crazychoir.routing.pricing.route_table import MOST_TABLE_LABELS, RouteTable
 from crazychoir.types import Vec
 
 
 @dataclass(frozen=True)
-class Settings:
+class RoutingSettings:
     """Constants that all robots share.
 
     The fields are in groups: price rounds, column generation, search, and proof.
@@ -40,7 +40,7 @@ class Settings:
     """Passes of pricing or of the proof, at most."""
     batch: int = 20
     """Columns that a robot offers in a pass."""
-    most_labels: int = MOST_LABELS
+    most_labels: int = MOST_TABLE_LABELS
     """Largest number of labels of a robot's route table."""
     most_listed: int = 60
     """The method `columns` lists the routes of a robot with at most this many tasks."""
@@ -86,7 +86,7 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Place:
+class GraphPosition:
     """The place of a robot in the connected graph."""
 
     robot: int
@@ -106,7 +106,7 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Progress:
+class MethodProgress:
     """Progress of the method at one robot, for display."""
 
     phase: str = "start"
@@ -122,16 +122,16 @@ class Progress:
 
 
 @dataclass
-class Member:
+class RoutingMember:
     """The data that the phases of a method share at one robot."""
 
     local: LocalProblem
     """The problem of this robot."""
-    place: Place
+    place: GraphPosition
     """Its place in the graph."""
-    settings: Settings
+    settings: RoutingSettings
     """Constants that all robots share."""
-    progress: Progress = field(default_factory=Progress)
+    progress: MethodProgress = field(default_factory=MethodProgress)
     """Its progress, for display."""
     kind: str = "start"
     """Subject of the messages of the present rounds."""
@@ -152,7 +152,7 @@ class Member:
 
     def __post_init__(self) -> None:
         self.alike = self.alike or {i: (i,) for i in range(self.place.robots)}
-        self.reach = self.reach or reach(self.local)
+        self.reach = self.reach or bound_reach(self.local)
 
     @property
     def vehicle_weight(self) -> float:
@@ -160,7 +160,11 @@ class Member:
 
         Lengths of columns and bounds include it; see Instance.vehicle_weight.
         """
-        return self.local.fixed if VEHICLES in self.local.objective else 0.0
+        return (
+            self.local.fixed
+            if OBJECTIVE_NAMES.vehicles in self.local.objective
+            else 0.0
+        )
 
     def tolerance(self, value: float) -> float:
         """Return the difference in m below which two values of the relaxations count as equal.
@@ -244,7 +248,7 @@ class Member:
         local = self.local
         place = self.place
         common = [local.tasks.to_json(), local.objective]
-        return sha256(
+        return hash_json(
             [common, method, asdict(self.settings), place.robots, place.diameter]
         )
 
@@ -253,7 +257,7 @@ class Member:
         self.progress = replace(self.progress, **news)  # type: ignore[arg-type]
 
 
-def reach(local: LocalProblem) -> float:
+def bound_reach(local: LocalProblem) -> float:
     """Return an upper bound in m on the distance of the robot between two places.
 
     It is the diagonal of all places, or the largest distance in its matrix if that is larger.

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.routing.pricing.route_table import Column
+from crazychoir.routing.pricing.route_table import RouteColumn
 
 
-def packed(columns: Sequence[Column]) -> list[Any]:
+def pack_columns(columns: Sequence[RouteColumn]) -> list[Any]:
     """Return lengths (K,), numbers of tasks (K,), and all tasks in one array.
 
     The codec handles a few arrays much faster than many small lists.
@@ -23,11 +23,11 @@ def packed(columns: Sequence[Column]) -> list[Any]:
     ]
 
 
-def unpacked(parts: Sequence[Any]) -> list[Column]:
-    """Return the columns that `packed` coded."""
+def unpack_columns(parts: Sequence[Any]) -> list[RouteColumn]:
+    """Return the columns that `pack_columns` coded."""
     lengths, sizes, tasks = (part.tolist() for part in parts)
     ends = list(accumulate(sizes))
     return [
-        Column(length, tuple(tasks[end - n : end]))
+        RouteColumn(length, tuple(tasks[end - n : end]))
         for length, n, end in zip(lengths, sizes, ends, strict=True)
     ]

@@ -8,29 +8,37 @@ import numpy as np
 
 from crazychoir.bus.codec import encode
 from crazychoir.errors import ConfigError, SolverError
-from crazychoir.optimization.rounds.agreement import flood
+from crazychoir.optimization.rounds.agreement import flood_values
 from crazychoir.optimization.rounds.program import Exchange, Program
 from crazychoir.routing.distributed import distributed_columns, insertion_bids
-from crazychoir.routing.distributed.column_recovery import DISCLOSED, ColumnRecovery
+from crazychoir.routing.distributed.column_recovery import (
+    COLUMN_RECOVERY_DISCLOSURES,
+    ColumnRecovery,
+)
 from crazychoir.routing.distributed.distributed_columns import DistributedColumns
-from crazychoir.routing.distributed.member import Member, Place, Progress, Settings
+from crazychoir.routing.distributed.member import (
+    GraphPosition,
+    MethodProgress,
+    RoutingMember,
+    RoutingSettings,
+)
 from crazychoir.routing.distributed.primal_decomposition import PriceRounds
-from crazychoir.routing.distributed.proof import Assignment
+from crazychoir.routing.distributed.proof import TaskPartition
 from crazychoir.routing.distributed.resource_recovery import ResourceRecovery
 from crazychoir.routing.instance.instance import LocalProblem
-from crazychoir.routing.instance.plan import Route, Solution, digest_of
-from crazychoir.routing.instance.vehicle import MAKESPAN
-from crazychoir.routing.pricing.route_table import shortest_route
+from crazychoir.routing.instance.plan import Route, Solution, combine_digests
+from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES
+from crazychoir.routing.pricing.route_table import find_shortest_route
 
-CONFIRMED = ("route lengths or times", "task sets and hashes of routes")
+CONFIRMATION_DISCLOSURES = ("route lengths or times", "task sets and hashes of routes")
 """Data that each robot discloses when a plan is confirmed, in every method."""
-BY_PRICES = ("resource-columns", "resource", "resource-argmax")
+PRICE_METHODS = ("resource-columns", "resource", "resource-argmax")
 """Methods that add up task prices: they need an objective that is such a sum."""
-BY_CLAIMS = ("resource", "resource-argmax")
+CLAIM_METHODS = ("resource", "resource-argmax")
 """Methods in which robots claim every task: they cannot refuse a task."""
-METHODS = ("columns", *BY_PRICES, *insertion_bids.METHODS)
+PLANNING_METHODS = ("columns", *PRICE_METHODS, *insertion_bids.BIDDING_METHODS)
 """Names of all methods; the first is the default."""
-ROUNDING = 2.0
+PROOF_TOLERANCE_FACTOR = 2.0
 """The bound may exceed the cost by this number of tolerances.
 
 The search of a proof goes one tolerance beyond the plan.
@@ -73,21 +81,21 @@ class PickupDelivery(Program[Solution]):
         n: int,
         diameter: int,
         degree_of: dict[int, int],
-        method: str = METHODS[0],
-        settings: Settings | None = None,
+        method: str = PLANNING_METHODS[0],
+        settings: RoutingSettings | None = None,
     ) -> None:
-        if method not in METHODS:
+        if method not in PLANNING_METHODS:
             raise ConfigError(
-                "method", method, ", ".join(METHODS), "Choose one of them."
+                "method", method, ", ".join(PLANNING_METHODS), "Choose one of them."
             )
-        if method in BY_PRICES:
+        if method in PRICE_METHODS:
             _require_prices(local, method)
-        if method in BY_CLAIMS:
+        if method in CLAIM_METHODS:
             _require_service(local, method)
-        place = Place(
+        place = GraphPosition(
             local.robot, n, tuple(sorted(neighbors)), diameter, dict(degree_of)
         )
-        self._member = Member(local, place, settings or Settings())
+        self._member = RoutingMember(local, place, settings or RoutingSettings())
         self._method = method
         self.history: list[tuple[int, float | None, float | None]] = []
         """(round, value of the relaxation, cost of the best plan) after each change.
@@ -110,7 +118,7 @@ class PickupDelivery(Program[Solution]):
         return self.result
 
     @property
-    def progress(self) -> Progress:
+    def progress(self) -> MethodProgress:
         """Phase, round, cost so far, unserved demand."""
         return self._member.progress
 
@@ -132,19 +140,27 @@ class PickupDelivery(Program[Solution]):
         yield from self._hello()
         if self._method == "columns":
             assignment = yield from DistributedColumns(self._member).run()
-            return (yield from self._confirm(assignment, distributed_columns.DISCLOSED))
-        if self._method in insertion_bids.METHODS:
-            assignment = yield from insertion_bids.insertion_plan(
+            return (
+                yield from self._confirm(
+                    assignment, distributed_columns.DISTRIBUTED_COLUMNS_DISCLOSURES
+                )
+            )
+        if self._method in insertion_bids.BIDDING_METHODS:
+            assignment = yield from insertion_bids.plan_by_insertion(
                 self._member, self._method
             )
-            return (yield from self._confirm(assignment, insertion_bids.DISCLOSED))
+            return (
+                yield from self._confirm(
+                    assignment, insertion_bids.INSERTION_BIDS_DISCLOSURES
+                )
+            )
         self._member.kind = "prices"
         prices = PriceRounds(self._member)
         yield from prices.run()
         if self._method == "resource-columns":
             self._member.kind = "columns"
             assignment = yield from ColumnRecovery(self._member, prices).run()
-            disclosed = DISCLOSED
+            disclosed = COLUMN_RECOVERY_DISCLOSURES
         else:
             self._member.kind = "claims"
             recovery = ResourceRecovery(
@@ -171,7 +187,7 @@ class PickupDelivery(Program[Solution]):
             )
 
     def _confirm(
-        self, assignment: Assignment, disclosed: tuple[str, ...]
+        self, assignment: TaskPartition, disclosed: tuple[str, ...]
     ) -> Exchange[Solution]:
         """Flood lengths and hashes of the routes, then the plan's hash, and build the solution.
 
@@ -184,15 +200,21 @@ class PickupDelivery(Program[Solution]):
         nodes, length = self._own_route(assignment)
         vehicle = member.local.vehicle
         objective = member.local.objective
-        finish = vehicle.finish(nodes) if MAKESPAN in objective else None
+        finish = (
+            vehicle.finish(nodes) if OBJECTIVE_NAMES.makespan in objective else None
+        )
         route = Route.from_nodes(
             place.robot, nodes, len(member.local.tasks), length, finish
         )
         fixed = 0.0 if member.vehicle_weight else vehicle.fixed
         amount = (
-            finish if objective[0] == MAKESPAN else length + fixed if nodes else 0.0
+            finish
+            if objective[0] == OBJECTIVE_NAMES.makespan
+            else length + fixed
+            if nodes
+            else 0.0
         )
-        known = yield from flood(
+        known = yield from flood_values(
             place.robot,
             [amount, route.digest if nodes else "", route.tasks],
             place.diameter,
@@ -215,11 +237,13 @@ class PickupDelivery(Program[Solution]):
                 f"different plans at the robots: {what}",
             )
         cost = (
-            max(amounts) if objective[0] == MAKESPAN else sum(amounts, 0.0)
+            max(amounts)
+            if objective[0] == OBJECTIVE_NAMES.makespan
+            else sum(amounts, 0.0)
         ) + penalties
         vehicles = sum(1 for _, text, _ in known.values() if text)
-        digest = digest_of({i: text for i, (_, text, _) in known.items() if text})
-        heard = yield from flood(place.robot, digest, place.diameter)
+        digest = combine_digests({i: text for i, (_, text, _) in known.items() if text})
+        heard = yield from flood_values(place.robot, digest, place.diameter)
         if any(other != digest for other in heard.values()):
             raise SolverError(
                 f"robot {place.robot}: confirmation",
@@ -235,7 +259,7 @@ class PickupDelivery(Program[Solution]):
             bound_exact=bound is not None and assignment.relaxation is None,
             bound_relaxation=None if bound is None else assignment.relaxation,
             method=self._method,
-            disclosed=(*disclosed, *CONFIRMED),
+            disclosed=(*disclosed, *CONFIRMATION_DISCLOSURES),
             rounds=self.k,
             plan_digest=digest,
             routes=(route,) if nodes else (),
@@ -243,7 +267,7 @@ class PickupDelivery(Program[Solution]):
         )
 
     def _bound(
-        self, assignment: Assignment, cost: float, vehicles: int
+        self, assignment: TaskPartition, cost: float, vehicles: int
     ) -> tuple[float | None, int | None]:
         """Return the proven bounds on the cost in m and on the number of vehicles, None if unknown.
 
@@ -257,10 +281,10 @@ class PickupDelivery(Program[Solution]):
         alike.
         """
         local = self._member.local
-        tolerance = ROUNDING * self._member.settings.tolerance
+        tolerance = PROOF_TOLERANCE_FACTOR * self._member.settings.tolerance
         if (
             assignment.lower_bound is None
-            or local.objective[0] == MAKESPAN
+            or local.objective[0] == OBJECTIVE_NAMES.makespan
             or (local.tasks.priority > 0).any()
         ):
             return None, None
@@ -274,11 +298,11 @@ class PickupDelivery(Program[Solution]):
         least = min(vehicles, self._member.least_vehicles(assignment.lower_bound))
         return (min(max(bound, 0.0), cost) if least == vehicles else None), least
 
-    def _own_route(self, assignment: Assignment) -> tuple[list[int], float]:
+    def _own_route(self, assignment: TaskPartition) -> tuple[list[int], float]:
         """Return the stops and the length in m of this robot's route."""
         local = self._member.local
         if assignment.stops is None:
-            return shortest_route(
+            return find_shortest_route(
                 local.vehicle, assignment.routes.get(local.robot, ()), local.objective
             )
         stops = list(assignment.stops.get(local.robot, ()))
@@ -292,10 +316,15 @@ def _require_prices(local: LocalProblem, method: str) -> None:
     costs do not matter beside them.
     """
     found = (
-        "makespan first" if local.objective[0] == MAKESPAN else "tasks with priorities"
+        "makespan first"
+        if local.objective[0] == OBJECTIVE_NAMES.makespan
+        else "tasks with priorities"
     )
-    if local.objective[0] == MAKESPAN or (local.tasks.priority > 0).any():
-        able = [name for name in METHODS if name not in BY_PRICES]
+    if (
+        local.objective[0] == OBJECTIVE_NAMES.makespan
+        or (local.tasks.priority > 0).any()
+    ):
+        able = [name for name in PLANNING_METHODS if name not in PRICE_METHODS]
         allowed = f"the total first and no priorities, as prices of tasks add up; or the methods {', '.join(able)}"
         raise ConfigError(
             f"method {method}", found, allowed, "Take columns, or change the instance."
@@ -306,7 +335,7 @@ def _require_service(local: LocalProblem, method: str) -> None:
     """Raise ConfigError if tasks may be refused: robots claim until every task has a robot."""
     refusable = np.flatnonzero(np.isfinite(local.tasks.penalty)).tolist()
     if refusable:
-        able = [name for name in METHODS if name not in BY_CLAIMS]
+        able = [name for name in PLANNING_METHODS if name not in CLAIM_METHODS]
         found = f"a finite penalty of task(s) {', '.join(map(str, refusable))}, which may be refused"
         allowed = f"tasks that must all be served; or the methods {', '.join(able)}"
         raise ConfigError(

@@ -8,9 +8,12 @@ from typing import Any
 
 from crazychoir.bus.codec import decode, encode
 from crazychoir.errors import ConfigError, SolverError
-from crazychoir.routing.distributed.member import Settings
-from crazychoir.routing.distributed.pickup_delivery import METHODS, PickupDelivery
-from crazychoir.routing.instance.checker import check
+from crazychoir.routing.distributed.member import RoutingSettings
+from crazychoir.routing.distributed.pickup_delivery import (
+    PLANNING_METHODS,
+    PickupDelivery,
+)
+from crazychoir.routing.instance.checker import check_plan
 from crazychoir.routing.instance.generate import random_instance
 from crazychoir.routing.instance.instance import Instance, LocalProblem
 from crazychoir.routing.instance.plan import Solution
@@ -22,8 +25,8 @@ Graph = Mapping[int, Sequence[int]]
 def solve_in_loop(
     instance: Instance,
     graph: Graph,
-    method: str = METHODS[0],
-    settings: Settings | None = None,
+    method: str = PLANNING_METHODS[0],
+    settings: RoutingSettings | None = None,
     carry: Callable[[Any], Any] = lambda message: message,
 ) -> Solution:
     """Solve the instance with all robots and return the team's solution, with all routes.
@@ -34,17 +37,19 @@ def solve_in_loop(
     settings: constants that all robots share.
     carry: applied to each message on its way, such as encode and decode.
     """
-    agents = team(instance, graph, method, settings)
+    agents = make_team(instance, graph, method, settings)
     while not all(agent.done for agent in agents.values()):
         messages = {i: agent.message() for i, agent in agents.items()}
         for i, agent in agents.items():
             agent.step({j: carry(messages[j]) for j in sorted(graph[i])})
-    return joined(instance, [agent.solution for agent in agents.values()])
+    return join_solutions(instance, [agent.solution for agent in agents.values()])
 
 
-def warm(problem: LocalProblem, method: str = METHODS[0]) -> None:
+def compile_routing_kernels(
+    problem: LocalProblem, method: str = PLANNING_METHODS[0]
+) -> None:
     """Compile or load the kernels that such a problem needs, before a clock starts; only once."""
-    _warm(
+    _solve_small_instance(
         method,
         problem.objective,
         2 if problem.vehicle.timed or problem.vehicle.trips > 1 else 1,
@@ -52,7 +57,7 @@ def warm(problem: LocalProblem, method: str = METHODS[0]) -> None:
 
 
 @cache
-def _warm(method: str, objective: tuple[str, ...], trips: int) -> None:
+def _solve_small_instance(method: str, objective: tuple[str, ...], trips: int) -> None:
     """Solve a small instance.
 
     Messages pass the codec, because decoded arrays have another type for a kernel.
@@ -66,14 +71,14 @@ def _warm(method: str, objective: tuple[str, ...], trips: int) -> None:
     )
 
 
-def team(
+def make_team(
     instance: Instance,
     graph: Graph,
-    method: str = METHODS[0],
-    settings: Settings | None = None,
+    method: str = PLANNING_METHODS[0],
+    settings: RoutingSettings | None = None,
 ) -> dict[int, PickupDelivery]:
     """Return one PickupDelivery for each robot; each has only its own part of the instance."""
-    span = diameter(graph)
+    span = compute_diameter(graph)
     if sorted(graph) != list(range(instance.robots)):
         raise ConfigError(
             "graph",
@@ -81,18 +86,18 @@ def team(
             f"the robots 0 to {instance.robots - 1} of {instance.name}",
         )
     return {
-        i: member(instance, graph, i, span, method, settings)
+        i: make_member(instance, graph, i, span, method, settings)
         for i in range(instance.robots)
     }
 
 
-def member(
+def make_member(
     instance: Instance,
     graph: Graph,
     i: int,
     span: int,
-    method: str = METHODS[0],
-    settings: Settings | None = None,
+    method: str = PLANNING_METHODS[0],
+    settings: RoutingSettings | None = None,
 ) -> PickupDelivery:
     """Return robot i of the team, with its own part of the instance.
 
@@ -110,7 +115,7 @@ def member(
     )
 
 
-def joined(instance: Instance, solutions: Iterable[Solution]) -> Solution:
+def join_solutions(instance: Instance, solutions: Iterable[Solution]) -> Solution:
     """Return the team's solution from the solutions of the robots.
 
     `feasible` is the result of the independent checker.
@@ -132,12 +137,12 @@ def joined(instance: Instance, solutions: Iterable[Solution]) -> Solution:
     return replace(
         parts[0],
         routes=plan.routes,
-        feasible=not check(instance, plan),
+        feasible=not check_plan(instance, plan),
         bytes_by_kind=dict(sent),
     )
 
 
-def diameter(graph: Graph) -> int:
+def compute_diameter(graph: Graph) -> int:
     """Return the largest number of hops between two robots.
 
     Raises ConfigError if the graph is not connected or not undirected.
@@ -150,10 +155,10 @@ def diameter(graph: Graph) -> int:
                     f"the one-way edge {i} -> {j}",
                     "edges that both ends list",
                 )
-    return max(_eccentricity(graph, i) for i in sorted(graph))
+    return max(_compute_eccentricity(graph, i) for i in sorted(graph))
 
 
-def _eccentricity(graph: Graph, source: int) -> int:
+def _compute_eccentricity(graph: Graph, source: int) -> int:
     hops = {source: 0}
     queue = [source]
     for i in queue:

@@ -6,8 +6,8 @@ import numpy as np
 
 from crazychoir.optimization.rounds.program import Exchange
 from crazychoir.routing.distributed.columns import ColumnProgram
-from crazychoir.routing.distributed.member import Member
-from crazychoir.routing.pricing.route_table import Column
+from crazychoir.routing.distributed.member import RoutingMember
+from crazychoir.routing.pricing.route_table import RouteColumn
 from crazychoir.types import Vec
 
 
@@ -34,12 +34,12 @@ class PriceRounds:
     a task.
     """
 
-    def __init__(self, member: Member) -> None:
+    def __init__(self, member: RoutingMember) -> None:
         self._member = member
         tasks = len(member.local.tasks)
         self.y: Vec = np.full(tasks, 1.0 / member.place.robots)
         self.mean_price: Vec = np.zeros(tasks)
-        self.active: dict[tuple[int, ...], Column] = {}
+        self.active: dict[tuple[int, ...], RouteColumn] = {}
         self.rounds = 0
 
     def run(self) -> Exchange[None]:

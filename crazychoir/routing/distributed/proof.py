@@ -7,19 +7,24 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import SolverError
-from crazychoir.optimization.rounds.agreement import best_offer, flood
+from crazychoir.optimization.rounds.agreement import find_best_offer, flood_values
 from crazychoir.optimization.rounds.program import Exchange
 from crazychoir.routing.distributed.bound import Bound
-from crazychoir.routing.distributed.master import Pool, Routes, fewest, partition
-from crazychoir.routing.distributed.member import Member
-from crazychoir.routing.distributed.packing import packed, unpacked
-from crazychoir.routing.instance.plan import sha256
-from crazychoir.routing.pricing.route_table import Column
+from crazychoir.routing.distributed.master import (
+    ColumnPool,
+    Routes,
+    find_fewest_columns,
+    find_partition,
+)
+from crazychoir.routing.distributed.member import RoutingMember
+from crazychoir.routing.distributed.packing import pack_columns, unpack_columns
+from crazychoir.routing.instance.plan import hash_json
+from crazychoir.routing.pricing.route_table import RouteColumn
 from crazychoir.types import Ints
 
 
 @dataclass(frozen=True)
-class Assignment:
+class TaskPartition:
     """The tasks of each robot, as far as this robot knows them."""
 
     routes: Routes
@@ -33,7 +38,7 @@ class Assignment:
 
 
 @dataclass(frozen=True)
-class Offer:
+class PlanOffer:
     """A plan that all robots know."""
 
     cost: float
@@ -44,7 +49,7 @@ class Offer:
     """m: lower bound that the search proved."""
 
 
-class Proof:
+class PlanProof:
     """Search for a better plan among the few columns that such a plan can contain.
 
     A plan with column c of robot i costs at least bound + excess(c).
@@ -67,7 +72,11 @@ class Proof:
     """
 
     def __init__(
-        self, member: Member, pool: Pool, bound: Bound, best: Offer | None = None
+        self,
+        member: RoutingMember,
+        pool: ColumnPool,
+        bound: Bound,
+        best: PlanOffer | None = None,
     ) -> None:
         self._member = member
         self._pool = pool
@@ -80,7 +89,7 @@ class Proof:
         self._exhausted = False
         self.proven = bound.value
 
-    def run(self) -> Exchange[Assignment]:
+    def run(self) -> Exchange[TaskPartition]:
         """Return the optimal plan, or the best known one if passes and nodes do not suffice."""
         yield from self.search()
         if self.best is None:
@@ -89,7 +98,9 @@ class Proof:
                 f"{why} (robot {self._i}: set partitioning of {len(self._pool)} columns)",
                 status,
             )
-        return Assignment(self.best.routes, self.proven if self._bound.exact else None)
+        return TaskPartition(
+            self.best.routes, self.proven if self._bound.exact else None
+        )
 
     @property
     def closed(self) -> bool:
@@ -160,7 +171,7 @@ class Proof:
         """Return whether all robots together have more than `most` columns within the gap."""
         if most == np.inf:
             return False
-        counts = yield from flood(self._i, len(near), self._diameter)
+        counts = yield from flood_values(self._i, len(near), self._diameter)
         return bool(sum(counts.values()) > most)
 
     def _widen(self, near: Ints) -> Exchange[bool]:
@@ -177,22 +188,22 @@ class Proof:
         exhausted = not member.speaks or len(near) == len(member.table)
         fresh = [c for c in columns if c.tasks and not self._pool.has(self._i, c)]
         while True:
-            own = [packed(fresh[:most]), len(fresh) <= most, exhausted]
-            known = yield from flood(self._i, own, self._diameter)
+            own = [pack_columns(fresh[:most]), len(fresh) <= most, exhausted]
+            known = yield from flood_values(self._i, own, self._diameter)
             for robot, (news, _, _) in known.items():
-                self._pool.add(robot, unpacked(news))
+                self._pool.add(robot, unpack_columns(news))
             if all(last for _, last, _ in known.values()):
                 return all(everything for _, _, everything in known.values())
             fresh = fresh[most:]
 
-    def _agree(self, gap: float) -> Exchange[Offer | None]:
+    def _agree(self, gap: float) -> Exchange[PlanOffer | None]:
         """Return the best plan that any robot finds within the gap, None if there is none."""
-        best = yield from best_offer(self._search(gap), self._diameter)
+        best = yield from find_best_offer(self._search(gap), self._diameter)
         self._none = best is not None and best[0] == np.inf
         if best is None or self._none:
             return None
         cost, robot, routes, searched, digest = best
-        if sha256(routes) != digest:
+        if hash_json(routes) != digest:
             raise SolverError(
                 f"robot {self._i}: the plan of robot {robot}",
                 "damaged: its hash differs",
@@ -200,7 +211,7 @@ class Proof:
         self._member.report(
             cost=float(cost) - self._member.vehicle_weight * len(routes)
         )
-        return Offer(
+        return PlanOffer(
             float(cost),
             {int(i): tuple(int(j) for j in tasks) for i, tasks in routes},
             float(searched),
@@ -230,11 +241,13 @@ class Proof:
         tasks = len(self._member.local.tasks)
         if weight:
             least = self._member.least_vehicles(self._bound.value)
-            found = fewest(
+            found = find_fewest_columns(
                 useful, tasks, self._i, nodes, weight, least, known, self._member.alike
             )
         else:
-            found = partition(useful, tasks, self._i, nodes, known, self._member.alike)
+            found = find_partition(
+                useful, tasks, self._i, nodes, known, self._member.alike
+            )
         if found.cost == np.inf and found.bound < np.inf:
             return None
         robots = self._member.place.robots
@@ -243,19 +256,19 @@ class Proof:
             for robot, tasks in sorted(found.routes.items())
             if robot < robots
         ]
-        return [found.cost, self._i, routes, found.bound, sha256(routes)]
+        return [found.cost, self._i, routes, found.bound, hash_json(routes)]
 
-    def _refusals(self) -> list[tuple[int, Column]]:
+    def _refusals(self) -> list[tuple[int, RouteColumn]]:
         """Return the tasks j that may be refused, each as a column of a virtual robot N + j."""
         refusal = self._member.local.tasks.refusal
         n = self._member.place.robots
         return [
-            (n + int(j), Column(float(refusal[j]), (int(j),)))
+            (n + int(j), RouteColumn(float(refusal[j]), (int(j),)))
             for j in np.flatnonzero(np.isfinite(refusal))
         ]
 
     def _with_refusals(
-        self, routes: Routes, refusals: list[tuple[int, Column]]
+        self, routes: Routes, refusals: list[tuple[int, RouteColumn]]
     ) -> Routes:
         served = {j for tasks in routes.values() for j in tasks}
         return routes | {

@@ -6,14 +6,14 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import SolverError
-from crazychoir.optimization.rounds.agreement import flood, highest_bids
+from crazychoir.optimization.rounds.agreement import find_highest_bids, flood_values
 from crazychoir.optimization.rounds.program import Exchange
-from crazychoir.routing.distributed.member import Member
+from crazychoir.routing.distributed.member import RoutingMember
 from crazychoir.routing.distributed.primal_decomposition import PriceRounds
-from crazychoir.routing.distributed.proof import Assignment
+from crazychoir.routing.distributed.proof import TaskPartition
 from crazychoir.types import Ints, Vec
 
-POSITIVE = 1e-6
+CLAIMED_SHARE = 1e-6
 """A robot asks for a task if its share of the task exceeds this."""
 
 
@@ -40,7 +40,9 @@ class ResourceRecovery:
     Raises SolverError, at all robots alike, if tasks are open even then.
     """
 
-    def __init__(self, member: Member, prices: PriceRounds, by_share: bool) -> None:
+    def __init__(
+        self, member: RoutingMember, prices: PriceRounds, by_share: bool
+    ) -> None:
         self._member = member
         self._prices = prices
         self._by_share = by_share
@@ -59,7 +61,7 @@ class ResourceRecovery:
         )
         return (*claims, "largest share of each task") if self._by_share else claims
 
-    def run(self) -> Exchange[Assignment]:
+    def run(self) -> Exchange[TaskPartition]:
         """Claim until every task is kept, then compute the bound at the mean of all prices."""
         self._member.report(phase="claims")
         for attempt in range(self._member.settings.attempts):
@@ -68,7 +70,7 @@ class ResourceRecovery:
             if not len(open_tasks):
                 bound = yield from self._bound()
                 mine = tuple(int(j) for j in np.flatnonzero(owner == self._i))
-                return Assignment({self._i: mine}, bound)
+                return TaskPartition({self._i: mine}, bound)
             self._urgency[open_tasks] += 1.0
         raise SolverError(
             f"robot {self._i}: claims on the tasks",
@@ -79,14 +81,14 @@ class ResourceRecovery:
     def _claim(self, attempt: int) -> Exchange[Ints]:
         """Return the robot of each task, -1 for none."""
         owner = np.full(len(self._urgency), -1)
-        wanted = self._prices.y > POSITIVE
+        wanted = self._prices.y > CLAIMED_SHARE
         last = False
         while (owner < 0).any():
             bids = {
                 j: [self._amount(j, attempt), self._i]
                 for j in self._choice(owner, wanted)
             }
-            won = yield from highest_bids(bids, self._member.place.diameter)
+            won = yield from find_highest_bids(bids, self._member.place.diameter)
             kept = yield from self._kept(
                 owner, {j: robot for j, (_, robot) in won.items()}
             )
@@ -107,7 +109,7 @@ class ResourceRecovery:
         if self._member.local.vehicle.metric:
             return won
         mine = np.array([won.get(j) == self._i for j in range(len(owner))])
-        told = yield from flood(
+        told = yield from flood_values(
             self._i, self._choice(owner, mine), self._member.place.diameter
         )
         return {j: robot for robot, tasks in told.items() for j in tasks}
@@ -139,11 +141,11 @@ class ResourceRecovery:
         """
         place = self._member.place
         table = self._member.table
-        known = yield from flood(
+        known = yield from flood_values(
             self._i, self._prices.mean_price.tolist(), place.diameter
         )
         pi: Vec = np.mean(np.array(list(known.values())), axis=0)
-        least = yield from flood(
+        least = yield from flood_values(
             self._i, [min(0.0, table.least(pi)), table.complete], place.diameter
         )
         if not all(complete for _, complete in least.values()):

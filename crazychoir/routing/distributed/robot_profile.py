@@ -6,14 +6,21 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.optimization.rounds.agreement import flood
+from crazychoir.optimization.rounds.agreement import flood_values
 from crazychoir.optimization.rounds.program import Exchange
-from crazychoir.routing.distributed.member import Member, reach
-from crazychoir.routing.instance.instance import PUBLIC, LocalProblem, Tasks, kinds
+from crazychoir.routing.distributed.member import RoutingMember, bound_reach
+from crazychoir.routing.instance.instance import (
+    PUBLIC_FIELDS,
+    LocalProblem,
+    Tasks,
+    group_equal_robots,
+)
 from crazychoir.types import Ints
 
-TOLD = tuple(
-    f.name.replace("_", " ") for f in fields(LocalProblem) if f.name not in PUBLIC
+SENT_FIELD_NAMES = tuple(
+    f.name.replace("_", " ")
+    for f in fields(LocalProblem)
+    if f.name not in PUBLIC_FIELDS
 )
 """Names of the fields that each robot sends about itself."""
 MOST_BYTES = 300_000
@@ -23,7 +30,7 @@ If robots have distance matrices of their own, only some robots send at a time.
 """
 
 
-def introduce(member: Member) -> Exchange[dict[int, LocalProblem]]:
+def introduce_robots(member: RoutingMember) -> Exchange[dict[int, LocalProblem]]:
     """Exchange the problems of all robots and return them by id.
 
     A problem says where the robot is, what it can carry, how far it can fly and what it is capable
@@ -40,17 +47,19 @@ def introduce(member: Member) -> Exchange[dict[int, LocalProblem]]:
     known: dict[int, LocalProblem] = {}
     for first in range(0, place.robots, at_once):
         turn = range(first, min(first + at_once, place.robots))
-        told = yield from flood(
-            place.robot, _told(local) if place.robot in turn else None, place.diameter
+        told = yield from flood_values(
+            place.robot,
+            _list_own_fields(local) if place.robot in turn else None,
+            place.diameter,
         )
-        known |= {i: _understood(local, i, told[i]) for i in turn}
+        known |= {i: _decode_problem(local, i, told[i]) for i in turn}
     member.fixed = max(robot.fixed for robot in known.values())
-    member.reach = max(reach(robot) for robot in known.values())
-    member.alike = {same[0]: same for same in kinds(known)}
+    member.reach = max(bound_reach(robot) for robot in known.values())
+    member.alike = {same[0]: same for same in group_equal_robots(known)}
     return known
 
 
-def restricted(local: LocalProblem, chosen: Ints) -> LocalProblem:
+def restrict_problem(local: LocalProblem, chosen: Ints) -> LocalProblem:
     """Return the problem of the same robot with the tasks `chosen` alone, (K,) increasing."""
     tasks = local.tasks
     m = len(local.tasks)
@@ -78,31 +87,41 @@ def restricted(local: LocalProblem, chosen: Ints) -> LocalProblem:
     )
 
 
-def _told(local: LocalProblem) -> dict[str, Any]:
+def _list_own_fields(local: LocalProblem) -> dict[str, Any]:
     """Return the robot's own fields that are not None, as plain values."""
     own = {
-        f.name: getattr(local, f.name) for f in fields(local) if f.name not in PUBLIC
+        f.name: getattr(local, f.name)
+        for f in fields(local)
+        if f.name not in PUBLIC_FIELDS
     }
-    return {name: _plain(value) for name, value in own.items() if value is not None}
+    return {
+        name: _encode_profile_field(value)
+        for name, value in own.items()
+        if value is not None
+    }
 
 
-def _plain(value: Any) -> Any:
+def _encode_profile_field(value: Any) -> Any:
     if isinstance(value, np.ndarray) and value.dtype == bool:
         return [value.size, np.packbits(value)]
     return list(value) if isinstance(value, tuple) else value
 
 
-def _understood(own: LocalProblem, robot: int, told: Mapping[str, Any]) -> LocalProblem:
-    masks = {name: _mask(told[name]) for name in ("capable", "aboard") if name in told}
+def _decode_problem(
+    own: LocalProblem, robot: int, told: Mapping[str, Any]
+) -> LocalProblem:
+    masks = {
+        name: _decode_mask(told[name]) for name in ("capable", "aboard") if name in told
+    }
     absent = {
         f.name: f.default
         for f in fields(own)
-        if f.name not in (*PUBLIC, *told) and f.name not in PUBLIC
+        if f.name not in (*PUBLIC_FIELDS, *told) and f.name not in PUBLIC_FIELDS
     }
     window = (float(told["window"][0]), float(told["window"][1]))
     return replace(own, **{**absent, **told, **masks, "robot": robot, "window": window})
 
 
-def _mask(packed: Any) -> Any:
+def _decode_mask(packed: Any) -> Any:
     size, bits = packed
     return np.unpackbits(np.asarray(bits), count=int(size)).astype(bool)

@@ -5,13 +5,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 from crazychoir.routing.instance.instance import Instance, LocalProblem
-from crazychoir.routing.instance.plan import Plan, Route
+from crazychoir.routing.instance.plan import Route, RoutePlan
 
-TOLERANCE = 1e-6
+CHECK_TOLERANCE = 1e-6
 """Allowed difference: m, s or units of load; for the cost, relative."""
 
 
-def check(instance: Instance, plan: Plan) -> list[str]:
+def check_plan(instance: Instance, plan: RoutePlan) -> list[str]:
     """Return what is wrong with the plan, one sentence each; an empty list if nothing is wrong.
 
     It checks that
@@ -23,22 +23,24 @@ def check(instance: Instance, plan: Plan) -> list[str]:
     - every task is served exactly once, or refused if it may be refused,
     - the stated cost is right.
     """
-    found = check_team([instance.local(i) for i in range(len(instance.home))], plan)
-    cost = cost_of(instance, plan)
-    if not found and not abs(cost - plan.cost) <= TOLERANCE * max(1.0, abs(cost)):
+    found = check_team_plan(
+        [instance.local(i) for i in range(len(instance.home))], plan
+    )
+    cost = compute_flown_cost(instance, plan)
+    if not found and not abs(cost - plan.cost) <= CHECK_TOLERANCE * max(1.0, abs(cost)):
         found.append(f"the plan states a cost of {plan.cost:.6f} but costs {cost:.6f}")
     return found
 
 
-def check_team(team: Sequence[LocalProblem], plan: Plan) -> list[str]:
-    """Return the same as `check` without the cost, for robots 0..N-1 that may be in flight."""
-    found = list(_robots(len(team), plan))
+def check_team_plan(team: Sequence[LocalProblem], plan: RoutePlan) -> list[str]:
+    """Return the same as `check_plan` without the cost, for robots 0..N-1 that may be in flight."""
+    found = list(_check_robots(len(team), plan))
     served: dict[int, int] = {}
     for route in plan.routes:
         if 0 <= route.robot < len(team):
             found.extend(
                 f"robot {route.robot}: {wrong}"
-                for wrong in _route(team[route.robot], route)
+                for wrong in _check_route(team[route.robot], route)
             )
         for stop in route.stops:
             if stop.kind == "delivery":
@@ -50,7 +52,7 @@ def check_team(team: Sequence[LocalProblem], plan: Plan) -> list[str]:
     return found
 
 
-def cost_of(instance: Instance, plan: Plan) -> float:
+def compute_flown_cost(instance: Instance, plan: RoutePlan) -> float:
     """Return the first objective of the plan as flown, with the penalties of undelivered tasks.
 
     If vehicles come first this is the total length.
@@ -65,13 +67,13 @@ def cost_of(instance: Instance, plan: Plan) -> float:
         float(p) for task, p in enumerate(instance.tasks.penalty) if task not in served
     )
     known = [route for route in plan.routes if 0 <= route.robot < len(instance.home)]
-    flights = [_fly(instance.local(route.robot), route) for route in known]
+    flights = [_fly_route(instance.local(route.robot), route) for route in known]
     if instance.objective[0] == "makespan":
         return max((flight.time for flight in flights), default=0.0) + penalties
     return sum(flight.length + instance.fixed_cost for flight in flights) + penalties
 
 
-def _robots(count: int, plan: Plan) -> Iterator[str]:
+def _check_robots(count: int, plan: RoutePlan) -> Iterator[str]:
     seen: list[int] = []
     for route in plan.routes:
         if not 0 <= route.robot < count:
@@ -81,18 +83,21 @@ def _robots(count: int, plan: Plan) -> Iterator[str]:
         seen.append(route.robot)
 
 
-def _route(robot: LocalProblem, route: Route) -> Iterator[str]:
-    yield from _stops(robot, route)
-    flight = _fly(robot, route)
-    if not abs(flight.length - route.length) <= TOLERANCE:  # NaN fails too
+def _check_route(robot: LocalProblem, route: Route) -> Iterator[str]:
+    yield from _check_stops(robot, route)
+    flight = _fly_route(robot, route)
+    if not abs(flight.length - route.length) <= CHECK_TOLERANCE:  # NaN fails too
         yield f"states a length of {route.length:.6f} m but flies {flight.length:.6f} m"
-    if route.finish is not None and not abs(flight.time - route.finish) <= TOLERANCE:
+    if (
+        route.finish is not None
+        and not abs(flight.time - route.finish) <= CHECK_TOLERANCE
+    ):
         yield f"states to be done at {route.finish:.6f} s but is at {flight.time:.6f} s"
     yield from flight.wrong
 
 
 @dataclass
-class _Flight:
+class _CheckedFlight:
     """The state of a robot that flies a route: progress so far and errors found."""
 
     robot: LocalProblem
@@ -116,44 +121,46 @@ class _Flight:
     def serve(self, stop: int, name: str) -> None:
         tasks = self.robot.tasks
         self.time = max(self.time, float(tasks.earliest[stop]))
-        if self.time > tasks.latest[stop] + TOLERANCE:
+        if self.time > tasks.latest[stop] + CHECK_TOLERANCE:
             self.wrong.append(
                 f"begins the {name} at {self.time:.6f} s, its window ends at {tasks.latest[stop]:g} s"
             )
         self.time += float(tasks.service[stop])
 
     def end_trip(self) -> None:
-        if self.trip > self.limit + TOLERANCE:
+        if self.trip > self.limit + CHECK_TOLERANCE:
             self.wrong.append(f"flies {self.trip:.6f} m, limit {self.limit:g} m")
         self.trip = 0.0
         self.limit = self.robot.limit
 
 
-def _fly(robot: LocalProblem, route: Route) -> _Flight:
+def _fly_route(robot: LocalProblem, route: Route) -> _CheckedFlight:
     """Fly the route leg by leg; leave out stops that do not exist."""
     m = len(robot.tasks.load)
     begin = max(robot.start_time, robot.window[0])
-    flight = _Flight(robot, begin, robot.limit if robot.left is None else robot.left)
+    flight = _CheckedFlight(
+        robot, begin, robot.limit if robot.left is None else robot.left
+    )
     at = "start"
     trips = 1
     for stop in route.stops:
         if stop.kind == "recharge":
-            flight.move(_way(robot, at, "end"))
+            flight.move(_measure_way(robot, at, "end"))
             flight.end_trip()
             at = "end"
             trips = trips + 1
         elif 0 <= stop.task < m:
             there = f"{stop.kind} {stop.task}"
-            flight.move(_way(robot, at, there))
+            flight.move(_measure_way(robot, at, there))
             flight.serve(
                 stop.task if stop.kind == "pickup" else m + stop.task,
                 f"{stop.kind} of task {stop.task}",
             )
             at = there
     if not robot.open_tour:
-        flight.move(_way(robot, at, "end"))
+        flight.move(_measure_way(robot, at, "end"))
     flight.end_trip()
-    if flight.time > robot.window[1] + TOLERANCE:
+    if flight.time > robot.window[1] + CHECK_TOLERANCE:
         flight.wrong.append(
             f"is done at {flight.time:.6f} s, its window ends at {robot.window[1]:g} s"
         )
@@ -162,14 +169,14 @@ def _fly(robot: LocalProblem, route: Route) -> _Flight:
     return flight
 
 
-def _way(robot: LocalProblem, a: str, b: str) -> float:
+def _measure_way(robot: LocalProblem, a: str, b: str) -> float:
     """Return the way in m between two places: "start", "end", "pickup 3", "delivery 3"."""
     if robot.distance is None:
-        return math.dist(_point(robot, a), _point(robot, b))
-    return float(robot.distance[_row(robot, a), _row(robot, b)])
+        return math.dist(_find_point(robot, a), _find_point(robot, b))
+    return float(robot.distance[_find_window_row(robot, a), _find_window_row(robot, b)])
 
 
-def _point(robot: LocalProblem, place: str) -> list[float]:
+def _find_point(robot: LocalProblem, place: str) -> list[float]:
     if place == "start" and robot.start is not None:
         return list(robot.start)
     if place in ("start", "end"):
@@ -180,7 +187,7 @@ def _point(robot: LocalProblem, place: str) -> list[float]:
     )
 
 
-def _row(robot: LocalProblem, place: str) -> int:
+def _find_window_row(robot: LocalProblem, place: str) -> int:
     m = len(robot.tasks.load)
     if place in ("start", "end"):
         return 2 * m
@@ -188,7 +195,7 @@ def _row(robot: LocalProblem, place: str) -> int:
     return int(task) if kind == "pickup" else m + int(task)
 
 
-def _stops(robot: LocalProblem, route: Route) -> Iterator[str]:
+def _check_stops(robot: LocalProblem, route: Route) -> Iterator[str]:
     """Yield what is wrong with the order of the stops and the load."""
     on_board = [
         j
@@ -205,7 +212,7 @@ def _stops(robot: LocalProblem, route: Route) -> Iterator[str]:
             yield f"does {stop.kind!r} with task {stop.task}, neither pickup nor delivery"
         elif stop.kind == "pickup":
             on_board.append(stop.task)
-            yield from _loading(robot, on_board)
+            yield from _check_loading(robot, on_board)
         elif stop.task in on_board:
             on_board.remove(stop.task)
         else:
@@ -214,12 +221,12 @@ def _stops(robot: LocalProblem, route: Route) -> Iterator[str]:
         yield f"comes home with task(s) {', '.join(map(str, on_board))} on board"
 
 
-def _loading(robot: LocalProblem, on_board: list[int]) -> Iterator[str]:
+def _check_loading(robot: LocalProblem, on_board: list[int]) -> Iterator[str]:
     task = on_board[-1]
     if not robot.capable[task]:
         yield f"is not capable of task {task}"
     held = math.fsum(
         [robot.initial_load, *(float(robot.tasks.load[j]) for j in on_board)]
     )
-    if held > robot.capacity + TOLERANCE:
+    if held > robot.capacity + CHECK_TOLERANCE:
         yield f"carries {held:g} after picking up task {task}, capacity {robot.capacity:g}"

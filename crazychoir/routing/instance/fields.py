@@ -4,6 +4,7 @@ import json
 import math
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,53 +14,63 @@ import numpy.typing as npt
 from crazychoir.errors import InstanceError
 from crazychoir.files.text_files import read_text
 from crazychoir.routing.instance.li_lim import is_li_lim, parse_li_lim
-from crazychoir.routing.instance.sizes import FARTHEST, LATEST, MOST, SLOWEST
+from crazychoir.routing.instance.sizes import INSTANCE_LIMITS
 from crazychoir.types import Mat, Vec
 
-REQUIRED = ("home", "pickup", "delivery", "load", "capacity")
-"""Keys that every instance file must have."""
-OPTIONAL = (
-    "route_length_limit",
-    "capability",
-    "end",
-    "open_tours",
-    "distance",
-    "speed",
-    "service_time",
-    "time_windows",
-    "release",
-    "initial_load",
-    "penalty",
-    "priority",
-    "objective",
-    "recharge",
-    "fixed_cost",
-)
-"""Keys that an instance file may have."""
-COUNTS = {"N": "home", "M": "load"}
+
+@dataclass(frozen=True, slots=True)
+class InstanceKeys:
+    """Keys of an instance file."""
+
+    required: tuple[str, ...] = ("home", "pickup", "delivery", "load", "capacity")
+    """Keys that every instance file must have."""
+    optional: tuple[str, ...] = (
+        "route_length_limit",
+        "capability",
+        "end",
+        "open_tours",
+        "distance",
+        "speed",
+        "service_time",
+        "time_windows",
+        "release",
+        "initial_load",
+        "penalty",
+        "priority",
+        "objective",
+        "recharge",
+        "fixed_cost",
+    )
+    """Keys that an instance file may have."""
+    annotations: tuple[str, ...] = (
+        "name",
+        "note",
+        "source",
+        "seed",
+        "cost",
+        "optimum",
+        "status",
+        "assignment",
+        "lp_set_cover_bound",
+        "max_tasks_in_any_feasible_route",
+        "enumerated_up_to",
+    )
+    """Keys that describe an instance without being part of it: accepted and ignored."""
+
+
+INSTANCE_KEYS = InstanceKeys()
+
+
+COUNT_KEYS = {"N": "home", "M": "load"}
 """Keys that repeat the length of a list; they must agree with it."""
-ANNOTATIONS = (
-    "name",
-    "note",
-    "source",
-    "seed",
-    "cost",
-    "optimum",
-    "status",
-    "assignment",
-    "lp_set_cover_bound",
-    "max_tasks_in_any_feasible_route",
-    "enumerated_up_to",
-)
-"""Keys that describe an instance without being part of it: accepted and ignored."""
-LIKE_THIS = (
+EXAMPLE_ADVICE = (
     "Mend the file; agents/data/lab6.json is an instance (swarm files alone are TOML)."
 )
 MOST_TRIPS = 1000
 """Largest number of trips of a robot."""
-MOST_LEVEL = 1000
+HIGHEST_PRIORITY = 1000
 """Highest priority of a task."""
-LIKE = {
+EQUALLY_LONG_LISTS = {
     "pickup": "load",
     "delivery": "load",
     "home": "home",
@@ -69,7 +80,7 @@ LIKE = {
 """For each list, the key of the list that must be equally long."""
 
 
-def read(path: str | Path) -> tuple[dict[str, Any], list[str]]:
+def read_instance_file(path: str | Path) -> tuple[dict[str, Any], list[str]]:
     """Read an instance file.
 
     path: a JSON file, or a file of Li and Lim.
@@ -81,12 +92,14 @@ def read(path: str | Path) -> tuple[dict[str, Any], list[str]]:
     if is_li_lim(text):
         return parse_li_lim(text, str(path))
     try:
-        raw = json.loads(text, object_pairs_hook=lambda p: _unique(p, str(path)))
+        raw = json.loads(
+            text, object_pairs_hook=lambda p: _require_unique_keys(p, str(path))
+        )
     except (ValueError, RecursionError) as error:
         if isinstance(error, InstanceError):
             raise
         found = f"no JSON ({error})" if text.strip() else "an empty file"
-        raise InstanceError(str(path), found, allowed, LIKE_THIS) from None
+        raise InstanceError(str(path), found, allowed, EXAMPLE_ADVICE) from None
     if not isinstance(raw, dict):
         raise InstanceError(
             str(path),
@@ -97,7 +110,7 @@ def read(path: str | Path) -> tuple[dict[str, Any], list[str]]:
     return raw, []
 
 
-def _unique(pairs: list[tuple[str, Any]], where: str) -> dict[str, Any]:
+def _require_unique_keys(pairs: list[tuple[str, Any]], where: str) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for key, value in pairs:
         if key in found:
@@ -111,7 +124,7 @@ def _unique(pairs: list[tuple[str, Any]], where: str) -> dict[str, Any]:
     return found
 
 
-class Fields:
+class InstanceFields:
     """The fields of one instance, checked when they are read.
 
     Every method raises InstanceError with file, key and index if the value is not allowed.
@@ -120,21 +133,29 @@ class Fields:
     def __init__(self, raw: dict[str, Any], where: str) -> None:
         self._raw = raw
         self._where = where
-        known = [*REQUIRED, *OPTIONAL, *COUNTS, *ANNOTATIONS]
+        known = [
+            *INSTANCE_KEYS.required,
+            *INSTANCE_KEYS.optional,
+            *COUNT_KEYS,
+            *INSTANCE_KEYS.annotations,
+        ]
         for key in raw:
             if key not in known:
                 allowed = (
-                    ", ".join([*REQUIRED, *OPTIONAL])
+                    ", ".join([*INSTANCE_KEYS.required, *INSTANCE_KEYS.optional])
                     + "; as annotations "
-                    + ", ".join([*COUNTS, *ANNOTATIONS])
+                    + ", ".join([*COUNT_KEYS, *INSTANCE_KEYS.annotations])
                 )
                 raise self._error(
                     key, "an unknown key", allowed, "Correct or delete it."
                 )
-        for key in REQUIRED:
+        for key in INSTANCE_KEYS.required:
             if key not in raw:
                 raise self._error(
-                    key, "nothing", f"the keys {', '.join(REQUIRED)}", "Add it."
+                    key,
+                    "nothing",
+                    f"the keys {', '.join(INSTANCE_KEYS.required)}",
+                    "Add it.",
                 )
         self._check_counts()
 
@@ -162,14 +183,19 @@ class Fields:
                     "All points share one dimension.",
                 )
             for c, value in enumerate(row):
-                self._number(f"{key}[{r}][{c}]", value, least=-FARTHEST, most=FARTHEST)
+                self._number(
+                    f"{key}[{r}][{c}]",
+                    value,
+                    least=-INSTANCE_LIMITS.distance_or_speed,
+                    most=INSTANCE_LIMITS.distance_or_speed,
+                )
         return np.array(rows, dtype=float)
 
     def amounts(self, key: str) -> Vec:
         """Return (n,) numbers from 0 to MOST."""
         values = self._list(key)
         for r, value in enumerate(values):
-            self._number(f"{key}[{r}]", value, most=MOST)
+            self._number(f"{key}[{r}]", value, most=INSTANCE_LIMITS.amount)
         return np.array(values, dtype=float)
 
     def limit(self, key: str) -> float:
@@ -183,7 +209,7 @@ class Fields:
     def cost(self, key: str) -> float:
         """Return a number, not negative; 0 if the key is absent or null."""
         value = self._raw.get(key)
-        self._number(key, 0.0 if value is None else value, most=MOST)
+        self._number(key, 0.0 if value is None else value, most=INSTANCE_LIMITS.amount)
         return float(value or 0.0)
 
     def flag(self, key: str) -> bool:
@@ -254,7 +280,7 @@ class Fields:
         if not isinstance(rows, list) or len(rows) != len(home):
             raise self._error(
                 key,
-                _size(rows),
+                _describe_size(rows),
                 f"{len(home)} points or nulls, one a robot",
                 "Add or delete entries.",
             )
@@ -277,7 +303,7 @@ class Fields:
         if len(rows) != robots:
             raise self._error(
                 key,
-                _size(rows),
+                _describe_size(rows),
                 f"{robots} matrices, one a robot, or one",
                 "Add or delete matrices.",
             )
@@ -289,26 +315,37 @@ class Fields:
         wanted = f"{size} numbers: homes, pickups, deliveries"
         if not isinstance(rows, list) or len(rows) != size:
             raise self._error(
-                key, _size(rows), f"{size} rows of {wanted}", "Add or delete rows."
+                key,
+                _describe_size(rows),
+                f"{size} rows of {wanted}",
+                "Add or delete rows.",
             )
         for r, row in enumerate(rows):
             if not isinstance(row, list) or len(row) != size:
                 raise self._error(
-                    f"{key}[{r}]", _size(row), wanted, "Add or delete entries."
+                    f"{key}[{r}]", _describe_size(row), wanted, "Add or delete entries."
                 )
             for c, value in enumerate(row):
-                self._number(f"{key}[{r}][{c}]", value, most=FARTHEST)
+                self._number(
+                    f"{key}[{r}][{c}]", value, most=INSTANCE_LIMITS.distance_or_speed
+                )
         return np.array(rows, dtype=float)
 
     def speeds(self, key: str) -> Vec:
         """Return (N,) m/s; 1 if the key is absent or null."""
         return self._each(
-            key, len(self._raw["home"]), 1.0, least=SLOWEST, most=FARTHEST
+            key,
+            len(self._raw["home"]),
+            1.0,
+            least=INSTANCE_LIMITS.slowest_speed,
+            most=INSTANCE_LIMITS.distance_or_speed,
         )
 
     def times(self, key: str) -> Vec:
         """Return (M,) s; 0 if the key is absent or null."""
-        return self._each(key, len(self._raw["load"]), 0.0, most=LATEST)
+        return self._each(
+            key, len(self._raw["load"]), 0.0, most=INSTANCE_LIMITS.latest_time
+        )
 
     def service(self) -> Vec:
         """Return the service times, (2M,) s: pickups, then deliveries."""
@@ -318,16 +355,22 @@ class Fields:
         if isinstance(value, list):
             raise self._error(
                 key,
-                _size(value),
+                _describe_size(value),
                 "a number, or an object of pickup and delivery",
                 "Name the stops.",
             )
         if not isinstance(value, dict):
-            return self._each(key, 2 * m, 0.0, most=LATEST)
+            return self._each(key, 2 * m, 0.0, most=INSTANCE_LIMITS.latest_time)
         self._known(key, value, ("pickup", "delivery"))
         return np.concatenate(
             [
-                self._each(f"{key}.{part}", m, 0.0, most=LATEST, value=value.get(part))
+                self._each(
+                    f"{key}.{part}",
+                    m,
+                    0.0,
+                    most=INSTANCE_LIMITS.latest_time,
+                    value=value.get(part),
+                )
                 for part in ("pickup", "delivery")
             ]
         )
@@ -356,7 +399,7 @@ class Fields:
         if not isinstance(rows, list) or len(rows) != count:
             raise self._error(
                 key,
-                _size(rows),
+                _describe_size(rows),
                 f"{count} windows [from, to] or nulls",
                 "Add or delete entries.",
             )
@@ -374,10 +417,10 @@ class Fields:
                 "[from, to] in seconds, or null",
                 "Write two numbers; to may be null.",
             )
-        self._number(f"{key}[0]", row[0], most=LATEST)
+        self._number(f"{key}[0]", row[0], most=INSTANCE_LIMITS.latest_time)
         if row[1] is None:
             return float(row[0]), math.inf
-        self._number(f"{key}[1]", row[1], most=LATEST)
+        self._number(f"{key}[1]", row[1], most=INSTANCE_LIMITS.latest_time)
         if row[1] < row[0]:
             raise self._error(
                 key, row, "[from, to] with to not before from", "Mend one of the two."
@@ -386,7 +429,7 @@ class Fields:
 
     def part_of(self, key: str, capacity: Vec) -> Vec:
         """Return (N,), each at most the robot's capacity; 0 if the key is absent or null."""
-        part = self._each(key, len(capacity), 0.0, most=MOST)
+        part = self._each(key, len(capacity), 0.0, most=INSTANCE_LIMITS.amount)
         for r in np.flatnonzero(part > capacity):
             raise self._error(
                 f"{key}[{r}]",
@@ -405,13 +448,13 @@ class Fields:
         if not isinstance(rows, list) or len(rows) != count:
             raise self._error(
                 key,
-                _size(rows),
+                _describe_size(rows),
                 f"{count} numbers or nulls, one a task",
                 "Add or delete entries.",
             )
         for r, value in enumerate(rows):
             if value is not None:
-                self._number(f"{key}[{r}]", value, most=MOST)
+                self._number(f"{key}[{r}]", value, most=INSTANCE_LIMITS.amount)
         return np.array(
             [math.inf if value is None else value for value in rows], dtype=float
         )
@@ -425,7 +468,7 @@ class Fields:
         if not isinstance(rows, list) or len(rows) != count:
             raise self._error(
                 key,
-                _size(rows),
+                _describe_size(rows),
                 f"{count} whole numbers, one a task",
                 "Add or delete entries.",
             )
@@ -433,12 +476,12 @@ class Fields:
             if (
                 isinstance(value, bool)
                 or not isinstance(value, int)
-                or not 0 <= value <= MOST_LEVEL
+                or not 0 <= value <= HIGHEST_PRIORITY
             ):
                 raise self._error(
                     f"{key}[{r}]",
                     value,
-                    f"a whole number from 0 to {MOST_LEVEL}",
+                    f"a whole number from 0 to {HIGHEST_PRIORITY}",
                     "Write one.",
                 )
         return np.array(rows, dtype=np.int64)
@@ -453,7 +496,7 @@ class Fields:
         if not isinstance(rows, list) or len(rows) != n:
             raise self._error(
                 key,
-                _size(rows),
+                _describe_size(rows),
                 f"{n} rows, one a robot (as many as home)",
                 "Add or delete rows.",
             )
@@ -461,7 +504,7 @@ class Fields:
             if not isinstance(row, list) or len(row) != m:
                 raise self._error(
                     f"{key}[{r}]",
-                    _size(row),
+                    _describe_size(row),
                     f"{m} booleans, one a task",
                     "Add or delete entries.",
                 )
@@ -491,7 +534,7 @@ class Fields:
         if len(value) != count:
             raise self._error(
                 key,
-                _size(value),
+                _describe_size(value),
                 f"one number, or {count} of them",
                 "Add or delete entries.",
             )
@@ -511,10 +554,10 @@ class Fields:
 
     def _list(self, key: str) -> list[Any]:
         values = self._raw[key]
-        like = LIKE[key]
+        like = EQUALLY_LONG_LISTS[key]
         if not isinstance(values, list) or not values:
             raise self._error(
-                key, _size(values), "a list that is not empty", "Add entries."
+                key, _describe_size(values), "a list that is not empty", "Add entries."
             )
         other = self._raw[like]
         if isinstance(other, list) and len(other) != len(values):
@@ -552,7 +595,7 @@ class Fields:
             raise self._error(where, found, allowed, "Mend the value.")
 
     def _check_counts(self) -> None:
-        for key, of in COUNTS.items():
+        for key, of in COUNT_KEYS.items():
             if (
                 key in self._raw
                 and isinstance(self._raw[of], list)
@@ -569,5 +612,5 @@ class Fields:
         return InstanceError(f"{self._where}: {key}", found, allowed, do)
 
 
-def _size(value: object) -> str:
+def _describe_size(value: object) -> str:
     return f"{len(value)} entries" if isinstance(value, list) else repr(value)

@@ -10,7 +10,7 @@ from crazychoir.errors import ConfigError
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.types import Ints, Mat
 
-TRIES = 10_000
+PLACEMENT_ATTEMPTS = 10_000
 """Attempts to place points before the room counts as too small."""
 
 
@@ -53,11 +53,11 @@ def random_instance(
     """
     draw = np.random.default_rng(seed)
     flat = len(room) == 2
-    home = _scatter(draw, robots, room[:2], spacing, margin)
+    home = _draw_scattered(draw, robots, room[:2], spacing, margin)
     if clusters:
-        goods = _heaps(draw, 2 * tasks, room[:2], clusters)
+        goods = _draw_heaps(draw, 2 * tasks, room[:2], clusters)
     else:
-        goods = _scatter(draw, 2 * tasks, room[:2], spacing, margin)
+        goods = _draw_scattered(draw, 2 * tasks, room[:2], spacing, margin)
     if not flat:
         home = np.column_stack([home, np.zeros(robots)])
         goods = np.column_stack(
@@ -65,7 +65,7 @@ def random_instance(
         )
     load = draw.integers(loads[0], loads[1], size=tasks, endpoint=True)
     capacity = draw.integers(capacities[0], capacities[1], size=robots, endpoint=True)
-    mask = _capability(draw, capacity, load, capable)
+    mask = _draw_capability(draw, capacity, load, capable)
     return Instance.parse(
         {
             "home": home.tolist(),
@@ -81,7 +81,7 @@ def random_instance(
     )
 
 
-def _capability(
+def _draw_capability(
     draw: np.random.Generator, capacity: Ints, load: Ints, share: float
 ) -> npt.NDArray[np.bool_]:
     """Return an (N, M) mask, each entry true with probability `share`.
@@ -96,7 +96,7 @@ def _capability(
     return mask
 
 
-def _heaps(
+def _draw_heaps(
     draw: np.random.Generator, count: int, room: Sequence[float], heaps: int
 ) -> Mat:
     """Return (count, 2) m, rounded to centimetres, normally distributed around `heaps` points.
@@ -108,7 +108,7 @@ def _heaps(
     return np.asarray(points.clip([0.0, 0.0], room).round(2))
 
 
-def _scatter(
+def _draw_scattered(
     draw: np.random.Generator,
     count: int,
     room: Sequence[float],
@@ -117,7 +117,7 @@ def _scatter(
 ) -> Mat:
     """Return (count, 2) m, rounded to centimetres, by drawing points until they are far apart."""
     points: list[np.ndarray] = []
-    for _ in range(TRIES):
+    for _ in range(PLACEMENT_ATTEMPTS):
         point = draw.uniform(
             [margin, margin], [room[0] - margin, room[1] - margin]
         ).round(2)

@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError, InstanceError
-from crazychoir.routing.instance.fields import Fields, read
-from crazychoir.routing.instance.plan import Plan, Route
-from crazychoir.routing.instance.servable import require_servable
-from crazychoir.routing.instance.vehicle import MAKESPAN, TOTAL, VEHICLES, Vehicle
+from crazychoir.routing.instance.fields import InstanceFields, read_instance_file
+from crazychoir.routing.instance.plan import Route, RoutePlan
+from crazychoir.routing.instance.servable import require_servable_tasks
+from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES, Vehicle
 from crazychoir.types import Mat, Vec
 
 MOST_WEIGHT = 1e6
@@ -22,11 +22,16 @@ MOST_WEIGHT = 1e6
 
 Above it, the tolerances of a solver are as large as a route.
 """
-PUBLIC = ("robot", "robots", "tasks", "objective")
+PUBLIC_FIELDS = ("robot", "robots", "tasks", "objective")
 """Fields of a LocalProblem that are the same for all robots, or that name the robot."""
-OBJECTIVES = ((TOTAL,), (MAKESPAN,), (TOTAL, MAKESPAN), (MAKESPAN, TOTAL))
+COMMON_OBJECTIVES = (
+    (OBJECTIVE_NAMES.total,),
+    (OBJECTIVE_NAMES.makespan,),
+    (OBJECTIVE_NAMES.total, OBJECTIVE_NAMES.makespan),
+    (OBJECTIVE_NAMES.makespan, OBJECTIVE_NAMES.total),
+)
 """The objectives that every team may minimise."""
-VEHICLES_FIRST = (VEHICLES, TOTAL)
+VEHICLES_FIRST = (OBJECTIVE_NAMES.vehicles, OBJECTIVE_NAMES.total)
 """An objective for teams in which all robots have the same fixed cost and serve every task."""
 
 
@@ -98,7 +103,7 @@ class Tasks:
     def to_json(self) -> dict[str, Any]:
         """Return a JSON object of all fields, on which all robots must agree."""
         return {
-            name: _plain(value)
+            name: _convert_to_json(value)
             for name, value in vars(self).items()
             if name != "refusal"
         }
@@ -141,7 +146,7 @@ class LocalProblem:
     """m: cost of leaving home. If vehicles are counted first it is `Instance.vehicle_weight`."""
     trips: int = 1
     """Largest number of trips."""
-    objective: tuple[str, ...] = (TOTAL,)
+    objective: tuple[str, ...] = (OBJECTIVE_NAMES.total,)
     """Objectives of the team, in order."""
     start: Vec | None = None
     """(d,) m, in flight: where the robot is, or will be at `start_time`."""
@@ -212,14 +217,14 @@ class LocalProblem:
         )
 
 
-def kinds(robots: Mapping[int, LocalProblem]) -> list[tuple[int, ...]]:
+def group_equal_robots(robots: Mapping[int, LocalProblem]) -> list[tuple[int, ...]]:
     """Return groups of robots that differ only by their ids, in the order of the lowest ids."""
     groups: dict[tuple[bytes | None, ...], list[int]] = {}
     for i in sorted(robots):
         own = [
             getattr(robots[i], f.name)
             for f in fields(LocalProblem)
-            if f.name not in PUBLIC
+            if f.name not in PUBLIC_FIELDS
         ]
         told = tuple(
             None if value is None else np.asarray(value, float).tobytes()
@@ -274,7 +279,7 @@ class Instance:
     """m: cost of each robot that leaves home."""
     recharge: int = 1
     """Largest number of trips of a robot, each with the whole route_length_limit."""
-    objective: tuple[str, ...] = (TOTAL,)
+    objective: tuple[str, ...] = (OBJECTIVE_NAMES.total,)
     """Objectives to minimise, in order.
 
     "total": the sum above.
@@ -299,7 +304,7 @@ class Instance:
 
         Raises InstanceError with file, key and index if something is wrong.
         """
-        raw, names = read(path)
+        raw, names = read_instance_file(path)
         return cls.parse(raw, str(path), names)
 
     @classmethod
@@ -313,7 +318,7 @@ class Instance:
         names: what error messages call its tasks.
         Raises InstanceError if a field is wrong, or if a task that must be served cannot be.
         """
-        fields = Fields(raw, where)
+        fields = InstanceFields(raw, where)
         points = {key: fields.points(key) for key in ("home", "pickup", "delivery")}
         load = fields.amounts("load")
         capacity = fields.amounts("capacity")
@@ -346,7 +351,9 @@ class Instance:
             initial_load=fields.part_of("initial_load", capacity),
             fixed_cost=fields.cost("fixed_cost"),
             recharge=fields.trips("recharge"),
-            objective=fields.objective("objective", (*OBJECTIVES, VEHICLES_FIRST)),
+            objective=fields.objective(
+                "objective", (*COMMON_OBJECTIVES, VEHICLES_FIRST)
+            ),
         )
         instance = replace(
             instance, tasks=replace(instance.tasks, span=instance._span())
@@ -354,7 +361,7 @@ class Instance:
         instance._require_few_priorities()
         instance._require_countable()
         vehicles = [instance.local(same[0]).vehicle for same in instance.kinds()]
-        require_servable(vehicles, instance.tasks.penalty, where, names)
+        require_servable_tasks(vehicles, instance.tasks.penalty, where, names)
         return instance
 
     @property
@@ -379,7 +386,7 @@ class Instance:
             window=(float(self.window[i, 0]), float(self.window[i, 1])),
             initial_load=float(self.initial_load[i]),
             fixed=self.vehicle_weight
-            if VEHICLES in self.objective
+            if OBJECTIVE_NAMES.vehicles in self.objective
             else self.fixed_cost,
             trips=self.recharge,
             objective=self.objective,
@@ -409,14 +416,14 @@ class Instance:
         total = 3 * len(self.tasks) * longest
         return 2.0 ** math.ceil(math.log2(2.0 * total)) if total > 0.0 else 1.0
 
-    def plan(self, routes: Iterable[Route]) -> Plan:
+    def plan(self, routes: Iterable[Route]) -> RoutePlan:
         """Return the plan of these routes, with the penalties of the tasks that they leave out."""
         flown = tuple(routes)
         refused = np.ones(len(self.tasks), dtype=bool)
         refused[
             [j for route in flown for j in route.tasks if 0 <= j < len(refused)]
         ] = False
-        return Plan(
+        return RoutePlan(
             flown,
             math.fsum(self.tasks.penalty[refused]),
             self.fixed_cost,
@@ -425,7 +432,7 @@ class Instance:
 
     def kinds(self) -> list[tuple[int, ...]]:
         """Return groups of identical robots, in the order of the lowest ids."""
-        return kinds({i: self.local(i) for i in range(self.robots)})
+        return group_equal_robots({i: self.local(i) for i in range(self.robots)})
 
     def to_json(self) -> dict[str, Any]:
         """Return the JSON object that `parse` reads back."""
@@ -436,7 +443,7 @@ class Instance:
             "delivery": tasks.delivery.tolist(),
             "load": tasks.load.tolist(),
             "capacity": self.capacity.tolist(),
-            "route_length_limit": _plain(self.route_length_limit),
+            "route_length_limit": _convert_to_json(self.route_length_limit),
             "capability": self.capability.tolist(),
         }
         raw |= {"end": self.end.tolist()} if self.end is not None else {}
@@ -444,13 +451,13 @@ class Instance:
         return raw | {
             "open_tours": self.open_tours,
             "speed": self.speed.tolist(),
-            "service_time": _halves(tasks.service.tolist()),
-            "time_windows": _halves(
-                _plain(np.column_stack([tasks.earliest, tasks.latest]))
+            "service_time": _split_stops(tasks.service.tolist()),
+            "time_windows": _split_stops(
+                _convert_to_json(np.column_stack([tasks.earliest, tasks.latest]))
             )
-            | {"home": _plain(self.window)},
+            | {"home": _convert_to_json(self.window)},
             "initial_load": self.initial_load.tolist(),
-            "penalty": _plain(tasks.penalty),
+            "penalty": _convert_to_json(tasks.penalty),
             "priority": tasks.priority.tolist(),
             "fixed_cost": self.fixed_cost,
             "recharge": self.recharge,
@@ -472,7 +479,7 @@ class Instance:
         """
         legs = 3 * len(self.tasks) + 2 * self.robots
         vehicles = [self.local(same[0]).vehicle for same in self.kinds()]
-        if self.objective[0] != MAKESPAN:
+        if self.objective[0] != OBJECTIVE_NAMES.makespan:
             return (
                 legs * max(float(v.distance.max()) for v in vehicles)
                 + self.robots * self.fixed_cost
@@ -486,7 +493,7 @@ class Instance:
 
         Raises InstanceError if a task may be refused or if there is a fixed cost.
         """
-        if VEHICLES not in self.objective:
+        if OBJECTIVE_NAMES.vehicles not in self.objective:
             return
         if np.isfinite(self.tasks.penalty).any():
             found = (
@@ -513,17 +520,17 @@ class Instance:
             )
 
 
-def _plain(value: Any) -> Any:
+def _convert_to_json(value: Any) -> Any:
     """Return the value as JSON needs it: lists, and null for infinity."""
     if isinstance(value, np.ndarray | list):
         return [
-            _plain(part)
+            _convert_to_json(part)
             for part in (value.tolist() if isinstance(value, np.ndarray) else value)
         ]
     return None if value == math.inf else value
 
 
-def _halves(values: list[Any]) -> dict[str, list[Any]]:
+def _split_stops(values: list[Any]) -> dict[str, list[Any]]:
     """Split a list over stops into its pickups and its deliveries."""
     m = len(values) // 2
     return {"pickup": values[:m], "delivery": values[m:]}

@@ -5,41 +5,59 @@ from dataclasses import dataclass
 from typing import Any
 
 from crazychoir.errors import InstanceError
-from crazychoir.routing.instance.sizes import FARTHEST, LATEST, MOST, SLOWEST
-from crazychoir.routing.instance.vehicle import TOTAL, VEHICLES
+from crazychoir.routing.instance.sizes import INSTANCE_LIMITS
+from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES
 
-COLUMNS = (
-    "customer",
-    "x",
-    "y",
-    "demand",
-    "ready time",
-    "due time",
-    "service time",
-    "pickup",
-    "delivery",
-)
-"""Names of the columns of a line."""
-RANGES = (
-    (0, MOST),
-    (-FARTHEST, FARTHEST),
-    (-FARTHEST, FARTHEST),
-    (-MOST, MOST),
-    (0, LATEST),
-    (0, LATEST),
-    (0, LATEST),
-    (0, MOST),
-    (0, MOST),
-)
-"""The least and the largest number of each column."""
-WHOLE = ("customer", "pickup", "delivery")
-"""Columns of whole numbers."""
-MOST_VEHICLES = 1000
-"""Largest number of vehicles."""
+
+@dataclass(frozen=True, slots=True)
+class LiLimFormat:
+    """The lines of an instance in the format of Li and Lim."""
+
+    columns: tuple[str, ...] = (
+        "customer",
+        "x",
+        "y",
+        "demand",
+        "ready time",
+        "due time",
+        "service time",
+        "pickup",
+        "delivery",
+    )
+    """Names of the columns of a line."""
+    ranges: tuple[
+        tuple[int, float],
+        tuple[float, ...],
+        tuple[float, ...],
+        tuple[float, ...],
+        tuple[int, float],
+        tuple[int, float],
+        tuple[int, float],
+        tuple[int, float],
+        tuple[int, float],
+    ] = (
+        (0, INSTANCE_LIMITS.amount),
+        (-INSTANCE_LIMITS.distance_or_speed, INSTANCE_LIMITS.distance_or_speed),
+        (-INSTANCE_LIMITS.distance_or_speed, INSTANCE_LIMITS.distance_or_speed),
+        (-INSTANCE_LIMITS.amount, INSTANCE_LIMITS.amount),
+        (0, INSTANCE_LIMITS.latest_time),
+        (0, INSTANCE_LIMITS.latest_time),
+        (0, INSTANCE_LIMITS.latest_time),
+        (0, INSTANCE_LIMITS.amount),
+        (0, INSTANCE_LIMITS.amount),
+    )
+    """The least and the largest number of each column."""
+    whole_columns: tuple[str, ...] = ("customer", "pickup", "delivery")
+    """Columns of whole numbers."""
+    most_vehicles: int = 1000
+    """Largest number of vehicles."""
+
+
+LI_LIM_FORMAT = LiLimFormat()
 
 
 @dataclass(frozen=True)
-class _Row:
+class _CustomerRow:
     """A customer."""
 
     customer: int
@@ -84,10 +102,10 @@ def parse_li_lim(text: str, where: str) -> tuple[dict[str, Any], list[str]]:
     lines = [
         (n, line.split()) for n, line in enumerate(text.splitlines(), 1) if line.strip()
     ]
-    count, capacity, speed = _fleet(
+    count, capacity, speed = _parse_fleet(
         [float(word) for word in lines[0][1]], f"{where}: line {lines[0][0]}"
     )
-    rows = [_row(words, f"{where}: line {n}") for n, words in lines[1:]]
+    rows = [_parse_customer(words, f"{where}: line {n}") for n, words in lines[1:]]
     by_number = {row.customer: row for row in rows}
     if 0 not in by_number or len(by_number) != len(rows):
         raise InstanceError(
@@ -96,7 +114,9 @@ def parse_li_lim(text: str, where: str) -> tuple[dict[str, Any], list[str]]:
             "the depot 0 and each other customer once",
         )
     pairs = [
-        _pair(row, by_number, where) for row in rows if row.customer and row.delivery
+        _find_pair(row, by_number, where)
+        for row in rows
+        if row.customer and row.delivery
     ]
     _require_all_in(pairs, rows, where)
     depot = by_number[0]
@@ -116,29 +136,40 @@ def parse_li_lim(text: str, where: str) -> tuple[dict[str, Any], list[str]]:
             "delivery": [[d.ready, d.due] for _, d in pairs],
             "home": [[depot.ready, depot.due]] * count,
         },
-        "objective": [VEHICLES, TOTAL],
+        "objective": [OBJECTIVE_NAMES.vehicles, OBJECTIVE_NAMES.total],
     }, [f"customer {p.customer} and its delivery {d.customer}" for p, d in pairs]
 
 
-def _fleet(numbers: list[float], where: str) -> tuple[int, float, float]:
+def _parse_fleet(numbers: list[float], where: str) -> tuple[int, float, float]:
     """Return vehicles, capacity, speed."""
     vehicles, capacity, speed = numbers
-    if not (vehicles.is_integer() and 1 <= vehicles <= MOST_VEHICLES):
+    if not (vehicles.is_integer() and 1 <= vehicles <= LI_LIM_FORMAT.most_vehicles):
         raise InstanceError(
             where,
             f"{vehicles:g} vehicles",
-            f"a whole number from 1 to {MOST_VEHICLES}",
+            f"a whole number from 1 to {LI_LIM_FORMAT.most_vehicles}",
             "Mend it.",
         )
-    if not (0.0 <= capacity <= MOST and (speed == 0.0 or SLOWEST <= speed <= FARTHEST)):
+    if not (
+        0.0 <= capacity <= INSTANCE_LIMITS.amount
+        and (
+            speed == 0.0
+            or INSTANCE_LIMITS.slowest_speed
+            <= speed
+            <= INSTANCE_LIMITS.distance_or_speed
+        )
+    ):
         found = f"capacity {capacity:g}, speed {speed:g}"
-        allowed = f"a capacity from 0 to {MOST:g}, a speed from {SLOWEST:g} to {FARTHEST:g}, or 0, which means 1"
+        allowed = (
+            f"a capacity from 0 to {INSTANCE_LIMITS.amount:g}, a speed from "
+            f"{INSTANCE_LIMITS.slowest_speed:g} to {INSTANCE_LIMITS.distance_or_speed:g}, or 0, which means 1"
+        )
         raise InstanceError(where, found, allowed, "Mend the line.")
     return int(vehicles), capacity, speed or 1.0
 
 
 def _require_all_in(
-    pairs: list[tuple[_Row, _Row]], rows: list[_Row], where: str
+    pairs: list[tuple[_CustomerRow, _CustomerRow]], rows: list[_CustomerRow], where: str
 ) -> None:
     """Raise InstanceError unless each customer is the pickup or the delivery of a pair."""
     paired = {row.customer for pair in pairs for row in pair}
@@ -158,18 +189,24 @@ def _require_all_in(
         )
 
 
-def _row(words: list[str], where: str) -> _Row:
-    if len(words) != len(COLUMNS) or not all(_is_number(word) for word in words):
+def _parse_customer(words: list[str], where: str) -> _CustomerRow:
+    if len(words) != len(LI_LIM_FORMAT.columns) or not all(
+        _is_number(word) for word in words
+    ):
         raise InstanceError(
             where,
             " ".join(words),
-            f"{len(COLUMNS)} numbers a customer",
+            f"{len(LI_LIM_FORMAT.columns)} numbers a customer",
             "Mend the line.",
         )
     numbers = [float(word) for word in words]
-    for name, number, (least, most) in zip(COLUMNS, numbers, RANGES, strict=True):
-        if not least <= number <= most or (name in WHOLE and not number.is_integer()):
-            whole = "whole number" if name in WHOLE else "number"
+    for name, number, (least, most) in zip(
+        LI_LIM_FORMAT.columns, numbers, LI_LIM_FORMAT.ranges, strict=True
+    ):
+        if not least <= number <= most or (
+            name in LI_LIM_FORMAT.whole_columns and not number.is_integer()
+        ):
+            whole = "whole number" if name in LI_LIM_FORMAT.whole_columns else "number"
             found = f"{name} {number:.9g}"
             raise InstanceError(
                 where, found, f"a {whole} from {least:g} to {most:g}", "Mend the line."
@@ -187,12 +224,14 @@ def _row(words: list[str], where: str) -> _Row:
         raise InstanceError(
             where, found, "0 or more; its delivery has less than 0", "Mend the line."
         )
-    return _Row(
+    return _CustomerRow(
         int(customer), x, y, demand, ready, due, service, int(pickup), int(delivery)
     )
 
 
-def _pair(pickup: _Row, rows: dict[int, _Row], where: str) -> tuple[_Row, _Row]:
+def _find_pair(
+    pickup: _CustomerRow, rows: dict[int, _CustomerRow], where: str
+) -> tuple[_CustomerRow, _CustomerRow]:
     delivery = rows.get(pickup.delivery)
     if (
         delivery is None

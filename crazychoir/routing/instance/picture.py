@@ -7,23 +7,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from crazychoir.files.output_files import save_figure
-from crazychoir.optimization.picture import COLOURS, DASHES, INK
+from crazychoir.optimization.picture import PICTURE_STYLE
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.routing.instance.plan import Plan, Route
-from crazychoir.routing.instance.schedule import Trip, times_matter, trips
-from crazychoir.routing.instance.vehicle import MAKESPAN
+from crazychoir.routing.instance.plan import Route, RoutePlan
+from crazychoir.routing.instance.schedule import Trip, is_timed, split_into_trips
+from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES
 from crazychoir.types import Mat, Vec
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-CROWD = 40
+CROWDED_TASK_COUNT = 40
 """Number of tasks above which the picture is larger, so that names do not overlap."""
-LARGER = 1.7
+CROWDED_PICTURE_SCALE = 1.7
 """Factor by which the picture is larger then."""
 
 
-def draw_routes(instance: Instance, plan: Plan, path: str | Path) -> None:
+def draw_routes(instance: Instance, plan: RoutePlan, path: str | Path) -> None:
     """Write a picture of the routes, seen from above, in m.
 
     instance: the tasks and the robots.
@@ -39,11 +39,11 @@ def draw_routes(instance: Instance, plan: Plan, path: str | Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    scale = LARGER if len(instance.tasks) > CROWD else 1.0
+    scale = CROWDED_PICTURE_SCALE if len(instance.tasks) > CROWDED_TASK_COUNT else 1.0
     figure = Figure(figsize=(8.6 * scale, 6.2 * scale), dpi=200, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    timed = times_matter(instance)
+    timed = is_timed(instance)
     for route in plan.routes:
         _draw_route(axes, instance, route, timed)
     _draw_points(axes, instance)
@@ -54,18 +54,18 @@ def draw_routes(instance: Instance, plan: Plan, path: str | Path) -> None:
     axes.grid(color="#e6e6e6", linewidth=0.6)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.set_title(_title(instance, plan), color=INK, fontsize=10)
+    axes.set_title(_describe_plan(instance, plan), color=PICTURE_STYLE.ink, fontsize=10)
     figure.legend(
         loc="outside right upper", frameon=False, fontsize=8, handlelength=3.2
     )
     save_figure(figure, path, bbox_inches="tight")
 
 
-def _title(instance: Instance, plan: Plan) -> str:
+def _describe_plan(instance: Instance, plan: RoutePlan) -> str:
     """Return how many robots fly, how far, until when, and which tasks are refused."""
     flown = sum(route.length for route in plan.routes)
     text = f"{len(plan.routes)} of {instance.robots} robots fly {flown:.2f} m"
-    if MAKESPAN in plan.objective:
+    if OBJECTIVE_NAMES.makespan in plan.objective:
         text += f" until {plan.makespan:.2f} s"
     served = {j for route in plan.routes for j in route.tasks}
     refused = [str(j) for j in range(len(instance.tasks)) if j not in served]
@@ -74,11 +74,13 @@ def _title(instance: Instance, plan: Plan) -> str:
 
 def _draw_route(axes: "Axes", instance: Instance, route: Route, timed: bool) -> None:
     """Draw one line for each trip, in the robot's colour."""
-    flown = trips(instance, route)
-    colour = COLOURS[route.robot % len(COLOURS)]
-    for trip, tour in zip(flown, _tours(instance, route), strict=True):
-        dash = DASHES[(route.robot + trip.number - 1) % len(DASHES)]
-        label = _label(trip, several=len(flown) > 1, timed=timed)
+    flown = split_into_trips(instance, route)
+    colour = PICTURE_STYLE.colours[route.robot % len(PICTURE_STYLE.colours)]
+    for trip, tour in zip(flown, _list_tours(instance, route), strict=True):
+        dash = PICTURE_STYLE.dashes[
+            (route.robot + trip.number - 1) % len(PICTURE_STYLE.dashes)
+        ]
+        label = _describe_trip(trip, several=len(flown) > 1, timed=timed)
         axes.plot(
             tour[:, 0],
             tour[:, 1],
@@ -92,7 +94,7 @@ def _draw_route(axes: "Axes", instance: Instance, route: Route, timed: bool) -> 
             _draw_arrow(axes, a, b, colour)
 
 
-def _label(trip: Trip, several: bool, timed: bool) -> str:
+def _describe_trip(trip: Trip, several: bool, timed: bool) -> str:
     tasks = ", ".join(str(stop.task) for stop in trip.stops if stop.kind == "delivery")
     who = (
         f"robot {trip.robot}, trip {trip.number}" if several else f"robot {trip.robot}"
@@ -128,13 +130,13 @@ def _draw_points(axes: "Axes", instance: Instance) -> None:
             end[0],
             end[1],
             "X",
-            color=COLOURS[i % len(COLOURS)],
+            color=PICTURE_STYLE.colours[i % len(PICTURE_STYLE.colours)],
             markersize=8,
             markeredgecolor="white",
             zorder=4,
         )
     for i, home in enumerate(instance.home):
-        colour = COLOURS[i % len(COLOURS)]
+        colour = PICTURE_STYLE.colours[i % len(PICTURE_STYLE.colours)]
         axes.plot(
             home[0],
             home[1],
@@ -160,7 +162,7 @@ def _draw_points(axes: "Axes", instance: Instance) -> None:
     axes.plot([], [], "s", color="#808080", label="home of robot")
     height = ", ↑ height in m" if tasks.pickup.shape[1] == 3 else ""
     _draw_goods(axes, tasks.pickup, "^", "white", f"pickup of task{height}")
-    _draw_goods(axes, tasks.delivery, "v", INK, "delivery of task")
+    _draw_goods(axes, tasks.delivery, "v", PICTURE_STYLE.ink, "delivery of task")
     _write_names(axes, tasks.pickup)
     _write_names(axes, tasks.delivery)
 
@@ -172,7 +174,7 @@ def _draw_goods(axes: "Axes", points: Mat, marker: str, fill: str, label: str) -
         s=46,
         marker=marker,
         c=fill,
-        edgecolors=INK,
+        edgecolors=PICTURE_STYLE.ink,
         label=label,
         zorder=4,
     )
@@ -194,13 +196,13 @@ def _write_names(axes: "Axes", points: Mat) -> None:
             xytext=(6, 4),
             textcoords="offset points",
             fontsize=7.5,
-            color=INK,
+            color=PICTURE_STYLE.ink,
             zorder=6,
             bbox=box,
         )
 
 
-def _tours(instance: Instance, route: Route) -> list[Mat]:
+def _list_tours(instance: Instance, route: Route) -> list[Mat]:
     """Return the points of each trip, (n, 2) or (n, 3) m.
 
     A trip begins at home or at the robot's end point; then come the stops and the end point.

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
-from crazychoir.routing.instance.vehicle import MAKESPAN, TOTAL, VEHICLES
+from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES
 
 Kind = Literal["pickup", "delivery", "recharge"]
 """Kind of a stop."""
-NOTHING = -1
+NO_TASK = -1
 """The task of a stop that only recharges."""
 
 
@@ -55,7 +55,9 @@ class Route:
         length: m.
         finish: s, when the robot is done.
         """
-        return cls(robot, tuple(_stop(int(v), tasks) for v in nodes), length, finish)
+        return cls(
+            robot, tuple(_decode_stop(int(v), tasks) for v in nodes), length, finish
+        )
 
     @property
     def tasks(self) -> tuple[int, ...]:
@@ -82,11 +84,11 @@ class Route:
     @property
     def digest(self) -> str:
         """SHA-256 of the canonical JSON of the route."""
-        return sha256(self.to_json())
+        return hash_json(self.to_json())
 
 
 @dataclass(frozen=True)
-class Plan:
+class RoutePlan:
     """The routes of the robots that fly, by robot id; `Instance.plan` fills in the rest."""
 
     routes: tuple[Route, ...]
@@ -95,7 +97,7 @@ class Plan:
     """Sum of the penalties of the refused tasks."""
     fixed_cost: float = 0.0
     """m: cost of each robot that flies."""
-    objective: tuple[str, ...] = (TOTAL,)
+    objective: tuple[str, ...] = (OBJECTIVE_NAMES.total,)
     """Objectives, in order."""
 
     def __post_init__(self) -> None:
@@ -124,9 +126,9 @@ class Plan:
     def values(self) -> tuple[float, ...]:
         """The values of the objectives, in order; the penalties are added to the first."""
         value = {
-            TOTAL: self.total,
-            MAKESPAN: self.makespan,
-            VEHICLES: float(len(self.routes)),
+            OBJECTIVE_NAMES.total: self.total,
+            OBJECTIVE_NAMES.makespan: self.makespan,
+            OBJECTIVE_NAMES.vehicles: float(len(self.routes)),
         }
         first, *rest = (value[name] for name in self.objective)
         return (first + self.penalties, *rest)
@@ -134,7 +136,11 @@ class Plan:
     @property
     def cost(self) -> float:
         """The first objective in m or s, with the penalties: the total if vehicles come first."""
-        return self.values[1] if self.objective[0] == VEHICLES else self.values[0]
+        return (
+            self.values[1]
+            if self.objective[0] == OBJECTIVE_NAMES.vehicles
+            else self.values[0]
+        )
 
     @property
     def digest(self) -> str:
@@ -142,7 +148,7 @@ class Plan:
 
         It is a hash of the hashes of the routes, so that it can be computed without the routes.
         """
-        return digest_of({route.robot: route.digest for route in self.routes})
+        return combine_digests({route.robot: route.digest for route in self.routes})
 
     def to_json(self) -> dict[str, Any]:
         """Return a JSON object: cost, digest, penalties, fixed_cost, objective, routes."""
@@ -156,7 +162,7 @@ class Plan:
         }
 
     @classmethod
-    def from_json(cls, raw: dict[str, Any]) -> "Plan":
+    def from_json(cls, raw: dict[str, Any]) -> "RoutePlan":
         """Return the plan that `to_json` wrote."""
         routes = tuple(Route.from_json(route) for route in raw["routes"])
         return cls(routes, raw["penalties"], raw["fixed_cost"], tuple(raw["objective"]))
@@ -203,9 +209,9 @@ class Solution:
     """
 
     @property
-    def plan(self) -> Plan:
+    def plan(self) -> RoutePlan:
         """The routes as a plan."""
-        return Plan(self.routes)
+        return RoutePlan(self.routes)
 
     def to_json(self) -> dict[str, Any]:
         """Return a JSON object with the fields above."""
@@ -222,18 +228,18 @@ class Solution:
         return cls(**(raw | {"disclosed": tuple(raw["disclosed"]), "routes": routes}))
 
 
-def _stop(node: int, tasks: int) -> Stop:
+def _decode_stop(node: int, tasks: int) -> Stop:
     if node > 2 * tasks:
-        return Stop(NOTHING, "recharge")
+        return Stop(NO_TASK, "recharge")
     return Stop(node, "pickup") if node < tasks else Stop(node - tasks, "delivery")
 
 
-def digest_of(routes: dict[int, str]) -> str:
+def combine_digests(routes: dict[int, str]) -> str:
     """Return the plan's digest from the digests of the routes of the robots that fly."""
-    return sha256([[i, routes[i]] for i in sorted(routes)])
+    return hash_json([[i, routes[i]] for i in sorted(routes)])
 
 
-def sha256(value: Any) -> str:
+def hash_json(value: Any) -> str:
     """Return the SHA-256, in hex, of the canonical JSON of a value.
 
     Canonical: sorted keys, no blanks, shortest floats.

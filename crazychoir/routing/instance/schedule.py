@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-from crazychoir.routing.instance.checker import check
+from crazychoir.routing.instance.checker import check_plan
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.plan import Route, Stop
-from crazychoir.routing.instance.vehicle import MAKESPAN
+from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Trip:
         }
 
 
-def trips(instance: Instance, route: Route) -> list[Trip]:
+def split_into_trips(instance: Instance, route: Route) -> list[Trip]:
     """Return the trips of a route in order: one, unless the robot recharges."""
     m = len(instance.tasks)
     vehicle = instance.local(route.robot).vehicle
@@ -80,7 +80,7 @@ def trips(instance: Instance, route: Route) -> list[Trip]:
     return found
 
 
-def times_matter(instance: Instance) -> bool:
+def is_timed(instance: Instance) -> bool:
     """Return whether times matter: there is a window or a release, or the makespan is minimised."""
     tasks = instance.tasks
     windows = (
@@ -89,10 +89,10 @@ def times_matter(instance: Instance) -> bool:
         instance.window[:, 0].any(),
         math.isfinite(instance.window[:, 1].min()),
     )
-    return MAKESPAN in instance.objective or any(windows)
+    return OBJECTIVE_NAMES.makespan in instance.objective or any(windows)
 
 
-def outcome(instance: Instance, routes: Iterable[Route]) -> dict[str, Any]:
+def summarise_plan(instance: Instance, routes: Iterable[Route]) -> dict[str, Any]:
     """Return a summary of the plan as a JSON object.
 
     vehicles: number of robots that leave home.
@@ -101,12 +101,14 @@ def outcome(instance: Instance, routes: Iterable[Route]) -> dict[str, Any]:
     refused: the tasks left out that may be refused, each with its penalty and priority.
     penalties: sum of these penalties.
     objective: what is minimised, in order.
-    timed: result of `times_matter`.
+    timed: result of `is_timed`.
     trips: the trips of all robots.
     violations: what is wrong with the plan, a sentence each.
     """
     plan = instance.plan(routes)
-    flown = [trip for route in plan.routes for trip in trips(instance, route)]
+    flown = [
+        trip for route in plan.routes for trip in split_into_trips(instance, route)
+    ]
     served = {task for route in plan.routes for task in route.tasks}
     penalty = instance.tasks.penalty
     refused = [
@@ -126,7 +128,7 @@ def outcome(instance: Instance, routes: Iterable[Route]) -> dict[str, Any]:
         ],
         "penalties": math.fsum(float(penalty[j]) for j in refused),
         "objective": list(instance.objective),
-        "timed": times_matter(instance),
+        "timed": is_timed(instance),
         "trips": [trip.to_json() for trip in flown],
-        "violations": check(instance, plan),
+        "violations": check_plan(instance, plan),
     }

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from crazychoir.errors import InstanceError
-from crazychoir.routing.instance.vehicle import SLACK, Vehicle
+from crazychoir.routing.instance.vehicle import ROUNDING_SLACK, Vehicle
 from crazychoir.types import Vec
 
 
-def require_servable(
+def require_servable_tasks(
     vehicles: Sequence[Vehicle], penalty: Vec, where: str, names: Sequence[str] = ()
 ) -> None:
     """Raise InstanceError if no robot can serve a task that must be served.
@@ -23,7 +23,7 @@ def require_servable(
     for vehicle in vehicles:
         served[vehicle.servable] = True
     for j in np.flatnonzero(~served):
-        found, allowed, do = _why(vehicles, int(j))
+        found, allowed, do = _explain_obstacle(vehicles, int(j))
         if names:
             where = f"{where}: {names[int(j)]}"
             do = "Look at these lines, and at the first one."
@@ -31,7 +31,7 @@ def require_servable(
         raise InstanceError(f"{where}: task {j}", found, allowed, do)
 
 
-def _why(vehicles: Sequence[Vehicle], j: int) -> tuple[str, str, str]:
+def _explain_obstacle(vehicles: Sequence[Vehicle], j: int) -> tuple[str, str, str]:
     """Return what keeps every robot from task j: what was found, what is allowed, what to do."""
     capable = [v for v in vehicles if v.capable[j]]
     if not capable:
@@ -41,7 +41,7 @@ def _why(vehicles: Sequence[Vehicle], j: int) -> tuple[str, str, str]:
             f"Look at column {j} of capability.",
         )
     load = float(capable[0].load[j])
-    carriers = [v for v in capable if load <= v.capacity + SLACK]
+    carriers = [v for v in capable if load <= v.capacity + ROUNDING_SLACK]
     if not carriers:
         most = f"{max(v.capacity for v in capable):g}, the largest capacity of the robots capable of it"
         return (
@@ -49,7 +49,7 @@ def _why(vehicles: Sequence[Vehicle], j: int) -> tuple[str, str, str]:
             f"at most {most}",
             f"Look at load[{j}], capacity, and column {j} of capability.",
         )
-    near = [v for v in carriers if v.shortest_trip[j] <= v.farthest + SLACK]
+    near = [v for v in carriers if v.shortest_trip[j] <= v.farthest + ROUNDING_SLACK]
     if not near:
         shortest, robot = min((float(v.shortest_trip[j]), v.robot) for v in carriers)
         found = f"a tour of {shortest:.6g} m for it alone, by robot {robot}, the shortest of those that can carry it"
@@ -59,16 +59,16 @@ def _why(vehicles: Sequence[Vehicle], j: int) -> tuple[str, str, str]:
             allowed,
             f"Look at route_length_limit, home, pickup[{j}] and delivery[{j}].",
         )
-    return _too_late(near, j)
+    return _find_missed_window(near, j)
 
 
-def _too_late(vehicles: Sequence[Vehicle], j: int) -> tuple[str, str, str]:
+def _find_missed_window(vehicles: Sequence[Vehicle], j: int) -> tuple[str, str, str]:
     """Return which window has already closed when the fastest robot arrives."""
     m = vehicles[0].tasks
     for part, name in enumerate(("pickup", "delivery")):
         soonest, robot = min((float(v.soonest[part, j]), v.robot) for v in vehicles)
         latest = float(vehicles[0].latest[part * m + j])
-        if soonest > latest + SLACK:
+        if soonest > latest + ROUNDING_SLACK:
             found = f"robot {robot}, the soonest, at its {name} at {soonest:.6g} s"
             return (
                 found,

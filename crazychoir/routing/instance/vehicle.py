@@ -11,13 +11,23 @@ import numpy.typing as npt
 
 from crazychoir.types import Mat, Vec
 
-TOTAL = "total"
-"""Objective: the sum of costs in m."""
-MAKESPAN = "makespan"
-"""Objective: the time in s when the last robot is done."""
-VEHICLES = "vehicles"
-"""Objective that comes before the total: the number of robots that leave home."""
-SLACK = 1e-9
+
+@dataclass(frozen=True, slots=True)
+class ObjectiveNames:
+    """Names of what a plan minimises."""
+
+    total: str = "total"
+    """The sum of costs in m."""
+    makespan: str = "makespan"
+    """The time in s when the last robot is done."""
+    vehicles: str = "vehicles"
+    """The number of robots that leave home; it comes before the total."""
+
+
+OBJECTIVE_NAMES = ObjectiveNames()
+
+
+ROUNDING_SLACK = 1e-9
 """Tolerance for the rounding of sums: loads, lengths and times may exceed their limits by this."""
 
 
@@ -94,15 +104,17 @@ class Vehicle:
         m = self.tasks
         alone = (
             self.capable
-            & (self.load <= self.capacity + SLACK)
-            & (self.shortest_trip <= self.farthest + SLACK)
+            & (self.load <= self.capacity + ROUNDING_SLACK)
+            & (self.shortest_trip <= self.farthest + ROUNDING_SLACK)
         )
         return np.flatnonzero(
             self.aboard
             | (
                 alone
-                & (self.soonest <= self.latest[: 2 * m].reshape(2, m) + SLACK).all(0)
-                & (self.soonest_end <= self.latest[2 * m + 1] + SLACK)
+                & (
+                    self.soonest <= self.latest[: 2 * m].reshape(2, m) + ROUNDING_SLACK
+                ).all(0)
+                & (self.soonest_end <= self.latest[2 * m + 1] + ROUNDING_SLACK)
             )
         )
 
@@ -112,7 +124,7 @@ class Vehicle:
         return (
             self.distance
             if self.metric
-            else shortest_ways(self.distance, range(2 * self.tasks))
+            else compute_shortest_ways(self.distance, range(2 * self.tasks))
         )
 
     @cached_property
@@ -123,7 +135,9 @@ class Vehicle:
         """
         m = self.tasks
         over = range(2 * m) if self.trips == 1 else [*range(2 * m), 2 * m + 1]
-        return self.duration if self.metric else shortest_ways(self.duration, over)
+        return (
+            self.duration if self.metric else compute_shortest_ways(self.duration, over)
+        )
 
     @property
     def farthest(self) -> float:
@@ -214,7 +228,7 @@ class Vehicle:
         )
 
 
-def shortest_ways(length: Mat, over: Iterable[int]) -> Mat:
+def compute_shortest_ways(length: Mat, over: Iterable[int]) -> Mat:
     """Return the (n, n) lengths of the shortest ways over the nodes `over`, by Floyd and Warshall.
 
     w_ab <- min(w_ab, w_ak + w_kb)   for every node k in `over`

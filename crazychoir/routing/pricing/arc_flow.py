@@ -9,14 +9,12 @@ import highspy
 import numpy as np
 
 from crazychoir.errors import SolverError
-from crazychoir.optimization.problems.linear import quiet_highs
+from crazychoir.optimization.problems.linear import make_quiet_highs
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.routing.instance.plan import Plan, Route
+from crazychoir.routing.instance.plan import Route, RoutePlan
 from crazychoir.routing.instance.vehicle import (
-    MAKESPAN,
-    SLACK,
-    TOTAL,
-    VEHICLES,
+    OBJECTIVE_NAMES,
+    ROUNDING_SLACK,
     Vehicle,
 )
 
@@ -24,7 +22,7 @@ Terms = dict[int, float]
 """Coefficient of each variable of a sum."""
 Sense = Literal["<=", "==", ">="]
 """Relation between a sum and a number."""
-LEVEL = 1e-6
+FIRST_OBJECTIVE_TOLERANCE = 1e-6
 """m or s: by how much the first objective may be worse when the second is minimised."""
 
 
@@ -32,7 +30,7 @@ LEVEL = 1e-6
 class _Model:
     """A MILP under construction."""
 
-    highs: highspy.Highs = field(default_factory=quiet_highs)
+    highs: highspy.Highs = field(default_factory=make_quiet_highs)
 
     def variable(
         self, cost: float, low: float, high: float, integer: bool = False
@@ -96,7 +94,7 @@ class _Trip:
         }
 
 
-def solve_compact(instance: Instance, nodes: int = 1_000_000) -> Plan:
+def solve_compact(instance: Instance, nodes: int = 1_000_000) -> RoutePlan:
     """Return a proven optimal plan.
 
         min  sum_i [ sum_(j,k) d_i^jk x_i^jk + fixed (1 - stay_i) ] + sum_j penalty_j z_j
@@ -132,18 +130,18 @@ def solve_compact(instance: Instance, nodes: int = 1_000_000) -> Plan:
     model.highs.setOptionValue("mip_max_nodes", nodes)
     counted = {trips[0].stay: -1.0 for trips in teams}
     costs = {
-        TOTAL: _total(teams, instance.fixed_cost),
-        MAKESPAN: {last: 1.0},
-        VEHICLES: counted,
+        OBJECTIVE_NAMES.total: _list_cost_terms(teams, instance.fixed_cost),
+        OBJECTIVE_NAMES.makespan: {last: 1.0},
+        OBJECTIVE_NAMES.vehicles: counted,
     }
     values: list[float] = []
     terms: Terms = refused
     for name in instance.objective:
         values = model.minimise(costs[name] | terms, f"{instance.name}: compact model")
         best = math.fsum(c * values[x] for x, c in (costs[name] | terms).items())
-        model.require(costs[name] | terms, "<=", best + LEVEL)
+        model.require(costs[name] | terms, "<=", best + FIRST_OBJECTIVE_TOLERANCE)
         terms = {}
-    return instance.plan(_route(trips, values) for trips in teams)
+    return instance.plan(_read_route(trips, values) for trips in teams)
 
 
 def _add_robot(model: _Model, vehicle: Vehicle) -> list[_Trip]:
@@ -159,7 +157,7 @@ def _add_robot(model: _Model, vehicle: Vehicle) -> list[_Trip]:
     for r, trip in enumerate(trips):
         limit = vehicle.limit if r == 0 else vehicle.limit_again
         if math.isfinite(limit):
-            model.require(trip.distances(), "<=", limit + SLACK)
+            model.require(trip.distances(), "<=", limit + ROUNDING_SLACK)
     for one, two in pairwise(trips):
         model.require({one.stay: 1.0, two.stay: -1.0}, "<=", 0.0)
         model.require({two.left: 1.0, one.back: -1.0}, ">=", 0.0)
@@ -176,8 +174,8 @@ def _add_trip(model: _Model, vehicle: Vehicle, begin: int) -> _Trip:
         (v, w) for v in [start, *stops] for w in [*stops, end] if v != w and v != w + m
     ]
     arcs = {pair: model.variable(0.0, 0, 1, integer=True) for pair in pairs}
-    horizon = _horizon(vehicle)
-    latest = np.minimum(vehicle.latest + SLACK, horizon)
+    horizon = _bound_duration(vehicle)
+    latest = np.minimum(vehicle.latest + ROUNDING_SLACK, horizon)
     stay = model.variable(0.0, 0, 1, integer=True)
     begun = {
         v: model.variable(0.0, float(vehicle.earliest[v]), float(latest[v]))
@@ -195,7 +193,7 @@ def _add_trip(model: _Model, vehicle: Vehicle, begin: int) -> _Trip:
     return trip
 
 
-def _horizon(vehicle: Vehicle) -> float:
+def _bound_duration(vehicle: Vehicle) -> float:
     """Return a time in s by which any route without needless waiting is over."""
     return float(
         vehicle.earliest.max() + vehicle.trips * vehicle.duration.max(axis=1).sum()
@@ -230,7 +228,9 @@ def _add_schedule(model: _Model, trip: _Trip, stops: list[int]) -> None:
         for v in stops
     }
     load = {
-        v: model.variable(0.0, float(q[v]) if v < m else 0.0, vehicle.capacity + SLACK)
+        v: model.variable(
+            0.0, float(q[v]) if v < m else 0.0, vehicle.capacity + ROUNDING_SLACK
+        )
         for v in stops
     }
     for v in stops:
@@ -264,14 +264,14 @@ def _add_tasks(model: _Model, instance: Instance, trips: list[_Trip]) -> Terms:
 def _add_makespan(model: _Model, teams: list[list[_Trip]]) -> int:
     last = model.variable(0.0, 0.0, highspy.kHighsInf)
     for trips in teams:
-        horizon = _horizon(trips[0].vehicle)
+        horizon = _bound_duration(trips[0].vehicle)
         model.require(
             {last: 1.0, trips[-1].back: -1.0, trips[0].stay: horizon}, ">=", 0.0
         )
     return last
 
 
-def _total(teams: list[list[_Trip]], fixed: float) -> Terms:
+def _list_cost_terms(teams: list[list[_Trip]], fixed: float) -> Terms:
     """Return the terms of lengths and fixed costs.
 
     A robot that stays saves the fixed cost; the constant part is left out.
@@ -284,7 +284,7 @@ def _total(teams: list[list[_Trip]], fixed: float) -> Terms:
     return terms
 
 
-def _route(trips: list[_Trip], values: list[float]) -> Route:
+def _read_route(trips: list[_Trip], values: list[float]) -> Route:
     vehicle = trips[0].vehicle
     m = vehicle.tasks
     nodes = []

@@ -5,17 +5,17 @@ from typing import NamedTuple
 import numpy as np
 
 from crazychoir.numerics.kernels import kernel
-from crazychoir.routing.instance.vehicle import SLACK, Vehicle
-from crazychoir.routing.pricing.label_setting import bits_of
-from crazychoir.routing.pricing.labels import SPREAD, grow_labels
-from crazychoir.routing.pricing.route_table import Column, of_one_set
+from crazychoir.routing.instance.vehicle import ROUNDING_SLACK, Vehicle
+from crazychoir.routing.pricing.label_setting import list_bits
+from crazychoir.routing.pricing.labels import HASH_MULTIPLIERS, grow_labels
+from crazychoir.routing.pricing.route_table import RouteColumn, restrict_vehicle
 from crazychoir.types import Ints, Mat, Vec, Words
 
-MOST_LABELS = 3_000_000
+MOST_HALF_LABELS = 3_000_000
 """Largest number of labels of one half."""
 
 
-class _Half(NamedTuple):
+class _HalfLabels(NamedTuple):
     """Labels in the order of their groups.
 
     Labels of one group have the same goods on board, apart from hash collisions.
@@ -31,7 +31,7 @@ class _Half(NamedTuple):
     """(G + 1,): where groups begin."""
 
 
-class Halves:
+class HalfRoutes:
     """All routes of one robot, each as two halves.
 
     Pricing is exact, as with a RouteTable, which would be too large.
@@ -60,15 +60,15 @@ class Halves:
     programming.
     """
 
-    def __init__(self, vehicle: Vehicle, most: int = MOST_LABELS) -> None:
+    def __init__(self, vehicle: Vehicle, most: int = MOST_HALF_LABELS) -> None:
         self._servable = vehicle.servable
         self._tasks = vehicle.tasks
-        self._vehicle = v = of_one_set(vehicle, self._servable)
-        there, complete = _labels(v, most)
-        back, also = _labels(_backwards(v), most)
+        self._vehicle = v = restrict_vehicle(vehicle, self._servable)
+        there, complete = _compute_half_labels(v, most)
+        back, also = _compute_half_labels(_reverse_vehicle(v), most)
         self.complete = complete and also
-        self._there, self._back = _grouped(
-            there, back._replace(open=_backwards_node(back.open, v.tasks))
+        self._there, self._back = _group_halves(
+            there, back._replace(open=_reverse_node(back.open, v.tasks))
         )
 
     @staticmethod
@@ -78,7 +78,7 @@ class Halves:
             vehicle.timed or vehicle.trips > 1 or vehicle.aboard.any()
         )
 
-    def cheapest(self, prices: Vec, count: int, below: float) -> list[Column]:
+    def cheapest(self, prices: Vec, count: int, below: float) -> list[RouteColumn]:
         """Return columns with a reduced cost below `below`, the least first.
 
         The column with the least reduced cost of all is among them.
@@ -87,12 +87,12 @@ class Halves:
         count: columns, at most.
         below: m.
         """
-        found: dict[tuple[int, ...], Column] = {}
+        found: dict[tuple[int, ...], RouteColumn] = {}
         for _, a, b in self._joined(prices, below - self._vehicle.fixed):
             words = self._there.keys[a, :2] | self._back.keys[b, :2]
-            tasks = tuple(self._servable[bits_of(words)].tolist())
+            tasks = tuple(self._servable[list_bits(words)].tolist())
             if tasks not in found and len(found) < count:
-                found[tasks] = Column(self._length(a, b), tasks)
+                found[tasks] = RouteColumn(self._length(a, b), tasks)
         return list(found.values())
 
     def _length(self, a: int, b: int) -> float:
@@ -124,14 +124,14 @@ class Halves:
         back = self._back
         if not len(there.length):
             return []
-        sums = _sums(own)
-        one = there.length - _worth(there.keys, sums, False)
-        two = back.length - _worth(back.keys, sums, True)
+        sums = _sum_prices(own)
+        one = there.length - _price_labels(there.keys, sums, False)
+        two = back.length - _price_labels(back.keys, sums, True)
         least = np.minimum.reduceat(one, there.start[:-1])
         least_back = np.minimum.reduceat(two, back.start[:-1])
-        first, start = _promising(one, least_back, there.start, below)
-        second, start_back = _promising(two, least, back.start, below)
-        best, a, b = _join(
+        first, start = _select_promising(one, least_back, there.start, below)
+        second, start_back = _select_promising(two, least, back.start, below)
+        best, a, b = _join_halves(
             first,
             second,
             start,
@@ -145,40 +145,40 @@ class Halves:
             there.open,
             back.open,
             v.distance,
-            v.limit + SLACK,
+            v.limit + ROUNDING_SLACK,
             below,
         )
         order = [int(g) for g in np.argsort(best, kind="stable") if a[g] >= 0]
         return [(float(best[g]), int(a[g]), int(b[g])) for g in order]
 
 
-def _labels(v: Vehicle, most: int) -> tuple[_Half, bool]:
+def _compute_half_labels(v: Vehicle, most: int) -> tuple[_HalfLabels, bool]:
     """Return the labels within half of the limit, and whether they are complete."""
     m = v.tasks
     way = v.shortest
     rest = way[: 2 * m, m : 2 * m] + way[m : 2 * m, 2 * m + 1]
     home = np.ascontiguousarray(way[: 2 * m, 2 * m + 1])
-    limit = v.limit + SLACK
+    limit = v.limit + ROUNDING_SLACK
     keys, last, length, _, complete = grow_labels(
         v.distance,
         rest,
         home,
         v.load,
         v.aboard,
-        v.capacity + SLACK,
+        v.capacity + ROUNDING_SLACK,
         limit,
-        limit / 2.0 + SLACK,
+        limit / 2.0 + ROUNDING_SLACK,
         most,
     )
-    return _Half(keys, length, last, np.zeros(0, np.int64)), complete
+    return _HalfLabels(keys, length, last, np.zeros(0, np.int64)), complete
 
 
-def _backwards_node(v: Ints, m: int) -> Ints:
+def _reverse_node(v: Ints, m: int) -> Ints:
     """Return the node of a route that is node v of the same route flown backwards."""
     return np.where(v == 2 * m, 2 * m + 1, np.where(v < m, v + m, v - m))
 
 
-def _backwards(v: Vehicle) -> Vehicle:
+def _reverse_vehicle(v: Vehicle) -> Vehicle:
     """Return the robot that flies the routes of v from their end to their start."""
     m = v.tasks
     nodes = [*range(m, 2 * m), *range(m), 2 * m + 1, 2 * m]
@@ -198,26 +198,30 @@ def _backwards(v: Vehicle) -> Vehicle:
     )
 
 
-def _grouped(there: _Half, back: _Half) -> tuple[_Half, _Half]:
+def _group_halves(
+    there: _HalfLabels, back: _HalfLabels
+) -> tuple[_HalfLabels, _HalfLabels]:
     """Return the labels of each half for which the other half has labels with the same on board."""
     one, two = (
-        half.keys[:, 2] * SPREAD[0] ^ half.keys[:, 3] * SPREAD[1]
+        half.keys[:, 2] * HASH_MULTIPLIERS[0] ^ half.keys[:, 3] * HASH_MULTIPLIERS[1]
         for half in (there, back)
     )
     common = np.intersect1d(one, two)
-    return _of_groups(there, one, common), _of_groups(back, two, common)
+    return _select_groups(there, one, common), _select_groups(back, two, common)
 
 
-def _of_groups(half: _Half, name: Words, common: Words) -> _Half:
+def _select_groups(half: _HalfLabels, name: Words, common: Words) -> _HalfLabels:
     kept = np.flatnonzero(np.isin(name, common))
     kept = kept[np.argsort(name[kept], kind="stable")]
     start = np.searchsorted(name[kept], common)
-    return _Half(
+    return _HalfLabels(
         half.keys[kept], half.length[kept], half.open[kept], np.append(start, len(kept))
     )
 
 
-def _promising(cost: Vec, least: Vec, start: Ints, below: float) -> tuple[Ints, Ints]:
+def _select_promising(
+    cost: Vec, least: Vec, start: Ints, below: float
+) -> tuple[Ints, Ints]:
     """Return the labels that can be part of a route below `below`, and where groups start.
 
     They cost less than `below` with the least cost of the other half. The least of each group is
@@ -229,7 +233,7 @@ def _promising(cost: Vec, least: Vec, start: Ints, below: float) -> tuple[Ints, 
     return kept, np.searchsorted(group[kept], np.arange(len(start)))
 
 
-def _sums(prices: Vec) -> Mat:
+def _sum_prices(prices: Vec) -> Mat:
     """Return (16, 256): for each of 16 groups of eight tasks, the sum of prices of each subset."""
     padded = np.zeros(128)
     padded[: len(prices)] = prices
@@ -238,7 +242,7 @@ def _sums(prices: Vec) -> Mat:
 
 
 @kernel(nogil=True)
-def _worth(keys: Words, sums: Mat, besides: bool) -> Vec:
+def _price_labels(keys: Words, sums: Mat, besides: bool) -> Vec:
     """Return (n,) m: prices of the tasks of each label; besides: without the tasks on board."""
     out = np.zeros(len(keys))
     for i in range(len(keys)):
@@ -252,7 +256,7 @@ def _worth(keys: Words, sums: Mat, besides: bool) -> Vec:
 
 
 @kernel(nogil=True)
-def _join(
+def _join_halves(
     first: Ints,
     second: Ints,
     start: Ints,

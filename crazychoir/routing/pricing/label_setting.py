@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crazychoir.routing.instance.vehicle import MAKESPAN, SLACK, TOTAL, Vehicle
+from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES, ROUNDING_SLACK, Vehicle
 from crazychoir.routing.pricing.label_setting_windows import grow_fronts
 from crazychoir.routing.pricing.labels import grow_labels
 from crazychoir.types import Bools, Ints, Vec, Words
@@ -57,7 +57,7 @@ class FinalLabels:
         return nodes[::-1]
 
 
-def final_labels(
+def compute_final_labels(
     vehicle: Vehicle, most: int, objective: tuple[str, ...]
 ) -> FinalLabels:
     """Return the routes of each set of the vehicle's tasks that no other route of it dominates.
@@ -67,12 +67,12 @@ def final_labels(
     objective: what is minimised, in order.
     Exact if `complete`.
     """
-    if vehicle.timed or vehicle.trips > 1 or MAKESPAN in objective:
-        return _fronts(vehicle, most, objective)
-    return _lengths(vehicle, most)
+    if vehicle.timed or vehicle.trips > 1 or OBJECTIVE_NAMES.makespan in objective:
+        return _label_by_fronts(vehicle, most, objective)
+    return _label_by_length(vehicle, most)
 
 
-def _lengths(vehicle: Vehicle, most: int) -> FinalLabels:
+def _label_by_length(vehicle: Vehicle, most: int) -> FinalLabels:
     m = vehicle.tasks
     way = vehicle.shortest
     rest = way[: 2 * m, m : 2 * m] + way[m : 2 * m, 2 * m + 1]
@@ -82,14 +82,14 @@ def _lengths(vehicle: Vehicle, most: int) -> FinalLabels:
         np.ascontiguousarray(way[: 2 * m, 2 * m + 1]),
         vehicle.load,
         vehicle.aboard,
-        vehicle.capacity + SLACK,
-        vehicle.limit + SLACK,
+        vehicle.capacity + ROUNDING_SLACK,
+        vehicle.limit + ROUNDING_SLACK,
         np.inf,
         most,
     )
     empty = (keys[:, 2] == 0) & (keys[:, 3] == 0)
     total = length[empty] + vehicle.distance[last[empty], 2 * m + 1]
-    back = total <= vehicle.limit + SLACK
+    back = total <= vehicle.limit + ROUNDING_SLACK
     label = np.flatnonzero(empty)[back]
     finish = np.full(len(label), np.nan)
     return FinalLabels(
@@ -97,26 +97,33 @@ def _lengths(vehicle: Vehicle, most: int) -> FinalLabels:
     )
 
 
-def _fronts(vehicle: Vehicle, most: int, objective: tuple[str, ...]) -> FinalLabels:
+def _label_by_fronts(
+    vehicle: Vehicle, most: int, objective: tuple[str, ...]
+) -> FinalLabels:
     m = vehicle.tasks
     end = 2 * m + 1
     limited = np.isfinite(vehicle.farthest)
     many = vehicle.trips > 1
-    timed = vehicle.timed or MAKESPAN in objective
-    counts = TOTAL in objective or (limited and not many), timed, limited and many, many
+    timed = vehicle.timed or OBJECTIVE_NAMES.makespan in objective
+    counts = (
+        OBJECTIVE_NAMES.total in objective or (limited and not many),
+        timed,
+        limited and many,
+        many,
+    )
     keys, last, state, parent, again, dead, complete = grow_fronts(
         vehicle.distance,
         vehicle.duration,
         vehicle.shortest,
         vehicle.fastest,
         vehicle.earliest,
-        vehicle.latest + SLACK,
+        vehicle.latest + ROUNDING_SLACK,
         vehicle.load,
         vehicle.aboard,
         np.array(counts),
-        vehicle.capacity + SLACK,
-        vehicle.limit + SLACK,
-        vehicle.limit_again + SLACK,
+        vehicle.capacity + ROUNDING_SLACK,
+        vehicle.limit + ROUNDING_SLACK,
+        vehicle.limit_again + ROUNDING_SLACK,
         vehicle.trips,
         most,
     )
@@ -126,7 +133,7 @@ def _fronts(vehicle: Vehicle, most: int, objective: tuple[str, ...]) -> FinalLab
         state[:, 1] + vehicle.duration[last, end], vehicle.earliest[end]
     )
     label = np.flatnonzero(
-        empty & (home <= state[:, 2]) & (finish <= vehicle.latest[end] + SLACK)
+        empty & (home <= state[:, 2]) & (finish <= vehicle.latest[end] + ROUNDING_SLACK)
     )
     length = state[label, 0] + home[label]
     return FinalLabels(
@@ -134,7 +141,7 @@ def _fronts(vehicle: Vehicle, most: int, objective: tuple[str, ...]) -> FinalLab
     )
 
 
-def bits_of(words: Words) -> list[int]:
+def list_bits(words: Words) -> list[int]:
     """Return the set as a list, increasing."""
     value = int(words[0]) | int(words[1]) << 64
     return [b for b in range(value.bit_length()) if value >> b & 1]

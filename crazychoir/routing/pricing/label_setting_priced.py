@@ -11,34 +11,31 @@ import numpy as np
 
 from crazychoir.numerics.kernels import kernel
 from crazychoir.routing.pricing.label_setting_windows import (
-    COST,
-    LEFT,
-    TIME,
-    TRIP,
-    as_good,
-    in_time,
-    rehashed,
-    row_of,
+    LABEL_ENTRIES,
+    is_as_good,
+    is_in_time,
+    read_label_state,
+    rebuild_hash_table,
 )
 from crazychoir.routing.pricing.labels import (
-    ONE,
-    after,
-    begin,
-    doubled,
-    listed,
-    slot_of,
+    ONE_BIT,
+    double_length,
+    extend_sets,
+    find_slot,
+    initialise_label,
+    list_set,
 )
 from crazychoir.types import Bools, Ints, Mat, Vec, Words
 
 
 @kernel()
-def _part_of(words: Words, a: int, b: int) -> bool:
+def _is_subset(words: Words, a: int, b: int) -> bool:
     """Return whether the set of row a is part of the set of row b."""
     return bool((words[a, 0] & ~words[b, 0]) == 0 and (words[a, 1] & ~words[b, 1]) == 0)
 
 
 @kernel()
-def _enter(
+def _add_priced_label(
     table: Ints,
     gone: Words,
     state: Mat,
@@ -54,14 +51,14 @@ def _enter(
     Labels of the chain that are no better than the new one are marked dead.
     Returns whether it was added.
     """
-    mine = row_of(state, new)
+    mine = read_label_state(state, new)
     n = table[k]
     while n >= 0:
         if (
             not dead[n]
             and level[n] <= level[new]
-            and as_good(row_of(state, n), mine, by)
-            and _part_of(gone, n, new)
+            and is_as_good(read_label_state(state, n), mine, by)
+            and _is_subset(gone, n, new)
         ):
             return False
         n = chain[n]
@@ -70,8 +67,8 @@ def _enter(
         if (
             not dead[n]
             and level[n] >= level[new]
-            and as_good(mine, row_of(state, n), by)
-            and _part_of(gone, new, n)
+            and is_as_good(mine, read_label_state(state, n), by)
+            and _is_subset(gone, new, n)
         ):
             dead[n] = True
         n = chain[n]
@@ -85,7 +82,7 @@ def _enter(
 
 
 @kernel()
-def _promise(
+def _bound_remainder(
     gone: Words,
     row: int,
     stop: int,
@@ -123,7 +120,7 @@ def _promise(
     room = whole - due
     for n in range(m):
         j = order[n]
-        if gone[row, j >> 6] >> np.uint64(j & 63) & ONE:
+        if gone[row, j >> 6] >> np.uint64(j & 63) & ONE_BIT:
             continue
         there = time + fastest[stop, j]
         back = there + fastest[j, m + j]
@@ -133,7 +130,7 @@ def _promise(
             or back + fastest[m + j, end] > latest[end]
             or shortest[stop, j] + shortest[j, m + j] + shortest[m + j, end] > left
         ):
-            gone[row, j >> 6] |= ONE << np.uint64(j & 63)
+            gone[row, j >> 6] |= ONE_BIT << np.uint64(j & 63)
             continue
         need = into[j] + into[m + j]
         if prices[j] > need and room > 0.0:
@@ -144,7 +141,9 @@ def _promise(
 
 
 @kernel()
-def _thin(guide: Vec, dead: Bools, first: int, count: int, width: int) -> bool:
+def _keep_promising(
+    guide: Vec, dead: Bools, first: int, count: int, width: int
+) -> bool:
     """Keep the `width` most promising labels from `first` on.
 
     Returns whether any label was dropped.
@@ -165,7 +164,7 @@ def _thin(guide: Vec, dead: Bools, first: int, count: int, width: int) -> bool:
 
 
 @kernel(nogil=True)
-def grow_priced(
+def grow_priced_labels(
     distance: Mat,
     duration: Mat,
     shortest: Mat,
@@ -230,18 +229,18 @@ def grow_priced(
     on = np.zeros(m, np.int64)
     found = 0
     due = np.zeros(m, np.int64)
-    begin(keys, held, load, aboard)
+    initialise_label(keys, held, load, aboard)
     gone[0, 0] = keys[0, 0]
     gone[0, 1] = keys[0, 1]
     keys[0, 0] = zero
     keys[0, 1] = zero
     last[0] = 2 * m
-    state[0, TIME] = earliest[2 * m]
-    state[0, LEFT] = limit
-    state[0, TRIP] = 1.0
+    state[0, LABEL_ENTRIES.time] = earliest[2 * m]
+    state[0, LABEL_ENTRIES.distance_left] = limit
+    state[0, LABEL_ENTRIES.trips] = 1.0
     for j in range(m):
         if aboard[j]:
-            state[0, COST] -= prices[j]
+            state[0, LABEL_ENTRIES.cost] -= prices[j]
     count = 1
     i = 0
     first = 1
@@ -249,24 +248,24 @@ def grow_priced(
     below = best
     while i < count:
         if i == first:  # a new number of stops begins
-            exact = not _thin(guide, dead, first, count, width) and exact
+            exact = not _keep_promising(guide, dead, first, count, width) and exact
             first = count
-        goods = 0 if dead[i] else listed(keys, i, 2, m, on)
-        ways = 2 if goods == 0 and state[i, TRIP] < trips else 1
+        goods = 0 if dead[i] else list_set(keys, i, 2, m, on)
+        ways = 2 if goods == 0 and state[i, LABEL_ENTRIES.trips] < trips else 1
         options = 0 if dead[i] or level[i] >= 2 * m else ways * m + goods
         for option in range(options):
             anew = option >= m + goods
             at = last[i]
-            cost = state[i, COST]
-            time = state[i, TIME]
-            left = state[i, LEFT]
-            trip = state[i, TRIP]
+            cost = state[i, LABEL_ENTRIES.cost]
+            time = state[i, LABEL_ENTRIES.time]
+            left = state[i, LABEL_ENTRIES.distance_left]
+            trip = state[i, LABEL_ENTRIES.trips]
             stop = (
                 option if option < m else (option - m if anew else m + on[option - m])
             )
             j = stop % m
             if stop < m and (
-                gone[i, j >> 6] >> np.uint64(j & 63) & ONE
+                gone[i, j >> 6] >> np.uint64(j & 63) & ONE_BIT
                 or load[stop] > capacity - held[i]
             ):
                 continue
@@ -281,9 +280,11 @@ def grow_priced(
             cost += distance[at, stop] - (prices[stop] if stop < m else 0.0)
             left -= distance[at, stop]
             time = max(time + duration[at, stop], earliest[stop])
-            if not in_time(stop, on, goods, m, time, left, latest, shortest, fastest):
+            if not is_in_time(
+                stop, on, goods, m, time, left, latest, shortest, fastest
+            ):
                 continue
-            _, _, o0, o1 = after(keys, i, stop, m)
+            _, _, o0, o1 = extend_sets(keys, i, stop, m)
             # Labels that differ only in what they have picked up share a key.
             p0 = zero
             p1 = zero
@@ -291,7 +292,7 @@ def grow_priced(
             keys[count, 1] = p1
             keys[count, 2] = o0
             keys[count, 3] = o1
-            bit = ONE << np.uint64(j & 63)
+            bit = ONE_BIT << np.uint64(j & 63)
             gone[count, 0] = (
                 (gone[i, 0] & memory[j, 0]) | o0 | (bit if j < 64 else zero)
             )
@@ -307,7 +308,7 @@ def grow_priced(
                 due[waiting] = j
                 waiting += 1
             follow = trips - trip
-            promise = cost + _promise(
+            promise = cost + _bound_remainder(
                 gone,
                 count,
                 stop,
@@ -339,14 +340,16 @@ def grow_priced(
                     guide[count],
                     cost + shortest[stop, m + due[n]] + shortest[m + due[n], end],
                 )
-            state[count, COST] = cost
-            state[count, TIME] = time
-            state[count, LEFT] = left
-            state[count, TRIP] = trip
+            state[count, LABEL_ENTRIES.cost] = cost
+            state[count, LABEL_ENTRIES.time] = time
+            state[count, LABEL_ENTRIES.distance_left] = left
+            state[count, LABEL_ENTRIES.trips] = trip
             held[count] = held[i] + (load[stop] if stop < m else -load[stop - m])
-            k = slot_of(table, keys, last, p0, p1, o0, o1, stop)
+            k = find_slot(table, keys, last, p0, p1, o0, o1, stop)
             head[count] = table[k] < 0
-            if not _enter(table, gone, state, level, chain, dead, k, count, by):
+            if not _add_priced_label(
+                table, gone, state, level, chain, dead, k, count, by
+            ):
                 continue
             total = cost + distance[stop, end]
             finish = max(time + duration[stop, end], earliest[end])
@@ -362,21 +365,21 @@ def grow_priced(
                 best = min(best, total)
             count += 1
             if count == len(last):
-                keys = doubled(keys)
-                last = doubled(last)
-                parent = doubled(parent)
-                state = doubled(state)
-                held = doubled(held)
-                chain = doubled(chain)
-                dead = doubled(dead)
-                head = doubled(head)
-                gone = doubled(gone)
-                level = doubled(level)
-                guide = doubled(guide)
-                again = doubled(again)
-                ends = doubled(ends)
-                worths = doubled(worths)
-                table = rehashed(2 * len(table), keys, last, head, count)
+                keys = double_length(keys)
+                last = double_length(last)
+                parent = double_length(parent)
+                state = double_length(state)
+                held = double_length(held)
+                chain = double_length(chain)
+                dead = double_length(dead)
+                head = double_length(head)
+                gone = double_length(gone)
+                level = double_length(level)
+                guide = double_length(guide)
+                again = double_length(again)
+                ends = double_length(ends)
+                worths = double_length(worths)
+                table = rebuild_hash_table(2 * len(table), keys, last, head, count)
         i += 1
     return (
         best,

@@ -5,52 +5,78 @@ of the limit of its trip, and the trips begun. Of two labels that agree in the f
 that is no better in any of the four is dropped.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from crazychoir.numerics.kernels import kernel
 from crazychoir.routing.pricing.labels import (
-    after,
-    begin,
-    doubled,
-    inside,
-    listed,
-    slot_of,
+    double_length,
+    extend_sets,
+    find_slot,
+    has_bit,
+    initialise_label,
+    list_set,
 )
 from crazychoir.types import Bools, Ints, Mat, Vec, Words
 
-ROUNDING = 1e-11
+DOMINANCE_ROUNDING = 1e-11
 """m and s: differences below this are rounding; far below SLACK."""
-COST = 0
-"""Entry of a label's state: cost, m."""
-TIME = 1
-"""Entry of a label's state: time, s."""
-LEFT = 2
-"""Entry of a label's state: what is left of the limit of its trip, m."""
-TRIP = 3
-"""Entry of a label's state: trips begun."""
+
+
+class LabelEntries(NamedTuple):
+    """Entries of the state of a label."""
+
+    cost: int = 0
+    """Index of the cost, m."""
+    time: int = 1
+    """Index of the time, s."""
+    distance_left: int = 2
+    """Index of what is left of the limit of its trip, m."""
+    trips: int = 3
+    """Index of the number of trips begun."""
+
+
+LABEL_ENTRIES = LabelEntries()
 
 
 @kernel()
-def row_of(state: Mat, n: int) -> Any:
+def read_label_state(state: Mat, n: int) -> Any:
     """Return the state of label n."""
-    return state[n, COST], state[n, TIME], state[n, LEFT], state[n, TRIP]
-
-
-@kernel()
-def as_good(a: Any, b: Any, by: Bools) -> bool:
-    """Return whether state a is at least as good as state b in every entry that counts."""
-    return bool(
-        (not by[COST] or a[COST] <= b[COST] + ROUNDING)
-        and (not by[TIME] or a[TIME] <= b[TIME] + ROUNDING)
-        and (not by[LEFT] or a[LEFT] >= b[LEFT] - ROUNDING)
-        and (not by[TRIP] or a[TRIP] <= b[TRIP])
+    return (
+        state[n, LABEL_ENTRIES.cost],
+        state[n, LABEL_ENTRIES.time],
+        state[n, LABEL_ENTRIES.distance_left],
+        state[n, LABEL_ENTRIES.trips],
     )
 
 
 @kernel()
-def _put(
+def is_as_good(a: Any, b: Any, by: Bools) -> bool:
+    """Return whether state a is at least as good as state b in every entry that counts."""
+    return bool(
+        (
+            not by[LABEL_ENTRIES.cost]
+            or a[LABEL_ENTRIES.cost] <= b[LABEL_ENTRIES.cost] + DOMINANCE_ROUNDING
+        )
+        and (
+            not by[LABEL_ENTRIES.time]
+            or a[LABEL_ENTRIES.time] <= b[LABEL_ENTRIES.time] + DOMINANCE_ROUNDING
+        )
+        and (
+            not by[LABEL_ENTRIES.distance_left]
+            or a[LABEL_ENTRIES.distance_left]
+            >= b[LABEL_ENTRIES.distance_left] - DOMINANCE_ROUNDING
+        )
+        and (
+            not by[LABEL_ENTRIES.trips]
+            or a[LABEL_ENTRIES.trips] <= b[LABEL_ENTRIES.trips]
+        )
+    )
+
+
+@kernel()
+def _add_front_label(
     table: Ints,
     keys: Words,
     last: Ints,
@@ -66,15 +92,15 @@ def _put(
     Labels of the chain that are no better than the new one are marked dead.
     Returns whether it was added.
     """
-    mine = row_of(state, new)
+    mine = read_label_state(state, new)
     n = table[k]
     while n >= 0:
-        if not dead[n] and as_good(row_of(state, n), mine, by):
+        if not dead[n] and is_as_good(read_label_state(state, n), mine, by):
             return False
         n = after_it[n]
     n = table[k]
     while n >= 0:
-        if not dead[n] and as_good(mine, row_of(state, n), by):
+        if not dead[n] and is_as_good(mine, read_label_state(state, n), by):
             dead[n] = True
         n = after_it[n]
     if table[k] < 0:
@@ -87,13 +113,15 @@ def _put(
 
 
 @kernel()
-def rehashed(size: int, keys: Words, last: Ints, head: Bools, count: int) -> Ints:
+def rebuild_hash_table(
+    size: int, keys: Words, last: Ints, head: Bools, count: int
+) -> Ints:
     """Return a table of `size` places with the heads of chains among the first `count` labels."""
     table = np.full(size, -1, dtype=np.int64)
     for i in range(count):
         if head[i]:
             table[
-                slot_of(
+                find_slot(
                     table,
                     keys,
                     last,
@@ -108,7 +136,7 @@ def rehashed(size: int, keys: Words, last: Ints, head: Bools, count: int) -> Int
 
 
 @kernel()
-def in_time(
+def is_in_time(
     stop: int,
     on: Ints,
     goods: int,
@@ -190,30 +218,30 @@ def grow_fronts(
     dead = np.zeros(room, np.bool_)
     head = np.zeros(room, np.bool_)
     on = np.zeros(m, np.int64)
-    begin(keys, held, load, aboard)
+    initialise_label(keys, held, load, aboard)
     last[0] = 2 * m
-    state[0, TIME] = earliest[2 * m]
-    state[0, LEFT] = limit
-    state[0, TRIP] = 1.0
+    state[0, LABEL_ENTRIES.time] = earliest[2 * m]
+    state[0, LABEL_ENTRIES.distance_left] = limit
+    state[0, LABEL_ENTRIES.trips] = 1.0
     count = 1
     i = 0
     complete = True
     while i < count:
-        goods = 0 if dead[i] else listed(keys, i, 2, m, on)
-        ways = 2 if goods == 0 and state[i, TRIP] < trips else 1
+        goods = 0 if dead[i] else list_set(keys, i, 2, m, on)
+        ways = 2 if goods == 0 and state[i, LABEL_ENTRIES.trips] < trips else 1
         options = 0 if dead[i] else ways * m + goods
         for option in range(options):
             anew = option >= m + goods
             at = last[i]
-            cost = state[i, COST]
-            time = state[i, TIME]
-            left = state[i, LEFT]
-            trip = state[i, TRIP]
+            cost = state[i, LABEL_ENTRIES.cost]
+            time = state[i, LABEL_ENTRIES.time]
+            left = state[i, LABEL_ENTRIES.distance_left]
+            trip = state[i, LABEL_ENTRIES.trips]
             stop = (
                 option if option < m else (option - m if anew else m + on[option - m])
             )
             if stop < m and (
-                inside(keys, i, 0, stop) or load[stop] > capacity - held[i]
+                has_bit(keys, i, 0, stop) or load[stop] > capacity - held[i]
             ):
                 continue
             if anew:
@@ -227,13 +255,15 @@ def grow_fronts(
             cost = cost + distance[at, stop]
             left = left - distance[at, stop]
             time = max(time + duration[at, stop], earliest[stop])
-            if not in_time(stop, on, goods, m, time, left, latest, shortest, fastest):
+            if not is_in_time(
+                stop, on, goods, m, time, left, latest, shortest, fastest
+            ):
                 continue
             if count >= most:
                 complete = False
                 continue
-            p0, p1, o0, o1 = after(keys, i, stop, m)
-            k = slot_of(table, keys, last, p0, p1, o0, o1, stop)
+            p0, p1, o0, o1 = extend_sets(keys, i, stop, m)
+            k = find_slot(table, keys, last, p0, p1, o0, o1, stop)
             keys[count, 0] = p0
             keys[count, 1] = p1
             keys[count, 2] = o0
@@ -242,26 +272,28 @@ def grow_fronts(
             parent[count] = i
             again[count] = anew
             dead[count] = False
-            state[count, COST] = cost
-            state[count, TIME] = time
-            state[count, LEFT] = left
-            state[count, TRIP] = trip
+            state[count, LABEL_ENTRIES.cost] = cost
+            state[count, LABEL_ENTRIES.time] = time
+            state[count, LABEL_ENTRIES.distance_left] = left
+            state[count, LABEL_ENTRIES.trips] = trip
             held[count] = held[i] + (load[stop] if stop < m else -load[stop - m])
             head[count] = table[k] < 0
-            if not _put(table, keys, last, state, chain, dead, k, count, by):
+            if not _add_front_label(
+                table, keys, last, state, chain, dead, k, count, by
+            ):
                 continue
             count += 1
             if count == len(last):
-                keys = doubled(keys)
-                last = doubled(last)
-                parent = doubled(parent)
-                state = doubled(state)
-                held = doubled(held)
-                chain = doubled(chain)
-                again = doubled(again)
-                dead = doubled(dead)
-                head = doubled(head)
-                table = rehashed(2 * len(table), keys, last, head, count)
+                keys = double_length(keys)
+                last = double_length(last)
+                parent = double_length(parent)
+                state = double_length(state)
+                held = double_length(held)
+                chain = double_length(chain)
+                again = double_length(again)
+                dead = double_length(dead)
+                head = double_length(head)
+                table = rebuild_hash_table(2 * len(table), keys, last, head, count)
         i += 1
     return (
         keys[:count],

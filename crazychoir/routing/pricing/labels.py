@@ -12,34 +12,34 @@ import numpy as np
 from crazychoir.numerics.kernels import kernel
 from crazychoir.types import Bools, Ints, Mat, Vec, Words
 
-ONE = np.uint64(1)
-SPREAD = (
+ONE_BIT = np.uint64(1)
+HASH_MULTIPLIERS = (
     np.uint64(0x9E3779B97F4A7C15),
     np.uint64(0xC2B2AE3D27D4EB4F),
     np.uint64(0x165667B19E3779F9),
 )
 """Odd multipliers that spread the bits of a key over the hash."""
-SHIFT = np.uint64(29)
+HASH_SHIFT = np.uint64(29)
 """Shift of the hash."""
 MOST_TASKS = 128
 """Largest number of tasks: the bits of the two words of a set."""
 
 
 @kernel()
-def slot_of(
+def find_slot(
     table: Ints, keys: Words, last: Ints, p0: Any, p1: Any, o0: Any, o1: Any, at: Any
 ) -> Any:
     """Return the place in the open-addressing table where a label is, or would be."""
     mask = len(table) - 1
     h = (
-        (p0 * SPREAD[0])
-        ^ (o0 * SPREAD[1])
-        ^ ((p1 + np.uint64(at)) * SPREAD[2])
-        ^ (o1 * SPREAD[0] + SPREAD[1])
+        (p0 * HASH_MULTIPLIERS[0])
+        ^ (o0 * HASH_MULTIPLIERS[1])
+        ^ ((p1 + np.uint64(at)) * HASH_MULTIPLIERS[2])
+        ^ (o1 * HASH_MULTIPLIERS[0] + HASH_MULTIPLIERS[1])
     )
-    h ^= h >> SHIFT
-    h *= SPREAD[1]
-    h ^= h >> SHIFT
+    h ^= h >> HASH_SHIFT
+    h *= HASH_MULTIPLIERS[1]
+    h ^= h >> HASH_SHIFT
     k = np.int64(h & np.uint64(mask))
     while True:
         i = table[k]
@@ -57,11 +57,11 @@ def slot_of(
 
 
 @kernel()
-def _rehashed(size: int, keys: Words, last: Ints, count: int) -> Ints:
+def _rebuild_label_table(size: int, keys: Words, last: Ints, count: int) -> Ints:
     table = np.full(size, -1, dtype=np.int64)
     for i in range(count):
         table[
-            slot_of(
+            find_slot(
                 table,
                 keys,
                 last,
@@ -76,60 +76,60 @@ def _rehashed(size: int, keys: Words, last: Ints, count: int) -> Ints:
 
 
 @kernel()
-def doubled(values: Any) -> Any:
+def double_length(values: Any) -> Any:
     """Return the values, followed by as many zeros."""
     return np.concatenate((values, np.zeros_like(values)))
 
 
 @kernel()
-def inside(words: Words, row: int, first: int, j: int) -> bool:
+def has_bit(words: Words, row: int, first: int, j: int) -> bool:
     """Return whether bit j is set in the two words of `row` that begin at column `first`."""
-    return bool(words[row, first + (j >> 6)] >> np.uint64(j & 63) & ONE)
+    return bool(words[row, first + (j >> 6)] >> np.uint64(j & 63) & ONE_BIT)
 
 
 @kernel()
-def listed(words: Words, row: int, first: int, m: int, out: Ints) -> int:
+def list_set(words: Words, row: int, first: int, m: int, out: Ints) -> int:
     """Write the set of `row` into `out`, increasing; return its size."""
     n = 0
     for part in range(2):
         rest = words[row, first + part]
         j = 64 * part
         while rest != 0 and j < m:
-            if rest & ONE:
+            if rest & ONE_BIT:
                 out[n] = j
                 n += 1
-            rest >>= ONE
+            rest >>= ONE_BIT
             j += 1
     return n
 
 
 @kernel()
-def after(keys: Words, row: int, stop: int, m: int) -> tuple[Any, Any, Any, Any]:
+def extend_sets(keys: Words, row: int, stop: int, m: int) -> tuple[Any, Any, Any, Any]:
     """Return the two words of P and of O after `stop`."""
     p0 = keys[row, 0]
     p1 = keys[row, 1]
     o0 = keys[row, 2]
     o1 = keys[row, 3]
     j = stop % m
-    bit = ONE << np.uint64(j & 63)
+    bit = ONE_BIT << np.uint64(j & 63)
     if stop < m:
         return (p0 | bit, p1, o0 | bit, o1) if j < 64 else (p0, p1 | bit, o0, o1 | bit)
     return (p0, p1, o0 & ~bit, o1) if j < 64 else (p0, p1, o0, o1 & ~bit)
 
 
 @kernel()
-def begin(keys: Words, held: Vec, load: Vec, aboard: Bools) -> None:
+def initialise_label(keys: Words, held: Vec, load: Vec, aboard: Bools) -> None:
     """Initialise label 0: at the start, with the goods that are aboard."""
     for j in range(len(load)):
         if aboard[j]:
-            bit = ONE << np.uint64(j & 63)
+            bit = ONE_BIT << np.uint64(j & 63)
             keys[0, j >> 6] |= bit
             keys[0, 2 + (j >> 6)] |= bit
             held[0] += load[j]
 
 
 @kernel()
-def _in_reach(
+def _is_in_reach(
     rest: Mat, home: Vec, stop: int, on: Ints, count: int, so_far: float, limit: float
 ) -> bool:
     """Return whether the end can be reached from `stop` over each due delivery within the limit."""
@@ -179,26 +179,26 @@ def grow_labels(
     held = np.zeros(room)
     table = np.full(4 * room, -1, np.int64)
     on = np.zeros(m, np.int64)
-    begin(keys, held, load, aboard)
+    initialise_label(keys, held, load, aboard)
     last[0] = 2 * m
     count = 1
     i = 0
     complete = True
     while i < count:
-        goods = listed(keys, i, 2, m, on)
+        goods = list_set(keys, i, 2, m, on)
         for option in range(m + goods):
             stop = option if option < m else m + on[option - m]
             if stop < m and (
-                inside(keys, i, 0, stop) or load[stop] > capacity - held[i]
+                has_bit(keys, i, 0, stop) or load[stop] > capacity - held[i]
             ):
                 continue
             so_far = length[i] + distance[last[i], stop]
-            if so_far > far or not _in_reach(
+            if so_far > far or not _is_in_reach(
                 rest, home, stop, on, goods, so_far, limit
             ):
                 continue
-            p0, p1, o0, o1 = after(keys, i, stop, m)
-            k = slot_of(table, keys, last, p0, p1, o0, o1, stop)
+            p0, p1, o0, o1 = extend_sets(keys, i, stop, m)
+            k = find_slot(table, keys, last, p0, p1, o0, o1, stop)
             n = table[k]
             if n >= 0:
                 if so_far < length[n]:
@@ -218,18 +218,18 @@ def grow_labels(
                 held[count] = held[i] + (load[stop] if stop < m else -load[stop - m])
                 count += 1
                 if count == len(last):
-                    keys = doubled(keys)
-                    last = doubled(last)
-                    parent = doubled(parent)
-                    length = doubled(length)
-                    held = doubled(held)
-                    table = _rehashed(2 * len(table), keys, last, count)
+                    keys = double_length(keys)
+                    last = double_length(last)
+                    parent = double_length(parent)
+                    length = double_length(length)
+                    held = double_length(held)
+                    table = _rebuild_label_table(2 * len(table), keys, last, count)
         i += 1
     return keys[:count], last[:count], length[:count], parent[:count], complete
 
 
 @kernel(nogil=True)
-def reduced_costs(length: Vec, start: Ints, task: Ints, prices: Vec) -> Vec:
+def compute_reduced_costs(length: Vec, start: Ints, task: Ints, prices: Vec) -> Vec:
     """Return (n,): length_c - sum of the prices of the tasks start[c]:start[c + 1] of column c."""
     out = np.empty(len(length))
     for c in range(len(length)):

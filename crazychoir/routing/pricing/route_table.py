@@ -6,22 +6,26 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.errors import InstanceError, SolverError
-from crazychoir.routing.instance.vehicle import MAKESPAN, TOTAL, Vehicle
-from crazychoir.routing.pricing.label_setting import FinalLabels, bits_of, final_labels
-from crazychoir.routing.pricing.labels import MOST_TASKS, reduced_costs
+from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES, Vehicle
+from crazychoir.routing.pricing.label_setting import (
+    FinalLabels,
+    compute_final_labels,
+    list_bits,
+)
+from crazychoir.routing.pricing.labels import MOST_TASKS, compute_reduced_costs
 from crazychoir.types import Ints, Vec, Words
 
-MOST_LABELS = 3_000_000
+MOST_TABLE_LABELS = 3_000_000
 """Largest number of labels of one table.
 
 It takes some 350 MB while it is computed. Of 20 robots with 40 tasks within 25 m, one may need
 two million labels.
 """
-TOO_MANY = "more labels than allowed"
+TOO_MANY_LABELS = "more labels than allowed"
 
 
 @dataclass(frozen=True, order=True)
-class Column:
+class RouteColumn:
     """A set of tasks that one robot can serve, and the cost of its best route."""
 
     length: float
@@ -55,16 +59,18 @@ class RouteTable:
     def __init__(
         self,
         vehicle: Vehicle,
-        most: int = MOST_LABELS,
-        objective: tuple[str, ...] = (TOTAL,),
+        most: int = MOST_TABLE_LABELS,
+        objective: tuple[str, ...] = (OBJECTIVE_NAMES.total,),
     ) -> None:
         servable = vehicle.servable
-        labels = final_labels(of_one_set(vehicle, servable), most, objective)
+        labels = compute_final_labels(
+            restrict_vehicle(vehicle, servable), most, objective
+        )
         self.complete = labels.complete
-        first, second = _amounts(labels, objective, vehicle.fixed)
-        best = _best_of_each(labels.picked, first, second)
+        first, second = _compute_amounts(labels, objective, vehicle.fixed)
+        best = _select_best_labels(labels.picked, first, second)
         members = [
-            tuple(servable[bits_of(row)].tolist()) for row in labels.picked[best]
+            tuple(servable[list_bits(row)].tolist()) for row in labels.picked[best]
         ]
         order = sorted(range(len(best)), key=lambda c: (first[best[c]], members[c]))
         idle = [] if vehicle.aboard.any() else [()]
@@ -78,9 +84,9 @@ class RouteTable:
     def __len__(self) -> int:
         return len(self.length)
 
-    def column(self, c: int) -> Column:
+    def column(self, c: int) -> RouteColumn:
         """Return column number c."""
-        return Column(
+        return RouteColumn(
             float(self.length[c]),
             tuple(int(j) for j in self.task[self.start[c] : self.start[c + 1]]),
         )
@@ -91,12 +97,14 @@ class RouteTable:
         prices: (M,) m, -inf forbids a task.
         reward: m, subtracted from all but the idle column.
         """
-        cost = np.asarray(reduced_costs(self.length, self.start, self.task, prices))
+        cost = np.asarray(
+            compute_reduced_costs(self.length, self.start, self.task, prices)
+        )
         return cost - reward * (np.diff(self.start) > 0) if reward else cost
 
     def cheapest(
         self, prices: Vec, count: int, below: float, reward: float = 0.0
-    ) -> list[Column]:
+    ) -> list[RouteColumn]:
         """Return the columns with the least reduced costs, in increasing order.
 
         prices: (M,) m.
@@ -114,7 +122,7 @@ class RouteTable:
         """Return the least reduced cost; at most 0, which is that of the idle column."""
         return float(self.reduced_costs(prices, reward).min())
 
-    def find(self, tasks: Sequence[int]) -> Column | None:
+    def find(self, tasks: Sequence[int]) -> RouteColumn | None:
         """Return the column that serves exactly `tasks`, None if there is none."""
         if self._where is None:
             self._where = {self.column(c).tasks: c for c in range(len(self))}
@@ -122,11 +130,11 @@ class RouteTable:
         return None if c is None else self.column(c)
 
 
-def shortest_route(
+def find_shortest_route(
     vehicle: Vehicle,
     tasks: Sequence[int],
-    objective: tuple[str, ...] = (TOTAL,),
-    most: int = MOST_LABELS,
+    objective: tuple[str, ...] = (OBJECTIVE_NAMES.total,),
+    most: int = MOST_TABLE_LABELS,
 ) -> tuple[list[int], float]:
     """Return nodes and length in m of the best route that serves exactly `tasks`.
 
@@ -151,16 +159,16 @@ def shortest_route(
             where,
             f"infeasible: it carries {left.tolist()}" if len(left) else "infeasible",
         )
-    labels = final_labels(of_one_set(vehicle, chosen), most, objective)
+    labels = compute_final_labels(restrict_vehicle(vehicle, chosen), most, objective)
     full = np.flatnonzero(labels.count == len(chosen))
     if not len(full):
-        raise SolverError(where, "infeasible" if labels.complete else TOO_MANY)
-    first, second = _amounts(labels, objective, 0.0)
+        raise SolverError(where, "infeasible" if labels.complete else TOO_MANY_LABELS)
+    first, second = _compute_amounts(labels, objective, 0.0)
     best = int(full[np.lexsort((second[full], first[full]))[0]])
     return labels.route(best, chosen, vehicle.tasks), float(labels.length[best])
 
 
-def of_one_set(vehicle: Vehicle, chosen: Ints) -> Vehicle:
+def restrict_vehicle(vehicle: Vehicle, chosen: Ints) -> Vehicle:
     """Return the vehicle with the tasks `chosen` alone.
 
     Raises InstanceError if there are more than MOST_TASKS.
@@ -172,17 +180,17 @@ def of_one_set(vehicle: Vehicle, chosen: Ints) -> Vehicle:
     return vehicle.only(chosen)
 
 
-def _amounts(
+def _compute_amounts(
     labels: FinalLabels, objective: tuple[str, ...], fixed: float
 ) -> tuple[Vec, Vec]:
     """Return the first objective and the other one, (n,) each; nan if time decides nothing."""
     cost = labels.length + fixed
-    if objective[0] == MAKESPAN:
+    if objective[0] == OBJECTIVE_NAMES.makespan:
         return labels.finish, cost
     return cost, labels.finish
 
 
-def _best_of_each(picked: Words, first: Vec, second: Vec) -> Ints:
+def _select_best_labels(picked: Words, first: Vec, second: Vec) -> Ints:
     """Return the best label of each set except the empty one."""
     order = np.lexsort((second, first, picked[:, 0], picked[:, 1]))
     order = order[picked[order].any(axis=1)]

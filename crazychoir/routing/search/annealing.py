@@ -5,23 +5,34 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from crazychoir.numerics.kernels import kernel
-from crazychoir.routing.search.recreate import recreate, take_back
-from crazychoir.routing.search.route_pool import remember
-from crazychoir.routing.search.ruin import begin_step, draw, empty, ruin
-from crazychoir.routing.search.tours import OPTIONS, Fleet, Tours, feasible, refresh
+from crazychoir.routing.search.recreate import insert_missing_tasks, restore_routes
+from crazychoir.routing.search.route_pool import store_route
+from crazychoir.routing.search.ruin import (
+    begin_step,
+    draw_fraction,
+    empty_route,
+    remove_strings,
+)
+from crazychoir.routing.search.tours import (
+    KERNEL_OPTIONS,
+    Fleet,
+    Tours,
+    is_route_feasible,
+    refresh_route,
+)
 from crazychoir.types import Ints, Vec, Words
 
-LEVELS = 1024
+TEMPERATURE_LEVELS = 1024
 """Number of temperatures."""
-COOLER = 0.9955128609158502
+COOLING_FACTOR = 0.9955128609158502
 """Factor from one temperature to the next: 100^(-1/1024), so that the last is a hundredth."""
-TIE = 1e-9
+TIE_TOLERANCE = 1e-9
 """m or s: values that differ by less count as equal."""
-LN2 = 0.6931471805599453
+NATURAL_LOG_OF_2 = 0.6931471805599453
 """Natural logarithm of 2."""
 
 
-class Best(NamedTuple):
+class BestTours(NamedTuple):
     """The best plan so far."""
 
     stop: Ints
@@ -29,10 +40,10 @@ class Best(NamedTuple):
     stops: Ints
     """(K,): number of stops."""
     score: Vec
-    """(4,): number of missing tasks, then three values of `judge` that compare plans."""
+    """(4,): number of missing tasks, then three values of `evaluate_tours` that compare plans."""
 
     @classmethod
-    def of(cls, tours: Tours) -> "Best":
+    def of(cls, tours: Tours) -> "BestTours":
         """Return an empty record, before any plan."""
         return cls(np.zeros_like(tours.stop), np.zeros_like(tours.stops), np.zeros(4))
 
@@ -43,12 +54,12 @@ class Best(NamedTuple):
             [row[1 : n + 1] for row, n in zip(self.stop, self.stops, strict=True)],
         )
         for k in range(len(self.stops)):
-            refresh(fleet, tours, k)
+            refresh_route(fleet, tours, k)
         return tours
 
 
 @kernel(nogil=True, _nrt=False)
-def anneal(
+def anneal_tours(
     fleet: Any,
     tours: Any,
     step: Any,
@@ -74,26 +85,26 @@ def anneal(
     Returns the number of steps, at most `steps`.
     Source: Christiaens & Vanden Berghe 2020, Transportation Science 54(2).
     """
-    _start(fleet, tours, step, memory, random)
-    missing, _, heavy, cost, first, second = judge(fleet, tours, absence)
-    _keep(tours, best, missing, heavy, first, second)
+    _repair_tours(fleet, tours, step, memory, random)
+    missing, _, heavy, cost, first, second = evaluate_tours(fleet, tours, absence)
+    _store_best(tours, best, missing, heavy, first, second)
     for k in range(len(fleet.start)):
-        remember(fleet, tours, pool, k, 0)
+        store_route(fleet, tours, pool, k, 0)
     temperature = hot
     level = 0
     for now in range(1, steps + 1):
         if fewer and missing == 0:
-            if not _close_one(fleet, tours, step, memory, absence):
+            if not _close_vehicle(fleet, tours, step, memory, absence):
                 return now
-            missing, _, heavy, cost, _, _ = judge(fleet, tours, absence)
-        while level * steps < now * LEVELS:
-            temperature *= COOLER
+            missing, _, heavy, cost, _, _ = evaluate_tours(fleet, tours, absence)
+        while level * steps < now * TEMPERATURE_LEVELS:
+            temperature *= COOLING_FACTOR
             level += 1
-        absent = _absent(fleet, tours, absence) if missing > 0 else 0.0
+        absent = _sum_absences(fleet, tours, absence) if missing > 0 else 0.0
         begin_step(step)
-        ruin(fleet, tours, step, random, average)
-        recreate(fleet, tours, step, memory, random)
-        new_missing, new_absent, new_heavy, new_cost, first, second = judge(
+        remove_strings(fleet, tours, step, random, average)
+        insert_missing_tasks(fleet, tours, step, memory, random)
+        new_missing, new_absent, new_heavy, new_cost, first, second = evaluate_tours(
             fleet, tours, absence
         )
         if new_missing < missing or new_absent < absent:
@@ -103,43 +114,46 @@ def anneal(
         elif new_heavy != heavy:
             accepted = new_heavy < heavy
         else:
-            accepted = new_cost < cost + temperature * exponential(random)
+            accepted = new_cost < cost + temperature * draw_exponential(random)
         if new_missing > 0:
             _count_absence(fleet, tours, absence)
         if not accepted:
-            take_back(fleet, tours, step)
+            restore_routes(fleet, tours, step)
             continue
         missing = new_missing
         heavy = new_heavy
         cost = new_cost
         for t in range(step.counts[0]):
-            remember(fleet, tours, pool, step.touched[t], now)
+            store_route(fleet, tours, pool, step.touched[t], now)
         if missing < best.score[0] or (
-            missing == best.score[0] and (fewer or _better(best, heavy, first, second))
+            missing == best.score[0]
+            and (fewer or _improves_best(best, heavy, first, second))
         ):
-            _keep(tours, best, missing, heavy, first, second)
+            _store_best(tours, best, missing, heavy, first, second)
     return steps
 
 
-@kernel(**OPTIONS)
-def _start(fleet: Any, tours: Any, step: Any, memory: Any, random: Words) -> None:
+@kernel(**KERNEL_OPTIONS)
+def _repair_tours(
+    fleet: Any, tours: Any, step: Any, memory: Any, random: Words
+) -> None:
     """Empty the infeasible routes, and insert all tasks without a vehicle."""
     for k in range(len(fleet.start)):
-        refresh(fleet, tours, k)
-        if tours.stops[k] > 0 and not feasible(fleet, tours, k):
-            empty(fleet, tours, step, k)
+        refresh_route(fleet, tours, k)
+        if tours.stops[k] > 0 and not is_route_feasible(fleet, tours, k):
+            empty_route(fleet, tours, step, k)
     begin_step(step)
-    recreate(fleet, tours, step, memory, random)
+    insert_missing_tasks(fleet, tours, step, memory, random)
 
 
-@kernel(**OPTIONS)
-def exponential(random: Words) -> float:
+@kernel(**KERNEL_OPTIONS)
+def draw_exponential(random: Words) -> float:
     """Return -ln U for a uniform U, by sums and products alone, so that every machine rounds alike.
 
     -ln u = n ln 2 - 2 (s + s^3 / 3 + s^5 / 5 + ...),   s = (2^n u - 1) / (2^n u + 1),   1/2 <=
     2^n u < 1
     """
-    u = draw(random)
+    u = draw_fraction(random)
     doublings = 0
     while u < 0.5:
         u += u
@@ -150,11 +164,11 @@ def exponential(random: Words) -> float:
     for odd in range(1, 26, 2):
         total += power / odd
         power *= s * s
-    return doublings * LN2 - 2.0 * total
+    return doublings * NATURAL_LOG_OF_2 - 2.0 * total
 
 
 @kernel(_nrt=False)
-def judge(fleet: Any, tours: Any, absence: Vec) -> Any:
+def evaluate_tours(fleet: Any, tours: Any, absence: Vec) -> Any:
     """Return six values that evaluate a plan.
 
     1. The number of missing tasks that must be served.
@@ -195,8 +209,8 @@ def judge(fleet: Any, tours: Any, absence: Vec) -> Any:
     return missing, absent, heavy, cost, cost, finish
 
 
-@kernel(**OPTIONS)
-def _absent(fleet: Any, tours: Any, absence: Vec) -> float:
+@kernel(**KERNEL_OPTIONS)
+def _sum_absences(fleet: Any, tours: Any, absence: Vec) -> float:
     """Return the sum over the missing tasks of how often they were missing so far."""
     absent = 0.0
     for j in range(len(fleet.load)):
@@ -205,25 +219,25 @@ def _absent(fleet: Any, tours: Any, absence: Vec) -> float:
     return absent
 
 
-@kernel(**OPTIONS)
+@kernel(**KERNEL_OPTIONS)
 def _count_absence(fleet: Any, tours: Any, absence: Vec) -> None:
     for j in range(len(fleet.load)):
         if tours.at[j] < 0:
             absence[j] += 1.0
 
 
-@kernel(**OPTIONS)
-def _better(best: Any, heavy: float, first: float, second: float) -> Any:
+@kernel(**KERNEL_OPTIONS)
+def _improves_best(best: Any, heavy: float, first: float, second: float) -> Any:
     """Return whether the values of a plan are less than those of the best plan, in order."""
     if heavy != best.score[1]:
         return heavy < best.score[1]
-    if first < best.score[2] - TIE:
+    if first < best.score[2] - TIE_TOLERANCE:
         return True
-    return first <= best.score[2] and second < best.score[3] - TIE
+    return first <= best.score[2] and second < best.score[3] - TIE_TOLERANCE
 
 
 @kernel(_nrt=False)
-def _keep(
+def _store_best(
     tours: Any, best: Any, missing: int, heavy: float, first: float, second: float
 ) -> None:
     """Store the present plan as the best one."""
@@ -238,7 +252,9 @@ def _keep(
 
 
 @kernel(_nrt=False)
-def _close_one(fleet: Any, tours: Any, step: Any, memory: Any, absence: Vec) -> bool:
+def _close_vehicle(
+    fleet: Any, tours: Any, step: Any, memory: Any, absence: Vec
+) -> bool:
     """Close all empty vehicles and one more, which is emptied; return False if there is none.
 
     The additional vehicle is the vehicle with the tasks that were missing least often. A vehicle
@@ -260,5 +276,5 @@ def _close_one(fleet: Any, tours: Any, step: Any, memory: Any, absence: Vec) -> 
     if victim < 0:
         return False
     memory.closed[victim] = True
-    empty(fleet, tours, step, victim)
+    empty_route(fleet, tours, step, victim)
     return True

@@ -5,10 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from crazychoir.routing.instance.vehicle import (
-    MAKESPAN,
-    SLACK,
-    TOTAL,
-    VEHICLES,
+    OBJECTIVE_NAMES,
+    ROUNDING_SLACK,
     Vehicle,
 )
 from crazychoir.routing.search.tours import Fleet
@@ -18,8 +16,10 @@ TIE_BREAK = 1e-3
 """Weight of the total in the annealed cost if the makespan is the first objective."""
 
 
-def fleet_of(
-    vehicles: Sequence[Vehicle], penalty: Vec, objective: Sequence[str] = (TOTAL,)
+def build_fleet(
+    vehicles: Sequence[Vehicle],
+    penalty: Vec,
+    objective: Sequence[str] = (OBJECTIVE_NAMES.total,),
 ) -> Fleet:
     """Return the arrays of these vehicles; capacities, limits and windows include SLACK.
 
@@ -30,16 +30,18 @@ def fleet_of(
     first = vehicles[0]
     k = len(vehicles)
     m = first.tasks
-    timed = MAKESPAN in objective or any(v.timed for v in vehicles)
-    shared = all(_same_between_stops(first, v, timed) for v in vehicles[1:])
+    timed = OBJECTIVE_NAMES.makespan in objective or any(v.timed for v in vehicles)
+    shared = all(_is_same_between_stops(first, v, timed) for v in vehicles[1:])
     kind = np.zeros(k, np.int64) if shared else np.arange(k, dtype=np.int64)
     start = 2 * m + (np.arange(k, dtype=np.int64) if shared else np.zeros(k, np.int64))
     end = start + (k if shared else 1)
-    distance, duration, earliest, latest = _matrices(vehicles, kind, start, end)
+    distance, duration, earliest, latest = _stack_matrices(vehicles, kind, start, end)
     carrier = np.full(m, -1, np.int64)
     for i, v in enumerate(vehicles):
         carrier[v.aboard] = i
-    on_total, on_finish = (TIE_BREAK, 1.0) if objective[0] == MAKESPAN else (1.0, 0.0)
+    on_total, on_finish = (
+        (TIE_BREAK, 1.0) if objective[0] == OBJECTIVE_NAMES.makespan else (1.0, 0.0)
+    )
     return Fleet(
         distance=distance,
         duration=duration,
@@ -49,25 +51,30 @@ def fleet_of(
         start=start,
         end=end,
         load=np.array(first.load, float),
-        capacity=np.array([v.capacity + SLACK for v in vehicles]),
+        capacity=np.array([v.capacity + ROUNDING_SLACK for v in vehicles]),
         fixed=np.array([v.fixed for v in vehicles], float),
         held=np.array([float(v.load[v.aboard].sum()) for v in vehicles]),
-        limit=np.array([[v.limit + SLACK, v.limit_again + SLACK] for v in vehicles]),
+        limit=np.array(
+            [
+                [v.limit + ROUNDING_SLACK, v.limit_again + ROUNDING_SLACK]
+                for v in vehicles
+            ]
+        ),
         trips=np.array([v.trips for v in vehicles], np.int64),
         capable=np.array([v.capable | v.aboard for v in vehicles]),
         carrier=carrier,
         penalty=np.where(carrier >= 0, np.inf, penalty),
-        twin=_twins(vehicles, shared),
-        near=_near(first.distance[: 2 * m, : 2 * m]),
-        traits=_traits(vehicles),
+        twin=_find_twins(vehicles, shared),
+        near=_sort_near_stops(first.distance[: 2 * m, : 2 * m]),
+        traits=_compute_traits(vehicles),
         timed=timed,
         on_total=on_total,
         on_finish=on_finish,
-        counted=VEHICLES in objective,
+        counted=OBJECTIVE_NAMES.vehicles in objective,
     )
 
 
-def _same_between_stops(v: Vehicle, w: Vehicle, timed: bool) -> bool:
+def _is_same_between_stops(v: Vehicle, w: Vehicle, timed: bool) -> bool:
     s = 2 * v.tasks
     names = ["distance", "duration", "earliest", "latest"] if timed else ["distance"]
     for name in names:
@@ -80,7 +87,7 @@ def _same_between_stops(v: Vehicle, w: Vehicle, timed: bool) -> bool:
     return True
 
 
-def _matrices(
+def _stack_matrices(
     vehicles: Sequence[Vehicle], kind: Ints, start: Ints, end: Ints
 ) -> tuple[Mat, Mat, Mat, Mat]:
     """Return distance, duration, earliest, latest of a Fleet."""
@@ -99,13 +106,13 @@ def _matrices(
             whole[row, ends[0], ends] = own[s, s:]
             whole[row, ends[1], ends] = own[s + 1, s:]
         earliest[row, :s] = v.earliest[:s]
-        latest[row, :s] = v.latest[:s] + SLACK
+        latest[row, :s] = v.latest[:s] + ROUNDING_SLACK
         earliest[row, ends] = v.earliest[s:]
-        latest[row, ends] = v.latest[s:] + SLACK
+        latest[row, ends] = v.latest[s:] + ROUNDING_SLACK
     return distance, duration, earliest, latest
 
 
-def _twins(vehicles: Sequence[Vehicle], shared: bool) -> Ints:
+def _find_twins(vehicles: Sequence[Vehicle], shared: bool) -> Ints:
     """Return (K,): the first identical vehicle. Vehicles with goods aboard have no twin."""
     seen: dict[object, int] = {}
     twin = np.arange(len(vehicles), dtype=np.int64)
@@ -127,12 +134,12 @@ def _twins(vehicles: Sequence[Vehicle], shared: bool) -> Ints:
     return twin
 
 
-def _near(distance: Mat) -> Ints:
+def _sort_near_stops(distance: Mat) -> Ints:
     """Return (2M, 2M): for each stop, all stops by the shorter of the distances there and back."""
     return np.argsort(np.minimum(distance, distance.T), axis=1, kind="stable")
 
 
-def _traits(vehicles: Sequence[Vehicle]) -> Mat:
+def _compute_traits(vehicles: Sequence[Vehicle]) -> Mat:
     """Return the traits of the tasks, (M, 5).
 
     They are load, shortest distance of a route with the task alone, width of its windows, first

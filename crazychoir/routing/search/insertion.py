@@ -5,14 +5,18 @@ from typing import Any
 import numpy as np
 
 from crazychoir.numerics.kernels import kernel
-from crazychoir.routing.search.tours import OPTIONS, begins, way
+from crazychoir.routing.search.tours import (
+    KERNEL_OPTIONS,
+    compute_service_begin,
+    look_up_distance,
+)
 
-ABOARD = 1e-9
+LOAD_ROUNDING = 1e-9
 """Units of load: load on board up to this is only rounding."""
 
 
 @kernel(_nrt=False)
-def cheapest(
+def find_cheapest_insertion(
     fleet: Any, tours: Any, extra: Any, j: int, k: int, but_first: int, but_second: int
 ) -> Any:
     """Find the cheapest way to insert task j into route k.
@@ -28,25 +32,28 @@ def cheapest(
     if not fleet.capable[k, j] or fleet.load[j] > fleet.capacity[k]:
         return np.inf, 0, 0
     if fleet.carrier[j] >= 0:
-        best, first, second = _delivery_only(fleet, tours, j, k, but_second)
+        best, first, second = _find_delivery_place(fleet, tours, j, k, but_second)
     else:
-        _detours(fleet, tours, extra, j, k)
-        best, first, second = _pair(fleet, tours, extra, j, k, but_first, but_second)
+        _compute_detours(fleet, tours, extra, j, k)
+        best, first, second = _find_places_in_trip(
+            fleet, tours, extra, j, k, but_first, but_second
+        )
         if fleet.trips[k] > 1 and tours.stops[k] > 0:
-            other, place = _trip(fleet, tours, j, k, best)
+            other, place = _find_new_trip(fleet, tours, j, k, best)
             if other < best:
                 best = other
                 first = place
                 second = -1
     if tours.stops[k] == 0:
         best += fleet.on_total * (
-            way(fleet, fleet.kind[k], fleet.start[k], fleet.end[k]) + fleet.fixed[k]
+            look_up_distance(fleet, fleet.kind[k], fleet.start[k], fleet.end[k])
+            + fleet.fixed[k]
         )
     return best, first, second
 
 
-@kernel(**OPTIONS)
-def _detours(fleet: Any, tours: Any, extra: Any, j: int, k: int) -> None:
+@kernel(**KERNEL_OPTIONS)
+def _compute_detours(fleet: Any, tours: Any, extra: Any, j: int, k: int) -> None:
     """Compute the detours of the delivery.
 
     extra[0]: m, detour of the delivery after each position.
@@ -62,15 +69,19 @@ def _detours(fleet: Any, tours: Any, extra: Any, j: int, k: int) -> None:
         v = tours.stop[k, pos]
         if w >= 2 * m:
             least = np.inf
-        detour = way(fleet, u, v, d) + way(fleet, u, d, w) - way(fleet, u, v, w)
+        detour = (
+            look_up_distance(fleet, u, v, d)
+            + look_up_distance(fleet, u, d, w)
+            - look_up_distance(fleet, u, v, w)
+        )
         least = min(least, detour)
         extra[0, pos] = detour
         extra[1, pos] = least
         w = v
 
 
-@kernel(**OPTIONS)
-def _pair(
+@kernel(**KERNEL_OPTIONS)
+def _find_places_in_trip(
     fleet: Any, tours: Any, extra: Any, j: int, k: int, but_first: int, but_second: int
 ) -> Any:
     """Find the cheapest places of both stops in one of the present trips."""
@@ -91,9 +102,11 @@ def _pair(
         w = tours.stop[k, i + 1]
         if tours.load[k, i] > spare:
             continue
-        here = way(fleet, u, v, j) - way(fleet, u, v, w)
-        detour = here + way(fleet, u, j, w)
-        both = here + way(fleet, u, j, d) + way(fleet, u, d, w)
+        here = look_up_distance(fleet, u, v, j) - look_up_distance(fleet, u, v, w)
+        detour = here + look_up_distance(fleet, u, j, w)
+        both = (
+            here + look_up_distance(fleet, u, j, d) + look_up_distance(fleet, u, d, w)
+        )
         most = min(best, tours.room[k, i]) if plain else tours.room[k, i]
         ahead = (
             w < 2 * m
@@ -103,11 +116,15 @@ def _pair(
         if both >= most and not ahead:
             continue
         if timed:
-            pickup = begins(fleet, u, tours.begin[k, i], v, j)
+            pickup = compute_service_begin(fleet, u, tours.begin[k, i], v, j)
             if pickup > fleet.latest[u, j]:
                 continue
         if both < most and (i != but_first or i != but_second):
-            cost = _cost(fleet, tours, k, both, pickup, j, d, i + 1) if timed else both
+            cost = (
+                _compute_delivery_cost(fleet, tours, k, both, pickup, j, d, i + 1)
+                if timed
+                else both
+            )
             if cost < best:
                 best = cost
                 first = i
@@ -122,14 +139,16 @@ def _pair(
             if v >= 2 * m or tours.load[k, s] > spare or detour + extra[1, s] >= most:
                 break
             if timed:
-                t = begins(fleet, u, t, before, v)
+                t = compute_service_begin(fleet, u, t, before, v)
                 if t > tours.late[k, s]:
                     break
                 before = v
             growth = detour + extra[0, s]
             if growth < most and (i != but_first or s != but_second):
                 cost = (
-                    _cost(fleet, tours, k, growth, t, v, d, s + 1) if timed else growth
+                    _compute_delivery_cost(fleet, tours, k, growth, t, v, d, s + 1)
+                    if timed
+                    else growth
                 )
                 if cost < best:
                     best = cost
@@ -139,8 +158,8 @@ def _pair(
     return best, first, second
 
 
-@kernel(**OPTIONS)
-def _cost(
+@kernel(**KERNEL_OPTIONS)
+def _compute_delivery_cost(
     fleet: Any, tours: Any, k: int, growth: float, t: float, v: int, d: int, after: int
 ) -> Any:
     """Return the cost of delivery d before position `after` of route k; inf if it is too late.
@@ -148,30 +167,32 @@ def _cost(
     It comes after a service at v that begins at t.
     """
     u = fleet.kind[k]
-    t = begins(fleet, u, t, v, d)
+    t = compute_service_begin(fleet, u, t, v, d)
     if t > fleet.latest[u, d]:
         return np.inf
     w = tours.stop[k, after]
-    t = begins(fleet, u, t, d, w)
+    t = compute_service_begin(fleet, u, t, d, w)
     if t > tours.late[k, after]:
         return np.inf
     if fleet.on_finish == 0.0:
         return growth
-    return fleet.on_total * growth + fleet.on_finish * _end(fleet, tours, k, t, after)
+    return fleet.on_total * growth + fleet.on_finish * _compute_finish(
+        fleet, tours, k, t, after
+    )
 
 
-@kernel(**OPTIONS)
-def _end(fleet: Any, tours: Any, k: int, t: float, pos: int) -> float:
+@kernel(**KERNEL_OPTIONS)
+def _compute_finish(fleet: Any, tours: Any, k: int, t: float, pos: int) -> float:
     """Return when route k is over, in s, if service at position `pos` begins at t."""
     for after in range(pos + 1, tours.stops[k] + 2):
-        t = begins(
+        t = compute_service_begin(
             fleet, fleet.kind[k], t, tours.stop[k, after - 1], tours.stop[k, after]
         )
     return t
 
 
-@kernel(**OPTIONS)
-def _trip(fleet: Any, tours: Any, j: int, k: int, below: float) -> Any:
+@kernel(**KERNEL_OPTIONS)
+def _find_new_trip(fleet: Any, tours: Any, j: int, k: int, below: float) -> Any:
     """Find the cheapest place for a new trip with task j after one of the present trips.
 
     Returns the cost in m and the position at the vehicle's end before the new trip.
@@ -180,7 +201,11 @@ def _trip(fleet: Any, tours: Any, j: int, k: int, below: float) -> Any:
     u = fleet.kind[k]
     end = fleet.end[k]
     d = len(fleet.load) + j
-    growth = way(fleet, u, end, j) + way(fleet, u, j, d) + way(fleet, u, d, end)
+    growth = (
+        look_up_distance(fleet, u, end, j)
+        + look_up_distance(fleet, u, j, d)
+        + look_up_distance(fleet, u, d, end)
+    )
     trips = 0
     cost = below
     place = 0
@@ -189,13 +214,13 @@ def _trip(fleet: Any, tours: Any, j: int, k: int, below: float) -> Any:
     if growth >= fleet.limit[k, 1] or trips >= fleet.trips[k]:
         return np.inf, 0
     for pos in range(n + 1, 0, -1):
-        if tours.stop[k, pos] != end or tours.load[k, pos] > ABOARD:
+        if tours.stop[k, pos] != end or tours.load[k, pos] > LOAD_ROUNDING:
             continue
         here = growth
         if fleet.timed:
-            pickup = begins(fleet, u, tours.begin[k, pos], end, j)
-            delivery = begins(fleet, u, pickup, j, d)
-            back = begins(fleet, u, delivery, d, end)
+            pickup = compute_service_begin(fleet, u, tours.begin[k, pos], end, j)
+            delivery = compute_service_begin(fleet, u, pickup, j, d)
+            back = compute_service_begin(fleet, u, delivery, d, end)
             if (
                 pickup > fleet.latest[u, j]
                 or delivery > fleet.latest[u, d]
@@ -203,7 +228,7 @@ def _trip(fleet: Any, tours: Any, j: int, k: int, below: float) -> Any:
             ):
                 continue
             if fleet.on_finish > 0.0:
-                here = fleet.on_total * growth + fleet.on_finish * _end(
+                here = fleet.on_total * growth + fleet.on_finish * _compute_finish(
                     fleet, tours, k, back, pos
                 )
         if here < cost:
@@ -212,8 +237,8 @@ def _trip(fleet: Any, tours: Any, j: int, k: int, below: float) -> Any:
     return (cost, place) if place > 0 else (np.inf, 0)
 
 
-@kernel(**OPTIONS)
-def _delivery_only(fleet: Any, tours: Any, j: int, k: int, but: int) -> Any:
+@kernel(**KERNEL_OPTIONS)
+def _find_delivery_place(fleet: Any, tours: Any, j: int, k: int, but: int) -> Any:
     """Find the cheapest place in the first trip for the delivery of goods that are aboard."""
     m = len(fleet.load)
     u = fleet.kind[k]
@@ -225,11 +250,17 @@ def _delivery_only(fleet: Any, tours: Any, j: int, k: int, but: int) -> Any:
         w = tours.stop[k, pos + 1]
         if pos > 0 and v >= 2 * m:
             break
-        growth = way(fleet, u, v, d) + way(fleet, u, d, w) - way(fleet, u, v, w)
+        growth = (
+            look_up_distance(fleet, u, v, d)
+            + look_up_distance(fleet, u, d, w)
+            - look_up_distance(fleet, u, v, w)
+        )
         if pos == but or growth >= tours.room[k, pos]:
             continue
         cost = (
-            _cost(fleet, tours, k, growth, tours.begin[k, pos], v, d, pos + 1)
+            _compute_delivery_cost(
+                fleet, tours, k, growth, tours.begin[k, pos], v, d, pos + 1
+            )
             if fleet.timed
             else growth
         )

@@ -10,9 +10,9 @@ import math
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
-from crazychoir.optimization.rounds.agreement import highest_bids
+from crazychoir.optimization.rounds.agreement import find_highest_bids
 from crazychoir.optimization.rounds.program import Exchange
-from crazychoir.routing.instance.vehicle import SLACK, Vehicle
+from crazychoir.routing.instance.vehicle import ROUNDING_SLACK, Vehicle
 
 Nodes = tuple[int, ...]
 """Nodes of a route without its start and its end."""
@@ -56,9 +56,9 @@ class Insertion:
         m = self.vehicle.tasks
         d = self._d
         way = (2 * m, *route, 2 * m + 1)
-        room = vehicle.limit + SLACK - self.length(route)
+        room = vehicle.limit + ROUNDING_SLACK - self.length(route)
         load = float(vehicle.load[j])
-        most = vehicle.capacity + SLACK
+        most = vehicle.capacity + ROUNDING_SLACK
         best: tuple[float, int, int] | None = None
         if vehicle.aboard[j]:
             extras = [d[v][m + j] + d[m + j][w] - d[v][w] for v, w in pairwise(way)]
@@ -96,7 +96,7 @@ class Insertion:
     def first(self) -> Nodes:
         """Return the route that only delivers the goods aboard, whatever its length."""
         route: Nodes = ()
-        free = Insertion(_without_limit(self.vehicle))
+        free = Insertion(_remove_limit(self.vehicle))
         for j in self.vehicle.aboard.nonzero()[0].tolist():
             found = free.cheapest(route, j)
             route = found[1] if found else route
@@ -105,25 +105,28 @@ class Insertion:
     def improved(self, route: Nodes) -> Nodes:
         """Re-insert each task at its cheapest place until nothing is gained; return the route."""
         m = self.vehicle.tasks
-        free = Insertion(_without_limit(self.vehicle))
+        free = Insertion(_remove_limit(self.vehicle))
         length = free.length(route)
         gained = True
         while gained:
             gained = False
             for j in sorted({v % m for v in route}):
                 found = free.cheapest(tuple(v for v in route if v % m != j), j)
-                if found and (shorter := free.length(found[1])) < length - SLACK:
+                if (
+                    found
+                    and (shorter := free.length(found[1])) < length - ROUNDING_SLACK
+                ):
                     route = found[1]
                     length = shorter
                     gained = True
         return route
 
 
-def _without_limit(vehicle: Vehicle) -> Vehicle:
+def _remove_limit(vehicle: Vehicle) -> Vehicle:
     return replace(vehicle, limit=math.inf)
 
 
-def parallel_auction(
+def run_parallel_auction(
     robot: int, vehicle: Vehicle, free: list[int], diameter: int
 ) -> Exchange[tuple[Nodes, tuple[int, ...]]]:
     """Return this robot's route and the tasks that no robot can serve.
@@ -144,7 +147,7 @@ def parallel_auction(
         bids = {
             j: [-extra[0], robot] for j, extra in found.items() if extra is not None
         }
-        best = yield from highest_bids(bids, diameter)
+        best = yield from find_highest_bids(bids, diameter)
         if not best:
             break
         taken: dict[int, tuple[float, int]] = {}

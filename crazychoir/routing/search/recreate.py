@@ -5,29 +5,51 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from crazychoir.numerics.kernels import kernel
-from crazychoir.routing.search.insertion import cheapest
-from crazychoir.routing.search.ruin import draw, touch
-from crazychoir.routing.search.tours import OPTIONS, Tours, insert, refresh
+from crazychoir.routing.search.insertion import find_cheapest_insertion
+from crazychoir.routing.search.ruin import draw_fraction, save_route
+from crazychoir.routing.search.tours import (
+    KERNEL_OPTIONS,
+    Tours,
+    insert_task,
+    refresh_route,
+)
 from crazychoir.types import Bools, Ints, Mat, Vec, Words
 
-BLINK = 0.05
-"""Probability that the cheapest place is skipped."""
-SERVE = 0.4
-"""Probability that a task is served although refusing it is cheaper."""
-REFUSE = 0.05
-"""Probability that a task is refused although serving it is cheaper."""
-NONE = -9
+
+class InsertionChances(NamedTuple):
+    """Probabilities of the random choices while tasks are put back."""
+
+    skip_place: float = 0.05
+    """Probability that the cheapest place is skipped."""
+    serve_task: float = 0.4
+    """Probability that a task is served although refusing it is cheaper."""
+    refuse_task: float = 0.05
+    """Probability that a task is refused although serving it is cheaper."""
+    order_weights: tuple[int, ...] = (4, 8, 10, 11, 13, 15, 17)
+    """Cumulative weights of the orders in which tasks are put back.
+
+    Only the first four orders are used if there are no windows.
+    """
+
+
+INSERTION_CHANCES = InsertionChances()
+
+
+NO_POSITION = -9
 """A position that means no place."""
-RANDOM, LOAD, FAR, CLOSE, WIDTH, OPENING, CLOSING = range(7)
+(
+    RANDOM_ORDER,
+    LOAD_ORDER,
+    FARTHEST_ORDER,
+    CLOSEST_ORDER,
+    WINDOW_WIDTH_ORDER,
+    OPENING_TIME_ORDER,
+    CLOSING_TIME_ORDER,
+) = range(7)
 """Orders in which tasks are put back: at random, or by one of the traits of Fleet."""
-ORDERS = (4, 8, 10, 11, 13, 15, 17)
-"""Cumulative weights of the orders in which tasks are put back.
-
-Only the first four orders are used if there are no windows.
-"""
 
 
-class Memory(NamedTuple):
+class InsertionMemory(NamedTuple):
     """Known cheapest places of tasks, and scratch arrays."""
 
     cost: Mat
@@ -41,12 +63,12 @@ class Memory(NamedTuple):
     rank: Vec
     """(M,) scratch: values by which they are ordered."""
     extra: Mat
-    """(2, L) scratch of `cheapest`."""
+    """(2, L) scratch of `find_cheapest_insertion`."""
     closed: Bools
     """(K,): vehicles that must not be used."""
 
     @classmethod
-    def of(cls, tours: Tours, closed: Bools) -> "Memory":
+    def of(cls, tours: Tours, closed: Bools) -> "InsertionMemory":
         """Return an empty memory; the search may close more vehicles than `closed`."""
         (k, length), m = tours.stop.shape, len(tours.at)
         unknown = np.full((m, k), -1, np.int64)
@@ -59,21 +81,23 @@ class Memory(NamedTuple):
 
 
 @kernel(_nrt=False)
-def recreate(fleet: Any, tours: Any, step: Any, memory: Any, random: Words) -> None:
+def insert_missing_tasks(
+    fleet: Any, tours: Any, step: Any, memory: Any, random: Words
+) -> None:
     """Insert the tasks without a vehicle one after the other, each at its cheapest place.
 
     Sometimes the next best place is taken instead.
     """
-    for b in range(_order(fleet, tours, memory, random)):
+    for b in range(_fill_bank(fleet, tours, memory, random)):
         j = memory.bank[b]
-        best = _most(fleet, tours, random, j)
+        best = _bound_insertion_cost(fleet, tours, random, j)
         vehicle = -1
         first = 0
         second = 0
         for k in range(len(fleet.start)):
             if memory.closed[k] or _has_twin(fleet, tours, memory, k):
                 continue
-            cost, at_first, at_second = _best_place(
+            cost, at_first, at_second = _find_best_place(
                 fleet, tours, memory, random, j, k, best
             )
             if cost < best:
@@ -82,12 +106,12 @@ def recreate(fleet: Any, tours: Any, step: Any, memory: Any, random: Words) -> N
                 first = at_first
                 second = at_second
         if vehicle >= 0:
-            touch(tours, step, vehicle)
-            insert(fleet, tours, vehicle, j, first, second)
+            save_route(tours, step, vehicle)
+            insert_task(fleet, tours, vehicle, j, first, second)
 
 
-@kernel(**OPTIONS)
-def _most(fleet: Any, tours: Any, random: Words, j: int) -> Any:
+@kernel(**KERNEL_OPTIONS)
+def _bound_insertion_cost(fleet: Any, tours: Any, random: Words, j: int) -> Any:
     """Return the largest cost at which task j is inserted.
 
     Sometimes a task that can be refused is served even if that costs more, because two such tasks
@@ -96,20 +120,20 @@ def _most(fleet: Any, tours: Any, random: Words, j: int) -> Any:
     """
     if fleet.penalty[j] == np.inf:
         return np.inf
-    u = draw(random)
-    if u < SERVE:
+    u = draw_fraction(random)
+    if u < INSERTION_CHANCES.serve_task:
         return np.inf
     if fleet.on_finish == 0.0:
         return fleet.penalty[j]
     finish = 0.0
     for k in range(len(fleet.start)):
         finish = max(finish, tours.finish[k])
-    if u > 1.0 - REFUSE and fleet.penalty[j] < finish:
+    if u > 1.0 - INSERTION_CHANCES.refuse_task and fleet.penalty[j] < finish:
         return -np.inf
     return fleet.penalty[j] + fleet.on_finish * finish
 
 
-@kernel(**OPTIONS)
+@kernel(**KERNEL_OPTIONS)
 def _has_twin(fleet: Any, tours: Any, memory: Any, k: int) -> bool:
     """Return whether k is empty and an earlier identical vehicle is too: one of them is enough."""
     twin = fleet.twin[k]
@@ -121,8 +145,8 @@ def _has_twin(fleet: Any, tours: Any, memory: Any, k: int) -> bool:
     )
 
 
-@kernel(**OPTIONS)
-def _best_place(
+@kernel(**KERNEL_OPTIONS)
+def _find_best_place(
     fleet: Any, tours: Any, memory: Any, random: Words, j: int, k: int, best: float
 ) -> Any:
     """Return cost and places of task j in route k; sometimes of the next best place.
@@ -130,13 +154,18 @@ def _best_place(
     They come from memory if the route has not changed.
     """
     if memory.version[j, k] != tours.version[k]:
-        cost, first, second = cheapest(fleet, tours, memory.extra, j, k, NONE, NONE)
+        cost, first, second = find_cheapest_insertion(
+            fleet, tours, memory.extra, j, k, NO_POSITION, NO_POSITION
+        )
         memory.cost[j, k] = cost
         memory.version[j, k] = tours.version[k]
         memory.place[j, k, 0] = first
         memory.place[j, k, 1] = second
-    if memory.cost[j, k] < best and draw(random) < BLINK:
-        return cheapest(
+    if (
+        memory.cost[j, k] < best
+        and draw_fraction(random) < INSERTION_CHANCES.skip_place
+    ):
+        return find_cheapest_insertion(
             fleet,
             tours,
             memory.extra,
@@ -148,18 +177,27 @@ def _best_place(
     return memory.cost[j, k], memory.place[j, k, 0], memory.place[j, k, 1]
 
 
-@kernel(**OPTIONS)
-def _order(fleet: Any, tours: Any, memory: Any, random: Words) -> int:
+@kernel(**KERNEL_OPTIONS)
+def _fill_bank(fleet: Any, tours: Any, memory: Any, random: Words) -> int:
     """Fill the bank in a random kind of order, goods that are aboard first; return their number."""
-    choice = int(draw(random) * (ORDERS[-1] if fleet.timed else ORDERS[3]))
+    choice = int(
+        draw_fraction(random)
+        * (
+            INSERTION_CHANCES.order_weights[-1]
+            if fleet.timed
+            else INSERTION_CHANCES.order_weights[3]
+        )
+    )
     order = 0
     n = 0
-    while choice >= ORDERS[order]:
+    while choice >= INSERTION_CHANCES.order_weights[order]:
         order += 1
     for j in range(len(fleet.load)):
         if tours.at[j] >= 0:
             continue
-        rank = -np.inf if fleet.carrier[j] >= 0 else _rank(fleet, random, order, j)
+        rank = (
+            -np.inf if fleet.carrier[j] >= 0 else _compute_rank(fleet, random, order, j)
+        )
         at = n
         while at > 0 and memory.rank[at - 1] > rank:
             memory.rank[at], memory.bank[at] = memory.rank[at - 1], memory.bank[at - 1]
@@ -170,36 +208,36 @@ def _order(fleet: Any, tours: Any, memory: Any, random: Words) -> int:
     return n
 
 
-@kernel(**OPTIONS)
-def _rank(fleet: Any, random: Words, order: int, j: int) -> Any:
-    if order == RANDOM:
-        return draw(random)
-    if order == LOAD:
+@kernel(**KERNEL_OPTIONS)
+def _compute_rank(fleet: Any, random: Words, order: int, j: int) -> Any:
+    if order == RANDOM_ORDER:
+        return draw_fraction(random)
+    if order == LOAD_ORDER:
         return -fleet.traits[j, 0]
-    if order == FAR:
+    if order == FARTHEST_ORDER:
         return -fleet.traits[j, 1]
-    if order == CLOSING:
+    if order == CLOSING_TIME_ORDER:
         return -fleet.traits[j, 4]
     return fleet.traits[j, order - 2]
 
 
 @kernel(_nrt=False)
-def take_back(fleet: Any, tours: Any, step: Any) -> None:
+def restore_routes(fleet: Any, tours: Any, step: Any) -> None:
     """Restore the routes that this step touched."""
     for t in range(step.counts[0]):
-        _assign(fleet, tours, step.touched[t], -1)
+        _assign_tasks(fleet, tours, step.touched[t], -1)
     for t in range(step.counts[0]):
         k = step.touched[t]
         tours.stops[k] = step.stops[k]
         tours.version[k] = step.version[k]
         for pos in range(step.stops[k] + 2):
             tours.stop[k, pos] = step.stop[k, pos]
-        _assign(fleet, tours, k, k)
-        refresh(fleet, tours, k)
+        _assign_tasks(fleet, tours, k, k)
+        refresh_route(fleet, tours, k)
 
 
-@kernel(**OPTIONS)
-def _assign(fleet: Any, tours: Any, k: int, vehicle: int) -> None:
+@kernel(**KERNEL_OPTIONS)
+def _assign_tasks(fleet: Any, tours: Any, k: int, vehicle: int) -> None:
     """Assign the tasks of route k to the vehicle."""
     m = len(fleet.load)
     for pos in range(1, tours.stops[k] + 1):

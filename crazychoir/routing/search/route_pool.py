@@ -8,13 +8,13 @@ from crazychoir.numerics.kernels import kernel
 from crazychoir.routing.search.tours import Fleet, Tours
 from crazychoir.types import Ints, Vec, Words
 
-PLACES = 4096
+POOL_SIZE = 4096
 """Largest number of stored routes; a power of two."""
-WAYS = 4
+PROBED_PLACES = 4
 """Number of places where a route may be stored."""
 
 
-class Pool(NamedTuple):
+class RoutePool(NamedTuple):
     """Known routes, in P places; P is a power of two."""
 
     key: Words
@@ -33,19 +33,19 @@ class Pool(NamedTuple):
     """(M + K,): random words from which keys are made."""
 
     @classmethod
-    def of(cls, fleet: Fleet, tours: Tours) -> "Pool":
+    def of(cls, fleet: Fleet, tours: Tours) -> "RoutePool":
         """Return an empty pool."""
-        zero = np.zeros(PLACES, np.int64)
-        words = np.zeros(PLACES, np.uint64)
+        zero = np.zeros(POOL_SIZE, np.int64)
+        words = np.zeros(POOL_SIZE, np.uint64)
         # Any fixed words will do if the exclusive or of different subsets differs.
         draw = np.random.default_rng(0)
         sign = draw.integers(1, 2**64, len(fleet.load) + len(fleet.start), np.uint64)
-        stop = np.zeros((PLACES, tours.stop.shape[1]), np.int64)
-        return cls(words, zero - 1, np.zeros(PLACES), zero, stop, zero.copy(), sign)
+        stop = np.zeros((POOL_SIZE, tours.stop.shape[1]), np.int64)
+        return cls(words, zero - 1, np.zeros(POOL_SIZE), zero, stop, zero.copy(), sign)
 
 
 @kernel(_nrt=False)
-def remember(fleet: Any, tours: Any, pool: Any, k: int, now: int) -> None:
+def store_route(fleet: Any, tours: Any, pool: Any, k: int, now: int) -> None:
     """Store route k if it is new or cheaper than the stored one of the same tasks.
 
     The oldest route makes room.
@@ -62,7 +62,7 @@ def remember(fleet: Any, tours: Any, pool: Any, k: int, now: int) -> None:
             key ^= pool.sign[v - m]
     place = np.int64(key & np.uint64(last))
     home = place
-    for ahead in range(WAYS):
+    for ahead in range(PROBED_PLACES):
         at = (home + ahead) & last
         if pool.vehicle[at] < 0 or pool.key[at] == key:
             place = at

@@ -6,28 +6,36 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from crazychoir.routing.instance.vehicle import TOTAL, Vehicle
-from crazychoir.routing.search.annealing import Best, anneal
-from crazychoir.routing.search.fleet import fleet_of
-from crazychoir.routing.search.recreate import Memory
-from crazychoir.routing.search.route_pool import Pool
-from crazychoir.routing.search.ruin import Step
-from crazychoir.routing.search.set_partitioning import assemble
+from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES, Vehicle
+from crazychoir.routing.search.annealing import BestTours, anneal_tours
+from crazychoir.routing.search.fleet import build_fleet
+from crazychoir.routing.search.recreate import InsertionMemory
+from crazychoir.routing.search.route_pool import RoutePool
+from crazychoir.routing.search.ruin import SearchStep
+from crazychoir.routing.search.set_partitioning import assemble_plan
 from crazychoir.routing.search.tours import Tours
 from crazychoir.types import Bools, Vec, Words
 
-HOT = 0.5
-"""First temperature, as a share of the median distance of a route with one task."""
-FLEET_HOT = 0.02
-"""First temperature while the search leaves vehicles out, as the same share."""
-AVERAGE = 10.0
-"""Stops that a step removes on average."""
-ROUNDS = 2
-"""Number of times that set partitioning combines the known routes into a new plan."""
+
+@dataclass(frozen=True, slots=True)
+class SearchDefaults:
+    """Default parameters of ruin and recreate."""
+
+    first_temperature: float = 0.5
+    """First temperature, as a share of the median distance of a route with one task."""
+    fleet_temperature: float = 0.02
+    """First temperature while the search leaves vehicles out, as the same share."""
+    removed_stops: float = 10.0
+    """Stops that a step removes on average."""
+    partitioning_rounds: int = 2
+    """Number of times that set partitioning combines the known routes into a new plan."""
+
+
+SEARCH_DEFAULTS = SearchDefaults()
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundPlan:
     """A plan.
 
     total = sum of distances and fixed costs of the vehicles that leave
@@ -42,23 +50,23 @@ class Found:
     """m: see above."""
     finish: float
     """s: when the last vehicle is done."""
-    pool: Pool = field(repr=False)
+    pool: RoutePool = field(repr=False)
     """The routes that the search has seen."""
 
 
-def search(
+def search_plan(
     vehicles: Sequence[Vehicle],
     routes: Sequence[Sequence[int]],
     penalty: Vec,
     steps: int,
     seed: int,
     *,
-    objective: Sequence[str] = (TOTAL,),
+    objective: Sequence[str] = (OBJECTIVE_NAMES.total,),
     fleet_steps: int | None = None,
-    hot: float = HOT,
-    average: float = AVERAGE,
-    rounds: int = ROUNDS,
-) -> Found:
+    hot: float = SEARCH_DEFAULTS.first_temperature,
+    average: float = SEARCH_DEFAULTS.removed_stops,
+    rounds: int = SEARCH_DEFAULTS.partitioning_rounds,
+) -> FoundPlan:
     """Return the best plan that ruin and recreate finds from `routes`.
 
     The given routes may be empty or infeasible. Tasks that must be served can be in `unserved`:
@@ -79,7 +87,7 @@ def search(
     Source: Christiaens & Vanden Berghe 2020, Transportation Science 54(2), "Slack induction by
     string removals".
     """
-    return Search(vehicles, penalty, objective).run(
+    return PlanSearch(vehicles, penalty, objective).run(
         routes,
         steps,
         seed,
@@ -90,16 +98,19 @@ def search(
     )
 
 
-class Search:
-    """The search of `search`, for several runs on the same vehicles."""
+class PlanSearch:
+    """The search of `search_plan`, for several runs on the same vehicles."""
 
     def __init__(
         self,
         vehicles: Sequence[Vehicle],
         penalty: Vec,
-        objective: Sequence[str] = (TOTAL,),
+        objective: Sequence[str] = (OBJECTIVE_NAMES.total,),
     ) -> None:
-        self._vehicles, self._fleet = vehicles, fleet_of(vehicles, penalty, objective)
+        self._vehicles, self._fleet = (
+            vehicles,
+            build_fleet(vehicles, penalty, objective),
+        )
         self._scale = (
             float(np.median(self._fleet.traits[:, 1])) if vehicles[0].tasks else 0.0
         )
@@ -111,23 +122,30 @@ class Search:
         seed: int,
         *,
         fleet_steps: int | None = None,
-        hot: float = HOT,
-        average: float = AVERAGE,
-        rounds: int = ROUNDS,
+        hot: float = SEARCH_DEFAULTS.first_temperature,
+        average: float = SEARCH_DEFAULTS.removed_stops,
+        rounds: int = SEARCH_DEFAULTS.partitioning_rounds,
         closed: Sequence[int] = (),
-    ) -> Found:
-        """Run the search, see `search`; closed: vehicles that must not leave."""
+    ) -> FoundPlan:
+        """Run the search, see `search_plan`; closed: vehicles that must not leave."""
         fleet = self._fleet
         shut = np.zeros(len(self._fleet.start), np.bool_)
         shut[list(closed)] = True
         tours = Tours.of(fleet, routes)
         random = np.array([seed], np.uint64)
-        pool = Pool.of(fleet, tours)
+        pool = RoutePool.of(fleet, tours)
         if fleet_steps is None:
             fleet_steps = steps if fleet.fixed.min() > fleet.traits[:, 1].sum() else 0
         if fleet_steps:
             tours = self._anneal(
-                tours, pool, random, shut, fleet_steps, FLEET_HOT, average, fewer=True
+                tours,
+                pool,
+                random,
+                shut,
+                fleet_steps,
+                SEARCH_DEFAULTS.fleet_temperature,
+                average,
+                fewer=True,
             )
             shut |= self._needless(tours)
         for _ in range(rounds):
@@ -135,13 +153,13 @@ class Search:
                 tours, pool, random, shut, steps // rounds, hot, average
             )
             if rounds > 1 and not fleet.on_finish:
-                tours = assemble(fleet, pool, tours, shut)
+                tours = assemble_plan(fleet, pool, tours, shut)
         return self._found(tours, pool)
 
     def _anneal(
         self,
         tours: Tours,
-        pool: Pool,
+        pool: RoutePool,
         random: Words,
         shut: Bools,
         steps: int,
@@ -149,9 +167,9 @@ class Search:
         average: float,
         fewer: bool = False,
     ) -> Tours:
-        step = Step.of(tours)
-        memory = Memory.of(tours, shut)
-        best = Best.of(tours)
+        step = SearchStep.of(tours)
+        memory = InsertionMemory.of(tours, shut)
+        best = BestTours.of(tours)
         absence = np.zeros(len(tours.at))
         scaled = hot * self._scale
         fleet = self._fleet
@@ -160,7 +178,7 @@ class Search:
         ):  # do not leave a vehicle out by refusing a task that is worth a vehicle
             dear = np.where(fleet.penalty > fleet.fixed.min(), np.inf, fleet.penalty)
             fleet = fleet._replace(penalty=dear)
-        anneal(
+        anneal_tours(
             fleet,
             tours,
             step,
@@ -187,7 +205,7 @@ class Search:
             return stays
         return np.asarray(stays & np.isin(self._fleet.twin, self._fleet.twin[~stays]))
 
-    def _found(self, tours: Tours, pool: Pool) -> Found:
+    def _found(self, tours: Tours, pool: RoutePool) -> FoundPlan:
         penalty = self._fleet.penalty
         end = 2 * len(tours.at) + 1
         routes = [
@@ -204,7 +222,7 @@ class Search:
                 *penalty[unserved].tolist(),
             ]
         )
-        return Found(
+        return FoundPlan(
             routes,
             unserved,
             total,

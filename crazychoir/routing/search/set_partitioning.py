@@ -6,18 +6,18 @@ from typing import NamedTuple
 import highspy
 import numpy as np
 
-from crazychoir.optimization.problems.linear import quiet_highs
-from crazychoir.routing.search.route_pool import Pool
-from crazychoir.routing.search.tours import Fleet, Tours, refresh
+from crazychoir.optimization.problems.linear import make_quiet_highs
+from crazychoir.routing.search.route_pool import RoutePool
+from crazychoir.routing.search.tours import Fleet, Tours, refresh_route
 from crazychoir.types import Bools, Ints, Vec
 
-MOST = 250
+MOST_COMBINED_ROUTES = 250
 """Largest number of routes in the integer program."""
-NODES = 50
+MOST_PARTITIONING_NODES = 50
 """Largest number of nodes of its search."""
 
 
-class _Columns(NamedTuple):
+class _SparseColumns(NamedTuple):
     """Columns as a sparse matrix.
 
     The rows of column c are row[start[c] : start[c + 1]]: its tasks, then M + its kind of vehicle.
@@ -30,14 +30,14 @@ class _Columns(NamedTuple):
     row: Ints
     """Row numbers of all columns, one column after the other."""
 
-    def only(self, chosen: Ints) -> "_Columns":
+    def only(self, chosen: Ints) -> "_SparseColumns":
         parts = [self.row[self.start[c] : self.start[c + 1]] for c in chosen]
-        return _Columns(
+        return _SparseColumns(
             self.cost[chosen], np.cumsum([0, *map(len, parts)]), np.concatenate(parts)
         )
 
 
-def assemble(fleet: Fleet, pool: Pool, tours: Tours, closed: Bools) -> Tours:
+def assemble_plan(fleet: Fleet, pool: RoutePool, tours: Tours, closed: Bools) -> Tours:
     """Return a plan of routes of the pool that costs less than `tours`; `tours` if none is found.
 
         min  sum_c cost_c x_c + sum_j penalty_j v_j
@@ -54,31 +54,32 @@ def assemble(fleet: Fleet, pool: Pool, tours: Tours, closed: Bools) -> Tours:
     closed: (K,) vehicles that must not leave.
     """
     chosen = np.flatnonzero(pool.vehicle >= 0)
-    vehicle = _vehicle_cost(fleet, pool, tours, chosen)
-    columns = _columns(fleet, pool, chosen, vehicle)
-    cost = _cost(fleet, tours, vehicle)
-    relaxation = _model(fleet, columns, closed)
+    vehicle = _price_vehicles(fleet, pool, tours, chosen)
+    columns = _build_columns(fleet, pool, chosen, vehicle)
+    cost = _compute_plan_cost(fleet, tours, vehicle)
+    relaxation = _build_linear_program(fleet, columns, closed)
     relaxation.run()
     if relaxation.getModelStatus() != highspy.HighsModelStatus.kOptimal:
         return tours
     reduced = np.array(relaxation.getSolution().col_dual)[: len(chosen)]
     gap = cost - relaxation.getObjectiveValue()
-    near = np.argsort(reduced, kind="stable")[:MOST]
+    near = np.argsort(reduced, kind="stable")[:MOST_COMBINED_ROUTES]
     near = np.sort(near[reduced[near] <= gap])
     if gap <= 0.0 or not len(near):
         return tours
-    taken = _integer(fleet, columns.only(near), cost, closed)
+    taken = _solve_integer_program(fleet, columns.only(near), cost, closed)
     if taken is None:
         return tours
-    found = _plan(fleet, pool, chosen[near[taken]], closed)
+    found = _build_tours(fleet, pool, chosen[near[taken]], closed)
     return (
         tours
-        if fleet.counted and _worth(fleet, found) >= _worth(fleet, tours)
+        if fleet.counted
+        and _compute_plan_values(fleet, found) >= _compute_plan_values(fleet, tours)
         else found
     )
 
 
-def _vehicle_cost(fleet: Fleet, pool: Pool, tours: Tours, chosen: Ints) -> Vec:
+def _price_vehicles(fleet: Fleet, pool: RoutePool, tours: Tours, chosen: Ints) -> Vec:
     """Return (K,) m: cost of each vehicle that leaves, in the program."""
     if not fleet.counted:
         return fleet.fixed
@@ -90,14 +91,16 @@ def _vehicle_cost(fleet: Fleet, pool: Pool, tours: Tours, chosen: Ints) -> Vec:
     return np.minimum(fleet.fixed, 1.0 + np.count_nonzero(left) * longest)
 
 
-def _worth(fleet: Fleet, tours: Tours) -> tuple[float, int, float]:
+def _compute_plan_values(fleet: Fleet, tours: Tours) -> tuple[float, int, float]:
     """Return penalties, vehicles, length: these compare plans if vehicles are counted."""
     left = tours.stops > 0
     penalties = sum(fleet.penalty[tours.at < 0].tolist(), 0.0)
     return penalties, int(np.count_nonzero(left)), sum(tours.length[left].tolist(), 0.0)
 
 
-def _columns(fleet: Fleet, pool: Pool, chosen: Ints, vehicle: Vec) -> _Columns:
+def _build_columns(
+    fleet: Fleet, pool: RoutePool, chosen: Ints, vehicle: Vec
+) -> _SparseColumns:
     m = len(fleet.load)
     rows = []
     for p in chosen:
@@ -111,14 +114,14 @@ def _columns(fleet: Fleet, pool: Pool, chosen: Ints, vehicle: Vec) -> _Columns:
     cost = pool.cost[chosen]
     if fleet.counted:
         cost = cost - fleet.fixed[pool.vehicle[chosen]] + vehicle[pool.vehicle[chosen]]
-    return _Columns(
+    return _SparseColumns(
         cost,
         np.cumsum([0, *map(len, rows)]),
         np.array([r for row in rows for r in row]),
     )
 
 
-def _cost(fleet: Fleet, tours: Tours, vehicle: Vec) -> float:
+def _compute_plan_cost(fleet: Fleet, tours: Tours, vehicle: Vec) -> float:
     """Return the cost in m; inf if a task is missing.
 
     It is the sum of distances, vehicles that leave and penalties, added in this order.
@@ -134,14 +137,16 @@ def _cost(fleet: Fleet, tours: Tours, vehicle: Vec) -> float:
     )
 
 
-def _model(fleet: Fleet, columns: _Columns, closed: Bools) -> highspy.Highs:
+def _build_linear_program(
+    fleet: Fleet, columns: _SparseColumns, closed: Bools
+) -> highspy.Highs:
     """Return the linear program.
 
     Rows: tasks, then the number of vehicles of each kind. Columns: the routes, then refusals.
     """
     m = len(fleet.load)
     k = len(fleet.start)
-    highs = quiet_highs()
+    highs = make_quiet_highs()
     empty = (np.array([], np.int32), np.array([]))
     for _ in range(m):
         highs.addRow(1.0, 1.0, 0, *empty)
@@ -159,16 +164,16 @@ def _model(fleet: Fleet, columns: _Columns, closed: Bools) -> highspy.Highs:
     return highs
 
 
-def _integer(
-    fleet: Fleet, columns: _Columns, below: float, closed: Bools
+def _solve_integer_program(
+    fleet: Fleet, columns: _SparseColumns, below: float, closed: Bools
 ) -> Ints | None:
     """Return the columns of a solution that costs less than `below`, None if none is found."""
-    highs = _model(fleet, columns, closed)
+    highs = _build_linear_program(fleet, columns, closed)
     index = np.arange(highs.getNumCol(), dtype=np.int32)
     kinds = np.full(len(index), int(highspy.HighsVarType.kInteger), np.uint8)
     highs.changeColsIntegrality(len(index), index, kinds)
     highs.setOptionValue("mip_rel_gap", 0.0)
-    highs.setOptionValue("mip_max_nodes", NODES)
+    highs.setOptionValue("mip_max_nodes", MOST_PARTITIONING_NODES)
     highs.setOptionValue("objective_bound", below)
     highs.run()
     if highs.getInfo().primal_solution_status != int(
@@ -182,7 +187,7 @@ def _integer(
     )
 
 
-def _plan(fleet: Fleet, pool: Pool, taken: Ints, closed: Bools) -> Tours:
+def _build_tours(fleet: Fleet, pool: RoutePool, taken: Ints, closed: Bools) -> Tours:
     """Return a plan of the routes of the pool at these places, each by a vehicle of its kind."""
     free = [
         list(np.flatnonzero((fleet.twin == kind) & ~closed))
@@ -195,5 +200,5 @@ def _plan(fleet: Fleet, pool: Pool, taken: Ints, closed: Bools) -> Tours:
         ].tolist()
     tours = Tours.of(fleet, routes)
     for k in range(len(routes)):
-        refresh(fleet, tours, k)
+        refresh_route(fleet, tours, k)
     return tours

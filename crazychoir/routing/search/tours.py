@@ -13,7 +13,7 @@ Box = npt.NDArray[np.float64]
 """Array of three dimensions."""
 # Pieces of the search are inlined. They make no arrays, so that reference counting, which took four
 # fifths of the time of an insertion, is switched off.
-OPTIONS = {"forceinline": True, "_nrt": False}
+KERNEL_OPTIONS = {"forceinline": True, "_nrt": False}
 
 
 class Fleet(NamedTuple):
@@ -107,7 +107,7 @@ class Tours(NamedTuple):
 
     @classmethod
     def of(cls, fleet: Fleet, routes: Sequence[Any]) -> "Tours":
-        """Return these stops of each vehicle; `refresh` computes the rest."""
+        """Return these stops of each vehicle; `refresh_route` computes the rest."""
         k = len(fleet.start)
         m = len(fleet.load)
         length = 3 * m + 4  # each trip has a task
@@ -137,20 +137,20 @@ class Tours(NamedTuple):
         )
 
 
-@kernel(**OPTIONS)
-def way(fleet: Any, u: int, v: int, w: int) -> Any:
+@kernel(**KERNEL_OPTIONS)
+def look_up_distance(fleet: Any, u: int, v: int, w: int) -> Any:
     """Return the distance in m from v to w."""
     return fleet.distance[u, v, w]
 
 
-@kernel(**OPTIONS)
-def begins(fleet: Any, u: int, t: float, v: int, w: int) -> Any:
+@kernel(**KERNEL_OPTIONS)
+def compute_service_begin(fleet: Any, u: int, t: float, v: int, w: int) -> Any:
     """Return when service at w begins, in s, if service at v began at t."""
     return max(fleet.earliest[u, w], t + fleet.duration[u, v, w])
 
 
 @kernel(_nrt=False)
-def refresh(fleet: Any, tours: Any, k: int) -> None:
+def refresh_route(fleet: Any, tours: Any, k: int) -> None:
     """Compute all values of route k from its stops."""
     m = len(fleet.load)
     n = tours.stops[k]
@@ -164,7 +164,7 @@ def refresh(fleet: Any, tours: Any, k: int) -> None:
     for pos in range(1, n + 2):
         v = w
         w = tours.stop[k, pos]
-        trip += way(fleet, u, v, w)
+        trip += look_up_distance(fleet, u, v, w)
         load = tours.load[k, pos - 1]
         if w < m:
             load += fleet.load[w]
@@ -180,11 +180,11 @@ def refresh(fleet: Any, tours: Any, k: int) -> None:
         tours.load[k, pos] = load
     tours.length[k] = total if n > 0 else 0.0
     if fleet.timed:
-        _refresh_times(fleet, tours, k)
+        _refresh_route_times(fleet, tours, k)
 
 
-@kernel(**OPTIONS)
-def _refresh_times(fleet: Any, tours: Any, k: int) -> None:
+@kernel(**KERNEL_OPTIONS)
+def _refresh_route_times(fleet: Any, tours: Any, k: int) -> None:
     n = tours.stops[k]
     u = fleet.kind[k]
     w = tours.stop[k, 0]
@@ -193,7 +193,7 @@ def _refresh_times(fleet: Any, tours: Any, k: int) -> None:
     for pos in range(1, n + 2):
         v = w
         w = tours.stop[k, pos]
-        t = begins(fleet, u, t, v, w)
+        t = compute_service_begin(fleet, u, t, v, w)
         tours.begin[k, pos] = t
     tours.finish[k] = t if n > 0 else 0.0
     t = fleet.latest[u, w]
@@ -206,7 +206,7 @@ def _refresh_times(fleet: Any, tours: Any, k: int) -> None:
 
 
 @kernel(_nrt=False)
-def feasible(fleet: Any, tours: Any, k: int) -> bool:
+def is_route_feasible(fleet: Any, tours: Any, k: int) -> bool:
     """Return whether route k, refreshed, keeps capacity, limit and windows."""
     for pos in range(tours.stops[k] + 1):
         if tours.load[k, pos] > fleet.capacity[k] or tours.room[k, pos] < 0.0:
@@ -217,7 +217,7 @@ def feasible(fleet: Any, tours: Any, k: int) -> bool:
 
 
 @kernel(_nrt=False)
-def drop(fleet: Any, tours: Any, k: int, gone: Any) -> None:
+def drop_tasks(fleet: Any, tours: Any, k: int, gone: Any) -> None:
     """Remove the tasks marked in `gone` (M,) and empty trips from route k; refresh it."""
     m = len(fleet.load)
     end = fleet.end[k]
@@ -237,18 +237,20 @@ def drop(fleet: Any, tours: Any, k: int, gone: Any) -> None:
         kept -= 1
     tours.stop[k, kept + 1] = end
     tours.stops[k] = kept
-    refresh(fleet, tours, k)
+    refresh_route(fleet, tours, k)
 
 
-@kernel(**OPTIONS)
-def _shift(tours: Any, k: int, last: int, first: int, by: int) -> None:
+@kernel(**KERNEL_OPTIONS)
+def _shift_stops(tours: Any, k: int, last: int, first: int, by: int) -> None:
     """Move positions first + 1..last of route k by `by` positions to the right."""
     for pos in range(last, first, -1):
         tours.stop[k, pos + by] = tours.stop[k, pos]
 
 
 @kernel(_nrt=False)
-def insert(fleet: Any, tours: Any, k: int, j: int, first: int, second: int) -> None:
+def insert_task(
+    fleet: Any, tours: Any, k: int, j: int, first: int, second: int
+) -> None:
     """Insert task j into route k: its pickup after position `first`, its delivery after `second`.
 
     first, second: positions of the present route.
@@ -258,20 +260,20 @@ def insert(fleet: Any, tours: Any, k: int, j: int, first: int, second: int) -> N
     d = len(fleet.load) + j
     n = tours.stops[k]
     if second < 0:
-        _shift(tours, k, n + 1, first, 3)
+        _shift_stops(tours, k, n + 1, first, 3)
         tours.stop[k, first + 1] = j
         tours.stop[k, first + 2] = d
         tours.stop[k, first + 3] = fleet.end[k]
         tours.stops[k] = n + 3
     elif first < 0:
-        _shift(tours, k, n + 1, second, 1)
+        _shift_stops(tours, k, n + 1, second, 1)
         tours.stop[k, second + 1] = d
         tours.stops[k] = n + 1
     else:
-        _shift(tours, k, n + 1, second, 2)
+        _shift_stops(tours, k, n + 1, second, 2)
         tours.stop[k, second + 2] = d
-        _shift(tours, k, second, first, 1)
+        _shift_stops(tours, k, second, first, 1)
         tours.stop[k, first + 1] = j
         tours.stops[k] = n + 2
     tours.at[j] = k
-    refresh(fleet, tours, k)
+    refresh_route(fleet, tours, k)

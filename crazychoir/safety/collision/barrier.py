@@ -5,12 +5,14 @@ import math
 from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import Triple, dot
 
-EVEN = 0.05
-"""Speed in m/s that is added to both in `part`: of drones that hardly move each takes half."""
+EVEN_SHARE_SPEED = 0.05
+"""Speed in m/s that is added to both in `compute_yield_share`: of drones that hardly move each takes half."""
 
 
 @kernel()
-def approach(gap: float, brake: float, stiff: float) -> tuple[float, float]:
+def compute_closing_speed(
+    gap: float, brake: float, stiff: float
+) -> tuple[float, float]:
     """Return how fast a gap may close, m/s, and the slope of this speed over the gap, 1/s.
 
         s(g) = k g  up to g0 = alpha / k^2,   sqrt(2 alpha (g - g0 / 2))  beyond
@@ -31,7 +33,7 @@ def approach(gap: float, brake: float, stiff: float) -> tuple[float, float]:
 
 
 @kernel()
-def barrier(
+def compute_barrier_acceleration(
     r: Triple,
     w: Triple,
     gap: float,
@@ -49,22 +51,22 @@ def barrier(
     w: m/s, relative velocity, scaled by S
     gap: m, |r| - D
     unsure: m/s, by which they may close in faster than known
-    brake: m/s2, of both together, in s of `approach`
-    stiff: 1/s, in s of `approach`
+    brake: m/s2, of both together, in s of `compute_closing_speed`
+    stiff: 1/s, in s of `compute_closing_speed`
     gamma: 1/s
     Source: Borrmann, Wang, Ames & Egerstedt 2015, ADHS: the barrier; its derivative is derived
         here.
     """
     d = math.sqrt(dot(r, r))
     away = dot(r, w) / d
-    speed, slope = approach(gap, brake, stiff)
+    speed, slope = compute_closing_speed(gap, brake, stiff)
     return (
         -gamma * (speed + away - unsure) - slope * away - (dot(w, w) - away * away) / d
     )
 
 
 @kernel()
-def part(own: float, others: float) -> float:
+def compute_yield_share(own: float, others: float) -> float:
     """Return the share of a barrier's acceleration that one drone takes.
 
         c_i / (c_i + c_j),   c = EVEN + max(-speed, 0)
@@ -75,6 +77,6 @@ def part(own: float, others: float) -> float:
     own: m/s, speed of this drone away from the other
     others: m/s, speed of the other away from this one
     """
-    mine = EVEN + max(-own, 0.0)
-    theirs = EVEN + max(-others, 0.0)
+    mine = EVEN_SHARE_SPEED + max(-own, 0.0)
+    theirs = EVEN_SHARE_SPEED + max(-others, 0.0)
     return mine / (mine + theirs)

@@ -4,11 +4,11 @@ import math
 
 from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import Triple, dot
-from crazychoir.safety.collision.barrier import approach
+from crazychoir.safety.collision.barrier import compute_closing_speed
 
 
 @kernel()
-def cell(
+def compute_cell_acceleration(
     r: Triple,
     w: Triple,
     own: Triple,
@@ -31,8 +31,8 @@ def cell(
     own: m/s, S v_i
     gap: m, |r| - D
     unsure: m/s
-    brake: m/s2, of this drone, in s of `approach`
-    stiff: 1/s, in s of `approach`
+    brake: m/s2, of this drone, in s of `compute_closing_speed`
+    stiff: 1/s, in s of `compute_closing_speed`
     gamma: 1/s
     Source: Zhou, Wang, Bandyopadhyay & Schwager 2017, IEEE RA-L 2(2): the cells, there for places
         only.
@@ -40,7 +40,7 @@ def cell(
     d = math.sqrt(dot(r, r))
     closing = dot(r, w) / d
     away = dot(r, own) / d
-    speed, slope = approach(0.5 * gap, brake, stiff)
+    speed, slope = compute_closing_speed(0.5 * gap, brake, stiff)
     return (
         -gamma * (speed + away - unsure)
         - 0.5 * slope * closing

@@ -1,89 +1,132 @@
 """The collision filter: the safe acceleration that is nearest to the wanted one."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from crazychoir.config.tables import Collision
+from crazychoir.config.tables import CollisionTable
 from crazychoir.numerics.kernels import kernel, memory, real, table, vector
 from crazychoir.numerics.math3d import Triple, clip, dot
-from crazychoir.safety.collision.barrier import approach, barrier, part
-from crazychoir.safety.collision.cells import cell
-from crazychoir.safety.collision.deadlock import Side, turned
-from crazychoir.safety.collision.motion import late, length, resting, scaled, shrunk
-from crazychoir.safety.collision.neighbour_table import (
-    BORN,
-    BORNE,
-    GONE,
-    HEARD,
-    SHARE,
-    SILENT,
-    SLOW,
-    SOON,
-    USABLE,
-    Traffic,
+from crazychoir.safety.collision.barrier import (
+    compute_barrier_acceleration,
+    compute_closing_speed,
+    compute_yield_share,
 )
-from crazychoir.safety.collision.projection import nearest
-from crazychoir.safety.collision.relayed_states import Hearsay
+from crazychoir.safety.collision.cells import compute_cell_acceleration
+from crazychoir.safety.collision.deadlock import PassingSide, turn_sideways
+from crazychoir.safety.collision.motion import (
+    compute_norm,
+    limit_norm,
+    predict_braking,
+    predict_late_motion,
+    scale_difference,
+)
+from crazychoir.safety.collision.neighbour_table import (
+    NEIGHBOUR_AGES,
+    NEIGHBOUR_ROW,
+    SPEED_ALLOWANCE,
+    NeighbourTable,
+)
+from crazychoir.safety.collision.projection import find_nearest_point
+from crazychoir.safety.collision.relayed_states import RelayedStates
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.types import State, Vec
 
-MOST = 16
+MOST_NEIGHBOURS = 16
 """Largest number of others that count, the nearest ones."""
-STANDING = 0.08
-"""Height in m above the ground below which a drone counts as standing on the floor."""
-BODY = 0.15
-"""Distance in m to keep between the centres of two drones if one stands on the floor.
 
-At 0.137 m they would touch.
-"""
-BESIDE = 0.2
-"""Distance in m that a landing drone keeps from the centre of a drone on the floor."""
-NEAR = 0.5
-"""Distance in m between the ellipsoids of this drone and a silent one.
 
-Below it this drone brakes.
-"""
-LASTS = 0.15
-"""Seconds for which a drone is assumed to go on with its last command.
+class CollisionDistances(NamedTuple):
+    """Distances, m, that the collision filter keeps, or from which on it acts."""
 
-Two drones that predict each other further ahead evade each other for ever.
-"""
-HIDES = 2.0
-"""Longest time in s that a silent drone is assumed to fly on.
+    standing_height: float = 0.08
+    """Height in m above the ground below which a drone counts as standing on the floor."""
+    standing_drone: float = 0.15
+    """Distance in m to keep between the centres of two drones if one stands on the floor.
 
-Then it brakes because it does not receive the others' states.
-"""
-BRAKES = 4.0
-"""Braking gain k in 1/s: the deceleration as a multiple of the speed."""
-HOLDS = 0.2
-"""Speed in m/s below which a braking drone stays where it is."""
-FLOOR_GAP = 0.2
-"""Least height in m above the floor of a drone that gives way, unless it wants to be lower."""
-NEAR_WALL = 1.0
-"""Distance in m from a side of the fence within which that side counts."""
+    At 0.137 m they would touch.
+    """
+    landing_beside: float = 0.2
+    """Distance in m that a landing drone keeps from the centre of a drone on the floor."""
+    silent_drone: float = 0.5
+    """Distance in m between the ellipsoids of this drone and a silent one.
+
+    Below it this drone brakes.
+    """
+    floor_gap: float = 0.2
+    """Least height in m above the floor of a drone that gives way, unless it wants to be lower.
+    """
+    near_wall: float = 1.0
+    """Distance in m from a side of the fence within which that side counts."""
+
+
+COLLISION_DISTANCES = CollisionDistances()
+
+
+class BrakingModel(NamedTuple):
+    """How long a drone is assumed to go on, and how it then brakes."""
+
+    command_time: float = 0.15
+    """Seconds for which a drone is assumed to go on with its last command.
+
+    Two drones that predict each other further ahead evade each other for ever.
+    """
+    silent_flight_time: float = 2.0
+    """Longest time in s that a silent drone is assumed to fly on.
+
+    Then it brakes because it does not receive the others' states.
+    """
+    gain: float = 4.0
+    """Braking gain k in 1/s: the deceleration as a multiple of the speed."""
+    holding_speed: float = 0.2
+    """Speed in m/s below which a braking drone stays where it is."""
+
+
+BRAKING_MODEL = BrakingModel()
+
 
 # Indices of the figures f of the kernel:
 
 # LAG s, DELAY s
 # SX, SY, SZ: diagonal of S
 # WIDTH m: D
-# BRAKE m/s2, GAMMA 1/s, STIFF 1/s: of `barrier` and `cell`
+# BRAKE m/s2, GAMMA 1/s, STIFF 1/s: of `compute_barrier_acceleration` and `compute_cell_acceleration`
 # A_XY, A_Z m/s2: largest horizontal and vertical acceleration
-# TURN: sideways share of `turned`, with the sign of the side
+# TURN: sideways share of `turn_sideways`, with the sign of the side
 # RANGE m: distance within which others count
 # UNSURE m/s2: unknown acceleration of another drone
 # GROUND m: height of the ground
 # V_MAX m/s: largest speed of the others
-# CELLS: 1 for `cell`, 0 for `barrier`
+# CELLS: 1 for `compute_cell_acceleration`, 0 for `compute_barrier_acceleration`
 # WAITS: 0 while the drone lands, else 1
-LAG, DELAY, SX, SY, SZ, WIDTH, BRAKE, GAMMA, A_XY = range(9)
-A_Z, TURN, RANGE, UNSURE, GROUND, V_MAX, CELLS, STIFF, WAITS = range(9, 18)
+(
+    FIGURE_LAG,
+    FIGURE_DELAY,
+    FIGURE_SCALE_X,
+    FIGURE_SCALE_Y,
+    FIGURE_SCALE_Z,
+    FIGURE_WIDTH,
+    FIGURE_BRAKE,
+    FIGURE_GAMMA,
+    FIGURE_A_XY,
+) = range(9)
+(
+    FIGURE_A_Z,
+    FIGURE_TURN,
+    FIGURE_RANGE,
+    FIGURE_UNSURE,
+    FIGURE_GROUND,
+    FIGURE_V_MAX,
+    FIGURE_CELLS,
+    FIGURE_STIFFNESS,
+    FIGURE_WAITS,
+) = range(9, 18)
 """-"""
 
 
 @kernel()
-def _wanted(x: Vec, ref: Vec, gains: Vec, follow: float) -> Triple:
+def _compute_wanted(x: Vec, ref: Vec, gains: Vec, follow: float) -> Triple:
     """Return the acceleration that the controller would ask for, (3,) m/s2.
 
     a_d + follow (kp (p_d - p) + kv (v_d - v))
@@ -96,7 +139,7 @@ def _wanted(x: Vec, ref: Vec, gains: Vec, follow: float) -> Triple:
 
 
 @kernel()
-def _braking(x: Vec, v: Triple, limit: float, out: Vec) -> Triple:
+def _compute_braking(x: Vec, v: Triple, limit: float, out: Vec) -> Triple:
     """Return the acceleration that brings the drone to rest and keeps it there, (3,) m/s2.
 
         -k v - (k / 2)^2 (p - p_0)
@@ -105,14 +148,14 @@ def _braking(x: Vec, v: Triple, limit: float, out: Vec) -> Triple:
         against the wind
     out: out[5] is 1 while the drone holds p_0
     """
-    if out[5] == 0.0 and length((x[3], x[4], x[5])) < HOLDS:
+    if out[5] == 0.0 and compute_norm((x[3], x[4], x[5])) < BRAKING_MODEL.holding_speed:
         out[5] = 1.0
         out[6] = x[0]
         out[7] = x[1]
         out[8] = x[2]
-    k = BRAKES
-    stiff = 0.25 * BRAKES * BRAKES * out[5]
-    return shrunk(
+    k = BRAKING_MODEL.gain
+    stiff = 0.25 * BRAKING_MODEL.gain * BRAKING_MODEL.gain * out[5]
+    return limit_norm(
         (
             -k * v[0] - stiff * (x[0] - out[6]),
             -k * v[1] - stiff * (x[1] - out[7]),
@@ -123,7 +166,7 @@ def _braking(x: Vec, v: Triple, limit: float, out: Vec) -> Triple:
 
 
 @kernel()
-def _insert(
+def _insert_plane(
     planes: Vec, near: Vec, count: int, d: float, normal: Triple, b: float, row: int
 ) -> int:
     """Insert a half space among the nearest ones, in the order of d, and return their number.
@@ -136,8 +179,8 @@ def _insert(
     b: its right-hand side
     row: row of the other drone
     """
-    if count == MOST:
-        if d >= near[MOST - 1, 0]:
+    if count == MOST_NEIGHBOURS:
+        if d >= near[MOST_NEIGHBOURS - 1, 0]:
             return count
         count -= 1
     k = count
@@ -156,19 +199,19 @@ def _insert(
 
 
 @kernel()
-def _wall(gap: float, away: float, f: Vec) -> float:
+def _compute_wall_bound(gap: float, away: float, f: Vec) -> float:
     """Return the least acceleration away from a wall, m/s2.
 
     gap: m, from the wall
-    away: m/s, speed away from the wall, as in `barrier`
+    away: m/s, speed away from the wall, as in `compute_barrier_acceleration`
     f: the figures
     """
-    speed, slope = approach(gap, f[BRAKE], f[STIFF])
-    return float(-f[GAMMA] * (speed + away) - slope * away)
+    speed, slope = compute_closing_speed(gap, f[FIGURE_BRAKE], f[FIGURE_STIFFNESS])
+    return float(-f[FIGURE_GAMMA] * (speed + away) - slope * away)
 
 
 @kernel()
-def _box(planes: Vec, floor: float, f: Vec) -> None:
+def _fill_box(planes: Vec, floor: float, f: Vec) -> None:
     """Set rows 0 to 5: the accelerations that the drone can fly and that keep it above the floor.
 
     planes: (., 4): the half spaces
@@ -181,12 +224,12 @@ def _box(planes: Vec, floor: float, f: Vec) -> None:
             for n in range(3):
                 planes[k, n] = 0.0
             planes[k, c] = 1.0 - 2.0 * side
-            planes[k, 3] = -(f[A_Z] if c == 2 else f[A_XY])
-    planes[4, 3] = clip(floor, -f[A_Z], f[A_Z])
+            planes[k, 3] = -(f[FIGURE_A_Z] if c == 2 else f[FIGURE_A_XY])
+    planes[4, 3] = clip(floor, -f[FIGURE_A_Z], f[FIGURE_A_Z])
 
 
 @kernel()
-def _walls(planes: Vec, m: int, p: Triple, v: Triple, box: Vec, f: Vec) -> int:
+def _append_walls(planes: Vec, m: int, p: Triple, v: Triple, box: Vec, f: Vec) -> int:
     """Append the half spaces that keep the drone inside its fence, without the floor.
 
     planes: (., 4): the half spaces
@@ -201,10 +244,10 @@ def _walls(planes: Vec, m: int, p: Triple, v: Triple, box: Vec, f: Vec) -> int:
         c = k % 3
         sign = 1.0 if k < 3 else -1.0
         gap = sign * (p[c] - box[k])
-        if k != 2 and gap < NEAR_WALL:
+        if k != 2 and gap < COLLISION_DISTANCES.near_wall:
             for n in range(3):
                 planes[m, n] = 0.0
-            planes[m, c], planes[m, 3] = sign, _wall(gap, sign * v[c], f)
+            planes[m, c], planes[m, 3] = sign, _compute_wall_bound(gap, sign * v[c], f)
             m += 1
     return m
 
@@ -223,7 +266,7 @@ def _walls(planes: Vec, m: int, p: Triple, v: Triple, box: Vec, f: Vec) -> int:
     table,
     memory,
 )
-def _filtered(
+def _filter_acceleration(
     x: Vec,
     a: Vec,
     ref: Vec,
@@ -253,78 +296,129 @@ def _filtered(
     out: (9,): the acceleration (3,), the row of the nearest drone in the way, whether this drone is
         cut off, whether it stays while it brakes, and the place (3,) where it stays
     """
-    p, v = late(x, a, f[LAG], f[DELAY], LASTS)
-    low = x[2] < f[GROUND] + STANDING
+    p, v = predict_late_motion(
+        x, a, f[FIGURE_LAG], f[FIGURE_DELAY], BRAKING_MODEL.command_time
+    )
+    low = x[2] < f[FIGURE_GROUND] + COLLISION_DISTANCES.standing_height
     count = 0
     blind = False
     heard = 0
     silent = 0
     for j in range(others.shape[0]):
         other = others[j]
-        age = now - other[BORN]
-        stands = other[2] < f[GROUND] + STANDING
-        if not age < GONE and not (stands and age < math.inf):
-            other[SOON] = other[BORNE] = math.inf
+        age = now - other[NEIGHBOUR_ROW.state_time]
+        stands = other[2] < f[FIGURE_GROUND] + COLLISION_DISTANCES.standing_height
+        if not age < NEIGHBOUR_AGES.gone and not (stands and age < math.inf):
+            other[NEIGHBOUR_ROW.meeting_time] = other[NEIGHBOUR_ROW.age_limit] = (
+                math.inf
+            )
             continue
         if not stands:
-            heard += now - other[HEARD] < SILENT
-            silent += now - other[HEARD] >= SILENT
-        apart = length(
+            heard += now - other[NEIGHBOUR_ROW.heard_time] < NEIGHBOUR_AGES.silent
+            silent += now - other[NEIGHBOUR_ROW.heard_time] >= NEIGHBOUR_AGES.silent
+        apart = compute_norm(
             (
-                f[SX] * (x[0] - other[0]),
-                f[SY] * (x[1] - other[1]),
-                f[SZ] * (x[2] - other[2]),
+                f[FIGURE_SCALE_X] * (x[0] - other[0]),
+                f[FIGURE_SCALE_Y] * (x[1] - other[1]),
+                f[FIGURE_SCALE_Z] * (x[2] - other[2]),
             )
         )
-        speeds = length((x[3], x[4], x[5])) + length((other[3], other[4], other[5]))
-        other[SOON] = (apart - 2.0 * f[WIDTH]) / (speeds + SLOW)
-        other[BORNE] = USABLE + max(apart - f[WIDTH] - NEAR, 0.0) / f[V_MAX]
-        if apart > f[RANGE] + 2.0 * f[V_MAX] * min(age, HIDES):
+        speeds = compute_norm((x[3], x[4], x[5])) + compute_norm(
+            (other[3], other[4], other[5])
+        )
+        other[NEIGHBOUR_ROW.meeting_time] = (apart - 2.0 * f[FIGURE_WIDTH]) / (
+            speeds + SPEED_ALLOWANCE
+        )
+        other[NEIGHBOUR_ROW.age_limit] = (
+            NEIGHBOUR_AGES.usable
+            + max(apart - f[FIGURE_WIDTH] - COLLISION_DISTANCES.silent_drone, 0.0)
+            / f[FIGURE_V_MAX]
+        )
+        if apart > f[FIGURE_RANGE] + 2.0 * f[FIGURE_V_MAX] * min(
+            age, BRAKING_MODEL.silent_flight_time
+        ):
             continue
-        if stands and low and f[WAITS] > 0.0:
+        if stands and low and f[FIGURE_WAITS] > 0.0:
             continue
-        scale = (1.0, 1.0, 1.0) if stands else (f[SX], f[SY], f[SZ])
-        width = f[WIDTH] if not stands else BODY if f[WAITS] > 0.0 else BESIDE
-        q, w = late(other, other[13:16], f[LAG], min(age, USABLE) + f[DELAY], LASTS)
-        d = max(length(scaled(p, q, scale)), 1e-3)
-        if age > USABLE and not stands:
+        scale = (
+            (1.0, 1.0, 1.0)
+            if stands
+            else (f[FIGURE_SCALE_X], f[FIGURE_SCALE_Y], f[FIGURE_SCALE_Z])
+        )
+        width = (
+            f[FIGURE_WIDTH]
+            if not stands
+            else COLLISION_DISTANCES.standing_drone
+            if f[FIGURE_WAITS] > 0.0
+            else COLLISION_DISTANCES.landing_beside
+        )
+        q, w = predict_late_motion(
+            other,
+            other[13:16],
+            f[FIGURE_LAG],
+            min(age, NEIGHBOUR_AGES.usable) + f[FIGURE_DELAY],
+            BRAKING_MODEL.command_time,
+        )
+        d = max(compute_norm(scale_difference(p, q, scale)), 1e-3)
+        if age > NEIGHBOUR_AGES.usable and not stands:
             if (
-                f[WAITS] == 0.0
-                or d > width + f[V_MAX] * (min(age, HIDES) - USABLE) + NEAR
+                f[FIGURE_WAITS] == 0.0
+                or d
+                > width
+                + f[FIGURE_V_MAX]
+                * (min(age, BRAKING_MODEL.silent_flight_time) - NEIGHBOUR_AGES.usable)
+                + COLLISION_DISTANCES.silent_drone
             ):
                 continue
             blind = True
             # As a rule the silent drone does not hear this one either.
-            q, w = resting(q, w, BRAKES, age - USABLE)
-        r = scaled(p, q, scale)
-        w = scaled(v, w, scale)
-        d = max(length(r), 1e-3)
+            q, w = predict_braking(
+                q, w, BRAKING_MODEL.gain, age - NEIGHBOUR_AGES.usable
+            )
+        r = scale_difference(p, q, scale)
+        w = scale_difference(v, w, scale)
+        d = max(compute_norm(r), 1e-3)
         n = (r[0] / d, r[1] / d, r[2] / d)
         side = (scale[0] * n[0], scale[1] * n[1], scale[2] * n[2])
-        reach = length(side)
+        reach = compute_norm(side)
         # A standing drone does not run away while it is not heard.
-        old = 0.0 if stands else min(age, USABLE)
-        gap = d - width - 0.5 * f[UNSURE] * old * old * reach
-        unsure = f[UNSURE] * old * reach
-        brake = f[BRAKE] * reach
+        old = 0.0 if stands else min(age, NEIGHBOUR_AGES.usable)
+        gap = d - width - 0.5 * f[FIGURE_UNSURE] * old * old * reach
+        unsure = f[FIGURE_UNSURE] * old * reach
+        brake = f[FIGURE_BRAKE] * reach
         # A drone that never gives way does not keep to its side.
-        if f[CELLS] > 0.0 and other[SHARE] < 1.0:
+        if f[FIGURE_CELLS] > 0.0 and other[NEIGHBOUR_ROW.share] < 1.0:
             own = (scale[0] * v[0], scale[1] * v[1], scale[2] * v[2])
-            b = cell(r, w, own, gap, 0.5 * unsure, brake, f[STIFF], f[GAMMA])
+            b = compute_cell_acceleration(
+                r,
+                w,
+                own,
+                gap,
+                0.5 * unsure,
+                brake,
+                f[FIGURE_STIFFNESS],
+                f[FIGURE_GAMMA],
+            )
         else:
-            b = barrier(r, w, gap, unsure, 2.0 * brake, f[STIFF], f[GAMMA])
-            if not (low or stands) and other[SHARE] < 1.0:
+            b = compute_barrier_acceleration(
+                r, w, gap, unsure, 2.0 * brake, f[FIGURE_STIFFNESS], f[FIGURE_GAMMA]
+            )
+            if not (low or stands) and other[NEIGHBOUR_ROW.share] < 1.0:
                 away = (
                     scale[0] * v[0] * n[0]
                     + scale[1] * v[1] * n[1]
                     + scale[2] * v[2] * n[2]
                 )
-                b *= part(away, dot(n, w) - away) if b > 0.0 else 0.5
+                b *= compute_yield_share(away, dot(n, w) - away) if b > 0.0 else 0.5
         normal = (side[0] / reach, side[1] / reach, side[2] / reach)
-        count = _insert(planes, near, count, d - width, normal, b / reach, j)
+        count = _insert_plane(planes, near, count, d - width, normal, b / reach, j)
     cut_off = silent > heard
-    blind = blind or (cut_off and f[WAITS] > 0.0)
-    u = _braking(x, v, f[A_Z], out) if blind else _wanted(x, ref, gains, follow)
+    blind = blind or (cut_off and f[FIGURE_WAITS] > 0.0)
+    u = (
+        _compute_braking(x, v, f[FIGURE_A_Z], out)
+        if blind
+        else _compute_wanted(x, ref, gains, follow)
+    )
     out[4], out[5] = 1.0 if cut_off else 0.0, out[5] if blind else 0.0
     acts = blind
     out[3] = -1.0
@@ -334,10 +428,14 @@ def _filtered(
             out[3] = near[k - 6, 1]
     if not acts:
         return False
-    floor = min(box[2] + FLOOR_GAP, ref[2]) if follow > 0.0 else box[2]
-    _box(planes, -f[A_Z] if low else _wall(p[2] - floor, v[2], f), f)
-    u = turned(u, planes, 6, 6 + count, f[TURN])
-    _, u = nearest(u, planes, _walls(planes, 6 + count, p, v, box, f))
+    floor = (
+        min(box[2] + COLLISION_DISTANCES.floor_gap, ref[2]) if follow > 0.0 else box[2]
+    )
+    _fill_box(
+        planes, -f[FIGURE_A_Z] if low else _compute_wall_bound(p[2] - floor, v[2], f), f
+    )
+    u = turn_sideways(u, planes, 6, 6 + count, f[FIGURE_TURN])
+    _, u = find_nearest_point(u, planes, _append_walls(planes, 6 + count, p, v, box, f))
     out[0], out[1], out[2] = u
     return True
 
@@ -350,10 +448,10 @@ class CollisionFilter:
         |S (p_i - p_j)| >= D,   S = diag(1, s_x / s_y, s_x / s_z),   D = 2 s_x + margin
 
     s: semi-axes of the ellipsoid around each drone
-    b_ij: of `barrier`, or of `cell` for another drone that gives way as well
+    b_ij: of `compute_barrier_acceleration`, or of `compute_cell_acceleration` for another drone that gives way as well
     u_n: what is wanted, turned to the side where another drone is in the way
 
-    Places and velocities are those of `late`, so that the lag of the drones counts. Constraints
+    Places and velocities are those of `predict_late_motion`, so that the lag of the drones counts. Constraints
     that cannot all be met are relaxed by the least violation: the fence first, the nearest drone
     last, the floor never. Drones on the floor are balls of BODY m; a drone that takes off ignores
     them.
@@ -372,8 +470,8 @@ class CollisionFilter:
 
     def __init__(
         self,
-        settings: Collision,
-        traffic: Traffic,
+        settings: CollisionTable,
+        traffic: NeighbourTable,
         fence: Fence,
         a_max: float,
         v_max: float,
@@ -381,7 +479,7 @@ class CollisionFilter:
     ) -> None:
         sx, sy, sz = settings.semi_axes
         self.traffic = traffic
-        self.hearsay = Hearsay(traffic)
+        self.hearsay = RelayedStates(traffic)
         self._figures = np.array(
             [
                 settings.lag,
@@ -408,12 +506,12 @@ class CollisionFilter:
             np.array([*fence.low, *fence.high])
             + np.repeat([1.0, -1.0], 3) * settings.margin
         )
-        self._planes = np.zeros((6 + MOST + 6, 4))
-        self._near = np.zeros((MOST, 2))
+        self._planes = np.zeros((6 + MOST_NEIGHBOURS + 6, 4))
+        self._near = np.zeros((MOST_NEIGHBOURS, 2))
         self._out = np.zeros(9)
         self._accelerates = np.zeros(14)
         self._turn = settings.turn
-        self.side = Side(traffic.port.address)
+        self.side = PassingSide(traffic.port.address)
 
     def look(self, now: float) -> None:
         """Make sure, now and then, that the drone hears the drones near it."""
@@ -432,7 +530,7 @@ class CollisionFilter:
         lands: whether the drone is landing
         Returns None if the drone may fly as it wants.
         """
-        self._figures[WAITS], self._figures[TURN] = (
+        self._figures[FIGURE_WAITS], self._figures[FIGURE_TURN] = (
             0.0 if lands else 1.0,
             self._turn * self.side.sign,
         )
@@ -450,7 +548,11 @@ class CollisionFilter:
         now: s
         Returns None if the drone may fly as it wants.
         """
-        self._accelerates[6:9], self._figures[WAITS], self._figures[TURN] = (
+        (
+            self._accelerates[6:9],
+            self._figures[FIGURE_WAITS],
+            self._figures[FIGURE_TURN],
+        ) = (
             a,
             1.0,
             self._turn,
@@ -461,7 +563,7 @@ class CollisionFilter:
         self, state: State, reference: Vec, gains: Vec, follow: float, now: float
     ) -> Vec | None:
         traffic = self.traffic
-        acts = _filtered(
+        acts = _filter_acceleration(
             state.flat,
             state.a,
             reference,

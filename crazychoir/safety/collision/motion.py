@@ -3,18 +3,18 @@
 import math
 
 from crazychoir.numerics.kernels import kernel
-from crazychoir.numerics.math3d import GRAVITY, Triple, columns
+from crazychoir.numerics.math3d import STANDARD_GRAVITY, Triple, rotation_columns
 from crazychoir.types import Vec
 
-STEEPEST = 0.3
+LEAST_VERTICAL_AXIS = 0.3
 """Least vertical component of z_b: limits the sideways acceleration of a drone on its side."""
 
-Motion = tuple[Triple, Triple]
+PlaceAndVelocity = tuple[Triple, Triple]
 """Place m and velocity m/s."""
 
 
 @kernel()
-def tilted(q: Vec, a: Vec) -> Triple:
+def compute_tilt_acceleration(q: Vec, a: Vec) -> Triple:
     """Return the acceleration of a drone, (3,) m/s2.
 
         sideways by its attitude, g z_b,xy / z_b,z;  upwards as it has commanded
@@ -22,18 +22,20 @@ def tilted(q: Vec, a: Vec) -> Triple:
     q: (4,): attitude
     a: (3,) m/s2: commanded acceleration
     """
-    _, _, z = columns((q[0], q[1], q[2], q[3]))
-    s = GRAVITY / max(z[2], STEEPEST)
+    _, _, z = rotation_columns((q[0], q[1], q[2], q[3]))
+    s = STANDARD_GRAVITY / max(z[2], LEAST_VERTICAL_AXIS)
     return (s * z[0], s * z[1], a[2])
 
 
 @kernel()
-def late(x: Vec, a: Vec, lag: float, t: float, lasts: float) -> Motion:
+def predict_late_motion(
+    x: Vec, a: Vec, lag: float, t: float, lasts: float
+) -> PlaceAndVelocity:
     """Return place and velocity in which a late drone is a double integrator, t s later.
 
         p~ = p + T v,   v~ = v + T a_t,   p~' = v~,   v~' = u      since  a_t' = (u - a_t) / T
 
-    a_t is the result of `tilted`. What the drone commands now acts on p~ and v~ at once, and p
+    a_t is the result of `compute_tilt_acceleration`. What the drone commands now acts on p~ and v~ at once, and p
     follows p~ with the lag T.
 
     x: (13,): state
@@ -42,7 +44,7 @@ def late(x: Vec, a: Vec, lag: float, t: float, lasts: float) -> Motion:
     t: s
     lasts: s
     """
-    now = tilted(x[6:10], a)
+    now = compute_tilt_acceleration(x[6:10], a)
     v = (x[3] + lag * now[0], x[4] + lag * now[1], x[5] + lag * now[2])
     held = min(t, lasts)
     h = held * (t - 0.5 * held)
@@ -55,7 +57,7 @@ def late(x: Vec, a: Vec, lag: float, t: float, lasts: float) -> Motion:
 
 
 @kernel()
-def resting(p: Triple, v: Triple, k: float, t: float) -> Motion:
+def predict_braking(p: Triple, v: Triple, k: float, t: float) -> PlaceAndVelocity:
     """Return place and velocity after braking by -k v for t s.
 
     p: m
@@ -73,7 +75,7 @@ def resting(p: Triple, v: Triple, k: float, t: float) -> Motion:
 
 
 @kernel()
-def scaled(a: Triple, b: Triple, scale: Triple) -> Triple:
+def scale_difference(a: Triple, b: Triple, scale: Triple) -> Triple:
     """Return S (a - b), S = diag(scale)."""
     return (
         scale[0] * (a[0] - b[0]),
@@ -83,13 +85,13 @@ def scaled(a: Triple, b: Triple, scale: Triple) -> Triple:
 
 
 @kernel()
-def length(a: Triple) -> float:
+def compute_norm(a: Triple) -> float:
     """Return |a|."""
     return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
 
 
 @kernel()
-def shrunk(a: Triple, limit: float) -> Triple:
+def limit_norm(a: Triple, limit: float) -> Triple:
     """Return a, shortened to the length `limit` if it is longer."""
-    s = limit / max(length(a), limit)
+    s = limit / max(compute_norm(a), limit)
     return (s * a[0], s * a[1], s * a[2])

@@ -1,39 +1,44 @@
 """Relayed states: a drone asks others about drones that it does not hear, and answers them."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from crazychoir.bus.codec import decode, encode
-from crazychoir.bus.topics import HEARSAY, SOUGHT, Topic
+from crazychoir.bus.topics import MESSAGE_TOPICS, Topic
 from crazychoir.errors import CodecError
 from crazychoir.safety.collision.neighbour_table import (
-    BORN,
-    BORNE,
-    GONE,
-    HEARD,
-    SILENT,
-    USABLE,
-    Traffic,
+    NEIGHBOUR_AGES,
+    NEIGHBOUR_ROW,
+    NeighbourTable,
 )
 from crazychoir.types import State
 
-ASKS = 0.25
-"""Age in s of a state before which no newer one is asked for."""
-AHEAD = 1.0
-"""Seconds before the drone would brake for want of a state, at which it begins to ask."""
-RARELY = 5
-"""Number of checks between two questions about a drone unanswered for AHEAD s."""
-SELDOM = 10
-"""Number of checks between two questions about a drone that is gone or was never heard."""
-NEAREST = 2
-"""Number of drones that are asked each time about one drone.
 
-They are the heard drones that are nearest to it. One more drone is asked in turn.
-"""
+@dataclass(frozen=True, slots=True)
+class RelayRequests:
+    """When a drone asks others for a newer state of a third one, and how many of them."""
+
+    least_age: float = 0.25
+    """Age in s of a state before which no newer one is asked for."""
+    lead_time: float = 1.0
+    """Seconds before the drone would brake for want of a state, at which it begins to ask."""
+    checks_if_unanswered: int = 5
+    """Number of checks between two questions about a drone unanswered for AHEAD s."""
+    checks_if_gone: int = 10
+    """Number of checks between two questions about a drone that is gone or was never heard."""
+    nearest_asked: int = 2
+    """Number of drones that are asked each time about one drone.
+
+    They are the heard drones that are nearest to it. One more drone is asked in turn.
+    """
 
 
-class Hearsay:
+RELAY_REQUESTS = RelayRequests()
+
+
+class RelayedStates:
     """Asks and answers for a Traffic.
 
     A relayed state counts as heard, except for the question whether this drone is cut off.
@@ -50,13 +55,13 @@ class Hearsay:
     traffic: the table of the other drones
     """
 
-    def __init__(self, traffic: Traffic) -> None:
+    def __init__(self, traffic: NeighbourTable) -> None:
         self.traffic = traffic
         self.port = traffic.port
         self._sent = self._asks = 0
         self._turns = np.zeros(len(traffic.ids), dtype=int)
-        self.port.handlers[SOUGHT.number] = self._asked
-        self.port.handlers[HEARSAY.number] = self._told
+        self.port.handlers[MESSAGE_TOPICS.wanted_states.number] = self._asked
+        self.port.handlers[MESSAGE_TOPICS.relayed_states.number] = self._told
 
     def seek(self, now: float) -> None:
         """Ask for the drones from which a newer state is needed soon.
@@ -65,13 +70,26 @@ class Hearsay:
         """
         rows = self.traffic.rows
         ids = self.traffic.ids
-        age = now - rows[:, BORN]
+        age = now - rows[:, NEIGHBOUR_ROW.state_time]
         self._asks = self._asks + 1
-        there = age < GONE
-        needed = np.maximum(ASKS, rows[:, BORNE] - AHEAD)
-        every = np.where(there, np.where(age < needed + AHEAD, 1, RARELY), SELDOM)
+        there = age < NEIGHBOUR_AGES.gone
+        needed = np.maximum(
+            RELAY_REQUESTS.least_age,
+            rows[:, NEIGHBOUR_ROW.age_limit] - RELAY_REQUESTS.lead_time,
+        )
+        every = np.where(
+            there,
+            np.where(
+                age < needed + RELAY_REQUESTS.lead_time,
+                1,
+                RELAY_REQUESTS.checks_if_unanswered,
+            ),
+            RELAY_REQUESTS.checks_if_gone,
+        )
         sought = np.flatnonzero((~there | (age > needed)) & (self._asks % every == 0))
-        heard = np.flatnonzero(now - rows[:, HEARD] < SILENT)
+        heard = np.flatnonzero(
+            now - rows[:, NEIGHBOUR_ROW.heard_time] < NEIGHBOUR_AGES.silent
+        )
         asked: dict[int, list[int]] = {}
         for s in sought.tolist():
             others = heard[heard != s]
@@ -79,13 +97,15 @@ class Hearsay:
                 far = np.linalg.norm(rows[others, 0:3] - rows[s, 0:3], axis=1)
                 self._turns[s] += 1
                 chosen = {
-                    *np.argsort(far, kind="stable")[:NEAREST].tolist(),
+                    *np.argsort(far, kind="stable")[
+                        : RELAY_REQUESTS.nearest_asked
+                    ].tolist(),
                     int(self._turns[s]) % others.size,
                 }
                 for k in sorted(chosen):
                     asked.setdefault(ids[int(others[k])], []).append(ids[s])
         for k, those in asked.items():
-            self._send(SOUGHT, k, those)
+            self._send(MESSAGE_TOPICS.wanted_states, k, those)
 
     def _send(self, topic: Topic, to: int, value: list[Any]) -> None:
         """Send a list, unless it is empty."""
@@ -109,15 +129,18 @@ class Hearsay:
         told = []
         for j in those if all(type(j) is int for j in those) else self._none():
             row = traffic.row(j)
-            if row is not None and now - row[BORN] < USABLE:
+            if (
+                row is not None
+                and now - row[NEIGHBOUR_ROW.state_time] < NEIGHBOUR_AGES.usable
+            ):
                 told.append(
                     [
                         j,
                         State(row[0:13].copy(), 0.0, row[13:16].copy()),
-                        now - float(row[BORN]),
+                        now - float(row[NEIGHBOUR_ROW.state_time]),
                     ]
                 )
-        self._send(HEARSAY, source, told)
+        self._send(MESSAGE_TOPICS.relayed_states, source, told)
 
     def _told(
         self,
@@ -131,7 +154,9 @@ class Hearsay:
         """Keep the states of an answer."""
         for item in self._opened(payload):
             match item:
-                case [int(j), State() as state, float(old)] if 0.0 <= old < GONE:
+                case [int(j), State() as state, float(old)] if (
+                    0.0 <= old < NEIGHBOUR_AGES.gone
+                ):
                     self.traffic.told((j, state), age + old)
                 case _:
                     self._none()

@@ -10,20 +10,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crazychoir.numerics.math3d import columns, dot, wrap, yaw_of
+from crazychoir.numerics.math3d import dot, rotation_columns, wrap_angle, yaw_of
 from crazychoir.types import Pose, Vec
 
-PLACE = 0.05
+LARGEST_PLACE_ERROR = 0.05
 """Largest distance in m between a drone's own place and the place where it is seen.
 
 A drone with a larger one stays on the ground.
 """
-ANGLE = math.radians(5.0)
+LARGEST_ANGLE_ERROR = math.radians(5.0)
 """Largest angle in rad between a drone's own attitude and the attitude that is seen."""
 
 
 @dataclass(frozen=True)
-class Standing:
+class GroundedDrone:
     """A drone on the ground, before it is armed."""
 
     home: Vec | None
@@ -34,7 +34,7 @@ class Standing:
     """The pose that the cameras report of it; None if they report none."""
 
 
-def before_arming(i: int, drones: Mapping[int, Standing]) -> list[str]:
+def find_arming_problems(i: int, drones: Mapping[int, GroundedDrone]) -> list[str]:
     """Return why drone i must not be armed; an empty list if all agrees.
 
         |p_own - p_seen| <= PLACE,   |yaw_own - yaw_seen| <= ANGLE,   angle(z_own, z_seen) <= ANGLE,
@@ -51,36 +51,49 @@ def before_arming(i: int, drones: Mapping[int, Standing]) -> list[str]:
     if me.seen is None:
         return [*found, "the cameras do not see it"]
     if me.own is not None:
-        found += _disagreement(me.own, me.seen)
-    return [*found, *_elsewhere(i, drones, me.seen)]
+        found += _describe_disagreement(me.own, me.seen)
+    return [*found, *_describe_wrong_home(i, drones, me.seen)]
 
 
-def _disagreement(own: Pose, seen: Pose) -> list[str]:
+def _describe_disagreement(own: Pose, seen: Pose) -> list[str]:
     """Return how the drone's own pose differs from the seen one."""
     found = []
     far = float(np.linalg.norm(own.p - seen.p))
-    if not far <= PLACE:
+    if not far <= LARGEST_PLACE_ERROR:
         found.append(
-            f"it takes itself to be {far:.2f} m from where it is seen, limit {PLACE} m"
+            f"it takes itself to be {far:.2f} m from where it is seen, limit {LARGEST_PLACE_ERROR} m"
         )
-    yaw = abs(wrap(yaw_of(own.q) - yaw_of(seen.q)))
-    if not yaw <= ANGLE:
+    yaw = abs(wrap_angle(yaw_of(own.q) - yaw_of(seen.q)))
+    if not yaw <= LARGEST_ANGLE_ERROR:
         found.append(
-            f"it looks {math.degrees(yaw):.0f} deg away from how it is seen, limit {math.degrees(ANGLE):.0f} deg: "
+            f"it looks {math.degrees(yaw):.0f} deg away from how it is seen, limit "
+            f"{math.degrees(LARGEST_ANGLE_ERROR):.0f} deg: "
             "its body was defined, or put on, the wrong way round"
         )
     tilt = math.acos(
-        max(-1.0, min(1.0, dot(columns(tuple(own.q))[2], columns(tuple(seen.q))[2])))
+        max(
+            -1.0,
+            min(
+                1.0,
+                dot(
+                    rotation_columns(tuple(own.q))[2],
+                    rotation_columns(tuple(seen.q))[2],
+                ),
+            ),
+        )
     )
-    if not tilt <= ANGLE:
+    if not tilt <= LARGEST_ANGLE_ERROR:
         found.append(
-            f"it is seen tilted by {math.degrees(tilt):.0f} deg from what it says, limit {math.degrees(ANGLE):.0f} "
+            f"it is seen tilted by {math.degrees(tilt):.0f} deg from what it says, limit "
+            f"{math.degrees(LARGEST_ANGLE_ERROR):.0f} "
             "deg: its body is mounted askew (`crazychoir mocap calibrate`)"
         )
     return found
 
 
-def _elsewhere(i: int, drones: Mapping[int, Standing], seen: Pose) -> list[str]:
+def _describe_wrong_home(
+    i: int, drones: Mapping[int, GroundedDrone], seen: Pose
+) -> list[str]:
     """Return a reason if the drone's body stands at another drone's home."""
     homes = {j: one.home for j, one in drones.items() if one.home is not None}
     if i not in homes:
@@ -91,10 +104,10 @@ def _elsewhere(i: int, drones: Mapping[int, Standing], seen: Pose) -> list[str]:
         return []
     text = f"its body is {far[j]:.2f} m from the home of drone {j}, {far[i]:.2f} m from its own"
     other = drones[j].seen
-    swapped = other is not None and _nearest(other.p, homes) == i
+    swapped = other is not None and _find_nearest_home(other.p, homes) == i
     return [f"{text}: exchanged with that of drone {j}" if swapped else text]
 
 
-def _nearest(p: Vec, homes: Mapping[int, Vec]) -> int:
+def _find_nearest_home(p: Vec, homes: Mapping[int, Vec]) -> int:
     """Return the id of the home nearest to p, (3,) m."""
     return min(homes, key=lambda j: float(np.linalg.norm(p - homes[j])))

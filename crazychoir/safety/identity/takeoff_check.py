@@ -12,6 +12,7 @@ import math
 from bisect import bisect
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -19,49 +20,85 @@ import numpy.typing as npt
 from crazychoir.types import Vec
 
 Complex = npt.NDArray[np.complex128]
-NOISE = math.radians(0.25)
-"""Difference in rad between a drone's own tilt and the seen tilt, beside camera errors."""
-SHARE = 0.2
-"""Share of its tilt by which both may differ in addition."""
-ODD = 5.0
-"""Largest cost of one sample: a wrong pose affects two samples and proves nothing."""
-CLEARLY = 12.0
-"""Cost by which another body, or the own one turned, must explain the motion better."""
-ALIKE = 6.0
-"""Cost within which these two explanations count as equally good."""
-UNLIKE = 40.0
-"""Cost beyond which the drone's own body does not explain its motion, whichever does."""
-RATIO = 3.0
-"""Factor by which the cost of a better explanation must be smaller."""
-MOVED = 0.5
-"""Share of all motion that remains if no body explains it."""
-SHAKEN = math.radians(1.0)
-"""Largest noise in rad; more is not noise: a person puts the drone down."""
-TURNED = math.radians(30.0)
-"""Angle in rad below which a turned body is not reported."""
-LAGS = (0.01, 0.03, 0.05, 0.08, 0.12)
-"""Delays in s of a drone's own tilt that are tried; the best fit counts."""
-STAYS = 0.03
-"""Rise in m below which a body has not risen."""
-ROSE = 0.15
-"""Rise in m above which another body has risen that should not."""
-SURELY = 0.2
-"""Seconds for which this must hold."""
-WINDOW = 20
-"""Number of samples that are compared."""
-STOOD = 0.5
-"""Seconds on the ground before the take-off that give the reference tilt."""
-KEPT = 1.5
-"""Seconds for which poses are kept."""
-SHORTEST = 2.0
-"""Least time in s that a take-off is watched."""
-LONGEST = 8.0
-"""Longest time in s that a take-off is watched."""
-ENOUGH = 40.0
-"""Cost of its motion from which on the take-off has been judged."""
 
 
-def tilt(q: Vec) -> complex:
+@dataclass(frozen=True, slots=True)
+class TiltNoise:
+    """How a drone's own tilt may differ from the seen tilt of its body."""
+
+    noise: float = math.radians(0.25)
+    """Difference in rad between a drone's own tilt and the seen tilt, beside camera errors."""
+    share: float = 0.2
+    """Share of its tilt by which both may differ in addition."""
+    largest_noise: float = math.radians(1.0)
+    """Largest noise in rad; more is not noise: a person puts the drone down."""
+    lags: tuple[float, ...] = (0.01, 0.03, 0.05, 0.08, 0.12)
+    """Delays in s of a drone's own tilt that are tried; the best fit counts."""
+
+
+TILT_NOISE = TiltNoise()
+
+
+@dataclass(frozen=True, slots=True)
+class TiltJudgement:
+    """When the tilts prove that a body is another drone's, turned, or no drone's."""
+
+    largest_sample_cost: float = 5.0
+    """Largest cost of one sample: a wrong pose affects two samples and proves nothing."""
+    clear_gain: float = 12.0
+    """Cost by which another body, or the own one turned, must explain the motion better."""
+    alike: float = 6.0
+    """Cost within which these two explanations count as equally good."""
+    unlike: float = 40.0
+    """Cost beyond which the drone's own body does not explain its motion, whichever does."""
+    better_ratio: float = 3.0
+    """Factor by which the cost of a better explanation must be smaller."""
+    unexplained_share: float = 0.5
+    """Share of all motion that remains if no body explains it."""
+    least_turn: float = math.radians(30.0)
+    """Angle in rad below which a turned body is not reported."""
+    enough_cost: float = 40.0
+    """Cost of its motion from which on the take-off has been judged."""
+
+
+TILT_JUDGEMENT = TiltJudgement()
+
+
+@dataclass(frozen=True, slots=True)
+class RiseLimits:
+    """When the heights prove that another body rises instead of the drone's own."""
+
+    stays_below: float = 0.03
+    """Rise in m below which a body has not risen."""
+    rises_above: float = 0.15
+    """Rise in m above which another body has risen that should not."""
+    duration: float = 0.2
+    """Seconds for which this must hold."""
+
+
+RISE_LIMITS = RiseLimits()
+
+
+@dataclass(frozen=True, slots=True)
+class TakeoffWatch:
+    """How much of a take-off is watched, and of the time before it."""
+
+    samples: int = 20
+    """Number of samples that are compared."""
+    reference_time: float = 0.5
+    """Seconds on the ground before the take-off that give the reference tilt."""
+    kept_time: float = 1.5
+    """Seconds for which poses are kept."""
+    shortest: float = 2.0
+    """Least time in s that a take-off is watched."""
+    longest: float = 8.0
+    """Longest time in s that a take-off is watched."""
+
+
+TAKEOFF_WATCH = TakeoffWatch()
+
+
+def compute_tilt(q: Vec) -> complex:
     """Return where up is in the plane of the body: x and y of R(q)^T e_z as one complex number.
 
         u = 2 (q_x q_z - q_w q_y) + 2 i (q_y q_z + q_w q_x)
@@ -74,7 +111,7 @@ def tilt(q: Vec) -> complex:
     return complex(2.0 * (x * z - w * y), 2.0 * (y * z + w * x))
 
 
-class Track:
+class TiltTrack:
     """The recent tilts of one body, and its height."""
 
     def __init__(self) -> None:
@@ -92,7 +129,7 @@ class Track:
         self.height = height
         self._times.append(t)
         self._tilts.append(u)
-        while self._times[0] < t - KEPT:
+        while self._times[0] < t - TAKEOFF_WATCH.kept_time:
             self._times.popleft()
             self._tilts.popleft()
 
@@ -129,10 +166,12 @@ class Track:
         )
         if not found.size:
             return complex(math.nan), 0.0
-        return complex(found.mean()), min(0.5 * float(found.var()), SHAKEN**2)
+        return complex(found.mean()), min(
+            0.5 * float(found.var()), TILT_NOISE.largest_noise**2
+        )
 
 
-class Ascent:
+class TakeoffCheck:
     """One take-off of drone i: its own tilt is compared with those of its body and all others.
 
         s_k = u_own(t_k) - mean of u_own before,   b_jk = u_j(t_k - lag) - mean of u_j before
@@ -166,7 +205,7 @@ class Ascent:
     """
 
     def __init__(
-        self, i: int, now: float, own: Track, bodies: Mapping[int, Track]
+        self, i: int, now: float, own: TiltTrack, bodies: Mapping[int, TiltTrack]
     ) -> None:
         self.drone = i
         self._began = now
@@ -177,9 +216,9 @@ class Ascent:
             dict[int, complex](),
             math.nan,
         )
-        self._own: deque[complex] = deque(maxlen=WINDOW)
+        self._own: deque[complex] = deque(maxlen=TAKEOFF_WATCH.samples)
         self._seen: dict[int, deque[list[complex]]] = {
-            j: deque(maxlen=WINDOW) for j in bodies
+            j: deque(maxlen=TAKEOFF_WATCH.samples) for j in bodies
         }
         self._moved = 0.0
         self._heights = {j: track.height for j, track in bodies.items()}
@@ -206,10 +245,17 @@ class Ascent:
         s = u - self._level
         self._own.append(s)
         for j, track in self._bodies.items():
-            self._seen[j].append([track.at(now - lag) - self._zeros[j] for lag in LAGS])
-        self._moved += min(abs(s) ** 2 / (2.0 * self._noise), ODD)
+            self._seen[j].append(
+                [track.at(now - lag) - self._zeros[j] for lag in TILT_NOISE.lags]
+            )
+        self._moved += min(
+            abs(s) ** 2 / (2.0 * self._noise), TILT_JUDGEMENT.largest_sample_cost
+        )
         watched = now - self._began
-        self.over = watched > LONGEST or (watched > SHORTEST and self._moved > ENOUGH)
+        self.over = watched > TAKEOFF_WATCH.longest or (
+            watched > TAKEOFF_WATCH.shortest
+            and self._moved > TILT_JUDGEMENT.enough_cost
+        )
         return self._by_tilts() or (self._by_heights(now) if flies else "")
 
     def _look_back(self) -> None:
@@ -218,11 +264,11 @@ class Ascent:
         It is called when the drone's reports of that time have arrived.
         """
         began = self._began
-        since = self._began - STOOD
+        since = self._began - TAKEOFF_WATCH.reference_time
         rest = {j: track.rest(since, began) for j, track in self._bodies.items()}
         self._level, noise = self._said.rest(since, began)
         self._zeros = {j: level for j, (level, _) in rest.items()}
-        self._noise = NOISE**2 + noise + rest[self.drone][1]
+        self._noise = TILT_NOISE.noise**2 + noise + rest[self.drone][1]
 
     def _by_heights(self, now: float) -> str:
         """Return what is wrong by the heights, empty if nothing is.
@@ -236,12 +282,18 @@ class Ascent:
         others = [
             j
             for j in rises
-            if j != self.drone and rises[j] > ROSE and not self._bodies[j].flies
+            if j != self.drone
+            and rises[j] > RISE_LIMITS.rises_above
+            and not self._bodies[j].flies
         ]
-        j = others[0] if others and rises[self.drone] < STAYS else self.drone
+        j = (
+            others[0]
+            if others and rises[self.drone] < RISE_LIMITS.stays_below
+            else self.drone
+        )
         if j != self._rises[0]:
             self._rises = j, now
-        if j == self.drone or now - self._rises[1] < SURELY:
+        if j == self.drone or now - self._rises[1] < RISE_LIMITS.duration:
             return ""
         return f"it flies, its body stays on the floor, and that of drone {j}, which does not fly, rises"
 
@@ -253,7 +305,7 @@ class Ascent:
         s = s[good]
         own = own[good]
         mine = self._cost(s, own)
-        if mine <= CLEARLY:
+        if mine <= TILT_JUDGEMENT.clear_gain:
             return ""
         others = {
             j: self._cost(s, np.array(seen)[good])
@@ -262,17 +314,22 @@ class Ascent:
         }
         j = min(others, key=lambda j: others[j], default=self.drone)
         swapped, (turned, psi) = others.get(j, math.inf), self._turned(s, own)
-        better = min(mine - CLEARLY, mine / RATIO)
+        better = min(
+            mine - TILT_JUDGEMENT.clear_gain, mine / TILT_JUDGEMENT.better_ratio
+        )
         if min(swapped, turned) < better:
             another = f"the body of drone {j}"
             its_own = f"its own turned by {math.degrees(psi):.0f} deg about z"
-            likely = [another] * (swapped < min(better, turned + ALIKE))
-            likely += [its_own] * (turned < min(better, swapped + ALIKE))
+            likely = [another] * (swapped < min(better, turned + TILT_JUDGEMENT.alike))
+            likely += [its_own] * (turned < min(better, swapped + TILT_JUDGEMENT.alike))
             return f"it does not tilt as its body does, but as {' or '.join(likely)}"
         left = np.sum(np.abs(s[:, None] - own) ** 2, axis=0)
         moved = np.sum(np.abs(own) ** 2, axis=0)
-        nobodys = mine > UNLIKE and bool(
-            np.all(left > MOVED * (moved + np.sum(np.abs(s) ** 2)))
+        nobodys = mine > TILT_JUDGEMENT.unlike and bool(
+            np.all(
+                left
+                > TILT_JUDGEMENT.unexplained_share * (moved + np.sum(np.abs(s) ** 2))
+            )
         )
         return "it does not tilt as its body does" if nobodys else ""
 
@@ -283,7 +340,9 @@ class Ascent:
         """
         psi = cmath.phase(complex(np.sum(s[:, None] * own.conj())))
         return (
-            self._cost(s, cmath.exp(1j * psi) * own) if abs(psi) > TURNED else math.inf
+            self._cost(s, cmath.exp(1j * psi) * own)
+            if abs(psi) > TILT_JUDGEMENT.least_turn
+            else math.inf
         ), psi
 
     def _cost(self, s: Complex, seen: Complex) -> float:
@@ -294,8 +353,14 @@ class Ascent:
         """
         if not s.size:
             return 0.0
-        variance = 2.0 * (self._noise + (SHARE * np.abs(s)) ** 2)
+        variance = 2.0 * (self._noise + (TILT_NOISE.share * np.abs(s)) ** 2)
         each = np.abs(s[:, None] - seen) ** 2 / variance[:, None]
         return float(
-            np.where(np.isfinite(each), np.minimum(each, ODD), ODD).sum(axis=0).min()
+            np.where(
+                np.isfinite(each),
+                np.minimum(each, TILT_JUDGEMENT.largest_sample_cost),
+                TILT_JUDGEMENT.largest_sample_cost,
+            )
+            .sum(axis=0)
+            .min()
         )

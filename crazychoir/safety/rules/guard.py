@@ -6,12 +6,12 @@ from enum import IntEnum
 
 import numpy as np
 
-from crazychoir.config.checks import AROUND
-from crazychoir.config.flight_room import EDGE as EDGE
+from crazychoir.config.checks import SWARM_LIMITS
+from crazychoir.config.flight_room import EDGE_MARGIN as EDGE_MARGIN
 from crazychoir.config.flight_room import flight_room
 from crazychoir.errors import ConfigError
 from crazychoir.numerics.kernels import kernel, matrix, memory, real, vector
-from crazychoir.planning.point_to_point import STOP
+from crazychoir.planning.point_to_point import STOP_DISTANCE
 from crazychoir.runtime.throttle import Throttle as Throttle
 from crazychoir.types import Mat, Point, State, Vec
 
@@ -25,14 +25,18 @@ class Action(IntEnum):
     CUT = 3  # stop the motors
 
 
-INSET = 0.1
+FENCE_INSET = 0.1
 """Distance from the sides of the fence, m, at which a drone that would leave it comes to rest."""
-DOING = {Action.BRAKE: "braking", Action.LAND: "landing", Action.CUT: "motors cut"}
+ACTION_TEXTS = {
+    Action.BRAKE: "braking",
+    Action.LAND: "landing",
+    Action.CUT: "motors cut",
+}
 """Text of each action in error messages."""
 
 
 @dataclass(frozen=True)
-class Rule:
+class SafetyRule:
     """One row of the safety table."""
 
     measure: str
@@ -62,46 +66,46 @@ class Rule:
 # worth little. After 2.00 s without commands the firmware cuts the motors by itself.
 # Fence: the drone brakes while it can still stop inside, and lands if it does not stop there.
 # The space beyond the limit area is the keep-out zone of the paper: shut down at once.
-TABLE = (
-    Rule("pose", 0.10, Action.BRAKE, clear=0.05),
-    Rule("pose", 0.50, Action.LAND, clear=0.05, settle=1.0),
-    Rule("pose", 2.00, Action.CUT, latched=True),
-    Rule("reference", 0.30, Action.BRAKE, clear=0.15),
-    Rule("reference", 5.00, Action.LAND, clear=0.15, settle=1.0),
-    Rule("stop", 0.00, Action.BRAKE, clear=-0.05),
-    Rule("fence", 0.25, Action.LAND, latched=True),
-    Rule("limit area", 0.00, Action.CUT, latched=True),
-    Rule("broken", 0.00, Action.CUT, latched=True),
-    Rule("link", 0.50, Action.BRAKE, clear=0.30),
-    Rule("link", 4.00, Action.LAND, latched=True),
-    Rule("battery", 5.00, Action.LAND, latched=True),
-    Rule("empty", 0.00, Action.LAND, latched=True),
-    Rule("tumbled", 0.00, Action.CUT, latched=True),
-    Rule("body", 0.00, Action.CUT, latched=True),
-    Rule("gone", 0.00, Action.CUT, latched=True),
-    Rule("astray", 0.00, Action.LAND, latched=True),
-    Rule("astray", 1.00, Action.CUT, latched=True),
+SAFETY_TABLE = (
+    SafetyRule("pose", 0.10, Action.BRAKE, clear=0.05),
+    SafetyRule("pose", 0.50, Action.LAND, clear=0.05, settle=1.0),
+    SafetyRule("pose", 2.00, Action.CUT, latched=True),
+    SafetyRule("reference", 0.30, Action.BRAKE, clear=0.15),
+    SafetyRule("reference", 5.00, Action.LAND, clear=0.15, settle=1.0),
+    SafetyRule("stop", 0.00, Action.BRAKE, clear=-0.05),
+    SafetyRule("fence", 0.25, Action.LAND, latched=True),
+    SafetyRule("limit area", 0.00, Action.CUT, latched=True),
+    SafetyRule("broken", 0.00, Action.CUT, latched=True),
+    SafetyRule("link", 0.50, Action.BRAKE, clear=0.30),
+    SafetyRule("link", 4.00, Action.LAND, latched=True),
+    SafetyRule("battery", 5.00, Action.LAND, latched=True),
+    SafetyRule("empty", 0.00, Action.LAND, latched=True),
+    SafetyRule("tumbled", 0.00, Action.CUT, latched=True),
+    SafetyRule("body", 0.00, Action.CUT, latched=True),
+    SafetyRule("gone", 0.00, Action.CUT, latched=True),
+    SafetyRule("astray", 0.00, Action.LAND, latched=True),
+    SafetyRule("astray", 1.00, Action.CUT, latched=True),
 )
-REACHED = tuple(
-    Rule("pose", 20.0, Action.CUT, latched=True)
+RADIO_SAFETY_TABLE = tuple(
+    SafetyRule("pose", 20.0, Action.CUT, latched=True)
     if r.measure == "pose" and r.latched
     else r
-    for r in TABLE
+    for r in SAFETY_TABLE
 )
 """The table of a drone that is reached by a radio.
 
 Without poses, its firmware lands it by its own sensors.
 """
-PLANS_ON_BOARD = tuple(
+ON_BOARD_SAFETY_TABLE = tuple(
     rule
-    for rule in REACHED
+    for rule in RADIO_SAFETY_TABLE
     if rule.measure != "link" or rule.action is not Action.BRAKE
 )
 """The table of a drone that is reached by a radio and has its planner on board.
 
 When its radio is silent it continues its plan, because no command to brake could reach it.
 """
-TOLD = ("link", "battery", "empty", "tumbled", "body", "astray", "gone")
+REPORTED_MEASURES = ("link", "battery", "empty", "tumbled", "body", "astray", "gone")
 """Measures that a drone behind a radio reports by `tell`:
 
 link: s since its last packet
@@ -113,7 +117,7 @@ astray: 1 if that body does not move as the drone does, 2 if the drone may not l
 gone: m outside the limit area where a body is seen for some time that is not believed to be its own
 """
 
-TEXT = {
+MEASURE_TEXTS = {
     "pose": "pose {value:.2f} s old, limit {limit:.2f} s: {doing}",
     "reference": "reference {value:.2f} s old, limit {limit:.2f} s: {doing}",
     "fence": "{value:.2f} m outside the fence, limit {limit:.2f} m: {doing}",
@@ -128,7 +132,7 @@ TEXT = {
     "gone": "its body, or another, is seen {value:.2f} m outside the limit area: {doing}",
     "tumbled": "{said}tumbled, crashed or locked, as its firmware says: {doing}",
 }
-AT_EDGE = "can just come to rest inside the fence: {doing}"
+FENCE_EDGE_TEXT = "can just come to rest inside the fence: {doing}"
 
 
 @dataclass(frozen=True)
@@ -177,7 +181,7 @@ class Fence:
         b = self.high
         return max(a[0] - x, x - b[0], a[1] - y, y - b[1], a[2] - z, z - b[2])
 
-    def nearest(self, p: Vec, inset: float = INSET) -> Vec:
+    def nearest(self, p: Vec, inset: float = FENCE_INSET) -> Vec:
         """Return the place inside, `inset` m from the sides, that is nearest to p.
 
         p: (3,) m, world
@@ -186,22 +190,22 @@ class Fence:
         return np.clip(p, np.array(self.low) + inset, np.array(self.high) - inset)
 
 
-BELOW_GROUND = 0.2
+FENCE_BELOW_GROUND = 0.2
 """Depth in m below the ground where the fence of a drone that takes off or lands begins.
 
 Cameras and floors are not exact.
 """
-REACTION = 0.1
+REACTION_TIME = 0.1
 """Seconds that a drone flies on at its speed after the command to brake.
 
 These are the delays of filter, commands and attitude.
 """
-ROOM = Fence.box((-3.0, -3.0, -0.2), (3.0, 3.0, 2.5))
+DEFAULT_FENCE = Fence.box((-3.0, -3.0, -0.2), (3.0, 3.0, 2.5))
 """Default fence."""
 
 
 @dataclass(frozen=True)
-class Verdict:
+class SafetyVerdict:
     """The action of the drone, and its reason."""
 
     action: Action
@@ -212,11 +216,11 @@ class Verdict:
     """Name of the measure of the rule that acts; empty when all is well."""
 
 
-ALL_WELL = Verdict(Action.NOMINAL)
+ALL_WELL = SafetyVerdict(Action.NOMINAL)
 
 
 @kernel(vector, vector, real)
-def _outside(x: Vec, box: Vec, reach: float) -> float:
+def _compute_overshoot(x: Vec, box: Vec, reach: float) -> float:
     """Return the measure "stop": m outside the box, now or where the drone comes to rest.
 
         p + (reach |v| + REACTION) v
@@ -227,7 +231,7 @@ def _outside(x: Vec, box: Vec, reach: float) -> float:
     Returns a negative number inside, and a number that is not finite if x is not finite.
     """
     far = (
-        reach * math.sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5]) + REACTION
+        reach * math.sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5]) + REACTION_TIME
         if reach > 0.0
         else 0.0
     )
@@ -245,7 +249,7 @@ def _outside(x: Vec, box: Vec, reach: float) -> float:
 
 
 @kernel(matrix, vector, memory)
-def _each_outside(rows: Mat, box: Vec, out: Vec) -> None:
+def _fill_overshoots(rows: Mat, box: Vec, out: Vec) -> None:
     """Compute the measure "stop" of each set-point of a path that brakes by itself.
 
     rows: (n, 6 or more): p and v of each set-point
@@ -253,7 +257,7 @@ def _each_outside(rows: Mat, box: Vec, out: Vec) -> None:
     out: (n,) m: the result
     """
     for k in range(rows.shape[0]):
-        out[k] = _outside(rows[k], box, 0.0)
+        out[k] = _compute_overshoot(rows[k], box, 0.0)
 
 
 class Guard:
@@ -278,43 +282,51 @@ class Guard:
 
     def __init__(
         self,
-        fence: Fence = ROOM,
-        table: tuple[Rule, ...] = TABLE,
+        fence: Fence = DEFAULT_FENCE,
+        table: tuple[SafetyRule, ...] = SAFETY_TABLE,
         a_max: float = 2.0,
         ground: float = 0.0,
         limit: Fence | None = None,
     ) -> None:
         for rule in table:
-            if rule.measure not in TEXT or (
+            if rule.measure not in MEASURE_TEXTS or (
                 rule.clear > rule.limit and not rule.latched
             ):
                 raise ConfigError(
                     "Guard: table",
                     rule,
-                    f"a measure of {', '.join(TEXT)}; clear at or below limit",
+                    f"a measure of {', '.join(MEASURE_TEXTS)}; clear at or below limit",
                 )
         self.table = self._own = table
         # The rules that act, and since when the measure of each has been clear.
-        self._acting: dict[Rule, float] = {}
-        self._found: dict[Rule, float] = {}  # The last value for which a rule acted.
+        self._acting: dict[SafetyRule, float] = {}
+        self._found: dict[
+            SafetyRule, float
+        ] = {}  # The last value for which a rule acted.
         self._latched: dict[
-            Rule, str
+            SafetyRule, str
         ] = {}  # The latched rules that have acted, and the text of each.
         least = {
             m: min((r.limit for r in table if r.measure == m), default=math.inf)
-            for m in TEXT
+            for m in MEASURE_TEXTS
         }
         self._least = least
-        self._told: dict[str, float] = dict.fromkeys(TOLD, -math.inf)
+        self._told: dict[str, float] = dict.fromkeys(REPORTED_MEASURES, -math.inf)
         self._said: dict[str, str] = {}
         self._told_well = True
         self._least_pose = least["pose"]
         self._least_reference = least["reference"]
         self._least_stop = min(least["fence"], least["stop"], least["limit area"])
-        self._reach = STOP / a_max
-        self._whole = fence.with_floor(min(fence.low[2], ground - BELOW_GROUND))
-        limit = self._whole.grown(AROUND) if limit is None else limit
-        self._limit = limit.with_floor(min(limit.low[2], self._whole.low[2] - AROUND))
+        self._reach = STOP_DISTANCE / a_max
+        self._whole = fence.with_floor(min(fence.low[2], ground - FENCE_BELOW_GROUND))
+        limit = (
+            self._whole.grown(SWARM_LIMITS.limit_area_margin)
+            if limit is None
+            else limit
+        )
+        self._limit = limit.with_floor(
+            min(limit.low[2], self._whole.low[2] - SWARM_LIMITS.limit_area_margin)
+        )
         self._flying, self._low = (
             np.array([*box.low, *box.high]) for box in (fence, self._whole)
         )
@@ -339,7 +351,7 @@ class Guard:
         pose_age: float,
         reference_age: float | None = None,
         low: bool = False,
-    ) -> Verdict:
+    ) -> SafetyVerdict:
         """Return the verdict at the time `now`.
 
         now: s
@@ -354,7 +366,9 @@ class Guard:
         stop = (
             -math.inf
             if state is None
-            else _outside(state.flat, self._low if low else self._flying, reach)
+            else _compute_overshoot(
+                state.flat, self._low if low else self._flying, reach
+            )
         )
         well = (
             pose_age <= self._least_pose
@@ -374,7 +388,7 @@ class Guard:
         Returns (n,) m, negative inside.
         """
         out = np.empty(len(path))
-        _each_outside(
+        _fill_overshoots(
             np.ascontiguousarray(path), np.array([*self.room.low, *self.room.high]), out
         )
         return out
@@ -455,7 +469,7 @@ class Guard:
             **self._told,
         }
 
-    def _judge(self, now: float, values: dict[str, float]) -> Verdict:
+    def _judge(self, now: float, values: dict[str, float]) -> SafetyVerdict:
         """Start and stop rules, then return the verdict of the worst acting rule."""
         for rule in self.table:
             value = values[rule.measure]
@@ -464,20 +478,21 @@ class Guard:
                 self._found[rule] = value
                 if rule.latched:
                     self._latched.setdefault(
-                        rule, _reason(rule, value, self._said.get(rule.measure, ""))
+                        rule,
+                        _describe_reason(rule, value, self._said.get(rule.measure, "")),
                     )
             elif rule in self._acting:
                 self._settle(rule, value, now)
         worst = max(self._acting, key=lambda rule: rule.action, default=None)
         if worst is None:
             return ALL_WELL
-        return Verdict(
+        return SafetyVerdict(
             worst.action,
-            self._latched.get(worst) or _reason(worst, self._found[worst]),
+            self._latched.get(worst) or _describe_reason(worst, self._found[worst]),
             worst.measure,
         )
 
-    def _settle(self, rule: Rule, value: float, now: float) -> None:
+    def _settle(self, rule: SafetyRule, value: float, now: float) -> None:
         """Stop a rule when its measure has been clear for long enough."""
         if rule.latched:
             return
@@ -487,10 +502,10 @@ class Guard:
             del self._acting[rule]
 
 
-def _reason(rule: Rule, value: float, said: str = "") -> str:
+def _describe_reason(rule: SafetyRule, value: float, said: str = "") -> str:
     """Return the text of a rule: what was found, the limit, and what is done."""
-    at_edge = rule.measure == "stop" and abs(value) < EDGE
-    text = (AT_EDGE if at_edge else TEXT[rule.measure]).format(
-        value=value, limit=rule.limit, doing=DOING[rule.action], said=said
+    at_edge = rule.measure == "stop" and abs(value) < EDGE_MARGIN
+    text = (FENCE_EDGE_TEXT if at_edge else MEASURE_TEXTS[rule.measure]).format(
+        value=value, limit=rule.limit, doing=ACTION_TEXTS[rule.action], said=said
     )
     return f"{text}, for good" if rule.latched else text

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from crazychoir.config.tables import Flight
+from crazychoir.config.tables import FlightTable
 from crazychoir.control.gains import Gains
 from crazychoir.numerics.kernels import kernel, memory, real, vector
 from crazychoir.numerics.math3d import Triple, clip, dot
@@ -12,7 +12,7 @@ from crazychoir.types import Acceleration, FullState, State, Vec
 
 
 @kernel()
-def _share(a: Triple, limit: float) -> float:
+def _compute_shortening(a: Triple, limit: float) -> float:
     """Return the factor, at most 1, that shortens the vector a to the length `limit`."""
     length = math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
     return limit / length if length > limit else 1.0
@@ -33,10 +33,10 @@ def _cut_full_state(x: Vec, ref: Vec, gains: Vec, limits: Vec, out: Vec) -> bool
     a_max = limits[1]
     j_max = limits[2]
     w_max = limits[3]
-    speed = _share((ref[3], ref[4], ref[5]), v_max)
-    lead = _share((ref[6], ref[7], ref[8]), a_max) if speed == 1.0 else 0.0
+    speed = _compute_shortening((ref[3], ref[4], ref[5]), v_max)
+    lead = _compute_shortening((ref[6], ref[7], ref[8]), a_max) if speed == 1.0 else 0.0
     e = (ref[0] - x[0], ref[1] - x[1], ref[2] - x[2])
-    far = _share(
+    far = _compute_shortening(
         (
             gains[0] / gains[3] * e[0],
             gains[1] / gains[4] * e[1],
@@ -49,8 +49,8 @@ def _cut_full_state(x: Vec, ref: Vec, gains: Vec, limits: Vec, out: Vec) -> bool
         gains[1] * far * e[1] + gains[4] * (speed * ref[4] - x[4]),
         gains[2] * far * e[2] + gains[5] * (speed * ref[5] - x[5]),
     )
-    hard = _share(pull, a_max)
-    turn = _share((ref[9], ref[10], ref[11]), j_max)
+    hard = _compute_shortening(pull, a_max)
+    turn = _compute_shortening((ref[9], ref[10], ref[11]), j_max)
     for c in range(3):
         out[c] = x[c] + hard * far * e[c]
         out[3 + c] = x[3 + c] + hard * (speed * ref[3 + c] - x[3 + c])
@@ -72,7 +72,7 @@ def _cut_acceleration(x: Vec, wanted: Vec, limits: Vec, kv: float, out: Vec) -> 
     """
     v_max = limits[0]
     a_max = limits[1]
-    hard = _share((wanted[0], wanted[1], wanted[2]), a_max)
+    hard = _compute_shortening((wanted[0], wanted[1], wanted[2]), a_max)
     a = (hard * wanted[0], hard * wanted[1], hard * wanted[2])
     v = (x[3], x[4], x[5])
     speed = math.sqrt(dot(v, v))
@@ -82,7 +82,7 @@ def _cut_acceleration(x: Vec, wanted: Vec, limits: Vec, kv: float, out: Vec) -> 
         else 0.0
     )
     a = (a[0] - excess * v[0], a[1] - excess * v[1], a[2] - excess * v[2])
-    hard = _share(a, a_max)
+    hard = _compute_shortening(a, a_max)
     for c in range(3):
         out[c] = hard * a[c]
 
@@ -108,7 +108,7 @@ class ReferenceLimits:
     gains: of the controller that flies FullStates: kp 1/s2, kv 1/s, kr 1/s
     """
 
-    def __init__(self, flight: Flight, gains: Gains) -> None:
+    def __init__(self, flight: FlightTable, gains: Gains) -> None:
         self.a_max = flight.acceleration_limit
         self._a_max_squared = self.a_max**2
         self.gains = gains.position

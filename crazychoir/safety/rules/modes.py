@@ -1,5 +1,6 @@
 """The flight state machine of all schemes: one table says what each event does in each mode."""
 
+from dataclasses import dataclass
 from enum import Enum
 
 
@@ -15,7 +16,7 @@ class Mode(Enum):
     CUT = "stopped"
 
 
-class Event(Enum):
+class ModeEvent(Enum):
     """Events that may change the mode: commands of an operator or of guidance, or progress."""
 
     ARM = "arm"
@@ -32,121 +33,141 @@ class Event(Enum):
     FOUND = "found in the air"  # another agent has flown the drone there
 
 
-GROUND, TAKEOFF, HOVER, FOLLOW, RETURN, LAND, CUT = Mode
+GROUND_MODE, TAKEOFF_MODE, HOVER_MODE, FOLLOW_MODE, RETURN_MODE, LAND_MODE, CUT_MODE = (
+    Mode
+)
 # Members of an enumeration are slow to look up, above all in Python 3.11; each tick needs these.
-DOWN = (GROUND, CUT)
+MOTORS_OFF_MODES = (GROUND_MODE, CUT_MODE)
 """Modes in which the motors are off."""
-GUIDED = (FOLLOW, HOVER, TAKEOFF)
+GUIDED_MODES = (FOLLOW_MODE, HOVER_MODE, TAKEOFF_MODE)
 """Modes in which guidance may move the drone."""
-COMMANDS = (
-    Event.ARM,
-    Event.TAKE_OFF,
-    Event.START,
-    Event.HOLD,
-    Event.GO,
-    Event.LAND,
-    Event.HOME,
-    Event.STOP,
+OPERATOR_EVENTS = (
+    ModeEvent.ARM,
+    ModeEvent.TAKE_OFF,
+    ModeEvent.START,
+    ModeEvent.HOLD,
+    ModeEvent.GO,
+    ModeEvent.LAND,
+    ModeEvent.HOME,
+    ModeEvent.STOP,
 )
 """Events that an operator may command."""
-HELD = "held by its operator"
+HELD_TEXT = "held by its operator"
 """Text for a drone that stays where it is until its operator lets it go on."""
 
-_STANDS = "it is on the ground"
-_LANDS = "it is landing"
-_RETURNS = "it is returning: its mission is over"
-_OFF = "its motors are off until its agent is started again"
-_FLIES = "it is in the air already"
-_UNPLANNED = "no flight is planned"
-_UP = "it is not landing"
-_RISES = "it is taking off already"
 
-TABLE: dict[Mode, dict[Event, Mode | str]] = {
-    GROUND: {
-        Event.ARM: GROUND,
-        Event.TAKE_OFF: TAKEOFF,
-        Event.START: GROUND,
-        Event.HOLD: GROUND,
-        Event.GO: GROUND,
-        Event.LAND: GROUND,
-        Event.HOME: _STANDS,
-        Event.STOP: CUT,
-        Event.FLY: _STANDS,
-        Event.ARRIVED: _UNPLANNED,
-        Event.DOWN: GROUND,
-        Event.FOUND: HOVER,
+@dataclass(frozen=True, slots=True)
+class _RefusalTexts:
+    """The reasons why the mode table refuses an event."""
+
+    on_ground: str = "it is on the ground"
+    """Of a drone that stands on the ground."""
+    landing: str = "it is landing"
+    """Of a landing drone."""
+    returning: str = "it is returning: its mission is over"
+    """Of a drone that returns after its mission."""
+    motors_off: str = "its motors are off until its agent is started again"
+    """Of a drone with stopped motors."""
+    in_air: str = "it is in the air already"
+    """Of a flying drone."""
+    no_flight: str = "no flight is planned"
+    """Of a drone without a planned flight."""
+    not_landing: str = "it is not landing"
+    """Of a flying drone that does not land."""
+    taking_off: str = "it is taking off already"
+    """Of a drone that takes off."""
+
+
+_REFUSAL_TEXTS = _RefusalTexts()
+
+
+MODE_TABLE: dict[Mode, dict[ModeEvent, Mode | str]] = {
+    GROUND_MODE: {
+        ModeEvent.ARM: GROUND_MODE,
+        ModeEvent.TAKE_OFF: TAKEOFF_MODE,
+        ModeEvent.START: GROUND_MODE,
+        ModeEvent.HOLD: GROUND_MODE,
+        ModeEvent.GO: GROUND_MODE,
+        ModeEvent.LAND: GROUND_MODE,
+        ModeEvent.HOME: _REFUSAL_TEXTS.on_ground,
+        ModeEvent.STOP: CUT_MODE,
+        ModeEvent.FLY: _REFUSAL_TEXTS.on_ground,
+        ModeEvent.ARRIVED: _REFUSAL_TEXTS.no_flight,
+        ModeEvent.DOWN: GROUND_MODE,
+        ModeEvent.FOUND: HOVER_MODE,
     },
-    TAKEOFF: {
-        Event.ARM: _RISES,
-        Event.TAKE_OFF: _RISES,
-        Event.START: TAKEOFF,
-        Event.HOLD: HOVER,
-        Event.GO: TAKEOFF,
-        Event.LAND: LAND,
-        Event.HOME: RETURN,
-        Event.STOP: CUT,
-        Event.FLY: FOLLOW,
-        Event.ARRIVED: HOVER,
-        Event.DOWN: _UP,
-        Event.FOUND: TAKEOFF,
+    TAKEOFF_MODE: {
+        ModeEvent.ARM: _REFUSAL_TEXTS.taking_off,
+        ModeEvent.TAKE_OFF: _REFUSAL_TEXTS.taking_off,
+        ModeEvent.START: TAKEOFF_MODE,
+        ModeEvent.HOLD: HOVER_MODE,
+        ModeEvent.GO: TAKEOFF_MODE,
+        ModeEvent.LAND: LAND_MODE,
+        ModeEvent.HOME: RETURN_MODE,
+        ModeEvent.STOP: CUT_MODE,
+        ModeEvent.FLY: FOLLOW_MODE,
+        ModeEvent.ARRIVED: HOVER_MODE,
+        ModeEvent.DOWN: _REFUSAL_TEXTS.not_landing,
+        ModeEvent.FOUND: TAKEOFF_MODE,
     },
-    HOVER: {
-        Event.ARM: _FLIES,
-        Event.TAKE_OFF: _FLIES,
-        Event.START: HOVER,
-        Event.HOLD: HOVER,
-        Event.GO: HOVER,
-        Event.LAND: LAND,
-        Event.HOME: RETURN,
-        Event.STOP: CUT,
-        Event.FLY: FOLLOW,
-        Event.ARRIVED: HOVER,
-        Event.DOWN: _UP,
-        Event.FOUND: HOVER,
+    HOVER_MODE: {
+        ModeEvent.ARM: _REFUSAL_TEXTS.in_air,
+        ModeEvent.TAKE_OFF: _REFUSAL_TEXTS.in_air,
+        ModeEvent.START: HOVER_MODE,
+        ModeEvent.HOLD: HOVER_MODE,
+        ModeEvent.GO: HOVER_MODE,
+        ModeEvent.LAND: LAND_MODE,
+        ModeEvent.HOME: RETURN_MODE,
+        ModeEvent.STOP: CUT_MODE,
+        ModeEvent.FLY: FOLLOW_MODE,
+        ModeEvent.ARRIVED: HOVER_MODE,
+        ModeEvent.DOWN: _REFUSAL_TEXTS.not_landing,
+        ModeEvent.FOUND: HOVER_MODE,
     },
-    FOLLOW: {
-        Event.ARM: _FLIES,
-        Event.TAKE_OFF: _FLIES,
-        Event.START: FOLLOW,
-        Event.HOLD: HOVER,
-        Event.GO: FOLLOW,
-        Event.LAND: LAND,
-        Event.HOME: RETURN,
-        Event.STOP: CUT,
-        Event.FLY: FOLLOW,
-        Event.ARRIVED: HOVER,
-        Event.DOWN: _UP,
-        Event.FOUND: FOLLOW,
+    FOLLOW_MODE: {
+        ModeEvent.ARM: _REFUSAL_TEXTS.in_air,
+        ModeEvent.TAKE_OFF: _REFUSAL_TEXTS.in_air,
+        ModeEvent.START: FOLLOW_MODE,
+        ModeEvent.HOLD: HOVER_MODE,
+        ModeEvent.GO: FOLLOW_MODE,
+        ModeEvent.LAND: LAND_MODE,
+        ModeEvent.HOME: RETURN_MODE,
+        ModeEvent.STOP: CUT_MODE,
+        ModeEvent.FLY: FOLLOW_MODE,
+        ModeEvent.ARRIVED: HOVER_MODE,
+        ModeEvent.DOWN: _REFUSAL_TEXTS.not_landing,
+        ModeEvent.FOUND: FOLLOW_MODE,
     },
-    RETURN: {
-        Event.ARM: _FLIES,
-        Event.TAKE_OFF: _FLIES,
-        Event.START: _RETURNS,
-        Event.HOLD: HOVER,
-        Event.GO: RETURN,
-        Event.LAND: LAND,
-        Event.HOME: RETURN,
-        Event.STOP: CUT,
-        Event.FLY: _RETURNS,
-        Event.ARRIVED: LAND,
-        Event.DOWN: _UP,
-        Event.FOUND: RETURN,
+    RETURN_MODE: {
+        ModeEvent.ARM: _REFUSAL_TEXTS.in_air,
+        ModeEvent.TAKE_OFF: _REFUSAL_TEXTS.in_air,
+        ModeEvent.START: _REFUSAL_TEXTS.returning,
+        ModeEvent.HOLD: HOVER_MODE,
+        ModeEvent.GO: RETURN_MODE,
+        ModeEvent.LAND: LAND_MODE,
+        ModeEvent.HOME: RETURN_MODE,
+        ModeEvent.STOP: CUT_MODE,
+        ModeEvent.FLY: _REFUSAL_TEXTS.returning,
+        ModeEvent.ARRIVED: LAND_MODE,
+        ModeEvent.DOWN: _REFUSAL_TEXTS.not_landing,
+        ModeEvent.FOUND: RETURN_MODE,
     },
-    LAND: {
-        Event.ARM: _LANDS,
-        Event.TAKE_OFF: _LANDS,
-        Event.START: _LANDS,
-        Event.HOLD: _LANDS,
-        Event.GO: _LANDS,
-        Event.LAND: LAND,
-        Event.HOME: _LANDS,
-        Event.STOP: CUT,
-        Event.FLY: _LANDS,
-        Event.ARRIVED: LAND,
-        Event.DOWN: GROUND,
-        Event.FOUND: LAND,
+    LAND_MODE: {
+        ModeEvent.ARM: _REFUSAL_TEXTS.landing,
+        ModeEvent.TAKE_OFF: _REFUSAL_TEXTS.landing,
+        ModeEvent.START: _REFUSAL_TEXTS.landing,
+        ModeEvent.HOLD: _REFUSAL_TEXTS.landing,
+        ModeEvent.GO: _REFUSAL_TEXTS.landing,
+        ModeEvent.LAND: LAND_MODE,
+        ModeEvent.HOME: _REFUSAL_TEXTS.landing,
+        ModeEvent.STOP: CUT_MODE,
+        ModeEvent.FLY: _REFUSAL_TEXTS.landing,
+        ModeEvent.ARRIVED: LAND_MODE,
+        ModeEvent.DOWN: GROUND_MODE,
+        ModeEvent.FOUND: LAND_MODE,
     },
-    CUT: {event: _OFF for event in Event} | {Event.STOP: CUT},
+    CUT_MODE: {event: _REFUSAL_TEXTS.motors_off for event in ModeEvent}
+    | {ModeEvent.STOP: CUT_MODE},
 }
 """For each mode and event: the next mode, or the reason why the event changes nothing.
 
@@ -156,13 +177,13 @@ safety table, a waiting mission) are checked before this table is read.
 """
 
 
-def after(mode: Mode, event: Event) -> Mode:
+def get_next_mode(mode: Mode, event: ModeEvent) -> Mode:
     """Return the mode after an event: the old mode if the table refuses the event."""
-    found = TABLE[mode][event]
+    found = MODE_TABLE[mode][event]
     return found if isinstance(found, Mode) else mode
 
 
-def refusal(mode: Mode, event: Event) -> str:
+def get_refusal(mode: Mode, event: ModeEvent) -> str:
     """Return why the table refuses the event in this mode; empty if it does not."""
-    found = TABLE[mode][event]
+    found = MODE_TABLE[mode][event]
     return found if isinstance(found, str) else ""

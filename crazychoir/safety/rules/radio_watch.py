@@ -1,24 +1,31 @@
 """The reports of a drone behind a radio, for the safety table and the check before take-off."""
 
 import math
+from enum import IntEnum
 
 from crazychoir.bus.port import Port
-from crazychoir.bus.topics import LINK
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.platforms import Firmware
-from crazychoir.runtime.actor import ON_FAILURE, Actor
+from crazychoir.runtime.actor import RESTART_ON_FAILURE, Actor
 from crazychoir.runtime.mailbox import Latest
 from crazychoir.safety.rules.guard import Guard
 from crazychoir.types import LinkStatus
 
-TUMBLED = 1 << 5
-"""Bit of the firmware's supervisor: the drone lies on its back."""
-LOCKED = 1 << 6
-"""Bit of the firmware's supervisor: the firmware has locked the drone."""
-CRASHED = 1 << 7
-"""Bit of the firmware's supervisor: the drone has crashed."""
-SILENT = 0.5
+
+class SupervisorBit(IntEnum):
+    """Bits of the firmware's supervisor that say what has damaged or locked a drone."""
+
+    TUMBLED = 1 << 5
+    """The drone lies on its back."""
+    LOCKED = 1 << 6
+    """The firmware has locked the drone."""
+    CRASHED = 1 << 7
+    """The drone has crashed."""
+
+
+MENTIONED_SILENCE = 0.5
 """Seconds without a packet that are mentioned when a drone has fallen."""
-LATELY = 5.0
+MENTIONED_SILENCE_TIME = 5.0
 """Seconds for which such a gap is still mentioned after it has ended."""
 
 
@@ -32,7 +39,7 @@ class RadioWatch(Actor):
     """
 
     name = "radio watch"
-    restart = ON_FAILURE
+    restart = RESTART_ON_FAILURE
 
     def __init__(
         self, port: Port, source: int, guard: Guard, firmware: Firmware
@@ -42,17 +49,19 @@ class RadioWatch(Actor):
         self.clock = port.bus.clock
         self.firmware = firmware
         self._status: Latest[LinkStatus] = Latest(
-            self.clock, f"drone {port.address} link", LINK.max_age
+            self.clock, f"drone {port.address} link", DRONE_TOPICS.link.max_age
         )
         self._low_since = math.inf
         self._heard_at = -math.inf
         self._gap = 0.0
         self._gap_ended = -math.inf
-        port.bus.subscribe(LINK, source, port.address, self._status)
+        port.bus.subscribe(DRONE_TOPICS.link, source, port.address, self._status)
 
     async def run(self) -> None:
         """Report at the rate of LINK."""
-        async for _ in self.clock.ticks(LINK.rate, drone=self.port.address):
+        async for _ in self.clock.ticks(
+            DRONE_TOPICS.link.rate, drone=self.port.address
+        ):
             self.look()
 
     def look(self) -> None:
@@ -77,16 +86,26 @@ class RadioWatch(Actor):
             f"{self.firmware.critical}",
         )
         silent = max(
-            now - self._heard_at, self._gap if now - self._gap_ended < LATELY else 0.0
+            now - self._heard_at,
+            self._gap if now - self._gap_ended < MENTIONED_SILENCE_TIME else 0.0,
         )
         after = (
             f"its radio was silent for {silent:.2f} s, it is "
-            if SILENT < silent < math.inf
+            if MENTIONED_SILENCE < silent < math.inf
             else ""
         )
         guard.tell(
             "tumbled",
-            float(bool(status.supervisor & (TUMBLED | LOCKED | CRASHED))),
+            float(
+                bool(
+                    status.supervisor
+                    & (
+                        SupervisorBit.TUMBLED
+                        | SupervisorBit.LOCKED
+                        | SupervisorBit.CRASHED
+                    )
+                )
+            ),
             after,
         )
 
@@ -96,7 +115,7 @@ class RadioWatch(Actor):
         A restarted owner of the dongle has not received a packet yet, but its predecessor has.
         So the time of the last packet never goes back.
         """
-        if math.isfinite(self._heard_at) and at - self._heard_at > SILENT:
+        if math.isfinite(self._heard_at) and at - self._heard_at > MENTIONED_SILENCE:
             self._gap = at - self._heard_at
             self._gap_ended = now
         self._heard_at = max(self._heard_at, at)

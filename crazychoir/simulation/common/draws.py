@@ -4,6 +4,7 @@ There is no generator state, so the order of the calls does not change what is d
 """
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -13,51 +14,79 @@ from crazychoir.numerics.kernels import kernel
 
 Keys = npt.NDArray[np.uint64]
 
-GOLDEN = np.uint64(0x9E3779B97F4A7C15)  # increment of SplitMix64
-FIRST = np.uint64(0xBF58476D1CE4E5B9)  # first multiplier of SplitMix64
-SECOND = np.uint64(0x94D049BB133111EB)  # second multiplier of SplitMix64
-S8, S16, S27, S30, S31, S32 = (np.uint64(n) for n in (8, 16, 27, 30, 31, 32))
-BYTES = np.uint64(0x00FF00FF00FF00FF)  # mask of every second byte
-LOW = np.uint64(0xFFFF)  # mask of the lowest 16 bits
-SCALE = math.sqrt(
-    3.0 / (256.0**2 - 1.0)
-)  # 1 over the standard deviation of the sum of four uniform bytes
+
+class SplitMix64(NamedTuple):
+    """Constants of the generator SplitMix64 (Steele, Lea & Flood 2014)."""
+
+    golden_gamma: np.uint64 = np.uint64(0x9E3779B97F4A7C15)
+    """Increment of the state: 2^64 divided by the golden ratio."""
+    first_multiplier: np.uint64 = np.uint64(0xBF58476D1CE4E5B9)
+    """First multiplier of the mixing function."""
+    second_multiplier: np.uint64 = np.uint64(0x94D049BB133111EB)
+    """Second multiplier of the mixing function."""
+
+
+SPLITMIX_64 = SplitMix64()
+
+
+SHIFT_8, SHIFT_16, SHIFT_27, SHIFT_30, SHIFT_31, SHIFT_32 = (
+    np.uint64(n) for n in (8, 16, 27, 30, 31, 32)
+)
+
+
+class ByteSum(NamedTuple):
+    """Masks and scale that turn 64 random bits into two sums of four bytes."""
+
+    every_second_byte: np.uint64 = np.uint64(0x00FF00FF00FF00FF)
+    """Mask of every second byte."""
+    lowest_16_bits: np.uint64 = np.uint64(0xFFFF)
+    """Mask of the lowest 16 bits."""
+    scale: float = math.sqrt(3.0 / (256.0**2 - 1.0))
+    """1 over the standard deviation of the sum of four uniform bytes."""
+
+
+BYTE_SUM = ByteSum()
 
 
 @kernel()
-def scramble(z: np.uint64) -> np.uint64:
+def scramble_bits(z: np.uint64) -> np.uint64:
     """Return 64 bits that look random; different z give different results.
 
     Source: SplitMix64, Steele, Lea & Flood 2014, OOPSLA: its n-th number is scramble(key + n
         GOLDEN).
     """
-    z = (z ^ (z >> S30)) * FIRST
-    z = (z ^ (z >> S27)) * SECOND
-    return z ^ (z >> S31)
+    z = (z ^ (z >> SHIFT_30)) * SPLITMIX_64.first_multiplier
+    z = (z ^ (z >> SHIFT_27)) * SPLITMIX_64.second_multiplier
+    return z ^ (z >> SHIFT_31)
 
 
 @kernel()
-def normals(key: np.uint64, number: np.uint64) -> tuple[float, float]:
+def draw_normals(key: np.uint64, number: np.uint64) -> tuple[float, float]:
     """Return draw `number` of a stream: two values, each nearly standard normal.
 
     Each value is the scaled sum of four random bytes, so it lies within 3.46.
     """
-    z = scramble(key + GOLDEN * number)
-    pairs = (z & BYTES) + ((z >> S8) & BYTES)
-    fours = pairs + (pairs >> S16)
-    return (np.int64(fours & LOW) - 510) * SCALE, (
-        np.int64((fours >> S32) & LOW) - 510
-    ) * SCALE
+    z = scramble_bits(key + SPLITMIX_64.golden_gamma * number)
+    pairs = (z & BYTE_SUM.every_second_byte) + (
+        (z >> SHIFT_8) & BYTE_SUM.every_second_byte
+    )
+    fours = pairs + (pairs >> SHIFT_16)
+    return (np.int64(fours & BYTE_SUM.lowest_16_bits) - 510) * BYTE_SUM.scale, (
+        np.int64((fours >> SHIFT_32) & BYTE_SUM.lowest_16_bits) - 510
+    ) * BYTE_SUM.scale
 
 
 @kernel(numba.int64, numba.int64, numba.int64)
-def stream(seed: int, use: int, drone: int) -> np.uint64:
+def derive_stream_key(seed: int, use: int, drone: int) -> np.uint64:
     """Return the key of a drone's stream of random numbers for one use."""
-    key = scramble(np.uint64(seed) + GOLDEN * np.uint64(use))
-    return scramble(key + GOLDEN * np.uint64(drone))
+    key = scramble_bits(np.uint64(seed) + SPLITMIX_64.golden_gamma * np.uint64(use))
+    return scramble_bits(key + SPLITMIX_64.golden_gamma * np.uint64(drone))
 
 
 @kernel(numba.uint64, numba.int64)
-def uniform(key: np.uint64, number: int) -> float:
+def draw_uniform(key: np.uint64, number: int) -> float:
     """Return draw `number` of a stream, uniform in [-1, 1)."""
-    return np.int64(scramble(key + GOLDEN * np.uint64(number))) / 9223372036854775808.0
+    return (
+        np.int64(scramble_bits(key + SPLITMIX_64.golden_gamma * np.uint64(number)))
+        / 9223372036854775808.0
+    )

@@ -8,7 +8,7 @@ from crazychoir.numerics.math3d import rotation
 from crazychoir.types import Command, State, Vec
 
 
-class Rated(Protocol):
+class RateWorld(Protocol):
     """A world in which each drone obeys four numbers."""
 
     def command(self, i: int, u: Vec | Sequence[float]) -> None:
@@ -27,7 +27,7 @@ class Rated(Protocol):
 class SimulatedLink:
     """The link to one drone of a world in this process."""
 
-    def __init__(self, world: Rated, drone: int) -> None:
+    def __init__(self, world: RateWorld, drone: int) -> None:
         self.world = world
         self.drone = drone
 

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from crazychoir.numerics.math3d import rotation
 from crazychoir.types import State
 
-Read = Callable[[State], float]
+StateReader = Callable[[State], float]
 
 
-def _attitude(state: State) -> tuple[float, float, float]:
+def _compute_attitude(state: State) -> tuple[float, float, float]:
     """Return roll, pitch and yaw in degrees, with R = Rz(yaw) Ry(-pitch) Rx(roll).
 
     The sign of the pitch is the firmware's: positive with the nose up.
@@ -24,24 +24,25 @@ def _attitude(state: State) -> tuple[float, float, float]:
     )
 
 
-def _flat(k: int, factor: float = 1.0) -> Read:
+def _state_reader(k: int, factor: float = 1.0) -> StateReader:
     return lambda state: factor * float(state.flat[k])
 
 
-def _angle(k: int) -> Read:
-    return lambda state: _attitude(state)[k]
+def _angle_reader(k: int) -> StateReader:
+    return lambda state: _compute_attitude(state)[k]
 
 
-LIGHT: dict[str, Read] = {
+LIGHTWEIGHT_LOG_READERS: dict[str, StateReader] = {
     **{
-        f"stateEstimate.{name}": _flat(k)
+        f"stateEstimate.{name}": _state_reader(k)
         for k, name in enumerate(("x", "y", "z", "vx", "vy", "vz"))
     },
     **{
-        f"gyro.{axis}": _flat(10 + k, math.degrees(1.0)) for k, axis in enumerate("xyz")
+        f"gyro.{axis}": _state_reader(10 + k, math.degrees(1.0))
+        for k, axis in enumerate("xyz")
     },
     **{
-        f"stabilizer.{name}": _angle(k)
+        f"stabilizer.{name}": _angle_reader(k)
         for k, name in enumerate(("roll", "pitch", "yaw"))
     },
 }

@@ -5,7 +5,9 @@ from dataclasses import replace
 from crazychoir.platforms import Platform
 
 
-def built(platform: Platform, mass_error: float, thrust_error: float) -> Platform:
+def apply_model_errors(
+    platform: Platform, mass_error: float, thrust_error: float
+) -> Platform:
     """Return the true platform of a drone with rotors, which gets unchanged motor commands.
 
         m = (1 + e_m) m_0,   f(r) = (1 + e_f) f_0(r),   P(r) = P_0(r)
@@ -41,7 +43,9 @@ def built(platform: Platform, mass_error: float, thrust_error: float) -> Platfor
     )
 
 
-def scaled(platform: Platform, mass_error: float, thrust_error: float) -> Platform:
+def find_equivalent_platform(
+    platform: Platform, mass_error: float, thrust_error: float
+) -> Platform:
     """Return a platform that obeys the thrust u exactly and moves like the true drone.
 
     The true drone makes the thrust (1 + e_f) u.

@@ -12,7 +12,7 @@ from crazychoir.types import Mat, Pose, State, Vec
 
 
 @kernel(matrix, memory)
-def _closest(x: Mat, best: Vec) -> None:
+def _find_closest_pair(x: Mat, best: Vec) -> None:
     """Find the closest pair of drones: best (3,) = row, row, distance m."""
     best[2] = math.inf
     for i in range(x.shape[0]):
@@ -69,7 +69,7 @@ class Truth:
                 f"one platform, or {n}",
             )
         self.row = {drone: row for row, drone in enumerate(self.ids)}
-        self.states = _standing(p0, np.zeros(n) if yaw0 is None else yaw0)
+        self.states = _make_resting_states(p0, np.zeros(n) if yaw0 is None else yaw0)
         self._allowed = [row.max_landing_speed for row in self.platforms]
         self.limited = np.zeros(n)
         self.impact = np.zeros(n)
@@ -115,7 +115,7 @@ class Truth:
     def closest(self) -> tuple[int, int, float]:
         """Return the two closest drones and their distance in m; (-1, -1, inf) for one drone."""
         best = np.full(3, -1.0)
-        _closest(self.states, best)
+        _find_closest_pair(self.states, best)
         if best[0] < 0.0:
             return -1, -1, math.inf
         return self.ids[int(best[0])], self.ids[int(best[1])], float(best[2])
@@ -125,7 +125,7 @@ class Truth:
         return self.closest()[2]
 
 
-def _standing(p0: Mat, yaw0: Vec) -> Mat:
+def _make_resting_states(p0: Mat, yaw0: Vec) -> Mat:
     """Return (N, 13) level states at rest at p0, raised to the floor where p0 is below it."""
     x = np.zeros((len(p0), 13))
     x[:, 0:3] = p0

@@ -20,7 +20,7 @@ from crazychoir.types import (
     Vel,
 )
 
-KINDS: dict[str, tuple[type[Any], ...]] = {
+COMMAND_TYPES: dict[str, tuple[type[Any], ...]] = {
     "fpqr": (FPQR,),
     "frpy": (FRPY,),
     "vel": (Vel, XYZ),
@@ -65,7 +65,7 @@ class WorldSetup:
     """Share by which each body's rotors pull harder than its platform says."""
 
 
-class Link(Protocol):
+class DroneLink(Protocol):
     """The link to one drone."""
 
     def send(self, command: Command) -> None:
@@ -108,7 +108,7 @@ class World(Protocol):
         """Advance every drone by dt."""
         ...
 
-    def link(self, i: int, kind: str) -> Link:
+    def link(self, i: int, kind: str) -> DroneLink:
         """Return the link to drone i for commands of this kind.
 
         Raises ConfigError if the drones of this world do not obey this kind.
@@ -143,7 +143,9 @@ class World(Protocol):
         ...
 
 
-def not_flown(drone: int, kind: str, flies: tuple[str, ...]) -> ConfigError:
+def make_unsupported_kind_error(
+    drone: int, kind: str, flies: tuple[str, ...]
+) -> ConfigError:
     """Return the error for a command kind that the world of this drone does not obey."""
     do = "Set sender in [control] or in its [[roles]], or give it another uri."
     return ConfigError(

@@ -2,28 +2,46 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from crazychoir.numerics.kernels import kernel, matrix, memory, real, table, vector
-from crazychoir.numerics.math3d import GRAVITY, Triple, clip, columns, dot
-from crazychoir.platforms import PAPER, Platform
+from crazychoir.numerics.math3d import (
+    STANDARD_GRAVITY,
+    Triple,
+    clip,
+    dot,
+    rotation_columns,
+)
+from crazychoir.platforms import PAPER_PLATFORM, Platform
 from crazychoir.simulation.common.links import EulerRatesLink, SimulatedLink
-from crazychoir.simulation.common.logs import LIGHT
+from crazychoir.simulation.common.logs import LIGHTWEIGHT_LOG_READERS
 from crazychoir.simulation.common.truth import Truth
-from crazychoir.simulation.common.world import not_flown
+from crazychoir.simulation.common.world import make_unsupported_kind_error
 from crazychoir.types import Mat, Vec
 
-THRUST = 0  # column of a command
-MAX_THRUST = 4  # column of Platform.flat
-MASS = 0  # column of Platform.flat
-SILENCE = 0.5
+
+class IntegratorColumns(NamedTuple):
+    """Columns of the commands and of Platform.flat that the integrator reads by name."""
+
+    thrust: int = 0
+    """Column of a command with the thrust."""
+    max_thrust: int = 4
+    """Column of Platform.flat with the largest thrust; the largest rates follow."""
+    mass: int = 0
+    """Column of Platform.flat with the mass."""
+
+
+INTEGRATOR_COLUMNS = IntegratorColumns()
+
+
+LIGHTWEIGHT_COMMAND_TIMEOUT = 0.5
 """Seconds without a command before a drone has no thrust; no firmware levels it first."""
 
 
 @kernel()
-def _body_rates(z_row: Triple, u: Vec, euler: bool) -> Triple:
+def _convert_to_body_rates(z_row: Triple, u: Vec, euler: bool) -> Triple:
     """Return the body rates for the inputs u[1:4], which are body rates or Euler-angle rates eta'.
 
     Body rates are returned unchanged. Euler-angle rates are converted:
@@ -48,7 +66,7 @@ def _body_rates(z_row: Triple, u: Vec, euler: bool) -> Triple:
 
 
 @kernel()
-def _slope(y: Vec, u: Vec, platform: Vec, euler: bool, out: Vec) -> None:
+def _write_slope(y: Vec, u: Vec, platform: Vec, euler: bool, out: Vec) -> None:
     """Write the slope y' of the paper's dynamics to out: z up, quaternion attitude.
 
         p' = v,  v' = -g e3 + (u_1 / m) R e3 - (1/m) R A R^T v,  q' = 1/2 q (w, 0)
@@ -59,17 +77,17 @@ def _slope(y: Vec, u: Vec, platform: Vec, euler: bool, out: Vec) -> None:
     euler: True if the rates are Euler-angle rates
     """
     q = (y[6], y[7], y[8], y[9])
-    bx, by, bz = columns(q)
+    bx, by, bz = rotation_columns(q)
     v = (y[3], y[4], y[5])
-    m = platform[MASS]
+    m = platform[INTEGRATOR_COLUMNS.mass]
     ax = -platform[1] * dot(bx, v) / m
     ay = -platform[2] * dot(by, v) / m
-    az = (u[THRUST] - platform[3] * dot(bz, v)) / m
-    w = _body_rates((bx[2], by[2], bz[2]), u, euler)
+    az = (u[INTEGRATOR_COLUMNS.thrust] - platform[3] * dot(bz, v)) / m
+    w = _convert_to_body_rates((bx[2], by[2], bz[2]), u, euler)
     for c in range(3):
         out[c] = v[c]
         out[3 + c] = ax * bx[c] + ay * by[c] + az * bz[c]
-    out[5] -= GRAVITY
+    out[5] -= STANDARD_GRAVITY
     out[6] = 0.5 * (q[3] * w[0] + q[1] * w[2] - q[2] * w[1])
     out[7] = 0.5 * (q[3] * w[1] + q[2] * w[0] - q[0] * w[2])
     out[8] = 0.5 * (q[3] * w[2] + q[0] * w[1] - q[1] * w[0])
@@ -77,7 +95,9 @@ def _slope(y: Vec, u: Vec, platform: Vec, euler: bool, out: Vec) -> None:
 
 
 @kernel()
-def _lagged(start: Vec, target: Vec, t: float, lags: Vec, out: Vec) -> None:
+def _write_lagged_inputs(
+    start: Vec, target: Vec, t: float, lags: Vec, out: Vec
+) -> None:
     """Write the inputs after a first-order lag to out, exactly.
 
         u(t) = target + (start - target) exp(-t / lag),   lag 0 follows at once
@@ -85,13 +105,15 @@ def _lagged(start: Vec, target: Vec, t: float, lags: Vec, out: Vec) -> None:
     lags: (2,) s: of the thrust and of the rates
     """
     for c in range(4):
-        lag = lags[0] if c == THRUST else lags[1]
+        lag = lags[0] if c == INTEGRATOR_COLUMNS.thrust else lags[1]
         decay = math.exp(-t / lag) if lag > 0.0 else 0.0
         out[c] = target[c] + (start[c] - target[c]) * decay
 
 
 @kernel()
-def _runge_kutta(y: Vec, u: Mat, h: float, platform: Vec, euler: bool, k: Mat) -> None:
+def _step_runge_kutta(
+    y: Vec, u: Mat, h: float, platform: Vec, euler: bool, k: Mat
+) -> None:
     """Make one step of the classical Runge-Kutta method of order 4; y is replaced.
 
     y: (10,): state as in _slope
@@ -100,16 +122,16 @@ def _runge_kutta(y: Vec, u: Mat, h: float, platform: Vec, euler: bool, k: Mat) -
     k: (5, 10): work space for the slopes
     """
     stage = k[4]
-    _slope(y, u[0], platform, euler, k[0])
+    _write_slope(y, u[0], platform, euler, k[0])
     for c in range(10):
         stage[c] = y[c] + 0.5 * h * k[0, c]
-    _slope(stage, u[1], platform, euler, k[1])
+    _write_slope(stage, u[1], platform, euler, k[1])
     for c in range(10):
         stage[c] = y[c] + 0.5 * h * k[1, c]
-    _slope(stage, u[1], platform, euler, k[2])
+    _write_slope(stage, u[1], platform, euler, k[2])
     for c in range(10):
         stage[c] = y[c] + h * k[2, c]
-    _slope(stage, u[2], platform, euler, k[3])
+    _write_slope(stage, u[2], platform, euler, k[3])
     for c in range(10):
         y[c] += h / 6.0 * (k[0, c] + 2.0 * k[1, c] + 2.0 * k[2, c] + k[3, c])
     n = 1.0 / math.sqrt(y[6] * y[6] + y[7] * y[7] + y[8] * y[8] + y[9] * y[9])
@@ -118,11 +140,11 @@ def _runge_kutta(y: Vec, u: Mat, h: float, platform: Vec, euler: bool, k: Mat) -
 
 
 @kernel()
-def _stays_down(y: Vec, u: Vec, platform: Vec) -> bool:
+def _is_held_by_weight(y: Vec, u: Vec, platform: Vec) -> bool:
     """Return True if the weight of a drone on the floor is at least its upward thrust."""
     upright = 1.0 - 2.0 * (y[6] * y[6] + y[7] * y[7])
-    lift: float = u[THRUST] * upright
-    return lift <= float(platform[MASS]) * GRAVITY
+    lift: float = u[INTEGRATOR_COLUMNS.thrust] * upright
+    return lift <= float(platform[INTEGRATOR_COLUMNS.mass]) * STANDARD_GRAVITY
 
 
 @kernel()
@@ -141,7 +163,7 @@ def _put_down(x: Vec) -> None:
 
 
 @kernel(matrix, matrix, table, table, memory)
-def _admit(
+def _clip_commands(
     commands: Mat, platforms: Mat, accepted: Mat, previous: Mat, counts: Vec
 ) -> None:
     """Clip commands to the limits of the platforms and count the clipped ones.
@@ -156,12 +178,14 @@ def _admit(
     for i in range(commands.shape[0]):
         for c in range(4):
             value = commands[i, c]
-            limit = platforms[i, MAX_THRUST + c]
+            limit = platforms[i, INTEGRATOR_COLUMNS.max_thrust + c]
             if not math.isfinite(value):
                 accepted[i] = previous[i]
                 counts[i] += 1.0
                 break
-            accepted[i, c] = clip(value, 0.0 if c == THRUST else -limit, limit)
+            accepted[i, c] = clip(
+                value, 0.0 if c == INTEGRATOR_COLUMNS.thrust else -limit, limit
+            )
         else:
             counts[i] += 1.0 if np.any(accepted[i] != commands[i]) else 0.0
 
@@ -203,18 +227,18 @@ def _advance(
         for c in range(4):
             goal[c] = target[i, c] * alive[i]
         for s in range(3):
-            _lagged(actual[i], goal, 0.5 * h * s, lags, u[s])
-        if resting[i] and _stays_down(x[i, :10], u[2], platform):
-            actual[i, THRUST] = u[2, THRUST]
+            _write_lagged_inputs(actual[i], goal, 0.5 * h * s, lags, u[s])
+        if resting[i] and _is_held_by_weight(x[i, :10], u[2], platform):
+            actual[i, INTEGRATOR_COLUMNS.thrust] = u[2, INTEGRATOR_COLUMNS.thrust]
             actual[i, 1:4] = 0.0
             continue
         resting[i] = 0.0
         actual[i] = u[2]
         y[:] = x[i, :10]
-        _runge_kutta(y, u, h, platform, euler > 0.0, k)
+        _step_runge_kutta(y, u, h, platform, euler > 0.0, k)
         x[i, :10] = y
-        bx, by, bz = columns((y[6], y[7], y[8], y[9]))
-        x[i, 10], x[i, 11], x[i, 12] = _body_rates(
+        bx, by, bz = rotation_columns((y[6], y[7], y[8], y[9]))
+        x[i, 10], x[i, 11], x[i, 12] = _convert_to_body_rates(
             (bx[2], by[2], bz[2]), u[2], euler > 0.0
         )
         if y[2] < 0.0:
@@ -243,14 +267,14 @@ class CFIntegrator(Truth):
     """
 
     flies: tuple[str, ...] = ("fpqr",)
-    command_timeout: float | None = SILENCE
+    command_timeout: float | None = LIGHTWEIGHT_COMMAND_TIMEOUT
 
     def __init__(
         self,
         ids: Sequence[int],
         p0: Mat,
         yaw0: Vec | None = None,
-        platform: Platform | Sequence[Platform] = PAPER,
+        platform: Platform | Sequence[Platform] = PAPER_PLATFORM,
         dt: float = 0.01,
         *,
         rate_lag: float = 0.0,
@@ -261,7 +285,7 @@ class CFIntegrator(Truth):
         super().__init__(ids, p0, yaw0, platform, dt)
         n = len(self.ids)
         self.commands = np.zeros((n, 4))
-        self.commands[:, THRUST] = np.where(
+        self.commands[:, INTEGRATOR_COLUMNS.thrust] = np.where(
             self.states[:, 2] > 0.0, [row.weight for row in self.platforms], 0.0
         )
         self._alive = np.ones(n)
@@ -280,7 +304,7 @@ class CFIntegrator(Truth):
         Raises ConfigError if the kind is not "fpqr".
         """
         if kind not in self.flies:
-            raise not_flown(i, kind, self.flies)
+            raise make_unsupported_kind_error(i, kind, self.flies)
         return EulerRatesLink(self, i) if self._euler else SimulatedLink(self, i)
 
     def command(self, i: int, u: Vec | Sequence[float]) -> None:
@@ -294,17 +318,17 @@ class CFIntegrator(Truth):
     @property
     def variables(self) -> Iterable[str]:
         """Names of the log variables of the drones."""
-        return LIGHT
+        return LIGHTWEIGHT_LOG_READERS
 
     def log(self, i: int, name: str) -> float:
         """Return a log variable of drone i now, in the firmware's unit."""
-        return LIGHT[name](self.state(i))
+        return LIGHTWEIGHT_LOG_READERS[name](self.state(i))
 
     def step(self) -> None:
         """Advance every drone by dt."""
         size = len(self._sent)
         k = self.tick
-        _admit(
+        _clip_commands(
             self.commands,
             self._flat,
             self._sent[k % size],

@@ -11,15 +11,23 @@ import numpy as np
 
 from crazychoir.numerics.math3d import yaw_of
 from crazychoir.simulation.common.truth import Truth
-from crazychoir.simulation.common.world import WorldSetup, not_flown
+from crazychoir.simulation.common.world import WorldSetup, make_unsupported_kind_error
 from crazychoir.types import XYZ, Command, Vec
 
-SILENCE = 0.5
-"""Seconds without a command before a robot stops."""
-STANDS = 1e-3
-"""Speed in m/s below which a robot counts as standing still."""
-STRAIGHT = 1e-9
-"""Half the turn of a step, in rad, up to which a unicycle is moved on a straight line."""
+
+@dataclass(frozen=True, slots=True)
+class GroundRobotLimits:
+    """Limits that decide when a robot stops, stands still, or drives straight."""
+
+    command_timeout: float = 0.5
+    """Seconds without a command before a robot stops."""
+    standing_speed: float = 1e-3
+    """Speed in m/s below which a robot counts as standing still."""
+    straight_half_turn: float = 1e-9
+    """Half the turn of a step, in rad, up to which a unicycle is moved on a straight line."""
+
+
+GROUND_ROBOT_LIMITS = GroundRobotLimits()
 
 
 class Robots(Truth):
@@ -32,7 +40,7 @@ class Robots(Truth):
 
     kind: str
     size: int
-    command_timeout: float | None = SILENCE
+    command_timeout: float | None = GROUND_ROBOT_LIMITS.command_timeout
 
     def __init__(self, setup: WorldSetup) -> None:
         super().__init__(
@@ -52,12 +60,15 @@ class Robots(Truth):
         Raises ConfigError if the kind is not that of these robots.
         """
         if kind != self.kind:
-            raise not_flown(i, kind, self.flies)
+            raise make_unsupported_kind_error(i, kind, self.flies)
         return RobotLink(self, self.row[i])
 
     def resting(self, i: int) -> bool:
         """Return True if robot i stands still."""
-        return float(np.linalg.norm(self.states[self.row[i], 3:6])) < STANDS
+        return (
+            float(np.linalg.norm(self.states[self.row[i], 3:6]))
+            < GROUND_ROBOT_LIMITS.standing_speed
+        )
 
     def step(self) -> None:
         """Advance every robot by dt."""
@@ -155,7 +166,15 @@ class Unicycles(Robots):
         v, w = u.tolist()
         yaw = yaw_of(x[6:10])
         half = 0.5 * h * w
-        chord = v * h * (math.sin(half) / half if abs(half) > STRAIGHT else 1.0)
+        chord = (
+            v
+            * h
+            * (
+                math.sin(half) / half
+                if abs(half) > GROUND_ROBOT_LIMITS.straight_half_turn
+                else 1.0
+            )
+        )
         x[0] += chord * math.cos(yaw + half)
         x[1] += chord * math.sin(yaw + half)
         yaw += h * w

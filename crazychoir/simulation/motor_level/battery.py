@@ -8,25 +8,25 @@ from crazychoir.types import Vec
 
 # isort: off
 from crazychoir.simulation.motor_level.lanes import (
-    C0,
-    C1,
-    C2,
-    C3,
-    CAPACITY,
-    CEILING,
-    CELL_EMPTY,
-    CELL_FULL,
-    CHARGE,
-    F1,
-    IDLE,
-    LANES,
-    POWER,
-    RESISTANCE,
-    VOLTAGE,
+    VOLTAGE_CURVE_0,
+    VOLTAGE_CURVE_1,
+    VOLTAGE_CURVE_2,
+    VOLTAGE_CURVE_3,
+    CELL_CAPACITY,
+    THRUST_CEILING,
+    CELL_EMPTY_VOLTAGE,
+    CELL_FULL_VOLTAGE,
+    BATTERY_CHARGE,
+    ROTOR_THRUST_1,
+    IDLE_CURRENT,
+    LANE_COUNT,
+    POWER_FACTOR,
+    CELL_RESISTANCE,
+    BATTERY_VOLTAGE,
 )
 # isort: on
 
-OPEN_CIRCUIT = (
+OPEN_CIRCUIT_CURVE = (
     0.0,
     0.65,
     0.6917,
@@ -48,19 +48,19 @@ and 4.2 V for a full cell.
 
 
 @kernel()
-def open_circuit(charge: float) -> float:
+def interpolate_open_circuit(charge: float) -> float:
     """Return the voltage at rest between empty (0) and full (1) for a charge from 0 to 1.
 
     The table is interpolated by straight lines.
     """
     x = 10.0 * clip(charge, 0.0, 1.0)
     n = min(int(x), 9)
-    low: float = OPEN_CIRCUIT[n]
-    return low + (x - n) * (OPEN_CIRCUIT[n + 1] - low)
+    low: float = OPEN_CIRCUIT_CURVE[n]
+    return low + (x - n) * (OPEN_CIRCUIT_CURVE[n + 1] - low)
 
 
 @kernel()
-def drain(m: Vec, dt: float) -> None:
+def drain_batteries(m: Vec, dt: float) -> None:
     """Load the batteries of a block for dt s.
 
         P = a sum_n f_n^1.5,   V = E - R I,   I = P / V + I_idle,   Q' = -I
@@ -70,21 +70,31 @@ def drain(m: Vec, dt: float) -> None:
     protection of a cell switches it off when it is empty: V = 0. CEILING is the thrust of the
     platform's curve c0 + c1 V + c2 V^2 + c3 V^3 at full duty cycle.
     """
-    for k in range(LANES):
+    for k in range(LANE_COUNT):
         power = 0.0
-        for n in range(0, 4 * LANES, LANES):
-            power += m[F1 + n + k] * math.sqrt(m[F1 + n + k])
-        power *= m[POWER + k]
-        rest = m[CELL_EMPTY + k] + (
-            m[CELL_FULL + k] - m[CELL_EMPTY + k]
-        ) * open_circuit(m[CHARGE + k])
-        b = rest - m[RESISTANCE + k] * m[IDLE + k]
-        v = 0.5 * (b + math.sqrt(max(b * b - 4.0 * m[RESISTANCE + k] * power, 0.0)))
-        m[CHARGE + k] = max(
-            m[CHARGE + k] - dt * (power / v + m[IDLE + k]) / m[CAPACITY + k], 0.0
+        for n in range(0, 4 * LANE_COUNT, LANE_COUNT):
+            power += m[ROTOR_THRUST_1 + n + k] * math.sqrt(m[ROTOR_THRUST_1 + n + k])
+        power *= m[POWER_FACTOR + k]
+        rest = m[CELL_EMPTY_VOLTAGE + k] + (
+            m[CELL_FULL_VOLTAGE + k] - m[CELL_EMPTY_VOLTAGE + k]
+        ) * interpolate_open_circuit(m[BATTERY_CHARGE + k])
+        b = rest - m[CELL_RESISTANCE + k] * m[IDLE_CURRENT + k]
+        v = 0.5 * (
+            b + math.sqrt(max(b * b - 4.0 * m[CELL_RESISTANCE + k] * power, 0.0))
         )
-        v = v if m[CHARGE + k] > 0.0 else 0.0
-        m[VOLTAGE + k] = v
-        m[CEILING + k] = max(
-            m[C0 + k] + v * (m[C1 + k] + v * (m[C2 + k] + v * m[C3 + k])), 0.0
+        m[BATTERY_CHARGE + k] = max(
+            m[BATTERY_CHARGE + k]
+            - dt * (power / v + m[IDLE_CURRENT + k]) / m[CELL_CAPACITY + k],
+            0.0,
+        )
+        v = v if m[BATTERY_CHARGE + k] > 0.0 else 0.0
+        m[BATTERY_VOLTAGE + k] = v
+        m[THRUST_CEILING + k] = max(
+            m[VOLTAGE_CURVE_0 + k]
+            + v
+            * (
+                m[VOLTAGE_CURVE_1 + k]
+                + v * (m[VOLTAGE_CURVE_2 + k] + v * m[VOLTAGE_CURVE_3 + k])
+            ),
+            0.0,
         )

@@ -7,48 +7,66 @@ from typing import Any, Self
 import numpy as np
 
 from crazychoir.numerics.kernels import kernel, matrix, memory, table, vector
-from crazychoir.numerics.math3d import exponential, product, rotation, yaw_of
+from crazychoir.numerics.math3d import (
+    quaternion_product,
+    rotation,
+    rotation_exponential,
+    yaw_of,
+)
 from crazychoir.platforms import CRAZYFLIE_21, Platform
 from crazychoir.simulation.common.draws import Keys
-from crazychoir.simulation.common.mismatch import built
-from crazychoir.simulation.common.world import WorldSetup, not_flown
+from crazychoir.simulation.common.mismatch import apply_model_errors
+from crazychoir.simulation.common.world import WorldSetup, make_unsupported_kind_error
 from crazychoir.simulation.motor_level.air import Wind
-from crazychoir.simulation.motor_level.battery import drain
-from crazychoir.simulation.motor_level.body import fly, obey
-from crazychoir.simulation.motor_level.floor import stand
-from crazychoir.simulation.motor_level.imu import Imu, measure
-from crazychoir.simulation.motor_level.motor_control import CONTROLS, CrazyflieLink
-from crazychoir.simulation.motor_level.motors import H, MotorWorld, keys, whole
-from crazychoir.simulation.onboard.logs import TABLE, read
+from crazychoir.simulation.motor_level.battery import drain_batteries
+from crazychoir.simulation.motor_level.body import integrate_bodies, set_goal_thrusts
+from crazychoir.simulation.motor_level.floor import apply_floor
+from crazychoir.simulation.motor_level.imu import Imu, measure_block
+from crazychoir.simulation.motor_level.motor_control import (
+    MOTOR_CONTROLS,
+    CrazyflieLink,
+)
+from crazychoir.simulation.motor_level.motors import (
+    MOTOR_TIME_STEP,
+    MotorWorld,
+    keys,
+    whole,
+)
+from crazychoir.simulation.onboard.logs import FIRMWARE_LOG_READERS, read_log_variable
 from crazychoir.simulation.onboard.loop import stabilize
 from crazychoir.simulation.onboard.onboard import Onboard
-from crazychoir.simulation.onboard.record import OUT_OF_TREE, Fleet, fleet, rows
+from crazychoir.simulation.onboard.record import (
+    CONTROLLER_KINDS,
+    Fleet,
+    make_fleet,
+    rows,
+)
 from crazychoir.types import Mat, Pose, Vec
 
 # isort: off
 from crazychoir.simulation.motor_level.lanes import (
-    ACCX,
-    ACCY,
-    ACCZ,
-    GYROX,
-    GYROY,
-    GYROZ,
-    LANES,
-    U1,
-    U2,
-    U3,
-    U4,
-    VOLTAGE,
+    ACCELEROMETER_X,
+    ACCELEROMETER_Y,
+    ACCELEROMETER_Z,
+    GYROSCOPE_X,
+    GYROSCOPE_Y,
+    GYROSCOPE_Z,
+    LANE_COUNT,
+    MOTOR_COMMAND_1,
+    MOTOR_COMMAND_2,
+    MOTOR_COMMAND_3,
+    MOTOR_COMMAND_4,
+    BATTERY_VOLTAGE,
     Blocks,
     blocks,
-    give,
-    take,
+    store_block,
+    load_block,
 )
 # isort: on
 
-ON_BOARD = ("vel", "xyz", "fullstate")
+FIRMWARE_POSITION_KINDS = ("vel", "xyz", "fullstate")
 """Kinds of commands for which the firmware controls position or velocity."""
-SELDOM = 7
+POSES_PER_UPDATE = 7
 """Number of poses for each pose that is passed to the estimator in rate control.
 
 If only rates are controlled on board, the estimator gets 14 poses a second of 100.
@@ -56,24 +74,24 @@ If only rates are controlled on board, the estimator gets 14 poses a second of 1
 
 
 @kernel()
-def _think(m: Vec, first: int, firmware: Fleet) -> None:
+def _run_firmware(m: Vec, first: int, firmware: Fleet) -> None:
     """Run the firmware of a block's drones for 1 ms: sensor readings in, motor commands out."""
-    for k in range(min(LANES, firmware.shape[0] - first)):
+    for k in range(min(LANE_COUNT, firmware.shape[0] - first)):
         fw = firmware[first + k]
         stabilize(
             fw,
-            m[GYROX + k],
-            m[GYROY + k],
-            m[GYROZ + k],
-            m[ACCX + k],
-            m[ACCY + k],
-            m[ACCZ + k],
+            m[GYROSCOPE_X + k],
+            m[GYROSCOPE_Y + k],
+            m[GYROSCOPE_Z + k],
+            m[ACCELEROMETER_X + k],
+            m[ACCELEROMETER_Y + k],
+            m[ACCELEROMETER_Z + k],
         )
         u = fw.motors
-        m[U1 + k] = u[0]
-        m[U2 + k] = u[1]
-        m[U3 + k] = u[2]
-        m[U4 + k] = u[3]
+        m[MOTOR_COMMAND_1 + k] = u[0]
+        m[MOTOR_COMMAND_2 + k] = u[1]
+        m[MOTOR_COMMAND_3 + k] = u[2]
+        m[MOTOR_COMMAND_4 + k] = u[3]
 
 
 @kernel(
@@ -114,18 +132,18 @@ def _advance(
     normal = (options[0], options[1], options[2])
     for b in range(lanes.shape[0]):
         m = lanes[b].m
-        first = b * LANES
-        take(m, first, x, commands, force, torque, below, limited)
+        first = b * LANE_COUNT
+        load_block(m, first, x, commands, force, torque, below, limited)
         for step in range(steps):
-            measure(m, seeds[b], time + step, options[3], options[4])
-            _think(m, first, firmware)
-            obey(m)
-            fly(m, H)
-            stand(m, normal, H)
-        drain(m, steps * H)
-        give(m, first, x, resting, impact, lift)
-        for k in range(min(LANES, x.shape[0] - first)):
-            firmware[first + k].vbat = m[VOLTAGE + k]
+            measure_block(m, seeds[b], time + step, options[3], options[4])
+            _run_firmware(m, first, firmware)
+            set_goal_thrusts(m)
+            integrate_bodies(m, MOTOR_TIME_STEP)
+            apply_floor(m, normal, MOTOR_TIME_STEP)
+        drain_batteries(m, steps * MOTOR_TIME_STEP)
+        store_block(m, first, x, resting, impact, lift)
+        for k in range(min(LANE_COUNT, x.shape[0] - first)):
+            firmware[first + k].vbat = m[BATTERY_VOLTAGE + k]
 
 
 class CrazyflieWorld(MotorWorld):
@@ -141,7 +159,7 @@ class CrazyflieWorld(MotorWorld):
         parameters, logs and external poses
     """
 
-    flies: tuple[str, ...] = tuple(CONTROLS)
+    flies: tuple[str, ...] = tuple(MOTOR_CONTROLS)
     command_timeout: float | None = None
 
     def __init__(
@@ -157,7 +175,7 @@ class CrazyflieWorld(MotorWorld):
         platforms = (
             [platform] * len(ids) if isinstance(platform, Platform) else platform
         )
-        self._firmware = np.concatenate([fleet(1, row) for row in platforms])
+        self._firmware = np.concatenate([make_fleet(1, row) for row in platforms])
         self.onboard: dict[int, Onboard] = {}
         self._told, self._told_every = dict.fromkeys(ids, 0), dict.fromkeys(ids, 1)
         super().__init__(
@@ -185,10 +203,16 @@ class CrazyflieWorld(MotorWorld):
         )
         roll, pitch = options["floor_tilt"]
         normal = rotation(
-            np.array(product(exponential(0.0, pitch, 0.0), exponential(roll, 0.0, 0.0)))
+            np.array(
+                quaternion_product(
+                    rotation_exponential(0.0, pitch, 0.0),
+                    rotation_exponential(roll, 0.0, 0.0),
+                )
+            )
         )[:, 2]
         bodies = [
-            built(row, setup.mass_error, setup.thrust_error) for row in setup.platforms
+            apply_model_errors(row, setup.mass_error, setup.thrust_error)
+            for row in setup.platforms
         ]
         return cls(
             setup.ids,
@@ -213,8 +237,8 @@ class CrazyflieWorld(MotorWorld):
         Raises ConfigError if the firmware does not know the kind.
         """
         if kind not in self.flies:
-            raise not_flown(i, kind, self.flies)
-        self._told_every[i] = 1 if kind in ON_BOARD else SELDOM
+            raise make_unsupported_kind_error(i, kind, self.flies)
+        self._told_every[i] = 1 if kind in FIRMWARE_POSITION_KINDS else POSES_PER_UPDATE
         return CrazyflieLink(self.onboard[i], kind)
 
     def see(self, i: int, pose: Pose) -> None:
@@ -251,11 +275,11 @@ class CrazyflieWorld(MotorWorld):
     @property
     def variables(self) -> Iterable[str]:
         """Names of the log variables of the drones."""
-        return TABLE
+        return FIRMWARE_LOG_READERS
 
     def log(self, i: int, name: str) -> float:
         """Return a log variable of drone i now, in the firmware's unit."""
-        return read(self._firmware, self.row[i], name)
+        return read_log_variable(self._firmware, self.row[i], name)
 
     def command(self, i: int, u: Vec | Sequence[float]) -> None:
         """Give drone i a set-point u (4,) = thrust N, body rates rad/s.
@@ -265,7 +289,7 @@ class CrazyflieWorld(MotorWorld):
         self.onboard[i].fpqr(*u)
 
     def _run(self, time: int, steps: int) -> None:
-        if not np.any(self._firmware["controller"] == OUT_OF_TREE):
+        if not np.any(self._firmware["controller"] == CONTROLLER_KINDS.out_of_tree):
             self._advance(time, steps)
             return
         for k in range(steps):

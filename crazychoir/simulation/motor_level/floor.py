@@ -5,73 +5,86 @@ torque than its feet can hold.
 """
 
 import math
+from typing import NamedTuple
 
 from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import (
-    GRAVITY,
+    STANDARD_GRAVITY,
     Triple,
-    columns,
     dot,
-    exponential,
-    product,
+    quaternion_product,
+    rotation_columns,
+    rotation_exponential,
 )
-from crazychoir.simulation.motor_level.body import near_floor
+from crazychoir.simulation.motor_level.body import compute_ground_effect
 from crazychoir.types import Vec
 
 # isort: off
 from crazychoir.simulation.motor_level.lanes import (
-    ARM,
-    EZ,
-    FREE,
-    GROUND,
-    IJZ,
-    IMPACT,
-    LANES,
-    LIFT,
-    MASS,
-    PZ,
-    QW,
-    QX,
-    QY,
-    QZ,
-    SX,
-    SY,
-    SZ,
-    TZ,
-    VX,
-    VY,
-    VZ,
-    WX,
-    WY,
-    WZ,
+    ARM_LENGTH,
+    EXTERNAL_FORCE_Z,
+    AIRBORNE_FLAG,
+    GROUND_EFFECT_AREA,
+    INVERSE_INERTIA_Z,
+    IMPACT_SPEED,
+    LANE_COUNT,
+    TOTAL_LIFT,
+    BODY_MASS,
+    POSITION_Z,
+    QUATERNION_W,
+    QUATERNION_X,
+    QUATERNION_Y,
+    QUATERNION_Z,
+    SPECIFIC_FORCE_X,
+    SPECIFIC_FORCE_Y,
+    SPECIFIC_FORCE_Z,
+    ROTOR_TORQUE_Z,
+    VELOCITY_X,
+    VELOCITY_Y,
+    VELOCITY_Z,
+    RATE_X,
+    RATE_Y,
+    RATE_Z,
 )
 # isort: on
 
-SETTLING = 0.03
-"""Seconds in which a drone that has touched down tips onto its feet or onto its back."""
-FRICTION = 0.3
-"""Friction coefficient between the feet and the floor; chosen."""
-STUCK = 5e-4
-"""Torque in N m that always holds a standing drone, however light it is; chosen.
 
-Therefore a drone that lifts off keeps its heading.
-"""
+class FloorContact(NamedTuple):
+    """How the floor holds a drone that stands on it."""
+
+    settling_time: float = 0.03
+    """Seconds in which a drone that has touched down tips onto its feet or onto its back."""
+    friction: float = 0.3
+    """Friction coefficient between the feet and the floor; chosen."""
+    least_holding_torque: float = 5e-4
+    """Torque in N m that always holds a standing drone, however light it is; chosen.
+
+    Therefore a drone that lifts off keeps its heading.
+    """
+
+
+FLOOR_CONTACT = FloorContact()
 
 
 @kernel()
-def _turned(m: Vec, k: int, spin: float, h: float) -> float:
+def _turn_on_floor(m: Vec, k: int, spin: float, h: float) -> float:
     """Return the rate in rad/s about z of a standing drone after h s.
 
         |TZ| > max(FRICTION (m g - LIFT) arm, STUCK)
 
     If this holds, the excess torque turns the drone; otherwise friction stops it.
     """
-    torque: float = m[TZ + k]
-    held = max(FRICTION * (GRAVITY * m[MASS + k] - m[LIFT + k]) * m[ARM + k], STUCK)
+    torque: float = m[ROTOR_TORQUE_Z + k]
+    held = max(
+        FLOOR_CONTACT.friction
+        * (STANDARD_GRAVITY * m[BODY_MASS + k] - m[TOTAL_LIFT + k])
+        * m[ARM_LENGTH + k],
+        FLOOR_CONTACT.least_holding_torque,
+    )
     if spin == 0.0 and abs(torque) <= held:
         return 0.0
     along = spin if spin != 0.0 else torque
-    after = spin + h * m[IJZ + k] * (torque - math.copysign(held, along))
+    after = spin + h * m[INVERSE_INERTIA_Z + k] * (torque - math.copysign(held, along))
     return 0.0 if after * along < 0.0 else after
 
 
@@ -85,9 +98,14 @@ def _settle(m: Vec, k: int, normal: Triple, h: float, spin: float) -> None:
     The heading stays as it is, apart from the spin. The specific force carries the weight: R^T g
     e3.
     """
-    q = (m[QX + k], m[QY + k], m[QZ + k], m[QW + k])
-    bx, by, bz = columns(q)
-    a = (1.0 if dot(bz, normal) >= 0.0 else -1.0) / SETTLING
+    q = (
+        m[QUATERNION_X + k],
+        m[QUATERNION_Y + k],
+        m[QUATERNION_Z + k],
+        m[QUATERNION_W + k],
+    )
+    bx, by, bz = rotation_columns(q)
+    a = (1.0 if dot(bz, normal) >= 0.0 else -1.0) / FLOOR_CONTACT.settling_time
     w = (
         a * (bz[1] * normal[2] - bz[2] * normal[1]),
         a * (bz[2] * normal[0] - bz[0] * normal[2]),
@@ -95,27 +113,37 @@ def _settle(m: Vec, k: int, normal: Triple, h: float, spin: float) -> None:
     )
     if spin != 0.0:
         w = (w[0] + spin * bz[0], w[1] + spin * bz[1], w[2] + spin * bz[2])
-    q = product(exponential(h * w[0], h * w[1], h * w[2]), q)
-    m[QX + k], m[QY + k], m[QZ + k], m[QW + k] = q
-    m[WX + k], m[WY + k], m[WZ + k] = dot(bx, w), dot(by, w), dot(bz, w)
-    m[SX + k] = GRAVITY * bx[2]
-    m[SY + k] = GRAVITY * by[2]
-    m[SZ + k] = GRAVITY * bz[2]
+    q = quaternion_product(rotation_exponential(h * w[0], h * w[1], h * w[2]), q)
+    (
+        m[QUATERNION_X + k],
+        m[QUATERNION_Y + k],
+        m[QUATERNION_Z + k],
+        m[QUATERNION_W + k],
+    ) = q
+    m[RATE_X + k], m[RATE_Y + k], m[RATE_Z + k] = dot(bx, w), dot(by, w), dot(bz, w)
+    m[SPECIFIC_FORCE_X + k] = STANDARD_GRAVITY * bx[2]
+    m[SPECIFIC_FORCE_Y + k] = STANDARD_GRAVITY * by[2]
+    m[SPECIFIC_FORCE_Z + k] = STANDARD_GRAVITY * bz[2]
 
 
 @kernel()
-def _lifts_off(m: Vec, k: int) -> bool:
+def _is_lifting_off(m: Vec, k: int) -> bool:
     """Return True if the upward forces on a standing drone exceed its weight.
 
     The rotors of a drone on its back push it down.
     """
-    upright = 1.0 - 2.0 * (m[QX + k] ** 2 + m[QY + k] ** 2)
-    lift: float = near_floor(0.0, m[GROUND + k]) * m[LIFT + k] * upright + m[EZ + k]
-    return lift > GRAVITY * float(m[MASS + k])
+    upright = 1.0 - 2.0 * (m[QUATERNION_X + k] ** 2 + m[QUATERNION_Y + k] ** 2)
+    lift: float = (
+        compute_ground_effect(0.0, m[GROUND_EFFECT_AREA + k])
+        * m[TOTAL_LIFT + k]
+        * upright
+        + m[EXTERNAL_FORCE_Z + k]
+    )
+    return lift > STANDARD_GRAVITY * float(m[BODY_MASS + k])
 
 
 @kernel()
-def stand(m: Vec, normal: Triple, h: float) -> None:
+def apply_floor(m: Vec, normal: Triple, h: float) -> None:
     """Apply the floor to the drones of a block for h s.
 
     normal: unit vector, world: normal of the surface below each drone; (0, 0, 0) if there is no
@@ -124,20 +152,20 @@ def stand(m: Vec, normal: Triple, h: float) -> None:
     """
     if normal[2] == 0.0:
         return
-    for k in range(LANES):
-        if m[FREE + k] == 0.0:
-            if _lifts_off(m, k):
-                m[FREE + k] = 1.0
-                m[WX + k] = 0.0
-                m[WY + k] = 0.0
-                m[WZ + k] = 0.0
+    for k in range(LANE_COUNT):
+        if m[AIRBORNE_FLAG + k] == 0.0:
+            if _is_lifting_off(m, k):
+                m[AIRBORNE_FLAG + k] = 1.0
+                m[RATE_X + k] = 0.0
+                m[RATE_Y + k] = 0.0
+                m[RATE_Z + k] = 0.0
             else:
-                _settle(m, k, normal, h, _turned(m, k, m[WZ + k], h))
-        elif m[PZ + k] < 0.0:
-            m[IMPACT + k] = max(m[IMPACT + k], -m[VZ + k])
-            m[FREE + k] = 0.0
-            m[PZ + k] = 0.0
-            m[VX + k] = 0.0
-            m[VY + k] = 0.0
-            m[VZ + k] = 0.0
+                _settle(m, k, normal, h, _turn_on_floor(m, k, m[RATE_Z + k], h))
+        elif m[POSITION_Z + k] < 0.0:
+            m[IMPACT_SPEED + k] = max(m[IMPACT_SPEED + k], -m[VELOCITY_Z + k])
+            m[AIRBORNE_FLAG + k] = 0.0
+            m[POSITION_Z + k] = 0.0
+            m[VELOCITY_X + k] = 0.0
+            m[VELOCITY_Y + k] = 0.0
+            m[VELOCITY_Z + k] = 0.0
             _settle(m, k, normal, h, 0.0)

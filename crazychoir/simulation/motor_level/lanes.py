@@ -20,9 +20,9 @@ from crazychoir.types import Mat, Vec
 
 Number = TypeVar("Number", np.float64, np.uint64)
 
-LANES = 8  # drones in a block
+LANE_COUNT = 8  # drones in a block
 
-_next = count(6 * 13 * LANES, LANES)
+_next = count(6 * 13 * LANE_COUNT, LANE_COUNT)
 
 # State.
 # PX, PY, PZ: position, m, world
@@ -31,8 +31,24 @@ _next = count(6 * 13 * LANES, LANES)
 # WX, WY, WZ: rates, rad/s, body
 # STAGE is the start of the same 13 numbers at a stage of the integration, SLOPE1 to 4 those of its
 # slopes.
-PX, PY, PZ, VX, VY, VZ, QX, QY, QZ, QW, WX, WY, WZ = range(0, 13 * LANES, LANES)
-STAGE, SLOPE1, SLOPE2, SLOPE3, SLOPE4 = range(13 * LANES, 6 * 13 * LANES, 13 * LANES)
+(
+    POSITION_X,
+    POSITION_Y,
+    POSITION_Z,
+    VELOCITY_X,
+    VELOCITY_Y,
+    VELOCITY_Z,
+    QUATERNION_X,
+    QUATERNION_Y,
+    QUATERNION_Z,
+    QUATERNION_W,
+    RATE_X,
+    RATE_Y,
+    RATE_Z,
+) = range(0, 13 * LANE_COUNT, LANE_COUNT)
+STAGE_STATE, SLOPE_1, SLOPE_2, SLOPE_3, SLOPE_4 = range(
+    13 * LANE_COUNT, 6 * 13 * LANE_COUNT, 13 * LANE_COUNT
+)
 
 # Rotors 1 to 4.
 # U: command, share of the firmware's greatest thrust
@@ -40,56 +56,124 @@ STAGE, SLOPE1, SLOPE2, SLOPE3, SLOPE4 = range(13 * LANES, 6 * 13 * LANES, 13 * L
 # F: thrust at the beginning of a step, N
 # N: thrust at a stage, N
 # S: derivative of that thrust by the speed of the rotor, N/rpm
-U1, U2, U3, U4 = (next(_next) for _ in range(4))
-G1, G2, G3, G4 = (next(_next) for _ in range(4))
-F1, F2, F3, F4 = (next(_next) for _ in range(4))
-N1, N2, N3, N4 = (next(_next) for _ in range(4))
-S1, S2, S3, S4 = (next(_next) for _ in range(4))
+MOTOR_COMMAND_1, MOTOR_COMMAND_2, MOTOR_COMMAND_3, MOTOR_COMMAND_4 = (
+    next(_next) for _ in range(4)
+)
+GOAL_THRUST_1, GOAL_THRUST_2, GOAL_THRUST_3, GOAL_THRUST_4 = (
+    next(_next) for _ in range(4)
+)
+ROTOR_THRUST_1, ROTOR_THRUST_2, ROTOR_THRUST_3, ROTOR_THRUST_4 = (
+    next(_next) for _ in range(4)
+)
+STAGE_THRUST_1, STAGE_THRUST_2, STAGE_THRUST_3, STAGE_THRUST_4 = (
+    next(_next) for _ in range(4)
+)
+THRUST_SLOPE_1, THRUST_SLOPE_2, THRUST_SLOPE_3, THRUST_SLOPE_4 = (
+    next(_next) for _ in range(4)
+)
 
 # All rotors together, on the body.
 # LIFT: force along z, N
 # TX, TY, TZ: torques, N m
 # SPIN: angular momentum of the rotors along z, kg m2/s
-LIFT, TX, TY, TZ, SPIN = (next(_next) for _ in range(5))
+TOTAL_LIFT, ROTOR_TORQUE_X, ROTOR_TORQUE_Y, ROTOR_TORQUE_Z, ROTOR_MOMENTUM = (
+    next(_next) for _ in range(5)
+)
 # From outside.
 # EX, EY, EZ: force, N, world
 # OX, OY, OZ: torque, N m, body
 # AIRX, AIRY, AIRZ: wind, m/s, world
-EX, EY, EZ, OX, OY, OZ, AIRX, AIRY, AIRZ = (next(_next) for _ in range(9))
+(
+    EXTERNAL_FORCE_X,
+    EXTERNAL_FORCE_Y,
+    EXTERNAL_FORCE_Z,
+    EXTERNAL_TORQUE_X,
+    EXTERNAL_TORQUE_Y,
+    EXTERNAL_TORQUE_Z,
+    WIND_X,
+    WIND_Y,
+    WIND_Z,
+) = (next(_next) for _ in range(9))
 # Sensors.
 # SX, SY, SZ: specific force, m/s2, body
 # GYROX..: reading of the gyroscope, rad/s; ACCX..: reading of the accelerometer, m/s2
 # BIAS1 to 3: bias of the gyroscope; BIAS4 to 6: bias of the accelerometer
-SX, SY, SZ = (next(_next) for _ in range(3))
-GYROX, GYROY, GYROZ, ACCX, ACCY, ACCZ = (next(_next) for _ in range(6))
-BIAS1, BIAS2, BIAS3, BIAS4, BIAS5, BIAS6 = (next(_next) for _ in range(6))
+SPECIFIC_FORCE_X, SPECIFIC_FORCE_Y, SPECIFIC_FORCE_Z = (next(_next) for _ in range(3))
+(
+    GYROSCOPE_X,
+    GYROSCOPE_Y,
+    GYROSCOPE_Z,
+    ACCELEROMETER_X,
+    ACCELEROMETER_Y,
+    ACCELEROMETER_Z,
+) = (next(_next) for _ in range(6))
+(
+    GYROSCOPE_BIAS_X,
+    GYROSCOPE_BIAS_Y,
+    GYROSCOPE_BIAS_Z,
+    ACCELEROMETER_BIAS_X,
+    ACCELEROMETER_BIAS_Y,
+    ACCELEROMETER_BIAS_Z,
+) = (next(_next) for _ in range(6))
 
 # FREE: 1 in the air, 0 on the floor
 # IMPACT: fastest touch-down, m/s
 # ALIVE1 to 4: 1 until the motor is cut, then 0
-FREE, IMPACT = (next(_next) for _ in range(2))
-ALIVE1, ALIVE2, ALIVE3, ALIVE4 = (next(_next) for _ in range(4))
+AIRBORNE_FLAG, IMPACT_SPEED = (next(_next) for _ in range(2))
+MOTOR_ALIVE_1, MOTOR_ALIVE_2, MOTOR_ALIVE_3, MOTOR_ALIVE_4 = (
+    next(_next) for _ in range(4)
+)
 # Battery.
 # CHARGE: remaining share of the charge, 1 is full
 # VOLTAGE: V at its poles
 # CEILING: greatest thrust of one motor at that voltage, N
-CHARGE, VOLTAGE, CEILING = (next(_next) for _ in range(3))
+BATTERY_CHARGE, BATTERY_VOLTAGE, THRUST_CEILING = (next(_next) for _ in range(3))
 
-# Constants of the platform, see `constants`.
-MASS, LIGHT, JX, JY, JZ, IJX, IJY, IJZ, ARM, DRAGX, DRAGY, DRAGZ = (
-    next(_next) for _ in range(12)
+# Constants of the platform, see `compute_constants`.
+(
+    BODY_MASS,
+    INVERSE_MASS,
+    INERTIA_X,
+    INERTIA_Y,
+    INERTIA_Z,
+    INVERSE_INERTIA_X,
+    INVERSE_INERTIA_Y,
+    INVERSE_INERTIA_Z,
+    ARM_LENGTH,
+    DRAG_X,
+    DRAG_Y,
+    DRAG_Z,
+) = (next(_next) for _ in range(12))
+(
+    THRUST_CURVE_1,
+    THRUST_CURVE_2,
+    SPEED_PER_SLOPE,
+    TORQUE_CURVE_1,
+    TORQUE_CURVE_2,
+    ROTOR_INERTIA,
+    INERTIA_PER_LAG,
+) = (next(_next) for _ in range(7))
+(
+    HALF_STEP_DECAY,
+    FULL_STEP_DECAY,
+    GROUND_EFFECT_AREA,
+    LARGEST_THRUST,
+    SMALLEST_THRUST,
+) = (next(_next) for _ in range(5))
+(
+    CELL_FULL_VOLTAGE,
+    CELL_EMPTY_VOLTAGE,
+    CELL_RESISTANCE,
+    CELL_CAPACITY,
+    IDLE_CURRENT,
+    POWER_FACTOR,
+) = (next(_next) for _ in range(6))
+VOLTAGE_CURVE_0, VOLTAGE_CURVE_1, VOLTAGE_CURVE_2, VOLTAGE_CURVE_3 = (
+    next(_next) for _ in range(4)
 )
-CURVE1, CURVE2, SPEED, TORQUE1, TORQUE2, INERTIA, BOOST = (
-    next(_next) for _ in range(7)
-)
-HALF, FULL, GROUND, MOST, LEAST = (next(_next) for _ in range(5))
-CELL_FULL, CELL_EMPTY, RESISTANCE, CAPACITY, IDLE, POWER = (
-    next(_next) for _ in range(6)
-)
-C0, C1, C2, C3 = (next(_next) for _ in range(4))
-SIZE = next(_next)  # numbers in a block
+BLOCK_SIZE = next(_next)  # numbers in a block
 
-block_fields = np.dtype([("m", np.float64, (SIZE,))])
+block_fields = np.dtype([("m", np.float64, (BLOCK_SIZE,))])
 """Type of a block for kernels: a record.
 
 As an array it would be slower: counting the references to an array takes a twelfth of a step.
@@ -98,7 +182,9 @@ blocks: Any = numba.from_dtype(block_fields)[::1]
 Blocks = npt.NDArray[np.void]
 
 
-def constants(platform: Platform, h: float, ground_effect: bool) -> dict[int, float]:
+def compute_constants(
+    platform: Platform, h: float, ground_effect: bool
+) -> dict[int, float]:
     """Return the constants of a platform by their place in a block.
 
     Units are SI, but rotor speeds are in rpm. HALF and FULL are the decays of the rotors' lag in
@@ -108,50 +194,52 @@ def constants(platform: Platform, h: float, ground_effect: bool) -> dict[int, fl
     cell = platform.battery
     hover = platform.weight / 4.0
     return {
-        MASS: platform.mass,
-        JX: platform.inertia[0],
-        JY: platform.inertia[1],
-        JZ: platform.inertia[2],
-        LIGHT: 1.0 / platform.mass,
-        IJX: 1.0 / platform.inertia[0],
-        IJY: 1.0 / platform.inertia[1],
-        IJZ: 1.0 / platform.inertia[2],
-        ARM: platform.arm,
-        DRAGX: platform.drag[0],
-        DRAGY: platform.drag[1],
-        DRAGZ: platform.drag[2],
-        CURVE1: rotor.thrust[0],
-        CURVE2: rotor.thrust[1],
-        TORQUE1: rotor.torque[0],
-        TORQUE2: rotor.torque[1],
-        SPEED: 0.5 / rotor.thrust[1],
-        INERTIA: rotor.inertia * math.pi / 30.0,
-        BOOST: rotor.inertia * math.pi / 30.0 / rotor.lag,
-        HALF: math.exp(-0.5 * h / rotor.lag),
-        FULL: math.exp(-h / rotor.lag),
-        GROUND: (0.25 * rotor.radius) ** 2 if ground_effect else 0.0,
-        MOST: platform.firmware.thrust_max,
-        LEAST: platform.firmware.thrust_min,
-        CELL_FULL: cell.full,
-        CELL_EMPTY: cell.empty,
-        RESISTANCE: cell.resistance,
-        CAPACITY: cell.capacity,
-        IDLE: cell.idle,
-        POWER: 0.25 * cell.hover_power / hover**1.5,
-        C0: rotor.voltage[0],
-        C1: rotor.voltage[1],
-        C2: rotor.voltage[2],
-        C3: rotor.voltage[3],
+        BODY_MASS: platform.mass,
+        INERTIA_X: platform.inertia[0],
+        INERTIA_Y: platform.inertia[1],
+        INERTIA_Z: platform.inertia[2],
+        INVERSE_MASS: 1.0 / platform.mass,
+        INVERSE_INERTIA_X: 1.0 / platform.inertia[0],
+        INVERSE_INERTIA_Y: 1.0 / platform.inertia[1],
+        INVERSE_INERTIA_Z: 1.0 / platform.inertia[2],
+        ARM_LENGTH: platform.arm,
+        DRAG_X: platform.drag[0],
+        DRAG_Y: platform.drag[1],
+        DRAG_Z: platform.drag[2],
+        THRUST_CURVE_1: rotor.thrust[0],
+        THRUST_CURVE_2: rotor.thrust[1],
+        TORQUE_CURVE_1: rotor.torque[0],
+        TORQUE_CURVE_2: rotor.torque[1],
+        SPEED_PER_SLOPE: 0.5 / rotor.thrust[1],
+        ROTOR_INERTIA: rotor.inertia * math.pi / 30.0,
+        INERTIA_PER_LAG: rotor.inertia * math.pi / 30.0 / rotor.lag,
+        HALF_STEP_DECAY: math.exp(-0.5 * h / rotor.lag),
+        FULL_STEP_DECAY: math.exp(-h / rotor.lag),
+        GROUND_EFFECT_AREA: (0.25 * rotor.radius) ** 2 if ground_effect else 0.0,
+        LARGEST_THRUST: platform.firmware.thrust_max,
+        SMALLEST_THRUST: platform.firmware.thrust_min,
+        CELL_FULL_VOLTAGE: cell.full,
+        CELL_EMPTY_VOLTAGE: cell.empty,
+        CELL_RESISTANCE: cell.resistance,
+        CELL_CAPACITY: cell.capacity,
+        IDLE_CURRENT: cell.idle,
+        POWER_FACTOR: 0.25 * cell.hover_power / hover**1.5,
+        VOLTAGE_CURVE_0: rotor.voltage[0],
+        VOLTAGE_CURVE_1: rotor.voltage[1],
+        VOLTAGE_CURVE_2: rotor.voltage[2],
+        VOLTAGE_CURVE_3: rotor.voltage[3],
     }
 
 
-def in_lanes(values: npt.NDArray[Number]) -> npt.NDArray[Number]:
+def arrange_in_lanes(values: npt.NDArray[Number]) -> npt.NDArray[Number]:
     """Arrange values (N,) in lanes: (blocks, LANES); empty lanes repeat the last value."""
-    return np.pad(values, (0, -len(values) % LANES), mode="edge").reshape(-1, LANES)
+    return np.pad(values, (0, -len(values) % LANE_COUNT), mode="edge").reshape(
+        -1, LANE_COUNT
+    )
 
 
 @kernel()
-def take(
+def load_block(
     m: Vec,
     first: int,
     x: Mat,
@@ -173,29 +261,33 @@ def take(
     below: (N,) N: downwash
     limited: (N,): counters of limited commands
     """
-    for k in range(min(LANES, x.shape[0] - first)):
+    for k in range(min(LANE_COUNT, x.shape[0] - first)):
         i = first + k
         beyond = 0.0
         for c in range(13):
-            m[c * LANES + k] = x[i, c]
-            m[STAGE + c * LANES + k] = x[i, c]
+            m[c * LANE_COUNT + k] = x[i, c]
+            m[STAGE_STATE + c * LANE_COUNT + k] = x[i, c]
         for c in range(4):
             u = commands[i, c]
             beyond = beyond if 0.0 <= u <= 1.0 else 1.0
-            m[U1 + c * LANES + k] = u if math.isfinite(u) else m[U1 + c * LANES + k]
+            m[MOTOR_COMMAND_1 + c * LANE_COUNT + k] = (
+                u if math.isfinite(u) else m[MOTOR_COMMAND_1 + c * LANE_COUNT + k]
+            )
         for c in range(3):
-            m[EX + c * LANES + k] = force[i, c]
-            m[OX + c * LANES + k] = torque[i, c]
-        m[EZ + k] -= below[i]
+            m[EXTERNAL_FORCE_X + c * LANE_COUNT + k] = force[i, c]
+            m[EXTERNAL_TORQUE_X + c * LANE_COUNT + k] = torque[i, c]
+        m[EXTERNAL_FORCE_Z + k] -= below[i]
         limited[i] += beyond
 
 
 @kernel()
-def give(m: Vec, first: int, x: Mat, resting: Vec, impact: Vec, lift: Vec) -> None:
+def store_block(
+    m: Vec, first: int, x: Mat, resting: Vec, impact: Vec, lift: Vec
+) -> None:
     """Copy the results of a block back to the rows of its drones."""
-    for k in range(min(LANES, x.shape[0] - first)):
+    for k in range(min(LANE_COUNT, x.shape[0] - first)):
         for c in range(13):
-            x[first + k, c] = m[c * LANES + k]
-        resting[first + k] = 1.0 - m[FREE + k]
-        impact[first + k] = m[IMPACT + k]
-        lift[first + k] = m[LIFT + k]
+            x[first + k, c] = m[c * LANE_COUNT + k]
+        resting[first + k] = 1.0 - m[AIRBORNE_FLAG + k]
+        impact[first + k] = m[IMPACT_SPEED + k]
+        lift[first + k] = m[TOTAL_LIFT + k]

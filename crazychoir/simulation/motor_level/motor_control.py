@@ -5,11 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.numerics.math3d import GRAVITY, flat_attitude, quaternion
-from crazychoir.simulation.onboard.commander import HIGH_LEVEL
+from crazychoir.numerics.math3d import STANDARD_GRAVITY, flat_attitude, quaternion
+from crazychoir.simulation.onboard.commander import SETPOINT_PRIORITIES
 from crazychoir.simulation.onboard.onboard import Onboard
-from crazychoir.simulation.onboard.planner import OK, body_rates
-from crazychoir.simulation.onboard.units import thrust_raw
+from crazychoir.simulation.onboard.planner import (
+    PLANNER_ANSWERS,
+    compute_flat_body_rates,
+)
+from crazychoir.simulation.onboard.units import convert_thrust_to_raw
 from crazychoir.types import FPQR, FRPY, XYZ, Command, FullState, Vel
 
 
@@ -28,7 +31,7 @@ class MotorCtrl(ABC):
         self.onboard.emergency_stop()
 
 
-class _Thrust(MotorCtrl):
+class _MotorCtrlThrust(MotorCtrl):
     """Set-points with a thrust: roll and pitch as rates (angles = 0) or as angles (1)."""
 
     angles = 0
@@ -44,7 +47,7 @@ class _Thrust(MotorCtrl):
             self.onboard.rpyt_raw(0.0, 0.0, 0.0, 0.0)
 
 
-class MotorCtrlFPQR(_Thrust):
+class MotorCtrlFPQR(_MotorCtrlThrust):
     """Thrust and body rates, followed by the rate controller of the firmware."""
 
     def send(self, command: FPQR) -> bool:
@@ -53,7 +56,7 @@ class MotorCtrlFPQR(_Thrust):
         return self.onboard.fpqr(*command.flat.tolist())
 
 
-class MotorCtrlFRPY(_Thrust):
+class MotorCtrlFRPY(_MotorCtrlThrust):
     """Thrust, roll, pitch and yaw rate, followed by the attitude controller of the firmware."""
 
     angles = 1
@@ -81,10 +84,10 @@ class MotorCtrlFullState(MotorCtrl):
         a = tuple(s[6:9])
         j = tuple(s[9:12])
         yaw = float(s[12])
-        axes = flat_attitude((a[0], a[1], a[2] + GRAVITY), yaw)
+        axes = flat_attitude((a[0], a[1], a[2] + STANDARD_GRAVITY), yaw)
         q = quaternion(np.array(axes).T)
         return self.onboard.full_state(
-            np.array([*s[0:9], *q, *body_rates(a, j, yaw, float(s[13]))])
+            np.array([*s[0:9], *q, *compute_flat_body_rates(a, j, yaw, float(s[13]))])
         )
 
 
@@ -99,7 +102,7 @@ class MotorCtrlXYZ(MotorCtrl):
         """
         onboard = self.onboard
         x, y, z, yaw, duration = command.flat.tolist()
-        if onboard.record["priority"] > HIGH_LEVEL:
+        if onboard.record["priority"] > SETPOINT_PRIORITIES.high_level:
             onboard.notify_setpoint_stop()
         if command.verb == "stop":
             onboard.stop()
@@ -107,13 +110,13 @@ class MotorCtrlXYZ(MotorCtrl):
         if command.verb in ("go_to", "line"):
             return (
                 onboard.go_to((x, y, z), yaw, duration, linear=command.verb == "line")
-                == OK
+                == PLANNER_ANSWERS.done
             )
         climb = onboard.take_off if command.verb == "take_off" else onboard.land
-        return climb(z, duration or None, yaw) == OK
+        return climb(z, duration or None, yaw) == PLANNER_ANSWERS.done
 
 
-CONTROLS: dict[str, type[MotorCtrl]] = {
+MOTOR_CONTROLS: dict[str, type[MotorCtrl]] = {
     "fpqr": MotorCtrlFPQR,
     "frpy": MotorCtrlFRPY,
     "vel": MotorCtrlVel,
@@ -121,7 +124,7 @@ CONTROLS: dict[str, type[MotorCtrl]] = {
     "fullstate": MotorCtrlFullState,
 }
 """Class that controls a drone, by the kind of command in the swarm file."""
-TAKES: dict[str, type[Command]] = {
+MOTOR_COMMAND_TYPES: dict[str, type[Command]] = {
     "fpqr": FPQR,
     "frpy": FRPY,
     "vel": Vel,
@@ -131,7 +134,7 @@ TAKES: dict[str, type[Command]] = {
 
 """Command type of each kind of command."""
 
-BASE_THRUST = 0.8
+BASE_THRUST_SHARE = 0.8
 """Share of the hover thrust to which the climb control of the firmware adds.
 
 It is about what the firmware's constant is for a bare Crazyflie. With a larger share the integral
@@ -149,11 +152,13 @@ class CrazyflieLink:
         self.onboard = onboard
         self._controls = {
             XYZ: MotorCtrlXYZ(onboard),
-            TAKES[kind]: CONTROLS[kind](onboard),
+            MOTOR_COMMAND_TYPES[kind]: MOTOR_CONTROLS[kind](onboard),
         }
         self._arms = onboard.firmware.needs_arming
         if kind in ("vel", "xyz", "fullstate"):
-            base = BASE_THRUST * thrust_raw(onboard.platform.weight, onboard.firmware)
+            base = BASE_THRUST_SHARE * convert_thrust_to_raw(
+                onboard.platform.weight, onboard.firmware
+            )
             onboard.set("posCtlPid.thrustBase", base)
 
     def send(self, command: Command) -> None:

@@ -12,62 +12,72 @@ import numpy as np
 
 from crazychoir.errors import ConfigError
 from crazychoir.numerics.kernels import kernel, matrix, memory, table, vector
-from crazychoir.numerics.math3d import GRAVITY, Triple, exponential, product, rotation
+from crazychoir.numerics.math3d import (
+    STANDARD_GRAVITY,
+    Triple,
+    quaternion_product,
+    rotation,
+    rotation_exponential,
+)
 from crazychoir.platforms import CRAZYFLIE_21, Platform
-from crazychoir.simulation.common.draws import Keys, stream, uniform
+from crazychoir.simulation.common.draws import Keys, derive_stream_key, draw_uniform
 from crazychoir.simulation.common.truth import Truth
-from crazychoir.simulation.motor_level.air import Wind, blow, downwash
-from crazychoir.simulation.motor_level.battery import drain
-from crazychoir.simulation.motor_level.body import fly, obey
-from crazychoir.simulation.motor_level.floor import stand
-from crazychoir.simulation.motor_level.imu import Imu, measure
+from crazychoir.simulation.motor_level.air import (
+    Wind,
+    advance_block_wind,
+    compute_downwash,
+)
+from crazychoir.simulation.motor_level.battery import drain_batteries
+from crazychoir.simulation.motor_level.body import integrate_bodies, set_goal_thrusts
+from crazychoir.simulation.motor_level.floor import apply_floor
+from crazychoir.simulation.motor_level.imu import Imu, measure_block
 from crazychoir.types import Mat, Vec
 
 # isort: off
 from crazychoir.simulation.motor_level.lanes import (
-    ACCX,
-    ACCY,
-    ACCZ,
-    AIRX,
-    AIRY,
-    AIRZ,
-    ALIVE1,
-    ALIVE2,
-    ALIVE3,
-    ALIVE4,
-    BIAS1,
-    CHARGE,
-    F1,
-    FREE,
-    GYROX,
-    GYROY,
-    GYROZ,
-    LANES,
-    LIFT,
-    N1,
-    S1,
-    SIZE,
-    SX,
-    U1,
-    U2,
-    U3,
-    U4,
-    VOLTAGE,
+    ACCELEROMETER_X,
+    ACCELEROMETER_Y,
+    ACCELEROMETER_Z,
+    WIND_X,
+    WIND_Y,
+    WIND_Z,
+    MOTOR_ALIVE_1,
+    MOTOR_ALIVE_2,
+    MOTOR_ALIVE_3,
+    MOTOR_ALIVE_4,
+    GYROSCOPE_BIAS_X,
+    BATTERY_CHARGE,
+    ROTOR_THRUST_1,
+    AIRBORNE_FLAG,
+    GYROSCOPE_X,
+    GYROSCOPE_Y,
+    GYROSCOPE_Z,
+    LANE_COUNT,
+    TOTAL_LIFT,
+    STAGE_THRUST_1,
+    THRUST_SLOPE_1,
+    BLOCK_SIZE,
+    SPECIFIC_FORCE_X,
+    MOTOR_COMMAND_1,
+    MOTOR_COMMAND_2,
+    MOTOR_COMMAND_3,
+    MOTOR_COMMAND_4,
+    BATTERY_VOLTAGE,
     Blocks,
     block_fields,
     blocks,
-    constants,
-    give,
-    in_lanes,
-    take,
+    compute_constants,
+    store_block,
+    arrange_in_lanes,
+    load_block,
 )
 # isort: on
 
-H = 0.001
+MOTOR_TIME_STEP = 0.001
 """Seconds of one step of the motor-level model, as long as a tick of the firmware."""
-MOTORS = (ALIVE1, ALIVE2, ALIVE3, ALIVE4)
+MOTOR_SWITCHES = (MOTOR_ALIVE_1, MOTOR_ALIVE_2, MOTOR_ALIVE_3, MOTOR_ALIVE_4)
 """Places in a block that say whether each motor may turn."""
-SENSORS, BIASES, GUSTS = range(3)
+NOISE_STREAM, BIAS_STREAM, GUST_STREAM = range(3)
 """Uses of random streams: noise of the sensors, their biases, and gusts of wind."""
 
 keys: Any = numba.types.Array(numba.uint64, 2, "C", readonly=True)
@@ -114,25 +124,25 @@ def _advance(
     normal = (options[0], options[1], options[2])
     for b in range(lanes.shape[0]):
         m = lanes[b].m
-        take(m, b * LANES, x, commands, force, torque, below, limited)
+        load_block(m, b * LANE_COUNT, x, commands, force, torque, below, limited)
         for step in range(steps):
-            measure(m, seeds[b], time + step, options[3], options[4])
-            obey(m)
-            fly(m, H)
-            stand(m, normal, H)
-        drain(m, steps * H)
-        give(m, b * LANES, x, resting, impact, lift)
+            measure_block(m, seeds[b], time + step, options[3], options[4])
+            set_goal_thrusts(m)
+            integrate_bodies(m, MOTOR_TIME_STEP)
+            apply_floor(m, normal, MOTOR_TIME_STEP)
+        drain_batteries(m, steps * MOTOR_TIME_STEP)
+        store_block(m, b * LANE_COUNT, x, resting, impact, lift)
 
 
 @kernel(table, keys, whole, vector)
-def _blow(blocks: Mat, seeds: Keys, time: int, wind: Vec) -> None:
+def _advance_wind(blocks: Mat, seeds: Keys, time: int, wind: Vec) -> None:
     """Compute the wind at all drones for the next step.
 
     At time 0 the wind is drawn from its stationary distribution.
     wind: (5,): mean, gust, decay
     """
     for b in range(blocks.shape[0]):
-        blow(
+        advance_block_wind(
             blocks[b],
             seeds[b],
             time,
@@ -184,12 +194,12 @@ class MotorWorld(Truth):
         floor_normal: Triple = (0.0, 0.0, 1.0),
     ) -> None:
         super().__init__(ids, p0, yaw0, platform, dt)
-        self._steps = round(dt / H)
-        if self._steps < 1 or abs(self._steps * H - dt) > 1e-9:
+        self._steps = round(dt / MOTOR_TIME_STEP)
+        if self._steps < 1 or abs(self._steps * MOTOR_TIME_STEP - dt) > 1e-9:
             raise ConfigError("MotorWorld: dt", dt, "a multiple of 0.001 s")
         n = len(self.ids)
-        self._normal = _upwards(floor_normal)
-        self.states[self._resting > 0.0, 6:10] = _tilted(
+        self._normal = _normalise_upward(floor_normal)
+        self.states[self._resting > 0.0, 6:10] = _tilt_attitudes(
             self.states[self._resting > 0.0, 6:10], self._normal
         )
         hover = [row.weight / (4.0 * row.firmware.thrust_max) for row in self.platforms]
@@ -199,14 +209,17 @@ class MotorWorld(Truth):
         self._below = np.zeros(n)
         self._lift = np.zeros(n)
         self._radius = np.array([row.radius for row in self.platforms])
-        self._heads = np.zeros(_buckets(n), np.int64)
+        self._heads = np.zeros(_count_buckets(n), np.int64)
         self._chain = np.zeros((n, 3), np.int64)
         self._downwash = downwash and n > 1
         self._wind = wind
         sensors = Imu() if imu is None else imu
-        self._options = np.array([*self._normal, *sensors.deviations(H)])
-        self._sensors, self._gusts = self._keys(seed, SENSORS), self._keys(seed, GUSTS)
-        self._blocks = np.zeros((-(-n // LANES), SIZE))
+        self._options = np.array([*self._normal, *sensors.deviations(MOTOR_TIME_STEP)])
+        self._sensors, self._gusts = (
+            self._keys(seed, NOISE_STREAM),
+            self._keys(seed, GUST_STREAM),
+        )
+        self._blocks = np.zeros((-(-n // LANE_COUNT), BLOCK_SIZE))
         self._lanes = self._blocks.view(block_fields)[:, 0]
         self._fill(seed, sensors, ground_effect, charge)
         self._run(0, 0)
@@ -214,7 +227,9 @@ class MotorWorld(Truth):
 
     def _keys(self, seed: int, use: int) -> Keys:
         """Return (blocks, LANES) keys of the drones' streams; empty lanes repeat the last drone's."""
-        return in_lanes(np.array([stream(seed, use, i) for i in self.ids], np.uint64))
+        return arrange_in_lanes(
+            np.array([derive_stream_key(seed, use, i) for i in self.ids], np.uint64)
+        )
 
     def _fill(
         self, seed: int, sensors: Imu, ground_effect: bool, charge: float
@@ -223,45 +238,56 @@ class MotorWorld(Truth):
 
         The empty lanes of the last block repeat its last drone, with the motors cut.
         """
-        rows = [constants(platform, H, ground_effect) for platform in self.platforms]
+        rows = [
+            compute_constants(platform, MOTOR_TIME_STEP, ground_effect)
+            for platform in self.platforms
+        ]
         for name in rows[0]:
             self._put(name, np.array([row[name] for row in rows]))
         for c in range(13):
-            self._put(c * LANES, self.states[:, c])
+            self._put(c * LANE_COUNT, self.states[:, c])
         thrusts = (
             self.commands
             * np.array([row.firmware.thrust_max for row in self.platforms])[:, None]
         )
         slopes = np.array(
-            [_slopes(row, f) for row, f in zip(self.platforms, thrusts, strict=True)]
+            [
+                _compute_thrust_slopes(row, f)
+                for row, f in zip(self.platforms, thrusts, strict=True)
+            ]
         )
         for c in range(4):
-            self._put(F1 + c * LANES, thrusts[:, c])
-            self._put(N1 + c * LANES, thrusts[:, c])
-            self._put(S1 + c * LANES, slopes[:, c])
+            self._put(ROTOR_THRUST_1 + c * LANE_COUNT, thrusts[:, c])
+            self._put(STAGE_THRUST_1 + c * LANE_COUNT, thrusts[:, c])
+            self._put(THRUST_SLOPE_1 + c * LANE_COUNT, slopes[:, c])
         self._lift[:] = thrusts.sum(axis=1)
-        specific = np.array([GRAVITY * rotation(q)[2] for q in self.states[:, 6:10]])
+        specific = np.array(
+            [STANDARD_GRAVITY * rotation(q)[2] for q in self.states[:, 6:10]]
+        )
         drawn = [
-            [uniform(key, c) for c in range(6)]
-            for key in (stream(seed, BIASES, i) for i in self.ids)
+            [draw_uniform(key, c) for c in range(6)]
+            for key in (derive_stream_key(seed, BIAS_STREAM, i) for i in self.ids)
         ]
         bias = np.array(drawn) * np.repeat([sensors.gyro_bias, sensors.acc_bias], 3)
         for c in range(3):
-            self._put(SX + c * LANES, specific[:, c])
+            self._put(SPECIFIC_FORCE_X + c * LANE_COUNT, specific[:, c])
         for c in range(6):
-            self._put(BIAS1 + c * LANES, bias[:, c])
-        self._put(CHARGE, np.full(len(self.ids), charge))
-        self._put(FREE, 1.0 - self._resting)
-        for motor in MOTORS:
+            self._put(GYROSCOPE_BIAS_X + c * LANE_COUNT, bias[:, c])
+        self._put(BATTERY_CHARGE, np.full(len(self.ids), charge))
+        self._put(AIRBORNE_FLAG, 1.0 - self._resting)
+        for motor in MOTOR_SWITCHES:
             self._put(motor, np.ones(len(self.ids)))
-        for row in range(len(self.ids), len(self._blocks) * LANES):
-            self._blocks[-1, [lane + row % LANES for lane in (FREE, *MOTORS)]] = 0.0
+        for row in range(len(self.ids), len(self._blocks) * LANE_COUNT):
+            self._blocks[
+                -1,
+                [lane + row % LANE_COUNT for lane in (AIRBORNE_FLAG, *MOTOR_SWITCHES)],
+            ] = 0.0
 
     def _put(self, name: int, values: Vec) -> None:
-        self._blocks[:, name : name + LANES] = in_lanes(values)
+        self._blocks[:, name : name + LANE_COUNT] = arrange_in_lanes(values)
 
     def _of(self, i: int, name: int) -> float:
-        block, lane = divmod(self.row[i], LANES)
+        block, lane = divmod(self.row[i], LANE_COUNT)
         return float(self._blocks[block, name + lane])
 
     def command(self, i: int, u: Vec | Sequence[float]) -> None:
@@ -273,52 +299,67 @@ class MotorWorld(Truth):
 
     def cut(self, i: int) -> None:
         """Stop the motors of drone i for good."""
-        self.turn(i, (False,) * len(MOTORS))
+        self.turn(i, (False,) * len(MOTOR_SWITCHES))
 
     def turn(self, i: int, motors: Sequence[bool]) -> None:
         """Set which of motors 1 to 4 of drone i obey commands; the others stand still."""
-        block, lane = divmod(self.row[i], LANES)
-        self._blocks[block, [motor + lane for motor in MOTORS]] = motors
+        block, lane = divmod(self.row[i], LANE_COUNT)
+        self._blocks[block, [motor + lane for motor in MOTOR_SWITCHES]] = motors
 
     def charge_to(self, i: int, charge: float) -> None:
         """Give drone i another battery with this charge, 0 to 1."""
-        block, lane = divmod(self.row[i], LANES)
-        self._blocks[block, CHARGE + lane] = charge
+        block, lane = divmod(self.row[i], LANE_COUNT)
+        self._blocks[block, BATTERY_CHARGE + lane] = charge
 
     def restore(self, i: int) -> None:
         """Put drone i back to its start, in its initial condition; the others fly on."""
-        row, (block, lane) = self.row[i], divmod(self.row[i], LANES)
-        began = self._began[block, lane::LANES]
-        self._blocks[block, lane::LANES] = began
+        row, (block, lane) = self.row[i], divmod(self.row[i], LANE_COUNT)
+        began = self._began[block, lane::LANE_COUNT]
+        self._blocks[block, lane::LANE_COUNT] = began
         self.states[row], self.commands[row] = (
             began[:13],
-            [self._of(i, c) for c in (U1, U2, U3, U4)],
+            [
+                self._of(i, c)
+                for c in (
+                    MOTOR_COMMAND_1,
+                    MOTOR_COMMAND_2,
+                    MOTOR_COMMAND_3,
+                    MOTOR_COMMAND_4,
+                )
+            ],
         )
         self._resting[row], self.impact[row], self._lift[row] = (
-            1.0 - self._of(i, FREE),
+            1.0 - self._of(i, AIRBORNE_FLAG),
             0.0,
-            self._of(i, LIFT),
+            self._of(i, TOTAL_LIFT),
         )
 
     def vbat(self, i: int) -> float:
         """Return the voltage of drone i's battery under load, in V; 0 when it is empty."""
-        return self._of(i, VOLTAGE)
+        return self._of(i, BATTERY_VOLTAGE)
 
     def charge(self, i: int) -> float:
         """Return the remaining charge of drone i's battery; 1 is full."""
-        return self._of(i, CHARGE)
+        return self._of(i, BATTERY_CHARGE)
 
     def gyro(self, i: int) -> Vec:
         """Return the last reading of drone i's gyroscope: (3,) rad/s, body."""
-        return np.array([self._of(i, c) for c in (GYROX, GYROY, GYROZ)])
+        return np.array(
+            [self._of(i, c) for c in (GYROSCOPE_X, GYROSCOPE_Y, GYROSCOPE_Z)]
+        )
 
     def accelerometer(self, i: int) -> Vec:
         """Return the last reading of drone i's accelerometer: (3,) m/s2, body, the specific force."""
-        return np.array([self._of(i, c) for c in (ACCX, ACCY, ACCZ)])
+        return np.array(
+            [
+                self._of(i, c)
+                for c in (ACCELEROMETER_X, ACCELEROMETER_Y, ACCELEROMETER_Z)
+            ]
+        )
 
     def wind(self, i: int) -> Vec:
         """Return the wind at drone i: (3,) m/s, world."""
-        return np.array([self._of(i, c) for c in (AIRX, AIRY, AIRZ)])
+        return np.array([self._of(i, c) for c in (WIND_X, WIND_Y, WIND_Z)])
 
     def below(self, i: int) -> float:
         """Return the downward force in N on drone i from the downwash of other drones."""
@@ -334,9 +375,9 @@ class MotorWorld(Truth):
                     math.exp(-self.dt / self._wind.time),
                 ]
             )
-            _blow(self._blocks, self._gusts, self.tick, wind)
+            _advance_wind(self._blocks, self._gusts, self.tick, wind)
         if self._downwash:
-            downwash(
+            compute_downwash(
                 self.states,
                 self._lift,
                 self._radius,
@@ -366,18 +407,18 @@ class MotorWorld(Truth):
         )
 
 
-def _slopes(platform: Platform, f: Vec) -> Vec:
+def _compute_thrust_slopes(platform: Platform, f: Vec) -> Vec:
     """Return the change of the rotors' thrusts f (4,) with their speed: (4,) N/rpm."""
     c1, c2 = platform.rotor.thrust
     return np.sqrt(c1 * c1 + 4.0 * c2 * f)
 
 
-def _buckets(n: int) -> int:
+def _count_buckets(n: int) -> int:
     """Return a power of two, two to four times n."""
     return 1 << max(2 * n - 1, 1).bit_length()
 
 
-def _upwards(normal: Triple) -> Triple:
+def _normalise_upward(normal: Triple) -> Triple:
     """Return the unit vector along the normal of a floor.
 
     Raises ConfigError if the normal does not point upwards.
@@ -392,9 +433,9 @@ def _upwards(normal: Triple) -> Triple:
     return (normal[0] / length, normal[1] / length, normal[2] / length)
 
 
-def _tilted(q: Mat, normal: Triple) -> Mat:
+def _tilt_attitudes(q: Mat, normal: Triple) -> Mat:
     """Turn level attitudes (N, 4) the shortest way until their z axis is the normal."""
     s = math.hypot(normal[0], normal[1])
     a = math.atan2(s, normal[2]) / s if s > 0.0 else 0.0
-    turned = exponential(-a * normal[1], a * normal[0], 0.0)
-    return np.array([product(turned, row) for row in q]).reshape(-1, 4)
+    turned = rotation_exponential(-a * normal[1], a * normal[0], 0.0)
+    return np.array([quaternion_product(turned, row) for row in q]).reshape(-1, 4)

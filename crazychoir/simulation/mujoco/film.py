@@ -3,6 +3,7 @@
 import importlib
 import math
 import sys
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -10,19 +11,30 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError
-from crazychoir.simulation.mujoco.model import HIGHEST, SCENE, WIDEST, body_name
+from crazychoir.simulation.mujoco.model import MODEL_NAMES, MODEL_SETTINGS, body_name
 from crazychoir.simulation.mujoco.shape import Colour
 from crazychoir.types import Mat, Vec
 
 Image = npt.NDArray[np.uint8]
-AWAY = -1000.0
-"""Height in m at which a drone with an unknown place is hidden."""
-AZIMUTH = 60.0  # deg: azimuth of the camera that shows the whole flight
-ELEVATION = -28.0  # deg: its elevation
-TRAIL = 2.0
-"""Width in pixels of the line behind a drone."""
-MOST = 20_000
-"""Largest number of geoms in one picture."""
+
+
+@dataclass(frozen=True, slots=True)
+class PictureSettings:
+    """How a picture of a swarm is drawn."""
+
+    hidden_height: float = -1000.0
+    """Height in m at which a drone with an unknown place is hidden."""
+    azimuth: float = 60.0
+    """Azimuth in deg of the camera that shows the whole flight."""
+    elevation: float = -28.0
+    """Elevation in deg of the camera that shows the whole flight."""
+    trail_width: float = 2.0
+    """Width in pixels of the line behind a drone."""
+    largest_geom_count: int = 20_000
+    """Largest number of geoms in one picture."""
+
+
+PICTURE_SETTINGS = PictureSettings()
 
 
 class Film:
@@ -48,20 +60,30 @@ class Film:
         high: Vec,
         camera: str = "",
     ) -> None:
-        if not (16 <= width <= WIDEST and 16 <= height <= HIGHEST):
+        if not (
+            16 <= width <= MODEL_SETTINGS.largest_width
+            and 16 <= height <= MODEL_SETTINGS.largest_height
+        ):
             raise ConfigError(
-                "size", f"{width}x{height}", f"16x16 to {WIDEST}x{HIGHEST} pixels"
+                "size",
+                f"{width}x{height}",
+                f"16x16 to {MODEL_SETTINGS.largest_width}x{MODEL_SETTINGS.largest_height} pixels",
             )
         self.model, self.data = model, mujoco.MjData(model)
         self.width = width
         self.height = height
         # The extent sets the range of light and shadow: the space in which the drones fly.
-        model.stat.center, model.stat.extent = 0.5 * (low + high), _radius(low, high)
+        model.stat.center, model.stat.extent = (
+            0.5 * (low + high),
+            _bounding_radius(low, high),
+        )
         self._rows = [int(model.joint(body_name(i)).qposadr[0]) for i in ids]
         self._camera = self._named(camera) if camera else self._overview(low, high)
-        self._gl = _context(width, height)
+        self._gl = _make_context(width, height)
         self._gl.make_current()
-        self._scene = mujoco.MjvScene(model, maxgeom=MOST)
+        self._scene = mujoco.MjvScene(
+            model, maxgeom=PICTURE_SETTINGS.largest_geom_count
+        )
         self._scene.flags[mujoco.mjtRndFlag.mjRND_HAZE.value] = 0
         self._options = mujoco.MjvOption()
         self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150.value)
@@ -76,9 +98,9 @@ class Film:
         )
         camera.type = mujoco.mjtCamera.mjCAMERA_FREE
         camera.lookat = 0.5 * (low + high)
-        camera.azimuth = AZIMUTH
-        camera.elevation = ELEVATION
-        camera.distance = 0.72 * _radius(low, high) / math.sin(0.5 * narrow)
+        camera.azimuth = PICTURE_SETTINGS.azimuth
+        camera.elevation = PICTURE_SETTINGS.elevation
+        camera.distance = 0.72 * _bounding_radius(low, high) / math.sin(0.5 * narrow)
         return camera
 
     def _named(self, name: str) -> mujoco.MjvCamera:
@@ -87,12 +109,15 @@ class Film:
             (
                 k
                 for k, own in enumerate(names)
-                if name in (own, own.removeprefix(SCENE))
+                if name in (own, own.removeprefix(MODEL_NAMES.scene_prefix))
             ),
             None,
         )
         if found is None:
-            there = ", ".join(own.removeprefix(SCENE) for own in names) or "none"
+            there = (
+                ", ".join(own.removeprefix(MODEL_NAMES.scene_prefix) for own in names)
+                or "none"
+            )
             raise ConfigError(
                 "camera",
                 name,
@@ -120,7 +145,9 @@ class Film:
         """
         for at, place, turn in zip(self._rows, p, q, strict=True):
             known = bool(np.isfinite(place).all() and np.isfinite(turn).all())
-            self.data.qpos[at : at + 3] = place if known else (0.0, 0.0, AWAY)
+            self.data.qpos[at : at + 3] = (
+                place if known else (0.0, 0.0, PICTURE_SETTINGS.hidden_height)
+            )
             self.data.qpos[at + 3 : at + 7] = (
                 turn[[3, 0, 1, 2]] if known else (1.0, 0.0, 0.0, 0.0)
             )
@@ -154,7 +181,9 @@ class Film:
             mujoco.mjv_initGeom(
                 geom, line, np.zeros(3), np.zeros(3), np.eye(3).ravel(), rgba
             )
-            mujoco.mjv_connector(geom, line, TRAIL, trail[k], trail[k + 1])
+            mujoco.mjv_connector(
+                geom, line, PICTURE_SETTINGS.trail_width, trail[k], trail[k + 1]
+            )
             scene.ngeom += 1
 
     def _read(self) -> Image:
@@ -176,12 +205,12 @@ class Film:
         self.close()
 
 
-def _radius(low: Vec, high: Vec) -> float:
+def _bounding_radius(low: Vec, high: Vec) -> float:
     """Return the radius in m of a sphere around the box from low to high, with room for a drone."""
     return 0.5 * float(np.linalg.norm(high - low)) + 0.15
 
 
-def _context(width: int, height: int) -> Any:
+def _make_context(width: int, height: int) -> Any:
     """Return a context to draw without a window: EGL on Linux, with or without a graphics card.
 
     Raises ConfigError if there is none.

@@ -4,42 +4,72 @@ Each drone has its sensors.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import GRAVITY
+from crazychoir.numerics.math3d import STANDARD_GRAVITY
 from crazychoir.platforms import Platform
-from crazychoir.simulation.motor_level.motors import H
+from crazychoir.simulation.motor_level.motors import MOTOR_TIME_STEP
 from crazychoir.simulation.mujoco.shape import Shape
 
-FLOOR = "floor"
-SCENE = "scene/"
-"""Prefix of the names from a user's scene."""
-BOUNCE = (0.004, 0.6)
-"""Time constant in s and damping ratio of a contact with a drone (solref); chosen.
 
-A drone bounces back with about a fifth of its speed.
-"""
-FRICTION = (0.8, 0.005, 0.0001)
-"""Friction coefficients of a drone: sliding, torsional, rolling; chosen."""
-ACCELEROMETER = "accelerometer"
-GYRO = "gyro"
-POSITION = "position"
-SENSORS = {
-    ACCELEROMETER: mujoco.mjtSensor.mjSENS_ACCELEROMETER,
-    GYRO: mujoco.mjtSensor.mjSENS_GYRO,
-    POSITION: mujoco.mjtSensor.mjSENS_FRAMEPOS,
+@dataclass(frozen=True, slots=True)
+class ModelNames:
+    """Names in the MuJoCo model."""
+
+    floor: str = "floor"
+    """Name of the floor's geom, texture and material."""
+    scene_prefix: str = "scene/"
+    """Prefix of the names from a user's scene."""
+    accelerometer: str = "accelerometer"
+    """Last part of the name of a drone's accelerometer."""
+    gyroscope: str = "gyro"
+    """Last part of the name of a drone's gyroscope."""
+    position: str = "position"
+    """Last part of the name of a drone's position sensor."""
+
+
+MODEL_NAMES = ModelNames()
+
+
+@dataclass(frozen=True, slots=True)
+class ModelSettings:
+    """Settings of the MuJoCo model: contacts of the drones, groups of geoms, and the largest
+    picture.
+    """
+
+    contact_response: tuple[float, ...] = (0.004, 0.6)
+    """Time constant in s and damping ratio of a contact with a drone (solref); chosen.
+
+    A drone bounces back with about a fifth of its speed.
+    """
+    friction: tuple[float, ...] = (0.8, 0.005, 0.0001)
+    """Friction coefficients of a drone: sliding, torsional, rolling; chosen."""
+    visible_group: int = 1
+    """Group of geoms that cameras show."""
+    hidden_group: int = 3
+    """Group of geoms that cameras do not show."""
+    largest_width: int = 3840
+    """Width in pixels of the largest picture."""
+    largest_height: int = 2160
+    """Height in pixels of the largest picture."""
+
+
+MODEL_SETTINGS = ModelSettings()
+
+
+SENSOR_TYPES = {
+    MODEL_NAMES.accelerometer: mujoco.mjtSensor.mjSENS_ACCELEROMETER,
+    MODEL_NAMES.gyroscope: mujoco.mjtSensor.mjSENS_GYRO,
+    MODEL_NAMES.position: mujoco.mjtSensor.mjSENS_FRAMEPOS,
 }
 """Sensors of each drone, without noise.
 
 The accelerometer reports m/s2 body, the gyroscope rad/s body, the position is in m world.
 """
-SEEN = 1  # group of geoms that cameras show
-HIDDEN = 3  # group of geoms that cameras do not show
-WIDEST = 3840  # pixels: width of the largest picture
-HIGHEST = 2160  # pixels: height of the largest picture
 
 Point = tuple[float, float, float]
 
@@ -49,7 +79,7 @@ def body_name(i: int) -> str:
     return f"cf{i}"
 
 
-def model_of(
+def compile_model(
     ids: Sequence[int],
     platforms: Sequence[Platform],
     shapes: Sequence[Shape],
@@ -65,10 +95,10 @@ def model_of(
     Raises ConfigError if the scene cannot be read or the model does not compile.
     """
     spec = mujoco.MjSpec()
-    spec.option.timestep = H
-    spec.option.gravity = [0.0, 0.0, -GRAVITY]
+    spec.option.timestep = MOTOR_TIME_STEP
+    spec.option.gravity = [0.0, 0.0, -STANDARD_GRAVITY]
     spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    _room(spec)
+    _add_room(spec)
     if scene is not None:
         _add_scene(spec, scene)
     meshes: dict[int, list[str]] = {}
@@ -76,7 +106,7 @@ def model_of(
         if id(shape.meshes) not in meshes:
             meshes[id(shape.meshes)] = _add_meshes(spec, shape, f"mesh{len(meshes)}")
         _add_drone(spec, i, platform, shape, meshes[id(shape.meshes)])
-    for name, kind in SENSORS.items():
+    for name, kind in SENSOR_TYPES.items():
         for i in ids:
             site = body_name(i)
             spec.add_sensor(
@@ -93,7 +123,7 @@ def model_of(
         ) from error
 
 
-def _room(spec: mujoco.MjSpec) -> None:
+def _add_room(spec: mujoco.MjSpec) -> None:
     """Add the floor z = 0, light, and a sky."""
     texture = mujoco.mjtTexture
     builtin = mujoco.mjtBuiltin
@@ -107,7 +137,7 @@ def _room(spec: mujoco.MjSpec) -> None:
         height=256,
     )
     spec.add_texture(
-        name=FLOOR,
+        name=MODEL_NAMES.floor,
         type=texture.mjTEXTURE_2D,
         builtin=builtin.mjBUILTIN_CHECKER,
         rgb1=[0.80, 0.82, 0.84],
@@ -115,11 +145,17 @@ def _room(spec: mujoco.MjSpec) -> None:
         width=256,
         height=256,
     )
-    material = spec.add_material(name=FLOOR, texrepeat=[1, 1], texuniform=True)
-    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = FLOOR
+    material = spec.add_material(
+        name=MODEL_NAMES.floor, texrepeat=[1, 1], texuniform=True
+    )
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = MODEL_NAMES.floor
     plane = mujoco.mjtGeom.mjGEOM_PLANE
     spec.worldbody.add_geom(
-        name=FLOOR, type=plane, size=[0, 0, 0.05], material=FLOOR, castshadow=False
+        name=MODEL_NAMES.floor,
+        type=plane,
+        size=[0, 0, 0.05],
+        material=MODEL_NAMES.floor,
+        castshadow=False,
     )
     spec.worldbody.add_light(
         pos=[0, 0, 8],
@@ -130,8 +166,8 @@ def _room(spec: mujoco.MjSpec) -> None:
     visual = spec.visual
     visual.headlight.ambient = [0.42, 0.42, 0.42]
     visual.headlight.diffuse = [0.3, 0.3, 0.3]
-    visual.global_.offwidth = WIDEST
-    visual.global_.offheight = HIGHEST
+    visual.global_.offwidth = MODEL_SETTINGS.largest_width
+    visual.global_.offheight = MODEL_SETTINGS.largest_height
     visual.quality.shadowsize = 2048
     visual.quality.numslices = 24
     visual.quality.numstacks = 6
@@ -150,7 +186,9 @@ def _add_scene(spec: mujoco.MjSpec, path: Path) -> None:
         scene = mujoco.MjSpec.from_file(str(path))
         for key in list(scene.keys):
             scene.delete(key)
-        spec.attach(scene, prefix=SCENE, frame=spec.worldbody.add_frame())
+        spec.attach(
+            scene, prefix=MODEL_NAMES.scene_prefix, frame=spec.worldbody.add_frame()
+        )
     except ValueError as error:
         raise ConfigError(
             where,
@@ -181,7 +219,7 @@ def _add_drone(
     name = body_name(i)
     body = spec.worldbody.add_body(name=name)
     body.add_freejoint(name=name)
-    body.add_site(name=name, group=HIDDEN)
+    body.add_site(name=name, group=MODEL_SETTINGS.hidden_group)
     # MuJoCo takes each value that is not set here from the place of the body, so all are set.
     body.explicitinertial = True
     body.ipos = [0.0, 0.0, 0.0]
@@ -190,13 +228,21 @@ def _add_drone(
     body.inertia = platform.inertia
     for part in shape.parts:
         geom = body.add_geom(
-            type=part.kind, pos=part.p, quat=part.q, rgba=part.colour, friction=FRICTION
+            type=part.kind,
+            pos=part.p,
+            quat=part.q,
+            rgba=part.colour,
+            friction=MODEL_SETTINGS.friction,
         )
         if part.mesh >= 0:
             geom.meshname = meshes[part.mesh]
         else:
             geom.size = part.size
         geom.density = 0.0
-        geom.group = SEEN if part.colour[3] > 0.0 else HIDDEN
+        geom.group = (
+            MODEL_SETTINGS.visible_group
+            if part.colour[3] > 0.0
+            else MODEL_SETTINGS.hidden_group
+        )
         geom.contype = geom.conaffinity = int(part.solid)
-        geom.solref[:] = BOUNCE
+        geom.solref[:] = MODEL_SETTINGS.contact_response

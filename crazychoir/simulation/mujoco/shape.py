@@ -12,17 +12,42 @@ from crazychoir.platforms import Platform
 from crazychoir.simulation.motor_level.body import ROTOR_HEIGHT
 from crazychoir.types import Mat, Vec
 
-HEIGHT = 0.029
-"""Height in m of a drone that stands (Bitcraze's data sheet)."""
-CENTRE = 0.0125
-"""Height in m of its centre of mass above the floor, between battery and board; chosen."""
-SMALLEST = 0.01  # m: least distance from the origin to the farthest point of a shape
-LARGEST = 1.0  # m: greatest distance from the origin to the farthest point of a shape
-MESHES = (".stl", ".obj", ".msh")
-MODELS = (".xml", ".mjcf", ".urdf")
-DARK = (0.13, 0.14, 0.16, 1.0)  # red, green, blue, opacity
-GREY = (0.55, 0.57, 0.60, 1.0)
-FRONT = (0.90, 0.25, 0.15, 1.0)  # colour of the part that shows the front
+
+@dataclass(frozen=True, slots=True)
+class CrazyflieLook:
+    """Size and colours of the drone that is built from primitives."""
+
+    height: float = 0.029
+    """Height in m of a drone that stands (Bitcraze's data sheet)."""
+    centre_height: float = 0.0125
+    """Height in m of the centre of mass above the floor, between battery and board; chosen."""
+    dark_colour: tuple[float, float, float, float] = (0.13, 0.14, 0.16, 1.0)
+    """Colour of the board and the arms: red, green, blue, opacity."""
+    grey_colour: tuple[float, float, float, float] = (0.55, 0.57, 0.60, 1.0)
+    """Colour of the battery and the motors, and of a drone without its own colour."""
+    front_colour: tuple[float, float, float, float] = (0.90, 0.25, 0.15, 1.0)
+    """Colour of the part that shows the front."""
+
+
+CRAZYFLIE_LOOK = CrazyflieLook()
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeFileRules:
+    """Which files are accepted as the shape of a drone."""
+
+    smallest_reach: float = 0.01
+    """Least distance in m from the origin to the farthest point of a shape."""
+    largest_reach: float = 1.0
+    """Greatest distance in m from the origin to the farthest point of a shape."""
+    mesh_suffixes: tuple[str, ...] = (".stl", ".obj", ".msh")
+    """Endings of files with one mesh."""
+    model_suffixes: tuple[str, ...] = (".xml", ".mjcf", ".urdf")
+    """Endings of files with a whole model."""
+
+
+SHAPE_FILE_RULES = ShapeFileRules()
+
 
 Geom = mujoco.mjtGeom
 Colour = tuple[float, float, float, float]
@@ -98,7 +123,9 @@ class Shape:
         return float(np.linalg.norm(part.size))
 
 
-def crazyflie(platform: Platform, colour: Colour = GREY) -> Shape:
+def make_crazyflie_shape(
+    platform: Platform, colour: Colour = CRAZYFLIE_LOOK.grey_colour
+) -> Shape:
     """Return a Crazyflie of a dozen primitives, from the lengths of its platform.
 
     Its only solid part is a cylinder around the drone with the platform's radius, so two drones
@@ -106,39 +133,54 @@ def crazyflie(platform: Platform, colour: Colour = GREY) -> Shape:
     """
     arm = platform.arm
     rotor = platform.rotor.radius
-    hub = ROTOR_HEIGHT - CENTRE
+    hub = ROTOR_HEIGHT - CRAZYFLIE_LOOK.centre_height
     parts = [
-        _part(
+        _make_part(
             Geom.mjGEOM_CYLINDER,
-            (platform.radius, 0.5 * HEIGHT),
-            (0, 0, 0.5 * HEIGHT - CENTRE),
+            (platform.radius, 0.5 * CRAZYFLIE_LOOK.height),
+            (0, 0, 0.5 * CRAZYFLIE_LOOK.height - CRAZYFLIE_LOOK.centre_height),
             (0, 0, 0, 0),
             True,
         ),
-        _part(Geom.mjGEOM_BOX, (0.016, 0.014, 0.001), (0, 0, -0.006), DARK),
-        _part(Geom.mjGEOM_BOX, (0.011, 0.010, 0.0035), (0, 0, -0.001), GREY),
-        _part(Geom.mjGEOM_BOX, (0.003, 0.006, 0.001), (0.014, 0, -0.004), FRONT),
-        _arm(math.hypot(arm, arm), math.pi / 4.0),
-        _arm(math.hypot(arm, arm), -math.pi / 4.0),
+        _make_part(
+            Geom.mjGEOM_BOX,
+            (0.016, 0.014, 0.001),
+            (0, 0, -0.006),
+            CRAZYFLIE_LOOK.dark_colour,
+        ),
+        _make_part(
+            Geom.mjGEOM_BOX,
+            (0.011, 0.010, 0.0035),
+            (0, 0, -0.001),
+            CRAZYFLIE_LOOK.grey_colour,
+        ),
+        _make_part(
+            Geom.mjGEOM_BOX,
+            (0.003, 0.006, 0.001),
+            (0.014, 0, -0.004),
+            CRAZYFLIE_LOOK.front_colour,
+        ),
+        _make_arm(math.hypot(arm, arm), math.pi / 4.0),
+        _make_arm(math.hypot(arm, arm), -math.pi / 4.0),
     ]
     for x, y in ((arm, -arm), (-arm, -arm), (-arm, arm), (arm, arm)):
         parts.append(
-            _part(
+            _make_part(
                 Geom.mjGEOM_CYLINDER,
                 (0.0035, 0.5 * hub + 0.005),
                 (x, y, 0.5 * hub - 0.005),
-                GREY,
+                CRAZYFLIE_LOOK.grey_colour,
             )
         )
         parts.append(
-            _part(
+            _make_part(
                 Geom.mjGEOM_CYLINDER, (rotor, 0.0006), (x, y, hub), (*colour[:3], 0.55)
             )
         )
     return Shape(tuple(parts))
 
 
-def _part(
+def _make_part(
     kind: int,
     size: tuple[float, ...],
     p: tuple[float, ...],
@@ -157,15 +199,20 @@ def _part(
     )
 
 
-def _arm(half: float, yaw: float) -> Part:
+def _make_arm(half: float, yaw: float) -> Part:
     """Return a bar of the frame through the centre, which carries two motors."""
-    bar = _part(Geom.mjGEOM_BOX, (half, 0.0022, 0.001), (0, 0, -0.0045), DARK)
+    bar = _make_part(
+        Geom.mjGEOM_BOX,
+        (half, 0.0022, 0.001),
+        (0, 0, -0.0045),
+        CRAZYFLIE_LOOK.dark_colour,
+    )
     return replace(
         bar, q=np.array([math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)])
     )
 
 
-def shape_of(path: Path, body: str = "", scale: float = 1.0) -> Shape:
+def read_shape(path: Path, body: str = "", scale: float = 1.0) -> Shape:
     """Return the geoms of a user's STL, OBJ, URDF or MJCF file in their places at rest.
 
     Masses and joints of the file are ignored.
@@ -176,17 +223,22 @@ def shape_of(path: Path, body: str = "", scale: float = 1.0) -> Shape:
     Raises ConfigError if the file cannot be read, has no solid geom, or has a wrong size.
     """
     where = f"mujoco.model {path}"
-    model = _compiled(path, where)
-    shape = scaled(_parts(model, _root(model, body, where)), scale)
+    model = _compile_file(path, where)
+    shape = scale_shape(_read_parts(model, _find_root(model, body, where)), scale)
     if not any(part.solid for part in shape.parts):
         do = "Give one of its geoms a contype, or a URDF a <collision>."
         raise ConfigError(
             where, "no geom that can touch anything", "a drone stands on the floor", do
         )
-    if not SMALLEST <= shape.reach <= LARGEST:
+    if (
+        not SHAPE_FILE_RULES.smallest_reach
+        <= shape.reach
+        <= SHAPE_FILE_RULES.largest_reach
+    ):
         found = f"geoms up to {shape.reach:.3g} m from the origin"
         allowed = (
-            f"{SMALLEST:g} to {LARGEST:g} m; the origin is the drone's centre of mass"
+            f"{SHAPE_FILE_RULES.smallest_reach:g} to {SHAPE_FILE_RULES.largest_reach:g} "
+            "m; the origin is the drone's centre of mass"
         )
         raise ConfigError(
             where,
@@ -197,14 +249,14 @@ def shape_of(path: Path, body: str = "", scale: float = 1.0) -> Shape:
     return shape
 
 
-def _compiled(path: Path, where: str) -> mujoco.MjModel:
+def _compile_file(path: Path, where: str) -> mujoco.MjModel:
     """Compile the file as a model of its own."""
     suffix = path.suffix.lower()
-    if suffix not in MESHES + MODELS:
+    if suffix not in SHAPE_FILE_RULES.mesh_suffixes + SHAPE_FILE_RULES.model_suffixes:
         raise ConfigError(
             where,
             f"a file {suffix or 'without ending'}",
-            ", ".join(MESHES + MODELS),
+            ", ".join(SHAPE_FILE_RULES.mesh_suffixes + SHAPE_FILE_RULES.model_suffixes),
             "Convert it.",
         )
     if not path.is_file():
@@ -213,7 +265,9 @@ def _compiled(path: Path, where: str) -> mujoco.MjModel:
         )
     try:
         spec = (
-            _of_mesh(path) if suffix in MESHES else mujoco.MjSpec.from_file(str(path))
+            _wrap_mesh(path)
+            if suffix in SHAPE_FILE_RULES.mesh_suffixes
+            else mujoco.MjSpec.from_file(str(path))
         )
         # With fusestatic the first link of a URDF would become part of the world.
         spec.compiler.fusestatic = False
@@ -227,16 +281,18 @@ def _compiled(path: Path, where: str) -> mujoco.MjModel:
         ) from error
 
 
-def _of_mesh(path: Path) -> mujoco.MjSpec:
+def _wrap_mesh(path: Path) -> mujoco.MjSpec:
     spec = mujoco.MjSpec()
     spec.add_mesh(
         name="mesh", file=str(path), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
     )
-    spec.worldbody.add_geom(type=Geom.mjGEOM_MESH, meshname="mesh", rgba=GREY)
+    spec.worldbody.add_geom(
+        type=Geom.mjGEOM_MESH, meshname="mesh", rgba=CRAZYFLIE_LOOK.grey_colour
+    )
     return spec
 
 
-def _root(model: mujoco.MjModel, body: str, where: str) -> int:
+def _find_root(model: mujoco.MjModel, body: str, where: str) -> int:
     """Return the drone's body: the named body or the only body.
 
     A file with a mesh alone has no body; then it is the world, 0.
@@ -266,7 +322,7 @@ def _root(model: mujoco.MjModel, body: str, where: str) -> int:
     return tops[0] if tops else 0
 
 
-def _parts(model: mujoco.MjModel, root: int) -> Shape:
+def _read_parts(model: mujoco.MjModel, root: int) -> Shape:
     """Return all geoms of a body and its children, in its frame.
 
     Planes are left out: they are the floor of the file's scene.
@@ -277,7 +333,7 @@ def _parts(model: mujoco.MjModel, root: int) -> Shape:
     p0 = data.xpos[root]
     parts = []
     for g in range(model.ngeom):
-        if model.geom_type[g] == Geom.mjGEOM_PLANE or not _belongs(
+        if model.geom_type[g] == Geom.mjGEOM_PLANE or not _is_part_of(
             model, int(model.geom_bodyid[g]), root
         ):
             continue
@@ -294,16 +350,16 @@ def _parts(model: mujoco.MjModel, root: int) -> Shape:
         p = turned.T @ (data.geom_xpos[g] - p0)
         size = model.geom_size[g].copy()
         parts.append(Part(kind, size, p, q, tuple(colour.tolist()), solid, mesh))
-    return Shape(tuple(parts), tuple(_mesh(model, k) for k in range(model.nmesh)))
+    return Shape(tuple(parts), tuple(_read_mesh(model, k) for k in range(model.nmesh)))
 
 
-def _belongs(model: mujoco.MjModel, body: int, root: int) -> bool:
+def _is_part_of(model: mujoco.MjModel, body: int, root: int) -> bool:
     while body not in (0, root):
         body = int(model.body_parentid[body])
     return body == root
 
 
-def _mesh(model: mujoco.MjModel, k: int) -> tuple[Mat, Mat]:
+def _read_mesh(model: mujoco.MjModel, k: int) -> tuple[Mat, Mat]:
     vertices = slice(model.mesh_vertadr[k], None)
     faces = slice(model.mesh_faceadr[k], None)
     return (
@@ -312,7 +368,7 @@ def _mesh(model: mujoco.MjModel, k: int) -> tuple[Mat, Mat]:
     )
 
 
-def scaled(shape: Shape, scale: float) -> Shape:
+def scale_shape(shape: Shape, scale: float) -> Shape:
     """Return the shape with all lengths multiplied by scale."""
     parts = tuple(
         replace(part, size=scale * part.size, p=scale * part.p) for part in shape.parts

@@ -15,21 +15,28 @@ from crazychoir.platforms import CRAZYFLIE_21, Platform
 from crazychoir.simulation.common.world import WorldSetup
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
 from crazychoir.simulation.motor_level.imu import Imu
-from crazychoir.simulation.motor_level.lanes import ALIVE1, FREE, LANES
-from crazychoir.simulation.motor_level.motors import H
-from crazychoir.simulation.mujoco.model import (
-    ACCELEROMETER,
-    FLOOR,
-    SCENE,
-    SENSORS,
-    body_name,
-    model_of,
+from crazychoir.simulation.motor_level.lanes import (
+    AIRBORNE_FLAG,
+    LANE_COUNT,
+    MOTOR_ALIVE_1,
 )
-from crazychoir.simulation.mujoco.shape import Shape, crazyflie, shape_of
-from crazychoir.simulation.mujoco.wrench import impel, place, settle, touch
+from crazychoir.simulation.motor_level.motors import MOTOR_TIME_STEP
+from crazychoir.simulation.mujoco.model import (
+    MODEL_NAMES,
+    SENSOR_TYPES,
+    body_name,
+    compile_model,
+)
+from crazychoir.simulation.mujoco.shape import Shape, make_crazyflie_shape, read_shape
+from crazychoir.simulation.mujoco.wrench import (
+    find_contacts,
+    read_joint_states,
+    write_joint_states,
+    write_mean_wrenches,
+)
 from crazychoir.types import Mat, Vec
 
-SLOW = 0.05
+CONTACT_STANDING_SPEED = 0.05
 """Speed in m/s below which a drone that touches something counts as standing."""
 
 
@@ -71,7 +78,9 @@ class MujocoWorld(CrazyflieWorld):
         self._options[:3] = (
             0.0  # the floor is MuJoCo's, not that of the motor-level world
         )
-        self._blocks[:, FREE : FREE + LANES] = self._blocks[:, ALIVE1 : ALIVE1 + LANES]
+        self._blocks[:, AIRBORNE_FLAG : AIRBORNE_FLAG + LANE_COUNT] = self._blocks[
+            :, MOTOR_ALIVE_1 : MOTOR_ALIVE_1 + LANE_COUNT
+        ]
         self._build()
 
     def _build(self) -> None:
@@ -80,10 +89,10 @@ class MujocoWorld(CrazyflieWorld):
         ids = self.ids
         shapes = self._shapes
         if shapes is None:
-            own = {row.name: crazyflie(row) for row in self.platforms}
+            own = {row.name: make_crazyflie_shape(row) for row in self.platforms}
             shapes = [own[row.name] for row in self.platforms]
         shapes = [shapes] * n if isinstance(shapes, Shape) else list(shapes)
-        self.model = model_of(
+        self.model = compile_model(
             ids, self.platforms, [shape.solid for shape in shapes], self._scene
         )
         self.data = mujoco.MjData(self.model)
@@ -95,7 +104,9 @@ class MujocoWorld(CrazyflieWorld):
         self._drone_of[self._bodies] = np.arange(n)
         self._stands = np.array([-shape.lowest for shape in shapes])
         self._inertia = np.array([[row.mass, *row.inertia] for row in self.platforms])
-        first = self.model.sensor(f"{body_name(ids[0])}/{ACCELEROMETER}").adr[0]
+        first = self.model.sensor(
+            f"{body_name(ids[0])}/{MODEL_NAMES.accelerometer}"
+        ).adr[0]
         self._forces = self.data.sensordata[first : first + 3 * n]
         self._before = self.states.copy()
         self._touching = np.zeros(n)
@@ -107,7 +118,7 @@ class MujocoWorld(CrazyflieWorld):
         data = self.data
         if steps == 0:
             super()._advance(time, 0)
-        place(
+        write_joint_states(
             self.states, self._stands, self._places, self._speeds, data.qpos, data.qvel
         )
         for k in range(steps):
@@ -115,25 +126,25 @@ class MujocoWorld(CrazyflieWorld):
             self._touch()
             np.copyto(self._before, self.states)
             super()._advance(time + k, 1)
-            impel(
+            write_mean_wrenches(
                 self._before,
                 self.states,
                 self._inertia,
                 self._bodies,
-                H,
+                MOTOR_TIME_STEP,
                 data.xfrc_applied,
             )
             mujoco.mj_step2(model, data)
-            settle(
+            read_joint_states(
                 self._before,
                 data.qvel,
                 self._speeds,
-                H,
+                MOTOR_TIME_STEP,
                 self._forces,
                 self.states,
                 self._lanes,
             )
-            place(
+            write_joint_states(
                 self.states,
                 self._stands,
                 self._places,
@@ -142,7 +153,7 @@ class MujocoWorld(CrazyflieWorld):
                 data.qvel,
             )
         np.copyto(self.impact, self._hit)
-        slow = np.linalg.norm(self.states[:, 3:6], axis=1) < SLOW
+        slow = np.linalg.norm(self.states[:, 3:6], axis=1) < CONTACT_STANDING_SPEED
         np.copyto(self._resting, np.where(slow, self._touching, 0.0))
 
     def _touch(self) -> None:
@@ -152,7 +163,7 @@ class MujocoWorld(CrazyflieWorld):
         self._touching[:] = 0.0
         if data.ncon:
             contacts = data.contact
-            touch(
+            find_contacts(
                 contacts.geom,
                 contacts.pos,
                 contacts.frame,
@@ -170,7 +181,7 @@ class MujocoWorld(CrazyflieWorld):
         """Return the last readings of drone i's SENSORS in MuJoCo, without noise."""
         return {
             name: self.data.sensor(f"{body_name(i)}/{name}").data.copy()
-            for name in SENSORS
+            for name in SENSOR_TYPES
         }
 
     def struck(self, i: int) -> str:
@@ -180,8 +191,10 @@ class MujocoWorld(CrazyflieWorld):
         other = int(self._drone_of[body])
         if other >= 0:
             return f"drone {self.ids[other]}"
-        name = (geom.name or self.model.body(body).name).removeprefix(SCENE)
-        return "the floor" if name == FLOOR else name
+        name = (geom.name or self.model.body(body).name).removeprefix(
+            MODEL_NAMES.scene_prefix
+        )
+        return "the floor" if name == MODEL_NAMES.floor else name
 
 
 def engine(setup: WorldSetup) -> MujocoWorld:
@@ -200,5 +213,7 @@ def engine(setup: WorldSetup) -> MujocoWorld:
         )
     model = options["model"]
     scene = options["scene"]
-    shape = shape_of(Path(model), options["body"], options["scale"]) if model else None
+    shape = (
+        read_shape(Path(model), options["body"], options["scale"]) if model else None
+    )
     return MujocoWorld.of(setup, shapes=shape, scene=Path(scene) if scene else None)

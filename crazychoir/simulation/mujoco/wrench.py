@@ -12,26 +12,31 @@ import numpy.typing as npt
 
 from crazychoir.numerics.kernels import kernel, matrix, memory, table, vector
 from crazychoir.numerics.math3d import (
-    GRAVITY,
+    STANDARD_GRAVITY,
     Triple,
-    columns,
     dot,
-    exponential,
-    product,
-    unit,
+    normalize_quaternion,
+    quaternion_product,
+    rotation_columns,
+    rotation_exponential,
 )
-from crazychoir.simulation.motor_level.lanes import LANES, SX, Blocks, blocks
+from crazychoir.simulation.motor_level.lanes import (
+    LANE_COUNT,
+    SPECIFIC_FORCE_X,
+    Blocks,
+    blocks,
+)
 from crazychoir.types import Mat, Vec
 
 Rows = npt.NDArray[np.int64]
 numbers = numba.types.Array(numba.int64, 1, "C", readonly=True)
-seen = numba.types.Array(numba.float64, 2, "A", readonly=True)
+strided_matrix = numba.types.Array(numba.float64, 2, "A", readonly=True)
 pairs = numba.types.Array(numba.int32, 2, "A", readonly=True)
 body_numbers = numba.types.Array(numba.int32, 1, "C", readonly=True)
 
 
 @kernel(matrix, vector, numbers, numbers, memory, memory)
-def place(
+def write_joint_states(
     x: Mat, stands: Vec, places: Rows, speeds: Rows, qpos: Vec, qvel: Vec
 ) -> None:
     """Write the states x (N, 13) as positions and velocities of MuJoCo's free joints.
@@ -53,7 +58,9 @@ def place(
 
 
 @kernel(matrix, matrix, matrix, numbers, numba.float64, table)
-def impel(x0: Mat, x1: Mat, inertia: Mat, bodies: Rows, h: float, applied: Mat) -> None:
+def write_mean_wrenches(
+    x0: Mat, x1: Mat, inertia: Mat, bodies: Rows, h: float, applied: Mat
+) -> None:
     """Write the wrenches that change the velocities of x0 into those of x1 in h s.
 
     The bodies touch nothing.
@@ -73,19 +80,19 @@ def impel(x0: Mat, x1: Mat, inertia: Mat, bodies: Rows, h: float, applied: Mat) 
         m = inertia[n, 0]
         for c in range(3):
             applied[b, c] = m * (x1[n, 3 + c] - x0[n, 3 + c]) / h
-        applied[b, 2] += m * GRAVITY
+        applied[b, 2] += m * STANDARD_GRAVITY
         j = (inertia[n, 1], inertia[n, 2], inertia[n, 3])
         w = (x0[n, 10], x0[n, 11], x0[n, 12])
         tx = j[0] * (x1[n, 10] - w[0]) / h + (j[2] - j[1]) * w[1] * w[2]
         ty = j[1] * (x1[n, 11] - w[1]) / h + (j[0] - j[2]) * w[2] * w[0]
         tz = j[2] * (x1[n, 12] - w[2]) / h + (j[1] - j[0]) * w[0] * w[1]
-        bx, by, bz = columns((x0[n, 6], x0[n, 7], x0[n, 8], x0[n, 9]))
+        bx, by, bz = rotation_columns((x0[n, 6], x0[n, 7], x0[n, 8], x0[n, 9]))
         for c in range(3):
             applied[b, 3 + c] = tx * bx[c] + ty * by[c] + tz * bz[c]
 
 
 @kernel(matrix, vector, numbers, numba.float64, vector, table, blocks)
-def settle(
+def read_joint_states(
     x0: Mat, qvel: Vec, speeds: Rows, h: float, forces: Vec, x: Mat, lanes: Blocks
 ) -> None:
     """Write the states x (N, 13) after a step of h s, with the velocities that MuJoCo has found.
@@ -104,19 +111,23 @@ def settle(
             x[n, 3 + c] = qvel[b + c]
             x[n, 10 + c] = qvel[b + 3 + c]
             x[n, c] = x0[n, c] + 0.5 * h * (x0[n, 3 + c] + x[n, 3 + c])
-            lanes[n // LANES].m[SX + c * LANES + n % LANES] = forces[3 * n + c]
-        turn = exponential(
+            lanes[n // LANE_COUNT].m[
+                SPECIFIC_FORCE_X + c * LANE_COUNT + n % LANE_COUNT
+            ] = forces[3 * n + c]
+        turn = rotation_exponential(
             0.5 * h * (x0[n, 10] + x[n, 10]),
             0.5 * h * (x0[n, 11] + x[n, 11]),
             0.5 * h * (x0[n, 12] + x[n, 12]),
         )
-        x[n, 6], x[n, 7], x[n, 8], x[n, 9] = unit(
-            product((x0[n, 6], x0[n, 7], x0[n, 8], x0[n, 9]), turn)
+        x[n, 6], x[n, 7], x[n, 8], x[n, 9] = normalize_quaternion(
+            quaternion_product((x0[n, 6], x0[n, 7], x0[n, 8], x0[n, 9]), turn)
         )
 
 
 @kernel()
-def _velocity(body: int, p: Triple, twists: Mat, centres: Mat, roots: Rows) -> Triple:
+def _compute_point_velocity(
+    body: int, p: Triple, twists: Mat, centres: Mat, roots: Rows
+) -> Triple:
     """Return the velocity of the point p of a body in m/s, world.
 
     twists: (n, 6): MuJoCo's cvel, about the centres of the bodies' trees
@@ -135,8 +146,8 @@ def _velocity(body: int, p: Triple, twists: Mat, centres: Mat, roots: Rows) -> T
 
 @kernel(
     pairs,
-    seen,
-    seen,
+    strided_matrix,
+    strided_matrix,
     body_numbers,
     body_numbers,
     matrix,
@@ -146,7 +157,7 @@ def _velocity(body: int, p: Triple, twists: Mat, centres: Mat, roots: Rows) -> T
     memory,
     numba.int64[::1],
 )
-def touch(
+def find_contacts(
     geoms: Rows,
     points: Mat,
     frames: Mat,
@@ -176,8 +187,8 @@ def touch(
         one = body_of[geoms[c, 0]]
         two = body_of[geoms[c, 1]]
         p = (points[c, 0], points[c, 1], points[c, 2])
-        u = _velocity(one, p, twists, centres, roots)
-        v = _velocity(two, p, twists, centres, roots)
+        u = _compute_point_velocity(one, p, twists, centres, roots)
+        v = _compute_point_velocity(two, p, twists, centres, roots)
         n = (frames[c, 0], frames[c, 1], frames[c, 2])
         speed = dot(n, (u[0] - v[0], u[1] - v[1], u[2] - v[2]))
         for k in range(2):

@@ -5,34 +5,45 @@ y is negated.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import clip
-from crazychoir.platforms import MOST_TURN
+from crazychoir.platforms import LARGEST_AXIS_COMMAND
 from crazychoir.simulation.onboard import pid
 from crazychoir.simulation.onboard.record import (
-    ABSOLUTE,
-    DISABLE,
-    LEGACY,
-    VELOCITY,
+    AXIS_MODES,
+    OUTPUT_KINDS,
     Record,
 )
 
-ATTITUDE_RATE = 500.0  # Hz: attitude and rate PIDs
-POSITION_RATE = 100.0  # Hz: position and velocity PIDs
-POSITION_TICKS = 10  # ms: period of the position and velocity PIDs
-OVERHEAD = (
-    1.1  # limits inside the position and velocity PIDs, relative to the parameters
-)
-THRUST_SCALE = 1000.0  # thrust command a unit of the vertical velocity PID
-MOST_THRUST = 65535.0  # greatest thrust command
-SLOWEST_CLIMB = 0.5  # m/s: lower bound of the limit of the vertical speed
+
+class CascadeSettings(NamedTuple):
+    """Rates and limits of the PIDs in the cascade."""
+
+    attitude_rate: float = 500.0
+    """Rate in Hz of the attitude and rate PIDs."""
+    position_rate: float = 100.0
+    """Rate in Hz of the position and velocity PIDs."""
+    position_ticks: int = 10
+    """Period in ms of the position and velocity PIDs."""
+    limit_overhead: float = 1.1
+    """Limits inside the position and velocity PIDs, relative to the parameters."""
+    thrust_scale: float = 1000.0
+    """Thrust command a unit of the vertical velocity PID."""
+    largest_thrust: float = 65535.0
+    """Greatest thrust command."""
+    slowest_climb: float = 0.5
+    """Lower bound in m/s of the limit of the vertical speed."""
+
+
+CASCADE_SETTINGS = CascadeSettings()
 
 
 @kernel()
-def modes(sp: Record) -> int:
+def encode_modes(sp: Record) -> int:
     """Return the seven modes as one number, to detect that one has changed."""
     key = 0
     for mode in (
@@ -77,34 +88,42 @@ def reset(fw: Record) -> None:
 
 
 @kernel()
-def position(fw: Record, sp: Record) -> None:
+def run_position_pids(fw: Record, sp: Record) -> None:
     """Run the position PIDs, which give velocities in axes turned by the yaw alone; at 100 Hz."""
     c = math.cos(math.radians(fw.yaw))
     s = math.sin(math.radians(fw.yaw))
-    fw.x_pid.limit = OVERHEAD * fw.x_vel_max
-    fw.y_pid.limit = OVERHEAD * fw.y_vel_max
-    fw.z_pid.limit = OVERHEAD * max(fw.z_vel_max, SLOWEST_CLIMB)
+    fw.x_pid.limit = CASCADE_SETTINGS.limit_overhead * fw.x_vel_max
+    fw.y_pid.limit = CASCADE_SETTINGS.limit_overhead * fw.y_vel_max
+    fw.z_pid.limit = CASCADE_SETTINGS.limit_overhead * max(
+        fw.z_vel_max, CASCADE_SETTINGS.slowest_climb
+    )
     ahead = sp.vx if sp.body_velocity else sp.vx * c + sp.vy * s
     aside = sp.vy if sp.body_velocity else sp.vy * c - sp.vx * s
-    if sp.mode_x == ABSOLUTE:
+    if sp.mode_x == AXIS_MODES.absolute:
         ahead = pid.follow_smooth(
-            fw.x_pid, sp.x * c + sp.y * s, fw.x * c + fw.y * s, POSITION_RATE
+            fw.x_pid,
+            sp.x * c + sp.y * s,
+            fw.x * c + fw.y * s,
+            CASCADE_SETTINGS.position_rate,
         )
-    if sp.mode_y == ABSOLUTE:
+    if sp.mode_y == AXIS_MODES.absolute:
         aside = pid.follow_smooth(
-            fw.y_pid, sp.y * c - sp.x * s, fw.y * c - fw.x * s, POSITION_RATE
+            fw.y_pid,
+            sp.y * c - sp.x * s,
+            fw.y * c - fw.x * s,
+            CASCADE_SETTINGS.position_rate,
         )
     climb = sp.vz
-    if sp.mode_z == ABSOLUTE:
-        climb = pid.follow_smooth(fw.z_pid, sp.z, fw.z, POSITION_RATE)
+    if sp.mode_z == AXIS_MODES.absolute:
+        climb = pid.follow_smooth(fw.z_pid, sp.z, fw.z, CASCADE_SETTINGS.position_rate)
     fw.target_vx = ahead
     fw.target_vy = aside
     fw.target_vz = climb
-    velocity(fw, ahead, aside, climb, c, s)
+    run_velocity_pids(fw, ahead, aside, climb, c, s)
 
 
 @kernel()
-def velocity(
+def run_velocity_pids(
     fw: Record, ahead: float, aside: float, climb: float, c: float, s: float
 ) -> None:
     """Run the velocity PIDs, which give roll, pitch and thrust.
@@ -118,58 +137,65 @@ def velocity(
     c: cosine of the yaw
     s: sine of the yaw
     """
-    fw.vx_pid.limit = OVERHEAD * fw.pitch_limit
-    fw.vy_pid.limit = OVERHEAD * fw.roll_limit
-    pitch = -pid.follow_smooth(fw.vx_pid, ahead, fw.vx * c + fw.vy * s, POSITION_RATE)
-    roll = -pid.follow_smooth(fw.vy_pid, aside, fw.vy * c - fw.vx * s, POSITION_RATE)
+    fw.vx_pid.limit = CASCADE_SETTINGS.limit_overhead * fw.pitch_limit
+    fw.vy_pid.limit = CASCADE_SETTINGS.limit_overhead * fw.roll_limit
+    pitch = -pid.follow_smooth(
+        fw.vx_pid, ahead, fw.vx * c + fw.vy * s, CASCADE_SETTINGS.position_rate
+    )
+    roll = -pid.follow_smooth(
+        fw.vy_pid, aside, fw.vy * c - fw.vx * s, CASCADE_SETTINGS.position_rate
+    )
     fw.target_pitch = clip(pitch, -fw.pitch_limit, fw.pitch_limit)
     fw.target_roll = clip(roll, -fw.roll_limit, fw.roll_limit)
     thrust = (
-        THRUST_SCALE * pid.follow_smooth(fw.vz_pid, climb, fw.vz, POSITION_RATE)
+        CASCADE_SETTINGS.thrust_scale
+        * pid.follow_smooth(fw.vz_pid, climb, fw.vz, CASCADE_SETTINGS.position_rate)
         + fw.thrust_base
     )
-    fw.position_thrust = clip(thrust, fw.thrust_minimum, MOST_THRUST)
+    fw.position_thrust = clip(
+        thrust, fw.thrust_minimum, CASCADE_SETTINGS.largest_thrust
+    )
 
 
 @kernel()
-def _heading(fw: Record, sp: Record) -> None:
+def _update_heading(fw: Record, sp: Record) -> None:
     """Update the heading to hold; a yaw rate is integrated."""
-    if sp.mode_yaw == VELOCITY:
-        yaw = fw.target_yaw + sp.yaw_rate / ATTITUDE_RATE
+    if sp.mode_yaw == AXIS_MODES.velocity:
+        yaw = fw.target_yaw + sp.yaw_rate / CASCADE_SETTINGS.attitude_rate
         if fw.yaw_max_delta > 0.0:
             ahead = pid.wrap_degrees(yaw - fw.yaw)
             yaw = fw.yaw + clip(ahead, -fw.yaw_max_delta, fw.yaw_max_delta)
         fw.target_yaw = pid.wrap_degrees(yaw)
-    elif sp.mode_yaw == ABSOLUTE or sp.mode_quat == ABSOLUTE:
+    elif sp.mode_yaw == AXIS_MODES.absolute or sp.mode_quat == AXIS_MODES.absolute:
         fw.target_yaw = sp.yaw
 
 
 @kernel()
-def _attitude(fw: Record, sp: Record) -> None:
+def _run_attitude_pids(fw: Record, sp: Record) -> None:
     """Run the attitude PIDs, which give rates; an axis in rate mode takes the set-point's rate."""
-    if sp.mode_roll == VELOCITY:
+    if sp.mode_roll == AXIS_MODES.velocity:
         fw.target_roll_rate = sp.roll_rate
         pid.reset(fw.roll_pid)
     else:
         fw.target_roll_rate = pid.follow(
-            fw.roll_pid, fw.target_roll, fw.roll, ATTITUDE_RATE
+            fw.roll_pid, fw.target_roll, fw.roll, CASCADE_SETTINGS.attitude_rate
         )
-    if sp.mode_pitch == VELOCITY:
+    if sp.mode_pitch == AXIS_MODES.velocity:
         fw.target_pitch_rate = sp.pitch_rate
         pid.reset(fw.pitch_pid)
     else:
         fw.target_pitch_rate = pid.follow(
-            fw.pitch_pid, fw.target_pitch, fw.pitch, ATTITUDE_RATE
+            fw.pitch_pid, fw.target_pitch, fw.pitch, CASCADE_SETTINGS.attitude_rate
         )
     fw.target_yaw_rate = pid.follow_angle(
-        fw.yaw_pid, fw.target_yaw, fw.yaw, ATTITUDE_RATE
+        fw.yaw_pid, fw.target_yaw, fw.yaw, CASCADE_SETTINGS.attitude_rate
     )
 
 
 @kernel()
-def _whole(value: float) -> float:
+def _truncate_to_int16(value: float) -> float:
     """Return the command as a 16-bit integer keeps it."""
-    return float(np.trunc(clip(value, -MOST_TURN, MOST_TURN)))
+    return float(np.trunc(clip(value, -LARGEST_AXIS_COMMAND, LARGEST_AXIS_COMMAND)))
 
 
 @kernel()
@@ -179,31 +205,44 @@ def control(fw: Record, sp: Record) -> None:
     A change of any mode, or no thrust, resets all PIDs.
     Chosen: the position part runs at once after a change of mode.
     """
-    key = modes(sp)
+    key = encode_modes(sp)
     changed = key != fw.modes
     if changed:
         fw.modes = key
         reset(fw)
-    positioned = sp.mode_x != DISABLE or sp.mode_y != DISABLE or sp.mode_z != DISABLE
-    if positioned and (changed or fw.tick % POSITION_TICKS == 0):
-        position(fw, sp)
-    if sp.mode_x == DISABLE or sp.mode_y == DISABLE:
+    positioned = (
+        sp.mode_x != AXIS_MODES.disabled
+        or sp.mode_y != AXIS_MODES.disabled
+        or sp.mode_z != AXIS_MODES.disabled
+    )
+    if positioned and (changed or fw.tick % CASCADE_SETTINGS.position_ticks == 0):
+        run_position_pids(fw, sp)
+    if sp.mode_x == AXIS_MODES.disabled or sp.mode_y == AXIS_MODES.disabled:
         fw.target_roll = sp.roll
         fw.target_pitch = sp.pitch
-    fw.output = LEGACY
-    fw.thrust = sp.thrust if sp.mode_z == DISABLE else fw.position_thrust
+    fw.output = OUTPUT_KINDS.legacy
+    fw.thrust = sp.thrust if sp.mode_z == AXIS_MODES.disabled else fw.position_thrust
     if fw.thrust <= 0.0:
         fw.thrust = fw.roll_out = fw.pitch_out = fw.yaw_out = 0.0
         reset(fw)
         return
-    _heading(fw, sp)
-    _attitude(fw, sp)
-    fw.roll_out = _whole(
-        pid.follow(fw.roll_rate_pid, fw.target_roll_rate, fw.gx, ATTITUDE_RATE)
+    _update_heading(fw, sp)
+    _run_attitude_pids(fw, sp)
+    fw.roll_out = _truncate_to_int16(
+        pid.follow(
+            fw.roll_rate_pid, fw.target_roll_rate, fw.gx, CASCADE_SETTINGS.attitude_rate
+        )
     )
-    fw.pitch_out = _whole(
-        pid.follow(fw.pitch_rate_pid, fw.target_pitch_rate, -fw.gy, ATTITUDE_RATE)
+    fw.pitch_out = _truncate_to_int16(
+        pid.follow(
+            fw.pitch_rate_pid,
+            fw.target_pitch_rate,
+            -fw.gy,
+            CASCADE_SETTINGS.attitude_rate,
+        )
     )
-    fw.yaw_out = _whole(
-        -pid.follow(fw.yaw_rate_pid, fw.target_yaw_rate, fw.gz, ATTITUDE_RATE)
+    fw.yaw_out = _truncate_to_int16(
+        -pid.follow(
+            fw.yaw_rate_pid, fw.target_yaw_rate, fw.gz, CASCADE_SETTINGS.attitude_rate
+        )
     )

@@ -7,16 +7,16 @@ from typing import Any
 
 from crazychoir.errors import ConfigError
 from crazychoir.simulation.onboard.laws import (
-    PERIOD,
+    LAW_PERIOD,
     Answer,
     ForceTorque,
     Legacy,
     Setpoint,
 )
-from crazychoir.simulation.onboard.units import FULL
+from crazychoir.simulation.onboard.units import FULL_THRUST_COMMAND
 from crazychoir.types import State, Vec
 
-CONTROLLERS = ("Pid", "Mellinger", "Lee")
+BOUND_CONTROLLERS = ("Pid", "Mellinger", "Lee")
 
 
 class FirmwareLaw:
@@ -29,13 +29,13 @@ class FirmwareLaw:
     """
 
     def __init__(self, name: str, thrust_max: float) -> None:
-        if name not in CONTROLLERS:
+        if name not in BOUND_CONTROLLERS:
             raise ConfigError(
-                "FirmwareLaw: name", name, f"one of {', '.join(CONTROLLERS)}"
+                "FirmwareLaw: name", name, f"one of {', '.join(BOUND_CONTROLLERS)}"
             )
-        self._firmware = _bindings()
-        self._step = _entry(self._firmware, name)
-        self._per_newton = FULL / (4.0 * thrust_max)
+        self._firmware = _import_bindings()
+        self._step = _initialise_controller(self._firmware, name)
+        self._per_newton = FULL_THRUST_COMMAND / (4.0 * thrust_max)
         self._control, self._sensors = (
             self._firmware.control_t(),
             self._firmware.sensorData_t(),
@@ -47,12 +47,12 @@ class FirmwareLaw:
         self._ms = 0
 
     def __call__(
-        self, setpoint: Setpoint, estimate: State, gyro: Vec, dt: float = PERIOD
+        self, setpoint: Setpoint, estimate: State, gyro: Vec, dt: float = LAW_PERIOD
     ) -> Answer:
         """Run one pass of the firmware's controller."""
         self._tell_setpoint(setpoint)
         self._tell_state(estimate)
-        _vector(self._sensors.gyro, [math.degrees(w) for w in gyro])
+        _write_vector(self._sensors.gyro, [math.degrees(w) for w in gyro])
         self._step(self._control, self._setpoint, self._sensors, self._state, self._ms)
         self._ms += round(1000.0 * dt)
         return self._answer()
@@ -70,19 +70,19 @@ class FirmwareLaw:
             (sp.acceleration, s.a),
             (sp.jerk, s.j),
         ):
-            _vector(part, values)
-        _vector(sp.attitudeQuaternion, s.q)
-        _angles(sp.attitude, s.roll, -s.pitch, s.yaw)
+            _write_vector(part, values)
+        _write_vector(sp.attitudeQuaternion, s.q)
+        _write_angles(sp.attitude, s.roll, -s.pitch, s.yaw)
         nose_up = -1.0 if s.modes.pitch == 2 else 1.0
-        _angles(sp.attitudeRate, s.w[0], nose_up * s.w[1], s.w[2])
+        _write_angles(sp.attitudeRate, s.w[0], nose_up * s.w[1], s.w[2])
         sp.thrust = s.thrust * self._per_newton
 
     def _tell_state(self, e: State) -> None:
         x, y, z, w = (float(c) for c in e.q)
-        _vector(self._state.position, e.p)
-        _vector(self._state.velocity, e.v)
-        _vector(self._state.attitudeQuaternion, e.q)
-        _angles(
+        _write_vector(self._state.position, e.p)
+        _write_vector(self._state.velocity, e.v)
+        _write_vector(self._state.attitudeQuaternion, e.q)
+        _write_angles(
             self._state.attitude,
             math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
             -math.asin(min(max(2.0 * (w * y - x * z), -1.0), 1.0)),
@@ -96,7 +96,7 @@ class FirmwareLaw:
         return Legacy(c.thrust, c.roll, c.pitch, c.yaw)
 
 
-def _bindings() -> Any:
+def _import_bindings() -> Any:
     try:
         return importlib.import_module("cffirmware")
     except ModuleNotFoundError as error:
@@ -109,7 +109,7 @@ def _bindings() -> Any:
         ) from error
 
 
-def _entry(firmware: Any, name: str) -> Callable[..., None]:
+def _initialise_controller(firmware: Any, name: str) -> Callable[..., None]:
     """Initialise the controller and return its function.
 
     Some bindings keep the memory of a controller in an argument; this drone then has its own
@@ -125,12 +125,12 @@ def _entry(firmware: Any, name: str) -> Callable[..., None]:
     return lambda *arguments: step(own, *arguments)
 
 
-def _vector(part: Any, values: Any) -> None:
+def _write_vector(part: Any, values: Any) -> None:
     for name, value in zip("xyzw", values, strict=False):
         setattr(part, name, float(value))
 
 
-def _angles(part: Any, roll: float, pitch: float, yaw: float) -> None:
+def _write_angles(part: Any, roll: float, pitch: float, yaw: float) -> None:
     part.roll = math.degrees(roll)
     part.pitch = math.degrees(pitch)
     part.yaw = math.degrees(yaw)

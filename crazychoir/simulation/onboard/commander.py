@@ -5,12 +5,11 @@ up, except in full states.
 """
 
 import math
+from typing import NamedTuple
 
 from crazychoir.numerics.kernels import kernel, real, vector
 from crazychoir.simulation.onboard.record import (
-    ABSOLUTE,
-    DISABLE,
-    VELOCITY,
+    AXIS_MODES,
     Fleet,
     Record,
     rows,
@@ -19,21 +18,35 @@ from crazychoir.simulation.onboard.record import (
 from crazychoir.types import Vec
 
 # Priorities of the sources of set-points.
-NOBODY = 0  # no source is in control
-HIGH_LEVEL = 1  # the planner
-CRTP = 2  # the radio
-EXTERNAL = 3  # an external receiver
-LEAST_THRUST = 1000.0  # thrust command; a smaller one is none
-MOST_THRUST = 60000.0  # thrust command; a larger one is reduced to this
+
+
+class SetpointPriorities(NamedTuple):
+    """Priorities of the sources of set-points."""
+
+    nobody: int = 0
+    """No source is in control."""
+    high_level: int = 1
+    """The planner."""
+    crtp: int = 2
+    """The radio."""
+    external: int = 3
+    """An external receiver."""
+
+
+SETPOINT_PRIORITIES = SetpointPriorities()
+
+
+RPYT_LEAST_THRUST = 1000.0  # thrust command; a smaller one is none
+RPYT_MOST_THRUST = 60000.0  # thrust command; a larger one is reduced to this
 PLANNER_IDLE = 0  # state of the planner without a plan
 
 
 @kernel()
-def clear(sp: Record) -> None:
+def clear_setpoint(sp: Record) -> None:
     """Write the null set-point: all modes disabled, no thrust."""
     sp.mode_x = sp.mode_y = sp.mode_z = sp.mode_roll = sp.mode_pitch = sp.mode_yaw = (
         sp.mode_quat
-    ) = DISABLE
+    ) = AXIS_MODES.disabled
     sp.body_velocity = 0
     sp.x = sp.y = sp.z = sp.vx = sp.vy = sp.vz = sp.ax = sp.ay = sp.az = sp.jx = (
         sp.jy
@@ -46,7 +59,7 @@ def clear(sp: Record) -> None:
 
 
 @kernel()
-def accept(fw: Record, priority: int) -> bool:
+def take_control(fw: Record, priority: int) -> bool:
     """Give control to a source of this priority; return False if a higher priority is in control.
 
     A source above the planner stops the planner's plan. Since crazyflie-firmware 2023.11 the
@@ -57,9 +70,9 @@ def accept(fw: Record, priority: int) -> bool:
         return False
     fw.priority = priority
     fw.stamp = fw.tick
-    if priority > HIGH_LEVEL:
+    if priority > SETPOINT_PRIORITIES.high_level:
         fw.planner.state = PLANNER_IDLE
-    clear(fw.wanted)
+    clear_setpoint(fw.wanted)
     return True
 
 
@@ -67,7 +80,7 @@ def accept(fw: Record, priority: int) -> bool:
 def relax(fleet: Fleet, i: int) -> None:
     """Let the planner take over again (notify_setpoint_stop)."""
     fw = fleet[i]
-    fw.priority = HIGH_LEVEL
+    fw.priority = SETPOINT_PRIORITIES.high_level
 
 
 @kernel()
@@ -75,16 +88,16 @@ def _turn_axes(fw: Record, roll: float, pitch: float) -> None:
     """Write roll and pitch as angles or rates, by flightmode.stabModeRoll and .stabModePitch."""
     sp = fw.wanted
     if fw.rate_roll_mode:
-        sp.mode_roll = ABSOLUTE
+        sp.mode_roll = AXIS_MODES.absolute
         sp.roll = roll
     else:
-        sp.mode_roll = VELOCITY
+        sp.mode_roll = AXIS_MODES.velocity
         sp.roll_rate = roll
     if fw.rate_pitch_mode:
-        sp.mode_pitch = ABSOLUTE
+        sp.mode_pitch = AXIS_MODES.absolute
         sp.pitch = pitch
     else:
-        sp.mode_pitch = VELOCITY
+        sp.mode_pitch = AXIS_MODES.velocity
         sp.pitch_rate = pitch
 
 
@@ -105,21 +118,21 @@ def rpyt(
     inverted sign in this kind of packet only.
     """
     fw = fleet[i]
-    if fw.priority == NOBODY:
+    if fw.priority == SETPOINT_PRIORITIES.nobody:
         fw.locked_thrust = 1
     if thrust == 0.0:
         fw.locked_thrust = 0
-    if not accept(fw, int(priority)):
+    if not take_control(fw, int(priority)):
         return False
     sp = fw.wanted
-    if not fw.locked_thrust and thrust >= LEAST_THRUST:
-        sp.thrust = min(thrust, MOST_THRUST)
+    if not fw.locked_thrust and thrust >= RPYT_LEAST_THRUST:
+        sp.thrust = min(thrust, RPYT_MOST_THRUST)
     _turn_axes(fw, roll, pitch)
     if fw.rate_yaw_mode:
-        sp.mode_yaw = ABSOLUTE
+        sp.mode_yaw = AXIS_MODES.absolute
         sp.yaw = yaw
     else:
-        sp.mode_yaw = VELOCITY
+        sp.mode_yaw = AXIS_MODES.velocity
         sp.yaw_rate = -yaw
     return True
 
@@ -128,7 +141,7 @@ def rpyt(
 def nothing(fleet: Fleet, i: int, priority: float) -> bool:
     """Accept generic packet 0, stop: the null set-point."""
     fw = fleet[i]
-    return accept(fw, int(priority))
+    return take_control(fw, int(priority))
 
 
 @kernel(rows, whole, real, real, real, real, real)
@@ -143,10 +156,10 @@ def velocity(
 ) -> bool:
     """Accept generic packet 8: velocity in the world, yaw rate."""
     fw = fleet[i]
-    if not accept(fw, int(priority)):
+    if not take_control(fw, int(priority)):
         return False
     sp = fw.wanted
-    sp.mode_x = sp.mode_y = sp.mode_z = sp.mode_yaw = VELOCITY
+    sp.mode_x = sp.mode_y = sp.mode_z = sp.mode_yaw = AXIS_MODES.velocity
     sp.vx = vx
     sp.vy = vy
     sp.vz = vz
@@ -166,11 +179,11 @@ def z_distance(
 ) -> bool:
     """Accept generic packet 9: roll, pitch, yaw rate and height."""
     fw = fleet[i]
-    if not accept(fw, int(priority)):
+    if not take_control(fw, int(priority)):
         return False
     sp = fw.wanted
-    sp.mode_z = sp.mode_roll = sp.mode_pitch = ABSOLUTE
-    sp.mode_yaw = VELOCITY
+    sp.mode_z = sp.mode_roll = sp.mode_pitch = AXIS_MODES.absolute
+    sp.mode_yaw = AXIS_MODES.velocity
     sp.z = z
     sp.roll = roll
     sp.pitch = pitch
@@ -190,11 +203,11 @@ def altitude_hold(
 ) -> bool:
     """Accept generic packet 4: roll, pitch, yaw rate and speed upwards."""
     fw = fleet[i]
-    if not accept(fw, int(priority)):
+    if not take_control(fw, int(priority)):
         return False
     sp = fw.wanted
-    sp.mode_z = sp.mode_yaw = VELOCITY
-    sp.mode_roll = sp.mode_pitch = ABSOLUTE
+    sp.mode_z = sp.mode_yaw = AXIS_MODES.velocity
+    sp.mode_roll = sp.mode_pitch = AXIS_MODES.absolute
     sp.vz = vz
     sp.roll = roll
     sp.pitch = pitch
@@ -214,11 +227,11 @@ def hover(
 ) -> bool:
     """Accept generic packet 10: velocity ahead and to the left, yaw rate and height."""
     fw = fleet[i]
-    if not accept(fw, int(priority)):
+    if not take_control(fw, int(priority)):
         return False
     sp = fw.wanted
-    sp.mode_x = sp.mode_y = sp.mode_yaw = VELOCITY
-    sp.mode_z = ABSOLUTE
+    sp.mode_x = sp.mode_y = sp.mode_yaw = AXIS_MODES.velocity
+    sp.mode_z = AXIS_MODES.absolute
     sp.body_velocity = 1
     sp.vx = ahead
     sp.vy = left
@@ -233,10 +246,10 @@ def position(
 ) -> bool:
     """Accept generic packet 7: position and heading."""
     fw = fleet[i]
-    if not accept(fw, int(priority)):
+    if not take_control(fw, int(priority)):
         return False
     sp = fw.wanted
-    sp.mode_x = sp.mode_y = sp.mode_z = sp.mode_yaw = ABSOLUTE
+    sp.mode_x = sp.mode_y = sp.mode_z = sp.mode_yaw = AXIS_MODES.absolute
     sp.x = x
     sp.y = y
     sp.z = z
@@ -260,18 +273,18 @@ def manual(
     Chosen: there is no thrust lock, and the sign of the yaw rate is not inverted.
     """
     fw = fleet[i]
-    if not accept(fw, int(priority)):
+    if not take_control(fw, int(priority)):
         return False
     sp = fw.wanted
     if rate > 0.0:
-        sp.mode_roll = sp.mode_pitch = VELOCITY
+        sp.mode_roll = sp.mode_pitch = AXIS_MODES.velocity
         sp.roll_rate = roll
         sp.pitch_rate = pitch
     else:
-        sp.mode_roll = sp.mode_pitch = ABSOLUTE
+        sp.mode_roll = sp.mode_pitch = AXIS_MODES.absolute
         sp.roll = roll
         sp.pitch = pitch
-    sp.mode_yaw = VELOCITY
+    sp.mode_yaw = AXIS_MODES.velocity
     sp.yaw_rate = yaw_rate
     sp.thrust = thrust
     return True
@@ -285,10 +298,10 @@ def full_state(fleet: Fleet, i: int, s: Vec, priority: float) -> bool:
         up
     """
     fw = fleet[i]
-    if not accept(fw, int(priority)):
+    if not take_control(fw, int(priority)):
         return False
     sp = fw.wanted
-    sp.mode_x = sp.mode_y = sp.mode_z = sp.mode_quat = ABSOLUTE
+    sp.mode_x = sp.mode_y = sp.mode_z = sp.mode_quat = AXIS_MODES.absolute
     sp.x = s[0]
     sp.y = s[1]
     sp.z = s[2]
@@ -316,16 +329,16 @@ def full_state(fleet: Fleet, i: int, s: Vec, priority: float) -> bool:
 
 
 @kernel()
-def leveled(fw: Record) -> None:
+def write_level_setpoint(fw: Record) -> None:
     """Write the set-point that is flown after set-points have ended.
 
     It is level without a yaw rate; height and thrust stay as before.
     """
     sp = fw.level
     old = fw.wanted
-    clear(sp)
-    sp.mode_roll = sp.mode_pitch = ABSOLUTE
-    sp.mode_yaw = VELOCITY
+    clear_setpoint(sp)
+    sp.mode_roll = sp.mode_pitch = AXIS_MODES.absolute
+    sp.mode_yaw = AXIS_MODES.velocity
     sp.mode_z = old.mode_z
     sp.z = old.z
     sp.vz = old.vz

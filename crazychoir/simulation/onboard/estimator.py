@@ -6,37 +6,52 @@ noise figures.
 """
 
 import math
+from typing import NamedTuple
 
 from crazychoir.numerics.kernels import kernel, real, vector
 from crazychoir.numerics.math3d import (
-    GRAVITY,
-    columns,
-    conjugate,
-    exponential,
-    finite,
-    logarithm,
-    product,
-    unit,
+    STANDARD_GRAVITY,
+    is_finite,
+    normalize_quaternion,
+    quaternion_conjugate,
+    quaternion_product,
+    rotation_columns,
+    rotation_exponential,
+    rotation_logarithm,
 )
 from crazychoir.simulation.onboard.record import Fleet, Record, rows, whole
 from crazychoir.types import Vec
 
 # Standard deviations of the initial state.
-INITIAL_XY = 100.0  # m
-INITIAL_Z = 1.0  # m
-INITIAL_V = 0.01  # m/s
-INITIAL_ATTITUDE = 0.01  # rad
-MS = 1e-3  # s
+
+
+class InitialDeviations(NamedTuple):
+    """Standard deviations of the initial state."""
+
+    horizontal_position: float = 100.0
+    """m, for x and y."""
+    height: float = 1.0
+    """m."""
+    velocity: float = 0.01
+    """m/s, on each axis."""
+    attitude: float = 0.01
+    """rad."""
+
+
+INITIAL_DEVIATIONS = InitialDeviations()
+
+
+TICK_SECONDS = 1e-3  # s
 
 
 @kernel()
-def _clear(fw: Record) -> None:
+def _clear_sums(fw: Record) -> None:
     fw.p_sum = fw.q_sum = fw.r_sum = fw.fx_sum = fw.fy_sum = fw.fz_sum = 0.0
     fw.samples = 0
 
 
 @kernel()
-def _angles(fw: Record) -> None:
+def _update_angles(fw: Record) -> None:
     """Compute roll, pitch, yaw in deg from the quaternion.
 
     The pitch is positive nose up, as the firmware logs it.
@@ -55,7 +70,7 @@ def _angles(fw: Record) -> None:
 
 
 @kernel()
-def begin(fw: Record) -> None:
+def start_estimate(fw: Record) -> None:
     """Start at the initial position and heading, at rest and level, with the initial uncertainty."""
     fw.x = fw.initial_x
     fw.y = fw.initial_y
@@ -64,19 +79,19 @@ def begin(fw: Record) -> None:
     fw.qx = fw.qy = 0.0
     fw.qz = math.sin(0.5 * fw.initial_yaw)
     fw.qw = math.cos(0.5 * fw.initial_yaw)
-    fw.xy_pp = INITIAL_XY**2
+    fw.xy_pp = INITIAL_DEVIATIONS.horizontal_position**2
     fw.xy_pv = 0.0
-    fw.xy_vv = INITIAL_V**2
-    fw.z_pp = INITIAL_Z**2
+    fw.xy_vv = INITIAL_DEVIATIONS.velocity**2
+    fw.z_pp = INITIAL_DEVIATIONS.height**2
     fw.z_pv = 0.0
-    fw.z_vv = INITIAL_V**2
-    fw.att_var = INITIAL_ATTITUDE**2
-    _clear(fw)
-    _angles(fw)
+    fw.z_vv = INITIAL_DEVIATIONS.velocity**2
+    fw.att_var = INITIAL_DEVIATIONS.attitude**2
+    _clear_sums(fw)
+    _update_angles(fw)
 
 
 @kernel()
-def collect(fw: Record) -> None:
+def collect_samples(fw: Record) -> None:
     """Add the filtered sensors of this ms to the sums for the next prediction."""
     fw.p_sum += fw.gx
     fw.q_sum += fw.gy
@@ -88,7 +103,7 @@ def collect(fw: Record) -> None:
 
 
 @kernel()
-def _grown(
+def _grow_covariance(
     pp: float, pv: float, vv: float, noise: float, dt: float
 ) -> tuple[float, float, float]:
     q = (noise * dt) ** 2
@@ -100,7 +115,7 @@ def _grown(
 
 
 @kernel()
-def _lost(fw: Record) -> bool:
+def _is_lost(fw: Record) -> bool:
     """Return True if the estimate is out of bounds or not finite."""
     p = max(abs(fw.x), max(abs(fw.y), abs(fw.z)))
     v = max(abs(fw.vx), max(abs(fw.vy), abs(fw.vz)))
@@ -123,40 +138,44 @@ def predict(fw: Record) -> None:
     """
     if fw.samples == 0:
         return
-    dt = fw.samples * MS
-    to_rate = math.radians(1.0) * MS
-    to_force = GRAVITY / fw.samples
-    half = exponential(
+    dt = fw.samples * TICK_SECONDS
+    to_rate = math.radians(1.0) * TICK_SECONDS
+    to_force = STANDARD_GRAVITY / fw.samples
+    half = rotation_exponential(
         0.5 * fw.p_sum * to_rate, 0.5 * fw.q_sum * to_rate, 0.5 * fw.r_sum * to_rate
     )
-    middle = product((fw.qx, fw.qy, fw.qz, fw.qw), half)
-    x, y, z = columns(middle)
+    middle = quaternion_product((fw.qx, fw.qy, fw.qz, fw.qw), half)
+    x, y, z = rotation_columns(middle)
     across = 0.0 if fw.flying else to_force
     fx = fw.fx_sum * across
     fy = fw.fy_sum * across
     fz = fw.fz_sum * to_force
-    fw.qx, fw.qy, fw.qz, fw.qw = unit(product(middle, half))
+    fw.qx, fw.qy, fw.qz, fw.qw = normalize_quaternion(quaternion_product(middle, half))
     fw.acx = x[0] * fx + y[0] * fy + z[0] * fz
     fw.acy = x[1] * fx + y[1] * fy + z[1] * fz
-    fw.acz = x[2] * fx + y[2] * fy + z[2] * fz - GRAVITY
+    fw.acz = x[2] * fx + y[2] * fy + z[2] * fz - STANDARD_GRAVITY
     fw.x += dt * (fw.vx + 0.5 * dt * fw.acx)
     fw.y += dt * (fw.vy + 0.5 * dt * fw.acy)
     fw.z += dt * (fw.vz + 0.5 * dt * fw.acz)
     fw.vx += dt * fw.acx
     fw.vy += dt * fw.acy
     fw.vz += dt * fw.acz
-    fw.xy_pp, fw.xy_pv, fw.xy_vv = _grown(fw.xy_pp, fw.xy_pv, fw.xy_vv, fw.noise_xy, dt)
-    fw.z_pp, fw.z_pv, fw.z_vv = _grown(fw.z_pp, fw.z_pv, fw.z_vv, fw.noise_z, dt)
+    fw.xy_pp, fw.xy_pv, fw.xy_vv = _grow_covariance(
+        fw.xy_pp, fw.xy_pv, fw.xy_vv, fw.noise_xy, dt
+    )
+    fw.z_pp, fw.z_pv, fw.z_vv = _grow_covariance(
+        fw.z_pp, fw.z_pv, fw.z_vv, fw.noise_z, dt
+    )
     fw.att_var += (fw.noise_gyro * dt) ** 2
-    _clear(fw)
-    _angles(fw)
-    if _lost(fw):
-        begin(fw)
+    _clear_sums(fw)
+    _update_angles(fw)
+    if _is_lost(fw):
+        start_estimate(fw)
         fw.resets += 1
 
 
 @kernel()
-def _locate(fw: Record, x: float, y: float, z: float) -> None:
+def _correct_position(fw: Record, x: float, y: float, z: float) -> None:
     r = fw.ext_pos_std**2
     k = fw.xy_pp / (fw.xy_pp + r)
     kv = fw.xy_pv / (fw.xy_pp + r)
@@ -186,16 +205,16 @@ def _locate(fw: Record, x: float, y: float, z: float) -> None:
 @kernel(rows, whole)
 def reset(fleet: Fleet, i: int) -> None:
     """Start the estimate anew."""
-    begin(fleet[i])
+    start_estimate(fleet[i])
 
 
 @kernel(rows, whole, vector)
 def see_position(fleet: Fleet, i: int, p: Vec) -> None:
     """Correct by a position (3,) m; a position that is not finite is ignored."""
     fw = fleet[i]
-    if finite(p):
+    if is_finite(p):
         predict(fw)
-        _locate(fw, p[0], p[1], p[2])
+        _correct_position(fw, p[0], p[1], p[2])
 
 
 @kernel(rows, whole, vector, vector)
@@ -211,18 +230,22 @@ def see_pose(fleet: Fleet, i: int, p: Vec, q: Vec) -> None:
     """
     fw = fleet[i]
     n = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
-    if not (finite(p) and n > 0.25 and n < 4.0):
+    if not (is_finite(p) and n > 0.25 and n < 4.0):
         return
     predict(fw)
-    _locate(fw, p[0], p[1], p[2])
+    _correct_position(fw, p[0], p[1], p[2])
     k = fw.att_var / (fw.att_var + fw.ext_quat_std**2)
     own = (fw.qx, fw.qy, fw.qz, fw.qw)
-    e = logarithm(product(conjugate(own), unit((q[0], q[1], q[2], q[3]))))
-    fw.qx, fw.qy, fw.qz, fw.qw = unit(
-        product(own, exponential(k * e[0], k * e[1], k * e[2]))
+    e = rotation_logarithm(
+        quaternion_product(
+            quaternion_conjugate(own), normalize_quaternion((q[0], q[1], q[2], q[3]))
+        )
+    )
+    fw.qx, fw.qy, fw.qz, fw.qw = normalize_quaternion(
+        quaternion_product(own, rotation_exponential(k * e[0], k * e[1], k * e[2]))
     )
     fw.att_var *= 1.0 - k
-    _angles(fw)
+    _update_angles(fw)
 
 
 @kernel(rows, whole, vector, real)
@@ -236,7 +259,7 @@ def see_velocity(fleet: Fleet, i: int, v: Vec, std: float) -> None:
     std: m/s: standard deviation of an axis
     """
     fw = fleet[i]
-    if not finite(v):
+    if not is_finite(v):
         return
     predict(fw)
     r = std * std

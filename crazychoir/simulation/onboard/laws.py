@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.simulation.onboard.record import FORCE_TORQUE, LEGACY, MOTORS, Record
+from crazychoir.simulation.onboard.record import OUTPUT_KINDS, Record
 from crazychoir.types import State, Vec
 
-AXES = ("x", "y", "z", "roll", "pitch", "yaw", "quat")
-PERIOD = 0.002
+MODE_AXES = ("x", "y", "z", "roll", "pitch", "yaw", "quat")
+LAW_PERIOD = 0.002
 """Seconds between two calls of a law."""
 
 
@@ -106,26 +106,26 @@ Law = Callable[[Setpoint, State, Vec, float], Answer]
 """A law is called every 2 ms as law(setpoint, estimate, gyro (3,) rad/s body, dt s)."""
 
 
-def _vector(sp: Record, names: str) -> Vec:
+def _read_vector(sp: Record, names: str) -> Vec:
     return np.array([sp[name] for name in names.split()])
 
 
-def setpoint_of(sp: Record, thrust_max: float) -> Setpoint:
+def convert_setpoint(sp: Record, thrust_max: float) -> Setpoint:
     """Convert a set-point record to SI units.
 
     thrust_max: N: greatest thrust of a motor
     """
-    x, y, z, roll, pitch, yaw, quat = (int(sp[f"mode_{axis}"]) for axis in AXES)
+    x, y, z, roll, pitch, yaw, quat = (int(sp[f"mode_{axis}"]) for axis in MODE_AXES)
     modes = Modes(x, y, z, roll, pitch, yaw, quat, bool(sp["body_velocity"]))
     nose_up = -1.0 if modes.pitch == 2 else 1.0
     rates = np.radians([sp["roll_rate"], nose_up * sp["pitch_rate"], sp["yaw_rate"]])
     return Setpoint(
         modes,
-        p=_vector(sp, "x y z"),
-        v=_vector(sp, "vx vy vz"),
-        a=_vector(sp, "ax ay az"),
-        j=_vector(sp, "jx jy jz"),
-        q=_vector(sp, "qx qy qz qw"),
+        p=_read_vector(sp, "x y z"),
+        v=_read_vector(sp, "vx vy vz"),
+        a=_read_vector(sp, "ax ay az"),
+        j=_read_vector(sp, "jx jy jz"),
+        q=_read_vector(sp, "qx qy qz qw"),
         roll=math.radians(sp["roll"]),
         pitch=-math.radians(sp["pitch"]),
         yaw=math.radians(sp["yaw"]),
@@ -147,11 +147,11 @@ def write_answer(fw: Record, name: str, answer: object) -> None:
         )
     numbers = answer if math.isfinite(sum(answer)) else (0.0, 0.0, 0.0, 0.0)
     if isinstance(answer, MotorForces):
-        fw["output"] = MOTORS
+        fw["output"] = OUTPUT_KINDS.motors
         fw["law_motors"] = [max(f, 0.0) / fw["thrust_max"] * 65535.0 for f in numbers]
     elif isinstance(answer, ForceTorque):
-        fw["output"] = FORCE_TORQUE
+        fw["output"] = OUTPUT_KINDS.force_torque
         fw["force"], fw["torque_x"], fw["torque_y"], fw["torque_z"] = numbers
     else:
-        fw["output"] = LEGACY
+        fw["output"] = OUTPUT_KINDS.legacy
         fw["thrust"], fw["roll_out"], fw["pitch_out"], fw["yaw_out"] = numbers

@@ -3,73 +3,89 @@
 import difflib
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import GRAVITY
+from crazychoir.numerics.math3d import STANDARD_GRAVITY
 from crazychoir.simulation.onboard import supervisor
-from crazychoir.simulation.onboard.record import Fleet, entries
-from crazychoir.simulation.onboard.units import FULL
+from crazychoir.simulation.onboard.record import Fleet, load_entry_points
+from crazychoir.simulation.onboard.units import FULL_THRUST_COMMAND
 
-Read = Callable[[Fleet, int], float]
+FleetReader = Callable[[Fleet, int], float]
 
 
-def _target(name: str) -> Read:
+def _target_reader(name: str) -> FleetReader:
     return lambda rows, i: float(rows["wanted"][name][i])
 
 
-def _field(name: str, factor: float = 1.0) -> Read:
+def _field_reader(name: str, factor: float = 1.0) -> FleetReader:
     return lambda rows, i: float(rows[name][i]) * factor
 
 
-def whole(value: float, low: float, high: float) -> int:
+def truncate_to_range(value: float, low: float, high: float) -> int:
     """Truncate to an integer within a range; 0 for a value that is not a number."""
     return 0 if math.isnan(value) else int(min(max(value, low), high))
 
 
-def _whole(name: str, factor: float = 1.0) -> Read:
+def _int16_reader(name: str, factor: float = 1.0) -> FleetReader:
     """Return a reader of a field, scaled by factor and limited to a 16-bit integer."""
     return lambda rows, i: float(
-        whole(float(rows[name][i]) * factor, -32768.0, 32767.0)
+        truncate_to_range(float(rows[name][i]) * factor, -32768.0, 32767.0)
     )
 
 
-def _motor(k: int) -> Read:
-    return lambda rows, i: float(whole(float(rows["request"][i, k]), 0.0, FULL))
+def _motor_reader(k: int) -> FleetReader:
+    return lambda rows, i: float(
+        truncate_to_range(float(rows["request"][i, k]), 0.0, FULL_THRUST_COMMAND)
+    )
 
 
-AXES = ("x", "y", "z")
-STATE = (
-    "x",
-    "y",
-    "z",
-    "vx",
-    "vy",
-    "vz",
-    "roll",
-    "pitch",
-    "yaw",
-    "qx",
-    "qy",
-    "qz",
-    "qw",
-)
-TARGET = (
-    "x",
-    "y",
-    "z",
-    "vx",
-    "vy",
-    "vz",
-    "ax",
-    "ay",
-    "az",
-    "roll",
-    "pitch",
-    "yaw",
-    "thrust",
-)
-MODES = ("x", "y", "z", "roll", "pitch", "yaw", "quat")
-VARIANCES = {
+@dataclass(frozen=True, slots=True)
+class LogFields:
+    """Names of the fields that the log variables read."""
+
+    axes: tuple[str, ...] = ("x", "y", "z")
+    """Axes of a vector."""
+    state: tuple[str, ...] = (
+        "x",
+        "y",
+        "z",
+        "vx",
+        "vy",
+        "vz",
+        "roll",
+        "pitch",
+        "yaw",
+        "qx",
+        "qy",
+        "qz",
+        "qw",
+    )
+    """Fields of the estimated state; the first six are position and velocity."""
+    target: tuple[str, ...] = (
+        "x",
+        "y",
+        "z",
+        "vx",
+        "vy",
+        "vz",
+        "ax",
+        "ay",
+        "az",
+        "roll",
+        "pitch",
+        "yaw",
+        "thrust",
+    )
+    """Fields of a set-point."""
+    modes: tuple[str, ...] = ("x", "y", "z", "roll", "pitch", "yaw", "quat")
+    """Axes of a set-point that have a mode."""
+
+
+LOG_FIELDS = LogFields()
+
+
+VARIANCE_FIELDS = {
     "X": "xy_pp",
     "Y": "xy_pp",
     "Z": "z_pp",
@@ -78,57 +94,72 @@ VARIANCES = {
     "PZ": "z_vv",
 }
 """Fields of the firmware's variances by its names: X is a position, PX a velocity."""
-_supervisor = entries(supervisor)
-TABLE: dict[str, Read] = {
-    **{f"stateEstimate.{name}": _field(name) for name in STATE},
-    **{f"stateEstimate.a{axis}": _field(f"ac{axis}", 1.0 / GRAVITY) for axis in AXES},
-    **{f"stateEstimateZ.{name}": _whole(name, 1000.0) for name in STATE[:6]},
-    **{f"stateEstimateZ.a{axis}": _whole(f"ac{axis}", 1000.0) for axis in AXES},
-    **{f"kalman.state{axis.upper()}": _field(axis) for axis in AXES},
-    **{f"kalman.var{name}": _field(field) for name, field in VARIANCES.items()},
-    **{f"kalman.q{k}": _field(f"q{c}") for k, c in enumerate("wxyz")},
+_supervisor = load_entry_points(supervisor)
+FIRMWARE_LOG_READERS: dict[str, FleetReader] = {
+    **{f"stateEstimate.{name}": _field_reader(name) for name in LOG_FIELDS.state},
     **{
-        f"stabilizer.{name}": _field(name)
+        f"stateEstimate.a{axis}": _field_reader(f"ac{axis}", 1.0 / STANDARD_GRAVITY)
+        for axis in LOG_FIELDS.axes
+    },
+    **{
+        f"stateEstimateZ.{name}": _int16_reader(name, 1000.0)
+        for name in LOG_FIELDS.state[:6]
+    },
+    **{
+        f"stateEstimateZ.a{axis}": _int16_reader(f"ac{axis}", 1000.0)
+        for axis in LOG_FIELDS.axes
+    },
+    **{f"kalman.state{axis.upper()}": _field_reader(axis) for axis in LOG_FIELDS.axes},
+    **{
+        f"kalman.var{name}": _field_reader(field)
+        for name, field in VARIANCE_FIELDS.items()
+    },
+    **{f"kalman.q{k}": _field_reader(f"q{c}") for k, c in enumerate("wxyz")},
+    **{
+        f"stabilizer.{name}": _field_reader(name)
         for name in ("roll", "pitch", "yaw", "thrust")
     },
-    **{f"gyro.{axis}": _field(f"g{axis}") for axis in AXES},
-    **{f"acc.{axis}": _field(f"a{axis}") for axis in AXES},
+    **{f"gyro.{axis}": _field_reader(f"g{axis}") for axis in LOG_FIELDS.axes},
+    **{f"acc.{axis}": _field_reader(f"a{axis}") for axis in LOG_FIELDS.axes},
     **{
-        f"controller.{name}": _field(f"target_{name}")
+        f"controller.{name}": _field_reader(f"target_{name}")
         for name in ("roll", "pitch", "yaw")
     },
     **{
-        f"controller.{name}Rate": _field(f"target_{name}_rate")
+        f"controller.{name}Rate": _field_reader(f"target_{name}_rate")
         for name in ("roll", "pitch", "yaw")
     },
     **{
-        f"controller.cmd_{name}": _field(f"{name}_out")
+        f"controller.cmd_{name}": _field_reader(f"{name}_out")
         for name in ("roll", "pitch", "yaw")
     },
-    "controller.cmd_thrust": _field("thrust"),
-    **{f"ctrltarget.{n}": _target(n) for n in TARGET},
-    **{f"ctrltarget.mode_{n}": _target(f"mode_{n}") for n in MODES},
-    **{f"motor.m{k + 1}": _motor(k) for k in range(4)},
-    **{f"motor.m{k + 1}req": _motor(k) for k in range(4)},
-    "pm.vbat": _field("vbat"),
-    "pm.vbatMV": _whole("vbat", 1000.0),
+    "controller.cmd_thrust": _field_reader("thrust"),
+    **{f"ctrltarget.{n}": _target_reader(n) for n in LOG_FIELDS.target},
+    **{f"ctrltarget.mode_{n}": _target_reader(f"mode_{n}") for n in LOG_FIELDS.modes},
+    **{f"motor.m{k + 1}": _motor_reader(k) for k in range(4)},
+    **{f"motor.m{k + 1}req": _motor_reader(k) for k in range(4)},
+    "pm.vbat": _field_reader("vbat"),
+    "pm.vbatMV": _int16_reader("vbat", 1000.0),
     "supervisor.info": lambda rows, i: float(_supervisor.information(rows, i)),
     "sys.canfly": lambda rows, i: float(_supervisor.can_fly(rows, i)),
-    "sys.isFlying": _field("flying"),
-    "sys.isTumbled": _field("tumbled"),
+    "sys.isFlying": _field_reader("flying"),
+    "sys.isTumbled": _field_reader("tumbled"),
 }
 
 
-def read(rows: Fleet, row: int, name: str) -> float:
+def read_log_variable(rows: Fleet, row: int, name: str) -> float:
     """Return a log variable now.
 
     Raises ConfigError with the nearest names if there is no such variable.
     """
-    if name in TABLE:
-        return TABLE[name](rows, row)
-    near = difflib.get_close_matches(name, TABLE, n=3) or sorted(TABLE)[:3]
+    if name in FIRMWARE_LOG_READERS:
+        return FIRMWARE_LOG_READERS[name](rows, row)
+    near = (
+        difflib.get_close_matches(name, FIRMWARE_LOG_READERS, n=3)
+        or sorted(FIRMWARE_LOG_READERS)[:3]
+    )
     raise ConfigError(
         "firmware log variable",
         name,
-        f"the {len(TABLE)} that are simulated, such as {', '.join(near)}",
+        f"the {len(FIRMWARE_LOG_READERS)} that are simulated, such as {', '.join(near)}",
     )

@@ -1,9 +1,10 @@
 """One ms on board of one drone: sensors, estimator, commander, supervisor, controller, motors."""
 
 import math
+from typing import NamedTuple
 
 from crazychoir.numerics.kernels import kernel, real
-from crazychoir.numerics.math3d import GRAVITY
+from crazychoir.numerics.math3d import STANDARD_GRAVITY
 from crazychoir.simulation.onboard import (
     cascade,
     estimator,
@@ -13,42 +14,62 @@ from crazychoir.simulation.onboard import (
     planner,
     supervisor,
 )
-from crazychoir.simulation.onboard.commander import leveled
+from crazychoir.simulation.onboard.commander import write_level_setpoint
 from crazychoir.simulation.onboard.record import (
-    LEE,
-    MELLINGER,
-    PID,
+    CONTROLLER_KINDS,
     Fleet,
     Record,
     rows,
     whole,
 )
 
-ATTITUDE = 2  # ms: period of attitude and rate control, 500 Hz
-POSITION = 10  # ms: period of estimator, position control and planner, 100 Hz
-SUPERVISOR = 40  # ms: period of the supervisor, 25 Hz
+
+class TaskPeriods(NamedTuple):
+    """Periods in ms of the tasks of the firmware."""
+
+    attitude: int = 2
+    """Period in ms of attitude and rate control, 500 Hz."""
+    position: int = 10
+    """Period in ms of estimator, position control and planner, 100 Hz."""
+    supervisor: int = 40
+    """Period in ms of the supervisor, 25 Hz."""
 
 
-def _butterworth(hertz: float) -> tuple[float, float, float]:
+TASK_PERIODS = TaskPeriods()
+
+
+def _design_butterworth(hertz: float) -> tuple[float, float, float]:
     """Return b0, a1, a2 of a low-pass of order 2 at 1 kHz (b1 = 2 b0, b2 = b0)."""
     c = math.tan(math.pi * hertz / 1000.0)
     n = 1.0 / (1.0 + math.sqrt(2.0) * c + c * c)
     return c * c * n, 2.0 * (c * c - 1.0) * n, (1.0 - math.sqrt(2.0) * c + c * c) * n
 
 
-GYRO_B, GYRO_A1, GYRO_A2 = _butterworth(80.0)
-ACC_B, ACC_A1, ACC_A2 = _butterworth(30.0)
-SETTLED = 100  # ms after power-on before the firmware weighs itself
-STANDING = 200  # samples of the accelerometer for that
-DEGREES = 180.0 / math.pi  # deg a rad
-PER_G = 1.0 / GRAVITY  # g a m/s2
+GYRO_B, GYRO_A1, GYRO_A2 = _design_butterworth(80.0)
+ACC_B, ACC_A1, ACC_A2 = _design_butterworth(30.0)
+
+
+class SensorSettings(NamedTuple):
+    """How the firmware calibrates and converts the readings of the inertial sensors."""
+
+    calibration_start: int = 100
+    """ms after power-on before the firmware weighs itself."""
+    calibration_samples: int = 200
+    """Samples of the accelerometer with which the firmware weighs itself."""
+    degrees_per_radian: float = 180.0 / math.pi
+    """deg a rad."""
+    g_per_acceleration: float = 1.0 / STANDARD_GRAVITY
+    """g a m/s2."""
+
+
+SENSOR_SETTINGS = SensorSettings()
 
 
 @kernel()
-def _gyro(fw: Record, k: int, raw: float) -> float:
+def _filter_gyroscope(fw: Record, k: int, raw: float) -> float:
     """Filter the gyroscope's axis k with a low-pass of 80 Hz; return deg/s."""
     d = fw.delays
-    value = raw * DEGREES
+    value = raw * SENSOR_SETTINGS.degrees_per_radian
     y: float = GYRO_B * value + d[2 * k]
     d[2 * k] = 2.0 * GYRO_B * value - GYRO_A1 * y + d[2 * k + 1]
     d[2 * k + 1] = GYRO_B * value - GYRO_A2 * y
@@ -56,10 +77,10 @@ def _gyro(fw: Record, k: int, raw: float) -> float:
 
 
 @kernel()
-def _acc(fw: Record, k: int, raw: float) -> float:
+def _filter_accelerometer(fw: Record, k: int, raw: float) -> float:
     """Filter the accelerometer's axis k with a low-pass of 30 Hz; return g."""
     d = fw.delays
-    value = raw * PER_G
+    value = raw * SENSOR_SETTINGS.g_per_acceleration
     i = 6 + 2 * k
     y: float = ACC_B * value + d[i]
     d[i] = 2.0 * ACC_B * value - ACC_A1 * y + d[i + 1]
@@ -74,14 +95,17 @@ def _weigh(fw: Record, ax: float, ay: float, az: float) -> None:
     The samples are taken some time after power-on, while the drone stands with its motors off.
     """
     m = fw.request
-    if fw.tick < SETTLED or max(max(m[0], m[1]), max(m[2], m[3])) > fw.idle:
+    if (
+        fw.tick < SENSOR_SETTINGS.calibration_start
+        or max(max(m[0], m[1]), max(m[2], m[3])) > fw.idle
+    ):
         return
     weight = math.sqrt(ax * ax + ay * ay + az * az)
-    if abs(weight - GRAVITY) < 0.1 * GRAVITY:
+    if abs(weight - STANDARD_GRAVITY) < 0.1 * STANDARD_GRAVITY:
         fw.acc_sum += weight
         fw.acc_count += 1.0
-        if fw.acc_count >= STANDING:
-            fw.acc_scale = GRAVITY * fw.acc_count / fw.acc_sum
+        if fw.acc_count >= SENSOR_SETTINGS.calibration_samples:
+            fw.acc_scale = STANDARD_GRAVITY * fw.acc_count / fw.acc_sum
 
 
 @kernel(rows, whole)
@@ -93,24 +117,24 @@ def settle(fleet: Fleet, i: int) -> None:
     fw = fleet[i]
     fw.delays[10] = 1.0 - ACC_B
     fw.delays[11] = ACC_B - ACC_A2
-    estimator.begin(fw)
+    estimator.start_estimate(fw)
     planner.take_state(fw)
 
 
 @kernel()
-def _control(fw: Record) -> None:
+def _run_controller(fw: Record) -> None:
     """Run the chosen controller and the mixing of motors, at 500 Hz.
 
     A user's law is only marked as due here; it has written its output since the last pass.
     """
-    sp = fw.level if fw.state == supervisor.LEVEL_OUT else fw.wanted
-    if fw.state == supervisor.LEVEL_OUT:
-        leveled(fw)
-    if fw.controller == PID:
+    sp = fw.level if fw.state == supervisor.STATE_LEVEL_OUT else fw.wanted
+    if fw.state == supervisor.STATE_LEVEL_OUT:
+        write_level_setpoint(fw)
+    if fw.controller == CONTROLLER_KINDS.pid:
         cascade.control(fw, sp)
-    elif fw.controller == MELLINGER:
+    elif fw.controller == CONTROLLER_KINDS.mellinger:
         mellinger.control(fw, sp)
-    elif fw.controller == LEE:
+    elif fw.controller == CONTROLLER_KINDS.lee:
         lee.control(fw, sp)
     else:
         fw.law_due = 1
@@ -129,21 +153,29 @@ def stabilize(
     gx, gy, gz: rad/s, body: readings of the gyroscope
     ax, ay, az: m/s2, body: specific force
     """
-    fw.gx, fw.gy, fw.gz = _gyro(fw, 0, gx), _gyro(fw, 1, gy), _gyro(fw, 2, gz)
-    if fw.acc_count < STANDING:
+    fw.gx, fw.gy, fw.gz = (
+        _filter_gyroscope(fw, 0, gx),
+        _filter_gyroscope(fw, 1, gy),
+        _filter_gyroscope(fw, 2, gz),
+    )
+    if fw.acc_count < SENSOR_SETTINGS.calibration_samples:
         _weigh(fw, ax, ay, az)
     c = fw.acc_scale
-    fw.ax, fw.ay, fw.az = _acc(fw, 0, c * ax), _acc(fw, 1, c * ay), _acc(fw, 2, c * az)
-    estimator.collect(fw)
-    fw.vbat_low += mixing.LOW_PASS * (fw.vbat - fw.vbat_low)
+    fw.ax, fw.ay, fw.az = (
+        _filter_accelerometer(fw, 0, c * ax),
+        _filter_accelerometer(fw, 1, c * ay),
+        _filter_accelerometer(fw, 2, c * az),
+    )
+    estimator.collect_samples(fw)
+    fw.vbat_low += mixing.POWER_DISTRIBUTION.voltage_low_pass * (fw.vbat - fw.vbat_low)
     tick = fw.tick
-    if tick % ATTITUDE == 0:
-        if tick % POSITION == 0:
+    if tick % TASK_PERIODS.attitude == 0:
+        if tick % TASK_PERIODS.position == 0:
             estimator.predict(fw)
             planner.update(fw)
-            if tick % SUPERVISOR == 0:
+            if tick % TASK_PERIODS.supervisor == 0:
                 supervisor.update(fw)
-        _control(fw)
+        _run_controller(fw)
         mixing.compensate(fw)
     fw.tick = tick + 1
 

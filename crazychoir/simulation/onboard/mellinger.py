@@ -3,16 +3,16 @@
 import math
 
 from crazychoir.numerics.kernels import kernel
-from crazychoir.numerics.math3d import GRAVITY
+from crazychoir.numerics.math3d import STANDARD_GRAVITY
 from crazychoir.simulation.onboard.attitude import (
-    DT,
+    CONTROL_PERIOD,
     clamp,
-    error,
-    errors,
-    rates,
-    wanted,
+    compute_attitude_error,
+    compute_tracking_errors,
+    compute_wanted_attitude,
+    compute_wanted_rates,
 )
-from crazychoir.simulation.onboard.record import DISABLE, LEGACY, Record
+from crazychoir.simulation.onboard.record import AXIS_MODES, OUTPUT_KINDS, Record
 
 MOST_MOMENT = 32000.0  # limit of the roll, pitch and yaw commands
 
@@ -26,27 +26,30 @@ def reset(fw: Record) -> None:
 
 
 @kernel()
-def _force(fw: Record, sp: Record) -> tuple[float, float, float]:
+def _compute_mellinger_force(fw: Record, sp: Record) -> tuple[float, float, float]:
     """Return F = m (a + g e3) + kp e_p + kd e_v + ki int e_p, N, world."""
     m = fw.mellinger
-    p, v = errors(fw, sp)
-    m.ix = clamp(m.ix + p[0] * DT, m.i_range_xy)
-    m.iy = clamp(m.iy + p[1] * DT, m.i_range_xy)
-    m.iz = clamp(m.iz + p[2] * DT, m.i_range_z)
+    p, v = compute_tracking_errors(fw, sp)
+    m.ix = clamp(m.ix + p[0] * CONTROL_PERIOD, m.i_range_xy)
+    m.iy = clamp(m.iy + p[1] * CONTROL_PERIOD, m.i_range_xy)
+    m.iz = clamp(m.iz + p[2] * CONTROL_PERIOD, m.i_range_z)
     return (
         m.mass * sp.ax + m.kp_xy * p[0] + m.kd_xy * v[0] + m.ki_xy * m.ix,
         m.mass * sp.ay + m.kp_xy * p[1] + m.kd_xy * v[1] + m.ki_xy * m.iy,
-        m.mass * (sp.az + GRAVITY) + m.kp_z * p[2] + m.kd_z * v[2] + m.ki_z * m.iz,
+        m.mass * (sp.az + STANDARD_GRAVITY)
+        + m.kp_z * p[2]
+        + m.kd_z * v[2]
+        + m.ki_z * m.iz,
     )
 
 
 @kernel()
-def _damping(
+def _compute_damping(
     m: Record, w: tuple[float, float, float], wd: tuple[float, float, float]
 ) -> tuple[float, float]:
     """Return d(w_d - w)/dt of roll and pitch, rad/s2; 0 at the first pass."""
-    x = m.fresh * ((wd[0] - m.wx_set) - (w[0] - m.wx)) / DT
-    y = m.fresh * ((wd[1] - m.wy_set) - (w[1] - m.wy)) / DT
+    x = m.fresh * ((wd[0] - m.wx_set) - (w[0] - m.wx)) / CONTROL_PERIOD
+    y = m.fresh * ((wd[1] - m.wy_set) - (w[1] - m.wy)) / CONTROL_PERIOD
     m.wx = w[0]
     m.wy = w[1]
     m.wx_set = wd[0]
@@ -70,21 +73,21 @@ def control(fw: Record, sp: Record) -> None:
         firmware.
     """
     m = fw.mellinger
-    axes, force = wanted(fw, sp, _force(fw, sp))
-    fw.output = LEGACY
-    fw.thrust = sp.thrust if sp.mode_z == DISABLE else m.massThrust * force
+    axes, force = compute_wanted_attitude(fw, sp, _compute_mellinger_force(fw, sp))
+    fw.output = OUTPUT_KINDS.legacy
+    fw.thrust = sp.thrust if sp.mode_z == AXIS_MODES.disabled else m.massThrust * force
     if fw.thrust <= 0.0:
         fw.thrust = fw.roll_out = fw.pitch_out = fw.yaw_out = 0.0
         reset(fw)
         return
     fw.thrust = min(fw.thrust, 65535.0)
-    e = error(axes, fw)
+    e = compute_attitude_error(axes, fw)
     w = (math.radians(fw.gx), math.radians(fw.gy), math.radians(fw.gz))
-    wd = rates(sp)
-    dx, dy = _damping(m, w, wd)
-    m.imx = clamp(m.imx - e[0] * DT, m.i_range_m_xy)
-    m.imy = clamp(m.imy - e[1] * DT, m.i_range_m_xy)
-    m.imz = clamp(m.imz - e[2] * DT, m.i_range_m_z)
+    wd = compute_wanted_rates(sp)
+    dx, dy = _compute_damping(m, w, wd)
+    m.imx = clamp(m.imx - e[0] * CONTROL_PERIOD, m.i_range_m_xy)
+    m.imy = clamp(m.imy - e[1] * CONTROL_PERIOD, m.i_range_m_xy)
+    m.imz = clamp(m.imz - e[2] * CONTROL_PERIOD, m.i_range_m_z)
     mx = (
         -m.kR_xy * e[0]
         + m.kw_xy * (wd[0] - w[0])

@@ -4,21 +4,32 @@ Motors in a cross: 0 front right, 1 back right, 2 back left, 3 front left. Motor
 body towards a negative yaw.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from crazychoir.numerics.kernels import kernel
-from crazychoir.simulation.onboard.record import FORCE_TORQUE, LEGACY, Record
+from crazychoir.simulation.onboard.record import OUTPUT_KINDS, Record
 
-FULL = 65535.0  # greatest request of a motor
-PER_FULL = 1.0 / FULL
-LOW_PASS = 0.01  # share of a new battery voltage in its low-pass, each ms
-STEADY = (
-    1e-9  # relative difference of battery and low-pass below which they count as equal
-)
+
+class PowerDistribution(NamedTuple):
+    """Figures of the power distribution."""
+
+    full_request: float = 65535.0
+    """Greatest request of a motor."""
+    inverse_full_request: float = 1.0 / full_request
+    """1 over the greatest request of a motor."""
+    voltage_low_pass: float = 0.01
+    """Share of a new battery voltage in its low-pass, each ms."""
+    voltage_tolerance: float = 1e-9
+    """Relative difference of battery and low-pass below which they count as equal."""
+
+
+POWER_DISTRIBUTION = PowerDistribution()
 
 
 @kernel()
-def _legacy(fw: Record) -> None:
+def _mix_legacy(fw: Record) -> None:
     """Mix the legacy output: m = T -/+ roll/2 +/- pitch/2 +/- yaw; pitch positive nose up.
 
     The halves are truncated to integers.
@@ -34,13 +45,13 @@ def _legacy(fw: Record) -> None:
 
 
 @kernel()
-def _force_torque(fw: Record) -> None:
+def _mix_force_torque(fw: Record) -> None:
     """Mix force and torques: f = T/4 -/+ tx/(4 a) -/+ ty/(4 a) -/+ tz/(4 k), not below 0.
 
     a: m: arm along x
     k: m: torque of a thrust of 1 N
     """
-    per_newton = FULL / fw.thrust_max
+    per_newton = POWER_DISTRIBUTION.full_request / fw.thrust_max
     t = 0.25 * fw.force
     r = 0.25 * fw.torque_x / fw.arm
     p = 0.25 * fw.torque_y / fw.arm
@@ -52,32 +63,34 @@ def _force_torque(fw: Record) -> None:
 
 
 @kernel()
-def _cap(fw: Record) -> None:
+def _cap_requests(fw: Record) -> None:
     """Reduce all motors by the excess of the highest over 65535, so that the torques stay.
 
     Then raise motors below idle to idle.
     """
     m = fw.request
-    excess = max(max(max(m[0], m[1]), max(m[2], m[3])) - FULL, 0.0)
+    excess = max(
+        max(max(m[0], m[1]), max(m[2], m[3])) - POWER_DISTRIBUTION.full_request, 0.0
+    )
     for i in range(4):
         m[i] = max(m[i] - excess, fw.idle)
 
 
 @kernel()
-def _wish(fw: Record, allowed: bool) -> None:
+def _write_requests(fw: Record, allowed: bool) -> None:
     """Write the motor requests of the controller; all are 0 if the supervisor forbids motors."""
     if not allowed:
         for i in range(4):
             fw.request[i] = 0.0
         return
-    if fw.output == LEGACY:
-        _legacy(fw)
-    elif fw.output == FORCE_TORQUE:
-        _force_torque(fw)
+    if fw.output == OUTPUT_KINDS.legacy:
+        _mix_legacy(fw)
+    elif fw.output == OUTPUT_KINDS.force_torque:
+        _mix_force_torque(fw)
     else:
         for i in range(4):
             fw.request[i] = fw.law_motors[i]
-    _cap(fw)
+    _cap_requests(fw)
 
 
 @kernel()
@@ -86,7 +99,7 @@ def distribute(fw: Record, allowed: bool) -> None:
 
     The parameters motorPowerSet override it, even if the supervisor forbids motors.
     """
-    _wish(fw, allowed)
+    _write_requests(fw, allowed)
     if fw.power_set == 1:
         fw.request[0], fw.request[1], fw.request[2], fw.request[3] = (
             fw.power_1,
@@ -100,31 +113,34 @@ def distribute(fw: Record, allowed: bool) -> None:
 
 
 @kernel()
-def _thrust(fw: Record, v: float) -> float:
+def _compute_thrust(fw: Record, v: float) -> float:
     """Return the thrust in N of one motor at v V: c0 + c1 v + c2 v^2 + c3 v^3."""
     f: float = fw.c0 + v * (fw.c1 + v * (fw.c2 + v * fw.c3))
     return f
 
 
 @kernel()
-def _voltage(fw: Record, v: float, request: float) -> float:
+def _find_voltage(fw: Record, v: float, request: float) -> float:
     """Return the voltage for the requested thrust, at least thrust_min.
 
     It makes one pass of Newton's method from v, the last result. The curve rises everywhere, and
     the remaining error only matters where the battery differs from its low-pass.
     """
-    f: float = max(request * (fw.thrust_max * PER_FULL), fw.thrust_min)
+    f: float = max(
+        request * (fw.thrust_max * POWER_DISTRIBUTION.inverse_full_request),
+        fw.thrust_min,
+    )
     slope: float = fw.c1 + v * (2.0 * fw.c2 + 3.0 * v * fw.c3)
-    return v - (_thrust(fw, v) - f) / slope
+    return v - (_compute_thrust(fw, v) - f) / slope
 
 
 @kernel()
-def _share(fw: Record, v: float, request: float, ratio: float) -> float:
+def _compute_share(fw: Record, v: float, request: float, ratio: float) -> float:
     """Return the share of the full thrust of a motor at `ratio` times the voltage v V.
 
     At v the motor would give its request.
     """
-    f = request * (fw.thrust_max * PER_FULL)
+    f = request * (fw.thrust_max * POWER_DISTRIBUTION.inverse_full_request)
     e = ratio - 1.0
     more = (
         v
@@ -134,7 +150,11 @@ def _share(fw: Record, v: float, request: float, ratio: float) -> float:
             + v * (fw.c2 * (1.0 + ratio) + v * fw.c3 * (1.0 + ratio * (1.0 + ratio)))
         )
     )
-    g = f + more if f < _thrust(fw, fw.vbat_low) else _thrust(fw, fw.vbat)
+    g = (
+        f + more
+        if f < _compute_thrust(fw, fw.vbat_low)
+        else _compute_thrust(fw, fw.vbat)
+    )
     share: float = 0.0 if f < fw.thrust_min else max(g, 0.0) * (1.0 / fw.thrust_max)
     return share
 
@@ -156,18 +176,18 @@ def compensate(fw: Record) -> None:
     r = fw.request
     v = fw.volts
     ratio = fw.vbat / fw.vbat_low
-    if abs(ratio - 1.0) < STEADY:
+    if abs(ratio - 1.0) < POWER_DISTRIBUTION.voltage_tolerance:
         ratio = 1.0
     else:
         v[0], v[1], v[2], v[3] = (
-            _voltage(fw, v[0], r[0]),
-            _voltage(fw, v[1], r[1]),
-            _voltage(fw, v[2], r[2]),
-            _voltage(fw, v[3], r[3]),
+            _find_voltage(fw, v[0], r[0]),
+            _find_voltage(fw, v[1], r[1]),
+            _find_voltage(fw, v[2], r[2]),
+            _find_voltage(fw, v[3], r[3]),
         )
     fw.motors[0], fw.motors[1], fw.motors[2], fw.motors[3] = (
-        _share(fw, v[0], r[0], ratio),
-        _share(fw, v[1], r[1], ratio),
-        _share(fw, v[2], r[2], ratio),
-        _share(fw, v[3], r[3], ratio),
+        _compute_share(fw, v[0], r[0], ratio),
+        _compute_share(fw, v[1], r[1], ratio),
+        _compute_share(fw, v[2], r[2], ratio),
+        _compute_share(fw, v[3], r[3], ratio),
     )

@@ -19,34 +19,34 @@ from crazychoir.simulation.onboard import (
     planner,
     supervisor,
 )
-from crazychoir.simulation.onboard.commander import CRTP
+from crazychoir.simulation.onboard.commander import SETPOINT_PRIORITIES
 from crazychoir.simulation.onboard.record import (
-    EXPANDED,
-    LEE,
-    MELLINGER,
-    MEMORY,
-    OUT_OF_TREE,
-    PID,
-    PIECE,
-    TRAJECTORIES,
+    CONTROLLER_KINDS,
+    TRAJECTORY_MEMORY,
     Fleet,
-    entries,
-    fleet,
+    load_entry_points,
+    make_fleet,
 )
 from crazychoir.simulation.onboard.units import (
-    FULL,
-    roll_pitch_yaw_rate_raw,
-    thrust_raw,
+    FULL_THRUST_COMMAND,
+    convert_roll_pitch_yaw_rate_to_raw,
+    convert_thrust_to_raw,
 )
 from crazychoir.types import State, Vec
 
-CONTROLLERS = {"pid": PID, "mellinger": MELLINGER, "lee": LEE}
-MOST_PIECES = MEMORY // PIECE  # pieces that fit into the memory for trajectories
-_commander = entries(commander)
-_planner = entries(planner)
-_supervisor = entries(supervisor)
-_estimator = entries(estimator)
-_loop = entries(loop)
+CONTROLLERS_BY_NAME = {
+    "pid": CONTROLLER_KINDS.pid,
+    "mellinger": CONTROLLER_KINDS.mellinger,
+    "lee": CONTROLLER_KINDS.lee,
+}
+MOST_PIECES = (
+    TRAJECTORY_MEMORY.size // TRAJECTORY_MEMORY.piece_size
+)  # pieces that fit into the memory for trajectories
+_commander = load_entry_points(commander)
+_planner = load_entry_points(planner)
+_supervisor = load_entry_points(supervisor)
+_estimator = load_entry_points(estimator)
+_loop = load_entry_points(loop)
 
 
 class Onboard:
@@ -68,7 +68,7 @@ class Onboard:
     ) -> None:
         self.platform = platform
         self.firmware = platform.firmware
-        self.rows = fleet(1, platform) if rows is None else rows
+        self.rows = make_fleet(1, platform) if rows is None else rows
         self.row = row
         self.record = self.rows[row]
         self.laws: dict[str, laws.Law] = {}
@@ -78,7 +78,7 @@ class Onboard:
     def restart(self) -> None:
         """Restart the firmware: everything in it is reset, only the battery voltage stays."""
         vbat = float(self.record["vbat"])
-        self.rows[self.row : self.row + 1] = fleet(1, self.platform)
+        self.rows[self.row : self.row + 1] = make_fleet(1, self.platform)
         self.record["vbat"] = self.record["vbat_low"] = vbat
         _loop.settle(self.rows, self.row)
 
@@ -132,7 +132,12 @@ class Onboard:
     # Set-points
 
     def rpyt_raw(
-        self, roll: float, pitch: float, yaw: float, thrust: float, priority: int = CRTP
+        self,
+        roll: float,
+        pitch: float,
+        yaw: float,
+        thrust: float,
+        priority: int = SETPOINT_PRIORITIES.crtp,
     ) -> bool:
         """Give a set-point with the numbers of an RPYT packet.
 
@@ -151,7 +156,7 @@ class Onboard:
 
         It needs flightmode.stabModeRoll = .stabModePitch = .stabModeYaw = 0.
         """
-        roll, pitch, yaw = roll_pitch_yaw_rate_raw(p, q, r)
+        roll, pitch, yaw = convert_roll_pitch_yaw_rate_to_raw(p, q, r)
         return self.rpyt_raw(roll, pitch, yaw, self._thrust(thrust))
 
     def frpy(self, thrust: float, roll: float, pitch: float, yaw_rate: float) -> bool:
@@ -164,19 +169,25 @@ class Onboard:
         yaw_rate: rad/s
         """
         return self.rpyt_raw(
-            *roll_pitch_yaw_rate_raw(roll, pitch, yaw_rate), self._thrust(thrust)
+            *convert_roll_pitch_yaw_rate_to_raw(roll, pitch, yaw_rate),
+            self._thrust(thrust),
         )
 
     def _thrust(self, newtons: float) -> float:
-        raw = thrust_raw(newtons, self.firmware)
-        return min(max(raw, 0.0), FULL) if math.isfinite(raw) else math.nan
+        raw = convert_thrust_to_raw(newtons, self.firmware)
+        return (
+            min(max(raw, 0.0), FULL_THRUST_COMMAND) if math.isfinite(raw) else math.nan
+        )
 
-    def stop_setpoint(self, priority: int = CRTP) -> bool:
+    def stop_setpoint(self, priority: int = SETPOINT_PRIORITIES.crtp) -> bool:
         """Give the null set-point: no thrust, all modes disabled."""
         return bool(_commander.nothing(self.rows, self.row, priority))
 
     def velocity(
-        self, v: Vec | Sequence[float], yaw_rate: float, priority: int = CRTP
+        self,
+        v: Vec | Sequence[float],
+        yaw_rate: float,
+        priority: int = SETPOINT_PRIORITIES.crtp,
     ) -> bool:
         """Give a set-point of velocity v (3,) m/s, world, and yaw rate rad/s."""
         x, y, z = v
@@ -188,7 +199,12 @@ class Onboard:
         )
 
     def hover(
-        self, ahead: float, left: float, yaw_rate: float, z: float, priority: int = CRTP
+        self,
+        ahead: float,
+        left: float,
+        yaw_rate: float,
+        z: float,
+        priority: int = SETPOINT_PRIORITIES.crtp,
     ) -> bool:
         """Give a set-point of horizontal velocity along the heading, yaw rate and height.
 
@@ -205,7 +221,12 @@ class Onboard:
         )
 
     def z_distance(
-        self, roll: float, pitch: float, yaw_rate: float, z: float, priority: int = CRTP
+        self,
+        roll: float,
+        pitch: float,
+        yaw_rate: float,
+        z: float,
+        priority: int = SETPOINT_PRIORITIES.crtp,
     ) -> bool:
         """Give a set-point of roll, pitch, yaw rate and height.
 
@@ -228,7 +249,7 @@ class Onboard:
         pitch: float,
         yaw_rate: float,
         climb: float,
-        priority: int = CRTP,
+        priority: int = SETPOINT_PRIORITIES.crtp,
     ) -> bool:
         """Give a set-point of roll, pitch, yaw rate and vertical speed.
 
@@ -252,7 +273,7 @@ class Onboard:
         pitch: float,
         yaw_rate: float,
         rates: bool = False,
-        priority: int = CRTP,
+        priority: int = SETPOINT_PRIORITIES.crtp,
     ) -> bool:
         """Give a set-point of thrust, roll, pitch and yaw rate without the thrust lock.
 
@@ -271,7 +292,10 @@ class Onboard:
         )
 
     def position(
-        self, p: Vec | Sequence[float], yaw: float, priority: int = CRTP
+        self,
+        p: Vec | Sequence[float],
+        yaw: float,
+        priority: int = SETPOINT_PRIORITIES.crtp,
     ) -> bool:
         """Give a set-point of position p (3,) m, world, and heading rad."""
         x, y, z = p
@@ -282,7 +306,7 @@ class Onboard:
             )
         )
 
-    def full_state(self, s: Vec, priority: int = CRTP) -> bool:
+    def full_state(self, s: Vec, priority: int = SETPOINT_PRIORITIES.crtp) -> bool:
         """Give a full state s (16,) = p m, v m/s, a m/s2 world, q body to world, w rad/s body."""
         ok = math.isfinite(float(np.sum(s)))
         return ok and bool(_commander.full_state(self.rows, self.row, s, priority))
@@ -297,8 +321,12 @@ class Onboard:
     def _flight(self, *numbers: float) -> int:
         """Return why a plan cannot begin; 0 if it can."""
         if not math.isfinite(sum(numbers)):
-            return planner.REFUSED
-        return planner.OK if _supervisor.can_fly(self.rows, self.row) else planner.BUSY
+            return planner.PLANNER_ANSWERS.refused
+        return (
+            planner.PLANNER_ANSWERS.done
+            if _supervisor.can_fly(self.rows, self.row)
+            else planner.PLANNER_ANSWERS.flight_forbidden
+        )
 
     def take_off(
         self, height: float, duration: float | None = None, yaw: float | None = None
@@ -406,7 +434,9 @@ class Onboard:
     @property
     def memory(self) -> npt.NDArray[np.uint8]:
         """The 4096 bytes of uploaded trajectories, not copied."""
-        words: npt.NDArray[np.float32] = self.rows["memory"][self.row][:MEMORY]
+        words: npt.NDArray[np.float32] = self.rows["memory"][self.row][
+            : TRAJECTORY_MEMORY.size
+        ]
         return words.view(np.uint8)
 
     def define_trajectory(
@@ -422,15 +452,21 @@ class Onboard:
         placed = (
             offset < self.memory.size
             if compressed
-            else offset % 4 == 0 and words + pieces * PIECE <= MEMORY
+            else offset % 4 == 0
+            and words + pieces * TRAJECTORY_MEMORY.piece_size <= TRAJECTORY_MEMORY.size
         )
-        if not (0 <= slot < TRAJECTORIES and pieces > 0 and offset >= 0 and placed):
-            return planner.UNKNOWN
+        if not (
+            0 <= slot < TRAJECTORY_MEMORY.slot_count
+            and pieces > 0
+            and offset >= 0
+            and placed
+        ):
+            return planner.PLANNER_ANSWERS.unknown_trajectory
         plan = self.record["planner"]
         plan["offset"][slot] = words
         plan["pieces"][slot] = 0 if compressed else pieces
         plan["packed"][slot] = (offset, pieces * compressed)
-        return planner.OK
+        return planner.PLANNER_ANSWERS.done
 
     def _unpack(self, slot: int, timescale: float, reverse: bool) -> int:
         """Expand a compressed trajectory so that it can be flown; return 0 if it is ready.
@@ -439,16 +475,20 @@ class Onboard:
         Chosen: at most EXPANDED pieces are flown.
         """
         plan = self.record["planner"]
-        if not 0 <= slot < TRAJECTORIES or not plan["packed"][slot][1]:
-            return planner.OK
+        if not 0 <= slot < TRAJECTORY_MEMORY.slot_count or not plan["packed"][slot][1]:
+            return planner.PLANNER_ANSWERS.done
         offset, segments = plan["packed"][slot].tolist()
-        pieces = bezier.expanded(self.memory[offset:], min(segments, EXPANDED))
+        pieces = bezier.expand_segments(
+            self.memory[offset:], min(segments, TRAJECTORY_MEMORY.expanded_pieces)
+        )
         if timescale != 1.0 or reverse or not len(pieces):
-            return planner.UNKNOWN
-        plan["offset"][slot] = MEMORY
+            return planner.PLANNER_ANSWERS.unknown_trajectory
+        plan["offset"][slot] = TRAJECTORY_MEMORY.size
         plan["pieces"][slot] = len(pieces)
-        self.rows["memory"][self.row][MEMORY : MEMORY + pieces.size] = pieces.ravel()
-        return planner.OK
+        self.rows["memory"][self.row][
+            TRAJECTORY_MEMORY.size : TRAJECTORY_MEMORY.size + pieces.size
+        ] = pieces.ravel()
+        return planner.PLANNER_ANSWERS.done
 
     def upload(self, slot: int, pieces: npt.ArrayLike) -> None:
         """Write a trajectory behind those of the other slots and define it.
@@ -460,9 +500,15 @@ class Onboard:
         """
         rows = np.asarray(pieces, dtype=np.float32)
         where = f"trajectory {slot}"
-        if not 0 <= slot < TRAJECTORIES:
-            raise ConfigError("trajectory: slot", slot, f"0 to {TRAJECTORIES - 1}")
-        if rows.ndim != 2 or rows.shape[1] != PIECE or not len(rows):
+        if not 0 <= slot < TRAJECTORY_MEMORY.slot_count:
+            raise ConfigError(
+                "trajectory: slot", slot, f"0 to {TRAJECTORY_MEMORY.slot_count - 1}"
+            )
+        if (
+            rows.ndim != 2
+            or rows.shape[1] != TRAJECTORY_MEMORY.piece_size
+            or not len(rows)
+        ):
             raise ConfigError(
                 f"{where}: shape",
                 rows.shape,
@@ -476,15 +522,22 @@ class Onboard:
             )
         plan = self.record["planner"]
         ends = [
-            (plan["offset"][k], plan["pieces"][k] * PIECE)
-            for k in range(TRAJECTORIES)
+            (plan["offset"][k], plan["pieces"][k] * TRAJECTORY_MEMORY.piece_size)
+            for k in range(TRAJECTORY_MEMORY.slot_count)
             if k != slot
         ]
         start = int(
-            max((offset + size for offset, size in ends if offset < MEMORY), default=0)
+            max(
+                (
+                    offset + size
+                    for offset, size in ends
+                    if offset < TRAJECTORY_MEMORY.size
+                ),
+                default=0,
+            )
         )
-        if start + rows.size > MEMORY:
-            free = (MEMORY - start) // PIECE
+        if start + rows.size > TRAJECTORY_MEMORY.size:
+            free = (TRAJECTORY_MEMORY.size - start) // TRAJECTORY_MEMORY.piece_size
             raise ConfigError(
                 where,
                 f"{len(rows)} pieces",
@@ -525,7 +578,7 @@ class Onboard:
     @property
     def state(self) -> str:
         """The supervisor's state in words."""
-        return supervisor.STATES[int(self.record["state"])]
+        return supervisor.STATE_NAMES[int(self.record["state"])]
 
     @property
     def info(self) -> int:
@@ -542,8 +595,8 @@ class Onboard:
         must answer no thrust, or the motors turn on. Raises ConfigError if the name is taken or
         the law cannot be called.
         """
-        if name in CONTROLLERS or not callable(law):
-            taken = ", ".join(CONTROLLERS)
+        if name in CONTROLLERS_BY_NAME or not callable(law):
+            taken = ", ".join(CONTROLLERS_BY_NAME)
             raise ConfigError(
                 "register: controller",
                 name,
@@ -558,27 +611,34 @@ class Onboard:
         """
         fw = self.record
         fw["law_due"] = 0
-        leveling = fw["state"] == supervisor.LEVEL_OUT
-        target = laws.setpoint_of(
+        leveling = fw["state"] == supervisor.STATE_LEVEL_OUT
+        target = laws.convert_setpoint(
             fw["level"] if leveling else fw["wanted"], self.firmware.thrust_max
         )
-        answer = self.laws[self.law_name](target, self.estimate, self.gyro, laws.PERIOD)
+        answer = self.laws[self.law_name](
+            target, self.estimate, self.gyro, laws.LAW_PERIOD
+        )
         laws.write_answer(fw, self.law_name, answer)
 
     def _choose(self, controller: str | float) -> None:
-        codes = {0: PID, PID: PID, MELLINGER: MELLINGER, LEE: LEE}
+        codes = {
+            0: CONTROLLER_KINDS.pid,
+            CONTROLLER_KINDS.pid: CONTROLLER_KINDS.pid,
+            CONTROLLER_KINDS.mellinger: CONTROLLER_KINDS.mellinger,
+            CONTROLLER_KINDS.lee: CONTROLLER_KINDS.lee,
+        }
         if isinstance(controller, str) and controller in self.laws:
             self.law_name = controller
-            code = OUT_OF_TREE
-        elif controller == OUT_OF_TREE and self.laws:
+            code = CONTROLLER_KINDS.out_of_tree
+        elif controller == CONTROLLER_KINDS.out_of_tree and self.laws:
             self.law_name = list(self.laws)[-1]
-            code = OUT_OF_TREE
-        elif isinstance(controller, str) and controller in CONTROLLERS:
-            code = CONTROLLERS[controller]
+            code = CONTROLLER_KINDS.out_of_tree
+        elif isinstance(controller, str) and controller in CONTROLLERS_BY_NAME:
+            code = CONTROLLERS_BY_NAME[controller]
         elif controller in codes:
             code = codes[int(controller)]
         else:
-            names = ", ".join([*CONTROLLERS, *self.laws])
+            names = ", ".join([*CONTROLLERS_BY_NAME, *self.laws])
             raise ConfigError(
                 "stabilizer.controller",
                 controller,
@@ -602,7 +662,7 @@ class Onboard:
             if value:
                 _estimator.reset(self.rows, self.row)
             return
-        *parts, field = parameters.path(name)
+        *parts, field = parameters.find_parameter(name)
         place = self.record[parts[0]] if parts else self.record
         place[field] = value
 
@@ -610,9 +670,9 @@ class Onboard:
         """Read a parameter by the firmware's name."""
         if name == parameters.RESET_ESTIMATION:
             return 0.0
-        *parts, field = parameters.path(name)
+        *parts, field = parameters.find_parameter(name)
         return float((self.record[parts[0]] if parts else self.record)[field])
 
     def log(self, name: str) -> float:
         """Read a log variable by the firmware's name, in the firmware's units."""
-        return logs.read(self.rows, self.row, name)
+        return logs.read_log_variable(self.rows, self.row, name)

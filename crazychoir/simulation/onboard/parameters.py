@@ -5,10 +5,12 @@ import difflib
 from crazychoir.errors import ConfigError
 from crazychoir.simulation.onboard.record import LEE_DEFAULTS, MELLINGER_DEFAULTS
 
-Path = tuple[str, ...]
+ParameterPlace = tuple[str, ...]
 
 
-def _gains(group: str, names: dict[str, str], gains: str) -> dict[str, Path]:
+def _place_gains(
+    group: str, names: dict[str, str], gains: str
+) -> dict[str, ParameterPlace]:
     """Return the places of the four gains of each PID, by parameter name.
 
     group: group of the parameters
@@ -23,20 +25,22 @@ def _gains(group: str, names: dict[str, str], gains: str) -> dict[str, Path]:
     }
 
 
-TABLE: dict[str, Path] = {
-    **_gains(
+PARAMETER_PLACES: dict[str, ParameterPlace] = {
+    **_place_gains(
         "pid_rate",
         {"roll_": "roll_rate", "pitch_": "pitch_rate", "yaw_": "yaw_rate"},
         "kp ki kd kff",
     ),
-    **_gains(
+    **_place_gains(
         "pid_attitude",
         {"roll_": "roll", "pitch_": "pitch", "yaw_": "yaw"},
         "kp ki kd kff",
     ),
     "pid_attitude.yawMaxDelta": ("yaw_max_delta",),
-    **_gains("velCtlPid", {axis: axis for axis in ("vx", "vy", "vz")}, "Kp Ki Kd KFF"),
-    **_gains("posCtlPid", {axis: axis for axis in "xyz"}, "Kp Ki Kd Kff"),
+    **_place_gains(
+        "velCtlPid", {axis: axis for axis in ("vx", "vy", "vz")}, "Kp Ki Kd KFF"
+    ),
+    **_place_gains("posCtlPid", {axis: axis for axis in "xyz"}, "Kp Ki Kd Kff"),
     "posCtlPid.xVelMax": ("x_vel_max",),
     "posCtlPid.yVelMax": ("y_vel_max",),
     "posCtlPid.zVelMax": ("z_vel_max",),
@@ -81,19 +85,19 @@ RESET_ESTIMATION = "kalman.resetEstimation"
 """A parameter without a place: writing 1 resets the estimator."""
 
 
-def path(name: str) -> Path:
+def find_parameter(name: str) -> ParameterPlace:
     """Return the place of a parameter.
 
     Raises ConfigError with the nearest names if there is no such parameter.
     """
-    if name in TABLE:
-        return TABLE[name]
+    if name in PARAMETER_PLACES:
+        return PARAMETER_PLACES[name]
     near = (
-        difflib.get_close_matches(name, [*TABLE, RESET_ESTIMATION], n=3)
-        or sorted(TABLE)[:3]
+        difflib.get_close_matches(name, [*PARAMETER_PLACES, RESET_ESTIMATION], n=3)
+        or sorted(PARAMETER_PLACES)[:3]
     )
     raise ConfigError(
         "firmware parameter",
         name,
-        f"the {len(TABLE) + 1} that are simulated, such as {', '.join(near)}",
+        f"the {len(PARAMETER_PLACES) + 1} that are simulated, such as {', '.join(near)}",
     )

@@ -1,6 +1,7 @@
 """The PID of the firmware: the derivative is of the measurement, and the integral is clamped."""
 
 import math
+from typing import NamedTuple
 
 from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import clip
@@ -8,12 +9,33 @@ from crazychoir.simulation.onboard.record import Record
 
 # Butterworth low-pass of order 2, 20 Hz at 100 Hz. Numerator: b0, b1 = 2 b0, b2 = b0. Denominator:
 # a1, a2.
-_C = math.tan(math.pi * 20.0 / 100.0)
-_N = 1.0 / (1.0 + math.sqrt(2.0) * _C + _C * _C)
-B0 = _C * _C * _N
-A1 = 2.0 * (_C * _C - 1.0) * _N
-A2 = (1.0 - math.sqrt(2.0) * _C + _C * _C) * _N
-TURN = 1.0 / 360.0  # turns a degree
+_PREWARPED_FREQUENCY = math.tan(math.pi * 20.0 / 100.0)
+_FILTER_NORM = 1.0 / (
+    1.0
+    + math.sqrt(2.0) * _PREWARPED_FREQUENCY
+    + _PREWARPED_FREQUENCY * _PREWARPED_FREQUENCY
+)
+
+
+class DerivativeFilter(NamedTuple):
+    """Butterworth low-pass of order 2, 20 Hz at 100 Hz: b1 = 2 b0 and b2 = b0."""
+
+    b0: float = _PREWARPED_FREQUENCY * _PREWARPED_FREQUENCY * _FILTER_NORM
+    """First coefficient of the numerator."""
+    a1: float = 2.0 * (_PREWARPED_FREQUENCY * _PREWARPED_FREQUENCY - 1.0) * _FILTER_NORM
+    """Second coefficient of the denominator."""
+    a2: float = (
+        1.0
+        - math.sqrt(2.0) * _PREWARPED_FREQUENCY
+        + _PREWARPED_FREQUENCY * _PREWARPED_FREQUENCY
+    ) * _FILTER_NORM
+    """Third coefficient of the denominator."""
+
+
+DERIVATIVE_FILTER = DerivativeFilter()
+
+
+TURNS_PER_DEGREE = 1.0 / 360.0  # turns a degree
 
 
 @kernel()
@@ -21,7 +43,7 @@ def wrap_degrees(angle: float) -> float:
     """Return the angle shifted by whole turns to [-180, 180) degrees."""
     if -180.0 <= angle < 180.0:  # nearly always, and faster
         return angle
-    return angle - 360.0 * math.floor((angle + 180.0) * TURN)
+    return angle - 360.0 * math.floor((angle + 180.0) * TURNS_PER_DEGREE)
 
 
 @kernel()
@@ -34,7 +56,9 @@ def reset(pid: Record) -> None:
 
 
 @kernel()
-def _sum(pid: Record, desired: float, error: float, slope: float, rate: float) -> float:
+def _sum_terms(
+    pid: Record, desired: float, error: float, slope: float, rate: float
+) -> float:
     """Return the sum of P, D, the integral including this error, and the feed-forward."""
     pid.integral += error * (1.0 / rate)
     if pid.i_limit > 0.0:
@@ -44,7 +68,7 @@ def _sum(pid: Record, desired: float, error: float, slope: float, rate: float) -
 
 
 @kernel()
-def _change(pid: Record, measured: float) -> float:
+def _measure_change(pid: Record, measured: float) -> float:
     """Return the change of the measurement since the last step; 0 after a reset."""
     change = 0.0 if math.isnan(pid.previous) else measured - pid.previous
     pid.previous = measured
@@ -62,14 +86,18 @@ def follow(pid: Record, desired: float, measured: float, rate: float) -> float:
     0 means no limit.
     rate: 1/dt, Hz
     """
-    return _sum(pid, desired, desired - measured, _change(pid, measured) * rate, rate)
+    return _sum_terms(
+        pid, desired, desired - measured, _measure_change(pid, measured) * rate, rate
+    )
 
 
 @kernel()
 def follow_angle(pid: Record, desired: float, measured: float, rate: float) -> float:
     """Make one step of `follow` for an angle in deg, the short way round."""
     error = wrap_degrees(desired - measured)
-    return _sum(pid, desired, error, wrap_degrees(_change(pid, measured)) * rate, rate)
+    return _sum_terms(
+        pid, desired, error, wrap_degrees(_measure_change(pid, measured)) * rate, rate
+    )
 
 
 @kernel()
@@ -78,8 +106,8 @@ def follow_smooth(pid: Record, desired: float, measured: float, rate: float) -> 
 
     The low-pass is a Butterworth filter of order 2 at 20 Hz.
     """
-    raw = _change(pid, measured) * rate
-    slope = B0 * raw + pid.d1
-    pid.d1 = 2.0 * B0 * raw - A1 * slope + pid.d2
-    pid.d2 = B0 * raw - A2 * slope
-    return _sum(pid, desired, desired - measured, slope, rate)
+    raw = _measure_change(pid, measured) * rate
+    slope = DERIVATIVE_FILTER.b0 * raw + pid.d1
+    pid.d1 = 2.0 * DERIVATIVE_FILTER.b0 * raw - DERIVATIVE_FILTER.a1 * slope + pid.d2
+    pid.d2 = DERIVATIVE_FILTER.b0 * raw - DERIVATIVE_FILTER.a2 * slope
+    return _sum_terms(pid, desired, desired - measured, slope, rate)

@@ -4,31 +4,26 @@ It computes in 32-bit floats.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from crazychoir.numerics.kernels import kernel, real
-from crazychoir.numerics.math3d import GRAVITY, Triple, dot, flat_attitude
-from crazychoir.simulation.onboard.commander import HIGH_LEVEL, clear
+from crazychoir.numerics.math3d import STANDARD_GRAVITY, Triple, dot, flat_attitude
+from crazychoir.simulation.onboard.commander import SETPOINT_PRIORITIES, clear_setpoint
 from crazychoir.simulation.onboard.polynomial import (
-    AXES,
-    ONE,
-    ZERO,
-    A,
-    F,
-    J,
-    P,
+    POLYNOMIAL_LAYOUT,
+    SINGLE_NUMBERS,
     Single,
-    V,
-    connect,
-    duration,
-    evaluate,
-    short_way,
+    connect_ends,
+    evaluate_piece,
+    float32,
+    read_duration,
+    unwrap_angle,
 )
 from crazychoir.simulation.onboard.record import (
-    ABSOLUTE,
-    PIECE,
-    TRAJECTORIES,
+    AXIS_MODES,
+    TRAJECTORY_MEMORY,
     Fleet,
     Record,
     rows,
@@ -36,108 +31,156 @@ from crazychoir.simulation.onboard.record import (
 )
 
 # States of the planner.
-IDLE = 0
-FLYING = 1
-LANDING = 2
+
+
+class PlannerStates(NamedTuple):
+    """States of the planner."""
+
+    idle: int = 0
+    """There is no plan."""
+    flying: int = 1
+    """A plan is being flown that does not end with a landing."""
+    landing: int = 2
+    """A landing is being flown; the planner is idle at its end."""
+
+
+PLANNER_STATES = PlannerStates()
+
+
 # Answers of the planner.
-OK = 0  # done
-REFUSED = 1  # not possible in this state
-UNKNOWN = 8  # no such trajectory
-BUSY = 16  # the supervisor does not allow flight
-SECONDS = F(1e-3)  # s a tick
-SHORTEST = F(1e-3)
-"""Shortest duration of a plan in s; chosen. A shorter plan is at its end at once, as one of 0 s."""
-LONGEST = F(1e5)
-"""Longest duration of a plan in s; chosen.
 
-For a longer plan the powers of degree 7 exceed 32 bits.
-"""
-MOST = F(1e18)
-"""Upper bound in m and rad for a plan and its derivatives; chosen.
 
-Below it no controller that follows the plan overflows.
-"""
+class PlannerAnswers(NamedTuple):
+    """Answers of the planner to a command."""
+
+    done: int = 0
+    """The plan has begun."""
+    refused: int = 1
+    """Not possible in this state."""
+    unknown_trajectory: int = 8
+    """There is no such trajectory."""
+    flight_forbidden: int = 16
+    """The supervisor does not allow flight."""
+
+
+PLANNER_ANSWERS = PlannerAnswers()
+
+
+class PlanLimits(NamedTuple):
+    """Unit and limits of the duration of a plan, and the bound on its values, as 32-bit floats."""
+
+    tick_seconds: np.float32 = float32(1e-3)
+    """s a tick."""
+    shortest_duration: np.float32 = float32(1e-3)
+    """Shortest duration of a plan in s; chosen. A shorter plan is at its end at once, as one of 0
+    s.
+    """
+    longest_duration: np.float32 = float32(1e5)
+    """Longest duration of a plan in s; chosen.
+
+    For a longer plan the powers of degree 7 exceed 32 bits.
+    """
+    largest_value: np.float32 = float32(1e18)
+    """Upper bound in m and rad for a plan and its derivatives; chosen.
+
+    Below it no controller that follows the plan overflows.
+    """
+
+
+PLAN_LIMITS = PlanLimits()
 
 
 @kernel()
-def _now(fw: Record) -> Single:
+def _read_uptime(fw: Record) -> Single:
     """Return the seconds since power-on, a 32-bit float with steps that grow with the uptime."""
-    return F(fw.tick) * SECONDS
+    return float32(fw.tick) * PLAN_LIMITS.tick_seconds
 
 
 @kernel()
-def _memory_piece(fw: Record, slot: int, k: int) -> Single:
+def _read_memory_piece(fw: Record, slot: int, k: int) -> Single:
     """Return piece k of an uploaded trajectory."""
-    start = fw.planner.offset[slot] + k * PIECE
-    return fw.memory[start : start + PIECE]
+    start = fw.planner.offset[slot] + k * TRAJECTORY_MEMORY.piece_size
+    return fw.memory[start : start + TRAJECTORY_MEMORY.piece_size]
 
 
 @kernel()
-def _count(fw: Record) -> int:
+def _count_pieces(fw: Record) -> int:
     return fw.planner.pieces[fw.planner.slot] if fw.planner.slot >= 0 else 1
 
 
 @kernel()
-def _piece(fw: Record, k: int) -> Single:
+def _read_piece(fw: Record, k: int) -> Single:
     return (
-        _memory_piece(fw, fw.planner.slot, k)
+        _read_memory_piece(fw, fw.planner.slot, k)
         if fw.planner.slot >= 0
-        else fw.planner.piece[0:PIECE]
+        else fw.planner.piece[0 : TRAJECTORY_MEMORY.piece_size]
     )
 
 
 @kernel()
-def _total(fw: Record) -> Single:
+def _sum_durations(fw: Record) -> Single:
     """Return the duration of all pieces in s, with the time scale."""
-    total = ZERO
-    for k in range(_count(fw)):
-        total += duration(_piece(fw, k)) * fw.planner.timescale
+    total = SINGLE_NUMBERS.zero
+    for k in range(_count_pieces(fw)):
+        total += read_duration(_read_piece(fw, k)) * fw.planner.timescale
     return total
 
 
 @kernel()
-def _find(fw: Record, t: Single) -> Single:
+def _evaluate_at(fw: Record, t: Single) -> Single:
     """Evaluate the coefficients t s after the beginning, with the time scale.
 
     Return True while the trajectory lasts; after its end the last point is evaluated.
     """
     plan = fw.planner
-    last = _count(fw) - 1
+    last = _count_pieces(fw) - 1
     for k in range(last + 1):
-        c = _piece(fw, k)
-        length = duration(c) * plan.timescale
+        c = _read_piece(fw, k)
+        length = read_duration(c) * plan.timescale
         if t <= length or k == last:
             inside = min(t, length)
-            evaluate(c, inside / plan.timescale, plan.out)
+            evaluate_piece(c, inside / plan.timescale, plan.out)
             return t <= length
         t -= length
     return False
 
 
 @kernel()
-def _stretch(fw: Record, moving: bool) -> None:
+def _scale_derivatives(fw: Record, moving: bool) -> None:
     """Apply the time scale and the direction to the derivatives; all are 0 after the end."""
     out = fw.planner.out
     s = fw.planner.timescale
-    sign = -ONE if fw.planner.reversed else ONE
-    for axis in range(AXES):
-        out[V + axis] = out[V + axis] * sign / s if moving else ZERO
-        out[A + axis] = out[A + axis] / (s * s) if moving else ZERO
-        out[J + axis] = out[J + axis] * sign / (s * s * s) if moving else ZERO
+    sign = -SINGLE_NUMBERS.one if fw.planner.reversed else SINGLE_NUMBERS.one
+    for axis in range(POLYNOMIAL_LAYOUT.axis_count):
+        out[POLYNOMIAL_LAYOUT.velocity + axis] = (
+            out[POLYNOMIAL_LAYOUT.velocity + axis] * sign / s
+            if moving
+            else SINGLE_NUMBERS.zero
+        )
+        out[POLYNOMIAL_LAYOUT.acceleration + axis] = (
+            out[POLYNOMIAL_LAYOUT.acceleration + axis] / (s * s)
+            if moving
+            else SINGLE_NUMBERS.zero
+        )
+        out[POLYNOMIAL_LAYOUT.jerk + axis] = (
+            out[POLYNOMIAL_LAYOUT.jerk + axis] * sign / (s * s * s)
+            if moving
+            else SINGLE_NUMBERS.zero
+        )
 
 
 @kernel()
-def _move(fw: Record) -> None:
+def _move_to_start(fw: Record) -> None:
     """Move the point from the trajectory's own start to its start in flight: turn about z, shift."""
     plan = fw.planner
     out = plan.out
     turn = plan.shift[3] - plan.origin[3]
-    c = F(math.cos(turn))
-    s = F(math.sin(turn))
+    c = float32(math.cos(turn))
+    s = float32(math.sin(turn))
     for order in range(0, 16, 4):
         x = out[order]
         y = out[order + 1]
-        if order == P:
+        if order == POLYNOMIAL_LAYOUT.position:
             x = x - plan.origin[0]
             y = y - plan.origin[1]
         out[order] = c * x - s * y
@@ -149,7 +192,7 @@ def _move(fw: Record) -> None:
 
 
 @kernel()
-def sample(fw: Record) -> bool:
+def sample_plan(fw: Record) -> bool:
     """Write the flat output at this moment to planner.out; return False if the plan has ended.
 
         x(t) = S + Rz(Y) (c((t - t0) / k) - c(0)),  v = x'/k, a = x''/k^2
@@ -159,25 +202,29 @@ def sample(fw: Record) -> bool:
     S, Y: position and heading at the start of a relative trajectory, else those of c itself
     """
     plan = fw.planner
-    t = _now(fw) - plan.begin
-    total = _total(fw)
+    t = _read_uptime(fw) - plan.begin
+    total = _sum_durations(fw)
     moving: bool = t <= total
-    _find(fw, max(total - t, ZERO) if plan.reversed else t)
-    _stretch(fw, moving)
+    _evaluate_at(fw, max(total - t, SINGLE_NUMBERS.zero) if plan.reversed else t)
+    _scale_derivatives(fw, moving)
     if plan.slot >= 0:
-        _move(fw)
+        _move_to_start(fw)
     return moving
 
 
 @kernel()
-def finished(fw: Record) -> bool:
+def is_finished(fw: Record) -> bool:
     """Return True if no plan is being flown."""
-    ended: bool = fw.planner.state == IDLE or _now(fw) - fw.planner.begin > _total(fw)
+    ended: bool = fw.planner.state == PLANNER_STATES.idle or _read_uptime(
+        fw
+    ) - fw.planner.begin > _sum_durations(fw)
     return ended
 
 
 @kernel()
-def body_rates(a: Triple, j: Triple, yaw: float, yaw_rate: float) -> Triple:
+def compute_flat_body_rates(
+    a: Triple, j: Triple, yaw: float, yaw_rate: float
+) -> Triple:
     """Return the body rates of a flat output, rad/s.
 
         h = (j - (j . z_b) z_b) / |a + g e3|,   w = (-h . y_b, h . x_b, z_b_z yaw')
@@ -188,7 +235,7 @@ def body_rates(a: Triple, j: Triple, yaw: float, yaw_rate: float) -> Triple:
     yaw_rate: yaw', rad/s
     Source: Mellinger & Kumar 2011, ICRA.
     """
-    f = (a[0], a[1], a[2] + GRAVITY)
+    f = (a[0], a[1], a[2] + STANDARD_GRAVITY)
     x, y, z = flat_attitude(f, yaw)
     n = math.sqrt(dot(f, f))
     if n < 1e-6:
@@ -203,30 +250,30 @@ def body_rates(a: Triple, j: Triple, yaw: float, yaw_rate: float) -> Triple:
 
 
 @kernel()
-def _emit(fw: Record) -> None:
+def _write_setpoint(fw: Record) -> None:
     """Write the evaluated point as a set-point: position and heading, with rates."""
     sp = fw.wanted
     out = fw.planner.out
-    clear(sp)
-    sp.mode_x = sp.mode_y = sp.mode_z = sp.mode_yaw = ABSOLUTE
-    sp.x = out[P]
-    sp.y = out[P + 1]
-    sp.z = out[P + 2]
-    sp.vx = out[V]
-    sp.vy = out[V + 1]
-    sp.vz = out[V + 2]
-    sp.ax = out[A]
-    sp.ay = out[A + 1]
-    sp.az = out[A + 2]
-    sp.jx = out[J]
-    sp.jy = out[J + 1]
-    sp.jz = out[J + 2]
-    sp.yaw = math.degrees(out[P + 3])
-    w = body_rates(
+    clear_setpoint(sp)
+    sp.mode_x = sp.mode_y = sp.mode_z = sp.mode_yaw = AXIS_MODES.absolute
+    sp.x = out[POLYNOMIAL_LAYOUT.position]
+    sp.y = out[POLYNOMIAL_LAYOUT.position + 1]
+    sp.z = out[POLYNOMIAL_LAYOUT.position + 2]
+    sp.vx = out[POLYNOMIAL_LAYOUT.velocity]
+    sp.vy = out[POLYNOMIAL_LAYOUT.velocity + 1]
+    sp.vz = out[POLYNOMIAL_LAYOUT.velocity + 2]
+    sp.ax = out[POLYNOMIAL_LAYOUT.acceleration]
+    sp.ay = out[POLYNOMIAL_LAYOUT.acceleration + 1]
+    sp.az = out[POLYNOMIAL_LAYOUT.acceleration + 2]
+    sp.jx = out[POLYNOMIAL_LAYOUT.jerk]
+    sp.jy = out[POLYNOMIAL_LAYOUT.jerk + 1]
+    sp.jz = out[POLYNOMIAL_LAYOUT.jerk + 2]
+    sp.yaw = math.degrees(out[POLYNOMIAL_LAYOUT.position + 3])
+    w = compute_flat_body_rates(
         (sp.ax, sp.ay, sp.az),
         (sp.jx, sp.jy, sp.jz),
-        float(out[P + 3]),
-        float(out[V + 3]),
+        float(out[POLYNOMIAL_LAYOUT.position + 3]),
+        float(out[POLYNOMIAL_LAYOUT.velocity + 3]),
     )
     sp.roll_rate = math.degrees(w[0])
     sp.pitch_rate = math.degrees(w[1])
@@ -237,14 +284,14 @@ def _emit(fw: Record) -> None:
 def take_state(fw: Record) -> None:
     """Start the next plan from the present estimate."""
     plan = fw.planner
-    plan.last[0] = F(fw.x)
-    plan.last[1] = F(fw.y)
-    plan.last[2] = F(fw.z)
-    plan.last[3] = F(math.radians(fw.yaw))
-    plan.last_v[0] = F(fw.vx)
-    plan.last_v[1] = F(fw.vy)
-    plan.last_v[2] = F(fw.vz)
-    plan.last_v[3] = ZERO
+    plan.last[0] = float32(fw.x)
+    plan.last[1] = float32(fw.y)
+    plan.last[2] = float32(fw.z)
+    plan.last[3] = float32(math.radians(fw.yaw))
+    plan.last_v[0] = float32(fw.vx)
+    plan.last_v[1] = float32(fw.vy)
+    plan.last_v[2] = float32(fw.vz)
+    plan.last_v[3] = SINGLE_NUMBERS.zero
 
 
 @kernel()
@@ -254,21 +301,24 @@ def update(fw: Record) -> None:
     Nothing is written while another source is in control.
     """
     plan = fw.planner
-    own = fw.priority <= HIGH_LEVEL
-    if plan.state == IDLE:
+    own = fw.priority <= SETPOINT_PRIORITIES.high_level
+    if plan.state == PLANNER_STATES.idle:
         take_state(fw)
         if own:
-            clear(fw.wanted)
+            clear_setpoint(fw.wanted)
     else:
-        moving = sample(fw)
-        for axis in range(AXES):
-            plan.last[axis], plan.last_v[axis] = plan.out[P + axis], plan.out[V + axis]
+        moving = sample_plan(fw)
+        for axis in range(POLYNOMIAL_LAYOUT.axis_count):
+            plan.last[axis], plan.last_v[axis] = (
+                plan.out[POLYNOMIAL_LAYOUT.position + axis],
+                plan.out[POLYNOMIAL_LAYOUT.velocity + axis],
+            )
         if own:
-            _emit(fw)
-        if plan.state == LANDING and not moving:
-            plan.state = IDLE
+            _write_setpoint(fw)
+        if plan.state == PLANNER_STATES.landing and not moving:
+            plan.state = PLANNER_STATES.idle
     if own:
-        fw.priority = HIGH_LEVEL
+        fw.priority = SETPOINT_PRIORITIES.high_level
         fw.stamp = fw.tick
 
 
@@ -282,79 +332,85 @@ def tell_state(fleet: Fleet, i: int) -> None:
 def stop(fleet: Fleet, i: int) -> None:
     """Discard the plan: the motors are off while the planner is in control."""
     fw = fleet[i]
-    fw.planner.state = IDLE
+    fw.planner.state = PLANNER_STATES.idle
 
 
 @kernel()
-def _lasts(t: Single) -> bool:
+def _is_flyable_duration(t: Single) -> bool:
     """Return True if a plan may last t s."""
-    can: bool = SHORTEST <= t <= LONGEST
+    can: bool = PLAN_LIMITS.shortest_duration <= t <= PLAN_LIMITS.longest_duration
     return can
 
 
 @kernel()
-def _bounded(c: Single, timescale: Single) -> bool:
+def _is_bounded(c: Single, timescale: Single) -> bool:
     """Return True if a piece and its derivatives stay below MOST: sum |c_n| T^n bounds them all."""
-    bound = np.empty(PIECE, np.float32)
+    bound = np.empty(TRAJECTORY_MEMORY.piece_size, np.float32)
     out = np.empty(16, np.float32)
-    for n in range(PIECE):
+    for n in range(TRAJECTORY_MEMORY.piece_size):
         bound[n] = abs(c[n])
-    evaluate(bound, duration(bound), out)
-    scale = ONE
+    evaluate_piece(bound, read_duration(bound), out)
+    scale = SINGLE_NUMBERS.one
     for order in range(0, 16, 4):
-        for axis in range(AXES):
-            if not out[order + axis] < MOST * scale:
+        for axis in range(POLYNOMIAL_LAYOUT.axis_count):
+            if not out[order + axis] < PLAN_LIMITS.largest_value * scale:
                 return False
         scale *= timescale
     return True
 
 
 @kernel()
-def _start(fw: Record, state: int) -> None:
+def _start_plan(fw: Record, state: int) -> None:
     plan = fw.planner
     plan.state, plan.begin, plan.slot, plan.timescale, plan.reversed = (
         state,
-        _now(fw),
+        _read_uptime(fw),
         -1,
-        ONE,
+        SINGLE_NUMBERS.one,
         0,
     )
 
 
 @kernel()
-def _fly(fw: Record, state: int, piece: Single) -> int:
+def _begin_plan(fw: Record, state: int, piece: Single) -> int:
     """Begin a plan of one piece.
 
     Chosen: return 1 if no drone can follow it; the plan before then continues.
     """
-    t = duration(piece)
-    if not ((t == ZERO or _lasts(t)) and _bounded(piece, ONE)):
-        return REFUSED
-    fw.planner.piece[0:PIECE] = piece
-    _start(fw, state)
-    return OK
+    t = read_duration(piece)
+    if not (
+        (t == SINGLE_NUMBERS.zero or _is_flyable_duration(t))
+        and _is_bounded(piece, SINGLE_NUMBERS.one)
+    ):
+        return PLANNER_ANSWERS.refused
+    fw.planner.piece[0 : TRAJECTORY_MEMORY.piece_size] = piece
+    _start_plan(fw, state)
+    return PLANNER_ANSWERS.done
 
 
 @kernel()
-def _here(fw: Record) -> None:
+def _evaluate_present_point(fw: Record) -> None:
     """Evaluate the present point of the plan; without a plan, the last set-point or state."""
     plan = fw.planner
-    if plan.state == FLYING or plan.state == LANDING:
-        sample(fw)
+    if plan.state == PLANNER_STATES.flying or plan.state == PLANNER_STATES.landing:
+        sample_plan(fw)
         return
-    for axis in range(AXES):
-        plan.out[P + axis], plan.out[V + axis] = plan.last[axis], plan.last_v[axis]
-        plan.out[A + axis] = ZERO
+    for axis in range(POLYNOMIAL_LAYOUT.axis_count):
+        (
+            plan.out[POLYNOMIAL_LAYOUT.position + axis],
+            plan.out[POLYNOMIAL_LAYOUT.velocity + axis],
+        ) = plan.last[axis], plan.last_v[axis]
+        plan.out[POLYNOMIAL_LAYOUT.acceleration + axis] = SINGLE_NUMBERS.zero
 
 
 @kernel()
-def _span(t: float) -> float:
+def _limit_duration(t: float) -> float:
     """Return the duration of a plan in s; a requested duration below SHORTEST becomes 0."""
-    return 0.0 if t < SHORTEST else t
+    return 0.0 if t < PLAN_LIMITS.shortest_duration else t
 
 
 @kernel()
-def _to(
+def _connect_axis(
     fw: Record,
     piece: Single,
     axis: int,
@@ -366,39 +422,50 @@ def _to(
 ) -> None:
     start = np.zeros(3, np.float32)
     end = np.zeros(3, np.float32)
-    start[0] = fw.planner.out[P + axis]
+    start[0] = fw.planner.out[POLYNOMIAL_LAYOUT.position + axis]
     start[1] = start_v
     start[2] = start_a
     end[0] = goal
     end[1] = end_v
-    connect(piece, axis, t, start, end)
+    connect_ends(piece, axis, t, start, end)
 
 
 @kernel()
-def _vertical(
+def _begin_vertical_plan(
     fw: Record, state: int, height: float, t: float, yaw: float, keep_yaw: float
 ) -> int:
     """Begin a plan from the last set-point, at rest, to the height above the same place."""
     plan = fw.planner
-    piece = np.zeros(PIECE, np.float32)
-    t = _span(t)
-    for axis in range(AXES):
-        plan.out[P + axis] = plan.last[axis]
+    piece = np.zeros(TRAJECTORY_MEMORY.piece_size, np.float32)
+    t = _limit_duration(t)
+    for axis in range(POLYNOMIAL_LAYOUT.axis_count):
+        plan.out[POLYNOMIAL_LAYOUT.position + axis] = plan.last[axis]
     for axis in range(3):
-        _to(
+        _connect_axis(
             fw,
             piece,
             axis,
-            F(t),
-            F(height) if axis == 2 else plan.last[axis],
-            ZERO,
-            ZERO,
-            ZERO,
+            float32(t),
+            float32(height) if axis == 2 else plan.last[axis],
+            SINGLE_NUMBERS.zero,
+            SINGLE_NUMBERS.zero,
+            SINGLE_NUMBERS.zero,
         )
-    heading = plan.last[3] if keep_yaw > 0.0 else short_way(plan.last[3], F(yaw))
-    _to(fw, piece, 3, F(t), heading, ZERO, ZERO, ZERO)
-    piece[PIECE - 1] = F(max(t, 0.0))
-    return _fly(fw, state, piece)
+    heading = (
+        plan.last[3] if keep_yaw > 0.0 else unwrap_angle(plan.last[3], float32(yaw))
+    )
+    _connect_axis(
+        fw,
+        piece,
+        3,
+        float32(t),
+        heading,
+        SINGLE_NUMBERS.zero,
+        SINGLE_NUMBERS.zero,
+        SINGLE_NUMBERS.zero,
+    )
+    piece[TRAJECTORY_MEMORY.piece_size - 1] = float32(max(t, 0.0))
+    return _begin_plan(fw, state, piece)
 
 
 @kernel(rows, whole, real, real, real, real)
@@ -413,12 +480,12 @@ def take_off(
     keep_yaw: above 0 to keep the heading
     """
     fw = fleet[i]
-    if fw.planner.state != IDLE:
-        return REFUSED
+    if fw.planner.state != PLANNER_STATES.idle:
+        return PLANNER_ANSWERS.refused
     speed = max(fw.planner.take_off_speed, 1e-3)
-    return _vertical(
+    return _begin_vertical_plan(
         fw,
-        FLYING,
+        PLANNER_STATES.flying,
         height,
         t if t >= 0.0 else abs(height - fw.planner.last[2]) / speed,
         yaw,
@@ -440,12 +507,12 @@ def land(
     keep_yaw: above 0 to keep the heading
     """
     fw = fleet[i]
-    if fw.planner.state == LANDING:
-        return REFUSED
+    if fw.planner.state == PLANNER_STATES.landing:
+        return PLANNER_ANSWERS.refused
     speed = max(fw.planner.landing_speed, 1e-3)
-    return _vertical(
+    return _begin_vertical_plan(
         fw,
-        LANDING,
+        PLANNER_STATES.landing,
         height,
         t if t >= 0.0 else abs(height - fw.planner.last[2]) / speed,
         yaw,
@@ -474,23 +541,32 @@ def go_to(
     linear: above 0 for a straight line with constant velocity, also at both ends
     """
     fw = fleet[i]
-    _here(fw)
+    _evaluate_present_point(fw)
     out = fw.planner.out
-    piece = np.zeros(PIECE, np.float32)
-    t = _span(t)
-    for axis in range(AXES):
-        goal = F((x, y, z, yaw)[axis])
+    piece = np.zeros(TRAJECTORY_MEMORY.piece_size, np.float32)
+    t = _limit_duration(t)
+    for axis in range(POLYNOMIAL_LAYOUT.axis_count):
+        goal = float32((x, y, z, yaw)[axis])
         if relative > 0.0:
-            goal += out[P + axis]
+            goal += out[POLYNOMIAL_LAYOUT.position + axis]
         if axis == 3:
-            goal = short_way(out[P + 3], goal)
+            goal = unwrap_angle(out[POLYNOMIAL_LAYOUT.position + 3], goal)
         if linear > 0.0 and t > 0.0:
-            v = (goal - out[P + axis]) / F(t)
-            _to(fw, piece, axis, F(t), goal, v, v, ZERO)
+            v = (goal - out[POLYNOMIAL_LAYOUT.position + axis]) / float32(t)
+            _connect_axis(fw, piece, axis, float32(t), goal, v, v, SINGLE_NUMBERS.zero)
         else:
-            _to(fw, piece, axis, F(t), goal, ZERO, out[V + axis], out[A + axis])
-    piece[PIECE - 1] = F(max(t, 0.0))
-    return _fly(fw, FLYING, piece)
+            _connect_axis(
+                fw,
+                piece,
+                axis,
+                float32(t),
+                goal,
+                SINGLE_NUMBERS.zero,
+                out[POLYNOMIAL_LAYOUT.velocity + axis],
+                out[POLYNOMIAL_LAYOUT.acceleration + axis],
+            )
+    piece[TRAJECTORY_MEMORY.piece_size - 1] = float32(max(t, 0.0))
+    return _begin_plan(fw, PLANNER_STATES.flying, piece)
 
 
 @kernel(rows, whole, real, real, real, real, real, real, real)
@@ -523,14 +599,14 @@ def spiral(
     clockwise: above 0 to turn clockwise
     """
     fw = fleet[i]
-    _here(fw)
+    _evaluate_present_point(fw)
     out = fw.planner.out
-    piece = np.zeros(PIECE, np.float32)
+    piece = np.zeros(TRAJECTORY_MEMORY.piece_size, np.float32)
     turn = -abs(angle) if clockwise > 0.0 else abs(angle)
-    yaw = float(out[P + 3])
+    yaw = float(out[POLYNOMIAL_LAYOUT.position + 3])
     towards = yaw if sideways > 0.0 else yaw + math.copysign(0.5 * math.pi, turn)
-    cx = float(out[P]) + r0 * math.cos(towards)
-    cy = float(out[P + 1]) + r0 * math.sin(towards)
+    cx = float(out[POLYNOMIAL_LAYOUT.position]) + r0 * math.cos(towards)
+    cy = float(out[POLYNOMIAL_LAYOUT.position + 1]) + r0 * math.sin(towards)
     begin = towards + math.pi
     span = max(t, 1e-3)
     dr = (r1 - r0) / span
@@ -544,32 +620,44 @@ def spiral(
             u = math.sin(phi) if axis else math.cos(phi)
             n = math.cos(phi) if axis else -math.sin(phi)
             row = end if stage else start
-            row[0] = F(centre + r * u)
-            row[1] = F(dr * u + r * w * n)
-            row[2] = F(2.0 * dr * w * n - r * w * w * u)
-        connect(piece, axis, F(span), start, end)
+            row[0] = float32(centre + r * u)
+            row[1] = float32(dr * u + r * w * n)
+            row[2] = float32(2.0 * dr * w * n - r * w * w * u)
+        connect_ends(piece, axis, float32(span), start, end)
     for axis in range(2, 4):
-        gap = F(climb) if axis == 2 else F(turn)
-        speed = gap / F(span)
-        _to(fw, piece, axis, F(span), out[P + axis] + gap, speed, speed, ZERO)
-    piece[PIECE - 1] = F(span)
-    return _fly(fw, FLYING, piece)
+        gap = float32(climb) if axis == 2 else float32(turn)
+        speed = gap / float32(span)
+        _connect_axis(
+            fw,
+            piece,
+            axis,
+            float32(span),
+            out[POLYNOMIAL_LAYOUT.position + axis] + gap,
+            speed,
+            speed,
+            SINGLE_NUMBERS.zero,
+        )
+    piece[TRAJECTORY_MEMORY.piece_size - 1] = float32(span)
+    return _begin_plan(fw, PLANNER_STATES.flying, piece)
 
 
 @kernel()
-def _possible(fw: Record, k: int, timescale: Single) -> bool:
+def _is_flyable_slot(fw: Record, k: int, timescale: Single) -> bool:
     """Return True if a drone can follow the pieces of slot k at this time scale.
 
     An upload may contain any numbers.
     """
-    total = ZERO
+    total = SINGLE_NUMBERS.zero
     for n in range(fw.planner.pieces[k]):
-        c = _memory_piece(fw, k, n)
-        t = duration(c)
-        if not (ZERO <= t <= LONGEST and _bounded(c, timescale)):
+        c = _read_memory_piece(fw, k, n)
+        t = read_duration(c)
+        if not (
+            SINGLE_NUMBERS.zero <= t <= PLAN_LIMITS.longest_duration
+            and _is_bounded(c, timescale)
+        ):
             return False
         total += t * timescale
-    return _lasts(total)
+    return _is_flyable_duration(total)
 
 
 @kernel(rows, whole, real, real, real, real, real)
@@ -593,21 +681,26 @@ def start_trajectory(
     fw = fleet[i]
     plan = fw.planner
     k = int(slot)
-    if k < 0 or k >= TRAJECTORIES or plan.pieces[k] == 0 or not timescale > 0.0:
-        return UNKNOWN
-    if not _possible(fw, k, F(timescale)):
-        return REFUSED
-    _here(fw)
+    if (
+        k < 0
+        or k >= TRAJECTORY_MEMORY.slot_count
+        or plan.pieces[k] == 0
+        or not timescale > 0.0
+    ):
+        return PLANNER_ANSWERS.unknown_trajectory
+    if not _is_flyable_slot(fw, k, float32(timescale)):
+        return PLANNER_ANSWERS.refused
+    _evaluate_present_point(fw)
     here = plan.out[0:4].copy()
-    _start(fw, FLYING)
+    _start_plan(fw, PLANNER_STATES.flying)
     plan.slot = k
-    plan.timescale = F(timescale)
+    plan.timescale = float32(timescale)
     plan.reversed = 1 if backwards > 0.0 else 0
-    _find(fw, _total(fw) if plan.reversed else ZERO)
-    for axis in range(AXES):
+    _evaluate_at(fw, _sum_durations(fw) if plan.reversed else SINGLE_NUMBERS.zero)
+    for axis in range(POLYNOMIAL_LAYOUT.axis_count):
         moved = relative_yaw if axis == 3 else relative
-        plan.origin[axis] = plan.out[P + axis]
+        plan.origin[axis] = plan.out[POLYNOMIAL_LAYOUT.position + axis]
         plan.shift[axis] = here[axis] if moved > 0.0 else plan.origin[axis]
     if relative_yaw > 0.0:
-        plan.shift[3] = short_way(plan.origin[3], here[3])
-    return OK
+        plan.shift[3] = unwrap_angle(plan.origin[3], here[3])
+    return PLANNER_ANSWERS.done

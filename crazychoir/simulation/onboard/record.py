@@ -2,7 +2,7 @@
 
 import math
 from types import ModuleType, SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -15,44 +15,93 @@ Record = Any
 Fleet = npt.NDArray[np.void]
 
 # Modes of one axis of a set-point.
-DISABLE = 0  # the axis is not controlled
-ABSOLUTE = 1  # a value
-VELOCITY = 2  # a rate
+
+
+class AxisModes(NamedTuple):
+    """Modes of one axis of a set-point."""
+
+    disabled: int = 0
+    """The axis is not controlled."""
+    absolute: int = 1
+    """The set-point is a value."""
+    velocity: int = 2
+    """The set-point is a rate."""
+
+
+AXIS_MODES = AxisModes()
+
 
 # Values of the parameter stabilizer.controller.
-PID = 1
-MELLINGER = 2
-LEE = 5
-OUT_OF_TREE = 6  # a user's law
+
+
+class ControllerKinds(NamedTuple):
+    """Values of the parameter stabilizer.controller."""
+
+    pid: int = 1
+    """The cascade of PIDs."""
+    mellinger: int = 2
+    """Mellinger's controller."""
+    lee: int = 5
+    """Lee's controller."""
+    out_of_tree: int = 6
+    """A user's law."""
+
+
+CONTROLLER_KINDS = ControllerKinds()
+
 
 # Kinds of output of a controller.
-LEGACY = 0  # thrust, roll, pitch, yaw
-FORCE_TORQUE = 1
-MOTORS = 2  # four thrusts
-
-TRAJECTORIES = 31  # slots for trajectories
-MEMORY = 1024  # float32 in the memory for trajectories, 4096 bytes
-PIECE = 33  # float32 of one piece: 4 axes of 8 coefficients and a duration
-EXPANDED = 64  # pieces behind that memory: a compressed trajectory after its expansion
 
 
-def _reals(names: str) -> list[tuple[str, type]]:
+class OutputKinds(NamedTuple):
+    """Kinds of output of a controller."""
+
+    legacy: int = 0
+    """Thrust, roll, pitch, yaw."""
+    force_torque: int = 1
+    """Force and torques in SI units."""
+    motors: int = 2
+    """Four thrusts."""
+
+
+OUTPUT_KINDS = OutputKinds()
+
+
+class TrajectoryMemory(NamedTuple):
+    """Sizes of the memory for trajectories."""
+
+    slot_count: int = 31
+    """Slots for trajectories."""
+    size: int = 1024
+    """Float32 in the memory for trajectories, 4096 bytes."""
+    piece_size: int = 33
+    """Float32 of one piece: 4 axes of 8 coefficients and a duration."""
+    expanded_pieces: int = 64
+    """Pieces behind that memory: a compressed trajectory after its expansion."""
+
+
+TRAJECTORY_MEMORY = TrajectoryMemory()
+
+
+def _real_fields(names: str) -> list[tuple[str, type]]:
     return [(name, np.float64) for name in names.split()]
 
 
-def _wholes(names: str) -> list[tuple[str, type]]:
+def _integer_fields(names: str) -> list[tuple[str, type]]:
     return [(name, np.int64) for name in names.split()]
 
 
-pid_fields = np.dtype(_reals("kp ki kd kff i_limit limit integral previous d1 d2"))
+pid_fields = np.dtype(
+    _real_fields("kp ki kd kff i_limit limit integral previous d1 d2")
+)
 """Fields of a PID: gains; limits of the integral and of the output (0: none); memory."""
 
 setpoint_fields = np.dtype(
     [
-        *_wholes(
+        *_integer_fields(
             "mode_x mode_y mode_z mode_roll mode_pitch mode_yaw mode_quat body_velocity"
         ),
-        *_reals(
+        *_real_fields(
             "x y z vx vy vz ax ay az jx jy jz roll pitch yaw roll_rate pitch_rate yaw_rate thrust qx qy qz qw"
         ),
     ]
@@ -74,16 +123,20 @@ planner_fields = np.dtype(
         # start of a relative trajectory by its coefficients, m, rad
         ("origin", np.float32, (4,)),
         ("shift", np.float32, (4,)),  # its start in this flight
-        ("piece", np.float32, (PIECE,)),
+        ("piece", np.float32, (TRAJECTORY_MEMORY.piece_size,)),
         # p, yaw, v, yaw', a, yaw'', j, yaw''' of the last evaluation
         ("out", np.float32, (16,)),
         # p, yaw of the last set-point, or of the state while idle
         ("last", np.float32, (4,)),
         ("last_v", np.float32, (4,)),
-        ("offset", np.int64, (TRAJECTORIES,)),  # float32 from the start of the memory
-        ("pieces", np.int64, (TRAJECTORIES,)),  # 0: not defined
+        (
+            "offset",
+            np.int64,
+            (TRAJECTORY_MEMORY.slot_count,),
+        ),  # float32 from the start of the memory
+        ("pieces", np.int64, (TRAJECTORY_MEMORY.slot_count,)),  # 0: not defined
         # first byte and segments of a compressed trajectory; 0 segments: not compressed
-        ("packed", np.int64, (TRAJECTORIES, 2)),
+        ("packed", np.int64, (TRAJECTORY_MEMORY.slot_count, 2)),
         ("take_off_speed", np.float64),
         ("landing_speed", np.float64),
     ],
@@ -91,21 +144,21 @@ planner_fields = np.dtype(
 )
 
 mellinger_fields = np.dtype(
-    _reals(
+    _real_fields(
         "mass massThrust kp_xy kd_xy ki_xy i_range_xy kp_z kd_z ki_z i_range_z kR_xy kw_xy ki_m_xy i_range_m_xy "
         "kR_z kw_z ki_m_z i_range_m_z kd_omega_rp ix iy iz imx imy imz wx wy wx_set wy_set fresh"
     )
 )
 """Fields of Mellinger's controller: parameters; integrals and rates of the last pass."""
 lee_fields = np.dtype(
-    _reals(
+    _real_fields(
         "mass J_x J_y J_z Kpos_Px Kpos_Py Kpos_Pz Kpos_P_limit Kpos_Dx Kpos_Dy Kpos_Dz Kpos_D_limit Kpos_Ix Kpos_Iy "
         "Kpos_Iz Kpos_I_limit KR_x KR_y KR_z Kw_x Kw_y Kw_z KI_x KI_y KI_z ix iy iz irx iry irz"
     )
 )
 """Fields of Lee's controller: parameters; integrals."""
 
-PIDS = "roll_rate pitch_rate yaw_rate roll pitch yaw vx vy vz x y z"
+PID_NAMES = "roll_rate pitch_rate yaw_rate roll pitch yaw vx vy vz x y z"
 """PIDs of controller 1: rates, attitude, velocity and position."""
 
 drone_fields = np.dtype(
@@ -116,16 +169,18 @@ drone_fields = np.dtype(
         ("vbat", np.float64),  # V
         # sensors
         ("delays", np.float64, (12,)),  # memory of the low-pass filters
-        *_reals("gx gy gz ax ay az"),  # filtered: deg/s, g
+        *_real_fields("gx gy gz ax ay az"),  # filtered: deg/s, g
         # sum in m/s2 and count of the samples at rest; scale that makes their mean 1 g
-        *_reals("acc_sum acc_count acc_scale"),
+        *_real_fields("acc_sum acc_count acc_scale"),
         # estimator
-        *_reals("p_sum q_sum r_sum fx_sum fy_sum fz_sum"),
+        *_real_fields("p_sum q_sum r_sum fx_sum fy_sum fz_sum"),
         ("samples", np.int64),
-        *_reals("x y z vx vy vz qx qy qz qw acx acy acz roll pitch yaw"),
-        *_reals("xy_pp xy_pv xy_vv z_pp z_pv z_vv att_var"),
-        *_reals("ext_pos_std ext_quat_std noise_xy noise_z noise_gyro max_pos max_vel"),
-        *_reals("initial_x initial_y initial_z initial_yaw"),
+        *_real_fields("x y z vx vy vz qx qy qz qw acx acy acz roll pitch yaw"),
+        *_real_fields("xy_pp xy_pv xy_vv z_pp z_pv z_vv att_var"),
+        *_real_fields(
+            "ext_pos_std ext_quat_std noise_xy noise_z noise_gyro max_pos max_vel"
+        ),
+        *_real_fields("initial_x initial_y initial_z initial_yaw"),
         ("resets", np.int64),
         # commander
         ("priority", np.int64),
@@ -136,37 +191,52 @@ drone_fields = np.dtype(
         ("rate_yaw_mode", np.int64),
         ("wanted", setpoint_fields),
         # supervisor
-        *_wholes("state since armed auto_arm arm_requested flying tumbled estop"),
-        *_wholes("spun upright_at not_upside_at watchdog watchdog_at stopping_at"),
-        *_wholes("preflight_timeout landed_timeout spinup_timeout tumble_check"),
+        *_integer_fields(
+            "state since armed auto_arm arm_requested flying tumbled estop"
+        ),
+        *_integer_fields(
+            "spun upright_at not_upside_at watchdog watchdog_at stopping_at"
+        ),
+        *_integer_fields(
+            "preflight_timeout landed_timeout spinup_timeout tumble_check"
+        ),
         # controllers
         ("controller", np.int64),
         ("law_due", np.int64),
         ("modes", np.int64),  # modes of the last set-point that the controller followed
-        *[(f"{name}_pid", pid_fields) for name in PIDS.split()],
-        *_reals("x_vel_max y_vel_max z_vel_max roll_limit pitch_limit"),
-        *_reals("thrust_base thrust_minimum yaw_max_delta"),
-        *_reals("target_vx target_vy target_vz position_thrust"),
-        *_reals("target_roll target_pitch target_yaw"),
-        *_reals("target_roll_rate target_pitch_rate target_yaw_rate"),
+        *[(f"{name}_pid", pid_fields) for name in PID_NAMES.split()],
+        *_real_fields("x_vel_max y_vel_max z_vel_max roll_limit pitch_limit"),
+        *_real_fields("thrust_base thrust_minimum yaw_max_delta"),
+        *_real_fields("target_vx target_vy target_vz position_thrust"),
+        *_real_fields("target_roll target_pitch target_yaw"),
+        *_real_fields("target_roll_rate target_pitch_rate target_yaw_rate"),
         # output of the controller
         ("output", np.int64),
-        *_reals("thrust roll_out pitch_out yaw_out"),  # legacy
-        *_reals("force torque_x torque_y torque_z"),  # N, N m
+        *_real_fields("thrust roll_out pitch_out yaw_out"),  # legacy
+        *_real_fields("force torque_x torque_y torque_z"),  # N, N m
         ("law_motors", np.float64, (4,)),  # 0..65535, output of a user's law
         # power distribution
         ("request", np.float64, (4,)),  # 0..65535
         ("volts", np.float64, (4,)),
         # motorPowerSet.enable: 1 sets each motor by its own power, 2 sets all motors by power_1
         ("power_set", np.int64),
-        *_reals("power_1 power_2 power_3 power_4"),  # 0..65535
-        *_reals("vbat_low idle thrust_max thrust_min arm torque_ratio c0 c1 c2 c3"),
+        *_real_fields("power_1 power_2 power_3 power_4"),  # 0..65535
+        *_real_fields(
+            "vbat_low idle thrust_max thrust_min arm torque_ratio c0 c1 c2 c3"
+        ),
         # Fields not needed in each ms are last, so that the others of 1000 drones fit into a cache.
         ("level", setpoint_fields),
         ("planner", planner_fields),
         ("mellinger", mellinger_fields),
         ("lee", lee_fields),
-        ("memory", np.float32, (MEMORY + EXPANDED * PIECE,)),
+        (
+            "memory",
+            np.float32,
+            (
+                TRAJECTORY_MEMORY.size
+                + TRAJECTORY_MEMORY.expanded_pieces * TRAJECTORY_MEMORY.piece_size,
+            ),
+        ),
     ],
     align=True,
 )
@@ -177,7 +247,7 @@ rows: Any = drone[::1]
 whole: Any = numba.int64
 
 
-def entries(module: ModuleType) -> Any:
+def load_entry_points(module: ModuleType) -> Any:
     """Return the kernels of a module that are compiled for a drone, to be called from Python.
 
     They are called without a check of the types of their arguments. They take the array and the
@@ -198,7 +268,7 @@ def entries(module: ModuleType) -> Any:
 
 # Gains kp, ki, kd and limit of the integral (chosen for velocity and position) of pid_rate,
 # pid_attitude, velCtlPid and posCtlPid.
-CRAZYFLIE = {
+CRAZYFLIE_PID_GAINS = {
     "roll_rate": (250.0, 500.0, 2.5, 33.3),
     "pitch_rate": (250.0, 500.0, 2.5, 33.3),
     "yaw_rate": (120.0, 16.7, 0.0, 166.7),
@@ -212,8 +282,8 @@ CRAZYFLIE = {
     "y": (2.0, 0.0, 0.0, 5000.0),
     "z": (2.0, 0.5, 0.0, 5000.0),
 }
-BRUSHLESS = {
-    **CRAZYFLIE,
+BRUSHLESS_PID_GAINS = {
+    **CRAZYFLIE_PID_GAINS,
     "roll_rate": (200.0, 400.0, 2.5, 33.3),
     "pitch_rate": (200.0, 400.0, 2.5, 33.3),
 }
@@ -260,7 +330,7 @@ LEE_DEFAULTS = {
     "KI_y": 0.03,
     "KI_z": 0.03,
 }
-SCALARS: dict[str, float] = {
+SCALAR_DEFAULTS: dict[str, float] = {
     "vbat": 4.2,
     "vbat_low": 4.2,
     "ext_pos_std": 0.01,
@@ -278,7 +348,7 @@ SCALARS: dict[str, float] = {
     "landed_timeout": 3000,
     "spinup_timeout": 2000,
     "tumble_check": 1,
-    "controller": PID,
+    "controller": CONTROLLER_KINDS.pid,
     "modes": -1,
     "x_vel_max": 1.0,
     "y_vel_max": 1.0,
@@ -295,11 +365,11 @@ SCALARS: dict[str, float] = {
 }
 
 
-def fleet(n: int, platform: Platform) -> Fleet:
+def make_fleet(n: int, platform: Platform) -> Fleet:
     """Return the records of n drones of this platform, as they are after power-on."""
     rows = np.zeros(n, drone_fields)
     firmware = platform.firmware
-    gains = BRUSHLESS if firmware.needs_arming else CRAZYFLIE
+    gains = BRUSHLESS_PID_GAINS if firmware.needs_arming else CRAZYFLIE_PID_GAINS
     for name, row in gains.items():
         pid = rows[f"{name}_pid"]
         pid["kp"], pid["ki"], pid["kd"], pid["i_limit"] = row
@@ -309,7 +379,7 @@ def fleet(n: int, platform: Platform) -> Fleet:
         for name, value in defaults.items():
             rows[part][name] = value
         rows[part]["mass"] = firmware.mass
-    for name, value in SCALARS.items():
+    for name, value in SCALAR_DEFAULTS.items():
         rows[name] = value
     if firmware.needs_arming:
         rows["thrust_base"] = 30000.0

@@ -4,21 +4,21 @@ import math
 
 from crazychoir.platforms import Firmware
 
-FULL = 65535.0
+FULL_THRUST_COMMAND = 65535.0
 """Thrust command at which each motor gives thrust_max newtons."""
 
 
-def thrust_raw(newtons: float, firmware: Firmware) -> float:
+def convert_thrust_to_raw(newtons: float, firmware: Firmware) -> float:
     """Return the thrust command for a total thrust in N; linear, 65535 = 4 thrust_max."""
-    return newtons * FULL / (4.0 * firmware.thrust_max)
+    return newtons * FULL_THRUST_COMMAND / (4.0 * firmware.thrust_max)
 
 
-def thrust_newtons(raw: float, firmware: Firmware) -> float:
+def convert_thrust_to_newtons(raw: float, firmware: Firmware) -> float:
     """Return the thrust of all motors in N for a thrust command."""
-    return raw * 4.0 * firmware.thrust_max / FULL
+    return raw * 4.0 * firmware.thrust_max / FULL_THRUST_COMMAND
 
 
-def roll_pitch_yaw_rate_raw(
+def convert_roll_pitch_yaw_rate_to_raw(
     roll: float, pitch: float, yaw_rate: float
 ) -> tuple[float, float, float]:
     """Convert roll, pitch in rad and yaw rate in rad/s to the numbers of an RPYT packet.

@@ -8,15 +8,15 @@ from types import SimpleNamespace
 import pytest
 
 from crazychoir.agent.agent import Agent
-from crazychoir.agent.mission_runner import STAYS
-from crazychoir.bus.port import OBSERVER
-from crazychoir.bus.topics import LOG, RESULT, STATUS
+from crazychoir.agent.mission_runner import MISSION_REASONS
+from crazychoir.bus.port import PORT_ADDRESSES
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import Refused
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import CFGuidance
-from crazychoir.guidance.mission import load, mission_hash
-from crazychoir.runtime.clock import SECOND, run_virtual
+from crazychoir.guidance.mission import compute_mission_hash, load_mission
+from crazychoir.runtime.clock import NS_PER_SECOND, run_virtual
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.rules.guard import Fence, Guard
 from crazychoir.safety.rules.modes import Mode
@@ -52,12 +52,12 @@ def swarm(n, **changes):
 async def observe(agent, topic, drone=0):
     """All values of a topic, as an observer hears them from now on."""
     heard = []
-    if OBSERVER not in agent.bus.ports:
-        agent.bus.port(OBSERVER)
+    if PORT_ADDRESSES.first_observer not in agent.bus.ports:
+        agent.bus.port(PORT_ADDRESSES.first_observer)
     agent.bus.subscribe(
         topic,
         drone,
-        OBSERVER,
+        PORT_ADDRESSES.first_observer,
         Call(agent.clock, lambda value, age: heard.append(value)),
     )
     return heard
@@ -112,7 +112,7 @@ async def is_refused(guidance):
 def test_however_a_mission_ends_its_drone_lands_and_says_the_result(does, result):
     async def main(clock):
         agent = Agent(clock, swarm(1), mission_of(does), (0,))
-        told = await observe(agent, RESULT)
+        told = await observe(agent, DRONE_TOPICS.result)
         results = await agent.run()
         assert agent.drones[0].pilot.mode is Mode.GROUND
         assert agent.owners[0].world.state(0).p[2] == pytest.approx(0.0, abs=1e-6)
@@ -140,7 +140,7 @@ def test_a_result_is_the_same_whether_anybody_looks_on_or_not(watched):
     async def main(clock):
         agent = Agent(clock, swarm(1), mission_of(returns_a_set), (0,))
         if watched:
-            await observe(agent, RESULT)
+            await observe(agent, DRONE_TOPICS.result)
         return (await agent.run())[0]
 
     result = run_virtual(main)
@@ -157,7 +157,7 @@ def test_an_observer_that_comes_when_the_mission_is_over_still_gets_the_result_o
         running = asyncio.create_task(agent.run())
         while agent.drones[0].pilot.airborne or not agent.drones[0].result:
             await clock.sleep(0.1)
-        told = await observe(agent, RESULT)
+        told = await observe(agent, DRONE_TOPICS.result)
         assert told == [{"success": True, "answer": 42}]
         await running
         return told
@@ -192,8 +192,14 @@ def test_after_an_emergency_stop_the_agent_says_what_it_waits_for_and_an_operato
         agent._stop(agent.drones[0], True)
         await clock.sleep(60.0)
         status = agent.drones[0].status()
-        assert (status.phase, status.note, status.stopped) == ("stopped", STAYS, True)
-        assert [r.message for r in caplog.records].count(f"drone 0: {STAYS}") == 1
+        assert (status.phase, status.note, status.stopped) == (
+            "stopped",
+            MISSION_REASONS.stays,
+            True,
+        )
+        assert [r.message for r in caplog.records].count(
+            f"drone 0: {MISSION_REASONS.stays}"
+        ) == 1
         agent.land_all("SIGINT: landing")
         await clock.sleep(1.0)
         assert running.done()
@@ -255,7 +261,7 @@ def ended(does, at=None, act=lambda agent: None, drones=1, seconds=60.0, **fligh
                     phases.append(agent.drones[0].pilot.mode)
 
         if at is not None:
-            clock.call_at(round(at * SECOND), act, agent)
+            clock.call_at(round(at * NS_PER_SECOND), act, agent)
         looking, running = asyncio.create_task(look()), asyncio.create_task(agent.run())
         await asyncio.wait(
             [running, asyncio.create_task(clock.sleep(seconds))],
@@ -347,7 +353,9 @@ def test_a_drone_whose_motors_are_cut_on_its_way_down_is_no_success(lands):
         await guidance.take_off()
         clock = guidance.member.clock
         clock.call_at(
-            clock.now_ns() + SECOND // 4, guidance.member.pilot.cut, "emergency stop"
+            clock.now_ns() + NS_PER_SECOND // 4,
+            guidance.member.pilot.cut,
+            "emergency stop",
         )
         if lands:
             await guidance.land()
@@ -557,7 +565,7 @@ def test_the_result_of_a_law_says_how_long_it_ran_where_it_ended_and_whom_it_did
 
 
 def test_a_formation_that_is_not_reached_is_no_success_and_names_who_is_off_and_who_was_deaf():
-    mission = load("bearing_formation")
+    mission = load_mission("bearing_formation")
     config = mission.swarm(None)
     goal = mission.goal(config)
     at = {
@@ -607,8 +615,8 @@ def test_a_mission_is_what_its_text_and_its_swarm_say_wherever_the_file_lies(tmp
 
     def hashed(folder, **changes):
         path = str(tmp_path / folder / "mine.py")
-        return mission_hash(
-            default_swarm(3).replace(mission=path, **changes), load(path)
+        return compute_mission_hash(
+            default_swarm(3).replace(mission=path, **changes), load_mission(path)
         )
 
     assert hashed("a") == hashed("b")
@@ -623,7 +631,7 @@ def test_a_file_that_the_options_name_counts_by_what_is_in_it(tmp_path):
         path = tmp_path / name
         path.write_text(content)
         config = default_swarm(3).replace(mission_options={"instance": str(path)})
-        return mission_hash(config, mission_of(returns))
+        return compute_mission_hash(config, mission_of(returns))
 
     assert hashed("one.json", "{}") == hashed("two.json", "{}")
     assert hashed("one.json", "{}") != hashed("two.json", "[]")
@@ -648,9 +656,9 @@ def test_the_digest_of_a_run_is_of_all_messages_between_drones_and_all_states():
         (one, another, b"state"),
     ]
     assert len({whole, *(digest(*other) for other in others)}) == 1 + len(others)
-    assert whole == digest(one, (OBSERVER, 6, 0, 1, b"z"), two, b"state"), (
-        "who looks on changes nothing"
-    )
+    assert whole == digest(
+        one, (PORT_ADDRESSES.first_observer, 6, 0, 1, b"z"), two, b"state"
+    ), "who looks on changes nothing"
 
 
 # An agent that comes back -------------------------------------------------------------------------------------------
@@ -660,7 +668,7 @@ class Wire:
     """The network between the buses of several agents in one virtual time; what is unplugged hears nothing."""
 
     def __init__(self, clock, delay=0.002):
-        self.clock, self.delay_ns, self.buses = clock, round(delay * SECOND), []
+        self.clock, self.delay_ns, self.buses = clock, round(delay * NS_PER_SECOND), []
 
     def plug(self, bus):
         self.buses.append(bus)
@@ -749,7 +757,7 @@ def test_a_restarted_agent_is_a_new_incarnation_and_the_joinable_channel_goes_on
             return made, asyncio.create_task(made.run())
 
         (three, running), (_, victim) = agent((0, 1, 2)), agent((3,))
-        logs = [await observe(three, LOG, i) for i in (0, 1, 2)]
+        logs = [await observe(three, DRONE_TOPICS.log, i) for i in (0, 1, 2)]
         await clock.sleep(4.0)
         wire.unplug(wire.buses[1])
         victim.cancel()
@@ -794,7 +802,10 @@ def test_a_team_that_comes_apart_says_so_in_log_status_and_result(caplog):
         agent = Agent(
             clock, swarm(3, graph="path", lost_after=1.0), mission_of(hovers), (0, 1, 2)
         )
-        said, statuses = await observe(agent, LOG), await observe(agent, STATUS)
+        said, statuses = (
+            await observe(agent, DRONE_TOPICS.log),
+            await observe(agent, DRONE_TOPICS.status),
+        )
 
         def crash():
             agent.bus.close(1)
@@ -802,7 +813,7 @@ def test_a_team_that_comes_apart_says_so_in_log_status_and_result(caplog):
             port.send = port.publish = lambda *message, **named: None
             agent._guidances[1].abort("killed")
 
-        clock.call_at(4 * SECOND, crash)
+        clock.call_at(4 * NS_PER_SECOND, crash)
         return await agent.run(), said, statuses
 
     found, said, statuses = run_virtual(main)

@@ -2,9 +2,9 @@ import asyncio
 
 from virtual_time import virtual
 
-from crazychoir.agent.dead_man import Console, DeadMan, is_console
+from crazychoir.agent.dead_man import ConsoleReporter, DeadMan, is_console
 from crazychoir.bus.commands import Commander, CommandServer
-from crazychoir.bus.port import OBSERVER, Bus
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.config.swarm_config import default_swarm
 
 
@@ -20,7 +20,9 @@ class Room:
             lambda why: self.landed.append((clock.now(), why)),
         )
         CommandServer(self.bus.port(1), self.execute, lambda on: None)
-        self.console = Console(Commander(self.bus.port(OBSERVER, 7)), (1, 9))
+        self.console = ConsoleReporter(
+            Commander(self.bus.port(PORT_ADDRESSES.first_observer, 7)), (1, 9)
+        )
         self.watching = asyncio.create_task(self.dead_man.run())
 
     async def execute(self, verb, arguments):

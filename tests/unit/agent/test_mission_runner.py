@@ -7,14 +7,13 @@ import pytest
 from virtual_time import virtual
 
 from crazychoir.agent.mission_runner import (
-    FIT,
-    LANDING_DEADLINE,
+    MISSION_TIMES,
     GuidanceActor,
-    checked,
+    check_result,
 )
 from crazychoir.bus.codec import MAX_PAYLOAD
 from crazychoir.errors import Refused
-from crazychoir.guidance.member import PATIENCE
+from crazychoir.guidance.member import HELD_FLIGHT_PATIENCE
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import State
 
@@ -50,22 +49,22 @@ class Lands:
 
 @virtual
 async def test_one_that_others_keep_up_is_never_cut(clock):
-    pilot = Lands(clock, 3.0 * PATIENCE, kept_up=True)
+    pilot = Lands(clock, 3.0 * HELD_FLIGHT_PATIENCE, kept_up=True)
     await GuidanceActor(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
     assert pilot.cut_at is None
-    assert clock.now() == pytest.approx(3.0 * PATIENCE, abs=0.1)
+    assert clock.now() == pytest.approx(3.0 * HELD_FLIGHT_PATIENCE, abs=0.1)
 
 
 @virtual
 async def test_one_that_does_not_come_down_though_nobody_keeps_it_up_is_cut(clock):
-    pilot = Lands(clock, 3.0 * PATIENCE, kept_up=False)
+    pilot = Lands(clock, 3.0 * HELD_FLIGHT_PATIENCE, kept_up=False)
     await GuidanceActor(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
-    assert pilot.cut_at == pytest.approx(LANDING_DEADLINE, abs=0.1)
+    assert pilot.cut_at == pytest.approx(MISSION_TIMES.landing_deadline, abs=0.1)
 
 
 @virtual
 async def test_one_whose_radio_is_silent_is_not_cut_when_it_is_reached_again(clock):
-    pilot = Lands(clock, 3.0 * PATIENCE, kept_up=False)
+    pilot = Lands(clock, 3.0 * HELD_FLIGHT_PATIENCE, kept_up=False)
     pilot.unreached = True
     await GuidanceActor(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
     assert pilot.cut_at is None
@@ -85,7 +84,7 @@ async def test_what_keeps_a_drone_from_flying_is_for_the_others_to_hear_too(cloc
     config = SimpleNamespace(reached=(4,), radio=SimpleNamespace(connect_deadline=10.0))
     with pytest.raises(Refused, match="no such parameter; battery"):
         await GuidanceActor(drone, config, None)._until_fit()
-    assert clock.now() == pytest.approx(10.0 + FIT, abs=0.1)
+    assert clock.now() == pytest.approx(10.0 + MISSION_TIMES.readiness_time, abs=0.1)
     assert (barrier.refused, monitor.silent) == (
         "no such parameter; battery at 3.1 V",
         False,
@@ -93,7 +92,7 @@ async def test_what_keeps_a_drone_from_flying_is_for_the_others_to_hear_too(cloc
 
 
 def test_a_result_arrives_as_it_would_over_the_network():
-    result = checked(
+    result = check_result(
         {
             "far": np.float32(0.5),
             "n": np.int64(3),
@@ -110,19 +109,19 @@ def test_a_result_arrives_as_it_would_over_the_network():
     assert (type(result["far"]), type(result["n"])) == (float, int)
     assert isinstance(result["at"], np.ndarray)
     assert not result["at"].flags.writeable
-    assert isinstance(checked({"me": State.at((1, 2, 3))})["me"], State)
+    assert isinstance(check_result({"me": State.at((1, 2, 3))})["me"], State)
 
 
 @pytest.mark.parametrize("yes", [True, np.True_, 1])
 @pytest.mark.parametrize("no", [False, np.False_, 0])
 def test_success_is_a_truth_value(yes, no):
-    assert checked({"success": yes})["success"] is True
-    assert checked({"success": no})["success"] is False
+    assert check_result({"success": yes})["success"] is True
+    assert check_result({"success": no})["success"] is False
 
 
 @pytest.mark.parametrize("nothing", [None, {}])
 def test_nothing_is_a_success(nothing):
-    assert checked(nothing) == {"success": True}
+    assert check_result(nothing) == {"success": True}
 
 
 @pytest.mark.parametrize(
@@ -137,7 +136,7 @@ def test_nothing_is_a_success(nothing):
 )
 def test_what_a_mission_may_not_return(returned, said):
     with pytest.raises(TypeError, match=said):
-        checked(returned)
+        check_result(returned)
 
 
 class Stopped:

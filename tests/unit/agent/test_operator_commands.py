@@ -8,14 +8,14 @@ import pytest
 
 from crazychoir.agent.agent import Agent
 from crazychoir.agent.steering import path_message
-from crazychoir.bus.commands import ACCEPTED, DONE, REFUSED, Commander
-from crazychoir.bus.port import OBSERVER
+from crazychoir.bus.commands import ANSWER_TEXTS, Commander
+from crazychoir.bus.port import PORT_ADDRESSES
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance import guidance as base
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.numerics.math3d import yaw_of
-from crazychoir.planning.spline import spline
+from crazychoir.planning.spline import fit_spline
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Acceleration
@@ -94,7 +94,7 @@ class Operator:
 
     def __init__(self, agent):
         self.agent, self.clock = agent, agent.clock
-        self.commander = Commander(agent.bus.port(OBSERVER, 0xF1))
+        self.commander = Commander(agent.bus.port(PORT_ADDRESSES.first_observer, 0xF1))
         self.highest = {}
 
     async def order(self, verb, *drones, deadline=60.0):
@@ -143,23 +143,28 @@ def play(guidance, scene, config=None):
 def test_a_run_waits_on_the_ground_for_its_take_off_and_in_the_air_for_its_start():
     async def scene(operator):
         refused = await operator.order("start")
-        assert refused[0] == (REFUSED, "it waits for its operator: take-off")
+        assert refused[0] == (
+            ANSWER_TEXTS.refused,
+            "it waits for its operator: take-off",
+        )
         assert operator.task(0) == "waits for its operator: take-off"
         await operator.clock.sleep(5.0)
-        assert await operator.order("arm") == dict.fromkeys(range(3), (DONE, "ready"))
+        assert await operator.order("arm") == dict.fromkeys(
+            range(3), (ANSWER_TEXTS.done, "ready")
+        )
         operator.pilot(1).unfit = lambda: ["battery at 3.10 V"]
         assert await operator.order("arm", 1) == (
-            REFUSED,
+            ANSWER_TEXTS.refused,
             "battery at 3.10 V: no take-off",
         )
         operator.pilot(1).unfit = list
         assert operator.modes() == [Mode.GROUND] * 3
         assert await operator.order("take-off") == dict.fromkeys(
-            range(3), (DONE, "hovering")
+            range(3), (ANSWER_TEXTS.done, "hovering")
         )
         for verb in ("arm", "take-off"):
             assert await operator.order(verb, 1) == (
-                REFUSED,
+                ANSWER_TEXTS.refused,
                 "it is in the air already",
             )
         await operator.clock.sleep(5.0)
@@ -169,11 +174,14 @@ def test_a_run_waits_on_the_ground_for_its_take_off_and_in_the_air_for_its_start
             [0.3, 0.4, 0.5], abs=0.02
         )
         assert await operator.order("start") == dict.fromkeys(
-            range(3), (DONE, "its mission goes on")
+            range(3), (ANSWER_TEXTS.done, "its mission goes on")
         )
         await operator.clock.sleep(1.0)
         assert operator.modes() == [Mode.FOLLOW] * 3
-        assert await operator.order("start", 0) == (REFUSED, "its mission has started")
+        assert await operator.order("start", 0) == (
+            ANSWER_TEXTS.refused,
+            "its mission has started",
+        )
 
     results = play(Stay, scene)
     assert all(
@@ -188,7 +196,10 @@ def test_those_who_are_told_later_join():
         await operator.clock.sleep(61.0)
         assert operator.modes() == [Mode.HOVER, Mode.GROUND]
         await operator.order("take-off", 1)
-        assert await operator.order("start", 1) == (DONE, "its mission goes on")
+        assert await operator.order("start", 1) == (
+            ANSWER_TEXTS.done,
+            "its mission goes on",
+        )
 
     assert all(result["success"] for result in play(Stay, scene, config_of(2)).values())
 
@@ -196,7 +207,7 @@ def test_those_who_are_told_later_join():
 def test_a_mission_that_takes_off_by_itself_waits_on_the_ground_for_its_start():
     async def scene(operator):
         assert await operator.order("take-off", 0) == (
-            REFUSED,
+            ANSWER_TEXTS.refused,
             "it waits for its operator: start",
         )
         await operator.clock.sleep(10.0)
@@ -215,8 +226,8 @@ def test_a_mission_that_takes_off_by_itself_waits_on_the_ground_for_its_start():
 def test_an_operator_who_never_comes_ends_the_run_on_the_ground_or_lands_it(
     monkeypatch,
 ):
-    monkeypatch.setattr(base, "UNCOMMANDED", 5.0)
-    monkeypatch.setattr(base, "PATIENCE", 8.0)
+    monkeypatch.setattr(base, "COMMAND_TIMEOUT", 5.0)
+    monkeypatch.setattr(base, "HELD_FLIGHT_PATIENCE", 8.0)
 
     async def take_off_one(operator):
         await operator.order("take-off", 1)
@@ -232,7 +243,7 @@ def test_hold_freezes_and_go_frees():
         await operator.order("start")
         await operator.clock.sleep(0.7)
         assert operator.modes() == [Mode.FOLLOW] * 3
-        assert await operator.order("hold", 0) == (DONE, "held")
+        assert await operator.order("hold", 0) == (ANSWER_TEXTS.done, "held")
         assert [drone.status().note for drone in operator.agent.drones.values()] == [
             "held by its operator",
             "",
@@ -242,18 +253,21 @@ def test_hold_freezes_and_go_frees():
         assert operator.pilot(0).state.p[1] < 1.0
         assert operator.pilot(1).state.p[1] == pytest.approx(1.5, abs=0.05)
         said = {
-            0: (DONE, "goes on"),
-            1: (DONE, "was not held"),
-            2: (DONE, "was not held"),
+            0: (ANSWER_TEXTS.done, "goes on"),
+            1: (ANSWER_TEXTS.done, "was not held"),
+            2: (ANSWER_TEXTS.done, "was not held"),
         }
         assert await operator.order("go") == said
         await operator.clock.sleep(5.0)
         assert operator.pilot(0).state.p[1] == pytest.approx(1.5, abs=0.05)
         assert await operator.order("land", 0, deadline=0.5) == (
-            ACCEPTED,
+            ANSWER_TEXTS.accepted,
             "not done within 0.5 s",
         )
-        assert await operator.order("hold", 0) == (REFUSED, "it is landing")
+        assert await operator.order("hold", 0) == (
+            ANSWER_TEXTS.refused,
+            "it is landing",
+        )
 
     results = play(There, scene)
     assert (results[0]["success"], results[0]["reason"]) == (True, "landed on command")
@@ -271,13 +285,18 @@ def test_home_is_above_the_others_each_at_its_level_and_lands_where_it_took_off(
             await operator.clock.sleep(0.05)
             for i in highest:
                 highest[i] = max(highest[i], operator.pilot(i).state.p[2])
-        assert await returning == dict.fromkeys(range(3), (DONE, "on ground"))
+        assert await returning == dict.fromkeys(
+            range(3), (ANSWER_TEXTS.done, "on ground")
+        )
         assert list(highest.values()) == pytest.approx([0.8, 1.4, 2.0], abs=0.05)
         places = [operator.pilot(i).state.p for i in range(3)]
         assert np.array(places) == pytest.approx(
             np.array([[i, 0.0, 0.0] for i in range(3)]), abs=0.05
         )
-        assert await operator.order("home", 0) == (REFUSED, "it is on the ground")
+        assert await operator.order("home", 0) == (
+            ANSWER_TEXTS.refused,
+            "it is on the ground",
+        )
 
     assert {r["reason"] for r in play(There, scene).values()} == {
         "sent home on command"
@@ -298,7 +317,7 @@ def test_a_return_may_be_held_and_goes_on():
         assert operator.pilot(0).state.p[1] > 0.2
         await operator.order("go", 0)
         assert operator.modes()[0] is Mode.RETURN
-        assert await returning == (DONE, "on ground")
+        assert await returning == (ANSWER_TEXTS.done, "on ground")
         assert operator.pilot(0).state.p == pytest.approx(np.zeros(3), abs=0.05)
 
     play(There, scene, config_of(1))
@@ -308,7 +327,7 @@ def test_without_an_operator_missions_fly_by_themselves_and_say_so():
     async def scene(operator):
         for verb in ("take-off", "start"):
             kind, why = await operator.order(verb, 0)
-            assert kind == REFUSED
+            assert kind == ANSWER_TEXTS.refused
             assert "it is in the air already" in why or "crazychoir run --wait" in why
         await operator.order("land")
 
@@ -317,9 +336,9 @@ def test_without_an_operator_missions_fly_by_themselves_and_say_so():
 
 def test_what_is_over_does_not_begin_again():
     async def scene(operator):
-        assert (await operator.order("land", 0)) == (DONE, "on ground")
+        assert (await operator.order("land", 0)) == (ANSWER_TEXTS.done, "on ground")
         assert await operator.order("take-off", 0) == (
-            REFUSED,
+            ANSWER_TEXTS.refused,
             "its mission is over: landed on command",
         )
         await operator.order("land")
@@ -337,7 +356,7 @@ def test_what_is_over_does_not_begin_again():
 def way(*places, seconds=4.0):
     """What a drone is told of a path through places."""
     return path_message(
-        spline(
+        fit_spline(
             np.linspace(0.0, seconds, len(places)),
             np.array(places, dtype=float),
             degree=7,
@@ -353,24 +372,27 @@ async def told(operator, verb, i, deadline=60.0, **arguments):
 def test_a_drone_that_waits_flies_where_its_operator_wants_and_then_its_mission():
     async def scene(operator):
         assert await told(operator, "go-to", 1, p=[1.0, 1.0, 0.6]) == (
-            REFUSED,
+            ANSWER_TEXTS.refused,
             "it is on ground",
         )
         await operator.order("take-off")
         assert await told(operator, "go-to", 1, p=[1.0, 1.0, 0.6], yaw=0.5) == (
-            DONE,
+            ANSWER_TEXTS.done,
             "there",
         )
         assert operator.pilot(1).state.p == pytest.approx([1.0, 1.0, 0.6], abs=0.03)
         assert yaw_of(operator.pilot(1).state.q) == pytest.approx(0.5, abs=0.05)
         message = way((1.0, 1.0, 0.6), (1.3, 1.5, 0.9), (1.0, 2.0, 0.6))
-        assert await told(operator, "fly", 1, **message) == (DONE, "flown")
+        assert await told(operator, "fly", 1, **message) == (ANSWER_TEXTS.done, "flown")
         assert operator.pilot(1).state.p == pytest.approx([1.0, 2.0, 0.6], abs=0.03)
         assert operator.modes() == [Mode.HOVER] * 3
         await operator.order("start")
         await operator.clock.sleep(0.5)
         kind, why = await told(operator, "go-to", 1, p=[1.0, 1.0, 0.6])
-        assert (kind, why) == (REFUSED, "its mission flies it: hold it first")
+        assert (kind, why) == (
+            ANSWER_TEXTS.refused,
+            "its mission flies it: hold it first",
+        )
 
     results = play(Stay, scene)
     assert all(result["success"] for result in results.values()), results
@@ -385,7 +407,10 @@ def test_a_drone_that_is_held_flies_on_command_and_goes_on_with_its_mission():
             1
         ].startswith("its mission flies")
         await operator.order("hold", 0)
-        assert await told(operator, "go-to", 0, p=[-1.0, -1.0, 1.0]) == (DONE, "there")
+        assert await told(operator, "go-to", 0, p=[-1.0, -1.0, 1.0]) == (
+            ANSWER_TEXTS.done,
+            "there",
+        )
         await operator.order("go", 0)
         await operator.clock.sleep(10.0)
         assert operator.pilot(0).state.p == pytest.approx([0.0, 1.5, 0.8], abs=0.05)
@@ -415,14 +440,17 @@ def test_a_flight_on_command_begins_as_soon_as_the_safety_table_lets_it():
         occluded(operator, 0, 0.15)
         await operator.clock.sleep(0.2)
         assert operator.pilot(0).guard.acts
-        assert await told(operator, "go-to", 0, p=[0.0, 1.0, 0.6]) == (DONE, "there")
+        assert await told(operator, "go-to", 0, p=[0.0, 1.0, 0.6]) == (
+            ANSWER_TEXTS.done,
+            "there",
+        )
         occluded(operator, 0, 0.15)
         await operator.clock.sleep(0.2)
         waiting = asyncio.create_task(told(operator, "go-to", 0, p=[0.0, 3.0, 0.6]))
         await operator.clock.sleep(0.1)
         assert operator.pilot(0).guard.acts
         await operator.order("hold", 0)
-        assert await waiting == (REFUSED, "it was held on its way")
+        assert await waiting == (ANSWER_TEXTS.refused, "it was held on its way")
         await operator.clock.sleep(3.0)
         assert operator.pilot(0).state.p == pytest.approx([0.0, 1.0, 0.6], abs=0.05)
         await operator.order("land")
@@ -433,10 +461,13 @@ def test_a_flight_on_command_begins_as_soon_as_the_safety_table_lets_it():
 def test_a_law_that_wants_to_hover_does_not_end_a_flight_on_command():
     async def scene(operator):
         await held_in_its_mission(operator)
-        assert await told(operator, "go-to", 0, p=[-1.0, 1.0, 0.8]) == (DONE, "there")
+        assert await told(operator, "go-to", 0, p=[-1.0, 1.0, 0.8]) == (
+            ANSWER_TEXTS.done,
+            "there",
+        )
         assert await told(
             operator, "fly", 0, **way((-1.0, 1.0, 0.8), (-1.0, 2.0, 0.8))
-        ) == (DONE, "flown")
+        ) == (ANSWER_TEXTS.done, "flown")
         await operator.order("land")
 
     play(Rests, scene)
@@ -447,18 +478,21 @@ def test_the_newer_command_counts_and_a_hold_ends_a_flight():
         await operator.order("take-off")
         first = asyncio.create_task(told(operator, "go-to", 0, p=[0.0, 3.0, 0.6]))
         await operator.clock.sleep(1.0)
-        assert await told(operator, "go-to", 0, p=[-1.0, 0.0, 0.6]) == (DONE, "there")
-        assert await first == (REFUSED, "it does what was commanded later")
+        assert await told(operator, "go-to", 0, p=[-1.0, 0.0, 0.6]) == (
+            ANSWER_TEXTS.done,
+            "there",
+        )
+        assert await first == (ANSWER_TEXTS.refused, "it does what was commanded later")
         flying = asyncio.create_task(
             told(operator, "fly", 0, **way((-1, 0, 0.6), (-1, 2, 0.6), seconds=8.0))
         )
         await operator.clock.sleep(4.0)
         await operator.order("hold", 0)
-        assert await flying == (REFUSED, "it was held on its way")
+        assert await flying == (ANSWER_TEXTS.refused, "it was held on its way")
         landing = asyncio.create_task(told(operator, "go-to", 0, p=[0.0, 3.0, 0.6]))
         await operator.clock.sleep(0.5)
         await operator.order("land")
-        assert (await landing)[0] == REFUSED
+        assert (await landing)[0] == ANSWER_TEXTS.refused
         assert operator.modes() == [Mode.GROUND] * 3
 
     play(There, scene)
@@ -471,7 +505,7 @@ def test_a_flight_on_command_ends_when_guidance_has_failed_and_says_so():
         assert (
             kind,
             why.startswith("its guidance has failed: RuntimeError: no idea"),
-        ) == (REFUSED, True), why
+        ) == (ANSWER_TEXTS.refused, True), why
         y = operator.pilot(0).state.p[1]
         assert (await told(operator, "go-to", 0, p=[0.0, 3.0, 0.6]))[1].startswith(
             "its guidance has failed: "
@@ -497,12 +531,15 @@ def test_nothing_is_flown_on_command_while_a_stop_is_in_force():
         ):
             kind, why = await told(operator, verb, 1, **arguments)
             assert (kind, why.startswith("emergency stop in force")) == (
-                REFUSED,
+                ANSWER_TEXTS.refused,
                 True,
             ), why
         assert (await flying)[1].startswith("emergency stop in force")
         operator.agent.bus.stopped = False
-        assert await told(operator, "go-to", 1, p=[1.0, 1.0, 0.6]) == (DONE, "there")
+        assert await told(operator, "go-to", 1, p=[1.0, 1.0, 0.6]) == (
+            ANSWER_TEXTS.done,
+            "there",
+        )
         await operator.order("land")
 
     play(There, scene)
@@ -523,7 +560,7 @@ def test_what_cannot_be_flown_is_refused_before_anything_moves():
             (fast | {"durations": "x"}, "float"),
         ):
             kind, why = await told(operator, "fly", 0, **arguments)
-            assert (kind, words in why) == (REFUSED, True), why
+            assert (kind, words in why) == (ANSWER_TEXTS.refused, True), why
         for arguments in (
             {"p": [0.0, 1.0]},
             {"p": [0.0, 1.0, float("nan")]},
@@ -531,7 +568,7 @@ def test_what_cannot_be_flown_is_refused_before_anything_moves():
             {},
         ):
             kind, why = await told(operator, "go-to", 0, **arguments)
-            assert (kind, "go-to" in why) == (REFUSED, True), why
+            assert (kind, "go-to" in why) == (ANSWER_TEXTS.refused, True), why
         await operator.clock.sleep(1.0)
         assert operator.pilot(0).state.p == pytest.approx(before, abs=0.01)
         await operator.order("land")
@@ -543,7 +580,7 @@ def test_a_drone_says_what_each_of_its_links_has_lost_and_what_is_simulated():
     async def scene(operator):
         kind, said = await told(operator, "overview", 0)
         assert (kind, said["links"], said["network"]["rules"], said["route"]) == (
-            DONE,
+            ANSWER_TEXTS.done,
             {},
             [],
             [],
@@ -552,7 +589,7 @@ def test_a_drone_says_what_each_of_its_links_has_lost_and_what_is_simulated():
         await operator.order("take-off")
         kind, said = await told(operator, "overview", 0)
         assert (kind, sorted(said["links"]), said["network"]["rules"]) == (
-            DONE,
+            ANSWER_TEXTS.done,
             [1, 2],
             [{"loss": 0.5}],
         )
@@ -565,13 +602,13 @@ def test_a_drone_says_what_each_of_its_links_has_lost_and_what_is_simulated():
 
 
 def test_a_flight_on_command_puts_off_the_end_of_waiting(monkeypatch):
-    monkeypatch.setattr(base, "PATIENCE", 6.0)
+    monkeypatch.setattr(base, "HELD_FLIGHT_PATIENCE", 6.0)
 
     async def scene(operator):
         await operator.order("take-off", 0)
         for y in (2.0, 0.0, 2.0):
             assert await told(operator, "go-to", 0, p=[0.0, y, 0.6], duration=4.0) == (
-                DONE,
+                ANSWER_TEXTS.done,
                 "there",
             )
         assert operator.pilot(0).mode is Mode.HOVER

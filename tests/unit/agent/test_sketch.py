@@ -5,20 +5,19 @@ import pytest
 
 from crazychoir.agent import sketch
 from crazychoir.agent.sketch import (
-    LOADED,
-    MOST_ROWS,
-    loaded_with_words,
-    messages,
-    planned,
-    saved,
-    shifted,
+    SKETCH_LIMITS,
+    flight_messages,
+    load_with_remarks,
+    plan_sketch,
+    shift_flight,
+    strokes_as_text,
 )
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.dashboard.access import MOST_BODY
-from crazychoir.dashboard.requests import Draw, read
+from crazychoir.dashboard.access import REQUEST_RULES
+from crazychoir.dashboard.requests import Draw, decode_page_message
 from crazychoir.errors import ConfigError
 from crazychoir.planning.drawing.drawing import Pen
-from crazychoir.planning.feasibility import Limits, keeps
+from crazychoir.planning.feasibility import Limits, is_within_limits
 from crazychoir.planning.piecewise import Piecewise
 
 WAVE = tuple((0.02 * k, 0.02 * k, 0.3 * float(np.sin(0.1 * k))) for k in range(100))
@@ -31,10 +30,10 @@ def config_of(**tables):
 
 
 def test_strokes_become_a_flight_within_the_limits_that_were_set():
-    plan = planned(
+    plan = plan_sketch(
         (WAVE, DOWN), Pen(height=1.2, lift=0.3), config_of(), v_max=0.4, a_max=0.8
     )
-    assert keeps(plan.path, Limits(v_max=0.4, a_max=0.8))
+    assert is_within_limits(plan.path, Limits(v_max=0.4, a_max=0.8))
     assert 0.3 < plan.speed <= 0.4
     assert plan.deviation < 0.05
     assert plan.path.sample(0.0).p == pytest.approx([0.0, 0.0, 1.2])
@@ -46,18 +45,18 @@ def test_strokes_become_a_flight_within_the_limits_that_were_set():
 
 def test_more_time_makes_it_slower_and_the_swarm_s_own_limits_count():
     limits = {"v_max": 5.0, "a_max": 9.0}
-    plan = planned((WAVE,), Pen(), config_of(), **limits)
+    plan = plan_sketch((WAVE,), Pen(), config_of(), **limits)
     assert plan.speed <= 1.0
-    slow = planned((WAVE,), Pen(), config_of(), **limits, slower=2.0)
+    slow = plan_sketch((WAVE,), Pen(), config_of(), **limits, slower=2.0)
     assert slow.path.duration == pytest.approx(2.0 * plan.path.duration)
     assert slow.speed == pytest.approx(0.5 * plan.speed, rel=0.02)
 
 
 def test_a_drawing_that_leaves_the_fence_or_is_no_line_is_refused():
     with pytest.raises(ConfigError, match="fence"):
-        planned((WAVE,), Pen(height=9.0), config_of())
+        plan_sketch((WAVE,), Pen(height=9.0), config_of())
     with pytest.raises(ConfigError, match="at least one line"):
-        planned((((0.0, 1.0, 1.0),),), Pen(), config_of())
+        plan_sketch((((0.0, 1.0, 1.0),),), Pen(), config_of())
 
 
 @pytest.mark.parametrize("slower", [0.0, -1.0, 0.99, 20.1, float("nan"), float("inf")])
@@ -65,7 +64,7 @@ def test_no_time_that_is_none_or_less_than_the_limits_ask_for(slower):
     with pytest.raises(
         ConfigError, match=r"drawing: slower: found .*; allowed: 1 to 20 times"
     ):
-        planned((WAVE,), Pen(), config_of(), slower=slower)
+        plan_sketch((WAVE,), Pen(), config_of(), slower=slower)
 
 
 @pytest.fixture
@@ -75,7 +74,7 @@ def unplanned(monkeypatch):
     def drawing(*arguments):
         pytest.fail("planned")
 
-    monkeypatch.setattr(sketch, "drawing", drawing)
+    monkeypatch.setattr(sketch, "plan_drawing", drawing)
 
 
 LONG = [[(0.0, 4.0 * (-1.0) ** k, 0.0) for k in range(25)]]  # 192 m
@@ -101,38 +100,43 @@ LONG = [[(0.0, 4.0 * (-1.0) ** k, 0.0) for k in range(25)]]  # 192 m
             "0 m, which take 1990 s",
         ),
         (LONG + LONG, {}, {"v_max": 1.0}, "384 m; allowed: at most 113 m"),
-        ([[(0.0, 0.0, 0.0)] * (MOST_ROWS + 1)], {}, {}, f"{MOST_ROWS + 1} rows"),
+        (
+            [[(0.0, 0.0, 0.0)] * (SKETCH_LIMITS.most_rows + 1)],
+            {},
+            {},
+            f"{SKETCH_LIMITS.most_rows + 1} rows",
+        ),
     ],
 )
 def test_what_is_far_too_large_is_refused_before_it_is_planned(
     unplanned, strokes, pen, limits, words
 ):
     with pytest.raises(ConfigError, match=words):
-        planned(strokes, Pen(**pen), config_of(), **limits)
+        plan_sketch(strokes, Pen(**pen), config_of(), **limits)
 
 
 def test_a_hand_may_stray_beyond_the_fence_by_what_is_smoothed():
     line = [(0.1 * k, 0.1 * k - 2.0, 3.99) for k in range(30)]
     line[15] = (1.5, -0.5, 4.01)
-    planned([line], Pen(smoothing=0.02), config_of())
+    plan_sketch([line], Pen(smoothing=0.02), config_of())
 
 
 def test_a_drawing_full_of_corners_is_refused_when_its_time_is_known():
     corners = [[(0.0, 0.1 * (k // 2), 0.1 * ((k + 1) // 2)) for k in range(60)]]
     with pytest.raises(ConfigError, match=r"s or more; allowed: at most 90 s"):
-        planned(corners, Pen(), config_of(), a_max=0.02, slower=20.0)
+        plan_sketch(corners, Pen(), config_of(), a_max=0.02, slower=20.0)
 
 
 def test_each_drone_flies_it_beside_the_one_before():
     config = config_of()
-    path = planned((WAVE,), Pen(), config).path
-    told = messages(path, (3, 1), (0.0, 0.5, 0.2), config)
+    path = plan_sketch((WAVE,), Pen(), config).path
+    told = flight_messages(path, (3, 1), (0.0, 0.5, 0.2), config)
     assert list(told) == [3, 1]
     paths = [Piecewise(one["coefficients"], one["durations"]) for one in told.values()]
     away = paths[1].sample(3.0).flat - paths[0].sample(3.0).flat
     assert away == pytest.approx([0.0, 0.5, 0.2, *[0.0] * 11])
     with pytest.raises(ConfigError, match="fence"):
-        messages(path, (3, 1), (0.0, 3.9, 0.0), config)
+        flight_messages(path, (3, 1), (0.0, 3.9, 0.0), config)
 
 
 @pytest.mark.parametrize(
@@ -148,26 +152,33 @@ def test_each_drone_flies_it_beside_the_one_before():
 )
 def test_drones_that_would_fly_into_each_other_are_not_sent(offset, good):
     config = config_of()
-    path = planned((WAVE,), Pen(), config).path
+    path = plan_sketch((WAVE,), Pen(), config).path
     if good:
-        assert len(messages(path, (2, 3), offset, config)) == 2
+        assert len(flight_messages(path, (2, 3), offset, config)) == 2
     else:
         with pytest.raises(
             ConfigError, match=r"offset: .*0\.32 m aside, or 0\.6 m above"
         ):
-            messages(path, (2, 3), offset, config)
-    assert len(messages(path, (0, 1), offset, config)) == 2, (
+            flight_messages(path, (2, 3), offset, config)
+    assert len(flight_messages(path, (0, 1), offset, config)) == 2, (
         "leaders fly it from where they are"
     )
     assert (
-        len(messages(path, (2, 3), offset, config_of(collision={"method": "off"}))) == 2
+        len(
+            flight_messages(
+                path, (2, 3), offset, config_of(collision={"method": "off"})
+            )
+        )
+        == 2
     )
 
 
 def test_strokes_are_saved_and_loaded():
     drawn = [np.array(WAVE), np.array(DOWN)]
     for kind, timed in (("csv", True), ("svg", False)):
-        read, _ = loaded_with_words(saved(drawn, kind), f"Word.{kind.upper()}")
+        read, _ = load_with_remarks(
+            strokes_as_text(drawn, kind), f"Word.{kind.upper()}"
+        )
         for stroke, again in zip(drawn, read, strict=True):
             columns = slice(0 if timed else 1, 3)
             assert np.array(again)[:, columns] == pytest.approx(
@@ -190,7 +201,9 @@ def circles(n, metres, count):
 
 @pytest.mark.parametrize("kind", ["csv", "svg"])
 def test_what_is_loaded_is_thinned_to_what_a_page_may_have_planned(kind):
-    (stroke,), _ = loaded_with_words(saved([circles(6000, 3.0, 1)], kind), f"a.{kind}")
+    (stroke,), _ = load_with_remarks(
+        strokes_as_text([circles(6000, 3.0, 1)], kind), f"a.{kind}"
+    )
     places = np.array(stroke)[:, 1:]
     assert 1000 < len(places) <= 1501, "2 mm apart"
     assert places[[0, -1]] == pytest.approx(np.array([[3.0 / 6.28, 0.0]] * 2), abs=1e-4)
@@ -198,11 +211,11 @@ def test_what_is_loaded_is_thinned_to_what_a_page_may_have_planned(kind):
         circles(7000, 500.0, 20) + np.array([0.0, 0.0, 1e-3 * k])
         for k in range(2 if kind == "csv" else 1)
     ]
-    strokes, _ = loaded_with_words(saved(far, kind), f"a.{kind}")
-    assert 2500 < sum(map(len, strokes)) <= LOADED
+    strokes, _ = load_with_remarks(strokes_as_text(far, kind), f"a.{kind}")
+    assert 2500 < sum(map(len, strokes)) <= SKETCH_LIMITS.loaded_rows
     asked = json.dumps({"ask": "draw", "strokes": strokes})
-    assert len(asked) < MOST_BODY
-    assert isinstance(read(asked), Draw)
+    assert len(asked) < REQUEST_RULES.largest_body
+    assert isinstance(decode_page_message(asked), Draw)
 
 
 def test_a_file_of_very_many_strokes_keeps_both_ends_of_each():
@@ -210,7 +223,7 @@ def test_a_file_of_very_many_strokes_keeps_both_ends_of_each():
         np.array([[0.0, 0.01 * k, 0.0], [0.1, 0.01 * k, 0.1], [0.2, 0.01 * k, 0.2]])
         for k in range(3000)
     ]
-    strokes, _ = loaded_with_words(saved(drawn, "csv"), "a.csv")
+    strokes, _ = load_with_remarks(strokes_as_text(drawn, "csv"), "a.csv")
     assert [len(stroke) for stroke in strokes] == [2] * 3000
 
 
@@ -226,13 +239,13 @@ def test_a_file_of_very_many_strokes_keeps_both_ends_of_each():
 )
 def test_files_that_are_none_are_refused_by_name(name, text, words):
     with pytest.raises(ConfigError, match=words) as raised:
-        loaded_with_words(text, name)
+        load_with_remarks(text, name)
     assert name in str(raised.value)
 
 
 def test_a_path_is_moved_as_a_whole():
-    path = planned((WAVE, DOWN), Pen(), config_of()).path
-    away = shifted(path, (1.0, -2.0, 0.5)).samples(
+    path = plan_sketch((WAVE, DOWN), Pen(), config_of()).path
+    away = shift_flight(path, (1.0, -2.0, 0.5)).samples(
         np.linspace(0, path.duration, 50)
     ) - path.samples(np.linspace(0, path.duration, 50))
     assert np.allclose(away[:, 0:3], [1.0, -2.0, 0.5])

@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 
 from crazychoir.agent.agent import Agent
-from crazychoir.agent.sketch import messages, planned
+from crazychoir.agent.sketch import flight_messages, plan_sketch
 from crazychoir.agent.steering import path_message
-from crazychoir.bus.commands import REFUSED, Commander
-from crazychoir.bus.port import OBSERVER
+from crazychoir.bus.commands import ANSWER_TEXTS, Commander
+from crazychoir.bus.port import PORT_ADDRESSES
 from crazychoir.config.flight_room import ABOVE_FLOOR, flight_room
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.planning.drawing.drawing import Pen
-from crazychoir.planning.spline import spline
+from crazychoir.planning.spline import fit_spline
 from crazychoir.runtime.clock import run_virtual
-from crazychoir.safety.rules.guard import EDGE, INSET, Action, Fence, Guard
+from crazychoir.safety.rules.guard import EDGE_MARGIN, FENCE_INSET, Action, Fence, Guard
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Acceleration, FullState, Goto, State, Velocity
 
@@ -58,7 +58,9 @@ def fly(guidance, config=None, scene=None):
         )
         flying = asyncio.create_task(agent.run())
         if scene is not None:
-            await scene(agent, Commander(agent.bus.port(OBSERVER, 0xF1)))
+            await scene(
+                agent, Commander(agent.bus.port(PORT_ADDRESSES.first_observer, 0xF1))
+            )
         async with asyncio.timeout(300.0):
             return (await flying)[0]
 
@@ -264,8 +266,8 @@ NO_PLACE = {
 }
 INSIDE = {
     "as low as a take-off": [0.0, 0.0, ABOVE_FLOOR],
-    "as high as it may be": [0.0, 0.0, HIGHEST - EDGE],
-    "in a corner": [2.0 - EDGE, EDGE - 2.0, 1.0],
+    "as high as it may be": [0.0, 0.0, HIGHEST - EDGE_MARGIN],
+    "in a corner": [2.0 - EDGE_MARGIN, EDGE_MARGIN - 2.0, 1.0],
     "whole numbers": np.array([1, 0, 1]),
     "a tuple": (0.5, 0, 1),
 }
@@ -294,7 +296,7 @@ def test_a_goal_without_a_yaw_or_a_duration_that_are_numbers_is_refused(options)
 
 
 def way(*places, seconds=8.0):
-    return spline(
+    return fit_spline(
         np.linspace(0.0, seconds, len(places)), np.array(places, dtype=float), degree=7
     )
 
@@ -347,7 +349,7 @@ def test_what_is_inside_the_room_the_guard_never_brakes_and_what_it_brakes_is_ou
         assert is_inside <= (verdict.action is Action.NOMINAL)
         assert is_inside == (guard.room.outside(*place) <= 0.0)
     assert guard.room == Fence(*flight_room(fence.low, fence.high, 0.0))
-    assert guard.room.low[2] == INSET, "as low as a take-off ends"
+    assert guard.room.low[2] == FENCE_INSET, "as low as a take-off ends"
 
 
 def test_a_robot_that_drives_may_be_sent_along_the_floor():
@@ -403,7 +405,7 @@ def test_an_operators_goals_and_paths_are_refused_before_the_drone_moves():
         await commander.request(0, "land", 60.0)
 
     fly(Waits(), scene=scene)
-    assert {answer.kind for answer in heard.values()} == {REFUSED}
+    assert {answer.kind for answer in heard.values()} == {ANSWER_TEXTS.refused}
     for name in OUTSIDE:
         assert "outside the fence" in heard[name].detail
 
@@ -412,10 +414,10 @@ def test_an_operators_goals_and_paths_are_refused_before_the_drone_moves():
 def test_a_drawing_on_the_floor_or_at_the_top_of_the_fence_is_refused(height):
     stroke = [(0.1 * k, 0.05 * k, 0.0) for k in range(20)]
     with pytest.raises(ConfigError, match="fence"):
-        planned([stroke], Pen(height=height), config_of())
-    path = planned([stroke], Pen(height=1.0), config_of()).path
+        plan_sketch([stroke], Pen(height=height), config_of())
+    path = plan_sketch([stroke], Pen(height=1.0), config_of()).path
     with pytest.raises(ConfigError, match="path of drone 0"):
-        messages(
+        flight_messages(
             path,
             (0,),
             (0.0, 0.0, 0.0),

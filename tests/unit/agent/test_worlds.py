@@ -11,20 +11,20 @@ import numpy as np
 import pytest
 
 from crazychoir.agent.agent import Agent
-from crazychoir.agent.worlds import LEFT_ALONE, WorldProcess
-from crazychoir.bus.commands import REFUSED, Commander
-from crazychoir.bus.port import BODIES, OBSERVER
-from crazychoir.bus.topics import TRUTH
-from crazychoir.config.checks import MOTORS
+from crazychoir.agent.worlds import WORLD_OWNER_RULES, WorldProcess
+from crazychoir.bus.commands import ANSWER_TEXTS, Commander
+from crazychoir.bus.port import PORT_ADDRESSES
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.config.checks import WORLD_URIS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.guidance import CFGuidance
-from crazychoir.launch.flight_observer import Score
+from crazychoir.launch.flight_observer import FlightScore
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.simulation import engines
 from crazychoir.simulation.delay import DelayedLink
 from crazychoir.simulation.lightweight.integrator import CFIntegrator
-from crazychoir.simulation.remote import OFF
+from crazychoir.simulation.remote import MOTORS_CUT_TEXT
 
 BRISK = {
     "takeoff_height": 0.5,
@@ -166,7 +166,7 @@ def test_the_truth_comes_from_the_body():
     async def main(clock):
         config = swarm()
         world = WorldProcess(clock, config, "world", "here", 1)
-        score = Score(world.bus, config.ids, source=config.source)
+        score = FlightScore(world.bus, config.ids, source=config.source)
         serving = asyncio.create_task(world.serve(score))
         await clock.sleep(1.0)
         world.end("enough")
@@ -175,8 +175,12 @@ def test_the_truth_comes_from_the_body():
 
     score, ports = run_virtual(main)
     assert score.min_separation == pytest.approx(1.0)
-    assert ports == [BODIES, BODIES + 1, OBSERVER]
-    assert TRUTH.of_body
+    assert ports == [
+        PORT_ADDRESSES.body_offset,
+        PORT_ADDRESSES.body_offset + 1,
+        PORT_ADDRESSES.first_observer,
+    ]
+    assert DRONE_TOPICS.truth.of_body
 
 
 def test_an_owner_that_falls_silent_brings_its_drones_down_with_the_reason_whatever_their_mission_waits_for():
@@ -212,9 +216,14 @@ def test_a_world_that_has_no_delay_of_its_own_gets_the_delay_of_the_swarm_file(
 ):
     monkeypatch.setitem(sys.modules, "foreign", SimpleNamespace(world=Foreign))
     monkeypatch.setitem(
-        engines.OURS, MOTORS, EntryPoint(MOTORS, "foreign:world", "crazychoir.worlds")
+        engines.BUILT_IN_ENGINES,
+        WORLD_URIS.motor_level,
+        EntryPoint(WORLD_URIS.motor_level, "foreign:world", "crazychoir.worlds"),
     )
-    drones = [{"id": i, "home": [float(i), 0.0, 0.0], "uri": MOTORS} for i in range(2)]
+    drones = [
+        {"id": i, "home": [float(i), 0.0, 0.0], "uri": WORLD_URIS.motor_level}
+        for i in range(2)
+    ]
 
     async def main(clock):
         world = WorldProcess(
@@ -265,18 +274,20 @@ def test_an_emergency_stop_reaches_the_body_whatever_its_agent_goes_on_to_send()
     seen = {}
 
     async def meanwhile(clock, world, agent, wires):
-        operator = Commander(world.bus.port(OBSERVER + 1))
+        operator = Commander(world.bus.port(PORT_ADDRESSES.first_observer + 1))
         await clock.sleep(2.5)
-        refused = await operator.request(BODIES, "land")
+        refused = await operator.request(PORT_ADDRESSES.body_offset, "land")
         seen.update(
             refused=refused.kind,
-            missing=await operator.emergency_stop([BODIES], deadline=1.0),
+            missing=await operator.emergency_stop(
+                [PORT_ADDRESSES.body_offset], deadline=1.0
+            ),
         )
         await clock.sleep(0.2)
         seen.update({i: world.owners[0].world.state(i).v[2] for i in (0, 1)})
 
     results, _ = fly(swarm(), meanwhile=meanwhile)
-    assert (seen["refused"], seen["missing"]) == (REFUSED, [])
+    assert (seen["refused"], seen["missing"]) == (ANSWER_TEXTS.refused, [])
     assert seen[0] < -1.0 < -0.1 < seen[1], "drone 0 falls, drone 1 flies on"
     assert [result["success"] for result in results.values()] == [False, True]
 
@@ -311,7 +322,10 @@ async def started_again(clock, config):
 
 @pytest.mark.parametrize("sender", ["fpqr", "xyz"])
 def test_an_agent_that_is_started_again_lands_a_drone_that_is_in_the_air(sender):
-    drones = [{"id": i, "home": [float(i), 0.0, 0.0], "uri": MOTORS} for i in range(2)]
+    drones = [
+        {"id": i, "home": [float(i), 0.0, 0.0], "uri": WORLD_URIS.motor_level}
+        for i in range(2)
+    ]
     flight = BRISK | {"speed_limit": 0.9}
     tables = (
         {"drones": drones, "flight": flight, "control": {"sender": sender}}
@@ -352,15 +366,18 @@ def test_an_agent_that_is_started_again_hears_that_the_motors_were_cut_and_takes
             ]
 
     results, problems = run_virtual(main)
-    assert OFF in results[1]["reason"], results
-    assert problems == [[], [OFF]]
+    assert MOTORS_CUT_TEXT in results[1]["reason"], results
+    assert problems == [[], [MOTORS_CUT_TEXT]]
 
 
 @pytest.mark.parametrize("length", [0.6, 1.2, 1.8, 2.4, 3.6])
 def test_who_is_cut_off_from_its_body_lets_its_firmware_land_it_and_does_so_where_it_sees_it_again(
     length,
 ):
-    drones = [{"id": i, "home": [float(i), 0.0, 0.0], "uri": MOTORS} for i in range(2)]
+    drones = [
+        {"id": i, "home": [float(i), 0.0, 0.0], "uri": WORLD_URIS.motor_level}
+        for i in range(2)
+    ]
     config = swarm(
         drones=drones, flight=BRISK | {"takeoff_height": 1.2, "landing_speed": 0.4}
     )
@@ -413,7 +430,7 @@ def test_the_owner_ends_when_nobody_flies_any_more(caplog):
     assert all(result["success"] for result in results.values()), (
         "they saw the floor when they landed"
     )
-    assert later > 2.0 + LEFT_ALONE
+    assert later > 2.0 + WORLD_OWNER_RULES.silence_limit
     said = [
         record.getMessage()
         for record in caplog.records
@@ -467,7 +484,7 @@ def test_an_owner_that_cannot_go_on_ends_with_the_reason(how, caplog):
 def test_the_cameras_of_a_world_see_its_drones_tilted_as_the_swarm_file_says():
     """All of [mocap] reaches them, and the pose that the drone's own estimator is told is tilted too."""
     mocap = {"noise": 0.0, "noise_angle": 0.0, "tilt": [0.02, -0.03]}
-    drone = {"id": 0, "home": [0.0, 0.0, 0.0], "uri": MOTORS}
+    drone = {"id": 0, "home": [0.0, 0.0, 0.0], "uri": WORLD_URIS.motor_level}
     config = SwarmConfig.of({"name": "a", "drones": [drone], "mocap": mocap})
 
     async def main(clock):

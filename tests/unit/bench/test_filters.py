@@ -3,10 +3,20 @@ import math
 import numpy as np
 import pytest
 
-from crazychoir.bench.filters import OFF, RATES, Original, run, table, truth
-from crazychoir.filters.motion import RATE_LAG, Commanded
-from crazychoir.numerics.math3d import conjugate, logarithm, product
-from crazychoir.platforms import PAPER
+from crazychoir.bench.filters import (
+    FILTER_BENCH,
+    OriginalFilter,
+    run,
+    table,
+    true_state,
+)
+from crazychoir.filters.motion import RATE_LAG, CommandedMotion
+from crazychoir.numerics.math3d import (
+    quaternion_conjugate,
+    quaternion_product,
+    rotation_logarithm,
+)
+from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.types import Pose
 
 
@@ -25,7 +35,7 @@ def test_the_kalman_filter_reaches_its_accuracy_with_noise_dropouts_and_a_thrust
     assert rows["kalman", rate]["angular_rmse_rad_s"] <= rad_s
 
 
-@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("rate", FILTER_BENCH.pose_rates)
 def test_each_filter_is_better_than_the_one_before(rows, rate):
     for figure in ("velocity_rmse_mm_s", "angular_rmse_rad_s"):
         best = [
@@ -41,13 +51,17 @@ def test_it_is_shown(rows):
 
 @pytest.mark.parametrize("t", [0.0, 2.7, 7.1])
 def test_the_truth_obeys_the_dynamics_under_what_it_flies(t):
-    (x, u), (after, _) = truth(t), truth(t + 1e-3)
-    u[0] /= OFF
-    flown = Commanded(PAPER.flat, -math.inf).after(x, u, 1e-3)
+    (x, u), (after, _) = true_state(t), true_state(t + 1e-3)
+    u[0] /= FILTER_BENCH.thrust_factor
+    flown = CommandedMotion(PAPER_PLATFORM.flat, -math.inf).after(x, u, 1e-3)
     np.testing.assert_allclose(flown[:6], after[:6], atol=1e-5)
     assert (
         np.linalg.norm(
-            logarithm(product(conjugate(tuple(flown[6:10])), tuple(after[6:10])))
+            rotation_logarithm(
+                quaternion_product(
+                    quaternion_conjugate(tuple(flown[6:10])), tuple(after[6:10])
+                )
+            )
         )
         < 1e-5
     )
@@ -57,7 +71,7 @@ def test_the_truth_obeys_the_dynamics_under_what_it_flies(t):
 def test_the_peer_is_the_original_difference_equation():
     """v_k = 0.6 v_k-1 + 40 (p_k - p_k-1): right at 100 Hz, half of it at 200; a heading that passes pi is a spike."""
     for h, gain in ((0.01, 1.0), (0.005, 0.5)):
-        peer = Original()
+        peer = OriginalFilter()
         for k in range(60):
             v, _ = peer.told(
                 Pose(np.array([0.7 * h * k, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])),

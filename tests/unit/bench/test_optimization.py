@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from crazychoir.bench import optimization as bench_optimization
-from crazychoir.bench.optimization import PATTERN, ratios
+from crazychoir.bench.optimization import DISROPT_PATTERN, ratios
 from crazychoir.bench.peers import mpi4py_rounds as peers_mpi4py_rounds
 from crazychoir.bench.peers import optimization as peers_optimization
 from crazychoir.solve.simulate import simulate
@@ -31,9 +31,9 @@ def test_ratios_take_the_better_of_ours():
     rows = [
         row("crazychoir", "consensus", 10, 300.0),
         row("crazychoir", "consensus", 10, 500.0),
-        row(PATTERN, "consensus", 10, 50.0),
+        row(DISROPT_PATTERN, "consensus", 10, 50.0),
         row("crazychoir", "dual decomposition", 20, 90.0),
-        row(PATTERN, "dual decomposition", 20, None),
+        row(DISROPT_PATTERN, "dual decomposition", 20, None),
     ]
     assert ratios(rows) == [
         {"agents": 10, "algorithm": "consensus", "ratio": 10.0, "promised": 10.0},
@@ -50,7 +50,7 @@ def test_the_table_fits_into_80_columns_a_line_a_row():
     rows = [
         row(name, "dual decomposition", 20, 12345.6)
         | {"processes": 20, "cpu_us_per_message": 1234.5}
-        for name in ("crazychoir", PATTERN)
+        for name in ("crazychoir", DISROPT_PATTERN)
     ]
     console = Console(width=80, file=io.StringIO())
     console.print(bench_optimization.table({"rows": rows, "ratios": ratios(rows)}))

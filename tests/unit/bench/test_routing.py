@@ -13,20 +13,20 @@ from crazychoir.bench import significance as bench_statistics
 from crazychoir.bench.peers import disropt_peer as peers_disropt
 from crazychoir.bench.peers import routing as peers_routing
 from crazychoir.bench.routing import (
-    OURS,
-    PEERS,
-    SIZES,
-    instances,
-    judged,
-    measured,
-    rated,
+    INSTANCE_SIZES,
+    PEER_SOLVERS,
+    TEAM_ROW,
+    judge_answer,
+    measure_peer,
+    parse_sizes,
+    rate_rows,
     summary,
 )
 from crazychoir.cli.compute import bench
 from crazychoir.errors import ConfigError
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.routing.pricing.route_table import Column
-from crazychoir.solve.team import best_so_far, critical_path
+from crazychoir.routing.pricing.route_table import RouteColumn
+from crazychoir.solve.team import compute_critical_path, merge_best_points
 
 
 @pytest.fixture
@@ -57,7 +57,7 @@ def answer(stops, **more):
 
 
 def test_the_cost_of_a_peer_is_that_of_its_routes_as_they_are_flown(instance):
-    row = judged(instance, answer({0: [0, 2], 1: [1, 3]}))
+    row = judge_answer(instance, answer({0: [0, 2], 1: [1, 3]}))
     assert row["cost"] == pytest.approx(24.0)
     assert row["feasible"]
     assert row["curve"] == [[0.5, 30.0], [1.0, 24.0]]
@@ -74,22 +74,24 @@ def test_the_cost_of_a_peer_is_that_of_its_routes_as_they_are_flown(instance):
     ],
 )
 def test_what_is_wrong_with_a_plan_is_said(instance, routes, fault):
-    row = judged(instance, answer(routes))
+    row = judge_answer(instance, answer(routes))
     assert not row["feasible"]
     assert fault in row["note"]
 
 
 def test_a_model_that_covers_may_serve_twice_but_not_leave_out(instance):
-    twice = judged(instance, answer({0: [0, 2, 1, 3], 1: [1, 3]}), covers=True)
+    twice = judge_answer(instance, answer({0: [0, 2, 1, 3], 1: [1, 3]}), covers=True)
     assert twice["feasible"]
     assert "1 tasks are served by several" in twice["note"]
     long = 3.0 + 4.0 + math.dist((3, 4), (7, 0)) + 4.0 + math.dist((7, 4), (0, 0))
     assert twice["cost"] == pytest.approx(12.0 + long)
-    assert not judged(instance, answer({0: [0, 2], 1: [0, 2]}), covers=True)["feasible"]
+    assert not judge_answer(instance, answer({0: [0, 2], 1: [0, 2]}), covers=True)[
+        "feasible"
+    ]
 
 
 def test_a_solver_without_a_plan_is_a_row_with_its_word(instance):
-    row = judged(instance, answer({}, routes=None, note="no proof"))
+    row = judge_answer(instance, answer({}, routes=None, note="no proof"))
     assert (row["cost"], row["feasible"], row["note"], row["wall_s"]) == (
         None,
         False,
@@ -101,7 +103,7 @@ def test_a_solver_without_a_plan_is_a_row_with_its_word(instance):
 def test_a_peer_that_is_not_installed_says_how_to(instance, monkeypatch):
     monkeypatch.setattr(bench_routing.importlib.util, "find_spec", lambda name: None)
     assert (
-        measured(instance, PEERS[0], {})["note"]
+        measure_peer(instance, PEER_SOLVERS[0], {})["note"]
         == "not measured: pip install crazychoir[bench]"
     )
 
@@ -126,19 +128,19 @@ def row(name, seed, cost, bound=None, **more):
 
 
 def test_gaps_are_to_the_optimum_where_it_is_proven_and_else_to_the_best_exact_bound():
-    proven = rated(
-        [row(OURS, 1, 20.0, 20.0), row("VROOM", 1, 21.0), row("MILP", 1, None)]
+    proven = rate_rows(
+        [row(TEAM_ROW, 1, 20.0, 20.0), row("VROOM", 1, 21.0), row("MILP", 1, None)]
     )
     assert [one["reference"] for one in proven] == ["optimum"] * 3
     assert [one["gap_percent"] for one in proven] == [0.0, pytest.approx(5.0), None]
-    bounded = rated([row(OURS, 1, 22.0, 20.0), row("VROOM", 1, 21.0, 19.0)])
+    bounded = rate_rows([row(TEAM_ROW, 1, 22.0, 20.0), row("VROOM", 1, 21.0, 19.0)])
     assert bounded[0]["reference"] == "bound"
     assert bounded[0]["gap_percent"] == pytest.approx(10.0)
-    broken = rated([row(OURS, 1, 22.0, 20.0), row("VROOM", 1, 19.0)])
+    broken = rate_rows([row(TEAM_ROW, 1, 22.0, 20.0), row("VROOM", 1, 19.0)])
     assert [(one["reference"], one["gap_percent"]) for one in broken] == [
         ("broken bound", None)
     ] * 2
-    relaxed = rated([row(OURS, 1, 22.0, 20.0, bound_exact=False)])
+    relaxed = rate_rows([row(TEAM_ROW, 1, 22.0, 20.0, bound_exact=False)])
     assert relaxed[0]["gap_percent"] is None
 
 
@@ -147,9 +149,9 @@ def test_the_summary_compares_on_instances_that_both_have_solved():
     for seed, (ours, theirs) in enumerate(
         [(10.0, 11.0), (10.0, 12.0), (10.0, 10.0), (10.0, None), (10.0, 9.5)]
     ):
-        rows += rated(
+        rows += rate_rows(
             [
-                row(OURS, seed, ours, 9.0 if seed == 4 else 10.0),
+                row(TEAM_ROW, seed, ours, 9.0 if seed == 4 else 10.0),
                 row("VROOM", seed, theirs),
             ]
         )
@@ -188,12 +190,14 @@ def printed(rows, width=80):
 
 def test_the_table_of_all_sizes_and_solvers_fits_into_80_columns():
     rows = []
-    for size, seed in ((size, seed) for size in SIZES for seed in range(1, 21)):
+    for size, seed in (
+        (size, seed) for size in INSTANCE_SIZES for seed in range(1, 21)
+    ):
         names = [
-            OURS,
-            *bench_routing.RIVALS,
-            *(peer.name for peer in PEERS),
-            bench_routing.PROOF,
+            TEAM_ROW,
+            *bench_routing.ROUTING_BENCH.rival_methods,
+            *(peer.name for peer in PEER_SOLVERS),
+            bench_routing.PROOF_ROW,
         ]
         large = {
             "size": size,
@@ -202,7 +206,7 @@ def test_the_table_of_all_sizes_and_solvers_fits_into_80_columns():
             "critical_path_s": 123.456,
         }
         costs = [1234.567 + seed + n**2 for n in range(len(names))]
-        rows += rated(
+        rows += rate_rows(
             [
                 row(name, seed, cost, 1111.1, **large)
                 for name, cost in zip(names, costs, strict=True)
@@ -234,13 +238,16 @@ def test_the_table_of_all_sizes_and_solvers_fits_into_80_columns():
 @pytest.mark.parametrize(
     ("sizes", "found"),
     [
-        (bench_routing.DEFAULT, {"small": 20, "middle": 5, "large": 5}),
+        (
+            bench_routing.ROUTING_BENCH.default_sizes,
+            {"small": 20, "middle": 5, "large": 5},
+        ),
         ("small,large:2", {"small": 20, "large": 2}),
         (" tiny:1 , middle", {"tiny": 1, "middle": 5}),
     ],
 )
 def test_each_size_has_its_number_of_instances(sizes, found):
-    assert instances(sizes) == found
+    assert parse_sizes(sizes) == found
 
 
 @pytest.mark.parametrize(
@@ -252,20 +259,20 @@ def test_sizes_that_are_none_are_refused(sizes):
         ConfigError,
         match=r"^--sizes: found .*; allowed: .* As small:20,middle:5,large:5\.",
     ):
-        instances(sizes)
+        parse_sizes(sizes)
 
 
 @pytest.mark.parametrize("prove", [False, True])
 def test_a_run_is_of_all_instances_and_proves_all_that_it_can(monkeypatch, prove):
     def rows(size, seed, *more):
         more[-1](f"{size} {seed}")
-        return [row(OURS, seed, 9.0, 9.0, size=size)]
+        return [row(TEAM_ROW, seed, 9.0, 9.0, size=size)]
 
     said = []
     monkeypatch.setattr(bench_routing, "_rows", rows)
     monkeypatch.setattr(
         bench_routing,
-        "_proof",
+        "_prove_with_team",
         lambda size, seed, *more: row("proof", seed, 9.0, 9.0, size=size),
     )
     found = Counter(
@@ -276,7 +283,7 @@ def test_a_run_is_of_all_instances_and_proves_all_that_it_can(monkeypatch, prove
         "instance 1 of 30: small 1",
         "instance 30 of 30: large 5",
     )
-    ours = {("small", OURS): 20, ("middle", OURS): 5, ("large", OURS): 5}
+    ours = {("small", TEAM_ROW): 20, ("middle", TEAM_ROW): 5, ("large", TEAM_ROW): 5}
     assert found == (
         ours | {("small", "proof"): 20, ("middle", "proof"): 5} if prove else ours
     )
@@ -299,7 +306,7 @@ def test_a_bench_says_what_it_measures_on_lines_where_nobody_looks_on(
     monkeypatch, terminal
 ):
     console = Console(file=io.StringIO(), force_terminal=terminal, width=80)
-    monkeypatch.setattr(bench, "STDERR", console)
+    monkeypatch.setattr(bench, "ERROR_CONSOLE", console)
 
     def measure(say):
         say("small 1: [VROOM]")
@@ -319,10 +326,10 @@ def test_the_paired_test_is_that_of_wilcoxon():
         np.array([10.0, 11.0, 12.0, 13.0, 14.0]),
         np.array([1.0, 2.0, 3.0, 4.0, 5.0]),
     )
-    found = bench_statistics.paired(ours, ours + gain)
+    found = bench_statistics.compare_pairs(ours, ours + gain)
     assert found["p"] == pytest.approx(2.0**-5)
-    assert bench_statistics.paired(ours, ours - gain)["p"] == 1.0
-    assert bench_statistics.paired(ours, ours)["p"] is None
+    assert bench_statistics.compare_pairs(ours, ours - gain)["p"] == 1.0
+    assert bench_statistics.compare_pairs(ours, ours)["p"] is None
 
 
 def test_the_spread_has_quartiles():
@@ -336,11 +343,11 @@ def test_the_spread_has_quartiles():
 
 
 def test_the_critical_path_adds_the_slowest_of_each_round_and_the_empty_rounds():
-    assert critical_path([0.5, 0.25], 0.125) == 0.875
+    assert compute_critical_path([0.5, 0.25], 0.125) == 0.875
 
 
 def test_the_curve_of_a_team_falls():
-    assert best_so_far([[2.0, 9.0], [1.0, 10.0], [1.5, 11.0], [3.0, 9.0]]) == [
+    assert merge_best_points([[2.0, 9.0], [1.0, 10.0], [1.5, 11.0], [3.0, 9.0]]) == [
         [1.0, 10.0],
         [2.0, 9.0],
     ]
@@ -348,16 +355,21 @@ def test_the_curve_of_a_team_falls():
 
 def test_disropts_rule_serves_what_it_has_a_share_of_as_far_as_a_route_does():
     columns = [
-        Column(0.0, ()),
-        Column(5.0, (0,)),
-        Column(6.0, (1,)),
-        Column(7.0, (0, 2)),
-        Column(9.0, (0, 1)),
+        RouteColumn(0.0, ()),
+        RouteColumn(5.0, (0,)),
+        RouteColumn(6.0, (1,)),
+        RouteColumn(7.0, (0, 2)),
+        RouteColumn(9.0, (0, 1)),
     ]
-    assert peers_disropt.served(np.array([0.0, 0.0, 0.0]), columns) == ()
-    assert peers_disropt.served(np.array([0.1, 0.0, 0.0]), columns) == (0,)
-    assert peers_disropt.served(np.array([0.3, 0.2, 0.0]), columns) == (0, 1)
-    assert peers_disropt.served(np.array([0.3, 0.1, 0.2]), columns) == (
+    assert peers_disropt.first_serving_column(np.array([0.0, 0.0, 0.0]), columns) == ()
+    assert peers_disropt.first_serving_column(np.array([0.1, 0.0, 0.0]), columns) == (
+        0,
+    )
+    assert peers_disropt.first_serving_column(np.array([0.3, 0.2, 0.0]), columns) == (
+        0,
+        1,
+    )
+    assert peers_disropt.first_serving_column(np.array([0.3, 0.1, 0.2]), columns) == (
         0,
         2,
     )  # no route has all: rho = 0.1

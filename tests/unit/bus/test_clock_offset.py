@@ -5,7 +5,12 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from crazychoir.bus.clock_offset import DRIFT, SAMPLES, Estimate, Offset
+from crazychoir.bus.clock_offset import (
+    CLOCK_DRIFT,
+    OFFSET_SAMPLES,
+    ClockOffset,
+    OffsetEstimate,
+)
 from crazychoir.bus.codec import encode
 from crazychoir.errors import CodecError
 
@@ -34,7 +39,7 @@ class Pair:
     skew: int
     gain: float = 0.0
     now: int = 5 * SECOND
-    offset: Offset = field(default_factory=Offset)
+    offset: ClockOffset = field(default_factory=ClockOffset)
 
     def theirs(self, ns: int) -> int:
         return ns + self.skew + round(self.gain * ns / SECOND)
@@ -44,14 +49,14 @@ class Pair:
         question = self.offset.ask(self.now)
         arrives = self.now + round(there * SECOND)
         leaves = arrives + round(held * SECOND)
-        answer = Offset().hear(question, self.theirs(arrives), self.theirs(leaves))
+        answer = ClockOffset().hear(question, self.theirs(arrives), self.theirs(leaves))
         self.now = leaves + round(back * SECOND)
         assert self.offset.hear(answer, self.now, self.now) is None
 
     def wait(self, seconds: float) -> None:
         self.now += round(seconds * SECOND)
 
-    def found(self) -> Estimate:
+    def found(self) -> OffsetEstimate:
         return self.offset.estimate(self.now)
 
     def wrong(self) -> float:
@@ -76,7 +81,7 @@ def test_a_way_in_one_direction_alone_is_as_wrong_as_the_error_says_and_no_more(
 def test_the_estimate_is_within_its_error_over_ways_that_differ_and_clocks_that_drift():
     """Ten minutes of ways of 0.2 to 20 ms, in both directions apart."""
     chance = np.random.default_rng(3)
-    for gain in (-DRIFT, 0.0, 0.99 * DRIFT):
+    for gain in (-CLOCK_DRIFT, 0.0, 0.99 * CLOCK_DRIFT):
         pair = Pair(skew=1000 * SECOND, gain=gain * SECOND)
         for _ in range(600):
             pair.ask(*(0.0002 + 0.02 * chance.random() ** 4 for _ in range(3)))
@@ -89,12 +94,12 @@ def test_the_estimate_is_within_its_error_over_ways_that_differ_and_clocks_that_
 def test_the_shortest_way_counts_until_its_age_outweighs_it_or_it_is_forgotten():
     pair = Pair(skew=0)
     pair.ask(0.001, 0.0, 0.001)
-    for _ in range(SAMPLES - 1):
+    for _ in range(OFFSET_SAMPLES - 1):
         pair.wait(1.0)
         pair.ask(0.05, 0.0, 0.03)
         assert pair.found().offset == pytest.approx(0.0, abs=1e-9)
     assert pair.found().error == pytest.approx(
-        0.001 + DRIFT * pair.now / SECOND, abs=2e-4
+        0.001 + CLOCK_DRIFT * pair.now / SECOND, abs=2e-4
     )
     pair.ask(0.05, 0.0, 0.03)
     assert pair.found().offset == pytest.approx(0.01, abs=1e-9), (
@@ -113,25 +118,25 @@ def test_another_clock_is_noticed_at_its_first_answer():
 
 def test_a_late_answer_a_second_one_and_one_to_nobody_do_not_count():
     pair = Pair(skew=0)
-    late = Offset().hear(pair.offset.ask(100), 200, 200)
+    late = ClockOffset().hear(pair.offset.ask(100), 200, 200)
     question = pair.offset.ask(1000)
     pair.offset.hear(late, 1400, 1400)
     assert pair.offset.estimate(1400) is None
-    answer = Offset().hear(question, 1100, 1100)
+    answer = ClockOffset().hear(question, 1100, 1100)
     pair.offset.hear(answer, 1200, 1200)
     pair.offset.hear(answer, 9000, 9000)
     pair.offset.hear(encode([1, 2, 2]), 9000, 9000)
-    assert pair.offset.estimate(1200) == Estimate(0.0, 1e-7)
+    assert pair.offset.estimate(1200) == OffsetEstimate(0.0, 1e-7)
 
 
 @pytest.mark.parametrize("said", NONSENSE)
 def test_what_is_neither_question_nor_answer_is_refused_and_changes_nothing(said):
-    offset = Offset()
+    offset = ClockOffset()
     question = offset.ask(1000)
     with pytest.raises(CodecError):
         offset.hear(encode(said), 2000, 2000)
     with pytest.raises(CodecError):
         offset.hear(b"\xff", 2000, 2000)
     assert offset.estimate(2000) is None
-    offset.hear(Offset().hear(question, 50, 50), 2000, 2000)
+    offset.hear(ClockOffset().hear(question, 50, 50), 2000, 2000)
     assert offset.estimate(2000) is not None

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from crazychoir.bus import codec
-from crazychoir.bus.array_codec import ARRAY, DTYPES
+from crazychoir.bus.array_codec import PAYLOAD_FORMAT, ArrayPayload
 from crazychoir.bus.codec import MAX_DEPTH, decode, encode, register
 from crazychoir.errors import CodecError
 from crazychoir.types import (
@@ -63,7 +63,9 @@ def same(sent, got):
 
 
 INTS = st.integers(-(2**63), 2**64 - 1)
-ARRAYS = st.sampled_from([np.dtype(name) for name in DTYPES]).flatmap(
+ARRAYS = st.sampled_from(
+    [np.dtype(name) for name in PAYLOAD_FORMAT.dtype_names]
+).flatmap(
     lambda dtype: hnp.arrays(
         dtype, hnp.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=4)
     )
@@ -126,7 +128,7 @@ def test_random_bytes_raise_nothing_but_codec_error(data):
         encode(value)
 
 
-@pytest.mark.parametrize("name", DTYPES)
+@pytest.mark.parametrize("name", PAYLOAD_FORMAT.dtype_names)
 def test_arrays_of_every_dtype_order_and_layout(name):
     array = np.arange(24).astype(name).reshape(2, 3, 4)
     for variant in (
@@ -251,13 +253,13 @@ def test_containers_nest_to_the_limit_and_no_further():
         b"\x41\x00",
         b"\x42" + bytes(6),
         b"\x42" + bytes(8),
-        struct.pack("<BBB5xQ", ARRAY, 0, 1, 2**61 + 1) + bytes(8),
-        struct.pack("<BBB5x4Q", ARRAY, 0, 4, 2**16, 2**16, 2**16, 2**16),
-        struct.pack("<BBB5x3Q", ARRAY, 0, 3, 0, 2**62, 2**62),
-        struct.pack("<BBB5xQ", ARRAY, 0, 9, 1) + bytes(80),
-        struct.pack("<BBB5xQ", ARRAY, 10, 1, 1) + bytes(8),
-        struct.pack("<BBB5xQ", ARRAY, 9, 1, 1) + b"\x02",
-        struct.pack("<BBB5xQ", ARRAY, 0, 1, 1) + bytes(16),
+        struct.pack("<BBB5xQ", ArrayPayload.ARRAY, 0, 1, 2**61 + 1) + bytes(8),
+        struct.pack("<BBB5x4Q", ArrayPayload.ARRAY, 0, 4, 2**16, 2**16, 2**16, 2**16),
+        struct.pack("<BBB5x3Q", ArrayPayload.ARRAY, 0, 3, 0, 2**62, 2**62),
+        struct.pack("<BBB5xQ", ArrayPayload.ARRAY, 0, 9, 1) + bytes(80),
+        struct.pack("<BBB5xQ", ArrayPayload.ARRAY, 10, 1, 1) + bytes(8),
+        struct.pack("<BBB5xQ", ArrayPayload.ARRAY, 9, 1, 1) + b"\x02",
+        struct.pack("<BBB5xQ", ArrayPayload.ARRAY, 0, 1, 1) + bytes(16),
         encode(State.at([1, 2, 3]))[:-8],
         encode(State.at([1, 2, 3])) + bytes(8),
         b"\x56\x91\x01",
@@ -314,11 +316,11 @@ class Nest(Wire, frozen=True, array_like=True, gc=False):
 
 @pytest.fixture
 def layouts(monkeypatch):
-    monkeypatch.setitem(codec.LAYOUTS, "Track", (63, 0))
-    monkeypatch.setitem(codec.LAYOUTS, "Vague", (62, 0))
-    monkeypatch.setitem(codec.LAYOUTS, "Nest", (61, 0))
-    monkeypatch.setattr(codec, "_ENCODERS", dict(codec._ENCODERS))
-    monkeypatch.setattr(codec, "_DECODERS", list(codec._DECODERS))
+    monkeypatch.setitem(codec.WIRE_LAYOUTS, "Track", (63, 0))
+    monkeypatch.setitem(codec.WIRE_LAYOUTS, "Vague", (62, 0))
+    monkeypatch.setitem(codec.WIRE_LAYOUTS, "Nest", (61, 0))
+    monkeypatch.setattr(codec, "_encoder_by_type", dict(codec._encoder_by_type))
+    monkeypatch.setattr(codec, "_decoder_by_kind", list(codec._decoder_by_kind))
 
 
 def test_a_wire_type_registers_under_its_own_number(layouts):
@@ -365,7 +367,7 @@ def test_numbers_on_the_wire_do_not_change():
     assert encode(
         State(np.arange(13.0), 4.0, np.array([5.0, 6.0, 7.0]))
     ) == b"\x51" + bytes(7) + struct.pack("<17d", 4, *range(13), 5, 6, 7)
-    assert {name: tag for name, (tag, *_) in codec.LAYOUTS.items()} == {
+    assert {name: tag for name, (tag, *_) in codec.WIRE_LAYOUTS.items()} == {
         "Pose": 16,
         "State": 17,
         "Acceleration": 18,

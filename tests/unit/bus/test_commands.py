@@ -8,15 +8,13 @@ from virtual_time import virtual
 from crazychoir.bus import commands
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.commands import (
-    ACCEPTED,
-    DONE,
-    REFUSED,
+    ANSWER_TEXTS,
     Answer,
     Commander,
     CommandServer,
 )
-from crazychoir.bus.port import OBSERVER, Bus
-from crazychoir.bus.topics import ANSWER, ESTOP, REQUEST
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.errors import Refused
 
 
@@ -26,7 +24,7 @@ class Swarm:
     def __init__(self, clock, *ids, execute=None):
         self.clock = clock
         self.bus = Bus(clock)
-        self.operator = Commander(self.bus.port(OBSERVER, 0xF1))
+        self.operator = Commander(self.bus.port(PORT_ADDRESSES.first_observer, 0xF1))
         self.done, self.stops = [], []
         self.execute = execute or self.note
         self.servers = {i: self.serve(i) for i in ids}
@@ -55,14 +53,22 @@ def losing(port, lose):
 
 
 def ask(server, body, number=1, channel="f1", age=0.0):
-    server.port.deliver(REQUEST.number, OBSERVER, body, number, channel, 0, age)
+    server.port.deliver(
+        MESSAGE_TOPICS.request.number,
+        PORT_ADDRESSES.first_observer,
+        body,
+        number,
+        channel,
+        0,
+        age,
+    )
 
 
 @virtual
 async def test_a_request_is_done_and_answered(clock):
     swarm = Swarm(clock, 1, 2)
     answer = await swarm.operator.request(2, "go", height=1.5, path=[1, 2])
-    assert answer == Answer(2, DONE, 1)
+    assert answer == Answer(2, ANSWER_TEXTS.done, 1)
     assert swarm.done == [("go", {"height": 1.5, "path": [1, 2]})]
     assert clock.now() == 0.0
 
@@ -75,10 +81,12 @@ async def test_a_request_is_accepted_at_once_and_done_later(clock):
 
     swarm = Swarm(clock, 1, execute=slowly)
     came = losing(swarm.operator.port, lambda *message: False)
-    assert await swarm.operator.request(1, "go") == Answer(1, DONE, "there")
+    assert await swarm.operator.request(1, "go") == Answer(
+        1, ANSWER_TEXTS.done, "there"
+    )
     kinds = [decode(payload)[0] for _, payload in came]
-    assert kinds[0] == ACCEPTED
-    assert kinds.count(DONE) == 1
+    assert kinds[0] == ANSWER_TEXTS.accepted
+    assert kinds.count(ANSWER_TEXTS.done) == 1
     assert clock.now() == 2.0
 
 
@@ -90,9 +98,11 @@ async def test_refusals_carry_their_reason(clock):
         raise KeyError("height")
 
     swarm = Swarm(clock, 1, execute=refuse)
-    assert await swarm.operator.request(1, "fly") == Answer(1, REFUSED, "battery low")
+    assert await swarm.operator.request(1, "fly") == Answer(
+        1, ANSWER_TEXTS.refused, "battery low"
+    )
     assert await swarm.operator.request(1, "go") == Answer(
-        1, REFUSED, "KeyError: 'height'"
+        1, ANSWER_TEXTS.refused, "KeyError: 'height'"
     )
 
 
@@ -102,7 +112,7 @@ async def test_a_result_that_cannot_travel_is_a_refusal(clock):
         return object()
 
     answer = await Swarm(clock, 1, execute=strange).operator.request(1, "go")
-    assert answer.kind == REFUSED
+    assert answer.kind == ANSWER_TEXTS.refused
     assert "CodecError" in answer.detail
 
 
@@ -136,7 +146,7 @@ async def test_under_loss_requests_are_resent_and_executed_once(clock):
     for k in range(60):
         answer = await swarm.operator.request(1 + k % 3, "step", deadline=10.0, k=k)
         wanted.append(("step", {"k": k}))
-        assert (answer.kind, answer.detail) == (DONE, k + 1)
+        assert (answer.kind, answer.detail) == (ANSWER_TEXTS.done, k + 1)
     assert swarm.done == wanted
     assert clock.now() > 3.0
 
@@ -152,13 +162,13 @@ async def test_a_repeat_while_it_runs_is_accepted_and_not_started_again(clock):
     for number in range(2):
         ask(server, encode(["go", {}, 5.0]), number)
     await clock.sleep(0.5)
-    for number in range(100, 101 + commands.REMEMBERED):
+    for number in range(100, 101 + commands.REQUEST_RULES.remembered_answers):
         ask(server, encode(["late", {}, -1.0]), number)
     ask(server, encode(["go", {}, 5.0]), 0)
     await clock.sleep(2.0)
     assert begun == ["go", "go"]
     assert server._running == {}
-    assert len(server._answers) <= commands.REMEMBERED
+    assert len(server._answers) <= commands.REQUEST_RULES.remembered_answers
 
 
 @virtual
@@ -168,7 +178,13 @@ async def test_equal_numbers_of_other_issuers_and_lives_are_other_requests(clock
         for _ in range(2):
             ask(swarm.servers[1], encode(["go", {}, 1.0]), 1, channel)
     swarm.servers[1].port.deliver(
-        REQUEST.number, OBSERVER + 1, encode(["go", {}, 1.0]), 1, "f1", 0, 0.0
+        MESSAGE_TOPICS.request.number,
+        PORT_ADDRESSES.first_observer + 1,
+        encode(["go", {}, 1.0]),
+        1,
+        "f1",
+        0,
+        0.0,
     )
     await clock.sleep(0.1)
     assert len(swarm.done) == 3
@@ -182,9 +198,9 @@ async def test_a_request_past_its_deadline_is_refused(clock):
     ask(swarm.servers[1], encode(["go", {}, 0.5]), 2, age=0.4)
     await clock.sleep(0.1)
     assert [decode(payload) for _, payload in came] == [
-        [REFUSED, "the deadline has passed"],
-        [ACCEPTED, None],
-        [DONE, 1],
+        [ANSWER_TEXTS.refused, "the deadline has passed"],
+        [ANSWER_TEXTS.accepted, None],
+        [ANSWER_TEXTS.done, 1],
     ]
     assert swarm.done == [("go", {})]
 
@@ -205,7 +221,7 @@ async def test_a_replay_is_not_done_again_after_its_answer_was_forgotten(clock):
     swarm = Swarm(clock, 1)
     server = swarm.servers[1]
     came = losing(swarm.operator.port, lambda *message: False)
-    for number in range(1, 2 * commands.REMEMBERED):
+    for number in range(1, 2 * commands.REQUEST_RULES.remembered_answers):
         ask(server, encode(["go", {}, 5.0]), number)
         await clock.sleep(0.01)
     done = len(swarm.done)
@@ -214,14 +230,14 @@ async def test_a_replay_is_not_done_again_after_its_answer_was_forgotten(clock):
     await clock.sleep(0.1)
     assert len(swarm.done) == done
     assert [decode(payload) for _, payload in came] == [
-        [REFUSED, "it is older than what was asked since"]
+        [ANSWER_TEXTS.refused, "it is older than what was asked since"]
     ]
     ask(server, encode(["go", {}, 5.0]), 1, "f2")
     await clock.sleep(0.1)
     assert len(swarm.done) == done + 1, "of another life of the operator"
-    for life in range(2 * commands.REMEMBERED):
+    for life in range(2 * commands.REQUEST_RULES.remembered_answers):
         ask(server, encode(["late", {}, -1.0]), 1, f"{life:x}")
-    assert len(server._forgotten) <= commands.REMEMBERED
+    assert len(server._forgotten) <= commands.REQUEST_RULES.remembered_answers
 
 
 @virtual
@@ -240,7 +256,9 @@ async def test_malformed_requests_and_answers_are_counted(clock):
     await clock.sleep(0.1)
     assert (swarm.done, swarm.servers[1].port.counters.malformed) == ([], 7)
     for body in (b"\xff", encode(3), encode([1, 2, 3])):
-        swarm.operator.port.deliver(ANSWER.number, 1, body, 1, "f1", 0, 0.0)
+        swarm.operator.port.deliver(
+            MESSAGE_TOPICS.answer.number, 1, body, 1, "f1", 0, 0.0
+        )
     assert swarm.operator.port.counters.malformed == 3
 
 
@@ -250,12 +268,24 @@ async def test_answers_to_a_former_life_of_the_operator_are_not_taken(clock):
     request = asyncio.create_task(swarm.operator.request(1, "go", deadline=1.0))
     await clock.sleep(0.1)
     swarm.operator.port.deliver(
-        ANSWER.number, 1, encode([DONE, "old"]), 1, "f0", 0, 0.0
+        MESSAGE_TOPICS.answer.number,
+        1,
+        encode([ANSWER_TEXTS.done, "old"]),
+        1,
+        "f0",
+        0,
+        0.0,
     )
     swarm.operator.port.deliver(
-        ANSWER.number, 1, encode([DONE, "now"]), 1, "f1", 0, 0.0
+        MESSAGE_TOPICS.answer.number,
+        1,
+        encode([ANSWER_TEXTS.done, "now"]),
+        1,
+        "f1",
+        0,
+        0.0,
     )
-    assert await request == Answer(1, DONE, "now")
+    assert await request == Answer(1, ANSWER_TEXTS.done, "now")
 
 
 @virtual
@@ -263,9 +293,9 @@ async def test_nobody_answers_for_another(clock):
     swarm = Swarm(clock)
     request = asyncio.create_task(swarm.operator.request(1, "land", deadline=1.0))
     await clock.sleep(0.1)
-    for kind in (ACCEPTED, DONE, REFUSED):
+    for kind in (ANSWER_TEXTS.accepted, ANSWER_TEXTS.done, ANSWER_TEXTS.refused):
         swarm.operator.port.deliver(
-            ANSWER.number, 2, encode([kind, None]), 1, "f1", 0, 0.0
+            MESSAGE_TOPICS.answer.number, 2, encode([kind, None]), 1, "f1", 0, 0.0
         )
     with pytest.raises(TimeoutError, match="drone 1: no answer to 'land'"):
         await request
@@ -328,7 +358,13 @@ async def test_a_late_repeat_of_a_clear_does_not_undo_a_later_stop(clock):
     swarm = Swarm(clock, 1)
     for number, clear in [(1, False), (2, True), (3, False), (2, True), (1, False)]:
         swarm.servers[1].port.deliver(
-            ESTOP.number, OBSERVER, encode(clear), number, "f1", 0, 0.0
+            MESSAGE_TOPICS.emergency_stop.number,
+            PORT_ADDRESSES.first_observer,
+            encode(clear),
+            number,
+            "f1",
+            0,
+            0.0,
         )
     assert swarm.bus.stopped
     assert swarm.stops == [(1, True), (1, False), (1, True)]
@@ -342,13 +378,19 @@ async def test_a_clear_that_comes_after_a_newer_stop_does_not_count_nor_a_stop_a
     came = losing(swarm.operator.port, lambda *message: False)
     said = {
         "stop": encode(False),
-        "alone": encode(commands.ALONE),
+        "alone": encode(commands.STOP_ALONE),
         "clear": encode(True),
     }
 
     def hear(number, what, channel="f1"):
         swarm.servers[1].port.deliver(
-            ESTOP.number, OBSERVER, said[what], number, channel, 0, 0.0
+            MESSAGE_TOPICS.emergency_stop.number,
+            PORT_ADDRESSES.first_observer,
+            said[what],
+            number,
+            channel,
+            0,
+            0.0,
         )
 
     hear(3, "stop")
@@ -365,9 +407,9 @@ async def test_a_clear_that_comes_after_a_newer_stop_does_not_count_nor_a_stop_a
     hear(1, "clear", "f2")
     assert not swarm.bus.stopped, "another life of the operator"
     assert len(came) == 7, "all are acknowledged"
-    for life in range(2 * commands.REMEMBERED):
+    for life in range(2 * commands.REQUEST_RULES.remembered_answers):
         hear(1, "stop", f"{life:x}")
-    assert len(swarm.servers[1]._newest) == commands.REMEMBERED
+    assert len(swarm.servers[1]._newest) == commands.REQUEST_RULES.remembered_answers
 
 
 @virtual
@@ -389,7 +431,13 @@ async def test_a_stop_that_cannot_be_read_is_a_stop(clock):
     for number, payload in enumerate([b"\xff", encode(1), encode("clear")]):
         swarm.bus.stopped = False
         swarm.servers[1].port.deliver(
-            ESTOP.number, OBSERVER, payload, number, "f1", 0, 0.0
+            MESSAGE_TOPICS.emergency_stop.number,
+            PORT_ADDRESSES.first_observer,
+            payload,
+            number,
+            "f1",
+            0,
+            0.0,
         )
         assert swarm.bus.stopped
     assert swarm.stops == [(1, True)] * 3

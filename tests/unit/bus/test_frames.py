@@ -5,11 +5,7 @@ from hypothesis import strategies as st
 
 from crazychoir.bus.codec import MAX_PAYLOAD, decode, encode
 from crazychoir.bus.frames import (
-    MAX_DESTINATIONS,
-    MAX_ENVELOPES,
-    MAX_FRAME,
-    MAX_NAME,
-    VERSION,
+    FRAME_FORMAT,
     Envelope,
     Frame,
     FrameBuffer,
@@ -60,8 +56,8 @@ def test_frames_arrive_as_they_were_sent(frame):
 def test_random_bytes_raise_nothing_but_codec_error(data):
     for received in (
         data,
-        bytes([VERSION]) + data,
-        bytes([VERSION]) + b"\x94\xa1a\x01\x01\x91\x98" + data,
+        bytes([FRAME_FORMAT.version]) + data,
+        bytes([FRAME_FORMAT.version]) + b"\x94\xa1a\x01\x01\x91\x98" + data,
     ):
         try:
             decode_frame(received)
@@ -72,10 +68,11 @@ def test_random_bytes_raise_nothing_but_codec_error(data):
 def test_another_version_is_told_apart():
     data = encode_frame(Frame("cf3", 1, 2, []))
     with pytest.raises(
-        FrameVersionError, match=f"version {VERSION + 1}; allowed: {VERSION}"
+        FrameVersionError,
+        match=f"version {FRAME_FORMAT.version + 1}; allowed: {FRAME_FORMAT.version}",
     ) as caught:
-        decode_frame(bytes([VERSION + 1]) + data[1:])
-    assert caught.value.found == VERSION + 1
+        decode_frame(bytes([FRAME_FORMAT.version + 1]) + data[1:])
+    assert caught.value.found == FRAME_FORMAT.version + 1
     assert isinstance(caught.value, CodecError)
     with pytest.raises(CodecError) as caught:
         decode_frame(data[:-1])
@@ -86,14 +83,16 @@ def raw(
     topic=1, source=3, to=(1,), number=0, flags=0, age=0.0, channel="", payload=b"x"
 ):
     fields = [topic, source, to, number, flags, age, channel, payload]
-    return bytes([VERSION]) + msgspec.msgpack.encode(["cf3", 1, 2, [fields]])
+    return bytes([FRAME_FORMAT.version]) + msgspec.msgpack.encode(
+        ["cf3", 1, 2, [fields]]
+    )
 
 
 @pytest.mark.parametrize(
     "data",
     [
         b"",
-        bytes([VERSION]),
+        bytes([FRAME_FORMAT.version]),
         raw(topic=-1),
         raw(topic=2**16),
         raw(source=-3),
@@ -101,7 +100,7 @@ def raw(
         raw(to=[-1]),
         raw(to=[1.5]),
         raw(to=None),
-        raw(to=[1] * (MAX_DESTINATIONS + 1)),
+        raw(to=[1] * (FRAME_FORMAT.max_destinations + 1)),
         raw(number=-1),
         raw(flags=-1),
         raw(age=float("nan")),
@@ -109,10 +108,11 @@ def raw(
         raw(age=float("inf")),
         raw(channel="c" * 256),
         raw(payload="text"),
-        bytes([VERSION]) + b"\x94\xa1a\x01\x01\xdd\xff\xff\xff\xff",
-        bytes([VERSION]) + b"\x94\xa1a\x01\x01\x91\x98\x01\x01\xdd\xff\xff\xff\xff",
-        bytes([VERSION]) + b"\x94\xa2\xff\xfe\x01\x01\x90",
-        bytes([VERSION]) + b"\x91" * 100_000,
+        bytes([FRAME_FORMAT.version]) + b"\x94\xa1a\x01\x01\xdd\xff\xff\xff\xff",
+        bytes([FRAME_FORMAT.version])
+        + b"\x94\xa1a\x01\x01\x91\x98\x01\x01\xdd\xff\xff\xff\xff",
+        bytes([FRAME_FORMAT.version]) + b"\x94\xa2\xff\xfe\x01\x01\x90",
+        bytes([FRAME_FORMAT.version]) + b"\x91" * 100_000,
     ],
 )
 def test_bad_frames_are_refused(data):
@@ -122,7 +122,7 @@ def test_bad_frames_are_refused(data):
 
 
 def test_the_number_of_envelopes_is_bounded_before_they_are_read():
-    many = Frame("cf3", 1, 2, [envelope()] * (MAX_ENVELOPES + 1))
+    many = Frame("cf3", 1, 2, [envelope()] * (FRAME_FORMAT.max_envelopes + 1))
     with pytest.raises(CodecError, match="length <= 4096"):
         decode_frame(encode_frame(many))
 
@@ -236,13 +236,16 @@ def test_the_largest_payload_fits_a_frame_and_one_byte_more_is_refused_by_the_se
         match=r"value: 600001 bytes when encoded; allowed: 600000. Send less, or in parts.",
     ):
         encode(bytes(MAX_PAYLOAD - 5))
-    buffer = FrameBuffer("\N{SNOWMAN}" * MAX_NAME, 2**64 - 1, 255)
-    to, name = (2**32 - 1,) * MAX_DESTINATIONS, "\N{SNOWMAN}" * MAX_NAME
+    buffer = FrameBuffer("\N{SNOWMAN}" * FRAME_FORMAT.max_name_length, 2**64 - 1, 255)
+    to, name = (
+        (2**32 - 1,) * FRAME_FORMAT.max_destinations,
+        "\N{SNOWMAN}" * FRAME_FORMAT.max_name_length,
+    )
     buffer.add(
         Envelope(2**16 - 1, 2**32 - 1, to, 2**64 - 1, 2**32 - 1, 1e9, name, largest)
     )
     (frame,) = buffer.take()
-    assert len(frame) <= MAX_FRAME
+    assert len(frame) <= FRAME_FORMAT.max_bytes
     (arrived,) = decode_frame(frame).envelopes
     assert decode(arrived.payload) == bytes(MAX_PAYLOAD - 6)
     with pytest.raises(CodecError, match="payload: 600001 bytes; allowed: 600000"):
@@ -251,10 +254,13 @@ def test_the_largest_payload_fits_a_frame_and_one_byte_more_is_refused_by_the_se
 
 def test_a_frame_has_no_more_envelopes_than_a_receiver_takes():
     buffer = FrameBuffer("cf3", 1, 2)
-    for number in range(MAX_ENVELOPES + 1):
+    for number in range(FRAME_FORMAT.max_envelopes + 1):
         buffer.add(envelope(number=number))
     frames = buffer.take()
-    assert [len(decode_frame(data).envelopes) for data in frames] == [MAX_ENVELOPES, 1]
+    assert [len(decode_frame(data).envelopes) for data in frames] == [
+        FRAME_FORMAT.max_envelopes,
+        1,
+    ]
 
 
 @pytest.mark.parametrize(
@@ -264,7 +270,7 @@ def test_a_frame_has_no_more_envelopes_than_a_receiver_takes():
         envelope(age=-1e-9),
         envelope(age=float("nan")),
         envelope(channel="c" * 256),
-        envelope(to=(1,) * (MAX_DESTINATIONS + 1)),
+        envelope(to=(1,) * (FRAME_FORMAT.max_destinations + 1)),
     ],
 )
 def test_what_would_spoil_a_frame_is_refused_when_added(bad):

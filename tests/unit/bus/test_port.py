@@ -7,25 +7,16 @@ from virtual_time import virtual
 from crazychoir.bus import port as local
 from crazychoir.bus.codec import encode
 from crazychoir.bus.impairment.model import Impairment
-from crazychoir.bus.impairment.rules import Partition, Rule
-from crazychoir.bus.port import ANY, OBSERVER, Bus, Interest
+from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
+from crazychoir.bus.port import PORT_ADDRESSES, Bus, Interest
 from crazychoir.bus.topics import (
-    COMMAND,
-    HEARTBEAT,
-    LOG,
-    POSE,
-    REQUEST,
-    RESULT,
-    ROSTER,
-    ROUND,
-    STATE,
-    STATUS,
-    TRUTH,
+    DRONE_TOPICS,
+    MESSAGE_TOPICS,
 )
 from crazychoir.runtime.mailbox import Latest
 from crazychoir.types import FPQR, FRPY, XYZ, FullState, Pose, State, Status, Vel
 
-LOSS = Impairment(1, [Rule({"loss": 1.0})])
+LOSS = Impairment(1, [ImpairmentRule({"loss": 1.0})])
 
 
 def ports(clock, *addresses, impairment=None):
@@ -69,9 +60,12 @@ class Network:
 @virtual
 async def test_actors_of_one_drone_get_the_very_object(clock):
     bus, one = ports(clock, 1, impairment=LOSS)
-    boxes = [reading(bus, STATE, 1, 1), reading(bus, STATE, 1, 1)]
+    boxes = [
+        reading(bus, DRONE_TOPICS.state, 1, 1),
+        reading(bus, DRONE_TOPICS.state, 1, 1),
+    ]
     state = State.at((1, 2, 3))
-    one.publish(STATE, state, age=0.02)
+    one.publish(DRONE_TOPICS.state, state, age=0.02)
     assert all(
         box.peek() is state and box.age() == pytest.approx(0.02) for box in boxes
     )
@@ -81,9 +75,9 @@ async def test_actors_of_one_drone_get_the_very_object(clock):
 @virtual
 async def test_other_drones_get_a_copy_through_the_codec(clock):
     bus, one, two = ports(clock, 1, 2)
-    box = reading(bus, STATE, 1, 2)
+    box = reading(bus, DRONE_TOPICS.state, 1, 2)
     state = State.at((1, 2, 3))
-    one.publish(STATE, state, age=0.02)
+    one.publish(DRONE_TOPICS.state, state, age=0.02)
     got = box.peek()
     assert got is not state
     assert not np.shares_memory(got.flat, state.flat)
@@ -101,9 +95,9 @@ async def test_other_drones_get_a_copy_through_the_codec(clock):
 @virtual
 async def test_drones_of_one_process_share_what_was_decoded_and_cannot_change_it(clock):
     bus, one, _, _ = ports(clock, 1, 2, 3)
-    boxes = [reading(bus, STATE, 1, reader) for reader in (2, 3)]
+    boxes = [reading(bus, DRONE_TOPICS.state, 1, reader) for reader in (2, 3)]
     for x in range(3):
-        one.publish(STATE, State.at((x, 2, 3)))
+        one.publish(DRONE_TOPICS.state, State.at((x, 2, 3)))
         assert boxes[0].peek() is boxes[1].peek()
         assert boxes[0].peek().p[0] == x
 
@@ -111,8 +105,8 @@ async def test_drones_of_one_process_share_what_was_decoded_and_cannot_change_it
 @virtual
 async def test_what_can_be_changed_is_not_shared(clock):
     bus, one, _, _ = ports(clock, 1, 2, 3)
-    boxes = [reading(bus, RESULT, 1, reader) for reader in (2, 3)]
-    one.publish(RESULT, {"success": True})
+    boxes = [reading(bus, DRONE_TOPICS.result, 1, reader) for reader in (2, 3)]
+    one.publish(DRONE_TOPICS.result, {"success": True})
     boxes[0].peek().clear()
     assert boxes[1].peek() == {"success": True}
 
@@ -120,24 +114,27 @@ async def test_what_can_be_changed_is_not_shared(clock):
 @virtual
 async def test_a_value_that_nobody_reads_is_not_even_encoded(clock):
     _, one = ports(clock, 1)
-    one.publish(STATE, object())
+    one.publish(DRONE_TOPICS.state, object())
     assert one.counters.sent == 0
 
 
 @virtual
 async def test_a_value_is_encoded_once_for_all_who_read_it(clock):
     bus, one, _, _ = ports(clock, 1, 2, 3)
-    boxes = [reading(bus, STATE, 1, reader) for reader in (2, 3)]
+    boxes = [reading(bus, DRONE_TOPICS.state, 1, reader) for reader in (2, 3)]
     with patch.object(local, "encode", wraps=encode) as encoding:
-        one.publish(STATE, State.at((1, 2, 3)))
+        one.publish(DRONE_TOPICS.state, State.at((1, 2, 3)))
     assert (encoding.call_count, [box.received for box in boxes]) == (1, [1, 1])
 
 
 @virtual
 async def test_two_mailboxes_of_a_port_cost_one_message_and_get_it_once(clock):
     bus, one, _ = ports(clock, 1, 2)
-    first, second = reading(bus, STATE, 1, 2), reading(bus, STATE, 1, 2)
-    one.publish(STATE, State.at((1, 2, 3)))
+    first, second = (
+        reading(bus, DRONE_TOPICS.state, 1, 2),
+        reading(bus, DRONE_TOPICS.state, 1, 2),
+    )
+    one.publish(DRONE_TOPICS.state, State.at((1, 2, 3)))
     assert (one.counters.sent, first.received, second.received) == (1, 1, 1)
 
 
@@ -145,8 +142,8 @@ async def test_two_mailboxes_of_a_port_cost_one_message_and_get_it_once(clock):
 async def test_send_reaches_handlers_here_and_the_forwarder_elsewhere(clock):
     bus, one, two, three = ports(clock, 1, 2, 3)
     bus.forwarder = Network()
-    seen = [handling(port, ROUND) for port in (two, three)]
-    one.send(ROUND, (2, 3, 7, 8), b"xy", 5, "main", 4)
+    seen = [handling(port, MESSAGE_TOPICS.rounds) for port in (two, three)]
+    one.send(MESSAGE_TOPICS.rounds, (2, 3, 7, 8), b"xy", 5, "main", 4)
     assert bus.forwarder.messages == [("round", 1, [7, 8], b"xy", 5, "main", 4, 0.0)]
     assert seen == [[], []], "what others wait for leaves first"
     for work in bus.forwarder.later:
@@ -159,15 +156,15 @@ async def test_send_reaches_handlers_here_and_the_forwarder_elsewhere(clock):
 async def test_what_is_no_round_reaches_handlers_here_at_once(clock):
     bus, one, two = ports(clock, 1, 2)
     bus.forwarder = Network()
-    seen = handling(two, ROSTER)
-    one.send(ROSTER, (2, 7), b"xy")
+    seen = handling(two, MESSAGE_TOPICS.roster)
+    one.send(MESSAGE_TOPICS.roster, (2, 7), b"xy")
     assert (len(seen), len(bus.forwarder.messages), bus.forwarder.later) == (1, 1, [])
 
 
 @virtual
 async def test_what_has_no_way_is_counted(clock):
     bus, one = ports(clock, 1)
-    one.send(ROUND, (7, 8), b"")
+    one.send(MESSAGE_TOPICS.rounds, (7, 8), b"")
     assert bus.unroutable == 2
 
 
@@ -176,11 +173,12 @@ async def test_what_has_no_way_is_counted(clock):
 
 @virtual
 async def test_impairment_is_on_drones_and_not_on_observers(clock):
-    bus, one, _, _ = ports(clock, 1, 2, OBSERVER, impairment=LOSS)
+    bus, one, _, _ = ports(clock, 1, 2, PORT_ADDRESSES.first_observer, impairment=LOSS)
     drone, observer, own = (
-        reading(bus, STATE, 1, reader) for reader in (2, OBSERVER, 1)
+        reading(bus, DRONE_TOPICS.state, 1, reader)
+        for reader in (2, PORT_ADDRESSES.first_observer, 1)
     )
-    one.publish(STATE, State.at((1, 2, 3)))
+    one.publish(DRONE_TOPICS.state, State.at((1, 2, 3)))
     assert (drone.received, observer.received, own.received) == (0, 1, 1)
     assert (one.counters.sent, one.counters.lost) == (1, 1)
 
@@ -189,13 +187,13 @@ async def test_impairment_is_on_drones_and_not_on_observers(clock):
 async def test_impairment_is_on_impaired_topics_alone(clock):
     bus, one, two = ports(clock, 1, 2, impairment=LOSS)
     rounds, requests, truth = (
-        handling(two, ROUND),
-        handling(two, REQUEST),
-        reading(bus, TRUTH, 1, 2),
+        handling(two, MESSAGE_TOPICS.rounds),
+        handling(two, MESSAGE_TOPICS.request),
+        reading(bus, DRONE_TOPICS.truth, 1, 2),
     )
-    one.send(ROUND, (2,), b"")
-    one.send(REQUEST, (2,), b"")
-    one.publish(TRUTH, State.at((0, 0, 0)))
+    one.send(MESSAGE_TOPICS.rounds, (2,), b"")
+    one.send(MESSAGE_TOPICS.request, (2,), b"")
+    one.publish(DRONE_TOPICS.truth, State.at((0, 0, 0)))
     assert (len(rounds), len(requests), truth.received, one.counters.lost) == (
         0,
         1,
@@ -207,11 +205,14 @@ async def test_impairment_is_on_impaired_topics_alone(clock):
 @virtual
 async def test_a_delayed_message_arrives_later_and_older(clock):
     bus, one, two = ports(
-        clock, 1, 2, impairment=Impairment(1, [Rule({"delay": 0.05})])
+        clock, 1, 2, impairment=Impairment(1, [ImpairmentRule({"delay": 0.05})])
     )
-    box, seen = reading(bus, STATE, 1, 2), handling(two, ROUND)
-    one.publish(STATE, State.at((1, 2, 3)), age=0.01)
-    one.send(ROUND, (2,), b"", 1)
+    box, seen = (
+        reading(bus, DRONE_TOPICS.state, 1, 2),
+        handling(two, MESSAGE_TOPICS.rounds),
+    )
+    one.publish(DRONE_TOPICS.state, State.at((1, 2, 3)), age=0.01)
+    one.send(MESSAGE_TOPICS.rounds, (2,), b"", 1)
     await clock.sleep(0.049)
     assert (box.received, seen) == (0, [])
     await clock.sleep(0.002)
@@ -226,22 +227,22 @@ async def test_duplicates_arrive_twice_and_each_receiver_has_a_fate_of_its_own(c
         1,
         2,
         3,
-        impairment=Impairment(1, [Rule({"duplicate": 1.0}, edge=(1, 2))]),
+        impairment=Impairment(1, [ImpairmentRule({"duplicate": 1.0}, edge=(1, 2))]),
     )
-    seen = [handling(port, ROUND) for port in (two, three)]
-    one.send(ROUND, (2, 3), b"")
+    seen = [handling(port, MESSAGE_TOPICS.rounds) for port in (two, three)]
+    one.send(MESSAGE_TOPICS.rounds, (2, 3), b"")
     await clock.sleep(0.01)
     assert [len(messages) for messages in seen] == [2, 1]
 
 
 @virtual
 async def test_verdicts_are_those_of_number_channel_and_attempt(clock):
-    impairment = Impairment(5, [Rule({"loss": 0.5})])
+    impairment = Impairment(5, [ImpairmentRule({"loss": 0.5})])
     _, one, two = ports(clock, 1, 2, impairment=impairment)
-    seen = handling(two, ROUND)
+    seen = handling(two, MESSAGE_TOPICS.rounds)
     for number in range(40):
-        one.send(ROUND, (2,), b"", number, "main", 0, number % 3)
-    fresh = Impairment(5, [Rule({"loss": 0.5})])
+        one.send(MESSAGE_TOPICS.rounds, (2,), b"", number, "main", 0, number % 3)
+    fresh = Impairment(5, [ImpairmentRule({"loss": 0.5})])
     wanted = [
         k for k in range(40) if fresh.verdict(1, 2, "main", k, k % 3, 0, 0.0).deliveries
     ]
@@ -253,11 +254,11 @@ async def test_verdicts_are_those_of_number_channel_and_attempt(clock):
 async def test_partitions_count_from_go(clock):
     await clock.sleep(100.0)
     _, one, two = ports(
-        clock, 1, 2, impairment=Impairment(1, [], [Partition(1.0, 2.0, (1,))])
+        clock, 1, 2, impairment=Impairment(1, [], [NetworkPartition(1.0, 2.0, (1,))])
     )
-    seen = handling(two, ROUND)
+    seen = handling(two, MESSAGE_TOPICS.rounds)
     for number in range(6):
-        one.send(ROUND, (2,), b"", number)
+        one.send(MESSAGE_TOPICS.rounds, (2,), b"", number)
         await clock.sleep(0.5)
     assert [message[2] for message in seen] == [0, 1, 4, 5]
 
@@ -267,13 +268,17 @@ async def test_partitions_count_from_go(clock):
 
 @virtual
 async def test_a_late_reader_gets_the_latched_value_with_its_age(clock):
-    bus, one, _, _ = ports(clock, 1, 2, OBSERVER)
+    bus, one, _, _ = ports(clock, 1, 2, PORT_ADDRESSES.first_observer)
     status = Status("hover", cost=1.5, relaxed=1.25)
-    one.publish(STATUS, status, age=0.25)
+    one.publish(DRONE_TOPICS.status, status, age=0.25)
     await clock.sleep(0.5)
     boxes = [
-        reading(bus, STATUS, source, reader)
-        for source, reader in [(1, 2), (ANY, OBSERVER), (1, 1)]
+        reading(bus, DRONE_TOPICS.status, source, reader)
+        for source, reader in [
+            (1, 2),
+            (PORT_ADDRESSES.any_drone, PORT_ADDRESSES.first_observer),
+            (1, 1),
+        ]
     ]
     assert boxes[0].peek() == status
     assert boxes[1].peek() == (1, status)
@@ -284,22 +289,24 @@ async def test_a_late_reader_gets_the_latched_value_with_its_age(clock):
 @virtual
 async def test_other_topics_are_not_latched(clock):
     bus, one, _ = ports(clock, 1, 2)
-    one.publish(STATE, State.at((1, 2, 3)))
-    assert reading(bus, STATE, 1, 2).received == 0
+    one.publish(DRONE_TOPICS.state, State.at((1, 2, 3)))
+    assert reading(bus, DRONE_TOPICS.state, 1, 2).received == 0
 
 
 @virtual
 async def test_a_latched_value_goes_to_a_reader_in_another_process(clock):
     bus, one = ports(clock, 1)
     bus.forwarder = Network()
-    one.publish(RESULT, {"success": True})
+    one.publish(DRONE_TOPICS.result, {"success": True})
     await clock.sleep(2.0)
-    bus.add_remote_interests([Interest("result", ANY, OBSERVER)])
+    bus.add_remote_interests(
+        [Interest("result", PORT_ADDRESSES.any_drone, PORT_ADDRESSES.first_observer)]
+    )
     [(topic, source, to, payload, number, _, _, age)] = bus.forwarder.messages
     assert (topic, source, to, payload, number) == (
         "result",
         1,
-        [OBSERVER],
+        [PORT_ADDRESSES.first_observer],
         encode({"success": True}),
         0,
     )
@@ -309,15 +316,18 @@ async def test_a_latched_value_goes_to_a_reader_in_another_process(clock):
 @virtual
 async def test_a_rate_limit_holds_on_average_and_never_bursts(clock):
     await clock.sleep(10.0)
-    bus, one, _, _ = ports(clock, 1, 2, OBSERVER)
-    slow, fast = reading(bus, STATE, 1, OBSERVER, rate=20.0), reading(bus, STATE, 1, 2)
+    bus, one, _, _ = ports(clock, 1, 2, PORT_ADDRESSES.first_observer)
+    slow, fast = (
+        reading(bus, DRONE_TOPICS.state, 1, PORT_ADDRESSES.first_observer, rate=20.0),
+        reading(bus, DRONE_TOPICS.state, 1, 2),
+    )
     times = []
     slow.put = lambda value, age: times.append(clock.now())
     state, ticks = State.at((1, 2, 3)), 0
     async for due in clock.ticks(100):
         jitter = (ticks * 7919 % 1000) * 1000  # up to 1 ms late
         await clock.sleep_until(due + jitter)
-        one.publish(STATE, state)
+        one.publish(DRONE_TOPICS.state, state)
         ticks += 1
         if ticks == 500:
             break
@@ -330,28 +340,38 @@ async def test_a_rate_limit_holds_on_average_and_never_bursts(clock):
 @virtual
 async def test_a_port_is_served_at_the_fastest_rate_that_it_asked_for(clock):
     bus, one, _ = ports(clock, 1, 2)
-    boxes = [reading(bus, STATE, 1, 2, rate) for rate in (10.0, 50.0, 20.0)]
+    boxes = [
+        reading(bus, DRONE_TOPICS.state, 1, 2, rate) for rate in (10.0, 50.0, 20.0)
+    ]
     for _ in range(100):
-        one.publish(STATE, State.at((1, 2, 3)))
+        one.publish(DRONE_TOPICS.state, State.at((1, 2, 3)))
         await clock.sleep(0.01)
     assert [box.received for box in boxes] == [50, 50, 50]
-    everything = reading(bus, STATE, 1, 2)
+    everything = reading(bus, DRONE_TOPICS.state, 1, 2)
     for _ in range(10):
-        one.publish(STATE, State.at((1, 2, 3)))
+        one.publish(DRONE_TOPICS.state, State.at((1, 2, 3)))
     assert everything.received == 10
 
 
 @virtual
 async def test_any_is_every_other_drone_with_its_name(clock):
-    bus, one, two, _ = ports(clock, 1, 2, OBSERVER)
-    own, observer = reading(bus, STATE, ANY, 1), reading(bus, STATE, ANY, OBSERVER)
-    named = reading(bus, STATE, 2, 1)
+    bus, one, two, _ = ports(clock, 1, 2, PORT_ADDRESSES.first_observer)
+    own, observer = (
+        reading(bus, DRONE_TOPICS.state, PORT_ADDRESSES.any_drone, 1),
+        reading(
+            bus,
+            DRONE_TOPICS.state,
+            PORT_ADDRESSES.any_drone,
+            PORT_ADDRESSES.first_observer,
+        ),
+    )
+    named = reading(bus, DRONE_TOPICS.state, 2, 1)
     late = bus.port(3)
     seen, watched = [], []
     own.put = lambda value, age: seen.append(value)
     observer.put = lambda value, age: watched.append(value)
     for x, port in enumerate((one, two, late)):
-        port.publish(STATE, State.at((x, 0, 0)))
+        port.publish(DRONE_TOPICS.state, State.at((x, 0, 0)))
     assert [(source, state.p[0]) for source, state in seen] == [(2, 1.0), (3, 2.0)]
     assert [(source, state.p[0]) for source, state in watched] == [
         (1, 0.0),
@@ -365,9 +385,9 @@ async def test_any_is_every_other_drone_with_its_name(clock):
 async def test_a_drone_that_comes_later_is_heard_by_who_asked_for_it(clock):
     bus, _ = ports(clock, 2)
     bus.forwarder = Network()
-    box = reading(bus, STATE, 1, 2)
+    box = reading(bus, DRONE_TOPICS.state, 1, 2)
     assert (bus.interests, bus.forwarder.changes) == ([Interest("state", 1, 2)], 1)
-    bus.port(1).publish(STATE, State.at((1, 2, 3)))
+    bus.port(1).publish(DRONE_TOPICS.state, State.at((1, 2, 3)))
     assert box.received == 1
 
 
@@ -376,8 +396,8 @@ async def test_interests_in_drones_elsewhere_are_told_once(clock):
     bus, _ = ports(clock, 2)
     bus.forwarder = Network()
     for _ in range(2):
-        reading(bus, STATE, 1, 2, rate=20.0)
-    reading(bus, STATE, 2, 2)
+        reading(bus, DRONE_TOPICS.state, 1, 2, rate=20.0)
+    reading(bus, DRONE_TOPICS.state, 2, 2)
     assert bus.interests == [Interest("state", 1, 2, 20.0)]
     assert bus.forwarder.changes == 1
 
@@ -387,22 +407,24 @@ async def test_remote_readers_come_and_go(clock):
     bus, one, two = ports(clock, 1, 2)
     bus.forwarder = Network()
     wanted = [
-        Interest("state", ANY, 7),
+        Interest("state", PORT_ADDRESSES.any_drone, 7),
         Interest("state", 1, 8),
         Interest("round", 1, 8),
         Interest("state", 9, 8),
     ]
     bus.add_remote_interests(wanted)
-    bus.add_remote_interests([*wanted, Interest("nonsense", ANY, 8)])
-    one.publish(ROUND, b"goes along edges")
+    bus.add_remote_interests(
+        [*wanted, Interest("nonsense", PORT_ADDRESSES.any_drone, 8)]
+    )
+    one.publish(MESSAGE_TOPICS.rounds, b"goes along edges")
     for port in (one, two):
-        port.publish(STATE, State.at((1, 2, 3)))
+        port.publish(DRONE_TOPICS.state, State.at((1, 2, 3)))
     assert [(source, to) for _, source, to, *_ in bus.forwarder.messages] == [
         (1, [7, 8]),
         (2, [7]),
     ]
     bus.drop_readers([7])
-    one.publish(STATE, State.at((1, 2, 3)))
+    one.publish(DRONE_TOPICS.state, State.at((1, 2, 3)))
     assert [to for _, _, to, *_ in bus.forwarder.messages[2:]] == [[8]]
 
 
@@ -411,14 +433,17 @@ async def test_a_drone_that_crashes_is_silent_and_keeps_its_readers_when_it_is_b
     clock,
 ):
     bus, _, two = ports(clock, 1, 2)
-    box, own = reading(bus, STATE, 1, 2), reading(bus, STATE, 1, 1)
-    back = reading(bus, STATE, 2, 1)
+    box, own = (
+        reading(bus, DRONE_TOPICS.state, 1, 2),
+        reading(bus, DRONE_TOPICS.state, 1, 1),
+    )
+    back = reading(bus, DRONE_TOPICS.state, 2, 1)
     bus.close(1)
-    two.publish(STATE, State.at((0, 0, 0)))
-    two.send(ROUND, (1,), b"")
+    two.publish(DRONE_TOPICS.state, State.at((0, 0, 0)))
+    two.send(MESSAGE_TOPICS.rounds, (1,), b"")
     assert (back.received, bus.unroutable) == (0, 2)
     again = bus.port(1, incarnation=2)
-    again.publish(STATE, State.at((1, 2, 3)))
+    again.publish(DRONE_TOPICS.state, State.at((1, 2, 3)))
     assert (box.received, own.received) == (1, 0)
     assert (again.incarnation, again.handlers, bus.drones()) == (2, {}, [2, 1])
 
@@ -426,11 +451,11 @@ async def test_a_drone_that_crashes_is_silent_and_keeps_its_readers_when_it_is_b
 @virtual
 async def test_a_drone_that_comes_back_reads_again(clock):
     bus, one, _ = ports(clock, 1, 2)
-    reading(bus, STATE, 1, 2)
+    reading(bus, DRONE_TOPICS.state, 1, 2)
     bus.close(2)
     bus.port(2)
-    box = reading(bus, STATE, 1, 2)
-    one.publish(STATE, State.at((1, 2, 3)))
+    box = reading(bus, DRONE_TOPICS.state, 1, 2)
+    one.publish(DRONE_TOPICS.state, State.at((1, 2, 3)))
     assert (box.received, one.counters.sent) == (1, 1)
 
 
@@ -445,8 +470,8 @@ def test_what_is_not_a_state_is_counted_and_goes_nowhere(payload):
     @virtual
     async def check(clock):
         bus, _, two = ports(clock, 1, 2)
-        box = reading(bus, STATE, 1, 2)
-        two.deliver(STATE.number, 1, payload, 0, "", 0, 0.0)
+        box = reading(bus, DRONE_TOPICS.state, 1, 2)
+        two.deliver(DRONE_TOPICS.state.number, 1, payload, 0, "", 0, 0.0)
         assert (box.received, two.counters.malformed, two.counters.received) == (
             0,
             1,
@@ -459,9 +484,9 @@ def test_what_is_not_a_state_is_counted_and_goes_nowhere(payload):
 @virtual
 async def test_what_nobody_reads_is_not_decoded(clock):
     bus, _, two, _ = ports(clock, 1, 2, 3)
-    reading(bus, STATE, 3, 2)
-    two.deliver(STATE.number, 1, b"\xff", 0, "", 0, 0.0)
-    two.deliver(POSE.number, 1, b"\xff", 0, "", 0, 0.0)
+    reading(bus, DRONE_TOPICS.state, 3, 2)
+    two.deliver(DRONE_TOPICS.state.number, 1, b"\xff", 0, "", 0, 0.0)
+    two.deliver(DRONE_TOPICS.pose.number, 1, b"\xff", 0, "", 0, 0.0)
     two.deliver(9999, 1, b"\xff", 0, "", 0, 0.0)
     assert (two.counters.malformed, two.counters.received) == (0, 3)
 
@@ -470,35 +495,35 @@ async def test_what_nobody_reads_is_not_decoded(clock):
 async def test_untyped_topics_take_any_value(clock):
     bus, _, two = ports(clock, 1, 2)
     box = Latest(clock)
-    bus.subscribe(HEARTBEAT, 1, 2, box)
-    two.deliver(HEARTBEAT.number, 1, encode([1, "a"]), 0, "", 0, 0.1)
+    bus.subscribe(MESSAGE_TOPICS.heartbeat, 1, 2, box)
+    two.deliver(MESSAGE_TOPICS.heartbeat.number, 1, encode([1, "a"]), 0, "", 0, 0.1)
     assert box.peek() == [1, "a"]
 
 
 @virtual
 async def test_queues_keep_what_latest_would_replace(clock):
     bus, one, _ = ports(clock, 1, 2)
-    box = reading(bus, LOG, 1, 2)
+    box = reading(bus, DRONE_TOPICS.log, 1, 2)
     for k in range(3):
-        one.publish(LOG, f"line {k}")
+        one.publish(DRONE_TOPICS.log, f"line {k}")
     assert box.take() == ["line 0", "line 1", "line 2"]
 
 
 @virtual
 async def test_the_tap_sees_every_message_between_drones(clock):
     bus, one, _ = ports(clock, 1, 2)
-    reading(bus, STATE, 1, 1)
+    reading(bus, DRONE_TOPICS.state, 1, 1)
     seen = []
     bus.tap = lambda *message: seen.append(message)
-    one.publish(STATE, State.at((1, 2, 3)))
-    one.send(ROUND, (2,), b"xy", 5, "sum", 9, age=0.25)
-    assert seen == [(2, ROUND.number, 1, 5, b"xy", "sum", 9, 0.25)]
+    one.publish(DRONE_TOPICS.state, State.at((1, 2, 3)))
+    one.send(MESSAGE_TOPICS.rounds, (2,), b"xy", 5, "sum", 9, age=0.25)
+    assert seen == [(2, MESSAGE_TOPICS.rounds.number, 1, 5, b"xy", "sum", 9, 0.25)]
 
 
 @virtual
 async def test_whoever_reads_commands_gets_each_type_of_them(clock):
     bus, one, _ = ports(clock, 1, 2)
-    box = reading(bus, COMMAND, 1, 2)
+    box = reading(bus, DRONE_TOPICS.command, 1, 2)
     x = np.ones(14)
     for command in (
         FPQR(x[:4]),
@@ -507,7 +532,7 @@ async def test_whoever_reads_commands_gets_each_type_of_them(clock):
         XYZ("land", x[:5]),
         FullState(x),
     ):
-        one.publish(COMMAND, command)
+        one.publish(DRONE_TOPICS.command, command)
         heard = box.peek()
         assert type(heard) is type(command)
         assert heard.flat.tolist() == command.flat.tolist()

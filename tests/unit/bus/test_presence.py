@@ -4,11 +4,11 @@ import pytest
 from virtual_time import virtual
 
 from crazychoir.bus.impairment.model import Impairment
-from crazychoir.bus.impairment.rules import Partition, Rule
+from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
 from crazychoir.bus.port import Bus
 from crazychoir.bus.presence import Presence, PresenceMonitor
-from crazychoir.bus.topics import HEARTBEAT, ROUND
-from crazychoir.runtime.actor import ON_FAILURE
+from crazychoir.bus.topics import MESSAGE_TOPICS
+from crazychoir.runtime.actor import RESTART_ON_FAILURE
 
 ABSENT, ALIVE, SUSPECT, LOST = (
     Presence.ABSENT,
@@ -72,7 +72,9 @@ async def test_silence_makes_suspect_and_then_lost(clock):
 @virtual
 async def test_who_was_never_heard_is_absent_and_not_lost(clock):
     team = Team(
-        clock, 2, Impairment(1, [Rule({"loss": 1.0}, edge=(2, 1), directed=True)])
+        clock,
+        2,
+        Impairment(1, [ImpairmentRule({"loss": 1.0}, edge=(2, 1), directed=True)]),
     )
     await clock.sleep(10.0)
     team.monitors[1].token_gone(2)
@@ -105,7 +107,9 @@ async def test_back_after_lost_is_alive_again_too(clock):
 
 @virtual
 async def test_a_partition_looks_like_a_silent_peer_on_both_sides(clock):
-    team = Team(clock, 4, Impairment(1, [], [Partition(10.0, 13.0, (1, 2), (3, 4))]))
+    team = Team(
+        clock, 4, Impairment(1, [], [NetworkPartition(10.0, 13.0, (1, 2), (3, 4))])
+    )
     await clock.sleep(30.0)
     for i, others in [(1, (3, 4)), (4, (1, 2))]:
         after = [entry for entry in team.diaries[i] if entry[0] > 1.0]
@@ -118,7 +122,7 @@ async def test_a_partition_looks_like_a_silent_peer_on_both_sides(clock):
 
 @virtual
 async def test_a_long_partition_loses_the_other_side_only(clock):
-    team = Team(clock, 4, Impairment(1, [], [Partition(10.0, 99.0, (1, 2))]))
+    team = Team(clock, 4, Impairment(1, [], [NetworkPartition(10.0, 99.0, (1, 2))]))
     await clock.sleep(30.0)
     assert [team.monitors[i].those(LOST) for i in (1, 2, 3, 4)] == [
         [3, 4],
@@ -131,7 +135,7 @@ async def test_a_long_partition_loses_the_other_side_only(clock):
 
 @virtual
 async def test_heavy_loss_is_not_silence(clock):
-    team = Team(clock, 3, Impairment(7, [Rule({"loss": 0.2})]))
+    team = Team(clock, 3, Impairment(7, [ImpairmentRule({"loss": 0.2})]))
     await clock.sleep(60.0)
     assert not any(
         state is LOST for diary in team.diaries.values() for _, _, state in diary
@@ -144,7 +148,7 @@ async def test_any_message_is_a_sign_of_life(clock):
     await clock.sleep(1.0)
     await team.stop(2)
     for k in range(40):
-        team.bus.ports[2].send(ROUND, (1,), b"", k)
+        team.bus.ports[2].send(MESSAGE_TOPICS.rounds, (1,), b"", k)
         await clock.sleep(0.25)
     assert [state for _, _, state in team.diaries[1]] == [ALIVE]
 
@@ -198,7 +202,9 @@ async def test_who_is_watched_may_change(clock):
 async def test_heartbeats_carry_what_beat_says_and_are_numbered(clock):
     bus = Bus(clock)
     seen, beats = [], iter([b"1", b"2", b"3", b"4", b"5"])
-    bus.port(2).handlers[HEARTBEAT.number] = lambda *message: seen.append(message[2:4])
+    bus.port(2).handlers[MESSAGE_TOPICS.heartbeat.number] = lambda *message: (
+        seen.append(message[2:4])
+    )
     monitor = PresenceMonitor(bus.port(1), (2,), lambda: next(beats))
     running = asyncio.create_task(monitor.run())
     await clock.sleep(1.1)
@@ -209,4 +215,4 @@ async def test_heartbeats_carry_what_beat_says_and_are_numbered(clock):
 
 
 def test_a_monitor_that_fails_is_started_again():
-    assert PresenceMonitor.restart is ON_FAILURE
+    assert PresenceMonitor.restart is RESTART_ON_FAILURE

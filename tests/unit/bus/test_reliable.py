@@ -2,13 +2,13 @@ import pytest
 from virtual_time import virtual
 
 from crazychoir.bus.impairment.model import Impairment
-from crazychoir.bus.impairment.rules import Partition, Rule
+from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
 from crazychoir.bus.port import Bus
-from crazychoir.bus.reliable import FORMER, MAX_AGE, MAX_PENDING, Reliable
-from crazychoir.bus.topics import ROSTER
+from crazychoir.bus.reliable import RELIABLE_LIMITS, Reliable
+from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.runtime.clock import run_virtual
 
-BAD = Rule(
+BAD = ImpairmentRule(
     {
         "loss": 0.5,
         "duplicate": 0.3,
@@ -25,13 +25,13 @@ def pair(clock, impairment=None):
     bus = Bus(clock, impairment)
     bus.impairment.begin(clock.now())
     one, two = Reliable(bus.port(1, 0xA1)), Reliable(bus.port(2, 0xB1))
-    one.listen(ROSTER, lambda source, payload: None)
+    one.listen(MESSAGE_TOPICS.roster, lambda source, payload: None)
     return bus, one, two, listening(two)
 
 
 def listening(end):
     seen = []
-    end.listen(ROSTER, lambda source, payload: seen.append(payload))
+    end.listen(MESSAGE_TOPICS.roster, lambda source, payload: seen.append(payload))
     return seen
 
 
@@ -44,7 +44,7 @@ def test_in_order_and_once_under_loss_duplicates_and_reordering(seed):
     async def main(clock):
         _, one, two, seen = pair(clock, Impairment(seed, [BAD]))
         for payload in numbers(60):
-            one.send(ROSTER, 2, payload)
+            one.send(MESSAGE_TOPICS.roster, 2, payload)
             await clock.sleep(0.004)
         await clock.sleep(12.0)
         return (
@@ -64,7 +64,7 @@ def test_in_order_and_once_under_loss_duplicates_and_reordering(seed):
 async def test_without_loss_nothing_is_resent(clock):
     _, one, two, seen = pair(clock)
     for payload in numbers(5):
-        one.send(ROSTER, 2, payload)
+        one.send(MESSAGE_TOPICS.roster, 2, payload)
     assert seen == numbers(5)
     await clock.sleep(2.0)
     assert (
@@ -79,8 +79,8 @@ async def test_both_directions_at_once(clock):
     _, one, two, at_two = pair(clock, Impairment(3, [BAD]))
     at_one = listening(one)
     for payload in numbers(20):
-        one.send(ROSTER, 2, payload)
-        two.send(ROSTER, 1, payload)
+        one.send(MESSAGE_TOPICS.roster, 2, payload)
+        two.send(MESSAGE_TOPICS.roster, 1, payload)
     await clock.sleep(12.0)
     assert at_one == at_two == numbers(20)
 
@@ -90,17 +90,20 @@ async def test_a_lost_acknowledgement_is_drawn_anew(clock):
     """The only message; its acknowledgement is lost half of the time, for each seed."""
     for seed in range(30):
         _, one, _, seen = pair(
-            clock, Impairment(seed, [Rule({"loss": 0.6}, edge=(2, 1), directed=True)])
+            clock,
+            Impairment(
+                seed, [ImpairmentRule({"loss": 0.6}, edge=(2, 1), directed=True)]
+            ),
         )
-        one.send(ROSTER, 2, b"x")
+        one.send(MESSAGE_TOPICS.roster, 2, b"x")
         await clock.sleep(8.0)
         assert (seen, one._outgoing[2].pending, one.given_up) == ([b"x"], {}, 0)
 
 
 @virtual
 async def test_resends_back_off(clock):
-    _, one, _, seen = pair(clock, Impairment(1, [], [Partition(0.0, 6.0, (1,))]))
-    one.send(ROSTER, 2, b"x")
+    _, one, _, seen = pair(clock, Impairment(1, [], [NetworkPartition(0.0, 6.0, (1,))]))
+    one.send(MESSAGE_TOPICS.roster, 2, b"x")
     await clock.sleep(5.9)
     assert (
         12 <= one.port.counters.resent <= 17
@@ -113,10 +116,10 @@ async def test_resends_back_off(clock):
 async def test_a_receiver_that_restarts_gets_what_was_not_acknowledged(clock):
     bus, one, _, seen = pair(clock)
     for payload in numbers(3):
-        one.send(ROSTER, 2, payload)
+        one.send(MESSAGE_TOPICS.roster, 2, payload)
     bus.close(2)
     for payload in numbers(3, first=3):
-        one.send(ROSTER, 2, payload)
+        one.send(MESSAGE_TOPICS.roster, 2, payload)
     await clock.sleep(1.0)
     again = listening(Reliable(bus.port(2, 0xB2)))
     await clock.sleep(1.0)
@@ -127,9 +130,9 @@ async def test_a_receiver_that_restarts_gets_what_was_not_acknowledged(clock):
 async def test_a_sender_that_restarts_begins_anew(clock):
     bus, one, _, seen = pair(clock)
     for payload in numbers(3):
-        one.send(ROSTER, 2, payload)
+        one.send(MESSAGE_TOPICS.roster, 2, payload)
     anew = Reliable(bus.port(1, 0xA2))
-    anew.send(ROSTER, 2, b"anew")
+    anew.send(MESSAGE_TOPICS.roster, 2, b"anew")
     await clock.sleep(1.0)
     assert seen == [*numbers(3), b"anew"]
     assert anew._outgoing[2].pending == {}
@@ -138,19 +141,19 @@ async def test_a_sender_that_restarts_begins_anew(clock):
 @virtual
 async def test_what_arrives_late_of_a_former_life_changes_nothing(clock):
     bus, one, two, seen = pair(clock)
-    one.send(ROSTER, 2, b"old")
+    one.send(MESSAGE_TOPICS.roster, 2, b"old")
     anew = Reliable(bus.port(1, 0xA2))
-    anew.send(ROSTER, 2, b"new")
-    two.port.deliver(ROSTER.number, 1, b"old again", 1, "a1", 0, 0.0)
-    two.port.deliver(ROSTER.number, 1, b"new", 0, "a2", 0, 0.0)
-    anew.send(ROSTER, 2, b"newer")
+    anew.send(MESSAGE_TOPICS.roster, 2, b"new")
+    two.port.deliver(MESSAGE_TOPICS.roster.number, 1, b"old again", 1, "a1", 0, 0.0)
+    two.port.deliver(MESSAGE_TOPICS.roster.number, 1, b"new", 0, "a2", 0, 0.0)
+    anew.send(MESSAGE_TOPICS.roster, 2, b"newer")
     assert seen == [b"old", b"new", b"newer"]
 
 
 @virtual
 async def test_acknowledgements_of_a_former_life_count_for_nothing(clock):
-    _, one, _, _ = pair(clock, Impairment(1, [Rule({"loss": 1.0})]))
-    one.send(ROSTER, 2, b"x")
+    _, one, _, _ = pair(clock, Impairment(1, [ImpairmentRule({"loss": 1.0})]))
+    one.send(MESSAGE_TOPICS.roster, 2, b"x")
     one._acknowledged(2, b"", 9, "other life", 0, 0.0)
     assert list(one._outgoing[2].pending) == [0]
     one._acknowledged(2, b"", 1, "a1", 0, 0.0)
@@ -159,27 +162,31 @@ async def test_acknowledgements_of_a_former_life_count_for_nothing(clock):
 
 @virtual
 async def test_it_is_bounded_in_messages(clock):
-    _, one, _, seen = pair(clock, Impairment(1, [], [Partition(0.0, 5.0, (1,))]))
-    for payload in numbers(MAX_PENDING + 10):
-        one.send(ROSTER, 2, payload)
-    assert (len(one._outgoing[2].pending), one.given_up) == (MAX_PENDING, 10)
+    _, one, _, seen = pair(clock, Impairment(1, [], [NetworkPartition(0.0, 5.0, (1,))]))
+    for payload in numbers(RELIABLE_LIMITS.max_pending + 10):
+        one.send(MESSAGE_TOPICS.roster, 2, payload)
+    assert (len(one._outgoing[2].pending), one.given_up) == (
+        RELIABLE_LIMITS.max_pending,
+        10,
+    )
     await clock.sleep(8.0)
-    assert seen == numbers(MAX_PENDING)
+    assert seen == numbers(RELIABLE_LIMITS.max_pending)
 
 
 @virtual
 async def test_what_is_too_old_is_given_up_and_what_follows_arrives(clock):
     _, one, two, seen = pair(
-        clock, Impairment(1, [], [Partition(0.0, MAX_AGE + 2.0, (1,))])
+        clock,
+        Impairment(1, [], [NetworkPartition(0.0, RELIABLE_LIMITS.max_age + 2.0, (1,))]),
     )
-    one.send(ROSTER, 2, b"old")
+    one.send(MESSAGE_TOPICS.roster, 2, b"old")
     await clock.sleep(10.0)
-    one.send(ROSTER, 2, b"younger")
-    await clock.sleep(MAX_AGE - 9.0)
+    one.send(MESSAGE_TOPICS.roster, 2, b"younger")
+    await clock.sleep(RELIABLE_LIMITS.max_age - 9.0)
     assert (one.given_up, list(one._outgoing[2].pending)) == (1, [1])
     await clock.sleep(3.0)
     assert (seen, one.given_up) == ([b"younger"], 1)
-    one.send(ROSTER, 2, b"next")
+    one.send(MESSAGE_TOPICS.roster, 2, b"next")
     assert seen == [b"younger", b"next"]
     assert two._incoming[1].early == {}
 
@@ -187,23 +194,23 @@ async def test_what_is_too_old_is_given_up_and_what_follows_arrives(clock):
 @virtual
 async def test_what_came_early_of_a_sequence_that_was_given_up_is_forgotten(clock):
     _, _, two, seen = pair(clock)
-    two.port.deliver(ROSTER.number, 1, b"2", 2, "a1", 2, 0.0)
+    two.port.deliver(MESSAGE_TOPICS.roster.number, 1, b"2", 2, "a1", 2, 0.0)
     assert (seen, list(two._incoming[1].early)) == ([], [2])
-    two.port.deliver(ROSTER.number, 1, b"5", 5, "a1", 0, 0.0)
+    two.port.deliver(MESSAGE_TOPICS.roster.number, 1, b"5", 5, "a1", 0, 0.0)
     assert (seen, two._incoming[1].early) == ([b"5"], {})
 
 
 @virtual
 async def test_a_peer_that_was_forgotten_and_comes_back_goes_on(clock):
-    _, one, _, seen = pair(clock, Impairment(1, [], [Partition(1.0, 3.0, (1,))]))
+    _, one, _, seen = pair(clock, Impairment(1, [], [NetworkPartition(1.0, 3.0, (1,))]))
     for payload in numbers(3):
-        one.send(ROSTER, 2, payload)
+        one.send(MESSAGE_TOPICS.roster, 2, payload)
     await clock.sleep(1.5)
-    one.send(ROSTER, 2, b"lost")
+    one.send(MESSAGE_TOPICS.roster, 2, b"lost")
     one.forget(2)
     one.forget(77)
     await clock.sleep(2.0)
-    one.send(ROSTER, 2, b"back")
+    one.send(MESSAGE_TOPICS.roster, 2, b"back")
     await clock.sleep(0.5)
     assert seen == [*numbers(3), b"back"]
 
@@ -211,20 +218,22 @@ async def test_a_peer_that_was_forgotten_and_comes_back_goes_on(clock):
 @virtual
 async def test_answers_from_within_the_receiver(clock):
     """Ports of one process answer while the sender is still sending, on the sweep too."""
-    bus, one, two, _ = pair(clock, Impairment(1, [], [Partition(0.0, 1.0, (1, 2, 3))]))
-    bus.impairment.replace([], [Partition(0.0, 1.0, (1,))])
+    bus, one, two, _ = pair(
+        clock, Impairment(1, [], [NetworkPartition(0.0, 1.0, (1, 2, 3))])
+    )
+    bus.impairment.replace([], [NetworkPartition(0.0, 1.0, (1,))])
     three = Reliable(bus.port(3, 0xC1))
     seen = []
 
     def answer(source, payload):
         seen.append(payload)
-        two.send(ROSTER, source, b"re " + payload)
-        one.send(ROSTER, 3, b"new " + payload)
+        two.send(MESSAGE_TOPICS.roster, source, b"re " + payload)
+        one.send(MESSAGE_TOPICS.roster, 3, b"new " + payload)
 
-    two.listen(ROSTER, answer)
+    two.listen(MESSAGE_TOPICS.roster, answer)
     at_one, at_three = listening(one), listening(three)
     for payload in numbers(4):
-        one.send(ROSTER, 2, payload)
+        one.send(MESSAGE_TOPICS.roster, 2, payload)
     await clock.sleep(3.0)
     assert seen == numbers(4)
     assert at_one == [b"re " + payload for payload in numbers(4)]
@@ -245,7 +254,7 @@ async def test_an_acknowledgement_of_all_during_a_resend_ends_the_resending(cloc
 
     one.port.bus.ports[2].deliver = lossy
     for payload in numbers(4):
-        one.send(ROSTER, 2, payload)
+        one.send(MESSAGE_TOPICS.roster, 2, payload)
     assert seen == []
     await clock.sleep(1.0)
     assert (seen, one.port.counters.resent) == (numbers(4), 1)
@@ -255,6 +264,8 @@ async def test_an_acknowledgement_of_all_during_a_resend_ends_the_resending(cloc
 async def test_who_says_that_it_is_anew_again_and_again_takes_no_memory(clock):
     bus, _, two, seen = pair(clock)
     for life in range(10_000):
-        bus.ports[2].deliver(ROSTER.number, 1, b"x", 0, f"{life:x}", 0, 0.0)
+        bus.ports[2].deliver(
+            MESSAGE_TOPICS.roster.number, 1, b"x", 0, f"{life:x}", 0, 0.0
+        )
     assert len(seen) == 10_000
-    assert len(two._incoming[1].former) == FORMER
+    assert len(two._incoming[1].former) == RELIABLE_LIMITS.former_incarnations

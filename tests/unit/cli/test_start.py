@@ -8,7 +8,7 @@ from importlib.metadata import version
 import pytest
 
 from crazychoir.cli.compute import solve
-from crazychoir.routing.distributed.pickup_delivery import METHODS
+from crazychoir.routing.distributed.pickup_delivery import PLANNING_METHODS
 from crazychoir.solve.solving import solve_here
 
 HEAVY = {
@@ -50,7 +50,9 @@ def test_its_version_is_told():
 
 def test_solve_offers_the_methods_that_there_are():
     option = solve.solve.__annotations__["method"].__metadata__[0]
-    assert option.help == f"Recovery of the plan: {', '.join(METHODS)}."
+    assert option.help == f"Recovery of the plan: {', '.join(PLANNING_METHODS)}."
     assert (
-        solve.solve.__defaults__[0] == METHODS[0] == solve_here.__kwdefaults__["method"]
+        solve.solve.__defaults__[0]
+        == PLANNING_METHODS[0]
+        == solve_here.__kwdefaults__["method"]
     )

@@ -1,7 +1,7 @@
 import pytest
 
-from crazychoir.bus.port import BODIES, EYES
-from crazychoir.bus.topics import BODY, POSE, TRUTH
+from crazychoir.bus.port import PORT_ADDRESSES
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 
@@ -42,10 +42,14 @@ def test_drones_that_no_camera_sees_may_have_any_body():
         )
     )
     assert config.seen == (0,)
-    assert config.source(POSE, 0) == config.source(TRUTH, 0) == EYES
-    assert config.source(BODY, 0) == BODIES
-    assert config.source(POSE, 1) == BODIES + 1
-    assert config.source(POSE, 2) == 2
+    assert (
+        config.source(DRONE_TOPICS.pose, 0)
+        == config.source(DRONE_TOPICS.truth, 0)
+        == PORT_ADDRESSES.camera_offset
+    )
+    assert config.source(DRONE_TOPICS.body, 0) == PORT_ADDRESSES.body_offset
+    assert config.source(DRONE_TOPICS.pose, 1) == PORT_ADDRESSES.body_offset + 1
+    assert config.source(DRONE_TOPICS.pose, 2) == 2
 
 
 def test_a_replay_without_a_file_is_refused():

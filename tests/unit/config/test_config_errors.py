@@ -489,7 +489,7 @@ def test_every_key_says_what_is_allowed_and_its_example_is() -> None:
     structs = [
         kind
         for kind in vars(tables).values()
-        if isinstance(kind, type) and issubclass(kind, tables.Table)
+        if isinstance(kind, type) and issubclass(kind, tables.SwarmTable)
     ]
     assert len(structs) == 21
     for kind in structs:
@@ -503,7 +503,7 @@ def test_every_key_says_what_is_allowed_and_its_example_is() -> None:
                 None,
             )
             if said is None:
-                assert issubclass(entry.type, tables.Table), entry.name
+                assert issubclass(entry.type, tables.SwarmTable), entry.name
                 continue
             meta = said.__metadata__[0]
             assert meta.description, entry.name

@@ -3,7 +3,7 @@
 import pytest
 
 from crazychoir.config.drone_room import fence_of, room_of, shared_room
-from crazychoir.config.flight_room import EDGE
+from crazychoir.config.flight_room import EDGE_MARGIN
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.path_checks import require_inside
@@ -31,11 +31,11 @@ def swarm(*uris: str, sender: str = "frpy") -> SwarmConfig:
 
 def test_room_of_a_drone_that_a_radio_streams_to_is_inset():
     config = swarm("udp://127.0.0.1:19850", "sim://")
-    assert room_of(config, 0)[1][0] == pytest.approx(2.0 - INSET - EDGE)
-    assert room_of(config, 1)[1][0] == pytest.approx(2.0 - EDGE)
+    assert room_of(config, 0)[1][0] == pytest.approx(2.0 - INSET - EDGE_MARGIN)
+    assert room_of(config, 1)[1][0] == pytest.approx(2.0 - EDGE_MARGIN)
     assert shared_room(config) == room_of(config, 0)
     onboard = swarm("udp://127.0.0.1:19850", sender="xyz")
-    assert room_of(onboard, 0)[1][0] == pytest.approx(2.0 - EDGE)
+    assert room_of(onboard, 0)[1][0] == pytest.approx(2.0 - EDGE_MARGIN)
 
 
 @pytest.mark.parametrize("uri", ["udp://127.0.0.1:19850", "sim://"])

@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 
 from crazychoir.config.link_loss import (
-    BRAKES,
-    CUT,
-    STRAYS,
-    TILTED,
-    crowded,
-    flies_on,
-    inset,
-    slow_enough,
+    LINK_LOSS_RULES,
+    STRAY_DISTANCES,
+    TILT_TIMES,
+    allowed_speed,
+    describe_crowding,
+    distance_without_link,
+    fence_inset,
 )
 from crazychoir.config.swarm_config import SwarmConfig
 
@@ -22,9 +21,13 @@ from crazychoir.config.swarm_config import SwarmConfig
 )
 def test_it_is_the_worst_place_of_all(sender, speed, acceleration) -> None:
     d = np.linspace(0.0, 50.0, 200_001)
-    v = np.minimum(speed, np.sqrt(d * acceleration / BRAKES))
-    worst = STRAYS[sender] + np.max((CUT + TILTED[sender]) * v - d)
-    assert flies_on(speed, acceleration, sender) == pytest.approx(worst, abs=1e-3)
+    v = np.minimum(speed, np.sqrt(d * acceleration / LINK_LOSS_RULES.braking_factor))
+    worst = STRAY_DISTANCES[sender] + np.max(
+        (LINK_LOSS_RULES.cut_time + TILT_TIMES[sender]) * v - d
+    )
+    assert distance_without_link(speed, acceleration, sender) == pytest.approx(
+        worst, abs=1e-3
+    )
 
 
 def swarm(speed: float, home: float = 0.0, **changes: object) -> SwarmConfig:
@@ -34,32 +37,34 @@ def swarm(speed: float, home: float = 0.0, **changes: object) -> SwarmConfig:
 
 
 def test_it_stays_inside_by_what_keep_out_leaves() -> None:
-    found = inset(swarm(0.5), "frpy")
+    found = fence_inset(swarm(0.5), "frpy")
     assert (
-        found.needed == found.given == pytest.approx(flies_on(0.5, 2.0, "frpy") - 0.5)
+        found.needed
+        == found.given
+        == pytest.approx(distance_without_link(0.5, 2.0, "frpy") - 0.5)
     )
     wide = {"keep_out": {"min": [-6, -6, -1], "max": [6, 6, 4]}}
-    assert inset(swarm(0.5, **wide), "frpy").needed == 0.0
+    assert fence_inset(swarm(0.5, **wide), "frpy").needed == 0.0
 
 
 def test_it_leaves_room_for_homes_and_for_a_mission() -> None:
-    assert inset(swarm(1.0, home=3.5), "fpqr").given == pytest.approx(0.2)
-    fast = inset(swarm(3.0), "fpqr")
+    assert fence_inset(swarm(1.0, home=3.5), "fpqr").given == pytest.approx(0.2)
+    fast = fence_inset(swarm(3.0), "fpqr")
     assert (fast.given, fast.needed > 1.0) == (1.0, True)
 
 
 @pytest.mark.parametrize("sender", ["fpqr", "frpy", "vel"])
 def test_it_says_with_which_speed_limit_there_is_room(sender) -> None:
-    found = inset(swarm(1.5), sender)
+    found = fence_inset(swarm(1.5), sender)
     assert found.given < found.needed
-    slower = inset(swarm(found.slow_enough), sender)
+    slower = fence_inset(swarm(found.slow_enough), sender)
     assert (
         f"lower speed_limit to {int(100 * found.slow_enough) / 100:.2f} m/s"
         in found.problem
     )
     assert slower.problem == ""
     assert slower.needed == slower.given == pytest.approx(found.given)
-    assert slow_enough(0.9 * STRAYS[sender], 2.0, sender) == 0.0
+    assert allowed_speed(0.9 * STRAY_DISTANCES[sender], 2.0, sender) == 0.0
 
 
 def test_who_shares_a_dongle_and_starts_too_near_is_named() -> None:
@@ -75,15 +80,17 @@ def test_who_shares_a_dongle_and_starts_too_near_is_named() -> None:
     ]
     config = SwarmConfig.of({"name": "a", "drones": drones})
     fast = dict.fromkeys(config.ids, "fpqr")
-    assert crowded(config, 0, fast).startswith(
+    assert describe_crowding(config, 0, fast).startswith(
         "starts 0.60 m from drone 1, which the same dongle reaches"
     )
-    assert "1.14 m are needed" in crowded(config, 0, fast)
-    assert [crowded(config, i, fast) for i in (1, 2, 3)] == [""] * 3
-    assert crowded(config, 0, dict.fromkeys(config.ids, "frpy")) == ""
-    assert crowded(config, 0, {0: "fpqr", 3: "fpqr"}) == "", "drone 1 is sent places"
-    assert "0.79 m are needed" in crowded(config, 0, fast | {1: "frpy"})
-    assert crowded(config, 0, fast).endswith(
+    assert "1.14 m are needed" in describe_crowding(config, 0, fast)
+    assert [describe_crowding(config, i, fast) for i in (1, 2, 3)] == [""] * 3
+    assert describe_crowding(config, 0, dict.fromkeys(config.ids, "frpy")) == ""
+    assert describe_crowding(config, 0, {0: "fpqr", 3: "fpqr"}) == "", (
+        "drone 1 is sent places"
+    )
+    assert "0.79 m are needed" in describe_crowding(config, 0, fast | {1: "frpy"})
+    assert describe_crowding(config, 0, fast).endswith(
         "or on two dongles, or send frpy or vel or xyz"
     )
 
@@ -101,6 +108,6 @@ def test_who_strays_little_is_offered_only_what_strays_less() -> None:
         ("fullstate", "vel or xyz"),
         ("vel", "xyz"),
     ):
-        assert crowded(config, 0, dict.fromkeys(config.ids, sender)).endswith(
+        assert describe_crowding(config, 0, dict.fromkeys(config.ids, sender)).endswith(
             f"two dongles, or send {offered}"
         )

@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from crazychoir.config.misplaced_keys import label
+from crazychoir.config.misplaced_keys import table_label
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import Swarm
 from crazychoir.errors import ConfigError
@@ -47,7 +47,7 @@ def test_a_key_of_the_file_below_a_table_is_to_be_written_above_the_first(key, t
     said = refusal(f"{NAME}{DRONES}{head}{key} = {PLAIN[key]}\n")
     assert ABOVE in said
     assert (
-        f"What stands below {label('drones[0]' if table == 'drones' else table)} is a key of that table"
+        f"What stands below {table_label('drones[0]' if table == 'drones' else table)} is a key of that table"
         in said
     )
     assert "Remove it" not in said

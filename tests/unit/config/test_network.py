@@ -3,7 +3,7 @@
 import pytest
 
 from crazychoir.bus.impairment.model import Impairment
-from crazychoir.config.network import changes, impairment_of
+from crazychoir.config.network import impairment_changes, impairment_of
 from crazychoir.config.swarm_config import default_swarm
 from crazychoir.errors import ConfigError
 
@@ -11,9 +11,9 @@ from crazychoir.errors import ConfigError
 def test_a_running_network_takes_what_a_file_would_say():
     link = {"loss": 0.25, "burst": 5.0, "delay": 0.1}
     running = Impairment(0)
-    running.update(changes({**link, "jitter": None}))
+    running.update(impairment_changes({**link, "jitter": None}))
     assert running.rules == impairment_of(default_swarm(2).replace(network=link)).rules
-    running.update(changes({"loss": 0.5}))
+    running.update(impairment_changes({"loss": 0.5}))
     assert [rule.describe() for rule in running.rules] == [
         {"delay": 0.1, "loss": 0.5}
     ], "no bursts any more"
@@ -25,4 +25,4 @@ def test_a_running_network_takes_what_a_file_would_say():
 )
 def test_a_burst_is_of_a_loss(options):
     with pytest.raises(ConfigError, match="1 or more, with a loss between 0 and 1"):
-        changes(options)
+        impairment_changes(options)

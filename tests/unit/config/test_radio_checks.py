@@ -2,11 +2,11 @@
 
 import pytest
 
-from crazychoir.bus.port import BODIES, EYES
-from crazychoir.bus.topics import LINK, POSE, STATE, TRUTH
-from crazychoir.config.swarm_config import DONGLES, MOCAP, SwarmConfig
+from crazychoir.bus.port import PORT_ADDRESSES
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.config.swarm_config import PROCESS_NUMBERS, SwarmConfig
 from crazychoir.errors import ConfigError
-from crazychoir.radio.budget import rates
+from crazychoir.radio.budget import compute_setpoint_rates
 
 
 def swarm(*uris: str, head: str = "", keys: str = "") -> SwarmConfig:
@@ -49,10 +49,10 @@ def test_owners_listen_below_the_drones() -> None:
         for process, at in udp(4, 3).endpoints().items()
     }
     assert ports == {
-        DONGLES - 2: 7455,
-        DONGLES - 1: 7456,
-        DONGLES: 7457,
-        MOCAP: 7458,
+        PROCESS_NUMBERS.first_dongle - 2: 7455,
+        PROCESS_NUMBERS.first_dongle - 1: 7456,
+        PROCESS_NUMBERS.first_dongle: 7457,
+        PROCESS_NUMBERS.motion_capture: 7458,
         0: 7460,
         1: 7461,
         2: 7462,
@@ -63,15 +63,26 @@ def test_owners_listen_below_the_drones() -> None:
 
 def test_who_says_what() -> None:
     config = swarm("udp://h:1", "sim://")
-    assert [config.source(topic, 0) for topic in (POSE, TRUTH, LINK, STATE)] == [
-        EYES,
-        EYES,
-        BODIES,
+    assert [
+        config.source(topic, 0)
+        for topic in (
+            DRONE_TOPICS.pose,
+            DRONE_TOPICS.truth,
+            DRONE_TOPICS.link,
+            DRONE_TOPICS.state,
+        )
+    ] == [
+        PORT_ADDRESSES.camera_offset,
+        PORT_ADDRESSES.camera_offset,
+        PORT_ADDRESSES.body_offset,
         0,
     ]
-    assert config.source(POSE, 1) == 1
+    assert config.source(DRONE_TOPICS.pose, 1) == 1
     own = swarm("udp://h:1", head="[radio]\nlog_rate = 50", keys='pose = "onboard"')
-    assert (own.source(POSE, 0), own.seen) == (BODIES, ())
+    assert (own.source(DRONE_TOPICS.pose, 0), own.seen) == (
+        PORT_ADDRESSES.body_offset,
+        (),
+    )
     assert (config.unseen, own.unseen) == ((), (0,))
 
 
@@ -135,7 +146,7 @@ def test_what_is_refused(uris: list[str], head: str, keys: str, text: str) -> No
 
 def test_four_drones_at_100_hz_are_too_much_for_one_dongle() -> None:
     with pytest.raises(ConfigError) as caught:
-        rates(udp(4, sender="fpqr", radio={"command_rate": 100}))
+        compute_setpoint_rates(udp(4, sender="fpqr", radio={"command_rate": 100}))
     assert str(caught.value) == (
         "dongle 0 = drones 0, 1, 2, 3 (fpqr) need 488 packets a second: 4 x 100 set-points, 4 x 22 poses, echoes and "
         "requests; it carries 250, 31 set-points a second and drone. Use more dongles, send frpy or vel or "
@@ -176,10 +187,12 @@ def test_four_drones_at_100_hz_are_too_much_for_one_dongle() -> None:
 )
 def test_what_is_said_to_be_carried_is(n: int, rate: float, says: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        rates(udp(n, sender="fpqr", radio={"command_rate": rate}))
+        compute_setpoint_rates(udp(n, sender="fpqr", radio={"command_rate": rate}))
     assert says in str(caught.value)
     for told in (50.0, 61.0) if n == 3 else ():
-        assert rates(udp(n, sender="fpqr", radio={"command_rate": told})) == {0: told}
+        assert compute_setpoint_rates(
+            udp(n, sender="fpqr", radio={"command_rate": told})
+        ) == {0: told}
 
 
 def test_of_drones_that_say_where_they_are_logs_are_counted() -> None:
@@ -189,47 +202,53 @@ def test_of_drones_that_say_where_they_are_logs_are_counted() -> None:
         ConfigError,
         match="4 x 30 set-points, 4 x 37 logs, echoes and requests; it carries 250",
     ):
-        rates(config)
+        compute_setpoint_rates(config)
 
 
 def test_what_dongles_leave() -> None:
-    assert rates(udp(2, sender="fpqr")) == {0: 84.0}
-    assert rates(udp(2, sender="fpqr", radio={"command_rate": 100.0})) == {0: 100.0}, (
-        "asked for, and just carried"
-    )
-    assert rates(udp(4, sender="frpy")) == {0: 31.0}
-    assert rates(udp(6, 3, sender="frpy")) == {0: 84.0, 1: 84.0, 2: 84.0}
-    assert rates(udp(1, sender="fpqr", radio={"pose_rate": 100.0})) == {0: 100.0}, (
-        "one alone never changes channels"
-    )
+    assert compute_setpoint_rates(udp(2, sender="fpqr")) == {0: 84.0}
+    assert compute_setpoint_rates(
+        udp(2, sender="fpqr", radio={"command_rate": 100.0})
+    ) == {0: 100.0}, "asked for, and just carried"
+    assert compute_setpoint_rates(udp(4, sender="frpy")) == {0: 31.0}
+    assert compute_setpoint_rates(udp(6, 3, sender="frpy")) == {
+        0: 84.0,
+        1: 84.0,
+        2: 84.0,
+    }
+    assert compute_setpoint_rates(
+        udp(1, sender="fpqr", radio={"pose_rate": 100.0})
+    ) == {0: 100.0}, "one alone never changes channels"
     with pytest.raises(ConfigError, match="5 x 50 set-points"):
-        rates(udp(5, sender="fpqr"))
+        compute_setpoint_rates(udp(5, sender="fpqr"))
 
 
 def test_plans_count_as_they_are_sent() -> None:
-    assert rates(udp(5, sender="xyz")) == {0: 0.0}
+    assert compute_setpoint_rates(udp(5, sender="xyz")) == {0: 0.0}
     with pytest.raises(
         ConfigError,
         match=r"5 x 37 poses, .* 5 x 10 plans; .* 212\.5 with room .* a lower pose_rate",
     ):
-        rates(udp(5, sender="xyz", radio={"pose_rate": 25.0}))
+        compute_setpoint_rates(udp(5, sender="xyz", radio={"pose_rate": 25.0}))
 
 
 def test_what_drones_say_counts_as_well() -> None:
     with pytest.raises(ConfigError) as caught:
-        rates(udp(7, sender="xyz"))
+        compute_setpoint_rates(udp(7, sender="xyz"))
     assert str(caught.value) == (
         "dongle 0 = drones 0, 1, 2, 3, 4, 5, 6 (xyz) say 294 packets a second: 140 logs, 7 x 12 echoes and answers, "
         "7 x 10 to plans; it carries 250, 212.5 with room to spare. Use more dongles, or measure its capacity."
     )
     with pytest.raises(ConfigError, match="6 x 10 to plans; it carries 250"):
-        rates(udp(6, sender="xyz"))
-    assert rates(udp(7, sender="xyz", radio={"capacity": 350.0})) == {0: 0.0}
+        compute_setpoint_rates(udp(6, sender="xyz"))
+    assert compute_setpoint_rates(udp(7, sender="xyz", radio={"capacity": 350.0})) == {
+        0: 0.0
+    }
     with pytest.raises(
         ConfigError,
         match=r"say 224 .*: 200 logs, 2 x 12 echoes and answers; .* a lower log_rate",
     ):
-        rates(udp(2, sender="vel", radio={"log_rate": 100.0}))
+        compute_setpoint_rates(udp(2, sender="vel", radio={"log_rate": 100.0}))
 
 
 def test_who_is_reached_by_a_radio_is_streamed_angles_unless_the_file_says_otherwise() -> (

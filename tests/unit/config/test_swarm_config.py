@@ -13,18 +13,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from crazychoir.bus.port import BODIES
-from crazychoir.bus.topics import BODY, POSE, STATE, TRUTH
+from crazychoir.bus.port import PORT_ADDRESSES
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import (
-    WORLD,
+    PROCESS_NUMBERS,
     SwarmConfig,
     default_swarm,
     demo_swarm,
     find_swarm,
 )
 from crazychoir.errors import ConfigError
-from crazychoir.radio.budget import rates
-from crazychoir.team.graph import Graph, erdos_renyi_connected, named, path, ring
+from crazychoir.radio.budget import compute_setpoint_rates
+from crazychoir.team.graph import (
+    Graph,
+    erdos_renyi_connected,
+    graph_from_name,
+    path,
+    ring,
+)
 
 ROOT = Path(__file__).parents[3]
 
@@ -179,7 +185,7 @@ def test_defaults() -> None:
     ("keys", "graph"),
     [
         ('graph = "path"', path(4)),
-        ('graph = "erdos-renyi:0.5"', named("erdos-renyi:0.5", 4, seed=3)),
+        ('graph = "erdos-renyi:0.5"', graph_from_name("erdos-renyi:0.5", 4, seed=3)),
         ("edges = [[0, 1], [3, 2]]", Graph.from_edges(4, [(0, 1), (2, 3)])),
         (
             "edges = [[0, 1], [3, 2]]\ndirected = true",
@@ -238,15 +244,31 @@ def test_only_lightweight_drones_without_an_owner_are_in_their_agents() -> None:
     assert square().owned == ()
     assert square(first='uri = "sim://motors"').owned == (0,)
     assert square("world.owned = true").owned == (0, 1, 2, 3)
-    assert [square().source(topic, 2) for topic in (POSE, TRUTH, BODY, STATE)] == [
+    assert [
+        square().source(topic, 2)
+        for topic in (
+            DRONE_TOPICS.pose,
+            DRONE_TOPICS.truth,
+            DRONE_TOPICS.body,
+            DRONE_TOPICS.state,
+        )
+    ] == [
         2,
         2,
         2,
         2,
     ]
     owned = square("world.owned = true")
-    body = BODIES + 2
-    assert [owned.source(topic, 2) for topic in (POSE, TRUTH, BODY, STATE)] == [
+    body = PORT_ADDRESSES.body_offset + 2
+    assert [
+        owned.source(topic, 2)
+        for topic in (
+            DRONE_TOPICS.pose,
+            DRONE_TOPICS.truth,
+            DRONE_TOPICS.body,
+            DRONE_TOPICS.state,
+        )
+    ] == [
         body,
         body,
         body,
@@ -258,7 +280,7 @@ def test_the_owner_of_the_world_is_reached_before_all_agents() -> None:
     assert list(square("world.owned = true\nbase_port = 9000").endpoints().items())[
         :2
     ] == [
-        (WORLD, "tcp/127.0.0.1:8999"),
+        (PROCESS_NUMBERS.world, "tcp/127.0.0.1:8999"),
         (0, "tcp/127.0.0.1:9000"),
     ]
     raw = {
@@ -269,7 +291,10 @@ def test_the_owner_of_the_world_is_reached_before_all_agents() -> None:
         "drones": [{"id": 0, "home": [0, 0, 0], "host": "lab"}],
     }
     named = SwarmConfig.of(raw)
-    assert (named.owned, named.endpoints()[WORLD]) == ((0,), "tls/10.0.0.8:7459")
+    assert (named.owned, named.endpoints()[PROCESS_NUMBERS.world]) == (
+        (0,),
+        "tls/10.0.0.8:7459",
+    )
 
 
 def test_partitions_name_every_drone() -> None:
@@ -414,7 +439,7 @@ def test_dongles_carry_the_six_of_the_laboratory_if_their_uris_say_so() -> None:
         re.sub(r"id = (\d)", r'id = \1\nuri = "udp://127.0.0.1:1985\1"', text),
         "lab6.toml",
     )
-    assert rates(config) == {0: 84.0, 1: 84.0, 2: 84.0}
+    assert compute_setpoint_rates(config) == {0: 84.0, 1: 84.0, 2: 84.0}
 
 
 def _sections() -> dict[str, str]:

@@ -6,7 +6,7 @@ import pytest
 from cflib.crtp.radiodriver import RadioDriver
 
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.config.uris import canonical, parse_uri
+from crazychoir.config.uris import canonical_uri, parse_uri
 from crazychoir.errors import ConfigError
 
 ONE_RADIO_DRONE = [
@@ -100,8 +100,8 @@ def test_different_drones_are_taken():
     ],
 )
 def test_a_swarm_has_the_one_form_of_each_uri(uri, form):
-    assert canonical(uri) == form
-    assert canonical(form) == form
+    assert canonical_uri(uri) == form
+    assert canonical_uri(form) == form
     if not uri.startswith("replay"):
         assert loaded(uri).drone(0).uri == form
 
@@ -110,7 +110,7 @@ def test_a_swarm_has_the_one_form_of_each_uri(uri, form):
     "uri", [uri for uri in ONE_RADIO_DRONE if not uri.endswith("/")]
 )
 def test_the_one_form_means_to_cflib_what_the_uri_meant(uri):
-    *ours, address, limit = RadioDriver.parse_uri(canonical(uri))
+    *ours, address, limit = RadioDriver.parse_uri(canonical_uri(uri))
     *theirs, their_address, their_limit = RadioDriver.parse_uri(uri)
     assert (ours, list(address), limit) == (theirs, list(their_address), their_limit)
 

@@ -3,23 +3,23 @@ import pytest
 
 from crazychoir.control.attitude import GeometryAttitudeCtrl
 from crazychoir.control.controller import HierarchicalController
-from crazychoir.control.gains import STANDARD, Gains
+from crazychoir.control.gains import STANDARD_GAINS, Gains
 from crazychoir.control.handlers import AccelerationTraj, FullStateTraj
 from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositionCtrl
 from crazychoir.control.senders import FPQRSender
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.mocap.simulated import SimulatedMocap
-from crazychoir.numerics.math3d import GRAVITY
-from crazychoir.planning.point_to_point import PointToPoint, duration_for
-from crazychoir.platforms import PAPER
+from crazychoir.numerics.math3d import STANDARD_GRAVITY
+from crazychoir.planning.point_to_point import PointToPoint, compute_flight_time
+from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.simulation.lightweight.integrator import CFIntegrator
 from crazychoir.types import Acceleration, FullState, State
 
 HERE = State.at((0.0, 0.0, 1.0))
-HOVER = [PAPER.weight, 0.0, 0.0, 0.0]
+HOVER = [PAPER_PLATFORM.weight, 0.0, 0.0, 0.0]
 
 
-def tracking(gains=STANDARD):
+def tracking(gains=STANDARD_GAINS):
     return HierarchicalController(
         FlatnessPositionCtrl(gains),
         GeometryAttitudeCtrl(gains),
@@ -119,7 +119,7 @@ def test_strategies_are_exchanged_at_run_time():
     law.pos_strategy, law.traj_handler = FlatnessAccelerationCtrl(), AccelerationTraj()
     assert (
         law.command(HERE, Acceleration(np.array([0.0, 0.0, 1.0])), 0.0).thrust
-        > PAPER.weight
+        > PAPER_PLATFORM.weight
     )
     assert law.refused == 0
 
@@ -130,27 +130,27 @@ def test_strategies_are_exchanged_at_run_time():
 def test_tilt_thrust_and_rates_stay_within_their_limits(far):
     position = FlatnessPositionCtrl()
     out = position.desired(HERE, FullState.at(far).flat, 0.0)
-    assert out[9] >= np.cos(STANDARD.max_tilt) - 1e-9
-    assert 0.0 < out[0] <= PAPER.max_thrust
+    assert out[9] >= np.cos(STANDARD_GAINS.max_tilt) - 1e-9
+    assert 0.0 < out[0] <= PAPER_PLATFORM.max_thrust
     assert np.all(np.isfinite(out))
     u = tracking().command(State.at((0, 0, 1)), FullState.at(far), 0.0).flat
-    assert np.all(np.abs(u[1:]) <= PAPER.max_rate)
+    assert np.all(np.abs(u[1:]) <= PAPER_PLATFORM.max_rate)
 
 
 def test_a_falling_reference_meets_no_singularity():
     out = FlatnessPositionCtrl().desired(
-        HERE, FullState.at((0, 0, 1), a=(0, 0, -GRAVITY)).flat, 0.0
+        HERE, FullState.at((0, 0, 1), a=(0, 0, -STANDARD_GRAVITY)).flat, 0.0
     )
     np.testing.assert_allclose(out[7:10], [0.0, 0.0, 1.0], atol=1e-12)
-    assert out[0] == pytest.approx(0.2 * PAPER.weight)
+    assert out[0] == pytest.approx(0.2 * PAPER_PLATFORM.weight)
 
 
-def fly(gains=STANDARD, noise=0.0, seconds=6.0, **world):
+def fly(gains=STANDARD_GAINS, noise=0.0, seconds=6.0, **world):
     """Take off and go to (1, 1, 1): largest tracking error and the error at the end, m."""
     start, goal = FullState.at((0, 0, 0)), np.array([1.0, 1.0, 1.0])
     engine, plan = (
         CFIntegrator([0], np.zeros((1, 3)), **world),
-        PointToPoint(start, goal, 1.0, duration_for(start, goal, 1.0)),
+        PointToPoint(start, goal, 1.0, compute_flight_time(start, goal, 1.0)),
     )
     mocap, velocity, law = (
         SimulatedMocap([0], 1, noise, 2.0 * noise),
@@ -188,5 +188,5 @@ def test_the_shipped_gains_fly_behind_86_ms_of_lag_and_40_ms_of_delay():
 
 
 def test_a_faster_attitude_loop_does_not():
-    stiff = Gains(STANDARD.kp, STANDARD.kv, (16.0, 16.0, 4.0))
+    stiff = Gains(STANDARD_GAINS.kp, STANDARD_GAINS.kv, (16.0, 16.0, 4.0))
     assert fly(stiff, seconds=20.0, rate_lag=0.086, command_delay=0.04)[0] > 0.1

@@ -4,15 +4,10 @@ import pytest
 from virtual_time import virtual
 
 from crazychoir.dashboard.access import (
-    COOKIE,
-    LOGIN_SECONDS,
-    MOST_ADDRESSES,
-    MOST_BODY,
-    MOST_LOGIN,
-    PATIENCE,
-    PAUSE,
-    SESSION,
-    Gate,
+    LOGIN_LIMITS,
+    PAGE_SESSION,
+    REQUEST_RULES,
+    AccessGate,
     network_of,
 )
 
@@ -35,7 +30,7 @@ async def read_all(scope, receive, send):
 
 class Visitor:
     def __init__(self, clock, **options):
-        self.gate = Gate(read_all, clock, **{"hosts": (HOST,), **options})
+        self.gate = AccessGate(read_all, clock, **{"hosts": (HOST,), **options})
         self.cookie = ""
 
     async def come(
@@ -170,9 +165,9 @@ def test_other_sites_may_do_no_more_than_link_to_the_page(origin, fetch, status)
 @virtual
 async def test_what_is_too_large_is_refused_whether_it_says_so_or_not(clock):
     visitor = Visitor(clock)
-    for length in (MOST_BODY + 1, "much", "-1"):
+    for length in (REQUEST_RULES.largest_body + 1, "much", "-1"):
         assert (await visitor.come("POST", origin=ORIGIN, length=length))[0] == 413
-    half = b"x" * (MOST_BODY // 2)
+    half = b"x" * (REQUEST_RULES.largest_body // 2)
     assert (await visitor.come("POST", origin=ORIGIN, parts=(half, half)))[0] == 200
     assert (await visitor.come("POST", origin=ORIGIN, parts=(half, half, b"x")))[
         0
@@ -194,9 +189,9 @@ async def test_without_the_password_nobody_comes_in(clock):
         assert b"Password" in body
         assert body != b"in"
     assert (await visitor.come(kind="websocket", origin=ORIGIN))[0] == "close"
-    visitor.cookie = f"{COOKIE}=guessed"
+    visitor.cookie = f"{PAGE_SESSION.cookie_name}=guessed"
     assert (await visitor.come())[0] == 401
-    visitor.cookie = f"{COOKIE}="
+    visitor.cookie = f"{PAGE_SESSION.cookie_name}="
     assert (await visitor.come(kind="websocket", origin=ORIGIN))[0] == "close"
 
 
@@ -207,7 +202,7 @@ async def test_with_the_password_one_comes_in_and_wrong_ones_take_their_time(clo
     assert clock.now() == 0.0
     status, cookie = await visitor.log_in("correct+horse")
     assert status == 303
-    assert clock.now() == PAUSE, "it waits for its turn"
+    assert clock.now() == LOGIN_LIMITS.attempt_interval, "it waits for its turn"
     assert "HttpOnly" in cookie
     assert "Max-Age=43200" in cookie
     assert "SameSite=Strict" in cookie
@@ -217,12 +212,12 @@ async def test_with_the_password_one_comes_in_and_wrong_ones_take_their_time(clo
     assert (await visitor.come(kind="websocket", origin="http://evil.example"))[
         0
     ] == "close"
-    await clock.sleep(SESSION - 1.0)
+    await clock.sleep(PAGE_SESSION.lifetime - 1.0)
     assert (await visitor.come())[0] == 200
-    again = Gate(read_all, clock, None, PASSWORD)
+    again = AccessGate(read_all, clock, None, PASSWORD)
     other, visitor.gate = visitor.gate, again
     assert (await visitor.come())[0] == 200, "the server was started again"
-    visitor.gate = Gate(read_all, clock, None, "another password")
+    visitor.gate = AccessGate(read_all, clock, None, "another password")
     assert (await visitor.come())[0] == 401
     visitor.gate = other
     name, _, value = visitor.cookie.partition("=")
@@ -255,14 +250,14 @@ async def test_who_guesses_is_slow_and_keeps_nobody_else_out(clock):
     assert (await operator.log_in("correct+horse", "operator"))[0] == 303
     assert clock.now() == 0.1
     said = [status for status, _ in await asyncio.gather(*tries)]
-    looked_at = 1 + round(PATIENCE / PAUSE)
+    looked_at = 1 + round(LOGIN_LIMITS.longest_wait / LOGIN_LIMITS.attempt_interval)
     assert (said.count(401), said.count(429)) == (looked_at, 20 - looked_at)
-    assert clock.now() == PATIENCE
+    assert clock.now() == LOGIN_LIMITS.longest_wait
     assert (await guesser.log_in("guess", "evil"))[0] == 401
-    assert clock.now() == PATIENCE + PAUSE
-    for k in range(2 * MOST_ADDRESSES):
+    assert clock.now() == LOGIN_LIMITS.longest_wait + LOGIN_LIMITS.attempt_interval
+    for k in range(2 * LOGIN_LIMITS.most_addresses):
         assert (await guesser.log_in("guess", f"evil-{k}"))[0] == 401
-    assert len(guesser.gate._next) == MOST_ADDRESSES
+    assert len(guesser.gate._next) == LOGIN_LIMITS.most_addresses
 
 
 @virtual
@@ -273,7 +268,7 @@ async def test_a_login_is_bounded_and_of_this_site_and_its_cookie_is_secret_unde
     assert (await visitor.come("POST", "/login", parts=(b"password=correct+horse",)))[
         0
     ] == 403
-    parts = (b"x" * MOST_LOGIN, b"x")
+    parts = (b"x" * LOGIN_LIMITS.largest_body, b"x")
     status, _, headers = await visitor.come(
         "POST", "/login", origin=ORIGIN, parts=parts
     )
@@ -285,7 +280,7 @@ async def test_a_login_is_bounded_and_of_this_site_and_its_cookie_is_secret_unde
     assert (status, headers[b"connection"], clock.now()) == (
         408,
         b"close",
-        LOGIN_SECONDS,
+        LOGIN_LIMITS.body_timeout,
     )
     assert "; Secure" in (await visitor.log_in("correct+horse"))[1]
 
@@ -297,7 +292,7 @@ async def test_what_is_no_request_goes_through(clock):
     async def app(scope, receive, send):
         through.set()
 
-    await Gate(app, clock, (HOST,))({"type": "lifespan"}, None, None)
+    await AccessGate(app, clock, (HOST,))({"type": "lifespan"}, None, None)
     assert through.is_set()
 
 

@@ -3,29 +3,20 @@ import asyncio
 from virtual_time import virtual
 
 from crazychoir.bus.commands import (
-    ACCEPTED,
-    DONE,
-    NOT_READY,
-    REFUSED,
+    ANSWER_TEXTS,
     Commander,
     CommandServer,
 )
-from crazychoir.bus.port import OBSERVER, Bus
-from crazychoir.bus.topics import REQUEST
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.dashboard.commands import (
-    ACKNOWLEDGED,
-    ENDED,
-    KEPT,
-    REPLAYED,
-    SENT,
-    SILENT,
-    STOP,
-    UNFINISHED,
-    WITHDRAWN,
-    Desk,
+    ORDER_LIMITS,
+    RECEIPT_KINDS,
+    RECEIPT_TEXTS,
+    CommandDesk,
 )
-from crazychoir.dashboard.event_log import Watch
+from crazychoir.dashboard.event_log import EventLog
 from crazychoir.errors import ConfigError, Refused
 
 
@@ -44,9 +35,9 @@ class Swarm:
                 self.executor(i),
                 lambda on, i=i: self.stopped.append((i, on)),
             )
-        self.commander = Commander(bus.port(OBSERVER))
-        self.watch = Watch(clock)
-        self.desk = Desk(self, self.watch)
+        self.commander = Commander(bus.port(PORT_ADDRESSES.first_observer))
+        self.watch = EventLog(clock)
+        self.desk = CommandDesk(self, self.watch)
         self.replays = False
 
     def is_there(self, i):
@@ -75,21 +66,21 @@ async def test_a_receipt_tells_who_has_acknowledged_who_has_done_it_who_refuses_
 ):
     swarm = Swarm(clock)
     receipt = swarm.desk.order("take-off", seconds=5.0)
-    assert {kind for kind, _ in receipt.answers.values()} == {SENT}
+    assert {kind for kind, _ in receipt.answers.values()} == {RECEIPT_KINDS.sent}
     await clock.sleep(0.2)
     assert receipt.answers == {
-        0: (ACCEPTED, ""),
-        1: (REFUSED, "it is on the ground"),
-        2: (SENT, ""),
+        0: (ANSWER_TEXTS.accepted, ""),
+        1: (ANSWER_TEXTS.refused, "it is on the ground"),
+        2: (RECEIPT_KINDS.sent, ""),
     }
     await clock.sleep(1.0)
-    assert receipt.answers[0] == (DONE, "hovering")
-    await clock.sleep(ACKNOWLEDGED - 1.2 + 0.1)
-    assert receipt.answers[2] == (SENT, "no agent of it is there; resent")
+    assert receipt.answers[0] == (ANSWER_TEXTS.done, "hovering")
+    await clock.sleep(ORDER_LIMITS.acknowledge_timeout - 1.2 + 0.1)
+    assert receipt.answers[2] == (RECEIPT_KINDS.sent, "no agent of it is there; resent")
     assert receipt.open
     await swarm.desk.settled(receipt)
     assert clock.now() >= 5.0
-    assert receipt.answers[2][0] == SILENT
+    assert receipt.answers[2][0] == RECEIPT_KINDS.silent
     assert not receipt.done()
     assert [(line.drone, line.level) for line in swarm.watch.after(0)] == [
         (1, "warning"),
@@ -102,17 +93,19 @@ async def test_nobody_obeys_in_a_replay_and_when_all_have_gone(clock):
     swarm = Swarm(clock)
     assert swarm.desk.ended() == ""
     swarm.replays = True
-    assert swarm.desk.ended() == REPLAYED
+    assert swarm.desk.ended() == RECEIPT_TEXTS.replayed
     receipt = swarm.desk.order("land")
-    assert receipt.answers == dict.fromkeys(range(3), (REFUSED, REPLAYED))
-    assert swarm.desk.stop().answers[0][0] == SENT, (
+    assert receipt.answers == dict.fromkeys(
+        range(3), (ANSWER_TEXTS.refused, RECEIPT_TEXTS.replayed)
+    )
+    assert swarm.desk.stop().answers[0][0] == RECEIPT_KINDS.sent, (
         "a stop is sent whatever is believed"
     )
     await clock.sleep(1.0)
     assert swarm.obeyed == []
     swarm.replays = False
     swarm.is_there = lambda i: False
-    assert swarm.desk.ended() == ENDED
+    assert swarm.desk.ended() == RECEIPT_TEXTS.ended
 
 
 @virtual
@@ -128,7 +121,9 @@ async def test_what_was_begun_and_refused_after_a_later_order_is_withdrawn_by_it
     flying = swarm.desk.order("fly", [0])
     await clock.sleep(0.5)
     swarm.desk.order("hold", [0])
-    assert (await swarm.desk.settled(flying)).answers == {0: (WITHDRAWN, "by hold")}
+    assert (await swarm.desk.settled(flying)).answers == {
+        0: (RECEIPT_KINDS.withdrawn, "by hold")
+    }
     assert [line.text for line in swarm.watch.after(0)] == [], "it is no trouble"
 
 
@@ -149,9 +144,9 @@ async def test_what_is_accepted_and_not_done_in_time_is_said(clock):
     swarm = Swarm(clock)
     receipt = swarm.desk.order("land", [0], seconds=0.5)
     await swarm.desk.settled(receipt)
-    assert receipt.answers == {0: (UNFINISHED, "accepted, not done within 0.5 s")}, (
-        "it may do it yet"
-    )
+    assert receipt.answers == {
+        0: (RECEIPT_KINDS.unfinished, "accepted, not done within 0.5 s")
+    }, "it may do it yet"
     assert [line.text for line in swarm.watch.after(0)] == [
         "land: unfinished: accepted, not done within 0.5 s"
     ]
@@ -164,17 +159,19 @@ async def test_who_is_not_ready_yet_is_asked_again(clock):
 
     async def later(verb, arguments):
         if clock.now() < 4.0:
-            raise Refused("drone 0", f"{NOT_READY}: waiting for the others")
+            raise Refused(
+                "drone 0", f"{ANSWER_TEXTS.not_ready}: waiting for the others"
+            )
         return await execute(verb, arguments)
 
     CommandServer(swarm.bus.ports[0], later, print)
     receipt = await swarm.desk.settled(swarm.desk.order("take-off", [0]))
-    assert receipt.answers == {0: (DONE, "hovering")}
+    assert receipt.answers == {0: (ANSWER_TEXTS.done, "hovering")}
     assert 5.0 <= clock.now() < 5.5
     CommandServer(swarm.bus.ports[0], swarm.executor(1), print)
     assert (await swarm.desk.settled(swarm.desk.order("take-off", [0]))).answers[0][
         0
-    ] == REFUSED
+    ] == ANSWER_TEXTS.refused
     assert clock.now() < 6.0
 
 
@@ -185,15 +182,15 @@ async def test_a_stop_is_heard_by_all_that_are_there_and_the_silent_are_named(cl
     await clock.sleep(0.2)
     assert swarm.stopped == [(0, True), (1, True)]
     assert receipt.answers == {
-        0: (DONE, "motors off"),
-        1: (DONE, "motors off"),
-        2: (SENT, ""),
+        0: (ANSWER_TEXTS.done, "motors off"),
+        1: (ANSWER_TEXTS.done, "motors off"),
+        2: (RECEIPT_KINDS.sent, ""),
     }
     assert swarm.bus.stopped
     await swarm.desk.settled(receipt)
     assert receipt.answers[2] == (
-        SILENT,
-        f"no acknowledgement within {STOP:g} s, still sent",
+        RECEIPT_KINDS.silent,
+        f"no acknowledgement within {ORDER_LIMITS.stop_timeout:g} s, still sent",
     )
     cleared = await swarm.desk.settled(swarm.desk.stop([0, 1], clear=True))
     assert cleared.done()
@@ -215,14 +212,14 @@ async def test_a_stop_is_sent_until_it_is_heard_however_late(clock):
     receipt = await swarm.desk.settled(swarm.desk.stop())
     await clock.sleep(300.0)
     assert receipt.answers[0] == (
-        SILENT,
-        f"no acknowledgement within {STOP:g} s, still sent",
+        RECEIPT_KINDS.silent,
+        f"no acknowledgement within {ORDER_LIMITS.stop_timeout:g} s, still sent",
     )
     version = swarm.desk.version
     hears()
     await clock.sleep(0.3)
     assert swarm.stopped == [(1, True), (0, True)]
-    assert receipt.answers[0] == (DONE, "motors off")
+    assert receipt.answers[0] == (ANSWER_TEXTS.done, "motors off")
     assert swarm.desk.after(version) == [receipt]
     swarm.desk.close()
 
@@ -234,23 +231,29 @@ async def test_a_stop_ends_when_it_is_cleared_or_given_anew_and_one_of_some_leav
     swarm = Swarm(clock)
     hears = swarm.deaf(0)
     first, second = swarm.desk.stop(), swarm.desk.stop()
-    assert first.answers[0] == (WITHDRAWN, "by emergency stop")
+    assert first.answers[0] == (RECEIPT_KINDS.withdrawn, "by emergency stop")
     alone = swarm.desk.stop([0])
     await clock.sleep(1.0)
-    assert (second.answers[0], alone.answers[0]) == ((SENT, ""), (SENT, ""))
+    assert (second.answers[0], alone.answers[0]) == (
+        (RECEIPT_KINDS.sent, ""),
+        (RECEIPT_KINDS.sent, ""),
+    )
     assert len(swarm.desk._stops) == 2
     swarm.bus.stopped = False
     hears()
     await clock.sleep(1.0)
-    assert second.answers[0] == alone.answers[0] == (DONE, "motors off")
+    assert second.answers[0] == alone.answers[0] == (ANSWER_TEXTS.done, "motors off")
     assert swarm.bus.stopped, "whichever came last"
     hears = swarm.deaf(1)
     third = swarm.desk.stop([1])
     cleared = swarm.desk.stop(clear=True)
-    assert third.answers == {1: (WITHDRAWN, "by clear stop")}
+    assert third.answers == {1: (RECEIPT_KINDS.withdrawn, "by clear stop")}
     await swarm.desk.settled(cleared)
-    assert cleared.answers[0] == (DONE, "cleared")
-    assert cleared.answers[1] == (SILENT, f"no acknowledgement within {STOP:g} s")
+    assert cleared.answers[0] == (ANSWER_TEXTS.done, "cleared")
+    assert cleared.answers[1] == (
+        RECEIPT_KINDS.silent,
+        f"no acknowledgement within {ORDER_LIMITS.stop_timeout:g} s",
+    )
     await clock.sleep(0.5)
     told = list(swarm.stopped)
     hears()
@@ -269,13 +272,16 @@ async def test_a_stop_withdraws_whatever_would_move_its_drones(clock):
         swarm.desk.order("impair", [1], each=lambda i: {"loss": 0.1}),
     )
     await clock.sleep(0.2)
-    assert going.answers == {0: (ACCEPTED, ""), 1: (WITHDRAWN, "by fly")}
+    assert going.answers == {
+        0: (ANSWER_TEXTS.accepted, ""),
+        1: (RECEIPT_KINDS.withdrawn, "by fly"),
+    }
     lines = swarm.watch.count
     swarm.desk.stop([1])
-    assert flying.answers == {1: (WITHDRAWN, "by stop")}
-    assert worse.answers == {1: (SENT, "")}, "it moves nothing"
+    assert flying.answers == {1: (RECEIPT_KINDS.withdrawn, "by stop")}
+    assert worse.answers == {1: (RECEIPT_KINDS.sent, "")}, "it moves nothing"
     swarm.desk.stop()
-    assert going.answers[0] == (WITHDRAWN, "by stop")
+    assert going.answers[0] == (RECEIPT_KINDS.withdrawn, "by stop")
     assert swarm.watch.count == lines, "no trouble"
     hears()
     await clock.sleep(1.0)
@@ -290,10 +296,10 @@ async def test_what_is_ordered_later_counts_when_the_network_is_back(clock):
     swarm = Swarm(clock)
     hears = swarm.deaf(0)
     go, hold = swarm.desk.order("go", [0]), swarm.desk.order("hold", [0])
-    assert go.answers == {0: (WITHDRAWN, "by hold")}
+    assert go.answers == {0: (RECEIPT_KINDS.withdrawn, "by hold")}
     await clock.sleep(0.5)
     going = swarm.desk.order("go-to", [0], each=lambda i: {"p": [0, 0, 1]})
-    assert hold.answers[0][0] == SENT, "who flies somewhere is held"
+    assert hold.answers[0][0] == RECEIPT_KINDS.sent, "who flies somewhere is held"
     hears()
     await swarm.desk.settled(hold)
     await swarm.desk.settled(going)
@@ -301,7 +307,9 @@ async def test_what_is_ordered_later_counts_when_the_network_is_back(clock):
     landing = swarm.desk.order("land", [0])
     await clock.sleep(0.2)
     swarm.desk.order("hold", [0])
-    assert landing.answers == {0: (ACCEPTED, "")}, "it says by itself what comes of it"
+    assert landing.answers == {0: (ANSWER_TEXTS.accepted, "")}, (
+        "it says by itself what comes of it"
+    )
     swarm.desk.close()
 
 
@@ -312,13 +320,15 @@ async def test_who_is_to_be_asked_again_is_not_when_something_else_was_ordered(c
     async def later(verb, arguments):
         asked.append(verb)
         if verb == "take-off":
-            raise Refused("drone 0", f"{NOT_READY}: waiting for the others")
+            raise Refused(
+                "drone 0", f"{ANSWER_TEXTS.not_ready}: waiting for the others"
+            )
 
     CommandServer(swarm.bus.ports[0], later, print)
     receipt = swarm.desk.order("take-off", [0])
     await clock.sleep(1.0)
     await swarm.desk.settled(swarm.desk.order("land", [0]))
-    assert receipt.answers == {0: (WITHDRAWN, "by land")}
+    assert receipt.answers == {0: (RECEIPT_KINDS.withdrawn, "by land")}
     await clock.sleep(5.0)
     assert asked[-1] == "land"
 
@@ -333,12 +343,14 @@ async def test_who_has_accepted_a_take_off_and_was_told_to_hold_is_not_asked_for
         asked.append(verb)
         if verb == "take-off":
             await clock.sleep(0.3)
-            raise Refused("drone 0", f"{NOT_READY}: waiting for the others")
+            raise Refused(
+                "drone 0", f"{ANSWER_TEXTS.not_ready}: waiting for the others"
+            )
 
     CommandServer(swarm.bus.ports[0], later, print)
     rising = swarm.desk.order("take-off", [0])
     await clock.sleep(0.1)
-    assert rising.answers == {0: (ACCEPTED, "")}
+    assert rising.answers == {0: (ANSWER_TEXTS.accepted, "")}
     hears, lines = swarm.deaf(0), swarm.watch.count
     deliver, swarm.commander.port.deliver = (
         swarm.commander.port.deliver,
@@ -346,7 +358,9 @@ async def test_who_has_accepted_a_take_off_and_was_told_to_hold_is_not_asked_for
     )
     await clock.sleep(1.0)
     holding = swarm.desk.order("hold", [0])
-    assert rising.answers == {0: (ACCEPTED, "")}, "it says by itself what comes of it"
+    assert rising.answers == {0: (ANSWER_TEXTS.accepted, "")}, (
+        "it says by itself what comes of it"
+    )
     await clock.sleep(1.0)
     swarm.commander.port.deliver = deliver
     hears()
@@ -354,7 +368,7 @@ async def test_who_has_accepted_a_take_off_and_was_told_to_hold_is_not_asked_for
     await swarm.desk.settled(rising)
     await clock.sleep(3.0)
     assert asked == ["take-off", "hold"]
-    assert rising.answers == {0: (WITHDRAWN, "by hold")}
+    assert rising.answers == {0: (RECEIPT_KINDS.withdrawn, "by hold")}
     assert swarm.watch.count == lines, "no trouble"
     swarm.desk.close()
 
@@ -386,7 +400,10 @@ async def test_changes_of_the_network_are_made_in_the_order_in_which_they_were_o
     ]
     began = clock.now()
     await swarm.desk.settled(late[1])
-    assert [receipt.answers[0][0] for receipt in late] == [SILENT, SILENT]
+    assert [receipt.answers[0][0] for receipt in late] == [
+        RECEIPT_KINDS.silent,
+        RECEIPT_KINDS.silent,
+    ]
     assert clock.now() < began + 5.2, "each gets its time from when it was ordered"
     swarm.desk.close()
 
@@ -407,9 +424,9 @@ async def test_a_stop_counts_while_what_was_ordered_before_is_still_prepared(clo
 
     flying = fly()
     await clock.sleep(1.0)
-    assert flying.answers == {0: (SENT, "")}
+    assert flying.answers == {0: (RECEIPT_KINDS.sent, "")}
     swarm.desk.stop()
-    assert flying.answers == {0: (WITHDRAWN, "by stop")}
+    assert flying.answers == {0: (RECEIPT_KINDS.withdrawn, "by stop")}
     await clock.sleep(5.0)
     assert swarm.obeyed == []
     flying = fly()
@@ -436,7 +453,7 @@ async def test_what_cannot_be_prepared_is_refused_with_the_reason(clock):
         )
         await swarm.desk.settled(receipt)
         for kind, words in receipt.answers.values():
-            assert kind == REFUSED
+            assert kind == ANSWER_TEXTS.refused
             assert why in words
 
 
@@ -465,13 +482,13 @@ async def test_a_page_is_told_what_has_changed_since_it_was_told_last(clock):
     assert swarm.desk.after(told) == [second]
     await swarm.desk.settled(first)
     assert swarm.desk.after(told) == [first, second]
-    for _ in range(KEPT):
+    for _ in range(ORDER_LIMITS.most_receipts):
         swarm.desk.order("go", [0])
-    assert len(swarm.desk.after(0)) == KEPT
+    assert len(swarm.desk.after(0)) == ORDER_LIMITS.most_receipts
     stop = swarm.desk.stop([2])
-    for _ in range(KEPT):
+    for _ in range(ORDER_LIMITS.most_receipts):
         swarm.desk.order("go", [0])
-    assert len(swarm.desk.after(0)) == KEPT
+    assert len(swarm.desk.after(0)) == ORDER_LIMITS.most_receipts
     assert stop in swarm.desk.after(0), "it is still sent"
     swarm.desk.close()
 
@@ -480,8 +497,8 @@ async def test_a_page_is_told_what_has_changed_since_it_was_told_last(clock):
 async def test_that_a_drone_accepts_is_told_once_however_often_it_says_so(clock):
     swarm, told = Swarm(clock), []
     port = swarm.bus.ports[0]
-    handle = port.handlers[REQUEST.number]
-    port.handlers[REQUEST.number] = lambda *message: (
+    handle = port.handlers[MESSAGE_TOPICS.request.number]
+    port.handlers[MESSAGE_TOPICS.request.number] = lambda *message: (
         handle(*message),
         handle(*message),
     )

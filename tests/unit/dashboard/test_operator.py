@@ -1,7 +1,7 @@
 import pytest
 
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.dashboard.operator import Operator
+from crazychoir.dashboard.operator import PageOperator
 from crazychoir.dashboard.requests import GoTo
 from crazychoir.errors import ConfigError
 
@@ -18,7 +18,7 @@ class Desk:
 
 def operator_of(desk, **tables):
     drones = [{"id": i, "home": [1.0 * i, 0.0, 0.0], "leader": i < 2} for i in range(4)]
-    return Operator(
+    return PageOperator(
         SwarmConfig.of({"name": "a", "drones": drones, **tables}), desk, None
     )
 

@@ -6,7 +6,7 @@ pytest.importorskip(
 
 import trustme
 
-from crazychoir.dashboard.server import Served
+from crazychoir.dashboard.server import PageAddress
 from crazychoir.errors import ConfigError
 
 PASSWORD = "correct horse"  # noqa: S105 - of a test
@@ -31,7 +31,7 @@ def named(port, *names):
 def test_a_page_may_be_called_as_it_is_served_and_without_the_port_that_browsers_leave_out(
     host, port, hosts
 ):
-    assert Served(host, password=PASSWORD).hosts(port) == hosts
+    assert PageAddress(host, password=PASSWORD).hosts(port) == hosts
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def pem(tmp_path_factory):
 
 
 def test_a_page_with_a_certificate_has_another_port_that_is_left_out(pem):
-    served = Served(certificate=pem["certificate"], key=pem["key"])
+    served = PageAddress(certificate=pem["certificate"], key=pem["key"])
     assert served.hosts(443) == (*named(443, *LOCAL), *LOCAL)
     assert served.hosts(80) == named(80, *LOCAL)
 
@@ -62,7 +62,7 @@ def test_a_page_with_a_certificate_has_another_port_that_is_left_out(pem):
 )
 def test_other_machines_come_in_with_a_password_or_a_certificate(pem, credentials):
     tls = {"certificate": pem["certificate"], "key": pem["key"]}
-    served = Served(
+    served = PageAddress(
         "0.0.0.0",  # noqa: S104
         **tls,
         **{name: pem.get(found, found) for name, found in credentials.items()},
@@ -106,7 +106,7 @@ def test_what_nobody_could_come_in_with_is_refused_before_it_is_served(
     pem, host, files, said
 ):
     with pytest.raises(ConfigError) as raised:
-        Served(
+        PageAddress(
             host,
             **{
                 name: pem.get(file, pem["text"].with_name(file))

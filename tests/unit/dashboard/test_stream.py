@@ -5,26 +5,22 @@ import numpy as np
 import pytest
 from virtual_time import virtual
 
-from crazychoir.bus.commands import REFUSED, Commander, CommandServer
+from crazychoir.bus.commands import ANSWER_TEXTS, Commander, CommandServer
 from crazychoir.bus.impairment.model import Impairment
-from crazychoir.bus.impairment.rules import Partition
-from crazychoir.bus.port import OBSERVER, Bus
-from crazychoir.bus.topics import STATE, STATUS
+from crazychoir.bus.impairment.rules import NetworkPartition
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.dashboard import operator
-from crazychoir.dashboard.commands import SILENT, UNFINISHED, WITHDRAWN, Desk
-from crazychoir.dashboard.event_log import Watch
-from crazychoir.dashboard.model import RATE, SwarmModel
-from crazychoir.dashboard.operator import Operator
-from crazychoir.dashboard.polling import LATER, Overview, TaskBoard
+from crazychoir.dashboard.commands import RECEIPT_KINDS, CommandDesk
+from crazychoir.dashboard.event_log import EventLog
+from crazychoir.dashboard.model import PAGE_DATA, SwarmModel
+from crazychoir.dashboard.operator import PageOperator
+from crazychoir.dashboard.polling import POLLING_LIMITS, Overview, TaskBoard
 from crazychoir.dashboard.stream import (
-    FLOOD,
-    MOST_ASKED,
-    MOST_PAGES,
-    PER_SECONDS,
-    POLICY,
-    TOO_MANY,
-    Stream,
+    STREAM_LIMITS,
+    CloseCode,
+    PageStream,
 )
 from crazychoir.errors import Refused
 from crazychoir.types import State, Status
@@ -79,14 +75,19 @@ class Server:
                 lambda verb, arguments, i=i: self.execute(i, verb, arguments),
                 print,
             )
-        self.commander, self.watch = Commander(self.bus.port(OBSERVER)), Watch(clock)
-        self.desk, self.replays = Desk(self, self.watch), False
-        self.model = SwarmModel(self.bus, OBSERVER, self.config, self.watch)
+        self.commander, self.watch = (
+            Commander(self.bus.port(PORT_ADDRESSES.first_observer)),
+            EventLog(clock),
+        )
+        self.desk, self.replays = CommandDesk(self, self.watch), False
+        self.model = SwarmModel(
+            self.bus, PORT_ADDRESSES.first_observer, self.config, self.watch
+        )
         self.overview, self.board = (
             Overview(self.desk),
             TaskBoard(self.desk, self.model),
         )
-        self.stream = Stream(
+        self.stream = PageStream(
             self.model, self.desk, self.watch, self.overview, self.board
         )
         self.actors = [
@@ -118,7 +119,7 @@ class Server:
 
     def page(self, **options):
         socket = Socket(self.clock, **options)
-        operator = Operator(self.config, self.desk, self.board)
+        operator = PageOperator(self.config, self.desk, self.board)
         socket.serving = asyncio.create_task(self.stream.serve(socket, operator))
         return socket
 
@@ -147,9 +148,9 @@ async def test_each_page_gets_thirty_frames_a_second_and_a_slow_one_fewer_and_no
 ):
     server = Server(clock)
     quick, slow = server.page(), server.page(slow=0.5)
-    server.bus.ports[1].publish(STATE, State.at((1.0, 2.0, 3.0)))
+    server.bus.ports[1].publish(DRONE_TOPICS.state, State.at((1.0, 2.0, 3.0)))
     await clock.sleep(2.0)
-    assert abs(len(quick.frames) - 2.0 * RATE) <= 2
+    assert abs(len(quick.frames) - 2.0 * PAGE_DATA.state_rate) <= 2
     assert 3 <= len(slow.frames) <= 5
     assert np.frombuffer(quick.frames[-1][1], "<f4", offset=8)[17:20].tolist() == [
         1.0,
@@ -268,7 +269,7 @@ async def test_of_two_drawings_the_newer_counts_whichever_is_planned_first(
         return work(strokes, pen, config, **limits)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(operator, "_aside", aside)
+        patch.setattr(operator, "_run_in_thread", aside)
         for height in (0.5, 0.7):
             page.asks.put_nowait(
                 {"ask": "draw", "strokes": [[[0, 0, 0], [1, 1, 0]]], "height": height}
@@ -293,7 +294,7 @@ async def test_one_drawing_is_planned_at_a_time_and_the_newest_of_those_that_wai
         return work(strokes, pen, config, **limits)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(operator, "_aside", aside)
+        patch.setattr(operator, "_run_in_thread", aside)
         for height in (0.5, 0.6, 0.7, 0.8):
             page.asks.put_nowait(
                 {"ask": "draw", "strokes": [[[0, 0, 0], [1, 1, 0]]], "height": height}
@@ -310,7 +311,7 @@ async def test_what_a_page_asks_for_without_end_is_refused_but_never_a_stop(
     clock, server, page
 ):
     await clock.sleep(0.1)
-    for _ in range(MOST_ASKED + 100):
+    for _ in range(STREAM_LIMITS.most_messages + 100):
         page.asks.put_nowait({"ask": "order", "verb": "hold", "drones": [0]})
     page.asks.put_nowait({"ask": "stop"})
     page.asks.put_nowait({"ask": "order", "verb": "land", "drones": [1]})
@@ -319,9 +320,9 @@ async def test_what_a_page_asks_for_without_end_is_refused_but_never_a_stop(
     assert server.desk.receipts[-1].verb == "emergency stop"
     assert server.bus.stopped
     (refused,) = page.told("refused")
-    assert str(MOST_ASKED) in refused
+    assert str(STREAM_LIMITS.most_messages) in refused
     assert page.closed is None
-    await clock.sleep(PER_SECONDS)
+    await clock.sleep(STREAM_LIMITS.counting_time)
     page.asks.put_nowait({"ask": "order", "verb": "land", "drones": [1]})
     await clock.sleep(0.2)
     assert server.those("land") == [(1, "land", {})]
@@ -356,8 +357,8 @@ async def test_what_nobody_has_foreseen_is_refused_with_its_reason_and_the_page_
         raise AssertionError("unknown status keyword 'a' in marked section")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(operator, "loaded", fails)
-        patch.setattr(operator, "places", fails)
+        patch.setattr(operator, "answer_load", fails)
+        patch.setattr(operator, "flight_places", fails)
         page.asks.put_nowait({"ask": "load", "name": "a.svg", "text": "<![a["})
         page.asks.put_nowait({"ask": "go-to", "drones": [1], "p": [0, 0, 1]})
         await clock.sleep(0.5)
@@ -372,14 +373,16 @@ async def test_what_nobody_has_foreseen_is_refused_with_its_reason_and_the_page_
 @served
 async def test_a_page_that_floods_its_line_is_closed(clock, server, page):
     await clock.sleep(0.1)
-    for _ in range(FLOOD):
+    for _ in range(STREAM_LIMITS.flood_messages):
         page.asks.put_nowait("{")
     await clock.sleep(0.5)
-    assert page.closed == POLICY
+    assert page.closed == CloseCode.POLICY_VIOLATION
     assert server.stream.pages == 0
-    pages = [server.page() for _ in range(MOST_PAGES + 1)]
+    pages = [server.page() for _ in range(STREAM_LIMITS.most_pages + 1)]
     await clock.sleep(0.5)
-    assert [page.closed for page in pages] == [None] * MOST_PAGES + [TOO_MANY]
+    assert [page.closed for page in pages] == [None] * STREAM_LIMITS.most_pages + [
+        CloseCode.TRY_AGAIN_LATER
+    ]
 
 
 @served
@@ -460,12 +463,14 @@ async def test_a_task_that_one_has_accepted_or_may_have_heard_is_given_to_nobody
     await clock.sleep(12.0)
     assert added == [0]
     (receipt,) = server.desk.receipts
-    assert receipt.answers == {0: (UNFINISHED, "accepted, not done within 5 s")}
+    assert receipt.answers == {
+        0: (RECEIPT_KINDS.unfinished, "accepted, not done within 5 s")
+    }
     server.bus.ports[0].deliver = lambda *message: None
     server.board._k = 0
     await server.board.ask("task_add", "", pickup=[1.0, 2.0])
     assert added == [0]
-    assert server.desk.receipts[-1].answers[0][0] == SILENT
+    assert server.desk.receipts[-1].answers[0][0] == RECEIPT_KINDS.silent
     assert len(server.desk.receipts) == 2
 
 
@@ -485,7 +490,8 @@ async def test_tasks_are_those_of_who_hears_more_than_half_of_the_swarm(
         for _ in range(round(4 * seconds)):
             for i in range(3):
                 server.bus.ports[i].publish(
-                    STATUS, Status("mission", suspect=silent.get(f"d{i}", []))
+                    DRONE_TOPICS.status,
+                    Status("mission", suspect=silent.get(f"d{i}", [])),
                 )
             await clock.sleep(0.25)
 
@@ -511,7 +517,7 @@ async def test_a_mission_without_tasks_is_asked_seldom(clock):
 
     server.execute = refuse
     page = server.page()
-    await clock.sleep(3.0 + LATER - 1.0)
+    await clock.sleep(3.0 + POLLING_LIMITS.no_tasks_pause - 1.0)
     assert len(server.those("task_list")) == 3
     assert page.told("tasks")[-1] is None
     await server.end()
@@ -549,7 +555,7 @@ async def test_drones_are_cut_off_beside_those_that_are_and_the_receipt_says_wha
 ):
     server, network = (
         Server(clock),
-        Impairment(1, partitions=[Partition(5.0, 9.0, (1,), (2,))]),
+        Impairment(1, partitions=[NetworkPartition(5.0, 9.0, (1,), (2,))]),
     )
 
     async def execute(i, verb, arguments):
@@ -595,13 +601,13 @@ async def test_a_stop_comes_between_while_what_each_flies_is_made(clock):
     page = server.page()
 
     async def aside(work, *arguments, **named):
-        if work is operator.messages:
+        if work is operator.flight_messages:
             making.append(clock.now())
             await clock.sleep(3.0)
         return work(*arguments, **named)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(operator, "_aside", aside)
+        patch.setattr(operator, "_run_in_thread", aside)
         page.asks.put_nowait({"ask": "draw", "strokes": [[[0, 0, 0], [1, 1, 0]]]})
         await clock.sleep(0.5)
         page.asks.put_nowait({"ask": "fly", "drones": [1]})
@@ -614,12 +620,14 @@ async def test_a_stop_comes_between_while_what_each_flies_is_made(clock):
         assert server.bus.stopped
         await clock.sleep(5.0)
         assert not server.those("fly")
-        assert server.desk.receipts[0].answers == {1: (WITHDRAWN, "by stop")}
+        assert server.desk.receipts[0].answers == {
+            1: (RECEIPT_KINDS.withdrawn, "by stop")
+        }
         page.asks.put_nowait({"ask": "fly", "drones": [1, 2], "offset": [0, 50.0, 0]})
         await clock.sleep(4.0)
     assert not server.those("fly")
     kind, words = server.desk.receipts[-1].answers[1]
-    assert (kind, len(making)) == (REFUSED, 2)
+    assert (kind, len(making)) == (ANSWER_TEXTS.refused, 2)
     assert "path of drone 2" in words
     await server.end()
 

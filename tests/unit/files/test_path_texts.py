@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 import crazychoir
 from crazychoir.bus.codec import decode, encode
-from crazychoir.bus.network.public_topics import as_json
+from crazychoir.bus.network.public_topics import fields_as_json
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.files.path_texts import as_path, json_bytes, make_readable
 from crazychoir.types import Status
@@ -66,7 +66,7 @@ def test_texts_anywhere_in_a_value_are_made_to_travel():
     )
     assert arrived[r"b\xfcse"][1] == [r"b\xfcse", 3]
     assert decode(encode(status)).phase == r"b\xfcse"
-    assert msgspec.json.decode(as_json(status))["note"] == UMLAUT
+    assert msgspec.json.decode(fields_as_json(status))["note"] == UMLAUT
 
 
 @pytest.mark.parametrize("name", [UMLAUT, OTHER_BYTES, IN_ASCII])
@@ -143,7 +143,7 @@ def test_every_text_file_is_read_and_written_with_an_encoding():
 
 
 def test_the_consoles_are_made_in_one_place_and_print_names_as_they_are():
-    from crazychoir.launch.console import STDERR, STDOUT
+    from crazychoir.launch.console import ANSWER_CONSOLE, ERROR_CONSOLE
 
     makes = re.compile(
         r"from rich\.console import [^\n]*\bConsole\b|from_markup|from rich import print"
@@ -156,7 +156,7 @@ def test_the_consoles_are_made_in_one_place_and_print_names_as_they_are():
     assert [name for name, source in sources.items() if makes.search(source)] == [
         "launch/console.py"
     ]
-    for console in (STDERR, STDOUT):
+    for console in (ERROR_CONSOLE, ANSWER_CONSOLE):
         assert (
             str(console.render_str("[red]x[/] [/] :smile:")) == "[red]x[/] [/] :smile:"
         )

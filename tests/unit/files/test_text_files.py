@@ -12,11 +12,11 @@ from crazychoir.config.editing import write_keys
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError, InstanceError
 from crazychoir.files.text_files import decode_text, read_text
-from crazychoir.mocap.recording import HEAD, read_recording
+from crazychoir.mocap.recording import RECORDING_COLUMNS, read_recording
 from crazychoir.planning.drawing.svg import read_svg
 from crazychoir.planning.number_table import read_table
-from crazychoir.radio.protocol.addresses import dongles
-from crazychoir.radio.protocol.addresses import read_text as read_addresses
+from crazychoir.radio.protocol.addresses import find_dongle_uris
+from crazychoir.radio.protocol.addresses import read_swarm_text as read_addresses
 from crazychoir.routing.instance.instance import Instance
 
 MARK = codecs.BOM_UTF8
@@ -43,10 +43,10 @@ FILES = {
     ),
     "radio.toml": (
         SWARM,
-        lambda p: dongles(read_addresses(p).removeprefix("\ufeff"), "swarm"),
+        lambda p: find_dongle_uris(read_addresses(p).removeprefix("\ufeff"), "swarm"),
     ),
     "poses.csv": (
-        f"{','.join(HEAD)}\n0.0,cf1,0,0,1,0,0,0,1\n",
+        f"{','.join(RECORDING_COLUMNS)}\n0.0,cf1,0,0,1,0,0,0,1\n",
         lambda p: [f.time for f in read_recording(p)],
     ),
     "table.csv": ("t,x\n0,1\n1,2\n", lambda p: read_table(p, ("t", "x"))["x"].tolist()),

@@ -16,10 +16,10 @@ from crazychoir.files.private_folder import runtime_folder
 from crazychoir.files.user_folders import (
     cache_home,
     first_warning,
-    home,
     make_private,
     private_folder,
     private_folder_of,
+    user_home,
     user_name,
     write_fault,
 )
@@ -39,20 +39,20 @@ def no_home():
 def test_a_user_whom_the_system_does_not_know_has_no_home_and_no_cache(monkeypatch):
     monkeypatch.delenv("HOME")
     monkeypatch.setattr(Path, "home", no_home)
-    assert home() is None
+    assert user_home() is None
     assert cache_home() is None
 
 
 @pytest.mark.parametrize("value", ["relative", "~", "."])
 def test_a_home_that_depends_on_the_working_folder_is_none(monkeypatch, value):
     monkeypatch.setenv("HOME", value)
-    assert home() is None
+    assert user_home() is None
 
 
 def test_an_empty_home_is_looked_up(monkeypatch):
     monkeypatch.setenv("HOME", "")
     monkeypatch.setattr(Path, "home", lambda: Path("/home/anna"))
-    assert home() == Path("/home/anna")
+    assert user_home() == Path("/home/anna")
 
 
 def test_the_cache_is_where_the_user_says_else_in_the_home(monkeypatch, tmp_path):

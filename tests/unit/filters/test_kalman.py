@@ -3,22 +3,22 @@ import math
 import numpy as np
 import pytest
 
-from crazychoir.filters.kalman import CALLED, DOUBTS, A, D, KalmanFilter, P
-from crazychoir.filters.motion import Commanded
+from crazychoir.filters.kalman import KALMAN_GATE, KALMAN_MEMORY, KalmanFilter
+from crazychoir.filters.motion import CommandedMotion
 from crazychoir.filters.state_filter import StateFilter
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.numerics.math3d import (
-    conjugate,
-    exponential,
-    logarithm,
-    product,
+    quaternion_conjugate,
     quaternion_of_yaw,
+    quaternion_product,
+    rotation_exponential,
+    rotation_logarithm,
 )
-from crazychoir.platforms import PAPER
+from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.types import Pose
 
 STILL = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])
-HOVER = np.array([PAPER.weight, 0.0, 0.0, 0.0])
+HOVER = np.array([PAPER_PLATFORM.weight, 0.0, 0.0, 0.0])
 
 
 def pose(x, age=0.0):
@@ -30,11 +30,11 @@ def noisy(flat, draw):
 
 
 def command(weights, *rates):
-    return np.array([weights * PAPER.weight, *rates])
+    return np.array([weights * PAPER_PLATFORM.weight, *rates])
 
 
 def told(**options):
-    f = KalmanFilter(motion=Commanded(PAPER.flat, 0.0), **options)
+    f = KalmanFilter(motion=CommandedMotion(PAPER_PLATFORM.flat, 0.0), **options)
     f.commanded = HOVER
     return f
 
@@ -46,19 +46,25 @@ def flying(f, until, speed=1.0):
 
 
 def angle(state, q):
-    return np.linalg.norm(logarithm(product(conjugate(tuple(q)), tuple(state.q))))
+    return np.linalg.norm(
+        rotation_logarithm(
+            quaternion_product(quaternion_conjugate(tuple(q)), tuple(state.q))
+        )
+    )
 
 
 def covariances(f):
-    pp, pv, pd, vv, vd, dd = f._memory[P:A]
-    aa, aw, ww = f._memory[A:CALLED]
+    pp, pv, pd, vv, vd, dd = f._memory[
+        KALMAN_MEMORY.place_covariance : KALMAN_MEMORY.attitude_covariance
+    ]
+    aa, aw, ww = f._memory[KALMAN_MEMORY.attitude_covariance : KALMAN_MEMORY.call_time]
     return np.array([[pp, pv, pd], [pv, vv, vd], [pd, vd, dd]]), np.array(
         [[aa, aw], [aw, ww]]
     )
 
 
 def test_a_pilot_may_take_either_filter():
-    motion = Commanded(PAPER.flat, 0.0)
+    motion = CommandedMotion(PAPER_PLATFORM.flat, 0.0)
     filters: list[StateFilter] = [
         VelocityFilter(motion=motion),
         KalmanFilter(motion=motion),
@@ -117,11 +123,11 @@ def test_a_pose_that_is_not_readable_counts_as_missing(flat):
     f = KalmanFilter()
     assert f.update(bad, -1.0) is None
     flying(f, 100)
-    for k in range(2 * DOUBTS):
+    for k in range(2 * KALMAN_GATE.doubts):
         state = f.update(bad, 1.01 + 0.01 * k)
         assert np.all(np.isfinite(state.flat))
         assert state.age == pytest.approx(0.01 * (k + 1))
-    assert f.refused == 1 + 2 * DOUBTS
+    assert f.refused == 1 + 2 * KALMAN_GATE.doubts
     assert f.update(pose(1.22), 1.22).age == 0.0
 
 
@@ -189,8 +195,8 @@ def test_poses_that_stay_elsewhere_are_believed_in_the_end():
     flying(f, 100, speed=0.5)
     for k in range(1, 60):
         state = f.update(pose(4.0 + 0.5 + 0.005 * k), 1.0 + 0.01 * k)
-        assert (state.p[0] > 4.0) == (k >= DOUBTS)
-    assert f.refused == DOUBTS - 1
+        assert (state.p[0] > 4.0) == (k >= KALMAN_GATE.doubts)
+    assert f.refused == KALMAN_GATE.doubts - 1
     assert state.v[0] == pytest.approx(0.5, abs=0.02)
 
 
@@ -213,7 +219,7 @@ def test_commands_that_are_not_numbers_are_not_taken(bad):
 def test_the_latency_is_bridged_by_the_commands_of_that_time():
     """Thrust and rates change each tick; the poses are 30 ms late, the state is that of now."""
     motion, truth, f = (
-        Commanded(PAPER.flat, 0.0),
+        CommandedMotion(PAPER_PLATFORM.flat, 0.0),
         [np.array([*STILL[:3], 0, 0, 0, *STILL[3:], 0, 0, 0.0])],
         told(),
     )
@@ -237,7 +243,7 @@ def test_the_latency_is_bridged_by_the_commands_of_that_time():
 
 
 def test_half_a_second_without_poses_is_flown_by_the_commands_and_the_thrust_that_was_off():
-    motion = Commanded(PAPER.flat, 0.0)
+    motion = CommandedMotion(PAPER_PLATFORM.flat, 0.0)
     off = {}
     for kind in ("derivative", "kalman"):
         f = VelocityFilter(motion=motion) if kind == "derivative" else told()
@@ -258,14 +264,20 @@ def test_a_drone_that_stands_on_the_ground_is_at_rest_and_takes_off_without_a_ju
     ground,
 ):
     """Also from lower than the floor was believed to be."""
-    draw, f = np.random.default_rng(1), KalmanFilter(motion=Commanded(PAPER.flat, 0.0))
+    draw, f = (
+        np.random.default_rng(1),
+        KalmanFilter(motion=CommandedMotion(PAPER_PLATFORM.flat, 0.0)),
+    )
     place = np.array([0.0, 0.0, ground, 0.0, 0.0, 0.0, 1.0])
     for k in range(400):
         f.commanded = HOVER * (0.0 if k < 200 else 0.9)
         state = f.update(noisy(place, draw), 0.01 * k)
         assert k < 20 or np.linalg.norm(state.v) < 0.03
     assert (
-        np.linalg.norm(f._memory[D:P]) < 0.1
+        np.linalg.norm(
+            f._memory[KALMAN_MEMORY.disturbance : KALMAN_MEMORY.place_covariance]
+        )
+        < 0.1
     )  # what the floor carries is not summed up
     f.commanded = 1.2 * HOVER
     for k in range(1, 50):
@@ -278,7 +290,7 @@ def test_a_drone_that_stands_on_the_ground_is_at_rest_and_takes_off_without_a_ju
 
 def test_a_floor_that_is_not_where_it_was_believed_does_no_harm():
     f, high = (
-        KalmanFilter(motion=Commanded(PAPER.flat, 0.0)),
+        KalmanFilter(motion=CommandedMotion(PAPER_PLATFORM.flat, 0.0)),
         np.array([0.0, 0.0, 0.4, 0.0, 0.0, 0.0, 1.0]),
     )
     for k in range(300):
@@ -348,4 +360,4 @@ def test_whatever_comes_the_covariances_stay_positive_and_bounded_and_the_state_
         state = f.update(Pose(at_rest), 20.0 + k / rate)
     np.testing.assert_allclose(state.p, at_rest[:3], atol=1e-3)
     assert np.linalg.norm(state.v) < 0.01
-    assert angle(state, exponential(0.0, 0.0, 0.0)) < 1e-3
+    assert angle(state, rotation_exponential(0.0, 0.0, 0.0)) < 1e-3

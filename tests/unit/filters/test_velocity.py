@@ -3,9 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from crazychoir.filters.motion import Commanded
+from crazychoir.filters.motion import CommandedMotion
 from crazychoir.filters.velocity import VelocityFilter
-from crazychoir.platforms import PAPER
+from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.types import Pose
 
 
@@ -133,7 +133,7 @@ def test_nobody_writes_into_a_state():
 
 
 def test_the_speed_is_that_of_the_newest_state():
-    f = VelocityFilter(motion=Commanded(PAPER.flat, -math.inf))
+    f = VelocityFilter(motion=CommandedMotion(PAPER_PLATFORM.flat, -math.inf))
     assert f.speed == 0.0
     for k in range(5):
         state = f.update(pose(0.01 * k), 0.01 * k)

@@ -10,21 +10,28 @@ import pytest
 from virtual_time import virtual
 
 from crazychoir.bus.port import Bus
-from crazychoir.bus.topics import LOG, POSE, STATE
-from crazychoir.config.tables import Collision, Control, Flight
-from crazychoir.control.choice import controls
-from crazychoir.control.gains import STANDARD
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.config.tables import CollisionTable, ControlTable, FlightTable
+from crazychoir.control.choice import make_controls
+from crazychoir.control.gains import STANDARD_GAINS
 from crazychoir.errors import ConfigError
-from crazychoir.flight.clearance import DEAF
-from crazychoir.flight.pilot import GIVE_UP_HOVER, TOUCHDOWN_LATE, Pilot
-from crazychoir.planning.point_to_point import STOP, stopping
-from crazychoir.platforms import PAPER
+from crazychoir.flight.clearance import CLEARANCE_TIMES
+from crazychoir.flight.pilot import GIVE_UP_HOVER, TOUCHDOWN_LIMITS, Pilot
+from crazychoir.planning.point_to_point import STOP_DISTANCE, plan_stop
+from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.runtime.mailbox import Call, DropOldest
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.safety.collision.filter import CollisionFilter
-from crazychoir.safety.collision.neighbour_table import SILENT, Traffic
-from crazychoir.safety.rules.guard import INSET, REACHED, TABLE, Action, Fence, Verdict
+from crazychoir.safety.collision.neighbour_table import NEIGHBOUR_AGES, NeighbourTable
+from crazychoir.safety.rules.guard import (
+    FENCE_INSET,
+    RADIO_SAFETY_TABLE,
+    SAFETY_TABLE,
+    Action,
+    Fence,
+    SafetyVerdict,
+)
 from crazychoir.safety.rules.limits import ReferenceLimits
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.simulation.common.links import SimulatedLink
@@ -52,7 +59,7 @@ class Flown:
         self.pilot = Pilot(
             self.bus.port(0),
             SimulatedLink(self.world, 0),
-            Flight(),
+            FlightTable(),
             Fence.box(*fence),
             reached=reached,
         )
@@ -120,7 +127,7 @@ class Told:
 async def test_it_takes_off_hovers_and_lands_with_its_motors_off(clock):
     drone = Flown(clock)
     await drone.hovering()
-    assert drone.p == pytest.approx([0.0, 0.0, Flight().takeoff_height], abs=0.02)
+    assert drone.p == pytest.approx([0.0, 0.0, FlightTable().takeoff_height], abs=0.02)
     await drone.fly(drone.pilot.land() + 1.0)
     assert drone.pilot.mode is Mode.GROUND
     assert drone.p[2] == pytest.approx(0.0, abs=1e-6)
@@ -328,7 +335,9 @@ def test_what_brakes_again_and_again_is_said_rarely_and_counted_at_the_end(caplo
         drone = await led_out(
             clock, lambda t: FullState.at([t, 0.0, 1.0], [1.0, 0.0, 0.0])
         )
-        drone.bus.subscribe(LOG, 0, 0, heard := DropOldest(clock, "log", 9))
+        drone.bus.subscribe(
+            DRONE_TOPICS.log, 0, 0, heard := DropOldest(clock, "log", 9)
+        )
         await drone.fly(
             60.0, each=lambda: drone.pilot.follow(FullState.at([9.0, 0.0, 1.0]))
         )
@@ -350,7 +359,7 @@ def test_what_brakes_again_and_again_is_said_rarely_and_counted_at_the_end(caplo
 
 @pytest.mark.parametrize(
     "rule",
-    dict.fromkeys((*TABLE, *REACHED)),
+    dict.fromkeys((*SAFETY_TABLE, *RADIO_SAFETY_TABLE)),
     ids=lambda rule: f"{rule.measure} {rule.limit:g}",
 )
 def test_who_lands_for_its_safety_or_is_cut_says_that_it_is_grave(rule):
@@ -359,7 +368,7 @@ def test_who_lands_for_its_safety_or_is_cut_says_that_it_is_grave(rule):
     async def scene(clock):
         drone = Flown(clock)
         await drone.hovering()
-        drone.pilot._obey(Verdict(rule.action, "why", rule.measure))
+        drone.pilot._obey(SafetyVerdict(rule.action, "why", rule.measure))
         said = drone.pilot.note, drone.pilot.grave
         drone.pilot._say("other", "it is all right")
         return said, drone.pilot.grave
@@ -569,9 +578,9 @@ async def test_a_drone_at_rest_after_its_descent_has_landed_whatever_height_the_
 ):
     drone = Flown(clock)
     await drone.hovering()
-    drone.pilot.limits = Flight(ground=-0.3)
+    drone.pilot.limits = FlightTable(ground=-0.3)
     drone.pilot.land()
-    await drone.fly(drone.pilot.remaining() + TOUCHDOWN_LATE - 0.1)
+    await drone.fly(drone.pilot.remaining() + TOUCHDOWN_LIMITS.overdue_time - 0.1)
     assert drone.pilot.mode is Mode.LAND
     await drone.fly(0.2)
     assert drone.pilot.mode is Mode.GROUND
@@ -600,8 +609,8 @@ async def test_a_reference_far_away_that_comes_back_after_braking_is_flown_to_wi
     await drone.fly(6.0, each=lambda: drone.pilot.follow(FullState.at([2.5, 1.5, 1.0])))
     speed, acceleration = fastest(drone, since)
     assert drone.p == pytest.approx([2.5, 1.5, 1.0], abs=0.02)
-    assert 0.8 * Flight().speed_limit < speed < 1.05 * Flight().speed_limit
-    assert acceleration < 1.2 * Flight().acceleration_limit
+    assert 0.8 * FlightTable().speed_limit < speed < 1.05 * FlightTable().speed_limit
+    assert acceleration < 1.2 * FlightTable().acceleration_limit
 
 
 @virtual
@@ -618,9 +627,11 @@ async def test_a_full_state_that_runs_away_is_followed_within_the_limits(clock):
 
     await drone.fly(1.3, each=away)
     speed, acceleration = fastest(drone, since)
-    assert 1.5 * Flight().speed_limit < speed < 2.05 * Flight().speed_limit
+    assert 1.5 * FlightTable().speed_limit < speed < 2.05 * FlightTable().speed_limit
     assert (
-        Flight().acceleration_limit < acceleration < 2.1 * Flight().acceleration_limit
+        FlightTable().acceleration_limit
+        < acceleration
+        < 2.1 * FlightTable().acceleration_limit
     )
 
 
@@ -628,11 +639,13 @@ async def test_a_full_state_that_runs_away_is_followed_within_the_limits(clock):
 async def test_an_acceleration_beyond_the_limit_is_cut_to_it(clock):
     drone = Flown(clock)
     await drone.hovering()
-    drone.pilot.reference_limits = ReferenceLimits(Flight(speed_limit=20.0), STANDARD)
+    drone.pilot.reference_limits = ReferenceLimits(
+        FlightTable(speed_limit=20.0), STANDARD_GAINS
+    )
     since = len(drone.track)
     await drone.fly(1.5, each=lambda: drone.pilot.follow(Acceleration([5.0, 5.0, 0.0])))
     _, acceleration = fastest(drone, since)
-    assert acceleration == pytest.approx(Flight().acceleration_limit, rel=0.15)
+    assert acceleration == pytest.approx(FlightTable().acceleration_limit, rel=0.15)
     assert drone.p[0] == pytest.approx(drone.p[1], abs=0.01), "its direction stays"
 
 
@@ -640,7 +653,10 @@ async def test_an_acceleration_beyond_the_limit_is_cut_to_it(clock):
 async def test_its_state_tells_what_it_has_commanded_after_the_limits(clock):
     drone, told = Flown(clock), []
     drone.bus.subscribe(
-        STATE, 0, 0, Call(clock, lambda state, age: told.append(state.a.tolist()))
+        DRONE_TOPICS.state,
+        0,
+        0,
+        Call(clock, lambda state, age: told.append(state.a.tolist())),
     )
     await drone.fly(0.05)
     assert told[-1] == [0.0, 0.0, 0.0], "on the ground"
@@ -653,7 +669,9 @@ async def test_its_state_tells_what_it_has_commanded_after_the_limits(clock):
     await drone.fly(
         0.1, each=lambda: drone.pilot.follow(Acceleration(np.array([40.0, 0.0, 0.0])))
     )
-    assert told[-1] == pytest.approx([Flight().acceleration_limit, 0.0, 0.0], abs=1e-9)
+    assert told[-1] == pytest.approx(
+        [FlightTable().acceleration_limit, 0.0, 0.0], abs=1e-9
+    )
     drone.pilot.hover()
     await drone.fly(0.2)
     assert told[-1][0] < -0.2, "it brakes"
@@ -670,7 +688,7 @@ async def test_references_are_cut_by_the_gains_that_fly(clock):
     far = FullState.at((2.0, 0.0, 1.0))
     cut = drone.pilot.reference_limits.full_state(far, drone.pilot.state)
     pull = 5.0 * (cut.p[0] - drone.pilot.state.p[0])
-    assert pull == pytest.approx(Flight().acceleration_limit, rel=0.05)
+    assert pull == pytest.approx(FlightTable().acceleration_limit, rel=0.05)
 
 
 async def accelerated(clock, period):
@@ -684,7 +702,7 @@ async def accelerated(clock, period):
 
     await drone.fly(6.0, each=wanted)
     speed, _ = fastest(drone, since)
-    assert 0.95 * Flight().speed_limit < speed < 1.2 * Flight().speed_limit
+    assert 0.95 * FlightTable().speed_limit < speed < 1.2 * FlightTable().speed_limit
     assert drone.p[0] > 4.0
     assert drone.p[2] == pytest.approx(1.0, abs=0.1)
 
@@ -744,7 +762,7 @@ async def test_the_fence_has_its_floor_where_that_is_above_the_ground(clock):
 async def test_a_fall_is_stopped_with_what_the_motors_can(clock):
     drone = Flown(clock)
     limits, fence = (
-        Flight(speed_limit=3.0, acceleration_limit=20.0),
+        FlightTable(speed_limit=3.0, acceleration_limit=20.0),
         Fence.box((-3.0, -3.0, 0.0), (3.0, 3.0, 4.5)),
     )
     drone.pilot = Pilot(drone.bus.port(1), SimulatedLink(drone.world, 0), limits, fence)
@@ -775,8 +793,8 @@ async def test_whoever_brakes_at_the_fence_comes_to_rest_first_and_then_goes_ins
 
     await drone.fly(6.5, each=out)
     way = [plans[0].sample(t) for t in np.linspace(0.0, plans[0].duration, 100)]
-    assert max(flown.p[0] for flown in way) <= stopping(way[0], 2.0).goal[0] + 1e-9
-    assert way[-1].p[0] == pytest.approx(3.0 - INSET)
+    assert max(flown.p[0] for flown in way) <= plan_stop(way[0], 2.0).goal[0] + 1e-9
+    assert way[-1].p[0] == pytest.approx(3.0 - FENCE_INSET)
 
 
 # Without cameras ----------------------------------------------------------------------------------------------------
@@ -980,7 +998,7 @@ async def test_a_height_of_zero_is_a_height_and_flown_as_low_as_the_fence_allows
     await drone.fly(0.05)
     assert drone.pilot.take_off(0.0) < drone.pilot.limits.takeoff_height
     await drone.fly(3.0)
-    assert drone.p[2] == pytest.approx(INSET, abs=0.01)
+    assert drone.p[2] == pytest.approx(FENCE_INSET, abs=0.01)
 
 
 @virtual
@@ -1028,7 +1046,10 @@ async def test_a_landing_under_way_stops_at_once_and_takes_the_time_that_it_prom
     while drone.pilot.airborne:
         await drone.fly(0.01)
     assert clock.now() - t0 == pytest.approx(seconds, abs=0.2)
-    assert max(p[0] for p in drone.track[since:]) - here < STOP * speed**2 / 2.0 + 0.05
+    assert (
+        max(p[0] for p in drone.track[since:]) - here
+        < STOP_DISTANCE * speed**2 / 2.0 + 0.05
+    )
     assert drone.p[0] - here > 0.3
     assert drone.pilot.mode is Mode.GROUND
 
@@ -1236,7 +1257,9 @@ class Supervised(Flown):
             for _ in range(round(TICK / self.world.dt)):
                 self.world.step()
             truth = self.world.state(0)
-            self.pilot.port.publish(POSE, Pose(truth.flat[[0, 1, 2, 6, 7, 8, 9]], 0.0))
+            self.pilot.port.publish(
+                DRONE_TOPICS.pose, Pose(truth.flat[[0, 1, 2, 6, 7, 8, 9]], 0.0)
+            )
             self.bus.stages.run()
             self.track.append(truth.p)
 
@@ -1263,7 +1286,9 @@ async def test_a_pose_whose_age_is_no_number_is_as_old_as_its_way(clock):
     drone = Supervised(clock)
     await drone.hovering()
     truth = drone.world.state(0)
-    drone.pilot.port.publish(POSE, Pose(truth.flat[[0, 1, 2, 6, 7, 8, 9]], np.nan))
+    drone.pilot.port.publish(
+        DRONE_TOPICS.pose, Pose(truth.flat[[0, 1, 2, 6, 7, 8, 9]], np.nan)
+    )
     drone.bus.stages.run()
     await drone.fly(0.5)
     assert (drone.failures, drone.pilot.mode) == ([], Mode.HOVER)
@@ -1309,7 +1334,9 @@ async def test_after_a_failed_tick_the_drone_is_steadied_and_commanded_again_at_
     await drone.fly(0.05)
     times, commands = zip(*drone.link.sent[count:], strict=True)
     assert times[0] == pytest.approx(failed_at + TICK)
-    np.testing.assert_array_equal(commands[0].flat, [PAPER.weight, 0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(
+        commands[0].flat, [PAPER_PLATFORM.weight, 0.0, 0.0, 0.0]
+    )
     assert np.diff(times) == pytest.approx(TICK)
     assert drone.pilot.mode is Mode.HOVER
     await drone.fly(2.0)
@@ -1373,14 +1400,14 @@ async def test_who_landed_as_it_heard_nobody_flies_again_when_it_hears_them(cloc
     drone, others = Flown(clock), (1, 2)
     for j in others:
         drone.bus.port(j)
-    traffic = Traffic(drone.bus.ports[0], (0, *others))
+    traffic = NeighbourTable(drone.bus.ports[0], (0, *others))
     room = Fence.box((-3.0, -3.0, 0.0), (3.0, 3.0, 2.5))
     drone.pilot = Pilot(
         drone.bus.ports[0],
         SimulatedLink(drone.world, 0),
-        Flight(takeoff_height=0.3),
+        FlightTable(takeoff_height=0.3),
         room,
-        collision=CollisionFilter(Collision(), traffic, room, 2.0, 1.0, 0.0),
+        collision=CollisionFilter(CollisionTable(), traffic, room, 2.0, 1.0, 0.0),
     )
 
     def heard():
@@ -1390,7 +1417,7 @@ async def test_who_landed_as_it_heard_nobody_flies_again_when_it_hears_them(cloc
     await drone.fly(0.05, each=heard)
     await drone.fly(drone.pilot.take_off() + 0.5, each=heard)
     assert drone.pilot.mode is Mode.HOVER
-    await drone.fly(SILENT + DEAF + 2.0)
+    await drone.fly(NEIGHBOUR_AGES.silent + CLEARANCE_TIMES.cut_off_timeout + 2.0)
     assert drone.pilot.mode is Mode.GROUND
     assert "hears no more than half" in drone.pilot.note
     await drone.fly(1.0, each=heard)
@@ -1504,9 +1531,9 @@ async def test_a_landing_that_is_not_heard_begins_anew_where_the_drone_is_seen(c
     pilot = Pilot(
         bus.port(0),
         link,
-        Flight(),
+        FlightTable(),
         fence,
-        chosen=controls(Control(sender="xyz")),
+        chosen=make_controls(ControlTable(sender="xyz")),
         reached="seen",
     )
 

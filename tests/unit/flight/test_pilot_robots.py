@@ -6,11 +6,11 @@ from robots import heading, world_of
 from virtual_time import virtual
 
 from crazychoir.bus.port import Bus
-from crazychoir.config.checks import DOUBLE, SINGLE, UNICYCLE
-from crazychoir.config.tables import Flight
-from crazychoir.control.robots import ROBOTS
+from crazychoir.config.checks import WORLD_URIS
+from crazychoir.config.tables import FlightTable
+from crazychoir.control.robots import ROBOT_CONTROLS
 from crazychoir.flight.pilot import Pilot
-from crazychoir.numerics.math3d import wrap
+from crazychoir.numerics.math3d import wrap_angle
 from crazychoir.safety.rules.guard import Action, Fence
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.simulation.common.links import SimulatedLink
@@ -19,7 +19,10 @@ from crazychoir.types import Acceleration, FullState, Goto, Pose, Velocity
 
 TICK = 0.01
 ROOM = Fence.box((-2.0, -2.0, 0.0), (2.0, 2.0, 2.0))
-ALL = pytest.mark.parametrize("uri", [SINGLE, DOUBLE, UNICYCLE])
+ALL = pytest.mark.parametrize(
+    "uri",
+    [WORLD_URIS.single_integrator, WORLD_URIS.double_integrator, WORLD_URIS.unicycle],
+)
 
 
 class Driven:
@@ -29,9 +32,9 @@ class Driven:
         self.clock, self.bus, self.draw = clock, Bus(clock), np.random.default_rng(1)
         self.world, flight = (
             world_of(uri, [(0.3, -0.2, 0.0)], [yaw]),
-            Flight(speed_limit=0.8),
+            FlightTable(speed_limit=0.8),
         )
-        kind, chosen = ROBOTS[uri]
+        kind, chosen = ROBOT_CONTROLS[uri]
         self.pilot = Pilot(
             self.bus.port(0),
             self.world.link(0, kind),
@@ -93,8 +96,8 @@ def test_it_goes_where_it_is_sent(uri):
         robot = await ready(clock, uri)
         await robot.drive(robot.pilot.go_to([-1.0, 0.8, 0.0], yaw=2.0) + 0.5)
         assert robot.pilot.gap([-1.0, 0.8, 0.0]) < 0.04
-        if uri != DOUBLE:
-            assert abs(wrap(heading(robot.world) - 2.0)) < 0.05
+        if uri != WORLD_URIS.double_integrator:
+            assert abs(wrap_angle(heading(robot.world) - 2.0)) < 0.05
         assert np.linalg.norm(robot.state.v) < 0.05
 
     test()
@@ -158,11 +161,11 @@ def test_a_velocity_beyond_the_limits_is_cut_and_one_that_is_none_is_not_driven(
 
 @virtual
 async def test_only_a_double_integrator_obeys_an_acceleration(clock):
-    for uri in (SINGLE, UNICYCLE):
+    for uri in (WORLD_URIS.single_integrator, WORLD_URIS.unicycle):
         robot = await ready(clock, uri)
         assert not robot.pilot.follow(Acceleration(np.ones(3)))
         assert "Return a Velocity" in robot.pilot.note
-    robot = await ready(clock, DOUBLE)
+    robot = await ready(clock, WORLD_URIS.double_integrator)
     await robot.drive(
         0.5, lambda: robot.pilot.follow(Acceleration(np.array([1.0, 0.0, 0.0])))
     )
@@ -171,7 +174,7 @@ async def test_only_a_double_integrator_obeys_an_acceleration(clock):
 
 @virtual
 async def test_a_unicycle_follows_a_reference_that_moves(clock):
-    robot = await ready(clock, UNICYCLE)
+    robot = await ready(clock, WORLD_URIS.unicycle)
     at = {"t": 0.0}
 
     def follow():
@@ -185,7 +188,7 @@ async def test_a_unicycle_follows_a_reference_that_moves(clock):
 
 @virtual
 async def test_another_goal_is_driven_to_from_where_it_is(clock):
-    robot = await ready(clock, UNICYCLE)
+    robot = await ready(clock, WORLD_URIS.unicycle)
     await robot.drive(1.0, lambda: robot.pilot.follow(Goto(np.array([1.5, 0.0, 0.0]))))
     await robot.drive(
         12.0, lambda: robot.pilot.follow(Goto(np.array([-1.0, 0.5, 0.0])))
@@ -199,10 +202,13 @@ async def test_another_goal_is_driven_to_from_where_it_is(clock):
 
 @virtual
 async def test_a_drone_flies_a_velocity_too(clock):
-    robot = Driven(clock, SINGLE)
+    robot = Driven(clock, WORLD_URIS.single_integrator)
     robot.world = CFIntegrator((0,), np.array([[0.3, -0.2, 0.0]]))
     robot.pilot = Pilot(
-        robot.bus.port(1), SimulatedLink(robot.world, 0), Flight(speed_limit=0.8), ROOM
+        robot.bus.port(1),
+        SimulatedLink(robot.world, 0),
+        FlightTable(speed_limit=0.8),
+        ROOM,
     )
     await robot.drive(0.05)
     await robot.drive(robot.pilot.take_off() + 0.5)
@@ -218,7 +224,7 @@ async def test_a_drone_flies_a_velocity_too(clock):
 async def test_a_unicycle_that_is_stopped_on_its_way_stands_where_it_is_and_not_at_its_goal(
     clock,
 ):
-    robot = await ready(clock, UNICYCLE)
+    robot = await ready(clock, WORLD_URIS.unicycle)
     robot.pilot.go_to([1.8, -0.2, 0.0], yaw=0.0)
     await robot.drive(1.0)
     before = robot.state.p

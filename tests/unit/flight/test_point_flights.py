@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from crazychoir.config.tables import Flight
-from crazychoir.flight.point_flights import IN_VAIN, LONGEST_WAIT, Flights
+from crazychoir.config.tables import FlightTable
+from crazychoir.flight.point_flights import FLIGHT_PATIENCE, PointFlights
 from crazychoir.planning.point_to_point import PointToPoint
-from crazychoir.safety.rules.guard import ROOM
+from crazychoir.safety.rules.guard import DEFAULT_FENCE
 from crazychoir.types import FullState
 
 START, GOAL = FullState.at((0.0, 0.0, 1.0)), np.array([2.0, 0.0, 1.0])
@@ -14,7 +14,7 @@ ASIDE = FullState.at((0.5, 1.0, 1.0))
 
 
 def flying(seconds=8.0):
-    flights = Flights(Flight(), ROOM, 2.0)
+    flights = PointFlights(FlightTable(), DEFAULT_FENCE, 2.0)
     flights.go_to(START, GOAL, 0.0, seconds, 10.0)
     return flights
 
@@ -22,14 +22,14 @@ def flying(seconds=8.0):
 def test_a_plan_that_has_waited_in_vain_goes_on_to_its_place_from_another_start():
     flights = flying()
     assert not flights.resume(ASIDE, 11.0), "it has not waited"
-    assert flights.wait(IN_VAIN)
-    assert flights.remaining(11.0) == pytest.approx(7.0 + IN_VAIN)
+    assert flights.wait(FLIGHT_PATIENCE.restart_wait)
+    assert flights.remaining(11.0) == pytest.approx(7.0 + FLIGHT_PATIENCE.restart_wait)
     assert flights.resume(ASIDE, 11.0)
     assert isinstance(flights.plan, PointToPoint)
     assert flights.sample(11.0).p == pytest.approx(ASIDE.p)
     assert flights.sample(99.0).p == pytest.approx(GOAL)
     assert (flights.remaining(11.0), flights.waited) == pytest.approx(
-        (7.0 + IN_VAIN, IN_VAIN)
+        (7.0 + FLIGHT_PATIENCE.restart_wait, FLIGHT_PATIENCE.restart_wait)
     ), "in its time"
     assert not flights.resume(ASIDE, 11.0), "it has not waited since then"
 
@@ -37,17 +37,17 @@ def test_a_plan_that_has_waited_in_vain_goes_on_to_its_place_from_another_start(
 def test_what_a_new_start_costs_counts_as_waiting():
     flights = flying(0.0)
     whole = flights.remaining(10.0)
-    assert flights.wait(IN_VAIN)
+    assert flights.wait(FLIGHT_PATIENCE.restart_wait)
     late = 10.0 + whole
     assert flights.resume(ASIDE, late)
     assert flights.remaining(late) == pytest.approx(flights.waited)
-    assert flights.waited > IN_VAIN
+    assert flights.waited > FLIGHT_PATIENCE.restart_wait
 
 
 def test_only_flights_to_a_place_begin_anew_and_not_for_ever():
     flights = flying()
-    flights.wait(LONGEST_WAIT)
+    flights.wait(FLIGHT_PATIENCE.longest_wait)
     assert not flights.resume(ASIDE, 11.0)
     flights.brake(FullState.at((0.0, 0.0, 1.0), (1.0, 0.0, 0.0)), 11.0)
-    flights.wait(IN_VAIN)
+    flights.wait(FLIGHT_PATIENCE.restart_wait)
     assert not flights.resume(ASIDE, 12.0)

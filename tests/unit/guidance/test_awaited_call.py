@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from crazychoir.agent.agent import Agent
-from crazychoir.agent.mission_runner import ended_by_operator, failure
+from crazychoir.agent.mission_runner import result_of_failure, result_of_operator_end
 from crazychoir.config.swarm_config import default_swarm
 from crazychoir.errors import (
     AgentFailed,
@@ -16,9 +16,14 @@ from crazychoir.errors import (
     error_text,
     reason_or,
 )
-from crazychoir.guidance.awaited_call import KEPT, Call, Unawaited, forgotten
+from crazychoir.guidance.awaited_call import (
+    MOST_REMEMBERED_CALLS,
+    GuidanceCall,
+    UnawaitedCalls,
+    describe_forgotten_calls,
+)
 from crazychoir.guidance.guidance import CFGuidance
-from crazychoir.guidance.member import UNSAID_OF, Interrupted, standing
+from crazychoir.guidance.member import UNNOTED_REASONS, Interrupted, describe_state
 from crazychoir.planning.point_to_point import PointToPoint
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.safety.rules.modes import Mode
@@ -159,8 +164,8 @@ async def one():
 
 
 def test_a_call_is_a_coroutine_for_whoever_looks():
-    calls = Unawaited()
-    call = Call(one(), "one", "a.py:3", calls)
+    calls = UnawaitedCalls()
+    call = GuidanceCall(one(), "one", "a.py:3", calls)
     assert asyncio.iscoroutine(call)
     assert "one at a.py:3" in repr(call)
     assert len(calls.waiting) == 1
@@ -232,11 +237,14 @@ def test_few_of_many_forgotten_calls_are_kept():
 
     assert result_of(forgets)["reason"].count("without await") == 1
     guidance = Does(None)
-    calls = guidance.__dict__["_unawaited"] = Unawaited()
-    for k in range(3 * KEPT):
+    calls = guidance.__dict__["_unawaited"] = UnawaitedCalls()
+    for k in range(3 * MOST_REMEMBERED_CALLS):
         calls.throw_away((f"a.py:{k}", "sleep"), f"a.py:{k}")
-    assert len(calls.dropped) == KEPT
-    assert f"and {2 * KEPT} more calls without await" in forgotten(guidance, False)
+    assert len(calls.dropped) == MOST_REMEMBERED_CALLS
+    assert (
+        f"and {2 * MOST_REMEMBERED_CALLS} more calls without await"
+        in describe_forgotten_calls(guidance, False)
+    )
 
 
 def test_coroutine_function_takes_its_guidance_by_name():
@@ -263,7 +271,7 @@ def test_verbs_are_coroutine_functions_for_inspect():
 )
 def test_no_outcome_and_no_error_has_an_empty_reason(empty):
     outcomes = [
-        failure(empty)["reason"],
+        result_of_failure(empty)["reason"],
         reason_or(empty, "it is not known"),
         str(Refused("drone 0", empty)),
     ]
@@ -283,18 +291,20 @@ def test_no_outcome_and_no_error_has_an_empty_reason(empty):
 
 
 def test_a_reason_that_is_there_stays_as_it_is():
-    assert failure("lost")["reason"] == "lost"
+    assert result_of_failure("lost")["reason"] == "lost"
     assert str(Interrupted("drone 0: landing")) == "drone 0: landing"
-    assert ended_by_operator("landed on command")["reason"] == "landed on command"
+    assert result_of_operator_end("landed on command")["reason"] == "landed on command"
 
 
 @pytest.mark.parametrize("mode", Mode)
 def test_what_a_drone_does_has_a_reason_in_every_mode(mode):
     assert (
-        standing(SimpleNamespace(mode=mode, note=""))
-        == f"{mode.value}: {UNSAID_OF[mode]}"
+        describe_state(SimpleNamespace(mode=mode, note=""))
+        == f"{mode.value}: {UNNOTED_REASONS[mode]}"
     )
-    assert standing(SimpleNamespace(mode=mode, note="pose")) == f"{mode.value}: pose"
+    assert (
+        describe_state(SimpleNamespace(mode=mode, note="pose")) == f"{mode.value}: pose"
+    )
 
 
 def test_a_mission_that_raises_an_error_without_words_has_a_reason():

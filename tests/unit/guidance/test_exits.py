@@ -9,7 +9,7 @@ from crazychoir.cli.fly.agent import app as agent_app
 from crazychoir.cli.main import app
 from crazychoir.config.swarm_config import default_swarm
 from crazychoir.errors import ConfigError, CrazyChoirError
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 from crazychoir.launch.flight import fly_fast
 from crazychoir.solve.simulate import simulate
 from crazychoir.team import graph as graphs
@@ -89,7 +89,7 @@ def test_a_file_that_exits_when_it_is_imported_is_told_by_file_and_line(call, tm
     with pytest.raises(
         ConfigError, match=r"own\.py:2: found the mission file called sys\.exit\("
     ):
-        load(str(file))
+        load_mission(str(file))
     for words in (["run", str(file), "--fast"], ["simulate", str(file)]):
         said = CliRunner().invoke(app, words)
         assert (said.exit_code, f"{file}:2" in said.stderr) == (2, True), said.output
@@ -112,7 +112,7 @@ def test_a_mission_that_exits_in_flight_lands_its_drone_and_the_others_fly_on(tm
     file, where = written(
         tmp_path, "mission", "import sys; sys.exit(3) if self.id == 1 else None"
     )
-    result = fly_fast(default_swarm(3), load(str(file)))
+    result = fly_fast(default_swarm(3), load_mission(str(file)))
     assert [one["success"] for one in result["results"].values()] == [True, False, True]
     assert (
         f"RuntimeError: the mission called sys.exit(3) ({where} mission)"

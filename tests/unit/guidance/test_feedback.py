@@ -1,6 +1,7 @@
 """CFDistributedFeedback: when `step` runs, what it gets, and what becomes of its errors; in virtual time."""
 
 import asyncio
+import dataclasses
 import math
 
 import numpy as np
@@ -8,11 +9,12 @@ import pytest
 from virtual_time import virtual
 
 from crazychoir.bus.port import Bus
-from crazychoir.bus.topics import STATE
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import default_swarm
 from crazychoir.errors import ConfigError, Hung
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.flight.pilot import Pilot
+from crazychoir.guidance import user_hook
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.member import Interrupted, Member
 from crazychoir.runtime.clock import run_virtual
@@ -63,7 +65,7 @@ class Drone:
         """A period goes by in the world; then the neighbour is heard, and the cameras are."""
         self.world.step()
         if neighbor:
-            self.neighbor.publish(STATE, State.at((1.0, 0.0, 1.0)))
+            self.neighbor.publish(DRONE_TOPICS.state, State.at((1.0, 0.0, 1.0)))
         self.pilot.tick(Pose(self.world.state(0).flat[[0, 1, 2, 6, 7, 8, 9]]))
         self.bus.stages.run()
 
@@ -199,9 +201,11 @@ async def test_it_hears_its_neighbours_with_their_ages_and_no_stale_ones(clock):
     assert law.heard[-1][1].p == pytest.approx([1.0, 0.0, 1.0])
     await drone.fly(1.0, neighbor=False)
     ages = [heard[1].age for heard in law.heard if 1 in heard]
-    assert max(ages) == pytest.approx(STATE.max_age, abs=TICK)
+    assert max(ages) == pytest.approx(DRONE_TOPICS.state.max_age, abs=TICK)
     assert law.heard[-1] == {}
-    assert law._unheard[1] / law.rate == pytest.approx(1.0 - STATE.max_age, abs=0.02)
+    assert law._unheard[1] / law.rate == pytest.approx(
+        1.0 - DRONE_TOPICS.state.max_age, abs=0.02
+    )
     ending.cancel()
 
 
@@ -217,7 +221,8 @@ async def test_a_neighbour_that_moves_is_heard_where_it_is_though_messages_are_l
         await clock.sleep(TICK)
         if k % 5 == 0:
             drone.neighbor.publish(
-                STATE, State.at((1.0 + 0.5 * k * TICK, 0.0, 1.0), (0.5, 0.0, 0.0))
+                DRONE_TOPICS.state,
+                State.at((1.0 + 0.5 * k * TICK, 0.0, 1.0), (0.5, 0.0, 0.0)),
             )
         drone.tick(neighbor=False)
         assert law.heard[-1][1].p == pytest.approx([1.0 + 0.5 * k * TICK, 0.0, 1.0])
@@ -233,7 +238,8 @@ async def test_a_pause_of_the_law_is_not_made_up_for_in_one_step(clock):
     await clock.sleep(0.3)
     for k in range(30):
         drone.neighbor.publish(
-            STATE, State.at((1.0 + 0.5 * k * TICK, 0.0, 1.0), (0.5, 0.0, 0.0))
+            DRONE_TOPICS.state,
+            State.at((1.0 + 0.5 * k * TICK, 0.0, 1.0), (0.5, 0.0, 0.0)),
         )
     drone.tick(neighbor=False)
     assert law.heard[-1][1].v == pytest.approx([0.5, 0.0, 0.0])
@@ -339,7 +345,9 @@ async def test_a_law_that_hears_nobody_for_long_hovers_to_its_end_and_knows_whom
     assert await ending is None
     assert drone.pilot.mode is Mode.HOVER
     assert drone.world.state(0).p == pytest.approx(place, abs=0.02)
-    assert law._unheard[1] / law.rate == pytest.approx(9.0 - STATE.max_age, abs=0.05)
+    assert law._unheard[1] / law.rate == pytest.approx(
+        9.0 - DRONE_TOPICS.state.max_age, abs=0.05
+    )
 
 
 @virtual
@@ -409,7 +417,8 @@ def forever(law):
 def test_a_height_that_fails_or_is_no_number_is_refused_before_anybody_flies(
     monkeypatch, height, said
 ):
-    monkeypatch.setattr("crazychoir.guidance.user_hook.HOOK", 0.3)
+    hasty = dataclasses.replace(user_hook.USER_CODE_TIMES, hook_limit=0.3)
+    monkeypatch.setattr(user_hook, "USER_CODE_TIMES", hasty)
 
     @virtual
     async def refused(clock):

@@ -23,13 +23,13 @@ from crazychoir.optimization.algorithms.consensus import Consensus
 from crazychoir.optimization.algorithms.gradient_tracking import GradientTracking
 from crazychoir.optimization.rounds.checks import require_graph
 from crazychoir.planning.figure import circle
-from crazychoir.runtime.clock import SECOND
+from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.simulation.common.links import SimulatedLink
 from crazychoir.simulation.lightweight.integrator import CFIntegrator
 from crazychoir.team import graph as graphs
-from crazychoir.team.algorithm_run import Pace
+from crazychoir.team.algorithm_run import WakingTimes
 from crazychoir.team.communicator import Communicator
 from crazychoir.types import FullState, Pose
 
@@ -182,9 +182,9 @@ async def test_a_rise_waits_while_an_operator_holds_the_drone_and_ends_at_the_fe
         assert 0.2 < guidance.state.p[2] < 2.0
         pilot.hold(False)
         await rise
-        assert guidance.state.p[2] == pytest.approx(2.4, abs=base.ARRIVED), (
-            "inside the fence"
-        )
+        assert guidance.state.p[2] == pytest.approx(
+            2.4, abs=base.FLIGHT_LIMITS.arrival_distance
+        ), "inside the fence"
 
 
 @virtual
@@ -225,7 +225,9 @@ async def test_a_flight_waits_while_an_operator_holds_the_drone(clock):
         assert guidance.state.p == pytest.approx([0.0, 0.0, 1.0], abs=0.02)
         pilot.hold(False)
         await flight
-        assert guidance.state.p == pytest.approx([1.0, 0.0, 1.0], abs=base.ARRIVED)
+        assert guidance.state.p == pytest.approx(
+            [1.0, 0.0, 1.0], abs=base.FLIGHT_LIMITS.arrival_distance
+        )
 
 
 @virtual
@@ -238,7 +240,9 @@ async def test_a_flight_waits_while_the_safety_table_brakes_it(clock):
 
         pilot.go_to = braking
         await guidance.go_to([1.0, 0.0, 1.0])
-        assert guidance.state.p == pytest.approx([1.0, 0.0, 1.0], abs=base.ARRIVED)
+        assert guidance.state.p == pytest.approx(
+            [1.0, 0.0, 1.0], abs=base.FLIGHT_LIMITS.arrival_distance
+        )
 
 
 @virtual
@@ -253,7 +257,9 @@ async def test_a_trajectory_that_the_safety_table_brakes_is_flown_on_from_there(
         begins = clock.now()
         for at in (1.5, 4.0):
             gap = [begins + at, begins + at + 0.3]
-            clock.call_at(round(gap[0] * SECOND), unseen.__setitem__, slice(0, 2), gap)
+            clock.call_at(
+                round(gap[0] * NS_PER_SECOND), unseen.__setitem__, slice(0, 2), gap
+            )
         await guidance.fly(way)
         assert pilot.braked == 2
         assert way.duration + 2.0 < clock.now() - begins < way.duration + 10.0
@@ -265,7 +271,7 @@ async def test_a_trajectory_that_has_waited_for_others_is_over_when_it_ends(cloc
     async with in_the_air(clock) as (guidance, pilot):
         way = circle((0.5, 0.0, pilot.state.p[2]), 0.5, 5.0)
         begins = clock.now()
-        clock.call_at(round((begins + 4.0) * SECOND), pilot.flights.wait, 10.0)
+        clock.call_at(round((begins + 4.0) * NS_PER_SECOND), pilot.flights.wait, 10.0)
         await guidance.fly(way)
         assert clock.now() - begins < way.duration + 10.0 + 3.0
 
@@ -288,7 +294,7 @@ async def test_a_trajectory_that_is_held_on_its_way_or_landed_is_not_flown(clock
     ):
         async with in_the_air(clock) as (guidance, pilot):
             way = circle((0.5, 0.0, pilot.state.p[2]), 0.5, 5.0)
-            clock.call_at(clock.now_ns() + 4 * SECOND, stop, pilot)
+            clock.call_at(clock.now_ns() + 4 * NS_PER_SECOND, stop, pilot)
             with pytest.raises(Interrupted, match=why):
                 await guidance.fly(way)
 
@@ -300,7 +306,7 @@ async def test_a_flight_that_is_held_for_ever_is_given_up(clock):
         began = clock.now()
         with pytest.raises(Interrupted, match=r"does not reach.*held by its operator"):
             await guidance.go_to([1.0, 0.0, 1.0])
-        assert clock.now() - began == pytest.approx(base.PATIENCE, abs=0.1)
+        assert clock.now() - began == pytest.approx(base.HELD_FLIGHT_PATIENCE, abs=0.1)
 
 
 @virtual
@@ -335,7 +341,7 @@ async def test_a_drone_that_nobody_sees_does_not_wait_for_ever_to_take_off(clock
 @virtual
 async def test_a_landing_that_does_not_end_on_the_ground_raises(clock):
     async with in_the_air(clock) as (guidance, pilot):
-        clock.call_at(clock.now_ns() + SECOND, pilot.cut, "emergency stop")
+        clock.call_at(clock.now_ns() + NS_PER_SECOND, pilot.cut, "emergency stop")
         with pytest.raises(Interrupted, match="drone 0: stopped: emergency stop"):
             await guidance.land()
     async with in_the_air(clock) as (guidance, pilot):
@@ -369,7 +375,7 @@ async def test_an_asynchronous_algorithm_flies_as_it_is(clock):
         guidance.member.communicator.port.bus.impairment.update({"loss": 0.4})
     await asyncio.gather(
         *(
-            g.optimize(a, pace=Pace((0.01, 0.03)))
+            g.optimize(a, pace=WakingTimes((0.01, 0.03)))
             for g, a in zip(both, agents, strict=True)
         )
     )

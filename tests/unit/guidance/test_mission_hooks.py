@@ -6,7 +6,7 @@ import pytest
 
 from crazychoir.config.swarm_config import default_swarm
 from crazychoir.errors import ConfigError, Refused
-from crazychoir.guidance.mission import has, load
+from crazychoir.guidance.mission import has_hook, load_mission
 from crazychoir.launch.flight import NOBODY_MOVED, fly_fast
 
 LAW = """
@@ -32,7 +32,7 @@ def mission(tmp_path):
     def written(more="", law=LAW, name="mine.py"):
         path = tmp_path / name
         path.write_text(dedent(law) + dedent(more))
-        return load(str(path))
+        return load_mission(str(path))
 
     return written
 
@@ -71,7 +71,7 @@ def test_a_hook_may_have_more_arguments_if_they_have_defaults(mission):
         "def report(config, results, digits=3):\n    return {'digits': digits}"
     )
     assert loaded.report(SWARM, {}) == {"digits": 3}
-    assert not has(loaded, "goal")
+    assert not has_hook(loaded, "goal")
 
 
 @pytest.mark.parametrize(
@@ -288,7 +288,7 @@ def test_a_file_that_raises_when_it_is_loaded_is_refused_with_its_line(
     (tmp_path / "mine.py").write_text("import math\n\nx = 1 / 0\n")
     for path in ("mine.py", str(tmp_path / "mine.py")):
         with pytest.raises(ConfigError) as caught:
-            load(path)
+            load_mission(path)
         assert str(caught.value).startswith(
             f"mission {path}:3: found ZeroDivisionError: division by zero; allowed: "
         )

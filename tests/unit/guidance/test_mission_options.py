@@ -3,7 +3,7 @@
 import pytest
 
 from crazychoir.errors import ConfigError, Refused
-from crazychoir.guidance.mission import load, look_before
+from crazychoir.guidance.mission import check_before_flight, load_mission
 
 FORMATIONS = ("bearing_formation", "containment", "distance_formation")
 MISSIONS = (
@@ -22,15 +22,15 @@ MISSIONS = (
 
 def refused(name, said, **changes):
     """Whether the mission's own swarm with these changes is refused in these words."""
-    mission = load(name)
+    mission = load_mission(name)
     with pytest.raises(ConfigError, match=said):
-        look_before(mission, mission.swarm(None).replace(**changes))
+        check_before_flight(mission, mission.swarm(None).replace(**changes))
 
 
 @pytest.mark.parametrize("name", MISSIONS)
 def test_the_missions_own_swarms_may_fly(name):
-    mission = load(name)
-    look_before(mission, mission.swarm(None))
+    mission = load_mission(name)
+    check_before_flight(mission, mission.swarm(None))
 
 
 @pytest.mark.parametrize("name", MISSIONS)
@@ -46,7 +46,7 @@ def test_a_key_that_there_is_not_is_named(name):
 def test_an_option_of_a_drone_that_there_is_not_is_named(name):
     drones = [
         {"id": d.id, "home": d.home, "leader": d.leader, "uri": d.uri}
-        for d in load(name).swarm(None).drones
+        for d in load_mission(name).swarm(None).drones
     ]
     drones[-1]["options"] = {"hight": 1.0}
     refused(
@@ -156,18 +156,18 @@ def test_the_options_of_a_drone_of_mpc_are_checked(key, value):
     ],
 )
 def test_the_options_of_a_figure_are_checked(key, value, allowed):
-    mission, config = load("figure"), load("drawn_path").swarm(None)
+    mission, config = load_mission("figure"), load_mission("drawn_path").swarm(None)
     with pytest.raises(ConfigError, match=rf"mission_options\.{key}.*{allowed}"):
         mission.check(config.replace(mission="figure", mission_options={key: value}))
 
 
 def test_integrators_without_leaders_are_refused_by_name():
-    mission = load("integrators")
+    mission = load_mission("integrators")
     robots = [
         {"id": r.id, "home": r.home, "uri": r.uri} for r in mission.swarm(None).drones
     ]
     with pytest.raises(Refused, match=r"drones \[0, 1, 2, 3, 4, 5\] hear no leader"):
-        look_before(mission, mission.swarm(None).replace(drones=robots))
+        check_before_flight(mission, mission.swarm(None).replace(drones=robots))
 
 
 def test_a_drones_height_is_a_height():

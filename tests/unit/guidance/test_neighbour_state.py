@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 from virtual_time import virtual
 
-from crazychoir.bus.topics import STATE
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.filters.velocity import VelocityFilter
-from crazychoir.guidance.neighbour_state import SPREAD, Hearing, Paired, VelocitySum
+from crazychoir.guidance.neighbour_state import (
+    CORRECTION_STEPS,
+    PairedStateMailbox,
+    StateMailbox,
+    VelocitySum,
+)
 from crazychoir.types import Pose, State
 
 H = 0.01
@@ -93,7 +98,7 @@ def test_what_is_owed_is_told_within_some_steps():
     sums.told(State.at((0.0, 0.0, 1.0), v), 0.0, 0, 0)
     assert sums.told(State.at((0.01 + 0.01, 0.0, 1.0), v), 0.0, 2, 2).v[
         0
-    ] == pytest.approx(0.5 + 0.01 / (SPREAD * H))
+    ] == pytest.approx(0.5 + 0.01 / (CORRECTION_STEPS * H))
     owed = [
         sums.told(State.at((0.02 + 0.005 * k, 0.0, 1.0), v), 0.0, 1, 1).v[0] - 0.5
         for k in range(1, 200)
@@ -117,7 +122,7 @@ def test_what_is_no_number_is_forgotten(broken):
     assert np.isfinite(told.flat).all()
 
 
-@pytest.mark.parametrize("held", [2 * round(SPREAD), 500])
+@pytest.mark.parametrize("held", [2 * round(CORRECTION_STEPS), 500])
 def test_after_a_long_gap_it_starts_anew(held):
     sums = VelocitySum(CUTOFF, H, H)
     sums.told(State.at((0.0, 0.0, 1.0), (0.5, 0.0, 0.0)), 0.0, 0, 0)
@@ -136,7 +141,7 @@ class Neighbor:
     def __init__(self, clock, latency=0.0, noise=NOISE):
         self.clock, self.latency, self.noise = clock, latency, noise
         self.draw, self.filter = np.random.default_rng(3), VelocityFilter()
-        self.hearing = Hearing(clock, "state", VelocitySum(CUTOFF, H, H))
+        self.hearing = StateMailbox(clock, "state", VelocitySum(CUTOFF, H, H))
 
     async def step(self, arrives=1):
         """A period goes by; its state, that arrives so many times, and what a law is told of it."""
@@ -250,7 +255,7 @@ async def test_what_is_stale_is_not_told_and_not_made_up_for(clock):
         await neighbor.step()
     told = [(await neighbor.step(arrives=0))[1] for _ in range(40)]
     assert [one is None for one in told] == [
-        k * H > STATE.max_age + 1e-9 for k in range(1, 41)
+        k * H > DRONE_TOPICS.state.max_age + 1e-9 for k in range(1, 41)
     ]
     state, heard = await neighbor.step()
     assert heard.flat.tolist() == state.flat.tolist()
@@ -274,7 +279,7 @@ def test_place_and_velocity_are_told_with_the_acceleration_of_their_tick(delay):
     @virtual
     async def flown(clock):
         paired, draw, pair, newest, lost = (
-            Paired(clock, "state", H),
+            PairedStateMailbox(clock, "state", H),
             np.random.default_rng(5),
             None,
             0,
@@ -307,13 +312,13 @@ def test_place_and_velocity_are_told_with_the_acceleration_of_their_tick(delay):
 
 @virtual
 async def test_pairs_that_are_stale_are_not_told_and_begin_anew(clock):
-    paired = Paired(clock, "state", H)
+    paired = PairedStateMailbox(clock, "state", H)
     assert paired.state(clock.now_ns(), 1) is None
     for k in range(1, 4):
         await clock.sleep(H)
         paired.put(commanded(k))
         paired.state(clock.now_ns(), 1)
-    await clock.sleep(STATE.max_age + 2 * H)
+    await clock.sleep(DRONE_TOPICS.state.max_age + 2 * H)
     assert paired.state(clock.now_ns(), 1) is None
     assert paired.stale == 1
     paired.put(commanded(90))

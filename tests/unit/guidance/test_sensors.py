@@ -9,8 +9,8 @@ from virtual_time import virtual
 
 from crazychoir.agent.agent import Agent
 from crazychoir.agent.worlds import WorldProcess
-from crazychoir.bus.port import BODIES, OBSERVER, Bus
-from crazychoir.bus.topics import TELEMETRY
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.feedback import CFDistributedFeedback
@@ -19,7 +19,7 @@ from crazychoir.guidance.sensors import Sensors
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.runtime.mailbox import DropOldest
 from crazychoir.simulation.remote import RemoteLink
-from crazychoir.simulation.telemetry import names_of
+from crazychoir.simulation.telemetry import list_log_names
 
 BRISK = {
     "takeoff_height": 0.3,
@@ -43,9 +43,11 @@ def flown(guidance, config):
         agent = Agent(
             clock, config, SimpleNamespace(guidance=lambda i, config: guidance), (0,)
         )
-        agent.bus.port(OBSERVER)
+        agent.bus.port(PORT_ADDRESSES.first_observer)
         heard = DropOldest(clock, "telemetry", 10_000)
-        agent.bus.subscribe(TELEMETRY, 0, OBSERVER, heard)
+        agent.bus.subscribe(
+            DRONE_TOPICS.telemetry, 0, PORT_ADDRESSES.first_observer, heard
+        )
         results = await agent.run()
         return results[0], heard.received
 
@@ -179,7 +181,9 @@ async def test_a_body_in_the_process_of_its_owner_says_what_it_is_asked_and_refu
     serving = asyncio.create_task(world.serve())
     try:
         link = RemoteLink(port)
-        sensors = Sensors(port, BODIES, names_of("sim://"), link.ask)
+        sensors = Sensors(
+            port, PORT_ADDRESSES.body_offset, list_log_names("sim://"), link.ask
+        )
         seen = sensors.log(("stateEstimate.x", "gyro.z"), 0.05)
         assert seen.fresh() == {}
         await clock.sleep(0.2)
@@ -187,7 +191,7 @@ async def test_a_body_in_the_process_of_its_owner_says_what_it_is_asked_and_refu
         assert 0.0 <= seen.age("gyro.z") <= 0.05
         with pytest.raises(KeyError, match="was not asked for"):
             seen["gyro.x"]
-        foreign = Sensors(port, BODIES, None, link.ask)
+        foreign = Sensors(port, PORT_ADDRESSES.body_offset, None, link.ask)
         nothing = foreign.log(("no.such",), 0.1)
         await clock.sleep(0.5)
         assert nothing["no.such"] is None
@@ -202,9 +206,11 @@ async def test_values_grow_stale(clock):
     sensors = Sensors(bus.port(0), 0, ("a.b", "a.c"), lambda *asked: None)
     seen = sensors.log(("a.b",), 0.1)
     assert sensors.log(("a.b",), 0.1) is seen
-    bus.ports[0].publish(TELEMETRY, {"a.b": [1.0, 0.05], "a.c": [7.0, 0.0]})
+    bus.ports[0].publish(
+        DRONE_TOPICS.telemetry, {"a.b": [1.0, 0.05], "a.c": [7.0, 0.0]}
+    )
     assert (seen["a.b"], seen.age("a.b")) == (1.0, pytest.approx(0.05))
-    bus.ports[0].publish(TELEMETRY, {"a.b": [0.5, 0.2]})
+    bus.ports[0].publish(DRONE_TOPICS.telemetry, {"a.b": [0.5, 0.2]})
     assert seen["a.b"] == 1.0, "an older one does not count"
     await clock.sleep(1.0)
     assert seen["a.b"] is None

@@ -7,16 +7,14 @@ import numpy as np
 import pytest
 
 from crazychoir.guidance.turns import (
-    AROUND,
-    LEAVES,
-    NEAR,
-    PATIENT,
-    Turns,
-    aside,
-    blocked,
-    first_at,
+    TURN_DISTANCES,
+    TURN_TIMES,
+    TurnTaking,
+    choose_place_aside,
+    find_first_at,
+    is_blocked,
 )
-from crazychoir.safety.collision.neighbour_table import BORN, COLUMNS
+from crazychoir.safety.collision.neighbour_table import NEIGHBOUR_ROW
 from crazychoir.safety.rules.guard import Fence
 
 P = np.array([1.0, 2.0, 0.5])
@@ -26,9 +24,9 @@ HALL = Fence.box((-3.0, -3.0, 0.0), (3.0, 3.0, 2.0))
 
 def pilot(others, now=10.0, at=P, gave_way=-math.inf):
     """That of drone 5, which hears others: {id: (m from P along x, m height, s old)}; where it is, when it gave way."""
-    rows = np.zeros((len(others), COLUMNS))
+    rows = np.zeros((len(others), NEIGHBOUR_ROW.size))
     for row, (away, z, age) in zip(rows, others.values(), strict=True):
-        row[0:3], row[BORN] = (P[0] + away, P[1], z), now - age
+        row[0:3], row[NEIGHBOUR_ROW.state_time] = (P[0] + away, P[1], z), now - age
     return SimpleNamespace(
         drone=ME,
         clock=SimpleNamespace(now=lambda: now),
@@ -46,40 +44,52 @@ def pilot(others, now=10.0, at=P, gave_way=-math.inf):
     ("others", "first"),
     [
         ({}, ME),
-        ({3: (0.9 * NEAR, 0.5, 0.0), 2: (0.1, 0.9, 0.0), 7: (0.0, 0.5, 0.0)}, 2),
+        (
+            {
+                3: (0.9 * TURN_DISTANCES.near, 0.5, 0.0),
+                2: (0.1, 0.9, 0.0),
+                7: (0.0, 0.5, 0.0),
+            },
+            2,
+        ),
         ({7: (0.0, 0.5, 0.0)}, 7),
-        ({2: (1.1 * NEAR, 0.5, 0.0)}, ME),
+        ({2: (1.1 * TURN_DISTANCES.near, 0.5, 0.0)}, ME),
         ({2: (0.1, 0.02, 0.0)}, ME),
         ({2: (0.1, 0.5, 1.0)}, ME),
     ],
 )
 def test_the_lowest_of_those_that_fly_near_a_place_is_first(others, first):
-    assert first_at(pilot(others), P) == first
+    assert find_first_at(pilot(others), P) == first
 
 
 def test_who_gives_way_to_nobody_is_first():
     assert (
-        first_at(SimpleNamespace(drone=ME, clearance=SimpleNamespace(traffic=None)), P)
+        find_first_at(
+            SimpleNamespace(drone=ME, clearance=SimpleNamespace(traffic=None)), P
+        )
         == ME
     )
 
 
 def test_the_others_wait_on_their_own_side_as_high_as_the_place():
-    assert aside(np.add(P, [0.0, -0.2, 0.3]), P, HALL) == pytest.approx(
-        P - [0.0, AROUND, 0.0]
+    assert choose_place_aside(np.add(P, [0.0, -0.2, 0.3]), P, HALL) == pytest.approx(
+        P - [0.0, TURN_DISTANCES.waiting, 0.0]
     )
-    assert np.linalg.norm(aside(P, P, HALL) - P) == pytest.approx(AROUND)
+    assert np.linalg.norm(choose_place_aside(P, P, HALL) - P) == pytest.approx(
+        TURN_DISTANCES.waiting
+    )
 
 
 def test_where_the_fence_is_near_they_wait_on_another_side():
     wall = np.array([0.0, 2.8, 0.5])
     here = np.add(wall, [0.0, 0.1, 0.0])
-    assert aside(here, wall, HALL) == pytest.approx(
-        np.subtract(wall, [AROUND, 0.0, 0.0])
+    assert choose_place_aside(here, wall, HALL) == pytest.approx(
+        np.subtract(wall, [TURN_DISTANCES.waiting, 0.0, 0.0])
     )
-    assert aside(here, wall, Fence.box((-0.1, 2.7, 0.0), (0.1, 2.9, 2.0)))[1] > 3.0, (
-        "there is none"
-    )
+    assert (
+        choose_place_aside(here, wall, Fence.box((-0.1, 2.7, 0.0), (0.1, 2.9, 2.0)))[1]
+        > 3.0
+    ), "there is none"
 
 
 def seen(turns, **changes):
@@ -92,27 +102,31 @@ SHARED, NEXT = {2: (0.1, 0.5, 0.0)}, P - [0.3, 0.0, 0.0]
 
 
 def test_who_is_hindered_for_long_leaves_its_place_to_a_lower_id_for_a_while():
-    turns = Turns(pilot(SHARED, at=NEXT))
+    turns = TurnTaking(pilot(SHARED, at=NEXT))
     at = {"others": SHARED, "at": NEXT}
     assert turns.to(P) is P
     assert seen(turns, now=12.0, gave_way=12.0, **at).to(P) is P, (
         "it may get out of the way"
     )
-    left = seen(turns, now=10.1 + PATIENT, gave_way=10.1 + PATIENT, **at).to(P)
-    assert left == pytest.approx(P - [AROUND, 0.0, 0.0])
-    later = 10.2 + PATIENT
+    left = seen(
+        turns, now=10.1 + TURN_TIMES.patience, gave_way=10.1 + TURN_TIMES.patience, **at
+    ).to(P)
+    assert left == pytest.approx(P - [TURN_DISTANCES.waiting, 0.0, 0.0])
+    later = 10.2 + TURN_TIMES.patience
     assert seen(turns, now=later, **at).to(P) is left
     assert seen(turns, now=later, others={}, at=NEXT).to(P) is P, (
         "the other one has gone"
     )
-    assert seen(turns, now=later + LEAVES, **at).to(P) is P, "it has had its time"
+    assert seen(turns, now=later + TURN_TIMES.aside, **at).to(P) is P, (
+        "it has had its time"
+    )
 
 
 def test_who_wants_nothing_gets_out_of_the_way_at_once_and_stays_there():
-    turns = Turns(pilot(SHARED, at=NEXT))
+    turns = TurnTaking(pilot(SHARED, at=NEXT))
     assert turns.away() is None, "it hinders nobody"
     left = seen(turns, others=SHARED, at=NEXT, gave_way=10.0).away()
-    assert left == pytest.approx(np.add(P, [0.1 - AROUND, 0.0, 0.0]))
+    assert left == pytest.approx(np.add(P, [0.1 - TURN_DISTANCES.waiting, 0.0, 0.0]))
     assert seen(turns, others=SHARED, at=NEXT, now=11.0).away() is left
     assert (
         seen(turns, others=SHARED, at=left, now=11.0, gave_way=11.0).away() is None
@@ -123,5 +137,5 @@ def test_who_wants_nothing_gets_out_of_the_way_at_once_and_stays_there():
 
 
 def test_one_is_hindered_for_half_a_second_after_it_gave_way():
-    assert blocked(pilot({}, gave_way=9.6))
-    assert not blocked(pilot({}, gave_way=9.4))
+    assert is_blocked(pilot({}, gave_way=9.6))
+    assert not is_blocked(pilot({}, gave_way=9.4))

@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from crazychoir.agent.drone import WAITING
+from crazychoir.agent.drone import WAITING_TASK
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.launch import console as show
 from crazychoir.types import Acceleration, Status
@@ -37,13 +37,13 @@ def printed(table, width=200):
 def screen(monkeypatch):
     """Standard error, as a terminal of 100 columns."""
     console = Console(file=io.StringIO(), width=100, force_terminal=True)
-    monkeypatch.setattr(show, "STDERR", console)
+    monkeypatch.setattr(show, "ERROR_CONSOLE", console)
     return console.file
 
 
 def test_an_error_is_one_object_and_a_text(screen, capsys):
     with pytest.raises(typer.Exit) as ended:
-        show.fail(ConfigError("here", 3, "4"), as_json=True)
+        show.exit_with_error(ConfigError("here", 3, "4"), as_json=True)
     assert ended.value.exit_code == 2
     said = {
         "success": False,
@@ -69,7 +69,7 @@ def test_whatever_travels_is_printed_as_json(capsys):
 
 
 def test_what_missions_and_their_programs_print_is_not_on_standard_output(capfd):
-    with show.prints_aside():
+    with show.redirect_prints():
         print("of Python", flush=True)  # noqa: T201
         os.write(1, b"of a program\n")
     show.write_json({"success": True})
@@ -81,7 +81,7 @@ def test_what_missions_and_their_programs_print_is_not_on_standard_output(capfd)
 
 def test_a_refusal_says_once_that_it_is_one(screen):
     with pytest.raises(typer.Exit):
-        show.fail(Refused("swarm lab", "no agent found"), as_json=False)
+        show.exit_with_error(Refused("swarm lab", "no agent found"), as_json=False)
     assert screen.getvalue().lower().count("refused") == 1
     assert "swarm lab: no agent found" in screen.getvalue()
 
@@ -114,8 +114,8 @@ def flying():
 def test_a_drone_of_the_live_table_takes_one_line_and_nothing_is_cut_but_notes(
     monkeypatch, width
 ):
-    monkeypatch.setattr(show, "STDERR", Console(file=io.StringIO(), width=width))
-    lines = printed(show.status_table(flying()), width).splitlines()
+    monkeypatch.setattr(show, "ERROR_CONSOLE", Console(file=io.StringIO(), width=width))
+    lines = printed(show.build_status_table(flying()), width).splitlines()
     head, _, *rows = lines
     assert head.split()[:6] == [
         "drone",
@@ -142,18 +142,20 @@ def test_a_drone_of_the_live_table_takes_one_line_and_nothing_is_cut_but_notes(
 
 
 def test_a_drone_that_is_back_on_the_ground_is_not_missed():
-    rows = printed(show.status_table(flying())).splitlines()[2:]
+    rows = printed(show.build_status_table(flying())).splitlines()[2:]
     assert rows[1].rstrip().endswith("2?, 0!"), "not 4, which has ended"
     assert "!" not in rows[4] + rows[5]
     assert "? for a second" in rows[-1], "what the marks mean"
-    waiting = Status("on ground", WAITING)
+    waiting = Status("on ground", WAITING_TASK)
     score = flying()
     score.statuses[4] = waiting
-    assert "4!" in printed(show.status_table(score)).splitlines()[3], (
+    assert "4!" in printed(show.build_status_table(score)).splitlines()[3], (
         "one that has not begun is missed"
     )
     quiet = SimpleNamespace(ids=(0,), statuses={0: waiting})
-    assert "silent:" not in printed(show.status_table(quiet)), "nothing to explain"
+    assert "silent:" not in printed(show.build_status_table(quiet)), (
+        "nothing to explain"
+    )
 
 
 def test_a_line_a_pair_of_hosts_says_how_far_their_clocks_are_apart():
@@ -169,7 +171,7 @@ def test_a_line_a_pair_of_hosts_says_how_far_their_clocks_are_apart():
         2: Status("x", host="b", **there),
     }
     lines = printed(
-        show.status_table(SimpleNamespace(ids=(0, 1, 2), statuses=statuses))
+        show.build_status_table(SimpleNamespace(ids=(0, 1, 2), statuses=statuses))
     ).splitlines()
     assert [line.rstrip() for line in lines if "clock" in line] == [
         "the clock of host b is 1000.000100 s ahead of that of a, within 0.000300 s",
@@ -178,16 +180,16 @@ def test_a_line_a_pair_of_hosts_says_how_far_their_clocks_are_apart():
 
 
 def test_a_run_says_which_drones_it_started_when_not_all():
-    assert "started here" not in printed(show.summary_table(RUN))
-    rows = printed(show.summary_table(RUN | {"here": [2, 3]})).splitlines()
+    assert "started here" not in printed(show.build_summary_table(RUN))
+    rows = printed(show.build_summary_table(RUN | {"here": [2, 3]})).splitlines()
     row = next(line for line in rows if "started here" in line)
     assert "2, 3" in row
 
 
 def test_a_run_on_the_wall_clock_has_one_time():
     flown = RUN | {"simulated_s": 20.0, "real_time_factor": 1.0, "wall_s": 20.0}
-    assert "simulated_s" in printed(show.summary_table(flown | {"digest": "ab"}))
-    text = printed(show.summary_table(flown | {"digest": None}))
+    assert "simulated_s" in printed(show.build_summary_table(flown | {"digest": "ab"}))
+    text = printed(show.build_summary_table(flown | {"digest": None}))
     assert "wall_s" in text
     assert "simulated_s" not in text
     assert "real_time_factor" not in text
@@ -200,7 +202,7 @@ def test_what_a_mission_reports_is_shown_if_it_is_figures_in_a_row_too():
         "plan": [{"task": 3}],
         "left": [],
     }
-    text = printed(show.summary_table(RUN | report | {"report": list(report)}))
+    text = printed(show.build_summary_table(RUN | report | {"report": list(report)}))
     assert "0.5, 0.51" in text
     assert "89.98" in text
     assert "plan " not in text
@@ -209,16 +211,16 @@ def test_what_a_mission_reports_is_shown_if_it_is_figures_in_a_row_too():
 
 def test_a_run_is_named_by_its_mission_and_the_swarm_that_has_a_file():
     there = RUN | {"mission": "/home/who/law.py"}
-    assert "law.py: success" in printed(show.summary_table(there))
-    assert "/home" not in printed(show.summary_table(there))
+    assert "law.py: success" in printed(show.build_summary_table(there))
+    assert "/home" not in printed(show.build_summary_table(there))
     assert "swarm lab, law.py: success" in " ".join(
-        printed(show.summary_table(there | {"swarm": "lab"})).split()
+        printed(show.build_summary_table(there | {"swarm": "lab"})).split()
     )
 
 
 def test_a_run_says_who_failed():
     text = printed(
-        show.summary_table(
+        show.build_summary_table(
             RUN | {"success": False, "reasons": {1: "drone 1: lost"}, "absent": [2]}
         )
     )
@@ -226,7 +228,7 @@ def test_a_run_says_who_failed():
     assert text.count("drone 1") == 1, "its name is said once"
     assert "lost" in text
     text = printed(
-        show.summary_table(RUN | {"success": False, "reason": "nobody came"})
+        show.build_summary_table(RUN | {"success": False, "reason": "nobody came"})
     )
     assert "nobody came" in text
     assert "drone 1" not in text
@@ -238,7 +240,7 @@ def test_a_run_that_its_operator_has_landed_is_a_success_and_says_so():
         "reasons": {},
         "ended": {0: "landed on command", 1: "drone 1: sent home on command"},
     }
-    text = printed(show.summary_table(RUN | landed))
+    text = printed(show.build_summary_table(RUN | landed))
     assert "m: success, ended by its operator" in text
     assert "landed on command" in text
     assert text.count("drone 1") == 1, "its name is said once"
@@ -247,22 +249,24 @@ def test_a_run_that_its_operator_has_landed_is_a_success_and_says_so():
         "reasons": {1: "drone 1: lost"},
         "ended": {0: "landed on command"},
     }
-    assert "m: failed" in printed(show.summary_table(RUN | failed))
+    assert "m: failed" in printed(show.build_summary_table(RUN | failed))
 
 
 def test_a_run_says_where_its_recording_is_and_what_it_lacks():
     whole = {"file": "a.mcap", "messages": 7, "lost": 0, "missed": 0, "error": ""}
-    text = printed(show.summary_table(RUN | {"recording": whole}))
+    text = printed(show.build_summary_table(RUN | {"recording": whole}))
     assert "a.mcap: 7 messages" in text
     assert "lost" not in text
     text = printed(
-        show.summary_table(
+        show.build_summary_table(
             RUN
             | {"recording": whole | {"lost": 2, "missed": 3, "error": "No space left"}}
         )
     )
     assert "a.mcap: 7 messages, 2 lost, 3 missed; ended early: No space left" in text
-    assert "recording" not in printed(show.summary_table(RUN | {"recording": None}))
+    assert "recording" not in printed(
+        show.build_summary_table(RUN | {"recording": None})
+    )
 
 
 def test_progress_draws_a_few_times_a_second_and_says_lines(screen, monkeypatch):
@@ -273,7 +277,7 @@ def test_progress_draws_a_few_times_a_second_and_says_lines(screen, monkeypatch)
         return Table(f"seen {seen}")
 
     monkeypatch.setattr(show.time, "perf_counter", lambda: now[0])
-    with show.Progress(table, enabled=True) as progress:
+    with show.LiveTable(table, enabled=True) as progress:
         for n in range(100):
             progress(n)
             now[0] += 1 / 64
@@ -285,7 +289,7 @@ def test_progress_draws_a_few_times_a_second_and_says_lines(screen, monkeypatch)
 
 
 def test_progress_that_nobody_sees_draws_nothing(screen):
-    with show.Progress(pytest.fail, enabled=False) as progress:
+    with show.LiveTable(pytest.fail, enabled=False) as progress:
         progress(1)
         progress.say("a line")
     assert screen.getvalue() == "a line\n"

@@ -5,23 +5,23 @@ import time
 from collections import deque
 from types import SimpleNamespace
 
-from crazychoir.agent.drone import WAITING
+from crazychoir.agent.drone import WAITING_TASK
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.launch.flight import (
-    NO_REASON,
+    MISSION_REASONS,
     NO_REASONS,
     NO_RESULT,
-    all_wait,
+    do_all_wait,
     fly_fast,
-    owners,
-    summary,
+    list_owners,
+    summarise_flight,
 )
 from crazychoir.types import Status
 
 
 def starts_world(config, started):
-    return [owner.name for owner in owners(config, started)] == ["world"]
+    return [owner.name for owner in list_owners(config, started)] == ["world"]
 
 
 MISSION = SimpleNamespace(guidance=lambda i, config: None)
@@ -38,7 +38,7 @@ def result_of(results, here=None, mission=MISSION, touching=None):
         formation=dict,
         tracks={},
     )
-    return summary(default_swarm(3), mission, results, score, 10.0, 2.0, here)
+    return summarise_flight(default_swarm(3), mission, results, score, 10.0, 2.0, here)
 
 
 def test_a_run_succeeds_when_every_drone_does():
@@ -67,7 +67,7 @@ def test_a_drone_that_fails_gives_its_reason():
         }
     )
     assert result["success"] is False
-    assert result["reasons"] == {1: "lost", 2: NO_REASON}
+    assert result["reasons"] == {1: "lost", 2: MISSION_REASONS.unsaid}
 
 
 def test_a_drone_without_result_is_absent():
@@ -257,12 +257,12 @@ def test_compiling_before_the_flight_is_not_part_of_its_time():
 def test_all_wait_until_one_has_begun_and_for_no_one_that_a_start_can_do_without():
     config, score = (
         default_swarm(3),
-        SimpleNamespace(statuses={0: Status("on ground", WAITING)}),
+        SimpleNamespace(statuses={0: Status("on ground", WAITING_TASK)}),
     )
-    assert all_wait(config, score)
-    assert not all_wait(config.replace(start=2), score)
+    assert do_all_wait(config, score)
+    assert not do_all_wait(config.replace(start=2), score)
     score.statuses[1] = Status("on ground", "")
-    assert not all_wait(config, score)
+    assert not do_all_wait(config, score)
 
 
 def test_the_world_is_started_once_with_all_drones_or_with_the_lowest_of_its_host():
@@ -326,7 +326,7 @@ def test_owners_of_cameras_and_dongles_start_with_the_drones_of_their_host():
     raw |= {"mocap": {"host": "desk"}, "radio": {"dongles": rows}}
     config = SwarmConfig.of(raw)
     names = {
-        here: [owner.name for owner in owners(config, here)]
+        here: [owner.name for owner in list_owners(config, here)]
         for here in ((0, 1, 2), (0,), (2,), (1,))
     }
     assert names == {
@@ -335,7 +335,7 @@ def test_owners_of_cameras_and_dongles_start_with_the_drones_of_their_host():
         (2,): [],
         (1,): ["mocap", "dongle 1"],
     }
-    assert owners(config, None)[1].options == ("--dongle", "0")
+    assert list_owners(config, None)[1].options == ("--dongle", "0")
 
 
 # What an operator has ended -----------------------------------------------------------------------------------------
@@ -406,11 +406,13 @@ def test_a_run_that_fails_never_has_an_empty_reason():
     for empty in ("", " ", None):
         assert result_of({0: {"success": False, "reason": empty}, 1: DONE, 2: DONE})[
             "reasons"
-        ] == {0: NO_REASON}
+        ] == {0: MISSION_REASONS.unsaid}
         every = dict.fromkeys(range(3), DONE)
         mission = reporting(lambda _, empty=empty: {"success": False, "reason": empty})
         assert result_of(every, mission=mission)["reason"] == NO_REASONS
         mission = reporting(
             lambda _, empty=empty: {"success": False, "reasons": {1: empty}}
         )
-        assert result_of(every, mission=mission)["reasons"] == {1: NO_REASON}
+        assert result_of(every, mission=mission)["reasons"] == {
+            1: MISSION_REASONS.unsaid
+        }

@@ -6,17 +6,17 @@ import contextlib
 import numpy as np
 import pytest
 
-from crazychoir.agent.drone import WAITING
+from crazychoir.agent.drone import WAITING_TASK
 from crazychoir.bus.port import Bus
-from crazychoir.bus.topics import LOG, STATUS, TRUTH
-from crazychoir.config.checks import TOUCHING
-from crazychoir.guidance.feedback import LAW
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.config.checks import SWARM_LIMITS
+from crazychoir.guidance.feedback import LAW_TASK
 from crazychoir.launch import flight_observer as scores
-from crazychoir.launch.flight_observer import SETTLED, Score
+from crazychoir.launch.flight_observer import SCORE_LIMITS, FlightScore
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.types import State, Status
 
-PERIOD = 1.0 / TRUTH.rate
+PERIOD = 1.0 / DRONE_TOPICS.truth.rate
 STEP = 1.5
 """Periods that one look takes."""
 
@@ -28,13 +28,13 @@ class Sky:
         self.clock = clock
         self.bus = Bus(clock)
         self.ports = [self.bus.port(i) for i in range(n)]
-        self.score = Score(self.bus, tuple(range(n)), goal or {}, unseen=unseen)
+        self.score = FlightScore(self.bus, tuple(range(n)), goal or {}, unseen=unseen)
 
     def at(self, i, p, v=(0.0, 0.0, 0.0), age=0.0):
-        self.ports[i].publish(TRUTH, State.at(p, v), age)
+        self.ports[i].publish(DRONE_TOPICS.truth, State.at(p, v), age)
 
     def tells(self, i, phase, task=""):
-        self.ports[i].publish(STATUS, Status(phase, task))
+        self.ports[i].publish(DRONE_TOPICS.status, Status(phase, task))
 
     async def looks(self, times=1):
         """The score looks so many times, and half a period goes by."""
@@ -104,13 +104,21 @@ def test_places_that_are_old_are_not_compared():
 
 def test_pairs_that_come_near_enough_to_touch_are_told_with_their_least_distance():
     async def scene(sky):
-        for x in (0.5, TOUCHING - 0.01, TOUCHING - 0.03, 0.5, TOUCHING + 0.01):
+        for x in (
+            0.5,
+            SWARM_LIMITS.touching_distance - 0.01,
+            SWARM_LIMITS.touching_distance - 0.03,
+            0.5,
+            SWARM_LIMITS.touching_distance + 0.01,
+        ):
             sky.at(0, (0, 0, 0))
             sky.at(1, (5.0, 0, 0))
             sky.at(2, (x, 0, 0))
             await sky.looks()
 
-    assert seen(scene, n=3).touching == {(0, 2): pytest.approx(TOUCHING - 0.03)}
+    assert seen(scene, n=3).touching == {
+        (0, 2): pytest.approx(SWARM_LIMITS.touching_distance - 0.03)
+    }
 
 
 def test_one_drone_is_never_near_another():
@@ -133,9 +141,9 @@ def test_a_formation_is_judged_from_the_first_law_to_the_first_landing():
     async def scene(sky):
         for far, phase, task in (
             (5.0, "taking off", ""),
-            (2.0, "mission", LAW),
-            (1.0, "mission", LAW),
-            (0.001, "mission", LAW),
+            (2.0, "mission", LAW_TASK),
+            (1.0, "mission", LAW_TASK),
+            (0.001, "mission", LAW_TASK),
             (9.0, "landing", "landing"),
         ):
             sky.tells(0, phase, task)
@@ -150,7 +158,7 @@ def test_a_formation_is_judged_from_the_first_law_to_the_first_landing():
 
 @pytest.mark.parametrize(
     ("phase", "task"),
-    [("on ground", LAW), ("hovering", "waiting"), ("landing", "landing")],
+    [("on ground", LAW_TASK), ("hovering", "waiting"), ("landing", "landing")],
 )
 def test_a_drone_that_flies_no_law_forms_nothing(phase, task):
     async def scene(sky):
@@ -164,13 +172,18 @@ def test_a_drone_that_flies_no_law_forms_nothing(phase, task):
 
 def test_a_score_does_not_grow_with_the_flight():
     async def scene(sky):
-        sky.tells(0, "mission", LAW)
+        sky.tells(0, "mission", LAW_TASK)
         for n in range(300):
-            sky.at(0, (2.0 * SETTLED * (n % 3 == 0 and n < 200), 0, 0))
+            sky.at(
+                0,
+                (2.0 * SCORE_LIMITS.settled_distance * (n % 3 == 0 and n < 200), 0, 0),
+            )
             sky.at(1, (1, 1, 0))
-            sky.ports[0].publish(LOG, f"line {n}")
+            sky.ports[0].publish(DRONE_TOPICS.log, f"line {n}")
             await sky.looks()
-        sky.score.log.extend(str(n) for n in range(2 * scores.LOGGED))
+        sky.score.log.extend(
+            str(n) for n in range(2 * scores.SCORE_LIMITS.most_log_lines)
+        )
 
     score = seen(scene, goal={0: np.zeros(3)})
     assert len(score.errors) == 2
@@ -178,16 +191,18 @@ def test_a_score_does_not_grow_with_the_flight():
         (198 * STEP + 1.0) * PERIOD
     ), "the last time"
     assert score.formation()["formation_error_m"] == 0.0
-    assert len(score.log) == scores.LOGGED
-    assert score.log[-1] == str(2 * scores.LOGGED - 1), "the newest stay"
+    assert len(score.log) == scores.SCORE_LIMITS.most_log_lines
+    assert score.log[-1] == str(2 * scores.SCORE_LIMITS.most_log_lines - 1), (
+        "the newest stay"
+    )
 
 
 def test_it_hears_when_the_first_drone_has_begun():
     async def scene(sky):
-        sky.tells(0, "on ground", WAITING)
+        sky.tells(0, "on ground", WAITING_TASK)
         assert sky.score.go_at is None
         await sky.clock.sleep(3.0)
-        for task in ("planning", LAW):
+        for task in ("planning", LAW_TASK):
             sky.tells(1, "on ground", task)
             await sky.clock.sleep(1.0)
 
@@ -198,7 +213,7 @@ def test_who_has_never_taken_off_has_flown_nothing_and_come_near_nobody():
     async def scene(sky, phase):
         for x in (0.0, 8.0):  # their estimates drift
             for i in range(2):
-                sky.tells(i, "on ground", WAITING)
+                sky.tells(i, "on ground", WAITING_TASK)
                 sky.at(i, (x, 0.01 * i, 0))
             sky.tells(2, phase)
             sky.at(2, (x, 0.5, 0))

@@ -14,18 +14,18 @@ from other_user import as_user, in_own_namespace
 from ports import free_ports, is_free
 from typer.testing import CliRunner
 
-from crazychoir.bus.port import OBSERVER, Bus
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.cli.main import app
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import ConfigError
 from crazychoir.launch import network
 from crazychoir.launch.network import (
-    attached,
+    hold_isolated_swarm,
     isolate_swarm,
-    isolated_swarm,
-    observer,
-    reserved_ports,
-    swarm_file,
+    make_observer_link,
+    reserve_ports,
+    run_attached,
+    write_swarm_file,
 )
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import run_virtual
@@ -70,13 +70,13 @@ def test_no_connection_is_given_a_port_that_was_drawn(monkeypatch):
     ):
         given = connection.getsockname()[1]
     assert all(free_ports([0, 200]) + 200 < given for _ in range(50))
-    monkeypatch.setattr(network, "_first_of_connections", lambda: 4_000)
+    monkeypatch.setattr(network, "_read_first_connection_port", lambda: 4_000)
     assert free_ports([0, 5]) + 5 < 4_000, "also where the system gives low ones"
 
 
 def test_the_swarm_file_is_there_while_it_flies():
     config = default_swarm(3)
-    with swarm_file(config) as path:
+    with write_swarm_file(config) as path:
         assert SwarmConfig.load(path) == config
         assert config.name in str(path)
         assert path.parent.stat().st_mode & 0o077 == 0, "for nobody else"
@@ -85,12 +85,12 @@ def test_the_swarm_file_is_there_while_it_flies():
 
 def test_observers_side_by_side_have_names_and_addresses_of_their_own():
     async def main(clock):
-        return [observer(clock, default_swarm(2)).bus for _ in range(2)]
+        return [make_observer_link(clock, default_swarm(2)).bus for _ in range(2)]
 
     one, other = run_virtual(main)
     assert one.process != other.process
     assert list(one.ports) != list(other.ports)
-    assert min(*one.ports, *other.ports) > OBSERVER
+    assert min(*one.ports, *other.ports) > PORT_ADDRESSES.first_observer
 
 
 def test_actors_work_while_the_link_is_open_and_stop_before_it():
@@ -114,7 +114,7 @@ def test_actors_work_while_the_link_is_open_and_stop_before_it():
     async def main(clock):
         link = Link("link")
         link.bus = Bus(clock)
-        async with attached(link, Part("score")):
+        async with run_attached(link, Part("score")):
             await clock.sleep(1.0)
 
     run_virtual(main)
@@ -146,7 +146,7 @@ def listens_at(port):
 
 
 def test_ports_are_held_for_those_who_listen_there_and_for_no_other():
-    with reserved_ports(dict.fromkeys([-1, 0, 3], LOCAL)) as base:
+    with reserve_ports(dict.fromkeys([-1, 0, 3], LOCAL)) as base:
         for port in (base - 1, base, base + 3):
             assert not is_free(port), "another run does not choose it"
             with pytest.raises(ConnectionRefusedError):
@@ -209,10 +209,10 @@ def test_a_user_gets_ports_where_the_system_gives_nearly_all_to_connections(span
 def test_so_many_processes_get_ports_wherever_those_of_connections_begin(
     monkeypatch, first, drones
 ):
-    monkeypatch.setattr(network, "_first_of_connections", lambda: first)
+    monkeypatch.setattr(network, "_read_first_connection_port", lambda: first)
     monkeypatch.setattr(network, "_reserve_port", lambda address, port, kept: True)
     monkeypatch.setattr(network, "_allow_files", lambda processes: None)
-    with reserved_ports(dict.fromkeys(range(-3, drones), LOCAL)) as base:
+    with reserve_ports(dict.fromkeys(range(-3, drones), LOCAL)) as base:
         assert base - 3 >= 1024
         assert base + drones - 1 <= 65535
 
@@ -221,7 +221,7 @@ def test_1200_processes_hold_their_ports():
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
     try:
         resource.setrlimit(resource.RLIMIT_NOFILE, (1024, before[1]))
-        with reserved_ports(dict.fromkeys(range(1200), LOCAL)) as base:
+        with reserve_ports(dict.fromkeys(range(1200), LOCAL)) as base:
             assert not is_free(base + 1199)
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
@@ -233,11 +233,11 @@ def test_too_few_open_files_are_told_before_anything_starts(monkeypatch):
         ConfigError,
         match=r"limit of open files: found 2048; allowed: 5056 for 1200 processes.*--proc",
     ):
-        reserved_ports(dict.fromkeys(range(1200), LOCAL)).__enter__()
+        reserve_ports(dict.fromkeys(range(1200), LOCAL)).__enter__()
 
 
 def test_wide_ids_have_ports_too(monkeypatch):
-    monkeypatch.setattr(network, "_first_of_connections", lambda: 2048)
+    monkeypatch.setattr(network, "_read_first_connection_port", lambda: 2048)
     for highest in random.Random(1).sample(range(2000, 10_000), 5):  # noqa: S311 - the same each time
         drones = [{"id": 0, "home": [0, 0, 0]}, {"id": highest, "home": [1, 0, 0]}]
         config = SwarmConfig.of(
@@ -253,30 +253,30 @@ def test_a_block_is_found_where_few_are_free(monkeypatch):
     monkeypatch.setattr(
         network, "_reserve_port", lambda address, port, kept: free <= port < free + 5
     )
-    with reserved_ports(dict.fromkeys(range(5), LOCAL)) as base:
+    with reserve_ports(dict.fromkeys(range(5), LOCAL)) as base:
         assert base == free
     with pytest.raises(ConfigError, match="no free block for 6 processes"):
-        reserved_ports(dict.fromkeys(range(6), LOCAL)).__enter__()
+        reserve_ports(dict.fromkeys(range(6), LOCAL)).__enter__()
 
 
 def test_the_base_port_of_a_file_is_used_or_who_needs_the_port_that_is_taken_is_named():
-    with reserved_ports(dict.fromkeys(range(4), LOCAL)) as base:
+    with reserve_ports(dict.fromkeys(range(4), LOCAL)) as base:
         pass
     config = default_swarm(4).replace(base_port=base)
-    with isolated_swarm(config, None, keeps_port=True) as changed:
+    with hold_isolated_swarm(config, None, keeps_port=True) as changed:
         assert changed.base_port == base
-        with isolated_swarm(config, None) as other:
+        with hold_isolated_swarm(config, None) as other:
             assert other.base_port != base, "a replay flies beside it"
         with pytest.raises(
             ConfigError,
             match=rf"base_port = {base}: port {base}, that of drone 0, is taken;.*sport",
         ):
-            isolated_swarm(config, None, keeps_port=True).__enter__()
+            hold_isolated_swarm(config, None, keeps_port=True).__enter__()
     with (
         socket.create_server((LOCAL, base + 2)),
         pytest.raises(ConfigError, match=rf"{base + 2}, that of drone 2"),
     ):
-        isolated_swarm(config, None, keeps_port=True).__enter__()
+        hold_isolated_swarm(config, None, keeps_port=True).__enter__()
 
 
 def test_run_flies_at_the_base_port_of_its_file(tmp_path, monkeypatch):
@@ -292,7 +292,7 @@ def test_run_flies_at_the_base_port_of_its_file(tmp_path, monkeypatch):
         )
         raise ConfigError("flown", "so far", "no further")
 
-    with reserved_ports({0: LOCAL, 1: LOCAL}) as base:
+    with reserve_ports({0: LOCAL, 1: LOCAL}) as base:
         pass
     file = tmp_path / "lab.json"
     file.write_text(default_swarm(2).replace(base_port=base, mission="figure").dumps())
@@ -318,12 +318,12 @@ def test_a_temporary_folder_that_cannot_be_or_is_full_is_told_with_what_to_do(
         with pytest.raises(
             ConfigError, match=expected.format("No space left on device")
         ):
-            swarm_file(default_swarm(2)).__enter__()
+            write_swarm_file(default_swarm(2)).__enter__()
     monkeypatch.setattr(tempfile, "TemporaryDirectory", none)
     with pytest.raises(
         ConfigError, match=expected.format("No usable temporary directory")
     ):
-        swarm_file(default_swarm(2)).__enter__()
+        write_swarm_file(default_swarm(2)).__enter__()
 
 
 def test_a_port_that_only_closed_connections_have_is_free():
@@ -336,7 +336,7 @@ def test_a_port_that_only_closed_connections_have_is_free():
             client.recv(1)
         with (
             pytest.raises(ConfigError, match=f"port {port}, that of drone 0, is taken"),
-            reserved_ports({0: "127.0.0.1"}, port),
+            reserve_ports({0: "127.0.0.1"}, port),
         ):
             pass
     assert is_free(port)
@@ -349,6 +349,6 @@ def test_a_port_of_closed_connections_is_held_by_one_run_alone():
             accepted, _ = server.accept()
             accepted.close()
             client.recv(1)
-    with reserved_ports({0: LOCAL}, port):
+    with reserve_ports({0: LOCAL}, port):
         assert not is_free(port)
     assert is_free(port)

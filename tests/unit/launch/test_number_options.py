@@ -9,7 +9,11 @@ from typer.testing import CliRunner
 
 from crazychoir.errors import ConfigError
 from crazychoir.launch import number_options as options
-from crazychoir.launch.number_options import Real, Whole, finite_numbers
+from crazychoir.launch.number_options import (
+    RealNumber,
+    WholeNumber,
+    parse_finite_numbers,
+)
 
 PROGRAMS = (
     "main",
@@ -46,7 +50,7 @@ def numeric_options():
     for program, words, command in commands():
         for param in command.params:
             reader = reader_of(param)
-            if isinstance(reader, Real | Whole):
+            if isinstance(reader, RealNumber | WholeNumber):
                 found.append((program, words, param.opts[0], reader))
     return found
 
@@ -96,23 +100,23 @@ def test_every_numeric_option_refuses_what_is_no_number_of_its_and_names_itself(
 @pytest.mark.parametrize(
     ("reader", "text", "do"),
     [
-        (Real(0.0, 1.0, unit="share"), "30", "30 % is 0.3."),
-        (Real(0.0, 1.0, unit="share"), "30%", "30 % is 0.3."),
-        (Real(0.0, 1.0, unit="share"), "2.5 %", "2.5 % is 0.025."),
-        (Real(0.0, 1.0, unit="share"), "0,3", "Write 0.3."),
-        (Real(0.0, 1.0, unit="share"), "101", "allowed: a probability, 0 to 1."),
-        (Real(0.0, 1.0, unit="share"), "-0.1", "allowed: a probability, 0 to 1."),
-        (Real(0.0, 60.0, unit="s"), "500ms", "Write 0.5."),
-        (Real(0.0, 60.0, unit="s"), "2 min", "Write 120."),
-        (Real(0.0, 60.0, True, "s"), "0", "above 0, at most 60"),
-        (Real(2.0), "1", "2 or more"),
-        (Real(most=2.0), "3", "at most 2"),
-        (Real(), "nan", "allowed: a finite number."),
-        (Whole(1, 9), "3.0", "Write 3."),
-        (Whole(1, 9), "1e3", "Write 1000."),
-        (Whole(1, 9), "10", "a whole number, 1 to 9."),
-        (Whole(1, 9), "9" * 5000, "a whole number, 1 to 9."),
-        (Whole(1, 9), "0x5", "a whole number, 1 to 9."),
+        (RealNumber(0.0, 1.0, unit="share"), "30", "30 % is 0.3."),
+        (RealNumber(0.0, 1.0, unit="share"), "30%", "30 % is 0.3."),
+        (RealNumber(0.0, 1.0, unit="share"), "2.5 %", "2.5 % is 0.025."),
+        (RealNumber(0.0, 1.0, unit="share"), "0,3", "Write 0.3."),
+        (RealNumber(0.0, 1.0, unit="share"), "101", "allowed: a probability, 0 to 1."),
+        (RealNumber(0.0, 1.0, unit="share"), "-0.1", "allowed: a probability, 0 to 1."),
+        (RealNumber(0.0, 60.0, unit="s"), "500ms", "Write 0.5."),
+        (RealNumber(0.0, 60.0, unit="s"), "2 min", "Write 120."),
+        (RealNumber(0.0, 60.0, True, "s"), "0", "above 0, at most 60"),
+        (RealNumber(2.0), "1", "2 or more"),
+        (RealNumber(most=2.0), "3", "at most 2"),
+        (RealNumber(), "nan", "allowed: a finite number."),
+        (WholeNumber(1, 9), "3.0", "Write 3."),
+        (WholeNumber(1, 9), "1e3", "Write 1000."),
+        (WholeNumber(1, 9), "10", "a whole number, 1 to 9."),
+        (WholeNumber(1, 9), "9" * 5000, "a whole number, 1 to 9."),
+        (WholeNumber(1, 9), "0x5", "a whole number, 1 to 9."),
     ],
     ids=str,
 )
@@ -126,14 +130,14 @@ def test_a_refusal_says_what_was_probably_meant(reader, text, do):
 @pytest.mark.parametrize(
     ("reader", "text", "value"),
     [
-        (Real(0.0, 1.0), "1e-1", 0.1),
-        (Real(0.0, 1.0), ".5", 0.5),
-        (Real(0.0, 1.0), "1", 1.0),
-        (Real(), "-3", -3.0),
-        (Real(0.0, 1.0), 0.25, 0.25),
-        (Whole(0, 9), "007", 7),
-        (Whole(0, 9), 3, 3),
-        (Whole(0, 9), "+3", 3),
+        (RealNumber(0.0, 1.0), "1e-1", 0.1),
+        (RealNumber(0.0, 1.0), ".5", 0.5),
+        (RealNumber(0.0, 1.0), "1", 1.0),
+        (RealNumber(), "-3", -3.0),
+        (RealNumber(0.0, 1.0), 0.25, 0.25),
+        (WholeNumber(0, 9), "007", 7),
+        (WholeNumber(0, 9), 3, 3),
+        (WholeNumber(0, 9), "+3", 3),
     ],
     ids=str,
 )
@@ -144,8 +148,12 @@ def test_a_number_is_taken_however_it_is_written(reader, text, value):
 @pytest.mark.parametrize("text", ["", "a", "1,,2", "1,nan", "inf", "1;2", "1,2,3,4"])
 def test_lists_of_numbers_are_finite_and_as_long_as_they_must_be(text):
     with pytest.raises(ConfigError, match="PLACE: found"):
-        finite_numbers(text, "PLACE", "three numbers", 3)
-    assert finite_numbers(" (1, 2,3) ", "PLACE", "three numbers", 3) == [1.0, 2.0, 3.0]
+        parse_finite_numbers(text, "PLACE", "three numbers", 3)
+    assert parse_finite_numbers(" (1, 2,3) ", "PLACE", "three numbers", 3) == [
+        1.0,
+        2.0,
+        3.0,
+    ]
 
 
 @pytest.mark.parametrize(
@@ -153,7 +161,7 @@ def test_lists_of_numbers_are_finite_and_as_long_as_they_must_be(text):
 )
 def test_a_graph_that_cannot_be_names_its_option(graph):
     with pytest.raises(ConfigError) as error:
-        options.graph_of(graph, 4, 0)
+        options.build_named_graph(graph, 4, 0)
     assert str(error.value).startswith("--graph: found")
 
 

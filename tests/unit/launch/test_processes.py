@@ -10,22 +10,22 @@ import numpy as np
 import pytest
 
 from crazychoir.agent.agent import Agent
-from crazychoir.agent.mission_runner import LANDING_DEADLINE
+from crazychoir.agent.mission_runner import MISSION_TIMES
 from crazychoir.config.swarm_config import default_swarm
 from crazychoir.errors import ProcessFailed
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.launch import processes
 from crazychoir.launch.processes import (
-    LONGEST,
-    STARTS_AGAIN,
+    OWNER_RESTARTS,
+    PROCESS_OUTPUT_LIMITS,
     WORLD_OWNER,
     Owner,
-    patience,
+    compute_patience,
     read_results,
     run_children,
     write_results,
 )
-from crazychoir.numerics.kernel_cache import COMPILES
+from crazychoir.numerics.kernel_cache import COMPILING_MESSAGE
 from crazychoir.runtime.clock import run_virtual
 
 
@@ -38,7 +38,7 @@ async def child(program):
 
 async def said_by(program):
     said = []
-    await processes._listen(await child(program), said.append)
+    await processes._pass_on_output(await child(program), said.append)
     return said
 
 
@@ -48,9 +48,9 @@ async def test_what_a_child_prints_and_logs_is_passed_on_line_by_line_however_lo
 
 
 async def test_a_line_without_end_is_passed_on_in_parts():
-    said = await said_by(f"print('x' * {3 * LONGEST})")
-    assert "".join(said) == "x" * 3 * LONGEST
-    assert all(len(part) <= 2 * LONGEST for part in said)
+    said = await said_by(f"print('x' * {3 * PROCESS_OUTPUT_LIMITS.line})")
+    assert "".join(said) == "x" * 3 * PROCESS_OUTPUT_LIMITS.line
+    assert all(len(part) <= 2 * PROCESS_OUTPUT_LIMITS.line for part in said)
 
 
 def test_results_arrive_as_they_were(tmp_path):
@@ -80,7 +80,7 @@ async def test_what_a_mission_prints_is_no_result_and_who_has_none_is_named(
         return await child("print('{}'); raise SystemExit(3)")
 
     said = []
-    monkeypatch.setattr(processes, "_spawn", spawn)
+    monkeypatch.setattr(processes, "_spawn_agent", spawn)
     found = await run_children(
         [(0, 1), (2,)], tmp_path / "swarm.json", default_swarm(3), [], said.append
     )
@@ -90,14 +90,14 @@ async def test_what_a_mission_prints_is_no_result_and_who_has_none_is_named(
 
 async def test_what_all_wait_for_is_said_once(tmp_path, monkeypatch):
     async def spawn(group, path, result, options):
-        return await child(f"print({COMPILES!r}); print('other')")
+        return await child(f"print({COMPILING_MESSAGE!r}); print('other')")
 
     said = []
-    monkeypatch.setattr(processes, "_spawn", spawn)
+    monkeypatch.setattr(processes, "_spawn_agent", spawn)
     await run_children(
         [(0,), (1,)], tmp_path / "swarm.json", default_swarm(2), [], said.append
     )
-    assert sorted(said[:3]) == sorted([COMPILES, "other", "other"])
+    assert sorted(said[:3]) == sorted([COMPILING_MESSAGE, "other", "other"])
 
 
 async def test_each_cache_that_is_not_kept_is_warned_of_once_in_a_run(
@@ -114,7 +114,7 @@ async def test_each_cache_that_is_not_kept_is_warned_of_once_in_a_run(
         return await child("; ".join(f"print({line!r})" for line in lines))
 
     said = []
-    monkeypatch.setattr(processes, "_spawn", spawn)
+    monkeypatch.setattr(processes, "_spawn_agent", spawn)
     await run_children(
         [(0,), (1,)], tmp_path / "swarm.json", default_swarm(2), [], said.append
     )
@@ -135,7 +135,7 @@ def test_a_result_for_which_there_is_no_room_is_told(tmp_path):
 async def test_a_signal_that_has_ended_a_process_is_named_or_has_a_number(number, name):
     killed = await child(f"import os; os.kill(os.getpid(), {number})")
     await killed.wait()
-    assert processes._end_of(killed) == f"was ended by {name}"
+    assert processes._describe_end(killed) == f"was ended by {name}"
 
 
 WAITS = "import signal; signal.signal({0}, lambda *_: exit(3)); print('on', flush=True); signal.pause()"
@@ -157,7 +157,7 @@ async def test_one_that_is_killed_at_the_start_ends_the_wait_of_the_others(
         await asyncio.sleep(0.2)
         return children[-1]
 
-    monkeypatch.setattr(processes, "_spawn", spawn)
+    monkeypatch.setattr(processes, "_spawn_agent", spawn)
     await run_children(
         [(0,), (1,)],
         tmp_path / "s.json",
@@ -181,7 +181,7 @@ def world_that(does, monkeypatch):
             f"import os, signal, time; print('there', flush=True); {does}"
         )
 
-    monkeypatch.setattr(processes, "_start", start)
+    monkeypatch.setattr(processes, "_start_module", start)
 
 
 async def test_the_world_is_there_before_the_agents_and_ends_after_them(
@@ -198,7 +198,7 @@ async def test_the_world_is_there_before_the_agents_and_ends_after_them(
         "signal.signal(15, lambda *_: exit(print('world ends'))); signal.pause()",
         monkeypatch,
     )
-    monkeypatch.setattr(processes, "_spawn", spawn)
+    monkeypatch.setattr(processes, "_spawn_agent", spawn)
     found = await run_children(
         [(0,)],
         tmp_path / "s.json",
@@ -235,8 +235,8 @@ async def test_without_their_world_agents_end_that_do_not_by_themselves(
         return children[-1]
 
     world_that(f"time.sleep(0.5); {ends}", monkeypatch)
-    monkeypatch.setattr(processes, "_spawn", spawn)
-    monkeypatch.setattr(processes, "ORPHANED", orphaned)
+    monkeypatch.setattr(processes, "_spawn_agent", spawn)
+    monkeypatch.setattr(processes, "ORPHAN_GRACE", orphaned)
     await run_children(
         [(0,)],
         tmp_path / "s.json",
@@ -269,9 +269,9 @@ async def test_without_a_dongle_for_good_only_agents_of_its_drones_end(
     async def start(module, *words):
         return await child("exit(1)")
 
-    monkeypatch.setattr(processes, "_start", start)
-    monkeypatch.setattr(processes, "_spawn", spawn)
-    monkeypatch.setattr(processes, "ORPHANED", 0.3)
+    monkeypatch.setattr(processes, "_start_module", start)
+    monkeypatch.setattr(processes, "_spawn_agent", spawn)
+    monkeypatch.setattr(processes, "ORPHAN_GRACE", 0.3)
     dongle = Owner("dongle 1", "", again=True, ids=(1, 2))
     await run_children(
         [(0, 1), (2,)],
@@ -284,7 +284,7 @@ async def test_without_a_dongle_for_good_only_agents_of_its_drones_end(
     assert (children[0, 1].returncode, children[2,].returncode) == (0, 3)
     assert (
         said.count("dongle 1: its owner ended with code 1: started again")
-        == STARTS_AGAIN
+        == OWNER_RESTARTS.most_starts
     )
 
 
@@ -300,7 +300,7 @@ async def test_a_signal_is_passed_on_as_what_it_is(tmp_path, monkeypatch):
         if line == "on":
             os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr(processes, "_spawn", spawn)
+    monkeypatch.setattr(processes, "_spawn_agent", spawn)
     await run_children([(0,)], tmp_path / "s.json", default_swarm(1), [], say)
     assert children[0].returncode == 3
 
@@ -314,7 +314,7 @@ async def test_a_child_that_does_not_end_is_killed():
     )
     for process in (deaf, ready):
         assert await process.stdout.readline() == b"on\n"
-    await processes._end([deaf, ready], 0.3)
+    await processes._end_all([deaf, ready], 0.3)
     assert (deaf.returncode, ready.returncode) == (-9, 3)
 
 
@@ -344,4 +344,4 @@ def test_nobody_is_killed_while_it_comes_down(flight):
 
     result = run_virtual(main)
     assert result["success"], result
-    assert patience(config) > result["s"] + LANDING_DEADLINE
+    assert compute_patience(config) > result["s"] + MISSION_TIMES.landing_deadline

@@ -7,11 +7,16 @@ import sys
 import pytest
 
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.guidance.mission import load
-from crazychoir.launch.recording import FILES, digests, new_recording, other_files
-from crazychoir.recording.mcap.file import Entry, Series
-from crazychoir.recording.mcap.messages import MESSAGES, packer
-from crazychoir.recording.mcap.reading import header
+from crazychoir.guidance.mission import load_mission
+from crazychoir.launch.recording import (
+    FILES_KEY,
+    compute_file_digests,
+    list_changed_files,
+    make_recording,
+)
+from crazychoir.recording.mcap.file import RecordingEntry, Series
+from crazychoir.recording.mcap.messages import MESSAGE_BY_VALUE_TYPE, make_packer
+from crazychoir.recording.mcap.reading import read_header
 
 MISSION = """
 import numpy
@@ -49,7 +54,7 @@ def flown(tmp_path, monkeypatch):
         "gain": 2,
     }
     config = SwarmConfig.of({"name": "a", "drones": rows, "mission_options": options})
-    yield config, load(str(tmp_path / "law.py"))
+    yield config, load_mission(str(tmp_path / "law.py"))
     for name in [
         name
         for name in sys.modules
@@ -68,10 +73,10 @@ EXPECTED = {
 
 
 def test_named_files_and_modules_beside_the_mission_are_told(flown, tmp_path):
-    assert digests(*flown) == EXPECTED, (
+    assert compute_file_digests(*flown) == EXPECTED, (
         "no library, no file that is not there, nothing of where they lie"
     )
-    assert digests(flown[0], None) == {
+    assert compute_file_digests(flown[0], None) == {
         name: EXPECTED[name] for name in list(EXPECTED)[:2]
     }
 
@@ -79,20 +84,24 @@ def test_named_files_and_modules_beside_the_mission_are_told(flown, tmp_path):
 def test_those_of_a_recording_are_compared_with_those_of_now(flown, tmp_path):
     config, mission = flown
     file, message = (
-        new_recording(tmp_path / "a.mcap", config, mission, virtual=True),
-        MESSAGES[str],
+        make_recording(tmp_path / "a.mcap", config, mission, virtual=True),
+        MESSAGE_BY_VALUE_TYPE[str],
     )
     file.write(
-        [Entry(Series(0, "log", message), 0, 0, packer(message, 0)("a line", 0))]
+        [
+            RecordingEntry(
+                Series(0, "log", message), 0, 0, make_packer(message, 0)("a line", 0)
+            )
+        ]
     )
     file.close()
-    told = json.loads(header(tmp_path / "a.mcap").about[FILES])
+    told = json.loads(read_header(tmp_path / "a.mcap").about[FILES_KEY])
     assert told == EXPECTED
-    assert other_files(told, config, mission) == {}
+    assert list_changed_files(told, config, mission) == {}
     (tmp_path / "tasks.json").write_text("[1]")
     (tmp_path / "gains_of_a_test.py").write_text("GAIN = 3\n")
     (tmp_path / "laws_of_a_test" / "linear.py").unlink()
-    assert other_files(told, config, mission) == {
+    assert list_changed_files(told, config, mission) == {
         "mission_options.instance": "its content is another now",
         "gains_of_a_test.py": "its content is another now",
         "laws_of_a_test/linear.py": "it is not there any more",

@@ -14,19 +14,24 @@ import pytest
 from other_user import as_user, require
 
 from crazychoir.cli.shared import running_swarm as meant
-from crazychoir.cli.shared.chosen_swarm import named_file
+from crazychoir.cli.shared.chosen_swarm import resolve_swarm_file
 from crazychoir.cli.shared.running_swarm import (
-    DISCOVERY,
-    STARTS,
-    nobody,
-    patience,
+    NEXT_PROCESS_TIMEOUT,
+    SWARM_SEARCH,
+    first_process_timeout,
+    no_agent_error,
     running_swarm,
 )
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm, demo_swarm
 from crazychoir.errors import Refused
 from crazychoir.files.user_folders import private_folder_of
 from crazychoir.launch import run_registry as running
-from crazychoir.launch.run_registry import Run, of_file, recorded, runs
+from crazychoir.launch.run_registry import (
+    RunRecord,
+    list_own_runs,
+    list_runs_of_file,
+    record_run,
+)
 
 LAB = default_swarm(2).replace(name="lab")
 
@@ -44,10 +49,10 @@ def run_of(folder, name, source=None):
     """A run as `crazychoir run` leaves it: under a name of its own, by a file of its own."""
     file = folder / f"{name}.json"
     file.write_text(default_swarm(2).replace(name=name).dumps())
-    return Run(
+    return RunRecord(
         name,
         source or "pickup_delivery",
-        source and named_file(source, None),
+        source and resolve_swarm_file(source, None),
         str(file),
     )
 
@@ -57,7 +62,7 @@ def test_my_file_finds_the_swarm_that_was_started_by_it(own_place):
     assert running_swarm("lab.toml") == LAB, (
         "nothing runs: its agents may have been started one by one"
     )
-    with recorded(run):
+    with record_run(run):
         assert running_swarm("lab.toml").name == "lab-1"
         assert running_swarm(str(own_place / "lab.toml")).name == "lab-1"
         assert running_swarm(run.file).name == "lab-1"
@@ -73,7 +78,7 @@ def test_without_a_file_the_only_run_is_meant(own_place, monkeypatch):
         "the swarm of the demo's mission, if anybody is there"
     )
     assert found.endpoints() == demo_swarm().endpoints(), "it is looked for where it is"
-    with recorded(run_of(own_place, "demo-1")):
+    with record_run(run_of(own_place, "demo-1")):
         assert running_swarm(None).name == "demo-1"
         (own_place / "swarm.toml").write_text(LAB.dumps())
         assert running_swarm(None) == LAB, "./swarm.toml goes first"
@@ -84,9 +89,13 @@ def test_of_several_none_is_guessed(own_place):
         run_of(own_place, "lab-1", "lab.toml"),
         run_of(own_place, "lab-2", "lab.toml"),
     )
-    with recorded(one):
-        with recorded(other), recorded(run_of(own_place, "demo-1")):
-            assert [run.swarm for run in runs()] == ["demo-1", "lab-1", "lab-2"]
+    with record_run(one):
+        with record_run(other), record_run(run_of(own_place, "demo-1")):
+            assert [run.swarm for run in list_own_runs()] == [
+                "demo-1",
+                "lab-1",
+                "lab-2",
+            ]
             for option in ("lab.toml", None):
                 with pytest.raises(Refused, match="several") as refused:
                     running_swarm(option)
@@ -103,9 +112,9 @@ def test_nobody_is_waited_for_who_cannot_be_there_and_a_run_that_starts_is(own_p
         taken.bind(("127.0.0.1", 0))
         port = taken.getsockname()[1]
         here = default_swarm(2).replace(name="lab-1", base_port=port - 1)
-        assert patience(here) == 0.0, "nobody listens yet"
+        assert first_process_timeout(here) == 0.0, "nobody listens yet"
         taken.listen()
-        assert patience(here) == DISCOVERY, "drone 1 does"
+        assert first_process_timeout(here) == NEXT_PROCESS_TIMEOUT, "drone 1 does"
     drones = [{"id": i, "home": [i, 0, 0], "host": "far"} for i in range(2)]
     raw = {
         "name": "lab",
@@ -114,18 +123,20 @@ def test_nobody_is_waited_for_who_cannot_be_there_and_a_run_that_starts_is(own_p
         "security": {"insecure": True},
     }
     far = SwarmConfig.of(raw)
-    assert patience(far) == DISCOVERY, "on another host, that is not asked"
-    with recorded(run_of(own_place, "lab-1")):
-        assert patience(here) == STARTS
-        assert "Name one: --swarm" in nobody(LAB, "lab.toml").reason
+    assert first_process_timeout(far) == NEXT_PROCESS_TIMEOUT, (
+        "on another host, that is not asked"
+    )
+    with record_run(run_of(own_place, "lab-1")):
+        assert first_process_timeout(here) == SWARM_SEARCH.start_timeout
+        assert "Name one: --swarm" in no_agent_error(LAB, "lab.toml").reason
 
 
 def test_a_run_that_is_starting_is_not_absent_and_names_no_other(own_place):
     with (
-        recorded(run_of(own_place, "lab-1", "lab.toml")),
-        recorded(run_of(own_place, "demo-1")),
+        record_run(run_of(own_place, "lab-1", "lab.toml")),
+        record_run(run_of(own_place, "demo-1")),
     ):
-        said = nobody(running_swarm("lab.toml"), "lab.toml").reason
+        said = no_agent_error(running_swarm("lab.toml"), "lab.toml").reason
         assert "has not started them yet (a first run compiles its laws" in said
         assert said.endswith("try again.")
         assert "--swarm" not in said
@@ -134,8 +145,11 @@ def test_a_run_that_is_starting_is_not_absent_and_names_no_other(own_place):
 
 def test_two_processes_of_one_swarm_are_one(own_place):
     run = run_of(own_place, "lab", "lab.toml")
-    with recorded(run), recorded(Run("lab", "lab.toml", run.source, run.file)):
-        assert of_file("lab.toml") == [run]
+    with (
+        record_run(run),
+        record_run(RunRecord("lab", "lab.toml", run.source, run.file)),
+    ):
+        assert list_runs_of_file("lab.toml") == [run]
 
 
 def test_who_was_killed_left_nothing(own_place):
@@ -149,7 +163,7 @@ def test_who_was_killed_left_nothing(own_place):
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == -9
     left = list((own_place / "crazychoir").iterdir())
     assert json.loads(left[0].read_text()) == asdict(run), "its record is there"
-    assert runs() == []
+    assert list_own_runs() == []
     assert not left[0].exists(), "and goes"
 
 
@@ -157,12 +171,12 @@ def test_a_run_flies_though_no_record_can_be_left(own_place, monkeypatch):
     monkeypatch.setenv(
         "CRAZYCHOIR_RUNTIME_DIR", str(own_place / "missing" / "crazychoir")
     )
-    with recorded(run_of(own_place, "lab-1")):
-        assert runs() == []
+    with record_run(run_of(own_place, "lab-1")):
+        assert list_own_runs() == []
 
 
 def test_records_are_private(own_place):
-    with recorded(run_of(own_place, "lab-1")):
+    with record_run(run_of(own_place, "lab-1")):
         assert os.stat(own_place / "crazychoir").st_mode & 0o777 == 0o700
 
 
@@ -286,9 +300,9 @@ def test_root_finds_the_runs_of_all_users_and_first_those_of_who_called_sudo(
         monkeypatch.delenv("CRAZYCHOIR_RUNTIME_DIR")
         monkeypatch.setattr(running, "existing_runtime_folder", lambda: None)
         monkeypatch.setenv("SUDO_UID", str(UID))
-        assert [run.swarm for run in runs()] == [of_a_user]
+        assert [run.swarm for run in list_own_runs()] == [of_a_user]
         monkeypatch.setenv("SUDO_UID", str(UID + 1))
-        assert of_a_user in [run.swarm for run in runs()]
+        assert of_a_user in [run.swarm for run in list_own_runs()]
 
 
 def test_a_folder_that_another_user_has_taken_is_refused_aloud(own_place, of_a_user):
@@ -324,14 +338,14 @@ def test_what_lies_in_the_folder_of_another_user_does_no_harm_to_root(
     (folder / "text").write_text("[" * 100_000)
     for path in (folder, folder / "text", folder / "pipe"):
         os.chown(path, UID, UID)
-    assert running._runs_of(UID) == []
+    assert running._list_runs_of(UID) == []
     assert len(list(folder.iterdir())) == 4, "and nothing is removed"
 
 
 def test_a_run_without_a_record_says_how_others_find_it(own_place, monkeypatch, caplog):
     monkeypatch.setenv("CRAZYCHOIR_RUNTIME_DIR", "/proc/crazychoir")
     run = run_of(own_place, "lab-1")
-    with recorded(run):
+    with record_run(run):
         pass
     assert (
         f"Other shells must name it: crazychoir land --swarm {run.file}" in caplog.text
@@ -359,7 +373,7 @@ def test_a_record_that_says_what_no_run_says_is_no_run(own_place, record):
         fcntl.flock(file, fcntl.LOCK_EX)
         file.write(record)
         file.flush()
-        assert runs() == []
+        assert list_own_runs() == []
 
 
 @pytest.mark.parametrize(
@@ -367,7 +381,7 @@ def test_a_record_that_says_what_no_run_says_is_no_run(own_place, record):
 )
 def test_a_name_that_looks_odd_hides_no_run(own_place, what):
     run = replace(run_of(own_place, "lab-1"), what=what)
-    with recorded(run):
-        (found,) = runs()
+    with record_run(run):
+        (found,) = list_own_runs()
     assert found.swarm == "lab-1"
     assert found.what.isprintable()

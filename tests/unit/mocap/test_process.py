@@ -6,13 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from crazychoir.bus.port import BODIES, EYES, OBSERVER
-from crazychoir.bus.topics import BODY, POSE, TRUTH
+from crazychoir.bus.port import PORT_ADDRESSES
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
-from crazychoir.mocap.frames import Frame, frame_of, parse
+from crazychoir.mocap.frames import PoseFrame, make_frame, parse_frame
 from crazychoir.mocap.mounting import Mounting
-from crazychoir.mocap.process import PATIENT, MocapProcess, source_of
+from crazychoir.mocap.process import SHUTDOWN_PATIENCE, MocapProcess, make_source
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.runtime.mailbox import Call
@@ -47,7 +47,7 @@ class Cameras:
                 raise RuntimeError("lens cap")
             if self._k >= self._frames:
                 return
-            take(Frame(self._k, self._k / 100, self._bodies(self._k)), 0.001)
+            take(PoseFrame(self._k, self._k / 100, self._bodies(self._k)), 0.001)
             self._k += 1
 
 
@@ -81,9 +81,9 @@ def served(seconds=2.0, config=None, act=None, cameras=Cameras, **source):
         mocap = MocapProcess(
             clock, config or swarm(), cameras(clock, seconds, **source), "m", "here", 1
         )
-        mocap.bus.port(OBSERVER)
+        mocap.bus.port(PORT_ADDRESSES.first_observer)
         got = {}
-        for topic in (POSE, TRUTH):
+        for topic in (DRONE_TOPICS.pose, DRONE_TOPICS.truth):
             for i in mocap.tracks:
                 kept = got[topic, i] = []
                 box = Call(
@@ -92,7 +92,12 @@ def served(seconds=2.0, config=None, act=None, cameras=Cameras, **source):
                         (clock.now(), value, age)
                     ),
                 )
-                mocap.bus.subscribe(topic, EYES + i, OBSERVER, box)
+                mocap.bus.subscribe(
+                    topic,
+                    PORT_ADDRESSES.camera_offset + i,
+                    PORT_ADDRESSES.first_observer,
+                    box,
+                )
         link = Link()
         serving = asyncio.create_task(mocap.serve(link))
         await (act(clock, mocap, link) if act else clock.sleep(seconds + 0.5))
@@ -105,13 +110,15 @@ def served(seconds=2.0, config=None, act=None, cameras=Cameras, **source):
 
 def test_each_drone_that_is_seen_gets_its_poses_and_its_truth():
     got, mocap, _ = served()
-    assert [pose.p[0] for _, pose, _ in got[POSE, 0]] == [k / 100 for k in range(200)]
-    assert {pose.p[0] for _, pose, _ in got[POSE, 1]} == {2.0}
-    assert {pose.age for _, pose, _ in got[POSE, 0]} == {0.001}, (
+    assert [pose.p[0] for _, pose, _ in got[DRONE_TOPICS.pose, 0]] == [
+        k / 100 for k in range(200)
+    ]
+    assert {pose.p[0] for _, pose, _ in got[DRONE_TOPICS.pose, 1]} == {2.0}
+    assert {pose.age for _, pose, _ in got[DRONE_TOPICS.pose, 0]} == {0.001}, (
         "as old as the source says"
     )
-    assert len(got[TRUTH, 0]) == pytest.approx(40, abs=1)
-    _, state, _ = got[TRUTH, 0][-1]
+    assert len(got[DRONE_TOPICS.truth, 0]) == pytest.approx(40, abs=1)
+    _, state, _ = got[DRONE_TOPICS.truth, 0][-1]
     np.testing.assert_allclose(state.v, [1.0, 0.0, 1e-4], atol=1e-3)
     assert mocap.report()["seen"] == {0: 200, 1: 200}
 
@@ -121,7 +128,9 @@ def test_poses_are_those_of_the_drone_and_not_of_its_body():
     got, _, _ = served(config=config)
     flat = np.array([2.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])
     expected = Mounting((0.0, 0.0, 0.03), (0.0, 0.0, 1.5)).drone(flat)
-    np.testing.assert_allclose(got[POSE, 1][0][1].flat, expected, atol=1e-12)
+    np.testing.assert_allclose(
+        got[DRONE_TOPICS.pose, 1][0][1].flat, expected, atol=1e-12
+    )
     assert expected[2] == pytest.approx(0.97)
     assert expected[5] != 0.0
 
@@ -129,17 +138,24 @@ def test_poses_are_those_of_the_drone_and_not_of_its_body():
 def test_a_body_that_shows_the_same_digits_again_gets_old():
     still = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])
     got, _, _ = served(1.0, bodies=lambda k: {"cf0": still})
-    ages = [age for _, _, age in got[POSE, 0]]
+    ages = [age for _, _, age in got[DRONE_TOPICS.pose, 0]]
     np.testing.assert_allclose(ages, 0.001 + np.arange(100) / 100, atol=1e-6)
-    assert got[POSE, 1] == []
+    assert got[DRONE_TOPICS.pose, 1] == []
 
 
 def test_truth_of_virtual_drones_has_no_noise_and_their_poses_have():
     got, _, _ = served(config=swarm({"noise": 0.01, "tilt": [0.1, 0.0]}))
-    x = np.array([pose.p[0] - k / 100 for k, (_, pose, _) in enumerate(got[POSE, 0])])
+    x = np.array(
+        [
+            pose.p[0] - k / 100
+            for k, (_, pose, _) in enumerate(got[DRONE_TOPICS.pose, 0])
+        ]
+    )
     assert np.std(x) == pytest.approx(0.01, rel=0.3)
     told = [
-        (state.p[0] - now, state.q[0]) for now, state, _ in got[TRUTH, 0] if now > 0.5
+        (state.p[0] - now, state.q[0])
+        for now, state, _ in got[DRONE_TOPICS.truth, 0]
+        if now > 0.5
     ]
     assert np.std([x for x, _ in told]) < 1e-6
     assert {tilt for _, tilt in told} == {0.0}
@@ -147,7 +163,7 @@ def test_truth_of_virtual_drones_has_no_noise_and_their_poses_have():
 
 def test_a_source_that_fails_runs_again(caplog):
     got, mocap, _ = served(fails=50)
-    assert len(got[POSE, 0]) == 200
+    assert len(got[DRONE_TOPICS.pose, 0]) == 200
     assert not mocap.failure
     assert "lens cap" in caplog.text
 
@@ -166,7 +182,7 @@ def ends(clock, mocap, link, after=0.0, leaves=None):
 
 def test_it_ends_at_once_where_no_agent_of_its_drones_is():
     async def act(clock, mocap, link):
-        link.directory[EYES + 7] = link.directory[7] = object()
+        link.directory[PORT_ADDRESSES.camera_offset + 7] = link.directory[7] = object()
         await clock.sleep(0.5)
         mocap.end("SIGTERM")
 
@@ -178,7 +194,7 @@ def test_it_ends_at_once_where_no_agent_of_its_drones_is():
 def test_it_goes_on_until_the_agents_of_its_drones_have_ended(caplog):
     got, _, now = served(30.0, act=lambda *them: ends(*them, leaves=7.0))
     assert 7.5 <= now < 7.8
-    assert got[POSE, 1][-1][0] > 7.4
+    assert got[DRONE_TOPICS.pose, 1][-1][0] > 7.4
     assert (
         "SIGTERM: it goes on until drone(s) 1 are down and without agents"
         in caplog.text
@@ -189,32 +205,36 @@ def test_it_goes_on_while_a_drone_flies_that_its_agent_has_left():
     """Its firmware lands it, and needs its poses."""
 
     async def act(clock, mocap, link):
-        owner = mocap.bus.port(BODIES + 1)
+        owner = mocap.bus.port(PORT_ADDRESSES.body_offset + 1)
         for k in range(1, 21):
-            owner.publish(BODY, Body("", flying=k < 15))
+            owner.publish(DRONE_TOPICS.body, Body("", flying=k < 15))
             if k == 3:
                 mocap.end("SIGTERM")
             await clock.sleep(0.25)
 
     got, _, now = served(30.0, act=act)
-    assert got[POSE, 1][-1][0] == pytest.approx(0.25 * 14, abs=0.3)
+    assert got[DRONE_TOPICS.pose, 1][-1][0] == pytest.approx(0.25 * 14, abs=0.3)
     assert now == 5.0
 
 
 def test_nor_does_it_wait_for_one_of_which_nobody_says_anything_any_more():
     async def act(clock, mocap, link):
-        mocap.bus.port(BODIES + 1).publish(BODY, Body("", flying=True))
+        mocap.bus.port(PORT_ADDRESSES.body_offset + 1).publish(
+            DRONE_TOPICS.body, Body("", flying=True)
+        )
         await clock.sleep(0.1)
         mocap.end("SIGTERM")
         await clock.sleep(5.0)
 
     got, _, _ = served(30.0, act=act)
-    assert got[POSE, 1][-1][0] == pytest.approx(BODY.max_age, abs=0.3)
+    assert got[DRONE_TOPICS.pose, 1][-1][0] == pytest.approx(
+        DRONE_TOPICS.body.max_age, abs=0.3
+    )
 
 
 def test_but_not_for_ever():
     _, _, now = served(90.0, act=ends)
-    assert now == pytest.approx(0.5 + PATIENT, abs=0.3)
+    assert now == pytest.approx(0.5 + SHUTDOWN_PATIENCE, abs=0.3)
 
 
 def test_a_swarm_without_drones_that_are_seen_is_refused():
@@ -235,7 +255,7 @@ def test_a_recording_from_any_origin_of_time_is_seen_frame_by_frame(tmp_path, or
     config = swarm({"source": "replay", "file": str(tmp_path / "flight.csv")})
 
     async def main(clock):
-        mocap = MocapProcess(clock, config, source_of(clock, config), "m", "here", 1)
+        mocap = MocapProcess(clock, config, make_source(clock, config), "m", "here", 1)
         serving = asyncio.create_task(mocap.serve(Link()))
         await clock.sleep(2.0)
         mocap.end("it is over")
@@ -266,7 +286,7 @@ def test_nor_is_one_whose_frames_have_no_time_in_seconds():
         async def run(self, take):
             await super().run(
                 lambda frame, age: take(
-                    Frame(frame.number, 1.76e12 + frame.time, frame.bodies), age
+                    PoseFrame(frame.number, 1.76e12 + frame.time, frame.bodies), age
                 )
             )
 
@@ -292,12 +312,15 @@ def test_a_body_that_is_twice_in_a_frame_is_not_seen_and_said(caplog):
         async def run(self, take):
             def doubled(frame, age):
                 rows = [*frame.bodies.items(), ("b", frame.bodies["cf0"])]
-                take(parse(frame_of(frame.number, frame.time, rows).packed()), age)
+                take(
+                    parse_frame(make_frame(frame.number, frame.time, rows).packed()),
+                    age,
+                )
 
             await super().run(doubled)
 
     got, mocap, _ = served(cameras=Doubling)
-    assert len(got[POSE, 0]) == 200
-    assert not got[POSE, 1], "nobody knows which of the two is meant"
+    assert len(got[DRONE_TOPICS.pose, 0]) == 200
+    assert not got[DRONE_TOPICS.pose, 1], "nobody knows which of the two is meant"
     assert "body 'b' is there twice in a frame" in caplog.text
     assert mocap.report()["success"], "the other drone was seen"

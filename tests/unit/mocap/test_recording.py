@@ -2,8 +2,13 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import ConfigError
-from crazychoir.mocap.frames import Frame
-from crazychoir.mocap.recording import HEAD, Recorder, ReplaySource, read_recording
+from crazychoir.mocap.frames import PoseFrame
+from crazychoir.mocap.recording import (
+    RECORDING_COLUMNS,
+    FrameRecorder,
+    ReplaySource,
+    read_recording,
+)
 from crazychoir.runtime.clock import run_virtual
 
 ROW = "0.5,cf0,1,2,3,0,0,0,1"
@@ -12,13 +17,13 @@ ROW = "0.5,cf0,1,2,3,0,0,0,1"
 def frames(count=5):
     draw = np.random.default_rng(0)
     return [
-        Frame(k, 0.25 * k, {"cf0": draw.normal(size=7), "a,b": draw.normal(size=7)})
+        PoseFrame(k, 0.25 * k, {"cf0": draw.normal(size=7), "a,b": draw.normal(size=7)})
         for k in range(count)
     ]
 
 
 def recorded(path, seen):
-    with Recorder(path) as recorder:
+    with FrameRecorder(path) as recorder:
         for one in seen:
             recorder.write(one, 7.0 + one.time)
     return path
@@ -56,7 +61,7 @@ def test_it_is_handed_out_as_fast_as_it_was_recorded_and_then_it_is_over(tmp_pat
 def test_a_file_that_is_there_is_not_written_over(tmp_path):
     (tmp_path / "a.csv").write_text("mine")
     with pytest.raises(ConfigError, match="a new file"):
-        Recorder(tmp_path / "a.csv")
+        FrameRecorder(tmp_path / "a.csv")
     assert (tmp_path / "a.csv").read_text() == "mine"
 
 
@@ -65,7 +70,7 @@ def test_a_full_disk_ends_the_recording_and_nothing_else(tmp_path, monkeypatch, 
         def writerows(self, rows):
             raise OSError(28, "No space left on device")
 
-    with Recorder(tmp_path / "a.csv") as recorder:
+    with FrameRecorder(tmp_path / "a.csv") as recorder:
         recorder.write(frames()[0], 0.0)
         monkeypatch.setattr(recorder, "_writer", Full())
         for k in (1, 2, 3):
@@ -84,10 +89,13 @@ def test_a_full_disk_ends_the_recording_and_nothing_else(tmp_path, monkeypatch, 
     [
         ("", "line 1: found an empty file"),
         ("t,x\n", "line 1: found t,x"),
-        (",".join(HEAD), "no row"),
-        (f"{','.join(HEAD)}\n{ROW}\n1.0,cf0,1,2,3,0,0,0", "line 3"),
-        (f"{','.join(HEAD)}\n{ROW}\n1.0,cf0,1,2,nan,0,0,0,1", "line 3"),
-        (f"{','.join(HEAD)}\n{ROW}\n0.4,cf0,1,2,3,0,0,0,1", "line 3: found t = 0.4"),
+        (",".join(RECORDING_COLUMNS), "no row"),
+        (f"{','.join(RECORDING_COLUMNS)}\n{ROW}\n1.0,cf0,1,2,3,0,0,0", "line 3"),
+        (f"{','.join(RECORDING_COLUMNS)}\n{ROW}\n1.0,cf0,1,2,nan,0,0,0,1", "line 3"),
+        (
+            f"{','.join(RECORDING_COLUMNS)}\n{ROW}\n0.4,cf0,1,2,3,0,0,0,1",
+            "line 3: found t = 0.4",
+        ),
     ],
 )
 def test_a_file_that_is_none_is_refused_with_its_line(tmp_path, text, where):
@@ -105,7 +113,7 @@ def test_a_file_that_is_not_there_is_refused(tmp_path):
 
 def written(path, times, names=("cf0",)):
     rows = [f"{t!r},{name},1,2,3,0,0,0,1" for t in times for name in names]
-    path.write_text("\n".join([",".join(HEAD), *rows]))
+    path.write_text("\n".join([",".join(RECORDING_COLUMNS), *rows]))
     return path
 
 
@@ -172,9 +180,9 @@ def test_a_body_that_is_twice_in_a_frame_is_refused_with_both_lines(tmp_path):
 def test_a_row_without_a_name_is_refused_and_blank_lines_are_not(tmp_path):
     path = tmp_path / "a.csv"
     path.write_bytes(
-        f"\ufeff{','.join(HEAD)}\r\n\r\n   \r\n0.0, cf0 ,1,2,3,0,0,0,1\r\n".encode()
+        f"\ufeff{','.join(RECORDING_COLUMNS)}\r\n\r\n   \r\n0.0, cf0 ,1,2,3,0,0,0,1\r\n".encode()
     )
     assert [list(frame.bodies) for frame in read_recording(path)] == [["cf0"]]
-    path.write_text(f"{','.join(HEAD)}\n0.0,,1,2,3,0,0,0,1\n")
+    path.write_text(f"{','.join(RECORDING_COLUMNS)}\n0.0,,1,2,3,0,0,0,1\n")
     with pytest.raises(ConfigError, match="line 2"):
         read_recording(path)

@@ -2,7 +2,12 @@ import numpy as np
 import pytest
 
 from crazychoir.mocap.simulated import SimulatedMocap
-from crazychoir.numerics.math3d import conjugate, logarithm, product, rotation
+from crazychoir.numerics.math3d import (
+    quaternion_conjugate,
+    quaternion_product,
+    rotation,
+    rotation_logarithm,
+)
 
 
 def truth(ids):
@@ -32,7 +37,9 @@ def test_the_noise_has_the_asked_deviations():
     assert np.std(flat[:, 0] - at) == pytest.approx(0.001, rel=0.05)
     turns = np.array(
         [
-            logarithm(product(conjugate((0.0, 0.0, 0.0, 1.0)), tuple(q)))
+            rotation_logarithm(
+                quaternion_product(quaternion_conjugate((0.0, 0.0, 0.0, 1.0)), tuple(q))
+            )
             for q in flat[:, 3:]
         ]
     )

@@ -100,7 +100,7 @@ def test_what_the_library_says_is_passed_on(library):
 def test_frames_come_with_their_age_and_cameras_that_hang_later_are_named(
     library, monkeypatch
 ):
-    monkeypatch.setattr("crazychoir.mocap.system.SILENT", 0.3)
+    monkeypatch.setattr("crazychoir.mocap.system.FRAME_TIMEOUT", 0.3)
     library(SEES)
     taken, said, _ = watched(15.0, until=1, deadline=5.0)
     assert [frame.number for frame, _ in taken] == list(range(20))

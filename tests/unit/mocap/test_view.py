@@ -2,14 +2,14 @@ import numpy as np
 import pytest
 
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.mocap.frames import Frame
-from crazychoir.mocap.view import Blur, RateLimit, View
+from crazychoir.mocap.frames import PoseFrame
+from crazychoir.mocap.view import CameraBlur, FrameFilter, RateLimit
 
 LEVEL = np.array([1.0, 2.0, 0.5, 0.0, 0.0, 0.0, 1.0])
 
 
 def frame(number, t, **bodies):
-    return Frame(number, t, bodies or {"cf0": LEVEL})
+    return PoseFrame(number, t, bodies or {"cf0": LEVEL})
 
 
 def swarm(**mocap):
@@ -37,14 +37,14 @@ def test_a_source_that_begins_anew_is_let_through():
 
 
 def test_a_frame_that_was_overtaken_is_not_published_and_one_that_never_came_counts():
-    view = View(1000.0)
+    view = FrameFilter(1000.0)
     shown = [view.see(frame(number, 0.01 * number)) for number in (0, 1, 5, 4, 5, 6)]
     assert [one is not None for one in shown] == [True, True, True, False, False, True]
     assert (view.lost, view.late) == (3, 2)
 
 
 def test_after_a_restart_of_its_server_nothing_counts_as_late_or_lost():
-    view = View(1000.0)
+    view = FrameFilter(1000.0)
     times = [(7, 50.0), (8, 50.01), (0, 0.0), (1, 0.01), (0, 90.0)]
     assert all(view.see(frame(number, t)) for number, t in times)
     assert (view.lost, view.late) == (0, 0)
@@ -52,7 +52,7 @@ def test_after_a_restart_of_its_server_nothing_counts_as_late_or_lost():
 
 @pytest.mark.parametrize("t", [np.nan, np.inf, -1e300])
 def test_a_frame_of_no_time_is_dropped_and_the_next_one_is_not(t):
-    view = View(100.0, Blur(swarm()))
+    view = FrameFilter(100.0, CameraBlur(swarm()))
     assert [
         view.see(frame(k, at)) is not None for k, at in enumerate((0.0, t, 0.01))
     ] == [True, False, True]
@@ -62,12 +62,12 @@ def test_a_frame_of_no_time_is_dropped_and_the_next_one_is_not(t):
     "bad", [np.full(7, np.nan), np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])]
 )
 def test_what_is_no_pose_is_not_seen(bad):
-    seen, _ = View(100.0).see(frame(0, 0.0, cf0=LEVEL, cf1=bad))
+    seen, _ = FrameFilter(100.0).see(frame(0, 0.0, cf0=LEVEL, cf1=bad))
     assert list(seen.bodies) == ["cf0"]
 
 
 def test_virtual_poses_are_seen_as_simulated_cameras_see_them():
-    view = View(100.0, Blur(swarm(noise=0.01, latency=0.02)))
+    view = FrameFilter(100.0, CameraBlur(swarm(noise=0.01, latency=0.02)))
     shown = [
         view.see(frame(k, 0.01 * k, cf0=LEVEL + 0.1 * k * np.eye(7)[0], wand=LEVEL))
         for k in range(50)
@@ -90,14 +90,14 @@ def test_virtual_poses_are_seen_as_simulated_cameras_see_them():
 
 
 def test_a_server_that_was_started_again_is_seen_as_late_as_before():
-    view = View(100.0, Blur(swarm(latency=0.02)))
+    view = FrameFilter(100.0, CameraBlur(swarm(latency=0.02)))
     times = [0.01 * k for k in range(500)]
     shown = [view.see(frame(k, t)) for run in range(2) for k, t in enumerate(times)]
     assert ["cf0" in one.bodies for one, _ in shown] == [False] * 2 + [True] * 998
 
 
 def test_what_the_server_does_not_show_is_not_seen_and_dropouts_come_on_top():
-    view = View(100.0, Blur(swarm(dropout=0.25)))
+    view = FrameFilter(100.0, CameraBlur(swarm(dropout=0.25)))
     shown = [view.see(frame(k, 0.01 * k, cf1=LEVEL))[0].bodies for k in range(400)]
     assert not any("cf0" in bodies for bodies in shown)
     assert sum("cf1" in bodies for bodies in shown) == pytest.approx(300, abs=30)
@@ -105,7 +105,7 @@ def test_what_the_server_does_not_show_is_not_seen_and_dropouts_come_on_top():
 
 @pytest.mark.parametrize("origin", [0.0, -3.5, 86_400.0, 1.76e9, -1.76e9, 4e9])
 def test_frames_are_taken_whatever_their_times_count_from(origin):
-    view = View(100.0, Blur(swarm(latency=0.02)))
+    view = FrameFilter(100.0, CameraBlur(swarm(latency=0.02)))
     shown = [view.see(frame(k, origin + 0.01 * k)) for k in range(50)]
     assert all(one is not None for one in shown)
     assert ["cf0" in one.bodies for one, _ in shown] == [False] * 2 + [True] * 48
@@ -114,14 +114,14 @@ def test_frames_are_taken_whatever_their_times_count_from(origin):
 
 @pytest.mark.parametrize("t", [np.nan, -np.inf, 1.76e12, 1.76e18])
 def test_a_time_that_is_none_in_seconds_is_counted_as_such(t):
-    view = View(100.0)
+    view = FrameFilter(100.0)
     assert view.see(frame(0, t)) is None
     assert (view.late, view.timeless) == (0, 1)
 
 
 @pytest.mark.parametrize("jump", [-0.5, -30.0, -1.76e9, 0.5, 3600.0, 1.76e9])
 def test_a_clock_that_is_set_interrupts_nothing(jump):
-    view = View(100.0, Blur(swarm()))
+    view = FrameFilter(100.0, CameraBlur(swarm()))
     times = [100.0 + 0.01 * k + (jump if k >= 50 else 0.0) for k in range(150)]
     shown = [view.see(frame(k, t)) for k, t in enumerate(times)]
     assert all(one is not None for one in shown)

@@ -1,19 +1,19 @@
 import numpy as np
 import pytest
 
-from crazychoir.mocap.frames import Frame
-from crazychoir.mocap.watch import Watch
+from crazychoir.mocap.frames import PoseFrame
+from crazychoir.mocap.watch import TrackingWatch
 
 NAMES = {0: "cf0", 1: "cf1"}
 
 
 def watched(seconds, bodies, rate=100.0, hz=100.0, live=True, gap=(0.0, 0.0)):
     """What is said while frames come; bodies(k): those in frame k; without frames in the gap, from s to s."""
-    watch, said, k = Watch(NAMES, rate, live), [], 0
+    watch, said, k = TrackingWatch(NAMES, rate, live), [], 0
     for tick in range(round(4.0 * seconds)):
         while k / hz < 0.25 * (tick + 1):
             if not gap[0] <= k / hz < gap[1]:
-                watch.note(Frame(k, k / hz, bodies(k)), k / hz)
+                watch.note(PoseFrame(k, k / hz, bodies(k)), k / hz)
             k += 1
         said += [(0.25 * (tick + 1), text) for text in watch.look(0.25 * (tick + 1))]
     return watch, said
@@ -50,10 +50,10 @@ def test_a_gap_in_the_frames_and_one_of_a_body_are_said_with_their_length():
 
 def test_gaps_that_come_again_and_again_are_said_with_their_number_and_short_ones_are_not():
     def said_of(gap):
-        watch, said, t = Watch(NAMES, 100.0, True), [], 0.0
+        watch, said, t = TrackingWatch(NAMES, 100.0, True), [], 0.0
         for k in range(160):
             t += gap if k % 10 == 0 else 0.01
-            watch.note(Frame(k, t, moving(k, "cf0", "cf1")), t)
+            watch.note(PoseFrame(k, t, moving(k, "cf0", "cf1")), t)
             said += (
                 [text for text in watch.look(t) if text.startswith("no frame")]
                 if k % 20 == 19
@@ -139,4 +139,4 @@ def test_simulated_bodies_may_stand_still():
 def test_where_nothing_comes_the_source_says_so_and_nobody_else():
     watch, _ = watched(2.0, lambda k: moving(k, "cf0", "cf1"))
     assert watch.look(9.0) == []
-    assert Watch(NAMES, 100.0, True).look(9.0) == []
+    assert TrackingWatch(NAMES, 100.0, True).look(9.0) == []

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from crazychoir.numerics.compiling import KERNEL_QUEUE
-from crazychoir.numerics.kernel_cache import COMPILES
+from crazychoir.numerics.kernel_cache import COMPILING_MESSAGE
 from crazychoir.numerics.kernels import kernel, real, vector
 
 NOT_RIGID = """
@@ -102,5 +102,5 @@ def test_what_is_wrong_with_a_swarm_is_said_before_any_law_is_compiled(
         check=False,
     )
     assert (run.returncode, said in run.stderr) == (2, True), run.stderr
-    assert COMPILES not in run.stderr
+    assert COMPILING_MESSAGE not in run.stderr
     assert list(Path(kept).rglob("*.nbc")) == []

@@ -22,7 +22,7 @@ from other_user import as_user, homeless, in_own_namespace
 import crazychoir.filters.kalman
 import crazychoir.simulation.motor_level.crazyflies  # noqa: F401 - their kernels, and all that they import, are looked at
 from crazychoir.numerics import kernel_cache as cache
-from crazychoir.numerics.kernel_cache import Kept, Untold, _Store
+from crazychoir.numerics.kernel_cache import LawCache, UnknownDigest, _LawFiles
 from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import clip
 
@@ -109,7 +109,7 @@ def test_who_waits_is_told_that_it_compiles_once_though_standard_error_is_no_ter
         ).stderr
         for _ in range(2)
     ]
-    assert said == [f"{cache.COMPILES}\n".encode(), b""]
+    assert said == [f"{cache.COMPILING_MESSAGE}\n".encode(), b""]
 
 
 def test_comments_docstrings_and_times_compile_nothing_and_a_constant_of_another_file_what_names_it(
@@ -139,7 +139,7 @@ def law_of(source, **names):
 
 
 def digest(source, *options, **names):
-    return Kept(law_of(source, **names), *options).digest
+    return LawCache(law_of(source, **names), *options).digest
 
 
 NAMES = "def law(x, y=2.0): return K * x + y"
@@ -180,7 +180,7 @@ def test_so_are_its_own_code_its_defaults_and_how_it_is_compiled():
 
 def test_so_is_what_it_encloses():
     def made(k):
-        return Kept(lambda x: k * x).digest
+        return LawCache(lambda x: k * x).digest
 
     assert made(2.0) == made(2.0) != made(3.0)
 
@@ -200,17 +200,17 @@ def test_through_modules():
 )
 def test_a_law_that_names_what_has_no_digest_is_not_kept(unknown):
     law = law_of(NAMES, K=unknown)
-    with pytest.raises(Untold):
-        _ = Kept(law).digest
-    assert Kept(law).cache_path is None
+    with pytest.raises(UnknownDigest):
+        _ = LawCache(law).digest
+    assert LawCache(law).cache_path is None
 
 
 def test_nor_is_one_that_names_what_is_not_there_or_itself():
-    with pytest.raises(Untold):
+    with pytest.raises(UnknownDigest):
         digest(NAMES)
     both = kernel()(law_of("def law(x): return law(x)"))
     both.py_func.__globals__["law"] = both
-    with pytest.raises(Untold):
+    with pytest.raises(UnknownDigest):
         _ = both._cache.digest
 
 
@@ -223,11 +223,13 @@ def test_all_kernels_of_the_package_are_kept():
 
 def test_names_are_found_as_dis_finds_them():
     for name, law in [*kernels(), ("clip", clip)]:
-        assert cache._paths(law.py_func.__code__) == by_dis(law.py_func.__code__), name
+        assert cache._global_paths(law.py_func.__code__) == by_dis(
+            law.py_func.__code__
+        ), name
     many = "def law(x): return " + " + ".join(
         f"m{k}.a.b{k}(x) + c{k}" for k in range(300)
     )
-    assert cache._paths(law_of(many).__code__) == by_dis(law_of(many).__code__)
+    assert cache._global_paths(law_of(many).__code__) == by_dis(law_of(many).__code__)
 
 
 def kernels():
@@ -236,7 +238,7 @@ def kernels():
         module for name, module in sys.modules.items() if name.startswith("crazychoir.")
     ]:
         for name, law in vars(module).items():
-            if isinstance(getattr(law, "_cache", None), Kept):
+            if isinstance(getattr(law, "_cache", None), LawCache):
                 yield f"{module.__name__}.{name}", law
 
 
@@ -381,15 +383,15 @@ KEY, DATA = ("types", ("x86", 1)), {"code": b"machine code" * 40}
 def test_each_kind_of_damage_is_found_and_mended_by_the_next_writing(
     tmp_path, suffix, damage
 ):
-    store = _Store(tmp_path, "law", "d" * 32)
+    store = _LawFiles(tmp_path, "law", "d" * 32)
     store.save(KEY, DATA)
     (file,) = tmp_path.glob(f"*.{suffix}")
     file.write_bytes(damage(file.read_bytes()))
-    reader = _Store(tmp_path, "law", "d" * 32)
+    reader = _LawFiles(tmp_path, "law", "d" * 32)
     assert reader.load(KEY) is None
     assert reader.damaged
     reader.save(KEY, DATA)
-    assert _Store(tmp_path, "law", "d" * 32).load(KEY) == DATA
+    assert _LawFiles(tmp_path, "law", "d" * 32).load(KEY) == DATA
 
 
 @given(
@@ -402,7 +404,7 @@ def test_whatever_happens_to_its_files_a_store_returns_what_was_saved_or_nothing
     at, inserted, removed, suffix
 ):
     with TemporaryDirectory() as name:
-        store = _Store(Path(name), "law", "d" * 32)
+        store = _LawFiles(Path(name), "law", "d" * 32)
         store.save(KEY, DATA)
         (file,) = Path(name).glob(f"*.{suffix}")
         content = file.read_bytes()
@@ -415,7 +417,7 @@ def test_files_that_are_gone_unreadable_or_folders_are_as_not_there(tmp_path):
     for suffix, harm in itertools.product(
         ["nbi", "nbc"], [Path.unlink, unreadable, replaced_by_a_folder]
     ):
-        store = _Store(tmp_path / f"{suffix}-{harm.__name__}", "law", "d" * 32)
+        store = _LawFiles(tmp_path / f"{suffix}-{harm.__name__}", "law", "d" * 32)
         store.folder.mkdir()
         store.save(KEY, DATA)
         harm(next(store.folder.glob(f"*.{suffix}")))
@@ -436,7 +438,10 @@ def replaced_by_a_folder(path):
 
 def test_a_store_never_returns_what_was_saved_under_another_key(tmp_path):
     """Two processes that began with no index both take the first number."""
-    one, other = _Store(tmp_path, "law", "d" * 32), _Store(tmp_path, "law", "d" * 32)
+    one, other = (
+        _LawFiles(tmp_path, "law", "d" * 32),
+        _LawFiles(tmp_path, "law", "d" * 32),
+    )
     one.save("a", 1)
     index = one._index()
     one.forget()
@@ -455,16 +460,16 @@ def test_a_disk_that_gets_full_half_way_leaves_nothing_and_is_warned_of_once(
         path.touch()
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    store, said = _Store(tmp_path, "law", "d" * 32), []
+    store, said = _LawFiles(tmp_path, "law", "d" * 32), []
     monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(OSError, match="No space left"):
         store.save(KEY, DATA)
     assert list(tmp_path.iterdir()) == []
-    monkeypatch.setattr(cache, "say", said.append)
-    monkeypatch.setattr(cache, "_FAULTS", {tmp_path: ""})
+    monkeypatch.setattr(cache, "print_line", said.append)
+    monkeypatch.setattr(cache, "_fault_of_folder", {tmp_path: ""})
     monkeypatch.delenv("CRAZYCHOIR_TOLD", raising=False)
     for number in range(2):
-        kept = Kept(law_of(f"def law(x): return x + {number}"))
+        kept = LawCache(law_of(f"def law(x): return x + {number}"))
         kept.__dict__["_stores"] = [store]
         kept._save(KEY, DATA)
     assert len(said) == 1
@@ -475,11 +480,11 @@ def test_children_of_a_run_share_a_temporary_folder_only_where_there_is_no_other
     tmp_path, monkeypatch
 ):
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    with cache.shared_by_children(tmp_path):
+    with cache.share_with_children(tmp_path):
         assert "NUMBA_CACHE_DIR" not in os.environ
     monkeypatch.setattr(cache, "write_fault", lambda folder: "Read-only file system")
-    monkeypatch.setattr(cache, "_FAULTS", {})
-    with cache.shared_by_children(tmp_path):
+    monkeypatch.setattr(cache, "_fault_of_folder", {})
+    with cache.share_with_children(tmp_path):
         assert os.environ["NUMBA_CACHE_DIR"] == str(tmp_path / "laws")
     assert "NUMBA_CACHE_DIR" not in os.environ
 
@@ -488,14 +493,14 @@ def test_a_law_whose_module_has_moved_has_another_digest():
     def law(x: float) -> float:
         return 2.0 * x
 
-    before = cache.Kept(law).digest
+    before = cache.LawCache(law).digest
     law.__module__ = "elsewhere"
-    assert cache.Kept(law).digest != before
+    assert cache.LawCache(law).digest != before
 
 
 def test_a_file_that_all_users_may_write_is_not_read(tmp_path):
     """Reading it runs code."""
-    store = _Store(tmp_path, "law", "digest")
+    store = _LawFiles(tmp_path, "law", "digest")
     store.save("key", "machine code")
     assert store.load("key") == "machine code"
     for file in tmp_path.iterdir():
@@ -504,15 +509,37 @@ def test_a_file_that_all_users_may_write_is_not_read(tmp_path):
 
 
 def test_an_index_of_another_kind_holds_nothing(tmp_path):
-    store = _Store(tmp_path, "law", "digest")
+    store = _LawFiles(tmp_path, "law", "digest")
     store._write(store._index_name, 3)
     assert store.load("key") is None
+
+
+@pytest.mark.parametrize("missing", ["class", "module"])
+def test_files_that_name_a_class_of_another_version_hold_nothing(
+    tmp_path, monkeypatch, missing
+):
+    """A signature holds the classes of named tuples: another version may have renamed them."""
+    old = types.ModuleType("old_version")
+    old.Step = type("Step", (), {"__module__": "old_version"})
+    monkeypatch.setitem(sys.modules, "old_version", old)
+    store = _LawFiles(tmp_path, "law", "digest")
+    store.save("key", old.Step)
+    store._write(f"{store._base}.2.nbc", (old.Step, "machine code"))
+    if missing == "class":
+        del old.Step
+    else:
+        monkeypatch.delitem(sys.modules, "old_version")
+    assert store.load("key") is None, "its data"
+    store._write(store._index_name, {"key": f"{store._base}.2.nbc"})
+    assert store.load("key") is None, "its key"
+    store.save("key", "machine code")
+    assert store.load("key") == "machine code"
 
 
 def test_what_is_written_under_any_umask_is_read(tmp_path):
     before = os.umask(0)
     try:
-        store = _Store(tmp_path, "law", "digest")
+        store = _LawFiles(tmp_path, "law", "digest")
         store.save("key", "machine code")
         assert store.load("key") == "machine code"
     finally:

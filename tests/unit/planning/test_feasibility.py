@@ -3,8 +3,14 @@ import math
 import pytest
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import GRAVITY
-from crazychoir.planning.feasibility import DEMANDS, Limits, check, demands, peaks
+from crazychoir.numerics.math3d import STANDARD_GRAVITY
+from crazychoir.planning.feasibility import (
+    DEMAND_NAMES,
+    Limits,
+    check_limits,
+    compute_demands,
+    compute_peaks,
+)
 from crazychoir.planning.figure import circle
 from crazychoir.types import FullState
 
@@ -14,29 +20,35 @@ CIRCLE = circle((0, 0, 1), 0.5, 2.0, laps=3)  # at 1.57 m/s, 4.93 m/s2
 def test_a_hovering_drone_carries_its_weight_and_nothing_else():
     asked = dict(
         zip(
-            DEMANDS,
-            demands(FullState.at((0, 0, 1)).flat[None], 0.03)[0].tolist(),
+            DEMAND_NAMES,
+            compute_demands(FullState.at((0, 0, 1)).flat[None], 0.03)[0].tolist(),
             strict=True,
         )
     )
-    assert asked.pop("thrust") == pytest.approx(0.03 * GRAVITY)
+    assert asked.pop("thrust") == pytest.approx(0.03 * STANDARD_GRAVITY)
     assert not any(asked.values())
 
 
 def test_free_fall_has_no_attitude():
-    asked = demands(
-        FullState.at((0, 0, 1), a=(0, 0, -GRAVITY), j=(1, 0, 0)).flat[None], 1.0
+    asked = compute_demands(
+        FullState.at((0, 0, 1), a=(0, 0, -STANDARD_GRAVITY), j=(1, 0, 0)).flat[None],
+        1.0,
     )[0]
-    assert math.isinf(asked[DEMANDS.index("pitch_rate")])
+    assert math.isinf(asked[DEMAND_NAMES.index("pitch_rate")])
 
 
 def test_a_steady_circle_asks_for_its_centripetal_force():
     w = math.pi
-    most, a = peaks(circle((0, 0, 1), 0.5, 2.0, laps=6), mass=0.03), 0.5 * math.pi**2
+    most, a = (
+        compute_peaks(circle((0, 0, 1), 0.5, 2.0, laps=6), mass=0.03),
+        0.5 * math.pi**2,
+    )
     assert most["acceleration"] == pytest.approx(a, rel=1e-3)
     assert most["jerk"] > a * w
-    assert most["thrust"] == pytest.approx(0.03 * math.hypot(a, GRAVITY), rel=1e-3)
-    assert most["tilt"] == pytest.approx(math.atan2(a, GRAVITY), rel=1e-3)
+    assert most["thrust"] == pytest.approx(
+        0.03 * math.hypot(a, STANDARD_GRAVITY), rel=1e-3
+    )
+    assert most["tilt"] == pytest.approx(math.atan2(a, STANDARD_GRAVITY), rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -55,11 +67,11 @@ def test_the_check_names_what_is_asked_too_much_and_when(limits, name, unit):
         ConfigError,
         match=rf"trajectory at \d\.\d\d s: {name}: found .* {unit}, and .*at most",
     ):
-        check(CIRCLE, limits)
+        check_limits(CIRCLE, limits)
 
 
 def test_what_keeps_all_limits_passes():
-    check(
+    check_limits(
         CIRCLE,
         Limits(
             v_max=1.6,
@@ -74,7 +86,7 @@ def test_what_keeps_all_limits_passes():
 
 def test_the_fence_holds_for_the_way_too():
     with pytest.raises(ConfigError, match=r"set-point\[\d+\].*\[-1, -0.4, 0\]"):
-        check(CIRCLE, Limits(low=(-1, -0.4, 0)))
+        check_limits(CIRCLE, Limits(low=(-1, -0.4, 0)))
 
 
 def test_what_is_not_finite_is_refused():
@@ -88,7 +100,7 @@ def test_what_is_not_finite_is_refused():
             return t >= self.duration
 
     with pytest.raises(ConfigError, match=r"at 1\.\d\d s.*finite"):
-        check(Broken(), Limits())
+        check_limits(Broken(), Limits())
 
 
 @pytest.mark.parametrize(

@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
-from crazychoir.planning.landing import Landing, Legs
-from crazychoir.planning.point_to_point import PointToPoint, stopping
+from crazychoir.planning.landing import FlightLegs, Landing
+from crazychoir.planning.point_to_point import PointToPoint, plan_stop
 from crazychoir.types import FullState
 
 
 def test_a_landing_comes_to_rest_and_then_goes_straight_down():
-    stop = stopping(FullState.at((0.0, 0.0, 1.0), (1.0, 0.5, 0.0)))
+    stop = plan_stop(FullState.at((0.0, 0.0, 1.0), (1.0, 0.5, 0.0)))
     floor = np.array([*stop.goal[0:2], 0.0])
     landing = Landing(stop, PointToPoint(FullState.at(stop.goal), floor, 0.0, 5.0))
     assert landing.duration == pytest.approx(stop.duration + 5.0)
@@ -27,7 +27,7 @@ def test_the_legs_of_a_flight_follow_each_other_and_it_stays_at_the_end_of_the_l
         PointToPoint(FullState.at(there), back, 0.0, 3.0),
         PointToPoint(FullState.at(back), there, 0.0, 1.0),
     )
-    legs = Legs(first, second, third)
+    legs = FlightLegs(first, second, third)
     assert legs.duration == pytest.approx(6.0)
     assert legs.sample(1.2).flat == pytest.approx(first.sample(1.2).flat)
     for t, place in ((2.0, there), (5.0, back), (6.0, there), (9.0, there)):

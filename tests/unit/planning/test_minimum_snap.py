@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import ConfigError
-from crazychoir.planning.feasibility import Limits, peaks
+from crazychoir.planning.feasibility import Limits, compute_peaks
 from crazychoir.planning.minimum_snap import minimum_snap
-from crazychoir.planning.scaling import slowdown
+from crazychoir.planning.scaling import compute_slowdown
 from crazychoir.types import FullState
 
 WAYPOINTS = np.array([[0, 0, 1], [1, 0, 1], [1, 1, 1.5], [0, 1, 1]], dtype=float)
@@ -13,7 +13,7 @@ WAYPOINTS = np.array([[0, 0, 1], [1, 0, 1], [1, 1, 1.5], [0, 1, 1]], dtype=float
 def test_without_times_it_is_as_fast_as_the_limits_allow():
     limits = Limits(v_max=0.8, a_max=1.5)
     flight = minimum_snap(WAYPOINTS, limits=limits)
-    most = peaks(flight)
+    most = compute_peaks(flight)
     assert most["speed"] <= 0.8
     assert most["acceleration"] <= 1.5
     assert most["speed"] > 0.79 or most["acceleration"] > 1.48
@@ -32,7 +32,7 @@ def test_an_end_that_moves_is_honoured_while_the_limits_are_kept():
     np.testing.assert_allclose(
         flight.sample(0.0).flat[0:12], start.flat[0:12], atol=1e-9
     )
-    assert 0.95 < slowdown(flight, limits) <= 1.002
+    assert 0.95 < compute_slowdown(flight, limits) <= 1.002
 
 
 def test_a_start_that_is_too_fast_is_refused():

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import ConfigError
-from crazychoir.planning.piecewise import Piecewise, joined
-from crazychoir.planning.spline import spline
+from crazychoir.planning.piecewise import Piecewise, join_pieces
+from crazychoir.planning.spline import fit_spline
 
 RNG = np.random.default_rng(0)
 FLIGHT = Piecewise(RNG.normal(size=(5, 4, 8)), [0.5, 1.0, 0.25, 2.0, 1.0])
@@ -50,7 +50,7 @@ def test_a_sample_is_its_own():
 
 
 def test_peaks_are_those_of_all_pieces():
-    flight = spline([0, 1, 1.5, 4], RNG.normal(size=(4, 3)), [0, 1, 2, 1])
+    flight = fit_spline([0, 1, 1.5, 4], RNG.normal(size=(4, 3)), [0, 1, 2, 1])
     x = np.array(
         [flight.sample(t).flat for t in np.linspace(0.0, flight.duration, 5000)]
     )
@@ -88,7 +88,7 @@ def test_yaw_goes_on_where_flights_are_joined():
     turning[0, 3, 0:2] = 0.0, 3.0
     other = np.zeros((1, 4, 8))
     other[0, 3, 0:2] = 3.0, 3.0
-    both = joined(
+    both = join_pieces(
         [Piecewise(turning, [1.0]), Piecewise(other, [1.0]), Piecewise(turning, [0.5])]
     )
     assert both.sample(2.0).yaw == pytest.approx(2.0 * np.pi)

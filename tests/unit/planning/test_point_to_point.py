@@ -3,10 +3,10 @@ import pytest
 
 from crazychoir.errors import ConfigError
 from crazychoir.planning.point_to_point import (
-    STOP,
+    STOP_DISTANCE,
     PointToPoint,
-    duration_for,
-    stopping,
+    compute_flight_time,
+    plan_stop,
 )
 from crazychoir.types import FullState
 
@@ -52,15 +52,17 @@ def test_a_goal_that_is_no_place_is_refused(goal):
 
 
 def test_staying_takes_the_shortest_flight_and_turning_takes_its_time():
-    assert duration_for(START, START.p, 0.0) == pytest.approx(0.1)
-    assert duration_for(START, START.p, 3.0, yaw_rate_max=1.0) > 6.0
+    assert compute_flight_time(START, START.p, 0.0) == pytest.approx(0.1)
+    assert compute_flight_time(START, START.p, 3.0, yaw_rate_max=1.0) > 6.0
 
 
 @pytest.mark.parametrize("v", [(1.0, 0.0, 0.0), (-0.6, 0.8, 0.0), (0.0, 0.3, -0.4)])
 def test_a_stop_brakes_with_a_max_all_the_way_and_never_turns_back(v):
     start = FullState.at((1.0, 2.0, 1.0), v, yaw=0.7)
-    stop, speed = stopping(start, 2.0), np.linalg.norm(v)
-    np.testing.assert_allclose(stop.goal - start.p, STOP * speed * np.array(v) / 2.0)
+    stop, speed = plan_stop(start, 2.0), np.linalg.norm(v)
+    np.testing.assert_allclose(
+        stop.goal - start.p, STOP_DISTANCE * speed * np.array(v) / 2.0
+    )
     assert stop.peaks[1] == pytest.approx(2.0, rel=0.01)
     along = [
         stop.sample(t).v @ np.array(v) for t in np.linspace(0.0, stop.duration, 50)
@@ -72,7 +74,7 @@ def test_a_stop_brakes_with_a_max_all_the_way_and_never_turns_back(v):
 def test_a_stop_under_way_goes_on_from_all_four_derivatives_and_keeps_the_limit():
     plan = PointToPoint(START, GOAL, 0.0, 4.0)
     here = plan.sample(1.3)
-    stop = stopping(here, 2.0)
+    stop = plan_stop(here, 2.0)
     np.testing.assert_allclose(stop.sample(0.0).flat, here.flat, atol=1e-12)
     assert stop.peaks[1] <= 2.01
     assert np.linalg.norm(stop.goal - here.p) < 0.7
@@ -81,5 +83,5 @@ def test_a_stop_under_way_goes_on_from_all_four_derivatives_and_keeps_the_limit(
 
 
 def test_who_is_at_rest_stops_where_it_is():
-    assert stopping(START).duration == pytest.approx(0.1)
-    np.testing.assert_array_equal(stopping(START).goal, START.p)
+    assert plan_stop(START).duration == pytest.approx(0.1)
+    np.testing.assert_array_equal(plan_stop(START).goal, START.p)

@@ -2,17 +2,17 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import ConfigError
-from crazychoir.planning.feasibility import Limits, check
+from crazychoir.planning.feasibility import Limits, check_limits
 from crazychoir.planning.figure import circle
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.planning.point_to_point import PointToPoint
 from crazychoir.planning.scaling import (
-    GETS_UP,
-    Resumed,
-    Slowed,
-    scaled,
-    slowdown,
-    slowed,
+    PICK_UP_TIME,
+    ResumedTrajectory,
+    SlowedTrajectory,
+    compute_slowdown,
+    fit_to_limits,
+    slow_down,
 )
 from crazychoir.types import FullState
 
@@ -20,8 +20,8 @@ FIGURE = circle((0, 0, 1), 0.5, 2.0, laps=2, yaw="along")
 
 
 def test_what_keeps_the_limits_stays_itself():
-    assert scaled(FIGURE, Limits(v_max=9.0)) is FIGURE
-    assert slowdown(FIGURE, Limits(v_max=9.0)) < 0.2
+    assert fit_to_limits(FIGURE, Limits(v_max=9.0)) is FIGURE
+    assert compute_slowdown(FIGURE, Limits(v_max=9.0)) < 0.2
 
 
 def test_what_was_scaled_passes_the_check():
@@ -35,38 +35,38 @@ def test_what_was_scaled_passes_the_check():
         mass=0.03,
     )
     with pytest.raises(ConfigError):
-        check(FIGURE, limits)
-    slow = scaled(FIGURE, limits)
-    check(slow, limits)
-    assert isinstance(slow, Slowed)
+        check_limits(FIGURE, limits)
+    slow = fit_to_limits(FIGURE, limits)
+    check_limits(slow, limits)
+    assert isinstance(slow, SlowedTrajectory)
     assert slow.done(slow.duration)
     assert not slow.done(FIGURE.duration)
 
 
 def test_pieces_stay_pieces():
     flight = PointToPoint(FullState.at((0, 0, 1)), np.ones(3), 0.0, 1.0)
-    slow = scaled(flight, Limits(v_max=1.0))
+    slow = fit_to_limits(flight, Limits(v_max=1.0))
     assert isinstance(slow, Piecewise)
     np.testing.assert_allclose(slow.sample(slow.duration).p, 1.0)
 
 
 def test_no_speed_brings_it_into_the_fence():
     with pytest.raises(ConfigError, match="fence"):
-        scaled(FIGURE, Limits(v_max=1.0, high=(0.4, 1, 2)))
+        fit_to_limits(FIGURE, Limits(v_max=1.0, high=(0.4, 1, 2)))
 
 
 @pytest.mark.parametrize("factor", [0.0, -1.0, np.nan, np.inf])
 def test_bad_factors_are_refused(factor):
     with pytest.raises(ConfigError, match="factor"):
-        slowed(FIGURE, factor)
+        slow_down(FIGURE, factor)
 
 
 @pytest.mark.parametrize("t_0", [0.0, 1.3, 3.9])
 def test_what_is_resumed_begins_at_rest_and_is_the_same_path(t_0):
-    rest = Resumed(FIGURE, t_0)
+    rest = ResumedTrajectory(FIGURE, t_0)
     first = rest.sample(0.0)
     np.testing.assert_allclose(
-        first.flat[0:3], FIGURE.sample(min(t_0, FIGURE.duration - GETS_UP / 2)).p
+        first.flat[0:3], FIGURE.sample(min(t_0, FIGURE.duration - PICK_UP_TIME / 2)).p
     )
     np.testing.assert_allclose(first.flat[3:9], 0.0, atol=1e-12)
     np.testing.assert_allclose(
@@ -90,10 +90,10 @@ def test_what_is_resumed_begins_at_rest_and_is_the_same_path(t_0):
 
 
 def test_what_is_resumed_gets_the_pace_of_its_trajectory():
-    rest = Resumed(FIGURE, 0.5)
+    rest = ResumedTrajectory(FIGURE, 0.5)
     np.testing.assert_allclose(
-        rest.sample(GETS_UP + 0.3).flat,
-        FIGURE.sample(0.5 + GETS_UP / 2 + 0.3).flat,
+        rest.sample(PICK_UP_TIME + 0.3).flat,
+        FIGURE.sample(0.5 + PICK_UP_TIME / 2 + 0.3).flat,
         atol=1e-9,
     )
 
@@ -107,7 +107,7 @@ def test_what_is_resumed_slowly_enough_asks_for_little_more_than_the_whole():
         for k in (3, 6)
     )
     for t_0 in np.linspace(0.0, FIGURE.duration - 0.01, 23):
-        rest = Resumed(FIGURE, t_0, 4.0 * v / a)
+        rest = ResumedTrajectory(FIGURE, t_0, 4.0 * v / a)
         hardest = max(
             np.linalg.norm(rest.sample(t).flat[6:9])
             for t in np.linspace(0, rest.duration, 300)
@@ -118,4 +118,4 @@ def test_what_is_resumed_slowly_enough_asks_for_little_more_than_the_whole():
 @pytest.mark.parametrize("t_0", [-0.1, FIGURE.duration, np.nan])
 def test_what_is_over_is_not_resumed(t_0):
     with pytest.raises(ConfigError, match="Resumed"):
-        Resumed(FIGURE, t_0)
+        ResumedTrajectory(FIGURE, t_0)

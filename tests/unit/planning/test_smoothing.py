@@ -2,14 +2,14 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import ConfigError
-from crazychoir.planning.smoothing import CURVE, SLOPE, Smoother
+from crazychoir.planning.smoothing import PULSE_RESPONSE, GoalSmoother
 
 H = 0.01
 
 
 def flown(goals, v_max=0.6, a_max=1.8):
     """(n, 14), and the smoother."""
-    smoother = Smoother(np.zeros(3), v_max, a_max, H)
+    smoother = GoalSmoother(np.zeros(3), v_max, a_max, H)
     return np.array([smoother.step(goal).flat for goal in goals]), smoother
 
 
@@ -18,8 +18,8 @@ def test_a_goal_that_jumps_is_followed_within_the_limits_and_without_a_jump():
     x, smoother = flown(jumps)
     v, a, j = (np.linalg.norm(x[:, 3 * n : 3 * n + 3], axis=1) for n in (1, 2, 3))
     assert 0.5 < v.max() <= 0.6 * 1.001
-    assert a.max() <= SLOPE * smoother.w * 0.6 * 1.001 <= 1.8 * 1.002
-    assert j.max() <= CURVE * smoother.w**2 * 0.6 * 1.02
+    assert a.max() <= PULSE_RESPONSE.slope * smoother.w * 0.6 * 1.001 <= 1.8 * 1.002
+    assert j.max() <= PULSE_RESPONSE.curvature * smoother.w**2 * 0.6 * 1.02
     for n in range(3):  # each derivative is the slope of the one before: nothing jumps
         slope = np.diff(x[:, 3 * n : 3 * n + 3], axis=0) / H
         middle = 0.5 * (x[1:, 3 * n + 3 : 3 * n + 6] + x[:-1, 3 * n + 3 : 3 * n + 6])
@@ -50,7 +50,10 @@ def test_a_goal_that_stands_is_reached_within_1_percent_of_the_way_when_it_is_sa
 
 
 def test_late_steps_make_up_for_what_was_missed():
-    one, other = Smoother(np.zeros(3), 1.0, 2.0, H), Smoother(np.zeros(3), 1.0, 2.0, H)
+    one, other = (
+        GoalSmoother(np.zeros(3), 1.0, 2.0, H),
+        GoalSmoother(np.zeros(3), 1.0, 2.0, H),
+    )
     for _ in range(3):
         last = one.step(np.ones(3))
     np.testing.assert_array_equal(other.step(np.ones(3), 0.0301).flat, last.flat)
@@ -61,4 +64,4 @@ def test_late_steps_make_up_for_what_was_missed():
 )
 def test_limits_are_positive(limits):
     with pytest.raises(ConfigError, match="a positive number"):
-        Smoother(np.zeros(3), *limits)
+        GoalSmoother(np.zeros(3), *limits)

@@ -2,14 +2,14 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import ConfigError
-from crazychoir.planning.spline import chord_times, spline, unwrapped
+from crazychoir.planning.spline import compute_chord_times, fit_spline, unwrap_yaws
 from crazychoir.types import FullState
 
 PLACES = np.array([[0, 0, 1], [1, 0, 1], [1, 1, 1]], dtype=float)
 
 
 def test_without_ends_it_starts_and_ends_at_rest():
-    flight = spline([1.0, 2.0, 4.0], PLACES)
+    flight = fit_spline([1.0, 2.0, 4.0], PLACES)
     assert flight.duration == 3.0
     np.testing.assert_allclose(flight.sample(0.0).flat[3:9], 0.0, atol=1e-12)
     np.testing.assert_allclose(flight.sample(3.0).flat[3:9], 0.0, atol=1e-12)
@@ -29,30 +29,32 @@ def test_without_ends_it_starts_and_ends_at_rest():
 )
 def test_what_has_no_spline_is_refused(times, places, complaint):
     with pytest.raises(ConfigError, match=complaint):
-        spline(times, places)
+        fit_spline(times, places)
 
 
 def test_a_derivative_that_the_degree_has_no_room_for_is_refused():
     moving = FullState.at((0, 0, 0), (1, 0, 0), (0, 1, 0))
     with pytest.raises(ConfigError, match="acceleration at an end"):
-        spline([0, 1, 2], PLACES, start=moving, degree=3)
+        fit_spline([0, 1, 2], PLACES, start=moving, degree=3)
     with pytest.raises(ConfigError, match="jerk at an end"):
-        spline([0, 1, 2], PLACES, goal=FullState.at((0, 0, 0), j=(0, 0, 1)), degree=5)
+        fit_spline(
+            [0, 1, 2], PLACES, goal=FullState.at((0, 0, 0), j=(0, 0, 1)), degree=5
+        )
     with pytest.raises(ConfigError, match="3, 5 or 7"):
-        spline([0, 1, 2], PLACES, degree=4)
+        fit_spline([0, 1, 2], PLACES, degree=4)
     with pytest.raises(ConfigError, match="finite"):
-        spline([0, 1, 2], PLACES, start=FullState.at((0, 0, 0), (np.nan, 0, 0)))
+        fit_spline([0, 1, 2], PLACES, start=FullState.at((0, 0, 0), (np.nan, 0, 0)))
 
 
 def test_yaws_take_the_short_way():
     np.testing.assert_allclose(
-        unwrapped([3.0, -3.0, 3.0, 0.5], 4), [3.0, 2 * np.pi - 3.0, 3.0, 0.5]
+        unwrap_yaws([3.0, -3.0, 3.0, 0.5], 4), [3.0, 2 * np.pi - 3.0, 3.0, 0.5]
     )
     with pytest.raises(ConfigError, match="yaws"):
-        unwrapped([0.0, 1.0], 3)
+        unwrap_yaws([0.0, 1.0], 3)
 
 
 def test_times_of_chords():
-    np.testing.assert_allclose(chord_times(PLACES), [0, 1, 2])
+    np.testing.assert_allclose(compute_chord_times(PLACES), [0, 1, 2])
     with pytest.raises(ConfigError, match=r"places\[2\].*give times, to wait"):
-        chord_times(PLACES[[0, 1, 1]])
+        compute_chord_times(PLACES[[0, 1, 1]])

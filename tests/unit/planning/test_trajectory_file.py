@@ -5,24 +5,24 @@ from crazychoir.planning.figure import eight
 from crazychoir.planning.minimum_snap import minimum_snap
 from crazychoir.planning.number_table import TableError
 from crazychoir.planning.trajectory_file import (
-    PIECE,
+    PIECE_COLUMNS,
     read_pieces,
     read_samples,
     write_pieces,
     write_samples,
 )
-from crazychoir.planning.upload import difference
+from crazychoir.planning.upload import compute_difference
 
 FIGURE = eight((0, 0, 1), 1.0, 0.5, 8.0, laps=2, yaw="along")
 HEAD = "t,x,y,z,yaw"
-PIECES = ",".join(PIECE)
+PIECES = ",".join(PIECE_COLUMNS)
 
 
 def test_samples_come_back_with_all_their_derivatives(tmp_path):
     file = tmp_path / "eight.csv"
     write_samples(file, FIGURE, rate=20.0)
     flight = read_samples(file)
-    assert difference(FIGURE, flight) == pytest.approx((0.0, 0.0), abs=1e-5)
+    assert compute_difference(FIGURE, flight) == pytest.approx((0.0, 0.0), abs=1e-5)
     for t in (0.0, 1.0, 5.55, FIGURE.duration):
         np.testing.assert_allclose(
             flight.sample(t).flat[0:9], FIGURE.sample(t).flat[0:9], atol=1e-6

@@ -3,21 +3,24 @@
 import math
 
 from crazychoir.radio import checks
+from crazychoir.safety.rules.radio_watch import SupervisorBit
 
 
 def test_the_supervisor() -> None:
-    ready = checks.CAN_FLY | checks.AUTO_ARM
+    ready = checks.ReadinessBit.CAN_FLY | checks.ReadinessBit.AUTO_ARM
     assert checks.supervisor_problems(ready) == []
-    assert checks.supervisor_problems(ready | checks.TUMBLED) == ["tumbled"]
-    assert "locked" in checks.supervisor_problems(checks.LOCKED)[0]
+    assert checks.supervisor_problems(ready | SupervisorBit.TUMBLED) == ["tumbled"]
+    assert "locked" in checks.supervisor_problems(SupervisorBit.LOCKED)[0]
     assert checks.supervisor_problems(0)
-    assert checks.supervisor_problems(checks.AUTO_ARM), (
+    assert checks.supervisor_problems(checks.ReadinessBit.AUTO_ARM), (
         "its checks before flight have failed"
     )
-    assert checks.supervisor_problems(checks.CAN_ARM) == [], (
+    assert checks.supervisor_problems(checks.ReadinessBit.CAN_ARM) == [], (
         "its motors wait for a request"
     )
-    assert checks.supervisor_problems(ready | checks.DECK_FAULT) == ["a deck is faulty"]
+    assert checks.supervisor_problems(ready | checks.ReadinessBit.DECK_FAULT) == [
+        "a deck is faulty"
+    ]
 
 
 def test_the_battery() -> None:

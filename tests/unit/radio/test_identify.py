@@ -7,7 +7,7 @@ from virtual_time import virtual
 
 from crazychoir.errors import LinkFailed, Refused
 from crazychoir.radio import checks, identify
-from crazychoir.radio.protocol.crtp import SUPERVISOR, Packet
+from crazychoir.radio.protocol.crtp import CrtpPort, Packet
 
 
 class Link:
@@ -24,10 +24,12 @@ class Link:
     async def ask(self, packet, answers, seconds):
         if self.supervisor is None:
             raise TimeoutError
-        answer = Packet(SUPERVISOR, 0, b"\x8c" + self.supervisor.to_bytes(2, "little"))
-        assert packet == Packet(SUPERVISOR, 0, b"\x0c")
+        answer = Packet(
+            CrtpPort.SUPERVISOR, 0, b"\x8c" + self.supervisor.to_bytes(2, "little")
+        )
+        assert packet == Packet(CrtpPort.SUPERVISOR, 0, b"\x0c")
         assert answers(answer)
-        assert not answers(Packet(SUPERVISOR, 1, answer.data))
+        assert not answers(Packet(CrtpPort.SUPERVISOR, 1, answer.data))
         return answer
 
 
@@ -53,7 +55,7 @@ def drone(monkeypatch):
     """Its link and its firmware."""
     link = Link()
     firmware = Kept(
-        dict.fromkeys(identify.RING, 20)
+        dict.fromkeys(identify.RING_LEDS, 20)
         | {"led.bitmask": 3, "ring.effect": 6, "deck.bcLedRing": 0}
     )
     monkeypatch.setattr(identify, "Connection", lambda clock, uri, contents: link)
@@ -90,7 +92,7 @@ def test_a_ring_is_lit_too_and_gets_its_effect_back_before_its_colours(drone):
     async def does(clock):
         assert set(await identify.identify(clock, "", None, 1.0, 2.0)) == {
             "led.bitmask",
-            *identify.RING,
+            *identify.RING_LEDS,
         }
 
     run(drone, does)
@@ -115,7 +117,9 @@ def test_they_are_put_back_when_somebody_ends_it(drone):
     assert drone[1].values["led.bitmask"] == 3
 
 
-@pytest.mark.parametrize("supervisor", [None, checks.CAN_FLY | checks.ARMED])
+@pytest.mark.parametrize(
+    "supervisor", [None, checks.ReadinessBit.CAN_FLY | checks.ReadinessBit.ARMED]
+)
 def test_who_stands_or_does_not_say_is_lit(drone, supervisor):
     drone[0].supervisor = supervisor
 
@@ -127,7 +131,7 @@ def test_who_stands_or_does_not_say_is_lit(drone, supervisor):
 
 
 def test_who_flies_is_left_alone(drone):
-    drone[0].supervisor = checks.FLYING | checks.CAN_FLY
+    drone[0].supervisor = checks.ReadinessBit.FLYING | checks.ReadinessBit.CAN_FLY
 
     async def does(clock):
         with pytest.raises(Refused, match="it flies"):

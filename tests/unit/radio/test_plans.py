@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from virtual_drones import Hangar
 
-from crazychoir.control.senders import STOP
+from crazychoir.control.senders import STOP_COMMAND
 from crazychoir.platforms import CRAZYFLIE_21
-from crazychoir.radio.protocol.crtp import MEMORY, Packet
+from crazychoir.radio.protocol.crtp import CrtpPort, Packet
 from crazychoir.radio.protocol.handlers import RadioHandlerXYZ
 from crazychoir.types import XYZ
 
@@ -43,7 +43,9 @@ def test_who_is_sent_places_flies_though_somebody_has_streamed_before(idle):
         0.5, "rpyt", 0.0, 0.0, 0.0, 0
     )  # the last of which is that of cflib's close_link
     handler = RadioHandlerXYZ(CRAZYFLIE_21)
-    for command in [STOP] * idle + [XYZ("line", np.array([0.0, 0.0, 0.6, 0.0, 1.5]))]:
+    for command in [STOP_COMMAND] * idle + [
+        XYZ("line", np.array([0.0, 0.0, 0.6, 0.0, 1.5]))
+    ]:
         for packet in handler.packets(command):
             list(hangar.drone.take(packet))
         hangar.run(0.5)
@@ -86,7 +88,9 @@ def test_a_trajectory_written_piece_by_piece(name):
     raw = np.concatenate([rest, ahead, rest, rest, [1.0]]).astype("<f4").tobytes()
     for at in range(0, len(raw), 24):
         head = bytes([2]) + (132 + at).to_bytes(4, "little")
-        (reply,) = hangar.drone.take(Packet(MEMORY, 2, head + raw[at : at + 24]))
+        (reply,) = hangar.drone.take(
+            Packet(CrtpPort.MEMORY, 2, head + raw[at : at + 24])
+        )
         assert reply.data[5] == 0
     (reply,) = hangar.send("define_trajectory", 7, 1, 0, 132, 1)
     assert reply.data[3] == 0
@@ -108,9 +112,9 @@ def test_a_compressed_one_is_flown_at_its_own_pace_alone():
         + np.array([300], "<i2").tobytes()
     )
     list(
-        hangar.drone.take(Packet(MEMORY, 2, bytes(1) + bytes(4) + raw))
+        hangar.drone.take(Packet(CrtpPort.MEMORY, 2, bytes(1) + bytes(4) + raw))
     )  # into the EEPROM: not flown
-    list(hangar.drone.take(Packet(MEMORY, 2, b"\x02" + bytes(4) + raw)))
+    list(hangar.drone.take(Packet(CrtpPort.MEMORY, 2, b"\x02" + bytes(4) + raw)))
     hangar.send("define_trajectory", 1, 1, 1, 0, 1)
     for wrong in ((0, 1, 2.0), (1, 1, 1.0)):
         (reply,) = hangar.send("start_trajectory", 0, 1, 0, *wrong)

@@ -3,14 +3,15 @@
 import pytest
 from virtual_drones import Hangar
 
-from crazychoir.radio.protocol.crtp import FORMS, PARAM, SETPOINT, Packet
-from crazychoir.radio.virtual.drone import BOOT
-from crazychoir.radio.virtual.flight import UNCHECKED
+from crazychoir.radio.protocol.crtp import PACKET_FORMS, CrtpPort, Packet
+from crazychoir.radio.virtual.drone import FIRMWARE_TIMEOUTS
+from crazychoir.radio.virtual.flight import SPECIAL_FORMS
 
 CHECKED = [
     form
-    for form in FORMS.values()
-    if (form.port, form.channel) == (SETPOINT, 0) and form.name not in UNCHECKED
+    for form in PACKET_FORMS.values()
+    if (form.port, form.channel) == (CrtpPort.SETPOINT, 0)
+    and form.name not in SPECIAL_FORMS.unchecked
 ]
 
 
@@ -19,7 +20,7 @@ CHECKED = [
 def test_a_set_point_of_another_length_restarts_it(form, more, caplog):
     hangar = Hangar().run(0.3)
     data = form.head + bytes(form.layout.size + more)
-    assert list(hangar.drone.take(Packet(SETPOINT, 0, data))) == []
+    assert list(hangar.drone.take(Packet(CrtpPort.SETPOINT, 0, data))) == []
     assert (hangar.drone.starts, hangar.drone.uptime, hangar.drone.booting) == (
         2,
         0,
@@ -31,7 +32,7 @@ def test_a_set_point_of_another_length_restarts_it(form, more, caplog):
 @pytest.mark.parametrize("data", [b"\x0a\x00", b"\x03", b"\x03\x01" + bytes(8), b""])
 def test_so_does_one_without_enough_or_with_nothing(data):
     hangar = Hangar()
-    list(hangar.drone.take(Packet(SETPOINT, 0, data)))
+    list(hangar.drone.take(Packet(CrtpPort.SETPOINT, 0, data)))
     assert hangar.drone.starts == 2
 
 
@@ -48,7 +49,7 @@ def test_so_does_one_without_enough_or_with_nothing(data):
     ],
 )
 def test_those_whose_length_nobody_checks_are_counted(name):
-    hangar, form = Hangar(), FORMS[name]
+    hangar, form = Hangar(), PACKET_FORMS[name]
     list(
         hangar.drone.take(
             Packet(form.port, form.channel, form.head + bytes(form.layout.size + 1))
@@ -61,13 +62,13 @@ def test_a_flying_drone_that_restarts_falls_and_comes_back_with_all_forgotten():
     hangar = Hangar().hovering()
     hangar.drone.kept.parameters["pid_rate.roll_kp"] = 240.0
     hangar.drone.parameters.set("pid_attitude.roll_kp", 4.0)
-    list(hangar.drone.take(Packet(SETPOINT, 0, b"\x0a")))
+    list(hangar.drone.take(Packet(CrtpPort.SETPOINT, 0, b"\x0a")))
     hangar.run(0.5)
     assert not hangar.motors
     assert hangar.state[2] == 0.0
-    assert list(hangar.drone.take(Packet(PARAM, 1, b"\0\0"))) == []
-    hangar.run(1e-3 * BOOT)
-    assert len(list(hangar.drone.take(Packet(PARAM, 1, b"\0\0")))) == 1
+    assert list(hangar.drone.take(Packet(CrtpPort.PARAMETERS, 1, b"\0\0"))) == []
+    hangar.run(1e-3 * FIRMWARE_TIMEOUTS.boot)
+    assert len(list(hangar.drone.take(Packet(CrtpPort.PARAMETERS, 1, b"\0\0")))) == 1
     assert hangar.drone.parameters.read("pid_rate.roll_kp") == 240.0
     assert hangar.drone.parameters.read("pid_attitude.roll_kp") == 6.0
     assert (
@@ -80,14 +81,14 @@ def test_a_flying_drone_that_restarts_falls_and_comes_back_with_all_forgotten():
 def test_a_parameter_asserts_on_purpose():
     hangar = Hangar()
     index = hangar.drone.parameters.toc.index["system.doAssert"].to_bytes(2, "little")
-    list(hangar.drone.take(Packet(PARAM, 2, index + b"\1")))
+    list(hangar.drone.take(Packet(CrtpPort.PARAMETERS, 2, index + b"\1")))
     assert hangar.drone.starts == 2
     assert hangar.drone.parameters.read("system.doAssert") == 0.0
 
 
 def test_an_unknown_set_point_is_one_without_thrust():
     hangar = Hangar().hovering()
-    list(hangar.drone.take(Packet(SETPOINT, 0, b"\x63\1\2")))
+    list(hangar.drone.take(Packet(CrtpPort.SETPOINT, 0, b"\x63\1\2")))
     hangar.run(0.1)
     assert not hangar.motors
     assert hangar.drone.flight.unknown == 1

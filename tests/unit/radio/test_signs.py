@@ -8,8 +8,8 @@ from virtual_drones import Hangar
 
 from crazychoir.numerics.math3d import yaw_of
 from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS
-from crazychoir.radio.protocol.compressed import compressed
-from crazychoir.radio.virtual.setup import released
+from crazychoir.radio.protocol.compressed import pack_quaternion
+from crazychoir.radio.virtual.setup import platform_of_release
 
 HOVER = round(0.0319 * 9.81 * 136531)
 QUARTER = math.pi / 2.0
@@ -81,7 +81,7 @@ FULL_THRUST = round(1.05 * HOVER)
                 0,
                 0,
                 0,
-                compressed(np.array([0.0, 0.0, 0.5**0.5, 0.5**0.5])),
+                pack_quaternion(np.array([0.0, 0.0, 0.5**0.5, 0.5**0.5])),
                 0,
                 0,
                 0,
@@ -162,7 +162,7 @@ def test_a_full_states_rates_are_in_milli_radians_a_second():
         0,
         0,
         0,
-        compressed(np.array([0.0, 0.0, 0.0, 1.0])),
+        pack_quaternion(np.array([0.0, 0.0, 0.0, 1.0])),
         0,
         0,
         1000,
@@ -190,14 +190,14 @@ def test_thrust_is_locked_until_a_packet_without_thrust_comes():
 
 
 def test_a_receivers_sticks_forward_and_right_fly_forward_and_right():
-    from crazychoir.radio.protocol.crtp import SETPOINT, Packet
+    from crazychoir.radio.protocol.crtp import CrtpPort, Packet
 
     hangar = Hangar(yaw=QUARTER).hovering(0.8)
     home = hangar.state[:2].copy()
     thrust = 1000 + round(1000 * FULL_THRUST / 65535)
     sticks = np.array([1440, 1440, 1500, thrust], "<u2").tobytes()
     for _ in range(30):
-        list(hangar.drone.take(Packet(SETPOINT, 0, b"\x03\x00" + sticks)))
+        list(hangar.drone.take(Packet(CrtpPort.SETPOINT, 0, b"\x03\x00" + sticks)))
         hangar.run(0.02)
     ahead, left = _ahead(hangar, home)
     assert (ahead, left) == (
@@ -207,17 +207,19 @@ def test_a_receivers_sticks_forward_and_right_fly_forward_and_right():
 
 
 def test_packed_poses_are_for_the_number_that_they_name():
-    from crazychoir.radio.protocol.crtp import LOCALIZATION, Packet
+    from crazychoir.radio.protocol.crtp import CrtpPort, Packet
 
     hangar = Hangar(told=False, number=0xE9).run(0.1)
-    level = compressed(np.array([0.0, 0.0, 0.0, 1.0])).to_bytes(4, "little")
+    level = pack_quaternion(np.array([0.0, 0.0, 0.0, 1.0])).to_bytes(4, "little")
 
     def item(number, x):
         return bytes([number]) + np.array([x, 0, 0], "<i2").tobytes() + level
 
     list(
         hangar.drone.take(
-            Packet(LOCALIZATION, 1, b"\x09" + item(0xE8, 5000) + item(0xE9, -250))
+            Packet(
+                CrtpPort.LOCALIZATION, 1, b"\x09" + item(0xE8, 5000) + item(0xE9, -250)
+            )
         )
     )
     assert hangar.onboard.estimate.p[0] == pytest.approx(-0.25, abs=0.01)
@@ -227,12 +229,14 @@ def test_packed_poses_are_for_the_number_that_they_name():
 def test_an_old_release_has_another_thrust_map():
     """42000 were 0.39 N; the same command is 21 % less force now."""
     old, new = (
-        released(CRAZYFLIE_21, release).firmware.thrust_max
+        platform_of_release(CRAZYFLIE_21, release).firmware.thrust_max
         for release in ("2023.11", "2025.12")
     )
     assert old / new == pytest.approx(136531 / 107692, rel=1e-3)
     assert 4.0 * old * 42000 / 65535 == pytest.approx(0.39, rel=1e-3)
-    assert released(CRAZYFLIE_21_BRUSHLESS, "2023.11") is CRAZYFLIE_21_BRUSHLESS
+    assert (
+        platform_of_release(CRAZYFLIE_21_BRUSHLESS, "2023.11") is CRAZYFLIE_21_BRUSHLESS
+    )
     rising = []
     for release in ("2023.11", "2025.12"):
         hangar = Hangar(release=release).hovering()

@@ -9,8 +9,8 @@ import pytest
 from transcripts import ALL
 from virtual_drones import Hangar
 
-from crazychoir.radio.protocol.crtp import LOG, PARAM, Packet, parse
-from crazychoir.radio.virtual.logs import value_of
+from crazychoir.radio.protocol.crtp import CrtpPort, Packet, parse_packet
+from crazychoir.radio.virtual.logs import pack_log_value
 
 
 def _matches(pattern, reply):
@@ -23,7 +23,7 @@ def test_a_conversation(port):
     for shows, request, replies in ALL[port]:
         found = [
             packet.framed()
-            for packet in hangar.drone.take(parse(bytes.fromhex(request)))
+            for packet in hangar.drone.take(parse_packet(bytes.fromhex(request)))
         ]
         assert len(found) == len(replies), shows
         for pattern, reply in zip(replies, found, strict=True):
@@ -47,8 +47,8 @@ def _table(drone, port):
 
 def test_the_tables_have_what_programs_ask_for_once_each():
     drone = Hangar().drone
-    log_crc, logs = _table(drone, LOG)
-    param_crc, parameters = _table(drone, PARAM)
+    log_crc, logs = _table(drone, CrtpPort.LOG)
+    param_crc, parameters = _table(drone, CrtpPort.PARAMETERS)
     assert log_crc != param_crc
     for table in (logs, parameters):
         assert len({(group, name) for _, group, name in table}) == len(table)
@@ -108,7 +108,7 @@ def test_each_log_variable_can_be_read():
 def test_each_parameter_is_read_as_it_boots_or_as_the_model_has_it():
     drone = Hangar().drone
     for k, entry in enumerate(drone.parameters.toc.entries):
-        (reply,) = drone.take(Packet(PARAM, 1, k.to_bytes(2, "little")))
+        (reply,) = drone.take(Packet(CrtpPort.PARAMETERS, 1, k.to_bytes(2, "little")))
         assert reply.data[2] == 0, entry
         if entry.full not in ("kalman.initialX",):
             value = drone.parameters.get(entry)
@@ -118,28 +118,34 @@ def test_each_parameter_is_read_as_it_boots_or_as_the_model_has_it():
 def test_a_log_block_comes_by_the_drones_clock_and_once_if_it_has_no_period():
     hangar = Hangar().run(0.1)
     index = hangar.drone.logs.toc.index["pm.vbatMV"].to_bytes(2, "little")
-    list(hangar.drone.take(Packet(LOG, 1, b"\x06\x05\x22" + index)))
-    list(hangar.drone.take(Packet(LOG, 1, b"\x03\x05\x02")))
+    list(hangar.drone.take(Packet(CrtpPort.LOG, 1, b"\x06\x05\x22" + index)))
+    list(hangar.drone.take(Packet(CrtpPort.LOG, 1, b"\x03\x05\x02")))
     hangar.run(0.2)
-    data = [packet.data for packet in hangar.said if packet.port == LOG]
+    data = [packet.data for packet in hangar.said if packet.port == CrtpPort.LOG]
     times = [int.from_bytes(one[1:4], "little") for one in data]
     assert [b - a for a, b in pairwise(times)] == [20] * 9
     assert 4000 < int.from_bytes(data[-1][4:], "little") <= 4200
-    list(hangar.drone.take(Packet(LOG, 1, b"\x04\x05")))
-    list(hangar.drone.take(Packet(LOG, 1, b"\x03\x05\x00")))
+    list(hangar.drone.take(Packet(CrtpPort.LOG, 1, b"\x04\x05")))
+    list(hangar.drone.take(Packet(CrtpPort.LOG, 1, b"\x03\x05\x00")))
     hangar.said.clear()
     hangar.run(0.2)
-    assert len([packet for packet in hangar.said if packet.port == LOG]) == 1
+    assert len([packet for packet in hangar.said if packet.port == CrtpPort.LOG]) == 1
 
 
 def test_a_half_float_too_large_stays_at_the_end_of_its_range():
-    assert value_of("e", 1e9) == value_of("e", 65504.0)
-    assert value_of("H", 70000.0) == b"\xff\xff"
-    assert value_of("h", -70000.0) == b"\x00\x80"
-    assert [value_of("b", math.inf), value_of("I", -math.inf)] == [b"\x7f", bytes(4)]
-    assert [value_of("i", math.nan), value_of("f", 1e39)] == [bytes(4), bytes(4)]
+    assert pack_log_value("e", 1e9) == pack_log_value("e", 65504.0)
+    assert pack_log_value("H", 70000.0) == b"\xff\xff"
+    assert pack_log_value("h", -70000.0) == b"\x00\x80"
+    assert [pack_log_value("b", math.inf), pack_log_value("I", -math.inf)] == [
+        b"\x7f",
+        bytes(4),
+    ]
+    assert [pack_log_value("i", math.nan), pack_log_value("f", 1e39)] == [
+        bytes(4),
+        bytes(4),
+    ]
     assert all(
-        math.isnan(struct.unpack("<" + letter, value_of(letter, math.nan))[0])
+        math.isnan(struct.unpack("<" + letter, pack_log_value(letter, math.nan))[0])
         for letter in "ef"
     )
 
@@ -159,9 +165,9 @@ def test_each_log_variable_of_a_broken_drone_is_sent():
                 record[part][name] = wrong
         for entry in hangar.drone.logs.toc.entries:
             for letter in "bBhHiIef":
-                assert len(value_of(letter, hangar.log(entry.full))) == struct.calcsize(
-                    letter
-                ), entry.full
+                assert len(
+                    pack_log_value(letter, hangar.log(entry.full))
+                ) == struct.calcsize(letter), entry.full
 
 
 def test_the_console_splits_no_character():
@@ -175,25 +181,25 @@ def test_the_console_splits_no_character():
 
 def test_log_blocks_are_forgotten_when_nobody_has_been_heard_for_a_second():
     hangar = Hangar().run(0.1)
-    list(hangar.drone.take(Packet(LOG, 1, b"\x06\x05\x77\0\0")))
-    list(hangar.drone.take(Packet(LOG, 1, b"\x03\x05\x02")))
+    list(hangar.drone.take(Packet(CrtpPort.LOG, 1, b"\x06\x05\x77\0\0")))
+    list(hangar.drone.take(Packet(CrtpPort.LOG, 1, b"\x03\x05\x02")))
     hangar.run(0.95)
     list(hangar.drone.take(Packet(15, 0, b"ping")))
     hangar.run(0.95)
     assert 5 in hangar.drone.logs.blocks
     hangar.run(0.1)
-    (reply,) = hangar.drone.take(Packet(LOG, 1, b"\x03\x05\x02"))
+    (reply,) = hangar.drone.take(Packet(CrtpPort.LOG, 1, b"\x03\x05\x02"))
     assert reply.data == b"\x03\x05\x02"  # there is no such block
 
 
 def test_a_reset_of_the_estimator_is_taken_back_by_the_drone_which_says_so():
     drone = Hangar().run(0.5).drone
     index = drone.parameters.toc.index["kalman.resetEstimation"].to_bytes(2, "little")
-    echoed, updated = drone.take(Packet(PARAM, 2, index + b"\1"))
+    echoed, updated = drone.take(Packet(CrtpPort.PARAMETERS, 2, index + b"\1"))
     assert echoed.data == index + b"\1"
     assert (updated.channel, updated.data) == (3, b"\1" + index + b"\0")
     assert drone.onboard.log("kalman.varX") == pytest.approx(1e4)
-    assert len(list(drone.take(Packet(PARAM, 2, index + b"\0")))) == 1
+    assert len(list(drone.take(Packet(CrtpPort.PARAMETERS, 2, index + b"\0")))) == 1
 
 
 def test_motors_turn_by_parameters_whatever_the_supervisor_says():

@@ -2,12 +2,12 @@
 
 import pytest
 
-from crazychoir.radio.uptime import WRAPS, Uptime
+from crazychoir.radio.uptime import DRONE_CLOCK, Uptime
 
 
 def told(uptime, ats, now=lambda at: 50.0 + at / 1000 + 0.004):
     """Logs of these times, of its clock; when they come, by ours."""
-    return [uptime.taken(now(at), at % WRAPS) for at in ats]
+    return [uptime.taken(now(at), at % DRONE_CLOCK.wrap_period) for at in ats]
 
 
 def test_what_waited_was_so_when_it_was_so():
@@ -40,11 +40,11 @@ def test_a_clock_that_runs_fast_or_slow_is_followed():
 
 def test_a_time_that_begins_anew_goes_on():
     uptime = Uptime()
-    ats = range(WRAPS - 100, WRAPS + 100, 20)
+    ats = range(DRONE_CLOCK.wrap_period - 100, DRONE_CLOCK.wrap_period + 100, 20)
     assert told(uptime, ats) == pytest.approx(
         [50.0 + at / 1000 + 0.004 for at in ats], abs=1e-3
     )
-    assert not uptime.restarted(50.0 + (WRAPS + 120) / 1000, 120)
+    assert not uptime.restarted(50.0 + (DRONE_CLOCK.wrap_period + 120) / 1000, 120)
 
 
 @pytest.mark.parametrize("hours", [0.0, 1.0, 2.4, 3.0, 4.5, 4.66])
@@ -52,9 +52,11 @@ def test_however_long_it_has_been_on_it_is_heard_from_its_first_log_on(hours):
     uptime, began = Uptime(), round(3_600_000 * hours)
     for at in range(began, began + 2000, 20):
         now = 7.0 + (at - began) / 1000
-        assert not uptime.restarted(now, at % WRAPS)
-        assert not uptime.overtaken(at % WRAPS)
-        assert uptime.taken(now, at % WRAPS) == pytest.approx(now, abs=1e-3)
+        assert not uptime.restarted(now, at % DRONE_CLOCK.wrap_period)
+        assert not uptime.overtaken(at % DRONE_CLOCK.wrap_period)
+        assert uptime.taken(now, at % DRONE_CLOCK.wrap_period) == pytest.approx(
+            now, abs=1e-3
+        )
 
 
 @pytest.mark.parametrize(
@@ -63,7 +65,9 @@ def test_however_long_it_has_been_on_it_is_heard_from_its_first_log_on(hours):
 def test_one_that_was_started_again_is_so_however_old_it_was(up, silent):
     uptime = Uptime()
     told(uptime, [round(1000 * up)], now=lambda at: 50.0)
-    assert not uptime.restarted(50.0 + silent, round(1000 * (up + silent)) % WRAPS)
+    assert not uptime.restarted(
+        50.0 + silent, round(1000 * (up + silent)) % DRONE_CLOCK.wrap_period
+    )
     assert uptime.restarted(50.0 + silent, 5000)
 
 

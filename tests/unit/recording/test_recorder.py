@@ -11,26 +11,15 @@ from ros2_decoders import by_mcap_ros2, by_rosbags
 from virtual_time import virtual
 
 from crazychoir.bus.codec import encode
-from crazychoir.bus.port import OBSERVER, Bus
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.bus.topics import (
-    BODY,
-    COMMAND,
-    LINK,
-    LOG,
-    OBSERVABLE,
-    PLAN,
-    POSE,
-    REFERENCE,
-    RESULT,
-    ROUND,
-    STATE,
-    STATUS,
-    TELEMETRY,
-    TRUTH,
+    DRONE_TOPICS,
+    MESSAGE_TOPICS,
+    OBSERVABLE_TOPICS,
 )
 from crazychoir.recording import recorder as module
 from crazychoir.recording.mcap.file import RecordingFile
-from crazychoir.recording.mcap.reading import header
+from crazychoir.recording.mcap.reading import read_header
 from crazychoir.recording.recorder import Recorder
 from crazychoir.runtime.clock import run_virtual, run_wall
 from crazychoir.runtime.supervisor import Supervisor
@@ -72,16 +61,16 @@ def recorded(path, work, observer=None, run=run_virtual):
 
 
 VALUES = {
-    POSE: Pose(np.arange(7.0), 0.25),
-    STATE: State.at((1, 2, 3), (4, 5, 6)),
-    REFERENCE: FullState(np.arange(14.0)),
-    COMMAND: FPQR(np.arange(4.0)),
-    TRUTH: State.at((7, 8, 9)),
-    STATUS: Status("hovering", suspect=[1], cost=0.5, relaxed=0.25),
-    RESULT: {"success": True, "place": np.ones(3)},
-    LOG: "drone 1: a line",
-    BODY: Body("crashed"),
-    LINK: LinkStatus(
+    DRONE_TOPICS.pose: Pose(np.arange(7.0), 0.25),
+    DRONE_TOPICS.state: State.at((1, 2, 3), (4, 5, 6)),
+    DRONE_TOPICS.reference: FullState(np.arange(14.0)),
+    DRONE_TOPICS.command: FPQR(np.arange(4.0)),
+    DRONE_TOPICS.truth: State.at((7, 8, 9)),
+    DRONE_TOPICS.status: Status("hovering", suspect=[1], cost=0.5, relaxed=0.25),
+    DRONE_TOPICS.result: {"success": True, "place": np.ones(3)},
+    DRONE_TOPICS.log: "drone 1: a line",
+    DRONE_TOPICS.body: Body("crashed"),
+    DRONE_TOPICS.link: LinkStatus(
         "up",
         0.01,
         0.02,
@@ -96,19 +85,21 @@ VALUES = {
         2,
         "it tilts otherwise",
     ),
-    TELEMETRY: {"pm.vbat": [3.9, 0.05]},
-    PLAN: Plan(np.ones((1, 25)), 0.5, np.zeros((0, 25)), 0.0, 3, {0: 2}, np.zeros(0)),
+    DRONE_TOPICS.telemetry: {"pm.vbat": [3.9, 0.05]},
+    DRONE_TOPICS.plan: Plan(
+        np.ones((1, 25)), 0.5, np.zeros((0, 25)), 0.0, 3, {0: 2}, np.zeros(0)
+    ),
 }
 
 
-@pytest.mark.parametrize("observer", [None, OBSERVER + 5])
+@pytest.mark.parametrize("observer", [None, PORT_ADDRESSES.first_observer + 5])
 def test_every_observable_topic_arrives_as_it_was_sent(tmp_path, observer):
     async def work(clock, bus):
         for topic, value in VALUES.items():
             bus.ports[1].publish(topic, value, 0.25)
         await clock.sleep(0.5)
 
-    assert [topic.name for topic in VALUES] == list(OBSERVABLE)
+    assert [topic.name for topic in VALUES] == list(OBSERVABLE_TOPICS)
     path = tmp_path / "a.mcap"
     assert recorded(path, work, observer) == {
         "file": str(path),
@@ -154,7 +145,7 @@ def test_every_observable_topic_arrives_as_it_was_sent(tmp_path, observer):
 def test_ages_make_times_of_birth(tmp_path):
     async def work(clock, bus):
         await clock.sleep(1.0)
-        bus.ports[0].publish(POSE, VALUES[POSE], 0.25)
+        bus.ports[0].publish(DRONE_TOPICS.pose, VALUES[DRONE_TOPICS.pose], 0.25)
 
     path = tmp_path / "a.mcap"
     recorded(path, work)
@@ -170,13 +161,13 @@ def test_ages_make_times_of_birth(tmp_path):
 def test_each_type_of_a_topic_has_messages_of_its_own(tmp_path):
     async def work(clock, bus):
         for value in (
-            VALUES[COMMAND],
+            VALUES[DRONE_TOPICS.command],
             Vel(np.arange(4.0)),
-            VALUES[COMMAND],
+            VALUES[DRONE_TOPICS.command],
             FullState(np.arange(14.0)),
             7,
         ):
-            bus.ports[0].publish(COMMAND, value)
+            bus.ports[0].publish(DRONE_TOPICS.command, value)
 
     path = tmp_path / "a.mcap"
     assert recorded(path, work)["lost"] == 0
@@ -196,7 +187,7 @@ def test_each_type_of_a_topic_has_messages_of_its_own(tmp_path):
 
 def test_rounds_are_recorded_under_their_sender(tmp_path):
     async def work(clock, bus):
-        bus.ports[0].send(ROUND, (1,), encode([1, 2]), 5, "sum", 8)
+        bus.ports[0].send(MESSAGE_TOPICS.rounds, (1,), encode([1, 2]), 5, "sum", 8)
 
     path = tmp_path / "a.mcap"
     recorded(path, work)
@@ -225,10 +216,10 @@ async def test_no_message_between_drones_is_numbered_otherwise(clock):
         error = ""
 
     Recorder(bus, (0, 1), File())
-    one.publish(STATE, State.at((0, 0, 0)))
+    one.publish(DRONE_TOPICS.state, State.at((0, 0, 0)))
     assert seen == []
-    bus.subscribe(STATE, 0, 1, module.Call(clock, lambda value, age: None))
-    one.publish(STATE, State.at((0, 0, 0)))
+    bus.subscribe(DRONE_TOPICS.state, 0, 1, module.Call(clock, lambda value, age: None))
+    one.publish(DRONE_TOPICS.state, State.at((0, 0, 0)))
     assert [message[3] for message in seen] == [1]
     assert (one.counters.sent, other.counters.received) == (1, 1)
 
@@ -236,15 +227,15 @@ async def test_no_message_between_drones_is_numbered_otherwise(clock):
 def test_what_cannot_be_written_hurts_nobody(tmp_path, caplog):
     async def work(clock, bus):
         port = bus.ports[0]
-        port.publish(STATUS, Status("x", round=1 << 70))
-        port.publish(STATE, State(np.zeros(2)))
-        port.deliver(ROUND.number, 1, b"\xff\xff", 0, "sum", 0, 0.0)
-        port.publish(STATE, State.at((0, 0, 0)), float("inf"))
-        port.publish(LOG, "fine")
+        port.publish(DRONE_TOPICS.status, Status("x", round=1 << 70))
+        port.publish(DRONE_TOPICS.state, State(np.zeros(2)))
+        port.deliver(MESSAGE_TOPICS.rounds.number, 1, b"\xff\xff", 0, "sum", 0, 0.0)
+        port.publish(DRONE_TOPICS.state, State.at((0, 0, 0)), float("inf"))
+        port.publish(DRONE_TOPICS.log, "fine")
 
     result = recorded(tmp_path / "a.mcap", work)
     assert (result["messages"], result["lost"]) == (1, 4)
-    assert header(tmp_path / "a.mcap").outcome == {
+    assert read_header(tmp_path / "a.mcap").outcome == {
         "lost": "4",
         "missed": "0",
         "ended": "its flight has ended",
@@ -258,23 +249,23 @@ def test_what_the_network_did_not_bring_is_counted(tmp_path):
 
     async def work(clock, bus):
         state, link = encode(State.at((0, 0, 0))), encode(LinkStatus("up"))
-        say = bus.ports[OBSERVER].deliver
+        say = bus.ports[PORT_ADDRESSES.first_observer].deliver
         for number in (7, 8, 11, 1, 2, 4):  # 9, 10 and 3 are not there
-            say(STATE.number, 0, state, number, "", 0, 0.0)
-        say(STATE.number, 1, state, 100, "", 0, 0.0)
-        say(STATE.number, 1, state, 101, "", 0, 0.0)
+            say(DRONE_TOPICS.state.number, 0, state, number, "", 0, 0.0)
+        say(DRONE_TOPICS.state.number, 1, state, 100, "", 0, 0.0)
+        say(DRONE_TOPICS.state.number, 1, state, 101, "", 0, 0.0)
         for number in (0, 3, 4):
-            say(LINK.number, 1, link, number, "", 0, 0.0)
+            say(DRONE_TOPICS.link.number, 1, link, number, "", 0, 0.0)
 
     path = tmp_path / "a.mcap"
-    result = recorded(path, work, OBSERVER)
+    result = recorded(path, work, PORT_ADDRESSES.first_observer)
     assert (result["messages"], result["lost"], result["missed"]) == (11, 0, 3)
-    assert header(path).lacks == {"complete": True, "lost": 0, "missed": 3}
+    assert read_header(path).lacks == {"complete": True, "lost": 0, "missed": 3}
 
 
 def test_a_full_disk_ends_the_recording_not_the_flight(tmp_path, monkeypatch, caplog):
     async def work(clock, bus):
-        bus.ports[0].publish(LOG, "one")
+        bus.ports[0].publish(DRONE_TOPICS.log, "one")
         await clock.sleep(1.0)
         monkeypatch.setattr(
             RecordingFile,
@@ -282,7 +273,7 @@ def test_a_full_disk_ends_the_recording_not_the_flight(tmp_path, monkeypatch, ca
             lambda self, sync: setattr(self, "error", "No space left"),
         )
         for _ in range(3):
-            bus.ports[0].publish(LOG, "two")
+            bus.ports[0].publish(DRONE_TOPICS.log, "two")
             await clock.sleep(1.0)
 
     result = recorded(tmp_path / "a.mcap", work)
@@ -313,7 +304,7 @@ def test_a_disk_that_hangs_holds_nobody_up(tmp_path, monkeypatch):
     async def work(clock, bus):
         async for due_ns in clock.ticks(100.0):
             late.append((clock.now_ns() - due_ns) / 1e9)
-            bus.ports[0].publish(POSE, VALUES[POSE])
+            bus.ports[0].publish(DRONE_TOPICS.pose, VALUES[DRONE_TOPICS.pose])
             if len(late) == 90:
                 break
 

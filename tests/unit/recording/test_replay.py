@@ -10,11 +10,11 @@ from crazychoir.agent.agent import Agent
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.guidance import CFGuidance
-from crazychoir.recording.mcap.file import Entry, RecordingFile, Series
-from crazychoir.recording.mcap.messages import MESSAGES, packer
-from crazychoir.recording.replay import states_of
+from crazychoir.recording.mcap.file import RecordingEntry, RecordingFile, Series
+from crazychoir.recording.mcap.messages import MESSAGE_BY_VALUE_TYPE, make_packer
+from crazychoir.recording.replay import replayed_states
 from crazychoir.runtime.clock import run_virtual
-from crazychoir.simulation.engines import worlds
+from crazychoir.simulation.engines import make_worlds
 from crazychoir.types import FPQR, State
 
 DT = 0.01
@@ -31,15 +31,15 @@ def recorded(path, topic=State, name="truth", drone=4):
     """A flight of two seconds along x, with its truth at 20 Hz, from 0.3 s after the begin of the recording on."""
     file = RecordingFile(path, {"version": "1"}, "{}", False)
     series, other = (
-        Series(drone, name, MESSAGES[topic]),
-        Series(2, "truth", MESSAGES[State]),
+        Series(drone, name, MESSAGE_BY_VALUE_TYPE[topic]),
+        Series(2, "truth", MESSAGE_BY_VALUE_TYPE[State]),
     )
-    pack, also = packer(series.message, drone), packer(other.message, 2)
-    entries = [Entry(other, 0, 0, also(State.at((9, 9, 9)), 0))]
+    pack, also = make_packer(series.message, drone), make_packer(other.message, 2)
+    entries = [RecordingEntry(other, 0, 0, also(State.at((9, 9, 9)), 0))]
     for k in range(41):
         t, ns = 0.05 * k, round(1e9 * (0.3 + 0.05 * k))
         state = State.at((np.sin(t), 0, 1), (np.cos(t), 0, 0))
-        entries.append(Entry(series, ns, ns, pack(state, ns)))
+        entries.append(RecordingEntry(series, ns, ns, pack(state, ns)))
     file.write(entries)
     file.close()
     return path
@@ -52,7 +52,7 @@ def swarm(uri, home):
 
 def test_a_body_follows_its_table_and_stays_where_it_ends(table):
     config = swarm(f"replay://{table}", [1, 0, 0])
-    _, world = worlds(config, config.ids)
+    _, world = make_worlds(config, config.ids)
     assert world.ids == (4,)
     seen = []
     for _ in range(250):
@@ -67,7 +67,7 @@ def test_a_body_follows_its_table_and_stays_where_it_ends(table):
 
 def test_it_obeys_nothing_and_nobody_has_to_bring_it_down(table):
     config = swarm(f"replay://{table}", [1, 0, 0])
-    one, other = worlds(config, (4,))[0], worlds(config, (4,))[0]
+    one, other = make_worlds(config, (4,))[0], make_worlds(config, (4,))[0]
     link = one.link(4, "fpqr")
     for _ in range(100):
         link.send(FPQR(np.array([9.0, 9.0, 9.0, 9.0])))
@@ -82,7 +82,7 @@ def test_it_obeys_nothing_and_nobody_has_to_bring_it_down(table):
 
 def test_the_truth_of_a_recorded_flight_is_joined_by_its_velocities(tmp_path):
     path = recorded(tmp_path / "a.mcap")
-    x = states_of(f"replay://{path}?drone=4", 0, DT)
+    x = replayed_states(f"replay://{path}?drone=4", 0, DT)
     np.testing.assert_array_equal(x[:30, 0:3], np.tile([0, 0, 1], (30, 1)))
     t = np.arange(31, 220) * DT - 0.3
     np.testing.assert_allclose(x[31:220, 0], np.sin(t), atol=1e-6)
@@ -107,7 +107,7 @@ def test_what_cannot_be_followed_is_refused(tmp_path, table, uri, says):
     recorded(tmp_path / "a.mcap")
     config = swarm(uri.format(tmp_path), [2, 0, 0])
     with pytest.raises(ConfigError, match=says):
-        worlds(config, config.ids)
+        make_worlds(config, config.ids)
 
 
 # Times in other units than s -----------------------------------------------------------------------------------------
@@ -134,20 +134,20 @@ def test_times_in_another_unit_are_refused_with_line_and_unit(
     path = tmp_path / "b.csv"
     path.write_text(rows(factor, origin))
     with pytest.raises(ConfigError, match=said):
-        states_of(f"replay://{path}", 0, DT)
+        replayed_states(f"replay://{path}", 0, DT)
 
 
 def test_clock_that_was_set_within_a_table_is_refused(tmp_path):
     path = tmp_path / "b.csv"
     path.write_text("t,x,y,z\n0,1,0,0\n1,1,0,0\n1790000000,1,0,0\n")
     with pytest.raises(ConfigError, match=r"line 4: .*after the row before"):
-        states_of(f"replay://{path}", 0, DT)
+        replayed_states(f"replay://{path}", 0, DT)
 
 
 def test_samples_written_by_hand_may_be_far_from_each_other(tmp_path):
     path = tmp_path / "b.csv"
     path.write_text("t,x,y,z\n0,1,0,0\n10,1,0,0\n20,1,0,1\n")
-    assert len(states_of(f"replay://{path}", 0, 1.0)) == 21
+    assert len(replayed_states(f"replay://{path}", 0, 1.0)) == 21
 
 
 # A mission of a drone that obeys nothing ------------------------------------------------------------------------------

@@ -5,10 +5,14 @@ import asyncio
 import numpy as np
 import pytest
 
-from crazychoir.bus.port import BODIES, OBSERVER, Bus
-from crazychoir.bus.topics import COMMAND, STATE, STATUS, TRUTH
-from crazychoir.recording.mcap.file import Entry, RecordingFile, Series
-from crazychoir.recording.mcap.messages import MESSAGES, Exchanged, packer
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.recording.mcap.file import RecordingEntry, RecordingFile, Series
+from crazychoir.recording.mcap.messages import (
+    MESSAGE_BY_VALUE_TYPE,
+    Exchanged,
+    make_packer,
+)
 from crazychoir.recording.replayer import Replayer
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.runtime.mailbox import Call
@@ -24,7 +28,7 @@ def path(tmp_path):
     path = tmp_path / "a.mcap"
     file, entries = RecordingFile(path, {"version": "1"}, "{}", False), []
     series = {
-        name: Series(3, name, MESSAGES[kind])
+        name: Series(3, name, MESSAGE_BY_VALUE_TYPE[kind])
         for name, kind in (
             ("state", State),
             ("truth", State),
@@ -35,18 +39,20 @@ def path(tmp_path):
     for k in range(41):
         ns = BEGAN + k * STEP
         for name in ("state", "truth"):
-            data = packer(series[name].message, 3)(State.at((k, 0, 0)), ns - 10_000_000)
-            entries.append(Entry(series[name], ns, ns - 10_000_000, data))
+            data = make_packer(series[name].message, 3)(
+                State.at((k, 0, 0)), ns - 10_000_000
+            )
+            entries.append(RecordingEntry(series[name], ns, ns - 10_000_000, data))
     entries.append(
-        Entry(
+        RecordingEntry(
             series["status"],
             ns,
             ns,
-            packer(series["status"].message, 3)(Status("landing"), ns),
+            make_packer(series["status"].message, 3)(Status("landing"), ns),
         )
     )
-    data = packer(series["round"].message, 3)(Exchanged(1, 2, 0, "sum", b""), ns)
-    entries.append(Entry(series["round"], ns, ns, data))
+    data = make_packer(series["round"].message, 3)(Exchanged(1, 2, 0, "sum", b""), ns)
+    entries.append(RecordingEntry(series["round"], ns, ns, data))
     file.write(entries)
     file.close()
     return path
@@ -55,8 +61,8 @@ def path(tmp_path):
 def listening(clock, source=lambda topic, i: i):
     """A bus on which an observer hears drone 3; what it hears: (s, topic, value, age)."""
     bus, heard = Bus(clock), []
-    bus.port(OBSERVER + 1)
-    for topic in (STATE, STATUS, TRUTH):
+    bus.port(PORT_ADDRESSES.first_observer + 1)
+    for topic in (DRONE_TOPICS.state, DRONE_TOPICS.status, DRONE_TOPICS.truth):
         bus.port(source(topic, 3))
         box = Call(
             clock,
@@ -64,7 +70,7 @@ def listening(clock, source=lambda topic, i: i):
                 (clock.now(), topic.name, value, age)
             ),
         )
-        bus.subscribe(topic, source(topic, 3), OBSERVER + 1, box)
+        bus.subscribe(topic, source(topic, 3), PORT_ADDRESSES.first_observer + 1, box)
     return bus, heard
 
 
@@ -122,13 +128,13 @@ def test_all_types_of_a_topic_are_said_on_it_by_drones_that_nobody_has_opened(tm
         ("command", FPQR(np.arange(4.0))),
         ("command/vel", Vel(np.arange(4.0) + 5.0)),
     ):
-        series = Series(3, name, MESSAGES[type(value)])
+        series = Series(3, name, MESSAGE_BY_VALUE_TYPE[type(value)])
         entries.append(
-            Entry(
+            RecordingEntry(
                 series,
                 BEGAN,
                 BEGAN + STEP,
-                packer(series.message, 3)(value, BEGAN + STEP),
+                make_packer(series.message, 3)(value, BEGAN + STEP),
             )
         )
     file.write(entries)
@@ -136,11 +142,11 @@ def test_all_types_of_a_topic_are_said_on_it_by_drones_that_nobody_has_opened(tm
 
     async def main(clock):
         bus, heard = Bus(clock), []
-        bus.port(OBSERVER + 1)
+        bus.port(PORT_ADDRESSES.first_observer + 1)
         bus.subscribe(
-            COMMAND,
+            DRONE_TOPICS.command,
             3,
-            OBSERVER + 1,
+            PORT_ADDRESSES.first_observer + 1,
             Call(clock, lambda value, age: heard.append((value, age))),
         )
         await Replayer(bus, path).run()
@@ -158,10 +164,18 @@ def test_all_types_of_a_topic_are_said_on_it_by_drones_that_nobody_has_opened(tm
 def test_where_it_was_said(path):
     async def main(clock):
         bus, heard = listening(
-            clock, lambda topic, i: BODIES + i if topic is TRUTH else i
+            clock,
+            lambda topic, i: (
+                PORT_ADDRESSES.body_offset + i if topic is DRONE_TOPICS.truth else i
+            ),
         )
         await Replayer(
-            bus, path, 10.0, source=lambda topic, i: BODIES + i if topic is TRUTH else i
+            bus,
+            path,
+            10.0,
+            source=lambda topic, i: (
+                PORT_ADDRESSES.body_offset + i if topic is DRONE_TOPICS.truth else i
+            ),
         ).run()
         assert {topic for _, topic, *_ in heard} == {"state", "truth", "status"}
 

@@ -9,18 +9,18 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from crazychoir.errors import InstanceError, SolverError
-from crazychoir.routing.distributed.master import Pool, partition
-from crazychoir.routing.distributed.member import Settings
-from crazychoir.routing.distributed.pickup_delivery import METHODS
+from crazychoir.routing.distributed.master import ColumnPool, find_partition
+from crazychoir.routing.distributed.member import RoutingSettings
+from crazychoir.routing.distributed.pickup_delivery import PLANNING_METHODS
 from crazychoir.routing.distributed.plain_loop import solve_in_loop
-from crazychoir.routing.instance.checker import check
+from crazychoir.routing.instance.checker import check_plan
 from crazychoir.routing.instance.generate import random_instance
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.pricing.arc_flow import solve_compact
 from crazychoir.routing.pricing.route_table import RouteTable
 
 TOLERANCE = 1e-6
-QUICK = Settings(price_rounds=8)
+QUICK = RoutingSettings(price_rounds=8)
 
 
 @st.composite
@@ -82,7 +82,7 @@ def least_cost(instance):
         if "Infeasible" not in str(error):
             raise
         return None
-    assert check(instance, plan) == []
+    assert check_plan(instance, plan) == []
     return plan.cost
 
 
@@ -117,7 +117,7 @@ def test_the_plan_is_feasible_optimal_and_proven(raw, weak):
         return
     optimum, graph = least_cost(instance), path(instance.robots)
     options = (
-        Settings(price_rounds=1, batch=1, first_gap=0.001, most_shared=1)
+        RoutingSettings(price_rounds=1, batch=1, first_gap=0.001, most_shared=1)
         if weak
         else QUICK
     )
@@ -126,7 +126,7 @@ def test_the_plan_is_feasible_optimal_and_proven(raw, weak):
             solve_in_loop(instance, graph, settings=options)
         return
     solution = solve_in_loop(instance, graph, settings=options)
-    assert check(instance, solution.plan) == []
+    assert check_plan(instance, solution.plan) == []
     assert solution.cost == pytest.approx(optimum, abs=TOLERANCE)
     assert solution.bound_exact
     assert solution.lower_bound <= optimum + TOLERANCE
@@ -155,7 +155,9 @@ def test_claims_end_in_a_feasible_plan_or_a_refusal_and_their_bound_is_one(
         return
     optimum, graph = least_cost(instance), path(instance.robots)
     try:
-        solution = solve_in_loop(instance, graph, method, Settings(price_rounds=rounds))
+        solution = solve_in_loop(
+            instance, graph, method, RoutingSettings(price_rounds=rounds)
+        )
     except SolverError as refusal:
         # Without a limit every route can take one task more.
         if "use the method columns" not in str(refusal) or np.isinf(
@@ -164,7 +166,7 @@ def test_claims_end_in_a_feasible_plan_or_a_refusal_and_their_bound_is_one(
             raise
         return
     assert optimum is not None
-    assert check(instance, solution.plan) == []
+    assert check_plan(instance, solution.plan) == []
     assert solution.bound_exact
     assert solution.lower_bound <= optimum + TOLERANCE
     assert optimum <= solution.cost + TOLERANCE
@@ -181,13 +183,13 @@ def test_any_common_prices_give_a_lower_bound(raw, prices):
     tables = [RouteTable(instance.local(i).vehicle) for i in range(instance.robots)]
     assert all(table.complete and table.least(pi) <= 0.0 for table in tables)
     assert pi.sum() + sum(table.least(pi) for table in tables) <= optimum + TOLERANCE
-    pool = Pool(len(pi))
+    pool = ColumnPool(len(pi))
     for i, table in enumerate(tables):
         pool.add(i, [table.column(c) for c in range(1, len(table))])
     assert pool.relax(np.full(len(pi), 1e4)).value <= optimum + TOLERANCE
-    assert partition(pool.items(), len(pi), seed=0, nodes=1000).cost == pytest.approx(
-        optimum, abs=TOLERANCE
-    )
+    assert find_partition(
+        pool.items(), len(pi), seed=0, nodes=1000
+    ).cost == pytest.approx(optimum, abs=TOLERANCE)
 
 
 @settings(max_examples=40, deadline=None, derandomize=True)
@@ -215,7 +217,7 @@ def test_a_robot_whose_shares_have_gone_still_claims_what_nobody_else_can_do():
     }
     homes = [[0.0, 0.0], [300.0, 0.0]]
     instance = Instance.parse({"home": homes, **goods, "capability": [[False], [True]]})
-    for method in METHODS[1:]:
+    for method in PLANNING_METHODS[1:]:
         solution = solve_in_loop(instance, {0: [1], 1: [0]}, method)
         assert [route.robot for route in solution.routes] == [1]
         assert solution.cost == pytest.approx(
@@ -301,9 +303,9 @@ def test_a_search_that_ends_early_does_not_claim_that_there_is_no_plan():
         for c in range(1, len(table))
     ]
     lonely = [(i, column) for i, column in columns if 0 not in column.tasks]
-    assert partition(lonely, 5, seed=0, nodes=100).bound == np.inf
-    assert partition(columns, 5, seed=0, nodes=100).bound < np.inf
-    cut = Settings(most_labels=8)
+    assert find_partition(lonely, 5, seed=0, nodes=100).bound == np.inf
+    assert find_partition(columns, 5, seed=0, nodes=100).bound < np.inf
+    cut = RoutingSettings(most_labels=8)
     with pytest.raises(SolverError, match="no plan found: route tables were cut"):
         solve_in_loop(
             random_instance(1, 5, seed=4, capacities=(9, 9)),

@@ -9,11 +9,8 @@ from virtual_time import virtual
 from crazychoir.errors import Deadlock, Livelock
 from crazychoir.runtime import clock as clock_module
 from crazychoir.runtime.clock import (
-    MESSAGE,
-    SECOND,
-    TICK,
-    TIMEOUT,
-    WORLD,
+    NS_PER_SECOND,
+    AlarmPriority,
     run_virtual,
     run_wall,
 )
@@ -25,13 +22,13 @@ MS = 1_000_000
 @virtual
 async def test_alarms_go_by_time_priority_drone_and_sequence(clock):
     wanted = [
-        (1, TIMEOUT, 9),
-        (2, WORLD, 5),
-        (2, TICK, -1),
-        (2, TICK, 3),
-        (2, TICK, 4),
-        (2, MESSAGE, 0),
-        (3, WORLD, 0),
+        (1, AlarmPriority.TIMEOUT, 9),
+        (2, AlarmPriority.WORLD, 5),
+        (2, AlarmPriority.TICK, -1),
+        (2, AlarmPriority.TICK, 3),
+        (2, AlarmPriority.TICK, 4),
+        (2, AlarmPriority.MESSAGE, 0),
+        (3, AlarmPriority.WORLD, 0),
     ]
     seen = []
     for when, priority, drone in [wanted[k] for k in (3, 6, 0, 5, 4, 1, 2)]:
@@ -187,7 +184,7 @@ async def test_ticks_are_on_a_grid_and_missed_ones_are_skipped(clock):
     await clock.sleep(0.5)
     ticks, seen = clock.ticks(100), []
     async for due in ticks:
-        seen.append(((due - SECOND // 2) // MS, clock.now_ns() // MS - 500))
+        seen.append(((due - NS_PER_SECOND // 2) // MS, clock.now_ns() // MS - 500))
         if len(seen) == 2:
             await clock.sleep(0.035)
         if len(seen) == 5:
@@ -239,7 +236,7 @@ def test_an_error_of_the_program_comes_out():
 def test_a_sleep_in_real_time_is_never_early():
     async def main(clock):
         async def one(seconds):
-            wanted = time.monotonic_ns() + round(seconds * SECOND)
+            wanted = time.monotonic_ns() + round(seconds * NS_PER_SECOND)
             await clock.sleep(seconds)
             late.append(time.monotonic_ns() - wanted)
 
@@ -269,7 +266,12 @@ def test_an_earlier_alarm_is_not_kept_waiting_by_a_later_one():
 def test_due_alarms_of_real_time_go_in_the_same_order_as_in_virtual_time(caplog):
     async def main(clock):
         seen, when = [], clock.now_ns()
-        for priority, drone in [(TIMEOUT, 0), (TICK, 2), (TICK, 1), (WORLD, 7)]:
+        for priority, drone in [
+            (AlarmPriority.TIMEOUT, 0),
+            (AlarmPriority.TICK, 2),
+            (AlarmPriority.TICK, 1),
+            (AlarmPriority.WORLD, 7),
+        ]:
             clock.call_at(
                 when, seen.append, (priority, drone), priority=priority, drone=drone
             )
@@ -277,7 +279,12 @@ def test_due_alarms_of_real_time_go_in_the_same_order_as_in_virtual_time(caplog)
         await clock.sleep(0.002)
         return seen
 
-    assert run_wall(main) == [(WORLD, 7), (TICK, 1), (TICK, 2), (TIMEOUT, 0)]
+    assert run_wall(main) == [
+        (AlarmPriority.WORLD, 7),
+        (AlarmPriority.TICK, 1),
+        (AlarmPriority.TICK, 2),
+        (AlarmPriority.TIMEOUT, 0),
+    ]
     assert caplog.text == ""
 
 

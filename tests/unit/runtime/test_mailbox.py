@@ -5,9 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from virtual_time import virtual
 
-from crazychoir.bus.topics import LOG, STATE
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.runtime.clock import run_virtual
-from crazychoir.runtime.mailbox import Block, DropOldest, Latest
+from crazychoir.runtime.mailbox import BlockingQueue, DropOldest, Latest
 
 
 @virtual
@@ -131,7 +131,7 @@ async def test_drop_oldest_waits_when_empty(clock):
 
 @virtual
 async def test_block_lets_its_sender_wait(clock):
-    box, times = Block(clock, size=2), []
+    box, times = BlockingQueue(clock, size=2), []
 
     async def send():
         for k in range(4):
@@ -151,7 +151,7 @@ async def test_block_lets_its_sender_wait(clock):
 
 @virtual
 async def test_block_forgets_and_lets_waiting_senders_in(clock):
-    box = Block(clock, size=1)
+    box = BlockingQueue(clock, size=1)
     box.put("old")
     sender = asyncio.create_task(box.put_wait("new"))
     await clock.sleep(0.01)
@@ -173,10 +173,16 @@ async def test_a_cancelled_reader_does_not_take_the_next_message_with_it(clock):
 
 @virtual
 async def test_the_table_says_which_mailbox_a_topic_has(clock):
-    latest, queue = STATE.mailbox(clock, "drone 1 "), LOG.mailbox(clock)
+    latest, queue = (
+        DRONE_TOPICS.state.mailbox(clock, "drone 1 "),
+        DRONE_TOPICS.log.mailbox(clock),
+    )
     assert isinstance(latest, Latest)
-    assert (latest.name, latest.max_age) == ("drone 1 state", STATE.max_age)
+    assert (latest.name, latest.max_age) == (
+        "drone 1 state",
+        DRONE_TOPICS.state.max_age,
+    )
     assert isinstance(queue, DropOldest)
-    for k in range(LOG.queue + 1):
+    for k in range(DRONE_TOPICS.log.queue + 1):
         queue.put(str(k))
-    assert (queue.dropped, len(queue.take())) == (1, LOG.queue)
+    assert (queue.dropped, len(queue.take())) == (1, DRONE_TOPICS.log.queue)

@@ -4,7 +4,12 @@ import logging
 import pytest
 from virtual_time import virtual
 
-from crazychoir.runtime.actor import NEVER, ON_FAILURE, Actor, Restart
+from crazychoir.runtime.actor import (
+    NEVER_RESTART,
+    RESTART_ON_FAILURE,
+    Actor,
+    RestartPolicy,
+)
 from crazychoir.runtime.clock import run_virtual, run_wall
 from crazychoir.runtime.supervisor import STOP_DEADLINE, Supervisor
 
@@ -12,7 +17,9 @@ from crazychoir.runtime.supervisor import STOP_DEADLINE, Supervisor
 class Part(Actor):
     """Writes its life into `diary`; its run is `work`, or waiting for ever."""
 
-    def __init__(self, clock, diary, name, work=None, restart=NEVER, stopping=0.0):
+    def __init__(
+        self, clock, diary, name, work=None, restart=NEVER_RESTART, stopping=0.0
+    ):
         self.clock, self.diary, self.name, self.work, self.restart = (
             clock,
             diary,
@@ -160,7 +167,9 @@ async def test_restarts_back_off_and_are_bounded_in_a_window(clock):
     supervisor = Supervisor(
         clock, "drone 3", lambda actor, error, again: heard.append(again)
     )
-    part = Part(clock, diary, "a", fail, Restart(limit=3, window=10.0, backoff=0.1))
+    part = Part(
+        clock, diary, "a", fail, RestartPolicy(limit=3, window=10.0, backoff=0.1)
+    )
     await supervisor.run([part])
     assert [when for when, _, event in diary if event == "runs"] == [0.0, 0.1, 0.3, 0.7]
     assert [when for when, _, event in diary if event == "restarts"] == [0.1, 0.3, 0.7]
@@ -184,7 +193,7 @@ async def test_failures_outside_the_window_are_forgotten(clock):
                 diary,
                 "a",
                 fail_later,
-                Restart(limit=2, window=10.0, backoff=0.5),
+                RestartPolicy(limit=2, window=10.0, backoff=0.5),
             )
         ]
     )
@@ -204,7 +213,11 @@ async def test_on_failure_is_a_restart_and_the_default_is_none(clock):
         if run == 1:
             raise ValueError
 
-    for restart, runs in [(ON_FAILURE, 2), (NEVER, 1), (Actor.restart, 1)]:
+    for restart, runs in [
+        (RESTART_ON_FAILURE, 2),
+        (NEVER_RESTART, 1),
+        (Actor.restart, 1),
+    ]:
         part = Part(clock, [], "a", fail_once, restart)
         await Supervisor(clock, "drone 3").run([part])
         assert part.runs == runs
@@ -215,7 +228,15 @@ async def test_a_stop_during_the_backoff_is_heeded(clock):
     diary, supervisor = [], Supervisor(clock, "drone 3")
     clock.call_at(1_000_000_000, supervisor.stop)
     await supervisor.run(
-        [Part(clock, diary, "a", fail, Restart(limit=3, window=99.0, backoff=50.0))]
+        [
+            Part(
+                clock,
+                diary,
+                "a",
+                fail,
+                RestartPolicy(limit=3, window=99.0, backoff=50.0),
+            )
+        ]
     )
     assert (clock.now(), len(events(diary, "runs")), len(events(diary, "stopped"))) == (
         1.0,
@@ -234,7 +255,7 @@ async def test_an_actor_that_fails_while_it_is_stopped_is_not_started_again(cloc
 
     diary, supervisor = [], Supervisor(clock, "drone 3")
     clock.call_at(1_000_000_000, supervisor.stop)
-    await supervisor.run([Part(clock, diary, "a", stumble, ON_FAILURE)])
+    await supervisor.run([Part(clock, diary, "a", stumble, RESTART_ON_FAILURE)])
     assert (clock.now(), events(diary, "runs", "restarts")) == (1.0, [("a", "runs")])
 
 
@@ -264,7 +285,7 @@ async def test_errors_of_on_restart_and_of_the_listener_stay_inside(clock):
         raise LookupError("listener")
 
     diary, heard, supervisor = [], [], Supervisor(clock, "drone 3", listener)
-    clumsy = Clumsy(clock, diary, "a", fail, Restart(limit=1))
+    clumsy = Clumsy(clock, diary, "a", fail, RestartPolicy(limit=1))
     other = Part(clock, diary, "b")
     clock.call_at(1_000_000_000, supervisor.stop)
     await supervisor.run([clumsy, other])
@@ -339,7 +360,10 @@ async def test_only_cancellation_reaches_a_task_group_around_it(clock):
         other = group.create_task(clock.sleep(3.0))
         supervisor = Supervisor(clock, "drone 3")
         await supervisor.run(
-            [Part(clock, diary, "a", fail), Part(clock, diary, "b", fail, ON_FAILURE)]
+            [
+                Part(clock, diary, "a", fail),
+                Part(clock, diary, "b", fail, RESTART_ON_FAILURE),
+            ]
         )
     assert not other.cancelled()
     assert clock.now() >= 3.0
@@ -367,7 +391,7 @@ def test_in_real_time(caplog):
         await supervisor.run(
             [
                 Part(clock, diary, "a"),
-                Part(clock, diary, "b", fail, Restart(2, 9.0, 0.002)),
+                Part(clock, diary, "b", fail, RestartPolicy(2, 9.0, 0.002)),
             ]
         )
 

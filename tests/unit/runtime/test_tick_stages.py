@@ -5,12 +5,12 @@ import asyncio
 import pytest
 from virtual_time import virtual
 
-from crazychoir.runtime.tick_stages import Stages
+from crazychoir.runtime.tick_stages import TickStages
 
 
 @virtual
 async def test_stages_come_one_after_the_other_in_whatever_order_they_were_added(clock):
-    stages, done = Stages(clock), []
+    stages, done = TickStages(clock), []
     for drone in (1, 2):
         stages.act.append(lambda drone=drone: done.append(("act", drone)))
         stages.say.append(lambda drone=drone: done.append(("say", drone)))
@@ -21,7 +21,7 @@ async def test_stages_come_one_after_the_other_in_whatever_order_they_were_added
 
 @virtual
 async def test_what_a_stage_adds_is_done_in_the_same_pass_and_once(clock):
-    stages, done = Stages(clock), []
+    stages, done = TickStages(clock), []
 
     def say():
         done.append("say")
@@ -37,7 +37,7 @@ async def test_what_a_stage_adds_is_done_in_the_same_pass_and_once(clock):
 
 @virtual
 async def test_what_is_added_to_a_stage_that_is_over_is_done_in_the_next_pass(clock):
-    stages, done = Stages(clock), []
+    stages, done = TickStages(clock), []
 
     def act():
         stages.say.append(lambda: done.append(clock.now()))
@@ -51,7 +51,7 @@ async def test_what_is_added_to_a_stage_that_is_over_is_done_in_the_next_pass(cl
 
 @virtual
 async def test_an_error_that_escapes_keeps_nobody_from_acting_and_is_raised(clock):
-    stages, done = Stages(clock), []
+    stages, done = TickStages(clock), []
 
     def fails(what):
         raise ValueError(what)

@@ -1,6 +1,7 @@
 """User code that does not return: interrupted in virtual time, in hooks, and between two awaits of a mission."""
 
 import asyncio
+import dataclasses
 import re
 import time
 from types import SimpleNamespace
@@ -12,10 +13,14 @@ from crazychoir.errors import ConfigError, Hung
 from crazychoir.guidance import user_hook as hooked
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import CFGuidance
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 from crazychoir.launch.flight import fly_fast
 from crazychoir.runtime import user_code_guard as hanging
-from crazychoir.runtime.user_code_guard import Guarded, HangWatch, limited
+from crazychoir.runtime.user_code_guard import (
+    GuardedCoroutine,
+    HangWatch,
+    limit_duration,
+)
 
 BRISK = {
     "takeoff_height": 0.3,
@@ -28,7 +33,11 @@ BRISK = {
 @pytest.fixture
 def hasty(monkeypatch):
     """What may take minutes may take a fifth of a second here."""
-    monkeypatch.setattr(hanging, "LOOK", 0.02)
+    monkeypatch.setattr(
+        hanging,
+        "USER_CODE_TIMES",
+        dataclasses.replace(hanging.USER_CODE_TIMES, check_interval=0.02),
+    )
     for name in ("STEP", "MISSION"):
         monkeypatch.setattr(hanging, name, 0.2)
 
@@ -39,11 +48,11 @@ def forever():
 
 
 def test_code_that_is_limited_ends_in_time_or_is_interrupted():
-    with limited(5.0, "a hook"):
+    with limit_duration(5.0, "a hook"):
         done = 1 + 1
     assert done == 2
     began = time.perf_counter()
-    with pytest.raises(Hung), limited(0.1, "a hook"):
+    with pytest.raises(Hung), limit_duration(0.1, "a hook"):
         forever()
     assert time.perf_counter() - began < 3.0
 
@@ -51,8 +60,16 @@ def test_code_that_is_limited_ends_in_time_or_is_interrupted():
 def test_who_computes_for_long_is_named_with_the_place_before_it_is_given_up(
     hasty, monkeypatch, caplog
 ):
-    monkeypatch.setattr(hanging, "SAID", 0.1)
-    monkeypatch.setattr(hanging, "STEP", 0.6)
+    monkeypatch.setattr(
+        hanging,
+        "USER_CODE_TIMES",
+        dataclasses.replace(hanging.USER_CODE_TIMES, first_report=0.1),
+    )
+    monkeypatch.setattr(
+        hanging,
+        "USER_CODE_TIMES",
+        dataclasses.replace(hanging.USER_CODE_TIMES, step_limit=0.6),
+    )
     config = default_swarm(3).replace(flight=BRISK)
     fly_fast(config, SimpleNamespace(guidance=lambda i, config: Law(i, forever)))
     said = [text for text in caplog.messages if "has computed" in text]
@@ -78,11 +95,15 @@ def test_a_guarded_coroutine_is_the_same_as_a_bare_one():
     async def outer():
         with HangWatch() as watch:
             assert (
-                await Guarded(inner(False), watch, "drone 0 guidance", lambda: True)
+                await GuardedCoroutine(
+                    inner(False), watch, "drone 0 guidance", lambda: True
+                )
                 == 42
             )
             with pytest.raises(ValueError, match="no"):
-                await Guarded(inner(True), watch, "drone 0 guidance", lambda: False)
+                await GuardedCoroutine(
+                    inner(True), watch, "drone 0 guidance", lambda: False
+                )
 
             async def waits():
                 try:
@@ -92,7 +113,7 @@ def test_a_guarded_coroutine_is_the_same_as_a_bare_one():
                     raise
 
             async def runs():
-                await Guarded(waits(), watch, "drone 0 guidance", lambda: True)
+                await GuardedCoroutine(waits(), watch, "drone 0 guidance", lambda: True)
 
             task = asyncio.create_task(runs())
             await asyncio.sleep(0.01)
@@ -158,7 +179,11 @@ def test_in_virtual_time_the_drone_of_code_that_hangs_or_raises_lands_and_the_ot
 def test_a_hook_or_a_file_that_does_not_end_is_said_with_its_line(
     tmp_path, monkeypatch, hook
 ):
-    monkeypatch.setattr(hooked, "HOOK", 0.2)
+    monkeypatch.setattr(
+        hooked,
+        "USER_CODE_TIMES",
+        dataclasses.replace(hooked.USER_CODE_TIMES, hook_limit=0.2),
+    )
     monkeypatch.setattr("crazychoir.guidance.mission.HOOK", 0.2)
     path = tmp_path / "mine.py"
     loop = "    while True:\n        pass\n"
@@ -172,12 +197,12 @@ def test_a_hook_or_a_file_that_does_not_end_is_said_with_its_line(
     )
     config = default_swarm(1)
     if hook == "report":
-        found = load(str(path)).report(config, {})
+        found = load_mission(str(path)).report(config, {})
         assert found["success"] is False
         said = found["reasons"][0]
     else:
         with pytest.raises(ConfigError) as caught:
-            load(str(path)).guidance(0, config)
+            load_mission(str(path)).guidance(0, config)
         said = str(caught.value)
     assert "no end within 0.2 s" in said
     assert any(f"mine.py:{line}" in said for line in range(2, 8))

@@ -1,4 +1,5 @@
 import asyncio
+import dataclasses
 import signal
 import subprocess
 import sys
@@ -10,8 +11,8 @@ import pytest
 
 from crazychoir.errors import Hung
 from crazychoir.runtime import watchdog as watchdog_module
-from crazychoir.runtime.clock import SECOND, Clock, run_wall
-from crazychoir.runtime.watchdog import Guard, Stall, Watchdog
+from crazychoir.runtime.clock import NS_PER_SECOND, Clock, run_wall
+from crazychoir.runtime.watchdog import InterruptGuard, Stall, Watchdog
 
 pytestmark = pytest.mark.real_time
 
@@ -19,9 +20,21 @@ pytestmark = pytest.mark.real_time
 @pytest.fixture
 def quick(monkeypatch):
     """The watchdog of these tests has less patience."""
-    monkeypatch.setattr(watchdog_module, "LATE", 0.05)
-    monkeypatch.setattr(watchdog_module, "HAND_OVER", 0.10)
-    monkeypatch.setattr(watchdog_module, "INTERRUPT", 0.20)
+    monkeypatch.setattr(
+        watchdog_module,
+        "WATCHDOG_TIMES",
+        dataclasses.replace(watchdog_module.WATCHDOG_TIMES, report_delay=0.05),
+    )
+    monkeypatch.setattr(
+        watchdog_module,
+        "WATCHDOG_TIMES",
+        dataclasses.replace(watchdog_module.WATCHDOG_TIMES, hand_over_delay=0.10),
+    )
+    monkeypatch.setattr(
+        watchdog_module,
+        "WATCHDOG_TIMES",
+        dataclasses.replace(watchdog_module.WATCHDOG_TIMES, interrupt_limit=0.20),
+    )
 
 
 def watched(work, on_stall=lambda stall: None):
@@ -125,13 +138,20 @@ def test_a_loop_that_nobody_keeps_is_said_to_be_late_once_in_a_while(monkeypatch
     stalls = unserved(0.2, 0.2, 0.2)
     assert [stall.actor for stall in stalls] == [""]
     assert "keep_the_loop" in stalls[0].place
-    monkeypatch.setattr(watchdog_module, "QUIET", 0.0)
+    monkeypatch.setattr(
+        watchdog_module,
+        "WATCHDOG_TIMES",
+        dataclasses.replace(watchdog_module.WATCHDOG_TIMES, quiet_time=0.0),
+    )
     assert len(unserved(0.2, 0.2, 0.2)) == 3
 
 
 def test_a_loop_that_nobody_serves_for_long_is_reported_whenever_it_happens():
     stalls = unserved(0.2, 0.5, 0.5)
-    assert [stall.seconds >= watchdog_module.HAND_OVER for stall in stalls] == [
+    assert [
+        stall.seconds >= watchdog_module.WATCHDOG_TIMES.hand_over_delay
+        for stall in stalls
+    ] == [
         False,
         True,
         True,
@@ -151,9 +171,16 @@ def test_whoever_keeps_the_loop_a_little_is_named_once_in_a_while_and_counted(
     assert dog.stalls == 4, "each is counted"
     assert [stall.actor for stall in stalls] == ["drone 3 guidance"] * 2
     short, long = stalls
-    assert (short.more, long.seconds >= watchdog_module.HAND_OVER) == (0, True)
+    assert (
+        short.more,
+        long.seconds >= watchdog_module.WATCHDOG_TIMES.hand_over_delay,
+    ) == (0, True)
     assert str(long).endswith("(2 more since it was said last)")
-    monkeypatch.setattr(watchdog_module, "QUIET", 0.0)
+    monkeypatch.setattr(
+        watchdog_module,
+        "WATCHDOG_TIMES",
+        dataclasses.replace(watchdog_module.WATCHDOG_TIMES, quiet_time=0.0),
+    )
     stalls.clear()
     watched(work, stalls.append)
     assert len(stalls) == 5
@@ -296,8 +323,16 @@ class Stopwatch(Clock):
 
 def test_hung_never_lands_outside_the_guard(monkeypatch):
     """Another thread interrupts whenever it may; the regions are so short that it often comes too late."""
-    monkeypatch.setattr(watchdog_module, "INTERRUPT", 5e-6)
-    guard, here, ending = Guard(Stopwatch()), threading.get_ident(), threading.Event()
+    monkeypatch.setattr(
+        watchdog_module,
+        "WATCHDOG_TIMES",
+        dataclasses.replace(watchdog_module.WATCHDOG_TIMES, interrupt_limit=5e-6),
+    )
+    guard, here, ending = (
+        InterruptGuard(Stopwatch()),
+        threading.get_ident(),
+        threading.Event(),
+    )
 
     def interrupt():
         while not ending.is_set():
@@ -308,7 +343,7 @@ def test_hung_never_lands_outside_the_guard(monkeypatch):
     sys.setswitchinterval(1e-5)
     thread = threading.Thread(target=interrupt, daemon=True)
     thread.start()
-    ends = time.monotonic_ns() + 20 * SECOND
+    ends = time.monotonic_ns() + 20 * NS_PER_SECOND
     while inside < 300 and time.monotonic_ns() < ends:
         try:
             try:

@@ -20,7 +20,7 @@ from crazychoir.optimization.rounds.mixing import team
 from crazychoir.routing.instance.generate import random_instance
 from crazychoir.runtime.clock import run_virtual, run_wall
 from crazychoir.runtime.user_code_guard import HangWatch
-from crazychoir.solve.simulate import Interrupted, simulate
+from crazychoir.solve.simulate import SimulationInterrupted, simulate
 from crazychoir.solve.solving import solve_here
 from crazychoir.solve.team import solve_in_processes
 from crazychoir.team.graph import ring
@@ -183,7 +183,7 @@ def test_ctrl_c_ends_the_worker_and_gives_the_history_until_then(handler):
             signal.signal(signal.SIGINT, signal.default_int_handler)
         try:
             endless(seen)
-        except Interrupted as end:
+        except SimulationInterrupted as end:
             histories.append(end.history)
             raise
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from crazychoir.platforms import PAPER
+from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.simulation.delay import DelayedLink
 from crazychoir.simulation.lightweight.integrator import CFIntegrator
 from crazychoir.types import FPQR
@@ -33,7 +33,8 @@ def test_a_link_that_is_late_is_the_same_as_a_plant_that_is(steps):
     draw = np.random.default_rng(1)
     for _ in range(60):
         command = FPQR(
-            np.array([PAPER.weight, 0.0, 0.0, 0.0]) + 0.05 * draw.standard_normal(4)
+            np.array([PAPER_PLATFORM.weight, 0.0, 0.0, 0.0])
+            + 0.05 * draw.standard_normal(4)
         )
         late.link(0).send(command)
         link.send(command)

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from crazychoir.config import checks
-from crazychoir.config.checks import MOTORS, WORLDS
+from crazychoir.config.checks import WORLD_ENTRY_POINTS, WORLD_URIS
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.control.choice import SENDERS
+from crazychoir.control.choice import SENDERS_BY_KIND
 from crazychoir.control.senders import AccSender, DriveSender
 from crazychoir.errors import ConfigError
-from crazychoir.platforms import CRAZYFLIE_21, PAPER
+from crazychoir.platforms import CRAZYFLIE_21, PAPER_PLATFORM
 from crazychoir.simulation import engines
-from crazychoir.simulation.common.world import KINDS
-from crazychoir.simulation.engines import delay_steps, worlds
+from crazychoir.simulation.common.world import COMMAND_TYPES
+from crazychoir.simulation.engines import count_delay_steps, make_worlds
 from crazychoir.simulation.lightweight.integrator import CFIntegrator
 from crazychoir.types import FPQR
 
@@ -51,7 +51,7 @@ def installed(monkeypatch):
     module.toy, module.broken, module.strange = toy, broken, strange
     monkeypatch.setitem(sys.modules, "toys", module)
     found = EntryPoints(
-        EntryPoint(name, f"toys:{name}", WORLDS)
+        EntryPoint(name, f"toys:{name}", WORLD_ENTRY_POINTS)
         for name in ("toy", "broken", "strange")
     )
     for place in (engines, checks):
@@ -69,7 +69,7 @@ def test_a_package_brings_a_world(installed):
         world={"options": {"sticky": True}},
         motors={"wind": [0.5, 0.0, 0.0]},
     )
-    one, other = worlds(config, config.ids)
+    one, other = make_worlds(config, config.ids)
     assert (one.ids, other.ids) == ((0, 2), (1,))
     asked = one.setup
     assert (asked.ids, asked.uris, asked.seed, asked.dt) == (
@@ -79,7 +79,7 @@ def test_a_package_brings_a_world(installed):
         0.01,
     )
     assert asked.homes == ((0.0, 0.0, 0.0), (2.0, 0.0, 0.0))
-    assert (asked.yaws, asked.platforms) == ((0.0, 0.5), (PAPER, CRAZYFLIE_21))
+    assert (asked.yaws, asked.platforms) == ((0.0, 0.5), (PAPER_PLATFORM, CRAZYFLIE_21))
     assert (asked.options, asked.wind) == ({"sticky": True}, (0.5, 0.0, 0.0))
     assert config.owned == (0, 2)
 
@@ -105,16 +105,24 @@ def test_a_scheme_that_nobody_brings_is_refused_with_those_that_there_are(instal
 )
 def test_an_engine_that_does_not_work_is_named(installed, uri, said):
     with pytest.raises(ConfigError, match=said):
-        worlds(swarm({"uri": uri}), (0,))
+        make_worlds(swarm({"uri": uri}), (0,))
 
 
 def test_the_motor_level_world_gets_its_table(monkeypatch):
     module = ModuleType("fake")
     module.world = toy
     monkeypatch.setitem(sys.modules, "fake", module)
-    monkeypatch.setitem(engines.OURS, MOTORS, EntryPoint(MOTORS, "fake:world", WORLDS))
-    (world,) = worlds(
-        swarm({"uri": MOTORS}, {"uri": MOTORS}, motors={"battery": 0.5, "gusts": 0.2}),
+    monkeypatch.setitem(
+        engines.BUILT_IN_ENGINES,
+        WORLD_URIS.motor_level,
+        EntryPoint(WORLD_URIS.motor_level, "fake:world", WORLD_ENTRY_POINTS),
+    )
+    (world,) = make_worlds(
+        swarm(
+            {"uri": WORLD_URIS.motor_level},
+            {"uri": WORLD_URIS.motor_level},
+            motors={"battery": 0.5, "gusts": 0.2},
+        ),
         (0, 1),
     )
     assert world.setup.options["battery"] == 0.5
@@ -126,21 +134,24 @@ def test_lightweight_drones_of_several_platforms_fly_as_what_they_are():
     config = swarm(
         {}, {"platform": "cf21"}, {}, plant={"rate_lag": 0.0, "command_delay": 0.0}
     )
-    (made,) = worlds(config, config.ids)
-    assert made.platforms == (PAPER, CRAZYFLIE_21, PAPER)
-    (world,) = worlds(config, config.ids)
-    assert (world.ids, world.platforms) == ((0, 1, 2), (PAPER, CRAZYFLIE_21, PAPER))
+    (made,) = make_worlds(config, config.ids)
+    assert made.platforms == (PAPER_PLATFORM, CRAZYFLIE_21, PAPER_PLATFORM)
+    (world,) = make_worlds(config, config.ids)
+    assert (world.ids, world.platforms) == (
+        (0, 1, 2),
+        (PAPER_PLATFORM, CRAZYFLIE_21, PAPER_PLATFORM),
+    )
 
 
 def test_only_the_lightweight_world_has_the_delay_in_its_model():
     config = swarm({}, plant={"command_delay": 0.03})
-    (lightweight,) = worlds(config, (0,))
-    assert delay_steps(config, lightweight) == 0
-    assert delay_steps(config, SimpleNamespace(dt=0.01)) == 3
+    (lightweight,) = make_worlds(config, (0,))
+    assert count_delay_steps(config, lightweight) == 0
+    assert count_delay_steps(config, SimpleNamespace(dt=0.01)) == 3
 
 
 def test_a_link_for_what_a_world_does_not_fly_is_refused_when_it_is_made():
-    (world,) = worlds(swarm({}), (0,))
+    (world,) = make_worlds(swarm({}), (0,))
     world.link(0, "fpqr").send(FPQR(np.zeros(4)))
     with pytest.raises(
         ConfigError,
@@ -150,7 +161,9 @@ def test_a_link_for_what_a_world_does_not_fly_is_refused_when_it_is_made():
 
 
 def test_every_sender_of_a_swarm_file_has_a_kind_of_commands():
-    assert [*SENDERS, "acc", "drive"] == list(KINDS)
-    for name, sender in (SENDERS | {"acc": AccSender, "drive": DriveSender}).items():
-        assert isinstance(sender().message(np.zeros(5)), KINDS[name])
-        assert isinstance(sender().idle, KINDS[name])
+    assert [*SENDERS_BY_KIND, "acc", "drive"] == list(COMMAND_TYPES)
+    for name, sender in (
+        SENDERS_BY_KIND | {"acc": AccSender, "drive": DriveSender}
+    ).items():
+        assert isinstance(sender().message(np.zeros(5)), COMMAND_TYPES[name])
+        assert isinstance(sender().idle, COMMAND_TYPES[name])

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from virtual_time import virtual
 
-from crazychoir.bus.port import BODIES, Bus
-from crazychoir.bus.topics import BODY, POSE, TRUTH
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.mocap.simulated import SimulatedMocap
-from crazychoir.platforms import PAPER
+from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.runtime.clock import run_virtual, run_wall
 from crazychoir.runtime.mailbox import Call
 from crazychoir.simulation.lightweight.integrator import CFIntegrator
-from crazychoir.simulation.owner import MOST_CATCH_UP, WorldOwner
+from crazychoir.simulation.owner import LARGEST_CATCH_UP, WorldOwner
 from crazychoir.types import FPQR, Body
 
 
@@ -27,13 +27,13 @@ class Owned:
         for i in (0, 1):
             self.bus.port(i)
             self.bus.subscribe(
-                POSE,
+                DRONE_TOPICS.pose,
                 i,
                 i,
                 Call(clock, lambda pose, age, i=i: self.poses[i].append((pose, age))),
             )
             self.bus.subscribe(
-                TRUTH,
+                DRONE_TOPICS.truth,
                 i,
                 i,
                 Call(clock, lambda state, age, i=i: self.truths[i].append(state)),
@@ -54,7 +54,10 @@ async def test_poses_come_at_the_rate_of_the_cameras_and_truth_at_its_own(clock)
     await owned.run(1.0)
     assert owned.world.time == pytest.approx(1.0)
     assert [len(owned.poses[i]) for i in (0, 1)] == [50, 50]
-    assert [len(owned.truths[i]) for i in (0, 1)] == [TRUTH.rate, TRUTH.rate]
+    assert [len(owned.truths[i]) for i in (0, 1)] == [
+        DRONE_TOPICS.truth.rate,
+        DRONE_TOPICS.truth.rate,
+    ]
     assert owned.owner.looked_ns == pytest.approx(1e9)
 
 
@@ -62,14 +65,21 @@ async def test_poses_come_at_the_rate_of_the_cameras_and_truth_at_its_own(clock)
 async def test_bodies_elsewhere_speak_at_their_own_addresses_and_obey_late(clock):
     bus = Bus(clock)
     for i in (0, 1):
-        bus.port(BODIES + i)
+        bus.port(PORT_ADDRESSES.body_offset + i)
     reader, boxes = bus.port(7), {}
-    for topic in (POSE, TRUTH, BODY):
+    for topic in (DRONE_TOPICS.pose, DRONE_TOPICS.truth, DRONE_TOPICS.body):
         boxes[topic] = topic.mailbox(clock)
-        bus.subscribe(topic, BODIES + 1, reader.address, boxes[topic])
+        bus.subscribe(
+            topic, PORT_ADDRESSES.body_offset + 1, reader.address, boxes[topic]
+        )
     world = CFIntegrator((0, 1), np.array([[0.0, 0.0, 2.0], [1.0, 0.0, 2.0]]))
     owner = WorldOwner(
-        bus, world, SimulatedMocap((0, 1), 1), 100.0, base=BODIES, delay=2
+        bus,
+        world,
+        SimulatedMocap((0, 1), 1),
+        100.0,
+        base=PORT_ADDRESSES.body_offset,
+        delay=2,
     )
     link = owner.link(1, "fpqr")
     link.send(FPQR(np.array([0.1, 0.0, 0.0, 0.0])))
@@ -77,10 +87,14 @@ async def test_bodies_elsewhere_speak_at_their_own_addresses_and_obey_late(clock
     for _ in range(25):
         owner.step()
         thrusts.append(world.commands[1, 0])
-    assert thrusts[:3] == [PAPER.weight, PAPER.weight, 0.1]
-    assert boxes[POSE].peek().p == pytest.approx(world.state(1).p, abs=0.01)
-    assert boxes[TRUTH].peek().flat.tolist() == world.state(1).flat.tolist()
-    assert boxes[BODY].peek() == Body("")
+    assert thrusts[:3] == [PAPER_PLATFORM.weight, PAPER_PLATFORM.weight, 0.1]
+    assert boxes[DRONE_TOPICS.pose].peek().p == pytest.approx(
+        world.state(1).p, abs=0.01
+    )
+    assert (
+        boxes[DRONE_TOPICS.truth].peek().flat.tolist() == world.state(1).flat.tolist()
+    )
+    assert boxes[DRONE_TOPICS.body].peek() == Body("")
 
 
 @virtual
@@ -97,7 +111,7 @@ async def test_a_drone_that_is_not_seen_hears_nothing(clock):
     owned = Owned(clock, dropout=0.5)
     await owned.run(2.0)
     assert 60 < len(owned.poses[0]) < 140
-    assert len(owned.truths[0]) == 2.0 * TRUTH.rate
+    assert len(owned.truths[0]) == 2.0 * DRONE_TOPICS.truth.rate
 
 
 @virtual
@@ -109,7 +123,7 @@ async def test_a_world_that_was_late_makes_up_for_it_up_to_a_limit(clock):
     assert len(owned.poses[0]) == 1, "what nobody could see then is not seen now"
     owned.owner.ticks.due_ns -= 1000 * owned.owner.ticks.period_ns
     await owned.run(0.01)
-    assert owned.world.tick <= 10 + 1 + MOST_CATCH_UP + 2
+    assert owned.world.tick <= 10 + 1 + LARGEST_CATCH_UP + 2
 
 
 def test_after_a_stall_nobody_is_shown_the_world_as_it_was_before():
@@ -133,7 +147,10 @@ def test_a_tick_that_comes_late_shows_the_world_as_it_was_when_it_was_due():
     async def main(clock):
         bus = Bus(clock)
         bus.port(0)
-        boxes = {topic: topic.mailbox(clock) for topic in (POSE, TRUTH)}
+        boxes = {
+            topic: topic.mailbox(clock)
+            for topic in (DRONE_TOPICS.pose, DRONE_TOPICS.truth)
+        }
         for topic, box in boxes.items():
             bus.subscribe(topic, 0, 0, box)
         owner = WorldOwner(
@@ -141,6 +158,8 @@ def test_a_tick_that_comes_late_shows_the_world_as_it_was_when_it_was_due():
         )
         for _ in range(5):  # truth comes with each fifth step
             owner.step(late=0.004)
-        return boxes[POSE].peek().age, *(box.age() for box in boxes.values())
+        return boxes[DRONE_TOPICS.pose].peek().age, *(
+            box.age() for box in boxes.values()
+        )
 
     assert run_virtual(main) == pytest.approx((0.004, 0.004, 0.004))

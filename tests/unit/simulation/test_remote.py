@@ -9,21 +9,29 @@ from robots import world_of
 from virtual_time import virtual
 
 from crazychoir.bus.codec import encode
-from crazychoir.bus.port import BODIES, Bus
-from crazychoir.bus.topics import BODY, COMMAND, CUT
-from crazychoir.config.checks import DOUBLE, SINGLE, UNICYCLE
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS
+from crazychoir.config.checks import WORLD_URIS
 from crazychoir.errors import Refused
 from crazychoir.numerics.math3d import yaw_of
-from crazychoir.platforms import PAPER
+from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.simulation import remote
-from crazychoir.simulation.lightweight.integrator import SILENCE, CFIntegrator
+from crazychoir.simulation.lightweight.integrator import (
+    LIGHTWEIGHT_COMMAND_TIMEOUT,
+    CFIntegrator,
+)
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
-from crazychoir.simulation.remote import GONE, OwnerWatch, RemoteBody, RemoteLink
+from crazychoir.simulation.remote import (
+    REMOTE_TIMEOUTS,
+    OwnerWatch,
+    RemoteBody,
+    RemoteLink,
+)
 from crazychoir.types import FPQR, FRPY, XYZ, Acc, Body, Drive, Pose, Vel
 
 said: list[str] = []
-HOVER = FPQR(np.array([PAPER.weight, 0.0, 0.0, 0.0]))
+HOVER = FPQR(np.array([PAPER_PLATFORM.weight, 0.0, 0.0, 0.0]))
 
 
 @pytest.fixture(autouse=True)
@@ -38,9 +46,9 @@ def listening(monkeypatch):
 class Pair:
     """Drone 3 and its body in the air, on one bus."""
 
-    def __init__(self, clock, timeout=SILENCE, heard=True):
+    def __init__(self, clock, timeout=LIGHTWEIGHT_COMMAND_TIMEOUT, heard=True):
         self.clock, bus = clock, Bus(clock)
-        self.drone, self.there = bus.port(3), bus.port(BODIES + 3)
+        self.drone, self.there = bus.port(3), bus.port(PORT_ADDRESSES.body_offset + 3)
         self.world = CFIntegrator((3,), np.array([[0.0, 0.0, 2.0]]))
         self.world.command_timeout = timeout
         self.obeyed = []
@@ -54,7 +62,7 @@ class Pair:
         )
         self.link = RemoteLink(self.drone)
         if heard:
-            self.there.publish(BODY, Body())
+            self.there.publish(DRONE_TOPICS.body, Body())
 
     @property
     def thrust(self):
@@ -80,7 +88,7 @@ async def test_nothing_is_sent_before_it_is_known_whether_the_body_flies(clock):
         pair.link.send(FPQR(np.zeros(4)))
         assert pair.obeyed == []
         for _ in range(2):
-            pair.there.publish(BODY, Body(flying=flying))
+            pair.there.publish(DRONE_TOPICS.body, Body(flying=flying))
         assert found == [True] * flying
         pair.link.send(FPQR(np.zeros(4)))
         assert pair.obeyed == [0.0]
@@ -105,7 +113,7 @@ async def test_commands_of_another_kind_than_the_swarm_file_says_are_refused_and
         pair.link.send(FRPY(np.zeros(4)))
     assert pair.body.refused == 2
     assert said == ["drone 3: its agent sends FRPY, the swarm file says fpqr"]
-    assert pair.thrust == PAPER.weight, "it hovers, as it did"
+    assert pair.thrust == PAPER_PLATFORM.weight, "it hovers, as it did"
 
 
 @virtual
@@ -120,10 +128,10 @@ async def test_nobody_else_commands_it_and_bytes_that_are_no_command_are_counted
         (pair.drone, b"\xff"),
     ]
     for port, payload in wrong:
-        port.send(COMMAND, (BODIES + 3,), payload)
-    other.send(CUT, (BODIES + 3,), encode(None))
+        port.send(DRONE_TOPICS.command, (PORT_ADDRESSES.body_offset + 3,), payload)
+    other.send(MESSAGE_TOPICS.cut, (PORT_ADDRESSES.body_offset + 3,), encode(None))
     assert pair.there.counters.malformed == len(wrong)
-    assert pair.thrust == PAPER.weight, "it hovers, as it did"
+    assert pair.thrust == PAPER_PLATFORM.weight, "it hovers, as it did"
     assert pair.obeyed == []
     pair.link.send(FPQR(np.ones(4)))
     assert pair.thrust == 1.0, "nobody has cut it"
@@ -133,7 +141,9 @@ async def test_nobody_else_commands_it_and_bytes_that_are_no_command_are_counted
 async def test_a_cut_goes_out_again_with_each_tick(clock):
     pair = Pair(clock)
     cuts = []
-    pair.there.handlers[CUT.number] = lambda *message: cuts.append(message[0])
+    pair.there.handlers[MESSAGE_TOPICS.cut.number] = lambda *message: cuts.append(
+        message[0]
+    )
     pair.link.cut()
     pair.link.send(HOVER)
     assert (cuts, pair.obeyed) == ([3, 3], []), "and no command any more"
@@ -158,42 +168,42 @@ async def test_a_drone_that_nobody_commands_has_no_thrust(clock):
     pair = Pair(clock)
     await clock.sleep(10.0)
     pair.body.look()
-    assert pair.thrust == PAPER.weight, "nobody has ever flown it"
-    pair.there.publish(BODY, Body())
+    assert pair.thrust == PAPER_PLATFORM.weight, "nobody has ever flown it"
+    pair.there.publish(DRONE_TOPICS.body, Body())
     pair.link.send(HOVER)
-    await clock.sleep(0.9 * SILENCE)
+    await clock.sleep(0.9 * LIGHTWEIGHT_COMMAND_TIMEOUT)
     pair.body.look()
-    assert pair.thrust == PAPER.weight
-    await clock.sleep(0.2 * SILENCE)
+    assert pair.thrust == PAPER_PLATFORM.weight
+    await clock.sleep(0.2 * LIGHTWEIGHT_COMMAND_TIMEOUT)
     for _ in range(3):
         pair.body.look()
     assert pair.thrust == 0.0
     assert said == ["drone 3: no command for 0.55 s, limit 0.50 s: no thrust"]
     pair.link.send(HOVER)
-    assert pair.thrust == PAPER.weight, "somebody does again"
+    assert pair.thrust == PAPER_PLATFORM.weight, "somebody does again"
 
 
 @virtual
 async def test_nothing_is_sent_to_a_body_that_is_silent_until_it_is_heard_again(clock):
     pair, found = Pair(clock), []
     pair.link.found_flying = lambda: found.append(clock.now())
-    pair.there.publish(BODY, Body(flying=True))
+    pair.there.publish(DRONE_TOPICS.body, Body(flying=True))
     pair.link.send(HOVER)
     assert (pair.link.unheard(), pair.link.flying(), pair.obeyed) == (
         False,
         True,
         [0.0],
     )
-    await clock.sleep(BODY.max_age + 0.1)
+    await clock.sleep(DRONE_TOPICS.body.max_age + 0.1)
     pair.link.send(HOVER)
     assert (pair.link.unheard(), pair.link.flying(), pair.obeyed) == (True, True, [0.0])
-    pair.there.publish(BODY, Body(flying=True))
+    pair.there.publish(DRONE_TOPICS.body, Body(flying=True))
     pair.link.send(HOVER)
     assert (pair.link.unheard(), found) == (False, [clock.now()]), (
         "its firmware lands it, say"
     )
     assert pair.obeyed == [0.0, clock.now()]
-    await clock.sleep(GONE)
+    await clock.sleep(REMOTE_TIMEOUTS.owner_gone)
     assert not pair.link.flying(), "it does not come back"
 
 
@@ -203,7 +213,7 @@ async def test_an_engine_with_firmware_is_left_alone(clock):
     pair.link.send(HOVER)
     await clock.sleep(10.0)
     pair.body.look()
-    assert pair.thrust == PAPER.weight
+    assert pair.thrust == PAPER_PLATFORM.weight
 
 
 def rises(k, weight):
@@ -229,11 +239,11 @@ def test_a_drone_whose_streamed_commands_end_is_landed_by_its_planner_on_board(
 
 async def landed_by_its_planner(kind, command, clock):
     bus = Bus(clock)
-    drone, there = bus.port(3), bus.port(BODIES + 3)
+    drone, there = bus.port(3), bus.port(PORT_ADDRESSES.body_offset + 3)
     world = CrazyflieWorld((3,), np.zeros((1, 3)), np.array([1.0]))
     body = RemoteBody(there, world, world.link(3, kind), kind)
     link = RemoteLink(drone)
-    there.publish(BODY, Body())
+    there.publish(DRONE_TOPICS.body, Body())
     highest = lowest = 0.0
     for k in range(900):
         await clock.sleep(world.dt)
@@ -255,16 +265,16 @@ async def landed_by_its_planner(kind, command, clock):
 @virtual
 async def test_a_drone_whose_planner_would_fly_on_for_good_is_landed(clock):
     bus = Bus(clock)
-    drone, there = bus.port(3), bus.port(BODIES + 3)
+    drone, there = bus.port(3), bus.port(PORT_ADDRESSES.body_offset + 3)
     world = CrazyflieWorld((3,), np.zeros((1, 3)), np.array([2.0]))
     body = RemoteBody(there, world, world.link(3, "xyz"), "xyz")
     link = RemoteLink(drone)
-    there.publish(BODY, Body())
+    there.publish(DRONE_TOPICS.body, Body())
 
     async def live(seconds, command=None):
         for k in range(round(seconds / world.dt)):
             await clock.sleep(world.dt)
-            there.publish(BODY, Body(flying=body.flying))
+            there.publish(DRONE_TOPICS.body, Body(flying=body.flying))
             if command is not None and k % 10 == 0:
                 link.send(command)
             world.step()
@@ -286,7 +296,7 @@ async def test_a_drone_whose_planner_would_fly_on_for_good_is_landed(clock):
 @virtual
 async def test_who_asks_for_its_motors_is_told_what_came_of_it(clock):
     bus = Bus(clock)
-    drone, there = bus.port(3), bus.port(BODIES + 3)
+    drone, there = bus.port(3), bus.port(PORT_ADDRESSES.body_offset + 3)
     world, answers = CFIntegrator((3,), np.array([[0.0, 0.0, 2.0]])), ["armed"]
 
     async def arm():
@@ -317,9 +327,9 @@ async def test_a_drone_says_what_has_broken_its_body_or_that_it_hears_nothing(cl
         pair.link.harm()
         == "its world's owner (crazychoir-world) has not said how it is"
     )
-    pair.there.publish(BODY, Body())
+    pair.there.publish(DRONE_TOPICS.body, Body())
     assert pair.link.harm() == ""
-    pair.there.publish(BODY, Body("crashed"))
+    pair.there.publish(DRONE_TOPICS.body, Body("crashed"))
     assert pair.link.harm() == "crashed"
     await clock.sleep(2.0)
     assert (
@@ -338,13 +348,16 @@ async def test_an_owner_that_was_there_is_missed_once_and_one_that_was_not_is_wa
     )
     watching = asyncio.create_task(watch.run())
     for _ in range(8):
-        pair.there.publish(BODY, Body())
+        pair.there.publish(DRONE_TOPICS.body, Body())
         await clock.sleep(0.5)
     assert gone == []
     await clock.sleep(10.0)
     watching.cancel()
     ((drone, when),) = gone
-    assert (drone, when) == (3, pytest.approx(3.5 + GONE, abs=0.3))
+    assert (drone, when) == (
+        3,
+        pytest.approx(3.5 + REMOTE_TIMEOUTS.owner_gone, abs=0.3),
+    )
     assert said == ["drone 4: waiting for its world's owner (crazychoir-world)"]
 
 
@@ -368,7 +381,7 @@ async def test_who_was_stopped_takes_nobody_for_gone_before_it_has_heard(speaks,
     clock, found = Stopped(), []
 
     class Owner:
-        owner, gone = "its world's owner", GONE
+        owner, gone = "its world's owner", REMOTE_TIMEOUTS.owner_gone
 
         @property
         def silence(self):
@@ -382,24 +395,24 @@ async def test_who_was_stopped_takes_nobody_for_gone_before_it_has_heard(speaks,
 @pytest.mark.parametrize(
     ("uri", "command"),
     [
-        (SINGLE, Vel(np.array([0.5, 0.0, 0.0, 0.0]))),
-        (DOUBLE, Acc(np.array([0.5, 0.0, 0.0]))),
-        (UNICYCLE, Drive(np.array([0.5, 0.1]))),
+        (WORLD_URIS.single_integrator, Vel(np.array([0.5, 0.0, 0.0, 0.0]))),
+        (WORLD_URIS.double_integrator, Acc(np.array([0.5, 0.0, 0.0]))),
+        (WORLD_URIS.unicycle, Drive(np.array([0.5, 0.1]))),
     ],
 )
 def test_a_robot_that_nobody_commands_stands_still(uri, command):
     @virtual
     async def test(clock):
         bus, world = Bus(clock), world_of(uri)
-        drone, there = bus.port(0), bus.port(BODIES)
+        drone, there = bus.port(0), bus.port(PORT_ADDRESSES.body_offset)
         body = RemoteBody(there, world, world.link(0, world.kind), world.kind)
         link = RemoteLink(drone)
-        there.publish(BODY, Body())
+        there.publish(DRONE_TOPICS.body, Body())
         link.send(command)
         world.step()
         body.look()
         assert body.flying, "it moves"
-        await clock.sleep(1.1 * SILENCE)
+        await clock.sleep(1.1 * LIGHTWEIGHT_COMMAND_TIMEOUT)
         body.look()
         world.step()
         assert world.resting(0)

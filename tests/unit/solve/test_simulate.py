@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from crazychoir.bus.impairment.model import Impairment
-from crazychoir.bus.impairment.rules import Rule
+from crazychoir.bus.impairment.rules import ImpairmentRule
 from crazychoir.bus.port import Bus
 from crazychoir.errors import (
     AgentFailed,
@@ -25,7 +25,7 @@ from crazychoir.optimization.rounds.mixing import team
 from crazychoir.optimization.rounds.stopping import LogicAnd, Settled, Until
 from crazychoir.runtime.clock import run_virtual, run_wall
 from crazychoir.solve.simulate import simulate
-from crazychoir.team.algorithm_run import Pace, run_algorithm
+from crazychoir.team.algorithm_run import WakingTimes, run_algorithm
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import (
     Graph,
@@ -213,7 +213,7 @@ def test_their_draws_are_their_own_and_repeat():
 )
 def test_a_pace_that_is_none(pace):
     with pytest.raises(ConfigError, match=f"pace: {next(iter(pace))}"):
-        Pace(**pace)
+        WakingTimes(**pace)
 
 
 @pytest.mark.real_time
@@ -247,7 +247,7 @@ def ends(graph, error, where, loss, asynchronous=False, run=run_virtual):
             return raised
 
     async def main(clock):
-        bus = Bus(clock, Impairment(1, [Rule({"loss": loss})]))
+        bus = Bus(clock, Impairment(1, [ImpairmentRule({"loss": loss})]))
         team = [Communicator(bus.port(i), graph) for i in graph.ids]
         return await asyncio.gather(*map(part, team)), clock.now()
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from crazychoir.bus.impairment.model import Impairment
-from crazychoir.bus.impairment.rules import Rule
+from crazychoir.bus.impairment.rules import ImpairmentRule
 from crazychoir.bus.port import Bus
 from crazychoir.errors import AgentFailed, ChannelEnded, PeerLost, SolverError
 from crazychoir.optimization.algorithms import asymm
 from crazychoir.optimization.algorithms.asymm import ASYMM
-from crazychoir.optimization.problems.smooth import Smooth
+from crazychoir.optimization.problems.smooth import SmoothFunction
 from crazychoir.runtime.clock import run_virtual
-from crazychoir.team.algorithm_run import Pace, run_algorithm
+from crazychoir.team.algorithm_run import WakingTimes, run_algorithm
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import complete, path, ring
 from crazychoir.types import Failure
@@ -66,7 +66,10 @@ def endings(agents, graph, loss=0.0, lost=(), seed=1, pace=None, **options):
 
     async def main(clock):
         bus, ends = (
-            Bus(clock, Impairment(seed, [Rule({"loss": loss, "delay": 0.001})])),
+            Bus(
+                clock,
+                Impairment(seed, [ImpairmentRule({"loss": loss, "delay": 0.001})]),
+            ),
             dict.fromkeys(agents),
         )
         membership = Missing(clock, lost, 1.0)
@@ -110,7 +113,7 @@ def test_an_asynchronous_agent_that_fails_while_others_say_their_last_words_ends
     agents = {
         i: Counting(30, 29 if i == 2 else -1, asynchronous=True) for i in range(4)
     }
-    found, _ = endings(agents, complete(4), loss, pace=Pace((0.01, 0.02)))
+    found, _ = endings(agents, complete(4), loss, pace=WakingTimes((0.01, 0.02)))
     assert isinstance(found.pop(2), SolverError)
     assert {(type(error), error.agent) for error in found.values()} == {
         (AgentFailed, 2)
@@ -139,7 +142,9 @@ def exchanging(graph, loss, policy="raise"):
             return error
 
     async def main(clock):
-        bus = Bus(clock, Impairment(1, [Rule({"loss": loss, "delay": 0.001})]))
+        bus = Bus(
+            clock, Impairment(1, [ImpairmentRule({"loss": loss, "delay": 0.001})])
+        )
         return await asyncio.gather(
             *(part(Communicator(bus.port(i), graph)) for i in graph.ids)
         ), clock.now()
@@ -174,8 +179,8 @@ def test_who_asks_for_those_alone_that_come_goes_on_without_it():
 def contradictory(graph):
     """x <= -1 and x >= 1, at two agents."""
     rows = {
-        2: Smooth(lambda x: x + 1.0, lambda x: np.eye(1)),
-        4: Smooth(lambda x: 1.0 - x, lambda x: -np.eye(1)),
+        2: SmoothFunction(lambda x: x + 1.0, lambda x: np.eye(1)),
+        4: SmoothFunction(lambda x: 1.0 - x, lambda x: -np.eye(1)),
     }
     return {
         i: ASYMM(
@@ -183,7 +188,9 @@ def contradictory(graph):
             graph.neighbors(i),
             graph.diameter(),
             [1.0 * i],
-            Smooth(lambda x, i=i: (x[0] - i) ** 2, lambda x, i=i: 2.0 * (x - i)),
+            SmoothFunction(
+                lambda x, i=i: (x[0] - i) ** 2, lambda x, i=i: 2.0 * (x - i)
+            ),
             inequalities=rows.get(i),
         )
         for i in graph.ids
@@ -194,7 +201,7 @@ def contradictory(graph):
 def test_nobody_is_done_while_another_one_may_still_fail(seed):
     graph = path(5)
     found, seconds = endings(
-        contradictory(graph), graph, loss=0.4, seed=seed, pace=Pace(seed=seed)
+        contradictory(graph), graph, loss=0.4, seed=seed, pace=WakingTimes(seed=seed)
     )
     assert None not in found.values()
     assert any(isinstance(error, SolverError) for error in found.values())
@@ -204,7 +211,7 @@ def test_nobody_is_done_while_another_one_may_still_fail(seed):
     assert seconds < 300.0
 
 
-BOWL = Smooth(lambda x: x @ x, lambda x: 2 * x)
+BOWL = SmoothFunction(lambda x: x @ x, lambda x: 2 * x)
 
 
 def multipliers(graph, function=BOWL):
@@ -230,7 +237,7 @@ def test_a_cost_without_a_minimum_is_named_after_so_many_steps(monkeypatch):
     """f_i(x) = -20 x: no coupling holds the team back."""
     monkeypatch.setattr(asymm, "MOST_STEPS", 200)
     graph = path(3)
-    fall = Smooth(lambda x: -20.0 * x[0], lambda x: np.array([-20.0]))
+    fall = SmoothFunction(lambda x: -20.0 * x[0], lambda x: np.array([-20.0]))
     found, _ = endings(multipliers(graph, fall), graph)
     assert any(isinstance(error, SolverError) for error in found.values())
     assert all(

@@ -9,22 +9,24 @@ from living import LOSSY, Team, as_graph_says, counting, formed, settled, team
 from msgspec.structs import replace
 
 from crazychoir.bus.codec import decode, encode
-from crazychoir.bus.impairment.rules import Partition, Rule
+from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
 from crazychoir.bus.port import Bus
-from crazychoir.bus.presence import SILENCE, Presence
-from crazychoir.bus.topics import HEARTBEAT, ROSTER
+from crazychoir.bus.presence import SILENCE_TIMEOUT, Presence
+from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.errors import PeerLost, Refused, RosterChanged
-from crazychoir.runtime.clock import SECOND, Clock, run_virtual
+from crazychoir.runtime.clock import NS_PER_SECOND, Clock, run_virtual
 from crazychoir.team import graph as graphs
-from crazychoir.team.barrier import REMEMBERED, Barrier
+from crazychoir.team.barrier import PRESENCE_HISTORY, Barrier
 from crazychoir.team.graph import GraphSequence
-from crazychoir.team.messages import Beat, Go, Roster
+from crazychoir.team.messages import GoMessage, Roster, TeamHeartbeat
 
 # GO -----------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    "rules", [None, LOSSY, [Rule({"loss": 0.5})]], ids=["good", "lossy", "half"]
+    "rules",
+    [None, LOSSY, [ImpairmentRule({"loss": 0.5})]],
+    ids=["good", "lossy", "half"],
 )
 @pytest.mark.parametrize(
     "graph", [graphs.ring(6), graphs.ring(5, directed=True), graphs.empty(1)], ids="abc"
@@ -137,7 +139,7 @@ def test_nobody_waits_for_one_that_cannot_fly_if_all_others_are_too_few(start, d
     async def story(t: Team) -> float:
         barriers = [t.start(i, start=start) for i in range(4)]
         barriers[1].monitor.silent = True
-        t.clock.call_at(3 * SECOND, refuse, barriers[1])
+        t.clock.call_at(3 * NS_PER_SECOND, refuse, barriers[1])
         waiting = [b.go() for b in barriers if b.id != 1]
         for found in await asyncio.gather(*waiting, return_exceptions=True):
             assert isinstance(found, Refused)
@@ -188,7 +190,9 @@ def test_a_deaf_edge_is_not_go(edge):
         assert all(isinstance(error, Refused) for error in found)
         return str(found[0])
 
-    text = team(graphs.path(4), story, [Rule({"loss": 1.0}, edge=edge, directed=True)])
+    text = team(
+        graphs.path(4), story, [ImpairmentRule({"loss": 1.0}, edge=edge, directed=True)]
+    )
     if edge == (3, 0):
         assert "drone(s) 3 absent" in text
     else:
@@ -199,7 +203,7 @@ def test_a_directed_edge_need_not_carry_backwards():
     async def story(t: Team) -> Roster:
         return await formed([t.start(i, start_deadline=4.0) for i in range(4)])
 
-    rule = Rule({"loss": 1.0}, edge=(3, 2), directed=True)
+    rule = ImpairmentRule({"loss": 1.0}, edge=(3, 2), directed=True)
     assert team(graphs.ring(4, directed=True), story, [rule]).graph == graphs.ring(
         4, directed=True
     )
@@ -255,13 +259,19 @@ def test_strange_heartbeats_and_rosters_are_counted():
             encode(["x", 0, 0, [], [], "", ""]),
         ]
         for payload in strange:
-            port.deliver(HEARTBEAT.number, 1, payload, 1, "", 0, 0.0)
+            port.deliver(MESSAGE_TOPICS.heartbeat.number, 1, payload, 1, "", 0, 0.0)
         for n, payload in enumerate(
             [*strange[:3], encode({"epoch": 1}), encode(["x"])]
         ):
-            port.deliver(ROSTER.number, 1, payload, n, "1", 0, 0.0)
+            port.deliver(MESSAGE_TOPICS.roster.number, 1, payload, n, "1", 0, 0.0)
         port.deliver(
-            HEARTBEAT.number, 77, encode([1, 1, 0, [], [], "abc", ""]), 1, "", 0, 0.0
+            MESSAGE_TOPICS.heartbeat.number,
+            77,
+            encode([1, 1, 0, [], [], "abc", ""]),
+            1,
+            "",
+            0,
+            0.0,
         )
         assert not barrier.beats
         return port.counters.malformed
@@ -372,11 +382,13 @@ def test_a_roster_for_an_earlier_life_is_not_taken():
     async def story(t: Team) -> Roster | None:
         barrier = t.start(1, incarnation=2)
         old = Roster(1, {0: 1, 1: 1}, [[0, 1]], False, 0, 0, "abc", "1")
-        t.bus.ports[1].deliver(ROSTER.number, 0, Go(old).wire(), 0, "1", 0, 0.0)
         t.bus.ports[1].deliver(
-            ROSTER.number,
+            MESSAGE_TOPICS.roster.number, 0, GoMessage(old).wire(), 0, "1", 0, 0.0
+        )
+        t.bus.ports[1].deliver(
+            MESSAGE_TOPICS.roster.number,
             0,
-            Go(replace(old, members={0: 1, 1: 2}, mission_hash="x")).wire(),
+            GoMessage(replace(old, members={0: 1, 1: 2}, mission_hash="x")).wire(),
             1,
             "1",
             0,
@@ -384,9 +396,9 @@ def test_a_roster_for_an_earlier_life_is_not_taken():
         )
         assert barrier.roster is None
         t.bus.ports[1].deliver(
-            ROSTER.number,
+            MESSAGE_TOPICS.roster.number,
             0,
-            Go(replace(old, members={0: 1, 1: 2})).wire(),
+            GoMessage(replace(old, members={0: 1, 1: 2})).wire(),
             2,
             "1",
             0,
@@ -423,7 +435,7 @@ def test_two_halves_that_were_apart_for_long_come_together_again(slow, seed):
         return apart, roster, heard
 
     apart, roster, heard = team(
-        graphs.ring(6), story, LOSSY, [Partition(5.0, 17.0, (0, 1, 2))], seed
+        graphs.ring(6), story, LOSSY, [NetworkPartition(5.0, 17.0, (0, 1, 2))], seed
     )
     assert apart in (
         {i: tuple(range(6)) for i in range(6)},
@@ -447,7 +459,7 @@ def test_one_who_dies_while_two_halves_come_together_is_left_out():
         return await settled(t, 3)
 
     assert team(
-        graphs.ring(6), story, LOSSY, [Partition(5.0, 20.3, (0, 1, 2))]
+        graphs.ring(6), story, LOSSY, [NetworkPartition(5.0, 20.3, (0, 1, 2))]
     ).ids == (0, 1, 2, 3, 5)
 
 
@@ -489,7 +501,7 @@ def test_whoever_was_without_the_others_exchanges_with_them_again(alone):
         return roster, heard, max(k for k, by in heard.items() if len(by) == 4)
 
     roster, heard, last = team(
-        graphs.ring(5), story, LOSSY, [Partition(3.0, 18.0, alone)]
+        graphs.ring(5), story, LOSSY, [NetworkPartition(3.0, 18.0, alone)]
     )
     assert roster.ids == (0, 1, 2, 3)
     assert last > roster.first_round
@@ -503,7 +515,10 @@ def test_a_short_partition_changes_nothing():
         await t.clock.sleep(12.0)
         return await settled(t, 1)
 
-    assert team(graphs.ring(4), story, None, [Partition(2.0, 6.0, (0, 1))]).epoch == 1
+    assert (
+        team(graphs.ring(4), story, None, [NetworkPartition(2.0, 6.0, (0, 1))]).epoch
+        == 1
+    )
 
 
 def test_partitions_count_from_go_however_long_it_took():
@@ -520,7 +535,7 @@ def test_partitions_count_from_go_however_long_it_took():
                 silent.append(t.clock.now() - went)
         return went, silent
 
-    went, silent = team(graphs.path(3), story, None, [Partition(2.0, 4.0, (1,))])
+    went, silent = team(graphs.path(3), story, None, [NetworkPartition(2.0, 4.0, (1,))])
     assert went > 7.0
     assert 2.0 <= silent[0] <= 2.4
     assert 3.9 <= silent[-1] <= 4.3
@@ -572,12 +587,12 @@ def test_who_comes_again_in_a_process_of_its_own_is_told_the_age_of_the_mission(
 def test_only_the_newest_changes_of_presence_are_kept():
     async def story(t: Team) -> list[tuple[float, int, str]]:
         barrier = t.start(0)
-        for n in range(REMEMBERED + 5):
+        for n in range(PRESENCE_HISTORY + 5):
             barrier._changed(n, Presence.SUSPECT)
         return barrier.history
 
     kept = team(graphs.path(2), story)
-    assert [j for _, j, _ in kept] == list(range(5, REMEMBERED + 5))
+    assert [j for _, j, _ in kept] == list(range(5, PRESENCE_HISTORY + 5))
 
 
 # One barrier alone, and what it is told ------------------------------------------------------------------------------
@@ -592,7 +607,7 @@ class Alone:
         self.numbers = dict.fromkeys(t.graph.ids, 0)
         for j in t.graph.ids:
             if j != i:
-                t.bus.port(j).handlers[ROSTER.number] = self._keep(j)
+                t.bus.port(j).handlers[MESSAGE_TOPICS.roster.number] = self._keep(j)
         self.roster = Roster(1, members, [], False, 0, 0, "abc", "1")
         self.barrier._adopt(self.roster)
 
@@ -607,13 +622,23 @@ class Alone:
         incarnation: int = 1,
         lost: tuple[int, ...] = (),
     ) -> None:
-        beat = Beat(incarnation, epoch, checksum, (self.barrier.id,), lost, "abc")
+        beat = TeamHeartbeat(
+            incarnation, epoch, checksum, (self.barrier.id,), lost, "abc"
+        )
         self.port.deliver(
-            HEARTBEAT.number, j, encode(beat.wire()), 1, "heartbeat", 0, 0.0
+            MESSAGE_TOPICS.heartbeat.number,
+            j,
+            encode(beat.wire()),
+            1,
+            "heartbeat",
+            0,
+            0.0,
         )
 
     def tell(self, j: int, value: list[int]) -> None:
-        self.port.deliver(ROSTER.number, j, encode(value), self.numbers[j], "1", 0, 0.0)
+        self.port.deliver(
+            MESSAGE_TOPICS.roster.number, j, encode(value), self.numbers[j], "1", 0, 0.0
+        )
         self.numbers[j] += 1
 
 
@@ -665,9 +690,9 @@ def test_a_newcomer_leaves_coordinating_to_those_who_fly():
     async def story(t: Team) -> None:
         barrier = t.start(0)
         t.bus.ports[0].deliver(
-            HEARTBEAT.number,
+            MESSAGE_TOPICS.heartbeat.number,
             2,
-            encode(Beat(1, 3, 0, (), (), "abc").wire()),
+            encode(TeamHeartbeat(1, 3, 0, (), (), "abc").wire()),
             1,
             "",
             0,
@@ -781,14 +806,18 @@ def test_who_watches_us_hears_us():
             Roster(1, dict.fromkeys(range(4), 1), [], False, 0, 0, "abc", "1")
         )
         barrier.monitor.watched = (0, 2)
-        beat = encode(Beat(1, 1, barrier.roster.checksum, (), (), "abc").wire())
-        t.bus.ports[3].deliver(HEARTBEAT.number, 1, beat, 1, "", 0, 0.0)
+        beat = encode(
+            TeamHeartbeat(1, 1, barrier.roster.checksum, (), (), "abc").wire()
+        )
+        t.bus.ports[3].deliver(MESSAGE_TOPICS.heartbeat.number, 1, beat, 1, "", 0, 0.0)
         assert barrier.monitor.watched == (0, 2), (
             "it has just heard of GO itself, and will watch fewer"
         )
-        await t.clock.sleep(1.5 * SILENCE)
+        await t.clock.sleep(1.5 * SILENCE_TIMEOUT)
         for number in (2, 3):  # the second one says nothing new
-            t.bus.ports[3].deliver(HEARTBEAT.number, 1, beat, number, "", 0, 0.0)
+            t.bus.ports[3].deliver(
+                MESSAGE_TOPICS.heartbeat.number, 1, beat, number, "", 0, 0.0
+            )
         assert barrier.monitor.watched == (0, 2, 1)
 
     team(graphs.path(4), story)
@@ -810,7 +839,7 @@ def test_one_who_was_lost_and_begins_again_is_not_lost():
 
 
 @pytest.mark.parametrize(
-    "rules", [[Rule({"delay": 0.01})], LOSSY], ids=["good", "lossy"]
+    "rules", [[ImpairmentRule({"delay": 0.01})], LOSSY], ids=["good", "lossy"]
 )
 @pytest.mark.parametrize("gone", [0, 3])
 def test_a_joinable_algorithm_goes_on_without_the_lost(gone, rules):
@@ -842,7 +871,9 @@ def test_a_joinable_algorithm_goes_on_without_the_lost(gone, rules):
 
 
 @pytest.mark.parametrize(
-    "rules", [None, [Rule({"delay": 0.01})], LOSSY], ids=["good", "slow", "lossy"]
+    "rules",
+    [None, [ImpairmentRule({"delay": 0.01})], LOSSY],
+    ids=["good", "slow", "lossy"],
 )
 @pytest.mark.parametrize("late", [0, 4])
 def test_one_who_joins_takes_part_from_the_same_round_for_all(late, rules):
@@ -888,7 +919,9 @@ def test_a_sequence_of_graphs_goes_on_among_those_who_stay():
         await t.clock.sleep(15.0)
         return await settled(t, 2), heard
 
-    roster, heard = team(whole, story, [Rule({"delay": 0.01})], sequence=sequence)
+    roster, heard = team(
+        whole, story, [ImpairmentRule({"delay": 0.01})], sequence=sequence
+    )
     k = next(k for k in range(roster.first_round + 3, max(heard)) if k % 3 == 0)
     assert [heard[k + n] for n in range(3)] == [
         {0: (1, 3), 1: (0,), 3: (0,)},
@@ -957,4 +990,8 @@ def test_who_holds_is_let_go_by_the_next_coordinator():
         assert max(heard) > stalled + 10
         return roster
 
-    assert team(graphs.complete(4), story, [Rule({"delay": 0.01})]).ids == (1, 2, 3)
+    assert team(graphs.complete(4), story, [ImpairmentRule({"delay": 0.01})]).ids == (
+        1,
+        2,
+        3,
+    )

@@ -9,9 +9,9 @@ import pytest
 
 from crazychoir.bus.codec import encode
 from crazychoir.bus.impairment.model import Impairment
-from crazychoir.bus.impairment.rules import Partition, Rule
+from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
 from crazychoir.bus.port import Bus
-from crazychoir.bus.topics import ROUND
+from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.errors import (
     AgentFailed,
     ChannelEnded,
@@ -24,18 +24,15 @@ from crazychoir.errors import (
 from crazychoir.runtime.clock import Clock, run_virtual, run_wall
 from crazychoir.team import graph as graphs
 from crazychoir.team.algorithm_run import run_algorithm
-from crazychoir.team.channel import HISTORY
+from crazychoir.team.channel import ROUND_WINDOW
 from crazychoir.team.communicator import AHEAD, DATA, Communicator
 from crazychoir.team.graph import Graph, GraphSequence, metropolis
 from crazychoir.team.rounds import (
     CREDIT,
-    FAILED,
+    FAILURE_CHANNEL,
     FIN_TOO,
     KIND_BITS,
-    MAX_CHANNELS,
-    MAX_EARLY,
-    MAX_EARLY_BYTES,
-    MAX_ROUND,
+    ROUND_LIMITS,
 )
 from crazychoir.types import Failure, PerNeighbor
 
@@ -52,10 +49,10 @@ Agent = Callable[[Communicator], Awaitable[Any]]
 def swarm(
     graph: Graph | GraphSequence,
     agent: Agent,
-    rules: list[Rule] | None = None,
+    rules: list[ImpairmentRule] | None = None,
     *,
     seed: int = 1,
-    partitions: list[Partition] | None = None,
+    partitions: list[NetworkPartition] | None = None,
     gone: tuple[int, ...] = (),
     deadline: float = 60.0,
 ) -> dict[int, Any]:
@@ -71,8 +68,8 @@ def swarm(
     return run_virtual(main)
 
 
-def loss(p: float, **more: float) -> list[Rule]:
-    return [Rule({"loss": p, **more})]
+def loss(p: float, **more: float) -> list[ImpairmentRule]:
+    return [ImpairmentRule({"loss": p, **more})]
 
 
 def averaging(
@@ -127,7 +124,9 @@ def test_average_consensus_has_the_same_bits_on_every_network(graph, network):
 @pytest.mark.parametrize("seed", range(6))
 def test_the_same_bits_in_bursts_of_loss(seed):
     graph = graphs.k_regular(8, 4)
-    network = [Rule({"p_good_bad": 0.1, "p_bad_good": 0.2, "loss_bad": 0.95, **BAD})]
+    network = [
+        ImpairmentRule({"p_good_bad": 0.1, "p_bad_good": 0.2, "loss_bad": 0.95, **BAD})
+    ]
     assert swarm(graph, averaging(graph, 15), network, seed=seed) == in_a_loop(
         graph, 15
     )
@@ -162,14 +161,14 @@ def test_each_round_of_a_changing_graph_has_its_own_neighbours():
 def test_a_directed_ring(p):
     async def agent(c: Communicator) -> list[int]:
         x, seen = c.id, []
-        for _ in range(3 * HISTORY):
+        for _ in range(3 * ROUND_WINDOW.kept_rounds):
             (x,) = (await c.neighbors_exchange(x)).values()
             seen.append(x)
         await c.close()
         return seen
 
     heard = swarm(graphs.ring(4, directed=True), agent, loss(p, **BAD))
-    assert heard[2] == [(1 - k) % 4 for k in range(3 * HISTORY)]
+    assert heard[2] == [(1 - k) % 4 for k in range(3 * ROUND_WINDOW.kept_rounds)]
 
 
 def test_a_payload_for_each_neighbour_and_for_nobody_else():
@@ -239,18 +238,22 @@ def test_a_sender_keeps_what_nobody_has_asked_for_yet():
         send = c.port.send
         if c.id == 0:
             c.port.send = lambda *m: send(*m) if m[3] != 60 or len(m) > 6 else None  # type: ignore[method-assign]
-            for k in range(HISTORY + 6):
+            for k in range(ROUND_WINDOW.kept_rounds + 6):
                 await c.send(k)
             return []
         c.port.send = lambda *m: send(*m) if m[5] & 7 != CREDIT else None  # type: ignore[method-assign]
         await c.port.bus.clock.sleep(0.1)
-        return [value for _ in range(HISTORY) for value in (await c.receive()).values()]
+        return [
+            value
+            for _ in range(ROUND_WINDOW.kept_rounds)
+            for value in (await c.receive()).values()
+        ]
 
     async def early(c: Communicator) -> list[int]:
         c.open("main")
         return await agent(c)
 
-    assert swarm(graph, early)[1] == list(range(HISTORY))
+    assert swarm(graph, early)[1] == list(range(ROUND_WINDOW.kept_rounds))
 
 
 def test_channels_do_not_meet():
@@ -284,9 +287,9 @@ def test_a_partition_in_the_middle_costs_time_only():
         clocks.append(clock.now())
         return x
 
-    network = [Rule({"delay": 0.01})]
+    network = [ImpairmentRule({"delay": 0.01})]
     assert swarm(
-        graph, agent, network, partitions=[Partition(1.0, 2.5, (0, 1, 2))]
+        graph, agent, network, partitions=[NetworkPartition(1.0, 2.5, (0, 1, 2))]
     ) == in_a_loop(graph, 200)
     assert 3.5 < max(clocks) < 4.5
 
@@ -335,7 +338,7 @@ def test_the_latest_of_each_never_waits_and_grows_old():
         clock = c.port.bus.clock
         if c.id == 1:
             await clock.sleep(0.1)
-            for value in range(3 * HISTORY):
+            for value in range(3 * ROUND_WINDOW.kept_rounds):
                 await c.send(value)
             return []
         found = [await c.asynchronous_receive()]
@@ -349,7 +352,13 @@ def test_the_latest_of_each_never_waits_and_grows_old():
         ]
 
     heard = swarm(graphs.star((1, 0, 2)), agent, gone=(2,))[0]
-    assert heard == [{}, {1: 3 * HISTORY - 1}, {}, {1: 3 * HISTORY - 1}, {}]
+    assert heard == [
+        {},
+        {1: 3 * ROUND_WINDOW.kept_rounds - 1},
+        {},
+        {1: 3 * ROUND_WINDOW.kept_rounds - 1},
+        {},
+    ]
 
 
 def test_an_overtaken_message_is_not_the_latest_and_delay_is_age():
@@ -368,11 +377,13 @@ def test_an_overtaken_message_is_not_the_latest_and_delay_is_age():
             seen += (await c.asynchronous_receive(max_age=age)).values()
         return seen
 
-    seen = swarm(graphs.path(2), agent, [Rule({"delay": 0.1, "jitter": 0.1})])[0]
+    seen = swarm(
+        graphs.path(2), agent, [ImpairmentRule({"delay": 0.1, "jitter": 0.1})]
+    )[0]
     assert seen == sorted(seen)
     assert seen[-1] == 19
     age = 0.15
-    assert swarm(graphs.path(2), agent, [Rule({"delay": 0.16})])[0] == []
+    assert swarm(graphs.path(2), agent, [ImpairmentRule({"delay": 0.16})])[0] == []
 
 
 # Who is slow, and who is gone -------------------------------------------------------------------------------------
@@ -387,20 +398,20 @@ def test_a_fast_source_waits_for_its_readers(p):
     async def agent(c: Communicator) -> list[int]:
         here[c.id] = c
         if c.id == 0:
-            for k in range(5 * HISTORY):
+            for k in range(5 * ROUND_WINDOW.kept_rounds):
                 await c.neighbors_exchange(k)
                 lead.append(k - here[1].open("main").receiving)
             await c.close()
             return []
         got = []
-        for _ in range(5 * HISTORY):
+        for _ in range(5 * ROUND_WINDOW.kept_rounds):
             await c.port.bus.clock.sleep(0.005)
             got += (await c.neighbors_exchange(None)).values()
         await c.close()
         return got
 
-    assert swarm(graph, agent, loss(p))[1] == list(range(5 * HISTORY))
-    assert HISTORY // 2 < max(lead) <= HISTORY + 1
+    assert swarm(graph, agent, loss(p))[1] == list(range(5 * ROUND_WINDOW.kept_rounds))
+    assert ROUND_WINDOW.kept_rounds // 2 < max(lead) <= ROUND_WINDOW.kept_rounds + 1
     assert here[1].ahead == 0
     assert p or not here[0].port.counters.resent, (
         "credit comes before the source has to ask"
@@ -411,12 +422,14 @@ def test_a_sender_waits_for_one_who_receives():
     async def agent(c: Communicator) -> list[int]:
         if c.id == 0:
             await c.port.bus.clock.sleep(0.1)
-            for k in range(4 * HISTORY):
+            for k in range(4 * ROUND_WINDOW.kept_rounds):
                 await c.send(k)
             await c.close()
             return []
         got = [
-            value for _ in range(4 * HISTORY) for value in (await c.receive()).values()
+            value
+            for _ in range(4 * ROUND_WINDOW.kept_rounds)
+            for value in (await c.receive()).values()
         ]
         await c.close()
         return got
@@ -424,7 +437,7 @@ def test_a_sender_waits_for_one_who_receives():
     got = swarm(
         Graph.from_edges(2, [[0, 1]], directed=True), agent, loss(0.3, delay=0.005)
     )[1]
-    assert got == list(range(4 * HISTORY))
+    assert got == list(range(4 * ROUND_WINDOW.kept_rounds))
 
 
 def test_what_a_reader_lacks_is_asked_for():
@@ -469,7 +482,9 @@ def test_a_duplicate_of_a_finished_round_is_not_answered():
         await c.neighbors_exchange(1)
         before = c.port.counters.sent
         for kind in (DATA, AHEAD):
-            c.port.deliver(ROUND.number, 1 - c.id, encode(1), 0, "main", kind, 0.0)
+            c.port.deliver(
+                MESSAGE_TOPICS.rounds.number, 1 - c.id, encode(1), 0, "main", kind, 0.0
+            )
         await c.port.bus.clock.sleep(1.0)
         return c.port.counters.sent - before
 
@@ -514,7 +529,7 @@ def test_partial_and_hold():
         if c.id == 2:
             return [await c.neighbors_exchange(20 + k) for k in range(2)]
         heard = []
-        for k in range(3 * HISTORY):
+        for k in range(3 * ROUND_WINDOW.kept_rounds):
             policy = "hold" if c.id == 0 else "partial"
             heard.append(
                 await c.neighbors_exchange(
@@ -576,14 +591,14 @@ def test_who_is_lost_was_silent_since_it_was_heard_last_however_late_one_waits_f
 def test_a_source_hears_that_its_reader_is_lost():
     async def agent(c: Communicator) -> int:
         c.membership = Lost(c.port.bus.clock, 1, 0.3)
-        for _ in range(HISTORY):
+        for _ in range(ROUND_WINDOW.kept_rounds):
             await c.neighbors_exchange(0)
         with pytest.raises(PeerLost):
             await c.neighbors_exchange(0)
         return c.rounds
 
     assert swarm(Graph.from_edges(2, [[0, 1]], directed=True), agent, gone=(1,)) == {
-        0: HISTORY
+        0: ROUND_WINDOW.kept_rounds
     }
 
 
@@ -648,7 +663,9 @@ def test_closing_lingers_for_those_who_still_ask():
         return clock.now()
 
     ends = swarm(
-        graphs.path(2), agent, [Rule({"loss": 1.0}, edge=(0, 1), directed=True)]
+        graphs.path(2),
+        agent,
+        [ImpairmentRule({"loss": 1.0}, edge=(0, 1), directed=True)],
     )
     assert max(ends.values()) < 2.3
 
@@ -656,7 +673,9 @@ def test_closing_lingers_for_those_who_still_ask():
 def test_who_has_not_closed_does_not_say_so():
     async def agent(c: Communicator) -> int:
         c.open("main")
-        c.port.deliver(ROUND.number, 1 - c.id, b"", 0, "main", FIN_TOO, 0.0)
+        c.port.deliver(
+            MESSAGE_TOPICS.rounds.number, 1 - c.id, b"", 0, "main", FIN_TOO, 0.0
+        )
         return c.port.counters.sent
 
     assert swarm(graphs.path(2), agent) == {0: 0, 1: 0}
@@ -712,7 +731,9 @@ def test_one_that_has_ended_and_gone_on_still_says_so_when_asked():
         clock, bus = c.port.bus.clock, c.port.bus
         if c.id == 1:
             await c.neighbors_exchange(0, channel="optimize")
-            bus.impairment.replace([Rule({"loss": 1.0}, edge=(1, 0), directed=True)])
+            bus.impairment.replace(
+                [ImpairmentRule({"loss": 1.0}, edge=(1, 0), directed=True)]
+            )
             clock.call_at(10**9, bus.impairment.replace, ())
         return await ending({0: 3, 1: 0}, linger=0.3)(c)
 
@@ -779,27 +800,57 @@ def test_a_flood_of_strange_messages_takes_no_memory_and_disturbs_nobody():
     async def agent(c: Communicator) -> Any:
         deliver = c.port.deliver
         for n in range(3000):
-            deliver(ROUND.number, 1 - c.id, b"x" * 2000, 0, f"name {n}", DATA, 0.0)
             deliver(
-                ROUND.number,
+                MESSAGE_TOPICS.rounds.number,
                 1 - c.id,
-                b"x" * (MAX_EARLY_BYTES + 1),
+                b"x" * 2000,
+                0,
+                f"name {n}",
+                DATA,
+                0.0,
+            )
+            deliver(
+                MESSAGE_TOPICS.rounds.number,
+                1 - c.id,
+                b"x" * (ROUND_LIMITS.max_early_bytes + 1),
                 0,
                 "large",
                 DATA,
                 0.0,
             )
-            deliver(ROUND.number, 1 - c.id, b"x", HISTORY + n, "main", n % 8, 0.0)
             deliver(
-                ROUND.number, 1 - c.id, b"x", MAX_ROUND << (n % 100), "main", n % 8, 0.0
+                MESSAGE_TOPICS.rounds.number,
+                1 - c.id,
+                b"x",
+                ROUND_WINDOW.kept_rounds + n,
+                "main",
+                n % 8,
+                0.0,
             )
-            deliver(ROUND.number, 77 + n, b"x", 0, "main", DATA, 0.0)
-            deliver(ROUND.number, 1 - c.id, b"x", 0, "main", n + 1 << KIND_BITS, 0.0)
+            deliver(
+                MESSAGE_TOPICS.rounds.number,
+                1 - c.id,
+                b"x",
+                ROUND_LIMITS.first_refused_round << (n % 100),
+                "main",
+                n % 8,
+                0.0,
+            )
+            deliver(MESSAGE_TOPICS.rounds.number, 77 + n, b"x", 0, "main", DATA, 0.0)
+            deliver(
+                MESSAGE_TOPICS.rounds.number,
+                1 - c.id,
+                b"x",
+                0,
+                "main",
+                n + 1 << KIND_BITS,
+                0.0,
+            )
         kept = [len(message[1]) for message in c._early]
-        assert len(kept) == MAX_EARLY
-        assert max(kept) <= MAX_EARLY_BYTES
+        assert len(kept) == ROUND_LIMITS.max_early_messages
+        assert max(kept) <= ROUND_LIMITS.max_early_bytes
         ch = c.open("main")
-        assert list(c._channels) == [FAILED, "main"]
+        assert list(c._channels) == [FAILURE_CHANNEL, "main"]
         assert len(ch.inbox) + len(ch.latest) + len(ch.progress) + len(ch.finished) < 10
         return [await c.neighbors_exchange(10 * k + c.id) for k in range(30)]
 
@@ -809,8 +860,21 @@ def test_a_flood_of_strange_messages_takes_no_memory_and_disturbs_nobody():
 def test_rounds_far_ahead_are_dropped_and_counted():
     async def agent(c: Communicator) -> tuple[int, int]:
         ch = c.open("main")
-        for number in (0, HISTORY - 1, HISTORY, 10**9):
-            c.port.deliver(ROUND.number, 1 - c.id, encode(1), number, "main", DATA, 0.0)
+        for number in (
+            0,
+            ROUND_WINDOW.kept_rounds - 1,
+            ROUND_WINDOW.kept_rounds,
+            10**9,
+        ):
+            c.port.deliver(
+                MESSAGE_TOPICS.rounds.number,
+                1 - c.id,
+                encode(1),
+                number,
+                "main",
+                DATA,
+                0.0,
+            )
         return len(ch.inbox), c.ahead
 
     assert swarm(graphs.path(2), agent)[0] == (2, 2)
@@ -818,13 +882,14 @@ def test_rounds_far_ahead_are_dropped_and_counted():
 
 def test_too_many_channels_are_refused_and_closed_ones_make_room():
     async def agent(c: Communicator) -> None:
-        for n in range(MAX_CHANNELS + 20):
+        for n in range(ROUND_LIMITS.max_channels + 20):
             await c.neighbors_exchange(n, channel=f"{n}")
             await c.close(f"{n}")
-        for n in range(MAX_CHANNELS):
+        for n in range(ROUND_LIMITS.max_channels):
             await c.neighbors_exchange(n, channel=f"again {n}")
         with pytest.raises(
-            ConfigError, match=f"drone 0: channel 'more': found {MAX_CHANNELS}; allowed"
+            ConfigError,
+            match=f"drone 0: channel 'more': found {ROUND_LIMITS.max_channels}; allowed",
         ):
             await c.neighbors_exchange(0, channel="more")
 
@@ -834,7 +899,7 @@ def test_too_many_channels_are_refused_and_closed_ones_make_room():
 def test_an_undecodable_message_is_an_error_of_its_reader():
     async def agent(c: Communicator) -> int:
         if c.id == 1:
-            c.port.send(ROUND, (0,), b"\xff", 0, "main", DATA)
+            c.port.send(MESSAGE_TOPICS.rounds, (0,), b"\xff", 0, "main", DATA)
             return 0
         with pytest.raises(CodecError):
             await c.neighbors_exchange(1)
@@ -896,19 +961,21 @@ def test_messages_of_an_earlier_epoch_are_ignored_and_those_of_the_next_are_kept
     async def agent(c: Communicator) -> dict[int, str]:
         clock = c.port.bus.clock
         if c.id == 1:
-            c.port.send(ROUND, (0,), encode("old"), 0, "main", DATA)
+            c.port.send(MESSAGE_TOPICS.rounds, (0,), encode("old"), 0, "main", DATA)
             c.leave((), 1)
             return await c.neighbors_exchange("new")
         await clock.sleep(0.2)
         c.open("main")
         c.leave((), 1)
         assert encode("old") not in c.open("main").inbox.get(0, {}).values()
-        c.port.deliver(ROUND.number, 1, encode("old"), 0, "main", DATA, 0.0)
+        c.port.deliver(
+            MESSAGE_TOPICS.rounds.number, 1, encode("old"), 0, "main", DATA, 0.0
+        )
         assert not c._early
         await clock.sleep(0.5)
         return await c.neighbors_exchange("mine")
 
-    network = [Rule({"delay": 0.3})]
+    network = [ImpairmentRule({"delay": 0.3})]
     assert swarm(graphs.path(2), agent, network) == {0: {1: "new"}, 1: {0: "mine"}}
     assert swarm(graphs.path(2), agent) == {0: {1: "new"}, 1: {0: "mine"}}
 

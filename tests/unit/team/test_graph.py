@@ -216,7 +216,7 @@ def test_the_same_graph_whatever_the_hash_seed() -> None:
     assert (
         texts[0]
         == texts[1]
-        == f"{shapes.named('erdos-renyi:0.4', [5, 900, 17, 3, 44], 7)}\n".encode()
+        == f"{shapes.graph_from_name('erdos-renyi:0.4', [5, 900, 17, 3, 44], 7)}\n".encode()
     )
 
 
@@ -237,12 +237,12 @@ def test_the_same_graph_whatever_the_hash_seed() -> None:
     ],
 )
 def test_names(name: str, graph: Graph) -> None:
-    assert shapes.named(name, 6, seed=3) == graph
+    assert shapes.graph_from_name(name, 6, seed=3) == graph
 
 
 def test_a_wrong_name_lists_the_known_ones() -> None:
     with pytest.raises(ConfigError) as caught:
-        shapes.named("rng", 6)
+        shapes.graph_from_name("rng", 6)
     assert str(caught.value) == (
         "graph: found rng; allowed: ring, path, star, complete, empty, k-regular:K, erdos-renyi:P, geometric:R, "
         "grid:ROWSxCOLUMNS."
@@ -253,19 +253,19 @@ def test_a_wrong_name_lists_the_known_ones() -> None:
     ("wrong", "text"),
     [
         (
-            lambda: shapes.named("grid:2x2", 6),
+            lambda: shapes.graph_from_name("grid:2x2", 6),
             "grid graph: found 2x2; allowed: rows times columns = 6 drones.",
         ),
         (
-            lambda: shapes.named("k-regular:3", 5),
+            lambda: shapes.graph_from_name("k-regular:3", 5),
             "k-regular graph: found k = 3; allowed: 0 to 4, with k times 5",
         ),
         (
-            lambda: shapes.named("erdos-renyi:0.01", 9),
+            lambda: shapes.graph_from_name("erdos-renyi:0.01", 9),
             "p = 0.01: none of 1000 draws is connected; allowed: a larger p",
         ),
         (
-            lambda: shapes.named("erdos-renyi:7", 9),
+            lambda: shapes.graph_from_name("erdos-renyi:7", 9),
             "random graph: found p = 7; allowed: a probability, 0 to 1.",
         ),
         (lambda: shapes.ring(3).neighbors(7), "graph: found drone 7; allowed: 0 to 2."),
@@ -347,7 +347,7 @@ def test_drawn_sub_graphs_unite_to_the_whole(
     ],
 )
 def test_span(ids: list[int], text: str) -> None:
-    assert shapes.span(ids).endswith(text)
+    assert shapes.describe_ids(ids).endswith(text)
 
 
 @pytest.mark.parametrize(
@@ -355,12 +355,12 @@ def test_span(ids: list[int], text: str) -> None:
     ["0.5", ".5", "5e-1", "5E-1", "0.50", "0.500000000000", "+0.5", " 0.5 ", "50e-2"],
 )
 def test_a_number_of_a_shape_is_taken_however_it_is_written(spelling: str) -> None:
-    assert shapes.named(
+    assert shapes.graph_from_name(
         f"erdos-renyi:{spelling}", 6, seed=3
     ) == shapes.erdos_renyi_connected(6, 0.5, 3)
-    assert shapes.named(f"geometric:{spelling}", 6, seed=3) == shapes.geometric(
-        6, 0.5, 3
-    )
+    assert shapes.graph_from_name(
+        f"geometric:{spelling}", 6, seed=3
+    ) == shapes.geometric(6, 0.5, 3)
 
 
 @pytest.mark.parametrize(
@@ -374,7 +374,7 @@ def test_a_number_of_a_shape_is_taken_however_it_is_written(spelling: str) -> No
     ],
 )
 def test_the_sides_of_a_grid_are_taken_however_they_are_written(name: str) -> None:
-    assert shapes.named(name, 6) == shapes.grid(2, 3)
+    assert shapes.graph_from_name(name, 6) == shapes.grid(2, 3)
 
 
 @pytest.mark.parametrize(
@@ -413,7 +413,7 @@ def test_a_number_that_a_shape_cannot_have_is_refused_with_its_form(
     name: str, text: str
 ) -> None:
     with pytest.raises(ConfigError) as refused:
-        shapes.named(name, 6, seed=3)
+        shapes.graph_from_name(name, 6, seed=3)
     assert text in str(refused.value)
 
 
@@ -423,5 +423,5 @@ def test_a_shape_that_never_connects_a_large_swarm_is_refused_at_once(
 ) -> None:
     began = time.perf_counter()
     with pytest.raises(ConfigError, match="none of 1000 draws is connected"):
-        shapes.named(name, 3000)
+        shapes.graph_from_name(name, 3000)
     assert time.perf_counter() - began < 5.0

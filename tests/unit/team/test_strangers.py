@@ -1,9 +1,14 @@
 """Who has another mission, and who of two camps is refused."""
 
 from crazychoir.config.swarm_config import default_swarm
-from crazychoir.config.tables import AGREED
+from crazychoir.config.tables import AGREED_KEYS
 from crazychoir.runtime.clock import Clock, run_virtual
-from crazychoir.team.strangers import CODE, SETTLE, Strangers, difference
+from crazychoir.team.strangers import (
+    MISSION_CODE_NAME,
+    SETTLE_TIME,
+    Strangers,
+    differing_keys,
+)
 
 
 def told(story) -> None:
@@ -48,7 +53,7 @@ def test_who_has_not_heard_everybody_waits_before_it_judges():
         camp = Strangers(clock, 1, 9, "ours")
         camp.heard(0, "other")
         assert not camp.are_more([])
-        await clock.sleep(SETTLE + 0.01)
+        await clock.sleep(SETTLE_TIME + 0.01)
         assert camp.are_more([])
 
     told(story)
@@ -66,16 +71,21 @@ def test_it_is_told_in_which_keys_of_the_swarm_file_and_whether_in_the_mission_i
         base_port=8000,
         network={"loss": 0.5},
     )
-    assert difference(hashed(config), hashed(config), AGREED) == []
-    assert difference(hashed(config), hashed(other), AGREED) == ["graph", "flight"]
-    assert difference(hashed(config), hashed(config, "01"), AGREED) == [CODE]
-    assert difference(hashed(config), hashed(config)[:-2], AGREED) == [], (
+    assert differing_keys(hashed(config), hashed(config), AGREED_KEYS) == []
+    assert differing_keys(hashed(config), hashed(other), AGREED_KEYS) == [
+        "graph",
+        "flight",
+    ]
+    assert differing_keys(hashed(config), hashed(config, "01"), AGREED_KEYS) == [
+        MISSION_CODE_NAME
+    ]
+    assert differing_keys(hashed(config), hashed(config)[:-2], AGREED_KEYS) == [], (
         "of another version, with other keys"
     )
-    assert difference(hashed(config), "ours", AGREED) == []
+    assert differing_keys(hashed(config), "ours", AGREED_KEYS) == []
 
     async def story(clock: Clock) -> None:
-        camp = Strangers(clock, 1, 2, hashed(config), AGREED)
+        camp = Strangers(clock, 1, 2, hashed(config), AGREED_KEYS)
         assert not camp.heard(0, config.digest()), "after GO only the whole is said"
         assert camp.heard(0, hashed(other))
         whole = f"({config.digest()}) is not that of drone 0 ({other.digest()}, which has another graph, flight). Copy"

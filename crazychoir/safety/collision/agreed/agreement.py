@@ -13,53 +13,63 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from crazychoir.bus.port import ANY, Port
-from crazychoir.bus.topics import PLAN
-from crazychoir.runtime.clock import SECOND
+from crazychoir.bus.port import PORT_ADDRESSES, Port
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.runtime.mailbox import Call
-from crazychoir.safety.collision.agreed.paths import PIECE
-from crazychoir.safety.collision.neighbour_table import USABLE
+from crazychoir.safety.collision.agreed.paths import PIECE_SIZE
+from crazychoir.safety.collision.neighbour_table import NEIGHBOUR_AGES
 from crazychoir.types import Mat, Plan, Vec
 
-REPEAT = 0.05
-"""Seconds between two messages without news."""
-RESTING = 0.2
-"""Seconds between two messages of a drone on the ground."""
-NO_WAY: Mat = np.zeros((0, PIECE))
+
+@dataclass(frozen=True, slots=True)
+class PlanAnnouncements:
+    """How often a drone announces its plan, and how it numbers its offers."""
+
+    repeat_interval: float = 0.05
+    """s between two messages of a flying drone without news."""
+    ground_repeat_interval: float = 0.2
+    """s between two messages of a drone on the ground."""
+    no_offer: int = -1
+    """The number that stands for no offer."""
+    offers_per_incarnation: int = 2**20
+    """Numbers of offers for one incarnation of an agent."""
+
+
+PLAN_ANNOUNCEMENTS = PlanAnnouncements()
+
+
+NO_PATH: Mat = np.zeros((0, PIECE_SIZE))
 """A path without pieces: the drone does not fly, or has no offer."""
-NOWHERE: Vec = np.zeros(0)
+NO_REST_PLACE: Vec = np.zeros(0)
 """No place."""
-NOTHING = -1
-"""Number of no offer."""
-NUMBERS = 2**20
-"""Number of offers for one incarnation of an agent."""
 
 
 @dataclass
-class Other:
+class OtherPlanner:
     """Known facts about another drone with agreed paths."""
 
     id: int
     """Id of the drone."""
     heard: float = -np.inf
     """Time in s of its newest message."""
-    way: Mat = field(default_factory=lambda: NO_WAY)
+    way: Mat = field(default_factory=lambda: NO_PATH)
     """(k, 25): its path."""
     began: float = 0.0
     """Time in s when its path began."""
-    offer: Mat = field(default_factory=lambda: NO_WAY)
+    offer: Mat = field(default_factory=lambda: NO_PATH)
     """(k, 25): the path that it offers."""
     begins: float = 0.0
     """Time in s when its offer would begin."""
-    number: int = NOTHING
+    number: int = PLAN_ANNOUNCEMENTS.no_offer
     """Number of its offer."""
     agreed: dict[int, int] = field(default_factory=dict)
     """Its agreements: id of a drone -> number of the offer."""
-    allowed: int = NOTHING
+    allowed: int = PLAN_ANNOUNCEMENTS.no_offer
     """Number of its offer to which this drone has agreed."""
     pending: bool = False
     """Whether its offer still needs an answer."""
-    awaits: Vec = field(default_factory=lambda: NOWHERE)
+    awaits: Vec = field(default_factory=lambda: NO_REST_PLACE)
     """(3,) m, world: where it wants to rest but cannot; (0,) for nowhere."""
     stands: bool = False
     """Whether it has stood on the floor since its newest message."""
@@ -71,7 +81,7 @@ class Other:
 
     def silent(self, now: float) -> bool:
         """Return whether its newest message is too old to rely on."""
-        return now - self.heard > USABLE
+        return now - self.heard > NEIGHBOUR_AGES.usable
 
 
 class Agreement:
@@ -88,18 +98,20 @@ class Agreement:
         self.port = port
         self.clock = port.bus.clock
         self.id = port.address
-        self.others = {j: Other(j) for j in ids if j != port.address}
-        self.way = NO_WAY
+        self.others = {j: OtherPlanner(j) for j in ids if j != port.address}
+        self.way = NO_PATH
         """(k, 25): the path that is flown."""
         self.began = 0.0
         """Time in s when the path began."""
-        self.offer = NO_WAY
+        self.offer = NO_PATH
         """(k, 25): the path that is asked for."""
         self.begins = 0.0
         """Time in s when the offer begins."""
-        self.number = port.incarnation % 2**32 * NUMBERS
+        self.number = (
+            port.incarnation % 2**32 * PLAN_ANNOUNCEMENTS.offers_per_incarnation
+        )
         """Number of the offer."""
-        self.awaits = NOWHERE
+        self.awaits = NO_REST_PLACE
         """(3,) m, world: where this drone wants to rest but cannot; (0,) for nowhere."""
         self.in_vain = 0.0
         """Seconds that it has asked, or could not ask, since an offer last succeeded."""
@@ -110,15 +122,18 @@ class Agreement:
         self._news = False
         if self.others:
             port.bus.subscribe(
-                PLAN, ANY, port.address, Call(self.clock, self._hear, "plans")
+                DRONE_TOPICS.plan,
+                PORT_ADDRESSES.any_drone,
+                port.address,
+                Call(self.clock, self._hear, "plans"),
             )
 
     def _hear(self, message: tuple[int, Plan], age: float) -> None:
         """Keep a sound and newer message of another drone."""
         j, plan = message
         other = self.others.get(j)
-        heard = self.clock.now_ns() / SECOND - age
-        if other is None or heard < other.heard or not JUDGE.is_sound(plan):
+        heard = self.clock.now_ns() / NS_PER_SECOND - age
+        if other is None or heard < other.heard or not PLAN_VALIDATOR.is_sound(plan):
             return
         other.heard = heard
         other.agreed = plan.agreed
@@ -130,7 +145,7 @@ class Agreement:
         other.begins = heard + plan.due
         other.number = plan.number
 
-    def flying(self) -> list[Other]:
+    def flying(self) -> list[OtherPlanner]:
         """Return the drones in the air, as far as is known."""
         return [other for other in self.others.values() if other.flies]
 
@@ -146,7 +161,7 @@ class Agreement:
         """Fly this path from now on without asking: the first path, or the only way out."""
         self.way = way
         self.began = now
-        self.offer = NO_WAY
+        self.offer = NO_PATH
         self._news = True
 
     def propose(self, way: Mat, begins: float) -> None:
@@ -175,7 +190,7 @@ class Agreement:
             self.in_vain = 0.0
         else:
             self.waited(lacking, now - self._asked)
-        self.offer = NO_WAY
+        self.offer = NO_PATH
         self._news = True
 
     def waited(self, j: int, seconds: float) -> None:
@@ -186,20 +201,20 @@ class Agreement:
     def rest(self, now: float) -> None:
         """Tell the others that this drone does not fly."""
         if len(self.way):
-            self.way = NO_WAY
-            self.offer = NO_WAY
+            self.way = NO_PATH
+            self.offer = NO_PATH
             self.in_vain = 0.0
             self._news = True
-            self.awaits = NOWHERE
+            self.awaits = NO_REST_PLACE
         self.tell(now)
 
-    def agree(self, other: Other) -> None:
+    def agree(self, other: OtherPlanner) -> None:
         """Let the other drone fly its offer."""
         other.allowed = other.number
         other.pending = False
         self._news = True
 
-    def may_be_flown(self, other: Other) -> bool:
+    def may_be_flown(self, other: OtherPlanner) -> bool:
         """Return whether the other drone may fly its offer, as far as this drone decides."""
         return len(other.offer) > 0 and (
             other.id < self.id or other.allowed == other.number
@@ -228,7 +243,11 @@ class Agreement:
         """Publish path and offer if there is news, or when it is time to repeat them."""
         if not self.others or not (self._news or now >= self._next):
             return
-        self._next = now + (REPEAT if len(self.way) else RESTING)
+        self._next = now + (
+            PLAN_ANNOUNCEMENTS.repeat_interval
+            if len(self.way)
+            else PLAN_ANNOUNCEMENTS.ground_repeat_interval
+        )
         self._news = False
         agreed = {other.id: other.allowed for other in self.flying()}
         plan = Plan(
@@ -240,10 +259,10 @@ class Agreement:
             agreed,
             self.awaits,
         )
-        self.port.publish(PLAN, plan)
+        self.port.publish(DRONE_TOPICS.plan, plan)
 
 
-class _Judge:
+class _PlanValidator:
     """Checks whether a plan is sound.
 
     A plan that many drones of a process receive is checked once.
@@ -256,17 +275,19 @@ class _Judge:
         """Return whether all of the plan can be flown."""
         last, sound = self._last
         if plan is not last:
-            sound = _is_way(plan.way) and _is_way(plan.offer) and _is_place(plan.awaits)
+            sound = (
+                _is_path(plan.way) and _is_path(plan.offer) and _is_place(plan.awaits)
+            )
             self._last = plan, sound
         return sound
 
 
-JUDGE = _Judge()
+PLAN_VALIDATOR = _PlanValidator()
 
 
-def _is_way(way: Mat) -> bool:
+def _is_path(way: Mat) -> bool:
     """Return whether it is a table of pieces with finite numbers and no negative duration."""
-    fits = way.ndim == 2 and way.shape[1] == PIECE and len(way) <= 8
+    fits = way.ndim == 2 and way.shape[1] == PIECE_SIZE and len(way) <= 8
     return fits and bool(np.isfinite(way).all() and (way[:, 0] >= 0.0).all())
 
 

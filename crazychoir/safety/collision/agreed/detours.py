@@ -6,43 +6,53 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crazychoir.numerics.math3d import E3
+from crazychoir.numerics.math3d import UPWARD_AXIS
 from crazychoir.safety.collision.agreed.paths import (
-    braking,
-    end,
-    flight,
-    hold,
-    leaves,
-    moving,
-    seconds,
+    compute_end_place,
+    compute_motion,
+    compute_path_duration,
+    is_outside_box,
+    plan_braking,
+    plan_flight,
+    plan_hold,
 )
-from crazychoir.safety.collision.agreed.rest_goal import NEAR, Aim
-from crazychoir.safety.rules.guard import INSET, Fence
+from crazychoir.safety.collision.agreed.rest_goal import ARRIVAL_DISTANCE, RestGoal
+from crazychoir.safety.rules.guard import FENCE_INSET, Fence
 from crazychoir.types import Mat, Vec
 
-DELAYS = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
-"""s, delays after the drone has come to rest."""
-SHARES = (0.25, 0.5, 0.75, 0.9)
-"""Shares of the straight path at which the drone may wait, or turn aside and back."""
-ASIDE = (0.5, 0.9)
-"""m, distances beside the straight path."""
-ABOVE = 0.95
-"""m, distance above and below the straight path."""
-DRAWN = 10
-"""Number of waypoints that are drawn at random."""
-AROUND = np.array([0.9, 0.9, 1.0])
-"""m, margin around the box of the straight path in which waypoints are drawn."""
-DIP = 0.15
-"""Largest depth in m below the lowest waypoint for a drone that cannot stop before.
 
-The floor is there.
-"""
-TURN = 0.3
-"""Cost in s of each further flight of a path beside its duration: each must be worth it."""
+@dataclass(frozen=True, slots=True)
+class DetourChoices:
+    """The paths that a drone tries when its straight path is taken, and what they cost."""
+
+    delays: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
+    """s, delays after the drone has come to rest."""
+    waypoint_shares: tuple[float, ...] = (0.25, 0.5, 0.75, 0.9)
+    """Shares of the straight path at which the drone may wait, or turn aside and back."""
+    side_distances: tuple[float, ...] = (0.5, 0.9)
+    """m, distances beside the straight path."""
+    vertical_distance: float = 0.95
+    """m, distance above and below the straight path."""
+    random_waypoints: int = 10
+    """Number of waypoints that are drawn at random."""
+    largest_dip: float = 0.15
+    """Largest depth in m below the lowest waypoint for a drone that cannot stop before.
+
+    The floor is there.
+    """
+    extra_flight_cost: float = 0.3
+    """Cost in s of each further flight of a path beside its duration: each must be worth it."""
+
+
+DETOUR_CHOICES = DetourChoices()
+
+
+RANDOM_WAYPOINT_MARGIN = np.array([0.9, 0.9, 1.0])
+"""m, margin around the box of the straight path in which waypoints are drawn."""
 
 
 @dataclass(frozen=True)
-class Option:
+class PathOption:
     """A path and its cost."""
 
     cost: float
@@ -68,7 +78,7 @@ class Detours:
         self.fence = fence
         self.draw = draw
 
-    def options(self, start: Vec, aim: Aim, most: float) -> list[Option]:
+    def options(self, start: Vec, aim: RestGoal, most: float) -> list[PathOption]:
         """Return all paths that cost less than `most` s and stay INSET inside the fence.
 
         A path may be nearer to the fence, or outside, if the drone cannot stop before, or if its
@@ -78,39 +88,49 @@ class Detours:
         aim: the goal, where the path ends at rest
         most: s
         """
-        places = np.array([start[0:3], aim.goal, end(braking(start, self.a_max))])
-        low = np.minimum(places.min(axis=0), np.array(self.fence.low) + INSET)
-        low[2] = max(low[2], min(start[2], aim.goal[2], self.fence.low[2] - DIP))
-        high = np.maximum(places.max(axis=0), np.array(self.fence.high) - INSET)
+        places = np.array(
+            [start[0:3], aim.goal, compute_end_place(plan_braking(start, self.a_max))]
+        )
+        low = np.minimum(places.min(axis=0), np.array(self.fence.low) + FENCE_INSET)
+        low[2] = max(
+            low[2],
+            min(start[2], aim.goal[2], self.fence.low[2] - DETOUR_CHOICES.largest_dip),
+        )
+        high = np.maximum(places.max(axis=0), np.array(self.fence.high) - FENCE_INSET)
         found = [
             option
             for option in (*self._straight(start, aim), *self._by_waypoints(start, aim))
-            if option.cost < most and not leaves(option.way, low, high)
+            if option.cost < most and not is_outside_box(option.way, low, high)
         ]
         return sorted(found, key=lambda option: option.cost)
 
-    def _option(self, aim: Aim, *pieces: Mat) -> Option:
+    def _option(self, aim: RestGoal, *pieces: Mat) -> PathOption:
         """Return the path of these pieces with its cost."""
         way = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
-        return Option(seconds(way) + aim.missing(end(way)) + TURN * (len(way) - 1), way)
+        return PathOption(
+            compute_path_duration(way)
+            + aim.missing(compute_end_place(way))
+            + DETOUR_CHOICES.extra_flight_cost * (len(way) - 1),
+            way,
+        )
 
-    def _straight(self, start: Vec, aim: Aim) -> Iterator[Option]:
+    def _straight(self, start: Vec, aim: RestGoal) -> Iterator[PathOption]:
         """Yield the straight paths: at once, or after a delay."""
-        yield self._option(aim, flight(start, aim.goal, self.v_max, self.a_max))
-        rest = braking(start, self.a_max)
-        stopped = moving(rest, seconds(rest))
-        later = flight(stopped, aim.goal, self.v_max, self.a_max)
-        for delay in DELAYS:
-            yield self._option(aim, rest, hold(stopped[0:3], delay), later)
+        yield self._option(aim, plan_flight(start, aim.goal, self.v_max, self.a_max))
+        rest = plan_braking(start, self.a_max)
+        stopped = compute_motion(rest, compute_path_duration(rest))
+        later = plan_flight(stopped, aim.goal, self.v_max, self.a_max)
+        for delay in DETOUR_CHOICES.delays:
+            yield self._option(aim, rest, plan_hold(stopped[0:3], delay), later)
 
-    def _by_waypoints(self, start: Vec, aim: Aim) -> Iterator[Option]:
+    def _by_waypoints(self, start: Vec, aim: RestGoal) -> Iterator[PathOption]:
         """Yield the paths over a waypoint, or to it only."""
         for point in self._waypoints(start[0:3], aim.goal):
-            first = flight(start, point, self.v_max, self.a_max)
+            first = plan_flight(start, point, self.v_max, self.a_max)
             yield self._option(aim, first)
-            there = moving(first, seconds(first))
+            there = compute_motion(first, compute_path_duration(first))
             yield self._option(
-                aim, first, flight(there, aim.goal, self.v_max, self.a_max)
+                aim, first, plan_flight(there, aim.goal, self.v_max, self.a_max)
             )
 
     def _waypoints(self, p: Vec, goal: Vec) -> Iterator[Vec]:
@@ -119,21 +139,21 @@ class Detours:
         flat = math.hypot(straight[0], straight[1])
         side = (
             np.array([-straight[1], straight[0], 0.0]) / flat
-            if flat > NEAR
+            if flat > ARRIVAL_DISTANCE
             else np.array([0.0, 1.0, 0.0])
         )
-        for share in SHARES:
+        for share in DETOUR_CHOICES.waypoint_shares:
             on = p + share * straight
             yield self._inside(on)
-            if share < SHARES[-1]:
-                for far in ASIDE:
+            if share < DETOUR_CHOICES.waypoint_shares[-1]:
+                for far in DETOUR_CHOICES.side_distances:
                     yield self._inside(on + far * side)
                     yield self._inside(on - far * side)
-                yield self._inside(on + ABOVE * E3)
-                yield self._inside(on - ABOVE * E3)
-        low = np.minimum(p, goal) - AROUND
-        high = np.maximum(p, goal) + AROUND
-        for point in self.draw.uniform(low, high, (DRAWN, 3)):
+                yield self._inside(on + DETOUR_CHOICES.vertical_distance * UPWARD_AXIS)
+                yield self._inside(on - DETOUR_CHOICES.vertical_distance * UPWARD_AXIS)
+        low = np.minimum(p, goal) - RANDOM_WAYPOINT_MARGIN
+        high = np.maximum(p, goal) + RANDOM_WAYPOINT_MARGIN
+        for point in self.draw.uniform(low, high, (DETOUR_CHOICES.random_waypoints, 3)):
             yield self._inside(point)
 
     def _inside(self, p: Vec) -> Vec:

@@ -2,16 +2,16 @@
 
 import numpy as np
 
-from crazychoir.safety.rules.guard import INSET, Fence
+from crazychoir.safety.rules.guard import FENCE_INSET, Fence
 from crazychoir.types import Mat, Vec
 
-RADII = 0.1 * np.arange(21)
+LANDING_SEARCH_RADII = 0.1 * np.arange(21)
 """m, distances from the present place that are tried."""
-ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+LANDING_SEARCH_ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
 """rad, directions from the present place that are tried."""
 
 
-def nearest_free(p: Vec, others: Mat, fence: Fence) -> Vec | None:
+def find_free_place(p: Vec, others: Mat, fence: Fence) -> Vec | None:
     """Return the nearest place to p, at the same height, inside the fence and away from all others.
 
     p: (3,) m, world
@@ -19,11 +19,11 @@ def nearest_free(p: Vec, others: Mat, fence: Fence) -> Vec | None:
     fence: where the drone flies
     Returns None if there is no such place.
     """
-    for radius in RADII.tolist():
-        for angle in ANGLES.tolist():
+    for radius in LANDING_SEARCH_RADII.tolist():
+        for angle in LANDING_SEARCH_ANGLES.tolist():
             place: Vec = p + radius * np.array([np.cos(angle), np.sin(angle), 0.0])
             inside = (
-                np.array_equal(fence.nearest(place, INSET)[0:2], place[0:2])
+                np.array_equal(fence.nearest(place, FENCE_INSET)[0:2], place[0:2])
                 or radius == 0.0
             )
             if inside and np.all(

@@ -1,38 +1,57 @@
 """Meeting of two paths: the first time at which two drones on them come too near to each other."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from crazychoir.numerics.kernels import kernel, matrix, real, vector
 from crazychoir.safety.collision.agreed.paths import (
-    braking,
-    hold,
-    moving,
-    place,
-    seconds,
+    compute_motion,
+    compute_path_duration,
+    compute_place,
+    plan_braking,
+    plan_hold,
 )
 from crazychoir.types import Mat, Vec
 
-STEP = 0.05
-"""Seconds between two checks.
 
-At 2 m/s of relative speed a distance of 0.3 m is seen at most 4 mm too large.
-"""
-NEARER = 1e-3
-"""Distance in m by which two drones that are too near may still approach, for rounding."""
-WIDEST = 0.15
-"""Largest extra distance in m from a path that is only guessed."""
-GROWS = 0.15
-"""Growth in m/s of the uncertainty of such a guess."""
-APART = 0.1
-"""Seconds between the places on its path at which a silent drone may be."""
-COLUMN = 0.3
-"""Height in m between the places where a drone that may have come down may be."""
-GOES_ON = 0.3
-"""Seconds that a drone without an announced path is assumed to go on before it brakes."""
+class MeetingCheck(NamedTuple):
+    """How a path is checked against the paths of other drones, and where drones with unknown paths
+    are assumed to be.
+    """
 
-FIRST, COUNT, BEGAN, FLOOR, GUESS, TAG, COLUMNS = range(7)
+    step: float = 0.05
+    """Seconds between two checks.
+
+    At 2 m/s of relative speed a distance of 0.3 m is seen at most 4 mm too large.
+    """
+    approach_tolerance: float = 1e-3
+    """Distance in m by which two drones that are too near may still approach, for rounding."""
+    largest_guess_margin: float = 0.15
+    """Largest extra distance in m from a path that is only guessed."""
+    guess_growth: float = 0.15
+    """Growth in m/s of the uncertainty of such a guess."""
+    silent_spacing: float = 0.1
+    """Seconds between the places on its path at which a silent drone may be."""
+    descent_spacing: float = 0.3
+    """Height in m between the places where a drone that may have come down may be."""
+    coasting_time: float = 0.3
+    """Seconds that a drone without an announced path is assumed to go on before it brakes."""
+
+
+MEETING_CHECK = MeetingCheck()
+
+
+(
+    PATH_FIRST_PIECE,
+    PATH_PIECE_COUNT,
+    PATH_BEGIN_TIME,
+    PATH_ON_FLOOR,
+    PATH_GUESS_GROWTH,
+    PATH_DRONE_ID,
+    PATH_COLUMNS,
+) = range(7)
 """Columns of what is known of another drone's path:
 
 FIRST: the first row of its pieces
@@ -45,7 +64,7 @@ TAG: id of the drone
 
 
 @kernel(matrix, real, matrix, matrix, real, vector)
-def meets(
+def find_first_meeting(
     way: Mat, began: float, pieces: Mat, others: Mat, now: float, f: Vec
 ) -> tuple[float, float]:
     """Return the first time in s at which a path meets another, and the id of that drone.
@@ -71,36 +90,52 @@ def meets(
     whose = -1.0
     for row in range(others.shape[0]):
         other = others[row]
-        first = int(other[FIRST])
-        theirs = pieces[first : first + int(other[COUNT])]
+        first = int(other[PATH_FIRST_PIECE])
+        theirs = pieces[first : first + int(other[PATH_PIECE_COUNT])]
         lasts = 0.0
         for k in range(theirs.shape[0]):
             lasts += theirs[k, 0]
-        sy, sz, width = (1.0, 1.0, f[3]) if other[FLOOR] > 0.0 else (f[0], f[1], f[2])
-        t = max(now, began, other[BEGAN])
-        ends = min(max(began + duration, other[BEGAN] + lasts) + STEP, soonest)
+        sy, sz, width = (
+            (1.0, 1.0, f[3]) if other[PATH_ON_FLOOR] > 0.0 else (f[0], f[1], f[2])
+        )
+        t = max(now, began, other[PATH_BEGIN_TIME])
+        ends = min(
+            max(began + duration, other[PATH_BEGIN_TIME] + lasts) + MEETING_CHECK.step,
+            soonest,
+        )
         nearest = math.inf
         while t < ends:
-            p = place(way, t - began)
-            q = place(theirs, t - other[BEGAN])
+            p = compute_place(way, t - began)
+            q = compute_place(theirs, t - other[PATH_BEGIN_TIME])
             d = math.sqrt(
                 (p[0] - q[0]) ** 2
                 + (sy * (p[1] - q[1])) ** 2
                 + (sz * (p[2] - q[2])) ** 2
             )
-            nearest = min(nearest, d - NEARER) if nearest == math.inf else nearest
-            if d < min(width + min(other[GUESS] * (t - now), WIDEST), nearest):
+            nearest = (
+                min(nearest, d - MEETING_CHECK.approach_tolerance)
+                if nearest == math.inf
+                else nearest
+            )
+            if d < min(
+                width
+                + min(
+                    other[PATH_GUESS_GROWTH] * (t - now),
+                    MEETING_CHECK.largest_guess_margin,
+                ),
+                nearest,
+            ):
                 soonest = t
-                whose = other[TAG]
+                whose = other[PATH_DRONE_ID]
                 break
-            t += STEP
+            t += MEETING_CHECK.step
     return soonest, whose
 
 
-class Meeting:
+class OtherPaths:
     """The paths of the others that a path must not meet.
 
-    figures: (4,), as f of `meets`
+    figures: (4,), as f of `find_first_meeting`
     a_max: m/s2, with which a drone without an announced path is assumed to brake
     """
 
@@ -131,20 +166,24 @@ class Meeting:
 
         It may have stopped anywhere on the path that was left then.
         """
-        lasts = seconds(way)
+        lasts = compute_path_duration(way)
         for t in np.arange(
-            min(max(0.0, heard - began), lasts), lasts + APART, APART
+            min(max(0.0, heard - began), lasts),
+            lasts + MEETING_CHECK.silent_spacing,
+            MEETING_CHECK.silent_spacing,
         ).tolist():
-            self.way(j, hold(moving(way, t)[0:3], 0.0), -math.inf)
+            self.way(j, plan_hold(compute_motion(way, t)[0:3], 0.0), -math.inf)
 
     def below(self, j: int, p: Vec) -> None:
         """Add drone j, which may have come down from p, (3,) m, to the ground."""
-        for z in np.arange(p[2], -APART, -COLUMN).tolist():
-            self.way(j, hold(np.array([p[0], p[1], z]), 0.0), -math.inf)
+        for z in np.arange(
+            p[2], -MEETING_CHECK.silent_spacing, -MEETING_CHECK.descent_spacing
+        ).tolist():
+            self.way(j, plan_hold(np.array([p[0], p[1], z]), 0.0), -math.inf)
 
     def stands(self, j: int, p: Vec) -> None:
         """Add drone j, which stands on the floor at p, (3,) m."""
-        self.way(j, hold(p, 0.0), -math.inf, floor=True)
+        self.way(j, plan_hold(p, 0.0), -math.inf, floor=True)
 
     def guessed(self, j: int, p: Vec, v: Vec, born: float) -> None:
         """Add drone j without an announced path: it goes on for a short time, then brakes.
@@ -154,11 +193,14 @@ class Meeting:
         born: s, time of p and v
         """
         start = np.concatenate([p, v, np.zeros(6)])
-        going = hold(p, GOES_ON)
+        going = plan_hold(p, MEETING_CHECK.coasting_time)
         going[0, 2], going[0, 10], going[0, 18] = v
-        start[0:3] += GOES_ON * v
+        start[0:3] += MEETING_CHECK.coasting_time * v
         self.way(
-            j, np.concatenate([going, braking(start, self.a_max)]), born, guess=GROWS
+            j,
+            np.concatenate([going, plan_braking(start, self.a_max)]),
+            born,
+            guess=MEETING_CHECK.guess_growth,
         )
 
     def first(
@@ -178,7 +220,7 @@ class Meeting:
             self._packed = np.concatenate(self._pieces), np.array(self._rows)
         figures = self.figures.copy()
         figures[2] += room
-        time, whose = meets(way, began, *self._packed, now, figures)
+        time, whose = find_first_meeting(way, began, *self._packed, now, figures)
         return time, None if whose < 0.0 else int(whose)
 
     def clear(self, way: Mat, began: float, now: float) -> bool:

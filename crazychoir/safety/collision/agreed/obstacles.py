@@ -1,33 +1,43 @@
 """Obstacles: all other drones, on their announced paths, else where their states suggest."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
-from crazychoir.safety.collision.agreed.agreement import Agreement, Other
-from crazychoir.safety.collision.agreed.landing_place import nearest_free
-from crazychoir.safety.collision.agreed.meeting import Meeting
-from crazychoir.safety.collision.agreed.paths import end
-from crazychoir.safety.collision.filter import BODY, STANDING
+from crazychoir.safety.collision.agreed.agreement import Agreement, OtherPlanner
+from crazychoir.safety.collision.agreed.landing_place import find_free_place
+from crazychoir.safety.collision.agreed.meeting import OtherPaths
+from crazychoir.safety.collision.agreed.paths import compute_end_place
+from crazychoir.safety.collision.filter import COLLISION_DISTANCES
 from crazychoir.safety.collision.neighbour_table import (
-    BORN,
-    SLOW,
-    SOON,
-    USABLE,
-    Traffic,
+    NEIGHBOUR_AGES,
+    NEIGHBOUR_ROW,
+    SPEED_ALLOWANCE,
+    NeighbourTable,
 )
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.types import State, Vec
 
-RESTS = 0.3
-"""Speed in m/s below which a low drone stands."""
-FREE = 0.25
-"""Further distance in m that a drone keeps when it lands beside others."""
-UNANSWERED = 5.0
-"""Seconds for which a landing drone waits for agreement.
 
-After this it comes down as far as this is clear of everything it knows.
-"""
+@dataclass(frozen=True, slots=True)
+class ObstacleLimits:
+    """When other drones count as standing or unreachable, and how much room a landing beside them
+    takes.
+    """
+
+    standing_speed: float = 0.3
+    """Speed in m/s below which a low drone stands."""
+    landing_clearance: float = 0.25
+    """Further distance in m that a drone keeps when it lands beside others."""
+    answer_timeout: float = 5.0
+    """Seconds for which a landing drone waits for agreement.
+
+    After this it comes down as far as this is clear of everything it knows.
+    """
+
+
+OBSTACLE_LIMITS = ObstacleLimits()
 
 
 class Obstacles:
@@ -44,7 +54,7 @@ class Obstacles:
         self,
         figures: Vec,
         agreement: Agreement,
-        traffic: Traffic,
+        traffic: NeighbourTable,
         a_max: float,
         ground: float,
     ) -> None:
@@ -63,14 +73,20 @@ class Obstacles:
         """
         self.traffic.look(now)
         for j, other in self.agreement.others.items():
-            other.stands = self.stands(j) and self._rows[j][BORN] > other.heard + USABLE
+            other.stands = (
+                self.stands(j)
+                and self._rows[j][NEIGHBOUR_ROW.state_time]
+                > other.heard + NEIGHBOUR_AGES.usable
+            )
 
     def measure(self, state: State) -> None:
         """Compute how soon this drone could be near each of the others."""
         rows = self.traffic.rows
         apart = np.linalg.norm(rows[:, 0:3] - state.p, axis=1)
-        rows[:, SOON] = apart / (
-            np.linalg.norm(rows[:, 3:6], axis=1) + np.linalg.norm(state.v) + SLOW
+        rows[:, NEIGHBOUR_ROW.meeting_time] = apart / (
+            np.linalg.norm(rows[:, 3:6], axis=1)
+            + np.linalg.norm(state.v)
+            + SPEED_ALLOWANCE
         )
 
     def who_stands_at(self, p: Vec) -> int | None:
@@ -81,7 +97,9 @@ class Obstacles:
         A landing there must not begin, because the drone may sink further.
         """
         for j, x in self._rows.items():
-            if math.hypot(x[0] - p[0], x[1] - p[1]) < BODY and self.stands(j):
+            if math.hypot(
+                x[0] - p[0], x[1] - p[1]
+            ) < COLLISION_DISTANCES.standing_drone and self.stands(j):
                 return j
         return None
 
@@ -89,9 +107,9 @@ class Obstacles:
         """Return whether drone j stood on the floor in its newest state."""
         x = self._rows[j]
         return bool(
-            x[BORN] > -math.inf
-            and x[2] < self._ground + STANDING
-            and np.linalg.norm(x[3:6]) < RESTS
+            x[NEIGHBOUR_ROW.state_time] > -math.inf
+            and x[2] < self._ground + COLLISION_DISTANCES.standing_height
+            and np.linalg.norm(x[3:6]) < OBSTACLE_LIMITS.standing_speed
         )
 
     def beside(self, p: Vec, fence: Fence) -> Vec | None:
@@ -103,29 +121,38 @@ class Obstacles:
         """
         spots = []
         for j, x in self._rows.items():
-            if x[BORN] > -math.inf:
+            if x[NEIGHBOUR_ROW.state_time] > -math.inf:
                 other = self.agreement.others.get(j)
-                at = end(other.way) if other is not None and other.flies else x[0:3]
-                spots.append(
-                    (at[0], at[1], self.figures[3 if self.stands(j) else 2] + FREE)
+                at = (
+                    compute_end_place(other.way)
+                    if other is not None and other.flies
+                    else x[0:3]
                 )
-        return nearest_free(p, np.array(spots), fence)
+                spots.append(
+                    (
+                        at[0],
+                        at[1],
+                        self.figures[3 if self.stands(j) else 2]
+                        + OBSTACLE_LIMITS.landing_clearance,
+                    )
+                )
+        return find_free_place(p, np.array(spots), fence)
 
-    def all(self, now: float) -> Meeting:
+    def all(self, now: float) -> OtherPaths:
         """Return everything that the own path must keep clear of."""
         meeting = self.strangers()
         for other in self.agreement.others.values():
             self._add(meeting, other, now)
         return meeting
 
-    def strangers(self) -> Meeting:
+    def strangers(self) -> OtherPaths:
         """Return the drones that announce no path and keep clear by themselves."""
-        meeting = Meeting(self.figures, self.a_max)
+        meeting = OtherPaths(self.figures, self.a_max)
         for j in self._guessed:
             self._guess(meeting, j)
         return meeting
 
-    def _add(self, meeting: Meeting, other: Other, now: float) -> None:
+    def _add(self, meeting: OtherPaths, other: OtherPlanner, now: float) -> None:
         """Add the path of a drone, and its offer if it may fly that."""
         if not other.flies:
             self._guess(meeting, other.id)
@@ -138,16 +165,16 @@ class Obstacles:
                 meeting.somewhere(other.id, way, began, other.heard)
             else:
                 meeting.way(other.id, way, began)
-        if now - other.heard > UNANSWERED:
-            meeting.below(other.id, end(other.way))
+        if now - other.heard > OBSTACLE_LIMITS.answer_timeout:
+            meeting.below(other.id, compute_end_place(other.way))
         # It may follow its announced path, or not: both count.
         if self.traffic.deaf(other.id):
             self._guess(meeting, other.id)
 
-    def _guess(self, meeting: Meeting, j: int) -> None:
+    def _guess(self, meeting: OtherPaths, j: int) -> None:
         """Add a drone by its newest state."""
         x = self._rows[j]
         if self.stands(j):
             meeting.stands(j, x[0:3])
-        elif x[BORN] > -math.inf:
-            meeting.guessed(j, x[0:3], x[3:6], x[BORN])
+        elif x[NEIGHBOUR_ROW.state_time] > -math.inf:
+            meeting.guessed(j, x[0:3], x[3:6], x[NEIGHBOUR_ROW.state_time])

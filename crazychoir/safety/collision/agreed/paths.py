@@ -6,6 +6,7 @@ A motion is (12,): p m, v m/s, a m/s2, j m/s3, each (3,), world.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,37 +16,47 @@ from crazychoir.planning.point_to_point import (
     PEAK_ACCELERATION,
     PEAK_DECELERATION,
     PEAK_SPEED,
-    SHORTEST,
+    SHORTEST_FLIGHT,
 )
 from crazychoir.types import Mat, Vec
 
-PIECE = 25
+PIECE_SIZE = 25
 """Numbers of a piece."""
-GROWTH = 1.06
-"""Ratio of successive durations that are tried."""
-PATIENT = 2.0
-"""Longest duration that is tried, as a multiple of the duration from rest."""
-LOOKS = 16
-"""Number of samples of a piece in the search for its peaks."""
-LOOK = 0.1
-"""Seconds between two checks of the place on a path."""
-ROUNDING = 1e-3
-"""Distance in m by which the drone may be elsewhere between two checks: 1 m/s2 makes 1.3 mm."""
-FAST = 1.05
-"""Allowed sampled peak speed, as a share of the limit."""
-HARD = 1.1
-"""Allowed sampled peak acceleration, as a share of the limit."""
-STEEP = 1.25
-"""Share of a_max from which an acceleration is no peak of such a path."""
-SWING = 2.0
-"""Least limit, as a multiple of a_max, for a path that begins with a larger acceleration.
 
-With a gentler limit the drone would become far too fast before it turned round.
-"""
+
+class PathSearch(NamedTuple):
+    """How the shortest duration of a piece within the limits is searched for."""
+
+    duration_growth: float = 1.06
+    """Ratio of successive durations that are tried."""
+    longest_duration: float = 2.0
+    """Longest duration that is tried, as a multiple of the duration from rest."""
+    samples: int = 16
+    """Number of samples of a piece in the search for its peaks."""
+    speed_excess: float = 1.05
+    """Allowed sampled peak speed, as a share of the limit."""
+    acceleration_excess: float = 1.1
+    """Allowed sampled peak acceleration, as a share of the limit."""
+    steep_start: float = 1.25
+    """Share of a_max from which an acceleration is no peak of such a path."""
+    steep_start_limit: float = 2.0
+    """Least limit, as a multiple of a_max, for a path that begins with a larger acceleration.
+
+    With a gentler limit the drone would become far too fast before it turned round.
+    """
+
+
+PATH_SEARCH = PathSearch()
+
+
+BOX_CHECK_STEP = 0.1
+"""Seconds between two checks of the place on a path."""
+BOX_TOLERANCE = 1e-3
+"""Distance in m by which the drone may be elsewhere between two checks: 1 m/s2 makes 1.3 mm."""
 
 
 @kernel()
-def _begin(way: Mat, t: float) -> tuple[int, float]:
+def _find_piece(way: Mat, t: float) -> tuple[int, float]:
     """Return the piece that is flown t s after the beginning of the path, and s since it began."""
     last = way.shape[0] - 1
     for k in range(last):
@@ -56,9 +67,9 @@ def _begin(way: Mat, t: float) -> tuple[int, float]:
 
 
 @kernel()
-def place(way: Mat, t: float) -> Triple:
+def compute_place(way: Mat, t: float) -> Triple:
     """Return the place, (3,) m, t s after the beginning."""
-    k, s = _begin(way, t)
+    k, s = _find_piece(way, t)
     x = way[k, 8]
     y = way[k, 16]
     z = way[k, 24]
@@ -70,14 +81,14 @@ def place(way: Mat, t: float) -> Triple:
 
 
 @kernel(matrix, real, memory)
-def motion(way: Mat, t: float, out: Vec) -> None:
+def fill_motion(way: Mat, t: float, out: Vec) -> None:
     """Compute the motion t s after the beginning; at rest after the end.
 
     way: (k, 25)
     t: s
     out: (12,): the result
     """
-    k, s = _begin(way, t)
+    k, s = _find_piece(way, t)
     for c in range(3):
         p = 0.0
         v = 0.0
@@ -98,7 +109,7 @@ def motion(way: Mat, t: float, out: Vec) -> None:
 
 
 @kernel(vector, vector, real, memory)
-def connect(start: Vec, end: Vec, duration: float, piece: Vec) -> None:
+def fill_connection(start: Vec, end: Vec, duration: float, piece: Vec) -> None:
     """Compute the polynomial from one motion to another.
 
         p(t) = sum_n c_n t^n:  p, v, a, j are the start's at 0 and the end's at T
@@ -133,13 +144,13 @@ def connect(start: Vec, end: Vec, duration: float, piece: Vec) -> None:
 
 
 @kernel()
-def _length(x: Vec, first: int) -> float:
+def _compute_length(x: Vec, first: int) -> float:
     """Return the length of the three numbers of x from index `first` on."""
     return math.sqrt(x[first] ** 2 + x[first + 1] ** 2 + x[first + 2] ** 2)
 
 
 @kernel()
-def _excess(piece: Vec, v_max: float, a_max: float, at: Vec) -> float:
+def _compute_excess(piece: Vec, v_max: float, a_max: float, at: Vec) -> float:
     """Return the larger of peak speed and peak acceleration of a piece, as shares of their limits.
 
     piece: (25,)
@@ -148,39 +159,41 @@ def _excess(piece: Vec, v_max: float, a_max: float, at: Vec) -> float:
     at: (12,): work space
     """
     worst = 0.0
-    way = piece.reshape((1, PIECE))
-    for n in range(1, LOOKS):
-        motion(way, piece[0] * n / LOOKS, at)
+    way = piece.reshape((1, PIECE_SIZE))
+    for n in range(1, PATH_SEARCH.samples):
+        fill_motion(way, piece[0] * n / PATH_SEARCH.samples, at)
         worst = max(
-            worst, _length(at, 3) / (FAST * v_max), _length(at, 6) / (HARD * a_max)
+            worst,
+            _compute_length(at, 3) / (PATH_SEARCH.speed_excess * v_max),
+            _compute_length(at, 6) / (PATH_SEARCH.acceleration_excess * a_max),
         )
     return worst
 
 
 @kernel()
-def _limit(acceleration: float, a_max: float) -> float:
+def _compute_acceleration_limit(acceleration: float, a_max: float) -> float:
     """Return the limit in m/s2 for a path that begins with an acceleration."""
-    if acceleration <= STEEP * a_max:
-        return max(a_max, acceleration / HARD)
-    return max(acceleration, SWING * a_max)
+    if acceleration <= PATH_SEARCH.steep_start * a_max:
+        return max(a_max, acceleration / PATH_SEARCH.acceleration_excess)
+    return max(acceleration, PATH_SEARCH.steep_start_limit * a_max)
 
 
 @kernel(matrix)
-def hardest(way: Mat) -> float:
+def find_peak_sideways_acceleration(way: Mat) -> float:
     """Return the largest sampled sideways acceleration on a path, m/s2."""
     at = np.zeros(12)
     worst = 0.0
     began = 0.0
     for k in range(way.shape[0]):
-        for n in range(LOOKS):
-            motion(way, began + way[k, 0] * n / LOOKS, at)
+        for n in range(PATH_SEARCH.samples):
+            fill_motion(way, began + way[k, 0] * n / PATH_SEARCH.samples, at)
             worst = max(worst, math.sqrt(at[6] ** 2 + at[7] ** 2))
         began += way[k, 0]
     return worst
 
 
 @kernel(matrix, vector, vector)
-def leaves(way: Mat, low: Vec, high: Vec) -> bool:
+def is_outside_box(way: Mat, low: Vec, high: Vec) -> bool:
     """Return whether a path leaves a box, checked every LOOK s.
 
     way: (k, 25)
@@ -189,17 +202,17 @@ def leaves(way: Mat, low: Vec, high: Vec) -> bool:
     """
     lasts = np.sum(way[:, 0])
     t = 0.0
-    while t < lasts + LOOK:
-        p = place(way, t)
+    while t < lasts + BOX_CHECK_STEP:
+        p = compute_place(way, t)
         for c in range(3):
-            if p[c] < low[c] - ROUNDING or p[c] > high[c] + ROUNDING:
+            if p[c] < low[c] - BOX_TOLERANCE or p[c] > high[c] + BOX_TOLERANCE:
                 return True
-        t += LOOK
+        t += BOX_CHECK_STEP
     return False
 
 
 @kernel(vector, vector, real, real, memory)
-def go_to(start: Vec, goal: Vec, v_max: float, a_max: float, piece: Vec) -> None:
+def fill_flight(start: Vec, goal: Vec, v_max: float, a_max: float, piece: Vec) -> None:
     """Compute the piece that go_to on board makes of a motion and a goal at rest.
 
     The planner on board does not know the jerk of the motion. The piece is as short as the limits
@@ -219,31 +232,35 @@ def go_to(start: Vec, goal: Vec, v_max: float, a_max: float, piece: Vec) -> None
     at = np.zeros(12)
     begin[9:12] = 0.0
     end[0:3] = goal
-    d = _length(end[0:3] - start[0:3], 0)
-    t = max(PEAK_SPEED * d / v_max, math.sqrt(PEAK_ACCELERATION * d / a_max), SHORTEST)
-    speed = _length(start, 3)
-    acceleration = _length(start, 6)
+    d = _compute_length(end[0:3] - start[0:3], 0)
+    t = max(
+        PEAK_SPEED * d / v_max,
+        math.sqrt(PEAK_ACCELERATION * d / a_max),
+        SHORTEST_FLIGHT,
+    )
+    speed = _compute_length(start, 3)
+    acceleration = _compute_length(start, 6)
     if speed + acceleration < 1e-6:
-        connect(begin, end, t, piece)
+        fill_connection(begin, end, t, piece)
         return
-    longest = PATIENT * t + PEAK_DECELERATION * speed / a_max
-    t = max(SHORTEST, 0.5 * t)
+    longest = PATH_SEARCH.longest_duration * t + PEAK_DECELERATION * speed / a_max
+    t = max(SHORTEST_FLIGHT, 0.5 * t)
     v = max(v_max, speed)
-    a = _limit(acceleration, a_max)
+    a = _compute_acceleration_limit(acceleration, a_max)
     best = t
     least = math.inf
     while t < longest and least > 1.0:
-        connect(begin, end, t, piece)
-        excess = _excess(piece, v, a, at)
+        fill_connection(begin, end, t, piece)
+        excess = _compute_excess(piece, v, a, at)
         if excess < least:
             best = t
             least = excess
-        t *= GROWTH
-    connect(begin, end, best, piece)
+        t *= PATH_SEARCH.duration_growth
+    fill_connection(begin, end, best, piece)
 
 
 @kernel(vector, real, memory)
-def stop(start: Vec, a_max: float, piece: Vec) -> None:
+def fill_stop(start: Vec, a_max: float, piece: Vec) -> None:
     """Compute the shortest piece from a motion to rest, wherever that is.
 
         p(T) = p + v T / 2 + a T^2 / 10,   T = 15/8 |v| / a_max without acceleration
@@ -256,65 +273,65 @@ def stop(start: Vec, a_max: float, piece: Vec) -> None:
     end = np.zeros(12)
     at = np.zeros(12)
     begin[9:12] = 0.0
-    t = max(PEAK_DECELERATION * _length(start, 3) / a_max, SHORTEST)
-    a = _limit(_length(start, 6), a_max)
-    longest = PATIENT * t + PATIENT
+    t = max(PEAK_DECELERATION * _compute_length(start, 3) / a_max, SHORTEST_FLIGHT)
+    a = _compute_acceleration_limit(_compute_length(start, 6), a_max)
+    longest = PATH_SEARCH.longest_duration * t + PATH_SEARCH.longest_duration
     while True:
         for c in range(3):
             end[c] = start[c] + start[3 + c] * t / 2.0 + start[6 + c] * t * t / 10.0
-        connect(begin, end, t, piece)
-        if t > longest or _excess(piece, math.inf, a, at) <= 1.0:
+        fill_connection(begin, end, t, piece)
+        if t > longest or _compute_excess(piece, math.inf, a, at) <= 1.0:
             return
-        t *= GROWTH
+        t *= PATH_SEARCH.duration_growth
 
 
-def hold(p: Vec, seconds: float) -> Mat:
+def plan_hold(p: Vec, seconds: float) -> Mat:
     """Return the path that stays at p, (3,) m."""
-    way = np.zeros((1, PIECE))
+    way = np.zeros((1, PIECE_SIZE))
     way[0, 0], way[0, 1], way[0, 9], way[0, 17] = seconds, *p
     return way
 
 
-def flight(start: Vec, goal: Vec, v_max: float, a_max: float) -> Mat:
+def plan_flight(start: Vec, goal: Vec, v_max: float, a_max: float) -> Mat:
     """Return the path of one go_to."""
-    way = np.empty((1, PIECE))
-    go_to(start, goal, v_max, a_max, way[0])
+    way = np.empty((1, PIECE_SIZE))
+    fill_flight(start, goal, v_max, a_max, way[0])
     return way
 
 
-def braking(start: Vec, a_max: float) -> Mat:
+def plan_braking(start: Vec, a_max: float) -> Mat:
     """Return the path to rest."""
-    way = np.empty((1, PIECE))
-    stop(start, a_max, way[0])
+    way = np.empty((1, PIECE_SIZE))
+    fill_stop(start, a_max, way[0])
     return way
 
 
-def keeping_up(start: Vec, then: Vec, seconds: float, a_max: float) -> Mat:
-    """Return the path to a motion that will be wanted `seconds` later, and to rest from there.
+def plan_catching_up(start: Vec, then: Vec, seconds: float, a_max: float) -> Mat:
+    """Return the path to a motion that will be wanted `compute_path_duration` later, and to rest from there.
 
     start: (12,)
     then: (12,)
     seconds: s
     a_max: m/s2
     """
-    way = np.empty((2, PIECE))
-    connect(start, then, seconds, way[0])
-    stop(then, a_max, way[1])
+    way = np.empty((2, PIECE_SIZE))
+    fill_connection(start, then, seconds, way[0])
+    fill_stop(then, a_max, way[1])
     return way
 
 
-def moving(way: Mat, t: float) -> Vec:
+def compute_motion(way: Mat, t: float) -> Vec:
     """Return the motion, (12,), t s after the beginning."""
     out = np.empty(12)
-    motion(way, t, out)
+    fill_motion(way, t, out)
     return out
 
 
-def seconds(way: Mat) -> float:
+def compute_path_duration(way: Mat) -> float:
     """Return the duration of all pieces in s."""
     return float(way[:, 0].sum())
 
 
-def end(way: Mat) -> Vec:
+def compute_end_place(way: Mat) -> Vec:
     """Return the place, (3,) m, where a path ends."""
-    return moving(way, seconds(way))[0:3]
+    return compute_motion(way, compute_path_duration(way))[0:3]

@@ -8,21 +8,30 @@ import numpy as np
 from crazychoir.planning.point_to_point import PEAK_ACCELERATION, PEAK_SPEED
 from crazychoir.types import Vec
 
-NEAR = 0.05
+ARRIVAL_DISTANCE = 0.05
 """Distance in m from the goal within which the drone has arrived."""
-UNENDED = 1.0
-"""Cost in s of a path that does not end at the goal."""
-REST = 2.0
-"""Further cost of such a path, as a multiple of the time of the remaining flight."""
-AWAITED = 5.0
-"""Cost in s of resting where another drone wants to rest.
 
-It is more than the time of a flight aside and back.
-"""
+
+@dataclass(frozen=True, slots=True)
+class RestCosts:
+    """The costs of a path that ends elsewhere than at its goal."""
+
+    elsewhere: float = 1.0
+    """Cost in s of a path that does not end at the goal."""
+    remaining_flight: float = 2.0
+    """Further cost of such a path, as a multiple of the time of the remaining flight."""
+    awaited_place: float = 5.0
+    """Cost in s of resting where another drone wants to rest.
+
+    It is more than the time of a flight aside and back.
+    """
+
+
+REST_COSTS = RestCosts()
 
 
 @dataclass(frozen=True)
-class Aim:
+class RestGoal:
     """A goal among the goals of others."""
 
     goal: Vec
@@ -51,12 +60,13 @@ class Aim:
             PEAK_SPEED * gap / self.v_max,
             math.sqrt(PEAK_ACCELERATION * gap / self.a_max),
         )
-        if gap <= NEAR:
+        if gap <= ARRIVAL_DISTANCE:
             return left
         return (
-            UNENDED
-            + REST * left
-            + AWAITED * any(self._occupies(p, place) for place in self.awaited)
+            REST_COSTS.elsewhere
+            + REST_COSTS.remaining_flight * left
+            + REST_COSTS.awaited_place
+            * any(self._occupies(p, place) for place in self.awaited)
         )
 
     def _occupies(self, p: Vec, place: Vec) -> bool:

@@ -73,7 +73,7 @@ COMPUTATIONS = (
     "crazychoir.solve.solving.solve_here",
     "crazychoir.solve.simulate.simulate",
     "crazychoir.launch.flight.fly_fast",
-    "crazychoir.radio.survey.survey.survey",
+    "crazychoir.radio.survey.survey.run_survey",
     "crazychoir.bench.paper.ablation.run",
 )
 

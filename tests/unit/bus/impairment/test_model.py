@@ -7,9 +7,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chisquare
 
-from crazychoir.bus.impairment.model import AT_ONCE, LOST, EdgeCounters, Impairment
-from crazychoir.bus.impairment.random_draws import BLOCK, ONE, draw, key
-from crazychoir.bus.impairment.rules import Link, Partition, Rule, resolve
+from crazychoir.bus.impairment.model import (
+    LOST_MESSAGE,
+    UNDELAYED_MESSAGE,
+    EdgeCounters,
+    Impairment,
+)
+from crazychoir.bus.impairment.random_draws import RANDOM_DRAWS, draw, draw_key
+from crazychoir.bus.impairment.rules import (
+    EdgeEffects,
+    ImpairmentRule,
+    NetworkPartition,
+    effects_on_edge,
+)
 from crazychoir.errors import ConfigError
 
 N = 100_000
@@ -37,7 +47,7 @@ def one(
 
 def losses(impairment, count, **where):
     return np.array(
-        [one(impairment, number, **where) is LOST for number in range(count)]
+        [one(impairment, number, **where) is LOST_MESSAGE for number in range(count)]
     )
 
 
@@ -45,7 +55,7 @@ def losses(impairment, count, **where):
 
 
 def uniforms(draws):
-    return np.array(list(draws)) / ONE
+    return np.array(list(draws)) / RANDOM_DRAWS.range_size
 
 
 @pytest.mark.parametrize("along", ["number", "attempt", "key"])
@@ -53,12 +63,12 @@ def test_draws_are_uniform_and_neighbours_independent(along):
     counters = {
         "number": lambda k: (12345, k, 0),
         "attempt": lambda k: (12345, 7, k),
-        "key": lambda k: (key(1, k, 2, "a"), 0, 0),
+        "key": lambda k: (draw_key(1, k, 2, "a"), 0, 0),
     }[along]
     u = uniforms(draw(*counters(k)) for k in range(N))
     assert abs(u.mean() - 0.5) < 4 / np.sqrt(12 * N)
     assert chisquare(np.histogram(u, 256, (0, 1))[0]).pvalue > 1e-4
-    for lag in (1, 2, 3, BLOCK):
+    for lag in (1, 2, 3, RANDOM_DRAWS.block_size):
         pairs = np.histogram2d(u[:-lag], u[lag:], 16, [[0, 1], [0, 1]])[0]
         assert chisquare(pairs.ravel()).pvalue > 1e-4
         assert abs(np.corrcoef(u[:-lag], u[lag:])[0, 1]) < 4.5 / np.sqrt(N)
@@ -73,11 +83,11 @@ def test_every_bit_of_a_draw_is_fair():
 
 @given(U64, U64, st.integers(0, 1000))
 def test_draws_are_in_range(key, number, attempt):
-    assert 0 <= draw(key, number, attempt) < ONE
+    assert 0 <= draw(key, number, attempt) < RANDOM_DRAWS.range_size
 
 
 def test_draws_are_the_same_for_ever():
-    assert key(1, 2, 3, "a") == 0x68A4CE582964B58B
+    assert draw_key(1, 2, 3, "a") == 0x68A4CE582964B58B
     assert draw(0, 1, 0) == 0xE220A8397B1DCDAF  # the first output of SplitMix64 from 0
     assert draw(0, 2, 0) == 0x6E789E6AA1B965F4
 
@@ -93,7 +103,7 @@ def test_attempts_and_numbers_do_not_share_draws():
 def test_nothing_set_is_inactive():
     impairment = Impairment(1)
     assert not impairment.active
-    assert one(impairment) is AT_ONCE
+    assert one(impairment) is UNDELAYED_MESSAGE
     assert impaired(loss=0.1).active
 
 
@@ -164,7 +174,8 @@ def test_resending_gets_out_of_a_burst():
     impairment = impaired(p_good_bad=0.2, p_bad_good=0.1)
     for number in range(2000):
         assert any(
-            one(impairment, number, attempt) is AT_ONCE for attempt in range(200)
+            one(impairment, number, attempt) is UNDELAYED_MESSAGE
+            for attempt in range(200)
         )
 
 
@@ -245,11 +256,11 @@ def test_partitions_cut_both_ways_while_they_last():
             (0.0,),
         ]
     for i, j in ((0, 1), (0, 3), (2, 3)):
-        assert one(impairment, source=i, destination=j, now=6.0) is AT_ONCE
+        assert one(impairment, source=i, destination=j, now=6.0) is UNDELAYED_MESSAGE
 
 
 def test_partitions_count_from_the_oldest_go_and_cut_nobody_before():
-    impairment = Impairment(1, partitions=[Partition(5.0, 9.0, (1,))])
+    impairment = Impairment(1, partitions=[NetworkPartition(5.0, 9.0, (1,))])
     cut = [
         time for time in range(200) if not one(impairment, now=float(time)).deliveries
     ]
@@ -271,7 +282,7 @@ def test_partitions_count_from_the_oldest_go_and_cut_nobody_before():
 
 
 def test_the_queue_of_a_bandwidth_knows_no_go():
-    impairment = Impairment(1, [Rule({"bandwidth": 1000.0, "queue": 10.0})])
+    impairment = Impairment(1, [ImpairmentRule({"bandwidth": 1000.0, "queue": 10.0})])
     waits = []
     for now in (50.0, 50.0, 50.0):
         waits += one(impairment, size=100, now=now).deliveries
@@ -280,7 +291,7 @@ def test_the_queue_of_a_bandwidth_knows_no_go():
 
 
 def test_a_cut_is_added_to_the_partitions_once():
-    impairment = Impairment(1, partitions=[Partition(5.0, 9.0, (0,), (1,))])
+    impairment = Impairment(1, partitions=[NetworkPartition(5.0, 9.0, (0,), (1,))])
     for drone in (2, 3, 3):
         impairment.update({"cut": {"a": [drone]}})
     assert [partition["a"] for partition in impairment.describe()["partitions"]] == [
@@ -291,7 +302,7 @@ def test_a_cut_is_added_to_the_partitions_once():
     impairment.update(
         {"clear": True, "cut": {"since": 1.0, "until": 2.0, "a": [4], "b": [5]}}
     )
-    assert impairment.partitions == (Partition(1.0, 2.0, (4,), (5,)),)
+    assert impairment.partitions == (NetworkPartition(1.0, 2.0, (4,), (5,)),)
     impairment.update({"partitions": [], "loss": 0.1})
     assert impairment.partitions == ()
     for wrong in (3, {"a": []}, {"from": 3}):
@@ -300,12 +311,12 @@ def test_a_cut_is_added_to_the_partitions_once():
 
 
 def test_a_partition_with_one_side_is_against_everybody_else():
-    impairment = Impairment(1, partitions=[Partition(0.0, 1.0, (0, 1))])
+    impairment = Impairment(1, partitions=[NetworkPartition(0.0, 1.0, (0, 1))])
     impairment.begin(0.0)
-    assert one(impairment, source=0, destination=9) is LOST
-    assert one(impairment, source=9, destination=1) is LOST
-    assert one(impairment, source=0, destination=1) is AT_ONCE
-    assert one(impairment, source=8, destination=9) is AT_ONCE
+    assert one(impairment, source=0, destination=9) is LOST_MESSAGE
+    assert one(impairment, source=9, destination=1) is LOST_MESSAGE
+    assert one(impairment, source=0, destination=1) is UNDELAYED_MESSAGE
+    assert one(impairment, source=8, destination=9) is UNDELAYED_MESSAGE
 
 
 # Rules.
@@ -313,19 +324,23 @@ def test_a_partition_with_one_side_is_against_everybody_else():
 
 def test_the_rule_nearest_to_the_edge_wins_field_by_field():
     rules = [
-        Rule({"delay": 0.4}, edge=(1, 2), directed=True),
-        Rule({"delay": 0.3, "loss": 0.3}, edge=(2, 1)),
-        Rule({"loss": 0.2, "jitter": 0.2}, drone=2),
-        Rule({"loss": 0.1, "reorder": 0.1}),
+        ImpairmentRule({"delay": 0.4}, edge=(1, 2), directed=True),
+        ImpairmentRule({"delay": 0.3, "loss": 0.3}, edge=(2, 1)),
+        ImpairmentRule({"loss": 0.2, "jitter": 0.2}, drone=2),
+        ImpairmentRule({"loss": 0.1, "reorder": 0.1}),
     ]
-    assert resolve(rules, 1, 2) == Link(delay=0.4, loss=0.3, jitter=0.2, reorder=0.1)
-    assert resolve(rules, 2, 1) == Link(delay=0.3, loss=0.3, jitter=0.2, reorder=0.1)
-    assert (
-        resolve(rules, 2, 5)
-        == resolve(rules, 5, 2)
-        == Link(loss=0.2, jitter=0.2, reorder=0.1)
+    assert effects_on_edge(rules, 1, 2) == EdgeEffects(
+        delay=0.4, loss=0.3, jitter=0.2, reorder=0.1
     )
-    assert resolve(rules, 5, 6) == Link(loss=0.1, reorder=0.1)
+    assert effects_on_edge(rules, 2, 1) == EdgeEffects(
+        delay=0.3, loss=0.3, jitter=0.2, reorder=0.1
+    )
+    assert (
+        effects_on_edge(rules, 2, 5)
+        == effects_on_edge(rules, 5, 2)
+        == EdgeEffects(loss=0.2, jitter=0.2, reorder=0.1)
+    )
+    assert effects_on_edge(rules, 5, 6) == EdgeEffects(loss=0.1, reorder=0.1)
 
 
 def test_updates_change_fields_of_the_rule_of_their_scope():
@@ -333,7 +348,9 @@ def test_updates_change_fields_of_the_rule_of_their_scope():
     impairment.update({"delay": 0.1})
     impairment.update({"edge": [1, 2], "loss": 1.0})
     impairment.update({"edge": [2, 1], "jitter": 0.5})
-    assert resolve(impairment.rules, 2, 1) == Link(loss=1.0, delay=0.1, jitter=0.5)
+    assert effects_on_edge(impairment.rules, 2, 1) == EdgeEffects(
+        loss=1.0, delay=0.1, jitter=0.5
+    )
     impairment.update({"edge": [1, 2], "loss": None, "jitter": None})
     assert impairment.describe()["rules"] == [{"loss": 0.3, "delay": 0.1}]
     impairment.update({"loss": 0.0})
@@ -350,9 +367,9 @@ def test_updates_change_fields_of_the_rule_of_their_scope():
 
 def test_updates_act_at_once_and_keep_the_counters():
     impairment = impaired(loss=1.0)
-    assert one(impairment) is LOST
+    assert one(impairment) is LOST_MESSAGE
     impairment.update({"loss": 0.0})
-    assert one(impairment) is AT_ONCE
+    assert one(impairment) is UNDELAYED_MESSAGE
     assert impairment.counters[1, 2] == EdgeCounters(sent=2, lost=1)
 
 

@@ -4,12 +4,12 @@ import pytest
 
 from crazychoir.bus.frames import Envelope
 from crazychoir.bus.network import endpoints
-from crazychoir.bus.network.access import Access
-from crazychoir.bus.network.authority import add, init
+from crazychoir.bus.network.access import NetworkAccess
+from crazychoir.bus.network.authority import add_host, make_authority
 from crazychoir.bus.network.hello import Hello
 from crazychoir.bus.network.peers import Peers
-from crazychoir.bus.port import BODIES, EYES, OBSERVER, Bus
-from crazychoir.bus.topics import ESTOP, REQUEST, STATE
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.runtime.clock import Clock
@@ -38,9 +38,9 @@ def said(topic, *to):
 
 @pytest.fixture
 def config(tmp_path):
-    init(tmp_path / "keys")
+    make_authority(tmp_path / "keys")
     for name in ("laptop", "desktop", "console"):
-        add(tmp_path / "keys", name)
+        add_host(tmp_path / "keys", name)
     security = {**RAW["security"], "keys": str(tmp_path / "keys")}
     return SwarmConfig.of({**RAW, "security": security})
 
@@ -49,36 +49,41 @@ def test_a_host_holds_the_drones_bodies_and_eyes_that_the_swarm_file_gives_it(co
     access = config.access("laptop")
     assert access.may_hold("laptop", 0)
     assert access.may_hold("desktop", 1)
-    assert access.may_hold("laptop", BODIES + 1), "its world"
+    assert access.may_hold("laptop", PORT_ADDRESSES.body_offset + 1), "its world"
     for host, address in (
         ("laptop", 1),
         ("desktop", 0),
-        ("desktop", BODIES + 1),
-        ("laptop", EYES),
+        ("desktop", PORT_ADDRESSES.body_offset + 1),
+        ("laptop", PORT_ADDRESSES.camera_offset),
         ("laptop", 7),
     ):
         assert not access.may_hold(host, address)
-    assert access.may_hold("desktop", OBSERVER + 5), "anybody looks on"
+    assert access.may_hold("desktop", PORT_ADDRESSES.first_observer + 5), (
+        "anybody looks on"
+    )
 
 
 def test_only_operators_command(config):
     access = config.access("desktop")
     asks = [
-        access.may_say(name, said(REQUEST)) for name in ("console", "laptop", "desktop")
+        access.may_say(name, said(MESSAGE_TOPICS.request))
+        for name in ("console", "laptop", "desktop")
     ]
     assert asks == [True, True, False]
-    assert not access.may_say("desktop", said(ESTOP))
-    assert access.may_say("desktop", said(STATE))
+    assert not access.may_say("desktop", said(MESSAGE_TOPICS.emergency_stop))
+    assert access.may_say("desktop", said(DRONE_TOPICS.state))
 
 
 def test_a_drone_asks_its_own_body_on_another_host_and_no_other(config):
     access = config.access("laptop")
-    assert access.may_say("desktop", said(REQUEST, BODIES + 1)), "to arm it"
+    assert access.may_say(
+        "desktop", said(MESSAGE_TOPICS.request, PORT_ADDRESSES.body_offset + 1)
+    ), "to arm it"
     for topic, to in (
-        (REQUEST, (BODIES,)),
-        (REQUEST, (BODIES + 1, 0)),
-        (REQUEST, ()),
-        (ESTOP, (BODIES + 1,)),
+        (MESSAGE_TOPICS.request, (PORT_ADDRESSES.body_offset,)),
+        (MESSAGE_TOPICS.request, (PORT_ADDRESSES.body_offset + 1, 0)),
+        (MESSAGE_TOPICS.request, ()),
+        (MESSAGE_TOPICS.emergency_stop, (PORT_ADDRESSES.body_offset + 1,)),
     ):
         assert not access.may_say("desktop", said(topic, *to))
 
@@ -118,9 +123,9 @@ def test_who_claims_what_another_host_holds_is_refused(config):
     for drones, observers in (
         ([0], []),
         ([1, 0], []),
-        ([1], [BODIES + 1]),
+        ([1], [PORT_ADDRESSES.body_offset + 1]),
         ([7], []),
-        ([], [EYES + 1]),
+        ([], [PORT_ADDRESSES.camera_offset + 1]),
     ):
         claims = Hello(
             "1-1", "desktop", 2, "1", 1.0, drones, observers, [], ["0-1"], False
@@ -155,11 +160,17 @@ def test_what_cameras_see_is_said_by_their_host_alone(config):
         drones=drones, radio=radio, world={}, mocap={"host": "laptop"}
     )
     access = reached.access("laptop")
-    assert [access.may_hold(host, EYES) for host in ("laptop", "desktop")] == [
+    assert [
+        access.may_hold(host, PORT_ADDRESSES.camera_offset)
+        for host in ("laptop", "desktop")
+    ] == [
         True,
         False,
     ]
-    assert [access.may_hold(host, BODIES) for host in ("laptop", "desktop")] == [
+    assert [
+        access.may_hold(host, PORT_ADDRESSES.body_offset)
+        for host in ("laptop", "desktop")
+    ] == [
         False,
         True,
     ]
@@ -257,7 +268,7 @@ def test_keys_are_found_beside_the_swarm_file_and_are_no_part_of_what_hosts_agre
 
 
 def test_zenoh_holds_each_host_to_its_own_keys():
-    access = Access(
+    access = NetworkAccess(
         "s",
         "a",
         Path("k"),
@@ -287,7 +298,9 @@ def test_zenoh_holds_each_host_to_its_own_keys():
 
 
 def test_a_router_is_believed_and_holds_the_others_to_their_names():
-    access = Access("s", "a", Path("k"), {"a": ("0",), "r": ()}, {0: "a"}, ("a",), "r")
+    access = NetworkAccess(
+        "s", "a", Path("k"), {"a": ("0",), "r": ()}, {0: "a"}, ("a",), "r"
+    )
     control = access.settings()["access_control"]
     rules = {rule["id"]: rule for rule in control["rules"]}
     assert rules["r passes on"]["key_exprs"] == ["choir/s/**"]
@@ -301,13 +314,13 @@ def test_a_router_is_believed_and_holds_the_others_to_their_names():
 
 
 def test_without_a_router_to_connect_to_it_is_said_what_to_start():
-    error = endpoints.cannot_open(
+    error = endpoints.opening_error(
         ["tls/10.0.0.9:7460"], [], "tls/10.0.0.9:7460: Cannot assign requested address"
     )
     assert "The address of this host in [hosts] is not its own" in str(error)
-    error = endpoints.cannot_open(
+    error = endpoints.opening_error(
         [], ["tls/10.0.0.9:7441"], "Connection refused (os error 111)"
     )
     assert "Start it first: crazychoir router" in str(error)
-    settings = endpoints.settings([], ["tcp/10.0.0.9:7441"], 1.0, "client")
+    settings = endpoints.zenoh_settings([], ["tcp/10.0.0.9:7441"], 1.0, "client")
     assert (settings["mode"], settings["listen/endpoints"]) == ("client", [])

@@ -2,7 +2,12 @@
 
 import pytest
 
-from crazychoir.bus.network.endpoints import address_fault, are_local, check, settings
+from crazychoir.bus.network.endpoints import (
+    address_fault,
+    are_local,
+    check_endpoint,
+    zenoh_settings,
+)
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 
@@ -54,8 +59,8 @@ def on(address):
 def test_an_address_that_the_file_allows_is_an_endpoint_of_the_agent(address):
     assert address_fault(address) == ""
     endpoints = list(on(address).endpoints().values())
-    check(endpoints, endpoints)
-    assert settings(endpoints, [], 1.0)["listen/endpoints"] == endpoints
+    check_endpoint(endpoints, endpoints)
+    assert zenoh_settings(endpoints, [], 1.0)["listen/endpoints"] == endpoints
 
 
 @pytest.mark.parametrize(("address", "do"), BAD.items())
@@ -81,11 +86,11 @@ def test_any_other_address_is_refused_by_the_file_with_what_to_do(address, do):
 def test_an_endpoint_that_cannot_be_opened_is_refused_with_what_to_do(endpoint, do):
     for listen, connect in (([endpoint], []), ([], [endpoint])):
         with pytest.raises(ConfigError, match=do):
-            check(listen, connect)
+            check_endpoint(listen, connect)
 
 
 def test_a_network_card_by_its_number_is_an_endpoint_of_one_host():
-    check(["tcp/[fe80::1%2]:7460"], [])
+    check_endpoint(["tcp/[fe80::1%2]:7460"], [])
 
 
 @pytest.mark.parametrize(

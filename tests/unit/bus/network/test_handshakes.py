@@ -4,7 +4,7 @@ import logging
 
 import pytest
 
-from crazychoir.bus.network.handshakes import MOST, Overheard
+from crazychoir.bus.network.handshakes import ZENOH_LOG_READING, HandshakeReporter
 
 CONNECT = "zenoh::net::runtime::orchestrator: Unable to connect to configured peer tls/10.0.0.1:7460!"
 AT = "2026-11-25T02:25:06.566105Z  WARN acc-0 ThreadId(05) "
@@ -29,7 +29,7 @@ def said(caplog):
 
 
 def test_who_is_turned_away_is_said_once(said):
-    heard = Overheard()
+    heard = HandshakeReporter()
     for seconds in range(2):
         assert heard.line(NONE)
         assert heard.line(LATE.format(seconds))
@@ -40,7 +40,7 @@ def test_who_is_turned_away_is_said_once(said):
 
 
 def test_who_turns_us_away_is_said_with_where_and_why(said):
-    heard = Overheard()
+    heard = HandshakeReporter()
     assert all(heard.line(text) for text in (ALERT, ISSUER, ALERT))
     where = "tls/10.0.0.1:7460 and we do not accept each other's certificate: "
     assert said() == [
@@ -50,20 +50,20 @@ def test_who_turns_us_away_is_said_with_where_and_why(said):
 
 
 def test_who_is_not_there_yet_is_nothing_to_say(said):
-    assert Overheard().line(ABSENT)
+    assert HandshakeReporter().line(ABSENT)
     assert said() == []
 
 
 def test_what_is_not_zenoh_s_is_left(said):
-    assert not Overheard().line("a mission prints")
-    assert not Overheard().line("")
+    assert not HandshakeReporter().line("a mission prints")
+    assert not HandshakeReporter().line("")
     assert said() == []
 
 
 def test_nobody_fills_the_log(said):
-    heard = Overheard()
-    for n in range(2 * MOST):
+    heard = HandshakeReporter()
+    for n in range(2 * ZENOH_LOG_READING.max_reports):
         heard.line(
             f"{AT} zenoh_link_tls::unicast: reason {chr(n)}{n}. Hint: increase the system open file limit."
         )
-    assert len(said()) == MOST
+    assert len(said()) == ZENOH_LOG_READING.max_reports

@@ -2,17 +2,17 @@
 
 import pytest
 
-from crazychoir.bus.network.lost_tokens import ANSWERS, REMEMBERED, Estranged
-from crazychoir.bus.network.peers import MAX_PEERS
+from crazychoir.bus.network.lost_tokens import LOST_TOKEN_LIMITS, TokenRepair
+from crazychoir.bus.network.peers import PEER_LIMITS
 
 
 @pytest.fixture
-def estranged() -> Estranged:
-    return Estranged()
+def estranged() -> TokenRepair:
+    return TokenRepair()
 
 
 def test_a_stranger_is_answered_once_for_all_of_its_frames(
-    estranged: Estranged,
+    estranged: TokenRepair,
 ) -> None:
     for _ in range(3):
         estranged.heard("b")
@@ -20,7 +20,7 @@ def test_a_stranger_is_answered_once_for_all_of_its_frames(
     assert estranged.due(gone_too=True) == []
 
 
-def test_who_went_is_greeted_until_it_comes_back(estranged: Estranged) -> None:
+def test_who_went_is_greeted_until_it_comes_back(estranged: TokenRepair) -> None:
     estranged.went("b")
     estranged.heard("b")
     assert estranged.due(gone_too=True) == ["b"], "once, not twice"
@@ -32,7 +32,7 @@ def test_who_went_is_greeted_until_it_comes_back(estranged: Estranged) -> None:
 
 
 def test_another_token_after_four_greetings_without_us_and_then_ever_more_seldom(
-    estranged: Estranged,
+    estranged: TokenRepair,
 ) -> None:
     declared = [k for k in range(1, 70) if estranged.greeted("b", knows_us=False)]
     assert declared == [4, 8, 16, 32, 64]
@@ -41,7 +41,7 @@ def test_another_token_after_four_greetings_without_us_and_then_ever_more_seldom
 @pytest.mark.parametrize(
     "known", [lambda e: e.greeted("b", knows_us=True), lambda e: e.went("b")]
 )
-def test_who_knows_us_or_went_is_counted_anew(estranged: Estranged, known) -> None:
+def test_who_knows_us_or_went_is_counted_anew(estranged: TokenRepair, known) -> None:
     for _ in range(3):
         assert not estranged.greeted("b", knows_us=False)
     known(estranged)
@@ -53,18 +53,25 @@ def test_who_knows_us_or_went_is_counted_anew(estranged: Estranged, known) -> No
     ]
 
 
-def test_however_many_there_are_a_bound_is_kept(estranged: Estranged) -> None:
-    many = [f"p{k}" for k in range(2 * MAX_PEERS)]
+def test_however_many_there_are_a_bound_is_kept(estranged: TokenRepair) -> None:
+    many = [f"p{k}" for k in range(2 * PEER_LIMITS.max_peers)]
     for process in many:
         estranged.went(process)
         estranged.heard(process)
-    assert estranged.due(gone_too=True) == many[:ANSWERS] + many[-REMEMBERED:]
-    answered = [estranged.due(gone_too=False) for _ in range(MAX_PEERS // ANSWERS)]
-    assert [len(some) for some in answered] == [ANSWERS] * (
-        MAX_PEERS // ANSWERS - 1
-    ) + [0]
+    assert (
+        estranged.due(gone_too=True)
+        == many[: LOST_TOKEN_LIMITS.answered_strangers]
+        + many[-LOST_TOKEN_LIMITS.departed_processes :]
+    )
+    answered = [
+        estranged.due(gone_too=False)
+        for _ in range(PEER_LIMITS.max_peers // LOST_TOKEN_LIMITS.answered_strangers)
+    ]
+    assert [len(some) for some in answered] == [
+        LOST_TOKEN_LIMITS.answered_strangers
+    ] * (PEER_LIMITS.max_peers // LOST_TOKEN_LIMITS.answered_strangers - 1) + [0]
     for _ in range(4):
         declared = [
             process for process in many if estranged.greeted(process, knows_us=False)
         ]
-    assert declared == many[:MAX_PEERS]
+    assert declared == many[: PEER_LIMITS.max_peers]

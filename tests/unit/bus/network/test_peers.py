@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crazychoir.bus.clock_offset import Offset
+from crazychoir.bus.clock_offset import ClockOffset
 from crazychoir.bus.codec import encode
 from crazychoir.bus.network import endpoints
-from crazychoir.bus.network.access import Access
-from crazychoir.bus.network.hello import TIE, Hello
-from crazychoir.bus.network.peers import MAX_PEERS, NEW, Peer, Peers
-from crazychoir.bus.network.public_topics import as_json
-from crazychoir.bus.port import BODIES, EYES, OBSERVER, Bus, Interest
-from crazychoir.bus.topics import STATE, STATUS
+from crazychoir.bus.network.access import NetworkAccess
+from crazychoir.bus.network.hello import HELLO_RULES, Hello
+from crazychoir.bus.network.peers import PEER_LIMITS, Peer, Peers
+from crazychoir.bus.network.public_topics import fields_as_json
+from crazychoir.bus.port import PORT_ADDRESSES, Bus, Interest
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.errors import CodecError, ConfigError, Refused
 from crazychoir.runtime.clock import Clock
 from crazychoir.types import FPQR, FullState, State, Status
@@ -75,7 +75,12 @@ class Here:
         return self.peers.greeted(peer, said.payload(), age)
 
 
-WORLD = hello("world", (), observers=[BODIES], agreed={"drones": "ab", "plant": "cd"})
+WORLD = hello(
+    "world",
+    (),
+    observers=[PORT_ADDRESSES.body_offset],
+    agreed={"drones": "ab", "plant": "cd"},
+)
 
 
 @pytest.mark.parametrize("uptime", [0.5, 60.0])
@@ -101,7 +106,7 @@ def test_an_owner_with_another_swarm_file_and_who_flies_do_not_come_together(
     [
         WORLD,
         hello("b", (1,), agreed={"drones": "another", "plant": "ef"}),
-        hello("observer", (), observers=[OBSERVER]),
+        hello("observer", (), observers=[PORT_ADDRESSES.first_observer]),
     ],
 )
 def test_who_owns_nothing_is_judged_by_others_or_may_look_on(said) -> None:
@@ -141,7 +146,7 @@ def test_a_peer_is_there_while_one_of_its_tokens_is(here: Here) -> None:
 def measure(here: Here, process: str, ahead: int, way: int) -> None:
     """A clock is asked for, which is `ahead` ns; the answer comes after 2 `way`."""
     sent = here.clock.ns
-    answer = Offset().hear(
+    answer = ClockOffset().hear(
         here.peers.by_name[process].offset.ask(sent),
         sent + ahead + way,
         sent + ahead + way,
@@ -201,9 +206,13 @@ def test_hello_of_somebody_else_is_refused(here: Here) -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"drones": (OBSERVER,)},
+        {"drones": (PORT_ADDRESSES.first_observer,)},
         {"observers": [3]},
-        {"observers": list(range(OBSERVER, OBSERVER + 17))},
+        {
+            "observers": list(
+                range(PORT_ADDRESSES.first_observer, PORT_ADDRESSES.first_observer + 17)
+            )
+        },
     ],
 )
 def test_a_hello_claims_no_drones_among_observers_nor_more_than_look_on(
@@ -216,8 +225,11 @@ def test_a_hello_claims_no_drones_among_observers_nor_more_than_look_on(
 
 def test_nobody_takes_the_address_of_an_operator(here: Here) -> None:
     """b says that it is there for longer, and at the console's address; the console is heard, and reads on."""
-    processes, looks = {"here": ("a",), "desk": (), "there": ("b",)}, OBSERVER + 5
-    here.peers.access = Access(
+    processes, looks = (
+        {"here": ("a",), "desk": (), "there": ("b",)},
+        PORT_ADDRESSES.first_observer + 5,
+    )
+    here.peers.access = NetworkAccess(
         "s", "here", Path("k"), processes, {0: "here", 1: "there"}, ("desk",)
     )
     wants = [Interest("status", 0, looks)]
@@ -234,7 +246,10 @@ def test_nobody_takes_the_address_of_an_operator(here: Here) -> None:
         here.peers.greeted(liar, claims.payload(), 0.0)
         assert here.peers.directory[looks] is console
     readers = here.bus.ports[0]._readers
-    assert (readers[STATUS.number].every, STATE.number in readers) == ([looks], False)
+    assert (
+        readers[DRONE_TOPICS.status.number].every,
+        DRONE_TOPICS.state.number in readers,
+    ) == ([looks], False)
 
 
 def test_hello_of_a_process_on_another_host_is_refused(here: Here) -> None:
@@ -280,11 +295,11 @@ def test_the_later_of_two_gives_way(here: Here) -> None:
 )
 def test_who_has_run_for_a_while_is_ended_by_nobody(said, caplog) -> None:
     """A host whose cable is back, or that says that it was first: somebody may fly by this process."""
-    here = Here(NEW, {"drones": "ab", "plant": "ef"})
+    here = Here(PEER_LIMITS.new_process_time, {"drones": "ab", "plant": "ef"})
     here.hear(said, age=1e8)
     assert (here.refused, here.peers.directory) == ([], {})
     assert "it is refused" in caplog.text
-    young = Here(NEW - 0.1, {"drones": "ab", "plant": "ef"})
+    young = Here(PEER_LIMITS.new_process_time - 0.1, {"drones": "ab", "plant": "ef"})
     young.hear(said, age=1e8)
     assert len(young.refused) == 1
 
@@ -298,11 +313,17 @@ def test_who_was_refused_and_has_mended_it_is_one_of_us(here: Here) -> None:
 
 def test_the_later_of_two_owners_of_a_world_gives_way(here: Here) -> None:
     here.bus.close(0)
-    for j in (BODIES + 3, 10_001):
+    for j in (PORT_ADDRESSES.body_offset + 3, 10_001):
         here.bus.port(j)
     here.hear(hello(drones=(), observers=[10_001], uptime=1.0))
     assert here.refused == [], "observers may come in any number"
-    here.hear(hello(drones=(), observers=[BODIES + 3, BODIES + 4], uptime=1.0))
+    here.hear(
+        hello(
+            drones=(),
+            observers=[PORT_ADDRESSES.body_offset + 3, PORT_ADDRESSES.body_offset + 4],
+            uptime=1.0,
+        )
+    )
     (refused,) = here.refused
     assert "process b on host there owns the world of drone(s) 3 too" in str(refused)
     assert "Stop one of them." in str(refused)
@@ -310,17 +331,39 @@ def test_the_later_of_two_owners_of_a_world_gives_way(here: Here) -> None:
 
 def test_the_later_of_two_that_see_the_same_drones_gives_way(here: Here) -> None:
     here.bus.close(0)
-    here.bus.port(EYES + 3)
-    here.hear(hello(drones=(), observers=[BODIES + 3, EYES + 4], uptime=1.0))
+    here.bus.port(PORT_ADDRESSES.camera_offset + 3)
+    here.hear(
+        hello(
+            drones=(),
+            observers=[
+                PORT_ADDRESSES.body_offset + 3,
+                PORT_ADDRESSES.camera_offset + 4,
+            ],
+            uptime=1.0,
+        )
+    )
     assert here.refused == [], "the owner of a world, or of a radio, is another one"
-    here.hear(hello(drones=(), observers=[EYES + 3, EYES + 4], uptime=1.0))
+    here.hear(
+        hello(
+            drones=(),
+            observers=[
+                PORT_ADDRESSES.camera_offset + 3,
+                PORT_ADDRESSES.camera_offset + 4,
+            ],
+            uptime=1.0,
+        )
+    )
     (refused,) = here.refused
     assert "process b on host there owns the motion capture of drone(s) 3 too" in str(
         refused
     )
 
 
-@given(st.floats(0.0, TIE / 2), st.floats(0.0, TIE / 2), st.floats(0.0, 0.9 * TIE))
+@given(
+    st.floats(0.0, HELLO_RULES.start_tie / 2),
+    st.floats(0.0, HELLO_RULES.start_tie / 2),
+    st.floats(0.0, 0.9 * HELLO_RULES.start_tie),
+)
 def test_of_two_that_start_together_exactly_one_gives_way_or_both(
     ours: float, theirs: float, apart: float
 ) -> None:
@@ -346,7 +389,7 @@ def test_interests_count_once_both_have_heard(here: Here) -> None:
         (),
         {"forward": lambda self, topic, source, to, *rest: sent.append(tuple(to))},
     )()
-    here.bus.ports[0].publish(STATUS, Status("landed"))
+    here.bus.ports[0].publish(DRONE_TOPICS.status, Status("landed"))
     wish = [Interest("status", 0, 10_001)]
     here.hear(hello(drones=(), observers=[10_001], interests=wish, heard=[]))
     assert sent == []
@@ -354,7 +397,7 @@ def test_interests_count_once_both_have_heard(here: Here) -> None:
     here.hear(hello(drones=(), observers=[10_001], interests=wish, uptime=3.0))
     assert sent == [(10_001,)], "the latched value, once"
     here.peers.went("there", "b", "token")
-    here.bus.ports[0].publish(STATUS, Status("flying"))
+    here.bus.ports[0].publish(DRONE_TOPICS.status, Status("flying"))
     assert sent == [(10_001,)]
 
 
@@ -374,8 +417,11 @@ def test_an_emergency_stop_spreads_to_newcomers(here: Here) -> None:
 
 
 def test_peers_are_bounded(here: Here) -> None:
-    made = [here.peers.came("there", f"p{k}", "token") for k in range(MAX_PEERS + 5)]
-    assert sum(isinstance(peer, Peer) for peer in made) == MAX_PEERS
+    made = [
+        here.peers.came("there", f"p{k}", "token")
+        for k in range(PEER_LIMITS.max_peers + 5)
+    ]
+    assert sum(isinstance(peer, Peer) for peer in made) == PEER_LIMITS.max_peers
 
 
 @given(
@@ -401,7 +447,7 @@ def test_nonsense_is_no_hello(payload: bytes) -> None:
 )
 def test_malformed_endpoints_are_named(wrong: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        endpoints.settings(["tcp/127.0.0.1:7460"], [wrong], 1.0)
+        endpoints.zenoh_settings(["tcp/127.0.0.1:7460"], [wrong], 1.0)
     assert str(caught.value) == (
         f"connect endpoint: found {wrong}; allowed: tcp/<address>:<port>, as tcp/192.168.1.10:7460, port 0 to 65535; "
         "also udp, tls, quic, ws. Look at base_port and [hosts] in the swarm file."
@@ -411,8 +457,8 @@ def test_malformed_endpoints_are_named(wrong: str) -> None:
 def test_the_lease_is_for_other_hosts() -> None:
     lease = "transport/link/tx/lease"
     near, far = ["tcp/127.0.0.1:7460"], ["tcp/[::1]:7461", "tls/lab.local:7462?rel=1"]
-    assert endpoints.settings(near, far[:1], 1.0)[lease] == 10_000
-    assert endpoints.settings(near, far, 1.0)[lease] == 1_000
+    assert endpoints.zenoh_settings(near, far[:1], 1.0)[lease] == 10_000
+    assert endpoints.zenoh_settings(near, far, 1.0)[lease] == 1_000
 
 
 def test_names_must_fit_into_keys() -> None:
@@ -424,7 +470,7 @@ def test_names_must_fit_into_keys() -> None:
 
 
 def test_public_copies_are_plain_json() -> None:
-    value = json.loads(as_json(State.at([1.0, 2.0, float("nan")])))
+    value = json.loads(fields_as_json(State.at([1.0, 2.0, float("nan")])))
     assert value == {
         "p": [1, 2, None],
         "v": [0, 0, 0],
@@ -433,9 +479,9 @@ def test_public_copies_are_plain_json() -> None:
         "age": 0,
         "a": [0, 0, 0],
     }
-    assert json.loads(as_json(Status("flying", note="ü")))["note"] == "ü"
-    assert json.loads(as_json(FullState.at([1, 2, 3], yaw=0.5)))["yaw"] == 0.5
-    command = json.loads(as_json(FPQR(np.array([0.3, 1, 2, 3]))))
+    assert json.loads(fields_as_json(Status("flying", note="ü")))["note"] == "ü"
+    assert json.loads(fields_as_json(FullState.at([1, 2, 3], yaw=0.5)))["yaw"] == 0.5
+    command = json.loads(fields_as_json(FPQR(np.array([0.3, 1, 2, 3]))))
     assert command == {"thrust": 0.3, "flat": [0.3, 1, 2, 3]}, (
         "whole, where not all its parts have names"
     )

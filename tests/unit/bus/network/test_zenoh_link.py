@@ -8,19 +8,16 @@ import zenoh
 
 from crazychoir.bus.codec import encode
 from crazychoir.bus.frames import Envelope, Frame, encode_frame
-from crazychoir.bus.network.access import Access
-from crazychoir.bus.network.flood_limit import BURST, PART
+from crazychoir.bus.network.access import NetworkAccess
+from crazychoir.bus.network.flood_limit import FLOOD_LIMITS
 from crazychoir.bus.network.hello import Hello
 from crazychoir.bus.network.zenoh_link import (
-    BACKLOG,
-    SLICE,
-    SLICE_MOST_NS,
-    SLICE_NS,
+    FRAME_READING,
     ZenohLink,
-    _speaker,
+    _sender_of_key,
 )
 from crazychoir.bus.port import Bus
-from crazychoir.bus.topics import LOG, STATE
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.runtime.clock import Clock
 
 OF_B = "choir/s/f/0-1/b/1-1/control"
@@ -48,15 +45,23 @@ async def link_of_a(access=None):
 
 
 def frame(*messages):
-    return encode_frame(Frame("1-1", 2, STATE.klass, list(messages)))
+    return encode_frame(Frame("1-1", 2, DRONE_TOPICS.state.klass, list(messages)))
 
 
 async def test_a_message_is_given_once_to_who_is_named_often():
     link = await link_of_a()
     heard = []
-    link.bus.ports[0].handlers[LOG.number] = lambda *message: heard.append(message)
+    link.bus.ports[0].handlers[DRONE_TOPICS.log.number] = lambda *message: heard.append(
+        message
+    )
     link._frame(
-        OF_B, frame(Envelope(LOG.number, 1, (0,) * 1000, 1, 0, 0.0, "", encode("x"))), 0
+        OF_B,
+        frame(
+            Envelope(
+                DRONE_TOPICS.log.number, 1, (0,) * 1000, 1, 0, 0.0, "", encode("x")
+            )
+        ),
+        0,
     )
     assert len(heard) == 1
 
@@ -66,13 +71,13 @@ async def test_frames_that_take_long_leave_the_loop_to_the_others():
 
     def slowly(key, data, arrived_ns):
         read.append(key)
-        link.bus.clock.ns += SLICE_NS
+        link.bus.clock.ns += FRAME_READING.least_slice_ns
 
     for k in range(5):
         link._enqueue(slowly, str(k), b"")
     link._drain()
     assert read == ["0", "1"], "of SLICE that it might take"
-    assert SLICE > 5
+    assert FRAME_READING.slice_frames > 5
     link._queue.clear()
 
 
@@ -81,20 +86,30 @@ async def test_who_is_behind_reads_for_as_long_as_the_loop_does_other_things():
 
     def slowly(key, data, arrived_ns):
         read.append(key)
-        link.bus.clock.ns += SLICE_NS // 2
+        link.bus.clock.ns += FRAME_READING.least_slice_ns // 2
 
     for k in range(200):
         link._enqueue(slowly, str(k), b"")
     counts = []
-    for others_ns in (0, 0, 5 * SLICE_NS, 1000 * SLICE_NS):
+    for others_ns in (
+        0,
+        0,
+        5 * FRAME_READING.least_slice_ns,
+        1000 * FRAME_READING.least_slice_ns,
+    ):
         link.bus.clock.ns += others_ns
         before = len(read)
         link._drain()
         counts.append(len(read) - before)
-    assert counts == [3, 3, 11, 2 * SLICE_MOST_NS // SLICE_NS + 1]
+    assert counts == [
+        3,
+        3,
+        11,
+        2 * FRAME_READING.longest_slice_ns // FRAME_READING.least_slice_ns + 1,
+    ]
     link._queue.clear()
     link._drain()
-    link.bus.clock.ns += 1000 * SLICE_NS
+    link.bus.clock.ns += 1000 * FRAME_READING.least_slice_ns
     for k in range(10):
         link._enqueue(slowly, str(k), b"")
     read.clear()
@@ -104,7 +119,7 @@ async def test_who_is_behind_reads_for_as_long_as_the_loop_does_other_things():
 
 
 def test_who_speaks_is_read_where_access_control_looks():
-    assert _speaker("choir/s/f/0-1/b/1-2/control") == ("b", "1-2")
+    assert _sender_of_key("choir/s/f/0-1/b/1-2/control") == ("b", "1-2")
 
 
 @pytest.mark.parametrize(
@@ -116,27 +131,33 @@ def test_who_speaks_is_read_where_access_control_looks():
     ],
 )
 def test_a_key_of_more_or_fewer_parts_is_nobody_s(key):
-    assert _speaker(key) == ("", "")
+    assert _sender_of_key(key) == ("", "")
 
 
 async def test_key_token_frame_and_message_must_name_one_sender():
     """Access control holds a host to its keys alone."""
     link = await link_of_a()
     heard, counters = [], link.counters
-    link.bus.ports[0].handlers[LOG.number] = lambda *message: heard.append(message)
-    said = Envelope(LOG.number, 1, (0,), 1, 0, 0.0, "", encode("x"))
+    link.bus.ports[0].handlers[DRONE_TOPICS.log.number] = lambda *message: heard.append(
+        message
+    )
+    said = Envelope(DRONE_TOPICS.log.number, 1, (0,), 1, 0, 0.0, "", encode("x"))
     link._frame(
         "choir/s/f/0-1/c/1-1/control", frame(said), 0
     )  # the name of a process of another host
     link._frame(
         "choir/s/f/0-1/b/1-2/control", frame(said), 0
     )  # of which there is no token
-    link._frame(OF_B, encode_frame(Frame("1-2", 2, STATE.klass, [said])), 0)
+    link._frame(
+        OF_B, encode_frame(Frame("1-2", 2, DRONE_TOPICS.state.klass, [said])), 0
+    )
     link.table.came("c", "2-1", "token")
     other = Hello("2-1", "c", 2, "1", 1.0, [2], [], [], ["0-1"], False)
     link.table.greeted(link.peers["2-1"], other.payload(), 0.0)
     link._frame(
-        OF_B, frame(Envelope(LOG.number, 2, (0,), 1, 0, 0.0, "", encode("x"))), 0
+        OF_B,
+        frame(Envelope(DRONE_TOPICS.log.number, 2, (0,), 1, 0, 0.0, "", encode("x"))),
+        0,
     )  # for drone 2, of c
     assert (heard, counters.strangers) == ([], 4)
     link._frame(OF_B, frame(said), 0)
@@ -144,14 +165,14 @@ async def test_key_token_frame_and_message_must_name_one_sender():
 
 
 async def test_a_stranger_with_another_s_name_is_not_answered():
-    access = Access(
+    access = NetworkAccess(
         "s", "a", Path("k"), {"a": ("0",), "b": ("1",)}, {0: "a", 1: "b"}, ("a",)
     )
     link = await link_of_a(access)
     for process in ("0-2", "observer-a.1", "1-2"):
         link._frame(
             f"choir/s/f/0-1/b/{process}/control",
-            encode_frame(Frame(process, 2, STATE.klass, [])),
+            encode_frame(Frame(process, 2, DRONE_TOPICS.state.klass, [])),
             0,
         )
     assert link._estranged.due(gone_too=True) == ["1-2"]
@@ -167,7 +188,11 @@ class Sample:
 
 
 @pytest.mark.parametrize(
-    ("size", "most"), [(1, BURST), (8 << 20, BURST * PART / (8 << 20))]
+    ("size", "most"),
+    [
+        (1, FLOOD_LIMITS.burst_size),
+        (8 << 20, FLOOD_LIMITS.burst_size * FLOOD_LIMITS.frame_part / (8 << 20)),
+    ],
 )
 async def test_a_flood_of_frames_is_cut_off_by_their_number_and_by_their_size(
     size, most
@@ -182,11 +207,11 @@ async def test_a_flood_of_frames_is_cut_off_by_their_number_and_by_their_size(
 
 async def test_a_flood_of_tokens_is_cut_off_and_leaves_the_queue_to_the_others(caplog):
     link = await link_of_a()
-    for k in range(3 * BACKLOG):
+    for k in range(3 * FRAME_READING.backlog):
         link._token(Sample(f"choir/s/live/b/1-{k}"))
     link._received(Sample("choir/s/f/0-1/c/2-1/control"))
     assert link.counters.overflowed == 0
-    assert link.counters.flooded > BACKLOG
+    assert link.counters.flooded > FRAME_READING.backlog
     assert link._queue[-1][1] == "choir/s/f/0-1/c/2-1/control"
     await asyncio.sleep(0)
     assert caplog.text.count("host b floods us") == 1

@@ -370,7 +370,7 @@ def test_on_ctrl_c_there_is_what_there_is(simulated, tmp_path, asynchronous, req
 
 
 def test_a_long_run_says_now_and_then_how_far_it_is(simulated, monkeypatch):
-    monkeypatch.setattr(command, "QUIET", 1e-3)
+    monkeypatch.setattr(command, "FIRST_PROGRESS_DELAY", 1e-3)
     said = [
         line
         for line in simulated(AVERAGING, "--agents", 20)[2].splitlines()

@@ -4,7 +4,7 @@ import pytest
 from typer.testing import CliRunner
 
 from crazychoir.cli.main import app
-from crazychoir.cli.operate.dashboard import PASSWORD
+from crazychoir.cli.operate.dashboard import PASSWORD_VARIABLE
 
 
 def said(*words):
@@ -32,7 +32,7 @@ def installed(monkeypatch):
     pytest.importorskip(
         "nicegui", reason="the page needs: pip install 'crazychoir[dashboard]'"
     )
-    monkeypatch.delenv(PASSWORD, raising=False)
+    monkeypatch.delenv(PASSWORD_VARIABLE, raising=False)
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.4", "::", "lab"])  # noqa: S104
@@ -42,7 +42,7 @@ def test_others_than_this_machine_need_a_password(installed, monkeypatch, host):
     assert (
         "a password or an authority, where others than this machine can come in" in text
     )
-    monkeypatch.setenv(PASSWORD, "short")
+    monkeypatch.setenv(PASSWORD_VARIABLE, "short")
     code, text = said("--host", host)
     assert "8 or more" in text
 

@@ -1,12 +1,12 @@
 import pytest
 import typer
 
-from crazychoir.cli.operate.orders import _conclude, numbers
+from crazychoir.cli.operate.orders import _conclude, parse_drones
 
 
 def test_drones_are_told_by_numbers_and_ranges():
-    assert numbers(None) is None
-    assert numbers("3, 5-7,3") == [3, 5, 6, 7]
+    assert parse_drones(None) is None
+    assert parse_drones("3, 5-7,3") == [3, 5, 6, 7]
 
 
 @pytest.mark.parametrize(
@@ -14,7 +14,7 @@ def test_drones_are_told_by_numbers_and_ranges():
 )
 def test_what_names_no_drones_is_refused(text, said, capsys):
     with pytest.raises(typer.Exit) as ended:
-        numbers(text)
+        parse_drones(text)
     assert ended.value.exit_code != 0
     assert said in "".join(capsys.readouterr().err.split())
 

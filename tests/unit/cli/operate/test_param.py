@@ -38,7 +38,7 @@ def test_a_drone_without_a_parameter_has_an_empty_cell_whichever_comes_first(kin
     assert set(found) == {name for values in said.values() for name in values}
     for name, cells in found.items():
         assert cells == [
-            param._shown(values[name]) if name in values else ""
+            param._format_parameter(values[name]) if name in values else ""
             for values in said.values()
         ]
 

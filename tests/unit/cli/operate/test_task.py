@@ -40,7 +40,7 @@ def asked(monkeypatch):
             return end.value
         raise AssertionError("it waits for something")
 
-    monkeypatch.setattr(task, "looking", looking)
+    monkeypatch.setattr(task, "run_as_observer", looking)
     return requests
 
 
@@ -137,5 +137,5 @@ async def test_where_nobody_flies_it_says_what_to_start():
             raise Refused("swarm demo", "no agent found; is it running?")
 
     with pytest.raises(Refused, match="crazychoir run online_delivery") as found:
-        await task._found(Window())
+        await task._find_drones(Window())
     assert "status" not in str(found.value)

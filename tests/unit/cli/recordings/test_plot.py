@@ -9,10 +9,10 @@ from typer.testing import CliRunner
 
 from crazychoir.cli.main import app
 from crazychoir.config.swarm_config import default_swarm
-from crazychoir.launch.recording import about
+from crazychoir.launch.recording import describe_flight
 from crazychoir.recording.analysis import plots
-from crazychoir.recording.mcap.file import Entry, RecordingFile, Series
-from crazychoir.recording.mcap.messages import MESSAGES, packer
+from crazychoir.recording.mcap.file import RecordingEntry, RecordingFile, Series
+from crazychoir.recording.mcap.messages import MESSAGE_BY_VALUE_TYPE, make_packer
 from crazychoir.types import State, Status
 
 CONFIG = default_swarm(2).replace(mission="goto")
@@ -45,7 +45,7 @@ def said(i, topic):
 @pytest.fixture
 def plot(tmp_path, monkeypatch):
     """`crazychoir plot` of a recording of these topics: exit code, JSON, what is said aside, and the table."""
-    monkeypatch.setattr(plots, "FORMATS", ("png",))
+    monkeypatch.setattr(plots, "PICTURE_FORMATS", ("png",))
     monkeypatch.setenv("COLUMNS", "200")
 
     def run(*topics, unseen=""):
@@ -53,18 +53,18 @@ def plot(tmp_path, monkeypatch):
         path.unlink(missing_ok=True)
         file = RecordingFile(
             path,
-            about(CONFIG, virtual=False) | {"unseen": unseen},
+            describe_flight(CONFIG, virtual=False) | {"unseen": unseen},
             CONFIG.dumps(),
             False,
         )
         entries = []
         for i in (0, 1):
             for topic in topics:
-                message = MESSAGES[type(said(i, topic)[0][1])]
-                series, pack = Series(i, topic, message), packer(message, i)
+                message = MESSAGE_BY_VALUE_TYPE[type(said(i, topic)[0][1])]
+                series, pack = Series(i, topic, message), make_packer(message, i)
                 for t, value in said(i, topic):
                     ns = round((100.0 + t) * 1e9)
-                    entries.append(Entry(series, ns, ns, pack(value, ns)))
+                    entries.append(RecordingEntry(series, ns, ns, pack(value, ns)))
         file.write(entries)
         file.close()
         words = ["plot", str(path), "--out", str(tmp_path / "out")]

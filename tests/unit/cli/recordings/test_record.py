@@ -7,19 +7,19 @@ from types import SimpleNamespace
 import pytest
 from typer.testing import CliRunner
 
-from crazychoir.bus.port import OBSERVER, Bus
-from crazychoir.bus.topics import LOG, STATUS
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.cli.main import app
 from crazychoir.cli.shared.observer import Window
-from crazychoir.cli.shared.running_swarm import DISCOVERY
+from crazychoir.cli.shared.running_swarm import NEXT_PROCESS_TIMEOUT
 from crazychoir.config.swarm_config import default_swarm
-from crazychoir.launch.recording import FILES, about
+from crazychoir.launch.recording import FILES_KEY, describe_flight
 from crazychoir.recording.mcap.file import RecordingFile
-from crazychoir.recording.mcap.reading import header
+from crazychoir.recording.mcap.reading import read_header
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.types import Status
 
-GONE = default_swarm(2).lost_after + DISCOVERY
+GONE = default_swarm(2).lost_after + NEXT_PROCESS_TIMEOUT
 NOBODY = f"no drone was there for {GONE:g} s"
 
 
@@ -36,7 +36,7 @@ def record(monkeypatch, tmp_path):
         def looking(swarm, work, as_json):
             async def main(clock):
                 bus, there = Bus(clock), {0: "its process", 1: "its process"}
-                for address in (OBSERVER + 1, 0, 1):
+                for address in (PORT_ADDRESSES.first_observer + 1, 0, 1):
                     bus.port(address)
                 window = Window(
                     clock, default_swarm(2), SimpleNamespace(bus=bus, directory=there)
@@ -51,10 +51,10 @@ def record(monkeypatch, tmp_path):
             if run_virtual(main):
                 raise KeyboardInterrupt
 
-        monkeypatch.setattr("crazychoir.cli.recordings.record.looking", looking)
+        monkeypatch.setattr("crazychoir.cli.recordings.record.run_as_observer", looking)
         path = tmp_path / "a.mcap"
         done = CliRunner().invoke(app, ["record", str(path), *words])
-        return done, header(path) if path.exists() else None, took[0]
+        return done, read_header(path) if path.exists() else None, took[0]
 
     return run
 
@@ -63,7 +63,7 @@ async def stays(clock, bus, there, leave):
     """Both say a word in each second."""
     async for _ in clock.ticks(1.0):
         for i in (0, 1):
-            bus.ports[i].publish(LOG, f"drone {i}")
+            bus.ports[i].publish(DRONE_TOPICS.log, f"drone {i}")
 
 
 def test_what_was_asked_for_is_there(record):
@@ -77,16 +77,18 @@ def test_what_was_asked_for_is_there(record):
     )
     assert said["ended"] == "after 3.5 s"
     assert recording.outcome == {"lost": "0", "missed": "0", "ended": "after 3.5 s"}
-    assert recording.about == about(default_swarm(2), virtual=False) | {FILES: "{}"}
+    assert recording.about == describe_flight(default_swarm(2), virtual=False) | {
+        FILES_KEY: "{}"
+    }
     assert seconds == pytest.approx(3.5, abs=0.1)
 
 
 def test_one_that_lost_messages_is_no_success(record):
     async def too_large(clock, bus, there, leave):
-        bus.ports[0].publish(LOG, "fine")
+        bus.ports[0].publish(DRONE_TOPICS.log, "fine")
         await clock.sleep(0.5)
         for _ in range(3):
-            bus.ports[0].publish(STATUS, Status("x", round=1 << 63))
+            bus.ports[0].publish(DRONE_TOPICS.status, Status("x", round=1 << 63))
         await stays(clock, bus, there, leave)
 
     done, recording, _ = record(too_large, "--seconds", "2.2", "--json")
@@ -133,9 +135,9 @@ def test_an_outage_of_its_own_network_does_not_end_it(record):
 
 def test_ctrl_c_is_told(record):
     async def interrupts(clock, bus, there, leave):
-        bus.ports[0].publish(LOG, "one")
+        bus.ports[0].publish(DRONE_TOPICS.log, "one")
         await clock.sleep(0.5)
-        bus.ports[0].publish(LOG, "two")
+        bus.ports[0].publish(DRONE_TOPICS.log, "two")
         leave()
 
     done, recording, _ = record(interrupts)

@@ -5,14 +5,14 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from crazychoir.bus.topics import LOG
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.cli.main import app
 from crazychoir.config.swarm_config import default_swarm
 from crazychoir.launch import flight
-from crazychoir.launch.recording import about
-from crazychoir.recording.mcap.file import Entry, RecordingFile, Series
-from crazychoir.recording.mcap.messages import MESSAGES, packer
-from crazychoir.recording.mcap.reading import header
+from crazychoir.launch.recording import describe_flight
+from crazychoir.recording.mcap.file import RecordingEntry, RecordingFile, Series
+from crazychoir.recording.mcap.messages import MESSAGE_BY_VALUE_TYPE, make_packer
+from crazychoir.recording.mcap.reading import read_header
 
 CHUNKS, EACH = 4, 5
 MAGIC = b"\x28\xb5\x2f\xfd"
@@ -22,13 +22,15 @@ CONFIG = default_swarm(2).replace(mission="goto")
 
 def written(path, lost=0):
     """Lines of drone 0 in some chunks."""
-    file = RecordingFile(path, about(CONFIG, virtual=True), CONFIG.dumps(), False)
-    series = Series(0, LOG.name, MESSAGES[str])
-    pack = packer(series.message, 0)
+    file = RecordingFile(
+        path, describe_flight(CONFIG, virtual=True), CONFIG.dumps(), False
+    )
+    series = Series(0, DRONE_TOPICS.log.name, MESSAGE_BY_VALUE_TYPE[str])
+    pack = make_packer(series.message, 0)
     for k in range(CHUNKS):
         file.write(
             [
-                Entry(series, n, n, pack(f"line {n}", n))
+                RecordingEntry(series, n, n, pack(f"line {n}", n))
                 for n in range(k * EACH, (k + 1) * EACH)
             ]
         )
@@ -121,11 +123,11 @@ def test_a_rerun_is_compared_as_far_as_the_recording_goes(
 ):
     def flies_the_same(config, mission, progress, file):
         """The same lines, and one more."""
-        series = Series(0, LOG.name, MESSAGES[str])
-        pack = packer(series.message, 0)
+        series = Series(0, DRONE_TOPICS.log.name, MESSAGE_BY_VALUE_TYPE[str])
+        pack = make_packer(series.message, 0)
         file.write(
             [
-                Entry(series, n, n, pack(f"line {n}", n))
+                RecordingEntry(series, n, n, pack(f"line {n}", n))
                 for n in range(CHUNKS * EACH + 1)
             ]
         )
@@ -143,4 +145,4 @@ def test_a_rerun_is_compared_as_far_as_the_recording_goes(
     assert (
         "no message first, the message then" in (told["first_difference"] or "")
     ) is complete
-    assert header(tmp_path / "again.mcap").complete
+    assert read_header(tmp_path / "again.mcap").complete

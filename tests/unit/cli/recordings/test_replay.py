@@ -9,7 +9,7 @@ import threading
 
 import pytest
 
-from crazychoir.cli.recordings.replay import _asked, _here
+from crazychoir.cli.recordings.replay import _local_swarm, _read_steps
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.runtime.clock import run_wall
 
@@ -26,7 +26,7 @@ def typed(monkeypatch):
 
 def steps(count):
     async def main(clock):
-        step = _asked(0.5)
+        step = _read_steps(0.5)
         return [await step() for _ in range(count)]
 
     return run_wall(main)
@@ -63,7 +63,7 @@ def test_who_is_cancelled_waits_for_no_line(monkeypatch):
     monkeypatch.setattr(sys, "stdin", keyboard)
 
     async def main(clock):
-        asking = asyncio.create_task(_asked(0.5)())
+        asking = asyncio.create_task(_read_steps(0.5)())
         await clock.sleep(0.05)
         asking.cancel()
         await asyncio.wait([asking], timeout=5.0)
@@ -84,5 +84,5 @@ def test_a_closed_network_of_several_hosts_is_said_again_on_this_machine_alone()
         "security": {"insecure": False, "operators": ["a"]},
         "drones": [{"id": 0, "home": [0, 0, 0], "host": "a"}],
     }
-    here = _here(SwarmConfig.of(raw))
+    here = _local_swarm(SwarmConfig.of(raw))
     assert (here.endpoint(0), here.access("a")) == ("tcp/127.0.0.1:7460", None)

@@ -8,12 +8,12 @@ import pytest
 from ros2_decoders import fields
 from rosbags.typesys import Stores, get_typestore
 
-from crazychoir.bus.port import OBSERVER, Bus
-from crazychoir.bus.topics import STATE
-from crazychoir.cli.recordings.ros import PATH_EVERY, Bridge, serve
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.cli.recordings.ros import ROS_BRIDGE, RosBridge, serve
 from crazychoir.cli.shared.observer import Window
 from crazychoir.config.swarm_config import default_swarm
-from crazychoir.recording.ros.rmw_zenoh import GID, Publisher
+from crazychoir.recording.ros.rmw_zenoh import RMW_ZENOH, Publisher
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.types import State
 
@@ -24,7 +24,7 @@ STORE = get_typestore(Stores.ROS2_JAZZY)
 @pytest.fixture(autouse=True)
 def without_digests(monkeypatch):
     """Who publishes is named by a digest, for which not everybody has the library."""
-    monkeypatch.setattr(Publisher, "gid", bytes(GID))
+    monkeypatch.setattr(Publisher, "gid", bytes(RMW_ZENOH.gid_size))
 
 
 class Outside:
@@ -54,23 +54,23 @@ def told(silent=lambda i, t: False, rate=10.0, seconds=3.0, leave=10.0):
 
     async def main(clock):
         bus, outside = Bus(clock), Outside()
-        for address in (OBSERVER + 1, 0, 1):
+        for address in (PORT_ADDRESSES.first_observer + 1, 0, 1):
             bus.port(address)
         window = Window(
             clock, default_swarm(2), SimpleNamespace(bus=bus, directory={0: "", 1: ""})
         )
         clock.call_at(round(leave * 1e9), window.link.directory.clear)
         serving = asyncio.create_task(
-            serve(window, Bridge(outside, 0, [0, 1]), [0, 1], rate, seconds)
+            serve(window, RosBridge(outside, 0, [0, 1]), [0, 1], rate, seconds)
         )
-        async for _ in clock.ticks(STATE.rate):
+        async for _ in clock.ticks(DRONE_TOPICS.state.rate):
             if serving.done():
                 await serving
                 return outside, clock.now()
             for i in (0, 1):
                 if not silent(i, clock.now()):
                     bus.ports[i].publish(
-                        STATE, State.at((clock.now() - AGE, i, 0.0)), AGE
+                        DRONE_TOPICS.state, State.at((clock.now() - AGE, i, 0.0)), AGE
                     )
 
     return run_virtual(main)
@@ -91,7 +91,7 @@ def test_a_place_is_said_with_the_time_when_it_was_measured():
             assert AGE - 1e-6 <= t - stamp(pose) <= AGE + 0.11
         paths = [path for _, path in outside.of(f"drone{i}/path")]
         assert [len(path["poses"]) for path in paths] == [
-            1 + PATH_EVERY * k for k in range(len(paths))
+            1 + ROS_BRIDGE.poses_per_path * k for k in range(len(paths))
         ]
         assert len(paths) in (3, 4)
     for t, found in outside.of("tf"):
@@ -106,7 +106,7 @@ def test_a_place_is_said_with_the_time_when_it_was_measured():
 
 def test_a_drone_that_falls_silent_is_taken_away_once_and_comes_back():
     outside, _ = told(lambda i, t: i == 1 and 1.0 < t < 2.0)
-    late = 1.0 - AGE + STATE.max_age
+    late = 1.0 - AGE + DRONE_TOPICS.state.max_age
     assert [t for t, _ in outside.of("drone1/pose") if late < t < 2.0] == []
     assert [t for t, _ in outside.of("drone1/pose") if t > 2.2], "it is back"
     silent = [found for t, found in outside.of("tf") if late < t < 2.0]
@@ -124,7 +124,7 @@ def test_a_drone_that_falls_silent_is_taken_away_once_and_comes_back():
 def test_when_all_are_silent_they_are_taken_away_and_no_more_is_said():
     outside, _ = told(lambda i, t: t > 1.0)
     marks = [one for _, found in outside.of("drones") for one in found["markers"]]
-    assert outside.said[-1][0] < 1.0 + STATE.max_age + 0.11
+    assert outside.said[-1][0] < 1.0 + DRONE_TOPICS.state.max_age + 0.11
     assert sorted((one["ns"], one["id"]) for one in marks if one["action"] == 2) == [
         ("drones", 0),
         ("drones", 1),

@@ -14,9 +14,9 @@ from crazychoir.bus.network import authority, endpoints
 from crazychoir.cli.main import app
 from crazychoir.cli.setup import push as pushing
 from crazychoir.cli.setup import systemd_units as units
-from crazychoir.config.swarm_config import DONGLES, MOCAP, ROUTER, WORLD, SwarmConfig
+from crazychoir.config.swarm_config import PROCESS_NUMBERS, SwarmConfig
 from crazychoir.errors import ConfigError, ProcessFailed
-from crazychoir.launch.processes import patience
+from crazychoir.launch.processes import compute_patience
 
 PROGRAMS = {
     "crazychoir": "main",
@@ -105,14 +105,19 @@ def test_one_dongle_has_one_number_on_its_host(repository):
 
 
 def test_names_of_processes_are_those_of_the_swarm_file():
-    assert (units.WORLD, units.MOCAP, units.DONGLES, units.ROUTER) == (
-        WORLD,
-        MOCAP,
-        DONGLES,
-        ROUTER,
+    assert (
+        PROCESS_NUMBERS.world,
+        PROCESS_NUMBERS.motion_capture,
+        PROCESS_NUMBERS.first_dongle,
+        PROCESS_NUMBERS.router,
+    ) == (
+        units.UnitNumber.WORLD,
+        units.UnitNumber.MOCAP,
+        units.UnitNumber.FIRST_DONGLE,
+        units.UnitNumber.ROUTER,
     )
-    assert units.unit_of(ROUTER) == "crazychoir-router.service"
-    assert units.name_of(DONGLES - 2) == "dongle 2"
+    assert units.unit_of(PROCESS_NUMBERS.router) == "crazychoir-router.service"
+    assert units.name_of(PROCESS_NUMBERS.first_dongle - 2) == "dongle 2"
 
 
 @pytest.mark.parametrize("name", UNITS)
@@ -140,7 +145,7 @@ def test_a_unit_gives_drones_the_time_to_land(repository, name):
     assert (service["KillSignal"], service["KillMode"]) == ("SIGINT", "mixed")
     if name != "router":
         config = SwarmConfig.load(repository / "deploy/three_workstations.toml")
-        assert float(service["TimeoutStopSec"]) > patience(config)
+        assert float(service["TimeoutStopSec"]) > compute_patience(config)
     assert service["Restart"] == ("no" if name == "agent@" else "on-failure")
 
 
@@ -164,9 +169,9 @@ def test_a_swarm_with_a_router_talks_through_it_alone():
         }
     )
     assert config.routers == ["tcp/10.0.0.9:7441"]
-    assert config.endpoints()[ROUTER] == config.routers[0]
-    assert config.host_of(ROUTER) == "r"
-    assert endpoints.of_router(config.routers, 1.0)["mode"] == "router"
+    assert config.endpoints()[PROCESS_NUMBERS.router] == config.routers[0]
+    assert config.host_of(PROCESS_NUMBERS.router) == "r"
+    assert endpoints.router_settings(config.routers, 1.0)["mode"] == "router"
     assert config.replace(router=None).digest() == config.digest(), (
         "hosts need not agree on it"
     )
@@ -184,8 +189,8 @@ def lab(tmp_path):
     """A swarm of two hosts in a folder, with a mission of its own and keys."""
     (tmp_path / "missions").mkdir()
     (tmp_path / "missions/own.py").write_text("def guidance(i, config): ...\n")
-    authority.init(tmp_path / "keys")
-    authority.add(tmp_path / "keys", "a")
+    authority.make_authority(tmp_path / "keys")
+    authority.add_host(tmp_path / "keys", "a")
     file = tmp_path / "lab.toml"
     file.write_text(
         'name = "lab"\nmission = "missions/own.py"\n[hosts]\na = "10.0.0.1"\nb = "10.0.0.2"\n'
@@ -280,9 +285,9 @@ def test_a_push_without_keys_or_beside_its_folder_is_refused(lab):
     )
     assert done.exit_code == 2
     with pytest.raises(ConfigError, match="below the folder of the swarm file"):
-        pushing.within(lab, lab.parent.parent / "elsewhere.py")
+        pushing.path_in_swarm_folder(lab, lab.parent.parent / "elsewhere.py")
     with pytest.raises(ConfigError, match="--host"):
-        pushing.chosen(SwarmConfig.load(lab), lab, ["c"])
+        pushing.hosts_to_push(SwarmConfig.load(lab), lab, ["c"])
 
 
 def test_what_is_missing_for_one_host_is_said_before_anything_is_done(
@@ -323,16 +328,16 @@ def test_scp_takes_an_ipv6_address_in_brackets(lab):
 def test_a_step_that_fails_says_why_and_what_to_try():
     failing = (sys.executable, "-c", "import sys; sys.exit('no route to host')")
     with pytest.raises(ProcessFailed, match="exit code 1: no route to host"):
-        pushing.run("a", pushing.Step("folders", failing))
+        pushing.run_push_step("a", pushing.PushStep("folders", failing))
     with pytest.raises(ProcessFailed, match=r"not done within 0\.2 s"):
-        pushing.run(
+        pushing.run_push_step(
             "a",
-            pushing.Step(
+            pushing.PushStep(
                 "x", (sys.executable, "-c", "import time; time.sleep(9)"), 0.2
             ),
         )
     with pytest.raises(ProcessFailed, match="not on this machine"):
-        pushing.run("a", pushing.Step("x", ("no-such-program",)))
+        pushing.run_push_step("a", pushing.PushStep("x", ("no-such-program",)))
 
 
 def test_the_guide_names_what_there_is(repository):

@@ -10,7 +10,7 @@ import pytest
 
 from crazychoir.bus.network import authority
 from crazychoir.cli.setup import doctor, host_checks, host_facts
-from crazychoir.cli.setup.host_checks import Usb, is_wrong
+from crazychoir.cli.setup.host_checks import UsbDevice, is_wrong
 
 SWARM = """
 name = "lab"
@@ -51,23 +51,23 @@ def free():
 
 def lab(folder, port, mission="goto", far="127.0.0.1", expired=False, monkeypatch=None):
     """A swarm file of two hosts with keys."""
-    real = authority.today
+    real = authority.date_and_time
     if expired:
         monkeypatch.setattr(
-            authority, "today", lambda: real() - datetime.timedelta(days=40)
+            authority, "date_and_time", lambda: real() - datetime.timedelta(days=40)
         )
-    authority.init(folder / "keys", days=400)
+    authority.make_authority(folder / "keys", days=400)
     for name in ("here", "far"):
-        authority.add(folder / "keys", name, days=20 if expired else 300)
+        authority.add_host(folder / "keys", name, days=20 if expired else 300)
     if expired:
-        monkeypatch.setattr(authority, "today", real)
+        monkeypatch.setattr(authority, "date_and_time", real)
     file = folder / "lab.toml"
     file.write_text(SWARM.format(port=port, mission=mission, far=far))
     return str(file)
 
 
 def rows_of(swarm, host=None):
-    return {row.what: row for row in doctor.of_swarm(swarm, host)}
+    return {row.what: row for row in doctor.check_swarm(swarm, host)}
 
 
 def test_a_good_host_is_content(tmp_path, free):
@@ -91,7 +91,7 @@ def test_a_taken_port_is_named_with_who_has_it(tmp_path, taken):
     ["python -m crazychoir.cli.fly.agent", "/v/python3 /v/crazychoir-agent --id 0"],
 )
 def test_a_port_of_our_own_agents_is_good(by):
-    (row,) = host_checks.ports({7460: "drone 0"}, {7460: f"process 7: {by}"})
+    (row,) = host_checks.check_ports({7460: "drone 0"}, {7460: f"process 7: {by}"})
     assert row.state == "ok"
     assert by in row.found
 
@@ -101,7 +101,7 @@ def test_a_port_of_our_own_agents_is_good(by):
     ["python -m http.server --directory /me/crazychoir", "/me/crazychoir/own 7460"],
 )
 def test_a_port_of_another_program_is_not_ours_whatever_its_folder_is_called(by):
-    (row,) = host_checks.ports({7460: "drone 0"}, {7460: f"process 7: {by}"})
+    (row,) = host_checks.check_ports({7460: "drone 0"}, {7460: f"process 7: {by}"})
     assert row.state == "wrong"
 
 
@@ -111,7 +111,7 @@ def test_of_a_swarm_with_a_router_that_alone_must_be_reached(
     """Its other processes listen nowhere."""
     asked = []
     monkeypatch.setattr(
-        host_facts, "answer", lambda *where: asked.append(where) or "refused"
+        host_facts, "connect_to_host", lambda *where: asked.append(where) or "refused"
     )
     monkeypatch.setattr(host_facts, "is_own", lambda address: address == "127.0.0.1")
     file = tmp_path / "lab.toml"
@@ -150,13 +150,13 @@ def test_a_key_that_others_may_read_is_named(tmp_path, free):
 
 
 def test_a_key_that_ends_soon_is_a_warning():
-    assert host_checks.keys("here", "", "", 29.0).state == "warning"
+    assert host_checks.check_host_keys("here", "", "", 29.0).state == "warning"
 
 
 def test_an_address_of_another_machine_is_named(tmp_path, free, monkeypatch):
-    monkeypatch.setattr(host_facts, "DEADLINE", 0.05)
+    monkeypatch.setattr(host_facts, "OTHER_HOST_TIMEOUT", 0.05)
     monkeypatch.setattr(
-        host_facts, "answer", lambda address, port: "no answer within 1 s"
+        host_facts, "connect_to_host", lambda address, port: "no answer within 1 s"
     )
     rows = rows_of(lab(tmp_path, free, far="192.0.2.7"), host="far")
     assert rows["own host"].state == "wrong"
@@ -171,7 +171,9 @@ def test_a_governor_that_saves_power_is_named(tmp_path):
         (folder / "scaling_governor").write_text(
             "powersave\n" if cpu == "cpu1" else "performance\n"
         )
-    (row,) = (row for row in doctor.machine(tmp_path) if row.what == "cpu governor")
+    (row,) = (
+        row for row in doctor.check_machine(tmp_path) if row.what == "cpu governor"
+    )
     assert (row.state, row.mend) == (
         "warning",
         "sudo cpupower frequency-set -g performance",
@@ -192,7 +194,7 @@ def test_a_swarm_file_that_is_not_there_is_named(tmp_path):
 
 
 def test_packages_and_python_that_are_too_old_are_named():
-    rows = host_checks.packages(
+    rows = host_checks.check_packages(
         [
             "eclipse-zenoh>=1.10",
             "cflib>=0.1.32",
@@ -205,11 +207,11 @@ def test_packages_and_python_that_are_too_old_are_named():
     assert all(row.state == "wrong" for row in rows)
     assert rows[0].mend == "pip install 'eclipse-zenoh>=1.10'"
     assert (
-        host_checks.python((3, 10, 2)).state
-        == host_checks.python((3, 14, 0)).state
+        host_checks.check_python((3, 10, 2)).state
+        == host_checks.check_python((3, 14, 0)).state
         == "wrong"
     )
-    assert host_checks.python((3, 13, 9)).state == "ok"
+    assert host_checks.check_python((3, 13, 9)).state == "ok"
 
 
 def test_radios_are_those_of_the_usb_with_their_rights(tmp_path):
@@ -228,13 +230,20 @@ def test_radios_are_those_of_the_usb_with_their_rights(tmp_path):
         str(tmp_path / "dev/001/000"),
         False,
     )
-    rows = host_checks.radios([found], [1])
+    rows = host_checks.check_crazyradios([found], [1])
     assert [row.state for row in rows] == ["wrong", "wrong"]
     assert "udevadm" in rows[0].mend
     assert "dongle 1" in rows[1].found
-    assert host_checks.radios([Usb("1915:7777", "/dev/x", True)], [0])[0].state == "ok"
-    assert host_checks.radios([], [])[0].state == "not here"
-    rows = host_checks.radios([Usb(host_checks.BOOTLOADER, "/dev/x", True)], [0])
+    assert (
+        host_checks.check_crazyradios([UsbDevice("1915:7777", "/dev/x", True)], [0])[
+            0
+        ].state
+        == "ok"
+    )
+    assert host_checks.check_crazyradios([], [])[0].state == "not here"
+    rows = host_checks.check_crazyradios(
+        [UsbDevice(host_checks.BOOTLOADER_ID, "/dev/x", True)], [0]
+    )
     assert [row.state for row in rows] == ["wrong", "wrong"], (
         "one in its bootloader does not fly"
     )
@@ -242,22 +251,27 @@ def test_radios_are_those_of_the_usb_with_their_rights(tmp_path):
 
 def test_little_memory_and_a_late_timer_are_warnings():
     assert (
-        host_checks.memory(500.0, 6).state == host_checks.timer(9.0).state == "warning"
-    )
-    assert host_checks.files(256).state == "warning"
-    assert (
-        host_checks.clock(False, 1.0).state
-        == host_checks.disk(10.0, "/x").state
+        host_checks.check_memory(500.0, 6).state
+        == host_checks.check_wake_ups(9.0).state
         == "warning"
     )
-    assert host_checks.clock(None, 0.0).state == "not here"
+    assert host_checks.check_open_files(256).state == "warning"
+    assert (
+        host_checks.check_synchronisation(False, 1.0).state
+        == host_checks.check_disk(10.0, "/x").state
+        == "warning"
+    )
+    assert host_checks.check_synchronisation(None, 0.0).state == "not here"
 
 
 def test_other_hosts_are_asked_within_a_deadline(taken, free):
-    assert host_facts.answer("127.0.0.1", taken) == "connected"
-    assert host_facts.answer("127.0.0.1", free) == "refused"
-    assert host_checks.reachable("b", "10.0.0.9", "No route to host").state == "wrong"
-    stranger = host_checks.reachable(
+    assert host_facts.connect_to_host("127.0.0.1", taken) == "connected"
+    assert host_facts.connect_to_host("127.0.0.1", free) == "refused"
+    assert (
+        host_checks.check_other_host("b", "10.0.0.9", "No route to host").state
+        == "wrong"
+    )
+    stranger = host_checks.check_other_host(
         "b", "10.0.0.9", "connected", "its certificate is not good here: expired"
     )
     assert (stranger.state, stranger.found) == (

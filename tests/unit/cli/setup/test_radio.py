@@ -8,9 +8,9 @@ from typer.testing import CliRunner
 
 from crazychoir.cli.setup import radio
 from crazychoir.cli.setup.radio_tables import progress_table
-from crazychoir.radio.survey.ping import Echoes
+from crazychoir.radio.survey.ping import PingResult
 from crazychoir.radio.survey.simulated_radio import SimulatedRadio, random_room
-from crazychoir.radio.survey.survey import Survey, Visit, survey
+from crazychoir.radio.survey.survey import Survey, Visit, run_survey
 
 SWARM = """\
 name = "lab"
@@ -101,7 +101,8 @@ def test_channels_where_nothing_comes_through_are_not_written(
     swarm, dongle, monkeypatch
 ):
     monkeypatch.setattr(
-        "crazychoir.radio.survey.simulated_radio.success", lambda sinr: 0.0 * sinr
+        "crazychoir.radio.survey.simulated_radio.reception_probability",
+        lambda sinr: 0.0 * sinr,
     )
     done = said("survey", *BRIEF, "--swarm", swarm, "--write", "--json")
     assert done.exit_code == 1
@@ -165,14 +166,14 @@ def test_the_drone_that_answers_is_the_first_of_the_file(swarm, monkeypatch):
     said("survey", "--swarm", swarm)
     said("survey", "--swarm", swarm, "--drone", "radio://0/7")
     said("survey")
-    assert opened == ["radio://1/80/2M/E7E7E7E701", "radio://0/7", radio.DRONE]
+    assert opened == ["radio://1/80/2M/E7E7E7E701", "radio://0/7", radio.NEW_DRONE_URI]
 
 
 def test_progress_shows_each_channel():
     from crazychoir.radio.survey.simulated_radio import SimulatedRadio, random_room
 
     found = Survey(range(0, 40, 4), passes=2, packets=5)
-    survey(found, SimulatedRadio(random_room(1, range(40)), 1))
+    run_survey(found, SimulatedRadio(random_room(1, range(40)), 1))
     head, bars, _ = progress_table((found, Visit(1, 12))).renderables
     assert head.plain == "pass 2 of 2, channel  12: 100%"
     assert len(bars.plain) == len("0 ") + 10 + len(" 36")
@@ -182,7 +183,7 @@ def test_progress_shows_each_channel():
     ("lost", "error", "code"), [(0, "", 0), (1, "", 1), (0, "cut", 1)]
 )
 def test_ping_succeeds_if_nothing_is_lost(monkeypatch, lost, error, code):
-    found = [Echoes("udp://a:1", 3 + lost, (0.001, 0.002, 0.003), error)]
+    found = [PingResult("udp://a:1", 3 + lost, (0.001, 0.002, 0.003), error)]
     monkeypatch.setattr("crazychoir.radio.survey.ping.ping", lambda *arguments: found)
     done = said("ping", "udp://a:1", "--json")
     assert done.exit_code == code

@@ -8,9 +8,9 @@ from typer.testing import CliRunner
 
 from crazychoir.cli.main import app
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.mocap.frames import Frame
+from crazychoir.mocap.frames import PoseFrame
 from crazychoir.mocap.mounting import Mounting
-from crazychoir.mocap.recording import Recorder
+from crazychoir.mocap.recording import FrameRecorder
 from crazychoir.numerics.math3d import quaternion_of_yaw
 
 MOUNTING = Mounting((0.0, 0.01, 0.03), (0.05, -0.02, 0.0))
@@ -36,7 +36,7 @@ def lab(tmp_path):
     """Both drones at home; the body of drone 1 is mounted askew above it. It turns about in the second file."""
     draw = np.random.default_rng(0)
     for name, turn in (("rest.csv", 0.0), ("turn.csv", 4.0 * np.pi)):
-        with Recorder(tmp_path / name) as recorder:
+        with FrameRecorder(tmp_path / name) as recorder:
             for k in range(100):
                 drone = np.array([1.0, 0.0, 0.0, *quaternion_of_yaw(0.005 * k * turn)])
                 bodies = {
@@ -46,7 +46,9 @@ def lab(tmp_path):
                 for flat in bodies.values():
                     flat[0:3] += draw.normal(0.0, 0.0002, 3)
                 wand = np.array([3.0, 3.0, 1.0, 0.0, 0.0, 0.0, 1.0])
-                recorder.write(Frame(k, 0.005 * k, {**bodies, "wand": wand}), 0.005 * k)
+                recorder.write(
+                    PoseFrame(k, 0.005 * k, {**bodies, "wand": wand}), 0.005 * k
+                )
 
     def written(line=""):
         path = tmp_path / "lab.toml"

@@ -2,8 +2,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from crazychoir.cli.main import _drawn
-from crazychoir.cli.shared.chosen_swarm import changed, check_options, to_run, to_start
+from crazychoir.cli.main import _draw_mission
+from crazychoir.cli.shared.chosen_swarm import (
+    check_options,
+    drones_to_start,
+    replace_swarm_values,
+    swarm_and_mission_to_run,
+)
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import ConfigError
 
@@ -11,7 +16,7 @@ PAIRS = default_swarm(4).replace(processes=[[0, 1], [2], [3]])
 
 
 def test_all_drones_start_unless_some_are_named():
-    assert to_start(None, PAIRS) == (0, 1, 2, 3)
+    assert drones_to_start(None, PAIRS) == (0, 1, 2, 3)
 
 
 @pytest.mark.parametrize(
@@ -19,20 +24,20 @@ def test_all_drones_start_unless_some_are_named():
     [("2", (2,)), ("3,2", (2, 3)), ("1, 0,1", (0, 1)), ("3,1,0", (0, 1, 3))],
 )
 def test_the_named_drones_start(only, here):
-    assert to_start(only, PAIRS) == here
+    assert drones_to_start(only, PAIRS) == here
 
 
 @pytest.mark.parametrize("only", ["x", "", "2,", "17", "2;3"])
 def test_drones_that_there_are_not_are_refused(only):
     with pytest.raises(ConfigError, match="--only"):
-        to_start(only, PAIRS)
+        drones_to_start(only, PAIRS)
 
 
 def test_a_process_starts_whole_or_not():
     with pytest.raises(
         ConfigError, match=r"drones 0, 1 share a process.*Name all of them or none"
     ):
-        to_start("1,2", PAIRS)
+        drones_to_start("1,2", PAIRS)
 
 
 NOTHING = {"--fast": False, "--processes": None, "--picture": None, "--drones": None}
@@ -83,8 +88,8 @@ def test_an_option_that_would_say_nothing_is_refused(what, swarm, given, said):
 
 def test_the_command_line_changes_what_it_names_and_nothing_else():
     config = PAIRS.replace(network={"loss": 0.1, "delay": 0.02})
-    assert changed(config, None, None, None) is config
-    other = changed(config, 0.5, 7, "bearing_formation")
+    assert replace_swarm_values(config, None, None, None) is config
+    other = replace_swarm_values(config, 0.5, 7, "bearing_formation")
     assert (other.network.loss, other.network.delay) == (0.5, 0.02)
     assert (other.seed, other.mission) == (7, "bearing_formation")
     assert other.ids == config.ids
@@ -93,8 +98,12 @@ def test_the_command_line_changes_what_it_names_and_nothing_else():
 def test_a_swarm_file_keeps_its_name_and_ports(tmp_path):
     path = tmp_path / "swarm.json"
     path.write_text(PAIRS.replace(mission="bearing_formation", base_port=7999).dumps())
-    assert to_run(str(path), None, None, None, None)[0] == SwarmConfig.load(path)
-    config, mission = to_run("bearing_formation", None, str(path), None, 3)
+    assert swarm_and_mission_to_run(str(path), None, None, None, None)[
+        0
+    ] == SwarmConfig.load(path)
+    config, mission = swarm_and_mission_to_run(
+        "bearing_formation", None, str(path), None, 3
+    )
     assert (config.name, config.base_port, config.seed) == (PAIRS.name, 7999, 3)
     assert callable(mission.guidance)
 
@@ -102,8 +111,15 @@ def test_a_swarm_file_keeps_its_name_and_ports(tmp_path):
 def test_a_mission_without_a_swarm_of_its_own_gets_one(tmp_path):
     path = tmp_path / "mission.py"
     path.write_text("def guidance(i, config): ...\n")
-    assert to_run(str(path), None, None, None, None)[0].ids == (0, 1, 2, 3)
-    assert to_run(str(path), 6, None, None, None)[0].ids == tuple(range(6))
+    assert swarm_and_mission_to_run(str(path), None, None, None, None)[0].ids == (
+        0,
+        1,
+        2,
+        3,
+    )
+    assert swarm_and_mission_to_run(str(path), 6, None, None, None)[0].ids == tuple(
+        range(6)
+    )
 
 
 def test_a_mission_draws_its_own_picture_else_what_was_flown_is_drawn(tmp_path):
@@ -113,8 +129,8 @@ def test_a_mission_draws_its_own_picture_else_what_was_flown_is_drawn(tmp_path):
     }
     path, drawn = tmp_path / "new" / "x.png", []
     own = SimpleNamespace(picture=lambda config, results, path: drawn.append(results))
-    assert _drawn(own, PAIRS, result, path) is None, "it has written nothing"
+    assert _draw_mission(own, PAIRS, result, path) is None, "it has written nothing"
     assert drawn == [{i: {"track": result["tracks"][i]} for i in range(2)}]
-    assert _drawn(SimpleNamespace(), PAIRS, result, path) == str(path)
+    assert _draw_mission(SimpleNamespace(), PAIRS, result, path) == str(path)
     assert path.read_bytes().startswith(b"\x89PNG")
-    assert _drawn(SimpleNamespace(), PAIRS, result, None) is None
+    assert _draw_mission(SimpleNamespace(), PAIRS, result, None) is None

@@ -6,10 +6,14 @@ from functools import partial
 
 import pytest
 
-from crazychoir.bus.commands import NOT_READY, CommandServer
-from crazychoir.bus.port import BODIES, OBSERVER, Bus
-from crazychoir.cli.shared.emergency import OBEYS
-from crazychoir.cli.shared.observer import DISCOVERY, READY, Window
+from crazychoir.bus.commands import ANSWER_TEXTS, CommandServer
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.cli.shared.emergency import OBEY_TIMEOUT
+from crazychoir.cli.shared.observer import (
+    NEXT_PROCESS_TIMEOUT,
+    NOT_READY_TIMEOUT,
+    Window,
+)
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.runtime.clock import run_virtual
@@ -28,8 +32,8 @@ class Swarm:
 
     def __post_init__(self):
         self.bus = Bus(self.clock)
-        self.bus.port(OBSERVER + 1)
-        self.directory = {OBSERVER + 2: "another observer"}
+        self.bus.port(PORT_ADDRESSES.first_observer + 1)
+        self.directory = {PORT_ADDRESSES.first_observer + 2: "another observer"}
         self.window = Window(self.clock, default_swarm(3), self)
 
     def comes(self, i, deaf=False):
@@ -43,7 +47,9 @@ class Swarm:
     async def execute(self, i, verb, arguments):
         """Obey, after `slow` s."""
         if self.clock.now() < self.refuses.get(i, 0.0):
-            raise Refused(f"drone {i}", f"{NOT_READY}: waiting for the others")
+            raise Refused(
+                f"drone {i}", f"{ANSWER_TEXTS.not_ready}: waiting for the others"
+            )
         self.verbs.append((i, verb))
         await self.clock.sleep(self.slow)
         return arguments or None
@@ -102,7 +108,7 @@ def test_who_is_absent_is_named_and_delays_nobody():
         "before it is known who else is there"
     )
     assert swarm.stops[2][0][0] == pytest.approx(1.0, abs=0.15)
-    assert seconds == pytest.approx(1.0 + DISCOVERY, abs=0.1), (
+    assert seconds == pytest.approx(1.0 + NEXT_PROCESS_TIMEOUT, abs=0.1), (
         "after the last that was found"
     )
 
@@ -134,7 +140,7 @@ def test_who_refuses_says_why():
         )
 
     swarm, (landed, impaired), seconds = play(scene)
-    not_now = f"refused: {NOT_READY}: waiting for the others"
+    not_now = f"refused: {ANSWER_TEXTS.not_ready}: waiting for the others"
     assert landed == {
         0: (True, "acknowledged"),
         1: (True, "acknowledged"),
@@ -159,7 +165,7 @@ def test_bodies_in_the_world_of_an_owner_are_stopped_by_themselves(owner):
             1: (False, "absent; its body has obeyed"),
         }
         assert [
-            at for i in (0, 1) for at, _ in swarm.stops[BODIES + i]
+            at for i in (0, 1) for at, _ in swarm.stops[PORT_ADDRESSES.body_offset + i]
         ] == pytest.approx([0.0, 0.0], abs=0.02)
     else:
         silent = "its body's owner does not answer"
@@ -185,7 +191,7 @@ def test_without_anybody_there_is_no_swarm():
         return swarm.clock.now() - began
 
     _, seconds, _ = play(scene)
-    assert seconds == pytest.approx(2.0 * DISCOVERY, abs=0.1)
+    assert seconds == pytest.approx(2.0 * NEXT_PROCESS_TIMEOUT, abs=0.1)
 
 
 def with_owner(swarm, bodies=(0, 1)):
@@ -196,11 +202,13 @@ def with_owner(swarm, bodies=(0, 1)):
     )
     for i in bodies:
         CommandServer(
-            swarm.bus.port(BODIES + i), swarm.execute, partial(swarm.stop, BODIES + i)
+            swarm.bus.port(PORT_ADDRESSES.body_offset + i),
+            swarm.execute,
+            partial(swarm.stop, PORT_ADDRESSES.body_offset + i),
         )
 
 
-@pytest.mark.parametrize("patience", [0.0, DISCOVERY, 30.0])
+@pytest.mark.parametrize("patience", [0.0, NEXT_PROCESS_TIMEOUT, 30.0])
 def test_what_the_bodies_have_answered_is_said_though_no_agent_is_there(
     patience, caplog
 ):
@@ -211,8 +219,10 @@ def test_what_the_bodies_have_answered_is_said_though_no_agent_is_there(
 
     swarm, said, seconds = play(scene)
     assert said == dict.fromkeys(range(2), (False, "absent; its body has obeyed"))
-    assert [on for i in range(2) for _, on in swarm.stops[BODIES + i]] == [True, True]
-    assert seconds == pytest.approx(DISCOVERY, abs=0.2), (
+    assert [
+        on for i in range(2) for _, on in swarm.stops[PORT_ADDRESSES.body_offset + i]
+    ] == [True, True]
+    assert seconds == pytest.approx(NEXT_PROCESS_TIMEOUT, abs=0.2), (
         "agents get no longer, though a run may be starting"
     )
     assert caplog.messages == [
@@ -232,10 +242,10 @@ def test_an_agent_that_hangs_is_not_waited_for_once_its_body_has_obeyed():
         0: (True, "acknowledged"),
         1: (False, "no acknowledgement; its body has obeyed"),
     }
-    assert seconds == pytest.approx(DISCOVERY, abs=0.2)
+    assert seconds == pytest.approx(NEXT_PROCESS_TIMEOUT, abs=0.2)
     _, said, seconds = play(partial(scene, bodies=(0,)))
     assert said[1] == (False, "no acknowledgement; its body's owner does not answer")
-    assert seconds == pytest.approx(OBEYS, abs=0.2), "nothing has stopped it yet"
+    assert seconds == pytest.approx(OBEY_TIMEOUT, abs=0.2), "nothing has stopped it yet"
 
 
 def test_a_world_that_is_gone_is_not_waited_for_as_a_run_that_is_starting(caplog):
@@ -250,7 +260,7 @@ def test_a_world_that_is_gone_is_not_waited_for_as_a_run_that_is_starting(caplog
     assert said == dict.fromkeys(
         range(2), (False, "acknowledged; its body's owner does not answer")
     )
-    assert seconds == pytest.approx(DISCOVERY, abs=0.2)
+    assert seconds == pytest.approx(NEXT_PROCESS_TIMEOUT, abs=0.2)
     assert caplog.messages == [
         "swarm a: stopped: agents 0 to 1; waiting for the others"
     ], "at once"
@@ -268,7 +278,7 @@ def test_a_stop_waits_for_a_run_that_is_starting_with_words(caplog):
         1: (True, "acknowledged"),
         2: (False, "absent"),
     }
-    assert seconds == pytest.approx(18.0 + DISCOVERY, abs=0.2)
+    assert seconds == pytest.approx(18.0 + NEXT_PROCESS_TIMEOUT, abs=0.2)
     assert caplog.messages == [
         "swarm default is starting: waiting for its drones, up to 30 s",
         "swarm default: cleared: agents 1; waiting for the others",
@@ -303,7 +313,7 @@ def test_who_does_not_get_ready_says_so_in_time():
 
     _, said, seconds = play(scene)
     assert said[1] == (False, ("refused", "it is not ready: waiting for the others"))
-    assert seconds == pytest.approx(READY, abs=0.5)
+    assert seconds == pytest.approx(NOT_READY_TIMEOUT, abs=0.5)
 
 
 def test_what_is_not_done_in_time_names_the_time_that_was_given():
@@ -331,15 +341,15 @@ def test_drones_that_there_are_not_are_refused_before_anybody_is_asked():
 
 def test_reading_gives_values_with_their_age():
     async def scene(swarm):
-        from crazychoir.bus.topics import STATUS
+        from crazychoir.bus.topics import DRONE_TOPICS
         from crazychoir.types import Status
 
         swarm.comes(0)
         heard = []
         box = swarm.window.read(
-            STATUS, 0, lambda value, age: heard.append((value.phase, age))
+            DRONE_TOPICS.status, 0, lambda value, age: heard.append((value.phase, age))
         )
-        swarm.bus.ports[0].publish(STATUS, Status("hovering"), 0.1)
+        swarm.bus.ports[0].publish(DRONE_TOPICS.status, Status("hovering"), 0.1)
         return box.received, heard
 
     _, (received, heard), _ = play(scene)

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from crazychoir.guidance.delivery.commitments import Commitments
-from crazychoir.guidance.delivery.replanning import Replanning, mark
+from crazychoir.guidance.delivery.replanning import Replanning, identify_tasks
 from crazychoir.guidance.tasks.task_book import Fate, Task
 from crazychoir.guidance.tasks.team_news import TeamNews
 from crazychoir.routing.instance.generate import random_instance
-from crazychoir.team.graph import named
+from crazychoir.team.graph import graph_from_name
 
 OWN = random_instance(4, 1, 0).local(0)
 HERE, PUT, DONE, GONE = (
@@ -77,7 +77,10 @@ class Team:
             bus=SimpleNamespace(clock=SimpleNamespace(now=lambda: 0.0)),
         )
         communicator = SimpleNamespace(
-            id=i, port=port, graph=named("complete", self.members), epoch=self.epoch
+            id=i,
+            port=port,
+            graph=graph_from_name("complete", self.members),
+            epoch=self.epoch,
         )
         news = TeamNews(
             communicator, tuple(self.tasks), lambda: (0.0, 0.0), self.recover
@@ -121,7 +124,7 @@ class Team:
         """A new epoch of these members, for those of them that hear of it."""
         self.epoch += 1
         for robot in self.living if who is None else who:
-            robot.news.communicator.graph = named("complete", members)
+            robot.news.communicator.graph = graph_from_name("complete", members)
             robot.news.communicator.epoch = self.epoch
 
     def fault(self):
@@ -250,7 +253,7 @@ class Team:
         if robot.program is not None and robot.program.done:
             share = robot.program.result
             robot.commitments.adopt(share)
-            robot.mark, robot.program = mark(share.book), None
+            robot.mark, robot.program = identify_tasks(share.book), None
 
     def begin(self, robot, key):
         news = robot.news
@@ -261,7 +264,7 @@ class Team:
         )
         if robot.runs and not (
             begun
-            or mark(news.book) != robot.mark
+            or identify_tasks(news.book) != robot.mark
             or all(record.idle for record in alive)
         ):
             return

@@ -9,17 +9,20 @@ import pytest
 from virtual_time import virtual
 
 from crazychoir.bus.port import Bus
-from crazychoir.guidance.delivery.online_delivery import HORIZON, OnlinePDVRPGuidance
-from crazychoir.guidance.delivery.replanning import Goods, Share
+from crazychoir.guidance.delivery.online_delivery import (
+    ONLINE_TIMING,
+    OnlinePDVRPGuidance,
+)
+from crazychoir.guidance.delivery.replanning import PlannedGoods, PlanShare
 from crazychoir.guidance.member import Member
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 from crazychoir.guidance.tasks.task_book import Deed, Record, Task, TaskBook
-from crazychoir.guidance.tasks.task_source import Event
+from crazychoir.guidance.tasks.task_source import TaskEvent
 from crazychoir.routing.instance.plan import Stop
 from crazychoir.team.communicator import Communicator
-from crazychoir.team.graph import named
+from crazychoir.team.graph import graph_from_name
 
-MISSION = load("online_delivery")
+MISSION = load_mission("online_delivery")
 CONFIG = MISSION.swarm(5)
 TASKS = [Task(j, 0, False, (1.0 * j, 1.0), (1.0 * j, 4.0)) for j in range(4)]
 PICK, DROP = "pickup", "delivery"
@@ -40,7 +43,7 @@ def robot(clock, i=0):
 
 def cut_off(guidance):
     guidance.news.count()
-    guidance.member.communicator.graph = named("complete", (guidance.id,))
+    guidance.member.communicator.graph = graph_from_name("complete", (guidance.id,))
 
 
 def stops(*pairs):
@@ -60,8 +63,8 @@ async def test_a_robot_is_bound_to_where_it_flies_and_to_what_follows_soon(clock
     assert 0 < len(head) < len(ROUTE)
     assert start == pytest.approx(guidance._place(head[-1]))
     assert ready == pytest.approx(guidance._seconds(head))
-    assert ready > HORIZON or head == ROUTE
-    assert guidance._seconds(head[:-1]) <= HORIZON
+    assert ready > ONLINE_TIMING.binding_horizon or head == ROUTE
+    assert guidance._seconds(head[:-1]) <= ONLINE_TIMING.binding_horizon
     guidance.commitments.route = stops((3, DROP))
     assert guidance._head()[0] == guidance.commitments.route, "however far"
 
@@ -216,7 +219,7 @@ async def test_a_new_plan_keeps_what_it_was_bound_to_and_leaves_out_what_is_done
     guidance.news.say(deeds=(Deed(0, PICK, 1),), idle=True)
     new = Task(9, 0, False, (2.0, 2.0), (3.0, 3.0))
     shared = stops((9, PICK), (0, DROP), (1, DROP), (9, DROP))
-    guidance._adopt(Share(tuple(shared), (3,), TaskBook([*TASKS, new]), False, {}))
+    guidance._adopt(PlanShare(tuple(shared), (3,), TaskBook([*TASKS, new]), False, {}))
     assert guidance.commitments.route == stops(
         (1, PICK), (9, PICK), (0, DROP), (1, DROP), (9, DROP)
     )
@@ -232,7 +235,7 @@ async def test_its_own_problem_begins_where_it_will_be_with_what_it_may(clock):
     later = Task(20, 0, False, (2.0, 2.0), (3.0, 3.0), robots=(4,))
     tasks = (*TASKS, later)
     mine, free = (False, True, False, False, False), (True, False, False, True, True)
-    goods = Goods(tasks, tuple(t.pickup for t in tasks), mine, free, (None,) * 5)
+    goods = PlannedGoods(tasks, tuple(t.pickup for t in tasks), mine, free, (None,) * 5)
     local = guidance._problem(goods, np.array([2.0, 3.0]), 4.0, 7.0)
     capable = guidance.own.capable[:4]
     assert local.capable.tolist() == [capable[0], capable[1], False, capable[3], False]
@@ -254,7 +257,7 @@ async def test_nobody_is_capable_of_what_lies_where_none_can_stand(clock):
     fallen = Task(22, 0, False, (1.0, 1.0), (2.0, 2.0))
     tasks, mine = (*TASKS[:1], outside, above, fallen, fallen), (False,) * 5
     pickup = (*(task.pickup for task in tasks[:3]), (0.0, -0.8), (0.0, -0.8))
-    goods = Goods(tasks, pickup, mine, (True,) * 5, (None, None, None, 0, 1))
+    goods = PlannedGoods(tasks, pickup, mine, (True,) * 5, (None, None, None, 0, 1))
     capable = {
         i: robot(clock, i)._problem(goods, np.zeros(2), 0.0, 9.0).capable.tolist()
         for i in (1, 2)
@@ -293,7 +296,7 @@ def test_what_is_left_alone_is_said_with_the_reason(caplog):
         book = TaskBook([*TASKS, *(task for task, _ in bad.values())])
         for _ in range(2):
             guidance.commitments.begin([])
-            guidance._adopt(Share((), tuple(bad), book, False, {}))
+            guidance._adopt(PlanShare((), tuple(bad), book, False, {}))
         for j, (_, why) in bad.items():
             assert why in guidance.outcome()["unserved"][str(j)]
             assert caplog.text.count(f"task {j} is left alone") == 1, (
@@ -322,7 +325,7 @@ async def test_a_robot_that_does_not_know_where_it_is_stays_where_it_was(clock):
 async def test_a_robot_is_not_idle_while_events_are_to_come(clock):
     guidance = robot(clock)
     guidance.options = replace(guidance.options, until=0.0)
-    late = Event(0.0, Task(20, 0, False, (2.0, 2.0), (3.0, 3.0)))
+    late = TaskEvent(0.0, Task(20, 0, False, (2.0, 2.0), (3.0, 3.0)))
     guidance.source.events = (late,)
     await guidance._rest()
     assert not guidance.news.record.idle

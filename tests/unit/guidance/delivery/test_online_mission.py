@@ -6,12 +6,12 @@ import pytest
 from matplotlib.figure import Figure
 
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.delivery.delivery_picture import RED
-from crazychoir.guidance.mission import load
-from crazychoir.guidance.tasks.task_source import Event
-from crazychoir.optimization.picture import INK
+from crazychoir.guidance.delivery.delivery_picture import FAILURE_COLOUR
+from crazychoir.guidance.mission import load_mission
+from crazychoir.guidance.tasks.task_source import TaskEvent
+from crazychoir.optimization.picture import PICTURE_STYLE
 
-MISSION = load("online_delivery")
+MISSION = load_mission("online_delivery")
 
 
 def config(drones=10, seed=1, **options):
@@ -52,7 +52,7 @@ def test_tasks_appear_and_are_cancelled_as_the_file_says():
         config(appear=[new], cancel=[{"t": 5.0, "task": 15}, {"t": 6.0, "task": 0}])
     )
     first, gone, other = events
-    assert first == Event(4.0, first.task, (1, 2))
+    assert first == TaskEvent(4.0, first.task, (1, 2))
     assert (
         first.task.pickup,
         first.task.delivery,
@@ -337,6 +337,6 @@ def test_the_picture_shows_ways_tasks_and_who_was_lost(tmp_path, monkeypatch):
         for text in axes.texts
         if hasattr(text, "xy")
     }
-    assert named["900"] == (INK, place)
-    assert named["1"][0] == RED
-    assert named["0"][0] == INK
+    assert named["900"] == (PICTURE_STYLE.ink, place)
+    assert named["1"][0] == FAILURE_COLOUR
+    assert named["0"][0] == PICTURE_STYLE.ink

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from crazychoir.agent.agent import Agent
-from crazychoir.bus.port import OBSERVER
-from crazychoir.bus.topics import STATE, STATUS
+from crazychoir.bus.port import PORT_ADDRESSES
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.guidance.delivery.pickup_delivery import PDVRPGuidance
 from crazychoir.guidance.member import Member
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.plan import Stop
 from crazychoir.runtime.clock import run_virtual
@@ -38,7 +38,7 @@ SERVICE = 0.5
 def flown():
     """The three fly in virtual time: results, tasks of each robot's statuses in order, positions (T, 3) of each."""
     instance = Instance.parse(THREE)
-    mission = load("pickup_delivery")
+    mission = load_mission("pickup_delivery")
     drones = [{"id": i, "home": [*home, 0.0]} for i, home in enumerate(THREE["home"])]
     config = mission.swarm(None).replace(
         drones=drones,
@@ -55,25 +55,27 @@ def flown():
     async def main(clock):
         agent = Agent(clock, config, Missions, config.ids)
         told, track, ahead = ({i: [] for i in config.ids} for _ in range(3))
-        agent.bus.port(OBSERVER)
+        agent.bus.port(PORT_ADDRESSES.first_observer)
         for i in config.ids:
             agent.bus.subscribe(
-                STATUS,
+                DRONE_TOPICS.status,
                 i,
-                OBSERVER,
+                PORT_ADDRESSES.first_observer,
                 Call(clock, lambda s, age, i=i: told[i].append((s.phase, s.task))),
             )
             agent.bus.subscribe(
-                STATE,
+                DRONE_TOPICS.state,
                 i,
-                OBSERVER,
+                PORT_ADDRESSES.first_observer,
                 Call(clock, lambda s, age, i=i: track[i].append(s.p.copy())),
             )
 
             def look(status, age, i=i):
                 ahead[i].append([p.tolist() for p in agent.drones[i].guidance.route()])
 
-            agent.bus.subscribe(STATUS, i, OBSERVER, Call(clock, look))
+            agent.bus.subscribe(
+                DRONE_TOPICS.status, i, PORT_ADDRESSES.first_observer, Call(clock, look)
+            )
         return (
             await agent.run(),
             told,
@@ -149,7 +151,7 @@ def test_a_place_of_the_plane_is_visited_at_take_off_height_one_of_space_at_its_
         "pickup": [[0.5, 0.0, 0.9], [1.5, 0.0, 0.9]],
         "delivery": [[1.0, 0.0, 1.1], [1.0, 0.0, 1.1]],
     }
-    config = load("pickup_delivery").swarm(None).replace(flight=BRISK)
+    config = load_mission("pickup_delivery").swarm(None).replace(flight=BRISK)
     for instance, heights in (
         (Instance.parse(THREE), (0.5, 0.5)),
         (Instance.parse(raw), (0.9, 1.1)),

@@ -8,12 +8,12 @@ import pytest
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.delivery.pickup_delivery import PDVRPGuidance
 from crazychoir.guidance.member import Member
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 from crazychoir.launch.flight import fly_fast
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.plan import Route, Stop
 
-MISSION = load("pickup_delivery")
+MISSION = load_mission("pickup_delivery")
 BRISK = {
     "takeoff_height": 0.5,
     "speed_limit": 2.0,

@@ -9,11 +9,15 @@ import pytest
 from crazychoir.bus.codec import decode, encode
 from crazychoir.errors import SolverError
 from crazychoir.guidance.delivery import replanning
-from crazychoir.guidance.delivery.replanning import AUCTION, Replanning, mark
+from crazychoir.guidance.delivery.replanning import (
+    AUCTION_METHOD,
+    Replanning,
+    identify_tasks,
+)
 from crazychoir.guidance.tasks.task_book import Deed, Record, Task, TaskBook
 from crazychoir.routing.distributed.pickup_delivery import PickupDelivery
 from crazychoir.routing.instance.generate import random_instance
-from crazychoir.routing.search.parallel_auction import parallel_auction
+from crazychoir.routing.search.parallel_auction import run_parallel_auction
 from crazychoir.team.graph import Graph
 
 IDS = (2, 3, 5, 8)
@@ -50,7 +54,7 @@ def planned(
     bound=None,
     carried=None,
     graph=GRAPH,
-    method=AUCTION,
+    method=AUCTION_METHOD,
     starts=HOMES,
     recover=False,
 ):
@@ -87,7 +91,7 @@ def test_everybody_plans_with_what_anybody_knows():
     assert stops(shares[2]) == [(4, "pickup"), (4, "delivery")]
     assert stops(shares[8]) == [(6, "pickup"), (6, "delivery")]
     assert stops(shares[3]) == stops(shares[5]) == []
-    assert {mark(share.book) for share in shares.values()} == {
+    assert {identify_tasks(share.book) for share in shares.values()} == {
         ((4, 1, False), (6, 1, False))
     }
     assert not any(share.ended for share in shares.values())
@@ -174,7 +178,7 @@ def test_a_method_of_pickup_delivery_finds_no_longer_plan_and_serves_the_same(se
     starts = {i: tuple(draw.uniform(0, 10, 2)) for i in IDS}
     carried = {3: (1,), 8: (2,)}
     lengths = {}
-    for method in (AUCTION, "columns", "resource-columns"):
+    for method in (AUCTION_METHOD, "columns", "resource-columns"):
         shares = planned(books, carried=carried, starts=starts, method=method)
         served = sorted(stop for share in shares.values() for stop in stops(share))
         assert served == sorted(
@@ -186,7 +190,8 @@ def test_a_method_of_pickup_delivery_finds_no_longer_plan_and_serves_the_same(se
             length(shares[i], starts[i], HOMES[i], tasks) for i in IDS
         )
     assert (
-        max(lengths["columns"], lengths["resource-columns"]) <= lengths[AUCTION] + 1e-6
+        max(lengths["columns"], lengths["resource-columns"])
+        <= lengths[AUCTION_METHOD] + 1e-6
     )
 
 
@@ -212,7 +217,7 @@ def test_goods_aboard_are_delivered_by_any_method_whatever_is_left_of_the_limit(
         )
 
     monkeypatch.setitem(globals(), "problem", tired)
-    for method in (AUCTION, "columns", "resource-columns", "resource"):
+    for method in (AUCTION_METHOD, "columns", "resource-columns", "resource"):
         shares = planned(books, carried={3: (6,)}, method=method)
         assert stops(shares[3]) == [(6, "delivery")]
         assert stops(shares[2]) == [(4, "pickup"), (4, "delivery")]
@@ -254,15 +259,15 @@ def test_an_auction_that_raises_leaves_what_is_aboard_to_be_delivered(monkeypatc
     def broken(robot, *args):
         if robot == 5:
             raise KeyError("a bug")
-        return (yield from parallel_auction(robot, *args))
+        return (yield from run_parallel_auction(robot, *args))
 
-    monkeypatch.setattr(replanning, "parallel_auction", broken)
+    monkeypatch.setattr(replanning, "run_parallel_auction", broken)
     books = {i: TaskBook([NEAR_2, NEAR_8], records()) for i in IDS}
     shares = planned(books, carried=CARRIED, method="columns")
     assert [stops(shares[i]) for i in IDS] == [[], [(6, "delivery")], [], []]
     assert {share.unserved for share in shares.values()} == {(4,)}
     assert not any(share.ended for share in shares.values())
-    (why,) = {share.trouble[AUCTION] for share in shares.values()}
+    (why,) = {share.trouble[AUCTION_METHOD] for share in shares.values()}
     assert why.startswith("robot 5: KeyError: 'a bug' (test_replanning.py:")
 
 
@@ -273,7 +278,7 @@ def test_a_planning_for_which_somebody_has_no_problem_is_none(monkeypatch):
     monkeypatch.setitem(globals(), "problem", broken)
     shares = planned({i: TaskBook([NEAR_2], records(idle=True)) for i in IDS})
     assert all(
-        "robot 2: ZeroDivisionError" in share.trouble[AUCTION]
+        "robot 2: ZeroDivisionError" in share.trouble[AUCTION_METHOD]
         for share in shares.values()
     )
     assert all(share.ended for share in shares.values()), (

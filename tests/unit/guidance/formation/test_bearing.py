@@ -3,16 +3,15 @@ import pytest
 
 from crazychoir.control.attitude import GeometryAttitudeCtrl
 from crazychoir.control.controller import HierarchicalController
-from crazychoir.control.gains import FORMATION, STANDARD
+from crazychoir.control.gains import FORMATION_GAINS, STANDARD_GAINS
 from crazychoir.control.handlers import AccelerationTraj, FullStateTraj
 from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositionCtrl
 from crazychoir.control.senders import FPQRSender
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.guidance.formation.bearing import (
-    KP,
-    KV,
-    bearing_laplacian,
+    BEARING_GAINS,
+    build_bearing_laplacian,
     check_formation,
 )
 from crazychoir.mocap.simulated import SimulatedMocap
@@ -67,22 +66,22 @@ def test_too_fast_a_law_is_refused_and_a_brisk_one_is_warned_of():
 
 def test_only_leaders_or_a_neighbour_that_does_not_exist_are_refused():
     with pytest.raises(Refused, match="every drone is a leader"):
-        check_formation(SQUARE, PAPER_GRAPH, SQUARE, KP, KV)
+        check_formation(SQUARE, PAPER_GRAPH, SQUARE, BEARING_GAINS.kp, BEARING_GAINS.kv)
     with pytest.raises(ConfigError, match="neighbors of drone 2"):
-        bearing_laplacian(SQUARE, {2: {9}}, [0, 1])
+        build_bearing_laplacian(SQUARE, {2: {9}}, [0, 1])
 
 
 def controller(leader):
     if leader:
         return HierarchicalController(
             FlatnessPositionCtrl(),
-            GeometryAttitudeCtrl(STANDARD),
+            GeometryAttitudeCtrl(STANDARD_GAINS),
             FPQRSender(),
             FullStateTraj(),
         )
     return HierarchicalController(
-        FlatnessAccelerationCtrl(FORMATION),
-        GeometryAttitudeCtrl(FORMATION),
+        FlatnessAccelerationCtrl(FORMATION_GAINS),
+        GeometryAttitudeCtrl(FORMATION_GAINS),
         FPQRSender(),
         AccelerationTraj(),
     )
@@ -117,7 +116,8 @@ def settle(seed, noise, until=18.0, **world):
             u = np.zeros(3)
             for j in PAPER_GRAPH[i] if i > 1 else ():
                 u -= projectors[i, j] @ (
-                    KP * (states[i].p - heard[j].p) + KV * (states[i].v - heard[j].v)
+                    BEARING_GAINS.kp * (states[i].p - heard[j].p)
+                    + BEARING_GAINS.kv * (states[i].v - heard[j].v)
                 )
             engine.command(
                 i,

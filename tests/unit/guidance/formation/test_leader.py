@@ -8,14 +8,14 @@ import pytest
 
 from crazychoir.agent.agent import Agent
 from crazychoir.agent.steering import path_message
-from crazychoir.bus.commands import DONE, REFUSED, Commander
-from crazychoir.bus.port import OBSERVER
+from crazychoir.bus.commands import ANSWER_TEXTS, Commander
+from crazychoir.bus.port import PORT_ADDRESSES
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError, Refused
-from crazychoir.guidance.feedback import LAW
+from crazychoir.guidance.feedback import LAW_TASK
 from crazychoir.guidance.formation.leader import LeaderOptions, path_of
-from crazychoir.guidance.mission import load
-from crazychoir.planning.spline import spline
+from crazychoir.guidance.mission import load_mission
+from crazychoir.planning.spline import fit_spline
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.types import State
 
@@ -24,7 +24,7 @@ FORMATIONS = ("bearing_formation", "containment", "distance_formation")
 
 def swarm(name, **options):
     """A mission, and its own swarm with these options besides."""
-    mission = load(name)
+    mission = load_mission(name)
     config = mission.swarm(None)
     return mission, config.replace(mission_options=config.mission_options | options)
 
@@ -137,25 +137,25 @@ def test_leaders_take_a_path_that_an_operator_has_drawn_into_their_mission(repos
     """Side by side from where they are; the formation follows, and a second path goes on from there."""
     config = SwarmConfig.load(repository / "deploy" / "formation_drawn.toml")
     config = config.replace(mission_options={"leaders": "still", "duration": 60.0})
-    mission = load(config.mission)
+    mission = load_mission(config.mission)
     places = np.array([[5.0, 5.0, 2.0], [5.5, 5.0, 2.0], [5.5, 5.5, 2.0]])
-    path = path_message(spline([0.0, 4.0, 8.0], places, degree=7))
+    path = path_message(fit_spline([0.0, 4.0, 8.0], places, degree=7))
     far = path_message(
-        spline([0.0, 30.0], [[0.0, 0.0, 0.0], [0.0, 9.0, 0.0]], degree=7)
+        fit_spline([0.0, 30.0], [[0.0, 0.0, 0.0], [0.0, 9.0, 0.0]], degree=7)
     )
 
     async def main(clock):
         agent = Agent(clock, config, mission, config.ids)
-        commander = Commander(agent.bus.port(OBSERVER, 0xF1))
+        commander = Commander(agent.bus.port(PORT_ADDRESSES.first_observer, 0xF1))
         flight = asyncio.create_task(agent.run())
-        while any(drone.status().task != LAW for drone in agent.drones.values()):
+        while any(drone.status().task != LAW_TASK for drone in agent.drones.values()):
             await clock.sleep(0.1)
         await clock.sleep(8.0)
         seen = [{i: drone.pilot.state.p.copy() for i, drone in agent.drones.items()}]
         for _ in range(2):
             answers = [await commander.request(i, "fly", **path) for i in (0, 1)]
             assert all(
-                answer.kind == DONE and "leads along it" in answer.detail
+                answer.kind == ANSWER_TEXTS.done and "leads along it" in answer.detail
                 for answer in answers
             ), answers
             await clock.sleep(16.0)
@@ -165,7 +165,10 @@ def test_leaders_take_a_path_that_an_operator_has_drawn_into_their_mission(repos
         refused = [
             await commander.request(i, "fly", **one) for i, one in ((2, path), (0, far))
         ]
-        assert [answer.kind for answer in refused] == [REFUSED, REFUSED]
+        assert [answer.kind for answer in refused] == [
+            ANSWER_TEXTS.refused,
+            ANSWER_TEXTS.refused,
+        ]
         assert "its mission flies it" in refused[0].detail
         assert "fence" in refused[1].detail
         for drone in agent.drones.values():

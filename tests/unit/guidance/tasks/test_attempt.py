@@ -6,7 +6,7 @@ import pytest
 
 from crazychoir.bus.codec import decode, encode
 from crazychoir.errors import Hung, SolverError
-from crazychoir.guidance.tasks.attempt import attempt
+from crazychoir.guidance.tasks.attempt import attempt_work
 
 N, ROUNDS = 5, 6
 PATH = {i: [j for j in (i - 1, i + 1) if 0 <= j < N] for i in range(N)}
@@ -28,7 +28,7 @@ def work(i, fails):
 def run(fails, damage=lambda i, k, message: message, of=work):
     """What each robot of a path gets, and in which round."""
     programs, messages, ended = (
-        {i: attempt(i, of(i, fails), N - 1) for i in PATH},
+        {i: attempt_work(i, of(i, fails), N - 1) for i in PATH},
         {},
         {},
     )

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from teams import run_team
 
-from crazychoir.guidance.mission import load
-from crazychoir.guidance.tasks.generation import NextGeneration, open_tasks
+from crazychoir.guidance.mission import load_mission
+from crazychoir.guidance.tasks.generation import NextGeneration, list_open_tasks
 from crazychoir.guidance.tasks.task_book import Deed, Record, Task, TaskBook
-from crazychoir.optimization.assignment.assignment import Outcome
+from crazychoir.optimization.assignment.assignment import AssignmentOutcome
 from crazychoir.team.graph import Graph
 
-MISSION = load("task_assignment")
+MISSION = load_mission("task_assignment")
 CONFIG = MISSION.swarm(None)
 GRAPH = CONFIG.graph()
 
@@ -131,7 +131,7 @@ def test_a_table_is_filled_up_only_so_often():
     ]
     found = generation({i: TaskBook(tasks, done) for i in GRAPH.ids}, filled=8)
     assert all(
-        one.idle and one.outcome == Outcome(1, None, 0.0, (), "", 0)
+        one.idle and one.outcome == AssignmentOutcome(1, None, 0.0, (), "", 0)
         for one in found.values()
     )
 
@@ -226,4 +226,4 @@ def test_open_are_tasks_that_are_neither_done_nor_cancelled():
         tasks, [Record(0, 1, 1, (0.0, 0.0), deeds=(Deed(1, "delivery", 1),))]
     )
     book.cancel(2)
-    assert [task.id for task in open_tasks(book, (0, 1))] == [0]
+    assert [task.id for task in list_open_tasks(book, (0, 1))] == [0]

@@ -10,17 +10,17 @@ import pytest
 from crazychoir.errors import ConfigError
 from crazychoir.flight.pilot import Mode
 from crazychoir.guidance.member import Interrupted
-from crazychoir.guidance.mission import load
-from crazychoir.guidance.tasks.room import Room
+from crazychoir.guidance.mission import load_mission
+from crazychoir.guidance.tasks.room import TaskRoom
 from crazychoir.guidance.tasks.task_assignment import (
     TaskAssignmentGuidance,
-    Work,
-    distance,
+    TeamAssignment,
+    measure_distance,
 )
 from crazychoir.guidance.tasks.task_book import Deed, Record, Task, TaskBook
 from crazychoir.types import State
 
-MISSION = load("task_assignment")
+MISSION = load_mission("task_assignment")
 CONFIG = MISSION.swarm(None)
 DRAW = np.random.default_rng(2)
 
@@ -65,7 +65,7 @@ def test_what_cannot_be_flown_is_refused(changes, said):
 
 
 def test_where_and_for_whom_operators_may_add_tasks():
-    room = Room(CONFIG)
+    room = TaskRoom(CONFIG)
     inside, outside = (3.9, -3.9), (0.0, 4.0)
     assert room.lies_badly(Task(0, 0, False, inside, inside), inside) == ""
     assert "outside the fence" in room.lies_badly(
@@ -104,7 +104,7 @@ def test_the_central_solver_serves_as_many_as_can_be_at_the_least_cost():
         )
         assert MISSION.optimum(costs) == pytest.approx(best)
     assert MISSION.optimum(np.zeros((3, 0))) is None
-    assert distance(
+    assert measure_distance(
         State.at((0.0, 3.0, 9.0)), Task(0, 0, False, (4.0, 0.0), (4.0, 0.0))
     ) == pytest.approx(5.0)
 
@@ -177,7 +177,7 @@ def test_costs_that_left_with_a_lost_robot_are_not_compared():
 def test_while_the_team_plans_nothing_is_completed():
     """A task may be somebody else's by then."""
     said = []
-    guidance = TaskAssignmentGuidance(Work(lambda count: [], 1))
+    guidance = TaskAssignmentGuidance(TeamAssignment(lambda count: [], 1))
     pilot = SimpleNamespace(
         mode=Mode.HOVER, state=State.at((1.0, 1.02, 0.5)), follow=lambda reference: True
     )

@@ -13,9 +13,9 @@ from crazychoir.guidance.tasks.task_book import (
     Deed,
     Fate,
     Record,
-    Standing,
     Task,
     TaskBook,
+    TaskState,
 )
 
 PICK, DROP = "pickup", "delivery"
@@ -142,34 +142,34 @@ def record(i, *done, **changes):
 @pytest.mark.parametrize(
     ("said", "lost", "recovered"),
     [
-        ([], Standing(Fate.OPEN, (1, 2)), None),
-        ([record(0, (PICK, 1))], Standing(Fate.ABOARD, (1, 2), 0, 1), None),
-        ([record(0, (PICK, 1), (DROP, 1))], Standing(Fate.DELIVERED, (1, 2), 0), None),
+        ([], TaskState(Fate.OPEN, (1, 2)), None),
+        ([record(0, (PICK, 1))], TaskState(Fate.ABOARD, (1, 2), 0, 1), None),
+        ([record(0, (PICK, 1), (DROP, 1))], TaskState(Fate.DELIVERED, (1, 2), 0), None),
         # 5 is no member
         (
             [record(5, (PICK, 1))],
-            Standing(Fate.LOST, (1, 2), 5, 1),
-            Standing(Fate.OPEN, (5, -1), 5, 1),
+            TaskState(Fate.LOST, (1, 2), 5, 1),
+            TaskState(Fate.OPEN, (5, -1), 5, 1),
         ),
         (
             [record(0, (PICK, 1), out=True)],
-            Standing(Fate.LOST, (1, 2), 0, 1),
-            Standing(Fate.OPEN, (0, -1), 0, 1),
+            TaskState(Fate.LOST, (1, 2), 0, 1),
+            TaskState(Fate.OPEN, (0, -1), 0, 1),
         ),
-        ([record(5, (PICK, 1), (DROP, 1))], Standing(Fate.DELIVERED, (1, 2), 5), None),
+        ([record(5, (PICK, 1), (DROP, 1))], TaskState(Fate.DELIVERED, (1, 2), 5), None),
         (
             [record(5, (PICK, 1)), record(1, (PICK, 2))],
-            Standing(Fate.ABOARD, (1, 2), 1, 2),
+            TaskState(Fate.ABOARD, (1, 2), 1, 2),
             None,
         ),
         (
             [record(0, (PICK, 1)), record(1, (PICK, 2))],
-            Standing(Fate.ABOARD, (1, 2), 1, 2),
+            TaskState(Fate.ABOARD, (1, 2), 1, 2),
             None,
         ),
         (
             [record(0, (PICK, 1)), record(1, (PICK, 1))],
-            Standing(Fate.ABOARD, (1, 2), 0, 1),
+            TaskState(Fate.ABOARD, (1, 2), 0, 1),
             None,
         ),
     ],
@@ -183,7 +183,9 @@ def test_a_task_is_where_the_last_who_picked_it_up_is(said, lost, recovered):
 def test_a_robot_that_was_started_again_has_lost_what_it_carried():
     book = TaskBook([TASK], [record(0, (PICK, 1)), Record(0, 2, 1, (9.0, 9.0))])
     assert book.standings((0, 1), recover=False)[7].fate is Fate.LOST
-    assert book.standings((0, 1), recover=True)[7] == Standing(Fate.OPEN, (0, -1), 0, 1)
+    assert book.standings((0, 1), recover=True)[7] == TaskState(
+        Fate.OPEN, (0, -1), 0, 1
+    )
     assert book.newest(0).incarnation == 2
 
 
@@ -247,7 +249,9 @@ def test_goods_are_where_a_robot_that_is_out_says_that_it_is_now():
     for number, place in ((2, (0.5, 0.5)), (3, (0.25, 0.0))):
         assert book.standings((0,), recover=True)[7].generation == 1
         book.hear(Record(0, 1, number, place, (Deed(7, PICK, 1),), out=True))
-        assert book.standings((0,), recover=True)[7] == Standing(Fate.OPEN, place, 0, 1)
+        assert book.standings((0,), recover=True)[7] == TaskState(
+            Fate.OPEN, place, 0, 1
+        )
 
 
 def test_goods_are_where_a_robot_that_is_lost_has_last_said_whoever_is_told_later():
@@ -261,7 +265,7 @@ def test_goods_are_where_a_robot_that_is_lost_has_last_said_whoever_is_told_late
         for said in order:
             book.hear(said)
             book.standings((0,), recover=True)
-        assert book.standings((0,), recover=True)[7] == Standing(
+        assert book.standings((0,), recover=True)[7] == TaskState(
             Fate.OPEN, (3.0, 3.0), 1, 1
         )
 

@@ -9,13 +9,18 @@ from virtual_time import virtual
 from crazychoir.bus.port import Bus
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import Refused
-from crazychoir.guidance.delivery.site import Site
+from crazychoir.guidance.delivery.site import DeliverySite
 from crazychoir.guidance.tasks.task_book import Deed, Fate, Record, Task
-from crazychoir.guidance.tasks.task_source import ADDED, PATIENCE, Event, TaskSource
-from crazychoir.guidance.tasks.team_news import PERIOD, TeamNews
+from crazychoir.guidance.tasks.task_source import (
+    COMMAND_PATIENCE,
+    FIRST_ADDED_ID,
+    TaskEvent,
+    TaskSource,
+)
+from crazychoir.guidance.tasks.team_news import NEWS_TIMING, TeamNews
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.team.communicator import Communicator
-from crazychoir.team.graph import named
+from crazychoir.team.graph import graph_from_name
 
 FIRST = Task(0, 0, False, (1.0, 0.0), (2.0, 0.0), 1.0)
 HOMES = [{"id": i, "home": [float(i), -2.0, 0.0]} for i in range(3)]
@@ -32,12 +37,12 @@ CREW = Instance.parse(
         "capacity": [2.0, 3.0, 3.0],
     }
 )
-SITE = Site(CONFIG, 0.4, CREW)
+SITE = DeliverySite(CONFIG, 0.4, CREW)
 
 
 def source(bus, i=1, events=(), may_end=lambda: False):
     news = TeamNews(
-        Communicator(bus.port(i), named("complete", 3)),
+        Communicator(bus.port(i), graph_from_name("complete", 3)),
         (FIRST,),
         lambda: (0.0, 0.0),
         False,
@@ -49,7 +54,7 @@ def source(bus, i=1, events=(), may_end=lambda: False):
 async def talking(*sources):
     jobs = [asyncio.ensure_future(one.news.gossip()) for one in sources]
     try:
-        await sources[0].news.clock.sleep(5 * PERIOD)
+        await sources[0].news.clock.sleep(5 * NEWS_TIMING.period)
         yield sources
     finally:
         for job in jobs:
@@ -60,14 +65,14 @@ async def talking(*sources):
 @virtual
 async def test_events_are_heard_in_time_by_those_who_hear_them(clock):
     later, other, gone = (Task(j, 0, False, (0.0, 0.0), (1.0, 0.0)) for j in (5, 6, 7))
-    cancelled = Event(4.0, Task(7, 0, True, gone.pickup, gone.delivery))
+    cancelled = TaskEvent(4.0, Task(7, 0, True, gone.pickup, gone.delivery))
     one = source(
         Bus(clock),
         1,
         [
-            Event(2.0, later, (1,)),
-            Event(2.5, other, (0,)),
-            Event(3.0000001, gone),
+            TaskEvent(2.0, later, (1,)),
+            TaskEvent(2.5, other, (0,)),
+            TaskEvent(3.0000001, gone),
             cancelled,
         ],
     )
@@ -92,17 +97,19 @@ async def test_an_added_task_has_an_id_that_no_other_robot_gives(clock):
         _,
     ):
         assert [(await one.asked("task_add", WHERE))["id"] for _ in range(2)] == [
-            ADDED + 1,
-            2 * ADDED + 1,
+            FIRST_ADDED_ID + 1,
+            2 * FIRST_ADDED_ID + 1,
         ]
         assert await other.asked("task_add", WHERE | {"load": 2.0, "robots": [1]}) == {
-            "id": ADDED
+            "id": FIRST_ADDED_ID
         }
-        assert other.news.book.tasks[ADDED] == Task(
-            ADDED, 0, False, (1.0, 1.0), (2.0, 1.0), 2.0, (1,)
+        assert other.news.book.tasks[FIRST_ADDED_ID] == Task(
+            FIRST_ADDED_ID, 0, False, (1.0, 1.0), (2.0, 1.0), 2.0, (1,)
         )
-        assert await one.asked("task_cancel", {"id": ADDED + 1}) == {"id": ADDED + 1}
-        assert one.news.book.tasks[ADDED + 1].cancelled
+        assert await one.asked("task_cancel", {"id": FIRST_ADDED_ID + 1}) == {
+            "id": FIRST_ADDED_ID + 1
+        }
+        assert one.news.book.tasks[FIRST_ADDED_ID + 1].cancelled
 
 
 @virtual
@@ -112,7 +119,7 @@ async def test_the_list_says_of_each_task_where_it_lies_and_what_has_become_of_i
     bus = Bus(clock)
     async with talking(source(bus, 1), source(bus, 0), source(bus, 2)) as (one, _, _):
         await one.asked("task_add", WHERE)
-        await one.asked("task_cancel", {"id": ADDED + 1})
+        await one.asked("task_cancel", {"id": FIRST_ADDED_ID + 1})
         one.news.say(deeds=(Deed(0, "pickup", 1),))
         first = {
             "id": 0,
@@ -123,7 +130,7 @@ async def test_the_list_says_of_each_task_where_it_lies_and_what_has_become_of_i
             "robot": 1,
         }
         second = WHERE | {
-            "id": ADDED + 1,
+            "id": FIRST_ADDED_ID + 1,
             "load": 1.0,
             "fate": "cancelled",
             "robot": None,
@@ -156,8 +163,8 @@ async def test_who_is_heard_by_nobody_says_so(clock):
     began = clock.now()
     said = await one.asked("task_add", WHERE)
     assert (said["id"], clock.now() - began) == (
-        ADDED + 1,
-        pytest.approx(PATIENCE, abs=0.1),
+        FIRST_ADDED_ID + 1,
+        pytest.approx(COMMAND_PATIENCE, abs=0.1),
     )
     assert "less than half of the team has heard of it" in said["note"]
 
@@ -206,7 +213,7 @@ async def test_nothing_is_taken_while_the_team_decides_that_its_mission_is_over(
                     await asked
                 assert one.news.book.tasks == before
             else:
-                assert (await asked)["id"] == ADDED + 1
+                assert (await asked)["id"] == FIRST_ADDED_ID + 1
 
 
 @virtual
@@ -218,13 +225,13 @@ async def test_a_task_for_those_who_are_gone_waits_and_that_is_said(clock):
         gone,
     ):
         gone.news.say(out=True)
-        await clock.sleep(5 * PERIOD)
+        await clock.sleep(5 * NEWS_TIMING.period)
         said = await one.asked("task_add", WHERE | {"robots": [2]})
         assert said == {
-            "id": ADDED + 1,
+            "id": FIRST_ADDED_ID + 1,
             "note": "it waits: drone 2, who alone can serve it, does not fly",
         }
-        assert one.news.standings()[ADDED + 1].fate is Fate.OPEN
+        assert one.news.standings()[FIRST_ADDED_ID + 1].fate is Fate.OPEN
         with pytest.raises(Refused, match="this drone flies no more; ask another one"):
             await gone.asked("task_add", WHERE)
 
@@ -308,7 +315,7 @@ def test_what_has_become_of_a_task_is_said_to_who_cancels_it(done, gone, said):
             carrier,
         ):
             carrier.news.say(deeds=done, out=gone)
-            await clock.sleep(5 * PERIOD)
+            await clock.sleep(5 * NEWS_TIMING.period)
             if isinstance(said, dict):
                 assert await one.asked("task_cancel", {"id": 0}) == said
             else:

@@ -4,20 +4,20 @@ from types import SimpleNamespace
 import numpy as np
 from rich.console import Console
 
-from crazychoir.launch.process.mocap_process import mocap_table
-from crazychoir.mocap.frames import Frame
-from crazychoir.mocap.watch import Watch
+from crazychoir.launch.process.mocap_process import build_mocap_table
+from crazychoir.mocap.frames import PoseFrame
+from crazychoir.mocap.watch import TrackingWatch
 
 
 def shown(now):
-    watch = Watch({0: "cf0", 1: "cf1", 2: "cf2"}, 100.0, live=True)
+    watch = TrackingWatch({0: "cf0", 1: "cf1", 2: "cf2"}, 100.0, live=True)
     for k in range(300):
         moving, still = (
             np.array([0.001 * k, 2.0, 0.5, 0, 0, 0, 1.0]),
             np.array([0, 0, 0, 0, 0, 0, 1.0]),
         )
         watch.note(
-            Frame(
+            PoseFrame(
                 k,
                 k / 100,
                 {"wand": still} | ({"cf0": moving} if k % 2 else {}) | {"cf1": moving},
@@ -31,7 +31,7 @@ def shown(now):
         watch=watch, clock=SimpleNamespace(now=lambda: now), source=source
     )
     text = io.StringIO()
-    Console(file=text, width=100).print(mocap_table(process))
+    Console(file=text, width=100).print(build_mocap_table(process))
     return [line.split() for line in text.getvalue().splitlines() if line.strip()]
 
 

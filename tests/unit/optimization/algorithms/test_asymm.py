@@ -6,7 +6,7 @@ from scipy.optimize import minimize
 
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.algorithms.asymm import ASYMM
-from crazychoir.optimization.problems.smooth import Smooth
+from crazychoir.optimization.problems.smooth import SmoothFunction
 from crazychoir.solve.simulate import simulate
 from crazychoir.team.graph import erdos_renyi_connected, path, ring
 
@@ -39,7 +39,7 @@ def localisation(count, seed):
 
 
 def _distance(a, d):
-    return Smooth(
+    return SmoothFunction(
         lambda x: ((x - a) @ (x - a) - d) ** 2 / 100,
         lambda x: ((x - a) @ (x - a) - d) * (x - a) / 25,
     )
@@ -62,7 +62,7 @@ def test_it_finds_a_convex_optimum_whatever_is_lost(loss):
         problems(costs(5, 2, 2), bound=100.0),
         erdos_renyi_connected(5, 0.5, 3),
     )
-    functions = [Smooth(part.value, part.gradient) for part in parts]
+    functions = [SmoothFunction(part.value, part.gradient) for part in parts]
     team = agents(graph, functions, np.zeros((5, 2)), penalty=4.0, epochs=14)
     history = simulate(team, graph, loss=loss, compute=(0.0, 0.01), rounds=3000)
     assert all(agent.done for agent in team.values())
@@ -84,8 +84,8 @@ def test_it_finds_a_local_minimum_of_a_problem_that_is_not_convex(seed):
 
 def test_constraints_of_single_agents_bind_all():
     functions, graph, start = localisation(5, 4), ring(5), np.array([1.0, 2.0])
-    circle = Smooth(lambda x: np.array([x @ x - 9.0]), lambda x: 2 * x[None])
-    left = Smooth(lambda x: x[0] - 1.5, lambda x: np.array([1.0, 0.0]))
+    circle = SmoothFunction(lambda x: np.array([x @ x - 9.0]), lambda x: 2 * x[None])
+    left = SmoothFunction(lambda x: x[0] - 1.5, lambda x: np.array([1.0, 0.0]))
     team = agents(
         graph,
         functions,
@@ -127,7 +127,9 @@ def test_a_neighbor_in_the_next_epoch_says_that_all_are_done_with_this_one():
 
 
 def test_a_gradient_must_stay_small_before_it_counts():
-    agent = ASYMM(0, (1,), 1, [0.0, 0.0], Smooth(lambda x: x @ x, lambda x: 2 * x))
+    agent = ASYMM(
+        0, (1,), 1, [0.0, 0.0], SmoothFunction(lambda x: x @ x, lambda x: 2 * x)
+    )
     bits = []
     for _ in range(6):
         agent.step({1: [0, b"\x00", np.zeros(2), np.zeros(2), 1.0]})
@@ -144,7 +146,7 @@ def test_multipliers_come_from_both_ends_and_lost_messages_do_not_matter():
 
 
 def test_what_is_wrong_is_named():
-    good = Smooth(lambda x: x @ x, lambda x: 2 * x)
+    good = SmoothFunction(lambda x: x @ x, lambda x: 2 * x)
     make = lambda f, **options: ASYMM(3, (4,), 1, [0.0, 0.0], f, **options)  # noqa: E731
     said = {4: [0, b"\x00", np.ones(2), np.zeros(2), 1.0]}
     with pytest.raises(
@@ -159,14 +161,14 @@ def test_what_is_wrong_is_named():
         ConfigError,
         match=r"agent 3: objective: value and .* shapes \(1,\) and \(1, 3\)",
     ):
-        make(Smooth(lambda x: 0.0, lambda x: np.zeros(3))).step(said)
+        make(SmoothFunction(lambda x: 0.0, lambda x: np.zeros(3))).step(said)
     with pytest.raises(
         SolverError,
         match=r"agent 3: inequalities: value, row 1, at x = \[0.0, 0.0\]: .* not finite",
     ):
         make(
             good,
-            inequalities=Smooth(
+            inequalities=SmoothFunction(
                 lambda x: np.array([0, np.nan]), lambda x: np.zeros((2, 2))
             ),
         ).step(said)
@@ -194,7 +196,7 @@ def test_what_is_wrong_is_named():
 def test_a_problem_of_cvxpy_is_a_smooth_function():
     x = cp.Variable(2)
     part = problems(costs(1, 2, 0))[0]
-    value, derivative = Smooth(part.value, part.gradient).at(np.ones(2), "f")
+    value, derivative = SmoothFunction(part.value, part.gradient).at(np.ones(2), "f")
     assert value.shape == (1,)
     assert derivative.shape == (1, 2)
     assert x.value is None
@@ -202,11 +204,11 @@ def test_a_problem_of_cvxpy_is_a_smooth_function():
 
 def test_constraints_that_exclude_each_other_are_no_answer():
     graph = ring(3)
-    below = Smooth(lambda x: x + 1.0, lambda x: np.eye(1))
-    above = Smooth(lambda x: 1.0 - x, lambda x: -np.eye(1))
+    below = SmoothFunction(lambda x: x + 1.0, lambda x: np.eye(1))
+    above = SmoothFunction(lambda x: 1.0 - x, lambda x: -np.eye(1))
     rows = {1: below, 2: above}
     functions = [
-        Smooth(lambda x, i=i: (x[0] - i) ** 2, lambda x, i=i: 2.0 * (x - i))
+        SmoothFunction(lambda x, i=i: (x[0] - i) ** 2, lambda x, i=i: 2.0 * (x - i))
         for i in graph.ids
     ]
     team = {
@@ -226,11 +228,11 @@ def test_constraints_that_exclude_each_other_are_no_answer():
         simulate(team, graph, loss=0.4, seed=3, rounds=20_000)
 
 
-ROWS = Smooth(
+ROWS = SmoothFunction(
     lambda x: np.array([x[0] - 1.0, x[0] - 2.0]),
     lambda x: np.array([[1.0, 0.0], [1.0, 0.0]]),
 )
-SIDES = Smooth(
+SIDES = SmoothFunction(
     lambda x: np.array([x[0] - 1.0, 2.0 - x[0]]),
     lambda x: np.array([[1.0, 0.0], [-1.0, 0.0]]),
 )
@@ -241,7 +243,7 @@ SIDES = Smooth(
 def test_constraints_of_one_agent_that_exclude_each_other_are_not_averaged(
     kind, epochs
 ):
-    functions = [Smooth(lambda x: float(x @ x), lambda x: 2.0 * x)] * 2
+    functions = [SmoothFunction(lambda x: float(x @ x), lambda x: 2.0 * x)] * 2
     rows = ROWS if kind == "equalities" else SIDES
     team = agents(
         path(2), functions, np.zeros((2, 2)), **{kind: {0: rows}}, epochs=epochs

@@ -4,13 +4,17 @@ from scipy.optimize import linear_sum_assignment
 from teams import run_team
 
 from crazychoir.errors import ConfigError, SolverError
-from crazychoir.optimization.assignment.assignment import Table, Task, TaskAssignment
+from crazychoir.optimization.assignment.assignment import (
+    Task,
+    TaskAssignment,
+    TaskTable,
+)
 from crazychoir.solve.simulate import simulate
 from crazychoir.team.graph import GraphSequence, erdos_renyi_connected, path, ring
 
 
 def table(ids, label=1, last=True):
-    return Table(label, tuple(Task(k, np.zeros(3)) for k in ids), last)
+    return TaskTable(label, tuple(Task(k, np.zeros(3)) for k in ids), last)
 
 
 def team(costs, diameter, tables):

@@ -5,9 +5,9 @@ from teams import run_team
 from crazychoir.errors import ConfigError
 from crazychoir.optimization.assignment.bundles import (
     CBBA,
-    NOBODY,
+    NO_WINNER,
+    BidTable,
     SequentialAuction,
-    Table,
 )
 from crazychoir.solve.simulate import simulate
 from crazychoir.team.graph import complete, erdos_renyi_connected, path, ring
@@ -59,13 +59,13 @@ class Tour(Discount):
 
 def greedy(bidders, tasks):
     """Winners and paths of the sequential greedy algorithm with all bids in one place."""
-    paths, winners = [bidder.start for bidder in bidders], [NOBODY] * tasks
+    paths, winners = [bidder.start for bidder in bidders], [NO_WINNER] * tasks
     while True:
         scores = np.array(
             [bidder.scores(path) for bidder, path in zip(bidders, paths, strict=True)]
         )
         scores = (
-            np.where(np.array(winners) == NOBODY, scores, -np.inf)
+            np.where(np.array(winners) == NO_WINNER, scores, -np.inf)
             if tasks
             else np.array([[-np.inf]])
         )
@@ -161,7 +161,7 @@ def test_a_sequential_auction_is_the_sequential_greedy_algorithm(seed, make):
 def test_bundles_are_no_longer_than_allowed_and_the_rest_is_open():
     agents = cbba([Discount([1.0, 2.0, 3.0, 4.0])] * 3, 4, 1, most=1)
     run_team(agents, complete(3))
-    assert agents[0].result.winners == (NOBODY, 2, 1, 0)  # equal bids: the lowest id
+    assert agents[0].result.winners == (NO_WINNER, 2, 1, 0)  # equal bids: the lowest id
     assert agents[0].result.open_tasks == (0,)
 
 
@@ -188,12 +188,12 @@ RULES = [
     (K, M, "M", False, "update"),
     (K, M, "", True, "update"),
     (K, M, "", False, "leave"),
-    (K, NOBODY, "", True, "update"),
+    (K, NO_WINNER, "", True, "update"),
     (ME, ME, "", False, "leave"),
     (ME, K, "", False, "reset"),
     (ME, M, "M", False, "reset"),
     (ME, M, "", False, "leave"),
-    (ME, NOBODY, "", True, "leave"),
+    (ME, NO_WINNER, "", True, "leave"),
     (M, ME, "M", True, "update"),
     (M, ME, "M", False, "leave"),
     (M, ME, "", True, "leave"),
@@ -205,29 +205,29 @@ RULES = [
     (M, N, "M", True, "update"),
     (M, N, "N", False, "reset"),
     (M, N, "", True, "leave"),
-    (M, NOBODY, "M", True, "update"),
-    (M, NOBODY, "", True, "leave"),
-    (NOBODY, ME, "MN", False, "leave"),
-    (NOBODY, K, "", False, "update"),
-    (NOBODY, M, "M", False, "update"),
-    (NOBODY, M, "", False, "leave"),
-    (NOBODY, NOBODY, "MN", False, "leave"),
+    (M, NO_WINNER, "M", True, "update"),
+    (M, NO_WINNER, "", True, "leave"),
+    (NO_WINNER, ME, "MN", False, "leave"),
+    (NO_WINNER, K, "", False, "update"),
+    (NO_WINNER, M, "M", False, "update"),
+    (NO_WINNER, M, "", False, "leave"),
+    (NO_WINNER, NO_WINNER, "MN", False, "leave"),
 ]
 
 
 @pytest.mark.parametrize(("theirs", "mine", "fresher", "higher", "action"), RULES)
 def test_each_rule_of_the_paper_s_table(theirs, mine, fresher, higher, action):
-    table = Table(ME, 1)
+    table = BidTable(ME, 1)
     known = {K: 5, M: 5, N: 5}
-    table.hear(K, [-np.inf], [NOBODY], known | {ME: 0})
-    table.bid[0], table.winner[0] = (-np.inf if mine == NOBODY else 2.0), mine
+    table.hear(K, [-np.inf], [NO_WINNER], known | {ME: 0})
+    table.bid[0], table.winner[0] = (-np.inf if mine == NO_WINNER else 2.0), mine
     stamps = {ME: 0, K: 6, M: 6 if "M" in fresher else 4, N: 6 if "N" in fresher else 4}
-    bid = -np.inf if theirs == NOBODY else 3.0 if higher else 1.0
+    bid = -np.inf if theirs == NO_WINNER else 3.0 if higher else 1.0
     table.hear(K, [bid], [theirs], stamps)
     after = {
         "update": (bid, theirs),
-        "reset": (-np.inf, NOBODY),
-        "leave": (-np.inf if mine == NOBODY else 2.0, mine),
+        "reset": (-np.inf, NO_WINNER),
+        "leave": (-np.inf if mine == NO_WINNER else 2.0, mine),
     }
     assert (table.bid[0], table.winner[0]) == after[action]
 

@@ -6,11 +6,17 @@ import pytest
 from scipy.optimize import linprog
 
 from crazychoir.errors import SolverError
-from crazychoir.optimization.problems.lexicographic import Columns, optimal_basis, union
+from crazychoir.optimization.problems.lexicographic import (
+    ProgramColumns,
+    find_optimal_basis,
+    unite_columns,
+)
 
 
 def columns_of(c, A):
-    return union([Columns.artificial(len(A)), Columns.own(0, c, A)])
+    return unite_columns(
+        [ProgramColumns.artificial(len(A)), ProgramColumns.own(0, c, A)]
+    )
 
 
 def draw(seed):
@@ -30,25 +36,27 @@ def draw(seed):
 @pytest.mark.parametrize("seed", range(40))
 def test_the_basis_is_optimal_and_the_same_from_any_start(seed):
     c, A, b = draw(seed)
-    chance, start = np.random.default_rng(seed), Columns.artificial(len(b))
+    chance, start = np.random.default_rng(seed), ProgramColumns.artificial(len(b))
     everything = columns_of(c, A)
-    basis = optimal_basis(everything, start, b)
+    basis = find_optimal_basis(everything, start, b)
     central = linprog(c, A_eq=A, b_eq=b)
     assert central.status == 0
     assert basis.columns.cost[0] @ basis.level == pytest.approx(0.0, abs=1e-9)
     assert basis.columns.cost[1] @ basis.level == pytest.approx(central.fun, abs=1e-9)
     half = np.sort(len(b) + chance.permutation(len(c))[: len(c) // 2])
-    elsewhere = optimal_basis(union([start, everything.take(half)]), start, b).columns
-    again = optimal_basis(everything, elsewhere, b)
+    elsewhere = find_optimal_basis(
+        unite_columns([start, everything.take(half)]), start, b
+    ).columns
+    again = find_optimal_basis(everything, elsewhere, b)
     assert np.array_equal(again.columns.ids, basis.columns.ids)
 
 
 def test_equal_columns_of_two_owners_are_told_apart_by_their_ids():
-    one = Columns.own(7, np.array([1.0]), np.array([[1.0]]))
-    other = Columns.own(3, np.array([1.0]), np.array([[1.0]]))
-    start = Columns.artificial(1)
+    one = ProgramColumns.own(7, np.array([1.0]), np.array([[1.0]]))
+    other = ProgramColumns.own(3, np.array([1.0]), np.array([[1.0]]))
+    start = ProgramColumns.artificial(1)
     for parts in ([start, one, other], [start, other, one]):
-        basis = optimal_basis(union(parts), start, np.array([2.0]))
+        basis = find_optimal_basis(unite_columns(parts), start, np.array([2.0]))
         assert basis.columns.ids.tolist() == [
             [7, 0]
         ]  # the delta of the lower id is the greater
@@ -57,22 +65,22 @@ def test_equal_columns_of_two_owners_are_told_apart_by_their_ids():
 
 def test_a_ray_is_found_and_named():
     columns = columns_of(np.array([-1.0, 0.0]), np.array([[1.0, -1.0]]))
-    start = Columns.artificial(1)
-    assert optimal_basis(columns, start, np.array([1.0])).ray == (0, 1)
-    assert optimal_basis(columns.free(), start, np.array([1.0])).ray is None
+    start = ProgramColumns.artificial(1)
+    assert find_optimal_basis(columns, start, np.array([1.0])).ray == (0, 1)
+    assert find_optimal_basis(columns.free(), start, np.array([1.0])).ray is None
 
 
 def test_a_union_takes_each_column_once_in_the_order_of_ids():
-    some = Columns.own(2, np.arange(3.0), np.ones((2, 3)))
-    all_ = union([some, Columns.artificial(2), some.take(np.array([1]))])
+    some = ProgramColumns.own(2, np.arange(3.0), np.ones((2, 3)))
+    all_ = unite_columns([some, ProgramColumns.artificial(2), some.take(np.array([1]))])
     assert all_.ids.tolist() == [[-1, 0], [-1, 1], [2, 0], [2, 1], [2, 2]]
     assert all_.cost.tolist() == [[1, 1, 0, 0, 0], [0, 0, 0, 1, 2]]
 
 
 def test_a_singular_start_is_refused():
-    twice = union([Columns.own(0, np.zeros(2), np.ones((2, 2)))])
+    twice = unite_columns([ProgramColumns.own(0, np.zeros(2), np.ones((2, 2)))])
     with pytest.raises(SolverError, match="singular"):
-        optimal_basis(twice, twice, np.ones(2))
+        find_optimal_basis(twice, twice, np.ones(2))
 
 
 def exact_optimum(c, A, b):
@@ -124,8 +132,8 @@ def test_tiny_and_huge_right_hand_sides_of_one_program_count_as_rational_numbers
     ]
     exact = exact_optimum(c, A, right)
     b = np.array([float(value) for value in right])
-    basis = optimal_basis(
-        columns_of(c.astype(float), A.astype(float)), Columns.artificial(m), b
+    basis = find_optimal_basis(
+        columns_of(c.astype(float), A.astype(float)), ProgramColumns.artificial(m), b
     )
     artificial = basis.columns.ids[:, 0] < 0
     if exact is None:
@@ -139,11 +147,11 @@ def test_tiny_and_huge_right_hand_sides_of_one_program_count_as_rational_numbers
 
 
 def test_a_first_cost_comes_before_c():
-    dear = Columns.own(0, np.array([0.0]), np.array([[1.0]]), np.array([1.0]))
-    cheap = Columns.own(1, np.array([5.0]), np.array([[1.0]]))
-    basis = optimal_basis(
-        union([Columns.artificial(1), dear, cheap]),
-        Columns.artificial(1),
+    dear = ProgramColumns.own(0, np.array([0.0]), np.array([[1.0]]), np.array([1.0]))
+    cheap = ProgramColumns.own(1, np.array([5.0]), np.array([[1.0]]))
+    basis = find_optimal_basis(
+        unite_columns([ProgramColumns.artificial(1), dear, cheap]),
+        ProgramColumns.artificial(1),
         np.array([1.0]),
     )
     assert basis.columns.ids.tolist() == [[1, 0]]

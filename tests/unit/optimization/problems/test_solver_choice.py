@@ -10,7 +10,10 @@ import pytest
 from crazychoir.errors import SolverError
 from crazychoir.optimization.problems.problems import CostCoupled
 from crazychoir.optimization.problems.projection import Convex
-from crazychoir.optimization.problems.quadratic import DOUBTFUL, INACCURATE
+from crazychoir.optimization.problems.quadratic import (
+    DOUBTFUL_STATUS,
+    INACCURATE_STATUS,
+)
 from crazychoir.optimization.problems.solver_choice import DecidedProgram
 
 ROUNDING = 1e-12
@@ -184,9 +187,9 @@ class Word:
         ("infeasible", "never asked", "infeasible"),
         ("not finite", "never asked", "not finite"),
         ("too many steps", "found", "found"),
-        (INACCURATE, "infeasible", "infeasible"),
-        (DOUBTFUL, np.zeros(1), np.zeros(1)),
-        (DOUBTFUL, "infeasible", DOUBTFUL),
+        (INACCURATE_STATUS, "infeasible", "infeasible"),
+        (DOUBTFUL_STATUS, np.zeros(1), np.zeros(1)),
+        (DOUBTFUL_STATUS, "infeasible", DOUBTFUL_STATUS),
     ],
 )
 def test_what_rounding_hides_is_asked_of_the_thorough_program(fast, thorough, said):

@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 
 from crazychoir.optimization.problems.tableau import (
-    MORE,
-    OPTIMAL,
+    NO_ENTERING_COLUMN,
+    PIVOTS_USED_UP,
     drop_negligible,
+    pivot_to_optimum,
     solve_identity,
-    walk,
 )
 
 
@@ -26,22 +26,22 @@ def test_it_walks_to_the_optimum_in_any_unit_of_a_row(unit):
         np.array([[unit, 0.0], [1.0, 1.0]]),
         np.array([unit, 3.0]),
     )
-    pivots, end = walk(tableau, basic, 0, 50)
-    assert (pivots, end) == (2, OPTIMAL)
+    pivots, end = pivot_to_optimum(tableau, basic, 0, 50)
+    assert (pivots, end) == (2, NO_ENTERING_COLUMN)
     assert sorted(basic.tolist()) == [2, 3]
     assert sorted(tableau[:2, -1].tolist()) == [1.0, 2.0]
 
 
 def test_it_ends_at_a_ray_and_after_the_most_pivots():
     tableau, basic = tableau_of(np.array([-1.0]), np.array([[-1.0]]), np.array([1.0]))
-    assert walk(tableau, basic, 0, 50) == (0, 1)
+    assert pivot_to_optimum(tableau, basic, 0, 50) == (0, 1)
     tableau, basic = tableau_of(np.array([-1.0]), np.array([[1.0]]), np.array([1.0]))
-    assert walk(tableau, basic, 0, 1) == (1, MORE)
+    assert pivot_to_optimum(tableau, basic, 0, 1) == (1, PIVOTS_USED_UP)
 
 
 def test_artificial_columns_leave_first_whatever_it_costs():
     tableau, basic = tableau_of(np.array([7.0]), np.array([[1e-6]]), np.array([1e-6]))
-    assert walk(tableau, basic, 1, 50) == (1, OPTIMAL)
+    assert pivot_to_optimum(tableau, basic, 1, 50) == (1, NO_ENTERING_COLUMN)
     assert basic.tolist() == [1]
     assert tableau[0, -1] == 1.0
 

@@ -3,13 +3,13 @@ import pytest
 
 from crazychoir.errors import ConfigError
 from crazychoir.optimization.rounds.agreement import (
-    best_offer,
-    flood,
-    greatest,
-    highest_bids,
-    same_everywhere,
+    find_best_offer,
+    find_greatest,
+    find_highest_bids,
+    flood_values,
+    require_same_everywhere,
 )
-from crazychoir.team.graph import named
+from crazychoir.team.graph import graph_from_name
 
 
 def together(programs, graph):
@@ -34,12 +34,12 @@ def together(programs, graph):
 
 @pytest.fixture(params=["ring", "complete", "path", "star"])
 def team(request):
-    return named(request.param, 6)
+    return graph_from_name(request.param, 6)
 
 
 def test_a_flood_brings_everybody_everything_in_diameter_rounds(team):
     values, rounds = together(
-        {i: flood(i, [i * 1.5], team.diameter()) for i in team.ids}, team
+        {i: flood_values(i, [i * 1.5], team.diameter()) for i in team.ids}, team
     )
     assert rounds == team.diameter()
     assert all(
@@ -49,13 +49,13 @@ def test_a_flood_brings_everybody_everything_in_diameter_rounds(team):
 
 
 def test_a_flood_one_round_short_misses_somebody():
-    team = named("path", 6)
-    values, _ = together({i: flood(i, i, 4) for i in team.ids}, team)
+    team = graph_from_name("path", 6)
+    values, _ = together({i: flood_values(i, i, 4) for i in team.ids}, team)
     assert 5 not in values[0]
 
 
 def test_a_flood_sends_each_item_once():
-    program = flood(0, "a", 3)
+    program = flood_values(0, "a", 3)
     assert next(program) == [[0, "a"]]
     assert program.send({1: [[1, "b"]], 2: [[1, "b"]]}) == [[1, "b"]]
     assert program.send({1: [[1, "b"], [0, "a"]]}) == []
@@ -65,14 +65,16 @@ def test_the_best_offer_is_the_cheapest_and_then_of_the_lowest_id(team):
     costs = {0: None, 1: 4.0, 2: 3.0, 3: 3.0, 4: None, 5: 9.0}
     offers = {i: None if c is None else [c, i, f"plan {i}"] for i, c in costs.items()}
     values, rounds = together(
-        {i: best_offer(offers[i], team.diameter()) for i in team.ids}, team
+        {i: find_best_offer(offers[i], team.diameter()) for i in team.ids}, team
     )
     assert rounds == team.diameter()
     assert set(map(tuple, values.values())) == {(3.0, 2, "plan 2")}
 
 
 def test_no_offer_is_none(team):
-    values, _ = together({i: best_offer(None, team.diameter()) for i in team.ids}, team)
+    values, _ = together(
+        {i: find_best_offer(None, team.diameter()) for i in team.ids}, team
+    )
     assert set(values.values()) == {None}
 
 
@@ -81,7 +83,7 @@ def test_the_highest_bid_wins_each_task_and_ties_go_to_the_lowest_id(team):
     bids[3] = {7: [0.5, 3], 2: [0.1, 3]}
     bids[4] = {2: [0.2, 4]}
     values, _ = together(
-        {i: highest_bids(bids[i], team.diameter()) for i in team.ids}, team
+        {i: find_highest_bids(bids[i], team.diameter()) for i in team.ids}, team
     )
     assert all(value == {2: [0.2, 4], 7: [0.5, 0]} for value in values.values())
 
@@ -90,52 +92,52 @@ def test_the_highest_bid_wins_each_task_and_ties_go_to_the_lowest_id(team):
     ("program", "heard", "error"),
     [
         (
-            lambda: flood(3, "a", 2),
+            lambda: flood_values(3, "a", 2),
             "x",
             r"agent 3: flood: message of agent 5, round 1: found str; allowed: a list of",
         ),
         (
-            lambda: flood(3, "a", 2),
+            lambda: flood_values(3, "a", 2),
             None,
             r"agent 3: flood: message of agent 5, round 1: found NoneType",
         ),
         (
-            lambda: flood(3, "a", 2),
+            lambda: flood_values(3, "a", 2),
             [[1, 2, 3]],
             r"agent 3: flood: .* round 1: found a list of 1: list; allowed",
         ),
         (
-            lambda: flood(3, "a", 2),
+            lambda: flood_values(3, "a", 2),
             [[[1], "b"]],
             r"agent 3: flood: message of agent 5, round 1: found",
         ),
         (
-            lambda: best_offer([1.0, 3], 2),
+            lambda: find_best_offer([1.0, 3], 2),
             7.0,
             r"best offer: .* agent 5, round 1: found float; allowed: an",
         ),
         (
-            lambda: best_offer([1.0, 3], 2),
+            lambda: find_best_offer([1.0, 3], 2),
             [0.5],
             r"best offer: .* agent 5, round 1: found a list of 1: float",
         ),
         (
-            lambda: best_offer([1.0, 3], 2),
+            lambda: find_best_offer([1.0, 3], 2),
             [[], 1],
             r"best offer: .*agent 5, round 1: found a list of 2: list, int",
         ),
         (
-            lambda: highest_bids({}, 2),
+            lambda: find_highest_bids({}, 2),
             [[1, "dear", 2]],
             r"highest bids: .* agent 5, round 1: found a list of 1",
         ),
         (
-            lambda: greatest(np.ones(2), 2),
+            lambda: find_greatest(np.ones(2), 2),
             np.ones(3),
             r"greatest: .* agent 5, round 1: found shape \(3,\); .*2,",
         ),
         (
-            lambda: greatest(np.ones(2), 2),
+            lambda: find_greatest(np.ones(2), 2),
             [1.0, 2.0],
             r"greatest: .* agent 5, round 1: found a list of 2: float",
         ),
@@ -150,7 +152,7 @@ def test_a_malformed_message_names_the_neighbour_and_the_round(program, heard, e
 
 
 def test_what_cannot_be_compared_is_not_the_same():
-    running = same_everywhere([1.0, 2.0], "agent 3", "b")
+    running = require_same_everywhere([1.0, 2.0], "agent 3", "b")
     next(running)
     with pytest.raises(ConfigError, match="agent 3: b of agent 5"):
         running.send({5: np.ones(2)})

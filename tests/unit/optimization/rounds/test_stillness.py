@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from crazychoir.optimization.rounds.stillness import Stillness
-from crazychoir.team.graph import GraphSequence, complete, named, ring
+from crazychoir.team.graph import GraphSequence, complete, graph_from_name, ring
 
 
 def ends(graph, diameter, changes):
@@ -21,7 +21,12 @@ def ends(graph, diameter, changes):
 
 @pytest.mark.parametrize(
     "graph",
-    [named("ring", 5), named("path", 6), named("star", 4), ring(6, directed=True)],
+    [
+        graph_from_name("ring", 5),
+        graph_from_name("path", 6),
+        graph_from_name("star", 4),
+        ring(6, directed=True),
+    ],
 )
 @pytest.mark.parametrize("last", [0, 7, 19])
 def test_all_end_together_2_d_plus_1_rounds_after_the_last_change(graph, last):
@@ -38,5 +43,12 @@ def test_all_end_together_where_the_graph_changes():
 
 def test_too_small_a_diameter_ends_agents_apart():
     assert (
-        len(set(ends(named("path", 12), 1, {(11, k) for k in range(9)}).values())) > 1
+        len(
+            set(
+                ends(
+                    graph_from_name("path", 12), 1, {(11, k) for k in range(9)}
+                ).values()
+            )
+        )
+        > 1
     )

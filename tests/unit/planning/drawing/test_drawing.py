@@ -8,14 +8,19 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from crazychoir.errors import ConfigError
-from crazychoir.planning.drawing.drawing import STANDARD, Pen, drawing, smoothed
+from crazychoir.planning.drawing.drawing import (
+    DRAWING_LIMITS,
+    Pen,
+    plan_drawing,
+    smooth_line,
+)
 from crazychoir.planning.drawing.stroke import (
-    csv_of,
+    format_strokes,
     parse_strokes,
     read_strokes,
 )
 from crazychoir.planning.drawing.svg import parse_svg
-from crazychoir.planning.feasibility import Limits, check, peaks
+from crazychoir.planning.feasibility import Limits, check_limits, compute_peaks
 
 ARC = np.array(
     [(0.5 * math.cos(a), 0.5 * math.sin(a)) for a in np.linspace(0.0, 4.0, 120)]
@@ -38,9 +43,9 @@ def word(repository):
     [Pen(), Pen(timing="drawn"), Pen(yaw="along"), Pen(lift=0.3), Pen(spacing=0.03)],
 )
 def test_the_drawn_word_can_be_flown(word, pen):
-    drawn = drawing(word, pen)
+    drawn = plan_drawing(word, pen)
     path = drawn.path
-    check(path, STANDARD)
+    check_limits(path, DRAWING_LIMITS)
     assert drawn.deviation < 0.025
     assert 0.4 < drawn.speed <= 0.5005
     assert drawn.acceleration <= 1.001
@@ -73,12 +78,12 @@ def test_whatever_is_scribbled_keeps_its_ends_and_the_limits(strokes):
     if all(np.ptp(np.array(stroke), axis=0).max() < 0.01 for stroke in strokes):
         return
     try:
-        path = drawing(strokes).path
+        path = plan_drawing(strokes).path
     except ConfigError:
         with pytest.raises(ConfigError, match="mm beside it"):
-            drawing(strokes)
+            plan_drawing(strokes)
         return
-    check(path, STANDARD)
+    check_limits(path, DRAWING_LIMITS)
     np.testing.assert_allclose(path.sample(0.0).p[0:2], strokes[0][0], atol=1e-9)
     np.testing.assert_allclose(
         path.sample(path.duration).p[0:2], strokes[-1][-1], atol=1e-6
@@ -86,7 +91,10 @@ def test_whatever_is_scribbled_keeps_its_ends_and_the_limits(strokes):
 
 
 def test_a_lifted_pen_flies_above_the_drawing_and_a_plain_one_does_not():
-    lifted, plain = drawing([ARC, LINE], Pen(lift=0.4)).path, drawing([ARC, LINE]).path
+    lifted, plain = (
+        plan_drawing([ARC, LINE], Pen(lift=0.4)).path,
+        plan_drawing([ARC, LINE]).path,
+    )
     heights = [lifted.sample(t).p[2] for t in np.linspace(0.0, lifted.duration, 500)]
     assert max(heights) == pytest.approx(1.4, abs=1e-3)
     assert max(
@@ -95,14 +103,14 @@ def test_a_lifted_pen_flies_above_the_drawing_and_a_plain_one_does_not():
 
 
 def test_height_and_yaw_are_the_pens():
-    path = drawing([ARC], Pen(height=0.7, yaw=0.3)).path
+    path = plan_drawing([ARC], Pen(height=0.7, yaw=0.3)).path
     for t in np.linspace(0.0, path.duration, 20):
         assert path.sample(t).p[2] == pytest.approx(0.7)
         assert path.sample(t).yaw == pytest.approx(0.3)
 
 
 def test_yaw_along_the_path_looks_ahead():
-    path = drawing([ARC], Pen(yaw="along")).path
+    path = plan_drawing([ARC], Pen(yaw="along")).path
     for t in np.linspace(0.1 * path.duration, 0.9 * path.duration, 20):
         state = path.sample(t)
         assert math.cos(state.yaw - math.atan2(state.v[1], state.v[0])) > 0.99
@@ -111,7 +119,9 @@ def test_yaw_along_the_path_looks_ahead():
 def test_a_slow_hand_is_followed_slowly():
     even = np.linspace(0.0, 2.0, len(ARC))
     slow_at_first = np.where(even < 1.0, 5.0 * even, 4.0 + even)
-    path = drawing([np.column_stack([slow_at_first, ARC])], Pen(timing="drawn")).path
+    path = plan_drawing(
+        [np.column_stack([slow_at_first, ARC])], Pen(timing="drawn")
+    ).path
     middle = path.sample(0.5 * path.duration).p[0:2]
     assert np.linalg.norm(ARC - middle, axis=1).argmin() < 0.45 * len(ARC)
 
@@ -119,7 +129,7 @@ def test_a_slow_hand_is_followed_slowly():
 def test_tremor_is_smoothed_within_the_deviation_that_is_reported():
     rng = np.random.default_rng(2)
     shaken = ARC + rng.normal(scale=0.004, size=ARC.shape)
-    drawn = drawing([shaken], Pen(smoothing=0.006))
+    drawn = plan_drawing([shaken], Pen(smoothing=0.006))
     x = np.array(
         [
             drawn.path.sample(t).p[0:2]
@@ -133,7 +143,7 @@ def test_tremor_is_smoothed_within_the_deviation_that_is_reported():
 def test_smoothing_leaves_the_ends_where_they_are():
     shaken = ARC + np.random.default_rng(2).normal(scale=0.01, size=ARC.shape)
     u = np.cumsum([0.0, *np.linalg.norm(np.diff(shaken, axis=0), axis=1)])
-    places = smoothed(shaken, u, 0.012, u)
+    places = smooth_line(shaken, u, 0.012, u)
     np.testing.assert_allclose(places[[0, -1]], shaken[[0, -1]], atol=1e-4)
     assert (
         np.linalg.norm(places - ARC, axis=1)[5:-5].mean()
@@ -142,7 +152,7 @@ def test_smoothing_leaves_the_ends_where_they_are():
 
 
 def test_the_deviation_looks_from_the_drawn_line_and_from_the_flown_one(word):
-    drawn = drawing(word[1:2], Pen(timing="drawn"))
+    drawn = plan_drawing(word[1:2], Pen(timing="drawn"))
     flown = np.array(
         [
             drawn.path.sample(t).p[0:2]
@@ -160,7 +170,7 @@ def test_a_bend_that_is_cut_counts_too():
     tip = np.array(
         [(0.0, 0.0), (0.5, 0.0), (0.5 + 0.5 * math.cos(1.3), 0.5 * math.sin(1.3))]
     )
-    drawn = drawing(
+    drawn = plan_drawing(
         [np.concatenate([np.linspace(a, b, 60) for a, b in pairwise(tip)])],
         Pen(smoothing=0.02),
     )
@@ -176,7 +186,7 @@ def test_a_bend_that_is_cut_counts_too():
 
 
 def test_a_dot_is_flown_to():
-    drawn = drawing([[(0.1, 0.1)], ARC, [(0.0, 0.0), (0.0, 0.0)]])
+    drawn = plan_drawing([[(0.1, 0.1)], ARC, [(0.0, 0.0), (0.0, 0.0)]])
     path = drawn.path
     assert drawn.deviation < 0.01
     np.testing.assert_allclose(path.sample(0.0).p, (0.1, 0.1, 1), atol=1e-9)
@@ -185,7 +195,7 @@ def test_a_dot_is_flown_to():
 
 def test_other_limits_hold_too():
     limits = Limits(v_max=1.0, a_max=3.0, j_max=2.0, tilt_max=0.25)
-    most = peaks(drawing([ARC, LINE], limits=limits).path)
+    most = compute_peaks(plan_drawing([ARC, LINE], limits=limits).path)
     assert most["jerk"] <= 2.0 * 1.001
     assert most["tilt"] <= 0.25 * 1.001
 
@@ -211,7 +221,9 @@ def test_other_limits_hold_too():
 )
 def test_bad_drawings_are_refused(strokes, pen, limits, complaint):
     with pytest.raises(ConfigError, match=complaint):
-        drawing(strokes, Pen(**pen), Limits(**({"v_max": 0.5, "a_max": 1.0} | limits)))
+        plan_drawing(
+            strokes, Pen(**pen), Limits(**({"v_max": 0.5, "a_max": 1.0} | limits))
+        )
 
 
 straight = st.tuples(
@@ -277,9 +289,12 @@ def distance_between(path, lines):
 def test_straights_and_bends_with_uneven_places_are_flown_as_they_are(sections, pen):
     places, dense, svg = stroke_of(sections)
     timed = np.column_stack([0.1 * np.arange(len(places)), places])
-    for strokes in (parse_strokes(csv_of([timed]), "a.csv"), parse_svg(svg, "a.svg")):
-        drawn = drawing(strokes, pen)
-        check(drawn.path, STANDARD)
+    for strokes in (
+        parse_strokes(format_strokes([timed]), "a.csv"),
+        parse_svg(svg, "a.svg"),
+    ):
+        drawn = plan_drawing(strokes, pen)
+        check_limits(drawn.path, DRAWING_LIMITS)
         assert drawn.deviation <= pen.allowed_deviation
         assert distance_between(drawn.path, dense) < 0.03
 
@@ -309,27 +324,27 @@ def rounded(width, height, radius):
     ids=["large", "small", "long", "stadium"],
 )
 def test_long_sides_between_bends_stay_straight(stroke):
-    assert drawing([stroke]).deviation < 0.015
+    assert plan_drawing([stroke]).deviation < 0.015
 
 
 @pytest.mark.parametrize("corners", [5, 6, 8, 12])
 def test_a_polygon_keeps_its_sides(corners):
     angles = np.linspace(0.0, 2.0 * math.pi, corners + 1)
     polygon = 0.5 * np.column_stack([np.cos(angles), np.sin(angles)])
-    assert drawing([polygon]).deviation < 0.015
+    assert plan_drawing([polygon]).deviation < 0.015
 
 
 def test_a_long_line_does_not_pay_for_its_bends():
     def deviation(length):
         bent = [(0.0, 0.0), (length, 0.0), (length + 0.3, 0.3), (2.0 * length, 0.3)]
-        return drawing([bent]).deviation
+        return plan_drawing([bent]).deviation
 
     assert deviation(40.0) < deviation(1.0) + 0.005
 
 
 def test_a_scrawl_of_short_lines_does_not_swing_out():
     square_waves = [(0.015 * (k // 2), 0.05 * ((k + 1) // 2 % 2)) for k in range(133)]
-    assert drawing([square_waves]).deviation < Pen().allowed_deviation
+    assert plan_drawing([square_waves]).deviation < Pen().allowed_deviation
 
 
 @pytest.mark.parametrize(("smoothing", "allowed"), [(0.0, 25), (0.004, 39)])
@@ -340,22 +355,22 @@ def test_a_drawing_that_is_too_fine_to_be_followed_is_refused(smoothing, allowed
         "Draw it larger, or with its bends farther from each other."
     )
     with pytest.raises(ConfigError, match=words):
-        drawing([ARC, TOO_FINE], Pen(smoothing=smoothing))
+        plan_drawing([ARC, TOO_FINE], Pen(smoothing=smoothing))
 
 
 def test_a_drawing_that_is_too_fine_is_flown_when_it_is_larger():
-    assert drawing([10.0 * TOO_FINE]).deviation < Pen().allowed_deviation
+    assert plan_drawing([10.0 * TOO_FINE]).deviation < Pen().allowed_deviation
 
 
 def test_a_circle_of_the_size_of_a_dot_is_a_dot():
     angles = np.linspace(0.0, 2.0 * math.pi, 20)
     dot = 0.005 * np.column_stack([np.cos(angles), np.sin(angles)])
     dot[-1] = dot[0]
-    assert drawing([LINE, dot]).deviation == pytest.approx(0.01, abs=0.001)
+    assert plan_drawing([LINE, dot]).deviation == pytest.approx(0.01, abs=0.001)
 
 
 def test_a_straight_line_is_flown_at_any_speed():
     """The samples of a fast flight are far apart, and lie on the line all the same."""
     line = np.array([[0.0, 0.0], [60.0, 0.0]])
-    made = drawing([line], Pen(), Limits(v_max=20.0, a_max=20.0, yaw_rate_max=2.0))
+    made = plan_drawing([line], Pen(), Limits(v_max=20.0, a_max=20.0, yaw_rate_max=2.0))
     assert made.deviation < 0.005

@@ -5,11 +5,11 @@ from hypothesis import strategies as st
 
 from crazychoir.errors import ConfigError
 from crazychoir.planning.drawing.stroke import (
-    checked,
-    filled,
+    check_stroke,
+    fill_line,
     read_strokes,
-    split,
-    thinned,
+    split_stroke,
+    thin_line,
 )
 from crazychoir.planning.number_table import TableError
 
@@ -19,7 +19,7 @@ place = st.tuples(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0))
 @given(st.lists(place, min_size=2, max_size=60), st.floats(0.01, 1.0))
 def test_thinning_keeps_both_ends_and_distances(places, distance):
     xy = np.array(places)
-    kept = thinned(xy, distance)
+    kept = thin_line(xy, distance)
     assert kept[0] == 0
     assert np.linalg.norm(xy[kept[-1]] - xy[-1]) < 1e-9
     assert kept == sorted(set(kept))
@@ -30,15 +30,15 @@ def test_thinning_keeps_both_ends_and_distances(places, distance):
 
 def test_the_last_place_takes_the_part_of_one_that_is_too_near():
     xy = np.array([(0.0, 0.0), (0.1, 0.0), (0.2, 0.0), (0.23, 0.0)])
-    assert thinned(xy, 0.1) == [0, 1, 3]
-    assert thinned(xy, 0.05) == [0, 1, 2, 3]
-    assert thinned(xy, 1.0) == [0, 3]
+    assert thin_line(xy, 0.1) == [0, 1, 3]
+    assert thin_line(xy, 0.05) == [0, 1, 2, 3]
+    assert thin_line(xy, 1.0) == [0, 3]
 
 
 @given(st.lists(place, min_size=2, max_size=30, unique=True), st.floats(0.01, 1.0))
 def test_filling_keeps_all_places_and_adds_some_on_the_lines_between(places, distance):
     xy = np.array(places)
-    t, more = filled(np.arange(len(xy)), xy, distance)
+    t, more = fill_line(np.arange(len(xy)), xy, distance)
     steps = np.linalg.norm(np.diff(more, axis=0), axis=1)
     assert steps.max() <= distance * (1.0 + 1e-6)
     kept = np.flatnonzero(np.isin(np.round(t, 9), np.arange(len(xy))))
@@ -52,13 +52,15 @@ def test_filling_keeps_all_places_and_adds_some_on_the_lines_between(places, dis
 def test_filling_changes_nothing_where_places_are_near_to_each_other():
     t = np.array([0.0, 1.0, 5.0])
     xy = np.array([(0.0, 0.0), (0.1, 0.0), (0.1, 0.05)])
-    same_t, same_xy = filled(t, xy, 0.1)
+    same_t, same_xy = fill_line(t, xy, 0.1)
     np.testing.assert_array_equal(same_t, t)
     np.testing.assert_array_equal(same_xy, xy)
 
 
 def test_repeated_places_and_times_are_no_trouble():
-    t, xy = checked([(0, 0, 0), (0, 0, 0), (0, 1, 0), (1, 1, 0), (1, 1, 1)], "stroke")
+    t, xy = check_stroke(
+        [(0, 0, 0), (0, 0, 0), (0, 1, 0), (1, 1, 0), (1, 1, 1)], "stroke"
+    )
     np.testing.assert_array_equal(t, [0, 0, 1])
     np.testing.assert_array_equal(xy, [(0, 0), (1, 0), (1, 1)])
 
@@ -75,7 +77,7 @@ def test_repeated_places_and_times_are_no_trouble():
 )
 def test_bad_strokes_are_refused(rows, complaint):
     with pytest.raises(ConfigError, match=complaint):
-        checked(rows, "stroke")
+        check_stroke(rows, "stroke")
 
 
 def test_a_stroke_is_split_where_it_turns_back_and_not_in_a_bend():
@@ -83,13 +85,13 @@ def test_a_stroke_is_split_where_it_turns_back_and_not_in_a_bend():
     there_and_back = np.concatenate(
         [np.column_stack([s, 0 * s]), np.column_stack([1 - s, 0.1 * s])]
     )
-    parts = split(np.arange(400.0), there_and_back, 0.05)
+    parts = split_stroke(np.arange(400.0), there_and_back, 0.05)
     assert len(parts) == 2
     np.testing.assert_allclose(parts[0][1][-1], (1, 0), atol=0.01)
     np.testing.assert_array_equal(parts[0][1][-1], parts[1][1][0])
     np.testing.assert_array_equal(parts[1][1][-1], there_and_back[-1])
     round_trip = 0.2 * np.column_stack([np.cos(6 * s), np.sin(6 * s)])
-    assert len(split(s, round_trip, 0.05)) == 1
+    assert len(split_stroke(s, round_trip, 0.05)) == 1
 
 
 def test_strokes_are_read_by_their_number(tmp_path):

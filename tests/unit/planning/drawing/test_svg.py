@@ -1,3 +1,4 @@
+import dataclasses
 import gzip
 import re
 import time
@@ -7,13 +8,13 @@ import pytest
 
 from crazychoir.errors import ConfigError
 from crazychoir.planning.drawing import svg_document, svg_reader
-from crazychoir.planning.drawing.stroke import csv_of, parse_strokes
+from crazychoir.planning.drawing.stroke import format_strokes, parse_strokes
 from crazychoir.planning.drawing.svg import (
     MOST_POINTS,
+    format_svg,
     parse_picture,
     parse_svg,
     read_svg,
-    svg_of,
 )
 
 
@@ -124,10 +125,12 @@ def test_strokes_are_read_as_they_were_written(tmp_path):
         np.array([[1.0, 2.0, -0.25], [2.0, 2.0, 0.25]]),
     ]
     path = tmp_path / "a.svg"
-    path.write_text(svg_of(drawn))
+    path.write_text(format_svg(drawn))
     for stroke, read in zip(drawn, read_svg(path), strict=True):
         assert read == pytest.approx(stroke[:, 1:], abs=1e-5)
-    for stroke, read in zip(drawn, parse_strokes(csv_of(drawn), "a.csv"), strict=True):
+    for stroke, read in zip(
+        drawn, parse_strokes(format_strokes(drawn), "a.csv"), strict=True
+    ):
         assert read == pytest.approx(stroke, abs=1e-4)
 
 
@@ -570,8 +573,12 @@ def test_a_line_without_length_is_a_dot_where_its_ends_are_round():
 
 
 def test_files_of_very_many_elements_or_copies_are_refused(monkeypatch):
-    monkeypatch.setattr(svg_document, "MOST_ELEMENTS", 2000)
-    monkeypatch.setattr(svg_reader, "MOST_VISITS", 1000)
+    monkeypatch.setattr(
+        svg_document,
+        "SVG_LIMITS",
+        dataclasses.replace(svg_document.SVG_LIMITS, elements=2000),
+    )
+    monkeypatch.setattr(svg_reader, "MOST_DRAWN_ELEMENTS", 1000)
     assert "more than 2000 elements" in refused("<g/>" * 2001)
     copies = "".join(
         f'<g id="u{k}">' + f'<use href="#u{k - 1}"/>' * 50 + "</g>" for k in range(1, 9)

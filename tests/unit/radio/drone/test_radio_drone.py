@@ -11,36 +11,31 @@ import numpy as np
 import pytest
 from virtual_time import virtual
 
-from crazychoir.bus.port import BODIES, Bus
-from crazychoir.bus.topics import BODY
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError, LinkFailed, Refused
 from crazychoir.platforms import Battery
 from crazychoir.radio import checks
 from crazychoir.radio.drone.radio_drone import (
-    IN_VAIN,
-    JUMPS,
-    LOST,
-    ORPHANED,
-    OWN,
-    STOPS,
-    UNHEARD,
-    UNREACHED,
-    UNSEEN,
-    WAS_CUT,
+    CAMERA_POSE_LIMITS,
+    FIRMWARE_NAMES,
+    PROBLEM_TEXTS,
+    REPEAT_RULES,
+    SILENCE_LIMITS,
     RadioDrone,
 )
-from crazychoir.radio.link.connection import WORDLESS
+from crazychoir.radio.link.connection import AWAITING_LOG
 from crazychoir.radio.link.toc_cache import TableOfContents
-from crazychoir.radio.owner import LANDS_WITHIN, RadioProcess
-from crazychoir.radio.protocol.crtp import FORMS, HIGH_LEVEL, PLATFORM, Packet
+from crazychoir.radio.owner import OWNER_LIMITS, RadioProcess
+from crazychoir.radio.protocol.crtp import PACKET_FORMS, CrtpPort, Packet
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.identity.pose_gate import PoseGate
-from crazychoir.safety.identity.takeoff_check import Track
+from crazychoir.safety.identity.takeoff_check import TiltTrack
 from crazychoir.types import FPQR, FRPY, XYZ, Body, Pose, Vel
 
-READY = checks.CAN_FLY | checks.AUTO_ARM
+READY = checks.ReadinessBit.CAN_FLY | checks.ReadinessBit.AUTO_ARM
 STOP, LINE, LAND = (
     XYZ(verb, np.array([1.0, 0.0, 1.0, 0.0, 2.0])) for verb in ("stop", "line", "land")
 )
@@ -73,7 +68,7 @@ class Kept:
 
 
 def head(form: str) -> tuple[int, int, int]:
-    one = FORMS[form]
+    one = PACKET_FORMS[form]
     return one.port, one.channel, one.head[0]
 
 
@@ -84,7 +79,7 @@ def made(
     tables = {"control": {"sender": kind}, "radio": {"log_rate": 50.0} | radio}
     config = SwarmConfig.of({"name": "a", "drones": [row]} | tables)
     bus = Bus(clock)
-    bus.port(BODIES)
+    bus.port(PORT_ADDRESSES.body_offset)
     drone = RadioDrone(bus, config, 0, kind, rate, TableOfContents(Path("nowhere")))
     drone.handler.thrust = 136_531.0
     drone.connection = kept = Kept()
@@ -94,11 +89,11 @@ def made(
 def tell(drone: RadioDrone, supervisor: int, at: int | None = None) -> None:
     """Its log has come, of `at` ms by its own clock, None: of now."""
     at = 1000 + round(1000 * drone.clock.now()) if at is None else at
-    values = dict.fromkeys(OWN, 0.0) | {
+    values = dict.fromkeys(FIRMWARE_NAMES.estimate, 0.0) | {
         "pm.vbat": 4.0,
         "supervisor.info": float(supervisor),
     }
-    drone._take_own(values | {OWN[6]: 3 << 30}, at)
+    drone._take_own(values | {FIRMWARE_NAMES.estimate[6]: 3 << 30}, at)
 
 
 @virtual
@@ -117,7 +112,7 @@ async def test_one_that_stands_is_told_so_now_and_then(clock) -> None:
         drone.send(STOP)
         await clock.sleep(0.01)
     said = [head("stop"), head("planner_stop"), head("notify_setpoint_stop")]
-    assert kept.sent == said * round(1.0 / STOPS), (
+    assert kept.sent == said * round(1.0 / REPEAT_RULES.stop_period), (
         "who was there before us may have sent set-points"
     )
 
@@ -125,7 +120,7 @@ async def test_one_that_stands_is_told_so_now_and_then(clock) -> None:
 @virtual
 async def test_who_has_not_flown_it_does_not_stop_its_motors(clock) -> None:
     drone, kept = made(clock)
-    tell(drone, READY | checks.FLYING)
+    tell(drone, READY | checks.ReadinessBit.FLYING)
     drone.send(STOP)
     assert kept.sent == []
     drone.send(LINE)
@@ -167,7 +162,11 @@ class Planner(Kept):
                     self.ends if landing else now + LAND.flat[4],
                 )
                 self.drone._heard(
-                    Packet(HIGH_LEVEL, 0, bytes([*FORMS["land"].head, 0, 0, landing]))
+                    Packet(
+                        CrtpPort.HIGH_LEVEL,
+                        0,
+                        bytes([*PACKET_FORMS["land"].head, 0, 0, landing]),
+                    )
                 )
         self.fell = self.fell or (
             self.sent[-1] == head("notify_setpoint_stop") and not self.lands
@@ -177,7 +176,7 @@ class Planner(Kept):
         """Its motors turn until it has landed, and count as turning for 2 s more."""
         now = self.drone.clock.now()
         self.turned = now if now < self.ends or not self.lands else self.turned
-        tell(self.drone, READY | checks.FLYING * (now - self.turned < 2.0))
+        tell(self.drone, READY | checks.ReadinessBit.FLYING * (now - self.turned < 2.0))
 
 
 @pytest.mark.parametrize("kind", ["xyz", "frpy"])
@@ -221,7 +220,7 @@ async def test_one_that_comes_down_is_not_stopped_above_the_floor_by_who_takes_i
         """How often its motors are stopped meanwhile."""
         kept.sent.clear()
         for _ in range(round(10 * seconds)):
-            tell(drone, READY | checks.FLYING)
+            tell(drone, READY | checks.ReadinessBit.FLYING)
             drone.send(FRPY(np.zeros(4)))
             drone._go_on_landing()
             await clock.sleep(0.1)
@@ -229,26 +228,30 @@ async def test_one_that_comes_down_is_not_stopped_above_the_floor_by_who_takes_i
             port == 3 for port, _, _ in kept.sent
         )
 
-    tell(drone, READY | checks.FLYING)
+    tell(drone, READY | checks.ReadinessBit.FLYING)
     drone.send(FRPY(np.array([0.3, 0.0, 0.0, 0.0])))
     kept.silence = 5.0
     drone.send(LAND)
     assert await idle(10.0) == 0, "it may not have heard it"
     kept.silence = 0.0
     assert await idle(2.5) == 0
-    drone._heard(Packet(HIGH_LEVEL, 0, bytes([*FORMS["land"].head, 0, 0, 0])))
+    drone._heard(
+        Packet(CrtpPort.HIGH_LEVEL, 0, bytes([*PACKET_FORMS["land"].head, 0, 0, 0]))
+    )
     assert await idle(2.5) == 0, "it lands, for 2 s"
     assert await idle(2.0) > 0
     drone.send(LAND)
-    assert await idle(IN_VAIN - 0.5) == 0
+    assert await idle(REPEAT_RULES.vain_time - 0.5) == 0
     assert await idle(1.0) > 0, "it hears, and does not answer"
 
 
 @virtual
 async def test_a_late_answer_to_an_earlier_landing_is_none_to_this_one(clock) -> None:
     drone, kept = made(clock, "frpy")
-    answer = Packet(HIGH_LEVEL, 0, bytes([*FORMS["land"].head, 0, 0, 0]))
-    tell(drone, READY | checks.FLYING)
+    answer = Packet(
+        CrtpPort.HIGH_LEVEL, 0, bytes([*PACKET_FORMS["land"].head, 0, 0, 0])
+    )
+    tell(drone, READY | checks.ReadinessBit.FLYING)
     drone.send(LAND)
     drone._go_on_landing()
     drone.send(FRPY(np.array([0.3, 0.0, 0.0, 0.0])))
@@ -256,7 +259,7 @@ async def test_a_late_answer_to_an_earlier_landing_is_none_to_this_one(clock) ->
     kept.sent.clear()
     drone._heard(answer)
     assert kept.sent == []
-    await clock.sleep(UNHEARD)
+    await clock.sleep(REPEAT_RULES.land_period)
     drone._go_on_landing()
     drone._heard(answer)
     assert kept.sent == [head("land"), head("notify_setpoint_stop")]
@@ -266,9 +269,9 @@ async def test_a_late_answer_to_an_earlier_landing_is_none_to_this_one(clock) ->
 async def test_one_that_was_cut_is_told_so_until_it_is_locked_or_switched_off_and_on(
     clock,
 ) -> None:
-    for said, at in ((checks.LOCKED, None), (READY, 40)):
+    for said, at in ((checks.SupervisorBit.LOCKED, None), (READY, 40)):
         drone, kept = made(clock)
-        tell(drone, READY | checks.FLYING, 5000)
+        tell(drone, READY | checks.ReadinessBit.FLYING, 5000)
         insisting = asyncio.create_task(drone._insist(kept))
         drone.cut()
         await clock.sleep(1.0)
@@ -280,13 +283,13 @@ async def test_one_that_was_cut_is_told_so_until_it_is_locked_or_switched_off_an
         insisting.cancel()
         assert kept.sent == [], "who switches it off and on may have it again"
         drone._prepared = drone._placed = True
-        assert WAS_CUT in drone.problems()
+        assert PROBLEM_TEXTS.motors_cut in drone.problems()
 
 
 @virtual
 async def test_a_second_landing_does_not_change_the_first(clock) -> None:
     drone, _ = made(clock)
-    tell(drone, READY | checks.FLYING)
+    tell(drone, READY | checks.ReadinessBit.FLYING)
     drone.send(LAND)
     drone.send(XYZ("land", np.array([0.0, 0.0, 0.0, 0.0, 9.0])))
     assert drone._landing is LAND
@@ -298,9 +301,9 @@ async def test_a_second_landing_does_not_change_the_first(clock) -> None:
 async def test_one_that_flies_and_that_nobody_commands_is_an_orphan(clock) -> None:
     drone, _ = made(clock)
     drone._up_ns = clock.now_ns()
-    tell(drone, READY | checks.FLYING)
+    tell(drone, READY | checks.ReadinessBit.FLYING)
     assert not drone.orphan
-    await clock.sleep(ORPHANED + 0.1)
+    await clock.sleep(SILENCE_LIMITS.drone_orphaned + 0.1)
     assert drone.orphan
     drone.send(LINE)
     assert not drone.orphan
@@ -330,12 +333,15 @@ async def test_nothing_is_said_of_its_body_before_it_has_said_whether_it_flies(
     said = []
     reader = drone.bus.port(5).address
     drone.bus.subscribe(
-        BODY, BODIES, reader, Call(clock, lambda body, age: said.append(body.flying))
+        DRONE_TOPICS.body,
+        PORT_ADDRESSES.body_offset,
+        reader,
+        Call(clock, lambda body, age: said.append(body.flying)),
     )
     drone.report()
     await clock.sleep(0.5)
     assert said == []
-    tell(drone, READY | checks.FLYING)
+    tell(drone, READY | checks.ReadinessBit.FLYING)
     drone.report()
     await clock.sleep(0.5)
     assert said == [True]
@@ -374,10 +380,10 @@ async def test_why_it_may_not_take_off(clock) -> None:
     drone.connection, drone.problem = None, "no answer within 2 s"
     assert drone.problems() == ["no answer within 2 s"]
     drone, _ = made(clock)
-    tell(drone, READY | checks.FLYING)
+    tell(drone, READY | checks.ReadinessBit.FLYING)
     assert drone.problems() == []
     drone.cut()
-    assert drone.problems() == [WAS_CUT]
+    assert drone.problems() == [PROBLEM_TEXTS.motors_cut]
 
 
 @virtual
@@ -387,7 +393,7 @@ async def test_one_that_has_spoken_is_being_prepared(clock) -> None:
     assert drone.problems() == ["is being connected"]
     drone._opening = SimpleNamespace(stage="no answer")
     assert drone.problems() == ["is being connected, no answer so far"]
-    drone._opening, drone._logs_ns = SimpleNamespace(stage=WORDLESS), clock.now_ns()
+    drone._opening, drone._logs_ns = SimpleNamespace(stage=AWAITING_LOG), clock.now_ns()
     assert drone.problems() == ["is being connected, no word of itself so far"]
     await clock.sleep(0.1)
     tell(drone, READY)
@@ -404,13 +410,16 @@ async def test_a_virtual_one_that_is_locked_is_switched_off_and_on_by_a_command(
     await clock.sleep(0.1)
     tell(drone, READY)
     drone._prepared = drone._placed = True
-    tell(drone, checks.LOCKED)
+    tell(drone, checks.SupervisorBit.LOCKED)
     locked = "locked by its firmware until it is switched off and on"
     assert drone.problems()[0] == f"{locked} (`crazychoir virtual fault 0 reboot=1`)"
     said: list[Body] = []
     drone.bus.port(1)
     drone.bus.subscribe(
-        BODY, BODIES, 1, Call(clock, lambda body, age: said.append(body), "body")
+        DRONE_TOPICS.body,
+        PORT_ADDRESSES.body_offset,
+        1,
+        Call(clock, lambda body, age: said.append(body), "body"),
     )
     drone.report()
     await clock.sleep(0.1)
@@ -422,7 +431,7 @@ async def test_a_virtual_one_that_is_locked_is_switched_off_and_on_by_a_command(
 @virtual
 async def test_the_battery_that_it_needs_to_begin_is_its_platforms(clock) -> None:
     drone, _ = made(clock)
-    tell(drone, READY | checks.FLYING)
+    tell(drone, READY | checks.ReadinessBit.FLYING)
     drone._well["pm.vbat"] = 3.65
     assert drone.problems() == ["battery at 3.65 V, 3.7 V are needed to begin"]
     drone._platform = replace(drone._platform, battery=Battery(begin=3.6))
@@ -433,7 +442,9 @@ async def test_the_battery_that_it_needs_to_begin_is_its_platforms(clock) -> Non
 async def test_a_plan_that_is_refused_is_counted(clock) -> None:
     drone, _ = made(clock)
     for name in ("go_to", "land"):
-        drone._heard(Packet(HIGH_LEVEL, 0, bytes([*FORMS[name].head, 0, 0, 1])))
+        drone._heard(
+            Packet(CrtpPort.HIGH_LEVEL, 0, bytes([*PACKET_FORMS[name].head, 0, 0, 1]))
+        )
     assert drone.refused_plans == 2
 
 
@@ -450,7 +461,7 @@ async def test_who_is_sent_places_is_given_a_watchdog_if_the_mission_wants_it(
         drone, kept = made(clock, kind, pose=pose, **radio)
         drone._feed_watchdog()
         assert not kept.sent, "on the ground nobody begins"
-        drone._well["supervisor.info"] = READY | checks.FLYING
+        drone._well["supervisor.info"] = READY | checks.ReadinessBit.FLYING
         for _ in range(30):
             drone._feed_watchdog()
             await clock.sleep(0.05)
@@ -469,7 +480,10 @@ async def test_nobody_commands_it_and_it_is_beyond_the_limit(clock) -> None:
     }
     owner = RadioProcess(clock, SwarmConfig.of(raw), 0, "radio", "here", 1)
     drone, body, kept = owner.drones[0], owner.bodies[0], Kept()
-    drone.connection, drone._well["supervisor.info"] = kept, READY | checks.FLYING
+    drone.connection, drone._well["supervisor.info"] = (
+        kept,
+        READY | checks.ReadinessBit.FLYING,
+    )
     await clock.sleep(5.0)
     for x, cut in ((1.0, False), (20.0, True)):
         drone._seen(Pose(np.array([x, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 0.0)
@@ -485,10 +499,10 @@ async def test_an_owner_that_ends_names_who_has_not_landed(clock) -> None:
         "drones": [{"id": 7, "home": [0, 0, 0], "uri": "udp://127.0.0.1:19850"}],
     }
     owner = RadioProcess(clock, SwarmConfig.of(raw), 0, "radio", "here", 1)
-    owner.drones[7]._well["supervisor.info"] = READY | checks.FLYING
+    owner.drones[7]._well["supervisor.info"] = READY | checks.ReadinessBit.FLYING
     running = asyncio.ensure_future(owner.run())
     owner.end("")
-    await clock.sleep(LANDS_WITHIN - 1.0)
+    await clock.sleep(OWNER_LIMITS.landing_time - 1.0)
     assert not owner.failure
     await clock.sleep(2.0)
     assert owner.failure.endswith("not known to have landed: 7")
@@ -520,19 +534,23 @@ async def test_in_its_ascent_it_is_told_places_until_its_body_is_known_to_move_a
 
     pose, place = (
         head("external_pose"),
-        (FORMS["external_position"].port, FORMS["external_position"].channel, -1),
+        (
+            PACKET_FORMS["external_position"].port,
+            PACKET_FORMS["external_position"].channel,
+            -1,
+        ),
     )
     assert set(await said_for(1.0, READY)) == {pose}
     drone.send(LINE)
-    told = await said_for(4.0, READY | checks.FLYING)
+    told = await said_for(4.0, READY | checks.ReadinessBit.FLYING)
     assert set(told) == {place}
     assert 38 <= len(told) <= 42, "as often as [radio] says"
-    assert set((await said_for(6.0, READY | checks.FLYING))[-10:]) == {pose}, (
-        "it has been watched for long enough"
-    )
+    assert set((await said_for(6.0, READY | checks.ReadinessBit.FLYING))[-10:]) == {
+        pose
+    }, "it has been watched for long enough"
     await said_for(0.5, READY)
     drone.send(LINE)
-    assert set(await said_for(1.0, READY | checks.FLYING)) == {place}, (
+    assert set(await said_for(1.0, READY | checks.ReadinessBit.FLYING)) == {place}, (
         "so is its next ascent"
     )
 
@@ -544,7 +562,7 @@ async def test_whose_body_moves_otherwise_is_told_nothing_more_and_may_not_take_
     drone, kept = made(clock)
     drone._prepared = drone._placed = True
     for k in range(60):
-        tell(drone, READY | checks.FLYING * (k > 20))
+        tell(drone, READY | checks.ReadinessBit.FLYING * (k > 20))
         swing = 0.05 * max(k - 22, 0) / 2.0
         drone._take_off.sights.tracks[0].add(
             clock.now(), complex(0.0, swing), 0.0
@@ -563,7 +581,7 @@ async def test_whose_body_moves_otherwise_is_told_nothing_more_and_may_not_take_
     drone._pose.put(Pose(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])), 0.0)
     drone._forgive()
     assert drone.status().astray, "nobody has touched it"
-    await clock.sleep(UNSEEN + 0.1)
+    await clock.sleep(CAMERA_POSE_LIMITS.longest_gap + 0.1)
     drone._forgive()
     assert drone.status().astray == ""
 
@@ -573,7 +591,7 @@ async def test_what_was_overtaken_changes_nothing(clock) -> None:
     drone, _ = made(clock)
     tell(drone, READY, 5000)
     await clock.sleep(0.9)
-    tell(drone, READY | checks.FLYING, 5900)
+    tell(drone, READY | checks.ReadinessBit.FLYING, 5900)
     tell(drone, READY, 5020)
     assert (drone.flying, drone.why) == (True, "")
 
@@ -586,7 +604,7 @@ def test_what_it_says_late_is_compared_with_what_the_cameras_saw_then(
     async def check(clock) -> None:
         drone, _ = made(clock)
         tracks, held = drone._take_off.sights.tracks, []
-        tracks[1] = Track()
+        tracks[1] = TiltTrack()
 
         def tilted(j: int, t: float) -> float:
             return 0.3 * max(t - 1.0, 0.0) * math.sin((7.0 + 4.0 * j) * t)
@@ -673,7 +691,7 @@ class Asked(Slow):
         tell(self.drone, self.supervisor)
 
     async def ask(self, packet, answers, seconds, again) -> Packet:
-        answer = Packet(PLATFORM, 1, b"\x01" + self.release.encode())
+        answer = Packet(CrtpPort.PLATFORM, 1, b"\x01" + self.release.encode())
         assert answers(answer)
         return answer
 
@@ -707,13 +725,13 @@ async def test_one_that_is_refused_while_it_flies_is_landed_first(clock) -> None
         drone, _ = made(clock, kind)
         drone.connection, old = (
             None,
-            Asked(drone, supervisor=READY | checks.FLYING, **link),
+            Asked(drone, supervisor=READY | checks.ReadinessBit.FLYING, **link),
         )
         await drone._connect(old, clock.now())
         assert drone.connection is old
         assert "2025.09" in drone.problem or "version 8" in drone.problem
-        await clock.sleep(ORPHANED + 0.1)
-        tell(drone, READY | checks.FLYING)
+        await clock.sleep(SILENCE_LIMITS.drone_orphaned + 0.1)
+        tell(drone, READY | checks.ReadinessBit.FLYING)
         drone.send(
             Vel(np.array([0.1, 0.0, 0.0, 0.0]))
             if kind == "vel"
@@ -745,7 +763,7 @@ async def test_a_cut_is_said_again_until_it_was_heard_also_while_its_link_is_bei
     opening.sent.clear()
     await clock.sleep(0.5)
     assert opening.sent.count(head("emergency_stop")) == 10
-    tell(drone, checks.LOCKED)
+    tell(drone, checks.SupervisorBit.LOCKED)
     opening.sent.clear()
     await clock.sleep(0.5)
     assert opening.sent == []
@@ -758,7 +776,7 @@ async def test_who_looks_after_a_drone_that_says_nothing_of_itself_goes_on_with_
 ) -> None:
     drone, _ = made(clock, watchdog=True)
     drone._prepared = drone._placed = True
-    tell(drone, READY | checks.FLYING)
+    tell(drone, READY | checks.ReadinessBit.FLYING)
     drone.connection = slow = Slow()
     drone.send(LAND)
     looking = asyncio.ensure_future(drone._look_after(slow))
@@ -786,7 +804,7 @@ async def test_a_link_that_is_late_in_flight_is_said_now_and_then(clock) -> None
     looking = asyncio.ensure_future(drone._look_after(kept))
     for supervisor, texts in (
         (READY, set()),
-        (READY | checks.FLYING, {"its link takes 0.40 s there and back"}),
+        (READY | checks.ReadinessBit.FLYING, {"its link takes 0.40 s there and back"}),
     ):
         tell(drone, supervisor)
         await clock.sleep(0.5)
@@ -869,24 +887,24 @@ async def test_one_that_was_not_reached_and_flies_is_not_stopped_by_who_takes_it
     drone, kept = made(clock)
     drone._prepared = drone._placed = True
     kept.failure = kept.dongle_failure = ""
-    tell(drone, READY | checks.FLYING)
+    tell(drone, READY | checks.ReadinessBit.FLYING)
     drone.send(LINE)
     drone.send(STOP)
     assert kept.sent[-1] == head("planner_stop"), "who has flown it may stop it"
-    await clock.sleep(STOPS)
+    await clock.sleep(REPEAT_RULES.stop_period)
     drone.send(LINE)
     looking = asyncio.ensure_future(drone._look_after(kept))
-    kept.silence = UNREACHED + 0.1
+    kept.silence = SILENCE_LIMITS.drone_unreached + 0.1
     await clock.sleep(0.1)
     drone.send(LINE)
     kept.silence = 0.0
-    tell(drone, READY | checks.FLYING)
+    tell(drone, READY | checks.ReadinessBit.FLYING)
     drone._seen(up(1.0), 0.0)
     kept.sent.clear()
     drone.send(STOP)
     assert kept.sent == []
     assert not drone.orphan, "its pilot may fly it on"
-    await clock.sleep(ORPHANED + 0.1)
+    await clock.sleep(SILENCE_LIMITS.drone_orphaned + 0.1)
     assert drone.orphan
     drone._gate = PoseGate()
     drone._seen(up(0.05), 0.0)
@@ -902,10 +920,12 @@ async def test_one_wrong_pose_does_not_end_the_watch_of_a_take_off(clock) -> Non
     drone, _ = made(clock)
     tell(drone, READY)
     drone.send(LINE)
-    tell(drone, READY | checks.FLYING)
+    tell(drone, READY | checks.ReadinessBit.FLYING)
     for k in range(60):
         drone._seen(up(5.0 if k == 10 or k >= 40 else 0.0), 0.0)
-        assert drone._take_off.watched is (k <= 40 + round(JUMPS / 0.01)), k
+        assert drone._take_off.watched is (
+            k <= 40 + round(CAMERA_POSE_LIMITS.longest_jump / 0.01)
+        ), k
         await clock.sleep(0.01)
 
 
@@ -913,7 +933,7 @@ async def test_one_wrong_pose_does_not_end_the_watch_of_a_take_off(clock) -> Non
 async def test_homes_count_again_once_it_was_switched_off(clock) -> None:
     drone, _ = made(clock)
     for at, flying, flown in (
-        (1000, checks.FLYING, True),
+        (1000, checks.ReadinessBit.FLYING, True),
         (1100, 0, True),
         (40, 0, False),
     ):
@@ -930,8 +950,11 @@ async def test_one_that_is_silent_may_be_carried_about(clock) -> None:
     }
     owner = RadioProcess(clock, SwarmConfig.of(raw), 0, "radio", "here", 1)
     drone, body, kept = owner.drones[0], owner.bodies[0], Kept()
-    drone.connection, drone._well["supervisor.info"] = kept, READY | checks.FLYING
-    kept.silence = LOST + 0.1
+    drone.connection, drone._well["supervisor.info"] = (
+        kept,
+        READY | checks.ReadinessBit.FLYING,
+    )
+    kept.silence = SILENCE_LIMITS.link_lost + 0.1
     await clock.sleep(5.0)
     drone._seen(Pose(np.array([20.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 0.0)
     owner._keep_inside(0, body)

@@ -5,21 +5,21 @@ from types import SimpleNamespace
 import pytest
 from virtual_time import virtual
 
-from crazychoir.config.radio_checks import MOTION, OTHERS, PINGS, PLANS
+from crazychoir.config.radio_checks import RADIO_TRAFFIC
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
-from crazychoir.radio.budget import rates
+from crazychoir.radio.budget import compute_setpoint_rates
 from crazychoir.radio.checks import link_problems
-from crazychoir.radio.virtual.air import ALONE, CAPACITY, DOWN, UP, Air, Dongle
+from crazychoir.radio.virtual.air import AIR_MODEL, Air, VirtualDongle
 from crazychoir.radio.virtual.faults import Faults
-from crazychoir.runtime.clock import SECOND
+from crazychoir.runtime.clock import NS_PER_SECOND
 
 MS = 1_000_000
 
 
 @virtual
 async def test_what_goes_down_rides_on_what_goes_up(clock):
-    dongle, came = Dongle(clock, (0, 1)), []
+    dongle, came = VirtualDongle(clock, (0, 1)), []
     for k in range(10):
         dongle.up(0, lambda k=k: came.append((clock.now(), "up", k)))
         dongle.down(0, lambda k=k: came.append((clock.now(), "down", k)))
@@ -28,22 +28,24 @@ async def test_what_goes_down_rides_on_what_goes_up(clock):
     assert [(way, k) for _, way, k in came] == [
         (way, k) for k in range(10) for way in ("down", "up")
     ]
-    assert came[-1][0] == pytest.approx(10 / CAPACITY)
+    assert came[-1][0] == pytest.approx(10 / AIR_MODEL.shared_capacity)
 
 
 @virtual
 async def test_one_that_only_speaks_is_polled(clock):
-    dongle, came = Dongle(clock, (0, 1)), []
+    dongle, came = VirtualDongle(clock, (0, 1)), []
     for _ in range(5):
         dongle.down(1, lambda: came.append(clock.now()))
     await clock.sleep(1.0)
     assert dongle.exchanges == 5
-    assert came == [pytest.approx((k + 1) / CAPACITY) for k in range(5)]
+    assert came == [
+        pytest.approx((k + 1) / AIR_MODEL.shared_capacity) for k in range(5)
+    ]
 
 
 @virtual
 async def test_an_answer_rides_on_the_next_exchange(clock):
-    dongle, came = Dongle(clock, (0,), 100.0), []
+    dongle, came = VirtualDongle(clock, (0,), 100.0), []
     dongle.up(0, lambda: dongle.down(0, lambda: came.append(clock.now())))
     await clock.sleep(1.0)
     assert came == [pytest.approx(0.02)]
@@ -51,7 +53,7 @@ async def test_an_answer_rides_on_the_next_exchange(clock):
 
 @virtual
 async def test_drones_take_turns_whatever_one_of_them_asks_for(clock):
-    dongle, came = Dongle(clock, (0, 1, 2)), []
+    dongle, came = VirtualDongle(clock, (0, 1, 2)), []
     for k in range(20):
         dongle.up(0, lambda k=k: came.append(0))
     dongle.up(1, lambda: came.append(1))
@@ -71,11 +73,23 @@ def _speak(clock, dongle, seconds):
 
     for i in dongle.drones:
         told = (10.0, lambda i: dongle.up(i, list))
-        said = (MOTION, lambda i: dongle.down(i, list))
-        for row, (rate, flow) in enumerate([(PINGS + PLANS + OTHERS, ask), told, said]):
+        said = (RADIO_TRAFFIC.least_attitude_rate, lambda i: dongle.down(i, list))
+        for row, (rate, flow) in enumerate(
+            [
+                (
+                    RADIO_TRAFFIC.echo_rate
+                    + RADIO_TRAFFIC.planner_rate
+                    + RADIO_TRAFFIC.request_rate,
+                    ask,
+                ),
+                told,
+                said,
+            ]
+        ):
             for k in range(round(rate * seconds)):
                 clock.call_at(
-                    clock.now_ns() + round((k + 0.37 * i + 0.29 * row) / rate * SECOND),
+                    clock.now_ns()
+                    + round((k + 0.37 * i + 0.29 * row) / rate * NS_PER_SECOND),
                     flow,
                     i,
                 )
@@ -90,18 +104,18 @@ async def test_what_the_budget_lets_pass_comes_in_time_and_what_it_refuses_does_
         f'[[drones]]\nid = {i}\nhome = [0, {i - 3}, 0]\nuri = "udp://127.0.0.1:{19850 + i}"\n'
         for i in range(7)
     ]
-    latencies = {n: _speak(clock, Dongle(clock, range(n)), 20.0) for n in (5, 7)}
+    latencies = {n: _speak(clock, VirtualDongle(clock, range(n)), 20.0) for n in (5, 7)}
     await clock.sleep(25.0)
     for n, latency in latencies.items():
         config = SwarmConfig.loads(
             'name = "x"\n[control]\nsender = "xyz"\n' + "".join(at_home[:n]), "x.toml"
         )
         if n == 5:
-            assert rates(config) == {0: 0.0}
+            assert compute_setpoint_rates(config) == {0: 0.0}
             assert link_problems(latency(), 1.0) == []
         else:
             with pytest.raises(ConfigError, match="say 294 packets a second"):
-                rates(config)
+                compute_setpoint_rates(config)
             assert "there and back" in link_problems(latency(), 1.0)[0]
 
 
@@ -111,32 +125,36 @@ def test_a_late_computer_takes_no_time_of_the_radio():
     clock = SimpleNamespace(
         now_ns=lambda: now[0], call_at=lambda ns, call, **_: due.append((ns, call))
     )
-    dongle = Dongle(clock, (0, 1), 1000.0)
-    for _ in range(DOWN):
+    dongle = VirtualDongle(clock, (0, 1), 1000.0)
+    for _ in range(AIR_MODEL.down_queue):
         dongle.down(0, lambda: None)
     while due:
         at, call = due.pop()
         if now[0] < at:
             now[0] = at + late
         call()
-    assert dongle.exchanges == DOWN
-    assert now[0] <= DOWN * MS + late
+    assert dongle.exchanges == AIR_MODEL.down_queue
+    assert now[0] <= AIR_MODEL.down_queue * MS + late
 
 
 @virtual
 async def test_what_is_too_much_is_lost(clock):
-    dongle, came = Dongle(clock, (0, 1), 50.0), []
-    taken = [dongle.up(0, lambda: came.append(1)) for _ in range(UP + 5)]
+    dongle, came = VirtualDongle(clock, (0, 1), 50.0), []
+    taken = [
+        dongle.up(0, lambda: came.append(1)) for _ in range(AIR_MODEL.up_queue + 5)
+    ]
     assert taken.count(False) == 5
     assert dongle.refused == 5
-    assert [dongle.down(0, lambda: None) for _ in range(DOWN + 1)].count(False) == 1
+    assert [
+        dongle.down(0, lambda: None) for _ in range(AIR_MODEL.down_queue + 1)
+    ].count(False) == 1
     await clock.sleep(10.0)
-    assert len(came) == UP
+    assert len(came) == AIR_MODEL.up_queue
 
 
 @virtual
 async def test_four_drones_share_250_packets_a_second_both_ways(clock):
-    dongle, counts = Dongle(clock, range(4)), [0] * 4
+    dongle, counts = VirtualDongle(clock, range(4)), [0] * 4
 
     def came(i):
         counts[i] += 1
@@ -145,13 +163,16 @@ async def test_four_drones_share_250_packets_a_second_both_ways(clock):
         for i in range(4):
             dongle.up(i, lambda i=i: came(i))
         await clock.sleep(0.01)
-    assert sum(counts) == pytest.approx(2.0 * CAPACITY, abs=4)
+    assert sum(counts) == pytest.approx(2.0 * AIR_MODEL.shared_capacity, abs=4)
     assert max(counts) - min(counts) <= 2
 
 
 def test_a_drone_alone_has_more():
     assert (
-        Dongle(None, (3,)).capacity == ALONE > Dongle(None, (3, 4)).capacity == CAPACITY
+        VirtualDongle(None, (3,)).capacity
+        == AIR_MODEL.single_capacity
+        > VirtualDongle(None, (3, 4)).capacity
+        == AIR_MODEL.shared_capacity
     )
 
 
@@ -183,7 +204,7 @@ async def test_losses_delays_and_silence_of_a_link(clock):
 @virtual
 async def test_a_lost_packet_takes_its_turn_all_the_same(clock):
     faults = Faults(loss=1.0)
-    dongle = Dongle(clock, (0, 1))
+    dongle = VirtualDongle(clock, (0, 1))
     air = Air(clock, 0, faults, dongle)
     for _ in range(5):
         air.rise(lambda: None)

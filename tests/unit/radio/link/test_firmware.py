@@ -6,12 +6,20 @@ from types import SimpleNamespace
 import pytest
 
 from crazychoir.errors import LinkFailed
-from crazychoir.radio.link.firmware import PARAM, WRITE, Firmware, _taken_or_not
+from crazychoir.radio.link.firmware import (
+    CrtpPort,
+    Firmware,
+    RequestChannel,
+    _is_write_answer,
+)
 from crazychoir.radio.protocol.crtp import Packet
 
-ONE, ZERO = (Packet(PARAM, WRITE, struct.pack("<HB", 7, value)) for value in (1, 0))
-FLOAT = Packet(PARAM, WRITE, struct.pack("<Hf", 7, 1.0))
-ERROR = Packet(PARAM, WRITE, struct.pack("<HB", 7, 2))
+ONE, ZERO = (
+    Packet(CrtpPort.PARAMETERS, RequestChannel.WRITE, struct.pack("<HB", 7, value))
+    for value in (1, 0)
+)
+FLOAT = Packet(CrtpPort.PARAMETERS, RequestChannel.WRITE, struct.pack("<Hf", 7, 1.0))
+ERROR = Packet(CrtpPort.PARAMETERS, RequestChannel.WRITE, struct.pack("<HB", 7, 2))
 
 
 @pytest.mark.parametrize(
@@ -21,15 +29,31 @@ ERROR = Packet(PARAM, WRITE, struct.pack("<HB", 7, 2))
         (ZERO, ONE, False),  # the second answer to an earlier value, late
         (FLOAT, FLOAT, True),
         (FLOAT, ERROR, True),
-        (FLOAT, Packet(PARAM, WRITE, struct.pack("<Hf", 7, 2.0)), False),
-        (FLOAT, Packet(PARAM, WRITE, struct.pack("<Hf", 8, 1.0)), False),
-        (FLOAT, Packet(PARAM, WRITE + 1, FLOAT.data), False),
+        (
+            FLOAT,
+            Packet(
+                CrtpPort.PARAMETERS, RequestChannel.WRITE, struct.pack("<Hf", 7, 2.0)
+            ),
+            False,
+        ),
+        (
+            FLOAT,
+            Packet(
+                CrtpPort.PARAMETERS, RequestChannel.WRITE, struct.pack("<Hf", 8, 1.0)
+            ),
+            False,
+        ),
+        (
+            FLOAT,
+            Packet(CrtpPort.PARAMETERS, RequestChannel.WRITE + 1, FLOAT.data),
+            False,
+        ),
     ],
 )
 def test_an_answer_to_a_write_is_the_value_that_was_asked_or_an_error(
     asked, packet, answers
 ) -> None:
-    assert _taken_or_not(asked, packet) is answers
+    assert _is_write_answer(asked, packet) is answers
 
 
 class Takes:

@@ -15,7 +15,7 @@ from crazychoir.cli.main import app
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import Refused
 from crazychoir.radio.link import ownership
-from crazychoir.radio.link.ownership import owned, require_free
+from crazychoir.radio.link.ownership import own_dongle, require_free
 
 LAND_FIRST = (
     "has it, and may fly drones: land them first (Ctrl-C there, or `crazychoir land`)"
@@ -26,7 +26,7 @@ LAND_FIRST = (
 def own_place(tmp_path, monkeypatch):
     """Locks of these tests alone."""
     monkeypatch.setattr(
-        "crazychoir.radio.link.ownership.PREFIX", f"crazychoir-{hash(tmp_path):x}-"
+        "crazychoir.radio.link.ownership.LOCK_PREFIX", f"crazychoir-{hash(tmp_path):x}-"
     )
 
 
@@ -54,19 +54,19 @@ def swarm(scheme: str = "udp") -> SwarmConfig:
 def test_a_second_owner_is_told_who_has_it_and_to_land_first(scheme) -> None:
     config = swarm(scheme)
     expected = f"dongle 1: refused: process {os.getpid()} (swarm lab) {LAND_FIRST}"
-    with owned(config, 1):
+    with own_dongle(config, 1):
         require_free(config, [0])
         for again in (
-            lambda: owned(config, 1).__enter__(),
+            lambda: own_dongle(config, 1).__enter__(),
             lambda: require_free(config, [0, 1]),
         ):
             with pytest.raises(Refused) as refused:
                 again()
             assert str(refused.value) == expected
-        with owned(config, 0):
+        with own_dongle(config, 0):
             pass
     require_free(config, [0, 1])
-    with owned(config, 1):
+    with own_dongle(config, 1):
         pass
 
 
@@ -77,7 +77,7 @@ def test_a_run_is_refused_before_any_process_is_started(tmp_path, monkeypatch) -
     config, file = swarm(), tmp_path / "lab.json"
     file.write_text(config.dumps())
     monkeypatch.setattr("crazychoir.launch.flight.fly_real", started)
-    with owned(config, 1):
+    with own_dongle(config, 1):
         said = CliRunner().invoke(app, ["run", str(file), "--json"])
     assert (said.exit_code, json.loads(said.stdout)["error"]) == (
         2,
@@ -90,9 +90,9 @@ OWNS = """if True:
     from crazychoir.radio.link import ownership
     from crazychoir.errors import Refused
     from crazychoir.config.swarm_config import SwarmConfig
-    ownership.PREFIX = sys.argv[1]
+    ownership.LOCK_PREFIX = sys.argv[1]
     try:
-        with ownership.owned(SwarmConfig.loads(sys.argv[2], "swarm.json"), 1):
+        with ownership.own_dongle(SwarmConfig.loads(sys.argv[2], "swarm.json"), 1):
             print("owns", flush=True)
             sys.stdin.read()
     except Refused as refused:
@@ -115,7 +115,7 @@ def owner(config, folder, uid=0, **environment):
         sys.executable,
         "-c",
         OWNS,
-        ownership.PREFIX,
+        ownership.LOCK_PREFIX,
         config.dumps(),
     ]
     environment = homeless(PYTHONPATH=os.pathsep.join(sys.path)) | {
@@ -169,14 +169,14 @@ def test_a_process_that_is_stopped_still_has_its_dongle_and_one_that_is_killed_h
 
 def test_a_name_of_any_length_is_locked() -> None:
     host = ".".join(["a" * 60] * 4)
-    assert len(ownership._address(f"udp://{host}:19850")) <= 108
-    assert ownership._address(f"udp://{host}:19850") != ownership._address(
+    assert len(ownership._lock_address(f"udp://{host}:19850")) <= 108
+    assert ownership._lock_address(f"udp://{host}:19850") != ownership._lock_address(
         f"udp://{host}:19851"
     )
 
 
 def test_what_cannot_be_locked_is_refused_and_never_flown_without(monkeypatch) -> None:
-    monkeypatch.setattr(ownership, "_address", lambda name: b"/nowhere/at/all")
-    monkeypatch.setattr(ownership, "_owner", lambda name: None)
-    with pytest.raises(Refused, match="cannot be locked"), owned(swarm(), 1):
+    monkeypatch.setattr(ownership, "_lock_address", lambda name: b"/nowhere/at/all")
+    monkeypatch.setattr(ownership, "_describe_owner", lambda name: None)
+    with pytest.raises(Refused, match="cannot be locked"), own_dongle(swarm(), 1):
         pass

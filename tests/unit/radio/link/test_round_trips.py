@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from crazychoir.radio.link.round_trips import SHARED, TIMED, RoundTrips
+from crazychoir.radio.link.round_trips import ECHO_STATISTICS, RoundTrips
 
 
 def sent(trips, now):
@@ -23,17 +23,17 @@ def test_nothing_is_known_before_the_first() -> None:
 
 def test_the_latency_is_that_of_95_of_100() -> None:
     trips = RoundTrips()
-    for k in range(TIMED):
+    for k in range(ECHO_STATISTICS.latency_window):
         trips.came(sent(trips, float(k)), k + 1e-3 * (k + 1))
     assert trips.latency == pytest.approx(0.095)
-    for k in range(TIMED):
+    for k in range(ECHO_STATISTICS.latency_window):
         trips.came(sent(trips, float(k)), k + 0.002)
     assert trips.latency == pytest.approx(0.002), "old ones are forgotten"
 
 
 def test_what_does_not_come_back_is_missing_in_the_share() -> None:
     trips = RoundTrips()
-    for k in range(SHARED + 1):
+    for k in range(ECHO_STATISTICS.share_window + 1):
         data = sent(trips, float(k))
         if k % 4:
             trips.came(data, k + 0.01)

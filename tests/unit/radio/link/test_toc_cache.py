@@ -1,5 +1,6 @@
 """Tables of contents: on disk whole or not at all, asked for once."""
 
+import dataclasses
 import threading
 
 import pytest
@@ -29,8 +30,8 @@ def test_what_one_process_was_told_another_reads(tmp_path) -> None:
         ]
         element = found[group][name]
         assert type(element) is type(mine)
-        assert [getattr(element, f) for f in contents.FIELDS] == [
-            getattr(mine, f) for f in contents.FIELDS
+        assert [getattr(element, f) for f in contents.ENTRY_FIELDS] == [
+            getattr(mine, f) for f in contents.ENTRY_FIELDS
         ]
 
 
@@ -65,8 +66,14 @@ def test_the_second_link_waits_for_the_first_ones_answer(tmp_path) -> None:
 
 
 def test_it_waits_no_longer_than_its_patience(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(contents, "PATIENCE", 0.05)
-    monkeypatch.setattr(contents, "LOOKS", 0.05)
+    monkeypatch.setattr(
+        contents, "TABLE_WAIT", dataclasses.replace(contents.TABLE_WAIT, longest=0.05)
+    )
+    monkeypatch.setattr(
+        contents,
+        "TABLE_WAIT",
+        dataclasses.replace(contents.TABLE_WAIT, check_period=0.05),
+    )
     table, found = TableOfContents(tmp_path), []
     assert table.fetch(7) is None
     second = threading.Thread(target=lambda: found.append(table.fetch(7)))
@@ -143,8 +150,8 @@ def test_without_a_home_they_are_known_to_this_process_and_one_line_says_so(
     for name in ("HOME", "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr("pathlib.Path.home", no_home)
-    assert contents.folder() is None
-    table = TableOfContents(contents.folder())
+    assert contents.tables_folder() is None
+    table = TableOfContents(contents.tables_folder())
     for crc in (7, 8):
         assert table.fetch(crc) is None
         table.insert(crc, told := log_table())

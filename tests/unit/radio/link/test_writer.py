@@ -2,7 +2,7 @@
 
 import threading
 
-from crazychoir.radio.link.writer import MOST, Writer
+from crazychoir.radio.link.writer import LONGEST_QUEUE, PacketWriter
 from crazychoir.radio.protocol.crtp import Packet
 
 
@@ -34,7 +34,7 @@ class Slow:
 
 def test_orders_keep_their_order_and_of_each_kind_the_newest_is_sent() -> None:
     slow = Slow()
-    writer = Writer("test", slow)
+    writer = PacketWriter("test", slow)
     writer.put(packet(1))
     assert slow.busy.wait(5.0)
     for number in (10, 11, 12):
@@ -51,7 +51,7 @@ def test_orders_keep_their_order_and_of_each_kind_the_newest_is_sent() -> None:
 
 def test_what_waits_in_order_is_sent_before_its_end() -> None:
     slow = Slow()
-    writer = Writer("test", slow)
+    writer = PacketWriter("test", slow)
     for number in (1, 2, 3):
         writer.put(packet(number))
     writer.newest("pose", packet(9))
@@ -70,7 +70,7 @@ def test_a_driver_that_raises_is_tried_again() -> None:
         sent.append(one.data[0])
         return True
 
-    writer = Writer("test", send)
+    writer = PacketWriter("test", send)
     writer.put(packet(1))
     writer.put(packet(2))
     writer.end()
@@ -80,8 +80,8 @@ def test_a_driver_that_raises_is_tried_again() -> None:
 
 def test_a_link_that_takes_nothing_does_not_grow() -> None:
     slow = Slow()
-    writer = Writer("test", slow)
-    assert all(writer.put(packet(0)) for _ in range(MOST))
+    writer = PacketWriter("test", slow)
+    assert all(writer.put(packet(0)) for _ in range(LONGEST_QUEUE))
     assert slow.busy.wait(5.0)
     writer.put(packet(0))
     assert not writer.put(packet(0))
@@ -92,7 +92,7 @@ def test_a_link_that_takes_nothing_does_not_grow() -> None:
 
 def test_what_is_forgotten_is_not_sent() -> None:
     slow = Slow()
-    writer = Writer("test", slow)
+    writer = PacketWriter("test", slow)
     writer.put(packet(1))
     assert slow.busy.wait(5.0)
     writer.newest("command", packet(20))
@@ -116,7 +116,9 @@ def test_a_link_without_room_gets_what_is_newest_and_most_urgent_when_it_has_som
         looked.set()
         return room.wait(0.005)
 
-    writer = Writer("test", lambda one: not sent.append(one.data[0]), room=has_room)
+    writer = PacketWriter(
+        "test", lambda one: not sent.append(one.data[0]), room=has_room
+    )
     writer.newest("command", packet(1))
     assert looked.wait(5.0)
     writer.put(packet(2))
@@ -139,7 +141,7 @@ def test_what_finds_no_room_is_sent_again_unless_it_is_forgotten_meanwhile() -> 
         (next_one if one.data[0] == 8 else full).set()
         return free.wait(0.005)
 
-    writer = Writer("test", send)
+    writer = PacketWriter("test", send)
     writer.newest("command", packet(7))
     assert full.wait(5.0)
     writer.forget("command")

@@ -6,9 +6,9 @@ import pytest
 
 from crazychoir.errors import ConfigError
 from crazychoir.radio.protocol.addresses import (
-    dongles,
+    find_dongle_uris,
+    replace_channels,
     require_writable,
-    with_channels,
     write_channels,
 )
 
@@ -45,8 +45,8 @@ JSON = '{"name": "lab # x", "drones" : [{"id":0,"uri" :\n "radio://1/80/2M/E7E7E
 
 
 def test_the_dongles_are_those_of_the_file_in_its_order():
-    assert list(dongles(TOML, "lab.toml")) == ["0", "ABCDEF0123"]
-    assert dongles(JSON, "lab.json") == {
+    assert list(find_dongle_uris(TOML, "lab.toml")) == ["0", "ABCDEF0123"]
+    assert find_dongle_uris(JSON, "lab.json") == {
         "1": ["radio://1/80/2M/E7E7E7E701"],
         "0": ["radio://0/2"],
     }
@@ -57,12 +57,12 @@ def test_each_uri_gets_the_channel_of_its_dongle_and_all_else_stays():
     for old, new in CHANGED.items():
         assert expected.count(old) == 1
         expected = expected.replace(old, new)
-    assert with_channels(TOML, {"0": 6, "ABCDEF0123": 104}, "lab.toml") == expected
+    assert replace_channels(TOML, {"0": 6, "ABCDEF0123": 104}, "lab.toml") == expected
 
 
 def test_json_is_changed_as_well():
     expected = JSON.replace("/1/80/", "/1/12/").replace("/0/2", "/0/34")
-    assert with_channels(JSON, {"1": 12, "0": 34}, "lab.json") == expected
+    assert replace_channels(JSON, {"1": 12, "0": 34}, "lab.json") == expected
 
 
 def test_bytes_that_are_no_text_of_ours_stay(tmp_path):
@@ -107,7 +107,7 @@ def test_a_link_stays_a_link(tmp_path):
 )
 def test_a_file_without_channels_to_change_is_refused(text, says):
     with pytest.raises(ConfigError, match=says):
-        dongles(text, "lab.toml")
+        find_dongle_uris(text, "lab.toml")
 
 
 @pytest.mark.parametrize(
@@ -122,7 +122,7 @@ def test_what_cannot_be_changed_alone_is_not_changed(text):
     with pytest.raises(
         ConfigError, match="Write the channels yourself: 6 for dongle 0"
     ):
-        with_channels(text, {"0": 6}, "lab.toml")
+        replace_channels(text, {"0": 6}, "lab.toml")
 
 
 def test_a_file_that_is_not_there_is_refused(tmp_path):

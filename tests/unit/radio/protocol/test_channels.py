@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from crazychoir.errors import ConfigError
-from crazychoir.radio.protocol.channels import frequency, parse_channels, pick
+from crazychoir.radio.protocol.channels import frequency, parse_channels, pick_channels
 
 
 @pytest.mark.parametrize(
@@ -54,12 +54,12 @@ def test_the_choice_is_the_best_of_all_choices(scores, k, spacing):
     ]
     if not allowed:
         with pytest.raises(ConfigError, match="room for"):
-            pick(scores, k, spacing)
+            pick_channels(scores, k, spacing)
         return
     least = max(min(scores[c][0] for c in chosen) for chosen in allowed)
     good = [chosen for chosen in allowed if min(scores[c][0] for c in chosen) == least]
     most = max(sum(scores[c][1] for c in chosen) for chosen in good)
-    assert pick(scores, k, spacing) == min(
+    assert pick_channels(scores, k, spacing) == min(
         ch for ch in good if sum(scores[c][1] for c in ch) == most
     )
 
@@ -72,5 +72,8 @@ def test_the_worst_chosen_counts_not_the_sum():
         4: (0.7, 0.7),
         9: (0.7, 0.7),
     }
-    assert pick(scores, 2, 5) == (4, 9)  # 5 is the best alone, and leaves 0 or 10
-    assert pick(scores, 1, 5) == (5,)
+    assert pick_channels(scores, 2, 5) == (
+        4,
+        9,
+    )  # 5 is the best alone, and leaves 0 or 10
+    assert pick_channels(scores, 1, 5) == (5,)

@@ -7,8 +7,13 @@ import pytest
 from cflib.utils.encoding import compress_quaternion, decompress_quaternion
 
 from crazychoir.errors import CodecError
-from crazychoir.radio.protocol.compressed import compressed, quaternion
-from crazychoir.radio.protocol.crtp import FORMS, MOST, Packet, parse
+from crazychoir.radio.protocol.compressed import pack_quaternion, unpack_quaternion
+from crazychoir.radio.protocol.crtp import (
+    CRTP_FORMAT,
+    PACKET_FORMS,
+    Packet,
+    parse_packet,
+)
 
 LENGTHS = {
     "rpyt": 14,
@@ -55,15 +60,15 @@ def _values(form):
 
 @pytest.mark.parametrize("name", LENGTHS)
 def test_a_form_writes_what_it_reads(name):
-    form = FORMS[name]
+    form = PACKET_FORMS[name]
     packet = form.packet(*_values(form))
-    assert len(packet.data) == LENGTHS[name] <= MOST
-    assert list(form.values(parse(packet.framed()))) == _values(form)
+    assert len(packet.data) == LENGTHS[name] <= CRTP_FORMAT.payload_size
+    assert list(form.values(parse_packet(packet.framed()))) == _values(form)
 
 
 @pytest.mark.parametrize("name", LENGTHS)
 def test_another_length_is_an_error_that_says_both(name):
-    form = FORMS[name]
+    form = PACKET_FORMS[name]
     packet = form.packet(*_values(form))
     with pytest.raises(
         CodecError, match=f"{name}: {LENGTHS[name] + 1} bytes; allowed: {LENGTHS[name]}"
@@ -73,17 +78,19 @@ def test_another_length_is_an_error_that_says_both(name):
 
 def test_a_value_that_does_not_fit_is_an_error():
     with pytest.raises(CodecError, match="full_state"):
-        FORMS["full_state"].packet(*[40000] * 13)
+        PACKET_FORMS["full_state"].packet(*[40000] * 13)
 
 
 @pytest.mark.parametrize("datagram", [b"", bytes(32)])
 def test_what_no_radio_carries_is_an_error(datagram):
     with pytest.raises(CodecError, match=f"{len(datagram)} bytes; allowed: 1 to 31"):
-        parse(datagram)
+        parse_packet(datagram)
 
 
 def test_the_header_is_port_and_channel_with_or_without_safelinks_bits():
-    assert parse(b"\x5d\x05") == parse(b"\x51\x05") == Packet(5, 1, b"\x05")
+    assert (
+        parse_packet(b"\x5d\x05") == parse_packet(b"\x51\x05") == Packet(5, 1, b"\x05")
+    )
     assert Packet(15, 1, b"\0").framed() == b"\xfd\0"
 
 
@@ -91,7 +98,7 @@ def test_a_quaternion_of_32_bits_is_the_same_rotation():
     random = np.random.default_rng(1)
     for q in random.normal(size=(50, 4)):
         q /= np.linalg.norm(q)
-        again = quaternion(compressed(q))
+        again = unpack_quaternion(pack_quaternion(q))
         assert abs(again @ q) > 1.0 - 2e-5
         assert np.linalg.norm(again) == pytest.approx(1.0, abs=1e-6)
 
@@ -100,15 +107,15 @@ def test_cflib_packs_the_same_bits():
     for q in np.random.default_rng(2).normal(size=(50, 4)):
         q /= np.linalg.norm(q)
         ours, theirs = (
-            quaternion(compressed(q)),
-            np.array(decompress_quaternion(compressed(q))),
+            unpack_quaternion(pack_quaternion(q)),
+            np.array(decompress_quaternion(pack_quaternion(q))),
         )
         assert np.allclose(ours, theirs, atol=1e-6)
-        assert np.allclose(quaternion(compress_quaternion(q)), ours, atol=3e-3)
+        assert np.allclose(unpack_quaternion(compress_quaternion(q)), ours, atol=3e-3)
 
 
 def test_forms_are_told_apart_by_their_first_bytes():
     assert len(
-        {(form.port, form.channel, form.head) for form in FORMS.values()}
-    ) == len(FORMS)
-    assert struct.calcsize("<fffH") == FORMS["rpyt"].layout.size
+        {(form.port, form.channel, form.head) for form in PACKET_FORMS.values()}
+    ) == len(PACKET_FORMS)
+    assert struct.calcsize("<fffH") == PACKET_FORMS["rpyt"].layout.size

@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import CodecError, ConfigError
-from crazychoir.platforms import CRAZYFLIE_21, PLATFORMS
+from crazychoir.platforms import CRAZYFLIE_21, PLATFORM_BY_NAME
 from crazychoir.radio.protocol.handlers import (
-    HANDLERS,
+    RADIO_HANDLERS,
     RadioHandlerFPQR,
     RadioHandlerFRPY,
     RadioHandlerFullState,
     RadioHandlerVel,
     RadioHandlerXYZ,
-    emergency,
-    idles,
+    emergency_packets,
+    is_idle_command,
     pose_packet,
 )
-from crazychoir.radio.protocol.thrust import command_a_newton
+from crazychoir.radio.protocol.thrust import thrust_command_per_newton
 from crazychoir.types import FPQR, FRPY, XYZ, FullState, Pose, Vel
 
 NEWTON = 65535 / 0.48
@@ -109,11 +109,11 @@ def test_a_plan_after_set_points_tells_then_that_they_have_ended() -> None:
     assert len(handler.planned(STOP)) == 1, "nothing was streamed since"
 
 
-@pytest.mark.parametrize("kind", HANDLERS)
+@pytest.mark.parametrize("kind", RADIO_HANDLERS)
 def test_an_owner_does_not_know_whether_one_before_it_has_sent_set_points(
     kind: str,
 ) -> None:
-    assert len(HANDLERS[kind](CRAZYFLIE_21, NEWTON).relax) == 1
+    assert len(RADIO_HANDLERS[kind](CRAZYFLIE_21, NEWTON).relax) == 1
 
 
 @pytest.mark.parametrize("verb", ["land", "take_off"])
@@ -146,7 +146,7 @@ def test_what_is_no_number_never_leaves(kind: str) -> None:
     }
     broken.setdefault("xyz", lambda flat: XYZ("line", np.append(flat, 1.0)))
     with pytest.raises(CodecError, match="finite numbers"):
-        HANDLERS[kind](CRAZYFLIE_21, NEWTON).packets(
+        RADIO_HANDLERS[kind](CRAZYFLIE_21, NEWTON).packets(
             broken[kind](np.array([np.nan, 0.0, 0.0, 0.0]))
         )
 
@@ -159,17 +159,17 @@ def test_poses_and_the_emergency_stop() -> None:
         8,
         29,
     )
-    assert [tuple(packet) for packet in emergency()] == [
+    assert [tuple(packet) for packet in emergency_packets()] == [
         (6, 1, b"\x03"),
         (9, 1, b"\x03"),
     ]
 
 
 def test_what_asks_for_motors_that_are_off() -> None:
-    assert idles(STOP)
-    assert idles(FPQR(np.zeros(4)))
-    assert not idles(Vel(np.zeros(4))), "to hover is to fly"
-    assert not idles(FPQR(np.array([0.1, 0, 0, 0])))
+    assert is_idle_command(STOP)
+    assert is_idle_command(FPQR(np.zeros(4)))
+    assert not is_idle_command(Vel(np.zeros(4))), "to hover is to fly"
+    assert not is_idle_command(FPQR(np.array([0.1, 0, 0, 0])))
 
 
 @pytest.mark.parametrize(
@@ -183,15 +183,15 @@ def test_what_asks_for_motors_that_are_off() -> None:
     ],
 )
 def test_thrust_by_release(release: str, given: float | None, value: float) -> None:
-    assert command_a_newton(release, CRAZYFLIE_21, given, "drone 3") == pytest.approx(
-        value
-    )
+    assert thrust_command_per_newton(
+        release, CRAZYFLIE_21, given, "drone 3"
+    ) == pytest.approx(value)
 
 
 def test_thrust_by_platform() -> None:
     newest = {
-        name: round(command_a_newton("2025.12", row, None, ""))
-        for name, row in PLATFORMS.items()
+        name: round(thrust_command_per_newton("2025.12", row, None, ""))
+        for name, row in PLATFORM_BY_NAME.items()
     }
     assert newest == {
         "paper": 136531,
@@ -204,13 +204,13 @@ def test_thrust_by_platform() -> None:
 
 @pytest.mark.parametrize("name", ["cf21plus", "cf21thrust", "cf21bl"])
 def test_thrust_that_nobody_has_measured_is_asked_for(name: str) -> None:
-    row = PLATFORMS[name]
+    row = PLATFORM_BY_NAME[name]
     with pytest.raises(
         ConfigError,
         match=f"found 2023.11; allowed: 2025.10 or newer, by .* {name} .* set thrust_map",
     ):
-        command_a_newton("2023.11", row, None, "drone 3")
-    assert command_a_newton("2023.11", row, 9e4, "drone 3") == 9e4
+        thrust_command_per_newton("2023.11", row, None, "drone 3")
+    assert thrust_command_per_newton("2023.11", row, 9e4, "drone 3") == 9e4
 
 
 @pytest.mark.parametrize(
@@ -221,10 +221,10 @@ def test_a_build_that_may_be_linear_already_has_no_thrust(release: str) -> None:
         ConfigError,
         match=r"newer, or a release until 2025.02, .* of this one it is 136531 since",
     ):
-        command_a_newton(release, CRAZYFLIE_21, None, "drone 3")
+        thrust_command_per_newton(release, CRAZYFLIE_21, None, "drone 3")
 
 
 @pytest.mark.parametrize("release", ["", "master", "1.0", "2025.13", "20255.1"])
 def test_an_unknown_release_has_no_thrust(release: str) -> None:
     with pytest.raises(ConfigError, match=r"drone 3: firmware: .* set thrust_map"):
-        command_a_newton(release, CRAZYFLIE_21, None, "drone 3")
+        thrust_command_per_newton(release, CRAZYFLIE_21, None, "drone 3")

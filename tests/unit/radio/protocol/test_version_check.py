@@ -4,26 +4,27 @@ import pytest
 
 from crazychoir.errors import ConfigError
 from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS
-from crazychoir.radio.protocol.crtp import FORMS, PROTOCOL, SINCE
-from crazychoir.radio.protocol.handlers import HANDLERS
+from crazychoir.radio.protocol.crtp import CRTP_FORMAT, FIRST_VERSIONS, PACKET_FORMS
+from crazychoir.radio.protocol.handlers import RADIO_HANDLERS
 from crazychoir.radio.protocol.version_check import check_protocol
 
 LEAST = {"fpqr": -1, "frpy": -1, "vel": 9, "xyz": 8, "fullstate": -1}
 
 
-@pytest.mark.parametrize("kind", HANDLERS)
+@pytest.mark.parametrize("kind", RADIO_HANDLERS)
 def test_each_sender_says_what_it_needs(kind: str) -> None:
-    for version in range(-1, PROTOCOL + 1):
+    for version in range(-1, CRTP_FORMAT.version + 1):
         if version >= LEAST[kind]:
             check_protocol(version, kind, CRAZYFLIE_21, "drone 3")
         else:
             with pytest.raises(
-                ConfigError, match=f"{LEAST[kind]} or newer, for {HANDLERS[kind].form}"
+                ConfigError,
+                match=f"{LEAST[kind]} or newer, for {RADIO_HANDLERS[kind].form}",
             ):
                 check_protocol(version, kind, CRAZYFLIE_21, "drone 3")
 
 
-@pytest.mark.parametrize("kind", HANDLERS)
+@pytest.mark.parametrize("kind", RADIO_HANDLERS)
 def test_who_must_be_armed_needs_the_port_for_it_and_no_sender_helps(kind: str) -> None:
     check_protocol(12, kind, CRAZYFLIE_21_BRUSHLESS, "drone 3")
     with pytest.raises(
@@ -45,5 +46,5 @@ def test_the_refusal_says_the_numbers_and_what_to_do() -> None:
 
 
 def test_the_table_names_forms_and_no_version_that_nobody_speaks() -> None:
-    assert SINCE.keys() <= FORMS.keys()
-    assert max(SINCE.values()) == PROTOCOL
+    assert FIRST_VERSIONS.keys() <= PACKET_FORMS.keys()
+    assert max(FIRST_VERSIONS.values()) == CRTP_FORMAT.version

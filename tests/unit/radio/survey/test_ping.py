@@ -1,5 +1,6 @@
 """Echoes through cflib's UDP link, to a drone that is nothing but its echo."""
 
+import dataclasses
 import socket
 import threading
 import time
@@ -8,7 +9,8 @@ from types import SimpleNamespace
 import pytest
 
 from crazychoir.errors import ConfigError
-from crazychoir.radio.survey.ping import NOBODY, Echoes, ping, require_uri
+from crazychoir.radio.survey import ping as ping_module
+from crazychoir.radio.survey.ping import NO_ANSWER_TEXT, PingResult, ping, require_uri
 
 ECHO = 0xFC
 
@@ -50,8 +52,10 @@ class Brisk(socket.socket):
 
 @pytest.fixture
 def quick(monkeypatch):
-    monkeypatch.setattr("crazychoir.radio.survey.ping.PATIENCE", 0.02)
-    monkeypatch.setattr("crazychoir.radio.survey.ping.FIRST", 0.2)
+    hasty = dataclasses.replace(
+        ping_module.PING_TIMING, echo_timeout=0.02, first_answer_timeout=0.2
+    )
+    monkeypatch.setattr(ping_module, "PING_TIMING", hasty)
     brisk = SimpleNamespace(**{**vars(socket), "socket": Brisk})
     monkeypatch.setattr("cflib.crtp.udpdriver.socket", brisk)
     before = threading.active_count()
@@ -105,11 +109,11 @@ def test_of_several_the_silent_and_the_absent_are_named_and_the_others_are_measu
         free.close()
         found = ping([peer.uri, silent.uri, absent], time.perf_counter, count=10)
     assert [one.lost for one in found[:1]] == [0]
-    assert found[1].error == NOBODY
+    assert found[1].error == NO_ANSWER_TEXT
     assert found[1].percentile(50) is None
     assert found[2].sent <= 2
     assert "refused" in found[2].error
-    assert NOBODY in found[2].error
+    assert NO_ANSWER_TEXT in found[2].error
 
 
 def test_an_address_that_does_not_resolve_is_an_error_of_that_drone(quick):
@@ -135,4 +139,4 @@ def test_other_addresses_are_refused(uri):
 
 
 def test_percentiles_are_of_those_that_came_back():
-    assert Echoes("udp://a:1", 4, (0.001, 0.002, 0.003)).percentile(50) == 0.002
+    assert PingResult("udp://a:1", 4, (0.001, 0.002, 0.003)).percentile(50) == 0.002

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from crazychoir.radio.survey.survey import RETRIES, Sample, Survey, survey
+from crazychoir.radio.survey.survey import SURVEY_PLAN, Sample, Survey, run_survey
 
 LOST = np.nan
 
@@ -32,7 +32,7 @@ class Scripted:
 
 def surveyed(rates, passes=2):
     found = Survey(tuple(rates), passes=passes, packets=20, seed=1)
-    survey(found, Scripted(rates))
+    run_survey(found, Scripted(rates))
     return found
 
 
@@ -55,12 +55,15 @@ def test_the_order_is_that_of_the_seed():
 
 def test_a_visit_measures_without_and_with_retries_and_is_watched():
     probe, seen = Scripted({4: [1.0], 8: [0.5]}), []
-    survey(
+    run_survey(
         Survey((4, 8), passes=1, packets=20),
         probe,
         lambda found, visit: seen.append(visit.channel),
     )
-    assert [call[1:] for call in probe.calls] == [(20, 0), (20, RETRIES)] * 2
+    assert [call[1:] for call in probe.calls] == [
+        (20, 0),
+        (20, SURVEY_PLAN.retries),
+    ] * 2
     assert seen == [channel for channel, _, _ in probe.calls[::2]]
 
 

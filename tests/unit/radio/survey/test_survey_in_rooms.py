@@ -8,24 +8,24 @@ long run, and of the share while every network and jammer of the room is in use.
 
 import pytest
 
-from crazychoir.radio.protocol.channels import pick
+from crazychoir.radio.protocol.channels import pick_channels
 from crazychoir.radio.survey.simulated_radio import SimulatedRadio, random_room
-from crazychoir.radio.survey.survey import PACKETS, PASSES, Survey, survey
+from crazychoir.radio.survey.survey import SURVEY_PLAN, Survey, run_survey
 
 CHANNELS = tuple(range(2, 84, 2))
 SPACING, WITHIN = 5, 0.02
 
 
-def surveyed(seed, passes=PASSES, packets=PACKETS):
+def surveyed(seed, passes=SURVEY_PLAN.passes, packets=SURVEY_PLAN.packets):
     room = random_room(seed, CHANNELS)
     found = Survey(CHANNELS, passes, packets, seed)
-    survey(found, SimulatedRadio(room, seed))
+    run_survey(found, SimulatedRadio(room, seed))
     return room, found
 
 
 def is_clean(room, chosen, in_use):
     truth = {c: (room.expected(c, in_use), 0.0) for c in CHANNELS}
-    best = min(truth[c][0] for c in pick(truth, len(chosen), SPACING))
+    best = min(truth[c][0] for c in pick_channels(truth, len(chosen), SPACING))
     return min(truth[c][0] for c in chosen) >= best - WITHIN
 
 

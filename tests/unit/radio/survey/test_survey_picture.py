@@ -1,12 +1,12 @@
 """The picture of a survey; how it looks is for eyes."""
 
-from crazychoir.radio.survey.survey import Measured
+from crazychoir.radio.survey.survey import ChannelResult
 from crazychoir.radio.survey.survey_picture import draw_survey
 
 ROWS = [
-    Measured(10, (1.0, 0.5), (90, 5, 3, 1, 1), (0.001, 0.002), (-50.0, 1.0)),
-    Measured(12, (0.0, 0.0), (0, 0, 0, 0, 100), None, None),
-    Measured(20, (1.0, 0.9), (99, 1, 0, 0, 0), (0.001, 0.001), (-55.0, 2.0)),
+    ChannelResult(10, (1.0, 0.5), (90, 5, 3, 1, 1), (0.001, 0.002), (-50.0, 1.0)),
+    ChannelResult(12, (0.0, 0.0), (0, 0, 0, 0, 100), None, None),
+    ChannelResult(20, (1.0, 0.9), (99, 1, 0, 0, 0), (0.001, 0.001), (-55.0, 2.0)),
 ]
 
 

@@ -8,8 +8,8 @@ from cflib.drivers.crazyradio import SET_RADIO_ARC, SET_RADIO_CHANNEL, Crazyradi
 from usb.core import USBError
 
 from crazychoir.errors import ConfigError, Refused
-from crazychoir.radio.survey.survey import Survey, survey
-from crazychoir.radio.survey.survey_radio import CrazyradioProbe, open_probe, rssi
+from crazychoir.radio.survey.survey import Survey, run_survey
+from crazychoir.radio.survey.survey_radio import CrazyradioProbe, open_probe, parse_rssi
 
 
 class Dongle:
@@ -96,7 +96,7 @@ def test_a_survey_on_a_dongle(clock):
     dongle = Dongle(fails={20: 4})
     found = Survey((10, 20), passes=3, packets=40)
     with CrazyradioProbe(Crazyradio(device=dongle), 80, clock) as probe:
-        survey(found, probe)
+        run_survey(found, probe)
         assert dongle.drone in (10, 20)
     good, bad = found.measured()
     assert good.passes == (1.0, 1.0, 1.0)
@@ -178,7 +178,7 @@ def pulled_out(*arguments, **named):
     ],
 )
 def test_only_an_answer_that_says_nothing_else_has_the_rssi(answer, dbm):
-    assert rssi(answer) == dbm or (dbm is None and np.isnan(rssi(answer)))
+    assert parse_rssi(answer) == dbm or (dbm is None and np.isnan(parse_rssi(answer)))
 
 
 def test_without_a_dongle_it_says_what_to_do(monkeypatch, clock):

@@ -12,13 +12,18 @@ from typer.testing import CliRunner
 from crazychoir.cli.main import app
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError, Refused
-from crazychoir.mocap.frames import ASK, parse
-from crazychoir.radio.protocol.crtp import FORMS, Packet
-from crazychoir.radio.virtual.control import LARGEST, ask
-from crazychoir.radio.virtual.drone import BOOT
-from crazychoir.radio.virtual.faults import KNOBS, Faults, checked
-from crazychoir.radio.virtual.server import VirtualServer, charge_of
-from crazychoir.radio.virtual.setup import groups, known_decks, of_swarm, on_a_grid
+from crazychoir.mocap.frames import FRAME_PROTOCOL, parse_frame
+from crazychoir.radio.protocol.crtp import PACKET_FORMS, Packet
+from crazychoir.radio.virtual.control import QUESTION_LIMITS, ask_server
+from crazychoir.radio.virtual.drone import FIRMWARE_TIMEOUTS
+from crazychoir.radio.virtual.faults import FAULT_SETTINGS, Faults, check_faults
+from crazychoir.radio.virtual.server import VirtualServer, charge_at_voltage
+from crazychoir.radio.virtual.setup import (
+    dongle_groups,
+    parse_decks,
+    place_on_grid,
+    select_from_swarm,
+)
 from crazychoir.runtime.clock import WallClock
 
 CONSOLE = b"\x0c"
@@ -50,7 +55,7 @@ class Open:
     async def __aenter__(self):
         self.clock = WallClock(asyncio.get_running_loop())
         self.port = _free(self.n + 1)
-        hall = on_a_grid(self.n, self.port, self.decks)
+        hall = place_on_grid(self.n, self.port, self.decks)
         self.server = VirtualServer(self.clock, hall.world(0), hall.seats, hall.poses)
         self.server.listen()
         self.door = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -93,7 +98,7 @@ class Open:
         self.run(0.5)
         list(
             self.server.ports[drone].drone.take(
-                FORMS["take_off"].packet(0, 0.6, 0.0, True, 1.0)
+                PACKET_FORMS["take_off"].packet(0, 0.6, 0.0, True, 1.0)
             )
         )
         self.run(2.0)
@@ -116,7 +121,7 @@ async def test_a_client_is_answered_and_a_scan_is_none():
 async def test_a_taken_port_is_named_and_no_other_stays_open():
     async with Open(3) as hall:
         hall.server.ports[0].close()
-        again = on_a_grid(3, hall.port, ())
+        again = place_on_grid(3, hall.port, ())
         with pytest.raises(ConfigError, match=f"UDP port {hall.port + 1}"):
             VirtualServer(hall.clock, again.world(0), again.seats, again.poses).listen()
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as door:
@@ -130,7 +135,7 @@ async def test_a_restart_closes_its_port_until_it_has_started():
         hall.run(0.05)
         assert await hall.said(ECHO) == "refused"
         assert await hall.said(ECHO, drone=1) == ECHO
-        hall.run(1e-3 * BOOT)
+        hall.run(1e-3 * FIRMWARE_TIMEOUTS.boot)
         assert await hall.said(ECHO) == ECHO
 
 
@@ -146,7 +151,7 @@ async def test_switched_off_it_is_not_there_and_falls():
             "supervisor"
         ] == "off"
         await hall.asked({"faults": {"0": {"off": 0}}})
-        hall.run(1e-3 * BOOT + 0.1)
+        hall.run(1e-3 * FIRMWARE_TIMEOUTS.boot + 0.1)
         assert await hall.said(ECHO) == ECHO
         hall.take_off()
         assert hall.height() > 0.5
@@ -191,7 +196,7 @@ async def test_one_that_has_fallen_is_carried_home_and_flies_again():
         assert "hit the floor" in hall.server.state(1)["crashed"]
         assert hall.server.state(1)["p"][0] > 1.0
         await hall.asked({"faults": {"1": {"off": 0, "home": 1, "reboot": 1}}})
-        hall.run(1e-3 * BOOT + 0.5)
+        hall.run(1e-3 * FIRMWARE_TIMEOUTS.boot + 0.5)
         assert hall.server.state(1)["crashed"] == ""
         assert np.allclose(hall.server.world.states[1], home, atol=1e-3)
         hall.take_off(1)
@@ -224,14 +229,14 @@ async def test_a_body_that_is_nowhere_stands_at_home_again_and_the_others_fly_on
         _in_the_air(hall)
         await hall.asked({"faults": {"1": {"motor": 2}}})
         hall.server.world.states[1, 3] = np.nan
-        hall.run(1e-3 * BOOT + 0.5)
+        hall.run(1e-3 * FIRMWARE_TIMEOUTS.boot + 0.5)
         assert (await _fly_on(hall, caplog))["vbat"] > 4.0
         assert np.allclose(hall.server.world.states[1], home, atol=1e-3)
         hall.take_off(1)
         assert hall.height(1) < 0.3, "a motor that was broken is broken still"
         hall.server.world.states[1, 0] = np.inf
         await hall.asked({"faults": {"1": {"motor": 0}}})
-        hall.run(1e-3 * BOOT)
+        hall.run(1e-3 * FIRMWARE_TIMEOUTS.boot)
         hall.take_off(1)
         assert hall.height(1) > 0.5
 
@@ -242,7 +247,7 @@ async def test_a_firmware_that_reckons_with_no_numbers_is_reset_and_the_others_f
     async with Open(3) as hall:
         _in_the_air(hall)
         hall.server.world.onboard[1].record["roll_pid"]["integral"] = np.nan
-        hall.run(1e-3 * BOOT + 0.5)
+        hall.run(1e-3 * FIRMWARE_TIMEOUTS.boot + 0.5)
         assert (await _fly_on(hall, caplog))["p"][2] < 0.1
 
 
@@ -256,7 +261,7 @@ async def test_what_a_drone_cannot_bear_restarts_it_alone(monkeypatch, caplog):
         assert (
             "virtual drone 1: what it says by itself: ZeroDivisionError" in caplog.text
         )
-        hall.run(1e-3 * BOOT)
+        hall.run(1e-3 * FIRMWARE_TIMEOUTS.boot)
         monkeypatch.setattr(drone.parameters, "take", lambda packet: [][0])
         assert list(drone.take(Packet(2, 1, b"\0\0"))) == []
         assert (
@@ -269,14 +274,14 @@ async def test_what_a_drone_cannot_bear_restarts_it_alone(monkeypatch, caplog):
 
 async def test_the_cameras_show_the_truth_as_long_as_somebody_asks():
     async with Open(3, decks=()) as hall:
-        assert await hall.said(ASK, port=hall.port - 1) == b""
+        assert await hall.said(FRAME_PROTOCOL.request, port=hall.port - 1) == b""
         hall.run(0.02)
-        frame = parse(hall.door.recv(65_000))
+        frame = parse_frame(hall.door.recv(65_000))
         assert list(frame.bodies) == ["cf0", "cf1", "cf2"]
         assert np.allclose(
             frame.bodies["cf1"], hall.server.world.states[1, [0, 1, 2, 6, 7, 8, 9]]
         )
-        after = parse(hall.door.recv(65_000))
+        after = parse_frame(hall.door.recv(65_000))
         assert (after.number, after.time) == (
             frame.number + 1,
             pytest.approx(frame.time + 0.01),
@@ -288,9 +293,9 @@ async def test_what_goes_wrong_with_the_cameras():
         await hall.asked(
             {"faults": {"0": {"pose_lost": 1}, "1": {"offset": [0.1, 0.0, -0.2]}}}
         )
-        await hall.said(ASK, port=hall.port - 1)
+        await hall.said(FRAME_PROTOCOL.request, port=hall.port - 1)
         hall.run(0.01)
-        bodies = parse(hall.door.recv(65_000)).bodies
+        bodies = parse_frame(hall.door.recv(65_000)).bodies
         assert set(bodies) == {"cf1", "cf2"}
         assert np.allclose(
             bodies["cf1"][:3] - hall.server.world.states[1, :3], (0.1, 0.0, -0.2)
@@ -298,9 +303,9 @@ async def test_what_goes_wrong_with_the_cameras():
         await hall.asked(
             {"faults": {"0": {"pose_lost": 0}, "1": {"offset": [0, 0, 0], "swap": 2}}}
         )
-        await hall.said(ASK, port=hall.port - 1)
+        await hall.said(FRAME_PROTOCOL.request, port=hall.port - 1)
         hall.run(0.01)
-        bodies = parse(hall.door.recv(65_000)).bodies
+        bodies = parse_frame(hall.door.recv(65_000)).bodies
         assert np.allclose(bodies["cf1"][:3], hall.server.world.states[2, :3])
         assert np.allclose(bodies["cf2"][:3], hall.server.world.states[1, :3])
         await hall.asked({"faults": {"2": {"swap": -1}}})
@@ -344,30 +349,30 @@ async def test_what_cannot_be_is_refused_with_what_can(question, says):
 
 def test_nobody_there_is_said():
     with pytest.raises(Refused, match="crazychoir virtual"):
-        ask({"ask": "state"}, port=9, deadline=0.1)
+        ask_server({"ask": "state"}, port=9, deadline=0.1)
 
 
 def test_what_a_battery_may_have_is_said_before_it_is_refused():
-    assert KNOBS["voltage"].allowed == "0, or 3 to 4.2"
+    assert FAULT_SETTINGS["voltage"].allowed == "0, or 3 to 4.2"
     for value in (0.0, 3.0, 4.2):
-        assert checked({"voltage": value}, [0]) == {"voltage": value}
+        assert check_faults({"voltage": value}, [0]) == {"voltage": value}
     for value in (2.9, 4.3, -1.0, float("nan")):
         with pytest.raises(ConfigError, match="0, or 3 to"):
-            checked({"voltage": value}, [0])
+            check_faults({"voltage": value}, [0])
 
 
 def test_each_fault_that_can_be_set_is_one_of_a_drone():
-    assert set(KNOBS) == {*Faults().listed(), "home", "reboot"}
-    assert checked({"offset": [1, 2, 3]}, [0]) == {"offset": (1.0, 2.0, 3.0)}
+    assert set(FAULT_SETTINGS) == {*Faults().listed(), "home", "reboot"}
+    assert check_faults({"offset": [1, 2, 3]}, [0]) == {"offset": (1.0, 2.0, 3.0)}
 
 
 def test_the_charge_of_a_voltage():
-    battery = on_a_grid(1, 19850, ()).world(0).platforms[0].battery
-    assert charge_of(4.2, battery) == pytest.approx(1.0)
-    assert charge_of(3.87, battery) == pytest.approx(
+    battery = place_on_grid(1, 19850, ()).world(0).platforms[0].battery
+    assert charge_at_voltage(4.2, battery) == pytest.approx(1.0)
+    assert charge_at_voltage(3.87, battery) == pytest.approx(
         0.3, abs=1e-3
     )  # the firmware's table: 30 %
-    assert charge_of(3.0, battery) > 0.0
+    assert charge_at_voltage(3.0, battery) > 0.0
 
 
 SWARM = {
@@ -397,7 +402,7 @@ SWARM = {
 
 
 def test_the_drones_of_a_swarm_stand_at_home_at_their_ports():
-    hall = of_swarm(SwarmConfig.of(SWARM, "x"), None)
+    hall = select_from_swarm(SwarmConfig.of(SWARM, "x"), None)
     seats = {seat.id: seat for seat in hall.seats}
     assert {i: seat.at[1] for i, seat in seats.items()} == {
         4: 19860,
@@ -409,30 +414,34 @@ def test_the_drones_of_a_swarm_stand_at_home_at_their_ports():
     assert (seats[4].device, seats[3].device) == ("C21B", "CF21")
     world = hall.world(0)
     assert np.allclose(world.state(2).p, (1, 0, 0))
-    assert dict(groups(hall, None, None)) == {(2, 3): 200.0, (4,): None}
+    assert dict(dongle_groups(hall, None, None)) == {(2, 3): 200.0, (4,): None}
     assert hall.poses == ("127.0.0.1", 19849)
 
 
 def test_a_swarm_without_virtual_drones_is_refused():
     simulated = {"name": "x", "drones": [{"id": 0, "home": [0, 0, 0]}]}
     with pytest.raises(ConfigError, match="udp://HOST:PORT on this machine"):
-        of_swarm(SwarmConfig.of(simulated, "x"), None)
+        select_from_swarm(SwarmConfig.of(simulated, "x"), None)
 
 
 def test_groups_of_drones_that_share_a_dongle():
-    hall = on_a_grid(5, 19850, ())
-    assert [group for group, _ in groups(hall, "0,1|4", None)] == [(0, 1), (4,)]
-    assert [group for group, _ in groups(hall, None, 2)] == [(0, 1), (2, 3), (4,)]
+    hall = place_on_grid(5, 19850, ())
+    assert [group for group, _ in dongle_groups(hall, "0,1|4", None)] == [(0, 1), (4,)]
+    assert [group for group, _ in dongle_groups(hall, None, 2)] == [
+        (0, 1),
+        (2, 3),
+        (4,),
+    ]
     for wrong in ("0,0", "0|9", "a", ""):
         with pytest.raises(ConfigError, match="groups of drones"):
-            groups(hall, wrong, None)
+            dongle_groups(hall, wrong, None)
 
 
 def test_decks_by_name():
-    assert known_decks("none") == ()
-    assert known_decks("bcFlow2,bcLighthouse4") == ("bcFlow2", "bcLighthouse4")
+    assert parse_decks("none") == ()
+    assert parse_decks("bcFlow2,bcLighthouse4") == ("bcFlow2", "bcLighthouse4")
     with pytest.raises(ConfigError, match="bcLighthouse4 knows where it is"):
-        known_decks("flow")
+        parse_decks("flow")
 
 
 async def _called(*words):
@@ -522,8 +531,8 @@ async def test_questions_about_many_drones_are_answered_in_parts_that_fit_into_d
     async with Open(n, decks=()) as hall:
         sent = Datagrams(hall.server.cameras)
         where = {"port": hall.port - 1, "deadline": 20.0}
-        state = await asyncio.to_thread(ask, {"ask": "state"}, **where)
-        faults = await asyncio.to_thread(ask, {"ask": "faults"}, **where)
+        state = await asyncio.to_thread(ask_server, {"ask": "state"}, **where)
+        faults = await asyncio.to_thread(ask_server, {"ask": "faults"}, **where)
         assert list(state) == ["time", "drones"]
         assert (
             list(state["drones"])
@@ -534,15 +543,17 @@ async def test_questions_about_many_drones_are_answered_in_parts_that_fit_into_d
             state["drones"][str(i)]["at"] == list(seat.at)
             for i, seat in enumerate(hall.server.seats)
         )
-        assert max(sent.sizes) <= LARGEST
+        assert max(sent.sizes) <= QUESTION_LIMITS.datagram_size
         names = ",".join(map(str, range(n)))
         await asyncio.to_thread(
-            ask, {"faults": {names: {"loss": 0.25, "offset": [0.1, 0.0, 0.0]}}}, **where
+            ask_server,
+            {"faults": {names: {"loss": 0.25, "offset": [0.1, 0.0, 0.0]}}},
+            **where,
         )
         assert {fault.loss for fault in hall.server.faults.values()} == {0.25}
         with pytest.raises(Refused, match="all, 0"):
             await asyncio.to_thread(
-                ask, {"faults": {f"{names},777": {"loss": 0.5}}}, **where
+                ask_server, {"faults": {f"{names},777": {"loss": 0.5}}}, **where
             )
         assert {fault.loss for fault in hall.server.faults.values()} == {0.25}, (
             "all of them, or none"
@@ -554,11 +565,11 @@ async def test_a_question_or_an_answer_that_no_datagram_holds_is_refused_and_sai
         where = {"port": hall.port - 1, "deadline": 20.0}
         with pytest.raises(Refused, match=r"a question of \d+ bytes"):
             await asyncio.to_thread(
-                ask, {"faults": {"0": {"x" * 70_000: 1.0}}}, **where
+                ask_server, {"faults": {"0": {"x" * 70_000: 1.0}}}, **where
             )
         long = (
             await asyncio.gather(
-                asyncio.to_thread(ask, {"ask": "?" * 60_000}, **where),
+                asyncio.to_thread(ask_server, {"ask": "?" * 60_000}, **where),
                 return_exceptions=True,
             )
         )[0]
@@ -567,7 +578,8 @@ async def test_a_question_or_an_answer_that_no_datagram_holds_is_refused_and_sai
         assert len(str(long)) < 5000
         hall.server.cameras._answer = lambda question: "?" * 70_000
         (large,) = await asyncio.gather(
-            asyncio.to_thread(ask, {"ask": "state"}, **where), return_exceptions=True
+            asyncio.to_thread(ask_server, {"ask": "state"}, **where),
+            return_exceptions=True,
         )
         assert "the answer has 70002 bytes" in str(large)
 
@@ -606,13 +618,13 @@ def test_an_answer_that_comes_twice_is_not_taken_for_the_next_part(stand_in):
         packed = json.dumps(part | ({"more": True} if after < 4 else {})).encode()
         return [packed, packed]
 
-    found = ask({"ask": "state"}, port=stand_in(answers, 6), deadline=20.0)
+    found = ask_server({"ask": "state"}, port=stand_in(answers, 6), deadline=20.0)
     assert found == {"drones": {str(i): {"x": i} for i in range(6)}}
 
 
 def test_what_answers_no_json_is_refused(stand_in):
     with pytest.raises(Refused, match="says no JSON"):
-        ask(
+        ask_server(
             {"ask": "state"},
             port=stand_in(lambda question: [b"\x0c"], 1),
             deadline=20.0,
@@ -634,7 +646,7 @@ def test_more_drones_than_the_cameras_see_are_refused():
         {"name": "lab", "fence": fence, "graph": "path", "drones": drones}
     )
     with pytest.raises(ConfigError, match="451 drones"):
-        of_swarm(config, None)
+        select_from_swarm(config, None)
 
 
 def test_a_body_of_a_drone_that_cameras_see_is_not_hidden_by_one_that_they_do_not_see():
@@ -661,4 +673,8 @@ def test_a_body_of_a_drone_that_cameras_see_is_not_hidden_by_one_that_they_do_no
     config = SwarmConfig.of(
         {"name": "lab", "radio": {"log_rate": 25.0}, "drones": drones}
     )
-    assert [seat.body for seat in of_swarm(config, ()).seats] == ["cf1", "", "cf2"]
+    assert [seat.body for seat in select_from_swarm(config, ()).seats] == [
+        "cf1",
+        "",
+        "cf2",
+    ]

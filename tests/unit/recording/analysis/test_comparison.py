@@ -4,9 +4,9 @@ import pytest
 
 from crazychoir.errors import ConfigError
 from crazychoir.recording.analysis.comparison import first_difference
-from crazychoir.recording.mcap.file import Entry, RecordingFile, Series
-from crazychoir.recording.mcap.messages import MESSAGES, packer
-from crazychoir.recording.mcap.sequence import told
+from crazychoir.recording.mcap.file import RecordingEntry, RecordingFile, Series
+from crazychoir.recording.mcap.messages import MESSAGE_BY_VALUE_TYPE, make_packer
+from crazychoir.recording.mcap.sequence import read_messages
 from crazychoir.types import State, Status
 
 TENTH = 100_000_000
@@ -21,10 +21,17 @@ def recorded(path, flight):
     file, series = RecordingFile(path, {"version": "1"}, "{}", False), {}
     for came_ns, drone, topic, value in flight:
         one = series.setdefault(
-            (drone, topic), Series(drone, topic, MESSAGES[type(value)])
+            (drone, topic), Series(drone, topic, MESSAGE_BY_VALUE_TYPE[type(value)])
         )
         file.write(
-            [Entry(one, came_ns, came_ns, packer(one.message, drone)(value, came_ns))]
+            [
+                RecordingEntry(
+                    one,
+                    came_ns,
+                    came_ns,
+                    make_packer(one.message, drone)(value, came_ns),
+                )
+            ]
         )
     file.close()
     return path
@@ -40,7 +47,7 @@ def instead(k, *message):
 
 
 def test_messages_come_in_order_with_their_fields(original):
-    found = list(told(original))
+    found = list(read_messages(original))
     assert [(one.came_ns, one.source.drone, one.source.topic) for one in found] == [
         row[:3] for row in FLIGHT
     ]
@@ -100,7 +107,7 @@ def test_one_that_was_cut_off_is_compared_as_far_as_it_goes(original, tmp_path):
     cut = tmp_path / "cut.mcap"
     content = original.read_bytes()
     cut.write_bytes(content[: len(content) // 3])
-    assert 0 < len(list(told(cut))) < len(FLIGHT)
+    assert 0 < len(list(read_messages(cut))) < len(FLIGHT)
     assert first_difference(cut, original) is None
     assert str(first_difference(original, cut)).endswith(
         "end: the message first, no message then"
@@ -108,7 +115,7 @@ def test_one_that_was_cut_off_is_compared_as_far_as_it_goes(original, tmp_path):
 
 
 def test_the_messages_say_why_there_are_no_more(original, tmp_path):
-    whole, content = told(original), original.read_bytes()
+    whole, content = read_messages(original), original.read_bytes()
     assert whole.fault == "not read"
     assert (len(list(whole)), whole.fault) == (len(FLIGHT), "")
     found, chunks = (
@@ -125,7 +132,7 @@ def test_the_messages_say_why_there_are_no_more(original, tmp_path):
     ):
         path = tmp_path / f"{text}.mcap"
         path.write_bytes(content[: chunks[5]] + spoilt)
-        messages = told(path, ("status",))
+        messages = read_messages(path, ("status",))
         found.append([message.values()["round"] for message in messages])
         assert messages.fault == f"{text} at byte {chunks[5] - 49 - len('zstd')}"
         assert first_difference(path, original) is None
@@ -135,4 +142,4 @@ def test_the_messages_say_why_there_are_no_more(original, tmp_path):
 def test_no_recording(tmp_path):
     (tmp_path / "a.mcap").write_text("text")
     with pytest.raises(ConfigError, match=r"a\.mcap.*an MCAP file"):
-        list(told(tmp_path / "a.mcap"))
+        list(read_messages(tmp_path / "a.mcap"))

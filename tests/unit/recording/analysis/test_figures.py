@@ -6,11 +6,16 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from crazychoir.config.checks import TOUCHING
+from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.recording.analysis import plots
-from crazychoir.recording.analysis.figures import COLUMNS, flight_of
-from crazychoir.recording.analysis.plots import FORMATS, WIDTH, draw, of_flight
-from crazychoir.recording.mcap.reading import Recording, Values
+from crazychoir.recording.analysis.figures import TRACK_COLUMNS, recorded_flight
+from crazychoir.recording.analysis.plots import (
+    COLUMN_WIDTH,
+    PICTURE_FORMATS,
+    draw,
+    flight_pictures,
+)
+from crazychoir.recording.mcap.reading import RecordedValues, Recording
 
 BEGAN = 1.7e9
 """s: real time is since 1970."""
@@ -21,11 +26,11 @@ def odometry(t, p):
     rest = [
         [*place, 0, 0, np.sqrt(0.5), np.sqrt(0.5), 0, 1.0, 0, 0, 0, 0] for place in p
     ]
-    return Values(t + BEGAN, t + BEGAN, np.array(rest))
+    return RecordedValues(t + BEGAN, t + BEGAN, np.array(rest))
 
 
 def references(t, p):
-    return Values(t + BEGAN, t + BEGAN, np.hstack([p, np.zeros((len(t), 11))]))
+    return RecordedValues(t + BEGAN, t + BEGAN, np.hstack([p, np.zeros((len(t), 11))]))
 
 
 def recording(tmp_path, n=2):
@@ -42,7 +47,7 @@ def recording(tmp_path, n=2):
 
 
 def test_figures(tmp_path):
-    figures = flight_of(recording(tmp_path)).figures()
+    figures = recorded_flight(recording(tmp_path)).figures()
     assert figures["min_separation_m"] == pytest.approx(1.0)
     own, other = figures["drones"][0], figures["drones"][1]
     assert (own.pop("source"), other["source"]) == ("truth", "truth")
@@ -66,7 +71,7 @@ def test_figures(tmp_path):
 
 
 def test_velocities_are_those_of_the_world(tmp_path):
-    track = flight_of(recording(tmp_path)).tracks[0]
+    track = recorded_flight(recording(tmp_path)).tracks[0]
     assert track.v[0] == pytest.approx([-1.0, 0.0, 0.0]), (
         "the body's y, a quarter turn to the left"
     )
@@ -76,10 +81,10 @@ def test_what_is_late_or_doubled_is_put_in_order(tmp_path):
     found = recording(tmp_path)
     truth = found.topics[0, "truth"]
     order = np.r_[1, 0, 0, 2:201]
-    found.topics[0, "truth"] = Values(
+    found.topics[0, "truth"] = RecordedValues(
         truth.came, truth.born[order], truth.numbers[order]
     )
-    track = flight_of(found).tracks[0]
+    track = recorded_flight(found).tracks[0]
     assert len(track.t) == 201
     assert track.p[:, 0] == pytest.approx(track.t / 10.0, abs=1e-6)
 
@@ -88,17 +93,19 @@ def test_a_gap_is_no_line(tmp_path):
     found = recording(tmp_path)
     truth = found.topics[1, "truth"]
     seen = (truth.born - BEGAN < 3.0) | (truth.born - BEGAN > 4.0)
-    found.topics[1, "truth"] = Values(
+    found.topics[1, "truth"] = RecordedValues(
         truth.came[seen], truth.born[seen], truth.numbers[seen]
     )
-    flight = flight_of(found)
+    flight = recorded_flight(found)
     unknown = np.isnan(flight.separation)
     assert 0.9 < unknown.sum() / 20.0 < 1.1
     assert flight.figures()["min_separation_m"] == pytest.approx(1.0)
 
 
 def test_one_drone_alone_has_no_separation(tmp_path):
-    assert flight_of(recording(tmp_path, n=1)).figures()["min_separation_m"] is None
+    assert (
+        recorded_flight(recording(tmp_path, n=1)).figures()["min_separation_m"] is None
+    )
 
 
 def test_where_there_is_no_truth_a_drone_is_where_it_took_itself_to_be(tmp_path):
@@ -106,7 +113,7 @@ def test_where_there_is_no_truth_a_drone_is_where_it_took_itself_to_be(tmp_path)
     found = recording(tmp_path, n=4)
     del found.topics[0, "truth"], found.topics[3, "truth"], found.topics[3, "state"]
     found.about["unseen"] = "2,12"
-    figures = flight_of(found).figures()
+    figures = recorded_flight(found).figures()
     assert {i: own["source"] for i, own in figures["drones"].items()} == {
         0: "state",
         1: "truth",
@@ -123,38 +130,40 @@ def test_where_there_is_no_truth_a_drone_is_where_it_took_itself_to_be(tmp_path)
 def test_without_truth_and_state_there_is_no_flight(tmp_path):
     found = recording(tmp_path, n=1)
     del found.topics[0, "truth"], found.topics[0, "state"]
-    flight = flight_of(found)
+    flight = recorded_flight(found)
     assert flight.figures() == {"min_separation_m": None, "drones": {}}
-    pictures, missing = of_flight(flight)
+    pictures, missing = flight_pictures(flight)
     assert (pictures, set(missing.values())) == ({}, {"no truth or state of any drone"})
 
 
 def test_a_table_a_drone(tmp_path):
-    flight_of(recording(tmp_path)).tracks[0].write(tmp_path / "drone0.csv")
+    recorded_flight(recording(tmp_path)).tracks[0].write(tmp_path / "drone0.csv")
     rows = np.genfromtxt(tmp_path / "drone0.csv", delimiter=",", names=True)
-    assert rows.dtype.names == COLUMNS
+    assert rows.dtype.names == TRACK_COLUMNS
     assert rows["t_s"][[0, -1]].tolist() == pytest.approx([0.0, 10.0])
     assert rows["tracking_error_m"][0] == pytest.approx(0.03)
     assert np.isnan(rows["reference_z_m"][-1])
 
 
-@pytest.mark.parametrize(("n", "formats"), [(1, ("png",)), (7, FORMATS), (8, ("png",))])
+@pytest.mark.parametrize(
+    ("n", "formats"), [(1, ("png",)), (7, PICTURE_FORMATS), (8, ("png",))]
+)
 def test_pictures_have_the_width_of_a_column(tmp_path, monkeypatch, n, formats):
-    monkeypatch.setattr(plots, "FORMATS", formats)
-    pictures, missing = of_flight(flight_of(recording(tmp_path, n)))
+    monkeypatch.setattr(plots, "PICTURE_FORMATS", formats)
+    pictures, missing = flight_pictures(recorded_flight(recording(tmp_path, n)))
     assert missing == ({"separation": "no two drones at one time"} if n == 1 else {})
     files = draw(pictures, tmp_path)
     assert len(files) == (4 if n == 1 else 5) * len(formats)
     for path in files:
         if path.suffix == ".png":
-            assert imread(path).shape[1] == round(300 * WIDTH)
+            assert imread(path).shape[1] == round(300 * COLUMN_WIDTH)
 
 
 def drawn(found, name):
     """The axes of a picture of a recording, and the texts of its legend."""
     figure = Figure(layout="constrained")
     FigureCanvasAgg(figure)
-    of_flight(flight_of(found))[0][name][1](figure)
+    flight_pictures(recorded_flight(found))[0][name][1](figure)
     return figure.axes[0], [
         text.get_text() for legend in figure.legends for text in legend.get_texts()
     ]
@@ -246,7 +255,10 @@ def test_distances_are_drawn_with_the_one_at_which_drones_may_touch(tmp_path):
     )
     least, touching = (data(line) for line in axes.lines)
     np.testing.assert_allclose(least[1], 1.0 - 0.08 * least[0], atol=1e-6)
-    assert touching[1].tolist() == [TOUCHING, TOUCHING]
+    assert touching[1].tolist() == [
+        SWARM_LIMITS.touching_distance,
+        SWARM_LIMITS.touching_distance,
+    ]
     assert legend == []
 
 
@@ -268,6 +280,6 @@ def test_who_is_drawn_by_its_own_state_is_marked(tmp_path):
 def test_without_a_reference_no_errors_are_drawn(tmp_path):
     found = recording(tmp_path)
     del found.topics[0, "reference"]
-    pictures, missing = of_flight(flight_of(found))
+    pictures, missing = flight_pictures(recorded_flight(found))
     assert list(pictures) == ["top", "space", "heights", "separation"]
     assert missing == {"tracking": "no reference while it was known where a drone was"}

@@ -10,15 +10,29 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from crazychoir.bus.codec import encode
-from crazychoir.guidance.feedback import LAW
+from crazychoir.guidance.feedback import LAW_TASK
 from crazychoir.recording.analysis import plots
-from crazychoir.recording.analysis.activity import Span, Stop, Work, work_of
-from crazychoir.recording.analysis.communication import Talk, talk_of
-from crazychoir.recording.analysis.figures import Flight, Track
-from crazychoir.recording.analysis.plots import WIDTH, draw
-from crazychoir.recording.analysis.team_plots import LEAST, PHASES, law_times, of_team
-from crazychoir.recording.mcap.file import Entry, RecordingFile, Series
-from crazychoir.recording.mcap.messages import MESSAGES, Exchanged, packer
+from crazychoir.recording.analysis.activity import (
+    CompletedStop,
+    FlightActivity,
+    Span,
+    read_activity,
+)
+from crazychoir.recording.analysis.communication import TeamMessages, read_team_messages
+from crazychoir.recording.analysis.figures import RecordedFlight, RecordedTrack
+from crazychoir.recording.analysis.plots import COLUMN_WIDTH, draw
+from crazychoir.recording.analysis.team_plots import (
+    PHASE_COLOURS,
+    TEAM_PLOT_LIMITS,
+    law_times,
+    team_pictures,
+)
+from crazychoir.recording.mcap.file import RecordingEntry, RecordingFile, Series
+from crazychoir.recording.mcap.messages import (
+    MESSAGE_BY_VALUE_TYPE,
+    Exchanged,
+    make_packer,
+)
 from crazychoir.team.rounds import AHEAD, FIN, REPEAT, WANT
 from crazychoir.types import Status
 
@@ -58,7 +72,7 @@ def rounds(values):
 
 
 def law():
-    return statuses(4, [(1.0, "hovering", LAW, 0), (6.5, "hovering", LAW, 9)])
+    return statuses(4, [(1.0, "hovering", LAW_TASK, 0), (6.5, "hovering", LAW_TASK, 9)])
 
 
 @pytest.fixture
@@ -76,9 +90,15 @@ def recorded(tmp_path):
             ns = round(came * 1e9)
             one = series.setdefault(
                 (drone, type(value)),
-                Series(drone, topics[type(value)], MESSAGES[type(value)]),
+                Series(drone, topics[type(value)], MESSAGE_BY_VALUE_TYPE[type(value)]),
             )
-            file.write([Entry(one, ns, ns, packer(one.message, drone)(value, ns))])
+            file.write(
+                [
+                    RecordingEntry(
+                        one, ns, ns, make_packer(one.message, drone)(value, ns)
+                    )
+                ]
+            )
         file.close()
         return tmp_path / "a.mcap"
 
@@ -88,21 +108,25 @@ def recorded(tmp_path):
 def track(drone):
     t = np.linspace(0.0, 7.0, 141)
     p = np.column_stack([np.exp(-t), np.full(141, float(drone)), np.ones(141)])
-    return Track(drone, "truth", t, p, np.zeros((141, 4)), 0 * p, 0 * p, 0 * p, 0 * p)
+    return RecordedTrack(
+        drone, "truth", t, p, np.zeros((141, 4)), 0 * p, 0 * p, 0 * p, 0 * p
+    )
 
 
 def flight():
-    return Flight((track(2), track(4)), np.linspace(0.0, 7.0, 141), np.ones(141))
+    return RecordedFlight(
+        (track(2), track(4)), np.linspace(0.0, 7.0, 141), np.ones(141)
+    )
 
 
 def test_phases_are_joined_and_stops_are_named_by_the_result(recorded):
-    work = work_of(recorded(statuses(2), [(BEGAN + 8.0, 2, RESULT)]), BEGAN)
+    work = read_activity(recorded(statuses(2), [(BEGAN + 8.0, 2, RESULT)]), BEGAN)
     assert work.spans[1:4] == (
         Span(2, 1.0, 2.0, "taking off", "flying: 0/2 stops"),
         Span(2, 2.0, 3.0, "mission", "flying: 0/2 stops"),
         Span(2, 3.0, 4.0, "hovering", "flying: 0/2 stops"),
     )
-    assert work.stops == (Stop(2, 4.0, "+3"), Stop(2, 5.0, "−3"))
+    assert work.stops == (CompletedStop(2, 4.0, "+3"), CompletedStop(2, 5.0, "−3"))
     assert (work.drones, work.flown) == ([2], True)
 
 
@@ -115,7 +139,7 @@ def test_phases_are_joined_and_stops_are_named_by_the_result(recorded):
     ],
 )
 def test_stops_of_any_mission(recorded, result, labels):
-    work = work_of(recorded(statuses(2), [(BEGAN + 8.0, 2, result)]), BEGAN)
+    work = read_activity(recorded(statuses(2), [(BEGAN + 8.0, 2, result)]), BEGAN)
     assert [stop.label.replace("−", "-") for stop in work.stops] == labels
 
 
@@ -140,7 +164,7 @@ def test_drones_with_results_of_their_own_kind_stand_beside_those_of_ours(
     path = recorded(
         statuses(2), statuses(4), [(BEGAN + 8.0, 2, RESULT), (BEGAN + 8.5, 4, result)]
     )
-    work, talk = work_of(path, BEGAN), talk_of(path, BEGAN)
+    work, talk = read_activity(path, BEGAN), read_team_messages(path, BEGAN)
     assert [stop.label for stop in work.stops if stop.drone == 2] == [
         "+3",
         "\N{MINUS SIGN}3",
@@ -160,13 +184,13 @@ def test_stops_of_each_drone_are_its_own_and_counts_may_jump(recorded, tmp_path)
     path = recorded(
         statuses(2), statuses(4, other), [(BEGAN + 8.0, 4, {"done": [[7, 1], [9, 2]]})]
     )
-    work = work_of(path, BEGAN)
+    work = read_activity(path, BEGAN)
     assert work.drones == [2, 4]
     assert work.stops == (
-        Stop(2, 4.0, "(1)"),
-        Stop(2, 5.0, "(2)"),
-        Stop(4, 2.0, "7"),
-        Stop(4, 2.0, "9"),
+        CompletedStop(2, 4.0, "(1)"),
+        CompletedStop(2, 5.0, "(2)"),
+        CompletedStop(4, 2.0, "7"),
+        CompletedStop(4, 2.0, "9"),
     )
     assert work.spans[-2:] == (
         Span(4, 2.0, 3.0, "mission", "2 done, task 9"),
@@ -194,7 +218,7 @@ def test_stops_of_each_drone_are_its_own_and_counts_may_jump(recorded, tmp_path)
 
 
 def test_the_table_of_tasks(recorded, tmp_path):
-    work_of(recorded(statuses(2), [(BEGAN + 8.0, 2, RESULT)]), BEGAN).write(
+    read_activity(recorded(statuses(2), [(BEGAN + 8.0, 2, RESULT)]), BEGAN).write(
         tmp_path / "tasks.csv"
     )
     with (tmp_path / "tasks.csv").open() as file:
@@ -208,7 +232,7 @@ def test_the_table_of_tasks(recorded, tmp_path):
 
 
 def test_rates_are_those_of_the_whole_team(recorded, tmp_path):
-    talk = talk_of(recorded(statuses(2), statuses(4)), BEGAN)
+    talk = read_team_messages(recorded(statuses(2), statuses(4)), BEGAN)
     assert talk.t[[0, -1]].tolist() == pytest.approx([0.5, 7.0])
     assert talk.rates[0] == pytest.approx([200.0, 40.0, 0.0])
     assert talk.rates[-1] == pytest.approx([100.0, 20.0, 0.0])
@@ -218,13 +242,15 @@ def test_rates_are_those_of_the_whole_team(recorded, tmp_path):
 
 
 def test_who_is_heard_later_or_no_more_says_no_messages_meanwhile(recorded):
-    talk = talk_of(recorded(statuses(2), statuses(4, SAID[4:6])), BEGAN)
+    talk = read_team_messages(recorded(statuses(2), statuses(4, SAID[4:6])), BEGAN)
     assert talk.t[[0, -1]].tolist() == pytest.approx([0.5, 7.0])
     sent = dict(zip(talk.t.round(1).tolist(), talk.rates[:, 0].tolist(), strict=True))
     assert (sent[0.5], sent[4.0], sent[4.5], sent[5.0], sent[5.5]) == pytest.approx(
         (100, 50, 100, 100, 50)
     )
-    talk = talk_of(recorded(statuses(2, SAID[5:]), statuses(4, SAID[:4])), BEGAN)
+    talk = read_team_messages(
+        recorded(statuses(2, SAID[5:]), statuses(4, SAID[:4])), BEGAN
+    )
     assert talk.t[[0, -1]].tolist() == pytest.approx([0.5, 7.0])
 
 
@@ -236,7 +262,7 @@ def test_an_agent_that_is_started_anew_counts_from_nothing(recorded):
         (2.0, "mission", "", 20),
         (3.0, "mission", "", 30),
     ]
-    talk = talk_of(recorded(statuses(2, said)), BEGAN)
+    talk = read_team_messages(recorded(statuses(2, said)), BEGAN)
     assert talk.rates[:, 0] == pytest.approx([30, 30, 20, 20, 10, 10])
     assert talk.rates[:, 1] == pytest.approx([6, 6, 4, 4, 2, 2])
 
@@ -254,7 +280,7 @@ def test_what_has_no_content_is_no_message_of_a_round(recorded):
             for i, kind, payload in said
         ]
     )
-    (channel,) = talk_of(path, BEGAN).channels
+    (channel,) = read_team_messages(path, BEGAN).channels
     assert (
         channel.rounds.tolist(),
         channel.different.tolist(),
@@ -271,7 +297,7 @@ def test_channels_come_in_order_of_their_first_message_and_rounds_by_number(
         for k, (name, number, value) in enumerate(said)
         for i in (0, 1)
     ]
-    talk = talk_of(recorded(messages), BEGAN)
+    talk = read_team_messages(recorded(messages), BEGAN)
     assert [(channel.name, channel.rounds.tolist()) for channel in talk.channels] == [
         ("b", [0, 1]),
         ("a", [0, 1]),
@@ -287,10 +313,12 @@ def test_channels_come_in_order_of_their_first_message_and_rounds_by_number(
 
 def test_rounds_of_numbers_and_of_anything(recorded, tmp_path):
     numbers = {0: [[0.0, 1.0], [2.0, 2.0]], 1: [[4.0, 1.0], [2.0, 2.0]]}
-    (channel,) = talk_of(recorded(rounds(numbers)), BEGAN).channels
+    (channel,) = read_team_messages(recorded(rounds(numbers)), BEGAN).channels
     assert (channel.name, channel.different.tolist()) == ("mean", [2, 1])
     assert channel.spread.tolist() == [2.0, 0.0]
-    talk = talk_of(recorded(rounds({0: ["a", {"b": 1}], 1: ["b", {"b": 1}]})), BEGAN)
+    talk = read_team_messages(
+        recorded(rounds({0: ["a", {"b": 1}], 1: ["b", {"b": 1}]})), BEGAN
+    )
     (channel,) = talk.channels
     assert (channel.different.tolist(), channel.spread) == ([2, 1], None)
     talk.write_rounds(tmp_path / "rounds.csv")
@@ -301,7 +329,7 @@ def test_rounds_of_numbers_and_of_anything(recorded, tmp_path):
 
 
 def test_how_routes_were_planned(recorded, tmp_path):
-    talk = talk_of(recorded(statuses(2), [(BEGAN + 8.0, 2, RESULT)]), BEGAN)
+    talk = read_team_messages(recorded(statuses(2), [(BEGAN + 8.0, 2, RESULT)]), BEGAN)
     np.testing.assert_array_equal(
         talk.history[2], [[1, np.nan, np.nan], [4, 9.5, np.nan], [8, 7.25, 8.0]]
     )
@@ -325,21 +353,28 @@ def test_how_routes_were_planned(recorded, tmp_path):
     ids=["routes", "rounds", "law", "neither"],
 )
 def test_pictures_of_a_team(recorded, tmp_path, monkeypatch, more, names):
-    monkeypatch.setattr(plots, "FORMATS", ("png",))
+    monkeypatch.setattr(plots, "PICTURE_FORMATS", ("png",))
     path = recorded(statuses(2), more())
-    pictures, missing = of_team(flight(), work_of(path, BEGAN), talk_of(path, BEGAN))
+    pictures, missing = team_pictures(
+        flight(), read_activity(path, BEGAN), read_team_messages(path, BEGAN)
+    )
     assert list(pictures) == names
     assert sorted([*pictures, *missing]) == ["convergence", "messages", "tasks"]
     for file in draw(pictures, tmp_path):
-        assert imread(file).shape[1] == round(300 * WIDTH)
+        assert imread(file).shape[1] == round(300 * COLUMN_WIDTH)
 
 
 def test_of_a_recording_without_any_of_it_nothing_is_drawn(recorded):
     path = recorded([(BEGAN, 2, {"success": True})])
-    assert of_team(flight(), work_of(path, BEGAN), talk_of(path, BEGAN))[0] == {}
+    assert (
+        team_pictures(
+            flight(), read_activity(path, BEGAN), read_team_messages(path, BEGAN)
+        )[0]
+        == {}
+    )
 
 
-SILENCE = Talk(np.zeros(0), np.zeros((0, 3)), (), {})
+SILENCE = TeamMessages(np.zeros(0), np.zeros((0, 3)), (), {})
 
 
 def drawn(picture):
@@ -360,8 +395,8 @@ def data(axes):
 
 def test_a_bar_is_a_phase_and_a_mark_a_stop(recorded):
     path = recorded(statuses(2), statuses(4, SAID[:3]), [(BEGAN + 8.0, 2, RESULT)])
-    work = work_of(path, BEGAN)
-    axes = drawn(of_team(flight(), work, SILENCE)[0]["tasks"])
+    work = read_activity(path, BEGAN)
+    axes = drawn(team_pictures(flight(), work, SILENCE)[0]["tasks"])
     assert len(axes.patches) == len(work.spans)
     for bar, span in zip(axes.patches, work.spans, strict=True):
         assert (bar.get_x(), bar.get_width()) == pytest.approx(
@@ -370,7 +405,7 @@ def test_a_bar_is_a_phase_and_a_mark_a_stop(recorded):
         assert bar.get_y() + 0.5 * bar.get_height() == pytest.approx(
             {2: 0.0, 4: -1.0}[span.drone]
         )
-        assert to_hex(bar.get_facecolor()) == PHASES[span.phase].lower()
+        assert to_hex(bar.get_facecolor()) == PHASE_COLOURS[span.phase].lower()
     assert [x.tolist() for x, _ in data(axes)] == [[4.0, 4.0], [5.0, 5.0]]
     assert [(text.get_text(), text.get_position()[0]) for text in axes.texts] == [
         ("+3", 4.0),
@@ -381,18 +416,24 @@ def test_a_bar_is_a_phase_and_a_mark_a_stop(recorded):
 
 
 def test_names_of_stops_do_not_cover_each_other():
-    stops = (Stop(2, 50.0, "abc"), Stop(2, 50.5, "d"), Stop(2, 60.0, "e"))
+    stops = (
+        CompletedStop(2, 50.0, "abc"),
+        CompletedStop(2, 50.5, "d"),
+        CompletedStop(2, 60.0, "e"),
+    )
     axes = drawn(
-        of_team(flight(), Work((Span(2, 0.0, 100.0, "mission", ""),), stops), SILENCE)[
-            0
-        ]["tasks"]
+        team_pictures(
+            flight(),
+            FlightActivity((Span(2, 0.0, 100.0, "mission", ""),), stops),
+            SILENCE,
+        )[0]["tasks"]
     )
     assert [text.get_va() for text in axes.texts] == ["bottom", "top", "bottom"]
 
 
 def test_the_picture_of_messages_shows_their_rates(recorded):
-    talk = talk_of(recorded(statuses(2)), BEGAN)
-    axes = drawn(of_team(flight(), Work((), ()), talk)[0]["messages"])
+    talk = read_team_messages(recorded(statuses(2)), BEGAN)
+    axes = drawn(team_pictures(flight(), FlightActivity((), ()), talk)[0]["messages"])
     for (t, rate), expected in zip(data(axes), talk.rates.T, strict=True):
         np.testing.assert_array_equal(t, talk.t)
         np.testing.assert_array_equal(rate, expected)
@@ -409,9 +450,9 @@ def test_routes_go_before_laws_and_these_before_rounds(recorded):
     for parts in ((result, law(), said), (law(), said), (said,)):
         path = recorded(statuses(2), *parts)
         axes = drawn(
-            of_team(flight(), work_of(path, BEGAN), talk_of(path, BEGAN))[0][
-                "convergence"
-            ]
+            team_pictures(
+                flight(), read_activity(path, BEGAN), read_team_messages(path, BEGAN)
+            )[0]["convergence"]
         )
         labels.append(axes.get_ylabel())
     assert labels == [
@@ -424,7 +465,11 @@ def test_routes_go_before_laws_and_these_before_rounds(recorded):
 def test_what_was_known_of_routes_in_each_round(recorded):
     path = recorded(statuses(2), [(BEGAN + 8.0, 2, RESULT)])
     (k, relaxed), (_, best) = data(
-        drawn(of_team(flight(), Work((), ()), talk_of(path, BEGAN))[0]["convergence"])
+        drawn(
+            team_pictures(
+                flight(), FlightActivity((), ()), read_team_messages(path, BEGAN)
+            )[0]["convergence"]
+        )
     )
     np.testing.assert_array_equal(k, [1, 4, 8, 9])
     np.testing.assert_array_equal(relaxed, [np.nan, 9.5, 7.25, 7.25])
@@ -433,38 +478,48 @@ def test_what_was_known_of_routes_in_each_round(recorded):
 
 def test_a_law_is_shown_by_the_distance_from_where_it_ended(recorded):
     path = recorded(law())
-    axes = drawn(of_team(flight(), work_of(path, BEGAN), SILENCE)[0]["convergence"])
+    axes = drawn(
+        team_pictures(flight(), read_activity(path, BEGAN), SILENCE)[0]["convergence"]
+    )
     ((t, far),) = data(axes)
     own = track(4)
     during = (own.t >= 1.0) & (own.t <= 6.5)
     end = own.p[(own.t >= 5.5) & (own.t <= 6.5)].mean(axis=0)
     np.testing.assert_allclose(t, own.t[during] - 1.0)
     np.testing.assert_allclose(
-        far, np.maximum(np.linalg.norm(own.p[during] - end, axis=1), LEAST)
+        far,
+        np.maximum(
+            np.linalg.norm(own.p[during] - end, axis=1), TEAM_PLOT_LIMITS.least_value
+        ),
     )
     assert (axes.get_yscale(), axes.get_xlim()) == ("log", (0.0, 5.5))
 
 
 def test_a_law_counts_from_its_first_step_to_its_last():
-    said = [(1.0, 2.0, LAW), (2.0, 3.0, "held"), (3.0, 5.0, LAW)]
+    said = [(1.0, 2.0, LAW_TASK), (2.0, 3.0, "held"), (3.0, 5.0, LAW_TASK)]
     spans = [Span(4, begin, end, "mission", task) for begin, end, task in said]
-    assert law_times(Work((*spans, Span(5, 0.0, 9.0, "mission", "x")), ())) == {
-        4: (1.0, 5.0)
-    }
+    assert law_times(
+        FlightActivity((*spans, Span(5, 0.0, 9.0, "mission", "x")), ())
+    ) == {4: (1.0, 5.0)}
 
 
 def test_rounds_are_shown_by_their_spread_or_by_how_many_differ(recorded):
     of_numbers = rounds({2: [1.0, 2.0], 4: [3.0, 2.0]})
-    talk = talk_of(recorded(of_numbers), BEGAN)
+    talk = read_team_messages(recorded(of_numbers), BEGAN)
     ((k, spread),) = data(
-        drawn(of_team(flight(), Work((), ()), talk)[0]["convergence"])
+        drawn(team_pictures(flight(), FlightActivity((), ()), talk)[0]["convergence"])
     )
-    assert (k.tolist(), spread.tolist()) == ([0, 1], [1.0, LEAST])
+    assert (k.tolist(), spread.tolist()) == (
+        [0, 1],
+        [1.0, TEAM_PLOT_LIMITS.least_value],
+    )
     of_words = rounds({2: ["a", "b"], 4: ["c", "b"]})
     axes = drawn(
-        of_team(flight(), Work((), ()), talk_of(recorded(of_words), BEGAN))[0][
-            "convergence"
-        ]
+        team_pictures(
+            flight(),
+            FlightActivity((), ()),
+            read_team_messages(recorded(of_words), BEGAN),
+        )[0]["convergence"]
     )
     ((k, different),) = data(axes)
     assert (k.tolist(), different.tolist(), axes.get_ylim()) == (
@@ -474,20 +529,20 @@ def test_rounds_are_shown_by_their_spread_or_by_how_many_differ(recorded):
     )
 
 
-NOWHERE = Flight((), np.zeros(0), np.zeros(0))
+NOWHERE = RecordedFlight((), np.zeros(0), np.zeros(0))
 
 
 def test_of_a_team_that_nobody_saw_there_is_what_it_said(recorded):
     """Without truth or state: all but the distances of a law."""
     path = recorded(statuses(2), law(), [(BEGAN + 8.0, 2, RESULT)])
-    work, talk = work_of(path, BEGAN), talk_of(path, BEGAN)
-    pictures, missing = of_team(NOWHERE, work, talk)
+    work, talk = read_activity(path, BEGAN), read_team_messages(path, BEGAN)
+    pictures, missing = team_pictures(NOWHERE, work, talk)
     assert (list(pictures), missing) == (["tasks", "messages", "convergence"], {})
     axes = drawn(pictures["convergence"])
     np.testing.assert_array_equal(data(axes)[0][1], [np.nan, 9.5, 7.25, 7.25])
     (legend,) = axes.figure.legends
     assert [text.get_text() for text in legend.get_texts()] == ["drone 2", "best plan"]
-    pictures, missing = of_team(NOWHERE, work, SILENCE)
+    pictures, missing = team_pictures(NOWHERE, work, SILENCE)
     assert list(pictures) == ["tasks"]
     assert missing == {
         "messages": "no two statuses of a drone",
@@ -500,14 +555,16 @@ def test_what_was_minimised_has_its_unit(recorded, tmp_path):
         (["total"], "m", "length of all routes [m]"),
         (["makespan", "total"], "s", "time until all are back [s]"),
     ):
-        talk = talk_of(
+        talk = read_team_messages(
             recorded(
                 statuses(2), [(BEGAN + 8.0, 2, RESULT | {"objective": objective})]
             ),
             BEGAN,
         )
         assert (
-            drawn(of_team(flight(), Work((), ()), talk)[0]["convergence"]).get_ylabel()
+            drawn(
+                team_pictures(flight(), FlightActivity((), ()), talk)[0]["convergence"]
+            ).get_ylabel()
             == label
         )
         talk.write_history(tmp_path / "convergence.csv")

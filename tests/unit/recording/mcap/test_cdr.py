@@ -6,14 +6,14 @@ import pytest
 from ros2_decoders import decoded
 
 from crazychoir.recording.mcap.cdr import (
-    HEAD,
-    RULE,
+    CDR_HEADER,
+    SCHEMA_SEPARATOR,
     Layout,
     Leaf,
     definitions_of,
     leaves,
     schema,
-    unpacked,
+    unpack_values,
 )
 
 INNER = {"a/Inner": "uint8 n\nfloat64 x", "a/Stamp": "int32 sec\nuint32 nanosec"}
@@ -25,7 +25,9 @@ def packed(text, values, constants=None, **more):
     message = Layout(list(leaves("a/Outer", definitions)), constants or {}).pack(values)
     written = schema("a/Outer", definitions)
     found = decoded("a/msg/Outer", written, message)
-    own = unpacked(list(leaves("a/Outer", definitions_of("a/Outer", written))), message)
+    own = unpack_values(
+        list(leaves("a/Outer", definitions_of("a/Outer", written))), message
+    )
     assert own == flat(found)
     return found
 
@@ -55,7 +57,7 @@ def test_a_number_lies_at_a_multiple_of_its_size_counted_after_the_head():
     message = layout.pack((7, 1.5, 9, -2))
     assert (
         message
-        == HEAD
+        == CDR_HEADER
         + b"\7"
         + bytes(7)
         + struct.pack("<d", 1.5)
@@ -172,8 +174,13 @@ def test_a_schema_names_every_message_once_and_drops_no_comment():
             "a/Other": "bool b",
         },
     )
-    assert text.split(f"{RULE}\n")[0] == "a/Inner p  # m\na/Inner q\na/Stamp t\n"
-    assert [part.splitlines()[0] for part in text.split(f"{RULE}\n")[1:]] == [
+    assert (
+        text.split(f"{SCHEMA_SEPARATOR}\n")[0]
+        == "a/Inner p  # m\na/Inner q\na/Stamp t\n"
+    )
+    assert [
+        part.splitlines()[0] for part in text.split(f"{SCHEMA_SEPARATOR}\n")[1:]
+    ] == [
         "MSG: a/Inner",
         "MSG: a/Stamp",
     ]
@@ -182,7 +189,7 @@ def test_a_schema_names_every_message_once_and_drops_no_comment():
 def test_a_message_that_is_cut_off_is_an_error():
     fields = [Leaf("n", "uint8"), Leaf("s", "string"), Leaf("x", "float64")]
     message = Layout(fields, {}).pack((1, "text", 2.5))
-    assert unpacked(fields, message) == {"n": 1, "s": "text", "x": 2.5}
+    assert unpack_values(fields, message) == {"n": 1, "s": "text", "x": 2.5}
     for end in range(4, len(message)):
         with pytest.raises((struct.error, IndexError)):
-            unpacked(fields, message[:end])
+            unpack_values(fields, message[:end])

@@ -4,12 +4,16 @@ import msgspec
 import numpy as np
 import pytest
 
-from crazychoir.bus.json_view import plain
+from crazychoir.bus.json_view import to_plain_values
 from crazychoir.errors import ConfigError
-from crazychoir.recording.mcap.decode import BY_TYPE, Values
-from crazychoir.recording.mcap.file import Entry, RecordingFile, Series
-from crazychoir.recording.mcap.messages import MESSAGES, Exchanged, packer
-from crazychoir.recording.mcap.sequence import told
+from crazychoir.recording.mcap.decode import MESSAGE_BY_ROS_TYPE, MessageDecoder
+from crazychoir.recording.mcap.file import RecordingEntry, RecordingFile, Series
+from crazychoir.recording.mcap.messages import (
+    MESSAGE_BY_VALUE_TYPE,
+    Exchanged,
+    make_packer,
+)
+from crazychoir.recording.mcap.sequence import read_messages
 from crazychoir.types import (
     FPQR,
     FRPY,
@@ -71,9 +75,14 @@ SAID = [
 def recorded(path, values):
     file, entries = RecordingFile(path, {"version": "1"}, "{}", False), []
     for k, value in enumerate(values):
-        message = MESSAGES[type(value)]
+        message = MESSAGE_BY_VALUE_TYPE[type(value)]
         entries.append(
-            Entry(Series(12, f"topic{k}", message), k, k, packer(message, 12)(value, k))
+            RecordingEntry(
+                Series(12, f"topic{k}", message),
+                k,
+                k,
+                make_packer(message, 12)(value, k),
+            )
         )
     file.write(entries)
     file.close()
@@ -82,36 +91,40 @@ def recorded(path, values):
 
 def test_what_was_said_comes_back(tmp_path):
     path = recorded(tmp_path / "a.mcap", SAID)
-    values = Values(path)
-    found = [values.of(message) for message in told(path)]
+    values = MessageDecoder(path)
+    found = [values.of(message) for message in read_messages(path)]
     assert [type(value) for value in found] == [type(value) for value in SAID]
     for value, was in zip(found, SAID, strict=True):
         assert rounded(value) == rounded(was)
-    assert {type(value) for value in SAID} == {*MESSAGES} - {Exchanged}
+    assert {type(value) for value in SAID} == {*MESSAGE_BY_VALUE_TYPE} - {Exchanged}
 
 
 def rounded(value):
     if isinstance(value, State):
         return value.flat.round(12).tolist()
-    return plain(
+    return to_plain_values(
         msgspec.structs.asdict(value) if isinstance(value, msgspec.Struct) else value
     )
 
 
 def test_another_version_is_refused(tmp_path, monkeypatch):
     path = recorded(tmp_path / "a.mcap", SAID[:1])
-    monkeypatch.setattr("crazychoir.recording.mcap.decode.BY_TYPE", {})
+    monkeypatch.setattr("crazychoir.recording.mcap.decode.MESSAGE_BY_ROS_TYPE", {})
     with pytest.raises(
         ConfigError,
         match=r"another geometry_msgs/msg/PoseStamped for /drone12/topic0.*version",
     ):
-        Values(path).of(next(iter(told(path))))
+        MessageDecoder(path).of(next(iter(read_messages(path))))
 
 
 def test_other_fields_under_the_same_name_are_refused(tmp_path, monkeypatch):
     path = recorded(tmp_path / "a.mcap", SAID[:2])
-    monkeypatch.setitem(BY_TYPE, MESSAGES[Pose].type, MESSAGES[State])
-    values, (pose, state) = Values(path), told(path)
+    monkeypatch.setitem(
+        MESSAGE_BY_ROS_TYPE,
+        MESSAGE_BY_VALUE_TYPE[Pose].type,
+        MESSAGE_BY_VALUE_TYPE[State],
+    )
+    values, (pose, state) = MessageDecoder(path), read_messages(path)
     with pytest.raises(
         ConfigError, match="another geometry_msgs/msg/PoseStamped for /drone12/topic0"
     ):
@@ -122,20 +135,30 @@ def test_other_fields_under_the_same_name_are_refused(tmp_path, monkeypatch):
 def test_what_nobody_says_again_is_no_value(tmp_path):
     path = recorded(tmp_path / "a.mcap", [Exchanged(1, 2, 0, "sum", b"")])
     with pytest.raises(ConfigError, match="another crazychoir_msgs/msg/Round"):
-        Values(path).of(next(iter(told(path))))
+        MessageDecoder(path).of(next(iter(read_messages(path))))
 
 
 def test_each_drone_has_values_of_its_own(tmp_path):
     """A field of another length lies elsewhere in the bytes: what is known of one series is not taken for another."""
     path = tmp_path / "a.mcap"
-    file, message = RecordingFile(path, {"version": "1"}, "{}", False), MESSAGES[State]
+    file, message = (
+        RecordingFile(path, {"version": "1"}, "{}", False),
+        MESSAGE_BY_VALUE_TYPE[State],
+    )
     for drone in (3, 12345, 3):
         series = Series(drone, "state", message)
         file.write(
-            [Entry(series, 1, 1, packer(message, drone)(State.at((drone, 2, 1)), 1))]
+            [
+                RecordingEntry(
+                    series,
+                    1,
+                    1,
+                    make_packer(message, drone)(State.at((drone, 2, 1)), 1),
+                )
+            ]
         )
     file.close()
-    values = Values(path)
-    assert [values.of(message).p.tolist() for message in told(path)] == [
+    values = MessageDecoder(path)
+    assert [values.of(message).p.tolist() for message in read_messages(path)] == [
         [drone, 2, 1] for drone in (3, 12345, 3)
     ]

@@ -7,9 +7,14 @@ import pytest
 from ros2_decoders import by_mcap_ros2, by_rosbags
 
 from crazychoir.errors import ConfigError
-from crazychoir.recording.mcap.file import UNKNOWN, Entry, RecordingFile, Series
-from crazychoir.recording.mcap.messages import MESSAGES, packer
-from crazychoir.recording.mcap.reading import header, read
+from crazychoir.recording.mcap.file import (
+    RECORDING_FORMAT,
+    RecordingEntry,
+    RecordingFile,
+    Series,
+)
+from crazychoir.recording.mcap.messages import MESSAGE_BY_VALUE_TYPE, make_packer
+from crazychoir.recording.mcap.reading import read, read_header
 from crazychoir.types import Pose, State
 
 ABOUT = {"version": "1.2", "mission": "probe", "seed": "3", "time": "virtual"}
@@ -21,13 +26,16 @@ def opened(path, durable=False):
 
 
 def entries(series, first, last):
-    pack = packer(series.message, series.drone)
+    pack = make_packer(series.message, series.drone)
     times = [(k, k * SECOND) for k in range(first, last)]
-    return [Entry(series, ns + 5, ns, pack(State.at((k, 0, 0)), ns)) for k, ns in times]
+    return [
+        RecordingEntry(series, ns + 5, ns, pack(State.at((k, 0, 0)), ns))
+        for k, ns in times
+    ]
 
 
 def truth(drone=0):
-    return Series(drone, "truth", MESSAGES[State])
+    return Series(drone, "truth", MESSAGE_BY_VALUE_TYPE[State])
 
 
 def test_a_file_says_what_was_flown(tmp_path):
@@ -59,7 +67,11 @@ def test_a_file_says_what_was_flown(tmp_path):
 @pytest.mark.parametrize(
     ("lost", "said", "outcome"),
     [
-        (0, None, {"lost": "0", "missed": "0", "ended": UNKNOWN}),
+        (
+            0,
+            None,
+            {"lost": "0", "missed": "0", "ended": RECORDING_FORMAT.unknown_ending},
+        ),
         (
             7,
             {"ended": "Ctrl-C", "digest": "ab"},
@@ -73,7 +85,7 @@ def test_it_always_says_what_it_lacks_and_how_it_ended(tmp_path, lost, said, out
     file.write(entries(truth(), 0, 3))
     file.lost += lost
     file.close(said)
-    recording = header(path)
+    recording = read_header(path)
     assert (recording.outcome, recording.lost, recording.complete) == (
         outcome,
         lost,
@@ -162,13 +174,17 @@ def test_on_the_disk_once_a_second_in_real_time_alone(tmp_path, monkeypatch):
     for durable, times in ((True, 4), (False, 0)):
         file, series = (
             opened(tmp_path / f"{durable}.mcap", durable),
-            Series(0, "pose", MESSAGES[Pose]),
+            Series(0, "pose", MESSAGE_BY_VALUE_TYPE[Pose]),
         )
-        pack = packer(series.message, 0)
+        pack = make_packer(series.message, 0)
         for tenth in range(10, 35):  # s / 10
             ns = tenth * SECOND // 10
             file.write(
-                [Entry(series, ns, ns, pack(Pose(State.at((0, 0, 0)).flat[:7]), ns))]
+                [
+                    RecordingEntry(
+                        series, ns, ns, pack(Pose(State.at((0, 0, 0)).flat[:7]), ns)
+                    )
+                ]
             )
         assert len(synced) == times, "at the beginning, and at 1, 2 and 3 s"
         file.close()
@@ -177,7 +193,7 @@ def test_on_the_disk_once_a_second_in_real_time_alone(tmp_path, monkeypatch):
 
 def test_nothing_raises_in_flight(tmp_path):
     file, series = opened(tmp_path / "a.mcap"), truth()
-    file.write([*entries(series, 0, 3), Entry(series, 1, -1, b"")])
+    file.write([*entries(series, 0, 3), RecordingEntry(series, 1, -1, b"")])
     assert file.error.startswith("error: ")
     assert (file.written, file.lost) == (0, 4)
     file.close()

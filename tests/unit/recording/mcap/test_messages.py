@@ -10,9 +10,14 @@ import pytest
 from ros2_decoders import decoded
 
 from crazychoir.bus.codec import encode
-from crazychoir.bus.topics import BY_NAME, OBSERVABLE
-from crazychoir.recording.mcap.definitions import DEFINITIONS
-from crazychoir.recording.mcap.messages import MESSAGES, Exchanged, packer, usual
+from crazychoir.bus.topics import OBSERVABLE_TOPICS, TOPIC_BY_NAME
+from crazychoir.recording.mcap.definitions import MESSAGE_DEFINITIONS
+from crazychoir.recording.mcap.messages import (
+    MESSAGE_BY_VALUE_TYPE,
+    Exchanged,
+    make_packer,
+    usual_type,
+)
 from crazychoir.team.rounds import KIND_BITS, REPEAT
 from crazychoir.types import (
     FPQR,
@@ -36,8 +41,8 @@ HEADER = {"stamp": {"sec": 12, "nanosec": 345_678_901}, "frame_id": "world"}
 
 def sent(value, kind=None):
     """What others find, of drone 3."""
-    message = MESSAGES[kind or type(value)]
-    return decoded(message.type, message.schema, packer(message, 3)(value, BORN))
+    message = MESSAGE_BY_VALUE_TYPE[kind or type(value)]
+    return decoded(message.type, message.schema, make_packer(message, 3)(value, BORN))
 
 
 def xyz(v):
@@ -53,9 +58,11 @@ def posed(p, q):
 
 
 def test_what_is_observed_asked_and_commanded_is_in_the_table():
-    assert {usual(BY_NAME[name]) for name in OBSERVABLE} <= set(MESSAGES)
+    assert {usual_type(TOPIC_BY_NAME[name]) for name in OBSERVABLE_TOPICS} <= set(
+        MESSAGE_BY_VALUE_TYPE
+    )
     assert {*get_args(Reference), *get_args(Command), Pose, State, Status} <= set(
-        MESSAGES
+        MESSAGE_BY_VALUE_TYPE
     )
 
 
@@ -212,7 +219,7 @@ def test_definitions_are_those_of_ros_where_they_bear_its_name():
 
     for store in (Stores.ROS2_HUMBLE, Stores.ROS2_JAZZY):
         known = get_typestore(store).fielddefs
-        for name, text in DEFINITIONS.items():
+        for name, text in MESSAGE_DEFINITIONS.items():
             ros = name.replace("/", "/msg/")
             if not name.startswith("crazychoir"):
                 assert get_types_from_msg(text, ros)[ros][1] == known[ros][1], name

@@ -10,11 +10,16 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from crazychoir.errors import ConfigError
-from crazychoir.recording.mcap.file import ABOUT, Entry, RecordingFile, Series
-from crazychoir.recording.mcap.messages import MESSAGES, packer
-from crazychoir.recording.mcap.reading import header, read
-from crazychoir.recording.mcap.records import MESSAGE
-from crazychoir.recording.mcap.sequence import told
+from crazychoir.recording.mcap.file import (
+    RECORDING_FORMAT,
+    RecordingEntry,
+    RecordingFile,
+    Series,
+)
+from crazychoir.recording.mcap.messages import MESSAGE_BY_VALUE_TYPE, make_packer
+from crazychoir.recording.mcap.reading import read, read_header
+from crazychoir.recording.mcap.records import MESSAGE_HEADER
+from crazychoir.recording.mcap.sequence import read_messages
 from crazychoir.types import State
 
 CHUNKS, EACH = 5, 20
@@ -26,12 +31,17 @@ def content(tmp_path_factory):
     path = tmp_path_factory.mktemp("recording") / "a.mcap"
     file, series = (
         RecordingFile(path, {"version": "1"}, "{}", False),
-        Series(4, "state", MESSAGES[State]),
+        Series(4, "state", MESSAGE_BY_VALUE_TYPE[State]),
     )
-    pack = packer(series.message, 4)
+    pack = make_packer(series.message, 4)
     for chunk in range(CHUNKS):
         numbers = range(chunk * EACH, (chunk + 1) * EACH)
-        file.write([Entry(series, k, k, pack(State.at((k, 0, 0)), k)) for k in numbers])
+        file.write(
+            [
+                RecordingEntry(series, k, k, pack(State.at((k, 0, 0)), k))
+                for k in numbers
+            ]
+        )
     file.close()
     return path.read_bytes()
 
@@ -92,7 +102,7 @@ def test_a_spoilt_chunk_ends_it(tmp_path, content):
 def test_a_header_says_whether_all_is_whole(tmp_path, content):
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
-    whole = header(path)
+    whole = read_header(path)
     assert (whole.complete, whole.fault, whole.chunks, whole.topics) == (
         True,
         "",
@@ -104,17 +114,24 @@ def test_a_header_says_whether_all_is_whole(tmp_path, content):
     spoilt[third + 20] ^= 0x10
     path.write_bytes(spoilt)
     begin = third - 49 - len("zstd")  # of the record
-    assert (header(path).complete, header(path).fault, header(path).chunks) == (
+    assert (
+        read_header(path).complete,
+        read_header(path).fault,
+        read_header(path).chunks,
+    ) == (
         False,
         f"spoilt at byte {begin}",
         2,
     )
     path.write_bytes(content[:third])
-    assert (header(path).fault, header(path).chunks) == (f"cut off at byte {begin}", 2)
+    assert (read_header(path).fault, read_header(path).chunks) == (
+        f"cut off at byte {begin}",
+        2,
+    )
     ended = content.replace(b"lost\x01\0\0\x000", b"lost\x01\0\0\0x")
     assert ended != content
     path.write_bytes(ended)
-    assert header(path).fault.startswith("spoilt at byte"), (
+    assert read_header(path).fault.startswith("spoilt at byte"), (
         "how many it lacks cannot be read"
     )
 
@@ -127,7 +144,7 @@ def test_what_ended_before_its_first_chunk_has_no_header(tmp_path, content):
         ConfigError,
         match=rf"no message: it was cut off at byte {begin}; allowed: a recording",
     ):
-        header(path)
+        read_header(path)
 
 
 def test_spoilt_anywhere_it_is_read_or_refused(tmp_path, content):
@@ -175,15 +192,17 @@ def test_the_recording_of_another_program(tmp_path):
 
 def test_a_long_recording_takes_little_more_than_its_numbers(tmp_path):
     """A state has 13 numbers and two times, 120 bytes; twice as much while it is read."""
-    path, series = tmp_path / "a.mcap", Series(4, "state", MESSAGES[State])
+    path, series = tmp_path / "a.mcap", Series(4, "state", MESSAGE_BY_VALUE_TYPE[State])
     file, pack = (
         RecordingFile(path, {"version": "1"}, "{}", False),
-        packer(series.message, 4),
+        make_packer(series.message, 4),
     )
     count, at_once = 20_000, 500
     for first in range(0, count, at_once):
         states = [(k, State.at((0.1 * k, 0, 0))) for k in range(first, first + at_once)]
-        file.write([Entry(series, k, k, pack(state, k)) for k, state in states])
+        file.write(
+            [RecordingEntry(series, k, k, pack(state, k)) for k, state in states]
+        )
     file.close()
     tracemalloc.start()
     try:
@@ -208,7 +227,7 @@ def test_nothing_of_these_topics(tmp_path, content):
 def test_a_recording_of_another_version_is_not_misread(tmp_path, monkeypatch, content):
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
-    monkeypatch.setitem(MESSAGES, State, MESSAGES[dict])
+    monkeypatch.setitem(MESSAGE_BY_VALUE_TYPE, State, MESSAGE_BY_VALUE_TYPE[dict])
     with pytest.raises(
         ConfigError, match=r"another nav_msgs/msg/Odometry for state.*version"
     ):
@@ -296,11 +315,11 @@ def test_a_recording_that_another_program_has_rewritten_is_read_as_it_was(
     recording = read(path, ("state",))
     assert recording.of(4, "state").numbers[:, 0].tolist() == list(range(CHUNKS * EACH))
     assert recording.complete
-    assert (header(path).complete, header(path).swarm) == (True, "{}")
+    assert (read_header(path).complete, read_header(path).swarm) == (True, "{}")
     before = tmp_path / "before.mcap"
     before.write_bytes(content)
-    assert [(m.came_ns, m.born_ns, m.data) for m in told(path)] == [
-        (m.came_ns, m.born_ns, m.data) for m in told(before)
+    assert [(m.came_ns, m.born_ns, m.data) for m in read_messages(path)] == [
+        (m.came_ns, m.born_ns, m.data) for m in read_messages(before)
     ]
 
 
@@ -329,14 +348,14 @@ def test_a_recording_without_a_message_is_refused_whether_it_has_chunks_or_not(
         with path.open("wb") as file:
             writer = Writer(file, use_chunking=chunking)
             writer.start()
-            writer.add_metadata(ABOUT, {"version": "1"})
+            writer.add_metadata(RECORDING_FORMAT.about_record, {"version": "1"})
             schema = writer.register_schema("nav_msgs/msg/Odometry", "ros2msg", b"")
             writer.register_channel(
                 "/drone4/state", "cdr", schema, {"drone": "4", "topic": "state"}
             )
             writer.finish()
         with pytest.raises(ConfigError, match="no message"):
-            header(path)
+            read_header(path)
 
 
 def test_a_compression_that_is_not_known_is_named(tmp_path, content):
@@ -345,20 +364,20 @@ def test_a_compression_that_is_not_known_is_named(tmp_path, content):
     with pytest.raises(
         ConfigError, match="compressed by 'brot', where zstd, lz4 and nothing are read"
     ):
-        header(path)
+        read_header(path)
 
 
 def test_a_message_of_a_channel_that_is_not_there_is_refused(tmp_path):
     path = tmp_path / "a.mcap"
-    message = MESSAGE.pack(7, 0, 1, 1)
+    message = MESSAGE_HEADER.pack(7, 0, 1, 1)
     with path.open("wb") as file:
         writer = Writer(file, use_chunking=False)
         writer.start()
-        writer.add_metadata(ABOUT, {"version": "1"})
+        writer.add_metadata(RECORDING_FORMAT.about_record, {"version": "1"})
         writer.finish()
     whole = path.read_bytes()
     record = struct.pack("<BQ", Opcode.MESSAGE, len(message)) + message
     data_end = whole.rindex(struct.pack("<BQ", Opcode.DATA_END, 4))
     path.write_bytes(whole[:data_end] + record + whole[data_end:])
     with pytest.raises(ConfigError, match="channel 7, which is not there"):
-        list(told(path))
+        list(read_messages(path))

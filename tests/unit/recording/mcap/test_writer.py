@@ -6,7 +6,7 @@ from mcap.reader import make_reader
 from mcap.records import SummaryOffset
 from mcap.stream_reader import StreamReader
 
-from crazychoir.recording.mcap.writer import Writer
+from crazychoir.recording.mcap.writer import McapWriter
 
 SCHEMA = "string data"
 
@@ -14,7 +14,7 @@ SCHEMA = "string data"
 @pytest.fixture
 def path(tmp_path):
     """Two chunks of two channels, in the second of which a third is opened; came 9, 3, 5, 7 and 20 ns."""
-    writer = Writer()
+    writer = McapWriter()
     writer.begin("ros2", "a library")
     writer.metadata("about", {"seed": "3"})
     writer.attachment("swarm.json", "application/json", b"{}")

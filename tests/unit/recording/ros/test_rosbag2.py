@@ -12,8 +12,8 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from crazychoir.errors import ConfigError
-from crazychoir.recording.mcap.file import Entry, RecordingFile, Series
-from crazychoir.recording.mcap.messages import MESSAGES, packer
+from crazychoir.recording.mcap.file import RecordingEntry, RecordingFile, Series
+from crazychoir.recording.mcap.messages import MESSAGE_BY_VALUE_TYPE, make_packer
 from crazychoir.recording.ros import rosbag2
 from crazychoir.recording.ros.rosbag2 import convert
 from crazychoir.types import FPQR, FullState, Pose, State, Status
@@ -37,10 +37,12 @@ def recording(tmp_path):
     path = tmp_path / "a.mcap"
     file, entries = RecordingFile(path, {"version": "1"}, "{}", False), []
     for k, (drone, topic, value) in enumerate(SAID, 1):
-        message = MESSAGES[type(value)]
-        data = packer(message, drone)(value, k * TENTH)
+        message = MESSAGE_BY_VALUE_TYPE[type(value)]
+        data = make_packer(message, drone)(value, k * TENTH)
         entries.append(
-            Entry(Series(drone, topic, message), k * TENTH + 5, k * TENTH, data)
+            RecordingEntry(
+                Series(drone, topic, message), k * TENTH + 5, k * TENTH, data
+            )
         )
     file.write(entries)
     file.close()
@@ -134,7 +136,7 @@ def test_transforms_say_where_drones_were_in_truth_or_by_their_estimate(
 
 
 def test_the_file_describes_itself(recording, tmp_path, monkeypatch):
-    monkeypatch.setattr(rosbag2, "LARGEST", 500)
+    monkeypatch.setattr(rosbag2, "LARGEST_CHUNK", 500)
     bag = convert(recording, tmp_path / "bag")
     assert [(topic, kind, told) for topic, kind, _, told in by_mcap_ros2(bag.path)] == [
         (topic, kind, told) for topic, kind, _, told in read(tmp_path / "bag")
@@ -152,7 +154,7 @@ def test_a_full_disk_is_said_and_leaves_no_folder(
     recording, tmp_path, monkeypatch, room
 ):
     """No file may have more bytes than that: not the first chunk, not the second one, or not the index."""
-    monkeypatch.setattr(rosbag2, "LARGEST", 1500)
+    monkeypatch.setattr(rosbag2, "LARGEST_CHUNK", 1500)
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, before[1]))
     try:

@@ -8,7 +8,7 @@ from ros2_decoders import fields
 from rosbags.typesys import Stores, get_typestore
 
 from crazychoir.recording.ros import rviz
-from crazychoir.recording.ros.rmw_zenoh import HASHES, Publisher, node_token
+from crazychoir.recording.ros.rmw_zenoh import MESSAGE_HASHES, Publisher, node_token
 from crazychoir.types import State
 
 NS = 12_345_000_000_678
@@ -29,7 +29,7 @@ def read(kind, data):
 
 
 def test_a_pose():
-    found = read("geometry_msgs/msg/PoseStamped", rviz.pose(*PLACES[12]))
+    found = read("geometry_msgs/msg/PoseStamped", rviz.pack_pose(*PLACES[12]))
     assert found["header"] == {"stamp": STAMP, "frame_id": "world"}
     assert list(found["pose"]["position"].values()) == [1.0, 2.0, 3.0]
     assert list(found["pose"]["orientation"].values()) == TURNED
@@ -38,7 +38,7 @@ def test_a_pose():
 @pytest.mark.parametrize("n", [0, 1, 3])
 def test_a_path(n):
     places = np.arange(3.0 * n).reshape(n, 3)
-    found = read("nav_msgs/msg/Path", rviz.path(list(places), NS))
+    found = read("nav_msgs/msg/Path", rviz.pack_path(list(places), NS))
     assert found["header"] == {"stamp": STAMP, "frame_id": "world"}
     assert [
         list(one["pose"]["position"].values()) for one in found["poses"]
@@ -50,7 +50,7 @@ def test_a_path(n):
 
 
 def test_transforms():
-    found = read("tf2_msgs/msg/TFMessage", rviz.transforms(PLACES))["transforms"]
+    found = read("tf2_msgs/msg/TFMessage", rviz.pack_transforms(PLACES))["transforms"]
     assert [one["child_frame_id"] for one in found] == ["drone3", "drone12"]
     assert [one["header"] for one in found] == [
         {"stamp": {**STAMP, "nanosec": 687}, "frame_id": "world"},
@@ -61,9 +61,9 @@ def test_transforms():
 
 
 def test_markers():
-    found = read("visualization_msgs/msg/MarkerArray", rviz.markers(PLACES, gone=[5]))[
-        "markers"
-    ]
+    found = read(
+        "visualization_msgs/msg/MarkerArray", rviz.pack_markers(PLACES, gone=[5])
+    )["markers"]
     assert [
         (one["ns"], one["id"], one["type"], one["action"], one["text"]) for one in found
     ] == [
@@ -89,9 +89,12 @@ def test_markers():
     assert found[3]["pose"]["position"]["z"] == pytest.approx(3.1)
 
 
-@pytest.mark.parametrize("name", HASHES)
+@pytest.mark.parametrize("name", MESSAGE_HASHES)
 def test_hashes_are_those_of_the_definitions(name):
-    assert STORE.hash_rihs01(name.replace("/", "/msg/")) == f"RIHS01_{HASHES[name]}"
+    assert (
+        STORE.hash_rihs01(name.replace("/", "/msg/"))
+        == f"RIHS01_{MESSAGE_HASHES[name]}"
+    )
 
 
 POSES = Publisher(
@@ -100,7 +103,7 @@ POSES = Publisher(
 
 
 def test_keys_and_tokens():
-    kind = f"geometry_msgs::msg::dds_::PoseStamped_/RIHS01_{HASHES['geometry_msgs/PoseStamped']}"
+    kind = f"geometry_msgs::msg::dds_::PoseStamped_/RIHS01_{MESSAGE_HASHES['geometry_msgs/PoseStamped']}"
     assert POSES.key == f"0/drone3/pose/{kind}"
     assert (
         POSES.token

@@ -7,21 +7,36 @@ from crazychoir.bus.codec import decode, encode
 from crazychoir.errors import SolverError
 from crazychoir.routing.distributed import large_bound
 from crazychoir.routing.distributed import robot_profile as introduction
-from crazychoir.routing.distributed.cluster_problem import flown, most_saved, reoptimize
-from crazychoir.routing.distributed.clusters import Neighbors, tasks_of, unserved
+from crazychoir.routing.distributed.cluster_problem import (
+    bound_saving,
+    measure_route,
+    reoptimize_cluster,
+)
+from crazychoir.routing.distributed.clusters import (
+    Neighbors,
+    list_served_tasks,
+    list_unserved_tasks,
+)
 from crazychoir.routing.distributed.gossip import Gossip
 from crazychoir.routing.distributed.large_bound import LargeBound
-from crazychoir.routing.distributed.master import Pool, partition
-from crazychoir.routing.distributed.member import Member, Place, Settings
-from crazychoir.routing.distributed.packing import packed
-from crazychoir.routing.distributed.plain_loop import diameter, solve_in_loop
-from crazychoir.routing.distributed.robot_profile import introduce, restricted
-from crazychoir.routing.instance.checker import check
+from crazychoir.routing.distributed.master import ColumnPool, find_partition
+from crazychoir.routing.distributed.member import (
+    GraphPosition,
+    RoutingMember,
+    RoutingSettings,
+)
+from crazychoir.routing.distributed.packing import pack_columns
+from crazychoir.routing.distributed.plain_loop import compute_diameter, solve_in_loop
+from crazychoir.routing.distributed.robot_profile import (
+    introduce_robots,
+    restrict_problem,
+)
+from crazychoir.routing.instance.checker import check_plan
 from crazychoir.routing.instance.generate import random_instance
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.pricing.arc_flow import solve_compact
-from crazychoir.routing.pricing.bidirectional_pricing import Halves
-from crazychoir.routing.pricing.route_table import Column, RouteTable
+from crazychoir.routing.pricing.bidirectional_pricing import HalfRoutes
+from crazychoir.routing.pricing.route_table import RouteColumn, RouteTable
 
 WINDOWS = {
     "pickup": [[0, 20]] * 4 + [None],
@@ -31,13 +46,13 @@ WINDOWS = {
 
 
 def members(instance, links, settings=None):
-    n, span = instance.robots, diameter(links)
+    n, span = instance.robots, compute_diameter(links)
     places = [
-        Place(i, n, tuple(links[i]), span, {j: len(links[j]) for j in links[i]})
+        GraphPosition(i, n, tuple(links[i]), span, {j: len(links[j]) for j in links[i]})
         for i in range(n)
     ]
     return [
-        Member(instance.local(i), place, settings or Settings())
+        RoutingMember(instance.local(i), place, settings or RoutingSettings())
         for i, place in enumerate(places)
     ]
 
@@ -91,7 +106,7 @@ def test_the_gossip_reaches_the_relaxation_over_all_columns_and_proves_it(
     team = members(instance, links)
     gossips = [Gossip(member) for member in team]
     values = run_all([gossip.run() for gossip in gossips], links)
-    everything = Pool(10)
+    everything = ColumnPool(10)
     for i in range(6):
         table = RouteTable(instance.local(i).vehicle)
         everything.add(i, [table.column(c) for c in range(1, len(table))])
@@ -105,7 +120,7 @@ def test_the_gossip_reaches_the_relaxation_over_all_columns_and_proves_it(
 
 def test_the_bound_of_a_cut_table_is_not_exact(graph):
     links = graph("ring", 3)
-    team = members(random_instance(3, 6, 4), links, Settings(most_labels=100))
+    team = members(random_instance(3, 6, 4), links, RoutingSettings(most_labels=100))
     gossips = [Gossip(member) for member in team]
     run_all([gossip.run() for gossip in gossips], links)
     assert not any(gossip.bound.exact for gossip in gossips)
@@ -124,7 +139,7 @@ def test_introductions_tell_all_that_a_route_depends_on(graph, monkeypatch, most
     }
     instance, links = Instance.parse(raw), graph("path", 3)
     for known in run_all(
-        [introduce(member) for member in members(instance, links)], links
+        [introduce_robots(member) for member in members(instance, links)], links
     ):
         for i in range(3):
             mine, told = instance.local(i).vehicle, known[i].vehicle
@@ -137,7 +152,7 @@ def test_a_robot_restricted_to_some_tasks_is_that_vehicle_with_these_tasks_only(
         random_instance(2, 7, 3, route_length_limit=30.0).local(1),
         np.array([1, 4, 6]),
     )
-    part, whole = restricted(local, chosen).vehicle, local.vehicle.only(chosen)
+    part, whole = restrict_problem(local, chosen).vehicle, local.vehicle.only(chosen)
     for name, value in vars(replace(whole)).items():
         np.testing.assert_array_equal(getattr(part, name), value, err_msg=name)
 
@@ -183,7 +198,7 @@ def test_after_introductions_all_have_one_penalty_which_is_no_less_than_any_robo
     for local in (remote(30.0).local(0), flying):
         team = members(remote(30.0), graph("path", 2))
         team[0] = replace(team[0], local=local, reach=0.0)
-        run_all([introduce(member) for member in team], graph("path", 2))
+        run_all([introduce_robots(member) for member in team], graph("path", 2))
         np.testing.assert_array_equal(team[0].penalty, team[1].penalty)
         assert all(
             (member.penalty >= member.local.vehicle.shortest_trip).all()
@@ -208,9 +223,9 @@ def test_nothing_is_saved_by_leaving_a_task_out_that_costs_more_than_any_plan(
     instance = Instance.parse(raw)
     robots = {i: instance.local(i) for i in range(2)}
     everything = [v for j in range(6) for v in (j, 6 + j, 13)][:-1]
-    cost, finish = flown(robots[0], everything)
+    cost, finish = measure_route(robots[0], everything)
     reach = float(robots[0].vehicle.distance.max())
-    assert (cost if objective == "total" else finish) < most_saved(robots, reach)
+    assert (cost if objective == "total" else finish) < bound_saving(robots, reach)
 
 
 def test_clusters_are_disjoint_hold_every_task_and_differ_from_pass_to_pass():
@@ -253,13 +268,13 @@ def test_a_cluster_gets_better_and_keeps_its_tasks():
     routes = {i: [i, 8 + i, 4 + i, 12 + i] for i in range(4)}
     near = Neighbors(robots)
     (cluster,) = near.draw(routes, (8, 40), 1, [0])
-    new = reoptimize(robots, routes, cluster, np.full(8, 1e3), 500, 1)
-    assert unserved(new, 8) == []
+    new = reoptimize_cluster(robots, routes, cluster, np.full(8, 1e3), 500, 1)
+    assert list_unserved_tasks(new, 8) == []
     assert (
-        sum(flown(robots[i], new[i])[0] for i in robots)
-        < sum(flown(robots[i], routes[i])[0] for i in robots) - 1.0
+        sum(measure_route(robots[i], new[i])[0] for i in robots)
+        < sum(measure_route(robots[i], routes[i])[0] for i in robots) - 1.0
     )
-    assert tasks_of([3, 11, 17, 0, 8], 8) == [0, 3]
+    assert list_served_tasks([3, 11, 17, 0, 8], 8) == [0, 3]
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -268,7 +283,9 @@ def test_where_routes_are_not_listed_the_plan_is_good_and_has_no_bound(graph, se
     proven = solve_in_loop(instance, graph("ring", 6))
     assert proven.lower_bound == pytest.approx(proven.cost, abs=1e-4)
     searched = solve_in_loop(
-        instance, graph("ring", 6), settings=Settings(most_listed=0, steps=40_000)
+        instance,
+        graph("ring", 6),
+        settings=RoutingSettings(most_listed=0, steps=40_000),
     )
     assert (searched.feasible, searched.lower_bound, searched.bound_exact) == (
         True,
@@ -280,7 +297,7 @@ def test_where_routes_are_not_listed_the_plan_is_good_and_has_no_bound(graph, se
 
 def test_a_proof_that_would_be_too_long_is_left_out_unless_asked_for(graph):
     instance = random_instance(5, 9, 39, capable=0.8, route_length_limit=32.0)
-    few = Settings(most_proven=0, still_passes=2, steps=4_000)
+    few = RoutingSettings(most_proven=0, still_passes=2, steps=4_000)
     found = solve_in_loop(instance, graph("ring", 5), settings=few)
     proven = solve_in_loop(
         instance, graph("ring", 5), settings=replace(few, prove=True)
@@ -310,7 +327,7 @@ def test_the_optimum_of_the_arc_flow_model_is_found(graph, name):
     best = solve_compact(instance)
     solution = solve_in_loop(instance, graph("path", 2))
     plan = instance.plan(solution.routes)
-    assert check(instance, plan) == []
+    assert check_plan(instance, plan) == []
     assert plan.values == pytest.approx(best.values, abs=1e-4)
     assert solution.cost == pytest.approx(plan.cost)
     if "makespan" in name:
@@ -340,7 +357,9 @@ def test_infeasible_without_listed_routes_is_an_error_at_the_end(graph):
     with pytest.raises(
         SolverError, match=r"robot 0: clusters: .* no plan found that serves task"
     ):
-        solve_in_loop(instance, {0: []}, settings=Settings(most_listed=0, steps=100))
+        solve_in_loop(
+            instance, {0: []}, settings=RoutingSettings(most_listed=0, steps=100)
+        )
 
 
 def test_bytes_are_told_by_kind(graph):
@@ -373,10 +392,12 @@ def test_refusals_are_weighed_in_the_proof_where_the_relaxation_has_a_gap(graph,
         for i, table in enumerate(tables)
         for c in range(1, len(table))
     ]
-    refusals = [(robots + j, Column(float(penalty[j]), (j,))) for j in range(tasks)]
-    best = partition(columns + refusals, tasks, seed=0, nodes=10_000)
+    refusals = [
+        (robots + j, RouteColumn(float(penalty[j]), (j,))) for j in range(tasks)
+    ]
+    best = find_partition(columns + refusals, tasks, seed=0, nodes=10_000)
     solution = solve_in_loop(
-        instance, graph("ring", robots), settings=Settings(first_steps=1)
+        instance, graph("ring", robots), settings=RoutingSettings(first_steps=1)
     )
     assert solution.cost == pytest.approx(best.cost, abs=1e-6)
     assert solution.lower_bound == pytest.approx(best.cost, abs=1e-3)
@@ -385,7 +406,9 @@ def test_refusals_are_weighed_in_the_proof_where_the_relaxation_has_a_gap(graph,
 def test_tables_that_are_cut_are_given_up_and_no_relaxation_follows(graph):
     instance = random_instance(3, 9, 4)
     solution = solve_in_loop(
-        instance, graph("ring", 3), settings=Settings(most_labels=1000, steps=2000)
+        instance,
+        graph("ring", 3),
+        settings=RoutingSettings(most_labels=1000, steps=2000),
     )
     assert solution.feasible
     assert solution.lower_bound is None
@@ -420,7 +443,7 @@ def test_a_large_team_proves_a_bound_by_halves_or_names_its_relaxation(graph, se
     )
     gossips = [Gossip(member) for member in members(instance, links)]
     relaxed = run_all([gossip.run() for gossip in gossips], links)[0]
-    large = Settings(prove=True, most_listed=0)
+    large = RoutingSettings(prove=True, most_listed=0)
     found, best = (
         solve_in_loop(instance, links, settings=large),
         solve_in_loop(instance, links),
@@ -447,7 +470,7 @@ def test_a_large_team_proves_a_bound_by_halves_or_names_its_relaxation(graph, se
 def test_a_large_team_proves_a_bound_with_a_robot_far_away(graph):
     instance = remote(20.0, route_length_limit=90.0)
     found = solve_in_loop(
-        instance, graph("path", 2), settings=Settings(prove=True, most_listed=0)
+        instance, graph("path", 2), settings=RoutingSettings(prove=True, most_listed=0)
     )
     assert found.bound_exact
     assert found.lower_bound == pytest.approx(found.cost, abs=1e-4)
@@ -463,7 +486,7 @@ def test_the_bound_of_a_large_team_holds_where_tasks_are_refused_whatever_its_pl
     links = graph("ring", 4)
     best = solve_in_loop(instance, links)
     bounds = [
-        LargeBound(member, [(0, Column(90.0, (0, 1)))])
+        LargeBound(member, [(0, RouteColumn(90.0, (0, 1)))])
         for member in members(instance, links)
     ]
     run_all([bound.run() for bound in bounds], links)
@@ -474,7 +497,7 @@ def test_the_bound_of_a_large_team_holds_where_tasks_are_refused_whatever_its_pl
 def test_where_pricing_is_cut_there_is_no_bound(graph):
     for limit in (27.0, None):
         instance = random_instance(4, 7, 1, route_length_limit=limit)
-        cut = Settings(prove=True, most_listed=0, most_labels=9)
+        cut = RoutingSettings(prove=True, most_listed=0, most_labels=9)
         found = solve_in_loop(instance, graph("ring", 4), settings=cut)
         assert (found.lower_bound, found.bound_exact, found.bound_relaxation) == (
             None,
@@ -488,14 +511,14 @@ def test_what_is_proven_stays_when_a_later_pass_is_cut(graph, monkeypatch):
         random_instance(3, 7, 1, route_length_limit=27.0),
         graph("ring", 3),
     )
-    settings = Settings(prove=True, most_listed=0)
+    settings = RoutingSettings(prove=True, most_listed=0)
     whole = solve_in_loop(instance, links, settings=settings)
     priced, passes = LargeBound._priced, {i: 0 for i in range(3)}
 
     def cut(self, pi):
         passes[self._i] += 1
         return (
-            [-np.inf, True, packed([])]
+            [-np.inf, True, pack_columns([])]
             if passes[self._i] > 2 and self._i == 1
             else priced(self, pi)
         )
@@ -508,7 +531,7 @@ def test_what_is_proven_stays_when_a_later_pass_is_cut(graph, monkeypatch):
 
 
 def test_one_robot_whose_halves_are_too_many_prices_by_a_relaxation(graph, monkeypatch):
-    class Few(Halves):
+    class Few(HalfRoutes):
         def __init__(self, vehicle, most):
             super().__init__(vehicle, 900)
 
@@ -519,9 +542,9 @@ def test_one_robot_whose_halves_are_too_many_prices_by_a_relaxation(graph, monke
         True,
         False,
     ]
-    settings = Settings(prove=True, most_listed=0, steps=4_000)
+    settings = RoutingSettings(prove=True, most_listed=0, steps=4_000)
     exact = solve_in_loop(instance, graph("ring", 3), settings=settings)
-    monkeypatch.setattr(large_bound, "Halves", Few)
+    monkeypatch.setattr(large_bound, "HalfRoutes", Few)
     found = solve_in_loop(instance, graph("ring", 3), settings=settings)
     assert (exact.bound_exact, found.bound_exact, found.bound_relaxation) == (
         True,
@@ -536,7 +559,7 @@ def test_a_robot_that_can_serve_more_tasks_than_a_set_holds_leaves_the_plan_with
     graph, limit
 ):
     instance = random_instance(2, 130, 0, (0.7, 0.7), route_length_limit=limit)
-    few = Settings(prove=True, starters=1, first_steps=30, steps=100)
+    few = RoutingSettings(prove=True, starters=1, first_steps=30, steps=100)
     found = solve_in_loop(instance, graph("path", 2), settings=few)
     assert (found.feasible, found.lower_bound, found.bound_relaxation) == (
         True,
@@ -556,7 +579,7 @@ def test_a_team_of_two_kinds_prices_once_a_kind_and_proves_what_single_robots_pr
     raw |= {"load": [2.0] * 5 + [1.0] * 4, "fixed_cost": 1.5}
     instance = Instance.parse(raw)
     team = members(instance, graph("ring", 6))
-    run_all([introduce(member) for member in team], graph("ring", 6))
+    run_all([introduce_robots(member) for member in team], graph("ring", 6))
     assert [member.alike for member in team] == [{0: (0, 1, 2, 3), 4: (4, 5)}] * 6
     assert [member.speaks for member in team] == [
         True,
@@ -566,7 +589,7 @@ def test_a_team_of_two_kinds_prices_once_a_kind_and_proves_what_single_robots_pr
         True,
         False,
     ]
-    gossips, everything = [Gossip(member) for member in team], Pool(9)
+    gossips, everything = [Gossip(member) for member in team], ColumnPool(9)
     run_all([gossip.run() for gossip in gossips], graph("ring", 6))
     for i in range(6):
         table = RouteTable(instance.local(i).vehicle)

@@ -4,9 +4,13 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import SolverError
-from crazychoir.routing.distributed.insertion_bids import METHODS, WORTH, InsertionBids
+from crazychoir.routing.distributed.insertion_bids import (
+    BIDDING_METHODS,
+    REQUIRED_TASK_WORTH,
+    InsertionBids,
+)
 from crazychoir.routing.distributed.plain_loop import solve_in_loop
-from crazychoir.routing.instance.checker import check
+from crazychoir.routing.instance.checker import check_plan
 from crazychoir.routing.instance.generate import random_instance
 from crazychoir.routing.instance.instance import Instance
 
@@ -25,10 +29,12 @@ def line(**more):
 
 def test_a_bid_is_the_worth_less_the_growth_of_the_route():
     bids = InsertionBids(line().local(0))
-    assert bids.scores(()) == pytest.approx([WORTH - 4.0, WORTH - 8.0])
+    assert bids.scores(()) == pytest.approx(
+        [REQUIRED_TASK_WORTH - 4.0, REQUIRED_TASK_WORTH - 8.0]
+    )
     far = bids.insert((), 1)
     assert far == (1, 3)
-    assert bids.scores(far) == pytest.approx([WORTH, -np.inf])
+    assert bids.scores(far) == pytest.approx([REQUIRED_TASK_WORTH, -np.inf])
     assert bids.insert(far, 0) == (0, 2, 1, 3)
 
 
@@ -45,11 +51,11 @@ def test_what_is_beyond_capacity_limit_or_capability_is_no_bid():
         "capability": [[True, False], [True, True]],
     }
     assert InsertionBids(line(**with_two).local(0)).scores(()) == pytest.approx(
-        [WORTH - 4.0, -np.inf]
+        [REQUIRED_TASK_WORTH - 4.0, -np.inf]
     )
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", BIDDING_METHODS)
 @pytest.mark.parametrize("seed", range(6))
 def test_plans_are_feasible_and_cost_no_less_than_the_best(graph, method, seed):
     instance = random_instance(4, 7, seed, capable=0.8, route_length_limit=60.0)
@@ -58,13 +64,13 @@ def test_plans_are_feasible_and_cost_no_less_than_the_best(graph, method, seed):
     )
     best = solve_in_loop(instance, graph("ring", 4), "resource-columns")
     assert solution.feasible
-    assert check(instance, solution.plan) == []
+    assert check_plan(instance, solution.plan) == []
     assert best.cost - 1e-6 <= solution.cost <= 2.0 * best.cost
     assert (solution.lower_bound, solution.bound_exact) == (None, False)
     assert "bids" in solution.bytes_by_kind
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", BIDDING_METHODS)
 def test_who_finds_no_room_says_for_what_at_all_robots(graph, method):
     """The near robot takes the near task, and cannot reach the far one any more; the other may do the near one only."""
     raw = {

@@ -7,9 +7,14 @@ import pytest
 
 from crazychoir.errors import SolverError
 from crazychoir.routing.distributed import master
-from crazychoir.routing.distributed.master import Master, Partition, Pool, partition
+from crazychoir.routing.distributed.master import (
+    ColumnPool,
+    Master,
+    PartitionResult,
+    find_partition,
+)
 from crazychoir.routing.instance.generate import random_instance
-from crazychoir.routing.pricing.route_table import Column, RouteTable
+from crazychoir.routing.pricing.route_table import RouteColumn, RouteTable
 
 
 @pytest.fixture
@@ -33,14 +38,14 @@ def cheapest_exact_cover(columns):
 
 
 def test_the_partition_is_the_cheapest_exact_cover(columns):
-    found = partition(columns, 4, seed=0, nodes=1000)
+    found = find_partition(columns, 4, seed=0, nodes=1000)
     assert found.cost == pytest.approx(cheapest_exact_cover(columns))
     assert found.bound == pytest.approx(found.cost)
     assert sorted(j for tasks in found.routes.values() for j in tasks) == [0, 1, 2, 3]
 
 
 def test_the_relaxation_is_below_and_its_prices_are_dual_feasible(columns):
-    pool = Pool(4)
+    pool = ColumnPool(4)
     for robot, column in columns:
         pool.add(robot, [column])
     relaxed = pool.relax(np.full(4, 100.0))
@@ -65,14 +70,14 @@ def test_robots_that_are_the_same_share_a_row(columns):
     apart = [(i, c) for i in (1, 5, 6) for c in own]
     together = [(1, c) for c in own]
     each, all_ = (
-        partition(apart, 4, 0, 1000),
-        partition(together, 4, 0, 1000, alike={1: (1, 5, 6)}),
+        find_partition(apart, 4, 0, 1000),
+        find_partition(together, 4, 0, 1000, alike={1: (1, 5, 6)}),
     )
     assert all_.cost == pytest.approx(each.cost)
     assert all_.bound == pytest.approx(each.cost)
     assert set(all_.routes) <= {1, 5, 6}
     assert sorted(j for tasks in all_.routes.values() for j in tasks) == [0, 1, 2, 3]
-    assert partition(
+    assert find_partition(
         together, 4, 0, 1000, known=each.routes, alike={1: (1, 5, 6)}
     ).cost == pytest.approx(each.cost)
     one, many = Master(penalty, number={1: 3}), Master(penalty)
@@ -80,7 +85,7 @@ def test_robots_that_are_the_same_share_a_row(columns):
     for i in (1, 5, 6):
         many.add(i, own)
     assert one.relax().value == pytest.approx(many.relax().value)
-    assert partition(together, 4, 0, 1000, alike={1: (1,)}).cost > each.cost
+    assert find_partition(together, 4, 0, 1000, alike={1: (1,)}).cost > each.cost
 
 
 def test_missing_robots_cost_what_a_robot_does_at_most(columns):
@@ -93,7 +98,7 @@ def test_missing_robots_cost_what_a_robot_does_at_most(columns):
         relaxation.at_least(3, f)
         for robot, column in columns[1::2]:
             relaxation.add(robot, [column])
-        relaxed, pool = relaxation.relax(), Pool(4)
+        relaxed, pool = relaxation.relax(), ColumnPool(4)
         for robot, column in columns:
             pool.add(robot, [column])
         assert 0.0 <= relaxed.reward <= f
@@ -120,7 +125,11 @@ def test_a_search_that_breaks_off_is_not_taken_for_one_that_found_nothing(
     columns, broken, monkeypatch
 ):
     """Once more without the start that it was given, and without presolve; then it is an error."""
-    best, runs, searched = partition(columns, 4, 0, 1000), [], master._searched
+    best, runs, searched = (
+        find_partition(columns, 4, 0, 1000),
+        [],
+        master._search_columns,
+    )
 
     def breaking(highs, nodes, start):
         runs.append(start)
@@ -129,17 +138,17 @@ def test_a_search_that_breaks_off_is_not_taken_for_one_that_found_nothing(
         status = highspy.HighsModelStatus.kSolveError
         return SimpleNamespace(getModelStatus=lambda: status, getInfo=highs.getInfo)
 
-    monkeypatch.setattr(master, "_searched", breaking)
+    monkeypatch.setattr(master, "_search_columns", breaking)
     if broken == 1:
-        assert partition(columns, 4, 0, 1000, known=best.routes).cost == pytest.approx(
-            best.cost
-        )
+        assert find_partition(
+            columns, 4, 0, 1000, known=best.routes
+        ).cost == pytest.approx(best.cost)
         assert [start is None for start in runs] == [False, True]
         return
     with pytest.raises(
         SolverError, match=f"partitioning of {len(columns)} columns: .* kSolveError"
     ):
-        partition(columns, 4, 0, 1000, known=best.routes)
+        find_partition(columns, 4, 0, 1000, known=best.routes)
 
 
 REJECTED = """0:29:0135 0:29:0369 0:30:0459 0:29:046 0:28:13689 0:28:1458 0:28:1468 0:30:23679 0:30:2467 0:30:35679
@@ -151,7 +160,7 @@ REJECTED = """0:29:0135 0:29:0369 0:30:0459 0:29:046 0:28:13689 0:28:1458 0:28:1
 def test_columns_that_presolve_takes_for_feasible_are_proven_not_to_be():
     words = [word.split(":") for word in REJECTED.split()]
     columns = [
-        (int(i), Column(1000.0 + int(m), tuple(map(int, tasks))))
+        (int(i), RouteColumn(1000.0 + int(m), tuple(map(int, tasks))))
         for i, m, tasks in words
     ]
     sets = [
@@ -162,36 +171,38 @@ def test_columns_that_presolve_takes_for_feasible_are_proven_not_to_be():
     assert not any(
         sum(map(len, sets)) == 10 and len(set().union(*sets)) == 10 for sets in choices
     )
-    assert partition(columns, 10, seed=0, nodes=2) == Partition(np.inf, {}, np.inf)
+    assert find_partition(columns, 10, seed=0, nodes=2) == PartitionResult(
+        np.inf, {}, np.inf
+    )
 
 
 def test_no_cover_is_proven_and_relaxes_at_the_penalty():
-    lonely = [(0, Column(3.0, (0,)))]
-    none = Partition(np.inf, {}, np.inf)
-    assert partition(lonely, 2, seed=0, nodes=10) == none
-    assert partition([], 2, seed=0, nodes=10) == none
-    pool = Pool(2)
-    pool.add(0, [Column(3.0, (0,))])
+    lonely = [(0, RouteColumn(3.0, (0,)))]
+    none = PartitionResult(np.inf, {}, np.inf)
+    assert find_partition(lonely, 2, seed=0, nodes=10) == none
+    assert find_partition([], 2, seed=0, nodes=10) == none
+    pool = ColumnPool(2)
+    pool.add(0, [RouteColumn(3.0, (0,))])
     assert pool.relax(np.array([50.0, 50.0])).value == pytest.approx(53.0)
-    assert Pool(2).relax(np.array([50.0, 60.0])).value == pytest.approx(110.0)
+    assert ColumnPool(2).relax(np.array([50.0, 60.0])).value == pytest.approx(110.0)
 
 
 def test_a_shorter_tour_of_the_same_set_replaces_the_longer():
-    pool = Pool(3)
-    assert pool.add(1, [Column(5.0, (0, 2)), Column(6.0, (1,))]) == 2
-    assert pool.add(1, [Column(5.0, (0, 2))]) == 0
-    assert pool.add(1, [Column(4.5, (0, 2))]) == 1
-    assert pool.add(0, [Column(9.0, (0, 2))]) == 1
+    pool = ColumnPool(3)
+    assert pool.add(1, [RouteColumn(5.0, (0, 2)), RouteColumn(6.0, (1,))]) == 2
+    assert pool.add(1, [RouteColumn(5.0, (0, 2))]) == 0
+    assert pool.add(1, [RouteColumn(4.5, (0, 2))]) == 1
+    assert pool.add(0, [RouteColumn(9.0, (0, 2))]) == 1
     assert pool.items() == [
-        (0, Column(9.0, (0, 2))),
-        (1, Column(4.5, (0, 2))),
-        (1, Column(6.0, (1,))),
+        (0, RouteColumn(9.0, (0, 2))),
+        (1, RouteColumn(4.5, (0, 2))),
+        (1, RouteColumn(6.0, (1,))),
     ]
-    assert not pool.has(1, Column(4.0, (0, 2)))
+    assert not pool.has(1, RouteColumn(4.0, (0, 2)))
 
 
 def test_a_tour_that_is_shorter_by_rounding_alone_is_no_news():
     master = Master(np.full(3, 9.0))
-    assert master.add(1, [Column(5.0, (0, 2))]) == 1
-    assert master.add(1, [Column(5.0 - 1e-12, (0, 2))]) == 0
-    assert master.add(1, [Column(5.0 - 1e-6, (0, 2))]) == 1
+    assert master.add(1, [RouteColumn(5.0, (0, 2))]) == 1
+    assert master.add(1, [RouteColumn(5.0 - 1e-12, (0, 2))]) == 0
+    assert master.add(1, [RouteColumn(5.0 - 1e-6, (0, 2))]) == 1

@@ -10,28 +10,28 @@ import pytest
 from crazychoir.bus.codec import MAX_PAYLOAD, decode, encode
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.routing.distributed import column_recovery, gossip
-from crazychoir.routing.distributed.bound import improve
+from crazychoir.routing.distributed.bound import improve_bound
 from crazychoir.routing.distributed.distributed_columns import DistributedColumns
-from crazychoir.routing.distributed.master import partition
-from crazychoir.routing.distributed.member import Settings
-from crazychoir.routing.distributed.packing import packed
+from crazychoir.routing.distributed.master import find_partition
+from crazychoir.routing.distributed.member import RoutingSettings
+from crazychoir.routing.distributed.packing import pack_columns
 from crazychoir.routing.distributed.pickup_delivery import (
-    BY_CLAIMS,
-    BY_PRICES,
-    METHODS,
+    CLAIM_METHODS,
+    PLANNING_METHODS,
+    PRICE_METHODS,
     PickupDelivery,
 )
 from crazychoir.routing.distributed.plain_loop import (
-    diameter,
-    joined,
+    compute_diameter,
+    join_solutions,
+    make_team,
     solve_in_loop,
-    team,
 )
-from crazychoir.routing.distributed.proof import Assignment
-from crazychoir.routing.instance.checker import check
+from crazychoir.routing.distributed.proof import TaskPartition
+from crazychoir.routing.instance.checker import check_plan
 from crazychoir.routing.instance.generate import random_instance
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.routing.pricing.route_table import Column, RouteTable
+from crazychoir.routing.pricing.route_table import RouteColumn, RouteTable
 from crazychoir.team.round import Round
 
 BENCHMARKS = [
@@ -82,7 +82,7 @@ def test_prices_and_claims_alone_end_in_a_feasible_plan_above_their_bound(
     instance = random_instance(5, 7, seed, capable=0.7, route_length_limit=45.0)
     solution = solve_in_loop(instance, graph("ring", 5), method)
     best = solve_in_loop(instance, graph("ring", 5))
-    assert check(instance, solution.plan) == []
+    assert check_plan(instance, solution.plan) == []
     assert solution.lower_bound <= best.cost + 1e-6
     assert best.cost <= solution.cost + 1e-6
     assert not any("columns" in word for word in solution.disclosed)
@@ -131,7 +131,7 @@ def test_claims_by_name_tell_no_share(small, graph, method, names_only):
     assert all(amount == -float(robot) for _, amount, robot in bids) == names_only
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", PLANNING_METHODS)
 def test_messages_are_plain_values_and_the_codec_changes_nothing(small, graph, method):
     instance, _ = small("limited")
     plain = solve_in_loop(instance, graph("ring", 4), method)
@@ -144,10 +144,10 @@ def test_messages_are_plain_values_and_the_codec_changes_nothing(small, graph, m
     assert coded == plain
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", PLANNING_METHODS)
 def test_the_order_of_the_agents_changes_nothing(small, graph, method):
     instance, _ = small("limited")
-    agents = team(instance, graph("path", 4), method)
+    agents = make_team(instance, graph("path", 4), method)
     plain = solve_in_loop(instance, graph("path", 4), method)
     order = [2, 0, 3, 1]
     while not agents[0].done:
@@ -155,14 +155,14 @@ def test_the_order_of_the_agents_changes_nothing(small, graph, method):
         for i in order:
             agents[i].step({j: messages[j] for j in reversed(graph("path", 4)[i])})
     assert all(agent.done for agent in agents.values())
-    assert joined(instance, [agents[i].solution for i in order]) == plain
+    assert join_solutions(instance, [agents[i].solution for i in order]) == plain
 
 
 def test_all_robots_know_the_same_digest_cost_and_bound_but_only_their_own_route(
     small, graph
 ):
     instance, _ = small("limited")
-    agents = team(instance, graph("ring", 4))
+    agents = make_team(instance, graph("ring", 4))
     assert all(isinstance(agent, Round) and agent.heavy for agent in agents.values())
     while not all(agent.done for agent in agents.values()):
         messages = {i: agent.message() for i, agent in agents.items()}
@@ -177,7 +177,9 @@ def test_all_robots_know_the_same_digest_cost_and_bound_but_only_their_own_route
         assert all(route.robot == i for route in solution.routes)
     assert {agent.progress.phase for agent in agents.values()} == {"done"}
     with pytest.raises(SolverError, match="digest"):
-        joined(instance, [replace(solutions[0], plan_digest="0" * 64), *solutions[1:]])
+        join_solutions(
+            instance, [replace(solutions[0], plan_digest="0" * 64), *solutions[1:]]
+        )
 
 
 def test_the_hash_seed_changes_nothing(repository):
@@ -200,17 +202,17 @@ def test_the_hash_seed_changes_nothing(repository):
 
 def test_one_robot_alone(graph):
     instance = random_instance(1, 4, seed=2, capacities=(5, 5))
-    for method in METHODS:
+    for method in PLANNING_METHODS:
         solution = solve_in_loop(instance, {0: []}, method)
         assert solution.feasible
         assert len(solution.routes) == 1
         assert solution.lower_bound is None or solution.lower_bound <= solution.cost
 
 
-WEAK = Settings(price_rounds=3, batch=2, first_gap=0.002, most_shared=20)
+WEAK = RoutingSettings(price_rounds=3, batch=2, first_gap=0.002, most_shared=20)
 
 
-@pytest.mark.parametrize("settings", [Settings(), WEAK], ids=["default", "weak"])
+@pytest.mark.parametrize("settings", [RoutingSettings(), WEAK], ids=["default", "weak"])
 @pytest.mark.parametrize("seed", [18, 33, 39, 45, 52])
 def test_where_the_relaxation_has_a_gap_the_widening_finds_what_enumeration_finds(
     graph, seed, settings
@@ -225,7 +227,7 @@ def test_where_the_relaxation_has_a_gap_the_widening_finds_what_enumeration_find
         for i, table in enumerate(tables)
         for c in range(1, len(table))
     ]
-    best = partition(columns, tasks, seed=0, nodes=10_000)
+    best = find_partition(columns, tasks, seed=0, nodes=10_000)
     solution = solve_in_loop(instance, graph("ring", robots), settings=settings)
     assert solution.cost == pytest.approx(best.cost, abs=1e-6)
     assert solution.lower_bound == pytest.approx(best.cost, abs=1e-3)
@@ -254,7 +256,7 @@ WEIGHED = [
 """What prices of tasks do not add up to."""
 
 
-@pytest.mark.parametrize("method", BY_PRICES)
+@pytest.mark.parametrize("method", PRICE_METHODS)
 @pytest.mark.parametrize("more", WEIGHED)
 def test_what_prices_do_not_add_up_to_is_refused_by_methods_of_prices(method, more):
     raw = three_robots_and_four_tasks(np.random.default_rng(1)) | {
@@ -264,24 +266,24 @@ def test_what_prices_do_not_add_up_to_is_refused_by_methods_of_prices(method, mo
         ConfigError,
         match=rf"method {method}: found .* the methods columns, cbba, auction\.",
     ):
-        team(Instance.parse(raw | more), {0: [1], 1: [0, 2], 2: [1]}, method)
-    for able in set(METHODS) - set(BY_PRICES):
+        make_team(Instance.parse(raw | more), {0: [1], 1: [0, 2], 2: [1]}, method)
+    for able in set(PLANNING_METHODS) - set(PRICE_METHODS):
         assert solve_in_loop(
             Instance.parse(raw | more), {0: [1], 1: [0, 2], 2: [1]}, able
         ).feasible
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", PLANNING_METHODS)
 def test_methods_that_cannot_refuse_a_task_say_so(method):
     """Nobody can lift the last task; the first of those that can refuse it does."""
     raw = three_robots_and_four_tasks(np.random.default_rng(1)) | {
         "capacity": [2.0] * 3
     }
     raw |= {"load": [1.0, 1.0, 1.0, 1000.0], "penalty": [None, None, None, 5.0]}
-    if method in BY_CLAIMS:
+    if method in CLAIM_METHODS:
         said = rf"method {method}: found a finite penalty of task\(s\) 3, .* columns, resource-columns, cbba, auction\."
         with pytest.raises(ConfigError, match=said):
-            team(Instance.parse(raw), {0: [1], 1: [0, 2], 2: [1]}, method)
+            make_team(Instance.parse(raw), {0: [1], 1: [0, 2], 2: [1]}, method)
     else:
         solution = solve_in_loop(
             Instance.parse(raw), {0: [1], 1: [0, 2], 2: [1]}, method
@@ -320,7 +322,7 @@ def test_no_bound_is_above_the_optimum_where_tasks_are_refused_or_time_is_minimi
 @pytest.mark.parametrize("method", ["columns", "resource-columns"])
 def test_a_bound_above_the_cost_is_an_error_and_not_clipped(graph, monkeypatch, method):
     def too_high(bound, *args):
-        news = yield from improve(bound, *args)
+        news = yield from improve_bound(bound, *args)
         bound.value += 7.0
         return news
 
@@ -353,9 +355,9 @@ def test_robots_that_did_not_search_know_in_the_same_round_that_there_is_no_plan
         "capacity": [1] * 4,
         "route_length_limit": 6.8,
     }
-    settings = Settings(small=0, first_steps=50, steps=500)
+    settings = RoutingSettings(small=0, first_steps=50, steps=500)
     agents, failed = (
-        team(Instance.parse(raw), graph("ring", 4), "columns", settings),
+        make_team(Instance.parse(raw), graph("ring", 4), "columns", settings),
         {},
     )
     while not failed:
@@ -374,8 +376,8 @@ def test_robots_that_did_not_search_know_in_the_same_round_that_there_is_no_plan
 
 def test_a_table_that_is_cut_gives_a_plan_without_a_bound(graph):
     instance = random_instance(4, 6, seed=3)
-    cut = Settings(most_labels=600)  # 200 of them without limits
-    for method in METHODS:
+    cut = RoutingSettings(most_labels=600)  # 200 of them without limits
+    for method in PLANNING_METHODS:
         solution = solve_in_loop(instance, graph("ring", 4), method, cut)
         assert (solution.feasible, solution.lower_bound, solution.bound_exact) == (
             True,
@@ -387,7 +389,7 @@ def test_a_table_that_is_cut_gives_a_plan_without_a_bound(graph):
 def test_one_searcher_is_enough_for_a_large_search(small, graph):
     instance, optimum = small("limited")
     solution = solve_in_loop(
-        instance, graph("ring", 4), settings=Settings(small=0, searchers=1)
+        instance, graph("ring", 4), settings=RoutingSettings(small=0, searchers=1)
     )
     assert solution.cost == pytest.approx(optimum)
 
@@ -397,7 +399,7 @@ def test_columns_shared_a_few_at_a_time_still_prove_the_optimum(small, graph):
     solution = solve_in_loop(
         instance,
         graph("ring", 4),
-        settings=Settings(most_shared=1, price_rounds=3, batch=1),
+        settings=RoutingSettings(most_shared=1, price_rounds=3, batch=1),
     )
     assert solution.cost == pytest.approx(optimum)
 
@@ -405,14 +407,14 @@ def test_columns_shared_a_few_at_a_time_still_prove_the_optimum(small, graph):
 def test_what_is_relayed_for_all_robots_together_fits_into_a_payload(small, graph):
     robots, columns = (
         50,
-        [Column(1.0, tuple(range(20)))] * (Settings().most_relayed // 50),
+        [RouteColumn(1.0, tuple(range(20)))] * (RoutingSettings().most_relayed // 50),
     )
     assert (
-        len(encode([[i, [packed(columns), False, False]] for i in range(robots)]))
+        len(encode([[i, [pack_columns(columns), False, False]] for i in range(robots)]))
         < MAX_PAYLOAD
     )
     instance, optimum = small("limited")
-    whole = Settings(price_rounds=3, first_gap=10.0)
+    whole = RoutingSettings(price_rounds=3, first_gap=10.0)
     plain = solve_in_loop(instance, graph("star", 4), settings=whole)
     parted = solve_in_loop(
         instance, graph("star", 4), settings=replace(whole, most_relayed=4)
@@ -428,7 +430,7 @@ def test_neighbours_with_other_tasks_or_options_are_noticed(small):
         PickupDelivery(other.local(1), [0], 4, 3, {0: 1}),
         PickupDelivery(instance.local(1), [0], 4, 3, {0: 1}, "resource"),
         PickupDelivery(
-            instance.local(1), [0], 4, 3, {0: 1}, settings=Settings(batch=3)
+            instance.local(1), [0], 4, 3, {0: 1}, settings=RoutingSettings(batch=3)
         ),
     ):
         me = PickupDelivery(instance.local(0), [1], 4, 3, {1: 1})
@@ -468,7 +470,7 @@ def test_a_damaged_plan_is_noticed(small, graph):
             instance,
             graph("path", 4),
             carry=damage,
-            settings=Settings(small=0, searchers=1),
+            settings=RoutingSettings(small=0, searchers=1),
         )
 
 
@@ -482,7 +484,7 @@ def test_a_damaged_plan_is_noticed(small, graph):
 )
 def test_a_graph_must_be_connected_and_undirected(wrong, text):
     with pytest.raises(ConfigError, match=text):
-        diameter(wrong)
+        compute_diameter(wrong)
 
 
 def test_the_graph_must_be_of_the_robots_and_the_method_known(small, graph):
@@ -497,7 +499,8 @@ def test_the_graph_must_be_of_the_robots_and_the_method_known(small, graph):
 
 def test_diameters(graph):
     assert [
-        diameter(graph(shape, 6)) for shape in ("ring", "complete", "path", "star")
+        compute_diameter(graph(shape, 6))
+        for shape in ("ring", "complete", "path", "star")
     ] == [3, 1, 5, 2]
 
 
@@ -515,10 +518,10 @@ def test_robots_with_different_plans_notice_it_all_in_the_same_round(
 
     def run(self):
         yield None
-        return Assignment(plan, None)
+        return TaskPartition(plan, None)
 
     monkeypatch.setattr(DistributedColumns, "run", run)
-    agents = team(
+    agents = make_team(
         Instance.parse(points | {"load": [1.0] * 2, "capacity": [2.0] * 2}),
         graph("path", 2),
     )

@@ -3,9 +3,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from crazychoir.routing.instance.checker import check, check_team
+from crazychoir.routing.instance.checker import check_plan, check_team_plan
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.routing.instance.plan import Plan, Route, Stop
+from crazychoir.routing.instance.plan import Route, RoutePlan, Stop
 
 RAW = {
     "home": [[0.0, 0.0], [5.0, 0.0]],
@@ -22,12 +22,12 @@ SHORT = Route.from_nodes(1, [2, 5], 3, 4.0)
 
 
 def wrong(*routes, instance=INSTANCE):
-    return check(instance, Plan(routes))
+    return check_plan(instance, RoutePlan(routes))
 
 
 def test_a_good_plan_has_no_violations():
     assert wrong(LONG, SHORT) == []
-    assert Plan((LONG, SHORT)).cost == 12.0
+    assert RoutePlan((LONG, SHORT)).cost == 12.0
 
 
 def test_a_task_left_out_or_served_twice():
@@ -183,11 +183,11 @@ def test_trips_have_the_limit_each_and_nothing_on_board_between():
 def test_refusals_cost_their_penalty():
     may = goods(penalty=[None, None, 2.5], fixed_cost=1.0)
     assert may.plan([LONG]).cost == 8.0 + 1.0 + 2.5
-    assert check(may, may.plan([LONG])) == []
-    assert check(may, Plan((LONG,), fixed_cost=1.0)) == [
+    assert check_plan(may, may.plan([LONG])) == []
+    assert check_plan(may, RoutePlan((LONG,), fixed_cost=1.0)) == [
         "the plan states a cost of 9.000000 but costs 11.500000"
     ]
-    assert check(goods(penalty=[None, 1.0, None]), Plan((LONG,))) == [
+    assert check_plan(goods(penalty=[None, 1.0, None]), RoutePlan((LONG,))) == [
         "task 2 is served 0 times, not once"
     ]
 
@@ -196,8 +196,8 @@ def test_the_makespan_is_that_of_the_last():
     last = goods(objective=["makespan", "total"], speed=[1.0, 0.25])
     plan = last.plan([replace(LONG, finish=8.0), replace(SHORT, finish=16.0)])
     assert plan.values == (16.0, 12.0)
-    assert check(last, plan) == []
-    assert Plan.from_json(plan.to_json()) == plan
+    assert check_plan(last, plan) == []
+    assert RoutePlan.from_json(plan.to_json()) == plan
 
 
 def test_in_flight_a_robot_begins_where_it_is_and_delivers_what_it_carries():
@@ -210,11 +210,11 @@ def test_in_flight_a_robot_begins_where_it_is_and_delivers_what_it_carries():
         aboard=np.array([False, False, True]),
     )
     route = Route.from_nodes(1, [5], 3, 3.0, 4.0 + 3.0)
-    assert check_team(team, Plan((LONG, route))) == []
-    assert check_team([team[0], replace(team[1], left=2.5)], Plan((LONG, route))) == [
-        "robot 1: flies 3.000000 m, limit 2.5 m"
-    ]
+    assert check_team_plan(team, RoutePlan((LONG, route))) == []
+    assert check_team_plan(
+        [team[0], replace(team[1], left=2.5)], RoutePlan((LONG, route))
+    ) == ["robot 1: flies 3.000000 m, limit 2.5 m"]
     empty = [team[0], INSTANCE.local(1)]
-    assert "robot 1: delivers task 2 without having it on board" in check_team(
-        empty, Plan((LONG, route))
+    assert "robot 1: delivers task 2 without having it on board" in check_team_plan(
+        empty, RoutePlan((LONG, route))
     )

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from crazychoir.errors import ConfigError, InstanceError
 from crazychoir.routing.distributed.plain_loop import solve_in_loop
-from crazychoir.routing.instance.fields import OPTIONAL
+from crazychoir.routing.instance.fields import INSTANCE_KEYS
 from crazychoir.routing.instance.instance import Instance
 
 GOOD = {
@@ -420,7 +420,7 @@ values = st.recursive(
 )
 
 
-@given(st.sampled_from([*GOOD, *OPTIONAL, "N"]), values)
+@given(st.sampled_from([*GOOD, *INSTANCE_KEYS.optional, "N"]), values)
 def test_any_value_of_a_key_loads_or_is_refused(key, value):
     with suppress(InstanceError):
         instance = Instance.parse({**GOOD, key: value})

@@ -4,7 +4,7 @@ import math
 import pytest
 
 from crazychoir.errors import InstanceError
-from crazychoir.routing.instance.checker import check
+from crazychoir.routing.instance.checker import check_plan
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.plan import Route
 from crazychoir.solve.solving import solve_here
@@ -103,7 +103,7 @@ def test_best_known_solutions_cost_what_is_published(
                 )
             )
     plan = instance.plan(routes)
-    assert check(instance, plan) == []
+    assert check_plan(instance, plan) == []
     assert len(routes) == vehicles
     assert plan.values == (vehicles, pytest.approx(length, abs=0.01))
     assert plan.cost == pytest.approx(length, abs=0.01)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.routing.instance.picture import _title, _tours, draw_routes
-from crazychoir.routing.instance.plan import Plan, Route
+from crazychoir.routing.instance.picture import _describe_plan, _list_tours, draw_routes
+from crazychoir.routing.instance.plan import Route, RoutePlan
 from crazychoir.routing.pricing.arc_flow import solve_compact
 
 
@@ -17,7 +17,7 @@ def test_a_plan_becomes_a_png(small, tmp_path, name):
     plan = solve_compact(instance)
     assert plan.cost == pytest.approx(optimum)
     draw_routes(instance, plan, tmp_path / "plan.png")
-    draw_routes(instance, Plan(()), tmp_path / "empty.png")
+    draw_routes(instance, RoutePlan(()), tmp_path / "empty.png")
     drawn, empty = imread(tmp_path / "plan.png"), imread(tmp_path / "empty.png")
     assert drawn.shape[0] > 800
     assert (drawn[..., :3].min(axis=2) < 0.9).sum() > (
@@ -35,14 +35,14 @@ def test_recharges_ends_and_open_tours_are_drawn_where_they_are():
     }
     route = Route.from_nodes(0, [0, 2, 5, 1, 3], 2, 1.0)
     ends = Instance.parse(raw | {"end": [[0.0, 3.0]], "recharge": 2})
-    one, two = (tour.tolist() for tour in _tours(ends, route))
+    one, two = (tour.tolist() for tour in _list_tours(ends, route))
     assert (one, two) == (
         [[0, 0], [1, 0], [1, 1], [0, 3]],
         [[0, 3], [2, 0], [2, 1], [0, 3]],
     )
     free = Instance.parse(raw | {"open_tours": True})
     assert [
-        tour.tolist() for tour in _tours(free, Route.from_nodes(0, [0, 2], 2, 2.0))
+        tour.tolist() for tour in _list_tours(free, Route.from_nodes(0, [0, 2], 2, 2.0))
     ] == [[[0, 0], [1, 0], [1, 1]]]
 
 
@@ -94,7 +94,7 @@ def test_the_title_names_what_is_refused_and_the_last_to_be_done(small, tmp_path
     plan = late.plan([Route.from_nodes(0, [0, 4], 4, 7.5, 8.25)])
     draw_routes(late, plan, tmp_path / "plan.png")
     assert (
-        _title(late, plan)
+        _describe_plan(late, plan)
         == f"1 of {instance.robots} robots fly 7.50 m until 8.25 s; refused: 1, 2, 3"
     )
 

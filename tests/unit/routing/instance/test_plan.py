@@ -1,7 +1,13 @@
 import json
 from dataclasses import replace
 
-from crazychoir.routing.instance.plan import Plan, Route, Solution, Stop, digest_of
+from crazychoir.routing.instance.plan import (
+    Route,
+    RoutePlan,
+    Solution,
+    Stop,
+    combine_digests,
+)
 
 ROUTE = Route.from_nodes(2, [1, 0, 3, 4], 3, 7.25)
 OTHER = Route.from_nodes(0, [2, 5], 3, 1.5)
@@ -18,33 +24,33 @@ def test_nodes_become_stops():
 
 
 def test_the_order_of_routes_and_idle_robots_do_not_change_a_plan():
-    plan = Plan((ROUTE, OTHER, Route(1, (), 0.0)))
-    assert plan == Plan((OTHER, ROUTE))
+    plan = RoutePlan((ROUTE, OTHER, Route(1, (), 0.0)))
+    assert plan == RoutePlan((OTHER, ROUTE))
     assert (plan.cost, [r.robot for r in plan.routes]) == (8.75, [0, 2])
 
 
 def test_json_round_trip_and_digest():
-    plan = Plan((ROUTE, OTHER))
-    again = Plan.from_json(json.loads(json.dumps(plan.to_json())))
+    plan = RoutePlan((ROUTE, OTHER))
+    again = RoutePlan.from_json(json.loads(json.dumps(plan.to_json())))
     assert (again, again.digest) == (plan, plan.digest)
-    assert plan.digest == digest_of({2: ROUTE.digest, 0: OTHER.digest})
+    assert plan.digest == combine_digests({2: ROUTE.digest, 0: OTHER.digest})
     assert len(plan.digest) == 64
 
 
 def test_any_change_changes_the_digest():
-    plan = Plan((ROUTE, OTHER))
+    plan = RoutePlan((ROUTE, OTHER))
     swapped = replace(ROUTE, stops=(ROUTE.stops[1], ROUTE.stops[0], *ROUTE.stops[2:]))
     others = [
-        Plan((swapped, OTHER)),
-        Plan((replace(ROUTE, length=7.2500001), OTHER)),
-        Plan((ROUTE,)),
+        RoutePlan((swapped, OTHER)),
+        RoutePlan((replace(ROUTE, length=7.2500001), OTHER)),
+        RoutePlan((ROUTE,)),
     ]
     assert (
         len(
             {
                 plan.digest,
                 *(p.digest for p in others),
-                Plan((replace(ROUTE, robot=1), OTHER)).digest,
+                RoutePlan((replace(ROUTE, robot=1), OTHER)).digest,
             }
         )
         == 5
@@ -52,7 +58,7 @@ def test_any_change_changes_the_digest():
 
 
 def test_a_solution_is_one_json_object():
-    plan = Plan((ROUTE, OTHER))
+    plan = RoutePlan((ROUTE, OTHER))
     solution = Solution(
         8.75,
         True,

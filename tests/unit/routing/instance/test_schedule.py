@@ -6,7 +6,11 @@ import pytest
 
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.plan import Route
-from crazychoir.routing.instance.schedule import outcome, times_matter, trips
+from crazychoir.routing.instance.schedule import (
+    is_timed,
+    split_into_trips,
+    summarise_plan,
+)
 
 RAW = {
     "home": [[0.0, 0.0], [0.0, 8.0]],
@@ -28,7 +32,7 @@ def test_a_recharge_parts_a_route_into_trips():
     instance = Instance.parse(
         RAW | {"recharge": 2, "end": [[0.0, 3.0], None], "speed": 0.5}
     )
-    one, two = trips(instance, route(instance, NODES))
+    one, two = split_into_trips(instance, route(instance, NODES))
     first, second = 1 + 1 + math.hypot(1, 2), math.hypot(2, 3) + 1 + math.hypot(2, 2)
     assert (one.number, two.number) == (1, 2)
     assert (one.length, two.length) == (pytest.approx(first), pytest.approx(second))
@@ -45,7 +49,7 @@ def test_a_recharge_parts_a_route_into_trips():
 def test_services_wait_for_their_windows_and_take_their_time():
     windows = {"time_windows": {"pickup": [[5, 9], None]}, "service_time": 2.0}
     instance = Instance.parse(RAW | windows)
-    (only,) = trips(instance, route(instance, [0, 2]))
+    (only,) = split_into_trips(instance, route(instance, [0, 2]))
     assert only.begins == (5.0, 8.0)
     assert only.end == pytest.approx(10 + math.hypot(1, 1))
     assert only.end == instance.local(0).vehicle.finish([0, 2])
@@ -65,22 +69,22 @@ def test_services_wait_for_their_windows_and_take_their_time():
     ],
 )
 def test_times_matter_where_something_asks_for_them(change, matter):
-    assert times_matter(Instance.parse(RAW | change)) is matter
+    assert is_timed(Instance.parse(RAW | change)) is matter
 
 
 def test_the_outcome_names_what_is_refused_and_what_is_wrong():
     instance = Instance.parse(RAW | {"penalty": [None, 4.0], "priority": [0, 3]})
-    found = outcome(instance, [route(instance, [0, 2])])
+    found = summarise_plan(instance, [route(instance, [0, 2])])
     assert found["refused"] == [{"task": 1, "penalty": 4.0, "priority": 3}]
     assert found["penalties"] == 4.0
     assert found["violations"] == []
     assert (
         found["total_m"] == found["makespan_s"] == pytest.approx(2 + math.hypot(1, 1))
     )
-    wrong = outcome(instance, [route(instance, [1, 3])])
+    wrong = summarise_plan(instance, [route(instance, [1, 3])])
     assert wrong["refused"] == []
     assert wrong["violations"] == ["task 0 is served 0 times, not once"]
-    nothing = outcome(Instance.parse(RAW | {"penalty": [1.0, 4.0]}), [])
+    nothing = summarise_plan(Instance.parse(RAW | {"penalty": [1.0, 4.0]}), [])
     assert (nothing["trips"], nothing["makespan_s"], nothing["penalties"]) == (
         [],
         0.0,

@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import InstanceError
-from crazychoir.routing.distributed.master import fewest
-from crazychoir.routing.distributed.member import Settings
+from crazychoir.routing.distributed.master import find_fewest_columns
+from crazychoir.routing.distributed.member import RoutingSettings
 from crazychoir.routing.distributed.plain_loop import solve_in_loop
-from crazychoir.routing.instance.checker import check
+from crazychoir.routing.instance.checker import check_plan
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.pricing.arc_flow import solve_compact
-from crazychoir.routing.pricing.route_table import Column, RouteTable
-from crazychoir.routing.search.search import search
+from crazychoir.routing.pricing.route_table import RouteColumn, RouteTable
+from crazychoir.routing.search.search import search_plan
 
 SIDES = (-1, 1, -1, 1)
 """Where the goods are, west or east of the depot: one vehicle must go to and fro, as the windows open by turns."""
 PATH = {0: [1], 1: [0, 2], 2: [1]}
-LISTED = Settings()
-SEARCHED = Settings(prove=True, most_listed=0, steps=20_000)
-PRICED = Settings(price_rounds=8)
+LISTED = RoutingSettings()
+SEARCHED = RoutingSettings(prove=True, most_listed=0, steps=20_000)
+PRICED = RoutingSettings(price_rounds=8)
 
 
 def to_and_fro(unit, speed=1):
@@ -87,7 +87,7 @@ def test_one_vehicle_is_better_than_two_on_a_way_of_a_quarter(tmp_path, unit, se
     instance = Instance.load(file)
     solution = solve_in_loop(instance, PATH, settings=settings)
     plan = instance.plan(solution.routes)
-    assert check(instance, plan) == []
+    assert check_plan(instance, plan) == []
     assert len(plan.routes) == 1
     assert solution.vehicles_bound == 1
     assert solution.cost == plan.cost == pytest.approx(16 * unit)
@@ -111,7 +111,7 @@ def test_small_plans_are_optimal(unit, method, settings):
             continue
         solution = solve_in_loop(instance, PATH, method, settings)
         plan = instance.plan(solution.routes)
-        assert check(instance, plan) == []
+        assert check_plan(instance, plan) == []
         assert plan.values == (best[0], pytest.approx(best[1], rel=1e-6))
         assert solution.vehicles_bound <= best[0]
         if solution.lower_bound is not None:
@@ -123,7 +123,7 @@ def test_small_plans_are_optimal(unit, method, settings):
 def test_the_compact_model_counts_vehicles_first_too():
     instance = random_instance(1, 1.0)
     plan = solve_compact(instance)
-    assert check(instance, plan) == []
+    assert check_plan(instance, plan) == []
     vehicles, total = least(random_instance(1, 1.0, ["total"]))
     assert plan.values == (vehicles, pytest.approx(total))
 
@@ -132,7 +132,7 @@ def test_the_compact_model_counts_vehicles_first_too():
 def test_baselines_take_the_same_instances(method):
     instance = random_instance(0, 30_000.0)
     plan = instance.plan(solve_in_loop(instance, PATH, method).routes)
-    assert check(instance, plan) == []
+    assert check_plan(instance, plan) == []
 
 
 @pytest.mark.parametrize("unit", [0.0, 1.0, 1e5])
@@ -171,18 +171,21 @@ def test_the_fewest_columns_are_chosen_and_of_those_the_shortest():
         (1, (0,), 1e-3),
     ]
     priced = [
-        (robot, Column(weight + length, tasks)) for robot, tasks, length in columns
+        (robot, RouteColumn(weight + length, tasks)) for robot, tasks, length in columns
     ]
-    found = fewest(priced, 2, 0, 1000, weight, 0)
+    found = find_fewest_columns(priced, 2, 0, 1000, weight, 0)
     assert found.routes == {1: (0, 1)}
     assert found.cost - weight == pytest.approx(800.0)
     assert found.bound - weight == pytest.approx(800.0)
-    again = fewest(priced, 2, 0, 1000, weight, 1, known={0: (0,), 1: (1,)})
+    again = find_fewest_columns(priced, 2, 0, 1000, weight, 1, known={0: (0,), 1: (1,)})
     assert again.cost == pytest.approx(found.cost)
 
 
 def test_no_choice_of_columns_is_said_to_be_none():
-    assert fewest([(0, Column(3.0, (0,)))], 2, 0, 100, 1.0, 0).cost == math.inf
+    assert (
+        find_fewest_columns([(0, RouteColumn(3.0, (0,)))], 2, 0, 100, 1.0, 0).cost
+        == math.inf
+    )
 
 
 def test_the_search_ends_with_the_vehicle_whose_home_is_near():
@@ -196,7 +199,7 @@ def test_the_search_ends_with_the_vehicle_whose_home_is_near():
     }
     instance = Instance.parse(raw)
     team = [instance.local(i).vehicle for i in range(2)]
-    found = search(
+    found = search_plan(
         team, [[0, 1], []], np.array([math.inf]), 500, 0, objective=instance.objective
     )
     assert found.routes == [[], [0, 1]]

@@ -1,8 +1,8 @@
 import pytest
 
 from crazychoir.errors import SolverError
-from crazychoir.routing.distributed.master import partition
-from crazychoir.routing.instance.checker import check
+from crazychoir.routing.distributed.master import find_partition
+from crazychoir.routing.instance.checker import check_plan
 from crazychoir.routing.instance.generate import random_instance
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.pricing.arc_flow import solve_compact
@@ -21,14 +21,14 @@ CASES = [
 def test_arcs_and_columns_have_the_same_optimum(robots, tasks, seed, options):
     instance = random_instance(robots, tasks, seed, **options)
     plan = solve_compact(instance)
-    assert check(instance, plan) == []
+    assert check_plan(instance, plan) == []
     tables = [RouteTable(instance.local(i).vehicle) for i in range(robots)]
     columns = [
         (i, table.column(c))
         for i, table in enumerate(tables)
         for c in range(1, len(table))
     ]
-    assert partition(columns, tasks, seed=0, nodes=10_000).cost == pytest.approx(
+    assert find_partition(columns, tasks, seed=0, nodes=10_000).cost == pytest.approx(
         plan.cost, abs=1e-6
     )
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from crazychoir.errors import InstanceError
 from crazychoir.routing.instance.generate import random_instance
-from crazychoir.routing.pricing.bidirectional_pricing import Halves
-from crazychoir.routing.pricing.reduced_cost import least_reduced_cost
+from crazychoir.routing.pricing.bidirectional_pricing import HalfRoutes
+from crazychoir.routing.pricing.reduced_cost import find_least_reduced_cost
 from crazychoir.routing.pricing.route_table import RouteTable
 from tests.unit.routing.instance.test_vehicle_routes import vehicle_of
 
@@ -26,8 +26,8 @@ def test_the_least_of_all_routes_is_found(kind, seed, worth, far):
     v = vehicle_of(seed, 6, kind)
     v = replace(v, limit=far * v.limit)
     prices = np.random.default_rng(seed).uniform(-0.2, 1.0, size=6) * worth
-    table, halves = RouteTable(v), Halves(v)
-    assert Halves.fits(v)
+    table, halves = RouteTable(v), HalfRoutes(v)
+    assert HalfRoutes.fits(v)
     assert halves.complete
     assert halves.least(prices) == pytest.approx(table.least(prices), abs=1e-9)
     found = halves.cheapest(prices, 4, 0.0)
@@ -47,7 +47,7 @@ def test_the_least_of_all_routes_is_found(kind, seed, worth, far):
 
 def test_the_length_of_a_column_is_that_of_its_halves_at_any_prices():
     vehicle = random_instance(4, 10, 3, route_length_limit=25.0).local(0).vehicle
-    halves, random, lengths = Halves(vehicle), np.random.default_rng(0), {}
+    halves, random, lengths = HalfRoutes(vehicle), np.random.default_rng(0), {}
     for _ in range(200):
         for column in halves.cheapest(random.uniform(0.0, 20.0, 10), 10, 0.0):
             lengths.setdefault(column.tasks, set()).add(column.length)
@@ -59,7 +59,7 @@ def test_the_length_of_a_column_is_that_of_its_halves_at_any_prices():
 
 def test_halves_that_are_cut_say_so():
     v = vehicle_of(3, 6, "limit")
-    assert not Halves(v, most=5).complete
+    assert not HalfRoutes(v, most=5).complete
 
 
 @pytest.mark.parametrize(
@@ -68,18 +68,18 @@ def test_halves_that_are_cut_say_so():
 def test_what_cannot_be_halved(kind):
     some = [vehicle_of(seed, 4, kind) for seed in range(6)]
     assert not any(
-        Halves.fits(v) for v in some if v.aboard.any() or "aboard" not in kind
+        HalfRoutes.fits(v) for v in some if v.aboard.any() or "aboard" not in kind
     )
 
 
 def test_nothing_to_serve():
     v = replace(vehicle_of(1, 4, "limit"), capable=np.zeros(4, bool))
-    assert Halves(v).least(np.full(4, 9.0)) == 0.0
-    assert Halves(v).cheapest(np.full(4, 9.0), 3, 0.0) == []
+    assert HalfRoutes(v).least(np.full(4, 9.0)) == 0.0
+    assert HalfRoutes(v).cheapest(np.full(4, 9.0), 3, 0.0) == []
 
 
 def test_more_tasks_than_a_set_holds_are_refused_by_name():
     v = random_instance(2, 130, 0, (0.7, 0.7), route_length_limit=60.0).local(0).vehicle
-    for price in (Halves, lambda v: least_reduced_cost(v, np.ones(130))):
+    for price in (HalfRoutes, lambda v: find_least_reduced_cost(v, np.ones(130))):
         with pytest.raises(InstanceError, match="at most 128"):
             price(v)

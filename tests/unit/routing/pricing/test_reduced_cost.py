@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 from crazychoir.routing.instance.generate import random_instance
 from crazychoir.routing.instance.vehicle import Vehicle
 from crazychoir.routing.pricing.reduced_cost import (
-    least_reduced_cost,
-    relaxed_reduced_cost,
+    bound_reduced_cost,
+    find_least_reduced_cost,
 )
 from crazychoir.routing.pricing.route_table import RouteTable
 from tests.unit.routing.instance.test_vehicle_routes import KINDS, vehicle_of
@@ -26,7 +26,7 @@ def test_the_least_reduced_cost_is_that_of_the_table(kind, seed, worth, width):
     table = RouteTable(v)
     if not len(table):
         return
-    found = least_reduced_cost(v, prices, most=10**6, width=width)
+    found = find_least_reduced_cost(v, prices, most=10**6, width=width)
     assert found.exact
     assert found.value == pytest.approx(table.least(prices), abs=1e-8)
     for column in found.columns:
@@ -38,10 +38,10 @@ def test_the_least_reduced_cost_is_that_of_the_table(kind, seed, worth, width):
         )
     below = max(found.value, 0.0) + 1.0
     for near in (1, 3):
-        assert relaxed_reduced_cost(v, prices, below, near) <= min(
+        assert bound_reduced_cost(v, prices, below, near) <= min(
             below, found.value + 1e-8
         )
-    assert relaxed_reduced_cost(v, prices, below, 5) == pytest.approx(
+    assert bound_reduced_cost(v, prices, below, 5) == pytest.approx(
         min(below, table.least(prices)), abs=1e-8
     )
 
@@ -49,15 +49,15 @@ def test_the_least_reduced_cost_is_that_of_the_table(kind, seed, worth, width):
 def test_a_search_that_is_cut_says_so():
     v = random_instance(1, 9, seed=3).local(0).vehicle
     prices = np.full(9, 9.0)
-    assert least_reduced_cost(v, prices).exact
-    assert not least_reduced_cost(v, prices, most=50, width=5).exact
-    assert relaxed_reduced_cost(v, prices, 0.0, 3, most=50) == -np.inf
+    assert find_least_reduced_cost(v, prices).exact
+    assert not find_least_reduced_cost(v, prices, most=50, width=5).exact
+    assert bound_reduced_cost(v, prices, 0.0, 3, most=50) == -np.inf
 
 
 def test_a_forbidden_task_is_in_no_column():
     v = random_instance(1, 6, seed=3).local(0).vehicle
     prices = np.array([9.0, 9.0, -np.inf, 9.0, 9.0, 9.0])
-    found = least_reduced_cost(v, prices)
+    found = find_least_reduced_cost(v, prices)
     assert found.value == pytest.approx(RouteTable(v).least(prices))
     assert all(2 not in column.tasks for column in found.columns)
 
@@ -80,6 +80,6 @@ def test_a_route_of_the_shortest_ways_alone_is_not_cut(limit, price):
         np.zeros(6, bool),
         fixed=-1.0,
     )
-    found = least_reduced_cost(v, np.full(6, price), width=1)
+    found = find_least_reduced_cost(v, np.full(6, price), width=1)
     assert found.value == pytest.approx(12.0 - 6 * price)
     assert found.columns[0].tasks == (0, 1, 2, 3, 4, 5)

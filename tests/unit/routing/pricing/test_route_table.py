@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from crazychoir.errors import SolverError
 from crazychoir.routing.instance.generate import random_instance
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.routing.pricing.route_table import RouteTable, shortest_route
+from crazychoir.routing.pricing.route_table import RouteTable, find_shortest_route
 
 
 def brute_force(local, tasks):
@@ -114,7 +114,7 @@ def test_more_than_sixty_four_tasks_use_the_second_word():
     assert table.find([63, 64]).length == pytest.approx(
         np.hypot(6.3, 1) + 0.1 + np.hypot(6.4, 1)
     )
-    nodes, length = shortest_route(local, [3, 63, 64, 69])
+    nodes, length = find_shortest_route(local, [3, 63, 64, 69])
     assert nodes == [3, 73, 63, 133, 64, 134, 69, 139] or nodes[::2] == [69, 64, 63, 3]
     assert length == pytest.approx(np.hypot(0.3, 1) + 6.6 + np.hypot(6.9, 1))
 
@@ -132,7 +132,7 @@ def test_the_route_of_a_set_is_as_long_as_its_column():
     table = RouteTable(local.vehicle)
     for c in range(len(table)):
         column = table.column(c)
-        nodes, length = shortest_route(local.vehicle, column.tasks)
+        nodes, length = find_shortest_route(local.vehicle, column.tasks)
         assert length == column.length
         assert sorted(nodes) == sorted([*column.tasks, *(6 + j for j in column.tasks)])
 
@@ -146,7 +146,7 @@ def test_a_set_that_does_not_fit_is_refused(change):
     raw["capability"] = [*change.get("capability", [[True] * 4]), [True] * 4]
     raw["route_length_limit"] = change.get("route_length_limit")
     with pytest.raises(SolverError, match="robot 0: a tour of tasks"):
-        shortest_route(Instance.parse(raw).local(0).vehicle, [0, 1, 2, 3])
+        find_shortest_route(Instance.parse(raw).local(0).vehicle, [0, 1, 2, 3])
 
 
 def test_capacity_holds_along_the_route():

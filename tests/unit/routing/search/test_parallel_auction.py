@@ -8,8 +8,8 @@ import pytest
 
 from crazychoir.optimization.rounds.program import Program
 from crazychoir.routing.instance.generate import random_instance
-from crazychoir.routing.search.parallel_auction import Insertion, parallel_auction
-from crazychoir.team.graph import named
+from crazychoir.routing.search.parallel_auction import Insertion, run_parallel_auction
+from crazychoir.team.graph import graph_from_name
 
 
 def vehicle(tasks=4, seed=0, **changes):
@@ -106,7 +106,7 @@ class Auction(Program):
         super().__init__()
 
     def run(self):
-        return (yield from parallel_auction(*self.arguments))
+        return (yield from run_parallel_auction(*self.arguments))
 
 
 def sold(vehicles, free, graph):
@@ -127,7 +127,7 @@ def sold(vehicles, free, graph):
 def test_every_task_is_sold_once_to_one_who_can(seed, shape):
     instance = random_instance(5, 12, seed, capable=0.6, route_length_limit=60.0)
     vehicles = {i: instance.local(i).vehicle for i in range(5)}
-    results = sold(vehicles, list(range(12)), named(shape, 5))
+    results = sold(vehicles, list(range(12)), graph_from_name(shape, 5))
     taken = sorted(v for route, _ in results.values() for v in route)
     assert taken == list(range(24))
     assert all(left == () for _, left in results.values())
@@ -139,8 +139,8 @@ def test_every_task_is_sold_once_to_one_who_can(seed, shape):
 def test_the_auction_does_not_depend_on_the_graph():
     instance = random_instance(5, 12, 3, capable=0.6)
     vehicles = {i: instance.local(i).vehicle for i in range(5)}
-    assert sold(vehicles, list(range(12)), named("ring", 5)) == sold(
-        vehicles, list(range(12)), named("complete", 5)
+    assert sold(vehicles, list(range(12)), graph_from_name("ring", 5)) == sold(
+        vehicles, list(range(12)), graph_from_name("complete", 5)
     )
 
 
@@ -152,7 +152,7 @@ def test_what_nobody_can_serve_is_left_and_named_by_all():
         )
         for i in range(3)
     }
-    results = sold(vehicles, [0, 1, 2], named("ring", 3))
+    results = sold(vehicles, [0, 1, 2], graph_from_name("ring", 3))
     assert {left for _, left in results.values()} == {(1,)}
     assert sorted(v for route, _ in results.values() for v in route) == [0, 2, 4, 6], (
         "3 was not for sale"

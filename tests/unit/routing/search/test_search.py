@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from crazychoir.routing.instance.generate import random_instance
-from crazychoir.routing.instance.instance import OBJECTIVES, Instance
+from crazychoir.routing.instance.instance import COMMON_OBJECTIVES, Instance
 from crazychoir.routing.instance.vehicle import Vehicle
 from crazychoir.routing.pricing.route_table import RouteTable
-from crazychoir.routing.search.search import Search, search
+from crazychoir.routing.search.search import PlanSearch, search_plan
 
 SLACK = 1e-6
 LI_LIM = Path(__file__).parents[5] / "shared" / "data" / "lilim"
@@ -151,7 +151,7 @@ KINDS = [
     "kind", [*KINDS, "matrix limit", "matrix windows trips aboard"]
 )
 @settings(max_examples=8, deadline=None)
-@given(st.integers(0, 10**6), st.sampled_from(OBJECTIVES), st.booleans())
+@given(st.integers(0, 10**6), st.sampled_from(COMMON_OBJECTIVES), st.booleans())
 def test_plans_keep_all_limits(kind, seed, objective, refusable):
     team = team_of(seed, 5, 9, kind)
     penalty = (
@@ -159,7 +159,7 @@ def test_plans_keep_all_limits(kind, seed, objective, refusable):
         if refusable
         else np.full(9, np.inf)
     )
-    found = search(team, [[]] * 5, penalty, 300, seed, objective=objective)
+    found = search_plan(team, [[]] * 5, penalty, 300, seed, objective=objective)
     check(team, penalty, found)
     if refusable:
         assert all(not v.aboard[j] for v in team for j in found.unserved) or np.isinf(
@@ -169,7 +169,7 @@ def test_plans_keep_all_limits(kind, seed, objective, refusable):
 
 @pytest.mark.parametrize("kind", KINDS)
 @settings(max_examples=6, deadline=None)
-@given(st.integers(0, 10**6), st.sampled_from(OBJECTIVES), st.booleans())
+@given(st.integers(0, 10**6), st.sampled_from(COMMON_OBJECTIVES), st.booleans())
 def test_small_plans_are_optimal(kind, seed, objective, refusable):
     team = team_of(seed, 3, 4, kind)
     penalty = (
@@ -178,7 +178,7 @@ def test_small_plans_are_optimal(kind, seed, objective, refusable):
         else np.full(4, np.inf)
     )
     found, best = (
-        search(team, [[]] * 3, penalty, 2000, 1, objective=objective),
+        search_plan(team, [[]] * 3, penalty, 2000, 1, objective=objective),
         optimum(team, penalty, objective),
     )
     if np.isinf(best[0]):
@@ -196,7 +196,7 @@ def test_small_plans_are_optimal(kind, seed, objective, refusable):
 def test_ten_robots_are_near_the_proven_optimum(small):
     instance, best = small("limited")
     team = [instance.local(i).vehicle for i in range(instance.robots)]
-    found = search(team, [[]] * len(team), instance.tasks.penalty, 4000, 0)
+    found = search_plan(team, [[]] * len(team), instance.tasks.penalty, 4000, 0)
     assert best - 1e-9 <= found.total <= 1.005 * best
 
 
@@ -221,7 +221,7 @@ def seen(found):
 def test_the_same_seed_gives_the_same_plan_and_another_seed_another_search():
     team, penalty = big()
     one, two, other = (
-        search(team, [[]] * 12, penalty, 2000, seed) for seed in (5, 5, 6)
+        search_plan(team, [[]] * 12, penalty, 2000, seed) for seed in (5, 5, 6)
     )
     assert one.routes == two.routes
     assert seen(one) == seen(two)
@@ -230,20 +230,20 @@ def test_the_same_seed_gives_the_same_plan_and_another_seed_another_search():
 
 def test_a_search_goes_on_from_a_plan_and_never_gives_back_a_worse_one():
     team, penalty = big()
-    first = search(team, [[]] * 12, penalty, 500, 1)
-    assert search(team, first.routes, penalty, 0, 1).routes == first.routes
-    assert search(team, first.routes, penalty, 500, 2).total <= first.total
+    first = search_plan(team, [[]] * 12, penalty, 500, 1)
+    assert search_plan(team, first.routes, penalty, 0, 1).routes == first.routes
+    assert search_plan(team, first.routes, penalty, 500, 2).total <= first.total
 
 
 def test_routes_that_break_a_limit_are_begun_anew():
     team, penalty = big()
     everything = [*range(24), *range(24, 48)]
-    check(team, penalty, search(team, [everything, *[[]] * 11], penalty, 0, 1))
+    check(team, penalty, search_plan(team, [everything, *[[]] * 11], penalty, 0, 1))
 
 
 def test_routes_seen_hold_the_plan_and_each_set_once():
     team, penalty = big()
-    found = search(team, [[]] * 12, penalty, 1000, 1)
+    found = search_plan(team, [[]] * 12, penalty, 1000, 1)
     routes = seen(found)
     sets = [
         (vehicle, tuple(sorted(node for node in stops if node < 24)))
@@ -260,11 +260,11 @@ def test_routes_seen_hold_the_plan_and_each_set_once():
 def test_putting_routes_together_finds_more_than_the_same_steps_alone():
     team, penalty = big()
     alone = [
-        search(team, [[]] * 12, penalty, 1000, seed, rounds=1).total
+        search_plan(team, [[]] * 12, penalty, 1000, seed, rounds=1).total
         for seed in range(4)
     ]
     together = [
-        search(team, [[]] * 12, penalty, 1000, seed, rounds=2).total
+        search_plan(team, [[]] * 12, penalty, 1000, seed, rounds=2).total
         for seed in range(4)
     ]
     assert np.mean(together) < np.mean(alone)
@@ -273,7 +273,7 @@ def test_putting_routes_together_finds_more_than_the_same_steps_alone():
 def test_a_task_that_nobody_can_serve_is_missing():
     team, penalty = big()
     lame = [replace(v, capable=np.arange(24) != 7) for v in team]
-    found = search(lame, [[]] * 12, penalty, 100, 1)
+    found = search_plan(lame, [[]] * 12, penalty, 100, 1)
     assert found.unserved == [7]
     assert np.isinf(found.total)
 
@@ -286,7 +286,7 @@ def identical(k):
 def test_fleet_steps_leave_out_what_is_not_needed():
     team, penalty = identical(5)
     spread = [[j, 8 + j, j + 4, 12 + j] if j < 4 else [] for j in range(5)]
-    found = search(team, spread, penalty, 100, 1, fleet_steps=200)
+    found = search_plan(team, spread, penalty, 100, 1, fleet_steps=200)
     check(team, penalty, found)
     assert sum(map(bool, found.routes)) == 1
 
@@ -296,7 +296,7 @@ def test_vehicles_that_cost_much_are_left_out_but_no_task_that_costs_more():
     penalty = np.where(np.arange(8) == 3, 0.5, 5000.0)
     dear = [replace(v, fixed=1000.0) for v in team]
     spread = [[j, 8 + j, j + 4, 12 + j] if j < 4 else [] for j in range(5)]
-    found = search(dear, spread, penalty, 200, 1)
+    found = search_plan(dear, spread, penalty, 200, 1)
     check(dear, penalty, found)
     assert sum(map(bool, found.routes)) == 1
     assert found.unserved == [3]
@@ -304,7 +304,7 @@ def test_vehicles_that_cost_much_are_left_out_but_no_task_that_costs_more():
 
 def test_vehicles_that_are_closed_stay():
     team, penalty = big()
-    found = Search(team, penalty).run([[]] * 12, 500, 1, closed=[0, 3])
+    found = PlanSearch(team, penalty).run([[]] * 12, 500, 1, closed=[0, 3])
     check(team, penalty, found)
     assert found.routes[0] == found.routes[3] == []
 
@@ -312,7 +312,7 @@ def test_vehicles_that_are_closed_stay():
 def test_nothing_to_do():
     team, _ = big()
     none = [v.only(np.array([], np.int64)) for v in team]
-    found = search(none, [[]] * 12, np.array([]), 10, 1)
+    found = search_plan(none, [[]] * 12, np.array([]), 10, 1)
     assert (found.routes, found.unserved, found.total) == ([[]] * 12, [], 0.0)
 
 
@@ -329,7 +329,7 @@ def test_the_best_known_plans_of_li_and_lim(name, vehicles, distance):
         [instance.local(i).vehicle for i in range(instance.robots)],
         instance.tasks.penalty,
     )
-    found = search(team, [[]] * len(team), penalty, 20_000, 1, fleet_steps=20_000)
+    found = search_plan(team, [[]] * len(team), penalty, 20_000, 1, fleet_steps=20_000)
     check(team, penalty, found)
     assert sum(map(bool, found.routes)) == vehicles
     assert (

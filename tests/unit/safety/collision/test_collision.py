@@ -5,16 +5,16 @@ import numpy as np
 import pytest
 
 from crazychoir.bus.port import Bus
-from crazychoir.bus.topics import STATE
-from crazychoir.config.tables import Collision
-from crazychoir.control.gains import STANDARD
-from crazychoir.safety.collision.filter import GONE, CollisionFilter
-from crazychoir.safety.collision.neighbour_table import BORN, BORNE, SOON, Traffic
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.config.tables import CollisionTable
+from crazychoir.control.gains import STANDARD_GAINS
+from crazychoir.safety.collision.filter import NEIGHBOUR_AGES, CollisionFilter
+from crazychoir.safety.collision.neighbour_table import NEIGHBOUR_ROW, NeighbourTable
 from crazychoir.safety.collision.projection import project
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.types import FullState, State
 
-GAINS = STANDARD.position
+GAINS = STANDARD_GAINS.position
 FENCE = Fence.box((-4.0, -4.0, 0.0), (4.0, 4.0, 3.0))
 METHODS = ("barrier", "cells")
 
@@ -25,8 +25,8 @@ class Sky:
     def __init__(self, method="barrier", others=1, alone=()):
         self.bus = Bus(SimpleNamespace(now_ns=lambda: 0, now=lambda: 0.0))
         self.ports = [self.bus.port(i) for i in range(1 + others)]
-        self.traffic = Traffic(self.ports[0], range(1 + others), alone)
-        settings = Collision(method=method)
+        self.traffic = NeighbourTable(self.ports[0], range(1 + others), alone)
+        settings = CollisionTable(method=method)
         self.filter = CollisionFilter(
             settings, self.traffic, FENCE, a_max=2.0, v_max=1.0, ground=0.0
         )
@@ -105,7 +105,9 @@ def test_without_a_usable_state_of_who_may_be_near_it_brakes_until_that_has_come
         assert sky.wants(me, (1.0, 0.0, 1.0), now=now)[0] < -0.5, (
             "it may be anywhere near"
         )
-    assert sky.wants(me, (1.0, 0.0, 1.0), now=GONE) is None, "it has landed"
+    assert sky.wants(me, (1.0, 0.0, 1.0), now=NEIGHBOUR_AGES.gone) is None, (
+        "it has landed"
+    )
     sky.hears(1, (0.4, 0.0, 0.02))
     low = State.at((0.0, 0.0, 0.2), (0.5, 0.0, 0.0))
     assert sky.wants(low, (0.4, 0.0, 0.1), now=30.0) is not None, (
@@ -304,27 +306,27 @@ def test_traffic_keeps_the_newest_state_and_hears_who_is_near_more_often():
     sky.hears(1, (9.0, 0.0, 1.0), age=0.1)
     row = sky.traffic.rows[0]
     assert row[0] == 1.0, "an older one that comes late changes nothing"
-    assert row[BORN] == 0.0
-    assert sky.traffic.rows[1, BORN] == -np.inf
-    other = Traffic(sky.ports[1], range(3))
+    assert row[NEIGHBOUR_ROW.state_time] == 0.0
+    assert sky.traffic.rows[1, NEIGHBOUR_ROW.state_time] == -np.inf
+    other = NeighbourTable(sky.ports[1], range(3))
     sky.wants(State.at((0.5, 0.0, 1.0)), (0.5, 0.0, 1.0))
-    assert sky.traffic.rows[0, SOON] < 0.5, "0.5 m away"
+    assert sky.traffic.rows[0, NEIGHBOUR_ROW.meeting_time] < 0.5, "0.5 m away"
     sky.traffic.look(0.0)
-    readers = sky.ports[0]._readers[STATE.number].some
+    readers = sky.ports[0]._readers[DRONE_TOPICS.state.number].some
     assert {j: round(1e9 / rate.interval_ns) for j, rate in readers.items()} == {1: 50}
-    assert other.rows[0, BORN] == -np.inf
+    assert other.rows[0, NEIGHBOUR_ROW.state_time] == -np.inf
 
 
 def test_who_would_brake_for_want_of_a_state_hears_it_more_often():
     sky = Sky(others=50)
     for j, x in ((1, 1.2), (2, 2.2), (3, 9.0)):
         sky.hears(j, (x, 0.0, 1.0))
-        Traffic(sky.ports[j], range(51))
+        NeighbourTable(sky.ports[j], range(51))
     sky.wants(State.at((0.0, 0.0, 1.0)), (0.0, 0.0, 1.0))
-    assert np.all(np.diff(sky.traffic.rows[:3, BORNE]) > 0.0)
-    assert sky.traffic.rows[3, BORNE] == np.inf, "never heard"
+    assert np.all(np.diff(sky.traffic.rows[:3, NEIGHBOUR_ROW.age_limit]) > 0.0)
+    assert sky.traffic.rows[3, NEIGHBOUR_ROW.age_limit] == np.inf, "never heard"
     sky.traffic.look(0.0)
-    readers = sky.ports[0]._readers[STATE.number].some
+    readers = sky.ports[0]._readers[DRONE_TOPICS.state.number].some
     rates = {j: round(1e9 / rate.interval_ns) for j, rate in readers.items()}
     assert rates[1] >= 5
     assert rates[1] >= rates[2] > rates[3]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from crazychoir.safety.collision.deadlock import FREE, MOVED, STUCK, Side
+from crazychoir.safety.collision.deadlock import STUCK_LIMITS, PassingSide
 
 GOAL = np.array([2.0, 0.0, 1.0])
 
@@ -18,10 +18,14 @@ def signs(side, places, goal=GOAL, period=0.1, began=0.0):
 
 
 def test_who_does_not_get_on_tries_the_other_way_and_then_the_first_one_again():
-    found = signs(Side(), [(0.1 * (k % 2), 0.0, 1.0) for k in range(140)])
+    found = signs(PassingSide(), [(0.1 * (k % 2), 0.0, 1.0) for k in range(140)])
     turns = [0.1 * k for k in range(1, 140) if found[k] != found[k - 1]]
     assert turns == pytest.approx(
-        [STUCK + 0.1, 2.0 * (STUCK + 0.1), 3.0 * (STUCK + 0.1)]
+        [
+            STUCK_LIMITS.stuck_time + 0.1,
+            2.0 * (STUCK_LIMITS.stuck_time + 0.1),
+            3.0 * (STUCK_LIMITS.stuck_time + 0.1),
+        ]
     )
     assert found[0] == 1.0
 
@@ -29,19 +33,33 @@ def test_who_does_not_get_on_tries_the_other_way_and_then_the_first_one_again():
 def test_who_moves_keeps_its_side():
     assert (
         signs(
-            Side(), [(0.0, 1.1 * MOVED * k / (10.0 * STUCK), 1.0) for k in range(400)]
+            PassingSide(),
+            [
+                (
+                    0.0,
+                    1.1
+                    * STUCK_LIMITS.moved_distance
+                    * k
+                    / (10.0 * STUCK_LIMITS.stuck_time),
+                    1.0,
+                )
+                for k in range(400)
+            ],
         )
         == [1.0] * 400
     )
 
 
 def test_who_is_where_it_wants_to_be_keeps_its_side():
-    assert signs(Side(), [GOAL + 0.1] * 400) == [1.0] * 400
+    assert signs(PassingSide(), [GOAL + 0.1] * 400) == [1.0] * 400
 
 
-@pytest.mark.parametrize(("gap", "sign"), [(0.5 * FREE, -1.0), (2.0 * FREE, 1.0)])
+@pytest.mark.parametrize(
+    ("gap", "sign"),
+    [(0.5 * STUCK_LIMITS.free_time, -1.0), (2.0 * STUCK_LIMITS.free_time, 1.0)],
+)
 def test_who_was_free_for_a_while_goes_round_as_all_do(gap, sign):
-    side = Side()
+    side = PassingSide()
     still = [(0.0, 0.0, 1.0)] * 45
     assert signs(side, still)[-1] == -1.0
     assert signs(side, [(1.0, 0.0, 1.0)], began=4.4 + gap) == [sign]

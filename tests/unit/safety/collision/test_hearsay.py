@@ -7,19 +7,16 @@ import pytest
 
 from crazychoir.bus.codec import encode
 from crazychoir.bus.port import Bus
-from crazychoir.bus.topics import HEARSAY, SOUGHT, STATE
-from crazychoir.config.tables import Collision
-from crazychoir.control.gains import STANDARD
-from crazychoir.runtime.clock import SECOND
+from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS
+from crazychoir.config.tables import CollisionTable
+from crazychoir.control.gains import STANDARD_GAINS
+from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.safety.collision.neighbour_table import (
-    BORN,
-    GONE,
-    HEARD,
-    LOOK,
-    SILENT,
-    USABLE,
-    Traffic,
+    NEIGHBOUR_AGES,
+    NEIGHBOUR_ROW,
+    STATE_RATES,
+    NeighbourTable,
 )
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.types import FullState, State
@@ -35,7 +32,8 @@ class Team:
         self.seconds = 0.0
         self.bus = Bus(
             SimpleNamespace(
-                now_ns=lambda: round(self.seconds * SECOND), now=lambda: self.seconds
+                now_ns=lambda: round(self.seconds * NS_PER_SECOND),
+                now=lambda: self.seconds,
             )
         )
         for i in range(drones):
@@ -46,16 +44,18 @@ class Team:
             self.spy(i)
 
     def filter_of(self, i, drones):
-        traffic = Traffic(self.bus.ports[i], range(drones))
+        traffic = NeighbourTable(self.bus.ports[i], range(drones))
         return CollisionFilter(
-            Collision(), traffic, FENCE, a_max=2.0, v_max=1.0, ground=0.0
+            CollisionTable(), traffic, FENCE, a_max=2.0, v_max=1.0, ground=0.0
         )
 
     def spy(self, i):
-        taken = self.bus.ports[i].handlers[SOUGHT.number]
-        self.bus.ports[i].handlers[SOUGHT.number] = lambda *message: (
-            self.asked.append(i),
-            taken(*message),
+        taken = self.bus.ports[i].handlers[MESSAGE_TOPICS.wanted_states.number]
+        self.bus.ports[i].handlers[MESSAGE_TOPICS.wanted_states.number] = (
+            lambda *message: (
+                self.asked.append(i),
+                taken(*message),
+            )
         )
 
     def row(self, i, j):
@@ -70,8 +70,8 @@ class Team:
     def fly(self, seconds, one=(3.0, 0.0, 1.0), hear_one=(2, 3)):
         """Drone 0 flies towards 1, whom only some hear; all others hear each other ten times a second."""
         acted = []
-        for _ in range(round(seconds / LOOK)):
-            self.seconds += LOOK
+        for _ in range(round(seconds / STATE_RATES.check_interval)):
+            self.seconds += STATE_RATES.check_interval
             self.say(1, one, hear_one)
             for j in range(2, len(self.filters)):
                 self.say(
@@ -85,7 +85,9 @@ class Team:
             )
             self.filters[0].look(self.seconds)
             acted.append(
-                self.filters[0].full_state(me, to, STANDARD.position, self.seconds)
+                self.filters[0].full_state(
+                    me, to, STANDARD_GAINS.position, self.seconds
+                )
             )
         return acted
 
@@ -94,13 +96,16 @@ def test_who_is_not_heard_is_told_of_by_those_who_hear_it_and_does_not_count_as_
     team = Team()
     team.say(1, (1.5, 0.0, 1.0), [0])
     acted = team.fly(20.0)
-    assert not any(a is not None for a in acted[round(USABLE / LOOK) :]), (
-        "it knows where 1 is: away"
-    )
+    assert not any(
+        a is not None
+        for a in acted[round(NEIGHBOUR_AGES.usable / STATE_RATES.check_interval) :]
+    ), "it knows where 1 is: away"
     row = team.row(0, 1)
     assert row[0] == 3.0
-    assert team.seconds - row[BORN] < 3.1, "newer than it could have come near since"
-    assert team.seconds - row[HEARD] == pytest.approx(20.0)
+    assert team.seconds - row[NEIGHBOUR_ROW.state_time] < 3.1, (
+        "newer than it could have come near since"
+    )
+    assert team.seconds - row[NEIGHBOUR_ROW.heard_time] == pytest.approx(20.0)
     assert not team.filters[0].cut_off
     assert set(team.asked) == {2, 3}
 
@@ -110,10 +115,16 @@ def test_who_is_told_of_nobody_brakes_near_it_and_asks_until_it_is_gone():
     team.say(1, (0.5, 0.0, 1.0), [0])
     acted = team.fly(20.0, hear_one=())
     brakes = [
-        k * LOOK for k, a in enumerate(acted, start=1) if a is not None and a[0] < -0.5
+        k * STATE_RATES.check_interval
+        for k, a in enumerate(acted, start=1)
+        if a is not None and a[0] < -0.5
     ]
-    assert brakes[0] == pytest.approx(USABLE, abs=2 * LOOK)
-    assert brakes[-1] == pytest.approx(GONE, abs=2 * LOOK)
+    assert brakes[0] == pytest.approx(
+        NEIGHBOUR_AGES.usable, abs=2 * STATE_RATES.check_interval
+    )
+    assert brakes[-1] == pytest.approx(
+        NEIGHBOUR_AGES.gone, abs=2 * STATE_RATES.check_interval
+    )
     asked = len(team.asked)
     assert 2 * 20 < asked < 2 * (10 + 2 * 10 + 10), (
         "two others: in the first second, until it is gone, and then"
@@ -126,7 +137,7 @@ def test_who_was_never_heard_or_counts_as_gone_is_known_when_somebody_hears_it()
     team = Team()
     team.fly(2.0)
     assert team.row(0, 1)[0] == 3.0, "never heard"
-    team.fly(2.0 * GONE, hear_one=())
+    team.fly(2.0 * NEIGHBOUR_AGES.gone, hear_one=())
     team.fly(2.0, one=(0.0, 0.5, 1.0))
     assert team.row(0, 1)[1] == 0.5, "it was gone"
 
@@ -146,38 +157,42 @@ def test_nobody_asks_while_all_are_heard_or_far_away():
     team.fly(6.0, one=(30.0, 0.0, 1.0))
     assert team.asked == [], "it cannot be near yet"
     team.fly(20.0, one=(30.0, 0.0, 1.0))
-    assert team.seconds - team.row(0, 1)[BORN] < GONE, (
-        "nor when it counts as gone is it forgotten"
-    )
+    assert (
+        team.seconds - team.row(0, 1)[NEIGHBOUR_ROW.state_time] < NEIGHBOUR_AGES.gone
+    ), "nor when it counts as gone is it forgotten"
 
 
 def test_who_hears_no_more_than_half_is_cut_off_whatever_it_is_told():
     team = Team(6)
     for j in range(1, 6):
         team.say(j, (2.0, float(j), 1.0), [0])
-    team.seconds = SILENT + 0.1
+    team.seconds = NEIGHBOUR_AGES.silent + 0.1
     for j in (1, 2, 3):
         team.filters[0].traffic.told((j, State.at((2.0, float(j), 1.0))), 0.0)
     team.say(4, (2.0, 4.0, 1.0), [0])
     to = FullState.at(HERE).flat
-    team.filters[0].full_state(State.at(HERE), to, STANDARD.position, team.seconds)
+    team.filters[0].full_state(
+        State.at(HERE), to, STANDARD_GAINS.position, team.seconds
+    )
     assert team.filters[0].cut_off
 
 
 def test_only_what_is_new_is_told_with_its_age_and_that_of_the_way():
     team, told = Team(), []
-    take = team.bus.ports[0].handlers[HEARSAY.number]
-    team.bus.ports[0].handlers[HEARSAY.number] = lambda *message: told.append(message)
-    ask = team.bus.ports[2].handlers[SOUGHT.number]
+    take = team.bus.ports[0].handlers[MESSAGE_TOPICS.relayed_states.number]
+    team.bus.ports[0].handlers[MESSAGE_TOPICS.relayed_states.number] = lambda *message: (
+        told.append(message)
+    )
+    ask = team.bus.ports[2].handlers[MESSAGE_TOPICS.wanted_states.number]
     ask(0, encode([1, 0, 2, 99]), 1, "", 0, 0.0)
     assert told == [], "it has never heard of 1"
     team.say(1, (1.0, 0.0, 1.0), [2])
-    team.seconds = USABLE - 0.1
+    team.seconds = NEIGHBOUR_AGES.usable - 0.1
     ask(0, encode([1, 99]), 2, "", 0, 0.0)
     [(source, payload, *_)] = told
     take(source, payload, 1, "", 0, 0.2)
-    assert team.row(0, 1)[BORN] == pytest.approx(-0.2)
-    team.seconds = USABLE + 0.1
+    assert team.row(0, 1)[NEIGHBOUR_ROW.state_time] == pytest.approx(-0.2)
+    team.seconds = NEIGHBOUR_AGES.usable + 0.1
     ask(0, encode([1]), 3, "", 0, 0.0)
     assert len(told) == 1
 
@@ -186,12 +201,15 @@ def test_those_are_asked_that_are_heard_themselves():
     team = Team(5)
     team.say(1, (0.5, 0.0, 1.0), [0])
     for _ in range(10):
-        team.seconds += LOOK
+        team.seconds += STATE_RATES.check_interval
         team.say(2, (5.0, 5.0, 1.0), [0])
         for j in (3, 4):
             team.filters[0].traffic.told((j, State.at((0.0, float(j), 1.0))), 0.0)
         team.filters[0].full_state(
-            State.at(HERE), FullState.at(HERE).flat, STANDARD.position, team.seconds
+            State.at(HERE),
+            FullState.at(HERE).flat,
+            STANDARD_GAINS.position,
+            team.seconds,
         )
         team.filters[0].look(team.seconds)
     assert set(team.asked) == {2}
@@ -200,7 +218,7 @@ def test_those_are_asked_that_are_heard_themselves():
 def test_who_stood_on_the_floor_is_asked_for_seldom_in_the_end():
     team = Team()
     team.say(1, (0.5, 0.0, 0.02), [0])
-    team.fly(GONE, hear_one=())
+    team.fly(NEIGHBOUR_AGES.gone, hear_one=())
     asked = len(team.asked)
     assert asked > 2 * 10
     team.fly(5.0, hear_one=())
@@ -213,26 +231,29 @@ def test_all_that_are_heard_are_asked_in_turn_however_many_are_sought():
     for j in range(5, 9):
         team.say(j, (0.5, 0.2 * j - 1.0, 1.0), [0])
     for _ in range(60):
-        team.seconds += LOOK
+        team.seconds += STATE_RATES.check_interval
         for j in range(1, 5):
             team.say(j, (0.0, float(j), 1.0), [0])
         team.say(8, (5.0, 0.0, 1.0), [4])
         team.filters[0].full_state(
-            State.at(HERE), FullState.at(HERE).flat, STANDARD.position, team.seconds
+            State.at(HERE),
+            FullState.at(HERE).flat,
+            STANDARD_GAINS.position,
+            team.seconds,
         )
         team.filters[0].look(team.seconds)
     assert team.row(0, 8)[0] == 5.0
-    assert team.seconds - team.row(0, 8)[BORN] < 3.5
+    assert team.seconds - team.row(0, 8)[NEIGHBOUR_ROW.state_time] < 3.5
 
 
 def test_who_hears_late_what_others_tell_earlier_hears_all_the_same():
     team = Team()
     for _ in range(50):
-        team.seconds += LOOK
+        team.seconds += STATE_RATES.check_interval
         team.filters[0].traffic.told((1, State.at((3.0, 0.0, 1.0))), 0.3)
         team.filters[0].traffic.hear((1, State.at((2.0, 0.0, 1.0))), 0.4)
     assert team.row(0, 1)[0] == 3.0
-    assert team.seconds - team.row(0, 1)[HEARD] == pytest.approx(0.4)
+    assert team.seconds - team.row(0, 1)[NEIGHBOUR_ROW.heard_time] == pytest.approx(0.4)
 
 
 GARBAGE = [
@@ -249,16 +270,26 @@ GARBAGE = [
 @pytest.mark.parametrize(
     ("topic", "payload"),
     [
-        *((topic, payload) for topic in (SOUGHT, HEARSAY) for payload in GARBAGE),
         *(
-            (HEARSAY, encode([said]))
+            (topic, payload)
+            for topic in (MESSAGE_TOPICS.wanted_states, MESSAGE_TOPICS.relayed_states)
+            for payload in GARBAGE
+        ),
+        *(
+            (MESSAGE_TOPICS.relayed_states, encode([said]))
             for said in (["a", 1, 2], [1, 2], [1, State.at(HERE), -1.0], [1, HERE, 0.1])
         ),
         *(
-            (HEARSAY, encode([[np.zeros(3), State.at(HERE), old]]))
+            (
+                MESSAGE_TOPICS.relayed_states,
+                encode([[np.zeros(3), State.at(HERE), old]]),
+            )
             for old in (0.1, np.inf)
         ),
-        *((SOUGHT, encode([said])) for said in ("1", True, 1.0, [1])),
+        *(
+            (MESSAGE_TOPICS.wanted_states, encode([said]))
+            for said in ("1", True, 1.0, [1])
+        ),
     ],
 )
 def test_what_is_no_message_is_counted_and_changes_nothing(topic, payload):
@@ -280,6 +311,8 @@ def test_a_state_that_is_none_is_not_heard(part, bad):
     (flat if part == "flat" else a)[0] = bad
     team.filters[0].traffic.hear((1, State(flat, 0.0, a)), 0.0)
     np.testing.assert_array_equal(team.filters[0].traffic.rows, before)
-    assert STATE.impaired
-    assert SOUGHT.impaired
-    assert HEARSAY.impaired, "the simulated network acts on them too"
+    assert DRONE_TOPICS.state.impaired
+    assert MESSAGE_TOPICS.wanted_states.impaired
+    assert MESSAGE_TOPICS.relayed_states.impaired, (
+        "the simulated network acts on them too"
+    )

@@ -4,26 +4,26 @@ import numpy as np
 from virtual_time import virtual
 
 from crazychoir.bus.port import Bus
-from crazychoir.safety.collision.neighbour_table import HEARD, SHARE, Traffic
+from crazychoir.safety.collision.neighbour_table import NEIGHBOUR_ROW, NeighbourTable
 from crazychoir.types import LinkStatus, State
 
 
 @virtual
 async def test_where_the_cameras_see_a_drone_counts_while_nothing_is_heard_of_it(clock):
-    traffic = Traffic(Bus(clock).port(0), [0, 1])
+    traffic = NeighbourTable(Bus(clock).port(0), [0, 1])
     traffic.seen(1, State.at((1.0, 0.0, 1.0)), 0.0)
     row = traffic.row(1)
-    assert (row[0], row[SHARE]) == (1.0, 1.0), (
+    assert (row[0], row[NEIGHBOUR_ROW.share]) == (1.0, 1.0), (
         "whoever is not heard gives way to nobody"
     )
-    assert row[HEARD] == -np.inf, "it is not heard for that"
+    assert row[NEIGHBOUR_ROW.heard_time] == -np.inf, "it is not heard for that"
     traffic.hear((1, State.at((2.0, 0.0, 1.0))), 0.0)
-    assert (row[0], row[SHARE]) == (2.0, 0.5)
+    assert (row[0], row[NEIGHBOUR_ROW.share]) == (2.0, 0.5)
     traffic.seen(1, State.at((3.0, 0.0, 1.0)), 0.0)
     assert row[0] == 2.0, "its own word counts while it is new"
     await clock.sleep(0.25)
     traffic.seen(1, State.at((3.0, 0.0, 1.0)), 0.0)
-    assert (row[0], row[SHARE]) == (3.0, 1.0)
+    assert (row[0], row[NEIGHBOUR_ROW.share]) == (3.0, 1.0)
     traffic.seen(7, State.at((3.0, 0.0, 1.0)), 0.0)
 
 
@@ -31,7 +31,7 @@ async def test_where_the_cameras_see_a_drone_counts_while_nothing_is_heard_of_it
 async def test_a_drone_whose_radio_is_silent_gives_way_to_nobody_whatever_its_agent_says(
     clock,
 ):
-    traffic = Traffic(Bus(clock).port(0), [0, 1])
+    traffic = NeighbourTable(Bus(clock).port(0), [0, 1])
     for silence, age, share in (
         (0.1, 0.1, 0.5),
         (0.2, 0.15, 1.0),
@@ -42,4 +42,7 @@ async def test_a_drone_whose_radio_is_silent_gives_way_to_nobody_whatever_its_ag
         traffic.linked(7, LinkStatus("up", silence), age)
         traffic.linked(1, None, 9.0)
         traffic.hear((1, State.at((2.0, 0.0, 1.0))), 0.0)
-        assert (traffic.row(1)[SHARE], traffic.deaf(1)) == (share, share == 1.0)
+        assert (traffic.row(1)[NEIGHBOUR_ROW.share], traffic.deaf(1)) == (
+            share,
+            share == 1.0,
+        )

@@ -3,8 +3,15 @@ import math
 import numpy as np
 import pytest
 
-from crazychoir.numerics.math3d import exponential, product, quaternion_of_yaw
-from crazychoir.safety.identity.preflight_check import Standing, before_arming
+from crazychoir.numerics.math3d import (
+    quaternion_of_yaw,
+    quaternion_product,
+    rotation_exponential,
+)
+from crazychoir.safety.identity.preflight_check import (
+    GroundedDrone,
+    find_arming_problems,
+)
 from crazychoir.types import Pose
 
 HOMES = {
@@ -15,14 +22,16 @@ HOMES = {
 
 
 def at(p, yaw=0.0, tilt=0.0):
-    q = product(tuple(quaternion_of_yaw(yaw)), exponential(tilt, 0.0, 0.0))
+    q = quaternion_product(
+        tuple(quaternion_of_yaw(yaw)), rotation_exponential(tilt, 0.0, 0.0)
+    )
     return Pose(np.array([*p, *q]))
 
 
 def standing(**changes):
     """Three drones at home, each as it says; changes: `own1`, `seen2`."""
     return {
-        i: Standing(
+        i: GroundedDrone(
             home,
             changes.get(f"own{i}", at(home)),
             changes.get(f"seen{i}", at(home + 0.004)),
@@ -32,8 +41,8 @@ def standing(**changes):
 
 
 def said(drones, i=1):
-    found = before_arming(i, drones)
-    assert all(before_arming(j, drones) == [] for j in drones if j != i)
+    found = find_arming_problems(i, drones)
+    assert all(find_arming_problems(j, drones) == [] for j in drones if j != i)
     return found
 
 
@@ -75,11 +84,11 @@ def test_exchanged_bodies_are_seen_by_where_they_stand_although_each_drone_belie
     drones = standing(
         seen0=at(HOMES[1]), own0=at(HOMES[1]), seen1=at(HOMES[0]), own1=at(HOMES[0])
     )
-    assert before_arming(0, drones) == [
+    assert find_arming_problems(0, drones) == [
         "its body is 0.00 m from the home of drone 1, 1.00 m from its own: exchanged with that of drone 1"
     ]
-    assert "exchanged with that of drone 0" in before_arming(1, drones)[0]
-    assert before_arming(2, drones) == []
+    assert "exchanged with that of drone 0" in find_arming_problems(1, drones)[0]
+    assert find_arming_problems(2, drones) == []
 
 
 def test_a_body_at_the_home_of_one_that_is_at_home_is_not_exchanged_with_it():
@@ -88,5 +97,5 @@ def test_a_body_at_the_home_of_one_that_is_at_home_is_not_exchanged_with_it():
 
 
 def test_who_need_not_stand_at_home_may_stand_anywhere():
-    drones = {i: Standing(None, at(HOMES[1]), at(HOMES[1])) for i in HOMES}
-    assert before_arming(0, drones) == []
+    drones = {i: GroundedDrone(None, at(HOMES[1]), at(HOMES[1])) for i in HOMES}
+    assert find_arming_problems(0, drones) == []

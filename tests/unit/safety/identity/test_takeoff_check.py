@@ -5,14 +5,18 @@ import math
 import numpy as np
 import pytest
 
-from crazychoir.numerics.math3d import exponential, product, quaternion_of_yaw, rotation
+from crazychoir.numerics.math3d import (
+    quaternion_of_yaw,
+    quaternion_product,
+    rotation,
+    rotation_exponential,
+)
 from crazychoir.safety.identity.takeoff_check import (
-    ENOUGH,
-    LONGEST,
-    SHORTEST,
-    Ascent,
-    Track,
-    tilt,
+    TAKEOFF_WATCH,
+    TILT_JUDGEMENT,
+    TakeoffCheck,
+    TiltTrack,
+    compute_tilt,
 )
 
 IDS, HZ, SEEN = (0, 1, 2), 20, 50
@@ -50,8 +54,8 @@ class Flight:
         self.draw, self.noise = np.random.default_rng(seed), math.radians(noise)
         body_of, turned = body_of or {}, turned or {}
         self.own, self.bodies, self.ascents, self.said = (
-            {i: Track() for i in IDS},
-            {i: Track() for i in IDS},
+            {i: TiltTrack() for i in IDS},
+            {i: TiltTrack() for i in IDS},
             {},
             {},
         )
@@ -85,7 +89,7 @@ class Flight:
         if not flies or t < BEGINS:
             return
         if i not in self.ascents:
-            self.ascents[i] = Ascent(i, t, self.own[i], self.bodies)
+            self.ascents[i] = TakeoffCheck(i, t, self.own[i], self.bodies)
         found = self.ascents[i].judge(t, u, t > BEGINS + 0.1)
         if found:
             self.said.setdefault(i, (found, t - BEGINS))
@@ -153,14 +157,14 @@ def test_no_noise_of_cameras_is_called_a_motion():
 
 def test_one_pose_whatever_it_shows_says_nothing():
     def flight(odd):
-        bodies, own = {0: Track(), 1: Track()}, Track()
+        bodies, own = {0: TiltTrack(), 1: TiltTrack()}, TiltTrack()
         ascent = None
         for k in range(60):
             t = 0.05 * k
             for i, track in bodies.items():
                 track.add(t, complex(1.0 if i == 0 and k in odd else 0.0), 0.1 * t)
             own.add(t, 0j)
-            ascent = ascent or (Ascent(0, t, own, bodies) if t > 1.0 else None)
+            ascent = ascent or (TakeoffCheck(0, t, own, bodies) if t > 1.0 else None)
             if ascent and (found := ascent.judge(t, 0j, True)):
                 return found
         return ""
@@ -173,9 +177,9 @@ def test_one_pose_whatever_it_shows_says_nothing():
 
 
 def test_who_is_not_seen_is_not_judged():
-    bodies, own = {0: Track(), 1: Track()}, Track()
+    bodies, own = {0: TiltTrack(), 1: TiltTrack()}, TiltTrack()
     own.add(0.0, 0j)
-    ascent = Ascent(0, 0.0, own, bodies)
+    ascent = TakeoffCheck(0, 0.0, own, bodies)
     assert [ascent.judge(0.05 * k, complex(0.1 * k), True) for k in range(1, 40)] == [
         ""
     ] * 39
@@ -184,22 +188,30 @@ def test_who_is_not_seen_is_not_judged():
 def test_it_ends_when_the_drone_has_moved_enough_or_at_last():
     calm = Flight(swing=0.0, seconds=BEGINS + 5.0).ascents[0]
     assert not calm.over
-    assert Flight(swing=0.0, seconds=BEGINS + LONGEST + 0.2).ascents[0].over
-    assert Flight(swing=0.1, seconds=BEGINS + SHORTEST + 0.2).ascents[0].over
-    assert ENOUGH > 0.0
+    assert (
+        Flight(swing=0.0, seconds=BEGINS + TAKEOFF_WATCH.longest + 0.2).ascents[0].over
+    )
+    assert (
+        Flight(swing=0.1, seconds=BEGINS + TAKEOFF_WATCH.shortest + 0.2).ascents[0].over
+    )
+    assert TILT_JUDGEMENT.enough_cost > 0.0
 
 
 @pytest.mark.parametrize("psi", [0.0, 0.7, math.pi, -1.9])
 def test_tilt_is_up_in_the_plane_of_the_body_and_turns_with_its_axes(psi):
-    q = np.array(product(tuple(quaternion_of_yaw(1.1)), exponential(0.2, -0.3, 0.0)))
+    q = np.array(
+        quaternion_product(
+            tuple(quaternion_of_yaw(1.1)), rotation_exponential(0.2, -0.3, 0.0)
+        )
+    )
     up = rotation(q).T @ np.array([0.0, 0.0, 1.0])
-    assert tilt(q) == pytest.approx(complex(up[0], up[1]))
-    turned = np.array(product(tuple(q), tuple(quaternion_of_yaw(psi))))
-    assert tilt(turned) == pytest.approx(tilt(q) * np.exp(-1j * psi))
+    assert compute_tilt(q) == pytest.approx(complex(up[0], up[1]))
+    turned = np.array(quaternion_product(tuple(q), tuple(quaternion_of_yaw(psi))))
+    assert compute_tilt(turned) == pytest.approx(compute_tilt(q) * np.exp(-1j * psi))
 
 
 def test_between_two_poses_a_track_is_between_them_and_after_the_last_it_holds_for_a_while():
-    track = Track()
+    track = TiltTrack()
     for t, u in ((0.0, 0j), (0.02, 0.1 + 0j), (0.04, 0.3j), (0.9, 0j)):
         track.add(t, u)
     assert track.at(0.01) == pytest.approx(0.05)

@@ -1,15 +1,15 @@
 import numpy as np
 import pytest
 
-from crazychoir.config.checks import OLDEST_POSE
+from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.errors import ConfigError
 from crazychoir.safety.rules.guard import (
     ALL_WELL,
-    TABLE,
+    SAFETY_TABLE,
     Action,
     Fence,
     Guard,
-    Rule,
+    SafetyRule,
     Throttle,
 )
 from crazychoir.types import State
@@ -168,7 +168,9 @@ def test_a_reason_keeps_the_value_for_which_the_rule_acted():
 
 
 def test_a_measure_that_counts_no_more_is_excused_unless_it_is_latched():
-    guard = Guard(table=(*TABLE, Rule("reference", 9.0, Action.LAND, latched=True)))
+    guard = Guard(
+        table=(*SAFETY_TABLE, SafetyRule("reference", 9.0, Action.LAND, latched=True))
+    )
     guard.check(0.0, HERE, 0.2, 0.4)
     guard.excuse("reference")
     assert guard.acts
@@ -234,10 +236,12 @@ def test_a_rule_that_is_not_latched_is_forgotten():
 
 
 def test_the_table_is_data():
-    strict = Guard(table=(*TABLE, Rule("reference", 0.05, Action.CUT, latched=True)))
+    strict = Guard(
+        table=(*SAFETY_TABLE, SafetyRule("reference", 0.05, Action.CUT, latched=True))
+    )
     assert strict.check(0.0, HERE, 0.0, 0.06).action == Action.CUT
     with pytest.raises(ConfigError, match="measure"):
-        Guard(table=(Rule("humidity", 1.0, Action.LAND),))
+        Guard(table=(SafetyRule("humidity", 1.0, Action.LAND),))
 
 
 def test_outside_is_the_distance_over_the_nearest_side_passed():
@@ -274,7 +278,10 @@ def test_what_can_just_stop_inside_is_not_said_to_be_outside():
 
 
 def test_a_swarm_file_is_refused_if_its_poses_would_always_be_too_old():
-    assert min(rule.limit for rule in TABLE if rule.measure == "pose") == OLDEST_POSE
+    assert (
+        min(rule.limit for rule in SAFETY_TABLE if rule.measure == "pose")
+        == SWARM_LIMITS.oldest_pose
+    )
 
 
 def test_what_is_told_with_a_reason_says_it():

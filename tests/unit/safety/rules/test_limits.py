@@ -3,14 +3,16 @@
 import numpy as np
 import pytest
 
-from crazychoir.config.tables import Flight
-from crazychoir.control.gains import STANDARD
+from crazychoir.config.tables import FlightTable
+from crazychoir.control.gains import STANDARD_GAINS
 from crazychoir.numerics.math3d import saturate
 from crazychoir.safety.rules.limits import ReferenceLimits
 from crazychoir.types import Acceleration, FullState, State
 
-LIMITS = ReferenceLimits(Flight(speed_limit=1.0, acceleration_limit=2.0), STANDARD)
-KP, KV = np.array(STANDARD.kp), np.array(STANDARD.kv)
+LIMITS = ReferenceLimits(
+    FlightTable(speed_limit=1.0, acceleration_limit=2.0), STANDARD_GAINS
+)
+KP, KV = np.array(STANDARD_GAINS.kp), np.array(STANDARD_GAINS.kv)
 HERE = State.at((1.0, -2.0, 1.5), (0.1, 0.0, -0.1))
 
 
@@ -126,7 +128,7 @@ def test_an_acceleration_leads_to_the_speed_limit_and_not_beyond(v, a):
         accelerated(Acceleration(np.array(a)), state).a,
         saturate(np.array(a), 2.0),
     )
-    along = min(wanted @ v / speed, min(STANDARD.kv) * (1.0 - speed))
+    along = min(wanted @ v / speed, min(STANDARD_GAINS.kv) * (1.0 - speed))
     expected = wanted + (along - wanted @ v / speed) * np.array(v) / speed
     np.testing.assert_allclose(cut, saturate(expected, 2.0), atol=1e-12)
 

@@ -8,38 +8,52 @@ import pytest
 from virtual_time import virtual
 
 from crazychoir.bus.port import Bus
-from crazychoir.config.tables import Flight
+from crazychoir.config.tables import FlightTable
 from crazychoir.flight.pilot import Pilot
 from crazychoir.safety.rules.guard import Fence
-from crazychoir.safety.rules.modes import COMMANDS, TABLE, Event, Mode, after, refusal
+from crazychoir.safety.rules.modes import (
+    MODE_TABLE,
+    OPERATOR_EVENTS,
+    Mode,
+    ModeEvent,
+    get_next_mode,
+    get_refusal,
+)
 from crazychoir.types import Acceleration, FullState, Pose
 
 HIGH, LOW, HOME = 1.0, 0.01, (0.5, 0.0, 0.0)
-EVERY = list(product(Mode, Event))
+EVERY = list(product(Mode, ModeEvent))
 
 
 def test_the_table_says_of_every_mode_and_event_what_follows_or_why_not():
     assert [
-        (mode, event) for mode, row in TABLE.items() for event in Event if event in row
+        (mode, event)
+        for mode, row in MODE_TABLE.items()
+        for event in ModeEvent
+        if event in row
     ] == EVERY
-    assert {len(row) for row in TABLE.values()} == {len(Event)}
+    assert {len(row) for row in MODE_TABLE.values()} == {len(ModeEvent)}
     for mode, event in EVERY:
-        why = refusal(mode, event)
-        assert bool(why) != isinstance(TABLE[mode][event], Mode)
-        assert not why or after(mode, event) is mode
+        why = get_refusal(mode, event)
+        assert bool(why) != isinstance(MODE_TABLE[mode][event], Mode)
+        assert not why or get_next_mode(mode, event) is mode
 
 
 def test_every_mode_is_reached_from_the_ground_motors_always_stop_and_then_stay_off():
     reached = [Mode.GROUND]
     for mode in reached:
         reached += [
-            found for event in Event if (found := after(mode, event)) not in reached
+            found
+            for event in ModeEvent
+            if (found := get_next_mode(mode, event)) not in reached
         ]
     assert set(reached) == set(Mode)
-    assert {after(mode, Event.STOP) for mode in Mode} == {Mode.CUT}
-    assert {after(Mode.CUT, event) for event in Event} == {Mode.CUT}
+    assert {get_next_mode(mode, ModeEvent.STOP) for mode in Mode} == {Mode.CUT}
+    assert {get_next_mode(Mode.CUT, event) for event in ModeEvent} == {Mode.CUT}
     assert all(
-        refusal(Mode.CUT, event) for event in COMMANDS if event is not Event.STOP
+        get_refusal(Mode.CUT, event)
+        for event in OPERATOR_EVENTS
+        if event is not ModeEvent.STOP
     )
 
 
@@ -48,7 +62,7 @@ def the_pilot(clock, mode, z):
     bus = Bus(clock)
     link = SimpleNamespace(send=lambda command: None, cut=lambda: None)
     pilot = Pilot(
-        bus.port(0), link, Flight(), Fence.box((-2.0, -2.0, 0.0), (2.0, 2.0, 2.5))
+        bus.port(0), link, FlightTable(), Fence.box((-2.0, -2.0, 0.0), (2.0, 2.0, 2.5))
     )
     see(pilot, z)
     pilot.mode = mode
@@ -75,27 +89,27 @@ async def arrive(pilot, z):
 
 async def happens(pilot, event, z):
     match event:
-        case Event.ARM:
+        case ModeEvent.ARM:
             assert pilot.unready() == ("", "") or pilot.mode is Mode.CUT
-        case Event.TAKE_OFF:
+        case ModeEvent.TAKE_OFF:
             pilot.take_off()
-        case Event.START:
+        case ModeEvent.START:
             pilot.start()
-        case Event.HOLD | Event.GO:
-            pilot.hold(event is Event.HOLD)
-        case Event.LAND:
+        case ModeEvent.HOLD | ModeEvent.GO:
+            pilot.hold(event is ModeEvent.HOLD)
+        case ModeEvent.LAND:
             pilot.land("on command")
-        case Event.HOME:
+        case ModeEvent.HOME:
             pilot.go_home(HOME, 1.0)
-        case Event.STOP:
+        case ModeEvent.STOP:
             pilot.cut("on command")
-        case Event.FLY:
+        case ModeEvent.FLY:
             pilot.go_to(HOME)
-        case Event.ARRIVED:
+        case ModeEvent.ARRIVED:
             await arrive(pilot, z)
-        case Event.DOWN:
+        case ModeEvent.DOWN:
             see(pilot, z)
-        case Event.FOUND:
+        case ModeEvent.FOUND:
             pilot.take_over()
             see(pilot, z)
 
@@ -106,16 +120,17 @@ def test_the_pilot_does_what_the_table_says(mode, event):
     async def case(clock):
         z = (
             LOW
-            if event is Event.DOWN or (mode is Mode.GROUND and event is not Event.FOUND)
+            if event is ModeEvent.DOWN
+            or (mode is Mode.GROUND and event is not ModeEvent.FOUND)
             else HIGH
         )
         pilot = the_pilot(clock, mode, z)
         await happens(pilot, event, z)
-        expected = after(mode, event)
-        if (mode, event) == (Mode.GROUND, Event.FOUND):
-            expected = after(expected, Event.LAND)  # at once
+        expected = get_next_mode(mode, event)
+        if (mode, event) == (Mode.GROUND, ModeEvent.FOUND):
+            expected = get_next_mode(expected, ModeEvent.LAND)  # at once
         assert pilot.mode is expected
-        assert bool(pilot.refuses(event)) == bool(refusal(expected, event))
+        assert bool(pilot.refuses(event)) == bool(get_refusal(expected, event))
 
     case()
 
@@ -135,7 +150,7 @@ def test_each_way_to_fly_is_the_same_event(mode, fly):
                 done=lambda t: t > 1,
             )
             pilot.fly(whole)
-        assert pilot.mode is after(mode, Event.FLY)
+        assert pilot.mode is get_next_mode(mode, ModeEvent.FLY)
 
     case()
 

@@ -7,11 +7,16 @@ from functools import partial
 import pytest
 from virtual_time import virtual
 
-from crazychoir.bus.port import BODIES, Bus
-from crazychoir.bus.topics import LINK
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS
 from crazychoir.runtime.clock import run_virtual
-from crazychoir.safety.rules.guard import PLANS_ON_BOARD, REACHED, Action, Guard
+from crazychoir.safety.rules.guard import (
+    ON_BOARD_SAFETY_TABLE,
+    RADIO_SAFETY_TABLE,
+    Action,
+    Guard,
+)
 from crazychoir.safety.rules.radio_watch import RadioWatch
 from crazychoir.types import LinkStatus, State
 
@@ -29,21 +34,25 @@ async def judged(
 async def watched(clock, table, seconds, platform, **said) -> tuple[Action, str]:
     """The same, and why it may not fly again."""
     bus = Bus(clock)
-    owner, port, guard = bus.port(BODIES + 3), bus.port(3), Guard(table=table)
-    watch = RadioWatch(port, BODIES + 3, guard, platform.firmware)
+    owner, port, guard = (
+        bus.port(PORT_ADDRESSES.body_offset + 3),
+        bus.port(3),
+        Guard(table=table),
+    )
+    watch = RadioWatch(port, PORT_ADDRESSES.body_offset + 3, guard, platform.firmware)
     action = Action.NOMINAL
     for _ in range(1 + round(seconds / 0.1)):
         status = LinkStatus(
             "up", **({"silence": 0.02, "battery": 3.9, "supervisor": FLYING} | said)
         )
-        owner.publish(LINK, status)
+        owner.publish(DRONE_TOPICS.link, status)
         await clock.sleep(0.1)
         watch.look()
         action = max(action, guard.check(clock.now(), HOVER, 0.01).action)
     return action, guard.latched
 
 
-@pytest.mark.parametrize("table", [REACHED, PLANS_ON_BOARD])
+@pytest.mark.parametrize("table", [RADIO_SAFETY_TABLE, ON_BOARD_SAFETY_TABLE])
 def test_what_it_says_and_what_follows(table) -> None:
     @virtual
     async def check(clock) -> None:
@@ -59,9 +68,9 @@ def test_what_it_says_and_what_follows(table) -> None:
             "it has not said it yet"
         )
         silent = await judged(clock, table, silence=0.6)
-        assert silent is (Action.BRAKE if table is REACHED else Action.NOMINAL), (
-            "its planner flies on anyway"
-        )
+        assert silent is (
+            Action.BRAKE if table is RADIO_SAFETY_TABLE else Action.NOMINAL
+        ), "its planner flies on anyway"
         assert await judged(clock, table, silence=4.1) is Action.LAND
 
     check()
@@ -71,20 +80,22 @@ def test_what_it_says_and_what_follows(table) -> None:
 async def test_a_battery_is_low_when_the_firmware_of_its_platform_says_so(
     clock,
 ) -> None:
-    assert await watched(clock, REACHED, 6.0, CRAZYFLIE_21, battery=3.3) == (
+    assert await watched(clock, RADIO_SAFETY_TABLE, 6.0, CRAZYFLIE_21, battery=3.3) == (
         Action.NOMINAL,
         "",
     )
     action, reason = await watched(
-        clock, REACHED, 6.0, CRAZYFLIE_21_BRUSHLESS, battery=3.3
+        clock, RADIO_SAFETY_TABLE, 6.0, CRAZYFLIE_21_BRUSHLESS, battery=3.3
     )
     assert (action, reason[:26]) == (Action.LAND, "battery below 3.35 V for 5")
-    action, reason = await watched(clock, REACHED, 6.0, CRAZYFLIE_21, battery=3.1)
+    action, reason = await watched(
+        clock, RADIO_SAFETY_TABLE, 6.0, CRAZYFLIE_21, battery=3.1
+    )
     assert (action, reason[:25]) == (Action.LAND, "battery below 3.2 V for 5")
     own = replace(CRAZYFLIE_21, firmware=replace(CRAZYFLIE_21.firmware, critical=3.12))
-    assert (await watched(clock, REACHED, 0.0, own, battery=3.1))[1].startswith(
-        "battery 0.02 V below 3.12 V: landing"
-    )
+    assert (await watched(clock, RADIO_SAFETY_TABLE, 0.0, own, battery=3.1))[
+        1
+    ].startswith("battery 0.02 V below 3.12 V: landing")
 
 
 @virtual
@@ -108,16 +119,22 @@ async def test_one_that_never_hears_it_is_silent_from_the_last_packet_on(clock) 
 
 @virtual
 async def test_before_any_packet_it_is_silent_for_ever(clock) -> None:
-    assert (await watched(clock, REACHED, 0.0, CRAZYFLIE_21, silence=math.inf))[
-        0
-    ] is Action.LAND
+    assert (
+        await watched(clock, RADIO_SAFETY_TABLE, 0.0, CRAZYFLIE_21, silence=math.inf)
+    )[0] is Action.LAND
 
 
 async def restarted(clock, seconds: float, heard_again: bool) -> tuple[Guard, Action]:
     """Of a drone whose owner is gone for 0.5 s, then speaks for so long without having heard it, and then may have."""
     bus = Bus(clock)
-    owner, port, guard = bus.port(BODIES + 3), bus.port(3), Guard(table=REACHED)
-    watch = RadioWatch(port, BODIES + 3, guard, CRAZYFLIE_21.firmware)
+    owner, port, guard = (
+        bus.port(PORT_ADDRESSES.body_offset + 3),
+        bus.port(3),
+        Guard(table=RADIO_SAFETY_TABLE),
+    )
+    watch = RadioWatch(
+        port, PORT_ADDRESSES.body_offset + 3, guard, CRAZYFLIE_21.firmware
+    )
     unheard = round(seconds / 0.1)
     said = (
         [0.02] * 3
@@ -128,7 +145,7 @@ async def restarted(clock, seconds: float, heard_again: bool) -> tuple[Guard, Ac
     worst = Action.NOMINAL
     for silence in said:
         if silence is not None:
-            owner.publish(LINK, LinkStatus("connecting", silence))
+            owner.publish(DRONE_TOPICS.link, LinkStatus("connecting", silence))
         await clock.sleep(0.1)
         watch.look()
         worst = max(worst, guard.check(clock.now(), HOVER, 0.01).action)
@@ -146,16 +163,25 @@ def test_who_was_locked_while_its_radio_was_silent_is_said_so(silence) -> None:
 
 async def _locked(clock, silence) -> None:
     bus = Bus(clock)
-    owner, port, guard = bus.port(BODIES + 3), bus.port(3), Guard(table=REACHED)
-    watch = RadioWatch(port, BODIES + 3, guard, CRAZYFLIE_21.firmware)
-    owner.publish(LINK, LinkStatus("up", silence=0.0, battery=3.9, supervisor=FLYING))
+    owner, port, guard = (
+        bus.port(PORT_ADDRESSES.body_offset + 3),
+        bus.port(3),
+        Guard(table=RADIO_SAFETY_TABLE),
+    )
+    watch = RadioWatch(
+        port, PORT_ADDRESSES.body_offset + 3, guard, CRAZYFLIE_21.firmware
+    )
+    owner.publish(
+        DRONE_TOPICS.link, LinkStatus("up", silence=0.0, battery=3.9, supervisor=FLYING)
+    )
     for _ in range(23):
         await clock.sleep(0.1)
         watch.look()
         guard.check(clock.now(), HOVER, 0.01)
     assert guard.latched == ""
     owner.publish(
-        LINK, LinkStatus("up", silence=silence, battery=3.9, supervisor=1 << 6)
+        DRONE_TOPICS.link,
+        LinkStatus("up", silence=silence, battery=3.9, supervisor=1 << 6),
     )
     await clock.sleep(0.1)
     watch.look()

@@ -5,18 +5,21 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from crazychoir.config.checks import MOTORS
+from crazychoir.config.checks import WORLD_URIS
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.numerics.math3d import GRAVITY
+from crazychoir.numerics.math3d import STANDARD_GRAVITY
 from crazychoir.platforms import (
     CRAZYFLIE_21,
     CRAZYFLIE_21_BRUSHLESS,
-    PAPER,
+    PAPER_PLATFORM,
     rotor_speed,
 )
 from crazychoir.simulation import engines
-from crazychoir.simulation.common.mismatch import built, scaled
-from crazychoir.simulation.engines import worlds
+from crazychoir.simulation.common.mismatch import (
+    apply_model_errors,
+    find_equivalent_platform,
+)
+from crazychoir.simulation.engines import make_worlds
 from crazychoir.simulation.lightweight.integrator import CFIntegrator
 from crazychoir.simulation.motor_level.motors import MotorWorld
 from crazychoir.types import FPQR
@@ -27,7 +30,7 @@ MASS, THRUST = 0.03, -0.05
 def swarm(uri, platform, **plant):
     drones = [{"id": 0, "home": [0.0, 0.0, 0.0], "uri": uri, "platform": platform}]
     config = SwarmConfig.of({"name": "a", "drones": drones, "plant": plant})
-    (world,) = worlds(config, (0,))
+    (world,) = make_worlds(config, (0,))
     return world
 
 
@@ -40,12 +43,14 @@ def test_a_lightweight_drone_accelerates_by_its_own_mass_and_thrust():
         command_delay=0.0,
         rate_lag=0.0,
     )
-    u = 1.5 * PAPER.weight
+    u = 1.5 * PAPER_PLATFORM.weight
     world.states[0, 2] = 1.0
     world._resting[:] = 0.0
     world.link(0).send(FPQR(np.array([u, 0.0, 0.0, 0.0])))
     world.step()
-    wanted = (1.0 + THRUST) * u / ((1.0 + MASS) * PAPER.mass) - GRAVITY
+    wanted = (1.0 + THRUST) * u / (
+        (1.0 + MASS) * PAPER_PLATFORM.mass
+    ) - STANDARD_GRAVITY
     assert world.states[0, 5] / world.dt == pytest.approx(
         wanted, rel=2e-3
     )  # the rest is drag
@@ -60,10 +65,14 @@ def falls(platform):
 
 
 def test_a_lightweight_drone_without_thrust_falls_by_its_mass_and_drag_alone():
-    assert falls(scaled(PAPER, MASS, THRUST)) == pytest.approx(
-        falls(scaled(PAPER, MASS, 0.0)), rel=1e-12
+    assert falls(
+        find_equivalent_platform(PAPER_PLATFORM, MASS, THRUST)
+    ) == pytest.approx(
+        falls(find_equivalent_platform(PAPER_PLATFORM, MASS, 0.0)), rel=1e-12
     )
-    assert falls(scaled(PAPER, MASS, 0.0)) != pytest.approx(falls(PAPER), rel=1e-3)
+    assert falls(find_equivalent_platform(PAPER_PLATFORM, MASS, 0.0)) != pytest.approx(
+        falls(PAPER_PLATFORM), rel=1e-3
+    )
 
 
 @pytest.mark.parametrize(
@@ -74,7 +83,7 @@ def test_the_same_motor_command_turns_the_rotors_as_fast_and_they_pull_by_the_er
 ):
     share = platform.weight / (4.0 * platform.firmware.thrust_max)
     lifts, torques, volts = [], [], []
-    for body in (platform, built(platform, 0.0, 0.05)):
+    for body in (platform, apply_model_errors(platform, 0.0, 0.05)):
         world = MotorWorld(
             [0], np.array([[0.0, 0.0, 5.0]]), platform=body, ground_effect=False
         )
@@ -93,16 +102,16 @@ def test_the_same_motor_command_turns_the_rotors_as_fast_and_they_pull_by_the_er
 
 
 def test_rotors_that_pull_harder_turn_as_fast_as_the_others_do_for_less():
-    rotor, other = CRAZYFLIE_21.rotor, built(CRAZYFLIE_21, 0.0, 0.1).rotor
+    rotor, other = CRAZYFLIE_21.rotor, apply_model_errors(CRAZYFLIE_21, 0.0, 0.1).rotor
     assert rotor_speed(other, 1.1 * 0.07) == pytest.approx(
         rotor_speed(rotor, 0.07), rel=1e-12
     )
 
 
 def test_the_firmware_of_a_body_is_made_for_its_platform():
-    world = swarm(MOTORS, "cf21", mass_error=MASS, thrust_error=THRUST)
+    world = swarm(WORLD_URIS.motor_level, "cf21", mass_error=MASS, thrust_error=THRUST)
     row = world.onboard[0].record
-    plain = swarm(MOTORS, "cf21").onboard[0].record
+    plain = swarm(WORLD_URIS.motor_level, "cf21").onboard[0].record
     for name in ("thrust_max", "thrust_min", "c0", "c1", "c2", "c3"):
         assert row[name] == plain[name]
     assert world.onboard[0].platform is CRAZYFLIE_21
@@ -114,7 +123,7 @@ def test_the_firmware_of_a_body_is_made_for_its_platform():
 )
 def test_a_drone_hovers_at_the_command_that_its_errors_ask_for(mass, thrust):
     """At m (1 + e_m) g / (1 + e_f) N by the firmware's scale it neither climbs nor sinks."""
-    body = built(CRAZYFLIE_21, mass, thrust)
+    body = apply_model_errors(CRAZYFLIE_21, mass, thrust)
     world = MotorWorld(
         [0], np.array([[0.0, 0.0, 5.0]]), platform=body, ground_effect=False
     )

@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import ConfigError
-from crazychoir.platforms import PAPER
+from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.simulation.common.world import World
 from crazychoir.simulation.lightweight.integrator import CFIntegrator
 
-W = PAPER.weight
+W = PAPER_PLATFORM.weight
 
 
 def one(z=0.0, **options):
@@ -75,11 +75,11 @@ def test_on_its_back_it_cannot_take_off():
 
 def test_inputs_are_limited_and_counted():
     world = one(1.0)
-    world.command(7, [2.0 * PAPER.max_thrust, 99.0, 0.0, 0.0])
+    world.command(7, [2.0 * PAPER_PLATFORM.max_thrust, 99.0, 0.0, 0.0])
     state = run(world, 3)
     assert world.limited[0] == 3
-    assert state.w[0] == PAPER.max_rate[0]
-    world.command(7, [PAPER.max_thrust, -PAPER.max_rate[0], 0.0, 0.0])
+    assert state.w[0] == PAPER_PLATFORM.max_rate[0]
+    world.command(7, [PAPER_PLATFORM.max_thrust, -PAPER_PLATFORM.max_rate[0], 0.0, 0.0])
     run(world, 3)
     assert world.limited[0] == 3
 

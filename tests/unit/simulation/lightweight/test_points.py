@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from robots import world_of
 
-from crazychoir.config.checks import DOUBLE, SINGLE, UNICYCLE
+from crazychoir.config.checks import WORLD_URIS
 from crazychoir.errors import ConfigError
-from crazychoir.simulation.common.world import KINDS
-from crazychoir.simulation.remote import SIZES
+from crazychoir.simulation.common.world import COMMAND_TYPES
+from crazychoir.simulation.remote import COMMAND_SIZES
 from crazychoir.types import XYZ, Acc, Drive, Vel
 
 COMMANDS = {
-    SINGLE: Vel(np.array([1.0, 0.0, 0.0, 0.0])),
-    DOUBLE: Acc(np.ones(3)),
-    UNICYCLE: Drive(np.array([1.0, 0.0])),
+    WORLD_URIS.single_integrator: Vel(np.array([1.0, 0.0, 0.0, 0.0])),
+    WORLD_URIS.double_integrator: Acc(np.ones(3)),
+    WORLD_URIS.unicycle: Drive(np.array([1.0, 0.0])),
 }
 
 
@@ -21,8 +21,8 @@ COMMANDS = {
 def test_it_obeys_its_own_kind_and_what_is_cut_stands_for_good(uri, command):
     world = world_of(uri, [(0.0, 0.0, 0.5), (1.0, 0.0, 0.0)])
     link = world.link(1, world.kind)
-    assert isinstance(command, KINDS[world.kind])
-    assert command.flat.shape == (SIZES[type(command)],)
+    assert isinstance(command, COMMAND_TYPES[world.kind])
+    assert command.flat.shape == (COMMAND_SIZES[type(command)],)
     with pytest.raises(ConfigError, match="fpqr"):
         world.link(1, "fpqr")
     link.send(command)
@@ -45,7 +45,9 @@ def test_it_obeys_its_own_kind_and_what_is_cut_stands_for_good(uri, command):
     assert (world.crashed, world.harm(1)) == ([], "")
 
 
-@pytest.mark.parametrize("uri", [SINGLE, DOUBLE])
+@pytest.mark.parametrize(
+    "uri", [WORLD_URIS.single_integrator, WORLD_URIS.double_integrator]
+)
 def test_a_velocity_and_an_acceleration_end_with_the_command_that_stops(uri):
     world = world_of(uri)
     link = world.link(0, world.kind)

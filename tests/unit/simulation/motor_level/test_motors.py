@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import GRAVITY, rotation
+from crazychoir.numerics.math3d import STANDARD_GRAVITY, rotation
 from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS, Battery
 from crazychoir.simulation.common.world import World
 from crazychoir.simulation.motor_level.air import Wind
@@ -44,7 +44,9 @@ def test_a_drone_on_the_floor_rests_and_does_not_slip():
     before = world.state(7).flat
     np.testing.assert_array_equal(fly(world, 0.99 * HOVER, 100).flat, before)
     assert world.resting(7)
-    np.testing.assert_allclose(world.accelerometer(7), [0, 0, GRAVITY], atol=0.4)
+    np.testing.assert_allclose(
+        world.accelerometer(7), [0, 0, STANDARD_GRAVITY], atol=0.4
+    )
 
 
 def test_lift_off_waits_for_the_rotors():
@@ -89,7 +91,7 @@ def test_a_cut_drone_falls_does_not_bounce_and_is_recorded_as_crashed():
     state = fly(world, 1.0, 150)
     assert state.p[2] == 0.0
     np.testing.assert_array_equal(state.v, 0.0)
-    assert 2.0 < world.impact[0] < math.sqrt(2 * GRAVITY)
+    assert 2.0 < world.impact[0] < math.sqrt(2 * STANDARD_GRAVITY)
     assert world.crashed == [7]
     assert world.resting(7)
 
@@ -125,7 +127,7 @@ def test_from_a_tilted_floor_it_starts_tilted_and_drifts_downhill():
     )
     np.testing.assert_allclose(state.p, [0.1, 0.2, 0.0], atol=0)
     np.testing.assert_allclose(
-        world.accelerometer(7), GRAVITY * rotation(state.q)[2], atol=1e-9
+        world.accelerometer(7), STANDARD_GRAVITY * rotation(state.q)[2], atol=1e-9
     )
     state = fly(world, 1.2 * HOVER, 60)
     assert state.p[2] > 0.1
@@ -258,13 +260,18 @@ def test_the_sensors_err_as_their_data_sheet_says():
     for _ in range(400):
         world.step()
         seen.append([*world.gyro(7), *world.accelerometer(7)])
-    noise, bias = np.std(seen, axis=0), np.mean(seen, axis=0) - [0, 0, 0, 0, 0, GRAVITY]
+    noise, bias = (
+        np.std(seen, axis=0),
+        np.mean(seen, axis=0) - [0, 0, 0, 0, 0, STANDARD_GRAVITY],
+    )
     np.testing.assert_allclose(
         noise[:3], math.radians(0.014) * math.sqrt(500), rtol=0.15
     )
-    np.testing.assert_allclose(noise[3:], 190e-6 * GRAVITY * math.sqrt(500), rtol=0.15)
+    np.testing.assert_allclose(
+        noise[3:], 190e-6 * STANDARD_GRAVITY * math.sqrt(500), rtol=0.15
+    )
     assert np.all(np.abs(bias[:3]) < math.radians(0.075) + 4 * noise[:3] / 20)
-    assert np.all(np.abs(bias[3:]) < 0.020 * GRAVITY + 4 * noise[3:] / 20)
+    assert np.all(np.abs(bias[3:]) < 0.020 * STANDARD_GRAVITY + 4 * noise[3:] / 20)
     assert len(set(np.round(bias, 6))) == 6
 
 

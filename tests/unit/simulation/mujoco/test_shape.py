@@ -6,15 +6,14 @@ from itertools import product
 import numpy as np
 import pytest
 
-from crazychoir.config.checks import TOUCHING
+from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.errors import ConfigError
-from crazychoir.platforms import PLATFORMS
+from crazychoir.platforms import PLATFORM_BY_NAME
 from crazychoir.simulation.mujoco.shape import (
-    CENTRE,
-    HEIGHT,
-    crazyflie,
-    scaled,
-    shape_of,
+    CRAZYFLIE_LOOK,
+    make_crazyflie_shape,
+    read_shape,
+    scale_shape,
 )
 
 CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
@@ -56,21 +55,23 @@ def written(folder, name, text):
     return path
 
 
-@pytest.mark.parametrize("platform", PLATFORMS.values(), ids=lambda row: row.name)
+@pytest.mark.parametrize(
+    "platform", PLATFORM_BY_NAME.values(), ids=lambda row: row.name
+)
 def test_ours_is_a_dozen_primitives_that_stand_and_touch_where_drones_do(platform):
-    shape = crazyflie(platform)
+    shape = make_crazyflie_shape(platform)
     solid = [part for part in shape.parts if part.solid]
     assert len(shape.parts) <= 14
     assert shape.meshes == ()
-    assert shape.lowest == pytest.approx(-CENTRE)
+    assert shape.lowest == pytest.approx(-CRAZYFLIE_LOOK.centre_height)
     assert len(solid) == 1
     assert 2.0 * solid[0].size[0] == pytest.approx(2.0 * platform.radius)
-    assert 2.0 * solid[0].size[1] == HEIGHT
+    assert 2.0 * solid[0].size[1] == CRAZYFLIE_LOOK.height
     assert platform.name == "cf21bl" or 2.0 * solid[0].size[0] == pytest.approx(
-        TOUCHING
+        SWARM_LIMITS.touching_distance
     )
     shown = [part for part in shape.parts if part.colour[3] > 0.0]
-    assert all(part.p[2] - part.size[2] > -HEIGHT for part in shown)
+    assert all(part.p[2] - part.size[2] > -CRAZYFLIE_LOOK.height for part in shown)
 
 
 def test_an_stl_of_millimetres_is_scaled(tmp_path):
@@ -78,37 +79,37 @@ def test_an_stl_of_millimetres_is_scaled(tmp_path):
     with pytest.raises(
         ConfigError, match=r"geoms up to 51 m from the origin.*scale = 0.001"
     ):
-        shape_of(path)
-    shape = shape_of(path, scale=0.001)
+        read_shape(path)
+    shape = read_shape(path, scale=0.001)
     assert shape.lowest == pytest.approx(-0.01, abs=1e-6)
     assert shape.reach == pytest.approx(0.051, abs=1e-3)
     assert [part.solid for part in shape.parts] == [True]
 
 
 def test_a_urdf_with_joints_becomes_one_body_at_rest(tmp_path):
-    shape = shape_of(written(tmp_path, "drone.urdf", URDF))
+    shape = read_shape(written(tmp_path, "drone.urdf", URDF))
     assert len(shape.parts) == 2
     assert shape.lowest == pytest.approx(-0.03)
 
 
 def test_of_an_mjcf_its_body_counts_in_its_own_frame_without_the_floor(tmp_path):
     path = written(tmp_path, "drone.xml", MJCF.format(more=""))
-    shape = shape_of(path)
+    shape = read_shape(path)
     assert [part.solid for part in shape.parts] == [True, False]
     assert shape.lowest == pytest.approx(-0.01)
     np.testing.assert_allclose(shape.parts[1].p, [0, 0, 0.01], atol=1e-12)
     assert shape.parts[1].colour == pytest.approx((1, 0, 0, 1))
-    assert scaled(shape, 2.0).lowest == pytest.approx(-0.02)
+    assert scale_shape(shape, 2.0).lowest == pytest.approx(-0.02)
 
 
 def test_of_several_bodies_one_is_named(tmp_path):
     path = written(tmp_path, "two.xml", MJCF.format(more=OTHER))
     with pytest.raises(ConfigError, match="2 bodies: near, far"):
-        shape_of(path)
-    assert len(shape_of(path, "near").parts) == 2
-    assert shape_of(path, "far").lowest == pytest.approx(-0.02)
+        read_shape(path)
+    assert len(read_shape(path, "near").parts) == 2
+    assert read_shape(path, "far").lowest == pytest.approx(-0.02)
     with pytest.raises(ConfigError, match="there is no such body; near, far"):
-        shape_of(path, "nobody")
+        read_shape(path, "nobody")
 
 
 @pytest.mark.parametrize(
@@ -132,6 +133,6 @@ def test_of_several_bodies_one_is_named(tmp_path):
 )
 def test_what_is_no_drone_is_refused(tmp_path, name, text, said):
     with pytest.raises(ConfigError, match=said):
-        shape_of(written(tmp_path, name, text))
+        read_shape(written(tmp_path, name, text))
     with pytest.raises(ConfigError, match="no such file"):
-        shape_of(tmp_path / "none.stl")
+        read_shape(tmp_path / "none.stl")

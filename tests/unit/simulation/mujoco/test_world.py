@@ -8,15 +8,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from crazychoir.config.checks import MUJOCO
+from crazychoir.config.checks import WORLD_URIS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import GRAVITY
-from crazychoir.platforms import CRAZYFLIE_21, PLATFORMS
-from crazychoir.simulation.engines import worlds
+from crazychoir.numerics.math3d import STANDARD_GRAVITY
+from crazychoir.platforms import CRAZYFLIE_21, PLATFORM_BY_NAME
+from crazychoir.simulation.engines import make_worlds
 from crazychoir.simulation.motor_level.imu import Imu
 from crazychoir.simulation.mujoco.model import body_name
-from crazychoir.simulation.mujoco.shape import CENTRE
+from crazychoir.simulation.mujoco.shape import CRAZYFLIE_LOOK
 from crazychoir.simulation.mujoco.world import MujocoWorld
 
 STILL = Imu(0.0, 0.0, 0.0, 0.0)
@@ -27,12 +27,12 @@ SCENE = """<mujoco><worldbody><geom name="wall" type="box" size="0.05 1 1" pos="
 
 def swarm(n=1, **tables):
     """Drones one metre apart, one a platform."""
-    names = list(PLATFORMS)
+    names = list(PLATFORM_BY_NAME)
     drones = [
         {
             "id": 3 + k,
             "home": [float(k), 0.0, 0.0],
-            "uri": MUJOCO,
+            "uri": WORLD_URIS.mujoco,
             "platform": names[k % len(names)],
         }
         for k in range(n)
@@ -42,7 +42,7 @@ def swarm(n=1, **tables):
 
 
 def in_mujoco(n=1, **tables):
-    (world,) = worlds(swarm(n, **tables), tuple(range(3, 3 + n)))
+    (world,) = make_worlds(swarm(n, **tables), tuple(range(3, 3 + n)))
     return world
 
 
@@ -68,7 +68,7 @@ def run(world, seconds):
 
 def test_masses_and_inertias_are_those_of_the_platforms_and_of_what_they_are_off_by():
     world = in_mujoco(5, plant={"mass_error": 0.1})
-    for i, platform in zip(world.ids, PLATFORMS.values(), strict=True):
+    for i, platform in zip(world.ids, PLATFORM_BY_NAME.values(), strict=True):
         body = world.model.body(body_name(i))
         assert body.mass[0] == pytest.approx(1.1 * platform.mass, rel=1e-12)
         assert body.subtreemass[0] == body.mass[0]
@@ -86,8 +86,12 @@ def test_a_drone_that_stands_stays_and_feels_its_weight():
     assert world.resting(3)
     assert (world.crashed, world.harm(3)) == ([], "")
     sensed = world.sensed(4)
-    np.testing.assert_allclose(sensed["accelerometer"], [0, 0, GRAVITY], atol=1e-3)
-    np.testing.assert_allclose(sensed["position"], [1, 0, CENTRE], atol=2e-4)
+    np.testing.assert_allclose(
+        sensed["accelerometer"], [0, 0, STANDARD_GRAVITY], atol=1e-3
+    )
+    np.testing.assert_allclose(
+        sensed["position"], [1, 0, CRAZYFLIE_LOOK.centre_height], atol=2e-4
+    )
     np.testing.assert_allclose(sensed["gyro"], 0.0, atol=1e-6)
 
 
@@ -100,8 +104,8 @@ def test_one_that_is_dropped_hits_the_floor_bounces_and_rests_there():
         fastest = max(fastest, -world.states[0, 5])
     lands = int(np.argmin(heights[:40]))
     assert max(heights[lands:]) > 0.002, "it bounces"
-    assert fastest <= world.impact[0] <= fastest + GRAVITY * world.dt
-    assert 2.0 < fastest < math.sqrt(2 * GRAVITY * 0.3), (
+    assert fastest <= world.impact[0] <= fastest + STANDARD_GRAVITY * world.dt
+    assert 2.0 < fastest < math.sqrt(2 * STANDARD_GRAVITY * 0.3), (
         "its rotors slow down while it falls"
     )
     assert (

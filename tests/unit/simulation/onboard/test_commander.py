@@ -8,7 +8,7 @@ import pytest
 from crazychoir.platforms import CRAZYFLIE_21
 from crazychoir.simulation.motor_level.motor_control import MotorCtrlFPQR, MotorCtrlFRPY
 from crazychoir.simulation.onboard import loop
-from crazychoir.simulation.onboard.commander import CRTP, EXTERNAL
+from crazychoir.simulation.onboard.commander import SETPOINT_PRIORITIES
 from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.types import FPQR, FRPY
 
@@ -127,11 +127,11 @@ def test_full_state_keeps_rates_and_takes_the_heading(onboard):
 
 
 def test_a_lower_priority_is_refused_until_the_higher_has_ended(onboard):
-    assert onboard.position((1, 0, 1), 0.0, EXTERNAL)
-    assert not onboard.position((2, 0, 1), 0.0, CRTP)
+    assert onboard.position((1, 0, 1), 0.0, SETPOINT_PRIORITIES.external)
+    assert not onboard.position((2, 0, 1), 0.0, SETPOINT_PRIORITIES.crtp)
     assert wanted(onboard, "x") == (1,)
     onboard.notify_setpoint_stop()
-    assert onboard.position((2, 0, 1), 0.0, CRTP)
+    assert onboard.position((2, 0, 1), 0.0, SETPOINT_PRIORITIES.crtp)
 
 
 def test_a_set_point_stops_the_planner_until_it_is_told(onboard):

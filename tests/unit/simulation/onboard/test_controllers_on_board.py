@@ -9,9 +9,15 @@ from crazychoir.control.handlers import FullStateTraj
 from crazychoir.control.senders import XYZSender
 from crazychoir.control.velocity import WaypointController
 from crazychoir.mocap.simulated import SimulatedMocap
-from crazychoir.numerics.math3d import GRAVITY, flat_attitude, rotation, wrap, yaw_of
+from crazychoir.numerics.math3d import (
+    STANDARD_GRAVITY,
+    flat_attitude,
+    rotation,
+    wrap_angle,
+    yaw_of,
+)
 from crazychoir.planning.figure import circle
-from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS, PLATFORMS
+from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS, PLATFORM_BY_NAME
 from crazychoir.simulation.delay import DelayedLink
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
 from crazychoir.simulation.onboard.laws import ForceTorque
@@ -69,7 +75,7 @@ class Flown:
                 row.append(
                     (
                         *(x[:3] - reference.p),
-                        math.degrees(wrap(yaw_of(x[6:10]) - reference.yaw)),
+                        math.degrees(wrap_angle(yaw_of(x[6:10]) - reference.yaw)),
                     )
                 )
                 send(k, reference, 0.01 * tick)
@@ -106,7 +112,7 @@ def firmware():
     Mellinger's and Lee's fly full states. The PIDs heed neither velocities nor rates of full states, and would lag by
     0.6 s and 9 degrees; they fly places and yaws that WaypointController leads for them.
     """
-    flown = Flown([PLATFORMS[platform] for platform, _ in ROWS])
+    flown = Flown([PLATFORM_BY_NAME[platform] for platform, _ in ROWS])
     for board, (_, law) in zip(flown.boards, ROWS, strict=True):
         board.set("stabilizer.controller", law)
         # The firmware's constant is that of the Crazyflie: a brushless one would hover 8 cm too high, and land so.
@@ -148,7 +154,7 @@ def test_a_controller_on_board_turns_with_its_set_points_across_pi(firmware, row
 
 def test_a_step_of_the_yaw_is_turned_by_every_controller_without_a_fall():
     """By 0.9 rad at once, also behind the slow rotors of the cf21, with the firmware's gains and masses."""
-    flown = Flown([PLATFORMS[platform] for platform, _ in ROWS])
+    flown = Flown([PLATFORM_BY_NAME[platform] for platform, _ in ROWS])
     for board, (_, law) in zip(flown.boards, ROWS, strict=True):
         board.set("stabilizer.controller", law)
     flown.take_off()
@@ -157,7 +163,7 @@ def test_a_step_of_the_yaw_is_turned_by_every_controller_without_a_fall():
             board.position((*place[:2], HEIGHT), YAW + 0.9)
         flown.step()
     for x, place in zip(flown.world.states, flown.home, strict=True):
-        assert abs(math.degrees(wrap(yaw_of(x[6:10]) - YAW - 0.9))) <= 3.0
+        assert abs(math.degrees(wrap_angle(yaw_of(x[6:10]) - YAW - 0.9))) <= 3.0
         assert np.linalg.norm(x[:3] - [*place[:2], HEIGHT]) < 0.2
     assert flown.world.crashed == []
 
@@ -173,7 +179,7 @@ def geometric(setpoint, estimate, gyro, dt):
         setpoint.a
         + 7.0 * (setpoint.p - estimate.p)
         + 4.0 * (setpoint.v - estimate.v)
-        + [0.0, 0.0, GRAVITY]
+        + [0.0, 0.0, STANDARD_GRAVITY]
     )
     force *= CRAZYFLIE_21.mass
     r, d = rotation(estimate.q), np.array(flat_attitude(tuple(force), setpoint.yaw)).T

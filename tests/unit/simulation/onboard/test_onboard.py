@@ -14,7 +14,7 @@ from crazychoir.simulation.onboard import logs, loop, parameters
 from crazychoir.simulation.onboard.cffirmware import FirmwareLaw
 from crazychoir.simulation.onboard.laws import ForceTorque, Legacy, MotorForces
 from crazychoir.simulation.onboard.onboard import Onboard
-from crazychoir.simulation.onboard.record import fleet
+from crazychoir.simulation.onboard.record import make_fleet
 
 BOOT = {
     "pid_rate.roll_kp": 250,
@@ -80,11 +80,13 @@ def test_boot_values_of_the_brushless():
 
 def test_every_parameter_can_be_written_and_read():
     onboard = Onboard(CRAZYFLIE_21)
-    for k, name in enumerate(sorted(set(parameters.TABLE) - {"stabilizer.controller"})):
+    for k, name in enumerate(
+        sorted(set(parameters.PARAMETER_PLACES) - {"stabilizer.controller"})
+    ):
         onboard.set(name, k % 7)
         assert onboard.get(name) == k % 7
-    assert len({str(path) for path in parameters.TABLE.values()}) == len(
-        parameters.TABLE
+    assert len({str(path) for path in parameters.PARAMETER_PLACES.values()}) == len(
+        parameters.PARAMETER_PLACES
     )
 
 
@@ -104,7 +106,7 @@ def test_a_gain_acts():
 def test_every_log_variable_is_a_number():
     onboard = Onboard(CRAZYFLIE_21)
     loop.run(onboard.rows, 200.0, 0, 0, 0.1, 0, 0, 9.80665)
-    assert all(math.isfinite(onboard.log(name)) for name in logs.TABLE)
+    assert all(math.isfinite(onboard.log(name)) for name in logs.FIRMWARE_LOG_READERS)
     assert onboard.log("gyro.z") == pytest.approx(math.degrees(0.1), abs=1e-3)
     assert onboard.log("acc.z") == pytest.approx(1.0)
     assert onboard.log("pm.vbatMV") == 4200
@@ -113,7 +115,7 @@ def test_every_log_variable_is_a_number():
 
 
 def test_drones_of_one_array_do_not_know_of_each_other():
-    rows = fleet(3, CRAZYFLIE_21)
+    rows = make_fleet(3, CRAZYFLIE_21)
     drones = [Onboard(CRAZYFLIE_21, rows, k) for k in range(3)]
     loop.run(rows, 200.0, 0, 0, 0, 0, 0, 9.80665)
     drones[1].manual(0.3, 0, 0, 0)

@@ -11,7 +11,7 @@ from crazychoir.numerics.kernels import kernel, vector
 from crazychoir.platforms import CRAZYFLIE_21
 from crazychoir.simulation.onboard import cascade, pid
 from crazychoir.simulation.onboard.onboard import Onboard
-from crazychoir.simulation.onboard.record import fleet, pid_fields
+from crazychoir.simulation.onboard.record import make_fleet, pid_fields
 
 gains = numba.from_dtype(pid_fields)[::1]
 
@@ -108,7 +108,7 @@ def test_the_rate_loop_answers_a_step_as_the_linear_loop_of_scipy():
     assert max(flown) > 20.0
 
 
-@kernel(numba.from_dtype(fleet(1, CRAZYFLIE_21).dtype)[::1])
+@kernel(numba.from_dtype(make_fleet(1, CRAZYFLIE_21).dtype)[::1])
 def control(rows):
     cascade.control(rows[0], rows[0].wanted)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from crazychoir.numerics.math3d import GRAVITY
+from crazychoir.numerics.math3d import STANDARD_GRAVITY
 from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS
 from crazychoir.simulation.onboard import loop
 from crazychoir.simulation.onboard.onboard import Onboard
@@ -28,7 +28,14 @@ class Bench:
 
     def run(self, ms, z=1.0, x=0.0):
         loop.run(
-            self.onboard.rows, float(ms), 0.0, 0.0, 0.0, x * GRAVITY, 0.0, z * GRAVITY
+            self.onboard.rows,
+            float(ms),
+            0.0,
+            0.0,
+            0.0,
+            x * STANDARD_GRAVITY,
+            0.0,
+            z * STANDARD_GRAVITY,
         )
 
     def push(self, thrust=0.3):

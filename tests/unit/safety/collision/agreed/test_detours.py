@@ -4,16 +4,21 @@ import numpy as np
 import pytest
 
 from crazychoir.safety.collision.agreed.detours import Detours
-from crazychoir.safety.collision.agreed.paths import braking, end, moving, seconds
-from crazychoir.safety.collision.agreed.rest_goal import Aim
-from crazychoir.safety.rules.guard import INSET, Fence
+from crazychoir.safety.collision.agreed.paths import (
+    compute_end_place,
+    compute_motion,
+    compute_path_duration,
+    plan_braking,
+)
+from crazychoir.safety.collision.agreed.rest_goal import RestGoal
+from crazychoir.safety.rules.guard import FENCE_INSET, Fence
 
 FENCE = Fence.box((-3.0, -3.0, 0.25), (3.0, 3.0, 2.5))
 DOWN = np.array([0.0, 0.0, 0.6, 0.0, 0.0, -0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
 def options(start, goal):
-    aim = Aim(np.array(goal), 1.0, 0.8, (), np.ones(4))
+    aim = RestGoal(np.array(goal), 1.0, 0.8, (), np.ones(4))
     return Detours(1.0, 0.8, FENCE, np.random.default_rng(1)).options(
         start, aim, np.inf
     )
@@ -21,7 +26,8 @@ def options(start, goal):
 
 def lowest(option):
     return min(
-        moving(option.way, t)[2] for t in np.linspace(0.0, seconds(option.way), 300)
+        compute_motion(option.way, t)[2]
+        for t in np.linspace(0.0, compute_path_duration(option.way), 300)
     )
 
 
@@ -29,7 +35,9 @@ def lowest(option):
 def test_no_way_leaves_the_fence_though_the_drone_flies_towards_it(z):
     start = DOWN.copy()
     start[2] = z
-    unavoidable = min(FENCE.low[2] + INSET, end(braking(start, 0.8))[2])
+    unavoidable = min(
+        FENCE.low[2] + FENCE_INSET, compute_end_place(plan_braking(start, 0.8))[2]
+    )
     found = options(start, (2.5, 0.0, 1.0))
     assert len(found) > 5
     assert min(map(lowest, found)) >= unavoidable - 0.005
@@ -39,7 +47,7 @@ def test_no_way_leaves_the_fence_though_the_drone_flies_towards_it(z):
 def test_no_way_goes_into_the_floor_though_the_drone_dives(speed):
     start = DOWN.copy()
     start[5] = -speed
-    assert end(braking(start, 0.8))[2] < 0.1
+    assert compute_end_place(plan_braking(start, 0.8))[2] < 0.1
     assert all(
         lowest(option) >= 0.1 - 0.005 for option in options(start, (2.5, 0.0, 1.0))
     )
@@ -50,8 +58,8 @@ def test_ways_keep_off_the_sides_of_the_fence():
     for option in options(start, (2.8, 0.0, 2.3)):
         assert (
             max(
-                moving(option.way, t)[2]
-                for t in np.linspace(0.0, seconds(option.way), 300)
+                compute_motion(option.way, t)[2]
+                for t in np.linspace(0.0, compute_path_duration(option.way), 300)
             )
             <= 2.4 + 0.005
         )
@@ -59,5 +67,5 @@ def test_ways_keep_off_the_sides_of_the_fence():
 
 def test_a_goal_below_the_fence_is_flown_to():
     found = options(np.array([0.0, 0.0, 1.0, *np.zeros(9)]), (0.0, 0.0, 0.05))
-    assert end(found[0].way) == pytest.approx([0.0, 0.0, 0.05])
+    assert compute_end_place(found[0].way) == pytest.approx([0.0, 0.0, 0.05])
     assert min(map(lowest, found)) >= 0.045

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from crazychoir.safety.collision.agreed.landing_place import nearest_free
+from crazychoir.safety.collision.agreed.landing_place import find_free_place
 from crazychoir.safety.rules.guard import Fence
 
 HALL = Fence.box((-1.0, -1.0, 0.0), (1.0, 1.0, 2.0))
@@ -11,20 +11,20 @@ P = np.array([0.0, 0.0, 0.3])
 
 
 def test_it_is_the_nearest_that_is_far_enough_from_all():
-    assert nearest_free(P, np.array([[0.5, 0.0, 0.4]]), HALL) == pytest.approx(P)
-    place = nearest_free(P, np.array([[0.1, 0.0, 0.4]]), HALL)
+    assert find_free_place(P, np.array([[0.5, 0.0, 0.4]]), HALL) == pytest.approx(P)
+    place = find_free_place(P, np.array([[0.1, 0.0, 0.4]]), HALL)
     assert place == pytest.approx([-0.3, 0.0, 0.3])
     others = np.array(
         [[0.0, 0.0, 0.4], [-0.4, 0.0, 0.4], [0.4, 0.0, 0.4], [0.0, 0.4, 0.4]]
     )
-    place = nearest_free(P, others, HALL)
+    place = find_free_place(P, others, HALL)
     assert all(np.hypot(*(place[0:2] - other[0:2])) >= other[2] for other in others)
     assert np.linalg.norm(place[0:2]) == pytest.approx(0.4)
 
 
 def test_it_is_inside_the_fence_or_nowhere():
     assert (
-        nearest_free(np.array([0.9, 0.0, 0.3]), np.array([[0.8, 0.0, 0.5]]), HALL)[0]
+        find_free_place(np.array([0.9, 0.0, 0.3]), np.array([[0.8, 0.0, 0.5]]), HALL)[0]
         <= 0.9
     )
-    assert nearest_free(P, np.array([[0.0, 0.0, 9.0]]), HALL) is None
+    assert find_free_place(P, np.array([[0.0, 0.0, 9.0]]), HALL) is None

@@ -5,18 +5,18 @@ import math
 import numpy as np
 import pytest
 
-from crazychoir.numerics.math3d import GRAVITY
+from crazychoir.numerics.math3d import STANDARD_GRAVITY
 from crazychoir.platforms import CRAZYFLIE_21
-from crazychoir.safety.collision.agreed.meeting import Meeting
+from crazychoir.safety.collision.agreed.meeting import OtherPaths
 from crazychoir.safety.collision.agreed.paths import (
-    braking,
-    end,
-    flight,
-    hold,
-    keeping_up,
-    leaves,
-    moving,
-    seconds,
+    compute_end_place,
+    compute_motion,
+    compute_path_duration,
+    is_outside_box,
+    plan_braking,
+    plan_catching_up,
+    plan_flight,
+    plan_hold,
 )
 from crazychoir.simulation.onboard import loop
 from crazychoir.simulation.onboard.onboard import Onboard
@@ -30,14 +30,14 @@ def rest(*p):
 
 
 def straight(p, q, v_max=1.0):
-    return flight(rest(*p), np.array(q, dtype=float), v_max, 2.0)
+    return plan_flight(rest(*p), np.array(q, dtype=float), v_max, 2.0)
 
 
 def planned(onboard, ms):
     """[(t, p)] s since the present plan began, m: what the planner on board wants, each 10 ms."""
     out, begin = [], float(onboard.record["planner"]["begin"])
     for _ in range(ms // 10):
-        loop.run(onboard.rows, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0, GRAVITY)
+        loop.run(onboard.rows, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0, STANDARD_GRAVITY)
         t = 1e-3 * float((onboard.record["tick"] - 1) // 10 * 10)
         out.append(
             (t - begin, np.array([float(onboard.record["wanted"][c]) for c in "xyz"]))
@@ -52,60 +52,72 @@ def test_a_way_is_what_the_planner_on_board_flies(interrupted):
     onboard.take_off(1.0, 1.0)
     start = rest(*planned(onboard, 1500)[-1][1])
     if interrupted:
-        first = flight(start, np.array([1.0, 1.0, 1.5]), 1.0, 2.0)
+        first = plan_flight(start, np.array([1.0, 1.0, 1.5]), 1.0, 2.0)
         onboard.go_to((1.0, 1.0, 1.5), 0.0, float(first[0, 0]))
         begin = float(onboard.record["planner"]["begin"])
         planned(onboard, interrupted)
-        start = moving(first, 1e-3 * float(onboard.record["tick"]) - begin)
-    way = flight(start, np.array([-1.2, 0.4, 0.7]), 1.0, 2.0)
+        start = compute_motion(first, 1e-3 * float(onboard.record["tick"]) - begin)
+    way = plan_flight(start, np.array([-1.2, 0.4, 0.7]), 1.0, 2.0)
     onboard.go_to((-1.2, 0.4, 0.7), 0.0, float(way[0, 0]))
     flown = planned(onboard, 1000 * math.ceil(way[0, 0]))
-    assert max(np.abs(p - moving(way, t)[0:3]).max() for t, p in flown[1:]) < 2e-4
+    assert (
+        max(np.abs(p - compute_motion(way, t)[0:3]).max() for t, p in flown[1:]) < 2e-4
+    )
     assert flown[-1][1] == pytest.approx([-1.2, 0.4, 0.7], abs=1e-4)
 
 
 @pytest.mark.parametrize("v", [(0.0, 0.0, 0.0), (0.8, -0.3, 0.1)])
 def test_a_flight_keeps_the_limits_and_arrives_at_rest(v):
     start = np.array([0.0, 0.0, 1.0, *v, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
-    way = flight(start, np.array([2.0, -1.0, 1.5]), 1.0, 2.0)
-    flown = np.array([moving(way, t) for t in np.linspace(0.0, seconds(way), 400)])
+    way = plan_flight(start, np.array([2.0, -1.0, 1.5]), 1.0, 2.0)
+    flown = np.array(
+        [
+            compute_motion(way, t)
+            for t in np.linspace(0.0, compute_path_duration(way), 400)
+        ]
+    )
     assert np.linalg.norm(flown[:, 3:6], axis=1).max() <= 1.1
     assert np.linalg.norm(flown[:, 6:9], axis=1).max() <= 2.3
     assert flown[0] == pytest.approx(start, abs=1e-9)
-    assert end(way) == pytest.approx([2.0, -1.0, 1.5])
-    assert moving(way, seconds(way) - 1e-9)[3:12] == pytest.approx(
-        np.zeros(9), abs=1e-5
-    )
+    assert compute_end_place(way) == pytest.approx([2.0, -1.0, 1.5])
+    assert compute_motion(way, compute_path_duration(way) - 1e-9)[
+        3:12
+    ] == pytest.approx(np.zeros(9), abs=1e-5)
 
 
 def test_a_motion_is_the_derivative_of_the_one_before():
     way, h = (
-        flight(np.linspace(0.1, 1.2, 12), np.array([2.0, 0.0, 1.0]), 1.0, 2.0),
+        plan_flight(np.linspace(0.1, 1.2, 12), np.array([2.0, 0.0, 1.0]), 1.0, 2.0),
         1e-5,
     )
-    for t in (0.3, 0.9, 0.6 * seconds(way)):
-        slope = (moving(way, t + h) - moving(way, t - h)) / (2.0 * h)
-        assert moving(way, t)[3:12] == pytest.approx(slope[0:9], abs=1e-5)
+    for t in (0.3, 0.9, 0.6 * compute_path_duration(way)):
+        slope = (compute_motion(way, t + h) - compute_motion(way, t - h)) / (2.0 * h)
+        assert compute_motion(way, t)[3:12] == pytest.approx(slope[0:9], abs=1e-5)
 
 
 def test_a_stop_is_short_and_never_turns_back():
     start = np.array([0.0, 0.0, 1.0, 0.8, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    way = braking(start, 2.0)
-    speeds = [moving(way, t)[3] for t in np.linspace(0.0, seconds(way), 50)]
+    way = plan_braking(start, 2.0)
+    speeds = [
+        compute_motion(way, t)[3]
+        for t in np.linspace(0.0, compute_path_duration(way), 50)
+    ]
     assert min(speeds) >= -1e-9
-    assert end(way)[0] == pytest.approx(15.0 / 16.0 * 0.8**2 / 2.0, rel=1e-6)
+    assert compute_end_place(way)[0] == pytest.approx(
+        15.0 / 16.0 * 0.8**2 / 2.0, rel=1e-6
+    )
 
 
 def test_keeping_up_comes_by_what_is_wanted_and_ends_at_rest():
     then = np.array([0.64, 0.0, 1.0, 0.8, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    way = keeping_up(np.array([0.0, 0.0, 1.0, 0.8, *np.zeros(8)]), then, 0.8, 2.0)
-    assert moving(way, 0.4)[0] == pytest.approx(0.32)
-    assert moving(way, 0.8) == pytest.approx(then, abs=1e-9)
-    assert moving(way, 9.0)[3:12] == pytest.approx(np.zeros(9))
+    way = plan_catching_up(np.array([0.0, 0.0, 1.0, 0.8, *np.zeros(8)]), then, 0.8, 2.0)
+    assert compute_motion(way, 0.4)[0] == pytest.approx(0.32)
+    assert compute_motion(way, 0.8) == pytest.approx(then, abs=1e-9)
+    assert compute_motion(way, 9.0)[3:12] == pytest.approx(np.zeros(9))
 
 
 def met(way, others, began=0.0, now=0.0):
-    meeting = Meeting(FIGURES, 2.0)
+    meeting = OtherPaths(FIGURES, 2.0)
     for other in others:
         meeting.way(7, *other)
     return meeting.first(way, began, now)
@@ -114,7 +126,10 @@ def met(way, others, began=0.0, now=0.0):
 def brute(way, other, began, other_began, until):
     """The first time at which the scaled distance is too small, looked at every ms."""
     for t in np.arange(max(began, other_began), until, 1e-3):
-        d = (moving(way, t - began)[0:3] - moving(other, t - other_began)[0:3]) * [
+        d = (
+            compute_motion(way, t - began)[0:3]
+            - compute_motion(other, t - other_began)[0:3]
+        ) * [
             1.0,
             1.0,
             0.4,
@@ -134,7 +149,7 @@ def test_two_that_cross_meet_where_a_fine_look_says():
 
 
 def test_one_meets_another_that_stays_and_passes_high_above_it():
-    low = hold(np.array([0.0, 0.0, 0.5]), 0.0)
+    low = plan_hold(np.array([0.0, 0.0, 0.5]), 0.0)
     assert met(straight((-1, 0, 0.6), (1, 0, 0.6)), [(low, 0.0)])[1] == 7
     assert met(straight((-1, 0, 1.4), (1, 0, 1.4)), [(low, 0.0)])[1] is None
     assert met(straight((-1, 0, 1.2), (1, 0, 1.2)), [(low, 0.0)])[1] == 7, (
@@ -149,29 +164,29 @@ def test_what_is_over_is_no_meeting():
 
 
 def test_two_that_are_too_near_may_part_and_not_come_nearer():
-    beside = hold(np.array([0.0, 0.25, 1.0]), 0.0)
+    beside = plan_hold(np.array([0.0, 0.25, 1.0]), 0.0)
     assert met(straight((0, 0, 1), (0, -1, 1)), [(beside, 0.0)])[1] is None
     assert met(straight((0, 0, 1), (0.3, 0.25, 1)), [(beside, 0.0)])[1] == 7
 
 
 def test_one_on_the_floor_is_no_obstacle_a_little_above():
-    meeting = Meeting(FIGURES, 2.0)
+    meeting = OtherPaths(FIGURES, 2.0)
     meeting.stands(4, np.zeros(3))
     assert meeting.clear(straight((-1, 0, 0.3), (1, 0, 0.3)), 0.0, 0.0)
     assert not meeting.clear(straight((-1, 0, 0.3), (0, 0, 0.1)), 0.0, 0.0)
 
 
 def test_one_that_tells_no_way_is_taken_to_brake():
-    meeting = Meeting(FIGURES, 2.0)
+    meeting = OtherPaths(FIGURES, 2.0)
     meeting.guessed(4, np.array([0.0, -0.9, 1.0]), np.array([0.0, 1.0, 0.0]), 0.0)
-    assert meeting.first(hold(np.array([0.0, 0.1, 1.0]), 2.0), 0.0, 0.0)[1] == 4
-    assert meeting.clear(hold(np.array([0.0, 0.5, 1.0]), 2.0), 0.0, 0.0)
+    assert meeting.first(plan_hold(np.array([0.0, 0.1, 1.0]), 2.0), 0.0, 0.0)[1] == 4
+    assert meeting.clear(plan_hold(np.array([0.0, 0.5, 1.0]), 2.0), 0.0, 0.0)
 
 
 def test_one_that_is_silent_may_be_anywhere_on_its_way():
     way = straight((0, -1, 1), (0, 1, 1))
     through = straight((-1, 0, 1), (0.4, 0, 1))
-    meeting = Meeting(FIGURES, 2.0)
+    meeting = OtherPaths(FIGURES, 2.0)
     meeting.somewhere(4, way, 0.0, 1.0)
     assert not meeting.clear(through, 9.0, 9.0), "though it should be long past"
     assert met(through, [(way, 0.0)], began=9.0, now=9.0)[1] is None
@@ -182,21 +197,21 @@ def test_one_that_is_silent_may_be_anywhere_on_its_way():
 
 def test_a_silent_one_that_has_come_to_rest_is_still_there():
     way = straight((0, -1, 1), (0, 0, 1))
-    for heard in (0.5, seconds(way) + 0.05, 60.0):
-        meeting = Meeting(FIGURES, 2.0)
+    for heard in (0.5, compute_path_duration(way) + 0.05, 60.0):
+        meeting = OtherPaths(FIGURES, 2.0)
         meeting.somewhere(4, way, 0.0, heard)
         assert not meeting.clear(straight((-1, 0, 1), (1, 0, 1)), 63.0, 63.0)
 
 
 def test_one_that_may_have_come_down_is_anywhere_below():
     meeting, over, under = (
-        Meeting(FIGURES, 2.0),
+        OtherPaths(FIGURES, 2.0),
         straight((-1, 0, 2), (1, 0, 2)),
         straight((-1, 0, 0.3), (1, 0, 0.3)),
     )
-    meeting.way(4, hold(np.array([0.0, 0.0, 1.2]), 0.0), -math.inf)
+    meeting.way(4, plan_hold(np.array([0.0, 0.0, 1.2]), 0.0), -math.inf)
     assert meeting.clear(under, 0.0, 0.0)
-    meeting = Meeting(FIGURES, 2.0)
+    meeting = OtherPaths(FIGURES, 2.0)
     meeting.below(4, np.array([0.0, 0.0, 1.1]))
     assert not meeting.clear(under, 0.0, 0.0)
     assert meeting.clear(over, 0.0, 0.0)
@@ -204,24 +219,34 @@ def test_one_that_may_have_come_down_is_anywhere_below():
 
 def test_a_way_leaves_a_box_wherever_it_is_outside():
     low, high = np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 2.0])
-    assert not leaves(straight((-1.0, 0.0, 1.0), (1.0, 0.0, 1.0)), low, high)
-    assert leaves(straight((0.0, 0.0, 1.0), (0.0, 1.1, 1.0)), low, high)
+    assert not is_outside_box(straight((-1.0, 0.0, 1.0), (1.0, 0.0, 1.0)), low, high)
+    assert is_outside_box(straight((0.0, 0.0, 1.0), (0.0, 1.1, 1.0)), low, high)
     middle, below = (0.0, 0.0, 1.0), (0.0, 0.0, -0.2)
-    assert leaves(
+    assert is_outside_box(
         np.concatenate([straight(middle, below), straight(below, middle)]), low, high
     )
 
 
 def test_who_accelerates_comes_to_rest_without_flying_much_faster():
     start = np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.1, 0.0, 0.0, 0.0, 0.0, 0.0])
-    way = braking(start, 0.8)
-    flown = np.array([moving(way, t) for t in np.linspace(0.0, seconds(way), 200)])
+    way = plan_braking(start, 0.8)
+    flown = np.array(
+        [
+            compute_motion(way, t)
+            for t in np.linspace(0.0, compute_path_duration(way), 200)
+        ]
+    )
     assert np.linalg.norm(flown[:, 3:6], axis=1).max() < 1.4
     assert np.linalg.norm(flown[:, 6:9], axis=1).max() < 1.8
 
 
 def test_who_begins_at_the_peak_of_another_way_flies_no_harder_one():
     start = np.array([0.0, 0.0, 1.0, 0.4, 0.0, 0.0, 0.0, 0.9, 0.0, 0.0, 0.0, 0.0])
-    way = flight(start, np.array([1.0, 0.5, 1.0]), 1.0, 0.8)
-    flown = np.array([moving(way, t) for t in np.linspace(0.0, seconds(way), 200)])
+    way = plan_flight(start, np.array([1.0, 0.5, 1.0]), 1.0, 0.8)
+    flown = np.array(
+        [
+            compute_motion(way, t)
+            for t in np.linspace(0.0, compute_path_duration(way), 200)
+        ]
+    )
     assert np.linalg.norm(flown[:, 6:9], axis=1).max() < 1.0

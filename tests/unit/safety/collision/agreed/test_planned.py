@@ -8,25 +8,25 @@ import pytest
 from virtual_time import virtual
 
 from crazychoir.bus.impairment.model import Impairment
-from crazychoir.bus.impairment.rules import Rule
+from crazychoir.bus.impairment.rules import ImpairmentRule
 from crazychoir.bus.port import Bus
-from crazychoir.bus.topics import PLAN, STATE
-from crazychoir.config.tables import Collision
-from crazychoir.flight.references import ahead
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.config.tables import CollisionTable
+from crazychoir.flight.references import extrapolate_reference
 from crazychoir.planning.figure import circle
-from crazychoir.runtime.clock import SECOND
-from crazychoir.safety.collision.agreed.agreement import NO_WAY, NOWHERE
-from crazychoir.safety.collision.agreed.obstacles import UNANSWERED
+from crazychoir.runtime.clock import NS_PER_SECOND
+from crazychoir.safety.collision.agreed.agreement import NO_PATH, NO_REST_PLACE
+from crazychoir.safety.collision.agreed.obstacles import OBSTACLE_LIMITS
 from crazychoir.safety.collision.agreed.paths import (
-    end,
-    flight,
-    hardest,
-    hold,
-    moving,
-    seconds,
+    compute_end_place,
+    compute_motion,
+    compute_path_duration,
+    find_peak_sideways_acceleration,
+    plan_flight,
+    plan_hold,
 )
-from crazychoir.safety.collision.agreed.planned import ASKING, PERIOD, PlannedFlights
-from crazychoir.safety.collision.neighbour_table import Traffic
+from crazychoir.safety.collision.agreed.planned import PLANNING_TIMES, PlannedFlights
+from crazychoir.safety.collision.neighbour_table import NeighbourTable
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.types import FullState, LinkStatus, Plan, State
 
@@ -42,9 +42,9 @@ class Flier:
         planners = ids if planners is None else planners
         port = bus.ports[i]
         self.port, self.id = port, i
-        traffic = Traffic(port, ids, planners)
+        traffic = NeighbourTable(port, ids, planners)
         self.filter = PlannedFlights(
-            port, Collision(), traffic, planners, FENCE, 2.0, 1.0, 0.0
+            port, CollisionTable(), traffic, planners, FENCE, 2.0, 1.0, 0.0
         )
         self.at, self.goal = (
             np.array(at, dtype=float),
@@ -53,7 +53,7 @@ class Flier:
         self.track, self.flies, self.v, self.lands = [], True, np.zeros(3), False
 
     def tick(self, now):
-        self.port.publish(STATE, State.at(self.at, self.v))
+        self.port.publish(DRONE_TOPICS.state, State.at(self.at, self.v))
         if self.flies:
             wanted = FullState.at(self.goal)
             state = State.at(self.at, self.v)
@@ -73,7 +73,7 @@ def later_of(way, t, later):
 
 def crowd(clock, *places, rules=(), planners=None):
     """Drones 0, 1 ... each from a place to another."""
-    bus = Bus(clock, Impairment(3, [Rule(effects) for effects in rules]))
+    bus = Bus(clock, Impairment(3, [ImpairmentRule(effects) for effects in rules]))
     ids = list(range(len(places)))
     for i in ids:
         bus.port(i)
@@ -85,7 +85,7 @@ async def fly(clock, drones, duration):
     for _ in range(round(duration / TICK)):
         await clock.sleep(TICK)
         for drone in drones:
-            drone.tick(clock.now_ns() / SECOND)
+            drone.tick(clock.now_ns() / NS_PER_SECOND)
 
 
 def nearest(one, two):
@@ -159,7 +159,9 @@ async def test_who_must_come_down_waits_for_no_place_any_more(clock):
     _, (one, waits) = crowd(clock, (A,), (B, A))
     await fly(clock, (one, waits), 8.0)
     assert waits.filter.agreement.awaits == pytest.approx(A)
-    waits.filter.lands(FullState.at(waits.at), clock.now() + PERIOD)
+    waits.filter.lands(
+        FullState.at(waits.at), clock.now() + PLANNING_TIMES.check_interval
+    )
     assert len(waits.filter.agreement.awaits) == 0
 
 
@@ -167,22 +169,30 @@ async def test_who_must_come_down_waits_for_no_place_any_more(clock):
 async def test_a_way_a_little_behind_what_is_wanted_catches_up_gently(clock):
     _, drones = crowd(clock, (A,))
     await fly(clock, drones, 0.5)
-    wanted, now = FullState.at(A + np.array([0.04, 0.0, 0.0])), clock.now() + PERIOD
+    wanted, now = (
+        FullState.at(A + np.array([0.04, 0.0, 0.0])),
+        clock.now() + PLANNING_TIMES.check_interval,
+    )
     drones[0].filter.fly(State.at(A), wanted, lambda later: wanted, 0.05, now)
     way = drones[0].filter.agreement.way
-    assert end(way) == pytest.approx(wanted.p)
-    assert hardest(way) < 0.9
+    assert compute_end_place(way) == pytest.approx(wanted.p)
+    assert find_peak_sideways_acceleration(way) < 0.9
 
 
 @virtual
 async def test_a_stream_that_begins_at_full_speed_is_caught_up_with_gently(clock):
     _, drones = crowd(clock, (A,))
     await fly(clock, drones, 0.5)
-    stream, now = FullState.at(A, [0.8, 0.0, 0.0]), clock.now() + PERIOD
-    drones[0].filter.fly(State.at(A), stream, partial(ahead, stream), 0.0, now)
+    stream, now = (
+        FullState.at(A, [0.8, 0.0, 0.0]),
+        clock.now() + PLANNING_TIMES.check_interval,
+    )
+    drones[0].filter.fly(
+        State.at(A), stream, partial(extrapolate_reference, stream), 0.0, now
+    )
     way = drones[0].filter.agreement.way
-    assert end(way)[0] > A[0] + 0.8
-    assert hardest(way) < 2.0, (
+    assert compute_end_place(way)[0] > A[0] + 0.8
+    assert find_peak_sideways_acceleration(way) < 2.0, (
         "a harder one is flown less exactly than the others take it to be"
     )
 
@@ -219,7 +229,7 @@ async def test_without_an_answer_it_stays(clock):
     """The lower one hears, and what it says is lost: nothing is flown that it has not agreed to."""
     _, drones = crowd(clock, ((-1.0, 2.0, 1.0),), (A, B))
     await fly(clock, drones, 0.5)
-    deaf = Impairment(1, [Rule({"loss": 1.0}, edge=(0, 1), directed=True)])
+    deaf = Impairment(1, [ImpairmentRule({"loss": 1.0}, edge=(0, 1), directed=True)])
     drones[0].port.bus.impairment = deaf
     deaf.begin(clock.now())
     away = drones[1].at.copy()
@@ -234,13 +244,13 @@ async def test_an_offer_that_is_not_agreed_to_in_time_is_forgotten(clock):
     await fly(clock, drones, 0.5)
     one = drones[1].filter.agreement
     now = clock.now()
-    one.propose(hold(A, 1.0), now + ASKING)
+    one.propose(plan_hold(A, 1.0), now + PLANNING_TIMES.offer_lead_time)
     assert len(one.offer)
-    one.settle(now + 0.9 * ASKING)
+    one.settle(now + 0.9 * PLANNING_TIMES.offer_lead_time)
     assert len(one.offer)
-    one.settle(now + ASKING)
+    one.settle(now + PLANNING_TIMES.offer_lead_time)
     assert len(one.offer) == 0
-    assert end(one.way) == pytest.approx(B)
+    assert compute_end_place(one.way) == pytest.approx(B)
 
 
 @virtual
@@ -249,7 +259,10 @@ async def test_only_offers_that_are_clear_are_agreed_to(clock):
     await fly(clock, drones, 0.5)
     low, high = (drone.filter.agreement for drone in drones)
     for place, agreed in ((A, False), (np.array([0.0, 1.0, 1.0]), True)):
-        high.propose(flight(moving(high.way, 9.0), place, 1.0, 2.0), clock.now() + 9.0)
+        high.propose(
+            plan_flight(compute_motion(high.way, 9.0), place, 1.0, 2.0),
+            clock.now() + 9.0,
+        )
         high.tell(clock.now())
         drones[0].tick(clock.now())
         assert (low.others[1].allowed == high.number) is agreed
@@ -263,7 +276,7 @@ async def test_what_was_agreed_to_is_kept_clear_of_until_it_is_heard_that_it_is_
     await fly(clock, drones, 0.5)
     low, high = (drone.filter.agreement for drone in drones)
     place = np.array([0.0, 1.0, 1.0])
-    high.propose(hold(place, 1.0), clock.now() + 0.1)
+    high.propose(plan_hold(place, 1.0), clock.now() + 0.1)
     high.tell(clock.now())
     drones[0].tick(clock.now())
     drones[0].goal = place.copy()
@@ -272,7 +285,7 @@ async def test_what_was_agreed_to_is_kept_clear_of_until_it_is_heard_that_it_is_
         "nothing more is heard of it: it may be there"
     )
     assert low.may_be_flown(low.others[1])
-    drones[1].filter.agreement.offer = NO_WAY
+    drones[1].filter.agreement.offer = NO_PATH
     await fly(clock, drones, 8.0)
     assert drones[0].at == pytest.approx(place, abs=1e-3)
 
@@ -316,10 +329,10 @@ async def test_who_must_come_down_waits_for_nobody_who_is_not_heard(clock):
     assert lands.filter.delayed
     assert lands.filter.lands(lands.wanted(), now).p.tolist() == lands.goal.tolist()
     assert not lands.filter.delayed
-    lands.filter.lands(lands.wanted(), now + PERIOD)
-    assert math.dist(end(lands.filter.agreement.way), lands.goal) < 0.01, (
-        "that is what the others hear"
-    )
+    lands.filter.lands(lands.wanted(), now + PLANNING_TIMES.check_interval)
+    assert (
+        math.dist(compute_end_place(lands.filter.agreement.way), lands.goal) < 0.01
+    ), "that is what the others hear"
 
 
 @virtual
@@ -332,8 +345,11 @@ async def test_one_that_has_gone_silent_is_avoided_wherever_on_its_way_it_may_be
     assert drones[0].at == pytest.approx(B, abs=1e-3)
     way = drones[1].filter.agreement.way
     for p in drones[0].track[-1400:]:
-        for t in np.arange(1.0, seconds(way), 0.05):
-            assert np.linalg.norm((p - moving(way, t)[0:3]) * [1.0, 1.0, 0.4]) > 0.3
+        for t in np.arange(1.0, compute_path_duration(way), 0.05):
+            assert (
+                np.linalg.norm((p - compute_motion(way, t)[0:3]) * [1.0, 1.0, 0.4])
+                > 0.3
+            )
 
 
 @virtual
@@ -344,17 +360,21 @@ async def test_plans_that_are_none_are_not_believed(clock):
     bad = np.full((1, 25), math.nan)
     for way in (bad, np.zeros((1, 24)), np.zeros(25), -np.ones((1, 25))):
         await clock.sleep(TICK)
-        bus.ports[1].publish(PLAN, Plan(way, 0.0, NO_WAY, 0.0, 1, {}, NOWHERE))
+        bus.ports[1].publish(
+            DRONE_TOPICS.plan, Plan(way, 0.0, NO_PATH, 0.0, 1, {}, NO_REST_PLACE)
+        )
     for place in (np.zeros(2), np.full(3, math.inf)):
         await clock.sleep(TICK)
-        bus.ports[1].publish(PLAN, Plan(hold(B, 1.0), 0.0, NO_WAY, 0.0, 1, {}, place))
+        bus.ports[1].publish(
+            DRONE_TOPICS.plan, Plan(plan_hold(B, 1.0), 0.0, NO_PATH, 0.0, 1, {}, place)
+        )
     assert drones[0].filter.agreement.others[1].heard == heard
 
 
 def parted(bus, clock, *edges):
     """From now on nothing that is said over these edges arrives."""
     deaf = Impairment(
-        1, [Rule({"loss": 1.0}, edge=edge, directed=True) for edge in edges]
+        1, [ImpairmentRule({"loss": 1.0}, edge=edge, directed=True) for edge in edges]
     )
     bus.impairment = deaf
     deaf.begin(clock.now())
@@ -411,10 +431,10 @@ async def lands_unanswered(clock, edge):
     await fly(clock, drones, 1.0)
     low = A - [0.0, 0.0, 0.03]
     drones[1].lands = True
-    for k in range(round(UNANSWERED + 4.0)):
+    for k in range(round(OBSTACLE_LIMITS.answer_timeout + 4.0)):
         drones[1].goal = low - [0.0, 0.0, 0.025 * (drones[1].at[2] < low[2] + 0.02) * k]
         await fly(clock, drones, 1.0)
-        if k < UNANSWERED - 1:
+        if k < OBSTACLE_LIMITS.answer_timeout - 1:
             assert drones[1].at == pytest.approx(A, abs=0.01)
     assert drones[1].at[2] < low[2] + 0.01
 
@@ -425,7 +445,7 @@ async def test_one_that_lands_unanswered_still_keeps_clear_of_what_it_knows(cloc
     await fly(clock, drones, 0.5)
     parted(bus, clock, (0, 1))
     drones[1].lands, drones[1].goal = True, A - [0.0, 0.0, 0.04]
-    await fly(clock, drones, UNANSWERED + 3.0)
+    await fly(clock, drones, OBSTACLE_LIMITS.answer_timeout + 3.0)
     assert drones[1].at == pytest.approx(A, abs=0.01)
     assert drones[1].filter.gives_way_to == 0
 
@@ -444,7 +464,10 @@ async def test_what_an_earlier_agent_was_allowed_counts_no_more_when_it_is_start
     await fly(clock, [drones[0], again], 0.5)
     mine = again.filter.agreement
     for _ in range(20):
-        mine.propose(flight(moving(mine.way, 9.0), A, 1.0, 2.0), clock.now() + ASKING)
+        mine.propose(
+            plan_flight(compute_motion(mine.way, 9.0), A, 1.0, 2.0),
+            clock.now() + PLANNING_TIMES.offer_lead_time,
+        )
         assert mine.number != allowed
         mine.tell(clock.now())
         drones[0].tick(clock.now())
@@ -477,7 +500,7 @@ async def test_who_is_behind_what_moves_does_not_begin_anew_all_the_time(clock):
             [min(-1.5 + 0.008 * k, 2.0), 0.0, 1.0], [0.8 * (k < 438), 0.0, 0.0]
         )
         await clock.sleep(TICK)
-        now = clock.now_ns() / SECOND
+        now = clock.now_ns() / NS_PER_SECOND
         p, v = drone.leads.p, drone.leads.v
         flown = drone.filter.fly(
             State.at(drone.at, drone.v),
@@ -505,7 +528,7 @@ async def test_what_waits_for_a_drone_that_rests_a_little_ahead_of_it_is_flown_o
         for _ in range(900):
             await fly(clock, rest, TICK) if rest else await clock.sleep(TICK)
             state, wanted = State.at(drone.at, drone.v), partial(later_of, way, t)
-            drone.port.publish(STATE, state)
+            drone.port.publish(DRONE_TOPICS.state, state)
             flown = drone.filter.fly(
                 state, wanted(0.0), wanted, 0.0, clock.now(), waits=True
             )
@@ -528,7 +551,7 @@ async def test_who_brakes_unasked_begins_to_once(clock):
     begun = {one.filter.agreement.began}
     for _ in range(10):
         drones[2].at = one.at + np.array([0.7, 0.0, 0.0])
-        await fly(clock, drones, PERIOD)
+        await fly(clock, drones, PLANNING_TIMES.check_interval)
         begun.add(one.filter.agreement.began)
     assert len(begun) == 2
     await fly(clock, drones, 2.0)
@@ -546,9 +569,9 @@ async def test_where_a_drone_is_whose_radio_is_silent_counts_whatever_way_its_ag
         goes.filter.traffic.linked(1, LinkStatus("degraded", silence), 0.0)
         for _ in range(1000):
             await clock.sleep(TICK)
-            elsewhere.tick(clock.now_ns() / SECOND)
+            elsewhere.tick(clock.now_ns() / NS_PER_SECOND)
             goes.filter.traffic.hear((1, State.at((0.0, 0.0, 1.0))), 0.0)
-            goes.tick(clock.now_ns() / SECOND)
+            goes.tick(clock.now_ns() / NS_PER_SECOND)
         d = np.linalg.norm(
             (np.array(goes.track) - [0.0, 0.0, 1.0]) * [1.0, 1.0, 0.4], axis=1
         ).min()

@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 
 from crazychoir.safety.collision.agreed.rest_goal import (
-    AWAITED,
-    NEAR,
-    REST,
-    UNENDED,
-    Aim,
+    ARRIVAL_DISTANCE,
+    REST_COSTS,
+    RestGoal,
 )
 
 GOAL, PLACE = np.array([1.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0])
@@ -16,7 +14,7 @@ FIGURES = np.array([1.0, 0.4, 0.34, 0.15])
 
 
 def aim(*awaited):
-    return Aim(GOAL, 1.0, 0.8, awaited, FIGURES)
+    return RestGoal(GOAL, 1.0, 0.8, awaited, FIGURES)
 
 
 def test_at_the_goal_it_costs_nothing_and_near_it_what_a_flight_there_takes():
@@ -29,13 +27,22 @@ def test_at_the_goal_it_costs_nothing_and_near_it_what_a_flight_there_takes():
 
 def test_elsewhere_it_costs_more_than_the_flight_that_is_left():
     takes = np.sqrt(84.0 * np.sqrt(5.0) / 25.0 / 0.8)
-    assert aim().missing(PLACE) == pytest.approx(UNENDED + REST * takes)
-    assert aim().missing(GOAL + np.array([2.0 * NEAR, 0.0, 0.0])) > UNENDED
+    assert aim().missing(PLACE) == pytest.approx(
+        REST_COSTS.elsewhere + REST_COSTS.remaining_flight * takes
+    )
+    assert (
+        aim().missing(GOAL + np.array([2.0 * ARRIVAL_DISTANCE, 0.0, 0.0]))
+        > REST_COSTS.elsewhere
+    )
 
 
 @pytest.mark.parametrize(
     ("offset", "extra"),
-    [((0.3, 0.0, 0.0), AWAITED), ((0.4, 0.0, 0.0), 0.0), ((0.0, 0.0, 0.8), AWAITED)],
+    [
+        ((0.3, 0.0, 0.0), REST_COSTS.awaited_place),
+        ((0.4, 0.0, 0.0), 0.0),
+        ((0.0, 0.0, 0.8), REST_COSTS.awaited_place),
+    ],
 )
 def test_where_another_waits_to_come_to_it_costs_more(offset, extra):
     assert aim(PLACE + np.array(offset)).missing(PLACE) - aim().missing(
