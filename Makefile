@@ -66,7 +66,7 @@ campaign: $(VENV)/.installed-test  ## ten thousand seeds of faults in virtual ti
 
 clean:  ## remove the environment and all caches; out/ stays
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
-	find agents crazychoir deploy tests -name __pycache__ -prune -exec rm -rf {} +
+	find agents crazychoir deploy docs tests -name __pycache__ -prune -exec rm -rf {} +
 
 $(VENV)/.created:
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' || \
@@ -82,5 +82,6 @@ $(VENV)/.installed: pyproject.toml $(VENV)/.created
 
 $(VENV)/.installed-%: pyproject.toml $(VENV)/.created
 	@echo "Installing crazychoir and its dependency group $* into $(VENV) (the first time it takes a minute or two)"
+	@$(PIP_INSTALL) 'pip>=25.1'  # the first one with --group
 	@$(PIP_INSTALL) --editable . --group $*
 	@touch $@ $(VENV)/.installed
