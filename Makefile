@@ -51,8 +51,7 @@ reference: $(VENV)/.installed-test  ## write the generated tables of the READMEs
 	cd tests && ../$(BIN)/python -m reference
 
 docs: $(VENV)/.installed-docs  ## the documentation as a site: out/docs/index.html
-	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
-	@echo "out/docs/index.html"
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
 bench: $(VENV)/.installed-bench  ## measure, beside CycloneDDS and MPI
 	$(BIN)/crazychoir bench all
