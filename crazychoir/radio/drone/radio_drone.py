@@ -374,11 +374,9 @@ class RadioDrone(Actor):
             await self._prepare(firmware)
         if self.why:
             raise LinkFailed(self.row.uri, self.why)
-        self.connection, self._opening, self._up_ns = (
-            connection,
-            None,
-            self.clock.now_ns(),
-        )
+        self.connection = connection
+        self._opening = None
+        self._up_ns = self.clock.now_ns()
         self.reconnected += self.state_of_link == "lost"
         self._change("up", self._only_lands)
         self._work = asyncio.get_running_loop().create_task(
