@@ -125,12 +125,17 @@ def packed_assignments(source: str) -> Iterator[str]:
             continue
         count = len(node.targets[0].elts)
         names = [ast.unparse(name) for name in node.targets[0].elts]
-        several = (
-            node in tree.body and sum(name.lstrip("_").isupper() for name in names) > 1
-        )
+        # Values that a function returns together are unpacked.
+        unpacked = isinstance(node.value, ast.Call) and not _counts(node.value)
+        constants = sum(name.lstrip("_").isupper() for name in names)
+        several = node in tree.body and constants > 1 and not unpacked
         independent = isinstance(node.value, ast.Tuple) and count > MOST_TUPLE_VALUES
         if several or independent:
             yield f"{node.lineno}: {', '.join(names)}"
+
+
+def _counts(call: ast.Call) -> bool:
+    return ast.unparse(call.func) in ("range", "itertools.count", "count")
 
 
 def shared_class_names(files: Iterable[Path]) -> dict[str, list[str]]:
