@@ -556,10 +556,11 @@ def test_a_long_front_page_is_found():
 
 
 def all_pages(root: Path) -> list[str]:
-    """Return the front page, and all pages of the folders that have documentation."""
+    """Return the front page, the page for contributors, and all pages of the folders that have pages."""
     folders = ("agents", "crazychoir", "deploy")
     files = [file for folder in folders for file in (root / folder).rglob("*.md")]
-    return [FRONT_PAGE, *sorted(str(file.relative_to(root)) for file in files)]
+    guide = [root / "CONTRIBUTING.md"] if (root / "CONTRIBUTING.md").is_file() else []
+    return [FRONT_PAGE, *sorted(str(file.relative_to(root)) for file in guide + files)]
 
 
 def broken_links(root: Path) -> list[str]:
