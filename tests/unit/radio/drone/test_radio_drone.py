@@ -17,14 +17,11 @@ from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError, LinkFailed, Refused
 from crazychoir.platforms import Battery
 from crazychoir.radio import checks
-from crazychoir.radio.drone.radio_drone import (
-    CAMERA_POSE_LIMITS,
-    FIRMWARE_NAMES,
-    PROBLEM_TEXTS,
-    REPEAT_RULES,
-    SILENCE_LIMITS,
-    RadioDrone,
-)
+from crazychoir.radio.drone.camera_view import CAMERA_POSE_LIMITS
+from crazychoir.radio.drone.link_report import PROBLEM_TEXTS
+from crazychoir.radio.drone.own_estimate import LOG_NAMES
+from crazychoir.radio.drone.radio_drone import RadioDrone, SharedRadio
+from crazychoir.radio.drone.timing import REPEAT_RULES, SILENCE_LIMITS
 from crazychoir.radio.link.connection import AWAITING_LOG
 from crazychoir.radio.link.toc_cache import TableOfContents
 from crazychoir.radio.owner import OWNER_LIMITS, RadioProcess
@@ -80,27 +77,29 @@ def made(
     config = SwarmConfig.of({"name": "a", "drones": [row]} | tables)
     bus = Bus(clock)
     bus.port(PORT_ADDRESSES.body_offset)
-    drone = RadioDrone(bus, config, 0, kind, rate, TableOfContents(Path("nowhere")))
+    drone = RadioDrone(
+        bus, config, 0, kind, rate, SharedRadio(TableOfContents(Path("nowhere")))
+    )
     drone.handler.thrust = 136_531.0
-    drone.connection = kept = Kept()
+    drone.link.connection = kept = Kept()
     return drone, kept
 
 
 def tell(drone: RadioDrone, supervisor: int, at: int | None = None) -> None:
     """Its log has come, of `at` ms by its own clock, None: of now."""
     at = 1000 + round(1000 * drone.clock.now()) if at is None else at
-    values = dict.fromkeys(FIRMWARE_NAMES.estimate, 0.0) | {
+    values = dict.fromkeys(LOG_NAMES.estimate, 0.0) | {
         "pm.vbat": 4.0,
         "supervisor.info": float(supervisor),
     }
-    drone._take_own(values | {FIRMWARE_NAMES.estimate[6]: 3 << 30}, at)
+    drone.estimate.take_log(values | {LOG_NAMES.estimate[6]: 3 << 30}, at)
 
 
 @virtual
 async def test_set_points_leave_at_their_rate_and_the_newest_counts(clock) -> None:
     drone, kept = made(clock, "fpqr", 50.0)
     for _ in range(100):
-        drone.send(FPQR(np.array([0.3, 0.0, 0.0, 0.0])))
+        drone.commands.send(FPQR(np.array([0.3, 0.0, 0.0, 0.0])))
         await clock.sleep(0.01)
     assert 49 <= len(kept.sent) <= 52
 
@@ -109,7 +108,7 @@ async def test_set_points_leave_at_their_rate_and_the_newest_counts(clock) -> No
 async def test_one_that_stands_is_told_so_now_and_then(clock) -> None:
     drone, kept = made(clock)
     for _ in range(100):
-        drone.send(STOP)
+        drone.commands.send(STOP)
         await clock.sleep(0.01)
     said = [head("stop"), head("planner_stop"), head("notify_setpoint_stop")]
     assert kept.sent == said * round(1.0 / REPEAT_RULES.stop_period), (
@@ -121,10 +120,10 @@ async def test_one_that_stands_is_told_so_now_and_then(clock) -> None:
 async def test_who_has_not_flown_it_does_not_stop_its_motors(clock) -> None:
     drone, kept = made(clock)
     tell(drone, READY | checks.ReadinessBit.FLYING)
-    drone.send(STOP)
+    drone.commands.send(STOP)
     assert kept.sent == []
-    drone.send(LINE)
-    drone.send(STOP)
+    drone.commands.send(LINE)
+    drone.commands.send(STOP)
     assert kept.sent == [
         head("go_to"),
         head("notify_setpoint_stop"),
@@ -161,7 +160,7 @@ class Planner(Kept):
                     self.lands + (not landing),
                     self.ends if landing else now + LAND.flat[4],
                 )
-                self.drone._heard(
+                self.drone.landing.hear(
                     Packet(
                         CrtpPort.HIGH_LEVEL,
                         0,
@@ -188,14 +187,19 @@ async def _lands(clock, kind) -> None:
     drone, _ = made(clock, kind)
     planner = Planner(drone)
     planner.look()
-    drone.connection = None
-    drone.send(LAND)
-    drone.connection = planner
+    drone.link.connection = None
+    drone.commands.send(LAND)
+    drone.link.connection = planner
     for _ in range(20 * 20):
         planner.look()
-        drone._go_on_landing()
+        drone.landing.go_on()
         await clock.sleep(0.05)
-    assert (planner.words, planner.lands, drone.flying, drone.refused_plans) == (
+    assert (
+        planner.words,
+        planner.lands,
+        drone.estimate.is_flying,
+        drone.landing.refused_plans,
+    ) == (
         3,
         1,
         False,
@@ -221,26 +225,26 @@ async def test_one_that_comes_down_is_not_stopped_above_the_floor_by_who_takes_i
         kept.sent.clear()
         for _ in range(round(10 * seconds)):
             tell(drone, READY | checks.ReadinessBit.FLYING)
-            drone.send(FRPY(np.zeros(4)))
-            drone._go_on_landing()
+            drone.commands.send(FRPY(np.zeros(4)))
+            drone.landing.go_on()
             await clock.sleep(0.1)
         return kept.sent.count(head("stop")) + sum(
             port == 3 for port, _, _ in kept.sent
         )
 
     tell(drone, READY | checks.ReadinessBit.FLYING)
-    drone.send(FRPY(np.array([0.3, 0.0, 0.0, 0.0])))
+    drone.commands.send(FRPY(np.array([0.3, 0.0, 0.0, 0.0])))
     kept.silence = 5.0
-    drone.send(LAND)
+    drone.commands.send(LAND)
     assert await idle(10.0) == 0, "it may not have heard it"
     kept.silence = 0.0
     assert await idle(2.5) == 0
-    drone._heard(
+    drone.landing.hear(
         Packet(CrtpPort.HIGH_LEVEL, 0, bytes([*PACKET_FORMS["land"].head, 0, 0, 0]))
     )
     assert await idle(2.5) == 0, "it lands, for 2 s"
     assert await idle(2.0) > 0
-    drone.send(LAND)
+    drone.commands.send(LAND)
     assert await idle(REPEAT_RULES.vain_time - 0.5) == 0
     assert await idle(1.0) > 0, "it hears, and does not answer"
 
@@ -252,16 +256,16 @@ async def test_a_late_answer_to_an_earlier_landing_is_none_to_this_one(clock) ->
         CrtpPort.HIGH_LEVEL, 0, bytes([*PACKET_FORMS["land"].head, 0, 0, 0])
     )
     tell(drone, READY | checks.ReadinessBit.FLYING)
-    drone.send(LAND)
-    drone._go_on_landing()
-    drone.send(FRPY(np.array([0.3, 0.0, 0.0, 0.0])))
-    drone.send(LAND)
+    drone.commands.send(LAND)
+    drone.landing.go_on()
+    drone.commands.send(FRPY(np.array([0.3, 0.0, 0.0, 0.0])))
+    drone.commands.send(LAND)
     kept.sent.clear()
-    drone._heard(answer)
+    drone.landing.hear(answer)
     assert kept.sent == []
     await clock.sleep(REPEAT_RULES.land_period)
-    drone._go_on_landing()
-    drone._heard(answer)
+    drone.landing.go_on()
+    drone.landing.hear(answer)
     assert kept.sent == [head("land"), head("notify_setpoint_stop")]
 
 
@@ -272,55 +276,55 @@ async def test_one_that_was_cut_is_told_so_until_it_is_locked_or_switched_off_an
     for said, at in ((checks.SupervisorBit.LOCKED, None), (READY, 40)):
         drone, kept = made(clock)
         tell(drone, READY | checks.ReadinessBit.FLYING, 5000)
-        insisting = asyncio.create_task(drone._insist(kept))
-        drone.cut()
+        insisting = asyncio.create_task(drone.motors.insist(kept))
+        drone.commands.cut()
         await clock.sleep(1.0)
         assert len(kept.sent) > 10
         tell(drone, said, 6000 if at is None else at)
         kept.sent.clear()
-        drone.cut()
+        drone.commands.cut()
         await clock.sleep(1.0)
         insisting.cancel()
         assert kept.sent == [], "who switches it off and on may have it again"
-        drone._prepared = drone._placed = True
-        assert PROBLEM_TEXTS.motors_cut in drone.problems()
+        drone.preparation.is_prepared = drone.preparation.is_placed = True
+        assert PROBLEM_TEXTS.motors_cut in drone.report.find_problems()
 
 
 @virtual
 async def test_a_second_landing_does_not_change_the_first(clock) -> None:
     drone, _ = made(clock)
     tell(drone, READY | checks.ReadinessBit.FLYING)
-    drone.send(LAND)
-    drone.send(XYZ("land", np.array([0.0, 0.0, 0.0, 0.0, 9.0])))
-    assert drone._landing is LAND
-    drone.send(LINE)
-    assert drone._landing is None, "somebody flies it again"
+    drone.commands.send(LAND)
+    drone.commands.send(XYZ("land", np.array([0.0, 0.0, 0.0, 0.0, 9.0])))
+    assert drone.landing.command is LAND
+    drone.commands.send(LINE)
+    assert drone.landing.command is None, "somebody flies it again"
 
 
 @virtual
 async def test_one_that_flies_and_that_nobody_commands_is_an_orphan(clock) -> None:
     drone, _ = made(clock)
-    drone._up_ns = clock.now_ns()
+    drone.link.up_ns = clock.now_ns()
     tell(drone, READY | checks.ReadinessBit.FLYING)
-    assert not drone.orphan
+    assert not drone.is_orphan
     await clock.sleep(SILENCE_LIMITS.drone_orphaned + 0.1)
-    assert drone.orphan
-    drone.send(LINE)
-    assert not drone.orphan
-    drone._flown_here = False
-    assert drone.orphan
-    drone.cut()
-    assert not drone.orphan, "nothing is left to be done"
+    assert drone.is_orphan
+    drone.commands.send(LINE)
+    assert not drone.is_orphan
+    drone.commands.has_flown_here = False
+    assert drone.is_orphan
+    drone.commands.cut()
+    assert not drone.is_orphan, "nothing is left to be done"
 
 
 @virtual
 async def test_a_cut_is_for_good_and_nothing_leaves_after_it(clock) -> None:
     drone, kept = made(clock)
-    drone.send(LINE)
-    drone.cut()
-    drone.send(LINE)
-    drone.send(LAND)
-    drone._go_on_landing()
+    drone.commands.send(LINE)
+    drone.commands.cut()
+    drone.commands.send(LINE)
+    drone.commands.send(LAND)
+    drone.landing.go_on()
     assert kept.sent[-2:] == [head("emergency_stop"), head("supervisor_stop")]
     assert kept.sent.count(head("go_to")) == 1
 
@@ -331,18 +335,18 @@ async def test_nothing_is_said_of_its_body_before_it_has_said_whether_it_flies(
 ) -> None:
     drone, _ = made(clock)
     said = []
-    reader = drone.bus.port(5).address
-    drone.bus.subscribe(
+    reader = drone.setup.bus.port(5).address
+    drone.setup.bus.subscribe(
         DRONE_TOPICS.body,
         PORT_ADDRESSES.body_offset,
         reader,
         Call(clock, lambda body, age: said.append(body.flying)),
     )
-    drone.report()
+    drone.report.publish()
     await clock.sleep(0.5)
     assert said == []
     tell(drone, READY | checks.ReadinessBit.FLYING)
-    drone.report()
+    drone.report.publish()
     await clock.sleep(0.5)
     assert said == [True]
 
@@ -350,12 +354,20 @@ async def test_nothing_is_said_of_its_body_before_it_has_said_whether_it_flies(
 @virtual
 async def test_one_that_was_started_again_is_prepared_again(clock) -> None:
     drone, _ = made(clock)
-    drone.release, drone._prepared = "2025.12", True
+    drone.preparation.release, drone.preparation.is_prepared = "2025.12", True
     for at in (1000, 1100):
         tell(drone, READY, at)
-    assert (drone.why, drone.release, drone._prepared) == ("", "2025.12", True)
+    assert (
+        drone.link.why,
+        drone.preparation.release,
+        drone.preparation.is_prepared,
+    ) == ("", "2025.12", True)
     tell(drone, READY, 40)
-    assert (drone.why, drone.release, drone._prepared) == (
+    assert (
+        drone.link.why,
+        drone.preparation.release,
+        drone.preparation.is_prepared,
+    ) == (
         "it has been started again",
         "",
         False,
@@ -367,37 +379,42 @@ async def test_its_time_may_wrap(clock) -> None:
     drone, _ = made(clock)
     tell(drone, READY, (1 << 24) - 10)
     tell(drone, READY, 90)
-    assert drone.why == ""
+    assert drone.link.why == ""
 
 
 @virtual
 async def test_why_it_may_not_take_off(clock) -> None:
     drone, _ = made(clock)
     tell(drone, READY)
-    assert drone.problems() == ["the cameras do not see it"]
-    drone._prepared = drone._placed = True
-    assert drone.problems() == ["the cameras do not see it"]
-    drone.connection, drone.problem = None, "no answer within 2 s"
-    assert drone.problems() == ["no answer within 2 s"]
+    assert drone.report.find_problems() == ["the cameras do not see it"]
+    drone.preparation.is_prepared = drone.preparation.is_placed = True
+    assert drone.report.find_problems() == ["the cameras do not see it"]
+    drone.link.connection, drone.link.problem = None, "no answer within 2 s"
+    assert drone.report.find_problems() == ["no answer within 2 s"]
     drone, _ = made(clock)
     tell(drone, READY | checks.ReadinessBit.FLYING)
-    assert drone.problems() == []
-    drone.cut()
-    assert drone.problems() == [PROBLEM_TEXTS.motors_cut]
+    assert drone.report.find_problems() == []
+    drone.commands.cut()
+    assert drone.report.find_problems() == [PROBLEM_TEXTS.motors_cut]
 
 
 @virtual
 async def test_one_that_has_spoken_is_being_prepared(clock) -> None:
     drone, _ = made(clock)
-    drone.connection = None
-    assert drone.problems() == ["is being connected"]
-    drone._opening = SimpleNamespace(stage="no answer")
-    assert drone.problems() == ["is being connected, no answer so far"]
-    drone._opening, drone._logs_ns = SimpleNamespace(stage=AWAITING_LOG), clock.now_ns()
-    assert drone.problems() == ["is being connected, no word of itself so far"]
+    drone.link.connection = None
+    assert drone.report.find_problems() == ["is being connected"]
+    drone.link.opening = SimpleNamespace(stage="no answer")
+    assert drone.report.find_problems() == ["is being connected, no answer so far"]
+    drone.link.opening, drone.estimate.logs_ns = (
+        SimpleNamespace(stage=AWAITING_LOG),
+        clock.now_ns(),
+    )
+    assert drone.report.find_problems() == [
+        "is being connected, no word of itself so far"
+    ]
     await clock.sleep(0.1)
     tell(drone, READY)
-    assert drone.problems() == ["is being prepared"], (
+    assert drone.report.find_problems() == ["is being prepared"], (
         "its parameters take up to 2 s each"
     )
 
@@ -409,43 +426,50 @@ async def test_a_virtual_one_that_is_locked_is_switched_off_and_on_by_a_command(
     drone, _ = made(clock)
     await clock.sleep(0.1)
     tell(drone, READY)
-    drone._prepared = drone._placed = True
+    drone.preparation.is_prepared = drone.preparation.is_placed = True
     tell(drone, checks.SupervisorBit.LOCKED)
     locked = "locked by its firmware until it is switched off and on"
-    assert drone.problems()[0] == f"{locked} (`crazychoir virtual fault 0 reboot=1`)"
+    assert (
+        drone.report.find_problems()[0]
+        == f"{locked} (`crazychoir virtual fault 0 reboot=1`)"
+    )
     said: list[Body] = []
-    drone.bus.port(1)
-    drone.bus.subscribe(
+    drone.setup.bus.port(1)
+    drone.setup.bus.subscribe(
         DRONE_TOPICS.body,
         PORT_ADDRESSES.body_offset,
         1,
         Call(clock, lambda body, age: said.append(body), "body"),
     )
-    drone.report()
+    drone.report.publish()
     await clock.sleep(0.1)
-    assert said[-1].harm == drone.problems()[0]
-    drone.row = msgspec.structs.replace(drone.row, uri="radio://0/80/2M/E7E7E7E701")
-    assert drone.problems()[0] == locked
+    assert said[-1].harm == drone.report.find_problems()[0]
+    drone.setup.row = msgspec.structs.replace(
+        drone.setup.row, uri="radio://0/80/2M/E7E7E7E701"
+    )
+    assert drone.report.find_problems()[0] == locked
 
 
 @virtual
 async def test_the_battery_that_it_needs_to_begin_is_its_platforms(clock) -> None:
     drone, _ = made(clock)
     tell(drone, READY | checks.ReadinessBit.FLYING)
-    drone._well["pm.vbat"] = 3.65
-    assert drone.problems() == ["battery at 3.65 V, 3.7 V are needed to begin"]
-    drone._platform = replace(drone._platform, battery=Battery(begin=3.6))
-    assert drone.problems() == []
+    drone.estimate.health["pm.vbat"] = 3.65
+    assert drone.report.find_problems() == [
+        "battery at 3.65 V, 3.7 V are needed to begin"
+    ]
+    drone.setup.platform = replace(drone.setup.platform, battery=Battery(begin=3.6))
+    assert drone.report.find_problems() == []
 
 
 @virtual
 async def test_a_plan_that_is_refused_is_counted(clock) -> None:
     drone, _ = made(clock)
     for name in ("go_to", "land"):
-        drone._heard(
+        drone.landing.hear(
             Packet(CrtpPort.HIGH_LEVEL, 0, bytes([*PACKET_FORMS[name].head, 0, 0, 1]))
         )
-    assert drone.refused_plans == 2
+    assert drone.landing.refused_plans == 2
 
 
 @virtual
@@ -459,11 +483,11 @@ async def test_who_is_sent_places_is_given_a_watchdog_if_the_mission_wants_it(
         ("frpy", "mocap", {"watchdog": True}, 0),
     ):
         drone, kept = made(clock, kind, pose=pose, **radio)
-        drone._feed_watchdog()
+        drone.watchdog.feed()
         assert not kept.sent, "on the ground nobody begins"
-        drone._well["supervisor.info"] = READY | checks.ReadinessBit.FLYING
+        drone.estimate.health["supervisor.info"] = READY | checks.ReadinessBit.FLYING
         for _ in range(30):
-            drone._feed_watchdog()
+            drone.watchdog.feed()
             await clock.sleep(0.05)
         assert kept.sent.count(head("emergency_stop_watchdog")) == fed, (
             kind,
@@ -480,14 +504,14 @@ async def test_nobody_commands_it_and_it_is_beyond_the_limit(clock) -> None:
     }
     owner = RadioProcess(clock, SwarmConfig.of(raw), 0, "radio", "here", 1)
     drone, body, kept = owner.drones[0], owner.bodies[0], Kept()
-    drone.connection, drone._well["supervisor.info"] = (
+    drone.link.connection, drone.estimate.health["supervisor.info"] = (
         kept,
         READY | checks.ReadinessBit.FLYING,
     )
     await clock.sleep(5.0)
     for x, cut in ((1.0, False), (20.0, True)):
-        drone._seen(Pose(np.array([x, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 0.0)
-        drone._gate = PoseGate()
+        drone.view.see(Pose(np.array([x, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 0.0)
+        drone.view.gate = PoseGate()
         owner._keep_inside(0, body)
         assert (head("emergency_stop") in kept.sent) is cut
 
@@ -499,7 +523,9 @@ async def test_an_owner_that_ends_names_who_has_not_landed(clock) -> None:
         "drones": [{"id": 7, "home": [0, 0, 0], "uri": "udp://127.0.0.1:19850"}],
     }
     owner = RadioProcess(clock, SwarmConfig.of(raw), 0, "radio", "here", 1)
-    owner.drones[7]._well["supervisor.info"] = READY | checks.ReadinessBit.FLYING
+    owner.drones[7].estimate.health["supervisor.info"] = (
+        READY | checks.ReadinessBit.FLYING
+    )
     running = asyncio.ensure_future(owner.run())
     owner.end("")
     await clock.sleep(OWNER_LIMITS.landing_time - 1.0)
@@ -511,7 +537,7 @@ async def test_an_owner_that_ends_names_who_has_not_landed(clock) -> None:
 
 def seen(drone: RadioDrone, q=(0.0, 0.0, 0.0, 1.0)) -> None:
     """The cameras have."""
-    drone._seen(Pose(np.array([0.0, 0.0, 0.0, *q])), 0.0)
+    drone.view.see(Pose(np.array([0.0, 0.0, 0.0, *q])), 0.0)
 
 
 @virtual
@@ -541,7 +567,7 @@ async def test_in_its_ascent_it_is_told_places_until_its_body_is_known_to_move_a
         ),
     )
     assert set(await said_for(1.0, READY)) == {pose}
-    drone.send(LINE)
+    drone.commands.send(LINE)
     told = await said_for(4.0, READY | checks.ReadinessBit.FLYING)
     assert set(told) == {place}
     assert 38 <= len(told) <= 42, "as often as [radio] says"
@@ -549,7 +575,7 @@ async def test_in_its_ascent_it_is_told_places_until_its_body_is_known_to_move_a
         pose
     }, "it has been watched for long enough"
     await said_for(0.5, READY)
-    drone.send(LINE)
+    drone.commands.send(LINE)
     assert set(await said_for(1.0, READY | checks.ReadinessBit.FLYING)) == {place}, (
         "so is its next ascent"
     )
@@ -560,30 +586,33 @@ async def test_whose_body_moves_otherwise_is_told_nothing_more_and_may_not_take_
     clock,
 ) -> None:
     drone, kept = made(clock)
-    drone._prepared = drone._placed = True
+    drone.preparation.is_prepared = drone.preparation.is_placed = True
     for k in range(60):
         tell(drone, READY | checks.ReadinessBit.FLYING * (k > 20))
         swing = 0.05 * max(k - 22, 0) / 2.0
-        drone._take_off.sights.tracks[0].add(
+        drone.view.take_off.sights.tracks[0].add(
             clock.now(), complex(0.0, swing), 0.0
         )  # its own tilt stays
         if k == 20:
-            drone.send(LINE)
+            drone.commands.send(LINE)
         await clock.sleep(0.05)
-    assert drone.status().astray == "it does not tilt as its body does"
-    assert any(text.startswith(drone.status().astray) for text in drone.problems())
+    assert drone.report.make_status().astray == "it does not tilt as its body does"
+    assert any(
+        text.startswith(drone.report.make_status().astray)
+        for text in drone.report.find_problems()
+    )
     kept.sent.clear()
     seen(drone)
     assert kept.sent == []
-    drone._forgive()
-    assert drone.status().astray, "it may fly"
+    drone.view.forgive_fault()
+    assert drone.report.make_status().astray, "it may fly"
     tell(drone, READY)
-    drone._pose.put(Pose(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])), 0.0)
-    drone._forgive()
-    assert drone.status().astray, "nobody has touched it"
+    drone.view.pose.put(Pose(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])), 0.0)
+    drone.view.forgive_fault()
+    assert drone.report.make_status().astray, "nobody has touched it"
     await clock.sleep(CAMERA_POSE_LIMITS.longest_gap + 0.1)
-    drone._forgive()
-    assert drone.status().astray == ""
+    drone.view.forgive_fault()
+    assert drone.report.make_status().astray == ""
 
 
 @virtual
@@ -593,7 +622,7 @@ async def test_what_was_overtaken_changes_nothing(clock) -> None:
     await clock.sleep(0.9)
     tell(drone, READY | checks.ReadinessBit.FLYING, 5900)
     tell(drone, READY, 5020)
-    assert (drone.flying, drone.why) == (True, "")
+    assert (drone.estimate.is_flying, drone.link.why) == (True, "")
 
 
 @pytest.mark.parametrize("exchanged", [False, True])
@@ -603,7 +632,7 @@ def test_what_it_says_late_is_compared_with_what_the_cameras_saw_then(
     @virtual
     async def check(clock) -> None:
         drone, _ = made(clock)
-        tracks, held = drone._take_off.sights.tracks, []
+        tracks, held = drone.view.take_off.sights.tracks, []
         tracks[1] = TiltTrack()
 
         def tilted(j: int, t: float) -> float:
@@ -615,7 +644,7 @@ def test_what_it_says_late_is_compared_with_what_the_cameras_saw_then(
                 track.add(t, complex(0.0, tilted(1 - j if exchanged else j, t)))
             roll = 0.5 * tilted(0, t)
             if k == 50:
-                drone.send(LINE)
+                drone.commands.send(LINE)
             held.append(
                 (
                     np.array([math.sin(roll), 0.0, 0.0, math.cos(roll)]),
@@ -625,10 +654,12 @@ def test_what_it_says_late_is_compared_with_what_the_cameras_saw_then(
             )
             if not 60 <= k < 105:
                 for q, flies, at in held:
-                    drone._take_off.note(drone._uptime.taken(t, at), q, flies, 0.01)
+                    drone.view.take_off.note(
+                        drone.estimate.uptime.taken(t, at), q, flies, 0.01
+                    )
                 held.clear()
             await clock.sleep(0.02)
-        assert bool(drone._take_off.found) is exchanged
+        assert bool(drone.view.take_off.found) is exchanged
 
     check()
 
@@ -658,11 +689,11 @@ class Slow(Kept):
 @virtual
 async def test_a_cut_leaves_at_once_while_its_link_is_being_asked(clock) -> None:
     drone, _ = made(clock)
-    drone.connection, slow = None, Slow()
+    drone.link.connection, slow = None, Slow()
     connecting = asyncio.ensure_future(drone._connect(slow, clock.now()))
     await clock.sleep(0.1)
-    assert (slow.begun, drone.connection, slow.sent) == (1, None, [])
-    drone.cut()
+    assert (slow.begun, drone.link.connection, slow.sent) == (1, None, [])
+    drone.commands.cut()
     assert slow.sent[0] == head("emergency_stop")
     connecting.cancel()
 
@@ -699,50 +730,50 @@ class Asked(Slow):
 @virtual
 async def test_one_whose_thrust_is_not_known_is_refused_each_time(clock) -> None:
     drone, _ = made(clock, "fpqr")
-    drone.connection = None
+    drone.link.connection = None
     for _ in range(3):
         with pytest.raises(ConfigError, match=r"found 2025\.09; .* set thrust_map"):
             await drone._connect(Asked(drone, "2025.09"), clock.now())
-        assert drone.connection is None
+        assert drone.link.connection is None
 
 
 @virtual
 async def test_one_whose_protocol_is_too_old_is_refused(clock) -> None:
     drone, _ = made(clock, "vel")
-    drone.connection, old = None, Asked(drone, version=8)
+    drone.link.connection, old = None, Asked(drone, version=8)
     with pytest.raises(
         ConfigError, match=r"drone 0: protocol .* found version 8; allowed: 9 or newer"
     ) as e:
         await drone._connect(old, clock.now())
-    assert drone.connection is None
-    drone._failed(e.value, clock.now())
-    assert drone.state_of_link == "refused"
+    assert drone.link.connection is None
+    drone.link.fail(e.value, False, clock.now())
+    assert drone.link.state == "refused"
 
 
 @virtual
 async def test_one_that_is_refused_while_it_flies_is_landed_first(clock) -> None:
     for kind, link in (("vel", {"version": 8}), ("fpqr", {"release": "2025.09"})):
         drone, _ = made(clock, kind)
-        drone.connection, old = (
+        drone.link.connection, old = (
             None,
             Asked(drone, supervisor=READY | checks.ReadinessBit.FLYING, **link),
         )
         await drone._connect(old, clock.now())
-        assert drone.connection is old
-        assert "2025.09" in drone.problem or "version 8" in drone.problem
+        assert drone.link.connection is old
+        assert "2025.09" in drone.link.problem or "version 8" in drone.link.problem
         await clock.sleep(SILENCE_LIMITS.drone_orphaned + 0.1)
         tell(drone, READY | checks.ReadinessBit.FLYING)
-        drone.send(
+        drone.commands.send(
             Vel(np.array([0.1, 0.0, 0.0, 0.0]))
             if kind == "vel"
             else FPQR(np.array([0.3, 0.0, 0.0, 0.0]))
         )
         assert old.sent == []
-        assert drone.orphan
-        drone.send(LAND)
-        drone._go_on_landing()
+        assert drone.is_orphan
+        drone.commands.send(LAND)
+        drone.landing.go_on()
         assert old.sent[0] == head("land")
-        drone.cut()
+        drone.commands.cut()
         assert head("emergency_stop") in old.sent
         tell(drone, READY)
         with pytest.raises(LinkFailed, match=r"2025\.09|version 8"):
@@ -754,12 +785,12 @@ async def test_a_cut_is_said_again_until_it_was_heard_also_while_its_link_is_bei
     clock,
 ) -> None:
     drone, _ = made(clock)
-    drone.connection, opening = None, Slow()
-    drone._opening = opening
-    insisting = asyncio.ensure_future(drone._insist(opening))
+    drone.link.connection, opening = None, Slow()
+    drone.link.opening = opening
+    insisting = asyncio.ensure_future(drone.motors.insist(opening))
     await clock.sleep(0.5)
     assert opening.sent == []
-    drone.cut()
+    drone.commands.cut()
     opening.sent.clear()
     await clock.sleep(0.5)
     assert opening.sent.count(head("emergency_stop")) == 10
@@ -775,10 +806,10 @@ async def test_who_looks_after_a_drone_that_says_nothing_of_itself_goes_on_with_
     clock,
 ) -> None:
     drone, _ = made(clock, watchdog=True)
-    drone._prepared = drone._placed = True
+    drone.preparation.is_prepared = drone.preparation.is_placed = True
     tell(drone, READY | checks.ReadinessBit.FLYING)
-    drone.connection = slow = Slow()
-    drone.send(LAND)
+    drone.link.connection = slow = Slow()
+    drone.commands.send(LAND)
     looking = asyncio.ensure_future(drone._look_after(slow))
     await clock.sleep(2.5)
     assert slow.begun == 0, "its logs are being reset"
@@ -797,10 +828,10 @@ async def test_who_looks_after_a_drone_that_says_nothing_of_itself_goes_on_with_
 @virtual
 async def test_a_link_that_is_late_in_flight_is_said_now_and_then(clock) -> None:
     drone, kept = made(clock)
-    drone._prepared = drone._placed = True
+    drone.preparation.is_prepared = drone.preparation.is_placed = True
     kept.failure = kept.dongle_failure = ""
     kept.latency, said = 0.4, []
-    drone._say = lambda topic, text: said.append(text)
+    drone.setup.warn = lambda topic, text: said.append(text)
     looking = asyncio.ensure_future(drone._look_after(kept))
     for supervisor, texts in (
         (READY, set()),
@@ -831,11 +862,11 @@ async def test_what_an_attempt_to_connect_failed_by_is_said_and_does_not_fail_th
     clock,
 ) -> None:
     drone, _ = made(clock)
-    drone.connection, before = None, []
+    drone.link.connection, before = None, []
 
     async def fails(connection, began) -> None:
-        before.append(drone.why)
-        drone._lost("the driver has given up")
+        before.append(drone.link.why)
+        drone.link.lose("the driver has given up")
         raise LinkFailed("udp://127.0.0.1:19850", "no answer within 1.5 s")
 
     drone._connect = fails
@@ -844,7 +875,7 @@ async def test_what_an_attempt_to_connect_failed_by_is_said_and_does_not_fail_th
     running.cancel()
     assert len(before) > 2
     assert set(before) == {""}
-    (problem,) = drone.problems()
+    (problem,) = drone.report.find_problems()
     assert "no answer within 1.5 s" in problem
 
 
@@ -857,9 +888,11 @@ async def test_a_line_that_begins_far_away_gets_the_time_for_it(clock) -> None:
         durations.append(float(command.flat[4])) or planned(command)
     )
     for x in (0.3, 3.0):
-        drone.send(XYZ("line", np.array([x, 0.0, 0.0, 0.0, 0.2])))
+        drone.commands.send(XYZ("line", np.array([x, 0.0, 0.0, 0.0, 0.2])))
     assert durations[0] == 0.2, "it follows late"
-    assert durations[1] == pytest.approx(3.0 / (1.8 * drone.config.flight.speed_limit))
+    assert durations[1] == pytest.approx(
+        3.0 / (1.8 * drone.setup.config.flight.speed_limit)
+    )
 
 
 @virtual
@@ -868,11 +901,11 @@ async def test_only_the_newest_line_waits(clock) -> None:
     tell(drone, READY)
     waits = []
     kept.newest = lambda kind, packet: waits.append(kind)
-    drone.send(LINE)
+    drone.commands.send(LINE)
     assert waits == [], "that set-points have ended goes with it"
-    drone.send(LINE)
-    drone.send(LAND)
-    drone.send(STOP)
+    drone.commands.send(LINE)
+    drone.commands.send(LAND)
+    drone.commands.send(STOP)
     assert waits == ["command"]
 
 
@@ -885,30 +918,30 @@ async def test_one_that_was_not_reached_and_flies_is_not_stopped_by_who_takes_it
     clock,
 ) -> None:
     drone, kept = made(clock)
-    drone._prepared = drone._placed = True
+    drone.preparation.is_prepared = drone.preparation.is_placed = True
     kept.failure = kept.dongle_failure = ""
     tell(drone, READY | checks.ReadinessBit.FLYING)
-    drone.send(LINE)
-    drone.send(STOP)
+    drone.commands.send(LINE)
+    drone.commands.send(STOP)
     assert kept.sent[-1] == head("planner_stop"), "who has flown it may stop it"
     await clock.sleep(REPEAT_RULES.stop_period)
-    drone.send(LINE)
+    drone.commands.send(LINE)
     looking = asyncio.ensure_future(drone._look_after(kept))
     kept.silence = SILENCE_LIMITS.drone_unreached + 0.1
     await clock.sleep(0.1)
-    drone.send(LINE)
+    drone.commands.send(LINE)
     kept.silence = 0.0
     tell(drone, READY | checks.ReadinessBit.FLYING)
-    drone._seen(up(1.0), 0.0)
+    drone.view.see(up(1.0), 0.0)
     kept.sent.clear()
-    drone.send(STOP)
+    drone.commands.send(STOP)
     assert kept.sent == []
-    assert not drone.orphan, "its pilot may fly it on"
+    assert not drone.is_orphan, "its pilot may fly it on"
     await clock.sleep(SILENCE_LIMITS.drone_orphaned + 0.1)
-    assert drone.orphan
-    drone._gate = PoseGate()
-    drone._seen(up(0.05), 0.0)
-    drone.send(STOP)
+    assert drone.is_orphan
+    drone.view.gate = PoseGate()
+    drone.view.see(up(0.05), 0.0)
+    drone.commands.send(STOP)
     assert head("planner_stop") in kept.sent, "it stands"
     looking.cancel()
     await asyncio.wait([looking])
@@ -919,11 +952,11 @@ async def test_one_that_was_not_reached_and_flies_is_not_stopped_by_who_takes_it
 async def test_one_wrong_pose_does_not_end_the_watch_of_a_take_off(clock) -> None:
     drone, _ = made(clock)
     tell(drone, READY)
-    drone.send(LINE)
+    drone.commands.send(LINE)
     tell(drone, READY | checks.ReadinessBit.FLYING)
     for k in range(60):
-        drone._seen(up(5.0 if k == 10 or k >= 40 else 0.0), 0.0)
-        assert drone._take_off.watched is (
+        drone.view.see(up(5.0 if k == 10 or k >= 40 else 0.0), 0.0)
+        assert drone.view.take_off.watched is (
             k <= 40 + round(CAMERA_POSE_LIMITS.longest_jump / 0.01)
         ), k
         await clock.sleep(0.01)
@@ -938,8 +971,8 @@ async def test_homes_count_again_once_it_was_switched_off(clock) -> None:
         (40, 0, False),
     ):
         tell(drone, READY | flying, at)
-        drone.report()
-        assert drone._has_flown is flown
+        drone.report.publish()
+        assert drone.report.has_flown is flown
 
 
 @virtual
@@ -950,13 +983,13 @@ async def test_one_that_is_silent_may_be_carried_about(clock) -> None:
     }
     owner = RadioProcess(clock, SwarmConfig.of(raw), 0, "radio", "here", 1)
     drone, body, kept = owner.drones[0], owner.bodies[0], Kept()
-    drone.connection, drone._well["supervisor.info"] = (
+    drone.link.connection, drone.estimate.health["supervisor.info"] = (
         kept,
         READY | checks.ReadinessBit.FLYING,
     )
     kept.silence = SILENCE_LIMITS.link_lost + 0.1
     await clock.sleep(5.0)
-    drone._seen(Pose(np.array([20.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 0.0)
+    drone.view.see(Pose(np.array([20.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 0.0)
     owner._keep_inside(0, body)
     assert head("emergency_stop") not in kept.sent
 
@@ -984,16 +1017,17 @@ class Arms(Kept):
 @virtual
 async def test_motors_that_wait_for_it_are_armed_or_it_is_said_why_not(clock) -> None:
     drone, _ = made(clock)
-    assert await drone.arm() == "ready: its firmware waits for no arming"
-    drone._platform = replace(
-        drone._platform, firmware=replace(drone._platform.firmware, needs_arming=True)
+    assert await drone.motors.arm() == "ready: its firmware waits for no arming"
+    drone.setup.platform = replace(
+        drone.setup.platform,
+        firmware=replace(drone.setup.platform.firmware, needs_arming=True),
     )
-    drone.connection = arms = Arms(True)
-    assert await drone.arm() == "armed"
+    drone.link.connection = arms = Arms(True)
+    assert await drone.motors.arm() == "armed"
     assert arms.sent == [head("arm")]
-    drone.connection = Arms(False)
+    drone.link.connection = Arms(False)
     with pytest.raises(Refused, match=r"drone 0: .*refuses to arm"):
-        await drone.arm()
-    drone.connection, drone.why = None, "no answer within 3 s"
+        await drone.motors.arm()
+    drone.link.connection, drone.link.why = None, "no answer within 3 s"
     with pytest.raises(Refused, match=r"drone 0: .*no answer within 3 s"):
-        await drone.arm()
+        await drone.motors.arm()
