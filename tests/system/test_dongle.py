@@ -428,7 +428,9 @@ async def test_the_owner_of_a_dongle_that_is_pulled_out_ends_and_says_why(
             15.0,
         )
         await until(
-            lambda: all(drone.problems() == [] for drone in radios.drones.values()),
+            lambda: all(
+                drone.report.find_problems() == [] for drone in radios.drones.values()
+            ),
             10.0,
         )
         there.dongle.there = False
