@@ -102,7 +102,9 @@ class Connection:
     def _add_callbacks(self) -> None:
         """Let cflib's threads call the event loop."""
         cf = self.cf
-        cf.connected.add_callback(lambda uri: self._calls.call(self._is_open))
+        cf.connected.add_callback(
+            lambda uri: self._calls.call(resolve_waiting, self._opened)
+        )
         cf.connection_failed.add_callback(
             lambda uri, message: self._calls.call(self._failed, message)
         )
@@ -274,11 +276,9 @@ class Connection:
     @property
     def silence(self) -> float:
         """Seconds since the last packet from the drone; infinite before the first."""
-        return (
-            math.inf
-            if self._heard_ns is None
-            else (self.clock.now_ns() - self._heard_ns) / NS_PER_SECOND
-        )
+        if self._heard_ns is None:
+            return math.inf
+        return (self.clock.now_ns() - self._heard_ns) / NS_PER_SECOND
 
     @property
     def latency(self) -> float:
@@ -344,16 +344,9 @@ class Connection:
 
     # In the loop ----------------------------------------------------------------------------------
 
-    def _is_open(self) -> None:
-        if not self._opened.done():
-            self._opened.set_result(None)
-
     def _failed(self, message: str) -> None:
-        reason = (
-            message.strip().splitlines()[-1]
-            if message.strip()
-            else "no reason is known"
-        )
+        lines = message.strip().splitlines()
+        reason = lines[-1] if lines else "no reason is known"
         if CONNECTION_REFUSED in reason and self.uri.startswith("udp"):
             reason = "no virtual drone is there: start `crazychoir virtual` with this swarm file"
         if not self._opened.done():

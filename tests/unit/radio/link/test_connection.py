@@ -7,6 +7,7 @@ import pytest
 
 from crazychoir.errors import LinkFailed
 from crazychoir.radio.link.connection import Connection
+from crazychoir.radio.link.loop_caller import resolve_waiting
 from crazychoir.radio.link.toc_cache import TableOfContents
 from crazychoir.runtime.clock import WallClock
 
@@ -19,7 +20,7 @@ async def test_what_is_missing_is_said_before_logs_were_reset() -> None:
     connection._heard_ns, connection.cf.platform._protocolVersion = 1, 12
     assert connection.cf.log.toc is None, "as cflib has it at first"
     assert connection.stage == "its table of log variables is not complete"
-    connection._is_open()
+    resolve_waiting(connection._opened)
     assert connection.stage == "no word of itself"
     await connection.close()
     clock.close()
