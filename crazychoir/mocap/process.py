@@ -104,8 +104,8 @@ class MocapProcess(Actor):
     """Publishes each pose as it arrives and, at the topic's rate, the state of the drone as truth.
 
     The truth of virtual drones is exact; that of others is their poses and derivative. The process
-    ends when it is asked to. It waits at most PATIENT s while one of its drones has an agent on the
-    network or flies: a drone needs poses to land.
+    ends when it is asked to. It waits at most `SHUTDOWN_PATIENCE` while one of its drones has an agent
+    on the network or flies: a drone needs poses to land.
 
     config: the swarm
     source: source of the frames

@@ -63,8 +63,8 @@ class _AttemptFailed(Exception):
 class SystemSource:
     """Vicon, OptiTrack, Qualisys, VRPN or the library's mock.
 
-    Each attempt is a new process with deadlines: to start, to connect, and SILENT s between two
-    frames. A process that misses its deadline is reported and killed, and the next attempt follows
+    Each attempt is a new process with deadlines: to start, to connect, and `FRAME_TIMEOUT`
+    between two frames. A process that misses its deadline is reported and killed, and the next attempt follows
     later. Ages are exact, because the process uses the same clock.
 
     system: name of the system

@@ -19,7 +19,7 @@ from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import LinkFailed
 from crazychoir.planning.minimum_snap import minimum_snap
 from crazychoir.planning.upload import fit_upload
-from crazychoir.radio.drone.radio_drone import CONNECT_ATTEMPTS
+from crazychoir.radio.drone.timing import CONNECT_ATTEMPTS
 from crazychoir.radio.link import drivers
 from crazychoir.radio.link.connection import Connection
 from crazychoir.radio.link.dongles import DongleFailed
@@ -338,9 +338,7 @@ async def test_three_cold_ones_are_told_their_tables_once_and_in_time(
     ):
         limit = radios.config.radio.connect_deadline + CONNECT_ATTEMPTS.tables_deadline
         await until(
-            lambda: all(
-                drone.state_of_link == "up" for drone in radios.drones.values()
-            ),
+            lambda: all(drone.link.state == "up" for drone in radios.drones.values()),
             limit,
         )
         entries = [
@@ -430,13 +428,13 @@ async def test_the_owner_of_a_dongle_that_is_pulled_out_ends_and_says_why(
         ),
     ):
         await until(
-            lambda: all(
-                drone.state_of_link == "up" for drone in radios.drones.values()
-            ),
+            lambda: all(drone.link.state == "up" for drone in radios.drones.values()),
             15.0,
         )
         await until(
-            lambda: all(drone.problems() == [] for drone in radios.drones.values()),
+            lambda: all(
+                drone.report.find_problems() == [] for drone in radios.drones.values()
+            ),
             10.0,
         )
         there.dongle.there = False

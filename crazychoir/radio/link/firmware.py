@@ -14,7 +14,8 @@ from functools import partial
 from cflib.crazyflie.mem import MemoryElement
 
 from crazychoir.errors import LinkFailed
-from crazychoir.radio.link.connection import LINK_TIMING, Connection
+from crazychoir.radio.link.connection import Connection
+from crazychoir.radio.link.pending_requests import REQUEST_RETRY_PERIOD
 from crazychoir.radio.protocol.crtp import PACKET_FORMS, CrtpPort, Packet
 from crazychoir.radio.protocol.handlers import ALL_GROUPS
 
@@ -221,9 +222,7 @@ class ConnectedFirmware:
             self.connection.uri, "its firmware has no memory for trajectories"
         )
 
-    async def plan(
-        self, packet: Packet, again: float = LINK_TIMING.retry_period
-    ) -> None:
+    async def plan(self, packet: Packet, again: float = REQUEST_RETRY_PERIOD) -> None:
         """Send a packet to the planner on board.
 
         again: s after which it is sent again; infinite for a packet that must not be sent twice
@@ -244,7 +243,7 @@ class ConnectedFirmware:
         packet: Packet,
         answers: Callable[[Packet], bool],
         what: str,
-        again: float = LINK_TIMING.retry_period,
+        again: float = REQUEST_RETRY_PERIOD,
     ) -> Packet:
         try:
             return await self.connection.ask(packet, answers, REQUEST_DEADLINE, again)

@@ -88,7 +88,8 @@ def _pack_answer(answer: Any) -> bytes:
 class CameraPort:
     """The port of the cameras.
 
-    A client that has recently sent ASK gets frames, and a client that sends JSON gets an answer.
+    A client that has recently sent `FRAME_PROTOCOL.request` gets frames, and a client that sends
+    JSON gets an answer.
 
     at: host and port
     answer: answers a question

@@ -10,34 +10,21 @@ from crazychoir.radio.protocol.crtp import CrtpPort, Packet
 from crazychoir.radio.virtual.toc import LOG_TYPES, STRUCT_LETTERS, Toc, TocEntry
 from crazychoir.simulation.onboard.logs import truncate_to_range
 
-# Channels.
+LOG_TOC_CHANNEL = 0
+"""Channel of the table of log variables."""
+LOG_SETTINGS_CHANNEL = 1
+"""Channel of the commands of `BlockCommand`."""
+LOG_VALUES_CHANNEL = 2
+"""Channel on which the drone sends the values."""
 
 
-class LogChannel(IntEnum):
-    """Channels of the logs' port."""
+class BlockCommand(IntEnum):
+    """Commands for log blocks; 0 and 1 are those of an old version, which is not served."""
 
-    TOC = 0
-    """The table of log variables."""
-    SETTINGS = 1
-    """Commands for log blocks."""
-    VALUES = 2
-    """The values of log blocks."""
-
-
-# Commands of SETTINGS.
-
-
-class LogCommand(IntEnum):
-    """Commands for log blocks."""
-
-    CREATE_V1 = 0
-    """Creates a block, with indices of one byte: not supported."""
-    APPEND_V1 = 1
-    """Adds variables, with indices of one byte: not supported."""
     DELETE = 2
     """Deletes a block."""
     START = 3
-    """Starts a block, with a period in units of 10 ms."""
+    """Starts a block, with a period in 10 ms."""
     STOP = 4
     """Stops a block."""
     RESET = 5
@@ -50,7 +37,13 @@ class LogCommand(IntEnum):
     """Starts a block, with a period in ms."""
 
 
-# Results, with the numbers of errno.
+CHANGE_COMMANDS = (
+    BlockCommand.DELETE,
+    BlockCommand.START,
+    BlockCommand.STOP,
+    BlockCommand.START_V2,
+)
+"""Commands for a block that is there already, without variables."""
 
 
 class LogResult(IntEnum):
@@ -144,15 +137,15 @@ class LogService:
 
     def take(self, packet: Packet, now: int) -> Iterator[Packet]:
         """Return the answers to a packet; now: ms of uptime."""
-        if packet.channel == LogChannel.TOC:
+        if packet.channel == LOG_TOC_CHANNEL:
             yield from self.toc.take(packet.data)
-        elif packet.channel == LogChannel.SETTINGS and packet.data:
+        elif packet.channel == LOG_SETTINGS_CHANNEL and packet.data:
             command = packet.data[0]
             rest = packet.data[1:]
             number = rest[0] if rest else 0
             error = self._do(command, number, rest[1:], now)
             yield Packet(
-                CrtpPort.LOG, LogChannel.SETTINGS, bytes([command, number, error])
+                CrtpPort.LOG, LOG_SETTINGS_CHANNEL, bytes([command, number, error])
             )
 
     def due(self, now: int) -> Iterator[Packet]:
@@ -175,36 +168,31 @@ class LogService:
         )
         return Packet(
             CrtpPort.LOG,
-            LogChannel.VALUES,
+            LOG_VALUES_CHANNEL,
             bytes([number]) + (now & 0xFFFFFF).to_bytes(3, "little") + values,
         )
 
     def _do(self, command: int, number: int, rest: bytes, now: int) -> int:
-        if command == LogCommand.RESET:
+        if command == BlockCommand.RESET:
             self.blocks.clear()
             return LogResult.OK
-        if command == LogCommand.CREATE:
+        if command == BlockCommand.CREATE:
             return self._create(number) or self._append(number, rest)
-        if command == LogCommand.APPEND:
+        if command == BlockCommand.APPEND:
             return self._append(number, rest)
-        if command not in (
-            LogCommand.DELETE,
-            LogCommand.START,
-            LogCommand.STOP,
-            LogCommand.START_V2,
-        ):
+        if command not in CHANGE_COMMANDS:
             return LogResult.ENOEXEC
         block = self.blocks.get(number)
         if block is None:
             return LogResult.ENOENT
-        if command == LogCommand.DELETE:
+        if command == BlockCommand.DELETE:
             del self.blocks[number]
-        elif command == LogCommand.STOP:
+        elif command == BlockCommand.STOP:
             block.period = 0
         else:
             period = (
                 10 * int.from_bytes(rest[:1], "little")
-                if command == LogCommand.START
+                if command == BlockCommand.START
                 else int.from_bytes(rest[:2], "little")
             )
             block.once = not period

@@ -8,21 +8,12 @@ from typing import Protocol
 from crazychoir.radio.protocol.crtp import CrtpPort, Packet
 from crazychoir.simulation.onboard.onboard import Onboard
 
-# Channels.
-
-
-class MemoryChannel(IntEnum):
-    """Channels of the memories' port."""
-
-    INFO = 0
-    """Number, types and sizes of the memories."""
-    READ = 1
-    """Reads bytes."""
-    WRITE = 2
-    """Writes bytes."""
-
-
-# Commands of INFO.
+MEMORY_INFO_CHANNEL = 0
+"""Channel of the commands of `MemoryInfo`."""
+MEMORY_READ_CHANNEL = 1
+"""Channel that reads memories."""
+MEMORY_WRITE_CHANNEL = 2
+"""Channel that writes memories."""
 
 
 class MemoryInfo(IntEnum):
@@ -32,9 +23,6 @@ class MemoryInfo(IntEnum):
     """Asks for the number of memories."""
     DESCRIPTION = 2
     """Asks for the type and size of one memory."""
-
-
-# Types. There is no 1-wire memory: clients would read it at each connection.
 
 
 class MemoryKind(IntEnum):
@@ -57,8 +45,7 @@ class MemoryKind(IntEnum):
 
 
 DECK_MEMORY_VERSION = 3
-"""Version of the content of DECKS."""
-# Results, with the numbers of errno.
+"""Version of the content of `MemoryKind.DECKS`."""
 
 
 class MemoryResult(IntEnum):
@@ -201,15 +188,15 @@ class MemoryService:
     def take(self, packet: Packet) -> Iterator[Packet]:
         """Return the answers to a packet."""
         data = packet.data
-        if packet.channel == MemoryChannel.INFO:
+        if packet.channel == MEMORY_INFO_CHANNEL:
             yield from self._about(data)
         elif (
-            packet.channel in (MemoryChannel.READ, MemoryChannel.WRITE)
+            packet.channel in (MEMORY_READ_CHANNEL, MEMORY_WRITE_CHANNEL)
             and len(data) > _ADDRESS_LAYOUT.size
         ):
             number, address = _ADDRESS_LAYOUT.unpack_from(data)
             body = data[_ADDRESS_LAYOUT.size :]
-            reads = packet.channel == MemoryChannel.READ
+            reads = packet.channel == MEMORY_READ_CHANNEL
             found = (
                 self._read(number, address, body[0])
                 if reads
@@ -228,7 +215,7 @@ class MemoryService:
         if data[:1] == bytes([MemoryInfo.COUNT]):
             yield Packet(
                 CrtpPort.MEMORY,
-                MemoryChannel.INFO,
+                MEMORY_INFO_CHANNEL,
                 bytes([MemoryInfo.COUNT, len(self.all)]),
             )
         elif data[:1] == bytes([MemoryInfo.DESCRIPTION]) and len(data) > 1:
@@ -237,7 +224,7 @@ class MemoryService:
             kind, size = (0, 0) if memory is None else (memory.kind, memory.size)
             yield Packet(
                 CrtpPort.MEMORY,
-                MemoryChannel.INFO,
+                MEMORY_INFO_CHANNEL,
                 _DESCRIPTION_LAYOUT.pack(MemoryInfo.DESCRIPTION, number, kind, size),
             )
 

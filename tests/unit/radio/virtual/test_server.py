@@ -17,7 +17,7 @@ from crazychoir.radio.protocol.crtp import PACKET_FORMS, Packet
 from crazychoir.radio.virtual.control import QUESTION_LIMITS, ask_server
 from crazychoir.radio.virtual.drone import FIRMWARE_TIMEOUTS
 from crazychoir.radio.virtual.faults import FAULT_SETTINGS, Faults, check_faults
-from crazychoir.radio.virtual.server import VirtualServer, charge_at_voltage
+from crazychoir.radio.virtual.server import VirtualServer
 from crazychoir.radio.virtual.setup import (
     dongle_groups,
     parse_decks,
@@ -193,11 +193,11 @@ async def test_one_that_has_fallen_is_carried_home_and_flies_again():
         hall.server.world.states[1, 3] = 2.0
         await hall.asked({"faults": {"1": {"off": 1}}})
         hall.run(1.5)
-        assert "hit the floor" in hall.server.state(1)["crashed"]
-        assert hall.server.state(1)["p"][0] > 1.0
+        assert "hit the floor" in hall.server.questions.describe_drone(1)["crashed"]
+        assert hall.server.questions.describe_drone(1)["p"][0] > 1.0
         await hall.asked({"faults": {"1": {"off": 0, "home": 1, "reboot": 1}}})
         hall.run(1e-3 * FIRMWARE_TIMEOUTS.boot + 0.5)
-        assert hall.server.state(1)["crashed"] == ""
+        assert hall.server.questions.describe_drone(1)["crashed"] == ""
         assert np.allclose(hall.server.world.states[1], home, atol=1e-3)
         hall.take_off(1)
         assert hall.height(1) > 0.5
@@ -364,15 +364,6 @@ def test_what_a_battery_may_have_is_said_before_it_is_refused():
 def test_each_fault_that_can_be_set_is_one_of_a_drone():
     assert set(FAULT_SETTINGS) == {*Faults().listed(), "home", "reboot"}
     assert check_faults({"offset": [1, 2, 3]}, [0]) == {"offset": (1.0, 2.0, 3.0)}
-
-
-def test_the_charge_of_a_voltage():
-    battery = place_on_grid(1, 19850, ()).world(0).platforms[0].battery
-    assert charge_at_voltage(4.2, battery) == pytest.approx(1.0)
-    assert charge_at_voltage(3.87, battery) == pytest.approx(
-        0.3, abs=1e-3
-    )  # the firmware's table: 30 %
-    assert charge_at_voltage(3.0, battery) > 0.0
 
 
 SWARM = {

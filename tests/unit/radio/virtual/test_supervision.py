@@ -5,7 +5,7 @@ import math
 import pytest
 from virtual_drones import Hangar
 
-from crazychoir.radio.virtual.server import overturn
+from crazychoir.radio.virtual.fault_control import overturn
 
 WEIGHT = 0.0319 * 9.81
 LEVEL_OUT, LOCKED = "warning: level out", "locked"
