@@ -56,17 +56,20 @@ ROUTE = stops((0, PICK), (1, PICK), (0, DROP), (1, DROP), (2, PICK), (2, DROP))
 @virtual
 async def test_a_robot_is_bound_to_where_it_flies_and_to_what_follows_soon(clock):
     guidance = robot(clock)
-    assert guidance._head()[0] == []
+    assert guidance.forecast.head(ONLINE_TIMING.binding_horizon)[0] == []
     guidance.commitments.route = list(ROUTE)
-    head, start, ready = guidance._head()
+    head, start, ready = guidance.forecast.head(ONLINE_TIMING.binding_horizon)
     assert head == ROUTE[: len(head)]
     assert 0 < len(head) < len(ROUTE)
-    assert start == pytest.approx(guidance._place(head[-1]))
-    assert ready == pytest.approx(guidance._seconds(head))
+    assert start == pytest.approx(guidance.forecast.place(head[-1]))
+    assert ready == pytest.approx(guidance.forecast.seconds(head))
     assert ready > ONLINE_TIMING.binding_horizon or head == ROUTE
-    assert guidance._seconds(head[:-1]) <= ONLINE_TIMING.binding_horizon
+    assert guidance.forecast.seconds(head[:-1]) <= ONLINE_TIMING.binding_horizon
     guidance.commitments.route = stops((3, DROP))
-    assert guidance._head()[0] == guidance.commitments.route, "however far"
+    assert (
+        guidance.forecast.head(ONLINE_TIMING.binding_horizon)[0]
+        == guidance.commitments.route
+    ), "however far"
 
 
 @virtual
@@ -90,14 +93,16 @@ async def test_while_others_may_have_a_new_plan_it_is_bound_to_no_new_pickup(clo
     guidance = robot(clock)
     commitments = guidance.commitments
     commitments.route, commitments.planning = list(ROUTE), True
-    assert guidance._head()[0] == []
+    assert guidance.forecast.head(ONLINE_TIMING.binding_horizon)[0] == []
     commitments.bound = {0: None}
-    assert guidance._head()[0] == ROUTE[:1]
+    assert guidance.forecast.head(ONLINE_TIMING.binding_horizon)[0] == ROUTE[:1]
     guidance.commitments.route = stops((0, DROP), (1, PICK))
-    assert guidance._head()[0] == stops((0, DROP)), "what is aboard is nobody else's"
+    assert guidance.forecast.head(ONLINE_TIMING.binding_horizon)[0] == stops(
+        (0, DROP)
+    ), "what is aboard is nobody else's"
     commitments.planning, commitments.bound = False, {}
     cut_off(guidance)
-    assert guidance._head()[0] == stops((0, DROP))
+    assert guidance.forecast.head(ONLINE_TIMING.binding_horizon)[0] == stops((0, DROP))
 
 
 @virtual
@@ -224,7 +229,7 @@ async def test_a_new_plan_keeps_what_it_was_bound_to_and_leaves_out_what_is_done
         (1, PICK), (9, PICK), (0, DROP), (1, DROP), (9, DROP)
     )
     assert not guidance.commitments.planning
-    assert list(guidance.unserved) == [3]
+    assert list(guidance.notes.unserved) == [3]
     assert not guidance.news.record.idle
     assert guidance.news.book.tasks[9] == new, "it may hear of it by the plan first"
 

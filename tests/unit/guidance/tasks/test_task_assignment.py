@@ -11,9 +11,9 @@ from crazychoir.errors import ConfigError
 from crazychoir.flight.pilot import Mode
 from crazychoir.guidance.member import Interrupted
 from crazychoir.guidance.mission import load_mission
-from crazychoir.guidance.tasks.room import TaskRoom
 from crazychoir.guidance.tasks.task_assignment import (
     TaskAssignmentGuidance,
+    TaskRoom,
     TeamAssignment,
     measure_distance,
 )
@@ -200,13 +200,13 @@ def test_while_the_team_plans_nothing_is_completed():
     guidance._shares = True
     guidance._pursue()
     assert (guidance.done, said) == ([], [])
-    assert np.allclose(guidance.route(), [guidance._above((1.0, 1.0))])
+    assert np.allclose(guidance.route(), [guidance.above((1.0, 1.0))])
     guidance._shares = False
     guidance._pursue()
     assert guidance.done == [(3, 7)]
     assert said == [{"deeds": (Deed(3, "delivery", 1),)}]
     guidance.news.ended = True
-    assert np.allclose(guidance.route(), [guidance._above(CONFIG.drone(0).home)])
+    assert np.allclose(guidance.route(), [guidance.above(CONFIG.drone(0).home)])
     pilot.mode = Mode.LAND
     assert guidance.route() == []
     pilot.note = "landing on command"
