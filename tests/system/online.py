@@ -38,7 +38,11 @@ def carried(agent: Agent, i: int) -> list[int]:
     """Goods that drone i has picked up and, as far as the team has confirmed, not delivered."""
     guidance = agent.drones[i].guidance
     picked = [deed.task for deed in guidance.news.record.deeds if deed.kind == "pickup"]
-    return [j for j in picked if {"task": j, "kind": "delivery"} not in guidance.served]
+    return [
+        j
+        for j in picked
+        if {"task": j, "kind": "delivery"} not in guidance.service.served
+    ]
 
 
 @dataclass
@@ -128,7 +132,7 @@ def fly_online(
         delivered: dict[int, list[int]] = {}
         for i in config.ids:
             guidance = agent.drones[i].guidance
-            for stop in guidance.served:
+            for stop in guidance.service.served:
                 if stop["kind"] == "delivery":
                     delivered.setdefault(stop["task"], []).append(i)
         touching = {

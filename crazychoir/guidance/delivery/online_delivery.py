@@ -38,11 +38,13 @@ from crazychoir.guidance.delivery.replanning import (
 )
 from crazychoir.guidance.delivery.route_forecast import RouteForecast
 from crazychoir.guidance.delivery.site import DeliverySite
+from crazychoir.guidance.delivery.stop_service import StopService
 from crazychoir.guidance.guidance import FLIGHT_LIMITS
 from crazychoir.guidance.member import Member
 from crazychoir.guidance.tasks.task_book import Place, Record, Task
 from crazychoir.guidance.tasks.task_source import TaskEvent, TaskSource
 from crazychoir.guidance.tasks.team_mission import (
+    PLAN_LOOK_INTERVAL,
     TeamMission,
     TeamRules,
     project_to_plane,
@@ -58,8 +60,6 @@ from crazychoir.types import Vec
 class OnlineTiming:
     """Times of a robot of the online mission."""
 
-    poll_interval: float = 0.05
-    """s: interval at which the robot looks for changes."""
     binding_horizon: float = 3.0
     """s of its flight to which a robot is bound when a planning begins.
 
@@ -102,19 +102,19 @@ class OnlinePDVRPGuidance(TeamMission):
     events: the tasks and cancellations that will come.
     options: what all robots have in common.
 
-    served: the stops that count, in order.
     way: (2,) m each: its home, and where its flights ended.
     plannings: s that each planning took.
-    longest_wait: s: longest wait at a stop, for a plan or for the team.
     flown: m flown so far.
     up: the robot flies.
     commitments: its route, and what it may begin. Set by `bind`.
     forecast: when it will have served its route. Set by `bind`.
+    service: how it serves its stops. Set by `bind`.
     notes: what its plannings could not do. Set by `bind`.
     """
 
     commitments: Commitments
     forecast: RouteForecast
+    service: StopService
     notes: PlanNotes
 
     def __init__(
@@ -131,10 +131,8 @@ class OnlinePDVRPGuidance(TeamMission):
         self.own = own
         self.options = options
         self.events = tuple(sorted(events, key=lambda event: event.t))
-        self.served: list[dict[str, Any]] = []
         self.way: list[Place] = [project_to_plane(own.home)]
         self.plannings: list[float] = []
-        self.longest_wait = 0.0
         self.flown = 0.0
         self.up = False
         self._mark: Mark | None = None
@@ -142,13 +140,16 @@ class OnlinePDVRPGuidance(TeamMission):
     def bind(self, member: Member) -> None:
         """Connect this guidance to its drone."""
         super().bind(member)
-        site = self.options.site
+        options = self.options
         self.commitments = Commitments(self.news)
         self.forecast = RouteForecast(
-            self.commitments, member.config.flight, self.options.service_time
+            self.commitments, member.config.flight, options.service_time
         )
-        self.notes = PlanNotes(self.news, site)
-        self.source = TaskSource(self.news, site, self.events, self._may_end)
+        self.service = StopService(
+            self.commitments, self.forecast, options.service_time, options.recover
+        )
+        self.notes = PlanNotes(self.news, options.site)
+        self.source = TaskSource(self.news, options.site, self.events, self._may_end)
         self._redirected = asyncio.Event()
         member.report = lambda: {"task": self._task()}
 
@@ -160,7 +161,7 @@ class OnlinePDVRPGuidance(TeamMission):
     def outcome(self) -> dict[str, Any]:
         """Return this drone's part of the report."""
         return {
-            "served": self.served,
+            "served": self.service.served,
             "way": self.way,
             "tasks": {
                 str(j): [s.fate.value, s.robot]
@@ -169,7 +170,7 @@ class OnlinePDVRPGuidance(TeamMission):
             "unserved": {str(j): why for j, why in self.notes.unserved.items()},
             "plannings_s": self.plannings,
             "fallbacks": self.notes.fallbacks,
-            "longest_wait_s": self.longest_wait,
+            "longest_wait_s": self.service.longest_wait,
             "dropped": self.news.dropped,
         }
 
@@ -177,7 +178,7 @@ class OnlinePDVRPGuidance(TeamMission):
         aboard = len(self.commitments.aboard())
         left = len(self.commitments.route)
         doing = "planning again, " if self.commitments.planning else ""
-        return f"{doing}{len(self.served)} stops done, {left} to do, {aboard} aboard"
+        return f"{doing}{len(self.service.served)} stops done, {left} to do, {aboard} aboard"
 
     def route(self) -> list[Vec]:
         """Return the stops that it is to serve, then its home."""
@@ -239,11 +240,8 @@ class OnlinePDVRPGuidance(TeamMission):
             self.options.recover,
             self.options.method,
         )
-        return (
-            program.result
-            if await run_together(self.news, program, links, key)
-            else None
-        )
+        is_done = await run_together(self.news, program, links, key)
+        return program.result if is_done else None
 
     def _problem(
         self, goods: PlannedGoods, start: Vec, ready: float, left: float
@@ -320,7 +318,7 @@ class OnlinePDVRPGuidance(TeamMission):
             if stop is None:
                 await self._rest()
             elif await self._reach(stop):
-                await self._serve(stop)
+                await self.service.serve(stop)
         await self.land()
         self.leave()
 
@@ -377,53 +375,6 @@ class OnlinePDVRPGuidance(TeamMission):
             pilot.hover()
             await self.sleep(pilot.remaining())
 
-    async def _serve(self, stop: Stop) -> None:
-        """Announce the stop, serve it, and leave when the team knows."""
-        if not await self._permitted(stop):
-            return
-        self.forecast.serving_until = (
-            self.member.clock.now() + self.options.service_time
-        )
-        number = self.commitments.announce(stop)
-        await self.sleep(self.options.service_time)
-        if await self._known(number, stop):
-            self.served.append(
-                {"task": stop.task, "kind": stop.kind, "place": self.here()}
-            )
-
-    async def _permitted(self, stop: Stop) -> bool:
-        """Wait above the stop while a plan may give it to another robot.
-
-        Returns False if it is not the next stop any more.
-        """
-        since = self.member.clock.now()
-        while self.commitments.next() == stop:
-            if self.commitments.allow(stop):
-                return True
-            await self.sleep(ONLINE_TIMING.poll_interval)
-            self._waited(since)
-        return False
-
-    async def _known(self, number: int, stop: Stop) -> bool:
-        """Wait until more than half of the team have received the announcement of a stop.
-
-        Returns False if the stop does not count. A robot that is cut off takes a pickup back. If
-        others may fetch what it carries, they decide about a delivery.
-        """
-        since = self.member.clock.now()
-        while True:
-            if self.news.known(number):
-                return True
-            if not self.news.quorate:
-                if stop.kind == "pickup":
-                    self.commitments.take_back(stop.task)
-                return stop.kind == "delivery" and not self.options.recover
-            await self.sleep(ONLINE_TIMING.poll_interval)
-            self._waited(since)
-
-    def _waited(self, since: float) -> None:
-        self.longest_wait = max(self.longest_wait, self.member.clock.now() - since)
-
     async def _rest(self) -> None:
         """Go home, land, and wait for something to do."""
         if self.up:
@@ -441,4 +392,4 @@ class OnlinePDVRPGuidance(TeamMission):
         )
         if idle != self.news.record.idle:
             self.news.say(idle=idle)
-        await self.sleep(ONLINE_TIMING.poll_interval)
+        await self.sleep(PLAN_LOOK_INTERVAL)

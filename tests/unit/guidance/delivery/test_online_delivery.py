@@ -1,6 +1,5 @@
 """OnlinePDVRPGuidance on the ground: to what a robot is bound, what it may pick up, when it may leave a stop."""
 
-import asyncio
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -103,82 +102,6 @@ async def test_while_others_may_have_a_new_plan_it_is_bound_to_no_new_pickup(clo
     commitments.planning, commitments.bound = False, {}
     cut_off(guidance)
     assert guidance.forecast.head(ONLINE_TIMING.binding_horizon)[0] == stops((0, DROP))
-
-
-@virtual
-async def test_a_pickup_waits_while_it_may_be_given_to_somebody_else(clock):
-    guidance = robot(clock)
-    commitments = guidance.commitments
-    commitments.route, commitments.planning = stops((1, PICK), (1, DROP)), True
-    waits = asyncio.ensure_future(guidance._permitted(Stop(1, PICK)))
-    await clock.sleep(1.0)
-    assert not waits.done()
-    commitments.planning = False
-    await clock.sleep(0.1)
-    assert waits.result()
-    assert guidance.longest_wait == pytest.approx(1.0, abs=0.1)
-    commitments.planning, commitments.bound = True, {1: None}
-    assert await guidance._permitted(Stop(1, PICK))
-    cut_off(guidance)
-    waits = asyncio.ensure_future(guidance._permitted(Stop(1, PICK)))
-    await clock.sleep(1.0)
-    guidance.commitments.route = stops((2, PICK), (2, DROP))
-    await clock.sleep(0.1)
-    assert not waits.result(), "it has another route now"
-    guidance.commitments.route = stops((2, DROP))
-    assert await guidance._permitted(Stop(2, DROP)), (
-        "what is aboard may always be delivered"
-    )
-
-
-@virtual
-async def test_a_drone_leaves_a_stop_when_more_than_half_know_of_it(clock):
-    guidance = robot(clock)
-    guidance.commitments.route = stops((1, PICK), (1, DROP))
-    serves = asyncio.ensure_future(guidance._serve(Stop(1, PICK)))
-    await clock.sleep(3.0)
-    assert guidance.commitments.aboard() == {1: None}
-    assert guidance.commitments.route == stops((1, DROP))
-    assert not guidance.served
-    number = guidance.news.record.number
-    for j, news in ((1, number), (2, number - 1), (3, number)):
-        assert not serves.done()
-        guidance.news.book.hear(Record(j, 1, 2, (0.0, 0.0), seen=((0, 1, news),)))
-        await clock.sleep(0.1)
-    assert serves.done()
-    assert guidance.served == [{"task": 1, "kind": PICK, "place": (0.0, -0.8)}]
-
-
-@virtual
-async def test_a_stop_takes_its_time_though_all_know(clock):
-    guidance = robot(clock)
-    for j in (1, 2, 3, 4):
-        guidance.news.book.hear(Record(j, 1, 2, (0.0, 0.0), seen=((0, 1, 1 << 40),)))
-    guidance.commitments.route = stops((1, PICK), (1, DROP))
-    await guidance._serve(Stop(1, PICK))
-    assert clock.now() == pytest.approx(guidance.options.service_time)
-
-
-@pytest.mark.parametrize("kind", [PICK, DROP])
-def test_who_is_cut_off_at_a_stop_leaves_the_goods_there(kind):
-    @virtual
-    async def test(clock):
-        guidance = robot(clock)
-        guidance.news.say(deeds=() if kind == PICK else (Deed(1, PICK, 1),))
-        guidance.commitments.route = stops(
-            (1, kind), *([(1, DROP)] if kind == PICK else []), (2, DROP)
-        )
-        serves = asyncio.ensure_future(guidance._serve(Stop(1, kind)))
-        await clock.sleep(2.0)
-        cut_off(guidance)
-        await serves
-        assert guidance.commitments.aboard() == {}
-        assert guidance.commitments.route == stops((2, DROP)), (
-            "what stays there is not delivered either"
-        )
-        assert len(guidance.news.record.deeds) == (0 if kind == PICK else 2)
-
-    test()
 
 
 @virtual
