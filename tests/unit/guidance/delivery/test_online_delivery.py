@@ -30,7 +30,10 @@ PICK, DROP = "pickup", "delivery"
 def robot(clock, i=0):
     """Robot i of five, all of whom it has heard of, with the tasks 0 to 3 known."""
     guidance = OnlinePDVRPGuidance(
-        MISSION.instance(CONFIG).local(i), TASKS, (), MISSION.options(CONFIG)
+        MISSION.hooks.instance(CONFIG).local(i),
+        TASKS,
+        (),
+        MISSION.hooks.options(CONFIG),
     )
     communicator = Communicator(Bus(clock).port(i), CONFIG.graph())
     guidance.bind(Member(i, CONFIG, clock, communicator, SimpleNamespace(state=None)))
@@ -192,7 +195,7 @@ async def test_nobody_is_capable_of_what_lies_where_none_can_stand(clock):
     }
     for i, found in capable.items():
         assert found == [
-            MISSION.instance(CONFIG).local(i).capable[0],
+            MISSION.hooks.instance(CONFIG).local(i).capable[0],
             False,
             False,
             True,
