@@ -39,7 +39,7 @@ from crazychoir.guidance.delivery.replanning import (
 from crazychoir.guidance.delivery.route_forecast import RouteForecast
 from crazychoir.guidance.delivery.site import DeliverySite
 from crazychoir.guidance.delivery.stop_service import StopService
-from crazychoir.guidance.guidance import FLIGHT_LIMITS
+from crazychoir.guidance.flights import FLIGHT_LIMITS
 from crazychoir.guidance.member import Member
 from crazychoir.guidance.tasks.task_book import Place, Record, Task
 from crazychoir.guidance.tasks.task_source import TaskEvent, TaskSource

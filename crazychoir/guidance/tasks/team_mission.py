@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import CrazyChoirError, RosterChanged, error_text, reason_or
-from crazychoir.guidance.guidance import FLIGHT_LIMITS, CFGuidance
+from crazychoir.guidance.flights import FLIGHT_LIMITS
+from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.member import Interrupted, Member, wait_for_touchdown
 from crazychoir.guidance.tasks.task_book import (
     LARGEST_TASK_NUMBER,
