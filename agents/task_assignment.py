@@ -5,276 +5,35 @@ Each task is done by a robot that is allowed to do it.
 crazychoir run task_assignment --fast --loss 0.2
 """
 
-from typing import Annotated, Any
-
-import numpy as np
-from msgspec import Meta
-from scipy.optimize import linear_sum_assignment
+from typing import Any
 
 from crazychoir import SwarmConfig
-from crazychoir.config.drone_room import shared_room
-from crazychoir.config.reader import read_table
-from crazychoir.config.tables import Probability, SwarmTable
-from crazychoir.errors import ConfigError
+from crazychoir.guidance.tasks.assignment_hooks import (
+    AssignmentHooks,
+    AssignmentOptions,
+)
 from crazychoir.guidance.tasks.task_assignment import (
     TaskAssignmentGuidance,
     TeamAssignment,
 )
-from crazychoir.guidance.tasks.task_book import Task
 from crazychoir.recording.analysis.tracks import draw_ways
-from crazychoir.types import Mat
 
-Results = dict[int, dict[str, Any]]
-"""The results of all drones, by id."""
-Pair = tuple[int, int]
-"""A task, and the generation in which it was done."""
-SIX_ROBOT_EDGES = [[0, 3], [1, 4], [2, 5], [3, 5], [4, 5]]
-"""The communication graph of six robots, as in the original."""
-SIX_ROBOT_HOMES = [
-    [1.0, 1.0],
-    [0.0, 1.5],
-    [-1.0, 1.0],
-    [-1.0, -1.0],
-    [0.0, -1.5],
-    [1.0, -1.0],
-]
-"""(2,) m each: the homes of six robots."""
-TASK_SQUARE_REACH = 3.0
-"""m: tasks lie in the square from -REACH to REACH."""
-NO_ROBOTS = (1 << 62,)
-"""`robots` of a task that no robot may do: an id that does not exist."""
-EQUAL_COST_DIFFERENCE = 1e-9
-"""m: tolerance between the team's cost of a table and the cost of a central solver.
-
-The two sums are rounded differently.
-"""
-Times = Annotated[
-    int, Meta(ge=1, le=1000, description="a number of times, 1 to 1000", examples=[8])
-]
-
-
-class Options(SwarmTable, frozen=True, kw_only=True):
-    """[mission_options]."""
-
-    generations: Times = 8
-    """How often the table is filled up."""
-    chance: Probability = 0.5
-    """Probability that a robot may do a task."""
+Options = AssignmentOptions
+hooks = AssignmentHooks()
+swarm = hooks.swarm
+check = hooks.check
+report = hooks.report
 
 
 def guidance(i: int, config: SwarmConfig) -> TaskAssignmentGuidance:
     """Return the guidance of robot i."""
-    options = given(config)
+    generations = hooks.given(config).generations
     return TaskAssignmentGuidance(
-        TeamAssignment(lambda count: drawn(config, count), options.generations)
+        TeamAssignment(lambda count: hooks.drawn(config, count), generations)
     )
 
 
-def swarm(drones: int | None = None) -> SwarmConfig:
-    """Return a swarm of six robots around the origin, in the graph of the original.
-
-    Its first table of tasks is that of seed 4. Other numbers of robots stand on a circle, in a
-    ring.
-    """
-    n = 6 if drones is None else drones
-    angles = 2.0 * np.pi * np.arange(n) / n
-    circle = max(1.5, 0.1 * n) * np.column_stack([np.cos(angles), np.sin(angles)])
-    homes = SIX_ROBOT_HOMES if n == 6 else circle.round(3).tolist()
-    links: dict[str, Any] = {"edges": SIX_ROBOT_EDGES} if n == 6 else {"graph": "ring"}
-    return SwarmConfig.of(
-        {
-            "name": "assignment",
-            "mission": "task_assignment",
-            "seed": 4,
-            "drones": [{"id": i, "home": [*home, 0.0]} for i, home in enumerate(homes)],
-            "flight": {"takeoff_height": 0.5, "landing_speed": 0.6},
-            "fence": {"min": [-4.0, -4.0, 0.0], "max": [4.0, 4.0, 3.0]},
-            "lost_after": 2.0,
-            **links,
-        }
-    )
-
-
-def given(config: SwarmConfig) -> Options:
-    """Return [mission_options]. Raises ConfigError with the key that is wrong."""
-    return read_table(
-        config.mission_options, Options, f"swarm {config.name}", "mission_options"
-    )
-
-
-def drawn(config: SwarmConfig, count: int) -> list[Task]:
-    """Return the first `count` tasks of the seed.
-
-    For each task the place x, y is drawn, then for each robot whether it may do the task.
-    """
-    # same generator as the original, so that the tables are the same
-    draw = np.random.RandomState(config.seed)
-    chance = given(config).chance
-    tasks = []
-    for j in range(count):
-        place = (
-            float(draw.uniform(-TASK_SQUARE_REACH, TASK_SQUARE_REACH)),
-            float(draw.uniform(-TASK_SQUARE_REACH, TASK_SQUARE_REACH)),
-        )
-        robots = tuple(i for i in config.ids if draw.rand() < chance)
-        tasks.append(Task(j, 0, False, place, place, robots=robots or NO_ROBOTS))
-    return tasks
-
-
-def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """Check that all tasks fit into the fence, and that the graph is undirected.
-
-    Raises ConfigError if not.
-    """
-    given(config)
-    if not config.graph().is_undirected:
-        raise ConfigError(
-            f"swarm {config.name}: graph", "a directed graph", "an undirected one"
-        )
-    low, high = np.array(shared_room(config))[:, 0:2]
-    if np.any(low > -TASK_SQUARE_REACH) or np.any(high < TASK_SQUARE_REACH):
-        where = f"swarm {config.name}: fence"
-        box = (
-            f"room for drones from {low.round(3).tolist()} to {high.round(3).tolist()}"
-        )
-        raise ConfigError(
-            where,
-            box,
-            f"tasks lie in the square from -{TASK_SQUARE_REACH:g} to {TASK_SQUARE_REACH:g} m",
-            "Widen it.",
-        )
-    return []
-
-
-def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
-    """Report the tasks that were done, by generation, and why others were left.
-
-    The cost of each table stands beside the cost of a central solver.
-    """
-    pairs = [
-        (task, generation)
-        for result in results.values()
-        for task, generation in result.get("done", [])
-    ]
-    tables = [
-        joined(number, rows, pairs)
-        for number, rows in sorted(_by_number(results).items())
-    ]
-    done = [task for task, _ in pairs]
-    ended = [result for result in results.values() if result.get("success")]
-    why = [text for table in tables if (text := table["infeasible"])][-1:] or [
-        "nobody was left to do it"
-    ]
-    left = {j: why[0] for result in ended for j in result["open"]}
-    wrong = [f"task {j}: done twice" for j in dict.fromkeys(done) if done.count(j) > 1]
-    wrong += [
-        f"generation {t['number']}: {t['cost']} m, {t['optimum']} m is possible"
-        for t in tables
-        if gap(t) > EQUAL_COST_DIFFERENCE
-    ]
-    wrong += [
-        f"task {j} was not done: {why[0]}" for j in left if may_be_done(config, j)
-    ]
-    return {
-        "tasks": {
-            "done": len(done),
-            "left": len(left),
-            "infeasible": sum(bool(t["infeasible"]) for t in tables),
-        },
-        "served_by_generation": [len(table["served"]) for table in tables],
-        "worst_cost_gap_m": max(map(gap, tables), default=0.0),
-        "tables": tables,
-        "left": left,
-        "planning_s": max((table["seconds"] for table in tables), default=0.0),
-        "success": not wrong,
-        "reasons": {min(config.ids): "; ".join(wrong)} if wrong else {},
-    }
-
-
-def _by_number(results: Results) -> dict[int, dict[int, dict[str, Any]]]:
-    """Return the rows of each generation, by robot."""
-    found: dict[int, dict[int, dict[str, Any]]] = {}
-    for i, result in results.items():
-        for table in result.get("tables", []):
-            found.setdefault(table["number"], {})[i] = table
-    return found
-
-
-def joined(
-    number: int, rows: dict[int, dict[str, Any]], done: list[Pair]
-) -> dict[str, Any]:
-    """Return one generation with the rows of all its robots.
-
-    optimum: cost of a central solver. None if robots are lost, and their costs with them.
-    """
-    first = next(iter(rows.values()))
-    costs = np.array(
-        [[np.inf if c is None else c for c in row["costs"]] for row in rows.values()]
-    )
-    whole = list(rows) == first["team"]
-    return {
-        "number": number,
-        "filled": first["filled"],
-        "tasks": first["tasks"],
-        "assigned": {
-            i: row["mine"] for i, row in rows.items() if row["mine"] is not None
-        },
-        "cost": first["cost"],
-        "optimum": optimum(costs) if whole else None,
-        "infeasible": first["infeasible"],
-        "rounds": first["rounds"],
-        "seconds": max(row["seconds"] for row in rows.values()),
-        "served": sorted(task for task, generation in done if generation == number),
-    }
-
-
-def optimum(costs: Mat) -> float | None:
-    """Return the least cost in m of as many pairs as possible, or None if there are no tasks.
-
-    costs: (robots, tasks) m, inf if the robot may not do the task.
-    """
-    if costs.size == 0:
-        return None
-    allowed = np.isfinite(costs)
-    dear = 1.0 + 2.0 * float(
-        costs[allowed].sum()
-    )  # costs more than all allowed pairs together
-    chosen = linear_sum_assignment(np.where(allowed, costs, dear))
-    return float(np.where(allowed, costs, 0.0)[chosen].sum())
-
-
-def gap(table: dict[str, Any]) -> float:
-    """Return the difference in m between the team's cost and the cost of the central solver.
-
-    It is 0 where the central solver has no cost.
-    """
-    return 0.0 if table["optimum"] is None else abs(table["cost"] - table["optimum"])
-
-
-def may_be_done(config: SwarmConfig, j: int) -> bool:
-    """Return whether any robot of the swarm may do the drawn task j."""
-    return drawn(config, j + 1)[j].robots != NO_ROBOTS
-
-
-def picture(config: SwarmConfig, results: Results, path: str) -> None:
+def picture(config: SwarmConfig, results: dict[int, dict[str, Any]], path: str) -> None:
     """Draw the paths from above over the tasks (grey), and each robot's distance from its task."""
-    ways = {i: results[i]["way"] for i in config.ids if results.get(i, {}).get("way")}
-    left = {
-        i: np.array([row[3] for row in way], dtype=float) for i, way in ways.items()
-    }
-    ways = {i: [row[:3] for row in way] for i, way in ways.items()}
-    tables = [
-        table for result in results.values() for table in result.get("tables", [])
-    ]
-    tasks = {
-        j: place
-        for table in tables
-        for j, place in zip(table["tasks"], table["places"], strict=True)
-    }
-    draw_ways(
-        path,
-        ways,
-        left,
-        "m from its task",
-        seen={j: [[0.0, *place]] for j, place in tasks.items()},
-    )
+    shown = hooks.ways(config, results)
+    draw_ways(path, shown.ways, shown.left, "m from its task", seen=shown.tasks)

@@ -12,7 +12,8 @@ from msgspec import Meta, Struct
 from crazychoir.agent.drone import AgentDrone
 from crazychoir.bus.codec import MAX_PAYLOAD
 from crazychoir.errors import ConfigError, Refused
-from crazychoir.guidance.guidance import FLIGHT_LIMITS, require_feasible
+from crazychoir.guidance.flights import FLIGHT_LIMITS
+from crazychoir.guidance.guidance import require_feasible
 from crazychoir.guidance.member import describe_state
 from crazychoir.guidance.turns import is_blocked
 from crazychoir.planning.piecewise import POLYNOMIAL_DEGREE, Piecewise

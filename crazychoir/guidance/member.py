@@ -13,6 +13,7 @@ from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.user_code_guard import GuardFactory
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.team.communicator import Communicator
+from crazychoir.types import State
 
 FLIGHT_LOOK_INTERVAL = 0.05
 """s: interval at which a mission looks again."""
@@ -57,6 +58,15 @@ class Member:
 
     None: that of the swarm file.
     """
+
+
+def get_state(member: Member) -> State:
+    """Return the newest estimate of the drone's own state.
+
+    Before the first pose it is a level state at the home of the drone.
+    """
+    state = member.pilot.state
+    return State.at(member.config.drone(member.id).home) if state is None else state
 
 
 class Interrupted(CrazyChoirError):

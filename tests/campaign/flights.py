@@ -339,7 +339,7 @@ def delivery(report: Report, draw: Draw) -> None:
     for i in agent.ids:
         told = agent.drones[i].result.get("tasks")
         for j in (
-            [task.id for task in mission.known(agent.config)]
+            [task.id for task in mission.hooks.known(agent.config)]
             if told is not None
             else []
         ):

@@ -13,7 +13,7 @@ from crazychoir.bus.port import PORT_ADDRESSES
 from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.errors import SolverError
 from crazychoir.guidance.delivery import replanning
-from crazychoir.guidance.delivery.online_delivery import NO_PLAN_REASON
+from crazychoir.guidance.delivery.plan_notes import NO_PLAN_REASON
 from crazychoir.guidance.mission import load_mission
 from crazychoir.guidance.tasks.task_book import Fate, Task
 from crazychoir.guidance.tasks.task_source import FIRST_ADDED_ID
@@ -320,7 +320,7 @@ def test_a_drone_that_is_landed_by_its_operator_leaves_its_tasks_to_the_others()
     assert all(len(by) == 1 for by in outcome.delivered.values())
 
 
-BROKEN = [("commitments", "next"), ("news", "letter"), ("", "_seconds")]
+BROKEN = [("commitments", "next"), ("news", "letter"), ("forecast", "seconds")]
 """What is broken in flight: where it goes, what it says, what it plans."""
 
 

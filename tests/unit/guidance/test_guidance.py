@@ -14,6 +14,7 @@ from crazychoir.config.swarm_config import default_swarm
 from crazychoir.errors import AgentFailed, ConfigError
 from crazychoir.flight.pilot import Pilot
 from crazychoir.guidance import guidance as base
+from crazychoir.guidance.flights import FLIGHT_LIMITS, fly_until_stopped
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.member import Interrupted, Member
 from crazychoir.optimization.algorithms.asynchronous_consensus import (
@@ -183,7 +184,7 @@ async def test_a_rise_waits_while_an_operator_holds_the_drone_and_ends_at_the_fe
         pilot.hold(False)
         await rise
         assert guidance.state.p[2] == pytest.approx(
-            2.4, abs=base.FLIGHT_LIMITS.arrival_distance
+            2.4, abs=FLIGHT_LIMITS.arrival_distance
         ), "inside the fence"
 
 
@@ -226,7 +227,7 @@ async def test_a_flight_waits_while_an_operator_holds_the_drone(clock):
         pilot.hold(False)
         await flight
         assert guidance.state.p == pytest.approx(
-            [1.0, 0.0, 1.0], abs=base.FLIGHT_LIMITS.arrival_distance
+            [1.0, 0.0, 1.0], abs=FLIGHT_LIMITS.arrival_distance
         )
 
 
@@ -241,7 +242,7 @@ async def test_a_flight_waits_while_the_safety_table_brakes_it(clock):
         pilot.go_to = braking
         await guidance.go_to([1.0, 0.0, 1.0])
         assert guidance.state.p == pytest.approx(
-            [1.0, 0.0, 1.0], abs=base.FLIGHT_LIMITS.arrival_distance
+            [1.0, 0.0, 1.0], abs=FLIGHT_LIMITS.arrival_distance
         )
 
 
@@ -283,7 +284,7 @@ async def test_a_trajectory_ends_whenever_it_has_begun(clock):
         for late in range(24):
             await clock.sleep(0.01 * late)
             await guidance.go_to(way.sample(0.0).p)
-            assert 0.0 < await guidance._flown(way) < way.duration
+            assert 0.0 < await fly_until_stopped(guidance.member, way) < way.duration
 
 
 @virtual

@@ -25,18 +25,18 @@ def test_any_seed_gives_tasks_that_can_be_served_and_a_graph_that_bears_a_loss(
 ):
     drawn = config(drones, seed)
     assert MISSION.check(drawn, False) == []
-    assert len(MISSION.known(drawn)) == 15
-    later = MISSION.events(drawn)
+    assert len(MISSION.hooks.known(drawn)) == 15
+    later = MISSION.hooks.events(drawn)
     assert [event.task.id for event in later] == [15, 16, 17, 18, 19]
     assert all(len(event.robots) == min(3, drones) for event in later)
-    assert MISSION.options(drawn).until == max(event.t for event in later)
+    assert MISSION.hooks.options(drawn).until == max(event.t for event in later)
     assert drawn.graph().is_connected
     assert min(len(drawn.graph().neighbors(i)) for i in drawn.ids) >= min(4, drones - 1)
 
 
 def test_the_seed_alone_decides():
-    assert MISSION.known(config()) == MISSION.known(config())
-    assert MISSION.known(config()) != MISSION.known(config(seed=2))
+    assert MISSION.hooks.known(config()) == MISSION.hooks.known(config())
+    assert MISSION.hooks.known(config()) != MISSION.hooks.known(config(seed=2))
 
 
 def test_tasks_appear_and_are_cancelled_as_the_file_says():
@@ -48,7 +48,7 @@ def test_tasks_appear_and_are_cancelled_as_the_file_says():
         "robots": [3],
         "heard_by": [1, 2],
     }
-    events = MISSION.events(
+    events = MISSION.hooks.events(
         config(appear=[new], cancel=[{"t": 5.0, "task": 15}, {"t": 6.0, "task": 0}])
     )
     first, gone, other = events

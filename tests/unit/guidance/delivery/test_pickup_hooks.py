@@ -214,7 +214,7 @@ def told(swarm, served, **route):
         "stops": [stop | {"task": 1} for stop in STOPS],
         "length": length,
     }
-    plan = MISSION.instance(config).plan(Route.from_json(r) for r in (own, other))
+    plan = MISSION.hooks.instance(config).plan(Route.from_json(r) for r in (own, other))
     results = {
         0: {"served": served, "route": own, "plan_digest": plan.digest},
         1: {"served": other["stops"], "route": other, "plan_digest": plan.digest},

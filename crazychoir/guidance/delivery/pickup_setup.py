@@ -1,18 +1,49 @@
-"""Checks of options, instance and swarm of pickup and delivery, before any drone flies."""
+"""[mission_options] of pickup and delivery, and its checks before any drone flies.
+
+The reader checks keys, units, ranges and defaults with the table.
+"""
 
 import math
+from collections.abc import Collection
 from itertools import combinations
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 
 from crazychoir.config.drone_room import shared_room
 from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.config.tables import Seconds, SwarmTable, Text
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.delivery.delivery_checks import require_flyable_features
 from crazychoir.guidance.delivery.site import DeliverySite
-from crazychoir.routing.distributed.pickup_delivery import PickupDelivery
+from crazychoir.routing.distributed.pickup_delivery import (
+    PLANNING_METHODS,
+    PickupDelivery,
+)
 from crazychoir.routing.instance.instance import Instance
+from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES
 from crazychoir.types import Vec
+
+Method = Annotated[
+    str,
+    Meta(
+        pattern=rf"^({'|'.join(PLANNING_METHODS)})\Z",
+        description=", ".join(PLANNING_METHODS),
+        examples=[PLANNING_METHODS[0]],
+    ),
+]
+
+
+class PickupOptions(SwarmTable, frozen=True, kw_only=True):
+    """[mission_options]."""
+
+    instance: Text | None = None
+    """File of the instance. None: the instance of the demonstration."""
+    method: Method = PLANNING_METHODS[0]
+    """How the integer plan is recovered, see PickupDelivery."""
+    service_time: Seconds = 1.0
+    """s at each stop, at least. A longer time of the instance holds."""
+
 
 OBEYED_FEATURES = ("end", "service_time", "penalty", "recharge")
 """Features of an instance, of those in `require_flyable_features`, that robots obey in flight."""
@@ -120,3 +151,44 @@ def _require_ends(config: SwarmConfig, problem: Instance, where: str) -> None:
             raise ConfigError(
                 f"{where}: end[{i}]", list(ends[i]), allowed, "Move one of them.", found
             )
+
+
+def require_flyable_features(
+    problem: Instance,
+    key: str,
+    flown: Collection[str],
+    allowed: str,
+) -> None:
+    """Raise ConfigError for features of an instance that no robot obeys in flight.
+
+    Without this error they would be ignored silently.
+
+    problem: the instance.
+    key: key of the instance, for the error.
+    flown: features that the robots of this mission obey.
+    allowed: what the robots do, in words.
+    """
+    tasks = problem.tasks
+    there = {
+        "end": problem.end is not None,
+        "open_tours": problem.open_tours,
+        "distance": problem.distance is not None,
+        "service_time": tasks.service.any(),
+        "time_windows or release": tasks.earliest.any()
+        or np.isfinite(tasks.latest).any(),
+        "time_windows of homes": problem.window[:, 0].any()
+        or np.isfinite(problem.window[:, 1]).any(),
+        "penalty": np.isfinite(tasks.penalty).any(),
+        "recharge": problem.recharge != 1,
+        "objective": problem.objective != (OBJECTIVE_NAMES.total,),
+    }
+    if found := [
+        name for name, is_there in there.items() if is_there and name not in flown
+    ]:
+        times = (
+            ""
+            if "service_time" in flown
+            else "; service_time of [mission_options] holds for all stops"
+        )
+        do = f"Leave it out of the instance{times}."
+        raise ConfigError(key, problem.name, allowed, do, f"it has {', '.join(found)}")
