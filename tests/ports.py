@@ -2,7 +2,7 @@
 
 import contextlib
 
-from crazychoir.config.swarm_config import LOCAL_ADDRESS
+from crazychoir.config.addresses import LOCAL_ADDRESS
 from crazychoir.errors import ConfigError
 from crazychoir.launch.network import reserve_ports
 

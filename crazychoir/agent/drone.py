@@ -11,6 +11,8 @@ from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.sensors import Sensors
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.safety.rules.modes import HELD_TEXT
+from crazychoir.safety.rules.radio_watch import RadioWatch
+from crazychoir.simulation.remote import RemoteLink
 from crazychoir.team.barrier import Barrier
 from crazychoir.team.communicator import Communicator
 from crazychoir.types import Status
@@ -22,7 +24,7 @@ WAITING_TASK = "waiting for the others"
 
 
 @dataclass
-class AgentDrone:
+class Drone:
     """The parts of one drone."""
 
     id: int
@@ -39,6 +41,10 @@ class AgentDrone:
     """Its mission."""
     supervisor: Supervisor
     """Runs its actors."""
+    remote: RemoteLink | None = None
+    """Link to its body in another process. None: the body is in this process."""
+    radio_watch: RadioWatch | None = None
+    """Watches its radio. None: it has none."""
     harm: Callable[[], str] = str
     """Returns the damage of its body. Empty if it has none, or if the damage is not known."""
     sensors: Sensors | None = None

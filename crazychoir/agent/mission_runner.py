@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Coroutine
 from dataclasses import dataclass
 from typing import Any
 
-from crazychoir.agent.drone import AgentDrone
+from crazychoir.agent.drone import Drone
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
@@ -97,7 +97,7 @@ Result = dict[str, Any]
 """The result of a mission at one drone."""
 
 
-class GuidanceActor(Actor):
+class MissionRunner(Actor):
     """Waits for the team, runs the mission, and leaves the drone on the ground, with the result.
 
     The mission ends by itself, or is aborted.
@@ -106,7 +106,7 @@ class GuidanceActor(Actor):
     name = "guidance"
 
     def __init__(
-        self, drone: AgentDrone, config: SwarmConfig, watchdog: GuardFactory | None
+        self, drone: Drone, config: SwarmConfig, watchdog: GuardFactory | None
     ) -> None:
         self.drone = drone
         self.config = config
@@ -255,7 +255,7 @@ class GuidanceActor(Actor):
         drone = self.drone
         clock = self.drone.port.bus.clock
         monitor = self.drone.barrier.monitor
-        if drone.id not in self.config.reached:
+        if drone.id not in self.config.topology.reached:
             return
         monitor.silent, ends = (
             True,

@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import NoReturn
 
-from crazychoir.agent.drone import AgentDrone
+from crazychoir.agent.drone import Drone
 from crazychoir.agent.mission_runner import MISSION_REASONS, MISSION_TIMES
 from crazychoir.bus.commands import ANSWER_TEXTS
 from crazychoir.bus.port import Port
@@ -48,20 +48,6 @@ class OrderTimes:
 ORDER_TIMES = OrderTimes()
 
 
-OPERATOR_EVENTS = (
-    ModeEvent.ARM,
-    ModeEvent.TAKE_OFF,
-    ModeEvent.START,
-    ModeEvent.HOLD,
-    ModeEvent.GO,
-    ModeEvent.LAND,
-    ModeEvent.HOME,
-)
-"""The commands that are executed here."""
-OPERATOR_COMMANDS = tuple(event.value for event in OPERATOR_EVENTS)
-"""Their names. An emergency stop has its own way."""
-
-
 @dataclass(frozen=True, slots=True)
 class OrderTexts:
     """Answers to the commands of an operator, and the task of a drone that is sent home."""
@@ -96,7 +82,7 @@ class OperatorCommands:
 
     def __init__(
         self,
-        drone: AgentDrone,
+        drone: Drone,
         config: SwarmConfig,
         abort: Callable[[str], None],
         over: Callable[[], str],
@@ -108,6 +94,20 @@ class OperatorCommands:
         self.over = over
         self.arm = arm
         self._others: _OtherDrones | None = None
+        self._methods: dict[ModeEvent, Callable[[], Awaitable[str]]] = {
+            ModeEvent.ARM: self._arm,
+            ModeEvent.TAKE_OFF: self._take_off,
+            ModeEvent.START: self._start,
+            ModeEvent.HOLD: self._hold,
+            ModeEvent.GO: self._go_on,
+            ModeEvent.LAND: self._land,
+            ModeEvent.HOME: self._home,
+        }
+
+    @property
+    def verbs(self) -> list[str]:
+        """The commands that are executed here. An emergency stop has its own way."""
+        return [command.value for command in self._methods]
 
     async def execute(self, verb: str) -> str:
         """Execute a command, and return its outcome.
@@ -115,27 +115,9 @@ class OperatorCommands:
         Raises Refused with the reason.
         """
         command = ModeEvent(verb)
-        pilot = self.drone.pilot
-        if why := pilot.refuses(command):
+        if why := self.drone.pilot.refuses(command):
             self._refuse(why)
-        match command:
-            case ModeEvent.ARM:
-                return await self._arm()
-            case ModeEvent.TAKE_OFF:
-                return await self._take_off()
-            case ModeEvent.START:
-                return self._start()
-            case ModeEvent.HOLD:
-                pilot.hold()
-                return "held" if pilot.airborne else "held on the ground"
-            case ModeEvent.GO:
-                was_held = pilot.held
-                pilot.hold(on=False)
-                return "goes on" if was_held else "was not held"
-            case ModeEvent.LAND:
-                return await self._land()
-            case _:
-                return await self._home()
+        return await self._methods[command]()
 
     def _refuse(self, why: str) -> NoReturn:
         raise Refused(f"drone {self.drone.id}", why)
@@ -181,10 +163,21 @@ class OperatorCommands:
             self._refuse(describe_state(pilot))
         return pilot.mode.value
 
-    def _start(self) -> str:
+    async def _start(self) -> str:
         self._gate("start")
         self.drone.pilot.start()
         return "its mission goes on"
+
+    async def _hold(self) -> str:
+        pilot = self.drone.pilot
+        pilot.hold()
+        return "held" if pilot.airborne else "held on the ground"
+
+    async def _go_on(self) -> str:
+        pilot = self.drone.pilot
+        was_held = pilot.held
+        pilot.hold(on=False)
+        return "goes on" if was_held else "was not held"
 
     async def _land(self) -> str:
         self.drone.pilot.land("landing on command")

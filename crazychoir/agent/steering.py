@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta, Struct
 
-from crazychoir.agent.drone import AgentDrone
+from crazychoir.agent.drone import Drone
 from crazychoir.bus.codec import MAX_PAYLOAD
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.flights import FLIGHT_LIMITS
@@ -62,7 +62,7 @@ def path_message(path: Piecewise) -> dict[str, Any]:
 class Steering:
     """The operator's flights of one drone. A newer command ends an older one."""
 
-    def __init__(self, drone: AgentDrone) -> None:
+    def __init__(self, drone: Drone) -> None:
         self.drone = drone
         self._count = 0
 

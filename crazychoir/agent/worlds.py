@@ -124,10 +124,10 @@ class WorldProcess(Actor):
         self.clock = clock
         self.bus = Bus(clock, process=process, host=host)
         self._config = config
-        for i in config.owned:
+        for i in config.topology.owned:
             self.bus.port(PORT_ADDRESSES.body_offset + i, incarnation)
         self.owners = world_actors(
-            self.bus, config, config.owned, base=PORT_ADDRESSES.body_offset
+            self.bus, config, config.topology.owned, base=PORT_ADDRESSES.body_offset
         )
         self.latencies_ns: deque[int] = deque(maxlen=WORLD_OWNER_RULES.kept_latencies)
         self.bodies = [body for owner in self.owners for body in self._bodies(owner)]

@@ -19,7 +19,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
-from crazychoir.config.swarm_config import LOCAL_ADDRESS
+from crazychoir.config.addresses import LOCAL_ADDRESS
 from crazychoir.launch.network import reserve_ports
 from crazychoir.solve.group import ProgramGroup
 from crazychoir.team.graph import Graph, k_regular, ring

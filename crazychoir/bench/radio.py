@@ -65,7 +65,7 @@ def run(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
                 ),
             ):
                 link.bus.subscribe(
-                    topic, config.source(topic, i), address, Call(clock, hear)
+                    topic, config.topology.source(topic, i), address, Call(clock, hear)
                 )
         with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as started:
             file = Path(folder) / "swarm.json"

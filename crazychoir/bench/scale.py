@@ -29,7 +29,7 @@ from rich.table import Table
 from rich.text import Text
 
 from crazychoir.bench.exchange import BARE_PACKAGE_PROGRAM, PACKAGE_FOLDER
-from crazychoir.config.swarm_config import LOCAL_ADDRESS
+from crazychoir.config.addresses import LOCAL_ADDRESS
 from crazychoir.launch.namespaces import SwitchedNamespaces, make_switched_namespaces
 from crazychoir.launch.network import reserve_ports
 from crazychoir.solve.group import ProgramGroup

@@ -123,7 +123,7 @@ def graph_of(swarm: Swarm, where: str) -> Graph:
     """
     listed = [drone.id for drone in swarm.drones if drone.neighbors is not None]
     written = {
-        "graph": swarm.topology,
+        "graph": swarm.graph_name,
         "edges": swarm.edges,
         "neighbors": listed or None,
     }
@@ -141,7 +141,7 @@ def graph_of(swarm: Swarm, where: str) -> Graph:
         return _from_edges(swarm, where)
     try:
         return graph_from_name(
-            swarm.topology or "ring", _members(swarm), swarm.seed, swarm.directed
+            swarm.graph_name or "ring", _members(swarm), swarm.seed, swarm.directed
         )
     except ConfigError as error:
         raise ConfigError(

@@ -13,7 +13,7 @@ def fence_of(config: SwarmConfig, i: int) -> Corners:
     low = config.fence.min
     high = config.fence.max
     sender = config.control_of(i).sender
-    if i not in config.reached or sender not in TILT_TIMES:
+    if i not in config.topology.reached or sender not in TILT_TIMES:
         return low, high
     x = fence_inset(config, sender).given
     return (low[0] + x, low[1] + x, low[2]), (high[0] - x, high[1] - x, high[2])

@@ -1,11 +1,15 @@
 """Builds the simulated network that a swarm file describes."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import combinations
 from typing import Any
+
+import msgspec
 
 from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
 from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.config.tables import EdgeTable, LinkTable, NetworkTable, PartitionTable
 from crazychoir.errors import ConfigError
 
 ENDLESS_TIME = 1e9
@@ -18,37 +22,82 @@ LOSS_EFFECTS = ("loss", "p_good_bad", "p_bad_good", "loss_bad")
 
 def impairment_of(config: SwarmConfig) -> Impairment:
     """Return the simulated network of [network], with the swarm's seed."""
-    table = config.impairment()
-    rules = [ImpairmentRule(effects)] if (effects := _effects(table)) else []
-    rules += [_edge_rule(edge) for edge in table.get("edges", [])]
     return Impairment(
         config.seed,
-        rules,
-        [cut for entry in table.get("partitions", []) for cut in _cuts(entry)],
+        network_rules(config.network),
+        network_partitions(config.network, config.ids),
     )
 
 
-def impairment_changes(options: Mapping[str, float | None]) -> dict[str, float | None]:
-    """Return the arguments for `Impairment.update`, from effects with the names of a swarm file.
+def network_rules(
+    network: NetworkTable, more: Mapping[str, float] | None = None
+) -> list[ImpairmentRule]:
+    """Return the rules of the simulated network: the rule for all edges, then those of single edges.
 
-    A new loss replaces the old one completely.
+    An effect of 0 makes no rule.
+
+    network: effects with the names of a swarm file
+    more: further effects on all edges, with the names of EdgeEffects; they replace those of network
+    """
+    effects = _nonzero_effects(network) | dict(more or {})
+    rules = [ImpairmentRule(effects)] if effects else []
+    return rules + [_edge_rule(edge) for edge in network.edges]
+
+
+def network_partitions(
+    network: NetworkTable, ids: Sequence[int]
+) -> list[NetworkPartition]:
+    """Return a partition for each two groups of each [[network.partitions]].
+
+    ids: all drones of the swarm; those that a table does not name form one more group
+    """
+    return [cut for table in network.partitions for cut in _cuts(table, ids)]
+
+
+def impairment_changes(link: LinkTable) -> dict[str, float | None]:
+    """Return the arguments for `Impairment.update`, with the effects of the link.
+
+    A new loss replaces the old one completely. An effect of 0 is set.
     Raises ConfigError for a burst below 1 or without a loss.
     """
-    loss = options.get("loss")
-    burst = options.get("burst")
+    require_loss_of_burst(link)
+    effects = link_effects(link)
+    return (
+        {**effects} if link.loss is None else {**dict.fromkeys(LOSS_EFFECTS), **effects}
+    )
+
+
+def require_loss_of_burst(link: LinkTable) -> None:
+    """Raise ConfigError for a burst below 1 or without a loss."""
+    loss = link.loss
+    burst = link.burst
     if burst is not None and not (
         burst >= 1.0 and loss is not None and 0.0 < loss < 1.0
     ):
         found = f"{burst:g} with loss {'unsaid' if loss is None else f'{loss:g}'}"
         raise ConfigError("burst", found, "1 or more, with a loss between 0 and 1")
-    given: dict[str, float | None] = {
-        name: options[name] for name in COMMON_EFFECTS if options.get(name) is not None
+
+
+def link_effects(link: LinkTable) -> dict[str, float]:
+    """Return the effects that are set, with the names of the simulated network.
+
+    A burst becomes a chain of two states that is bad for `burst` messages in a row on average.
+    """
+    effects: dict[str, float] = {
+        name: value
+        for name in COMMON_EFFECTS
+        if (value := getattr(link, name)) is not None
     }
-    return (
-        given
-        if loss is None
-        else given | dict.fromkeys(LOSS_EFFECTS) | _losses(loss, burst)
-    )
+    if link.loss is None:
+        return effects
+    if not link.burst:
+        return effects | {"loss": link.loss}
+    leave = 1.0 / link.burst
+    return effects | {
+        "p_bad_good": leave,
+        "p_good_bad": min(1.0, leave * link.loss / max(1.0 - link.loss, 1e-9)),
+        "loss_bad": 1.0,
+    }
 
 
 def rules_in_words(network: Mapping[str, Any]) -> list[str]:
@@ -92,44 +141,25 @@ def _partition_in_words(cut: Mapping[str, Any]) -> str:
     return f"{a} apart from {b or 'the others'}, from {since} to {until}"
 
 
-def _effects(table: dict[str, Any]) -> dict[str, float]:
-    effects = {name: float(table[name]) for name in COMMON_EFFECTS if table.get(name)}
-    return effects | (
-        _losses(float(table["loss"]), table.get("burst")) if table.get("loss") else {}
-    )
+def _nonzero_effects(link: LinkTable) -> dict[str, float]:
+    """Return the effects of the link that are not 0."""
+    if link.loss == 0.0:
+        link = msgspec.structs.replace(link, loss=None)
+    return {name: value for name, value in link_effects(link).items() if value}
 
 
-def _losses(loss: float, burst: float | None) -> dict[str, float]:
-    """Return the loss model with the names of the simulated network.
-
-    A burst becomes a chain of two states that is bad for `burst` messages in a row on average.
-    """
-    if not burst:
-        return {"loss": loss}
-    leave = 1.0 / float(burst)
-    return {
-        "p_bad_good": leave,
-        "p_good_bad": min(1.0, leave * loss / max(1.0 - loss, 1e-9)),
-        "loss_bad": 1.0,
-    }
+def _edge_rule(edge: EdgeTable) -> ImpairmentRule:
+    effects = _nonzero_effects(edge)
+    if edge.source is None or edge.destination is None:
+        drone = edge.destination if edge.source is None else edge.source
+        return ImpairmentRule(effects, drone=drone)
+    return ImpairmentRule(effects, edge=(edge.source, edge.destination), directed=True)
 
 
-def _edge_rule(entry: dict[str, Any]) -> ImpairmentRule:
-    source = entry.get("source")
-    destination = entry.get("destination")
-    if source is None or destination is None:
-        return ImpairmentRule(
-            _effects(entry), drone=destination if source is None else source
-        )
-    return ImpairmentRule(_effects(entry), edge=(source, destination), directed=True)
-
-
-def _cuts(entry: dict[str, Any]) -> list[NetworkPartition]:
+def _cuts(table: PartitionTable, ids: Sequence[int]) -> list[NetworkPartition]:
     """Return a partition for every pair of groups."""
-    groups = entry["groups"]
-    until = entry.get("until") or ENDLESS_TIME
-    return [
-        NetworkPartition(entry["at"], until, tuple(a), tuple(b))
-        for n, a in enumerate(groups)
-        for b in groups[n + 1 :]
-    ]
+    groups = list(table.groups)
+    if rest := tuple(i for i in ids if not any(i in group for group in groups)):
+        groups.append(rest)
+    until = table.until or ENDLESS_TIME
+    return [NetworkPartition(table.at, until, a, b) for a, b in combinations(groups, 2)]

@@ -682,7 +682,7 @@ class Swarm(SwarmTable, frozen=True, kw_only=True):
     """Keys for the mission."""
     seed: Seed = 0
     """Seed of all random draws."""
-    topology: Text | None = field(default=None, name="graph")
+    graph_name: Text | None = field(default=None, name="graph")
     """Name of the communication graph; its key in the file is `graph`."""
     edges: Edges | None = None
     """Edges of the graph, instead of its name."""

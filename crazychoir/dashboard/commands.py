@@ -307,7 +307,7 @@ class CommandDesk:
         receipt.key = key
         bodies = [
             PORT_ADDRESSES.body_offset + i
-            for i in config.elsewhere
+            for i in config.topology.elsewhere
             if i in receipt.answers
         ]
         stop = _PendingStop(

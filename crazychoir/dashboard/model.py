@@ -117,7 +117,9 @@ class SwarmModel:
         rate: float = 0.0,
     ) -> None:
         box = Call(self.bus.clock, function, f"page {topic.name} of {i}")
-        self.bus.subscribe(topic, self.config.source(topic, i), self.address, box, rate)
+        self.bus.subscribe(
+            topic, self.config.topology.source(topic, i), self.address, box, rate
+        )
 
     # Receiving ----------------------------------------------------------------------------
 

@@ -17,6 +17,7 @@ from crazychoir.agent.sketch import (
 )
 from crazychoir.config.network import impairment_changes, rules_in_words
 from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.config.tables import LinkTable
 from crazychoir.dashboard.commands import CommandDesk
 from crazychoir.dashboard.polling import TaskBoard
 from crazychoir.dashboard.requests import (
@@ -130,7 +131,7 @@ class PageOperator:
         self.desk.order(
             "impair",
             words=", ".join(words),
-            each=lambda i: told | impairment_changes(given),
+            each=lambda i: told | impairment_changes(LinkTable(**given)),
             says=lambda network: "; ".join(rules_in_words(network)),
         )
 

@@ -11,6 +11,7 @@ from types import ModuleType
 from typing import Any, Protocol, cast
 
 from crazychoir.config.checks import refuse_conflicts
+from crazychoir.config.digest import compute_digest, compute_key_digests
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError, Hung, error_text, refuse_exit
 from crazychoir.guidance.guidance import CFGuidance
@@ -125,10 +126,10 @@ def compute_mission_hash(config: SwarmConfig, mission: Mission) -> str:
     """
     text = Path(getattr(mission, "__file__", None) or "")
     code = text.read_bytes() if text.is_file() else b""
-    whole = hashlib.blake2b(config.digest().encode() + code, digest_size=8).hexdigest()
-    return (
-        f"{whole}:{config.digests()}{hashlib.blake2b(code, digest_size=1).hexdigest()}"
-    )
+    whole = hashlib.blake2b(
+        compute_digest(config).encode() + code, digest_size=8
+    ).hexdigest()
+    return f"{whole}:{compute_key_digests(config)}{hashlib.blake2b(code, digest_size=1).hexdigest()}"
 
 
 def list_mission_names() -> list[str]:

@@ -174,14 +174,17 @@ def require_reached(config: "SwarmConfig", which: str, drone: int) -> None:
     which: text that says where the swarm comes from
     drone: id of the drone
     """
-    if drone not in config.reached:
+    if drone not in config.topology.reached:
         do = (
             ""
-            if config.reached
+            if config.topology.reached
             else f"There are none in {which}: name another swarm file by --swarm."
         )
         raise ConfigError(
-            "DRONE", drone, f"drones that a radio reaches: {list(config.reached)}", do
+            "DRONE",
+            drone,
+            f"drones that a radio reaches: {list(config.topology.reached)}",
+            do,
         )
 
 

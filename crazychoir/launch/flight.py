@@ -13,6 +13,7 @@ from crazychoir.agent.dead_man import ConsoleReporter, is_console
 from crazychoir.agent.drone import WAITING_TASK
 from crazychoir.agent.mission_runner import ENDED_KEY, MISSION_REASONS
 from crazychoir.bus.commands import Commander
+from crazychoir.config.addresses import Addresses
 from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import reason_or
@@ -120,7 +121,7 @@ def fly_real(
     """
     groups = [
         group
-        for group in config.groups()
+        for group in Addresses(config).groups()
         if started is None or any(i in started for i in group)
     ]
 
@@ -135,11 +136,11 @@ def fly_real(
             list_goals(mission, config),
             watched,
             address=address,
-            source=config.source,
-            unseen=config.unseen,
+            source=config.topology.source,
+            unseen=config.topology.unseen,
         )
         recorder = (
-            Recorder(link.bus, config.ids, file, address, config.source)
+            Recorder(link.bus, config.ids, file, address, config.topology.source)
             if file
             else None
         )
@@ -272,10 +273,10 @@ def list_owners(config: SwarmConfig, started: tuple[int, ...] | None) -> list[Ow
     """
     found = (
         [WORLD_OWNER]
-        if config.owned and _is_start_here(config, config.world.host, started)
+        if config.topology.owned and _is_start_here(config, config.world.host, started)
         else []
     )
-    if config.seen and _is_start_here(config, config.mocap.host, started):
+    if config.topology.seen and _is_start_here(config, config.mocap.host, started):
         found.append(Owner("mocap", "crazychoir.cli.fly.mocap", again=True))
     for k in list_dongles(config, started):
         options = ("--dongle", str(k))
@@ -285,7 +286,7 @@ def list_owners(config: SwarmConfig, started: tuple[int, ...] | None) -> list[Ow
                 "crazychoir.cli.fly.radio_owner",
                 options,
                 again=True,
-                ids=config.dongles[k],
+                ids=config.topology.dongles[k],
             )
         )
     return found
@@ -295,8 +296,8 @@ def list_dongles(config: SwarmConfig, started: tuple[int, ...] | None) -> list[i
     """Return the dongles with an owner that starts here."""
     return [
         k
-        for k in config.dongles
-        if _is_start_here(config, config.dongle_host(k), started)
+        for k in config.topology.dongles
+        if _is_start_here(config, config.topology.dongle_host(k), started)
     ]
 
 

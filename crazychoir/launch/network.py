@@ -17,6 +17,8 @@ from crazychoir.bus.network.access import ACCESS_RULES
 from crazychoir.bus.network.hello import PACKAGE_VERSION
 from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.config.access import access_of
+from crazychoir.config.addresses import Addresses
 from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import BASE_PORT
@@ -81,13 +83,13 @@ def configure_observer(bus: Bus, config: SwarmConfig) -> ZenohLink:
     return ZenohLink(
         bus,
         config.name,
-        listen=[f"{config.scheme}/127.0.0.1:0"],
-        connect=list(config.endpoints().values()),
-        routers=config.routers,
+        listen=[f"{Addresses(config).scheme}/127.0.0.1:0"],
+        connect=list(Addresses(config).endpoints().values()),
+        routers=Addresses(config).routers,
         incarnation=random.SystemRandom().getrandbits(62),
         version=PACKAGE_VERSION,
         lease=config.lease,
-        access=config.access(bus.host),
+        access=access_of(config, bus.host),
     )
 
 
@@ -172,7 +174,7 @@ def hold_isolated_swarm(
     changed = config.replace(**changes)
     places = {
         process: _parse_address(endpoint)
-        for process, endpoint in changed.endpoints().items()
+        for process, endpoint in Addresses(changed).endpoints().items()
     }
     given = config.base_port if keeps_port and config.base_port != BASE_PORT else None
     with reserve_ports(places, given, highest=max(config.ids)) as base:

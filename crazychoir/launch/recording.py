@@ -17,6 +17,7 @@ import numpy as np
 import scipy
 
 from crazychoir.bus.network.hello import PACKAGE_VERSION
+from crazychoir.config.file_paths import list_files
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import is_library
 from crazychoir.guidance.mission import MISSION_PACKAGE, Mission
@@ -74,7 +75,7 @@ def compute_file_digests(
     """
     found = {
         name: _compute_digest(path)
-        for name, path in (config.files | _list_mission_modules(mission)).items()
+        for name, path in (list_files(config) | _list_mission_modules(mission)).items()
     }
     return {name: digest for name, digest in found.items() if digest}
 
@@ -86,7 +87,7 @@ def list_changed_files(
 
     told: SHA-256 by name
     """
-    named = config.files
+    named = list_files(config)
     folder = _find_mission_folder(mission)
     now = {name: _compute_digest(named.get(name, folder / name)) for name in told}
     return {
@@ -140,7 +141,7 @@ def describe_flight(config: SwarmConfig, virtual: bool) -> dict[str, str]:
         "mission": config.mission or "",
         "seed": str(config.seed),
         "drones": ",".join(map(str, config.ids)),
-        UNSEEN_DRONES_KEY: ",".join(map(str, config.unseen)),
+        UNSEEN_DRONES_KEY: ",".join(map(str, config.topology.unseen)),
         "time": "virtual" if virtual else "wall",
         **list_versions(),
     }

@@ -131,7 +131,7 @@ class MocapProcess(Actor):
         self.bus = Bus(clock, process=process, host=host)
         self.source = source
         self.recorder = recorder
-        if not config.seen:
+        if not config.topology.seen:
             do = 'Those with uri = "udp://..." or "radio://..." are, unless pose = "onboard".'
             raise ConfigError(
                 f"swarm {config.name}",
@@ -143,7 +143,7 @@ class MocapProcess(Actor):
             i: _make_track(
                 config, self.bus.port(PORT_ADDRESSES.camera_offset + i, incarnation), i
             )
-            for i in config.seen
+            for i in config.topology.seen
         }
         self.watch = TrackingWatch(
             {i: track.name for i, track in self.tracks.items()},
@@ -297,7 +297,10 @@ def _make_track(config: SwarmConfig, port: Port, i: int) -> TrackedDrone:
     drone = config.drone(i)
     body = Latest[Body](port.bus.clock, "body", DRONE_TOPICS.body.max_age)
     port.bus.subscribe(
-        DRONE_TOPICS.body, config.source(DRONE_TOPICS.body, i), port.address, body
+        DRONE_TOPICS.body,
+        config.topology.source(DRONE_TOPICS.body, i),
+        port.address,
+        body,
     )
     return TrackedDrone(
         config.body_name(i),

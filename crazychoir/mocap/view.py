@@ -70,7 +70,7 @@ class CameraBlur:
 
     def __init__(self, config: SwarmConfig) -> None:
         mocap = config.mocap
-        ids = config.seen
+        ids = config.topology.seen
         self._names = [config.body_name(i) for i in ids]
         self._cameras = SimulatedMocap(
             ids,

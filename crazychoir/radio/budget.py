@@ -10,5 +10,8 @@ def compute_setpoint_rates(config: SwarmConfig) -> dict[int, float]:
 
     Raises ConfigError if a dongle cannot carry its drones.
     """
-    senders = {i: find_sender(config, i) for i in config.reached}
-    return {dongle: carried_rate(config, dongle, senders) for dongle in config.dongles}
+    senders = {i: find_sender(config, i) for i in config.topology.reached}
+    return {
+        dongle: carried_rate(config, dongle, senders)
+        for dongle in config.topology.dongles
+    }

@@ -73,7 +73,7 @@ class RadioProcess(Actor):
         self.config = config
         self.dongle = dongle
         self.bus = Bus(clock, process=process, host=host)
-        self.ids = config.dongles[dongle]
+        self.ids = config.topology.dongles[dongle]
         rate = compute_setpoint_rates(config)[dongle]
         for i in self.ids:
             self.bus.port(PORT_ADDRESSES.body_offset + i, incarnation)

@@ -42,9 +42,9 @@ class BodySights:
 
     def __init__(self, bus: Bus, config: SwarmConfig, reader: int) -> None:
         self._clock = bus.clock
-        self.tracks = {i: TiltTrack() for i in config.seen}
+        self.tracks = {i: TiltTrack() for i in config.topology.seen}
         """Recent motion of each body."""
-        for i in config.seen:
+        for i in config.topology.seen:
             bus.subscribe(
                 DRONE_TOPICS.pose,
                 PORT_ADDRESSES.camera_offset + i,
@@ -54,7 +54,7 @@ class BodySights:
             )
             bus.subscribe(
                 DRONE_TOPICS.body,
-                config.source(DRONE_TOPICS.body, i),
+                config.topology.source(DRONE_TOPICS.body, i),
                 reader,
                 Call(bus.clock, partial(self._flies, i), "sights"),
             )

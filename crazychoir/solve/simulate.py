@@ -12,8 +12,9 @@ from typing import Any, Final, TypeVar
 import numpy as np
 
 from crazychoir.bus.impairment.model import Impairment
-from crazychoir.bus.impairment.rules import ImpairmentRule
 from crazychoir.bus.port import Bus
+from crazychoir.config.network import network_rules
+from crazychoir.config.tables import NetworkTable
 from crazychoir.errors import AgentFailed, ConfigError, CrazyChoirError, RoundTimeout
 from crazychoir.optimization.history import History
 from crazychoir.optimization.rounds.checks import find_nan, require_team
@@ -66,7 +67,7 @@ def simulate(
     agents: {id: agent}, one for each node of the graph
     graph: communication graph, or a sequence of graphs
     loss: share of messages that are lost
-    network: more effects of the network, such as {"burst": 4, "delay": 0.01, "jitter": 0.02}
+    network: more effects of the network, with the names of EdgeEffects, such as {"delay": 0.01}
     seed: seed of the losses and of the random times
     rounds: largest number of rounds; None for no limit but MOST_ROUNDS
     record: attributes of each agent to keep after each step; None for x, if all agents have one
@@ -91,7 +92,7 @@ def simulate(
         i: _FollowedAgent(i, agents[i], names, rounds, lambda: watch(agents))
         for i in graph.ids
     }
-    rule = ImpairmentRule({"delay": MESSAGE_DELAY, "loss": loss, **(network or {})})
+    rules = network_rules(NetworkTable(loss=loss, delay=MESSAGE_DELAY), network)
     pace = WakingTimes(sleep, compute, seed)
     errors: dict[int, CrazyChoirError] = {}
     buses: list[Bus] = []
@@ -107,7 +108,7 @@ def simulate(
             errors[communicator.id] = error
 
     async def main(clock: Clock) -> float:
-        bus = Bus(clock, Impairment(seed, [rule]))
+        bus = Bus(clock, Impairment(seed, rules))
         start = clock.now()
         for agent in followed.values():
             agent.begin(clock)

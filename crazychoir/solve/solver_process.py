@@ -151,7 +151,7 @@ class SolverProcess:
         )
         bus = Bus(
             clock,
-            Impairment(spec["seed"], [ImpairmentRule(spec["effects"])]),
+            Impairment(spec["seed"], map(ImpairmentRule, spec["rules"])),
             spec["process"],
             "solve",
         )

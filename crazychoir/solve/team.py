@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.bus.impairment.rules import ImpairmentRule
-from crazychoir.config.network import impairment_changes
-from crazychoir.config.swarm_config import LOCAL_ADDRESS
+from crazychoir.config.addresses import LOCAL_ADDRESS
+from crazychoir.config.network import network_rules, require_loss_of_burst
+from crazychoir.config.tables import NetworkTable
 from crazychoir.errors import ConfigError, ProcessFailed
 from crazychoir.files.private_folder import scratch_folder
 from crazychoir.launch.network import reserve_ports
@@ -101,10 +101,8 @@ def solve_in_processes(
         raise ConfigError(
             "method", method, ", ".join(PLANNING_METHODS), "Choose one of them."
         )
-    losses = impairment_changes({"loss": loss, "burst": burst})
-    rule = ImpairmentRule(
-        {name: value for name, value in losses.items() if value is not None}
-    )
+    network = NetworkTable(loss=loss, burst=burst)
+    require_loss_of_burst(network)
     parts = [
         part.tolist() for part in np.array_split(np.arange(instance.robots), processes)
     ]
@@ -116,7 +114,7 @@ def solve_in_processes(
             "method": method,
             "seed": seed,
             "deadline": deadline,
-            "effects": rule.effects,
+            "rules": [rule.effects for rule in network_rules(network)],
             "settings": asdict(settings or RoutingSettings()),
         }
         common |= {

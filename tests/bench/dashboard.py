@@ -19,6 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
+from crazychoir.config.addresses import Addresses
+
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from playwright.async_api import async_playwright
@@ -80,7 +82,7 @@ def hundred(processes: int = 4) -> SwarmConfig:
 def speak(path: str, group: int) -> None:
     """Drones of one process that say 100 times a second where they are, and obey at once."""
     config = SwarmConfig.load(path)
-    ids = config.groups()[group]
+    ids = Addresses(config).groups()[group]
 
     async def main(clock):
         bus = Bus(clock, process=f"speaker-{group}", host="bench")
@@ -93,7 +95,7 @@ def speak(path: str, group: int) -> None:
         link = ZenohLink(
             bus,
             config.name,
-            listen=[config.endpoint(ids[0])],
+            listen=[Addresses(config).endpoint(ids[0])],
             connect=[],
             incarnation=group + 1,
             version=PACKAGE_VERSION,

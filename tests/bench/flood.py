@@ -24,6 +24,9 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from crazychoir.config.access import access_of
+from crazychoir.config.addresses import Addresses
+
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import zenoh
@@ -64,7 +67,7 @@ async def receive(folder: Path, port: int) -> None:
     """The process of drone 0: ticks at 100 Hz for as many s as each line of its standard input says."""
     config = swarm(folder, port)
     async with wall_clock() as clock:
-        listen, access = [config.endpoint(0)], config.access("a")
+        listen, access = [Addresses(config).endpoint(0)], access_of(config, "a")
         async with linked(
             clock, "0-1", config.name, [0], host="a", listen=listen, access=access
         ) as link:

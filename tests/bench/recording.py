@@ -24,6 +24,7 @@ from crazychoir.bus.network.hello import PACKAGE_VERSION
 from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.config.addresses import Addresses
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.launch.network import isolate_swarm, make_observer_link, run_attached
 from crazychoir.recording.mcap.file import RecordingFile
@@ -112,7 +113,7 @@ def swarm(drones: int, processes: int) -> SwarmConfig:
 def speak(path: str, group: int, rate: float, seconds: float) -> None:
     """The drones of one process, once somebody reads them; prints how many they have said."""
     config = SwarmConfig.load(path)
-    ids = config.groups()[group]
+    ids = Addresses(config).groups()[group]
 
     async def main(clock: Clock) -> None:
         bus = Bus(clock, process=f"speaker-{group}", host="bench")
@@ -121,7 +122,7 @@ def speak(path: str, group: int, rate: float, seconds: float) -> None:
         link = ZenohLink(
             bus,
             config.name,
-            listen=[config.endpoint(ids[0])],
+            listen=[Addresses(config).endpoint(ids[0])],
             connect=[],
             incarnation=group + 1,
             version=PACKAGE_VERSION,

@@ -22,6 +22,8 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from crazychoir.config.addresses import Addresses
+
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from system.agents import AGENT, WORLD, Program, results
@@ -66,7 +68,7 @@ async def soak(minutes: float, each: int, progress: Progress) -> dict[str, objec
         file.write_text(config.dumps())
         programs = {"world": await Program.start(*WORLD, "--swarm", file, "--json")}
         try:
-            for group in config.groups():
+            for group in Addresses(config).groups():
                 words = [word for i in group for word in ("--id", str(i))]
                 name = f"drones {group[0]} to {group[-1]}"
                 programs[name] = await Program.start(

@@ -77,7 +77,7 @@ class Invariants(Actor):
         """One step."""
         agent, report = self.agent, self.report
         p = {
-            i: agent._owner_of[i].world.states[agent._owner_of[i].world.row[i], 0:3]
+            i: agent.owner_of[i].world.states[agent.owner_of[i].world.row[i], 0:3]
             for i in agent.ids
         }
         up = [

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from crazychoir.config.addresses import Addresses
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.feedback import LAW_TASK
 
@@ -224,7 +225,7 @@ async def flying(
     team = Team(config, folder, place)
     try:
         await team.look()
-        await team.start(*config.groups())
+        await team.start(*Addresses(config).groups())
         yield team
     finally:
         await asyncio.gather(

@@ -84,7 +84,7 @@ class Observer(Actor):
         nothing = np.full(14, math.nan)
         async for _ in self.agent.clock.ticks(1.0 / TICK):
             for i, flight in self.flights.items():
-                pilot, world = self.agent.drones[i].pilot, self.agent._owner_of[i].world
+                pilot, world = self.agent.drones[i].pilot, self.agent.owner_of[i].world
                 flown = pilot._flown
                 flight.t.append(self.agent.clock.now())
                 flight.modes.append(pilot.mode)

@@ -31,7 +31,7 @@ def crash(agent: Agent, i: int) -> None:
     )
     agent.bus.close(i)
     drone.pilot.cut("killed")
-    agent._guidances[i].abort("killed")
+    agent.runners[i].abort("killed")
 
 
 def carried(agent: Agent, i: int) -> list[int]:

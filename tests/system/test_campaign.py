@@ -93,8 +93,8 @@ def test_a_drone_that_is_nowhere_is_a_finding(monkeypatch):
 
     def lost(self, now):
         if now > 3.0:
-            self.agent._owner_of[0].world.states[
-                self.agent._owner_of[0].world.row[0], 0
+            self.agent.owner_of[0].world.states[
+                self.agent.owner_of[0].world.row[0], 0
             ] = np.nan
         look(self, now)
 

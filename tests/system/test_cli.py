@@ -16,6 +16,7 @@ from system.agents import AGENT, BRISK, CRAZYCHOIR, Program, Team, until
 from system.commands import call
 
 from crazychoir.cli.shared import observer as window
+from crazychoir.config.addresses import Addresses
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import list_mission_names, load_mission
 from crazychoir.launch.flight import MISSION_REASONS, fly_fast
@@ -419,7 +420,7 @@ async def test_beside_an_agent_that_waits(look_here, four, compiled):
             "--listen",
             "tcp/127.0.0.1:0",
             "--connect",
-            config.endpoint(0),
+            Addresses(config).endpoint(0),
         )
         ended = await second.end(60.0)
         assert ended["code"] == 1

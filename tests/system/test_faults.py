@@ -19,6 +19,7 @@ from system.agents import BRISK, CRAZYCHOIR, Program, Team, flying, results, see
 from crazychoir.bus.codec import encode
 from crazychoir.bus.frames import Envelope, Frame, encode_frame
 from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS, MessageClass
+from crazychoir.config.addresses import Addresses
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import load_mission
 from crazychoir.launch.network import isolate_swarm
@@ -341,7 +342,7 @@ def attack(config: SwarmConfig, ends: Callable[[], bool]) -> int:
     """Random bytes, and frames under the names of the agents and of a stranger, until `ends`; returns how many."""
     draw = np.random.default_rng(1)
     sent = 0
-    with opened(config.endpoint(0)) as session:
+    with opened(Addresses(config).endpoint(0)) as session:
         live = f"choir/{config.name}/live/*/*/**"
         keys = [str(reply.ok.key_expr) for reply in session.liveliness().get(live)]
         tokens = sorted({tuple(key.split("/")[3:5]) for key in keys})

@@ -14,6 +14,7 @@ from system.agents import MOCAP, Program, until
 
 from crazychoir.bus.port import PORT_ADDRESSES
 from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.config.addresses import Addresses
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.launch.network import make_observer_link, run_attached
 from crazychoir.mocap.frames import FRAME_PROTOCOL, PoseFrame
@@ -89,7 +90,7 @@ def swarm(name, **mocap):
             "mocap": {"noise": 0.0, "noise_angle": 0.0, **mocap},
         }
     )
-    return config.replace(base_port=free_ports(list(config.endpoints())))
+    return config.replace(base_port=free_ports(list(Addresses(config).endpoints())))
 
 
 def udp_port():
@@ -101,7 +102,10 @@ def udp_port():
 @contextlib.asynccontextmanager
 async def subscribed(clock, config):
     """What a process of the network hears of each drone: {i: [pose]}."""
-    link, heard = make_observer_link(clock, config), {i: [] for i in config.seen}
+    link, heard = (
+        make_observer_link(clock, config),
+        {i: [] for i in config.topology.seen},
+    )
     (address,) = link.bus.ports
     for i, kept in heard.items():
         box = Call(clock, lambda value, age, kept=kept: kept.append(value))

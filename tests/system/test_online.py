@@ -307,7 +307,7 @@ def test_a_drone_that_is_landed_by_its_operator_leaves_its_tasks_to_the_others()
             )
             landed.append(busy)
             agent.drones[busy].pilot.land("landing on command")
-            agent._guidances[busy].abort("landed on command")
+            agent.runners[busy].abort("landed on command")
 
         agent.clock.call_at(round(9 * SECONDS), land)
 

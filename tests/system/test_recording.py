@@ -310,7 +310,12 @@ def test_a_replay_is_seen_as_a_swarm_and_recorded_anew(recorded, tmp_path):
                 ("state", "truth", "result"),
             )
             recorder = Recorder(
-                link.bus, config.ids, file, window.address, config.source, topics=topics
+                link.bus,
+                config.ids,
+                file,
+                window.address,
+                config.topology.source,
+                topics=topics,
             )
             recording = asyncio.create_task(Supervisor(clock, "record").run([recorder]))
             assert (await _wait_until_gone(window, recorder, 100.0)).startswith(

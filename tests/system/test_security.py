@@ -21,6 +21,8 @@ from crazychoir.bus.network.authority import KEY_FILES
 from crazychoir.bus.network.zenoh_link import HELLO_TIMING
 from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS
 from crazychoir.cli.setup import host_facts
+from crazychoir.config.access import access_of
+from crazychoir.config.addresses import Addresses
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.types import Status
 
@@ -58,7 +60,7 @@ class Lab:
 
     async def link(self, host, process, drones, connect=True, **options):
         """A process of a host, as the swarm file has it."""
-        first, second = self.config.endpoints().values()
+        first, second = Addresses(self.config).endpoints().values()
         own = {"a": first, "b": second}.get(host, "tls/127.0.0.1:0")
         made = linked(
             self.clock,
@@ -68,7 +70,7 @@ class Lab:
             host=host,
             listen=[own],
             connect=[first] if connect else [],
-            access=self.config.access(host),
+            access=access_of(self.config, host),
             **options,
         )
         return await self.stack.enter_async_context(made)
@@ -90,7 +92,7 @@ class Lab:
             tls["enable_mtls"] = True
         settings = {
             "mode": "peer",
-            "connect/endpoints": [self.config.endpoint(0)],
+            "connect/endpoints": [Addresses(self.config).endpoint(0)],
             "scouting/multicast/enabled": False,
             "transport/shared_memory/enabled": False,
             "transport/link/tls": tls,
@@ -285,7 +287,7 @@ async def test_only_operators_are_obeyed_and_the_others_are_named_once(lab, capl
 
 async def test_the_doctor_says_whose_certificate_is_not_taken(lab):
     await lab.link("a", "0-1", [0])
-    port = int(lab.config.endpoint(0).rpartition(":")[2])
+    port = int(Addresses(lab.config).endpoint(0).rpartition(":")[2])
 
     async def found(keys):
         return await asyncio.to_thread(
@@ -308,7 +310,7 @@ async def test_who_is_turned_away_is_said_once_by_the_programs_of_the_swarm(lab)
     """A router with the certificate of a, and one that is started with that of another swarm and calls it."""
     file = lab.folder / "swarm.json"
     file.write_text(lab.config.replace(router="a").dumps())
-    at = lab.config.endpoint(0)
+    at = Addresses(lab.config).endpoint(0)
     router = await Program.start(*CRAZYCHOIR, "router", "--swarm", file, "--listen", at)
     try:
         await router.says("router at")

@@ -11,7 +11,8 @@ from itertools import product
 from typing import Any
 
 from crazychoir.bench.significance import spread
-from crazychoir.config.network import impairment_changes
+from crazychoir.config.network import link_effects
+from crazychoir.config.tables import LinkTable
 from crazychoir.routing.distributed.pickup_delivery import PLANNING_METHODS
 from crazychoir.routing.distributed.plain_loop import (
     compile_routing_kernels,
@@ -171,19 +172,13 @@ def run_case(case: AblationCase) -> dict[str, Any]:
     agents = make_team(
         instance, {i: list(links.neighbors(i)) for i in links.ids}, case.method
     )
-    losses = (
-        impairment_changes({"loss": case.loss, "burst": case.burst})
-        if case.loss
-        else {}
+    link = LinkTable(
+        loss=case.loss or None, burst=case.burst, delay=ABLATION_STUDY.message_delay
     )
-    network = {
-        "delay": ABLATION_STUDY.message_delay,
-        **{name: value for name, value in losses.items() if value is not None},
-    }
     history = simulate(
         agents,
         links,
-        network=network,
+        network=link_effects(link),
         seed=case.seed,
         record=(),
         channel="pickup_delivery",

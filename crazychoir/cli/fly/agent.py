@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from crazychoir.cli.fly.process_command import begin_process
 from crazychoir.errors import CrazyChoirError, refuse_exit
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
@@ -14,7 +15,6 @@ from crazychoir.launch.console import (
     build_result_table,
     exit_with_error,
     redirect_prints,
-    set_up_logging,
     write_json,
 )
 from crazychoir.launch.process import ending
@@ -62,9 +62,7 @@ def agent(
     ] = None,
 ) -> None:
     """Fly drones of a swarm; Ctrl-C lands them."""
-    if child is not None:
-        ending.end_after_parent()
-    set_up_logging()
+    begin_process(child is not None)
     with KERNEL_QUEUE.checks_first():
         from crazychoir.cli.shared.chosen_swarm import (
             configured_swarm,

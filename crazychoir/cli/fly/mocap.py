@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from crazychoir.errors import ConfigError, CrazyChoirError
-from crazychoir.launch.console import (
-    ERROR_CONSOLE,
-    LiveTable,
-    exit_with_error,
-    set_up_logging,
-    write_json,
+from crazychoir.cli.fly.process_command import (
+    announce_process,
+    begin_process,
+    run_to_report,
 )
+from crazychoir.errors import ConfigError
+from crazychoir.launch.console import LiveTable
 from crazychoir.launch.process import ending
 
 if TYPE_CHECKING:
@@ -53,31 +52,24 @@ def mocap(
     ] = False,
 ) -> None:
     """Send each drone of a swarm its pose. Ctrl-C ends it as soon as no drone has an agent."""
-    if child:
-        ending.end_after_parent()
-    set_up_logging()
+    begin_process(child)
     from crazychoir.config.swarm_config import find_swarm
     from crazychoir.launch.process.mocap_process import (
         build_mocap_table,
         run_mocap,
     )  # takes 1 s, which --help does not need
 
-    try:
+    def run() -> dict[str, Any]:
         config, which = find_swarm(swarm)
         config = with_source(config, source)
-        if not as_json and not child:
-            ERROR_CONSOLE.print(
-                f"swarm {config.name} ({which}): the cameras of drone(s) {list(config.seen)}",
-                highlight=False,
-            )
-        shown = not as_json and not child and sys.stderr.isatty()
-        with LiveTable(build_mocap_table, enabled=shown) as progress:
-            report = run_mocap(config, listen, record, progress if shown else None)
-    except CrazyChoirError as error:
-        exit_with_error(error, as_json)
-    if as_json:
-        write_json(report)
-    raise typer.Exit(0 if report["success"] else 1)
+        seen = list(config.topology.seen)
+        what = f"swarm {config.name} ({which}): the cameras of drone(s) {seen}"
+        announce_process(what, as_json, child)
+        is_shown = not as_json and not child and sys.stderr.isatty()
+        with LiveTable(build_mocap_table, enabled=is_shown) as progress:
+            return run_mocap(config, listen, record, progress if is_shown else None)
+
+    run_to_report(run, as_json)
 
 
 def with_source(config: "SwarmConfig", source: str | None) -> "SwarmConfig":

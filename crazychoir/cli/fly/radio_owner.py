@@ -3,18 +3,17 @@
 The agents of its drones run in other processes.
 """
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from crazychoir.errors import ConfigError, CrazyChoirError
-from crazychoir.launch import number_options as options
-from crazychoir.launch.console import (
-    ERROR_CONSOLE,
-    exit_with_error,
-    set_up_logging,
-    write_json,
+from crazychoir.cli.fly.process_command import (
+    announce_process,
+    begin_process,
+    run_to_report,
 )
+from crazychoir.errors import ConfigError
+from crazychoir.launch import number_options as options
 from crazychoir.launch.process import ending
 
 app = typer.Typer(add_completion=False)
@@ -45,34 +44,29 @@ def radios(
     ] = False,
 ) -> None:
     """Own a dongle and the links to all its drones. Ctrl-C ends it as soon as no drone flies."""
-    if child:
-        ending.end_after_parent()
-    set_up_logging()
+    begin_process(child)
     from crazychoir.cli.shared.chosen_swarm import (
         chosen_swarm,
     )  # takes 1 s, which --help does not need
     from crazychoir.launch.process.process import run_radios
 
-    try:
+    def run() -> dict[str, Any]:
         config, which = chosen_swarm(swarm)
-        if dongle not in config.dongles:
+        dongles = config.topology.dongles
+        if dongle not in dongles:
             names = (
-                ", ".join(map(str, config.dongles))
+                ", ".join(map(str, dongles))
                 or "none: no drone has a uri udp:// or radio://"
             )
             raise ConfigError(
                 f"{which}: dongle", dongle, names, "Name one of them, or mend the uris."
             )
-        if not as_json and not child:
-            ERROR_CONSOLE.print(
-                f"swarm {config.name} ({which}), dongle {dongle}, drone(s) {list(config.dongles[dongle])}"
-            )
-        report = run_radios(config, dongle, listen)
-    except CrazyChoirError as error:
-        exit_with_error(error, as_json)
-    if as_json:
-        write_json(report)
-    raise typer.Exit(0 if report["success"] else 1)
+        ids = list(dongles[dongle])
+        what = f"swarm {config.name} ({which}), dongle {dongle}, drone(s) {ids}"
+        announce_process(what, as_json, child)
+        return run_radios(config, dongle, listen)
+
+    run_to_report(run, as_json)
 
 
 def main() -> None:

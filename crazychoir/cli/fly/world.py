@@ -3,17 +3,16 @@
 The agents of its drones run in other processes.
 """
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from crazychoir.errors import ConfigError, CrazyChoirError
-from crazychoir.launch.console import (
-    ERROR_CONSOLE,
-    exit_with_error,
-    set_up_logging,
-    write_json,
+from crazychoir.cli.fly.process_command import (
+    announce_process,
+    begin_process,
+    run_to_report,
 )
+from crazychoir.errors import ConfigError
 from crazychoir.launch.process import ending
 
 app = typer.Typer(add_completion=False)
@@ -36,30 +35,24 @@ def world(
     ] = False,
 ) -> None:
     """Own the simulated world of a swarm. Ctrl-C ends it as soon as no drone flies."""
-    if child:
-        ending.end_after_parent()
-    set_up_logging()
+    begin_process(child)
     from crazychoir.cli.shared.chosen_swarm import (
         chosen_swarm,
     )  # takes 1 s, which --help does not need
     from crazychoir.launch.process.process import run_world
 
-    try:
+    def run() -> dict[str, Any]:
         config, which = chosen_swarm(swarm)
-        if not config.owned:
+        owned = config.topology.owned
+        if not owned:
             allowed = "a swarm whose world has an owner"
             do = 'Write owned = true into [world], or uri = "sim://motors" into its [[drones]].'
             raise ConfigError(which, "drones that fly in their agents", allowed, do)
-        if not as_json and not child:
-            ERROR_CONSOLE.print(
-                f"swarm {config.name} ({which}), the world of drone(s) {list(config.owned)}"
-            )
-        report = run_world(config, listen)
-    except CrazyChoirError as error:
-        exit_with_error(error, as_json)
-    if as_json:
-        write_json(report)
-    raise typer.Exit(0 if report["success"] else 1)
+        what = f"swarm {config.name} ({which}), the world of drone(s) {list(owned)}"
+        announce_process(what, as_json, child)
+        return run_world(config, listen)
+
+    run_to_report(run, as_json)
 
 
 def main() -> None:

@@ -219,11 +219,15 @@ def impair(
 
     async def work(window: "Window") -> "Answers":
         from crazychoir.config.network import impairment_changes
+        from crazychoir.config.tables import LinkTable
 
         await window.find()
         window.check("--edge", pair or ())
         window.check("--drone", () if drone is None else (drone,))
-        arguments: dict[str, Any] = {**given, **impairment_changes(effects)}
+        arguments: dict[str, Any] = {
+            **given,
+            **impairment_changes(LinkTable(**effects)),
+        }
         return await window.request("impair", None, **arguments)
 
     answers = run_as_observer(swarm, work, as_json)

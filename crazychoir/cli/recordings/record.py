@@ -59,7 +59,12 @@ def record(
             config = window.config
             bus = window.link.bus
             recorder = Recorder(
-                bus, config.ids, opened, window.address, config.source, topics=chosen
+                bus,
+                config.ids,
+                opened,
+                window.address,
+                config.topology.source,
+                topics=chosen,
             )
             recorder.ended = "Ctrl-C"
             recorders.append(recorder)

@@ -145,6 +145,7 @@ async def _replay(
     from crazychoir.bus.network.zenoh_link import ZenohLink
     from crazychoir.bus.port import Bus
     from crazychoir.bus.topics import OBSERVABLE_TOPICS, TOPIC_BY_NAME
+    from crazychoir.config.addresses import Addresses
     from crazychoir.launch.network import REPLAY_HOST, run_attached
     from crazychoir.recording.replayer import Replayer
 
@@ -152,20 +153,30 @@ async def _replay(
     bus = Bus(clock, process=f"replay-{incarnation & 0xFFFFFFFF:08x}", host=REPLAY_HOST)
     for i in config.ids:
         for address in sorted(
-            {i, *(config.source(TOPIC_BY_NAME[name], i) for name in OBSERVABLE_TOPICS)}
+            {
+                i,
+                *(
+                    config.topology.source(TOPIC_BY_NAME[name], i)
+                    for name in OBSERVABLE_TOPICS
+                ),
+            }
         ):
             bus.port(address, incarnation)
     link = ZenohLink(
         bus,
         config.name,
-        listen=list(config.endpoints().values()),
+        listen=list(Addresses(config).endpoints().values()),
         connect=[],
         incarnation=incarnation,
         version=PACKAGE_VERSION,
         lease=config.lease,
     )
     replayer = Replayer(
-        bus, file, speed, None if step is None else _read_steps(step), config.source
+        bus,
+        file,
+        speed,
+        None if step is None else _read_steps(step),
+        config.topology.source,
     )
     async with run_attached(link):
         latest = clock.now() + wait

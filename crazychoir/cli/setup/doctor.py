@@ -123,7 +123,9 @@ def check_mission(config: "SwarmConfig") -> CheckResult:
 
 def find_missing_files(config: "SwarmConfig") -> list[CheckResult]:
     """Return a fault for each file that the swarm file names and that is missing."""
-    lost = {key: path for key, path in config.files.items() if not path.is_file()}
+    from crazychoir.config.file_paths import list_files
+
+    lost = {key: path for key, path in list_files(config).items() if not path.is_file()}
     do = "Copy it here: crazychoir push"
     return [
         CheckResult(f"file of {key}", "wrong", f"{path}: it is not there", do)
@@ -137,6 +139,7 @@ def check_network(config: "SwarmConfig", host: str | None) -> list[CheckResult]:
     They concern addresses, ports, other hosts, keys, radios, and memory for its processes.
     """
     from crazychoir.cli.setup import host_checks, host_facts
+    from crazychoir.config.addresses import Addresses
 
     own = [name for name, address in config.hosts.items() if host_facts.is_own(address)]
     here = [name for name in own if host in (None, name)]
@@ -168,15 +171,16 @@ def check_network(config: "SwarmConfig", host: str | None) -> list[CheckResult]:
     rows += check_certificates(config, here)
     ids = [
         i
-        for k, ids in config.dongles.items()
-        if _is_here(config.dongle_host(k), here)
+        for k, ids in config.topology.dongles.items()
+        if _is_here(config.topology.dongle_host(k), here)
         for i in ids
     ]
     uris = [config.drone(i).uri for i in ids]
     numbers = [int(uri.split("/")[2]) for uri in uris if uri.startswith("radio://")]
     rows += host_checks.check_crazyradios(host_facts.crazyradios(), numbers)
+    addresses = Addresses(config)
     processes = sum(
-        _is_here(config.host_of(process), here) for process in config.endpoints()
+        _is_here(addresses.host_of(process), here) for process in addresses.endpoints()
     )
     return [*rows, host_checks.check_memory(host_facts.memory_mb(), processes)]
 
@@ -189,11 +193,13 @@ def listening_processes(
     In a swarm with a router only the router listens.
     """
     from crazychoir.cli.setup.systemd_units import UnitNumber, name_of
+    from crazychoir.config.addresses import Addresses
 
+    addresses = Addresses(config)
     found = {}
-    for process, endpoint in config.endpoints().items():
+    for process, endpoint in addresses.endpoints().items():
         listens = config.router is None or process == UnitNumber.ROUTER
-        if listens and _is_here(config.host_of(process), hosts):
+        if listens and _is_here(addresses.host_of(process), hosts):
             address, _, port = endpoint.partition("/")[2].rpartition(":")
             found[int(port)] = (address.strip("[]"), name_of(process))
     return found

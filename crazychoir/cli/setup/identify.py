@@ -41,7 +41,9 @@ def identify(
         config, which = find_swarm(swarm)
         require_reached(config, which, drone)
         uri = config.drone(drone).uri
-        dongle = next(dongle for dongle, ids in config.dongles.items() if drone in ids)
+        dongle = next(
+            dongle for dongle, ids in config.topology.dongles.items() if drone in ids
+        )
 
         def say(text: str) -> None:
             ERROR_CONSOLE.print(f"drone {drone} ({uri}): {text}", highlight=False)

@@ -299,7 +299,9 @@ def find_units(folder: Path) -> list[Path]:
 
 def files_to_push(config: "SwarmConfig") -> list[Path]:
     """Return the files beside the swarm file that a flight needs."""
-    files = list(config.files.values())
+    from crazychoir.config.file_paths import list_files
+
+    files = list(list_files(config).values())
     if config.mission is not None and config.mission.endswith(".py"):
         files.append(Path(config.mission))
     if config.mocap.file:

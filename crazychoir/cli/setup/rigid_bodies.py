@@ -68,7 +68,9 @@ def names(
         file = _file(swarm, write)
         config, frames = _gather_frames(swarm, source, seconds)
         seen = measure_bodies(frames, seconds)
-        matches = match_bodies(seen, {i: config.drone(i).home for i in config.seen})
+        matches = match_bodies(
+            seen, {i: config.drone(i).home for i in config.topology.seen}
+        )
         sure = [match for match in matches if match.sure]
         changes: Changes = {
             m.drone: {"body": m.name}
@@ -96,7 +98,9 @@ def names(
         _print_lines(changes, written)
         _say_left(config, matches)
     outputs.say()
-    raise typer.Exit(0 if len(sure) == len(config.seen) and not outputs.failed else 1)
+    raise typer.Exit(
+        0 if len(sure) == len(config.topology.seen) and not outputs.failed else 1
+    )
 
 
 @app.command()
@@ -176,7 +180,7 @@ def _gather_frames(
 
     found, which = find_swarm(swarm)
     config = with_source(found, source)
-    if drone is None and not config.seen:
+    if drone is None and not config.topology.seen:
         do = "Name another swarm file by --swarm."
         raise ConfigError(
             which,
@@ -341,9 +345,9 @@ def _say_left(config: "SwarmConfig", matches: "list[BodyMatch]") -> None:
     from crazychoir.mocap.naming import HOME_RADIUS
 
     sure = {m.drone: m.name for m in matches if m.sure}
-    if all(sure.get(i) == config.body_name(i) for i in config.seen):
+    if all(sure.get(i) == config.body_name(i) for i in config.topology.seen):
         ERROR_CONSOLE.print("the swarm file has these names")
-    left = [i for i in config.seen if i not in sure]
+    left = [i for i in config.topology.seen if i not in sure]
     if left:
         names = ", ".join(map(str, left))
         ERROR_CONSOLE.print(

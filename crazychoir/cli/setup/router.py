@@ -26,6 +26,8 @@ def router(
     # The threads of Zenoh inherit this mask, so that only sigwait receives these signals.
     unmasked = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)
     from crazychoir.bus.network.zenoh_link import route_messages
+    from crazychoir.config.access import access_of
+    from crazychoir.config.addresses import Addresses
     from crazychoir.config.swarm_config import find_swarm
 
     try:
@@ -35,8 +37,8 @@ def router(
             raise ConfigError(
                 f"{which}: router", "nothing", "the host that it runs on", do
             )
-        at = config.routers if listen is None else [listen]
-        access = config.access(config.router or "", *at)
+        at = Addresses(config).routers if listen is None else [listen]
+        access = access_of(config, config.router or "", *at)
         with route_messages(at, config.lease, access):
             closed = "mutual TLS" if access is not None else "open to everybody"
             ERROR_CONSOLE.print(

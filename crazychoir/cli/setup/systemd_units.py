@@ -8,10 +8,10 @@ if TYPE_CHECKING:
 
 
 class UnitNumber(IntEnum):
-    """Numbers of the processes without drones, equal to those in config/swarm_config.py."""
+    """Numbers of the processes without drones, equal to those in config/addresses.py."""
 
     WORLD = -1
-    """Numbers of processes, equal to those in config/swarm_config.py, which takes 1 s to import.
+    """Numbers of processes, equal to those in config/addresses.py, which takes 1 s to import.
     """
     MOCAP = -2
     FIRST_DONGLE = -3
@@ -48,8 +48,11 @@ def unit_of(process: int) -> str:
 
 def units(config: "SwarmConfig", host: str) -> list[str]:
     """Return the units of a host, owners first, because agents wait for them."""
+    from crazychoir.config.addresses import Addresses
+
+    addresses = Addresses(config)
     return [
         unit_of(process)
-        for process in config.endpoints()
-        if config.host_of(process) == host
+        for process in addresses.endpoints()
+        if addresses.host_of(process) == host
     ]

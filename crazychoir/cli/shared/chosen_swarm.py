@@ -1,11 +1,11 @@
 """The swarm and the mission that a command line names."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
+from crazychoir.config.addresses import Addresses
 from crazychoir.config.number_lists import parse_spans
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm, find_swarm
 from crazychoir.errors import ConfigError
@@ -61,10 +61,7 @@ def replace_swarm_values(
     """Return the swarm with each value replaced that is not None."""
     changes: dict[str, Any] = {}
     if loss is not None:
-        network = json.loads(config.dumps())["network"]
-        changes["network"] = {
-            key: value for key, value in network.items() if value is not None
-        } | {"loss": loss}
+        config = config.with_network(loss=loss)
     if seed is not None:
         changes["seed"] = seed
     if mission is not None:
@@ -192,7 +189,7 @@ def drones_to_start(only: str | None, config: SwarmConfig) -> tuple[int, ...]:
     for i in here:
         if i not in config.ids:
             raise ConfigError("--only", only, allowed, f"There is no drone {i}.")
-    for group in config.groups():
+    for group in Addresses(config).groups():
         if not (set(group) <= set(here) or set(group).isdisjoint(here)):
             do = "Name all of them or none, or mend `processes` in the swarm file."
             raise ConfigError(

@@ -59,7 +59,7 @@ class EmergencyStop:
         self.meant = meant
         self.clear = clear
         self.alone = alone
-        self.owned = [i for i in place.config.elsewhere if i in meant]
+        self.owned = [i for i in place.config.topology.elsewhere if i in meant]
         self.found: dict[int, float] = {}  # time in s at which each agent was found
         self.obeyed: dict[int, None] = {}
         self._told = 0

@@ -150,7 +150,7 @@ class Window:
         """
         box = Call(self.clock, function)
         self.link.bus.subscribe(
-            topic, self.config.source(topic, i), self.address, box, rate
+            topic, self.config.topology.source(topic, i), self.address, box, rate
         )
         return box
 
@@ -164,7 +164,7 @@ class Window:
             self.link.bus,
             self.config.ids,
             address=self.address,
-            source=self.config.source,
+            source=self.config.topology.source,
         )
 
     async def request(

@@ -4,7 +4,8 @@ import socket
 from dataclasses import dataclass
 from pathlib import Path
 
-from crazychoir.config.swarm_config import LOCAL_ADDRESS, SwarmConfig, find_swarm
+from crazychoir.config.addresses import LOCAL_ADDRESS, Addresses
+from crazychoir.config.swarm_config import SwarmConfig, find_swarm
 from crazychoir.errors import Refused
 from crazychoir.launch.run_registry import (
     RunRecord,
@@ -91,7 +92,7 @@ def first_process_timeout(config: SwarmConfig) -> float:
         return SWARM_SEARCH.start_timeout
     places = [
         endpoint.partition("/")[2].rpartition(":")
-        for endpoint in config.endpoints().values()
+        for endpoint in Addresses(config).endpoints().values()
     ]
     elsewhere = any(host != LOCAL_ADDRESS for host, _, _ in places)
     return (
@@ -130,7 +131,7 @@ def starting_text(config: SwarmConfig, seconds: float) -> str:
 
 def _at(config: SwarmConfig) -> str:
     """Return where the swarm was searched, as a text."""
-    first, *more = config.endpoints().values()
+    first, *more = Addresses(config).endpoints().values()
     return f"at {first}{' ...' if more else ''}"
 
 

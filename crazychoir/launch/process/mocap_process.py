@@ -2,10 +2,7 @@
 
 import contextlib
 import math
-import random
-import socket
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +10,14 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from crazychoir.bus.network.hello import PACKAGE_VERSION
-from crazychoir.bus.network.zenoh_link import ZenohLink
-from crazychoir.config.swarm_config import PROCESS_NUMBERS, SwarmConfig
-from crazychoir.launch.process.signals import end_on_signals
+from crazychoir.config.addresses import PROCESS_NUMBERS
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.launch.process.owner import ProcessIdentity, run_owner
 from crazychoir.mocap.process import MocapProcess, make_source
 from crazychoir.mocap.recording import FrameRecorder
 from crazychoir.mocap.watch import TRACKING_LIMITS, BodyRecord
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock, run_wall
-from crazychoir.runtime.watchdog import Watchdog
 
 MOCAP_TABLE_RATE = 4.0
 """Updates of the live table, Hz."""
@@ -56,40 +51,21 @@ def run_mocap(
     """
 
     async def main(clock: Clock) -> dict[str, Any]:
-        incarnation = random.SystemRandom().getrandbits(62)
-        name = f"mocap-{incarnation & 0xFFFFFFFF:08x}"
-        host = config.mocap.host or socket.gethostname().split(".")[0]
+        number = PROCESS_NUMBERS.motion_capture
+        me = ProcessIdentity.draw("mocap", number, config.mocap.host)
         source = make_source(clock, config)
         recorder = (
             None if record is None else stack.enter_context(FrameRecorder(record))
         )
-        mocap = MocapProcess(clock, config, source, name, host, incarnation, recorder)
-        link = ZenohLink(
-            mocap.bus,
-            config.name,
-            listen=[listen or config.endpoints()[PROCESS_NUMBERS.motion_capture]],
-            connect=[],
-            routers=config.routers,
-            incarnation=incarnation,
-            version=PACKAGE_VERSION,
-            lease=config.lease,
-            access=config.access(host, *filter(None, [listen])),
-            on_refused=mocap.refuse,
-            agreed=config.of_bodies(),
+        mocap = MocapProcess(
+            clock, config, source, me.name, me.host, me.incarnation, recorder
         )
-        link.open()
-        watchdog = Watchdog(clock)
-        watchdog.start()
-        end_on_signals(clock, mocap)
+        table = [MocapTableActor(mocap, show)] if show else []
         try:
-            await mocap.serve(link, *([MocapTableActor(mocap, show)] if show else []))
+            figures = await run_owner(config, mocap, me, listen, services=table)
         finally:
-            watchdog.stop()
-            stack.close()
-        return mocap.report() | {
-            "network": asdict(link.counters),
-            "late_s": watchdog.worst,
-        }
+            stack.close()  # what is written counts in the report
+        return mocap.report() | figures
 
     with contextlib.ExitStack() as stack:
         return run_wall(main)

@@ -1,9 +1,7 @@
 """One process of a swarm in real time: its drones, its connection to the network, its signals."""
 
 import logging
-import random
 import signal
-import socket
 from dataclasses import asdict
 from typing import Any
 
@@ -12,10 +10,14 @@ from crazychoir.agent.worlds import WorldProcess
 from crazychoir.bus.network.hello import PACKAGE_VERSION
 from crazychoir.bus.network.public_topics import PublicCopies
 from crazychoir.bus.network.zenoh_link import ZenohLink
-from crazychoir.config.swarm_config import PROCESS_NUMBERS, SwarmConfig
+from crazychoir.config.access import access_of
+from crazychoir.config.addresses import PROCESS_NUMBERS, Addresses
+from crazychoir.config.digest import compute_body_digests
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import Refused
 from crazychoir.guidance.mission import Mission
-from crazychoir.launch.process.signals import REPEAT_TIME, SIGNAL_NAMES, end_on_signals
+from crazychoir.launch.process.owner import ProcessIdentity, run_owner
+from crazychoir.launch.process.signals import REPEAT_TIME, SIGNAL_NAMES
 from crazychoir.radio.link.ownership import own_dongle
 from crazychoir.radio.owner import RadioProcess
 from crazychoir.runtime.clock import NS_PER_SECOND, Clock, run_wall
@@ -35,15 +37,14 @@ def run_agent(
     """Fly these drones in real time, over Zenoh; return their results and the counters."""
 
     async def main(clock: Clock) -> dict[str, Any]:
-        incarnation = random.SystemRandom().getrandbits(62)
-        process = f"{ids[0]}-{incarnation & 0xFFFFFFFF:08x}"
+        me = ProcessIdentity.draw(str(ids[0]), ids[0], config.drone(ids[0]).host)
         agent = Agent(
             clock,
             config,
             mission,
             ids,
-            process=process,
-            incarnation=incarnation,
+            process=me.name,
+            incarnation=me.incarnation,
             alone=False,
         )
         _obey_signals(clock, agent)  # before others can find this process and end it
@@ -81,10 +82,12 @@ def _make_process_link(
 
     So there is exactly one connection between two processes.
     """
-    host = config.endpoint(ids[0]).rsplit(":", 1)[0]
+    host = Addresses(config).endpoint(ids[0]).rsplit(":", 1)[0]
     own = f"{host}:{config.base_port + ids[0]}"
     lower = [
-        endpoint for process, endpoint in config.endpoints().items() if process < ids[0]
+        endpoint
+        for process, endpoint in Addresses(config).endpoints().items()
+        if process < ids[0]
     ]
 
     def on_token(drones: list[int], there: bool) -> None:
@@ -104,14 +107,16 @@ def _make_process_link(
         config.name,
         listen=[listen or own],
         connect=lower if connect is None else connect,
-        routers=[] if listen or connect else config.routers,
+        routers=[] if listen or connect else Addresses(config).routers,
         incarnation=agent.incarnation,
         version=PACKAGE_VERSION,
         lease=config.lease,
-        access=config.access(agent.bus.host, *filter(None, [listen, *(connect or ())])),
+        access=access_of(
+            config, agent.bus.host, *filter(None, [listen, *(connect or ())])
+        ),
         on_token=on_token,
         on_refused=on_refused,
-        agreed=config.of_bodies(),
+        agreed=compute_body_digests(config),
     )
 
 
@@ -119,35 +124,10 @@ def run_world(config: SwarmConfig, listen: str | None) -> dict[str, Any]:
     """Own the simulated world of a swarm in real time, over Zenoh; return a report."""
 
     async def main(clock: Clock) -> dict[str, Any]:
-        incarnation = random.SystemRandom().getrandbits(62)
-        process = f"world-{incarnation & 0xFFFFFFFF:08x}"
-        host = config.world.host or socket.gethostname().split(".")[0]
-        world = WorldProcess(clock, config, process, host, incarnation)
-        link = ZenohLink(
-            world.bus,
-            config.name,
-            listen=[listen or config.endpoints()[PROCESS_NUMBERS.world]],
-            connect=[],
-            routers=config.routers,
-            incarnation=incarnation,
-            version=PACKAGE_VERSION,
-            lease=config.lease,
-            access=config.access(host, *filter(None, [listen])),
-            on_refused=world.refuse,
-            agreed=config.of_bodies(),
-        )
-        link.open()
-        watchdog = Watchdog(clock)
-        watchdog.start()
-        end_on_signals(clock, world)
-        try:
-            await world.serve(link)
-        finally:
-            watchdog.stop()
-        return world.report() | {
-            "network": asdict(link.counters),
-            "late_s": watchdog.worst,
-        }
+        me = ProcessIdentity.draw("world", PROCESS_NUMBERS.world, config.world.host)
+        world = WorldProcess(clock, config, me.name, me.host, me.incarnation)
+        figures = await run_owner(config, world, me, listen)
+        return world.report() | figures
 
     return run_wall(main)
 
@@ -157,32 +137,17 @@ def run_radios(config: SwarmConfig, dongle: int, listen: str | None) -> dict[str
 
     Raises Refused if another process owns the dongle.
     """
+    number = PROCESS_NUMBERS.first_dongle - dongle
+    host = config.topology.dongle_host(dongle)
 
     async def main(clock: Clock) -> dict[str, Any]:
-        incarnation = random.SystemRandom().getrandbits(62)
-        process = f"dongle{dongle}-{incarnation & 0xFFFFFFFF:08x}"
-        host = config.dongle_host(dongle) or socket.gethostname().split(".")[0]
-        radios = RadioProcess(clock, config, dongle, process, host, incarnation)
-        endpoints = config.endpoints()
-        link = ZenohLink(
-            radios.bus,
-            config.name,
-            listen=[listen or endpoints[PROCESS_NUMBERS.first_dongle - dongle]],
-            connect=[endpoints[PROCESS_NUMBERS.motion_capture]]
-            if PROCESS_NUMBERS.motion_capture in endpoints
-            else [],
-            routers=config.routers,
-            incarnation=incarnation,
-            version=PACKAGE_VERSION,
-            lease=config.lease,
-            access=config.access(host, *filter(None, [listen])),
-            on_refused=radios.refuse,
-            agreed=config.of_bodies(),
-        )
-        link.open()
-        end_on_signals(clock, radios)
-        await radios.serve(link)
-        return radios.report() | {"network": asdict(link.counters)}
+        me = ProcessIdentity.draw(f"dongle{dongle}", number, host)
+        radios = RadioProcess(clock, config, dongle, me.name, me.host, me.incarnation)
+        endpoints = Addresses(config).endpoints()
+        cameras = endpoints.get(PROCESS_NUMBERS.motion_capture)
+        connect = [] if cameras is None else [cameras]
+        figures = await run_owner(config, radios, me, listen, connect, is_watched=False)
+        return radios.report() | figures
 
     with own_dongle(config, dongle):
         return run_wall(main)

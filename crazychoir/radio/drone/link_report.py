@@ -125,7 +125,7 @@ class LinkReport:
         homes = {}
         if not self.has_flown:
             config = self._setup.config
-            homes = {j: np.array(config.drone(j).home) for j in config.seen}
+            homes = {j: np.array(config.drone(j).home) for j in config.topology.seen}
         i = self._setup.drone
         drones = {j: GroundedDrone(home, None, None) for j, home in homes.items()}
         drones[i] = GroundedDrone(homes.get(i), own, self._view.pose.fresh())

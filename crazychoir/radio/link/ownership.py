@@ -89,7 +89,7 @@ def require_free(config: SwarmConfig, dongles: Iterable[int]) -> None:
 
 def _lock_names(config: SwarmConfig, dongle: int) -> list[str]:
     """Return the names of a dongle's locks, in an order that all processes use."""
-    uris = [config.drone(i).uri for i in config.dongles[dongle]]
+    uris = [config.drone(i).uri for i in config.topology.dongles[dongle]]
     names = {
         f"dongle-{uri.split('/')[2]}" if uri.startswith("radio") else uri
         for uri in uris

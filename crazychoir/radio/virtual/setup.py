@@ -182,12 +182,12 @@ def _make_seats(
     decks: Sequence[str] | None,
     release: str,
 ) -> tuple[DroneSeat, ...]:
-    seen = {config.body_name(i) for i in config.seen}
+    seen = {config.body_name(i) for i in config.topology.seen}
 
     def body(drone: DroneTable) -> str:
         name = config.body_name(drone.id)
         # Empty if the name belongs to the body of another drone.
-        return "" if name in seen and drone.id not in config.seen else name
+        return "" if name in seen and drone.id not in config.topology.seen else name
 
     return tuple(
         DroneSeat(
@@ -265,7 +265,7 @@ def dongle_groups(
     }
     found = {
         k: tuple(i for i in group if i in ids)
-        for k, group in hall.config.dongles.items()
+        for k, group in hall.config.topology.dongles.items()
     }
     shared = {
         k: rows.get(k, hall.config.radio.capacity)

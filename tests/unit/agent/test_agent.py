@@ -189,7 +189,7 @@ def test_after_an_emergency_stop_the_agent_says_what_it_waits_for_and_an_operato
         running = asyncio.create_task(agent.run())
         await clock.sleep(3.0)
         agent.bus.stopped = True
-        agent._stop(agent.drones[0], True)
+        agent.commands[0].stop(True)
         await clock.sleep(60.0)
         status = agent.drones[0].status()
         assert (status.phase, status.note, status.stopped) == (
@@ -228,7 +228,7 @@ def test_an_emergency_stop_cuts_for_good_and_its_clearing_only_ends_the_agent(
         running = asyncio.create_task(agent.run())
         await clock.sleep(3.0)
         agent.bus.stopped = True
-        agent._stop(agent.drones[0], True)
+        agent.commands[0].stop(True)
         await clock.sleep(10.0)
         assert not running.done(), "it stays to tell those who start"
         agent.bus.stopped = False
@@ -811,7 +811,7 @@ def test_a_team_that_comes_apart_says_so_in_log_status_and_result(caplog):
             agent.bus.close(1)
             port = agent.drones[1].port
             port.send = port.publish = lambda *message, **named: None
-            agent._guidances[1].abort("killed")
+            agent.runners[1].abort("killed")
 
         clock.call_at(4 * NS_PER_SECOND, crash)
         return await agent.run(), said, statuses
@@ -841,6 +841,6 @@ def test_a_drone_that_a_radio_reaches_is_watched_by_the_figures_of_its_platform(
             {"name": "a", "drones": drones, "control": {"sender": "xyz"}}
         )
         agent = Agent(clock, config, mission_of(stays), config.ids, alone=False)
-        return [watch.firmware.low for watch in agent._radios]
+        return [drone.radio_watch.firmware.low for drone in agent.drones.values()]
 
     assert run_virtual(main) == [3.2, 3.35]

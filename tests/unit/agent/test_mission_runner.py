@@ -8,7 +8,7 @@ from virtual_time import virtual
 
 from crazychoir.agent.mission_runner import (
     MISSION_TIMES,
-    GuidanceActor,
+    MissionRunner,
     check_result,
 )
 from crazychoir.bus.codec import MAX_PAYLOAD
@@ -50,7 +50,7 @@ class Lands:
 @virtual
 async def test_one_that_others_keep_up_is_never_cut(clock):
     pilot = Lands(clock, 3.0 * HELD_FLIGHT_PATIENCE, kept_up=True)
-    await GuidanceActor(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
+    await MissionRunner(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
     assert pilot.cut_at is None
     assert clock.now() == pytest.approx(3.0 * HELD_FLIGHT_PATIENCE, abs=0.1)
 
@@ -58,7 +58,7 @@ async def test_one_that_others_keep_up_is_never_cut(clock):
 @virtual
 async def test_one_that_does_not_come_down_though_nobody_keeps_it_up_is_cut(clock):
     pilot = Lands(clock, 3.0 * HELD_FLIGHT_PATIENCE, kept_up=False)
-    await GuidanceActor(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
+    await MissionRunner(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
     assert pilot.cut_at == pytest.approx(MISSION_TIMES.landing_deadline, abs=0.1)
 
 
@@ -66,7 +66,7 @@ async def test_one_that_does_not_come_down_though_nobody_keeps_it_up_is_cut(cloc
 async def test_one_whose_radio_is_silent_is_not_cut_when_it_is_reached_again(clock):
     pilot = Lands(clock, 3.0 * HELD_FLIGHT_PATIENCE, kept_up=False)
     pilot.unreached = True
-    await GuidanceActor(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
+    await MissionRunner(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
     assert pilot.cut_at is None
 
 
@@ -81,9 +81,12 @@ async def test_what_keeps_a_drone_from_flying_is_for_the_others_to_hear_too(cloc
         barrier=barrier,
         unfit=lambda: ["no such parameter", "battery at 3.1 V"],
     )
-    config = SimpleNamespace(reached=(4,), radio=SimpleNamespace(connect_deadline=10.0))
+    config = SimpleNamespace(
+        topology=SimpleNamespace(reached=(4,)),
+        radio=SimpleNamespace(connect_deadline=10.0),
+    )
     with pytest.raises(Refused, match="no such parameter; battery"):
-        await GuidanceActor(drone, config, None)._until_fit()
+        await MissionRunner(drone, config, None)._until_fit()
     assert clock.now() == pytest.approx(10.0 + MISSION_TIMES.readiness_time, abs=0.1)
     assert (barrier.refused, monitor.silent) == (
         "no such parameter; battery at 3.1 V",
@@ -153,7 +156,7 @@ class Stopped:
 def test_who_ends_a_mission_after_an_emergency_stop_is_not_its_reason(cut_for):
     @virtual
     async def check(clock):
-        actor = GuidanceActor(SimpleNamespace(id=4, pilot=Stopped(cut_for)), None, None)
+        actor = MissionRunner(SimpleNamespace(id=4, pilot=Stopped(cut_for)), None, None)
         actor.abort("Ctrl-C (SIGINT): landing")
         assert actor.over == (cut_for or "Ctrl-C (SIGINT): landing")
 
@@ -163,7 +166,7 @@ def test_who_ends_a_mission_after_an_emergency_stop_is_not_its_reason(cut_for):
 @virtual
 async def test_what_has_broken_a_drone_is_said_once(clock):
     drone = SimpleNamespace(id=4, pilot=Stopped(""), harm=lambda: "locked")
-    actor = GuidanceActor(drone, None, None)
+    actor = MissionRunner(drone, None, None)
     refused = "drone 4: refused: locked"
     assert actor._judged({"success": False, "reason": refused})["reason"] == refused
     assert (

@@ -166,7 +166,7 @@ def test_the_truth_comes_from_the_body():
     async def main(clock):
         config = swarm()
         world = WorldProcess(clock, config, "world", "here", 1)
-        score = FlightScore(world.bus, config.ids, source=config.source)
+        score = FlightScore(world.bus, config.ids, source=config.topology.source)
         serving = asyncio.create_task(world.serve(score))
         await clock.sleep(1.0)
         world.end("enough")

@@ -2,6 +2,7 @@ import pytest
 
 from crazychoir.bus.port import PORT_ADDRESSES
 from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.config.digest import compute_digest
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 
@@ -41,15 +42,17 @@ def test_drones_that_no_camera_sees_may_have_any_body():
             radio=OFTEN,
         )
     )
-    assert config.seen == (0,)
+    assert config.topology.seen == (0,)
     assert (
-        config.source(DRONE_TOPICS.pose, 0)
-        == config.source(DRONE_TOPICS.truth, 0)
+        config.topology.source(DRONE_TOPICS.pose, 0)
+        == config.topology.source(DRONE_TOPICS.truth, 0)
         == PORT_ADDRESSES.camera_offset
     )
-    assert config.source(DRONE_TOPICS.body, 0) == PORT_ADDRESSES.body_offset
-    assert config.source(DRONE_TOPICS.pose, 1) == PORT_ADDRESSES.body_offset + 1
-    assert config.source(DRONE_TOPICS.pose, 2) == 2
+    assert config.topology.source(DRONE_TOPICS.body, 0) == PORT_ADDRESSES.body_offset
+    assert (
+        config.topology.source(DRONE_TOPICS.pose, 1) == PORT_ADDRESSES.body_offset + 1
+    )
+    assert config.topology.source(DRONE_TOPICS.pose, 2) == 2
 
 
 def test_a_replay_without_a_file_is_refused():
@@ -66,4 +69,4 @@ def test_a_recording_is_relative_to_the_swarm_file_and_its_folder_nobodys_busine
     (tmp_path / "s.json").write_text(config.dumps())
     loaded = SwarmConfig.load(tmp_path / "s.json")
     assert loaded.mocap.file == str(tmp_path / "a.csv")
-    assert loaded.digest() == config.digest()
+    assert compute_digest(loaded) == compute_digest(config)

@@ -7,6 +7,7 @@ import msgspec
 import pytest
 
 from crazychoir.config import tables
+from crazychoir.config.addresses import Addresses
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import ConfigError
 
@@ -468,8 +469,8 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
 def test_nobody_asks_for_an_unknown_drone() -> None:
     for wrong in (
         default_swarm(3).drone,
-        default_swarm(3).endpoint,
-        default_swarm(3).process,
+        Addresses(default_swarm(3)).endpoint,
+        Addresses(default_swarm(3)).process,
     ):
         with pytest.raises(
             ConfigError, match=r"^swarm default: found drone 9; allowed: 0 to 2\.$"

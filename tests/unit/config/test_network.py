@@ -3,17 +3,72 @@
 import pytest
 
 from crazychoir.bus.impairment.model import Impairment
-from crazychoir.config.network import impairment_changes, impairment_of
+from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
+from crazychoir.config.network import (
+    ENDLESS_TIME,
+    impairment_changes,
+    impairment_of,
+    network_partitions,
+    network_rules,
+)
 from crazychoir.config.swarm_config import default_swarm
+from crazychoir.config.tables import (
+    EdgeTable,
+    LinkTable,
+    NetworkTable,
+    PartitionTable,
+)
 from crazychoir.errors import ConfigError
+
+
+def test_rules_come_from_the_effects_that_are_set():
+    network = NetworkTable(
+        loss=0.25,
+        burst=5.0,
+        delay=0.0,
+        edges=(
+            EdgeTable(source=0, destination=1, jitter=0.1),
+            EdgeTable(source=2, loss=1.0),
+            EdgeTable(destination=3, loss=0.0, burst=2.0, bandwidth=100.0),
+        ),
+    )
+    chain = {"p_bad_good": 0.2, "p_good_bad": 0.2 * 0.25 / 0.75, "loss_bad": 1.0}
+    assert network_rules(network) == [
+        ImpairmentRule(chain),
+        ImpairmentRule({"jitter": 0.1}, edge=(0, 1), directed=True),
+        ImpairmentRule({"loss": 1.0}, drone=2),
+        ImpairmentRule({"bandwidth": 100.0}, drone=3),
+    ]
+    assert network_rules(NetworkTable(loss=0.0)) == []
+
+
+def test_further_effects_replace_those_of_the_table():
+    rules = network_rules(NetworkTable(loss=0.5, delay=0.001), {"delay": 0.0})
+    assert rules == [ImpairmentRule({"loss": 0.5, "delay": 0.0})]
+
+
+def test_partitions_name_every_drone():
+    cut = PartitionTable(at=2.0, groups=((1,),))
+    assert network_partitions(NetworkTable(partitions=(cut,)), range(4)) == [
+        NetworkPartition(2.0, ENDLESS_TIME, (1,), (0, 2, 3))
+    ]
+    whole = PartitionTable(at=2.0, until=3.0, groups=((1, 0), (2, 3)))
+    assert network_partitions(NetworkTable(partitions=(whole,)), range(4)) == [
+        NetworkPartition(2.0, 3.0, (1, 0), (2, 3))
+    ]
+    three = PartitionTable(at=2.0, until=3.0, groups=((0,), (1,)))
+    assert network_partitions(NetworkTable(partitions=(three,)), range(3)) == [
+        NetworkPartition(2.0, 3.0, a, b)
+        for a, b in [((0,), (1,)), ((0,), (2,)), ((1,), (2,))]
+    ]
 
 
 def test_a_running_network_takes_what_a_file_would_say():
     link = {"loss": 0.25, "burst": 5.0, "delay": 0.1}
     running = Impairment(0)
-    running.update(impairment_changes({**link, "jitter": None}))
+    running.update(impairment_changes(LinkTable(**link, jitter=None)))
     assert running.rules == impairment_of(default_swarm(2).replace(network=link)).rules
-    running.update(impairment_changes({"loss": 0.5}))
+    running.update(impairment_changes(LinkTable(loss=0.5)))
     assert [rule.describe() for rule in running.rules] == [
         {"delay": 0.1, "loss": 0.5}
     ], "no bursts any more"
@@ -25,4 +80,10 @@ def test_a_running_network_takes_what_a_file_would_say():
 )
 def test_a_burst_is_of_a_loss(options):
     with pytest.raises(ConfigError, match="1 or more, with a loss between 0 and 1"):
-        impairment_changes(options)
+        impairment_changes(LinkTable(**options))
+
+
+def test_a_change_may_set_an_effect_to_zero():
+    running = Impairment(0, network_rules(NetworkTable(loss=0.3, delay=0.1)))
+    running.update(impairment_changes(LinkTable(loss=0.0, delay=0.0)))
+    assert running.rules == (ImpairmentRule({"loss": 0.0, "delay": 0.0}),)

@@ -4,7 +4,8 @@ import pytest
 
 from crazychoir.bus.port import PORT_ADDRESSES
 from crazychoir.bus.topics import DRONE_TOPICS
-from crazychoir.config.swarm_config import PROCESS_NUMBERS, SwarmConfig
+from crazychoir.config.addresses import PROCESS_NUMBERS, Addresses
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.radio.budget import compute_setpoint_rates
 
@@ -34,8 +35,13 @@ def udp(n: int, dongles: int = 1, **control: object) -> SwarmConfig:
 
 def test_dongles_come_from_the_key_or_the_uri() -> None:
     config = swarm("radio://2/80/2M/E7E7E7E700", "udp://10.0.0.1:19850", "sim://")
-    assert config.dongles == {0: (1,), 2: (0,)}
-    assert (config.reached, config.seen, config.owned, config.elsewhere) == (
+    assert config.topology.dongles == {0: (1,), 2: (0,)}
+    assert (
+        config.topology.reached,
+        config.topology.seen,
+        config.topology.owned,
+        config.topology.elsewhere,
+    ) == (
         (0, 1),
         (0, 1),
         (),
@@ -46,7 +52,7 @@ def test_dongles_come_from_the_key_or_the_uri() -> None:
 def test_owners_listen_below_the_drones() -> None:
     ports = {
         process: int(at.rpartition(":")[2])
-        for process, at in udp(4, 3).endpoints().items()
+        for process, at in Addresses(udp(4, 3)).endpoints().items()
     }
     assert ports == {
         PROCESS_NUMBERS.first_dongle - 2: 7455,
@@ -64,7 +70,7 @@ def test_owners_listen_below_the_drones() -> None:
 def test_who_says_what() -> None:
     config = swarm("udp://h:1", "sim://")
     assert [
-        config.source(topic, 0)
+        config.topology.source(topic, 0)
         for topic in (
             DRONE_TOPICS.pose,
             DRONE_TOPICS.truth,
@@ -77,13 +83,13 @@ def test_who_says_what() -> None:
         PORT_ADDRESSES.body_offset,
         0,
     ]
-    assert config.source(DRONE_TOPICS.pose, 1) == 1
+    assert config.topology.source(DRONE_TOPICS.pose, 1) == 1
     own = swarm("udp://h:1", head="[radio]\nlog_rate = 50", keys='pose = "onboard"')
-    assert (own.source(DRONE_TOPICS.pose, 0), own.seen) == (
+    assert (own.topology.source(DRONE_TOPICS.pose, 0), own.topology.seen) == (
         PORT_ADDRESSES.body_offset,
         (),
     )
-    assert (config.unseen, own.unseen) == ((), (0,))
+    assert (config.topology.unseen, own.topology.unseen) == ((), (0,))
 
 
 @pytest.mark.parametrize(

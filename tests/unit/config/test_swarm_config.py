@@ -1,10 +1,7 @@
 """The swarm file: what it says, round trips, digests, endpoints, the built-in swarms."""
 
-import json
-import os
+import math
 import re
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
@@ -12,18 +9,18 @@ import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from squares import SQUARE, square
 
-from crazychoir.bus.port import PORT_ADDRESSES
-from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.config.addresses import Addresses
+from crazychoir.config.digest import compute_digest
 from crazychoir.config.swarm_config import (
-    PROCESS_NUMBERS,
     SwarmConfig,
     default_swarm,
     demo_swarm,
     find_swarm,
 )
+from crazychoir.config.tables import NetworkTable
 from crazychoir.errors import ConfigError
-from crazychoir.radio.budget import compute_setpoint_rates
 from crazychoir.team.graph import (
     Graph,
     erdos_renyi_connected,
@@ -33,32 +30,6 @@ from crazychoir.team.graph import (
 )
 
 ROOT = Path(__file__).parents[3]
-
-SQUARE = """
-name = "square"
-seed = 3
-{keys}
-[[drones]]
-id = 0
-home = [0, 0, 0]
-{first}
-[[drones]]
-id = 1
-home = [1, 0, 0]
-[[drones]]
-id = 2
-home = [1, 1, 0]
-[[drones]]
-id = 3
-home = [0, 1, 0]
-{last}
-"""
-
-
-def square(keys: str = "", first: str = "", last: str = "") -> SwarmConfig:
-    return SwarmConfig.loads(
-        SQUARE.format(keys=keys, first=first, last=last), "square.toml"
-    )
 
 
 finite = st.floats(-3, 3, allow_nan=False)
@@ -132,7 +103,7 @@ def test_round_trip_through_text_keeps_everything(raw: dict[str, object]) -> Non
     config = SwarmConfig.of(raw)
     again = SwarmConfig.loads(config.dumps())
     assert again == config
-    assert again.digest() == config.digest()
+    assert compute_digest(again) == compute_digest(config)
     assert again.dumps() == config.dumps()
     assert config.replace() == config
     for name in ("name", "mission_options", "seed", "hosts"):
@@ -143,11 +114,13 @@ def test_round_trip_through_text_keeps_everything(raw: dict[str, object]) -> Non
 def test_processes_cover_the_swarm_and_endpoints_differ(raw: dict[str, object]) -> None:
     config = SwarmConfig.of(raw)
     assert (
-        sorted(i for group in config.groups() for i in group)
+        sorted(i for group in Addresses(config).groups() for i in group)
         == list(config.ids)
         == list(config.graph().ids)
     )
-    assert len(dict.fromkeys(config.endpoints().values())) == len(config.groups())
+    assert len(dict.fromkeys(Addresses(config).endpoints().values())) == len(
+        Addresses(config).groups()
+    )
 
 
 @given(st.text(max_size=60) | st.text(alphabet='{}[]=".,\n0123456789abc', max_size=60))
@@ -177,7 +150,7 @@ def test_defaults() -> None:
     )
     assert config.drone(1).home == (1.0, 0.0, 0.0)
     assert config.drone(1).uri == "sim://"
-    assert config.impairment() == {}
+    assert config.network == NetworkTable()
     assert config.graph() == ring(4)
 
 
@@ -212,111 +185,10 @@ def test_neighbors_are_whom_a_drone_hears() -> None:
     assert graph.in_neighbors(2) == (0, 1)
 
 
-def test_endpoints() -> None:
-    assert square().endpoints() == {i: f"tcp/127.0.0.1:{7460 + i}" for i in range(4)}
-    shared = square("base_port = 9000\nprocesses = [[3, 1], [0, 2]]")
-    assert shared.groups() == ((0, 2), (1, 3))
-    assert shared.process(3) == 1
-    assert shared.endpoint(3) == "tcp/127.0.0.1:9001"
-    assert shared.endpoints() == {0: "tcp/127.0.0.1:9000", 1: "tcp/127.0.0.1:9001"}
-
-
-@pytest.mark.parametrize(
-    ("address", "endpoint"),
-    [
-        ("10.0.0.7", "tls/10.0.0.7:7460"),
-        ("fe80::1", "tls/[fe80::1]:7460"),
-        ("lab.local", "tls/lab.local:7460"),
-    ],
-)
-def test_endpoint_of_a_host(address: str, endpoint: str) -> None:
-    drones = [{"id": 0, "home": [0, 0, 0], "host": "lab"}]
-    raw = {
-        "name": "a",
-        "hosts": {"lab": address},
-        "security": {"operators": ["lab"]},
-        "drones": drones,
-    }
-    assert SwarmConfig.of(raw).endpoint(0) == endpoint
-
-
-def test_only_lightweight_drones_without_an_owner_are_in_their_agents() -> None:
-    assert square().owned == ()
-    assert square(first='uri = "sim://motors"').owned == (0,)
-    assert square("world.owned = true").owned == (0, 1, 2, 3)
-    assert [
-        square().source(topic, 2)
-        for topic in (
-            DRONE_TOPICS.pose,
-            DRONE_TOPICS.truth,
-            DRONE_TOPICS.body,
-            DRONE_TOPICS.state,
-        )
-    ] == [
-        2,
-        2,
-        2,
-        2,
-    ]
-    owned = square("world.owned = true")
-    body = PORT_ADDRESSES.body_offset + 2
-    assert [
-        owned.source(topic, 2)
-        for topic in (
-            DRONE_TOPICS.pose,
-            DRONE_TOPICS.truth,
-            DRONE_TOPICS.body,
-            DRONE_TOPICS.state,
-        )
-    ] == [
-        body,
-        body,
-        body,
-        2,
-    ]
-
-
-def test_the_owner_of_the_world_is_reached_before_all_agents() -> None:
-    assert list(square("world.owned = true\nbase_port = 9000").endpoints().items())[
-        :2
-    ] == [
-        (PROCESS_NUMBERS.world, "tcp/127.0.0.1:8999"),
-        (0, "tcp/127.0.0.1:9000"),
-    ]
-    raw = {
-        "name": "a",
-        "hosts": {"lab": "10.0.0.7", "desk": "10.0.0.8"},
-        "security": {"operators": ["lab"]},
-        "world": {"host": "desk"},
-        "drones": [{"id": 0, "home": [0, 0, 0], "host": "lab"}],
-    }
-    named = SwarmConfig.of(raw)
-    assert (named.owned, named.endpoints()[PROCESS_NUMBERS.world]) == (
-        (0,),
-        "tls/10.0.0.8:7459",
-    )
-
-
-def test_partitions_name_every_drone() -> None:
-    config = square(
-        last="[[network.partitions]]\nat = 2\ngroups = [[1]]\n[network]\nloss = 0.0\n"
-    )
-    assert config.impairment() == {
-        "loss": 0.0,
-        "partitions": [{"at": 2.0, "groups": [[1], [0, 2, 3]]}],
-    }
-    whole = square(
-        last="[[network.partitions]]\nat = 2\nuntil = 3\ngroups = [[1, 0], [2, 3]]\n"
-    )
-    assert whole.impairment()["partitions"] == [
-        {"at": 2.0, "until": 3.0, "groups": [[1, 0], [2, 3]]}
-    ]
-
-
 def test_replace_checks_again() -> None:
     config = square()
     assert config.replace(graph="path", seed=8).graph() == path(4)
-    assert config.replace(network={"loss": 0.3}).impairment() == {"loss": 0.3}
+    assert config.replace(network={"loss": 0.3}).network == NetworkTable(loss=0.3)
     assert config.replace(
         drones=[msgspec.structs.replace(config.drone(2), id=9)]
     ).ids == (9,)
@@ -327,49 +199,24 @@ def test_replace_checks_again() -> None:
         config.replace(grap="ring")
 
 
-def test_digest_counts_what_hosts_must_agree_on() -> None:
-    config = square('mission = "formation"')
-    same = [
-        config.replace(base_port=9000),
-        config.replace(network={"loss": 0.5}),
-        SwarmConfig.loads(config.dumps()),
-        config.replace(seed=3, lost_after=5.0),
-    ]
-    other = [
-        config.replace(seed=4),
-        config.replace(graph="path"),
-        config.replace(mission="bearing"),
-        config.replace(mission_options={"kp": 2}),
-        config.replace(drones=config.drones[:3]),
-        config.replace(flight={"speed_limit": 0.5}),
-    ]
-    assert [one.digest() for one in same] == [config.digest()] * len(same)
-    assert (
-        len(dict.fromkeys(one.digest() for one in [config, *other])) == len(other) + 1
+def test_another_network_effect_keeps_the_other_keys() -> None:
+    edge = {"source": 0, "destination": 1, "loss": 0.5}
+    cut = {"at": 2.0, "groups": [[1]]}
+    network = {"loss": 0.1, "delay": 0.02, "edges": [edge], "partitions": [cut]}
+    config = square().replace(network=network)
+    assert config.with_network(loss=0.3) == config.replace(
+        network={**network, "loss": 0.3}
     )
-    folders = [
-        config.replace(mission=f"/{folder}/own.py") for folder in ("home/a", "srv")
-    ]
-    assert folders[0].digest() == folders[1].digest()
+    assert config.with_network(loss=0.1) == config
 
 
-def test_digest_does_not_depend_on_the_order_of_free_keys_or_the_hash_seed() -> None:
-    forward, backward = (
-        square().replace(mission_options=o)
-        for o in ({"a": 1, "b": 2}, {"b": 2, "a": 1})
-    )
-    assert forward.digest() == backward.digest()
-    program = "from crazychoir.config.swarm_config import demo_swarm; print(demo_swarm().digest())"
-    for seed in ("1", "2"):
-        environment = {**os.environ, "PYTHONHASHSEED": seed}
-        said = subprocess.run(
-            [sys.executable, "-c", program],
-            env=environment,
-            capture_output=True,
-            check=True,
-            cwd=ROOT,
-        )
-        assert said.stdout.decode().strip() == demo_swarm().digest()
+@pytest.mark.parametrize("effects", [{"loss": 1.5}, {"burst": 0.5}, {"loss": math.nan}])
+def test_network_effects_are_checked_as_in_a_file(effects: dict[str, float]) -> None:
+    with pytest.raises(ConfigError) as of_a_file:
+        square().replace(network=effects)
+    with pytest.raises(ConfigError) as found:
+        square().with_network(**effects)
+    assert str(found.value) == str(of_a_file.value)
 
 
 @pytest.mark.parametrize("n", [1, 2, 7, 30, 1000])
@@ -403,22 +250,6 @@ def test_find_swarm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert find_swarm("other.json") == (default_swarm(2), "other.json")
 
 
-def test_a_mission_path_is_relative_to_the_swarm_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "lab").mkdir()
-    file = tmp_path / "lab" / "own.toml"
-    file.write_text(SQUARE.format(keys='mission = "../own.py"', first="", last=""))
-    config = SwarmConfig.load(file)
-    assert config.mission == str(tmp_path / "own.py")
-    (tmp_path / "child.json").write_text(config.dumps())
-    assert SwarmConfig.load(tmp_path / "child.json") == config
-    monkeypatch.chdir(tmp_path)
-    assert default_swarm(1).replace(mission="here.py").mission == str(
-        tmp_path / "here.py"
-    )
-
-
 @pytest.mark.parametrize(
     "file", ["lab6.toml", "two_hosts.toml", "mujoco30.toml", "virtual4.toml"]
 )
@@ -431,15 +262,6 @@ def test_the_examples_of_deploy_load(file: str) -> None:
         == {"lab6": 6, "two_hosts": 4, "mujoco30": 30, "virtual4": 4}[config.name]
     )
     assert SwarmConfig.loads(config.dumps()) == config
-
-
-def test_dongles_carry_the_six_of_the_laboratory_if_their_uris_say_so() -> None:
-    text = (ROOT / "deploy" / "lab6.toml").read_text()
-    config = SwarmConfig.loads(
-        re.sub(r"id = (\d)", r'id = \1\nuri = "udp://127.0.0.1:1985\1"', text),
-        "lab6.toml",
-    )
-    assert compute_setpoint_rates(config) == {0: 84.0, 1: 84.0, 2: 84.0}
 
 
 def _sections() -> dict[str, str]:
@@ -484,111 +306,3 @@ def _tables_of(config: SwarmConfig) -> list[tuple[str, msgspec.Struct]]:
         for entry in msgspec.structs.fields(SwarmConfig)
     ]
     return [(name, value) for name, value in named if isinstance(value, msgspec.Struct)]
-
-
-def test_files_of_options_are_relative_to_the_swarm_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "lab").mkdir()
-    text = (
-        square()
-        .replace(
-            mission_options={
-                "instance": "../own.json",
-                "drawing": "a.csv",
-                "method": "x",
-            }
-        )
-        .dumps()
-    )
-    (tmp_path / "lab" / "own.json").write_text(text)
-    monkeypatch.chdir("/")
-    config = SwarmConfig.load(tmp_path / "lab" / "own.json")
-    found = {
-        "instance": str(tmp_path / "own.json"),
-        "drawing": str(tmp_path / "lab" / "a.csv"),
-        "method": "x",
-    }
-    assert config.mission_options == found
-    assert SwarmConfig.loads(config.dumps()) == config
-
-
-@pytest.mark.parametrize("key", ["drawing", "instance", "uri"])
-def test_a_file_name_that_is_not_text_reaches_another_process(
-    tmp_path: Path, key: str
-) -> None:
-    folder = tmp_path / "l\udce4b"
-    folder.mkdir()
-    uri = "replay://a.csv" if key == "uri" else "sim://"
-    drones = [{"id": 0, "home": [0, 0, 0], "uri": uri}, {"id": 1, "home": [1, 0, 0]}]
-    options = {} if key == "uri" else {key: "a.csv"}
-    (folder / "own.json").write_text(
-        square().replace(drones=drones, graph="path", mission_options=options).dumps()
-    )
-    config = SwarmConfig.load(folder / "own.json")
-    assert config.files
-    handed_over = config.dumps()
-    assert handed_over.isascii()
-    assert SwarmConfig.loads(handed_over) == config
-
-
-def test_a_name_that_no_file_can_have_is_refused_with_its_key(tmp_path: Path) -> None:
-    for key, changes in (
-        ("mission_options.drawing", {}),
-        ("drone 0: uri", {"uri": "replay://a\0b.csv"}),
-    ):
-        drones = [{"id": 0, "home": [0, 0, 0], **changes}]
-        options = {} if changes else {"drawing": "a\0b.csv"}
-        raw = {
-            "name": "one",
-            "drones": drones,
-            "graph": "empty",
-            "mission_options": options,
-        }
-        (tmp_path / "own.json").write_text(json.dumps(raw))
-        with pytest.raises(ConfigError, match=rf"^{key}: found 'a\\x00b.csv'"):
-            SwarmConfig.load(tmp_path / "own.json")
-
-
-def test_a_file_is_found_by_a_name_that_the_locale_cannot_say(tmp_path: Path) -> None:
-    raw = {"name": "one", "drones": [{"id": 0, "home": [0, 0, 0]}], "graph": "empty"}
-    (tmp_path / "own.json").write_text(
-        json.dumps(raw | {"mission_options": {"drawing": "h\xf6rz.csv"}})
-    )
-    (tmp_path / "h\xf6rz.csv").write_text("0,0,1")
-    load = "import sys; from crazychoir import SwarmConfig; config = SwarmConfig.load(sys.argv[1])"
-    code = f"{load}; print(*(path.exists() for path in config.files.values()))"
-    ascii_only = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
-    command = [sys.executable, "-c", code, str(tmp_path / "own.json")]
-    done = subprocess.run(
-        command,
-        env=os.environ | ascii_only,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.stdout == "True\n", done.stderr
-
-
-def test_recordings_that_drones_replay_are_relative_to_the_swarm_file_and_count_by_content(
-    tmp_path: Path,
-) -> None:
-    drones = [
-        {"id": 0, "home": [0, 0, 0], "uri": "replay://../a.csv?drone=2"},
-        {"id": 1, "home": [1, 0, 0]},
-    ]
-    for lab in ("here", "there"):
-        (tmp_path / lab / "lab").mkdir(parents=True)
-        (tmp_path / lab / "a.csv").write_text("t,x,y,z,yaw")
-        text = square().replace(drones=drones, graph="path").dumps()
-        (tmp_path / lab / "lab" / "own.json").write_text(text)
-    here, there = (
-        SwarmConfig.load(tmp_path / lab / "lab" / "own.json")
-        for lab in ("here", "there")
-    )
-    assert here.drone(0).uri == f"replay://{tmp_path / 'here' / 'a.csv'}?drone=2"
-    assert here.drone(1).uri == "sim://"
-    assert here.digest() == there.digest()
-    (tmp_path / "there" / "a.csv").write_text("x,y")
-    assert here.digest() != there.digest()
-    assert SwarmConfig.loads(here.dumps()) == here

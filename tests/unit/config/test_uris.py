@@ -5,6 +5,7 @@ import itertools
 import pytest
 from cflib.crtp.radiodriver import RadioDriver
 
+from crazychoir.config.digest import compute_digest
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.uris import canonical_uri, parse_uri
 from crazychoir.errors import ConfigError
@@ -79,7 +80,7 @@ def test_one_drone_is_refused_under_any_two_of_its_uris(uris):
 
 def test_different_drones_are_taken():
     for one, other in itertools.combinations(SEVERAL_DRONES, 2):
-        assert loaded(one, other).reached == (0, 1)
+        assert loaded(one, other).topology.reached == (0, 1)
 
 
 @pytest.mark.parametrize(
@@ -119,7 +120,7 @@ def test_two_files_that_write_a_uri_in_two_ways_are_one_swarm():
     assert (
         len(
             {
-                loaded(uri).digest()
+                compute_digest(loaded(uri))
                 for uri in ("radio://0/80", "radio://0/080/2M/e7e7e7e7e7")
             }
         )

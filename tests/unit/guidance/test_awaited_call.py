@@ -209,7 +209,7 @@ def test_operator_landing_that_leaves_calls_over_is_no_failure(waits):
     def land(agent, clock):
         def abort():
             agent.drones[0].pilot.land("landed on command")
-            agent._guidances[0].abort("landed on command", by_operator=True)
+            agent.runners[0].abort("landed on command", by_operator=True)
 
         clock.call_at(8_000_000_000, abort)
 

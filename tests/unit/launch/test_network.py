@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.cli.main import app
+from crazychoir.config.addresses import Addresses
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import ConfigError
 from crazychoir.launch import network
@@ -36,9 +37,12 @@ def test_two_runs_have_names_and_ports_of_their_own():
     one, other = isolate_swarm(config, None), isolate_swarm(config, 2)
     assert len({config.name, one.name, other.name}) == 3
     assert one.base_port != config.base_port
-    assert (one.ids, one.groups()) == (config.ids, config.groups())
-    assert other.groups() == ((0, 1), (2, 3))
-    assert isolate_swarm(config, 9).groups() == config.groups(), (
+    assert (one.ids, Addresses(one).groups()) == (
+        config.ids,
+        Addresses(config).groups(),
+    )
+    assert Addresses(other).groups() == ((0, 1), (2, 3))
+    assert Addresses(isolate_swarm(config, 9)).groups() == Addresses(config).groups(), (
         "no process without a drone"
     )
 

@@ -22,6 +22,7 @@ from crazychoir.cli.shared.running_swarm import (
     no_agent_error,
     running_swarm,
 )
+from crazychoir.config.addresses import Addresses
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm, demo_swarm
 from crazychoir.errors import Refused
 from crazychoir.files.user_folders import private_folder_of
@@ -77,7 +78,9 @@ def test_without_a_file_the_only_run_is_meant(own_place, monkeypatch):
     assert found.name == "pickup", (
         "the swarm of the demo's mission, if anybody is there"
     )
-    assert found.endpoints() == demo_swarm().endpoints(), "it is looked for where it is"
+    assert Addresses(found).endpoints() == Addresses(demo_swarm()).endpoints(), (
+        "it is looked for where it is"
+    )
     with record_run(run_of(own_place, "demo-1")):
         assert running_swarm(None).name == "demo-1"
         (own_place / "swarm.toml").write_text(LAB.dumps())

@@ -81,7 +81,7 @@ def test_a_package_brings_a_world(installed):
     assert asked.homes == ((0.0, 0.0, 0.0), (2.0, 0.0, 0.0))
     assert (asked.yaws, asked.platforms) == ((0.0, 0.5), (PAPER_PLATFORM, CRAZYFLIE_21))
     assert (asked.options, asked.wind) == ({"sticky": True}, (0.5, 0.0, 0.0))
-    assert config.owned == (0, 2)
+    assert config.topology.owned == (0, 2)
 
 
 def test_a_scheme_that_nobody_brings_is_refused_with_those_that_there_are(installed):

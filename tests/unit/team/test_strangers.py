@@ -1,5 +1,6 @@
 """Who has another mission, and who of two camps is refused."""
 
+from crazychoir.config.digest import compute_digest, compute_key_digests
 from crazychoir.config.swarm_config import default_swarm
 from crazychoir.config.tables import AGREED_KEYS
 from crazychoir.runtime.clock import Clock, run_virtual
@@ -63,7 +64,7 @@ def test_it_is_told_in_which_keys_of_the_swarm_file_and_whether_in_the_mission_i
     config = default_swarm(3)
 
     def hashed(config, code="00"):
-        return f"{config.digest()}:{config.digests()}{code}"
+        return f"{compute_digest(config)}:{compute_key_digests(config)}{code}"
 
     other = config.replace(
         graph="complete",
@@ -86,9 +87,13 @@ def test_it_is_told_in_which_keys_of_the_swarm_file_and_whether_in_the_mission_i
 
     async def story(clock: Clock) -> None:
         camp = Strangers(clock, 1, 2, hashed(config), AGREED_KEYS)
-        assert not camp.heard(0, config.digest()), "after GO only the whole is said"
+        assert not camp.heard(0, compute_digest(config)), (
+            "after GO only the whole is said"
+        )
         assert camp.heard(0, hashed(other))
-        whole = f"({config.digest()}) is not that of drone 0 ({other.digest()}, which has another graph, flight). Copy"
+        here = compute_digest(config)
+        there = compute_digest(other)
+        whole = f"({here}) is not that of drone 0 ({there}, which has another graph, flight). Copy"
         assert whole in camp.text()
 
     told(story)

@@ -10,6 +10,9 @@ from crazychoir.bus.network.hello import Hello
 from crazychoir.bus.network.peers import Peers
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS
+from crazychoir.config.access import access_of
+from crazychoir.config.addresses import Addresses
+from crazychoir.config.digest import compute_digest
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.runtime.clock import Clock
@@ -46,7 +49,7 @@ def config(tmp_path):
 
 
 def test_a_host_holds_the_drones_bodies_and_eyes_that_the_swarm_file_gives_it(config):
-    access = config.access("laptop")
+    access = access_of(config, "laptop")
     assert access.may_hold("laptop", 0)
     assert access.may_hold("desktop", 1)
     assert access.may_hold("laptop", PORT_ADDRESSES.body_offset + 1), "its world"
@@ -64,7 +67,7 @@ def test_a_host_holds_the_drones_bodies_and_eyes_that_the_swarm_file_gives_it(co
 
 
 def test_only_operators_command(config):
-    access = config.access("desktop")
+    access = access_of(config, "desktop")
     asks = [
         access.may_say(name, said(MESSAGE_TOPICS.request))
         for name in ("console", "laptop", "desktop")
@@ -75,7 +78,7 @@ def test_only_operators_command(config):
 
 
 def test_a_drone_asks_its_own_body_on_another_host_and_no_other(config):
-    access = config.access("laptop")
+    access = access_of(config, "laptop")
     assert access.may_say(
         "desktop", said(MESSAGE_TOPICS.request, PORT_ADDRESSES.body_offset + 1)
     ), "to arm it"
@@ -89,7 +92,10 @@ def test_a_drone_asks_its_own_body_on_another_host_and_no_other(config):
 
 
 def test_nobody_takes_the_name_of_another_s_process_nor_all_the_room(config):
-    access, bus = config.access("laptop"), Bus(Still(), process="0-1", host="laptop")
+    access, bus = (
+        access_of(config, "laptop"),
+        Bus(Still(), process="0-1", host="laptop"),
+    )
     peers = Peers(
         bus, "lab", 1, "1", access, lambda drones, there: None, lambda refused: None
     )
@@ -115,7 +121,10 @@ def test_nobody_takes_the_name_of_another_s_process_nor_all_the_room(config):
 
 
 def test_who_claims_what_another_host_holds_is_refused(config):
-    access, bus = config.access("laptop"), Bus(Still(), process="0-1", host="laptop")
+    access, bus = (
+        access_of(config, "laptop"),
+        Bus(Still(), process="0-1", host="laptop"),
+    )
     peers = Peers(
         bus, "lab", 1, "1", access, lambda drones, there: None, lambda refused: None
     )
@@ -145,7 +154,9 @@ def test_drones_of_one_process_may_be_flown_by_more(config):
         {"id": i, "home": [i, 0, 0], "host": "laptop" if i < 2 else "desktop"}
         for i in range(4)
     ]
-    access = config.replace(drones=drones, processes=[[0, 1], [2, 3]]).access("laptop")
+    access = access_of(
+        config.replace(drones=drones, processes=[[0, 1], [2, 3]]), "laptop"
+    )
     assert [
         access.may_be("laptop", name) for name in ("0-1", "1-1", "2-1", "world-1")
     ] == [True, True, False, True]
@@ -159,7 +170,7 @@ def test_what_cameras_see_is_said_by_their_host_alone(config):
     reached = config.replace(
         drones=drones, radio=radio, world={}, mocap={"host": "laptop"}
     )
-    access = reached.access("laptop")
+    access = access_of(reached, "laptop")
     assert [
         access.may_hold(host, PORT_ADDRESSES.camera_offset)
         for host in ("laptop", "desktop")
@@ -177,13 +188,16 @@ def test_what_cameras_see_is_said_by_their_host_alone(config):
 
 
 def test_nothing_but_mutual_tls_is_spoken_where_there_are_keys(config):
-    settings = config.access("laptop").settings()
+    settings = access_of(config, "laptop").settings()
     assert settings["transport/link/protocols"] == ["tls", "quic"]
     assert settings["transport/link/tls"]["enable_mtls"] is True
 
 
 def test_what_a_process_claims_in_turns_is_said_once(config, caplog):
-    access, bus = config.access("laptop"), Bus(Still(), process="0-1", host="laptop")
+    access, bus = (
+        access_of(config, "laptop"),
+        Bus(Still(), process="0-1", host="laptop"),
+    )
     peers = Peers(
         bus, "lab", 1, "1", access, lambda drones, there: None, lambda refused: None
     )
@@ -207,9 +221,9 @@ def test_what_a_process_claims_in_turns_is_said_once(config, caplog):
 
 
 def test_a_swarm_of_several_hosts_is_closed_unless_it_says_that_it_is_not(config):
-    assert config.endpoint(1) == "tls/192.168.1.11:7461"
+    assert Addresses(config).endpoint(1) == "tls/192.168.1.11:7461"
     plain = config.replace(security={"insecure": True})
-    assert (plain.endpoint(1), plain.access("laptop")) == (
+    assert (Addresses(plain).endpoint(1), access_of(plain, "laptop")) == (
         "tcp/192.168.1.11:7461",
         None,
     )
@@ -243,13 +257,15 @@ def test_a_swarm_of_several_hosts_is_closed_unless_it_says_that_it_is_not(config
 def test_an_open_network_beyond_this_machine_is_one_that_the_swarm_file_allows():
     local = SwarmConfig.of({"name": "lab", "drones": [{"id": 0, "home": [0, 0, 0]}]})
     near = ("tcp/127.0.0.1:7460", "tcp/[::1]:7460", "tcp/localhost:7460")
-    assert local.access("here", *near) is None
+    assert access_of(local, "here", *near) is None
     for far in ("tcp/0.0.0.0:7460", "tcp/192.168.1.2:7460", "tcp/127.lab.org:7460"):
         with pytest.raises(
             ConfigError, match=r"endpoint = tcp/.*insecure = true in \[security\]"
         ):
-            local.access("here", near[0], far)
-        assert local.replace(security={"insecure": True}).access("here", far) is None
+            access_of(local, "here", near[0], far)
+        assert (
+            access_of(local.replace(security={"insecure": True}), "here", far) is None
+        )
 
 
 def test_keys_are_found_beside_the_swarm_file_and_are_no_part_of_what_hosts_agree_on(
@@ -261,10 +277,10 @@ def test_keys_are_found_beside_the_swarm_file_and_are_no_part_of_what_hosts_agre
         config.replace(security={**RAW["security"], "keys": "../keys"}).dumps()
     )
     found = SwarmConfig.load(path)
-    assert found.access("desktop").folder == tmp_path / "keys" / "desktop"
-    assert found.digest() == config.digest()
+    assert access_of(found, "desktop").folder == tmp_path / "keys" / "desktop"
+    assert compute_digest(found) == compute_digest(config)
     with pytest.raises(ConfigError, match="crazychoir keys add tower"):
-        found.access("tower")
+        access_of(found, "tower")
 
 
 def test_zenoh_holds_each_host_to_its_own_keys():

@@ -5,6 +5,7 @@ import json
 from crazychoir.bus.impairment.model import Impairment
 from crazychoir.cli.operate import inspect as look
 from crazychoir.config.network import impairment_changes
+from crazychoir.config.tables import LinkTable
 from crazychoir.types import State
 
 
@@ -30,7 +31,7 @@ def test_a_state_is_printed_by_its_parts_and_no_age_is_negative(capsys):
 def test_a_simulated_network_is_printed_in_words():
     network = Impairment(7)
     assert look._in_words(network.describe()) == "nothing: perfect"
-    network.update(impairment_changes({"loss": 0.25, "burst": 5.0, "delay": 0.1}))
+    network.update(impairment_changes(LinkTable(loss=0.25, burst=5.0, delay=0.1)))
     network.update({"edge": [1, 2], "loss": 0.5})
     network.update({"edge": [2, 1], "directed": True, "jitter": 0.02})
     network.update({"drone": 3, "loss": 1.0, "partitions": [{"since": 5, "a": [0, 1]}]})

@@ -10,6 +10,8 @@ import threading
 import pytest
 
 from crazychoir.cli.recordings.replay import _local_swarm, _read_steps
+from crazychoir.config.access import access_of
+from crazychoir.config.addresses import Addresses
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.runtime.clock import run_wall
 
@@ -85,4 +87,7 @@ def test_a_closed_network_of_several_hosts_is_said_again_on_this_machine_alone()
         "drones": [{"id": 0, "home": [0, 0, 0], "host": "a"}],
     }
     here = _local_swarm(SwarmConfig.of(raw))
-    assert (here.endpoint(0), here.access("a")) == ("tcp/127.0.0.1:7460", None)
+    assert (Addresses(here).endpoint(0), access_of(here, "a")) == (
+        "tcp/127.0.0.1:7460",
+        None,
+    )

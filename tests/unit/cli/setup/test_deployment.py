@@ -14,7 +14,10 @@ from crazychoir.bus.network import authority, endpoints
 from crazychoir.cli.main import app
 from crazychoir.cli.setup import push as pushing
 from crazychoir.cli.setup import systemd_units as units
-from crazychoir.config.swarm_config import PROCESS_NUMBERS, SwarmConfig
+from crazychoir.config.access import access_of
+from crazychoir.config.addresses import PROCESS_NUMBERS, Addresses
+from crazychoir.config.digest import compute_digest
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError, ProcessFailed
 from crazychoir.launch.processes import compute_patience
 
@@ -41,7 +44,7 @@ def unit(repository, name):
 def test_thirty_drones_on_three_workstations(repository):
     config = SwarmConfig.load(repository / "deploy/three_workstations.toml")
     grid = SwarmConfig.load(repository / "deploy/grid30.toml")
-    assert (config.owned, config.world.host, config.security.operators) == (
+    assert (config.topology.owned, config.world.host, config.security.operators) == (
         config.ids,
         "physics",
         ("physics",),
@@ -62,7 +65,7 @@ def test_a_drone_moves_by_one_word(repository, tmp_path):
     moved = text.replace('id = 3\nhost = "left"', 'id = 3\nhost = "physics"')
     assert moved != text
     config = SwarmConfig.loads(moved)
-    assert config.endpoint(3) == "tls/192.168.1.10:7463"
+    assert Addresses(config).endpoint(3) == "tls/192.168.1.10:7463"
     assert units.units(config, "physics") == [
         "crazychoir-world.service",
         "crazychoir-agent@3.service",
@@ -71,8 +74,8 @@ def test_a_drone_moves_by_one_word(repository, tmp_path):
 
 def test_six_drones_on_three_dongles_of_three_hosts(repository):
     config = SwarmConfig.load(repository / "deploy/three_dongles.toml")
-    assert config.dongles == {0: (0, 1), 1: (2, 3), 2: (4, 5)}
-    assert [config.dongle_host(k) for k in config.dongles] == [
+    assert config.topology.dongles == {0: (0, 1), 1: (2, 3), 2: (4, 5)}
+    assert [config.topology.dongle_host(k) for k in config.topology.dongles] == [
         "physics",
         "left",
         "right",
@@ -89,7 +92,10 @@ def test_six_drones_on_three_dongles_of_three_hosts(repository):
 
 def test_six_virtual_drones_behind_dongles_of_two_hosts(repository):
     config = SwarmConfig.load(repository / "deploy/virtual_dongles.toml")
-    assert [config.dongle_host(k) for k in config.dongles] == ["left", "right"]
+    assert [config.topology.dongle_host(k) for k in config.topology.dongles] == [
+        "left",
+        "right",
+    ]
     assert config.mocap.host == "physics"
     assert {drone.uri.split(":")[1] for drone in config.drones} == {
         "//" + config.hosts["physics"]
@@ -168,11 +174,14 @@ def test_a_swarm_with_a_router_talks_through_it_alone():
             "drones": [{"id": 0, "home": [0, 0, 0], "host": "a"}],
         }
     )
-    assert config.routers == ["tcp/10.0.0.9:7441"]
-    assert config.endpoints()[PROCESS_NUMBERS.router] == config.routers[0]
-    assert config.host_of(PROCESS_NUMBERS.router) == "r"
-    assert endpoints.router_settings(config.routers, 1.0)["mode"] == "router"
-    assert config.replace(router=None).digest() == config.digest(), (
+    assert Addresses(config).routers == ["tcp/10.0.0.9:7441"]
+    assert (
+        Addresses(config).endpoints()[PROCESS_NUMBERS.router]
+        == Addresses(config).routers[0]
+    )
+    assert Addresses(config).host_of(PROCESS_NUMBERS.router) == "r"
+    assert endpoints.router_settings(Addresses(config).routers, 1.0)["mode"] == "router"
+    assert compute_digest(config.replace(router=None)) == compute_digest(config), (
         "hosts need not agree on it"
     )
     with pytest.raises(ConfigError, match=r"router = .*there is no such host"):
@@ -259,7 +268,7 @@ def test_a_push_puts_all_in_its_place(lab, repository, tmp_path, monkeypatch):
         )
         assert done.exit_code == 0, done.output
     moved = SwarmConfig.load(there / "choir/swarm.toml")
-    assert moved.access("a").folder == there / "choir/keys/a"
+    assert access_of(moved, "a").folder == there / "choir/keys/a"
     assert moved.mission == str(there / "choir/missions/own.py")
     assert (there / "choir/missions/own.py").is_file()
     assert sorted(path.name for path in (there / "choir/keys").iterdir()) == ["a"]
@@ -371,7 +380,9 @@ def test_a_host_with_a_drone_moved_is_refused_by_those_who_have_the_old_file(
 ):
     text = (repository / "deploy/three_workstations.toml").read_text()
     moved = text.replace('id = 3\nhost = "left"', 'id = 3\nhost = "right"')
-    assert SwarmConfig.loads(moved).digest() != SwarmConfig.loads(text).digest()
+    assert compute_digest(SwarmConfig.loads(moved)) != compute_digest(
+        SwarmConfig.loads(text)
+    )
 
 
 def test_a_router_that_does_not_start_leaves_signals_as_they_were():

@@ -1,0 +1,356 @@
+"""Builds the parts of one drone from the swarm file, and connects them."""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+from crazychoir.agent.drone import Drone
+from crazychoir.bus.network.hello import PACKAGE_VERSION
+from crazychoir.bus.port import Bus, Port
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.config.checks import WORLD_URIS, limit_area
+from crazychoir.config.drone_room import fence_of
+from crazychoir.config.link_loss import TILT_TIMES, describe_crowding, fence_inset
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.config.tables import AGREED_KEYS
+from crazychoir.control.choice import FIRMWARE_GAIN_SENDERS, Controls, make_controls
+from crazychoir.control.margin import Plant as PlantKind
+from crazychoir.control.position import FLATNESS_LIMITS
+from crazychoir.control.robots import ROBOT_CONTROLS, find_sender
+from crazychoir.flight.estimate import choose_filter
+from crazychoir.flight.pilot import Pilot, PilotLink, ReachKind
+from crazychoir.flight.point_flights import compute_braking_limit
+from crazychoir.guidance.member import Member
+from crazychoir.guidance.mission import Mission
+from crazychoir.guidance.sensors import Sensors
+from crazychoir.platforms import find_platform
+from crazychoir.runtime.mailbox import Call
+from crazychoir.runtime.supervisor import Supervisor
+from crazychoir.safety.collision.agreed.planned import LOWEST_WAYPOINT, PlannedFlights
+from crazychoir.safety.collision.filter import CollisionFilter
+from crazychoir.safety.collision.neighbour_table import NeighbourTable
+from crazychoir.safety.rules.guard import Fence
+from crazychoir.safety.rules.radio_watch import RadioWatch
+from crazychoir.simulation.owner import WorldOwner
+from crazychoir.simulation.remote import RemoteLink
+from crazychoir.simulation.telemetry import list_log_names
+from crazychoir.team.barrier import Barrier
+from crazychoir.team.communicator import Communicator
+from crazychoir.team.graph import Graph
+from crazychoir.team.messages import Roster
+
+log = logging.getLogger(__name__)
+OWNER_SILENCE = 20.0
+"""s: how long the owner of a dongle may be silent.
+
+`run` restarts an owner. After this time it does not come back.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class DroneSurroundings:
+    """What the drones of a process share."""
+
+    bus: Bus
+    """Bus of the process, with a port for each drone."""
+    mission: Mission
+    """The mission file."""
+    mission_hash: str
+    """Hash of the swarm file and the mission, equal at all members of a team."""
+    graph: Graph
+    """Communication graph of the swarm."""
+    start_deadline: float
+    """s: time to wait for the team."""
+    owners: dict[int, WorldOwner]
+    """Owner of the world of each drone with its body in this process."""
+
+
+def build_drone(
+    config: SwarmConfig, i: int, shared: DroneSurroundings, supervisor: Supervisor
+) -> Drone:
+    """Return drone i with all its parts.
+
+    config: the swarm file
+    i: id of the drone
+    shared: what the drones of this process share
+    supervisor: runs the actors of the drone
+    Raises ConfigError for a kind of command that cannot be flown in its world. The owner of a world
+    refuses such a kind too, when it starts.
+    """
+    port = shared.bus.ports[i]
+    owner = shared.owners.get(i)
+    remote = _build_remote_link(config, port) if owner is None else None
+    barrier = Barrier(
+        port,
+        shared.graph,
+        mission_hash=shared.mission_hash,
+        version=PACKAGE_VERSION,
+        agreed_keys=AGREED_KEYS,
+        seed=config.seed,
+        start=config.start,
+        start_deadline=shared.start_deadline,
+        lost_after=config.lost_after,
+    )
+    communicator = Communicator(port, shared.graph)
+    communicator.follow(barrier)
+    barrier.listeners.append(partial(_tell_apart, barrier))
+    pilot = _build_pilot(config, port, owner, remote)
+    radio_watch = _build_radio_watch(config, pilot)
+    guidance = shared.mission.guidance(i, config)
+    guidance.foresee(Member(i, config, shared.bus.clock, communicator, pilot))
+    return Drone(
+        id=i,
+        port=port,
+        barrier=barrier,
+        communicator=communicator,
+        pilot=pilot,
+        guidance=guidance,
+        supervisor=supervisor,
+        remote=remote,
+        radio_watch=radio_watch,
+        harm=_find_harm(i, owner, remote),
+        sensors=_build_sensors(config, port, owner, remote),
+        unfit=pilot.unfit,
+    )
+
+
+def _build_remote_link(config: SwarmConfig, port: Port) -> RemoteLink:
+    """Return the link to the drone's body in another process."""
+    topology = config.topology
+    i = port.address
+    if i not in topology.reached:
+        return RemoteLink(port)
+    dongle = next((k for k, ids in topology.dongles.items() if i in ids), 0)
+    owner = f"the owner of dongle {dongle} (crazychoir-radio --dongle {dongle})"
+    return RemoteLink(port, owner, OWNER_SILENCE)
+
+
+def _build_pilot(
+    config: SwarmConfig,
+    port: Port,
+    owner: WorldOwner | None,
+    remote: RemoteLink | None,
+) -> Pilot:
+    """Return the pilot, with its controller, its fence and its link to the body.
+
+    owner: owner of the drone's world in this process, None if the body is elsewhere
+    remote: link to the body elsewhere, None if it is in this process
+    """
+    topology = config.topology
+    i = port.address
+    fence = _build_fence(config, i)
+    has_own_pose = i in topology.reached and i not in topology.seen
+    chosen = _choose_controls(config, i)
+    rate = config.radio.log_rate if has_own_pose else config.mocap.rate
+    state_filter = choose_filter(
+        config.control_of(i).filter, chosen, config.flight.ground, rate
+    )
+    link: PilotLink | None = remote
+    pose_source = topology.source(DRONE_TOPICS.pose, i)
+    if owner is not None:
+        link = owner.link(i, chosen.sender.kind)
+        pose_source = i
+    assert link is not None  # noqa: S101 - the body is in this process or elsewhere
+    reached: ReachKind = "no"
+    if i in topology.reached:
+        reached = "own" if has_own_pose else "seen"
+    pilot = Pilot(
+        port,
+        link,
+        config.flight,
+        fence,
+        rate,
+        chosen,
+        state_filter,
+        pose_source,
+        _build_avoidance(config, port, chosen),
+        Fence.box(*limit_area(config)),
+        reached,
+        config.drone(i).home,
+        config.drone(i).uri.startswith(WORLD_URIS.replay),
+    )
+    if remote is not None:
+        remote.found_flying = pilot.take_over
+        pilot.turning = remote.flying
+        pilot.unheard = remote.unheard
+        pilot.unfit = remote.problems
+    return pilot
+
+
+def _find_harm(
+    i: int, owner: WorldOwner | None, remote: RemoteLink | None
+) -> Callable[[], str]:
+    """Return a function that returns the damage of the body of drone i."""
+    if owner is not None:
+        return partial(owner.world.harm, i)
+    assert remote is not None  # noqa: S101 - the body is in this process or elsewhere
+    return remote.harm
+
+
+def _build_radio_watch(config: SwarmConfig, pilot: Pilot) -> RadioWatch | None:
+    """Return the watch over the drone's radio, which the pilot asks; None without a radio."""
+    i = pilot.drone
+    if i not in config.topology.reached:
+        return None
+    watch = RadioWatch(
+        pilot.port,
+        config.topology.source(DRONE_TOPICS.link, i),
+        pilot.guard,
+        find_platform(config.drone(i).platform).firmware,
+    )
+    pilot.unfit = watch.problems
+    pilot.turning = watch.turning
+    pilot.astray = watch.astray
+    return watch
+
+
+def _build_sensors(
+    config: SwarmConfig,
+    port: Port,
+    owner: WorldOwner | None,
+    remote: RemoteLink | None,
+) -> Sensors:
+    """Return the readings of the sensors of the drone's body."""
+    i = port.address
+    names = list_log_names(config.drone(i).uri)
+    if owner is not None:
+        return Sensors(port, i, names, partial(owner.telemetry.ask, i))
+    assert remote is not None  # noqa: S101 - the body is in this process or elsewhere
+    body = config.topology.source(DRONE_TOPICS.telemetry, i)
+    return Sensors(port, body, names, remote.ask)
+
+
+def _build_fence(config: SwarmConfig, i: int) -> Fence:
+    """Return the fence of drone i.
+
+    It is [fence], or smaller if the radio that streams to the drone may fail.
+    """
+    fence = Fence.box(*fence_of(config, i))
+    sender = find_sender(config, i)
+    if i not in config.topology.reached or sender not in TILT_TIMES:
+        return fence
+    margin = fence_inset(config, sender)
+    here = [
+        j
+        for j in config.topology.reached
+        if config.drone(j).host == config.drone(i).host
+    ]
+    alike = [j for j in here if find_sender(config, j) == sender]
+    if margin.problem and i == alike[0]:  # logged once for all of them
+        log.warning(
+            "drones %s (%s): %s", ", ".join(map(str, alike)), sender, margin.problem
+        )
+    streamed = {
+        j: kind
+        for j in config.topology.reached
+        if (kind := find_sender(config, j)) in TILT_TIMES
+    }
+    if near := describe_crowding(config, i, streamed):
+        log.warning("drone %d (%s): %s", i, sender, near)
+    return fence
+
+
+def _choose_controls(config: SwarmConfig, i: int) -> Controls:
+    """Return the controller and the sender of drone i."""
+    drone = config.drone(i)
+    plant = config.plant
+    if drone.uri in ROBOT_CONTROLS:
+        return ROBOT_CONTROLS[drone.uri][1](config.flight)
+    kind: PlantKind = "lightweight" if drone.uri == WORLD_URIS.lightweight else "motors"
+    where = f"control of drone {i}"
+    row = config.control_of(i)
+    return make_controls(
+        row,
+        find_platform(drone.platform),
+        kind,
+        plant.rate_lag,
+        plant.command_delay,
+        where,
+    )
+
+
+def _build_avoidance(
+    config: SwarmConfig, port: Port, chosen: Controls
+) -> CollisionFilter | PlannedFlights | None:
+    """Return the part that keeps drone i clear of the others.
+
+    None if it is off, if the drone does not fly, or if it flies alone.
+    """
+    i = port.address
+    flight = config.flight
+    flying = [j for j in config.ids if config.drone(j).uri not in ROBOT_CONTROLS]
+    if config.collision.method == "off" or i not in flying or len(flying) == 1:
+        return None
+    planners = tuple(
+        j for j in flying if config.control_of(j).sender in FIRMWARE_GAIN_SENDERS
+    )
+    fence = Fence.box(config.fence.min, config.fence.max).with_floor(
+        max(config.fence.min[2], flight.ground)
+    )
+    a_max = compute_braking_limit(
+        flight,
+        chosen.platform,
+        FLATNESS_LIMITS.height_share * FLATNESS_LIMITS.acceleration_share,
+    )
+    traffic = NeighbourTable(port, flying, planners)
+    v_max = flight.speed_limit
+    ground = flight.ground
+    _watch_neighbours(config, port, traffic)
+    if i in planners:
+        return PlannedFlights(
+            port,
+            config.collision,
+            traffic,
+            planners,
+            fence.with_floor(ground + LOWEST_WAYPOINT),
+            a_max,
+            v_max,
+            ground,
+        )
+    return CollisionFilter(config.collision, traffic, fence, a_max, v_max, ground)
+
+
+def _watch_neighbours(config: SwarmConfig, port: Port, traffic: NeighbourTable) -> None:
+    """Subscribe the table of neighbours to what is known of drones with radios.
+
+    Their owners publish whether the radio reaches them. The cameras publish where they are.
+    """
+    i = port.address
+    bus = port.bus
+    topology = config.topology
+    for j in topology.reached:
+        if j != i:
+            call = Call(
+                bus.clock,
+                partial(traffic.linked, j),
+                f"drone {i} knows the link of {j}",
+            )
+            bus.subscribe(
+                DRONE_TOPICS.link,
+                topology.source(DRONE_TOPICS.link, j),
+                i,
+                call,
+                DRONE_TOPICS.link.rate,
+            )
+    for j in topology.seen:
+        if j != i:
+            call = Call(bus.clock, partial(traffic.seen, j), f"drone {i} sees {j}")
+            bus.subscribe(
+                DRONE_TOPICS.truth,
+                topology.source(DRONE_TOPICS.truth, j),
+                i,
+                call,
+                DRONE_TOPICS.truth.rate,
+            )
+
+
+def _tell_apart(barrier: Barrier, roster: Roster) -> None:
+    """Log once for the team, from the coordinator, that the team is cut into parts."""
+    if barrier.apart and roster.ids[0] == barrier.id:
+        gone = " ".join(map(str, barrier.absent))
+        text = f"drone {barrier.id}: {barrier.apart}: no message of one reaches another; without drone(s) {gone}"
+        log.warning(
+            "%s. Start what is gone again, or add edges to the swarm file.", text
+        )
+        barrier.port.publish(DRONE_TOPICS.log, text)

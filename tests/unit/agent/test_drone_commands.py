@@ -1,0 +1,85 @@
+"""The commands of operators at one drone, each by its verb."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from crazychoir.agent.drone_commands import DroneCommands
+from crazychoir.agent.operator_commands import OperatorCommands
+from crazychoir.bus.impairment.model import Impairment
+from crazychoir.bus.port import Bus
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.errors import Refused
+from crazychoir.runtime.clock import Clock
+from crazychoir.safety.rules.modes import Mode
+
+
+class StillClock(Clock):
+    def now_ns(self) -> int:
+        return 0
+
+
+class Beats:
+    """Counts the reports of a console."""
+
+    count = 0
+
+    def note(self) -> None:
+        self.count += 1
+
+
+@pytest.fixture
+def said():
+    return []
+
+
+@pytest.fixture
+def beats():
+    return Beats()
+
+
+@pytest.fixture
+def commands(said, beats):
+    bus = Bus(StillClock(), Impairment(0))
+    port = bus.port(3)
+    port.publish = lambda topic, value: said.append((topic, value))
+    pilot = SimpleNamespace(mode=Mode.HOVER, cut=said.append, refuses=lambda _: "")
+    drone = SimpleNamespace(id=3, port=port, pilot=pilot, guidance=object())
+    orders = OperatorCommands(drone, None, said.append, lambda: "")
+    return DroneCommands(drone, orders, beats.note)
+
+
+async def test_queries_are_not_published(commands, said, beats):
+    assert await commands.execute("ping", {}) == Mode.HOVER.value
+    assert await commands.execute("watched", {}) is None
+    assert beats.count == 1
+    assert (await commands.execute("overview", {}))["route"] == []
+    assert said == []
+
+
+async def test_changes_are_published(commands, said):
+    network = await commands.execute("impair", {"loss": 0.5})
+    assert network["rules"] == [{"loss": 0.5}]
+    assert said == [(DRONE_TOPICS.log, "drone 3: commanded: impair")]
+
+
+async def test_unknown_command_is_refused_with_those_that_there_are(commands):
+    allowed = (
+        "arm, take-off, start, hold, go, land, home, go-to, fly, impair, param_set, "
+        "task_add, task_cancel, param_get, task_list, overview, ping, watched"
+    )
+    with pytest.raises(Refused) as refused:
+        await commands.execute("dance", {})
+    assert refused.value.reason == f"no command 'dance'; there are {allowed}"
+
+
+async def test_tasks_are_refused_before_the_mission(commands):
+    with pytest.raises(Refused, match="its mission has not begun"):
+        await commands.execute("task_list", {})
+
+
+async def test_emergency_stop_cuts_the_motors(commands, said):
+    commands.stop(False)
+    assert [type(word) for word in said] == [tuple]
+    commands.stop(True)
+    assert said[-1] == "emergency stop"
