@@ -56,6 +56,8 @@ WIRE_LAYOUTS: Final[dict[str, tuple[int, ...]]] = {
     "Velocity": (42, 3),
     "Plan": (43, 0),
     "LinkStatus": (44, 0),
+    "HoldRequest": (45, 0),
+    "HoldAnswer": (46, 0),
 }
 """Wire types by class name: (kind, n) or (kind, n, m).
 
