@@ -102,7 +102,7 @@ class LargeBound:
         centre = self._start()
         pi = self._start()
         drawn = True
-        for _ in range(settings.passes * 2):
+        for _ in range(settings.columns.passes * 2):
             known = yield from flood_values(
                 self._i, self._priced(pi), member.place.diameter
             )
@@ -154,7 +154,7 @@ class LargeBound:
         ):
             return None
         halves = HalfRoutes(
-            vehicle, BOUND_PASSES.label_factor * member.settings.most_labels
+            vehicle, BOUND_PASSES.label_factor * member.settings.columns.most_labels
         )
         return halves if halves.complete else None
 
@@ -178,8 +178,8 @@ class LargeBound:
         if not member.speaks:
             return None
         vehicle = member.local.vehicle
-        batch = member.settings.batch
-        most = member.settings.most_labels // 3
+        batch = member.settings.columns.batch
+        most = member.settings.columns.most_labels // 3
         if self._halves is not None:
             columns = self._halves.cheapest(pi, batch, 0.0)
             values = [c.length - math.fsum(pi[list(c.tasks)]) for c in columns[:1]]
@@ -193,7 +193,7 @@ class LargeBound:
     def _agree(self, master: Master) -> Exchange[tuple[float, Vec]]:
         """Return the value and the prices of the known columns."""
         own: list[Any] | None = None
-        if self._i < self._member.settings.searchers:
+        if self._i < self._member.settings.proof.searchers:
             relaxed = master.relax()
             own = [relaxed.value, self._i, relaxed.prices]
         value, _, prices = (

@@ -281,7 +281,7 @@ class PickupDelivery(Program[Solution]):
         alike.
         """
         local = self._member.local
-        tolerance = PROOF_TOLERANCE_FACTOR * self._member.settings.tolerance
+        tolerance = PROOF_TOLERANCE_FACTOR * self._member.settings.columns.tolerance
         if (
             assignment.lower_bound is None
             or local.objective[0] == OBJECTIVE_NAMES.makespan
