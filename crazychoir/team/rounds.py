@@ -602,7 +602,7 @@ class Rounds:
             self._schedule(now_ns)
 
     def _failure(self, missing: Iterable[int]) -> Failure | None:
-        """Return the Failure that the first of these drones has sent on FAILED, or None."""
+        """Return the Failure that the first of these drones has sent on FAILURE_CHANNEL, or None."""
         said = self._channels[FAILURE_CHANNEL].peers.latest
         for j in missing:
             if j in said:

@@ -923,7 +923,7 @@ def _sender_of_key(key: str) -> tuple[str, str]:
     """Return the host and the process in the key of a frame,
     where access control looks for the host.
 
-    Returns two empty texts if the key does not have KEY_PARTS parts.
+    Returns two empty texts if the key does not have FRAME_READING.key_parts parts.
     """
     parts = key.split("/")
     return (parts[4], parts[5]) if len(parts) == FRAME_READING.key_parts else ("", "")

@@ -51,10 +51,11 @@ BOUND_PASSES = BoundPasses()
 class LargeBound:
     """Find prices for the Lagrangian bound of bound.py in passes; only the pricing is expensive.
 
-        pi_k = DRAWN * (prices of the best bound) + (1 - DRAWN) * (prices of the known columns)
+        pi_k = w * (prices of the best bound) + (1 - w) * (prices of the known columns)
         value_k = sum_j pi_kj + sum_i K_i least_i(pi_k),     pi_kj <= cost of leaving task j out
 
-    Once the gap is small, or no columns are new, pi_k are the prices of the known columns alone.
+    w is BOUND_PASSES.best_price_share. Once the gap is small, or no columns are new, pi_k are the
+    prices of the known columns alone.
 
     In each pass each robot floods least_i and columns of negative reduced cost. They are exact,
     by bidirectional_pricing.py, if the robot has few enough half-routes. Otherwise least_i is

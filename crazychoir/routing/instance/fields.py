@@ -151,7 +151,7 @@ class InstanceFields:
         return self._checks.points(key, rows, wanted)
 
     def amounts(self, key: str) -> Vec:
-        """Return (n,) numbers from 0 to MOST."""
+        """Return (n,) numbers from 0 to INSTANCE_LIMITS.amount."""
         values = self._list(key)
         for r, value in enumerate(values):
             self._checks.number(f"{key}[{r}]", value, most=INSTANCE_LIMITS.amount)

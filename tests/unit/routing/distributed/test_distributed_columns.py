@@ -316,7 +316,9 @@ def test_a_proof_that_would_be_too_long_is_left_out_unless_asked_for(graph):
     )
     found = solve_in_loop(instance, graph("ring", 5), settings=few)
     proven = solve_in_loop(
-        instance, graph("ring", 5), settings=replace(few, prove=True)
+        instance,
+        graph("ring", 5),
+        settings=replace(few, proof=replace(few.proof, prove=True)),
     )
     assert found.bound_exact
     assert found.lower_bound <= proven.cost + 1e-6 <= found.cost + 2e-6

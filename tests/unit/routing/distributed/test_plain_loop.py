@@ -446,7 +446,9 @@ def test_what_is_relayed_for_all_robots_together_fits_into_a_payload(small, grap
     )
     plain = solve_in_loop(instance, graph("star", 4), settings=whole)
     parted = solve_in_loop(
-        instance, graph("star", 4), settings=replace(whole, most_relayed=4)
+        instance,
+        graph("star", 4),
+        settings=replace(whole, columns=replace(whole.columns, most_relayed=4)),
     )
     assert parted.cost == plain.cost == pytest.approx(optimum)
     assert parted.rounds > plain.rounds, "one column of each robot in a message"
