@@ -28,13 +28,14 @@ from crazychoir.bench.exchange import (
 )
 from crazychoir.bench.significance import compare_pairs, relative_excess, spread
 from crazychoir.errors import ConfigError, CrazyChoirError, error_text
-from crazychoir.routing.distributed.member import RoutingSettings
+from crazychoir.routing.distributed.member import ProofSettings, RoutingSettings
 from crazychoir.routing.distributed.pickup_delivery import PLANNING_METHODS
 from crazychoir.routing.instance.checker import check_plan
-from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.plan import Route, RoutePlan
 from crazychoir.solve.group import ProgramGroup
+from crazychoir.solve.solve_options import SolveOptions
 from crazychoir.solve.solving import solve_here
 from crazychoir.solve.team import merge_best_points, solve_in_processes
 from crazychoir.team.graph import graph_from_name
@@ -224,10 +225,12 @@ def _rows(
         lambda: solve_in_processes(
             instance,
             ROUTING_BENCH.team_processes,
-            method=method,
-            loss=ROUTING_BENCH.message_loss,
-            graph=_graph(graph, robots),
-            seed=seed,
+            SolveOptions(
+                method=method,
+                loss=ROUTING_BENCH.message_loss,
+                graph=_graph(graph, robots),
+                seed=seed,
+            ),
         ),
     )
     yield head | {"name": TEAM_ROW} | ours
@@ -242,10 +245,12 @@ def _rows(
                     instance,
                     lambda rival=rival: solve_here(  # type: ignore[misc]
                         instance,
-                        method=rival,
-                        loss=ROUTING_BENCH.message_loss,
-                        graph=_graph(graph, robots),
-                        seed=seed,
+                        SolveOptions(
+                            method=rival,
+                            loss=ROUTING_BENCH.message_loss,
+                            graph=_graph(graph, robots),
+                            seed=seed,
+                        ),
                     ),
                 )
                 if known
@@ -269,7 +274,7 @@ def _prove_with_team(
     """Return the row of the team when it runs until it has proven what it can."""
     say(f"{size} {seed}: proof")
     instance = _instance(size, seed)
-    settings = RoutingSettings(prove=True)
+    settings = RoutingSettings(proof=ProofSettings(prove=True))
     return (
         _head(size, seed)
         | {"name": PROOF_ROW}
@@ -278,11 +283,13 @@ def _prove_with_team(
             lambda: solve_in_processes(
                 instance,
                 ROUTING_BENCH.team_processes,
-                method=method,
-                loss=ROUTING_BENCH.message_loss,
-                graph=_graph(graph, instance.robots),
-                seed=seed,
-                settings=settings,
+                SolveOptions(
+                    method=method,
+                    loss=ROUTING_BENCH.message_loss,
+                    graph=_graph(graph, instance.robots),
+                    seed=seed,
+                    settings=settings,
+                ),
             ),
         )
     )
@@ -290,7 +297,9 @@ def _prove_with_team(
 
 def _instance(size: str, seed: int) -> Instance:
     return random_instance(
-        *INSTANCE_SIZES[size], seed, route_length_limit=ROUTING_BENCH.route_length_limit
+        *INSTANCE_SIZES[size],
+        seed,
+        InstanceShape(route_length_limit=ROUTING_BENCH.route_length_limit),
     )
 
 

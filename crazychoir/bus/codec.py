@@ -56,6 +56,8 @@ WIRE_LAYOUTS: Final[dict[str, tuple[int, ...]]] = {
     "Velocity": (42, 3),
     "Plan": (43, 0),
     "LinkStatus": (44, 0),
+    "HoldRequest": (45, 0),
+    "HoldAnswer": (46, 0),
 }
 """Wire types by class name: (kind, n) or (kind, n, m).
 
@@ -126,9 +128,9 @@ def decode(payload: Payload, limit: int = MAX_PAYLOAD) -> Any:
 
 
 def register(cls: type[W]) -> type[W]:
-    """Let a wire type travel; its kind is in LAYOUTS. Can be used as a decorator.
+    """Let a wire type travel; its kind is in WIRE_LAYOUTS. Can be used as a decorator.
 
-    Raises CodecError if LAYOUTS does not have the type, or a field has an unsuitable type.
+    Raises CodecError if WIRE_LAYOUTS does not have the type, or a field has an unsuitable type.
     """
     if cls.__name__ not in WIRE_LAYOUTS:
         raise CodecError(

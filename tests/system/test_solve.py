@@ -7,6 +7,7 @@ import sys
 import pytest
 
 from crazychoir.routing.instance.instance import Instance
+from crazychoir.solve.solve_options import SolveOptions
 from crazychoir.solve.solving import solve_here
 
 pytestmark = pytest.mark.system
@@ -52,7 +53,9 @@ def near(result, optimum):
 def test_the_optimum_also_when_messages_are_lost(reference_data, name):
     path = reference_data("pdvrp") / f"pdvrp_opt_{name}.json"
     optimum = json.loads(path.read_text())["optimum"]
-    result, lossy = (solve_here(Instance.load(path), loss=loss) for loss in (0.0, 0.3))
+    result, lossy = (
+        solve_here(Instance.load(path), SolveOptions(loss=loss)) for loss in (0.0, 0.3)
+    )
     near(result, optimum)
     near(lossy, optimum)
     assert lossy["plan_digest"] == result["plan_digest"]

@@ -13,6 +13,7 @@ from crazychoir.bench.peers.routing import end_with_parent
 from crazychoir.optimization.rounds.program import Exchange, Program
 from crazychoir.routing.distributed.member import (
     GraphPosition,
+    PriceSettings,
     RoutingMember,
     RoutingSettings,
 )
@@ -72,7 +73,7 @@ def main() -> None:
     instance = Instance.load(spec["instance"])
     graph = {int(i): list(js) for i, js in spec["neighbors"].items()}
     span = compute_diameter(graph)
-    settings = RoutingSettings(price_rounds=spec["rounds"], still=0.0)
+    settings = RoutingSettings(prices=PriceSettings(rounds=spec["rounds"], still=0.0))
     began = time.perf_counter()
     cpu = time.process_time()
     members = {

@@ -90,8 +90,9 @@ def solve(
     bound_relaxation: the kind of routes that priced a bound that is not exact.
     """
     set_up_logging()
-    from crazychoir.routing.distributed.member import RoutingSettings
+    from crazychoir.routing.distributed.member import ProofSettings, RoutingSettings
     from crazychoir.routing.instance.instance import Instance
+    from crazychoir.solve.solve_options import SolveOptions
     from crazychoir.solve.solving import solve_here
     from crazychoir.solve.team import (
         solve_in_processes,
@@ -108,20 +109,15 @@ def solve(
             )
         problem = Instance.load(instance)
         options.build_named_graph(graph, problem.robots, seed)
-        how: dict[str, Any] = {
-            "method": method,
-            "loss": loss,
-            "graph": graph,
-            "seed": seed,
-            "settings": RoutingSettings(prove=prove),
-        }
+        settings = RoutingSettings(proof=ProofSettings(prove=prove))
+        how = SolveOptions(method, loss, graph, seed, settings)
         if processes is None:
             with LiveTable(_team_table, enabled=not as_json) as shown:
-                result = solve_here(problem, watch=shown, **how)
+                result = solve_here(problem, how, watch=shown)
         else:
             with LiveTable(_progress_table, enabled=not as_json) as progress:
                 result = solve_in_processes(
-                    problem, processes, watch=None if as_json else progress, **how
+                    problem, processes, how, watch=None if as_json else progress
                 )
         if picture is not None:
             with outputs.writing("--picture"):

@@ -92,7 +92,7 @@ class InsertionBids:
 
 
 def plan_by_insertion(member: RoutingMember, method: str) -> Exchange[TaskPartition]:
-    """Return this robot's route by a method of METHODS, without a bound.
+    """Return this robot's route by a method of BIDDING_METHODS, without a bound.
 
     Raises SolverError, at all robots alike, if a task that must be served remains without a robot.
     """

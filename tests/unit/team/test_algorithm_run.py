@@ -49,7 +49,7 @@ class Missing:
     def __init__(self, clock, ids, since):
         self.clock, self.ids, self.since = clock, ids, since
 
-    def lost(self, j):
+    def is_lost(self, j):
         return j in self.ids and self.clock.now() > self.since
 
 

@@ -25,13 +25,11 @@ from crazychoir.runtime.clock import Clock, run_virtual, run_wall
 from crazychoir.team import graph as graphs
 from crazychoir.team.algorithm_run import run_algorithm
 from crazychoir.team.channel import ROUND_WINDOW
-from crazychoir.team.communicator import AHEAD, DATA, Communicator
+from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph, GraphSequence, metropolis
+from crazychoir.team.message_kind import KIND_BITS, MessageKind
 from crazychoir.team.rounds import (
-    CREDIT,
     FAILURE_CHANNEL,
-    FIN_TOO,
-    KIND_BITS,
     ROUND_LIMITS,
 )
 from crazychoir.types import Failure, PerNeighbor
@@ -217,7 +215,7 @@ def test_who_sends_ahead_does_not_say_that_it_has_read():
     async def agent(c: Communicator) -> Any:
         for k in range(3):
             await c.send(k)
-        return c.open("main").progress.get(1 - c.id, 0)
+        return c.open("main").peers.progress.get(1 - c.id, 0)
 
     assert swarm(graphs.path(2), agent) == {0: 0, 1: 0}
 
@@ -241,7 +239,7 @@ def test_a_sender_keeps_what_nobody_has_asked_for_yet():
             for k in range(ROUND_WINDOW.kept_rounds + 6):
                 await c.send(k)
             return []
-        c.port.send = lambda *m: send(*m) if m[5] & 7 != CREDIT else None  # type: ignore[method-assign]
+        c.port.send = lambda *m: send(*m) if m[5] & 7 != MessageKind.CREDIT else None  # type: ignore[method-assign]
         await c.port.bus.clock.sleep(0.1)
         return [
             value
@@ -462,7 +460,7 @@ def test_a_ring_of_missing_messages_heals():
         send, after = c.port.send, (c.id + 1) % 3
 
         def lossy(topic: Any, to: tuple[int, ...], *m: Any) -> None:
-            first = m[3] & 7 == DATA and not m[4:]
+            first = m[3] & 7 == MessageKind.DATA and not m[4:]
             send(topic, tuple(j for j in to if not (first and j == after)), *m)
 
         c.port.send = lossy  # type: ignore[method-assign, assignment]
@@ -481,7 +479,7 @@ def test_a_duplicate_of_a_finished_round_is_not_answered():
     async def agent(c: Communicator) -> int:
         await c.neighbors_exchange(1)
         before = c.port.counters.sent
-        for kind in (DATA, AHEAD):
+        for kind in (MessageKind.DATA, MessageKind.AHEAD):
             c.port.deliver(
                 MESSAGE_TOPICS.rounds.number, 1 - c.id, encode(1), 0, "main", kind, 0.0
             )
@@ -551,7 +549,7 @@ class Lost:
     def __init__(self, clock: Clock, gone: int, when: float) -> None:
         self.clock, self.gone, self.when = clock, gone, when
 
-    def lost(self, j: int) -> bool:
+    def is_lost(self, j: int) -> bool:
         return j == self.gone and self.clock.now() >= self.when
 
 
@@ -674,7 +672,13 @@ def test_who_has_not_closed_does_not_say_so():
     async def agent(c: Communicator) -> int:
         c.open("main")
         c.port.deliver(
-            MESSAGE_TOPICS.rounds.number, 1 - c.id, b"", 0, "main", FIN_TOO, 0.0
+            MESSAGE_TOPICS.rounds.number,
+            1 - c.id,
+            b"",
+            0,
+            "main",
+            MessageKind.FIN_TOO,
+            0.0,
         )
         return c.port.counters.sent
 
@@ -806,7 +810,7 @@ def test_a_flood_of_strange_messages_takes_no_memory_and_disturbs_nobody():
                 b"x" * 2000,
                 0,
                 f"name {n}",
-                DATA,
+                MessageKind.DATA,
                 0.0,
             )
             deliver(
@@ -815,7 +819,7 @@ def test_a_flood_of_strange_messages_takes_no_memory_and_disturbs_nobody():
                 b"x" * (ROUND_LIMITS.max_early_bytes + 1),
                 0,
                 "large",
-                DATA,
+                MessageKind.DATA,
                 0.0,
             )
             deliver(
@@ -836,7 +840,15 @@ def test_a_flood_of_strange_messages_takes_no_memory_and_disturbs_nobody():
                 n % 8,
                 0.0,
             )
-            deliver(MESSAGE_TOPICS.rounds.number, 77 + n, b"x", 0, "main", DATA, 0.0)
+            deliver(
+                MESSAGE_TOPICS.rounds.number,
+                77 + n,
+                b"x",
+                0,
+                "main",
+                MessageKind.DATA,
+                0.0,
+            )
             deliver(
                 MESSAGE_TOPICS.rounds.number,
                 1 - c.id,
@@ -851,7 +863,13 @@ def test_a_flood_of_strange_messages_takes_no_memory_and_disturbs_nobody():
         assert max(kept) <= ROUND_LIMITS.max_early_bytes
         ch = c.open("main")
         assert list(c._channels) == [FAILURE_CHANNEL, "main"]
-        assert len(ch.inbox) + len(ch.latest) + len(ch.progress) + len(ch.finished) < 10
+        assert (
+            len(ch.inbox)
+            + len(ch.peers.latest)
+            + len(ch.peers.progress)
+            + len(ch.peers.finished)
+            < 10
+        )
         return [await c.neighbors_exchange(10 * k + c.id) for k in range(30)]
 
     assert swarm(graphs.path(2), agent)[0] == [{1: 10 * k + 1} for k in range(30)]
@@ -872,7 +890,7 @@ def test_rounds_far_ahead_are_dropped_and_counted():
                 encode(1),
                 number,
                 "main",
-                DATA,
+                MessageKind.DATA,
                 0.0,
             )
         return len(ch.inbox), c.ahead
@@ -899,7 +917,9 @@ def test_too_many_channels_are_refused_and_closed_ones_make_room():
 def test_an_undecodable_message_is_an_error_of_its_reader():
     async def agent(c: Communicator) -> int:
         if c.id == 1:
-            c.port.send(MESSAGE_TOPICS.rounds, (0,), b"\xff", 0, "main", DATA)
+            c.port.send(
+                MESSAGE_TOPICS.rounds, (0,), b"\xff", 0, "main", MessageKind.DATA
+            )
             return 0
         with pytest.raises(CodecError):
             await c.neighbors_exchange(1)
@@ -961,7 +981,9 @@ def test_messages_of_an_earlier_epoch_are_ignored_and_those_of_the_next_are_kept
     async def agent(c: Communicator) -> dict[int, str]:
         clock = c.port.bus.clock
         if c.id == 1:
-            c.port.send(MESSAGE_TOPICS.rounds, (0,), encode("old"), 0, "main", DATA)
+            c.port.send(
+                MESSAGE_TOPICS.rounds, (0,), encode("old"), 0, "main", MessageKind.DATA
+            )
             c.leave((), 1)
             return await c.neighbors_exchange("new")
         await clock.sleep(0.2)
@@ -969,7 +991,13 @@ def test_messages_of_an_earlier_epoch_are_ignored_and_those_of_the_next_are_kept
         c.leave((), 1)
         assert encode("old") not in c.open("main").inbox.get(0, {}).values()
         c.port.deliver(
-            MESSAGE_TOPICS.rounds.number, 1, encode("old"), 0, "main", DATA, 0.0
+            MESSAGE_TOPICS.rounds.number,
+            1,
+            encode("old"),
+            0,
+            "main",
+            MessageKind.DATA,
+            0.0,
         )
         assert not c._early
         await clock.sleep(0.5)

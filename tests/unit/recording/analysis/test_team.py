@@ -33,7 +33,7 @@ from crazychoir.recording.mcap.messages import (
     Exchanged,
     make_packer,
 )
-from crazychoir.team.rounds import AHEAD, FIN, REPEAT, WANT
+from crazychoir.team.message_kind import MessageKind
 from crazychoir.types import Status
 
 BEGAN = 5.0
@@ -269,10 +269,10 @@ def test_an_agent_that_is_started_anew_counts_from_nothing(recorded):
 
 def test_what_has_no_content_is_no_message_of_a_round(recorded):
     said = [
-        (0, REPEAT, encode(1.0)),
-        (1, AHEAD, encode(3.0)),
-        (2, WANT, b""),
-        (3, FIN, b""),
+        (0, MessageKind.REPEAT, encode(1.0)),
+        (1, MessageKind.AHEAD, encode(3.0)),
+        (2, MessageKind.WANT, b""),
+        (3, MessageKind.FIN, b""),
     ]
     path = recorded(
         [
