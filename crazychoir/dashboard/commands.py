@@ -42,7 +42,7 @@ class ReceiptTexts:
 
     absent: str = "no agent of it is there"
     """Words of a receipt if no agent answers for the drone."""
-    replayed: str = "REPLAY: nobody obeys"
+    replayed: str = "REPLAY: no drone obeys"
     """Words of a refusal if the messages come from a recording."""
     ended: str = "ENDED: no drone is there"
     """Notice of the page if no drone is there any more."""

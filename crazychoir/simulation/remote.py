@@ -396,7 +396,7 @@ class RemoteBody:
 
     def abandon(self) -> None:
         """Land a drone that flies without a command since its owner was started."""
-        log.warning("drone %d: flies, and nobody commands it: landing", self.drone)
+        log.warning("drone %d: flies without a commander: landing", self.drone)
         self.link.send(self._down(False))
 
     def stop(self, reason: str) -> None:

@@ -32,7 +32,7 @@ def world(
     ] = False,
     child: Annotated[
         bool,
-        typer.Option(hidden=True, help="It ends without parent, when nobody flies."),
+        typer.Option(hidden=True, help="End when the parent has ended and no drone flies."),
     ] = False,
 ) -> None:
     """Own the simulated world of a swarm. Ctrl-C ends it as soon as no drone flies."""
@@ -47,7 +47,7 @@ def world(
     try:
         config, which = chosen_swarm(swarm)
         if not config.owned:
-            allowed = "a swarm whose world has an owner"
+            allowed = "a swarm with a world that has an owner"
             do = 'Write owned = true into [world], or uri = "sim://motors" into its [[drones]].'
             raise ConfigError(which, "drones that fly in their agents", allowed, do)
         if not as_json and not child:

@@ -51,7 +51,10 @@ def ros(
     ] = 10.0,
     seconds: Annotated[float, options.seconds("How long, in s.")] = 3600.0,
 ) -> None:
-    """Publish poses, paths, markers and transforms of a running swarm as rmw_zenoh does (experimental)."""
+    """Show a running swarm in ROS 2 (experimental).
+
+    Publishes poses, paths, markers and transforms as rmw_zenoh does.
+    """
 
     async def work(window: "Window") -> None:
         from crazychoir.bus.network.zenoh_link import OutsideSession

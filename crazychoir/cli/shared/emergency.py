@@ -130,8 +130,8 @@ class EmergencyStop:
                 "bodies": self._bodies(),
             }
             who = "; ".join(
-                f"{whose} {describe_ids(known)}"
-                for whose, known in ids.items()
+                f"{group} {describe_ids(known)}"
+                for group, known in ids.items()
                 if known
             )
             verb = "cleared" if self.clear else "stopped"

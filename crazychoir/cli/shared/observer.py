@@ -92,7 +92,7 @@ class Window:
 
         Returns the drones that were found. Raises Refused if there is none.
         """
-        await self.somebody()
+        await self.wait_for_drone()
         seen = 0
         ends = 0.0
         while len(self.drones) < len(self.config.ids):
@@ -104,7 +104,7 @@ class Window:
             await self.clock.sleep(SWARM_SEARCH.check_period)
         return self.drones
 
-    async def somebody(self) -> None:
+    async def wait_for_drone(self) -> None:
         """Wait until the first drone is found.
 
         Raises Refused if none is found in time, or soon after the run of the swarm has ended.
@@ -273,7 +273,7 @@ class Window:
         So an absent drone delays no other.
         """
         self._require_operator()
-        await self.somebody()
+        await self.wait_for_drone()
         asked = {
             i: asyncio.ensure_future(ask(i))
             for i in (self.config.ids if drones is None else drones)

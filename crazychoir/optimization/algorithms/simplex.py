@@ -418,7 +418,7 @@ class DistributedSimplex(Program[LinearSolution]):
         min  sum_i c_i'x_i   s.t.  sum_i A_i x_i = b,  x_i >= 0
 
     Every round an agent sends its basis, m columns, to its neighbours, and keeps the lexicographically optimal basis
-    of what it has and hears; there is no step size. It ends, in the same round at all, when nobody has changed for
+    of what it has and hears; there is no step size. It ends, in the same round everywhere, when no agent has changed for
     2 D + 1 rounds.
     c: (n_i,), A: (m, n_i), own columns, n_i may be 0;  b: (m,), the same at all;  diameter: D, rounds in which a
     message of each agent reaches all: of a (directed) graph its diameter, of a graph sequence the longest such time.

@@ -141,11 +141,11 @@ def _require_fitting(i: int, agent: Any, graph: Graph | GraphSequence) -> None:
             found = sorted(j for j in rows[k % len(rows)] if j != i)
             wanted = sorted(others(each, i))
             if found != wanted:
-                who = "hears" if name == "weights" else "is heard by"
+                relation = "hears" if name == "weights" else "is heard by"
                 raise ConfigError(
                     f"agent {i}: {name}, round {k}",
                     f"of {found}",
-                    f"of those it {who}, {wanted}",
+                    f"of the agents it {relation}, {wanted}",
                 )
 
 

@@ -141,7 +141,7 @@ def plan_drawing(
     timed, interpolated by a spline of degree 7 and slowed down as the limits need. Strokes are joined by straight
     flights, at the same height or lifted; one of a single place is a dot, flown to.
     strokes: (k, 2) rows x, y m, or (k, 3) rows t s, x, y m, world;  limits: v_max and a_max finite;  longest: s, of
-    the flight; one that takes longer is refused as soon as that is known.
+    the flight; a longer flight is refused as soon as that is known.
     Errors: ConfigError; also for a stroke that would be flown farther from its lines than the pen allows.
     """
     limits.check_timed("drawing")

@@ -292,20 +292,20 @@ class VirtualServer(Actor):
             raise ConfigError("faults", wanted, "{id: {name: value}}")
         found = [
             (i, check_faults(row, tuple(self.ports)))
-            for who, row in wanted.items()
-            for i in self._who(who)
+            for named, row in wanted.items()
+            for i in self._list_named(named)
         ]
         for i, row in found:
             for name, value in row.items():
                 self._put(i, name, value)
 
-    def _who(self, who: str) -> list[int]:
+    def _list_named(self, drones: str) -> list[int]:
         """Return the drones of "all", "3" or "3,4"."""
-        if who == "all":
+        if drones == "all":
             return list(self.ports)
         names = {str(i): i for i in self.ports}
         words = [
-            word.strip().lstrip("0") or "0" for word in who.split(",") if word.strip()
+            word.strip().lstrip("0") or "0" for word in drones.split(",") if word.strip()
         ]
         unknown = [word for word in words if word not in names]
         if unknown or not words:

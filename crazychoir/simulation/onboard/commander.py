@@ -23,7 +23,7 @@ from crazychoir.types import Vec
 class SetpointPriorities(NamedTuple):
     """Priorities of the sources of set-points."""
 
-    nobody: int = 0
+    no_sender: int = 0
     """No source is in control."""
     high_level: int = 1
     """The planner."""
@@ -118,7 +118,7 @@ def rpyt(
     inverted sign in this kind of packet only.
     """
     fw = fleet[i]
-    if fw.priority == SETPOINT_PRIORITIES.nobody:
+    if fw.priority == SETPOINT_PRIORITIES.no_sender:
         fw.locked_thrust = 1
     if thrust == 0.0:
         fw.locked_thrust = 0

@@ -85,7 +85,7 @@ def find_first_meeting(
     for k in range(way.shape[0]):
         duration += way[k, 0]
     soonest = math.inf
-    whose = -1.0
+    other_id = -1.0
     for row in range(others.shape[0]):
         other = others[row]
         first = int(other[PATH_FIRST_PIECE])
@@ -124,10 +124,10 @@ def find_first_meeting(
                 nearest,
             ):
                 soonest = t
-                whose = other[PATH_DRONE_ID]
+                other_id = other[PATH_DRONE_ID]
                 break
             t += MEETING_CHECK.step
-    return soonest, whose
+    return soonest, other_id
 
 
 class OtherPaths:
@@ -218,8 +218,8 @@ class OtherPaths:
             self._packed = np.concatenate(self._pieces), np.array(self._rows)
         figures = self.figures.copy()
         figures[2] += room
-        time, whose = find_first_meeting(way, began, *self._packed, now, figures)
-        return time, None if whose < 0.0 else int(whose)
+        time, other_id = find_first_meeting(way, began, *self._packed, now, figures)
+        return time, None if other_id < 0.0 else int(other_id)
 
     def clear(self, way: Mat, began: float, now: float) -> bool:
         """Return whether the path meets no other."""
