@@ -45,7 +45,7 @@ INSTANCE_SIZES = {
     "middle": (20, 40),
     "large": (50, 100),
 }
-"""Robots and tasks, in a room of 10 m by 10 m, with routes of at most LIMIT m."""
+"""Robots and tasks, in a room of 10 m by 10 m, with routes of at most ROUTING_BENCH.route_length_limit m."""
 INSTANCE_COUNTS = {"tiny": 5, "small": 20, "middle": 5, "large": 5}
 """Number of instances of each size, if the command line does not give it."""
 
@@ -135,7 +135,7 @@ def run(
     graph: communication graph of the team
     method: method of the team, None for the default
     prove: whether the team also tries to prove an optimum, in a run of its own, for the sizes in
-        PROVABLE
+        ROUTING_BENCH.provable_sizes
     quick: two tiny instances, and OR-tools for 1 s
     say: called with a text that says what is being measured
     Raises ConfigError for an unknown size, graph or method.

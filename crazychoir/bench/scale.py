@@ -365,7 +365,7 @@ def fit_model(name: str, cells: list[ScaleCell]) -> FittedModel:
 
 
 def estimate_hosts(fits: dict[str, FittedModel]) -> list[dict[str, float]]:
-    """Return what HOSTS hosts with EACH agents each need at RATE rounds/s.
+    """Return what the hosts of HOST_ESTIMATE need, with its agents a host and its rounds a second.
 
     The first row has one process a host, the second one process a core.
     All neighbours are on other hosts, and no two messages share a frame. This is the worst case:

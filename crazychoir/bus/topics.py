@@ -87,8 +87,6 @@ class Topic:
 NEVER_STALE = float("inf")
 """Maximum age of values that never become stale."""
 
-# From one drone's actors to each other and to observers.
-
 
 @dataclass(frozen=True, slots=True)
 class DroneTopics:
@@ -194,9 +192,6 @@ class DroneTopics:
 
 
 DRONE_TOPICS = DroneTopics()
-
-
-# From a drone to its body in another process: it replaces COMMAND after the motors are cut.
 
 
 @dataclass(frozen=True, slots=True)

@@ -460,7 +460,8 @@ class CFGuidance:
         """Fly to a place, and return when the drone is there.
 
         It waits, at most PATIENCE s, while an operator holds the drone or the safety table brakes it, and where it
-        gives way to other drones, for example to a drone that stands at p. A place above its home is flown to as near as the guard allows.
+        gives way to other drones, for example to a drone that stands at p. A place above its home is flown to as near
+        as the guard allows.
         Raises ConfigError, before it moves, for what is no place, and for a place outside the fence, at its edge, or on
         the floor; Interrupted when the pilot lands, and when p cannot be reached.
         """

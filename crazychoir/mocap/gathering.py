@@ -32,7 +32,7 @@ async def gather_frames(
     Their times are those of the source.
 
     seconds: s
-    Raises Refused if no frame arrives within FIRST s, whatever the source does.
+    Raises Refused if no frame arrives within GATHER_TIMING.first_frame_deadline s, whatever the source does.
     """
     frames: list[PoseFrame] = []
 

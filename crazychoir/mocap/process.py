@@ -104,7 +104,7 @@ class MocapProcess(Actor):
     """Publishes each pose as it arrives and, at the topic's rate, the state of the drone as truth.
 
     The truth of virtual drones is exact; that of others is their poses and derivative. The process
-    ends when it is asked to. It waits at most PATIENT s while one of its drones has an agent on the
+    ends when it is asked to. It waits at most SHUTDOWN_PATIENCE s while one of its drones has an agent on the
     network or flies: a drone needs poses to land.
 
     config: the swarm

@@ -33,7 +33,7 @@ FRAME_TIMING = FrameTiming()
 class RateLimit:
     """Lets at most `rate` frames a second through, on average.
 
-    Frames of this very rate all pass, even if they jitter. A frame at t passes if t >= due - EARLY
+    Frames of this very rate all pass, even if they jitter. A frame at t passes if t >= due - FRAME_TIMING.early_share
     / rate; then due becomes max(due, t) + 1 / rate. A time before the last one comes from a clock
     that was set back: the frame passes, and due counts from there.
 

@@ -37,8 +37,6 @@ SWITCH_INTERVAL = 0.0005
 The event loop does not wait longer.
 """
 
-# Priorities of alarms at the same instant.
-
 
 class AlarmPriority(IntEnum):
     """Order of the alarms of one instant: the lowest comes first."""

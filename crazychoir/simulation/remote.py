@@ -282,7 +282,7 @@ class BodyObserver(Protocol):
     """Questions about the body of a drone, answered by a simulated world or by a radio."""
 
     flies: tuple[str, ...]
-    """Kinds of commands that its drones obey, keys of KINDS."""
+    """Kinds of commands that its drones obey, keys of COMMAND_TYPES."""
     command_timeout: float | None
     """Seconds without a command before a flying drone gets no thrust; None: no such limit."""
 

@@ -365,7 +365,9 @@ def _violation_text(history: "History") -> str | Text:
     violators = (
         f"agent {over[0]}" if len(over) == 1 else f"{len(over)} agents, as {over[0]}"
     )
-    return Text(f"{history.violation:.3g}, of {violators}: their x is not feasible", "red")
+    return Text(
+        f"{history.violation:.3g}, of {violators}: their x is not feasible", "red"
+    )
 
 
 def _shorten_value(x: Any) -> str:

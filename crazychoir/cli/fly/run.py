@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from crazychoir.config.swarm_config import SwarmConfig
     from crazychoir.guidance.mission import Mission
 
+    Progress = LiveTable[Any]
+
 
 def run(
     what: Annotated[
@@ -172,7 +174,7 @@ class _ChosenFlight:
 
 
 def _fly_in_virtual_time(
-    flight: _ChosenFlight, config: "SwarmConfig", progress: LiveTable
+    flight: _ChosenFlight, config: "SwarmConfig", progress: "Progress"
 ) -> tuple["SwarmConfig", dict[str, Any]]:
     """Fly in this process; return the swarm and the result."""
     from crazychoir.launch.flight import fly_fast
@@ -190,7 +192,7 @@ def _fly_in_real_time(
     config: "SwarmConfig",
     own: bool,
     processes: int | None,
-    progress: LiveTable,
+    progress: "Progress",
 ) -> tuple["SwarmConfig", dict[str, Any]]:
     """Fly in processes of their own; return the swarm that has flown and the result.
 

@@ -33,7 +33,7 @@ class RosBridgeSettings:
     poses_per_path: int = 10
     """Poses of a drone after which its path is published again."""
     reads_per_age: float = 2.0
-    """Smallest number of places to read within STATE.max_age, the age limit of a published place.
+    """Smallest number of places to read within DRONE_TOPICS.state.max_age, the age limit of a published place.
     """
 
 

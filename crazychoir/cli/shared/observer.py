@@ -88,7 +88,7 @@ class Window:
         return any(peer.host == REPLAY_HOST for peer in self.link.peers.values())
 
     async def find(self) -> list[int]:
-        """Wait until all drones are found, at most DISCOVERY s after the last one.
+        """Wait until all drones are found, at most NEXT_PROCESS_TIMEOUT s after the last one.
 
         Returns the drones that were found. Raises Refused if there is none.
         """
@@ -178,7 +178,7 @@ class Window:
     ) -> Answers:
         """Send a flight command to these drones; None means all.
 
-        A drone that is not ready yet is asked again, for at most READY s. A command that takes more
+        A drone that is not ready yet is asked again, for at most NOT_READY_TIMEOUT s. A command that takes more
         than `seconds` is left as ACCEPTED.
         Returns for each drone whether it is done, and the kind of its answer with a text, such as
         "refused" and the reason.

@@ -194,5 +194,5 @@ def _require_same(i: int, agent: Any, first: int, other: Any) -> None:
 
 
 def _sample_values(x: Any) -> dict[str, Any]:
-    """Return a number, or the values of a function of the round in ROUNDS, by their place."""
+    """Return a number, or the values of a function of the round in COMPARED_ROUNDS, by their place."""
     return {f", round {k}": x(k) for k in COMPARED_ROUNDS} if callable(x) else {"": x}

@@ -30,9 +30,6 @@ class CrtpFormat:
 CRTP_FORMAT = CrtpFormat()
 
 
-# Ports.
-
-
 class CrtpPort(IntEnum):
     """Ports of CRTP."""
 

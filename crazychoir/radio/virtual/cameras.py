@@ -120,7 +120,9 @@ class CameraPort:
         """Whether any client wants frames."""
         now_ns = self.clock.now_ns()
         self._watchers = {
-            watcher: until for watcher, until in self._watchers.items() if until > now_ns
+            watcher: until
+            for watcher, until in self._watchers.items()
+            if until > now_ns
         }
         return bool(self._watchers)
 

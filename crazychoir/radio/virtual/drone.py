@@ -25,7 +25,6 @@ from crazychoir.simulation.onboard.logs import FIRMWARE_LOG_READERS
 from crazychoir.simulation.onboard.onboard import Onboard
 
 log = logging.getLogger(__name__)
-# Channels of the link's port: echoes, the source of a link, packets to drop.
 
 
 class LinkChannel(IntEnum):

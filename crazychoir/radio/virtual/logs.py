@@ -10,8 +10,6 @@ from crazychoir.radio.protocol.crtp import CrtpPort, Packet
 from crazychoir.radio.virtual.toc import LOG_TYPES, STRUCT_LETTERS, Toc, TocEntry
 from crazychoir.simulation.onboard.logs import truncate_to_range
 
-# Channels.
-
 
 class LogChannel(IntEnum):
     """Channels of the logs' port."""
@@ -22,9 +20,6 @@ class LogChannel(IntEnum):
     """Commands for log blocks."""
     VALUES = 2
     """The values of log blocks."""
-
-
-# Commands of SETTINGS.
 
 
 class LogCommand(IntEnum):
@@ -48,9 +43,6 @@ class LogCommand(IntEnum):
     """Adds variables to a block."""
     START_V2 = 8
     """Starts a block, with a period in ms."""
-
-
-# Results, with the numbers of errno.
 
 
 class LogResult(IntEnum):

@@ -8,8 +8,6 @@ from typing import Protocol
 from crazychoir.radio.protocol.crtp import CrtpPort, Packet
 from crazychoir.simulation.onboard.onboard import Onboard
 
-# Channels.
-
 
 class MemoryChannel(IntEnum):
     """Channels of the memories' port."""
@@ -22,9 +20,6 @@ class MemoryChannel(IntEnum):
     """Writes bytes."""
 
 
-# Commands of INFO.
-
-
 class MemoryInfo(IntEnum):
     """Commands of the channel for information."""
 
@@ -32,9 +27,6 @@ class MemoryInfo(IntEnum):
     """Asks for the number of memories."""
     DESCRIPTION = 2
     """Asks for the type and size of one memory."""
-
-
-# Types. There is no 1-wire memory: clients would read it at each connection.
 
 
 class MemoryKind(IntEnum):
@@ -58,7 +50,6 @@ class MemoryKind(IntEnum):
 
 DECK_MEMORY_VERSION = 3
 """Version of the content of DECKS."""
-# Results, with the numbers of errno.
 
 
 class MemoryResult(IntEnum):

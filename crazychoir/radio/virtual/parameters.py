@@ -15,8 +15,6 @@ from crazychoir.radio.virtual.toc import PARAM_TYPES, Toc, TocEntry
 from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.parameters import PARAMETER_PLACES, RESET_ESTIMATION
 
-# Channels.
-
 
 class ParameterChannel(IntEnum):
     """Channels of the parameters' port."""
@@ -31,9 +29,6 @@ class ParameterChannel(IntEnum):
     """All other commands."""
 
 
-# Results, with the numbers of errno.
-
-
 class ParameterResult(IntEnum):
     """Results of requests for parameters, with the numbers of errno."""
 
@@ -45,9 +40,6 @@ class ParameterResult(IntEnum):
     """The parameter is read-only."""
     EINVAL = 22
     """The type is not that of the parameter."""
-
-
-# Commands of MISC.
 
 
 class MiscCommand(IntEnum):

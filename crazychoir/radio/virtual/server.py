@@ -305,7 +305,9 @@ class VirtualServer(Actor):
             return list(self.ports)
         names = {str(i): i for i in self.ports}
         words = [
-            word.strip().lstrip("0") or "0" for word in drones.split(",") if word.strip()
+            word.strip().lstrip("0") or "0"
+            for word in drones.split(",")
+            if word.strip()
         ]
         unknown = [word for word in words if word not in names]
         if unknown or not words:

@@ -51,7 +51,7 @@ BOUND_PASSES = BoundPasses()
 class LargeBound:
     """Find prices for the Lagrangian bound of bound.py in passes; only the pricing is expensive.
 
-        pi_k = DRAWN * (prices of the best bound) + (1 - DRAWN) * (prices of the known columns)
+        pi_k = s (prices of the best bound) + (1 - s) (prices of the known columns),  s = BOUND_PASSES.best_price_share
         value_k = sum_j pi_kj + sum_i K_i least_i(pi_k),     pi_kj <= cost of leaving task j out
 
     Once the gap is small, or no columns are new, pi_k are the prices of the known columns alone.

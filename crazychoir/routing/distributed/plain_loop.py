@@ -33,7 +33,7 @@ def solve_in_loop(
 
     instance: the problem of the team.
     graph: neighbours of each robot 0..N-1, connected, undirected.
-    method: one of METHODS.
+    method: one of PLANNING_METHODS.
     settings: constants that all robots share.
     carry: applied to each message on its way, such as encode and decode.
     """

@@ -192,7 +192,7 @@ class InstanceFields:
         return np.array(rows, dtype=float)
 
     def amounts(self, key: str) -> Vec:
-        """Return (n,) numbers from 0 to MOST."""
+        """Return (n,) numbers from 0 to INSTANCE_LIMITS.amount."""
         values = self._list(key)
         for r, value in enumerate(values):
             self._number(f"{key}[{r}]", value, most=INSTANCE_LIMITS.amount)

@@ -17,8 +17,6 @@ from crazychoir.simulation.onboard.record import (
 )
 from crazychoir.types import Vec
 
-# Priorities of the sources of set-points.
-
 
 class SetpointPriorities(NamedTuple):
     """Priorities of the sources of set-points."""
