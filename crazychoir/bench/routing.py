@@ -7,7 +7,6 @@ package's own checker.
 
 import importlib.util
 import json
-import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -21,11 +20,7 @@ from rich.console import Group as Shown
 from rich.table import Table
 from rich.text import Text
 
-from crazychoir.bench.exchange import (
-    BARE_PACKAGE_PROGRAM,
-    NOT_INSTALLED_NOTE,
-    PACKAGE_FOLDER,
-)
+from crazychoir.bench.harness import NOT_INSTALLED_NOTE, peer_command
 from crazychoir.bench.significance import compare_pairs, relative_excess, spread
 from crazychoir.errors import ConfigError, CrazyChoirError, error_text
 from crazychoir.routing.distributed.member import RoutingSettings
@@ -308,15 +303,7 @@ def measure_peer(
     with tempfile.TemporaryDirectory(prefix="crazychoir-bench-") as folder:
         file = Path(folder) / "instance.json"
         file.write_text(json.dumps(instance.to_json()), encoding="utf-8")
-        spec = json.dumps(options | {"instance": str(file)})
-        command = [
-            sys.executable,
-            "-c",
-            BARE_PACKAGE_PROGRAM,
-            str(PACKAGE_FOLDER),
-            f"crazychoir.bench.peers.{peer.module}",
-            spec,
-        ]
+        command = peer_command(peer.module, options | {"instance": str(file)})
         try:
             with ProgramGroup([command]) as group:
                 ((_, answer),) = group.answers(
