@@ -193,7 +193,7 @@ def check(config: SwarmConfig, force: bool = False) -> list[str]:
     if len(leaders) == len(config.ids):
         raise Refused(
             "containment",
-            "every drone is a leader. Name only those that are not to be led.",
+            "every drone is a leader. Name only the drones that are not to be led.",
         )
     require_led(_neighbors(config), leaders)
     _require_stable(config, options, leaders)

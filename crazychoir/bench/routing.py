@@ -7,7 +7,6 @@ package's own checker.
 
 import importlib.util
 import json
-import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -21,11 +20,7 @@ from rich.console import Group as Shown
 from rich.table import Table
 from rich.text import Text
 
-from crazychoir.bench.exchange import (
-    BARE_PACKAGE_PROGRAM,
-    NOT_INSTALLED_NOTE,
-    PACKAGE_FOLDER,
-)
+from crazychoir.bench.harness import NOT_INSTALLED_NOTE, peer_command
 from crazychoir.bench.significance import compare_pairs, relative_excess, spread
 from crazychoir.errors import ConfigError, CrazyChoirError, error_text
 from crazychoir.routing.distributed.member import ProofSettings, RoutingSettings
@@ -46,7 +41,7 @@ INSTANCE_SIZES = {
     "middle": (20, 40),
     "large": (50, 100),
 }
-"""Robots and tasks, in a room of 10 m by 10 m, with routes of at most LIMIT m."""
+"""Robots and tasks, in a room of 10 m by 10 m, with routes of at most ROUTING_BENCH.route_length_limit m."""
 INSTANCE_COUNTS = {"tiny": 5, "small": 20, "middle": 5, "large": 5}
 """Number of instances of each size, if the command line does not give it."""
 
@@ -136,7 +131,7 @@ def run(
     graph: communication graph of the team
     method: method of the team, None for the default
     prove: whether the team also tries to prove an optimum, in a run of its own, for the sizes in
-        PROVABLE
+        ROUTING_BENCH.provable_sizes
     quick: two tiny instances, and OR-tools for 1 s
     say: called with a text that says what is being measured
     Raises ConfigError for an unknown size, graph or method.
@@ -317,15 +312,7 @@ def measure_peer(
     with tempfile.TemporaryDirectory(prefix="crazychoir-bench-") as folder:
         file = Path(folder) / "instance.json"
         file.write_text(json.dumps(instance.to_json()), encoding="utf-8")
-        spec = json.dumps(options | {"instance": str(file)})
-        command = [
-            sys.executable,
-            "-c",
-            BARE_PACKAGE_PROGRAM,
-            str(PACKAGE_FOLDER),
-            f"crazychoir.bench.peers.{peer.module}",
-            spec,
-        ]
+        command = peer_command(peer.module, options | {"instance": str(file)})
         try:
             with ProgramGroup([command]) as group:
                 ((_, answer),) = group.answers(

@@ -531,7 +531,7 @@ def _check_pose_age(swarm: Swarm, where: str) -> None:
         raise ConfigError(
             f"{where}: mocap",
             f"latency {mocap.latency:g} s, rate {mocap.rate:g} Hz",
-            f"at most {SWARM_LIMITS.oldest_pose:g} s: a drone whose pose is older brakes",
+            f"at most {SWARM_LIMITS.oldest_pose:g} s: a drone with an older pose brakes",
             "Lower the latency, or raise the rate.",
             f"poses get {oldest:.3g} s old before the next one comes",
         )
@@ -576,7 +576,7 @@ def _check_security(swarm: Swarm, where: str) -> None:
     if not is_secured(swarm):
         return
     if not swarm.hosts:
-        do = "Add [hosts], or leave security.insecure out: nobody else reaches this machine's own addresses."
+        do = "Add [hosts], or leave security.insecure out: no other host reaches this machine's own addresses."
         raise ConfigError(
             f"{where}: security.insecure", "false", "a swarm with [hosts]", do
         )

@@ -118,7 +118,7 @@ def _where_it_belongs(name: str, value: object, labels: list[str], key: str) -> 
     shown = labels[:MOST_TABLES]
     more = f" and {len(labels) - MOST_TABLES} more" if len(labels) > MOST_TABLES else ""
     return (
-        f"It is a key of {', '.join(shown)}{more}: write it in the one that you mean."
+        f"It is a key of {', '.join(shown)}{more}: write it in the table that you mean."
     )
 
 

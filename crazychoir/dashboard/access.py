@@ -212,7 +212,7 @@ class AccessGate:
         return hmac.new(self._key, until.encode(), hashlib.sha256).hexdigest()
 
     async def _through(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request to the application, with at most MOST_BODY bytes of body."""
+        """Pass the request to the application, with at most `largest_body` bytes of body."""
         size = 0
         begun = False
 

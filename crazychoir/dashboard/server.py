@@ -81,7 +81,7 @@ class PageAddress:
     host: str = "127.0.0.1"
     """Address to listen at."""
     port: int | None = None
-    """Port, None for the first free one of PORTS."""
+    """Port, None for the first free one of PAGE_SERVER.tried_ports."""
     password: str | None = None
     """Password of the page, None for none."""
     certificate: Path | None = None

@@ -1350,7 +1350,7 @@ class Pilot(Actor):
     def _say_evades(self, other: int | None) -> None:
         """Say which drone this one evades; None if it brakes because others are not heard."""
         if other is None:
-            self._say("collision", "braking: who is near is not heard")
+            self._say("collision", "braking: drones nearby are not heard")
         else:
             self.note = f"keeps clear of drone {other}"
             self.grave = False

@@ -48,7 +48,7 @@ async def gather_frames(
         while not frames:
             if clock.now() - began > GATHER_TIMING.first_frame_deadline:
                 dropped = (
-                    f" {view.timeless} were dropped, whose time is no time in s."
+                    f" {view.timeless} were dropped, because their time is not a number of s."
                     if view.timeless
                     else ""
                 )

@@ -172,7 +172,7 @@ class MocapProcess(Actor):
         where = f"{self.source.where} ({self.source.state})"
         if not self.watch.frames:
             dropped = (
-                f"; {self.view.timeless} were dropped, whose time is no time in s"
+                f"; {self.view.timeless} were dropped, because their time is not a number of s"
                 if self.view.timeless
                 else ""
             )

@@ -152,7 +152,7 @@ class SystemSource:
             f"its reader does not start within {ATTEMPT_TIMING.start_deadline:g} s.",
         )
         self.state = "connecting"
-        hangs = f"no connection within {self._deadline:g} s; its library waits for ever where nobody answers."
+        hangs = f"no connection within {self._deadline:g} s; its library waits for ever if no server answers."
         await self._next(ours, self._deadline, hangs)
         self.state = "connected"
         while True:

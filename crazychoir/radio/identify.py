@@ -78,4 +78,4 @@ async def _require_rest(connection: Connection) -> None:
     with contextlib.suppress(TimeoutError):
         answer = await connection.ask(STATE_REQUEST, answers, STATE_DEADLINE)
         if int.from_bytes(answer.data[1:3], "little") & checks.ReadinessBit.FLYING:
-            raise Refused(connection.uri, "it flies: nobody should look for its LEDs")
+            raise Refused(connection.uri, "it flies: do not look for its LEDs now")

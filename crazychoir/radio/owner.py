@@ -186,7 +186,7 @@ class RadioProcess(Actor):
             and now - seen[0] < OWNER_LIMITS.command_silence
             and (beyond := self._limit.outside(*seen[1].p)) > 0.0
         ):
-            body.stop(f"{beyond:.2f} m outside the limit area, and nobody commands it")
+            body.stop(f"{beyond:.2f} m outside the limit area, without a commander")
 
     def _alone(self) -> bool:
         """Return whether no drone is commanded and none flies, or the time to land has passed."""

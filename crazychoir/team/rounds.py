@@ -520,7 +520,7 @@ class Rounds:
             where = f"drone {self.id}: channel {ch.name!r}"
             raise ConfigError(
                 where,
-                "two who wait on it",
+                "two tasks that wait on it",
                 "one",
                 "Give each algorithm a channel of its own.",
             )

@@ -168,7 +168,7 @@ async def test_a_stop_that_was_pressed_without_a_line_may_be_withdrawn_and_is_as
         await says(
             page,
             "#kept",
-            "more than 30 s ago: nobody has answered. Is it to be sent now?",
+            "more than 30 s ago: no drone has answered. Send it now?",
         )
         await page.shot("asked_about")
         assert await again() == []

@@ -425,7 +425,7 @@ def test_a_team_of_which_nobody_flies_any_more_comes_to_an_end(drones):
     assert outcome.simulated < 100.0
     for result in outcome.results.values():
         assert not result["success"]
-        assert "nobody that it hears flies any more for 30 s" in result["reason"]
+        assert "no drone that it hears flies any more for 30 s" in result["reason"]
     assert any(
         "the battery is empty" in result["reason"]
         for result in outcome.results.values()

@@ -318,7 +318,7 @@ async def test_who_is_turned_away_is_said_once_by_the_programs_of_the_swarm(lab)
             for _ in range(2):
                 lab.intruder(keys)
                 await asyncio.sleep(0.3)
-        refused = "somebody connected and was turned away: "
+        refused = "a process connected and was refused: "
         await asyncio.sleep(1.5)  # they call again each second
         assert router.text.count(refused) == 3, router.text
         assert (

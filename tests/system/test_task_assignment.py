@@ -115,7 +115,9 @@ def test_a_team_of_which_nobody_flies_any_more_comes_to_an_end():
     )
     for result in results.values():
         assert not result["success"]
-        assert "; then nobody that it hears flies any more for 20 s" in result["reason"]
+        assert (
+            "; then no drone that it hears flies any more for 20 s" in result["reason"]
+        )
 
 
 def test_who_is_left_alone_by_crashes_comes_to_an_end():

@@ -82,7 +82,7 @@ class AblationCase:
     robots: int
     """Number of robots, equal to the number of tasks."""
     graph: str
-    """Communication graph, a key of GRAPHS."""
+    """Communication graph, a key of ABLATION_GRAPHS."""
     method: str
     """Method of the team."""
     loss: float

@@ -232,7 +232,7 @@ def opening_error(listen: list[str], connect: list[str], error: str) -> ConfigEr
         return ConfigError(
             "endpoints",
             ", ".join(connect),
-            "somebody must listen there",
+            "an address where a process listens",
             do,
             problem=said,
         )

@@ -119,7 +119,7 @@ HELLO_TIMING = HelloTiming()
 
 OPEN_NETWORK_WARNING = (
     "the network is neither encrypted nor closed (security.insecure): "
-    "whoever is on it reads, and commands"
+    "every host on it can read and command"
 )
 """Warning for a network that is neither encrypted nor closed."""
 _CLASS_PRIORITIES = {

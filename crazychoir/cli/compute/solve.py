@@ -53,7 +53,7 @@ def solve(
     processes: Annotated[
         int | None,
         options.whole(
-            "Real time, over Zenoh: the robots in so many processes; else virtual time."
+            "Run in so many processes, in real time over Zenoh; else in virtual time."
         ),
     ] = None,
     prove: Annotated[
@@ -70,7 +70,7 @@ def solve(
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
 ) -> None:
-    """Solve an instance: each robot solves its own part of it.
+    """Solve a routing instance; each robot solves its own part.
 
     The file is one JSON object of N robots and M tasks, in metres: home (N points
     of 2 or 3 numbers), pickup and delivery (M points), load (M numbers), capacity

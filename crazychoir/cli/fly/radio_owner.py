@@ -40,7 +40,9 @@ def radios(
     ] = False,
     child: Annotated[
         bool,
-        typer.Option(hidden=True, help="It ends without parent, when nobody flies."),
+        typer.Option(
+            hidden=True, help="End when the parent has ended and no drone flies."
+        ),
     ] = False,
 ) -> None:
     """Own a dongle and the links to all its drones. Ctrl-C ends it as soon as no drone flies."""

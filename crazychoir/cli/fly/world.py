@@ -31,7 +31,9 @@ def world(
     ] = False,
     child: Annotated[
         bool,
-        typer.Option(hidden=True, help="It ends without parent, when nobody flies."),
+        typer.Option(
+            hidden=True, help="End when the parent has ended and no drone flies."
+        ),
     ] = False,
 ) -> None:
     """Own the simulated world of a swarm. Ctrl-C ends it as soon as no drone flies."""

@@ -41,9 +41,9 @@ def rerun(
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
 ) -> None:
-    """Fly a recorded flight in virtual time again, and compare the two.
+    """Repeat a recorded flight in virtual time, and compare the two.
 
-    Says whether they are the same, or where they first differ.
+    Prints whether they are equal, or where they first differ.
     """
     set_up_logging()
     from crazychoir.config.swarm_config import SwarmConfig

@@ -30,7 +30,9 @@ def doctor(
     ] = None,
     host: Annotated[
         str | None,
-        typer.Option(help="Its name in the table hosts; else by its addresses."),
+        typer.Option(
+            help="Name of this host in the table hosts; else found by its addresses."
+        ),
     ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
@@ -219,7 +221,7 @@ def check_certificates(config: "SwarmConfig", hosts: list[str]) -> list[CheckRes
                 CheckResult(
                     "keys",
                     "warning",
-                    "the network is open (security.insecure): whoever is on it commands",
+                    "the network is open (security.insecure): every host on it can command",
                     do,
                 )
             ]

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     no_args_is_help=True,
-    help="Which channels are quiet, and how long the way to a drone takes.",
+    help="Find quiet channels, and measure round trips to drones.",
 )
 NEW_DRONE_URI = "radio://0/80/2M/E7E7E7E7E7"
 """Address of a new Crazyflie."""
@@ -66,7 +66,7 @@ def survey(
     dongles: Annotated[
         int | None,
         options.whole(
-            "Pick so many channels; else as many as the swarm file has dongles, or 1.",
+            "Number of channels to pick; else the number of dongles of the swarm file, or 1.",
             most=126,
         ),
     ] = None,
@@ -86,12 +86,12 @@ def survey(
     drone: Annotated[
         str | None,
         typer.Option(
-            help=f"Who answers: its uri; else the first of the swarm file, or {NEW_DRONE_URI}."
+            help=f"Uri of the drone that answers; else the first of the swarm file, or {NEW_DRONE_URI}."
         ),
     ] = None,
     swarm: Annotated[
         Path | None,
-        typer.Option(help="Swarm file whose radio:// drones the channels are for."),
+        typer.Option(help="Swarm file with the radio:// drones that need channels."),
     ] = None,
     write: Annotated[
         bool, typer.Option("--write", help="Write the channels into that file.")

@@ -143,7 +143,7 @@ def _check_only(only: str, what: str, own_file: bool, given: dict[str, Any]) -> 
     in the swarm file that they share.
     """
     if not own_file:
-        allowed = "a swarm file that all share who start its drones"
+        allowed = "a swarm file that all hosts of the swarm share"
         do = f"For example `crazychoir run swarm.toml --only {only}`, or `crazychoir run {what} --swarm ...`."
         raise ConfigError("--only", f"{only} without a swarm file", allowed, do)
     for option, value in given.items():

@@ -61,7 +61,7 @@ class MixedIntegerSolution:
     left: Vec
     """(S,) what is left of the resources.
 
-    It is negative by no more than the tolerance of a solver, SLACK (1 + |b|).
+    It is negative by no more than the tolerance of a solver, MILP_TOLERANCE (1 + |b|).
     """
     lower_bound: float
     """Lower bound of the cost of all solutions.

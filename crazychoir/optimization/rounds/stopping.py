@@ -244,7 +244,7 @@ class Until(MessageRider[A]):
             raise ConfigError(
                 "Until: neighbors",
                 "None",
-                "whom this agent hears, for an asynchronous algorithm",
+                "the agents that this agent hears, for an asynchronous algorithm",
             )
         self.criterion = criterion
         self.neighbors = neighbors or ()

@@ -121,7 +121,9 @@ class CameraPort:
         """Whether any client wants frames."""
         now_ns = self.clock.now_ns()
         self._watchers = {
-            who: until for who, until in self._watchers.items() if until > now_ns
+            watcher: until
+            for watcher, until in self._watchers.items()
+            if until > now_ns
         }
         return bool(self._watchers)
 
@@ -133,8 +135,8 @@ class CameraPort:
         """
         self.frames += 1
         datagram = PoseFrame(self.frames, time, bodies).packed()
-        for who in self._watchers:
-            self._send(datagram, who)
+        for watcher in self._watchers:
+            self._send(datagram, watcher)
 
     def _readable(self) -> None:
         for data, sender in receive_waiting(self._socket):

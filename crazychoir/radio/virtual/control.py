@@ -92,7 +92,7 @@ def _ask_part(
         return answer
     raise Refused(
         who,
-        "nobody answers. Start `crazychoir virtual`, or name its first port by --port.",
+        "no answer. Start `crazychoir virtual`, or give its first port with --port.",
     )
 
 

@@ -171,7 +171,7 @@ class DistributedColumns:
             mine = [self._worth(routes), self._i, _flatten_routes(routes)]
         best = yield from find_best_offer(mine, self._diameter)
         if best is None:
-            raise SolverError(f"robot {self._i}: first plan", "nobody offered one")
+            raise SolverError(f"robot {self._i}: first plan", "no robot offered one")
         self.routes = _unflatten_routes(best[2])
         self._member.report(cost=self._shown_cost())
 

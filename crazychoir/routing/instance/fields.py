@@ -192,7 +192,7 @@ class InstanceFields:
                 key,
                 value,
                 "1 in open tours",
-                "Who recharges must come back: delete open_tours.",
+                "A robot that recharges must come back: delete open_tours.",
             )
         return trips
 

@@ -56,7 +56,7 @@ def scramble_bits(z: np.uint64) -> np.uint64:
     """Return 64 bits that look random; different z give different results.
 
     Source: SplitMix64, Steele, Lea & Flood 2014, OOPSLA: its n-th number is scramble(key + n
-        GOLDEN).
+        SPLITMIX_64.golden_gamma).
     """
     z = (z ^ (z >> SHIFT_30)) * SPLITMIX_64.first_multiplier
     z = (z ^ (z >> SHIFT_27)) * SPLITMIX_64.second_multiplier

@@ -228,7 +228,7 @@ class MotorWorld(Truth):
         self._began = self._blocks.copy()
 
     def _keys(self, seed: int, use: int) -> Keys:
-        """Return (blocks, LANES) keys of the drones' streams; empty lanes repeat the last drone's."""
+        """Return (blocks, LANE_COUNT) keys of the drones' streams; empty lanes repeat the last drone's."""
         return arrange_in_lanes(
             np.array([derive_stream_key(seed, use, i) for i in self.ids], np.uint64)
         )

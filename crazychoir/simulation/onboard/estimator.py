@@ -22,8 +22,6 @@ from crazychoir.numerics.math3d import (
 from crazychoir.simulation.onboard.record import Fleet, Record, rows, whole
 from crazychoir.types import Vec
 
-# Standard deviations of the initial state.
-
 
 class InitialDeviations(NamedTuple):
     """Standard deviations of the initial state."""

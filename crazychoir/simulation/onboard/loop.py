@@ -90,7 +90,7 @@ def _filter_accelerometer(fw: Record, k: int, raw: float) -> float:
 
 @kernel()
 def _weigh(fw: Record, ax: float, ay: float, az: float) -> None:
-    """Calibrate the accelerometer: scale the mean of STANDING samples to 1 g.
+    """Calibrate the accelerometer: scale the mean of SENSOR_SETTINGS.calibration_samples samples to 1 g.
 
     The samples are taken some time after power-on, while the drone stands with its motors off.
     """

@@ -129,7 +129,7 @@ def _enter(fw: Record, state: int) -> None:
             PLANNER_STATES.idle
         )  # a drone that may not fly has no plan either
     if state == SUPERVISOR_STATES.free_fall:
-        fw.priority = SETPOINT_PRIORITIES.nobody
+        fw.priority = SETPOINT_PRIORITIES.no_sender
 
 
 @kernel()

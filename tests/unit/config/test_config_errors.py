@@ -256,7 +256,7 @@ CASES = {
         "mocap.latency = 0.1",
         "",
         "x.toml: mocap = latency 0.1 s, rate 100 Hz: poses get 0.11 s old before the next one comes; "
-        "at most 0.1 s: a drone whose pose is older brakes. Lower the latency, or raise the rate.",
+        "at most 0.1 s: a drone with an older pose brakes. Lower the latency, or raise the rate.",
     ),
     "cameras that are late by a part of a period": (
         "mocap.latency = 0.015",
@@ -267,7 +267,7 @@ CASES = {
         "mocap.rate = 8",
         "",
         "x.toml: mocap = latency 0 s, rate 8 Hz: poses get 0.125 s old before the next one comes; "
-        "at most 0.1 s: a drone whose pose is older brakes. Lower the latency, or raise the rate.",
+        "at most 0.1 s: a drone with an older pose brakes. Lower the latency, or raise the rate.",
     ),
     "host without a table": (
         "",

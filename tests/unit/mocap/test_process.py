@@ -292,7 +292,10 @@ def test_nor_is_one_whose_frames_have_no_time_in_seconds():
 
     _, mocap, _ = served(cameras=Milliseconds)
     assert not mocap.report()["success"]
-    assert "200 were dropped, whose time is no time in s" in mocap.report()["reason"]
+    assert (
+        "200 were dropped, because their time is not a number of s"
+        in mocap.report()["reason"]
+    )
 
 
 def test_nor_is_one_that_saw_no_body_of_a_drone():

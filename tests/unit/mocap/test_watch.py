@@ -90,7 +90,9 @@ def test_a_body_that_is_never_seen_is_named_with_the_name_that_may_be_meant():
         "body 'cf1' of drone 1 was never seen. Seen are 'CF_1', 'cf0'. Did you mean body = \"CF_1\"?"
     )
     assert any(
-        text.startswith("seen, and nobody's: 'CF_1'. The swarm file has 'cf0', 'cf1'")
+        text.startswith(
+            "bodies of no drone are seen: 'CF_1'. The swarm file has 'cf0', 'cf1'"
+        )
         for _, text in said
     )
 

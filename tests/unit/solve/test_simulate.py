@@ -440,7 +440,7 @@ def test_a_simulation_raises_what_the_failing_agent_raised():
         ),
         (
             {"graph": path(5)},
-            r"agent 0: weights, round 0: found of \[1, 4\]; allowed: of those it hears, \[1\]",
+            r"agent 0: weights, round 0: found of \[1, 4\]; allowed: of the agents it hears, \[1\]",
         ),
         ({"loss": 1.5}, "loss"),
         ({"network": {"los": 0.1}}, "los"),

@@ -932,7 +932,7 @@ def test_one_channel_cannot_be_awaited_twice():
     async def agent(c: Communicator) -> None:
         first = asyncio.ensure_future(c.receive())
         await c.port.bus.clock.sleep(0.0)
-        with pytest.raises(ConfigError, match="two who wait on it"):
+        with pytest.raises(ConfigError, match="two tasks that wait on it"):
             await c.receive()
         first.cancel()
 

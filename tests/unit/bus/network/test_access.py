@@ -225,7 +225,7 @@ def test_a_swarm_of_several_hosts_is_closed_unless_it_says_that_it_is_not(config
         "security": {},
     }
     assert not SwarmConfig.of(local).secured, (
-        "nobody else reaches this machine's own addresses"
+        "no other host reaches this machine's own addresses"
     )
     assert SwarmConfig.of(
         {**local, "security": {"insecure": False, "operators": ["laptop"]}}

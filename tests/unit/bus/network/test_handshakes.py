@@ -34,8 +34,8 @@ def test_who_is_turned_away_is_said_once(said):
         assert heard.line(NONE)
         assert heard.line(LATE.format(seconds))
     assert said() == [
-        "somebody connected and was turned away: peer sent no certificates. Nothing of it was read",
-        "somebody connected and was turned away: certificate expired (0 seconds ago). Nothing of it was read",
+        "a process connected and was refused: peer sent no certificates. Nothing of it was read",
+        "a process connected and was refused: certificate expired (0 seconds ago). Nothing of it was read",
     ]
 
 

@@ -219,7 +219,7 @@ def test_what_is_left_alone_is_said_with_the_reason(caplog):
             ),
             22: (
                 Task(22, 0, False, (1.0, 1.0), (2.0, 2.0), 1.0, (4,)),
-                "drone 4, who alone can serve it, does not",
+                "drone 4, which alone can serve it, does not",
             ),
             23: (limited, "has enough left of its route_length_limit"),
         }

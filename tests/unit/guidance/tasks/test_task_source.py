@@ -229,7 +229,7 @@ async def test_a_task_for_those_who_are_gone_waits_and_that_is_said(clock):
         said = await one.asked("task_add", WHERE | {"robots": [2]})
         assert said == {
             "id": FIRST_ADDED_ID + 1,
-            "note": "it waits: drone 2, who alone can serve it, does not fly",
+            "note": "it waits: drone 2, which alone can serve it, does not fly",
         }
         assert one.news.standings()[FIRST_ADDED_ID + 1].fate is Fate.OPEN
         with pytest.raises(Refused, match="this drone flies no more; ask another one"):
@@ -252,7 +252,7 @@ async def test_a_task_for_those_who_are_gone_waits_and_that_is_said(clock):
         (
             "task_add",
             WHERE | {"load": 2.5, "robots": [0]},
-            "more than drone 0, who alone may serve it, can carry: 2",
+            "more than drone 0, which alone may serve it, can carry: 2",
         ),
         (
             "task_add",

@@ -12,7 +12,7 @@ from crazychoir.guidance.tasks.task_book import Deed, Fate, Record, Task
 from crazychoir.guidance.tasks.team_news import (
     BOOK_CHANNEL,
     NEWS_TIMING,
-    NOBODY_FLIES_REASON,
+    NO_DRONE_FLIES_REASON,
     UNREACHED_REASON,
     TeamNews,
     mend_graph,
@@ -223,7 +223,7 @@ async def test_neighbours_say_for_a_robot_that_has_failed_without_a_word_that_it
         ((0, 1), (0,), ""),
         ((0,), (), UNREACHED_REASON),
         ((0,), (0,), UNREACHED_REASON),
-        ((0, 1, 2), (0, 1, 2), NOBODY_FLIES_REASON),
+        ((0, 1, 2), (0, 1, 2), NO_DRONE_FLIES_REASON),
     ],
 )
 def test_who_hears_of_nobody_that_decides_is_left_alone(who, out, why):
@@ -241,7 +241,7 @@ def test_who_hears_of_nobody_that_decides_is_left_alone(who, out, why):
             {i: news[i] for i in who},
             NEWS_TIMING.silence + 10.0 - 4 * NEWS_TIMING.period,
         )
-        assert not alone.done() or why == NOBODY_FLIES_REASON
+        assert not alone.done() or why == NO_DRONE_FLIES_REASON
         await gossiping(clock, {i: news[i] for i in who}, 8 * NEWS_TIMING.period)
         assert news[0].alone == why
         assert alone.done() == bool(why)

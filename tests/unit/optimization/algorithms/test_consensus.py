@@ -98,12 +98,12 @@ def test_who_hears_others_than_it_has_weights_for_says_so():
     agent = Consensus(0, [1.0], {0: 0.5, 1: 0.5})
     with pytest.raises(
         ConfigError,
-        match=r"agent 0: weights: found of \[1\]; allowed: of those it hears, \[2\]",
+        match=r"agent 0: weights: found of \[1\]; allowed: of the agents it hears, \[2\]",
     ):
         agent.step({2: np.ones(1)})
     with pytest.raises(
         ConfigError,
-        match=r"agent 0: weights: found of \[1\]; allowed: of those it hears, \[\]",
+        match=r"agent 0: weights: found of \[1\]; allowed: of the agents it hears, \[\]",
     ):
         agent.step({})
     with pytest.raises(

@@ -86,7 +86,7 @@ def test_who_finds_no_room_says_for_what_at_all_robots(graph, method):
     }
     with pytest.raises(
         SolverError,
-        match=rf"robot 0: {method}: .* nobody's route has room for task\(s\) 1",
+        match=rf"robot 0: {method}: .* no route has room for task\(s\) 1",
     ):
         solve_in_loop(Instance.parse(raw), graph("path", 2), method)
     assert solve_in_loop(

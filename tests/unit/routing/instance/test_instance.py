@@ -235,7 +235,7 @@ def test_distances_are_euclidean_in_three_dimensions():
         ),
         (
             {"route_length_limit": 5.0},
-            "a tour of 6.0645 m for it alone, by robot 0, the shortest of those that can",
+            "a tour of 6.0645 m for it alone, by robot 0, the shortest of the robots that can",
         ),
         (
             {"route_length_limit": 5.0},
