@@ -30,6 +30,8 @@ from crazychoir.guidance.tasks.task_source import TaskEvent
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.team.graph import describe_ids
 
+Options = DeliveryOptions
+"""The table of [mission_options]."""
 Results = dict[int, dict[str, Any]]
 """The results of all drones, by id."""
 ONLINE_FLIGHT_TABLE = {

@@ -19,6 +19,8 @@ from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.picture import draw_routes
 from crazychoir.routing.instance.plan import Route, RoutePlan
 
+Options = PickupOptions
+"""The table of [mission_options]."""
 Results = dict[int, dict[str, Any]]
 """The results of all drones, by id."""
 DEMO_INSTANCE = Path(__file__).parent / "data" / "lab6.json"

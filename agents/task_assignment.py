@@ -16,12 +16,12 @@ from crazychoir.config.drone_room import shared_room
 from crazychoir.config.reader import read_table
 from crazychoir.config.tables import Probability, SwarmTable
 from crazychoir.errors import ConfigError
+from crazychoir.guidance.mission_pictures import draw_ways
 from crazychoir.guidance.tasks.task_assignment import (
     TaskAssignmentGuidance,
     TeamAssignment,
 )
 from crazychoir.guidance.tasks.task_book import Task
-from crazychoir.recording.analysis.tracks import draw_ways
 from crazychoir.types import Mat
 
 Results = dict[int, dict[str, Any]]
