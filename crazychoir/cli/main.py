@@ -46,11 +46,11 @@ if TYPE_CHECKING:
     from crazychoir.guidance.mission import Mission
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
-FLY = "Fly"
-OPERATE = "Operate a running swarm"
-RECORDINGS = "Work with recordings"
-COMPUTE = "Compute without flight"
-SET_UP = "Set up hosts and drones"
+FLY_PANEL = "Fly"
+OPERATE_PANEL = "Operate a running swarm"
+RECORDING_PANEL = "Work with recordings"
+COMPUTE_PANEL = "Compute without flight"
+SETUP_PANEL = "Set up hosts and drones"
 
 
 def _print_version(wanted: bool) -> None:
@@ -287,48 +287,48 @@ def _show(result: dict[str, Any], as_json: bool) -> None:
 
 # The commands in the order of the help, group by group ---------------------------------
 
-app.command(rich_help_panel=FLY)(run)
-app.command(rich_help_panel=FLY)(missions.missions)
-app.add_typer(virtual.app, name="virtual", rich_help_panel=FLY)
+app.command(rich_help_panel=FLY_PANEL)(run)
+app.command(rich_help_panel=FLY_PANEL)(missions.missions)
+app.add_typer(virtual.app, name="virtual", rich_help_panel=FLY_PANEL)
 
-app.command(rich_help_panel=OPERATE)(dashboard.dashboard)
-app.command(rich_help_panel=OPERATE)(look.topics)
-app.command(rich_help_panel=OPERATE)(look.echo)
-app.command(rich_help_panel=OPERATE)(look.hz)
-app.command(rich_help_panel=OPERATE)(look.status)
-app.command(rich_help_panel=OPERATE)(look.impair)
-app.command(rich_help_panel=OPERATE)(orders.stop)
+app.command(rich_help_panel=OPERATE_PANEL)(dashboard.dashboard)
+app.command(rich_help_panel=OPERATE_PANEL)(look.topics)
+app.command(rich_help_panel=OPERATE_PANEL)(look.echo)
+app.command(rich_help_panel=OPERATE_PANEL)(look.hz)
+app.command(rich_help_panel=OPERATE_PANEL)(look.status)
+app.command(rich_help_panel=OPERATE_PANEL)(look.impair)
+app.command(rich_help_panel=OPERATE_PANEL)(orders.stop)
 for verb in orders.ORDER_HELP:
     order = orders.make_order_command(verb, orders.ORDER_TIMEOUTS[verb])
-    app.command(name=verb, rich_help_panel=OPERATE)(order)
-app.command(name="go-to", rich_help_panel=OPERATE)(steer.go_to)
-app.command(rich_help_panel=OPERATE)(steer.fly)
-app.add_typer(param.app, name="param", rich_help_panel=OPERATE)
-app.add_typer(task.app, name="task", rich_help_panel=OPERATE)
+    app.command(name=verb, rich_help_panel=OPERATE_PANEL)(order)
+app.command(name="go-to", rich_help_panel=OPERATE_PANEL)(steer.go_to)
+app.command(rich_help_panel=OPERATE_PANEL)(steer.fly)
+app.add_typer(param.app, name="param", rich_help_panel=OPERATE_PANEL)
+app.add_typer(task.app, name="task", rich_help_panel=OPERATE_PANEL)
 
-app.command(rich_help_panel=RECORDINGS)(plot.plot)
-app.command(rich_help_panel=RECORDINGS)(render.render)
-app.command(rich_help_panel=RECORDINGS)(rerun.rerun)
-app.command(rich_help_panel=RECORDINGS)(convert.convert)
-app.command(rich_help_panel=RECORDINGS)(ros.ros)
-app.command(rich_help_panel=RECORDINGS)(record.record)
-app.command(rich_help_panel=RECORDINGS)(replay.replay)
+app.command(rich_help_panel=RECORDING_PANEL)(plot.plot)
+app.command(rich_help_panel=RECORDING_PANEL)(render.render)
+app.command(rich_help_panel=RECORDING_PANEL)(rerun.rerun)
+app.command(rich_help_panel=RECORDING_PANEL)(convert.convert)
+app.command(rich_help_panel=RECORDING_PANEL)(ros.ros)
+app.command(rich_help_panel=RECORDING_PANEL)(record.record)
+app.command(rich_help_panel=RECORDING_PANEL)(replay.replay)
 
-app.command(rich_help_panel=COMPUTE)(solve.solve)
-app.command(rich_help_panel=COMPUTE)(simulate.simulate)
+app.command(rich_help_panel=COMPUTE_PANEL)(solve.solve)
+app.command(rich_help_panel=COMPUTE_PANEL)(simulate.simulate)
 app.command(
-    rich_help_panel=COMPUTE,
+    rich_help_panel=COMPUTE_PANEL,
     add_help_option=False,
     context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
 )(bench)
 
-app.command(rich_help_panel=SET_UP)(identify.identify)
-app.command(rich_help_panel=SET_UP)(doctor.doctor)
-app.command(rich_help_panel=SET_UP)(router.router)
-app.command(rich_help_panel=SET_UP)(push.push)
-app.add_typer(keys.app, name="keys", rich_help_panel=SET_UP)
-app.add_typer(radio.app, name="radio", rich_help_panel=SET_UP)
-app.add_typer(rigid_bodies.app, name="mocap", rich_help_panel=SET_UP)
+app.command(rich_help_panel=SETUP_PANEL)(identify.identify)
+app.command(rich_help_panel=SETUP_PANEL)(doctor.doctor)
+app.command(rich_help_panel=SETUP_PANEL)(router.router)
+app.command(rich_help_panel=SETUP_PANEL)(push.push)
+app.add_typer(keys.app, name="keys", rich_help_panel=SETUP_PANEL)
+app.add_typer(radio.app, name="radio", rich_help_panel=SETUP_PANEL)
+app.add_typer(rigid_bodies.app, name="mocap", rich_help_panel=SETUP_PANEL)
 
 
 def main() -> None:
