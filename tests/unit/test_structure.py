@@ -37,6 +37,8 @@ ORDERED_ROOMS = ("runtime", "bus", "team")
 MOST_MODULES = 22  # a folder
 MOST_HARD_DOCSTRINGS = 0.01  # share of the docstrings of a room
 MOST_LINES = 200  # of the front page
+MOST_MISSION_LINES = 90  # of a file in agents/
+LONG_MISSIONS = ("online_delivery", "pickup_delivery", "task_assignment")
 LARGE_CLASSES = {
     "Agent",
     "Barrier",
@@ -68,7 +70,6 @@ WIDE_FUNCTIONS = {
     "Agent.__init__",
     "AggregativeTracking.__init__",
     "Barrier.__init__",
-    "BearingFormation.__init__",
     "BlockConsensus.__init__",
     "BlockSubgradientMethod.__init__",
     "CFIntegrator.__init__",
@@ -546,6 +547,26 @@ def test_the_front_page_is_short(repository):
 def test_a_long_front_page_is_found():
     assert is_short("a\n" * MOST_LINES)
     assert not is_short("a\n" * (MOST_LINES + 1))
+
+
+def long_missions(folder: Path) -> list[str]:
+    """Return the missions that a reader does not take in at a glance, and that are not known as long."""
+    return [
+        file.stem
+        for file in sorted(folder.glob("*.py"))
+        if file.stem not in LONG_MISSIONS
+        and len(file.read_text().splitlines()) > MOST_MISSION_LINES
+    ]
+
+
+def test_missions_are_short(repository):
+    assert long_missions(repository / "agents") == []
+
+
+def test_a_long_mission_is_found(tmp_path):
+    (tmp_path / "short.py").write_text("a = 1\n" * MOST_MISSION_LINES)
+    (tmp_path / "long.py").write_text("a = 1\n" * (MOST_MISSION_LINES + 1))
+    assert long_missions(tmp_path) == ["long"]
 
 
 def all_pages(root: Path) -> list[str]:
