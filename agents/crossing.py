@@ -13,46 +13,6 @@ from crazychoir import CFDistributedFeedback, SwarmConfig
 from crazychoir.guidance.defaults import crossings as defaults
 from crazychoir.types import FullState, Heard, State, Vec
 
-Results = dict[int, dict[str, Any]]
-"""The results of all drones, by id."""
-SMALLEST_SPACING = 0.34
-"""m: smallest distance between two starts, and between two goals, with heights scaled by SPACING_SCALE."""
-SPACING_SCALE = (1.0, 1.0, 0.4)
-"""Scale of x, y and z in these distances, as in the standard [collision]."""
-GOAL_DISTANCE = 0.05
-"""m: a drone has arrived when it stays nearer to its goal than this."""
-LARGEST_TRIED_CROWD = 30
-"""Largest number of drones that have been flown through one point at the same time.
-
-A hundred drones press against each other there.
-"""
-Pattern = Annotated[
-    Literal["antipodal", "permutation"],
-    Meta(
-        description='"antipodal" (to the other side of the circle) or "permutation" (to another\'s start)',
-        examples=["permutation"],
-    ),
-]
-
-
-class Options(SwarmTable, frozen=True, kw_only=True):
-    """[mission_options]. The seed of the swarm determines all random places."""
-
-    pattern: Pattern = "antipodal"
-    """How goals follow from starts."""
-    radius: Length = 3.0
-    """m: radius of the circle."""
-    speed: Speed = 0.8
-    """m/s."""
-    low: Height = 0.3
-    """m: lowest start or goal."""
-    high: Height = 2.2
-    """m: highest start or goal."""
-    jitter: Offset = 0.1
-    """m: largest random distance of starts and goals from the circle, along x and y."""
-    duration: Duration = 20.0
-    """s: duration of the law."""
-
 
 class Straight(CFDistributedFeedback):
     """Fly a straight line from a to b, without regard to other drones.

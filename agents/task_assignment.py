@@ -8,6 +8,7 @@ crazychoir run task_assignment --fast --loss 0.2
 from typing import Any
 
 from crazychoir import SwarmConfig
+from crazychoir.guidance.mission_pictures import draw_ways
 from crazychoir.guidance.tasks.assignment_hooks import (
     AssignmentHooks,
     AssignmentOptions,
@@ -16,7 +17,6 @@ from crazychoir.guidance.tasks.task_assignment import (
     TaskAssignmentGuidance,
     TeamAssignment,
 )
-from crazychoir.recording.analysis.tracks import draw_ways
 
 Options = AssignmentOptions
 hooks = AssignmentHooks()

@@ -258,7 +258,7 @@ def _draw_mission(
     if path is None:
         return None
     from crazychoir.guidance.mission import has_hook
-    from crazychoir.recording.analysis.tracks import draw_tracks
+    from crazychoir.guidance.mission_pictures import draw_tracks
 
     path.parent.mkdir(parents=True, exist_ok=True)
     tracks = result["tracks"]
