@@ -34,17 +34,17 @@ class CommandGroup(StrEnum):
     setup = "Set up hosts and drones"
 
 
-ORDERS = {
+ORDER_COMMANDS = {
     verb: orders.make_order_command(verb, orders.ORDER_TIMEOUTS[verb])
     for verb in orders.ORDER_HELP
 }
 """The flight commands, by name."""
-COMMANDS: dict[CommandGroup, dict[str, Callable[..., None]]] = {
+COMMANDS_BY_GROUP: dict[CommandGroup, dict[str, Callable[..., None]]] = {
     CommandGroup.fly: {"run": run.run},
     CommandGroup.operate: {
         "status": inspect.status,
         "dashboard": dashboard.dashboard,
-        **ORDERS,
+        **ORDER_COMMANDS,
         "stop": orders.stop,
         "go-to": go_to.go_to,
         "fly": go_to.fly,
@@ -83,7 +83,7 @@ COMMANDS_WITH_PARTS: dict[CommandGroup, dict[str, typer.Typer]] = {
 """The commands of each group that have commands of their own."""
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
-for group, commands in COMMANDS.items():
+for group, commands in COMMANDS_BY_GROUP.items():
     for name, command in commands.items():
         app.command(name=name, rich_help_panel=group)(command)
 for group, parts in COMMANDS_WITH_PARTS.items():

@@ -21,7 +21,7 @@ from crazychoir.config.misplaced_keys import (
 )
 from crazychoir.errors import ConfigError
 
-T = TypeVar("T", bound=msgspec.Struct)
+StructType = TypeVar("StructType", bound=msgspec.Struct)
 
 NESTING_LIMIT = 16
 """Most levels of lists and tables."""
@@ -104,11 +104,11 @@ def _is_plain(value: object) -> bool:
 
 def read_table(
     raw: object,
-    kind: type[T],
+    kind: type[StructType],
     where: str,
     key: str = "",
     file: type[msgspec.Struct] | None = None,
-) -> T:
+) -> StructType:
     """Return the table `kind` with the values of `raw`.
 
     where: name of the file, for errors

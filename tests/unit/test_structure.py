@@ -94,7 +94,6 @@ WIDE_FUNCTIONS = {
 }
 """Functions with too many arguments. This list only shrinks."""
 SHARED_CLASS_NAMES = {
-    "ProcessIdentity",  # 
     "Stop",  # a request of the page, named by its class; a stop of a route
     "Task",  # a task of a running swarm; a task of an assignment problem
 }

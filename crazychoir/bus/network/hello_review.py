@@ -17,7 +17,7 @@ OWNED_ADDRESSES: Final = (
 
 
 @dataclass(frozen=True, slots=True)
-class ProcessIdentity:
+class Introduction:
     """How a process introduces itself to the others."""
 
     swarm: str
@@ -37,7 +37,7 @@ class HelloReview:
     own: how this process introduces itself
     """
 
-    def __init__(self, bus: Bus, own: ProcessIdentity) -> None:
+    def __init__(self, bus: Bus, own: Introduction) -> None:
         self._bus = bus
         self._own = own
 

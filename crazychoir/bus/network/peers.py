@@ -15,7 +15,7 @@ from crazychoir.bus.network.endpoints import is_name
 from crazychoir.bus.network.hello import Hello
 from crazychoir.bus.network.hello_review import (
     HelloReview,
-    ProcessIdentity,
+    Introduction,
     describe_address,
 )
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
@@ -94,7 +94,7 @@ class Peers:
     def __init__(
         self,
         bus: Bus,
-        own: ProcessIdentity,
+        own: Introduction,
         access: NetworkAccess | None,
         on_token: OnToken,
         on_refused: OnRefused,

@@ -39,7 +39,7 @@ from crazychoir.bus.network.access import NetworkAccess
 from crazychoir.bus.network.flood_limit import FrameBudget, FrameBudgets
 from crazychoir.bus.network.foreign_connections import ForeignConnections
 from crazychoir.bus.network.hello import Hello
-from crazychoir.bus.network.hello_review import ProcessIdentity
+from crazychoir.bus.network.hello_review import Introduction
 from crazychoir.bus.network.lost_tokens import TokenRepair
 from crazychoir.bus.network.peers import OnRefused, OnToken, Peer, Peers
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
@@ -231,7 +231,7 @@ class ZenohLink(Actor):
         self.listen, self.connect = ([], routers) if routers else (listen, connect)
         self._live = f"choir/{swarm}/live"
         self.counters = LinkCounters()
-        own = ProcessIdentity(swarm, incarnation, version, dict(agreed or {}))
+        own = Introduction(swarm, incarnation, version, dict(agreed or {}))
         self.table = Peers(bus, own, access, on_token, on_refused)
         self.peers = self.table.by_name
         self.directory = self.table.directory

@@ -7,7 +7,7 @@ from crazychoir.bus.network import endpoints
 from crazychoir.bus.network.access import NetworkAccess
 from crazychoir.bus.network.authority import add_host, make_authority
 from crazychoir.bus.network.hello import Hello
-from crazychoir.bus.network.hello_review import ProcessIdentity
+from crazychoir.bus.network.hello_review import Introduction
 from crazychoir.bus.network.peers import Peers
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS
@@ -95,7 +95,7 @@ def test_a_drone_asks_its_own_body_on_another_host_and_no_other(config):
 def test_nobody_takes_the_name_of_another_s_process_nor_all_the_room(config):
     access = access_of(config, "laptop")
     bus = Bus(Still(), process="0-1", host="laptop")
-    own = ProcessIdentity("lab", 1, "1")
+    own = Introduction("lab", 1, "1")
     peers = Peers(bus, own, access, lambda drones, there: None, lambda refused: None)
     for host, process in (
         ("desktop", "0-1"),
@@ -121,7 +121,7 @@ def test_nobody_takes_the_name_of_another_s_process_nor_all_the_room(config):
 def test_who_claims_what_another_host_holds_is_refused(config):
     access = access_of(config, "laptop")
     bus = Bus(Still(), process="0-1", host="laptop")
-    own = ProcessIdentity("lab", 1, "1")
+    own = Introduction("lab", 1, "1")
     peers = Peers(bus, own, access, lambda drones, there: None, lambda refused: None)
     peer = peers.came("desktop", "1-1", "token")
     for drones, observers in (
@@ -191,7 +191,7 @@ def test_nothing_but_mutual_tls_is_spoken_where_there_are_keys(config):
 def test_what_a_process_claims_in_turns_is_said_once(config, caplog):
     access = access_of(config, "laptop")
     bus = Bus(Still(), process="0-1", host="laptop")
-    own = ProcessIdentity("lab", 1, "1")
+    own = Introduction("lab", 1, "1")
     peers = Peers(bus, own, access, lambda drones, there: None, lambda refused: None)
     peer = peers.came("desktop", "1-1", "token")
     for k in range(20):

@@ -8,7 +8,7 @@ from crazychoir.bus.network.hello import Hello
 from crazychoir.bus.network.hello_review import (
     COPY_FILE_ADVICE,
     HelloReview,
-    ProcessIdentity,
+    Introduction,
     describe_address,
 )
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
@@ -46,7 +46,7 @@ def review(*ports: int, **agreed: str) -> HelloReview:
     bus = Bus(StoppedClock(), process="a", host="here")
     for address in ports:
         bus.port(address)
-    return HelloReview(bus, ProcessIdentity("s", 1, "1", agreed))
+    return HelloReview(bus, Introduction("s", 1, "1", agreed))
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from crazychoir.bus.codec import encode
 from crazychoir.bus.network import endpoints
 from crazychoir.bus.network.access import NetworkAccess
 from crazychoir.bus.network.hello import HELLO_RULES, Hello
-from crazychoir.bus.network.hello_review import ProcessIdentity
+from crazychoir.bus.network.hello_review import Introduction
 from crazychoir.bus.network.peers import PEER_LIMITS, Peer, Peers
 from crazychoir.bus.network.public_topics import fields_as_json
 from crazychoir.bus.port import PORT_ADDRESSES, Bus, Interest
@@ -58,7 +58,7 @@ class Here:
         self.refused: list[Refused] = []
         self.peers = Peers(
             self.bus,
-            ProcessIdentity("s", 1, "1", agreed or {}),
+            Introduction("s", 1, "1", agreed or {}),
             None,
             lambda ids, there: self.tokens.append((ids, there)),
             self.refused.append,
