@@ -263,11 +263,9 @@ def true_state(t: float) -> tuple[Vec, Vec]:
     RATE_LAG, because the drone reaches them later.
     """
     h = 1e-3
-    (p, v, q, thrust), before, after = (
-        _flat_output(t),
-        _flat_output(t - h)[2],
-        _flat_output(t + h)[2],
-    )
+    p, v, q, thrust = _flat_output(t)
+    before = _flat_output(t - h)[2]
+    after = _flat_output(t + h)[2]
     first = _rotation_between(before, q) / h
     second = _rotation_between(q, after) / h
     w = 0.5 * (first + second)

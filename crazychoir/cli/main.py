@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from crazychoir.cli.compute import simulate, solve
-from crazychoir.cli.fly import virtual
+from crazychoir.cli.fly import missions, virtual
 from crazychoir.cli.operate import dashboard, orders, param, task
 from crazychoir.cli.operate import go_to as steer
 from crazychoir.cli.operate import inspect as look
@@ -46,33 +46,11 @@ if TYPE_CHECKING:
     from crazychoir.guidance.mission import Mission
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
-app.command()(solve.solve)
-app.command()(simulate.simulate)
-app.command()(plot.plot)
-app.command()(render.render)
-app.command()(rerun.rerun)
-app.command()(convert.convert)
-app.command()(ros.ros)
-app.command()(record.record)
-app.command()(replay.replay)
-app.command()(identify.identify)
-app.command()(dashboard.dashboard)
-app.command()(doctor.doctor)
-app.command()(router.router)
-app.command()(push.push)
-for command in (look.topics, look.echo, look.hz, look.status, look.impair, orders.stop):
-    app.command()(command)
-for verb in orders.ORDER_HELP:
-    app.command(name=verb)(orders.make_order_command(verb, orders.ORDER_TIMEOUTS[verb]))
-
-app.command(name="go-to")(steer.go_to)
-app.command()(steer.fly)
-app.add_typer(keys.app, name="keys")
-app.add_typer(param.app, name="param")
-app.add_typer(radio.app, name="radio")
-app.add_typer(task.app, name="task")
-app.add_typer(virtual.app, name="virtual")
-app.add_typer(rigid_bodies.app, name="mocap")
+FLY_PANEL = "Fly"
+OPERATE_PANEL = "Operate a running swarm"
+RECORDING_PANEL = "Work with recordings"
+COMPUTE_PANEL = "Compute without flight"
+SETUP_PANEL = "Set up hosts and drones"
 
 
 def _print_version(wanted: bool) -> None:
@@ -93,10 +71,6 @@ def crazychoir(
     """Swarms of drones that optimise and fly together."""
 
 
-@app.command(
-    add_help_option=False,
-    context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
-)
 def bench(context: typer.Context) -> None:
     """Measure speed and accuracy, beside other programs in the same run."""
     # The import takes 1 s, for which other commands need not wait.
@@ -107,7 +81,6 @@ def bench(context: typer.Context) -> None:
     benches(context.args, prog_name=context.command_path)
 
 
-@app.command()
 def run(
     what: Annotated[
         str,
@@ -277,7 +250,7 @@ def _draw_mission(
     if path is None:
         return None
     from crazychoir.guidance.mission import has_hook
-    from crazychoir.recording.analysis.tracks import draw_tracks
+    from crazychoir.guidance.mission_pictures import draw_tracks
 
     path.parent.mkdir(parents=True, exist_ok=True)
     tracks = result["tracks"]
@@ -310,6 +283,52 @@ def _show(result: dict[str, Any], as_json: bool) -> None:
         write_json(result)
     else:
         ANSWER_CONSOLE.print(build_summary_table(result))
+
+
+# The commands in the order of the help, group by group ---------------------------------
+
+app.command(rich_help_panel=FLY_PANEL)(run)
+app.command(rich_help_panel=FLY_PANEL)(missions.missions)
+app.add_typer(virtual.app, name="virtual", rich_help_panel=FLY_PANEL)
+
+app.command(rich_help_panel=OPERATE_PANEL)(dashboard.dashboard)
+app.command(rich_help_panel=OPERATE_PANEL)(look.topics)
+app.command(rich_help_panel=OPERATE_PANEL)(look.echo)
+app.command(rich_help_panel=OPERATE_PANEL)(look.hz)
+app.command(rich_help_panel=OPERATE_PANEL)(look.status)
+app.command(rich_help_panel=OPERATE_PANEL)(look.impair)
+app.command(rich_help_panel=OPERATE_PANEL)(orders.stop)
+for verb in orders.ORDER_HELP:
+    order = orders.make_order_command(verb, orders.ORDER_TIMEOUTS[verb])
+    app.command(name=verb, rich_help_panel=OPERATE_PANEL)(order)
+app.command(name="go-to", rich_help_panel=OPERATE_PANEL)(steer.go_to)
+app.command(rich_help_panel=OPERATE_PANEL)(steer.fly)
+app.add_typer(param.app, name="param", rich_help_panel=OPERATE_PANEL)
+app.add_typer(task.app, name="task", rich_help_panel=OPERATE_PANEL)
+
+app.command(rich_help_panel=RECORDING_PANEL)(plot.plot)
+app.command(rich_help_panel=RECORDING_PANEL)(render.render)
+app.command(rich_help_panel=RECORDING_PANEL)(rerun.rerun)
+app.command(rich_help_panel=RECORDING_PANEL)(convert.convert)
+app.command(rich_help_panel=RECORDING_PANEL)(ros.ros)
+app.command(rich_help_panel=RECORDING_PANEL)(record.record)
+app.command(rich_help_panel=RECORDING_PANEL)(replay.replay)
+
+app.command(rich_help_panel=COMPUTE_PANEL)(solve.solve)
+app.command(rich_help_panel=COMPUTE_PANEL)(simulate.simulate)
+app.command(
+    rich_help_panel=COMPUTE_PANEL,
+    add_help_option=False,
+    context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
+)(bench)
+
+app.command(rich_help_panel=SETUP_PANEL)(identify.identify)
+app.command(rich_help_panel=SETUP_PANEL)(doctor.doctor)
+app.command(rich_help_panel=SETUP_PANEL)(router.router)
+app.command(rich_help_panel=SETUP_PANEL)(push.push)
+app.add_typer(keys.app, name="keys", rich_help_panel=SETUP_PANEL)
+app.add_typer(radio.app, name="radio", rich_help_panel=SETUP_PANEL)
+app.add_typer(rigid_bodies.app, name="mocap", rich_help_panel=SETUP_PANEL)
 
 
 def main() -> None:

@@ -131,7 +131,7 @@ def read_table(
             raise _unknown(name, value, kind, where, key, file)
     for name, entry in fields.items():
         if entry.required and name not in raw:
-            description, example = _allowed(entry)
+            description, example = describe_allowed(entry)
             elsewhere = "" if key else place_of_missing(name, raw, kind)
             do = elsewhere or f"Add for example {name} = {example}."
             raise ConfigError(_at(where, key, name), "nothing", description, do)
@@ -179,7 +179,7 @@ def _value(
     try:
         return msgspec.convert(raw, entry.type, str_keys=True)
     except msgspec.ValidationError:
-        description, example = _allowed(entry)
+        description, example = describe_allowed(entry)
         do = f"For example {entry.encode_name} = {example}.{keys_of_the_file(raw, key, file)}"
         raise ConfigError(f"{where}: {key}", show_value(raw), description, do) from None
 
@@ -196,7 +196,7 @@ def _row(kind: Any) -> type[msgspec.Struct] | None:
     )
 
 
-def _allowed(entry: FieldInfo) -> tuple[str, str]:
+def describe_allowed(entry: FieldInfo) -> tuple[str, str]:
     """Return the allowed values of a key as text, and an example."""
     kinds = (entry.type, *get_args(entry.type))
     meta = next(kind.__metadata__[0] for kind in kinds if get_origin(kind) is Annotated)

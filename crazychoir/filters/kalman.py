@@ -805,12 +805,10 @@ class KalmanFilter:
         w: (3,) rad/s
         """
         memory, (r_p, r_angle) = self._memory, self._figures[:2]
-        memory[0:3], memory[3:6], memory[6:10], memory[10:13] = (
-            pose.p,
-            v,
-            pose.q / np.linalg.norm(pose.q),
-            w,
-        )
+        memory[0:3] = pose.p
+        memory[3:6] = v
+        memory[6:10] = pose.q / np.linalg.norm(pose.q)
+        memory[10:13] = w
         memory[KALMAN_MEMORY.disturbance : KALMAN_MEMORY.place_covariance] = 0.0
         memory[KALMAN_MEMORY.place_covariance : KALMAN_MEMORY.attitude_covariance] = (
             r_p,

@@ -750,11 +750,9 @@ class Pilot(Actor):
         if isinstance(wanted, Goto):
             self._fly_goto(wanted)
         else:
-            self._reference, self._reference_ns, self._beyond = (
-                wanted,
-                self.clock.now_ns(),
-                False,
-            )
+            self._reference = wanted
+            self._reference_ns = self.clock.now_ns()
+            self._beyond = False
             if self.mode is not FOLLOW_MODE:
                 self._change(ModeEvent.FLY)
         return True

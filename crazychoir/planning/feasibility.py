@@ -61,7 +61,9 @@ def _fill_demands(references: Mat, out: Mat) -> None:
         f = (a[0], a[1], a[2] + STANDARD_GRAVITY)
         thrust = math.sqrt(dot(f, f))
         o[0] = math.sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5])
-        o[1], o[2], o[3] = math.sqrt(dot(a, a)), math.sqrt(dot(j, j)), abs(x[13])
+        o[1] = math.sqrt(dot(a, a))
+        o[2] = math.sqrt(dot(j, j))
+        o[3] = abs(x[13])
         o[4] = math.acos(min(max(f[2] / max(thrust, 1e-9), -1.0), 1.0))
         o[5] = thrust
         w = flat_rates(f, j, flat_attitude(f, x[12]), x[12], x[13])

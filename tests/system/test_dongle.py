@@ -23,7 +23,7 @@ from crazychoir.radio.drone.radio_drone import CONNECT_ATTEMPTS
 from crazychoir.radio.link import drivers
 from crazychoir.radio.link.connection import Connection
 from crazychoir.radio.link.dongles import DongleFailed
-from crazychoir.radio.link.firmware import Firmware
+from crazychoir.radio.link.firmware import ConnectedFirmware
 from crazychoir.radio.link.toc_cache import TableOfContents
 from crazychoir.radio.owner import RadioProcess
 from crazychoir.radio.protocol.crtp import PACKET_FORMS, CrtpPort, Packet
@@ -152,8 +152,8 @@ async def test_three_on_one_dongle_are_read_told_and_flown(known) -> None:
 
         for i, link in enumerate(links):
             await link.log("height", ["stateEstimate.z"], 0.02, partial(take, i), 2.0)
-            assert await Firmware(link).release() == "2025.12"
-            assert await Firmware(link).set("ring.effect", 3 + i) == 3 + i
+            assert await ConnectedFirmware(link).release() == "2025.12"
+            assert await ConnectedFirmware(link).set("ring.effect", 3 + i) == 3 + i
         for _ in range(100):
             flood(links)
             await asyncio.sleep(0.02)
@@ -179,7 +179,8 @@ async def test_a_dongle_without_time_hangs_nobody_and_an_emergency_stop_goes_fir
         links = await opened(there, known, 3)
         there.dongle.exchanges = 40.0
         asking = [
-            asyncio.create_task(Firmware(link).get("ring.effect")) for link in links
+            asyncio.create_task(ConnectedFirmware(link).get("ring.effect"))
+            for link in links
         ]
         used = there.dongle.used
         for _ in range(200):
@@ -296,7 +297,10 @@ async def test_trajectories_are_uploaded_and_what_does_not_fit_is_not_sent(
 ) -> None:
     async with air(1) as there:
         links = await opened(there, known, 1)
-        firmware, (receiver,) = Firmware(links[0]), there.dongle.drones.values()
+        firmware, (receiver,) = (
+            ConnectedFirmware(links[0]),
+            there.dongle.drones.values(),
+        )
         flown = fit_upload(minimum_snap([[0, 0, 0.5], [0.3, 0, 0.5], [0.3, 0.3, 0.5]]))
         pieces = len(flown.pieces.durations)
         await firmware.upload(flown.memory, 3, pieces, offset=132)
@@ -360,7 +364,7 @@ async def test_one_that_comes_within_reach_while_its_link_is_being_opened_is_rea
         await asyncio.sleep(0.5)
         drone.silent = False
         (link,) = await asyncio.wait_for(opening, 5.0)
-        assert await Firmware(link).release() == "2025.12"
+        assert await ConnectedFirmware(link).release() == "2025.12"
         assert not any(packet[0] >> 4 == CrtpPort.MEMORY for packet in drone.up), (
             "memories of decks are not read"
         )

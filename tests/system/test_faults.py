@@ -40,10 +40,13 @@ STANDING = '''
 import re
 import sys
 import time
+from dataclasses import replace
 from crazychoir import CFDistributedFeedback
 from crazychoir.runtime import watchdog
 
-watchdog.GIVE_UP, watchdog.STUCK = 2.5, 3.0  # s, instead of 10 and 15
+watchdog.WATCHDOG_TIMES = replace(
+    watchdog.WATCHDOG_TIMES, give_up_delay=2.5, stuck_time=3.0
+)  # s, instead of 10 and 15
 
 
 class Standing(CFDistributedFeedback):

@@ -71,7 +71,7 @@ WARM = """
 import gc, json, sys
 from numba.core.dispatcher import Dispatcher
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.routing.distributed.plain_loop import warm
+from crazychoir.routing.distributed.plain_loop import compile_routing_kernels
 from crazychoir.solve.solving import solve_here
 
 def compiled():
@@ -81,7 +81,7 @@ changes = [{}, {"recharge": 2}, {"release": 1.0}, {"penalty": [9.0] * 4}, {"obje
 for method, several in (("columns", changes), ("resource-columns", changes[:-1]), ("cbba", changes)):
     for change in several:
         instance = Instance.parse(json.load(open(sys.argv[1])) | change)
-        warm(instance.local(0), method)
+        compile_routing_kernels(instance.local(0), method)
         before = compiled()
         result = solve_here(instance, method=method)
         assert compiled() == before, (method, change, set(compiled().items()) - set(before.items()))

@@ -84,7 +84,7 @@ def push(
     ] = None,
     dry_run: Annotated[
         bool,
-        typer.Option("--dry-run_push_step", help="Print the commands, do nothing."),
+        typer.Option("--dry-run", help="Print the commands, do nothing."),
     ] = False,
 ) -> None:
     """Copy a swarm to its hosts, into ~/choir: by ssh and scp, with your ssh keys."""

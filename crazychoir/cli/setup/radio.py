@@ -288,7 +288,7 @@ def ping(
             help="Drones, as udp://127.0.0.1:19850 or radio://0/80/2M/E7E7E7E701."
         ),
     ],
-    count: Annotated[int, options.whole("PingResult to each.")] = 100,
+    count: Annotated[int, options.whole("Echoes to each.")] = 100,
     deadline: Annotated[
         float, options.seconds("s after which it ends.", least=0.1)
     ] = 20.0,

@@ -250,11 +250,9 @@ class Until(MessageRider[A]):
         self.neighbors = neighbors or ()
         self.diameter = diameter
         self._flags = Flags(diameter, False, latched=self.asynchronous)
-        self._steps, self._latest, self._silent = (
-            0,
-            dict[int, int](),
-            set(self.neighbors),
-        )
+        self._steps = 0
+        self._latest = dict[int, int]()
+        self._silent = set(self.neighbors)
 
     @property
     def done(self) -> bool:

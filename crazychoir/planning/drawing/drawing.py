@@ -55,10 +55,8 @@ LINE_SMOOTHING = LineSmoothing()
 
 
 LEAST_LENGTH_SHARE = 0.5  # of the length of a stroke, at least: the rest may be tremor
-SLOWEST_PACE, FASTEST_PACE = (
-    3.0,
-    1.0 / 3.0,
-)  # of the mean s/m: how much of a hand's hesitation is flown
+SLOWEST_PACE = 3.0  # relative to the mean s/m: hesitation of a hand that is flown
+FASTEST_PACE = 1.0 / 3.0  # relative to the mean s/m: haste of a hand that is flown
 
 
 @dataclass(frozen=True, kw_only=True)

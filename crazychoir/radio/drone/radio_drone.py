@@ -25,7 +25,7 @@ from crazychoir.platforms import find_platform
 from crazychoir.radio import checks
 from crazychoir.radio.link.connection import AWAITING_LOG, Connection
 from crazychoir.radio.link.dongles import DongleFailed
-from crazychoir.radio.link.firmware import Firmware
+from crazychoir.radio.link.firmware import ConnectedFirmware
 from crazychoir.radio.link.toc_cache import TableOfContents
 from crazychoir.radio.protocol.compressed import unpack_quaternion
 from crazychoir.radio.protocol.crtp import PACKET_FORMS, CrtpPort, Packet
@@ -360,7 +360,7 @@ class RadioDrone(Actor):
             CONNECT_ATTEMPTS.reopen_deadline if self._prepared else left,
             0.0 if self._prepared else CONNECT_ATTEMPTS.tables_deadline,
         )
-        firmware = Firmware(connection)
+        firmware = ConnectedFirmware(connection)
         refused = self._too_old(connection)
         try:
             await self._begin_logs(connection)
@@ -374,11 +374,9 @@ class RadioDrone(Actor):
             await self._prepare(firmware)
         if self.why:
             raise LinkFailed(self.row.uri, self.why)
-        self.connection, self._opening, self._up_ns = (
-            connection,
-            None,
-            self.clock.now_ns(),
-        )
+        self.connection = connection
+        self._opening = None
+        self._up_ns = self.clock.now_ns()
         self.reconnected += self.state_of_link == "lost"
         self._change("up", self._only_lands)
         self._work = asyncio.get_running_loop().create_task(
@@ -395,7 +393,9 @@ class RadioDrone(Actor):
             return error
         return None
 
-    async def _check(self, firmware: Firmware, refused: ConfigError | None) -> None:
+    async def _check(
+        self, firmware: ConnectedFirmware, refused: ConfigError | None
+    ) -> None:
         """Raise ConfigError if the drone cannot be flown with its firmware.
 
         A drone that another program left in flight is accepted, but may only land.
@@ -446,7 +446,7 @@ class RadioDrone(Actor):
                 release, self._platform, given, where
             )
 
-    async def _prepare(self, firmware: Firmware) -> None:
+    async def _prepare(self, firmware: ConnectedFirmware) -> None:
         """Set the parameters and, for a drone without cameras, start its estimator.
 
         This is done once, on the ground.
@@ -458,7 +458,7 @@ class RadioDrone(Actor):
             await self._place(firmware, np.array(self.row.home), self.row.yaw)
         self._prepared = True
 
-    async def _require_frame(self, firmware: Firmware) -> None:
+    async def _require_frame(self, firmware: ConnectedFirmware) -> None:
         """Raise ConfigError if several drones have no common frame, unless [radio] allows drift.
 
         The frame of a flow deck is the drone's own, and drifts.
@@ -482,7 +482,7 @@ class RadioDrone(Actor):
                 do,
             )
 
-    async def _place(self, firmware: Firmware, p: Vec, yaw: float) -> None:
+    async def _place(self, firmware: ConnectedFirmware, p: Vec, yaw: float) -> None:
         """Start the drone's estimator at this pose.
 
         p: (3,) m
@@ -597,10 +597,10 @@ class RadioDrone(Actor):
         if self.flying:
             return None
         if not self._prepared:
-            return self._prepare(Firmware(connection))
+            return self._prepare(ConnectedFirmware(connection))
         pose = self._pose.fresh()
         if self.seen_by_cameras and not self._placed and pose is not None:
-            return self._place(Firmware(connection), pose.p, yaw_of(pose.q))
+            return self._place(ConnectedFirmware(connection), pose.p, yaw_of(pose.q))
         return None
 
     async def _end_work(self) -> None:
@@ -848,14 +848,14 @@ class RadioDrone(Actor):
                 f"drone {self.drone}", self.problem or self.why or "its motors were cut"
             )
         try:
-            await Firmware(self.connection).arm()
+            await ConnectedFirmware(self.connection).arm()
         except LinkFailed as error:
             raise Refused(f"drone {self.drone}", str(error)) from error
         return "armed"
 
     async def _armed(self, connection: Connection) -> None:
         try:
-            await Firmware(connection).arm()
+            await ConnectedFirmware(connection).arm()
         except LinkFailed as error:
             self._say("arm", str(error))
         finally:

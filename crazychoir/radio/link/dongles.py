@@ -158,11 +158,9 @@ class DongleShare:
         self.version = dongle.version
         self._dongle = dongle
         self._closed = closed
-        self._channel, self._address, self._rate = (
-            2,
-            bytes(5),
-            radiodriver.Crazyradio.DR_2MPS,
-        )
+        self._channel = 2
+        self._address = bytes(5)
+        self._rate = radiodriver.Crazyradio.DR_2MPS
         self._open = True
         self._heard = False
         self._vain = 0

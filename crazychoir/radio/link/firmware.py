@@ -53,7 +53,7 @@ class UploadMemory:
 UPLOAD_MEMORY = UploadMemory()
 
 
-class Firmware:
+class ConnectedFirmware:
     """The firmware at the other end of a connection.
 
     Its methods raise LinkFailed if the firmware does not answer, or does not do what they ask.

@@ -6,6 +6,7 @@ It takes packets, returns answers, and sends logs and texts as time passes.
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from enum import IntEnum
 
 from crazychoir.platforms import Platform
 from crazychoir.radio.protocol.crtp import (
@@ -25,7 +26,19 @@ from crazychoir.simulation.onboard.onboard import Onboard
 
 log = logging.getLogger(__name__)
 # Channels of the link's port: echoes, the source of a link, packets to drop.
-LINK_ECHO_CHANNEL, LINK_SOURCE_CHANNEL, LINK_SINK_CHANNEL = range(3)
+
+
+class LinkChannel(IntEnum):
+    """Channels of the link's port."""
+
+    ECHO = 0
+    """Echoes."""
+    SOURCE = 1
+    """The source of a link."""
+    SINK = 2
+    """Packets to drop."""
+
+
 SOURCE_ANSWER = b"Bitcraze Crazyflie".ljust(30, b"\0")
 """Answer to a request for the source of a link."""
 FLIGHT_PORTS = (
@@ -268,10 +281,10 @@ class VirtualCrazyflie:
             yield from self.parameters.take(packet)
         elif port == CrtpPort.MEMORY:
             yield from self.memories.take(packet)
-        elif port == CrtpPort.LINK and packet.channel == LINK_ECHO_CHANNEL:
+        elif port == CrtpPort.LINK and packet.channel == LinkChannel.ECHO:
             yield packet
-        elif port == CrtpPort.LINK and packet.channel == LINK_SOURCE_CHANNEL:
-            yield Packet(CrtpPort.LINK, LINK_SOURCE_CHANNEL, SOURCE_ANSWER)
+        elif port == CrtpPort.LINK and packet.channel == LinkChannel.SOURCE:
+            yield Packet(CrtpPort.LINK, LinkChannel.SOURCE, SOURCE_ANSWER)
         elif port != CrtpPort.LINK:
             self.flight.unknown += 1
 

@@ -11,19 +11,45 @@ from crazychoir.radio.virtual.toc import LOG_TYPES, STRUCT_LETTERS, Toc, TocEntr
 from crazychoir.simulation.onboard.logs import truncate_to_range
 
 # Channels.
-LOG_TOC_CHANNEL, LOG_SETTINGS_CHANNEL, LOG_VALUES_CHANNEL = range(3)
+
+
+class LogChannel(IntEnum):
+    """Channels of the logs' port."""
+
+    TOC = 0
+    """The table of log variables."""
+    SETTINGS = 1
+    """Commands for log blocks."""
+    VALUES = 2
+    """The values of log blocks."""
+
+
 # Commands of SETTINGS.
-(
-    _BLOCK_CREATE_V1,
-    _BLOCK_APPEND_V1,
-    BLOCK_DELETE,
-    BLOCK_START,
-    BLOCK_STOP,
-    BLOCK_RESET,
-    BLOCK_CREATE,
-    BLOCK_APPEND,
-    BLOCK_START_V2,
-) = range(9)
+
+
+class LogCommand(IntEnum):
+    """Commands for log blocks."""
+
+    CREATE_V1 = 0
+    """Creates a block, with indices of one byte: not supported."""
+    APPEND_V1 = 1
+    """Adds variables, with indices of one byte: not supported."""
+    DELETE = 2
+    """Deletes a block."""
+    START = 3
+    """Starts a block, with a period in units of 10 ms."""
+    STOP = 4
+    """Stops a block."""
+    RESET = 5
+    """Deletes all blocks."""
+    CREATE = 6
+    """Creates a block."""
+    APPEND = 7
+    """Adds variables to a block."""
+    START_V2 = 8
+    """Starts a block, with a period in ms."""
+
+
 # Results, with the numbers of errno.
 
 
@@ -118,15 +144,15 @@ class LogService:
 
     def take(self, packet: Packet, now: int) -> Iterator[Packet]:
         """Return the answers to a packet; now: ms of uptime."""
-        if packet.channel == LOG_TOC_CHANNEL:
+        if packet.channel == LogChannel.TOC:
             yield from self.toc.take(packet.data)
-        elif packet.channel == LOG_SETTINGS_CHANNEL and packet.data:
+        elif packet.channel == LogChannel.SETTINGS and packet.data:
             command = packet.data[0]
             rest = packet.data[1:]
             number = rest[0] if rest else 0
             error = self._do(command, number, rest[1:], now)
             yield Packet(
-                CrtpPort.LOG, LOG_SETTINGS_CHANNEL, bytes([command, number, error])
+                CrtpPort.LOG, LogChannel.SETTINGS, bytes([command, number, error])
             )
 
     def due(self, now: int) -> Iterator[Packet]:
@@ -149,31 +175,36 @@ class LogService:
         )
         return Packet(
             CrtpPort.LOG,
-            LOG_VALUES_CHANNEL,
+            LogChannel.VALUES,
             bytes([number]) + (now & 0xFFFFFF).to_bytes(3, "little") + values,
         )
 
     def _do(self, command: int, number: int, rest: bytes, now: int) -> int:
-        if command == BLOCK_RESET:
+        if command == LogCommand.RESET:
             self.blocks.clear()
             return LogResult.OK
-        if command == BLOCK_CREATE:
+        if command == LogCommand.CREATE:
             return self._create(number) or self._append(number, rest)
-        if command == BLOCK_APPEND:
+        if command == LogCommand.APPEND:
             return self._append(number, rest)
-        if command not in (BLOCK_DELETE, BLOCK_START, BLOCK_STOP, BLOCK_START_V2):
+        if command not in (
+            LogCommand.DELETE,
+            LogCommand.START,
+            LogCommand.STOP,
+            LogCommand.START_V2,
+        ):
             return LogResult.ENOEXEC
         block = self.blocks.get(number)
         if block is None:
             return LogResult.ENOENT
-        if command == BLOCK_DELETE:
+        if command == LogCommand.DELETE:
             del self.blocks[number]
-        elif command == BLOCK_STOP:
+        elif command == LogCommand.STOP:
             block.period = 0
         else:
             period = (
                 10 * int.from_bytes(rest[:1], "little")
-                if command == BLOCK_START
+                if command == LogCommand.START
                 else int.from_bytes(rest[:2], "little")
             )
             block.once = not period

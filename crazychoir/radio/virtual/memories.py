@@ -9,7 +9,19 @@ from crazychoir.radio.protocol.crtp import CrtpPort, Packet
 from crazychoir.simulation.onboard.onboard import Onboard
 
 # Channels.
-MEMORY_INFO_CHANNEL, MEMORY_READ_CHANNEL, MEMORY_WRITE_CHANNEL = range(3)
+
+
+class MemoryChannel(IntEnum):
+    """Channels of the memories' port."""
+
+    INFO = 0
+    """Number, types and sizes of the memories."""
+    READ = 1
+    """Reads bytes."""
+    WRITE = 2
+    """Writes bytes."""
+
+
 # Commands of INFO.
 
 
@@ -189,15 +201,15 @@ class MemoryService:
     def take(self, packet: Packet) -> Iterator[Packet]:
         """Return the answers to a packet."""
         data = packet.data
-        if packet.channel == MEMORY_INFO_CHANNEL:
+        if packet.channel == MemoryChannel.INFO:
             yield from self._about(data)
         elif (
-            packet.channel in (MEMORY_READ_CHANNEL, MEMORY_WRITE_CHANNEL)
+            packet.channel in (MemoryChannel.READ, MemoryChannel.WRITE)
             and len(data) > _ADDRESS_LAYOUT.size
         ):
             number, address = _ADDRESS_LAYOUT.unpack_from(data)
             body = data[_ADDRESS_LAYOUT.size :]
-            reads = packet.channel == MEMORY_READ_CHANNEL
+            reads = packet.channel == MemoryChannel.READ
             found = (
                 self._read(number, address, body[0])
                 if reads
@@ -216,7 +228,7 @@ class MemoryService:
         if data[:1] == bytes([MemoryInfo.COUNT]):
             yield Packet(
                 CrtpPort.MEMORY,
-                MEMORY_INFO_CHANNEL,
+                MemoryChannel.INFO,
                 bytes([MemoryInfo.COUNT, len(self.all)]),
             )
         elif data[:1] == bytes([MemoryInfo.DESCRIPTION]) and len(data) > 1:
@@ -225,7 +237,7 @@ class MemoryService:
             kind, size = (0, 0) if memory is None else (memory.kind, memory.size)
             yield Packet(
                 CrtpPort.MEMORY,
-                MEMORY_INFO_CHANNEL,
+                MemoryChannel.INFO,
                 _DESCRIPTION_LAYOUT.pack(MemoryInfo.DESCRIPTION, number, kind, size),
             )
 

@@ -16,12 +16,21 @@ from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.parameters import PARAMETER_PLACES, RESET_ESTIMATION
 
 # Channels.
-(
-    PARAMETER_TOC_CHANNEL,
-    PARAMETER_READ_CHANNEL,
-    PARAMETER_WRITE_CHANNEL,
-    PARAMETER_MISC_CHANNEL,
-) = range(4)
+
+
+class ParameterChannel(IntEnum):
+    """Channels of the parameters' port."""
+
+    TOC = 0
+    """The table of parameters."""
+    READ = 1
+    """Reads a parameter."""
+    WRITE = 2
+    """Writes a parameter."""
+    MISC = 3
+    """All other commands."""
+
+
 # Results, with the numbers of errno.
 
 
@@ -39,17 +48,29 @@ class ParameterResult(IntEnum):
 
 
 # Commands of MISC.
-(
-    SET_BY_NAME_COMMAND,
-    VALUE_UPDATED_COMMAND,
-    EXTENDED_TYPE_V1_COMMAND,
-    STORE_COMMAND,
-    STORED_STATE_COMMAND,
-    CLEAR_STORED_COMMAND,
-    DEFAULT_VALUE_V1_COMMAND,
-    EXTENDED_TYPE_COMMAND,
-    DEFAULT_VALUE_COMMAND,
-) = range(9)
+
+
+class MiscCommand(IntEnum):
+    """Commands of the channel MISC."""
+
+    SET_BY_NAME = 0
+    """Sets a parameter by its name."""
+    VALUE_UPDATED = 1
+    """Tells the client that the drone has changed a value."""
+    EXTENDED_TYPE_V1 = 2
+    """Asks whether a parameter is persistent; answer without a result."""
+    STORE = 3
+    """Stores a value."""
+    STORED_STATE = 4
+    """Asks for the stored value."""
+    CLEAR_STORED = 5
+    """Forgets the stored value."""
+    DEFAULT_VALUE_V1 = 6
+    """Asks for the value after a start; answer without a result."""
+    EXTENDED_TYPE = 7
+    """Asks whether a parameter is persistent."""
+    DEFAULT_VALUE = 8
+    """Asks for the value after a start."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +153,7 @@ class ParameterService:
             if entry is None
             else bytes([ParameterResult.OK]) + pack_parameter(entry, self.get(entry))
         )
-        yield Packet(CrtpPort.PARAMETERS, PARAMETER_READ_CHANNEL, data[:2] + body)
+        yield Packet(CrtpPort.PARAMETERS, ParameterChannel.READ, data[:2] + body)
 
     def _write(self, data: bytes) -> Iterator[Packet]:
         """Set a parameter and echo the packet.
@@ -143,12 +164,12 @@ class ParameterService:
         if entry is None:
             yield Packet(
                 CrtpPort.PARAMETERS,
-                PARAMETER_WRITE_CHANNEL,
+                ParameterChannel.WRITE,
                 data[:2] + bytes([ParameterResult.ENOENT]),
             )
         elif not entry.read_only:
             self._take(entry, data[2:])
-            yield Packet(CrtpPort.PARAMETERS, PARAMETER_WRITE_CHANNEL, data)
+            yield Packet(CrtpPort.PARAMETERS, ParameterChannel.WRITE, data)
             yield from self._done()
 
     def _done(self) -> Iterator[Packet]:
@@ -161,8 +182,8 @@ class ParameterService:
             index = self.toc.index[RESET_ESTIMATION].to_bytes(2, "little")
             yield Packet(
                 CrtpPort.PARAMETERS,
-                PARAMETER_MISC_CHANNEL,
-                bytes([VALUE_UPDATED_COMMAND]) + index + b"\0",
+                ParameterChannel.MISC,
+                bytes([MiscCommand.VALUE_UPDATED]) + index + b"\0",
             )
 
     def _take(self, entry: TocEntry, body: bytes) -> None:
@@ -190,32 +211,36 @@ class ParameterService:
                 )
                 yield Packet(
                     CrtpPort.PARAMETERS,
-                    PARAMETER_MISC_CHANNEL,
+                    ParameterChannel.MISC,
                     command
                     + body[:2]
-                    + (answer if command[0] == EXTENDED_TYPE_COMMAND else answer[-1:]),
+                    + (
+                        answer
+                        if command[0] == MiscCommand.EXTENDED_TYPE
+                        else answer[-1:]
+                    ),
                 )
             case 3 | 5:
                 yield Packet(
                     CrtpPort.PARAMETERS,
-                    PARAMETER_MISC_CHANNEL,
+                    ParameterChannel.MISC,
                     command
                     + body[:2]
-                    + bytes([self._keep(body, command[0] == STORE_COMMAND)]),
+                    + bytes([self._keep(body, command[0] == MiscCommand.STORE)]),
                 )
             case 4:
                 yield Packet(
                     CrtpPort.PARAMETERS,
-                    PARAMETER_MISC_CHANNEL,
+                    ParameterChannel.MISC,
                     command + body[:2] + self._kept(body),
                 )
             case 6 | 8:
                 yield Packet(
                     CrtpPort.PARAMETERS,
-                    PARAMETER_MISC_CHANNEL,
+                    ParameterChannel.MISC,
                     command
                     + body[:2]
-                    + self._boot(body, command[0] == DEFAULT_VALUE_COMMAND),
+                    + self._boot(body, command[0] == MiscCommand.DEFAULT_VALUE),
                 )
 
     def _by_name(self, body: bytes) -> Iterator[Packet]:
@@ -229,8 +254,8 @@ class ParameterService:
             names = b"\0".join(parts[:2]) + b"\0"
             yield Packet(
                 CrtpPort.PARAMETERS,
-                PARAMETER_MISC_CHANNEL,
-                bytes([SET_BY_NAME_COMMAND]) + names + bytes([self._named(parts)]),
+                ParameterChannel.MISC,
+                bytes([MiscCommand.SET_BY_NAME]) + names + bytes([self._named(parts)]),
             )
             yield from self._done()
 

@@ -37,15 +37,13 @@ INSERTION_CHANCES = InsertionChances()
 
 NO_POSITION = -9
 """A position that means no place."""
-(
-    RANDOM_ORDER,
-    LOAD_ORDER,
-    FARTHEST_ORDER,
-    CLOSEST_ORDER,
-    WINDOW_WIDTH_ORDER,
-    OPENING_TIME_ORDER,
-    CLOSING_TIME_ORDER,
-) = range(7)
+RANDOM_ORDER = 0
+LOAD_ORDER = 1
+FARTHEST_ORDER = 2
+CLOSEST_ORDER = 3
+WINDOW_WIDTH_ORDER = 4
+OPENING_TIME_ORDER = 5
+CLOSING_TIME_ORDER = 6
 """Orders in which tasks are put back: at random, or by one of the traits of Fleet."""
 
 

@@ -100,28 +100,24 @@ BRAKING_MODEL = BrakingModel()
 # V_MAX m/s: largest speed of the others
 # CELLS: 1 for `compute_cell_acceleration`, 0 for `compute_barrier_acceleration`
 # WAITS: 0 while the drone lands, else 1
-(
-    FIGURE_LAG,
-    FIGURE_DELAY,
-    FIGURE_SCALE_X,
-    FIGURE_SCALE_Y,
-    FIGURE_SCALE_Z,
-    FIGURE_WIDTH,
-    FIGURE_BRAKE,
-    FIGURE_GAMMA,
-    FIGURE_A_XY,
-) = range(9)
-(
-    FIGURE_A_Z,
-    FIGURE_TURN,
-    FIGURE_RANGE,
-    FIGURE_UNSURE,
-    FIGURE_GROUND,
-    FIGURE_V_MAX,
-    FIGURE_CELLS,
-    FIGURE_STIFFNESS,
-    FIGURE_WAITS,
-) = range(9, 18)
+FIGURE_LAG = 0
+FIGURE_DELAY = 1
+FIGURE_SCALE_X = 2
+FIGURE_SCALE_Y = 3
+FIGURE_SCALE_Z = 4
+FIGURE_WIDTH = 5
+FIGURE_BRAKE = 6
+FIGURE_GAMMA = 7
+FIGURE_A_XY = 8
+FIGURE_A_Z = 9
+FIGURE_TURN = 10
+FIGURE_RANGE = 11
+FIGURE_UNSURE = 12
+FIGURE_GROUND = 13
+FIGURE_V_MAX = 14
+FIGURE_CELLS = 15
+FIGURE_STIFFNESS = 16
+FIGURE_WAITS = 17
 """-"""
 
 
@@ -548,15 +544,9 @@ class CollisionFilter:
         now: s
         Returns None if the drone may fly as it wants.
         """
-        (
-            self._accelerates[6:9],
-            self._figures[FIGURE_WAITS],
-            self._figures[FIGURE_TURN],
-        ) = (
-            a,
-            1.0,
-            self._turn,
-        )
+        self._accelerates[6:9] = a
+        self._figures[FIGURE_WAITS] = 1.0
+        self._figures[FIGURE_TURN] = self._turn
         return self._run(state, self._accelerates, gains, 0.0, now)
 
     def _run(

@@ -211,11 +211,9 @@ class TakeoffCheck:
         self._began = now
         self._bodies = bodies
         self._said = own
-        self._level, self._zeros, self._noise = (
-            complex(math.nan),
-            dict[int, complex](),
-            math.nan,
-        )
+        self._level = complex(math.nan)
+        self._zeros = dict[int, complex]()
+        self._noise = math.nan
         self._own: deque[complex] = deque(maxlen=TAKEOFF_WATCH.samples)
         self._seen: dict[int, deque[list[complex]]] = {
             j: deque(maxlen=TAKEOFF_WATCH.samples) for j in bodies

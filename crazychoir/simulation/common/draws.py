@@ -29,9 +29,12 @@ class SplitMix64(NamedTuple):
 SPLITMIX_64 = SplitMix64()
 
 
-SHIFT_8, SHIFT_16, SHIFT_27, SHIFT_30, SHIFT_31, SHIFT_32 = (
-    np.uint64(n) for n in (8, 16, 27, 30, 31, 32)
-)
+SHIFT_8 = np.uint64(8)
+SHIFT_16 = np.uint64(16)
+SHIFT_27 = np.uint64(27)
+SHIFT_30 = np.uint64(30)
+SHIFT_31 = np.uint64(31)
+SHIFT_32 = np.uint64(32)
 
 
 class ByteSum(NamedTuple):

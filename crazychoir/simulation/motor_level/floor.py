@@ -120,7 +120,9 @@ def _settle(m: Vec, k: int, normal: Triple, h: float, spin: float) -> None:
         m[QUATERNION_Z + k],
         m[QUATERNION_W + k],
     ) = q
-    m[RATE_X + k], m[RATE_Y + k], m[RATE_Z + k] = dot(bx, w), dot(by, w), dot(bz, w)
+    m[RATE_X + k] = dot(bx, w)
+    m[RATE_Y + k] = dot(by, w)
+    m[RATE_Z + k] = dot(bz, w)
     m[SPECIFIC_FORCE_X + k] = STANDARD_GRAVITY * bx[2]
     m[SPECIFIC_FORCE_Y + k] = STANDARD_GRAVITY * by[2]
     m[SPECIFIC_FORCE_Z + k] = STANDARD_GRAVITY * bz[2]

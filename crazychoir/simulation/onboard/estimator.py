@@ -185,21 +185,17 @@ def _correct_position(fw: Record, x: float, y: float, z: float) -> None:
     fw.y = fw.y + k * dy
     fw.vx = fw.vx + kv * dx
     fw.vy = fw.vy + kv * dy
-    fw.xy_pp, fw.xy_pv, fw.xy_vv = (
-        (1.0 - k) * fw.xy_pp,
-        (1.0 - k) * fw.xy_pv,
-        fw.xy_vv - kv * fw.xy_pv,
-    )
+    fw.xy_vv = fw.xy_vv - kv * fw.xy_pv
+    fw.xy_pv = (1.0 - k) * fw.xy_pv
+    fw.xy_pp = (1.0 - k) * fw.xy_pp
     k = fw.z_pp / (fw.z_pp + r)
     kv = fw.z_pv / (fw.z_pp + r)
     dz = z - fw.z
     fw.z = fw.z + k * dz
     fw.vz = fw.vz + kv * dz
-    fw.z_pp, fw.z_pv, fw.z_vv = (
-        (1.0 - k) * fw.z_pp,
-        (1.0 - k) * fw.z_pv,
-        fw.z_vv - kv * fw.z_pv,
-    )
+    fw.z_vv = fw.z_vv - kv * fw.z_pv
+    fw.z_pv = (1.0 - k) * fw.z_pv
+    fw.z_pp = (1.0 - k) * fw.z_pp
 
 
 @kernel(rows, whole)

@@ -611,7 +611,7 @@ class Onboard:
         """
         fw = self.record
         fw["law_due"] = 0
-        leveling = fw["state"] == supervisor.STATE_LEVEL_OUT
+        leveling = fw["state"] == supervisor.SUPERVISOR_STATES.level_out
         target = laws.convert_setpoint(
             fw["level"] if leveling else fw["wanted"], self.firmware.thrust_max
         )

@@ -362,13 +362,11 @@ def _is_bounded(c: Single, timescale: Single) -> bool:
 @kernel()
 def _start_plan(fw: Record, state: int) -> None:
     plan = fw.planner
-    plan.state, plan.begin, plan.slot, plan.timescale, plan.reversed = (
-        state,
-        _read_uptime(fw),
-        -1,
-        SINGLE_NUMBERS.one,
-        0,
-    )
+    plan.state = state
+    plan.begin = _read_uptime(fw)
+    plan.slot = -1
+    plan.timescale = SINGLE_NUMBERS.one
+    plan.reversed = 0
 
 
 @kernel()

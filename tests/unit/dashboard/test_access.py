@@ -5,8 +5,8 @@ from virtual_time import virtual
 
 from crazychoir.dashboard.access import (
     LOGIN_LIMITS,
+    PAGE_REQUEST_RULES,
     PAGE_SESSION,
-    REQUEST_RULES,
     AccessGate,
     network_of,
 )
@@ -165,9 +165,9 @@ def test_other_sites_may_do_no_more_than_link_to_the_page(origin, fetch, status)
 @virtual
 async def test_what_is_too_large_is_refused_whether_it_says_so_or_not(clock):
     visitor = Visitor(clock)
-    for length in (REQUEST_RULES.largest_body + 1, "much", "-1"):
+    for length in (PAGE_REQUEST_RULES.largest_body + 1, "much", "-1"):
         assert (await visitor.come("POST", origin=ORIGIN, length=length))[0] == 413
-    half = b"x" * (REQUEST_RULES.largest_body // 2)
+    half = b"x" * (PAGE_REQUEST_RULES.largest_body // 2)
     assert (await visitor.come("POST", origin=ORIGIN, parts=(half, half)))[0] == 200
     assert (await visitor.come("POST", origin=ORIGIN, parts=(half, half, b"x")))[
         0

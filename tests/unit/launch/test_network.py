@@ -126,12 +126,12 @@ def test_actors_work_while_the_link_is_open_and_stop_before_it():
 LOCAL = "127.0.0.1"
 LOW_RANGE = """if True:
     import sys
-    from crazychoir.launch.network import isolated_swarm
+    from crazychoir.launch.network import hold_isolated_swarm
     from crazychoir.config.swarm_config import default_swarm
     for given in (None, 7999):
         config = default_swarm(int(sys.argv[1]))
         config = config if given is None else config.replace(base_port=given)
-        with isolated_swarm(config, None, keeps_port=True) as changed:
+        with hold_isolated_swarm(config, None, keeps_port=True) as changed:
             print(changed.base_port)
 """
 
@@ -162,9 +162,9 @@ def test_no_connection_is_given_a_port_that_is_held_where_the_system_gives_all()
     program = f"""if True:
         import contextlib, socket
         from crazychoir.launch import network
-        network._bases = lambda offsets: [40_000]
+        network._draw_base_ports = lambda offsets: [40_000]
         server = socket.create_server(({LOCAL!r}, 50_000))
-        with network.reserved_ports(dict.fromkeys(range(9), {LOCAL!r})), contextlib.suppress(OSError):
+        with network.reserve_ports(dict.fromkeys(range(9), {LOCAL!r})), contextlib.suppress(OSError):
             while True:
                 print(socket.create_connection(({LOCAL!r}, 50_000)).getsockname()[1])
     """

@@ -156,9 +156,9 @@ def test_who_was_killed_left_nothing(own_place):
     run = run_of(own_place, "lab-1", "lab.toml")
     program = f"""if True:
         import os, signal
-        from crazychoir.launch.run_registry import Run, recorded, runs
-        with recorded(Run(**{asdict(run)!r})):
-            assert runs()
+        from crazychoir.launch.run_registry import RunRecord, record_run, list_own_runs
+        with record_run(RunRecord(**{asdict(run)!r})):
+            assert list_own_runs()
             os.kill(os.getpid(), signal.SIGKILL)"""
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == -9
     left = list((own_place / "crazychoir").iterdir())
@@ -196,15 +196,15 @@ SHELLS = {
 }
 RECORDS = """if True:
     import sys, time
-    from crazychoir.launch.run_registry import Run, recorded
-    with recorded(Run(*sys.argv[1:5])):
+    from crazychoir.launch.run_registry import RunRecord, record_run
+    with record_run(RunRecord(*sys.argv[1:5])):
         print("flies", flush=True)
         sys.stdin.read()
 """
 FINDS = """if True:
     import sys
-    from crazychoir.launch.run_registry import every_run, of_file, runs
-    found = [runs(), of_file(sys.argv[1]), every_run()]
+    from crazychoir.launch.run_registry import list_every_run, list_runs_of_file, list_own_runs
+    found = [list_own_runs(), list_runs_of_file(sys.argv[1]), list_every_run()]
     print(*([run.swarm for run in group if run.swarm == sys.argv[2]] for group in found))
 """
 

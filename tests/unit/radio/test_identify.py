@@ -59,7 +59,7 @@ def drone(monkeypatch):
         | {"led.bitmask": 3, "ring.effect": 6, "deck.bcLedRing": 0}
     )
     monkeypatch.setattr(identify, "Connection", lambda clock, uri, contents: link)
-    monkeypatch.setattr(identify, "Firmware", lambda connection: firmware)
+    monkeypatch.setattr(identify, "ConnectedFirmware", lambda connection: firmware)
     return link, firmware
 
 

@@ -255,11 +255,13 @@ def test_a_guard_left_over_an_await_is_void(quick):
 
 
 CHILD = """
-import asyncio, time
+import asyncio, dataclasses, time
 from crazychoir.runtime import watchdog
 from crazychoir.runtime.clock import run_wall
 
-watchdog.INTERRUPT, watchdog.FROZEN, watchdog.GIVE_UP = 1.5, 0.5, 1.6
+watchdog.WATCHDOG_TIMES = dataclasses.replace(
+    watchdog.WATCHDOG_TIMES, interrupt_limit=1.5, frozen_gap=0.5, give_up_delay=1.6
+)
 
 def burn(seconds):
     ends = time.process_time() + seconds

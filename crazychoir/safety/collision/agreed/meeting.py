@@ -43,15 +43,13 @@ class MeetingCheck(NamedTuple):
 MEETING_CHECK = MeetingCheck()
 
 
-(
-    PATH_FIRST_PIECE,
-    PATH_PIECE_COUNT,
-    PATH_BEGIN_TIME,
-    PATH_ON_FLOOR,
-    PATH_GUESS_GROWTH,
-    PATH_DRONE_ID,
-    PATH_COLUMNS,
-) = range(7)
+PATH_FIRST_PIECE = 0
+PATH_PIECE_COUNT = 1
+PATH_BEGIN_TIME = 2
+PATH_ON_FLOOR = 3
+PATH_GUESS_GROWTH = 4
+PATH_DRONE_ID = 5
+PATH_COLUMNS = 6
 """Columns of what is known of another drone's path:
 
 FIRST: the first row of its pieces

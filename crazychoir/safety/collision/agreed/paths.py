@@ -288,7 +288,8 @@ def fill_stop(start: Vec, a_max: float, piece: Vec) -> None:
 def plan_hold(p: Vec, seconds: float) -> Mat:
     """Return the path that stays at p, (3,) m."""
     way = np.zeros((1, PIECE_SIZE))
-    way[0, 0], way[0, 1], way[0, 9], way[0, 17] = seconds, *p
+    way[0, 0] = seconds
+    way[0, [1, 9, 17]] = p
     return way
 
 

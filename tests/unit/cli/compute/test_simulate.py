@@ -30,7 +30,7 @@ def agent(i, graph):
 """
 SHARING = """
 import numpy as np
-from crazychoir.optimization.algorithms.primal_decomposition import Allocated, PrimalDecomposition
+from crazychoir.optimization.algorithms.primal_decomposition import AllocatedSolution, PrimalDecomposition
 from crazychoir.team.graph import metropolis
 
 class Allocation:  # min (x - i)^2 + 100 rho, x <= y + rho, x >= 0
@@ -41,7 +41,7 @@ class Allocation:  # min (x - i)^2 + 100 rho, x <= y + rho, x >= 0
         x = max(0.0, min(self.i, y[0]))
         over = max(0.0, x - y[0])
         mu = 100.0 if over else 2 * max(self.i - x, 0.0)
-        return Allocated((x - self.i) ** 2 + 100 * over, np.array([x]), np.array([mu]), over)
+        return AllocatedSolution((x - self.i) ** 2 + 100 * over, np.array([x]), np.array([mu]), over)
 
 def agent(i, graph):
     return PrimalDecomposition(i, metropolis(graph)[i], Allocation(i), np.array([SHARE]), 0.1, 20)
@@ -49,7 +49,7 @@ def agent(i, graph):
 ENDING = """
 from dataclasses import dataclass
 import numpy as np
-from crazychoir.optimization.rounds.agreement import flood
+from crazychoir.optimization.rounds.agreement import flood_values
 from crazychoir.optimization.rounds.program import Program
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Finding(Program):
         super().__init__()
 
     def run(self):
-        known = yield from flood(self.i, self.i, self.diameter)
+        known = yield from flood_values(self.i, self.i, self.diameter)
         return Found(np.array([self.i, 0.5]), float(sum(known.values())), ((1, "a,b"), None))
 
 def agent(i, graph):

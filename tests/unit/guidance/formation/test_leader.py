@@ -84,7 +84,9 @@ def test_in_a_directed_graph_a_follower_flies_by_those_whom_it_hears():
     edges = [[0, 2], [1, 2], [3, 2], [0, 3], [1, 3]]
     config = config.replace(edges=edges, directed=True)
     assert (
-        mission.guidance(3, config).neighbors == mission.neighbors(config)[3] == (0, 1)
+        mission.guidance(3, config).neighbors
+        == mission.hooks.neighbors(config)[3]
+        == (0, 1)
     )
 
 

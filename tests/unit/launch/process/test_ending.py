@@ -25,7 +25,7 @@ def command(code: int, session: bool):
     raise typer.Exit(code)
 
 
-ending.run(app)
+ending.run_to_exit(app)
 """
 
 

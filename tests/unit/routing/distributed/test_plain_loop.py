@@ -327,7 +327,7 @@ def test_a_bound_above_the_cost_is_an_error_and_not_clipped(graph, monkeypatch, 
         return news
 
     for module in (gossip, column_recovery):
-        monkeypatch.setattr(module, "improve", too_high)
+        monkeypatch.setattr(module, "improve_bound", too_high)
     with pytest.raises(SolverError, match=r"bound .* above the cost .* of the plan"):
         solve_in_loop(
             random_instance(5, 8, 1, route_length_limit=30.0), graph("ring", 5), method

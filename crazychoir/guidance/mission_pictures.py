@@ -190,6 +190,22 @@ def draw_ways(
     save_figure(figure, path)
 
 
+def draw_heights(
+    path: str | Path,
+    results: Mapping[int, Mapping[str, Any]],
+    goals: Mapping[int, Point],
+) -> None:
+    """Write a picture of ways from above, and of their heights over time.
+
+    path: the file to write
+    results: result["way"] has rows [t s, x, y, z m]
+    goals: (3,) m: goal of each drone, drawn as a cross
+    """
+    ways = {i: result["way"] for i, result in results.items()}
+    heights = {i: np.array(way)[:, 3] for i, way in ways.items()}
+    draw_ways(path, ways, heights, "z [m]", goals)
+
+
 def _way_style(i: int) -> dict[str, Any]:
     return {
         "color": PICTURE_STYLE.colours[i % len(PICTURE_STYLE.colours)],
