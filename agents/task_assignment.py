@@ -5,10 +5,7 @@ Each task is done by a robot that is allowed to do it.
 crazychoir run task_assignment --fast --loss 0.2
 """
 
-from typing import Any
-
 from crazychoir import SwarmConfig
-from crazychoir.guidance.mission_pictures import draw_ways
 from crazychoir.guidance.tasks.assignment_hooks import (
     AssignmentHooks,
     AssignmentOptions,
@@ -23,6 +20,7 @@ hooks = AssignmentHooks()
 swarm = hooks.swarm
 check = hooks.check
 report = hooks.report
+picture = hooks.picture
 
 
 def guidance(i: int, config: SwarmConfig) -> TaskAssignmentGuidance:
@@ -31,9 +29,3 @@ def guidance(i: int, config: SwarmConfig) -> TaskAssignmentGuidance:
     return TaskAssignmentGuidance(
         TeamAssignment(lambda count: hooks.drawn(config, count), generations)
     )
-
-
-def picture(config: SwarmConfig, results: dict[int, dict[str, Any]], path: str) -> None:
-    """Draw the paths from above over the tasks (grey), and each robot's distance from its task."""
-    shown = hooks.ways(config, results)
-    draw_ways(path, shown.ways, shown.left, "m from its task", seen=shown.tasks)

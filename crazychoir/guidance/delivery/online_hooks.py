@@ -23,9 +23,9 @@ from crazychoir.guidance.delivery.online_tasks import (
     list_known_tasks,
     read_options,
 )
-from crazychoir.guidance.delivery.pickup_hooks import Results
 from crazychoir.guidance.delivery.pickup_setup import require_flyable_features
 from crazychoir.guidance.delivery.site import DeliverySite
+from crazychoir.guidance.mission_report import Results
 from crazychoir.guidance.tasks.task_book import Task
 from crazychoir.guidance.tasks.task_source import TaskEvent
 from crazychoir.guidance.tasks.team_mission import project_to_plane

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from crazychoir.guidance.delivery.pickup_hooks import Results
+from crazychoir.guidance.mission_report import Results
 from crazychoir.guidance.tasks.task_book import Fate
 
 FINISHED_FATES = (Fate.DELIVERED.value, Fate.CANCELLED.value)

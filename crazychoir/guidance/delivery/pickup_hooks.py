@@ -8,13 +8,12 @@ import numpy as np
 from crazychoir.config.reader import read_table
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.delivery.pickup_setup import PickupOptions, require_ready
+from crazychoir.guidance.mission_report import Results
 from crazychoir.routing.instance.checker import check_plan
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.picture import draw_routes
 from crazychoir.routing.instance.plan import Route, RoutePlan
 
-Results = dict[int, dict[str, Any]]
-"""The results of all drones, by id."""
 PICKUP_FLIGHT_TABLE = {
     "takeoff_height": 0.5,
     "speed_limit": 0.8,

@@ -1,6 +1,6 @@
-"""What the task assignment needs beside its guidance: options, tasks, swarm, checks, report."""
+"""What the task assignment needs beside its guidance: options, tasks, swarm, checks, report, picture."""
 
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta
@@ -10,14 +10,14 @@ from crazychoir.config.reader import read_table
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import Probability, SwarmTable
 from crazychoir.errors import ConfigError
+from crazychoir.guidance.mission_pictures import draw_ways
+from crazychoir.guidance.mission_report import Results
 from crazychoir.guidance.tasks.assignment_report import (
-    Results,
     compute_gap,
     join_generation,
     list_rows,
 )
 from crazychoir.guidance.tasks.task_book import Task
-from crazychoir.types import Vec
 
 SIX_ROBOT_EDGES = [[0, 3], [1, 4], [2, 5], [3, 5], [4, 5]]
 """The communication graph of six robots, as in the original."""
@@ -51,17 +51,6 @@ class AssignmentOptions(SwarmTable, frozen=True, kw_only=True):
     """How often the table is filled up."""
     chance: Probability = 0.5
     """Probability that a robot may do a task."""
-
-
-class AssignmentWays(NamedTuple):
-    """What a picture of a task assignment shows."""
-
-    ways: dict[int, list[Any]]
-    """By robot: rows of t s, x m, y m."""
-    left: dict[int, Vec]
-    """By robot: m from its task, at the times of its way. NaN: it had none."""
-    tasks: dict[int, list[list[float]]]
-    """By task: a row of 0 s, x m, y m."""
 
 
 class AssignmentHooks:
@@ -194,8 +183,8 @@ class AssignmentHooks:
             "reasons": {min(config.ids): "; ".join(wrong)} if wrong else {},
         }
 
-    def ways(self, config: SwarmConfig, results: Results) -> AssignmentWays:
-        """Return what a picture of the flight shows."""
+    def picture(self, config: SwarmConfig, results: Results, path: str) -> None:
+        """Draw the paths from above over the tasks (grey), and each robot's distance from its task."""
         ways = {
             i: results[i]["way"] for i in config.ids if results.get(i, {}).get("way")
         }
@@ -207,11 +196,13 @@ class AssignmentHooks:
             for table in tables
             for j, place in zip(table["tasks"], table["places"], strict=True)
         }
-        return AssignmentWays(
-            ways={i: [row[:3] for row in way] for i, way in ways.items()},
-            left={
+        draw_ways(
+            path,
+            {i: [row[:3] for row in way] for i, way in ways.items()},
+            {
                 i: np.array([row[3] for row in way], dtype=float)
                 for i, way in ways.items()
             },
-            tasks={j: [[0.0, *place]] for j, place in tasks.items()},
+            "m from its task",
+            seen={j: [[0.0, *place]] for j, place in tasks.items()},
         )

@@ -5,10 +5,9 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from crazychoir.guidance.mission_report import Results
 from crazychoir.types import Mat
 
-Results = dict[int, dict[str, Any]]
-"""The results of all drones, by id."""
 Pair = tuple[int, int]
 """A task, and the generation in which it was done."""
 
