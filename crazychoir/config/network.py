@@ -39,7 +39,7 @@ def impairment_changes(options: Mapping[str, float | None]) -> dict[str, float |
     if burst is not None and not (
         burst >= 1.0 and loss is not None and 0.0 < loss < 1.0
     ):
-        found = f"{burst:g} with loss {'unsaid' if loss is None else f'{loss:g}'}"
+        found = f"{burst:g} with loss {'not given' if loss is None else f'{loss:g}'}"
         raise ConfigError("burst", found, "1 or more, with a loss between 0 and 1")
     given: dict[str, float | None] = {
         name: options[name] for name in COMMON_EFFECTS if options.get(name) is not None

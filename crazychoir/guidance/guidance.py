@@ -196,7 +196,7 @@ class CFGuidance:
 
         Raises Refused if the mission does not know the command, or will not obey it.
         """
-        raise Refused(f"drone {self.id}", f"this mission knows no command {verb!r}")
+        raise Refused(f"drone {self.id}", f"this mission has no command {verb!r}")
 
     def route(self) -> list[Vec]:
         """Return the places that the drone flies to, in their order, as far as they are planned.
@@ -212,7 +212,9 @@ class CFGuidance:
 
         Raises Refused if the mission does not allow it.
         """
-        raise Refused(f"drone {self.id}", "its mission flies it: hold it first")
+        raise Refused(
+            f"drone {self.id}", "its mission controls it: hold the drone first"
+        )
 
     @property
     def id(self) -> int:
@@ -362,7 +364,7 @@ class CFGuidance:
         rise = _convert_number(height)
         if rise is None or not 0.0 <= rise <= top:
             found = shorten_value_text(height)
-            do = "It must be one number, as float(...)."
+            do = "It must be a single number, for example float(...)."
             if rise is not None:
                 found = f"{rise!r}"
                 do = "Lower it, or raise fence.max."
@@ -639,7 +641,7 @@ class CFGuidance:
         """Raise Interrupted if the mission is over: it must not fly any more."""
         if self.member.ended:
             raise Interrupted(
-                f"drone {self.id}: its mission is over: {self.member.ended}"
+                f"drone {self.id}: its mission has ended: {self.member.ended}"
             )
 
     async def _while(self, seconds: float, *modes: Mode) -> None:

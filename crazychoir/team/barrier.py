@@ -160,7 +160,7 @@ class Barrier:
             if len(self.graph.ids) - len(self._refusals) < self._fewest:
                 raise Refused(
                     f"drone {self.id}",
-                    f"{self._refusals_text()} Mend that, or {self._fewer_text()}.",
+                    f"{self._refusals_text()} Correct that, or {self._fewer_text()}.",
                 )
             first = self.coordinator()
             if first == self.id:

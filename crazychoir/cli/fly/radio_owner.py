@@ -63,7 +63,10 @@ def radios(
                 or "none: no drone has a uri udp:// or radio://"
             )
             raise ConfigError(
-                f"{which}: dongle", dongle, names, "Name one of them, or mend the uris."
+                f"{which}: dongle",
+                dongle,
+                names,
+                "Name one of them, or correct the uris.",
             )
         if not as_json and not child:
             ERROR_CONSOLE.print(

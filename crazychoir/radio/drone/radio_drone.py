@@ -167,9 +167,7 @@ CAMERA_POSE_LIMITS = CameraPoseLimits()
 class ProblemTexts:
     """Texts about a drone that may not take off."""
 
-    wrong_body: str = (
-        ": put its body right, out of the cameras' sight, or switch it off and on"
-    )
+    wrong_body: str = ": correct the position of its body, out of sight of the cameras, or switch the drone off and on"
     """Advice for a drone with the wrong body."""
     motors_cut: str = (
         "its motors were cut: switch it off and on, and start the owner of its "
@@ -429,7 +427,7 @@ class RadioDrone(Actor):
             await self.clock.sleep(1.0 / LINK_CHECK_RATE)
         raise LinkFailed(
             connection.uri,
-            f"says nothing of itself within {CONNECT_ATTEMPTS.reopen_deadline:g} s",
+            f"sends no status within {CONNECT_ATTEMPTS.reopen_deadline:g} s",
         )
 
     def _learn_thrust(self, release: str) -> None:
@@ -469,8 +467,8 @@ class RadioDrone(Actor):
             if await firmware.has(f"deck.{deck}")
         ]
         if not any(deck in FIRMWARE_NAMES.common_frame_decks for deck in decks):
-            found = f"{', '.join(decks) or 'no deck'} on board: its frame drifts from that of the others"
-            do = "Set drift = true in [radio] if the mission bears that, or let the cameras see it."
+            found = f"{', '.join(decks) or 'no deck'} on board: its frame drifts from the frame of the others"
+            do = "Set drift = true in [radio] if the mission tolerates drift, or let the cameras see the drone."
             if self.row.uri.startswith("udp://"):
                 do += " A virtual drone gets a deck from `crazychoir virtual`, started with this swarm file."
             raise ConfigError(
@@ -559,7 +557,7 @@ class RadioDrone(Actor):
             if self.flying and (
                 late := checks.link_problems(connection.latency, connection.answered)
             ):
-                self._say("late", f"{'; '.join(late)}: what it is told comes late")
+                self._say("late", f"{'; '.join(late)}: messages to it arrive late")
             self._feed_watchdog()
             self._go_on_landing()
             self._forgive()
@@ -840,7 +838,7 @@ class RadioDrone(Actor):
         Raises Refused if the drone cannot be armed.
         """
         if not self._platform.firmware.needs_arming:
-            return "ready: its firmware waits for no arming"
+            return "ready: its firmware needs no arming"
         if self.connection is None or self._cut:
             raise Refused(
                 f"drone {self.drone}", self.problem or self.why or "its motors were cut"
@@ -882,7 +880,7 @@ class RadioDrone(Actor):
         if not self._gate.believes(pose, self.clock.now(), self.flying):
             self._say(
                 "jump",
-                "its pose jumps: another body's, or a mistake of the cameras: its estimator is not told",
+                "its pose jumps (another body, or an error of the cameras): it is not sent to the estimator",
             )
             self._jumped_at = min(self._jumped_at, self.clock.now())
             if (

@@ -63,9 +63,7 @@ INSTANCE_KEYS = InstanceKeys()
 
 COUNT_KEYS = {"N": "home", "M": "load"}
 """Keys that repeat the length of a list; they must agree with it."""
-EXAMPLE_ADVICE = (
-    "Mend the file; agents/data/lab6.json is an instance (swarm files alone are TOML)."
-)
+EXAMPLE_ADVICE = "Correct the file; agents/data/lab6.json is an instance (swarm files alone are TOML)."
 MOST_TRIPS = 1000
 """Largest number of trips of a robot."""
 HIGHEST_PRIORITY = 1000
@@ -423,7 +421,10 @@ class InstanceFields:
         self._number(f"{key}[1]", row[1], most=INSTANCE_LIMITS.latest_time)
         if row[1] < row[0]:
             raise self._error(
-                key, row, "[from, to] with to not before from", "Mend one of the two."
+                key,
+                row,
+                "[from, to] with to not before from",
+                "Correct one of the two.",
             )
         return float(row[0]), float(row[1])
 
@@ -435,7 +436,7 @@ class InstanceFields:
                 f"{key}[{r}]",
                 float(part[r]),
                 f"at most {capacity[r]:g}, its capacity",
-                "Mend one.",
+                "Correct one.",
             )
         return part
 
@@ -592,7 +593,7 @@ class InstanceFields:
             allowed = f"a number from {least:g}" + (
                 f" to {most:g}" if most < sys.float_info.max else " on, finite"
             )
-            raise self._error(where, found, allowed, "Mend the value.")
+            raise self._error(where, found, allowed, "Correct the value.")
 
     def _check_counts(self) -> None:
         for key, of in COUNT_KEYS.items():

@@ -391,7 +391,7 @@ def test_a_drone_that_waits_flies_where_its_operator_wants_and_then_its_mission(
         kind, why = await told(operator, "go-to", 1, p=[1.0, 1.0, 0.6])
         assert (kind, why) == (
             ANSWER_TEXTS.refused,
-            "its mission flies it: hold it first",
+            "its mission controls it: hold the drone first",
         )
 
     results = play(Stay, scene)

@@ -232,7 +232,7 @@ async def test_a_task_for_those_who_are_gone_waits_and_that_is_said(clock):
             "note": "it waits: drone 2, which alone can serve it, does not fly",
         }
         assert one.news.standings()[FIRST_ADDED_ID + 1].fate is Fate.OPEN
-        with pytest.raises(Refused, match="this drone flies no more; ask another one"):
+        with pytest.raises(Refused, match="this drone has landed; ask another drone"):
             await gone.asked("task_add", WHERE)
 
 
@@ -299,7 +299,7 @@ PICKED, DELIVERED = Deed(0, "pickup", 1), Deed(0, "delivery", 1)
         (
             (PICKED,),
             False,
-            {"id": 0, "note": "it is aboard drone 2, which delivers it all the same"},
+            {"id": 0, "note": "it is on board drone 2, which will still deliver it"},
         ),
         ((PICKED,), True, "0 is lost, with drone 2 that had it aboard"),
         ((PICKED, DELIVERED), False, "drone 2 has delivered 0 already"),

@@ -433,7 +433,7 @@ async def test_the_battery_that_it_needs_to_begin_is_its_platforms(clock) -> Non
     drone, _ = made(clock)
     tell(drone, READY | checks.ReadinessBit.FLYING)
     drone._well["pm.vbat"] = 3.65
-    assert drone.problems() == ["battery at 3.65 V, 3.7 V are needed to begin"]
+    assert drone.problems() == ["battery at 3.65 V, 3.7 V are needed to start"]
     drone._platform = replace(drone._platform, battery=Battery(begin=3.6))
     assert drone.problems() == []
 
@@ -984,7 +984,7 @@ class Arms(Kept):
 @virtual
 async def test_motors_that_wait_for_it_are_armed_or_it_is_said_why_not(clock) -> None:
     drone, _ = made(clock)
-    assert await drone.arm() == "ready: its firmware waits for no arming"
+    assert await drone.arm() == "ready: its firmware needs no arming"
     drone._platform = replace(
         drone._platform, firmware=replace(drone._platform.firmware, needs_arming=True)
     )
