@@ -405,7 +405,7 @@ def test_a_drone_that_is_held_flies_on_command_and_goes_on_with_its_mission():
         await operator.clock.sleep(1.0)
         assert (await told(operator, "fly", 0, **way((0, 0, 1.0), (0, 1, 1.0))))[
             1
-        ].startswith("its mission flies")
+        ].startswith("its mission controls")
         await operator.order("hold", 0)
         assert await told(operator, "go-to", 0, p=[-1.0, -1.0, 1.0]) == (
             ANSWER_TEXTS.done,

@@ -166,7 +166,7 @@ async def test_who_is_heard_by_nobody_says_so(clock):
         FIRST_ADDED_ID + 1,
         pytest.approx(COMMAND_PATIENCE, abs=0.1),
     )
-    assert "less than half of the team has heard of it" in said["note"]
+    assert "less than half of the team has received it" in said["note"]
 
 
 @virtual
@@ -178,7 +178,7 @@ async def test_who_was_started_again_gives_no_number_twice(clock):
     bus.close(1)
     again = source(bus, 1)
     again.news.record = Record(1, 2, 1, (0.0, 0.0))
-    with pytest.raises(Refused, match="heard of too few others"):
+    with pytest.raises(Refused, match="heard from too few other drones"):
         await again.asked("task_add", WHERE)
     assert again.news.book.tasks == {0: FIRST}
     bus.close(0)
