@@ -140,7 +140,7 @@ class Steering:
         if not pilot.steerable:
             flies = pilot.mode in (Mode.HOVER, Mode.FOLLOW)
             self._refuse(
-                "its mission flies it: hold it first"
+                "its mission controls it: hold the drone first"
                 if flies
                 else f"it is {pilot.mode.value}"
             )

@@ -44,7 +44,7 @@ def parse(text: str, where: str) -> dict[str, Any]:
         raw: dict[str, Any] = decode(text)
     except (ValueError, RecursionError) as error:
         raise ConfigError(
-            where, str(error), f"{language} text", "Mend the line."
+            where, str(error), f"{language} text", "Correct the line."
         ) from error
     require_plain(raw, where)
     return raw

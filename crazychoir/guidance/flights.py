@@ -90,7 +90,7 @@ GATE_STATUS_TEXTS = {
 def require_running(member: Member) -> None:
     """Raise Interrupted if the mission is over: it must not fly any more."""
     if member.ended:
-        raise Interrupted(f"drone {member.id}: its mission is over: {member.ended}")
+        raise Interrupted(f"drone {member.id}: its mission has ended: {member.ended}")
 
 
 async def wait_while(member: Member, seconds: float, *modes: Mode) -> None:

@@ -139,7 +139,7 @@ class CFGuidance:
 
         Raises Refused if the mission does not know the command, or will not obey it.
         """
-        raise Refused(f"drone {self.id}", f"this mission knows no command {verb!r}")
+        raise Refused(f"drone {self.id}", f"this mission has no command {verb!r}")
 
     def route(self) -> list[Vec]:
         """Return the places that the drone flies to, in their order, as far as they are planned.
@@ -155,7 +155,9 @@ class CFGuidance:
 
         Raises Refused if the mission does not allow it.
         """
-        raise Refused(f"drone {self.id}", "its mission flies it: hold it first")
+        raise Refused(
+            f"drone {self.id}", "its mission controls it: hold the drone first"
+        )
 
     @property
     def id(self) -> int:
@@ -295,7 +297,7 @@ class CFGuidance:
         rise = _convert_number(height)
         if rise is None or not 0.0 <= rise <= top:
             found = shorten_value_text(height)
-            do = "It must be one number, as float(...)."
+            do = "It must be a single number, for example float(...)."
             if rise is not None:
                 found = f"{rise!r}"
                 do = "Lower it, or raise fence.max."

@@ -109,7 +109,7 @@ async def wait_for_touchdown(pilot: Pilot, grace: float) -> None:
             ends = clock.now() + grace
             if clock.now() > patient:
                 pilot.land(
-                    f"held for {HELD_FLIGHT_PATIENCE:g} s, with its mission over: landing"
+                    f"held for {HELD_FLIGHT_PATIENCE:g} s after the end of its mission: landing"
                 )
         if pilot.remaining() > 0.0 or (is_blocked(pilot) and clock.now() < patient):
             ends = clock.now() + pilot.remaining() + grace

@@ -184,7 +184,7 @@ class MocapProcess(Actor):
             ", ".join(map(repr, sorted(self.watch.sights)[:LISTED_BODIES])) or "no body"
         )
         wanted = ", ".join(map(repr, names[:LISTED_BODIES]))
-        do = "Mend `body` in the swarm file, or the names at the cameras; see `crazychoir mocap names`."
+        do = "Correct `body` in the swarm file, or the names at the cameras; see `crazychoir mocap names`."
         return f"{where}: no body of a drone was seen: the frames have {there}, the swarm file {wanted}. {do}"
 
     async def run(self) -> None:

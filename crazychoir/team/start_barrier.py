@@ -64,7 +64,7 @@ class StartBarrier:
         if len(self.ids) - len(self.presence.refusals) < fewest:
             raise Refused(
                 f"drone {self.id}",
-                f"{self._refusals_text()} Mend that, or {self._fewer_text()}.",
+                f"{self._refusals_text()} Correct that, or {self._fewer_text()}.",
             )
 
     def _coordinate(self, is_late: bool) -> None:

@@ -161,7 +161,7 @@ def routing(
     sizes: Annotated[
         str,
         typer.Option(
-            help="Of tiny, small, middle, large, with commas; how many instances after a colon."
+            help="Sizes with commas: tiny, small, middle, large; a number of instances after a colon."
         ),
     ] = "small:20,middle:5,large:5",
     graph: Annotated[
@@ -208,7 +208,7 @@ def paper(
         "out/paper"
     ),
     peers: Annotated[
-        bool, typer.Option(help="The other solvers too: real time, an hour.")
+        bool, typer.Option(help="Run the other solvers too; this takes an hour.")
     ] = True,
     as_json: JsonOption = False,
     quick: QuickOption = False,

@@ -57,7 +57,7 @@ FIRST_PROGRESS_DELAY = 10.0
 
 The interval doubles after each line.
 """
-INTERRUPTION_TEXT = "Ctrl-C: the run ends here, with what there is"
+INTERRUPTION_TEXT = "Ctrl-C: the run ends here, with the rounds so far"
 
 
 def simulate(
@@ -211,7 +211,7 @@ class _ProgressDisplay:
         self.progress = progress
         self.steps = 0
         self.end = (
-            "--rounds limits them, Ctrl-C ends them here"
+            "--rounds limits them, Ctrl-C ends the run"
             if rounds is None
             else f"of at most {rounds}"
         )

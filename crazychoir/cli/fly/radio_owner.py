@@ -61,7 +61,10 @@ def radios(
                 or "none: no drone has a uri udp:// or radio://"
             )
             raise ConfigError(
-                f"{which}: dongle", dongle, names, "Name one of them, or mend the uris."
+                f"{which}: dongle",
+                dongle,
+                names,
+                "Name one of them, or correct the uris.",
             )
         ids = list(dongles[dongle])
         what = f"swarm {config.name} ({which}), dongle {dongle}, drone(s) {ids}"

@@ -28,7 +28,7 @@ Json = Annotated[
     bool, typer.Option("--json", help="Print one JSON object, nothing else.")
 ]
 KEYS_FOLDER = Path("keys")
-RESTART_NOTE = "It counts for a process from its next start: copy each folder to its host, then start all anew."
+RESTART_NOTE = "It counts for a process from its next start: copy each folder to its host, then restart all programs."
 
 
 @app.command()
@@ -44,7 +44,7 @@ def init(
         _fail(error, folder, as_json)
     _say(
         {"success": True, "authority": certificate},
-        f"{certificate}: keep {certificate.parent} to yourself",
+        f"{certificate}: keep {certificate.parent} secret",
         as_json,
     )
 

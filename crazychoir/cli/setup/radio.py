@@ -126,7 +126,7 @@ def survey(
         if write and swarm is None:
             raise ConfigError("--write", "no --swarm", "a swarm file to write into")
         if write and simulated is not None:
-            do = "Leave --write out to look at an invented room; measure with a dongle what drones are to fly on."
+            do = "Leave --write out to look at a simulated room; measure the channels for real drones with a dongle."
             raise ConfigError(
                 "--write", "--simulated beside it", "what a dongle has measured", do
             )
@@ -200,7 +200,7 @@ def _survey_request(
         )
     if count > 1 and spacing < RADIO_BAND.least_spacing:
         ERROR_CONSOLE.print(
-            f"Links of 2 Mbit/s disturb each other with less than {RADIO_BAND.least_spacing} MHz between them."
+            f"Links of 2 Mbit/s disturb each other if there is less than {RADIO_BAND.least_spacing} MHz between them."
         )
     first = next((uris[0] for uris in those.values()), NEW_DRONE_URI)
     return SurveyRequest(candidates, count, spacing, those, drone or first, simulated)

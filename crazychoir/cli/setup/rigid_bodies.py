@@ -239,7 +239,8 @@ def _poses(
             or "none"
         )
         raise Refused(
-            f"body {name} of drone {drone}", f"it is not seen; seen are: {there}."
+            f"body {name} of drone {drone}",
+            f"it is not visible; visible are:  {there}.",
         )
     return np.array([frame.time for frame in seen]), np.array(
         [frame.bodies[name] for frame in seen]
@@ -354,5 +355,5 @@ def _say_left(config: "SwarmConfig", matches: "list[BodyMatch]") -> None:
     if left:
         names = ", ".join(map(str, left))
         ERROR_CONSOLE.print(
-            f"no body within {HOME_RADIUS:g} m of the home of drone(s) {names}: put them there, or mend `home`."
+            f"no body within {HOME_RADIUS:g} m of the home of drone(s) {names}: put them there, or correct `home`."
         )

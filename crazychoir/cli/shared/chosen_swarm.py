@@ -101,7 +101,7 @@ def swarm_and_mission_to_run(
         raise ConfigError(
             "--drones",
             drones,
-            f"{len(config.ids)}: mission {what} flies no other number",
+            f"{len(config.ids)}: mission {what} needs this number of drones",
         )
     scatter = getattr(mission, "scatter", None)
     return (scatter(config) if scatter else config), mission
@@ -166,7 +166,7 @@ def with_operator(config: SwarmConfig, wait: bool, fast: bool) -> SwarmConfig:
         raise ConfigError(
             "--fast",
             found,
-            "virtual time, which no operator can command",
+            "virtual time, in which no operator can send commands",
             "Leave one of them out.",
         )
     return (
@@ -191,7 +191,7 @@ def drones_to_start(only: str | None, config: SwarmConfig) -> tuple[int, ...]:
             raise ConfigError("--only", only, allowed, f"There is no drone {i}.")
     for group in Addresses(config).groups():
         if not (set(group) <= set(here) or set(group).isdisjoint(here)):
-            do = "Name all of them or none, or mend `processes` in the swarm file."
+            do = "Name all of them or none, or correct `processes` in the swarm file."
             raise ConfigError(
                 "--only",
                 only,

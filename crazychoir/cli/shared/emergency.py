@@ -156,5 +156,7 @@ class EmergencyStop:
         )
         if i not in self.owned or (obeys and body):
             return obeys, said
-        known = "its body has obeyed" if body else "its body's owner does not answer"
+        known = (
+            "its body has obeyed" if body else "the owner of its body does not answer"
+        )
         return False, f"{said}; {known}"

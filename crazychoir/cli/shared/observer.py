@@ -246,7 +246,7 @@ class Window:
         host = self.link.bus.host
         operators = self.config.security.operators
         if self.config.secured and host not in operators:
-            alone = f"drones obey and answer {', '.join(operators)} alone (security.operators of the swarm file)"
+            alone = f"drones obey and answer only {', '.join(operators)} (security.operators of the swarm file)"
             text = f"the keys here, in {self.config.security.keys}, are those of {host}: {alone}. Command from there."
             raise Refused(f"swarm {self.config.name}", text)
 

@@ -137,7 +137,7 @@ class DeliveryOptions(SwarmTable, frozen=True, kw_only=True):
 
 IDLE_KEYS = (("tasks", "instance"), ("later", "instance"), ("later", "appear"))
 """(key, other): a key that has no effect beside the other key."""
-FLIGHT_ABILITIES = "in flight robots fly straight, as soon as they can, end at home, and refuse nothing"
+FLIGHT_ABILITIES = "robots in flight fly straight, start as soon as they can, end at home, and refuse no task"
 """What robots can do in flight, for the error."""
 
 
@@ -201,7 +201,7 @@ def require_servable_places(
 
 
 def _build_place_error(key: str, found: object, problem: str) -> ConfigError:
-    allowed = "places inside the fence, `clearance` away from homes, and loads that somebody can carry"
+    allowed = "places inside the fence, at least `clearance` from homes, and loads that somebody can carry"
     return ConfigError(
         key,
         found,
@@ -219,6 +219,6 @@ def _require_known_drones(site: DeliverySite, ids: tuple[int, ...], key: str) ->
             key,
             list(ids),
             allowed,
-            "Mend the list; without it, all are meant.",
+            "Correct the list, or leave it out for all drones.",
             problem,
         )

@@ -84,7 +84,7 @@ def list_events(config: SwarmConfig) -> list[TaskEvent]:
     for n, cancel in enumerate(read_options(config).cancel):
         if cancel.task not in tasks:
             where = f"swarm {config.name}: mission_options.cancel[{n}].task"
-            do = "Mend the number; tasks that appear are numbered after those of the start, in their order."
+            do = "Correct the number; tasks that appear are numbered after those of the start, in their order."
             raise ConfigError(
                 where,
                 cancel.task,

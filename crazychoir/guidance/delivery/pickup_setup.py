@@ -62,7 +62,7 @@ def require_ready(
     Raises ConfigError if the swarm is not that of the instance, if the method does not fit, or if a
     part of the instance cannot be flown.
     """
-    allowed = "in flight robots fly straight, as soon as they can, and come down at home or at their end"
+    allowed = "robots in flight fly straight, start as soon as they can, and land at home or at their end"
     require_flyable_features(problem, where, OBEYED_FEATURES, allowed)
     _require_homes(config, problem)
     _require_graph(config)

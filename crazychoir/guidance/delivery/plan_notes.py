@@ -9,7 +9,7 @@ from crazychoir.guidance.tasks.team_news import TeamNews
 
 log = logging.getLogger(__name__)
 
-NO_PLAN_REASON = "no plan, only what is aboard is delivered"
+NO_PLAN_REASON = "no plan: only goods on board are delivered"
 """Reason when all methods have failed."""
 TOO_FAR_REASON = "no drone that can serve it has enough left of its route_length_limit"
 """Reason when no robot has enough range left."""

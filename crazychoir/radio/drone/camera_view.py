@@ -122,7 +122,7 @@ class CameraView:
         """
         self._setup.warn(
             "jump",
-            "its pose jumps: another body's, or a mistake of the cameras: its estimator is not told",
+            "its pose jumps (another body, or an error of the cameras): it is not sent to the estimator",
         )
         self._jumped_at = min(self._jumped_at, now)
         if (

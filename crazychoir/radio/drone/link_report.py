@@ -28,7 +28,7 @@ class ProblemTexts:
     """Texts about a drone that may not take off."""
 
     wrong_body: str = (
-        ": put its body right, out of the cameras' sight, or switch it off and on"
+        ": correct the position of its body, out of sight of the cameras, or switch the drone off and on"
     )
     """Advice for a drone with the wrong body."""
     motors_cut: str = (

@@ -90,7 +90,7 @@ class MotorSwitch:
         Raises Refused if the drone cannot be armed.
         """
         if not self._setup.platform.firmware.needs_arming:
-            return "ready: its firmware waits for no arming"
+            return "ready: its firmware needs no arming"
         where = f"drone {self._setup.drone}"
         link = self._link
         if link.connection is None or self.is_cut:

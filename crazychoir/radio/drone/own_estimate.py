@@ -152,7 +152,7 @@ class OwnEstimate:
             await self._clock.sleep(1.0 / LINK_CHECK_RATE)
         raise LinkFailed(
             connection.uri,
-            f"says nothing of itself within {CONNECT_ATTEMPTS.reopen_deadline:g} s",
+            f"sends no status within {CONNECT_ATTEMPTS.reopen_deadline:g} s",
         )
 
     def take_log(self, values: dict[str, float], at: int) -> None:

@@ -138,8 +138,8 @@ class Preparation:
         ]
         if any(deck in DECK_NAMES.common_frame for deck in decks):
             return
-        found = f"{', '.join(decks) or 'no deck'} on board: its frame drifts from that of the others"
-        do = "Set drift = true in [radio] if the mission bears that, or let the cameras see it."
+        found = f"{', '.join(decks) or 'no deck'} on board: its frame drifts from the frame of the others"
+        do = "Set drift = true in [radio] if the mission tolerates drift, or let the cameras see the drone."
         if setup.row.uri.startswith("udp://"):
             do += " A virtual drone gets a deck from `crazychoir virtual`, started with this swarm file."
         raise ConfigError(

@@ -231,7 +231,7 @@ class RadioDrone(Actor):
     def _warn_of_late_link(self, connection: Connection) -> None:
         late = checks.link_problems(connection.latency, connection.answered)
         if late:
-            self.setup.warn("late", f"{'; '.join(late)}: what it is told comes late")
+            self.setup.warn("late", f"{'; '.join(late)}: messages to it arrive late")
 
     def _work_on(self, connection: Connection, silence: float) -> None:
         """Do work that waits for answers in a task of its own, one piece at a time.

@@ -16,7 +16,7 @@ from cflib.crtp import radiodriver
 
 from crazychoir.errors import LinkFailed, error_text
 
-PLUG_ADVICE = "Plug a Crazyradio in, let your user open it (Bitcraze's udev rules), and end what else uses it."
+PLUG_ADVICE = "Plug a Crazyradio in, let your user open it (Bitcraze's udev rules), and end other programs that use it."
 """Advice for a missing dongle."""
 
 

@@ -120,7 +120,7 @@ class ConnectedFirmware:
         )
         if answer.data != asked.data:
             raise LinkFailed(
-                uri, f"parameter {name} = {value!r}: its firmware does not take it"
+                uri, f"parameter {name} = {value!r}: its firmware does not accept it"
             )
         return value
 
@@ -177,7 +177,7 @@ class ConnectedFirmware:
             if answer.data[5:6] != b"\0":
                 raise LinkFailed(
                     self.connection.uri,
-                    f"trajectory {slot}: its memory does not take byte {start}",
+                    f"trajectory {slot}: its memory does not accept byte {start}",
                 )
         await self.plan(
             PACKET_FORMS["define_trajectory"].packet(slot, 1, 0, offset, pieces)

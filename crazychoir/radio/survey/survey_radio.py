@@ -135,7 +135,7 @@ class CrazyradioProbe:
         )
         raise Refused(
             "drone",
-            f"no answer on {places}. {RESTART_ADVICE} Then leave out --channels where nothing passes.",
+            f"no answer on {places}. {RESTART_ADVICE} Then leave out channels of --channels without answers.",
         )
 
     def _tune(self, channel: int) -> None:

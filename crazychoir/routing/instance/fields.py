@@ -63,9 +63,7 @@ INSTANCE_KEYS = InstanceKeys()
 
 COUNT_KEYS = {"N": "home", "M": "load"}
 """Keys that repeat the length of a list; they must agree with it."""
-EXAMPLE_ADVICE = (
-    "Mend the file; agents/data/lab6.json is an instance (swarm files alone are TOML)."
-)
+EXAMPLE_ADVICE = "Correct the file; agents/data/lab6.json is an instance (swarm files alone are TOML)."
 MOST_TRIPS = 1000
 """Largest number of trips of a robot."""
 HIGHEST_PRIORITY = 1000
@@ -342,7 +340,7 @@ class InstanceFields:
                 f"{key}[{r}]",
                 float(part[r]),
                 f"at most {capacity[r]:g}, its capacity",
-                "Mend one.",
+                "Correct one.",
             )
         return part
 

@@ -52,7 +52,7 @@ class ValueChecks:
             allowed = f"a number from {least:g}" + (
                 f" to {most:g}" if most < sys.float_info.max else " on, finite"
             )
-            raise self.error(where, found, allowed, "Mend the value.")
+            raise self.error(where, found, allowed, "Correct the value.")
 
     def entries(
         self, key: str, rows: object, count: int, allowed: str, do: str
@@ -183,7 +183,7 @@ class ValueChecks:
         self.number(f"{key}[1]", row[1], most=INSTANCE_LIMITS.latest_time)
         if row[1] < row[0]:
             raise self.error(
-                key, row, "[from, to] with to not before from", "Mend one of the two."
+                key, row, "[from, to] with to not before from", "Correct one of the two."
             )
         return float(row[0]), float(row[1])
 

@@ -391,7 +391,7 @@ def test_a_drone_that_waits_flies_where_its_operator_wants_and_then_its_mission(
         kind, why = await told(operator, "go-to", 1, p=[1.0, 1.0, 0.6])
         assert (kind, why) == (
             ANSWER_TEXTS.refused,
-            "its mission flies it: hold it first",
+            "its mission controls it: hold the drone first",
         )
 
     results = play(Stay, scene)
@@ -405,7 +405,7 @@ def test_a_drone_that_is_held_flies_on_command_and_goes_on_with_its_mission():
         await operator.clock.sleep(1.0)
         assert (await told(operator, "fly", 0, **way((0, 0, 1.0), (0, 1, 1.0))))[
             1
-        ].startswith("its mission flies")
+        ].startswith("its mission controls")
         await operator.order("hold", 0)
         assert await told(operator, "go-to", 0, p=[-1.0, -1.0, 1.0]) == (
             ANSWER_TEXTS.done,

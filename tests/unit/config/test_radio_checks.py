@@ -134,7 +134,7 @@ def test_who_says_what() -> None:
             ["udp://a:1"],
             "",
             'pose = "onboard"',
-            "radio.log_rate = 10.0: drones[0] says itself where it is",
+            "radio.log_rate = 10.0: drones[0] sends its own pose",
         ),
         (
             ["udp://a:1"],

@@ -111,7 +111,7 @@ class Server:
         if verb == "impair":
             return Impairment(1).describe()
         if i == 0 and verb.startswith("task"):
-            raise Refused("drone 0", "this drone flies no more; ask another one")
+            raise Refused("drone 0", "this drone has landed; ask another drone")
         return {"tasks": [{"id": 4}]} if verb == "task_list" else {"id": 4}
 
     def those(self, *verbs):
@@ -513,7 +513,7 @@ async def test_a_mission_without_tasks_is_asked_seldom(clock):
 
     async def refuse(i, verb, arguments):
         server.obeyed.append((i, verb, arguments))
-        raise Refused("drone", "this mission knows no command 'task_list'")
+        raise Refused("drone", "this mission has no command 'task_list'")
 
     server.execute = refuse
     page = server.page()

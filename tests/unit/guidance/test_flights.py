@@ -54,7 +54,7 @@ def later(clock, seconds, change):
 
 def test_a_mission_that_is_over_does_not_fly():
     require_running(SimpleNamespace(id=3, ended=""))
-    with pytest.raises(Interrupted, match="drone 3: its mission is over: landed"):
+    with pytest.raises(Interrupted, match="drone 3: its mission has ended: landed"):
         require_running(SimpleNamespace(id=3, ended="landed"))
 
 

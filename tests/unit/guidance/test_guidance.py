@@ -356,7 +356,7 @@ async def test_a_mission_that_is_over_flies_nothing(clock):
         guidance.member.ended = "landed on command"
         for flight in (guidance.take_off, lambda: guidance.go_to([1.0, 0.0, 1.0])):
             with pytest.raises(
-                Interrupted, match="drone 0: its mission is over: landed on command"
+                Interrupted, match="drone 0: its mission has ended: landed on command"
             ):
                 await flight()
         with pytest.raises(Interrupted, match="its mission is over"):

@@ -26,7 +26,7 @@ def test_the_supervisor() -> None:
 def test_the_battery() -> None:
     assert checks.battery_problems(3.9, 3.7) == []
     assert checks.battery_problems(3.65, 3.7) == [
-        "battery at 3.65 V, 3.7 V are needed to begin"
+        "battery at 3.65 V, 3.7 V are needed to start"
     ]
     assert checks.battery_problems(3.65, 3.6) == []
     assert checks.battery_problems(math.nan, 3.7)

@@ -366,7 +366,7 @@ def test_on_ctrl_c_there_is_what_there_is(simulated, tmp_path, asynchronous, req
     code, out, err = simulated(text)
     assert code == 130
     assert row(out, "rounds") == str(result["rounds"])
-    assert err.endswith("Ctrl-C: the run ends here, with what there is\n")
+    assert err.endswith("Ctrl-C: the run ends here, with the rounds so far\n")
 
 
 def test_a_long_run_says_now_and_then_how_far_it_is(simulated, monkeypatch):
@@ -377,7 +377,7 @@ def test_a_long_run_says_now_and_then_how_far_it_is(simulated, monkeypatch):
         if line.startswith("round ")
     ]
     assert 1 <= len(said) < 15
-    assert said[-1].endswith(", --rounds limits them, Ctrl-C ends them here")
+    assert said[-1].endswith(", --rounds limits them, Ctrl-C ends the run")
     rounds = [int(line.split(",")[0].split()[1]) for line in said]
     assert rounds == sorted(rounds)
     assert rounds[-1] <= 30

@@ -97,7 +97,7 @@ def test_states_and_statuses_are_enough(plot):
         None,
         pytest.approx(1.0),
     )
-    assert "By state: where the drone took itself to be" in shown
+    assert "By state: the drone's own estimate of its position" in shown
     assert (
         "Not drawn: tracking: no reference while it was known where a drone was; convergence: no result"
         in shown

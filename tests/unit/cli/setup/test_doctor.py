@@ -1,4 +1,4 @@
-"""What `crazychoir doctor` says of a host: each planted fault is named, with how to mend it."""
+"""What `crazychoir doctor` says of a host: each planted fault is named, with how to correct it."""
 
 import datetime
 import json
@@ -272,11 +272,11 @@ def test_other_hosts_are_asked_within_a_deadline(taken, free):
         == "wrong"
     )
     stranger = host_checks.check_other_host(
-        "b", "10.0.0.9", "connected", "its certificate is not good here: expired"
+        "b", "10.0.0.9", "connected", "its certificate is not valid here:  expired"
     )
     assert (stranger.state, stranger.found) == (
         "wrong",
-        "10.0.0.9 answers, and its certificate is not good here: expired",
+        "10.0.0.9 answers, and its certificate is not valid here:  expired",
     )
 
 

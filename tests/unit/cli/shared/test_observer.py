@@ -168,7 +168,7 @@ def test_bodies_in_the_world_of_an_owner_are_stopped_by_themselves(owner):
             at for i in (0, 1) for at, _ in swarm.stops[PORT_ADDRESSES.body_offset + i]
         ] == pytest.approx([0.0, 0.0], abs=0.02)
     else:
-        silent = "its body's owner does not answer"
+        silent = "the owner of its body does not answer"
         assert said == {
             0: (False, f"acknowledged; {silent}"),
             1: (False, f"absent; {silent}"),
@@ -244,7 +244,10 @@ def test_an_agent_that_hangs_is_not_waited_for_once_its_body_has_obeyed():
     }
     assert seconds == pytest.approx(NEXT_PROCESS_TIMEOUT, abs=0.2)
     _, said, seconds = play(partial(scene, bodies=(0,)))
-    assert said[1] == (False, "no acknowledgement; its body's owner does not answer")
+    assert said[1] == (
+        False,
+        "no acknowledgement; the owner of its body does not answer",
+    )
     assert seconds == pytest.approx(OBEY_TIMEOUT, abs=0.2), "nothing has stopped it yet"
 
 
@@ -258,7 +261,7 @@ def test_a_world_that_is_gone_is_not_waited_for_as_a_run_that_is_starting(caplog
 
     _, said, seconds = play(scene)
     assert said == dict.fromkeys(
-        range(2), (False, "acknowledged; its body's owner does not answer")
+        range(2), (False, "acknowledged; the owner of its body does not answer")
     )
     assert seconds == pytest.approx(NEXT_PROCESS_TIMEOUT, abs=0.2)
     assert caplog.messages == [

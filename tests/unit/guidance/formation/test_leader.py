@@ -171,7 +171,7 @@ def test_leaders_take_a_path_that_an_operator_has_drawn_into_their_mission(repos
             ANSWER_TEXTS.refused,
             ANSWER_TEXTS.refused,
         ]
-        assert "its mission flies it" in refused[0].detail
+        assert "its mission controls it" in refused[0].detail
         assert "fence" in refused[1].detail
         for drone in agent.drones.values():
             drone.pilot.land("enough")

@@ -166,7 +166,7 @@ async def test_who_is_heard_by_nobody_says_so(clock):
         FIRST_ADDED_ID + 1,
         pytest.approx(COMMAND_PATIENCE, abs=0.1),
     )
-    assert "less than half of the team has heard of it" in said["note"]
+    assert "less than half of the team has received it" in said["note"]
 
 
 @virtual
@@ -178,7 +178,7 @@ async def test_who_was_started_again_gives_no_number_twice(clock):
     bus.close(1)
     again = source(bus, 1)
     again.news.record = Record(1, 2, 1, (0.0, 0.0))
-    with pytest.raises(Refused, match="heard of too few others"):
+    with pytest.raises(Refused, match="heard from too few other drones"):
         await again.asked("task_add", WHERE)
     assert again.news.book.tasks == {0: FIRST}
     bus.close(0)
@@ -232,7 +232,7 @@ async def test_a_task_for_those_who_are_gone_waits_and_that_is_said(clock):
             "note": "it waits: drone 2, which alone can serve it, does not fly",
         }
         assert one.news.standings()[FIRST_ADDED_ID + 1].fate is Fate.OPEN
-        with pytest.raises(Refused, match="this drone flies no more; ask another one"):
+        with pytest.raises(Refused, match="this drone has landed; ask another drone"):
             await gone.asked("task_add", WHERE)
 
 
@@ -299,7 +299,7 @@ PICKED, DELIVERED = Deed(0, "pickup", 1), Deed(0, "delivery", 1)
         (
             (PICKED,),
             False,
-            {"id": 0, "note": "it is aboard drone 2, which delivers it all the same"},
+            {"id": 0, "note": "it is on board drone 2, which will still deliver it"},
         ),
         ((PICKED,), True, "0 is lost, with drone 2 that had it aboard"),
         ((PICKED, DELIVERED), False, "drone 2 has delivered 0 already"),

@@ -113,7 +113,7 @@ async def test_the_battery_that_it_needs_to_begin_is_its_platforms(clock) -> Non
     tell(drone, READY | checks.ReadinessBit.FLYING)
     drone.estimate.health["pm.vbat"] = 3.65
     assert drone.report.find_problems() == [
-        "battery at 3.65 V, 3.7 V are needed to begin"
+        "battery at 3.65 V, 3.7 V are needed to start"
     ]
     drone.setup.platform = replace(drone.setup.platform, battery=Battery(begin=3.6))
     assert drone.report.find_problems() == []

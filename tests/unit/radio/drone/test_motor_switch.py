@@ -90,7 +90,7 @@ class Arms(Kept):
 @virtual
 async def test_motors_that_wait_for_it_are_armed_or_it_is_said_why_not(clock) -> None:
     drone, _ = made(clock)
-    assert await drone.motors.arm() == "ready: its firmware waits for no arming"
+    assert await drone.motors.arm() == "ready: its firmware needs no arming"
     drone.setup.platform = replace(
         drone.setup.platform,
         firmware=replace(drone.setup.platform.firmware, needs_arming=True),

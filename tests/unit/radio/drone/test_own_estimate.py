@@ -62,7 +62,7 @@ async def test_a_drone_that_sends_no_log_in_time_fails_its_link(clock) -> None:
     drone, _ = made(clock)
     starts = Starts()
     await drone.estimate.begin_logs(starts)
-    with pytest.raises(LinkFailed, match=r"says nothing of itself within 1\.5 s"):
+    with pytest.raises(LinkFailed, match=r"sends no status within 1\.5 s"):
         await drone.estimate.wait_for_log(starts)
     assert clock.now() == pytest.approx(CONNECT_ATTEMPTS.reopen_deadline)
     tell(drone, READY)

@@ -50,7 +50,7 @@ def test_what_one_process_was_told_another_reads(tmp_path) -> None:
 def test_a_broken_file_is_asked_for_again(tmp_path, text, caplog) -> None:
     (tmp_path / "0000ABCD.json").write_text(text)
     assert TableOfContents(tmp_path).fetch(0xABCD) is None
-    assert "asked of the drone again" in caplog.text
+    assert "requested from the drone again" in caplog.text
 
 
 def test_the_second_link_waits_for_the_first_ones_answer(tmp_path) -> None:
@@ -130,7 +130,7 @@ def test_a_file_that_is_damaged_and_still_json_is_asked_for_again(
         caplog.clear()
         reader = TableOfContents(tmp_path)
         assert [reader.fetch(7), reader.fetch(7)] == [None, None]
-        assert caplog.text.count("asked of the drone again") == 1, (
+        assert caplog.text.count("requested from the drone again") == 1, (
             "once, though links look again and again"
         )
 

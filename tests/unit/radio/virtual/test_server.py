@@ -614,7 +614,7 @@ def test_an_answer_that_comes_twice_is_not_taken_for_the_next_part(stand_in):
 
 
 def test_what_answers_no_json_is_refused(stand_in):
-    with pytest.raises(Refused, match="says no JSON"):
+    with pytest.raises(Refused, match="is not JSON"):
         ask_server(
             {"ask": "state"},
             port=stand_in(lambda question: [b"\x0c"], 1),
