@@ -26,7 +26,7 @@ class ConsoleReporter(Actor):
         self.ids = ids
 
     async def run(self) -> None:
-        """Report RATE times a second.
+        """Report WATCHED_RATE times a second.
 
         A drone that does not answer delays the others by one period at most.
         """

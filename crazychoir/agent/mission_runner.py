@@ -10,12 +10,21 @@ from dataclasses import dataclass
 from typing import Any
 
 from crazychoir.agent.drone import Drone
-from crazychoir.bus.codec import decode, encode
+from crazychoir.agent.mission_result import (
+    ENDED_KEY,
+    ENDS_ON_COMMAND,
+    MISSION_REASONS,
+    Result,
+    add_flight_times,
+    check_result,
+    judge_flight,
+    result_of_failure,
+    result_of_operator_end,
+)
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import (
     AgentFailed,
-    CodecError,
     CrazyChoirError,
     Hung,
     Refused,
@@ -28,9 +37,7 @@ from crazychoir.guidance.awaited_call import describe_forgotten_calls
 from crazychoir.guidance.member import Member, make_raisable, wait_for_touchdown
 from crazychoir.guidance.turns import is_blocked
 from crazychoir.runtime.actor import Actor
-from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.runtime.user_code_guard import GuardedCoroutine, GuardFactory
-from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Failure
 
 log = logging.getLogger(__name__)
@@ -57,44 +64,6 @@ class MissionTimes:
 
 
 MISSION_TIMES = MissionTimes()
-
-
-@dataclass(frozen=True, slots=True)
-class MissionReasons:
-    """Reasons of missions that did not start, that ended on command, or that failed without a
-    word.
-    """
-
-    stopped: str = (
-        "emergency stop in force: it does not take off until `crazychoir stop --clear`"
-    )
-    """Reason of a drone that does not start during an emergency stop."""
-    stays: str = (
-        "emergency stop in force: this agent stays, so that agents that start later hear of it, "
-        "until `crazychoir stop --clear` or Ctrl-C"
-    )
-    """Reason of a drone that stays after its mission during an emergency stop."""
-    landed: str = "landed on command"
-    """Reason of a mission that ended with a command to land."""
-    sent_home: str = "sent home on command"
-    """Reason of a mission that ended with a command to go home."""
-    unsaid: str = "its mission returned success = False, without a reason"
-    """Reason of a failed mission that gave none."""
-
-
-MISSION_REASONS = MissionReasons()
-
-
-ENDS_ON_COMMAND = (MISSION_REASONS.landed, MISSION_REASONS.sent_home)
-"""Reasons of missions that an operator has ended: they have not failed."""
-ENDED_KEY = "ended"
-"""Key of a result that says how an operator has ended the mission.
-
-All other results do not have it.
-"""
-
-Result = dict[str, Any]
-"""The result of a mission at one drone."""
 
 
 class MissionRunner(Actor):
@@ -184,8 +153,6 @@ class MissionRunner(Actor):
         if self._member is not None:
             self._member.ended = self._member.ended or reason
 
-    # The mission ----------------------------------------------------------------------
-
     async def _mission(self) -> Result:
         """Wait for GO, then run the mission's own code. Returns its checked result."""
         drone = self.drone
@@ -257,20 +224,15 @@ class MissionRunner(Actor):
         monitor = self.drone.barrier.monitor
         if drone.id not in self.config.topology.reached:
             return
-        monitor.silent, ends = (
-            True,
-            clock.now()
-            + self.config.radio.connect_deadline
-            + MISSION_TIMES.readiness_time,
-        )
+        patience = self.config.radio.connect_deadline + MISSION_TIMES.readiness_time
+        ends = clock.now() + patience
+        monitor.silent = True
         while (problems := drone.unfit()) and clock.now() < ends:
             await clock.sleep(0.05, drone=drone.id)
         drone.barrier.refused = "; ".join(problems)
         monitor.silent = False
         if problems:
             raise Refused(f"drone {drone.id}", drone.barrier.refused)
-
-    # Its end --------------------------------------------------------------------------
 
     async def _last_words(self, life: asyncio.Task[Result]) -> None:
         """Let an aborted mission send messages while its drone lands, then cancel it."""
@@ -392,87 +354,12 @@ class MissionRunner(Actor):
         return text
 
     def _judged(self, result: Result) -> Result:
-        """Return the final result, now that the drone is down.
-
-        It is a success only if the drone was not brought down, and is not damaged.
-        """
-        pilot = self.drone.pilot
-        harm = self.drone.harm()
-        if pilot.clearance.ticks:
-            result = {
-                **result,
-                "kept_clear_s": round(
-                    pilot.clearance.ticks * pilot.period_ns / NS_PER_SECOND, 2
-                ),
-            }
-        if pilot.at_fence:
-            result = {
-                **result,
-                "at_fence_s": round(
-                    pilot.at_fence * pilot.period_ns / NS_PER_SECOND, 2
-                ),
-            }
-        cut = pilot.note if pilot.mode is Mode.CUT else ""
+        """Return the final result, now that the drone is down."""
         aborted = "" if self._by_operator else self._aborted
-        brought_down = aborted or cut or pilot.guard.latched or pilot.brought_down
-        if result.get("success"):
-            reasons = [text for text in (brought_down, harm) if text]
-            if reasons:
-                return result_of_failure(
-                    f"drone {self.drone.id}: {'; '.join(reasons)}", result
-                )
-            return (
-                result
-                if not self._by_operator
-                else {**result, ENDED_KEY: result.get(ENDED_KEY, self._aborted)}
-            )
-        reason = str(result.get("reason") or "")
-        if harm and harm not in reason:
-            return result_of_failure("; ".join(filter(None, (reason, harm))), result)
-        return result_of_failure(reason, result)
-
-
-def check_result(returned: object) -> Result:
-    """Return the result of a mission after the codec, with `success` as a bool.
-
-    All readers in all worlds therefore get the same form.
-    Raises TypeError for anything but None or a dictionary that the codec can encode.
-    """
-    if returned is None:
-        returned = {}
-    if not isinstance(returned, dict):
-        raise TypeError(
-            f"mission() returned a {type(returned).__name__}; allowed: a dictionary, or nothing"
+        ended = self._aborted if self._by_operator else ""
+        return judge_flight(
+            add_flight_times(result, self.drone.pilot), self.drone, aborted, ended
         )
-    try:
-        result: Result = decode(encode(dict(returned)))
-    except CodecError as error:
-        raise TypeError(f"mission() returned what cannot travel: {error}") from error
-    success = result.get("success", True)
-    if not isinstance(success, bool | int):
-        raise TypeError(
-            f"mission() returned success = {success!r}; allowed: True or False"
-        )
-    return result | {"success": bool(success)}
-
-
-def result_of_operator_end(words: str) -> Result:
-    """Return the result of a mission that its operator has ended: not a failure."""
-    return {"success": True, "reason": words, ENDED_KEY: words}
-
-
-def result_of_failure(reason: str, result: Result | None = None) -> Result:
-    """Return the result of a failed mission. Its reason is never empty.
-
-    reason: why, in words.
-    result: what else is known.
-    """
-    told = {key: value for key, value in (result or {}).items() if key != ENDED_KEY}
-    return {
-        **told,
-        "success": False,
-        "reason": reason_or(reason, MISSION_REASONS.unsaid),
-    }
 
 
 def _is_expected(error: BaseException) -> bool:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import NoReturn
 
 from crazychoir.agent.drone import Drone
-from crazychoir.agent.mission_runner import MISSION_REASONS, MISSION_TIMES
+from crazychoir.agent.mission_result import MISSION_REASONS
+from crazychoir.agent.mission_runner import MISSION_TIMES
 from crazychoir.bus.commands import ANSWER_TEXTS
 from crazychoir.bus.port import Port
 from crazychoir.bus.topics import DRONE_TOPICS

@@ -112,7 +112,7 @@ def plan_sketch(
     config: the swarm file.
     v_max: m/s, at most that of [flight].
     a_max: m/s2, at most that of [flight].
-    slower: factor on the time that the limits need, 1 to SLOWEST.
+    slower: factor on the time that the limits need, 1 to largest_slowdown.
     Raises ConfigError for a drawing that cannot be flown.
     """
     if not 1.0 <= slower <= SKETCH_LIMITS.largest_slowdown:
@@ -148,7 +148,7 @@ def _check_size(strokes: list[Mat], pen: Pen, limits: Limits, slower: float) -> 
     """Raise ConfigError for a drawing that is too large.
 
     It may have too many rows, places beyond the fence, or lines too long for a message or for
-    LONGEST. The hand may stray beyond the fence by the smoothing: the flown path is checked again.
+    longest_flight. The hand may stray beyond the fence by the smoothing: the flown path is checked again.
     """
     if (rows := sum(map(len, strokes))) > SKETCH_LIMITS.most_rows:
         raise ConfigError(

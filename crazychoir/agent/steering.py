@@ -67,7 +67,7 @@ class Steering:
         self._count = 0
 
     async def go_to(self, arguments: dict[str, Any]) -> str:
-        """Fly to the Goal in the arguments, and return when the drone is there.
+        """Fly to the OperatorGoal in the arguments, and return when the drone is there.
 
         Raises Refused with the reason if it does not get there.
         """
@@ -174,7 +174,7 @@ class Steering:
         )
 
     async def _look(self, turn: int) -> None:
-        """Wait for POLL s. Raises Refused when the drone does not fly for this command any more."""
+        """Wait for STEERING_INTERVAL s. Raises Refused when the drone does not fly for this command any more."""
         await self.drone.pilot.clock.sleep(STEERING_INTERVAL, drone=self.drone.id)
         if turn != self._count:
             self._refuse("it does what was commanded later")

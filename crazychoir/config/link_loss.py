@@ -75,8 +75,10 @@ def distance_without_link(speed: float, acceleration: float, sender: str) -> flo
     """Return the m beyond the fence at which a drone's motors
     stop, if it was inside when its radio failed.
 
-        s + max_d (CUT + t) v(d) - d,   v(d) = min(v_max, sqrt(d a / BRAKES)),   s = STRAYS,  t =
-        TILTED
+        s + max_d (c + t) v(d) - d,   v(d) = min(v_max, sqrt(d a / b))
+
+    c, b: cut_time in s and braking_factor of LINK_LOSS_RULES
+    s, t: STRAY_DISTANCES in m and TILT_TIMES in s of the sender
 
     The drone brakes in front of the fence, so it is slower the nearer it is.
     speed: m/s: v_max

@@ -260,7 +260,7 @@ LEAST_COMMAND_RATES = {"fpqr": 50.0, "frpy": 30.0, "vel": 10.0, "fullstate": 20.
 def capacity_of(swarm: Swarm, dongle: int) -> float:
     """Return the packets a second of a dongle, from its row, else from [radio].
 
-    A dongle that never changes its channel has at least ALONE.
+    A dongle that never changes its channel has at least single_drone_capacity.
     """
     row = next((row for row in swarm.radio.dongles if row.dongle == dongle), None)
     capacity = (

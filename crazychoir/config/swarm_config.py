@@ -42,7 +42,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True, dict=True):
     def load(cls, path: str | Path) -> Self:
         """Read a .toml or .json file.
 
-        Paths in it are relative to its folder: the mission, the FILES of its options, and the files
+        Paths in it are relative to its folder: the mission, the files of its options, and the files
         of [mujoco], [mocap] and [security].
         """
         do = 'A minimal file has name = "lab" and a table [[drones]] with id = 0 and home = [0, 0, 0] for each drone.'

@@ -88,7 +88,7 @@ class RadioUri:
     channel: int
     """Radio channel."""
     rate: str
-    """Data rate, one of RATES."""
+    """Data rate, one of URI_RULES.data_rates."""
     address: str
     """10 hexadecimal digits, capitals."""
     rate_limit: int | None = None
@@ -298,6 +298,6 @@ def _rate_limit(query: str, refused: Callable[[str], ConfigError]) -> int | None
 
 
 def _number(digits: str) -> int:
-    """Return a number of at most nine digits; a longer one becomes UNLIMITED."""
+    """Return a number of at most nine digits; a longer one becomes unlimited_number."""
     stripped = digits.lstrip("0") or "0"
     return int(stripped) if len(stripped) < 10 else URI_RULES.unlimited_number

@@ -389,7 +389,7 @@ def _fit_on_line(text: str) -> Text:
 
 
 class LiveTable(Generic[T]):
-    """A live table, updated REFRESH times a second, with lines above it.
+    """A live table, updated LIVE_TABLE_RATE times a second, with lines above it.
 
     table: makes the table from the newest state
     enabled: whether the table is shown

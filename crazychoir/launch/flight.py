@@ -11,7 +11,7 @@ import numpy as np
 from crazychoir.agent.agent import Agent
 from crazychoir.agent.dead_man import ConsoleReporter, is_console
 from crazychoir.agent.drone import WAITING_TASK
-from crazychoir.agent.mission_runner import ENDED_KEY, MISSION_REASONS
+from crazychoir.agent.mission_result import ENDED_KEY, MISSION_REASONS
 from crazychoir.bus.commands import Commander
 from crazychoir.config.addresses import Addresses
 from crazychoir.config.checks import SWARM_LIMITS
@@ -373,7 +373,7 @@ def list_failures(
     """Return why each failed drone has failed: its own result, or a distance that is too small.
 
     results: result of each drone that has one
-    touching: m: least distance of each pair that came nearer than TOUCHING
+    touching: m: least distance of each pair that came nearer than touching_distance
     started: drones that were started here
     """
     reasons = {

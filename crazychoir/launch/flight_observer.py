@@ -54,15 +54,41 @@ Watch = Callable[["FlightScore"], None]
 
 
 @dataclass
+class FlightTrack:
+    """The places of one drone during a flight, and the length of its path."""
+
+    rows: list[tuple[float, ...]] = field(default_factory=list)
+    """t in s and p in m, world: places of which not more than some are kept."""
+    length: float = 0.0
+    """m: length of the path through all places, also those that are not kept."""
+    interval: float = SCORE_LIMITS.track_interval
+    """s between two places that are kept."""
+    newest: list[float] | None = None
+    """(3,) m, world: newest place."""
+
+    def add(self, t: float, p: list[float]) -> None:
+        """Add a place to the path; keep it if the time for one has come."""
+        if self.newest is not None:
+            self.length += math.dist(p, self.newest)
+        self.newest = p
+        if self.rows and t - self.rows[-1][0] < self.interval - 1e-6:
+            return
+        self.rows.append((t, *p))
+        if len(self.rows) > SCORE_LIMITS.most_track_places:
+            del self.rows[1::2]
+            self.interval *= 2.0
+
+
+@dataclass
 class FlightScore(Actor):
     """What an observer measures of a swarm: states, distances, lengths flown, distance from a goal.
 
     Its memory does not grow with the duration of the flight.
 
     statuses: last status of each drone
-    touching: m: least distance of each pair (i, j) that came nearer than TOUCHING
+    touching: m: least distance of each pair (i, j) that came nearer than the touching distance
     errors: (s since the law began, m of the drone that is farthest from its goal), at the last time
-        with a drone beyond SETTLED, and at the newest time
+        with a drone beyond the settled distance, and at the newest time
     """
 
     bus: Bus
@@ -87,11 +113,9 @@ class FlightScore(Actor):
         self.log: deque[str] = deque(maxlen=SCORE_LIMITS.most_log_lines)
         self.min_separation = float("inf")
         self.touching: dict[tuple[int, int], float] = {}
-        self._lengths = dict.fromkeys(self.ids, 0.0)
         self._flew: set[int] = set()
         self.errors: list[tuple[float, float]] = []
-        self._tracks: dict[int, list[tuple[float, ...]]] = {i: [] for i in self.ids}
-        self._apart = dict.fromkeys(self.ids, SCORE_LIMITS.track_interval)
+        self._tracks = {i: FlightTrack() for i in self.ids}
         # For each drone: p in m, v in m/s, and the time in s at which they were true.
         self._truth: dict[int, tuple[Vec, Vec, float]] = {}
         self._law_began: float | None = None
@@ -119,21 +143,9 @@ class FlightScore(Actor):
             self.watch(self)
 
     def _hear_truth(self, i: int, state: State, age: float) -> None:
-        before = self._truth.get(i)
-        if before is not None:
-            self._lengths[i] += math.dist(state.p.tolist(), before[0].tolist())
-        self._truth[i] = (state.p, state.v, self.bus.clock.now() - age)
-        self._keep(i, self.bus.clock.now() - age, state.p)
-
-    def _keep(self, i: int, t: float, p: Vec) -> None:
-        """Add a place to the track if the time for one has come."""
-        track = self._tracks[i]
-        if track and t - track[-1][0] < self._apart[i] - 1e-6:
-            return
-        track.append((t, *p.tolist()))
-        if len(track) > SCORE_LIMITS.most_track_places:
-            del track[1::2]
-            self._apart[i] *= 2.0
+        now = self.bus.clock.now()
+        self._truth[i] = (state.p, state.v, now - age)
+        self._tracks[i].add(now - age, state.p.tolist())
 
     @property
     def flown(self) -> dict[int, float]:
@@ -142,7 +154,8 @@ class FlightScore(Actor):
         It is 0 for a drone that has never taken off and that no cameras see: its estimate drifts.
         """
         return {
-            i: 0.0 if self._stands(i) else length for i, length in self._lengths.items()
+            i: 0.0 if self._stands(i) else track.length
+            for i, track in self._tracks.items()
         }
 
     def _stands(self, i: int) -> bool:
@@ -157,7 +170,7 @@ class FlightScore(Actor):
     @property
     def tracks(self) -> dict[int, list[tuple[float, ...]]]:
         """True track of each drone: rows of t in s and p in m, world."""
-        return self._tracks
+        return {i: track.rows for i, track in self._tracks.items()}
 
     @property
     def law_s(self) -> float | None:

@@ -258,8 +258,8 @@ def read_results(path: Path) -> Results:
 def compute_patience(config: SwarmConfig) -> float:
     """Return the seconds that processes get to land their drones and end.
 
-    The landing may begin at the top of the fence, and may be delayed by up to LANDING_DEADLINE.
-    GRACE is added for the end of the processes.
+    The landing may begin at the top of the fence, and may be delayed by up to the landing_deadline of MISSION_TIMES.
+    END_GRACE is added for the end of the processes.
     """
     flight = config.flight
     height = config.fence.max[2] - flight.ground

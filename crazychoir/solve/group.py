@@ -88,7 +88,7 @@ class ProgramGroup:
         count: number of answers
         patience: s, time limit for all of them
         complaint: what the missing programs have not done, for the error text
-        Raises TimeoutError after `patience` s, and Ended if a program ends instead.
+        Raises TimeoutError after `patience` s, and ProgramEnded if a program ends instead.
         """
         ends = time.perf_counter() + patience
         for done in range(count):

@@ -83,7 +83,7 @@ def simulate(
     difference makes it a nan.
     Raises ConfigError if the agents do not fit each other or the graph.
     Raises the error of an agent, or AgentFailed.
-    Raises Interrupted, a KeyboardInterrupt with the history until then, on Ctrl-C.
+    Raises SimulationInterrupted, a KeyboardInterrupt with the history until then, on Ctrl-C.
     """
     began = time.perf_counter()
     require_team(agents, graph)

@@ -34,7 +34,7 @@ class MocapTableActor(Actor):
         self._show = show
 
     async def run(self) -> None:
-        """Show the table SHOWS times a second."""
+        """Show the table MOCAP_TABLE_RATE times a second."""
         async for _ in self._process.clock.ticks(MOCAP_TABLE_RATE):
             self._show(self._process)
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from crazychoir.agent.agent import Agent
-from crazychoir.agent.mission_runner import MISSION_REASONS
+from crazychoir.agent.mission_result import MISSION_REASONS
 from crazychoir.bus.port import PORT_ADDRESSES
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm

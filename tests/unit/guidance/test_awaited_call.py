@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from crazychoir.agent.agent import Agent
-from crazychoir.agent.mission_runner import result_of_failure, result_of_operator_end
+from crazychoir.agent.mission_result import result_of_failure, result_of_operator_end
 from crazychoir.config.swarm_config import default_swarm
 from crazychoir.errors import (
     AgentFailed,
