@@ -46,8 +46,6 @@ LARGE_CLASSES = {
     "Communicator",
     "DistributedColumns",
     "Fleet",
-    "FlightScore",
-    "MissionRunner",
     "Onboard",
     "Pilot",
     "PlannedFlights",

@@ -27,9 +27,7 @@ from crazychoir.types import Body, LinkStatus, Pose
 class ProblemTexts:
     """Texts about a drone that may not take off."""
 
-    wrong_body: str = (
-        ": correct the position of its body, out of sight of the cameras, or switch the drone off and on"
-    )
+    wrong_body: str = ": correct the position of its body, out of sight of the cameras, or switch the drone off and on"
     """Advice for a drone with the wrong body."""
     motors_cut: str = (
         "its motors were cut: switch it off and on, and start the owner of its "

@@ -183,7 +183,10 @@ class ValueChecks:
         self.number(f"{key}[1]", row[1], most=INSTANCE_LIMITS.latest_time)
         if row[1] < row[0]:
             raise self.error(
-                key, row, "[from, to] with to not before from", "Correct one of the two."
+                key,
+                row,
+                "[from, to] with to not before from",
+                "Correct one of the two.",
             )
         return float(row[0]), float(row[1])
 

@@ -144,7 +144,9 @@ def test_nobody_waits_for_one_that_cannot_fly_if_all_others_are_too_few(start, d
         waiting = [b.go() for b in barriers if b.id != 1]
         for found in await asyncio.gather(*waiting, return_exceptions=True):
             assert isinstance(found, Refused)
-            assert str(found).endswith(f"{TOLD}Correct that, or {do} in the swarm file.")
+            assert str(found).endswith(
+                f"{TOLD}Correct that, or {do} in the swarm file."
+            )
         return t.clock.now()
 
     assert 3.0 <= team(graphs.path(4), story) < 3.5
