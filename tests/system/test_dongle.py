@@ -171,7 +171,7 @@ async def test_three_on_one_dongle_are_read_told_and_flown(known) -> None:
         await closed(links)
 
 
-async def test_a_dongle_without_time_hangs_nobody_and_an_emergency_stop_goes_first(
+async def test_a_busy_dongle_blocks_no_link_and_sends_an_emergency_stop_first(
     known,
 ) -> None:
     """40 exchanges a second for 300 set-points, and questions to the firmware between them."""
@@ -240,7 +240,7 @@ async def test_what_is_sent_in_order_arrives_once_and_in_order_whatever_is_lost(
 
 
 @pytest.mark.slow
-async def test_one_that_is_silent_takes_little_time_and_gets_the_newest_when_it_is_back(
+async def test_a_silent_drone_takes_little_air_time_and_later_gets_the_newest_set_point(
     known,
 ) -> None:
     async with air(2, 250.0) as there:
@@ -349,7 +349,7 @@ async def test_three_cold_ones_are_told_their_tables_once_and_in_time(
         assert there.dongle.used < limit * 250.0
 
 
-async def test_one_that_comes_within_reach_while_its_link_is_being_opened_is_reached(
+async def test_a_drone_that_comes_within_reach_while_its_link_opens_is_reached(
     known,
 ) -> None:
     """It counts packets for an earlier link, and would take each new one for one sent again."""
@@ -382,7 +382,7 @@ async def test_an_emergency_stop_leaves_while_a_link_is_being_opened(tmp_path) -
 
 
 @pytest.mark.slow
-async def test_who_is_not_there_is_named_within_its_deadline(known) -> None:
+async def test_an_absent_drone_is_named_within_its_deadline(known) -> None:
     async with air(2) as there:
         links = [
             Connection(there.clock, uri(i), TableOfContents(known)) for i in (0, 7)

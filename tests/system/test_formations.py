@@ -275,7 +275,7 @@ def test_followers_that_hear_no_leader_are_refused_with_their_names():
         mission.check(config.replace(edges=edges))
 
 
-def test_a_drone_whose_bearings_are_all_parallel_is_refused_by_name():
+def test_a_drone_with_all_bearings_parallel_is_refused_by_name():
     mission = load_mission("bearing_formation")
     config = mission.swarm(4).replace(edges=[[0, 1], [0, 3], [1, 3], [1, 2]])
     with pytest.raises(Refused, match="all bearings of drone 2 are parallel"):

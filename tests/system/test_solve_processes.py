@@ -115,7 +115,7 @@ def test_that_processes_keep_nothing_is_told_once(demo, monkeypatch, capsys):
     assert capsys.readouterr().err == "cache: compiled laws: none\n"
 
 
-def test_no_robot_outlives_who_started_it(demo):
+def test_no_robot_process_outlives_its_parent(demo):
     words = [
         sys.executable,
         "-m",

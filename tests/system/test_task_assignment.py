@@ -103,7 +103,7 @@ def test_operators_add_and_cancel_tasks_in_flight():
     assert done[FIRST_ADDED_ID + 2] in (1, 4)
 
 
-def test_a_team_of_which_nobody_flies_any_more_comes_to_an_end():
+def test_a_team_without_a_flying_drone_ends_its_mission():
     """Each waited for ever for the others, who went on without it."""
 
     def land(agent):
@@ -120,7 +120,7 @@ def test_a_team_of_which_nobody_flies_any_more_comes_to_an_end():
         )
 
 
-def test_who_is_left_alone_by_crashes_comes_to_an_end():
+def test_drones_left_alone_by_crashes_end_their_mission():
     """Four of six are lost at once: what is left never agrees on another team."""
 
     def prepare(agent):

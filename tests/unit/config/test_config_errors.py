@@ -466,7 +466,7 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
         SwarmConfig.load(tmp_path / "bytes.toml")
 
 
-def test_nobody_asks_for_an_unknown_drone() -> None:
+def test_a_request_for_an_unknown_drone_is_refused() -> None:
     for wrong in (
         default_swarm(3).drone,
         Addresses(default_swarm(3)).endpoint,

@@ -333,7 +333,7 @@ async def test_a_landing_waits_while_an_operator_holds_the_drone_but_not_for_saf
 
 
 @virtual
-async def test_a_drone_that_nobody_sees_does_not_wait_for_ever_to_take_off(clock):
+async def test_an_unseen_drone_does_not_wait_for_ever_to_take_off(clock):
     a, _ = pair(clock)
     with pytest.raises(Interrupted, match="drone 0: no pose within 300 s"):
         await a.take_off()

@@ -294,7 +294,7 @@ def test_a_file_that_raises_when_it_is_loaded_is_refused_with_its_line(
         )
 
 
-def test_law_most_of_whose_references_cannot_be_flown_says_so(mission):
+def test_a_law_with_mostly_unflyable_references_is_reported(mission):
     loaded = mission(
         "class Torn(Law):\n"
         "    count = 0\n"

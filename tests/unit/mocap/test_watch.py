@@ -138,7 +138,7 @@ def test_simulated_bodies_may_stand_still():
     assert watch.age("cf1", 2.0) == 0.0
 
 
-def test_where_nothing_comes_the_source_says_so_and_nobody_else():
+def test_the_watch_says_nothing_while_the_source_gives_no_frames():
     watch, _ = watched(2.0, lambda k: moving(k, "cf0", "cf1"))
     assert watch.look(9.0) == []
     assert TrackingWatch(NAMES, 100.0, True).look(9.0) == []

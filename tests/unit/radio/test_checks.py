@@ -32,7 +32,7 @@ def test_the_battery() -> None:
     assert checks.battery_problems(math.nan, 3.7)
 
 
-def test_who_nobody_sees_must_know_where_it_is() -> None:
+def test_an_unseen_drone_must_know_where_it_is() -> None:
     assert checks.spread_problems([1e-4, 1e-4, 1e-4]) == []
     assert "0.20 m" in checks.spread_problems([1e-4, 0.04, 1e-4])[0]
     assert checks.spread_problems([1e-4, math.nan, 1e-4])

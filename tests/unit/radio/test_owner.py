@@ -15,7 +15,7 @@ from crazychoir.types import Pose
 
 
 @virtual
-async def test_nobody_commands_it_and_it_is_beyond_the_limit(clock) -> None:
+async def test_an_uncommanded_drone_is_cut_only_beyond_the_limit(clock) -> None:
     raw = {
         "name": "a",
         "drones": [{"id": 0, "home": [0, 0, 0], "uri": "udp://127.0.0.1:19850"}],
@@ -35,7 +35,7 @@ async def test_nobody_commands_it_and_it_is_beyond_the_limit(clock) -> None:
 
 
 @virtual
-async def test_an_owner_that_ends_names_who_has_not_landed(clock) -> None:
+async def test_an_owner_that_ends_names_the_drones_that_have_not_landed(clock) -> None:
     raw = {
         "name": "a",
         "drones": [{"id": 7, "home": [0, 0, 0], "uri": "udp://127.0.0.1:19850"}],
@@ -54,7 +54,7 @@ async def test_an_owner_that_ends_names_who_has_not_landed(clock) -> None:
 
 
 @virtual
-async def test_one_that_is_silent_may_be_carried_about(clock) -> None:
+async def test_a_silent_drone_beyond_the_limit_is_not_cut(clock) -> None:
     raw = {
         "name": "a",
         "drones": [{"id": 0, "home": [0, 0, 0], "uri": "udp://127.0.0.1:19850"}],

@@ -219,7 +219,7 @@ def test_every_column_of_a_table_is_a_tour_and_with_it_each_part_of_it(raw):
                 assert part.length <= table.length[c] + TOLERANCE
 
 
-def test_a_robot_whose_shares_have_gone_still_claims_what_nobody_else_can_do():
+def test_a_robot_with_no_share_left_still_claims_a_task_that_only_it_can_do():
     """Robot 0 is near the goods and can do nothing; robot 1 is far, its price is higher, and its share becomes 0."""
     goods = {
         "pickup": [[1.0, 0.0]],

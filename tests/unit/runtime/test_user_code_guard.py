@@ -61,7 +61,7 @@ def test_code_that_is_limited_ends_in_time_or_is_interrupted():
     assert time.perf_counter() - began < 3.0
 
 
-def test_who_computes_for_long_is_named_with_the_place_before_it_is_given_up(
+def test_a_long_computation_is_named_with_its_place_before_it_is_given_up(
     hasty, monkeypatch, caplog
 ):
     monkeypatch.setattr(

@@ -58,7 +58,7 @@ def test_strange_heartbeats_and_rosters_are_counted():
 
 @pytest.mark.parametrize("rules", [None, LOSSY], ids=["good", "lossy"])
 @pytest.mark.parametrize("gone", [0, 2, 5])
-def test_a_lost_member_makes_a_new_epoch_whoever_it_is(gone, rules):
+def test_the_loss_of_any_member_makes_a_new_epoch(gone, rules):
     async def story(t: Team) -> Roster:
         await formed([t.start(i) for i in range(6)])
         await t.clock.sleep(1.0)
@@ -141,7 +141,7 @@ def test_a_restarted_member_joins_with_a_new_epoch(again, pause, rules):
     assert roster.epoch == (2 if pause < 5.0 else 3)
 
 
-def test_one_who_comes_late_joins():
+def test_a_late_member_joins():
     async def story(t: Team) -> tuple[Roster, Roster]:
         first = await formed([t.start(i, start=2, start_deadline=1.0) for i in (1, 2)])
         await t.clock.sleep(3.0)
@@ -191,7 +191,7 @@ def test_two_halves_that_were_apart_for_long_come_together_again(slow, seed):
         assert as_graph_says(roster.graph, k, heard), (k, roster, heard[k])
 
 
-def test_one_who_dies_while_two_halves_come_together_is_left_out():
+def test_a_member_that_dies_while_two_halves_merge_is_left_out():
     async def story(t: Team) -> Roster:
         await formed([t.start(i) for i in range(6)])
         await t.clock.sleep(18.0)
@@ -209,7 +209,7 @@ def test_one_who_dies_while_two_halves_come_together_is_left_out():
 @pytest.mark.parametrize(
     "dead", [(0, 1), (1, 0), (0, 1, 2, 3), (3, 2, 1, 0), (4, 0, 2, 1)]
 )
-def test_whoever_dies_one_after_another_the_rest_go_on_without_them(dead, rules, gap):
+def test_the_rest_go_on_when_members_die_one_after_another(dead, rules, gap):
     """Each of them may have coordinated; those who were lost before are nobody's to report any more."""
 
     async def story(t: Team) -> Roster:
@@ -226,7 +226,7 @@ def test_whoever_dies_one_after_another_the_rest_go_on_without_them(dead, rules,
 
 
 @pytest.mark.parametrize("alone", [(2,), (0,), (1, 3), (2, 3)])
-def test_whoever_was_without_the_others_exchanges_with_them_again(alone):
+def test_members_that_were_cut_off_exchange_with_the_others_again(alone):
     """The rounds in which they were apart are not waited for: nobody has them any more."""
 
     async def story(t: Team) -> tuple[Roster, dict[int, Any], int]:
@@ -283,7 +283,7 @@ def test_partitions_count_from_go_however_long_it_took():
 
 
 @pytest.mark.parametrize("again", [0, 2])
-def test_who_comes_again_in_a_process_of_its_own_is_told_the_age_of_the_mission(again):
+def test_a_member_restarted_in_its_own_process_is_told_the_mission_age(again):
     """Two buses, as of two processes; that of the one who comes again has heard of no GO."""
 
     async def main(clock: Clock) -> list[float]:
@@ -366,7 +366,7 @@ def test_a_joinable_algorithm_goes_on_without_the_lost(gone, rules):
     ids=["good", "slow", "lossy"],
 )
 @pytest.mark.parametrize("late", [0, 4])
-def test_one_who_joins_takes_part_from_the_same_round_for_all(late, rules):
+def test_a_joining_member_takes_part_from_the_same_round_for_all(late, rules):
     graph = graphs.ring(5)
     rest = tuple(i for i in range(5) if i != late)
 
@@ -395,7 +395,7 @@ def test_one_who_joins_takes_part_from_the_same_round_for_all(late, rules):
         )
 
 
-def test_a_sequence_of_graphs_goes_on_among_those_who_stay():
+def test_a_sequence_of_graphs_goes_on_among_the_remaining_members():
     whole = graphs.complete(4)
     sequence = GraphSequence((graphs.ring(4), whole, graphs.path(4)))
 

@@ -169,7 +169,7 @@ def test_a_directed_ring(p):
     assert heard[2] == [(1 - k) % 4 for k in range(3 * ROUND_WINDOW.kept_rounds)]
 
 
-def test_a_payload_for_each_neighbour_and_for_nobody_else():
+def test_each_payload_reaches_its_own_neighbour_only():
     async def agent(c: Communicator) -> list[dict[int, str]]:
         neighbors = c.graph.at(0).neighbors(c.id)
         return [
@@ -211,7 +211,7 @@ def test_send_and_receive_are_rounds_too():
     ]
 
 
-def test_who_sends_ahead_does_not_say_that_it_has_read():
+def test_a_sender_ahead_of_its_peer_does_not_acknowledge_unread_rounds():
     async def agent(c: Communicator) -> Any:
         for k in range(3):
             await c.send(k)
@@ -228,7 +228,7 @@ def test_an_exchange_after_a_send_completes_its_round():
     assert swarm(graphs.path(2), agent) == {0: [{1: 1}, {1: 11}], 1: [{0: 0}, {0: 10}]}
 
 
-def test_a_sender_keeps_what_nobody_has_asked_for_yet():
+def test_a_sender_keeps_messages_that_were_not_yet_requested():
     """The reader's credit is lost, and so is one message; it asks for it when the sender is ten rounds on."""
     graph = Graph.from_edges(2, [[0, 1]], directed=True)
 
@@ -268,7 +268,7 @@ def test_channels_do_not_meet():
     ]
 
 
-def test_one_who_begins_late_costs_time_only():
+def test_a_late_starter_costs_only_time():
     async def agent(c: Communicator) -> bytes:
         await c.port.bus.clock.sleep(1.7 * c.id)
         return await averaging(graphs.ring(3), 10)(c)
@@ -416,7 +416,7 @@ def test_a_fast_source_waits_for_its_readers(p):
     )
 
 
-def test_a_sender_waits_for_one_who_receives():
+def test_a_sender_waits_for_its_receiver():
     async def agent(c: Communicator) -> list[int]:
         if c.id == 0:
             await c.port.bus.clock.sleep(0.1)
@@ -570,7 +570,7 @@ def test_a_lost_neighbour(policy):
     assert found == ({0: {}, 2: {}} if policy == "partial" else {0: (1,), 2: (1,)})
 
 
-def test_who_is_lost_was_silent_since_it_was_heard_last_however_late_one_waits_for_it():
+def test_a_lost_drone_counts_as_silent_since_it_was_heard_last():
     async def agent(c: Communicator) -> str:
         await c.neighbors_exchange(c.id)
         if c.id == 1:
@@ -649,7 +649,7 @@ def test_closing_waits_for_the_late_and_not_for_the_lost():
     assert ends[1] == pytest.approx(1.2, abs=0.03)
 
 
-def test_closing_lingers_for_those_who_still_ask():
+def test_closing_lingers_for_drones_that_still_ask():
     """All that 0 sends is lost for two seconds, but 1 can be heard asking."""
 
     async def agent(c: Communicator) -> float:
@@ -668,7 +668,7 @@ def test_closing_lingers_for_those_who_still_ask():
     assert max(ends.values()) < 2.3
 
 
-def test_who_has_not_closed_does_not_say_so():
+def test_an_open_channel_does_not_report_that_it_is_closed():
     async def agent(c: Communicator) -> int:
         c.open("main")
         c.port.deliver(
@@ -709,7 +709,7 @@ def ending(rounds: dict[int, int], linger: float = 2.0, **options: Any) -> Agent
 
 
 @pytest.mark.parametrize(("p", "soon"), [(0.0, 0.1), (0.5, 1.0)])
-def test_who_waits_for_one_that_has_ended_learns_it_at_once(p, soon):
+def test_waiting_for_a_drone_that_has_ended_fails_at_once(p, soon):
     for seed in range(10):
         found = swarm(graphs.path(3), ending({0: 9, 1: 6, 2: 6}), loss(p), seed=seed)
         at, error = found[0]
@@ -728,7 +728,7 @@ def test_who_waits_for_one_that_has_ended_learns_it_at_once(p, soon):
         assert (found[1][1], found[2][1]) == (None, None)
 
 
-def test_one_that_has_ended_and_gone_on_still_says_so_when_asked():
+def test_a_drone_that_has_ended_and_gone_on_still_reports_it_when_asked():
     """All that 1 says of its end is lost, and it no longer lingers when 0 can hear it again."""
 
     async def agent(c: Communicator) -> tuple[float, ChannelEnded | None]:
@@ -747,7 +747,7 @@ def test_one_that_has_ended_and_gone_on_still_says_so_when_asked():
 
 
 @pytest.mark.parametrize("p", [0.0, 0.5])
-def test_one_that_has_ended_still_serves_who_is_late_in_its_rounds(p):
+def test_a_drone_that_has_ended_still_serves_its_late_neighbours(p):
     """No error while what was said before the end may still come: 0 needs all rounds, and gets them late."""
 
     async def agent(c: Communicator) -> list[int]:
@@ -781,7 +781,7 @@ def test_a_channel_that_all_have_ended_together_goes_on(p):
         )
 
 
-def test_who_asked_for_what_comes_gets_what_comes_from_one_that_has_ended():
+def test_a_partial_exchange_with_an_ended_drone_returns_what_came():
     agent = ending({0: 7, 1: 6}, policy="partial", deadline=0.5)
     at, error = swarm(graphs.path(2), agent)[0]
     assert error is None
@@ -800,7 +800,7 @@ def test_a_closed_channel_goes_on_where_it_was():
 # What comes from elsewhere ----------------------------------------------------------------------------------------
 
 
-def test_a_flood_of_strange_messages_takes_no_memory_and_disturbs_nobody():
+def test_a_flood_of_unknown_messages_takes_no_memory_and_disturbs_no_exchange():
     async def agent(c: Communicator) -> Any:
         deliver = c.port.deliver
         for n in range(3000):
@@ -963,7 +963,7 @@ def test_a_new_epoch_ends_what_is_not_joinable_and_the_next_begins_at_zero():
     assert found[0] == [{1: 0, 2: 0}, {1: 10}, {1: 11}, {1: 12}]
 
 
-def test_one_who_is_not_waiting_learns_of_the_epoch_at_its_next_verb():
+def test_a_drone_that_is_not_waiting_learns_of_the_epoch_at_its_next_call():
     async def agent(c: Communicator) -> Any:
         await c.neighbors_exchange(1)
         if c.id == 2:
@@ -1009,7 +1009,7 @@ def test_messages_of_an_earlier_epoch_are_ignored_and_those_of_the_next_are_kept
 
 
 @pytest.mark.parametrize("back", [False, True])
-def test_who_goes_on_no_more_does_so_in_the_next_epoch_too_unless_it_has_begun_anew(
+def test_a_failed_agent_stays_failed_in_the_next_epoch_unless_it_has_restarted(
     back,
 ):
     async def agent(c: Communicator) -> str:
@@ -1059,7 +1059,7 @@ def test_run_algorithm_drives_a_pure_algorithm():
     assert swarm(graphs.path(2), agent, loss(0.5))[1] == [{0: k} for k in range(20)]
 
 
-def test_a_joinable_channel_goes_on_without_those_who_leave():
+def test_a_joinable_channel_goes_on_without_members_that_leave():
     async def agent(c: Communicator) -> Any:
         algorithm = Counting(4 if c.id == 2 else 10)
         if c.id != 2:
@@ -1080,7 +1080,7 @@ def test_a_channel_in_use_cannot_become_joinable():
     swarm(graphs.path(2), agent)
 
 
-def test_a_wait_that_is_over_does_not_keep_the_loop_from_one_that_goes_on():
+def test_a_quick_exchange_ends_on_time_beside_a_slow_one():
     async def main(clock: Clock) -> tuple[dict[int, Any], float]:
         bus = Bus(clock)
         member = Communicator(bus.port(0), graphs.path(2))

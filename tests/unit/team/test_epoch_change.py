@@ -15,7 +15,7 @@ from crazychoir.team.messages import (
 )
 
 
-def test_who_coordinates_does_not_hold_for_a_higher_one():
+def test_a_coordinator_does_not_hold_for_a_higher_id():
     async def story(it: Alone) -> None:
         it.barrier.changing.attach(HeldAt(7))
         it.tell(2, HoldRequest(2))
@@ -50,7 +50,7 @@ def test_a_lower_id_of_another_half_is_left_to_coordinate():
     alone(1, {1: 1, 2: 1}, story)
 
 
-def test_the_next_roster_counts_from_a_round_that_nobody_has_sent():
+def test_the_next_roster_starts_at_a_round_that_was_not_sent_yet():
     async def story(it: Alone) -> None:
         it.barrier.changing.attach(HeldAt(3))
         it.beat(3, 0, incarnation=8)
@@ -69,7 +69,7 @@ def test_the_next_roster_counts_from_a_round_that_nobody_has_sent():
     alone(0, {0: 1, 1: 1, 2: 1}, story)
 
 
-def test_another_half_comes_whole_or_without_those_who_never_answer():
+def test_another_half_joins_whole_or_without_members_that_never_answer():
     async def story(it: Alone) -> None:
         it.beat(2, 1)
         it.tell(2, HoldAnswer(2, 10, {2: 1, 3: 1}))
@@ -87,7 +87,7 @@ def test_another_half_comes_whole_or_without_those_who_never_answer():
     alone(0, {0: 1}, story)
 
 
-def test_who_never_answers_is_given_up_though_nobody_else_is_heard():
+def test_a_member_that_never_answers_is_dropped_even_if_no_other_is_heard():
     """1 has never been heard, as by one who came just after 1 was killed."""
 
     async def story(it: Alone) -> None:
@@ -115,7 +115,7 @@ def test_rosters_of_two_coordinators_are_replaced():
     alone(0, {0: 1, 1: 1}, story)
 
 
-def test_who_has_not_held_is_asked_again_with_each_heartbeat():
+def test_a_member_that_has_not_held_is_asked_again_with_each_heartbeat():
     async def story(it: Alone) -> None:
         it.beat(2, 0)
         it.barrier.rosters.reliable.forget(1)
@@ -126,7 +126,7 @@ def test_who_has_not_held_is_asked_again_with_each_heartbeat():
     alone(0, {0: 1, 1: 1}, story)
 
 
-def test_who_holds_is_let_go_by_the_next_coordinator():
+def test_a_held_member_is_released_by_the_next_coordinator():
     """The coordinator dies after it has asked for HOLD, before it issues the roster."""
 
     async def story(t: Team) -> Roster:

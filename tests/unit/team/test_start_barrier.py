@@ -75,7 +75,7 @@ def test_at_the_deadline_enough_go_and_the_absent_are_named():
     assert absent == (1, 4)
 
 
-def test_who_waits_longest_goes_with_who_coordinates_at_his_deadline():
+def test_the_longest_waiting_drone_starts_at_the_deadline_of_the_coordinator():
     async def story(t: Team) -> tuple[float, tuple[int, ...]]:
         longest = asyncio.ensure_future(t.start(2, start=2, start_deadline=4.0).go())
         await t.clock.sleep(3.0)
@@ -136,7 +136,7 @@ def refuse(barrier: Barrier) -> None:
 @pytest.mark.parametrize(
     ("start", "do"), [("all", "set start = n"), (4, "lower start = 4")]
 )
-def test_nobody_waits_for_one_that_cannot_fly_if_all_others_are_too_few(start, do):
+def test_the_start_fails_at_once_if_too_few_drones_can_fly(start, do):
     async def story(t: Team) -> float:
         barriers = [t.start(i, start=start) for i in range(4)]
         barriers[1].monitor.silent = True
@@ -152,7 +152,7 @@ def test_nobody_waits_for_one_that_cannot_fly_if_all_others_are_too_few(start, d
     assert 3.0 <= team(graphs.path(4), story) < 3.5
 
 
-def test_those_who_suffice_go_without_one_that_cannot_fly_and_it_may_join_when_it_can():
+def test_enough_drones_start_without_an_unfit_one_and_it_may_join_later():
     async def story(t: Team) -> tuple[float, Roster]:
         barriers = [t.start(i, start=3, start_deadline=4.0) for i in range(4)]
         refuse(barriers[1])
@@ -168,7 +168,7 @@ def test_those_who_suffice_go_without_one_that_cannot_fly_and_it_may_join_when_i
     assert roster.ids == (0, 1, 2, 3)
 
 
-def test_one_that_cannot_fly_is_named_beside_the_absent():
+def test_a_drone_that_cannot_fly_is_named_beside_the_absent():
     async def story(t: Team) -> str:
         barriers = [t.start(i, start=3, start_deadline=4.0) for i in (0, 1, 3)]
         refuse(barriers[1])

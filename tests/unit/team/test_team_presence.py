@@ -26,7 +26,7 @@ def test_only_the_newest_changes_of_presence_are_kept():
     assert [j for _, j, _ in kept] == list(range(5, PRESENCE_HISTORY + 5))
 
 
-def test_a_newcomer_leaves_coordinating_to_those_who_fly():
+def test_a_newcomer_leaves_coordination_to_drones_that_fly():
     async def story(t: Team) -> None:
         barrier = t.start(0)
         t.bus.ports[0].deliver(
@@ -44,7 +44,7 @@ def test_a_newcomer_leaves_coordinating_to_those_who_fly():
     team(graphs.complete(3), story)
 
 
-def test_who_watches_us_hears_us():
+def test_a_drone_watches_a_peer_that_watches_it():
     async def story(t: Team) -> None:
         graph = graphs.path(4)
         barrier = Barrier(t.bus.port(3), graph, mission_hash="abc", version="1")
@@ -69,7 +69,7 @@ def test_who_watches_us_hears_us():
     team(graphs.path(4), story)
 
 
-def test_one_who_was_lost_and_begins_again_is_not_lost():
+def test_a_lost_drone_that_starts_again_is_not_lost():
     async def story(it: Alone) -> None:
         it.barrier.presence._handle_change(2, Presence.LOST)
         it.barrier.presence._handle_change(3, Presence.LOST)

@@ -92,7 +92,7 @@ def test_a_drone_asks_its_own_body_on_another_host_and_no_other(config):
         assert not access.may_say("desktop", said(topic, *to))
 
 
-def test_nobody_takes_the_name_of_another_s_process_nor_all_the_room(config):
+def test_a_host_cannot_take_another_hosts_process_name_nor_all_the_room(config):
     access = access_of(config, "laptop")
     bus = Bus(Still(), process="0-1", host="laptop")
     own = Introduction("lab", 1, "1")
@@ -118,7 +118,7 @@ def test_nobody_takes_the_name_of_another_s_process_nor_all_the_room(config):
     assert peers.came("laptop", "world-1", "token"), "there is room for the others"
 
 
-def test_who_claims_what_another_host_holds_is_refused(config):
+def test_a_claim_to_what_another_host_holds_is_refused(config):
     access = access_of(config, "laptop")
     bus = Bus(Still(), process="0-1", host="laptop")
     own = Introduction("lab", 1, "1")
@@ -246,7 +246,7 @@ def test_a_swarm_of_several_hosts_is_closed_unless_it_says_that_it_is_not(config
         )
 
 
-def test_an_open_network_beyond_this_machine_is_one_that_the_swarm_file_allows():
+def test_an_open_endpoint_beyond_this_machine_needs_insecure_in_the_swarm_file():
     local = SwarmConfig.of({"name": "lab", "drones": [{"id": 0, "home": [0, 0, 0]}]})
     near = ("tcp/127.0.0.1:7460", "tcp/[::1]:7460", "tcp/localhost:7460")
     assert access_of(local, "here", *near) is None

@@ -309,7 +309,7 @@ def test_what_a_users_step_raises_is_named_with_its_line(simulated):
     )
 
 
-def test_who_sent_what_a_step_fails_with_is_named(simulated):
+def test_a_failing_step_names_the_senders_of_what_it_had_heard(simulated):
     text = (
         AVERAGING
         + "\nclass Mute(Consensus):\n    def message(self):\n        if self.i != 3: return self.x\n"

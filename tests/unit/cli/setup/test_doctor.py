@@ -78,7 +78,7 @@ def test_a_good_host_is_content(tmp_path, free):
     assert rows["ports"].found.endswith("free")
 
 
-def test_a_taken_port_is_named_with_who_has_it(tmp_path, taken):
+def test_a_taken_port_is_named_with_the_process_that_has_it(tmp_path, taken):
     row = rows_of(lab(tmp_path, taken))[f"port {taken}"]
     assert row.state == "wrong"
     assert "drone 0" in row.found

@@ -76,7 +76,7 @@ def play(scene):
     return run_virtual(main)
 
 
-def test_when_all_have_answered_nobody_waits():
+def test_a_stop_does_not_wait_once_all_drones_have_answered():
     async def scene(swarm):
         for i in range(3):
             swarm.comes(i)
@@ -92,7 +92,7 @@ def test_when_all_have_answered_nobody_waits():
     }
 
 
-def test_who_is_absent_is_named_and_delays_nobody():
+def test_an_absent_drone_is_named_and_does_not_delay_the_others():
     async def scene(swarm):
         swarm.comes(0)
         swarm.clock.call_at(int(1e9), partial(swarm.comes, 2))
@@ -113,7 +113,7 @@ def test_who_is_absent_is_named_and_delays_nobody():
     )
 
 
-def test_who_is_there_and_does_not_answer_is_not_absent():
+def test_a_drone_that_is_there_and_does_not_answer_is_not_absent():
     async def scene(swarm):
         for i in range(3):
             swarm.comes(i, deaf=i == 1)
@@ -130,7 +130,7 @@ def test_who_is_there_and_does_not_answer_is_not_absent():
     assert 10.0 < seconds < 16.0
 
 
-def test_who_refuses_says_why():
+def test_a_drone_that_refuses_says_why():
     async def scene(swarm):
         swarm.refuses = {2: math.inf}
         for i in range(3):
@@ -175,7 +175,7 @@ def test_bodies_in_the_world_of_an_owner_are_stopped_by_themselves(owner):
         }
 
 
-def test_without_anybody_there_is_no_swarm():
+def test_without_any_agent_there_is_no_swarm():
     async def scene(swarm):
         began = swarm.clock.now()
         with pytest.raises(
@@ -307,7 +307,7 @@ def test_an_order_waits_for_a_swarm_that_is_starting(caplog):
     ]
 
 
-def test_who_does_not_get_ready_says_so_in_time():
+def test_a_drone_that_does_not_get_ready_says_so_in_time():
     async def scene(swarm):
         swarm.refuses = {1: math.inf}
         for i in range(3):
@@ -333,7 +333,7 @@ def test_what_is_not_done_in_time_names_the_time_that_was_given():
     assert seconds == pytest.approx(30.0, abs=0.1)
 
 
-def test_drones_that_there_are_not_are_refused_before_anybody_is_asked():
+def test_unknown_drones_are_refused_before_any_drone_is_asked():
     async def scene(swarm):
         swarm.window.check("--edge", (0, 2))
         with pytest.raises(ConfigError, match="--edge: found drone 9; allowed: 0 to 2"):

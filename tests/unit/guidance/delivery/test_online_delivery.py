@@ -180,7 +180,7 @@ async def test_its_own_problem_begins_where_it_will_be_with_what_it_may(clock):
 
 
 @virtual
-async def test_nobody_is_capable_of_what_lies_where_none_can_stand(clock):
+async def test_no_robot_is_capable_of_a_task_at_an_unreachable_place(clock):
     outside, above = (
         Task(20, 0, False, (2.0, 2.0), (99.0, 3.0)),
         Task(21, 0, False, (0.0, -0.8), (1.0, 1.0)),

@@ -140,7 +140,7 @@ def appear(**changes):
         ({"instance": "no/such.json"}, "no/such.json"),
     ],
 )
-def test_what_cannot_be_is_refused_before_anybody_flies(options, said):
+def test_impossible_options_are_refused_before_any_drone_flies(options, said):
     with pytest.raises(ConfigError, match=said):
         MISSION.check(config(**options), False)
 
@@ -151,7 +151,7 @@ def test_no_number_is_not_a_number(key):
         config(**{key: float("nan")})
 
 
-def test_drawn_tasks_that_nobody_can_reach_are_refused_before_anybody_flies():
+def test_drawn_tasks_that_no_drone_can_reach_are_refused_before_any_drone_flies():
     homes = [{"id": i, "home": [float(i), -0.8, 0.0]} for i in range(4)]
     small = MISSION.swarm(4).replace(
         fence={"min": [-1.0, -1.8, 0.0], "max": [4.5, 6.8, 3.0]}, drones=homes
@@ -297,7 +297,7 @@ def test_why_a_task_was_not_served_is_in_the_report():
     assert "task 2: lost with drone 1" in said
 
 
-def test_the_picture_shows_ways_tasks_and_who_was_lost(tmp_path, monkeypatch):
+def test_the_picture_shows_ways_tasks_and_lost_drones(tmp_path, monkeypatch):
     drawn = []
     monkeypatch.setattr(
         Figure, "savefig", lambda figure, path, **options: drawn.append(figure)

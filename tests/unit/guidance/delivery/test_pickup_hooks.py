@@ -125,7 +125,9 @@ SOME = {"penalty": [2.0, None]}
         ({"objective": "makespan"}, {}, "it has objective; in flight"),
     ],
 )
-def test_what_is_not_flown_is_refused_before_anybody_flies(swarm, more, options, said):
+def test_an_instance_that_cannot_be_flown_is_refused_before_any_drone_flies(
+    swarm, more, options, said
+):
     with pytest.raises(ConfigError, match=said):
         MISSION.check(swarm(more, **options))
 
@@ -222,7 +224,7 @@ def told(swarm, served, **route):
     return MISSION.report(config, results)
 
 
-def test_who_has_served_all_stops_of_its_route_in_order_has_succeeded(swarm):
+def test_a_drone_that_serves_all_stops_of_its_route_in_order_succeeds(swarm):
     report = told(swarm, STOPS)
     assert (report["success"], report["reasons"], report["violations"]) == (
         True,
@@ -239,7 +241,9 @@ def test_who_has_served_all_stops_of_its_route_in_order_has_succeeded(swarm):
         ([], "served nothing; its route: pickup 0, delivery 0"),
     ],
 )
-def test_who_has_flown_something_else_has_failed_and_nobody_else(swarm, served, said):
+def test_a_drone_that_flies_another_route_fails_and_no_other_drone_does(
+    swarm, served, said
+):
     report = told(swarm, served)
     assert (report["success"], report["reasons"]) == (False, {0: said})
 

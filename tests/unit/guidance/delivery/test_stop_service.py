@@ -41,7 +41,7 @@ def stops(*pairs):
 
 
 @virtual
-async def test_a_pickup_waits_while_it_may_be_given_to_somebody_else(clock):
+async def test_a_pickup_waits_while_it_may_be_given_to_another_robot(clock):
     service = serving(clock)
     commitments = service.commitments
     commitments.route, commitments.planning = stops((1, PICK), (1, DROP)), True
@@ -95,7 +95,7 @@ async def test_a_stop_takes_its_time_though_all_know(clock):
 
 
 @pytest.mark.parametrize("kind", [PICK, DROP])
-def test_who_is_cut_off_at_a_stop_leaves_the_goods_there(kind):
+def test_a_robot_cut_off_at_a_stop_leaves_the_goods_there(kind):
     @virtual
     async def test(clock):
         service = serving(clock)

@@ -137,7 +137,7 @@ def test_a_table_is_filled_up_only_so_often():
     )
 
 
-def test_who_competes_for_which_tasks_is_named_and_the_others_are_served():
+def test_robots_that_compete_for_tasks_are_named_and_the_others_are_served():
     def only(j, *robots):
         return Task(j, 0, False, (float(j), 0.0), (float(j), 0.0), robots=robots)
 
@@ -159,7 +159,7 @@ def test_who_competes_for_which_tasks_is_named_and_the_others_are_served():
     assert sum(one.mine is not None for one in found.values()) == 4
 
 
-def test_any_cost_will_do_and_an_infinite_one_is_of_who_cannot():
+def test_any_cost_is_accepted_and_an_infinite_one_excludes_the_robot():
     """Robot 0 can do nothing, for the others a task costs its number, whoever does it."""
     tasks = [Task(j, 0, False, (0.0, 0.0), (0.0, 0.0)) for j in range(4)]
     found = generation(

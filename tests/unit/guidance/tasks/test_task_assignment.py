@@ -20,7 +20,7 @@ MISSION = load_mission("task_assignment")
 CONFIG = MISSION.swarm(None)
 
 
-def test_where_and_for_whom_operators_may_add_tasks():
+def test_operators_may_add_only_tasks_inside_the_fence_for_known_drones():
     room = TaskRoom(CONFIG)
     inside, outside = (3.9, -3.9), (0.0, 4.0)
     assert room.lies_badly(Task(0, 0, False, inside, inside), inside) == ""

@@ -63,7 +63,7 @@ async def talking(*sources):
 
 
 @virtual
-async def test_events_are_heard_in_time_by_those_who_hear_them(clock):
+async def test_an_addressed_robot_hears_of_events_in_time(clock):
     later, other, gone = (Task(j, 0, False, (0.0, 0.0), (1.0, 0.0)) for j in (5, 6, 7))
     cancelled = TaskEvent(4.0, Task(7, 0, True, gone.pickup, gone.delivery))
     one = source(
@@ -156,7 +156,7 @@ async def test_what_is_accepted_is_known_to_more_than_half_of_the_team(clock):
 
 
 @virtual
-async def test_who_is_heard_by_nobody_says_so(clock):
+async def test_a_robot_that_no_other_hears_notes_it_in_its_answer(clock):
     bus = Bus(clock)
     async with talking(source(bus, 1), source(bus, 0), source(bus, 2)) as (one, *_):
         pass
@@ -170,7 +170,7 @@ async def test_who_is_heard_by_nobody_says_so(clock):
 
 
 @virtual
-async def test_who_was_started_again_gives_no_number_twice(clock):
+async def test_a_restarted_robot_gives_no_task_number_twice(clock):
     """It would: its book is empty until it hears the others', and of two tasks of one number one is lost."""
     bus = Bus(clock)
     async with talking(source(bus, 1), source(bus, 0), source(bus, 2)) as (one, *_):
@@ -217,7 +217,7 @@ async def test_nothing_is_taken_while_the_team_decides_that_its_mission_is_over(
 
 
 @virtual
-async def test_a_task_for_those_who_are_gone_waits_and_that_is_said(clock):
+async def test_a_task_for_an_absent_drone_waits_and_the_answer_says_so(clock):
     bus = Bus(clock)
     async with talking(source(bus, 1), source(bus, 0), source(bus, 2)) as (
         one,
@@ -305,7 +305,7 @@ PICKED, DELIVERED = Deed(0, "pickup", 1), Deed(0, "delivery", 1)
         ((PICKED, DELIVERED), False, "drone 2 has delivered 0 already"),
     ],
 )
-def test_what_has_become_of_a_task_is_said_to_who_cancels_it(done, gone, said):
+def test_the_answer_to_a_cancel_says_what_has_become_of_the_task(done, gone, said):
     @virtual
     async def test(clock):
         bus = Bus(clock)

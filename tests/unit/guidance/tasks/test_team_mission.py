@@ -238,7 +238,7 @@ async def test_a_cancelled_mission_lands_without_a_reason(clock):
 
 
 @virtual
-async def test_the_place_of_a_robot_is_the_last_one_that_others_can_read(clock):
+async def test_the_place_of_a_robot_is_its_last_encodable_position(clock):
     mission = team(clock)[1]
     seen = []
     for p in ((2.0, 1.0, 0.5), (float("nan"), 0.0, 0.5), (1e9, 0.0, 0.5), (3, 1, 0)):

@@ -94,7 +94,7 @@ def test_rounds_are_no_negative_number():
         Consensus(3, [1.0], {3: 1.0}, -1)
 
 
-def test_who_hears_others_than_it_has_weights_for_says_so():
+def test_an_agent_that_hears_other_agents_than_its_weights_name_says_so():
     agent = Consensus(0, [1.0], {0: 0.5, 1: 0.5})
     with pytest.raises(
         ConfigError,

@@ -56,7 +56,7 @@ async def test_in_its_ascent_it_is_told_places_until_its_body_is_known_to_move_a
 
 
 @virtual
-async def test_whose_body_moves_otherwise_is_told_nothing_more_and_may_not_take_off(
+async def test_a_drone_that_moves_unlike_its_body_is_silenced_and_may_not_take_off(
     clock,
 ) -> None:
     drone, kept = made(clock)

@@ -20,7 +20,7 @@ async def test_set_points_leave_at_their_rate_and_the_newest_counts(clock) -> No
 
 
 @virtual
-async def test_one_that_stands_is_told_so_now_and_then(clock) -> None:
+async def test_a_standing_drone_is_sent_a_stop_now_and_then(clock) -> None:
     drone, kept = made(clock)
     for _ in range(100):
         drone.commands.send(STOP)
@@ -32,7 +32,9 @@ async def test_one_that_stands_is_told_so_now_and_then(clock) -> None:
 
 
 @virtual
-async def test_who_has_not_flown_it_does_not_stop_its_motors(clock) -> None:
+async def test_an_agent_that_has_not_flown_the_drone_does_not_stop_its_motors(
+    clock,
+) -> None:
     drone, kept = made(clock)
     tell(drone, READY | checks.ReadinessBit.FLYING)
     drone.commands.send(STOP)

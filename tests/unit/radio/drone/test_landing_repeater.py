@@ -63,7 +63,9 @@ class Planner(Kept):
 
 
 @pytest.mark.parametrize("kind", ["xyz", "frpy"])
-def test_one_that_lands_is_told_so_until_its_planner_does_and_never_anew(kind) -> None:
+def test_a_landing_command_is_repeated_until_the_planner_lands_and_not_after(
+    kind,
+) -> None:
     run_virtual(lambda clock: _lands(clock, kind))
 
 
@@ -99,7 +101,7 @@ async def _lands(clock, kind) -> None:
 
 
 @virtual
-async def test_one_that_comes_down_is_not_stopped_above_the_floor_by_who_takes_it_to_have_landed(
+async def test_a_landing_drone_is_not_stopped_above_the_floor_by_zero_thrust(
     clock,
 ) -> None:
     drone, kept = made(clock, "frpy")

@@ -56,7 +56,7 @@ async def test_why_it_may_not_take_off(clock) -> None:
 
 
 @virtual
-async def test_one_that_has_spoken_is_being_prepared(clock) -> None:
+async def test_a_drone_that_has_spoken_is_being_prepared(clock) -> None:
     drone, _ = made(clock)
     drone.link.connection = None
     assert drone.report.find_problems() == ["is being connected"]
@@ -77,7 +77,7 @@ async def test_one_that_has_spoken_is_being_prepared(clock) -> None:
 
 
 @virtual
-async def test_a_virtual_one_that_is_locked_is_switched_off_and_on_by_a_command(
+async def test_a_locked_virtual_drone_is_power_cycled_by_a_command(
     clock,
 ) -> None:
     drone, _ = made(clock)

@@ -14,7 +14,7 @@ from crazychoir.radio.protocol.crtp import Packet
 
 
 @virtual
-async def test_one_that_was_cut_is_told_so_until_it_is_locked_or_switched_off_and_on(
+async def test_a_cut_is_repeated_until_the_drone_is_locked_or_power_cycled(
     clock,
 ) -> None:
     for said, at in ((checks.SupervisorBit.LOCKED, None), (READY, 40)):

@@ -17,7 +17,7 @@ from crazychoir.types import FPQR, Vel
 
 
 @virtual
-async def test_one_that_flies_and_that_nobody_commands_is_an_orphan(clock) -> None:
+async def test_a_flying_drone_without_commands_is_an_orphan(clock) -> None:
     drone, _ = made(clock)
     drone.link.up_ns = clock.now_ns()
     tell(drone, READY | checks.ReadinessBit.FLYING)
@@ -33,7 +33,7 @@ async def test_one_that_flies_and_that_nobody_commands_is_an_orphan(clock) -> No
 
 
 @virtual
-async def test_one_that_was_started_again_is_prepared_again(clock) -> None:
+async def test_a_restarted_drone_is_prepared_again(clock) -> None:
     drone, _ = made(clock)
     drone.preparation.release, drone.preparation.is_prepared = "2025.12", True
     for at in (1000, 1100):
@@ -97,7 +97,7 @@ class Asked(Slow):
 
 
 @virtual
-async def test_one_whose_thrust_is_not_known_is_refused_each_time(clock) -> None:
+async def test_a_drone_with_unknown_thrust_is_refused_each_time(clock) -> None:
     drone, _ = made(clock, "fpqr")
     drone.link.connection = None
     for _ in range(3):
@@ -107,7 +107,7 @@ async def test_one_whose_thrust_is_not_known_is_refused_each_time(clock) -> None
 
 
 @virtual
-async def test_one_whose_protocol_is_too_old_is_refused(clock) -> None:
+async def test_a_drone_with_too_old_a_protocol_is_refused(clock) -> None:
     drone, _ = made(clock, "vel")
     drone.link.connection, old = None, Asked(drone, version=8)
     with pytest.raises(
@@ -120,7 +120,7 @@ async def test_one_whose_protocol_is_too_old_is_refused(clock) -> None:
 
 
 @virtual
-async def test_one_that_is_refused_while_it_flies_is_landed_first(clock) -> None:
+async def test_a_drone_that_is_refused_while_it_flies_is_landed_first(clock) -> None:
     for kind, link in (("vel", {"version": 8}), ("fpqr", {"release": "2025.09"})):
         drone, _ = made(clock, kind)
         drone.link.connection, old = (
@@ -150,7 +150,7 @@ async def test_one_that_is_refused_while_it_flies_is_landed_first(clock) -> None
 
 
 @virtual
-async def test_who_looks_after_a_drone_that_says_nothing_of_itself_goes_on_with_all_else(
+async def test_a_drone_without_logs_is_still_landed_and_its_watchdog_fed(
     clock,
 ) -> None:
     drone, _ = made(clock, watchdog=True)
@@ -228,7 +228,7 @@ async def test_what_an_attempt_to_connect_failed_by_is_said_and_does_not_fail_th
 
 
 @virtual
-async def test_one_that_was_not_reached_and_flies_is_not_stopped_by_who_takes_it_to_be_down(
+async def test_a_flying_drone_that_was_out_of_reach_is_not_stopped_by_a_stale_stop(
     clock,
 ) -> None:
     drone, kept = made(clock)

@@ -7,7 +7,7 @@ from crazychoir.radio import checks
 
 
 @virtual
-async def test_who_is_sent_places_is_given_a_watchdog_if_the_mission_wants_it(
+async def test_the_watchdog_is_fed_for_a_drone_that_is_sent_places_if_requested(
     clock,
 ) -> None:
     for kind, pose, radio, fed in (

@@ -26,7 +26,9 @@ async def test_what_is_missing_is_said_before_logs_were_reset() -> None:
     clock.close()
 
 
-async def test_where_nobody_serves_virtual_drones_it_is_said_who_does() -> None:
+async def test_a_refused_connection_names_the_command_that_serves_virtual_drones() -> (
+    None
+):
     clock = WallClock(asyncio.get_running_loop())
     connection = Connection(
         clock, "udp://127.0.0.1:9", TableOfContents(Path("nowhere"))

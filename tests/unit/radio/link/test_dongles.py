@@ -32,7 +32,7 @@ async def test_what_goes_down_rides_on_what_goes_up(clock):
 
 
 @virtual
-async def test_one_that_only_speaks_is_polled(clock):
+async def test_a_drone_that_only_sends_is_polled(clock):
     dongle, came = VirtualDongle(clock, (0, 1)), []
     for _ in range(5):
         dongle.down(1, lambda: came.append(clock.now()))

@@ -82,7 +82,7 @@ def test_it_waits_no_longer_than_its_patience(tmp_path, monkeypatch) -> None:
     assert found == [None]
 
 
-def test_who_asks_again_does_not_wait_for_itself_and_a_link_that_is_closed_keeps_nobody(
+def test_a_repeated_fetch_does_not_wait_and_a_closed_link_blocks_no_other(
     tmp_path,
 ) -> None:
     table, found = TableOfContents(tmp_path), []

@@ -203,7 +203,7 @@ def test_thrust_by_platform() -> None:
 
 
 @pytest.mark.parametrize("name", ["cf21plus", "cf21thrust", "cf21bl"])
-def test_thrust_that_nobody_has_measured_is_asked_for(name: str) -> None:
+def test_an_unmeasured_thrust_needs_newer_firmware_or_a_thrust_map(name: str) -> None:
     row = PLATFORM_BY_NAME[name]
     with pytest.raises(
         ConfigError,

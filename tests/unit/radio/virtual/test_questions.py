@@ -51,6 +51,8 @@ async def test_a_standing_drone_is_described(clock) -> None:
 
 
 @virtual
-async def test_another_question_is_refused_with_those_that_are_allowed(clock) -> None:
+async def test_an_unknown_question_is_refused_with_the_list_of_allowed_ones(
+    clock,
+) -> None:
     with pytest.raises(CodecError, match=r'\{"ask": "state"\}'):
         make_questions(clock, 1).answer({"ask": "what"})

@@ -186,7 +186,7 @@ async def test_what_breaks_a_drone_in_flight():
         assert state["3"]["motors"][0] > 0.1
 
 
-async def test_one_that_has_fallen_is_carried_home_and_flies_again():
+async def test_a_fallen_drone_is_carried_home_and_flies_again():
     async with Open(2) as hall:
         home = hall.server.world.states[1].copy()
         _in_the_air(hall)
@@ -272,7 +272,7 @@ async def test_what_a_drone_cannot_bear_restarts_it_alone(monkeypatch, caplog):
         assert hall.height(0) == pytest.approx(0.6, abs=0.1)
 
 
-async def test_the_cameras_show_the_truth_as_long_as_somebody_asks():
+async def test_the_cameras_show_the_truth_as_long_as_a_client_asks():
     async with Open(3, decks=()) as hall:
         assert await hall.said(FRAME_PROTOCOL.request, port=hall.port - 1) == b""
         hall.run(0.02)
@@ -347,7 +347,7 @@ async def test_what_cannot_be_is_refused_with_what_can(question, says):
         assert all(fault == Faults() for fault in hall.server.faults.values())
 
 
-def test_nobody_there_is_said():
+def test_an_absent_server_is_reported():
     with pytest.raises(Refused, match="crazychoir virtual"):
         ask_server({"ask": "state"}, port=9, deadline=0.1)
 
@@ -640,7 +640,7 @@ def test_more_drones_than_the_cameras_see_are_refused():
         select_from_swarm(config, None)
 
 
-def test_a_body_of_a_drone_that_cameras_see_is_not_hidden_by_one_that_they_do_not_see():
+def test_a_body_that_cameras_see_is_not_hidden_by_a_drone_that_they_do_not_see():
     drones = [
         {
             "id": 0,

@@ -241,7 +241,7 @@ def test_rates_are_those_of_the_whole_team(recorded, tmp_path):
     assert table["sent_1_s"][0] == 200.0
 
 
-def test_who_is_heard_later_or_no_more_says_no_messages_meanwhile(recorded):
+def test_a_drone_counts_no_messages_before_it_is_heard_or_after_it_is_lost(recorded):
     talk = read_team_messages(recorded(statuses(2), statuses(4, SAID[4:6])), BEGAN)
     assert talk.t[[0, -1]].tolist() == pytest.approx([0.5, 7.0])
     sent = dict(zip(talk.t.round(1).tolist(), talk.rates[:, 0].tolist(), strict=True))
@@ -532,7 +532,7 @@ def test_rounds_are_shown_by_their_spread_or_by_how_many_differ(recorded):
 NOWHERE = RecordedFlight((), np.zeros(0), np.zeros(0))
 
 
-def test_of_a_team_that_nobody_saw_there_is_what_it_said(recorded):
+def test_an_unseen_team_is_drawn_from_its_own_messages(recorded):
     """Without truth or state: all but the distances of a law."""
     path = recorded(statuses(2), law(), [(BEGAN + 8.0, 2, RESULT)])
     work, talk = read_activity(path, BEGAN), read_team_messages(path, BEGAN)

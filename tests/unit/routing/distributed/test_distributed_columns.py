@@ -256,7 +256,7 @@ def test_clusters_are_disjoint_hold_every_task_and_differ_from_pass_to_pass():
     assert any(draws[0] != other for other in draws[1:])
 
 
-def test_robots_whose_routes_lie_along_each_other_are_near():
+def test_robots_with_neighbouring_routes_are_near():
     points = [[0.0, 0.0], [0.0, 1.0], [9.0, 9.0], [9.0, 8.0]]
     raw = {
         "home": [[0.5, 0.0], [0.0, 0.5], [9.0, 9.0]],
@@ -578,7 +578,7 @@ def test_what_is_proven_stays_when_a_later_pass_is_cut(graph, monkeypatch):
     assert 0.5 * whole.lower_bound < part.lower_bound < whole.lower_bound
 
 
-def test_one_robot_whose_halves_are_too_many_prices_by_a_relaxation(graph, monkeypatch):
+def test_a_robot_with_too_many_half_routes_prices_by_a_relaxation(graph, monkeypatch):
     class Few(HalfRoutes):
         def __init__(self, vehicle, most):
             super().__init__(vehicle, 900)

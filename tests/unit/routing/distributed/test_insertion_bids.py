@@ -73,7 +73,7 @@ def test_plans_are_feasible_and_cost_no_less_than_the_best(graph, method, seed):
 
 
 @pytest.mark.parametrize("method", BIDDING_METHODS)
-def test_who_finds_no_room_says_for_what_at_all_robots(graph, method):
+def test_every_robot_names_the_task_that_no_route_has_room_for(graph, method):
     """The near robot takes the near task, and cannot reach the far one any more; the other may do the near one only."""
     raw = {
         "load": [1.0, 1.0],

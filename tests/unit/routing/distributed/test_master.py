@@ -123,7 +123,7 @@ def test_missing_robots_cost_what_a_robot_does_at_most(columns):
 
 
 @pytest.mark.parametrize("broken", [1, 2])
-def test_a_search_that_breaks_off_is_not_taken_for_one_that_found_nothing(
+def test_a_failed_search_is_retried_once_without_its_start_and_then_raises(
     columns, broken, monkeypatch
 ):
     """Once more without the start that it was given, and without presolve; then it is an error."""

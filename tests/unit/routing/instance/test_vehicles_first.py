@@ -198,7 +198,7 @@ def test_no_choice_of_columns_is_said_to_be_none():
     )
 
 
-def test_the_search_ends_with_the_vehicle_whose_home_is_near():
+def test_the_search_ends_with_the_vehicle_that_has_the_nearer_home():
     raw = {
         "home": [[90.0, 0.0], [0.0, 0.0]],
         "pickup": [[1.0, 0.0]],

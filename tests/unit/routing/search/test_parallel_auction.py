@@ -62,7 +62,7 @@ def test_a_full_robot_takes_nothing_in_between():
     assert Insertion(replace(v, load=np.array([1.0, 2.0]))).cheapest(one, 1) is None
 
 
-def test_who_may_not_or_has_no_way_left_takes_nothing():
+def test_a_vehicle_that_is_incapable_or_beyond_its_limit_takes_no_task():
     v = vehicle(2)
     extra, _ = Insertion(v).cheapest((), 0)
     assert (
@@ -126,7 +126,7 @@ def sold(vehicles, free, graph):
 
 @pytest.mark.parametrize("shape", ["ring", "path", "complete"])
 @pytest.mark.parametrize("seed", range(5))
-def test_every_task_is_sold_once_to_one_who_can(seed, shape):
+def test_every_task_is_sold_once_to_a_capable_robot(seed, shape):
     instance = random_instance(
         5, 12, seed, InstanceShape(capable=0.6, route_length_limit=60.0)
     )
@@ -148,7 +148,7 @@ def test_the_auction_does_not_depend_on_the_graph():
     )
 
 
-def test_what_nobody_can_serve_is_left_and_named_by_all():
+def test_a_task_that_no_robot_can_serve_is_left_and_named_by_all():
     instance = random_instance(3, 4, 1)
     vehicles = {
         i: replace(

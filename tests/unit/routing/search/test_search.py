@@ -274,7 +274,7 @@ def test_putting_routes_together_finds_more_than_the_same_steps_alone():
     assert np.mean(together) < np.mean(alone)
 
 
-def test_a_task_that_nobody_can_serve_is_missing():
+def test_a_task_that_no_vehicle_can_serve_is_reported_as_unserved():
     team, penalty = big()
     lame = [replace(v, capable=np.arange(24) != 7) for v in team]
     found = search_plan(lame, [[]] * 12, penalty, 100, 1)
