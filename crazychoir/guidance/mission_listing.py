@@ -59,7 +59,7 @@ def list_summaries() -> dict[str, str]:
 
 def read_summary(file: Path) -> str:
     """Return the first line of the docstring of a Python file; "" without a docstring."""
-    text = ast.get_docstring(ast.parse(file.read_text()))
+    text = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8")))
     return (text or "").partition("\n")[0]
 
 
@@ -134,7 +134,7 @@ def read_meanings(kind: type, file: Path) -> dict[str, str]:
     file: where the class is if its module is not imported by name, as that of a mission file.
     """
     module = sys.modules.get(kind.__module__)
-    source = Path(getattr(module, "__file__", None) or file).read_text()
+    source = Path(getattr(module, "__file__", None) or file).read_text(encoding="utf-8")
     found = {}
     for node in ast.parse(source).body:
         if not (isinstance(node, ast.ClassDef) and node.name == kind.__name__):

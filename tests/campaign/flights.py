@@ -309,7 +309,8 @@ def delivery(report: Report, draw: Draw) -> None:
     gone = {*watch.killed, watch.alone}
     by: dict[tuple[int, str], list[int]] = {}
     for i in agent.ids:
-        for stop in getattr(agent.drones[i].guidance, "served", []):
+        service = getattr(agent.drones[i].guidance, "service", None)
+        for stop in service.served if service else []:
             by.setdefault((stop["task"], stop["kind"]), []).append(i)
     for (j, kind), who in sorted(by.items()):
         report.holds(len(who) == 1, f"{kind} of task {j} by {who}")

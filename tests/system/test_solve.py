@@ -75,6 +75,7 @@ import gc, json, sys
 from numba.core.dispatcher import Dispatcher
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.distributed.plain_loop import compile_routing_kernels
+from crazychoir.solve.solve_options import SolveOptions
 from crazychoir.solve.solving import solve_here
 
 def compiled():
@@ -86,7 +87,7 @@ for method, several in (("columns", changes), ("resource-columns", changes[:-1])
         instance = Instance.parse(json.load(open(sys.argv[1])) | change)
         compile_routing_kernels(instance.local(0), method)
         before = compiled()
-        result = solve_here(instance, method=method)
+        result = solve_here(instance, SolveOptions(method=method))
         assert compiled() == before, (method, change, set(compiled().items()) - set(before.items()))
         assert result["wall_s"] > 0.0 < result["startup_s"]
 """

@@ -9,7 +9,7 @@ import pytest
 
 from crazychoir.cli.compute import solve
 from crazychoir.routing.distributed.pickup_delivery import PLANNING_METHODS
-from crazychoir.solve.solving import solve_here
+from crazychoir.solve.solve_options import SolveOptions
 
 HEAVY = {
     "numpy",
@@ -54,5 +54,5 @@ def test_solve_offers_the_methods_that_there_are():
     assert (
         solve.solve.__defaults__[0]
         == PLANNING_METHODS[0]
-        == solve_here.__kwdefaults__["method"]
+        == SolveOptions().method
     )
