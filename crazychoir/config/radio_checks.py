@@ -340,7 +340,7 @@ def carried_rate(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> float
     less = (
         _advise_fewer_commands(fits, least)
         if streamed
-        else "send poses at a lower pose_rate ([radio]),  "
+        else "send poses at a lower pose_rate ([radio]), "
     )
     do = f"Use more dongles, {less}or measure its capacity."
     raise ConfigError(f"dongle {dongle}", found, room, do, f"{sums}{each}{plans}")

@@ -296,12 +296,12 @@ async def test_the_doctor_names_the_certificate_that_is_not_accepted(lab):
 
     assert await found(lab.keys / "b") == ""
     assert await found(lab.keys / "nobody") == "No such file or directory"
-    assert "it does not accept the certificate of this host:  " in await found(
+    assert "it does not accept the certificate of this host: " in await found(
         pretender(lab)
     )
     elsewhere = lab.folder / "elsewhere"
     authority.make_authority(elsewhere)
-    assert "its certificate is not valid here:  " in await found(
+    assert "its certificate is not valid here: " in await found(
         authority.add_host(elsewhere, "b")
     )
 

@@ -106,7 +106,7 @@ def rerun(
     else:
         _show(told)
     if broken:
-        text = f"Not complete:  --record: {broken}; only the digests are compared"
+        text = f"Not complete: --record: {broken}; only the digests are compared"
         ERROR_CONSOLE.print(
             text, style="red", markup=False, highlight=False, soft_wrap=True
         )

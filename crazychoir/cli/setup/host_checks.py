@@ -87,7 +87,7 @@ def check_python(version: tuple[int, ...]) -> CheckResult:
         "python",
         "wrong",
         found,
-        "Create the environment again:  python3.13 -m venv ~/choir/venv",
+        "Create the environment again: python3.13 -m venv ~/choir/venv",
     )
 
 

@@ -240,7 +240,7 @@ def _poses(
         )
         raise Refused(
             f"body {name} of drone {drone}",
-            f"it is not visible; visible are:  {there}.",
+            f"it is not visible; visible are: {there}.",
         )
     return np.array([frame.time for frame in seen]), np.array(
         [frame.bodies[name] for frame in seen]

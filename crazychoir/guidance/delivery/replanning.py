@@ -320,5 +320,5 @@ def _read_message(value: Any) -> tuple[Any, list[int], list[int]]:
         return wire, list(map(int, bonds)), list(map(int, aboard))
     except (TypeError, ValueError, OverflowError) as error:
         raise CodecError(
-            f"planning: no task book and no commitments:  {error}"
+            f"planning: no task book and no commitments: {error}"
         ) from error

@@ -84,7 +84,7 @@ def _ask_part(
         except ValueError as error:
             raise Refused(
                 who,
-                f"the answer is not JSON:  {error}. Is it `crazychoir virtual`?",
+                f"the answer is not JSON: {error}. Is it `crazychoir virtual`?",
             ) from error
         if "error" in answer:
             raise Refused(who, answer["error"])

@@ -272,11 +272,11 @@ def test_other_hosts_are_asked_within_a_deadline(taken, free):
         == "wrong"
     )
     stranger = host_checks.check_other_host(
-        "b", "10.0.0.9", "connected", "its certificate is not valid here:  expired"
+        "b", "10.0.0.9", "connected", "its certificate is not valid here: expired"
     )
     assert (stranger.state, stranger.found) == (
         "wrong",
-        "10.0.0.9 answers, and its certificate is not valid here:  expired",
+        "10.0.0.9 answers, and its certificate is not valid here: expired",
     )
 
 

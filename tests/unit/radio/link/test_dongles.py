@@ -116,7 +116,7 @@ async def test_what_the_budget_lets_pass_comes_in_time_and_what_it_refuses_does_
         else:
             with pytest.raises(ConfigError, match="say 294 packets a second"):
                 compute_setpoint_rates(config)
-            assert "there and back" in link_problems(latency(), 1.0)[0]
+            assert "round trip" in link_problems(latency(), 1.0)[0]
 
 
 def test_a_late_computer_takes_no_time_of_the_radio():

@@ -103,7 +103,7 @@ def test_a_folder_that_cannot_be_written_costs_time_and_nothing_else(
     told = log_table()
     table.insert(7, told)
     assert table.fetch(7) is told
-    assert "not kept" in caplog.text
+    assert "not stored" in caplog.text
 
 
 def test_nothing_half_written_is_left(tmp_path, monkeypatch) -> None:
@@ -158,7 +158,7 @@ def test_without_a_home_they_are_known_to_this_process_and_one_line_says_so(
         assert table.fetch(crc) is told
     assert (
         caplog.text.count(
-            "cache: tables of contents: no home folder: they are not kept"
+            "cache: tables of contents: no home folder: they are not stored"
         )
         == 1
     )
