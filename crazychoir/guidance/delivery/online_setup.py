@@ -201,7 +201,7 @@ def require_servable_places(
 
 
 def _build_place_error(key: str, found: object, problem: str) -> ConfigError:
-    allowed = "places inside the fence, at least `clearance` from homes, and loads that somebody can carry"
+    allowed = "places inside the fence, at least `clearance` from homes, and loads that a drone can carry"
     return ConfigError(
         key,
         found,

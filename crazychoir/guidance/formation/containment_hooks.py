@@ -104,7 +104,7 @@ class ContainmentHooks(FormationHooks[ContainmentOptions]):
         if len(leaders) == len(config.ids):
             raise Refused(
                 "containment",
-                "every drone is a leader. Name only those that are not to be led.",
+                "every drone is a leader. Name only the drones that are not to be led.",
             )
         require_led(list_neighbors(config), leaders)
         self._require_stable(config, leaders)

@@ -152,7 +152,7 @@ class AssignmentHooks:
         done = [task for task, _ in pairs]
         ended = [result for result in results.values() if result.get("success")]
         why = [text for table in tables if (text := table["infeasible"])][-1:] or [
-            "nobody was left to do it"
+            "no robot was left to do it"
         ]
         left = {j: why[0] for result in ended for j in result["open"]}
         wrong = [

@@ -119,7 +119,7 @@ class TaskRoom:
         if not task.robots or any(i in flying for i in task.robots):
             return ""
         return (
-            f"drone {describe_ids(task.robots)}, who alone may serve it, does not fly"
+            f"drone {describe_ids(task.robots)}, which alone may serve it, does not fly"
         )
 
 

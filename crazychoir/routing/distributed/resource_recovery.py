@@ -74,7 +74,7 @@ class ResourceRecovery:
             self._urgency[open_tasks] += 1.0
         raise SolverError(
             f"robot {self._i}: claims on the tasks",
-            f"incomplete after {self._member.settings.prices.attempts} attempts: nobody's route has room for task(s) "
+            f"incomplete after {self._member.settings.prices.attempts} attempts: no route has room for task(s) "
             f"{', '.join(map(str, open_tasks))}; use the method columns",
         )
 

@@ -126,7 +126,7 @@ def test_however_a_mission_ends_its_drone_lands_and_says_the_result(does, result
         assert not found["success"]
         assert result in found["reason"]
         assert (
-            "test_agent.py" in found["reason"] or "mission_runner.py" in found["reason"]
+            "test_agent.py" in found["reason"] or "mission_result.py" in found["reason"]
         )
 
 

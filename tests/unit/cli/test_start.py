@@ -51,8 +51,4 @@ def test_its_version_is_told():
 def test_solve_offers_the_methods_that_there_are():
     option = solve.solve.__annotations__["method"].__metadata__[0]
     assert option.help == f"Recovery of the plan: {', '.join(PLANNING_METHODS)}."
-    assert (
-        solve.solve.__defaults__[0]
-        == PLANNING_METHODS[0]
-        == SolveOptions().method
-    )
+    assert solve.solve.__defaults__[0] == PLANNING_METHODS[0] == SolveOptions().method

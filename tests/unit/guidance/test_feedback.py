@@ -408,7 +408,7 @@ def forever(law):
         (forever, r"height\(\): found no end within 0.3 s"),
         (
             lambda law: np.array([0.5, 1.0]),
-            r"drone 0: height\(\): found ndarray \(2,\); allowed: 0 to 2.5 m.*one num",
+            r"drone 0: height\(\): found ndarray \(2,\); allowed: 0 to 2.5 m.*single num",
         ),
         (lambda law: np.ones(1), r"found ndarray \(1,\)"),
         (lambda law: "high", r"found str 'high'"),

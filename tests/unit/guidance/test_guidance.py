@@ -192,7 +192,7 @@ async def test_a_rise_waits_while_an_operator_holds_the_drone_and_ends_at_the_fe
 async def test_a_height_beyond_the_fence_is_refused_on_the_ground(clock):
     async with in_the_world(clock) as (guidance, pilot):
         with pytest.raises(
-            ConfigError, match=r"take_off\(\): found str '1'; .*one number"
+            ConfigError, match=r"take_off\(\): found str '1'; .*single number"
         ):
             await guidance.take_off("1")
         for bad in (2.51, -0.1, np.nan, np.inf):
@@ -359,7 +359,7 @@ async def test_a_mission_that_is_over_flies_nothing(clock):
                 Interrupted, match="drone 0: its mission has ended: landed on command"
             ):
                 await flight()
-        with pytest.raises(Interrupted, match="its mission is over"):
+        with pytest.raises(Interrupted, match="its mission has ended"):
             guidance.follow(FullState.at((1.0, 0.0, 1.0)))
         await guidance.land()
 

@@ -8,6 +8,7 @@ from crazychoir.bus.network.endpoints import (
     check_endpoint,
     zenoh_settings,
 )
+from crazychoir.config.addresses import Addresses
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 
@@ -58,7 +59,7 @@ def on(address):
 @pytest.mark.parametrize("address", GOOD)
 def test_an_address_that_the_file_allows_is_an_endpoint_of_the_agent(address):
     assert address_fault(address) == ""
-    endpoints = list(on(address).endpoints().values())
+    endpoints = list(Addresses(on(address)).endpoints().values())
     check_endpoint(endpoints, endpoints)
     assert zenoh_settings(endpoints, [], 1.0)["listen/endpoints"] == endpoints
 

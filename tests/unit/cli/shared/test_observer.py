@@ -384,7 +384,7 @@ def test_from_a_host_that_is_no_operator_nothing_is_commanded_and_the_reason_is_
         )
         swarm.bus.host = "b"
         with pytest.raises(
-            Refused, match=r"are those of b: drones obey and answer console, a alone"
+            Refused, match=r"are those of b: drones obey and answer only console, a"
         ):
             await work(swarm.window)
         swarm.bus.host = "console"

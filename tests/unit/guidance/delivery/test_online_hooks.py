@@ -209,7 +209,7 @@ RAW = {
         (
             {"end": [[1.0, 0.0], [1.0, 1.0]]},
             {},
-            r"mission_options\.instance = .*it has end; in flight",
+            r"mission_options\.instance = .*it has end; robots in flight",
         ),
         ({"open_tours": True}, {}, "it has open_tours"),
         ({"service_time": 2.0}, {}, "it has service_time"),

@@ -119,10 +119,18 @@ SOME = {"penalty": [2.0, None]}
             {},
             r"end\[0\] = \[2.0, 1.0\]: 0.30 m from the end of drone 1",
         ),
-        ({"time_windows": WINDOWS}, {}, "it has time_windows or release; in flight"),
-        ({"release": [2.0, 0.0]}, {}, "it has time_windows or release; in flight"),
-        ({"open_tours": True}, {}, "it has open_tours; in flight"),
-        ({"objective": "makespan"}, {}, "it has objective; in flight"),
+        (
+            {"time_windows": WINDOWS},
+            {},
+            "it has time_windows or release; robots in flight",
+        ),
+        (
+            {"release": [2.0, 0.0]},
+            {},
+            "it has time_windows or release; robots in flight",
+        ),
+        ({"open_tours": True}, {}, "it has open_tours; robots in flight"),
+        ({"objective": "makespan"}, {}, "it has objective; robots in flight"),
     ],
 )
 def test_an_instance_that_cannot_be_flown_is_refused_before_any_drone_flies(

@@ -183,7 +183,10 @@ async def test_a_link_that_is_late_in_flight_is_said_now_and_then(clock) -> None
     looking = asyncio.ensure_future(drone._look_after(kept))
     for supervisor, texts in (
         (READY, set()),
-        (READY | checks.ReadinessBit.FLYING, {"its link takes 0.40 s there and back"}),
+        (
+            READY | checks.ReadinessBit.FLYING,
+            {"its link takes 0.40 s for a round trip"},
+        ),
     ):
         tell(drone, supervisor)
         await clock.sleep(0.5)

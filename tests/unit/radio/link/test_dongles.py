@@ -64,7 +64,7 @@ async def test_drones_take_turns_whatever_one_of_them_asks_for(clock):
 
 
 def _speak(clock, dongle, seconds):
-    """Let its drones be told and say what those do that are sent places; s there and back, as asked, 95 of 100."""
+    """Let its drones be told and say what those do that are sent places; s for a round trip, as asked, 95 of 100."""
     trips = []
 
     def ask(i):
