@@ -23,7 +23,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help demo test check reference bench paper campaign clean
+.PHONY: help demo test check reference docs bench paper campaign clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -50,6 +50,9 @@ check: $(VENV)/.installed-test  ## ruff, its layout, mypy --strict and the impor
 reference: $(VENV)/.installed-test  ## write the generated tables of the READMEs: keys, commands, topics, safety
 	cd tests && ../$(BIN)/python -m reference
 
+docs: $(VENV)/.installed-docs  ## the documentation as a site: out/docs/index.html
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
 bench: $(VENV)/.installed-bench  ## measure, beside CycloneDDS and MPI
 	$(BIN)/crazychoir bench all
 
@@ -62,7 +65,7 @@ campaign: $(VENV)/.installed-test  ## ten thousand seeds of faults in virtual ti
 
 clean:  ## remove the environment and all caches; out/ stays
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
-	find agents crazychoir deploy tests -name __pycache__ -prune -exec rm -rf {} +
+	find agents crazychoir deploy docs tests -name __pycache__ -prune -exec rm -rf {} +
 
 $(VENV)/.created:
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' || \
@@ -77,6 +80,7 @@ $(VENV)/.installed: pyproject.toml $(VENV)/.created
 	@touch $@
 
 $(VENV)/.installed-%: pyproject.toml $(VENV)/.created
-	@echo "Installing crazychoir with its $* extra into $(VENV) (the first time it takes a minute or two)"
-	@$(PIP_INSTALL) --editable ".[$*]"
+	@echo "Installing crazychoir and its dependency group $* into $(VENV) (the first time it takes a minute or two)"
+	@$(PIP_INSTALL) 'pip>=25.1'  # the first one with --group
+	@$(PIP_INSTALL) --editable . --group $*
 	@touch $@ $(VENV)/.installed

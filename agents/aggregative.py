@@ -11,82 +11,13 @@ aggregative tracking. The drones with role = "intruder" are the intruders, in th
 defenders. Without such drones the intruders stand still.
 """
 
-from typing import Annotated, Any
-
-import numpy as np
-from msgspec import Meta
+from typing import Any
 
 from crazychoir import CFGuidance, SwarmConfig
-from crazychoir.config.drone_room import room_of
-from crazychoir.config.flight_room import room_text
-from crazychoir.config.tables import Hertz, Share, SwarmTable
-from crazychoir.errors import ConfigError
-from crazychoir.guidance.aggregative import Defence, Defender
-from crazychoir.guidance.mission_options import (
-    Duration,
-    Period,
-    Spot,
-    Spots,
-    given,
-    require_none,
-)
-from crazychoir.guidance.path_checks import require_inside
-from crazychoir.guidance.timed import TIMED_FLIGHT_LIMITS, TimedFlight
-from crazychoir.planning.feasibility import Limits
-from crazychoir.planning.goal import timed_goals
-from crazychoir.planning.piecewise import Piecewise
-from crazychoir.recording.analysis.tracks import draw_ways
-from crazychoir.team.graph import Graph, metropolis
-from crazychoir.types import FullState, Mat, Vec
-
-Results = dict[int, dict[str, Any]]
-"""The results of all drones, by id."""
-INTRUDER_ROLE = "intruder"
-"""`role` of an intruder."""
-STANDING_INTRUDERS = ((-1.0, 1.0), (-1.0, -1.0), (1.0, 0.0))
-"""(2,) m each: default places of intruders that stand still."""
-DEFENDER_HOMES = ((0.2, 1.2), (-1.2, -1.0), (1.2, -0.8))
-"""(2,) m each: homes of the defenders."""
-DEFENDER_TOLERANCE = 0.02
-"""m: largest distance from a defender's place at the end, when the intruders stand."""
-LARGEST_DELAY = 1.5
-"""s: largest delay of a defender behind a moving optimum."""
-TRANSIENT_TIME = 4.0
-"""s of the law in which the team converges; this time does not count for the delay."""
-
-
-Weight = Annotated[float, Meta(ge=0, le=1000)]
-Weights = Annotated[
-    tuple[Weight, Weight, Weight],
-    Meta(
-        description="weights [intruder, target, team], each 0 to 1000",
-        examples=[[1.0, 1.0, 1.0]],
-    ),
-]
-Legs = Annotated[
-    int, Meta(ge=1, le=100, description="a number of legs, 1 to 100", examples=[3])
-]
-
-
-class Options(SwarmTable, frozen=True, kw_only=True):
-    """[mission_options]."""
-
-    target: Spot = (0.0, 0.0)
-    """(2,) m."""
-    intruders: Spots = STANDING_INTRUDERS
-    """(2,) m each: places of the intruders that stand still."""
-    weights: Weights = (1.0, 1.0, 1.0)
-    """Weights of intruder, target and team."""
-    step_size: Share = 0.05
-    """Step size of the aggregative tracking."""
-    round_rate: Hertz = 20.0
-    """Hz: rounds a second."""
-    duration: Duration = 12.0
-    """s: duration of the law, if the intruders stand still."""
-    leg: Period = 15.0
-    """s: time of an intruder from its home to the next intruder's home."""
-    legs: Legs = 3
-    """Number of legs that an intruder flies."""
+from crazychoir.guidance.aggregative import Defender
+from crazychoir.guidance.defaults import aggregative as defaults
+from crazychoir.guidance.timed import TimedFlight
+from crazychoir.team.graph import metropolis
 
 
 class Observed(CFGuidance):
@@ -102,285 +33,36 @@ class Observed(CFGuidance):
         return {}
 
 
+Options = defaults.DefenceOptions
+hooks = defaults.DefenceHooks(Options)
+swarm = hooks.swarm
+goal = hooks.goal
+check = hooks.check
+report = hooks.report
+picture = hooks.picture
+
+
 def guidance(i: int, config: SwarmConfig) -> CFGuidance:
     """Return the guidance of drone i: a defender, or an intruder that flies or is observed."""
-    options = given(config, Options)
     drone = config.drone(i)
-    if drone.role != INTRUDER_ROLE:
-        law = defender(i, config, options)
-        law.duration = duration(config)
-        return law
+    if drone.role != defaults.INTRUDER_ROLE:
+        return defender(i, config)
     if drone.uri.startswith("replay://"):
-        return Observed(duration(config))
-    return TimedFlight(round_of(i, config))
+        return Observed(hooks.duration(config))
+    return TimedFlight(hooks.path(i, config))
 
 
-def defender(i: int, config: SwarmConfig, options: Options) -> Defender:
+def defender(i: int, config: SwarmConfig) -> Defender:
     """Return defender i with its own intruder and the weights of the team's graph."""
-    team = mates(config)
-    defence = Defence(np.array(options.target), *options.weights)
-    flying = intruders(config)
-    k = team.ids.index(i)
-    intruder = flying[k] if flying else np.array(options.intruders[k])
-    return Defender(
+    options = hooks.given(config)
+    team = defaults.build_defender_graph(config)
+    law = Defender(
         team.neighbors(i),
-        defence,
-        intruder,
+        hooks.defence(config),
+        hooks.intruder(i, config),
         metropolis(team)[i],
         options.step_size,
         options.round_rate,
     )
-
-
-def defenders(config: SwarmConfig) -> list[int]:
-    """Return the ids of all drones but the intruders."""
-    return [i for i in config.ids if config.drone(i).role != INTRUDER_ROLE]
-
-
-def intruders(config: SwarmConfig) -> list[int]:
-    """Return the ids of the intruders that fly."""
-    return [i for i in config.ids if config.drone(i).role == INTRUDER_ROLE]
-
-
-def mates(config: SwarmConfig) -> Graph:
-    """Return the graph of the defenders alone."""
-    team = defenders(config)
-    return Graph.from_edges(
-        team, [(a, b) for a, b in config.graph().edges() if a in team and b in team]
-    )
-
-
-def duration(config: SwarmConfig) -> float:
-    """Return the duration of the law in s: until flying intruders have stood still for a while."""
-    options = given(config, Options)
-    return (
-        options.legs * options.leg + 4.0 + TIMED_FLIGHT_LIMITS.rest_time
-        if intruders(config)
-        else options.duration
-    )
-
-
-def round_of(i: int, config: SwarmConfig) -> Piecewise:
-    """Return the legs of an intruder: from its home to the next intruder's home, and on."""
-    options = given(config, Options)
-    flight = config.flight
-    team = intruders(config)
-    z = flight.ground + flight.takeoff_height
-    k = team.index(i)
-    places = [
-        [*config.drone(team[(k + n) % len(team)]).home[:2], z]
-        for n in range(options.legs + 1)
-    ]
-    goals = [[options.leg * n, *places[n], 0.0] for n in range(1, options.legs + 1)]
-    limits = Limits(
-        v_max=flight.speed_limit,
-        a_max=flight.acceleration_limit,
-        low=config.fence.min,
-        high=config.fence.max,
-    )
-    way = timed_goals(FullState.at(places[0]), np.array(goals), limits)
-    require_inside(way, config, i, f"swarm {config.name}: drone {i}")
-    return way
-
-
-def swarm(drones: int | None = None) -> SwarmConfig:
-    """Return three defenders in a path graph, with three intruders that stand still."""
-    return SwarmConfig.of(
-        {
-            "name": "defence",
-            "mission": "aggregative",
-            "graph": "path",
-            "drones": [
-                {"id": i, "home": [*home, 0.0]} for i, home in enumerate(DEFENDER_HOMES)
-            ],
-        }
-    )
-
-
-def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """Check that each defender has an intruder, and hears it if it flies.
-
-    The defenders must be connected without the intruders.
-    Raises ConfigError if not.
-    """
-    options = given(config, Options)
-    team = defenders(config)
-    flying = intruders(config)
-    require_none(config)
-    where = f"swarm {config.name}"
-    graph = config.graph()
-    many = len(flying) if flying else len(options.intruders)
-    if many != len(team):
-        what = (
-            'drones with role = "intruder"'
-            if flying
-            else "places in mission_options.intruders"
-        )
-        raise ConfigError(
-            f"{where}: intruders",
-            f"{many} {what}",
-            f"{len(team)}: one for each defender",
-        )
-    if not graph.is_undirected or not mates(config).is_connected:
-        found = (
-            "a directed graph"
-            if not graph.is_undirected
-            else f"defenders {team} are not connected by themselves"
-        )
-        raise ConfigError(
-            f"{where}: graph",
-            found,
-            "an undirected graph that joins all defenders",
-            "Add an edge.",
-        )
-    for i, j in zip(team, flying, strict=False):
-        if j not in graph.in_neighbors(i):
-            do = f"Add the edge [{i}, {j}]."
-            raise ConfigError(
-                f"{where}: graph",
-                f"no edge {i}-{j}",
-                "defenders hear their intruders",
-                do,
-            )
-    intruder, target, together = options.weights
-    if min(intruder + target, intruder + together) <= 0.0:
-        allowed = "intruder + target above 0 and intruder + team above 0: else there is no one optimum"
-        raise ConfigError(
-            f"{where}: mission_options.weights", list(options.weights), allowed
-        )
-    for j in flying:
-        round_of(j, config)
-    if not flying:
-        _require_inside(config, goal(config))
-    return []
-
-
-def _require_inside(config: SwarmConfig, places: dict[int, Vec]) -> None:
-    for i, p in places.items():
-        low, high = room_of(config, i)
-        if not (np.all(p >= low) and np.all(p <= high)):
-            found = f"drone {i} would end at {np.round(p, 2).tolist()}"
-            do = "Move target or intruders, or widen [fence]."
-            raise ConfigError(
-                f"swarm {config.name}: mission_options",
-                found,
-                room_text(low, high),
-                do,
-            )
-
-
-def goal(config: SwarmConfig) -> dict[int, Vec]:
-    """Return the places of the defenders at the optimum, if the intruders stand still, else {}."""
-    options = given(config, Options)
-    team = defenders(config)
-    if intruders(config) or len(options.intruders) != len(team):
-        return {}
-    best = Defence(np.array(options.target), *options.weights).optimum(
-        np.array(options.intruders)
-    )
-    height = config.flight.ground + config.flight.takeoff_height
-    return {i: np.array([*p, height]) for i, p in zip(team, best, strict=True)}
-
-
-def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
-    """Report the defenders' distance from the optimum, at the end and on the way, and their
-    delay.
-    """
-    team = defenders(config)
-    if away := [i for i in team if "way" not in results.get(i, {})]:
-        return {
-            "success": False,
-            "reasons": dict.fromkeys(away, "it has not defended to the end"),
-        }
-    t, flown, wanted = ways(config, results)
-    far = np.linalg.norm(flown - wanted, axis=2)
-    moving = t > TRANSIENT_TIME
-    moves = (
-        bool(moving.any())
-        and float(np.ptp(wanted[moving], axis=0).max()) > DEFENDER_TOLERANCE
-    )
-    late = lag(t, flown, wanted) if moves else 0.0
-    reasons = {
-        i: f"{end:.3f} m from its place between intruder and target at the end, allowed {DEFENDER_TOLERANCE} m"
-        for i, end in zip(team, far[-1].tolist(), strict=True)
-        if end > DEFENDER_TOLERANCE
-    }
-    if late > LARGEST_DELAY:
-        reasons[team[0]] = (
-            f"the defenders follow {late:.2f} s late, allowed {LARGEST_DELAY} s"
-        )
-    return {
-        "success": not reasons,
-        "reasons": reasons,
-        "places": {
-            i: np.round(p, 3).tolist() for i, p in zip(team, flown[-1], strict=True)
-        },
-        "optimum": {
-            i: np.round(p, 3).tolist() for i, p in zip(team, wanted[-1], strict=True)
-        },
-        "final_error_m": float(far[-1].max()),
-        "rounds_made": min(results[i]["rounds"] for i in team),
-        **(
-            {
-                "lag_s": late,
-                "following_rms_m": float(np.sqrt(np.mean(far[moving] ** 2))),
-            }
-            if moves
-            else {}
-        ),
-    }
-
-
-def ways(config: SwarmConfig, results: Results) -> tuple[Vec, Mat, Mat]:
-    """Return the flown and the optimal places over time.
-
-    Returns times (T,) s of the law.
-    Returns places of the defenders, (T, N, 2) m.
-    Returns places at the optimum of each time, (T, N, 2) m.
-    """
-    options = given(config, Options)
-    team = defenders(config)
-    rows = min(
-        min(len(results[i]["way"]), len(results[i]["intruder_way"])) for i in team
-    )
-    flown = np.array([np.array(results[i]["way"])[:rows, 1:3] for i in team])
-    seen = np.array([np.array(results[i]["intruder_way"])[:rows, 1:3] for i in team])
-    defence = Defence(np.array(options.target), *options.weights)
-    wanted = np.array([defence.optimum(seen[:, k]) for k in range(rows)])
-    return np.array(results[team[0]]["way"])[:rows, 0], flown.swapaxes(0, 1), wanted
-
-
-def lag(t: Vec, flown: Mat, wanted: Mat) -> float:
-    """Return the delay in s of `flown` after the transient.
-
-    It is the shift of `wanted` that fits `flown` best.
-
-    t: (T,) s.
-    flown: (T, N, 2) m.
-    wanted: (T, N, 2) m.
-    """
-    shifts = np.arange(0.0, 3.0, 0.02)
-    inner = t > TRANSIENT_TIME
-    series = wanted.reshape(len(t), -1).T
-
-    def misfit(shift: float) -> float:
-        moved = np.array([np.interp(t[inner] - shift, t, row) for row in series]).T
-        return float(np.sum((flown.reshape(len(t), -1)[inner] - moved) ** 2))
-
-    return float(shifts[np.argmin([misfit(shift) for shift in shifts])])
-
-
-def picture(config: SwarmConfig, results: Results, path: str) -> None:
-    """Draw the paths of the defenders and their intruders, and the distances from the optimum."""
-    team = defenders(config)
-    t, flown, wanted = ways(config, results)
-    far = np.linalg.norm(flown - wanted, axis=2).T
-    draw_ways(
-        path,
-        {i: results[i]["way"][: len(t)] for i in team},
-        dict(zip(team, far, strict=True)),
-        "distance from the optimum [m]",
-        dict(zip(team, wanted[-1], strict=True)),
-        {i: results[i]["intruder_way"] for i in team},
-        given(config, Options).target,
-    )
+    law.duration = hooks.duration(config)
+    return law

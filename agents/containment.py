@@ -4,262 +4,70 @@ crazychoir run containment --fast
 crazychoir run deploy/containment_random.toml --fast    # edges that come and go
 """
 
-from typing import Annotated, Any, Literal
-
 import numpy as np
-from msgspec import Meta
 
 from crazychoir import CFDistributedFeedback, SwarmConfig
-from crazychoir.bus.impairment import random_draws as draws
-from crazychoir.config.tables import Share
-from crazychoir.errors import ConfigError, Refused
-from crazychoir.guidance.formation import leader
-from crazychoir.guidance.formation.leader import LeaderOptions
-from crazychoir.guidance.formation.modes import AccelerationChain, compute_mode_margin
-from crazychoir.guidance.formation.rigidity import (
-    distance_to_hull,
-    grounded_laplacian,
-    require_led,
+from crazychoir.guidance.formation.containment_hooks import (
+    ContainmentHooks,
+    ContainmentOptions,
 )
-from crazychoir.guidance.mission_options import Gain, given
-from crazychoir.recording.analysis.tracks import draw_tracks
-from crazychoir.runtime.clock import NS_PER_SECOND
-from crazychoir.types import Acceleration, Heard, State, Vec
-
-Results = dict[int, dict[str, Any]]
-"""The results of all drones, by id."""
-HULL_TOLERANCE = 0.02
-"""m: a follower farther outside of the hull is not inside."""
+from crazychoir.guidance.formation.formation_hooks import Follower
+from crazychoir.guidance.formation.random_edges import RandomEdges, count_ticks
+from crazychoir.types import Acceleration, Heard, State
 
 
-Edges = Annotated[
-    Literal["static", "random"],
-    Meta(description='"static" or "random"', examples=["random"]),
-]
-
-
-class Options(LeaderOptions, frozen=True, kw_only=True):
-    """[mission_options]."""
-
-    edges: Edges = "static"
-    """Edges that always count, or random edges."""
-    share: Share = 0.5
-    """Share of its neighbours that a drone chooses in each tick, for random edges."""
-    kp: Gain = 0.8
-    """1/s2."""
-    kv: Gain = 1.6
-    """1/s."""
-
-
-class Containment(CFDistributedFeedback):
+class Containment(Follower):
     """u_i = - 1/(d_i s^2) sum_j c_ij(k) [ kp (p_i - p_j) + kv (v_i - v_j) ]
 
     d_i is the number of neighbours of i. Static edges: c_ij = 1, s = 1. Random edges: in tick k
     each drone chooses each of its neighbours with probability s. c_ij(k) = 1 if i chose j and j
     chose i, else 0. The mean of the law is therefore that of static edges.
 
-    k counts the periods of the team's time, and each draw is a function of (seed, i, j, k). Both
-    ends of an edge compute the same draw without a message, even if they have missed messages.
-
     Where the law is at rest each follower is at the mean of its neighbours, so in the hull of the
     leaders.
 
-    i: id of the drone.
-    neighbors: ids that drone i hears.
+    edges: to the neighbours that drone i hears, with c_ij(k) and s.
     kp: 1/s2.
     kv: 1/s.
-    share: s, 1 for static edges.
-    seed: seed of the draws.
     Source: Ji, Ferrari-Trecate, Egerstedt & Buffa 2008, IEEE TAC 53(8), for single integrators.
     """
 
-    def __init__(
-        self,
-        i: int,
-        neighbors: tuple[int, ...],
-        kp: float,
-        kv: float,
-        share: float,
-        seed: int,
-    ) -> None:
-        self.neighbors = neighbors
+    def __init__(self, edges: RandomEdges, kp: float, kv: float) -> None:
+        self.edges = edges
         self.kp = kp
         self.kv = kv
-        self.share = share
-        self.keys = {
-            j: (draws.draw_key(seed, i, j), draws.draw_key(seed, j, i))
-            for j in neighbors
-        }
-
-    def height(self) -> float | None:
-        """Return the height in the drone's options, so that it may start outside the plane."""
-        return leader.height_of(self.member.config, self.id)
 
     def step(self, me: State, heard: Heard) -> Acceleration:
         """Return the acceleration of the law, over the edges that count in this tick."""
-        clock = self.member.clock
-        return self.pulled(
-            me,
-            heard,
-            (clock.epoch_ns + clock.now_ns()) // round(NS_PER_SECOND / self.rate),
-        )
+        return self.pulled(me, heard, count_ticks(self.member.clock, self.rate))
 
     def pulled(self, me: State, heard: Heard, k: int) -> Acceleration:
         """Return the acceleration of the law in tick k."""
         u = np.zeros(3)
-        weight = 1.0 / (len(self.neighbors) * self.share**2)
-        for j in self.neighbors:
-            if j in heard and self.counts(j, k):
+        weight = 1.0 / (len(self.edges.neighbors) * self.edges.share**2)
+        for j in self.edges.neighbors:
+            if j in heard and self.edges.counts(j, k):
                 u -= weight * (
                     self.kp * (me.p - heard[j].p) + self.kv * (me.v - heard[j].v)
                 )
         return Acceleration(u)
 
-    def counts(self, j: int, k: int) -> bool:
-        """Return whether both ends of the edge to j have chosen it in tick k."""
-        return all(
-            draws.draw(key, k, 0) < self.share * draws.RANDOM_DRAWS.range_size
-            for key in self.keys[j]
-        )
+
+Options = ContainmentOptions
+hooks = ContainmentHooks(Options)
+DroneOptions = hooks.drone_options
+swarm = hooks.swarm
+goal = hooks.goal
+check = hooks.check
+report = hooks.report
+picture = hooks.picture
 
 
 def guidance(i: int, config: SwarmConfig) -> CFDistributedFeedback:
     """Return the law of drone i: the law of a leader or of a follower."""
-    options = given(config, Options)
     if config.drone(i).leader:
-        return leader.leader_of(i, config, options)
-    law = Containment(
-        i,
-        config.graph().in_neighbors(i),
-        options.kp,
-        options.kv,
-        share(options),
-        config.seed,
-    )
-    law.duration = leader.duration_of(config, options)
+        return hooks.leader(i, config)
+    options = hooks.given(config)
+    law = Containment(hooks.edges(i, config), options.kp, options.kv)
+    law.duration = hooks.duration(config)
     return law
-
-
-def share(options: Options) -> float:
-    """Return the share of its neighbours that a drone chooses in each tick; 1 for static edges."""
-    return options.share if options.edges == "random" else 1.0
-
-
-def swarm(drones: int | None = None) -> SwarmConfig:
-    """Return four leaders on a square of 2.4 m, and four followers outside of it.
-
-    Each follower hears two leaders and two followers.
-    """
-    if drones not in (None, 8):
-        raise ConfigError("--drones", drones, "8", "Or write a swarm file.")
-    inner = [(1.2, 1.2), (-1.2, 1.2), (-1.2, -1.2), (1.2, -1.2)]
-    outer = [(0.5, 2.2), (-2.2, 0.5), (-0.5, -2.2), (2.2, -0.5)]
-    edges = [[4 + k, leader] for k in range(4) for leader in (k, (k + 1) % 4)]
-    edges += [[4 + k, 4 + (k + 1) % 4] for k in range(4)]
-    return SwarmConfig.of(
-        {
-            "name": "containment",
-            "mission": "containment",
-            "edges": edges,
-            "drones": [
-                {"id": i, "home": [*p, 0.0], "leader": i < 4}
-                for i, p in enumerate(inner + outer)
-            ],
-        }
-    )
-
-
-def goal(config: SwarmConfig) -> dict[int, Vec]:
-    """Return the equilibrium with the leaders at their last places: L_ff p_f = - L_fl p_l.
-
-    Each follower is at the mean of its neighbours.
-    """
-    leaders = leader.leaders_at_last(config, given(config, Options))
-    l_ff, l_fl = grounded_laplacian(_neighbors(config), leaders)
-    p = -np.linalg.solve(l_ff, l_fl @ np.array([leaders[i] for i in sorted(leaders)]))
-    return leaders | dict(
-        zip((i for i in config.ids if i not in leaders), p, strict=True)
-    )
-
-
-def check(config: SwarmConfig, force: bool = False) -> list[str]:
-    """Check the graph, the gains and the paths of the leaders.
-
-    Raises Refused for a follower that no leader reaches, and for gains that are not stable. Raises
-    ConfigError for paths that the leaders cannot fly.
-    """
-    options = given(config, Options)
-    leaders = leader.leaders_of(config)
-    if len(leaders) == len(config.ids):
-        raise Refused(
-            "containment",
-            "every drone is a leader. Name only those that are not to be led.",
-        )
-    require_led(_neighbors(config), leaders)
-    _require_stable(config, options, leaders)
-    leader.require_flyable(config, options)
-    return []
-
-
-def _require_stable(
-    config: SwarmConfig, options: Options, leaders: dict[int, Vec]
-) -> None:
-    """Raise Refused for gains that are not stable if all edges count in each tick.
-
-    Random edges all count for a while, now and then.
-    """
-    chosen = share(options)
-    kp = options.kp / chosen**2
-    kv = options.kv / chosen**2
-    eigenvalues = np.abs(
-        np.linalg.eigvals(grounded_laplacian(_neighbors(config), leaders)[0])
-    ).tolist()
-    both = 2 * eigenvalues, [n < len(eigenvalues) for n in range(2 * len(eigenvalues))]
-    if compute_mode_margin(*both, kp, kv, AccelerationChain()) <= 0.0:
-        of, do = (
-            (f" over share^2 = {chosen**2:.3g}", ", or raise share")
-            if chosen < 1.0
-            else ("", "")
-        )
-        text = f"kp = {options.kp:g}, kv = {options.kv:g}{of} are unstable behind the attitude loop. Lower them{do}."
-        raise Refused("containment", text)
-
-
-def report(config: SwarmConfig, results: Results) -> dict[str, Any]:
-    """Check that every follower has come into the hull of the leaders' places."""
-    flown = {
-        i: np.array(result["place"])
-        for i, result in results.items()
-        if "place" in result
-    }
-    corners = [flown[i] for i in leader.leaders_of(config) if i in flown]
-    outside = {
-        i: distance_to_hull(corners, p)
-        for i, p in flown.items()
-        if not config.drone(i).leader and corners
-    }
-    reasons = {
-        i: f"{far:.3f} m outside of the leaders' hull"
-        for i, far in outside.items()
-        if far > HULL_TOLERANCE
-    }
-    return {
-        "outside_m": max(outside.values(), default=None),
-        "success": not reasons,
-        "reasons": reasons,
-    }
-
-
-def picture(config: SwarmConfig, results: Results, path: str) -> None:
-    """Draw the flown paths from above."""
-    draw_tracks(
-        results,
-        path,
-        leaders=list(leader.leaders_of(config)),
-        edges=config.graph().edges(),
-    )
-
-
-def _neighbors(config: SwarmConfig) -> dict[int, tuple[int, ...]]:
-    graph = config.graph()
-    return {i: graph.in_neighbors(i) for i in graph.ids}

@@ -6,13 +6,9 @@ Their plans are independent and meet at one height. The collision filter guides 
 other.
 """
 
-from typing import Any
-
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.agents import goto
 
-Results = dict[int, dict[str, Any]]
-"""The results of all drones, by id."""
 FLIGHT_ENDS = ((-1.0, 0.1), (1.0, -0.1))
 """(2,) m each: the two places."""
 START_TIME = 3.0
@@ -23,9 +19,11 @@ FLIGHT_HEIGHT = 1.0
 """m: height of the flight."""
 
 
-def guidance(i: int, config: SwarmConfig) -> CFGuidance:
-    """Return the guidance of drone i: it flies to the start of the other drone."""
-    return goto.guidance(i, config)
+Options = goto.Options
+goal = goto.goal
+check = goto.check
+report = goto.report
+picture = goto.picture
 
 
 def swarm(drones: int | None = None) -> SwarmConfig:
@@ -51,7 +49,6 @@ def swarm(drones: int | None = None) -> SwarmConfig:
     )
 
 
-check = goto.check
-goal = goto.goal
-report = goto.report
-picture = goto.picture
+def guidance(i: int, config: SwarmConfig) -> CFGuidance:
+    """Return the guidance of drone i: it flies to the start of the other drone."""
+    return goto.guidance(i, config)

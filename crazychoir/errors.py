@@ -34,7 +34,7 @@ class ErrorTexts:
     """Reason to show when an error was raised without a reason."""
     flying_advice: str = (
         "Lower the loss, or give it a longer deadline or another policy; "
-        "`crazychoir status` says who flies."
+        "`crazychoir status` shows which drones fly."
     )
     """Advice for a round that timed out in a team that flies."""
     simulated_advice: str = (

@@ -7,14 +7,17 @@ from typing import Any
 
 from campaign.hosts import hosts
 
+from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
 from crazychoir.bus.port import Bus
+from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.runtime.clock import Clock, run_virtual
+from crazychoir.team import graph as graphs
 from crazychoir.team.barrier import Barrier
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph, GraphSequence
-from crazychoir.team.messages import Roster
+from crazychoir.team.messages import Roster, RosterMessage, TeamHeartbeat
 
 
 @dataclass
@@ -163,3 +166,72 @@ def as_graph_says(graph: Graph, k: int, heard: dict[int, Any], gone: int = -1) -
     return {
         i: tuple(j for j in js if j != gone) for i, js in heard[k].items() if i != gone
     } == needed
+
+
+class HeldAt:
+    """Rounds that are held from one round on."""
+
+    def __init__(self, first_held_round: int) -> None:
+        self.first_held_round = first_held_round
+
+    def hold(self) -> int:
+        return self.first_held_round
+
+
+class Alone:
+    """Barrier i of `graph`; what it sends to the others is kept in `sent`, and their messages are made by hand."""
+
+    def __init__(self, t: Team, i: int, members: dict[int, int]) -> None:
+        self.t, self.barrier, self.port = t, t.start(i), t.bus.ports[i]
+        self.sent: list[tuple[int, Any]] = []
+        self.numbers = dict.fromkeys(t.graph.ids, 0)
+        for j in t.graph.ids:
+            if j != i:
+                t.bus.port(j).handlers[MESSAGE_TOPICS.roster.number] = self._keep(j)
+        self.roster = Roster(1, members, [], False, 0, 0, "abc", "1")
+        self.barrier.rosters.adopt(self.roster)
+
+    def _keep(self, j: int) -> Callable[..., None]:
+        return lambda source, payload, *rest: self.sent.append((j, decode(payload)))
+
+    def beat(
+        self,
+        j: int,
+        epoch: int,
+        checksum: int = 0,
+        incarnation: int = 1,
+        lost: tuple[int, ...] = (),
+    ) -> None:
+        beat = TeamHeartbeat(
+            incarnation, epoch, checksum, (self.barrier.id,), lost, "abc"
+        )
+        self.port.deliver(
+            MESSAGE_TOPICS.heartbeat.number,
+            j,
+            encode(beat.wire()),
+            1,
+            "heartbeat",
+            0,
+            0.0,
+        )
+
+    def tell(self, j: int, message: RosterMessage) -> None:
+        self.port.deliver(
+            MESSAGE_TOPICS.roster.number,
+            j,
+            message.wire(),
+            self.numbers[j],
+            "1",
+            0,
+            0.0,
+        )
+        self.numbers[j] += 1
+
+
+def alone(
+    i: int, members: dict[int, int], story: Callable[[Alone], Awaitable[None]]
+) -> None:
+    async def main(t: Team) -> None:
+        await story(Alone(t, i, members))
+
+    team(graphs.complete(4), main)

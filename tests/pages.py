@@ -23,12 +23,13 @@ ROOMS = (
 FRONT_PAGE = "README.md"
 PAGES = (
     FRONT_PAGE,
+    "CONTRIBUTING.md",
     "crazychoir/README.md",
     "agents/README.md",
     "deploy/README.md",
     *(f"crazychoir/{room}/README.md" for room in ROOMS),
 )
-"""The front page, and the page of each folder that a user or maintainer enters."""
+"""The front page, the page for contributors, and the page of each folder that a user or maintainer enters."""
 
 
 def page(file: str) -> str:

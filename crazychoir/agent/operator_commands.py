@@ -16,7 +16,7 @@ from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import Refused
 from crazychoir.flight.homecoming import compute_return_height
-from crazychoir.guidance.guidance import FLYING_MODES
+from crazychoir.guidance.flights import FLYING_MODES
 from crazychoir.guidance.member import (
     HELD_FLIGHT_PATIENCE,
     Member,

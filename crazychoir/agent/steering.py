@@ -12,7 +12,8 @@ from msgspec import Meta, Struct
 from crazychoir.agent.drone import Drone
 from crazychoir.bus.codec import MAX_PAYLOAD
 from crazychoir.errors import ConfigError, Refused
-from crazychoir.guidance.guidance import FLIGHT_LIMITS, require_feasible
+from crazychoir.guidance.flights import FLIGHT_LIMITS
+from crazychoir.guidance.guidance import require_feasible
 from crazychoir.guidance.member import describe_state
 from crazychoir.guidance.turns import is_blocked
 from crazychoir.planning.piecewise import POLYNOMIAL_DEGREE, Piecewise
@@ -139,7 +140,7 @@ class Steering:
         if not pilot.steerable:
             flies = pilot.mode in (Mode.HOVER, Mode.FOLLOW)
             self._refuse(
-                "its mission flies it: hold it first"
+                "its mission controls it: hold the drone first"
                 if flies
                 else f"it is {pilot.mode.value}"
             )

@@ -2,7 +2,7 @@
 
 A quadrotor flies an eight at 1 m/s at most while its heading turns, by differential flatness.
 Cameras see it with noise, with independent dropouts and with one gap. The error is the root
-mean square of the length of the error vector over all ticks after the first SETTLE s,
+mean square of the length of the error vector over all ticks after the first FILTER_BENCH.settling_time s,
 including ticks without a pose.
 """
 
@@ -256,18 +256,16 @@ class TrueFlight:
 def true_state(t: float) -> tuple[Vec, Vec]:
     """Return the state (13,) and the command (4,) at t s.
 
-        u_1 = OFF thrust,  u_2..4 = w + RATE_LAG w'
+        u_1 = FILTER_BENCH.thrust_factor thrust,  u_2..4 = w + RATE_LAG w'
         w = log(q(t)^-1 q(t + h)) / h by central differences
 
-    The commanded thrust is wrong by the factor OFF. The commanded rates lead the flown rates by
+    The commanded thrust is wrong by the factor FILTER_BENCH.thrust_factor. The commanded rates lead the flown rates by
     RATE_LAG, because the drone reaches them later.
     """
     h = 1e-3
-    (p, v, q, thrust), before, after = (
-        _flat_output(t),
-        _flat_output(t - h)[2],
-        _flat_output(t + h)[2],
-    )
+    p, v, q, thrust = _flat_output(t)
+    before = _flat_output(t - h)[2]
+    after = _flat_output(t + h)[2]
     first = _rotation_between(before, q) / h
     second = _rotation_between(q, after) / h
     w = 0.5 * (first + second)

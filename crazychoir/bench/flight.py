@@ -287,7 +287,7 @@ def measure_profile(drones: int, plant: Plant = "lightweight") -> dict[str, floa
 
 @contextmanager
 def sample_rooms(seen: Counter[str]) -> Iterator[Callable[[bool], None]]:
-    """Count the room of the running code every SAMPLE s of processor time.
+    """Count the room of the running code every SPEED_BENCH.profile_interval s of processor time.
 
     Yields a function that starts the counting with True and stops it with False.
     """

@@ -29,7 +29,7 @@ from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.mission import Mission
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import ANSWER_CONSOLE, exit_with_error
-from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.runtime.clock import NS_PER_SECOND, Clock, run_wall
 from crazychoir.safety.rules.modes import Mode
@@ -281,7 +281,10 @@ def latency(
 def ten_robot_instance() -> Instance:
     """Return ten robots and fifteen tasks in a room of 10 m, with routes of at most 25 m."""
     return random_instance(
-        10, 15, seed=1, loads=(1, 1), capacities=(2, 3), route_length_limit=25.0
+        10,
+        15,
+        seed=1,
+        shape=InstanceShape(loads=(1, 1), capacities=(2, 3), route_length_limit=25.0),
     )
 
 

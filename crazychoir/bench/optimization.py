@@ -5,7 +5,6 @@ of the local problem, in one run. They differ in how agents are divided among pr
 messages travel, and how many exchanges a round needs.
 """
 
-import importlib.util
 import os
 from collections.abc import Callable
 from typing import Any
@@ -14,7 +13,7 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from crazychoir.bench.exchange import NOT_INSTALLED_NOTE, ExchangeRow, measure
+from crazychoir.bench.harness import ProgramRow, fill_table, measure_in_turns
 
 MEASURED_ALGORITHMS = ("consensus", "dual decomposition")
 PROMISED_RATIOS = {"consensus": 10.0, "dual decomposition": 3.0}
@@ -39,17 +38,7 @@ def run(
         seconds = 0.5
         repeats = 1
     rows = _rows((10,) if quick else (10, 20))
-    for turn in range(repeats):
-        for row in rows:
-            if row.extra and any(
-                importlib.util.find_spec(name) is None for name in (row.extra, "dill")
-            ):
-                row.note = NOT_INSTALLED_NOTE
-                continue
-            what = f"{row.options['algorithm']}, {row.graph} of {row.agents}, {row.processes} process(es)"
-            say(f"{turn + 1}/{repeats}: {row.name}, {what}")
-            measure(row, seconds)
-    shown = [row.shown() for row in rows]
+    shown = measure_in_turns(rows, seconds, repeats, say)
     return {
         "rows": shown,
         "ratios": ratios(shown),
@@ -59,23 +48,23 @@ def run(
     }
 
 
-def _rows(agents: tuple[int, ...]) -> list[ExchangeRow]:
+def _rows(agents: tuple[int, ...]) -> list[ProgramRow]:
     rows = []
     for n in agents:
         for algorithm in MEASURED_ALGORITHMS:
             options = {"algorithm": algorithm}
             rows += [
-                ExchangeRow("crazychoir", "rounds", "ring", n, p, options=options)
+                ProgramRow("crazychoir", "rounds", "ring", n, p, options=options)
                 for p in (1, 2)
             ]
             rows.append(
-                ExchangeRow(
+                ProgramRow(
                     DISROPT_PATTERN,
                     "mpi4py_rounds",
                     "ring",
                     n,
                     n,
-                    "mpi4py",
+                    ("mpi4py", "dill"),
                     options=options,
                 )
             )
@@ -121,33 +110,7 @@ def table(result: dict[str, Any]) -> Table:
     """Return the rows as a table."""
     title = "Distributed algorithms on a ring: medians of one run"
     made = Table(title=title, box=box.SIMPLE_HEAD, padding=0, show_edge=False)
-    for name in (
-        "algorithm",
-        "agents",
-        "program",
-        "processes",
-        "rounds/s",
-        "CPU us/message",
-    ):
-        made.add_column(
-            name, justify="left" if name in ("algorithm", "program") else "right"
-        )
-    for row in result["rows"]:
-        rounds = row["rounds_per_s"]
-        cpu = row["cpu_us_per_message"]
-        figures = [
-            "-" if figure is None else f"{figure:,.1f}" for figure in (rounds, cpu)
-        ]
-        made.add_row(
-            row["algorithm"],
-            str(row["agents"]),
-            row["name"],
-            str(row["processes"]),
-            *figures,
-        )
-    notes = dict.fromkeys(
-        f"{row['name']}: {row['note']}" for row in result["rows"] if "note" in row
-    )
+    notes = fill_table(made, result["rows"], "algorithm")
     for ratio in result["ratios"]:
         times = "-" if ratio["ratio"] is None else f"{ratio['ratio']:g}"
         notes[

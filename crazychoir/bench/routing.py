@@ -7,7 +7,6 @@ package's own checker.
 
 import importlib.util
 import json
-import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -21,20 +20,17 @@ from rich.console import Group as Shown
 from rich.table import Table
 from rich.text import Text
 
-from crazychoir.bench.exchange import (
-    BARE_PACKAGE_PROGRAM,
-    NOT_INSTALLED_NOTE,
-    PACKAGE_FOLDER,
-)
+from crazychoir.bench.harness import NOT_INSTALLED_NOTE, peer_command
 from crazychoir.bench.significance import compare_pairs, relative_excess, spread
 from crazychoir.errors import ConfigError, CrazyChoirError, error_text
-from crazychoir.routing.distributed.member import RoutingSettings
+from crazychoir.routing.distributed.member import ProofSettings, RoutingSettings
 from crazychoir.routing.distributed.pickup_delivery import PLANNING_METHODS
 from crazychoir.routing.instance.checker import check_plan
-from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.plan import Route, RoutePlan
 from crazychoir.solve.group import ProgramGroup
+from crazychoir.solve.solve_options import SolveOptions
 from crazychoir.solve.solving import solve_here
 from crazychoir.solve.team import merge_best_points, solve_in_processes
 from crazychoir.team.graph import graph_from_name
@@ -45,7 +41,7 @@ INSTANCE_SIZES = {
     "middle": (20, 40),
     "large": (50, 100),
 }
-"""Robots and tasks, in a room of 10 m by 10 m, with routes of at most LIMIT m."""
+"""Robots and tasks, in a room of 10 m by 10 m, with routes of at most ROUTING_BENCH.route_length_limit m."""
 INSTANCE_COUNTS = {"tiny": 5, "small": 20, "middle": 5, "large": 5}
 """Number of instances of each size, if the command line does not give it."""
 
@@ -135,7 +131,7 @@ def run(
     graph: communication graph of the team
     method: method of the team, None for the default
     prove: whether the team also tries to prove an optimum, in a run of its own, for the sizes in
-        PROVABLE
+        ROUTING_BENCH.provable_sizes
     quick: two tiny instances, and OR-tools for 1 s
     say: called with a text that says what is being measured
     Raises ConfigError for an unknown size, graph or method.
@@ -224,10 +220,12 @@ def _rows(
         lambda: solve_in_processes(
             instance,
             ROUTING_BENCH.team_processes,
-            method=method,
-            loss=ROUTING_BENCH.message_loss,
-            graph=_graph(graph, robots),
-            seed=seed,
+            SolveOptions(
+                method=method,
+                loss=ROUTING_BENCH.message_loss,
+                graph=_graph(graph, robots),
+                seed=seed,
+            ),
         ),
     )
     yield head | {"name": TEAM_ROW} | ours
@@ -242,10 +240,12 @@ def _rows(
                     instance,
                     lambda rival=rival: solve_here(  # type: ignore[misc]
                         instance,
-                        method=rival,
-                        loss=ROUTING_BENCH.message_loss,
-                        graph=_graph(graph, robots),
-                        seed=seed,
+                        SolveOptions(
+                            method=rival,
+                            loss=ROUTING_BENCH.message_loss,
+                            graph=_graph(graph, robots),
+                            seed=seed,
+                        ),
                     ),
                 )
                 if known
@@ -269,7 +269,7 @@ def _prove_with_team(
     """Return the row of the team when it runs until it has proven what it can."""
     say(f"{size} {seed}: proof")
     instance = _instance(size, seed)
-    settings = RoutingSettings(prove=True)
+    settings = RoutingSettings(proof=ProofSettings(prove=True))
     return (
         _head(size, seed)
         | {"name": PROOF_ROW}
@@ -278,11 +278,13 @@ def _prove_with_team(
             lambda: solve_in_processes(
                 instance,
                 ROUTING_BENCH.team_processes,
-                method=method,
-                loss=ROUTING_BENCH.message_loss,
-                graph=_graph(graph, instance.robots),
-                seed=seed,
-                settings=settings,
+                SolveOptions(
+                    method=method,
+                    loss=ROUTING_BENCH.message_loss,
+                    graph=_graph(graph, instance.robots),
+                    seed=seed,
+                    settings=settings,
+                ),
             ),
         )
     )
@@ -290,7 +292,9 @@ def _prove_with_team(
 
 def _instance(size: str, seed: int) -> Instance:
     return random_instance(
-        *INSTANCE_SIZES[size], seed, route_length_limit=ROUTING_BENCH.route_length_limit
+        *INSTANCE_SIZES[size],
+        seed,
+        InstanceShape(route_length_limit=ROUTING_BENCH.route_length_limit),
     )
 
 
@@ -308,15 +312,7 @@ def measure_peer(
     with tempfile.TemporaryDirectory(prefix="crazychoir-bench-") as folder:
         file = Path(folder) / "instance.json"
         file.write_text(json.dumps(instance.to_json()), encoding="utf-8")
-        spec = json.dumps(options | {"instance": str(file)})
-        command = [
-            sys.executable,
-            "-c",
-            BARE_PACKAGE_PROGRAM,
-            str(PACKAGE_FOLDER),
-            f"crazychoir.bench.peers.{peer.module}",
-            spec,
-        ]
+        command = peer_command(peer.module, options | {"instance": str(file)})
         try:
             with ProgramGroup([command]) as group:
                 ((_, answer),) = group.answers(

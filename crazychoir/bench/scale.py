@@ -11,12 +11,9 @@ A model is fitted to the cells by non-negative least squares of relative errors:
 A step has four messages. `far` is the additional cost of a message to another process.
 """
 
-import json
 import random
 import secrets
 import statistics
-import sys
-import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
@@ -28,11 +25,10 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from crazychoir.bench.exchange import BARE_PACKAGE_PROGRAM, PACKAGE_FOLDER
+from crazychoir.bench.harness import ask_peers, peer_command, share_agents
 from crazychoir.config.addresses import LOCAL_ADDRESS
 from crazychoir.launch.namespaces import SwitchedNamespaces, make_switched_namespaces
 from crazychoir.launch.network import reserve_ports
-from crazychoir.solve.group import ProgramGroup
 from crazychoir.team.graph import k_regular
 
 
@@ -214,22 +210,16 @@ def measure(n: int, p: int, seconds: float, namespaces: bool) -> ScaleCell:
             if namespaces
             else None
         )
-        began = time.perf_counter()
         base = stack.enter_context(
             reserve_ports(dict.fromkeys(range(p), LOCAL_ADDRESS))
         )
-        group = stack.enter_context(
-            ProgramGroup(peer_commands(neighbors, p, seconds, hosts, addresses, base))
+        peers = ask_peers(
+            peer_commands(neighbors, p, seconds, hosts, addresses, base),
+            p,
+            SCALE_BENCH.start_deadline,
+            SCALE_BENCH.warm_up_time + seconds + 30.0,
         )
-        list(group.answers(p, SCALE_BENCH.start_deadline, "do not find each other"))
-        start = time.perf_counter() - began
-        group.tell("go")
-        found = [
-            answer
-            for _, answer in group.answers(
-                p, SCALE_BENCH.warm_up_time + seconds + 30.0, "do not answer"
-            )
-        ]
+    found = peers.answers
     total = {
         key: sum(one[key] for one in found)
         for key in ("cpu", "steps", "messages", "frames", "bytes", "memory")
@@ -247,7 +237,7 @@ def measure(n: int, p: int, seconds: float, namespaces: bool) -> ScaleCell:
         total["bytes"],
         total["cpu"],
         total["memory"],
-        start,
+        peers.start_s,
         max(one["threads"] for one in found),
     )
 
@@ -277,21 +267,14 @@ def peer_commands(
     made = []
     for k in range(p):
         own = {
-            "mine": [i for i in range(n) if i * p // n == k],
+            "mine": share_agents(n, p, k),
             "process": f"{k}-scale",
             "host": f"h{k}",
             "listen": [ends[k]],
             "connect": ends[:k],
         }
         inside = hosts.command(f"h{k}") if hosts is not None else []
-        program = [
-            sys.executable,
-            "-c",
-            BARE_PACKAGE_PROGRAM,
-            str(PACKAGE_FOLDER),
-            "crazychoir.bench.peers.scale",
-        ]
-        made.append([*inside, *program, json.dumps({**common, **own})])
+        made.append([*inside, *peer_command("scale", {**common, **own})])
     return made
 
 
@@ -365,7 +348,7 @@ def fit_model(name: str, cells: list[ScaleCell]) -> FittedModel:
 
 
 def estimate_hosts(fits: dict[str, FittedModel]) -> list[dict[str, float]]:
-    """Return what HOSTS hosts with EACH agents each need at RATE rounds/s.
+    """Return what the hosts of HOST_ESTIMATE need, with its agents a host and its rounds a second.
 
     The first row has one process a host, the second one process a core.
     All neighbours are on other hosts, and no two messages share a frame. This is the worst case:

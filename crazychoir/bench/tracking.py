@@ -219,7 +219,7 @@ def fly_controllers(plant: Plant, name: Path, chosen: Controls) -> Errors | None
     """Return the errors of a flight with controllers that see the true state; None if it is lost.
 
     They are counted from the start of the path. A lightweight drone obeys at once, a drone at the
-    motor level DELAY s later.
+    motor level TRACKING_BENCH.command_delay s later.
     """
     figure = path_trajectory(name)
     [world] = make_worlds(

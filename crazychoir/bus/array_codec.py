@@ -57,7 +57,7 @@ class ArrayPayload(IntEnum):
 Payload = bytes | bytearray | memoryview
 Encode = Callable[[Any], bytes]
 Decode = Callable[[Any], Any]
-W = TypeVar("W", bound=Wire)
+WireType = TypeVar("WireType", bound=Wire)
 
 _LITTLE_ENDIAN_DTYPES = [
     np.dtype(np.dtype(name).newbyteorder("<").str)
@@ -122,7 +122,7 @@ def decode_array(payload: Payload) -> Any:
 
 
 def flat_layout(
-    cls: type[W], tag: int, size: int, more: int = 0
+    cls: type[WireType], tag: int, size: int, more: int = 0
 ) -> tuple[Encode, Decode]:
     """Return the codec of a wire type of one (size,) vector, then
     floats, then a (more,) vector if more is not 0.
@@ -152,7 +152,7 @@ def flat_layout(
         numbers: bytes = vector.tobytes()
         return pack(tag, *values[1:]) + numbers
 
-    def decode_flat(payload: Payload) -> W:
+    def decode_flat(payload: Payload) -> WireType:
         if len(payload) != length:
             raise CodecError(
                 f"payload: {len(payload)} bytes; allowed for {cls.__name__}: {length}."
@@ -163,7 +163,7 @@ def flat_layout(
 
 
 def _flat_layout_of_two(
-    cls: type[W], tag: int, size: int, more: int
+    cls: type[WireType], tag: int, size: int, more: int
 ) -> tuple[Encode, Decode]:
     """Return the codec of a wire type of two vectors."""
     floats = len(cls.__struct_fields__) - 2
@@ -194,7 +194,7 @@ def _flat_layout_of_two(
             last = _read_vector(last, shapes[1])
         return pack(tag, *values[1:-1]) + first.tobytes() + last.tobytes()  # type: ignore[no-any-return]
 
-    def decode_flat(payload: Payload) -> W:
+    def decode_flat(payload: Payload) -> WireType:
         if len(payload) != length:
             raise CodecError(
                 f"payload: {len(payload)} bytes; allowed for {cls.__name__}: {length}."

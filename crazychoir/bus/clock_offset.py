@@ -42,7 +42,7 @@ class OffsetEstimate(NamedTuple):
 class ClockOffset:
     """The offset of the clock of another process to ours, from our questions and its answers.
 
-        theta = ((t2 - t1) + (t3 - t4)) / 2,   error <= ((t4 - t1) - (t3 - t2)) / 2 + DRIFT age
+        theta = ((t2 - t1) + (t3 - t4)) / 2,   error <= ((t4 - t1) - (t3 - t2)) / 2 + CLOCK_DRIFT age
 
     t1: ns, our clock: the question leaves
     t2: ns, other clock: the question arrives
@@ -50,7 +50,7 @@ class ClockOffset:
     t4: ns, our clock: the answer arrives
     age: seconds since t4
 
-    Of the last SAMPLES answers, the one with the smallest error counts. It mostly has the shortest
+    The answer with the smallest error counts, among the last OFFSET_SAMPLES. It mostly has the shortest
     way. An answer that contradicts it comes from another clock, because the host was restarted or
     has slept: all older answers are forgotten.
     Source: RFC 5905, sections 8 and 10.

@@ -22,7 +22,7 @@ from crazychoir.bus.array_codec import (
     Decode,
     Encode,
     Payload,
-    W,
+    WireType,
     decode_array,
     decode_vector,
     encode_array,
@@ -56,6 +56,8 @@ WIRE_LAYOUTS: Final[dict[str, tuple[int, ...]]] = {
     "Velocity": (42, 3),
     "Plan": (43, 0),
     "LinkStatus": (44, 0),
+    "HoldRequest": (45, 0),
+    "HoldAnswer": (46, 0),
 }
 """Wire types by class name: (kind, n) or (kind, n, m).
 
@@ -125,10 +127,10 @@ def decode(payload: Payload, limit: int = MAX_PAYLOAD) -> Any:
         raise CodecError(f"payload: cannot be decoded: {error_text(error)}") from error
 
 
-def register(cls: type[W]) -> type[W]:
-    """Let a wire type travel; its kind is in LAYOUTS. Can be used as a decorator.
+def register(cls: type[WireType]) -> type[WireType]:
+    """Let a wire type travel; its kind is in WIRE_LAYOUTS. Can be used as a decorator.
 
-    Raises CodecError if LAYOUTS does not have the type, or a field has an unsuitable type.
+    Raises CodecError if WIRE_LAYOUTS does not have the type, or a field has an unsuitable type.
     """
     if cls.__name__ not in WIRE_LAYOUTS:
         raise CodecError(
@@ -161,7 +163,7 @@ def _decode_float(payload: Payload) -> float:
     return number
 
 
-def _make_wire_codec(cls: type[W], tag: int) -> tuple[Encode, Decode]:
+def _make_wire_codec(cls: type[WireType], tag: int) -> tuple[Encode, Decode]:
     """Return the codec of a wire type with any fields.
 
     The body is the msgpack of their list, checked against their types on arrival. Arrays are

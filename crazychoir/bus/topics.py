@@ -87,8 +87,6 @@ class Topic:
 NEVER_STALE = float("inf")
 """Maximum age of values that never become stale."""
 
-# From one drone's actors to each other and to observers.
-
 
 @dataclass(frozen=True, slots=True)
 class DroneTopics:
@@ -196,9 +194,6 @@ class DroneTopics:
 DRONE_TOPICS = DroneTopics()
 
 
-# From a drone to its body in another process: it replaces COMMAND after the motors are cut.
-
-
 @dataclass(frozen=True, slots=True)
 class MessageTopics:
     """Topics of messages that are sent to given receivers: to drones and operators along an edge,
@@ -216,6 +211,8 @@ class MessageTopics:
         impaired=False,
         wire="edge",
     )
+    """From a drone to its body in another process; it replaces the command after the motors are cut.
+    """
     """Cut of the motors, from a drone to its body in another process. It replaces the command.
     """
     rounds: Topic = Topic(

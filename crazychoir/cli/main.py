@@ -1,18 +1,15 @@
 """crazychoir: fly missions, solve instances, inspect and command a running swarm."""
 
-import time
-from contextlib import nullcontext
+from collections.abc import Callable
+from enum import StrEnum
 from importlib.metadata import version
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
 from crazychoir.cli.compute import simulate, solve
-from crazychoir.cli.fly import virtual
-from crazychoir.cli.operate import dashboard, orders, param, task
-from crazychoir.cli.operate import go_to as steer
-from crazychoir.cli.operate import inspect as look
+from crazychoir.cli.fly import missions, run, virtual
+from crazychoir.cli.operate import dashboard, go_to, inspect, orders, param, task
 from crazychoir.cli.recordings import convert, plot, record, render, replay, rerun, ros
 from crazychoir.cli.setup import (
     doctor,
@@ -23,56 +20,75 @@ from crazychoir.cli.setup import (
     rigid_bodies,
     router,
 )
-from crazychoir.errors import ConfigError, CrazyChoirError, refuse_exit
-from crazychoir.launch import number_options as options
-from crazychoir.launch.console import (
-    ANSWER_CONSOLE,
-    CommandOutputs,
-    LiveTable,
-    build_status_table,
-    build_summary_table,
-    exit_interrupted,
-    exit_with_error,
-    redirect_prints,
-    require_drawable,
-    set_up_logging,
-    write_json,
-)
+from crazychoir.launch.console import ANSWER_CONSOLE
 from crazychoir.launch.process import ending
-from crazychoir.numerics.compiling import KERNEL_QUEUE
 
-if TYPE_CHECKING:
-    from crazychoir.config.swarm_config import SwarmConfig
-    from crazychoir.guidance.mission import Mission
+
+class CommandGroup(StrEnum):
+    """Groups of the commands in --help, in the order in which a user needs them."""
+
+    fly = "Fly"
+    operate = "Operate a running swarm"
+    recordings = "Work with recordings"
+    compute = "Compute without flight"
+    setup = "Set up hosts and drones"
+
+
+ORDER_COMMANDS = {
+    verb: orders.make_order_command(verb, orders.ORDER_TIMEOUTS[verb])
+    for verb in orders.ORDER_HELP
+}
+"""The flight commands, by name."""
+COMMANDS_BY_GROUP: dict[CommandGroup, dict[str, Callable[..., None]]] = {
+    CommandGroup.fly: {"run": run.run, "missions": missions.missions},
+    CommandGroup.operate: {
+        "status": inspect.status,
+        "dashboard": dashboard.dashboard,
+        **ORDER_COMMANDS,
+        "stop": orders.stop,
+        "go-to": go_to.go_to,
+        "fly": go_to.fly,
+        "impair": inspect.impair,
+        "topics": inspect.topics,
+        "echo": inspect.echo,
+        "hz": inspect.hz,
+        "ros": ros.ros,
+    },
+    CommandGroup.recordings: {
+        "record": record.record,
+        "replay": replay.replay,
+        "plot": plot.plot,
+        "render": render.render,
+        "rerun": rerun.rerun,
+        "convert": convert.convert,
+    },
+    CommandGroup.compute: {"solve": solve.solve, "simulate": simulate.simulate},
+    CommandGroup.setup: {
+        "doctor": doctor.doctor,
+        "push": push.push,
+        "router": router.router,
+        "identify": identify.identify,
+    },
+}
+"""The commands of each group, by name, in the order of --help."""
+COMMANDS_WITH_PARTS: dict[CommandGroup, dict[str, typer.Typer]] = {
+    CommandGroup.operate: {"param": param.app, "task": task.app},
+    CommandGroup.setup: {
+        "keys": keys.app,
+        "radio": radio.app,
+        "mocap": rigid_bodies.app,
+        "virtual": virtual.app,
+    },
+}
+"""The commands of each group that have commands of their own."""
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
-app.command()(solve.solve)
-app.command()(simulate.simulate)
-app.command()(plot.plot)
-app.command()(render.render)
-app.command()(rerun.rerun)
-app.command()(convert.convert)
-app.command()(ros.ros)
-app.command()(record.record)
-app.command()(replay.replay)
-app.command()(identify.identify)
-app.command()(dashboard.dashboard)
-app.command()(doctor.doctor)
-app.command()(router.router)
-app.command()(push.push)
-for command in (look.topics, look.echo, look.hz, look.status, look.impair, orders.stop):
-    app.command()(command)
-for verb in orders.ORDER_HELP:
-    app.command(name=verb)(orders.make_order_command(verb, orders.ORDER_TIMEOUTS[verb]))
-
-app.command(name="go-to")(steer.go_to)
-app.command()(steer.fly)
-app.add_typer(keys.app, name="keys")
-app.add_typer(param.app, name="param")
-app.add_typer(radio.app, name="radio")
-app.add_typer(task.app, name="task")
-app.add_typer(virtual.app, name="virtual")
-app.add_typer(rigid_bodies.app, name="mocap")
+for group, commands in COMMANDS_BY_GROUP.items():
+    for name, command in commands.items():
+        app.command(name=name, rich_help_panel=group)(command)
+for group, parts in COMMANDS_WITH_PARTS.items():
+    for name, part in parts.items():
+        app.add_typer(part, name=name, rich_help_panel=group)
 
 
 def _print_version(wanted: bool) -> None:
@@ -86,7 +102,10 @@ def crazychoir(
     tell: Annotated[
         bool,
         typer.Option(
-            "--version", is_eager=True, callback=_print_version, help="Tell it and end."
+            "--version",
+            is_eager=True,
+            callback=_print_version,
+            help="Print the version and exit.",
         ),
     ] = False,
 ) -> None:
@@ -94,222 +113,18 @@ def crazychoir(
 
 
 @app.command(
+    rich_help_panel=CommandGroup.compute,
     add_help_option=False,
     context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
 )
 def bench(context: typer.Context) -> None:
-    """Measure speed and accuracy, beside other programs in the same run."""
+    """Measure speed and accuracy, beside other programs."""
     # The import takes 1 s, for which other commands need not wait.
     from crazychoir.cli.compute.bench import (
         app as benches,
     )
 
     benches(context.args, prog_name=context.command_path)
-
-
-@app.command()
-def run(
-    what: Annotated[
-        str,
-        typer.Argument(
-            help="Mission in agents/, mission file (.py) or swarm file (.toml)."
-        ),
-    ],
-    drones: Annotated[
-        int | None, options.size("So many drones, if the mission can.")
-    ] = None,
-    only: Annotated[
-        str | None,
-        typer.Option(
-            help="Start only these drones of a swarm file here, as 3,4; others start the rest."
-        ),
-    ] = None,
-    processes: Annotated[
-        int | None, options.size("So many processes (else one a drone).")
-    ] = None,
-    fast: Annotated[
-        bool,
-        typer.Option(help="Virtual time: one process, as fast as it goes, repeatable."),
-    ] = False,
-    loss: Annotated[
-        float | None, options.share("Share of messages between drones that is lost.")
-    ] = None,
-    seed: Annotated[
-        int | None, options.seed("Seed, instead of the swarm file's.")
-    ] = None,
-    swarm: Annotated[str | None, typer.Option(help="Swarm file for a mission.")] = None,
-    force: Annotated[
-        bool,
-        typer.Option(help="Fly what the mission warns of: slow formations, crowds."),
-    ] = False,
-    wait: Annotated[
-        bool,
-        typer.Option(
-            "--wait", help="Wait for an operator: `crazychoir take-off`, then `start`."
-        ),
-    ] = False,
-    picture: Annotated[
-        Path | None, typer.Option(help="Where to draw the picture (PNG).")
-    ] = None,
-    record: Annotated[
-        Path | None, typer.Option(help="New file to record the flight into (.mcap).")
-    ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
-    ] = False,
-) -> None:
-    """Fly a mission on this machine; Ctrl-C lands the drones."""
-    set_up_logging()
-    with KERNEL_QUEUE.checks_first():
-        from crazychoir.cli.shared.chosen_swarm import (  # takes 1 s, which --help does not need
-            check_options,
-            drones_to_start,
-            resolve_swarm_file,
-            swarm_and_mission_to_run,
-            with_operator,
-        )
-        from crazychoir.guidance.mission import check_before_flight
-        from crazychoir.launch.extras import require_extras
-        from crazychoir.launch.flight import (
-            fly_fast,
-            fly_real,
-            list_dongles,
-            list_owners,
-        )
-        from crazychoir.launch.network import hold_isolated_swarm, write_swarm_file
-        from crazychoir.launch.recording import open_recording_file
-        from crazychoir.launch.run_registry import RunRecord, record_run
-        from crazychoir.radio.link.ownership import require_free
-
-    outputs = CommandOutputs()
-    given = {
-        "--fast": fast,
-        "--processes": processes,
-        "--picture": picture,
-        "--drones": drones,
-    }
-    try:
-        check_options(what, swarm, only, given)
-        with redirect_prints(), refuse_exit("the mission"):
-            with KERNEL_QUEUE.checks_first():
-                config, mission = swarm_and_mission_to_run(
-                    what, drones, swarm, loss, seed
-                )
-                config = with_operator(config, wait, fast)
-                require_drawable(picture)
-                started = drones_to_start(only, config)
-                source = resolve_swarm_file(what, swarm)
-                require_extras(
-                    config, [] if fast else list_owners(config, started), fast
-                )
-                if not fast:
-                    require_free(config, list_dongles(config, started))
-                named = {} if source is None else {"swarm": config.name}
-                warned = check_before_flight(mission, config, force)
-            began = time.perf_counter()
-            KERNEL_QUEUE.compile()
-            compiled_s = time.perf_counter() - began
-            with LiveTable(build_status_table, enabled=not as_json) as progress:
-                for text in warned:
-                    progress.say(text)
-                as_it_is = fast or only is not None
-                own = (
-                    nullcontext(config)
-                    if as_it_is
-                    else hold_isolated_swarm(config, processes, keeps_port=True)
-                )
-                with (
-                    own as config,
-                    open_recording_file(record, config, mission, virtual=fast) as file,
-                ):
-                    if fast:
-                        result = fly_fast(config, mission, progress, file)
-                    else:
-                        with (
-                            write_swarm_file(config) as path,
-                            record_run(RunRecord(config.name, what, source, str(path))),
-                        ):
-                            progress.say(
-                                f"Look into it (or echo, hz, land, stop): crazychoir status --swarm {path}"
-                            )
-                            flags = ["--force"] if force else []
-                            result = fly_real(
-                                path,
-                                config,
-                                mission,
-                                flags,
-                                progress,
-                                progress.say,
-                                started,
-                                file,
-                            )
-            result["startup_s"] += compiled_s
-            result["picture"] = None
-            with outputs.writing("--picture"):
-                result["picture"] = _draw_mission(mission, config, result, picture)
-                if picture is not None and result["picture"] is None:
-                    do = "The mission's own picture() draws it: see what it said above."
-                    raise ConfigError(
-                        "--picture",
-                        f"{picture}, which was not drawn",
-                        "a picture by the mission",
-                        do,
-                    )
-            del result["tracks"]
-            result = named | result | outputs.told
-    except CrazyChoirError as error:
-        exit_with_error(error, as_json)
-    except KeyboardInterrupt:
-        exit_interrupted(as_json)
-    _show(result, as_json)
-    outputs.say()
-    raise typer.Exit(0 if result["success"] and not outputs.failed else 1)
-
-
-def _draw_mission(
-    mission: "Mission", config: "SwarmConfig", result: dict[str, Any], path: Path | None
-) -> str | None:
-    """Draw the picture of the mission; a mission without a picture gets the flown paths.
-
-    Returns the path of the picture, or None if no picture is requested or the mission's own
-    picture() did not write the file.
-    """
-    if path is None:
-        return None
-    from crazychoir.guidance.mission import has_hook
-    from crazychoir.recording.analysis.tracks import draw_tracks
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    tracks = result["tracks"]
-    flown = {i: {**r, "track": tracks[i]} for i, r in result["results"].items()}
-    if has_hook(mission, "picture"):
-        before = _version(path)
-        mission.picture(config, flown, str(path))
-        if _version(path) == before:
-            return None
-    else:
-        draw_tracks(
-            flown, path, leaders=[drone.id for drone in config.drones if drone.leader]
-        )
-    return str(path)
-
-
-def _version(path: Path) -> tuple[int, ...] | None:
-    """Return values that change when the file is written: inode, size and ns of its last change.
-
-    Returns None if there is no file.
-    """
-    if not path.exists():
-        return None
-    about = path.stat()
-    return about.st_ino, about.st_size, about.st_mtime_ns
-
-
-def _show(result: dict[str, Any], as_json: bool) -> None:
-    if as_json:
-        write_json(result)
-    else:
-        ANSWER_CONSOLE.print(build_summary_table(result))
 
 
 def main() -> None:

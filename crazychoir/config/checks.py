@@ -221,7 +221,7 @@ def _check_known(ids: list[int], named_ids: tuple[int, ...], key: str) -> None:
                 key,
                 show_value(named_ids),
                 f"this swarm has {describe_ids(ids)}",
-                f"Add a [[drones]] with id = {j}, or mend the list.",
+                f"Add a [[drones]] with id = {j}, or correct the list.",
                 f"there is no drone {j}",
             )
 
@@ -245,7 +245,7 @@ def _check_roles(swarm: Swarm, where: str) -> None:
                 f"{where}: drones[{n}].role",
                 show_value(drone.role),
                 allowed,
-                "Mend the name.",
+                "Correct the name.",
                 problem,
             )
 
@@ -531,7 +531,7 @@ def _check_pose_age(swarm: Swarm, where: str) -> None:
         raise ConfigError(
             f"{where}: mocap",
             f"latency {mocap.latency:g} s, rate {mocap.rate:g} Hz",
-            f"at most {SWARM_LIMITS.oldest_pose:g} s: a drone whose pose is older brakes",
+            f"at most {SWARM_LIMITS.oldest_pose:g} s: a drone with an older pose brakes",
             "Lower the latency, or raise the rate.",
             f"poses get {oldest:.3g} s old before the next one comes",
         )
@@ -576,7 +576,7 @@ def _check_security(swarm: Swarm, where: str) -> None:
     if not is_secured(swarm):
         return
     if not swarm.hosts:
-        do = "Add [hosts], or leave security.insecure out: nobody else reaches this machine's own addresses."
+        do = "Add [hosts], or leave security.insecure out: no other host reaches this machine's own addresses."
         raise ConfigError(
             f"{where}: security.insecure", "false", "a swarm with [hosts]", do
         )
@@ -607,7 +607,7 @@ def _check_placement(swarm: Swarm, where: str) -> None:
                 f"{where}: drones[{n}].host",
                 show_value(drone.host),
                 f"[hosts] has {names}",
-                f'Add {drone.host} = "its address" to [hosts], or mend the name.',
+                f'Add {drone.host} = "its address" to [hosts], or correct the name.',
                 "there is no such host",
             )
 
@@ -638,7 +638,7 @@ def _check_world(swarm: Swarm, where: str) -> None:
             f"{where}: world.host",
             show_value(host),
             f"[hosts] has {names}",
-            "Mend the name.",
+            "Correct the name.",
             problem,
         )
     if host is None and swarm.hosts and world_owned_drones(swarm):
@@ -653,7 +653,7 @@ def _check_router(swarm: Swarm, where: str) -> None:
     names = ", ".join(swarm.hosts) or "none, there is no [hosts]"
     if swarm.router is not None and swarm.router not in swarm.hosts:
         problem = "there is no such host"
-        do = "Mend the name, or leave router out: hosts then reach each other directly."
+        do = "Correct the name, or leave router out: hosts then reach each other directly."
         raise ConfigError(
             f"{where}: router",
             show_value(swarm.router),
@@ -687,7 +687,7 @@ def _check_processes(swarm: Swarm, where: str) -> None:
             f"{where}: processes",
             show_value(swarm.processes),
             "each drone is in one process",
-            "Mend it, or leave processes out: one process a drone.",
+            "Correct it, or leave processes out: one process a drone.",
             problem,
         )
 
@@ -784,7 +784,7 @@ def _check_partitions(swarm: Swarm, where: str) -> None:
                 f"{key}.groups",
                 show_value(cut.groups),
                 "groups are disjoint",
-                "Mend the groups.",
+                "Correct the groups.",
                 problem,
             )
 

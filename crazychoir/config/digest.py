@@ -86,6 +86,14 @@ def _agreed_values(config: SwarmConfig) -> dict[str, Any]:
 
 def _content(value: Any) -> Any:
     """Return the hash of a file's content if the value is its path, else the value."""
-    if not isinstance(value, str) or len(value) > 1000 or not Path(value).is_file():
+    if not isinstance(value, str) or len(value) > 1000 or not _is_file(value):
         return value
     return hashlib.blake2b(Path(value).read_bytes(), digest_size=8).hexdigest()
+
+
+def _is_file(text: str) -> bool:
+    """Return whether a text is the path of a file; a text may be too long for a path."""
+    try:
+        return Path(text).is_file()
+    except (OSError, ValueError):
+        return False

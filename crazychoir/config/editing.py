@@ -54,7 +54,7 @@ def with_keys(
         )
         raise ConfigError(
             where,
-            "tables that are laid out otherwise",
+            "tables in another layout",
             "[[drones]], and one line a key",
             do,
         )

@@ -40,7 +40,7 @@ def advise_on_unknown_key(
         alternative = (
             f" Or did you mean {near[0]}, a key of this table?" if near else ""
         )
-        own = "" if key else f" Keys of your own go into [{OWN_KEYS}]."
+        own = "" if key else f" Write your own keys into [{OWN_KEYS}]."
         return _where_it_belongs(name, value, tables[name], key) + alternative + own
     if near:
         return f"Did you mean {near[0]}?"
@@ -50,7 +50,7 @@ def advise_on_unknown_key(
     return (
         "Remove it."
         if key == OWN_KEYS
-        else f"Remove it; keys of your own go into [{OWN_KEYS}]."
+        else f"Remove it; write your own keys into [{OWN_KEYS}]."
     )
 
 
@@ -118,7 +118,7 @@ def _where_it_belongs(name: str, value: object, labels: list[str], key: str) -> 
     shown = labels[:MOST_TABLES]
     more = f" and {len(labels) - MOST_TABLES} more" if len(labels) > MOST_TABLES else ""
     return (
-        f"It is a key of {', '.join(shown)}{more}: write it in the one that you mean."
+        f"It is a key of {', '.join(shown)}{more}: write it in the table that you mean."
     )
 
 
@@ -132,7 +132,7 @@ def _write_it_in_the_file(name: str, value: object, key: str) -> str:
         "in JSON beside name" if name != "name" else "in JSON in the outermost braces"
     )
     told = (
-        f" What stands below {table_label(key)} is a key of that table." if key else ""
+        f" Every line below {table_label(key)} is a key of that table." if key else ""
     )
     return f"It is a key of the file itself: write it above the first table ({beside}).{told}"
 

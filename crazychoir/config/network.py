@@ -74,7 +74,7 @@ def require_loss_of_burst(link: LinkTable) -> None:
     if burst is not None and not (
         burst >= 1.0 and loss is not None and 0.0 < loss < 1.0
     ):
-        found = f"{burst:g} with loss {'unsaid' if loss is None else f'{loss:g}'}"
+        found = f"{burst:g} with loss {'not given' if loss is None else f'{loss:g}'}"
         raise ConfigError("burst", found, "1 or more, with a loss between 0 and 1")
 
 

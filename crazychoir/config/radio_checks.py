@@ -76,7 +76,7 @@ def check_radios(swarm: Swarm, where: str) -> None:
         number = numbers.setdefault(_dongle(drone), found.dongle) if found else ""
         if found and number != found.dongle:
             problem = f"other drones of dongle {_dongle(drone)} say {number}"
-            do = "Mend the uri, or its dongle."
+            do = "Correct the uri, or its dongle."
             raise ConfigError(
                 f"{key}.uri",
                 show_value(drone.uri),
@@ -86,7 +86,7 @@ def check_radios(swarm: Swarm, where: str) -> None:
             )
         if found and not swarm.hosts and drone.dongle not in (None, int(found.dongle)):
             problem = f"its uri says dongle {found.dongle}"
-            do = "Leave dongle out, or mend one of them."
+            do = "Leave dongle out, or correct one of them."
             raise ConfigError(f"{key}.dongle", drone.dongle, found.dongle, do, problem)
     _parameters(swarm.radio.parameters, f"{where}: radio.parameters")
     for n, drone in enumerate(swarm.drones):
@@ -147,7 +147,7 @@ def _check_bodies(swarm: Swarm, where: str) -> None:
         at = udp_uri(drone.uri)
         if at and swarm.mocap.source == "virtual" and at.port == swarm.mocap.port:
             problem = f"drones[{n}] has this port"
-            do = "`crazychoir virtual` tells poses one below its first drone."
+            do = "`crazychoir virtual` sends poses on the port below its first drone."
             raise ConfigError(
                 f"{where}: mocap.port",
                 swarm.mocap.port,
@@ -170,8 +170,8 @@ def _own_poses(swarm: Swarm, where: str) -> None:
             and drone.pose == "onboard"
             and swarm.radio.log_rate < RADIO_TRAFFIC.least_own_pose_rate
         ):
-            problem = f"drones[{n}] says itself where it is, and a pose that is older than 0.1 s brakes it"
-            do = f"Set log_rate = {RADIO_TRAFFIC.least_own_pose_rate:g} in [radio]; more where the dongle carries it."
+            problem = f"drones[{n}] sends its own pose, and brakes if the pose is older than 0.1 s"
+            do = f"Set log_rate = {RADIO_TRAFFIC.least_own_pose_rate:g} in [radio]; more if the dongle can carry it."
             raise ConfigError(
                 f"{where}: radio.log_rate",
                 swarm.radio.log_rate,
@@ -248,7 +248,7 @@ def _radio_hosts(swarm: Swarm, where: str) -> None:
                 f"{where}: {key}",
                 show_value(host),
                 allowed,
-                "Mend the name.",
+                "Correct the name.",
                 "there is no such host",
             )
 
@@ -320,7 +320,7 @@ def carried_rate(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> float
             "radio.command_rate",
             rate,
             allowed,
-            "Leave it out for as many as are carried with room.",
+            "Leave it out to choose the rate automatically.",
         )
     found = f"drones {', '.join(map(str, ids))} ({kinds}) need {beside + asked * len(streamed):g} packets a second"
     sums = f"{len(streamed)} x {asked:g} set-points, " if streamed else ""
@@ -340,7 +340,7 @@ def carried_rate(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> float
     less = (
         _advise_fewer_commands(fits, least)
         if streamed
-        else "tell poses at a lower pose_rate ([radio]), "
+        else "send poses at a lower pose_rate ([radio]), "
     )
     do = f"Use more dongles, {less}or measure its capacity."
     raise ConfigError(f"dongle {dongle}", found, room, do, f"{sums}{each}{plans}")

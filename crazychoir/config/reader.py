@@ -21,7 +21,7 @@ from crazychoir.config.misplaced_keys import (
 )
 from crazychoir.errors import ConfigError
 
-T = TypeVar("T", bound=msgspec.Struct)
+StructType = TypeVar("StructType", bound=msgspec.Struct)
 
 NESTING_LIMIT = 16
 """Most levels of lists and tables."""
@@ -44,7 +44,7 @@ def parse(text: str, where: str) -> dict[str, Any]:
         raw: dict[str, Any] = decode(text)
     except (ValueError, RecursionError) as error:
         raise ConfigError(
-            where, str(error), f"{language} text", "Mend the line."
+            where, str(error), f"{language} text", "Correct the line."
         ) from error
     require_plain(raw, where)
     return raw
@@ -104,11 +104,11 @@ def _is_plain(value: object) -> bool:
 
 def read_table(
     raw: object,
-    kind: type[T],
+    kind: type[StructType],
     where: str,
     key: str = "",
     file: type[msgspec.Struct] | None = None,
-) -> T:
+) -> StructType:
     """Return the table `kind` with the values of `raw`.
 
     where: name of the file, for errors
@@ -131,7 +131,7 @@ def read_table(
             raise _unknown(name, value, kind, where, key, file)
     for name, entry in fields.items():
         if entry.required and name not in raw:
-            description, example = _allowed(entry)
+            description, example = describe_allowed(entry)
             elsewhere = "" if key else place_of_missing(name, raw, kind)
             do = elsewhere or f"Add for example {name} = {example}."
             raise ConfigError(_at(where, key, name), "nothing", description, do)
@@ -179,7 +179,7 @@ def _value(
     try:
         return msgspec.convert(raw, entry.type, str_keys=True)
     except msgspec.ValidationError:
-        description, example = _allowed(entry)
+        description, example = describe_allowed(entry)
         do = f"For example {entry.encode_name} = {example}.{keys_of_the_file(raw, key, file)}"
         raise ConfigError(f"{where}: {key}", show_value(raw), description, do) from None
 
@@ -196,7 +196,7 @@ def _row(kind: Any) -> type[msgspec.Struct] | None:
     )
 
 
-def _allowed(entry: FieldInfo) -> tuple[str, str]:
+def describe_allowed(entry: FieldInfo) -> tuple[str, str]:
     """Return the allowed values of a key as text, and an example."""
     kinds = (entry.type, *get_args(entry.type))
     meta = next(kind.__metadata__[0] for kind in kinds if get_origin(kind) is Annotated)

@@ -45,7 +45,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True, dict=True):
         Paths in it are relative to its folder: the mission, the files of its options, and the files
         of [mujoco], [mocap] and [security].
         """
-        do = 'The least is name = "lab" and a table [[drones]] with id = 0 and home = [0, 0, 0] for each drone.'
+        do = 'A minimal file has name = "lab" and a table [[drones]] with id = 0 and home = [0, 0, 0] for each drone.'
         text = read_text(path, "a swarm file, TOML or JSON", do=do)
         config = cls.loads(text, str(path))
         return resolve_paths(config, Path(path).parent)

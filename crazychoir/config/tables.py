@@ -102,7 +102,7 @@ Seed = Annotated[
 ]
 Start = Annotated[
     Literal["all"] | Annotated[int, Meta(ge=1)],
-    Meta(description='"all", or the number of drones that is enough', examples=["all"]),
+    Meta(description='"all", or the smallest number of drones', examples=["all"]),
 ]
 Port = Annotated[
     int, Meta(ge=1024, le=65535, description="a port, 1024 to 65535", examples=[7460])
@@ -158,22 +158,22 @@ Scale = Annotated[
 Inputs = Annotated[
     Literal["rates", "euler"],
     Meta(
-        description='what steers it: "rates" (of the body) or "euler" (of the Euler angles)',
+        description='the commands that steer it: "rates" (of the body) or "euler" (of the Euler angles)',
         examples=["rates"],
     ),
 ]
 Sender = Annotated[
     Literal["fpqr", "frpy", "vel", "xyz", "fullstate"],
     Meta(
-        description='what is sent: "fpqr" (force, body rates), "frpy" (force, roll, pitch), "vel", "xyz" (places) or '
-        '"fullstate" (references, flown by the firmware)',
+        description='the kind of commands: "fpqr" (force, body rates), "frpy" (force, roll, pitch), "vel", '
+        '"xyz" (places) or "fullstate" (references, flown by the firmware)',
         examples=["fpqr"],
     ),
 ]
 Filter = Annotated[
     Literal["derivative", "kalman"],
     Meta(
-        description='how velocities come from poses: "derivative" or "kalman"',
+        description='the estimator of velocities: "derivative" or "kalman"',
         examples=["kalman"],
     ),
 ]
@@ -212,7 +212,7 @@ Dongle = Annotated[
 PoseFrom = Annotated[
     Literal["mocap", "onboard"],
     Meta(
-        description='where its pose comes from: "mocap" or "onboard"',
+        description='the source of its pose: "mocap" or "onboard"',
         examples=["mocap"],
     ),
 ]

@@ -151,14 +151,14 @@ def _parse_udp(uri: str, key: str) -> UdpUri:
             key,
             show_value(uri),
             UDP_FORM,
-            "A udp:// uri has no options: leave out what follows the ?.",
+            "A udp:// uri has no options: remove everything from the ? on.",
         )
     if place.startswith("[") or place.count(":") > 1:
         raise ConfigError(
             key,
             show_value(uri),
             UDP_FORM,
-            "The udp:// link of cflib has IPv4 alone: write such an address.",
+            "The udp:// link of cflib supports IPv4 only: write an IPv4 address.",
         )
     host, colon, port = place.partition(":")
     if not colon:
@@ -213,7 +213,7 @@ def _parse_radio(uri: str, key: str, serials: bool) -> RadioUri:
     if len(parts) < 2:
         raise refused("Write its channel, as radio://0/80.")
     if len(parts) > 4:
-        raise refused("Leave out what follows the address.")
+        raise refused("Remove everything after the address.")
     dongle, channel = parts[:2]
     rate = parts[2] if len(parts) > 2 else URI_RULES.default_rate
     address = parts[3] if len(parts) > 3 else URI_RULES.default_address
@@ -244,7 +244,7 @@ def _parse_radio(uri: str, key: str, serials: bool) -> RadioUri:
 def _dongle_fault(dongle: str, serials: bool) -> str:
     """Return what to do about an invalid dongle; empty for a valid one."""
     if dongle == "*":
-        return "* is any dongle to crazyflie-link-cpp; here each dongle has an owner: write its number, as radio://0."
+        return "For crazyflie-link-cpp * is any dongle; here each dongle has an owner: write its number, as radio://0."
     if URI_RULES.address_pattern.fullmatch(dongle):
         number = "cflib finds a dongle by its serial number; here its owner, `crazychoir-radio --dongle`, goes by its"
         return (
@@ -264,7 +264,7 @@ def _dongle_fault(dongle: str, serials: bool) -> str:
 def _address_hint(address: str) -> str:
     """Return advice for a short address, or an empty text."""
     if re.fullmatch(r"[0-9A-Fa-f]{1,9}", address):
-        return f"Write all 10 digits: cflib would take it for {address.upper():0>10}."
+        return f"Write all 10 digits: cflib would read it as {address.upper():0>10}."
     return ""
 
 

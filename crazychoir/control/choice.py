@@ -231,7 +231,7 @@ def require_stable(
     where: str = "control",
     sender: str = "fpqr",
 ) -> None:
-    """Raise ConfigError for gains that leave less delay margin than REQUIRED.
+    """Raise ConfigError for gains that leave less delay margin than REQUIRED_DELAY_MARGIN.
 
     The lag of the rotors is taken 1.3 times as long as identified. For the sender "frpy" the
     attitude of roll and pitch is controlled on board, whatever kr is.

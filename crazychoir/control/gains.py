@@ -1,6 +1,6 @@
 """The gains that ship, and the delays of a drone.
 
-MARGINS states the delay margin at which each row was checked; a test verifies it.
+STANDARD_GAIN_MARGINS states the delay margin at which each row was checked; a test verifies it.
 """
 
 from abc import ABC, abstractmethod
@@ -127,7 +127,7 @@ STANDARD_GAINS = Gains(
 FORMATION_GAINS = Gains(
     kp=(1.0, 1.0, 10.0), kv=(1.5, 1.5, 5.0), kr=(2.0, 2.0, 4.0), lead=0.4
 )
-# As FORMATION, behind a rate loop on board, faster than RATE_LAG: gyro errors cause less tilt.
+# As FORMATION_GAINS, behind a rate loop on board, faster than RATE_LAG: gyro errors cause less tilt.
 FORMATION_GAINS_ON_MOTORS = replace(FORMATION_GAINS, kr=(3.5, 3.5, 4.0), lead=0.3)
 # Behind a law with equal modes, such as the normalised law. 8 1/s2 and 4.5 1/s are as fast as a
 # margin of 40 ms allows.

@@ -40,7 +40,7 @@ STANDARD_GAIN_MARGINS = {
         "cf21bl": 0.103,
     },
 }
-"""Delay margin in s of STANDARD by plant and platform.
+"""Delay margin in s of STANDARD_GAINS by plant and platform.
 
 It is checked with 1.3 times the identified lag; see `compute_delay_margin`.
 """

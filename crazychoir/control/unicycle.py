@@ -132,7 +132,8 @@ class UnicycleCtrl:
         moving: u = v_d + k (p_d - p),  |u| <= v_max, to UnicycleVelocityCtrl
         standing: UnicyclePoseCtrl
 
-    A pose is reached at THERE m, and left alone while the robot is within AWAY m of it.
+    A pose is reached at UNICYCLE_LIMITS.reached_distance m, and left alone while the robot is within
+    UNICYCLE_LIMITS.departed_distance m of it.
 
     k: 1/s
     v_max: m/s

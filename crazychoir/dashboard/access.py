@@ -27,7 +27,7 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 
 @dataclass(frozen=True, slots=True)
-class RequestRules:
+class PageRequestRules:
     """Rules for every request: its size, its host and its origin."""
 
     largest_body: int = 1 << 18
@@ -43,7 +43,7 @@ class RequestRules:
     """
 
 
-REQUEST_RULES = RequestRules()
+PAGE_REQUEST_RULES = PageRequestRules()
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +172,7 @@ class AccessGate:
             return 421, f"not served at {host!r}; at {', '.join(self.hosts)}"
         asks = (
             scope["type"] == "websocket"
-            or scope["method"] not in REQUEST_RULES.safe_methods
+            or scope["method"] not in PAGE_REQUEST_RULES.safe_methods
         )
         own = origin is not None and origin.partition("://")[2] == host
         if asks and not own:
@@ -186,8 +186,8 @@ class AccessGate:
                 "a request of another site, which may do no more than link to this one",
             )
         length = headers.get("content-length", "0")
-        if not length.isdecimal() or int(length) > REQUEST_RULES.largest_body:
-            return 413, f"more than {REQUEST_RULES.largest_body} bytes"
+        if not length.isdecimal() or int(length) > PAGE_REQUEST_RULES.largest_body:
+            return 413, f"more than {PAGE_REQUEST_RULES.largest_body} bytes"
         return 0, ""
 
     def _known(self, headers: dict[str, str]) -> bool:
@@ -212,7 +212,7 @@ class AccessGate:
         return hmac.new(self._key, until.encode(), hashlib.sha256).hexdigest()
 
     async def _through(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request to the application, with at most MOST_BODY bytes of body."""
+        """Pass the request to the application, with at most `largest_body` bytes of body."""
         size = 0
         begun = False
 
@@ -221,7 +221,7 @@ class AccessGate:
             event = await receive()
             if event["type"] == "http.request":
                 size += len(event.get("body", b""))
-                if size > REQUEST_RULES.largest_body:
+                if size > PAGE_REQUEST_RULES.largest_body:
                     raise BodyTooLarge
             return event
 
@@ -240,7 +240,10 @@ class AccessGate:
         except BodyTooLarge:
             if not begun:
                 await _refuse(
-                    scope, send, 413, f"more than {REQUEST_RULES.largest_body} bytes"
+                    scope,
+                    send,
+                    413,
+                    f"more than {PAGE_REQUEST_RULES.largest_body} bytes",
                 )
 
     async def _login(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -337,7 +340,10 @@ def _is_of_another_site(headers: dict[str, str]) -> bool:
         headers.get("sec-fetch-mode") == "navigate"
         and headers.get("sec-fetch-dest") == "document"
     )
-    return headers.get("sec-fetch-site") in REQUEST_RULES.other_site_values and not link
+    return (
+        headers.get("sec-fetch-site") in PAGE_REQUEST_RULES.other_site_values
+        and not link
+    )
 
 
 async def _read_body(receive: Receive, most: int) -> bytes:

@@ -42,7 +42,7 @@ class ReceiptTexts:
 
     absent: str = "no agent of it is there"
     """Words of a receipt if no agent answers for the drone."""
-    replayed: str = "REPLAY: nobody obeys"
+    replayed: str = "REPLAY: no drone obeys"
     """Words of a refusal if the messages come from a recording."""
     ended: str = "ENDED: no drone is there"
     """Notice of the page if no drone is there any more."""
@@ -87,7 +87,7 @@ MOTION_TIMEOUTS = {
     "home": 120.0,
     "go-to": 120.0,
 }
-"""Seconds to wait until each command is done; all others get REQUEST seconds."""
+"""Seconds to wait until each command is done; all others get ORDER_LIMITS.request_timeout seconds."""
 MOTION_ORDERS = (*MOTION_TIMEOUTS, "fly")
 """Orders that move a drone or let it move; a stop of the drone withdraws them."""
 COMPATIBLE_ORDERS = {
@@ -141,8 +141,8 @@ class Receipt:
     answers: dict[int, tuple[str, Any]] = field(default_factory=dict)
     """By drone, (kind, words).
 
-    The kind is SENT until the drone acknowledges, then ACCEPTED, DONE, REFUSED, UNFINISHED or
-    WITHDRAWN. It is SILENT if the drone has not acknowledged in time.
+    The kind is "sent" until the drone acknowledges, then "accepted", "done", "refused", "unfinished" or "withdrawn".
+    It is "silent" if the drone has not acknowledged in time.
     """
     version: int = 0
     """Number of the change after which this receipt was last changed, over all receipts."""
@@ -494,7 +494,7 @@ class CommandDesk:
     async def _answered(
         self, asked: _PendingOrder, ends: float, arguments: Mapping[str, Any]
     ) -> Answer:
-        """Return the last answer of a drone; ask again for READY s if it is not ready yet."""
+        """Return the last answer of a drone; ask again for ORDER_LIMITS.ready_timeout s if it is not ready yet."""
         clock = self.place.clock
         commander = self.place.commander
         verb = asked.receipt.verb
@@ -529,7 +529,7 @@ class CommandDesk:
     async def _stop(self, stop: _PendingStop) -> None:
         """Send a stop to the agents, and to the bodies that other processes own.
 
-        A drone has obeyed when both have. A clear is only sent for STOP s, because a late one is
+        A drone has obeyed when both have. A clear is only sent for ORDER_LIMITS.stop_timeout s, because a late one is
         of no use.
         """
         clock = self.place.clock

@@ -49,7 +49,7 @@ class EventLog:
         """Add a message of drone i.
 
         A message about a command has level info. Any other one is a warning; it is an error if it
-        is grave or contains one of GRAVE.
+        is grave or contains one of ERROR_WORDS.
         """
         bare = text.removeprefix(f"drone {i}: ")
         trouble: Level = (

@@ -188,7 +188,7 @@ class SwarmModel:
     def frame(self) -> bytes:
         """Return the states of all drones as bytes.
 
-        The time in s by this clock (float64), then a row of COLUMNS float32 for each drone,
+        The time in s by this clock (float64), then a row of FRAME_COLUMNS float32 for each drone,
         little-endian. NaN: not heard, or no reference.
         """
         now = self.bus.clock.now()

@@ -17,7 +17,7 @@ from starlette.staticfiles import StaticFiles
 
 from crazychoir.agent.dead_man import ConsoleReporter, is_console
 from crazychoir.bus.port import Bus
-from crazychoir.dashboard.access import REQUEST_RULES, AccessGate
+from crazychoir.dashboard.access import PAGE_REQUEST_RULES, AccessGate
 from crazychoir.dashboard.commands import CommandDesk, CommandPlace
 from crazychoir.dashboard.connection_limits import GuestConnection
 from crazychoir.dashboard.event_log import EventLog
@@ -81,7 +81,7 @@ class PageAddress:
     host: str = "127.0.0.1"
     """Address to listen at."""
     port: int | None = None
-    """Port, None for the first free one of PORTS."""
+    """Port, None for the first free one of PAGE_SERVER.tried_ports."""
     password: str | None = None
     """Password of the page, None for none."""
     certificate: Path | None = None
@@ -159,7 +159,7 @@ class PageAddress:
         """
         if not self.loopback:
             return None
-        names = tuple(dict.fromkeys((*REQUEST_RULES.loopback_names, self.name)))
+        names = tuple(dict.fromkeys((*PAGE_REQUEST_RULES.loopback_names, self.name)))
         bare = names if port == DEFAULT_PORTS[self.scheme] else ()
         return (*(f"{name}:{port}" for name in names), *bare)
 
@@ -241,7 +241,7 @@ async def serve(
             http=GuestConnection,
             log_level="warning",
             lifespan="on",
-            ws_max_size=REQUEST_RULES.largest_body,
+            ws_max_size=PAGE_REQUEST_RULES.largest_body,
             ws_per_message_deflate=False,
             ws_max_queue=8,
             timeout_graceful_shutdown=PAGE_SERVER.shutdown_time,

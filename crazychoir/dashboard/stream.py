@@ -1,4 +1,4 @@
-"""The WebSocket to each page: RATE frames a second, news as they come, and the page's requests."""
+"""The WebSocket to each page: PAGE_DATA.state_rate frames a second, news as they come, and the page's requests."""
 
 import asyncio
 import logging
@@ -33,9 +33,9 @@ class StreamLimits:
     most_pages: int = 32
     """Largest number of open pages."""
     most_messages: int = 60
-    """Messages of a page within PER_SECONDS s; further ones are refused, except stops."""
+    """Messages of a page within STREAM_LIMITS.counting_time s; further ones are refused, except stops."""
     flood_messages: int = 600
-    """Messages of a page within PER_SECONDS s after which the page is closed."""
+    """Messages of a page within STREAM_LIMITS.counting_time s after which the page is closed."""
     counting_time: float = 2.0
     """Seconds over which messages of a page are counted."""
     notice_interval: float = 1.0

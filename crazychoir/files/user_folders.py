@@ -101,7 +101,7 @@ def write_fault(folder: Path) -> str:
     """Return why nothing can be written into a folder, or an empty text.
 
     The folder is made if it is missing. A full disk often still accepts an empty file, so a file of
-    PROBE_SIZE bytes is written and removed.
+    FOLDER_REQUIREMENTS.probe_size bytes is written and removed.
     """
     probe = folder / f".probe.{uuid.uuid4().hex[:16]}"
     try:

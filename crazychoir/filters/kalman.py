@@ -80,9 +80,6 @@ class RateLoopModel(NamedTuple):
 RATE_LOOP_MODEL = RateLoopModel()
 
 
-# Indices of the memory. It begins with x (13,) at the time of the last measurement.
-
-
 class KalmanMemory(NamedTuple):
     """Offsets of the filter's memory. It begins with x (13,) at the time of the last measurement."""
 
@@ -107,9 +104,6 @@ class KalmanMemory(NamedTuple):
 
 
 KALMAN_MEMORY = KalmanMemory()
-
-
-# Indices of the figures.
 
 
 class KalmanFigures(NamedTuple):
@@ -218,7 +212,7 @@ def _record_command(mem: Vec, history: Mat, figures: Vec, u: Vec, now: float) ->
     loop the rates are the response of the loop to the commands.
 
     mem: the memory
-    history: (HISTORY, 5)
+    history: (COMMAND_HISTORY_SIZE, 5)
     figures: the figures
     u: (4,): command
     now: s
@@ -481,7 +475,7 @@ def _take_in_pose(
 
     pose: (7,)
     mem: the memory
-    history: (HISTORY, 5)
+    history: (COMMAND_HISTORY_SIZE, 5)
     figures: the figures
     u: (4,): command
     last: s, time of the pose before
@@ -574,7 +568,7 @@ def _predict_state(
 
     x: (13,)
     mem: the memory
-    history: (HISTORY, 5)
+    history: (COMMAND_HISTORY_SIZE, 5)
     figures: the figures
     u: (4,): command
     measured: s, time of the memory
@@ -617,7 +611,7 @@ class KalmanFilter:
     f = 0, d is the whole acceleration, and w' = n_g.
 
     r are the commanded rates u_2..4, and lag = RATE_LAG. If the `loop` on board is known, r is the
-    response of the loop to the commands alone, and lag = LATE. One axis of the loop, which runs
+    response of the loop to the commands alone, and lag = RATE_LOOP_MODEL.lag. One axis of the loop, which runs
     down when no thrust is commanded:
 
         lag_r r'' + r' = sat(kp e + ki (integral of e) - kd r'),  e = u_2..4 - r,  |sat| <= most
@@ -634,7 +628,7 @@ class KalmanFilter:
     F_a omits the lag of the rates, which is not known well enough. The update has Joseph's form;
     only its upper triangle is kept.
 
-    A pose is refused, and counts as missing, if its innovation e has |e|^2 / variance beyond GATE
+    A pose is refused, and counts as missing, if its innovation e has |e|^2 / variance beyond KALMAN_GATE.chi_square
     in position or attitude. So is a pose that is not finite, or has a quaternion length outside 0.5
     to 2. The DOUBTS-th pose in a row beyond the gate is believed: the filter starts again there,
     with the velocities it had. After a gap longer than the horizon it starts again with the mean
@@ -644,7 +638,7 @@ class KalmanFilter:
 
     The state is carried from the time of the measurement to `now` under the commands of that time,
     which are remembered: `commanded` is valid from one call to the next. While no pose comes it
-    continues in this way, and d fades within FADE s. The times follow the period of the cameras as
+    continues in this way, and d fades within DISTURBANCE_FADE_TIME s. The times follow the period of the cameras as
     in VelocityFilter, and the attributes are the same.
 
     horizon: s, longest prediction
@@ -805,12 +799,10 @@ class KalmanFilter:
         w: (3,) rad/s
         """
         memory, (r_p, r_angle) = self._memory, self._figures[:2]
-        memory[0:3], memory[3:6], memory[6:10], memory[10:13] = (
-            pose.p,
-            v,
-            pose.q / np.linalg.norm(pose.q),
-            w,
-        )
+        memory[0:3] = pose.p
+        memory[3:6] = v
+        memory[6:10] = pose.q / np.linalg.norm(pose.q)
+        memory[10:13] = w
         memory[KALMAN_MEMORY.disturbance : KALMAN_MEMORY.place_covariance] = 0.0
         memory[KALMAN_MEMORY.place_covariance : KALMAN_MEMORY.attitude_covariance] = (
             r_p,

@@ -177,7 +177,7 @@ class CommandedMotion:
         p' = v,  v' = -g e3 + (u_1 / m) R e3 - (1/m) R A R^T v
         q' = 1/2 q (w, 0),  w' = (u_2..4 - w) / RATE_LAG
 
-    It is integrated in steps of at most STEP s with the acceleration in their middle. A drone on
+    It is integrated in steps of at most MOTION_STEP s with the acceleration in their middle. A drone on
     the floor stays there until its thrust outweighs it.
 
     platform: (9,), Platform.flat; its A = diag is the drag

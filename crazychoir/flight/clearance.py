@@ -131,8 +131,8 @@ class Clearance:
     def astray(self, state: State, planned: FullState, now: float) -> bool:
         """Return whether a drone that was pushed aside is far from its plan.
 
-        A landing drone then lands where it is. After RETURN s it is wind that keeps the drone from
-        coming back, and the control fights the wind with all it has.
+        A landing drone then lands where it is. After PLAN_DEVIATION.gentle_return_time s the wind keeps the drone
+        from coming back, and the control uses its full authority against the wind.
         """
         far = math.dist(planned.p.tolist(), state.p.tolist())
         self.aside = (

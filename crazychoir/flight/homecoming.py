@@ -71,8 +71,8 @@ def compute_return_height(
 ) -> float:
     """Return the height in m of a return above all others in the way; at most `top`.
 
-        z = max(z of others within ASIDE of the way from p to home, own z)
-            + CLEARANCE, + rank CLEARANCE
+        z = max(z of others within HOMECOMING_LIMITS.side_clearance of the way from p to home, own z)
+            + HOMECOMING_LIMITS.vertical_clearance, + rank HOMECOMING_LIMITS.vertical_clearance
 
     If no other is in the way and the rank is 0, it is the own z.
 

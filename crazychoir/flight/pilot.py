@@ -750,11 +750,9 @@ class Pilot(Actor):
         if isinstance(wanted, Goto):
             self._fly_goto(wanted)
         else:
-            self._reference, self._reference_ns, self._beyond = (
-                wanted,
-                self.clock.now_ns(),
-                False,
-            )
+            self._reference = wanted
+            self._reference_ns = self.clock.now_ns()
+            self._beyond = False
             if self.mode is not FOLLOW_MODE:
                 self._change(ModeEvent.FLY)
         return True
@@ -1352,7 +1350,7 @@ class Pilot(Actor):
     def _say_evades(self, other: int | None) -> None:
         """Say which drone this one evades; None if it brakes because others are not heard."""
         if other is None:
-            self._say("collision", "braking: who is near is not heard")
+            self._say("collision", "braking: drones nearby are not heard")
         else:
             self.note = f"keeps clear of drone {other}"
             self.grave = False

@@ -192,7 +192,7 @@ class PointFlights:
     def wait(self, seconds: float) -> bool:
         """Shift the plan by `seconds` s, later or earlier.
 
-        Returns False if the plan has waited for LONGEST_WAIT s and is to wait longer.
+        Returns False if the plan has waited for POINT_FLIGHT_TIMES.longest_wait s and is to wait longer.
         """
         if seconds > 0.0 and self.waited >= FLIGHT_PATIENCE.longest_wait:
             return False
@@ -205,7 +205,7 @@ class PointFlights:
 
         The flight takes the time that is left if the limits allow it. A longer time counts as
         waiting.
-        Returns False as `wait` does, for a plan that has not waited IN_VAIN s since it last began
+        Returns False as `wait` does, for a plan that has not waited `restart_wait` s since it last began
         anew, and for other plans.
         """
         plan = self.plan

@@ -27,9 +27,9 @@ MOST_REMEMBERED_CALLS = 10
 class UnawaitedCalls:
     """The calls of one guidance that nothing has awaited.
 
-    waiting: by their identity, those that still exist and may be awaited.
-    dropped: "file:line" and the function's name of those that the line which made them has thrown away.
-    left: those that were kept, and thrown away later.
+    waiting: by their identity, the calls that still exist and may be awaited.
+    dropped: "file:line" and the function's name of each call that the line which made it has thrown away.
+    left: the calls that were kept, and thrown away later.
     more: how many were thrown away beyond KEPT places.
     """
 

@@ -4,7 +4,6 @@ import logging
 import sys
 from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
 from types import MethodType
 from typing import (
     Any,
@@ -21,12 +20,24 @@ import numpy as np
 from crazychoir.control.position import FLATNESS_LIMITS
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.flight.goals import require_path, require_trajectory
-from crazychoir.flight.pilot import REPLAY_TEXT, Pilot
+from crazychoir.flight.pilot import Pilot
 from crazychoir.guidance.awaited_call import (
     as_coroutine_function,
     find_call_from,
     remember_calls,
     watch_coroutines,
+)
+from crazychoir.guidance.flights import (
+    FLIGHT_LIMITS,
+    FLYING_MODES,
+    SETTLING_LIMITS,
+    fly_to_the_end,
+    reach_place,
+    require_running,
+    wait_for_command,
+    wait_until_ready,
+    wait_until_settled,
+    wait_while,
 )
 from crazychoir.guidance.member import (
     FLIGHT_LOOK_INTERVAL,
@@ -34,22 +45,15 @@ from crazychoir.guidance.member import (
     Interrupted,
     Member,
     describe_state,
+    get_state,
     wait_for_touchdown,
 )
 from crazychoir.guidance.sensors import SensorReadings
-from crazychoir.guidance.turns import (
-    TURN_DISTANCES,
-    TURN_TIMES,
-    choose_place_aside,
-    find_first_at,
-    is_blocked,
-)
 from crazychoir.guidance.user_hook import shorten_value_text
 from crazychoir.optimization.rounds.checks import require_graph
 from crazychoir.planning.feasibility import Limits, check_references, sample_references
-from crazychoir.planning.scaling import PICK_UP_TIME, ResumedTrajectory
 from crazychoir.planning.trajectory import Trajectory
-from crazychoir.safety.rules.modes import HELD_TEXT, Mode
+from crazychoir.safety.rules.modes import Mode
 from crazychoir.team.algorithm_run import WakingTimes, run_algorithm
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph
@@ -59,69 +63,8 @@ from crazychoir.types import Point, Reference, State, Vec
 log = logging.getLogger(__name__)
 P = ParamSpec("P")
 R = TypeVar("R")
-FLYING_MODES = (Mode.TAKEOFF, Mode.HOVER, Mode.FOLLOW)
-"""Modes in which guidance flies the drone."""
-
-
-@dataclass(frozen=True, slots=True)
-class FlightLimits:
-    """When a flight of a mission has arrived, and how long a mission tries and waits."""
-
-    unfit_time: float = 5.0
-    """s: how long a drone may take to become fit to fly, for example while a pose is missing.
-    """
-    arrival_distance: float = 0.2
-    """m: a drone nearer to its goal has arrived."""
-    most_attempts: int = 5
-    """Number of attempts to reach a goal, or to fly a trajectory, before the mission gives up.
-    """
-    shortest_wait: float = 1e-3
-    """s: shortest wait for the rest of a flight."""
-    late_arrival_time: float = 2.0
-    """s: how long after its planned time a flight may still arrive.
-
-    A drone may be late in a wind that its control has yet to learn.
-    """
-    touchdown_time: float = 5.0
-    """s: how long a mission waits for a landing beyond its planned time."""
-
-
-FLIGHT_LIMITS = FlightLimits()
-
-
-@dataclass(frozen=True, slots=True)
-class SettlingLimits:
-    """When a drone has completed its take-off and stands still, so that its control has learnt its
-    trim.
-    """
-
-    risen_distance: float = 0.04
-    """m: a drone farther from its take-off goal has not completed its take-off."""
-    settled_distance: float = 0.003
-    """m: distance from the take-off goal within which a drone counts as settled. A drone is
-    settled when it stays this close, slower than `settled_speed`, for `settled_time`. Its
-    thrust trim is then known to about 0.1 %.
-    """
-    settled_speed: float = 0.02
-    """m/s: speed below which a drone counts as settled."""
-    settled_time: float = 0.3
-    """s: how long a drone must stay close and slow to count as settled."""
-    patience: float = 5.0
-    """s: how long a mission waits for a drone to settle."""
-
-
-SETTLING_LIMITS = SettlingLimits()
-
-
 COMMAND_TIMEOUT = 1800.0
 """s: how long a drone waits on the ground for an operator, in a run that has one."""
-GATE_STATUS_TEXTS = {
-    "take-off": "waits for its operator: take-off",
-    "start": "waits for its operator: start",
-}
-"""Text of the status while a mission waits for a command of its operator."""
-
-
 WATCHED_BY_RUNTIME = frozenset({"mission", "asked"})
 """Coroutine functions that the runtime itself awaits."""
 
@@ -196,7 +139,7 @@ class CFGuidance:
 
         Raises Refused if the mission does not know the command, or will not obey it.
         """
-        raise Refused(f"drone {self.id}", f"this mission knows no command {verb!r}")
+        raise Refused(f"drone {self.id}", f"this mission has no command {verb!r}")
 
     def route(self) -> list[Vec]:
         """Return the places that the drone flies to, in their order, as far as they are planned.
@@ -212,7 +155,9 @@ class CFGuidance:
 
         Raises Refused if the mission does not allow it.
         """
-        raise Refused(f"drone {self.id}", "its mission flies it: hold it first")
+        raise Refused(
+            f"drone {self.id}", "its mission controls it: hold the drone first"
+        )
 
     @property
     def id(self) -> int:
@@ -230,10 +175,7 @@ class CFGuidance:
 
         Before the first pose it is a level state at the home of the drone.
         """
-        state = self.member.pilot.state
-        return (
-            State.at(self.member.config.drone(self.id).home) if state is None else state
-        )
+        return get_state(self.member)
 
     def log(self, *names: str, period: float = 0.1) -> SensorReadings:
         """Return the readings of this drone's sensors, by the firmware's names.
@@ -297,7 +239,7 @@ class CFGuidance:
         """Wait until the whole team has come to this point.
 
         The drones exchange as many empty rounds as the diameter of the graph.
-        In a run with an operator a drone waits up to PATIENCE s for drones that are started later.
+        In a run with an operator a drone waits up to HELD_FLIGHT_PATIENCE s for drones that are started later.
         """
         deadline = HELD_FLIGHT_PATIENCE if self.member.config.flight.operator else None
         for _ in range(max(1, self.graph.diameter())):
@@ -310,8 +252,8 @@ class CFGuidance:
         """Take off to `height`, and return when the drone is there.
 
         The goal stays inside the fence, 0.1 m off its edge. In a run with an operator the first
-        take-off waits for two commands: for the take-off, at most UNCOMMANDED s on the ground, and
-        then for the start, at most PATIENCE s in the air. A drone that is held or has no pose yet
+        take-off waits for two commands: for the take-off, at most COMMAND_TIMEOUT s on the ground, and
+        then for the start, at most HELD_FLIGHT_PATIENCE s in the air. A drone that is held or has no pose yet
         waits on the ground. If the safety table or an operator stops the rise, the drone continues
         as in `go_to`. A drone that is already in the air goes to the height in the same way.
 
@@ -323,28 +265,21 @@ class CFGuidance:
         pilot = self.member.pilot
         if pilot.awaits_start:
             self.member.rise = height
-            await self._told("take-off", COMMAND_TIMEOUT, lambda: not pilot.airborne)
-            await self._told(
+            await wait_for_command(
+                self.member, "take-off", COMMAND_TIMEOUT, lambda: not pilot.airborne
+            )
+            await wait_for_command(
+                self.member,
                 "start",
                 HELD_FLIGHT_PATIENCE,
                 lambda: pilot.awaits_start and pilot.airborne,
             )
-        ends = self.member.clock.now() + HELD_FLIGHT_PATIENCE
-        while (pilot.state is None or pilot.held) and self.member.clock.now() < ends:
-            await self.sleep(FLIGHT_LOOK_INTERVAL)
-        ends = self.member.clock.now() + FLIGHT_LIMITS.unfit_time
-        while pilot.unfit() and self.member.clock.now() < ends:
-            await self.sleep(FLIGHT_LOOK_INTERVAL)
-        self._may_fly()
-        if pilot.state is None:
-            raise Interrupted(
-                f"drone {self.id}: no pose within {HELD_FLIGHT_PATIENCE:g} s"
-            )
+        await wait_until_ready(self.member)
         goal = pilot.above(height)
-        await self._while(pilot.take_off(height), Mode.TAKEOFF)
+        await wait_while(self.member, pilot.take_off(height), Mode.TAKEOFF)
         if pilot.gap(goal) > SETTLING_LIMITS.risen_distance:
-            await self._fly_to_place(goal)
-        await self._settle(goal)
+            await reach_place(self.member, goal)
+        await wait_until_settled(self.member, goal)
         if why := pilot.misjudged():
             pilot.land(why)
             raise Interrupted(f"drone {self.id}: {why}")
@@ -362,7 +297,7 @@ class CFGuidance:
         rise = _convert_number(height)
         if rise is None or not 0.0 <= rise <= top:
             found = shorten_value_text(height)
-            do = "It must be one number, as float(...)."
+            do = "It must be a single number, for example float(...)."
             if rise is not None:
                 found = f"{rise!r}"
                 do = "Lower it, or raise fence.max."
@@ -388,70 +323,11 @@ class CFGuidance:
         """
         pilot = self.member.pilot
         if pilot.awaits_start:
-            await self._told("start", COMMAND_TIMEOUT, lambda: pilot.awaits_start)
+            await wait_for_command(
+                self.member, "start", COMMAND_TIMEOUT, lambda: pilot.awaits_start
+            )
             await self.rendezvous("started")
             await self.member.communicator.close("started")
-
-    async def _told(self, gate: str, seconds: float, waits: Callable[[], bool]) -> None:
-        """Wait for a command of the operator.
-
-        gate: the command, a key of GATES.
-        seconds: s to wait; the time starts again while the operator flies the drone.
-        waits: returns whether the command has not come yet.
-        Raises Interrupted if the command does not come in time.
-        """
-        member = self.member
-        pilot = self.member.pilot
-        ends = member.clock.now() + seconds
-        report = member.report
-
-        def lands() -> str:
-            return (
-                f", or lands in {max(0.0, ends - member.clock.now()):.0f} s"
-                if pilot.airborne
-                else ""
-            )
-
-        member.gate, member.report = (
-            gate,
-            lambda: {"task": GATE_STATUS_TEXTS[gate] + lands()},
-        )
-        member.announce()
-        while waits() and member.clock.now() < ends and not member.ended:
-            if pilot.commanded and pilot.remaining() > 0.0:
-                ends = member.clock.now() + seconds  # its operator is at work
-            await self.sleep(FLIGHT_LOOK_INTERVAL)
-        member.gate = ""
-        member.report = report
-        self._may_fly()
-        if waits():
-            raise Interrupted(
-                f"drone {self.id}: no {gate} by its operator within {seconds:g} s"
-            )
-        if pilot.mode is Mode.CUT:
-            raise Interrupted(f"drone {self.id}: {describe_state(pilot)}")
-
-    async def _settle(self, goal: Vec) -> None:
-        """Wait, at most PATIENT s, until the drone has stood still at the goal for STOOD s.
-
-        Its control has then learnt its thrust and its trim.
-        """
-        clock = self.member.clock
-        pilot = self.member.pilot
-        stood = 0
-        ends = clock.now() + SETTLING_LIMITS.patience
-        while (
-            pilot.mode in FLYING_MODES
-            and clock.now() < ends
-            and stood * FLIGHT_LOOK_INTERVAL < SETTLING_LIMITS.settled_time
-        ):
-            state = self.state
-            there = (
-                np.linalg.norm(state.p - goal) < SETTLING_LIMITS.settled_distance
-                and np.linalg.norm(state.v) < SETTLING_LIMITS.settled_speed
-            )
-            stood = stood + 1 if there else 0
-            await self.sleep(FLIGHT_LOOK_INTERVAL)
 
     @remember_calls
     async def go_to(
@@ -459,73 +335,17 @@ class CFGuidance:
     ) -> None:
         """Fly to a place, and return when the drone is there.
 
-        It waits, at most PATIENCE s, while an operator holds the drone or the safety table brakes it, and where it
-        gives way to others, as to one who stands at p. A place above its home is flown to as near as the guard allows.
-        Raises ConfigError, before it moves, for what is no place, and for a place outside the fence, at its edge, or on
-        the floor; Interrupted when the pilot lands, and when p cannot be reached.
+        It waits, at most HELD_FLIGHT_PATIENCE s, while an operator holds the drone or the safety
+        table brakes it, and where it gives way to others, as to a drone that stands at p. A place
+        above its home is flown to as near as the guard allows.
+        Raises ConfigError, before the drone moves, if p is no place, or is outside the fence, at
+        its edge, or on the floor. Raises Interrupted when the pilot lands, and when p cannot be
+        reached.
         """
         place = self.member.pilot.require_goal(
             f"drone {self.id}: go_to()", p, yaw, duration
         )
-        await self._fly_to_place(place, duration, yaw)
-
-    async def _fly_to_place(
-        self, p: Vec, duration: float = 0.0, yaw: float | None = None
-    ) -> None:
-        """Fly to a place that has been checked, and return when the drone is there.
-
-        p: (3,) m, world.
-        duration: s, or 0: as fast as the limits allow.
-        yaw: rad, None: keep the present yaw.
-        Raises Interrupted if p cannot be reached.
-        """
-        attempts = 0
-        hindered = 0
-        pilot = self.member.pilot
-        clock = self.member.clock
-        ends = clock.now() + HELD_FLIGHT_PATIENCE
-        while attempts < FLIGHT_LIMITS.most_attempts and clock.now() < ends:
-            self._may_fly()
-            began = clock.now()
-            seconds = pilot.go_to(p, yaw, duration)
-            await self._while(
-                seconds or FLIGHT_LOOK_INTERVAL, Mode.TAKEOFF, Mode.FOLLOW
-            )
-            hindered = hindered + 1 if is_blocked(pilot) else 0
-            blown = (
-                clock.now() + FLIGHT_LIMITS.late_arrival_time
-                if seconds > 0.0 and not hindered
-                else 0.0
-            )
-            while (
-                pilot.gap(p) >= FLIGHT_LIMITS.arrival_distance and clock.now() < blown
-            ):
-                await self._while(FLIGHT_LOOK_INTERVAL, Mode.TAKEOFF, Mode.FOLLOW)
-            if pilot.gap(p) < (
-                TURN_DISTANCES.arrived if hindered else FLIGHT_LIMITS.arrival_distance
-            ):
-                return
-            attempts += seconds > 0.0 and pilot.clearance.gave_way < began
-            if hindered > 2 and find_first_at(pilot, p) < self.id:
-                await self._wait_aside(p)
-        place = np.round(p, 2).tolist()
-        why = HELD_TEXT if pilot.held else pilot.note or "no reason"
-        if pilot.is_replayed:
-            why = REPLAY_TEXT
-        raise Interrupted(
-            f"drone {self.id}: does not reach {place}, still {pilot.gap(p):.2f} m from it: {why}"
-        )
-
-    async def _wait_aside(self, p: Vec) -> None:
-        """Move aside, at most TURN s, while it is another drone's turn at the place p (3,) m."""
-        pilot = self.member.pilot
-        clock = self.member.clock
-        ends = clock.now() + TURN_TIMES.turn
-        await self._while(
-            pilot.go_to(choose_place_aside(self.state.p, p, pilot.fence)), Mode.FOLLOW
-        )
-        while find_first_at(pilot, p) < self.id and clock.now() < ends:
-            await self._while(FLIGHT_LOOK_INTERVAL, Mode.FOLLOW)
+        await reach_place(self.member, place, duration, yaw)
 
     @remember_calls
     async def fly(self, trajectory: Trajectory) -> None:
@@ -542,61 +362,13 @@ class CFGuidance:
         """
         trajectory = require_trajectory(f"drone {self.id}: fly()", trajectory)
         require_feasible(trajectory, self.member.pilot)
-        pilot = self.member.pilot
-        clock = self.member.clock
-        left = trajectory
-        attempts = 0
-        end = trajectory.sample(trajectory.duration)
-        ends = clock.now() + trajectory.duration + HELD_FLIGHT_PATIENCE
-        while attempts < FLIGHT_LIMITS.most_attempts and clock.now() < ends:
-            start = left.sample(0.0)
-            braked = pilot.braked
-            await self.go_to(start.p, yaw=start.yaw)
-            t = await self._flown(left)
-            if (
-                pilot.flights.plan is left
-                and pilot.gap(end.p) <= FLIGHT_LIMITS.arrival_distance
-            ):
-                return
-            if pilot.braked == braked and not pilot.guard.acts:
-                break
-            if 0.0 < t < left.duration:
-                flight = self.member.config.flight
-                attempts += 1
-                left = ResumedTrajectory(
-                    left,
-                    t,
-                    max(
-                        PICK_UP_TIME,
-                        4.0 * flight.speed_limit / flight.acceleration_limit,
-                    ),
-                )
-            await self.sleep(FLIGHT_LOOK_INTERVAL)
-        why = HELD_TEXT if pilot.held else describe_state(pilot)
-        raise Interrupted(
-            f"drone {self.id}: its trajectory of {trajectory.duration:.1f} s was not flown: {why}"
-        )
-
-    async def _flown(self, trajectory: Trajectory) -> float:
-        """Fly a trajectory until it ends or is stopped, and return how many s of it were flown."""
-        pilot = self.member.pilot
-        clock = self.member.clock
-        t = 0.0
-        left = pilot.fly(trajectory)
-        while pilot.flights.plan is trajectory and left > 0.0:
-            t = clock.now() - pilot.flights.start
-            await self._while(
-                min(FLIGHT_LOOK_INTERVAL, max(left, FLIGHT_LIMITS.shortest_wait)),
-                Mode.FOLLOW,
-            )
-            left = pilot.remaining()
-        return t
+        await fly_to_the_end(self.member, trajectory, self.go_to)
 
     @remember_calls
     async def land(self) -> None:
         """Come down and stop the motors.
 
-        A drone that its operator holds waits in the air, at most PATIENCE s.
+        A drone that its operator holds waits in the air, at most HELD_FLIGHT_PATIENCE s.
         Raises Interrupted if it does not end on the ground, for example because its motors were
         cut.
         """
@@ -617,7 +389,7 @@ class CFGuidance:
         A reference that cannot be flown is ignored. The log names the reason, once for each line of
         code.
         """
-        self._may_fly()
+        require_running(self.member)
         pilot = self.member.pilot
         if pilot.follow(reference) is False:
             caller = sys._getframe(1)
@@ -633,32 +405,6 @@ class CFGuidance:
     async def sleep(self, seconds: float) -> None:
         """Wait for some seconds, in the time of the swarm."""
         await self.member.clock.sleep(seconds, drone=self.id)
-
-    def _may_fly(self) -> None:
-        """Raise Interrupted if the mission is over: it must not fly any more."""
-        if self.member.ended:
-            raise Interrupted(
-                f"drone {self.id}: its mission is over: {self.member.ended}"
-            )
-
-    async def _while(self, seconds: float, *modes: Mode) -> None:
-        """Wait for a flight, and as long as others hinder it.
-
-        seconds: s: duration of the flight.
-        modes: modes of the pilot during the flight, beside HOVER.
-        Raises Interrupted in any other mode, such as landing.
-        """
-        pilot = self.member.pilot
-        flying = (*modes, Mode.HOVER)
-        clock = self.member.clock
-        ends = clock.now() + seconds - pilot.flights.waited
-        while (
-            pilot.mode in flying
-            and (left := ends + pilot.flights.waited - clock.now()) > 0.0
-        ):
-            await self.sleep(min(FLIGHT_LOOK_INTERVAL, max(left, 1e-3)))
-        if pilot.mode not in flying:
-            raise Interrupted(f"drone {self.id}: {describe_state(pilot)}")
 
 
 def require_feasible(trajectory: Trajectory, pilot: Pilot) -> None:

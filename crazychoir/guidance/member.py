@@ -13,6 +13,7 @@ from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.user_code_guard import GuardFactory
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.team.communicator import Communicator
+from crazychoir.types import State
 
 FLIGHT_LOOK_INTERVAL = 0.05
 """s: interval at which a mission looks again."""
@@ -59,6 +60,15 @@ class Member:
     """
 
 
+def get_state(member: Member) -> State:
+    """Return the newest estimate of the drone's own state.
+
+    Before the first pose it is a level state at the home of the drone.
+    """
+    state = member.pilot.state
+    return State.at(member.config.drone(member.id).home) if state is None else state
+
+
 class Interrupted(CrazyChoirError):
     """The pilot does something else than the guidance asked: it lands, or its motors are cut."""
 
@@ -99,7 +109,7 @@ async def wait_for_touchdown(pilot: Pilot, grace: float) -> None:
             ends = clock.now() + grace
             if clock.now() > patient:
                 pilot.land(
-                    f"held for {HELD_FLIGHT_PATIENCE:g} s, with its mission over: landing"
+                    f"held for {HELD_FLIGHT_PATIENCE:g} s after the end of its mission: landing"
                 )
         if pilot.remaining() > 0.0 or (is_blocked(pilot) and clock.now() < patient):
             ends = clock.now() + pilot.remaining() + grace

@@ -180,7 +180,7 @@ def import_from_file(path: Path, kind: str) -> ModuleType:
             else error_text(error)
         )
         raise ConfigError(
-            where, found, "a file that Python can import", "Mend it."
+            where, found, "a file that Python can import", "Correct it."
         ) from error
     return module
 

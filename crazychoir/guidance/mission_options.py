@@ -122,6 +122,12 @@ def require_none(config: SwarmConfig) -> None:
         own(config, drone, NoOptions)
 
 
+def require_no_options(config: SwarmConfig) -> None:
+    """Raise ConfigError for any option, in a mission that has none."""
+    given(config, NoOptions)
+    require_none(config)
+
+
 def require_each(config: SwarmConfig, found: Collection[int], key: str) -> None:
     """Raise ConfigError unless [mission_options] has a place for each drone, and for no other id.
 

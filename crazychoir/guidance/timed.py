@@ -94,7 +94,9 @@ class TimedFlight(CFDistributedFeedback):
         self.trajectory = trajectory
         self.marks = tuple(marks)
         self.duration = trajectory.duration + TIMED_FLIGHT_LIMITS.rest_time
-        self.way, self._at_marks, self._off = Way(), list[float](), list[float]()
+        self.way = Way()
+        self._at_marks = list[float]()
+        self._off = list[float]()
 
     def height(self) -> float:
         """Return the height at which the trajectory begins, in m above the ground."""

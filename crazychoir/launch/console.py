@@ -346,7 +346,7 @@ def build_status_table(score: "FlightScore") -> Group:
     if marked:
         below.append(
             _fit_on_line(
-                "silent: those that it does not hear; ? for a second or more, ! given up"
+                "silent: drones that it does not hear; ? for a second or more, ! given up"
             )
         )
     return Group(table, *below)

@@ -38,8 +38,8 @@ HINDRANCE_TEXTS = {
 }
 """Text for each key of a result that says what has kept the drone from its target."""
 NO_RESULT = "its process has ended without a result; the log says how"
-NOBODY_MOVED = (
-    "the law returned None in every step of every drone: all hovered, nobody moved"
+NO_DRONE_MOVED = (
+    "the law returned None in every step of every drone: all hovered, no drone moved"
 )
 Results = dict[int, dict[str, Any]]
 
@@ -234,8 +234,8 @@ def summarise_flight(
     ]
     separation = score.min_separation
     if are_all_idle(results):
-        log.warning(NOBODY_MOVED)
-        score.log.append(NOBODY_MOVED)
+        log.warning(NO_DRONE_MOVED)
+        score.log.append(NO_DRONE_MOVED)
     return {
         **report,
         "report": list(report),

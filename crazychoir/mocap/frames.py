@@ -1,7 +1,7 @@
 """The datagram with the poses of rigid bodies that virtual Crazyflies send as motion capture.
 
-A client that sends ASK to the port of the poses gets frames for PATIENCE s. Numbers are
-little-endian and not aligned.
+A client that sends `FRAME_PROTOCOL.request` to the port of the poses gets frames for
+`FRAME_PROTOCOL.request_lifetime`. Numbers are little-endian and not aligned.
 """
 
 import struct

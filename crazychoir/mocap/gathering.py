@@ -32,7 +32,8 @@ async def gather_frames(
     Their times are those of the source.
 
     seconds: s
-    Raises Refused if no frame arrives within FIRST s, whatever the source does.
+    Raises Refused if no frame arrives within `GATHER_TIMING.first_frame_deadline`, whatever the
+    source does.
     """
     frames: list[PoseFrame] = []
 
@@ -47,7 +48,7 @@ async def gather_frames(
         while not frames:
             if clock.now() - began > GATHER_TIMING.first_frame_deadline:
                 dropped = (
-                    f" {view.timeless} were dropped, whose time is no time in s."
+                    f" {view.timeless} were dropped, because their time is not a number of s."
                     if view.timeless
                     else ""
                 )

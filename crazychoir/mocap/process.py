@@ -104,8 +104,8 @@ class MocapProcess(Actor):
     """Publishes each pose as it arrives and, at the topic's rate, the state of the drone as truth.
 
     The truth of virtual drones is exact; that of others is their poses and derivative. The process
-    ends when it is asked to. It waits at most PATIENT s while one of its drones has an agent on the
-    network or flies: a drone needs poses to land.
+    ends when it is asked to. It waits at most `SHUTDOWN_PATIENCE` while one of its drones has an agent
+    on the network or flies: a drone needs poses to land.
 
     config: the swarm
     source: source of the frames
@@ -172,7 +172,7 @@ class MocapProcess(Actor):
         where = f"{self.source.where} ({self.source.state})"
         if not self.watch.frames:
             dropped = (
-                f"; {self.view.timeless} were dropped, whose time is no time in s"
+                f"; {self.view.timeless} were dropped, because their time is not a number of s"
                 if self.view.timeless
                 else ""
             )
@@ -184,7 +184,7 @@ class MocapProcess(Actor):
             ", ".join(map(repr, sorted(self.watch.sights)[:LISTED_BODIES])) or "no body"
         )
         wanted = ", ".join(map(repr, names[:LISTED_BODIES]))
-        do = "Mend `body` in the swarm file, or the names at the cameras; see `crazychoir mocap names`."
+        do = "Correct `body` in the swarm file, or the names at the cameras; see `crazychoir mocap names`."
         return f"{where}: no body of a drone was seen: the frames have {there}, the swarm file {wanted}. {do}"
 
     async def run(self) -> None:

@@ -63,8 +63,8 @@ class _AttemptFailed(Exception):
 class SystemSource:
     """Vicon, OptiTrack, Qualisys, VRPN or the library's mock.
 
-    Each attempt is a new process with deadlines: to start, to connect, and SILENT s between two
-    frames. A process that misses its deadline is reported and killed, and the next attempt follows
+    Each attempt is a new process with deadlines: to start, to connect, and `FRAME_TIMEOUT`
+    between two frames. A process that misses its deadline is reported and killed, and the next attempt follows
     later. Ages are exact, because the process uses the same clock.
 
     system: name of the system
@@ -152,7 +152,7 @@ class SystemSource:
             f"its reader does not start within {ATTEMPT_TIMING.start_deadline:g} s.",
         )
         self.state = "connecting"
-        hangs = f"no connection within {self._deadline:g} s; its library waits for ever where nobody answers."
+        hangs = f"no connection within {self._deadline:g} s; its library waits for ever if no server answers."
         await self._next(ours, self._deadline, hangs)
         self.state = "connected"
         while True:

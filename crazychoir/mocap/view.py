@@ -33,9 +33,10 @@ FRAME_TIMING = FrameTiming()
 class RateLimit:
     """Lets at most `rate` frames a second through, on average.
 
-    Frames of this very rate all pass, even if they jitter. A frame at t passes if t >= due - EARLY
-    / rate; then due becomes max(due, t) + 1 / rate. A time before the last one comes from a clock
-    that was set back: the frame passes, and due counts from there.
+    Frames of this very rate all pass, even if they jitter. A frame at t passes if
+    t >= due - e / rate with e = `FRAME_TIMING.early_share`; then due becomes max(due, t) + 1 / rate.
+    A time before the last one comes from a clock that was set back: the frame passes, and due
+    counts from there.
 
     rate: Hz
     """

@@ -84,7 +84,10 @@ class VirtualSource:
                     transport.close()
 
     async def _opened(self, take: TakeFrame) -> asyncio.DatagramTransport | None:
-        """Return a socket; None if the host is unknown, or not found within RESOLVED s."""
+        """Return a socket; None if the host is unknown, or not found in time.
+
+        The time is `REQUEST_TIMING.resolve_deadline`.
+        """
         loop = asyncio.get_running_loop()
         try:
             async with asyncio.timeout(REQUEST_TIMING.resolve_deadline):

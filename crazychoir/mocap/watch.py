@@ -218,7 +218,7 @@ class TrackingWatch:
         return [
             (
                 "strangers",
-                f"seen, and nobody's: {_list_names(strange)}. The swarm file has {_list_names(list(own))}.",
+                f"bodies of no drone are seen: {_list_names(strange)}. The swarm file has {_list_names(list(own))}.",
             )
         ]
 

@@ -81,14 +81,14 @@ CODE_VERSIONS = (KERNEL_CACHE_RULES.format_name, numba.__version__, np.__version
 NAMED_LIBRARIES = ("builtins", "math", "cmath", "numpy", "numba")
 """Packages that enter the digest only by the names of their functions and constants.
 
-VERSIONS covers their content.
+CODE_VERSIONS covers their content.
 """
 COMPILING_MESSAGE = (
     "crazychoir compiles its laws, once on this machine; that takes a minute or two"
 )
 """The line that explains the wait."""
 EXACT_TYPES = (type(None), bool, int, float, complex, str, bytes, type(Ellipsis))
-"""Types with a `repr` that tells the whole value; NUMBERS holds more."""
+"""Types with a `repr` that tells the whole value; NUMBER_TYPES holds more."""
 NUMBER_TYPES = (np.number, np.bool_, np.dtype, numba.types.Type)
 """More types with a `repr` that tells the whole value."""
 

@@ -192,7 +192,7 @@ class PredictiveControl:
     def approach(self, x: Vec, others: Mat) -> Mat | str:
         """Return the inputs with the least excess of the reach, for an x that is out of reach.
 
-            |y_t - y_j,t| <= reach + s,  s >= 0,  with DEAR s + s^2 / 2 more to minimise
+            |y_t - y_j,t| <= reach + s,  s >= 0,  with REACH_EXCESS_COST s + s^2 / 2 more to minimise
 
         Arguments and results are those of `solve`.
         """

@@ -41,7 +41,7 @@ DEMAND_NAMES = (
 )
 """Names of what a trajectory demands; the columns of `compute_demands`."""
 DEMAND_UNITS = ("m/s", "m/s2", "m/s3", "rad/s", "rad", "N", "rad/s", "rad/s", "rad/s")
-"""Units of DEMANDS."""
+"""Units of DEMAND_NAMES."""
 THRUST_COLUMN = DEMAND_NAMES.index("thrust")
 """Column of the thrust."""
 
@@ -51,7 +51,7 @@ def _fill_demands(references: Mat, out: Mat) -> None:
     """Compute the demands of each reference; the thrust in N/kg.
 
     references: (n, 14)
-    out: (n, 9): the result, in the order of DEMANDS
+    out: (n, 9): the result, in the order of DEMAND_NAMES
     """
     for k in range(references.shape[0]):
         x = references[k]
@@ -61,7 +61,9 @@ def _fill_demands(references: Mat, out: Mat) -> None:
         f = (a[0], a[1], a[2] + STANDARD_GRAVITY)
         thrust = math.sqrt(dot(f, f))
         o[0] = math.sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5])
-        o[1], o[2], o[3] = math.sqrt(dot(a, a)), math.sqrt(dot(j, j)), abs(x[13])
+        o[1] = math.sqrt(dot(a, a))
+        o[2] = math.sqrt(dot(j, j))
+        o[3] = abs(x[13])
         o[4] = math.acos(min(max(f[2] / max(thrust, 1e-9), -1.0), 1.0))
         o[5] = thrust
         w = flat_rates(f, j, flat_attitude(f, x[12]), x[12], x[13])
@@ -79,7 +81,7 @@ def compute_demands(references: Mat, mass: float) -> Mat:
 
     references: (n, 14)
     mass: kg
-    Returns (n, 9), columns as in DEMANDS: m/s, m/s2, m/s3, rad/s, rad, N, then |p|, |q|, |r| rad/s
+    Returns (n, 9), columns as in DEMAND_NAMES: m/s, m/s2, m/s3, rad/s, rad, N, then |p|, |q|, |r| rad/s
     in the body frame.
     Source: Mellinger & Kumar 2011, ICRA, section III.
     """
@@ -143,7 +145,7 @@ class Limits:
 
     @property
     def largest(self) -> Vec:
-        """(9,) in the order of DEMANDS."""
+        """(9,) in the order of DEMAND_NAMES."""
         scalars = (
             self.v_max,
             self.a_max,
@@ -194,7 +196,7 @@ def sample_references(trajectory: Trajectory) -> tuple[Vec, Mat]:
 
 
 def compute_peaks(trajectory: Trajectory, mass: float = 1.0) -> dict[str, float]:
-    """Return the largest value of each of DEMANDS, by name.
+    """Return the largest value of each of DEMAND_NAMES, by name.
 
     mass: kg
     """

@@ -118,7 +118,7 @@ def _plan_within_limits(
     raise ConfigError(
         "minimum_snap: time for all waypoints",
         tried,
-        "one that keeps the limits from its moving ends",
+        "a time that keeps the limits from its moving ends",
         "Give times, wider limits, or ends at rest.",
     )
 

@@ -16,7 +16,7 @@ POLYNOMIAL_DEGREE = 7
 FACTORIAL_TABLE = np.array(
     [math.factorial(n) for n in range(POLYNOMIAL_DEGREE + 1)], dtype=float
 )
-"""n! for n = 0 .. DEGREE."""
+"""n! for n = 0 .. POLYNOMIAL_DEGREE."""
 
 
 @kernel(matrix, vector, real, memory)

@@ -92,7 +92,7 @@ def plan_stop(start: FullState, a_max: float = 2.0) -> PointToPoint:
         p(T) = p + v T / 2 + a T^2 / 10 + j T^3 / 120
 
     At this end c7 = 0. Without a and j at the start the drone slows down and never turns back. It
-    then stops in a distance of STOP |v|^2 / a_max:
+    then stops in a distance of STOP_DISTANCE |v|^2 / a_max:
 
         T = 15/8 |v| / a_max
 

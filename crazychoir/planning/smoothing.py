@@ -42,7 +42,7 @@ class GoalSmoother:
 
     p: (3,) m, where the reference starts at rest
     v_max: m/s
-    a_max: m/s2; it gives w, which is at most QUICKEST 1/s
+    a_max: m/s2; it gives w, which is at most PULSE_RESPONSE.largest_frequency 1/s
     period: s, of the steps
     Raises ConfigError for a limit or a period that is not positive.
     """

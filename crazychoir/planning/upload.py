@@ -171,7 +171,7 @@ def _find_longest_piece(
 ) -> float:
     """Return the length in s of the longest piece from t on that fits, to 2 %.
 
-    It is at least SHORTEST.
+    It is at least SHORTEST_PIECE.
     """
 
     def fits(length: float) -> bool:

@@ -52,7 +52,7 @@ def supervisor_problems(supervisor: int) -> list[str]:
         else ReadinessBit.CAN_FLY | ReadinessBit.ARMED | ReadinessBit.CAN_ARM
     )
     if not supervisor & ready:
-        return [f"its firmware does not let it fly (supervisor {supervisor:#06x})"]
+        return [f"its firmware does not allow flight (supervisor {supervisor:#06x})"]
     return []
 
 
@@ -65,7 +65,7 @@ def battery_problems(volts: float, begin: float) -> list[str]:
     if math.isnan(volts):
         return ["says nothing of its battery"]
     return (
-        [f"battery at {volts:.2f} V, {begin:g} V are needed to begin"]
+        [f"battery at {volts:.2f} V, {begin:g} V are needed to start"]
         if volts < begin
         else []
     )
@@ -96,7 +96,7 @@ def link_problems(latency: float, answered: float) -> list[str]:
     """
     found = (
         [
-            f"its link takes {latency:.2f} s there and back, at most {READINESS_LIMITS.longest_round_trip:g} s may be"
+            f"its link takes {latency:.2f} s for a round trip, at most {READINESS_LIMITS.longest_round_trip:g} s may be"
         ]
         if latency > READINESS_LIMITS.longest_round_trip
         else []
@@ -116,7 +116,7 @@ def spread_problems(variances: list[float]) -> list[str]:
     """
     worst = max(variances, key=lambda v: math.inf if math.isnan(v) else v)
     if math.isnan(worst):
-        return ["does not say how well it knows where it is"]
+        return ["does not report the accuracy of its position"]
     if worst > READINESS_LIMITS.largest_variance:
         return [
             f"knows its place to {math.sqrt(worst):.2f} m, "

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from crazychoir.errors import Refused
 from crazychoir.radio import checks
 from crazychoir.radio.link.connection import Connection
-from crazychoir.radio.link.firmware import Firmware
+from crazychoir.radio.link.firmware import ConnectedFirmware
 from crazychoir.radio.link.toc_cache import TableOfContents
 from crazychoir.radio.protocol.crtp import CrtpPort, Packet
 from crazychoir.runtime.clock import Clock
@@ -53,7 +53,7 @@ async def identify(
     try:
         await connection.open(deadline)
         await _require_rest(connection)
-        firmware = Firmware(connection)
+        firmware = ConnectedFirmware(connection)
         lit = BOARD_LEDS | (
             RING_LEDS if await firmware.has(RING_DECK_PARAMETER) else {}
         )
@@ -78,4 +78,4 @@ async def _require_rest(connection: Connection) -> None:
     with contextlib.suppress(TimeoutError):
         answer = await connection.ask(STATE_REQUEST, answers, STATE_DEADLINE)
         if int.from_bytes(answer.data[1:3], "little") & checks.ReadinessBit.FLYING:
-            raise Refused(connection.uri, "it flies: nobody should look for its LEDs")
+            raise Refused(connection.uri, "it flies: do not look for its LEDs now")

@@ -16,11 +16,8 @@ from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.control.robots import find_sender
 from crazychoir.errors import Refused, error_text
 from crazychoir.radio.budget import compute_setpoint_rates
-from crazychoir.radio.drone.radio_drone import (
-    LINK_CHECK_RATE,
-    SILENCE_LIMITS,
-    RadioDrone,
-)
+from crazychoir.radio.drone.radio_drone import RadioDrone, SharedRadio
+from crazychoir.radio.drone.timing import LINK_CHECK_RATE, SILENCE_LIMITS
 from crazychoir.radio.link.dongles import PROCESS_DONGLES
 from crazychoir.radio.link.toc_cache import TableOfContents, tables_folder
 from crazychoir.radio.link.writer import SendPacer
@@ -78,11 +75,13 @@ class RadioProcess(Actor):
         self.bus = Bus(clock, process=process, host=host)
         self.ids = config.topology.dongles[dongle]
         rate = compute_setpoint_rates(config)[dongle]
-        contents = TableOfContents(tables_folder())
         for i in self.ids:
             self.bus.port(PORT_ADDRESSES.body_offset + i, incarnation)
-        turn = self._turns().turn
-        sights = BodySights(self.bus, config, PORT_ADDRESSES.body_offset + self.ids[0])
+        shared = SharedRadio(
+            TableOfContents(tables_folder()),
+            self._turns().turn,
+            BodySights(self.bus, config, PORT_ADDRESSES.body_offset + self.ids[0]),
+        )
         self.drones = {
             i: RadioDrone(
                 self.bus,
@@ -90,9 +89,7 @@ class RadioProcess(Actor):
                 i,
                 find_sender(config, i),
                 rate,
-                contents,
-                turn,
-                sights,
+                shared,
             )
             for i in self.ids
         }
@@ -100,11 +97,11 @@ class RadioProcess(Actor):
             i: RemoteBody(
                 self.bus.ports[PORT_ADDRESSES.body_offset + i],
                 drone,
-                drone,
-                drone.kind,
+                drone.commands,
+                drone.setup.kind,
                 flight=config.flight,
-                ask=drone.ask,
-                arm=drone.arm,
+                ask=drone.requested_logs.ask,
+                arm=drone.motors.arm,
             )
             for i, drone in self.drones.items()
         }
@@ -141,12 +138,12 @@ class RadioProcess(Actor):
             for i, body in self.bodies.items():
                 body.look()
                 self._keep_inside(i, body)
-                if self.drones[i].orphan:
+                if self.drones[i].is_orphan:
                     body.abandon()
             tick += 1
             if tick % every == 0:
                 for drone in self.drones.values():
-                    drone.report()
+                    drone.report.publish()
             if self._ending and self._alone():
                 self._leave()
 
@@ -162,7 +159,7 @@ class RadioProcess(Actor):
         self._missing = PROCESS_DONGLES.failure(self.config.drone(self.ids[0]).uri)
         if not self._missing:
             return
-        used = any(math.isfinite(drone.silence) for drone in self.drones.values())
+        used = any(math.isfinite(drone.link.silence) for drone in self.drones.values())
         if before and (used or age > self.config.radio.connect_deadline):
             self.abort(self._missing)
         elif not (before or used):
@@ -176,9 +173,11 @@ class RadioProcess(Actor):
         """
         drone = self.drones[i]
         now = self.clock.now()
-        flies = drone.flying and drone.silence < SILENCE_LIMITS.link_lost
+        flies = (
+            drone.estimate.is_flying and drone.link.silence < SILENCE_LIMITS.link_lost
+        )
         seen = (
-            drone.place
+            drone.view.place
             if flies and body.silence > OWNER_LIMITS.command_silence
             else None
         )
@@ -187,19 +186,21 @@ class RadioProcess(Actor):
             and now - seen[0] < OWNER_LIMITS.command_silence
             and (beyond := self._limit.outside(*seen[1].p)) > 0.0
         ):
-            body.stop(f"{beyond:.2f} m outside the limit area, and nobody commands it")
+            body.stop(f"{beyond:.2f} m outside the limit area, without a commander")
 
     def _alone(self) -> bool:
         """Return whether no drone is commanded and none flies, or the time to land has passed."""
         commanded = any(
             body.silence < OWNER_LIMITS.command_silence for body in self.bodies.values()
         )
-        flying = any(drone.flying for drone in self.drones.values())
+        flying = any(drone.estimate.is_flying for drone in self.drones.values())
         return self.clock.now() > self._ending or not (commanded or flying)
 
     def _leave(self) -> None:
         """End: all drones have landed, or had the time to land."""
-        if flying := [str(i) for i, drone in self.drones.items() if drone.flying]:
+        if flying := [
+            str(i) for i, drone in self.drones.items() if drone.estimate.is_flying
+        ]:
             self.abort(
                 f"ends {OWNER_LIMITS.landing_time:g} s after it was told to; not known to have "
                 f"landed: {', '.join(flying)}"
@@ -236,10 +237,10 @@ class RadioProcess(Actor):
             "setpoints_hz": self.rate,
             "drones": {
                 i: {
-                    "state": drone.state_of_link,
-                    "release": drone.release,
-                    "reconnected": drone.reconnected,
-                    "refused": drone.refused_plans,
+                    "state": drone.link.state,
+                    "release": drone.preparation.release,
+                    "reconnected": drone.link.reconnected,
+                    "refused": drone.landing.refused_plans,
                     "malformed": drone.malformed,
                 }
                 for i, drone in self.drones.items()

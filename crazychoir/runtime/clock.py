@@ -37,8 +37,6 @@ SWITCH_INTERVAL = 0.0005
 The event loop does not wait longer.
 """
 
-# Priorities of alarms at the same instant.
-
 
 class AlarmPriority(IntEnum):
     """Order of the alarms of one instant: the lowest comes first."""
@@ -375,7 +373,7 @@ class VirtualClock(Clock):
         if self._passes > LIVELOCK_PASSES:
             raise Livelock(
                 f"{LIVELOCK_PASSES} loop passes at {self.now():.9f} s of virtual time. "
-                f"Somebody runs for ever without waiting on the clock. {describe_tasks(self._loop)}"
+                f"A task runs for ever without waiting on the clock. {describe_tasks(self._loop)}"
             )
 
     def advance(self) -> Alarm:
@@ -383,7 +381,7 @@ class VirtualClock(Clock):
         found = self._next()
         if found is None:
             raise Deadlock(
-                f"at {self.now():.9f} s of virtual time nobody can go on. {describe_tasks(self._loop)}"
+                f"at {self.now():.9f} s of virtual time no task can continue. {describe_tasks(self._loop)}"
             )
         when_ns, alarm = found
         if when_ns > self._now_ns:

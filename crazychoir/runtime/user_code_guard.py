@@ -67,9 +67,9 @@ class HangWatch:
         self._ending = threading.Event()
 
     def guard(self, actor: str, patient: bool = False) -> InterruptGuard:
-        """Return a context in which code is interrupted by Hung after STEP s.
+        """Return a context in which code is interrupted by Hung after the step limit.
 
-        If it is patient, it is interrupted after MISSION s.
+        If it is patient, it is interrupted after the mission limit.
         """
         return self.within(
             USER_CODE_TIMES.mission_limit if patient else USER_CODE_TIMES.step_limit,

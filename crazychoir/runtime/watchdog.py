@@ -92,13 +92,13 @@ class Stall:
 class Watchdog:
     """Watches the running loop from a thread of its own.
 
-    Start it inside the loop, in real time only. A stall is reported when it reaches LATE, HAND_OVER
-    and INTERRUPT, and then each time it has doubled. Short stalls of one actor, or outside every
-    task and guarded code, are reported once in QUIET s, with their number.
+    Start it inside the loop, in real time only. A stall is reported when it reaches the delays of
+    WATCHDOG_TIMES, and then each time it has doubled. Short stalls of one actor, or outside every
+    task and guarded code, are reported once in WATCHDOG_TIMES.quiet_time, with their number.
 
     clock: the clock of the loop
     on_stall: called with each report, in the watchdog's thread
-    soon: interrupt guarded code after HAND_OVER s of processor time: else bodies simulated in
+    soon: interrupt guarded code after `hand_over_delay` of processor time: else bodies simulated in
       another process would fall, and the other drones of this process would get no commands
     """
 
@@ -141,13 +141,13 @@ class Watchdog:
             self._thread.join(1.0)
 
     def guard(self, actor: str, patient: bool = False) -> "InterruptGuard":
-        """Return a context in which Hung interrupts code that blocks the loop for INTERRUPT s.
+        """Return a context in which Hung interrupts code that blocks the loop for too long.
 
         The code may not await, and guards may not nest. Code that swallows Hung gets it again as
         many seconds later.
 
         actor: name for reports
-        patient: interrupt only after PATIENT s
+        patient: interrupt only after WATCHDOG_TIMES.patient_limit
         """
         self._guard.actor = actor
         self._guard.limit = (

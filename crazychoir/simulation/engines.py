@@ -150,12 +150,15 @@ def _world(config: SwarmConfig, drones: tuple[DroneTable, ...]) -> World:
             f"an engine that makes a world: {entry.value} is a function of a WorldSetup"
         )
         raise ConfigError(
-            f"uri {uri}", found, allowed, "Mend or update the package that it is from."
+            f"uri {uri}",
+            found,
+            allowed,
+            "Correct or update the package that it is from.",
         ) from error
     if (tuple(world.ids), world.dt) != (ids, setup.dt):
         found = f"a world of drones {list(world.ids)}, steps of {world.dt:g} s"
         asked = f"what it was asked for: {list(ids)}, {setup.dt:g} s"
-        raise ConfigError(f"uri {uri}", found, asked, "Mend the engine.")
+        raise ConfigError(f"uri {uri}", found, asked, "Correct the engine.")
     return world
 
 

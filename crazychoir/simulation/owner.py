@@ -94,7 +94,7 @@ class WorldOwner(Actor):
     async def run(self) -> None:
         """Step the world once a tick.
 
-        Ticks missed in real time are made up for, up to MOST_CATCH_UP, before the cameras look.
+        Ticks missed in real time are made up for, up to LARGEST_CATCH_UP, before the cameras look.
         """
         ticks = self.ticks
         missed = 0

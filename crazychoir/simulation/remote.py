@@ -282,7 +282,7 @@ class BodyObserver(Protocol):
     """Questions about the body of a drone, answered by a simulated world or by a radio."""
 
     flies: tuple[str, ...]
-    """Kinds of commands that its drones obey, keys of KINDS."""
+    """Kinds of commands that its drones obey, keys of COMMAND_TYPES."""
     command_timeout: float | None
     """Seconds without a command before a flying drone gets no thrust; None: no such limit."""
 
@@ -396,7 +396,7 @@ class RemoteBody:
 
     def abandon(self) -> None:
         """Land a drone that flies without a command since its owner was started."""
-        log.warning("drone %d: flies, and nobody commands it: landing", self.drone)
+        log.warning("drone %d: flies without a commander: landing", self.drone)
         self.link.send(self._down(False))
 
     def stop(self, reason: str) -> None:

@@ -15,6 +15,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import msgspec
+
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.impairment.rules import ImpairmentRule
@@ -164,7 +166,7 @@ class SolverProcess:
                 i,
                 links.diameter(),
                 spec["method"],
-                RoutingSettings(**spec["settings"]),
+                msgspec.convert(spec["settings"], RoutingSettings),
             )
             communicator = Communicator(bus.port(i), links, deadline=spec["deadline"])
             self.robots[i] = SolverRobot(communicator, agent, self._look)

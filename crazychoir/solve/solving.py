@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from crazychoir.routing.distributed.member import RoutingSettings
 from crazychoir.routing.distributed.pickup_delivery import PickupDelivery
 from crazychoir.routing.distributed.plain_loop import (
     compile_routing_kernels,
@@ -18,6 +17,7 @@ from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.schedule import summarise_plan
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.solve.simulate import Run, simulate
+from crazychoir.solve.solve_options import DEFAULT_SOLVE_OPTIONS, SolveOptions
 from crazychoir.team.graph import graph_from_name
 
 Team = Mapping[int, PickupDelivery]
@@ -25,12 +25,8 @@ Team = Mapping[int, PickupDelivery]
 
 def solve_here(
     instance: Instance,
+    options: SolveOptions = DEFAULT_SOLVE_OPTIONS,
     *,
-    method: str = "columns",
-    loss: float = 0.0,
-    graph: str = "ring",
-    seed: int = 0,
-    settings: RoutingSettings | None = None,
     watch: Callable[[Team], None] = lambda team: None,
     run: Run = run_virtual,
 ) -> dict[str, Any]:
@@ -43,28 +39,23 @@ def solve_here(
     - critical_path_s: s, sum over the rounds of the slowest robot's CPU time
 
     instance: the pickup-and-delivery problem
-    method: name of the distributed method
-    loss: share of messages that are lost
-    graph: name of the communication graph
-    seed: seed of the graph and of the losses
-    settings: settings of the method, or None for the defaults
+    options: method, network and seed
     watch: called with the agents after each step
     run: run_virtual, or run_wall for real time
     Raises InstanceError, SolverError or ConfigError.
     """
     began = time.perf_counter()
-    links = graph_from_name(graph, instance.robots, seed)
-    compile_routing_kernels(instance.local(0), method)
-    agents = make_team(
-        instance, {i: list(links.neighbors(i)) for i in links.ids}, method, settings
-    )
+    links = graph_from_name(options.graph, instance.robots, options.seed)
+    compile_routing_kernels(instance.local(0), options.method)
+    neighbors = {i: list(links.neighbors(i)) for i in links.ids}
+    agents = make_team(instance, neighbors, options.method, options.settings)
     started = time.perf_counter() - began
     history = simulate(
         agents,
         links,
-        loss=loss,
+        loss=options.loss,
         network={"delay": 0.0},
-        seed=seed,
+        seed=options.seed,
         record=(),
         watch=watch,
         run=run,

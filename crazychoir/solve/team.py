@@ -24,13 +24,13 @@ from crazychoir.numerics.kernel_cache import (
     print_first_warning,
     share_with_children,
 )
-from crazychoir.routing.distributed.member import RoutingSettings
 from crazychoir.routing.distributed.pickup_delivery import PLANNING_METHODS
 from crazychoir.routing.distributed.plain_loop import join_solutions
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.plan import Solution
 from crazychoir.routing.instance.schedule import summarise_plan
 from crazychoir.solve.group import ProgramEnded, ProgramGroup
+from crazychoir.solve.solve_options import DEFAULT_SOLVE_OPTIONS, SolveOptions
 from crazychoir.team.graph import Graph, describe_ids, graph_from_name
 
 START_DEADLINE = 300.0
@@ -50,13 +50,9 @@ Answer = tuple[int, dict[str, Any]]
 def solve_in_processes(
     instance: Instance,
     processes: int,
+    options: SolveOptions = DEFAULT_SOLVE_OPTIONS,
     *,
-    method: str = PLANNING_METHODS[0],
-    loss: float = 0.0,
     burst: float | None = None,
-    graph: str = "ring",
-    seed: int = 0,
-    settings: RoutingSettings | None = None,
     deadline: float = SOLVE_DEADLINE,
     watch: Callable[[Progress], None] | None = None,
 ) -> dict[str, Any]:
@@ -78,30 +74,26 @@ def solve_in_processes(
 
     instance: the pickup-and-delivery problem
     processes: number of processes
-    method: name of the distributed method
-    loss: share of messages that are lost
+    options: method, network and seed
     burst: mean number of messages that are lost in a row; None if each is lost by itself
-    graph: name of the communication graph
-    seed: seed of the graph and of the losses
-    settings: settings of the method, or None for the defaults
     deadline: s, limit of the whole solution
     watch: called with the progress of all robots, or None
     Raises InstanceError, ConfigError, or ProcessFailed if a process fails, ends, or is silent for
     too long.
     """
     began = time.perf_counter()
-    links = graph_from_name(graph, instance.robots, seed)
+    links = graph_from_name(options.graph, instance.robots, options.seed)
     if not 1 <= processes <= instance.robots:
         raise ConfigError(
             "processes",
             processes,
             f"1 to {instance.robots}, the robots of {instance.name}",
         )
-    if method not in PLANNING_METHODS:
+    if options.method not in PLANNING_METHODS:
         raise ConfigError(
-            "method", method, ", ".join(PLANNING_METHODS), "Choose one of them."
+            "method", options.method, ", ".join(PLANNING_METHODS), "Choose one of them."
         )
-    network = NetworkTable(loss=loss, burst=burst)
+    network = NetworkTable(loss=options.loss, burst=burst)
     require_loss_of_burst(network)
     parts = [
         part.tolist() for part in np.array_split(np.arange(instance.robots), processes)
@@ -111,11 +103,11 @@ def solve_in_processes(
         file.write_text(json.dumps(instance.to_json()), encoding="utf-8")
         common = {
             "instance": str(file),
-            "method": method,
-            "seed": seed,
+            "method": options.method,
+            "seed": options.seed,
             "deadline": deadline,
             "rules": [rule.effects for rule in network_rules(network)],
-            "settings": asdict(settings or RoutingSettings()),
+            "settings": asdict(options.settings),
         }
         common |= {
             "neighbors": {i: links.neighbors(i) for i in links.ids},

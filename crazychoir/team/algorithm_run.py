@@ -251,7 +251,7 @@ def _require_all(communicator: Communicator) -> None:
     lost = [
         j
         for j in communicator.graph.at(0).in_neighbors(communicator.id)
-        if communicator.membership.lost(j)
+        if communicator.membership.is_lost(j)
     ]
     if lost:
         error = PeerLost(communicator.id, lost, communicator.silence(lost))

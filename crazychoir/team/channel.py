@@ -43,6 +43,64 @@ NOT_SENT: Final[Sent] = (b"", ())
 
 
 @dataclass(eq=False, slots=True)
+class NeighborProgress:
+    """The messages and the progress of the neighbours on one channel."""
+
+    latest: dict[int, Latest] = field(default_factory=dict)
+    """{sender: its newest message}."""
+    progress: dict[int, int] = field(default_factory=dict)
+    """{neighbour: first round that it may not have finished}."""
+    pacing: dict[int, None] = field(default_factory=dict)
+    """Neighbours that ask for rounds that they lack (a dict, to keep their order)."""
+    finished: dict[int, int] = field(default_factory=dict)
+    """{neighbour that has ended the channel: first round in which it did not take part}."""
+    kept: dict[int, int] = field(default_factory=dict)
+    """{neighbour that was without us for a while: first round that it still has}."""
+
+    def forget(self, peers: Iterable[int]) -> None:
+        """Forget the state of neighbours that have left or were restarted."""
+        for j in peers:
+            for known in (
+                self.latest,
+                self.progress,
+                self.pacing,
+                self.finished,
+                self.kept,
+            ):
+                known.pop(j, None)
+
+
+@dataclass(eq=False, slots=True)
+class RoundWait:
+    """The present wait for a round on one channel, and its resends."""
+
+    missing: dict[int, None] = field(default_factory=dict)
+    """Neighbours that we wait for."""
+    strict: bool = True
+    """True if the wait fails without all of them."""
+    waiter: "asyncio.Future[None] | None" = None
+    """Resolved when the awaited round is complete."""
+    since_ns: int = 0
+    """ns: start of the present wait."""
+    resend_ns: int = 0
+    """ns: time of the next resend; 0 before the first sweep of the wait."""
+    deadline_ns: int = 0
+    """ns: time at which the wait fails."""
+    attempt: int = 0
+    """Resends in the present wait."""
+    round_time: float = 0.0
+    """Seconds: smoothed time of a round."""
+
+    def rto(self, attempt: int) -> float:
+        """Return the seconds until the next resend."""
+        return min(
+            ROUND_WINDOW.longest_resend,
+            max(ROUND_WINDOW.shortest_resend, 1.5 * self.round_time)
+            * 2.0 ** min(attempt // 4, 8),
+        )
+
+
+@dataclass(eq=False, slots=True)
 class Channel:
     """The rounds of one drone in one algorithm instance."""
 
@@ -68,42 +126,20 @@ class Channel:
     """{round: payload and readers} of the own rounds that are kept."""
     inbox: dict[int, dict[int, bytes]] = field(default_factory=dict)
     """{round: {sender: payload}} of received rounds that are not read yet."""
-    latest: dict[int, Latest] = field(default_factory=dict)
-    """{sender: its newest message}."""
-    progress: dict[int, int] = field(default_factory=dict)
-    """{neighbour: first round that it may not have finished}."""
-    pacing: dict[int, None] = field(default_factory=dict)
-    """Neighbours that ask for rounds that they lack (a dict, to keep their order)."""
-    finished: dict[int, int] = field(default_factory=dict)
-    """{neighbour that has ended the channel: first round in which it did not take part}."""
-    kept: dict[int, int] = field(default_factory=dict)
-    """{neighbour that was without us for a while: first round that it still has}."""
+    peers: NeighborProgress = field(default_factory=NeighborProgress)
+    """Messages and progress of the neighbours."""
+    wait: RoundWait = field(default_factory=RoundWait)
+    """The present wait for a round."""
     closed_at: int = -1
     """Number of rounds when we closed the channel; -1 while it is open."""
     told: int = 0
     """FINs that we sent to neighbours that asked for a round after our last."""
-    changed: Exception | None = None
-    """Error that the next verb raises because the channel was restarted."""
-    missing: dict[int, None] = field(default_factory=dict)
-    """Neighbours that we wait for."""
-    strict: bool = True
-    """True if the wait fails without all of them."""
-    waiter: "asyncio.Future[None] | None" = None
-    """Resolved when the awaited round is complete."""
-    gate: "asyncio.Future[None] | None" = None
-    """Resolved when there is news of the readers' progress."""
-    since_ns: int = 0
-    """ns: start of the present wait."""
-    resend_ns: int = 0
-    """ns: time of the next resend; 0 before the first sweep of the wait."""
-    deadline_ns: int = 0
-    """ns: time at which the wait fails."""
-    attempt: int = 0
-    """Resends in the present wait."""
     answers: int = 0
     """Answers to repeated rounds and questions."""
-    round_time: float = 0.0
-    """Seconds: smoothed time of a round."""
+    changed: Exception | None = None
+    """Error that the next verb raises because the channel was restarted."""
+    gate: "asyncio.Future[None] | None" = None
+    """Resolved when there is news of the readers' progress."""
 
     @classmethod
     def beginning(cls, name: str, joinable: bool, first: int) -> "Channel":
@@ -116,7 +152,7 @@ class Channel:
     def used(self) -> bool:
         """True while an algorithm is between its first round and the end of the channel."""
         return self.closed_at < self.sending and bool(
-            self.sending or self.receiving or self.waiter
+            self.sending or self.receiving or self.wait.waiter
         )
 
     def stored(self, k: int, j: int) -> bytes | None:
@@ -142,8 +178,10 @@ class Channel:
         pacing_only: True to return only readers that ask for rounds that they lack
         """
         readers = self.sent.get(k, NOT_SENT)[1]
-        late = [j for j in readers if self.progress.get(j, 0) <= k and j not in gone]
-        return [j for j in late if j in self.pacing] if pacing_only else late
+        late = [
+            j for j in readers if self.peers.progress.get(j, 0) <= k and j not in gone
+        ]
+        return [j for j in late if j in self.peers.pacing] if pacing_only else late
 
     def ended(self) -> dict[int, int]:
         """Return {j: its rounds} of the awaited neighbours that
@@ -152,7 +190,11 @@ class Channel:
         Their message will never come. A neighbour is left out if we closed the channel at the same
         round or later and continued, because it may continue too.
         """
-        found = {j: self.finished[j] for j in self.missing if j in self.finished}
+        found = {
+            j: self.peers.finished[j]
+            for j in self.wait.missing
+            if j in self.peers.finished
+        }
         return {j: n for j, n in found.items() if self.closed_at < n <= self.receiving}
 
     def trim(self, gone: dict[int, None], pacing_only: bool = False) -> list[int]:
@@ -175,29 +217,9 @@ class Channel:
     def _trim_on(self, readers: tuple[int, ...], gone: dict[int, None]) -> None:
         """Forget the following finished rounds that have the same readers, all together."""
         done = min(
-            (self.progress.get(j, 0) for j in readers if j not in gone),
+            (self.peers.progress.get(j, 0) for j in readers if j not in gone),
             default=self.sending,
         )
         while self.oldest < done and self.sent.get(self.oldest, NOT_SENT)[1] is readers:
             del self.sent[self.oldest]
             self.oldest += 1
-
-    def forget(self, peers: Iterable[int]) -> None:
-        """Forget the state of neighbours that have left or were restarted."""
-        for j in peers:
-            for known in (
-                self.latest,
-                self.progress,
-                self.pacing,
-                self.finished,
-                self.kept,
-            ):
-                known.pop(j, None)
-
-    def rto(self, attempt: int) -> float:
-        """Return the seconds until the next resend."""
-        return min(
-            ROUND_WINDOW.longest_resend,
-            max(ROUND_WINDOW.shortest_resend, 1.5 * self.round_time)
-            * 2.0 ** min(attempt // 4, 8),
-        )

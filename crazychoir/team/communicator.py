@@ -12,16 +12,11 @@ from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.errors import CodecError, PeerLost, RoundTimeout
 from crazychoir.runtime.clock import NS_PER_SECOND, wake_waiter
 from crazychoir.team.channel import ROUND_WINDOW, Channel
+from crazychoir.team.message_kind import AHEAD_KIND, DATA_KIND, MessageKind
 from crazychoir.team.rounds import (
-    AHEAD,
-    CREDIT,
     CREDIT_EVERY,
-    DATA,
     FAILURE_CHANNEL,
-    FIN,
-    FIN_TOO,
     FIRST_UNASKED_ATTEMPT,
-    REPEAT,
     Rounds,
 )
 from crazychoir.types import Failure, PerNeighbor
@@ -102,7 +97,7 @@ class Communicator(Rounds):
             if k >= ch.until:
                 self._look(ch, k)
             self._send_round(
-                ch, data, ch.outs if out_neighbors is None else out_neighbors, DATA
+                ch, data, ch.outs if out_neighbors is None else out_neighbors, DATA_KIND
             )
         elif ch.receiving >= ch.until:
             self._look(ch, ch.receiving)
@@ -135,7 +130,9 @@ class Communicator(Rounds):
             if neighbors is None
             else neighbors
         )
-        self._send_round(ch, data, readers, DATA if ch.receiving >= k else AHEAD)
+        self._send_round(
+            ch, data, readers, DATA_KIND if ch.receiving >= k else AHEAD_KIND
+        )
 
     async def receive(
         self,
@@ -175,7 +172,7 @@ class Communicator(Rounds):
             else neighbors
         )
         oldest_ns = self._clock.now_ns() - max_age * NS_PER_SECOND
-        found = {j: ch.latest[j] for j in wanted if j in ch.latest}
+        found = {j: ch.peers.latest[j] for j in wanted if j in ch.peers.latest}
         return {
             j: self._decoded(payload)
             for j, (_, payload, born_ns) in found.items()
@@ -207,7 +204,9 @@ class Communicator(Rounds):
         attempt = 0
         due_ns = self._clock.now_ns()
         while late := [
-            j for j in neighbors if ch.finished.get(j, -1) < n and not self._absent(j)
+            j
+            for j in neighbors
+            if ch.peers.finished.get(j, -1) < n and not self._absent(j)
         ]:
             if ch.answers != answers:
                 ends = self._clock.now() + linger
@@ -216,14 +215,14 @@ class Communicator(Rounds):
                 return
             # Wait for the timer even if there is news: otherwise each of n neighbours asks n times.
             if self._clock.now_ns() >= due_ns:
-                self._control(ch, FIN_TOO, tuple(late), n, attempt)
+                self._control(ch, MessageKind.FIN_TOO, tuple(late), n, attempt)
                 attempt = attempt + 1
                 due_ns = self._clock.now_ns() + round(
                     2 * ROUND_WINDOW.shortest_resend * NS_PER_SECOND
                 )
             await self._pause(ch, (due_ns - self._clock.now_ns()) / NS_PER_SECOND)
         for again in range(attempt, attempt + CLOSING_RULES.end_messages):
-            self._control(ch, FIN, neighbors, n, again)
+            self._control(ch, MessageKind.FIN, neighbors, n, again)
         ch.sent.clear()
         ch.oldest = ch.sending
 
@@ -234,7 +233,7 @@ class Communicator(Rounds):
         RoundTimeout at its deadline.
         """
         payload = encode(word)
-        flags = self._flags | AHEAD
+        flags = self._flags | AHEAD_KIND
         for k in range(CLOSING_RULES.last_messages):
             readers = self._epochs.at(False, k).out_neighbors(self.id)
             self.port.send(
@@ -284,7 +283,7 @@ class Communicator(Rounds):
             held = ch.joinable and ch.sending >= self._epochs.held
             if not held and ch.sending < ch.oldest + ROUND_WINDOW.kept_rounds:
                 break
-            lost = [j for j in late if self.membership.lost(j)]
+            lost = [j for j in late if self.membership.is_lost(j)]
             if lost and not ch.joinable:
                 raise PeerLost(self.id, lost, self.silence(lost))
             if self._clock.now() >= ends:
@@ -293,7 +292,11 @@ class Communicator(Rounds):
             attempt += 1
             for j in ch.behind(ch.oldest, self._epochs.gone, not patient):
                 self._again(
-                    ch, ch.oldest, j, 2 * FIRST_UNASKED_ATTEMPT + attempt, REPEAT
+                    ch,
+                    ch.oldest,
+                    j,
+                    2 * FIRST_UNASKED_ATTEMPT + attempt,
+                    MessageKind.REPEAT,
                 )
         ch.limit = int(
             min(
@@ -331,7 +334,7 @@ class Communicator(Rounds):
         for j in box:
             missing.pop(j, None)
         if missing:
-            ch.strict = policy == "raise"
+            ch.wait.strict = policy == "raise"
             waiter = self._expect(
                 ch, missing, self.deadline if deadline is None else deadline
             )
@@ -349,7 +352,9 @@ class Communicator(Rounds):
         if not k % CREDIT_EVERY:
             self._grant(ch, k, wanted)
         if policy == "hold":
-            box = {j: ch.latest[j][1] for j in wanted if j in ch.latest} | box
+            box = {
+                j: ch.peers.latest[j][1] for j in wanted if j in ch.peers.latest
+            } | box
         heard = {}
         try:
             for j in wanted:
@@ -364,7 +369,7 @@ class Communicator(Rounds):
         """Send our progress to the senders that do not receive our messages."""
         one_way = tuple(j for j in wanted if not ch.reads(k, j))
         if one_way:
-            self._control(ch, CREDIT, one_way, k + 1)
+            self._control(ch, MessageKind.CREDIT, one_way, k + 1)
 
     def _decoded(self, payload: bytes) -> Any:
         try:

@@ -21,7 +21,7 @@ Weights = dict[int, dict[int, float]]
 SHAPE_NAMES = "ring, path, star, complete, empty, k-regular:K, erdos-renyi:P, geometric:R, grid:ROWSxCOLUMNS"
 """Shapes that a swarm file can name."""
 DIRECTED_SHAPES = "ring, erdos-renyi:P"
-"""Shapes of NAMES that can be directed."""
+"""Shapes of SHAPE_NAMES that can be directed."""
 SHAPE_FORMS = {
     "k-regular": ("k-regular:K", "K a whole number of neighbours, as k-regular:4"),
     "erdos-renyi": ("erdos-renyi:P", "P a probability of 0 to 1, as erdos-renyi:0.3"),
@@ -408,10 +408,10 @@ def grid(
 
 
 def graph_from_name(name: str, n: Ids, seed: int = 0, directed: bool = False) -> Graph:
-    """Return the graph that a swarm file names; NAMES lists the shapes.
+    """Return the graph that a swarm file names; SHAPE_NAMES lists the shapes.
 
     seed: seed of the random shapes
-    directed: only for the shapes in DIRECTED
+    directed: only for the shapes in DIRECTED_SHAPES
     Raises ConfigError for an unknown shape or a wrong number.
     """
     plain = {"path": path, "star": star, "complete": complete, "empty": empty}

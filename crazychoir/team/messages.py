@@ -9,8 +9,10 @@ from zlib import crc32
 import msgspec
 from msgspec import Meta
 
-from crazychoir.bus.codec import encode
+from crazychoir.bus.codec import decode, encode, register
+from crazychoir.errors import CodecError
 from crazychoir.team.graph import Graph
+from crazychoir.types import Wire
 
 
 class Roster(msgspec.Struct, frozen=True):
@@ -63,6 +65,52 @@ class GoMessage(msgspec.Struct, frozen=True):
     def wire(self) -> bytes:
         """Return the encoded message."""
         return encode(msgspec.to_builtins(self))
+
+
+@register
+class HoldRequest(Wire, frozen=True, array_like=True, gc=False):
+    """A coordinator's request to send no further round before its next roster."""
+
+    epoch: int
+    """Number of the roster that the coordinator forms."""
+
+    def wire(self) -> bytes:
+        """Return the encoded message."""
+        return encode(self)
+
+
+@register
+class HoldAnswer(Wire, frozen=True, array_like=True, gc=False):
+    """The answer to a `HoldRequest`: the sender holds its rounds."""
+
+    epoch: int
+    """Number of the roster for which it holds."""
+    first_held_round: int
+    """First round that the sender has not sent."""
+    members: dict[int, int]
+    """{drone id: incarnation} of the sender's roster; empty before its first."""
+
+    def wire(self) -> bytes:
+        """Return the encoded message."""
+        return encode(self)
+
+
+RosterMessage = GoMessage | HoldRequest | HoldAnswer
+"""A message about a roster."""
+
+
+def read_roster_message(payload: bytes) -> RosterMessage:
+    """Return the message about a roster that a payload holds.
+
+    Raises CodecError if it holds none.
+    """
+    message = decode(payload)
+    if isinstance(message, HoldRequest | HoldAnswer):
+        return message
+    try:
+        return msgspec.convert(message, GoMessage)
+    except msgspec.ValidationError as error:
+        raise CodecError(f"payload: is no message about a roster: {error}") from error
 
 
 @dataclass(frozen=True)

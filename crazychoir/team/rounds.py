@@ -31,28 +31,21 @@ from crazychoir.errors import (
     RoundTimeout,
 )
 from crazychoir.runtime.clock import NS_PER_SECOND, Alarm, wake_waiter
-from crazychoir.team.barrier import Barrier, Roster
+from crazychoir.team.barrier import Barrier
 from crazychoir.team.channel import ROUND_WINDOW, Channel
 from crazychoir.team.epochs import AnyGraph, Epochs
 from crazychoir.team.graph import Graph
+from crazychoir.team.message_kind import (
+    AHEAD_KIND,
+    DATA_KIND,
+    KIND_BITS,
+    KIND_MASK,
+    REPEAT_KIND,
+    MessageKind,
+)
+from crazychoir.team.messages import Roster
 from crazychoir.types import Failure
 
-DATA, REPEAT, AHEAD, WANT, CREDIT, FIN, FIN_TOO, GONE = range(8)
-"""Kinds of messages.
-
-DATA: a round's message; the sender has finished all rounds before it
-REPEAT: the same message again; the sender lacks ours of this round
-AHEAD: a round's message that says nothing about the sender's progress
-WANT: the sender lacks our message of this round
-CREDIT: the sender has finished all rounds before this one
-FIN: the sender has finished the channel
-FIN_TOO: the sender has finished the channel and asks if we have too
-GONE: the sender no longer has the rounds before this one
-"""
-KIND_BITS: Final = 3
-"""Bits of the kind in a message's flags; the epoch is above them."""
-KIND_MASK: Final = (1 << KIND_BITS) - 1
-"""Mask of the kind in the flags."""
 CREDIT_EVERY: Final = 16
 """Rounds between two credits."""
 
@@ -93,7 +86,7 @@ All drones of a process check at the same instants.
 class Membership(Protocol):
     """Knows which neighbours are gone for good."""
 
-    def lost(self, j: int) -> bool:
+    def is_lost(self, j: int) -> bool:
         """Return True if j is LOST."""
         ...
 
@@ -101,7 +94,7 @@ class Membership(Protocol):
 class _FullMembership:
     """A membership without lost drones."""
 
-    def lost(self, j: int) -> bool:
+    def is_lost(self, j: int) -> bool:
         return False
 
 
@@ -202,11 +195,8 @@ class Rounds:
 
     def follow(self, barrier: Barrier) -> None:
         """Take part in all epochs of this barrier's rosters."""
-        self.membership = barrier
-        barrier.hold = self.hold
-        barrier.listeners.append(self.adopt)
-        if barrier.roster is not None:
-            self.adopt(barrier.roster)
+        self.membership = barrier.presence
+        barrier.attach(self)
 
     def hold(self) -> int:
         """Send no further round of a joinable channel until the next epoch.
@@ -267,11 +257,11 @@ class Rounds:
         """Continue a joinable channel in a new epoch."""
         ch.until = 0
         ch.limit = ch.oldest
-        ch.forget((*gone, *joined))
-        for j in [j for j in ch.missing if self._epochs.silent(j, ch.receiving)]:
-            del ch.missing[j]
-        if not ch.missing:
-            wake_if(ch.waiter)
+        ch.peers.forget((*gone, *joined))
+        for j in [j for j in ch.wait.missing if self._epochs.silent(j, ch.receiving)]:
+            del ch.wait.missing[j]
+        if not ch.wait.missing:
+            wake_if(ch.wait.waiter)
         wake_if(ch.gate)
 
     def _restart(self, ch: Channel, error: RosterChanged) -> None:
@@ -281,7 +271,7 @@ class Rounds:
         it.
         """
         new = self._begin(ch.name, False)
-        if ch.waiter is not None and not ch.waiter.done():
+        if ch.wait.waiter is not None and not ch.wait.waiter.done():
             fail_waiter(ch, error)
         elif ch.gate is not None:
             ch.changed = error
@@ -319,7 +309,7 @@ class Rounds:
 
     def _absent(self, j: int) -> bool:
         """Return True if j has left or is lost."""
-        return j in self._epochs.gone or self.membership.lost(j)
+        return j in self._epochs.gone or self.membership.is_lost(j)
 
     # Sending --------------------------------------------------------------------------
 
@@ -365,7 +355,7 @@ class Rounds:
     ) -> None:
         """Take a message of a neighbour: store it, answer it, and wake the waiting verb."""
         ch = self._channels.get(channel)
-        kind = DATA
+        kind = DATA_KIND
         if (
             ch is None
             or flags != self._flags
@@ -376,20 +366,21 @@ class Rounds:
                 return
             ch = self._channels[channel]
             kind = flags & KIND_MASK
-            if kind > AHEAD:
+            if kind > AHEAD_KIND:
                 self._controlled(ch, kind, source, number)
                 return
-        latest = ch.latest.get(source)
+        peers = ch.peers
+        latest = peers.latest.get(source)
         if latest is None or number >= latest[0]:
             heard_ns = self._heard_ns[source]
-            ch.latest[source] = (
+            peers.latest[source] = (
                 number,
                 payload,
                 heard_ns - int(age * NS_PER_SECOND) if age else heard_ns,
             )
-            if kind != AHEAD:
-                ch.progress[source] = number
-        if kind == REPEAT:
+            if kind != AHEAD_KIND:
+                peers.progress[source] = number
+        if kind == REPEAT_KIND:
             self._answer(ch, number, source)
         k = ch.receiving
         inbox = ch.inbox
@@ -399,11 +390,11 @@ class Rounds:
                 box = inbox[number] = {}
             if source not in box:
                 box[source] = payload
-                missing = ch.missing
+                missing = ch.wait.missing
                 if number == k and source in missing:
                     del missing[source]
                     if not missing:
-                        wake_if(ch.waiter)
+                        wake_if(ch.wait.waiter)
         elif number >= k:
             self.ahead += 1
 
@@ -453,7 +444,7 @@ class Rounds:
             return
         self._serve(ch, number, source)
         if number + 1 < ch.receiving or not ch.reads(number, source):
-            self._control(ch, CREDIT, (source,), ch.receiving, ch.answers)
+            self._control(ch, MessageKind.CREDIT, (source,), ch.receiving, ch.answers)
 
     def _serve(self, ch: Channel, number: int, source: int) -> None:
         """Send a round again.
@@ -463,22 +454,22 @@ class Rounds:
         """
         ch.answers += 1
         if ch.joinable and number < ch.oldest:
-            self._control(ch, GONE, (source,), ch.oldest, ch.answers)
+            self._control(ch, MessageKind.GONE, (source,), ch.oldest, ch.answers)
         else:
-            self._again(ch, number, source, 2 * ch.answers + 1, AHEAD)
+            self._again(ch, number, source, 2 * ch.answers + 1, MessageKind.AHEAD)
 
     def _skip(self, ch: Channel, number: int, source: int) -> None:
         """Stop waiting for the rounds of source before `number`.
 
         The source considered us lost in these rounds. Only rounds of earlier epochs are skipped.
         """
-        first = ch.kept[source] = max(
-            min(number, self._epochs.first), ch.kept.get(source, 0)
+        first = ch.peers.kept[source] = max(
+            min(number, self._epochs.first), ch.peers.kept.get(source, 0)
         )
-        if ch.receiving < first and source in ch.missing:
-            del ch.missing[source]
-            if not ch.missing:
-                wake_if(ch.waiter)
+        if ch.receiving < first and source in ch.wait.missing:
+            del ch.wait.missing[source]
+            if not ch.wait.missing:
+                wake_if(ch.wait.waiter)
 
     def _farewell(self, ch: Channel, number: int, source: int) -> None:
         """Answer FIN to a drone that asks for a round after our end.
@@ -488,23 +479,29 @@ class Rounds:
         if 0 <= ch.closed_at <= number and ch.closed_at >= ch.sending:
             ch.told += 1
             self._control(
-                ch, FIN, (source,), ch.closed_at, FIRST_UNASKED_ATTEMPT + ch.told
+                ch,
+                MessageKind.FIN,
+                (source,),
+                ch.closed_at,
+                FIRST_UNASKED_ATTEMPT + ch.told,
             )
 
     def _controlled(self, ch: Channel, kind: int, source: int, number: int) -> None:
         """Take a message without content: WANT, CREDIT, FIN, FIN_TOO or GONE."""
-        if kind == GONE:
+        if kind == MessageKind.GONE:
             self._skip(ch, number, source)
             return
-        if kind >= FIN:
-            ch.finished[source] = max(number, ch.finished.get(source, -1))
-            if kind == FIN_TOO and number <= ch.closed_at:
+        if kind >= MessageKind.FIN:
+            ch.peers.finished[source] = max(number, ch.peers.finished.get(source, -1))
+            if kind == MessageKind.FIN_TOO and number <= ch.closed_at:
                 ch.answers += 1
-                self._control(ch, FIN, (source,), ch.closed_at, ch.answers)
+                self._control(ch, MessageKind.FIN, (source,), ch.closed_at, ch.answers)
         else:
-            ch.pacing[source] = None
-        ch.progress[source] = max(min(number, ch.sending), ch.progress.get(source, 0))
-        if kind == WANT:
+            ch.peers.pacing[source] = None
+        ch.peers.progress[source] = max(
+            min(number, ch.sending), ch.peers.progress.get(source, 0)
+        )
+        if kind == MessageKind.WANT:
             self._farewell(ch, number, source)
             self._serve(ch, number, source)
         wake_if(ch.gate)
@@ -518,40 +515,46 @@ class Rounds:
 
         Raises ConfigError if another caller already waits on the channel.
         """
-        if ch.waiter is not None:
+        wait = ch.wait
+        if wait.waiter is not None:
             where = f"drone {self.id}: channel {ch.name!r}"
             raise ConfigError(
                 where,
-                "two who wait on it",
+                "two tasks that wait on it",
                 "one",
                 "Give each algorithm a channel of its own.",
             )
-        waiter = ch.waiter = self._clock.future()
+        waiter = self._clock.future()
+        wait.waiter = waiter
         epochs = self._epochs
-        if epochs.gaps or ch.kept:
+        if epochs.gaps or ch.peers.kept:
             k = ch.receiving if ch.joinable else inf
             missing = {
                 j: None
                 for j in missing
-                if not epochs.silent(j, k) and k >= ch.kept.get(j, 0)
+                if not epochs.silent(j, k) and k >= ch.peers.kept.get(j, 0)
             }
             if not missing:
                 waiter.set_result(None)
-        ch.missing = missing
-        now_ns = ch.since_ns = self._now_ns()
-        ch.attempt = ch.resend_ns = 0
-        due_ns = ch.deadline_ns = now_ns + int(NS_PER_SECOND * seconds)
+        wait.missing = missing
+        now_ns = self._now_ns()
+        due_ns = now_ns + int(NS_PER_SECOND * seconds)
+        wait.since_ns = now_ns
+        wait.deadline_ns = due_ns
+        wait.attempt = 0
+        wait.resend_ns = 0
         if self._alarm is None or due_ns < self._due_ns:
             self._schedule(now_ns)
         return waiter
 
     def _expected(self, ch: Channel) -> None:
-        ch.waiter = None
-        if not ch.resend_ns:
-            ch.round_time *= 0.875  # the round ended before the first sweep
-        elif ch.attempt == 0:
-            ch.round_time += 0.125 * (
-                (self._clock.now_ns() - ch.since_ns) / NS_PER_SECOND - ch.round_time
+        wait = ch.wait
+        wait.waiter = None
+        if not wait.resend_ns:
+            wait.round_time *= 0.875  # the round ended before the first sweep
+        elif wait.attempt == 0:
+            wait.round_time += 0.125 * (
+                (self._clock.now_ns() - wait.since_ns) / NS_PER_SECOND - wait.round_time
             )
 
     def _schedule(self, now_ns: int) -> None:
@@ -560,7 +563,7 @@ class Rounds:
         self._due_ns = min(
             [
                 now_ns - now_ns % SWEEP_INTERVAL + SWEEP_INTERVAL,
-                *(ch.deadline_ns for ch in self._waiting()),
+                *(ch.wait.deadline_ns for ch in self._waiting()),
             ]
         )
         self._alarm = self._clock.call_at(self._due_ns, self._sweep, drone=self.id)
@@ -572,25 +575,26 @@ class Rounds:
         self._alarm = None
         now_ns = self._clock.now_ns()
         for ch in self._waiting():
+            wait = ch.wait
             lost = (
                 ()
                 if ch.joinable
-                else tuple(j for j in ch.missing if self.membership.lost(j))
+                else tuple(j for j in wait.missing if self.membership.is_lost(j))
             )
             if lost:
                 fail_waiter(ch, PeerLost(self.id, lost, self.silence(lost)))
-            elif ch.strict and (word := self._failure(ch.missing)):
+            elif wait.strict and (word := self._failure(wait.missing)):
                 fail_waiter(ch, AgentFailed(word.agent, word.reason))
-            elif now_ns >= ch.deadline_ns:
-                seconds = (ch.deadline_ns - ch.since_ns) / NS_PER_SECOND
+            elif now_ns >= wait.deadline_ns:
+                seconds = (wait.deadline_ns - wait.since_ns) / NS_PER_SECOND
                 fail_waiter(
                     ch,
-                    RoundTimeout(self.id, ch.name, ch.receiving, ch.missing, seconds),
+                    RoundTimeout(self.id, ch.name, ch.receiving, wait.missing, seconds),
                 )
-            elif not ch.resend_ns:
-                ch.resend_ns = ch.since_ns + int(NS_PER_SECOND * ch.rto(0))
-            elif now_ns >= ch.resend_ns:
-                if ch.strict and (ended := ch.ended()):
+            elif not wait.resend_ns:
+                wait.resend_ns = wait.since_ns + int(NS_PER_SECOND * wait.rto(0))
+            elif now_ns >= wait.resend_ns:
+                if wait.strict and (ended := ch.ended()):
                     fail_waiter(ch, ChannelEnded(self.id, ch.name, ch.receiving, ended))
                 else:
                     self._resend(ch, now_ns)
@@ -598,8 +602,8 @@ class Rounds:
             self._schedule(now_ns)
 
     def _failure(self, missing: Iterable[int]) -> Failure | None:
-        """Return the Failure that the first of these drones has sent on FAILED, or None."""
-        said = self._channels[FAILURE_CHANNEL].latest
+        """Return the Failure that the first of these drones has sent on FAILURE_CHANNEL, or None."""
+        said = self._channels[FAILURE_CHANNEL].peers.latest
         for j in missing:
             if j in said:
                 with contextlib.suppress(CodecError):
@@ -612,7 +616,7 @@ class Rounds:
         return [
             ch
             for ch in self._channels.values()
-            if ch.waiter is not None and not ch.waiter.done()
+            if ch.wait.waiter is not None and not ch.wait.waiter.done()
         ]
 
     def _resend(self, ch: Channel, now_ns: int) -> None:
@@ -621,16 +625,23 @@ class Rounds:
         A missing neighbour may have sent its message of this round and lost it, or may lack ours of
         the round before.
         """
-        ch.attempt += 1
-        ch.resend_ns = now_ns + int(NS_PER_SECOND * ch.rto(ch.attempt))
+        wait = ch.wait
+        wait.attempt += 1
+        wait.resend_ns = now_ns + int(NS_PER_SECOND * wait.rto(wait.attempt))
         k = ch.receiving
-        for j in list(ch.missing):
+        for j in list(wait.missing):
             if ch.reads(k - 1, j):
-                self._again(ch, k - 1, j, FIRST_UNASKED_ATTEMPT + ch.attempt, AHEAD)
+                self._again(
+                    ch,
+                    k - 1,
+                    j,
+                    FIRST_UNASKED_ATTEMPT + wait.attempt,
+                    MessageKind.AHEAD,
+                )
             if ch.reads(k, j):
-                self._again(ch, k, j, 2 * ch.attempt, REPEAT)
+                self._again(ch, k, j, 2 * wait.attempt, MessageKind.REPEAT)
             else:
-                self._control(ch, WANT, (j,), k, ch.attempt)
+                self._control(ch, MessageKind.WANT, (j,), k, wait.attempt)
 
 
 def wake_if(waiter: "asyncio.Future[None] | None") -> None:
@@ -641,5 +652,5 @@ def wake_if(waiter: "asyncio.Future[None] | None") -> None:
 
 def fail_waiter(ch: Channel, error: Exception) -> None:
     """End the wait of a channel with an error."""
-    if ch.waiter is not None and not ch.waiter.done():
-        ch.waiter.set_exception(error)
+    if ch.wait.waiter is not None and not ch.wait.waiter.done():
+        ch.wait.waiter.set_exception(error)

@@ -82,7 +82,7 @@ class Strangers:
         """Return True if another mission has more drones than this drone and `ours` together.
 
         Between groups of equal size, the group with the lowest id wins.
-        Returns False until all drones are known or SETTLE seconds have passed.
+        Returns False until all drones are known or SETTLE_TIME has passed.
         """
         missing = len(ours) + len(self.missions) < self.team - 1
         if not self.missions or (missing and self.clock.now_ns() < self._judge_ns):

@@ -6,9 +6,9 @@ python tests/bench/search.py [lc101.txt ...] prints cost in m, vehicles that lea
 import sys
 import time
 
-from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.routing.search.search import search_plan
+from crazychoir.routing.search.search import SearchOptions, search_plan
 
 CASES = [(8, 16, 6_000, 2), (20, 40, 40_000, 2), (50, 100, 300_000, 3)]
 """Robots, tasks, steps, rounds."""
@@ -21,7 +21,12 @@ def run(instance: Instance, steps: int, rounds: int) -> tuple[float, int, float]
     team = [instance.local(i).vehicle for i in range(instance.robots)]
     start = time.process_time()
     found = search_plan(
-        team, [[]] * len(team), instance.tasks.penalty, steps, 1, rounds=rounds
+        team,
+        [[]] * len(team),
+        instance.tasks.penalty,
+        steps,
+        1,
+        options=SearchOptions(rounds=rounds),
     )
     return found.total, sum(map(bool, found.routes)), time.process_time() - start
 
@@ -30,7 +35,7 @@ if __name__ == "__main__":
     run(random_instance(2, 3, 0), 10, 1)  # compiled before anything is measured
     instances = {
         f"{n} robots, {m} tasks, seed {seed}": (
-            random_instance(n, m, seed, route_length_limit=LIMIT),
+            random_instance(n, m, seed, InstanceShape(route_length_limit=LIMIT)),
             steps,
             rounds,
         )

@@ -41,7 +41,7 @@ OUTSIDE = 0.15
 """m beyond the fence with running motors that a safety table may need to stop a drone; the limit area is 0.5 m off."""
 BLIND, DRIFT, BACK = 0.1, 1.0, 2.0
 """s, m/s2, s: who is not seen for t > BLIND strays by DRIFT t^2 / 2 from where it believes to be, as one that is tilted
-by 0.1 rad more than it knows; it has BACK s to mend that when it is seen again."""
+by 0.1 rad more than it knows; it has BACK s to correct that when it is seen again."""
 UNSEEN = 0.7
 """s without a pose after which a drone lands, or its motors are off: 0.5 by the safety table."""
 LOW = 0.1
@@ -309,7 +309,8 @@ def delivery(report: Report, draw: Draw) -> None:
     gone = {*watch.killed, watch.alone}
     by: dict[tuple[int, str], list[int]] = {}
     for i in agent.ids:
-        for stop in getattr(agent.drones[i].guidance, "served", []):
+        service = getattr(agent.drones[i].guidance, "service", None)
+        for stop in service.served if service else []:
             by.setdefault((stop["task"], stop["kind"]), []).append(i)
     for (j, kind), who in sorted(by.items()):
         report.holds(len(who) == 1, f"{kind} of task {j} by {who}")
@@ -339,7 +340,7 @@ def delivery(report: Report, draw: Draw) -> None:
     for i in agent.ids:
         told = agent.drones[i].result.get("tasks")
         for j in (
-            [task.id for task in mission.known(agent.config)]
+            [task.id for task in mission.hooks.known(agent.config)]
             if told is not None
             else []
         ):

@@ -23,9 +23,10 @@ from crazychoir.optimization.algorithms.primal_decomposition import PrimalDecomp
 from crazychoir.optimization.rounds.step_size import Diminishing
 from crazychoir.routing.distributed.pickup_delivery import PLANNING_METHODS
 from crazychoir.routing.distributed.primal_decomposition import PriceRounds
-from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.runtime.clock import Clock, run_virtual
 from crazychoir.solve.simulate import simulate
+from crazychoir.solve.solve_options import SolveOptions
 from crazychoir.solve.solving import solve_here
 from crazychoir.team.graph import metropolis
 
@@ -100,7 +101,7 @@ def plan(report: Report, draw: Draw) -> None:
         int(draw.integers(1 << 30)),
     )
     instance = random_instance(
-        robots, tasks, seed, capable=float(draw.uniform(0.6, 1.0))
+        robots, tasks, seed, InstanceShape(capable=float(draw.uniform(0.6, 1.0)))
     )
     loss = float(draw.uniform(0.05, 0.6))
     name = ("ring", "path", "star", "complete")[int(draw.integers(4))]
@@ -117,7 +118,8 @@ def plan(report: Report, draw: Draw) -> None:
 
         with patch.object(PriceRounds, "_trade", traded):
             found = solve_here(
-                instance, method=method, loss=loss, graph=name, seed=report.seed
+                instance,
+                SolveOptions(method=method, loss=loss, graph=name, seed=report.seed),
             )
         for k in sorted({k for k, _ in shares}):
             of_all = [shares[k, i] for i in range(robots) if (k, i) in shares]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from crazychoir.routing.instance.checker import check_plan
-from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.pricing.arc_flow import solve_compact
 from crazychoir.routing.pricing.route_table import RouteTable
@@ -62,7 +62,7 @@ def optimum(instance):
 def drawn(seed, robots, tasks, fields, **options):
     """A random instance with more fields, each made by a function of a random generator, N and M."""
     draw = np.random.default_rng(seed)
-    raw = random_instance(robots, tasks, seed, **options).to_json()
+    raw = random_instance(robots, tasks, seed, InstanceShape(**options)).to_json()
     return Instance.parse(
         raw | {key: make(draw, robots, tasks) for key, make in fields.items()},
         f"drawn {seed}",

@@ -12,6 +12,7 @@ from crazychoir.agents.distance_formation import HEIGHT_GAINS, DistanceFormation
 from crazychoir.control.gains import AGILE_GAINS
 from crazychoir.control.margin import InnerLoop, make_guidance_loop
 from crazychoir.guidance.formation.bearing import (
+    BearingLaw,
     build_bearing_laplacian,
     compute_equilibrium,
     normalise_laplacian,
@@ -23,6 +24,7 @@ from crazychoir.guidance.formation.modes import (
     _compute_attitude_response,
     compute_slowest_normalised_mode,
 )
+from crazychoir.guidance.formation.random_edges import RandomEdges
 from crazychoir.guidance.formation.rigidity import (
     distance_to_hull,
     grounded_laplacian,
@@ -74,7 +76,9 @@ def test_the_papers_law_is_its_sum_over_neighbours_with_less_in_height(x):
             bearing(i, j) @ (KP * (at[i].p - at[j].p) + KV * (at[i].v - at[j].v))
             for j in NEIGHBORS[i]
         )
-        law = BearingFormation(i, SQUARE, NEIGHBORS[i], "paper", KP, KV, in_height=0.5)
+        law = BearingFormation(
+            i, SQUARE, NEIGHBORS[i], BearingLaw("paper", KP, KV, 0.5)
+        )
         u = law.step(at[i], {j: at[j] for j in NEIGHBORS[i]})
         np.testing.assert_allclose(u.a, wanted * [1.0, 1.0, 0.5], atol=1e-9)
 
@@ -82,7 +86,7 @@ def test_the_papers_law_is_its_sum_over_neighbours_with_less_in_height(x):
 def test_the_normalised_law_wants_places_of_the_tick_of_the_acceleration_unless_leaders_move():
     assert BearingFormation(2, SQUARE, NEIGHBORS[2]).paired
     assert not BearingFormation(2, SQUARE, NEIGHBORS[2], moving=True).paired
-    assert not BearingFormation(2, SQUARE, NEIGHBORS[2], "paper").paired
+    assert not BearingFormation(2, SQUARE, NEIGHBORS[2], BearingLaw("paper")).paired
 
 
 def test_where_a_drone_is_on_its_way_to_changes_less_than_where_it_is():
@@ -205,7 +209,7 @@ def test_the_rigidity_matrix_is_the_derivative_of_the_distances(p):
 def test_containment_is_its_mean_over_neighbours(x):
     at, kp, kv = states(x), 0.8, 1.6
     u = (
-        Containment(3, (0, 1, 2), kp, kv, 1.0, 0)
+        Containment(RandomEdges(3, (0, 1, 2), 1.0, 0), kp, kv)
         .pulled(at[3], {j: at[j] for j in (0, 1, 2)}, 0)
         .a
     )
@@ -218,8 +222,8 @@ def test_containment_is_its_mean_over_neighbours(x):
 
 def test_random_edges_count_at_both_ends_or_at_none_and_change_nothing_on_average():
     ends = (
-        Containment(3, (5,), 1.0, 0.0, 0.5, 7),
-        Containment(5, (3,), 1.0, 0.0, 0.5, 7),
+        RandomEdges(3, (5,), 0.5, 7),
+        RandomEdges(5, (3,), 0.5, 7),
     )
     counted = np.array(
         [(ends[0].counts(5, k), ends[1].counts(3, k)) for k in range(4000)]
@@ -227,7 +231,7 @@ def test_random_edges_count_at_both_ends_or_at_none_and_change_nothing_on_averag
     assert np.all(counted[:, 0] == counted[:, 1])
     assert counted[:, 0].mean() == pytest.approx(0.25, abs=0.02)
     law, here, there = (
-        Containment(3, (5,), 1.0, 0.0, 0.5, 8),
+        Containment(RandomEdges(3, (5,), 0.5, 8), 1.0, 0.0),
         State.at((1.0, 0.0, 1.0)),
         State.at((0.0, 0.0, 1.0)),
     )

@@ -130,7 +130,7 @@ def test_what_obeys_the_commands_leaves_nothing_unexplained():
         x = motion.after(x, f.commanded, 0.01)
 
 
-def test_a_steady_force_that_nobody_commanded_becomes_d():
+def test_an_uncommanded_steady_force_becomes_the_disturbance_d():
     """A drone that weighs 10 % more than its model: d = -0.1 g / 1.1, and its velocity is met all the same."""
     f, a = (
         KalmanFilter(motion=CommandedMotion(PAPER_PLATFORM.flat, -math.inf)),
@@ -189,7 +189,7 @@ def swung(loop, seen=0.5, until=0.9, h=0.01, rubbish=False):
     return max(errors)
 
 
-def test_who_is_not_seen_knows_its_tilt_if_it_knows_its_rate_loop():
+def test_an_unseen_drone_knows_its_tilt_if_it_knows_its_rate_loop():
     assert swung(compute_rate_loops(PAPER_PLATFORM)) < 0.06 < 0.2 < swung(None)
     assert swung(compute_rate_loops(PAPER_PLATFORM), rubbish=True) == pytest.approx(
         swung(compute_rate_loops(PAPER_PLATFORM)), abs=1e-9

@@ -61,7 +61,7 @@ def test_what_is_expected_is_what_is_measured_in_the_long_run(sources):
     assert room.expected(38) < 0.99
 
 
-def test_a_network_that_nobody_uses_sends_beacons():
+def test_an_unused_network_sends_beacons():
     draw = np.random.default_rng(9)
     network = WifiNetwork(37.0, -55.0, 0.6, 0.001, UsageTimes(1e-9, 1e9, 1))
     sent = network.sends(37, np.arange(0.0, 20.0, 0.001), draw).mean()
@@ -90,7 +90,7 @@ def test_frames_take_their_share_of_the_time(share):
     )  # a frame is longer than half a millisecond
 
 
-def test_things_are_used_for_their_share_of_the_time_whoever_asks_how_often():
+def test_usage_share_does_not_depend_on_how_often_it_is_sampled():
     uses = UsageTimes(2.0, 6.0, seed=5)
     often, seldom = UsageTimes(2.0, 6.0, seed=5), UsageTimes(2.0, 6.0, seed=5)
     times = np.arange(0.0, 20000.0, 0.5)

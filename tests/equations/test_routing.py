@@ -8,12 +8,13 @@ from crazychoir.routing.distributed.columns import ColumnProgram
 from crazychoir.routing.distributed.master import ColumnPool
 from crazychoir.routing.distributed.member import (
     GraphPosition,
+    PriceSettings,
     RoutingMember,
     RoutingSettings,
 )
 from crazychoir.routing.distributed.plain_loop import solve_in_loop
 from crazychoir.routing.distributed.primal_decomposition import PriceRounds
-from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.pricing.bidirectional_pricing import HalfRoutes
 from crazychoir.routing.pricing.route_table import RouteColumn, RouteTable
@@ -26,7 +27,9 @@ DRAW = np.random.default_rng(7)
 
 @pytest.fixture(scope="module")
 def instance():
-    return random_instance(N, M, seed=21, capable=0.8, route_length_limit=45.0)
+    return random_instance(
+        N, M, seed=21, shape=InstanceShape(capable=0.8, route_length_limit=45.0)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +99,9 @@ def test_prices_are_between_zero_and_the_penalty(tables):
 
 @pytest.mark.parametrize(("graph", "span"), [(RING, 2), (PATH, 3)])
 def test_every_round_keeps_the_sum_of_the_shares(instance, graph, span):
-    _, _, sums = trade(instance, graph, span, RoutingSettings(price_rounds=40))
+    _, _, sums = trade(
+        instance, graph, span, RoutingSettings(prices=PriceSettings(rounds=40))
+    )
     assert len(sums) > 10
     np.testing.assert_allclose(sums, np.ones((len(sums), M)), atol=1e-12)
 
@@ -108,7 +113,10 @@ def test_the_local_values_converge_to_the_central_relaxation(
     values = []
     for rounds in (1, 400):
         agents, members, _ = trade(
-            instance, graph, span, RoutingSettings(price_rounds=rounds, still=0.0)
+            instance,
+            graph,
+            span,
+            RoutingSettings(prices=PriceSettings(rounds=rounds, still=0.0)),
         )
         programs = [ColumnProgram(tables[i], members[i].penalty) for i in range(N)]
         values.append(
@@ -123,7 +131,7 @@ def test_the_local_values_converge_to_the_central_relaxation(
 
 def test_all_robots_stop_in_the_same_round_when_shares_stand_still(instance):
     agents, _, _ = trade(
-        instance, PATH, 3, RoutingSettings(price_rounds=300, still=0.02)
+        instance, PATH, 3, RoutingSettings(prices=PriceSettings(rounds=300, still=0.02))
     )
     assert len({agent.rounds for agent in agents}) == 1
     assert agents[0].rounds < 300

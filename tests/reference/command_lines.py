@@ -7,19 +7,9 @@ import typer
 
 from crazychoir.cli.compute import bench
 from crazychoir.cli.fly import agent, mocap, radio_owner, world
-from crazychoir.cli.main import app
+from crazychoir.cli.main import CommandGroup, app
 from reference.markdown import one_line, table
 
-GROUPS = {
-    "fly": "Fly",
-    "operate": "Operate a running swarm",
-    "recordings": "Work with recordings",
-    "compute": "Compute without flight",
-    "setup": "Set up hosts and drones",
-}
-"""Titles of the groups: the folders of cli/."""
-IN_MAIN = {"run": "fly", "bench": "compute"}
-"""Groups of the commands that stand in main.py."""
 PROGRAMS = {
     "crazychoir-agent": agent.app,
     "crazychoir-world": world.app,
@@ -39,36 +29,26 @@ def index() -> str:
             words = [word for word in line.split() if word.islower()]
             anchor = re.sub("[^a-z -]", "", line.lower()).replace(" ", "-")
             links.append(f"[{' '.join(words).removeprefix('crazychoir ')}](#{anchor})")
-        rows.append([GROUPS[group], ", ".join(links)])
+        rows.append([group, ", ".join(links)])
     return table(("group", "commands"), rows)
 
 
 def pages() -> str:
     """Return all commands by group, with their arguments and options."""
     return "\n\n".join(
-        text
-        for group, texts in _by_group().items()
-        for text in (f"## {GROUPS[group]}", *texts)
+        text for group, texts in _by_group().items() for text in (f"## {group}", *texts)
     )
 
 
 def _by_group() -> dict[str, list[str]]:
     """Return the texts of all commands by group."""
-    found: dict[str, list[str]] = {group: [] for group in GROUPS}
+    found: dict[str, list[str]] = {group: [] for group in CommandGroup}
     top: Any = typer.main.get_command(app)
     for name, command in top.commands.items():
-        found[_group(name, command)] += _texts(f"crazychoir {name}", command)
+        found[command.rich_help_panel] += _texts(f"crazychoir {name}", command)
     for name, program in PROGRAMS.items():
-        found["fly"] += _texts(name, typer.main.get_command(program))
+        found[CommandGroup.fly] += _texts(name, typer.main.get_command(program))
     return found
-
-
-def _group(name: str, command: Any) -> str:
-    """Return the folder of cli/ where a command is defined."""
-    while getattr(command, "commands", None):
-        command = next(iter(command.commands.values()))
-    module = command.callback.__module__.split(".")
-    return IN_MAIN[name] if module[2] == "main" else str(module[2])
 
 
 def _texts(name: str, command: Any) -> list[str]:

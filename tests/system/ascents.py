@@ -17,7 +17,8 @@ from crazychoir.mocap.frames import PoseFrame
 from crazychoir.mocap.view import CameraBlur
 from crazychoir.numerics.math3d import quaternion_of_yaw, quaternion_product
 from crazychoir.radio.budget import compute_setpoint_rates
-from crazychoir.radio.drone.radio_drone import LINK_CHECK_RATE, RadioDrone
+from crazychoir.radio.drone.radio_drone import RadioDrone, SharedRadio
+from crazychoir.radio.drone.timing import LINK_CHECK_RATE
 from crazychoir.radio.link.toc_cache import TableOfContents
 from crazychoir.radio.protocol.crtp import Packet
 from crazychoir.radio.virtual.drone import VirtualCrazyflie
@@ -117,7 +118,8 @@ class Hall(Actor):
         self.world = hall.world(seed)
         self.body_of, self.turned, draw = body_of, turned, np.random.default_rng(seed)
         self.blur, self.ids = CameraBlur(config.replace(seed=seed)), config.ids
-        bus, contents = agent.bus, TableOfContents(Path("nowhere"))
+        bus = agent.bus
+        shared = SharedRadio(TableOfContents(Path("nowhere")))
         self.drones, self.bodies, self.tracks = (
             {},
             {},
@@ -136,24 +138,26 @@ class Hall(Actor):
                 i,
                 kind,
                 compute_setpoint_rates(config)[config.drone(i).dongle or 0],
-                contents,
+                shared,
             )
             virtual = VirtualCrazyflie(onboard)
             for name, value in drone.handler.parameters.items():
                 virtual.parameters.set(name, value)
-            drone.handler.thrust, drone.release = 136_531.0, "2025.12"
-            drone.connection = Wire(self.clock, virtual, draw)
-            drone._prepared = drone._placed = True
-            drone.state_of_link = "up"
+            drone.handler.thrust, drone.preparation.release = 136_531.0, "2025.12"
+            drone.link.connection = Wire(self.clock, virtual, draw)
+            drone.preparation.is_prepared = drone.preparation.is_placed = True
+            drone.link.state = "up"
             self.drones[i] = drone
-            self.bodies[i] = RemoteBody(port, drone, drone, kind, flight=config.flight)
+            self.bodies[i] = RemoteBody(
+                port, drone, drone.commands, kind, flight=config.flight
+            )
 
     async def run(self) -> None:
         for i, drone in self.drones.items():
             q = self.world.states[self.world.row[self.at[i]], 6:10]
             yaw = 2.0 * math.atan2(q[2], q[3]) + self.turned.get(i, 0.0)
             self.world.onboard[self.at[i]].place(self.agent.config.drone(i).home, yaw)
-            await drone._begin_logs(drone.connection)
+            await drone.estimate.begin_logs(drone.link.connection)
         k = 0
         async for _ in self.clock.ticks(1.0 / STEP):
             k += 1
@@ -169,12 +173,12 @@ class Hall(Actor):
                     )
             if k % round(1.0 / STEP / LINK_CHECK_RATE) == 0:
                 for i, drone in self.drones.items():
-                    drone._feed_watchdog()
-                    drone._go_on_landing()
+                    drone.watchdog.feed()
+                    drone.landing.go_on()
                     self.bodies[i].look()
             if k % round(1.0 / STEP / DRONE_TOPICS.link.rate) == 0:
                 for drone in self.drones.values():
-                    drone.report()
+                    drone.report.publish()
             self._note()
 
     def seen(self, k: int) -> dict[int, Pose]:

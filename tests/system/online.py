@@ -38,7 +38,11 @@ def carried(agent: Agent, i: int) -> list[int]:
     """Goods that drone i has picked up and, as far as the team has confirmed, not delivered."""
     guidance = agent.drones[i].guidance
     picked = [deed.task for deed in guidance.news.record.deeds if deed.kind == "pickup"]
-    return [j for j in picked if {"task": j, "kind": "delivery"} not in guidance.served]
+    return [
+        j
+        for j in picked
+        if {"task": j, "kind": "delivery"} not in guidance.service.served
+    ]
 
 
 @dataclass
@@ -128,7 +132,7 @@ def fly_online(
         delivered: dict[int, list[int]] = {}
         for i in config.ids:
             guidance = agent.drones[i].guidance
-            for stop in guidance.served:
+            for stop in guidance.service.served:
                 if stop["kind"] == "delivery":
                     delivered.setdefault(stop["task"], []).append(i)
         touching = {
@@ -155,12 +159,12 @@ def faults(outcome: Outcome) -> Any:
     """What is wrong: a living drone that failed, other stories, goods twice or not delivered, drones that touch."""
     config, mission = outcome.config, load_mission("online_delivery")
     instance, tasks = (
-        mission.instance(config),
-        {task.id: task for task in mission.known(config)},
+        mission.hooks.instance(config),
+        {task.id: task for task in mission.hooks.known(config)},
     )
     tasks |= {
         event.task.id: event.task
-        for event in mission.events(config)
+        for event in mission.hooks.events(config)
         if not event.task.cancelled
     }
     for i in outcome.living:
@@ -180,7 +184,7 @@ def faults(outcome: Outcome) -> Any:
         able = [i for i in outcome.living if may(instance, i, task)]
         gone = any(j in goods for goods in outcome.aboard.values())
         if fate is None:
-            heard = [e.robots for e in mission.events(config) if e.task.id == j]
+            heard = [e.robots for e in mission.hooks.events(config) if e.task.id == j]
             if any(i in outcome.living for robots in heard for i in robots):
                 yield f"task {j} is not known"
         elif fate is Fate.LOST and gone and not config.mission_options.get("recover"):

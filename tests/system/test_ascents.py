@@ -45,7 +45,7 @@ def test_bodies_that_are_their_drones_are_let_fly():
     check(ascend(swarm("frpy", **WINDY), 1, hover=1.0), ())
 
 
-def test_of_one_that_takes_off_alone_with_the_body_of_another():
+def test_a_drone_that_takes_off_alone_with_another_drones_body_fails():
     tracks = ascend(swarm("xyz"), 3, reaches={0: 1, 1: 0}, flying=(0,))
     assert not tracks[0].result["success"]
     assert tracks[0].found[1] < 0.6

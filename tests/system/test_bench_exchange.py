@@ -1,4 +1,4 @@
-"""The bench measures what it says; its figures are nobody's test."""
+"""The bench measures what it says; its figures are not tested."""
 
 import importlib.util
 import io
@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from crazychoir.bench import exchange as bench_exchange
-from crazychoir.bench.exchange import ExchangeRow
+from crazychoir.bench.harness import ProgramRow, measure
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
 
@@ -24,8 +24,9 @@ pytestmark = [pytest.mark.system, pytest.mark.real_time]
 def test_each_program_exchanges(module: str, extra: str, processes: int) -> None:
     if extra and importlib.util.find_spec(extra) is None:
         pytest.skip(f"the extra `bench` is not installed: no {extra}")
-    row = ExchangeRow(module, f"{module}_peer", "ring", 4, processes, extra)
-    bench_exchange.measure(row, 0.2)
+    packages = (extra,) if extra else ()
+    row = ProgramRow(module, f"{module}_peer", "ring", 4, processes, packages)
+    measure(row, 0.2)
     assert row.note == ""
     assert row.rounds[0] > 1.0
     assert row.cpu[0] > 0.1
@@ -34,7 +35,7 @@ def test_each_program_exchanges(module: str, extra: str, processes: int) -> None
 def test_a_missing_program_is_a_row_that_says_how_to_install_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    rows = [ExchangeRow("absent", "absent_peer", "ring", 10, 10, "no_such_module")]
+    rows = [ProgramRow("absent", "absent_peer", "ring", 10, 10, ("no_such_module",))]
     monkeypatch.setattr(bench_exchange, "_rows", lambda graphs: rows)
     monkeypatch.setattr(bench_exchange, "_ratios", lambda rows: {})
     result = bench_exchange.run(quick=True)
@@ -49,8 +50,8 @@ def test_a_missing_program_is_a_row_that_says_how_to_install_it(
 
 
 def test_a_program_that_fails_is_a_row_that_says_so() -> None:
-    row = ExchangeRow("broken", "broken_peer", "ring", 4, 2)
-    bench_exchange.measure(row, 0.1)
+    row = ProgramRow("broken", "broken_peer", "ring", 4, 2)
+    measure(row, 0.1)
     assert row.note.startswith("failed: a process has ended before its answer: ")
     assert "broken_peer" in row.note
     assert row.shown()["rounds_per_s"] is None

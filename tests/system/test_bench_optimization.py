@@ -1,10 +1,10 @@
-"""Both programs of `bench optimization` make rounds; their figures are nobody's test."""
+"""Both programs of `bench optimization` make rounds; their figures are not tested."""
 
 import importlib.util
 
 import pytest
 
-from crazychoir.bench.exchange import ExchangeRow, measure
+from crazychoir.bench.harness import ProgramRow, measure
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
 PROGRAMS = [("rounds", "", 2), ("mpi4py_rounds", "mpi4py", 3)]
@@ -17,8 +17,9 @@ def test_each_program_makes_rounds(module, extra, processes, algorithm):
         importlib.util.find_spec(name) is None for name in (extra, "dill")
     ):
         pytest.skip("the extra `bench` is not installed")
-    row = ExchangeRow(
-        module, module, "ring", 3, processes, extra, options={"algorithm": algorithm}
+    packages = (extra, "dill") if extra else ()
+    row = ProgramRow(
+        module, module, "ring", 3, processes, packages, options={"algorithm": algorithm}
     )
     measure(row, 0.2)
     assert row.note == ""

@@ -42,7 +42,7 @@ async def looked_at(folder, **options):
         await program.kill()
 
 
-async def test_who_is_chosen_stays_ticked_on_a_new_line(tmp_path):
+async def test_chosen_drones_stay_ticked_after_a_reconnect(tmp_path):
     async with looked_at(tmp_path) as (page, wire, _):
         await page.check('input[aria-label="drone 1"]')
         await page.check('input[aria-label="drone 3"]')
@@ -81,7 +81,7 @@ async def test_nothing_that_the_header_says_moves_the_stop_or_the_table(
 
 
 @pytest.mark.slow
-async def test_who_must_log_in_again_is_told_so(tmp_path):
+async def test_a_user_with_an_expired_login_is_told_to_log_in_again(tmp_path):
     async with looked_at(tmp_path, strict=False) as (page, wire, _):
         await page.route("**/own/page.css", lambda route: route.fulfill(status=401))
         wire.dead = True
@@ -90,7 +90,7 @@ async def test_who_must_log_in_again_is_told_so(tmp_path):
 
 
 @pytest.mark.slow
-async def test_those_that_are_ticked_are_commanded_after_the_server_was_started_again(
+async def test_ticked_drones_are_commanded_after_the_server_restarts(
     tmp_path,
 ):
     async with looked_at(tmp_path, strict=False) as (page, _, program):
@@ -168,7 +168,7 @@ async def test_a_stop_that_was_pressed_without_a_line_may_be_withdrawn_and_is_as
         await says(
             page,
             "#kept",
-            "more than 30 s ago: nobody has answered. Is it to be sent now?",
+            "more than 30 s ago: no drone has answered. Send it now?",
         )
         await page.shot("asked_about")
         assert await again() == []
@@ -250,7 +250,7 @@ async def test_what_the_server_does_not_answer_is_told_within_a_second_or_so(tmp
         assert await page.inner_text("#trouble") == ""
 
 
-async def test_a_stop_and_who_does_not_answer_are_told_on_every_tab(tmp_path):
+async def test_a_stop_and_an_unanswered_command_are_shown_on_every_tab(tmp_path):
     async with looked_at(tmp_path) as (page, *_):
         await page.click("text=Hold")
         await page.click("#tab-draw")
@@ -454,7 +454,9 @@ CIRCLES = """
 
 
 @pytest.mark.slow
-async def test_who_is_in_the_way_of_the_second_that_flies_a_drawing_is_named(tmp_path):
+async def test_a_drone_in_the_way_of_the_second_drone_that_flies_a_drawing_is_named(
+    tmp_path,
+):
     async with looked_at(tmp_path) as (page, wire, _):
         wire.frame = hovering({5: (0.25, 1.5, 1.3)})
         await page.click("#tab-draw")

@@ -243,7 +243,7 @@ def test_a_port_in_use_is_named(here, four):
         )
 
 
-def test_who_is_absent_at_the_start_is_named(four):
+def test_a_drone_that_is_absent_at_the_start_is_named(four):
     path, _ = written(four[0], four[1].replace(start_deadline=1.0))
     said = call("crazychoir-agent", "--swarm", path, "--id", 0, "--json")
     assert said.code == 1
@@ -479,7 +479,7 @@ async def test_two_runs_of_one_swarm_file_meet_when_each_starts_its_drones(
 
 
 @pytest.mark.timeout(120)
-async def test_a_run_fails_whose_processes_cannot_all_start(four, tmp_path, compiled):
+async def test_a_run_fails_if_not_all_its_processes_can_start(four, tmp_path, compiled):
     """Of some drones, and of all: then who is killed at the start ends the wait of the others."""
     async with asyncio.TaskGroup() as group:
         group.create_task(
@@ -571,7 +571,7 @@ async def test_an_interrupted_run_in_virtual_time_says_that_it_ends(four, tmp_pa
 
 
 @pytest.mark.timeout(240)
-async def test_an_interrupted_flight_lands_then_ends_and_leaves_nobody_behind(
+async def test_an_interrupted_flight_lands_then_ends_and_leaves_no_process_behind(
     four, tmp_path, compiled
 ):
     async with asyncio.TaskGroup() as group:

@@ -82,7 +82,7 @@ def test_without_the_filter_they_meet():
     assert arrived < 5.0
 
 
-def test_who_is_not_at_its_goal_when_its_law_ends_has_not_arrived():
+def test_a_drone_short_of_its_goal_when_its_law_ends_has_not_arrived():
     assert (
         flown(
             *crossing(
@@ -117,7 +117,7 @@ class Cut(Actor):
 @pytest.mark.parametrize(
     "method", ["barrier", pytest.param("cells", marks=pytest.mark.slow)]
 )
-def test_two_whose_link_fails_are_told_of_each_other_by_the_rest(method):
+def test_neighbours_report_two_drones_with_a_failed_link_to_each_other(method):
     """0 flies at 2 and neither hears the other; 1 and 3, that cross their way, hear both."""
     mission, config = crossing(
         4, 1, method, radius=2.0, low=0.8, high=1.2, jitter=0.02, duration=10.0

@@ -301,7 +301,7 @@ async def test_another_address_wants_a_password_and_may_have_a_certificate(tmp_p
         await program.kill()
 
 
-async def test_who_has_a_certificate_of_the_authority_comes_in_and_nobody_else(
+async def test_only_a_client_with_a_certificate_of_the_authority_is_admitted(
     tmp_path,
 ):
     path, file = tmp_path / "swarm.json", tmp_path / "authority.pem"
@@ -338,7 +338,7 @@ async def test_who_has_a_certificate_of_the_authority_comes_in_and_nobody_else(
         await program.kill()
 
 
-async def test_strangers_who_say_nothing_keep_nobody_out(tmp_path):
+async def test_silent_connections_do_not_block_other_clients(tmp_path):
     """They come from another address; each connection is closed when nothing was asked on it."""
     path, secret = tmp_path / "swarm.json", tmp_path / "secret"
     path.write_text(six(processes=1).dumps())

@@ -19,11 +19,11 @@ from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import LinkFailed
 from crazychoir.planning.minimum_snap import minimum_snap
 from crazychoir.planning.upload import fit_upload
-from crazychoir.radio.drone.radio_drone import CONNECT_ATTEMPTS
+from crazychoir.radio.drone.timing import CONNECT_ATTEMPTS
 from crazychoir.radio.link import drivers
 from crazychoir.radio.link.connection import Connection
 from crazychoir.radio.link.dongles import DongleFailed
-from crazychoir.radio.link.firmware import Firmware
+from crazychoir.radio.link.firmware import ConnectedFirmware
 from crazychoir.radio.link.toc_cache import TableOfContents
 from crazychoir.radio.owner import RadioProcess
 from crazychoir.radio.protocol.crtp import PACKET_FORMS, CrtpPort, Packet
@@ -152,8 +152,8 @@ async def test_three_on_one_dongle_are_read_told_and_flown(known) -> None:
 
         for i, link in enumerate(links):
             await link.log("height", ["stateEstimate.z"], 0.02, partial(take, i), 2.0)
-            assert await Firmware(link).release() == "2025.12"
-            assert await Firmware(link).set("ring.effect", 3 + i) == 3 + i
+            assert await ConnectedFirmware(link).release() == "2025.12"
+            assert await ConnectedFirmware(link).set("ring.effect", 3 + i) == 3 + i
         for _ in range(100):
             flood(links)
             await asyncio.sleep(0.02)
@@ -171,7 +171,7 @@ async def test_three_on_one_dongle_are_read_told_and_flown(known) -> None:
         await closed(links)
 
 
-async def test_a_dongle_without_time_hangs_nobody_and_an_emergency_stop_goes_first(
+async def test_a_busy_dongle_blocks_no_link_and_sends_an_emergency_stop_first(
     known,
 ) -> None:
     """40 exchanges a second for 300 set-points, and questions to the firmware between them."""
@@ -179,7 +179,8 @@ async def test_a_dongle_without_time_hangs_nobody_and_an_emergency_stop_goes_fir
         links = await opened(there, known, 3)
         there.dongle.exchanges = 40.0
         asking = [
-            asyncio.create_task(Firmware(link).get("ring.effect")) for link in links
+            asyncio.create_task(ConnectedFirmware(link).get("ring.effect"))
+            for link in links
         ]
         used = there.dongle.used
         for _ in range(200):
@@ -239,7 +240,7 @@ async def test_what_is_sent_in_order_arrives_once_and_in_order_whatever_is_lost(
 
 
 @pytest.mark.slow
-async def test_one_that_is_silent_takes_little_time_and_gets_the_newest_when_it_is_back(
+async def test_a_silent_drone_takes_little_air_time_and_later_gets_the_newest_set_point(
     known,
 ) -> None:
     async with air(2, 250.0) as there:
@@ -296,7 +297,10 @@ async def test_trajectories_are_uploaded_and_what_does_not_fit_is_not_sent(
 ) -> None:
     async with air(1) as there:
         links = await opened(there, known, 1)
-        firmware, (receiver,) = Firmware(links[0]), there.dongle.drones.values()
+        firmware, (receiver,) = (
+            ConnectedFirmware(links[0]),
+            there.dongle.drones.values(),
+        )
         flown = fit_upload(minimum_snap([[0, 0, 0.5], [0.3, 0, 0.5], [0.3, 0.3, 0.5]]))
         pieces = len(flown.pieces.durations)
         await firmware.upload(flown.memory, 3, pieces, offset=132)
@@ -334,9 +338,7 @@ async def test_three_cold_ones_are_told_their_tables_once_and_in_time(
     ):
         limit = radios.config.radio.connect_deadline + CONNECT_ATTEMPTS.tables_deadline
         await until(
-            lambda: all(
-                drone.state_of_link == "up" for drone in radios.drones.values()
-            ),
+            lambda: all(drone.link.state == "up" for drone in radios.drones.values()),
             limit,
         )
         entries = [
@@ -347,7 +349,7 @@ async def test_three_cold_ones_are_told_their_tables_once_and_in_time(
         assert there.dongle.used < limit * 250.0
 
 
-async def test_one_that_comes_within_reach_while_its_link_is_being_opened_is_reached(
+async def test_a_drone_that_comes_within_reach_while_its_link_opens_is_reached(
     known,
 ) -> None:
     """It counts packets for an earlier link, and would take each new one for one sent again."""
@@ -360,7 +362,7 @@ async def test_one_that_comes_within_reach_while_its_link_is_being_opened_is_rea
         await asyncio.sleep(0.5)
         drone.silent = False
         (link,) = await asyncio.wait_for(opening, 5.0)
-        assert await Firmware(link).release() == "2025.12"
+        assert await ConnectedFirmware(link).release() == "2025.12"
         assert not any(packet[0] >> 4 == CrtpPort.MEMORY for packet in drone.up), (
             "memories of decks are not read"
         )
@@ -380,7 +382,7 @@ async def test_an_emergency_stop_leaves_while_a_link_is_being_opened(tmp_path) -
 
 
 @pytest.mark.slow
-async def test_who_is_not_there_is_named_within_its_deadline(known) -> None:
+async def test_an_absent_drone_is_named_within_its_deadline(known) -> None:
     async with air(2) as there:
         links = [
             Connection(there.clock, uri(i), TableOfContents(known)) for i in (0, 7)
@@ -426,13 +428,13 @@ async def test_the_owner_of_a_dongle_that_is_pulled_out_ends_and_says_why(
         ),
     ):
         await until(
-            lambda: all(
-                drone.state_of_link == "up" for drone in radios.drones.values()
-            ),
+            lambda: all(drone.link.state == "up" for drone in radios.drones.values()),
             15.0,
         )
         await until(
-            lambda: all(drone.problems() == [] for drone in radios.drones.values()),
+            lambda: all(
+                drone.report.find_problems() == [] for drone in radios.drones.values()
+            ),
             10.0,
         )
         there.dongle.there = False

@@ -41,10 +41,13 @@ STANDING = '''
 import re
 import sys
 import time
+from dataclasses import replace
 from crazychoir import CFDistributedFeedback
 from crazychoir.runtime import watchdog
 
-watchdog.GIVE_UP, watchdog.STUCK = 2.5, 3.0  # s, instead of 10 and 15
+watchdog.WATCHDOG_TIMES = replace(
+    watchdog.WATCHDOG_TIMES, give_up_delay=2.5, stuck_time=3.0
+)  # s, instead of 10 and 15
 
 
 class Standing(CFDistributedFeedback):
@@ -165,7 +168,7 @@ async def test_a_killed_process_in_planning_ends_the_mission_of_the_others_and_i
 
 
 @pytest.mark.slow
-async def test_a_stopped_process_delays_nobody(tmp_path):
+async def test_a_stopped_process_does_not_delay_the_others(tmp_path):
     alone = {"method": "off"}  # else who stands beside it evades it
     config, first = (
         isolate_swarm(standing(tmp_path, duration=4.0).replace(collision=alone), None),

@@ -111,7 +111,7 @@ def test_the_originals_letter_is_at_rest_as_a_larger_letter_distorted():
         SwarmConfig.load(DEPLOY / "original_letter.toml"),
         load_mission("bearing_formation"),
     )
-    shape, goal = mission.shape(config), mission.goal(config)
+    shape, goal = mission.hooks.shape(config), mission.goal(config)
     of, at = (np.array([p[i][:2] for i in config.ids]) for p in (shape, goal))
     s, shift, left = similarity(of, at)
     assert s == pytest.approx(1.197, abs=0.02)
@@ -135,7 +135,7 @@ def test_the_originals_grid_is_rigid_and_as_slow_as_it_is_known():
     with pytest.raises(Refused, match=r"smallest eigenvalue 0\.0035"):
         mission.check(slow, False)
     for i, p in mission.goal(config).items():
-        np.testing.assert_allclose(p, mission.shape(config)[i], atol=1e-9)
+        np.testing.assert_allclose(p, mission.hooks.shape(config)[i], atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -184,7 +184,7 @@ def worst_beside_leaders(config, rows):
     mission = load_mission("bearing_formation")
     leaders = [i for i in config.ids if config.drone(i).leader]
     b_ff, b_fl, followers = build_bearing_laplacian(
-        mission.shape(config), mission.neighbors(config), leaders
+        mission.hooks.shape(config), mission.hooks.neighbors(config), leaders
     )
     wanted = [
         -np.linalg.solve(b_ff, b_fl @ np.concatenate([at[i] for i in leaders])).reshape(
@@ -275,7 +275,7 @@ def test_followers_that_hear_no_leader_are_refused_with_their_names():
         mission.check(config.replace(edges=edges))
 
 
-def test_a_drone_whose_bearings_are_all_parallel_is_refused_by_name():
+def test_a_drone_with_all_bearings_parallel_is_refused_by_name():
     mission = load_mission("bearing_formation")
     config = mission.swarm(4).replace(edges=[[0, 1], [0, 3], [1, 3], [1, 2]])
     with pytest.raises(Refused, match="all bearings of drone 2 are parallel"):

@@ -112,7 +112,7 @@ async def fly_undisturbed(hosts: Hosts, folder: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)  # the first test of a fresh clone waits for the compiler
-async def test_demo_on_two_hosts_whose_clocks_differ_through_a_partition(
+async def test_demo_runs_on_two_hosts_with_different_clocks_through_a_partition(
     tmp_path, compiled
 ):
     """Two processes on one host, one on the other."""

@@ -15,7 +15,7 @@ pytestmark = [pytest.mark.system, pytest.mark.real_time, pytest.mark.timeout(120
 
 
 @pytest.mark.slow
-async def test_its_leds_are_lit_and_nobody_elses_and_not_while_another_has_its_dongle(
+async def test_identify_lights_only_its_drone_and_refuses_while_its_dongle_is_in_use(
     tmp_path,
 ) -> None:
     config = reached(default_swarm(2).replace(control={"sender": "xyz"}))
@@ -57,7 +57,7 @@ async def test_its_leds_are_lit_and_nobody_elses_and_not_while_another_has_its_d
         )
 
 
-def test_who_is_not_reached_by_a_radio_is_refused(tmp_path) -> None:
+def test_a_drone_without_a_radio_is_refused(tmp_path) -> None:
     (tmp_path / "swarm.json").write_text(default_swarm(2).dumps())
     said = CliRunner().invoke(
         app, ["identify", "7", "--swarm", str(tmp_path / "swarm.json"), "--json"]

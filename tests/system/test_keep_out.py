@@ -177,7 +177,7 @@ def test_the_fence_holds_drones_that_want_out_in_wind_and_gusts():
     assert max(one.beyond for one in found) < 0.25
 
 
-def test_in_a_storm_whoever_crosses_the_limit_is_shut_down_within_one_tick():
+def test_a_drone_that_crosses_the_limit_in_a_storm_is_shut_down_within_one_tick():
     found = flown(96, *STORMY)
     assert any(one.cut for one in found), found
     assert within_a_tick(found), found

@@ -44,7 +44,7 @@ import json, os, sys
 from crazychoir.launch.process import ending
 from crazychoir.cli.main import app
 
-ending.run(lambda: None)
+ending.run_to_exit(lambda: None)
 for words in json.loads(sys.argv[1]):
     try:
         app([word.replace("HERE", os.getcwd()) for word in words])

@@ -82,7 +82,7 @@ def test_four_take_their_places_though_messages_are_lost(seed, loss):
     assert 0.5 < result["settling_s"] <= 5.0
 
 
-def test_the_settling_time_is_the_last_time_that_anybody_is_far():
+def test_the_settling_time_is_the_last_time_that_any_drone_is_far():
     @dataclass
     class Seen(FlightScore):
         def __post_init__(self):
@@ -120,7 +120,7 @@ def test_a_grid_without_diagonals_is_refused_with_the_reason(here, repository):
 
 
 @pytest.mark.timeout(180)
-def test_a_grid_whose_leaders_are_neighbours_starts_only_when_forced(here, repository):
+def test_a_grid_with_adjacent_leaders_starts_only_when_forced(here, repository):
     path = repository / "tests/data/grid30_adjacent_leaders.toml"
     here("crazychoir", "run", path, "--fast", "--json").refuses(
         "0.0018", "952 s", "force"

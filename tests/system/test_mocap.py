@@ -132,7 +132,7 @@ def told(poses, i):
     return ks
 
 
-def test_virtual_drones_and_a_recording_give_the_same_poses_and_who_hangs_keeps_nobody(
+def test_a_virtual_source_and_a_replay_give_the_same_poses_and_a_hung_one_ends(
     tmp_path, monkeypatch
 ):
     with FrameRecorder(tmp_path / "flight.csv") as recorder:

@@ -29,9 +29,9 @@ from types import SimpleNamespace
 from crazychoir import CFGuidance
 from crazychoir.launch.flight import fly_fast
 from crazychoir.solve.team import solve_in_processes
-from crazychoir.guidance.mission import load
+from crazychoir.guidance.mission import load_mission
 from crazychoir.launch.flight import fly_real
-from crazychoir.launch.network import isolated_swarm, swarm_file
+from crazychoir.launch.network import isolate_swarm, write_swarm_file
 from crazychoir.optimization.algorithms.consensus import Consensus
 from crazychoir.optimization.rounds.mixing import team
 from crazychoir.routing.instance.generate import random_instance

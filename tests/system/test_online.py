@@ -13,7 +13,7 @@ from crazychoir.bus.port import PORT_ADDRESSES
 from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.errors import SolverError
 from crazychoir.guidance.delivery import replanning
-from crazychoir.guidance.delivery.online_delivery import NO_PLAN_REASON
+from crazychoir.guidance.delivery.plan_notes import NO_PLAN_REASON
 from crazychoir.guidance.mission import load_mission
 from crazychoir.guidance.tasks.task_book import Fate, Task
 from crazychoir.guidance.tasks.task_source import FIRST_ADDED_ID
@@ -43,7 +43,7 @@ def test_all_that_the_living_can_serve_is_served_though_two_are_killed():
 
 
 @pytest.mark.slow
-def test_one_that_falls_past_another_is_told_apart_from_two_that_fly():
+def test_a_drone_that_falls_past_another_is_told_apart_from_two_that_fly():
     """It is killed above one that stands at its home; what the living serve does not depend on it."""
     over_home_1 = {
         "t": 3.0,
@@ -172,7 +172,7 @@ def killed_at_stop(kind, after, **options):
 
 @pytest.mark.parametrize("recover", [False, pytest.param(True, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("after", MOMENTS)
-def test_goods_are_not_picked_up_before_anybody_has_heard_of_it(after, recover):
+def test_goods_are_not_picked_up_before_another_drone_has_heard_of_it(after, recover):
     outcome, task = killed_at_stop("pickup", after, recover=recover)
     assert outcome.reasons == []
     fate = Fate(outcome.fates[task][0])
@@ -186,9 +186,7 @@ def test_goods_are_not_picked_up_before_anybody_has_heard_of_it(after, recover):
 
 @pytest.mark.parametrize("recover", [False, True])
 @pytest.mark.parametrize("after", MOMENTS)
-def test_goods_are_not_delivered_twice_though_who_has_delivered_them_is_killed(
-    after, recover
-):
+def test_goods_are_not_delivered_twice_even_if_their_carrier_is_killed(after, recover):
     outcome, task = killed_at_stop("delivery", after, recover=recover)
     assert outcome.reasons == []
     fate, robot = outcome.fates[task]
@@ -200,7 +198,7 @@ def test_goods_are_not_delivered_twice_though_who_has_delivered_them_is_killed(
 # Tasks that come and go ----------------------------------------------------------------------------------------
 
 
-def test_a_cancelled_task_is_not_picked_up_and_one_that_is_aboard_is_delivered():
+def test_a_cancelled_task_is_not_picked_up_but_goods_aboard_are_delivered():
     config = drawn(
         4,
         0.2,
@@ -320,7 +318,7 @@ def test_a_drone_that_is_landed_by_its_operator_leaves_its_tasks_to_the_others()
     assert all(len(by) == 1 for by in outcome.delivered.values())
 
 
-BROKEN = [("commitments", "next"), ("news", "letter"), ("", "_seconds")]
+BROKEN = [("commitments", "next"), ("news", "letter"), ("forecast", "seconds")]
 """What is broken in flight: where it goes, what it says, what it plans."""
 
 
@@ -392,7 +390,7 @@ def test_a_drone_that_is_cut_off_and_comes_back_serves_nothing_that_others_serve
 
 
 @pytest.mark.parametrize("recover", [False, True])
-def test_who_is_left_alone_by_a_crash_and_a_link_that_is_cut_for_good_comes_to_an_end(
+def test_drones_left_alone_by_a_crash_and_a_cut_link_end_their_mission(
     recover,
 ):
     """One that was cut off with nothing to do waited for ever for the others to be done."""
@@ -411,7 +409,7 @@ def test_who_is_left_alone_by_a_crash_and_a_link_that_is_cut_for_good_comes_to_a
 
 
 @pytest.mark.parametrize("drones", [1, 2])
-def test_a_team_of_which_nobody_flies_any_more_comes_to_an_end(drones):
+def test_a_team_without_a_flying_drone_ends_its_mission(drones):
     """Each waited for ever for the others, who went on without it."""
 
     def prepare(agent):
@@ -425,7 +423,7 @@ def test_a_team_of_which_nobody_flies_any_more_comes_to_an_end(drones):
     assert outcome.simulated < 100.0
     for result in outcome.results.values():
         assert not result["success"]
-        assert "nobody that it hears flies any more for 30 s" in result["reason"]
+        assert "no drone that it hears flies any more for 30 s" in result["reason"]
     assert any(
         "the battery is empty" in result["reason"]
         for result in outcome.results.values()

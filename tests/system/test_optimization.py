@@ -18,7 +18,7 @@ from crazychoir.optimization.algorithms.asynchronous_consensus import Asynchrono
 from crazychoir.optimization.rounds.mixing import rows
 from crazychoir.config.swarm_config import default_swarm
 from crazychoir.team.graph import row_stochastic
-from crazychoir.team.algorithm_run import Pace
+from crazychoir.team.algorithm_run import WakingTimes
 
 TARGETS = np.array([drone.home[:2] for drone in default_swarm(4).drones])  # all move alike, and keep apart
 
@@ -38,7 +38,7 @@ class Surveillance(CFGuidance):
             place.gradient_own.function = lambda x, s: x / (0.0 if self.id == 2 and place.k == 40 else 1.0)
         await self.optimize(place, channel="place")
         height = AsynchronousConsensus(self.id, [0.8 + 0.1 * self.id], rows(self.graph, row_stochastic)[self.id][0], 60)
-        await self.optimize(height, channel="height", pace=Pace((0.01, 0.05)))
+        await self.optimize(height, channel="height", pace=WakingTimes((0.01, 0.05)))
         await self.go_to([*place.x, float(height.x[0])])
         reached = self.state.p.tolist()
         await self.land()

@@ -42,7 +42,7 @@ def nearest(flights, scale=(1.0, 1.0, 1.0)):
     )
 
 
-def test_who_wants_to_land_on_another_lands_beside():
+def test_a_drone_that_wants_to_land_on_another_lands_beside_it():
     async def does(guidance):
         await guidance.rendezvous()
         if guidance.id == 0:
@@ -79,7 +79,7 @@ def test_two_that_are_parted_for_long_wait_for_each_other():
 
 
 @pytest.mark.parametrize("edge", [(0, 1), (1, 0)])
-def test_who_is_not_answered_lands_after_some_seconds(edge):
+def test_a_drone_without_an_answer_lands_after_some_seconds(edge):
     async def does(guidance):
         await guidance.take_off(1.0)
         await guidance.rendezvous()

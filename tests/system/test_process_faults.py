@@ -143,7 +143,7 @@ async def test_one_of_six_is_killed_and_the_rest_finish(tmp_path, repository):
     assert all(found[i]["success"] for i in others), line
 
 
-async def test_one_that_is_killed_and_started_again_takes_part_again(
+async def test_a_process_that_is_killed_and_restarted_takes_part_again(
     tmp_path, repository
 ):
     """Its drone has been landed by its firmware meanwhile."""
@@ -197,7 +197,9 @@ async def test_a_partition_that_heals(tmp_path, repository, length):
     assert all(found[i]["success"] or deaf in found[i]["reason"] for i in FIRST), line
 
 
-async def test_one_that_is_stopped_for_a_while(tmp_path, repository):
+async def test_a_process_that_is_stopped_for_3_s_is_suspected_and_the_others_succeed(
+    tmp_path, repository
+):
     async with in_flight(tmp_path) as (world, team, _):
         stopped = time.monotonic()
         team.agents[VICTIM].signal(signal.SIGSTOP)

@@ -155,7 +155,7 @@ def begin(
 
 
 @pytest.mark.parametrize("seed", range(100))
-async def test_whatever_fails_nobody_is_outside_nobody_collides_nobody_hangs(
+async def test_no_fault_makes_a_drone_leave_the_fence_collide_or_hang(
     tmp_path, seed
 ) -> None:
     config, faults = drawn(seed)

@@ -330,7 +330,7 @@ async def test_a_host_that_is_lost_with_agents_and_owners(tmp_path) -> None:
     assert flight.softly(WELL)
 
 
-async def test_an_operator_who_stops_all(tmp_path) -> None:
+async def test_an_interrupt_by_the_operator_lands_every_drone_softly(tmp_path) -> None:
     flight = await fly(tmp_path, (0.0, lambda hall, run: hall.interrupt(run)))
     for i in flight.last:
         assert flight.softly(i)

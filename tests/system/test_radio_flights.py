@@ -73,7 +73,7 @@ async def test_virtual_and_simulated_drones_fly_one_mission(tmp_path) -> None:
 
 
 @pytest.mark.slow
-async def test_who_is_absent_or_silent_is_named_and_the_others_fly(tmp_path) -> None:
+async def test_absent_or_silent_drones_are_named_and_the_others_fly(tmp_path) -> None:
     some = figures(4, "xyz", graph="complete", start=2, start_deadline=8.0)
     config = reached(some, radio={"connect_deadline": 3.0})
     async with Hall(config, tmp_path) as hall:

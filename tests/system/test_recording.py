@@ -232,7 +232,7 @@ def test_plot_says_and_draws(here, recorded, tmp_path, monkeypatch):
         assert word in table.out
 
 
-def test_what_cannot_be_recorded_is_said_before_anybody_flies(here, tmp_path):
+def test_an_impossible_recording_is_refused_before_any_drone_flies(here, tmp_path):
     taken = tmp_path / "taken.mcap"
     taken.write_text("old")
     wrong = (
@@ -339,7 +339,7 @@ def test_a_replay_is_seen_as_a_swarm_and_recorded_anew(recorded, tmp_path):
 
 
 @pytest.mark.real_time
-def test_a_replay_that_nobody_sees_ends(here, recorded):
+def test_a_replay_without_a_viewer_ends(here, recorded):
     said = here(
         "crazychoir", "replay", recorded[0], "--speed", "100", "--wait", "0", "--json"
     )

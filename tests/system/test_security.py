@@ -285,7 +285,7 @@ async def test_only_operators_are_obeyed_and_the_others_are_named_once(lab, capl
     )
 
 
-async def test_the_doctor_says_whose_certificate_is_not_taken(lab):
+async def test_the_doctor_names_the_certificate_that_is_not_accepted(lab):
     await lab.link("a", "0-1", [0])
     port = int(Addresses(lab.config).endpoint(0).rpartition(":")[2])
 
@@ -296,17 +296,17 @@ async def test_the_doctor_says_whose_certificate_is_not_taken(lab):
 
     assert await found(lab.keys / "b") == ""
     assert await found(lab.keys / "nobody") == "No such file or directory"
-    assert "it does not take the certificate of this host: " in await found(
+    assert "it does not accept the certificate of this host: " in await found(
         pretender(lab)
     )
     elsewhere = lab.folder / "elsewhere"
     authority.make_authority(elsewhere)
-    assert "its certificate is not good here: " in await found(
+    assert "its certificate is not valid here: " in await found(
         authority.add_host(elsewhere, "b")
     )
 
 
-async def test_who_is_turned_away_is_said_once_by_the_programs_of_the_swarm(lab):
+async def test_each_program_of_the_swarm_reports_a_refused_process_once(lab):
     """A router with the certificate of a, and one that is started with that of another swarm and calls it."""
     file = lab.folder / "swarm.json"
     file.write_text(lab.config.replace(router="a").dumps())
@@ -318,7 +318,7 @@ async def test_who_is_turned_away_is_said_once_by_the_programs_of_the_swarm(lab)
             for _ in range(2):
                 lab.intruder(keys)
                 await asyncio.sleep(0.3)
-        refused = "somebody connected and was turned away: "
+        refused = "a process connected and was refused: "
         await asyncio.sleep(1.5)  # they call again each second
         assert router.text.count(refused) == 3, router.text
         assert (
@@ -344,7 +344,7 @@ async def test_who_is_turned_away_is_said_once_by_the_programs_of_the_swarm(lab)
         await router.kill()
 
 
-async def test_who_is_revoked_is_out_from_the_next_session_on(lab):
+async def test_a_revoked_host_is_refused_from_the_next_session_on(lab):
     old = lab.folder / "kept"
     (lab.keys / "b").rename(old)
     authority.add_host(lab.keys, "b")

@@ -110,7 +110,7 @@ def test_two_that_stand_side_by_side_are_flown_round():
     assert flights[0].result["arrived"] < 14.0
 
 
-def test_a_place_at_which_somebody_stands_is_waited_for():
+def test_a_drone_waits_for_an_occupied_place():
     """It gave up after five attempts of 0.1 s, and landed."""
 
     async def does(self):
@@ -129,7 +129,7 @@ def test_a_place_at_which_somebody_stands_is_waited_for():
     assert flights[0].result["at"] == pytest.approx([0.0, 0.0], abs=0.1)
 
 
-def test_nobody_rises_into_or_comes_down_on_one_who_is_in_its_way():
+def test_a_drone_does_not_take_off_into_or_land_on_another_in_its_way():
     """Drone 0 stands over the home of drone 1, first while that takes off, then while it lands, with motors on."""
 
     async def does(self):

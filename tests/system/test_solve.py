@@ -7,6 +7,7 @@ import sys
 import pytest
 
 from crazychoir.routing.instance.instance import Instance
+from crazychoir.solve.solve_options import SolveOptions
 from crazychoir.solve.solving import solve_here
 
 pytestmark = pytest.mark.system
@@ -52,7 +53,9 @@ def near(result, optimum):
 def test_the_optimum_also_when_messages_are_lost(reference_data, name):
     path = reference_data("pdvrp") / f"pdvrp_opt_{name}.json"
     optimum = json.loads(path.read_text())["optimum"]
-    result, lossy = (solve_here(Instance.load(path), loss=loss) for loss in (0.0, 0.3))
+    result, lossy = (
+        solve_here(Instance.load(path), SolveOptions(loss=loss)) for loss in (0.0, 0.3)
+    )
     near(result, optimum)
     near(lossy, optimum)
     assert lossy["plan_digest"] == result["plan_digest"]
@@ -71,7 +74,8 @@ WARM = """
 import gc, json, sys
 from numba.core.dispatcher import Dispatcher
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.routing.distributed.plain_loop import warm
+from crazychoir.routing.distributed.plain_loop import compile_routing_kernels
+from crazychoir.solve.solve_options import SolveOptions
 from crazychoir.solve.solving import solve_here
 
 def compiled():
@@ -81,9 +85,9 @@ changes = [{}, {"recharge": 2}, {"release": 1.0}, {"penalty": [9.0] * 4}, {"obje
 for method, several in (("columns", changes), ("resource-columns", changes[:-1]), ("cbba", changes)):
     for change in several:
         instance = Instance.parse(json.load(open(sys.argv[1])) | change)
-        warm(instance.local(0), method)
+        compile_routing_kernels(instance.local(0), method)
         before = compiled()
-        result = solve_here(instance, method=method)
+        result = solve_here(instance, SolveOptions(method=method))
         assert compiled() == before, (method, change, set(compiled().items()) - set(before.items()))
         assert result["wall_s"] > 0.0 < result["startup_s"]
 """

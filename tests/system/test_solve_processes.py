@@ -14,6 +14,7 @@ from crazychoir.errors import ConfigError, ProcessFailed
 from crazychoir.numerics import kernel_cache as cache
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.solve import team
+from crazychoir.solve.solve_options import SolveOptions
 from crazychoir.solve.solving import solve_here
 
 pytestmark = [
@@ -54,7 +55,7 @@ def test_options_that_cannot_be_are_refused_before_anything_starts(demo):
     with pytest.raises(ConfigError, match="processes: found 7; allowed: 1 to 6"):
         team.solve_in_processes(problem, 7)
     with pytest.raises(ConfigError, match="magic"):
-        team.solve_in_processes(problem, 2, method="magic")
+        team.solve_in_processes(problem, 2, SolveOptions(method="magic"))
     call("crazychoir", "solve", demo, "--processes", 2, "--loss", 1.5).refuses(
         "--loss", "a probability, 0 to 1"
     )
@@ -114,7 +115,7 @@ def test_that_processes_keep_nothing_is_told_once(demo, monkeypatch, capsys):
     assert capsys.readouterr().err == "cache: compiled laws: none\n"
 
 
-def test_no_robot_outlives_who_started_it(demo):
+def test_no_robot_process_outlives_its_parent(demo):
     words = [
         sys.executable,
         "-m",

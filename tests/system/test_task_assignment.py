@@ -103,7 +103,7 @@ def test_operators_add_and_cancel_tasks_in_flight():
     assert done[FIRST_ADDED_ID + 2] in (1, 4)
 
 
-def test_a_team_of_which_nobody_flies_any_more_comes_to_an_end():
+def test_a_team_without_a_flying_drone_ends_its_mission():
     """Each waited for ever for the others, who went on without it."""
 
     def land(agent):
@@ -115,10 +115,12 @@ def test_a_team_of_which_nobody_flies_any_more_comes_to_an_end():
     )
     for result in results.values():
         assert not result["success"]
-        assert "; then nobody that it hears flies any more for 20 s" in result["reason"]
+        assert (
+            "; then no drone that it hears flies any more for 20 s" in result["reason"]
+        )
 
 
-def test_who_is_left_alone_by_crashes_comes_to_an_end():
+def test_drones_left_alone_by_crashes_end_their_mission():
     """Four of six are lost at once: what is left never agrees on another team."""
 
     def prepare(agent):

@@ -197,13 +197,13 @@ async def kill_an_agent(folder: Path) -> None:
 
 
 @pytest.mark.slow
-async def test_an_owner_or_an_agent_that_is_killed_leaves_nobody_hanging(tmp_path):
+async def test_a_killed_owner_or_agent_leaves_no_process_hanging(tmp_path):
     async with asyncio.TaskGroup() as group:
         group.create_task(kill_the_owner(tmp_path / "owner"))
         group.create_task(kill_an_agent(tmp_path / "agent"))
 
 
-def test_a_world_that_nobody_owns_is_refused(tmp_path):
+def test_a_world_without_an_owner_is_refused(tmp_path):
     path = tmp_path / "swarm.json"
     config = standing(tmp_path, 1.0, world={})
     path.write_text(config.dumps())

@@ -565,7 +565,7 @@ def threads() -> list[str]:
     return [Path(path).read_text() for path in glob.glob("/proc/self/task/*/comm")]
 
 
-async def test_a_stopped_peer_delays_nobody(ground: Ground) -> None:
+async def test_a_stopped_peer_does_not_delay_the_sender(ground: Ground) -> None:
     link = await ground.link([0], lease=10.0)
     child = await ground.child([1])
     await until(ground.knows(link))

@@ -29,8 +29,10 @@ NAMED_OTHERWISE = {"PIL": "pillow", "vroom": "pyvroom", "zenoh": "eclipse-zenoh"
 """The distributions of modules, where these may not be installed."""
 BY_HAND = {"cffirmware", "crazyflow"}
 """Modules that no extra can bring: the firmware's own, which is built with it, and a peer that users install."""
-ELSEWHERE = {"mpich", "psutil"}
-"""Of the extra bench: a program, and what the tests of bench import."""
+WRITTEN_BY_TESTS = {"marbles_of_a_user"}
+"""Modules that a test writes before it imports them."""
+ELSEWHERE = {"mpich"}
+"""Of the extra bench: a program that no module imports."""
 
 
 def name_of(requirement):
@@ -116,9 +118,39 @@ def test_what_is_declared_is_imported(declared, imports, extra):
     assert declared[extra] - used - ELSEWHERE == set()
 
 
-def test_the_tests_have_what_the_extras_that_they_need_have(declared):
-    for extra in ("dashboard", "mujoco", "mocap", "ros2"):
-        assert declared[extra] <= declared["test"]
+@pytest.fixture(scope="module")
+def groups(repository):
+    """Return the requirements of each dependency group."""
+    return tomllib.loads((repository / "pyproject.toml").read_text())[
+        "dependency-groups"
+    ]
+
+
+def test_the_tests_have_the_extras_that_they_need(groups):
+    assert "crazychoir[dashboard,mocap,mujoco,ros2]" in groups["test"]
+    assert "crazychoir[bench]" in groups["bench"]
+
+
+def test_what_the_tests_import_is_declared(repository, declared, groups):
+    """Programs of tests/bench may import what the group bench brings, too."""
+    tests = repository / "tests"
+    known = set().union(*declared.values()) | set(map(name_of, groups["test"]))
+    missing = []
+    for file in sorted(tests.rglob("*.py")):
+        measures = file.is_relative_to(tests / "bench")
+        allowed = known | set(map(name_of, groups["bench"] if measures else ()))
+        for name in sorted({name.split(".")[0] for name in imported(file.read_text())}):
+            if name not in ours(repository) and not distributions(name) & allowed:
+                missing.append(f"{file.relative_to(repository)} imports {name}")
+    assert missing == []
+
+
+@cache
+def ours(repository):
+    """Return the names of modules that need no distribution."""
+    paths = [*(repository / "tests").rglob("*"), *(repository / "docs").glob("*.py")]
+    own = {"crazychoir", "tests", *(path.stem for path in paths)}
+    return own | {*sys.stdlib_module_names, *BY_HAND, *WRITTEN_BY_TESTS}
 
 
 def test_an_import_is_found_wherever_it_stands():

@@ -1,18 +1,36 @@
-"""Installed as a wheel and installed editable, the package is `crazychoir` with its missions and nothing else."""
+"""What users install, and what a release holds.
 
+Installed as a wheel and installed editable, the package is `crazychoir` with its missions and nothing
+else. The source distribution has all that is in the repository.
+"""
+
+import email
 import json
+import os
 import shutil
 import subprocess
 import sys
 import sysconfig
+import tarfile
+import tomllib
 import venv
 import zipfile
+from email.message import Message
 from pathlib import Path
 
 import pytest
 
-NOT_IN_THE_HOUSE = shutil.ignore_patterns(
-    ".*", "__pycache__", "*.egg-info", "build", "dist", "out"
+REPOSITORY = Path(__file__).resolve().parents[2]
+GITHUB = "https://github.com/crazychoir/crazychoir"
+MADE = {"__pycache__", "build", "dist", "keys", "out", ".venv", ".git", ".hypothesis"}
+"""Folders that programs make in a clone; those of caches end in _cache or .egg-info."""
+NOT_COPIED = shutil.ignore_patterns(*MADE, "*_cache", "*.egg-info")
+LINK = "crazychoir/agents"
+ADDED = {"PKG-INFO", "setup.cfg"}
+"""Files that setuptools adds to a source distribution, beside its egg-info."""
+pytestmark = pytest.mark.skipif(
+    (REPOSITORY / "PKG-INFO").is_file(),
+    reason="a source distribution has a copy of agents/ in the place of the link",
 )
 PROBE = """
 import importlib.resources, importlib.util, json, pkgutil, sys
@@ -39,17 +57,20 @@ def run(*command: str | Path, cwd: Path) -> str:
 def clone(repository, tmp_path_factory) -> Path:
     """A copy of the sources, link and all, with one more mission and one more data file."""
     folder = tmp_path_factory.mktemp("clone") / "crazychoir"
-    shutil.copytree(repository, folder, symlinks=True, ignore=NOT_IN_THE_HOUSE)
+    shutil.copytree(repository, folder, symlinks=True, ignore=NOT_COPIED)
     assert (folder / "crazychoir" / "agents").is_symlink()
     (folder / "agents" / "data").mkdir(exist_ok=True)
     (folder / "agents" / "data" / "probe.json").write_text("{}")
     (folder / "agents" / "probe.py").write_text('"""A mission."""\n')
+    private = folder / "deploy" / "keys" / "authority"
+    private.mkdir(parents=True)
+    (private / "key.pem").write_text("private")
     return folder
 
 
 @pytest.fixture(scope="module")
-def wheel(clone, tmp_path_factory) -> Path:
-    """The wheel built from the source distribution, as for a release."""
+def release(clone, tmp_path_factory) -> Path:
+    """The folder with a source distribution, and the wheel built from it."""
     folder = tmp_path_factory.mktemp("dist")
     run(
         sys.executable,
@@ -61,8 +82,44 @@ def wheel(clone, tmp_path_factory) -> Path:
         ".",
         cwd=clone,
     )
-    (built,) = folder.glob("*.whl")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def wheel(release) -> Path:
+    """The wheel of the release."""
+    (built,) = release.glob("*.whl")
     return built
+
+
+@pytest.fixture(scope="module")
+def source_files(release) -> set[str]:
+    """The files of the source distribution, without its top folder."""
+    (archive,) = release.glob("*.tar.gz")
+    with tarfile.open(archive) as opened:
+        names = [member.name for member in opened.getmembers() if member.isfile()]
+    return {name.partition("/")[2] for name in names}
+
+
+@pytest.fixture(scope="module")
+def metadata(wheel) -> Message:
+    """What a package index shows."""
+    name = f"{wheel.name.rpartition('-py3')[0]}.dist-info/METADATA"
+    return email.message_from_string(zipfile.ZipFile(wheel).read(name).decode())
+
+
+def files_of(clone: Path) -> set[str]:
+    """Return the files of a clone that are neither private nor made by programs."""
+    found = set()
+    for folder, folders, names in os.walk(clone):
+        folders[:] = [
+            name
+            for name in folders
+            if name not in MADE and not name.endswith((".egg-info", "_cache"))
+        ]
+        inside = Path(folder).relative_to(clone)
+        found |= {(inside / name).as_posix() for name in names}
+    return {name for name in found if not name.startswith(f"{LINK}/")}
 
 
 def environment(folder: Path) -> Path:
@@ -146,3 +203,86 @@ def test_a_wheel_has_one_package_its_types_and_its_licence(wheel):
 def test_the_link_to_the_missions_is_relative(repository):
     """An absolute link would lead from one clone into another."""
     assert (repository / "crazychoir" / "agents").readlink() == Path("../agents")
+
+
+def test_the_source_distribution_has_all_files_of_the_repository(clone, source_files):
+    files = {
+        name
+        for name in source_files
+        if not name.startswith((f"{LINK}/", "crazychoir.egg-info/"))
+    }
+    assert files - ADDED == files_of(clone)
+    assert {
+        "tests/unit/test_packaging.py",
+        "tests/data/li_lim_small.txt",
+        "agents/pictures/grid.png",
+        "deploy/grid30.toml",
+        "deploy/zenoh/peer.json5",
+        "deploy/systemd/crazychoir-world.service",
+        "crazychoir/safety/README.md",
+        "CHANGELOG.md",
+        "CITATION.cff",
+        "CONTRIBUTING.md",
+        "LICENSE",
+        "Makefile",
+        "mkdocs.yml",
+        "docs/site_links.py",
+    } <= files
+
+
+def test_the_copy_of_the_missions_in_the_source_distribution_is_complete(
+    clone, source_files
+):
+    names = {name.removeprefix(f"{LINK}/") for name in source_files if LINK in name}
+    agents = clone / "agents"
+    assert names == {
+        path.relative_to(agents).as_posix()
+        for path in (*agents.glob("*.py"), *agents.glob("data/*"))
+    }
+
+
+def test_no_private_key_is_released(clone, source_files):
+    assert (clone / "deploy" / "keys" / "authority" / "key.pem").is_file()
+    assert [name for name in source_files if "keys/" in name or ".pem" in name] == []
+
+
+def test_a_package_index_shows_the_project(repository, metadata):
+    assert metadata["Author"] == "The crazychoir authors"
+    assert dict(url.split(", ") for url in metadata.get_all("Project-URL")) == {
+        "Homepage": GITHUB,
+        "Repository": GITHUB,
+        "Documentation": f"{GITHUB}#documentation",
+        "Changelog": f"{GITHUB}/blob/main/CHANGELOG.md",
+        "Issues": f"{GITHUB}/issues",
+    }
+    assert {"crazyflie", "swarm", "quadrotor"} <= set(metadata["Keywords"].split(","))
+    assert "Typing :: Typed" in metadata.get_all("Classifier")
+    assert metadata["License-Expression"] == "GPL-3.0-or-later"
+    assert metadata["Description-Content-Type"] == "text/markdown"
+    assert metadata.get_payload() == (repository / "README.md").read_text()
+
+
+def test_the_citation_has_the_version_and_the_authors_of_the_package(
+    repository, metadata
+):
+    citation = (repository / "CITATION.cff").read_text()
+    assert f"\nversion: {metadata['Version']}\n" in citation
+    assert f"\n  - name: {metadata['Author']}\n" in citation
+
+
+def test_users_get_extras_and_contributors_get_groups(repository, metadata):
+    project = tomllib.loads((repository / "pyproject.toml").read_text())
+    extras = {"bench", "dashboard", "mocap", "mujoco", "ros2"}
+    assert set(metadata.get_all("Provides-Extra")) == extras
+    assert set(project["dependency-groups"]) == {"bench", "docs", "test"}
+
+
+def test_make_installs_groups_that_exist(repository):
+    text = (repository / "Makefile").read_text()
+    project = tomllib.loads((repository / "pyproject.toml").read_text())
+    named = {
+        word.removeprefix("$(VENV)/.installed-")
+        for word in text.split()
+        if word.startswith("$(VENV)/.installed-") and not word.endswith("%:")
+    }
+    assert named == set(project["dependency-groups"])

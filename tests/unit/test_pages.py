@@ -18,13 +18,28 @@ from crazychoir.config.swarm_config import SwarmConfig
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 ROOM_PAGES = sorted((REPOSITORY / "crazychoir").glob("**/README.md"))
-PAGES = [*ROOM_PAGES, *sorted((REPOSITORY / "deploy").glob("*.md"))]
+PAGES = [
+    REPOSITORY / "CONTRIBUTING.md",
+    *ROOM_PAGES,
+    *sorted((REPOSITORY / "deploy").glob("*.md")),
+]
 FENCE = re.compile(r"^( *)```(\w*)\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)
 EXAMPLES = {
     "crazychoir/bus/README.md": "bus_example.py",
     "crazychoir/team/README.md": "team_example.py",
 }
 MOST_WORDS = 90  # a paragraph
+CODE = ("crazychoir", "agents", "deploy", "tests")
+"""Folders with code."""
+NAME = re.compile(r"\b(?:[A-Z][A-Z_0-9]+|[A-Z]+[a-z]\w*|[a-z]\w*_\w+)\b")
+"""A constant, a class, or a function of two words."""
+NAMES_OF_OTHERS = {
+    "DynamicUser",  # systemd
+    "Estimator",  # the CrazyChoir paper
+    "MY_TOPIC",  # the reader's
+    "own_address",
+}
+"""Names on pages that no code has."""
 
 every_page = pytest.mark.parametrize(
     "page", PAGES, ids=lambda page: str(page.relative_to(REPOSITORY))
@@ -134,6 +149,32 @@ def test_the_swarm_file_of_the_page_is_a_swarm_file():
     config = SwarmConfig.loads(first)
     assert config.ids == (0, 1, 2, 3)
     assert config.mission == "bearing_formation"
+
+
+@pytest.fixture(scope="module")
+def words_of_the_code() -> set[str]:
+    """Return all words in the files of the repository that are no pages."""
+    files = [file for folder in CODE for file in (REPOSITORY / folder).rglob("*.*")]
+    own = [file for file in files if file.suffix in (".py", ".toml", ".js")]
+    return {word for file in own for word in re.findall(r"\w+", file.read_text())}
+
+
+def unknown_names(text: str, words: set[str]) -> list[str]:
+    """Return the names in the inline code of a page that no code has; paths are not looked at."""
+    written = FENCE.sub("", re.sub(f"{BEGIN}.*?{END}", "", text, flags=re.DOTALL))
+    codes = [code for code in re.findall(r"`([^`\n]+)`", written) if ".py" not in code]
+    found = {name for code in codes for name in NAME.findall(code)}
+    return sorted(found - words - NAMES_OF_OTHERS)
+
+
+@every_page
+def test_names_on_a_page_are_those_of_the_code(page, words_of_the_code):
+    assert unknown_names(page.read_text(), words_of_the_code) == []
+
+
+def test_unknown_names_are_found():
+    text = "`Rule` and `LIMITS` of `add_rule(x)`, `a/test_rule.py`\n```\nOther\n```\n"
+    assert unknown_names(text, {"add_rule"}) == ["LIMITS", "Rule"]
 
 
 @every_page

@@ -15,6 +15,17 @@ import pytest
 from pages import FRONT_PAGE, PAGES
 from prose_rules import docstrings, hard_docstrings, hard_lines
 from source_rules import CLOCKS, STOPWATCHES, forbidden_clocks, set_iterations
+from style_rules import (
+    MOST_ARGUMENTS,
+    MOST_CLASS_ATTRIBUTES,
+    MOST_CLASS_LINES,
+    MOST_CLASS_METHODS,
+    large_classes,
+    one_word_constants,
+    packed_assignments,
+    shared_class_names,
+    wide_functions,
+)
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 CONTRACTS = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["tool"][
@@ -26,6 +37,69 @@ ORDERED_ROOMS = ("runtime", "bus", "team")
 MOST_MODULES = 22  # a folder
 MOST_HARD_DOCSTRINGS = 0.01  # share of the docstrings of a room
 MOST_LINES = 200  # of the front page
+MOST_MISSION_LINES = 90  # of a file in agents/
+LONG_MISSIONS = ("online_delivery", "pickup_delivery", "task_assignment")
+LARGE_CLASSES = {
+    "BasisExchange",
+    "CFDistributedFeedback",
+    "CommandDesk",
+    "Communicator",
+    "DistributedColumns",
+    "Fleet",
+    "Onboard",
+    "Pilot",
+    "PlannedFlights",
+    "QuadraticProgram",
+    "Rounds",
+    "SvgReader",
+    "Swarm",
+    "ZenohLink",
+}
+"""Classes that hold several responsibilities. This list only shrinks."""
+WIDE_FUNCTIONS = {
+    "ASYMM.__init__",
+    "Agent.__init__",
+    "AggregativeTracking.__init__",
+    "Barrier.__init__",
+    "BlockConsensus.__init__",
+    "BlockSubgradientMethod.__init__",
+    "CFIntegrator.__init__",
+    "Forwarder.forward",
+    "KalmanFilter.__init__",
+    "MotorWorld.__init__",
+    "NextGeneration.__init__",
+    "Pilot.__init__",
+    "PlannedFlights.__init__",
+    "Port._send_impaired",
+    "Port.send",
+    "PrimalDecompositionMILP.__init__",
+    "Recorder._count",
+    "Recorder._rounds",
+    "RemoteBody.__init__",
+    "Replanning.__init__",
+    "SimulatedMocap.__init__",
+    "ZenohLink.__init__",
+    "ZenohLink.forward",
+    "_build_figure",
+    "_line",
+    "_marker",
+    "check_formation",
+    "draw_flown_ways",
+    "eight",
+    "find_fewest_columns",
+    "fly_real",
+    "simulate",
+}
+"""Functions with too many arguments. This list only shrinks."""
+SHARED_CLASS_NAMES = {
+    "Stop",  # a request of the page, named by its class; a stop of a route
+    "Task",  # a task of a running swarm; a task of an assignment problem
+}
+"""Names that several classes have."""
+LAYOUT_FILES = {
+    "crazychoir/simulation/motor_level/lanes.py",  # rows of one array, numbered in groups
+}
+"""Files that may set several constants in one statement."""
 FENCED = re.compile(r"^```.*?^```|`[^`\n]*`", re.DOTALL | re.MULTILINE)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 WEB_PAGES = "https://github.com/crazychoir/crazychoir/blob/main/"
@@ -297,6 +371,104 @@ def test_docstrings_are_plain_english(repository):
     assert hard_rooms(repository / "crazychoir") == []
 
 
+def own_files(repository: Path) -> list[Path]:
+    """Return the files of the package, with its missions, each once."""
+    return list(python_files(repository / "crazychoir"))
+
+
+def test_classes_have_one_responsibility(repository):
+    large = {
+        name: f"{file.relative_to(repository)}: {size}"
+        for file in own_files(repository)
+        for name, size in large_classes(file.read_text())
+    }
+    assert {name: large[name] for name in large.keys() - LARGE_CLASSES} == {}
+    assert LARGE_CLASSES - large.keys() == set(), "take it off the list"
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "\n".join(f"    # {k}" for k in range(MOST_CLASS_LINES)) + "\n    x = 1",
+        "\n".join(f"    def f{k}(self): ..." for k in range(MOST_CLASS_METHODS + 1)),
+        "\n".join(f"    a{k}: int" for k in range(MOST_CLASS_ATTRIBUTES + 1)),
+        "    def f(self):\n"
+        + "\n".join(f"        self.a{k} = 1" for k in range(MOST_CLASS_ATTRIBUTES + 1)),
+    ],
+    ids=["lines", "methods", "fields", "attributes"],
+)
+def test_large_classes_are_found(body):
+    assert [name for name, _ in large_classes(f"class Large:\n{body}\n")] == ["Large"]
+
+
+def test_functions_take_few_arguments(repository):
+    wide = {
+        name: f"{file.relative_to(repository)}: {count} arguments"
+        for file in own_files(repository)
+        for name, count in wide_functions(file.read_text())
+    }
+    assert {name: wide[name] for name in wide.keys() - WIDE_FUNCTIONS} == {}
+    assert WIDE_FUNCTIONS - wide.keys() == set(), "take it off the list"
+
+
+def test_wide_functions_are_found():
+    many = ", ".join(f"a{k}" for k in range(MOST_ARGUMENTS + 1))
+    few = ", ".join(f"a{k}" for k in range(MOST_ARGUMENTS))
+    assert list(wide_functions(f"def f({many}): ...")) == [("f", MOST_ARGUMENTS + 1)]
+    assert list(wide_functions(f"def f({few}): ...")) == []
+    assert list(wide_functions(f"class A:\n  def f(self, {few}): ...")) == []
+    assert list(wide_functions(f"class A:\n  async def f(self, *, {many}): ...")) == [
+        ("A.f", MOST_ARGUMENTS + 1)
+    ]
+    assert list(wide_functions(f"@kernel()\ndef f({many}): ...")) == []
+    assert list(wide_functions(f"def f({many}, o: typer.Option = 1): ...")) == []
+
+
+def test_constants_have_names_of_two_words(repository):
+    found = [
+        f"{file.relative_to(repository)}: {name}"
+        for file in own_files(repository)
+        for name in one_word_constants(file.read_text())
+    ]
+    assert found == []
+
+
+def test_constants_of_one_word_are_found():
+    source = "LOOK = 1\n_MOST: int = 2\nPOSE_TIMEOUT = 0.5\nT = TypeVar('T')\nlog = 3\n"
+    assert one_word_constants(source) == ["LOOK", "_MOST"]
+
+
+def test_each_assignment_has_a_line_of_its_own(repository):
+    found = [
+        place
+        for file in own_files(repository)
+        if str(file.relative_to(repository)) not in LAYOUT_FILES
+        for place in places(
+            repository / "crazychoir", file, list(packed_assignments(file.read_text()))
+        )
+    ]
+    assert found == []
+
+
+def test_packed_assignments_are_found():
+    source = (
+        "A, B = 1, 2\nx, y = y, x\nC, D = range(2)\na, b, c = 1, 2, 3\nE, F = call()\n"
+    )
+    assert list(packed_assignments(source)) == ["1: A, B", "3: C, D", "4: a, b, c"]
+
+
+def test_class_names_mean_one_thing(repository):
+    shared = shared_class_names(own_files(repository))
+    assert {name: shared[name] for name in shared.keys() - SHARED_CLASS_NAMES} == {}
+    assert SHARED_CLASS_NAMES - shared.keys() == set(), "take it off the list"
+
+
+def test_shared_class_names_are_found(tmp_path):
+    for name in ("one", "other"):
+        (tmp_path / f"{name}.py").write_text("class Link: ...\n")
+    assert list(shared_class_names(tmp_path.glob("*.py"))) == ["Link"]
+
+
 def test_hard_docstrings_are_found(tmp_path):
     (tmp_path / "room").mkdir()
     text = '"""Return the neighbours."""\n\ndef f():\n    """Whoever has said it."""\n'
@@ -360,11 +532,32 @@ def test_a_long_front_page_is_found():
     assert not is_short("a\n" * (MOST_LINES + 1))
 
 
+def long_missions(folder: Path) -> list[str]:
+    """Return the missions that a reader does not take in at a glance, and that are not known as long."""
+    return [
+        file.stem
+        for file in sorted(folder.glob("*.py"))
+        if file.stem not in LONG_MISSIONS
+        and len(file.read_text().splitlines()) > MOST_MISSION_LINES
+    ]
+
+
+def test_missions_are_short(repository):
+    assert long_missions(repository / "agents") == []
+
+
+def test_a_long_mission_is_found(tmp_path):
+    (tmp_path / "short.py").write_text("a = 1\n" * MOST_MISSION_LINES)
+    (tmp_path / "long.py").write_text("a = 1\n" * (MOST_MISSION_LINES + 1))
+    assert long_missions(tmp_path) == ["long"]
+
+
 def all_pages(root: Path) -> list[str]:
-    """Return the front page, and all pages of the folders that have documentation."""
+    """Return the front page, the page for contributors, and all pages of the folders that have pages."""
     folders = ("agents", "crazychoir", "deploy")
     files = [file for folder in folders for file in (root / folder).rglob("*.md")]
-    return [FRONT_PAGE, *sorted(str(file.relative_to(root)) for file in files)]
+    guide = [root / "CONTRIBUTING.md"] if (root / "CONTRIBUTING.md").is_file() else []
+    return [FRONT_PAGE, *sorted(str(file.relative_to(root)) for file in guide + files)]
 
 
 def broken_links(root: Path) -> list[str]:

@@ -19,7 +19,7 @@ from crazychoir.routing.distributed.plain_loop import (
     join_solutions,
     make_team,
 )
-from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.solve.simulate import simulate
 from crazychoir.team.graph import graph_from_name
@@ -82,7 +82,7 @@ class AblationCase:
     robots: int
     """Number of robots, equal to the number of tasks."""
     graph: str
-    """Communication graph, a key of GRAPHS."""
+    """Communication graph, a key of ABLATION_GRAPHS."""
     method: str
     """Method of the team."""
     loss: float
@@ -157,7 +157,7 @@ def instance_of(case: AblationCase) -> Instance:
         case.robots,
         case.robots,
         case.seed,
-        route_length_limit=ABLATION_STUDY.route_length_limit,
+        InstanceShape(route_length_limit=ABLATION_STUDY.route_length_limit),
     )
 
 

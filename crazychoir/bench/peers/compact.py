@@ -5,7 +5,8 @@ import json
 import sys
 import time
 
-from crazychoir.bench.peers.routing import end_with_parent
+from crazychoir.bench.peers.peers import end_with_parent
+from crazychoir.bench.peers.routing import say_plan
 from crazychoir.errors import SolverError
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.plan import RoutePlan
@@ -29,14 +30,7 @@ def main() -> None:
         route.robot: [s.task + m * (s.kind == "delivery") for s in route.stops]
         for route in plan.routes
     }
-    routes = [{"robot": i, "nodes": nodes} for i, nodes in stops.items()] or None
-    elapsed = {
-        "wall_s": time.perf_counter() - began,
-        "cpu_s": time.process_time() - cpu,
-    }
-    sys.stdout.write(
-        json.dumps({"routes": routes, "curve": [], "note": note, **elapsed}) + "\n"
-    )
+    say_plan(stops, note, began, cpu)
 
 
 if __name__ == "__main__":

@@ -13,14 +13,28 @@ from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph
 
+EXCHANGE_DEADLINE = 60.0  # s
+
 
 async def exchange_forever(communicator: Communicator, rounds: dict[int, int]) -> None:
     """Exchange for ever."""
     x = np.zeros(6)
     i = communicator.id
     while True:
-        await communicator.neighbors_exchange(x, deadline=30.0)
+        await communicator.neighbors_exchange(x, deadline=EXCHANGE_DEADLINE)
         rounds[i] += 1
+
+
+async def join_others(
+    group: asyncio.TaskGroup, bus: Bus, team: Graph, spec: dict[str, Any]
+) -> ZenohLink:
+    """Open the link to the other processes, and return it when all have been found."""
+    endpoints = {"listen": spec["listen"], "connect": spec["connect"]}
+    link = ZenohLink(bus, spec["swarm"], incarnation=1, version="bench", **endpoints)
+    link.open()
+    group.create_task(link.run())
+    await wait_until_joined(link, team)
+    return link
 
 
 async def start(
@@ -32,13 +46,7 @@ async def start(
 ) -> None:
     """Find the other processes, report ready, and wait for go; then start to count `rounds`."""
     if spec["connect"]:
-        endpoints = {"listen": spec["listen"], "connect": spec["connect"]}
-        link = ZenohLink(
-            bus, spec["swarm"], incarnation=1, version="bench", **endpoints
-        )
-        link.open()
-        group.create_task(link.run())
-        await wait_until_joined(link, team)
+        await join_others(group, bus, team, spec)
     say({"ready": True})
     await asyncio.to_thread(wait_for_go)
     report(rounds, spec)

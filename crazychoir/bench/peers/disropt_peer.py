@@ -9,10 +9,12 @@ import json
 import sys
 import time
 
-from crazychoir.bench.peers.routing import end_with_parent
+from crazychoir.bench.peers.peers import end_with_parent
+from crazychoir.bench.peers.routing import say_plan
 from crazychoir.optimization.rounds.program import Exchange, Program
 from crazychoir.routing.distributed.member import (
     GraphPosition,
+    PriceSettings,
     RoutingMember,
     RoutingSettings,
 )
@@ -72,7 +74,7 @@ def main() -> None:
     instance = Instance.load(spec["instance"])
     graph = {int(i): list(js) for i, js in spec["neighbors"].items()}
     span = compute_diameter(graph)
-    settings = RoutingSettings(price_rounds=spec["rounds"], still=0.0)
+    settings = RoutingSettings(prices=PriceSettings(rounds=spec["rounds"], still=0.0))
     began = time.perf_counter()
     cpu = time.process_time()
     members = {
@@ -94,22 +96,7 @@ def main() -> None:
         i: find_shortest_route(members[i].local.vehicle, rule.result)[0]
         for i, rule in rules.items()
     }
-    routes = [{"robot": i, "nodes": nodes} for i, nodes in stops.items()]
-    elapsed = {
-        "wall_s": time.perf_counter() - began,
-        "cpu_s": time.process_time() - cpu,
-    }
-    sys.stdout.write(
-        json.dumps(
-            {
-                "routes": routes,
-                "curve": [],
-                "note": f"{spec['rounds']} rounds",
-                **elapsed,
-            }
-        )
-        + "\n"
-    )
+    say_plan(stops, f"{spec['rounds']} rounds", began, cpu)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Shared code of the programs of `bench exchange`: count rounds and CPU in a window of time.
+"""What the programs of the benchmarks share: the argument, ready and go, one answer, a window of time.
 
 Every program gets one JSON argument, prints {"ready": true}, starts at a line "go" and answers
 with one JSON line.
@@ -41,6 +41,11 @@ def wait_for_go() -> None:
     """Block until the bench says go; from then on, end when the bench ends."""
     if not sys.stdin.readline():
         os._exit(1)
+    end_with_parent()
+
+
+def end_with_parent() -> None:
+    """End this process when its standard input ends."""
     threading.Thread(
         target=lambda: os._exit(len(sys.stdin.read())), daemon=True
     ).start()

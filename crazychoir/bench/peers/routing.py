@@ -1,13 +1,11 @@
 """Shared code of the solvers of `bench routing`: the instance in their form, and their answer.
 
 A solver gets one JSON argument (instance: a file, and options) and answers with one JSON line.
-It imports nothing else of crazychoir, because OR-tools and HiGHS cannot share a process.
+It imports nothing of crazychoir outside this folder, because OR-tools and HiGHS cannot share a process.
 """
 
 import json
-import os
 import sys
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,6 +14,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+from crazychoir.bench.peers.peers import end_with_parent, say
 
 Ints = npt.NDArray[np.int64]
 Routes = dict[int, list[int]]
@@ -118,13 +118,6 @@ class BestPlan:
             self.curve.append([self.elapsed(), cost])
 
 
-def end_with_parent() -> None:
-    """End this process when its standard input ends."""
-    threading.Thread(
-        target=lambda: os._exit(len(sys.stdin.read())), daemon=True
-    ).start()
-
-
 def answer(solve: Callable[[dict[str, Any], Problem, BestPlan], str]) -> None:
     """Solve the instance of the argument and print the answer; `solve` returns the note."""
     end_with_parent()
@@ -139,8 +132,26 @@ def answer(solve: Callable[[dict[str, Any], Problem, BestPlan], str]) -> None:
         "wall_s": best.elapsed(),
         "curve": best.curve,
     }
-    sys.stdout.write(
-        json.dumps(found | {"cpu_s": time.process_time() - cpu, "note": note}) + "\n"
+    say(found | {"cpu_s": time.process_time() - cpu, "note": note})
+
+
+def say_plan(stops: dict[int, list[int]], note: str, began: float, cpu: float) -> None:
+    """Print the answer of a program that finds a single plan.
+
+    stops: nodes of the route of each robot; empty for no plan
+    note: what the bench shows beside the plan
+    began: s of time.perf_counter() when the program began
+    cpu: s of time.process_time() when the program began
+    """
+    routes = [{"robot": i, "nodes": nodes} for i, nodes in stops.items()]
+    say(
+        {
+            "routes": routes or None,
+            "curve": [],
+            "note": note,
+            "wall_s": time.perf_counter() - began,
+            "cpu_s": time.process_time() - cpu,
+        }
     )
 
 

@@ -10,26 +10,13 @@ import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from crazychoir.bench.peers.crazychoir_peer import exchange_forever, join_others
 from crazychoir.bench.peers.peers import say, specification, wait_for_go
 from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.port import Bus
-from crazychoir.launch.joining import wait_until_joined
 from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph
-
-
-async def exchange_with_team(
-    communicator: Communicator, rounds: dict[int, int]
-) -> None:
-    """Exchange for ever."""
-    x = np.zeros(6)
-    i = communicator.id
-    while True:
-        await communicator.neighbors_exchange(x, deadline=60.0)
-        rounds[i] += 1
 
 
 def private_memory() -> int:
@@ -74,15 +61,11 @@ async def main(clock: Clock) -> None:
     rounds = dict.fromkeys(mine, 0)
     async with asyncio.TaskGroup() as group:
         if spec["processes"] > 1:
-            ends = {"listen": spec["listen"], "connect": spec["connect"]}
-            link = ZenohLink(bus, spec["swarm"], incarnation=1, version="bench", **ends)
-            link.open()
-            group.create_task(link.run())
-            await wait_until_joined(link, team)
+            link = await join_others(group, bus, team, spec)
         say({"ready": True})
         await asyncio.to_thread(wait_for_go)
         running = [
-            group.create_task(exchange_with_team(member, rounds)) for member in members
+            group.create_task(exchange_forever(member, rounds)) for member in members
         ]
         await clock.sleep(spec["warm"])
         first = read_process_counters(bus, link, rounds)

@@ -58,7 +58,7 @@ def draw_key(*parts: object) -> int:
 
 
 def draw(key: int, number: int, attempt: int) -> int:
-    """Return a uniform integer in 0 .. ONE - 1."""
+    """Return a uniform integer in 0 .. RANDOM_DRAWS.range_size - 1."""
     z = (
         key
         + number * _DRAW_CONSTANTS.number_increment
@@ -72,15 +72,18 @@ def draw(key: int, number: int, attempt: int) -> int:
 
 
 def bad_states(key: int, block: int, p_good_bad: float, p_bad_good: float) -> bytes:
-    """Return BLOCK states of the Gilbert-Elliott chain from index BLOCK * block on: 1 bad, 0 good.
+    """Return a block of states of the Gilbert-Elliott chain, one byte each: 1 bad, 0 good.
+
+    It begins at the index RANDOM_DRAWS.block_size * block.
 
         u_t < p_gb: bad;   u_t >= 1 - p_bg: good;   else as at t - 1         (p_gb + p_bg <= 1)
 
     u_t: the draw of index t
 
     Good turns bad with p_gb, and bad turns good with p_bg. The state at t follows from the last
-    draw that decided, so no process needs to walk from 0. If no draw in the last LOOK_BACK blocks
-    decided, the state is drawn from the stationary law, P(bad) = p_gb / (p_gb + p_bg).
+    draw that decided, so no process needs to walk from 0. If no draw in the last
+    RANDOM_DRAWS.earlier_blocks blocks decided, the state is drawn from the stationary law,
+    P(bad) = p_gb / (p_gb + p_bg).
     """
     decided, bad = _find_decisions(key, block, p_good_bad, p_bad_good)
     cause = np.maximum.accumulate(
@@ -120,7 +123,7 @@ def _find_decisions(
 
 
 def _draw_uniforms(key: int, first: int) -> npt.NDArray[np.float64]:
-    """Return the BLOCK draws from `first` on, in [0, 1)."""
+    """Return the draws of a block from `first` on, in [0, 1)."""
     start = np.uint64(
         (key + first * _DRAW_CONSTANTS.number_increment) & _DRAW_CONSTANTS.word_mask
     )

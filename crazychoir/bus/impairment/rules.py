@@ -269,7 +269,7 @@ def _read_partition(entry: Mapping[str, Any]) -> NetworkPartition:
 def _check_names(where: str, found: Mapping[str, Any], allowed: Iterable[str]) -> None:
     for name in found:
         if name not in allowed:
-            raise ConfigError(where, name, ", ".join(allowed), "Mend the name.")
+            raise ConfigError(where, name, ", ".join(allowed), "Correct the name.")
 
 
 def _check_scope(rule: ImpairmentRule) -> None:
@@ -298,7 +298,7 @@ def _check_scope(rule: ImpairmentRule) -> None:
 def _check_effect(name: str, value: Any) -> None:
     if name not in EFFECT_RANGES:
         raise ConfigError(
-            "impairment", name, ", ".join(EFFECT_RANGES), "Mend the name."
+            "impairment", name, ", ".join(EFFECT_RANGES), "Correct the name."
         )
     low, high, words = EFFECT_RANGES[name]
     if not _is_number(value) or not low <= value < inf or value > high:

@@ -174,7 +174,7 @@ def check_keys(folder: Path, host: str, now: datetime.datetime | None = None) ->
         raise ConfigError(
             str(key),
             f"{stat.S_IMODE(mode):o}",
-            "600: nobody else may read it",
+            "600: only its owner may read it",
             f"chmod 600 {key}",
         )
     if not matches:
@@ -215,7 +215,7 @@ def check_keys(folder: Path, host: str, now: datetime.datetime | None = None) ->
                 f"remove {folder.name}, then {_RENEW_COMMANDS}" if one is root else its
             )
             do = f"Set the clock of this host; or, where the authority is, {anew}."
-            raise ConfigError(str(path), found, "one that is good now", do)
+            raise ConfigError(str(path), found, "a certificate that is valid now", do)
     return own
 
 
@@ -281,7 +281,7 @@ def _make_host_certificate(folder: Path, host: str, days: int) -> None:
         raise ConfigError(
             str(folder / KEY_FILES.authority_folder / KEY_FILES.certificate),
             found,
-            "one that is good now",
+            "a certificate that is valid now",
             do,
             "it has expired",
         )
@@ -410,5 +410,5 @@ def _distinguished_name(certificate: x509.Certificate) -> str:
             str(name.value)
             for name in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
         ),
-        "nobody",
+        "no name",
     )

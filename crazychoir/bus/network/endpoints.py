@@ -25,7 +25,7 @@ class ZenohSettings:
     batches: int = 16
     """Batches of 64 kB, for each class, that may wait for the network; this is Zenoh's maximum.
 
-    As no put waits, a frame must fit into them. frames.MAX_FRAME is 10 of them: of 12 at once Zenoh
+    As no put waits, a frame must fit into them. A frame has at most 10 of them: of 12 at once Zenoh
     drops some, also on an idle link.
     """
     priorities: tuple[str, ...] = (
@@ -73,8 +73,8 @@ def zenoh_settings(
 ) -> dict[str, Any]:
     """Return Zenoh's settings by path: explicit endpoints, no multicast, puts that never wait.
 
-    lease: seconds without a sign of another host before its tokens disappear; at least LOCAL_LEASE
-        on one host, where a process that dies closes its connections
+    lease: seconds without a sign of another host before its tokens disappear; at least
+        `local_lease` on one host, where a process that dies closes its connections
     mode: "peer", "client" or "router"
 
     With gossip, a process that knows only some endpoints learns the others from those processes,
@@ -232,7 +232,7 @@ def opening_error(listen: list[str], connect: list[str], error: str) -> ConfigEr
         return ConfigError(
             "endpoints",
             ", ".join(connect),
-            "somebody must listen there",
+            "an address where a process listens",
             do,
             problem=said,
         )

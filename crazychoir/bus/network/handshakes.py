@@ -73,7 +73,7 @@ class HandshakeReporter:
             why := _LOG_PATTERNS.incoming_failure.match(found["text"])
         ):
             self._say(
-                "somebody connected and was turned away",
+                "a process connected and was refused",
                 why["why"],
                 "Nothing of it was read",
             )

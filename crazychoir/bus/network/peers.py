@@ -1,19 +1,23 @@
 """The other processes: their tokens, their HELLOs, and the process that holds each address.
 
 The module only handles keys, tokens and bytes; it acts through its callbacks. A HELLO counts only
-from dataclasses import dataclass
 from a process with a token.
 """
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any
 
 from crazychoir.bus.clock_offset import ClockOffset, OffsetEstimate
 from crazychoir.bus.network.access import NetworkAccess
 from crazychoir.bus.network.endpoints import is_name
 from crazychoir.bus.network.hello import Hello
+from crazychoir.bus.network.hello_review import (
+    HelloReview,
+    Introduction,
+    describe_address,
+)
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.bus.topics import MessageClass
 from crazychoir.errors import CodecError, Refused
@@ -36,9 +40,6 @@ class PeerLimits:
 
 PEER_LIMITS = PeerLimits()
 
-
-COPY_FILE_ADVICE: Final = "Copy one file to every host, and start both again."
-"""Advice of an error text."""
 
 OnToken = Callable[[list[int], bool], None]
 """Callable for the drones of a process.
@@ -77,25 +78,31 @@ class Peer:
 
 
 class Peers:
-    """The other processes by name, and the way to each address."""
+    """The other processes by name, and the way to each address.
+
+    bus: bus of this process
+    own: how this process introduces itself
+    access: rights of the hosts; None: every host may hold every address
+    on_token: gets the drones of a process that has come or gone
+    on_refused: gets the error that ends this process
+
+    Attributes:
+    by_name: {name of the process: peer}
+    directory: {address: peer that holds it}
+    """
 
     def __init__(
         self,
         bus: Bus,
-        swarm: str,
-        incarnation: int,
-        version: str,
+        own: Introduction,
         access: NetworkAccess | None,
         on_token: OnToken,
         on_refused: OnRefused,
-        agreed: Mapping[str, str] | None = None,
     ) -> None:
         self.bus = bus
-        self.swarm = swarm
-        self.incarnation = incarnation
-        self.version = version
+        self.own = own
         self.access = access
-        self.agreed = dict(agreed or {})
+        self._review = HelloReview(bus, own)
         self.on_token = on_token
         self.on_refused = on_refused
         self.by_name: dict[str, Peer] = {}
@@ -178,8 +185,8 @@ class Peers:
         return Hello(
             process=self.bus.process,
             host=self.bus.host,
-            incarnation=self.incarnation,
-            version=self.version,
+            incarnation=self.own.incarnation,
+            version=self.own.version,
             uptime=uptime,
             drones=[i for i in self._ports if i < PORT_ADDRESSES.first_observer],
             observers=[i for i in self._ports if i >= PORT_ADDRESSES.first_observer],
@@ -189,7 +196,7 @@ class Peers:
             ],
             # An observer does not learn that a stop is cleared, so it does not report one.
             stopped=self.bus.stopped and bool(self.bus.drones()),
-            agreed=self.agreed,
+            agreed=dict(self.own.agreed),
         )
 
     def greeted(self, peer: Peer, payload: bytes, age: float) -> bool:
@@ -211,7 +218,7 @@ class Peers:
         )
         if self._forbids(peer, hello):
             return False
-        refusal, do = self._refusal(hello, uptime)
+        refusal, do = self._review.find_refusal(hello, uptime)
         if refusal:
             return self._refuse(peer, hello, refusal, do, uptime)
         self._take_in(peer, hello)
@@ -274,7 +281,7 @@ class Peers:
         if not others:
             return False
         who = f"process {hello.process} on host {hello.host}"
-        what = _describe_address(others[0])
+        what = describe_address(others[0])
         refusal = (
             f"{who} speaks for {what}, which the swarm file does not give to that host"
         )
@@ -282,52 +289,6 @@ class Peers:
             log.warning("%s: it is refused", refusal)
         peer.refusal = refusal
         return True
-
-    def _refusal(self, hello: Hello, uptime: float) -> tuple[str, str]:
-        """Return the reason to refuse a process, and advice for the user, or two empty texts.
-
-        uptime: seconds since the start of the process
-        """
-        who = f"process {hello.process} on host {hello.host}"
-        since = f"and has done so for {uptime:.1f} s"
-        stop = (
-            "Give this agent another --id, or stop that one."
-            if self.bus.drones()
-            else "Stop one of them."
-        )
-        doubles = ", ".join(str(i) for i in hello.drones if i in self.bus.ports)
-        if doubles:
-            return f"{who} flies drone(s) {doubles} too {since}", stop
-        for base, owns in (
-            (PORT_ADDRESSES.camera_offset, "the motion capture"),
-            (PORT_ADDRESSES.body_offset, "the world"),
-        ):
-            same = ", ".join(
-                str(j - base)
-                for j in hello.observers
-                if j >= base and j in self.bus.ports
-            )
-            if same:
-                return f"{who} owns {owns} of drone(s) {same} too {since}", stop
-        if hello.version != self.version:
-            return (
-                f"{who} runs version {hello.version}, this one runs {self.version}",
-                "",
-            )
-        owner = any(
-            j >= PORT_ADDRESSES.body_offset for j in (*hello.observers, *self.bus.ports)
-        )
-        differ = [
-            key
-            for key, value in hello.agreed.items()
-            if self.agreed.get(key, value) != value
-        ]
-        if owner and differ:
-            return (
-                f"{who} has another swarm file than this process, with another {', '.join(differ)}",
-                COPY_FILE_ADVICE,
-            )
-        return "", ""
 
     def _refuse(
         self, peer: Peer, hello: Hello, refusal: str, do: str, uptime: float
@@ -345,10 +306,10 @@ class Peers:
         new = self._uptime() < PEER_LIMITS.new_process_time
         if (
             new
-            and hello.version == self.version
+            and hello.version == self.own.version
             and hello.precedes(self.bus.process, uptime - self._uptime())
         ):
-            self.on_refused(Refused(f"swarm {self.swarm}", f"{refusal}. {do}"))
+            self.on_refused(Refused(f"swarm {self.own.swarm}", f"{refusal}. {do}"))
         else:
             log.warning("%s: it is refused", refusal)
         return True
@@ -394,14 +355,3 @@ class Peers:
         ):
             for address in peer.hello.addresses if peer.hello is not None else ():
                 self.directory.setdefault(address, peer)
-
-
-def _describe_address(address: int) -> str:
-    """Return an address in words."""
-    for base, what in (
-        (PORT_ADDRESSES.camera_offset, "what cameras see of drone"),
-        (PORT_ADDRESSES.body_offset, "the body of drone"),
-    ):
-        if address >= base:
-            return f"{what} {address - base}"
-    return f"drone {address}"

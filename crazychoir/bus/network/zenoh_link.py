@@ -39,6 +39,7 @@ from crazychoir.bus.network.access import NetworkAccess
 from crazychoir.bus.network.flood_limit import FrameBudget, FrameBudgets
 from crazychoir.bus.network.foreign_connections import ForeignConnections
 from crazychoir.bus.network.hello import Hello
+from crazychoir.bus.network.hello_review import Introduction
 from crazychoir.bus.network.lost_tokens import TokenRepair
 from crazychoir.bus.network.peers import OnRefused, OnToken, Peer, Peers
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
@@ -118,7 +119,7 @@ HELLO_TIMING = HelloTiming()
 
 OPEN_NETWORK_WARNING = (
     "the network is neither encrypted nor closed (security.insecure): "
-    "whoever is on it reads, and commands"
+    "every host on it can read and command"
 )
 """Warning for a network that is neither encrypted nor closed."""
 _CLASS_PRIORITIES = {
@@ -230,15 +231,14 @@ class ZenohLink(Actor):
         self.listen, self.connect = ([], routers) if routers else (listen, connect)
         self._live = f"choir/{swarm}/live"
         self.counters = LinkCounters()
-        self.table = Peers(
-            bus, swarm, incarnation, version, access, on_token, on_refused, agreed
-        )
+        own = Introduction(swarm, incarnation, version, dict(agreed or {}))
+        self.table = Peers(bus, own, access, on_token, on_refused)
         self.peers = self.table.by_name
         self.directory = self.table.directory
         secured = access.settings() if access is not None else {}
         mode = "client" if routers else "peer"
-        own = endpoints.zenoh_settings(self.listen, self.connect, lease, mode)
-        self._config = _zenoh_config({**own, **secured, **(settings or {})})
+        reach = endpoints.zenoh_settings(self.listen, self.connect, lease, mode)
+        self._config = _zenoh_config({**reach, **secured, **(settings or {})})
         self._loop = asyncio.get_running_loop()
         self._now_ns = bus.clock.now_ns
         self._queue: deque[tuple[Handler, str, bytes, int]] = deque(
@@ -467,7 +467,7 @@ class ZenohLink(Actor):
         frame = encode_frame(
             Frame(
                 self.bus.process,
-                self.table.incarnation,
+                self.table.own.incarnation,
                 MESSAGE_TOPICS.hello.klass,
                 [hello],
             )
@@ -527,7 +527,7 @@ class ZenohLink(Actor):
             reliability=zenoh.Reliability.RELIABLE,
         )
         name = self.bus.process
-        number = self.table.incarnation
+        number = self.table.own.incarnation
         conflate = klass is MessageClass.CONTROL
         buffer = FrameBuffer(name, number, klass, conflate)
         lane = peer.lanes[klass] = PeerQueue(buffer, publisher)
@@ -610,7 +610,7 @@ class ZenohLink(Actor):
                 frame = encode_frame(
                     Frame(
                         self.bus.process,
-                        self.table.incarnation,
+                        self.table.own.incarnation,
                         DRONE_TOPICS.log.klass,
                         [line],
                     )
@@ -923,7 +923,7 @@ def _sender_of_key(key: str) -> tuple[str, str]:
     """Return the host and the process in the key of a frame,
     where access control looks for the host.
 
-    Returns two empty texts if the key does not have KEY_PARTS parts.
+    Returns two empty texts if the key does not have FRAME_READING.key_parts parts.
     """
     parts = key.split("/")
     return (parts[4], parts[5]) if len(parts) == FRAME_READING.key_parts else ("", "")

@@ -21,14 +21,19 @@ from crazychoir.launch.console import (
     set_up_logging,
 )
 
-app = typer.Typer(no_args_is_help=True, help="Measure, against peers of the same run.")
+app = typer.Typer(
+    no_args_is_help=True, help="Measure speed and accuracy, beside other programs."
+)
 app.command()(latency)
 
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print one JSON object, nothing else.")
 ]
 QuickOption = Annotated[
-    bool, typer.Option(help="Fewer cases, shorter: a look, not a figure to quote.")
+    bool,
+    typer.Option(
+        help="Fewer and shorter cases; the figures are not exact enough to quote."
+    ),
 ]
 Say = Callable[[str], None]
 
@@ -51,9 +56,13 @@ def scale(
     quick: QuickOption = False,
     namespaces: Annotated[
         bool,
-        typer.Option(help="A network of its own for each process; root, iproute2."),
+        typer.Option(
+            help="Give each process a network namespace; needs root and iproute2."
+        ),
     ] = False,
-    repeats: Annotated[int, options.whole("Medians of so many.")] = 3,
+    repeats: Annotated[
+        int, options.whole("Repetitions; each figure is their median.")
+    ] = 3,
 ) -> None:
     """Measure the cost of 10 to 1000 agents in 1 to 8 processes.
 
@@ -123,7 +132,7 @@ def tracking(as_json: JsonOption = False, quick: QuickOption = False) -> None:
 def formation(
     as_json: JsonOption = False,
     quick: QuickOption = False,
-    seeds: Annotated[int, options.whole("Of the starts.")] = 50,
+    seeds: Annotated[int, options.whole("Number of random starts.")] = 50,
     drones: Annotated[int | None, options.size("4 or 30 alone.")] = None,
 ) -> None:
     """Measure how fast four and thirty drones with motors form up by bearings.
@@ -152,7 +161,7 @@ def routing(
     sizes: Annotated[
         str,
         typer.Option(
-            help="Of tiny, small, middle, large, with commas; how many instances after a colon."
+            help="Sizes with commas: tiny, small, middle, large; a number of instances after a colon."
         ),
     ] = "small:20,middle:5,large:5",
     graph: Annotated[
@@ -199,7 +208,7 @@ def paper(
         "out/paper"
     ),
     peers: Annotated[
-        bool, typer.Option(help="The other solvers too: real time, an hour.")
+        bool, typer.Option(help="Run the other solvers too; this takes an hour.")
     ] = True,
     as_json: JsonOption = False,
     quick: QuickOption = False,

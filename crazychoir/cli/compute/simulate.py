@@ -57,7 +57,7 @@ FIRST_PROGRESS_DELAY = 10.0
 
 The interval doubles after each line.
 """
-INTERRUPTION_TEXT = "Ctrl-C: the run ends here, with what there is"
+INTERRUPTION_TEXT = "Ctrl-C: the run ends here, with the rounds so far"
 
 
 def simulate(
@@ -65,23 +65,26 @@ def simulate(
         Path, typer.Argument(help="Python file that defines agent(i, graph).")
     ],
     agents: Annotated[
-        int, options.whole("So many agents.", most=options.OPTION_LIMITS.agents)
+        int, options.whole("Number of agents.", most=options.OPTION_LIMITS.agents)
     ] = 10,
     graph: Annotated[
         str,
         typer.Option(
-            help="Who talks to whom: ring, path, complete, star, k-regular:4, erdos-renyi:0.3, ..."
+            help="Communication graph: ring, path, complete, star, k-regular:4, erdos-renyi:0.3, ..."
         ),
     ] = "ring",
     directed: Annotated[
-        bool, typer.Option("--directed", help="One way only: of ring and erdos-renyi.")
+        bool,
+        typer.Option("--directed", help="One-way edges, for ring and erdos-renyi."),
     ] = False,
     loss: Annotated[
         float, options.share("Share of messages between agents that is lost.")
     ] = 0.0,
     rounds: Annotated[
         int | None,
-        options.whole("Stop after so many, if they are not done before.", most=10**9),
+        options.whole(
+            "Stop after so many rounds, if the agents are not done before.", most=10**9
+        ),
     ] = None,
     seed: Annotated[
         int, options.seed("Seed of the graph, the network and the agents' waking.")
@@ -109,8 +112,7 @@ def simulate(
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
 ) -> None:
-    """Run a distributed algorithm on simulated agents, over a network that loses
-    messages.
+    """Run a distributed algorithm over a simulated network.
 
     The file defines agent(i, graph), which returns agent i: an object with
     `message()`, `step(heard)` and `done`, like the agents of
@@ -209,7 +211,7 @@ class _ProgressDisplay:
         self.progress = progress
         self.steps = 0
         self.end = (
-            "--rounds limits them, Ctrl-C ends them here"
+            "--rounds limits them, Ctrl-C ends the run"
             if rounds is None
             else f"of at most {rounds}"
         )
@@ -360,10 +362,12 @@ def _violation_text(history: "History") -> str | Text:
     ]
     if not over:
         return f"{history.violation:.3g}"
-    whose = (
+    violators = (
         f"agent {over[0]}" if len(over) == 1 else f"{len(over)} agents, as {over[0]}"
     )
-    return Text(f"{history.violation:.3g}, of {whose}: their x is not feasible", "red")
+    return Text(
+        f"{history.violation:.3g}, of {violators}: their x is not feasible", "red"
+    )
 
 
 def _shorten_value(x: Any) -> str:

@@ -53,7 +53,7 @@ def solve(
     processes: Annotated[
         int | None,
         options.whole(
-            "Real time, over Zenoh: the robots in so many processes; else virtual time."
+            "Run in so many processes, in real time over Zenoh; else in virtual time."
         ),
     ] = None,
     prove: Annotated[
@@ -70,7 +70,7 @@ def solve(
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
 ) -> None:
-    """Solve an instance: each robot solves its own part of it.
+    """Solve a routing instance; each robot solves its own part.
 
     The file is one JSON object of N robots and M tasks, in metres: home (N points
     of 2 or 3 numbers), pickup and delivery (M points), load (M numbers), capacity
@@ -90,8 +90,9 @@ def solve(
     bound_relaxation: the kind of routes that priced a bound that is not exact.
     """
     set_up_logging()
-    from crazychoir.routing.distributed.member import RoutingSettings
+    from crazychoir.routing.distributed.member import ProofSettings, RoutingSettings
     from crazychoir.routing.instance.instance import Instance
+    from crazychoir.solve.solve_options import SolveOptions
     from crazychoir.solve.solving import solve_here
     from crazychoir.solve.team import (
         solve_in_processes,
@@ -108,20 +109,15 @@ def solve(
             )
         problem = Instance.load(instance)
         options.build_named_graph(graph, problem.robots, seed)
-        how: dict[str, Any] = {
-            "method": method,
-            "loss": loss,
-            "graph": graph,
-            "seed": seed,
-            "settings": RoutingSettings(prove=prove),
-        }
+        settings = RoutingSettings(proof=ProofSettings(prove=prove))
+        how = SolveOptions(method, loss, graph, seed, settings)
         if processes is None:
             with LiveTable(_team_table, enabled=not as_json) as shown:
-                result = solve_here(problem, watch=shown, **how)
+                result = solve_here(problem, how, watch=shown)
         else:
             with LiveTable(_progress_table, enabled=not as_json) as progress:
                 result = solve_in_processes(
-                    problem, processes, watch=None if as_json else progress, **how
+                    problem, processes, how, watch=None if as_json else progress
                 )
         if picture is not None:
             with outputs.writing("--picture"):

@@ -48,7 +48,9 @@ def mocap(
     ] = False,
     child: Annotated[
         bool,
-        typer.Option(hidden=True, help="It ends without parent, when nobody flies."),
+        typer.Option(
+            hidden=True, help="End when the parent has ended and no drone flies."
+        ),
     ] = False,
 ) -> None:
     """Send each drone of a swarm its pose. Ctrl-C ends it as soon as no drone has an agent."""

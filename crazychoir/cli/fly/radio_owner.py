@@ -40,7 +40,9 @@ def radios(
     ] = False,
     child: Annotated[
         bool,
-        typer.Option(hidden=True, help="It ends without parent, when nobody flies."),
+        typer.Option(
+            hidden=True, help="End when the parent has ended and no drone flies."
+        ),
     ] = False,
 ) -> None:
     """Own a dongle and the links to all its drones. Ctrl-C ends it as soon as no drone flies."""
@@ -59,7 +61,10 @@ def radios(
                 or "none: no drone has a uri udp:// or radio://"
             )
             raise ConfigError(
-                f"{which}: dongle", dongle, names, "Name one of them, or mend the uris."
+                f"{which}: dongle",
+                dongle,
+                names,
+                "Name one of them, or correct the uris.",
             )
         ids = list(dongles[dongle])
         what = f"swarm {config.name} ({which}), dongle {dongle}, drone(s) {ids}"

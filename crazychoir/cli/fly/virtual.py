@@ -22,9 +22,7 @@ if TYPE_CHECKING:
 
 FIRST_VIRTUAL_PORT = 19850
 """Default UDP port of the first drone."""
-app = typer.Typer(
-    help="Virtual Crazyflies on UDP, which any cflib program may fly, and what goes wrong with them."
-)
+app = typer.Typer(help="Run virtual Crazyflies on UDP, for any cflib program.")
 PortOption = Annotated[
     int,
     options.whole(
@@ -41,7 +39,7 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.
 @app.callback(invoke_without_command=True)
 def virtual(
     context: typer.Context,
-    drones: Annotated[int, options.whole("So many, on a grid.", most=200)] = 1,
+    drones: Annotated[int, options.whole("Number of drones, on a grid.", most=200)] = 1,
     port: PortOption = FIRST_VIRTUAL_PORT,
     swarm: Annotated[
         str | None,
@@ -53,7 +51,7 @@ def virtual(
         str | None, typer.Option(help="Drones that share a radio, as 0,1|2,3.")
     ] = None,
     per_dongle: Annotated[
-        int | None, options.size("So many drones share a radio.")
+        int | None, options.size("Number of drones that share a radio.")
     ] = None,
     capacity: Annotated[
         float | None,
@@ -66,7 +64,7 @@ def virtual(
     deck: Annotated[
         str | None,
         typer.Option(
-            help="Decks on board, as bcFlow2,bcLighthouse4 (which knows where it is), or none."
+            help="Decks on board, as bcFlow2,bcLighthouse4 (a Lighthouse deck knows its position), or none."
         ),
     ] = None,
     firmware: Annotated[
@@ -75,7 +73,7 @@ def virtual(
             help="Release, as 2025.12; before 2025.10 the thrust map is another."
         ),
     ] = "",
-    seed: Annotated[int, options.seed("Of all that is drawn.")] = 0,
+    seed: Annotated[int, options.seed("Seed of all random draws.")] = 0,
     as_json: JsonOption = False,
 ) -> None:
     """Serve virtual Crazyflies until Ctrl-C."""
@@ -186,7 +184,9 @@ def _summary(report: dict[str, Any]) -> Table:
 
 @app.command()
 def fault(
-    drone: Annotated[str, typer.Argument(help="Its id, several as 3,4, or all.")],
+    drone: Annotated[
+        str, typer.Argument(help="Id of the drone; several as 3,4; or all.")
+    ],
     changes: Annotated[
         list[str],
         typer.Argument(

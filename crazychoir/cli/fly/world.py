@@ -31,7 +31,9 @@ def world(
     ] = False,
     child: Annotated[
         bool,
-        typer.Option(hidden=True, help="It ends without parent, when nobody flies."),
+        typer.Option(
+            hidden=True, help="End when the parent has ended and no drone flies."
+        ),
     ] = False,
 ) -> None:
     """Own the simulated world of a swarm. Ctrl-C ends it as soon as no drone flies."""
@@ -45,7 +47,7 @@ def world(
         config, which = chosen_swarm(swarm)
         owned = config.topology.owned
         if not owned:
-            allowed = "a swarm whose world has an owner"
+            allowed = "a swarm with a world that has an owner"
             do = 'Write owned = true into [world], or uri = "sim://motors" into its [[drones]].'
             raise ConfigError(which, "drones that fly in their agents", allowed, do)
         what = f"swarm {config.name} ({which}), the world of drone(s) {list(owned)}"

@@ -26,7 +26,7 @@ def dashboard(
     host: Annotated[
         str,
         typer.Option(
-            help="Address to be served at; others than loopback: with a password or an authority."
+            help="Address to serve at; any address but loopback needs a password or an authority."
         ),
     ] = LOOPBACK_ADDRESS,
     port: Annotated[
@@ -45,7 +45,7 @@ def dashboard(
     authority: Annotated[
         Path | None,
         typer.Option(
-            help="PEM file: only browsers with a certificate that it has signed come in."
+            help="PEM file of an authority: only browsers with a certificate signed by it may connect."
         ),
     ] = None,
 ) -> None:

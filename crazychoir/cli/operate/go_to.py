@@ -27,7 +27,7 @@ def go_to(
     drones: DronesOption,
     offset: OffsetOption = "0,0.5,0",
     yaw: Annotated[
-        float | None, options.real("rad; else as it is.", least=-7.0, most=7.0)
+        float | None, options.real("Yaw in rad; else unchanged.", least=-7.0, most=7.0)
     ] = None,
     seconds: Annotated[
         float, options.seconds("How long it takes; 0: as fast as the limits allow.")
@@ -36,9 +36,10 @@ def go_to(
     wait: Annotated[float, options.seconds("s to wait until it is done.")] = 120.0,
     as_json: JsonOption = False,
 ) -> None:
-    """Fly drones to a place while they wait in the air for their start, or are held.
+    """Fly waiting or held drones to a place.
 
-    Exits with 0 only if every drone arrives.
+    The drones wait in the air for their start, or are held. Exits with 0 only
+    if every drone arrives.
     """
     from crazychoir.agent.sketch import (
         flight_places,  # kernels: 1 s that --help does not need
@@ -68,7 +69,10 @@ def fly(
     height: Annotated[
         float | None,
         options.real(
-            "m; else that of take-offs.", least=0.0, most=100.0, open_below=True
+            "Height in m; else the take-off height.",
+            least=0.0,
+            most=100.0,
+            open_below=True,
         ),
     ] = None,
     speed: Annotated[
@@ -76,15 +80,18 @@ def fly(
     ] = 0.5,
     slower: Annotated[
         float,
-        options.real("Times as long as the limits ask for.", least=1.0, most=1000.0),
+        options.real(
+            "Factor on the shortest duration that the limits allow.",
+            least=1.0,
+            most=1000.0,
+        ),
     ] = 1.0,
     swarm: SwarmOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Fly drones along a drawing, side by side.
+    """Fly waiting or held drones along a drawing, side by side.
 
-    The drones wait for their start or are held. Leaders may also fly it with
-    their formation.
+    Leaders may also fly it with their formation.
     """
     from crazychoir.agent.sketch import (
         SKETCH_LIMITS,

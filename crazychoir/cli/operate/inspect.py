@@ -57,7 +57,7 @@ def run_as_observer(swarm: str | None, work: "Work", as_json: bool = False) -> A
 
 
 def topics(as_json: JsonOption = False) -> None:
-    """Print the table of topics."""
+    """List the topics."""
     from crazychoir.bus.topics import ALL_TOPICS
 
     rows = [
@@ -116,7 +116,7 @@ def hz(
     seconds: SecondsOption = 5.0,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure the rates at which a topic arrives, drone by drone."""
+    """Measure how often a topic arrives, for each drone."""
     chosen = _topic(topic)
 
     async def work(window: "Window") -> dict[int, float]:
@@ -134,7 +134,7 @@ def hz(
 
 def status(
     swarm: SwarmOption = None,
-    watch: Annotated[bool, typer.Option(help="Go on.")] = False,
+    watch: Annotated[bool, typer.Option(help="Refresh until Ctrl-C.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Show the state of each drone."""
@@ -186,10 +186,10 @@ def impair(
         float | None, options.real("Bytes a second.", least=0.0, open_below=True)
     ] = None,
     edge: Annotated[
-        str | None, typer.Option(help="Only between these two drones, e.g. 1,2.")
+        str | None, typer.Option(help="Only between these two drones, as 1,2.")
     ] = None,
     drone: Annotated[int | None, options.drone("Only at this drone.")] = None,
-    clear: Annotated[bool, typer.Option(help="Take everything back first.")] = False,
+    clear: Annotated[bool, typer.Option(help="Remove all changes first.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Change the simulated network of a running swarm.

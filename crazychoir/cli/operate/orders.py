@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from crazychoir.cli.shared.observer import Answers, Window
 
 DronesOption = Annotated[
-    str | None, typer.Option("--drones", help="Only these, as 3,5-7; else all.")
+    str | None, typer.Option("--drones", help="Only these drones, as 3,5-7; else all.")
 ]
 
 
@@ -48,13 +48,13 @@ ORDER_TIMEOUTS = {
 """Default seconds to wait until a command is done, by command."""
 Rows = dict[int, dict[str, str]]
 ORDER_HELP = {
-    "arm": "Ask drones on the ground whether they could take off; motors that wait for it are armed.",
-    "take-off": "Rise and hover: drones of a run that waits for its operator (`crazychoir run --wait`).",
-    "start": "Let the missions of a run that waits begin, of drones that hover.",
-    "hold": "Freeze drones where they are; their missions wait, up to 300 s.",
-    "go": "Let drones that are held go on.",
-    "land": "Land drones where they are; their missions are over.",
-    "home": "Fly to where each took off, above the others, and land; the missions are over.",
+    "arm": "Check whether drones can take off, and arm motors that need it.",
+    "take-off": "Take off and hover, in a run with `--wait`.",
+    "start": "Start the missions of hovering drones, in a run with `--wait`.",
+    "hold": "Stop drones in the air; their missions wait, at most 300 s.",
+    "go": "Let held drones continue their missions.",
+    "land": "Land drones where they are, and end their missions.",
+    "home": "Fly drones back above the others, land, and end their missions.",
 }
 
 
@@ -77,7 +77,9 @@ def make_order_command(verb: str, seconds: float) -> Callable[..., None]:
 
         print_answers(run_as_observer(swarm, work, as_json), as_json)
 
-    command.__doc__ = f"{ORDER_HELP[verb]} Exit code 0 only if all have done it."
+    command.__doc__ = (
+        f"{ORDER_HELP[verb]}\n\nExits with 0 only if every drone reports done."
+    )
     return command
 
 
@@ -87,10 +89,10 @@ def stop(
     clear: Annotated[bool, typer.Option(help="Clear an emergency stop.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Stop the motors at once (emergency stop). A stop of all drones stays in force
-    until cleared.
+    """Stop the motors at once (emergency stop).
 
-    Exits with 0 if all have obeyed.
+    A stop of all drones stays in force until it is cleared. Exits with 0 only
+    if every drone obeys.
     """
     chosen = parse_drones(drones)
 

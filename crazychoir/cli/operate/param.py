@@ -20,9 +20,7 @@ from crazychoir.launch.console import (
 if TYPE_CHECKING:
     from crazychoir.cli.shared.observer import Answers, Window
 
-app = typer.Typer(
-    no_args_is_help=True, help="Read and change the parameters of drones that fly."
-)
+app = typer.Typer(no_args_is_help=True, help="Read and change parameters in flight.")
 DroneOption = Annotated[int | None, options.drone("Only this drone.")]
 
 

@@ -38,12 +38,12 @@ class TaskTexts:
 TASK_TEXTS = TaskTexts()
 
 
-app = typer.Typer(
-    no_args_is_help=True, help="Add or cancel tasks of a swarm, in flight."
-)
+app = typer.Typer(no_args_is_help=True, help="Add and cancel tasks in flight.")
 DroneOption = Annotated[
     int | None,
-    options.drone("Tell this drone; else the first that answers. All hear of it."),
+    options.drone(
+        "Send it to this drone; else to the first that answers. The drone tells all others."
+    ),
 ]
 
 
@@ -53,14 +53,14 @@ def add(
     delivery: Annotated[
         str | None,
         typer.Option(
-            help="Where they are to be, as 3,0.5 (m); of a task that is done at a place: nothing."
+            help="Where the goods go, as 3,0.5 (m); leave it out for a task at one place."
         ),
     ] = None,
     load: Annotated[
-        float, options.real("In the unit of the capacities.", least=0.0)
+        float, options.real("Load, in the unit of the capacities.", least=0.0)
     ] = 1.0,
     robots: Annotated[
-        str | None, typer.Option(help="Who alone may serve it, as 0,3; else all.")
+        str | None, typer.Option(help="Only these may serve it, as 0,3; else all.")
     ] = None,
     drone: DroneOption = None,
     swarm: SwarmOption = None,
@@ -78,7 +78,7 @@ def add(
 
 @app.command()
 def cancel(
-    task: Annotated[int, typer.Argument(help="Its id.")],
+    task: Annotated[int, typer.Argument(help="Id of the task.")],
     drone: DroneOption = None,
     swarm: SwarmOption = None,
     as_json: JsonOption = False,

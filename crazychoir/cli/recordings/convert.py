@@ -24,17 +24,20 @@ def convert(
     ],
     rosbag2: Annotated[Path, typer.Option(help="New folder for the bag.")],
     partial: Annotated[
-        bool, typer.Option("--partial", help="To have a part of it is no failure.")
+        bool,
+        typer.Option(
+            "--partial", help="Exit with 0 even if only a part could be converted."
+        ),
     ] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
 ) -> None:
-    """Make a bag of ROS 2 from a recording, with standard messages that need no
-    package of ours.
+    """Convert a recording to a ROS 2 bag.
 
-    A recording that was cut off or is damaged gives a bag of what lies before,
-    and exit code 1.
+    The bag has standard messages only, so ROS needs no package of crazychoir.
+    If the recording is cut off or damaged, the bag ends there, and the exit
+    code is 1.
     """
     set_up_logging()
     from crazychoir.recording.mcap.reading import read_header

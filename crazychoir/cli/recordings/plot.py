@@ -41,8 +41,8 @@ RMSE_NOTE = (
     "accelerations has none). State RMSE: truth against what the drone took for its position."
 )
 STATE_SOURCE_NOTE = (
-    "By state: where the drone took itself to be, as its truth was not "
-    "recorded, or nobody saw it from outside."
+    "By state: the drone's own estimate of its position, because its true position was not "
+    "recorded."
 )
 
 
@@ -57,10 +57,10 @@ def plot(
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
 ) -> None:
-    """Draw a recorded flight: paths, heights, errors, distances, tasks, messages,
-    convergence.
+    """Draw plots of a recorded flight, and write its tables.
 
-    Writes tables (CSV) beside the pictures.
+    Plots: paths, heights, errors, distances, tasks, messages, convergence.
+    The tables (CSV) are written beside the pictures.
     """
     set_up_logging()
     from crazychoir.bus.topics import (

@@ -38,7 +38,7 @@ def record(
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
 ) -> None:
-    """Record a running swarm until its drones have gone, or until Ctrl-C."""
+    """Record a running swarm until its agents end, or until Ctrl-C."""
     recorders: list[Recorder] = []
     try:
         chosen = _topics(topics)

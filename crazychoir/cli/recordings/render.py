@@ -42,10 +42,13 @@ def render(
     ] = 25,
     speed: Annotated[
         float,
-        options.real("How many times faster than it was.", least=0.01, most=1000.0),
+        options.real(
+            "Speed, as a multiple of the recorded one.", least=0.01, most=1000.0
+        ),
     ] = 1.0,
     camera: Annotated[
-        str, typer.Option(help="Camera of the scene, by name; else one that sees all.")
+        str,
+        typer.Option(help="Camera of the scene, by name; else a view of everything."),
     ] = "",
     scene: Annotated[
         Path | None, typer.Option(help="MJCF of the room, instead of the swarm file's.")
@@ -59,7 +62,7 @@ def render(
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
 ) -> None:
-    """Draw a recorded flight as it looked; needs the extra `mujoco`."""
+    """Draw or film a recorded flight in 3D; needs the extra `mujoco`."""
     set_up_logging()
     import numpy as np  # takes 1 s, which --help does not need
 

@@ -50,23 +50,28 @@ def replay(
     ],
     speed: Annotated[
         float,
-        options.real("How many times faster than it was.", least=0.01, most=1000.0),
+        options.real(
+            "Speed, as a multiple of the recorded one.", least=0.01, most=1000.0
+        ),
     ] = 1.0,
     step: Annotated[
         float | None,
         options.seconds(
-            "Go on by so many s at each Enter; a number and Enter: by that.",
+            "Advance by so many s at each Enter; a number before Enter replaces it.",
             least=0.001,
         ),
     ] = None,
     wait: Annotated[
-        float, options.seconds("Begins when somebody looks, or after so many s.")
+        float, options.seconds("Begin when an observer joins, or after so many s.")
     ] = 2.0,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
 ) -> None:
-    """Publish a recorded flight again: status, echo, hz and record see it like a flying swarm."""
+    """Publish a recorded flight again.
+
+    The commands status, echo, hz and record see it like a flying swarm.
+    """
     set_up_logging()
     from crazychoir.config.swarm_config import SwarmConfig
     from crazychoir.launch.network import (

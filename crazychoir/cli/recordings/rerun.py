@@ -41,9 +41,9 @@ def rerun(
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
 ) -> None:
-    """Fly a recorded flight in virtual time again, and compare the two.
+    """Repeat a recorded flight in virtual time, and compare the two.
 
-    Says whether they are the same, or where they first differ.
+    Prints whether they are equal, or where they first differ.
     """
     set_up_logging()
     from crazychoir.config.swarm_config import SwarmConfig
@@ -68,7 +68,7 @@ def rerun(
             mission = load_mission(str(config.mission))
             others = _other_versions(recording)
             if read_mission_text(mission) != recording.mission:
-                others["mission"] = f"the text of {config.mission} is another now"
+                others["mission"] = f"the text of {config.mission} has changed"
             others |= list_changed_files(
                 json.loads(recording.about.get(FILES_KEY, "{}")), config, mission
             )
@@ -106,9 +106,7 @@ def rerun(
     else:
         _show(told)
     if broken:
-        text = (
-            f"Not written as a whole: --record: {broken}; only the digests are compared"
-        )
+        text = f"Not complete: --record: {broken}; only the digests are compared"
         ERROR_CONSOLE.print(
             text, style="red", markup=False, highlight=False, soft_wrap=True
         )

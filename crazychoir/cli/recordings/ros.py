@@ -33,7 +33,7 @@ class RosBridgeSettings:
     poses_per_path: int = 10
     """Poses of a drone after which its path is published again."""
     reads_per_age: float = 2.0
-    """Smallest number of places to read within STATE.max_age, the age limit of a published place.
+    """Smallest number of places to read within DRONE_TOPICS.state.max_age, the age limit of a published place.
     """
 
 
@@ -51,7 +51,10 @@ def ros(
     ] = 10.0,
     seconds: Annotated[float, options.seconds("How long, in s.")] = 3600.0,
 ) -> None:
-    """Publish poses, paths, markers and transforms of a running swarm as rmw_zenoh does (experimental)."""
+    """Show a running swarm in ROS 2 (experimental).
+
+    Publishes poses, paths, markers and transforms as rmw_zenoh does.
+    """
 
     async def work(window: "Window") -> None:
         from crazychoir.bus.network.zenoh_link import OutsideSession

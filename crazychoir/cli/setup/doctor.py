@@ -30,7 +30,9 @@ def doctor(
     ] = None,
     host: Annotated[
         str | None,
-        typer.Option(help="Its name in the table hosts; else by its addresses."),
+        typer.Option(
+            help="Name of this host in the table hosts; else found by its addresses."
+        ),
     ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
@@ -86,7 +88,7 @@ def check_swarm(swarm: str | None, host: str | None) -> list[CheckResult]:
                 "swarm file",
                 "wrong",
                 str(error),
-                "Mend it as it says, or copy it here: crazychoir push",
+                "Correct it as the text says, or copy it here: crazychoir push",
             )
         ]
     rows = [
@@ -219,14 +221,12 @@ def check_certificates(config: "SwarmConfig", hosts: list[str]) -> list[CheckRes
                 CheckResult(
                     "keys",
                     "warning",
-                    "the network is open (security.insecure): whoever is on it commands",
+                    "the network is open (security.insecure): every host on it can command",
                     do,
                 )
             ]
         return [
-            CheckResult(
-                "keys", "not here", "a network of this machine alone needs none"
-            )
+            CheckResult("keys", "not here", "a swarm on this machine only needs none")
         ]
     rows = []
     for name in hosts:
@@ -251,7 +251,7 @@ def _is_here(host: str | None, here: list[str]) -> bool:
 
 def _show(rows: list[CheckResult]) -> None:
     table = Table(
-        "", "what", "found", "how to mend it", box=box.SIMPLE_HEAD, padding=(0, 1)
+        "", "what", "found", "how to correct it", box=box.SIMPLE_HEAD, padding=(0, 1)
     )
     for row in rows:
         colour = STATE_COLOURS[row.state]

@@ -87,7 +87,7 @@ def check_python(version: tuple[int, ...]) -> CheckResult:
         "python",
         "wrong",
         found,
-        "Make the environment anew: python3.13 -m venv ~/choir/venv",
+        "Create the environment again: python3.13 -m venv ~/choir/venv",
     )
 
 
@@ -139,9 +139,7 @@ def check_own_host(
     inward: for each of its names that resolves to the loopback here: that loopback address
     """
     if not hosts:
-        return CheckResult(
-            "own host", "ok", "a swarm of this machine alone: no [hosts]"
-        )
+        return CheckResult("own host", "ok", "a swarm on this machine only: no [hosts]")
     names = ", ".join(f"{name} {address}" for name, address in hosts.items())
     if meant is not None and meant not in hosts:
         return CheckResult(
@@ -214,7 +212,7 @@ def check_other_host(
     """
     what = f"host {host}"
     if stranger:
-        do = f"Copy the folders of both hosts again from where the authority is, and start all anew on {host}"
+        do = f"Copy the folders of both hosts again from where the authority is, and restart all programs on {host}"
         return CheckResult(what, "wrong", f"{address} answers, and {stranger}", do)
     if answer in ("connected", "refused"):
         return CheckResult(
@@ -260,7 +258,7 @@ def check_synchronisation(synchronised: bool | None, worst: float) -> CheckResul
     return CheckResult(
         "clock",
         "warning",
-        "not synchronised: certificates and recordings are dated by it, no flight is",
+        "not synchronised: certificates and recordings use it, flights do not",
         do,
     )
 
@@ -322,7 +320,7 @@ def check_governor(governors: Mapping[str, str]) -> CheckResult:
     slow = [cpu for cpu, name in governors.items() if name != "performance"]
     if not governors:
         return CheckResult(
-            "cpu governor", "not here", "this machine does not let its kernel choose"
+            "cpu governor", "not here", "the kernel of this machine cannot set it"
         )
     if not slow:
         return CheckResult("cpu governor", "ok", "performance")
@@ -385,7 +383,7 @@ def check_wake_ups(late_ms: float) -> CheckResult:
         "timer",
         "warning",
         f"wakes {late_ms:.1f} ms late",
-        "End what else computes here: see `top`.",
+        "End other programs that use the processor: see `top`.",
     )
 
 

@@ -164,9 +164,9 @@ def try_handshake(
         ):
             secured.recv(1)
     except ssl.SSLCertVerificationError as error:
-        return f"its certificate is not good here: {error.verify_message}"
+        return f"its certificate is not valid here: {error.verify_message}"
     except ssl.SSLError as error:
-        return f"it does not take the certificate of this host: {str(error.reason).lower().replace('_', ' ')}"
+        return f"it does not accept the certificate of this host: {str(error.reason).lower().replace('_', ' ')}"
     except OSError as error:
         return str(error.strerror or error)
     return ""

@@ -20,7 +20,7 @@ from crazychoir.launch.console import (
 
 
 def identify(
-    drone: Annotated[int, typer.Argument(help="Its id.")],
+    drone: Annotated[int, typer.Argument(help="Id of the drone.")],
     swarm: Annotated[
         str | None, typer.Option(help="Swarm file; else ./swarm.toml.")
     ] = None,
@@ -29,7 +29,10 @@ def identify(
     ] = 5.0,
     as_json: JsonOption = False,
 ) -> None:
-    """Light the LEDs of a drone that a radio reaches, while no crazychoir-radio uses its dongle."""
+    """Light the LEDs of a drone, to find it.
+
+    The dongle must be free: no crazychoir-radio uses it.
+    """
     set_up_logging()
     from crazychoir.config.swarm_config import find_swarm
     from crazychoir.radio import identify as leds  # cflib: --help does not need it

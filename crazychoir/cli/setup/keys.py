@@ -12,19 +12,23 @@ from crazychoir.launch import number_options as options
 from crazychoir.launch.console import ANSWER_CONSOLE, exit_with_error, write_json
 
 app = typer.Typer(
-    help="Certificates: who may take part in a swarm of several hosts.",
+    help="Make and revoke certificates of the hosts of a swarm.",
     no_args_is_help=True,
 )
 Folder = Annotated[
     Path,
-    typer.Option("--folder", help="Where they are; in swarm files: security.keys."),
+    typer.Option(
+        "--folder", help="Folder of the certificates; in swarm files: security.keys."
+    ),
 ]
-Days = Annotated[int, options.whole("For which they are good.", most=36_500)]
+Days = Annotated[
+    int, options.whole("Days for which the certificates are valid.", most=36_500)
+]
 Json = Annotated[
     bool, typer.Option("--json", help="Print one JSON object, nothing else.")
 ]
 KEYS_FOLDER = Path("keys")
-RESTART_NOTE = "It counts for a process from its next start: copy each folder to its host, then start all anew."
+RESTART_NOTE = "It counts for a process from its next start: copy each folder to its host, then restart all programs."
 
 
 @app.command()
@@ -40,7 +44,7 @@ def init(
         _fail(error, folder, as_json)
     _say(
         {"success": True, "authority": certificate},
-        f"{certificate}: keep {certificate.parent} to yourself",
+        f"{certificate}: keep {certificate.parent} secret",
         as_json,
     )
 
@@ -68,7 +72,7 @@ def add(
 
 @app.command()
 def revoke(
-    host: Annotated[str, typer.Argument(help="Who is to be kept out.")],
+    host: Annotated[str, typer.Argument(help="Host to exclude.")],
     folder: Folder = KEYS_FOLDER,
     days: Days = CERTIFICATE_DAYS,
     as_json: Json = False,
@@ -85,7 +89,7 @@ def revoke(
     except (ConfigError, OSError) as error:
         _fail(error, folder, as_json)
     text = (
-        f"{host} is out; new: {', '.join(others) or 'nobody is left'}. {RESTART_NOTE}"
+        f"{host} is out; new: {', '.join(others) or 'no host is left'}. {RESTART_NOTE}"
     )
     _say(
         {"success": True, "revoked": host, "new": others, "effective": "next start"},

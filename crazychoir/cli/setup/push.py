@@ -70,10 +70,12 @@ class PushStep:
 def push(
     swarm: Annotated[Path, typer.Option(help="Swarm file.")],
     host: Annotated[
-        list[str] | None, typer.Option(help="Only this host; several times.")
+        list[str] | None,
+        typer.Option(help="Only this host; repeat the option for several hosts."),
     ] = None,
     user: Annotated[
-        str | None, typer.Option(help="User there, instead of that of ssh.")
+        str | None,
+        typer.Option(help="User on the host; else the user that ssh chooses."),
     ] = None,
     package: Annotated[
         Path | None, typer.Option(help="Wheel or folder to install, else the release.")
@@ -87,7 +89,10 @@ def push(
         typer.Option("--dry-run", help="Print the commands, do nothing."),
     ] = False,
 ) -> None:
-    """Copy a swarm to its hosts, into ~/choir: by ssh and scp, with your ssh keys."""
+    """Copy a swarm to its hosts, over ssh.
+
+    The files go into ~/choir, by ssh and scp, with your ssh keys.
+    """
     from crazychoir.config.swarm_config import SwarmConfig
 
     try:

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     no_args_is_help=True,
-    help="Which channels are quiet, and how long the way to a drone takes.",
+    help="Find quiet channels, and measure round trips to drones.",
 )
 NEW_DRONE_URI = "radio://0/80/2M/E7E7E7E7E7"
 """Address of a new Crazyflie."""
@@ -66,7 +66,7 @@ def survey(
     dongles: Annotated[
         int | None,
         options.whole(
-            "Pick so many channels; else as many as the swarm file has dongles, or 1.",
+            "Number of channels to pick; else the number of dongles of the swarm file, or 1.",
             most=126,
         ),
     ] = None,
@@ -86,12 +86,12 @@ def survey(
     drone: Annotated[
         str | None,
         typer.Option(
-            help=f"Who answers: its uri; else the first of the swarm file, or {NEW_DRONE_URI}."
+            help=f"Uri of the drone that answers; else the first of the swarm file, or {NEW_DRONE_URI}."
         ),
     ] = None,
     swarm: Annotated[
         Path | None,
-        typer.Option(help="Swarm file whose radio:// drones the channels are for."),
+        typer.Option(help="Swarm file with the radio:// drones that need channels."),
     ] = None,
     write: Annotated[
         bool, typer.Option("--write", help="Write the channels into that file.")
@@ -126,7 +126,7 @@ def survey(
         if write and swarm is None:
             raise ConfigError("--write", "no --swarm", "a swarm file to write into")
         if write and simulated is not None:
-            do = "Leave --write out to look at an invented room; measure with a dongle what drones are to fly on."
+            do = "Leave --write out to look at a simulated room; measure the channels for real drones with a dongle."
             raise ConfigError(
                 "--write", "--simulated beside it", "what a dongle has measured", do
             )
@@ -200,7 +200,7 @@ def _survey_request(
         )
     if count > 1 and spacing < RADIO_BAND.least_spacing:
         ERROR_CONSOLE.print(
-            f"Links of 2 Mbit/s disturb each other with less than {RADIO_BAND.least_spacing} MHz between them."
+            f"Links of 2 Mbit/s disturb each other if there is less than {RADIO_BAND.least_spacing} MHz between them."
         )
     first = next((uris[0] for uris in those.values()), NEW_DRONE_URI)
     return SurveyRequest(candidates, count, spacing, those, drone or first, simulated)

@@ -135,7 +135,7 @@ def _lines(result: Mapping[str, Any]) -> list[str]:
     lines = [f"Picked: {names}. In the worst pass{of} {worst:.0%} came through."]
     if worst < SHARE_SCALE.fair_share:
         lines.append(
-            "That is little: take fewer dongles, a smaller spacing, more --channels, or another room."
+            "This is a low share: use fewer dongles, a smaller spacing, more --channels, or another room."
         )
     pairs = ", ".join(
         f"dongle {name}: {channel}" for name, channel in result["dongles"].items()

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     no_args_is_help=True,
-    help="Bodies of motion capture: whose they are, how they sit on their drones.",
+    help="Assign motion-capture bodies to drones, and calibrate them.",
 )
 SwarmFile = Annotated[
     str | None, typer.Option("--swarm", help="Swarm file; else ./swarm.toml.")
@@ -38,7 +38,10 @@ SwarmFile = Annotated[
 SecondsOption = Annotated[float, options.seconds("How long to look, in s.", least=0.2)]
 WriteOption = Annotated[
     bool,
-    typer.Option("--write", help="Write it into the swarm file; all else there stays."),
+    typer.Option(
+        "--write",
+        help="Write it into the swarm file; the rest of the file is unchanged.",
+    ),
 ]
 Changes = dict[int, dict[str, object]]
 SWARM_FILE_DECIMALS = 5
@@ -105,20 +108,20 @@ def names(
 
 @app.command()
 def calibrate(
-    drone: Annotated[int, typer.Argument(help="Its id.")],
+    drone: Annotated[int, typer.Argument(help="Id of the drone.")],
     turn: Annotated[
         bool,
         typer.Option(
             "--turn",
-            help="The offset: it is turned once about its own centre, on the floor, or in hover by its own "
-            "estimate. One that flies by these poses keeps still what they track: of it nothing is learnt.",
+            help="Find the offset: turn the drone once about its own centre, on the floor, or in hover by its "
+            "own estimate. A drone that flies by these poses gives no offset, because it holds the body still.",
         ),
     ] = False,
     heading: Annotated[
         bool,
         typer.Option(
             "--heading",
-            help="It looks along its yaw in the swarm file: find the body's yaw too.",
+            help="Find the body's yaw too: the drone points along its yaw in the swarm file.",
         ),
     ] = False,
     swarm: SwarmFile = None,
@@ -236,7 +239,8 @@ def _poses(
             or "none"
         )
         raise Refused(
-            f"body {name} of drone {drone}", f"it is not seen; seen are: {there}."
+            f"body {name} of drone {drone}",
+            f"it is not visible; visible are: {there}.",
         )
     return np.array([frame.time for frame in seen]), np.array(
         [frame.bodies[name] for frame in seen]
@@ -324,9 +328,9 @@ def _print_lines(changes: Changes, written: bool) -> None:
 
 def _table(seen: "list[BodyMeasurement]", matches: "list[BodyMatch]") -> Table:
     table = Table("body", "Hz", "x", "y", "z", "moved m", "drone", "from its home m")
-    whose = {match.name: match for match in matches}
+    match_by_name = {match.name: match for match in matches}
     for body in seen:
-        match = whose.get(body.name)
+        match = match_by_name.get(body.name)
         drone = "-" if match is None else f"{match.drone}{'' if match.sure else '?'}"
         far = "" if match is None else f"{match.distance:.3f}"
         table.add_row(
@@ -351,5 +355,5 @@ def _say_left(config: "SwarmConfig", matches: "list[BodyMatch]") -> None:
     if left:
         names = ", ".join(map(str, left))
         ERROR_CONSOLE.print(
-            f"no body within {HOME_RADIUS:g} m of the home of drone(s) {names}: put them there, or mend `home`."
+            f"no body within {HOME_RADIUS:g} m of the home of drone(s) {names}: put them there, or correct `home`."
         )

@@ -18,10 +18,15 @@ def router(
     ] = None,
     listen: Annotated[
         str | None,
-        typer.Option(help="Zenoh endpoint, as tcp/0.0.0.0:7441, instead of its own."),
+        typer.Option(
+            help="Zenoh endpoint, as tcp/0.0.0.0:7441, instead of the swarm file's."
+        ),
     ] = None,
 ) -> None:
-    """Run a Zenoh router for a swarm with hosts that cannot reach each other, until Ctrl-C."""
+    """Run a Zenoh router for hosts that cannot reach each other.
+
+    The router runs until Ctrl-C.
+    """
     set_up_logging()
     # The threads of Zenoh inherit this mask, so that only sigwait receives these signals.
     unmasked = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)

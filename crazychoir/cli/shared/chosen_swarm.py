@@ -101,7 +101,7 @@ def swarm_and_mission_to_run(
         raise ConfigError(
             "--drones",
             drones,
-            f"{len(config.ids)}: mission {what} flies no other number",
+            f"{len(config.ids)}: mission {what} needs this number of drones",
         )
     scatter = getattr(mission, "scatter", None)
     return (scatter(config) if scatter else config), mission
@@ -143,7 +143,7 @@ def _check_only(only: str, what: str, own_file: bool, given: dict[str, Any]) -> 
     in the swarm file that they share.
     """
     if not own_file:
-        allowed = "a swarm file that all share who start its drones"
+        allowed = "a swarm file that all hosts of the swarm share"
         do = f"For example `crazychoir run swarm.toml --only {only}`, or `crazychoir run {what} --swarm ...`."
         raise ConfigError("--only", f"{only} without a swarm file", allowed, do)
     for option, value in given.items():
@@ -166,7 +166,7 @@ def with_operator(config: SwarmConfig, wait: bool, fast: bool) -> SwarmConfig:
         raise ConfigError(
             "--fast",
             found,
-            "virtual time, which no operator can command",
+            "virtual time, in which no operator can send commands",
             "Leave one of them out.",
         )
     return (
@@ -191,7 +191,7 @@ def drones_to_start(only: str | None, config: SwarmConfig) -> tuple[int, ...]:
             raise ConfigError("--only", only, allowed, f"There is no drone {i}.")
     for group in Addresses(config).groups():
         if not (set(group) <= set(here) or set(group).isdisjoint(here)):
-            do = "Name all of them or none, or mend `processes` in the swarm file."
+            do = "Name all of them or none, or correct `processes` in the swarm file."
             raise ConfigError(
                 "--only",
                 only,

@@ -45,9 +45,9 @@ class EmergencyStop:
 
     The bodies are reached at the owner of the world or of the radios. The stop ends
     - when all have obeyed, or
-    - DISCOVERY s after the last agent was found and the last body has obeyed, or
+    - NEXT_PROCESS_TIMEOUT s after the last agent was found and the last body has obeyed, or
     - after the patience of its place, while no agent and no body has been found.
-    An agent that was found gets OBEYS s, unless its body has obeyed.
+    An agent that was found gets OBEY_TIMEOUT s, unless its body has obeyed.
 
     alone: as in Commander.emergency_stop
     """
@@ -130,8 +130,8 @@ class EmergencyStop:
                 "bodies": self._bodies(),
             }
             who = "; ".join(
-                f"{whose} {describe_ids(known)}"
-                for whose, known in ids.items()
+                f"{group} {describe_ids(known)}"
+                for group, known in ids.items()
                 if known
             )
             verb = "cleared" if self.clear else "stopped"
@@ -156,5 +156,7 @@ class EmergencyStop:
         )
         if i not in self.owned or (obeys and body):
             return obeys, said
-        known = "its body has obeyed" if body else "its body's owner does not answer"
+        known = (
+            "its body has obeyed" if body else "the owner of its body does not answer"
+        )
         return False, f"{said}; {known}"

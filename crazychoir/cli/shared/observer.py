@@ -88,11 +88,11 @@ class Window:
         return any(peer.host == REPLAY_HOST for peer in self.link.peers.values())
 
     async def find(self) -> list[int]:
-        """Wait until all drones are found, at most DISCOVERY s after the last one.
+        """Wait until all drones are found, at most NEXT_PROCESS_TIMEOUT s after the last one.
 
         Returns the drones that were found. Raises Refused if there is none.
         """
-        await self.somebody()
+        await self.wait_for_drone()
         seen = 0
         ends = 0.0
         while len(self.drones) < len(self.config.ids):
@@ -104,7 +104,7 @@ class Window:
             await self.clock.sleep(SWARM_SEARCH.check_period)
         return self.drones
 
-    async def somebody(self) -> None:
+    async def wait_for_drone(self) -> None:
         """Wait until the first drone is found.
 
         Raises Refused if none is found in time, or soon after the run of the swarm has ended.
@@ -178,7 +178,7 @@ class Window:
     ) -> Answers:
         """Send a flight command to these drones; None means all.
 
-        A drone that is not ready yet is asked again, for at most READY s. A command that takes more
+        A drone that is not ready yet is asked again, for at most NOT_READY_TIMEOUT s. A command that takes more
         than `seconds` is left as ACCEPTED.
         Returns for each drone whether it is done, and the kind of its answer with a text, such as
         "refused" and the reason.
@@ -246,7 +246,7 @@ class Window:
         host = self.link.bus.host
         operators = self.config.security.operators
         if self.config.secured and host not in operators:
-            alone = f"drones obey and answer {', '.join(operators)} alone (security.operators of the swarm file)"
+            alone = f"drones obey and answer only {', '.join(operators)} (security.operators of the swarm file)"
             text = f"the keys here, in {self.config.security.keys}, are those of {host}: {alone}. Command from there."
             raise Refused(f"swarm {self.config.name}", text)
 
@@ -273,7 +273,7 @@ class Window:
         So an absent drone delays no other.
         """
         self._require_operator()
-        await self.somebody()
+        await self.wait_for_drone()
         asked = {
             i: asyncio.ensure_future(ask(i))
             for i in (self.config.ids if drones is None else drones)

@@ -173,7 +173,7 @@ function connectEdges(rows) {
   position.needsUpdate = color.needsUpdate = true;
 }
 
-// Each drone's route: segments from stop to stop; legs: whose they are, where they begin, and how many.
+// Each drone's route: segments from stop to stop; legs: the drone, the first segment, and the number of segments.
 function showRoutes(told) {
   const text = JSON.stringify(told);
   if (text === routed) return;

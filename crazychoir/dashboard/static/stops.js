@@ -39,7 +39,7 @@ function look() {
   sendKept();
   const ones = [...kept.values()], old = ones.filter(isOld);
   const who = (these) => (these.some(({ drones }) => !drones) ? "ALL" : [...new Set(these.flatMap(({ drones }) => drones))].join(", "));
-  if (old.length) say(`STOP ${who(old)}, more than ${OLD / 1000} s ago: nobody has answered. Is it to be sent now?`);
+  if (old.length) say(`STOP ${who(old)}, more than ${OLD / 1000} s ago: no drone has answered. Send it now?`);
   else if (ones.length && !(connected && isOpen())) say(`STOP ${who(ones)}: will be sent when connected`);
   else if (ones.some(({ pressed }) => Date.now() - pressed > AGAIN)) say(`STOP ${who(ones)}: sent again until it is answered`);
   else say("");

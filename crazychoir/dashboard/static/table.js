@@ -46,7 +46,7 @@ function build(table, about) {
     rows.set(i, { row, box, cells });
     body.append(row);
   }
-  table.replaceChildren(make("caption", {}, "Drones; choose those that commands are for, none for all"), make("thead", {}, head), body);
+  table.replaceChildren(make("caption", {}, "Drones; select the drones that commands address; none means all"), make("thead", {}, head), body);
   select([...selected].filter((i) => about.ids.includes(i)));
 }
 

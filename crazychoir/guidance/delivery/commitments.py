@@ -73,11 +73,9 @@ class Commitments:
                 aboard[stop.task] = None
             else:
                 aboard.pop(stop.task, None)
-        self.planning, self.bound, self._head = (
-            True,
-            dict.fromkeys(stop.task for stop in head),
-            list(head),
-        )
+        self.planning = True
+        self.bound = dict.fromkeys(stop.task for stop in head)
+        self._head = list(head)
         return tuple(j for j in self.bound if j not in aboard), tuple(aboard)
 
     def adopt(self, share: PlanShare) -> None:

@@ -319,4 +319,6 @@ def _read_message(value: Any) -> tuple[Any, list[int], list[int]]:
         wire, bonds, aboard = value
         return wire, list(map(int, bonds)), list(map(int, aboard))
     except (TypeError, ValueError, OverflowError) as error:
-        raise CodecError(f"planning: no book and no bonds: {error}") from error
+        raise CodecError(
+            f"planning: no task book and no commitments: {error}"
+        ) from error

@@ -109,7 +109,7 @@ class DeliverySite:
         who = (
             "any drone"
             if len(chosen) == len(self.config.ids)
-            else f"drone {describe_ids(chosen)}, who alone may serve it,"
+            else f"drone {describe_ids(chosen)}, which alone may serve it,"
         )
         return f"its load {task.load:g} is more than {who} can carry: {self._most(chosen):g}"
 
@@ -121,7 +121,7 @@ class DeliverySite:
         able = self.able(task)
         if any(i in flying for i in able):
             return ""
-        return f"drone {describe_ids(able)}, who alone can serve it, does not fly"
+        return f"drone {describe_ids(able)}, which alone can serve it, does not fly"
 
     def _room(self, i: int) -> float:
         return float(self.crew.capacity[i] - self.crew.initial_load[i])

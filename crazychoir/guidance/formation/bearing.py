@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -60,6 +60,34 @@ class BearingGains:
 BEARING_GAINS = BearingGains()
 
 
+@dataclass(frozen=True, slots=True)
+class BearingLaw:
+    """A law of the followers, and its gains.
+
+    The modes of the paper's law are s^2 + kv l s + kp l, with l an eigenvalue of B_ff. All modes of
+    the normalised law are s^2 + kv s + kp, on any graph. Therefore it is the default.
+
+    The normalised law uses the accelerations that neighbours commanded in the tick before. It
+    therefore takes their positions and velocities from that tick too, and holds all three together
+    when messages are lost. Equal delays cancel out, while unequal delays delay the modes of a large
+    graph. If leaders move, equal delays would add up with each neighbour on the way. Then the law
+    takes the newest positions and velocities.
+    """
+
+    kind: Law = "normalised"
+    """The paper's law, or the normalised law."""
+    kp: float = BEARING_GAINS.kp_normalised
+    """1/s2."""
+    kv: float = BEARING_GAINS.kv_normalised
+    """1/s."""
+    in_height: float = 1.0
+    """Share of kp and kv in height, for the paper's law."""
+
+
+NORMALISED_LAW = BearingLaw()
+"""The normalised law with its default gains."""
+
+
 SLOWEST_DECAY_RATE = 0.02
 """1/s: a slower formation needs minutes, and flies only with `force`."""
 ZERO_EIGENVALUE_SHARE = 1e-9
@@ -103,6 +131,37 @@ def build_bearing_laplacian(
         b[np.ix_(f, _list_indices(row, [i for i in ids if i in leaders]))],
         followers,
     )
+
+
+def build_law_matrix(
+    i: int, shape: Shape, neighbors: Sequence[int], law: BearingLaw
+) -> Mat:
+    """Return the law of follower i as one product.
+
+        u_i = W (x_i, x_j, ..., a_j, ...)
+
+    Position and velocity count in each state x. The accelerations a_j belong to the normalised law
+    only.
+
+    shape: {id: (3,) m}, from which the bearings follow.
+    neighbors: ids that drone i hears.
+    Returns W, (3, 13 (1 + n)), or (3, 13 (1 + n) + 3 n) for the normalised law, with n neighbours.
+    """
+    weights: dict[int, Any] = {
+        j: projector(np.subtract(shape[j], shape[i])) for j in neighbors
+    }
+    if law.kind == "normalised":
+        total = sum(weights.values())
+        weights = {j: np.linalg.solve(total, p) for j, p in weights.items()}
+    else:
+        share = np.array([[1.0], [1.0], [law.in_height]])
+        weights = {j: share * p for j, p in weights.items()}
+    # The first 6 of the 13 numbers of a state are position and velocity.
+    blocks = [
+        np.pad(np.kron([law.kp, law.kv], w), ((0, 0), (0, 7))) for w in weights.values()
+    ]
+    of_accelerations = weights.values() if law.kind == "normalised" else ()
+    return np.hstack([-sum(blocks), *blocks, *of_accelerations])
 
 
 def _list_indices(row: Mapping[int, slice], ids: Sequence[int]) -> list[int]:

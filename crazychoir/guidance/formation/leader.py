@@ -61,7 +61,7 @@ class LeaderOptions(SwarmTable, frozen=True, kw_only=True):
     duration: Duration | None = None
     """s: duration of the law.
 
-    None: SETTLING, or until 5 s after the end of the path.
+    None: 20 s, or until 5 s after the end of the path.
     """
 
 

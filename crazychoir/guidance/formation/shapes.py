@@ -4,8 +4,10 @@ import math
 from collections.abc import Mapping
 from itertools import combinations
 
+import numpy as np
+
 from crazychoir.errors import ConfigError
-from crazychoir.types import Point
+from crazychoir.types import Mat, Point
 
 Shape = Mapping[int, Point]
 """{id: (3,) m}."""
@@ -77,6 +79,22 @@ def grid_edges(columns: int, rows: int) -> list[list[int]]:
 def corners(columns: int, rows: int) -> tuple[int, int, int, int]:
     """Return the drones at the corners of a grid."""
     return 0, columns - 1, columns * (rows - 1), columns * rows - 1
+
+
+def polygon(count: int, side: float) -> Mat:
+    """Return the corners of a regular polygon around the origin, (count, 2) m.
+
+    count: number of corners; with one, it lies half a side from the origin.
+    side: m: length of a side.
+    """
+    radius = 0.5 * side / float(np.sin(np.pi / max(count, 2)))
+    return ring(count, radius)
+
+
+def ring(count: int, radius: float) -> Mat:
+    """Return evenly spaced places on a circle around the origin, (count, 2) m."""
+    angles = 2.0 * np.pi * np.arange(count) / count
+    return radius * np.column_stack([np.cos(angles), np.sin(angles)])
 
 
 def letter(name: str, size: float, height: float = 1.0) -> Shape:

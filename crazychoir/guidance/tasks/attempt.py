@@ -87,7 +87,7 @@ def _is_failure_word(j: int, said: Any, k: int) -> bool:
         case [int(failed), int(), str()] if 0 <= failed <= k:
             return True
     raise CodecError(
-        f"from robot {j}, round {k}: neither a message nor a word of a failure"
+        f"from robot {j}, round {k}: neither a message nor a failure report"
     )
 
 

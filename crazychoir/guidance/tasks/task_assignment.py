@@ -3,37 +3,32 @@
 It assigns them again whenever the table is refilled.
 """
 
-import asyncio
 import logging
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from math import inf
 from typing import Any
 
 import numpy as np
 
-from crazychoir.errors import CrazyChoirError, RosterChanged, error_text, reason_or
-from crazychoir.guidance.guidance import FLIGHT_LIMITS, CFGuidance
-from crazychoir.guidance.member import (
-    Interrupted,
-    Member,
-    describe_state,
-    wait_for_touchdown,
-)
+from crazychoir.config.drone_room import shared_room
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.guidance.member import Interrupted, Member, describe_state
 from crazychoir.guidance.tasks.generation import (
     Draw,
     Generation,
     NextGeneration,
     list_open_tasks,
 )
-from crazychoir.guidance.tasks.room import TaskRoom
-from crazychoir.guidance.tasks.task_book import Deed, Place, Task
+from crazychoir.guidance.tasks.task_book import Deed, Place, Record, Task
 from crazychoir.guidance.tasks.task_source import TaskSource
-from crazychoir.guidance.tasks.team_news import UNREACHED_REASON, Key, TeamNews
+from crazychoir.guidance.tasks.team_mission import TeamMission, TeamRules
+from crazychoir.guidance.tasks.team_news import Key
 from crazychoir.guidance.tasks.together import run_together
 from crazychoir.guidance.turns import TurnTaking
 from crazychoir.safety.rules.modes import Mode
+from crazychoir.team.graph import describe_ids
 from crazychoir.types import Goto, State, Vec
 
 log = logging.getLogger(__name__)
@@ -86,7 +81,49 @@ class TeamAssignment:
     """Cost of a task for a robot."""
 
 
-class TaskAssignmentGuidance(CFGuidance):
+class TaskRoom:
+    """Where tasks of operators may be, and which robots may serve them.
+
+    ids: the robots of the swarm.
+    low: (2,) m: lower corner of the area that drones fly to.
+    high: (2,) m: upper corner of that area.
+    """
+
+    def __init__(self, config: SwarmConfig) -> None:
+        self.ids = config.ids
+        low, high = shared_room(config)
+        self.low = np.array(low[:2])
+        self.high = np.array(high[:2])
+
+    def lies_badly(self, task: Task, pickup: Place) -> str:
+        """Return why no robot can stand at the pickup. Empty if one can."""
+        if np.all(self.low <= pickup) and np.all(pickup <= self.high):
+            return ""
+        room = f"{self.low.round(3).tolist()} to {self.high.round(3).tolist()} m"
+        return (
+            f"it is at {list(pickup)}, outside the fence, or at its edge: "
+            f"drones are sent to {room}"
+        )
+
+    def never(self, task: Task) -> str:
+        """Return why no robot of this swarm can serve the task. Empty if one can."""
+        strangers = [i for i in task.robots if i not in self.ids]
+        return (
+            f"there is no drone {describe_ids(strangers)}; this swarm has {describe_ids(self.ids)}"
+            if strangers
+            else ""
+        )
+
+    def waits(self, task: Task, flying: Collection[int]) -> str:
+        """Return why no flying robot can serve the task. Empty if one can."""
+        if not task.robots or any(i in flying for i in task.robots):
+            return ""
+        return (
+            f"drone {describe_ids(task.robots)}, which alone may serve it, does not fly"
+        )
+
+
+class TaskAssignmentGuidance(TeamMission):
     """Robot i flies to its task, and the team assigns the open tasks anew whenever they change.
 
     Each robot computes the table from the news that all have exchanged, so no robot stores it
@@ -98,32 +135,34 @@ class TaskAssignmentGuidance(CFGuidance):
     A part of the team that is cut off, with at most half of it, waits for the others, and goes home
     after REUNION s. However, work that a robot did without telling any other robot, before it was
     lost or cut off, is done again.
+
+    work: what all robots have in common.
+
+    generation: the generation by which it flies. None: it has none.
+    tables: this robot's part of each generation.
+    way: rows of t s since the start, x m, y m, and m from its task or None.
+    done: (task, generation) of each task that it has completed.
     """
 
     def __init__(self, work: TeamAssignment) -> None:
+        rules = TeamRules(
+            recover=True,
+            news_period=ASSIGNMENT_LIMITS.poll_interval,
+            reunion_time=ASSIGNMENT_LIMITS.reunion_time,
+        )
+        super().__init__(rules)
         self.work = work
         self.generation: Generation | None = None
         self.tables: list[dict[str, Any]] = []
-        self.way: list[
-            tuple[Any, ...]
-        ] = []  # rows t s since the start, x, y m, m from its task or None
+        self.way: list[tuple[Any, ...]] = []
         self.done: list[tuple[int, int]] = []
-        self.reason = ""
         self._shares = True  # a planning runs: no task may be completed
-        self._alone = False
         self._said = ""
 
     def bind(self, member: Member) -> None:
         """Connect this guidance to its drone."""
         super().bind(member)
-        self._born = self._now
-        self.news = TeamNews(
-            member.communicator,
-            (),
-            self._here,
-            recover=True,
-            period=ASSIGNMENT_LIMITS.poll_interval,
-        )
+        self._born = member.clock.now()
         self.source = TaskSource(
             self.news, TaskRoom(member.config), may_end=self._may_end
         )
@@ -133,46 +172,15 @@ class TaskAssignmentGuidance(CFGuidance):
             "cost": self.tables[-1]["cost"] if self.tables else None,
         }
 
-    async def mission(self) -> dict[str, Any]:
-        """Fly, gossip and plan until no work is left. Then fly home and land."""
-        try:
-            async with asyncio.TaskGroup() as group:
-                jobs = [
-                    group.create_task(job)
-                    for job in (self.news.gossip(), self._fly(), self._left_alone())
-                ]
-                await self._plan()
-                jobs[2].cancel()
-                if not self._alone:
-                    await self.news.farewell()
-                await asyncio.wait(jobs[1:])
-                jobs[0].cancel()
-        except BaseException as error:
-            cause = (
-                error.exceptions[0] if isinstance(error, BaseExceptionGroup) else error
-            )
-            self.member.pilot.land(
-                ""
-                if isinstance(cause, asyncio.CancelledError)
-                else f"mission failed: {reason_or(cause, error_text(cause))}"
-            )
-            await wait_for_touchdown(self.member.pilot, FLIGHT_LIMITS.touchdown_time)
-            await self.news.last_words()
-            if cause is error:
-                raise
-            raise cause from error
-        return self.outcome()
-
     def outcome(self) -> dict[str, Any]:
         """Return this drone's part of the report."""
-        failed = {"success": False, "reason": self.reason} if self.reason else {}
         left = [task.id for task in list_open_tasks(self.news.book, self.news.members)]
         return {
             "done": self.done,
             "tables": self.tables,
             "open": left,
             "way": self.way,
-        } | failed
+        }
 
     async def asked(self, verb: str, arguments: dict[str, Any]) -> Any:
         """Answer an operator: add a task at its pickup, cancel a task, or list the tasks.
@@ -180,7 +188,7 @@ class TaskAssignmentGuidance(CFGuidance):
         See TaskSource.
         """
         place = {"delivery": arguments.get("pickup")} if verb == "task_add" else {}
-        said: dict[str, Any] = await self.source.asked(verb, {**arguments, **place})
+        said: dict[str, Any] = await super().asked(verb, {**arguments, **place})
         if verb == "task_list":
             return {"tasks": [task | {"delivery": None} for task in said["tasks"]]}
         return said
@@ -189,12 +197,12 @@ class TaskAssignmentGuidance(CFGuidance):
         """Return the place of its task, or its home when all tasks are done."""
         if self.member.pilot.mode not in MISSION_MODES:
             return []
-        if self.news.ended or self._alone:
+        if self.is_over:
             return [self._home]
         return (
             []
             if (mine := self._mine) is None
-            else [self._above(self.news.book.tasks[mine].pickup)]
+            else [self.above(self.news.book.tasks[mine].pickup)]
         )
 
     def _may_end(self) -> bool:
@@ -204,63 +212,25 @@ class TaskAssignmentGuidance(CFGuidance):
         mine = None if self.generation is None else self.generation.mine
         return f"{len(self.done)} done, {'waits' if mine is None else f'task {mine}'}"
 
-    @property
-    def _now(self) -> float:
-        return self.member.clock.now()
-
-    def _here(self) -> Place:
-        return float(self.state.p[0]), float(self.state.p[1])
-
     # Planning -------------------------------------------------------------------------
 
-    async def _plan(self) -> None:
-        """Plan one generation after the other, with each team in turn, until the team has ended."""
-        while not (self.news.ended or self._alone):
-            key = self.news.key()
-            self.news.changed.clear()
-            try:
-                if not self.news.count():
-                    await self._cut_off(key)
-                elif self.id in key[1]:
-                    await self.sleep(
-                        ASSIGNMENT_LIMITS.poll_interval
-                    )  # out: the others continue without this robot
-                else:
-                    await self._generations(key)
-            except RosterChanged:
-                continue
+    async def plan_once(self, key: Key) -> bool:
+        """Plan the next generation with the team of this key, and fly by it from then on.
 
-    async def _generations(self, key: Key) -> None:
-        """Plan the generations of one team.
-
-        When a robot begins a generation, all others begin it too.
+        Returns False if the team has changed meanwhile.
         """
-        n = 0
-        while self.news.key() == key and not (self.news.ended or self._alone):
-            if n and not self._wanted(key, n):
-                await self.sleep(ASSIGNMENT_LIMITS.poll_interval)
-                continue
-            n = n + 1
-            self._shares = True
-            self.news.say(run=(key[0], len(key[1]), n))
-            began = self._now
-            generation = await self._next(key)
-            if generation is None:
-                return
-            self._adopt(generation, self._now - began)
+        self._shares = True
+        began = self.member.clock.now()
+        generation = await self._next(key)
+        if generation is None:
+            return False
+        self._adopt(generation, self.member.clock.now() - began)
+        return True
 
-    def _wanted(self, key: Key, n: int) -> bool:
-        """Return whether a planning is due.
-
-        It is due if a robot plans already, or if the open tasks have changed.
-        """
-        alive = self.news.book.alive(self.graph.ids).values()
-        begun = any(r.run[:2] == (key[0], len(key[1])) and r.run[2] > n for r in alive)
-        return (
-            begun
-            or self.generation is None
-            or self._open() != _list_ids(self.generation.tasks)
-        )
+    def needs_plan(self, alive: Collection[Record]) -> bool:
+        """Return whether the open tasks have changed."""
+        generation = self.generation
+        return generation is None or self._open() != _list_ids(generation.tasks)
 
     def _open(self) -> list[int]:
         return _list_ids(list_open_tasks(self.news.book, self.news.members))
@@ -316,8 +286,7 @@ class TaskAssignmentGuidance(CFGuidance):
                 "seconds": seconds,
             }
         )
-        speaks = self.id == min(self.news.alive_ids(), default=self.id)
-        if outcome.infeasible not in ("", self._said) and speaks:
+        if outcome.infeasible not in ("", self._said) and self.speaks:
             log.warning(
                 "drone %d: generation %d: %s",
                 self.id,
@@ -328,55 +297,35 @@ class TaskAssignmentGuidance(CFGuidance):
         if generation.idle:
             self.news.say(ended=True)
 
-    async def _cut_off(self, key: Key) -> None:
+    def lose_quorum(self) -> None:
         """Wait in the air for the others, while too few robots are here to decide."""
-        log.warning("drone %d: %s", self.id, UNREACHED_REASON)
         self._shares = True
         self.generation = None
-        while self.news.key() == key and not (self.news.ended or self._alone):
-            await self.sleep(ASSIGNMENT_LIMITS.poll_interval)
 
-    async def _left_alone(self) -> None:
-        """End the mission if it waits for robots that are lost."""
-        why = await self.news.left_alone(ASSIGNMENT_LIMITS.reunion_time)
-        self._alone = True
-        self.reason = (
-            f"{self.reason}; then {why}" if self.reason else f"drone {self.id}: {why}"
-        )
-        self.news.say(out=True)
+    def end_alone(self, reason: str) -> None:
+        """Go home without the others."""
+        self.alone = True
+        self.reason = reason
+        self.leave()
         self.news.changed.set()  # also ends a round that waits for them
 
     # Flying ---------------------------------------------------------------------------
 
-    async def _fly(self) -> None:
-        """Take off, fly from task to task, go home, and land with the others.
-
-        A robot that cannot fly on says so, and continues to pass messages on.
-        """
-        try:
-            await self.take_off()
-            while not (self.news.ended or self._alone):
-                self._pursue()
-                self._note()
-                await self.sleep(ASSIGNMENT_LIMITS.poll_interval)
-            await self._go_home()
+    async def fly_plan(self) -> None:
+        """Take off, fly from task to task, go home, and land with the others."""
+        await self.take_off()
+        while not self.is_over:
+            self._pursue()
             self._note()
-            await self.land()
-        except CrazyChoirError as error:
-            log.warning("drone %d: %s", self.id, error)
-            self.reason = str(error)
-            self.member.pilot.land()
-            await wait_for_touchdown(self.member.pilot, FLIGHT_LIMITS.touchdown_time)
-            self.news.say(out=True)
-
-    def _above(self, place: Sequence[float]) -> Vec:
-        flight = self.member.config.flight
-        return np.array([*place[0:2], flight.ground + flight.takeoff_height])
+            await self.sleep(ASSIGNMENT_LIMITS.poll_interval)
+        await self._go_home()
+        self._note()
+        await self.land()
 
     @property
     def _home(self) -> Vec:
         """(3,) m: above the place where it stood."""
-        return self._above(self.member.config.drone(self.id).home)
+        return self.above(self.member.config.drone(self.id).home)
 
     def _pursue(self) -> None:
         """Fly to its own task, and complete the task there.
@@ -395,10 +344,10 @@ class TaskAssignmentGuidance(CFGuidance):
                 self.follow(Goto(away))
             return
         place = self.news.book.tasks[mine].pickup
-        self.follow(Goto(self._turns.to(self._above(place))))
+        self.follow(Goto(self._turns.to(self.above(place))))
         if (
             not self._shares
-            and math.dist(self._here(), place) < ASSIGNMENT_LIMITS.reached_distance
+            and math.dist(self.here(), place) < ASSIGNMENT_LIMITS.reached_distance
         ):
             self.done.append((mine, generation.number))
             self.news.say(deeds=(*self.news.record.deeds, Deed(mine, "delivery", 1)))
@@ -411,23 +360,23 @@ class TaskAssignmentGuidance(CFGuidance):
 
     def _note(self) -> None:
         """Record the way, every NOTED s."""
-        t = self._now - self._born
+        t = self.member.clock.now() - self._born
         if self.way and t < float(self.way[-1][0]) + ASSIGNMENT_LIMITS.way_interval:
             return
         mine = self._mine
         left = (
             None
             if mine is None
-            else round(math.dist(self._here(), self.news.book.tasks[mine].pickup), 3)
+            else round(math.dist(self.here(), self.news.book.tasks[mine].pickup), 3)
         )
-        self.way.append((round(t, 2), *(round(x, 3) for x in self._here()), left))
+        self.way.append((round(t, 2), *(round(x, 3) for x in self.here()), left))
 
     async def _go_home(self) -> None:
         """Fly above its own home. No robot lands while another robot still flies around."""
         await self.go_to(self._home)
         self.news.say(idle=True)
-        ends = self._now + ASSIGNMENT_LIMITS.reunion_time
-        while self._now < ends and not (self._alone or self._all_home()):
+        ends = self.member.clock.now() + ASSIGNMENT_LIMITS.reunion_time
+        while self.member.clock.now() < ends and not (self.alone or self._all_home()):
             await self.sleep(ASSIGNMENT_LIMITS.poll_interval)
 
     def _all_home(self) -> bool:

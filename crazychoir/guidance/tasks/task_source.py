@@ -160,12 +160,13 @@ class TaskSource:
             if self.news.ended:
                 raise self._refused("the mission is over")
             if self.news.record.out:
-                raise self._refused("this drone flies no more; ask another one")
+                raise self._refused("this drone has landed; ask another drone")
             if self.news.known(1) and not self.may_end():
                 return
             if self.news.clock.now() > ends:
                 raise self._refused(
-                    f"for {COMMAND_PATIENCE:g} s, it has heard of too few others; ask another one, or again"
+                    f"for {COMMAND_PATIENCE:g} s, it has heard from too few other drones; "
+                    "ask another drone, or repeat it"
                 )
             await self._pause(EVENT_WAIT_RANGE[0])
 
@@ -177,7 +178,7 @@ class TaskSource:
         ends = self.news.clock.now() + COMMAND_PATIENCE
         while not self.news.known(number):
             if self.news.clock.now() > ends:
-                return f"for {COMMAND_PATIENCE:g} s, less than half of the team has heard of it: is this drone cut off?"
+                return f"for {COMMAND_PATIENCE:g} s, less than half of the team has received it: is this drone cut off?"
             await self._pause(EVENT_WAIT_RANGE[0])
         return ""
 
@@ -257,7 +258,7 @@ class TaskSource:
         if standing.fate is Fate.ABOARD:
             return (
                 j,
-                f"it is aboard drone {standing.robot}, which delivers it all the same",
+                f"it is on board drone {standing.robot}, which will still deliver it",
             )
         return j, "it was cancelled already" if was_cancelled else ""
 

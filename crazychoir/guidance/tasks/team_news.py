@@ -44,7 +44,7 @@ BOOK_CHANNEL = "book"
 """Channel of the books."""
 UNREACHED_REASON = "cut off from more than half of the team"
 """Reason of a robot that hears too few others."""
-NOBODY_FLIES_REASON = "nobody that it hears flies any more"
+NO_DRONE_FLIES_REASON = "no drone that it hears flies any more"
 """Reason of a robot that hears no flying robot."""
 Key = tuple[int, tuple[int, ...]]
 """Identifies the team of a series of plannings: the epoch, and the members that fly no more."""
@@ -293,7 +293,7 @@ class TeamNews:
             return ""
         if not self.quorate or len(heard) <= len(missing):
             return UNREACHED_REASON
-        return "" if any(i in flying for i in heard) else NOBODY_FLIES_REASON
+        return "" if any(i in flying for i in heard) else NO_DRONE_FLIES_REASON
 
     # The team -------------------------------------------------------------------------
 

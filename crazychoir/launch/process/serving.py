@@ -73,4 +73,4 @@ async def _show_progress(
     clock: Clock, server: VirtualServer, progress: LiveTable[dict[int, Any]]
 ) -> None:
     async for _ in clock.ticks(SERVING_TABLE_RATE):
-        progress({i: server.state(i) for i in server.ports})
+        progress({i: server.questions.describe_drone(i) for i in server.ports})

@@ -77,11 +77,9 @@ class AggregativeTracking(Mixing):
         self.jacobian = CheckedFunction(i, "jacobian", jacobian)
         self.gradient_own = CheckedFunction(i, "gradient_own", gradient_own)
         self.gradient_sigma = CheckedFunction(i, "gradient_sigma", gradient_sigma)
-        self.project, self.step_size, self.delta = (
-            CheckedFunction(i, "project", project),
-            step_size(step),
-            delta,
-        )
+        self.project = CheckedFunction(i, "project", project)
+        self.step_size = step_size(step)
+        self.delta = delta
         if not 0.0 < delta <= 1.0:
             raise ConfigError(f"agent {i}: delta", delta, "above 0, at most 1")
         self.phi = self.sigma = copy_state(f"agent {i}: aggregate", aggregate(self.x))

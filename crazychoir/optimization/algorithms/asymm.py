@@ -95,7 +95,7 @@ class ASYMM:
     rho: penalties rho_ij by neighbour
 
     Raises ConfigError or SolverError if a function has a wrong shape or is not finite.
-    Raises SolverError if nu_ij, l_i or m_i changes by more than GROWING in the last epoch, as when
+    Raises SolverError if nu_ij, l_i or m_i changes by more than ASYMM_LIMITS.growing_change in the last epoch, as when
     no x meets the constraints of all agents.
     Raises SolverError if |grad L_i| is not small after MOST_STEPS steps of an epoch, as when L_i
     has no minimum.

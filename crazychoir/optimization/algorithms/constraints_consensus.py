@@ -61,9 +61,9 @@ class ConstraintsConsensus(Iteration):
     The graph is static or time-varying, directed or not, and (jointly, strongly) connected. There
     is no step size.
     f is strictly convex quadratic. If f is not strictly convex, for example linear, f is scaled to
-    length one and TIE |x|^2 / 2 is added. The tie-break makes the optimum unique: the point nearest
-    to 0. In the last round each agent checks, by the multipliers of f alone, that TIE has not moved
-    the optimum.
+    length one and w |x|^2 / 2 is added, with w = CONSTRAINT_TOLERANCES.tie_break_weight. The tie-break makes the
+    optimum unique: the point nearest to 0. In the last round each agent checks, by the multipliers of f alone,
+    that the tie-break has not moved the optimum.
     Each agent counts the rounds since the last change that it knows of. With a diameter D all
     agents are done in the same round, 2 D after the last change.
 
@@ -74,7 +74,7 @@ class ConstraintsConsensus(Iteration):
     basis: (m, n + 1), rows [a', b] with |a| = 1
     unchanged: number of rounds since the last known change
     Raises SolverError as soon as an agent knows constraints that exclude each other. In the last
-    round, raises SolverError if f has no minimum, or if TIE has moved it.
+    round, raises SolverError if f has no minimum, or if the tie-break has moved it.
     Source: Notarstefano & Bullo 2011, IEEE Trans. Autom. Control 56(10), 2247-2261.
     """
 

@@ -61,7 +61,7 @@ class MixedIntegerSolution:
     left: Vec
     """(S,) what is left of the resources.
 
-    It is negative by no more than the tolerance of a solver, SLACK (1 + |b|).
+    It is negative by no more than the tolerance of a solver, MILP_TOLERANCE (1 + |b|).
     """
     lower_bound: float
     """Lower bound of the cost of all solutions.
@@ -135,11 +135,9 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         ):
             if value < least:
                 raise ConfigError(f"{self._where}: {name}", value, f"at least {least}")
-        self._block, self._i, self.weights = (
-            block,
-            block.agent,
-            check_rows(block.agent, weights),
-        )
+        self._block = block
+        self._i = block.agent
+        self.weights = check_rows(block.agent, weights)
         self._agents = agents
         self.diameter = diameter
         self._step = step

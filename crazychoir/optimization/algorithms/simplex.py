@@ -248,7 +248,7 @@ class BasisExchange:
 
     @property
     def unmet(self) -> list[int]:
-        """Return the rows of which more remains than right-hand sides with errors of FEASIBLE explain."""
+        """Return the rows of which more remains than right-hand sides with errors of FEASIBILITY_TOLERANCE explain."""
         return _find_unmet_rows(self.basis)
 
     @property
@@ -367,7 +367,7 @@ class BasisExchange:
 
 
 def _find_unmet_rows(basis: OptimalBasis) -> list[int]:
-    """Return the rows of which more remains than right-hand sides with errors of FEASIBLE explain."""
+    """Return the rows of which more remains than right-hand sides with errors of FEASIBILITY_TOLERANCE explain."""
     remains = (basis.columns.ids[:, 0] < 0) & (
         basis.level > FEASIBILITY_TOLERANCE * basis.terms
     )
@@ -418,15 +418,15 @@ class DistributedSimplex(Program[LinearSolution]):
         min  sum_i c_i'x_i   s.t.  sum_i A_i x_i = b,  x_i >= 0
 
     Every round an agent sends its basis, m columns, to its neighbours, and keeps the lexicographically optimal basis
-    of what it has and hears; there is no step size. It ends, in the same round at all, when nobody has changed for
-    2 D + 1 rounds.
+    of what it has and hears; there is no step size. All agents end in the same round, when no agent has changed
+    for 2 D + 1 rounds.
     c: (n_i,), A: (m, n_i), own columns, n_i may be 0;  b: (m,), the same at all;  diameter: D, rounds in which a
     message of each agent reaches all: of a (directed) graph its diameter, of a graph sequence the longest such time.
     Raises ConfigError for data that do not fit, and SolverError, in the last round at every agent: infeasible, with
     the rows that remain; unbounded, with a column that may grow for ever; or what double precision cannot tell.
     Rows and columns may have any units: each number is judged by its own terms, none by the largest of the program.
-    A row that is the same as a sum of others up to SAME (1e-9) of its terms counts as that sum, so data may be rounded.
-    A basis that is nearly singular, up to DISTINCT (1e-6) of its terms, is refused by all agents.
+    A row that is the same as a sum of others up to 1e-9 of its terms counts as that sum, so data may be rounded.
+    A basis that is nearly singular, up to LEAST_DISTINCTNESS (1e-6) of its terms, is refused by all agents.
     Source: Buerger, Notarstefano, Bullo & Allgoewer 2012, Automatica 48, 2298-2304.
     """
 

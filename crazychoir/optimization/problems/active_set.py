@@ -269,8 +269,8 @@ def minimise(
     q: (n,)
     u: (m,) multipliers, in place; the method starts from the rows with u > 0
     x: (n,) receives the solution
-    Returns the number of steps, or INFEASIBLE, CAPPED, or NOT_FINITE if q is not finite. If the
-    status is INFEASIBLE, u holds the multipliers of the rows that exclude each other:
+    Returns the number of steps, or a value of ACTIVE_SET_STATUS: infeasible, step_limit, or not_finite if q is not
+    finite. If it is infeasible, u holds the multipliers of the rows that exclude each other:
     K A'u = 0, slack'u < 0.
     Source: Goldfarb & Idnani 1983, Mathematical Programming 27, "A numerically stable dual method
     for solving strictly convex quadratic programs". Here a Cholesky factor of the active part of D

@@ -49,7 +49,7 @@ class ConicProgram:
     Canonical form: z = (x, further variables),  min 1/2 z'Pz + q'z  s.t.  b - A z in a product of
     cones. Only q changes with p, so that cvxpy is used once. The penalty rho is fixed when the
     program is built. Parameters are fixed until `refresh`.
-    Accuracy: GAP where Clarabel reaches it, at least STANDARD.
+    Accuracy: CONIC_LIMITS.first_gap where Clarabel reaches it, at least CONIC_LIMITS.accepted_gap.
 
     x: cvxpy variable
     objective: f
@@ -100,7 +100,7 @@ class ConicProgram:
     def solve(self, p: Vec) -> Vec | str:
         """Return the solution x (n,), or the reason why there is none.
 
-        The reason is a text of WORDS, or Clarabel's own status.
+        The reason is a text of CLARABEL_STATUS_TEXTS, or Clarabel's own status.
         """
         if not np.isfinite(p).all():
             return "not finite"
@@ -129,7 +129,7 @@ class ConicProgram:
 
 
 def _is_accurate(solution: Any) -> bool:
-    """Return True if the solution is accurate to STANDARD, whatever its status says.
+    """Return True if the solution is accurate to CONIC_LIMITS.accepted_gap, whatever its status says.
 
     Clarabel also reports failure when rounding stops it at a point that is accurate already.
     """

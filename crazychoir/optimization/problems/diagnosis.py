@@ -226,7 +226,7 @@ def _name_violated_rows(constraints: Sequence[cp.Constraint]) -> str:
 def explain_unbounded(
     x: cp.Variable, objective: cp.Expression, constraints: Sequence[cp.Constraint]
 ) -> str:
-    """Name the entry of x that goes farthest when all entries are held within FAR."""
+    """Name the entry of x that goes farthest when all entries are held within DIAGNOSIS_LIMITS.largest_entry."""
     if not _solve_problem(
         cp.Problem(
             cp.Minimize(objective),

@@ -224,8 +224,8 @@ class OptimalBasis:
     def expressed(self, entries: Mat) -> Mat:
         """Return B^-1 entries (m, n): the columns `entries` (m, n) as sums of the basic ones.
 
-        A share that no row needs to SAME of its terms is zero. So a row that is the same as a sum of other rows, but
-        for the digits to which the data were rounded, keeps its artificial column.
+        A share that no row needs to SAME_NUMBER_TOLERANCE of its terms is zero. So a row that equals a sum of other
+        rows, but for the digits to which the data were rounded, keeps its artificial column.
         """
         value = self.inverse @ entries
         terms = np.abs(self.inverse) @ np.abs(entries)
@@ -268,7 +268,7 @@ def find_optimal_basis(
     What is zero is judged by the terms that were added up (pivot, expressed), never by other rows or columns:
     with rows and columns in other units the answer is the same basis.
     b: (m,), >= 0; `start` is lexicographically feasible, as the identity is, and as every answer is.
-    Raises SolverError beyond PIVOTS pivots, for a basis that comes back, and for a singular basis.
+    Raises SolverError beyond MOST_PIVOTS pivots, for a basis that comes back, and for a singular basis.
     Source: Dantzig, Orden & Wolfe 1955; Buerger, Notarstefano, Bullo & Allgoewer 2012, Automatica 48, 2298-2304.
     """
     basis = start if isinstance(start, OptimalBasis) else OptimalBasis.of(start, b)

@@ -103,7 +103,7 @@ class LinearProgram:
     def solve(self, p: Vec) -> Vec | str:
         """Return a solution x (n,), which is a corner, or the reason why there is none.
 
-        The reason is a text of WORDS, or the name of the status in HiGHS.
+        The reason is a text of HIGHS_STATUS_TEXTS, or the name of the status in HiGHS.
         """
         return self._minimise(self._c + p)
 

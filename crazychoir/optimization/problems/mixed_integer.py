@@ -211,7 +211,9 @@ class _ElasticProgram:
     """min c'x over X with A x <= y + v, in the variables (x, v), for many y."""
 
     def __init__(self, block: MixedIntegerBlock) -> None:
-        n, S, (D, d) = block.n, block.S, block.rows
+        n = block.n
+        S = block.S
+        D, d = block.rows
         self._n = n
         self._S = S
         self._index = np.arange(n + S, dtype=np.int32)

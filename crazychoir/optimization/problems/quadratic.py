@@ -166,7 +166,7 @@ class AffineHull:
 
         x: (n,), a point that meets the rows of the basis
 
-        The reason is "infeasible", or DOUBTFUL if the rows are not quite dependent and a point very
+        The reason is "infeasible", or DOUBTFUL_STATUS if the rows are not quite dependent and a point very
         far away meets all of them.
         """
         if not len(self.others) or not self.gaps(x, e).any():
@@ -255,7 +255,7 @@ class QuadraticProgram:
     def solve(self, p: Vec) -> Vec | str:
         """Return the solution x (n,), or the reason why there is none.
 
-        The reason is a text of WORDS or UNDECIDED.
+        The reason is a text of QUADRATIC_STATUS_TEXTS or UNDECIDED_STATUSES.
         """
         q = self.q + p
         if self.verdict:
@@ -286,7 +286,7 @@ class QuadraticProgram:
     def _polished(self, x: Vec) -> Vec | str:
         """Return the point nearest to x (n,) that meets the equalities and the active rows.
 
-        Returns INACCURATE if that point misses another row. Where rows are nearly dependent, the
+        Returns INACCURATE_STATUS if that point misses another row. Where rows are nearly dependent, the
         active-set method loses twice as many digits as this refinement.
         """
         rows = np.flatnonzero(self.u)
@@ -312,7 +312,7 @@ class QuadraticProgram:
         """Return True if it is certain that no x meets all of these rows.
 
         The singular vector of the smallest singular value is the proof, if that value is zero
-        within PARALLEL and not just small.
+        within QUADRATIC_TOLERANCES.dependent_rows and not just small.
         """
         lengths = np.linalg.norm(self._free[rows], axis=1)
         left, sizes, _ = np.linalg.svd(self._free[rows] / lengths[:, None])

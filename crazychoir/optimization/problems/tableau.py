@@ -59,7 +59,7 @@ def _pivot_once(tableau: Mat, row: int, column: int, cancelled: float) -> None:
 def _find_feasibility_column(
     tableau: Mat, order: Ints, basic: Ints, artificial: int, is_open: Mask
 ) -> int:
-    """Return a column that lowers the first artificial variable that it changes, or OPTIMAL.
+    """Return a column that lowers the first artificial variable that it changes, or NO_ENTERING_COLUMN.
 
     Closes the columns that raise an artificial variable.
 
@@ -98,7 +98,7 @@ def _find_feasibility_column(
 
 @kernel()
 def _find_entering_column(tableau: Mat, basic: Ints, artificial: int, n: int) -> int:
-    """Return a column with lexicographically negative reduced costs, or OPTIMAL."""
+    """Return a column with lexicographically negative reduced costs, or NO_ENTERING_COLUMN."""
     m = len(basic)
     order = np.argsort(basic)
     is_open = np.ones(n, np.bool_)
@@ -165,7 +165,7 @@ def pivot_to_optimum(
     basic: (m,) the column that is basic in each row, changed in place
     artificial: columns before this one are artificial, in the order of their rows
     most: largest number of pivots
-    Returns the number of pivots, and OPTIMAL, MORE, or the column that may grow for ever.
+    Returns the number of pivots, and NO_ENTERING_COLUMN, PIVOTS_USED_UP, or the column that may grow for ever.
     """
     m = len(basic)
     n = tableau.shape[1] - m - 1

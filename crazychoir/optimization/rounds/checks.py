@@ -141,11 +141,11 @@ def _require_fitting(i: int, agent: Any, graph: Graph | GraphSequence) -> None:
             found = sorted(j for j in rows[k % len(rows)] if j != i)
             wanted = sorted(others(each, i))
             if found != wanted:
-                who = "hears" if name == "weights" else "is heard by"
+                relation = "hears" if name == "weights" else "is heard by"
                 raise ConfigError(
                     f"agent {i}: {name}, round {k}",
                     f"of {found}",
-                    f"of those it {who}, {wanted}",
+                    f"of the agents it {relation}, {wanted}",
                 )
 
 
@@ -194,5 +194,5 @@ def _require_same(i: int, agent: Any, first: int, other: Any) -> None:
 
 
 def _sample_values(x: Any) -> dict[str, Any]:
-    """Return a number, or the values of a function of the round in ROUNDS, by their place."""
+    """Return a number, or the values of a function of the round in COMPARED_ROUNDS, by their place."""
     return {f", round {k}": x(k) for k in COMPARED_ROUNDS} if callable(x) else {"": x}

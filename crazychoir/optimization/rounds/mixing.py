@@ -120,7 +120,7 @@ def require_heard(i: int, row: Row, heard: Mapping[int, Any]) -> None:
         raise ConfigError(
             f"agent {i}: weights",
             f"of {wanted}",
-            f"of those it hears, {sorted(heard)}",
+            f"of the agents it hears, {sorted(heard)}",
             do,
         )
 

@@ -244,17 +244,15 @@ class Until(MessageRider[A]):
             raise ConfigError(
                 "Until: neighbors",
                 "None",
-                "whom this agent hears, for an asynchronous algorithm",
+                "the agents that this agent hears, for an asynchronous algorithm",
             )
         self.criterion = criterion
         self.neighbors = neighbors or ()
         self.diameter = diameter
         self._flags = Flags(diameter, False, latched=self.asynchronous)
-        self._steps, self._latest, self._silent = (
-            0,
-            dict[int, int](),
-            set(self.neighbors),
-        )
+        self._steps = 0
+        self._latest = dict[int, int]()
+        self._silent = set(self.neighbors)
 
     @property
     def done(self) -> bool:

@@ -55,10 +55,8 @@ LINE_SMOOTHING = LineSmoothing()
 
 
 LEAST_LENGTH_SHARE = 0.5  # of the length of a stroke, at least: the rest may be tremor
-SLOWEST_PACE, FASTEST_PACE = (
-    3.0,
-    1.0 / 3.0,
-)  # of the mean s/m: how much of a hand's hesitation is flown
+SLOWEST_PACE = 3.0  # relative to the mean s/m: hesitation of a hand that is flown
+FASTEST_PACE = 1.0 / 3.0  # relative to the mean s/m: haste of a hand that is flown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +103,7 @@ class Pen:
     def allowed_deviation(self) -> float:
         """Return the largest distance between the flown and the drawn lines, m.
 
-            spacing / 2 + STRAYING smoothing
+            spacing / 2 + LINE_SMOOTHING.largest_shift smoothing
 
         Corners between two knots are rounded, and the tremor is smoothed out.
         """
@@ -143,7 +141,7 @@ def plan_drawing(
     timed, interpolated by a spline of degree 7 and slowed down as the limits need. Strokes are joined by straight
     flights, at the same height or lifted; one of a single place is a dot, flown to.
     strokes: (k, 2) rows x, y m, or (k, 3) rows t s, x, y m, world;  limits: v_max and a_max finite;  longest: s, of
-    the flight; one that takes longer is refused as soon as that is known.
+    the flight; a longer flight is refused as soon as that is known.
     Errors: ConfigError; also for a stroke that would be flown farther from its lines than the pen allows.
     """
     limits.check_timed("drawing")
@@ -256,7 +254,7 @@ def _space_evenly(xy: Mat, t: Vec, pen: Pen) -> tuple[Mat, Vec]:
 def smooth_line(xy: Mat, u: Vec, sigma: float, at: Vec) -> Mat:
     """Return the cubic smoothing spline through places, evaluated.
 
-        sum (w d / s)^2 <= k,  d <= STRAYING sigma
+        sum (w d / s)^2 <= k,  d <= LINE_SMOOTHING.largest_shift sigma
 
     s is sigma, halved until the curve stays close to the places and to the lines between them. With sigma alone, the
     bends of a long line would be cut by what its straight sides leave of the sum, and between two places the curve
@@ -299,7 +297,7 @@ def _is_close(curve: Any, xy: Mat, u: Vec, sigma: float) -> bool:
 def _compute_durations(places: Mat, limits: Limits) -> Vec:
     """Return times (n - 1,) s between places (n, 2).
 
-    v^2 <= SHARE a_max / curvature,  |v'| <= SHARE a_max,  v = 0 at both ends
+    v^2 <= BEND_ACCELERATION_SHARE a_max / curvature,  |v'| <= BEND_ACCELERATION_SHARE a_max,  v = 0 at both ends
     """
     d = np.linalg.norm(np.diff(places, axis=0), axis=1)
     v = np.zeros(len(places))
@@ -423,7 +421,7 @@ def _compute_deviation(flown: Mat, drawn: Mat, pen: Pen, number: int) -> float:
 
 
 def _densify(xy: Mat) -> Mat:
-    """Return places along the straight lines between places (k, 2), at most DENSE m apart."""
+    """Return places along the straight lines between places (k, 2), at most DEVIATION_STEP m apart."""
     u = np.cumsum([0.0, *np.linalg.norm(np.diff(xy, axis=0), axis=1)])
     at = np.union1d(u, np.linspace(0.0, u[-1], math.ceil(u[-1] / DEVIATION_STEP) + 1))
     return np.column_stack([np.interp(at, u, xy[:, 0]), np.interp(at, u, xy[:, 1])])

@@ -148,7 +148,7 @@ def fill_line(t: Vec, xy: Mat, distance: float) -> tuple[Vec, Mat]:
 
 
 def _find_corners(xy: Mat, reach: float) -> list[int]:
-    """Return the indices where the line turns by SHARP or more; of neighbours the sharpest.
+    """Return the indices where the line turns by SHARP_TURN or more; of neighbours the sharpest.
 
     The turn is measured between the places `reach` m behind and ahead.
     """

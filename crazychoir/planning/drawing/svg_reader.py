@@ -456,7 +456,7 @@ class SvgReader:
                 self._leave_out(element, f"it is outside of {clip.owner}")
                 return False
             raise self._refusal(
-                element, f"of which {clip.owner} cuts off a part", SVG_ADVICE.release
+                element, f"{clip.owner} cuts off a part of it", SVG_ADVICE.release
             )
         return True
 

@@ -16,7 +16,7 @@ from cflib.crtp import radiodriver
 
 from crazychoir.errors import LinkFailed, error_text
 
-PLUG_ADVICE = "Plug a Crazyradio in, let your user open it (Bitcraze's udev rules), and end what else uses it."
+PLUG_ADVICE = "Plug a Crazyradio in, let your user open it (Bitcraze's udev rules), and end other programs that use it."
 """Advice for a missing dongle."""
 
 
@@ -158,11 +158,9 @@ class DongleShare:
         self.version = dongle.version
         self._dongle = dongle
         self._closed = closed
-        self._channel, self._address, self._rate = (
-            2,
-            bytes(5),
-            radiodriver.Crazyradio.DR_2MPS,
-        )
+        self._channel = 2
+        self._address = bytes(5)
+        self._rate = radiodriver.Crazyradio.DR_2MPS
         self._open = True
         self._heard = False
         self._vain = 0

@@ -123,7 +123,7 @@ class PatientRadioDriver(RadioDriver):  # type: ignore[misc]
         return True
 
     def room(self) -> bool:
-        """Return whether there is room, now or within ROOM s."""
+        """Return whether there is room, now or within `DRIVER_TIMING.room_timeout`."""
         waiting: Outbox = self.out_queue
         with waiting.not_full:
             return waiting.not_full.wait_for(

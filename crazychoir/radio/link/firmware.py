@@ -14,7 +14,8 @@ from functools import partial
 from cflib.crazyflie.mem import MemoryElement
 
 from crazychoir.errors import LinkFailed
-from crazychoir.radio.link.connection import LINK_TIMING, Connection
+from crazychoir.radio.link.connection import Connection
+from crazychoir.radio.link.pending_requests import REQUEST_RETRY_PERIOD
 from crazychoir.radio.protocol.crtp import PACKET_FORMS, CrtpPort, Packet
 from crazychoir.radio.protocol.handlers import ALL_GROUPS
 
@@ -53,7 +54,7 @@ class UploadMemory:
 UPLOAD_MEMORY = UploadMemory()
 
 
-class Firmware:
+class ConnectedFirmware:
     """The firmware at the other end of a connection.
 
     Its methods raise LinkFailed if the firmware does not answer, or does not do what they ask.
@@ -119,7 +120,7 @@ class Firmware:
         )
         if answer.data != asked.data:
             raise LinkFailed(
-                uri, f"parameter {name} = {value!r}: its firmware does not take it"
+                uri, f"parameter {name} = {value!r}: its firmware does not accept it"
             )
         return value
 
@@ -176,7 +177,7 @@ class Firmware:
             if answer.data[5:6] != b"\0":
                 raise LinkFailed(
                     self.connection.uri,
-                    f"trajectory {slot}: its memory does not take byte {start}",
+                    f"trajectory {slot}: its memory does not accept byte {start}",
                 )
         await self.plan(
             PACKET_FORMS["define_trajectory"].packet(slot, 1, 0, offset, pieces)
@@ -221,9 +222,7 @@ class Firmware:
             self.connection.uri, "its firmware has no memory for trajectories"
         )
 
-    async def plan(
-        self, packet: Packet, again: float = LINK_TIMING.retry_period
-    ) -> None:
+    async def plan(self, packet: Packet, again: float = REQUEST_RETRY_PERIOD) -> None:
         """Send a packet to the planner on board.
 
         again: s after which it is sent again; infinite for a packet that must not be sent twice
@@ -244,7 +243,7 @@ class Firmware:
         packet: Packet,
         answers: Callable[[Packet], bool],
         what: str,
-        again: float = LINK_TIMING.retry_period,
+        again: float = REQUEST_RETRY_PERIOD,
     ) -> Packet:
         try:
             return await self.connection.ask(packet, answers, REQUEST_DEADLINE, again)

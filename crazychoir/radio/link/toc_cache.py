@@ -106,7 +106,7 @@ class TableOfContents:
             self._warned = True
             do = "Set XDG_CACHE_HOME to a folder that can be written and has room."
             log.warning(
-                "%s%s: %s: they are not kept, connecting takes longer. %s",
+                "%s%s: %s: they are not stored, so connecting takes longer. %s",
                 CACHE_WARNING,
                 TABLE_CACHE_NAME,
                 fault,
@@ -142,7 +142,7 @@ class TableOfContents:
             RecursionError,
         ) as error:
             self._damaged.append(crc)  # so that waiting links do not read it again
-            log.warning("%s: %s: asked of the drone again", file, error)
+            log.warning("%s: %s: requested from the drone again", file, error)
             return None
 
     def _write(self, folder: Path, crc: int, contents: Contents) -> None:
@@ -193,7 +193,7 @@ def decode_table(text: str) -> Contents:
     kind = ENTRY_CLASSES[raw["kind"]]
     found = Contents()
     if raw["check"] != _table_digest(raw["kind"], raw["elements"]):
-        raise ValueError("it is damaged: its digest is another")
+        raise ValueError("it is damaged: its digest does not match")
     for values in raw["elements"]:
         element = kind()
         for name, value in zip(ENTRY_FIELDS, values, strict=True):

@@ -25,7 +25,9 @@ class SendPacer:
     def __init__(self, clock: Clock, capacity: float) -> None:
         self._clock = clock
         self._period_ns = round(NS_PER_SECOND / capacity)
-        self._free_ns, self._lock, self._never = 0, threading.Lock(), threading.Event()
+        self._free_ns = 0
+        self._lock = threading.Lock()
+        self._never = threading.Event()
 
     def turn(self) -> None:
         """Wait for a turn; callable from any thread."""
@@ -60,12 +62,10 @@ class PacketWriter:
         turn: Callable[[], None] = lambda: None,
         room: Callable[[], bool] = lambda: True,
     ) -> None:
-        self._send, self._turn, self._room, self._work = (
-            send,
-            turn,
-            room,
-            threading.Condition(),
-        )
+        self._send = send
+        self._turn = turn
+        self._room = room
+        self._work = threading.Condition()
         self._urgent: deque[Packet] = deque()
         self._ordered: deque[Packet] = deque()
         self._newest: dict[str, Packet] = {}

@@ -30,9 +30,6 @@ class CrtpFormat:
 CRTP_FORMAT = CrtpFormat()
 
 
-# Ports.
-
-
 class CrtpPort(IntEnum):
     """Ports of CRTP."""
 
@@ -68,7 +65,7 @@ class Packet(NamedTuple):
     channel: int
     """0 to 3."""
     data: bytes = b""
-    """Content: at most MOST bytes."""
+    """Content: at most `CRTP_FORMAT.payload_size` bytes."""
 
     def framed(self) -> bytes:
         """Return the packet as a datagram."""

@@ -61,7 +61,7 @@ def thrust_command_per_newton(
         if old is None
         else f"{since} or newer, or a release until {until}"
     )
-    allowed = f"{releases}, by which the thrust of {platform.name} is known"
+    allowed = f"{releases}, for which the thrust of {platform.name} is known"
     do = "Write newer firmware, or send vel or xyz, or set thrust_map in [radio], the command a newton as you measure "
     do += (
         f"it, of all drones of the file; of this one it is {linear:.0f} since {since}."

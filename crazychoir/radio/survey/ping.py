@@ -35,7 +35,7 @@ PING_TIMING = PingTiming()
 
 
 NO_ANSWER_TEXT = (
-    "nobody answers. Is it on, in reach, and not connected to somebody else?"
+    "no answer. Is the drone on, in reach, and not connected to another program?"
 )
 """Text of the error for a drone that does not answer."""
 

@@ -4,7 +4,9 @@ A packet is received or not by the signal, the noise and the interference at the
 attempt:
 
     SINR = S / (N + sum of the active sources)
-    P(bit wrong) = exp(-SINR / 2) / 2,   P(through) = (1 - P(bit wrong))^BITS
+    P(bit wrong) = exp(-SINR / 2) / 2,   P(through) = (1 - P(bit wrong))^n
+
+n: bits of a packet and its answer (`RECEIVER_MODEL.packet_bits`).
 
 This is the error rate of frequency-shift keying without a phase reference.
 """
@@ -80,9 +82,10 @@ class FadingModel:
 FADING_MODEL = FadingModel()
 
 
-HERMITE_NODES, HERMITE_WEIGHTS = np.polynomial.hermite_e.hermegauss(9)
-HERMITE_WEIGHTS = HERMITE_WEIGHTS / HERMITE_WEIGHTS.sum()
-"""NODES and WEIGHTS compute means over a normal distribution."""
+HERMITE_NODES, _RAW_WEIGHTS = np.polynomial.hermite_e.hermegauss(9)
+"""Nodes at which means over a normal distribution are computed."""
+HERMITE_WEIGHTS = _RAW_WEIGHTS / _RAW_WEIGHTS.sum()
+"""Weights of the nodes; their sum is 1."""
 
 
 def reception_probability(sinr: Mat) -> Mat:

@@ -135,7 +135,7 @@ class CrazyradioProbe:
         )
         raise Refused(
             "drone",
-            f"no answer on {places}. {RESTART_ADVICE} Then leave out --channels where nothing passes.",
+            f"no answer on {places}. {RESTART_ADVICE} Then leave out channels of --channels without answers.",
         )
 
     def _tune(self, channel: int) -> None:
@@ -143,7 +143,7 @@ class CrazyradioProbe:
         self._set(self.radio.set_channel, channel)
 
     def _says(self, packet: Sequence[int]) -> bool:
-        """Return whether the drone acknowledges one of TRIES packets."""
+        """Return whether the drone acknowledges one of `PROBE_LIMITS.packets` packets."""
         return any(self._send(packet).ack for _ in range(PROBE_LIMITS.packets))
 
     def _send(self, packet: Sequence[int]) -> Any:

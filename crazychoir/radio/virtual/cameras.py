@@ -88,7 +88,8 @@ def _pack_answer(answer: Any) -> bytes:
 class CameraPort:
     """The port of the cameras.
 
-    A client that has recently sent ASK gets frames, and a client that sends JSON gets an answer.
+    A client that has recently sent `FRAME_PROTOCOL.request` gets frames, and a client that sends
+    JSON gets an answer.
 
     at: host and port
     answer: answers a question
@@ -120,7 +121,9 @@ class CameraPort:
         """Whether any client wants frames."""
         now_ns = self.clock.now_ns()
         self._watchers = {
-            who: until for who, until in self._watchers.items() if until > now_ns
+            watcher: until
+            for watcher, until in self._watchers.items()
+            if until > now_ns
         }
         return bool(self._watchers)
 
@@ -132,8 +135,8 @@ class CameraPort:
         """
         self.frames += 1
         datagram = PoseFrame(self.frames, time, bodies).packed()
-        for who in self._watchers:
-            self._send(datagram, who)
+        for watcher in self._watchers:
+            self._send(datagram, watcher)
 
     def _readable(self) -> None:
         for data, sender in receive_waiting(self._socket):

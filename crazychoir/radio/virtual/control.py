@@ -84,7 +84,7 @@ def _ask_part(
         except ValueError as error:
             raise Refused(
                 who,
-                f"what answers there says no JSON: {error}. Is it `crazychoir virtual`?",
+                f"the answer is not JSON: {error}. Is it `crazychoir virtual`?",
             ) from error
         if "error" in answer:
             raise Refused(who, answer["error"])
@@ -92,7 +92,7 @@ def _ask_part(
         return answer
     raise Refused(
         who,
-        "nobody answers. Start `crazychoir virtual`, or name its first port by --port.",
+        "no answer. Start `crazychoir virtual`, or give its first port with --port.",
     )
 
 

@@ -24,8 +24,10 @@ from crazychoir.simulation.onboard.logs import FIRMWARE_LOG_READERS
 from crazychoir.simulation.onboard.onboard import Onboard
 
 log = logging.getLogger(__name__)
-# Channels of the link's port: echoes, the source of a link, packets to drop.
-LINK_ECHO_CHANNEL, LINK_SOURCE_CHANNEL, LINK_SINK_CHANNEL = range(3)
+LINK_ECHO_CHANNEL = 0
+"""Channel of the link's port for echoes."""
+LINK_SOURCE_CHANNEL = 1
+"""Channel of the link's port that tells the source of a link. Packets of channel 2 are dropped."""
 SOURCE_ANSWER = b"Bitcraze Crazyflie".ljust(30, b"\0")
 """Answer to a request for the source of a link."""
 FLIGHT_PORTS = (

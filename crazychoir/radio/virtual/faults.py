@@ -92,7 +92,7 @@ FAULT_SETTINGS = {
 
 @dataclass
 class Faults:
-    """The faults of one drone; KNOBS explains each."""
+    """The faults of one drone; `FAULT_SETTINGS` explains each."""
 
     loss: float = 0.0
     delay: float = 0.0

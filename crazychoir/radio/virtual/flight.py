@@ -122,7 +122,7 @@ class FlightService:
     def take(self, packet: Packet) -> Iterator[Packet]:
         """Do what a packet asks for; return the answers.
 
-        Raises Assertion where the firmware would restart.
+        Raises FirmwareAssertion where the firmware would restart.
         """
         port, channel, data = packet
         command = data[0] if data else -1

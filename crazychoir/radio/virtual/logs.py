@@ -10,21 +10,40 @@ from crazychoir.radio.protocol.crtp import CrtpPort, Packet
 from crazychoir.radio.virtual.toc import LOG_TYPES, STRUCT_LETTERS, Toc, TocEntry
 from crazychoir.simulation.onboard.logs import truncate_to_range
 
-# Channels.
-LOG_TOC_CHANNEL, LOG_SETTINGS_CHANNEL, LOG_VALUES_CHANNEL = range(3)
-# Commands of SETTINGS.
-(
-    _BLOCK_CREATE_V1,
-    _BLOCK_APPEND_V1,
-    BLOCK_DELETE,
-    BLOCK_START,
-    BLOCK_STOP,
-    BLOCK_RESET,
-    BLOCK_CREATE,
-    BLOCK_APPEND,
-    BLOCK_START_V2,
-) = range(9)
-# Results, with the numbers of errno.
+LOG_TOC_CHANNEL = 0
+"""Channel of the table of log variables."""
+LOG_SETTINGS_CHANNEL = 1
+"""Channel of the commands of `BlockCommand`."""
+LOG_VALUES_CHANNEL = 2
+"""Channel on which the drone sends the values."""
+
+
+class BlockCommand(IntEnum):
+    """Commands for log blocks; 0 and 1 are those of an old version, which is not served."""
+
+    DELETE = 2
+    """Deletes a block."""
+    START = 3
+    """Starts a block, with a period in 10 ms."""
+    STOP = 4
+    """Stops a block."""
+    RESET = 5
+    """Deletes all blocks."""
+    CREATE = 6
+    """Creates a block."""
+    APPEND = 7
+    """Adds variables to a block."""
+    START_V2 = 8
+    """Starts a block, with a period in ms."""
+
+
+CHANGE_COMMANDS = (
+    BlockCommand.DELETE,
+    BlockCommand.START,
+    BlockCommand.STOP,
+    BlockCommand.START_V2,
+)
+"""Commands for a block that is there already, without variables."""
 
 
 class LogResult(IntEnum):
@@ -154,26 +173,26 @@ class LogService:
         )
 
     def _do(self, command: int, number: int, rest: bytes, now: int) -> int:
-        if command == BLOCK_RESET:
+        if command == BlockCommand.RESET:
             self.blocks.clear()
             return LogResult.OK
-        if command == BLOCK_CREATE:
+        if command == BlockCommand.CREATE:
             return self._create(number) or self._append(number, rest)
-        if command == BLOCK_APPEND:
+        if command == BlockCommand.APPEND:
             return self._append(number, rest)
-        if command not in (BLOCK_DELETE, BLOCK_START, BLOCK_STOP, BLOCK_START_V2):
+        if command not in CHANGE_COMMANDS:
             return LogResult.ENOEXEC
         block = self.blocks.get(number)
         if block is None:
             return LogResult.ENOENT
-        if command == BLOCK_DELETE:
+        if command == BlockCommand.DELETE:
             del self.blocks[number]
-        elif command == BLOCK_STOP:
+        elif command == BlockCommand.STOP:
             block.period = 0
         else:
             period = (
                 10 * int.from_bytes(rest[:1], "little")
-                if command == BLOCK_START
+                if command == BlockCommand.START
                 else int.from_bytes(rest[:2], "little")
             )
             block.once = not period

@@ -8,9 +8,12 @@ from typing import Protocol
 from crazychoir.radio.protocol.crtp import CrtpPort, Packet
 from crazychoir.simulation.onboard.onboard import Onboard
 
-# Channels.
-MEMORY_INFO_CHANNEL, MEMORY_READ_CHANNEL, MEMORY_WRITE_CHANNEL = range(3)
-# Commands of INFO.
+MEMORY_INFO_CHANNEL = 0
+"""Channel of the commands of `MemoryInfo`."""
+MEMORY_READ_CHANNEL = 1
+"""Channel that reads memories."""
+MEMORY_WRITE_CHANNEL = 2
+"""Channel that writes memories."""
 
 
 class MemoryInfo(IntEnum):
@@ -20,9 +23,6 @@ class MemoryInfo(IntEnum):
     """Asks for the number of memories."""
     DESCRIPTION = 2
     """Asks for the type and size of one memory."""
-
-
-# Types. There is no 1-wire memory: clients would read it at each connection.
 
 
 class MemoryKind(IntEnum):
@@ -45,8 +45,7 @@ class MemoryKind(IntEnum):
 
 
 DECK_MEMORY_VERSION = 3
-"""Version of the content of DECKS."""
-# Results, with the numbers of errno.
+"""Version of the content of `MemoryKind.DECKS`."""
 
 
 class MemoryResult(IntEnum):

@@ -15,14 +15,12 @@ from crazychoir.radio.virtual.toc import PARAM_TYPES, Toc, TocEntry
 from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.parameters import PARAMETER_PLACES, RESET_ESTIMATION
 
-# Channels.
-(
-    PARAMETER_TOC_CHANNEL,
-    PARAMETER_READ_CHANNEL,
-    PARAMETER_WRITE_CHANNEL,
-    PARAMETER_MISC_CHANNEL,
-) = range(4)
-# Results, with the numbers of errno.
+PARAMETER_READ_CHANNEL = 1
+"""Channel that reads parameters."""
+PARAMETER_WRITE_CHANNEL = 2
+"""Channel that writes parameters."""
+PARAMETER_MISC_CHANNEL = 3
+"""Channel of the commands of `ParameterCommand`."""
 
 
 class ParameterResult(IntEnum):
@@ -38,18 +36,30 @@ class ParameterResult(IntEnum):
     """The type is not that of the parameter."""
 
 
-# Commands of MISC.
-(
-    SET_BY_NAME_COMMAND,
-    VALUE_UPDATED_COMMAND,
-    EXTENDED_TYPE_V1_COMMAND,
-    STORE_COMMAND,
-    STORED_STATE_COMMAND,
-    CLEAR_STORED_COMMAND,
-    DEFAULT_VALUE_V1_COMMAND,
-    EXTENDED_TYPE_COMMAND,
-    DEFAULT_VALUE_COMMAND,
-) = range(9)
+class ParameterCommand(IntEnum):
+    """Commands of the channel for all that is neither reading nor writing.
+
+    The answers of version 1 cannot tell an error from a value.
+    """
+
+    SET_BY_NAME = 0
+    """Sets a parameter by its name."""
+    VALUE_UPDATED = 1
+    """Tells that the drone itself has changed a parameter."""
+    EXTENDED_TYPE_V1 = 2
+    """Asks whether a parameter can be stored."""
+    STORE = 3
+    """Stores a parameter."""
+    STORED_STATE = 4
+    """Asks for the stored value."""
+    CLEAR_STORED = 5
+    """Clears the stored value."""
+    DEFAULT_VALUE_V1 = 6
+    """Asks for the value after a start."""
+    EXTENDED_TYPE = 7
+    """Asks whether a parameter can be stored."""
+    DEFAULT_VALUE = 8
+    """Asks for the value after a start."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +99,7 @@ class ParameterService:
             self.toc.take,
             self._read,
             self._write,
-            self._misc,
+            self._do_command,
         )
         for entry in entries:
             if not entry.read_only and entry.full in self.stored:
@@ -162,7 +172,7 @@ class ParameterService:
             yield Packet(
                 CrtpPort.PARAMETERS,
                 PARAMETER_MISC_CHANNEL,
-                bytes([VALUE_UPDATED_COMMAND]) + index + b"\0",
+                bytes([ParameterCommand.VALUE_UPDATED]) + index + b"\0",
             )
 
     def _take(self, entry: TocEntry, body: bytes) -> None:
@@ -174,49 +184,44 @@ class ParameterService:
         (value,) = layout.unpack(body[: layout.size].ljust(layout.size, b"\0"))
         self.set(entry.full, value)
 
-    def _misc(self, data: bytes) -> Iterator[Packet]:
-        command = data[:1]
+    def _do_command(self, data: bytes) -> Iterator[Packet]:
+        """Return the answers to a packet of the channel for commands; an unknown one has none."""
+        if not data:
+            return
+        command = data[0]
         body = data[1:]
-        match command[0] if command else -1:
-            case 0:
+        match command:
+            case ParameterCommand.SET_BY_NAME:
                 yield from self._by_name(body)
-            case 2 | 7:
-                entry = self._found(body)
-                known = entry is not None and entry.persistent
-                answer = (
-                    bytes([ParameterResult.ENOENT])
-                    if entry is None
-                    else bytes([ParameterResult.OK, STORAGE_ANSWERS.persistent * known])
-                )
-                yield Packet(
-                    CrtpPort.PARAMETERS,
-                    PARAMETER_MISC_CHANNEL,
-                    command
-                    + body[:2]
-                    + (answer if command[0] == EXTENDED_TYPE_COMMAND else answer[-1:]),
-                )
-            case 3 | 5:
-                yield Packet(
-                    CrtpPort.PARAMETERS,
-                    PARAMETER_MISC_CHANNEL,
-                    command
-                    + body[:2]
-                    + bytes([self._keep(body, command[0] == STORE_COMMAND)]),
-                )
-            case 4:
-                yield Packet(
-                    CrtpPort.PARAMETERS,
-                    PARAMETER_MISC_CHANNEL,
-                    command + body[:2] + self._kept(body),
-                )
-            case 6 | 8:
-                yield Packet(
-                    CrtpPort.PARAMETERS,
-                    PARAMETER_MISC_CHANNEL,
-                    command
-                    + body[:2]
-                    + self._boot(body, command[0] == DEFAULT_VALUE_COMMAND),
-                )
+                return
+            case ParameterCommand.EXTENDED_TYPE_V1:
+                answer = self._extended_type(body)[-1:]
+            case ParameterCommand.EXTENDED_TYPE:
+                answer = self._extended_type(body)
+            case ParameterCommand.STORE | ParameterCommand.CLEAR_STORED:
+                is_stored = command == ParameterCommand.STORE
+                answer = bytes([self._keep(body, is_stored)])
+            case ParameterCommand.STORED_STATE:
+                answer = self._kept(body)
+            case ParameterCommand.DEFAULT_VALUE_V1 | ParameterCommand.DEFAULT_VALUE:
+                has_result = command == ParameterCommand.DEFAULT_VALUE
+                answer = self._boot(body, has_result)
+            case _:
+                return
+        yield Packet(
+            CrtpPort.PARAMETERS,
+            PARAMETER_MISC_CHANNEL,
+            data[:3] + answer,
+        )
+
+    def _extended_type(self, body: bytes) -> bytes:
+        """Return the result, and whether the parameter can be stored."""
+        entry = self._found(body)
+        if entry is None:
+            return bytes([ParameterResult.ENOENT])
+        return bytes(
+            [ParameterResult.OK, STORAGE_ANSWERS.persistent * entry.persistent]
+        )
 
     def _by_name(self, body: bytes) -> Iterator[Packet]:
         """Set a parameter by name; the packet has names, type and value.
@@ -230,7 +235,9 @@ class ParameterService:
             yield Packet(
                 CrtpPort.PARAMETERS,
                 PARAMETER_MISC_CHANNEL,
-                bytes([SET_BY_NAME_COMMAND]) + names + bytes([self._named(parts)]),
+                bytes([ParameterCommand.SET_BY_NAME])
+                + names
+                + bytes([self._named(parts)]),
             )
             yield from self._done()
 

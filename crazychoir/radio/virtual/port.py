@@ -60,7 +60,7 @@ def open_socket(at: Address) -> socket.socket:
 def receive_waiting(at: socket.socket | None) -> Iterator[tuple[bytes, Address]]:
     """Return the datagrams that wait at a socket, with their senders.
 
-    There are at most AT_ONCE, and none once the socket is closed.
+    There are at most `SOCKET_LIMITS.datagrams_per_pass`, and none once the socket is closed.
     """
     for _ in range(SOCKET_LIMITS.datagrams_per_pass):
         if at is None or at.fileno() < 0:

@@ -40,7 +40,11 @@ BATTERY_RULES = BatteryRules()
 
 
 class PowerManagement:
-    """Decides whether the battery is low: for PATIENCE below `low` V, or below `critical` V."""
+    """Decides whether the battery is low, or so low that the drone shuts down.
+
+    It is low after `BATTERY_RULES.low_time` below `low` V. The drone shuts down after this time
+    below `critical` V.
+    """
 
     def __init__(self) -> None:
         self._fine = self._alive = 0

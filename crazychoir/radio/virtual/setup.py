@@ -204,7 +204,7 @@ def _make_seats(
 
 
 def _default_decks(drone: DroneTable) -> tuple[str, ...]:
-    """Return the decks of a drone: DECKS if it locates itself, otherwise none."""
+    """Return the decks of a drone: those of the model if it locates itself, otherwise none."""
     return MODELLED_DRONE.decks if drone.pose == "onboard" else ()
 
 

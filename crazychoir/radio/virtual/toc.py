@@ -127,7 +127,7 @@ class Toc:
     port: port of the table
     entries: entries in the order of their indices
     kinds: number of each type on this port
-    info: end of the answer to INFO
+    info: end of the answer to `TocCommand.INFO`
     """
 
     def __init__(
@@ -158,14 +158,14 @@ class Toc:
     def take(self, data: bytes) -> Iterator[Packet]:
         """Return the answer to a packet of channel 0."""
         match list(data):
-            case [3]:
+            case [TocCommand.INFO]:
                 body = (
                     bytes([TocCommand.INFO])
                     + struct.pack("<HI", len(self.entries), self.crc)
                     + self._info
                 )
                 yield Packet(self.port, 0, body)
-            case [2, low, high]:
+            case [TocCommand.ITEM, low, high]:
                 yield Packet(self.port, 0, self._item(low | high << 8))
 
     def _item(self, k: int) -> bytes:

@@ -175,7 +175,7 @@ def interpolate_track(t: Vec, x: Mat, at: Vec) -> Mat:
 
         x(s) = x_a + (s - t_a) / (t_b - t_a) (x_b - x_a),  t_a <= s <= t_b neighbours
 
-    The result is NaN where t_b - t_a > JOINED, and outside of t.
+    The result is NaN where t_b - t_a > LARGEST_JOINED_GAP, and outside of t.
     """
     if len(t) < 2:
         return np.full((len(at), x.shape[1] if len(t) else 3), np.nan)

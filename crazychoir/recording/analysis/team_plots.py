@@ -81,7 +81,7 @@ def team_pictures(
         )
     else:
         missing["tasks"] = (
-            "nobody has left the ground" if work.spans else "no status of any drone"
+            "no drone has left the ground" if work.spans else "no status of any drone"
         )
     if len(talk.t):
         pictures["messages"] = (2.0, partial(_draw_messages, talk=talk))

@@ -102,7 +102,7 @@ string process
 string host
 string note
 bool stopped  # an emergency stop of the swarm is in force
-bool grave  # somebody should act upon the note
+bool grave  # the operator should act upon the note
 string[] hosts  # others
 float64[] offsets  # s, how far their clocks are ahead
 float64[] offset_errors  # s""",

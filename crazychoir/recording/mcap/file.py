@@ -32,7 +32,7 @@ class RecordingFormat:
     """Name of the record that says what was flown."""
     outcome_record: str = "crazychoir outcome"
     """Name of the record with the outcome of the flight."""
-    unknown_ending: str = "nobody has said why"
+    unknown_ending: str = "no reason was recorded"
     """Outcome of a recording that was ended without a reason."""
     swarm_attachment: str = "swarm.json"
     """Name of the attachment with the swarm."""

@@ -21,18 +21,7 @@ from crazychoir.recording.mcap.cdr import Layout, Leaf, leaves, schema
 from crazychoir.recording.mcap.definitions import MESSAGE_DEFINITIONS
 from crazychoir.recording.mcap.odometry import odometry_numbers, state_of
 from crazychoir.runtime.clock import NS_PER_SECOND
-from crazychoir.team.rounds import (
-    AHEAD,
-    CREDIT,
-    DATA,
-    FIN,
-    FIN_TOO,
-    GONE,
-    KIND_BITS,
-    KIND_MASK,
-    REPEAT,
-    WANT,
-)
+from crazychoir.team.message_kind import KIND_BITS, KIND_MASK, MessageKind
 from crazychoir.types import (
     FPQR,
     FRPY,
@@ -55,16 +44,7 @@ from crazychoir.types import (
 
 WAY_COLUMNS = 25
 """Numbers in a row of a plan's way."""
-KIND_NAMES = {
-    DATA: "data",
-    REPEAT: "repeat",
-    AHEAD: "ahead",
-    WANT: "want",
-    CREDIT: "credit",
-    FIN: "fin",
-    FIN_TOO: "fin too",
-    GONE: "gone",
-}
+KIND_NAMES = {kind.value: kind.name.lower().replace("_", " ") for kind in MessageKind}
 """Names of the kinds of round messages."""
 
 

@@ -58,7 +58,7 @@ class RosMessage:
     topic: str
     """Its topic."""
     name: str
-    """Its type as in DEFINITIONS."""
+    """Its type as in MESSAGE_DEFINITIONS."""
     data: bytes
     """Its bytes."""
 

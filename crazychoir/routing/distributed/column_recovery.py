@@ -64,9 +64,9 @@ class ColumnRecovery:
     def _generate(self, pi: Vec) -> Exchange[None]:
         member = self._member
         bound = self._bound
-        for _ in range(member.settings.passes):
+        for _ in range(member.settings.columns.passes):
             new = yield from improve_bound(
-                bound, member, self._pool, pi, member.settings.batch
+                bound, member, self._pool, pi, member.settings.columns.batch
             )
             relaxed = self._pool.relax(member.unserved)
             known = yield from flood_values(

@@ -84,7 +84,9 @@ class DistributedColumns:
             return (yield from self._bounded())
         proof = PlanProof(self._member, gossip.pool, gossip.bound, self._offer())
         settings = self._member.settings
-        yield from proof.search(np.inf if settings.prove else settings.most_proven)
+        yield from proof.search(
+            np.inf if settings.proof.prove else settings.proof.most_proven
+        )
         self._take_over(proof)
         if not proof.closed:
             yield from self._improve(proof.proven)
@@ -97,7 +99,7 @@ class DistributedColumns:
         """
         member = self._member
         if (
-            not member.settings.prove
+            not member.settings.proof.prove
             or OBJECTIVE_NAMES.makespan in member.local.objective
             or (member.local.tasks.priority > 0).any()
         ):
@@ -134,7 +136,7 @@ class DistributedColumns:
         servable = yield from flood_values(
             self._i, len(member.local.servable), self._diameter
         )
-        if max(servable.values()) > member.settings.most_listed:
+        if max(servable.values()) > member.settings.columns.most_listed:
             return None
         complete = yield from flood_values(
             self._i, not member.speaks or member.table.complete, self._diameter
@@ -154,7 +156,7 @@ class DistributedColumns:
         self._member.kind = "plans"
         settings = self._member.settings
         mine = None
-        if self._i < settings.starters:
+        if self._i < settings.search.starters:
             everybody = Cluster(
                 tuple(sorted(self._robots)), tuple(range(self._m)), (self._i,)
             )
@@ -163,13 +165,13 @@ class DistributedColumns:
                 {},
                 everybody,
                 self._left_out,
-                settings.first_steps,
+                settings.search.first_steps,
                 self._i,
             )
             mine = [self._worth(routes), self._i, _flatten_routes(routes)]
         best = yield from find_best_offer(mine, self._diameter)
         if best is None:
-            raise SolverError(f"robot {self._i}: first plan", "nobody offered one")
+            raise SolverError(f"robot {self._i}: first plan", "no robot offered one")
         self.routes = _unflatten_routes(best[2])
         self._member.report(cost=self._shown_cost())
 
@@ -181,20 +183,24 @@ class DistributedColumns:
         settings = self._member.settings
         self._member.report(phase="clusters")
         self._member.kind = "plans"
-        fitting = settings.cluster_rounds // max(1, self._diameter)
-        passes = max(settings.least_passes, min(settings.most_passes, fitting))
+        fitting = settings.search.cluster_rounds // max(1, self._diameter)
+        passes = max(
+            settings.search.least_passes, min(settings.search.most_passes, fitting)
+        )
         near = Neighbors(self._robots)
         still = 0
         for k in range(passes):
             missing = self._worth(self.routes)[0]
             cost = self._weighed()
             met = not missing and cost - bound <= self._member.tolerance(cost)
-            if met or still == settings.still_passes:
+            if met or still == settings.search.still_passes:
                 return
-            clusters = near.draw(self.routes, settings.cluster, settings.leaders, [k])
+            clusters = near.draw(
+                self.routes, settings.search.cluster, settings.search.leaders, [k]
+            )
             offers = yield from flood_values(
                 self._i,
-                self._lead(clusters, settings.steps // passes, k),
+                self._lead(clusters, settings.search.steps // passes, k),
                 self._diameter,
             )
             still = 0 if self._accept(clusters, offers) else still + 1

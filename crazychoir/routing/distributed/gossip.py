@@ -83,11 +83,11 @@ class Gossip:
         """
         settings = self._member.settings
         best = self._priced()
-        for _ in range(settings.passes):
+        for _ in range(settings.columns.passes):
             best = yield from self._spread(best)
             value, pi, used, reward = yield from self._agree(best)
             news = yield from improve_bound(
-                self.bound, self._member, self.pool, pi, settings.batch, reward
+                self.bound, self._member, self.pool, pi, settings.columns.batch, reward
             )
             if not news or value - self.bound.value <= self._member.tolerance(value):
                 break
@@ -99,7 +99,7 @@ class Gossip:
     def _spread(self, best: Relaxation) -> Exchange[Relaxation]:
         """Run rounds until no robot learns a column."""
         self._latest = 0
-        for k in range(1, self._member.settings.gossip_rounds + 1):
+        for k in range(1, self._member.settings.columns.gossip_rounds + 1):
             self._member.kind = "bases"
             heard = yield [self._latest, self._news()]
             learned = self._learn([news for _, news in heard.values()])
@@ -130,7 +130,7 @@ class Gossip:
     def _priced(self) -> Relaxation:
         """Price until no own column has a negative reduced cost, and return the relaxation."""
         member = self._member
-        batch = self._member.settings.batch
+        batch = self._member.settings.columns.batch
         while True:
             best = self.master.relax()
             below = self.master.sigma(self._i) - REDUCED_COST_ROUNDING

@@ -22,7 +22,10 @@ from crazychoir.types import Vec
 
 BIDDING_METHODS = ("cbba", "auction")
 """Names of the methods of this module."""
-INSERTION_BIDS_DISCLOSURES = ("what tasks would cost robots", "who serves which task")
+INSERTION_BIDS_DISCLOSURES = (
+    "what tasks would cost robots",
+    "which robot serves which task",
+)
 """Data that the robots disclose to each other."""
 NO_EXCLUDED_PLACE = -9
 """Place that excludes no pair of positions."""
@@ -92,7 +95,7 @@ class InsertionBids:
 
 
 def plan_by_insertion(member: RoutingMember, method: str) -> Exchange[TaskPartition]:
-    """Return this robot's route by a method of METHODS, without a bound.
+    """Return this robot's route by a method of BIDDING_METHODS, without a bound.
 
     Raises SolverError, at all robots alike, if a task that must be served remains without a robot.
     """
@@ -114,7 +117,7 @@ def plan_by_insertion(member: RoutingMember, method: str) -> Exchange[TaskPartit
         names = ", ".join(map(str, missing))
         raise SolverError(
             f"robot {place.robot}: {method}",
-            f"incomplete: nobody's route has room for task(s) {names}; use the method columns",
+            f"incomplete: no route has room for task(s) {names}; use the method columns",
         )
     mine = tuple(sorted(bundle.tasks))
     return TaskPartition({place.robot: mine}, None, {place.robot: bundle.path})

@@ -51,10 +51,11 @@ BOUND_PASSES = BoundPasses()
 class LargeBound:
     """Find prices for the Lagrangian bound of bound.py in passes; only the pricing is expensive.
 
-        pi_k = DRAWN * (prices of the best bound) + (1 - DRAWN) * (prices of the known columns)
+        pi_k = w * (prices of the best bound) + (1 - w) * (prices of the known columns)
         value_k = sum_j pi_kj + sum_i K_i least_i(pi_k),     pi_kj <= cost of leaving task j out
 
-    Once the gap is small, or no columns are new, pi_k are the prices of the known columns alone.
+    w is BOUND_PASSES.best_price_share. Once the gap is small, or no columns are new, pi_k are the
+    prices of the known columns alone.
 
     In each pass each robot floods least_i and columns of negative reduced cost. They are exact,
     by bidirectional_pricing.py, if the robot has few enough half-routes. Otherwise least_i is
@@ -102,7 +103,7 @@ class LargeBound:
         centre = self._start()
         pi = self._start()
         drawn = True
-        for _ in range(settings.passes * 2):
+        for _ in range(settings.columns.passes * 2):
             known = yield from flood_values(
                 self._i, self._priced(pi), member.place.diameter
             )
@@ -154,7 +155,7 @@ class LargeBound:
         ):
             return None
         halves = HalfRoutes(
-            vehicle, BOUND_PASSES.label_factor * member.settings.most_labels
+            vehicle, BOUND_PASSES.label_factor * member.settings.columns.most_labels
         )
         return halves if halves.complete else None
 
@@ -178,8 +179,8 @@ class LargeBound:
         if not member.speaks:
             return None
         vehicle = member.local.vehicle
-        batch = member.settings.batch
-        most = member.settings.most_labels // 3
+        batch = member.settings.columns.batch
+        most = member.settings.columns.most_labels // 3
         if self._halves is not None:
             columns = self._halves.cheapest(pi, batch, 0.0)
             values = [c.length - math.fsum(pi[list(c.tasks)]) for c in columns[:1]]
@@ -193,7 +194,7 @@ class LargeBound:
     def _agree(self, master: Master) -> Exchange[tuple[float, Vec]]:
         """Return the value and the prices of the known columns."""
         own: list[Any] | None = None
-        if self._i < self._member.settings.searchers:
+        if self._i < self._member.settings.proof.searchers:
             relaxed = master.relax()
             own = [relaxed.value, self._i, relaxed.prices]
         value, _, prices = (

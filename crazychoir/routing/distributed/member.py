@@ -14,13 +14,10 @@ from crazychoir.types import Vec
 
 
 @dataclass(frozen=True)
-class RoutingSettings:
-    """Constants that all robots share.
+class PriceSettings:
+    """How the robots trade tasks by prices."""
 
-    The fields are in groups: price rounds, column generation, search, and proof.
-    """
-
-    price_rounds: int = 60
+    rounds: int = 60
     """Price rounds, at most."""
     still: float = 0.01
     """The price rounds end if no share y changes by more than this."""
@@ -30,8 +27,14 @@ class RoutingSettings:
     """Exponent of the decay of the step size."""
     attempts: int = 20
     """Attempts at claiming tasks."""
+
+
+@dataclass(frozen=True)
+class ColumnSettings:
+    """How the robots price and exchange columns."""
+
     penalty: float = 3.0
-    """Column generation: penalty of unserved demand, in longest ways of a robot."""
+    """Penalty of unserved demand, in longest ways of a robot."""
     tolerance: float = 1e-6
     """Relative tolerance of bounds."""
     gossip_rounds: int = 200
@@ -44,8 +47,18 @@ class RoutingSettings:
     """Largest number of labels of a robot's route table."""
     most_listed: int = 60
     """The method `columns` lists the routes of a robot with at most this many tasks."""
+    most_shared: int = 500
+    """Largest number of columns of one robot in one message."""
+    most_relayed: int = 10_000
+    """Largest number of columns of all robots together; they must fit into a payload."""
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """How the robots search for plans."""
+
     starters: int = 16
-    """Search: number of robots that look for a first plan."""
+    """Number of robots that look for a first plan."""
     first_steps: int = 1_000
     """Search steps of each starter."""
     cluster: tuple[int, int] = (25, 60)
@@ -65,16 +78,18 @@ class RoutingSettings:
     """Largest number of passes of clusters."""
     still_passes: int = 8
     """The passes end after this many passes without a better route."""
+
+
+@dataclass(frozen=True)
+class ProofSettings:
+    """How the robots prove a plan optimal."""
+
     prove: bool = False
     """Whether to prove the plan optimal regardless of the computing time."""
     most_proven: int = 20_000
     """Largest number of columns that the proof searches if not `prove`."""
     first_gap: float = 0.01
     """Relative gap of the first search of the proof."""
-    most_shared: int = 500
-    """Largest number of columns of one robot in one message."""
-    most_relayed: int = 10_000
-    """Largest number of columns of all robots together; they must fit into a payload."""
     small: int = 100
     """Every robot searches up to this many columns; the `searchers` search larger sets."""
     searchers: int = 2
@@ -83,6 +98,20 @@ class RoutingSettings:
     """Branch-and-bound nodes, at most."""
     proof_nodes: int = 1_000_000
     """Branch-and-bound nodes if `prove`, at most."""
+
+
+@dataclass(frozen=True)
+class RoutingSettings:
+    """Constants that all robots share."""
+
+    prices: PriceSettings = PriceSettings()
+    """How the robots trade tasks by prices."""
+    columns: ColumnSettings = ColumnSettings()
+    """How the robots price and exchange columns."""
+    search: SearchSettings = SearchSettings()
+    """How the robots search for plans."""
+    proof: ProofSettings = ProofSettings()
+    """How the robots prove a plan optimal."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +203,7 @@ class RoutingMember:
         lengths = (
             math.remainder(value, self.vehicle_weight) if self.vehicle_weight else value
         )
-        return self.settings.tolerance * max(1.0, abs(lengths))
+        return self.settings.columns.tolerance * max(1.0, abs(lengths))
 
     def least_vehicles(self, bound: float) -> int:
         """Return a lower bound on the number of vehicles n, from a lower bound on the cost.
@@ -198,7 +227,7 @@ class RoutingMember:
     def table(self) -> RouteTable:
         """All routes of this robot, computed at the first use."""
         vehicle = self.local.vehicle
-        most = self.settings.most_labels
+        most = self.settings.columns.most_labels
         if not (vehicle.timed or np.isfinite(vehicle.farthest)):
             most //= 3  # without limits each task trebles the labels: more are useless
         return RouteTable(vehicle, most, self.local.objective)
@@ -207,15 +236,16 @@ class RoutingMember:
     def penalty(self) -> Vec:
         """(M,) m: cost of an unserved task in the relaxations.
 
-            penalty_j = fixed + settings.penalty * reach
+            penalty_j = fixed + settings.columns.penalty * reach
 
-        It is the same at all robots after they have introduced themselves. If settings.penalty is
-        3, no robot needs more to serve the task alone. A task with a still higher price stays
-        unserved in the relaxations: the bound is then weaker, but not wrong. Plans are not
-        compared by this penalty.
+        It is the same at all robots after they have introduced themselves. If
+        settings.columns.penalty is 3, no robot needs more to serve the task alone. A task with a
+        still higher price stays unserved in the relaxations: the bound is then weaker, but not
+        wrong. Plans are not compared by this penalty.
         """
         return np.full(
-            len(self.local.tasks), self.fixed + self.settings.penalty * self.reach
+            len(self.local.tasks),
+            self.fixed + self.settings.columns.penalty * self.reach,
         )
 
     @cached_property

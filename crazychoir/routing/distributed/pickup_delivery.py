@@ -63,11 +63,11 @@ class PickupDelivery(Program[Solution]):
     n: number of robots.
     diameter: of the connected, undirected graph, hops.
     degree_of: degree of each neighbour.
-    method: one of METHODS.
+    method: one of PLANNING_METHODS.
     settings: constants that all robots share.
     All robots finish in the same round, with the same plan digest, cost and bound.
-    Raises ConfigError for an unknown method, for a method of BY_PRICES if prices do not add up to
-    the objective, and for a method of BY_CLAIMS if tasks may be refused. Raises SolverError if
+    Raises ConfigError for an unknown method, for a method of PRICE_METHODS if prices do not add up to
+    the objective, and for a method of CLAIM_METHODS if tasks may be refused. Raises SolverError if
     the team cannot agree on a plan.
     """
 
@@ -281,7 +281,7 @@ class PickupDelivery(Program[Solution]):
         alike.
         """
         local = self._member.local
-        tolerance = PROOF_TOLERANCE_FACTOR * self._member.settings.tolerance
+        tolerance = PROOF_TOLERANCE_FACTOR * self._member.settings.columns.tolerance
         if (
             assignment.lower_bound is None
             or local.objective[0] == OBJECTIVE_NAMES.makespan

@@ -14,7 +14,7 @@ from crazychoir.routing.distributed.pickup_delivery import (
     PickupDelivery,
 )
 from crazychoir.routing.instance.checker import check_plan
-from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.instance.instance import Instance, LocalProblem
 from crazychoir.routing.instance.plan import Solution
 
@@ -33,7 +33,7 @@ def solve_in_loop(
 
     instance: the problem of the team.
     graph: neighbours of each robot 0..N-1, connected, undirected.
-    method: one of METHODS.
+    method: one of PLANNING_METHODS.
     settings: constants that all robots share.
     carry: applied to each message on its way, such as encode and decode.
     """
@@ -64,7 +64,10 @@ def _solve_small_instance(method: str, objective: tuple[str, ...], trips: int) -
     """
     changes = {"objective": list(objective), "recharge": trips}
     small = Instance.parse(
-        random_instance(2, 4, seed=0, route_length_limit=60.0).to_json() | changes
+        random_instance(
+            2, 4, seed=0, shape=InstanceShape(route_length_limit=60.0)
+        ).to_json()
+        | changes
     )
     solve_in_loop(
         small, {0: [1], 1: [0]}, method, carry=lambda message: decode(encode(message))

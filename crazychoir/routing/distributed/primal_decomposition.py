@@ -49,14 +49,14 @@ class PriceRounds:
         window = max(1, member.place.diameter)
         worst = 0.0
         change = 1.0
-        for k in range(member.settings.price_rounds):
+        for k in range(member.settings.prices.rounds):
             mu = self._price(program, k)
             if k % window == 0:
                 worst = change
             heard = yield [mu, worst]
             change = self._trade(k, mu, {j: message[0] for j, message in heard.items()})
             worst = max([worst, *(float(message[1]) for message in heard.values())])
-            if (k + 1) % window == 0 and worst <= member.settings.still:
+            if (k + 1) % window == 0 and worst <= member.settings.prices.still:
                 return
 
     def _price(self, program: ColumnProgram, k: int) -> Vec:
@@ -74,8 +74,8 @@ class PriceRounds:
         flow = np.zeros_like(mu)
         for j, other in sorted(heard.items()):
             flow += member.place.weight(j) * (mu - np.asarray(other))
-        size = member.settings.step / (
-            member.scale * (k + 1) ** member.settings.exponent
+        size = member.settings.prices.step / (
+            member.scale * (k + 1) ** member.settings.prices.exponent
         )
         self.y = self.y - size * flow
         return float(np.abs(size * flow).max())

@@ -121,9 +121,9 @@ class PlanProof:
         self._member.report(phase="plan")
         self._member.kind = "columns"
         gap = min(
-            settings.first_gap * max(1.0, abs(self._bound.value)), self._own_gap()
+            settings.proof.first_gap * max(1.0, abs(self._bound.value)), self._own_gap()
         )
-        for _ in range(settings.passes):
+        for _ in range(settings.columns.passes):
             near = self._near(gap)
             if (yield from self._is_more(near, most)):
                 return
@@ -182,7 +182,11 @@ class PlanProof:
         member = self._member
         settings = self._member.settings
         most = max(
-            1, min(settings.most_shared, settings.most_relayed // member.place.robots)
+            1,
+            min(
+                settings.columns.most_shared,
+                settings.columns.most_relayed // member.place.robots,
+            ),
         )
         columns = [member.table.column(int(c)) for c in near]
         exhausted = not member.speaks or len(near) == len(member.table)
@@ -227,7 +231,7 @@ class PlanProof:
         useful = [
             (i, c) for i, c in self._pool.items() if self._bound.excess(i, c) <= gap
         ]
-        if len(useful) > settings.small and self._i >= settings.searchers:
+        if len(useful) > settings.proof.small and self._i >= settings.proof.searchers:
             return None
         refusals = self._refusals()
         useful += refusals
@@ -236,7 +240,9 @@ class PlanProof:
             if self.best is None
             else self._with_refusals(self.best.routes, refusals)
         )
-        nodes = settings.proof_nodes if settings.prove else settings.nodes
+        nodes = (
+            settings.proof.proof_nodes if settings.proof.prove else settings.proof.nodes
+        )
         weight = self._member.vehicle_weight
         tasks = len(self._member.local.tasks)
         if weight:

@@ -64,7 +64,7 @@ class ResourceRecovery:
     def run(self) -> Exchange[TaskPartition]:
         """Claim until every task is kept, then compute the bound at the mean of all prices."""
         self._member.report(phase="claims")
-        for attempt in range(self._member.settings.attempts):
+        for attempt in range(self._member.settings.prices.attempts):
             owner = yield from self._claim(attempt)
             open_tasks = np.flatnonzero(owner < 0)
             if not len(open_tasks):
@@ -74,7 +74,7 @@ class ResourceRecovery:
             self._urgency[open_tasks] += 1.0
         raise SolverError(
             f"robot {self._i}: claims on the tasks",
-            f"incomplete after {self._member.settings.attempts} attempts: nobody's route has room for task(s) "
+            f"incomplete after {self._member.settings.prices.attempts} attempts: no route has room for task(s) "
             f"{', '.join(map(str, open_tasks))}; use the method columns",
         )
 

@@ -2,7 +2,6 @@
 
 import json
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from crazychoir.errors import InstanceError
 from crazychoir.files.text_files import read_text
 from crazychoir.routing.instance.li_lim import is_li_lim, parse_li_lim
 from crazychoir.routing.instance.sizes import INSTANCE_LIMITS
+from crazychoir.routing.instance.value_checks import ValueChecks, describe_size
 from crazychoir.types import Mat, Vec
 
 
@@ -63,9 +63,7 @@ INSTANCE_KEYS = InstanceKeys()
 
 COUNT_KEYS = {"N": "home", "M": "load"}
 """Keys that repeat the length of a list; they must agree with it."""
-EXAMPLE_ADVICE = (
-    "Mend the file; agents/data/lab6.json is an instance (swarm files alone are TOML)."
-)
+EXAMPLE_ADVICE = "Correct the file; agents/data/lab6.json is an instance (swarm files alone are TOML)."
 MOST_TRIPS = 1000
 """Largest number of trips of a robot."""
 HIGHEST_PRIORITY = 1000
@@ -132,32 +130,9 @@ class InstanceFields:
 
     def __init__(self, raw: dict[str, Any], where: str) -> None:
         self._raw = raw
-        self._where = where
-        known = [
-            *INSTANCE_KEYS.required,
-            *INSTANCE_KEYS.optional,
-            *COUNT_KEYS,
-            *INSTANCE_KEYS.annotations,
-        ]
-        for key in raw:
-            if key not in known:
-                allowed = (
-                    ", ".join([*INSTANCE_KEYS.required, *INSTANCE_KEYS.optional])
-                    + "; as annotations "
-                    + ", ".join([*COUNT_KEYS, *INSTANCE_KEYS.annotations])
-                )
-                raise self._error(
-                    key, "an unknown key", allowed, "Correct or delete it."
-                )
-        for key in INSTANCE_KEYS.required:
-            if key not in raw:
-                raise self._error(
-                    key,
-                    "nothing",
-                    f"the keys {', '.join(INSTANCE_KEYS.required)}",
-                    "Add it.",
-                )
-        self._check_counts()
+        self._checks = ValueChecks(where)
+        _check_keys(raw, self._checks)
+        _check_counts(raw, self._checks)
 
     def points(self, key: str) -> Mat:
         """Return (n, 2) or (n, 3) m; all points have the dimension of home[0]."""
@@ -165,37 +140,19 @@ class InstanceFields:
         home = self._list("home")
         wanted = len(home[0]) if isinstance(home[0], list) else 0
         if wanted not in (2, 3):
-            raise self._error(
+            raise self._checks.error(
                 "home[0]",
                 home[0],
                 "a point of 2 or 3 numbers",
                 "Give x, y or x, y, z in metres.",
             )
-        return self._points(key, rows, wanted)
-
-    def _points(self, key: str, rows: list[Any], wanted: int) -> Mat:
-        for r, row in enumerate(rows):
-            if not isinstance(row, list) or len(row) != wanted:
-                raise self._error(
-                    f"{key}[{r}]",
-                    row,
-                    f"a list of {wanted} numbers, as home[0]",
-                    "All points share one dimension.",
-                )
-            for c, value in enumerate(row):
-                self._number(
-                    f"{key}[{r}][{c}]",
-                    value,
-                    least=-INSTANCE_LIMITS.distance_or_speed,
-                    most=INSTANCE_LIMITS.distance_or_speed,
-                )
-        return np.array(rows, dtype=float)
+        return self._checks.points(key, rows, wanted)
 
     def amounts(self, key: str) -> Vec:
-        """Return (n,) numbers from 0 to MOST."""
+        """Return (n,) numbers from 0 to INSTANCE_LIMITS.amount."""
         values = self._list(key)
         for r, value in enumerate(values):
-            self._number(f"{key}[{r}]", value, most=INSTANCE_LIMITS.amount)
+            self._checks.number(f"{key}[{r}]", value, most=INSTANCE_LIMITS.amount)
         return np.array(values, dtype=float)
 
     def limit(self, key: str) -> float:
@@ -203,46 +160,39 @@ class InstanceFields:
         value = self._raw.get(key)
         if value is None:
             return math.inf
-        self._number(key, value)
+        self._checks.number(key, value)
         return float(value)
 
     def cost(self, key: str) -> float:
         """Return a number, not negative; 0 if the key is absent or null."""
         value = self._raw.get(key)
-        self._number(key, 0.0 if value is None else value, most=INSTANCE_LIMITS.amount)
+        self._checks.number(
+            key, 0.0 if value is None else value, most=INSTANCE_LIMITS.amount
+        )
         return float(value or 0.0)
 
     def flag(self, key: str) -> bool:
         """Return true or false; false if the key is absent or null."""
         value = self._raw.get(key)
-        if value is not None and not isinstance(value, bool):
-            raise self._error(key, value, "true or false", "Write a boolean.")
-        return bool(value)
+        return value is not None and self._checks.boolean(key, value)
 
     def trips(self, key: str) -> int:
         """Return a whole number from 1; 1 if the key is absent or null."""
         value = self._raw.get(key)
         if value is None:
             return 1
-        if (
-            isinstance(value, bool)
-            or not isinstance(value, int)
-            or not 1 <= value <= MOST_TRIPS
-        ):
-            raise self._error(
-                key,
-                value,
-                f"a whole number of trips from 1 to {MOST_TRIPS}",
-                "Write a number.",
-            )
-        if value > 1 and self.flag("open_tours"):
-            raise self._error(
+        allowed = f"a whole number of trips from 1 to {MOST_TRIPS}"
+        trips = self._checks.whole_number(
+            key, value, range(1, MOST_TRIPS + 1), allowed, "Write a number."
+        )
+        if trips > 1 and self.flag("open_tours"):
+            raise self._checks.error(
                 key,
                 value,
                 "1 in open tours",
-                "Who recharges must come back: delete open_tours.",
+                "A robot that recharges must come back: delete open_tours.",
             )
-        return value
+        return trips
 
     def objective(
         self, key: str, allowed: Sequence[tuple[str, ...]]
@@ -251,19 +201,17 @@ class InstanceFields:
         value = self._raw.get(key)
         if value is None:
             return allowed[0]
-        names = (
-            (value,)
-            if isinstance(value, str)
-            else tuple(value)
-            if isinstance(value, list)
-            else ()
-        )
+        names: tuple[Any, ...] = ()
+        if isinstance(value, str):
+            names = (value,)
+        elif isinstance(value, list):
+            names = tuple(value)
         if names not in allowed:
             listed = "; ".join(
                 json.dumps(list(names) if len(names) > 1 else names[0])
                 for names in allowed
             )
-            raise self._error(key, value, listed, "Choose one.")
+            raise self._checks.error(key, value, listed, "Choose one.")
         return names
 
     def ends(self, key: str) -> Mat | None:
@@ -273,22 +221,22 @@ class InstanceFields:
             return None
         for other in ("distance", "open_tours"):
             if self._raw.get(other):
-                raise self._error(
+                raise self._checks.error(
                     key, "an end", f"none beside {other}", "Delete one of the two."
                 )
         home = self._raw["home"]
-        if not isinstance(rows, list) or len(rows) != len(home):
-            raise self._error(
-                key,
-                _describe_size(rows),
-                f"{len(home)} points or nulls, one a robot",
-                "Add or delete entries.",
-            )
+        rows = self._checks.entries(
+            key,
+            rows,
+            len(home),
+            f"{len(home)} points or nulls, one a robot",
+            "Add or delete entries.",
+        )
         filled = [
             at_home if row is None else row
             for row, at_home in zip(rows, home, strict=True)
         ]
-        return self._points(key, filled, len(home[0]))
+        return self._checks.points(key, filled, len(home[0]))
 
     def matrices(self, key: str) -> npt.NDArray[np.float64] | None:
         """Return (n, n) or (N, n, n) m, n = N + 2M; None if the key is absent or null."""
@@ -296,45 +244,14 @@ class InstanceFields:
         if rows is None:
             return None
         robots = len(self._raw["home"])
-        size = len(self._raw["home"]) + 2 * len(self._raw["load"])
-        first = rows[0] if isinstance(rows, list) and rows else None
-        if not (isinstance(first, list) and first and isinstance(first[0], list)):
-            return self._matrix(key, rows, size)
-        if len(rows) != robots:
-            raise self._error(
-                key,
-                _describe_size(rows),
-                f"{robots} matrices, one a robot, or one",
-                "Add or delete matrices.",
-            )
-        return np.array(
-            [self._matrix(f"{key}[{i}]", matrix, size) for i, matrix in enumerate(rows)]
-        )
-
-    def _matrix(self, key: str, rows: object, size: int) -> Mat:
-        wanted = f"{size} numbers: homes, pickups, deliveries"
-        if not isinstance(rows, list) or len(rows) != size:
-            raise self._error(
-                key,
-                _describe_size(rows),
-                f"{size} rows of {wanted}",
-                "Add or delete rows.",
-            )
-        for r, row in enumerate(rows):
-            if not isinstance(row, list) or len(row) != size:
-                raise self._error(
-                    f"{key}[{r}]", _describe_size(row), wanted, "Add or delete entries."
-                )
-            for c, value in enumerate(row):
-                self._number(
-                    f"{key}[{r}][{c}]", value, most=INSTANCE_LIMITS.distance_or_speed
-                )
-        return np.array(rows, dtype=float)
+        size = robots + 2 * len(self._raw["load"])
+        return self._checks.matrices(key, rows, robots, size)
 
     def speeds(self, key: str) -> Vec:
         """Return (N,) m/s; 1 if the key is absent or null."""
-        return self._each(
+        return self._checks.numbers(
             key,
+            self._raw.get(key),
             len(self._raw["home"]),
             1.0,
             least=INSTANCE_LIMITS.slowest_speed,
@@ -343,8 +260,12 @@ class InstanceFields:
 
     def times(self, key: str) -> Vec:
         """Return (M,) s; 0 if the key is absent or null."""
-        return self._each(
-            key, len(self._raw["load"]), 0.0, most=INSTANCE_LIMITS.latest_time
+        return self._checks.numbers(
+            key,
+            self._raw.get(key),
+            len(self._raw["load"]),
+            0.0,
+            most=INSTANCE_LIMITS.latest_time,
         )
 
     def service(self) -> Vec:
@@ -353,23 +274,25 @@ class InstanceFields:
         m = len(self._raw["load"])
         value = self._raw.get(key)
         if isinstance(value, list):
-            raise self._error(
+            raise self._checks.error(
                 key,
-                _describe_size(value),
+                describe_size(value),
                 "a number, or an object of pickup and delivery",
                 "Name the stops.",
             )
         if not isinstance(value, dict):
-            return self._each(key, 2 * m, 0.0, most=INSTANCE_LIMITS.latest_time)
-        self._known(key, value, ("pickup", "delivery"))
+            return self._checks.numbers(
+                key, self._raw.get(key), 2 * m, 0.0, most=INSTANCE_LIMITS.latest_time
+            )
+        self._checks.names(key, value, ("pickup", "delivery"))
         return np.concatenate(
             [
-                self._each(
+                self._checks.numbers(
                     f"{key}.{part}",
+                    value.get(part),
                     m,
                     0.0,
                     most=INSTANCE_LIMITS.latest_time,
-                    value=value.get(part),
                 )
                 for part in ("pickup", "delivery")
             ]
@@ -386,56 +309,38 @@ class InstanceFields:
         if given is None:
             given = {}
         if not isinstance(given, dict):
-            raise self._error(
+            raise self._checks.error(
                 "time_windows",
                 given,
                 "an object of pickup, delivery and home",
                 "Put it into braces.",
             )
-        self._known("time_windows", given, ("pickup", "delivery", "home"))
+        self._checks.names("time_windows", given, ("pickup", "delivery", "home"))
         rows = given.get(part)
         if rows is None:
             return np.tile([0.0, math.inf], (count, 1))
-        if not isinstance(rows, list) or len(rows) != count:
-            raise self._error(
-                key,
-                _describe_size(rows),
-                f"{count} windows [from, to] or nulls",
-                "Add or delete entries.",
-            )
-        return np.array(
-            [self._window(f"{key}[{r}]", row) for r, row in enumerate(rows)]
+        rows = self._checks.entries(
+            key,
+            rows,
+            count,
+            f"{count} windows [from, to] or nulls",
+            "Add or delete entries.",
         )
-
-    def _window(self, key: str, row: object) -> tuple[float, float]:
-        if row is None:
-            return 0.0, math.inf
-        if not isinstance(row, list) or len(row) != 2:
-            raise self._error(
-                key,
-                row,
-                "[from, to] in seconds, or null",
-                "Write two numbers; to may be null.",
-            )
-        self._number(f"{key}[0]", row[0], most=INSTANCE_LIMITS.latest_time)
-        if row[1] is None:
-            return float(row[0]), math.inf
-        self._number(f"{key}[1]", row[1], most=INSTANCE_LIMITS.latest_time)
-        if row[1] < row[0]:
-            raise self._error(
-                key, row, "[from, to] with to not before from", "Mend one of the two."
-            )
-        return float(row[0]), float(row[1])
+        return np.array(
+            [self._checks.window(f"{key}[{r}]", row) for r, row in enumerate(rows)]
+        )
 
     def part_of(self, key: str, capacity: Vec) -> Vec:
         """Return (N,), each at most the robot's capacity; 0 if the key is absent or null."""
-        part = self._each(key, len(capacity), 0.0, most=INSTANCE_LIMITS.amount)
+        part = self._checks.numbers(
+            key, self._raw.get(key), len(capacity), 0.0, most=INSTANCE_LIMITS.amount
+        )
         for r in np.flatnonzero(part > capacity):
-            raise self._error(
+            raise self._checks.error(
                 f"{key}[{r}]",
                 float(part[r]),
                 f"at most {capacity[r]:g}, its capacity",
-                "Mend one.",
+                "Correct one.",
             )
         return part
 
@@ -445,16 +350,16 @@ class InstanceFields:
         count = len(self._raw["load"])
         if rows is None:
             return np.full(count, math.inf)
-        if not isinstance(rows, list) or len(rows) != count:
-            raise self._error(
-                key,
-                _describe_size(rows),
-                f"{count} numbers or nulls, one a task",
-                "Add or delete entries.",
-            )
+        rows = self._checks.entries(
+            key,
+            rows,
+            count,
+            f"{count} numbers or nulls, one a task",
+            "Add or delete entries.",
+        )
         for r, value in enumerate(rows):
             if value is not None:
-                self._number(f"{key}[{r}]", value, most=INSTANCE_LIMITS.amount)
+                self._checks.number(f"{key}[{r}]", value, most=INSTANCE_LIMITS.amount)
         return np.array(
             [math.inf if value is None else value for value in rows], dtype=float
         )
@@ -465,25 +370,18 @@ class InstanceFields:
         count = len(self._raw["load"])
         if rows is None:
             return np.zeros(count, dtype=np.int64)
-        if not isinstance(rows, list) or len(rows) != count:
-            raise self._error(
-                key,
-                _describe_size(rows),
-                f"{count} whole numbers, one a task",
-                "Add or delete entries.",
-            )
+        rows = self._checks.entries(
+            key,
+            rows,
+            count,
+            f"{count} whole numbers, one a task",
+            "Add or delete entries.",
+        )
+        allowed = f"a whole number from 0 to {HIGHEST_PRIORITY}"
         for r, value in enumerate(rows):
-            if (
-                isinstance(value, bool)
-                or not isinstance(value, int)
-                or not 0 <= value <= HIGHEST_PRIORITY
-            ):
-                raise self._error(
-                    f"{key}[{r}]",
-                    value,
-                    f"a whole number from 0 to {HIGHEST_PRIORITY}",
-                    "Write one.",
-                )
+            self._checks.whole_number(
+                f"{key}[{r}]", value, range(HIGHEST_PRIORITY + 1), allowed, "Write one."
+            )
         return np.array(rows, dtype=np.int64)
 
     def mask(self, key: str) -> npt.NDArray[np.bool_]:
@@ -493,75 +391,18 @@ class InstanceFields:
         rows = self._raw.get(key)
         if rows is None:
             return np.ones((n, m), dtype=bool)
-        if not isinstance(rows, list) or len(rows) != n:
-            raise self._error(
-                key,
-                _describe_size(rows),
-                f"{n} rows, one a robot (as many as home)",
-                "Add or delete rows.",
-            )
-        for r, row in enumerate(rows):
-            if not isinstance(row, list) or len(row) != m:
-                raise self._error(
-                    f"{key}[{r}]",
-                    _describe_size(row),
-                    f"{m} booleans, one a task",
-                    "Add or delete entries.",
-                )
-            for c, value in enumerate(row):
-                if not isinstance(value, bool):
-                    raise self._error(
-                        f"{key}[{r}][{c}]", value, "true or false", "Write a boolean."
-                    )
-        return np.array(rows, dtype=bool)
-
-    def _each(
-        self,
-        key: str,
-        count: int,
-        default: float,
-        least: float = 0.0,
-        most: float = 0.0,
-        value: Any = None,
-    ) -> Vec:
-        """Return (count,): one number for all, or a list; `default` if absent or null."""
-        value = self._raw.get(key) if value is None else value
-        if value is None:
-            return np.full(count, default)
-        if not isinstance(value, list):
-            self._number(key, value, least, most)
-            return np.full(count, float(value))
-        if len(value) != count:
-            raise self._error(
-                key,
-                _describe_size(value),
-                f"one number, or {count} of them",
-                "Add or delete entries.",
-            )
-        for r, number in enumerate(value):
-            self._number(f"{key}[{r}]", number, least, most)
-        return np.array(value, dtype=float)
-
-    def _known(self, key: str, given: dict[str, Any], allowed: Sequence[str]) -> None:
-        for name in given:
-            if name not in allowed:
-                raise self._error(
-                    f"{key}.{name}",
-                    "an unknown key",
-                    ", ".join(allowed),
-                    "Correct or delete it.",
-                )
+        return self._checks.booleans(key, rows, n, m)
 
     def _list(self, key: str) -> list[Any]:
         values = self._raw[key]
         like = EQUALLY_LONG_LISTS[key]
         if not isinstance(values, list) or not values:
-            raise self._error(
-                key, _describe_size(values), "a list that is not empty", "Add entries."
+            raise self._checks.error(
+                key, describe_size(values), "a list that is not empty", "Add entries."
             )
         other = self._raw[like]
         if isinstance(other, list) and len(other) != len(values):
-            raise self._error(
+            raise self._checks.error(
                 key,
                 f"{len(values)} entries",
                 f"{len(other)}, as many as {like}",
@@ -569,48 +410,40 @@ class InstanceFields:
             )
         return values
 
-    def _number(
-        self,
-        where: str,
-        value: object,
-        least: float = 0.0,
-        most: float = sys.float_info.max,
-    ) -> None:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self._error(
-                where,
-                json.dumps(value, default=str),
-                "a number",
-                "Write a number, without quotes.",
+
+def _check_keys(raw: dict[str, Any], checks: ValueChecks) -> None:
+    """Check that all keys are known, and that the required ones are there."""
+    known = [
+        *INSTANCE_KEYS.required,
+        *INSTANCE_KEYS.optional,
+        *COUNT_KEYS,
+        *INSTANCE_KEYS.annotations,
+    ]
+    for key in raw:
+        if key not in known:
+            allowed = (
+                ", ".join([*INSTANCE_KEYS.required, *INSTANCE_KEYS.optional])
+                + "; as annotations "
+                + ", ".join([*COUNT_KEYS, *INSTANCE_KEYS.annotations])
             )
-        if not least <= value <= most:
-            found = (
-                value
-                if isinstance(value, float) or abs(value) <= sys.float_info.max
-                else math.inf
+            raise checks.error(key, "an unknown key", allowed, "Correct or delete it.")
+    for key in INSTANCE_KEYS.required:
+        if key not in raw:
+            raise checks.error(
+                key,
+                "nothing",
+                f"the keys {', '.join(INSTANCE_KEYS.required)}",
+                "Add it.",
             )
-            allowed = f"a number from {least:g}" + (
-                f" to {most:g}" if most < sys.float_info.max else " on, finite"
+
+
+def _check_counts(raw: dict[str, Any], checks: ValueChecks) -> None:
+    """Check that keys that repeat the length of a list agree with it."""
+    for key, of in COUNT_KEYS.items():
+        if key in raw and isinstance(raw[of], list) and raw[key] != len(raw[of]):
+            raise checks.error(
+                key,
+                raw[key],
+                f"{len(raw[of])}, the length of {of}",
+                "Delete the key.",
             )
-            raise self._error(where, found, allowed, "Mend the value.")
-
-    def _check_counts(self) -> None:
-        for key, of in COUNT_KEYS.items():
-            if (
-                key in self._raw
-                and isinstance(self._raw[of], list)
-                and self._raw[key] != len(self._raw[of])
-            ):
-                raise self._error(
-                    key,
-                    self._raw[key],
-                    f"{len(self._raw[of])}, the length of {of}",
-                    "Delete the key.",
-                )
-
-    def _error(self, key: str, found: object, allowed: str, do: str) -> InstanceError:
-        return InstanceError(f"{self._where}: {key}", found, allowed, do)
-
-
-def _describe_size(value: object) -> str:
-    return f"{len(value)} entries" if isinstance(value, list) else repr(value)

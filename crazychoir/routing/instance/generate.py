@@ -1,6 +1,7 @@
 """Random instances, each determined by its arguments and its seed."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,21 +15,36 @@ PLACEMENT_ATTEMPTS = 10_000
 """Attempts to place points before the room counts as too small."""
 
 
+@dataclass(frozen=True)
+class InstanceShape:
+    """What random instances look like beside their numbers of robots and tasks."""
+
+    room: Sequence[float] = (10.0, 10.0)
+    """(2,) or (3,) m, size; one corner is at the origin."""
+    spacing: float = 0.0
+    """m: least distance between homes, and between pickups and deliveries."""
+    margin: float = 0.0
+    """m: distance kept from the walls."""
+    heights: tuple[float, float] = (0.4, 1.2)
+    """m: range of the heights of pickups and deliveries."""
+    loads: tuple[int, int] = (1, 3)
+    """Range of whole loads."""
+    capacities: tuple[int, int] = (3, 5)
+    """Range of whole capacities."""
+    capable: float = 1.0
+    """Share of the tasks that a robot may serve."""
+    route_length_limit: float | None = None
+    """m; None for no limit."""
+    clusters: int = 0
+    """Number of heaps in which pickups and deliveries lie instead; each is spread by a twentieth of
+    the room's width around its middle. 0 for none.
+    """
+    fields: Mapping[str, Any] = field(default_factory=dict)
+    """Further fields of the instance file."""
+
+
 def random_instance(
-    robots: int,
-    tasks: int,
-    seed: int,
-    room: Sequence[float] = (10.0, 10.0),
-    *,
-    spacing: float = 0.0,
-    margin: float = 0.0,
-    heights: tuple[float, float] = (0.4, 1.2),
-    loads: tuple[int, int] = (1, 3),
-    capacities: tuple[int, int] = (3, 5),
-    capable: float = 1.0,
-    route_length_limit: float | None = None,
-    clusters: int = 0,
-    fields: Mapping[str, Any] | None = None,
+    robots: int, tasks: int, seed: int, shape: InstanceShape | None = None
 ) -> Instance:
     """Return an instance with homes, pickups and deliveries uniform in a room.
 
@@ -38,34 +54,26 @@ def random_instance(
     robots: N.
     tasks: M.
     seed: of the random generator.
-    room: (2,) or (3,) m, size; one corner is at the origin.
-    spacing: m, least distance between homes, and between pickups and deliveries.
-    margin: m, distance kept from the walls.
-    heights: m, range of the heights of pickups and deliveries.
-    loads: range of whole loads.
-    capacities: range of whole capacities.
-    capable: share of the tasks that a robot may serve.
-    route_length_limit: m, None for no limit.
-    clusters: number of heaps in which pickups and deliveries lie instead; each is spread by
-        a twentieth of the room's width around its middle. 0 for none.
-    fields: further fields of the instance file.
+    shape: its room, loads and further fields; None for the defaults.
     Raises ConfigError if the room is too small for the spacing.
     """
+    shape = shape or InstanceShape()
+    room = shape.room
     draw = np.random.default_rng(seed)
     flat = len(room) == 2
-    home = _draw_scattered(draw, robots, room[:2], spacing, margin)
-    if clusters:
-        goods = _draw_heaps(draw, 2 * tasks, room[:2], clusters)
+    home = _draw_scattered(draw, robots, room[:2], shape.spacing, shape.margin)
+    if shape.clusters:
+        goods = _draw_heaps(draw, 2 * tasks, room[:2], shape.clusters)
     else:
-        goods = _draw_scattered(draw, 2 * tasks, room[:2], spacing, margin)
+        goods = _draw_scattered(draw, 2 * tasks, room[:2], shape.spacing, shape.margin)
     if not flat:
         home = np.column_stack([home, np.zeros(robots)])
         goods = np.column_stack(
-            [goods, draw.uniform(*heights, size=2 * tasks).round(2)]
+            [goods, draw.uniform(*shape.heights, size=2 * tasks).round(2)]
         )
-    load = draw.integers(loads[0], loads[1], size=tasks, endpoint=True)
-    capacity = draw.integers(capacities[0], capacities[1], size=robots, endpoint=True)
-    mask = _draw_capability(draw, capacity, load, capable)
+    load = draw.integers(*shape.loads, size=tasks, endpoint=True)
+    capacity = draw.integers(*shape.capacities, size=robots, endpoint=True)
+    mask = _draw_capability(draw, capacity, load, shape.capable)
     return Instance.parse(
         {
             "home": home.tolist(),
@@ -73,9 +81,9 @@ def random_instance(
             "delivery": goods[tasks:].tolist(),
             "load": load.astype(float).tolist(),
             "capacity": capacity.astype(float).tolist(),
-            "route_length_limit": route_length_limit,
+            "route_length_limit": shape.route_length_limit,
             "capability": mask.tolist(),
-            **(fields or {}),
+            **shape.fields,
         },
         f"random_instance(robots={robots}, tasks={tasks}, seed={seed})",
     )

@@ -148,7 +148,7 @@ def _parse_fleet(numbers: list[float], where: str) -> tuple[int, float, float]:
             where,
             f"{vehicles:g} vehicles",
             f"a whole number from 1 to {LI_LIM_FORMAT.most_vehicles}",
-            "Mend it.",
+            "Correct it.",
         )
     if not (
         0.0 <= capacity <= INSTANCE_LIMITS.amount
@@ -164,7 +164,7 @@ def _parse_fleet(numbers: list[float], where: str) -> tuple[int, float, float]:
             f"a capacity from 0 to {INSTANCE_LIMITS.amount:g}, a speed from "
             f"{INSTANCE_LIMITS.slowest_speed:g} to {INSTANCE_LIMITS.distance_or_speed:g}, or 0, which means 1"
         )
-        raise InstanceError(where, found, allowed, "Mend the line.")
+        raise InstanceError(where, found, allowed, "Correct the line.")
     return int(vehicles), capacity, speed or 1.0
 
 
@@ -197,7 +197,7 @@ def _parse_customer(words: list[str], where: str) -> _CustomerRow:
             where,
             " ".join(words),
             f"{len(LI_LIM_FORMAT.columns)} numbers a customer",
-            "Mend the line.",
+            "Correct the line.",
         )
     numbers = [float(word) for word in words]
     for name, number, (least, most) in zip(
@@ -209,7 +209,10 @@ def _parse_customer(words: list[str], where: str) -> _CustomerRow:
             whole = "whole number" if name in LI_LIM_FORMAT.whole_columns else "number"
             found = f"{name} {number:.9g}"
             raise InstanceError(
-                where, found, f"a {whole} from {least:g} to {most:g}", "Mend the line."
+                where,
+                found,
+                f"a {whole} from {least:g} to {most:g}",
+                "Correct the line.",
             )
     customer, x, y, demand, ready, due, service, pickup, delivery = numbers
     if due < ready:
@@ -217,12 +220,12 @@ def _parse_customer(words: list[str], where: str) -> _CustomerRow:
             where,
             f"due time {due:g}",
             f"at least {ready:g}, the ready time",
-            "Mend one of the two.",
+            "Correct one of the two.",
         )
     if delivery and demand < 0.0:
         found = f"demand {demand:g} of a pickup"
         raise InstanceError(
-            where, found, "0 or more; its delivery has less than 0", "Mend the line."
+            where, found, "0 or more; its delivery has less than 0", "Correct the line."
         )
     return _CustomerRow(
         int(customer), x, y, demand, ready, due, service, int(pickup), int(delivery)
@@ -246,7 +249,7 @@ def _find_pair(
             f"{where}: customer {pickup.customer}",
             found,
             allowed,
-            "Mend one of the two lines.",
+            "Correct one of the two lines.",
         )
     return pickup, delivery
 

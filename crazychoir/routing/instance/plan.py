@@ -17,10 +17,10 @@ NO_TASK = -1
 
 @dataclass(frozen=True)
 class Stop:
-    """One stop of a route. A stop to recharge is at the robot's end point and has task NOTHING."""
+    """One stop of a route. A stop to recharge is at the robot's end point and has task NO_TASK."""
 
     task: int
-    """The task, NOTHING for a recharge."""
+    """The task, NO_TASK for a recharge."""
     kind: Kind
     """What the robot does there."""
 

@@ -52,7 +52,10 @@ def _explain_obstacle(vehicles: Sequence[Vehicle], j: int) -> tuple[str, str, st
     near = [v for v in carriers if v.shortest_trip[j] <= v.farthest + ROUNDING_SLACK]
     if not near:
         shortest, robot = min((float(v.shortest_trip[j]), v.robot) for v in carriers)
-        found = f"a tour of {shortest:.6g} m for it alone, by robot {robot}, the shortest of those that can carry it"
+        found = (
+            f"a tour of {shortest:.6g} m for it alone, by robot {robot}, "
+            "the shortest of the robots that can carry it"
+        )
         allowed = f"at most {carriers[0].farthest:g} m, the route_length_limit"
         return (
             found,

@@ -21,7 +21,7 @@ from crazychoir.routing.pricing.labels import (
 from crazychoir.types import Bools, Ints, Mat, Vec, Words
 
 DOMINANCE_ROUNDING = 1e-11
-"""m and s: differences below this are rounding; far below SLACK."""
+"""m and s: differences below this are rounding; far below ROUNDING_SLACK."""
 
 
 class LabelEntries(NamedTuple):

@@ -21,7 +21,7 @@ def build_fleet(
     penalty: Vec,
     objective: Sequence[str] = (OBJECTIVE_NAMES.total,),
 ) -> Fleet:
-    """Return the arrays of these vehicles; capacities, limits and windows include SLACK.
+    """Return the arrays of these vehicles; capacities, limits and windows include ROUNDING_SLACK.
 
     If all vehicles have the same distances between stops, and the same windows, they share one
     matrix that contains all starts and ends as nodes. Otherwise each has its own. Goods that are

@@ -37,16 +37,14 @@ INSERTION_CHANCES = InsertionChances()
 
 NO_POSITION = -9
 """A position that means no place."""
-(
-    RANDOM_ORDER,
-    LOAD_ORDER,
-    FARTHEST_ORDER,
-    CLOSEST_ORDER,
-    WINDOW_WIDTH_ORDER,
-    OPENING_TIME_ORDER,
-    CLOSING_TIME_ORDER,
-) = range(7)
-"""Orders in which tasks are put back: at random, or by one of the traits of Fleet."""
+# Orders in which tasks are put back; all but the first are traits of Fleet.
+RANDOM_ORDER = 0  # at random
+LOAD_ORDER = 1  # by load
+FARTHEST_ORDER = 2  # the farthest task first
+CLOSEST_ORDER = 3  # the closest task first
+WINDOW_WIDTH_ORDER = 4  # by the width of the time window
+OPENING_TIME_ORDER = 5  # by the opening of the time window
+CLOSING_TIME_ORDER = 6  # by the closing of the time window
 
 
 class InsertionMemory(NamedTuple):

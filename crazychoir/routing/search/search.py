@@ -18,20 +18,26 @@ from crazychoir.types import Bools, Vec, Words
 
 
 @dataclass(frozen=True, slots=True)
-class SearchDefaults:
-    """Default parameters of ruin and recreate."""
+class SearchOptions:
+    """Parameters of ruin and recreate."""
 
+    fleet_steps: int | None = None
+    """Earlier steps, at most, that leave vehicles out at any cost; these vehicles then stay at
+    home. None: `steps` if a vehicle costs more than all tasks one by one, else 0.
+    """
     first_temperature: float = 0.5
     """First temperature, as a share of the median distance of a route with one task."""
     fleet_temperature: float = 0.02
     """First temperature while the search leaves vehicles out, as the same share."""
     removed_stops: float = 10.0
     """Stops that a step removes on average."""
-    partitioning_rounds: int = 2
-    """Number of times that set partitioning combines the known routes into a new plan."""
+    rounds: int = 2
+    """Number of parts of the steps. If there are several, and the makespan is not the first
+    objective, each part ends with set partitioning of the known routes.
+    """
 
 
-SEARCH_DEFAULTS = SearchDefaults()
+SEARCH_DEFAULTS = SearchOptions()
 
 
 @dataclass(frozen=True)
@@ -62,10 +68,7 @@ def search_plan(
     seed: int,
     *,
     objective: Sequence[str] = (OBJECTIVE_NAMES.total,),
-    fleet_steps: int | None = None,
-    hot: float = SEARCH_DEFAULTS.first_temperature,
-    average: float = SEARCH_DEFAULTS.removed_stops,
-    rounds: int = SEARCH_DEFAULTS.partitioning_rounds,
+    options: SearchOptions = SEARCH_DEFAULTS,
 ) -> FoundPlan:
     """Return the best plan that ruin and recreate finds from `routes`.
 
@@ -78,23 +81,12 @@ def search_plan(
     steps: number of steps.
     seed: the same seed gives the same plan on every machine.
     objective: what is minimised, in order.
-    fleet_steps: earlier steps, at most, that leave vehicles out at any cost; these vehicles then
-        stay at home. None: `steps` if a vehicle costs more than all tasks one by one, else 0.
-    hot: first temperature, as a share of the median distance of a route with one task.
-    average: stops that a step removes on average.
-    rounds: number of parts of the steps. If there are several, and the makespan is not the first
-        objective, each part ends with set partitioning of the known routes.
+    options: parameters of the search.
     Source: Christiaens & Vanden Berghe 2020, Transportation Science 54(2), "Slack induction by
     string removals".
     """
     return PlanSearch(vehicles, penalty, objective).run(
-        routes,
-        steps,
-        seed,
-        fleet_steps=fleet_steps,
-        hot=hot,
-        average=average,
-        rounds=rounds,
+        routes, steps, seed, options=options
     )
 
 
@@ -107,10 +99,8 @@ class PlanSearch:
         penalty: Vec,
         objective: Sequence[str] = (OBJECTIVE_NAMES.total,),
     ) -> None:
-        self._vehicles, self._fleet = (
-            vehicles,
-            build_fleet(vehicles, penalty, objective),
-        )
+        self._vehicles = vehicles
+        self._fleet = build_fleet(vehicles, penalty, objective)
         self._scale = (
             float(np.median(self._fleet.traits[:, 1])) if vehicles[0].tasks else 0.0
         )
@@ -121,10 +111,7 @@ class PlanSearch:
         steps: int,
         seed: int,
         *,
-        fleet_steps: int | None = None,
-        hot: float = SEARCH_DEFAULTS.first_temperature,
-        average: float = SEARCH_DEFAULTS.removed_stops,
-        rounds: int = SEARCH_DEFAULTS.partitioning_rounds,
+        options: SearchOptions = SEARCH_DEFAULTS,
         closed: Sequence[int] = (),
     ) -> FoundPlan:
         """Run the search, see `search_plan`; closed: vehicles that must not leave."""
@@ -134,6 +121,7 @@ class PlanSearch:
         tours = Tours.of(fleet, routes)
         random = np.array([seed], np.uint64)
         pool = RoutePool.of(fleet, tours)
+        fleet_steps = options.fleet_steps
         if fleet_steps is None:
             fleet_steps = steps if fleet.fixed.min() > fleet.traits[:, 1].sum() else 0
         if fleet_steps:
@@ -143,16 +131,15 @@ class PlanSearch:
                 random,
                 shut,
                 fleet_steps,
-                SEARCH_DEFAULTS.fleet_temperature,
-                average,
-                fewer=True,
+                options,
+                is_fewer=True,
             )
             shut |= self._needless(tours)
-        for _ in range(rounds):
+        for _ in range(options.rounds):
             tours = self._anneal(
-                tours, pool, random, shut, steps // rounds, hot, average
+                tours, pool, random, shut, steps // options.rounds, options
             )
-            if rounds > 1 and not fleet.on_finish:
+            if options.rounds > 1 and not fleet.on_finish:
                 tours = assemble_plan(fleet, pool, tours, shut)
         return self._found(tours, pool)
 
@@ -163,19 +150,23 @@ class PlanSearch:
         random: Words,
         shut: Bools,
         steps: int,
-        hot: float,
-        average: float,
-        fewer: bool = False,
+        options: SearchOptions,
+        *,
+        is_fewer: bool = False,
     ) -> Tours:
+        """Return the best tours of some steps, from these on.
+
+        is_fewer: True to leave vehicles out
+        """
         step = SearchStep.of(tours)
         memory = InsertionMemory.of(tours, shut)
         best = BestTours.of(tours)
         absence = np.zeros(len(tours.at))
-        scaled = hot * self._scale
+        temperature = options.first_temperature * self._scale
         fleet = self._fleet
-        if (
-            fewer
-        ):  # do not leave a vehicle out by refusing a task that is worth a vehicle
+        if is_fewer:
+            temperature = options.fleet_temperature * self._scale
+            # Do not leave a vehicle out by refusing a task that is worth a vehicle.
             dear = np.where(fleet.penalty > fleet.fixed.min(), np.inf, fleet.penalty)
             fleet = fleet._replace(penalty=dear)
         anneal_tours(
@@ -188,9 +179,9 @@ class PlanSearch:
             random,
             absence,
             steps,
-            scaled,
-            average,
-            fewer,
+            temperature,
+            options.removed_stops,
+            is_fewer,
         )
         return best.tours(self._fleet)
 

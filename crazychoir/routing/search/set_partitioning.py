@@ -44,12 +44,13 @@ def assemble_plan(fleet: Fleet, pool: RoutePool, tours: Tours, closed: Bools) ->
         s.t. sum_{c serves j} x_c + v_j = 1,  x, v binary
              sum_{c of kind h} x_c <= vehicles of that kind
 
-    A task that must be served has no v. Only the columns with a small reduced cost, at the prices
-    of the linear relaxation, are used: at most the gap between `tours` and that relaxation. No
-    other column can be part of a better plan. If there are more than MOST such columns, or NODES
-    nodes do not suffice, the best plan may be missed. If vehicles are counted, each of them costs
-    more than all routes of a plan with no more vehicles than `tours`. The plan found is then
-    compared by its vehicles first, so that no rounding of the program decides.
+    A task that must be served has no v. Only the columns with a small reduced cost, at the
+    prices of the linear relaxation, are used: at most the gap between `tours` and that
+    relaxation. No other column can be part of a better plan. If there are more than
+    MOST_COMBINED_ROUTES such columns, or MOST_PARTITIONING_NODES nodes do not suffice, the best
+    plan may be missed. If vehicles are counted, each of them costs more than all routes of a
+    plan with no more vehicles than `tours`. The plan found is then compared by its vehicles
+    first, so that no rounding of the program decides.
 
     closed: (K,) vehicles that must not leave.
     """

@@ -69,7 +69,7 @@ def compute_barrier_acceleration(
 def compute_yield_share(own: float, others: float) -> float:
     """Return the share of a barrier's acceleration that one drone takes.
 
-        c_i / (c_i + c_j),   c = EVEN + max(-speed, 0)
+        c_i / (c_i + c_j),   c = EVEN_SHARE_SPEED + max(-speed, 0)
 
     It is the drone's speed towards the other in relation to both speeds: a drone at rest between
     two that close in could not give way to both. The shares of both add up to 1.

@@ -86,43 +86,25 @@ class BrakingModel(NamedTuple):
 BRAKING_MODEL = BrakingModel()
 
 
-# Indices of the figures f of the kernel:
-
-# LAG s, DELAY s
-# SX, SY, SZ: diagonal of S
-# WIDTH m: D
-# BRAKE m/s2, GAMMA 1/s, STIFF 1/s: of `compute_barrier_acceleration` and `compute_cell_acceleration`
-# A_XY, A_Z m/s2: largest horizontal and vertical acceleration
-# TURN: sideways share of `turn_sideways`, with the sign of the side
-# RANGE m: distance within which others count
-# UNSURE m/s2: unknown acceleration of another drone
-# GROUND m: height of the ground
-# V_MAX m/s: largest speed of the others
-# CELLS: 1 for `compute_cell_acceleration`, 0 for `compute_barrier_acceleration`
-# WAITS: 0 while the drone lands, else 1
-(
-    FIGURE_LAG,
-    FIGURE_DELAY,
-    FIGURE_SCALE_X,
-    FIGURE_SCALE_Y,
-    FIGURE_SCALE_Z,
-    FIGURE_WIDTH,
-    FIGURE_BRAKE,
-    FIGURE_GAMMA,
-    FIGURE_A_XY,
-) = range(9)
-(
-    FIGURE_A_Z,
-    FIGURE_TURN,
-    FIGURE_RANGE,
-    FIGURE_UNSURE,
-    FIGURE_GROUND,
-    FIGURE_V_MAX,
-    FIGURE_CELLS,
-    FIGURE_STIFFNESS,
-    FIGURE_WAITS,
-) = range(9, 18)
-"""-"""
+# Indices of the figures f of the kernel.
+FIGURE_LAG = 0  # s
+FIGURE_DELAY = 1  # s
+FIGURE_SCALE_X = 2  # diagonal of S, x
+FIGURE_SCALE_Y = 3  # diagonal of S, y
+FIGURE_SCALE_Z = 4  # diagonal of S, z
+FIGURE_WIDTH = 5  # m: D
+FIGURE_BRAKE = 6  # m/s2, of the barrier and of the cells
+FIGURE_GAMMA = 7  # 1/s, of the barrier and of the cells
+FIGURE_A_XY = 8  # m/s2, largest horizontal acceleration
+FIGURE_A_Z = 9  # m/s2, largest vertical acceleration
+FIGURE_TURN = 10  # sideways share of `turn_sideways`, with the sign of the side
+FIGURE_RANGE = 11  # m, distance within which others count
+FIGURE_UNSURE = 12  # m/s2, unknown acceleration of another drone
+FIGURE_GROUND = 13  # m, height of the ground
+FIGURE_V_MAX = 14  # m/s, largest speed of the others
+FIGURE_CELLS = 15  # 1: `compute_cell_acceleration`, 0: `compute_barrier_acceleration`
+FIGURE_STIFFNESS = 16  # 1/s, of the barrier and of the cells
+FIGURE_WAITS = 17  # 0 while the drone lands, else 1
 
 
 @kernel()
@@ -172,7 +154,7 @@ def _insert_plane(
     """Insert a half space among the nearest ones, in the order of d, and return their number.
 
     planes: (., 4): the half spaces, from row 6 on
-    near: (MOST, 2): d, and the row of the other drone in the traffic table
+    near: (MOST_NEIGHBOURS, 2): d, and the row of the other drone in the traffic table
     count: number of half spaces so far
     d: m, the distance
     normal: normal of the half space
@@ -287,12 +269,12 @@ def _filter_acceleration(
     ref: (14,): what it wants, as FullState.flat
     gains: (13,), as Gains.position
     follow: 1 to fly ref as a full state, 0 to fly its acceleration only
-    others: (n, COLUMNS): the table of Traffic
+    others: (n, NEIGHBOUR_ROW.size): the table of Traffic
     now: s
     box: (6,) m: lower corner of the fence, then upper corner
     f: the figures
     planes: (., 4): work space for the half spaces
-    near: (MOST, 2): work space, see _insert
+    near: (MOST_NEIGHBOURS, 2): work space, see _insert
     out: (9,): the acceleration (3,), the row of the nearest drone in the way, whether this drone is
         cut off, whether it stays while it brakes, and the place (3,) where it stays
     """
@@ -453,10 +435,10 @@ class CollisionFilter:
 
     Places and velocities are those of `predict_late_motion`, so that the lag of the drones counts. Constraints
     that cannot all be met are relaxed by the least violation: the fence first, the nearest drone
-    last, the floor never. Drones on the floor are balls of BODY m; a drone that takes off ignores
-    them.
+    last, the floor never. Drones on the floor are balls of COLLISION_DISTANCES.standing_drone m; a drone that takes
+    off ignores them.
 
-    A drone brakes if another drone that may be near has been silent for USABLE s, or if more than
+    A drone brakes if another drone that may be near has been silent for NEIGHBOUR_AGES.usable s, or if more than
     half of the other drones that flew have been silent for SILENT s. It does not brake for this
     while it lands. It keeps clear of the place where the silent drone is if that drone brakes too.
 
@@ -548,15 +530,9 @@ class CollisionFilter:
         now: s
         Returns None if the drone may fly as it wants.
         """
-        (
-            self._accelerates[6:9],
-            self._figures[FIGURE_WAITS],
-            self._figures[FIGURE_TURN],
-        ) = (
-            a,
-            1.0,
-            self._turn,
-        )
+        self._accelerates[6:9] = a
+        self._figures[FIGURE_WAITS] = 1.0
+        self._figures[FIGURE_TURN] = self._turn
         return self._run(state, self._accelerates, gains, 0.0, now)
 
     def _run(

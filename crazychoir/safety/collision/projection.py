@@ -145,12 +145,10 @@ def find_nearest_point(u: Triple, planes: Vec, m: int) -> tuple[int, Triple]:
     Source: Seidel 1991, Small-dimensional linear programming and convex hulls made easy, for the
         order of the steps.
     """
-    relaxed, last, slack, (k, q) = (
-        0,
-        -1,
-        PROJECTION_TOLERANCES.slack,
-        _find_nearest_within(u, planes, m),
-    )
+    relaxed = 0
+    last = -1
+    slack = PROJECTION_TOLERANCES.slack
+    k, q = _find_nearest_within(u, planes, m)
     while k < m:
         # Rounding has left no point, for example of almost parallel planes: double the slack.
         if k == last:

@@ -25,7 +25,7 @@ class RelayRequests:
     lead_time: float = 1.0
     """Seconds before the drone would brake for want of a state, at which it begins to ask."""
     checks_if_unanswered: int = 5
-    """Number of checks between two questions about a drone unanswered for AHEAD s."""
+    """Number of checks between two questions about a drone unanswered for RELAY_REQUESTS.lead_time s."""
     checks_if_gone: int = 10
     """Number of checks between two questions about a drone that is gone or was never heard."""
     nearest_asked: int = 2
@@ -45,7 +45,7 @@ class RelayedStates:
 
     If one link fails, other drones hear both its ends. Two drones that do not hear each other have
     such a third drone between them, unless one of the two hears less than half of the others. That
-    drone lands (DEAF). The reason: let F be the number of flying drones, as both know. Both hear at
+    drone lands (NEIGHBOUR_AGES.deaf). The reason: let F be the number of flying drones, as both know. Both hear at
     least (F - 1) / 2 of the F - 2 others. So a drone that gets no answer may assume that the other
     one comes down.
 

@@ -46,15 +46,15 @@ SeenPose = tuple[float, Triple, Quaternion]
 class PoseGate:
     """Judges the poses of one body in flight.
 
-        |p - (p_0 + v_0 h)| <= min(JUMP + HARDEST h^2 / 2, FARTHEST)
-        angle(q_0, q) <= TURN + FASTEST h
+        |p - (p_0 + v_0 h)| <= min(jump + acceleration h^2 / 2, largest_jump)
+        angle(q_0, q) <= turn + turn_rate h
 
     p_0 m, v_0 m/s and the attitude q_0 are those of the last believed pose, h s ago. Before v_0 is
-    known, |p - p_0| <= min(JUMP + UNKNOWN h, FARTHEST).
+    known, |p - p_0| <= min(jump + unknown_speed h, largest_jump). The limits are those of POSE_GATE_LIMITS.
 
     Poses that continue a doubted pose are doubted too, however long. There is one exception: if the
-    first doubted pose was within min(JUMP + |v_0| h + HARDEST h^2 / 2, FARTHEST) of p_0, they are
-    believed after SURE s. v_0 may have been wrong, because late poses arrive together.
+    first doubted pose was within min(jump + |v_0| h + acceleration h^2 / 2, largest_jump) of p_0, they are
+    believed after POSE_GATE_LIMITS.believing_time s. v_0 may have been wrong, because late poses arrive together.
     """
 
     def __init__(self) -> None:
@@ -102,7 +102,7 @@ class PoseGate:
 
 
 def _keep_recent(before: deque[SeenPose], seen: SeenPose) -> None:
-    """Add a pose to those of the last KEPT s."""
+    """Add a pose to those of the last POSE_GATE_LIMITS.kept_time s."""
     while before and before[0][0] <= seen[0] - POSE_GATE_LIMITS.kept_time:
         before.popleft()
     before.append(seen)

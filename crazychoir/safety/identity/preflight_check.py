@@ -37,7 +37,8 @@ class GroundedDrone:
 def find_arming_problems(i: int, drones: Mapping[int, GroundedDrone]) -> list[str]:
     """Return why drone i must not be armed; an empty list if all agrees.
 
-        |p_own - p_seen| <= PLACE,   |yaw_own - yaw_seen| <= ANGLE,   angle(z_own, z_seen) <= ANGLE,
+        |p_own - p_seen| <= LARGEST_PLACE_ERROR,   |yaw_own - yaw_seen| <= LARGEST_ANGLE_ERROR,
+        angle(z_own, z_seen) <= LARGEST_ANGLE_ERROR,
         argmin_j |p_seen - home_j| = i
 
     A drone that gets its place from the cameras agrees with any body that they take for it. Then

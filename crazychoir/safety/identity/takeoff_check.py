@@ -155,7 +155,7 @@ class TiltTrack:
 
         since: s
         until: s
-        Returns nan for the mean if the body was not seen; the variance in rad2 is at most SHAKEN^2.
+        Returns nan for the mean if the body was not seen; the variance in rad2 is at most TILT_NOISE.largest_noise^2.
         """
         found = np.array(
             [
@@ -175,25 +175,26 @@ class TakeoffCheck:
     """One take-off of drone i: its own tilt is compared with those of its body and all others.
 
         s_k = u_own(t_k) - mean of u_own before,   b_jk = u_j(t_k - lag) - mean of u_j before
-        J_j(psi) = min over lags of sum_k min(|s_k - e^(i psi) b_jk|^2 / (2 sigma_k^2), ODD)
-        sigma_k^2 = NOISE^2 + n_own^2 + n_i^2 + (SHARE |s_k|)^2
+        J_j(psi) = min over lags of sum_k min(|s_k - e^(i psi) b_jk|^2 / (2 sigma_k^2), c)
+        c = TILT_JUDGEMENT.largest_sample_cost
+        sigma_k^2 = TILT_NOISE.noise^2 + n_own^2 + n_i^2 + (TILT_NOISE.share |s_k|)^2
 
-    The sums are over the last WINDOW samples. n_own and n_i are standard deviations per axis before
+    The sums are over the last TAKEOFF_WATCH.samples samples. n_own and n_i are standard deviations per axis before
     the take-off, in rad. The check reports four errors.
 
     The body is another drone's:
 
-        J_i(0) - J_j(0) > CLEARLY for a j
+        J_i(0) - J_j(0) > TILT_JUDGEMENT.clear_gain for a j
 
     The body is turned, by the best fit psi = arg sum_k s_k conj(b_ik):
 
-        J_i(0) - J_i(psi) > CLEARLY,   |psi| > TURNED
+        J_i(0) - J_i(psi) > TILT_JUDGEMENT.clear_gain,   |psi| > TILT_JUDGEMENT.least_turn
 
-    In both cases the better cost must also be less than J_i(0) / RATIO.
+    In both cases the better cost must also be less than J_i(0) / TILT_JUDGEMENT.better_ratio.
 
     The body belongs to no drone:
 
-        J_i(0) > UNLIKE,   sum |s - b|^2 > MOVED sum (|s|^2 + |b|^2)
+        J_i(0) > TILT_JUDGEMENT.unlike,   sum |s - b|^2 > TILT_JUDGEMENT.unexplained_share sum (|s|^2 + |b|^2)
 
     The body is another drone's, by the heights: it stays on the floor while the body of a drone
     that does not fly rises.
@@ -211,11 +212,9 @@ class TakeoffCheck:
         self._began = now
         self._bodies = bodies
         self._said = own
-        self._level, self._zeros, self._noise = (
-            complex(math.nan),
-            dict[int, complex](),
-            math.nan,
-        )
+        self._level = complex(math.nan)
+        self._zeros = dict[int, complex]()
+        self._noise = math.nan
         self._own: deque[complex] = deque(maxlen=TAKEOFF_WATCH.samples)
         self._seen: dict[int, deque[list[complex]]] = {
             j: deque(maxlen=TAKEOFF_WATCH.samples) for j in bodies

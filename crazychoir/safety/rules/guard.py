@@ -48,7 +48,7 @@ class SafetyRule:
     "stop": m outside the fence, now or where the drone comes to rest if it brakes now; the larger
     "limit area": m outside the limit area
     "broken": 1 if the state is not finite
-    or a measure that the guard receives by `tell`, see TOLD.
+    or a measure that the guard receives by `tell`, see REPORTED_MEASURES.
     """
     limit: float
     """The rule starts to act when the measure exceeds this."""
@@ -223,7 +223,7 @@ ALL_WELL = SafetyVerdict(Action.NOMINAL)
 def _compute_overshoot(x: Vec, box: Vec, reach: float) -> float:
     """Return the measure "stop": m outside the box, now or where the drone comes to rest.
 
-        p + (reach |v| + REACTION) v
+        p + (reach |v| + REACTION_TIME) v
 
     x: (13,): state of the drone
     box: (6,) m: lower corner, then upper corner
@@ -267,8 +267,8 @@ class Guard:
     below `clear`. A latched rule never stops: an operator looks at the drone and starts its agent
     again.
 
-    A drone that follows references brakes at the distance STOP |v|^2 / a_max from the fence that
-    `stopping` needs, REACTION s earlier, and so comes to rest at the fence. A drone that flies a
+    A drone that follows references brakes at the distance STOP_DISTANCE |v|^2 / a_max from the fence that
+    `stopping` needs, REACTION_TIME s earlier, and so comes to rest at the fence. A drone that flies a
     plan of its own, which ends inside, brakes at the fence itself.
 
     fence: where the drone flies
@@ -276,7 +276,7 @@ class Guard:
     a_max: m/s2: acceleration with which the drone brakes
     ground: m: height of the ground. To take off and to land, the drone leaves the fence downwards.
         Until then no rule but "stop" knows the floor of the fence.
-    limit: area outside which the motors are cut, None for AROUND m around the fence
+    limit: area outside which the motors are cut, None for SWARM_LIMITS.limit_area_margin m around the fence
     Raises ConfigError for a table with an unknown measure, or with `clear` above `limit`.
     """
 
@@ -394,9 +394,9 @@ class Guard:
         return out
 
     def tell(self, measure: str, value: float, said: str = "") -> None:
-        """Set the current value of a measure of TOLD.
+        """Set the current value of a measure of REPORTED_MEASURES.
 
-        measure: one of TOLD
+        measure: one of REPORTED_MEASURES
         value: in the unit of the measure
         said: text in place of {said} in the reason of its rule
         """
@@ -407,7 +407,7 @@ class Guard:
         )
 
     def told(self, measure: str) -> float:
-        """Return the current value of a measure of TOLD."""
+        """Return the current value of a measure of REPORTED_MEASURES."""
         return self._told[measure]
 
     def beyond(self, p: Vec) -> float:

@@ -33,10 +33,14 @@ class ModeEvent(Enum):
     FOUND = "found in the air"  # another agent has flown the drone there
 
 
-GROUND_MODE, TAKEOFF_MODE, HOVER_MODE, FOLLOW_MODE, RETURN_MODE, LAND_MODE, CUT_MODE = (
-    Mode
-)
 # Members of an enumeration are slow to look up, above all in Python 3.11; each tick needs these.
+GROUND_MODE = Mode.GROUND
+TAKEOFF_MODE = Mode.TAKEOFF
+HOVER_MODE = Mode.HOVER
+FOLLOW_MODE = Mode.FOLLOW
+RETURN_MODE = Mode.RETURN
+LAND_MODE = Mode.LAND
+CUT_MODE = Mode.CUT
 MOTORS_OFF_MODES = (GROUND_MODE, CUT_MODE)
 """Modes in which the motors are off."""
 GUIDED_MODES = (FOLLOW_MODE, HOVER_MODE, TAKEOFF_MODE)

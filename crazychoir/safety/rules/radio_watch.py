@@ -33,7 +33,7 @@ class RadioWatch(Actor):
     """Reports link, battery and attitude of one drone to its guard, ten times a second.
 
     port: the port of the drone
-    source: the address that publishes LINK
+    source: the address that publishes DRONE_TOPICS.link
     guard: of the drone
     firmware: of its platform: which battery voltages are low and critical
     """
@@ -58,7 +58,7 @@ class RadioWatch(Actor):
         port.bus.subscribe(DRONE_TOPICS.link, source, port.address, self._status)
 
     async def run(self) -> None:
-        """Report at the rate of LINK."""
+        """Report at the rate of DRONE_TOPICS.link."""
         async for _ in self.clock.ticks(
             DRONE_TOPICS.link.rate, drone=self.port.address
         ):

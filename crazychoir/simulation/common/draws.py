@@ -29,9 +29,12 @@ class SplitMix64(NamedTuple):
 SPLITMIX_64 = SplitMix64()
 
 
-SHIFT_8, SHIFT_16, SHIFT_27, SHIFT_30, SHIFT_31, SHIFT_32 = (
-    np.uint64(n) for n in (8, 16, 27, 30, 31, 32)
-)
+SHIFT_8 = np.uint64(8)
+SHIFT_16 = np.uint64(16)
+SHIFT_27 = np.uint64(27)
+SHIFT_30 = np.uint64(30)
+SHIFT_31 = np.uint64(31)
+SHIFT_32 = np.uint64(32)
 
 
 class ByteSum(NamedTuple):
@@ -53,7 +56,7 @@ def scramble_bits(z: np.uint64) -> np.uint64:
     """Return 64 bits that look random; different z give different results.
 
     Source: SplitMix64, Steele, Lea & Flood 2014, OOPSLA: its n-th number is scramble(key + n
-        GOLDEN).
+        SPLITMIX_64.golden_gamma).
     """
     z = (z ^ (z >> SHIFT_30)) * SPLITMIX_64.first_multiplier
     z = (z ^ (z >> SHIFT_27)) * SPLITMIX_64.second_multiplier

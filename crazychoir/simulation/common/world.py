@@ -87,7 +87,7 @@ class World(Protocol):
     states: Mat
     """(N, 13): rows laid out as State.flat, changed in place by `step`."""
     flies: tuple[str, ...]
-    """Kinds of commands that its drones obey, keys of KINDS."""
+    """Kinds of commands that its drones obey, keys of COMMAND_TYPES."""
     command_timeout: float | None
     """Seconds without a command before a flying drone gets no thrust.
 

@@ -159,7 +159,10 @@ def _put_down(x: Vec) -> None:
         x[10 + c] = 0.0
     if x[6] * x[6] + x[7] * x[7] < 0.5:
         n = math.sqrt(x[8] * x[8] + x[9] * x[9])
-        x[6], x[7], x[8], x[9] = 0.0, 0.0, x[8] / n, x[9] / n
+        x[6] = 0.0
+        x[7] = 0.0
+        x[8] = x[8] / n
+        x[9] = x[9] / n
 
 
 @kernel(matrix, matrix, table, table, memory)

@@ -31,7 +31,7 @@ class DownwashModel(NamedTuple):
     strength: float = 0.35
     """Share of the upper drone's thrust that pushes a drone straight below it down, at no distance.
 
-    WASH and WASH_LENGTH are the Gaussian of the vertical distance through what was measured between
+    `strength` and `vertical_deviation` are the Gaussian of the vertical distance through what was measured between
     two Crazyflies of 34 g: 10, 8, 6 and 4 g at 0.2, 0.3, 0.4 and 0.5 m (Shi, Hönig, Yue & Chung 2020,
     ICRA, Neural-Swarm).
     """
@@ -94,10 +94,10 @@ def advance_block_wind(
 def compute_wash_share(down: float, aside2: float, radius: float) -> float:
     """Return the force on a lower drone divided by the thrust of the upper drone.
 
-        F / T = WASH exp(-z^2 / (2 L^2)) exp(-r^2 / (2 s^2)) b(z / BESIDE)
-        s = radius + SPREAD z,  b(x) = x^2 (3 - 2 x)
+        F / T = DOWNWASH_MODEL.strength exp(-z^2 / (2 L^2)) exp(-r^2 / (2 s^2)) b(z / DOWNWASH_MODEL.onset_distance)
+        s = radius + DOWNWASH_MODEL.width_growth z,  b(x) = x^2 (3 - 2 x)
 
-    Both drones hover or fly slowly. The force points down, and b = 1 from BESIDE on.
+    Both drones hover or fly slowly. The force points down, and b = 1 from DOWNWASH_MODEL.onset_distance on.
     down: z, m: vertical distance
     aside2: r^2, m2: square of the horizontal distance
     radius: m: radius of the upper drone

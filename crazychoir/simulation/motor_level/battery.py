@@ -67,7 +67,7 @@ def drain_batteries(m: Vec, dt: float) -> None:
 
     and therefore V = (b + sqrt(b^2 - 4 R P)) / 2 with b = E - R I_idle. P is the power of an ideal
     rotor (momentum theory); a is chosen such that P in hover is the platform's hover power. The
-    protection of a cell switches it off when it is empty: V = 0. CEILING is the thrust of the
+    protection of a cell switches it off when it is empty: V = 0. THRUST_CEILING is the thrust of the
     platform's curve c0 + c1 V + c2 V^2 + c3 V^3 at full duty cycle.
     """
     for k in range(LANE_COUNT):

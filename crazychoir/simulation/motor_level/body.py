@@ -123,7 +123,7 @@ def _apply_rotor_lag(m: Vec, decay: int) -> None:
 
         f(t) = f_c + (f(0) - f_c) exp(-t / lag),  S = df/dr = sqrt(c1^2 + 4 c2 f)
 
-    decay: row of the block with the decay exp(-t / lag), HALF or FULL
+    decay: row of the block with the decay exp(-t / lag), HALF_STEP_DECAY or FULL_STEP_DECAY
     """
     for k in range(LANE_COUNT):
         c1 = m[THRUST_CURVE_1 + k]
@@ -151,11 +151,11 @@ def _compute_rotor_drag(m: Vec, k: int, s: float) -> tuple[float, float]:
 def _sum_rotor_wrench(m: Vec) -> None:
     """Write the force and torques of the four rotors together, about the body's axes.
 
-    LIFT = f1 + f2 + f3 + f4
+    TOTAL_LIFT = f1 + f2 + f3 + f4
     TX = arm (-f1 - f2 + f3 + f4)
     TY = arm (-f1 + f2 + f3 - f4)
     TZ = -m1 + m2 - m3 + m4,   m = t1 r + t2 r^2 + J r',   r' = f' / S,   f' = (f_c - f) / lag
-    SPIN = J (r1 - r2 + r3 - r4)
+    ROTOR_MOMENTUM = J (r1 - r2 + r3 - r4)
     """
     for k in range(LANE_COUNT):
         f1 = m[STAGE_THRUST_1 + k]
@@ -214,7 +214,7 @@ def _compute_stage(m: Vec, at: int, ahead: float) -> None:
     """Compute one stage of the Runge-Kutta method: the forces and the slopes at the stage's state.
 
         p' = v,  v' = -g e3 + R s + F / m,  q' = 1/2 q (w, 0)
-        m s = g(z) LIFT e3 - A R^T (v - wind),  J w' = tau - w x (J w + SPIN e3)
+        m s = g(z) TOTAL_LIFT e3 - A R^T (v - wind),  J w' = tau - w x (J w + ROTOR_MOMENTUM e3)
         tau = g(z) (TX, TY, 0) + (0, 0, TZ) + M
 
     F: N, world: external force
@@ -351,8 +351,8 @@ def _finish_step(m: Vec, h: float) -> None:
 def integrate_bodies(m: Vec, h: float) -> None:
     """Make one step of h s by the classical Runge-Kutta method of order 4.
 
-    The wrench is computed anew at each stage. The lag of the rotors is followed exactly: HALF and
-    FULL must be the decays of h/2 and h.
+    The wrench is computed anew at each stage. The lag of the rotors is followed exactly: HALF_STEP_DECAY and
+    FULL_STEP_DECAY must be the decays of h/2 and h.
     """
     _sum_rotor_wrench(m)
     _compute_stage(m, SLOPE_1, 0.5 * h)

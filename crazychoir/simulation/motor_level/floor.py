@@ -70,7 +70,7 @@ FLOOR_CONTACT = FloorContact()
 def _turn_on_floor(m: Vec, k: int, spin: float, h: float) -> float:
     """Return the rate in rad/s about z of a standing drone after h s.
 
-        |TZ| > max(FRICTION (m g - LIFT) arm, STUCK)
+        |TZ| > max(FLOOR_CONTACT.friction (m g - TOTAL_LIFT) arm, FLOOR_CONTACT.least_holding_torque)
 
     If this holds, the excess torque turns the drone; otherwise friction stops it.
     """
@@ -92,7 +92,7 @@ def _turn_on_floor(m: Vec, k: int, spin: float, h: float) -> float:
 def _settle(m: Vec, k: int, normal: Triple, h: float, spin: float) -> None:
     """Turn a standing drone until its z axis is normal to the surface below it.
 
-        w = (z_b x d) / SETTLING + spin z_b
+        w = (z_b x d) / FLOOR_CONTACT.settling_time + spin z_b
 
     with d = n for an upright drone and d = -n for a drone on its back.
     The heading stays as it is, apart from the spin. The specific force carries the weight: R^T g
@@ -120,7 +120,9 @@ def _settle(m: Vec, k: int, normal: Triple, h: float, spin: float) -> None:
         m[QUATERNION_Z + k],
         m[QUATERNION_W + k],
     ) = q
-    m[RATE_X + k], m[RATE_Y + k], m[RATE_Z + k] = dot(bx, w), dot(by, w), dot(bz, w)
+    m[RATE_X + k] = dot(bx, w)
+    m[RATE_Y + k] = dot(by, w)
+    m[RATE_Z + k] = dot(bz, w)
     m[SPECIFIC_FORCE_X + k] = STANDARD_GRAVITY * bx[2]
     m[SPECIFIC_FORCE_Y + k] = STANDARD_GRAVITY * by[2]
     m[SPECIFIC_FORCE_Z + k] = STANDARD_GRAVITY * bz[2]

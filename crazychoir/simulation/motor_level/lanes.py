@@ -24,13 +24,9 @@ LANE_COUNT = 8  # drones in a block
 
 _next = count(6 * 13 * LANE_COUNT, LANE_COUNT)
 
-# State.
-# PX, PY, PZ: position, m, world
-# VX, VY, VZ: velocity, m/s, world
-# QX, QY, QZ, QW: attitude, body to world
-# WX, WY, WZ: rates, rad/s, body
-# STAGE is the start of the same 13 numbers at a stage of the integration, SLOPE1 to 4 those of its
-# slopes.
+# State: position (m, world), velocity (m/s, world), attitude (body to world), rates (rad/s, body).
+# STAGE_STATE is the start of the same 13 numbers at a stage of the integration.
+# SLOPE_1 to SLOPE_4 are the starts of their slopes.
 (
     POSITION_X,
     POSITION_Y,
@@ -51,11 +47,11 @@ STAGE_STATE, SLOPE_1, SLOPE_2, SLOPE_3, SLOPE_4 = range(
 )
 
 # Rotors 1 to 4.
-# U: command, share of the firmware's greatest thrust
-# G: goal thrust, N
-# F: thrust at the beginning of a step, N
-# N: thrust at a stage, N
-# S: derivative of that thrust by the speed of the rotor, N/rpm
+# MOTOR_COMMAND: share of the firmware's greatest thrust
+# GOAL_THRUST: N
+# ROTOR_THRUST: thrust at the beginning of a step, N
+# STAGE_THRUST: thrust at a stage, N
+# THRUST_SLOPE: derivative of that thrust by the speed of the rotor, N/rpm
 MOTOR_COMMAND_1, MOTOR_COMMAND_2, MOTOR_COMMAND_3, MOTOR_COMMAND_4 = (
     next(_next) for _ in range(4)
 )
@@ -73,16 +69,16 @@ THRUST_SLOPE_1, THRUST_SLOPE_2, THRUST_SLOPE_3, THRUST_SLOPE_4 = (
 )
 
 # All rotors together, on the body.
-# LIFT: force along z, N
-# TX, TY, TZ: torques, N m
-# SPIN: angular momentum of the rotors along z, kg m2/s
+# TOTAL_LIFT: force along z, N
+# ROTOR_TORQUE: torques, N m
+# ROTOR_MOMENTUM: angular momentum of the rotors along z, kg m2/s
 TOTAL_LIFT, ROTOR_TORQUE_X, ROTOR_TORQUE_Y, ROTOR_TORQUE_Z, ROTOR_MOMENTUM = (
     next(_next) for _ in range(5)
 )
 # From outside.
-# EX, EY, EZ: force, N, world
-# OX, OY, OZ: torque, N m, body
-# AIRX, AIRY, AIRZ: wind, m/s, world
+# EXTERNAL_FORCE: N, world
+# EXTERNAL_TORQUE: N m, body
+# WIND: m/s, world
 (
     EXTERNAL_FORCE_X,
     EXTERNAL_FORCE_Y,
@@ -95,9 +91,10 @@ TOTAL_LIFT, ROTOR_TORQUE_X, ROTOR_TORQUE_Y, ROTOR_TORQUE_Z, ROTOR_MOMENTUM = (
     WIND_Z,
 ) = (next(_next) for _ in range(9))
 # Sensors.
-# SX, SY, SZ: specific force, m/s2, body
-# GYROX..: reading of the gyroscope, rad/s; ACCX..: reading of the accelerometer, m/s2
-# BIAS1 to 3: bias of the gyroscope; BIAS4 to 6: bias of the accelerometer
+# SPECIFIC_FORCE: m/s2, body
+# GYROSCOPE: reading, rad/s
+# ACCELEROMETER: reading, m/s2
+# GYROSCOPE_BIAS, ACCELEROMETER_BIAS: bias of the reading, in the same unit
 SPECIFIC_FORCE_X, SPECIFIC_FORCE_Y, SPECIFIC_FORCE_Z = (next(_next) for _ in range(3))
 (
     GYROSCOPE_X,
@@ -116,17 +113,17 @@ SPECIFIC_FORCE_X, SPECIFIC_FORCE_Y, SPECIFIC_FORCE_Z = (next(_next) for _ in ran
     ACCELEROMETER_BIAS_Z,
 ) = (next(_next) for _ in range(6))
 
-# FREE: 1 in the air, 0 on the floor
-# IMPACT: fastest touch-down, m/s
-# ALIVE1 to 4: 1 until the motor is cut, then 0
+# AIRBORNE_FLAG: 1 in the air, 0 on the floor
+# IMPACT_SPEED: fastest touch-down, m/s
+# MOTOR_ALIVE_1 to MOTOR_ALIVE_4: 1 until the motor is cut, then 0
 AIRBORNE_FLAG, IMPACT_SPEED = (next(_next) for _ in range(2))
 MOTOR_ALIVE_1, MOTOR_ALIVE_2, MOTOR_ALIVE_3, MOTOR_ALIVE_4 = (
     next(_next) for _ in range(4)
 )
 # Battery.
-# CHARGE: remaining share of the charge, 1 is full
-# VOLTAGE: V at its poles
-# CEILING: greatest thrust of one motor at that voltage, N
+# BATTERY_CHARGE: remaining share of the charge, 1 is full
+# BATTERY_VOLTAGE: V at its poles
+# THRUST_CEILING: greatest thrust of one motor at that voltage, N
 BATTERY_CHARGE, BATTERY_VOLTAGE, THRUST_CEILING = (next(_next) for _ in range(3))
 
 # Constants of the platform, see `compute_constants`.
@@ -187,7 +184,7 @@ def compute_constants(
 ) -> dict[int, float]:
     """Return the constants of a platform by their place in a block.
 
-    Units are SI, but rotor speeds are in rpm. HALF and FULL are the decays of the rotors' lag in
+    Units are SI, but rotor speeds are in rpm. HALF_STEP_DECAY and FULL_STEP_DECAY are the decays of the rotors' lag in
     h/2 and h s.
     """
     rotor = platform.rotor
@@ -232,7 +229,7 @@ def compute_constants(
 
 
 def arrange_in_lanes(values: npt.NDArray[Number]) -> npt.NDArray[Number]:
-    """Arrange values (N,) in lanes: (blocks, LANES); empty lanes repeat the last value."""
+    """Arrange values (N,) in lanes: (blocks, LANE_COUNT); empty lanes repeat the last value."""
     return np.pad(values, (0, -len(values) % LANE_COUNT), mode="edge").reshape(
         -1, LANE_COUNT
     )

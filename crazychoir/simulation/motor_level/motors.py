@@ -77,7 +77,9 @@ MOTOR_TIME_STEP = 0.001
 """Seconds of one step of the motor-level model, as long as a tick of the firmware."""
 MOTOR_SWITCHES = (MOTOR_ALIVE_1, MOTOR_ALIVE_2, MOTOR_ALIVE_3, MOTOR_ALIVE_4)
 """Places in a block that say whether each motor may turn."""
-NOISE_STREAM, BIAS_STREAM, GUST_STREAM = range(3)
+NOISE_STREAM = 0
+BIAS_STREAM = 1
+GUST_STREAM = 2
 """Uses of random streams: noise of the sensors, their biases, and gusts of wind."""
 
 keys: Any = numba.types.Array(numba.uint64, 2, "C", readonly=True)
@@ -226,7 +228,7 @@ class MotorWorld(Truth):
         self._began = self._blocks.copy()
 
     def _keys(self, seed: int, use: int) -> Keys:
-        """Return (blocks, LANES) keys of the drones' streams; empty lanes repeat the last drone's."""
+        """Return (blocks, LANE_COUNT) keys of the drones' streams; empty lanes repeat the last drone's."""
         return arrange_in_lanes(
             np.array([derive_stream_key(seed, use, i) for i in self.ids], np.uint64)
         )
@@ -328,11 +330,9 @@ class MotorWorld(Truth):
                 )
             ],
         )
-        self._resting[row], self.impact[row], self._lift[row] = (
-            1.0 - self._of(i, AIRBORNE_FLAG),
-            0.0,
-            self._of(i, TOTAL_LIFT),
-        )
+        self._resting[row] = 1.0 - self._of(i, AIRBORNE_FLAG)
+        self.impact[row] = 0.0
+        self._lift[row] = self._of(i, TOTAL_LIFT)
 
     def vbat(self, i: int) -> float:
         """Return the voltage of drone i's battery under load, in V; 0 when it is empty."""

@@ -180,7 +180,7 @@ def _add_scene(spec: mujoco.MjSpec, path: Path) -> None:
             where,
             "no such file",
             "an MJCF, its path relative to the swarm file",
-            "Mend the path.",
+            "Correct the path.",
         )
     try:
         scene = mujoco.MjSpec.from_file(str(path))
@@ -194,7 +194,7 @@ def _add_scene(spec: mujoco.MjSpec, path: Path) -> None:
             where,
             f"MuJoCo says: {error}",
             "an MJCF that MuJoCo reads",
-            "Mend the file.",
+            "Correct the file.",
         ) from error
 
 

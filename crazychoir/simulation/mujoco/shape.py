@@ -261,7 +261,10 @@ def _compile_file(path: Path, where: str) -> mujoco.MjModel:
         )
     if not path.is_file():
         raise ConfigError(
-            where, "no such file", "a path relative to the swarm file", "Mend the path."
+            where,
+            "no such file",
+            "a path relative to the swarm file",
+            "Correct the path.",
         )
     try:
         spec = (
@@ -277,7 +280,7 @@ def _compile_file(path: Path, where: str) -> mujoco.MjModel:
             where,
             f"MuJoCo says: {error}",
             "a model that MuJoCo compiles",
-            "Mend the file.",
+            "Correct the file.",
         ) from error
 
 
@@ -307,7 +310,7 @@ def _find_root(model: mujoco.MjModel, body: str, where: str) -> int:
                 f"{where}: mujoco.body",
                 body,
                 there,
-                "Mend it.",
+                "Correct it.",
                 "there is no such body",
             )
         return names[body]

@@ -178,7 +178,7 @@ class MujocoWorld(CrazyflieWorld):
             )
 
     def sensed(self, i: int) -> dict[str, Vec]:
-        """Return the last readings of drone i's SENSORS in MuJoCo, without noise."""
+        """Return the last readings of drone i's SENSOR_TYPES in MuJoCo, without noise."""
         return {
             name: self.data.sensor(f"{body_name(i)}/{name}").data.copy()
             for name in SENSOR_TYPES

@@ -17,13 +17,11 @@ from crazychoir.simulation.onboard.record import (
 )
 from crazychoir.types import Vec
 
-# Priorities of the sources of set-points.
-
 
 class SetpointPriorities(NamedTuple):
     """Priorities of the sources of set-points."""
 
-    nobody: int = 0
+    no_sender: int = 0
     """No source is in control."""
     high_level: int = 1
     """The planner."""
@@ -118,7 +116,7 @@ def rpyt(
     inverted sign in this kind of packet only.
     """
     fw = fleet[i]
-    if fw.priority == SETPOINT_PRIORITIES.nobody:
+    if fw.priority == SETPOINT_PRIORITIES.no_sender:
         fw.locked_thrust = 1
     if thrust == 0.0:
         fw.locked_thrust = 0

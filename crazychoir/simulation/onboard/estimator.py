@@ -22,8 +22,6 @@ from crazychoir.numerics.math3d import (
 from crazychoir.simulation.onboard.record import Fleet, Record, rows, whole
 from crazychoir.types import Vec
 
-# Standard deviations of the initial state.
-
 
 class InitialDeviations(NamedTuple):
     """Standard deviations of the initial state."""
@@ -185,21 +183,17 @@ def _correct_position(fw: Record, x: float, y: float, z: float) -> None:
     fw.y = fw.y + k * dy
     fw.vx = fw.vx + kv * dx
     fw.vy = fw.vy + kv * dy
-    fw.xy_pp, fw.xy_pv, fw.xy_vv = (
-        (1.0 - k) * fw.xy_pp,
-        (1.0 - k) * fw.xy_pv,
-        fw.xy_vv - kv * fw.xy_pv,
-    )
+    fw.xy_vv = fw.xy_vv - kv * fw.xy_pv
+    fw.xy_pv = (1.0 - k) * fw.xy_pv
+    fw.xy_pp = (1.0 - k) * fw.xy_pp
     k = fw.z_pp / (fw.z_pp + r)
     kv = fw.z_pv / (fw.z_pp + r)
     dz = z - fw.z
     fw.z = fw.z + k * dz
     fw.vz = fw.vz + kv * dz
-    fw.z_pp, fw.z_pv, fw.z_vv = (
-        (1.0 - k) * fw.z_pp,
-        (1.0 - k) * fw.z_pv,
-        fw.z_vv - kv * fw.z_pv,
-    )
+    fw.z_vv = fw.z_vv - kv * fw.z_pv
+    fw.z_pv = (1.0 - k) * fw.z_pv
+    fw.z_pp = (1.0 - k) * fw.z_pp
 
 
 @kernel(rows, whole)

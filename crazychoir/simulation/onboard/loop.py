@@ -90,7 +90,7 @@ def _filter_accelerometer(fw: Record, k: int, raw: float) -> float:
 
 @kernel()
 def _weigh(fw: Record, ax: float, ay: float, az: float) -> None:
-    """Calibrate the accelerometer: scale the mean of STANDING samples to 1 g.
+    """Calibrate the accelerometer: scale the mean of SENSOR_SETTINGS.calibration_samples samples to 1 g.
 
     The samples are taken some time after power-on, while the drone stands with its motors off.
     """
@@ -127,8 +127,8 @@ def _run_controller(fw: Record) -> None:
 
     A user's law is only marked as due here; it has written its output since the last pass.
     """
-    sp = fw.level if fw.state == supervisor.STATE_LEVEL_OUT else fw.wanted
-    if fw.state == supervisor.STATE_LEVEL_OUT:
+    sp = fw.level if fw.state == supervisor.SUPERVISOR_STATES.level_out else fw.wanted
+    if fw.state == supervisor.SUPERVISOR_STATES.level_out:
         write_level_setpoint(fw)
     if fw.controller == CONTROLLER_KINDS.pid:
         cascade.control(fw, sp)
@@ -153,19 +153,15 @@ def stabilize(
     gx, gy, gz: rad/s, body: readings of the gyroscope
     ax, ay, az: m/s2, body: specific force
     """
-    fw.gx, fw.gy, fw.gz = (
-        _filter_gyroscope(fw, 0, gx),
-        _filter_gyroscope(fw, 1, gy),
-        _filter_gyroscope(fw, 2, gz),
-    )
+    fw.gx = _filter_gyroscope(fw, 0, gx)
+    fw.gy = _filter_gyroscope(fw, 1, gy)
+    fw.gz = _filter_gyroscope(fw, 2, gz)
     if fw.acc_count < SENSOR_SETTINGS.calibration_samples:
         _weigh(fw, ax, ay, az)
     c = fw.acc_scale
-    fw.ax, fw.ay, fw.az = (
-        _filter_accelerometer(fw, 0, c * ax),
-        _filter_accelerometer(fw, 1, c * ay),
-        _filter_accelerometer(fw, 2, c * az),
-    )
+    fw.ax = _filter_accelerometer(fw, 0, c * ax)
+    fw.ay = _filter_accelerometer(fw, 1, c * ay)
+    fw.az = _filter_accelerometer(fw, 2, c * az)
     estimator.collect_samples(fw)
     fw.vbat_low += mixing.POWER_DISTRIBUTION.voltage_low_pass * (fw.vbat - fw.vbat_low)
     tick = fw.tick

@@ -101,12 +101,10 @@ def distribute(fw: Record, allowed: bool) -> None:
     """
     _write_requests(fw, allowed)
     if fw.power_set == 1:
-        fw.request[0], fw.request[1], fw.request[2], fw.request[3] = (
-            fw.power_1,
-            fw.power_2,
-            fw.power_3,
-            fw.power_4,
-        )
+        fw.request[0] = fw.power_1
+        fw.request[1] = fw.power_2
+        fw.request[2] = fw.power_3
+        fw.request[3] = fw.power_4
     elif fw.power_set == 2:
         for i in range(4):
             fw.request[i] = fw.power_1
@@ -179,15 +177,11 @@ def compensate(fw: Record) -> None:
     if abs(ratio - 1.0) < POWER_DISTRIBUTION.voltage_tolerance:
         ratio = 1.0
     else:
-        v[0], v[1], v[2], v[3] = (
-            _find_voltage(fw, v[0], r[0]),
-            _find_voltage(fw, v[1], r[1]),
-            _find_voltage(fw, v[2], r[2]),
-            _find_voltage(fw, v[3], r[3]),
-        )
-    fw.motors[0], fw.motors[1], fw.motors[2], fw.motors[3] = (
-        _compute_share(fw, v[0], r[0], ratio),
-        _compute_share(fw, v[1], r[1], ratio),
-        _compute_share(fw, v[2], r[2], ratio),
-        _compute_share(fw, v[3], r[3], ratio),
-    )
+        v[0] = _find_voltage(fw, v[0], r[0])
+        v[1] = _find_voltage(fw, v[1], r[1])
+        v[2] = _find_voltage(fw, v[2], r[2])
+        v[3] = _find_voltage(fw, v[3], r[3])
+    fw.motors[0] = _compute_share(fw, v[0], r[0], ratio)
+    fw.motors[1] = _compute_share(fw, v[1], r[1], ratio)
+    fw.motors[2] = _compute_share(fw, v[2], r[2], ratio)
+    fw.motors[3] = _compute_share(fw, v[3], r[3], ratio)

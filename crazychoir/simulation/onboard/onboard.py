@@ -472,7 +472,7 @@ class Onboard:
         """Expand a compressed trajectory so that it can be flown; return 0 if it is ready.
 
         It can only be flown forwards with a timescale of 1; otherwise 8 is returned.
-        Chosen: at most EXPANDED pieces are flown.
+        Chosen: at most TRAJECTORY_MEMORY.expanded_pieces pieces are flown.
         """
         plan = self.record["planner"]
         if not 0 <= slot < TRAJECTORY_MEMORY.slot_count or not plan["packed"][slot][1]:
@@ -611,7 +611,7 @@ class Onboard:
         """
         fw = self.record
         fw["law_due"] = 0
-        leveling = fw["state"] == supervisor.STATE_LEVEL_OUT
+        leveling = fw["state"] == supervisor.SUPERVISOR_STATES.level_out
         target = laws.convert_setpoint(
             fw["level"] if leveling else fw["wanted"], self.firmware.thrust_max
         )

@@ -30,8 +30,6 @@ from crazychoir.simulation.onboard.record import (
     whole,
 )
 
-# States of the planner.
-
 
 class PlannerStates(NamedTuple):
     """States of the planner."""
@@ -45,9 +43,6 @@ class PlannerStates(NamedTuple):
 
 
 PLANNER_STATES = PlannerStates()
-
-
-# Answers of the planner.
 
 
 class PlannerAnswers(NamedTuple):
@@ -344,7 +339,10 @@ def _is_flyable_duration(t: Single) -> bool:
 
 @kernel()
 def _is_bounded(c: Single, timescale: Single) -> bool:
-    """Return True if a piece and its derivatives stay below MOST: sum |c_n| T^n bounds them all."""
+    """Return True if a piece and its derivatives stay below PLAN_LIMITS.largest_value.
+
+    The sum of |c_n| T^n bounds them all.
+    """
     bound = np.empty(TRAJECTORY_MEMORY.piece_size, np.float32)
     out = np.empty(16, np.float32)
     for n in range(TRAJECTORY_MEMORY.piece_size):
@@ -362,13 +360,11 @@ def _is_bounded(c: Single, timescale: Single) -> bool:
 @kernel()
 def _start_plan(fw: Record, state: int) -> None:
     plan = fw.planner
-    plan.state, plan.begin, plan.slot, plan.timescale, plan.reversed = (
-        state,
-        _read_uptime(fw),
-        -1,
-        SINGLE_NUMBERS.one,
-        0,
-    )
+    plan.state = state
+    plan.begin = _read_uptime(fw)
+    plan.slot = -1
+    plan.timescale = SINGLE_NUMBERS.one
+    plan.reversed = 0
 
 
 @kernel()
@@ -405,7 +401,7 @@ def _evaluate_present_point(fw: Record) -> None:
 
 @kernel()
 def _limit_duration(t: float) -> float:
-    """Return the duration of a plan in s; a requested duration below SHORTEST becomes 0."""
+    """Return the duration of a plan in s; a requested duration below PLAN_LIMITS.shortest_duration becomes 0."""
     return 0.0 if t < PLAN_LIMITS.shortest_duration else t
 
 

@@ -35,9 +35,6 @@ class PolynomialLayout(NamedTuple):
 POLYNOMIAL_LAYOUT = PolynomialLayout()
 
 
-# Places in the result of `evaluate_piece`: each is followed by x, y, z and yaw.
-
-
 class SingleNumbers(NamedTuple):
     """Numbers as 32-bit floats, with which the arithmetic stays in 32 bits."""
 

@@ -14,8 +14,6 @@ Record = Any
 """The row of one drone: a numpy record in Python, a numba record in a kernel."""
 Fleet = npt.NDArray[np.void]
 
-# Modes of one axis of a set-point.
-
 
 class AxisModes(NamedTuple):
     """Modes of one axis of a set-point."""
@@ -29,9 +27,6 @@ class AxisModes(NamedTuple):
 
 
 AXIS_MODES = AxisModes()
-
-
-# Values of the parameter stabilizer.controller.
 
 
 class ControllerKinds(NamedTuple):
@@ -48,9 +43,6 @@ class ControllerKinds(NamedTuple):
 
 
 CONTROLLER_KINDS = ControllerKinds()
-
-
-# Kinds of output of a controller.
 
 
 class OutputKinds(NamedTuple):

@@ -7,22 +7,39 @@ from crazychoir.simulation.onboard.commander import SETPOINT_PRIORITIES
 from crazychoir.simulation.onboard.planner import PLANNER_STATES, is_finished
 from crazychoir.simulation.onboard.record import Fleet, Record, rows, whole
 
-(
-    STATE_NOT_INITIALISED,
-    STATE_CHECKS_NOT_PASSED,
-    STATE_CHECKS_PASSED,
-    STATE_ARMING,
-    STATE_READY,
-    STATE_FLYING,
-) = range(6)
-(
-    STATE_LANDED,
-    STATE_RESET,
-    STATE_LEVEL_OUT,
-    STATE_FREE_FALL,
-    STATE_LOCKED,
-    STATE_CRASHED,
-) = range(6, 12)
+
+class SupervisorStates(NamedTuple):
+    """States of the firmware's supervisor, numbered as in the firmware."""
+
+    not_initialised: int = 0
+    """The firmware has not started."""
+    checks_not_passed: int = 1
+    """The checks before flight fail."""
+    checks_passed: int = 2
+    """The checks before flight pass; the motors are locked."""
+    arming: int = 3
+    """The motors are being armed."""
+    ready: int = 4
+    """The drone may fly."""
+    flying: int = 5
+    """The drone flies."""
+    landed: int = 6
+    """The drone has landed."""
+    reset: int = 7
+    """The supervisor starts anew."""
+    level_out: int = 8
+    """Set-points are missing: the drone levels out."""
+    free_fall: int = 9
+    """Set-points are missing for long: the motors are off."""
+    locked: int = 10
+    """The motors are locked until the drone is switched off."""
+    crashed: int = 11
+    """The drone has crashed."""
+
+
+SUPERVISOR_STATES = SupervisorStates()
+
+
 STATE_NAMES = (
     "not initialised",
     "pre-flight checks not passed",
@@ -100,60 +117,70 @@ def _see_flying(fw: Record) -> None:
 def _enter(fw: Record, state: int) -> None:
     fw.state = state
     fw.since = fw.tick
-    if state in (STATE_RESET, STATE_CHECKS_NOT_PASSED, STATE_LOCKED, STATE_CRASHED):
+    if state in (
+        SUPERVISOR_STATES.reset,
+        SUPERVISOR_STATES.checks_not_passed,
+        SUPERVISOR_STATES.locked,
+        SUPERVISOR_STATES.crashed,
+    ):
         fw.armed = 0
         fw.arm_requested = 0
         fw.planner.state = (
             PLANNER_STATES.idle
         )  # a drone that may not fly has no plan either
-    if state == STATE_FREE_FALL:
-        fw.priority = SETPOINT_PRIORITIES.nobody
+    if state == SUPERVISOR_STATES.free_fall:
+        fw.priority = SETPOINT_PRIORITIES.no_sender
 
 
 @kernel()
 def _update_on_ground(fw: Record, waited: int) -> None:
-    if fw.state == STATE_NOT_INITIALISED:
-        _enter(fw, STATE_CHECKS_NOT_PASSED)
-    elif fw.state == STATE_CHECKS_NOT_PASSED:
+    if fw.state == SUPERVISOR_STATES.not_initialised:
+        _enter(fw, SUPERVISOR_STATES.checks_not_passed)
+    elif fw.state == SUPERVISOR_STATES.checks_not_passed:
         if not fw.tumbled:
-            _enter(fw, STATE_CHECKS_PASSED)
+            _enter(fw, SUPERVISOR_STATES.checks_passed)
     elif fw.tumbled:
-        _enter(fw, STATE_CHECKS_NOT_PASSED)
-    elif fw.state == STATE_CHECKS_PASSED:
+        _enter(fw, SUPERVISOR_STATES.checks_not_passed)
+    elif fw.state == SUPERVISOR_STATES.checks_passed:
         if fw.arm_requested or fw.auto_arm:
             fw.armed = 1
-            _enter(fw, STATE_ARMING)
-    elif fw.state == STATE_ARMING:
-        _enter(fw, STATE_READY if fw.armed else STATE_CHECKS_NOT_PASSED)
+            _enter(fw, SUPERVISOR_STATES.arming)
+    elif fw.state == SUPERVISOR_STATES.arming:
+        _enter(
+            fw,
+            SUPERVISOR_STATES.ready
+            if fw.armed
+            else SUPERVISOR_STATES.checks_not_passed,
+        )
     elif fw.flying and fw.armed:
-        _enter(fw, STATE_FLYING)
+        _enter(fw, SUPERVISOR_STATES.flying)
     elif not fw.armed or waited > fw.preflight_timeout:
-        _enter(fw, STATE_CHECKS_NOT_PASSED)
+        _enter(fw, SUPERVISOR_STATES.checks_not_passed)
 
 
 @kernel()
 def _update_in_air(fw: Record, age: int) -> None:
     if fw.tumbled:
-        _enter(fw, STATE_CRASHED)
+        _enter(fw, SUPERVISOR_STATES.crashed)
     elif not fw.armed:
-        _enter(fw, STATE_RESET)
+        _enter(fw, SUPERVISOR_STATES.reset)
     elif age > SUPERVISOR_LIMITS.free_fall_time:
-        _enter(fw, STATE_FREE_FALL)
+        _enter(fw, SUPERVISOR_STATES.free_fall)
     elif not fw.flying:
-        _enter(fw, STATE_LANDED)
+        _enter(fw, SUPERVISOR_STATES.landed)
     elif age > SUPERVISOR_LIMITS.level_out_time:
-        if fw.state != STATE_LEVEL_OUT:
-            _enter(fw, STATE_LEVEL_OUT)
-    elif fw.state != STATE_FLYING:
-        _enter(fw, STATE_FLYING)
+        if fw.state != SUPERVISOR_STATES.level_out:
+            _enter(fw, SUPERVISOR_STATES.level_out)
+    elif fw.state != SUPERVISOR_STATES.flying:
+        _enter(fw, SUPERVISOR_STATES.flying)
 
 
 @kernel()
 def _update_after_landing(fw: Record, waited: int) -> None:
     if fw.flying and fw.armed:
-        _enter(fw, STATE_FLYING)
+        _enter(fw, SUPERVISOR_STATES.flying)
     elif not fw.armed or waited >= fw.landed_timeout:
-        _enter(fw, STATE_RESET)
+        _enter(fw, SUPERVISOR_STATES.reset)
 
 
 @kernel()
@@ -171,35 +198,41 @@ def update(fw: Record) -> None:
     if fw.watchdog and fw.tick - fw.watchdog_at >= SUPERVISOR_LIMITS.watchdog_time:
         fw.estop = 1
     waited = fw.tick - fw.since
-    if fw.state == STATE_LOCKED:
+    if fw.state == SUPERVISOR_STATES.locked:
         return
-    if fw.estop or fw.state == STATE_FREE_FALL:
-        _enter(fw, STATE_LOCKED)
-    elif fw.state <= STATE_READY:
+    if fw.estop or fw.state == SUPERVISOR_STATES.free_fall:
+        _enter(fw, SUPERVISOR_STATES.locked)
+    elif fw.state <= SUPERVISOR_STATES.ready:
         _update_on_ground(fw, waited)
-    elif fw.state == STATE_FLYING or fw.state == STATE_LEVEL_OUT:
+    elif (
+        fw.state == SUPERVISOR_STATES.flying or fw.state == SUPERVISOR_STATES.level_out
+    ):
         _update_in_air(fw, fw.tick - fw.stamp)
-    elif fw.state == STATE_LANDED:
+    elif fw.state == SUPERVISOR_STATES.landed:
         _update_after_landing(fw, waited)
-    elif fw.state == STATE_RESET:
-        _enter(fw, STATE_CHECKS_NOT_PASSED)
+    elif fw.state == SUPERVISOR_STATES.reset:
+        _enter(fw, SUPERVISOR_STATES.checks_not_passed)
 
 
 @kernel()
 def may_fly(fw: Record) -> bool:
     """Return True if the supervisor allows motors; an emergency stop counts at once."""
     return not fw.estop and fw.state in (
-        STATE_READY,
-        STATE_FLYING,
-        STATE_LANDED,
-        STATE_LEVEL_OUT,
+        SUPERVISOR_STATES.ready,
+        SUPERVISOR_STATES.flying,
+        SUPERVISOR_STATES.landed,
+        SUPERVISOR_STATES.level_out,
     )
 
 
 @kernel()
 def may_arm(fw: Record) -> bool:
     """Return True if an arming request would succeed: the checks before flight are passed."""
-    return not fw.estop and fw.state >= STATE_CHECKS_PASSED and fw.state <= STATE_READY
+    return (
+        not fw.estop
+        and fw.state >= SUPERVISOR_STATES.checks_passed
+        and fw.state <= SUPERVISOR_STATES.ready
+    )
 
 
 @kernel(rows, whole)
@@ -230,8 +263,8 @@ def information(fleet: Fleet, i: int) -> int:
         may_fly(fw),
         fw.flying != 0,
         fw.tumbled != 0,
-        fw.state == STATE_LOCKED,
-        fw.state == STATE_CRASHED,
+        fw.state == SUPERVISOR_STATES.locked,
+        fw.state == SUPERVISOR_STATES.crashed,
         fw.priority == SETPOINT_PRIORITIES.high_level
         and fw.planner.state != PLANNER_STATES.idle,
         ended,
@@ -250,12 +283,15 @@ def recover(fleet: Fleet, i: int) -> bool:
     """
     fw = fleet[i]
     if (
-        fw.state == STATE_CRASHED
+        fw.state == SUPERVISOR_STATES.crashed
         and not fw.tumbled
         and fw.az >= SUPERVISOR_LIMITS.upright_acceleration
     ):
-        _enter(fw, STATE_RESET)
-    recovered: bool = fw.state not in (STATE_CRASHED, STATE_LOCKED)
+        _enter(fw, SUPERVISOR_STATES.reset)
+    recovered: bool = fw.state not in (
+        SUPERVISOR_STATES.crashed,
+        SUPERVISOR_STATES.locked,
+    )
     return recovered
 
 

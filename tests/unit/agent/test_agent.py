@@ -126,7 +126,7 @@ def test_however_a_mission_ends_its_drone_lands_and_says_the_result(does, result
         assert not found["success"]
         assert result in found["reason"]
         assert (
-            "test_agent.py" in found["reason"] or "mission_runner.py" in found["reason"]
+            "test_agent.py" in found["reason"] or "mission_result.py" in found["reason"]
         )
 
 
@@ -136,7 +136,7 @@ async def returns_a_set(guidance):
 
 
 @pytest.mark.parametrize("watched", [False, True])
-def test_a_result_is_the_same_whether_anybody_looks_on_or_not(watched):
+def test_the_result_is_the_same_with_and_without_an_observer(watched):
     async def main(clock):
         agent = Agent(clock, swarm(1), mission_of(returns_a_set), (0,))
         if watched:
@@ -348,7 +348,7 @@ def test_a_mission_that_raises_cancelled_error_has_failed():
 @pytest.mark.parametrize(
     "lands", [False, True], ids=["after its mission", "in its mission"]
 )
-def test_a_drone_whose_motors_are_cut_on_its_way_down_is_no_success(lands):
+def test_a_drone_with_motors_cut_during_its_landing_is_no_success(lands):
     async def is_cut(guidance):
         await guidance.take_off()
         clock = guidance.member.clock
@@ -419,7 +419,7 @@ def test_a_drone_that_was_landed_for_lack_of_poses_is_no_success_though_its_miss
 
 
 @pytest.mark.parametrize("method", ["off", "barrier", "cells"])
-def test_drones_that_nobody_sees_land_whatever_keeps_them_clear_of_each_other(method):
+def test_unseen_drones_land_with_every_collision_method(method):
     """Their places are old news to each other, too: that may not keep them in the air until their motors are cut."""
 
     async def main(clock):
@@ -489,7 +489,7 @@ def test_a_descent_may_take_as_long_as_it_is_planned():
 @pytest.mark.parametrize(
     "patience", [0.5, 6.0], ids=["still in the air", "on the ground"]
 )
-def test_who_was_landed_on_command_does_not_take_off_again_whatever_it_catches(
+def test_a_drone_landed_on_command_stays_down_whatever_its_law_catches(
     patience,
 ):
     async def stubborn(guidance):
@@ -544,7 +544,7 @@ class Stay(CFDistributedFeedback):
         return Acceleration(-2.0 * me.v) if heard else None
 
 
-def test_the_result_of_a_law_says_how_long_it_ran_where_it_ended_and_whom_it_did_not_hear():
+def test_the_result_of_a_law_gives_its_duration_end_place_and_unheard_drones():
     cut = {"partitions": [{"at": 3.0, "groups": [[1]], "until": 5.0}]}
 
     async def main(clock):
@@ -564,7 +564,7 @@ def test_the_result_of_a_law_says_how_long_it_ran_where_it_ended_and_whom_it_did
         assert 1.0 < result["unheard_s"][1 - i] < 2.0
 
 
-def test_a_formation_that_is_not_reached_is_no_success_and_names_who_is_off_and_who_was_deaf():
+def test_a_missed_formation_fails_and_names_misplaced_and_deaf_drones():
     mission = load_mission("bearing_formation")
     config = mission.swarm(None)
     goal = mission.goal(config)

@@ -49,7 +49,7 @@ async def test_drones_fly_on_as_long_as_a_console_is_there_and_land_so_long_afte
 
 
 @virtual
-async def test_who_does_not_fly_waits_for_a_console_as_long_as_it_takes(clock):
+async def test_a_drone_on_the_ground_waits_for_a_console_without_limit(clock):
     room = Room(clock)
     await clock.sleep(60.0)
     assert room.landed == []
@@ -59,7 +59,7 @@ async def test_who_does_not_fly_waits_for_a_console_as_long_as_it_takes(clock):
     room.watching.cancel()
 
 
-def test_only_who_is_obeyed_says_that_it_is_a_console_and_only_where_drones_count_on_it():
+def test_only_an_operator_host_is_a_console_and_only_with_dead_man_set():
     watched = default_swarm(2).replace(flight={"dead_man": 2.0})
     assert is_console(watched, "here")
     assert not is_console(default_swarm(2), "here")

@@ -63,7 +63,7 @@ async def test_changes_are_published(commands, said):
     assert said == [(DRONE_TOPICS.log, "drone 3: commanded: impair")]
 
 
-async def test_unknown_command_is_refused_with_those_that_there_are(commands):
+async def test_unknown_command_is_refused_with_the_list_of_commands(commands):
     allowed = (
         "arm, take-off, start, hold, go, land, home, go-to, fly, impair, param_set, "
         "task_add, task_cancel, param_get, task_list, overview, ping, watched"

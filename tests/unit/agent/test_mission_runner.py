@@ -41,7 +41,7 @@ class Lands:
 
 
 @virtual
-async def test_one_that_others_keep_up_is_never_cut(clock):
+async def test_a_drone_kept_up_by_others_is_never_cut(clock):
     pilot = Lands(clock, 3.0 * HELD_FLIGHT_PATIENCE, kept_up=True)
     await MissionRunner(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
     assert pilot.cut_at is None
@@ -49,14 +49,14 @@ async def test_one_that_others_keep_up_is_never_cut(clock):
 
 
 @virtual
-async def test_one_that_does_not_come_down_though_nobody_keeps_it_up_is_cut(clock):
+async def test_a_drone_that_is_not_kept_up_and_does_not_come_down_is_cut(clock):
     pilot = Lands(clock, 3.0 * HELD_FLIGHT_PATIENCE, kept_up=False)
     await MissionRunner(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
     assert pilot.cut_at == pytest.approx(MISSION_TIMES.landing_deadline, abs=0.1)
 
 
 @virtual
-async def test_one_whose_radio_is_silent_is_not_cut_when_it_is_reached_again(clock):
+async def test_a_drone_with_a_silent_radio_is_not_cut_when_it_is_reached_again(clock):
     pilot = Lands(clock, 3.0 * HELD_FLIGHT_PATIENCE, kept_up=False)
     pilot.unreached = True
     await MissionRunner(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
@@ -98,7 +98,7 @@ class Stopped:
 
 
 @pytest.mark.parametrize("cut_for", ["emergency stop", ""])
-def test_who_ends_a_mission_after_an_emergency_stop_is_not_its_reason(cut_for):
+def test_an_abort_after_an_emergency_stop_does_not_replace_its_reason(cut_for):
     @virtual
     async def check(clock):
         actor = MissionRunner(SimpleNamespace(id=4, pilot=Stopped(cut_for)), None, None)

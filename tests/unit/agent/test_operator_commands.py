@@ -189,7 +189,7 @@ def test_a_run_waits_on_the_ground_for_its_take_off_and_in_the_air_for_its_start
     ), results
 
 
-def test_those_who_are_told_later_join():
+def test_a_drone_that_is_started_later_joins_the_mission():
     async def scene(operator):
         await operator.order("take-off", 0)
         await operator.order("start", 0)
@@ -223,7 +223,7 @@ def test_a_mission_that_takes_off_by_itself_waits_on_the_ground_for_its_start():
     ), results
 
 
-def test_an_operator_who_never_comes_ends_the_run_on_the_ground_or_lands_it(
+def test_without_an_operator_the_run_ends_on_the_ground_or_lands(
     monkeypatch,
 ):
     monkeypatch.setattr(base, "COMMAND_TIMEOUT", 5.0)
@@ -391,7 +391,7 @@ def test_a_drone_that_waits_flies_where_its_operator_wants_and_then_its_mission(
         kind, why = await told(operator, "go-to", 1, p=[1.0, 1.0, 0.6])
         assert (kind, why) == (
             ANSWER_TEXTS.refused,
-            "its mission flies it: hold it first",
+            "its mission controls it: hold the drone first",
         )
 
     results = play(Stay, scene)
@@ -405,7 +405,7 @@ def test_a_drone_that_is_held_flies_on_command_and_goes_on_with_its_mission():
         await operator.clock.sleep(1.0)
         assert (await told(operator, "fly", 0, **way((0, 0, 1.0), (0, 1, 1.0))))[
             1
-        ].startswith("its mission flies")
+        ].startswith("its mission controls")
         await operator.order("hold", 0)
         assert await told(operator, "go-to", 0, p=[-1.0, -1.0, 1.0]) == (
             ANSWER_TEXTS.done,
@@ -667,7 +667,7 @@ def test_a_mission_that_its_operator_ends_in_flight_is_a_success_and_says_so(
     assert results == {0: {"success": True, "reason": words, "ended": words}}
 
 
-def test_landing_one_of_several_ends_those_that_cannot_go_on_without_it_as_a_success_too():
+def test_landing_a_needed_drone_ends_the_others_as_a_success_too():
     results = play(
         Exchanges,
         lambda operator: in_flight(operator, "land", drone=1),
@@ -723,7 +723,7 @@ def test_a_drone_that_breaks_while_its_operator_lands_it_is_no_success():
     )
 
 
-def test_a_mission_whose_own_code_breaks_when_its_operator_ends_it_has_failed():
+def test_a_mission_that_raises_when_its_operator_ends_it_has_failed():
     result = play(
         BreaksAtItsEnd,
         lambda operator: in_flight(operator, "land"),

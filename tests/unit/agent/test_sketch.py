@@ -13,7 +13,7 @@ from crazychoir.agent.sketch import (
     strokes_as_text,
 )
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.dashboard.access import REQUEST_RULES
+from crazychoir.dashboard.access import PAGE_REQUEST_RULES
 from crazychoir.dashboard.requests import Draw, decode_page_message
 from crazychoir.errors import ConfigError
 from crazychoir.planning.drawing.drawing import Pen
@@ -214,7 +214,7 @@ def test_what_is_loaded_is_thinned_to_what_a_page_may_have_planned(kind):
     strokes, _ = load_with_remarks(strokes_as_text(far, kind), f"a.{kind}")
     assert 2500 < sum(map(len, strokes)) <= SKETCH_LIMITS.loaded_rows
     asked = json.dumps({"ask": "draw", "strokes": strokes})
-    assert len(asked) < REQUEST_RULES.largest_body
+    assert len(asked) < PAGE_REQUEST_RULES.largest_body
     assert isinstance(decode_page_message(asked), Draw)
 
 

@@ -240,7 +240,7 @@ def test_a_world_that_has_no_delay_of_its_own_gets_the_delay_of_the_swarm_file(
     assert world.ids == (0, 1)
 
 
-def test_a_world_in_which_nobody_can_fly_what_is_sent_is_refused_at_its_start():
+def test_a_sender_that_no_drone_of_the_world_can_fly_is_refused_at_the_start():
     async def main(clock):
         with pytest.raises(
             ConfigError, match="drone 0: sender: found frpy; allowed: fpqr"
@@ -371,7 +371,7 @@ def test_an_agent_that_is_started_again_hears_that_the_motors_were_cut_and_takes
 
 
 @pytest.mark.parametrize("length", [0.6, 1.2, 1.8, 2.4, 3.6])
-def test_who_is_cut_off_from_its_body_lets_its_firmware_land_it_and_does_so_where_it_sees_it_again(
+def test_a_drone_cut_off_from_its_body_for_a_while_lands_without_falling(
     length,
 ):
     drones = [
@@ -414,7 +414,7 @@ def test_a_pose_is_as_old_as_its_way_was_long():
     assert all(0.03 <= age < 0.045 for age in ages), ages
 
 
-def test_the_owner_ends_when_nobody_flies_any_more(caplog):
+def test_the_owner_ends_when_no_drone_flies_any_more(caplog):
     ends = {}
 
     async def meanwhile(clock, world, agent, wires):
@@ -446,7 +446,7 @@ def test_agents_that_have_just_ended_are_no_news(caplog):
     assert not any("world:" in record.getMessage() for record in caplog.records)
 
 
-def test_an_owner_that_nobody_needs_ends_at_once():
+def test_an_unneeded_owner_ends_at_once():
     async def main(clock):
         world = WorldProcess(clock, swarm(), "world", "here", 1)
         serving = asyncio.create_task(world.serve())

@@ -302,7 +302,7 @@ def test_what_cannot_be_is_refused_before_anything_is_measured(
 
 
 @pytest.mark.parametrize("terminal", [False, True])
-def test_a_bench_says_what_it_measures_on_lines_where_nobody_looks_on(
+def test_a_bench_prints_its_progress_as_lines_when_there_is_no_terminal(
     monkeypatch, terminal
 ):
     console = Console(file=io.StringIO(), force_terminal=terminal, width=80)

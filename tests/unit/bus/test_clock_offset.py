@@ -116,7 +116,7 @@ def test_another_clock_is_noticed_at_its_first_answer():
     assert pair.found() == pytest.approx((6.999, 0.011), abs=1e-9)
 
 
-def test_a_late_answer_a_second_one_and_one_to_nobody_do_not_count():
+def test_late_repeated_and_unasked_answers_do_not_count():
     pair = Pair(skew=0)
     late = ClockOffset().hear(pair.offset.ask(100), 200, 200)
     question = pair.offset.ask(1000)

@@ -385,5 +385,7 @@ def test_numbers_on_the_wire_do_not_change():
         "Velocity": 42,
         "Plan": 43,
         "LinkStatus": 44,
+        "HoldRequest": 45,
+        "HoldAnswer": 46,
     }
     assert math.isnan(decode(encode(math.nan)))

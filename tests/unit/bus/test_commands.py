@@ -117,7 +117,7 @@ async def test_a_result_that_cannot_travel_is_a_refusal(clock):
 
 
 @virtual
-async def test_nobody_there_is_a_timeout_that_names_drone_and_verb(clock):
+async def test_a_request_to_an_absent_drone_times_out_and_names_drone_and_verb(clock):
     swarm = Swarm(clock, 1)
     with pytest.raises(TimeoutError, match=r"drone 9: no answer to 'land' within 2 s"):
         await swarm.operator.request(9, "land", deadline=2.0)
@@ -289,7 +289,7 @@ async def test_answers_to_a_former_life_of_the_operator_are_not_taken(clock):
 
 
 @virtual
-async def test_nobody_answers_for_another(clock):
+async def test_an_answer_from_another_drone_is_ignored(clock):
     swarm = Swarm(clock)
     request = asyncio.create_task(swarm.operator.request(1, "land", deadline=1.0))
     await clock.sleep(0.1)
@@ -327,7 +327,7 @@ async def test_a_stop_is_resent_until_all_have_acknowledged_and_carried_out_once
 
 
 @virtual
-async def test_only_those_that_did_not_answer_are_asked_again(clock):
+async def test_only_drones_that_did_not_answer_are_asked_again(clock):
     swarm = Swarm(clock, 1, 2)
     first = losing(swarm.bus.ports[1], lambda *message: False)
     second = losing(swarm.bus.ports[2], lambda *message: clock.now() < 1.0)
@@ -336,7 +336,7 @@ async def test_only_those_that_did_not_answer_are_asked_again(clock):
 
 
 @virtual
-async def test_those_that_do_not_acknowledge_are_returned(clock):
+async def test_drones_that_do_not_acknowledge_are_returned(clock):
     swarm = Swarm(clock, 1, 2)
     losing(swarm.bus.ports[2], lambda *message: True)
     assert await swarm.operator.emergency_stop([1, 2, 9], deadline=3.0) == [2, 9]
@@ -413,7 +413,7 @@ async def test_a_clear_that_comes_after_a_newer_stop_does_not_count_nor_a_stop_a
 
 
 @virtual
-async def test_who_is_taken_out_of_a_stop_s_targets_is_told_no_more(clock):
+async def test_a_drone_removed_from_the_targets_of_a_stop_is_no_longer_told(clock):
     swarm, targets = Swarm(clock, 1), [1, 2, 3]
     stopping = asyncio.create_task(
         swarm.operator.emergency_stop(targets, deadline=math.inf)

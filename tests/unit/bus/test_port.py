@@ -112,14 +112,14 @@ async def test_what_can_be_changed_is_not_shared(clock):
 
 
 @virtual
-async def test_a_value_that_nobody_reads_is_not_even_encoded(clock):
+async def test_a_value_without_a_reader_is_not_even_encoded(clock):
     _, one = ports(clock, 1)
     one.publish(DRONE_TOPICS.state, object())
     assert one.counters.sent == 0
 
 
 @virtual
-async def test_a_value_is_encoded_once_for_all_who_read_it(clock):
+async def test_a_value_is_encoded_once_for_all_its_readers(clock):
     bus, one, _, _ = ports(clock, 1, 2, 3)
     boxes = [reading(bus, DRONE_TOPICS.state, 1, reader) for reader in (2, 3)]
     with patch.object(local, "encode", wraps=encode) as encoding:
@@ -382,7 +382,7 @@ async def test_any_is_every_other_drone_with_its_name(clock):
 
 
 @virtual
-async def test_a_drone_that_comes_later_is_heard_by_who_asked_for_it(clock):
+async def test_a_drone_that_comes_later_is_heard_by_its_earlier_reader(clock):
     bus, _ = ports(clock, 2)
     bus.forwarder = Network()
     box = reading(bus, DRONE_TOPICS.state, 1, 2)
@@ -482,7 +482,7 @@ def test_what_is_not_a_state_is_counted_and_goes_nowhere(payload):
 
 
 @virtual
-async def test_what_nobody_reads_is_not_decoded(clock):
+async def test_a_value_without_a_reader_is_not_decoded(clock):
     bus, _, two, _ = ports(clock, 1, 2, 3)
     reading(bus, DRONE_TOPICS.state, 3, 2)
     two.deliver(DRONE_TOPICS.state.number, 1, b"\xff", 0, "", 0, 0.0)
@@ -521,7 +521,7 @@ async def test_the_tap_sees_every_message_between_drones(clock):
 
 
 @virtual
-async def test_whoever_reads_commands_gets_each_type_of_them(clock):
+async def test_a_command_reader_gets_each_type_of_command(clock):
     bus, one, _ = ports(clock, 1, 2)
     box = reading(bus, DRONE_TOPICS.command, 1, 2)
     x = np.ones(14)

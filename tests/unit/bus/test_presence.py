@@ -70,7 +70,7 @@ async def test_silence_makes_suspect_and_then_lost(clock):
 
 
 @virtual
-async def test_who_was_never_heard_is_absent_and_not_lost(clock):
+async def test_a_drone_that_was_never_heard_is_absent_and_not_lost(clock):
     team = Team(
         clock,
         2,
@@ -188,7 +188,7 @@ async def test_a_token_tells_nothing_about_a_drone_that_hangs(clock):
 
 
 @virtual
-async def test_who_is_watched_may_change(clock):
+async def test_the_watched_drones_may_change(clock):
     team = Team(clock, 3)
     await clock.sleep(1.0)
     team.monitors[1].watched = (2,)

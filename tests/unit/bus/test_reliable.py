@@ -261,7 +261,7 @@ async def test_an_acknowledgement_of_all_during_a_resend_ends_the_resending(cloc
 
 
 @virtual
-async def test_who_says_that_it_is_anew_again_and_again_takes_no_memory(clock):
+async def test_a_sender_that_restarts_again_and_again_takes_no_memory(clock):
     bus, _, two, seen = pair(clock)
     for life in range(10_000):
         bus.ports[2].deliver(

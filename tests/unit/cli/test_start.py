@@ -9,7 +9,7 @@ import pytest
 
 from crazychoir.cli.compute import solve
 from crazychoir.routing.distributed.pickup_delivery import PLANNING_METHODS
-from crazychoir.solve.solving import solve_here
+from crazychoir.solve.solve_options import SolveOptions
 
 HEAVY = {
     "numpy",
@@ -51,8 +51,4 @@ def test_its_version_is_told():
 def test_solve_offers_the_methods_that_there_are():
     option = solve.solve.__annotations__["method"].__metadata__[0]
     assert option.help == f"Recovery of the plan: {', '.join(PLANNING_METHODS)}."
-    assert (
-        solve.solve.__defaults__[0]
-        == PLANNING_METHODS[0]
-        == solve_here.__kwdefaults__["method"]
-    )
+    assert solve.solve.__defaults__[0] == PLANNING_METHODS[0] == SolveOptions().method

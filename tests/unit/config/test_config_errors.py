@@ -20,7 +20,7 @@ CASES = {
         'x.toml: colour = "red": there is no such key; the keys here are name, drones, mission, mission_options, '
         "seed, graph, edges, directed, start, start_deadline, lost_after, lease, base_port, processes, hosts, "
         "router, security, network, flight, fence, keep_out, mocap, radio, plant, motors, mujoco, world, collision, "
-        "control, roles. Remove it; keys of your own go into [mission_options].",
+        "control, roles. Remove it; write your own keys into [mission_options].",
     ),
     "misspelt key of a drone": (
         "",
@@ -33,7 +33,7 @@ CASES = {
         "network.partitions = [{ groups = [[0]], since = 8.0 }]",
         "",
         "x.toml: network.partitions[0].since = 8.0: there is no such key; the keys here are at, groups, until. "
-        "Remove it; keys of your own go into [mission_options].",
+        "Remove it; write your own keys into [mission_options].",
     ),
     "wrong type": (
         "seed = 1.5",
@@ -65,7 +65,7 @@ CASES = {
     "choice": (
         'plant.inputs = "pwm"',
         "",
-        'x.toml: plant.inputs: found "pwm"; allowed: what steers it: "rates" (of the body) or "euler" '
+        'x.toml: plant.inputs: found "pwm"; allowed: the commands that steer it: "rates" (of the body) or "euler" '
         '(of the Euler angles). For example inputs = "rates".',
     ),
     "infinity": (
@@ -94,7 +94,7 @@ CASES = {
         "",
         "neighbors = [2, 7]",
         "x.toml: drones[3].neighbors = [2, 7]: there is no drone 7; this swarm has 0 to 3. "
-        "Add a [[drones]] with id = 7, or mend the list.",
+        "Add a [[drones]] with id = 7, or correct the list.",
     ),
     "own neighbour": (
         "",
@@ -133,7 +133,7 @@ CASES = {
         "edges = [[0, 1], [0, 9]]",
         "",
         "x.toml: edges[1] = [0, 9]: there is no drone 9; this swarm has 0 to 3. "
-        "Add a [[drones]] with id = 9, or mend the list.",
+        "Add a [[drones]] with id = 9, or correct the list.",
     ),
     "loop": (
         "edges = [[2, 2]]",
@@ -195,7 +195,7 @@ CASES = {
     "world on no host": (
         'world.host = "desk"',
         "",
-        'x.toml: world.host = "desk": there is no such host; [hosts] has none, there is no [hosts]. Mend the name.',
+        'x.toml: world.host = "desk": there is no such host; [hosts] has none, there is no [hosts]. Correct the name.',
     ),
     "no port for the world": (
         "base_port = 1024\nworld.owned = true",
@@ -206,7 +206,7 @@ CASES = {
     "a router nowhere": (
         'router = "desk"',
         "",
-        'x.toml: router = "desk": there is no such host; [hosts] has none, there is no [hosts]. Mend the name, or '
+        'x.toml: router = "desk": there is no such host; [hosts] has none, there is no [hosts]. Correct the name, or '
         "leave router out: hosts then reach each other directly.",
     ),
     "outside the fence": (
@@ -256,7 +256,7 @@ CASES = {
         "mocap.latency = 0.1",
         "",
         "x.toml: mocap = latency 0.1 s, rate 100 Hz: poses get 0.11 s old before the next one comes; "
-        "at most 0.1 s: a drone whose pose is older brakes. Lower the latency, or raise the rate.",
+        "at most 0.1 s: a drone with an older pose brakes. Lower the latency, or raise the rate.",
     ),
     "cameras that are late by a part of a period": (
         "mocap.latency = 0.015",
@@ -267,13 +267,13 @@ CASES = {
         "mocap.rate = 8",
         "",
         "x.toml: mocap = latency 0 s, rate 8 Hz: poses get 0.125 s old before the next one comes; "
-        "at most 0.1 s: a drone whose pose is older brakes. Lower the latency, or raise the rate.",
+        "at most 0.1 s: a drone with an older pose brakes. Lower the latency, or raise the rate.",
     ),
     "host without a table": (
         "",
         'host = "lab"',
         'x.toml: drones[3].host = "lab": there is no such host; [hosts] has none, there is no [hosts]. '
-        'Add lab = "its address" to [hosts], or mend the name.',
+        'Add lab = "its address" to [hosts], or correct the name.',
     ),
     "drone without a host": (
         'hosts.lab = "10.0.0.1"',
@@ -301,13 +301,13 @@ CASES = {
         "processes = [[0, 1], [2, 3, 4]]",
         "",
         "x.toml: processes[1] = [2, 3, 4]: there is no drone 4; this swarm has 0 to 3. "
-        "Add a [[drones]] with id = 4, or mend the list.",
+        "Add a [[drones]] with id = 4, or correct the list.",
     ),
     "drone in no process": (
         "processes = [[0, 1], [2]]",
         "",
         "x.toml: processes = [[0, 1], [2]]: drone 3 is there 0 times; each drone is in one process. "
-        "Mend it, or leave processes out: one process a drone.",
+        "Correct it, or leave processes out: one process a drone.",
     ),
     "empty process": (
         "processes = [[0, 1, 2, 3], []]",
@@ -330,7 +330,7 @@ CASES = {
         "",
         "[[network.edges]]\nsource = 0\ndestination = 6",
         "x.toml: network.edges[0] = [0, 6]: there is no drone 6; this swarm has 0 to 3. "
-        "Add a [[drones]] with id = 6, or mend the list.",
+        "Add a [[drones]] with id = 6, or correct the list.",
     ),
     "link without ends": (
         "",
@@ -342,7 +342,7 @@ CASES = {
         "",
         "[[network.partitions]]\nat = 1\ngroups = [[0], [5]]",
         "x.toml: network.partitions[0].groups = [5]: there is no drone 5; this swarm has 0 to 3. "
-        "Add a [[drones]] with id = 5, or mend the list.",
+        "Add a [[drones]] with id = 5, or correct the list.",
     ),
     "partition that ends before": (
         "",
@@ -353,7 +353,7 @@ CASES = {
         "",
         "[[network.partitions]]\nat = 5\ngroups = [[0, 1], [1, 2]]",
         "x.toml: network.partitions[0].groups = [[0, 1], [1, 2]]: drone 1 is in two groups; groups are disjoint. "
-        "Mend the groups.",
+        "Correct the groups.",
     ),
 }
 
@@ -386,11 +386,11 @@ def test_the_square_itself_is_right() -> None:
     [
         (
             "a = [",
-            "x.toml: found Invalid value (at end of document); allowed: TOML text. Mend the line.",
+            "x.toml: found Invalid value (at end of document); allowed: TOML text. Correct the line.",
         ),
         (
             '{"name": ',
-            "x.toml: found Input data was truncated; allowed: JSON text. Mend the line.",
+            "x.toml: found Input data was truncated; allowed: JSON text. Correct the line.",
         ),
         (
             'name = "x"\ndrones = []',
@@ -459,14 +459,14 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
             SwarmConfig.load(path)
         assert str(caught.value) == (
             f"{path}: found {reason}; allowed: a swarm file, TOML or JSON. "
-            'The least is name = "lab" and a table [[drones]] with id = 0 and home = [0, 0, 0] for each drone.'
+            'A minimal file has name = "lab" and a table [[drones]] with id = 0 and home = [0, 0, 0] for each drone.'
         )
     (tmp_path / "bytes.toml").write_bytes(b"name = '\xff'")
     with pytest.raises(ConfigError, match="found bytes that are not UTF-8"):
         SwarmConfig.load(tmp_path / "bytes.toml")
 
 
-def test_nobody_asks_for_an_unknown_drone() -> None:
+def test_a_request_for_an_unknown_drone_is_refused() -> None:
     for wrong in (
         default_swarm(3).drone,
         Addresses(default_swarm(3)).endpoint,

@@ -10,6 +10,7 @@ from squares import square
 from crazychoir.config.digest import compute_digest
 from crazychoir.config.swarm_config import (
     SwarmConfig,
+    default_swarm,
     demo_swarm,
 )
 
@@ -64,3 +65,9 @@ def test_digest_does_not_depend_on_the_order_of_free_keys_or_the_hash_seed() -> 
             cwd=ROOT,
         )
         assert said.stdout.decode().strip() == compute_digest(demo_swarm())
+
+
+def test_option_that_is_too_long_for_a_path_is_a_text():
+    made = default_swarm(2).replace(mission_options={"word": "é" * 200})
+    assert len(compute_digest(made)) == 16
+    assert compute_digest(made) != compute_digest(default_swarm(2))

@@ -67,7 +67,7 @@ def test_it_says_with_which_speed_limit_there_is_room(sender) -> None:
     assert allowed_speed(0.9 * STRAY_DISTANCES[sender], 2.0, sender) == 0.0
 
 
-def test_who_shares_a_dongle_and_starts_too_near_is_named() -> None:
+def test_drones_that_share_a_dongle_and_start_too_near_are_named() -> None:
     homes, numbers = ((0.0, 0.0), (0.6, 0.0), (0.0, 0.5), (0.0, 1.2)), (0, 0, 1, 0)
     drones = [
         {
@@ -95,7 +95,7 @@ def test_who_shares_a_dongle_and_starts_too_near_is_named() -> None:
     )
 
 
-def test_who_strays_little_is_offered_only_what_strays_less() -> None:
+def test_a_sender_that_strays_little_is_offered_only_senders_that_stray_less() -> None:
     drones = [
         {"id": i, "home": [0.2 * i, 0.0, 0.0], "uri": f"udp://127.0.0.1:{19850 + i}"}
         for i in range(2)

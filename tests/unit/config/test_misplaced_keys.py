@@ -47,7 +47,7 @@ def test_a_key_of_the_file_below_a_table_is_to_be_written_above_the_first(key, t
     said = refusal(f"{NAME}{DRONES}{head}{key} = {PLAIN[key]}\n")
     assert ABOVE in said
     assert (
-        f"What stands below {table_label('drones[0]' if table == 'drones' else table)} is a key of that table"
+        f"Every line below {table_label('drones[0]' if table == 'drones' else table)} is a key of that table"
         in said
     )
     assert "Remove it" not in said
@@ -124,7 +124,7 @@ def test_each_way_to_miss_the_table_is_told(text, told):
 
 
 def test_a_key_that_no_table_has_is_removed_and_a_misspelt_one_is_mended():
-    assert "Remove it; keys of your own go into [mission_options]." in refusal(
+    assert "Remove it; write your own keys into [mission_options]." in refusal(
         f"{NAME}{DRONES}[flight]\nbanana = 1\n"
     )
     assert refusal(f"{NAME}{DRONES}[flight]\nspeed_limt = 1.0\n").endswith(

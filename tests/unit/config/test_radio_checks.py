@@ -67,7 +67,7 @@ def test_owners_listen_below_the_drones() -> None:
     assert list(ports) == sorted(ports), "each process connects to those before it"
 
 
-def test_who_says_what() -> None:
+def test_each_topic_has_its_source_address() -> None:
     config = swarm("udp://h:1", "sim://")
     assert [
         config.topology.source(topic, 0)
@@ -134,7 +134,7 @@ def test_who_says_what() -> None:
             ["udp://a:1"],
             "",
             'pose = "onboard"',
-            "radio.log_rate = 10.0: drones[0] says itself where it is",
+            "radio.log_rate = 10.0: drones[0] sends its own pose",
         ),
         (
             ["udp://a:1"],
@@ -257,9 +257,7 @@ def test_what_drones_say_counts_as_well() -> None:
         compute_setpoint_rates(udp(2, sender="vel", radio={"log_rate": 100.0}))
 
 
-def test_who_is_reached_by_a_radio_is_streamed_angles_unless_the_file_says_otherwise() -> (
-    None
-):
+def test_a_drone_with_a_radio_is_sent_angles_unless_the_file_says_otherwise() -> None:
     config = swarm("udp://127.0.0.1:19850", "sim://")
     assert [config.control_of(i).sender for i in config.ids] == ["frpy", "fpqr"]
     said = config.replace(control={"sender": "fpqr"})

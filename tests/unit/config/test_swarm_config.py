@@ -176,7 +176,7 @@ def test_graphs(keys: str, graph: Graph) -> None:
     assert square(keys).graph() == graph
 
 
-def test_neighbors_are_whom_a_drone_hears() -> None:
+def test_neighbors_are_the_drones_that_a_drone_hears() -> None:
     raw = tomllib.loads(SQUARE.format(keys="directed = true", first="", last=""))
     for drone, heard in zip(raw["drones"], ([], [0], [1, 0], [2]), strict=True):
         drone["neighbors"] = heard

@@ -5,8 +5,8 @@ from virtual_time import virtual
 
 from crazychoir.dashboard.access import (
     LOGIN_LIMITS,
+    PAGE_REQUEST_RULES,
     PAGE_SESSION,
-    REQUEST_RULES,
     AccessGate,
     network_of,
 )
@@ -99,7 +99,7 @@ class Visitor:
 
 
 @virtual
-async def test_who_comes_to_the_page_itself_comes_in(clock):
+async def test_a_visitor_of_the_page_itself_is_admitted(clock):
     visitor = Visitor(clock)
     status, body, headers = await visitor.come()
     assert (status, body) == (200, b"in")
@@ -165,9 +165,9 @@ def test_other_sites_may_do_no_more_than_link_to_the_page(origin, fetch, status)
 @virtual
 async def test_what_is_too_large_is_refused_whether_it_says_so_or_not(clock):
     visitor = Visitor(clock)
-    for length in (REQUEST_RULES.largest_body + 1, "much", "-1"):
+    for length in (PAGE_REQUEST_RULES.largest_body + 1, "much", "-1"):
         assert (await visitor.come("POST", origin=ORIGIN, length=length))[0] == 413
-    half = b"x" * (REQUEST_RULES.largest_body // 2)
+    half = b"x" * (PAGE_REQUEST_RULES.largest_body // 2)
     assert (await visitor.come("POST", origin=ORIGIN, parts=(half, half)))[0] == 200
     assert (await visitor.come("POST", origin=ORIGIN, parts=(half, half, b"x")))[
         0
@@ -175,7 +175,7 @@ async def test_what_is_too_large_is_refused_whether_it_says_so_or_not(clock):
 
 
 @virtual
-async def test_without_the_password_nobody_comes_in(clock):
+async def test_without_the_password_no_visitor_is_admitted(clock):
     visitor = Visitor(clock, hosts=None, password=PASSWORD)
     for path in (
         "/",
@@ -238,7 +238,7 @@ async def test_with_the_password_one_comes_in_and_wrong_ones_take_their_time(clo
 
 
 @virtual
-async def test_who_guesses_is_slow_and_keeps_nobody_else_out(clock):
+async def test_a_password_guesser_is_slowed_and_does_not_lock_out_others(clock):
     guesser, operator = (
         Visitor(clock, hosts=None, password=PASSWORD) for _ in range(2)
     )
@@ -307,5 +307,7 @@ async def test_what_is_no_request_goes_through(clock):
         ("", "", True),
     ],
 )
-def test_who_may_choose_among_addresses_is_one(one, other, same):
+def test_addresses_that_one_visitor_may_choose_among_count_as_one_network(
+    one, other, same
+):
     assert (network_of(one) == network_of(other)) is same

@@ -61,7 +61,7 @@ class Swarm:
 
 
 @virtual
-async def test_a_receipt_tells_who_has_acknowledged_who_has_done_it_who_refuses_and_who_is_silent(
+async def test_a_receipt_tells_which_drones_acknowledged_finished_refused_or_are_silent(
     clock,
 ):
     swarm = Swarm(clock)
@@ -89,7 +89,7 @@ async def test_a_receipt_tells_who_has_acknowledged_who_has_done_it_who_refuses_
 
 
 @virtual
-async def test_nobody_obeys_in_a_replay_and_when_all_have_gone(clock):
+async def test_no_drone_obeys_in_a_replay_or_when_all_have_gone(clock):
     swarm = Swarm(clock)
     assert swarm.desk.ended() == ""
     swarm.replays = True
@@ -128,7 +128,7 @@ async def test_what_was_begun_and_refused_after_a_later_order_is_withdrawn_by_it
 
 
 @virtual
-async def test_only_those_that_are_meant_are_asked_each_with_its_own_arguments(clock):
+async def test_only_the_chosen_drones_are_asked_each_with_its_own_arguments(clock):
     swarm = Swarm(clock)
     receipt = swarm.desk.order(
         "go-to", [0], each=lambda i: {"p": [i, 1.0, 2.0]}, words="[0, 1, 2] m"
@@ -153,7 +153,7 @@ async def test_what_is_accepted_and_not_done_in_time_is_said(clock):
 
 
 @virtual
-async def test_who_is_not_ready_yet_is_asked_again(clock):
+async def test_a_drone_that_is_not_ready_yet_is_asked_again(clock):
     swarm = Swarm(clock)
     execute = swarm.executor(0)
 
@@ -314,7 +314,7 @@ async def test_what_is_ordered_later_counts_when_the_network_is_back(clock):
 
 
 @virtual
-async def test_who_is_to_be_asked_again_is_not_when_something_else_was_ordered(clock):
+async def test_a_pending_repeat_is_withdrawn_when_something_else_is_ordered(clock):
     swarm, asked = Swarm(clock), []
 
     async def later(verb, arguments):
@@ -334,7 +334,7 @@ async def test_who_is_to_be_asked_again_is_not_when_something_else_was_ordered(c
 
 
 @virtual
-async def test_who_has_accepted_a_take_off_and_was_told_to_hold_is_not_asked_for_it_again(
+async def test_a_take_off_that_a_hold_interrupted_is_not_asked_for_again(
     clock,
 ):
     swarm, asked = Swarm(clock), []

@@ -99,7 +99,7 @@ async def test_the_share_of_lost_messages_is_that_of_the_last_seconds(clock):
 
 
 @virtual
-async def test_a_row_of_the_table_says_what_is_known_and_who_is_not_heard(clock):
+async def test_a_table_row_says_what_is_known_and_whether_the_drone_is_heard(clock):
     seen = Seen(clock)
     seen.ports[3].publish(
         DRONE_TOPICS.status,

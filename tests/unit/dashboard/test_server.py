@@ -102,7 +102,7 @@ def test_other_machines_come_in_with_a_password_or_a_certificate(pem, credential
         ),
     ],
 )
-def test_what_nobody_could_come_in_with_is_refused_before_it_is_served(
+def test_settings_that_would_admit_no_visitor_are_refused_before_serving(
     pem, host, files, said
 ):
     with pytest.raises(ConfigError) as raised:

@@ -111,7 +111,7 @@ class Server:
         if verb == "impair":
             return Impairment(1).describe()
         if i == 0 and verb.startswith("task"):
-            raise Refused("drone 0", "this drone flies no more; ask another one")
+            raise Refused("drone 0", "this drone has landed; ask another drone")
         return {"tasks": [{"id": 4}]} if verb == "task_list" else {"id": 4}
 
     def those(self, *verbs):
@@ -143,7 +143,7 @@ def served(test):
 
 
 @virtual
-async def test_each_page_gets_thirty_frames_a_second_and_a_slow_one_fewer_and_nobody_waits_for_it(
+async def test_each_page_gets_thirty_frames_a_second_and_a_slow_page_delays_no_other(
     clock,
 ):
     server = Server(clock)
@@ -164,7 +164,7 @@ async def test_each_page_gets_thirty_frames_a_second_and_a_slow_one_fewer_and_no
 
 
 @virtual
-async def test_nobody_is_asked_anything_while_nobody_looks_on(clock):
+async def test_drones_are_asked_nothing_while_no_page_is_open(clock):
     server = Server(clock)
     await clock.sleep(3.0)
     assert server.obeyed == []
@@ -183,7 +183,7 @@ async def test_nobody_is_asked_anything_while_nobody_looks_on(clock):
 
 
 @virtual
-async def test_a_command_of_one_page_shows_on_every_page_and_on_those_that_come_later(
+async def test_a_command_of_one_page_shows_on_every_page_and_on_later_ones(
     clock,
 ):
     server = Server(clock)
@@ -279,7 +279,7 @@ async def test_of_two_drawings_the_newer_counts_whichever_is_planned_first(
 
 
 @virtual
-async def test_one_drawing_is_planned_at_a_time_and_the_newest_of_those_that_wait(
+async def test_one_drawing_is_planned_at_a_time_then_the_newest_waiting_one(
     clock,
 ):
     server, planning, most, begun = Server(clock), [], [], []
@@ -349,7 +349,7 @@ async def test_what_was_asked_for_is_done_though_its_page_is_gone(clock, server,
 
 
 @served
-async def test_what_nobody_has_foreseen_is_refused_with_its_reason_and_the_page_stays(
+async def test_an_unforeseen_error_is_refused_with_its_reason_and_the_page_stays(
     clock, server, page
 ):
 
@@ -394,7 +394,7 @@ async def test_links_are_asked_in_turn_and_show_what_was_lost_lately(
 
 
 @served
-async def test_routes_are_told_with_the_news_and_forgotten_of_who_answers_no_more(
+async def test_routes_are_sent_with_the_news_and_forgotten_when_a_drone_stops_answering(
     clock, server, page
 ):
     await clock.sleep(2.0)
@@ -429,7 +429,7 @@ async def test_the_network_that_is_simulated_is_told_and_by_drone_where_these_di
 
 
 @served
-async def test_tasks_are_listed_and_who_refuses_one_leaves_it_to_the_next(
+async def test_tasks_are_listed_and_a_drone_that_refuses_one_leaves_it_to_the_next(
     clock, server, page
 ):
     await clock.sleep(3.0)
@@ -447,7 +447,7 @@ async def test_tasks_are_listed_and_who_refuses_one_leaves_it_to_the_next(
 
 
 @served
-async def test_a_task_that_one_has_accepted_or_may_have_heard_is_given_to_nobody_else(
+async def test_a_task_that_one_drone_may_have_heard_is_given_to_no_other_drone(
     clock, server, page
 ):
     added = []
@@ -475,7 +475,7 @@ async def test_a_task_that_one_has_accepted_or_may_have_heard_is_given_to_nobody
 
 
 @served
-async def test_tasks_are_those_of_who_hears_more_than_half_of_the_swarm(
+async def test_tasks_are_taken_from_a_drone_that_hears_more_than_half_of_the_swarm(
     clock, server, page
 ):
     execute = server.execute
@@ -513,7 +513,7 @@ async def test_a_mission_without_tasks_is_asked_seldom(clock):
 
     async def refuse(i, verb, arguments):
         server.obeyed.append((i, verb, arguments))
-        raise Refused("drone", "this mission knows no command 'task_list'")
+        raise Refused("drone", "this mission has no command 'task_list'")
 
     server.execute = refuse
     page = server.page()
@@ -550,7 +550,7 @@ async def test_the_network_is_changed_for_all_links_for_one_drone_s_or_for_one(
 
 
 @virtual
-async def test_drones_are_cut_off_beside_those_that_are_and_the_receipt_says_what_is_in_force(
+async def test_a_new_cut_adds_to_earlier_cuts_and_the_receipt_says_what_is_in_force(
     clock,
 ):
     server, network = (

@@ -38,7 +38,7 @@ any_text = st.text(st.characters(exclude_categories=())) | st.binary().map(
 @example(OTHER_BYTES)
 @example("\ud800")
 @example("\udcc3\udcb6\ud800ö")
-def test_any_text_becomes_one_that_travels(text):
+def test_any_text_is_made_encodable(text):
     plain = make_readable(text)
     assert decode(encode(plain)) == plain
     assert json.loads(json_bytes({text: [text]})) == {plain: [plain]}

@@ -36,7 +36,7 @@ def no_home():
     raise RuntimeError("Could not determine home directory.")
 
 
-def test_a_user_whom_the_system_does_not_know_has_no_home_and_no_cache(monkeypatch):
+def test_a_user_unknown_to_the_system_has_no_home_and_no_cache(monkeypatch):
     monkeypatch.delenv("HOME")
     monkeypatch.setattr(Path, "home", no_home)
     assert user_home() is None
@@ -126,7 +126,7 @@ def test_a_user_is_named_as_far_as_the_system_knows():
     assert user_name(12345) == "user 12345"
 
 
-def test_each_cache_is_warned_of_once_in_a_process_and_in_those_that_it_starts():
+def test_each_cache_is_warned_of_once_in_a_process_and_its_child_processes():
     program = "from crazychoir.files.user_folders import first_warning as f; print(f('laws'), f('tables'), f('tables'))"
     assert [first_warning("laws"), first_warning("laws")] == [True, False]
     said = subprocess.run(

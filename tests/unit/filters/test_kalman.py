@@ -131,7 +131,7 @@ def test_a_pose_that_is_not_readable_counts_as_missing(flat):
     assert f.update(pose(1.22), 1.22).age == 0.0
 
 
-def test_nobody_writes_into_a_state():
+def test_a_returned_state_is_read_only():
     f = KalmanFilter()
     for state in (
         f.update(pose(0.0), 0.0),

@@ -122,7 +122,7 @@ def test_what_falls_stops_at_the_floor():
     np.testing.assert_array_equal(fallen[3:6], 0.0)
 
 
-def test_who_is_below_the_floor_neither_jumps_onto_it_nor_falls_deeper():
+def test_a_drone_below_the_floor_neither_jumps_onto_it_nor_falls_deeper():
     low, motion = State.at((0.0, 0.0, 0.35)), CommandedMotion(PAPER_PLATFORM.flat, 0.4)
     for thrust, height in (
         (0.0, 0.35),

@@ -108,7 +108,7 @@ def test_a_very_late_pose_is_not_taken_for_two():
 
 
 @pytest.mark.parametrize("size", [0.0, 0.49, 2.1, 1e200])
-def test_a_pose_whose_quaternion_is_none_counts_as_missing(size):
+def test_a_pose_with_an_invalid_quaternion_counts_as_missing(size):
     bad = lambda x: Pose(np.array([x, 0.0, 1.0, 0.0, 0.0, 0.0, size]))  # noqa: E731
     f = VelocityFilter()
     assert f.update(bad(0.0), -1.0) is None
@@ -120,7 +120,7 @@ def test_a_pose_whose_quaternion_is_none_counts_as_missing(size):
     assert f.update(pose(1.02), 1.02).age == 0.0
 
 
-def test_nobody_writes_into_a_state():
+def test_a_returned_state_is_read_only():
     f = VelocityFilter()
     for state in (
         f.update(pose(0.0), 0.0),

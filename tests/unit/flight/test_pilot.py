@@ -251,7 +251,7 @@ async def test_a_long_gap_lands_it_and_a_longer_one_cuts_the_motors(clock):
 
 
 @virtual
-async def test_whoever_is_carried_beyond_the_limit_area_is_cut_within_a_tick(clock):
+async def test_a_drone_carried_beyond_the_limit_area_is_cut_within_a_tick(clock):
     drone = Flown(clock, fence=((-0.5, -0.5, -0.2), (0.5, 0.5, 2.0)))
     await drone.hovering()
     crossed = []
@@ -269,7 +269,7 @@ async def test_whoever_is_carried_beyond_the_limit_area_is_cut_within_a_tick(clo
 
 
 @virtual
-async def test_whoever_leaves_the_fence_brakes_then_lands_then_falls(clock):
+async def test_a_drone_that_leaves_the_fence_brakes_then_lands_then_is_cut(clock):
     drone = Flown(clock, fence=((-0.5, -0.5, -0.2), (0.5, 0.5, 2.0)))
     await drone.hovering()
     first, notes, t0 = {}, [], clock.now()
@@ -362,7 +362,7 @@ def test_what_brakes_again_and_again_is_said_rarely_and_counted_at_the_end(caplo
     dict.fromkeys((*SAFETY_TABLE, *RADIO_SAFETY_TABLE)),
     ids=lambda rule: f"{rule.measure} {rule.limit:g}",
 )
-def test_who_lands_for_its_safety_or_is_cut_says_that_it_is_grave(rule):
+def test_a_safety_landing_or_cut_is_reported_as_grave(rule):
     """Every rule of the safety tables; what it is asked to do by others is not."""
 
     async def scene(clock):
@@ -421,7 +421,7 @@ async def test_an_acceleration_out_of_the_fence_ends_in_hovering_at_the_fence(cl
 
 
 @pytest.mark.parametrize("aside", [True, False])
-def test_to_hover_may_be_asked_for_in_each_step_also_by_who_was_pushed_aside(aside):
+def test_a_hover_may_be_asked_for_in_each_step_even_after_being_pushed_aside(aside):
     @virtual
     async def case(clock):
         drone = Flown(clock)
@@ -778,7 +778,7 @@ async def test_a_fall_is_stopped_with_what_the_motors_can(clock):
 
 
 @virtual
-async def test_whoever_brakes_at_the_fence_comes_to_rest_first_and_then_goes_inside(
+async def test_a_drone_that_brakes_at_the_fence_stops_first_and_then_goes_inside(
     clock,
 ):
     drone = Flown(clock)
@@ -946,7 +946,7 @@ async def test_the_same_goto_is_flown_anew_after_something_else(clock):
 
 
 @virtual
-async def test_who_had_to_land_for_the_fence_comes_back_inside_and_does_not_rise_again(
+async def test_a_drone_that_had_to_land_for_the_fence_returns_inside_and_stays_down(
     clock,
 ):
     drone = Flown(clock, fence=((-0.5, -0.5, -0.2), (0.5, 0.5, 2.0)))
@@ -1282,7 +1282,7 @@ def once():
 
 
 @virtual
-async def test_a_pose_whose_age_is_no_number_is_as_old_as_its_way(clock):
+async def test_a_pose_with_an_age_of_nan_is_accepted_as_current(clock):
     drone = Supervised(clock)
     await drone.hovering()
     truth = drone.world.state(0)
@@ -1364,7 +1364,7 @@ async def test_a_link_that_fails_for_a_third_of_a_second_is_survived_and_one_for
 
 
 @virtual
-async def test_nobody_who_brings_a_pose_hears_of_a_failed_tick_but_of_an_end_of_the_process(
+async def test_a_failed_tick_is_hidden_from_the_pose_source_but_a_process_exit_is_not(
     clock,
 ):
     drone = Supervised(clock)
@@ -1396,7 +1396,9 @@ async def test_nobody_who_brings_a_pose_hears_of_a_failed_tick_but_of_an_end_of_
 
 
 @virtual
-async def test_who_landed_as_it_heard_nobody_flies_again_when_it_hears_them(clock):
+async def test_a_drone_that_landed_for_silence_flies_again_when_it_hears_the_others(
+    clock,
+):
     drone, others = Flown(clock), (1, 2)
     for j in others:
         drone.bus.port(j)
@@ -1466,7 +1468,7 @@ async def test_a_drone_that_has_come_down_by_itself_does_not_push_the_floor(cloc
 
 
 @virtual
-async def test_who_lands_for_another_reason_is_landed_by_its_firmware_too_when_nobody_sees_it(
+async def test_a_drone_landing_for_another_reason_is_landed_by_its_firmware_when_unseen(
     clock,
 ):
     for measure in ("pose", "battery"):
@@ -1595,7 +1597,7 @@ async def test_the_next_flight_is_not_landed_for_a_pose_that_the_last_landing_lo
 
 
 @virtual
-async def test_who_lands_already_is_handed_to_its_firmware_when_its_body_is_not_its_own(
+async def test_a_landing_drone_is_handed_to_its_firmware_when_its_body_is_not_its_own(
     clock,
 ):
     drone = Flown(clock, reached="seen")
@@ -1630,7 +1632,7 @@ async def test_late_frames_do_not_hide_a_body_outside_and_a_gap_does(clock):
 
 
 @virtual
-async def test_a_high_drone_that_nobody_sees_has_the_time_that_its_landing_takes(clock):
+async def test_an_unseen_high_drone_has_the_time_that_its_landing_takes(clock):
     for height, seconds in ((1.0, 20.0), (8.0, 25.5)):
         drone = Flown(
             clock, fence=((-3.0, -3.0, -0.2), (3.0, 3.0, 10.0)), reached="seen"

@@ -145,7 +145,7 @@ def test_it_comes_to_rest_inside_the_fence(uri):
 
 
 @ALL
-def test_a_velocity_beyond_the_limits_is_cut_and_one_that_is_none_is_not_driven(uri):
+def test_a_velocity_beyond_the_limits_is_limited_and_an_invalid_one_is_not_driven(uri):
     @virtual
     async def test(clock):
         robot = await ready(clock, uri)

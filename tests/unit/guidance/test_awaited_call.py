@@ -163,7 +163,7 @@ async def one():
     return 1
 
 
-def test_a_call_is_a_coroutine_for_whoever_looks():
+def test_a_guidance_call_counts_as_a_coroutine():
     calls = UnawaitedCalls()
     call = GuidanceCall(one(), "one", "a.py:3", calls)
     assert asyncio.iscoroutine(call)

@@ -95,7 +95,7 @@ def test_a_file_that_exits_when_it_is_imported_is_told_by_file_and_line(call, tm
         assert (said.exit_code, f"{file}:2" in said.stderr) == (2, True), said.output
 
 
-def test_an_agent_whose_mission_file_exits_tells_it_too(tmp_path):
+def test_an_agent_reports_a_mission_file_that_exits(tmp_path):
     (tmp_path / "own.py").write_text("exit(0)\n")
     swarm = tmp_path / "a.toml"
     swarm.write_text(

@@ -306,7 +306,7 @@ def test_what_asyncio_takes_for_its_own_ends_the_law_as_an_error_and_not_the_tic
 @pytest.mark.parametrize(
     "wanted", [Acceleration("abc"), Acceleration(["a", "b", "c"])], ids=repr
 )
-def test_what_nobody_can_fly_does_not_end_the_tick(wanted):
+def test_an_unflyable_reference_does_not_end_the_tick(wanted):
     async def main(clock):
         drone, ending = await flown(clock, Told(lambda me, heard: wanted), seconds=1.0)
         assert drone.pilot.mode is Mode.HOVER
@@ -335,7 +335,9 @@ async def test_none_lets_it_come_to_rest_and_hover_at_once_and_it_is_asked_on(cl
 
 
 @virtual
-async def test_a_law_that_hears_nobody_for_long_hovers_to_its_end_and_knows_whom(clock):
+async def test_a_law_without_neighbours_hovers_to_its_end_and_counts_unheard_time(
+    clock,
+):
     law = Told(
         lambda me, heard: Acceleration(-2.0 * me.v) if heard else None, duration=10.0
     )
@@ -351,7 +353,7 @@ async def test_a_law_that_hears_nobody_for_long_hovers_to_its_end_and_knows_whom
 
 
 @virtual
-async def test_a_pilot_that_lands_while_nobody_is_heard_names_whom(clock):
+async def test_a_pilot_that_lands_unheard_names_the_drones_that_it_does_not_hear(clock):
     law = Told()
     drone, ending = await flown(clock, law, seconds=1.0)
     await drone.fly(1.0, neighbor=False)
@@ -375,7 +377,7 @@ class High(Told):
 
 
 @virtual
-async def test_a_height_beyond_the_fence_is_refused_before_anybody_flies(clock):
+async def test_a_height_beyond_the_fence_is_refused_before_any_drone_flies(clock):
     member = Drone(clock, Told()).law.member
     with pytest.raises(
         ConfigError, match=r"drone 0: height\(\): found 4.0; allowed: 0 to 2.5 m"
@@ -406,7 +408,7 @@ def forever(law):
         (forever, r"height\(\): found no end within 0.3 s"),
         (
             lambda law: np.array([0.5, 1.0]),
-            r"drone 0: height\(\): found ndarray \(2,\); allowed: 0 to 2.5 m.*one num",
+            r"drone 0: height\(\): found ndarray \(2,\); allowed: 0 to 2.5 m.*single num",
         ),
         (lambda law: np.ones(1), r"found ndarray \(1,\)"),
         (lambda law: "high", r"found str 'high'"),
@@ -414,7 +416,7 @@ def forever(law):
     ],
     ids=["raises", "hangs", "array", "array of one", "text", "nan"],
 )
-def test_a_height_that_fails_or_is_no_number_is_refused_before_anybody_flies(
+def test_a_height_that_fails_or_is_no_number_is_refused_before_any_drone_flies(
     monkeypatch, height, said
 ):
     hasty = dataclasses.replace(user_hook.USER_CODE_TIMES, hook_limit=0.3)
@@ -440,7 +442,7 @@ def test_a_height_that_fails_or_is_no_number_is_refused_before_anybody_flies(
         *(("duration", value, "s, above 0") for value in (-1.0, 0.0, math.nan)),
     ],
 )
-def test_a_rate_or_a_duration_that_is_no_such_number_is_refused_before_anybody_flies(
+def test_an_invalid_rate_or_duration_is_refused_before_any_drone_flies(
     name, value, allowed
 ):
     @virtual

@@ -14,6 +14,7 @@ from crazychoir.config.swarm_config import default_swarm
 from crazychoir.errors import AgentFailed, ConfigError
 from crazychoir.flight.pilot import Pilot
 from crazychoir.guidance import guidance as base
+from crazychoir.guidance.flights import FLIGHT_LIMITS, fly_until_stopped
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.member import Interrupted, Member
 from crazychoir.optimization.algorithms.asynchronous_consensus import (
@@ -183,7 +184,7 @@ async def test_a_rise_waits_while_an_operator_holds_the_drone_and_ends_at_the_fe
         pilot.hold(False)
         await rise
         assert guidance.state.p[2] == pytest.approx(
-            2.4, abs=base.FLIGHT_LIMITS.arrival_distance
+            2.4, abs=FLIGHT_LIMITS.arrival_distance
         ), "inside the fence"
 
 
@@ -191,7 +192,7 @@ async def test_a_rise_waits_while_an_operator_holds_the_drone_and_ends_at_the_fe
 async def test_a_height_beyond_the_fence_is_refused_on_the_ground(clock):
     async with in_the_world(clock) as (guidance, pilot):
         with pytest.raises(
-            ConfigError, match=r"take_off\(\): found str '1'; .*one number"
+            ConfigError, match=r"take_off\(\): found str '1'; .*single number"
         ):
             await guidance.take_off("1")
         for bad in (2.51, -0.1, np.nan, np.inf):
@@ -226,7 +227,7 @@ async def test_a_flight_waits_while_an_operator_holds_the_drone(clock):
         pilot.hold(False)
         await flight
         assert guidance.state.p == pytest.approx(
-            [1.0, 0.0, 1.0], abs=base.FLIGHT_LIMITS.arrival_distance
+            [1.0, 0.0, 1.0], abs=FLIGHT_LIMITS.arrival_distance
         )
 
 
@@ -241,7 +242,7 @@ async def test_a_flight_waits_while_the_safety_table_brakes_it(clock):
         pilot.go_to = braking
         await guidance.go_to([1.0, 0.0, 1.0])
         assert guidance.state.p == pytest.approx(
-            [1.0, 0.0, 1.0], abs=base.FLIGHT_LIMITS.arrival_distance
+            [1.0, 0.0, 1.0], abs=FLIGHT_LIMITS.arrival_distance
         )
 
 
@@ -283,7 +284,7 @@ async def test_a_trajectory_ends_whenever_it_has_begun(clock):
         for late in range(24):
             await clock.sleep(0.01 * late)
             await guidance.go_to(way.sample(0.0).p)
-            assert 0.0 < await guidance._flown(way) < way.duration
+            assert 0.0 < await fly_until_stopped(guidance.member, way) < way.duration
 
 
 @virtual
@@ -332,7 +333,7 @@ async def test_a_landing_waits_while_an_operator_holds_the_drone_but_not_for_saf
 
 
 @virtual
-async def test_a_drone_that_nobody_sees_does_not_wait_for_ever_to_take_off(clock):
+async def test_an_unseen_drone_does_not_wait_for_ever_to_take_off(clock):
     a, _ = pair(clock)
     with pytest.raises(Interrupted, match="drone 0: no pose within 300 s"):
         await a.take_off()
@@ -355,10 +356,10 @@ async def test_a_mission_that_is_over_flies_nothing(clock):
         guidance.member.ended = "landed on command"
         for flight in (guidance.take_off, lambda: guidance.go_to([1.0, 0.0, 1.0])):
             with pytest.raises(
-                Interrupted, match="drone 0: its mission is over: landed on command"
+                Interrupted, match="drone 0: its mission has ended: landed on command"
             ):
                 await flight()
-        with pytest.raises(Interrupted, match="its mission is over"):
+        with pytest.raises(Interrupted, match="its mission has ended"):
             guidance.follow(FullState.at((1.0, 0.0, 1.0)))
         await guidance.land()
 

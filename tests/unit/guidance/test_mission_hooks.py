@@ -7,7 +7,7 @@ import pytest
 from crazychoir.config.swarm_config import default_swarm
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.guidance.mission import has_hook, load_mission
-from crazychoir.launch.flight import NOBODY_MOVED, fly_fast
+from crazychoir.launch.flight import NO_DRONE_MOVED, fly_fast
 
 LAW = """
     import numpy as np
@@ -269,7 +269,7 @@ def test_a_law_that_acted_at_some_time_or_waits_is_none_that_never_acted(mission
     assert result["success"], result["reasons"]
     assert result["results"][0]["references"] == 0
     assert result["results"][1]["references"] == pytest.approx(40, abs=1)
-    assert NOBODY_MOVED not in result["log"]
+    assert NO_DRONE_MOVED not in result["log"]
 
 
 def test_a_law_that_says_nothing_at_any_drone_is_a_success_with_a_warning(
@@ -277,8 +277,8 @@ def test_a_law_that_says_nothing_at_any_drone_is_a_success_with_a_warning(
 ):
     result = fly_fast(SWARM, mission(law=law_of("return None")))
     assert result["success"]
-    assert result["log"][-1] == NOBODY_MOVED
-    assert NOBODY_MOVED in caplog.text
+    assert result["log"][-1] == NO_DRONE_MOVED
+    assert NO_DRONE_MOVED in caplog.text
 
 
 def test_a_file_that_raises_when_it_is_loaded_is_refused_with_its_line(
@@ -294,7 +294,7 @@ def test_a_file_that_raises_when_it_is_loaded_is_refused_with_its_line(
         )
 
 
-def test_law_most_of_whose_references_cannot_be_flown_says_so(mission):
+def test_a_law_with_mostly_unflyable_references_is_reported(mission):
     loaded = mission(
         "class Torn(Law):\n"
         "    count = 0\n"

@@ -128,7 +128,7 @@ def test_a_law_reads_its_sensors_in_each_step(uri):
     assert 90 < messages < 400, "one each 10 ms from the first step on"
 
 
-def test_nothing_is_published_that_nobody_asked_for():
+def test_nothing_is_published_without_a_request():
     class Rises(CFGuidance):
         async def mission(self):
             await self.take_off()

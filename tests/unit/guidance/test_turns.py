@@ -58,11 +58,11 @@ def pilot(others, now=10.0, at=P, gave_way=-math.inf):
         ({2: (0.1, 0.5, 1.0)}, ME),
     ],
 )
-def test_the_lowest_of_those_that_fly_near_a_place_is_first(others, first):
+def test_the_lowest_id_of_the_drones_near_a_place_is_first(others, first):
     assert find_first_at(pilot(others), P) == first
 
 
-def test_who_gives_way_to_nobody_is_first():
+def test_a_drone_that_gives_way_to_no_other_is_first():
     assert (
         find_first_at(
             SimpleNamespace(drone=ME, clearance=SimpleNamespace(traffic=None)), P
@@ -101,7 +101,7 @@ def seen(turns, **changes):
 SHARED, NEXT = {2: (0.1, 0.5, 0.0)}, P - [0.3, 0.0, 0.0]
 
 
-def test_who_is_hindered_for_long_leaves_its_place_to_a_lower_id_for_a_while():
+def test_a_long_hindered_drone_leaves_its_place_to_a_lower_id_for_a_while():
     turns = TurnTaking(pilot(SHARED, at=NEXT))
     at = {"others": SHARED, "at": NEXT}
     assert turns.to(P) is P
@@ -122,7 +122,7 @@ def test_who_is_hindered_for_long_leaves_its_place_to_a_lower_id_for_a_while():
     )
 
 
-def test_who_wants_nothing_gets_out_of_the_way_at_once_and_stays_there():
+def test_a_drone_without_a_goal_gets_out_of_the_way_at_once_and_stays_there():
     turns = TurnTaking(pilot(SHARED, at=NEXT))
     assert turns.away() is None, "it hinders nobody"
     left = seen(turns, others=SHARED, at=NEXT, gave_way=10.0).away()

@@ -218,7 +218,7 @@ def test_a_run_is_named_by_its_mission_and_the_swarm_that_has_a_file():
     )
 
 
-def test_a_run_says_who_failed():
+def test_a_summary_names_the_drones_that_failed():
     text = printed(
         show.build_summary_table(
             RUN | {"success": False, "reasons": {1: "drone 1: lost"}, "absent": [2]}
@@ -288,7 +288,7 @@ def test_progress_draws_a_few_times_a_second_and_says_lines(screen, monkeypatch)
     assert "a line" in screen.getvalue()
 
 
-def test_progress_that_nobody_sees_draws_nothing(screen):
+def test_disabled_progress_draws_nothing(screen):
     with show.LiveTable(pytest.fail, enabled=False) as progress:
         progress(1)
         progress.say("a line")

@@ -111,7 +111,7 @@ def test_a_report_that_is_content_does_not_hide_a_drone_that_failed_and_may_name
     assert result["reasons"] == {0: "too far", 2: "lost"}
 
 
-def test_a_report_without_reasons_blames_those_who_failed_else_nobody():
+def test_a_report_without_reasons_blames_only_the_drones_that_failed():
     mission = SimpleNamespace(report=lambda config, results: {"success": False})
     every = {i: {"success": True} for i in range(3)}
     result = result_of(every, mission=mission)
@@ -254,7 +254,7 @@ def test_compiling_before_the_flight_is_not_part_of_its_time():
     assert result["wall_s"] < 0.4
 
 
-def test_all_wait_until_one_has_begun_and_for_no_one_that_a_start_can_do_without():
+def test_all_wait_until_one_has_begun_and_a_start_with_fewer_does_not_wait():
     config, score = (
         default_swarm(3),
         SimpleNamespace(statuses={0: Status("on ground", WAITING_TASK)}),

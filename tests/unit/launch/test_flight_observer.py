@@ -209,7 +209,7 @@ def test_it_hears_when_the_first_drone_has_begun():
     assert seen(scene).go_at == pytest.approx(3.0)
 
 
-def test_who_has_never_taken_off_has_flown_nothing_and_come_near_nobody():
+def test_drones_that_never_took_off_have_flown_nothing_and_come_near_no_other():
     async def scene(sky, phase):
         for x in (0.0, 8.0):  # their estimates drift
             for i in range(2):
@@ -232,7 +232,7 @@ def test_who_has_never_taken_off_has_flown_nothing_and_come_near_nobody():
     assert one_flies.touching == {}
 
 
-def test_who_has_landed_has_flown_as_far_as_before():
+def test_a_landed_drone_has_flown_as_far_as_before():
     async def scene(sky):
         for phase, x in (("on ground", 0.0), ("mission", 3.0), ("on ground", 3.0)):
             sky.tells(0, phase)

@@ -149,7 +149,7 @@ def listens_at(port):
         socket.create_connection((LOCAL, port), 1.0).close()
 
 
-def test_ports_are_held_for_those_who_listen_there_and_for_no_other():
+def test_ports_are_held_for_the_processes_that_listen_there_and_for_no_other():
     with reserve_ports(dict.fromkeys([-1, 0, 3], LOCAL)) as base:
         for port in (base - 1, base, base + 3):
             assert not is_free(port), "another run does not choose it"
@@ -263,7 +263,7 @@ def test_a_block_is_found_where_few_are_free(monkeypatch):
         reserve_ports(dict.fromkeys(range(6), LOCAL)).__enter__()
 
 
-def test_the_base_port_of_a_file_is_used_or_who_needs_the_port_that_is_taken_is_named():
+def test_the_base_port_is_used_or_the_drone_that_needs_a_taken_port_is_named():
     with reserve_ports(dict.fromkeys(range(4), LOCAL)) as base:
         pass
     config = default_swarm(4).replace(base_port=base)

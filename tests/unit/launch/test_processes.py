@@ -71,7 +71,7 @@ def test_a_process_that_did_not_get_so_far_has_no_results(tmp_path):
     assert read_results(tmp_path / "result") == {}
 
 
-async def test_what_a_mission_prints_is_no_result_and_who_has_none_is_named(
+async def test_printed_text_is_no_result_and_drones_without_a_result_are_named(
     tmp_path, monkeypatch
 ):
     async def spawn(group, path, result, options):
@@ -142,7 +142,7 @@ WAITS = "import signal; signal.signal({0}, lambda *_: exit(3)); print('on', flus
 
 
 @pytest.mark.parametrize(("waiting", "ended"), [(True, [-9, 3]), (False, [-9, 4])])
-async def test_one_that_is_killed_at_the_start_ends_the_wait_of_the_others(
+async def test_a_process_killed_at_the_start_ends_the_wait_of_the_others(
     tmp_path, monkeypatch, waiting, ended
 ):
     children, said = [], []
@@ -331,7 +331,7 @@ class Lands(CFGuidance):
 @pytest.mark.parametrize(
     "flight", [{"landing_speed": 0.05}, {"acceleration_limit": 0.02}, {}], ids=str
 )
-def test_nobody_is_killed_while_it_comes_down(flight):
+def test_no_agent_is_killed_while_it_comes_down(flight):
     config = default_swarm(1).replace(
         flight=flight, fence={"min": [-3.0, -3.0, 0.0], "max": [3.0, 3.0, 2.1]}
     )

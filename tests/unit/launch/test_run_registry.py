@@ -110,7 +110,7 @@ def test_of_several_none_is_guessed(own_place):
         )
 
 
-def test_nobody_is_waited_for_who_cannot_be_there_and_a_run_that_starts_is(own_place):
+def test_only_a_listening_or_starting_swarm_is_waited_for(own_place):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         port = taken.getsockname()[1]
@@ -155,7 +155,7 @@ def test_two_processes_of_one_swarm_are_one(own_place):
         assert list_runs_of_file("lab.toml") == [run]
 
 
-def test_who_was_killed_left_nothing(own_place):
+def test_a_killed_run_leaves_no_record(own_place):
     run = run_of(own_place, "lab-1", "lab.toml")
     program = f"""if True:
         import os, signal
@@ -294,7 +294,7 @@ def test_each_shell_of_a_user_finds_the_runs_of_each_other(own_place, of_a_user)
     assert found(own_place, "cron", UID, of_a_user) == (nowhere, "")
 
 
-def test_root_finds_the_runs_of_all_users_and_first_those_of_who_called_sudo(
+def test_root_finds_the_runs_of_all_users_and_first_those_of_the_sudo_caller(
     own_place, of_a_user, monkeypatch
 ):
     with flying(own_place, "login shell", UID, of_a_user):

@@ -217,7 +217,7 @@ def test_it_goes_on_while_a_drone_flies_that_its_agent_has_left():
     assert now == 5.0
 
 
-def test_nor_does_it_wait_for_one_of_which_nobody_says_anything_any_more():
+def test_the_end_does_not_wait_for_a_drone_without_news():
     async def act(clock, mocap, link):
         mocap.bus.port(PORT_ADDRESSES.body_offset + 1).publish(
             DRONE_TOPICS.body, Body("", flying=True)
@@ -281,7 +281,7 @@ def test_a_run_that_saw_no_frame_is_no_success():
     assert "test cameras (connected): no frame was seen" in report["reason"]
 
 
-def test_nor_is_one_whose_frames_have_no_time_in_seconds():
+def test_a_source_without_frame_times_in_seconds_is_no_success():
     class Milliseconds(Cameras):
         async def run(self, take):
             await super().run(
@@ -292,10 +292,13 @@ def test_nor_is_one_whose_frames_have_no_time_in_seconds():
 
     _, mocap, _ = served(cameras=Milliseconds)
     assert not mocap.report()["success"]
-    assert "200 were dropped, whose time is no time in s" in mocap.report()["reason"]
+    assert (
+        "200 were dropped, because their time is not a number of s"
+        in mocap.report()["reason"]
+    )
 
 
-def test_nor_is_one_that_saw_no_body_of_a_drone():
+def test_a_source_that_saw_no_body_of_a_drone_is_no_success():
     _, mocap, _ = served(
         bodies=lambda k: {
             "wand": np.array([0.0, 0.0, 1.0 + 1e-6 * k, 0.0, 0.0, 0.0, 1.0])

@@ -83,7 +83,7 @@ def test_a_connect_that_hangs_blocks_nothing_and_is_named(library):
     taken, said, worst = watched(15.0, until=1)
     assert not taken
     assert said == [
-        "vicon at 10.0.0.5: no connection within 0.3 s; its library waits for ever where nobody answers. Is Vicon "
+        "vicon at 10.0.0.5: no connection within 0.3 s; its library waits for ever if no server answers. Is Vicon "
         "Tracker or Nexus, with its DataStream, running there? Trying again in 1 s."
     ]
     assert worst < 0.5, "it would hang for ever"

@@ -36,7 +36,7 @@ def test_a_source_that_begins_anew_is_let_through():
     assert not pace.passes(0.0005)
 
 
-def test_a_frame_that_was_overtaken_is_not_published_and_one_that_never_came_counts():
+def test_an_overtaken_frame_is_not_published_and_a_missing_one_is_counted():
     view = FrameFilter(1000.0)
     shown = [view.see(frame(number, 0.01 * number)) for number in (0, 1, 5, 4, 5, 6)]
     assert [one is not None for one in shown] == [True, True, True, False, False, True]

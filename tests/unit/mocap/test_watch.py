@@ -90,7 +90,9 @@ def test_a_body_that_is_never_seen_is_named_with_the_name_that_may_be_meant():
         "body 'cf1' of drone 1 was never seen. Seen are 'CF_1', 'cf0'. Did you mean body = \"CF_1\"?"
     )
     assert any(
-        text.startswith("seen, and nobody's: 'CF_1'. The swarm file has 'cf0', 'cf1'")
+        text.startswith(
+            "bodies of no drone are seen: 'CF_1'. The swarm file has 'cf0', 'cf1'"
+        )
         for _, text in said
     )
 
@@ -136,7 +138,7 @@ def test_simulated_bodies_may_stand_still():
     assert watch.age("cf1", 2.0) == 0.0
 
 
-def test_where_nothing_comes_the_source_says_so_and_nobody_else():
+def test_the_watch_says_nothing_while_the_source_gives_no_frames():
     watch, _ = watched(2.0, lambda k: moving(k, "cf0", "cf1"))
     assert watch.look(9.0) == []
     assert TrackingWatch(NAMES, 100.0, True).look(9.0) == []

@@ -96,7 +96,7 @@ def test_a_turn_ends_when_compiling_is_broken_off(folder, monkeypatch):
     assert law(2.0) == 6.0
 
 
-def test_who_waits_is_told_that_it_compiles_once_though_standard_error_is_no_terminal(
+def test_the_user_is_told_once_that_it_compiles_even_without_a_terminal(
     folder,
 ):
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
@@ -205,7 +205,7 @@ def test_a_law_that_names_what_has_no_digest_is_not_kept(unknown):
     assert LawCache(law).cache_path is None
 
 
-def test_nor_is_one_that_names_what_is_not_there_or_itself():
+def test_a_law_that_names_itself_or_an_unknown_name_has_no_digest():
     with pytest.raises(UnknownDigest):
         digest(NAMES)
     both = kernel()(law_of("def law(x): return law(x)"))
@@ -288,7 +288,7 @@ def test_without_a_place_for_it_a_law_is_compiled_with_one_warning(folder, envir
     assert "Set NUMBA_CACHE_DIR to a folder that can be written" in told[0]
 
 
-def test_what_root_has_compiled_is_used_by_a_user_who_cannot_write_there(folder):
+def test_a_cache_compiled_by_root_is_used_by_a_user_without_write_access(folder):
     assert run(folder)[:2] == (7.0, 2)
     assert run_as_stranger(folder) == (7.0, 0, [])
 
@@ -489,7 +489,7 @@ def test_children_of_a_run_share_a_temporary_folder_only_where_there_is_no_other
     assert "NUMBA_CACHE_DIR" not in os.environ
 
 
-def test_a_law_whose_module_has_moved_has_another_digest():
+def test_a_law_in_another_module_has_another_digest():
     def law(x: float) -> float:
         return 2.0 * x
 

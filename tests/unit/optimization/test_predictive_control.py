@@ -125,7 +125,7 @@ def test_whatever_is_lost_all_stay_within_reach(loss):
     )
 
 
-def test_who_hears_nobody_goes_on_with_its_plan_and_stops_at_its_end():
+def test_an_agent_that_hears_no_other_follows_its_plan_and_stops_at_its_end():
     agents = team([0.5] * 4)
     x, _ = run(agents, 1)
     x, _ = run(agents, 2 * T, arrives=lambda: False)
@@ -135,7 +135,7 @@ def test_who_hears_nobody_goes_on_with_its_plan_and_stops_at_its_end():
     np.testing.assert_array_equal(x[-1], x[-2])
 
 
-def test_who_is_out_of_reach_gets_no_further_and_comes_back():
+def test_an_agent_out_of_reach_gets_no_further_and_comes_back():
     agents = team([0.5, 0.5], starts=(5.0, 8.0))
     x, _ = run(agents, 20)
     apart = np.ptp(x, axis=1)
@@ -156,7 +156,7 @@ def test_what_is_infeasible_is_said_and_the_last_plan_goes_on():
     assert outside[0].x[0] == x[0, 0], "its first plan: to stay"
 
 
-def test_one_that_is_elsewhere_says_so():
+def test_a_restarted_agent_announces_its_new_place():
     one, other = team([0.5, 0.5], starts=(5.0, 5.0))
     talk([one, other])
     one.restart(np.array([6.0]))

@@ -44,7 +44,7 @@ def test_a_start_that_is_too_fast_is_refused():
         )
 
 
-def test_ends_whose_way_breaks_the_limits_in_any_time_are_refused():
+def test_ends_that_break_the_limits_in_any_time_are_refused():
     back = FullState.at((0, 0, 1), (-0.8, 0, 0))
     with pytest.raises(ConfigError, match=r"time for all waypoints.*ends at rest"):
         minimum_snap(WAYPOINTS, start=back, limits=Limits(v_max=0.8, a_max=0.5))

@@ -82,6 +82,6 @@ def test_a_stop_under_way_goes_on_from_all_four_derivatives_and_keeps_the_limit(
     np.testing.assert_allclose(at_end[3:12], 0.0, atol=1e-5)
 
 
-def test_who_is_at_rest_stops_where_it_is():
+def test_a_drone_at_rest_stops_where_it_is():
     assert plan_stop(START).duration == pytest.approx(0.1)
     np.testing.assert_array_equal(plan_stop(START).goal, START.p)

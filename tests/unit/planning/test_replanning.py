@@ -80,7 +80,7 @@ def test_a_way_through_the_fence_is_refused():
         )
 
 
-def test_who_is_outside_of_the_fence_may_come_back():
+def test_a_drone_outside_the_fence_may_come_back():
     for sign in (-1.0, 1.0):
         start = FullState.at((sign * 0.9, 0, 1))
         plan = join_trajectory(

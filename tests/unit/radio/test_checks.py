@@ -26,13 +26,13 @@ def test_the_supervisor() -> None:
 def test_the_battery() -> None:
     assert checks.battery_problems(3.9, 3.7) == []
     assert checks.battery_problems(3.65, 3.7) == [
-        "battery at 3.65 V, 3.7 V are needed to begin"
+        "battery at 3.65 V, 3.7 V are needed to start"
     ]
     assert checks.battery_problems(3.65, 3.6) == []
     assert checks.battery_problems(math.nan, 3.7)
 
 
-def test_who_nobody_sees_must_know_where_it_is() -> None:
+def test_an_unseen_drone_must_know_where_it_is() -> None:
     assert checks.spread_problems([1e-4, 1e-4, 1e-4]) == []
     assert "0.20 m" in checks.spread_problems([1e-4, 0.04, 1e-4])[0]
     assert checks.spread_problems([1e-4, math.nan, 1e-4])

@@ -59,7 +59,7 @@ def drone(monkeypatch):
         | {"led.bitmask": 3, "ring.effect": 6, "deck.bcLedRing": 0}
     )
     monkeypatch.setattr(identify, "Connection", lambda clock, uri, contents: link)
-    monkeypatch.setattr(identify, "Firmware", lambda connection: firmware)
+    monkeypatch.setattr(identify, "ConnectedFirmware", lambda connection: firmware)
     return link, firmware
 
 
@@ -102,7 +102,7 @@ def test_a_ring_is_lit_too_and_gets_its_effect_back_before_its_colours(drone):
     )
 
 
-def test_they_are_put_back_when_somebody_ends_it(drone):
+def test_the_leds_are_restored_when_identify_is_cancelled(drone):
     async def does(clock):
         work = asyncio.get_running_loop().create_task(
             identify.identify(clock, "", None, 60.0, 2.0)
@@ -120,7 +120,7 @@ def test_they_are_put_back_when_somebody_ends_it(drone):
 @pytest.mark.parametrize(
     "supervisor", [None, checks.ReadinessBit.CAN_FLY | checks.ReadinessBit.ARMED]
 )
-def test_who_stands_or_does_not_say_is_lit(drone, supervisor):
+def test_a_drone_that_stands_or_reports_nothing_is_lit(drone, supervisor):
     drone[0].supervisor = supervisor
 
     async def does(clock):
@@ -130,7 +130,7 @@ def test_who_stands_or_does_not_say_is_lit(drone, supervisor):
     assert drone[1].told == ["led.bitmask", "led.bitmask"]
 
 
-def test_who_flies_is_left_alone(drone):
+def test_a_flying_drone_is_left_alone(drone):
     drone[0].supervisor = checks.ReadinessBit.FLYING | checks.ReadinessBit.CAN_FLY
 
     async def does(clock):
@@ -141,7 +141,7 @@ def test_who_flies_is_left_alone(drone):
     assert drone[1].told == []
 
 
-def test_who_cannot_be_reached_is_said(drone):
+def test_an_unreachable_drone_is_reported(drone):
     async def fails(seconds):
         raise LinkFailed("udp://127.0.0.1:1", f"no answer within {seconds:g} s")
 

@@ -38,7 +38,7 @@ def test_a_speed_of_nothing_is_a_speed_all_the_same():
 
 
 @pytest.mark.parametrize("idle", [True, False])
-def test_who_is_sent_places_flies_though_somebody_has_streamed_before(idle):
+def test_a_drone_that_is_sent_places_flies_even_after_streamed_set_points(idle):
     hangar = Hangar().run(
         0.5, "rpyt", 0.0, 0.0, 0.0, 0
     )  # the last of which is that of cflib's close_link

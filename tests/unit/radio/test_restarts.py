@@ -48,7 +48,7 @@ def test_so_does_one_without_enough_or_with_nothing(data):
         "arm",
     ],
 )
-def test_those_whose_length_nobody_checks_are_counted(name):
+def test_packets_with_an_unchecked_length_are_counted_as_malformed(name):
     hangar, form = Hangar(), PACKET_FORMS[name]
     list(
         hangar.drone.take(

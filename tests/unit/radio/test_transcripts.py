@@ -179,7 +179,7 @@ def test_the_console_splits_no_character():
     assert all(len(text.encode()) <= 30 for text in texts)
 
 
-def test_log_blocks_are_forgotten_when_nobody_has_been_heard_for_a_second():
+def test_log_blocks_are_forgotten_after_a_second_without_packets():
     hangar = Hangar().run(0.1)
     list(hangar.drone.take(Packet(CrtpPort.LOG, 1, b"\x06\x05\x77\0\0")))
     list(hangar.drone.take(Packet(CrtpPort.LOG, 1, b"\x03\x05\x02")))

@@ -19,7 +19,7 @@ def test_what_waited_was_so_when_it_was_so():
     assert held == pytest.approx([54.004 + 0.02 * k for k in range(45)], abs=0.002)
 
 
-def test_one_that_was_overtaken_is_known_and_is_no_restart():
+def test_an_overtaken_packet_is_recognized_and_is_no_restart():
     uptime = Uptime()
     told(uptime, [*range(3000, 4000, 20), 4900])
     assert uptime.overtaken(4020)
@@ -62,7 +62,7 @@ def test_however_long_it_has_been_on_it_is_heard_from_its_first_log_on(hours):
 @pytest.mark.parametrize(
     ("up", "silent"), [(3600.0 * 3.0, 3.0), (3600.0 * 4.6, 30.0), (4.0, 60.0)]
 )
-def test_one_that_was_started_again_is_so_however_old_it_was(up, silent):
+def test_a_restart_is_recognized_at_any_earlier_uptime(up, silent):
     uptime = Uptime()
     told(uptime, [round(1000 * up)], now=lambda at: 50.0)
     assert not uptime.restarted(
@@ -72,7 +72,7 @@ def test_one_that_was_started_again_is_so_however_old_it_was(up, silent):
 
 
 @pytest.mark.parametrize(("up", "silent"), [(60.0, 3.0), (2.0, 1.0)])
-def test_one_that_was_started_again_is_younger_than_what_it_has_said_last(up, silent):
+def test_a_restarted_drone_is_younger_than_its_last_message(up, silent):
     uptime = Uptime()
     told(uptime, [round(1000 * up)])
     assert uptime.restarted(50.004 + up + silent, round(1000 * (silent - 0.5)))

@@ -224,7 +224,9 @@ async def test_no_message_between_drones_is_numbered_otherwise(clock):
     assert (one.counters.sent, other.counters.received) == (1, 1)
 
 
-def test_what_cannot_be_written_hurts_nobody(tmp_path, caplog):
+def test_unwritable_messages_are_counted_as_lost_and_the_rest_is_recorded(
+    tmp_path, caplog
+):
     async def work(clock, bus):
         port = bus.ports[0]
         port.publish(DRONE_TOPICS.status, Status("x", round=1 << 70))
@@ -287,7 +289,7 @@ def test_a_full_disk_ends_the_recording_not_the_flight(tmp_path, monkeypatch, ca
 
 
 @pytest.mark.real_time
-def test_a_disk_that_hangs_holds_nobody_up(tmp_path, monkeypatch):
+def test_a_hanging_disk_does_not_delay_the_flight(tmp_path, monkeypatch):
     """Real time: what comes while the disk hangs waits for it, up to a limit."""
     monkeypatch.setattr(module, "MOST_WAITING", 1000)
     write, hung = RecordingFile.write, []

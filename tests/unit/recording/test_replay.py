@@ -65,7 +65,7 @@ def test_a_body_follows_its_table_and_stays_where_it_ends(table):
     np.testing.assert_allclose(np.linalg.norm(np.array(seen)[:, 6:10], axis=1), 1.0)
 
 
-def test_it_obeys_nothing_and_nobody_has_to_bring_it_down(table):
+def test_a_replay_ignores_commands_and_counts_as_resting(table):
     config = swarm(f"replay://{table}", [1, 0, 0])
     one, other = make_worlds(config, (4,))[0], make_worlds(config, (4,))[0]
     link = one.link(4, "fpqr")

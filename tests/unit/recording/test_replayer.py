@@ -121,7 +121,7 @@ def test_step_by_step(path):
     run_virtual(main)
 
 
-def test_all_types_of_a_topic_are_said_on_it_by_drones_that_nobody_has_opened(tmp_path):
+def test_all_types_of_a_topic_are_published_on_it_for_unopened_drones(tmp_path):
     path = tmp_path / "a.mcap"
     file, entries = RecordingFile(path, {"version": "1"}, "{}", False), []
     for name, value in (

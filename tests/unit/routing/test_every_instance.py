@@ -10,17 +10,22 @@ from hypothesis import strategies as st
 
 from crazychoir.errors import InstanceError, SolverError
 from crazychoir.routing.distributed.master import ColumnPool, find_partition
-from crazychoir.routing.distributed.member import RoutingSettings
+from crazychoir.routing.distributed.member import (
+    ColumnSettings,
+    PriceSettings,
+    ProofSettings,
+    RoutingSettings,
+)
 from crazychoir.routing.distributed.pickup_delivery import PLANNING_METHODS
 from crazychoir.routing.distributed.plain_loop import solve_in_loop
 from crazychoir.routing.instance.checker import check_plan
-from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.pricing.arc_flow import solve_compact
 from crazychoir.routing.pricing.route_table import RouteTable
 
 TOLERANCE = 1e-6
-QUICK = RoutingSettings(price_rounds=8)
+QUICK = RoutingSettings(prices=PriceSettings(rounds=8))
 
 
 @st.composite
@@ -117,7 +122,11 @@ def test_the_plan_is_feasible_optimal_and_proven(raw, weak):
         return
     optimum, graph = least_cost(instance), path(instance.robots)
     options = (
-        RoutingSettings(price_rounds=1, batch=1, first_gap=0.001, most_shared=1)
+        RoutingSettings(
+            prices=PriceSettings(rounds=1),
+            columns=ColumnSettings(batch=1, most_shared=1),
+            proof=ProofSettings(first_gap=0.001),
+        )
         if weak
         else QUICK
     )
@@ -156,7 +165,10 @@ def test_claims_end_in_a_feasible_plan_or_a_refusal_and_their_bound_is_one(
     optimum, graph = least_cost(instance), path(instance.robots)
     try:
         solution = solve_in_loop(
-            instance, graph, method, RoutingSettings(price_rounds=rounds)
+            instance,
+            graph,
+            method,
+            RoutingSettings(prices=PriceSettings(rounds=rounds)),
         )
     except SolverError as refusal:
         # Without a limit every route can take one task more.
@@ -207,7 +219,7 @@ def test_every_column_of_a_table_is_a_tour_and_with_it_each_part_of_it(raw):
                 assert part.length <= table.length[c] + TOLERANCE
 
 
-def test_a_robot_whose_shares_have_gone_still_claims_what_nobody_else_can_do():
+def test_a_robot_with_no_share_left_still_claims_a_task_that_only_it_can_do():
     """Robot 0 is near the goods and can do nothing; robot 1 is far, its price is higher, and its share becomes 0."""
     goods = {
         "pickup": [[1.0, 0.0]],
@@ -305,10 +317,10 @@ def test_a_search_that_ends_early_does_not_claim_that_there_is_no_plan():
     lonely = [(i, column) for i, column in columns if 0 not in column.tasks]
     assert find_partition(lonely, 5, seed=0, nodes=100).bound == np.inf
     assert find_partition(columns, 5, seed=0, nodes=100).bound < np.inf
-    cut = RoutingSettings(most_labels=8)
+    cut = RoutingSettings(columns=ColumnSettings(most_labels=8))
     with pytest.raises(SolverError, match="no plan found: route tables were cut"):
         solve_in_loop(
-            random_instance(1, 5, seed=4, capacities=(9, 9)),
+            random_instance(1, 5, seed=4, shape=InstanceShape(capacities=(9, 9))),
             {0: []},
             "resource-columns",
             cut,

@@ -89,7 +89,7 @@ def test_an_hour_takes_no_time():
     assert time.perf_counter() - began < 1.0
 
 
-def test_deadlock_names_who_waits_for_what():
+def test_a_deadlock_names_each_task_and_what_it_waits_for():
     async def main(clock):
         box = Latest(clock, "drone 3 pose")
         clock.call_at(5 * MS, print, "a cancelled alarm moves no clock").cancel()
@@ -101,7 +101,7 @@ def test_deadlock_names_who_waits_for_what():
     assert "at 0.000000000 s" in text
     assert "drone 3 pilot waits in mailbox.py:" in text
     assert "Mailbox._wait (drone 3 pose)" in text
-    assert "test_deadlock_names_who_waits_for_what.<locals>.main" in text
+    assert "test_a_deadlock_names_each_task_and_what_it_waits_for.<locals>.main" in text
 
 
 def test_passes_without_time_are_a_livelock(monkeypatch):

@@ -11,7 +11,7 @@ from crazychoir.runtime.mailbox import BlockingQueue, DropOldest, Latest
 
 
 @virtual
-async def test_latest_keeps_the_newest_and_counts_what_nobody_read(clock):
+async def test_latest_keeps_the_newest_value_and_counts_unread_ones(clock):
     box = Latest(clock)
     for k in range(5):
         box.put(k)

@@ -293,7 +293,7 @@ async def test_errors_of_on_restart_and_of_the_listener_stay_inside(clock):
     assert (1.0, "b", "cancelled") in diary
 
 
-def test_on_stop_has_a_deadline_and_its_errors_stop_nobody_else(caplog):
+def test_on_stop_has_a_deadline_and_its_errors_do_not_stop_other_parts(caplog):
     class Faulty(Part):
         async def on_stop(self):
             raise ValueError("mine")

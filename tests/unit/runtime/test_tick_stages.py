@@ -50,7 +50,7 @@ async def test_what_is_added_to_a_stage_that_is_over_is_done_in_the_next_pass(cl
 
 
 @virtual
-async def test_an_error_that_escapes_keeps_nobody_from_acting_and_is_raised(clock):
+async def test_an_error_in_one_stage_does_not_skip_the_others_and_is_raised(clock):
     stages, done = TickStages(clock), []
 
     def fails(what):

@@ -10,6 +10,7 @@ import pytest
 
 from crazychoir.config.swarm_config import default_swarm
 from crazychoir.errors import ConfigError, Hung
+from crazychoir.guidance import mission
 from crazychoir.guidance import user_hook as hooked
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import CFGuidance
@@ -36,10 +37,13 @@ def hasty(monkeypatch):
     monkeypatch.setattr(
         hanging,
         "USER_CODE_TIMES",
-        dataclasses.replace(hanging.USER_CODE_TIMES, check_interval=0.02),
+        dataclasses.replace(
+            hanging.USER_CODE_TIMES,
+            check_interval=0.02,
+            step_limit=0.2,
+            mission_limit=0.2,
+        ),
     )
-    for name in ("STEP", "MISSION"):
-        monkeypatch.setattr(hanging, name, 0.2)
 
 
 def forever():
@@ -57,7 +61,7 @@ def test_code_that_is_limited_ends_in_time_or_is_interrupted():
     assert time.perf_counter() - began < 3.0
 
 
-def test_who_computes_for_long_is_named_with_the_place_before_it_is_given_up(
+def test_a_long_computation_is_named_with_its_place_before_it_is_given_up(
     hasty, monkeypatch, caplog
 ):
     monkeypatch.setattr(
@@ -184,7 +188,7 @@ def test_a_hook_or_a_file_that_does_not_end_is_said_with_its_line(
         "USER_CODE_TIMES",
         dataclasses.replace(hooked.USER_CODE_TIMES, hook_limit=0.2),
     )
-    monkeypatch.setattr("crazychoir.guidance.mission.HOOK", 0.2)
+    monkeypatch.setattr(mission, "USER_CODE_TIMES", hooked.USER_CODE_TIMES)
     path = tmp_path / "mine.py"
     loop = "    while True:\n        pass\n"
     bodies = {

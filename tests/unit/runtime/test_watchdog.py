@@ -110,7 +110,7 @@ def test_a_stall_reads_well():
     )
 
 
-def test_a_stall_of_nobody_says_that_the_machine_may_be_busy():
+def test_a_stall_without_an_actor_says_that_the_machine_may_be_busy():
     assert str(Stall(0.124, "", "clock.py:7 _fire")) == (
         "the event loop was not served for 0.12 s (machine busy?), at clock.py:7 _fire"
     )
@@ -134,7 +134,7 @@ def unserved(*seconds):
     return stalls
 
 
-def test_a_loop_that_nobody_keeps_is_said_to_be_late_once_in_a_while(monkeypatch):
+def test_an_unattributed_short_stall_is_reported_only_once_in_a_while(monkeypatch):
     stalls = unserved(0.2, 0.2, 0.2)
     assert [stall.actor for stall in stalls] == [""]
     assert "keep_the_loop" in stalls[0].place
@@ -146,7 +146,7 @@ def test_a_loop_that_nobody_keeps_is_said_to_be_late_once_in_a_while(monkeypatch
     assert len(unserved(0.2, 0.2, 0.2)) == 3
 
 
-def test_a_loop_that_nobody_serves_for_long_is_reported_whenever_it_happens():
+def test_a_long_unattributed_stall_is_reported_each_time():
     stalls = unserved(0.2, 0.5, 0.5)
     assert [
         stall.seconds >= watchdog_module.WATCHDOG_TIMES.hand_over_delay
@@ -158,7 +158,7 @@ def test_a_loop_that_nobody_serves_for_long_is_reported_whenever_it_happens():
     ]
 
 
-def test_whoever_keeps_the_loop_a_little_is_named_once_in_a_while_and_counted(
+def test_an_actor_that_blocks_the_loop_briefly_is_counted_and_named_now_and_then(
     monkeypatch,
 ):
     async def work(dog):
@@ -236,7 +236,7 @@ def test_unguarded_code_is_never_interrupted(quick):
     assert watched(work).stalls == 1
 
 
-def test_the_guarded_do_not_pay_for_who_kept_the_loop_before(quick):
+def test_a_guarded_section_is_not_blamed_for_an_earlier_stall(quick):
     async def work(dog):
         keep_the_loop(0.3)
         with dog.guard("drone 3 guidance"):
@@ -255,11 +255,13 @@ def test_a_guard_left_over_an_await_is_void(quick):
 
 
 CHILD = """
-import asyncio, time
+import asyncio, dataclasses, time
 from crazychoir.runtime import watchdog
 from crazychoir.runtime.clock import run_wall
 
-watchdog.INTERRUPT, watchdog.FROZEN, watchdog.GIVE_UP = 1.5, 0.5, 1.6
+watchdog.WATCHDOG_TIMES = dataclasses.replace(
+    watchdog.WATCHDOG_TIMES, interrupt_limit=1.5, frozen_gap=0.5, give_up_delay=1.6
+)
 
 def burn(seconds):
     ends = time.process_time() + seconds
@@ -299,7 +301,7 @@ def test_a_process_that_stood_still_is_not_to_blame():
     assert (out, process.returncode) == ("done\n", 0), err
 
 
-def test_a_process_whose_loop_hangs_for_good_ends_itself_and_says_where():
+def test_a_process_with_a_loop_that_hangs_for_good_ends_itself_and_says_where():
     with child(then="burn(99.0)") as process:
         out, err = process.communicate(timeout=30)
     assert (out, process.returncode) == ("", watchdog_module.EXIT_CODE)

@@ -84,7 +84,7 @@ def test_a_package_brings_a_world(installed):
     assert config.topology.owned == (0, 2)
 
 
-def test_a_scheme_that_nobody_brings_is_refused_with_those_that_there_are(installed):
+def test_an_unknown_scheme_is_refused_with_the_list_of_schemes(installed):
     allowed = r"allowed: sim://, .*, mujoco://, replay://FILE, udp://.*, radio://.*, broken://, strange://, toy://"
     with pytest.raises(ConfigError, match=allowed):
         swarm({"uri": "toys://hall"})

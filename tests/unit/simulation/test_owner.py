@@ -126,7 +126,7 @@ async def test_a_world_that_was_late_makes_up_for_it_up_to_a_limit(clock):
     assert owned.world.tick <= 10 + 1 + LARGEST_CATCH_UP + 2
 
 
-def test_after_a_stall_nobody_is_shown_the_world_as_it_was_before():
+def test_poses_after_a_stall_are_recent():
     async def main(clock):
         owned = Owned(clock)
         running = asyncio.create_task(owned.owner.run())

@@ -117,7 +117,7 @@ async def test_commands_of_another_kind_than_the_swarm_file_says_are_refused_and
 
 
 @virtual
-async def test_nobody_else_commands_it_and_bytes_that_are_no_command_are_counted(clock):
+async def test_other_senders_are_ignored_and_invalid_commands_are_counted(clock):
     pair = Pair(clock)
     other = pair.drone.bus.port(4)
     wrong = [
@@ -150,7 +150,7 @@ async def test_a_cut_goes_out_again_with_each_tick(clock):
 
 
 @virtual
-async def test_a_body_whose_motors_were_cut_obeys_nobody_and_says_so_once(clock):
+async def test_a_body_with_cut_motors_ignores_commands_and_reports_it_once(clock):
     pair = Pair(clock)
     pair.link.cut()
     RemoteLink(pair.drone).send(HOVER)  # its agent was started again
@@ -164,7 +164,7 @@ async def test_a_body_whose_motors_were_cut_obeys_nobody_and_says_so_once(clock)
 
 
 @virtual
-async def test_a_drone_that_nobody_commands_has_no_thrust(clock):
+async def test_an_uncommanded_drone_has_no_thrust(clock):
     pair = Pair(clock)
     await clock.sleep(10.0)
     pair.body.look()
@@ -231,7 +231,7 @@ def flies(k, weight):
 
 
 @pytest.mark.parametrize(("kind", "command"), [("fpqr", rises), ("vel", flies)])
-def test_a_drone_whose_streamed_commands_end_is_landed_by_its_planner_on_board(
+def test_a_drone_without_further_streamed_commands_is_landed_by_its_planner(
     kind, command
 ):
     run_virtual(partial(landed_by_its_planner, kind, command))
@@ -263,7 +263,7 @@ async def landed_by_its_planner(kind, command, clock):
 
 
 @virtual
-async def test_a_drone_whose_planner_would_fly_on_for_good_is_landed(clock):
+async def test_a_drone_with_an_endless_plan_and_no_commands_is_landed(clock):
     bus = Bus(clock)
     drone, there = bus.port(3), bus.port(PORT_ADDRESSES.body_offset + 3)
     world = CrazyflieWorld((3,), np.zeros((1, 3)), np.array([2.0]))
@@ -294,7 +294,7 @@ async def test_a_drone_whose_planner_would_fly_on_for_good_is_landed(clock):
 
 
 @virtual
-async def test_who_asks_for_its_motors_is_told_what_came_of_it(clock):
+async def test_an_arm_request_is_answered_with_its_outcome(clock):
     bus = Bus(clock)
     drone, there = bus.port(3), bus.port(PORT_ADDRESSES.body_offset + 3)
     world, answers = CFIntegrator((3,), np.array([[0.0, 0.0, 2.0]])), ["armed"]
@@ -338,7 +338,7 @@ async def test_a_drone_says_what_has_broken_its_body_or_that_it_hears_nothing(cl
 
 
 @virtual
-async def test_an_owner_that_was_there_is_missed_once_and_one_that_was_not_is_waited_for(
+async def test_an_owner_that_disappears_is_missed_once_and_an_absent_one_is_awaited(
     clock,
 ):
     pair, gone = Pair(clock), []
@@ -377,7 +377,7 @@ class Stopped:
 
 
 @pytest.mark.parametrize(("speaks", "gone"), [(True, []), (False, [3])])
-async def test_who_was_stopped_takes_nobody_for_gone_before_it_has_heard(speaks, gone):
+async def test_a_resumed_process_listens_before_it_declares_an_owner_gone(speaks, gone):
     clock, found = Stopped(), []
 
     class Owner:
@@ -400,7 +400,7 @@ async def test_who_was_stopped_takes_nobody_for_gone_before_it_has_heard(speaks,
         (WORLD_URIS.unicycle, Drive(np.array([0.5, 0.1]))),
     ],
 )
-def test_a_robot_that_nobody_commands_stands_still(uri, command):
+def test_an_uncommanded_robot_stands_still(uri, command):
     @virtual
     async def test(clock):
         bus, world = Bus(clock), world_of(uri)

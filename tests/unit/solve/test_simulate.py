@@ -115,7 +115,7 @@ def test_it_repeats_with_the_same_seed():
     assert first.messages != other.messages
 
 
-def test_it_stops_after_so_many_rounds_those_that_never_end():
+def test_endless_algorithms_stop_after_the_given_number_of_rounds():
     history = simulate(averaging(ring(4), None), ring(4), rounds=7)
     assert history.rounds == 7
     assert history.of().shape == (4, 8, 2)
@@ -372,7 +372,7 @@ class Spoilt(Counting):
         ("step", True, r"round 6: nan in y\[1\]\."),
     ],
 )
-def test_an_agent_whose_numbers_are_none_has_failed(where, deep, said, asynchronous):
+def test_an_agent_with_invalid_numbers_has_failed(where, deep, said, asynchronous):
     agents = {i: Spoilt(i, where, deep) for i in range(5)}
     for agent in agents.values():
         agent.asynchronous = asynchronous
@@ -440,7 +440,7 @@ def test_a_simulation_raises_what_the_failing_agent_raised():
         ),
         (
             {"graph": path(5)},
-            r"agent 0: weights, round 0: found of \[1, 4\]; allowed: of those it hears, \[1\]",
+            r"agent 0: weights, round 0: found of \[1, 4\]; allowed: of the agents it hears, \[1\]",
         ),
         ({"loss": 1.5}, "loss"),
         ({"network": {"los": 0.1}}, "los"),
@@ -578,7 +578,7 @@ class Growing(Counting):
         ((max, ""), None),
     ],
 )
-def test_the_largest_violation_is_of_those_that_have_numbers(violations, largest):
+def test_the_largest_violation_ignores_agents_without_a_number(violations, largest):
     agents = {i: Counting(1) for i in range(2)}
     for i, violation in enumerate(violations):
         agents[i].violation, agents[i].common = violation, False

@@ -49,7 +49,7 @@ class Missing:
     def __init__(self, clock, ids, since):
         self.clock, self.ids, self.since = clock, ids, since
 
-    def lost(self, j):
+    def is_lost(self, j):
         return j in self.ids and self.clock.now() > self.since
 
 
@@ -84,7 +84,7 @@ def endings(agents, graph, loss=0.0, lost=(), seed=1, pace=None, **options):
 
 @pytest.mark.parametrize("loss", [0.0, 0.4])
 @pytest.mark.parametrize("graph", [path(6), ring(6, directed=True)])
-def test_who_is_lost_is_named_at_all_long_before_the_deadline(graph, loss):
+def test_a_lost_agent_is_named_at_all_others_long_before_the_deadline(graph, loss):
     found, seconds = endings(
         {i: Counting(99) for i in range(5)}, graph, loss, lost=(5,)
     )
@@ -95,7 +95,7 @@ def test_who_is_lost_is_named_at_all_long_before_the_deadline(graph, loss):
     assert seconds < 8.0
 
 
-def test_who_ends_in_an_earlier_round_is_named_at_all():
+def test_an_agent_that_ends_in_an_earlier_round_is_named_at_all_others():
     agents = {i: Counting(3 if i == 0 else 9) for i in range(5)}
     found, seconds = endings(agents, path(5), loss=0.3)
     assert found.pop(0) is None
@@ -154,7 +154,7 @@ def exchanging(graph, loss, policy="raise"):
 
 @pytest.mark.parametrize("loss", [0.0, 0.4])
 @pytest.mark.parametrize("graph", [path(6), ring(6, directed=True), complete(6)])
-def test_who_says_that_it_goes_on_no_more_is_not_waited_for(graph, loss):
+def test_an_agent_that_reports_its_failure_is_not_waited_for(graph, loss):
     found, seconds = exchanging(graph, loss)
     assert isinstance(found.pop(2), ValueError)
     assert {(type(error), error.agent, error.reason) for error in found} == {
@@ -163,7 +163,7 @@ def test_who_says_that_it_goes_on_no_more_is_not_waited_for(graph, loss):
     assert seconds < 2.5
 
 
-def test_who_asks_for_those_alone_that_come_goes_on_without_it():
+def test_a_partial_exchange_goes_on_without_the_failed_agent():
     found, _ = exchanging(path(4), 0.0, policy="partial")
     assert [type(error) for error in found] == [
         type(None),
@@ -198,7 +198,7 @@ def contradictory(graph):
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
-def test_nobody_is_done_while_another_one_may_still_fail(seed):
+def test_no_agent_is_done_while_another_may_still_fail(seed):
     graph = path(5)
     found, seconds = endings(
         contradictory(graph), graph, loss=0.4, seed=seed, pace=WakingTimes(seed=seed)
@@ -221,7 +221,7 @@ def multipliers(graph, function=BOWL):
     }
 
 
-def test_who_waits_for_a_neighbour_that_is_lost_ends_all():
+def test_an_agent_that_waits_for_a_lost_neighbour_ends_all():
     graph = path(4)
     agents = multipliers(graph)
     del agents[3]

@@ -25,13 +25,11 @@ from crazychoir.runtime.clock import Clock, run_virtual, run_wall
 from crazychoir.team import graph as graphs
 from crazychoir.team.algorithm_run import run_algorithm
 from crazychoir.team.channel import ROUND_WINDOW
-from crazychoir.team.communicator import AHEAD, DATA, Communicator
+from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph, GraphSequence, metropolis
+from crazychoir.team.message_kind import KIND_BITS, MessageKind
 from crazychoir.team.rounds import (
-    CREDIT,
     FAILURE_CHANNEL,
-    FIN_TOO,
-    KIND_BITS,
     ROUND_LIMITS,
 )
 from crazychoir.types import Failure, PerNeighbor
@@ -171,7 +169,7 @@ def test_a_directed_ring(p):
     assert heard[2] == [(1 - k) % 4 for k in range(3 * ROUND_WINDOW.kept_rounds)]
 
 
-def test_a_payload_for_each_neighbour_and_for_nobody_else():
+def test_each_payload_reaches_its_own_neighbour_only():
     async def agent(c: Communicator) -> list[dict[int, str]]:
         neighbors = c.graph.at(0).neighbors(c.id)
         return [
@@ -213,11 +211,11 @@ def test_send_and_receive_are_rounds_too():
     ]
 
 
-def test_who_sends_ahead_does_not_say_that_it_has_read():
+def test_a_sender_ahead_of_its_peer_does_not_acknowledge_unread_rounds():
     async def agent(c: Communicator) -> Any:
         for k in range(3):
             await c.send(k)
-        return c.open("main").progress.get(1 - c.id, 0)
+        return c.open("main").peers.progress.get(1 - c.id, 0)
 
     assert swarm(graphs.path(2), agent) == {0: 0, 1: 0}
 
@@ -230,7 +228,7 @@ def test_an_exchange_after_a_send_completes_its_round():
     assert swarm(graphs.path(2), agent) == {0: [{1: 1}, {1: 11}], 1: [{0: 0}, {0: 10}]}
 
 
-def test_a_sender_keeps_what_nobody_has_asked_for_yet():
+def test_a_sender_keeps_messages_that_were_not_yet_requested():
     """The reader's credit is lost, and so is one message; it asks for it when the sender is ten rounds on."""
     graph = Graph.from_edges(2, [[0, 1]], directed=True)
 
@@ -241,7 +239,7 @@ def test_a_sender_keeps_what_nobody_has_asked_for_yet():
             for k in range(ROUND_WINDOW.kept_rounds + 6):
                 await c.send(k)
             return []
-        c.port.send = lambda *m: send(*m) if m[5] & 7 != CREDIT else None  # type: ignore[method-assign]
+        c.port.send = lambda *m: send(*m) if m[5] & 7 != MessageKind.CREDIT else None  # type: ignore[method-assign]
         await c.port.bus.clock.sleep(0.1)
         return [
             value
@@ -270,7 +268,7 @@ def test_channels_do_not_meet():
     ]
 
 
-def test_one_who_begins_late_costs_time_only():
+def test_a_late_starter_costs_only_time():
     async def agent(c: Communicator) -> bytes:
         await c.port.bus.clock.sleep(1.7 * c.id)
         return await averaging(graphs.ring(3), 10)(c)
@@ -418,7 +416,7 @@ def test_a_fast_source_waits_for_its_readers(p):
     )
 
 
-def test_a_sender_waits_for_one_who_receives():
+def test_a_sender_waits_for_its_receiver():
     async def agent(c: Communicator) -> list[int]:
         if c.id == 0:
             await c.port.bus.clock.sleep(0.1)
@@ -462,7 +460,7 @@ def test_a_ring_of_missing_messages_heals():
         send, after = c.port.send, (c.id + 1) % 3
 
         def lossy(topic: Any, to: tuple[int, ...], *m: Any) -> None:
-            first = m[3] & 7 == DATA and not m[4:]
+            first = m[3] & 7 == MessageKind.DATA and not m[4:]
             send(topic, tuple(j for j in to if not (first and j == after)), *m)
 
         c.port.send = lossy  # type: ignore[method-assign, assignment]
@@ -481,7 +479,7 @@ def test_a_duplicate_of_a_finished_round_is_not_answered():
     async def agent(c: Communicator) -> int:
         await c.neighbors_exchange(1)
         before = c.port.counters.sent
-        for kind in (DATA, AHEAD):
+        for kind in (MessageKind.DATA, MessageKind.AHEAD):
             c.port.deliver(
                 MESSAGE_TOPICS.rounds.number, 1 - c.id, encode(1), 0, "main", kind, 0.0
             )
@@ -551,7 +549,7 @@ class Lost:
     def __init__(self, clock: Clock, gone: int, when: float) -> None:
         self.clock, self.gone, self.when = clock, gone, when
 
-    def lost(self, j: int) -> bool:
+    def is_lost(self, j: int) -> bool:
         return j == self.gone and self.clock.now() >= self.when
 
 
@@ -572,7 +570,7 @@ def test_a_lost_neighbour(policy):
     assert found == ({0: {}, 2: {}} if policy == "partial" else {0: (1,), 2: (1,)})
 
 
-def test_who_is_lost_was_silent_since_it_was_heard_last_however_late_one_waits_for_it():
+def test_a_lost_drone_counts_as_silent_since_it_was_heard_last():
     async def agent(c: Communicator) -> str:
         await c.neighbors_exchange(c.id)
         if c.id == 1:
@@ -651,7 +649,7 @@ def test_closing_waits_for_the_late_and_not_for_the_lost():
     assert ends[1] == pytest.approx(1.2, abs=0.03)
 
 
-def test_closing_lingers_for_those_who_still_ask():
+def test_closing_lingers_for_drones_that_still_ask():
     """All that 0 sends is lost for two seconds, but 1 can be heard asking."""
 
     async def agent(c: Communicator) -> float:
@@ -670,11 +668,17 @@ def test_closing_lingers_for_those_who_still_ask():
     assert max(ends.values()) < 2.3
 
 
-def test_who_has_not_closed_does_not_say_so():
+def test_an_open_channel_does_not_report_that_it_is_closed():
     async def agent(c: Communicator) -> int:
         c.open("main")
         c.port.deliver(
-            MESSAGE_TOPICS.rounds.number, 1 - c.id, b"", 0, "main", FIN_TOO, 0.0
+            MESSAGE_TOPICS.rounds.number,
+            1 - c.id,
+            b"",
+            0,
+            "main",
+            MessageKind.FIN_TOO,
+            0.0,
         )
         return c.port.counters.sent
 
@@ -705,7 +709,7 @@ def ending(rounds: dict[int, int], linger: float = 2.0, **options: Any) -> Agent
 
 
 @pytest.mark.parametrize(("p", "soon"), [(0.0, 0.1), (0.5, 1.0)])
-def test_who_waits_for_one_that_has_ended_learns_it_at_once(p, soon):
+def test_waiting_for_a_drone_that_has_ended_fails_at_once(p, soon):
     for seed in range(10):
         found = swarm(graphs.path(3), ending({0: 9, 1: 6, 2: 6}), loss(p), seed=seed)
         at, error = found[0]
@@ -724,7 +728,7 @@ def test_who_waits_for_one_that_has_ended_learns_it_at_once(p, soon):
         assert (found[1][1], found[2][1]) == (None, None)
 
 
-def test_one_that_has_ended_and_gone_on_still_says_so_when_asked():
+def test_a_drone_that_has_ended_and_gone_on_still_reports_it_when_asked():
     """All that 1 says of its end is lost, and it no longer lingers when 0 can hear it again."""
 
     async def agent(c: Communicator) -> tuple[float, ChannelEnded | None]:
@@ -743,7 +747,7 @@ def test_one_that_has_ended_and_gone_on_still_says_so_when_asked():
 
 
 @pytest.mark.parametrize("p", [0.0, 0.5])
-def test_one_that_has_ended_still_serves_who_is_late_in_its_rounds(p):
+def test_a_drone_that_has_ended_still_serves_its_late_neighbours(p):
     """No error while what was said before the end may still come: 0 needs all rounds, and gets them late."""
 
     async def agent(c: Communicator) -> list[int]:
@@ -777,7 +781,7 @@ def test_a_channel_that_all_have_ended_together_goes_on(p):
         )
 
 
-def test_who_asked_for_what_comes_gets_what_comes_from_one_that_has_ended():
+def test_a_partial_exchange_with_an_ended_drone_returns_what_came():
     agent = ending({0: 7, 1: 6}, policy="partial", deadline=0.5)
     at, error = swarm(graphs.path(2), agent)[0]
     assert error is None
@@ -796,7 +800,7 @@ def test_a_closed_channel_goes_on_where_it_was():
 # What comes from elsewhere ----------------------------------------------------------------------------------------
 
 
-def test_a_flood_of_strange_messages_takes_no_memory_and_disturbs_nobody():
+def test_a_flood_of_unknown_messages_takes_no_memory_and_disturbs_no_exchange():
     async def agent(c: Communicator) -> Any:
         deliver = c.port.deliver
         for n in range(3000):
@@ -806,7 +810,7 @@ def test_a_flood_of_strange_messages_takes_no_memory_and_disturbs_nobody():
                 b"x" * 2000,
                 0,
                 f"name {n}",
-                DATA,
+                MessageKind.DATA,
                 0.0,
             )
             deliver(
@@ -815,7 +819,7 @@ def test_a_flood_of_strange_messages_takes_no_memory_and_disturbs_nobody():
                 b"x" * (ROUND_LIMITS.max_early_bytes + 1),
                 0,
                 "large",
-                DATA,
+                MessageKind.DATA,
                 0.0,
             )
             deliver(
@@ -836,7 +840,15 @@ def test_a_flood_of_strange_messages_takes_no_memory_and_disturbs_nobody():
                 n % 8,
                 0.0,
             )
-            deliver(MESSAGE_TOPICS.rounds.number, 77 + n, b"x", 0, "main", DATA, 0.0)
+            deliver(
+                MESSAGE_TOPICS.rounds.number,
+                77 + n,
+                b"x",
+                0,
+                "main",
+                MessageKind.DATA,
+                0.0,
+            )
             deliver(
                 MESSAGE_TOPICS.rounds.number,
                 1 - c.id,
@@ -851,7 +863,13 @@ def test_a_flood_of_strange_messages_takes_no_memory_and_disturbs_nobody():
         assert max(kept) <= ROUND_LIMITS.max_early_bytes
         ch = c.open("main")
         assert list(c._channels) == [FAILURE_CHANNEL, "main"]
-        assert len(ch.inbox) + len(ch.latest) + len(ch.progress) + len(ch.finished) < 10
+        assert (
+            len(ch.inbox)
+            + len(ch.peers.latest)
+            + len(ch.peers.progress)
+            + len(ch.peers.finished)
+            < 10
+        )
         return [await c.neighbors_exchange(10 * k + c.id) for k in range(30)]
 
     assert swarm(graphs.path(2), agent)[0] == [{1: 10 * k + 1} for k in range(30)]
@@ -872,7 +890,7 @@ def test_rounds_far_ahead_are_dropped_and_counted():
                 encode(1),
                 number,
                 "main",
-                DATA,
+                MessageKind.DATA,
                 0.0,
             )
         return len(ch.inbox), c.ahead
@@ -899,7 +917,9 @@ def test_too_many_channels_are_refused_and_closed_ones_make_room():
 def test_an_undecodable_message_is_an_error_of_its_reader():
     async def agent(c: Communicator) -> int:
         if c.id == 1:
-            c.port.send(MESSAGE_TOPICS.rounds, (0,), b"\xff", 0, "main", DATA)
+            c.port.send(
+                MESSAGE_TOPICS.rounds, (0,), b"\xff", 0, "main", MessageKind.DATA
+            )
             return 0
         with pytest.raises(CodecError):
             await c.neighbors_exchange(1)
@@ -912,7 +932,7 @@ def test_one_channel_cannot_be_awaited_twice():
     async def agent(c: Communicator) -> None:
         first = asyncio.ensure_future(c.receive())
         await c.port.bus.clock.sleep(0.0)
-        with pytest.raises(ConfigError, match="two who wait on it"):
+        with pytest.raises(ConfigError, match="two tasks that wait on it"):
             await c.receive()
         first.cancel()
 
@@ -943,7 +963,7 @@ def test_a_new_epoch_ends_what_is_not_joinable_and_the_next_begins_at_zero():
     assert found[0] == [{1: 0, 2: 0}, {1: 10}, {1: 11}, {1: 12}]
 
 
-def test_one_who_is_not_waiting_learns_of_the_epoch_at_its_next_verb():
+def test_a_drone_that_is_not_waiting_learns_of_the_epoch_at_its_next_call():
     async def agent(c: Communicator) -> Any:
         await c.neighbors_exchange(1)
         if c.id == 2:
@@ -961,7 +981,9 @@ def test_messages_of_an_earlier_epoch_are_ignored_and_those_of_the_next_are_kept
     async def agent(c: Communicator) -> dict[int, str]:
         clock = c.port.bus.clock
         if c.id == 1:
-            c.port.send(MESSAGE_TOPICS.rounds, (0,), encode("old"), 0, "main", DATA)
+            c.port.send(
+                MESSAGE_TOPICS.rounds, (0,), encode("old"), 0, "main", MessageKind.DATA
+            )
             c.leave((), 1)
             return await c.neighbors_exchange("new")
         await clock.sleep(0.2)
@@ -969,7 +991,13 @@ def test_messages_of_an_earlier_epoch_are_ignored_and_those_of_the_next_are_kept
         c.leave((), 1)
         assert encode("old") not in c.open("main").inbox.get(0, {}).values()
         c.port.deliver(
-            MESSAGE_TOPICS.rounds.number, 1, encode("old"), 0, "main", DATA, 0.0
+            MESSAGE_TOPICS.rounds.number,
+            1,
+            encode("old"),
+            0,
+            "main",
+            MessageKind.DATA,
+            0.0,
         )
         assert not c._early
         await clock.sleep(0.5)
@@ -981,7 +1009,7 @@ def test_messages_of_an_earlier_epoch_are_ignored_and_those_of_the_next_are_kept
 
 
 @pytest.mark.parametrize("back", [False, True])
-def test_who_goes_on_no_more_does_so_in_the_next_epoch_too_unless_it_has_begun_anew(
+def test_a_failed_agent_stays_failed_in_the_next_epoch_unless_it_has_restarted(
     back,
 ):
     async def agent(c: Communicator) -> str:
@@ -1031,7 +1059,7 @@ def test_run_algorithm_drives_a_pure_algorithm():
     assert swarm(graphs.path(2), agent, loss(0.5))[1] == [{0: k} for k in range(20)]
 
 
-def test_a_joinable_channel_goes_on_without_those_who_leave():
+def test_a_joinable_channel_goes_on_without_members_that_leave():
     async def agent(c: Communicator) -> Any:
         algorithm = Counting(4 if c.id == 2 else 10)
         if c.id != 2:
@@ -1052,7 +1080,7 @@ def test_a_channel_in_use_cannot_become_joinable():
     swarm(graphs.path(2), agent)
 
 
-def test_a_wait_that_is_over_does_not_keep_the_loop_from_one_that_goes_on():
+def test_a_quick_exchange_ends_on_time_beside_a_slow_one():
     async def main(clock: Clock) -> tuple[dict[int, Any], float]:
         bus = Bus(clock)
         member = Communicator(bus.port(0), graphs.path(2))

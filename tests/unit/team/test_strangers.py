@@ -34,7 +34,7 @@ def test_the_smaller_camp_is_refused_and_of_equals_the_one_without_the_lowest_id
     told(story)
 
 
-def test_one_who_has_changed_to_our_mission_is_a_stranger_no_more():
+def test_a_drone_that_changes_to_our_mission_is_a_stranger_no_more():
     async def story(clock: Clock) -> None:
         camp = Strangers(clock, 1, 2, "ours")
         camp.heard(0, "other")
@@ -49,7 +49,7 @@ def test_one_who_has_changed_to_our_mission_is_a_stranger_no_more():
     told(story)
 
 
-def test_who_has_not_heard_everybody_waits_before_it_judges():
+def test_a_drone_that_has_not_heard_all_others_waits_before_it_judges():
     async def story(clock: Clock) -> None:
         camp = Strangers(clock, 1, 9, "ours")
         camp.heard(0, "other")

@@ -79,10 +79,10 @@ class Detours:
         self.draw = draw
 
     def options(self, start: Vec, aim: RestGoal, most: float) -> list[PathOption]:
-        """Return all paths that cost less than `most` s and stay INSET inside the fence.
+        """Return all paths that cost less than `most` s and stay FENCE_INSET inside the fence.
 
         A path may be nearer to the fence, or outside, if the drone cannot stop before, or if its
-        goal is there; but no deeper than DIP.
+        goal is there; but no deeper than DETOUR_CHOICES.largest_dip.
 
         start: (12,): motion at the beginning
         aim: the goal, where the path ends at rest

@@ -43,24 +43,14 @@ class MeetingCheck(NamedTuple):
 MEETING_CHECK = MeetingCheck()
 
 
-(
-    PATH_FIRST_PIECE,
-    PATH_PIECE_COUNT,
-    PATH_BEGIN_TIME,
-    PATH_ON_FLOOR,
-    PATH_GUESS_GROWTH,
-    PATH_DRONE_ID,
-    PATH_COLUMNS,
-) = range(7)
-"""Columns of what is known of another drone's path:
-
-FIRST: the first row of its pieces
-COUNT: the number of its pieces
-BEGAN: s, when it began
-FLOOR: whether the drone stands on the floor
-GUESS: m/s, growth of the uncertainty
-TAG: id of the drone
-"""
+# Columns of what is known of another drone's path.
+PATH_FIRST_PIECE = 0  # first row of its pieces
+PATH_PIECE_COUNT = 1  # number of its pieces
+PATH_BEGIN_TIME = 2  # s, when it began
+PATH_ON_FLOOR = 3  # 1 if the drone stands on the floor, else 0
+PATH_GUESS_GROWTH = 4  # m/s, growth of the uncertainty
+PATH_DRONE_ID = 5  # id of the drone
+PATH_COLUMNS = 6  # number of columns
 
 
 @kernel(matrix, real, matrix, matrix, real, vector)
@@ -77,7 +67,7 @@ def find_first_meeting(
     way: (k, 25): the path
     began: s, when it begins
     pieces: (., 25): pieces of the other paths
-    others: (n, 6): FIRST ... TAG of each other path
+    others: (n, 6): PATH_FIRST_PIECE ... PATH_DRONE_ID of each other path
     now: s
     f: (4,): diagonal of S without its first element, D m, and the width m of a drone on the floor,
         for which S = 1
@@ -87,7 +77,7 @@ def find_first_meeting(
     for k in range(way.shape[0]):
         duration += way[k, 0]
     soonest = math.inf
-    whose = -1.0
+    other_id = -1.0
     for row in range(others.shape[0]):
         other = others[row]
         first = int(other[PATH_FIRST_PIECE])
@@ -126,10 +116,10 @@ def find_first_meeting(
                 nearest,
             ):
                 soonest = t
-                whose = other[PATH_DRONE_ID]
+                other_id = other[PATH_DRONE_ID]
                 break
             t += MEETING_CHECK.step
-    return soonest, whose
+    return soonest, other_id
 
 
 class OtherPaths:
@@ -220,8 +210,8 @@ class OtherPaths:
             self._packed = np.concatenate(self._pieces), np.array(self._rows)
         figures = self.figures.copy()
         figures[2] += room
-        time, whose = find_first_meeting(way, began, *self._packed, now, figures)
-        return time, None if whose < 0.0 else int(whose)
+        time, other_id = find_first_meeting(way, began, *self._packed, now, figures)
+        return time, None if other_id < 0.0 else int(other_id)
 
     def clear(self, way: Mat, began: float, now: float) -> bool:
         """Return whether the path meets no other."""

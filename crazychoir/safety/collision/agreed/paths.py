@@ -194,7 +194,7 @@ def find_peak_sideways_acceleration(way: Mat) -> float:
 
 @kernel(matrix, vector, vector)
 def is_outside_box(way: Mat, low: Vec, high: Vec) -> bool:
-    """Return whether a path leaves a box, checked every LOOK s.
+    """Return whether a path leaves a box, checked every BOX_CHECK_STEP s.
 
     way: (k, 25)
     low: (3,) m: lower corner
@@ -219,7 +219,7 @@ def fill_flight(start: Vec, goal: Vec, v_max: float, a_max: float, piece: Vec) -
     allow. From rest T = max(35/16 d / v_max, sqrt(84 sqrt(5) / 25 d / a_max)). Otherwise it is the
     first of a growing series of durations with samples within the limits, or with the least excess.
     A start that is itself too fast counts as its own limit. So does a start with too much
-    acceleration, or SWING a_max from STEEP a_max on.
+    acceleration, or PATH_SEARCH.steep_start_limit a_max from PATH_SEARCH.steep_start a_max on.
 
     start: (12,)
     goal: (3,) m
@@ -288,7 +288,8 @@ def fill_stop(start: Vec, a_max: float, piece: Vec) -> None:
 def plan_hold(p: Vec, seconds: float) -> Mat:
     """Return the path that stays at p, (3,) m."""
     way = np.zeros((1, PIECE_SIZE))
-    way[0, 0], way[0, 1], way[0, 9], way[0, 17] = seconds, *p
+    way[0, 0] = seconds
+    way[0, [1, 9, 17]] = p
     return way
 
 

@@ -66,7 +66,7 @@ PLANNING_TIMES = PlanningTimes()
 
 
 GOLDEN_SECTION = 0.5 * (math.sqrt(5.0) - 1.0)
-"""Its multiples spread the looks over a PERIOD.
+"""Its multiples spread the looks over a PLANNING_TIMES.check_interval.
 
 Drones of one process that take off together then do not look at the same time.
 """
@@ -198,7 +198,7 @@ class PlannedFlights:
         future: the wanted reference a number of seconds from now
         whole: s until the wanted reference ends at rest, if one go_to leads there; else 0
         now: s
-        lands: whether the drone is landing; it then waits for agreement for at most UNANSWERED s
+        lands: whether the drone is landing; it then waits for agreement for at most OBSTACLE_LIMITS.answer_timeout s
         waits: whether the wanted reference stands still while the drone is delayed
         """
         mine = self.agreement
@@ -289,7 +289,7 @@ class PlannedFlights:
         return not self._kept
 
     def _look_after(self, now: float) -> float:
-        """Return the time in s of the next look, at most PERIOD later."""
+        """Return the time in s of the next look, at most PLANNING_TIMES.check_interval later."""
         return (
             now
             + PLANNING_TIMES.check_interval

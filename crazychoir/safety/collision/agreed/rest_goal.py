@@ -48,8 +48,9 @@ class RestGoal:
     def missing(self, p: Vec) -> float:
         """Return the cost in s of a path that ends at p, (3,) m, instead of at the goal.
 
-            UNENDED + REST T(|p - goal|) + AWAITED where p is in the way,   T: s, of a flight
-            T within NEAR
+            REST_COSTS.elsewhere + REST_COSTS.remaining_flight T(|p - goal|)
+            + REST_COSTS.awaited_place where p is in the way,   T: s, of a flight
+            T within ARRIVAL_DISTANCE
 
         It is more than the time of a flight from p to the goal. A drone away from its goal leaves
         the place of another drone that waits for it. Otherwise two drones on each other's goals

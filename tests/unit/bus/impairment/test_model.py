@@ -259,7 +259,7 @@ def test_partitions_cut_both_ways_while_they_last():
         assert one(impairment, source=i, destination=j, now=6.0) is UNDELAYED_MESSAGE
 
 
-def test_partitions_count_from_the_oldest_go_and_cut_nobody_before():
+def test_partitions_count_from_the_oldest_go_and_cut_no_link_before():
     impairment = Impairment(1, partitions=[NetworkPartition(5.0, 9.0, (1,))])
     cut = [
         time for time in range(200) if not one(impairment, now=float(time)).deliveries

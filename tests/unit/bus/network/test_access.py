@@ -7,6 +7,7 @@ from crazychoir.bus.network import endpoints
 from crazychoir.bus.network.access import NetworkAccess
 from crazychoir.bus.network.authority import add_host, make_authority
 from crazychoir.bus.network.hello import Hello
+from crazychoir.bus.network.hello_review import Introduction
 from crazychoir.bus.network.peers import Peers
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS
@@ -91,14 +92,11 @@ def test_a_drone_asks_its_own_body_on_another_host_and_no_other(config):
         assert not access.may_say("desktop", said(topic, *to))
 
 
-def test_nobody_takes_the_name_of_another_s_process_nor_all_the_room(config):
-    access, bus = (
-        access_of(config, "laptop"),
-        Bus(Still(), process="0-1", host="laptop"),
-    )
-    peers = Peers(
-        bus, "lab", 1, "1", access, lambda drones, there: None, lambda refused: None
-    )
+def test_a_host_cannot_take_another_hosts_process_name_nor_all_the_room(config):
+    access = access_of(config, "laptop")
+    bus = Bus(Still(), process="0-1", host="laptop")
+    own = Introduction("lab", 1, "1")
+    peers = Peers(bus, own, access, lambda drones, there: None, lambda refused: None)
     for host, process in (
         ("desktop", "0-1"),
         ("desktop", "world-1"),
@@ -120,14 +118,11 @@ def test_nobody_takes_the_name_of_another_s_process_nor_all_the_room(config):
     assert peers.came("laptop", "world-1", "token"), "there is room for the others"
 
 
-def test_who_claims_what_another_host_holds_is_refused(config):
-    access, bus = (
-        access_of(config, "laptop"),
-        Bus(Still(), process="0-1", host="laptop"),
-    )
-    peers = Peers(
-        bus, "lab", 1, "1", access, lambda drones, there: None, lambda refused: None
-    )
+def test_a_claim_to_what_another_host_holds_is_refused(config):
+    access = access_of(config, "laptop")
+    bus = Bus(Still(), process="0-1", host="laptop")
+    own = Introduction("lab", 1, "1")
+    peers = Peers(bus, own, access, lambda drones, there: None, lambda refused: None)
     peer = peers.came("desktop", "1-1", "token")
     for drones, observers in (
         ([0], []),
@@ -194,13 +189,10 @@ def test_nothing_but_mutual_tls_is_spoken_where_there_are_keys(config):
 
 
 def test_what_a_process_claims_in_turns_is_said_once(config, caplog):
-    access, bus = (
-        access_of(config, "laptop"),
-        Bus(Still(), process="0-1", host="laptop"),
-    )
-    peers = Peers(
-        bus, "lab", 1, "1", access, lambda drones, there: None, lambda refused: None
-    )
+    access = access_of(config, "laptop")
+    bus = Bus(Still(), process="0-1", host="laptop")
+    own = Introduction("lab", 1, "1")
+    peers = Peers(bus, own, access, lambda drones, there: None, lambda refused: None)
     peer = peers.came("desktop", "1-1", "token")
     for k in range(20):
         hello = Hello(
@@ -233,7 +225,7 @@ def test_a_swarm_of_several_hosts_is_closed_unless_it_says_that_it_is_not(config
         "security": {},
     }
     assert not SwarmConfig.of(local).secured, (
-        "nobody else reaches this machine's own addresses"
+        "no other host reaches this machine's own addresses"
     )
     assert SwarmConfig.of(
         {**local, "security": {"insecure": False, "operators": ["laptop"]}}
@@ -254,7 +246,7 @@ def test_a_swarm_of_several_hosts_is_closed_unless_it_says_that_it_is_not(config
         )
 
 
-def test_an_open_network_beyond_this_machine_is_one_that_the_swarm_file_allows():
+def test_an_open_endpoint_beyond_this_machine_needs_insecure_in_the_swarm_file():
     local = SwarmConfig.of({"name": "lab", "drones": [{"id": 0, "home": [0, 0, 0]}]})
     near = ("tcp/127.0.0.1:7460", "tcp/[::1]:7460", "tcp/localhost:7460")
     assert access_of(local, "here", *near) is None

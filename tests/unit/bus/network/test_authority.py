@@ -63,7 +63,7 @@ def test_keys_are_read_by_their_owner_alone(keys):
     )
 
 
-def test_who_is_taken_out_holds_a_certificate_of_an_authority_that_is_gone(keys):
+def test_a_revoked_host_holds_a_certificate_of_a_discarded_authority(keys):
     before, root = read(keys / "desktop"), read(keys / KEY_FILES.authority_folder)
     assert revoke_host(keys, "laptop") == ["desktop"]
     assert [holder.name for holder in certified_hosts(keys)] == ["desktop"]

@@ -27,7 +27,7 @@ def test_large_frames_count_as_several():
     assert FrameBudget(0).take(0, FRAME_FORMAT.max_bytes)
 
 
-def test_who_sends_as_much_as_he_may_loses_nothing():
+def test_a_sender_at_the_allowed_rate_loses_nothing():
     budget, step = FrameBudget(0), int(NS_PER_SECOND / FLOOD_LIMITS.frame_rate) + 1
     assert all(budget.take(k * step) for k in range(50_000))
 

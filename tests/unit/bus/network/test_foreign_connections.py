@@ -9,7 +9,7 @@ def test_a_program_more_than_processes_is_told_at_the_second_look_and_once():
     assert [connections.look(links, ["a", "b"]) for _ in range(3)] == [[], ["b"], []]
 
 
-def test_who_has_connected_and_will_say_that_it_is_there_is_given_time():
+def test_a_new_connection_is_given_time_to_announce_itself():
     connections = ForeignConnections()
     assert connections.look([("b", "2")], []) == []
     assert connections.look([("b", "2")], ["b"]) == []
@@ -17,6 +17,6 @@ def test_who_has_connected_and_will_say_that_it_is_there_is_given_time():
     assert connections.look([("b", "3")], []) == ["b"]
 
 
-def test_who_has_a_token_and_no_connection_of_his_own_is_nobody_to_tell_of():
+def test_a_token_without_its_own_connection_is_not_reported():
     connections = ForeignConnections()
     assert [connections.look([], ["a", "b"]) for _ in range(3)] == [[], [], []]

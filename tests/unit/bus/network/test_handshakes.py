@@ -28,18 +28,18 @@ def said(caplog):
     return lambda: [record.getMessage() for record in caplog.records]
 
 
-def test_who_is_turned_away_is_said_once(said):
+def test_a_refused_process_is_reported_once(said):
     heard = HandshakeReporter()
     for seconds in range(2):
         assert heard.line(NONE)
         assert heard.line(LATE.format(seconds))
     assert said() == [
-        "somebody connected and was turned away: peer sent no certificates. Nothing of it was read",
-        "somebody connected and was turned away: certificate expired (0 seconds ago). Nothing of it was read",
+        "a process connected and was refused: peer sent no certificates. Nothing of it was read",
+        "a process connected and was refused: certificate expired (0 seconds ago). Nothing of it was read",
     ]
 
 
-def test_who_turns_us_away_is_said_with_where_and_why(said):
+def test_a_refusal_by_a_peer_is_reported_once_with_its_address_and_reason(said):
     heard = HandshakeReporter()
     assert all(heard.line(text) for text in (ALERT, ISSUER, ALERT))
     where = "tls/10.0.0.1:7460 and we do not accept each other's certificate: "
@@ -49,7 +49,7 @@ def test_who_turns_us_away_is_said_with_where_and_why(said):
     ]
 
 
-def test_who_is_not_there_yet_is_nothing_to_say(said):
+def test_an_absent_peer_is_not_reported(said):
     assert HandshakeReporter().line(ABSENT)
     assert said() == []
 
@@ -60,7 +60,7 @@ def test_what_is_not_zenoh_s_is_left(said):
     assert said() == []
 
 
-def test_nobody_fills_the_log(said):
+def test_the_number_of_reports_in_the_log_is_limited(said):
     heard = HandshakeReporter()
     for n in range(2 * ZENOH_LOG_READING.max_reports):
         heard.line(

@@ -20,7 +20,9 @@ def test_a_stranger_is_answered_once_for_all_of_its_frames(
     assert estranged.due(gone_too=True) == []
 
 
-def test_who_went_is_greeted_until_it_comes_back(estranged: TokenRepair) -> None:
+def test_a_peer_that_went_is_greeted_until_it_comes_back(
+    estranged: TokenRepair,
+) -> None:
     estranged.went("b")
     estranged.heard("b")
     assert estranged.due(gone_too=True) == ["b"], "once, not twice"
@@ -41,7 +43,9 @@ def test_another_token_after_four_greetings_without_us_and_then_ever_more_seldom
 @pytest.mark.parametrize(
     "known", [lambda e: e.greeted("b", knows_us=True), lambda e: e.went("b")]
 )
-def test_who_knows_us_or_went_is_counted_anew(estranged: TokenRepair, known) -> None:
+def test_the_count_restarts_when_the_peer_knows_us_or_goes(
+    estranged: TokenRepair, known
+) -> None:
     for _ in range(3):
         assert not estranged.greeted("b", knows_us=False)
     known(estranged)

@@ -14,6 +14,7 @@ from crazychoir.bus.codec import encode
 from crazychoir.bus.network import endpoints
 from crazychoir.bus.network.access import NetworkAccess
 from crazychoir.bus.network.hello import HELLO_RULES, Hello
+from crazychoir.bus.network.hello_review import Introduction
 from crazychoir.bus.network.peers import PEER_LIMITS, Peer, Peers
 from crazychoir.bus.network.public_topics import fields_as_json
 from crazychoir.bus.port import PORT_ADDRESSES, Bus, Interest
@@ -57,13 +58,10 @@ class Here:
         self.refused: list[Refused] = []
         self.peers = Peers(
             self.bus,
-            "s",
-            1,
-            "1",
+            Introduction("s", 1, "1", agreed or {}),
             None,
             lambda ids, there: self.tokens.append((ids, there)),
             self.refused.append,
-            agreed,
         )
         self.clock.ns = round(uptime * 1e9)
 
@@ -84,7 +82,7 @@ WORLD = hello(
 
 
 @pytest.mark.parametrize("uptime", [0.5, 60.0])
-def test_an_owner_with_another_swarm_file_and_who_flies_do_not_come_together(
+def test_an_owner_with_another_swarm_file_is_not_entered_in_the_directory(
     uptime, caplog
 ) -> None:
     here = Here(uptime, {"drones": "ab", "plant": "ef"})
@@ -109,7 +107,7 @@ def test_an_owner_with_another_swarm_file_and_who_flies_do_not_come_together(
         hello("observer", (), observers=[PORT_ADDRESSES.first_observer]),
     ],
 )
-def test_who_owns_nothing_is_judged_by_others_or_may_look_on(said) -> None:
+def test_a_matching_owner_any_agent_and_an_observer_are_accepted(said) -> None:
     here = Here(0.5, {"drones": "ab", "plant": "cd"})
     here.hear(said)
     assert here.refused == []
@@ -196,7 +194,7 @@ def test_a_process_that_is_started_anew_has_another_clock(here: Here) -> None:
     assert here.peers.offsets() == {}
 
 
-def test_hello_of_somebody_else_is_refused(here: Here) -> None:
+def test_a_hello_under_another_processes_name_is_refused(here: Here) -> None:
     peer = here.peers.came("there", "b", "token")
     with pytest.raises(CodecError, match="sent by b on there"):
         here.peers.greeted(peer, hello("c").payload(), 0.0)
@@ -223,7 +221,7 @@ def test_a_hello_claims_no_drones_among_observers_nor_more_than_look_on(
     assert here.peers.directory == {}
 
 
-def test_nobody_takes_the_address_of_an_operator(here: Here) -> None:
+def test_a_process_cannot_take_the_address_of_an_operator(here: Here) -> None:
     """b says that it is there for longer, and at the console's address; the console is heard, and reads on."""
     processes, looks = (
         {"here": ("a",), "desk": (), "there": ("b",)},
@@ -293,7 +291,9 @@ def test_the_later_of_two_gives_way(here: Here) -> None:
     [hello(drones=(0,), uptime=1e8), WORLD],
     ids=["our drone", "another swarm file"],
 )
-def test_who_has_run_for_a_while_is_ended_by_nobody(said, caplog) -> None:
+def test_a_process_that_has_run_for_a_while_is_not_ended_by_a_conflict(
+    said, caplog
+) -> None:
     """A host whose cable is back, or that says that it was first: somebody may fly by this process."""
     here = Here(PEER_LIMITS.new_process_time, {"drones": "ab", "plant": "ef"})
     here.hear(said, age=1e8)
@@ -304,7 +304,7 @@ def test_who_has_run_for_a_while_is_ended_by_nobody(said, caplog) -> None:
     assert len(young.refused) == 1
 
 
-def test_who_was_refused_and_has_mended_it_is_one_of_us(here: Here) -> None:
+def test_a_refused_peer_that_corrects_its_hello_is_accepted(here: Here) -> None:
     here.hear(hello(drones=(0,), uptime=0.0), age=-0.5)
     assert here.peers.by_name["b"].refusal
     here.hear(hello(drones=(1,), uptime=1.0))

@@ -48,7 +48,7 @@ def frame(*messages):
     return encode_frame(Frame("1-1", 2, DRONE_TOPICS.state.klass, list(messages)))
 
 
-async def test_a_message_is_given_once_to_who_is_named_often():
+async def test_a_message_is_delivered_once_to_a_repeated_receiver():
     link = await link_of_a()
     heard = []
     link.bus.ports[0].handlers[DRONE_TOPICS.log.number] = lambda *message: heard.append(
@@ -81,7 +81,7 @@ async def test_frames_that_take_long_leave_the_loop_to_the_others():
     link._queue.clear()
 
 
-async def test_who_is_behind_reads_for_as_long_as_the_loop_does_other_things():
+async def test_a_link_that_is_behind_reads_for_as_long_as_other_work_takes():
     link, read = await link_of_a(), []
 
     def slowly(key, data, arrived_ns):
@@ -118,7 +118,7 @@ async def test_who_is_behind_reads_for_as_long_as_the_loop_does_other_things():
     link._queue.clear()
 
 
-def test_who_speaks_is_read_where_access_control_looks():
+def test_the_sender_is_read_from_the_part_of_the_key_that_access_control_checks():
     assert _sender_of_key("choir/s/f/0-1/b/1-2/control") == ("b", "1-2")
 
 
@@ -130,7 +130,7 @@ def test_who_speaks_is_read_where_access_control_looks():
         "choir/s/f/0-1/b/x/a/0-2/control",
     ],
 )
-def test_a_key_of_more_or_fewer_parts_is_nobody_s(key):
+def test_a_key_with_more_or_fewer_parts_has_no_sender(key):
     assert _sender_of_key(key) == ("", "")
 
 

@@ -30,7 +30,7 @@ def agent(i, graph):
 """
 SHARING = """
 import numpy as np
-from crazychoir.optimization.algorithms.primal_decomposition import Allocated, PrimalDecomposition
+from crazychoir.optimization.algorithms.primal_decomposition import AllocatedSolution, PrimalDecomposition
 from crazychoir.team.graph import metropolis
 
 class Allocation:  # min (x - i)^2 + 100 rho, x <= y + rho, x >= 0
@@ -41,7 +41,7 @@ class Allocation:  # min (x - i)^2 + 100 rho, x <= y + rho, x >= 0
         x = max(0.0, min(self.i, y[0]))
         over = max(0.0, x - y[0])
         mu = 100.0 if over else 2 * max(self.i - x, 0.0)
-        return Allocated((x - self.i) ** 2 + 100 * over, np.array([x]), np.array([mu]), over)
+        return AllocatedSolution((x - self.i) ** 2 + 100 * over, np.array([x]), np.array([mu]), over)
 
 def agent(i, graph):
     return PrimalDecomposition(i, metropolis(graph)[i], Allocation(i), np.array([SHARE]), 0.1, 20)
@@ -49,7 +49,7 @@ def agent(i, graph):
 ENDING = """
 from dataclasses import dataclass
 import numpy as np
-from crazychoir.optimization.rounds.agreement import flood
+from crazychoir.optimization.rounds.agreement import flood_values
 from crazychoir.optimization.rounds.program import Program
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Finding(Program):
         super().__init__()
 
     def run(self):
-        known = yield from flood(self.i, self.i, self.diameter)
+        known = yield from flood_values(self.i, self.i, self.diameter)
         return Found(np.array([self.i, 0.5]), float(sum(known.values())), ((1, "a,b"), None))
 
 def agent(i, graph):
@@ -309,7 +309,7 @@ def test_what_a_users_step_raises_is_named_with_its_line(simulated):
     )
 
 
-def test_who_sent_what_a_step_fails_with_is_named(simulated):
+def test_a_failing_step_names_the_senders_of_what_it_had_heard(simulated):
     text = (
         AVERAGING
         + "\nclass Mute(Consensus):\n    def message(self):\n        if self.i != 3: return self.x\n"
@@ -366,7 +366,7 @@ def test_on_ctrl_c_there_is_what_there_is(simulated, tmp_path, asynchronous, req
     code, out, err = simulated(text)
     assert code == 130
     assert row(out, "rounds") == str(result["rounds"])
-    assert err.endswith("Ctrl-C: the run ends here, with what there is\n")
+    assert err.endswith("Ctrl-C: the run ends here, with the rounds so far\n")
 
 
 def test_a_long_run_says_now_and_then_how_far_it_is(simulated, monkeypatch):
@@ -377,7 +377,7 @@ def test_a_long_run_says_now_and_then_how_far_it_is(simulated, monkeypatch):
         if line.startswith("round ")
     ]
     assert 1 <= len(said) < 15
-    assert said[-1].endswith(", --rounds limits them, Ctrl-C ends them here")
+    assert said[-1].endswith(", --rounds limits them, Ctrl-C ends the run")
     rounds = [int(line.split(",")[0].split()[1]) for line in said]
     assert rounds == sorted(rounds)
     assert rounds[-1] <= 30

@@ -27,7 +27,7 @@ def test_what_names_no_drones_is_refused(text, said, capsys):
         ({0: {"answer": "silent", "says": ""}}, 1),
     ],
 )
-def test_an_order_that_reaches_nobody_has_failed(rows, code, capsys):
+def test_an_order_that_reaches_no_drone_has_failed(rows, code, capsys):
     with pytest.raises(typer.Exit) as ended:
         _conclude(rows, as_json=True)
     assert ended.value.exit_code == code

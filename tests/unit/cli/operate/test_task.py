@@ -106,7 +106,7 @@ def test_what_a_drone_adds_to_its_answer_is_said(asked):
     assert "drone 2: task 10002: it waits" in said.output
 
 
-def test_who_says_nothing_may_have_done_it_so_nobody_else_is_asked(asked):
+def test_a_silent_drone_may_have_done_it_so_no_other_drone_is_asked(asked):
     said = CliRunner().invoke(task.app, ["cancel", "7", "--drone", "3"])
     assert said.exit_code == 1
     assert "drone 3: no answer" in said.output
@@ -131,7 +131,7 @@ def test_the_same_refusal_of_several_is_one_line():
     ]
 
 
-async def test_where_nobody_flies_it_says_what_to_start():
+async def test_without_a_running_agent_it_says_what_to_start():
     class Window:
         async def find(self):
             raise Refused("swarm demo", "no agent found; is it running?")

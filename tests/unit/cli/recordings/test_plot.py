@@ -97,14 +97,14 @@ def test_states_and_statuses_are_enough(plot):
         None,
         pytest.approx(1.0),
     )
-    assert "By state: where the drone took itself to be" in shown
+    assert "By state: the drone's own estimate of its position" in shown
     assert (
         "Not drawn: tracking: no reference while it was known where a drone was; convergence: no result"
         in shown
     )
 
 
-def test_truth_is_what_somebody_else_has_seen(plot):
+def test_truth_is_used_only_for_drones_that_the_camera_saw(plot):
     _, told, _, shown = plot("truth", "state")
     assert told["drones"]["0"]["source"] == "truth"
     assert told["drones"]["0"]["estimation_rmse_m"] == pytest.approx(0.003)
@@ -122,7 +122,7 @@ def test_truth_is_what_somebody_else_has_seen(plot):
     ("topic", "pictures"),
     [("status", ["messages", "tasks"]), ("result", ["convergence"])],
 )
-def test_what_drones_said_is_drawn_though_nobody_saw_them(plot, topic, pictures):
+def test_topics_of_drones_are_drawn_even_without_truth_or_state(plot, topic, pictures):
     code, told, drawn, shown = plot(topic)
     assert (code, drawn, told["drones"], told["min_separation_m"]) == (
         0,

@@ -83,7 +83,7 @@ def test_what_was_asked_for_is_there(record):
     assert seconds == pytest.approx(3.5, abs=0.1)
 
 
-def test_one_that_lost_messages_is_no_success(record):
+def test_a_recording_that_lost_messages_is_no_success(record):
     async def too_large(clock, bus, there, leave):
         bus.ports[0].publish(DRONE_TOPICS.log, "fine")
         await clock.sleep(0.5)

@@ -58,7 +58,7 @@ def test_what_is_no_step_is_said_and_asked_for_again(typed, capsys):
     assert "--step: found 2,5;" in said
 
 
-def test_who_is_cancelled_waits_for_no_line(monkeypatch):
+def test_a_cancelled_read_does_not_wait_for_a_line(monkeypatch):
     """A line that comes when all is over is nobody's, and no error."""
     end, other = os.pipe()
     keyboard = os.fdopen(end)

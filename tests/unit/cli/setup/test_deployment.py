@@ -375,7 +375,7 @@ def test_keys_beside_a_swarm_file_go_into_no_commit_and_no_image(repository, nam
     ]
 
 
-def test_a_host_with_a_drone_moved_is_refused_by_those_who_have_the_old_file(
+def test_moving_a_drone_to_another_host_changes_the_digest_of_the_file(
     repository,
 ):
     text = (repository / "deploy/three_workstations.toml").read_text()

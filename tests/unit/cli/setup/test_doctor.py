@@ -1,4 +1,4 @@
-"""What `crazychoir doctor` says of a host: each planted fault is named, with how to mend it."""
+"""What `crazychoir doctor` says of a host: each planted fault is named, with how to correct it."""
 
 import datetime
 import json
@@ -78,7 +78,7 @@ def test_a_good_host_is_content(tmp_path, free):
     assert rows["ports"].found.endswith("free")
 
 
-def test_a_taken_port_is_named_with_who_has_it(tmp_path, taken):
+def test_a_taken_port_is_named_with_the_process_that_has_it(tmp_path, taken):
     row = rows_of(lab(tmp_path, taken))[f"port {taken}"]
     assert row.state == "wrong"
     assert "drone 0" in row.found
@@ -272,11 +272,11 @@ def test_other_hosts_are_asked_within_a_deadline(taken, free):
         == "wrong"
     )
     stranger = host_checks.check_other_host(
-        "b", "10.0.0.9", "connected", "its certificate is not good here: expired"
+        "b", "10.0.0.9", "connected", "its certificate is not valid here: expired"
     )
     assert (stranger.state, stranger.found) == (
         "wrong",
-        "10.0.0.9 answers, and its certificate is not good here: expired",
+        "10.0.0.9 answers, and its certificate is not valid here: expired",
     )
 
 

@@ -123,8 +123,11 @@ def test_rest_shows_tilt_and_height_and_a_turn_the_offset(lab, tmp_path):
             ("calibrate", 5),
             "DRONE: found 5; allowed: drones that a radio reaches: [0, 1]",
         ),
-        (("calibrate", 1), "body cf1 of drone 1: it is not seen; seen are: a, b, wand"),
-        (("calibrate", 1, "--turn"), "it is not seen"),
+        (
+            ("calibrate", 1),
+            "body cf1 of drone 1: it is not visible; visible are: a, b, wand",
+        ),
+        (("calibrate", 1, "--turn"), "it is not visible"),
         (("names", "--source", "virtual@a:b"), "--source: found virtual@a:b"),
         (("names", "--source", "kinect"), '"vicon"'),
         (("names", "--source", "none.csv"), "No such file"),

@@ -1,8 +1,5 @@
-from types import SimpleNamespace
-
 import pytest
 
-from crazychoir.cli.main import _draw_mission
 from crazychoir.cli.shared.chosen_swarm import (
     check_options,
     drones_to_start,
@@ -120,17 +117,3 @@ def test_a_mission_without_a_swarm_of_its_own_gets_one(tmp_path):
     assert swarm_and_mission_to_run(str(path), 6, None, None, None)[0].ids == tuple(
         range(6)
     )
-
-
-def test_a_mission_draws_its_own_picture_else_what_was_flown_is_drawn(tmp_path):
-    result = {
-        "results": {0: {}, 1: {}},
-        "tracks": {0: [(0.0, 0.0, 0.0, 1.0), (1.0, 2.0, 0.0, 1.0)], 1: []},
-    }
-    path, drawn = tmp_path / "new" / "x.png", []
-    own = SimpleNamespace(picture=lambda config, results, path: drawn.append(results))
-    assert _draw_mission(own, PAIRS, result, path) is None, "it has written nothing"
-    assert drawn == [{i: {"track": result["tracks"][i]} for i in range(2)}]
-    assert _draw_mission(SimpleNamespace(), PAIRS, result, path) == str(path)
-    assert path.read_bytes().startswith(b"\x89PNG")
-    assert _draw_mission(SimpleNamespace(), PAIRS, result, None) is None

@@ -76,7 +76,7 @@ def play(scene):
     return run_virtual(main)
 
 
-def test_when_all_have_answered_nobody_waits():
+def test_a_stop_does_not_wait_once_all_drones_have_answered():
     async def scene(swarm):
         for i in range(3):
             swarm.comes(i)
@@ -92,7 +92,7 @@ def test_when_all_have_answered_nobody_waits():
     }
 
 
-def test_who_is_absent_is_named_and_delays_nobody():
+def test_an_absent_drone_is_named_and_does_not_delay_the_others():
     async def scene(swarm):
         swarm.comes(0)
         swarm.clock.call_at(int(1e9), partial(swarm.comes, 2))
@@ -113,7 +113,7 @@ def test_who_is_absent_is_named_and_delays_nobody():
     )
 
 
-def test_who_is_there_and_does_not_answer_is_not_absent():
+def test_a_drone_that_is_there_and_does_not_answer_is_not_absent():
     async def scene(swarm):
         for i in range(3):
             swarm.comes(i, deaf=i == 1)
@@ -130,7 +130,7 @@ def test_who_is_there_and_does_not_answer_is_not_absent():
     assert 10.0 < seconds < 16.0
 
 
-def test_who_refuses_says_why():
+def test_a_drone_that_refuses_says_why():
     async def scene(swarm):
         swarm.refuses = {2: math.inf}
         for i in range(3):
@@ -168,14 +168,14 @@ def test_bodies_in_the_world_of_an_owner_are_stopped_by_themselves(owner):
             at for i in (0, 1) for at, _ in swarm.stops[PORT_ADDRESSES.body_offset + i]
         ] == pytest.approx([0.0, 0.0], abs=0.02)
     else:
-        silent = "its body's owner does not answer"
+        silent = "the owner of its body does not answer"
         assert said == {
             0: (False, f"acknowledged; {silent}"),
             1: (False, f"absent; {silent}"),
         }
 
 
-def test_without_anybody_there_is_no_swarm():
+def test_without_any_agent_there_is_no_swarm():
     async def scene(swarm):
         began = swarm.clock.now()
         with pytest.raises(
@@ -244,7 +244,10 @@ def test_an_agent_that_hangs_is_not_waited_for_once_its_body_has_obeyed():
     }
     assert seconds == pytest.approx(NEXT_PROCESS_TIMEOUT, abs=0.2)
     _, said, seconds = play(partial(scene, bodies=(0,)))
-    assert said[1] == (False, "no acknowledgement; its body's owner does not answer")
+    assert said[1] == (
+        False,
+        "no acknowledgement; the owner of its body does not answer",
+    )
     assert seconds == pytest.approx(OBEY_TIMEOUT, abs=0.2), "nothing has stopped it yet"
 
 
@@ -258,7 +261,7 @@ def test_a_world_that_is_gone_is_not_waited_for_as_a_run_that_is_starting(caplog
 
     _, said, seconds = play(scene)
     assert said == dict.fromkeys(
-        range(2), (False, "acknowledged; its body's owner does not answer")
+        range(2), (False, "acknowledged; the owner of its body does not answer")
     )
     assert seconds == pytest.approx(NEXT_PROCESS_TIMEOUT, abs=0.2)
     assert caplog.messages == [
@@ -304,7 +307,7 @@ def test_an_order_waits_for_a_swarm_that_is_starting(caplog):
     ]
 
 
-def test_who_does_not_get_ready_says_so_in_time():
+def test_a_drone_that_does_not_get_ready_says_so_in_time():
     async def scene(swarm):
         swarm.refuses = {1: math.inf}
         for i in range(3):
@@ -330,7 +333,7 @@ def test_what_is_not_done_in_time_names_the_time_that_was_given():
     assert seconds == pytest.approx(30.0, abs=0.1)
 
 
-def test_drones_that_there_are_not_are_refused_before_anybody_is_asked():
+def test_unknown_drones_are_refused_before_any_drone_is_asked():
     async def scene(swarm):
         swarm.window.check("--edge", (0, 2))
         with pytest.raises(ConfigError, match="--edge: found drone 9; allowed: 0 to 2"):
@@ -381,7 +384,7 @@ def test_from_a_host_that_is_no_operator_nothing_is_commanded_and_the_reason_is_
         )
         swarm.bus.host = "b"
         with pytest.raises(
-            Refused, match=r"are those of b: drones obey and answer console, a alone"
+            Refused, match=r"are those of b: drones obey and answer only console, a"
         ):
             await work(swarm.window)
         swarm.bus.host = "console"

@@ -1,6 +1,5 @@
 """OnlinePDVRPGuidance on the ground: to what a robot is bound, what it may pick up, when it may leave a stop."""
 
-import asyncio
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -31,7 +30,10 @@ PICK, DROP = "pickup", "delivery"
 def robot(clock, i=0):
     """Robot i of five, all of whom it has heard of, with the tasks 0 to 3 known."""
     guidance = OnlinePDVRPGuidance(
-        MISSION.instance(CONFIG).local(i), TASKS, (), MISSION.options(CONFIG)
+        MISSION.hooks.instance(CONFIG).local(i),
+        TASKS,
+        (),
+        MISSION.hooks.options(CONFIG),
     )
     communicator = Communicator(Bus(clock).port(i), CONFIG.graph())
     guidance.bind(Member(i, CONFIG, clock, communicator, SimpleNamespace(state=None)))
@@ -56,17 +58,20 @@ ROUTE = stops((0, PICK), (1, PICK), (0, DROP), (1, DROP), (2, PICK), (2, DROP))
 @virtual
 async def test_a_robot_is_bound_to_where_it_flies_and_to_what_follows_soon(clock):
     guidance = robot(clock)
-    assert guidance._head()[0] == []
+    assert guidance.forecast.head(ONLINE_TIMING.binding_horizon)[0] == []
     guidance.commitments.route = list(ROUTE)
-    head, start, ready = guidance._head()
+    head, start, ready = guidance.forecast.head(ONLINE_TIMING.binding_horizon)
     assert head == ROUTE[: len(head)]
     assert 0 < len(head) < len(ROUTE)
-    assert start == pytest.approx(guidance._place(head[-1]))
-    assert ready == pytest.approx(guidance._seconds(head))
+    assert start == pytest.approx(guidance.forecast.place(head[-1]))
+    assert ready == pytest.approx(guidance.forecast.seconds(head))
     assert ready > ONLINE_TIMING.binding_horizon or head == ROUTE
-    assert guidance._seconds(head[:-1]) <= ONLINE_TIMING.binding_horizon
+    assert guidance.forecast.seconds(head[:-1]) <= ONLINE_TIMING.binding_horizon
     guidance.commitments.route = stops((3, DROP))
-    assert guidance._head()[0] == guidance.commitments.route, "however far"
+    assert (
+        guidance.forecast.head(ONLINE_TIMING.binding_horizon)[0]
+        == guidance.commitments.route
+    ), "however far"
 
 
 @virtual
@@ -90,90 +95,16 @@ async def test_while_others_may_have_a_new_plan_it_is_bound_to_no_new_pickup(clo
     guidance = robot(clock)
     commitments = guidance.commitments
     commitments.route, commitments.planning = list(ROUTE), True
-    assert guidance._head()[0] == []
+    assert guidance.forecast.head(ONLINE_TIMING.binding_horizon)[0] == []
     commitments.bound = {0: None}
-    assert guidance._head()[0] == ROUTE[:1]
+    assert guidance.forecast.head(ONLINE_TIMING.binding_horizon)[0] == ROUTE[:1]
     guidance.commitments.route = stops((0, DROP), (1, PICK))
-    assert guidance._head()[0] == stops((0, DROP)), "what is aboard is nobody else's"
+    assert guidance.forecast.head(ONLINE_TIMING.binding_horizon)[0] == stops(
+        (0, DROP)
+    ), "what is aboard is nobody else's"
     commitments.planning, commitments.bound = False, {}
     cut_off(guidance)
-    assert guidance._head()[0] == stops((0, DROP))
-
-
-@virtual
-async def test_a_pickup_waits_while_it_may_be_given_to_somebody_else(clock):
-    guidance = robot(clock)
-    commitments = guidance.commitments
-    commitments.route, commitments.planning = stops((1, PICK), (1, DROP)), True
-    waits = asyncio.ensure_future(guidance._permitted(Stop(1, PICK)))
-    await clock.sleep(1.0)
-    assert not waits.done()
-    commitments.planning = False
-    await clock.sleep(0.1)
-    assert waits.result()
-    assert guidance.longest_wait == pytest.approx(1.0, abs=0.1)
-    commitments.planning, commitments.bound = True, {1: None}
-    assert await guidance._permitted(Stop(1, PICK))
-    cut_off(guidance)
-    waits = asyncio.ensure_future(guidance._permitted(Stop(1, PICK)))
-    await clock.sleep(1.0)
-    guidance.commitments.route = stops((2, PICK), (2, DROP))
-    await clock.sleep(0.1)
-    assert not waits.result(), "it has another route now"
-    guidance.commitments.route = stops((2, DROP))
-    assert await guidance._permitted(Stop(2, DROP)), (
-        "what is aboard may always be delivered"
-    )
-
-
-@virtual
-async def test_a_drone_leaves_a_stop_when_more_than_half_know_of_it(clock):
-    guidance = robot(clock)
-    guidance.commitments.route = stops((1, PICK), (1, DROP))
-    serves = asyncio.ensure_future(guidance._serve(Stop(1, PICK)))
-    await clock.sleep(3.0)
-    assert guidance.commitments.aboard() == {1: None}
-    assert guidance.commitments.route == stops((1, DROP))
-    assert not guidance.served
-    number = guidance.news.record.number
-    for j, news in ((1, number), (2, number - 1), (3, number)):
-        assert not serves.done()
-        guidance.news.book.hear(Record(j, 1, 2, (0.0, 0.0), seen=((0, 1, news),)))
-        await clock.sleep(0.1)
-    assert serves.done()
-    assert guidance.served == [{"task": 1, "kind": PICK, "place": (0.0, -0.8)}]
-
-
-@virtual
-async def test_a_stop_takes_its_time_though_all_know(clock):
-    guidance = robot(clock)
-    for j in (1, 2, 3, 4):
-        guidance.news.book.hear(Record(j, 1, 2, (0.0, 0.0), seen=((0, 1, 1 << 40),)))
-    guidance.commitments.route = stops((1, PICK), (1, DROP))
-    await guidance._serve(Stop(1, PICK))
-    assert clock.now() == pytest.approx(guidance.options.service_time)
-
-
-@pytest.mark.parametrize("kind", [PICK, DROP])
-def test_who_is_cut_off_at_a_stop_leaves_the_goods_there(kind):
-    @virtual
-    async def test(clock):
-        guidance = robot(clock)
-        guidance.news.say(deeds=() if kind == PICK else (Deed(1, PICK, 1),))
-        guidance.commitments.route = stops(
-            (1, kind), *([(1, DROP)] if kind == PICK else []), (2, DROP)
-        )
-        serves = asyncio.ensure_future(guidance._serve(Stop(1, kind)))
-        await clock.sleep(2.0)
-        cut_off(guidance)
-        await serves
-        assert guidance.commitments.aboard() == {}
-        assert guidance.commitments.route == stops((2, DROP)), (
-            "what stays there is not delivered either"
-        )
-        assert len(guidance.news.record.deeds) == (0 if kind == PICK else 2)
-
-    test()
+    assert guidance.forecast.head(ONLINE_TIMING.binding_horizon)[0] == stops((0, DROP))
 
 
 @virtual
@@ -224,7 +155,7 @@ async def test_a_new_plan_keeps_what_it_was_bound_to_and_leaves_out_what_is_done
         (1, PICK), (9, PICK), (0, DROP), (1, DROP), (9, DROP)
     )
     assert not guidance.commitments.planning
-    assert list(guidance.unserved) == [3]
+    assert list(guidance.notes.unserved) == [3]
     assert not guidance.news.record.idle
     assert guidance.news.book.tasks[9] == new, "it may hear of it by the plan first"
 
@@ -249,7 +180,7 @@ async def test_its_own_problem_begins_where_it_will_be_with_what_it_may(clock):
 
 
 @virtual
-async def test_nobody_is_capable_of_what_lies_where_none_can_stand(clock):
+async def test_no_robot_is_capable_of_a_task_at_an_unreachable_place(clock):
     outside, above = (
         Task(20, 0, False, (2.0, 2.0), (99.0, 3.0)),
         Task(21, 0, False, (0.0, -0.8), (1.0, 1.0)),
@@ -264,7 +195,7 @@ async def test_nobody_is_capable_of_what_lies_where_none_can_stand(clock):
     }
     for i, found in capable.items():
         assert found == [
-            MISSION.instance(CONFIG).local(i).capable[0],
+            MISSION.hooks.instance(CONFIG).local(i).capable[0],
             False,
             False,
             True,
@@ -288,7 +219,7 @@ def test_what_is_left_alone_is_said_with_the_reason(caplog):
             ),
             22: (
                 Task(22, 0, False, (1.0, 1.0), (2.0, 2.0), 1.0, (4,)),
-                "drone 4, who alone can serve it, does not",
+                "drone 4, which alone can serve it, does not",
             ),
             23: (limited, "has enough left of its route_length_limit"),
         }

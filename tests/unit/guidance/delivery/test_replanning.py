@@ -83,7 +83,7 @@ def stops(share):
 NEAR_2, NEAR_8 = task(4, (1.0, 0.0), (2.0, 0.0)), task(6, (9.0, 10.0), (8.0, 10.0))
 
 
-def test_everybody_plans_with_what_anybody_knows():
+def test_every_robot_plans_with_the_knowledge_of_all():
     books = {i: TaskBook([], records()) for i in IDS}
     books[5].learn(NEAR_2)
     books[3].learn(NEAR_8)
@@ -106,7 +106,7 @@ def test_the_plan_begins_where_the_robots_are():
     ]
 
 
-def test_what_somebody_is_bound_to_or_carries_is_not_shared_out():
+def test_tasks_that_a_robot_carries_or_is_bound_to_are_not_reassigned():
     gone = task(7, (5.0, 5.0), (1.0, 9.0))
     books = {i: TaskBook([NEAR_2, NEAR_8, gone], records()) for i in IDS}
     shares = planned(books, bound={3: (6,)}, carried={5: (7,)})
@@ -123,7 +123,7 @@ def test_goods_of_a_robot_that_is_gone_are_fetched_from_where_it_fell_if_wanted(
     assert stops(shares[3]) == [(4, "pickup"), (4, "delivery")]
 
 
-def test_what_nobody_can_serve_is_named_and_nothing_is_left_to_do():
+def test_tasks_that_no_robot_can_serve_are_named_and_the_team_ends():
     heavy, foreign = (
         task(1, (1.0, 1.0), (2.0, 2.0), load=3.0),
         task(9, (1.0, 1.0), (2.0, 2.0), robots=(77,)),
@@ -138,7 +138,7 @@ BUSY = [{"bound": {3: (6,)}}, {"carried": {3: (6,)}}, {"idle": False}, {"task": 
 
 
 @pytest.mark.parametrize("busy", BUSY, ids=lambda busy: next(iter(busy)))
-def test_the_team_ends_when_all_are_idle_and_nobody_has_anything_to_do(busy):
+def test_the_team_ends_when_all_are_idle_and_no_task_is_left(busy):
     books = {i: TaskBook([NEAR_8], records(idle=True)) for i in IDS}
     for book in books.values():
         done = Deed(6, "pickup", 1), Deed(6, "delivery", 1)
@@ -151,7 +151,7 @@ def test_the_team_ends_when_all_are_idle_and_nobody_has_anything_to_do(busy):
         assert not any(share.ended for share in shares.values())
 
 
-def test_one_robot_alone_plans_without_anybody():
+def test_one_robot_alone_plans_without_others():
     graph = Graph.from_edges((5,), [])
     share = planned({5: TaskBook([NEAR_2], records()[2:3])}, graph=graph)[5]
     assert stops(share) == [(4, "pickup"), (4, "delivery")]
@@ -271,7 +271,7 @@ def test_an_auction_that_raises_leaves_what_is_aboard_to_be_delivered(monkeypatc
     assert why.startswith("robot 5: KeyError: 'a bug' (test_replanning.py:")
 
 
-def test_a_planning_for_which_somebody_has_no_problem_is_none(monkeypatch):
+def test_a_planning_in_which_one_robot_has_no_problem_is_dropped(monkeypatch):
     def broken(i, start):
         return lambda goods: 1 / 0
 
@@ -290,7 +290,7 @@ def test_a_planning_for_which_somebody_has_no_problem_is_none(monkeypatch):
     "nonsense",
     [b"no book", [b"no book", [], []], [TaskBook().wire(), ["x"], []], None, 7],
 )
-def test_who_says_what_is_no_book_is_dropped_by_all_alike(nonsense):
+def test_a_robot_that_sends_an_invalid_book_is_dropped_by_all_alike(nonsense):
     books = {i: TaskBook([NEAR_2], records()) for i in IDS}
     agents = {
         i: Replanning(i, GRAPH, books[i], (), (), problem(i, HOMES[i])) for i in IDS
@@ -327,7 +327,7 @@ class Torn(TaskBook):
         return b"no book"
 
 
-def test_goods_that_nobody_knows_of_are_not_planned_for():
+def test_goods_of_an_unknown_task_are_not_planned_for():
     books = {i: TaskBook([NEAR_2], records()) for i in IDS}
     assert stops(planned(books, carried={8: (77,)})[2]) == [
         (4, "pickup"),

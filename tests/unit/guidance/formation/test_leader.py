@@ -64,7 +64,7 @@ def test_a_drawing_that_is_not_named_is_asked_for():
         mission.check(config)
 
 
-def test_who_would_hover_outside_the_fence_is_named():
+def test_a_drone_that_would_hover_outside_the_fence_is_named():
     mission, config = swarm("containment")
     drones = [
         {
@@ -79,12 +79,14 @@ def test_who_would_hover_outside_the_fence_is_named():
         mission.check(config.replace(drones=drones))
 
 
-def test_in_a_directed_graph_a_follower_flies_by_those_whom_it_hears():
+def test_a_follower_in_a_directed_graph_flies_by_the_drones_that_it_hears():
     mission, config = swarm("bearing_formation")
     edges = [[0, 2], [1, 2], [3, 2], [0, 3], [1, 3]]
     config = config.replace(edges=edges, directed=True)
     assert (
-        mission.guidance(3, config).neighbors == mission.neighbors(config)[3] == (0, 1)
+        mission.guidance(3, config).neighbors
+        == mission.hooks.neighbors(config)[3]
+        == (0, 1)
     )
 
 
@@ -96,7 +98,7 @@ def test_a_directed_graph_of_distances_is_refused():
         mission.check(config.replace(directed=True))
 
 
-def test_a_share_whose_rare_ticks_are_too_strong_is_refused():
+def test_a_share_with_too_strong_rare_ticks_is_refused():
     mission, config = swarm("containment", edges="random")
     assert mission.check(config) == []
     with pytest.raises(
@@ -169,7 +171,7 @@ def test_leaders_take_a_path_that_an_operator_has_drawn_into_their_mission(repos
             ANSWER_TEXTS.refused,
             ANSWER_TEXTS.refused,
         ]
-        assert "its mission flies it" in refused[0].detail
+        assert "its mission controls it" in refused[0].detail
         assert "fence" in refused[1].detail
         for drone in agent.drones.values():
             drone.pilot.land("enough")

@@ -81,7 +81,7 @@ def test_what_is_no_message_is_a_failure_too(nonsense):
     ended = run({}, lambda i, k, message: nonsense if (i, k) == (2, 3) else message)
     assert {end for end, _, _ in ended.values()} == {4 + N - 1}
     assert {why for _, _, why in ended.values()} == {
-        "robot 1: CodecError: from robot 2, round 3: neither a message nor a word of a failure"
+        "robot 1: CodecError: from robot 2, round 3: neither a message nor a failure report"
     }
 
 

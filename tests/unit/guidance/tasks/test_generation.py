@@ -8,6 +8,7 @@ import pytest
 from teams import run_team
 
 from crazychoir.guidance.mission import load_mission
+from crazychoir.guidance.tasks.assignment_report import compute_optimum
 from crazychoir.guidance.tasks.generation import NextGeneration, list_open_tasks
 from crazychoir.guidance.tasks.task_book import Deed, Record, Task, TaskBook
 from crazychoir.optimization.assignment.assignment import AssignmentOutcome
@@ -35,7 +36,7 @@ def generation(
             (books or {}).get(i, TaskBook()),
             (number or {}).get(i, 0),
             filled,
-            lambda count: MISSION.drawn(config, count),
+            lambda count: MISSION.hooks.drawn(config, count),
             most,
             lambda task, i=i: cost(i, at[i], task),
         )
@@ -99,13 +100,13 @@ def test_all_have_the_same_generation_and_it_is_the_cheapest(seed):
     } == {(first.cost, first.unserved, first.infeasible)}
     mine = [one.mine for one in found.values() if one.mine is not None]
     assert len(dict.fromkeys(mine)) == len(mine) == 6 - len(first.unserved)
-    optimum = MISSION.optimum(np.array([one.costs for one in found.values()]))
+    optimum = compute_optimum(np.array([one.costs for one in found.values()]))
     assert first.cost == pytest.approx(optimum)
 
 
 def test_what_one_robot_knows_counts_for_all():
     """Robot 2 has done task 5, robot 0 was part of generation 7: the table is filled up with a seventh task."""
-    tasks = MISSION.drawn(CONFIG, 6)
+    tasks = MISSION.hooks.drawn(CONFIG, 6)
     done = TaskBook(
         tasks, [Record(2, 1, 3, (0.0, 0.0), deeds=(Deed(5, "delivery", 1),))]
     )
@@ -114,12 +115,12 @@ def test_what_one_robot_knows_counts_for_all():
     for one in found.values():
         assert (one.number, one.filled) == (8, 2)
         assert [task.id for task in one.tasks] == [0, 1, 2, 3, 4, 6]
-        assert one.tasks[-1] == MISSION.drawn(CONFIG, 7)[6]
+        assert one.tasks[-1] == MISSION.hooks.drawn(CONFIG, 7)[6]
         assert one.dropped == {}
 
 
 def test_a_table_is_filled_up_only_so_often():
-    tasks = MISSION.drawn(CONFIG, 6)
+    tasks = MISSION.hooks.drawn(CONFIG, 6)
     done = [
         Record(i, 1, 3, (0.0, 0.0), deeds=(Deed(i, "delivery", 1),)) for i in range(4)
     ]
@@ -136,7 +137,7 @@ def test_a_table_is_filled_up_only_so_often():
     )
 
 
-def test_who_competes_for_which_tasks_is_named_and_the_others_are_served():
+def test_robots_that_compete_for_tasks_are_named_and_the_others_are_served():
     def only(j, *robots):
         return Task(j, 0, False, (float(j), 0.0), (float(j), 0.0), robots=robots)
 
@@ -158,7 +159,7 @@ def test_who_competes_for_which_tasks_is_named_and_the_others_are_served():
     assert sum(one.mine is not None for one in found.values()) == 4
 
 
-def test_any_cost_will_do_and_an_infinite_one_is_of_who_cannot():
+def test_any_cost_is_accepted_and_an_infinite_one_excludes_the_robot():
     """Robot 0 can do nothing, for the others a task costs its number, whoever does it."""
     tasks = [Task(j, 0, False, (0.0, 0.0), (0.0, 0.0)) for j in range(4)]
     found = generation(
@@ -178,9 +179,9 @@ def test_any_cost_will_do_and_an_infinite_one_is_of_who_cannot():
 
 def test_a_robot_alone_goes_on():
     alone = Graph.from_edges((3,), [])
-    found = generation({3: TaskBook(MISSION.drawn(CONFIG, 6))}, filled=8, graph=alone)[
-        3
-    ]
+    found = generation(
+        {3: TaskBook(MISSION.hooks.drawn(CONFIG, 6))}, filled=8, graph=alone
+    )[3]
     costs = {task.id: cost for task, cost in zip(found.tasks, found.costs, strict=True)}
     assert found.mine == min(costs, key=costs.get)
     assert len(found.outcome.unserved) == 5
@@ -221,7 +222,7 @@ def test_what_is_no_book_is_dropped_by_all():
 
 
 def test_open_are_tasks_that_are_neither_done_nor_cancelled():
-    tasks = MISSION.drawn(CONFIG, 3)
+    tasks = MISSION.hooks.drawn(CONFIG, 3)
     book = TaskBook(
         tasks, [Record(0, 1, 1, (0.0, 0.0), deeds=(Deed(1, "delivery", 1),))]
     )

@@ -174,7 +174,7 @@ def record(i, *done, **changes):
         ),
     ],
 )
-def test_a_task_is_where_the_last_who_picked_it_up_is(said, lost, recovered):
+def test_a_task_is_where_the_last_robot_that_picked_it_up_is(said, lost, recovered):
     book = TaskBook([TASK], said)
     assert book.standings((0, 1, 2), recover=False) == {7: lost}
     assert book.standings((0, 1, 2), recover=True) == {7: recovered or lost}
@@ -231,7 +231,7 @@ def test_a_higher_version_of_a_task_replaces_a_cancelled_one():
     assert book.tasks[7] == newer
 
 
-def test_witnesses_are_those_that_are_known_to_have_heard_as_much():
+def test_witnesses_are_the_robots_known_to_have_heard_the_record():
     heard = [((0, 1, 4),), ((0, 1, 5),), ((0, 2, 9),), ((0, 1, 6), (2, 1, 1))]
     book = TaskBook(
         [], [Record(j + 1, 1, 1, (0.0, 0.0), (), seen) for j, seen in enumerate(heard)]
@@ -254,7 +254,7 @@ def test_goods_are_where_a_robot_that_is_out_says_that_it_is_now():
         )
 
 
-def test_goods_are_where_a_robot_that_is_lost_has_last_said_whoever_is_told_later():
+def test_goods_stay_at_the_last_place_of_a_lost_robot_in_any_order_of_records():
     """They were fetched from where it had been when its loss was noticed, by those who heard its last record later."""
     last, before = (
         Record(1, 1, n, place, (Deed(7, PICK, 1),))

@@ -63,7 +63,7 @@ async def talking(*sources):
 
 
 @virtual
-async def test_events_are_heard_in_time_by_those_who_hear_them(clock):
+async def test_an_addressed_robot_hears_of_events_in_time(clock):
     later, other, gone = (Task(j, 0, False, (0.0, 0.0), (1.0, 0.0)) for j in (5, 6, 7))
     cancelled = TaskEvent(4.0, Task(7, 0, True, gone.pickup, gone.delivery))
     one = source(
@@ -156,7 +156,7 @@ async def test_what_is_accepted_is_known_to_more_than_half_of_the_team(clock):
 
 
 @virtual
-async def test_who_is_heard_by_nobody_says_so(clock):
+async def test_a_robot_that_no_other_hears_notes_it_in_its_answer(clock):
     bus = Bus(clock)
     async with talking(source(bus, 1), source(bus, 0), source(bus, 2)) as (one, *_):
         pass
@@ -166,11 +166,11 @@ async def test_who_is_heard_by_nobody_says_so(clock):
         FIRST_ADDED_ID + 1,
         pytest.approx(COMMAND_PATIENCE, abs=0.1),
     )
-    assert "less than half of the team has heard of it" in said["note"]
+    assert "less than half of the team has received it" in said["note"]
 
 
 @virtual
-async def test_who_was_started_again_gives_no_number_twice(clock):
+async def test_a_restarted_robot_gives_no_task_number_twice(clock):
     """It would: its book is empty until it hears the others', and of two tasks of one number one is lost."""
     bus = Bus(clock)
     async with talking(source(bus, 1), source(bus, 0), source(bus, 2)) as (one, *_):
@@ -178,7 +178,7 @@ async def test_who_was_started_again_gives_no_number_twice(clock):
     bus.close(1)
     again = source(bus, 1)
     again.news.record = Record(1, 2, 1, (0.0, 0.0))
-    with pytest.raises(Refused, match="heard of too few others"):
+    with pytest.raises(Refused, match="heard from too few other drones"):
         await again.asked("task_add", WHERE)
     assert again.news.book.tasks == {0: FIRST}
     bus.close(0)
@@ -217,7 +217,7 @@ async def test_nothing_is_taken_while_the_team_decides_that_its_mission_is_over(
 
 
 @virtual
-async def test_a_task_for_those_who_are_gone_waits_and_that_is_said(clock):
+async def test_a_task_for_an_absent_drone_waits_and_the_answer_says_so(clock):
     bus = Bus(clock)
     async with talking(source(bus, 1), source(bus, 0), source(bus, 2)) as (
         one,
@@ -229,10 +229,10 @@ async def test_a_task_for_those_who_are_gone_waits_and_that_is_said(clock):
         said = await one.asked("task_add", WHERE | {"robots": [2]})
         assert said == {
             "id": FIRST_ADDED_ID + 1,
-            "note": "it waits: drone 2, who alone can serve it, does not fly",
+            "note": "it waits: drone 2, which alone can serve it, does not fly",
         }
         assert one.news.standings()[FIRST_ADDED_ID + 1].fate is Fate.OPEN
-        with pytest.raises(Refused, match="this drone flies no more; ask another one"):
+        with pytest.raises(Refused, match="this drone has landed; ask another drone"):
             await gone.asked("task_add", WHERE)
 
 
@@ -252,7 +252,7 @@ async def test_a_task_for_those_who_are_gone_waits_and_that_is_said(clock):
         (
             "task_add",
             WHERE | {"load": 2.5, "robots": [0]},
-            "more than drone 0, who alone may serve it, can carry: 2",
+            "more than drone 0, which alone may serve it, can carry: 2",
         ),
         (
             "task_add",
@@ -299,13 +299,13 @@ PICKED, DELIVERED = Deed(0, "pickup", 1), Deed(0, "delivery", 1)
         (
             (PICKED,),
             False,
-            {"id": 0, "note": "it is aboard drone 2, which delivers it all the same"},
+            {"id": 0, "note": "it is on board drone 2, which will still deliver it"},
         ),
         ((PICKED,), True, "0 is lost, with drone 2 that had it aboard"),
         ((PICKED, DELIVERED), False, "drone 2 has delivered 0 already"),
     ],
 )
-def test_what_has_become_of_a_task_is_said_to_who_cancels_it(done, gone, said):
+def test_the_answer_to_a_cancel_says_what_has_become_of_the_task(done, gone, said):
     @virtual
     async def test(clock):
         bus = Bus(clock)

@@ -12,7 +12,7 @@ from crazychoir.guidance.tasks.task_book import Deed, Fate, Record, Task
 from crazychoir.guidance.tasks.team_news import (
     BOOK_CHANNEL,
     NEWS_TIMING,
-    NOBODY_FLIES_REASON,
+    NO_DRONE_FLIES_REASON,
     UNREACHED_REASON,
     TeamNews,
     mend_graph,
@@ -76,7 +76,7 @@ async def test_more_than_half_must_be_known_to_know(clock):
 
 
 @virtual
-async def test_who_is_started_again_takes_the_place_of_its_former_life(clock):
+async def test_a_restarted_robot_replaces_its_former_incarnation(clock):
     graph = graph_from_name("complete", 3)
     for former, present in ((9, 5), (5, 9)):
         bus = Bus(clock)
@@ -118,7 +118,7 @@ async def test_what_is_no_book_is_dropped_and_counted_and_the_others_are_heard(c
     assert min(news[1].dropped, news[2].dropped) >= 3
 
 
-def test_the_tasks_travel_only_to_who_lacks_them():
+def test_tasks_are_sent_only_to_robots_that_lack_them():
     @virtual
     async def test(clock):
         news = team(clock, graph_from_name("complete", 2))
@@ -223,10 +223,10 @@ async def test_neighbours_say_for_a_robot_that_has_failed_without_a_word_that_it
         ((0, 1), (0,), ""),
         ((0,), (), UNREACHED_REASON),
         ((0,), (0,), UNREACHED_REASON),
-        ((0, 1, 2), (0, 1, 2), NOBODY_FLIES_REASON),
+        ((0, 1, 2), (0, 1, 2), NO_DRONE_FLIES_REASON),
     ],
 )
-def test_who_hears_of_nobody_that_decides_is_left_alone(who, out, why):
+def test_a_robot_that_hears_no_deciding_team_is_left_alone(who, out, why):
     """Who talks, and who of them is out, as robot 0 sees it when all others have been silent for long."""
 
     @virtual
@@ -241,7 +241,7 @@ def test_who_hears_of_nobody_that_decides_is_left_alone(who, out, why):
             {i: news[i] for i in who},
             NEWS_TIMING.silence + 10.0 - 4 * NEWS_TIMING.period,
         )
-        assert not alone.done() or why == NOBODY_FLIES_REASON
+        assert not alone.done() or why == NO_DRONE_FLIES_REASON
         await gossiping(clock, {i: news[i] for i in who}, 8 * NEWS_TIMING.period)
         assert news[0].alone == why
         assert alone.done() == bool(why)
@@ -253,7 +253,7 @@ def test_who_hears_of_nobody_that_decides_is_left_alone(who, out, why):
 
 
 @virtual
-async def test_who_is_busy_is_not_left_alone_yet(clock):
+async def test_a_busy_robot_is_not_left_alone_yet(clock):
     news = team(clock, graph_from_name("complete", 2))
     alone = asyncio.ensure_future(news[0].left_alone(10.0, lambda: clock.now() < 30.0))
     await clock.sleep(39.0)

@@ -31,7 +31,9 @@ ending.run_to_exit(app)
 
 @pytest.mark.parametrize("code", [0, 1])
 @pytest.mark.parametrize("session", [False, True])
-def test_who_has_had_a_session_ends_at_once_with_its_exit_code(code, session):
+def test_a_process_that_has_had_a_session_ends_at_once_with_its_exit_code(
+    code, session
+):
     began = time.monotonic()
     words = [sys.executable, "-c", HANGS, str(code), str(session)]
     done = subprocess.run(

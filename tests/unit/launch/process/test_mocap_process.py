@@ -35,7 +35,7 @@ def shown(now):
     return [line.split() for line in text.getvalue().splitlines() if line.strip()]
 
 
-def test_each_body_has_a_row_with_whose_it_is_how_often_and_where():
+def test_each_body_has_a_row_with_its_drone_rate_and_place():
     title, heads, _, *rows = shown(2.99)
     assert " ".join(title) == "vicon at 10.0.0.5: connected, 100 Hz"
     assert heads == ["body", "drone", "Hz", "age", "s", "x", "y", "z", "dropped"]

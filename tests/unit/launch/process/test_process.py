@@ -56,7 +56,7 @@ def test_however_often_the_parent_is_said_to_be_gone_the_drones_land():
     assert told(signal.SIGHUP, 5) == [("land", "SIGHUP: landing")] * 5
 
 
-def test_a_world_ends_when_nobody_flies_and_at_once_if_an_operator_insists():
+def test_a_world_ends_gently_on_one_signal_and_at_once_on_a_second():
     assert told(signal.SIGINT, 2, end_on_signals) == [
         ("end", "Ctrl-C (SIGINT)"),
         ("abort", "a second signal"),
@@ -64,5 +64,5 @@ def test_a_world_ends_when_nobody_flies_and_at_once_if_an_operator_insists():
     assert told(signal.SIGTERM, 1, end_on_signals) == [("end", "SIGTERM")]
 
 
-def test_a_world_lets_those_land_whose_parent_is_gone():
+def test_a_world_that_loses_its_parent_lets_its_drones_land():
     assert told(signal.SIGHUP, 3, end_on_signals) == [("end", "SIGHUP")] * 3

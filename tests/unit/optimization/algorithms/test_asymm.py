@@ -107,7 +107,7 @@ def test_constraints_of_single_agents_bind_all():
     assert team[3]._own.m[0] > 0
 
 
-def test_nobody_goes_on_before_it_has_heard_all_neighbors():
+def test_an_agent_does_not_go_on_before_it_has_heard_all_neighbors():
     agent = agents(ring(3), localisation(3, 0), np.zeros((3, 2)))[0]
     agent.step({1: [0, b"\x00", np.ones(2), np.zeros(2), 1.0]})
     assert agent.x.tolist() == [0.0, 0.0]

@@ -94,16 +94,16 @@ def test_rounds_are_no_negative_number():
         Consensus(3, [1.0], {3: 1.0}, -1)
 
 
-def test_who_hears_others_than_it_has_weights_for_says_so():
+def test_an_agent_that_hears_other_agents_than_its_weights_name_says_so():
     agent = Consensus(0, [1.0], {0: 0.5, 1: 0.5})
     with pytest.raises(
         ConfigError,
-        match=r"agent 0: weights: found of \[1\]; allowed: of those it hears, \[2\]",
+        match=r"agent 0: weights: found of \[1\]; allowed: of the agents it hears, \[2\]",
     ):
         agent.step({2: np.ones(1)})
     with pytest.raises(
         ConfigError,
-        match=r"agent 0: weights: found of \[1\]; allowed: of those it hears, \[\]",
+        match=r"agent 0: weights: found of \[1\]; allowed: of the agents it hears, \[\]",
     ):
         agent.step({})
     with pytest.raises(

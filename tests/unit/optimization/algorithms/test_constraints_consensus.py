@@ -230,7 +230,7 @@ def test_rows_of_any_size_that_exclude_each_other_are_infeasible(size):
         run_in_step(team, complete(2))
 
 
-def test_a_linear_program_whose_rows_have_any_units_is_solved_or_refused():
+def test_a_linear_program_with_rows_of_any_units_is_solved_or_refused():
     """Rows from 10^-6 to 10^6; columns that the tie-break is too large for are refused."""
     chance = np.random.default_rng(4)
     solved = 0

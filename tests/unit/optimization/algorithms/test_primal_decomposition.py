@@ -300,7 +300,7 @@ def knapsack(limit):
     ]
 
 
-def test_a_resource_that_is_exceeded_by_every_rounding_is_repaired_by_who_can():
+def test_a_resource_exceeded_by_every_rounding_is_repaired_by_a_capable_agent():
     results = solve(knapsack(2.0), ring(2), rounds=5)
     check(knapsack(2.0), results)
     assert sum(result.x[0] for result in results) == 1.0

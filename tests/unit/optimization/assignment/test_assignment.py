@@ -119,7 +119,7 @@ def test_competing_tasks_are_named_with_the_robots_that_may_do_them():
         ),
     ],
 )
-def test_who_stays_without_is_named(costs, why):
+def test_robots_and_tasks_that_stay_unassigned_are_named(costs, why):
     agents = team(np.array(costs), 1, {0: table(range(len(costs[0])))})
     run_team(agents, ring(2))
     assert {agent.outcome.infeasible for agent in agents.values()} == {why}

@@ -43,7 +43,7 @@ def test_within_an_allocation_the_least_excess_comes_first_and_then_the_cost(
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
-def test_who_has_nothing_to_gain_stays_within_its_allocation_too(n):
+def test_an_agent_with_zero_cost_stays_within_its_allocation_too(n):
     """c = 0, with as many resources as variables, and fewer, and more."""
     block = MixedIntegerBlock(
         0,

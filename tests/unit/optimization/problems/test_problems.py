@@ -60,7 +60,7 @@ def reference(objective, constraints):
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_the_structure_says_who_solves_it(name):
+def test_the_structure_selects_the_solver(name):
     assert CostCoupled(0, X, *FUNCTIONS[name]).solver() == SOLVERS.get(name, "Clarabel")
     assert CostCoupled(0, X, *FUNCTIONS[name]).is_fast() == (
         SOLVERS.get(name) in ("closed form", "active set")

@@ -159,7 +159,7 @@ def test_a_hessian_that_is_flat_where_the_equalities_forbid_to_go_is_not():
     np.testing.assert_allclose(program.solve(np.array([-2.0, 7.0])), [2, 3])
 
 
-def test_a_program_whose_bounds_move_is_the_one_with_those_bounds():
+def test_a_program_with_moved_bounds_equals_a_new_one_with_those_bounds():
     draw, n, m = np.random.default_rng(4), 6, 9
     L, A, E = (
         draw.normal(size=(n, n)),

@@ -48,7 +48,7 @@ def test_a_flood_brings_everybody_everything_in_diameter_rounds(team):
     )
 
 
-def test_a_flood_one_round_short_misses_somebody():
+def test_a_flood_one_round_short_misses_one_agent():
     team = graph_from_name("path", 6)
     values, _ = together({i: flood_values(i, i, 4) for i in team.ids}, team)
     assert 5 not in values[0]

@@ -130,7 +130,7 @@ def test_until_hands_on_what_the_algorithm_has_and_ends_with_it():
     assert until.done
 
 
-def test_until_needs_to_know_whom_an_asynchronous_agent_hears():
+def test_until_needs_the_neighbors_of_an_asynchronous_agent():
     inner = Halving(1.0)
     inner.asynchronous = True
     with pytest.raises(ConfigError, match="Until: neighbors"):
@@ -150,7 +150,7 @@ class Endless:
 @pytest.mark.parametrize(
     "graph", [path(5), ring(6, directed=True), complete(3), path(1)]
 )
-def test_who_stops_stops_all_in_one_round(graph):
+def test_an_agent_that_stops_ends_all_agents_in_one_round(graph):
     agents = {i: Stoppable(Endless(), graph.diameter()) for i in graph.ids}
     run_in_step(agents, graph, 7)
     agents[0].stop()
@@ -162,7 +162,7 @@ def test_who_stops_stops_all_in_one_round(graph):
     }
 
 
-def test_who_stops_between_its_message_and_its_step_stops_all_in_one_round_too():
+def test_an_agent_stopped_between_message_and_step_ends_all_in_one_round_too():
     graph = path(4)
     agents = {i: Stoppable(Endless(), 3) for i in graph.ids}
 
@@ -174,7 +174,7 @@ def test_who_stops_between_its_message_and_its_step_stops_all_in_one_round_too()
     assert {agent.algorithm.k for agent in agents.values()} == {13}
 
 
-def test_who_stops_asynchronous_agents_ends_them_when_they_hear():
+def test_an_asynchronous_agent_that_stops_ends_the_others_when_they_hear():
     class Awake(Endless):
         asynchronous = True
 
@@ -206,7 +206,7 @@ def test_a_flag_of_an_asynchronous_agent_that_was_up_once_counts():
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.4, 0.9])
-def test_who_hears_nothing_has_not_settled(loss):
+def test_an_agent_that_hears_nothing_has_not_settled(loss):
     graph = path(4)
     weights = metropolis(graph)
     for seed in range(4):

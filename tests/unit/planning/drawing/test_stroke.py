@@ -28,7 +28,7 @@ def test_thinning_keeps_both_ends_and_distances(places, distance):
     assert len(steps) < 2 or steps[-1] >= 0.5 * distance
 
 
-def test_the_last_place_takes_the_part_of_one_that_is_too_near():
+def test_the_last_point_replaces_a_point_that_is_too_near():
     xy = np.array([(0.0, 0.0), (0.1, 0.0), (0.2, 0.0), (0.23, 0.0)])
     assert thin_line(xy, 0.1) == [0, 1, 3]
     assert thin_line(xy, 0.05) == [0, 1, 2, 3]

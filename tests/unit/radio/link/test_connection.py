@@ -2,45 +2,14 @@
 
 import asyncio
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
 from crazychoir.errors import LinkFailed
 from crazychoir.radio.link.connection import Connection
+from crazychoir.radio.link.loop_caller import resolve_waiting
 from crazychoir.radio.link.toc_cache import TableOfContents
 from crazychoir.runtime.clock import WallClock
-
-
-@pytest.mark.parametrize("on", [True, False])
-async def test_a_log_that_the_drone_does_not_begin_fails_at_once(on) -> None:
-    clock, blocks = WallClock(asyncio.get_running_loop()), []
-    connection = Connection(
-        clock, "udp://127.0.0.1:9", TableOfContents(Path("nowhere"))
-    )
-    connection._writer = SimpleNamespace(
-        put=lambda packet: None, end=lambda: None, join=lambda seconds: None
-    )
-
-    def added(block) -> None:
-        block.cf = SimpleNamespace(link=None)
-        blocks.append(block)
-
-    connection.cf.log.add_config = added
-    logging = asyncio.ensure_future(
-        connection.log("own", ["pm.vbat"], 0.1, lambda values, at: None, 30.0)
-    )
-    await asyncio.sleep(0)
-    blocks[0].started_cb.call(
-        blocks[0] if on else connection.cf.log, on
-    )  # as cflib does
-    if on:
-        await logging
-    else:
-        with pytest.raises(LinkFailed, match="does not begin"):
-            await logging
-    await connection.close()
-    clock.close()
 
 
 async def test_what_is_missing_is_said_before_logs_were_reset() -> None:
@@ -51,13 +20,15 @@ async def test_what_is_missing_is_said_before_logs_were_reset() -> None:
     connection._heard_ns, connection.cf.platform._protocolVersion = 1, 12
     assert connection.cf.log.toc is None, "as cflib has it at first"
     assert connection.stage == "its table of log variables is not complete"
-    connection._is_open()
+    resolve_waiting(connection._opened)
     assert connection.stage == "no word of itself"
     await connection.close()
     clock.close()
 
 
-async def test_where_nobody_serves_virtual_drones_it_is_said_who_does() -> None:
+async def test_a_refused_connection_names_the_command_that_serves_virtual_drones() -> (
+    None
+):
     clock = WallClock(asyncio.get_running_loop())
     connection = Connection(
         clock, "udp://127.0.0.1:9", TableOfContents(Path("nowhere"))
@@ -69,5 +40,16 @@ async def test_where_nobody_serves_virtual_drones_it_is_said_who_does() -> None:
         LinkFailed, match="no virtual drone is there: start `crazychoir virtual`"
     ):
         await connection._opened
+    await connection.close()
+    clock.close()
+
+
+async def test_a_connection_that_is_not_open_begins_no_log() -> None:
+    clock = WallClock(asyncio.get_running_loop())
+    connection = Connection(
+        clock, "udp://127.0.0.1:9", TableOfContents(Path("nowhere"))
+    )
+    with pytest.raises(LinkFailed, match="log own: its link is not open"):
+        await connection.log("own", ["pm.vbat"], 0.1, lambda values, at: None, 1.0)
     await connection.close()
     clock.close()

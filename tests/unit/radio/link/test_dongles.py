@@ -32,7 +32,7 @@ async def test_what_goes_down_rides_on_what_goes_up(clock):
 
 
 @virtual
-async def test_one_that_only_speaks_is_polled(clock):
+async def test_a_drone_that_only_sends_is_polled(clock):
     dongle, came = VirtualDongle(clock, (0, 1)), []
     for _ in range(5):
         dongle.down(1, lambda: came.append(clock.now()))
@@ -64,7 +64,7 @@ async def test_drones_take_turns_whatever_one_of_them_asks_for(clock):
 
 
 def _speak(clock, dongle, seconds):
-    """Let its drones be told and say what those do that are sent places; s there and back, as asked, 95 of 100."""
+    """Let its drones be told and say what those do that are sent places; s for a round trip, as asked, 95 of 100."""
     trips = []
 
     def ask(i):
@@ -116,7 +116,7 @@ async def test_what_the_budget_lets_pass_comes_in_time_and_what_it_refuses_does_
         else:
             with pytest.raises(ConfigError, match="say 294 packets a second"):
                 compute_setpoint_rates(config)
-            assert "there and back" in link_problems(latency(), 1.0)[0]
+            assert "round trip" in link_problems(latency(), 1.0)[0]
 
 
 def test_a_late_computer_takes_no_time_of_the_radio():

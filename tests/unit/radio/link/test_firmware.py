@@ -7,8 +7,8 @@ import pytest
 
 from crazychoir.errors import LinkFailed
 from crazychoir.radio.link.firmware import (
+    ConnectedFirmware,
     CrtpPort,
-    Firmware,
     RequestChannel,
     _is_write_answer,
 )
@@ -100,11 +100,11 @@ async def test_a_parameter_out_of_the_range_of_its_type_is_refused_with_that(
 ) -> None:
     link = Takes(ctype, pytype)
     for value in good:
-        await Firmware(link).set("ring.effect", value)
+        await ConnectedFirmware(link).set("ring.effect", value)
     assert link.said == [struct.pack(pytype, value) for value in good]
     for value in bad:
         with pytest.raises(LinkFailed) as refused:
-            await Firmware(link).set("ring.effect", value)
+            await ConnectedFirmware(link).set("ring.effect", value)
         assert f"parameter ring.effect = {value!r}; allowed: {allowed}" in str(
             refused.value
         )

@@ -51,7 +51,9 @@ def swarm(scheme: str = "udp") -> SwarmConfig:
 
 
 @pytest.mark.parametrize("scheme", ["udp", "radio"])
-def test_a_second_owner_is_told_who_has_it_and_to_land_first(scheme) -> None:
+def test_a_second_owner_is_told_which_process_has_the_dongle_and_to_land_first(
+    scheme,
+) -> None:
     config = swarm(scheme)
     expected = f"dongle 1: refused: process {os.getpid()} (swarm lab) {LAND_FIRST}"
     with own_dongle(config, 1):
@@ -150,7 +152,7 @@ def test_the_lock_is_the_same_in_every_environment_and_for_every_user(tmp_path) 
             require_free(config, [1])
 
 
-def test_a_process_that_is_stopped_still_has_its_dongle_and_one_that_is_killed_has_not(
+def test_a_stopped_process_keeps_its_dongle_and_a_killed_one_does_not(
     tmp_path,
 ) -> None:
     config = swarm()

@@ -50,7 +50,7 @@ def test_what_one_process_was_told_another_reads(tmp_path) -> None:
 def test_a_broken_file_is_asked_for_again(tmp_path, text, caplog) -> None:
     (tmp_path / "0000ABCD.json").write_text(text)
     assert TableOfContents(tmp_path).fetch(0xABCD) is None
-    assert "asked of the drone again" in caplog.text
+    assert "requested from the drone again" in caplog.text
 
 
 def test_the_second_link_waits_for_the_first_ones_answer(tmp_path) -> None:
@@ -82,7 +82,7 @@ def test_it_waits_no_longer_than_its_patience(tmp_path, monkeypatch) -> None:
     assert found == [None]
 
 
-def test_who_asks_again_does_not_wait_for_itself_and_a_link_that_is_closed_keeps_nobody(
+def test_a_repeated_fetch_does_not_wait_and_a_closed_link_blocks_no_other(
     tmp_path,
 ) -> None:
     table, found = TableOfContents(tmp_path), []
@@ -103,7 +103,7 @@ def test_a_folder_that_cannot_be_written_costs_time_and_nothing_else(
     told = log_table()
     table.insert(7, told)
     assert table.fetch(7) is told
-    assert "not kept" in caplog.text
+    assert "not stored" in caplog.text
 
 
 def test_nothing_half_written_is_left(tmp_path, monkeypatch) -> None:
@@ -130,7 +130,7 @@ def test_a_file_that_is_damaged_and_still_json_is_asked_for_again(
         caplog.clear()
         reader = TableOfContents(tmp_path)
         assert [reader.fetch(7), reader.fetch(7)] == [None, None]
-        assert caplog.text.count("asked of the drone again") == 1, (
+        assert caplog.text.count("requested from the drone again") == 1, (
             "once, though links look again and again"
         )
 
@@ -158,7 +158,7 @@ def test_without_a_home_they_are_known_to_this_process_and_one_line_says_so(
         assert table.fetch(crc) is told
     assert (
         caplog.text.count(
-            "cache: tables of contents: no home folder: they are not kept"
+            "cache: tables of contents: no home folder: they are not stored"
         )
         == 1
     )

@@ -203,11 +203,11 @@ def test_thrust_by_platform() -> None:
 
 
 @pytest.mark.parametrize("name", ["cf21plus", "cf21thrust", "cf21bl"])
-def test_thrust_that_nobody_has_measured_is_asked_for(name: str) -> None:
+def test_an_unmeasured_thrust_needs_newer_firmware_or_a_thrust_map(name: str) -> None:
     row = PLATFORM_BY_NAME[name]
     with pytest.raises(
         ConfigError,
-        match=f"found 2023.11; allowed: 2025.10 or newer, by .* {name} .* set thrust_map",
+        match=f"found 2023.11; allowed: 2025.10 or newer, .* {name} is known.* set thrust_map",
     ):
         thrust_command_per_newton("2023.11", row, None, "drone 3")
     assert thrust_command_per_newton("2023.11", row, 9e4, "drone 3") == 9e4

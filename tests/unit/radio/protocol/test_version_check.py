@@ -25,7 +25,9 @@ def test_each_sender_says_what_it_needs(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", RADIO_HANDLERS)
-def test_who_must_be_armed_needs_the_port_for_it_and_no_sender_helps(kind: str) -> None:
+def test_a_drone_that_must_be_armed_needs_protocol_12_with_every_sender(
+    kind: str,
+) -> None:
     check_protocol(12, kind, CRAZYFLIE_21_BRUSHLESS, "drone 3")
     with pytest.raises(
         ConfigError,
@@ -45,6 +47,6 @@ def test_the_refusal_says_the_numbers_and_what_to_do() -> None:
         check_protocol(-1, "xyz", CRAZYFLIE_21, "drone 3")
 
 
-def test_the_table_names_forms_and_no_version_that_nobody_speaks() -> None:
+def test_the_version_table_names_only_known_forms_and_existing_versions() -> None:
     assert FIRST_VERSIONS.keys() <= PACKET_FORMS.keys()
     assert max(FIRST_VERSIONS.values()) == CRTP_FORMAT.version

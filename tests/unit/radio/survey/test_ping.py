@@ -85,7 +85,7 @@ def test_lost_echoes_are_counted(quick):
 
 
 @pytest.mark.real_time
-def test_who_falls_silent_ends_at_the_deadline(quick):
+def test_a_ping_of_a_peer_that_falls_silent_ends_at_the_deadline(quick):
     with Peer(last=3) as peer:
         (found,) = ping([peer.uri], time.perf_counter, count=100, deadline=0.3)
     assert len(found.round_trip) == 3
@@ -138,5 +138,5 @@ def test_other_addresses_are_refused(uri):
         require_uri(uri)
 
 
-def test_percentiles_are_of_those_that_came_back():
+def test_percentiles_count_only_echoes_that_came_back():
     assert PingResult("udp://a:1", 4, (0.001, 0.002, 0.003)).percentile(50) == 0.002

@@ -10,7 +10,7 @@ ROWS = [
 ]
 
 
-def test_a_survey_is_drawn_with_channels_that_nobody_answers_on_and_the_truth_of_a_model(
+def test_a_survey_is_drawn_with_unanswered_channels_and_the_truth_of_a_model(
     tmp_path,
 ):
     files = [tmp_path / name for name in ("real.png", "simulated.png")]

@@ -127,7 +127,7 @@ def test_packets_without_retries_are_sent_once(clock):
         assert dongle.arc == 3
 
 
-def test_a_drone_whose_answer_to_the_hop_is_lost_is_found_where_it_went(clock):
+def test_a_drone_that_hops_without_an_answer_is_found_on_the_new_channel(clock):
     dongle = Dongle(deaf=1)
     with CrazyradioProbe(Crazyradio(device=dongle), 80, clock) as probe:
         assert probe.measure(10, 20, 0).acknowledged.all()

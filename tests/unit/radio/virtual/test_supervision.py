@@ -5,7 +5,7 @@ import math
 import pytest
 from virtual_drones import Hangar
 
-from crazychoir.radio.virtual.server import overturn
+from crazychoir.radio.virtual.fault_control import overturn
 
 WEIGHT = 0.0319 * 9.81
 LEVEL_OUT, LOCKED = "warning: level out", "locked"
@@ -118,7 +118,7 @@ def test_the_watchdog_bites_a_second_after_it_was_fed_last_and_never_before_it_w
     assert hangar.supervisor == LOCKED
 
 
-def test_a_drone_that_arms_itself_may_take_off_and_one_that_does_not_waits():
+def test_a_self_arming_drone_may_take_off_and_another_must_be_armed_first():
     assert Hangar().run(0.5).onboard.info & 0b1000
     brushless = Hangar("cf21bl", device="C21B").run(0.5)
     (reply,) = brushless.send("take_off", 0, 0.5, 0.0, True, 1.0)
@@ -149,7 +149,7 @@ def test_a_refused_arming():
     assert hangar.hovering().state[2] == pytest.approx(0.5, abs=0.05)
 
 
-def test_one_that_lies_on_its_back_has_crashed_and_recovers_upright():
+def test_a_drone_on_its_back_has_crashed_and_recovers_upright():
     hangar = Hangar().hovering()
     for _ in range(150):
         overturn(hangar.world.states[0])
@@ -174,7 +174,7 @@ def test_cflib_closing_a_link_cuts_the_motors_and_the_plan():
     assert not math.isclose(hangar.run(0.5).state[2], 0.5, abs_tol=0.1)
 
 
-def test_a_plan_is_for_all_or_for_who_is_in_one_of_its_groups():
+def test_a_plan_command_applies_to_all_drones_or_to_those_in_its_groups():
     hangar = Hangar().hovering()
     hangar.send("planner_stop", 0b01)
     hangar.send("group_mask", 0b10)

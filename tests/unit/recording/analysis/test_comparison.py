@@ -103,7 +103,7 @@ def test_where_they_first_differ(original, tmp_path, flight, says):
     )
 
 
-def test_one_that_was_cut_off_is_compared_as_far_as_it_goes(original, tmp_path):
+def test_a_truncated_recording_is_compared_as_far_as_it_goes(original, tmp_path):
     cut = tmp_path / "cut.mcap"
     content = original.read_bytes()
     cut.write_bytes(content[: len(content) // 3])

@@ -262,7 +262,7 @@ def test_distances_are_drawn_with_the_one_at_which_drones_may_touch(tmp_path):
     assert legend == []
 
 
-def test_who_is_drawn_by_its_own_state_is_marked(tmp_path):
+def test_a_drone_that_is_drawn_by_its_own_state_is_marked(tmp_path):
     found = recording(tmp_path)
     del found.topics[1, "truth"]
     _, legend = drawn(found, "heights")

@@ -33,7 +33,7 @@ from crazychoir.recording.mcap.messages import (
     Exchanged,
     make_packer,
 )
-from crazychoir.team.rounds import AHEAD, FIN, REPEAT, WANT
+from crazychoir.team.message_kind import MessageKind
 from crazychoir.types import Status
 
 BEGAN = 5.0
@@ -241,7 +241,7 @@ def test_rates_are_those_of_the_whole_team(recorded, tmp_path):
     assert table["sent_1_s"][0] == 200.0
 
 
-def test_who_is_heard_later_or_no_more_says_no_messages_meanwhile(recorded):
+def test_a_drone_counts_no_messages_before_it_is_heard_or_after_it_is_lost(recorded):
     talk = read_team_messages(recorded(statuses(2), statuses(4, SAID[4:6])), BEGAN)
     assert talk.t[[0, -1]].tolist() == pytest.approx([0.5, 7.0])
     sent = dict(zip(talk.t.round(1).tolist(), talk.rates[:, 0].tolist(), strict=True))
@@ -269,10 +269,10 @@ def test_an_agent_that_is_started_anew_counts_from_nothing(recorded):
 
 def test_what_has_no_content_is_no_message_of_a_round(recorded):
     said = [
-        (0, REPEAT, encode(1.0)),
-        (1, AHEAD, encode(3.0)),
-        (2, WANT, b""),
-        (3, FIN, b""),
+        (0, MessageKind.REPEAT, encode(1.0)),
+        (1, MessageKind.AHEAD, encode(3.0)),
+        (2, MessageKind.WANT, b""),
+        (3, MessageKind.FIN, b""),
     ]
     path = recorded(
         [
@@ -532,7 +532,7 @@ def test_rounds_are_shown_by_their_spread_or_by_how_many_differ(recorded):
 NOWHERE = RecordedFlight((), np.zeros(0), np.zeros(0))
 
 
-def test_of_a_team_that_nobody_saw_there_is_what_it_said(recorded):
+def test_an_unseen_team_is_drawn_from_its_own_messages(recorded):
     """Without truth or state: all but the distances of a law."""
     path = recorded(statuses(2), law(), [(BEGAN + 8.0, 2, RESULT)])
     work, talk = read_activity(path, BEGAN), read_team_messages(path, BEGAN)

@@ -132,7 +132,7 @@ def test_other_fields_under_the_same_name_are_refused(tmp_path, monkeypatch):
     assert rounded(values.of(state)) == rounded(SAID[1]), "what is as it was is read"
 
 
-def test_what_nobody_says_again_is_no_value(tmp_path):
+def test_a_round_message_cannot_be_decoded_to_a_value(tmp_path):
     path = recorded(tmp_path / "a.mcap", [Exchanged(1, 2, 0, "sum", b"")])
     with pytest.raises(ConfigError, match="another crazychoir_msgs/msg/Round"):
         MessageDecoder(path).of(next(iter(read_messages(path))))

@@ -18,7 +18,7 @@ from crazychoir.recording.mcap.messages import (
     make_packer,
     usual_type,
 )
-from crazychoir.team.rounds import KIND_BITS, REPEAT
+from crazychoir.team.message_kind import KIND_BITS, MessageKind
 from crazychoir.types import (
     FPQR,
     FRPY,
@@ -199,7 +199,7 @@ def test_any_value_as_json():
 
 def test_message_of_a_round():
     message = Exchanged(
-        4, 7, 2 << KIND_BITS | REPEAT, "sum", encode({"x": np.arange(2.0)})
+        4, 7, 2 << KIND_BITS | MessageKind.REPEAT, "sum", encode({"x": np.arange(2.0)})
     )
     expected = {
         "to": 4,

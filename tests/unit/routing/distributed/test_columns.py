@@ -3,7 +3,7 @@ import pytest
 from scipy.optimize import linprog
 
 from crazychoir.routing.distributed.columns import ColumnProgram
-from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.pricing.route_table import RouteTable
 
@@ -29,7 +29,9 @@ def over_all_columns(table, y):
 @pytest.fixture
 def table():
     return RouteTable(
-        random_instance(1, 6, seed=11, route_length_limit=35.0).local(0).vehicle
+        random_instance(1, 6, seed=11, shape=InstanceShape(route_length_limit=35.0))
+        .local(0)
+        .vehicle
     )
 
 

@@ -21,9 +21,12 @@ from crazychoir.routing.distributed.gossip import Gossip
 from crazychoir.routing.distributed.large_bound import LargeBound
 from crazychoir.routing.distributed.master import ColumnPool, find_partition
 from crazychoir.routing.distributed.member import (
+    ColumnSettings,
     GraphPosition,
+    ProofSettings,
     RoutingMember,
     RoutingSettings,
+    SearchSettings,
 )
 from crazychoir.routing.distributed.packing import pack_columns
 from crazychoir.routing.distributed.plain_loop import compute_diameter, solve_in_loop
@@ -32,7 +35,7 @@ from crazychoir.routing.distributed.robot_profile import (
     restrict_problem,
 )
 from crazychoir.routing.instance.checker import check_plan
-from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.pricing.arc_flow import solve_compact
 from crazychoir.routing.pricing.bidirectional_pricing import HalfRoutes
@@ -77,7 +80,7 @@ def run_all(programs, links):
 )
 def test_where_robots_are_dear_the_bound_counts_whole_ones(graph, fixed, gap):
     """Without that, parts of robots leave a gap of half of their cost, a sixth of the plan's."""
-    plain = random_instance(6, 10, 0, route_length_limit=30.0).to_json()
+    plain = random_instance(6, 10, 0, InstanceShape(route_length_limit=30.0)).to_json()
     instance = Instance.parse(plain | {"fixed_cost": fixed})
     links = graph("ring", 6)
     team = members(instance, links)
@@ -100,7 +103,9 @@ def test_the_gossip_reaches_the_relaxation_over_all_columns_and_proves_it(
     graph, shape, seed
 ):
     instance, links = (
-        random_instance(6, 10, seed, capable=0.8, route_length_limit=27.0),
+        random_instance(
+            6, 10, seed, InstanceShape(capable=0.8, route_length_limit=27.0)
+        ),
         graph(shape, 6),
     )
     team = members(instance, links)
@@ -120,7 +125,11 @@ def test_the_gossip_reaches_the_relaxation_over_all_columns_and_proves_it(
 
 def test_the_bound_of_a_cut_table_is_not_exact(graph):
     links = graph("ring", 3)
-    team = members(random_instance(3, 6, 4), links, RoutingSettings(most_labels=100))
+    team = members(
+        random_instance(3, 6, 4),
+        links,
+        RoutingSettings(columns=ColumnSettings(most_labels=100)),
+    )
     gossips = [Gossip(member) for member in team]
     run_all([gossip.run() for gossip in gossips], links)
     assert not any(gossip.bound.exact for gossip in gossips)
@@ -129,7 +138,7 @@ def test_the_bound_of_a_cut_table_is_not_exact(graph):
 @pytest.mark.parametrize("most_bytes", [introduction.MOST_BYTES, 1])
 def test_introductions_tell_all_that_a_route_depends_on(graph, monkeypatch, most_bytes):
     monkeypatch.setattr(introduction, "MOST_BYTES", most_bytes)
-    raw = random_instance(3, 5, 6, capable=0.7, loads=(1, 1)).to_json()
+    raw = random_instance(3, 5, 6, InstanceShape(capable=0.7, loads=(1, 1))).to_json()
     distance = np.random.default_rng(3).uniform(1, 9, size=(3, 13, 13)).tolist()
     raw |= {
         "distance": distance,
@@ -149,7 +158,7 @@ def test_introductions_tell_all_that_a_route_depends_on(graph, monkeypatch, most
 
 def test_a_robot_restricted_to_some_tasks_is_that_vehicle_with_these_tasks_only():
     local, chosen = (
-        random_instance(2, 7, 3, route_length_limit=30.0).local(1),
+        random_instance(2, 7, 3, InstanceShape(route_length_limit=30.0)).local(1),
         np.array([1, 4, 6]),
     )
     part, whole = restrict_problem(local, chosen).vehicle, local.vehicle.only(chosen)
@@ -247,7 +256,7 @@ def test_clusters_are_disjoint_hold_every_task_and_differ_from_pass_to_pass():
     assert any(draws[0] != other for other in draws[1:])
 
 
-def test_robots_whose_routes_lie_along_each_other_are_near():
+def test_robots_with_neighbouring_routes_are_near():
     points = [[0.0, 0.0], [0.0, 1.0], [9.0, 9.0], [9.0, 8.0]]
     raw = {
         "home": [[0.5, 0.0], [0.0, 0.5], [9.0, 9.0]],
@@ -263,7 +272,7 @@ def test_robots_whose_routes_lie_along_each_other_are_near():
 
 
 def test_a_cluster_gets_better_and_keeps_its_tasks():
-    instance = random_instance(4, 8, 2, capacities=(5, 5))
+    instance = random_instance(4, 8, 2, InstanceShape(capacities=(5, 5)))
     robots = {i: instance.local(i) for i in range(4)}
     routes = {i: [i, 8 + i, 4 + i, 12 + i] for i in range(4)}
     near = Neighbors(robots)
@@ -279,13 +288,15 @@ def test_a_cluster_gets_better_and_keeps_its_tasks():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_where_routes_are_not_listed_the_plan_is_good_and_has_no_bound(graph, seed):
-    instance = random_instance(6, 10, seed, route_length_limit=30.0)
+    instance = random_instance(6, 10, seed, InstanceShape(route_length_limit=30.0))
     proven = solve_in_loop(instance, graph("ring", 6))
     assert proven.lower_bound == pytest.approx(proven.cost, abs=1e-4)
     searched = solve_in_loop(
         instance,
         graph("ring", 6),
-        settings=RoutingSettings(most_listed=0, steps=40_000),
+        settings=RoutingSettings(
+            columns=ColumnSettings(most_listed=0), search=SearchSettings(steps=40_000)
+        ),
     )
     assert (searched.feasible, searched.lower_bound, searched.bound_exact) == (
         True,
@@ -296,11 +307,18 @@ def test_where_routes_are_not_listed_the_plan_is_good_and_has_no_bound(graph, se
 
 
 def test_a_proof_that_would_be_too_long_is_left_out_unless_asked_for(graph):
-    instance = random_instance(5, 9, 39, capable=0.8, route_length_limit=32.0)
-    few = RoutingSettings(most_proven=0, still_passes=2, steps=4_000)
+    instance = random_instance(
+        5, 9, 39, InstanceShape(capable=0.8, route_length_limit=32.0)
+    )
+    few = RoutingSettings(
+        search=SearchSettings(still_passes=2, steps=4_000),
+        proof=ProofSettings(most_proven=0),
+    )
     found = solve_in_loop(instance, graph("ring", 5), settings=few)
     proven = solve_in_loop(
-        instance, graph("ring", 5), settings=replace(few, prove=True)
+        instance,
+        graph("ring", 5),
+        settings=replace(few, proof=replace(few.proof, prove=True)),
     )
     assert found.bound_exact
     assert found.lower_bound <= proven.cost + 1e-6 <= found.cost + 2e-6
@@ -322,7 +340,10 @@ FIELDS = {
 
 @pytest.mark.parametrize("name", FIELDS)
 def test_the_optimum_of_the_arc_flow_model_is_found(graph, name):
-    raw = random_instance(2, 3, 9, route_length_limit=40.0).to_json() | FIELDS[name]
+    raw = (
+        random_instance(2, 3, 9, InstanceShape(route_length_limit=40.0)).to_json()
+        | FIELDS[name]
+    )
     instance = Instance.parse(raw)
     best = solve_compact(instance)
     solution = solve_in_loop(instance, graph("path", 2))
@@ -337,7 +358,7 @@ def test_the_optimum_of_the_arc_flow_model_is_found(graph, name):
 
 
 def test_no_bound_where_refusals_are_weighed_by_priority(graph):
-    raw = random_instance(3, 5, 9, route_length_limit=40.0).to_json()
+    raw = random_instance(3, 5, 9, InstanceShape(route_length_limit=40.0)).to_json()
     instance = Instance.parse(raw | {"penalty": [2.0] * 5, "priority": [0, 1, 0, 1, 0]})
     solution = solve_in_loop(instance, graph("path", 3))
     assert solution.lower_bound is None
@@ -358,12 +379,16 @@ def test_infeasible_without_listed_routes_is_an_error_at_the_end(graph):
         SolverError, match=r"robot 0: clusters: .* no plan found that serves task"
     ):
         solve_in_loop(
-            instance, {0: []}, settings=RoutingSettings(most_listed=0, steps=100)
+            instance,
+            {0: []},
+            settings=RoutingSettings(
+                columns=ColumnSettings(most_listed=0), search=SearchSettings(steps=100)
+            ),
         )
 
 
 def test_bytes_are_told_by_kind(graph):
-    instance = random_instance(4, 6, 1, route_length_limit=30.0)
+    instance = random_instance(4, 6, 1, InstanceShape(route_length_limit=30.0))
     kinds = solve_in_loop(instance, graph("ring", 4)).bytes_by_kind
     assert set(kinds) >= {
         "start",
@@ -382,7 +407,10 @@ def test_bytes_are_told_by_kind(graph):
 def test_refusals_are_weighed_in_the_proof_where_the_relaxation_has_a_gap(graph, seed):
     robots, tasks, limit = 3 + seed % 4, 6 + seed % 5, (25, 32, 45)[seed // 3 % 3]
     raw = random_instance(
-        robots, tasks, seed, capable=(1, 0.8, 0.5)[seed % 3], route_length_limit=limit
+        robots,
+        tasks,
+        seed,
+        InstanceShape(capable=(1, 0.8, 0.5)[seed % 3], route_length_limit=limit),
     ).to_json()
     penalty = np.random.default_rng(seed).uniform(4.0, 14.0, size=tasks)
     instance = Instance.parse(raw | {"penalty": penalty.tolist()})
@@ -397,7 +425,9 @@ def test_refusals_are_weighed_in_the_proof_where_the_relaxation_has_a_gap(graph,
     ]
     best = find_partition(columns + refusals, tasks, seed=0, nodes=10_000)
     solution = solve_in_loop(
-        instance, graph("ring", robots), settings=RoutingSettings(first_steps=1)
+        instance,
+        graph("ring", robots),
+        settings=RoutingSettings(search=SearchSettings(first_steps=1)),
     )
     assert solution.cost == pytest.approx(best.cost, abs=1e-6)
     assert solution.lower_bound == pytest.approx(best.cost, abs=1e-3)
@@ -408,7 +438,9 @@ def test_tables_that_are_cut_are_given_up_and_no_relaxation_follows(graph):
     solution = solve_in_loop(
         instance,
         graph("ring", 3),
-        settings=RoutingSettings(most_labels=1000, steps=2000),
+        settings=RoutingSettings(
+            columns=ColumnSettings(most_labels=1000), search=SearchSettings(steps=2000)
+        ),
     )
     assert solution.feasible
     assert solution.lower_bound is None
@@ -424,7 +456,7 @@ def test_disclosed_names_all_that_introductions_tell(graph):
                 told.update(item[1])
         return message
 
-    raw = random_instance(3, 3, 1, route_length_limit=30.0).to_json()
+    raw = random_instance(3, 3, 1, InstanceShape(route_length_limit=30.0)).to_json()
     instance = Instance.parse(raw | {"fixed_cost": 2.0, "speed": [2.0] * 3})
     solution = solve_in_loop(instance, graph("ring", 3), carry=listen)
     assert {"home", "speed", "fixed", "window", "initial_load"} <= set(told)
@@ -438,12 +470,16 @@ def test_disclosed_names_all_that_introductions_tell(graph):
 def test_a_large_team_proves_a_bound_by_halves_or_names_its_relaxation(graph, seed):
     """With most_listed = 0 every team is large. The bound by halves is that of the gossip: both are the relaxation."""
     instance, links = (
-        random_instance(4, 7, seed, capable=0.8, route_length_limit=27.0),
+        random_instance(
+            4, 7, seed, InstanceShape(capable=0.8, route_length_limit=27.0)
+        ),
         graph("ring", 4),
     )
     gossips = [Gossip(member) for member in members(instance, links)]
     relaxed = run_all([gossip.run() for gossip in gossips], links)[0]
-    large = RoutingSettings(prove=True, most_listed=0)
+    large = RoutingSettings(
+        columns=ColumnSettings(most_listed=0), proof=ProofSettings(prove=True)
+    )
     found, best = (
         solve_in_loop(instance, links, settings=large),
         solve_in_loop(instance, links),
@@ -470,7 +506,11 @@ def test_a_large_team_proves_a_bound_by_halves_or_names_its_relaxation(graph, se
 def test_a_large_team_proves_a_bound_with_a_robot_far_away(graph):
     instance = remote(20.0, route_length_limit=90.0)
     found = solve_in_loop(
-        instance, graph("path", 2), settings=RoutingSettings(prove=True, most_listed=0)
+        instance,
+        graph("path", 2),
+        settings=RoutingSettings(
+            columns=ColumnSettings(most_listed=0), proof=ProofSettings(prove=True)
+        ),
     )
     assert found.bound_exact
     assert found.lower_bound == pytest.approx(found.cost, abs=1e-4)
@@ -481,7 +521,10 @@ def test_the_bound_of_a_large_team_holds_where_tasks_are_refused_whatever_its_pl
     graph, penalty
 ):
     instance = random_instance(
-        4, 7, 2, route_length_limit=27.0, fields={"penalty": [penalty] * 7}
+        4,
+        7,
+        2,
+        InstanceShape(route_length_limit=27.0, fields={"penalty": [penalty] * 7}),
     )
     links = graph("ring", 4)
     best = solve_in_loop(instance, links)
@@ -496,8 +539,11 @@ def test_the_bound_of_a_large_team_holds_where_tasks_are_refused_whatever_its_pl
 
 def test_where_pricing_is_cut_there_is_no_bound(graph):
     for limit in (27.0, None):
-        instance = random_instance(4, 7, 1, route_length_limit=limit)
-        cut = RoutingSettings(prove=True, most_listed=0, most_labels=9)
+        instance = random_instance(4, 7, 1, InstanceShape(route_length_limit=limit))
+        cut = RoutingSettings(
+            columns=ColumnSettings(most_listed=0, most_labels=9),
+            proof=ProofSettings(prove=True),
+        )
         found = solve_in_loop(instance, graph("ring", 4), settings=cut)
         assert (found.lower_bound, found.bound_exact, found.bound_relaxation) == (
             None,
@@ -508,10 +554,12 @@ def test_where_pricing_is_cut_there_is_no_bound(graph):
 
 def test_what_is_proven_stays_when_a_later_pass_is_cut(graph, monkeypatch):
     instance, links = (
-        random_instance(3, 7, 1, route_length_limit=27.0),
+        random_instance(3, 7, 1, InstanceShape(route_length_limit=27.0)),
         graph("ring", 3),
     )
-    settings = RoutingSettings(prove=True, most_listed=0)
+    settings = RoutingSettings(
+        columns=ColumnSettings(most_listed=0), proof=ProofSettings(prove=True)
+    )
     whole = solve_in_loop(instance, links, settings=settings)
     priced, passes = LargeBound._priced, {i: 0 for i in range(3)}
 
@@ -530,19 +578,23 @@ def test_what_is_proven_stays_when_a_later_pass_is_cut(graph, monkeypatch):
     assert 0.5 * whole.lower_bound < part.lower_bound < whole.lower_bound
 
 
-def test_one_robot_whose_halves_are_too_many_prices_by_a_relaxation(graph, monkeypatch):
+def test_a_robot_with_too_many_half_routes_prices_by_a_relaxation(graph, monkeypatch):
     class Few(HalfRoutes):
         def __init__(self, vehicle, most):
             super().__init__(vehicle, 900)
 
-    raw = random_instance(3, 8, 1, route_length_limit=30.0).to_json()
+    raw = random_instance(3, 8, 1, InstanceShape(route_length_limit=30.0)).to_json()
     instance = Instance.parse(raw | {"capacity": [1, 1, 8], "load": [1] * 8})
     assert [Few(instance.local(i).vehicle, 0).complete for i in range(3)] == [
         True,
         True,
         False,
     ]
-    settings = RoutingSettings(prove=True, most_listed=0, steps=4_000)
+    settings = RoutingSettings(
+        columns=ColumnSettings(most_listed=0),
+        search=SearchSettings(steps=4_000),
+        proof=ProofSettings(prove=True),
+    )
     exact = solve_in_loop(instance, graph("ring", 3), settings=settings)
     monkeypatch.setattr(large_bound, "HalfRoutes", Few)
     found = solve_in_loop(instance, graph("ring", 3), settings=settings)
@@ -558,8 +610,13 @@ def test_one_robot_whose_halves_are_too_many_prices_by_a_relaxation(graph, monke
 def test_a_robot_that_can_serve_more_tasks_than_a_set_holds_leaves_the_plan_without_a_bound(
     graph, limit
 ):
-    instance = random_instance(2, 130, 0, (0.7, 0.7), route_length_limit=limit)
-    few = RoutingSettings(prove=True, starters=1, first_steps=30, steps=100)
+    instance = random_instance(
+        2, 130, 0, InstanceShape(room=(0.7, 0.7), route_length_limit=limit)
+    )
+    few = RoutingSettings(
+        search=SearchSettings(starters=1, first_steps=30, steps=100),
+        proof=ProofSettings(prove=True),
+    )
     found = solve_in_loop(instance, graph("path", 2), settings=few)
     assert (found.feasible, found.lower_bound, found.bound_relaxation) == (
         True,
@@ -571,7 +628,9 @@ def test_a_robot_that_can_serve_more_tasks_than_a_set_holds_leaves_the_plan_with
 def test_a_team_of_two_kinds_prices_once_a_kind_and_proves_what_single_robots_prove(
     graph,
 ):
-    raw = random_instance(6, 9, 8, capacities=(4, 4), route_length_limit=27.0).to_json()
+    raw = random_instance(
+        6, 9, 8, InstanceShape(capacities=(4, 4), route_length_limit=27.0)
+    ).to_json()
     raw |= {
         "home": [raw["home"][0]] * 4 + [raw["home"][1]] * 2,
         "capacity": [4.0] * 4 + [3.0] * 2,

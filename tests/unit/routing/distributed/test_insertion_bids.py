@@ -11,7 +11,7 @@ from crazychoir.routing.distributed.insertion_bids import (
 )
 from crazychoir.routing.distributed.plain_loop import solve_in_loop
 from crazychoir.routing.instance.checker import check_plan
-from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.instance.instance import Instance
 
 
@@ -58,7 +58,9 @@ def test_what_is_beyond_capacity_limit_or_capability_is_no_bid():
 @pytest.mark.parametrize("method", BIDDING_METHODS)
 @pytest.mark.parametrize("seed", range(6))
 def test_plans_are_feasible_and_cost_no_less_than_the_best(graph, method, seed):
-    instance = random_instance(4, 7, seed, capable=0.8, route_length_limit=60.0)
+    instance = random_instance(
+        4, 7, seed, InstanceShape(capable=0.8, route_length_limit=60.0)
+    )
     solution = solve_in_loop(
         instance, graph(("ring", "path", "star")[seed % 3], 4), method
     )
@@ -71,7 +73,7 @@ def test_plans_are_feasible_and_cost_no_less_than_the_best(graph, method, seed):
 
 
 @pytest.mark.parametrize("method", BIDDING_METHODS)
-def test_who_finds_no_room_says_for_what_at_all_robots(graph, method):
+def test_every_robot_names_the_task_that_no_route_has_room_for(graph, method):
     """The near robot takes the near task, and cannot reach the far one any more; the other may do the near one only."""
     raw = {
         "load": [1.0, 1.0],
@@ -84,7 +86,7 @@ def test_who_finds_no_room_says_for_what_at_all_robots(graph, method):
     }
     with pytest.raises(
         SolverError,
-        match=rf"robot 0: {method}: .* nobody's route has room for task\(s\) 1",
+        match=rf"robot 0: {method}: .* no route has room for task\(s\) 1",
     ):
         solve_in_loop(Instance.parse(raw), graph("path", 2), method)
     assert solve_in_loop(

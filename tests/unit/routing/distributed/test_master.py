@@ -13,14 +13,16 @@ from crazychoir.routing.distributed.master import (
     PartitionResult,
     find_partition,
 )
-from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.pricing.route_table import RouteColumn, RouteTable
 
 
 @pytest.fixture
 def columns():
     """All columns of three robots."""
-    instance = random_instance(3, 4, seed=8, capable=0.7, route_length_limit=40.0)
+    instance = random_instance(
+        3, 4, seed=8, shape=InstanceShape(capable=0.7, route_length_limit=40.0)
+    )
     tables = [RouteTable(instance.local(i).vehicle) for i in range(3)]
     return [
         (i, tables[i].column(c)) for i in range(3) for c in range(1, len(tables[i]))
@@ -121,7 +123,7 @@ def test_missing_robots_cost_what_a_robot_does_at_most(columns):
 
 
 @pytest.mark.parametrize("broken", [1, 2])
-def test_a_search_that_breaks_off_is_not_taken_for_one_that_found_nothing(
+def test_a_failed_search_is_retried_once_without_its_start_and_then_raises(
     columns, broken, monkeypatch
 ):
     """Once more without the start that it was given, and without presolve; then it is an error."""

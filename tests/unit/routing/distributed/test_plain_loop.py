@@ -13,7 +13,13 @@ from crazychoir.routing.distributed import column_recovery, gossip
 from crazychoir.routing.distributed.bound import improve_bound
 from crazychoir.routing.distributed.distributed_columns import DistributedColumns
 from crazychoir.routing.distributed.master import find_partition
-from crazychoir.routing.distributed.member import RoutingSettings
+from crazychoir.routing.distributed.member import (
+    ColumnSettings,
+    PriceSettings,
+    ProofSettings,
+    RoutingSettings,
+    SearchSettings,
+)
 from crazychoir.routing.distributed.packing import pack_columns
 from crazychoir.routing.distributed.pickup_delivery import (
     CLAIM_METHODS,
@@ -29,7 +35,7 @@ from crazychoir.routing.distributed.plain_loop import (
 )
 from crazychoir.routing.distributed.proof import TaskPartition
 from crazychoir.routing.instance.checker import check_plan
-from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.pricing.route_table import RouteColumn, RouteTable
 from crazychoir.team.round import Round
@@ -79,7 +85,9 @@ def test_the_demo_flies_all_six_robots(repository, graph):
 def test_prices_and_claims_alone_end_in_a_feasible_plan_above_their_bound(
     graph, method, seed
 ):
-    instance = random_instance(5, 7, seed, capable=0.7, route_length_limit=45.0)
+    instance = random_instance(
+        5, 7, seed, InstanceShape(capable=0.7, route_length_limit=45.0)
+    )
     solution = solve_in_loop(instance, graph("ring", 5), method)
     best = solve_in_loop(instance, graph("ring", 5))
     assert check_plan(instance, solution.plan) == []
@@ -201,7 +209,7 @@ def test_the_hash_seed_changes_nothing(repository):
 
 
 def test_one_robot_alone(graph):
-    instance = random_instance(1, 4, seed=2, capacities=(5, 5))
+    instance = random_instance(1, 4, seed=2, shape=InstanceShape(capacities=(5, 5)))
     for method in PLANNING_METHODS:
         solution = solve_in_loop(instance, {0: []}, method)
         assert solution.feasible
@@ -209,7 +217,11 @@ def test_one_robot_alone(graph):
         assert solution.lower_bound is None or solution.lower_bound <= solution.cost
 
 
-WEAK = RoutingSettings(price_rounds=3, batch=2, first_gap=0.002, most_shared=20)
+WEAK = RoutingSettings(
+    prices=PriceSettings(rounds=3),
+    columns=ColumnSettings(batch=2, most_shared=20),
+    proof=ProofSettings(first_gap=0.002),
+)
 
 
 @pytest.mark.parametrize("settings", [RoutingSettings(), WEAK], ids=["default", "weak"])
@@ -219,7 +231,10 @@ def test_where_the_relaxation_has_a_gap_the_widening_finds_what_enumeration_find
 ):
     robots, tasks, limit = 3 + seed % 4, 6 + seed % 5, (25, 32, 45)[seed // 3 % 3]
     instance = random_instance(
-        robots, tasks, seed, capable=(1, 0.8, 0.5)[seed % 3], route_length_limit=limit
+        robots,
+        tasks,
+        seed,
+        InstanceShape(capable=(1, 0.8, 0.5)[seed % 3], route_length_limit=limit),
     )
     tables = [RouteTable(instance.local(i).vehicle) for i in range(robots)]
     columns = [
@@ -327,10 +342,12 @@ def test_a_bound_above_the_cost_is_an_error_and_not_clipped(graph, monkeypatch, 
         return news
 
     for module in (gossip, column_recovery):
-        monkeypatch.setattr(module, "improve", too_high)
+        monkeypatch.setattr(module, "improve_bound", too_high)
     with pytest.raises(SolverError, match=r"bound .* above the cost .* of the plan"):
         solve_in_loop(
-            random_instance(5, 8, 1, route_length_limit=30.0), graph("ring", 5), method
+            random_instance(5, 8, 1, InstanceShape(route_length_limit=30.0)),
+            graph("ring", 5),
+            method,
         )
 
 
@@ -355,7 +372,9 @@ def test_robots_that_did_not_search_know_in_the_same_round_that_there_is_no_plan
         "capacity": [1] * 4,
         "route_length_limit": 6.8,
     }
-    settings = RoutingSettings(small=0, first_steps=50, steps=500)
+    settings = RoutingSettings(
+        search=SearchSettings(first_steps=50, steps=500), proof=ProofSettings(small=0)
+    )
     agents, failed = (
         make_team(Instance.parse(raw), graph("ring", 4), "columns", settings),
         {},
@@ -376,7 +395,9 @@ def test_robots_that_did_not_search_know_in_the_same_round_that_there_is_no_plan
 
 def test_a_table_that_is_cut_gives_a_plan_without_a_bound(graph):
     instance = random_instance(4, 6, seed=3)
-    cut = RoutingSettings(most_labels=600)  # 200 of them without limits
+    cut = RoutingSettings(
+        columns=ColumnSettings(most_labels=600)
+    )  # 200 of them without limits
     for method in PLANNING_METHODS:
         solution = solve_in_loop(instance, graph("ring", 4), method, cut)
         assert (solution.feasible, solution.lower_bound, solution.bound_exact) == (
@@ -389,7 +410,9 @@ def test_a_table_that_is_cut_gives_a_plan_without_a_bound(graph):
 def test_one_searcher_is_enough_for_a_large_search(small, graph):
     instance, optimum = small("limited")
     solution = solve_in_loop(
-        instance, graph("ring", 4), settings=RoutingSettings(small=0, searchers=1)
+        instance,
+        graph("ring", 4),
+        settings=RoutingSettings(proof=ProofSettings(small=0, searchers=1)),
     )
     assert solution.cost == pytest.approx(optimum)
 
@@ -399,7 +422,10 @@ def test_columns_shared_a_few_at_a_time_still_prove_the_optimum(small, graph):
     solution = solve_in_loop(
         instance,
         graph("ring", 4),
-        settings=RoutingSettings(most_shared=1, price_rounds=3, batch=1),
+        settings=RoutingSettings(
+            prices=PriceSettings(rounds=3),
+            columns=ColumnSettings(most_shared=1, batch=1),
+        ),
     )
     assert solution.cost == pytest.approx(optimum)
 
@@ -407,17 +433,22 @@ def test_columns_shared_a_few_at_a_time_still_prove_the_optimum(small, graph):
 def test_what_is_relayed_for_all_robots_together_fits_into_a_payload(small, graph):
     robots, columns = (
         50,
-        [RouteColumn(1.0, tuple(range(20)))] * (RoutingSettings().most_relayed // 50),
+        [RouteColumn(1.0, tuple(range(20)))]
+        * (RoutingSettings().columns.most_relayed // 50),
     )
     assert (
         len(encode([[i, [pack_columns(columns), False, False]] for i in range(robots)]))
         < MAX_PAYLOAD
     )
     instance, optimum = small("limited")
-    whole = RoutingSettings(price_rounds=3, first_gap=10.0)
+    whole = RoutingSettings(
+        prices=PriceSettings(rounds=3), proof=ProofSettings(first_gap=10.0)
+    )
     plain = solve_in_loop(instance, graph("star", 4), settings=whole)
     parted = solve_in_loop(
-        instance, graph("star", 4), settings=replace(whole, most_relayed=4)
+        instance,
+        graph("star", 4),
+        settings=replace(whole, columns=replace(whole.columns, most_relayed=4)),
     )
     assert parted.cost == plain.cost == pytest.approx(optimum)
     assert parted.rounds > plain.rounds, "one column of each robot in a message"
@@ -430,7 +461,12 @@ def test_neighbours_with_other_tasks_or_options_are_noticed(small):
         PickupDelivery(other.local(1), [0], 4, 3, {0: 1}),
         PickupDelivery(instance.local(1), [0], 4, 3, {0: 1}, "resource"),
         PickupDelivery(
-            instance.local(1), [0], 4, 3, {0: 1}, settings=RoutingSettings(batch=3)
+            instance.local(1),
+            [0],
+            4,
+            3,
+            {0: 1},
+            settings=RoutingSettings(columns=ColumnSettings(batch=3)),
         ),
     ):
         me = PickupDelivery(instance.local(0), [1], 4, 3, {1: 1})
@@ -470,7 +506,7 @@ def test_a_damaged_plan_is_noticed(small, graph):
             instance,
             graph("path", 4),
             carry=damage,
-            settings=RoutingSettings(small=0, searchers=1),
+            settings=RoutingSettings(proof=ProofSettings(small=0, searchers=1)),
         )
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import ConfigError
-from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.instance.instance import Instance
 
 
@@ -20,14 +20,16 @@ def test_the_options_hold(seed):
         5,
         4,
         seed,
-        (4.0, 3.0, 2.0),
-        spacing=0.5,
-        margin=0.2,
-        heights=(0.5, 1.0),
-        loads=(2, 2),
-        capacities=(2, 4),
-        capable=0.3,
-        route_length_limit=30.0,
+        InstanceShape(
+            room=(4.0, 3.0, 2.0),
+            spacing=0.5,
+            margin=0.2,
+            heights=(0.5, 1.0),
+            loads=(2, 2),
+            capacities=(2, 4),
+            capable=0.3,
+            route_length_limit=30.0,
+        ),
     )
     goods = np.vstack([instance.tasks.pickup, instance.tasks.delivery])
     assert (instance.home[:, 2] == 0).all()
@@ -49,7 +51,10 @@ def test_the_options_hold(seed):
 
 def test_goods_lie_in_heaps_and_fields_are_added():
     instance = random_instance(
-        3, 40, 2, clusters=2, fields={"open_tours": True, "fixed_cost": 2.0}
+        3,
+        40,
+        2,
+        InstanceShape(clusters=2, fields={"open_tours": True, "fixed_cost": 2.0}),
     )
     goods = np.vstack([instance.tasks.pickup, instance.tasks.delivery])
     near = np.linalg.norm(goods[:, None] - goods[None, :], axis=2) < 3.0
@@ -63,7 +68,7 @@ def test_goods_lie_in_heaps_and_fields_are_added():
 
 def test_a_room_that_is_too_small_is_refused():
     with pytest.raises(ConfigError, match="larger room"):
-        random_instance(9, 2, 0, (1.0, 1.0), spacing=0.8)
+        random_instance(9, 2, 0, InstanceShape(room=(1.0, 1.0), spacing=0.8))
 
 
 def test_the_demo_is_what_its_note_says(repository):
@@ -76,7 +81,10 @@ def test_the_demo_is_what_its_note_says(repository):
         "route_length_limit": 6.5,
     }
     assert (
-        instance.to_json() == random_instance(6, 10, 58, (3, 3, 2), **options).to_json()
+        instance.to_json()
+        == random_instance(
+            6, 10, 58, InstanceShape(room=(3, 3, 2), **options)
+        ).to_json()
     )
     assert "seed=58" in json.loads(path.read_text())["note"]
     assert (instance.robots, len(instance.tasks)) == (6, 10)

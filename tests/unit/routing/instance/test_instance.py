@@ -175,7 +175,7 @@ def test_identical_robots_are_of_one_kind():
     ]
 
 
-def test_a_task_that_nobody_can_serve_may_be_refused():
+def test_a_task_that_no_robot_can_serve_may_be_refused():
     instance = Instance.parse(
         with_change(route_length_limit=5.0, penalty=[None, None, 3.0])
     )
@@ -235,7 +235,7 @@ def test_distances_are_euclidean_in_three_dimensions():
         ),
         (
             {"route_length_limit": 5.0},
-            "a tour of 6.0645 m for it alone, by robot 0, the shortest of those that can",
+            "a tour of 6.0645 m for it alone, by robot 0, the shortest of the robots that can",
         ),
         (
             {"route_length_limit": 5.0},
@@ -243,7 +243,7 @@ def test_distances_are_euclidean_in_three_dimensions():
         ),
     ],
 )
-def test_a_task_that_nobody_can_serve_names_the_limit(change, said):
+def test_an_unservable_task_is_refused_and_the_limit_is_named(change, said):
     with pytest.raises(InstanceError) as error:
         Instance.parse(with_change(**change))
     assert said in str(error.value)

@@ -7,6 +7,7 @@ from crazychoir.errors import InstanceError
 from crazychoir.routing.instance.checker import check_plan
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.plan import Route
+from crazychoir.solve.solve_options import SolveOptions
 from crazychoir.solve.solving import solve_here
 
 
@@ -122,7 +123,7 @@ def test_a_team_proves_the_best_known_solution_optimal(
     reference_data, name, vehicles, length
 ):
     instance = Instance.load(reference_data("lilim") / f"{name}.txt")
-    found = solve_here(instance, graph="k-regular:4", loss=0.1)
+    found = solve_here(instance, SolveOptions(graph="k-regular:4", loss=0.1))
     assert len(found["routes"]) == vehicles
     assert sum(route["length"] for route in found["routes"]) == pytest.approx(
         length, abs=0.01

@@ -8,7 +8,13 @@ import pytest
 
 from crazychoir.errors import InstanceError
 from crazychoir.routing.distributed.master import find_fewest_columns
-from crazychoir.routing.distributed.member import RoutingSettings
+from crazychoir.routing.distributed.member import (
+    ColumnSettings,
+    PriceSettings,
+    ProofSettings,
+    RoutingSettings,
+    SearchSettings,
+)
 from crazychoir.routing.distributed.plain_loop import solve_in_loop
 from crazychoir.routing.instance.checker import check_plan
 from crazychoir.routing.instance.instance import Instance
@@ -20,8 +26,12 @@ SIDES = (-1, 1, -1, 1)
 """Where the goods are, west or east of the depot: one vehicle must go to and fro, as the windows open by turns."""
 PATH = {0: [1], 1: [0, 2], 2: [1]}
 LISTED = RoutingSettings()
-SEARCHED = RoutingSettings(prove=True, most_listed=0, steps=20_000)
-PRICED = RoutingSettings(price_rounds=8)
+SEARCHED = RoutingSettings(
+    columns=ColumnSettings(most_listed=0),
+    search=SearchSettings(steps=20_000),
+    proof=ProofSettings(prove=True),
+)
+PRICED = RoutingSettings(prices=PriceSettings(rounds=8))
 
 
 def to_and_fro(unit, speed=1):
@@ -188,7 +198,7 @@ def test_no_choice_of_columns_is_said_to_be_none():
     )
 
 
-def test_the_search_ends_with_the_vehicle_whose_home_is_near():
+def test_the_search_ends_with_the_vehicle_that_has_the_nearer_home():
     raw = {
         "home": [[90.0, 0.0], [0.0, 0.0]],
         "pickup": [[1.0, 0.0]],

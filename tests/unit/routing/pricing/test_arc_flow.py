@@ -3,7 +3,7 @@ import pytest
 from crazychoir.errors import SolverError
 from crazychoir.routing.distributed.master import find_partition
 from crazychoir.routing.instance.checker import check_plan
-from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.pricing.arc_flow import solve_compact
 from crazychoir.routing.pricing.route_table import RouteTable
@@ -19,7 +19,7 @@ CASES = [
 
 @pytest.mark.parametrize(("robots", "tasks", "seed", "options"), CASES)
 def test_arcs_and_columns_have_the_same_optimum(robots, tasks, seed, options):
-    instance = random_instance(robots, tasks, seed, **options)
+    instance = random_instance(robots, tasks, seed, InstanceShape(**options))
     plan = solve_compact(instance)
     assert check_plan(instance, plan) == []
     tables = [RouteTable(instance.local(i).vehicle) for i in range(robots)]

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from crazychoir.errors import InstanceError
-from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.pricing.bidirectional_pricing import HalfRoutes
 from crazychoir.routing.pricing.reduced_cost import find_least_reduced_cost
 from crazychoir.routing.pricing.route_table import RouteTable
@@ -46,7 +46,11 @@ def test_the_least_of_all_routes_is_found(kind, seed, worth, far):
 
 
 def test_the_length_of_a_column_is_that_of_its_halves_at_any_prices():
-    vehicle = random_instance(4, 10, 3, route_length_limit=25.0).local(0).vehicle
+    vehicle = (
+        random_instance(4, 10, 3, InstanceShape(route_length_limit=25.0))
+        .local(0)
+        .vehicle
+    )
     halves, random, lengths = HalfRoutes(vehicle), np.random.default_rng(0), {}
     for _ in range(200):
         for column in halves.cheapest(random.uniform(0.0, 20.0, 10), 10, 0.0):
@@ -79,7 +83,13 @@ def test_nothing_to_serve():
 
 
 def test_more_tasks_than_a_set_holds_are_refused_by_name():
-    v = random_instance(2, 130, 0, (0.7, 0.7), route_length_limit=60.0).local(0).vehicle
+    v = (
+        random_instance(
+            2, 130, 0, InstanceShape(room=(0.7, 0.7), route_length_limit=60.0)
+        )
+        .local(0)
+        .vehicle
+    )
     for price in (HalfRoutes, lambda v: find_least_reduced_cost(v, np.ones(130))):
         with pytest.raises(InstanceError, match="at most 128"):
             price(v)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from crazychoir.errors import SolverError
-from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.pricing.route_table import RouteTable, find_shortest_route
 
@@ -42,7 +42,9 @@ def test_the_table_holds_exactly_the_feasible_sets_with_their_shortest_tours(
 ):
     limit = None if len(room) == 3 else limit
     try:
-        instance = random_instance(1, 3, seed, room, route_length_limit=limit)
+        instance = random_instance(
+            1, 3, seed, InstanceShape(room=room, route_length_limit=limit)
+        )
     except ValueError:
         return
     local = instance.local(0)
@@ -128,7 +130,9 @@ def test_a_table_that_is_cut_says_so():
 
 
 def test_the_route_of_a_set_is_as_long_as_its_column():
-    local = random_instance(1, 6, seed=5, route_length_limit=30.0).local(0)
+    local = random_instance(
+        1, 6, seed=5, shape=InstanceShape(route_length_limit=30.0)
+    ).local(0)
     table = RouteTable(local.vehicle)
     for c in range(len(table)):
         column = table.column(c)

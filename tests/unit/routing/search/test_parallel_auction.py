@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 
 from crazychoir.optimization.rounds.program import Program
-from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.search.parallel_auction import Insertion, run_parallel_auction
 from crazychoir.team.graph import graph_from_name
 
 
 def vehicle(tasks=4, seed=0, **changes):
-    instance = random_instance(1, tasks, seed, loads=(1, 2), capacities=(3, 3))
+    instance = random_instance(
+        1, tasks, seed, InstanceShape(loads=(1, 2), capacities=(3, 3))
+    )
     return replace(instance.local(0).vehicle, **changes)
 
 
@@ -60,7 +62,7 @@ def test_a_full_robot_takes_nothing_in_between():
     assert Insertion(replace(v, load=np.array([1.0, 2.0]))).cheapest(one, 1) is None
 
 
-def test_who_may_not_or_has_no_way_left_takes_nothing():
+def test_a_vehicle_that_is_incapable_or_beyond_its_limit_takes_no_task():
     v = vehicle(2)
     extra, _ = Insertion(v).cheapest((), 0)
     assert (
@@ -124,8 +126,10 @@ def sold(vehicles, free, graph):
 
 @pytest.mark.parametrize("shape", ["ring", "path", "complete"])
 @pytest.mark.parametrize("seed", range(5))
-def test_every_task_is_sold_once_to_one_who_can(seed, shape):
-    instance = random_instance(5, 12, seed, capable=0.6, route_length_limit=60.0)
+def test_every_task_is_sold_once_to_a_capable_robot(seed, shape):
+    instance = random_instance(
+        5, 12, seed, InstanceShape(capable=0.6, route_length_limit=60.0)
+    )
     vehicles = {i: instance.local(i).vehicle for i in range(5)}
     results = sold(vehicles, list(range(12)), graph_from_name(shape, 5))
     taken = sorted(v for route, _ in results.values() for v in route)
@@ -137,14 +141,14 @@ def test_every_task_is_sold_once_to_one_who_can(seed, shape):
 
 
 def test_the_auction_does_not_depend_on_the_graph():
-    instance = random_instance(5, 12, 3, capable=0.6)
+    instance = random_instance(5, 12, 3, InstanceShape(capable=0.6))
     vehicles = {i: instance.local(i).vehicle for i in range(5)}
     assert sold(vehicles, list(range(12)), graph_from_name("ring", 5)) == sold(
         vehicles, list(range(12)), graph_from_name("complete", 5)
     )
 
 
-def test_what_nobody_can_serve_is_left_and_named_by_all():
+def test_a_task_that_no_robot_can_serve_is_left_and_named_by_all():
     instance = random_instance(3, 4, 1)
     vehicles = {
         i: replace(

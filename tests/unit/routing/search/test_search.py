@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.instance.instance import COMMON_OBJECTIVES, Instance
 from crazychoir.routing.instance.vehicle import Vehicle
 from crazychoir.routing.pricing.route_table import RouteTable
-from crazychoir.routing.search.search import PlanSearch, search_plan
+from crazychoir.routing.search.search import PlanSearch, SearchOptions, search_plan
 
 SLACK = 1e-6
 LI_LIM = Path(__file__).parents[5] / "shared" / "data" / "lilim"
@@ -201,7 +201,7 @@ def test_ten_robots_are_near_the_proven_optimum(small):
 
 
 def big():
-    instance = random_instance(12, 24, 3, route_length_limit=25.0)
+    instance = random_instance(12, 24, 3, InstanceShape(route_length_limit=25.0))
     return [instance.local(i).vehicle for i in range(12)], instance.tasks.penalty
 
 
@@ -260,17 +260,21 @@ def test_routes_seen_hold_the_plan_and_each_set_once():
 def test_putting_routes_together_finds_more_than_the_same_steps_alone():
     team, penalty = big()
     alone = [
-        search_plan(team, [[]] * 12, penalty, 1000, seed, rounds=1).total
+        search_plan(
+            team, [[]] * 12, penalty, 1000, seed, options=SearchOptions(rounds=1)
+        ).total
         for seed in range(4)
     ]
     together = [
-        search_plan(team, [[]] * 12, penalty, 1000, seed, rounds=2).total
+        search_plan(
+            team, [[]] * 12, penalty, 1000, seed, options=SearchOptions(rounds=2)
+        ).total
         for seed in range(4)
     ]
     assert np.mean(together) < np.mean(alone)
 
 
-def test_a_task_that_nobody_can_serve_is_missing():
+def test_a_task_that_no_vehicle_can_serve_is_reported_as_unserved():
     team, penalty = big()
     lame = [replace(v, capable=np.arange(24) != 7) for v in team]
     found = search_plan(lame, [[]] * 12, penalty, 100, 1)
@@ -279,14 +283,16 @@ def test_a_task_that_nobody_can_serve_is_missing():
 
 
 def identical(k):
-    instance = random_instance(1, 8, 1, capacities=(6, 6))
+    instance = random_instance(1, 8, 1, InstanceShape(capacities=(6, 6)))
     return [instance.local(0).vehicle] * k, instance.tasks.penalty
 
 
 def test_fleet_steps_leave_out_what_is_not_needed():
     team, penalty = identical(5)
     spread = [[j, 8 + j, j + 4, 12 + j] if j < 4 else [] for j in range(5)]
-    found = search_plan(team, spread, penalty, 100, 1, fleet_steps=200)
+    found = search_plan(
+        team, spread, penalty, 100, 1, options=SearchOptions(fleet_steps=200)
+    )
     check(team, penalty, found)
     assert sum(map(bool, found.routes)) == 1
 
@@ -329,7 +335,14 @@ def test_the_best_known_plans_of_li_and_lim(name, vehicles, distance):
         [instance.local(i).vehicle for i in range(instance.robots)],
         instance.tasks.penalty,
     )
-    found = search_plan(team, [[]] * len(team), penalty, 20_000, 1, fleet_steps=20_000)
+    found = search_plan(
+        team,
+        [[]] * len(team),
+        penalty,
+        20_000,
+        1,
+        options=SearchOptions(fleet_steps=20_000),
+    )
     check(team, penalty, found)
     assert sum(map(bool, found.routes)) == vehicles
     assert (

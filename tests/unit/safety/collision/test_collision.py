@@ -39,7 +39,7 @@ class Sky:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_who_has_nobody_near_flies_as_it_wants(method):
+def test_a_drone_with_no_other_near_flies_as_it_wants(method):
     sky = Sky(method)
     here = State.at((0.0, 0.0, 1.0))
     assert sky.wants(here, (0.5, 0.0, 1.0)) is None, "nobody was ever heard"
@@ -50,7 +50,7 @@ def test_who_has_nobody_near_flies_as_it_wants(method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_who_flies_at_another_brakes_and_turns_to_its_right(method):
+def test_a_drone_that_flies_at_another_brakes_and_turns_to_its_right(method):
     sky = Sky(method)
     sky.hears(1, (0.6, 0.0, 1.0), (-0.8, 0.0, 0.0))
     a = sky.wants(State.at((0.0, 0.0, 1.0), (0.8, 0.0, 0.0)), (3.0, 0.0, 1.0))
@@ -69,7 +69,7 @@ def test_ellipsoids_are_tall(method):
     assert sky.wants(me, (0.0, 0.0, 1.0)) is None, "beside each other that is far"
 
 
-def test_a_drone_on_the_floor_is_in_the_way_of_who_comes_down_on_it_alone():
+def test_a_drone_on_the_floor_obstructs_only_a_drone_that_comes_down_on_it():
     sky = Sky()
     sky.hears(1, (0.0, 0.0, 0.02))
     assert (
@@ -85,13 +85,13 @@ def test_a_drone_on_the_floor_is_in_the_way_of_who_comes_down_on_it_alone():
     assert sky.wants(State.at((0.2, 0.0, 0.0)), (0.2, 0.0, 1.0)) is None, "up beside it"
 
 
-def test_who_takes_off_gives_way_to_who_flies_above():
+def test_a_drone_that_takes_off_gives_way_to_a_drone_that_flies_above():
     sky = Sky()
     sky.hears(1, (0.0, 0.0, 0.7))
     assert sky.wants(State.at((0.0, 0.0, 0.0)), (0.0, 0.0, 0.5))[2] <= 0.1
 
 
-def test_without_a_usable_state_of_who_may_be_near_it_brakes_until_that_has_come_down():
+def test_a_drone_brakes_for_a_stale_near_neighbour_until_that_has_landed():
     sky = Sky()
     me = State.at((0.0, 0.0, 1.0), (0.5, 0.0, 0.0))
     sky.hears(1, (0.9, 0.0, 1.0))
@@ -119,7 +119,7 @@ def test_without_a_usable_state_of_who_may_be_near_it_brakes_until_that_has_come
     ("heard", "silent", "cut_off"),
     [(0, 1, True), (1, 1, False), (1, 2, True), (2, 2, False), (2, 3, True)],
 )
-def test_who_hears_no_more_than_half_of_those_that_fly_brakes_wherever_they_are(
+def test_a_drone_that_hears_no_more_than_half_of_the_flying_drones_brakes(
     heard, silent, cut_off
 ):
     sky = Sky(others=heard + silent + 1)
@@ -131,7 +131,7 @@ def test_who_hears_no_more_than_half_of_those_that_fly_brakes_wherever_they_are(
     assert bool(a is not None and a[0] < -0.5) is cut_off
 
 
-def test_who_brakes_stays_where_it_came_to_rest():
+def test_a_braking_drone_stays_where_it_came_to_rest():
     sky = Sky()
     sky.hears(1, (3.9, 3.9, 1.0), age=1.6)
     for x, v in ((0.0, 0.5), (0.1, 0.1), (0.2, 0.1)):
@@ -141,7 +141,7 @@ def test_who_brakes_stays_where_it_came_to_rest():
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_who_flies_at_one_that_it_does_not_hear_any_more_turns_aside_as_it_brakes(
+def test_a_drone_that_flies_at_a_silent_one_turns_aside_while_it_brakes(
     method,
 ):
     sky = Sky(method)
@@ -161,7 +161,7 @@ def test_a_state_that_is_not_finite_is_not_heard():
     assert np.array_equal(sky.wants(me, (2.0, 0.0, 1.0)), before)
 
 
-def test_of_two_that_it_cannot_both_avoid_the_one_that_touches_counts():
+def test_the_touching_one_of_two_unavoidable_drones_counts_first():
     """One that stands on the floor is smaller: nearer by its centre, farther by what is between them."""
     sky = Sky(others=2)
     sky.hears(1, (0.0, 0.16, 0.02))
@@ -204,7 +204,7 @@ def test_half_spaces_that_are_almost_parallel_are_relaxed_at_once(seed):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_who_lands_does_not_brake_for_who_is_not_heard(method):
+def test_a_landing_drone_does_not_brake_for_an_unheard_one(method):
     sky, me = Sky(method), State.at((0.0, 0.0, 1.0), (0.0, 0.0, -0.3))
     sky.hears(1, (0.7, 0.0, 1.0))
     down = FullState.at((0.0, 0.0, 0.99), (0.0, 0.0, -0.3)).flat
@@ -226,7 +226,7 @@ def test_an_old_state_keeps_it_farther_away():
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_who_gives_way_to_nobody_is_given_way_to_alone(method):
+def test_a_drone_that_never_gives_way_is_avoided_more_strongly(method):
     shared, alone = Sky(method), Sky(method, alone=(1,))
     for sky in (shared, alone):
         sky.hears(1, (0.9, 0.0, 1.0), (-0.5, 0.0, 0.0))
@@ -239,9 +239,7 @@ def test_who_gives_way_to_nobody_is_given_way_to_alone(method):
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("beside", [0.0, 0.1, 0.2])
-def test_who_is_flown_at_by_one_that_gives_way_to_nobody_gets_out_of_its_way(
-    method, beside
-):
+def test_a_drone_gets_out_of_the_way_of_a_drone_that_never_gives_way(method, beside):
     sky, p, v, near = (
         Sky(method, alone=(1,)),
         np.array([0.0, beside, 1.0]),
@@ -300,7 +298,7 @@ def test_the_fence_is_not_left_for_another():
     assert a[0] < 0.0
 
 
-def test_traffic_keeps_the_newest_state_and_hears_who_is_near_more_often():
+def test_the_table_keeps_the_newest_state_and_hears_near_drones_more_often():
     sky = Sky(others=2)
     sky.hears(1, (1.0, 0.0, 1.0))
     sky.hears(1, (9.0, 0.0, 1.0), age=0.1)
@@ -317,7 +315,7 @@ def test_traffic_keeps_the_newest_state_and_hears_who_is_near_more_often():
     assert other.rows[0, NEIGHBOUR_ROW.state_time] == -np.inf
 
 
-def test_who_would_brake_for_want_of_a_state_hears_it_more_often():
+def test_a_state_that_a_drone_would_soon_brake_for_is_heard_more_often():
     sky = Sky(others=50)
     for j, x in ((1, 1.2), (2, 2.2), (3, 9.0)):
         sky.hears(j, (x, 0.0, 1.0))

@@ -17,7 +17,7 @@ def signs(side, places, goal=GOAL, period=0.1, began=0.0):
     return found
 
 
-def test_who_does_not_get_on_tries_the_other_way_and_then_the_first_one_again():
+def test_a_stuck_drone_tries_the_other_side_and_then_the_first_one_again():
     found = signs(PassingSide(), [(0.1 * (k % 2), 0.0, 1.0) for k in range(140)])
     turns = [0.1 * k for k in range(1, 140) if found[k] != found[k - 1]]
     assert turns == pytest.approx(
@@ -30,7 +30,7 @@ def test_who_does_not_get_on_tries_the_other_way_and_then_the_first_one_again():
     assert found[0] == 1.0
 
 
-def test_who_moves_keeps_its_side():
+def test_a_moving_drone_keeps_its_side():
     assert (
         signs(
             PassingSide(),
@@ -50,7 +50,7 @@ def test_who_moves_keeps_its_side():
     )
 
 
-def test_who_is_where_it_wants_to_be_keeps_its_side():
+def test_a_drone_at_its_goal_keeps_its_side():
     assert signs(PassingSide(), [GOAL + 0.1] * 400) == [1.0] * 400
 
 
@@ -58,7 +58,7 @@ def test_who_is_where_it_wants_to_be_keeps_its_side():
     ("gap", "sign"),
     [(0.5 * STUCK_LIMITS.free_time, -1.0), (2.0 * STUCK_LIMITS.free_time, 1.0)],
 )
-def test_who_was_free_for_a_while_goes_round_as_all_do(gap, sign):
+def test_a_drone_that_was_free_for_a_while_returns_to_the_common_side(gap, sign):
     side = PassingSide()
     still = [(0.0, 0.0, 1.0)] * 45
     assert signs(side, still)[-1] == -1.0

@@ -92,7 +92,7 @@ class Team:
         return acted
 
 
-def test_who_is_not_heard_is_told_of_by_those_who_hear_it_and_does_not_count_as_heard():
+def test_an_unheard_drone_is_reported_by_others_and_does_not_count_as_heard():
     team = Team()
     team.say(1, (1.5, 0.0, 1.0), [0])
     acted = team.fly(20.0)
@@ -110,7 +110,7 @@ def test_who_is_not_heard_is_told_of_by_those_who_hear_it_and_does_not_count_as_
     assert set(team.asked) == {2, 3}
 
 
-def test_who_is_told_of_nobody_brakes_near_it_and_asks_until_it_is_gone():
+def test_a_drone_without_reports_brakes_near_the_unheard_one_and_asks_until_gone():
     team = Team()
     team.say(1, (0.5, 0.0, 1.0), [0])
     acted = team.fly(20.0, hear_one=())
@@ -133,7 +133,7 @@ def test_who_is_told_of_nobody_brakes_near_it_and_asks_until_it_is_gone():
     assert 0 < len(team.asked) - asked <= 2 * 5, "two others, once a second"
 
 
-def test_who_was_never_heard_or_counts_as_gone_is_known_when_somebody_hears_it():
+def test_a_drone_never_heard_or_gone_is_known_once_another_drone_hears_it():
     team = Team()
     team.fly(2.0)
     assert team.row(0, 1)[0] == 3.0, "never heard"
@@ -142,14 +142,14 @@ def test_who_was_never_heard_or_counts_as_gone_is_known_when_somebody_hears_it()
     assert team.row(0, 1)[1] == 0.5, "it was gone"
 
 
-def test_one_that_is_told_of_that_flies_at_it_is_avoided():
+def test_a_reported_drone_that_approaches_is_avoided():
     team = Team()
     team.say(1, (3.0, 0.0, 1.0), [0])
     acted = team.fly(4.0, one=(-0.4, 0.0, 1.0))
     assert acted[-1][0] < -0.5
 
 
-def test_nobody_asks_while_all_are_heard_or_far_away():
+def test_no_drone_asks_while_all_are_heard_or_far_away():
     team = Team()
     team.fly(30.0, hear_one=(0, 2, 3))
     assert team.asked == []
@@ -162,7 +162,7 @@ def test_nobody_asks_while_all_are_heard_or_far_away():
     ), "nor when it counts as gone is it forgotten"
 
 
-def test_who_hears_no_more_than_half_is_cut_off_whatever_it_is_told():
+def test_a_drone_that_hears_no_more_than_half_is_cut_off_whatever_it_is_told():
     team = Team(6)
     for j in range(1, 6):
         team.say(j, (2.0, float(j), 1.0), [0])
@@ -215,7 +215,7 @@ def test_those_are_asked_that_are_heard_themselves():
     assert set(team.asked) == {2}
 
 
-def test_who_stood_on_the_floor_is_asked_for_seldom_in_the_end():
+def test_a_drone_that_stood_on_the_floor_is_asked_for_seldom_in_the_end():
     team = Team()
     team.say(1, (0.5, 0.0, 0.02), [0])
     team.fly(NEIGHBOUR_AGES.gone, hear_one=())
@@ -246,7 +246,7 @@ def test_all_that_are_heard_are_asked_in_turn_however_many_are_sought():
     assert team.seconds - team.row(0, 8)[NEIGHBOUR_ROW.state_time] < 3.5
 
 
-def test_who_hears_late_what_others_tell_earlier_hears_all_the_same():
+def test_a_late_direct_state_still_counts_as_heard_beside_earlier_reports():
     team = Team()
     for _ in range(50):
         team.seconds += STATE_RATES.check_interval

@@ -28,7 +28,7 @@ async def test_where_the_cameras_see_a_drone_counts_while_nothing_is_heard_of_it
 
 
 @virtual
-async def test_a_drone_whose_radio_is_silent_gives_way_to_nobody_whatever_its_agent_says(
+async def test_a_drone_with_a_silent_radio_gives_way_to_no_other(
     clock,
 ):
     traffic = NeighbourTable(Bus(clock).port(0), [0, 1])

@@ -15,7 +15,7 @@ def pose(x: float, y: float = 0.0, yaw: float = 0.0) -> Pose:
 
 @pytest.mark.parametrize("hertz", [10.0, 25.0, 100.0])
 @pytest.mark.parametrize("speed", [0.0, 1.0, 3.0])
-def test_one_that_flies_is_believed_at_any_rate(hertz, speed) -> None:
+def test_a_flying_drone_is_believed_at_any_rate(hertz, speed) -> None:
     gate, rng = PoseGate(), np.random.default_rng(1)
     for k in range(200):
         t = k / hertz
@@ -24,7 +24,7 @@ def test_one_that_flies_is_believed_at_any_rate(hertz, speed) -> None:
 
 
 @pytest.mark.parametrize("hertz", [10.0, 100.0])
-def test_one_that_is_seen_first_in_full_flight_is_believed_on(hertz) -> None:
+def test_a_drone_first_seen_in_full_flight_is_believed(hertz) -> None:
     gate = PoseGate()
     assert all(gate.believes(pose(2.5 * k / hertz), k / hertz, True) for k in range(30))
 
@@ -61,7 +61,7 @@ def test_no_gap_excuses_half_a_metre() -> None:
 
 
 @pytest.mark.parametrize("hertz", [50.0, 100.0])
-def test_poses_that_were_late_and_come_together_keep_nobody_unseen(hertz) -> None:
+def test_late_poses_that_come_together_do_not_leave_the_drone_unseen(hertz) -> None:
     """For 0.25 s nothing is read; then all poses at once, as if they were born then."""
     for speed in (0.0, 1.0, 2.0):
         gate, believed = PoseGate(), []

@@ -91,11 +91,11 @@ def test_exchanged_bodies_are_seen_by_where_they_stand_although_each_drone_belie
     assert find_arming_problems(2, drones) == []
 
 
-def test_a_body_at_the_home_of_one_that_is_at_home_is_not_exchanged_with_it():
+def test_a_body_at_an_occupied_home_is_not_called_exchanged():
     (text,) = said(standing(seen1=at((0.1, 0.9, 0.0)), own1=at((0.1, 0.9, 0.0))))
     assert text == "its body is 0.14 m from the home of drone 2, 1.27 m from its own"
 
 
-def test_who_need_not_stand_at_home_may_stand_anywhere():
+def test_a_drone_that_need_not_stand_at_home_may_stand_anywhere():
     drones = {i: GroundedDrone(None, at(HOMES[1]), at(HOMES[1])) for i in HOMES}
     assert find_arming_problems(0, drones) == []

@@ -124,11 +124,11 @@ def test_a_body_that_is_put_on_the_wrong_way_round_is_named_with_its_angle(degre
     assert t < 1.0
 
 
-def test_who_is_turned_by_little_is_let_fly():
+def test_a_slightly_turned_drone_may_fly():
     assert Flight(turned={0: math.radians(12)}).said == {}
 
 
-def test_one_that_flies_alone_with_the_body_of_another():
+def test_a_drone_that_flies_alone_with_the_body_of_another_is_found():
     said = Flight(body_of={0: 1, 1: 0}, flying=(0,)).said
     assert said[0][0] == "it does not tilt as its body does, but as the body of drone 1"
     said = Flight(body_of={0: 1, 1: 0}, flying=(0,), swing=0.0).said
@@ -176,7 +176,7 @@ def test_one_pose_whatever_it_shows_says_nothing():
     )
 
 
-def test_who_is_not_seen_is_not_judged():
+def test_an_unseen_drone_is_not_judged():
     bodies, own = {0: TiltTrack(), 1: TiltTrack()}, TiltTrack()
     own.add(0.0, 0j)
     ascent = TakeoffCheck(0, 0.0, own, bodies)

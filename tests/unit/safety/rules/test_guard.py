@@ -215,7 +215,7 @@ def test_beyond_the_limit_area_motors_are_cut_at_once(limit, side):
     assert verdict.measure == "limit area"
 
 
-def test_a_limit_area_cuts_nobody_who_lands_below_the_floor_of_the_fence():
+def test_a_limit_area_does_not_cut_a_landing_below_the_floor_of_the_fence():
     guard = Guard(
         Fence.box((-3.0, -3.0, 0.0), (3.0, 3.0, 2.5)),
         limit=Fence.box((-4.0, -4.0, 0.0), (4.0, 4.0, 3.0)),
@@ -311,7 +311,7 @@ def test_what_acted_in_one_flight_is_forgotten_in_the_next_unless_it_is_latched(
     assert guard.check(120.0, HERE, 0.01, 0.0).action is Action.LAND
 
 
-def test_one_that_its_firmware_lands_is_cut_later_and_only_in_this_flight():
+def test_a_landing_by_firmware_is_cut_later_and_only_in_this_flight():
     guard = Guard()
     guard.bear_unseen(3.0)
     assert guard.check(0.0, HERE, 2.9, 0.0).action is Action.LAND

@@ -89,7 +89,7 @@ def test_an_acceleration_that_is_none_is_not_flown(bad):
 
 @pytest.mark.parametrize("yaw", [np.nan, np.inf])
 @pytest.mark.parametrize("a", [np.zeros(3), np.array([9.0, 0.0, 0.0])])
-def test_an_acceleration_whose_heading_is_none_is_not_flown(a, yaw):
+def test_an_acceleration_without_a_finite_heading_is_not_flown(a, yaw):
     assert accelerated(Acceleration(a, yaw)) is None
 
 

@@ -156,7 +156,7 @@ def test_each_way_to_fly_is_the_same_event(mode, fly):
 
 
 @pytest.mark.parametrize("kept", ["held", "awaits_start"])
-def test_one_that_is_held_or_waits_for_its_start_does_not_fly_where_guidance_wants(
+def test_a_held_or_waiting_drone_does_not_fly_where_guidance_wants(
     kept,
 ):
     @virtual

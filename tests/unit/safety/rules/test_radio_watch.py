@@ -108,7 +108,9 @@ async def test_an_owner_that_is_started_again_and_has_not_heard_it_is_no_silence
 
 
 @virtual
-async def test_one_that_never_hears_it_is_silent_from_the_last_packet_on(clock) -> None:
+async def test_a_drone_that_is_not_heard_again_is_silent_from_the_last_packet_on(
+    clock,
+) -> None:
     guard, action = await restarted(clock, 3.0, heard_again=False)
     assert (action, guard.latched) == (Action.BRAKE, "")
     assert guard.told("link") == pytest.approx(3.6, abs=0.15)
@@ -157,7 +159,7 @@ async def restarted(clock, seconds: float, heard_again: bool) -> tuple[Guard, Ac
     [0.0, math.inf],
     ids=["heard again", "by an owner whose link is not up yet"],
 )
-def test_who_was_locked_while_its_radio_was_silent_is_said_so(silence) -> None:
+def test_a_drone_locked_during_radio_silence_is_reported_as_locked(silence) -> None:
     run_virtual(partial(_locked, silence=silence))
 
 

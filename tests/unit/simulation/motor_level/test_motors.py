@@ -199,7 +199,7 @@ def test_every_drone_flies_as_if_alone():
         assert alone.vbat(i) == together.vbat(i)
 
 
-def test_who_is_below_is_pushed_down():
+def test_a_drone_below_another_is_pushed_down():
     p0 = np.array([[0.0, 0.0, 1.0], [0.05, 0.0, 1.4], [3.0, 0.0, 1.0]])
     world = MotorWorld([0, 1, 2], p0)
     for _ in range(30):

@@ -96,7 +96,7 @@ def test_a_drone_that_stands_stays_and_feels_its_weight():
     np.testing.assert_allclose(sensed["gyro"], 0.0, atol=1e-6)
 
 
-def test_one_that_is_dropped_hits_the_floor_bounces_and_rests_there():
+def test_a_dropped_drone_hits_the_floor_bounces_and_rests_there():
     world = falling(([0, 0, 0.3], [0, 0, 0]))
     heights, fastest = [], 0.0
     for _ in range(150):

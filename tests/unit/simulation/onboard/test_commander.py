@@ -36,7 +36,7 @@ def test_thrust_is_locked_until_a_packet_without_thrust(onboard):
     assert wanted(onboard, "thrust") == (30000,)
 
 
-def test_thrust_is_locked_again_after_nobody_was_in_control(onboard):
+def test_thrust_is_locked_again_when_no_sender_has_control(onboard):
     onboard.rpyt_raw(0, 0, 0, 0)
     onboard.record["priority"] = 0
     onboard.rpyt_raw(0, 0, 0, 30000)

@@ -375,7 +375,7 @@ def test_a_plan_beyond_all_bounds_is_refused(onboard, far):
         ({0: [0.0, 0.0, 0.0, 1e12]}, 1.0, 1e-2),
     ],
 )
-def test_what_was_uploaded_and_nobody_can_fly_is_refused(
+def test_an_uploaded_trajectory_that_cannot_be_flown_is_refused(
     onboard, axes, duration, timescale
 ):
     words = pieces((axes, duration)).astype(np.float32)

@@ -243,7 +243,7 @@ def test_planner_commands_are_refused_where_it_may_not_fly():
     assert bench.onboard.go_to((0, 0, 1), 0.0, 2.0) == 16
 
 
-def test_who_may_not_fly_any_more_has_no_plan_left():
+def test_a_drone_that_may_no_longer_fly_has_no_plan_left():
     onboard = Onboard(CRAZYFLIE_21)
     loop.run(onboard.rows, 200.0, 0.0, 0.0, 0.0, 0.0, 0.0, 9.81)
     assert onboard.take_off(0.5, 1.0) == 0

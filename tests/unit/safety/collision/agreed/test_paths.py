@@ -176,14 +176,14 @@ def test_one_on_the_floor_is_no_obstacle_a_little_above():
     assert not meeting.clear(straight((-1, 0, 0.3), (0, 0, 0.1)), 0.0, 0.0)
 
 
-def test_one_that_tells_no_way_is_taken_to_brake():
+def test_a_drone_that_tells_no_path_is_assumed_to_brake():
     meeting = OtherPaths(FIGURES, 2.0)
     meeting.guessed(4, np.array([0.0, -0.9, 1.0]), np.array([0.0, 1.0, 0.0]), 0.0)
     assert meeting.first(plan_hold(np.array([0.0, 0.1, 1.0]), 2.0), 0.0, 0.0)[1] == 4
     assert meeting.clear(plan_hold(np.array([0.0, 0.5, 1.0]), 2.0), 0.0, 0.0)
 
 
-def test_one_that_is_silent_may_be_anywhere_on_its_way():
+def test_a_silent_drone_may_be_anywhere_on_its_path():
     way = straight((0, -1, 1), (0, 1, 1))
     through = straight((-1, 0, 1), (0.4, 0, 1))
     meeting = OtherPaths(FIGURES, 2.0)
@@ -195,7 +195,7 @@ def test_one_that_is_silent_may_be_anywhere_on_its_way():
     )
 
 
-def test_a_silent_one_that_has_come_to_rest_is_still_there():
+def test_a_silent_drone_that_has_come_to_rest_is_still_there():
     way = straight((0, -1, 1), (0, 0, 1))
     for heard in (0.5, compute_path_duration(way) + 0.05, 60.0):
         meeting = OtherPaths(FIGURES, 2.0)
@@ -203,7 +203,7 @@ def test_a_silent_one_that_has_come_to_rest_is_still_there():
         assert not meeting.clear(straight((-1, 0, 1), (1, 0, 1)), 63.0, 63.0)
 
 
-def test_one_that_may_have_come_down_is_anywhere_below():
+def test_a_drone_that_may_have_come_down_may_be_anywhere_below():
     meeting, over, under = (
         OtherPaths(FIGURES, 2.0),
         straight((-1, 0, 2), (1, 0, 2)),
@@ -227,7 +227,7 @@ def test_a_way_leaves_a_box_wherever_it_is_outside():
     )
 
 
-def test_who_accelerates_comes_to_rest_without_flying_much_faster():
+def test_an_accelerating_drone_comes_to_rest_without_flying_much_faster():
     start = np.array([0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.1, 0.0, 0.0, 0.0, 0.0, 0.0])
     way = plan_braking(start, 0.8)
     flown = np.array(
@@ -240,7 +240,7 @@ def test_who_accelerates_comes_to_rest_without_flying_much_faster():
     assert np.linalg.norm(flown[:, 6:9], axis=1).max() < 1.8
 
 
-def test_who_begins_at_the_peak_of_another_way_flies_no_harder_one():
+def test_a_path_that_begins_at_peak_acceleration_is_no_harder_than_that():
     start = np.array([0.0, 0.0, 1.0, 0.4, 0.0, 0.0, 0.0, 0.9, 0.0, 0.0, 0.0, 0.0])
     way = plan_flight(start, np.array([1.0, 0.5, 1.0]), 1.0, 0.8)
     flown = np.array(

@@ -107,7 +107,7 @@ def arrived(drone):
 
 
 @virtual
-async def test_alone_it_flies_straight_and_asks_nobody(clock):
+async def test_a_lone_drone_flies_straight_and_asks_no_other(clock):
     _, drones = crowd(clock, (A, B))
     await fly(clock, drones, 6.0)
     assert drones[0].at == pytest.approx(B, abs=1e-6)
@@ -145,7 +145,7 @@ async def make_room(clock, apart):
 
 
 @virtual
-async def test_who_is_where_it_wants_to_be_makes_no_room(clock):
+async def test_a_drone_that_is_at_its_goal_does_not_make_room(clock):
     _, drones = crowd(clock, (A,), (B, A))
     await fly(clock, drones, 8.0)
     assert drones[0].filter.agreement.awaited(clock.now())[0] == pytest.approx(A)
@@ -155,7 +155,7 @@ async def test_who_is_where_it_wants_to_be_makes_no_room(clock):
 
 
 @virtual
-async def test_who_must_come_down_waits_for_no_place_any_more(clock):
+async def test_landing_drone_does_not_wait_for_a_free_place(clock):
     _, (one, waits) = crowd(clock, (A,), (B, A))
     await fly(clock, (one, waits), 8.0)
     assert waits.filter.agreement.awaits == pytest.approx(A)
@@ -216,7 +216,9 @@ async def test_six_that_swap_across_a_circle_arrive_though_messages_are_lost_in_
 
 
 @virtual
-async def test_who_crosses_starts_later_or_turns_aside_and_the_lower_id_does_not(clock):
+async def test_a_crossing_drone_starts_later_or_turns_aside_and_the_lower_id_does_not(
+    clock,
+):
     _, drones = crowd(clock, (A, B), ((0.0, -1.0, 1.0), (0.0, 1.0, 1.0)))
     await fly(clock, drones, 12.0)
     assert off_line(drones[0], A, B) < 1e-6
@@ -291,7 +293,7 @@ async def test_what_was_agreed_to_is_kept_clear_of_until_it_is_heard_that_it_is_
 
 
 @virtual
-async def test_who_does_not_tell_a_way_is_kept_clear_of_by_its_state(clock):
+async def test_a_drone_that_tells_no_path_is_avoided_by_its_state(clock):
     _, drones = crowd(clock, (A, B), ((0.0, 0.0, 1.0),), planners=[0])
     drones[1].flies = False
     await fly(clock, drones, 10.0)
@@ -300,7 +302,7 @@ async def test_who_does_not_tell_a_way_is_kept_clear_of_by_its_state(clock):
 
 
 @virtual
-async def test_it_brakes_before_a_stranger_who_comes_in_its_way(clock):
+async def test_a_drone_brakes_before_a_stranger_that_comes_in_its_way(clock):
     _, drones = crowd(clock, (A, B), ((0.0, 2.5, 1.0),), planners=[0])
     drones[1].flies = False
     await fly(clock, drones, 1.9)
@@ -314,7 +316,7 @@ async def test_it_brakes_before_a_stranger_who_comes_in_its_way(clock):
 
 
 @virtual
-async def test_who_must_come_down_waits_for_nobody_who_is_not_heard(clock):
+async def test_a_landing_drone_does_not_wait_for_drones_that_it_does_not_hear(clock):
     _, drones = crowd(clock, (A,), (A + np.array([0.8, 0.0, 0.0]),))
     await fly(clock, drones, 0.5)
     lands, now = drones[1], clock.now()
@@ -336,7 +338,7 @@ async def test_who_must_come_down_waits_for_nobody_who_is_not_heard(clock):
 
 
 @virtual
-async def test_one_that_has_gone_silent_is_avoided_wherever_on_its_way_it_may_be(clock):
+async def test_a_silent_drone_is_avoided_wherever_on_its_path_it_may_be(clock):
     _, drones = crowd(clock, (A,), ((0.0, -1.0, 1.0), (0.0, 1.0, 1.0)))
     await fly(clock, drones, 1.0)
     await fly(clock, drones[:1], 0.7)
@@ -398,7 +400,7 @@ async def test_however_long_two_are_parted_they_never_fly_through_each_other(clo
 
 
 @virtual
-async def test_who_says_that_it_is_on_the_ground_is_asked_no_more(clock):
+async def test_a_drone_that_reports_that_it_is_on_the_ground_is_asked_no_more(clock):
     _, drones = crowd(clock, ((-1.0, 2.0, 1.0),), (A, B))
     await fly(clock, drones, 0.5)
     drones[0].flies = False
@@ -411,14 +413,14 @@ async def test_who_says_that_it_is_on_the_ground_is_asked_no_more(clock):
 
 
 @virtual
-async def test_one_that_lands_and_hears_nothing_waits_for_an_answer_some_seconds_only(
+async def test_a_landing_drone_that_hears_nothing_waits_only_some_seconds_for_an_answer(
     clock,
 ):
     await lands_unanswered(clock, (0, 1))
 
 
 @virtual
-async def test_one_that_lands_and_is_not_heard_waits_for_an_answer_some_seconds_only(
+async def test_a_landing_drone_that_is_not_heard_waits_only_some_seconds_for_an_answer(
     clock,
 ):
     await lands_unanswered(clock, (1, 0))
@@ -440,7 +442,7 @@ async def lands_unanswered(clock, edge):
 
 
 @virtual
-async def test_one_that_lands_unanswered_still_keeps_clear_of_what_it_knows(clock):
+async def test_an_unanswered_landing_still_keeps_clear_of_known_drones(clock):
     bus, drones = crowd(clock, (A - [0.0, 0.0, 0.86],), (A,))
     await fly(clock, drones, 0.5)
     parted(bus, clock, (0, 1))
@@ -478,7 +480,7 @@ async def test_what_an_earlier_agent_was_allowed_counts_no_more_when_it_is_start
 
 
 @virtual
-async def test_beside_is_clear_of_who_stands_and_of_who_flies(clock):
+async def test_a_place_beside_is_clear_of_standing_and_flying_drones(clock):
     _, drones = crowd(clock, ((0.0, 0.0, 1.0),), ((0.0, 0.0, 0.0),), ((0.5, 0.0, 1.0),))
     drones[1].flies = False
     await fly(clock, drones, 1.0)
@@ -489,7 +491,7 @@ async def test_beside_is_clear_of_who_stands_and_of_who_flies(clock):
 
 
 @virtual
-async def test_who_is_behind_what_moves_does_not_begin_anew_all_the_time(clock):
+async def test_a_drone_behind_a_moving_reference_does_not_replan_all_the_time(clock):
     """Each new way begins slowly: it would never catch up."""
     _, drones = crowd(clock, ((-2.5, 0.0, 1.0),))
     await fly(clock, drones, 0.5)
@@ -538,7 +540,7 @@ async def test_what_waits_for_a_drone_that_rests_a_little_ahead_of_it_is_flown_o
 
 
 @virtual
-async def test_who_brakes_unasked_begins_to_once(clock):
+async def test_a_drone_that_brakes_without_an_answer_plans_it_once(clock):
     bus, drones = crowd(
         clock, ((-1.0, 2.5, 1.0),), (A, B), ((0.0, 2.5, 2.0),), planners=[0, 1]
     )
@@ -559,7 +561,7 @@ async def test_who_brakes_unasked_begins_to_once(clock):
 
 
 @virtual
-async def test_where_a_drone_is_whose_radio_is_silent_counts_whatever_way_its_agent_tells(
+async def test_a_drone_with_a_silent_radio_is_avoided_where_it_is_seen(
     clock,
 ):
     """It says that it rests at the side; the cameras see it in the middle."""

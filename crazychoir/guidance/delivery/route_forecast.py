@@ -1,0 +1,96 @@
+"""The forecast of one robot: where its stops are, and when it will have served them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from crazychoir.config.tables import FlightTable
+from crazychoir.guidance.delivery.commitments import Commitments
+from crazychoir.planning.point_to_point import compute_flight_time
+from crazychoir.routing.instance.plan import Stop
+from crazychoir.types import FullState, Vec
+
+
+class RouteForecast:
+    """Foresee when the robot of these commitments serves its stops.
+
+    commitments: the route of the robot, and what it may begin.
+    flight: limits of its flights.
+    service_time: s at each stop.
+
+    serving_until: s: end of the present service.
+    promised: s: end of the route, as foreseen when the plan was new.
+    """
+
+    def __init__(
+        self, commitments: Commitments, flight: FlightTable, service_time: float
+    ) -> None:
+        self.commitments = commitments
+        self.news = commitments.news
+        self.flight = flight
+        self.service_time = service_time
+        self.serving_until = 0.0
+        self.promised = np.inf
+
+    def place(self, stop: Stop) -> Vec:
+        """Return the place of a stop, (2,) m."""
+        if stop.kind == "delivery":
+            return np.array(self.news.book.tasks[stop.task].delivery)
+        return np.array(self.news.standings()[stop.task].pickup)
+
+    def seconds(self, route: Sequence[Stop]) -> float:
+        """Return the s that a route takes from here."""
+        p = np.array(self.news.here())
+        total = self._rest_of_service()
+        for stop in route:
+            goal = self.place(stop)
+            total = total + self._leg(p, goal) + self.service_time
+            p = goal
+        return total
+
+    def head(self, horizon: float) -> tuple[list[Stop], Vec, float]:
+        """Return the stops to which the robot is bound, the place after them, and the s until then.
+
+        These are the stop to which it flies now and the stops within the horizon. While a planning
+        has not led to a plan, other robots may have one: then the robot is bound to nothing new.
+
+        horizon: s.
+        """
+        head: list[Stop] = []
+        p = np.array(self.news.here())
+        seconds = self._rest_of_service()
+        for stop in self.commitments.route:
+            if not self.commitments.allow(stop) or (head and seconds > horizon):
+                break
+            goal = self.place(stop)
+            seconds += self._leg(p, goal) + self.service_time
+            p = goal
+            head.append(stop)
+        return head, p, seconds
+
+    def promise(self) -> None:
+        """Remember when a new route will have been served."""
+        self.promised = self.news.clock.now() + self.seconds(self.commitments.route)
+
+    def is_late(self, allowed: float) -> bool:
+        """Return whether the robot is later than it has promised.
+
+        allowed: s that it may be late.
+        """
+        route = self.commitments.route
+        return (
+            bool(route)
+            and self.news.clock.now() + self.seconds(route) > self.promised + allowed
+        )
+
+    def _rest_of_service(self) -> float:
+        """Return the s that are left of the present service."""
+        return max(0.0, self.serving_until - self.news.clock.now())
+
+    def _leg(self, a: Vec, b: Vec) -> float:
+        """Return the s of a flight from a place to another, (2,) m each."""
+        start = FullState.at(np.array([*a, 0.0]))
+        goal = np.array([*b, 0.0])
+        return compute_flight_time(
+            start, goal, 0.0, self.flight.speed_limit, self.flight.acceleration_limit
+        )

@@ -1,0 +1,47 @@
+"""What is fixed about one drone on a radio, and its throttled warnings."""
+
+import logging
+
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.platforms import find_platform
+from crazychoir.safety.rules.guard import Throttle
+
+log = logging.getLogger(__name__)
+
+
+class DroneSetup:
+    """One drone as the swarm file describes it, with its clock, its port and its warnings.
+
+    i: id of the drone
+    kind: kind of its commands
+    rate: Hz of set-points
+    """
+
+    def __init__(
+        self, bus: Bus, config: SwarmConfig, i: int, kind: str, rate: float
+    ) -> None:
+        self.bus = bus
+        self.clock = bus.clock
+        self.config = config
+        self.drone = i
+        self.kind = kind
+        self.rate = rate
+        """Hz of set-points."""
+        self.port = bus.ports[PORT_ADDRESSES.body_offset + i]
+        """Port of the drone's body."""
+        self.row = config.drone(i)
+        """Row of the swarm file."""
+        self.platform = find_platform(self.row.platform)
+        self.seen_by_cameras = self.row.pose == "mocap"
+        """Whether cameras tell the pose of the drone."""
+        self._throttle = Throttle()
+
+    def may_log(self, topic: str) -> bool:
+        """Return whether a line about this topic is due; lines of one topic are throttled."""
+        return self._throttle.due(self.clock.now(), topic)
+
+    def warn(self, topic: str, text: str) -> None:
+        """Log a warning about the drone, unless one of this topic was logged a moment ago."""
+        if self.may_log(topic):
+            log.warning("drone %d: %s", self.drone, text)

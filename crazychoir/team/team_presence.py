@@ -1,0 +1,281 @@
+"""The drones of a team that one drone receives: their heartbeats, and which of them are lost."""
+
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
+from typing import Final, Protocol
+
+from crazychoir.bus.codec import decode, encode
+from crazychoir.bus.presence import SILENCE_TIMEOUT, Presence, PresenceMonitor
+from crazychoir.bus.topics import MESSAGE_TOPICS
+from crazychoir.errors import CodecError
+from crazychoir.runtime.clock import NS_PER_SECOND
+from crazychoir.team.messages import Roster, TeamHeartbeat
+from crazychoir.team.strangers import Strangers
+from crazychoir.team.team_roster import TeamRoster
+
+PRESENCE_HISTORY: Final = 1000
+"""Changes of presence that are kept in the history."""
+
+
+@lru_cache(maxsize=2048)  # all drones of a process receive the same heartbeats
+def _read_payload(payload: bytes) -> TeamHeartbeat:
+    return TeamHeartbeat.of(decode(payload))
+
+
+class PresenceReview(Protocol):
+    """Acts, as the coordinator, on what the presence of the drones shows."""
+
+    @property
+    def is_open(self) -> bool:
+        """True while the coordinator forms the next roster."""
+        ...
+
+    def review(self, source: int, beat: TeamHeartbeat, roster: Roster) -> None:
+        """Act on a heartbeat of another drone."""
+        ...
+
+    def review_loss(self, j: int, roster: Roster) -> None:
+        """Act on the loss of drone j."""
+        ...
+
+
+class TeamPresence:
+    """Sends this drone's heartbeats, and holds which other drones are present.
+
+    rosters: the roster in force at this drone
+    agreed_keys: keys of the swarm file that the mission hash holds one by one
+    lost_after: seconds of silence after which a drone is LOST
+
+    Attributes:
+    beats: {drone id: its newest heartbeat}
+    came_at: {drone id: s: time of the first heartbeat of its present process}
+    history: the newest changes of presence, as (seconds, id, presence)
+    refused: reason why this drone cannot fly; the others receive it and do not wait for this drone
+    refusals: {drone id: reason why it cannot fly}
+    lost: lost drones (a dict, to keep their order)
+    others: the other drones of the swarm
+    strangers: drones with another swarm file or mission
+    monitor: sends the heartbeats, and watches for silence
+    """
+
+    def __init__(
+        self,
+        rosters: TeamRoster,
+        agreed_keys: Sequence[str] = (),
+        lost_after: float = 5.0,
+    ) -> None:
+        port = rosters.port
+        graph = rosters.graph
+        self.rosters = rosters
+        self.port = port
+        self.id = port.address
+        self.beats: dict[int, TeamHeartbeat] = {}
+        self.came_at: dict[int, float] = {}
+        self.history: list[tuple[float, int, str]] = []
+        self.refused = ""
+        self.refusals: dict[int, str] = {}
+        self.lost: dict[int, None] = {}
+        self.others = tuple(j for j in graph.ids if j != self.id)
+        self.strangers = Strangers(
+            port.bus.clock, self.id, len(graph.ids), rosters.mission_hash, agreed_keys
+        )
+        self._known = frozenset(self.others)
+        self._calm: dict[int, bytes] = {}
+        self._review: PresenceReview | None = None
+        self._sent: tuple[TeamHeartbeat | None, bytes] = (None, b"")
+        self.monitor = PresenceMonitor(
+            port, self.others, self._encode_heartbeat, lost_after
+        )
+        self.monitor.listeners.append(self._handle_change)
+        rosters.listeners.append(self._handle_roster)
+        port.handlers[MESSAGE_TOPICS.heartbeat.number] = self._handle_heartbeat
+
+    def attach(self, review: PresenceReview) -> None:
+        """Let this object act on the presence of the drones while this drone coordinates."""
+        self._review = review
+
+    def is_lost(self, j: int) -> bool:
+        """Return True if j is LOST or has left."""
+        roster = self.rosters.roster
+        return j in self.lost or (roster is not None and j not in roster.members)
+
+    def is_present(self, j: int) -> bool:
+        """Return True if drone j sends heartbeats and is not lost."""
+        return (
+            j in self.beats
+            and self.monitor.state(j) in (Presence.ALIVE, Presence.SUSPECT)
+            and j not in self.lost
+        )
+
+    def is_silent(self, j: int) -> bool:
+        """Return True if no message of drone j came in the last SILENCE_TIMEOUT seconds."""
+        heard_ns = self.port.heard_ns.get(j)
+        return (
+            heard_ns is None
+            or self.port.bus.clock.now_ns() - heard_ns
+            >= SILENCE_TIMEOUT * NS_PER_SECOND
+        )
+
+    def coordinator(self) -> int:
+        """Return the lowest live id among the drones in an epoch.
+
+        Before the first epoch, all drones count.
+        """
+        roster = self.rosters.roster
+        if roster is None:
+            live = [j for j in self.others if self.is_present(j)]
+            return min([j for j in live if self.beats[j].epoch] or [self.id, *live])
+        # A member that has not adopted the roster until it is settled never will.
+        is_settling = self.port.bus.clock.now_ns() < self.rosters.settled_ns
+        known = roster.members if is_settling else {}
+        lower = (j for j in self.others if j < self.id and self.is_present(j))
+        return next(
+            (
+                j
+                for j in lower
+                if self.beats[j].epoch or self.beats[j].incarnation == known.get(j)
+            ),
+            self.id,
+        )
+
+    def mark_lost(self, gone: Iterable[int]) -> None:
+        """Count these drones as lost."""
+        self.lost.update(dict.fromkeys(gone))
+
+    def mark_found(self, j: int) -> None:
+        """Count drone j as lost no longer."""
+        self.lost.pop(j, None)
+
+    def review_all(self) -> None:
+        """Check the next heartbeat of every drone, even if it is unchanged."""
+        self._calm.clear()
+
+    # Heartbeats -----------------------------------------------------------------------
+
+    def _encode_heartbeat(self) -> bytes:
+        """Return the payload of this drone's heartbeat."""
+        roster = self.rosters.roster
+        mission_hash = self.rosters.mission_hash
+        if roster is None:
+            epoch = 0
+            hears = tuple(j for j in self.monitor.watched if self.is_present(j))
+        else:
+            epoch = roster.epoch
+            hears = ()
+            mission_hash = mission_hash.partition(":")[0]
+        beat = TeamHeartbeat(
+            self.port.incarnation,
+            epoch,
+            self.rosters.checksum,
+            hears,
+            tuple(self.lost),
+            mission_hash,
+            self.refused,
+        )
+        if beat != self._sent[0]:
+            self._sent = (beat, encode(beat.wire()))
+        return self._sent[1]
+
+    def _handle_heartbeat(
+        self,
+        source: int,
+        payload: bytes,
+        number: int,
+        channel: str,
+        flags: int,
+        age: float,
+    ) -> None:
+        """Take a heartbeat of another drone."""
+        if self._calm.get(source) == payload:
+            return  # the heartbeat is unchanged since a check that found nothing to do
+        try:
+            beat = _read_payload(payload)
+        except (CodecError, TypeError, ValueError):
+            self.port.counters.malformed += 1
+            return
+        if self.strangers.heard(source, beat.mission_hash) or source not in self._known:
+            return
+        if beat.refused:
+            self.refusals[source] = beat.refused.removeprefix(f"drone {source}: ")
+            if self.rosters.roster is None:
+                self.beats.pop(source, None)
+            return
+        self.refusals.pop(source, None)
+        self._take_heartbeat(source, beat)
+        is_agreed = (
+            beat.epoch > 0
+            and beat.checksum == self.rosters.checksum
+            and source in self.monitor.watched
+        )
+        if is_agreed and not (beat.lost or self.lost or self._is_roster_forming()):
+            self._calm[source] = payload
+
+    def _take_heartbeat(self, source: int, beat: TeamHeartbeat) -> None:
+        """Store a heartbeat of a drone of this mission, and act on it as the coordinator."""
+        roster = self.rosters.roster
+        clock = self.port.bus.clock
+        known = self.beats.get(source)
+        self.beats[source] = beat
+        if known is None or known.incarnation != beat.incarnation:
+            self.came_at[source] = clock.now()
+            if roster is not None and source == roster.ids[0]:
+                self._watch()
+        is_settled = clock.now_ns() > self.rosters.settled_ns
+        if is_settled and source not in self.monitor.watched:
+            # It sends us heartbeats because it watches us: send ours in return.
+            self.monitor.watched += (source,)
+        if roster is None or self._review is None:
+            return
+        is_theirs = bool(beat.epoch) and source < self.id
+        if not is_theirs and self.coordinator() == self.id:
+            self._review.review(source, beat, roster)
+
+    def _is_roster_forming(self) -> bool:
+        return self._review is not None and self._review.is_open
+
+    # Presence -------------------------------------------------------------------------
+
+    def _handle_change(self, j: int, state: Presence) -> None:
+        """React to a new presence of drone j."""
+        self.history.append((self.port.bus.clock.now(), j, state.value))
+        del self.history[:-PRESENCE_HISTORY]
+        if state is Presence.LOST:
+            self.lost[j] = None
+            roster = self.rosters.roster
+            if (
+                roster is not None
+                and self._review is not None
+                and self.coordinator() == self.id
+            ):
+                self._review.review_loss(j, roster)
+        elif state is Presence.ALIVE:
+            self.lost.pop(j, None)
+        self._watch()
+
+    def _handle_roster(self, roster: Roster) -> None:
+        """Forget the heartbeats of drones that have left, and losses that this roster ends."""
+        before = self.rosters.former_members
+        neighbors = self.rosters.graph.neighbors(self.id)
+        for j in self.others:
+            if j not in roster.members:
+                self.beats.pop(j, None)
+            elif roster.members[j] != before.get(j) or j not in neighbors:
+                self.lost.pop(j, None)  # the coordinator has received it
+        self._watch()
+
+    def _watch(self) -> None:
+        """Choose the drones that this drone monitors after the start.
+
+        The coordinator watches all. The others watch their neighbours and the coordinator, or all
+        drones if the coordinator is silent.
+        """
+        self._calm.clear()
+        roster = self.rosters.roster
+        if roster is None:
+            return
+        first = roster.ids[0]
+        is_alive = self.monitor.state(first) is Presence.ALIVE
+        # A restarted coordinator may have no team.
+        is_calm = first != self.id and is_alive and self.coordinator() == first
+        near = {*self.rosters.graph.neighbors(self.id), first} - {self.id}
+        self.monitor.watched = tuple(sorted(near)) if is_calm else self.others

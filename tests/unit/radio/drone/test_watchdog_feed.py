@@ -1,0 +1,30 @@
+"""The watchdog that needs a packet now and then."""
+
+from radio_drones import READY, head, made
+from virtual_time import virtual
+
+from crazychoir.radio import checks
+
+
+@virtual
+async def test_the_watchdog_is_fed_for_a_drone_that_is_sent_places_if_requested(
+    clock,
+) -> None:
+    for kind, pose, radio, fed in (
+        ("xyz", "mocap", {"watchdog": True}, 6),
+        ("xyz", "onboard", {}, 0),
+        ("xyz", "onboard", {"watchdog": True}, 6),
+        ("frpy", "mocap", {"watchdog": True}, 0),
+    ):
+        drone, kept = made(clock, kind, pose=pose, **radio)
+        drone.watchdog.feed()
+        assert not kept.sent, "on the ground nobody begins"
+        drone.estimate.health["supervisor.info"] = READY | checks.ReadinessBit.FLYING
+        for _ in range(30):
+            drone.watchdog.feed()
+            await clock.sleep(0.05)
+        assert kept.sent.count(head("emergency_stop_watchdog")) == fed, (
+            kind,
+            pose,
+            radio,
+        )

@@ -1,0 +1,72 @@
+"""The owner of a dongle and drones that receive no commands."""
+
+import asyncio
+
+import numpy as np
+from radio_drones import READY, Kept, head
+from virtual_time import virtual
+
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.radio import checks
+from crazychoir.radio.drone.timing import SILENCE_LIMITS
+from crazychoir.radio.owner import OWNER_LIMITS, RadioProcess
+from crazychoir.safety.identity.pose_gate import PoseGate
+from crazychoir.types import Pose
+
+
+@virtual
+async def test_an_uncommanded_drone_is_cut_only_beyond_the_limit(clock) -> None:
+    raw = {
+        "name": "a",
+        "drones": [{"id": 0, "home": [0, 0, 0], "uri": "udp://127.0.0.1:19850"}],
+    }
+    owner = RadioProcess(clock, SwarmConfig.of(raw), 0, "radio", "here", 1)
+    drone, body, kept = owner.drones[0], owner.bodies[0], Kept()
+    drone.link.connection, drone.estimate.health["supervisor.info"] = (
+        kept,
+        READY | checks.ReadinessBit.FLYING,
+    )
+    await clock.sleep(5.0)
+    for x, cut in ((1.0, False), (20.0, True)):
+        drone.view.see(Pose(np.array([x, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 0.0)
+        drone.view.gate = PoseGate()
+        owner._keep_inside(0, body)
+        assert (head("emergency_stop") in kept.sent) is cut
+
+
+@virtual
+async def test_an_owner_that_ends_names_the_drones_that_have_not_landed(clock) -> None:
+    raw = {
+        "name": "a",
+        "drones": [{"id": 7, "home": [0, 0, 0], "uri": "udp://127.0.0.1:19850"}],
+    }
+    owner = RadioProcess(clock, SwarmConfig.of(raw), 0, "radio", "here", 1)
+    owner.drones[7].estimate.health["supervisor.info"] = (
+        READY | checks.ReadinessBit.FLYING
+    )
+    running = asyncio.ensure_future(owner.run())
+    owner.end("")
+    await clock.sleep(OWNER_LIMITS.landing_time - 1.0)
+    assert not owner.failure
+    await clock.sleep(2.0)
+    assert owner.failure.endswith("not known to have landed: 7")
+    running.cancel()
+
+
+@virtual
+async def test_a_silent_drone_beyond_the_limit_is_not_cut(clock) -> None:
+    raw = {
+        "name": "a",
+        "drones": [{"id": 0, "home": [0, 0, 0], "uri": "udp://127.0.0.1:19850"}],
+    }
+    owner = RadioProcess(clock, SwarmConfig.of(raw), 0, "radio", "here", 1)
+    drone, body, kept = owner.drones[0], owner.bodies[0], Kept()
+    drone.link.connection, drone.estimate.health["supervisor.info"] = (
+        kept,
+        READY | checks.ReadinessBit.FLYING,
+    )
+    kept.silence = SILENCE_LIMITS.link_lost + 0.1
+    await clock.sleep(5.0)
+    drone.view.see(Pose(np.array([20.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 0.0)
+    owner._keep_inside(0, body)
+    assert head("emergency_stop") not in kept.sent
