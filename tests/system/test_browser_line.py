@@ -172,7 +172,7 @@ async def test_a_stop_that_was_pressed_without_a_line_may_be_withdrawn_and_is_as
         )
         await page.shot("asked_about")
         assert await again() == []
-        await page.click("text=Send it now")
+        await page.click("#kept-send")
         await says(page, "#stopped", "emergency stop →")
         assert len(wire.of("stop")) == 1
         await page.locator("#kept").wait_for(state="hidden")
