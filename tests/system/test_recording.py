@@ -192,7 +192,7 @@ def test_a_rerun_of_a_changed_mission_says_where_it_first_differs(here, tmp_path
     assert table.code == 1
     for words in ("not the same", "they differ first", said.json["recorded_digest"]):
         assert words in table.out
-    assert "law.py is another now" in table.err
+    assert "law.py has changed" in table.err
 
 
 def test_a_rerun_of_a_cut_off_recording(here, recorded, tmp_path):

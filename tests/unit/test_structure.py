@@ -646,6 +646,7 @@ def test_ruff_can_complain(repository, rule, line):
     assert rule in done.stdout, done.stdout
 
 
+@pytest.mark.timeout(500)  # it has the processors that no other test wants
 def test_mypy_is_content_with_every_file(repository):
     done = python("-m", "mypy", cwd=repository)
     count = len(list(python_files(repository / "crazychoir")))
@@ -654,6 +655,7 @@ def test_mypy_is_content_with_every_file(repository):
     )
 
 
+@pytest.mark.timeout(500)  # it has the processors that no other test wants
 def test_mypy_can_complain(spoilt, repository):
     cache = f"--cache-dir={repository / '.mypy_cache'}"
     done = python("-m", "mypy", cache, "crazychoir/attic.py", cwd=spoilt)
