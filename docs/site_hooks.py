@@ -31,7 +31,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Any, files: Files, **_: Any) -> str:
-    """Correct the links of a page; one that leads nowhere is a warning, which ends a strict build."""
+    """Correct the links of a page; a link that leads nowhere is a warning, which ends a strict build."""
     path = page.file.src_uri
     if path in api_pages.PAGES or path == api_pages.INDEX:
         return markdown

@@ -49,7 +49,7 @@ def network_partitions(
 ) -> list[NetworkPartition]:
     """Return a partition for each two groups of each [[network.partitions]].
 
-    ids: all drones of the swarm; those that a table does not name form one more group
+    ids: all drones of the swarm; drones that no table names form one more group
     """
     return [cut for table in network.partitions for cut in _cuts(table, ids)]
 

@@ -21,7 +21,7 @@ from crazychoir.runtime.clock import Clock
 
 @dataclass(frozen=True, slots=True)
 class ReceiptKinds:
-    """Kinds of answers in a receipt, beside those that the drones send."""
+    """Kinds of answers in a receipt that this program adds to the answers of the drones."""
 
     sent: str = "sent"
     """Kind of answer: not acknowledged yet."""

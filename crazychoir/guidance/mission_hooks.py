@@ -74,7 +74,7 @@ def _require_kinds(kind: type) -> None:
     """Raise ConfigError for a method of a user that is `async` and must not be, or must be and is not.
 
     It must be as the method of this package that it overrides. A coroutine function of the package may be overridden by
-    a plain one that returns its coroutine, unless the runtime itself awaits it.
+    a plain function that returns a coroutine, unless the runtime itself awaits it.
     """
     for n, owner in enumerate(kind.__mro__):
         for name, function in vars(owner).items():

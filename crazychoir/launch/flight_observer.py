@@ -58,9 +58,9 @@ class FlightTrack:
     """The places of one drone during a flight, and the length of its path."""
 
     rows: list[tuple[float, ...]] = field(default_factory=list)
-    """t in s and p in m, world: places of which not more than some are kept."""
+    """t in s and p in m, world: a bounded number of places of the flight."""
     length: float = 0.0
-    """m: length of the path through all places, also those that are not kept."""
+    """m: length of the path through all places, also through places that are not kept."""
     interval: float = SCORE_LIMITS.track_interval
     """s between two places that are kept."""
     newest: list[float] | None = None

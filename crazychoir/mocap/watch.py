@@ -234,26 +234,33 @@ class TrackingWatch:
 
     def _of_body(self, i: int, name: str, now: float) -> list[tuple[str, str]]:
         sight = self.sights.get(name)
-        who = f"body {name!r} of drone {i}"
+        body_name = f"body {name!r} of drone {i}"
         if sight is None:
             if now - self._began < TRACKING_LIMITS.missing_time:
                 return []
-            return [(f"{i} missing", f"{who} was never seen. {self._meant(name)}")]
+            return [
+                (f"{i} missing", f"{body_name} was never seen. {self._meant(name)}")
+            ]
         if now - sight.shown > TRACKING_LIMITS.missing_time:
             return [
-                (f"{i} missing", f"{who} is not seen for {now - sight.shown:.1f} s")
+                (
+                    f"{i} missing",
+                    f"{body_name} is not seen for {now - sight.shown:.1f} s",
+                )
             ]
         if now - sight.last > TRACKING_LIMITS.frozen_time:
-            still = f"{who} shows the very same pose for {now - sight.last:.1f} s"
+            still = f"{body_name} shows the very same pose for {now - sight.last:.1f} s"
             return [
                 (
                     f"{i} frozen",
                     f"{still}: no camera measures that; it counts as not seen",
                 )
             ]
-        return self._of_rate(i, who, sight)
+        return self._describe_rate(i, body_name, sight)
 
-    def _of_rate(self, i: int, who: str, sight: BodyRecord) -> list[tuple[str, str]]:
+    def _describe_rate(
+        self, i: int, body_name: str, sight: BodyRecord
+    ) -> list[tuple[str, str]]:
         """Return gaps, dropouts, and measurements that come less often than frames."""
         gap = sight.gap
         sight.gap = 0.0
@@ -263,12 +270,12 @@ class TrackingWatch:
             > max(TRACKING_LIMITS.gap_periods, 1.0 + self._frames_gap * self.rate)
             / self.rate
         ):
-            return [(f"{i} gap", f"{who} was not seen for {gap:.3f} s")]
+            return [(f"{i} gap", f"{body_name} was not seen for {gap:.3f} s")]
         if self.live and sight.share > TRACKING_LIMITS.dropout_share:
             return [
                 (
                     f"{i} often",
-                    f"{who} is missing in {100.0 * sight.share:.0f} % of the frames",
+                    f"{body_name} is missing in {100.0 * sight.share:.0f} % of the frames",
                 )
             ]
         if self.live and sight.rate < TRACKING_LIMITS.least_rate_share * min(
@@ -277,7 +284,7 @@ class TrackingWatch:
             return [
                 (
                     f"{i} slow",
-                    f"{who} is measured at {sight.rate:.0f} Hz, shown at {self.mean_rate:.0f} Hz",
+                    f"{body_name} is measured at {sight.rate:.0f} Hz, shown at {self.mean_rate:.0f} Hz",
                 )
             ]
         return []

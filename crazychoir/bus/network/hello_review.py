@@ -46,7 +46,7 @@ class HelloReview:
 
         uptime: seconds since the start of the process
         """
-        who = f"process {hello.process} on host {hello.host}"
+        sender = f"process {hello.process} on host {hello.host}"
         since = f"and has done so for {uptime:.1f} s"
         stop = (
             "Give this agent another --id, or stop that one."
@@ -55,7 +55,7 @@ class HelloReview:
         )
         doubles = ", ".join(str(i) for i in hello.drones if i in self._bus.ports)
         if doubles:
-            return f"{who} flies drone(s) {doubles} too {since}", stop
+            return f"{sender} flies drone(s) {doubles} too {since}", stop
         for base, owns in OWNED_ADDRESSES:
             same = ", ".join(
                 str(j - base)
@@ -63,10 +63,10 @@ class HelloReview:
                 if j >= base and j in self._bus.ports
             )
             if same:
-                return f"{who} owns {owns} of drone(s) {same} too {since}", stop
+                return f"{sender} owns {owns} of drone(s) {same} too {since}", stop
         if hello.version != self._own.version:
             return (
-                f"{who} runs version {hello.version}, this one runs {self._own.version}",
+                f"{sender} runs version {hello.version}, this one runs {self._own.version}",
                 "",
             )
         owner = any(
@@ -80,7 +80,7 @@ class HelloReview:
         ]
         if owner and differ:
             return (
-                f"{who} has another swarm file than this process, with another {', '.join(differ)}",
+                f"{sender} has another swarm file than this process, with another {', '.join(differ)}",
                 COPY_FILE_ADVICE,
             )
         return "", ""

@@ -1,4 +1,4 @@
-"""The tasks of the online mission: those of the start, those that appear, and cancellations."""
+"""The tasks of the online mission: tasks at the start, tasks that appear later, and cancellations."""
 
 import msgspec
 import numpy as np
@@ -119,7 +119,7 @@ def list_appearances(config: SwarmConfig) -> tuple[Appearance, ...]:
             t=float(t[0]),
             pickup=project_to_plane(p[0]),
             delivery=project_to_plane(p[1]),
-            heard_by=tuple(who),
+            heard_by=tuple(drones),
         )
-        for t, p, who in zip(times, points, hears, strict=True)
+        for t, p, drones in zip(times, points, hears, strict=True)
     )

@@ -70,20 +70,22 @@ class FaultControl:
             raise ConfigError("faults", wanted, "{id: {name: value}}")
         found = [
             (i, check_faults(row, tuple(self._ports)))
-            for who, row in wanted.items()
-            for i in self._find_drones(who)
+            for drone_text, row in wanted.items()
+            for i in self._find_drones(drone_text)
         ]
         for i, row in found:
             for name, value in row.items():
                 self._put(i, name, value)
 
-    def _find_drones(self, who: str) -> list[int]:
+    def _find_drones(self, drone_text: str) -> list[int]:
         """Return the drones of "all", "3" or "3,4"."""
-        if who == "all":
+        if drone_text == "all":
             return list(self._ports)
         names = {str(i): i for i in self._ports}
         words = [
-            word.strip().lstrip("0") or "0" for word in who.split(",") if word.strip()
+            word.strip().lstrip("0") or "0"
+            for word in drone_text.split(",")
+            if word.strip()
         ]
         unknown = [word for word in words if word not in names]
         if unknown or not words:
