@@ -2,7 +2,7 @@
 
 A file name is a sequence of bytes. Python decodes it by the locale, and keeps bytes that are no
 character there as lone surrogates (U+DC80 to U+DCFF, PEP 383). No message, JSON text or picture can
-hold these; outputs.py prints them.
+hold these; launch/process/ending.py lets a process print them.
 """
 
 import os

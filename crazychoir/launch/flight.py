@@ -1,5 +1,6 @@
 """Fly a mission with all its drones, in virtual or real time, and return the result of the run."""
 
+import importlib.util
 import logging
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -14,14 +15,15 @@ from crazychoir.agent.drone import WAITING_TASK
 from crazychoir.agent.mission_result import ENDED_KEY, MISSION_REASONS
 from crazychoir.bus.commands import Commander
 from crazychoir.config.addresses import Addresses
-from crazychoir.config.checks import SWARM_LIMITS
+from crazychoir.config.checks import SWARM_LIMITS, WORLD_URIS
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.errors import reason_or
+from crazychoir.errors import ConfigError, reason_or
 from crazychoir.guidance.feedback import are_all_idle
 from crazychoir.guidance.mission import Mission, has_hook
 from crazychoir.launch.flight_observer import FlightScore, Watch, list_goals
 from crazychoir.launch.network import make_observer_link, run_attached
 from crazychoir.launch.processes import WORLD_OWNER, Owner, run_children
+from crazychoir.mocap.system import MOCAP_EXTRA, MOCAP_LIBRARY
 from crazychoir.recording.mcap.file import RecordingFile
 from crazychoir.recording.recorder import Recorder
 from crazychoir.runtime.clock import Clock, run_virtual, run_wall
@@ -41,6 +43,8 @@ NO_RESULT = "its process has ended without a result; the log says how"
 NO_DRONE_MOVED = (
     "the law returned None in every step of every drone: all hovered, no drone moved"
 )
+SOURCES_WITHOUT_EXTRA = ("virtual", "replay")
+"""Sources of [mocap] that need no extra."""
 Results = dict[int, dict[str, Any]]
 
 
@@ -299,6 +303,41 @@ def list_dongles(config: SwarmConfig, started: tuple[int, ...] | None) -> list[i
         for k in config.topology.dongles
         if _is_start_here(config, config.topology.dongle_host(k), started)
     ]
+
+
+def require_extras(config: SwarmConfig, owners: Iterable[Owner], fast: bool) -> None:
+    """Raise ConfigError for an extra that this run needs on this machine and that is not installed.
+
+    config: the swarm
+    owners: owner processes that this run starts
+    fast: whether it flies in this process, in virtual time
+    """
+    started = {owner.name for owner in owners}
+    in_mujoco = [
+        drone.id for drone in config.drones if drone.uri.startswith(WORLD_URIS.mujoco)
+    ]
+    if in_mujoco and (fast or WORLD_OWNER.name in started):
+        where = f'swarm {config.name}: drone {in_mujoco[0]}: uri = "{config.drone(in_mujoco[0]).uri}"'
+        _require_module(where, "mujoco", "mujoco")
+    source = config.mocap.source
+    if not fast and "mocap" in started and source not in SOURCES_WITHOUT_EXTRA:
+        _require_module(
+            f'swarm {config.name}: [mocap] source = "{source}"',
+            MOCAP_LIBRARY,
+            MOCAP_EXTRA,
+        )
+
+
+def _require_module(where: str, module: str, extra: str) -> None:
+    """Raise ConfigError if a module of this extra is not installed."""
+    if importlib.util.find_spec(module) is None:
+        do = f"pip install 'crazychoir[{extra}]'."
+        raise ConfigError(
+            where,
+            f"no module {module}",
+            f"the extra {extra}, installed on this machine",
+            do,
+        )
 
 
 def _is_start_here(

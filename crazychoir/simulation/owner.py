@@ -3,7 +3,9 @@
 The poses come from simulated cameras.
 """
 
+from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from crazychoir.bus.port import Bus
@@ -11,9 +13,8 @@ from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import NS_PER_SECOND, AlarmPriority
 from crazychoir.simulation.common.world import DroneLink, World
-from crazychoir.simulation.delay import DelayedLink
 from crazychoir.simulation.telemetry import Telemetry
-from crazychoir.types import Body, Mat, Pose
+from crazychoir.types import Body, Command, Mat, Pose
 
 LARGEST_CATCH_UP = 20
 """Largest number of missed steps that a late world makes up for.
@@ -36,6 +37,36 @@ class Digest(Protocol):
     def update(self, data: bytes, /) -> None:
         """Add these bytes to the hash."""
         ...
+
+
+@dataclass
+class DelayedLink:
+    """A link with a delay: a command sent before step k takes effect at step k + steps.
+
+    A cut takes effect at once.
+    """
+
+    link: DroneLink
+    """The link of the drone without delay."""
+    steps: int
+    """Steps of the world between sending and effect."""
+    _way: deque[tuple[int, Command]] = field(default_factory=deque)
+    _step: int = 0
+
+    def send(self, command: Command) -> None:
+        """Put the command into the queue."""
+        self._way.append((self._step + self.steps, command))
+
+    def cut(self) -> None:
+        """Discard all queued commands and stop the motors for good."""
+        self._way.clear()
+        self.link.cut()
+
+    def advance(self) -> None:
+        """Begin a step of the world: deliver the commands that are due."""
+        while self._way and self._way[0][0] <= self._step:
+            self.link.send(self._way.popleft()[1])
+        self._step += 1
 
 
 class WorldOwner(Actor):

@@ -23,7 +23,7 @@ from system.pages import FLIGHT, dashboard, looking_on, six
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidMessage, InvalidStatus
 
-from crazychoir.dashboard.connection_limits import (
+from crazychoir.dashboard.server import (
     IDLE_CHECK_PERIOD,
     MOST_CONNECTIONS_PER_ADDRESS,
 )

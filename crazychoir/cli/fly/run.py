@@ -98,8 +98,11 @@ def run(
             with_operator,
         )
         from crazychoir.guidance.mission import check_before_flight
-        from crazychoir.launch.extras import require_extras
-        from crazychoir.launch.flight import list_dongles, list_owners
+        from crazychoir.launch.flight import (
+            list_dongles,
+            list_owners,
+            require_extras,
+        )
         from crazychoir.radio.link.ownership import require_free
 
     outputs = CommandOutputs()

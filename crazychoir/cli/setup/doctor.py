@@ -194,17 +194,30 @@ def listening_processes(
 
     In a swarm with a router only the router listens.
     """
-    from crazychoir.cli.setup.systemd_units import UnitNumber, name_of
-    from crazychoir.config.addresses import Addresses
+    from crazychoir.config.addresses import PROCESS_NUMBERS, Addresses
 
     addresses = Addresses(config)
     found = {}
     for process, endpoint in addresses.endpoints().items():
-        listens = config.router is None or process == UnitNumber.ROUTER
+        listens = config.router is None or process == PROCESS_NUMBERS.router
         if listens and _is_here(addresses.host_of(process), hosts):
             address, _, port = endpoint.partition("/")[2].rpartition(":")
-            found[int(port)] = (address.strip("[]"), name_of(process))
+            found[int(port)] = (address.strip("[]"), describe_process(process))
     return found
+
+
+def describe_process(process: int) -> str:
+    """Return the name of a process in words."""
+    from crazychoir.config.addresses import PROCESS_NUMBERS
+
+    owners = {
+        PROCESS_NUMBERS.world: "the world's owner",
+        PROCESS_NUMBERS.motion_capture: "motion capture",
+        PROCESS_NUMBERS.router: "the router",
+    }
+    if process >= 0:
+        return f"drone {process}"
+    return owners.get(process, f"dongle {PROCESS_NUMBERS.first_dongle - process}")
 
 
 def check_certificates(config: "SwarmConfig", hosts: list[str]) -> list[CheckResult]:

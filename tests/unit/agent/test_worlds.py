@@ -22,8 +22,8 @@ from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.launch.flight_observer import FlightScore
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.simulation import engines
-from crazychoir.simulation.delay import DelayedLink
 from crazychoir.simulation.lightweight.integrator import CFIntegrator
+from crazychoir.simulation.owner import DelayedLink
 from crazychoir.simulation.remote import MOTORS_CUT_TEXT
 
 BRISK = {

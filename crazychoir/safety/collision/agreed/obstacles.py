@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.safety.collision.agreed.agreement import Agreement, OtherPlanner
-from crazychoir.safety.collision.agreed.landing_place import find_free_place
 from crazychoir.safety.collision.agreed.meeting import OtherPaths
 from crazychoir.safety.collision.agreed.paths import compute_end_place
 from crazychoir.safety.collision.filter import COLLISION_DISTANCES
@@ -16,8 +15,8 @@ from crazychoir.safety.collision.neighbour_table import (
     SPEED_ALLOWANCE,
     NeighbourTable,
 )
-from crazychoir.safety.rules.guard import Fence
-from crazychoir.types import State, Vec
+from crazychoir.safety.rules.guard import FENCE_INSET, Fence
+from crazychoir.types import Mat, State, Vec
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +37,10 @@ class ObstacleLimits:
 
 
 OBSTACLE_LIMITS = ObstacleLimits()
+LANDING_SEARCH_RADII = 0.1 * np.arange(21)
+"""m, distances from the present place that are tried."""
+LANDING_SEARCH_ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+"""rad, directions from the present place that are tried."""
 
 
 class Obstacles:
@@ -178,3 +181,25 @@ class Obstacles:
             meeting.stands(j, x[0:3])
         elif x[NEIGHBOUR_ROW.state_time] > -math.inf:
             meeting.guessed(j, x[0:3], x[3:6], x[NEIGHBOUR_ROW.state_time])
+
+
+def find_free_place(p: Vec, others: Mat, fence: Fence) -> Vec | None:
+    """Return the nearest place to p, at the same height, inside the fence and away from all others.
+
+    p: (3,) m, world
+    others: (n, 3): x m, y m, and the horizontal distance in m to keep from there
+    fence: where the drone flies
+    Returns None if there is no such place.
+    """
+    for radius in LANDING_SEARCH_RADII.tolist():
+        for angle in LANDING_SEARCH_ANGLES.tolist():
+            place: Vec = p + radius * np.array([np.cos(angle), np.sin(angle), 0.0])
+            inside = (
+                np.array_equal(fence.nearest(place, FENCE_INSET)[0:2], place[0:2])
+                or radius == 0.0
+            )
+            if inside and np.all(
+                np.hypot(*(others[:, 0:2] - place[0:2]).T) >= others[:, 2]
+            ):
+                return place
+    return None

@@ -11,6 +11,7 @@ import pytest
 from crazychoir.bus.network import authority
 from crazychoir.cli.setup import doctor, host_checks, host_facts
 from crazychoir.cli.setup.host_checks import UsbDevice, is_wrong
+from crazychoir.config.addresses import PROCESS_NUMBERS
 
 SWARM = """
 name = "lab"
@@ -293,3 +294,17 @@ def test_its_exit_code_says_that_something_is_wrong(tmp_path):
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 1, done.stderr
     assert "no.toml" in json.loads(done.stdout)["rows"][-1]["found"]
+
+
+@pytest.mark.parametrize(
+    ("process", "name"),
+    [
+        (3, "drone 3"),
+        (PROCESS_NUMBERS.world, "the world's owner"),
+        (PROCESS_NUMBERS.motion_capture, "motion capture"),
+        (PROCESS_NUMBERS.router, "the router"),
+        (PROCESS_NUMBERS.first_dongle - 2, "dongle 2"),
+    ],
+)
+def test_each_process_has_a_name(process, name):
+    assert doctor.describe_process(process) == name

@@ -6,9 +6,12 @@ from radio_drones import READY, made, tell
 from virtual_time import virtual
 
 from crazychoir.errors import ConfigError
+from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS
 from crazychoir.radio.checks import ReadinessBit
 from crazychoir.radio.drone.own_estimate import OwnEstimate
-from crazychoir.radio.drone.preparation import Preparation
+from crazychoir.radio.drone.preparation import Preparation, check_protocol
+from crazychoir.radio.protocol.crtp import CRTP_FORMAT, FIRST_VERSIONS, PACKET_FORMS
+from crazychoir.radio.protocol.handlers import RADIO_HANDLERS
 
 
 class FirmwareOnGround:
@@ -111,3 +114,47 @@ async def test_a_drone_that_was_started_again_is_prepared_from_the_beginning(
     preparation.is_prepared = preparation.is_placed = True
     preparation.forget()
     assert (preparation.release, preparation.is_done) == ("", False)
+
+
+LEAST_VERSIONS = {"fpqr": -1, "frpy": -1, "vel": 9, "xyz": 8, "fullstate": -1}
+
+
+@pytest.mark.parametrize("kind", RADIO_HANDLERS)
+def test_each_sender_says_what_it_needs(kind: str) -> None:
+    for version in range(-1, CRTP_FORMAT.version + 1):
+        if version >= LEAST_VERSIONS[kind]:
+            check_protocol(version, kind, CRAZYFLIE_21, "drone 3")
+        else:
+            with pytest.raises(
+                ConfigError,
+                match=f"{LEAST_VERSIONS[kind]} or newer, for {RADIO_HANDLERS[kind].form}",
+            ):
+                check_protocol(version, kind, CRAZYFLIE_21, "drone 3")
+
+
+@pytest.mark.parametrize("kind", RADIO_HANDLERS)
+def test_a_drone_that_must_be_armed_needs_protocol_12_with_every_sender(
+    kind: str,
+) -> None:
+    check_protocol(12, kind, CRAZYFLIE_21_BRUSHLESS, "drone 3")
+    with pytest.raises(
+        ConfigError,
+        match=rf"12 or newer, for arm \(sender {kind} on .*\)\. Write newer firmware\.$",
+    ):
+        check_protocol(11, kind, CRAZYFLIE_21_BRUSHLESS, "drone 3")
+
+
+def test_the_refusal_says_the_numbers_and_what_to_do() -> None:
+    with pytest.raises(ConfigError) as refused:
+        check_protocol(8, "vel", CRAZYFLIE_21, "drone 3")
+    assert str(refused.value) == (
+        "drone 3: protocol of its firmware: found version 8; allowed: 9 or newer, for velocity_world (sender vel on "
+        "cf21). Write newer firmware, or choose another sender in [control]: fpqr, frpy, xyz, fullstate."
+    )
+    with pytest.raises(ConfigError, match="found no version"):
+        check_protocol(-1, "xyz", CRAZYFLIE_21, "drone 3")
+
+
+def test_the_version_table_names_only_known_forms_and_existing_versions() -> None:
+    assert FIRST_VERSIONS.keys() <= PACKET_FORMS.keys()
+    assert max(FIRST_VERSIONS.values()) == CRTP_FORMAT.version

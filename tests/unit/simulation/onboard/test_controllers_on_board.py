@@ -18,9 +18,9 @@ from crazychoir.numerics.math3d import (
 )
 from crazychoir.planning.figure import circle
 from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS, PLATFORM_BY_NAME
-from crazychoir.simulation.delay import DelayedLink
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
 from crazychoir.simulation.onboard.laws import ForceTorque
+from crazychoir.simulation.owner import DelayedLink
 from crazychoir.types import XYZ
 
 YAW, HEIGHT, DELAY_STEPS = math.radians(137.0), 0.6, 2

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from crazychoir.safety.collision.agreed.landing_place import find_free_place
+from crazychoir.safety.collision.agreed.obstacles import find_free_place
 from crazychoir.safety.rules.guard import Fence
 
 HALL = Fence.box((-1.0, -1.0, 0.0), (1.0, 1.0, 2.0))
