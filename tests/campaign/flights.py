@@ -1,6 +1,7 @@
 """Scenarios in flight: missions over a bad network with crashes, partitions and cameras that do not see."""
 
 import asyncio
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -75,64 +76,76 @@ class Invariants(Actor):
 
     def look(self, now: float) -> None:
         """One step."""
-        agent, report = self.agent, self.report
+        agent = self.agent
         p = {
             i: agent.owner_of[i].world.states[agent.owner_of[i].world.row[i], 0:3]
             for i in agent.ids
         }
-        up = [
-            i for i in agent.ids if p[i][2] > LOW and i not in self.killed
-        ]  # who falls hits whom he hits
+        # A drone that falls may hit others.
+        up = [i for i in agent.ids if p[i][2] > LOW and i not in self.killed]
         if up and self.began == np.inf:
             self.began = now
         if now - self.began > self.until:
-            self.began = np.nan  # said once
-            ended = (
-                self.alone is None
-                or self.alone in self.killed
-                or agent.drones[self.alone].result
-            )
-            if not ended:
-                self._wrong(
-                    "alone",
-                    f"drone {self.alone}, cut off for good, still waits at {now:.2f} s",
-                )
-            agent.land_all("the scenario is over")
+            self._end(now)
         for i in agent.ids:
             if not np.isfinite(p[i]).all():
                 self._wrong(("nowhere", i), f"drone {i} is at {p[i]} at {now:.2f} s")
-        report.checks += len(up)
-        low, high = (
-            np.array(side) for side in (agent.config.fence.min, agent.config.fence.max)
-        )
+        self.report.checks += len(up)
         for i in up:
-            beyond = float(np.max(np.maximum(low - p[i], p[i] - high)))
             unseen = now - self.seen.get(i, now)
-            if unseen > BLIND:
-                self.blind[i] = (now, unseen)
-            when, gap = self.blind.get(i, (-np.inf, 0.0))
-            allowed = OUTSIDE + (0.5 * DRIFT * gap**2 if now - when < BACK else 0.0)
-            if beyond > allowed and agent.drones[i].pilot.mode is not Mode.CUT:
+            self._check_fence(i, p[i], unseen, now)
+            self._check_unseen(i, unseen, now)
+        self._check_distances({i: p[i] for i in up}, now)
+
+    def _end(self, now: float) -> None:
+        """Tell all to land; by then a drone that is cut off for good must have ended."""
+        self.began = np.nan  # said once
+        ended = (
+            self.alone is None
+            or self.alone in self.killed
+            or self.agent.drones[self.alone].result
+        )
+        if not ended:
+            self._wrong(
+                "alone",
+                f"drone {self.alone}, cut off for good, still waits at {now:.2f} s",
+            )
+        self.agent.land_all("the scenario is over")
+
+    def _check_fence(self, i: int, p: Any, unseen: float, now: float) -> None:
+        """Check that drone i at p, (3,) m, is inside the fence, or its motors are cut; unseen: s without a pose."""
+        agent = self.agent
+        low = np.array(agent.config.fence.min)
+        high = np.array(agent.config.fence.max)
+        beyond = float(np.max(np.maximum(low - p, p - high)))
+        if unseen > BLIND:
+            self.blind[i] = (now, unseen)
+        when, gap = self.blind.get(i, (-np.inf, 0.0))
+        allowed = OUTSIDE + (0.5 * DRIFT * gap**2 if now - when < BACK else 0.0)
+        if beyond > allowed and agent.drones[i].pilot.mode is not Mode.CUT:
+            self._wrong(
+                ("fence", i),
+                f"drone {i} is {beyond:.2f} m outside the fence at {now:.2f} s, motors on",
+            )
+
+    def _check_unseen(self, i: int, unseen: float, now: float) -> None:
+        """Check that drone i lands, or its motors are cut, after this many s without a pose."""
+        mode = self.agent.drones[i].pilot.mode
+        if unseen > UNSEEN and mode not in (Mode.LAND, Mode.CUT):
+            self._wrong(
+                ("unseen", i),
+                f"drone {i} flies on unseen for {unseen:.2f} s at {now:.2f} s",
+            )
+
+    def _check_distances(self, p: dict[int, Any], now: float) -> None:
+        """Check that no two of these drones, each with its place in m, touch."""
+        for i, j in combinations(p, 2):
+            apart = float(np.linalg.norm(p[i] - p[j]))
+            if apart < SWARM_LIMITS.touching_distance:
                 self._wrong(
-                    ("fence", i),
-                    f"drone {i} is {beyond:.2f} m outside the fence at {now:.2f} s, motors on",
+                    ("near", i, j),
+                    f"drones {i} and {j} are {apart:.3f} m from each other at {now:.2f} s",
                 )
-            if unseen > UNSEEN and agent.drones[i].pilot.mode not in (
-                Mode.LAND,
-                Mode.CUT,
-            ):
-                self._wrong(
-                    ("unseen", i),
-                    f"drone {i} flies on unseen for {unseen:.2f} s at {now:.2f} s",
-                )
-        for a, i in enumerate(up):
-            for j in up[a + 1 :]:
-                apart = float(np.linalg.norm(p[i] - p[j]))
-                if apart < SWARM_LIMITS.touching_distance:
-                    self._wrong(
-                        ("near", i, j),
-                        f"drones {i} and {j} are {apart:.3f} m from each other at {now:.2f} s",
-                    )
 
     def _wrong(self, what: Any, text: str) -> None:
         if what not in self._said:

@@ -3,6 +3,8 @@
 import asyncio
 from collections import Counter
 from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 from unittest.mock import patch
 
@@ -29,6 +31,7 @@ from crazychoir.solve.simulate import simulate
 from crazychoir.solve.solve_options import SolveOptions
 from crazychoir.solve.solving import solve_here
 from crazychoir.team.graph import metropolis
+from crazychoir.team.messages import Roster
 
 LONGEST = 600.0
 """s of virtual time in which every wait of a scenario must be over."""
@@ -183,6 +186,127 @@ async def beginning_anew(t: Team, i: int) -> None:
         await t.clock.sleep(0.05)
 
 
+@dataclass(frozen=True)
+class Crash:
+    """A drone that is killed, and the pause after which it is started again."""
+
+    drone: int
+    at: float
+    """s after all have begun the mission."""
+    pause: float
+    """s without the drone; infinite: it does not come again."""
+
+
+def draw_crashes(report: Report, draw: Draw, victims: list[int]) -> list[Crash]:
+    """Return a crash of each of these drones."""
+    crashes = []
+    for i in victims:
+        at = float(draw.uniform(0.5, EVENTS))
+        pause = float(draw.choice([0.1, 1.0, 4.0, LATEST, np.inf]))
+        crashes.append(Crash(i, at, pause))
+        report.inject("crashes")
+        if pause < np.inf:
+            report.inject("restarts")
+    return crashes
+
+
+def draw_clock_skew(report: Report, draw: Draw) -> tuple[float, ...]:
+    """Return by how many s the clock of each host is ahead; in half of the seeds there is one host only."""
+    if draw.random() >= 0.5:
+        return ()
+    report.inject("clock skew")
+    return tuple(draw.uniform(-1e4, 1e4, int(draw.integers(2, 4))))
+
+
+class CrashingTeam:
+    """Drones that exchange in rounds, are killed, and are started again."""
+
+    def __init__(self, t: Team, ids: tuple[int, ...]) -> None:
+        self.team = t
+        self.incarnations = dict.fromkeys(ids, 1)
+        self.heard: dict[int, Any] = {}
+        """{round: {drone: what it has heard}}."""
+        self._counting: dict[int, Any] = {}
+        self._beginning_anew: dict[int, Any] = {}
+
+    async def begin(self) -> None:
+        """Start all drones and wait until each has a roster."""
+        for i in self.incarnations:
+            self._start(i)
+        async with asyncio.timeout(60.0):
+            while any(roster is None for roster in self.team.rosters().values()):
+                await self.team.clock.sleep(0.05)
+
+    def schedule(self, crashes: list[Crash]) -> None:
+        """Let these crashes happen, counted from now on."""
+        clock = self.team.clock
+        now_ns = clock.now_ns()
+        for crash in crashes:
+            clock.call_at(now_ns + round(crash.at * 1e9), self._kill, crash.drone)
+            if crash.pause < np.inf:
+                again_ns = now_ns + round((crash.at + crash.pause) * 1e9)
+                clock.call_at(again_ns, self._start_again, crash.drone)
+
+    def heal(self) -> None:
+        """End the faults of the network: one that loses most sometimes makes a living drone look lost."""
+        for bus in self.team.buses:
+            bus.impairment.replace([], [])
+
+    def newest_rounds(self) -> dict[int, int]:
+        """Return the last round that each living drone has finished."""
+        return {i: newest(self.heard, i) for i in self.team.members}
+
+    def failures(self) -> list[tuple[int, BaseException]]:
+        """Return the errors that have ended a life, each with its drone."""
+        lives = [*self._counting.items(), *self._beginning_anew.items()]
+        ended = [(i, life) for i, life in lives if life.done() and not life.cancelled()]
+        return [
+            (i, error) for i, life in ended if (error := life.exception()) is not None
+        ]
+
+    def _start(self, i: int) -> None:
+        t = self.team
+        t.start(i, incarnation=self.incarnations[i])
+        self._counting[i] = t.run(i, counting(t, i, self.heard, np.inf, 0.02))
+        self._beginning_anew[i] = t.run(i, beginning_anew(t, i))
+
+    def _kill(self, i: int) -> None:
+        self._counting.pop(i, None)
+        self._beginning_anew.pop(i, None)
+        self.team.kill(i)
+
+    def _start_again(self, i: int) -> None:
+        self.incarnations[i] += 1
+        self._start(i)
+
+
+def check_agreement(report: Report, crashing: CrashingTeam) -> None:
+    """Check that all that live have one roster, of just these, and hear just their neighbours."""
+    rosters = crashing.team.rosters()
+    alive = {i: crashing.incarnations[i] for i in sorted(crashing.team.members)}
+    for i, roster in rosters.items():
+        found = None if roster is None else dict(roster.members)
+        report.holds(found == alive, f"drone {i} counts {found}, there are {alive}")
+    checksums = {roster.checksum if roster else 0 for roster in rosters.values()}
+    report.holds(len(checksums) == 1, f"{len(checksums)} rosters")
+    roster = next(iter(rosters.values()), None)
+    if roster is not None and len(checksums) == 1:
+        check_rounds(report, roster, crashing.heard)
+
+
+def check_rounds(report: Report, roster: Roster, heard: dict[int, Any]) -> None:
+    """Check that in each whole round of this roster its drones have heard just their neighbours."""
+    for k in sorted(heard):
+        whole = k >= roster.first_round and all(i in heard[k] for i in roster.ids)
+        # A drone that has died may have been in another roster.
+        theirs = {i: by for i, by in heard[k].items() if i in roster.members}
+        right = not whole or as_graph_says(roster.graph, k, {k: theirs})
+        report.holds(
+            right,
+            f"in round {k} of an epoch since {roster.first_round} they hear {heard[k]}",
+        )
+
+
 def members(report: Report, draw: Draw) -> None:
     """All but one at most are killed and come again, the network is cut, loses, and heals; all agree in the end.
 
@@ -193,107 +317,149 @@ def members(report: Report, draw: Draw) -> None:
     neighbours.
     """
     n = int(draw.integers(3, 8))
-    graph, ids = faults.graph(draw, n), tuple(range(n))
+    graph = faults.graph(draw, n)
+    ids = tuple(range(n))
     rules = faults.rules(draw, report, ids, 0.35)
     cuts = faults.partitions(draw, report, ids, EVENTS)
-    events: list[tuple[float, int, float]] = []
-
-    def crashes(those: list[int]) -> None:
-        for i in those:
-            at = float(draw.uniform(0.5, EVENTS))
-            pause = float(draw.choice([0.1, 1.0, 4.0, LATEST, np.inf]))
-            events.append((at, i, pause))
-            report.inject("crashes")
-            if pause < np.inf:
-                report.inject("restarts")
-
-    order, few = draw.permutation(n).tolist(), int(draw.integers(0, n // 2 + 1))
-    crashes(order[:few])
-    ahead = (
-        tuple(draw.uniform(-1e4, 1e4, int(draw.integers(2, 4))))
-        if draw.random() < 0.5
-        else ()
-    )
-    if ahead:
-        report.inject("clock skew")
-    if (
-        draw.random() < 0.5
-    ):  # the other seeds tell what they told when at most half were killed
-        crashes(order[few : int(draw.integers(few, n))])
+    order = draw.permutation(n).tolist()
+    few = int(draw.integers(0, n // 2 + 1))
+    crashes = draw_crashes(report, draw, order[:few])
+    ahead = draw_clock_skew(report, draw)
+    # The other seeds tell what they told when at most half were killed.
+    if draw.random() < 0.5:
+        more = order[few : int(draw.integers(few, n))]
+        crashes += draw_crashes(report, draw, more)
 
     async def story(t: Team) -> None:
-        heard: dict[int, Any] = {}
-        incarnations = dict.fromkeys(ids, 1)
-        lives, anew = dict[int, Any](), dict[int, Any]()
-
-        def begin(i: int) -> None:
-            t.start(i, incarnation=incarnations[i])
-            lives[i] = t.run(i, counting(t, i, heard, np.inf, 0.02))
-            anew[i] = t.run(i, beginning_anew(t, i))
-
-        def kill(i: int) -> None:
-            lives.pop(i, None)
-            anew.pop(i, None)
-            t.kill(i)
-
-        def again(i: int) -> None:
-            incarnations[i] += 1
-            begin(i)
-
-        for i in ids:
-            begin(i)
-        async with asyncio.timeout(60.0):
-            while any(rosters is None for rosters in t.rosters().values()):
-                await t.clock.sleep(0.05)
-        went = t.clock.now_ns()
-        for at, i, pause in events:
-            t.clock.call_at(went + round(at * 1e9), kill, i)
-            if pause < np.inf:
-                t.clock.call_at(went + round((at + pause) * 1e9), again, i)
+        crashing = CrashingTeam(t, ids)
+        await crashing.begin()
+        crashing.schedule(crashes)
         await t.clock.sleep(EVENTS + LATEST)
-        for bus in t.buses:
-            bus.impairment.replace(
-                [], []
-            )  # of a network that loses most, somebody is taken for lost now and then
+        crashing.heal()
         await t.clock.sleep(CALM - 4.0)
-        before = {i: newest(heard, i) for i in t.members}
+        before = crashing.newest_rounds()
         await t.clock.sleep(2.0)
         for i, k in before.items():
             report.holds(
-                newest(heard, i) > k, f"drone {i} stands still in the round after {k}"
+                newest(crashing.heard, i) > k,
+                f"drone {i} stands still in the round after {k}",
             )
-        for i, life in [*lives.items(), *anew.items()]:
-            if (
-                life.done()
-                and not life.cancelled()
-                and (error := life.exception()) is not None
-            ):
-                known = isinstance(error, CrazyChoirError)
-                report.holds(known, f"drone {i}: {type(error).__name__}: {error}")
-        alive = {i: incarnations[i] for i in sorted(t.members)}
-        rosters = t.rosters()
-        for i, roster in rosters.items():
-            found = None if roster is None else dict(roster.members)
-            report.holds(found == alive, f"drone {i} counts {found}, there are {alive}")
-        checksums = {roster.checksum if roster else 0 for roster in rosters.values()}
-        report.holds(len(checksums) == 1, f"{len(checksums)} rosters")
-        roster = next(iter(rosters.values()), None)
-        for k in sorted(heard) if roster is not None and len(checksums) == 1 else ():
-            whole = k >= roster.first_round and all(i in heard[k] for i in roster.ids)
-            theirs = {
-                i: by for i, by in heard[k].items() if i in roster.members
-            }  # who has died was in another, maybe
-            right = not whole or as_graph_says(roster.graph, k, {k: theirs})
-            report.holds(
-                right,
-                f"in round {k} of an epoch since {roster.first_round} they hear {heard[k]}",
-            )
+        for i, error in crashing.failures():
+            known = isinstance(error, CrazyChoirError)
+            report.holds(known, f"drone {i}: {type(error).__name__}: {error}")
+        check_agreement(report, crashing)
+        alive = {i: crashing.incarnations[i] for i in sorted(t.members)}
         report.simulated_s = t.clock.now()
         report.digest = digest(
-            sorted(heard.items()), sorted(alive.items()), t.clock.now_ns()
+            sorted(crashing.heard.items()), sorted(alive.items()), t.clock.now_ns()
         )
 
     team(graph, story, rules, cuts, report.seed, ahead=ahead)
+
+
+class CommandTrial:
+    """An operator and drones whose network loses, duplicates and keeps messages."""
+
+    def __init__(
+        self, report: Report, draw: Draw, clock: Clock, drones: int, loss: float
+    ) -> None:
+        self.report = report
+        self.draw = draw
+        self.clock = clock
+        self.bus = Bus(clock)
+        self.operator = Commander(self.bus.port(PORT_ADDRESSES.first_observer, 0xF1))
+        self.done = Counter[tuple[int, int]]()
+        """How often each drone has done each request."""
+        self.stopped: dict[int, bool] = {}
+        """Whether each drone was last told to stop, or that the stop is cleared."""
+        self._drones = list(range(drones))
+        self._loss = loss
+        self._kept: list[tuple[Any, ...]] = []
+
+    def serve(self, slow: float) -> None:
+        """Start the drones, which obey in up to 0.5 s, and the faults of all ports."""
+        for i in self._drones:
+            self._start_server(i, slow)
+        for port in self.bus.ports.values():
+            port.deliver = partial(self._deliver, port.deliver)  # type: ignore[method-assign]
+
+    def _start_server(self, i: int, slow: float) -> None:
+        async def execute(verb: str, arguments: dict[str, Any]) -> int:
+            if arguments["k"] % 7 == 6:
+                raise Refused(f"drone {i}", "no")
+            await self.clock.sleep(slow * arguments["k"] % 0.5)
+            self.done[i, arguments["k"]] += 1
+            return int(arguments["k"])
+
+        CommandServer(
+            self.bus.port(i), execute, lambda on: self.stopped.update({i: on})
+        )
+
+    def _deliver(self, deliver: Any, *message: Any) -> None:
+        """Lose a message, or deliver it once or twice; some are kept to come again at the end."""
+        if self.draw.random() < self._loss:
+            # A lost stop comes at the end for the first time.
+            if message[0] == MESSAGE_TOPICS.emergency_stop.number:
+                self._kept.append((deliver, message))
+            return
+        for _ in range(1 + (self.draw.random() < 0.2)):
+            deliver(*message)
+        if message[1] == PORT_ADDRESSES.first_observer and self.draw.random() < 0.2:
+            self._kept.append((deliver, message))
+
+    async def ask(self, k: int) -> None:
+        """Send request k, and check its answer and how long it waits."""
+        await self.clock.sleep(float(k) * 0.1)
+        began = self.clock.now()
+        i = k % len(self._drones)
+        deadline = float(self.draw.uniform(0.3, 4.0))
+        with suppress(TimeoutError):
+            answer = await self.operator.request(i, "do", deadline, k=k)
+            self._check_answer(answer, i, k)
+        waited = self.clock.now() - began
+        self.report.holds(
+            waited <= deadline + 0.01,
+            f"request {k} waits {waited:g} s",
+        )
+
+    def _check_answer(self, answer: Any, i: int, k: int) -> None:
+        self.report.holds(
+            answer.kind in (ANSWER_TEXTS.done, ANSWER_TEXTS.accepted) or k % 7 == 6,
+            f"request {k}: {answer}",
+        )
+        if answer.kind == ANSWER_TEXTS.done:
+            times = self.done[i, k]
+            once = times == 1 and answer.detail == k
+            self.report.holds(once, f"request {k} done {times} times: {answer}")
+
+    async def stop_and_clear(self) -> list[bool]:
+        """Order stops and clears, the last until all have it; return them in order."""
+        clears: list[bool] = (
+            self.draw.random(int(self.draw.integers(1, 5))) < 0.5
+        ).tolist()
+        for clear in clears:
+            await self.operator.emergency_stop(
+                self._drones, clear, deadline=float(self.draw.choice([0.05, 1.0]))
+            )
+        missing = await self.operator.emergency_stop(
+            self._drones, clears[-1], deadline=60.0
+        )
+        self.report.holds(not missing, f"a stop, or a clear, has not reached {missing}")
+        return clears
+
+    def deliver_again(self) -> None:
+        """Deliver all that was kept once more, the newest first."""
+        for deliver, message in reversed(self._kept):
+            deliver(*message[:-1], 0.0)
+
+    def check_end(self, clears: list[bool]) -> None:
+        """Check that the last order is in force, and that nothing was done twice."""
+        for i, on in [*self.stopped.items(), ("all", self.bus.stopped)]:
+            self.report.holds(
+                on is not clears[-1], f"stop of {i} is {on} after clears {clears}"
+            )
+        twice = [key for key, times in self.done.items() if times > 1]
+        self.report.holds(not twice, f"done twice: {twice}")
 
 
 def commands(report: Report, draw: Draw) -> None:
@@ -301,89 +467,25 @@ def commands(report: Report, draw: Draw) -> None:
 
     Of stops and clears the one that was ordered last is in force, whatever of the others comes late.
     """
-    n, count = int(draw.integers(1, 6)), int(draw.integers(5, 30))
-    loss, slow = float(draw.uniform(0.0, 0.7)), float(draw.uniform(0.0, 0.4))
+    n = int(draw.integers(1, 6))
+    count = int(draw.integers(5, 30))
+    loss = float(draw.uniform(0.0, 0.7))
+    slow = float(draw.uniform(0.0, 0.4))
     report.inject("loss")
     report.inject("duplicates")
     report.inject("replays")
 
     async def main(clock: Clock) -> None:
-        bus, done, stopped = Bus(clock), Counter[tuple[int, int]](), dict[int, bool]()
-        operator = Commander(bus.port(PORT_ADDRESSES.first_observer, 0xF1))
-        kept: list[tuple[Any, ...]] = []
-
-        def server(i: int) -> None:
-            async def execute(verb: str, arguments: dict[str, Any]) -> int:
-                if arguments["k"] % 7 == 6:
-                    raise Refused(f"drone {i}", "no")
-                await clock.sleep(slow * arguments["k"] % 0.5)
-                done[i, arguments["k"]] += 1
-                return int(arguments["k"])
-
-            CommandServer(bus.port(i), execute, lambda on: stopped.update({i: on}))
-
-        for i in range(n):
-            server(i)
-        for port in bus.ports.values():
-            deliver = port.deliver
-
-            def lossy(*message: Any, deliver: Any = deliver) -> None:
-                if draw.random() < loss:
-                    kept.extend(
-                        [(deliver, message)]
-                        * (message[0] == MESSAGE_TOPICS.emergency_stop.number)
-                    )  # it comes for the first time then
-                    return
-                for _ in range(1 + (draw.random() < 0.2)):
-                    deliver(*message)
-                if message[1] == PORT_ADDRESSES.first_observer and draw.random() < 0.2:
-                    kept.append((deliver, message))
-
-            port.deliver = lossy  # type: ignore[method-assign]
-
-        async def ask(k: int) -> None:
-            await clock.sleep(float(k) * 0.1)
-            began, i, deadline = clock.now(), k % n, float(draw.uniform(0.3, 4.0))
-            try:
-                answer = await operator.request(i, "do", deadline, k=k)
-                report.holds(
-                    answer.kind in (ANSWER_TEXTS.done, ANSWER_TEXTS.accepted)
-                    or k % 7 == 6,
-                    f"request {k}: {answer}",
-                )
-                if answer.kind == ANSWER_TEXTS.done:
-                    once = done[i, k] == 1 and answer.detail == k
-                    report.holds(once, f"request {k} done {done[i, k]} times: {answer}")
-            except TimeoutError:
-                pass
-            report.holds(
-                clock.now() - began <= deadline + 0.01,
-                f"request {k} waits {clock.now() - began:g} s",
-            )
-
+        trial = CommandTrial(report, draw, clock, n, loss)
+        trial.serve(slow)
         async with asyncio.timeout(LONGEST):
-            await asyncio.gather(*(ask(k) for k in range(count)))
-            for clear in (
-                clears := (draw.random(int(draw.integers(1, 5))) < 0.5).tolist()
-            ):
-                await operator.emergency_stop(
-                    list(range(n)), clear, deadline=float(draw.choice([0.05, 1.0]))
-                )
-            missing = await operator.emergency_stop(
-                list(range(n)), clears[-1], deadline=60.0
-            )
-            report.holds(not missing, f"a stop, or a clear, has not reached {missing}")
-            for deliver, message in reversed(kept):  # all of it once more, much later
-                deliver(*message[:-1], 0.0)
+            await asyncio.gather(*(trial.ask(k) for k in range(count)))
+            clears = await trial.stop_and_clear()
+            trial.deliver_again()
             await clock.sleep(5.0)
-        for i, on in [*stopped.items(), ("all", bus.stopped)]:
-            report.holds(
-                on is not clears[-1], f"stop of {i} is {on} after clears {clears}"
-            )
-        twice = [key for key, times in done.items() if times > 1]
-        report.holds(not twice, f"done twice: {twice}")
+        trial.check_end(clears)
         report.simulated_s = clock.now()
-        report.digest = digest(sorted(done.items()), clock.now_ns())
+        report.digest = digest(sorted(trial.done.items()), clock.now_ns())
 
     run_virtual(main)
 

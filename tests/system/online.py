@@ -1,6 +1,7 @@
 """Flights of the online mission in virtual time in which drones are killed, and who has been served what."""
 
 import asyncio
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -155,18 +156,8 @@ def fly_online(
     return outcome
 
 
-def faults(outcome: Outcome) -> Any:
+def faults(outcome: Outcome) -> Iterator[str]:
     """What is wrong: a living drone that failed, other stories, goods twice or not delivered, drones that touch."""
-    config, mission = outcome.config, load_mission("online_delivery")
-    instance, tasks = (
-        mission.hooks.instance(config),
-        {task.id: task for task in mission.hooks.known(config)},
-    )
-    tasks |= {
-        event.task.id: event.task
-        for event in mission.hooks.events(config)
-        if not event.task.cancelled
-    }
     for i in outcome.living:
         if not outcome.results[i].get("success"):
             yield f"drone {i}: {outcome.results[i].get('reason')}"
@@ -178,22 +169,40 @@ def faults(outcome: Outcome) -> Any:
     for j, by in outcome.delivered.items():
         if len(by) != 1:
             yield f"task {j} was delivered by {by}"
+    yield from task_faults(outcome)
+
+
+def task_faults(outcome: Outcome) -> Iterator[str]:
+    """Yield what is wrong with the end of each task."""
+    config = outcome.config
+    hooks = load_mission("online_delivery").hooks
+    instance = hooks.instance(config)
+    events = hooks.events(config)
+    tasks = {task.id: task for task in hooks.known(config)}
+    tasks |= {event.task.id: event.task for event in events if not event.task.cancelled}
     fates = outcome.fates
     for j, task in tasks.items():
-        fate = Fate(fates[j][0]) if j in fates else None
-        able = [i for i in outcome.living if may(instance, i, task)]
-        gone = any(j in goods for goods in outcome.aboard.values())
-        if fate is None:
-            heard = [e.robots for e in mission.hooks.events(config) if e.task.id == j]
-            if any(i in outcome.living for robots in heard for i in robots):
-                yield f"task {j} is not known"
-        elif fate is Fate.LOST and gone and not config.mission_options.get("recover"):
+        if j in fates:
+            able = [i for i in outcome.living if may(instance, i, task)]
+            yield from fate_faults(outcome, j, able)
             continue
-        elif fate is Fate.DELIVERED:
-            if not outcome.delivered.get(j) and fates[j][1] not in outcome.aboard:
-                yield f"task {j} is said to be delivered, and nobody has"
-        elif fate is not Fate.CANCELLED and able:
-            yield f"task {j} is {fate.value}, though drones {able} could serve it"
+        heard = [event.robots for event in events if event.task.id == j]
+        if any(i in outcome.living for robots in heard for i in robots):
+            yield f"task {j} is not known"
+
+
+def fate_faults(outcome: Outcome, j: int, able: list[int]) -> Iterator[str]:
+    """Yield what is wrong with the told end of task j; able: living drones that could serve it."""
+    name, robot = outcome.fates[j]
+    fate = Fate(name)
+    gone = any(j in goods for goods in outcome.aboard.values())
+    if fate is Fate.LOST and gone and not outcome.config.mission_options.get("recover"):
+        return
+    if fate is Fate.DELIVERED:
+        if not outcome.delivered.get(j) and robot not in outcome.aboard:
+            yield f"task {j} is said to be delivered, and nobody has"
+    elif fate is not Fate.CANCELLED and able:
+        yield f"task {j} is {fate.value}, though drones {able} could serve it"
 
 
 def may(instance: Any, i: int, task: Any) -> bool:
