@@ -67,12 +67,7 @@ def test_a_long_computation_is_named_with_its_place_before_it_is_given_up(
     monkeypatch.setattr(
         hanging,
         "USER_CODE_TIMES",
-        dataclasses.replace(hanging.USER_CODE_TIMES, first_report=0.1),
-    )
-    monkeypatch.setattr(
-        hanging,
-        "USER_CODE_TIMES",
-        dataclasses.replace(hanging.USER_CODE_TIMES, step_limit=0.6),
+        dataclasses.replace(hanging.USER_CODE_TIMES, first_report=0.1, step_limit=0.6),
     )
     config = default_swarm(3).replace(flight=BRISK)
     fly_fast(config, SimpleNamespace(guidance=lambda i, config: Law(i, forever)))

@@ -23,17 +23,12 @@ def quick(monkeypatch):
     monkeypatch.setattr(
         watchdog_module,
         "WATCHDOG_TIMES",
-        dataclasses.replace(watchdog_module.WATCHDOG_TIMES, report_delay=0.05),
-    )
-    monkeypatch.setattr(
-        watchdog_module,
-        "WATCHDOG_TIMES",
-        dataclasses.replace(watchdog_module.WATCHDOG_TIMES, hand_over_delay=0.10),
-    )
-    monkeypatch.setattr(
-        watchdog_module,
-        "WATCHDOG_TIMES",
-        dataclasses.replace(watchdog_module.WATCHDOG_TIMES, interrupt_limit=0.20),
+        dataclasses.replace(
+            watchdog_module.WATCHDOG_TIMES,
+            report_delay=0.05,
+            hand_over_delay=0.10,
+            interrupt_limit=0.20,
+        ),
     )
 
 

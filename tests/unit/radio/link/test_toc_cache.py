@@ -67,12 +67,9 @@ def test_the_second_link_waits_for_the_first_ones_answer(tmp_path) -> None:
 
 def test_it_waits_no_longer_than_its_patience(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(
-        contents, "TABLE_WAIT", dataclasses.replace(contents.TABLE_WAIT, longest=0.05)
-    )
-    monkeypatch.setattr(
         contents,
         "TABLE_WAIT",
-        dataclasses.replace(contents.TABLE_WAIT, check_period=0.05),
+        dataclasses.replace(contents.TABLE_WAIT, longest=0.05, check_period=0.05),
     )
     table, found = TableOfContents(tmp_path), []
     assert table.fetch(7) is None
