@@ -14,6 +14,15 @@ POINTERS = re.compile(
     re.IGNORECASE,
 )
 
+# A plain sentence begins with its subject.
+BEGINNINGS = re.compile(r"(of|that|the same|as|so)\b")
+
+
+def hard_words(text: str) -> str | None:
+    """Return the first words of a text that make it hard to read; None if there are none."""
+    found = PEOPLE.search(text) or POINTERS.search(text)
+    return found[0] if found else None
+
 
 def docstrings(source: str) -> Iterator[tuple[int, str]]:
     """Yield the line and the text of every docstring, those of attributes included."""
@@ -31,9 +40,23 @@ def hard_docstrings(source: str) -> list[str]:
     """Return `line: word` of each docstring that has such a word."""
     found = []
     for line, text in docstrings(source):
-        word = PEOPLE.search(text) or POINTERS.search(text)
-        if word:
-            found.append(f"{line}: {word[0]}")
+        words = hard_words(text)
+        if words:
+            found.append(f"{line}: {words}")
+    return found
+
+
+def hard_test_names(source: str) -> list[str]:
+    """Return `line: name` of each test whose name is no plain sentence."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        if not node.name.startswith("test_"):
+            continue
+        sentence = node.name.removeprefix("test_").replace("_", " ")
+        if hard_words(sentence) or BEGINNINGS.match(sentence):
+            found.append(f"{node.lineno}: {node.name}")
     return found
 
 
@@ -49,7 +72,7 @@ def hard_lines(page: str) -> list[str]:
     prose = NOT_PROSE.sub(lambda code: "\n" * code[0].count("\n"), page)
     found = []
     for line, text in enumerate(prose.splitlines(), start=1):
-        word = PEOPLE.search(text) or POINTERS.search(text)
-        if word:
-            found.append(f"{line}: {word[0]}")
+        words = hard_words(text)
+        if words:
+            found.append(f"{line}: {words}")
     return found

@@ -111,7 +111,7 @@ def test_they_fly_as_at_the_motor_level_without_mujoco(here, flown, folder):
     assert plain["digest"] != flown["digest"]
 
 
-def test_the_same_flight_again_has_the_same_digest(here, flown, folder):
+def test_a_repeated_flight_has_the_same_digest(here, flown, folder):
     again = here("crazychoir", "run", folder / "swarm.json", "--fast", "--json").json
     assert again["digest"] == flown["digest"]
 

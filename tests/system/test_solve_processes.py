@@ -87,7 +87,7 @@ def test_a_process_that_ends_is_told_with_its_last_words(demo, monkeypatch):
         team.solve_in_processes(Instance.load(demo), 2)
 
 
-def test_that_processes_compile_is_told_once(demo, monkeypatch, capsys):
+def test_compiling_in_the_processes_is_told_once(demo, monkeypatch, capsys):
     cache.announce_compiling.cache_clear()
     words = (
         "import json; print(json.dumps({'compiles': True})); raise SystemExit('done')"
@@ -102,7 +102,7 @@ def test_that_processes_compile_is_told_once(demo, monkeypatch, capsys):
     assert capsys.readouterr().err == f"{cache.COMPILING_MESSAGE}\n"
 
 
-def test_that_processes_keep_nothing_is_told_once(demo, monkeypatch, capsys):
+def test_a_missing_cache_of_the_processes_is_told_once(demo, monkeypatch, capsys):
     monkeypatch.setenv("CRAZYCHOIR_TOLD", "")
     words = "import json; print(json.dumps({'warning': 'cache: compiled laws: none'})); raise SystemExit('done')"
     monkeypatch.setattr(

@@ -298,7 +298,7 @@ async def test_a_process_that_comes_back_under_another_name_goes_on(
     )
 
 
-async def test_of_two_agents_with_one_id_the_later_is_refused(ground: Ground) -> None:
+async def test_a_second_agent_with_a_taken_id_is_refused(ground: Ground) -> None:
     link = await ground.link([3])
     await asyncio.sleep(0.1)
     child = await ground.child([3, 4])

@@ -13,7 +13,7 @@ from pathlib import Path
 import grimp
 import pytest
 from pages import FRONT_PAGE, PAGES
-from prose_rules import docstrings, hard_docstrings, hard_lines
+from prose_rules import docstrings, hard_docstrings, hard_lines, hard_test_names
 from source_rules import CLOCKS, STOPWATCHES, forbidden_clocks, set_iterations
 from style_rules import (
     MOST_ARGUMENTS,
@@ -500,6 +500,36 @@ def test_hard_lines_of_the_documentation_are_found(tmp_path):
         f"{FRONT_PAGE}:1: Whose",
         f"{FRONT_PAGE}:6: those that",
     ]
+
+
+def test_the_names_of_tests_are_plain_sentences(repository):
+    tests = repository / "tests"
+    found = [
+        place
+        for file in python_files(tests)
+        for place in places(tests, file, hard_test_names(file.read_text()))
+    ]
+    assert found == []
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "test_who_lands_waits",
+        "test_a_drone_waits_for_nobody",
+        "test_one_that_lands_waits",
+        "test_those_that_land_wait",
+        "test_of_two_drones_one_waits",
+        "test_that_a_drone_waits",
+        "test_the_same_drone_waits",
+        "test_as_told_it_waits",
+        "test_so_does_a_drone",
+    ],
+)
+def test_hard_names_of_tests_are_found(name):
+    easy = "def test_a_drone_that_lands_waits_as_told(): ...\n"
+    hard = f"class TestLanding:\n  async def {name}(self): ...\n"
+    assert hard_test_names(easy + hard) == [f"3: {name}"]
 
 
 def missing_pages(root: Path) -> list[str]:

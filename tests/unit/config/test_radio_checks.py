@@ -201,7 +201,7 @@ def test_what_is_said_to_be_carried_is(n: int, rate: float, says: str) -> None:
         ) == {0: told}
 
 
-def test_of_drones_that_say_where_they_are_logs_are_counted() -> None:
+def test_logs_count_for_drones_with_an_on_board_pose() -> None:
     uris = [f"udp://127.0.0.1:{19850 + i}" for i in range(4)]
     config = swarm(*uris, head="[radio]\nlog_rate = 25", keys='pose = "onboard"')
     with pytest.raises(

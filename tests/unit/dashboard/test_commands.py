@@ -494,7 +494,7 @@ async def test_a_page_is_told_what_has_changed_since_it_was_told_last(clock):
 
 
 @virtual
-async def test_that_a_drone_accepts_is_told_once_however_often_it_says_so(clock):
+async def test_an_acceptance_is_told_once_however_often_the_drone_says_so(clock):
     swarm, told = Swarm(clock), []
     port = swarm.bus.ports[0]
     handle = port.handlers[MESSAGE_TOPICS.request.number]

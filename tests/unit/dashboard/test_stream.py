@@ -260,7 +260,7 @@ async def test_a_stop_waits_for_nothing_that_was_asked_before(clock, server, pag
 
 
 @served
-async def test_of_two_drawings_the_newer_counts_whichever_is_planned_first(
+async def test_the_newer_of_two_drawings_counts_whichever_is_planned_first(
     clock, server, page
 ):
 

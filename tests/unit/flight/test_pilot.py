@@ -924,7 +924,7 @@ async def test_a_goto_that_moves_is_flown_after(clock):
 
 
 @virtual
-async def test_the_same_goto_is_flown_anew_after_something_else(clock):
+async def test_a_repeated_goto_is_flown_anew_after_something_else(clock):
     drone = Flown(clock)
     await drone.hovering()
     goal = Goto([1.0, 0.0, 1.0])
@@ -1649,7 +1649,7 @@ async def test_an_unseen_high_drone_has_the_time_that_its_landing_takes(clock):
         assert limit == pytest.approx(seconds, abs=0.5)
 
 
-def test_the_same_is_said_once(caplog):
+def test_a_repeated_warning_is_said_once(caplog):
     @virtual
     async def check(clock):
         drone = Flown(clock)

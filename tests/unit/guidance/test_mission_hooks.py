@@ -250,7 +250,7 @@ def law_of(body):
         ),
     ],
 )
-def test_a_law_of_which_nothing_could_be_flown_has_failed(mission, body, found):
+def test_a_law_without_a_usable_reference_has_failed(mission, body, found):
     result = fly_fast(SWARM, mission(law=law_of(body)))
     assert not result["success"]
     for i, own in result["results"].items():

@@ -210,7 +210,7 @@ def test_a_user_gets_ports_where_the_system_gives_nearly_all_to_connections(span
 
 @pytest.mark.parametrize("first", [1024, 1500, 32768, 60999])
 @pytest.mark.parametrize("drones", [1, 1200, 2500])
-def test_so_many_processes_get_ports_wherever_those_of_connections_begin(
+def test_many_processes_get_ports_wherever_those_of_connections_begin(
     monkeypatch, first, drones
 ):
     monkeypatch.setattr(network, "_read_first_connection_port", lambda: first)

@@ -87,7 +87,7 @@ def test_without_a_file_the_only_run_is_meant(own_place, monkeypatch):
         assert running_swarm(None) == LAB, "./swarm.toml goes first"
 
 
-def test_of_several_none_is_guessed(own_place):
+def test_none_of_several_runs_is_guessed(own_place):
     one, other = (
         run_of(own_place, "lab-1", "lab.toml"),
         run_of(own_place, "lab-2", "lab.toml"),

@@ -68,7 +68,7 @@ def run(folder, **environment):
     return float(result), int(missed), place
 
 
-def test_of_processes_that_start_together_one_compiles(folder):
+def test_one_of_several_processes_that_start_together_compiles(folder):
     (folder / "pieces.py").write_text(
         PIECES + "\nimport time\ntime.sleep(0.5)  # so that all have begun\n"
     )
@@ -171,14 +171,14 @@ def test_what_a_law_names_is_part_of_it(one, other):
     assert digest(NAMES, K=one) != digest(NAMES, K=other)
 
 
-def test_so_are_its_own_code_its_defaults_and_how_it_is_compiled():
+def test_its_own_code_its_defaults_and_how_it_is_compiled_are_part_of_a_law():
     same = digest(NAMES, K=1.0)
     assert digest(NAMES.replace("+", "-"), K=1.0) != same
     assert digest(NAMES.replace("2.0", "2.5"), K=1.0) != same
     assert digest(NAMES, "fast", K=1.0) != same
 
 
-def test_so_is_what_it_encloses():
+def test_what_a_law_encloses_is_part_of_it():
     def made(k):
         return LawCache(lambda x: k * x).digest
 

@@ -63,7 +63,7 @@ def test_random_quadratics_have_their_optimum():
     )
 
 
-def test_the_same_seed_gives_the_same_problem():
+def test_equal_seeds_give_equal_problems():
     assert (
         random_lp(3, 2, 6, 5).a.tobytes()
         == random_lp(3, 2, 6, 5).a.tobytes()

@@ -30,7 +30,7 @@ def test_a_set_point_of_another_length_restarts_it(form, more, caplog):
 
 
 @pytest.mark.parametrize("data", [b"\x0a\x00", b"\x03", b"\x03\x01" + bytes(8), b""])
-def test_so_does_one_without_enough_or_with_nothing(data):
+def test_a_packet_without_enough_or_with_nothing_restarts_it(data):
     hangar = Hangar()
     list(hangar.drone.take(Packet(CrtpPort.SETPOINT, 0, data)))
     assert hangar.drone.starts == 2

@@ -273,6 +273,6 @@ def test_what_a_failing_step_had_heard_is_told_the_rarest_first(asynchronous):
     )
 
 
-def test_of_many_senders_some_are_told():
+def test_some_of_many_senders_are_told():
     found, _ = endings({i: Hearing([[i]], False) for i in range(8)}, complete(8))
     assert str(found[0]).endswith("; it had heard list of 1 from 1, 2, 3, 4 and 3 more")

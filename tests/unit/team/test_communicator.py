@@ -120,7 +120,7 @@ def test_average_consensus_has_the_same_bits_on_every_network(graph, network):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_same_bits_in_bursts_of_loss(seed):
+def test_bursts_of_loss_do_not_change_a_bit(seed):
     graph = graphs.k_regular(8, 4)
     network = [
         ImpairmentRule({"p_good_bad": 0.1, "p_bad_good": 0.2, "loss_bad": 0.95, **BAD})

@@ -202,7 +202,7 @@ def test_erdos_renyi_has_about_p_of_the_edges_and_depends_on_the_seed() -> None:
     )
 
 
-def test_the_same_graph_whatever_the_hash_seed() -> None:
+def test_a_drawn_graph_does_not_depend_on_the_hash_seed() -> None:
     program = (
         "from crazychoir.team.graph import graph_from_name\n"
         "print(graph_from_name('erdos-renyi:0.4', [5, 900, 17, 3, 44], 7))"

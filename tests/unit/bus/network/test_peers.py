@@ -153,7 +153,7 @@ def measure(here: Here, process: str, ahead: int, way: int) -> None:
     here.peers.by_name[process].offset.hear(answer, here.clock.ns, here.clock.ns)
 
 
-def test_of_a_host_the_process_with_the_shortest_way_tells_its_clock(
+def test_the_process_with_the_shortest_way_tells_the_clock_of_its_host(
     here: Here,
 ) -> None:
     for name, host in (
@@ -364,7 +364,7 @@ def test_the_later_of_two_that_see_the_same_drones_gives_way(here: Here) -> None
     st.floats(0.0, HELLO_RULES.start_tie / 2),
     st.floats(0.0, 0.9 * HELLO_RULES.start_tie),
 )
-def test_of_two_that_start_together_exactly_one_gives_way_or_both(
+def test_at_least_one_of_two_agents_gives_way_when_both_start_together(
     ours: float, theirs: float, apart: float
 ) -> None:
     """The way of a HELLO takes `ours` or `theirs` s; b starts `apart` s after a."""

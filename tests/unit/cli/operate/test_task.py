@@ -121,7 +121,7 @@ def test_a_drone_that_is_not_there_is_named(asked):
     assert asked == []
 
 
-def test_the_same_refusal_of_several_is_one_line():
+def test_equal_refusals_of_several_drones_are_one_line():
     same = {
         i: (False, "refused: task: its load 9 is more than any drone can carry: 4")
         for i in (0, 1, 2)

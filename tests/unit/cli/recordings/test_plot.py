@@ -135,7 +135,7 @@ def test_topics_of_drones_are_drawn_even_without_truth_or_state(plot, topic, pic
     assert "top: no truth or state of any drone" in shown
 
 
-def test_of_nothing_that_could_be_drawn_there_is_an_error(plot, tmp_path, monkeypatch):
+def test_a_recording_without_anything_to_draw_is_an_error(plot, tmp_path, monkeypatch):
     monkeypatch.setitem(RESULT, "history", [])
     code, told, _, shown = plot("result")
     assert (code, told["success"], told["kind"]) == (2, False, "ConfigError")

@@ -106,9 +106,7 @@ def test_a_port_of_another_program_is_not_ours_whatever_its_folder_is_called(by)
     assert row.state == "wrong"
 
 
-def test_of_a_swarm_with_a_router_that_alone_must_be_reached(
-    tmp_path, free, monkeypatch
-):
+def test_only_the_router_of_a_swarm_must_be_reached(tmp_path, free, monkeypatch):
     """Its other processes listen nowhere."""
     asked = []
     monkeypatch.setattr(

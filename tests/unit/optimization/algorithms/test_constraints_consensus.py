@@ -89,7 +89,7 @@ def test_agents_with_many_rows_send_at_most_n():
     assert all(len(agent.basis) <= 2 for agent in team.values())
 
 
-def test_of_several_optima_all_take_the_same():
+def test_all_agents_take_the_same_of_several_optima():
     x = cp.Variable(2)
     rows = [[x[0] >= 1], [x[1] >= -3], [x[1] <= 5]]
     team = {

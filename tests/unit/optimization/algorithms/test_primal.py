@@ -120,7 +120,7 @@ MAKERS = {
 
 
 @pytest.mark.parametrize("name", MAKERS)
-def test_the_same_iterates_without_and_with_40_percent_loss(name):
+def test_iterates_are_equal_without_and_with_40_percent_loss(name):
     graph, make = MAKERS[name]
     calm, lossy = (
         simulate({i: make(i) for i in graph.ids}, graph, loss=loss, rounds=40, seed=7)

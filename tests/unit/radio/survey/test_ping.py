@@ -96,7 +96,7 @@ def test_a_ping_of_a_peer_that_falls_silent_ends_at_the_deadline(quick):
 
 
 @pytest.mark.real_time
-def test_of_several_the_silent_and_the_absent_are_named_and_the_others_are_measured(
+def test_silent_and_absent_drones_are_named_and_the_others_are_measured(
     quick,
 ):
     with (

@@ -74,7 +74,7 @@ def test_the_worst_pass_counts_not_the_mean():
     assert found.pick(1, 5) == (8,)
 
 
-def test_of_equal_worst_passes_the_mean_decides_then_the_lower_channel():
+def test_the_mean_decides_between_equal_worst_passes_then_the_lower_channel():
     assert surveyed({4: [0.6, 0.7], 8: [0.6, 0.9]}).pick(1, 5) == (8,)
     assert surveyed({4: [0.6, 0.7], 8: [0.6, 0.7]}).pick(1, 5) == (4,)
 

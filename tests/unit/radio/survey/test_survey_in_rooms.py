@@ -53,7 +53,7 @@ def test_clean_channels_are_picked_in_95_of_100_rooms():
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_as_many_packets_in_one_pass_are_fooled_more_often():
+def test_one_pass_with_equally_many_packets_is_fooled_more_often():
     counts = clean(range(100), passes=1, packets=1000)
     assert max(counts.values()) <= 92, counts
 

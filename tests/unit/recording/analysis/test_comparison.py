@@ -62,7 +62,7 @@ def test_messages_come_in_order_with_their_fields(original):
     assert found[-2].values()["pose.pose.position.x"] == 9.0
 
 
-def test_the_same(original, tmp_path):
+def test_equal_recordings_do_not_differ(original, tmp_path):
     assert first_difference(original, recorded(tmp_path / "b.mcap", FLIGHT)) is None
 
 

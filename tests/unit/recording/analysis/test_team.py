@@ -364,7 +364,7 @@ def test_pictures_of_a_team(recorded, tmp_path, monkeypatch, more, names):
         assert imread(file).shape[1] == round(300 * COLUMN_WIDTH)
 
 
-def test_of_a_recording_without_any_of_it_nothing_is_drawn(recorded):
+def test_nothing_is_drawn_of_a_recording_without_team_data(recorded):
     path = recorded([(BEGAN, 2, {"success": True})])
     assert (
         team_pictures(

@@ -323,7 +323,7 @@ def test_a_recording_that_another_program_has_rewritten_is_read_as_it_was(
     ]
 
 
-def test_of_a_recording_without_chunks_that_is_cut_off_every_whole_message_is_there(
+def test_every_whole_message_of_a_cut_off_recording_without_chunks_is_there(
     tmp_path, content
 ):
     whole = rewritten(tmp_path / "whole.mcap", content, use_chunking=False).read_bytes()

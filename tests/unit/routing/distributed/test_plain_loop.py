@@ -106,7 +106,7 @@ def three_robots_and_four_tasks(random):
 @pytest.mark.parametrize(
     ("method", "seed"), [("resource", 0), ("resource", 7), ("resource-argmax", 14)]
 )
-def test_of_a_set_that_is_too_long_without_a_detour_the_winner_keeps_a_part(
+def test_the_winner_keeps_a_part_of_a_set_that_is_too_long_without_a_detour(
     graph, method, seed
 ):
     random, n = np.random.default_rng(seed), 11

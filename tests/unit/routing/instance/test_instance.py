@@ -155,7 +155,7 @@ def test_one_task_of_a_higher_priority_outweighs_all_below():
     assert equal[1] > equal[0] + equal[2]
 
 
-def test_so_many_priorities_that_no_number_holds_them_are_refused():
+def test_more_priorities_than_a_number_holds_are_refused():
     many = {key: GOOD[key][:1] * 40 for key in ("pickup", "delivery", "load")}
     with pytest.raises(InstanceError, match="priority: found 40 levels over 40 tasks"):
         Instance.parse(

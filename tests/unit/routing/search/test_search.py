@@ -218,7 +218,7 @@ def seen(found):
     ]
 
 
-def test_the_same_seed_gives_the_same_plan_and_another_seed_another_search():
+def test_equal_seeds_give_equal_plans_and_another_seed_another_search():
     team, penalty = big()
     one, two, other = (
         search_plan(team, [[]] * 12, penalty, 2000, seed) for seed in (5, 5, 6)

@@ -102,7 +102,7 @@ def test_nothing_is_said_where_each_body_does_what_its_drone_does():
 
 
 @pytest.mark.parametrize("late", [0.0, 0.02, 0.05])
-def test_of_two_that_take_off_together_with_exchanged_bodies_each_moves_as_the_other_body(
+def test_two_drones_with_exchanged_bodies_that_take_off_together_each_move_as_the_other_body(
     late,
 ):
     said = Flight(body_of={0: 1, 1: 0}, late=late).said
@@ -145,7 +145,7 @@ def test_a_body_that_moves_by_itself_is_named():
     assert 1 not in said
 
 
-def test_of_drones_that_tilt_together_as_gusts_make_them_each_body_is_its_own():
+def test_each_body_is_its_own_when_gusts_tilt_the_drones_together():
     assert all(
         Flight(shared=0.9, swing=0.3, seed=seed).said == {} for seed in range(20)
     )

@@ -78,7 +78,7 @@ def test_a_lightweight_drone_without_thrust_falls_by_its_mass_and_drag_alone():
 @pytest.mark.parametrize(
     "platform", [CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS], ids=lambda row: row.name
 )
-def test_the_same_motor_command_turns_the_rotors_as_fast_and_they_pull_by_the_error_harder(
+def test_an_equal_motor_command_turns_the_rotors_as_fast_and_they_pull_by_the_error_harder(
     platform,
 ):
     share = platform.weight / (4.0 * platform.firmware.thrust_max)

@@ -92,7 +92,7 @@ def test_a_urdf_with_joints_becomes_one_body_at_rest(tmp_path):
     assert shape.lowest == pytest.approx(-0.03)
 
 
-def test_of_an_mjcf_its_body_counts_in_its_own_frame_without_the_floor(tmp_path):
+def test_the_body_of_an_mjcf_counts_in_its_own_frame_without_the_floor(tmp_path):
     path = written(tmp_path, "drone.xml", MJCF.format(more=""))
     shape = read_shape(path)
     assert [part.solid for part in shape.parts] == [True, False]
@@ -102,7 +102,7 @@ def test_of_an_mjcf_its_body_counts_in_its_own_frame_without_the_floor(tmp_path)
     assert scale_shape(shape, 2.0).lowest == pytest.approx(-0.02)
 
 
-def test_of_several_bodies_one_is_named(tmp_path):
+def test_one_of_several_bodies_must_be_named(tmp_path):
     path = written(tmp_path, "two.xml", MJCF.format(more=OTHER))
     with pytest.raises(ConfigError, match="2 bodies: near, far"):
         read_shape(path)

@@ -136,7 +136,7 @@ def test_what_stands_in_the_room_is_hit_by_its_name_and_what_lies_there_falls(tm
     assert ball[2] < 0.3
 
 
-def test_the_same_seed_gives_the_same_flight_and_another_one_another():
+def test_equal_seeds_give_equal_flights_and_another_seed_another_flight():
     def flown(seed):
         world = MujocoWorld([0, 1], np.array([[0, 0, 1], [0.1, 0, 1.2]]), seed=seed)
         for i in (0, 1):
