@@ -67,8 +67,6 @@ class HostEstimateSettings:
     """Rounds a second in the estimate."""
     cores: int = 8
     """Cores of each host."""
-    network_speed: float = 125e6
-    """Speed of each host's network, B/s."""
 
 
 HOST_ESTIMATE = HostEstimateSettings()

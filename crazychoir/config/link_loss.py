@@ -17,8 +17,6 @@ class LinkLossRules:
     that.
     """
 
-    held_time: float = 0.5
-    """Time for which the firmware holds the last set-point; afterwards the drone is level."""
     cut_time: float = 2.0
     """Time without set-points after which the motors are off."""
     braking_factor: float = 0.67

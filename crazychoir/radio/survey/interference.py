@@ -36,8 +36,6 @@ class InterferenceModel:
 INTERFERENCE_MODEL = InterferenceModel()
 
 
-UNHEARD_POWER = -200.0
-"""dBm that no receiver hears."""
 WIFI_MASK = ((0.0, 9.0, 11.0, 20.0, 30.0), (0.0, 0.0, -20.0, -28.0, -40.0))
 """MHz from the centre of a WiFi channel, and dB by which its power density is lower there.
 

@@ -114,9 +114,7 @@ def _decode_problem(
         name: _decode_mask(told[name]) for name in ("capable", "aboard") if name in told
     }
     absent = {
-        f.name: f.default
-        for f in fields(own)
-        if f.name not in (*PUBLIC_FIELDS, *told) and f.name not in PUBLIC_FIELDS
+        f.name: f.default for f in fields(own) if f.name not in (*PUBLIC_FIELDS, *told)
     }
     window = (float(told["window"][0]), float(told["window"][1]))
     return replace(own, **{**absent, **told, **masks, "robot": robot, "window": window})

@@ -50,7 +50,6 @@ PATH_BEGIN_TIME = 2  # s, when it began
 PATH_ON_FLOOR = 3  # 1 if the drone stands on the floor, else 0
 PATH_GUESS_GROWTH = 4  # m/s, growth of the uncertainty
 PATH_DRONE_ID = 5  # id of the drone
-PATH_COLUMNS = 6  # number of columns
 
 
 @kernel(matrix, real, matrix, matrix, real, vector)

@@ -1,6 +1,7 @@
 """A take-off, drawn: drones that tilt each its own way, and the bodies that cameras take for theirs."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from crazychoir.numerics.math3d import (
     rotation,
     rotation_exponential,
 )
+from crazychoir.safety.identity import takeoff_check
 from crazychoir.safety.identity.takeoff_check import (
     TAKEOFF_WATCH,
     TILT_JUDGEMENT,
@@ -194,7 +196,13 @@ def test_it_ends_when_the_drone_has_moved_enough_or_at_last():
     assert (
         Flight(swing=0.1, seconds=BEGINS + TAKEOFF_WATCH.shortest + 0.2).ascents[0].over
     )
-    assert TILT_JUDGEMENT.enough_cost > 0.0
+
+
+def test_it_does_not_end_early_before_the_drone_has_moved_enough(monkeypatch):
+    much = replace(TILT_JUDGEMENT, enough_cost=math.inf)
+    monkeypatch.setattr(takeoff_check, "TILT_JUDGEMENT", much)
+    seconds = BEGINS + TAKEOFF_WATCH.shortest + 0.2
+    assert not Flight(swing=0.1, seconds=seconds).ascents[0].over
 
 
 @pytest.mark.parametrize("psi", [0.0, 0.7, math.pi, -1.9])
