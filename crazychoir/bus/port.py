@@ -217,7 +217,7 @@ class Interest:
     topic: str
     """Name of the topic."""
     source: int
-    """Drone that publishes it, or ANY."""
+    """Drone that publishes it, or PORT_ADDRESSES.any_drone."""
     reader: int
     """Address of the port."""
     rate: float = 0.0
@@ -306,8 +306,9 @@ class Bus:
         mailbox: AnyMailbox,
         rate: float = 0.0,
     ) -> None:
-        """Let `mailbox` of `reader` get `topic` of drone `source` (or ANY).
+        """Let `mailbox` of `reader` get `topic` of drone `source`, or of any drone.
 
+        source: PORT_ADDRESSES.any_drone for all drones
         rate: values a second; 0 for all
         """
         interest = Interest(topic.name, source, reader, rate)
@@ -359,7 +360,7 @@ class Port:
     handlers: dict[int, Handler] = field(default_factory=dict)
     """{topic: callable that gets its messages}."""
     mailboxes: dict[int, dict[int, list[AnyMailbox]]] = field(default_factory=dict)
-    """{topic: {source or ANY: mailboxes}}."""
+    """{topic: {source or PORT_ADDRESSES.any_drone: mailboxes}}."""
     heard_ns: dict[int, int] = field(default_factory=dict)
     """ns: {address: time of its last message}."""
     _readers: dict[int, Readers] = field(default_factory=dict)

@@ -402,7 +402,7 @@ def _check_box(swarm: Swarm, where: str) -> None:
 def limit_area(swarm: Swarm) -> tuple[Position, Position]:
     """Return the corners of the area outside which motors stop at once.
 
-    It is [keep_out], else [fence] with AROUND m more on each side.
+    It is [keep_out], else [fence] with SWARM_LIMITS.limit_area_margin m more on each side.
     """
     (a, b, c), (d, e, f) = swarm.fence.min, swarm.fence.max
     low = swarm.keep_out.min

@@ -46,7 +46,7 @@ class RobotController(CrazyflieController):
         |u_k - u_k-1| <= a_max h,  in the first `smooth` entries
 
     A robot that obeys velocities at once must not jump: it would be beyond the fence before its
-    filter had seen it move. After SILENT s without a tick it counts as standing.
+    filter had seen it move. After ROBOT_TICK_TIMEOUT s without a tick it counts as standing.
 
     strategy: makes the input
     size: n, of the input

@@ -630,8 +630,8 @@ class KalmanFilter:
 
     A pose is refused, and counts as missing, if its innovation e has |e|^2 / variance beyond KALMAN_GATE.chi_square
     in position or attitude. So is a pose that is not finite, or has a quaternion length outside 0.5
-    to 2. The DOUBTS-th pose in a row beyond the gate is believed: the filter starts again there,
-    with the velocities it had. After a gap longer than the horizon it starts again with the mean
+    to 2. The KALMAN_GATE.doubts-th pose in a row beyond the gate is believed: the filter starts
+    again there, with the velocities it had. After a gap longer than the horizon it starts again with the mean
     velocity of the gap.
 
     A drone on the floor that is not lifted has no velocity and no d.

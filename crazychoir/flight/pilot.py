@@ -97,7 +97,7 @@ class TouchdownLimits:
     floor_height: float = 0.04
     """Height in m above the ground at which a landing drone stops its motors."""
     overdue_time: float = 2.0
-    """Seconds after the planned touch-down when a drone below AT_REST m/s counts as landed."""
+    """Seconds after the planned touch-down when a drone slower than rest_speed counts as landed."""
     unseen_overdue_time: float = 0.5
     """Seconds after the planned touch-down when an unseen drone at rest counts as landed."""
     rest_speed: float = 0.05

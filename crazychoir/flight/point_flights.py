@@ -192,7 +192,7 @@ class PointFlights:
     def wait(self, seconds: float) -> bool:
         """Shift the plan by `seconds` s, later or earlier.
 
-        Returns False if the plan has waited for POINT_FLIGHT_TIMES.longest_wait s and is to wait longer.
+        Returns False if the plan has waited for FLIGHT_PATIENCE.longest_wait s and is to wait longer.
         """
         if seconds > 0.0 and self.waited >= FLIGHT_PATIENCE.longest_wait:
             return False

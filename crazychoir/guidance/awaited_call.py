@@ -30,7 +30,7 @@ class UnawaitedCalls:
     waiting: by their identity, the calls that still exist and may be awaited.
     dropped: "file:line" and the function's name of each call that the line which made it has thrown away.
     left: the calls that were kept, and thrown away later.
-    more: how many were thrown away beyond KEPT places.
+    more: how many were thrown away beyond MOST_REMEMBERED_CALLS places.
     """
 
     def __init__(self) -> None:

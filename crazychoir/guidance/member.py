@@ -52,7 +52,7 @@ class Member:
     sensors: Sensors | None = None
     """Readings of the drone's sensors. None: it has none."""
     gate: str = ""
-    """Key of GATES: the command of the operator that the mission waits for. Empty: none."""
+    """Key of GATE_STATUS_TEXTS: the command of the operator that the mission waits for. Empty: none."""
     rise: float | None = None
     """m above the ground: height of the take-off that the mission waits for.
 
@@ -96,7 +96,7 @@ def describe_state(pilot: Pilot) -> str:
 async def wait_for_touchdown(pilot: Pilot, grace: float) -> None:
     """Wait until the motors of a pilot are off.
 
-    While the drone gives way to others it waits at most PATIENCE s.
+    While the drone gives way to others it waits at most HELD_FLIGHT_PATIENCE s.
 
     grace: s to wait beyond the end of the planned flight, even if the pilot plans a new one
         meanwhile.

@@ -92,7 +92,7 @@ class MPCGuidance(CFDistributedFeedback):
     plan.
 
     A plan begins where the last plan leads: the nominal state of a tube controller, while the
-    flight control holds the drone in the tube. A drone that is pushed more than TUBE off its plan
+    flight control holds the drone in the tube. A drone that is pushed more than TUBE_RADIUS off its plan
     stops and plans from where it is. The constraints hold for the plans. They are not tightened by
     the tube, but by a margin for tracking in flight. A drone that is pushed may leave `reach` until
     its next plan.

@@ -80,7 +80,7 @@ class VelocitySum:
 
     cutoff: rad/s of the filter.
     h: s between two poses of the filter.
-    period: s of the law; spread = SPREAD period.
+    period: s of the law; spread = CORRECTION_STEPS period.
     """
 
     def __init__(self, cutoff: float, h: float, period: float) -> None:

@@ -134,7 +134,8 @@ class TimedFlight(CFDistributedFeedback):
 
 
 class TargetList(CFDistributedFeedback):
-    """Flies to targets, one after the other: to the next within THERE m of the present one.
+    """Flies to targets, one after the other: to the next one
+    within TIMED_FLIGHT_LIMITS.reached_distance m of the present one.
 
     The result also holds reached_s, the s of the law at which each target was reached, and way, see
     `Way`.

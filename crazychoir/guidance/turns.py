@@ -121,7 +121,7 @@ class TurnTaking:
     def to(self, p: Vec) -> Vec:
         """Return where to fly now, for a drone that wants to be at p (3,) m.
 
-        It is a place aside, for at most LEAVES s, while it is another drone's turn.
+        It is a place aside, for at most TURN_TIMES.aside s, while it is another drone's turn.
         """
         pilot = self.pilot
         now = self.pilot.clock.now()

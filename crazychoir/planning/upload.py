@@ -20,9 +20,9 @@ FIT_TIMES = np.linspace(0.0, 1.0, FIT_INSTANTS)
 FREE_POLYNOMIALS = (FIT_TIMES**2 * (1.0 - FIT_TIMES) ** 2)[:, None] * FIT_TIMES[
     :, None
 ] ** np.arange(4)
-"""Polynomials that leave yaw and yaw' at both ends unchanged, at the times S."""
+"""Polynomials that leave yaw and yaw' at both ends unchanged, at FIT_TIMES."""
 FREE_FIT = np.linalg.pinv(FREE_POLYNOMIALS)
-"""Matrix from values at the times S to the factors of FREE."""
+"""Matrix from values at FIT_TIMES to the factors of FREE_POLYNOMIALS."""
 
 
 @dataclass(frozen=True)

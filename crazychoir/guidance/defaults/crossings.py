@@ -23,7 +23,7 @@ from crazychoir.guidance.mission_report import Results
 from crazychoir.types import Vec
 
 SMALLEST_SPACING = 0.34
-"""m: smallest distance between two starts, and between two goals, with heights scaled by SCALE."""
+"""m: smallest distance between two starts, and between two goals, with heights scaled by SPACING_SCALE."""
 SPACING_SCALE = (1.0, 1.0, 0.4)
 """Scale of x, y and z in these distances, as in the standard [collision]."""
 GOAL_DISTANCE = 0.05

@@ -109,7 +109,7 @@ class Replanning(Program[PlanShare]):
     carried: tasks that are aboard at its start.
     problem: returns this robot's problem of these goods.
     recover: see TaskBook.standings.
-    method: of KINDS. The auction alone takes some tens of rounds and milliseconds. The others find
+    method: of REPLANNING_METHODS. The auction alone takes some tens of rounds and milliseconds. The others find
         shorter plans and compute for seconds.
     """
 

@@ -44,7 +44,7 @@ def scatter_swarm(config: SwarmConfig, by: Scatter) -> SwarmConfig:
 
     The seed of the swarm determines the places.
 
-    Each drone takes off straight up, so two starts are at least CLEAR apart, seen from above.
+    Each drone takes off straight up, so two starts are at least SCATTER_LIMITS.clear_distance apart, seen from above.
     Raises Refused if there is no room.
     """
     draw = np.random.default_rng(config.seed)

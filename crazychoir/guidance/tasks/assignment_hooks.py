@@ -31,7 +31,7 @@ SIX_ROBOT_HOMES = [
 ]
 """(2,) m each: the homes of six robots."""
 TASK_SQUARE_REACH = 3.0
-"""m: tasks lie in the square from -REACH to REACH."""
+"""m: tasks lie in the square from -TASK_SQUARE_REACH to TASK_SQUARE_REACH."""
 NO_ROBOTS = (1 << 62,)
 """`robots` of a task that no robot may do: an id that does not exist."""
 EQUAL_COST_DIFFERENCE = 1e-9

@@ -133,8 +133,8 @@ class TaskAssignmentGuidance(TeamMission):
     No task is done twice. From its first message of a planning until it has the next generation, a
     robot completes no task. Two robots that may complete a task therefore have the same generation.
     A part of the team that is cut off, with at most half of it, waits for the others, and goes home
-    after REUNION s. However, work that a robot did without telling any other robot, before it was
-    lost or cut off, is done again.
+    after ASSIGNMENT_LIMITS.reunion_time s. However, work that a robot did without telling any other
+    robot, before it was lost or cut off, is done again.
 
     work: what all robots have in common.
 
@@ -359,7 +359,7 @@ class TaskAssignmentGuidance(TeamMission):
         return mine if mine is not None and mine in self._open() else None
 
     def _note(self) -> None:
-        """Record the way, every NOTED s."""
+        """Record the way, every ASSIGNMENT_LIMITS.way_interval s."""
         t = self.member.clock.now() - self._born
         if self.way and t < float(self.way[-1][0]) + ASSIGNMENT_LIMITS.way_interval:
             return

@@ -19,7 +19,7 @@ from crazychoir.routing.instance.plan import Kind
 LARGEST_TASK_NUMBER = 1e6
 """m, or units of load: largest number in a task or a place."""
 Number = Annotated[float, Meta(ge=-LARGEST_TASK_NUMBER, le=LARGEST_TASK_NUMBER)]
-"""A coordinate or a load, within LARGEST."""
+"""A coordinate or a load, within LARGEST_TASK_NUMBER."""
 Place = tuple[Number, Number]
 """(2,) m, in the plane: robots fly at one height."""
 Count = Annotated[int, Meta(ge=0, le=(1 << 63) - 1)]

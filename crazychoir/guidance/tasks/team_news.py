@@ -189,7 +189,7 @@ class TeamNews:
         self.dropped += 1
 
     async def farewell(self) -> None:
-        """Stay until all know that the team has ended, at most FAREWELL s.
+        """Stay until all know that the team has ended, at most NEWS_TIMING.farewell s.
 
         `gossip` runs beside it.
         """

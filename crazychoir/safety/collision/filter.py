@@ -439,7 +439,7 @@ class CollisionFilter:
     off ignores them.
 
     A drone brakes if another drone that may be near has been silent for NEIGHBOUR_AGES.usable s, or if more than
-    half of the other drones that flew have been silent for SILENT s. It does not brake for this
+    half of the other drones that flew have been silent for NEIGHBOUR_AGES.silent s. It does not brake for this
     while it lands. It keeps clear of the place where the silent drone is if that drone brakes too.
 
     settings: [collision]

@@ -323,7 +323,7 @@ def _compute_stage(m: Vec, at: int, ahead: float) -> None:
 def _finish_step(m: Vec, h: float) -> None:
     """End a step: write the new state and the new thrusts of the rotors.
 
-    A drone on the floor (FREE = 0) keeps its state.
+    A drone on the floor (AIRBORNE_FLAG = 0) keeps its state.
     """
     for k in range(LANE_COUNT):
         for c in range(0, 13 * LANE_COUNT, LANE_COUNT):

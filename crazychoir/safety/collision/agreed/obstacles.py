@@ -46,7 +46,7 @@ LANDING_SEARCH_ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
 class Obstacles:
     """The others, as a drone that announces its paths sees them.
 
-    figures: (4,), as f of `meets`
+    figures: (4,), as f of `find_first_meeting`
     agreement: with the drones that announce their paths
     traffic: the states of all
     a_max: m/s2, with which a drone without an announced path is assumed to brake

@@ -43,7 +43,7 @@ class RestGoal:
     awaited: tuple[Vec, ...]
     """(3,) m each: where others want to rest but cannot."""
     figures: Vec
-    """(4,), as f of `meets`."""
+    """(4,), as f of `find_first_meeting`."""
 
     def missing(self, p: Vec) -> float:
         """Return the cost in s of a path that ends at p, (3,) m, instead of at the goal.
