@@ -134,7 +134,7 @@ def register(cls: type[WireType]) -> type[WireType]:
     """
     if cls.__name__ not in WIRE_LAYOUTS:
         raise CodecError(
-            f"{cls.__qualname__}: is not in codec.LAYOUTS, which has {', '.join(WIRE_LAYOUTS)}. Add it there."
+            f"{cls.__qualname__}: is not in codec.WIRE_LAYOUTS, which has {', '.join(WIRE_LAYOUTS)}. Add it there."
         )
     kind, *sizes = WIRE_LAYOUTS[cls.__name__]
     tag = PAYLOAD_FORMAT.version << 6 | kind
