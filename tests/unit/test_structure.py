@@ -51,7 +51,6 @@ LARGE_CLASSES = {
     "PlannedFlights",
     "QuadraticProgram",
     "Rounds",
-    "SvgReader",
     "Swarm",
     "ZenohLink",
 }
