@@ -49,7 +49,6 @@ LARGE_CLASSES = {
     "Onboard",
     "Pilot",
     "PlannedFlights",
-    "QuadraticProgram",
     "Rounds",
     "Swarm",
     "ZenohLink",
