@@ -10,7 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from in_step import run_in_step
 
-from crazychoir.optimization.algorithms.aggregative_tracking import AggregativeTracking
+from crazychoir.optimization.algorithms.aggregative_tracking import (
+    AggregativeProblem,
+    AggregativeTracking,
+)
 from crazychoir.optimization.algorithms.average import RunningAverage
 from crazychoir.optimization.algorithms.block_subgradient import BlockSubgradientMethod
 from crazychoir.optimization.algorithms.directed_gradient_tracking import (
@@ -20,7 +23,7 @@ from crazychoir.optimization.algorithms.gradient_tracking import GradientTrackin
 from crazychoir.optimization.algorithms.push_sum import PushSum
 from crazychoir.optimization.algorithms.subgradient import SubgradientMethod
 from crazychoir.optimization.generate import random_quadratics
-from crazychoir.optimization.problems.gradient import Samples
+from crazychoir.optimization.problems.gradient import Samples, keep_point
 from crazychoir.optimization.problems.projection import (
     Box,
     Convex,
@@ -240,15 +243,18 @@ class Targets:
         self.b = np.array([1.0, -1.0])
         self.a = chance.normal(size=(agents, d, n))
 
-    def agent(self, i, w, **options):
+    def agent(self, i, w, project=keep_point, **options):
         return AggregativeTracking(
             i,
             np.zeros(3),
             w,
-            lambda x: self.a[i] @ x,
-            lambda x: self.a[i],
-            lambda x, s: x - self.r[i],
-            lambda x, s: self.c[i] * (s - self.b),
+            AggregativeProblem(
+                lambda x: self.a[i] @ x,
+                lambda x: self.a[i],
+                lambda x, s: x - self.r[i],
+                lambda x, s: self.c[i] * (s - self.b),
+                project,
+            ),
             **options,
         )
 

@@ -54,9 +54,7 @@ LARGE_CLASSES = {
 }
 """Classes that hold several responsibilities. This list only shrinks."""
 WIDE_FUNCTIONS = {
-    "ASYMM.__init__",
     "Agent.__init__",
-    "AggregativeTracking.__init__",
     "Barrier.__init__",
     "BlockConsensus.__init__",
     "BlockSubgradientMethod.__init__",

@@ -8,7 +8,10 @@ import pytest
 
 from crazychoir.errors import AgentFailed, ConfigError, SolverError
 from crazychoir.optimization.algorithms.admm import ADMM
-from crazychoir.optimization.algorithms.aggregative_tracking import AggregativeTracking
+from crazychoir.optimization.algorithms.aggregative_tracking import (
+    AggregativeProblem,
+    AggregativeTracking,
+)
 from crazychoir.optimization.algorithms.allocation import Allocation
 from crazychoir.optimization.algorithms.asynchronous_consensus import (
     AsynchronousConsensus,
@@ -105,10 +108,9 @@ MAKERS = {
             i,
             ONES,
             WEIGHTS[i],
-            half,
-            lambda x: 0.5 * np.eye(2),
-            lambda x, s: x - i,
-            lambda x, s: s,
+            AggregativeProblem(
+                half, lambda x: 0.5 * np.eye(2), lambda x, s: x - i, lambda x, s: s
+            ),
             0.1,
         ),
     ),
@@ -607,7 +609,12 @@ def test_a_set_that_cvxpy_does_not_know_as_convex():
         ),
         (
             lambda: AggregativeTracking(
-                0, ONES, {0: 1.0}, half, half, half, half, 0.1, delta=0.0
+                0,
+                ONES,
+                {0: 1.0},
+                AggregativeProblem(half, half, half, half),
+                0.1,
+                delta=0.0,
             ),
             "agent 0: delta",
         ),
