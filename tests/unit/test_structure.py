@@ -67,7 +67,6 @@ WIDE_FUNCTIONS = {
     "PlannedFlights.__init__",
     "Port._send_impaired",
     "Port.send",
-    "PrimalDecompositionMILP.__init__",
     "Recorder._count",
     "Recorder._rounds",
     "RemoteBody.__init__",
