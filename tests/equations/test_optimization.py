@@ -23,7 +23,7 @@ from crazychoir.optimization.algorithms.gradient_tracking import GradientTrackin
 from crazychoir.optimization.algorithms.push_sum import PushSum
 from crazychoir.optimization.algorithms.subgradient import SubgradientMethod
 from crazychoir.optimization.generate import random_quadratics
-from crazychoir.optimization.problems.gradient import Samples, keep_point
+from crazychoir.optimization.problems.gradient import ProjectedCost, Samples, keep_point
 from crazychoir.optimization.problems.projection import (
     Box,
     Convex,
@@ -31,6 +31,7 @@ from crazychoir.optimization.problems.projection import (
     Intersection,
     Strip,
 )
+from crazychoir.optimization.rounds.blocks import RandomBlocks
 from crazychoir.optimization.rounds.mixing import columns, rows, team
 from crazychoir.optimization.rounds.step_size import Constant, Diminishing
 from crazychoir.team import graph as graphs
@@ -223,7 +224,13 @@ def test_the_block_method_with_one_block_always_awake_is_the_subgradient_method(
     block = team(
         GRAPH,
         lambda i, w: BlockSubgradientMethod(
-            i, np.ones(3) * i, w, [3], Q.gradient(i), step, rounds=30
+            i,
+            np.ones(3) * i,
+            w,
+            RandomBlocks([3]),
+            ProjectedCost(Q.gradient(i)),
+            step,
+            rounds=30,
         ),
     )
     run_in_step(whole, GRAPH)

@@ -56,8 +56,6 @@ LARGE_CLASSES = {
 WIDE_FUNCTIONS = {
     "Agent.__init__",
     "Barrier.__init__",
-    "BlockConsensus.__init__",
-    "BlockSubgradientMethod.__init__",
     "CFIntegrator.__init__",
     "Forwarder.forward",
     "KalmanFilter.__init__",
