@@ -154,7 +154,7 @@ def path_trajectory(name: Path) -> Figure:
     return (
         circle(center, size, **chosen)
         if kind == "circle"
-        else eight(center, size, 0.5 * size, **chosen)
+        else eight(center, (size, 0.5 * size), **chosen)
     )
 
 

@@ -13,7 +13,10 @@ from crazychoir.errors import CrazyChoirError
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.member import Member
 from crazychoir.guidance.timed import Way
-from crazychoir.optimization.algorithms.aggregative_tracking import AggregativeTracking
+from crazychoir.optimization.algorithms.aggregative_tracking import (
+    AggregativeProblem,
+    AggregativeTracking,
+)
 from crazychoir.planning.smoothing import GoalSmoother
 from crazychoir.types import FullState, Heard, Mat, State, Vec
 
@@ -213,15 +216,14 @@ class Defender(AggregativeGuidance):
         one = np.eye(2)
         if self.seen is not None:
             self.r = np.array(self.member.config.drone(self.seen).home[:2])
+        problem = AggregativeProblem(
+            aggregate=lambda x: x,
+            jacobian=lambda x: one,
+            gradient_own=lambda x, s: self.defence.gradient_own(x, s, self.r),
+            gradient_sigma=self.defence.gradient_mean,
+        )
         return AggregativeTracking(
-            self.id,
-            place[:2],
-            self.weights,
-            lambda x: x,
-            lambda x: one,
-            lambda x, s: self.defence.gradient_own(x, s, self.r),
-            self.defence.gradient_mean,
-            self.step_size,
+            self.id, place[:2], self.weights, problem, self.step_size
         )
 
     def step(self, me: State, heard: Heard) -> FullState:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -100,6 +101,18 @@ def _sample_figure(g: Vec, t: float, out: Vec) -> None:
         out[13] = g[13] * d1
 
 
+@dataclass(frozen=True, slots=True)
+class _PlaneCurve:
+    """The closed curve x = A sin(n_x phi + d), y = B sin(n_y phi)."""
+
+    name: str
+    """Its name in errors."""
+    x: Triple
+    """A in m, n_x, d in rad."""
+    y: tuple[float, float]
+    """B in m, n_y."""
+
+
 class Figure:
     """A curve about a centre, at constant height, in whole laps from rest to rest.
 
@@ -153,23 +166,13 @@ def circle(
     Raises ConfigError for sizes, laps, a ramp or a yaw that do not fit.
     """
     w = _compute_frequency("circle", period, radius=radius)
-    return _build_figure(
-        "circle",
-        center,
-        w,
-        laps,
-        ramp,
-        (radius, 1.0, 0.5 * math.pi),
-        (radius, 1.0),
-        yaw,
-        yaw_rate,
-    )
+    curve = _PlaneCurve("circle", (radius, 1.0, 0.5 * math.pi), (radius, 1.0))
+    return _build_figure(curve, center, w, laps, ramp, yaw, yaw_rate)
 
 
 def eight(
     center: Sequence[float] | Vec,
-    a: float,
-    b: float,
+    half_axes: tuple[float, float],
     period: float,
     laps: float = 1.0,
     ramp: float | None = None,
@@ -181,16 +184,15 @@ def eight(
         x = A sin phi, y = B sin 2 phi,  peak speed w sqrt(A^2 + 4 B^2) m/s,  w = 2 pi / period
 
     center: (3,) m
-    a: m, A
-    b: m, B
+    half_axes: m, A and B, half the width and half the height
     period: s
     laps, ramp, yaw, yaw_rate: as in `circle`
     Raises ConfigError as `circle` does.
     """
+    a, b = half_axes
     w = _compute_frequency("eight", period, a=a, b=b)
-    return _build_figure(
-        "eight", center, w, laps, ramp, (a, 1.0, 0.0), (b, 2.0), yaw, yaw_rate
-    )
+    curve = _PlaneCurve("eight", (a, 1.0, 0.0), (b, 2.0))
+    return _build_figure(curve, center, w, laps, ramp, yaw, yaw_rate)
 
 
 def _compute_frequency(name: str, period: float, **sizes: float) -> float:
@@ -202,44 +204,52 @@ def _compute_frequency(name: str, period: float, **sizes: float) -> float:
 
 
 def _build_figure(
-    name: str,
+    curve: _PlaneCurve,
     center: Sequence[float] | Vec,
     w: float,
     laps: float,
     ramp: float | None,
-    x: Triple,
-    y: tuple[float, float],
     yaw: Yaw,
     yaw_rate: float,
 ) -> Figure:
     """Return the figure; raise ConfigError for laps, a ramp or a yaw that do not fit."""
     if not (math.isfinite(laps) and laps > 0.0):
-        raise ConfigError(f"{name}: laps", laps, "a positive number")
+        raise ConfigError(f"{curve.name}: laps", laps, "a positive number")
     period = 2.0 * math.pi / w
     ramp = 0.5 * period * min(laps, 1.0) if ramp is None else ramp
     if not 0.0 < ramp <= laps * period:
         raise ConfigError(
-            f"{name}: ramp",
+            f"{curve.name}: ramp",
             ramp,
             f"between 0 and {laps * period:g} s, the time of the laps",
         )
     along = isinstance(yaw, str)
     if along and (yaw != "along" or yaw_rate != 0.0):
         raise ConfigError(
-            f"{name}: yaw, yaw_rate",
+            f"{curve.name}: yaw, yaw_rate",
             [yaw, yaw_rate],
             'rad and rad/s, or "along" without a rate',
         )
     angle = 0.0 if isinstance(yaw, str) else yaw
     if len(center) != 3 or not np.all(np.isfinite([*center, angle, yaw_rate])):
         raise ConfigError(
-            f"{name}: center, yaw, yaw_rate",
+            f"{curve.name}: center, yaw, yaw_rate",
             [*center, yaw, yaw_rate],
             "three m, rad, rad/s: finite",
         )
     kind = YAW_ALONG if along else YAW_GIVEN
     return Figure(
         np.array(
-            [*center, w, ramp, laps * period + ramp, *x, *y, kind, angle, yaw_rate / w]
+            [
+                *center,
+                w,
+                ramp,
+                laps * period + ramp,
+                *curve.x,
+                *curve.y,
+                kind,
+                angle,
+                yaw_rate / w,
+            ]
         )
     )

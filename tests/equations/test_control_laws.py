@@ -31,7 +31,7 @@ from crazychoir.types import FullState, State
 DRAGLESS = replace(PAPER_PLATFORM, drag=(0.0, 0.0, 0.0))
 small = arrays(float, 3, elements=st.floats(-0.4, 0.4))
 headings = st.floats(-3.1, 3.1)
-FIGURE = eight((0.0, 0.0, 1.0), 1.0, 0.5, 6.0, 3.0)
+FIGURE = eight((0.0, 0.0, 1.0), (1.0, 0.5), 6.0, 3.0)
 H = 0.01
 
 

@@ -7,7 +7,7 @@ from in_step import run_in_step
 from quadratics import costs, problems
 
 from crazychoir.optimization.algorithms.admm import ADMM
-from crazychoir.optimization.algorithms.asymm import ASYMM
+from crazychoir.optimization.algorithms.asymm import ASYMM, PenaltySchedule
 from crazychoir.optimization.algorithms.constraints_consensus import (
     ConstraintsConsensus,
 )
@@ -16,7 +16,11 @@ from crazychoir.optimization.algorithms.dual_subgradient import DualSubgradient
 from crazychoir.optimization.problems.active_set import minimise
 from crazychoir.optimization.problems.problems import CommonCost, ConstraintCoupled
 from crazychoir.optimization.problems.quadratic import Polyhedron, QuadraticProgram
-from crazychoir.optimization.problems.smooth import SmoothFunction, descend_once
+from crazychoir.optimization.problems.smooth import (
+    SmoothFunction,
+    SmoothProblem,
+    descend_once,
+)
 from crazychoir.team.graph import erdos_renyi_connected, metropolis, path
 
 GRAPH = erdos_renyi_connected(5, 0.5, 2)
@@ -246,7 +250,7 @@ def test_the_gradient_of_asymm_is_that_of_its_augmented_lagrangian():
         lambda x: np.array([[1.0, 0.0], [0.0, -1.0]]),
     )
     own = ASYMM(
-        0, (1,), 1, [0.0, 0.0], f, equalities=h, inequalities=g, penalty=3.0
+        0, (1,), 1, [0.0, 0.0], SmoothProblem(f, h, g), PenaltySchedule(penalty=3.0)
     )._own
     own.l, own.m, s = np.array([0.7]), np.array([0.4, 0.0]), 3.0
 
@@ -278,9 +282,7 @@ def test_the_multipliers_of_asymm_are_those_of_the_method_of_multipliers():
         (1,),
         1,
         [0.0, 0.0],
-        SmoothFunction(lambda x: 0.0, np.zeros_like),
-        equalities=h,
-        inequalities=g,
+        SmoothProblem(SmoothFunction(lambda x: 0.0, np.zeros_like), h, g),
     )._own
     own.l, own.m, own.s, x = (
         np.array([0.7]),
@@ -306,8 +308,8 @@ def test_asymm_descends_on_the_lagrangian_with_its_neighbors():
         (1,),
         1,
         [0.0, 0.0],
-        SmoothFunction(lambda x: x @ x + q @ x, lambda x: 2 * x + q),
-        penalty=1.5,
+        SmoothProblem(SmoothFunction(lambda x: x @ x + q @ x, lambda x: 2 * x + q)),
+        PenaltySchedule(penalty=1.5),
     )
     agent.nu[1] = np.array([-0.2, 0.6])
     agent.step({1: [0, b"\x00", other, nu, 0.5]})

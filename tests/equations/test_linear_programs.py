@@ -64,12 +64,12 @@ def test_prices_of_a_basis_are_dual_feasible_and_worth_as_much(seed):
         told = {i: agent.message() for i, agent in agents.items()}
         for i, agent in agents.items():
             agent.step({j: told[j] for j in range(3) if j != i})
-    penalties = 0.0 * agents[0].penalties()
+    penalties = 0.0 * agents[0].pricing().penalties()
     for _ in penalties:
         penalties = np.maximum.reduce(
-            [agent.penalties(penalties) for agent in agents.values()]
+            [agent.pricing().penalties(penalties) for agent in agents.values()]
         )
-    prices = agents[0].prices(penalties)
+    prices = agents[0].pricing().prices(penalties)
     assert (c - prices @ A >= -1e-9).all()
     assert prices @ b == pytest.approx(agents[0].cost)
 

@@ -10,7 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from in_step import run_in_step
 
-from crazychoir.optimization.algorithms.aggregative_tracking import AggregativeTracking
+from crazychoir.optimization.algorithms.aggregative_tracking import (
+    AggregativeProblem,
+    AggregativeTracking,
+)
 from crazychoir.optimization.algorithms.average import RunningAverage
 from crazychoir.optimization.algorithms.block_subgradient import BlockSubgradientMethod
 from crazychoir.optimization.algorithms.directed_gradient_tracking import (
@@ -20,7 +23,7 @@ from crazychoir.optimization.algorithms.gradient_tracking import GradientTrackin
 from crazychoir.optimization.algorithms.push_sum import PushSum
 from crazychoir.optimization.algorithms.subgradient import SubgradientMethod
 from crazychoir.optimization.generate import random_quadratics
-from crazychoir.optimization.problems.gradient import Samples
+from crazychoir.optimization.problems.gradient import ProjectedCost, Samples, keep_point
 from crazychoir.optimization.problems.projection import (
     Box,
     Convex,
@@ -28,6 +31,7 @@ from crazychoir.optimization.problems.projection import (
     Intersection,
     Strip,
 )
+from crazychoir.optimization.rounds.blocks import RandomBlocks
 from crazychoir.optimization.rounds.mixing import columns, rows, team
 from crazychoir.optimization.rounds.step_size import Constant, Diminishing
 from crazychoir.team import graph as graphs
@@ -220,7 +224,13 @@ def test_the_block_method_with_one_block_always_awake_is_the_subgradient_method(
     block = team(
         GRAPH,
         lambda i, w: BlockSubgradientMethod(
-            i, np.ones(3) * i, w, [3], Q.gradient(i), step, rounds=30
+            i,
+            np.ones(3) * i,
+            w,
+            RandomBlocks([3]),
+            ProjectedCost(Q.gradient(i)),
+            step,
+            rounds=30,
         ),
     )
     run_in_step(whole, GRAPH)
@@ -240,15 +250,18 @@ class Targets:
         self.b = np.array([1.0, -1.0])
         self.a = chance.normal(size=(agents, d, n))
 
-    def agent(self, i, w, **options):
+    def agent(self, i, w, project=keep_point, **options):
         return AggregativeTracking(
             i,
             np.zeros(3),
             w,
-            lambda x: self.a[i] @ x,
-            lambda x: self.a[i],
-            lambda x, s: x - self.r[i],
-            lambda x, s: self.c[i] * (s - self.b),
+            AggregativeProblem(
+                lambda x: self.a[i] @ x,
+                lambda x: self.a[i],
+                lambda x, s: x - self.r[i],
+                lambda x, s: self.c[i] * (s - self.b),
+                project,
+            ),
             **options,
         )
 

@@ -206,8 +206,8 @@ def test_allocated_times_have_less_snap_than_any_near_them():
     [
         circle((0.5, 1, 1), 0.5, 4.0, laps=2, yaw="along"),
         circle((0, 0, 1), 0.8, 3.0, laps=1.25, ramp=1.0, yaw=0.3, yaw_rate=0.5),
-        eight((0, 0, 1), 1.0, 0.5, 8.0, laps=2, yaw="along"),
-        eight((0, 0, 1), 0.7, 0.6, 5.0, laps=0.5, ramp=2.5),
+        eight((0, 0, 1), (1.0, 0.5), 8.0, laps=2, yaw="along"),
+        eight((0, 0, 1), (0.7, 0.6), 5.0, laps=0.5, ramp=2.5),
     ],
 )
 def test_a_figure_is_flat_and_smooth_from_rest_to_rest(figure):
@@ -224,13 +224,13 @@ def test_the_speeds_of_circle_and_eight():
     assert compute_peaks(circle((0, 0, 1), 0.5, 4.0, laps=2))["speed"] == pytest.approx(
         0.5 * w, rel=1e-4
     )
-    assert compute_peaks(eight((0, 0, 1), 1.0, 0.4, 4.0, laps=2))[
+    assert compute_peaks(eight((0, 0, 1), (1.0, 0.4), 4.0, laps=2))[
         "speed"
     ] == pytest.approx(w * math.hypot(1, 0.8), rel=1e-4)
 
 
 def test_a_figure_has_its_equation_and_takes_the_time_of_its_laps_and_a_ramp():
-    figure = eight((1, 2, 3), 1.0, 0.4, 4.0, laps=2, ramp=1.0)
+    figure = eight((1, 2, 3), (1.0, 0.4), 4.0, laps=2, ramp=1.0)
     assert figure.duration == pytest.approx(9.0)
     for t in (1.0, 3.3, 7.9):
         phi = 2.0 * math.pi / 4.0 * (t - 0.5)
@@ -242,7 +242,7 @@ def test_a_figure_has_its_equation_and_takes_the_time_of_its_laps_and_a_ramp():
 def test_yaw_along_a_figure_is_the_direction_of_its_velocity_and_never_jumps():
     for figure in (
         circle((0, 0, 1), 0.5, 4.0, laps=2, yaw="along"),
-        eight((0, 0, 1), 1, 0.5, 8.0, 2, yaw="along"),
+        eight((0, 0, 1), (1, 0.5), 8.0, 2, yaw="along"),
     ):
         _, x = sample_setpoints(figure, 50.0)
         moving = np.linalg.norm(x[:, 3:5], axis=1) > 1e-6

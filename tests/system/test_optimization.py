@@ -13,7 +13,7 @@ MISSION = '''
 import numpy as np
 
 from crazychoir import CFGuidance
-from crazychoir.optimization.algorithms.aggregative_tracking import AggregativeTracking
+from crazychoir.optimization.algorithms.aggregative_tracking import AggregativeProblem, AggregativeTracking
 from crazychoir.optimization.algorithms.asynchronous_consensus import AsynchronousConsensus
 from crazychoir.optimization.rounds.mixing import rows
 from crazychoir.config.swarm_config import default_swarm
@@ -25,9 +25,8 @@ TARGETS = np.array([drone.home[:2] for drone in default_swarm(4).drones])  # all
 
 def agent(i, graph):
     gradients = lambda x, s: x - TARGETS[i], lambda x, s: 4.0 * (s - [0.4, 0.2])
-    return AggregativeTracking(
-        i, [0.0, 0.0], rows(graph)[i], lambda x: x, lambda x: np.eye(2), *gradients, 0.03, rounds=600
-    )
+    problem = AggregativeProblem(lambda x: x, lambda x: np.eye(2), *gradients)
+    return AggregativeTracking(i, [0.0, 0.0], rows(graph)[i], problem, 0.03, rounds=600)
 
 
 class Surveillance(CFGuidance):

@@ -75,7 +75,7 @@ class FigureHooks:
         )
         if options.figure == "circle":
             return circle(center, options.size, *timing)
-        return eight(center, options.size, 0.5 * options.size, *timing)
+        return eight(center, (options.size, 0.5 * options.size), *timing)
 
     def check(self, config: SwarmConfig, force: bool = False) -> list[str]:
         """Check the options, and that each drone can fly its figure. Raises ConfigError if not."""

@@ -1,6 +1,7 @@
 """Aggregative optimisation: each cost depends on the agent's own variable and on a team mean."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,22 @@ Of = Callable[[Vec], ArrayLike]
 OfBoth = Callable[[Vec, Vec], ArrayLike]
 
 
+@dataclass(frozen=True)
+class AggregativeProblem:
+    """An agent's part of  min sum_i f_i(x_i, sigma(x)),  x_i in X_i."""
+
+    aggregate: Of
+    """phi_i, maps x_i to (d,)."""
+    jacobian: Of
+    """J_i, (d, n_i) of phi_i."""
+    gradient_own: OfBoth
+    """grad_1 f_i(x, s), (n_i,)."""
+    gradient_sigma: OfBoth
+    """grad_2 f_i(x, s), (d,)."""
+    project: Project = keep_point
+    """P_i, the projection onto X_i."""
+
+
 class AggregativeTracking(Mixing):
     """Projected aggregative tracking for  min sum_i f_i(x_i, sigma(x)),  x_i in X_i.
 
@@ -41,12 +58,8 @@ class AggregativeTracking(Mixing):
     i: id of the agent
     x: (n_i,) start; agents may have different sizes
     weights: row i, doubly stochastic, or one row for each graph of a sequence
-    aggregate: phi_i, maps x_i to (d,)
-    jacobian: J_i, (d, n_i) of phi_i
-    gradient_own: grad_1 f_i(x, s), (n_i,)
-    gradient_sigma: grad_2 f_i(x, s), (d,)
+    problem: phi_i, the gradients of f_i, and X_i
     step: a, constant
-    project: P_i, the projection onto X_i
     delta: 0 < delta <= 1; smaller is steadier where sets are tight
     rounds: number of rounds until done; None for no end
     sigma: s_i (d,), the agent's estimate of sigma(x)
@@ -62,27 +75,27 @@ class AggregativeTracking(Mixing):
         i: int,
         x: ArrayLike,
         weights: Rows,
-        aggregate: Of,
-        jacobian: Of,
-        gradient_own: OfBoth,
-        gradient_sigma: OfBoth,
+        problem: AggregativeProblem,
         step: float | StepSize,
-        project: Project = keep_point,
         delta: float = 1.0,
         rounds: int | None = None,
     ) -> None:
         super().__init__(i, weights, rounds)
         self.x = copy_state(f"agent {i}: x", x)
-        self.aggregate = CheckedFunction(i, "aggregate", aggregate)
-        self.jacobian = CheckedFunction(i, "jacobian", jacobian)
-        self.gradient_own = CheckedFunction(i, "gradient_own", gradient_own)
-        self.gradient_sigma = CheckedFunction(i, "gradient_sigma", gradient_sigma)
-        self.project = CheckedFunction(i, "project", project)
+        self.aggregate = CheckedFunction(i, "aggregate", problem.aggregate)
+        self.jacobian = CheckedFunction(i, "jacobian", problem.jacobian)
+        self.gradient_own = CheckedFunction(i, "gradient_own", problem.gradient_own)
+        self.gradient_sigma = CheckedFunction(
+            i, "gradient_sigma", problem.gradient_sigma
+        )
+        self.project = CheckedFunction(i, "project", problem.project)
         self.step_size = step_size(step)
         self.delta = delta
         if not 0.0 < delta <= 1.0:
             raise ConfigError(f"agent {i}: delta", delta, "above 0, at most 1")
-        self.phi = self.sigma = copy_state(f"agent {i}: aggregate", aggregate(self.x))
+        self.phi = self.sigma = copy_state(
+            f"agent {i}: aggregate", problem.aggregate(self.x)
+        )
         self.g = self.y = self._pull(0, self.x, self.sigma)
 
     def _pull(self, k: int, x: Vec, sigma: Vec) -> Vec:

@@ -8,7 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from crazychoir.errors import ConfigError, SolverError
-from crazychoir.optimization.problems.smooth import SmoothFunction, descend_once
+from crazychoir.optimization.problems.smooth import (
+    SmoothFunction,
+    SmoothProblem,
+    descend_once,
+)
 from crazychoir.optimization.rounds.iteration import copy_state
 from crazychoir.optimization.rounds.messages import (
     INTEGER_TYPES,
@@ -41,6 +45,51 @@ class AsymmLimits:
 
 
 ASYMM_LIMITS = AsymmLimits()
+
+
+@dataclass(frozen=True, slots=True)
+class PenaltySchedule:
+    """Penalties rho and s and the tolerance e of the epochs of ASYMM, the same at all agents."""
+
+    epochs: int = 25
+    """Number of epochs until done."""
+    penalty: float = 1.0
+    """First value of rho and s."""
+    tolerance: float = 0.1
+    """First value of e."""
+    growth: float = 2.0
+    """Factor of rho and s where a violation has not fallen enough, above 1."""
+    shrink: float = 0.5
+    """Part of the last violation that is small enough, between 0 and 1."""
+    sharpen: float = 0.5
+    """Factor of e after each epoch, between 0 and 1."""
+
+    def require_valid(self, i: int) -> None:
+        """Raise ConfigError of agent i for a value out of range."""
+        for name, value, most in (
+            ("penalty", self.penalty, ASYMM_LIMITS.largest_penalty),
+            ("tolerance", self.tolerance, np.inf),
+        ):
+            if not 0.0 < value <= most:
+                raise ConfigError(
+                    f"agent {i}: {name}", f"{value}", f"above 0, at most {most:g}"
+                )
+        for name, value in (
+            ("shrink", self.shrink),
+            ("sharpen", self.sharpen),
+            ("1 / growth", 1.0 / self.growth),
+        ):
+            if not 0.0 < value < 1.0:
+                raise ConfigError(
+                    f"agent {i}: {name}", f"{value:g}", "above 0, below 1"
+                )
+        if self.epochs < 1:
+            raise ConfigError(
+                f"agent {i}: epochs", self.epochs, "1 or more, the same at all agents"
+            )
+
+
+STANDARD_SCHEDULE = PenaltySchedule()
 
 
 MOST_STEPS: Final = 5_000
@@ -81,15 +130,8 @@ class ASYMM:
     neighbors: N_i
     diameter: diameter of the graph
     x: (n,) start
-    objective: f_i
-    equalities: h_i, or None
-    inequalities: g_i, or None
-    epochs: number of epochs until done
-    penalty: first value of rho and s
-    tolerance: first value of e
-    growth: factor of rho and s, above 1
-    shrink: part of the last violation that is small enough, between 0 and 1
-    sharpen: factor of e after each epoch, between 0 and 1
+    problem: f_i, h_i and g_i
+    schedule: the penalties and tolerances of the epochs
     epoch: the present epoch
     nu: multipliers nu_ij by neighbour
     rho: penalties rho_ij by neighbour
@@ -114,54 +156,24 @@ class ASYMM:
         neighbors: Iterable[int],
         diameter: int,
         x: ArrayLike,
-        objective: SmoothFunction,
-        *,
-        equalities: SmoothFunction | None = None,
-        inequalities: SmoothFunction | None = None,
-        epochs: int = 25,
-        penalty: float = 1.0,
-        tolerance: float = 0.1,
-        growth: float = 2.0,
-        shrink: float = 0.5,
-        sharpen: float = 0.5,
+        problem: SmoothProblem,
+        schedule: PenaltySchedule = STANDARD_SCHEDULE,
     ) -> None:
-        for name, value, most in (
-            ("penalty", penalty, ASYMM_LIMITS.largest_penalty),
-            ("tolerance", tolerance, np.inf),
-        ):
-            if not 0.0 < value <= most:
-                raise ConfigError(
-                    f"agent {i}: {name}", f"{value}", f"above 0, at most {most:g}"
-                )
-        for name, value in (
-            ("shrink", shrink),
-            ("sharpen", sharpen),
-            ("1 / growth", 1.0 / growth),
-        ):
-            if not 0.0 < value < 1.0:
-                raise ConfigError(
-                    f"agent {i}: {name}", f"{value:g}", "above 0, below 1"
-                )
-        if epochs < 1:
-            raise ConfigError(
-                f"agent {i}: epochs", epochs, "1 or more, the same at all agents"
-            )
+        schedule.require_valid(i)
         self.i = i
         self.where = f"agent {i}"
         self.neighbors = tuple(sorted(neighbors))
         self.x = copy_state(f"{self.where}: x", x)
-        self.epochs = epochs
-        self.tolerance = tolerance
-        self.growth = growth
-        self.shrink = shrink
-        self.sharpen = sharpen
+        self.epochs = schedule.epochs
+        self.tolerance = schedule.tolerance
+        self._schedule = schedule
         self.epoch = 0
         self.k = 0
         self.nu = {j: np.zeros_like(self.x) for j in self.neighbors}
-        self.rho = dict.fromkeys(self.neighbors, penalty)
+        self.rho = dict.fromkeys(self.neighbors, schedule.penalty)
         self._gap = dict.fromkeys(self.neighbors, np.inf)
         self._own = _AugmentedLagrangian(
-            self.where, len(self.x), objective, equalities, inequalities, penalty
+            self.where, len(self.x), problem, schedule.penalty
         )
         self.diameter = diameter
         self._flags = Flags(diameter, False)
@@ -258,6 +270,7 @@ class ASYMM:
 
     def _ascend(self) -> None:
         """Compute the multipliers of the next epoch."""
+        schedule = self._schedule
         for j, (_, _, x, *_) in self._heard.items():
             self.nu[j] = self.nu[j] + self.rho[j] * (self.x - x)
             gap = float(np.linalg.norm(self.x - x))
@@ -270,16 +283,19 @@ class ASYMM:
                     f"x is {gap:.3g} from that of agent {j} after {self.epochs} epochs"
                 )
                 raise SolverError(f"{self.where}: {found}", why)
-            if gap > self.shrink * self._gap[j] and self.rho[j] * gap > self.tolerance:
+            if (
+                gap > schedule.shrink * self._gap[j]
+                and self.rho[j] * gap > self.tolerance
+            ):
                 self.rho[j] = min(
-                    self.growth * self.rho[j], ASYMM_LIMITS.largest_penalty
+                    schedule.growth * self.rho[j], ASYMM_LIMITS.largest_penalty
                 )
             self._gap[j] = gap
         if self.epoch + 1 == self.epochs:
             self._own.require_met(self.x, self.epochs)
-        self._own.ascend(self.x, self.growth, self.shrink, self.tolerance)
+        self._own.ascend(self.x, schedule.growth, schedule.shrink, self.tolerance)
         self.epoch += 1
-        self.tolerance *= self.sharpen
+        self.tolerance *= schedule.sharpen
         self._flags = Flags(self.diameter, False)
         self._calm = self._steps = 0
 
@@ -289,27 +305,19 @@ class _AugmentedLagrangian:
 
     where: text that names the agent, for errors
     n: length of x
-    f: objective
-    h: equalities h(x) = 0, or None
-    g: inequalities g(x) <= 0, or None
+    problem: objective f, equalities h(x) = 0 and inequalities g(x) <= 0
     penalty: first value of s
     l: multipliers of h
     m: multipliers of g
     """
 
     def __init__(
-        self,
-        where: str,
-        n: int,
-        f: SmoothFunction,
-        h: SmoothFunction | None,
-        g: SmoothFunction | None,
-        penalty: float,
+        self, where: str, n: int, problem: SmoothProblem, penalty: float
     ) -> None:
         nothing = SmoothFunction(lambda x: np.zeros(0), lambda x: np.zeros((0, n)))
-        self._f = f
-        self._h = h or nothing
-        self._g = g or nothing
+        self._f = problem.objective
+        self._h = problem.equalities or nothing
+        self._g = problem.inequalities or nothing
         self._where = where
         self.s = penalty
         self._missed = np.inf

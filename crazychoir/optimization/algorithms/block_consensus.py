@@ -1,12 +1,12 @@
 """Consensus on one block of coordinates at a time."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from numpy.typing import ArrayLike
 
 from crazychoir.errors import ConfigError
-from crazychoir.optimization.rounds.blocks import Blocks, require_vector
+from crazychoir.optimization.rounds.blocks import Blocks, RandomBlocks, require_vector
 from crazychoir.optimization.rounds.iteration import copy_state
 from crazychoir.optimization.rounds.messages import (
     INTEGER_TYPES,
@@ -34,11 +34,8 @@ class BlockConsensus(Mixing):
     i: id of the agent
     x: start, a vector
     weights: row i, of sum one
-    blocks: lengths of the consecutive blocks of x
-    chances: probability of each block; None for equal ones
-    awake: probability that the agent is awake in a round
+    blocks: the blocks of x, and how the agent draws them
     rounds: number of rounds until done; None for no end
-    seed: seed of the draws
     Source: Farina & Notarstefano 2020, "Randomized block proximal methods for distributed
     stochastic big-data optimization", IEEE Trans. Autom. Control, without its gradient.
     """
@@ -50,11 +47,8 @@ class BlockConsensus(Mixing):
         i: int,
         x: ArrayLike,
         weights: Rows,
-        blocks: Sequence[int],
-        chances: Sequence[float] | None = None,
-        awake: float = 1.0,
+        blocks: RandomBlocks,
         rounds: int | None = None,
-        seed: int = 0,
     ) -> None:
         super().__init__(i, weights, rounds)
         if len(self.weights) > 1:
@@ -64,7 +58,7 @@ class BlockConsensus(Mixing):
                 "one: the graph must not change",
             )
         self.x = require_vector(i, copy_state(f"agent {i}: x", x))
-        self.blocks = Blocks(i, len(self.x), blocks, chances, awake, seed)
+        self.blocks = Blocks(i, len(self.x), blocks)
         self._known: dict[int, Vec] = {}
         self._changed: int | None = None
 

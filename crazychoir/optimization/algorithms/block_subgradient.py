@@ -1,16 +1,10 @@
 """The distributed sub-gradient method on one block of coordinates at a time."""
 
-from collections.abc import Sequence
-
 from numpy.typing import ArrayLike
 
 from crazychoir.optimization.algorithms.block_consensus import BlockConsensus
-from crazychoir.optimization.problems.gradient import (
-    CheckedFunction,
-    Gradient,
-    Project,
-    keep_point,
-)
+from crazychoir.optimization.problems.gradient import CheckedFunction, ProjectedCost
+from crazychoir.optimization.rounds.blocks import RandomBlocks
 from crazychoir.optimization.rounds.mixing import Row, Rows
 from crazychoir.optimization.rounds.step_size import StepSize, step_size
 from crazychoir.types import Vec
@@ -25,11 +19,10 @@ class BlockSubgradientMethod(BlockConsensus):
     The blocks, the messages and x_j|i are those of BlockConsensus. The weights are doubly
     stochastic.
 
-    gradient: g_i of the whole x, a sub-gradient of f_i or a stochastic one, see `Samples`
+    problem: g_i and P_X, where X is a product of sets of the blocks, such as a box
     step: a_k, the same at all agents. Diminishing(a, p) with 1/2 < p <= 1 converges to an optimum
         (in expectation), a constant step to a neighbourhood of it
-    project: P_X, where X is a product of sets of the blocks, such as a box
-    i, x, weights, blocks, chances, awake, rounds, seed: see BlockConsensus
+    i, x, weights, blocks, rounds: see BlockConsensus
     Source: Farina & Notarstefano 2020, "Randomized block proximal methods for distributed
     stochastic big-data optimization", IEEE Trans. Autom. Control.
     """
@@ -42,18 +35,14 @@ class BlockSubgradientMethod(BlockConsensus):
         i: int,
         x: ArrayLike,
         weights: Rows,
-        blocks: Sequence[int],
-        gradient: Gradient,
+        blocks: RandomBlocks,
+        problem: ProjectedCost,
         step: float | StepSize,
-        project: Project = keep_point,
-        chances: Sequence[float] | None = None,
-        awake: float = 1.0,
         rounds: int | None = None,
-        seed: int = 0,
     ) -> None:
-        super().__init__(i, x, weights, blocks, chances, awake, rounds, seed)
-        self.gradient = CheckedFunction(i, "gradient", gradient)
-        self.project = CheckedFunction(i, "project", project)
+        super().__init__(i, x, weights, blocks, rounds)
+        self.gradient = CheckedFunction(i, "gradient", problem.gradient)
+        self.project = CheckedFunction(i, "project", problem.project)
         self.step_size = step_size(step)
 
     def changed(self, row: Row, part: slice) -> Vec:

@@ -50,6 +50,21 @@ class ImprovementSearch:
 IMPROVEMENT_SEARCH = ImprovementSearch()
 
 
+@dataclass(frozen=True, slots=True)
+class PriceStage:
+    """How stage 1 of the decomposition finds prices and allocations, the same at all agents."""
+
+    rounds: int = 200
+    """Rounds of PrimalDecomposition."""
+    penalty: float = 1000.0
+    """M of Convexified: larger than the sum of the prices on which the team will agree."""
+    options: int = 10
+    """Number of last allocations that give options."""
+
+
+STANDARD_PRICE_STAGE = PriceStage()
+
+
 @dataclass(frozen=True)
 class MixedIntegerSolution:
     """The solution of the team, as one agent knows it."""
@@ -83,8 +98,8 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
 
     The method has four stages:
 
-    1. `rounds` rounds of PrimalDecomposition over conv(X_i) give allocations y_i.
-    2. Each agent computes options. For each of the last `options` allocations, an option is
+    1. `prices.rounds` rounds of PrimalDecomposition over conv(X_i) give allocations y_i.
+    2. Each agent computes options. For each of the last `prices.options` allocations, an option is
        x_i = argmin c_i'x over X_i with A_i x <= y_i + v, with the least possible sum of v. More
        options are the corners of conv(X_i) that gave p_i, and the best points at the prices pi of
        the cheapest mixture of all options. All agents receive the cost and the use A_i x of all
@@ -102,9 +117,7 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
     agents: N, the number of agents
     diameter: D of the graph
     step: a_k
-    rounds: rounds of PrimalDecomposition in stage 1
-    penalty: M of Convexified
-    options: number of allocations that give options
+    prices: rounds, penalty and options of stage 1
     Raises SolverError, at every agent in the same round, that names a resource which is exceeded in
     the end.
     Source: Camisa, Notarnicola & Notarstefano 2022, IEEE TAC 67(1), 413-420 (arXiv 2010.14446),
@@ -121,17 +134,14 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         agents: int,
         diameter: int,
         step: float | StepSize,
-        *,
-        rounds: int = 200,
-        penalty: float = 1000.0,
-        options: int = 10,
+        prices: PriceStage = STANDARD_PRICE_STAGE,
     ) -> None:
         require_block(block, "PrimalDecompositionMILP")
         self._where = f"agent {block.agent}: primal decomposition"
         for name, value, least in (
             ("agents", agents, 1),
-            ("rounds", rounds, 1),
-            ("options", options, 1),
+            ("rounds", prices.rounds, 1),
+            ("options", prices.options, 1),
         ):
             if value < least:
                 raise ConfigError(f"{self._where}: {name}", value, f"at least {least}")
@@ -141,10 +151,9 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         self._agents = agents
         self.diameter = diameter
         self._step = step
-        self._rounds = rounds
-        self._penalty = penalty
-        self._options = options
-        self._local = Convexified(block, penalty)
+        self._rounds = prices.rounds
+        self._options = prices.options
+        self._local = Convexified(block, prices.penalty)
         self._capacity = np.zeros(block.S)
         self._left = np.zeros(block.S)
         self._x = np.zeros(block.n)

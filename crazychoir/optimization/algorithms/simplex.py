@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError, SolverError
+from crazychoir.optimization.problems.basis_pricing import BasisPricing
 from crazychoir.optimization.problems.equilibration import ROUNDING_DECIDES_TEXT
 from crazychoir.optimization.problems.lexicographic import (
     FEASIBILITY_TOLERANCE,
-    LEAST_DISTINCTNESS,
     OptimalBasis,
     ProgramColumns,
     find_optimal_basis,
@@ -190,7 +190,7 @@ class BasisExchange:
         is_doubtful = basis.doubt is not None
         return (
             is_doubtful,
-            len(_find_unmet_rows(basis)),
+            len(basis.unmet),
             cost,
             basis.columns.ids.tolist(),
         )
@@ -249,7 +249,7 @@ class BasisExchange:
     @property
     def unmet(self) -> list[int]:
         """Return the rows of which more remains than right-hand sides with errors of FEASIBILITY_TOLERANCE explain."""
-        return _find_unmet_rows(self.basis)
+        return self.basis.unmet
 
     @property
     def certificate(self) -> Vec:
@@ -274,104 +274,9 @@ class BasisExchange:
         """c'x of all agents."""
         return float(self.basis.columns.cost[1] @ self.basis.level)
 
-    def penalties(self, given: Vec | None = None) -> Vec:
-        """Return the least M for which the prices are dual feasible for the own columns.
-
-            c_j - (y + sum_k M_k y_k)'A_j >= 0
-            y_k the row of B^-1 of the k-th artificial column in the basis
-
-        M_k may depend on the entries of later rows. After K agreements on the greatest value it is
-        large enough for all columns of all agents.
-
-        given: (K,) M so far; zeros if None
-        """
-        M = np.zeros(self.left_over) if given is None else given.copy()
-        change = self.basis.expressed(self._own.entries)[self._artificial]
-        reduced = self.basis.price_out(self._own)[1]
-        for k in reversed(range(len(M))):
-            short = (
-                (change[k] < 0.0)
-                & (change[:k] == 0.0).all(axis=0)
-                & (reduced < M @ change)
-            )
-            rest = reduced - M @ change + M[k] * change[k]
-            M[k] = (rest[short] / change[k, short]).max(initial=M[k])
-        return M
-
-    def doubts(self) -> Vec:
-        """Return (K,) by how much, relative to its terms, the k-th row left over differs at an own column.
-
-        0 where it is the same, where it differs for certain, and where this keeps no column from the basis: that asks
-        for no penalty, and may not help to meet another row.
-        """
-        basis = self.basis
-        change = basis.expressed(self._own.entries)
-        size = np.abs(self._own.entries)
-        size = size + np.abs(basis.columns.entries) @ np.abs(change)
-        rows = basis.columns.ids[self._artificial, 1]
-        change = change[self._artificial]
-        share = np.abs(change) / np.where(size[rows] > 0.0, size[rows], 1.0)
-        is_barred = basis.price_out(self._own)[1] < 0.0
-        if self.unmet:
-            is_barred[:] = True
-        matters = (change < 0.0) & is_barred
-        share[~matters | (share > LEAST_DISTINCTNESS)] = 0.0
-        return np.asarray(share.max(axis=1, initial=0.0))
-
-    def require_distinct(self, doubts: Vec, where: str) -> None:
-        """Raise SolverError for a remaining row if it is unclear whether other rows imply it.
-
-        doubts: (K,) the greatest of all agents
-        """
-        if doubts.any():
-            k = int(np.argmax(doubts))
-            row = int(self.basis.columns.ids[self._artificial[k], 1])
-            found = f"row {row} differs from a sum of other rows by {doubts[k]:.1g} of its terms"
-            raise SolverError(where, f"{found}: {ROUNDING_DECIDES_TEXT}")
-
-    def excess(self) -> float:
-        """Return by how much an own column would lower the cost of the basis, relative to the terms of its cost."""
-        change = self.basis.expressed(self._own.entries)
-        left_over = change[self._artificial]
-        reduced = self.basis.price_out(self._own)
-        own = np.arange(len(self._own))
-        first = np.zeros(len(self._own))
-        if len(left_over):
-            first = left_over[np.argmax(left_over != 0.0, axis=0), own]
-        cost = self.basis.columns.cost
-        terms = np.abs(self._own.cost) + np.abs(cost) @ np.abs(change)
-        gain = -reduced / np.where(terms > 0.0, terms, 1.0)
-        best = np.where(gain[0] != 0.0, gain[0], gain[1] * (self._ray is None))
-        best[first < 0.0] = 0.0
-        return float(best.max(initial=0.0))
-
-    def prices(self, penalties: Vec | None = None) -> Vec:
-        """Return the prices (m,): y + sum_k M_k y_k.
-
-        penalties: (K,) M; zeros if None
-        """
-        y = self.basis.prices[1]
-        if penalties is not None:
-            y = y + penalties @ self.basis.inverse[self._artificial]
-        return np.asarray(y * self._sign)
-
-    @property
-    def left_over(self) -> int:
-        """K, the number of artificial columns in the basis."""
-        return len(self._artificial)
-
-    @property
-    def _artificial(self) -> npt.NDArray[np.int64]:
-        """(K,) places of the artificial columns in the basis."""
-        return np.flatnonzero(self.basis.columns.ids[:, 0] < 0)
-
-
-def _find_unmet_rows(basis: OptimalBasis) -> list[int]:
-    """Return the rows of which more remains than right-hand sides with errors of FEASIBILITY_TOLERANCE explain."""
-    remains = (basis.columns.ids[:, 0] < 0) & (
-        basis.level > FEASIBILITY_TOLERANCE * basis.terms
-    )
-    return [int(row) for row in basis.columns.ids[remains, 1]]
+    def pricing(self) -> BasisPricing:
+        """Return the prices of the present basis, and how the own columns judge them."""
+        return BasisPricing(self.basis, self._own, self._sign, self._ray is None)
 
 
 def _exchange_bases(bases: BasisExchange, where: str, diameter: int) -> Exchange[Vec]:
@@ -388,6 +293,7 @@ def _exchange_bases(bases: BasisExchange, where: str, diameter: int) -> Exchange
             )
         bases.step((yield bases.message()))
         rounds += 1
+    pricing = bases.pricing()
     problem = bases.failure or bases.basis.doubt
     if problem is not None:
         raise SolverError(where, problem)
@@ -395,18 +301,18 @@ def _exchange_bases(bases: BasisExchange, where: str, diameter: int) -> Exchange
         found = f"agents find different bases, and row {bases.unmet[0]} is not met"
         raise SolverError(where, f"{found}: {ROUNDING_DECIDES_TEXT}")
     if bases.undecided:
-        excess = yield from find_greatest(np.array([bases.excess()]), diameter)
+        excess = yield from find_greatest(np.array([pricing.excess()]), diameter)
         if excess[0] > FEASIBILITY_TOLERANCE:
             found = f"agents find different bases, and a column would lower the cost by {excess[0]:.1g} of its terms"
             raise SolverError(where, f"{found}: {ROUNDING_DECIDES_TEXT}")
-    M = np.zeros(bases.left_over)
+    M = np.zeros(pricing.left_over)
     for _ in range(len(M)):
         before = M
         agreed = yield from find_greatest(
-            np.concatenate([bases.penalties(before), bases.doubts()]), diameter
+            np.concatenate([pricing.penalties(before), pricing.doubts()]), diameter
         )
         M, doubts = np.split(agreed, 2)
-        bases.require_distinct(doubts, where)
+        pricing.require_distinct(doubts, where)
         if np.array_equal(M, before) or bases.status != "optimal":
             break
     return M
@@ -478,7 +384,12 @@ class DistributedSimplex(Program[LinearSolution]):
         columns = bases.basis.columns
         ids = [(int(owner), int(number)) for owner, number in columns.ids]
         return LinearSolution(
-            bases.x, bases.cost, bases.prices(penalties), ids, bases.basis.level, self.k
+            bases.x,
+            bases.cost,
+            bases.pricing().prices(penalties),
+            ids,
+            bases.basis.level,
+            self.k,
         )
 
 
@@ -540,7 +451,7 @@ class DualDistributedSimplex(Program[CommonSolution]):
     @property
     def x(self) -> Vec:
         """(d,) the prices at the present basis."""
-        return self._bases.prices()
+        return self._bases.pricing().prices()
 
     def run(self) -> Exchange[CommonSolution]:
         """Compare c, exchange bases, end together."""
@@ -558,7 +469,7 @@ class DualDistributedSimplex(Program[CommonSolution]):
                 self._where,
                 f"unbounded: {_describe_remainder(bases, 'variable')} without a limit",
             )
-        x = bases.prices(penalties)
+        x = bases.pricing().prices(penalties)
         active = [
             (int(owner), int(row))
             for owner, row in bases.basis.columns.ids

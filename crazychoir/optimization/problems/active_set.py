@@ -177,6 +177,28 @@ def _prove_exclusion(u: Vec, rows: Rows, s: Vec, count: int, p: int) -> None:
 
 
 @kernel()
+def _find_blocking_row(
+    gram: Mat, u: Vec, rows: Rows, s: Vec, count: int, p: int, least: float
+) -> tuple[float, int]:
+    """Return how far u_p can grow before an active multiplier is zero, and its place.
+
+    The active multipliers fall by s when u_p grows by 1. Returns infinity and -1 if none falls.
+
+    least: a smaller s is a rounded zero, relative to the lengths of both rows
+    """
+    blocked = np.inf
+    place = -1
+    for i in range(count):
+        if (
+            s[i] > least * np.sqrt(gram[p, p] / gram[rows[i], rows[i]])
+            and u[rows[i]] < blocked * s[i]
+        ):
+            blocked = u[rows[i]] / s[i]
+            place = i
+    return blocked, place
+
+
+@kernel()
 def _compute_multipliers(gram: Mat, free: Vec, size: Vec, u: Vec, most: int) -> int:
     """Compute the multipliers u (m,) of `minimise`.
 
@@ -200,8 +222,6 @@ def _compute_multipliers(gram: Mat, free: Vec, size: Vec, u: Vec, most: int) -> 
             s[i] = gram[rows[i], p]
         _solve_factorised(factor, s, count)
         curvature = gram[p, p]
-        blocked = np.inf
-        place = -1
         for i in range(count):
             curvature -= gram[rows[i], p] * s[i]
         full = np.inf
@@ -213,13 +233,7 @@ def _compute_multipliers(gram: Mat, free: Vec, size: Vec, u: Vec, most: int) -> 
         ):
             full = max(0.0, -slack / curvature)
             least = 0.0
-        for i in range(count):
-            if (
-                s[i] > least * np.sqrt(gram[p, p] / gram[rows[i], rows[i]])
-                and u[rows[i]] < blocked * s[i]
-            ):
-                blocked = u[rows[i]] / s[i]
-                place = i
+        blocked, place = _find_blocking_row(gram, u, rows, s, count, p, least)
         t = min(full, blocked)
         if t == np.inf:
             if (

@@ -2,6 +2,7 @@
 
 import random
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -51,6 +52,16 @@ class CheckedFunction:
 def keep_point(x: Vec) -> Vec:
     """Return x: the projection onto the whole space."""
     return x
+
+
+@dataclass(frozen=True)
+class ProjectedCost:
+    """An agent's part of  min sum_i f_i(x), x in X."""
+
+    gradient: Gradient
+    """g_i of the whole x, a sub-gradient of f_i or a stochastic one, see `Samples`."""
+    project: Project = keep_point
+    """P_X, the projection onto X, the same set at all agents."""
 
 
 class Samples:

@@ -165,6 +165,14 @@ class OptimalBasis:
         return np.asarray(np.abs(self.inverse) @ np.abs(self.b))
 
     @cached_property
+    def unmet(self) -> list[int]:
+        """Rows of which more remains than right-hand sides with errors of FEASIBILITY_TOLERANCE explain."""
+        remains = (self.columns.ids[:, 0] < 0) & (
+            self.level > FEASIBILITY_TOLERANCE * self.terms
+        )
+        return [int(row) for row in self.columns.ids[remains, 1]]
+
+    @cached_property
     def residual(self) -> Vec:
         """(m,) |B x_B - b| of the rows, relative to the sizes of their terms added up."""
         rest = np.abs(self.columns.entries @ self.level - self.b)

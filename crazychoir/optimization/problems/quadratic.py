@@ -176,6 +176,77 @@ class AffineHull:
         return DOUBTFUL_STATUS
 
 
+@dataclass(frozen=True, slots=True)
+class InequalityRows:
+    """How the rows of A x <= b vary within an affine set, for many bounds b.
+
+    The columns of N are the directions of the set.
+    """
+
+    free: Mat
+    """A N (m, n - rank), the rows along the directions of the set."""
+    is_fixed: Mask
+    """(m,) True for a row that has the same value everywhere in the set."""
+    sizes: Mat
+    """|A| (m, n)."""
+    shares: Mat
+    """(m, l) shares of the equalities in each row, as absolute values."""
+
+    @classmethod
+    def of(cls, A: Mat, hull: AffineHull) -> "InequalityRows":
+        """Return the rows A (m, n), of length one, within an affine set."""
+        free = A @ hull.null
+        return cls(
+            free=free,
+            is_fixed=np.linalg.norm(free, axis=1)
+            <= QUADRATIC_TOLERANCES.dependent_rows,
+            sizes=np.abs(A),
+            shares=np.abs(A @ hull.lift),
+        )
+
+    def misses_fixed_row(self, slack: Vec, size: Vec, equal_sizes: Vec) -> bool:
+        """Return True if a fixed row is violated by more than the rounding of the data.
+
+        slack: (m,) b - A x at a point x of the set
+        size: (m,) of the terms of each row at x
+        equal_sizes: (l,) of the terms of each equality at x
+        """
+        known = size + self.shares @ equal_sizes
+        is_missed = (
+            slack
+            < -QUADRATIC_TOLERANCES.consistent_row * known
+            - ACTIVE_SET_TOLERANCES.negligible_miss
+        )
+        return bool(is_missed[self.is_fixed].any())
+
+    def exclude_each_other(self, rows: Rows, slack: Vec, size: Vec) -> bool:
+        """Return True if it is certain that no x of the set meets all of these rows.
+
+        The singular vector of the smallest singular value is the proof, if that value is zero
+        within QUADRATIC_TOLERANCES.dependent_rows and not just small.
+
+        rows: (k,) indices of the rows
+        slack: (k,) b - A x of these rows at a point x of the set
+        size: (k,) of the terms of these rows at x
+        """
+        lengths = np.linalg.norm(self.free[rows], axis=1)
+        left, sizes, _ = np.linalg.svd(self.free[rows] / lengths[:, None])
+        weights = left[:, -1] if left[:, -1].sum() > 0.0 else -left[:, -1]
+        least = 0.0 if len(rows) > len(sizes) else sizes[-1]
+        gap = -float((slack / lengths) @ weights)
+        is_seen = (
+            gap
+            > QUADRATIC_TOLERANCES.consistent_row
+            * float((size / lengths) @ np.abs(weights))
+            + ACTIVE_SET_TOLERANCES.negligible_miss
+        )
+        return bool(
+            least <= QUADRATIC_TOLERANCES.dependent_rows
+            and is_seen
+            and weights.min() >= -QUADRATIC_TOLERANCES.consistent_row
+        )
+
+
 @dataclass
 class QuadraticProgram:
     """A strictly convex quadratic program, solved for many linear costs p.
@@ -212,19 +283,14 @@ class QuadraticProgram:
             -null
             @ np.linalg.solve(require_positive_definite(null.T @ self.P @ null), null.T)
         )
-        self._free = over.A @ null
-        self._is_fixed = (
-            np.linalg.norm(self._free, axis=1) <= QUADRATIC_TOLERANCES.dependent_rows
-        )
-        self._sizes = np.abs(over.A)
+        self._rows = InequalityRows.of(over.A, self.hull)
         self._A = np.ascontiguousarray(over.A)
         self._E = np.ascontiguousarray(over.E[self.hull.basis])
-        self._shares = np.abs(over.A @ self.hull.lift)
         self.image = np.ascontiguousarray(over.A @ self.inverse)
         self.gram = np.ascontiguousarray(-self.image @ over.A.T)
-        self.image[self._is_fixed] = 0.0
-        self.gram[self._is_fixed] = 0.0
-        self.gram[:, self._is_fixed] = 0.0
+        self.image[self._rows.is_fixed] = 0.0
+        self.gram[self._rows.is_fixed] = 0.0
+        self.gram[:, self._rows.is_fixed] = 0.0
         self.u = np.zeros(len(over.b))
         self.name = "active set" if len(over.b) else "closed form"
         x0 = self.hull.point(over.e)
@@ -236,19 +302,18 @@ class QuadraticProgram:
         self._b = np.ascontiguousarray(b, float)
         self._e = np.asarray(e, float)
         self._basis_e = self._e[self.hull.basis]
-        size = self._sizes @ np.abs(origin) + np.abs(b)
+        rows = self._rows
+        size = rows.sizes @ np.abs(origin) + np.abs(b)
         slack = b - self.over.A @ origin
         self.verdict = self.hull.verdict(origin, e)
-        if self._is_fixed.any() and not self.verdict:
-            known = size + self._shares @ self.hull.sizes(origin, e)
-            if (
-                slack
-                < -QUADRATIC_TOLERANCES.consistent_row * known
-                - ACTIVE_SET_TOLERANCES.negligible_miss
-            )[self._is_fixed].any():
-                self.verdict = QUADRATIC_STATUS_TEXTS[ACTIVE_SET_STATUS.infeasible]
+        if (
+            rows.is_fixed.any()
+            and not self.verdict
+            and rows.misses_fixed_row(slack, size, self.hull.sizes(origin, e))
+        ):
+            self.verdict = QUADRATIC_STATUS_TEXTS[ACTIVE_SET_STATUS.infeasible]
         slack[
-            self._is_fixed | (np.abs(slack) <= ACTIVE_SET_TOLERANCES.rounding * size)
+            rows.is_fixed | (np.abs(slack) <= ACTIVE_SET_TOLERANCES.rounding * size)
         ] = 0.0
         self.slack = slack
 
@@ -274,11 +339,11 @@ class QuadraticProgram:
         if steps >= 0:
             return x if self._is_met(x) else self._polished(x)
         if steps == ACTIVE_SET_STATUS.infeasible:
-            certain = self._exclude_each_other(np.flatnonzero(self.u))
+            is_certain = self._is_surely_infeasible()
             self.u[:] = 0.0
             return (
                 QUADRATIC_STATUS_TEXTS[ACTIVE_SET_STATUS.infeasible]
-                if certain
+                if is_certain
                 else DOUBTFUL_STATUS
             )
         return QUADRATIC_STATUS_TEXTS[steps]
@@ -308,29 +373,11 @@ class QuadraticProgram:
         """
         return bool(active_set.is_met(self._A, self._b, self._E, self._basis_e, x))
 
-    def _exclude_each_other(self, rows: Rows) -> bool:
-        """Return True if it is certain that no x meets all of these rows.
-
-        The singular vector of the smallest singular value is the proof, if that value is zero
-        within QUADRATIC_TOLERANCES.dependent_rows and not just small.
-        """
-        lengths = np.linalg.norm(self._free[rows], axis=1)
-        left, sizes, _ = np.linalg.svd(self._free[rows] / lengths[:, None])
-        weights = left[:, -1] if left[:, -1].sum() > 0.0 else -left[:, -1]
-        least = 0.0 if len(rows) > len(sizes) else sizes[-1]
-        gap = -float((self.slack[rows] / lengths) @ weights)
-        size = self._sizes[rows] @ np.abs(self.origin) + np.abs(self._b[rows])
-        is_seen = (
-            gap
-            > QUADRATIC_TOLERANCES.consistent_row
-            * float((size / lengths) @ np.abs(weights))
-            + ACTIVE_SET_TOLERANCES.negligible_miss
-        )
-        return bool(
-            least <= QUADRATIC_TOLERANCES.dependent_rows
-            and is_seen
-            and weights.min() >= -QUADRATIC_TOLERANCES.consistent_row
-        )
+    def _is_surely_infeasible(self) -> bool:
+        """Return True if it is certain that the rows with multipliers exclude each other."""
+        rows = np.flatnonzero(self.u)
+        size = self._rows.sizes[rows] @ np.abs(self.origin) + np.abs(self._b[rows])
+        return self._rows.exclude_each_other(rows, self.slack[rows], size)
 
 
 @dataclass

@@ -34,7 +34,7 @@ NEWTON_STEP = NewtonStep()
 class SmoothFunction:
     """A function of x (n,), given by its value and its derivative.
 
-    For a problem modelled with cvxpy, write Smooth(problem.value, problem.gradient).
+    For a problem modelled with cvxpy, write SmoothFunction(problem.value, problem.gradient).
     """
 
     value: Callable[[Vec], Any]
@@ -62,6 +62,18 @@ class SmoothFunction:
                     f"{where}: {name}, row {row}, at x = {x.tolist()}", "not finite"
                 )
         return value, derivative
+
+
+@dataclass(frozen=True)
+class SmoothProblem:
+    """An agent's part of  min sum_i f_i(x)  s.t.  h_i(x) = 0, g_i(x) <= 0 for all i."""
+
+    objective: SmoothFunction
+    """f_i."""
+    equalities: SmoothFunction | None = None
+    """h_i, or None."""
+    inequalities: SmoothFunction | None = None
+    """g_i, or None."""
 
 
 def descend_once(

@@ -2,10 +2,25 @@
 
 import random
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import accumulate, pairwise
 
 from crazychoir.errors import ConfigError
 from crazychoir.types import Vec
+
+
+@dataclass(frozen=True)
+class RandomBlocks:
+    """The blocks of x, and how an agent draws one of them in each round."""
+
+    sizes: Sequence[int]
+    """Lengths of the consecutive blocks of x."""
+    chances: Sequence[float] | None = None
+    """Probability of each block, with sum one; None for equal ones."""
+    awake: float = 1.0
+    """Probability that the agent does anything in a round."""
+    seed: int = 0
+    """Seed of the draws."""
 
 
 class Blocks:
@@ -15,21 +30,14 @@ class Blocks:
 
     i: id of the agent
     n: length of x
-    sizes: lengths of the consecutive blocks of x, which add up to n
-    chances: probability of each block, with sum one; None for equal ones
-    awake: probability that the agent does anything in a round
-    seed: seed of the draws
+    drawn: the blocks, whose lengths add up to n, and how they are drawn
+    Raises ConfigError for lengths or probabilities that do not fit.
     """
 
-    def __init__(
-        self,
-        i: int,
-        n: int,
-        sizes: Sequence[int],
-        chances: Sequence[float] | None,
-        awake: float,
-        seed: int,
-    ) -> None:
+    def __init__(self, i: int, n: int, drawn: RandomBlocks) -> None:
+        sizes = drawn.sizes
+        chances = drawn.chances
+        awake = drawn.awake
         if sum(sizes) != n or min(sizes, default=0) < 1:
             raise ConfigError(
                 f"agent {i}: blocks",
@@ -51,7 +59,7 @@ class Blocks:
         self._parts = [slice(a, b) for a, b in pairwise(accumulate(sizes, initial=0))]
         self._weights = weights
         self._awake = awake
-        self._chance = random.Random(f"{seed} {i}")  # noqa: S311 - which block, not secrets
+        self._chance = random.Random(f"{drawn.seed} {i}")  # noqa: S311 - which block, not secrets
 
     def __len__(self) -> int:
         return len(self._parts)

@@ -28,7 +28,9 @@ from crazychoir.planning.drawing.svg_document import (
     SvgElement,
     read_document,
 )
-from crazychoir.planning.drawing.svg_reader import MOST_POINTS, SVG_ADVICE, SvgReader
+from crazychoir.planning.drawing.svg_outline import MOST_POINTS
+from crazychoir.planning.drawing.svg_reader import SvgReader
+from crazychoir.planning.drawing.svg_report import SVG_ADVICE
 from crazychoir.types import Mat
 
 __all__ = [
@@ -90,9 +92,9 @@ def parse_picture(
     Raises ConfigError, with `where`, the element, its id and its line; also if nothing is seen.
     """
     root = read_document(text, where)
-    reader = SvgReader(root, where, scale)
     try:
         with np.errstate(divide="raise", over="raise", invalid="raise"):
+            reader = SvgReader(root, where, scale)
             reader.read()
     except ArithmeticError as error:
         raise ConfigError(

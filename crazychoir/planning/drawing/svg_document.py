@@ -68,6 +68,15 @@ class SvgElement:
             waiting.extend(reversed(element.children))
 
 
+def index_by_id(root: SvgElement) -> dict[str, SvgElement]:
+    """Return the elements of a document by id; the first of several with one id."""
+    found: dict[str, SvgElement] = {}
+    for element in root.walk():
+        if name := element.attributes.get("id"):
+            found.setdefault(name, element)
+    return found
+
+
 def quote_text(text: str) -> str:
     """Return a text as errors quote it."""
     return repr(shorten_text(text))

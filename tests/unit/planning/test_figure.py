@@ -47,4 +47,4 @@ def test_bad_figures_are_refused(wrong, complaint):
 
 def test_an_eight_needs_both_sizes():
     with pytest.raises(ConfigError, match="eight: b"):
-        eight((0, 0, 1), 1.0, 0.0, 4.0)
+        eight((0, 0, 1), (1.0, 0.0), 4.0)

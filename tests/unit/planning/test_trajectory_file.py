@@ -13,7 +13,7 @@ from crazychoir.planning.trajectory_file import (
 )
 from crazychoir.planning.upload import compute_difference
 
-FIGURE = eight((0, 0, 1), 1.0, 0.5, 8.0, laps=2, yaw="along")
+FIGURE = eight((0, 0, 1), (1.0, 0.5), 8.0, laps=2, yaw="along")
 HEAD = "t,x,y,z,yaw"
 PIECES = ",".join(PIECE_COLUMNS)
 

@@ -35,8 +35,8 @@ def test_the_memory_holds_132_bytes_a_piece():
     "trajectory",
     [
         circle((0, 0, 1), 0.5, 4.0, laps=5, yaw="along"),
-        eight((0, 0, 1), 1.0, 0.5, 8.0, laps=2, yaw="along"),
-        eight((0, 0, 1), 1.0, 0.5, 8.0, laps=1, yaw=0.7),
+        eight((0, 0, 1), (1.0, 0.5), 8.0, laps=2, yaw="along"),
+        eight((0, 0, 1), (1.0, 0.5), 8.0, laps=1, yaw=0.7),
         minimum_snap(WAYPOINTS, np.arange(40.0)),
     ],
 )

@@ -11,7 +11,7 @@ from crazychoir.bus.port import Bus
 from crazychoir.errors import AgentFailed, ChannelEnded, PeerLost, SolverError
 from crazychoir.optimization.algorithms import asymm
 from crazychoir.optimization.algorithms.asymm import ASYMM
-from crazychoir.optimization.problems.smooth import SmoothFunction
+from crazychoir.optimization.problems.smooth import SmoothFunction, SmoothProblem
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.team.algorithm_run import WakingTimes, run_algorithm
 from crazychoir.team.communicator import Communicator
@@ -188,10 +188,12 @@ def contradictory(graph):
             graph.neighbors(i),
             graph.diameter(),
             [1.0 * i],
-            SmoothFunction(
-                lambda x, i=i: (x[0] - i) ** 2, lambda x, i=i: 2.0 * (x - i)
+            SmoothProblem(
+                SmoothFunction(
+                    lambda x, i=i: (x[0] - i) ** 2, lambda x, i=i: 2.0 * (x - i)
+                ),
+                inequalities=rows.get(i),
             ),
-            inequalities=rows.get(i),
         )
         for i in graph.ids
     }
@@ -216,7 +218,9 @@ BOWL = SmoothFunction(lambda x: x @ x, lambda x: 2 * x)
 
 def multipliers(graph, function=BOWL):
     return {
-        i: ASYMM(i, graph.neighbors(i), graph.diameter(), [1.0], function)
+        i: ASYMM(
+            i, graph.neighbors(i), graph.diameter(), [1.0], SmoothProblem(function)
+        )
         for i in graph.ids
     }
 

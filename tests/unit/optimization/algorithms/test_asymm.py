@@ -5,8 +5,8 @@ from quadratics import costs, optimum, problems
 from scipy.optimize import minimize
 
 from crazychoir.errors import ConfigError, SolverError
-from crazychoir.optimization.algorithms.asymm import ASYMM
-from crazychoir.optimization.problems.smooth import SmoothFunction
+from crazychoir.optimization.algorithms.asymm import ASYMM, PenaltySchedule
+from crazychoir.optimization.problems.smooth import SmoothFunction, SmoothProblem
 from crazychoir.solve.simulate import simulate
 from crazychoir.team.graph import erdos_renyi_connected, path, ring
 
@@ -19,10 +19,8 @@ def agents(graph, functions, start, equalities=None, inequalities=None, **option
             graph.neighbors(i),
             graph.diameter(),
             start[i],
-            functions[i],
-            equalities=own(i, equalities),
-            inequalities=own(i, inequalities),
-            **options,
+            SmoothProblem(functions[i], own(i, equalities), own(i, inequalities)),
+            PenaltySchedule(**options),
         )
         for i in graph.ids
     }
@@ -128,7 +126,11 @@ def test_a_neighbor_in_the_next_epoch_says_that_all_are_done_with_this_one():
 
 def test_a_gradient_must_stay_small_before_it_counts():
     agent = ASYMM(
-        0, (1,), 1, [0.0, 0.0], SmoothFunction(lambda x: x @ x, lambda x: 2 * x)
+        0,
+        (1,),
+        1,
+        [0.0, 0.0],
+        SmoothProblem(SmoothFunction(lambda x: x @ x, lambda x: 2 * x)),
     )
     bits = []
     for _ in range(6):
@@ -147,7 +149,11 @@ def test_multipliers_come_from_both_ends_and_lost_messages_do_not_matter():
 
 def test_what_is_wrong_is_named():
     good = SmoothFunction(lambda x: x @ x, lambda x: 2 * x)
-    make = lambda f, **options: ASYMM(3, (4,), 1, [0.0, 0.0], f, **options)  # noqa: E731
+
+    def make(f, inequalities=None, **options):
+        problem = SmoothProblem(f, inequalities=inequalities)
+        return ASYMM(3, (4,), 1, [0.0, 0.0], problem, PenaltySchedule(**options))
+
     said = {4: [0, b"\x00", np.ones(2), np.zeros(2), 1.0]}
     with pytest.raises(
         ConfigError, match="agent 3: penalty: found 0; allowed: above 0"
@@ -217,8 +223,7 @@ def test_constraints_that_exclude_each_other_are_no_answer():
             graph.neighbors(i),
             graph.diameter(),
             [1.0 * i],
-            functions[i],
-            inequalities=rows.get(i),
+            SmoothProblem(functions[i], inequalities=rows.get(i)),
         )
         for i in graph.ids
     }

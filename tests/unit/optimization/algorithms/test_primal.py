@@ -8,7 +8,10 @@ import pytest
 
 from crazychoir.errors import AgentFailed, ConfigError, SolverError
 from crazychoir.optimization.algorithms.admm import ADMM
-from crazychoir.optimization.algorithms.aggregative_tracking import AggregativeTracking
+from crazychoir.optimization.algorithms.aggregative_tracking import (
+    AggregativeProblem,
+    AggregativeTracking,
+)
 from crazychoir.optimization.algorithms.allocation import Allocation
 from crazychoir.optimization.algorithms.asynchronous_consensus import (
     AsynchronousConsensus,
@@ -31,9 +34,10 @@ from crazychoir.optimization.algorithms.set_membership import (
 )
 from crazychoir.optimization.algorithms.subgradient import SubgradientMethod
 from crazychoir.optimization.generate import random_quadratics
-from crazychoir.optimization.problems.gradient import Samples
+from crazychoir.optimization.problems.gradient import ProjectedCost, Samples
 from crazychoir.optimization.problems.problems import ConstraintCoupled, CostCoupled
 from crazychoir.optimization.problems.projection import Box, Convex, Disc, Strip
+from crazychoir.optimization.rounds.blocks import RandomBlocks
 from crazychoir.optimization.rounds.mixing import columns, rows, team
 from crazychoir.optimization.rounds.step_size import Diminishing
 from crazychoir.optimization.rounds.stopping import Settled, Until
@@ -68,7 +72,9 @@ MAKERS = {
     "max": (GRAPH, lambda i: MaxConsensus(i, [i, -i], GRAPH.diameter())),
     "block consensus": (
         GRAPH,
-        lambda i: BlockConsensus(i, ONES * i, WEIGHTS[i], [1, 1], awake=0.8),
+        lambda i: BlockConsensus(
+            i, ONES * i, WEIGHTS[i], RandomBlocks([1, 1], awake=0.8)
+        ),
     ),
     "push-sum": (DIRECTED, lambda i: PushSum(i, ONES * i, PUSH[i])),
     "sub-gradient": (
@@ -86,7 +92,12 @@ MAKERS = {
     "block sub-gradient": (
         GRAPH,
         lambda i: BlockSubgradientMethod(
-            i, ONES, WEIGHTS[i], [1, 1], Q.gradient(i), STEP, awake=0.8
+            i,
+            ONES,
+            WEIGHTS[i],
+            RandomBlocks([1, 1], awake=0.8),
+            ProjectedCost(Q.gradient(i)),
+            STEP,
         ),
     ),
     "gradient tracking": (
@@ -105,10 +116,9 @@ MAKERS = {
             i,
             ONES,
             WEIGHTS[i],
-            half,
-            lambda x: 0.5 * np.eye(2),
-            lambda x, s: x - i,
-            lambda x, s: s,
+            AggregativeProblem(
+                half, lambda x: 0.5 * np.eye(2), lambda x, s: x - i, lambda x, s: s
+            ),
             0.1,
         ),
     ),
@@ -307,12 +317,9 @@ def test_the_block_method_finds_the_optimum_though_agents_sleep(chances):
             i,
             np.zeros(2),
             w,
-            [1, 1],
-            Q.gradient(i),
+            RandomBlocks([1, 1], chances, awake=0.7),
+            ProjectedCost(Q.gradient(i), Box(-1.0, 0.5).project),
             Diminishing(0.3, 0.7),
-            Box(-1.0, 0.5).project,
-            chances,
-            awake=0.7,
             rounds=4000,
         ),
     )
@@ -330,7 +337,7 @@ def test_block_consensus_agrees_between_the_values_of_the_start_and_sends_one_bl
     agents = team(
         GRAPH,
         lambda i, w: BlockConsensus(
-            i, [i, i**2, -i], w, [1, 2], [0.3, 0.7], 0.8, 300, seed=2
+            i, [i, i**2, -i], w, RandomBlocks([1, 2], [0.3, 0.7], 0.8, seed=2), 300
         ),
     )
     for agent in agents.values():
@@ -343,7 +350,7 @@ def test_block_consensus_agrees_between_the_values_of_the_start_and_sends_one_bl
     agents = team(
         GRAPH,
         lambda i, w: BlockConsensus(
-            i, [i, i**2, -i], w, [1, 2], [0.3, 0.7], 0.8, 400, seed=2
+            i, [i, i**2, -i], w, RandomBlocks([1, 2], [0.3, 0.7], 0.8, seed=2), 400
         ),
     )
     history = simulate(agents, GRAPH, loss=0.3)
@@ -461,7 +468,12 @@ def own(i):
         ),
         (
             lambda i, a: BlockSubgradientMethod(
-                i, ONES, WEIGHTS[i], [2], half, Diminishing(0.1, a)
+                i,
+                ONES,
+                WEIGHTS[i],
+                RandomBlocks([2]),
+                ProjectedCost(half),
+                Diminishing(0.1, a),
             ),
             ".*, round 1",
         ),
@@ -580,21 +592,28 @@ def test_a_set_that_cvxpy_does_not_know_as_convex():
         (lambda: PushSum(0, ONES, {0: 0.0, 1: 1.0}), "agent 0: shares"),
         (lambda: PushSum(0, ONES, {0: 0.4, 1: 0.4}), "agent 0: shares = .* sum to 0.8"),
         (lambda: AsynchronousConsensus(0, ONES, {0: 1.2, 1: -0.2}), "agent 0: weights"),
-        (lambda: BlockConsensus(0, np.ones(4), {0: 1.0}, [1, 2]), "agent 0: blocks"),
         (
-            lambda: BlockConsensus(0, np.ones(3), {0: 1.0}, [1, 2], [1.0, 0.0]),
+            lambda: BlockConsensus(0, np.ones(4), {0: 1.0}, RandomBlocks([1, 2])),
+            "agent 0: blocks",
+        ),
+        (
+            lambda: BlockConsensus(
+                0, np.ones(3), {0: 1.0}, RandomBlocks([1, 2], [1.0, 0.0])
+            ),
             "agent 0: chances of blocks",
         ),
         (
-            lambda: BlockConsensus(0, np.ones(3), {0: 1.0}, [1, 2], awake=0.0),
+            lambda: BlockConsensus(
+                0, np.ones(3), {0: 1.0}, RandomBlocks([1, 2], awake=0.0)
+            ),
             "agent 0: awake",
         ),
         (
-            lambda: BlockConsensus(0, np.ones((3, 1)), {0: 1.0}, [1, 2]),
+            lambda: BlockConsensus(0, np.ones((3, 1)), {0: 1.0}, RandomBlocks([1, 2])),
             "agent 0: x: found shape",
         ),
         (
-            lambda: BlockConsensus(0, ONES, [{0: 1.0}, {0: 1.0}], [2]),
+            lambda: BlockConsensus(0, ONES, [{0: 1.0}, {0: 1.0}], RandomBlocks([2])),
             "agent 0: weights: found 2 rows",
         ),
         (
@@ -607,7 +626,12 @@ def test_a_set_that_cvxpy_does_not_know_as_convex():
         ),
         (
             lambda: AggregativeTracking(
-                0, ONES, {0: 1.0}, half, half, half, half, 0.1, delta=0.0
+                0,
+                ONES,
+                {0: 1.0},
+                AggregativeProblem(half, half, half, half),
+                0.1,
+                delta=0.0,
             ),
             "agent 0: delta",
         ),

@@ -11,6 +11,7 @@ from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.algorithms.allocation import Allocation
 from crazychoir.optimization.algorithms.convexified import Convexified
 from crazychoir.optimization.algorithms.mixed_integer_decomposition import (
+    PriceStage,
     PrimalDecompositionMILP,
 )
 from crazychoir.optimization.algorithms.primal_decomposition import PrimalDecomposition
@@ -135,9 +136,11 @@ def test_on_a_dense_random_graph_of_20_it_converges_where_unweighted_trade_does_
 
 def solve(blocks, graph, **options):
     weights, span = metropolis(graph), graph.diameter()
-    settings = {"step": STEP, "penalty": PENALTY, "rounds": 60} | options
+    settings = {"penalty": PENALTY, "rounds": 60} | options
+    step = settings.pop("step", STEP)
+    prices = PriceStage(**settings)
     agents = {
-        i: PrimalDecompositionMILP(block, weights[i], len(blocks), span, **settings)
+        i: PrimalDecompositionMILP(block, weights[i], len(blocks), span, step, prices)
         for i, block in enumerate(blocks)
     }
     run_team(agents, graph)
@@ -215,7 +218,7 @@ def test_the_solution_is_the_same_whatever_is_lost():
     for loss in (0.0, 0.4):
         agents = {
             i: PrimalDecompositionMILP(
-                block, metropolis(graph)[i], 4, 2, STEP, rounds=15, penalty=PENALTY
+                block, metropolis(graph)[i], 4, 2, STEP, PriceStage(15, PENALTY)
             )
             for i, block in enumerate(blocks)
         }
@@ -320,7 +323,7 @@ def test_bad_input_is_refused_with_agent_and_value():
         ConfigError,
         match="agent 0: primal decomposition: rounds: found 0; allowed: at least 1",
     ):
-        PrimalDecompositionMILP(block, {0: 1.0}, 1, 0, 1.0, rounds=0)
+        PrimalDecompositionMILP(block, {0: 1.0}, 1, 0, 1.0, PriceStage(rounds=0))
     with pytest.raises(ConfigError, match="step size: a: found -1"):
         PrimalDecomposition(0, {0: 1.0}, Convexified(block, 10.0), block.share, -1.0)
     problem = convex_problems(1, seed=0)[0][0]

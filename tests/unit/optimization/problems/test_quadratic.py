@@ -4,6 +4,7 @@ from scipy.optimize import linprog
 
 from crazychoir.optimization.problems.quadratic import (
     AffineHull,
+    InequalityRows,
     MovingProgram,
     Polyhedron,
     QuadraticProgram,
@@ -327,3 +328,41 @@ def test_the_affine_hull_gives_a_point_all_directions_and_the_shares_of_dependen
         )
         assert not hull.gaps(hull.point(e), e).any()
         assert hull.verdict(hull.point(e), e) == ""
+
+
+def test_inequality_rows_know_what_the_affine_set_leaves_of_them():
+    hull = AffineHull(np.array([[1.0, 0.0]]))
+    rows = InequalityRows.of(np.array([[0.0, -1.0], [-1.0, 0.0], [0.6, 0.8]]), hull)
+    np.testing.assert_allclose(np.abs(rows.free[:, 0]), [1.0, 0.0, 0.8], atol=1e-15)
+    assert rows.is_fixed.tolist() == [False, True, False]
+    np.testing.assert_allclose(rows.sizes, [[0.0, 1.0], [1.0, 0.0], [0.6, 0.8]])
+    np.testing.assert_allclose(rows.shares, [[0.0], [1.0], [0.6]])
+
+
+@pytest.mark.parametrize(
+    ("slack", "size", "is_missed"),
+    [(-1e-3, 1.0, True), (-1e-3, 1e7, False), (0.0, 1.0, False)],
+)
+def test_a_fixed_row_is_missed_by_more_than_its_rounding(slack, size, is_missed):
+    hull = AffineHull(np.array([[1.0, 0.0]]))
+    rows = InequalityRows.of(np.eye(2), hull)
+    found = rows.misses_fixed_row(np.array([slack, -9.0]), np.full(2, size), np.ones(1))
+    assert found is is_missed
+
+
+@pytest.mark.parametrize(
+    ("A", "slack", "is_certain"),
+    [
+        ([[1.0, 0.0], [-1.0, 0.0]], [-1.0, 0.5], True),
+        ([[1.0, 0.0], [-1.0, 0.0]], [-1.0, 1.5], False),
+        ([[1.0, 0.0], [0.0, -1.0]], [-1.0, 0.5], False),
+        ([[1.0, 0.0], [-1.0, 1e-5]], [-1.0, 0.5], False),
+    ],
+    ids=["apart", "together", "crossing", "nearly parallel"],
+)
+def test_rows_exclude_each_other_for_certain_only_where_they_are_dependent(
+    A, slack, is_certain
+):
+    rows = InequalityRows.of(np.array(A), AffineHull(np.zeros((0, 2))))
+    found = rows.exclude_each_other(np.arange(2), np.array(slack), np.ones(2))
+    assert found is is_certain
