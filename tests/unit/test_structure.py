@@ -44,7 +44,6 @@ LARGE_CLASSES = {
     "CFDistributedFeedback",
     "CommandDesk",
     "Communicator",
-    "DistributedColumns",
     "Fleet",
     "Onboard",
     "Pilot",
