@@ -41,7 +41,6 @@ MOST_MISSION_LINES = 90  # of a file in agents/
 LONG_MISSIONS = ("online_delivery", "pickup_delivery", "task_assignment")
 LARGE_CLASSES = {
     "BasisExchange",
-    "CFDistributedFeedback",
     "CommandDesk",
     "Communicator",
     "Fleet",
