@@ -1,7 +1,4 @@
-"""CFDistributedFeedback: a feedback law as a mission.
-
-`explain_wrong_return` reports references that cannot be flown.
-"""
+"""CFDistributedFeedback: a feedback law as a mission."""
 
 import asyncio
 import logging
@@ -18,6 +15,7 @@ from crazychoir.control.gains import FORMATION_GAINS, Gains
 from crazychoir.errors import ConfigError
 from crazychoir.flight.references import convert_reference, explain_refusal
 from crazychoir.guidance.guidance import CFGuidance
+from crazychoir.guidance.law_tally import LawTally, explain_wrong_return
 from crazychoir.guidance.member import (
     Interrupted,
     Member,
@@ -33,15 +31,7 @@ from crazychoir.guidance.user_hook import Hook, locate_function
 from crazychoir.runtime.clock import NS_PER_SECOND, wake_waiter
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.rules.modes import Mode
-from crazychoir.types import (
-    Acceleration,
-    FullState,
-    Goto,
-    Heard,
-    Reference,
-    State,
-    Velocity,
-)
+from crazychoir.types import Heard, Reference, State
 
 log = logging.getLogger(__name__)
 LAW_TASK = "feedback law"
@@ -128,8 +118,7 @@ class CFDistributedFeedback(CFGuidance):
         self._own = self._sum()
         self._measured = 0.0
         self._unheard = dict.fromkeys(self._hearings, 0)
-        self._steps = self._nothing = self._refused = 0
-        self._amiss = ""
+        self._tally = LawTally(self.id)
         self._law: asyncio.Future[None] | None = None
         self._period_ns = self._due_ns = 0
         self._me = self.state
@@ -176,30 +165,13 @@ class CFDistributedFeedback(CFGuidance):
         self.member.announce()
         await self.land()
         unheard = {j: steps / self.rate for j, steps in self._unheard.items() if steps}
-        usable = self._steps - self._nothing - self._refused
         result = {
             "law_s": law_s,
-            "references": usable,
+            "references": self._tally.usable,
             "place": place,
             "unheard_s": unheard,
         }
-        if self._refused:
-            result["refused_references"] = self._refused
-        if self._refused > usable:
-            result["refused"] = self._useless()
-        return result | (
-            {"success": False, "reason": self._useless()}
-            if self._refused and not usable
-            else {}
-        )
-
-    def _useless(self) -> str:
-        """Return in how many steps the law gave what cannot be flown, and why the last of these cannot."""
-        where = f"drone {self.id}: the law gave no usable reference in {self._refused} of {self._steps} steps"
-        others = self._steps - self._refused
-        if others > 0 and self._nothing == others:
-            where += " (None in the others)"
-        return f"{where}: {self._amiss}"
+        return result | self._tally.list_faults()
 
     def height(self) -> float | None:
         """Return the take-off height in m above the ground, or None for that of the swarm file.
@@ -308,9 +280,10 @@ class CFDistributedFeedback(CFGuidance):
                     f"drone {self.id}: {describe_state(pilot)}{self._deaf()}"
                 )
             reference = self._stepped(self._me)
-            self._steps += 1
+            tally = self._tally
+            tally.steps += 1
             if reference is None:
-                self._nothing += 1
+                tally.hovered += 1
                 pilot.hover()
             elif not pilot.follow(reference):
                 self._not_taken(reference)
@@ -342,14 +315,14 @@ class CFDistributedFeedback(CFGuidance):
 
     def _not_taken(self, reference: object) -> None:
         """Count a reference that can never be flown, and log the reason once."""
-        self._refused += 1
         if convert_reference(reference) is None:
             why = f"{explain_wrong_return(reference)}; {explain_refusal(reference)}"
         else:
             why = self.member.pilot.unflown(reference)
-        self._amiss = f"{why} ({locate_function(self.step)})"
-        if self._refused == 1:
-            log.warning("drone %d: %s: not flown", self.id, self._amiss)
+        why = f"{why} ({locate_function(self.step)})"
+        self._tally.refuse(why)
+        if self._tally.refused == 1:
+            log.warning("drone %d: %s: not flown", self.id, why)
 
     def _deaf(self) -> str:
         """Return the silent neighbours in words, or "".
@@ -373,34 +346,6 @@ class CFDistributedFeedback(CFGuidance):
             if state is not None:
                 heard[j] = state
         return heard
-
-
-def explain_wrong_return(reference: object) -> str:
-    """Return why a return value of a law can never be flown."""
-    numbers: list[Any]
-    match reference:
-        case Acceleration():
-            numbers = [reference.a, reference.yaw]
-            size = 3
-        case FullState():
-            numbers = [reference.flat]
-            size = 14
-        case Velocity():
-            numbers = [reference.v, reference.yaw]
-            size = 3
-        case Goto():
-            numbers = [reference.p, reference.yaw, reference.duration]
-            size = 3
-        case _:
-            of = f" {reference.shape}" if isinstance(reference, np.ndarray) else ""
-            found = f"{type(reference).__name__}{of}"
-            kinds = (
-                "Acceleration(...), Velocity(...), FullState(...), Goto(...) or None"
-            )
-            return f"step() must return {kinds}; found {found}"
-    kind = type(reference).__name__
-    found = " ".join(f"{numbers}"[1:-1].split())
-    return f"step() must return finite numbers, {kind} of ({size},); found {kind}({found:.80})"
 
 
 def are_all_idle(results: Mapping[int, Mapping[str, Any]]) -> bool:

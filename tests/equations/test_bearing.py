@@ -7,6 +7,7 @@ from hypothesis.extra.numpy import arrays
 from crazychoir.control.margin import REQUIRED_DELAY_MARGIN
 from crazychoir.guidance.formation.bearing import (
     BEARING_GAINS,
+    BearingLaw,
     build_bearing_laplacian,
     check_formation,
 )
@@ -75,7 +76,10 @@ def test_the_slowest_mode_is_the_slowest_of_the_coupled_system():
 
 def test_the_papers_example_is_flown_with_the_required_margin():
     report = check_formation(
-        SQUARE, PAPER_GRAPH, [0, 1], BEARING_GAINS.kp, BEARING_GAINS.kv
+        SQUARE,
+        PAPER_GRAPH,
+        [0, 1],
+        BearingLaw("paper", BEARING_GAINS.kp, BEARING_GAINS.kv),
     )
     assert report.lambda_min == pytest.approx(0.1454, abs=1e-4)
     assert report.lambda_max == pytest.approx(3.618, abs=1e-3)

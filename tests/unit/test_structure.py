@@ -40,10 +40,8 @@ MOST_LINES = 200  # of the front page
 MOST_MISSION_LINES = 90  # of a file in agents/
 LONG_MISSIONS = ("online_delivery", "pickup_delivery", "task_assignment")
 LARGE_CLASSES = {
-    "CFDistributedFeedback",
     "CommandDesk",
     "Communicator",
-    "DistributedColumns",
     "Fleet",
     "Onboard",
     "Pilot",
@@ -60,7 +58,6 @@ WIDE_FUNCTIONS = {
     "Forwarder.forward",
     "KalmanFilter.__init__",
     "MotorWorld.__init__",
-    "NextGeneration.__init__",
     "Pilot.__init__",
     "PlannedFlights.__init__",
     "Port._send_impaired",
@@ -68,15 +65,9 @@ WIDE_FUNCTIONS = {
     "Recorder._count",
     "Recorder._rounds",
     "RemoteBody.__init__",
-    "Replanning.__init__",
     "SimulatedMocap.__init__",
     "ZenohLink.__init__",
     "ZenohLink.forward",
-    "_line",
-    "_marker",
-    "check_formation",
-    "draw_flown_ways",
-    "find_fewest_columns",
     "fly_real",
     "simulate",
 }

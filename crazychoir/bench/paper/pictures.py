@@ -5,6 +5,7 @@ Lines differ in colour, dash and mark.
 
 import math
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,18 @@ MARKER_SHAPES = "os^vDPX"
 PERCENT_TICKS = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500)
 """Ticks in per cent, on a scale that is linear up to 1."""
 Rows = list[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class PlottedQuantity:
+    """A quantity of the rows on an axis of a picture."""
+
+    key: str
+    """Its name in the rows."""
+    scale: float = 1.0
+    """Factor from the unit of the rows to the unit of the axis."""
+    label: str = ""
+    """Label of the axis."""
 
 
 def draw(
@@ -63,54 +76,51 @@ def _draw_loss(figure: "Figure", rows: Rows) -> None:
         ("independent", None),
         ("bursts", next((r["burst"] for r in rows if r["burst"]), None)),
     ]
-    figures = [
-        ("communication_s", 1.0, "communication [s]"),
-        ("bytes_a_robot", 1e-3, "kB a robot"),
+    loss = PlottedQuantity("loss", 100.0, "loss [%]")
+    quantities = [
+        PlottedQuantity("communication_s", label="communication [s]"),
+        PlottedQuantity("bytes_a_robot", 1e-3, "kB a robot"),
     ]
     for column, (title, burst) in enumerate(patterns):
         here = [row for row in rows if row["burst"] == burst or row["loss"] == 0.0]
         axes[0, column].set_title(title, fontsize=8)
-        axes[1, column].set_xlabel("loss [%]")
-        for line, (figure_of, scale, label) in enumerate(figures):
+        axes[1, column].set_xlabel(loss.label)
+        for line, quantity in enumerate(quantities):
             for graph in _names_in_rows(ABLATION_GRAPHS, here, "graph"):
-                _line(
-                    axes[line, column],
-                    here,
-                    ("graph", graph),
-                    "loss",
-                    100.0,
-                    figure_of,
-                    scale,
-                )
+                _line(axes[line, column], here, ("graph", graph), loss, quantity)
             _logarithmic(axes[line, column])
             if column == 0:
-                axes[line, column].set_ylabel(label)
+                axes[line, column].set_ylabel(quantity.label)
     _legend(figure, axes[0, 0])
 
 
 def _draw_size(figure: "Figure", rows: Rows) -> None:
     """Draw rounds, kB and CPU a robot over the size of the team."""
     axes = figure.subplots(3, 1, sharex=True)
-    figures = [
-        ("rounds", 1.0, "rounds"),
-        ("bytes_a_robot", 1e-3, "kB a robot"),
-        ("cpu_s_a_robot", 1.0, "CPU s a robot"),
+    robots = PlottedQuantity("robots", label="robots")
+    quantities = [
+        PlottedQuantity("rounds", label="rounds"),
+        PlottedQuantity("bytes_a_robot", 1e-3, "kB a robot"),
+        PlottedQuantity("cpu_s_a_robot", label="CPU s a robot"),
     ]
-    for panel, (figure_of, scale, label) in zip(axes, figures, strict=True):
+    for panel, quantity in zip(axes, quantities, strict=True):
         for graph in _names_in_rows(ABLATION_GRAPHS, rows, "graph"):
-            _line(panel, rows, ("graph", graph), "robots", 1.0, figure_of, scale)
-        panel.set(ylabel=label, xscale="log")
+            _line(panel, rows, ("graph", graph), robots, quantity)
+        panel.set(ylabel=quantity.label, xscale="log")
         _logarithmic(panel)
     sizes = sorted({row["robots"] for row in rows})
     axes[-1].set_xticks(sizes, [str(n) for n in sizes])
     axes[-1].minorticks_off()
-    axes[-1].set_xlabel("robots")
+    axes[-1].set_xlabel(robots.label)
     _legend(figure, axes[0])
 
 
 def _draw_method(figure: "Figure", rows: Rows) -> None:
     """Draw the excess cost over the best method, and the bytes sent, by the size of the team."""
     axes = figure.subplots(2, 1, sharex=True)
+    robots = PlottedQuantity("robots", label="robots")
+    excess = PlottedQuantity("over", label="median cost over\nthe best [%]")
+    sent = PlottedQuantity("bytes_a_robot", 1e-3, "kB a robot")
     best = {
         n: min(r["cost_median"] for r in rows if r["robots"] == n)
         for n in {row["robots"] for row in rows}
@@ -120,19 +130,10 @@ def _draw_method(figure: "Figure", rows: Rows) -> None:
         for row in rows
     ]
     for method in _names_in_rows(PLANNING_METHODS, rows, "method"):
-        _line(
-            axes[0],
-            extra,
-            ("method", method),
-            "robots",
-            1.0,
-            "over",
-            1.0,
-            quartiles=False,
-        )
-        _line(axes[1], rows, ("method", method), "robots", 1.0, "bytes_a_robot", 1e-3)
-    axes[0].set_ylabel("median cost over\nthe best [%]")
-    axes[1].set(ylabel="kB a robot", xlabel="robots")
+        _line(axes[0], extra, ("method", method), robots, excess, quartiles=False)
+        _line(axes[1], rows, ("method", method), robots, sent)
+    axes[0].set_ylabel(excess.label)
+    axes[1].set(ylabel=sent.label, xlabel=robots.label)
     _logarithmic(axes[1])
     axes[1].set_xticks(sorted(best))
     _legend(figure, axes[0], columns=2)
@@ -239,10 +240,8 @@ def _line(
     axes: "Axes",
     rows: Rows,
     of: tuple[str, str],
-    x: str,
-    x_scale: float,
-    y: str,
-    y_scale: float,
+    x: PlottedQuantity,
+    y: PlottedQuantity,
     quartiles: bool = True,
 ) -> None:
     """Draw the medians of the rows with key = value, with a bar from quartile to quartile.
@@ -250,21 +249,22 @@ def _line(
     axes: axes to draw on
     rows: rows of a summary
     of: the key and its value
-    x: key of the x values
-    x_scale: factor of the x values
-    y: figure on the y axis
-    y_scale: factor of the y values
+    x: quantity on the x axis
+    y: quantity on the y axis
     quartiles: whether to draw the bars
     """
     key, value = of
-    mine = sorted((row for row in rows if row[key] == value), key=lambda row: row[x])
+    mine = sorted(
+        (row for row in rows if row[key] == value), key=lambda row: row[x.key]
+    )
     number = [*ABLATION_GRAPHS, *PLANNING_METHODS].index(value) % len(ABLATION_GRAPHS)
-    places = [row[x] * x_scale for row in mine]
-    middle = [row[f"{y}_median"] * y_scale for row in mine]
+    places = [row[x.key] * x.scale for row in mine]
+    middle = [row[f"{y.key}_median"] * y.scale for row in mine]
     axes.plot(places, middle, label=value, markersize=2.5, **_marked_line_style(number))
     if quartiles:
         low, high = (
-            [row[f"{y}_{end}"] * y_scale for row in mine] for end in ("lower", "upper")
+            [row[f"{y.key}_{end}"] * y.scale for row in mine]
+            for end in ("lower", "upper")
         )
         axes.vlines(
             places, low, high, color=PICTURE_STYLE.colours[number], linewidth=0.8

@@ -5,7 +5,7 @@ Nothing here flies.
 
 from collections.abc import Sequence
 
-from crazychoir.guidance.delivery.replanning import PlanShare
+from crazychoir.guidance.delivery.replanning import PlanShare, TaskBonds
 from crazychoir.guidance.tasks.task_book import Deed, Fate
 from crazychoir.guidance.tasks.team_news import TeamNews
 from crazychoir.routing.instance.plan import Stop
@@ -62,11 +62,8 @@ class Commitments:
 
     # A planning -----------------------------------------------------------------------
 
-    def begin(self, head: Sequence[Stop]) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Take part in a planning, bound to the stops `head`.
-
-        Returns the tasks of these stops, and the tasks that are aboard after them.
-        """
+    def begin(self, head: Sequence[Stop]) -> TaskBonds:
+        """Take part in a planning, bound to the stops `head`; return the bonds after them."""
         aboard = self.aboard()
         for stop in head:
             if stop.kind == "pickup":
@@ -76,7 +73,10 @@ class Commitments:
         self.planning = True
         self.bound = dict.fromkeys(stop.task for stop in head)
         self._head = list(head)
-        return tuple(j for j in self.bound if j not in aboard), tuple(aboard)
+        return TaskBonds(
+            bound=tuple(j for j in self.bound if j not in aboard),
+            carried=tuple(aboard),
+        )
 
     def adopt(self, share: PlanShare) -> None:
         """Take a new route: the bound stops that are not done yet, then the stops of the plan."""

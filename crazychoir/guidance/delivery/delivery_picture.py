@@ -1,6 +1,7 @@
 """A picture of what was flown for tasks that came and went."""
 
 from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,25 +20,33 @@ FAILURE_COLOUR = "#c00000"
 """Colour of lost robots and undelivered tasks."""
 
 
-def draw_flown_ways(
-    path: str | Path,
-    homes: Mapping[int, Place],
-    ways: Mapping[int, Mat],
-    pickups: Mapping[int, Place],
-    deliveries: Mapping[int, Place],
-    undelivered: Collection[int],
-    lost: Collection[int],
-    title: str,
-) -> None:
+@dataclass(frozen=True)
+class DeliveryMap:
+    """What was flown and delivered, seen from above."""
+
+    homes: Mapping[int, Place]
+    """(2,) m by robot: where it started."""
+    ways: Mapping[int, Mat]
+    """(n, 2) m by robot: what it flew, from home."""
+    pickups: Mapping[int, Place]
+    """(2,) m by task."""
+    deliveries: Mapping[int, Place]
+    """(2,) m by task."""
+    undelivered: Collection[int]
+    """Tasks that were not delivered."""
+    lost: Collection[int]
+    """Robots that were lost."""
+
+
+def draw_flown_ways(path: str | Path, flown: DeliveryMap, title: str) -> None:
     """Draw the room from above, in m, as a PNG or in the format of the suffix of `path`.
 
+    Homes are squares, flown ways are lines with arrows, pickups are triangles up, and deliveries
+    are triangles down. Undelivered tasks have red numbers. Lost robots are red crosses at their
+    last known places, at home if unknown.
+
     path: the file to write.
-    homes: (2,) m by robot; squares.
-    ways: (n, 2) m by robot, flown from home; lines with arrows.
-    pickups: (2,) m by task; triangles up.
-    deliveries: (2,) m by task; triangles down.
-    undelivered: tasks with red numbers.
-    lost: lost robots; red crosses at their last known places, at home if unknown.
+    flown: what is drawn.
     title: title of the picture.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -46,13 +55,18 @@ def draw_flown_ways(
     figure = Figure(figsize=(8.6, 6.2), dpi=200, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    for i, way in ways.items():
+    for i, way in flown.ways.items():
         _draw_way(axes, i, way)
-    _draw_goods(axes, pickups, "^", "white", "pickup of task", undelivered)
+    _draw_goods(axes, flown.pickups, "^", "white", "pickup of task", flown.undelivered)
     _draw_goods(
-        axes, deliveries, "v", PICTURE_STYLE.ink, "delivery of task", undelivered
+        axes,
+        flown.deliveries,
+        "v",
+        PICTURE_STYLE.ink,
+        "delivery of task",
+        flown.undelivered,
     )
-    _draw_robots(axes, homes, ways, lost)
+    _draw_robots(axes, flown)
     axes.set_aspect("equal")
     axes.set(xlabel="x [m]", ylabel="y [m]")
     axes.grid(color="#e6e6e6", linewidth=0.6)
@@ -129,13 +143,8 @@ def _draw_goods(
         )
 
 
-def _draw_robots(
-    axes: "Axes",
-    homes: Mapping[int, Place],
-    ways: Mapping[int, Mat],
-    lost: Collection[int],
-) -> None:
-    for i, (x, y) in homes.items():
+def _draw_robots(axes: "Axes", flown: DeliveryMap) -> None:
+    for i, (x, y) in flown.homes.items():
         colour = PICTURE_STYLE.colours[i % len(PICTURE_STYLE.colours)]
         axes.plot(
             x, y, "s", color=colour, markersize=11, markeredgecolor="white", zorder=5
@@ -152,8 +161,8 @@ def _draw_robots(
             zorder=6,
         )
     axes.plot([], [], "s", color="#808080", label="home of robot")
-    for i in lost:
-        x, y = ways[i][-1] if i in ways else homes[i]
+    for i in flown.lost:
+        x, y = flown.ways[i][-1] if i in flown.ways else flown.homes[i]
         axes.plot(
             x,
             y,

@@ -224,7 +224,7 @@ class OnlinePDVRPGuidance(TeamMission):
         """Run one planning with the team. Returns None if the team has changed meanwhile."""
         links = self.news.links(without=key[1])
         head, start, ready = self.forecast.head(ONLINE_TIMING.binding_horizon)
-        bound, aboard = self.commitments.begin(head)
+        bonds = self.commitments.begin(head)
         left = max(
             0.0,
             self.own.limit - self.flown - float(np.linalg.norm(start - self.here())),
@@ -234,8 +234,7 @@ class OnlinePDVRPGuidance(TeamMission):
             self.id,
             links,
             self.news.book,
-            bound,
-            aboard,
+            bonds,
             problem,
             self.options.recover,
             self.options.method,

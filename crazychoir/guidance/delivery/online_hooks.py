@@ -6,7 +6,7 @@ import numpy as np
 
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.delivery.delivery_picture import draw_flown_ways
+from crazychoir.guidance.delivery.delivery_picture import DeliveryMap, draw_flown_ways
 from crazychoir.guidance.delivery.online_delivery import OnlineDeliveryOptions
 from crazychoir.guidance.delivery.online_report import report_fates
 from crazychoir.guidance.delivery.online_setup import (
@@ -152,17 +152,18 @@ class OnlineHooks:
                 )
         found = self.report(config, results)
         lost = [i for i in config.ids if not results.get(i, {}).get("success")]
-        draw_flown_ways(
-            path,
-            {drone.id: project_to_plane(drone.home) for drone in config.drones},
-            {
+        flown = DeliveryMap(
+            homes={drone.id: project_to_plane(drone.home) for drone in config.drones},
+            ways={
                 i: np.array(r["way"], float)
                 for i, r in sorted(results.items())
                 if len(r.get("way", [])) > 1
             },
-            places["pickup"],
-            places["delivery"],
-            [int(j) for j in found["undone"]],
-            lost,
-            ", ".join(f"{name}: {number}" for name, number in found["tasks"].items()),
+            pickups=places["pickup"],
+            deliveries=places["delivery"],
+            undelivered=[int(j) for j in found["undone"]],
+            lost=lost,
         )
+        counts = found["tasks"].items()
+        title = ", ".join(f"{name}: {number}" for name, number in counts)
+        draw_flown_ways(path, flown, title)

@@ -39,6 +39,16 @@ Dropped = dict[int, CodecError]
 
 
 @dataclass(frozen=True)
+class TaskBonds:
+    """The tasks to which a robot is bound when it plans."""
+
+    bound: tuple[int, ...] = ()
+    """Tasks that it is about to serve, or to deliver, before its start. No other robot gets them."""
+    carried: tuple[int, ...] = ()
+    """Tasks that are aboard at its start."""
+
+
+@dataclass(frozen=True)
 class PlanShare:
     """One robot's part of a plan."""
 
@@ -104,9 +114,7 @@ class Replanning(Program[PlanShare]):
     robot: id of this robot.
     graph: of the members, connected and undirected.
     book: what this robot knows.
-    bound: tasks that it is about to serve, or to deliver, before its start. No other robot gets
-        them.
-    carried: tasks that are aboard at its start.
+    bonds: the tasks to which it is bound.
     problem: returns this robot's problem of these goods.
     recover: see TaskBook.standings.
     method: of REPLANNING_METHODS. The auction alone takes some tens of rounds and milliseconds. The others find
@@ -118,8 +126,7 @@ class Replanning(Program[PlanShare]):
         robot: int,
         graph: Graph,
         book: TaskBook,
-        bound: tuple[int, ...],
-        carried: tuple[int, ...],
+        bonds: TaskBonds,
         problem: Callable[[PlannedGoods], LocalProblem],
         recover: bool = False,
         method: str = AUCTION_METHOD,
@@ -130,7 +137,7 @@ class Replanning(Program[PlanShare]):
         self.recover = recover
         self.method = method
         self.diameter = graph.diameter() if len(graph.ids) > 1 else 0
-        self._mine = [book.wire(), list(bound), list(carried)]
+        self._mine = [book.wire(), list(bonds.bound), list(bonds.carried)]
         self._problem = problem
         super().__init__()
 

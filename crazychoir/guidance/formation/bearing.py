@@ -230,24 +230,18 @@ def check_formation(
     shape: Shape,
     neighbors: Neighbors,
     leaders: Collection[int],
-    kp: float,
-    kv: float,
+    law: BearingLaw,
     *,
-    law: Law = "paper",
-    in_height: float = 1.0,
     moving: bool = False,
     chain: AccelerationChain | None = None,
     force: bool = False,
 ) -> FormationReport:
-    """Return how the bearing law with these gains will behave on this graph.
+    """Return how the law of the followers will behave on this graph.
 
     shape: {id: (3,) m}.
     neighbors: {id: ids that it hears}.
     leaders: ids of the leaders.
-    kp: 1/s2.
-    kv: 1/s.
-    law: "paper" or "normalised".
-    in_height: share of the gains in height, for the paper's law.
+    law: the law of the followers, with its gains.
     moving: the leaders move, see age_margin.
     chain: what lies between law and drone. None: the slowest body rates behind the gains of the
         law.
@@ -261,11 +255,14 @@ def check_formation(
             "bearing formation",
             "every drone is a leader. Name only the drones that shall stand still.",
         )
+    kp = law.kp
+    kv = law.kv
+    is_normalised = law.kind == "normalised"
     scaled = normalise_laplacian(b_ff, followers)
     matrix = (
         scaled
-        if law == "normalised"
-        else np.tile([1.0, 1.0, in_height], len(followers))[:, None] * b_ff
+        if is_normalised
+        else np.tile([1.0, 1.0, law.in_height], len(followers))[:, None] * b_ff
     )
     values, vectors = np.linalg.eig(matrix)
     size = np.abs(values)
@@ -276,11 +273,11 @@ def check_formation(
         )
     least = float(size.min())
     slowest = (
-        compute_slowest_normalised_mode if law == "normalised" else compute_slowest_mode
+        compute_slowest_normalised_mode if is_normalised else compute_slowest_mode
     )(values.tolist(), kp, kv)
     if slowest < SLOWEST_DECAY_RATE and not force:
         raise Refused("bearing formation", _explain_slow(least, slowest))
-    if law == "normalised":
+    if is_normalised:
         chain = chain or AccelerationChain(AGILE_GAINS)
         alike = compute_mode_margin([1.0, 1.0], [True, False], kp, kv, chain)
         margin = min(alike, compute_age_margin(values.tolist(), kp, kv, chain, moving))

@@ -205,15 +205,11 @@ class BearingHooks(FormationHooks[BearingOptions]):
         Raises Refused if the bearings do not hold the shape on this graph, or if the formation
         would take minutes. Raises ConfigError if the leaders cannot fly their paths.
         """
-        law = self.law(config)
         report = check_formation(
             self.shape(config),
             self.neighbors(config),
             list(leader.leaders_of(config)),
-            law.kp,
-            law.kv,
-            law=law.kind,
-            in_height=law.in_height,
+            self.law(config),
             moving=self.leaders_move(config),
             chain=self._chain(config),
             force=force,

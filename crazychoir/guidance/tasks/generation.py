@@ -31,6 +31,16 @@ Cost = Callable[[Task], float]
 
 
 @dataclass(frozen=True)
+class TableProgress:
+    """How far a robot has followed the task table."""
+
+    number: int = 0
+    """Number of the last generation that it has been part of, 0 before the first."""
+    filled: int = 0
+    """How often the table had been filled up then, 0 before the first."""
+
+
+@dataclass(frozen=True)
 class Generation:
     """One robot's part of a generation."""
 
@@ -48,6 +58,11 @@ class Generation:
     """The book from which the table was made, the same at all robots."""
     dropped: dict[int, CodecError]
     """By robot: why its message was ignored."""
+
+    @property
+    def progress(self) -> TableProgress:
+        """How far a robot with this generation has followed the table."""
+        return TableProgress(self.number, self.filled)
 
     @property
     def mine(self) -> int | None:
@@ -74,8 +89,7 @@ class NextGeneration(Program[Generation]):
     robot: id of this robot.
     graph: of the members, connected and undirected.
     book: what this robot knows.
-    number: of the last generation that it has been part of, 0 before the first.
-    filled: how often the table had been filled up then, 0 before the first.
+    progress: how far it has followed the table.
     draw: draws the tasks.
     most: how often the table may be filled up.
     cost: cost of a task for this robot.
@@ -86,8 +100,7 @@ class NextGeneration(Program[Generation]):
         robot: int,
         graph: Graph,
         book: TaskBook,
-        number: int,
-        filled: int,
+        progress: TableProgress,
         draw: Draw,
         most: int,
         cost: Cost,
@@ -98,13 +111,15 @@ class NextGeneration(Program[Generation]):
         self.most = most
         self.cost = cost
         self.diameter = graph.diameter() if len(graph.ids) > 1 else 0
-        self._mine = [book.wire(), number, filled]
+        self._mine = [book.wire(), progress.number, progress.filled]
         super().__init__()
 
     def run(self) -> Exchange[Generation]:
         """Agree on the open tasks, fill the table up, assign it."""
         said = yield from flood_values(self.robot, self._mine, self.diameter)
-        book, number, filled, dropped = _merge_generation(said)
+        book, progress, dropped = _merge_generation(said)
+        number = progress.number + 1
+        filled = progress.filled
         missing = len(self.members) - len(list_open_tasks(book, self.members))
         if filled < self.most and missing > 0:
             filled += 1
@@ -117,9 +132,9 @@ class NextGeneration(Program[Generation]):
             for task in tasks
         )
         outcome = yield from self._assigned(
-            number + 1, tasks, dict(zip((t.id for t in tasks), costs, strict=True))
+            number, tasks, dict(zip((t.id for t in tasks), costs, strict=True))
         )
-        return Generation(number + 1, filled, tasks, costs, outcome, book, dropped)
+        return Generation(number, filled, tasks, costs, outcome, book, dropped)
 
     def _assigned(
         self, number: int, tasks: tuple[Task, ...], costs: dict[int, float]
@@ -148,25 +163,25 @@ def list_open_tasks(book: TaskBook, members: Sequence[int]) -> tuple[Task, ...]:
 
 def _merge_generation(
     said: dict[int, Any],
-) -> tuple[TaskBook, int, int, dict[int, CodecError]]:
+) -> tuple[TaskBook, TableProgress, dict[int, CodecError]]:
     """Combine the messages of all robots.
 
-    Returns the book, the number of the newest generation that any robot has been part of, how often
-    the table was filled up, and by robot why its message was ignored.
+    Returns the book, how far any robot has followed the table, and by robot why its message was
+    ignored.
     """
     book = TaskBook()
-    number = 0
-    filled = 0
+    progress = TableProgress()
     dropped = dict[int, CodecError]()
     for i, value in said.items():
         try:
-            wire, its_number, its_filled = _read_generation(value)
+            wire, number, filled = _read_generation(value)
             book.merge(TaskBook.of(wire))
-            number = max(number, its_number)
-            filled = max(filled, its_filled)
+            progress = TableProgress(
+                max(progress.number, number), max(progress.filled, filled)
+            )
         except CodecError as error:
             dropped[i] = error
-    return book, number, filled, dropped
+    return book, progress, dropped
 
 
 def _read_generation(value: Any) -> tuple[bytes, int, int]:

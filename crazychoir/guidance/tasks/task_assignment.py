@@ -19,6 +19,7 @@ from crazychoir.guidance.tasks.generation import (
     Draw,
     Generation,
     NextGeneration,
+    TableProgress,
     list_open_tasks,
 )
 from crazychoir.guidance.tasks.task_book import Deed, Place, Record, Task
@@ -243,14 +244,13 @@ class TaskAssignmentGuidance(TeamMission):
         links = self.news.links(without=key[1])
         last = self.generation
         work = self.work
-        number, filled = (0, 0) if last is None else (last.number, last.filled)
+        progress = TableProgress() if last is None else last.progress
         state = self.state
         program = NextGeneration(
             self.id,
             links,
             self.news.book,
-            number,
-            filled,
+            progress,
             work.draw,
             work.generations,
             lambda task: work.cost(state, task),

@@ -67,6 +67,21 @@ class RvizSettings:
 RVIZ_SETTINGS = RvizSettings()
 
 
+@dataclass(frozen=True, slots=True)
+class MarkerGroup:
+    """Markers of one kind, at most one a drone."""
+
+    namespace: str
+    """Name of the group in RViz."""
+    shape: int
+    """Type of its markers, a code of RViz."""
+
+
+BALL_MARKERS = MarkerGroup("drones", RVIZ_SETTINGS.sphere_type)
+"""The balls at the drones."""
+NAME_MARKERS = MarkerGroup("names", RVIZ_SETTINGS.text_marker_type)
+"""The numbers above the balls."""
+
 Places = Mapping[int, tuple[State, int]]
 """State of each drone by id, and the time of its birth in ns since 1970."""
 
@@ -107,8 +122,7 @@ def pack_markers(places: Places, gone: Iterable[int] = ()) -> bytes:
         rows.append(
             _marker(
                 i,
-                "drones",
-                RVIZ_SETTINGS.sphere_type,
+                BALL_MARKERS,
                 state.p,
                 RVIZ_SETTINGS.ball_diameter,
                 "",
@@ -118,8 +132,7 @@ def pack_markers(places: Places, gone: Iterable[int] = ()) -> bytes:
         rows.append(
             _marker(
                 i,
-                "names",
-                RVIZ_SETTINGS.text_marker_type,
+                NAME_MARKERS,
                 state.p + np.array([0.0, 0.0, RVIZ_SETTINGS.ball_diameter]),
                 RVIZ_SETTINGS.letter_height,
                 str(i),
@@ -127,15 +140,11 @@ def pack_markers(places: Places, gone: Iterable[int] = ()) -> bytes:
             )
         )
     for i in gone:
-        for space, kind in (
-            ("drones", RVIZ_SETTINGS.sphere_type),
-            ("names", RVIZ_SETTINGS.text_marker_type),
-        ):
+        for group in (BALL_MARKERS, NAME_MARKERS):
             rows.append(
                 _marker(
                     i,
-                    space,
-                    kind,
+                    group,
                     np.zeros(3),
                     RVIZ_SETTINGS.ball_diameter,
                     "",
@@ -148,8 +157,7 @@ def pack_markers(places: Places, gone: Iterable[int] = ()) -> bytes:
 
 def _marker(
     i: int,
-    space: str,
-    kind: int,
+    group: MarkerGroup,
     p: Vec,
     size: float,
     text: str,
@@ -161,9 +169,9 @@ def _marker(
     nothing: tuple[object, ...] = ([], [], "", 0, 0, "", "", [], [])
     return (
         *_header(born_ns),
-        space,
+        group.namespace,
         i,
-        kind,
+        group.shape,
         action,
         *place,
         *looks,

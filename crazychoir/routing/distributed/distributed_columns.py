@@ -1,6 +1,5 @@
 """The method `columns`: distributed column generation, then improvement of the plan by clusters."""
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,7 +10,6 @@ from crazychoir.optimization.rounds.agreement import find_best_offer, flood_valu
 from crazychoir.optimization.rounds.program import Exchange
 from crazychoir.routing.distributed.cluster_problem import (
     bound_saving,
-    measure_route,
     rename_nodes,
     reoptimize_cluster,
 )
@@ -19,11 +17,11 @@ from crazychoir.routing.distributed.clusters import (
     Cluster,
     Neighbors,
     list_served_tasks,
-    list_unserved_tasks,
 )
 from crazychoir.routing.distributed.gossip import Gossip
 from crazychoir.routing.distributed.large_bound import LargeBound
 from crazychoir.routing.distributed.member import RoutingMember
+from crazychoir.routing.distributed.plan_measure import PlanMeasure, is_better
 from crazychoir.routing.distributed.proof import PlanOffer, PlanProof, TaskPartition
 from crazychoir.routing.distributed.robot_profile import (
     SENT_FIELD_NAMES,
@@ -44,8 +42,6 @@ DISTRIBUTED_COLUMNS_DISCLOSURES: tuple[str, ...] = (
     "plans (stops of all robots)",
 )
 """Data that the robots disclose to each other."""
-EQUAL_COST_TOLERANCE = 1e-9
-"""m: costs of plans that differ by at most this count as equal."""
 
 
 class DistributedColumns:
@@ -71,12 +67,12 @@ class DistributedColumns:
         self._m = len(member.local.tasks)
         self._refusal = member.local.tasks.refusal
         self._robots: dict[int, LocalProblem] = {}
-        self._costs: dict[tuple[int, tuple[int, ...]], tuple[float, float]] = {}
         self.routes: dict[int, list[int]] = {}
 
     def run(self) -> Exchange[TaskPartition]:
         """Run steps 1 to 6."""
         self._robots = yield from introduce_robots(self._member)
+        self._measure = PlanMeasure(self._robots, self._member.vehicle_weight)
         gossip = yield from self._relax()
         yield from self._begin()
         if gossip is None:
@@ -105,10 +101,10 @@ class DistributedColumns:
         ):
             return self._assignment(None)
         weight = member.vehicle_weight
-        plan = [
-            (i, RouteColumn(weight + self._flown(i, tuple(self.routes[i]))[0], tasks))
-            for i, tasks in self._sets().items()
-        ]
+        plan = []
+        for i, tasks in self._sets().items():
+            cost, _ = self._measure.measure_flight(i, tuple(self.routes[i]))
+            plan.append((i, RouteColumn(weight + cost, tasks)))
         large = LargeBound(member, plan)
         yield from large.run()
         return self._assignment(large.value, large.relaxation)
@@ -168,12 +164,16 @@ class DistributedColumns:
                 settings.search.first_steps,
                 self._i,
             )
-            mine = [self._worth(routes), self._i, _flatten_routes(routes)]
+            mine = [
+                self._measure.compute_worth(routes),
+                self._i,
+                _flatten_routes(routes),
+            ]
         best = yield from find_best_offer(mine, self._diameter)
         if best is None:
             raise SolverError(f"robot {self._i}: first plan", "no robot offered one")
         self.routes = _unflatten_routes(best[2])
-        self._member.report(cost=self._shown_cost())
+        self._member.report(cost=self._measure.compute_shown_cost(self.routes))
 
     def _improve(self, bound: float) -> Exchange[None]:
         """Run passes of clusters.
@@ -190,8 +190,8 @@ class DistributedColumns:
         near = Neighbors(self._robots)
         still = 0
         for k in range(passes):
-            missing = self._worth(self.routes)[0]
-            cost = self._weighed()
+            missing = self._measure.compute_worth(self.routes)[0]
+            cost = self._measure.compute_weighed_cost(self.routes)
             met = not missing and cost - bound <= self._member.tolerance(cost)
             if met or still == settings.search.still_passes:
                 return
@@ -204,7 +204,7 @@ class DistributedColumns:
                 self._diameter,
             )
             still = 0 if self._accept(clusters, offers) else still + 1
-            self._member.report(cost=self._shown_cost())
+            self._member.report(cost=self._measure.compute_shown_cost(self.routes))
 
     def _lead(
         self, clusters: Sequence[Cluster], steps: int, k: int
@@ -221,8 +221,8 @@ class DistributedColumns:
             self._robots, self.routes, own, self._left_out, steps, seed
         )
         old = {i: self.routes.get(i, []) for i in own.robots}
-        worth = self._worth(new, own.tasks)
-        if not _is_smaller(worth, self._worth(old, own.tasks)):
+        worth = self._measure.compute_worth(new, own.tasks)
+        if not is_better(worth, self._measure.compute_worth(old, own.tasks)):
             return None
         return [
             worth,
@@ -245,21 +245,10 @@ class DistributedColumns:
 
     def _offer(self) -> PlanOffer | None:
         """Return the plan in force as an offer, None if a task that must be served is missing."""
-        return None if self._missing() else PlanOffer(self._weighed(), self._sets())
-
-    def _weighed(self) -> float:
-        """Return the cost of the plan in force in m, as the relaxations count it.
-
-        If vehicles are counted first it includes their weight.
-        """
-        worth = self._worth(self.routes)
-        weight = self._member.vehicle_weight
-        return weight * worth[1] + worth[2] if weight else worth[1]
-
-    def _shown_cost(self) -> float:
-        """Return the cost of the plan in force in m, without the weight of vehicles."""
-        worth = self._worth(self.routes)
-        return worth[2] if self._member.vehicle_weight else worth[1]
+        if self._measure.list_missing_tasks(self.routes):
+            return None
+        cost = self._measure.compute_weighed_cost(self.routes)
+        return PlanOffer(cost, self._sets())
 
     def _take_over(self, proof: PlanProof) -> None:
         """Adopt the routes of the proof's plan if it is better than the plan in force.
@@ -274,14 +263,9 @@ class DistributedColumns:
             )
         if proof.best is None:
             return
-        weight = self._member.vehicle_weight
-        vehicles = len(proof.best.routes)
-        worth = (
-            [vehicles, proof.best.cost - weight * vehicles]
-            if weight
-            else [proof.best.cost]
-        )
-        if not _is_smaller([0, *worth], self._worth(self.routes)):
+        measure = self._measure
+        worth = measure.convert_cost(proof.best.cost, len(proof.best.routes))
+        if not is_better(worth, measure.compute_worth(self.routes)):
             return
         for i in self._robots:
             self.routes[i] = self._shortest(i, proof.best.routes.get(i, ()))
@@ -298,19 +282,11 @@ class DistributedColumns:
     def _assignment(
         self, bound: float | None, relaxation: str | None = None
     ) -> TaskPartition:
-        left = self._missing()
+        left = self._measure.list_missing_tasks(self.routes)
         if left:
             why = f"incomplete: no plan found that serves task(s) {', '.join(map(str, left))}"
             raise SolverError(f"robot {self._i}: clusters", why)
         return TaskPartition(self._sets(), bound, self.routes, relaxation)
-
-    def _missing(self) -> list[int]:
-        """Return the tasks that must be served and are not."""
-        return [
-            j
-            for j in list_unserved_tasks(self.routes, self._m)
-            if np.isinf(self._refusal[j])
-        ]
 
     def _sets(self) -> dict[int, tuple[int, ...]]:
         sets = {
@@ -318,60 +294,6 @@ class DistributedColumns:
             for i, stops in self.routes.items()
         }
         return {i: tasks for i, tasks in sorted(sets.items()) if tasks}
-
-    def _worth(
-        self, routes: Mapping[int, Sequence[int]], tasks: Sequence[int] | None = None
-    ) -> list[float]:
-        """Return the values by which plans are compared, in order.
-
-        First the number of missing tasks that must be served, then the objectives in order. The
-        first objective includes the refusals.
-
-        routes: nodes of each robot's stops.
-        tasks: only these tasks count as left out; all if None.
-        """
-        left = [
-            j
-            for j in list_unserved_tasks(routes, self._m)
-            if tasks is None or j in tasks
-        ]
-        flights = [
-            self._flown(i, tuple(stops))
-            for i, stops in sorted(routes.items())
-            if len(stops)
-        ]
-        value = {
-            OBJECTIVE_NAMES.total: math.fsum(length for length, _ in flights),
-            OBJECTIVE_NAMES.makespan: max(
-                (finish for _, finish in flights), default=0.0
-            ),
-            OBJECTIVE_NAMES.vehicles: float(len(flights)),
-        }
-        first, *rest = (value[name] for name in self._member.local.objective)
-        refusals = self._refusal[left]
-        refused = np.isfinite(refusals)
-        return [
-            float(np.count_nonzero(~refused)),
-            first + math.fsum(refusals[refused]),
-            *rest,
-        ]
-
-    def _flown(self, i: int, stops: tuple[int, ...]) -> tuple[float, float]:
-        if (i, stops) not in self._costs:
-            self._costs[i, stops] = measure_route(self._robots[i], stops)
-        return self._costs[i, stops]
-
-
-def _is_smaller(new: Sequence[float], old: Sequence[float]) -> bool:
-    """Return whether `new` is less than `old` at the first place where they differ."""
-    return next(
-        (
-            a < b
-            for a, b in zip(new, old, strict=True)
-            if abs(a - b) > EQUAL_COST_TOLERANCE
-        ),
-        False,
-    )
 
 
 def _flatten_routes(routes: Mapping[int, Sequence[int]]) -> list[Any]:

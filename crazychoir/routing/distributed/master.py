@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import highspy
 import numpy as np
@@ -55,6 +55,26 @@ class Relaxation:
     """Sum of x: the number of robots in use, fractions included."""
     reward: float = 0.0
     """m >= 0: reward of each robot in use, if too few robots would be used without it."""
+
+
+@dataclass(frozen=True)
+class PartitionProblem:
+    """Columns to choose from, so that each task is served exactly once."""
+
+    columns: list[tuple[int, RouteColumn]]
+    """(robot, column)."""
+    tasks: int
+    """M, the number of tasks."""
+    alike: Mapping[int, Sequence[int]] = field(default_factory=dict)
+    """The K_i identical robots, i among them, that can fly a column of i; i alone if absent."""
+
+    def with_lengths(self, lengths: Sequence[float]) -> "PartitionProblem":
+        """Return the problem with other lengths of its columns, in m."""
+        columns = [
+            (robot, RouteColumn(length, column.tasks))
+            for (robot, column), length in zip(self.columns, lengths, strict=True)
+        ]
+        return replace(self, columns=columns)
 
 
 @dataclass(frozen=True)
@@ -281,12 +301,10 @@ class Master:
 
 
 def find_partition(
-    columns: list[tuple[int, RouteColumn]],
-    tasks: int,
+    problem: PartitionProblem,
     seed: int,
     nodes: int,
     known: Routes | None = None,
-    alike: Mapping[int, Sequence[int]] | None = None,
     most: int | None = None,
 ) -> PartitionResult:
     """Find the cheapest set of columns that serves each task exactly once.
@@ -297,16 +315,15 @@ def find_partition(
 
     The search stops after a number of branch-and-bound nodes, never after a time.
 
-    columns: (robot, column).
-    tasks: M, the number of tasks.
+    problem: the columns to choose from.
     seed: of HiGHS.
     nodes: branch-and-bound nodes, at most.
     known: a solution to start from.
-    alike: the K_i identical robots, i among them, that can fly a column of i; i alone if absent.
     most: number of columns, at most.
     Raises SolverError if HiGHS fails, also when it is run again without presolve and start.
     """
-    same = {robot: (alike or {}).get(robot, (robot,)) for robot, _ in columns}
+    columns = problem.columns
+    same = {robot: problem.alike.get(robot, (robot,)) for robot, _ in columns}
     number = {robot: len(robots) for robot, robots in same.items()}
     start = None
     if known is not None:
@@ -317,12 +334,12 @@ def find_partition(
             ]
         )
     highs = _search_columns(
-        _build_partition_model(columns, tasks, seed, number, most), nodes, start
+        _build_partition_model(problem, seed, number, most), nodes, start
     )
     if (
         highs.getModelStatus() not in PROPER_END_STATUSES
     ):  # HiGHS 1.x presolves some infeasible problems to a solution that it then rejects
-        highs = _build_partition_model(columns, tasks, seed, number, most)
+        highs = _build_partition_model(problem, seed, number, most)
         highs.setOptionValue("presolve", "off")
         highs = _search_columns(highs, nodes, None)
     status = highs.getModelStatus()
@@ -349,14 +366,12 @@ def find_partition(
 
 
 def find_fewest_columns(
-    columns: list[tuple[int, RouteColumn]],
-    tasks: int,
+    problem: PartitionProblem,
     seed: int,
     nodes: int,
     weight: float,
     least: int,
     known: Routes | None = None,
-    alike: Mapping[int, Sequence[int]] | None = None,
 ) -> PartitionResult:
     """Find the smallest set of columns that serves each task once; among these, the shortest.
 
@@ -371,8 +386,8 @@ def find_fewest_columns(
     """
     count = None if known is None else len(known)
     if count is None or count > least:
-        counted = [(robot, RouteColumn(1.0, column.tasks)) for robot, column in columns]
-        few = find_partition(counted, tasks, seed, nodes, known, alike)
+        counted = problem.with_lengths([1.0] * len(problem.columns))
+        few = find_partition(counted, seed, nodes, known)
         if few.cost == np.inf:
             return few
         known = few.routes
@@ -382,11 +397,10 @@ def find_fewest_columns(
             if few.bound > -np.inf
             else least
         )
-    light = [
-        (robot, RouteColumn(column.length - weight, column.tasks))
-        for robot, column in columns
-    ]
-    found = find_partition(light, tasks, seed, nodes, known, alike, count)
+    light = problem.with_lengths(
+        [column.length - weight for _, column in problem.columns]
+    )
+    found = find_partition(light, seed, nodes, known, count)
     if found.cost == np.inf:
         return PartitionResult(np.inf, {}, np.inf if found.bound == np.inf else -np.inf)
     proven = found.bound if least >= len(found.routes) else 0.0
@@ -423,8 +437,7 @@ def _assign_columns(
 
 
 def _build_partition_model(
-    columns: list[tuple[int, RouteColumn]],
-    tasks: int,
+    problem: PartitionProblem,
     seed: int,
     number: Mapping[int, int],
     most: int | None,
@@ -434,6 +447,8 @@ def _build_partition_model(
     Rows: tasks = 1, robots in use <= number, all columns <= most. Columns: in the given order.
     """
     highs = make_quiet_highs(seed)
+    columns = problem.columns
+    tasks = problem.tasks
     robots = sorted(number)
     row_of = {robot: tasks + r for r, robot in enumerate(robots)}
     empty = np.array([], np.int32), np.array([])

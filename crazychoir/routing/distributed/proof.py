@@ -12,6 +12,7 @@ from crazychoir.optimization.rounds.program import Exchange
 from crazychoir.routing.distributed.bound import Bound
 from crazychoir.routing.distributed.master import (
     ColumnPool,
+    PartitionProblem,
     Routes,
     find_fewest_columns,
     find_partition,
@@ -244,16 +245,14 @@ class PlanProof:
             settings.proof.proof_nodes if settings.proof.prove else settings.proof.nodes
         )
         weight = self._member.vehicle_weight
-        tasks = len(self._member.local.tasks)
+        problem = PartitionProblem(
+            useful, len(self._member.local.tasks), self._member.alike
+        )
         if weight:
             least = self._member.least_vehicles(self._bound.value)
-            found = find_fewest_columns(
-                useful, tasks, self._i, nodes, weight, least, known, self._member.alike
-            )
+            found = find_fewest_columns(problem, self._i, nodes, weight, least, known)
         else:
-            found = find_partition(
-                useful, tasks, self._i, nodes, known, self._member.alike
-            )
+            found = find_partition(problem, self._i, nodes, known)
         if found.cost == np.inf and found.bound < np.inf:
             return None
         robots = self._member.place.robots

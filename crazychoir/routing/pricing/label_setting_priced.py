@@ -7,6 +7,8 @@ no worse in the others: whatever completes b then completes a. A label is droppe
 with a lower bound of what may follow, is no less than the cost of the best route so far.
 """
 
+from typing import Any
+
 import numpy as np
 
 from crazychoir.numerics.kernels import kernel
@@ -26,6 +28,9 @@ from crazychoir.routing.pricing.labels import (
     list_set,
 )
 from crazychoir.types import Bools, Ints, Mat, Vec, Words
+
+# Pieces of the kernel are inlined. They make no arrays, so that references are not counted.
+PIECE_OPTIONS = {"forceinline": True, "_nrt": False}
 
 
 @kernel()
@@ -163,6 +168,100 @@ def _keep_promising(
     return True
 
 
+@kernel(**PIECE_OPTIONS)
+def _pay_for_goods_aboard(state: Mat, aboard: Bools, prices: Vec) -> None:
+    """Subtract the prices of the goods that are aboard from the cost of label 0."""
+    for j in range(len(prices)):
+        if aboard[j]:
+            state[0, LABEL_ENTRIES.cost] -= prices[j]
+
+
+@kernel(**PIECE_OPTIONS)
+def _may_stop(
+    gone: Words,
+    load: Vec,
+    row: int,
+    stop: int,
+    room: float,
+) -> bool:
+    """Return whether the task of a pickup is not gone and fits aboard; True for a delivery.
+
+    room: units of load that fit aboard the vehicle of label `row`.
+    """
+    m = len(load)
+    if stop >= m:
+        return True
+    is_gone = gone[row, stop >> 6] >> np.uint64(stop & 63) & ONE_BIT
+    return not (is_gone or load[stop] > room)
+
+
+@kernel(**PIECE_OPTIONS)
+def _extend_state(
+    before: Any,
+    at: int,
+    stop: int,
+    anew: bool,
+    distance: Mat,
+    duration: Mat,
+    earliest: Vec,
+    prices: Vec,
+    limit_again: float,
+) -> Any:
+    """Return the state of a label at its next stop.
+
+    before: its state, see LabelEntries.
+    at: its last stop.
+    stop: its next stop.
+    anew: whether it ends its trip and begins another one before this stop.
+    """
+    m = len(prices)
+    end = 2 * m + 1
+    cost, time, left, trip = before
+    if anew:
+        cost = cost + distance[at, end]
+        time = max(time + duration[at, end], earliest[end])
+        left = limit_again
+        trip = trip + 1.0
+        at = end
+    cost += distance[at, stop] - (prices[stop] if stop < m else 0.0)
+    left -= distance[at, stop]
+    time = max(time + duration[at, stop], earliest[stop])
+    return cost, time, left, trip
+
+
+@kernel(**PIECE_OPTIONS)
+def _list_due_tasks(on: Ints, goods: int, stop: int, m: int, due: Ints) -> int:
+    """Write the tasks on board after `stop` into `due`; return their number.
+
+    on: the tasks on board before, the first `goods` entries.
+    """
+    j = stop % m
+    waiting = 0
+    for n in range(goods):
+        if on[n] != j:
+            due[waiting] = on[n]
+            waiting += 1
+    if stop < m:
+        due[waiting] = j
+        waiting += 1
+    return waiting
+
+
+@kernel(**PIECE_OPTIONS)
+def _guide_label(
+    shortest: Mat, cost: float, stop: int, due: Ints, waiting: int, m: int
+) -> float:
+    """Return a lower bound of the cost in m over each due delivery to the end, without prices."""
+    end = 2 * m + 1
+    bound = cost + shortest[stop, end]
+    for n in range(waiting):
+        bound = max(
+            bound,
+            cost + shortest[stop, m + due[n]] + shortest[m + due[n], end],
+        )
+    return float(bound)
+
+
 @kernel(nogil=True)
 def grow_priced_labels(
     distance: Mat,
@@ -238,9 +337,7 @@ def grow_priced_labels(
     state[0, LABEL_ENTRIES.time] = earliest[2 * m]
     state[0, LABEL_ENTRIES.distance_left] = limit
     state[0, LABEL_ENTRIES.trips] = 1.0
-    for j in range(m):
-        if aboard[j]:
-            state[0, LABEL_ENTRIES.cost] -= prices[j]
+    _pay_for_goods_aboard(state, aboard, prices)
     count = 1
     i = 0
     first = 1
@@ -256,30 +353,24 @@ def grow_priced_labels(
         for option in range(options):
             anew = option >= m + goods
             at = last[i]
-            cost = state[i, LABEL_ENTRIES.cost]
-            time = state[i, LABEL_ENTRIES.time]
-            left = state[i, LABEL_ENTRIES.distance_left]
-            trip = state[i, LABEL_ENTRIES.trips]
             stop = (
                 option if option < m else (option - m if anew else m + on[option - m])
             )
-            j = stop % m
-            if stop < m and (
-                gone[i, j >> 6] >> np.uint64(j & 63) & ONE_BIT
-                or load[stop] > capacity - held[i]
-            ):
+            if not _may_stop(gone, load, i, stop, capacity - held[i]):
                 continue
-            if anew:
-                if distance[at, end] > left:
-                    continue
-                cost = cost + distance[at, end]
-                time = max(time + duration[at, end], earliest[end])
-                left = limit_again
-                trip = trip + 1.0
-                at = end
-            cost += distance[at, stop] - (prices[stop] if stop < m else 0.0)
-            left -= distance[at, stop]
-            time = max(time + duration[at, stop], earliest[stop])
+            if anew and distance[at, end] > state[i, LABEL_ENTRIES.distance_left]:
+                continue
+            cost, time, left, trip = _extend_state(
+                read_label_state(state, i),
+                at,
+                stop,
+                anew,
+                distance,
+                duration,
+                earliest,
+                prices,
+                limit_again,
+            )
             if not is_in_time(
                 stop, on, goods, m, time, left, latest, shortest, fastest
             ):
@@ -292,6 +383,7 @@ def grow_priced_labels(
             keys[count, 1] = p1
             keys[count, 2] = o0
             keys[count, 3] = o1
+            j = stop % m
             bit = ONE_BIT << np.uint64(j & 63)
             gone[count, 0] = (
                 (gone[i, 0] & memory[j, 0]) | o0 | (bit if j < 64 else zero)
@@ -299,14 +391,7 @@ def grow_priced_labels(
             gone[count, 1] = (
                 (gone[i, 1] & memory[j, 1]) | o1 | (bit if j >= 64 else zero)
             )
-            waiting = 0
-            for n in range(goods):
-                if on[n] != j:
-                    due[waiting] = on[n]
-                    waiting += 1
-            if stop < m:
-                due[waiting] = j
-                waiting += 1
+            waiting = _list_due_tasks(on, goods, stop, m, due)
             follow = trips - trip
             promise = cost + _bound_remainder(
                 gone,
@@ -334,12 +419,7 @@ def grow_priced_labels(
             again[count] = anew
             dead[count] = False
             level[count] = level[i] + 1
-            guide[count] = cost + shortest[stop, end]
-            for n in range(waiting):
-                guide[count] = max(
-                    guide[count],
-                    cost + shortest[stop, m + due[n]] + shortest[m + due[n], end],
-                )
+            guide[count] = _guide_label(shortest, cost, stop, due, waiting, m)
             state[count, LABEL_ENTRIES.cost] = cost
             state[count, LABEL_ENTRIES.time] = time
             state[count, LABEL_ENTRIES.distance_left] = left

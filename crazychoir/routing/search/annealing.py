@@ -107,14 +107,12 @@ def anneal_tours(
         new_missing, new_absent, new_heavy, new_cost, first, second = evaluate_tours(
             fleet, tours, absence
         )
-        if new_missing < missing or new_absent < absent:
-            accepted = True
-        elif new_missing > missing or new_absent > absent:
-            accepted = False
-        elif new_heavy != heavy:
-            accepted = new_heavy < heavy
-        else:
-            accepted = new_cost < cost + temperature * draw_exponential(random)
+        accepted = _is_accepted(
+            (missing, absent, heavy, cost),
+            (new_missing, new_absent, new_heavy, new_cost),
+            temperature,
+            random,
+        )
         if new_missing > 0:
             _count_absence(fleet, tours, absence)
         if not accepted:
@@ -144,6 +142,24 @@ def _repair_tours(
             empty_route(fleet, tours, step, k)
     begin_step(step)
     insert_missing_tasks(fleet, tours, step, memory, random)
+
+
+@kernel(**KERNEL_OPTIONS)
+def _is_accepted(old: Any, new: Any, temperature: float, random: Words) -> Any:
+    """Return whether a new plan replaces the present one, as described in `anneal_tours`.
+
+    old, new: the first four values of `evaluate_tours`, of the present plan and of the new one.
+    temperature: T.
+    """
+    missing, absent, heavy, cost = old
+    new_missing, new_absent, new_heavy, new_cost = new
+    if new_missing < missing or new_absent < absent:
+        return True
+    if new_missing > missing or new_absent > absent:
+        return False
+    if new_heavy != heavy:
+        return new_heavy < heavy
+    return new_cost < cost + temperature * draw_exponential(random)
 
 
 @kernel(**KERNEL_OPTIONS)

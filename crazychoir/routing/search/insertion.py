@@ -13,6 +13,8 @@ from crazychoir.routing.search.tours import (
 
 LOAD_ROUNDING = 1e-9
 """Units of load: load on board up to this is only rounding."""
+NO_POSITION = -9
+"""A position that means no place."""
 
 
 @kernel(_nrt=False)
@@ -132,30 +134,71 @@ def _find_places_in_trip(
                 most = min(most, best) if plain else most
         if not ahead:
             continue
-        t = pickup
-        before = j
-        for s in range(i + 1, n + 1):
-            v = tours.stop[k, s]
-            if v >= 2 * m or tours.load[k, s] > spare or detour + extra[1, s] >= most:
-                break
-            if timed:
-                t = compute_service_begin(fleet, u, t, before, v)
-                if t > tours.late[k, s]:
-                    break
-                before = v
-            growth = detour + extra[0, s]
-            if growth < most and (i != but_first or s != but_second):
-                cost = (
-                    _compute_delivery_cost(fleet, tours, k, growth, t, v, d, s + 1)
-                    if timed
-                    else growth
-                )
-                if cost < best:
-                    best = cost
-                    first = i
-                    second = s
-                    most = min(most, best) if plain else most
+        but = but_second if i == but_first else NO_POSITION
+        cost, place = _find_later_delivery(
+            fleet, tours, extra, j, k, i, pickup, detour, best, most, but
+        )
+        if cost < best:
+            best = cost
+            first = i
+            second = place
     return best, first, second
+
+
+@kernel(**KERNEL_OPTIONS)
+def _find_later_delivery(
+    fleet: Any,
+    tours: Any,
+    extra: Any,
+    j: int,
+    k: int,
+    i: int,
+    pickup: float,
+    detour: float,
+    best: float,
+    most: float,
+    but: int,
+) -> Any:
+    """Find the cheapest place of delivery m + j after a later position than its pickup.
+
+    extra: the detours of the delivery, see `_compute_detours`.
+    i: position after which task j is picked up.
+    pickup: s, begin of the service there.
+    detour: m, by how much the pickup makes the route longer.
+    best: cost of the best place so far, in m.
+    most: m, the route may grow by less than this.
+    but: a place that is skipped.
+    Returns the cost in m and the place; `best` and 0 if no place is cheaper.
+    """
+    m = len(fleet.load)
+    u = fleet.kind[k]
+    timed = fleet.timed
+    plain = fleet.on_finish == 0.0
+    spare = fleet.capacity[k] - fleet.load[j]
+    second = 0
+    t = pickup
+    before = j
+    for s in range(i + 1, tours.stops[k] + 1):
+        v = tours.stop[k, s]
+        if v >= 2 * m or tours.load[k, s] > spare or detour + extra[1, s] >= most:
+            break
+        if timed:
+            t = compute_service_begin(fleet, u, t, before, v)
+            if t > tours.late[k, s]:
+                break
+            before = v
+        growth = detour + extra[0, s]
+        if growth < most and s != but:
+            cost = (
+                _compute_delivery_cost(fleet, tours, k, growth, t, v, m + j, s + 1)
+                if timed
+                else growth
+            )
+            if cost < best:
+                best = cost
+                second = s
+                most = min(most, best) if plain else most
+    return best, second
 
 
 @kernel(**KERNEL_OPTIONS)

@@ -1,11 +1,12 @@
 """The second half of a search step: put tasks back into routes, or undo the step."""
 
+from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from crazychoir.numerics.kernels import kernel
-from crazychoir.routing.search.insertion import find_cheapest_insertion
+from crazychoir.routing.search.insertion import NO_POSITION, find_cheapest_insertion
 from crazychoir.routing.search.ruin import draw_fraction, save_route
 from crazychoir.routing.search.tours import (
     KERNEL_OPTIONS,
@@ -35,16 +36,23 @@ class InsertionChances(NamedTuple):
 INSERTION_CHANCES = InsertionChances()
 
 
-NO_POSITION = -9
-"""A position that means no place."""
-# Orders in which tasks are put back; all but the first are traits of Fleet.
-RANDOM_ORDER = 0  # at random
-LOAD_ORDER = 1  # by load
-FARTHEST_ORDER = 2  # the farthest task first
-CLOSEST_ORDER = 3  # the closest task first
-WINDOW_WIDTH_ORDER = 4  # by the width of the time window
-OPENING_TIME_ORDER = 5  # by the opening of the time window
-CLOSING_TIME_ORDER = 6  # by the closing of the time window
+class InsertionOrder(IntEnum):
+    """Orders in which tasks are put back; all but the first follow the traits of Fleet."""
+
+    RANDOM = 0
+    """At random."""
+    LOAD = 1
+    """The largest load first."""
+    FARTHEST = 2
+    """The farthest task first."""
+    CLOSEST = 3
+    """The closest task first."""
+    WINDOW_WIDTH = 4
+    """The narrowest time window first."""
+    OPENING_TIME = 5
+    """The time window that opens first."""
+    CLOSING_TIME = 6
+    """The time window that closes last."""
 
 
 class InsertionMemory(NamedTuple):
@@ -208,13 +216,13 @@ def _fill_bank(fleet: Any, tours: Any, memory: Any, random: Words) -> int:
 
 @kernel(**KERNEL_OPTIONS)
 def _compute_rank(fleet: Any, random: Words, order: int, j: int) -> Any:
-    if order == RANDOM_ORDER:
+    if order == InsertionOrder.RANDOM:
         return draw_fraction(random)
-    if order == LOAD_ORDER:
+    if order == InsertionOrder.LOAD:
         return -fleet.traits[j, 0]
-    if order == FARTHEST_ORDER:
+    if order == InsertionOrder.FARTHEST:
         return -fleet.traits[j, 1]
-    if order == CLOSING_TIME_ORDER:
+    if order == InsertionOrder.CLOSING_TIME:
         return -fleet.traits[j, 4]
     return fleet.traits[j, order - 2]
 

@@ -264,7 +264,8 @@ def test_a_law_without_a_usable_reference_has_failed(mission, body, found):
 
 
 def test_a_law_that_acted_at_some_time_or_waits_is_none_that_never_acted(mission):
-    body = "return Acceleration(-2.0 * me.v if me.p[0] < 0.0 or self._steps > 9 else np.zeros(2)) if self.id else None"
+    wanted = "-2.0 * me.v if me.p[0] < 0.0 or self._tally.steps > 9 else np.zeros(2)"
+    body = f"return Acceleration({wanted}) if self.id else None"
     result = fly_fast(SWARM, mission(law=law_of(body)))
     assert result["success"], result["reasons"]
     assert result["results"][0]["references"] == 0

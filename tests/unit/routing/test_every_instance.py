@@ -9,7 +9,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from crazychoir.errors import InstanceError, SolverError
-from crazychoir.routing.distributed.master import ColumnPool, find_partition
+from crazychoir.routing.distributed.master import (
+    ColumnPool,
+    PartitionProblem,
+    find_partition,
+)
 from crazychoir.routing.distributed.member import (
     ColumnSettings,
     PriceSettings,
@@ -200,7 +204,7 @@ def test_any_common_prices_give_a_lower_bound(raw, prices):
         pool.add(i, [table.column(c) for c in range(1, len(table))])
     assert pool.relax(np.full(len(pi), 1e4)).value <= optimum + TOLERANCE
     assert find_partition(
-        pool.items(), len(pi), seed=0, nodes=1000
+        PartitionProblem(pool.items(), len(pi)), seed=0, nodes=1000
     ).cost == pytest.approx(optimum, abs=TOLERANCE)
 
 
@@ -315,8 +319,12 @@ def test_a_search_that_ends_early_does_not_claim_that_there_is_no_plan():
         for c in range(1, len(table))
     ]
     lonely = [(i, column) for i, column in columns if 0 not in column.tasks]
-    assert find_partition(lonely, 5, seed=0, nodes=100).bound == np.inf
-    assert find_partition(columns, 5, seed=0, nodes=100).bound < np.inf
+    assert (
+        find_partition(PartitionProblem(lonely, 5), seed=0, nodes=100).bound == np.inf
+    )
+    assert (
+        find_partition(PartitionProblem(columns, 5), seed=0, nodes=100).bound < np.inf
+    )
     cut = RoutingSettings(columns=ColumnSettings(most_labels=8))
     with pytest.raises(SolverError, match="no plan found: route tables were cut"):
         solve_in_loop(

@@ -275,10 +275,10 @@ class Team:
             if not robot.commitments.allow(stop):
                 break
             head.append(stop)
-        bound, aboard = robot.commitments.begin(head)
+        bonds = robot.commitments.begin(head)
         graph = news.links(without=key[1])
         robot.program = Replanning(
-            robot.id, graph, news.book, bound, aboard, self.problem(robot), self.recover
+            robot.id, graph, news.book, bonds, self.problem(robot), self.recover
         )
         robot.sent[robot.runs, 0] = robot.program.message()
 

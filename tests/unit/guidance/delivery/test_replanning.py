@@ -12,6 +12,7 @@ from crazychoir.guidance.delivery import replanning
 from crazychoir.guidance.delivery.replanning import (
     AUCTION_METHOD,
     Replanning,
+    TaskBonds,
     identify_tasks,
 )
 from crazychoir.guidance.tasks.task_book import Deed, Record, Task, TaskBook
@@ -60,9 +61,9 @@ def planned(
 ):
     agents = {}
     for i in graph.ids:
-        bonds, goods = (bound or {}).get(i, ()), (carried or {}).get(i, ())
+        bonds = TaskBonds((bound or {}).get(i, ()), (carried or {}).get(i, ()))
         agents[i] = Replanning(
-            i, graph, books[i], bonds, goods, problem(i, starts[i]), recover, method
+            i, graph, books[i], bonds, problem(i, starts[i]), recover, method
         )
     while not all(agent.done for agent in agents.values()):
         assert not any(agent.done for agent in agents.values()), "all end in one round"
@@ -293,7 +294,8 @@ def test_a_planning_in_which_one_robot_has_no_problem_is_dropped(monkeypatch):
 def test_a_robot_that_sends_an_invalid_book_is_dropped_by_all_alike(nonsense):
     books = {i: TaskBook([NEAR_2], records()) for i in IDS}
     agents = {
-        i: Replanning(i, GRAPH, books[i], (), (), problem(i, HOMES[i])) for i in IDS
+        i: Replanning(i, GRAPH, books[i], TaskBonds(), problem(i, HOMES[i]))
+        for i in IDS
     }
     while not all(agent.done for agent in agents.values()):
         messages = {i: agent.message() for i, agent in agents.items()}

@@ -11,6 +11,7 @@ from crazychoir.errors import ConfigError, Refused
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.guidance.formation.bearing import (
     BEARING_GAINS,
+    BearingLaw,
     build_bearing_laplacian,
     check_formation,
 )
@@ -42,15 +43,17 @@ def grid(diagonals, columns=6, rows=5):
 
 def test_a_grid_without_diagonals_is_refused():
     with pytest.raises(Refused, match="not bearing-rigid"):
-        check_formation(*grid(0), [0, 1], 0.5, 1.0)
+        check_formation(*grid(0), [0, 1], BearingLaw("paper", 0.5, 1.0))
 
 
 def test_a_slow_grid_is_refused_with_its_number_and_flown_when_forced():
     with pytest.raises(Refused, match=r"0\.0044 1/s"):
-        check_formation(*grid(2), [0, 1], 1.0, 5.0)
+        check_formation(*grid(2), [0, 1], BearingLaw("paper", 1.0, 5.0))
     with pytest.raises(Refused, match=r"0\.0026 1/s"):
-        check_formation(*grid(2), [0, 1], 3.0, 3.0)
-    report = check_formation(*grid(2), [0, 1], 0.2, 0.5, force=True)
+        check_formation(*grid(2), [0, 1], BearingLaw("paper", 3.0, 3.0))
+    report = check_formation(
+        *grid(2), [0, 1], BearingLaw("paper", 0.2, 0.5), force=True
+    )
     assert report.lambda_min == pytest.approx(0.0018, abs=1e-4)
     assert "0.0018" in report.warnings[0]
 
@@ -58,15 +61,24 @@ def test_a_slow_grid_is_refused_with_its_number_and_flown_when_forced():
 def test_too_fast_a_law_is_refused_and_a_brisk_one_is_warned_of():
     corners = [0, 5, 24, 29]
     with pytest.raises(Refused, match="unstable"):
-        check_formation(*grid(2), corners, 3.0, 5.0)
-    [warning] = check_formation(*grid(2), corners, 1.5, 2.2).warnings
+        check_formation(*grid(2), corners, BearingLaw("paper", 3.0, 5.0))
+    [warning] = check_formation(
+        *grid(2), corners, BearingLaw("paper", 1.5, 2.2)
+    ).warnings
     assert "of delay margin" in warning
-    assert check_formation(*grid(2), corners, 1.0, 1.2).warnings == ()
+    assert (
+        check_formation(*grid(2), corners, BearingLaw("paper", 1.0, 1.2)).warnings == ()
+    )
 
 
 def test_only_leaders_or_a_neighbour_that_does_not_exist_are_refused():
     with pytest.raises(Refused, match="every drone is a leader"):
-        check_formation(SQUARE, PAPER_GRAPH, SQUARE, BEARING_GAINS.kp, BEARING_GAINS.kv)
+        check_formation(
+            SQUARE,
+            PAPER_GRAPH,
+            SQUARE,
+            BearingLaw("paper", BEARING_GAINS.kp, BEARING_GAINS.kv),
+        )
     with pytest.raises(ConfigError, match="neighbors of drone 2"):
         build_bearing_laplacian(SQUARE, {2: {9}}, [0, 1])
 

@@ -9,7 +9,11 @@ from teams import run_team
 
 from crazychoir.guidance.mission import load_mission
 from crazychoir.guidance.tasks.assignment_report import compute_optimum
-from crazychoir.guidance.tasks.generation import NextGeneration, list_open_tasks
+from crazychoir.guidance.tasks.generation import (
+    NextGeneration,
+    TableProgress,
+    list_open_tasks,
+)
 from crazychoir.guidance.tasks.task_book import Deed, Record, Task, TaskBook
 from crazychoir.optimization.assignment.assignment import AssignmentOutcome
 from crazychoir.team.graph import Graph
@@ -34,8 +38,7 @@ def generation(
             i,
             graph,
             (books or {}).get(i, TaskBook()),
-            (number or {}).get(i, 0),
-            filled,
+            TableProgress((number or {}).get(i, 0), filled),
             lambda count: MISSION.hooks.drawn(config, count),
             most,
             lambda task, i=i: cost(i, at[i], task),
@@ -177,6 +180,11 @@ def test_any_cost_is_accepted_and_an_infinite_one_excludes_the_robot():
     assert (found[0].outcome.cost, found[0].outcome.infeasible) == (6.0, "")
 
 
+def test_a_generation_says_how_far_its_robot_has_followed_the_table():
+    found = generation(number={2: 4}, filled=3)[0]
+    assert found.progress == TableProgress(number=5, filled=4)
+
+
 def test_a_robot_alone_goes_on():
     alone = Graph.from_edges((3,), [])
     found = generation(
@@ -192,8 +200,7 @@ def test_what_is_no_book_is_dropped_by_all():
         0,
         Graph.from_edges((0, 1), [[0, 1]]),
         TaskBook(),
-        0,
-        8,
+        TableProgress(0, 8),
         list,
         8,
         lambda task: 0.0,
@@ -209,8 +216,7 @@ def test_what_is_no_book_is_dropped_by_all():
             0,
             Graph.from_edges((0, 1), [[0, 1]]),
             TaskBook(),
-            3,
-            8,
+            TableProgress(3, 8),
             lambda count: [],
             8,
             lambda task: 0.0,

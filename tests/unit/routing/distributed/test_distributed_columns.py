@@ -19,7 +19,11 @@ from crazychoir.routing.distributed.clusters import (
 )
 from crazychoir.routing.distributed.gossip import Gossip
 from crazychoir.routing.distributed.large_bound import LargeBound
-from crazychoir.routing.distributed.master import ColumnPool, find_partition
+from crazychoir.routing.distributed.master import (
+    ColumnPool,
+    PartitionProblem,
+    find_partition,
+)
 from crazychoir.routing.distributed.member import (
     ColumnSettings,
     GraphPosition,
@@ -423,7 +427,9 @@ def test_refusals_are_weighed_in_the_proof_where_the_relaxation_has_a_gap(graph,
     refusals = [
         (robots + j, RouteColumn(float(penalty[j]), (j,))) for j in range(tasks)
     ]
-    best = find_partition(columns + refusals, tasks, seed=0, nodes=10_000)
+    best = find_partition(
+        PartitionProblem(columns + refusals, tasks), seed=0, nodes=10_000
+    )
     solution = solve_in_loop(
         instance,
         graph("ring", robots),

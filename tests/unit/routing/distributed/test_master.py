@@ -10,6 +10,7 @@ from crazychoir.routing.distributed import master
 from crazychoir.routing.distributed.master import (
     ColumnPool,
     Master,
+    PartitionProblem,
     PartitionResult,
     find_partition,
 )
@@ -40,7 +41,7 @@ def cheapest_exact_cover(columns):
 
 
 def test_the_partition_is_the_cheapest_exact_cover(columns):
-    found = find_partition(columns, 4, seed=0, nodes=1000)
+    found = find_partition(PartitionProblem(columns, 4), seed=0, nodes=1000)
     assert found.cost == pytest.approx(cheapest_exact_cover(columns))
     assert found.bound == pytest.approx(found.cost)
     assert sorted(j for tasks in found.routes.values() for j in tasks) == [0, 1, 2, 3]
@@ -72,22 +73,25 @@ def test_robots_that_are_the_same_share_a_row(columns):
     apart = [(i, c) for i in (1, 5, 6) for c in own]
     together = [(1, c) for c in own]
     each, all_ = (
-        find_partition(apart, 4, 0, 1000),
-        find_partition(together, 4, 0, 1000, alike={1: (1, 5, 6)}),
+        find_partition(PartitionProblem(apart, 4), 0, 1000),
+        find_partition(PartitionProblem(together, 4, {1: (1, 5, 6)}), 0, 1000),
     )
     assert all_.cost == pytest.approx(each.cost)
     assert all_.bound == pytest.approx(each.cost)
     assert set(all_.routes) <= {1, 5, 6}
     assert sorted(j for tasks in all_.routes.values() for j in tasks) == [0, 1, 2, 3]
     assert find_partition(
-        together, 4, 0, 1000, known=each.routes, alike={1: (1, 5, 6)}
+        PartitionProblem(together, 4, {1: (1, 5, 6)}), 0, 1000, known=each.routes
     ).cost == pytest.approx(each.cost)
     one, many = Master(penalty, number={1: 3}), Master(penalty)
     one.add(1, own)
     for i in (1, 5, 6):
         many.add(i, own)
     assert one.relax().value == pytest.approx(many.relax().value)
-    assert find_partition(together, 4, 0, 1000, alike={1: (1,)}).cost > each.cost
+    assert (
+        find_partition(PartitionProblem(together, 4, {1: (1,)}), 0, 1000).cost
+        > each.cost
+    )
 
 
 def test_missing_robots_cost_what_a_robot_does_at_most(columns):
@@ -128,7 +132,7 @@ def test_a_failed_search_is_retried_once_without_its_start_and_then_raises(
 ):
     """Once more without the start that it was given, and without presolve; then it is an error."""
     best, runs, searched = (
-        find_partition(columns, 4, 0, 1000),
+        find_partition(PartitionProblem(columns, 4), 0, 1000),
         [],
         master._search_columns,
     )
@@ -143,14 +147,14 @@ def test_a_failed_search_is_retried_once_without_its_start_and_then_raises(
     monkeypatch.setattr(master, "_search_columns", breaking)
     if broken == 1:
         assert find_partition(
-            columns, 4, 0, 1000, known=best.routes
+            PartitionProblem(columns, 4), 0, 1000, known=best.routes
         ).cost == pytest.approx(best.cost)
         assert [start is None for start in runs] == [False, True]
         return
     with pytest.raises(
         SolverError, match=f"partitioning of {len(columns)} columns: .* kSolveError"
     ):
-        find_partition(columns, 4, 0, 1000, known=best.routes)
+        find_partition(PartitionProblem(columns, 4), 0, 1000, known=best.routes)
 
 
 REJECTED = """0:29:0135 0:29:0369 0:30:0459 0:29:046 0:28:13689 0:28:1458 0:28:1468 0:30:23679 0:30:2467 0:30:35679
@@ -173,16 +177,16 @@ def test_columns_that_presolve_takes_for_feasible_are_proven_not_to_be():
     assert not any(
         sum(map(len, sets)) == 10 and len(set().union(*sets)) == 10 for sets in choices
     )
-    assert find_partition(columns, 10, seed=0, nodes=2) == PartitionResult(
-        np.inf, {}, np.inf
-    )
+    assert find_partition(
+        PartitionProblem(columns, 10), seed=0, nodes=2
+    ) == PartitionResult(np.inf, {}, np.inf)
 
 
 def test_no_cover_is_proven_and_relaxes_at_the_penalty():
     lonely = [(0, RouteColumn(3.0, (0,)))]
     none = PartitionResult(np.inf, {}, np.inf)
-    assert find_partition(lonely, 2, seed=0, nodes=10) == none
-    assert find_partition([], 2, seed=0, nodes=10) == none
+    assert find_partition(PartitionProblem(lonely, 2), seed=0, nodes=10) == none
+    assert find_partition(PartitionProblem([], 2), seed=0, nodes=10) == none
     pool = ColumnPool(2)
     pool.add(0, [RouteColumn(3.0, (0,))])
     assert pool.relax(np.array([50.0, 50.0])).value == pytest.approx(53.0)
@@ -208,3 +212,12 @@ def test_a_tour_that_is_shorter_by_rounding_alone_is_no_news():
     assert master.add(1, [RouteColumn(5.0, (0, 2))]) == 1
     assert master.add(1, [RouteColumn(5.0 - 1e-12, (0, 2))]) == 0
     assert master.add(1, [RouteColumn(5.0 - 1e-6, (0, 2))]) == 1
+
+
+def test_a_problem_with_other_lengths_has_the_same_tasks_and_groups():
+    problem = PartitionProblem([(1, RouteColumn(3.0, (0, 1)))], 2, {1: (1, 5)})
+    assert problem.with_lengths([1.0]) == PartitionProblem(
+        [(1, RouteColumn(1.0, (0, 1)))], 2, {1: (1, 5)}
+    )
+    with pytest.raises(ValueError, match="zip"):
+        problem.with_lengths([])

@@ -12,7 +12,7 @@ from crazychoir.errors import ConfigError, SolverError
 from crazychoir.routing.distributed import column_recovery, gossip
 from crazychoir.routing.distributed.bound import improve_bound
 from crazychoir.routing.distributed.distributed_columns import DistributedColumns
-from crazychoir.routing.distributed.master import find_partition
+from crazychoir.routing.distributed.master import PartitionProblem, find_partition
 from crazychoir.routing.distributed.member import (
     ColumnSettings,
     PriceSettings,
@@ -242,7 +242,7 @@ def test_where_the_relaxation_has_a_gap_the_widening_finds_what_enumeration_find
         for i, table in enumerate(tables)
         for c in range(1, len(table))
     ]
-    best = find_partition(columns, tasks, seed=0, nodes=10_000)
+    best = find_partition(PartitionProblem(columns, tasks), seed=0, nodes=10_000)
     solution = solve_in_loop(instance, graph("ring", robots), settings=settings)
     assert solution.cost == pytest.approx(best.cost, abs=1e-6)
     assert solution.lower_bound == pytest.approx(best.cost, abs=1e-3)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import InstanceError
-from crazychoir.routing.distributed.master import find_fewest_columns
+from crazychoir.routing.distributed.master import PartitionProblem, find_fewest_columns
 from crazychoir.routing.distributed.member import (
     ColumnSettings,
     PriceSettings,
@@ -183,17 +183,21 @@ def test_the_fewest_columns_are_chosen_and_of_those_the_shortest():
     priced = [
         (robot, RouteColumn(weight + length, tasks)) for robot, tasks, length in columns
     ]
-    found = find_fewest_columns(priced, 2, 0, 1000, weight, 0)
+    found = find_fewest_columns(PartitionProblem(priced, 2), 0, 1000, weight, 0)
     assert found.routes == {1: (0, 1)}
     assert found.cost - weight == pytest.approx(800.0)
     assert found.bound - weight == pytest.approx(800.0)
-    again = find_fewest_columns(priced, 2, 0, 1000, weight, 1, known={0: (0,), 1: (1,)})
+    again = find_fewest_columns(
+        PartitionProblem(priced, 2), 0, 1000, weight, 1, known={0: (0,), 1: (1,)}
+    )
     assert again.cost == pytest.approx(found.cost)
 
 
 def test_no_choice_of_columns_is_said_to_be_none():
     assert (
-        find_fewest_columns([(0, RouteColumn(3.0, (0,)))], 2, 0, 100, 1.0, 0).cost
+        find_fewest_columns(
+            PartitionProblem([(0, RouteColumn(3.0, (0,)))], 2), 0, 100, 1.0, 0
+        ).cost
         == math.inf
     )
 

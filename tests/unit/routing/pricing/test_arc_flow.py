@@ -1,7 +1,7 @@
 import pytest
 
 from crazychoir.errors import SolverError
-from crazychoir.routing.distributed.master import find_partition
+from crazychoir.routing.distributed.master import PartitionProblem, find_partition
 from crazychoir.routing.instance.checker import check_plan
 from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.instance.instance import Instance
@@ -28,9 +28,9 @@ def test_arcs_and_columns_have_the_same_optimum(robots, tasks, seed, options):
         for i, table in enumerate(tables)
         for c in range(1, len(table))
     ]
-    assert find_partition(columns, tasks, seed=0, nodes=10_000).cost == pytest.approx(
-        plan.cost, abs=1e-6
-    )
+    assert find_partition(
+        PartitionProblem(columns, tasks), seed=0, nodes=10_000
+    ).cost == pytest.approx(plan.cost, abs=1e-6)
 
 
 def test_no_plan_is_an_error():

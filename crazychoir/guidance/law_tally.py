@@ -1,0 +1,87 @@
+"""A tally of what became of the references of a law, for the result of its drone."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from crazychoir.types import Acceleration, FullState, Goto, Velocity
+
+
+@dataclass(slots=True)
+class LawTally:
+    """Counts the steps of a law, and keeps why its last refused reference cannot be flown."""
+
+    drone: int
+    """Id of the drone."""
+    steps: int = 0
+    """Steps of the law."""
+    hovered: int = 0
+    """Steps in which the law returned None."""
+    refused: int = 0
+    """Steps with a reference that cannot be flown."""
+    refusal: str = ""
+    """Why the last of these references cannot be flown."""
+
+    @property
+    def usable(self) -> int:
+        """Number of references that could be flown."""
+        return self.steps - self.hovered - self.refused
+
+    def refuse(self, why: str) -> None:
+        """Count a reference that cannot be flown."""
+        self.refused += 1
+        self.refusal = why
+
+    def list_faults(self) -> dict[str, Any]:
+        """Return the entries of the drone's result about refused references; none if all is well.
+
+        refused_references: how many could not be flown.
+        refused: why, if these are most of them.
+        success: False, and the `reason`, if none of them could be flown.
+        """
+        if not self.refused:
+            return {}
+        faults: dict[str, Any] = {"refused_references": self.refused}
+        if self.refused > self.usable:
+            faults["refused"] = self.explain_refusals()
+        if not self.usable:
+            faults["success"] = False
+            faults["reason"] = self.explain_refusals()
+        return faults
+
+    def explain_refusals(self) -> str:
+        """Return in how many steps the law gave what cannot be flown, and why the last cannot."""
+        where = f"drone {self.drone}: the law gave no usable reference in {self.refused} of {self.steps} steps"
+        others = self.steps - self.refused
+        if others > 0 and self.hovered == others:
+            where += " (None in the others)"
+        return f"{where}: {self.refusal}"
+
+
+def explain_wrong_return(reference: object) -> str:
+    """Return why a return value of a law can never be flown."""
+    numbers: list[Any]
+    match reference:
+        case Acceleration():
+            numbers = [reference.a, reference.yaw]
+            size = 3
+        case FullState():
+            numbers = [reference.flat]
+            size = 14
+        case Velocity():
+            numbers = [reference.v, reference.yaw]
+            size = 3
+        case Goto():
+            numbers = [reference.p, reference.yaw, reference.duration]
+            size = 3
+        case _:
+            of = f" {reference.shape}" if isinstance(reference, np.ndarray) else ""
+            found = f"{type(reference).__name__}{of}"
+            kinds = (
+                "Acceleration(...), Velocity(...), FullState(...), Goto(...) or None"
+            )
+            return f"step() must return {kinds}; found {found}"
+    kind = type(reference).__name__
+    found = " ".join(f"{numbers}"[1:-1].split())
+    return f"step() must return finite numbers, {kind} of ({size},); found {kind}({found:.80})"
