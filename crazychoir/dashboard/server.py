@@ -18,7 +18,8 @@ from starlette.staticfiles import StaticFiles
 from crazychoir.agent.dead_man import ConsoleReporter, is_console
 from crazychoir.bus.port import Bus
 from crazychoir.dashboard.access import PAGE_REQUEST_RULES, AccessGate
-from crazychoir.dashboard.commands import CommandDesk, CommandPlace
+from crazychoir.dashboard.command_place import CommandPlace
+from crazychoir.dashboard.commands import CommandDesk
 from crazychoir.dashboard.connection_limits import GuestConnection
 from crazychoir.dashboard.event_log import EventLog
 from crazychoir.dashboard.model import SwarmModel

@@ -42,7 +42,6 @@ LONG_MISSIONS = ("online_delivery", "pickup_delivery", "task_assignment")
 LARGE_CLASSES = {
     "BasisExchange",
     "CFDistributedFeedback",
-    "CommandDesk",
     "Communicator",
     "DistributedColumns",
     "Fleet",
