@@ -45,7 +45,6 @@ LARGE_CLASSES = {
     "Communicator",
     "DistributedColumns",
     "Fleet",
-    "Onboard",
     "Pilot",
     "QuadraticProgram",
     "Rounds",
