@@ -27,7 +27,8 @@ from crazychoir.guidance.sensors import Sensors
 from crazychoir.platforms import find_platform
 from crazychoir.runtime.mailbox import Call
 from crazychoir.runtime.supervisor import Supervisor
-from crazychoir.safety.collision.agreed.planned import LOWEST_WAYPOINT, PlannedFlights
+from crazychoir.safety.collision.agreed.path_limits import LOWEST_WAYPOINT, PathLimits
+from crazychoir.safety.collision.agreed.planned import PlannedFlights
 from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.safety.collision.neighbour_table import NeighbourTable
 from crazychoir.safety.rules.guard import Fence
@@ -298,16 +299,10 @@ def _build_avoidance(
     ground = flight.ground
     _watch_neighbours(config, port, traffic)
     if i in planners:
-        return PlannedFlights(
-            port,
-            config.collision,
-            traffic,
-            planners,
-            fence.with_floor(ground + LOWEST_WAYPOINT),
-            a_max,
-            v_max,
-            ground,
+        limits = PathLimits(
+            fence.with_floor(ground + LOWEST_WAYPOINT), a_max, v_max, ground
         )
+        return PlannedFlights(port, config.collision, traffic, planners, limits)
     return CollisionFilter(config.collision, traffic, fence, a_max, v_max, ground)
 
 

@@ -101,7 +101,7 @@ def _hovering_step(world: CrazyflieWorld, n: int) -> Step:
         nonlocal steps
         if steps % WORLD_BENCH.set_point_interval == 0:
             for link in links:
-                link.onboard.fpqr(
+                link.onboard.setpoints.fpqr(
                     0.0 if steps == 0 else CRAZYFLIE_21.weight, 0.0, 0.0, 0.0
                 )
         steps += 1

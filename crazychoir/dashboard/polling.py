@@ -7,8 +7,9 @@ from typing import Any
 
 from crazychoir.bus.commands import ANSWER_TEXTS
 from crazychoir.config.network import rules_in_words
-from crazychoir.dashboard.commands import CommandDesk, Receipt
+from crazychoir.dashboard.commands import CommandDesk
 from crazychoir.dashboard.model import SwarmModel
+from crazychoir.dashboard.receipts import Receipt
 from crazychoir.dashboard.recent_loss import RecentCounts, lost_share
 from crazychoir.runtime.actor import Actor
 from crazychoir.team.graph import describe_ids

@@ -19,7 +19,8 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from crazychoir.agent.dead_man import ConsoleReporter, is_console
 from crazychoir.bus.port import Bus
 from crazychoir.dashboard.access import PAGE_REQUEST_RULES, AccessGate, network_of
-from crazychoir.dashboard.commands import CommandDesk, CommandPlace
+from crazychoir.dashboard.command_place import CommandPlace
+from crazychoir.dashboard.commands import CommandDesk
 from crazychoir.dashboard.event_log import EventLog
 from crazychoir.dashboard.model import SwarmModel
 from crazychoir.dashboard.operator import PageOperator

@@ -221,9 +221,9 @@ class PageStream(Actor):
             if self.frame is not frame:
                 frame = self.frame
                 await socket.send_bytes(frame)
-            if self.desk.version > version:
-                receipts = self.desk.after(version)
-                version = self.desk.version
+            if self.desk.book.version > version:
+                receipts = self.desk.book.after(version)
+                version = self.desk.book.version
                 await socket.send_text(
                     _json_text({"receipts": [asdict(receipt) for receipt in receipts]})
                 )

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from crazychoir.flight.point_flights import FLIGHT_PATIENCE, PointFlights
 from crazychoir.numerics.math3d import yaw_of
 from crazychoir.planning.point_to_point import PointToPoint
-from crazychoir.safety.collision.agreed.planned import FutureReference, PlannedFlights
+from crazychoir.safety.collision.agreed.path_choice import FutureReference
+from crazychoir.safety.collision.agreed.planned import PlannedFlights
 from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.types import Acceleration, FullState, State, Vec
 
@@ -188,8 +189,12 @@ class Clearance:
         future: FutureReference = lambda later: flights.sample(now + later) or wanted  # noqa: E731
         flown = self.agreed(state, wanted, future, whole, now, lands, waits)
         if planned.delayed:
-            arrives = isinstance(plan, PointToPoint) and planned.comes_to(plan.goal)
-            flights.wait(planned.left(now) - whole if arrives else self.period)
+            arrives = isinstance(plan, PointToPoint) and planned.agreement.comes_to(
+                plan.goal
+            )
+            flights.wait(
+                planned.agreement.left(now) - whole if arrives else self.period
+            )
         return flown
 
     def agreed(
@@ -237,8 +242,12 @@ class Clearance:
         self, planned: PlannedFlights, wanted: FullState, now: float
     ) -> bool:
         """Return whether an unanswered landing drone rests away from its landing place."""
-        rests = planned.unanswered and planned.delayed and planned.left(now) == 0.0
-        return rests and not planned.comes_to(wanted.p)
+        rests = (
+            planned.unanswered
+            and planned.delayed
+            and planned.agreement.left(now) == 0.0
+        )
+        return rests and not planned.agreement.comes_to(wanted.p)
 
     def lands_beside(self, p: Vec, now: float) -> Vec | None:
         """Return (3,) m where a drone that others keep up above p comes down instead.
@@ -248,7 +257,11 @@ class Clearance:
         Returns None if the drone still waits, or there is no such place.
         """
         planned = self.planned
-        if planned is None or self.delayed_by is None or planned.left(now) > 0.0:
+        if (
+            planned is None
+            or self.delayed_by is None
+            or planned.agreement.left(now) > 0.0
+        ):
             return None
         if now - self._kept_up < (
             CLEARANCE_TIMES.standing_drone_wait
@@ -283,5 +296,5 @@ class Clearance:
         return (
             None
             if self.planned is None or not self.planned.delayed
-            else self.planned.gives_way_to
+            else self.planned.choice.gives_way_to
         )

@@ -6,7 +6,6 @@ machine code is made of: the law's byte code and, recursively, every part and ev
 names. Comments, docstrings and file times do not count.
 
 Processes that start together take turns: the first compiles a law; the others wait and then load it
-from dataclasses import dataclass
 from disk. If nothing can be kept, or a kept file is damaged, the laws are compiled again and one
 line says so.
 """

@@ -28,7 +28,9 @@ def main():
         measure(
             f"position, {name}",
             rows,
-            lambda: [drone.position((0.0, 0.0, 1.0), 0.0) for drone in drones],
+            lambda: [
+                drone.setpoints.position((0.0, 0.0, 1.0), 0.0) for drone in drones
+            ],
         )
 
 

@@ -133,14 +133,14 @@ class EachMillisecond(CrazyflieWorld):
 def flown(kind, seconds):
     world = kind([0], np.array([[0.0, 0.0, 20.0]]), imu=STILL)
     link, draw, states = world.link(0), np.random.default_rng(0), []
-    link.onboard.fpqr(0.0, 0.0, 0.0, 0.0)
+    link.onboard.setpoints.fpqr(0.0, 0.0, 0.0, 0.0)
     for k in range(round(seconds * 100)):
         if k % 10 == 0:
             u = (
                 CRAZYFLIE_21.weight * draw.uniform(0.8, 1.3),
                 *draw.uniform(-4.0, 4.0, 3),
             )
-        link.onboard.fpqr(*u)
+        link.onboard.setpoints.fpqr(*u)
         world.step()
         states.append(world.states[0].copy())
     return np.array(states)

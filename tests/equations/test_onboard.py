@@ -128,9 +128,9 @@ def tilted():
         fw[name] = value
     fw["yaw"] = math.degrees(0.5)
     fw["gx"], fw["gy"], fw["gz"] = 20.0, -30.0, 40.0
-    onboard.position((0.0, 0.0, 0.0), 0.0)
+    onboard.setpoints.position((0.0, 0.0, 0.0), 0.0)
     qd = Rotation.from_euler("z", 0.3).as_quat()
-    onboard.full_state(
+    onboard.setpoints.full_state(
         np.array([0.3, 0.1, 1.2, 0.1, 0.2, 0, 0.4, -0.3, 0.2, *qd, 0.2, 0.1, -0.3])
     )
     return onboard
@@ -162,7 +162,7 @@ def test_the_attitude_error_is_that_of_the_matrices(tilted):
 
 
 def test_angles_give_the_axes_of_r(tilted):
-    tilted.z_distance(0.2, -0.3, 0.0, 1.0)
+    tilted.setpoints.z_distance(0.2, -0.3, 0.0, 1.0)
     out = np.zeros(13)
     laws(tilted.rows, out)
     rd = Rotation.from_euler("ZYX", [0.5, -0.3, 0.2]).as_matrix()

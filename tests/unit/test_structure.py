@@ -40,12 +40,9 @@ MOST_LINES = 200  # of the front page
 MOST_MISSION_LINES = 90  # of a file in agents/
 LONG_MISSIONS = ("online_delivery", "pickup_delivery", "task_assignment")
 LARGE_CLASSES = {
-    "CommandDesk",
     "Communicator",
     "Fleet",
-    "Onboard",
     "Pilot",
-    "PlannedFlights",
     "Rounds",
     "Swarm",
     "ZenohLink",
@@ -59,7 +56,6 @@ WIDE_FUNCTIONS = {
     "KalmanFilter.__init__",
     "MotorWorld.__init__",
     "Pilot.__init__",
-    "PlannedFlights.__init__",
     "Port._send_impaired",
     "Port.send",
     "Recorder._count",

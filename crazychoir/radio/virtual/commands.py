@@ -30,26 +30,28 @@ PACKET_UNITS = PacketUnits()
 def _set_full_state(on: Onboard, *values: float) -> None:
     """Apply a full state in mm, mm/s, mm/s2, and mrad/s of the body."""
     milli = np.array([*values[:9], *values[10:]]) * PACKET_UNITS.thousandth
-    on.full_state(
+    on.setpoints.full_state(
         np.array([*milli[:9], *unpack_quaternion(int(values[9])), *milli[9:]])
     )
 
 
 def _spiral(on: Onboard, group: int, sideways: int, clockwise: int, *arc: float) -> int:
     angle, r0, r1, climb, duration = arc
-    return on.spiral(angle, r0, r1, climb, duration, bool(sideways), bool(clockwise))
+    return on.planner.spiral(
+        angle, r0, r1, climb, duration, bool(sideways), bool(clockwise)
+    )
 
 
 def _take_off(
     on: Onboard, group: int, height: float, yaw: float, keep: bool, duration: float
 ) -> int:
-    return on.take_off(height, duration, None if keep else yaw)
+    return on.planner.take_off(height, duration, None if keep else yaw)
 
 
 def _land(
     on: Onboard, group: int, height: float, yaw: float, keep: bool, duration: float
 ) -> int:
-    return on.land(height, duration, None if keep else yaw)
+    return on.planner.land(height, duration, None if keep else yaw)
 
 
 def _take_off_at_speed(
@@ -63,7 +65,7 @@ def _take_off_at_speed(
 ) -> int:
     here = _planned_height(on)
     goal = here + height if relative else height
-    return on.take_off(
+    return on.planner.take_off(
         goal, abs(goal - here) / speed if speed > 0.0 else None, None if keep else yaw
     )
 
@@ -79,7 +81,7 @@ def _land_at_speed(
 ) -> int:
     here = _planned_height(on)
     goal = here - height if relative else height
-    return on.land(
+    return on.planner.land(
         goal, abs(goal - here) / speed if speed > 0.0 else None, None if keep else yaw
     )
 
@@ -91,7 +93,7 @@ def _planned_height(on: Onboard) -> float:
 
 def _go_to(on: Onboard, group: int, relative: int, linear: int, *goal: float) -> int:
     x, y, z, yaw, duration = goal
-    return on.go_to((x, y, z), yaw, duration, bool(relative), bool(linear))
+    return on.planner.go_to((x, y, z), yaw, duration, bool(relative), bool(linear))
 
 
 def _start_trajectory(
@@ -103,7 +105,7 @@ def _start_trajectory(
     slot: int,
     timescale: float,
 ) -> int:
-    return on.start_trajectory(
+    return on.planner.start_trajectory(
         slot, timescale, bool(relative), bool(rel_yaw), bool(reverse)
     )
 
@@ -113,21 +115,21 @@ def _define_trajectory(
 ) -> int:
     known = location == 1 and kind in (0, 1)
     return (
-        on.define_trajectory(slot, offset, pieces, kind == 1)
+        on.trajectories.define_trajectory(slot, offset, pieces, kind == 1)
         if known
         else UNKNOWN_COMMAND
     )
 
 
 def _stop_planner(on: Onboard, group: int) -> int:
-    on.stop()
+    on.planner.stop()
     return 0
 
 
 def _set_z_distance(
     on: Onboard, roll: float, pitch: float, rate: float, z: float
 ) -> None:
-    on.z_distance(
+    on.setpoints.z_distance(
         PACKET_UNITS.degree * roll,
         -PACKET_UNITS.degree * pitch,
         PACKET_UNITS.degree * rate,
@@ -138,7 +140,7 @@ def _set_z_distance(
 def _set_altitude_hold(
     on: Onboard, roll: float, pitch: float, rate: float, vz: float
 ) -> None:
-    on.altitude_hold(
+    on.setpoints.altitude_hold(
         PACKET_UNITS.degree * roll,
         -PACKET_UNITS.degree * pitch,
         PACKET_UNITS.degree * rate,
@@ -147,11 +149,11 @@ def _set_altitude_hold(
 
 
 def _set_velocity(on: Onboard, vx: float, vy: float, vz: float, rate: float) -> None:
-    on.velocity((vx, vy, vz), PACKET_UNITS.degree * rate)
+    on.setpoints.velocity((vx, vy, vz), PACKET_UNITS.degree * rate)
 
 
 def _set_hover(on: Onboard, vx: float, vy: float, rate: float, z: float) -> None:
-    on.hover(vx, vy, PACKET_UNITS.degree * rate, z)
+    on.setpoints.hover(vx, vy, PACKET_UNITS.degree * rate, z)
 
 
 def apply_manual(
@@ -165,7 +167,7 @@ def apply_manual(
     thrust: 0 to 65535
     """
     newtons = thrust / 65535.0 * 4.0 * on.firmware.thrust_max
-    on.manual(
+    on.setpoints.manual(
         newtons,
         PACKET_UNITS.degree * roll,
         -PACKET_UNITS.degree * pitch,
@@ -180,9 +182,9 @@ def _ignore_result(taken: bool) -> None:
 
 COMMAND_FUNCTIONS: dict[str, Callable[..., Any]] = {
     "rpyt": lambda on, roll, pitch, yaw, thrust: _ignore_result(
-        on.rpyt_raw(roll, pitch, yaw, thrust)
+        on.setpoints.rpyt_raw(roll, pitch, yaw, thrust)
     ),
-    "stop": lambda on: _ignore_result(on.stop_setpoint()),
+    "stop": lambda on: _ignore_result(on.setpoints.stop_setpoint()),
     "velocity_world_legacy": lambda on, vx, vy, vz, rate: _set_velocity(
         on, vx, vy, vz, -rate
     ),
@@ -196,7 +198,7 @@ COMMAND_FUNCTIONS: dict[str, Callable[..., Any]] = {
     "z_distance": _set_z_distance,
     "hover": _set_hover,
     "position": lambda on, x, y, z, yaw: _ignore_result(
-        on.position((x, y, z), PACKET_UNITS.degree * yaw)
+        on.setpoints.position((x, y, z), PACKET_UNITS.degree * yaw)
     ),
     "manual": apply_manual,
     "notify_setpoint_stop": lambda on, remain: on.notify_setpoint_stop(),

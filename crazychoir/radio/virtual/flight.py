@@ -207,7 +207,7 @@ class FlightService:
             if not packet.data:
                 raise FirmwareAssertion("CRTP set-point: 0 bytes; allowed: 1 or more.")
             self.last = f"unknown {packet.data[0]}"
-            self.onboard.stop_setpoint()
+            self.onboard.setpoints.stop_setpoint()
 
     def _wrong(self, form: PacketForm, error: CodecError) -> None:
         self.malformed += 1

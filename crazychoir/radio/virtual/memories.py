@@ -164,7 +164,7 @@ class MemoryService:
     ) -> None:
         kept = {} if kept is None else kept
         self.tester = MemoryTester()
-        trajectories = onboard.memory.data
+        trajectories = onboard.trajectories.memory.data
         self.all: tuple[DroneMemory, ...] = (
             StoredMemory(
                 MemoryKind.EEPROM,

@@ -286,7 +286,7 @@ class CrazyflieWorld(MotorWorld):
 
         Its firmware must be in rate mode.
         """
-        self.onboard[i].fpqr(*u)
+        self.onboard[i].setpoints.fpqr(*u)
 
     def _run(self, time: int, steps: int) -> None:
         if not np.any(self._firmware["controller"] == CONTROLLER_KINDS.out_of_tree):

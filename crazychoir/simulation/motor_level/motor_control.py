@@ -44,7 +44,7 @@ class _MotorCtrlThrust(MotorCtrl):
     def unlock(self) -> None:
         """Send the packet without thrust that unlocks the thrust in the firmware, if it is locked."""
         if self.onboard.record["locked_thrust"]:
-            self.onboard.rpyt_raw(0.0, 0.0, 0.0, 0.0)
+            self.onboard.setpoints.rpyt_raw(0.0, 0.0, 0.0, 0.0)
 
 
 class MotorCtrlFPQR(_MotorCtrlThrust):
@@ -53,7 +53,7 @@ class MotorCtrlFPQR(_MotorCtrlThrust):
     def send(self, command: FPQR) -> bool:
         """Give a set-point, valid until the next one or for 0.5 s; return False if it is refused."""
         self.unlock()
-        return self.onboard.fpqr(*command.flat.tolist())
+        return self.onboard.setpoints.fpqr(*command.flat.tolist())
 
 
 class MotorCtrlFRPY(_MotorCtrlThrust):
@@ -64,7 +64,7 @@ class MotorCtrlFRPY(_MotorCtrlThrust):
     def send(self, command: FRPY) -> bool:
         """Give a set-point, valid until the next one or for 0.5 s; return False if it is refused."""
         self.unlock()
-        return self.onboard.frpy(*command.flat.tolist())
+        return self.onboard.setpoints.frpy(*command.flat.tolist())
 
 
 class MotorCtrlVel(MotorCtrl):
@@ -72,7 +72,9 @@ class MotorCtrlVel(MotorCtrl):
 
     def send(self, command: Vel) -> bool:
         """Give a set-point, valid until the next one or for 0.5 s; return False if it is refused."""
-        return self.onboard.velocity(command.flat[0:3], float(command.flat[3]))
+        return self.onboard.setpoints.velocity(
+            command.flat[0:3], float(command.flat[3])
+        )
 
 
 class MotorCtrlFullState(MotorCtrl):
@@ -86,7 +88,7 @@ class MotorCtrlFullState(MotorCtrl):
         yaw = float(s[12])
         axes = flat_attitude((a[0], a[1], a[2] + STANDARD_GRAVITY), yaw)
         q = quaternion(np.array(axes).T)
-        return self.onboard.full_state(
+        return self.onboard.setpoints.full_state(
             np.array([*s[0:9], *q, *compute_flat_body_rates(a, j, yaw, float(s[13]))])
         )
 
@@ -105,14 +107,20 @@ class MotorCtrlXYZ(MotorCtrl):
         if onboard.record["priority"] > SETPOINT_PRIORITIES.high_level:
             onboard.notify_setpoint_stop()
         if command.verb == "stop":
-            onboard.stop()
+            onboard.planner.stop()
             return True
         if command.verb in ("go_to", "line"):
             return (
-                onboard.go_to((x, y, z), yaw, duration, linear=command.verb == "line")
+                onboard.planner.go_to(
+                    (x, y, z), yaw, duration, linear=command.verb == "line"
+                )
                 == PLANNER_ANSWERS.done
             )
-        climb = onboard.take_off if command.verb == "take_off" else onboard.land
+        climb = (
+            onboard.planner.take_off
+            if command.verb == "take_off"
+            else onboard.planner.land
+        )
         return climb(z, duration or None, yaw) == PLANNER_ANSWERS.done
 
 

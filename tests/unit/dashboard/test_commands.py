@@ -10,13 +10,11 @@ from crazychoir.bus.commands import (
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.dashboard.commands import (
-    ORDER_LIMITS,
-    RECEIPT_KINDS,
-    RECEIPT_TEXTS,
-    CommandDesk,
-)
+from crazychoir.dashboard.commands import CommandDesk
 from crazychoir.dashboard.event_log import EventLog
+from crazychoir.dashboard.orders import ORDER_LIMITS
+from crazychoir.dashboard.receipts import MOST_RECEIPTS, RECEIPT_KINDS, RECEIPT_TEXTS
+from crazychoir.dashboard.stops import STOP_TIMEOUT
 from crazychoir.errors import ConfigError, Refused
 
 
@@ -190,7 +188,7 @@ async def test_a_stop_is_heard_by_all_that_are_there_and_the_silent_are_named(cl
     await swarm.desk.settled(receipt)
     assert receipt.answers[2] == (
         RECEIPT_KINDS.silent,
-        f"no acknowledgement within {ORDER_LIMITS.stop_timeout:g} s, still sent",
+        f"no acknowledgement within {STOP_TIMEOUT:g} s, still sent",
     )
     cleared = await swarm.desk.settled(swarm.desk.stop([0, 1], clear=True))
     assert cleared.done()
@@ -213,14 +211,14 @@ async def test_a_stop_is_sent_until_it_is_heard_however_late(clock):
     await clock.sleep(300.0)
     assert receipt.answers[0] == (
         RECEIPT_KINDS.silent,
-        f"no acknowledgement within {ORDER_LIMITS.stop_timeout:g} s, still sent",
+        f"no acknowledgement within {STOP_TIMEOUT:g} s, still sent",
     )
-    version = swarm.desk.version
+    version = swarm.desk.book.version
     hears()
     await clock.sleep(0.3)
     assert swarm.stopped == [(1, True), (0, True)]
     assert receipt.answers[0] == (ANSWER_TEXTS.done, "motors off")
-    assert swarm.desk.after(version) == [receipt]
+    assert swarm.desk.book.after(version) == [receipt]
     swarm.desk.close()
 
 
@@ -238,7 +236,7 @@ async def test_a_stop_ends_when_it_is_cleared_or_given_anew_and_one_of_some_leav
         (RECEIPT_KINDS.sent, ""),
         (RECEIPT_KINDS.sent, ""),
     )
-    assert len(swarm.desk._stops) == 2
+    assert len(swarm.desk._stops.pending) == 2
     swarm.bus.stopped = False
     hears()
     await clock.sleep(1.0)
@@ -252,7 +250,7 @@ async def test_a_stop_ends_when_it_is_cleared_or_given_anew_and_one_of_some_leav
     assert cleared.answers[0] == (ANSWER_TEXTS.done, "cleared")
     assert cleared.answers[1] == (
         RECEIPT_KINDS.silent,
-        f"no acknowledgement within {ORDER_LIMITS.stop_timeout:g} s",
+        f"no acknowledgement within {STOP_TIMEOUT:g} s",
     )
     await clock.sleep(0.5)
     told = list(swarm.stopped)
@@ -286,7 +284,7 @@ async def test_a_stop_withdraws_whatever_would_move_its_drones(clock):
     hears()
     await clock.sleep(1.0)
     assert (1, True) in swarm.stopped
-    assert swarm.desk._asked == {}
+    assert swarm.desk._orders.pending == {}
     assert not going.open
     swarm.desk.close()
 
@@ -475,21 +473,21 @@ async def test_a_page_is_told_what_has_changed_since_it_was_told_last(clock):
     swarm = Swarm(clock)
     first = swarm.desk.order("land", [0])
     await clock.sleep(0.2)
-    told = swarm.desk.version
-    assert swarm.desk.after(0) == [first]
-    assert swarm.desk.after(told) == []
+    told = swarm.desk.book.version
+    assert swarm.desk.book.after(0) == [first]
+    assert swarm.desk.book.after(told) == []
     second = swarm.desk.order("hold", [0])
-    assert swarm.desk.after(told) == [second]
+    assert swarm.desk.book.after(told) == [second]
     await swarm.desk.settled(first)
-    assert swarm.desk.after(told) == [first, second]
-    for _ in range(ORDER_LIMITS.most_receipts):
+    assert swarm.desk.book.after(told) == [first, second]
+    for _ in range(MOST_RECEIPTS):
         swarm.desk.order("go", [0])
-    assert len(swarm.desk.after(0)) == ORDER_LIMITS.most_receipts
+    assert len(swarm.desk.book.after(0)) == MOST_RECEIPTS
     stop = swarm.desk.stop([2])
-    for _ in range(ORDER_LIMITS.most_receipts):
+    for _ in range(MOST_RECEIPTS):
         swarm.desk.order("go", [0])
-    assert len(swarm.desk.after(0)) == ORDER_LIMITS.most_receipts
-    assert stop in swarm.desk.after(0), "it is still sent"
+    assert len(swarm.desk.book.after(0)) == MOST_RECEIPTS
+    assert stop in swarm.desk.book.after(0), "it is still sent"
     swarm.desk.close()
 
 

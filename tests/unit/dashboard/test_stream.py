@@ -12,11 +12,12 @@ from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.dashboard import operator
-from crazychoir.dashboard.commands import RECEIPT_KINDS, CommandDesk
+from crazychoir.dashboard.commands import CommandDesk
 from crazychoir.dashboard.event_log import EventLog
 from crazychoir.dashboard.model import PAGE_DATA, SwarmModel
 from crazychoir.dashboard.operator import PageOperator
 from crazychoir.dashboard.polling import POLLING_LIMITS, Overview, TaskBoard
+from crazychoir.dashboard.receipts import RECEIPT_KINDS
 from crazychoir.dashboard.stream import (
     STREAM_LIMITS,
     CloseCode,
@@ -316,8 +317,8 @@ async def test_what_a_page_asks_for_without_end_is_refused_but_never_a_stop(
     page.asks.put_nowait({"ask": "stop"})
     page.asks.put_nowait({"ask": "order", "verb": "land", "drones": [1]})
     await clock.sleep(0.2)
-    assert len(server.desk.receipts) > 1
-    assert server.desk.receipts[-1].verb == "emergency stop"
+    assert len(server.desk.book.receipts) > 1
+    assert server.desk.book.receipts[-1].verb == "emergency stop"
     assert server.bus.stopped
     (refused,) = page.told("refused")
     assert str(STREAM_LIMITS.most_messages) in refused
@@ -339,7 +340,7 @@ async def test_what_was_asked_for_is_done_though_its_page_is_gone(clock, server,
     ):
         page.asks.put_nowait(words)
     await page.serving
-    assert [receipt.verb for receipt in server.desk.receipts][:2] == [
+    assert [receipt.verb for receipt in server.desk.book.receipts][:2] == [
         "hold",
         "emergency stop",
     ]
@@ -462,7 +463,7 @@ async def test_a_task_that_one_drone_may_have_heard_is_given_to_no_other_drone(
     page.asks.put_nowait({"ask": "add-task", "pickup": [1.0, 2.0]})
     await clock.sleep(12.0)
     assert added == [0]
-    (receipt,) = server.desk.receipts
+    (receipt,) = server.desk.book.receipts
     assert receipt.answers == {
         0: (RECEIPT_KINDS.unfinished, "accepted, not done within 5 s")
     }
@@ -470,8 +471,8 @@ async def test_a_task_that_one_drone_may_have_heard_is_given_to_no_other_drone(
     server.board._k = 0
     await server.board.ask("task_add", "", pickup=[1.0, 2.0])
     assert added == [0]
-    assert server.desk.receipts[-1].answers[0][0] == RECEIPT_KINDS.silent
-    assert len(server.desk.receipts) == 2
+    assert server.desk.book.receipts[-1].answers[0][0] == RECEIPT_KINDS.silent
+    assert len(server.desk.book.receipts) == 2
 
 
 @served
@@ -568,7 +569,7 @@ async def test_a_new_cut_adds_to_earlier_cuts_and_the_receipt_says_what_is_in_fo
     for drones in ([0], [2], [2]):
         page.asks.put_nowait({"ask": "impair", "cut": True, "drones": drones})
     await clock.sleep(0.5)
-    receipt = server.desk.receipts[-1]
+    receipt = server.desk.book.receipts[-1]
     assert receipt.words == "cut off, 2"
     assert receipt.answers[0] == (
         "done",
@@ -577,7 +578,7 @@ async def test_a_new_cut_adds_to_earlier_cuts_and_the_receipt_says_what_is_in_fo
     )
     page.asks.put_nowait({"ask": "impair", "clear": True})
     await clock.sleep(0.5)
-    assert server.desk.receipts[-1].answers[0] == ("done", "nothing: perfect")
+    assert server.desk.book.receipts[-1].answers[0] == ("done", "nothing: perfect")
     await server.end()
 
 
@@ -612,7 +613,7 @@ async def test_a_stop_comes_between_while_what_each_flies_is_made(clock):
         await clock.sleep(0.5)
         page.asks.put_nowait({"ask": "fly", "drones": [1]})
         await clock.sleep(0.5)
-        assert [receipt.verb for receipt in server.desk.receipts] == ["fly"], (
+        assert [receipt.verb for receipt in server.desk.book.receipts] == ["fly"], (
             "it is told at once"
         )
         page.asks.put_nowait({"ask": "stop"})
@@ -620,13 +621,13 @@ async def test_a_stop_comes_between_while_what_each_flies_is_made(clock):
         assert server.bus.stopped
         await clock.sleep(5.0)
         assert not server.those("fly")
-        assert server.desk.receipts[0].answers == {
+        assert server.desk.book.receipts[0].answers == {
             1: (RECEIPT_KINDS.withdrawn, "by stop")
         }
         page.asks.put_nowait({"ask": "fly", "drones": [1, 2], "offset": [0, 50.0, 0]})
         await clock.sleep(4.0)
     assert not server.those("fly")
-    kind, words = server.desk.receipts[-1].answers[1]
+    kind, words = server.desk.book.receipts[-1].answers[1]
     assert (kind, len(making)) == (ANSWER_TEXTS.refused, 2)
     assert "path of drone 2" in words
     await server.end()

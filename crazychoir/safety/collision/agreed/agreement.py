@@ -8,6 +8,7 @@ however many messages are lost. A drone that was in the air when it was last hea
 says otherwise. A drone that gets no answer stays on its path.
 """
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -17,7 +18,12 @@ from crazychoir.bus.port import PORT_ADDRESSES, Port
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.runtime.mailbox import Call
-from crazychoir.safety.collision.agreed.paths import PIECE_SIZE
+from crazychoir.safety.collision.agreed.paths import (
+    PIECE_SIZE,
+    compute_end_place,
+    compute_path_duration,
+)
+from crazychoir.safety.collision.agreed.rest_goal import ARRIVAL_DISTANCE
 from crazychoir.safety.collision.neighbour_table import NEIGHBOUR_AGES
 from crazychoir.types import Mat, Plan, Vec
 
@@ -156,6 +162,14 @@ class Agreement:
             for other in self.flying()
             if len(other.awaits) and not other.silent(now)
         )
+
+    def left(self, now: float) -> float:
+        """Return s until the path of this drone ends."""
+        return max(self.began + compute_path_duration(self.way) - now, 0.0)
+
+    def comes_to(self, goal: Vec) -> bool:
+        """Return whether the path of this drone ends at the goal, (3,) m."""
+        return math.dist(compute_end_place(self.way), goal) < ARRIVAL_DISTANCE
 
     def begin(self, way: Mat, now: float) -> None:
         """Fly this path from now on without asking: the first path, or the only way out."""

@@ -36,11 +36,11 @@ def test_it_takes_off_from_a_tilted_floor_hovers_in_wind_and_lands(platform):
     posed(world, 50)
     drone.arm()
     posed(world, 150)
-    assert drone.take_off(0.5, 2.0) == 0
+    assert drone.planner.take_off(0.5, 2.0) == 0
     posed(world, 500)
     np.testing.assert_allclose(world.states[0, :3], [0.5, -0.5, 0.5], atol=0.15)
     assert world.vbat(4) < 4.1
-    assert drone.land(0.0, 2.0) == 0
+    assert drone.planner.land(0.0, 2.0) == 0
     posed(world, 500)
     assert world.resting(4)
     assert world.crashed == []
@@ -60,7 +60,7 @@ def test_a_drone_flies_the_same_alone_and_among_others():
             world.onboard[i].arm()
         posed(world, 30)
         for i in ids:
-            assert world.onboard[i].take_off(0.4, 1.0) == 0
+            assert world.onboard[i].planner.take_off(0.4, 1.0) == 0
         posed(world, 100)
         return world.states[world.row[5]].copy()
 

@@ -55,8 +55,10 @@ def test_places_take_over_from_streamed_set_points(onboard, kind):
 def test_the_thrust_is_unlocked_once_and_not_interrupted(onboard, kind):
     link = kind(onboard)
     sent = []
-    rpyt_raw = onboard.rpyt_raw
-    onboard.rpyt_raw = lambda *packet: sent.append(packet[3]) or rpyt_raw(*packet)
+    rpyt_raw = onboard.setpoints.rpyt_raw
+    onboard.setpoints.rpyt_raw = lambda *packet: (
+        sent.append(packet[3]) or rpyt_raw(*packet)
+    )
     link.send(COMMANDS[kind])
     link.send(COMMANDS[kind])
     assert sent == [

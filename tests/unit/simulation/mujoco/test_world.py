@@ -140,8 +140,8 @@ def test_equal_seeds_give_equal_flights_and_another_seed_another_flight():
     def flown(seed):
         world = MujocoWorld([0, 1], np.array([[0, 0, 1], [0.1, 0, 1.2]]), seed=seed)
         for i in (0, 1):
-            world.link(i).onboard.fpqr(0.0, 0.0, 0.0, 0.0)
-            world.link(i).onboard.fpqr(0.3, 0.1, 0.0, 0.0)
+            world.link(i).onboard.setpoints.fpqr(0.0, 0.0, 0.0, 0.0)
+            world.link(i).onboard.setpoints.fpqr(0.3, 0.1, 0.0, 0.0)
         return run(world, 0.6).states.tobytes()
 
     assert flown(1) == flown(1) != flown(2)

@@ -29,17 +29,17 @@ def wanted(onboard, *names):
 
 
 def test_thrust_is_locked_until_a_packet_without_thrust(onboard):
-    assert onboard.rpyt_raw(0, 0, 0, 30000)
+    assert onboard.setpoints.rpyt_raw(0, 0, 0, 30000)
     assert wanted(onboard, "thrust") == (0,)
-    onboard.rpyt_raw(0, 0, 0, 0)
-    onboard.rpyt_raw(0, 0, 0, 30000)
+    onboard.setpoints.rpyt_raw(0, 0, 0, 0)
+    onboard.setpoints.rpyt_raw(0, 0, 0, 30000)
     assert wanted(onboard, "thrust") == (30000,)
 
 
 def test_thrust_is_locked_again_when_no_sender_has_control(onboard):
-    onboard.rpyt_raw(0, 0, 0, 0)
+    onboard.setpoints.rpyt_raw(0, 0, 0, 0)
     onboard.record["priority"] = 0
-    onboard.rpyt_raw(0, 0, 0, 30000)
+    onboard.setpoints.rpyt_raw(0, 0, 0, 30000)
     assert wanted(onboard, "thrust") == (0,)
 
 
@@ -47,8 +47,8 @@ def test_thrust_is_locked_again_when_no_sender_has_control(onboard):
     ("sent", "taken"), [(999, 0), (1000, 1000), (60000, 60000), (65000, 60000)]
 )
 def test_limits_of_the_thrust(onboard, sent, taken):
-    onboard.rpyt_raw(0, 0, 0, 0)
-    onboard.rpyt_raw(0, 0, 0, sent)
+    onboard.setpoints.rpyt_raw(0, 0, 0, 0)
+    onboard.setpoints.rpyt_raw(0, 0, 0, sent)
     assert wanted(onboard, "thrust") == (taken,)
 
 
@@ -56,7 +56,7 @@ def test_limits_of_the_thrust(onboard, sent, taken):
 def test_modes_of_an_rpyt_packet(onboard, rates):
     for axis, value in zip(("Roll", "Pitch", "Yaw"), rates, strict=True):
         onboard.set(f"flightmode.stabMode{axis}", value)
-    onboard.rpyt_raw(1.0, 2.0, 3.0, 0)
+    onboard.setpoints.rpyt_raw(1.0, 2.0, 3.0, 0)
     names = ("roll", "pitch", "yaw")
     assert wanted(onboard, *(f"mode_{n}" for n in names)) == tuple(
         1 if r else 2 for r in rates
@@ -90,19 +90,21 @@ def degrees(*radians):
 
 
 def test_only_rpyt_turns_the_yaw_rates_sign(onboard):
-    onboard.velocity((0, 0, 0), 0.5)
+    onboard.setpoints.velocity((0, 0, 0), 0.5)
     assert wanted(onboard, "yaw_rate") == pytest.approx(degrees(0.5))
-    onboard.hover(0, 0, 0.5, 1.0)
+    onboard.setpoints.hover(0, 0, 0.5, 1.0)
     assert wanted(onboard, "yaw_rate") == pytest.approx(degrees(0.5))
-    onboard.z_distance(0, 0, 0.5, 1.0)
+    onboard.setpoints.z_distance(0, 0, 0.5, 1.0)
     assert wanted(onboard, "yaw_rate") == pytest.approx(degrees(0.5))
-    onboard.manual(0.3, 0, 0, 0.5)
+    onboard.setpoints.manual(0.3, 0, 0, 0.5)
     assert wanted(onboard, "yaw_rate") == pytest.approx(degrees(0.5))
 
 
 def test_full_state_keeps_rates_and_takes_the_heading(onboard):
     q = [0, 0, math.sin(0.4), math.cos(0.4)]
-    assert onboard.full_state(vector(1, 2, 3, 4, 5, 6, 7, 8, 9, *q, 0.1, 0.2, 0.3))
+    assert onboard.setpoints.full_state(
+        vector(1, 2, 3, 4, 5, 6, 7, 8, 9, *q, 0.1, 0.2, 0.3)
+    )
     assert wanted(onboard, "x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az") == (
         1,
         2,
@@ -127,20 +129,20 @@ def test_full_state_keeps_rates_and_takes_the_heading(onboard):
 
 
 def test_a_lower_priority_is_refused_until_the_higher_has_ended(onboard):
-    assert onboard.position((1, 0, 1), 0.0, SETPOINT_PRIORITIES.external)
-    assert not onboard.position((2, 0, 1), 0.0, SETPOINT_PRIORITIES.crtp)
+    assert onboard.setpoints.position((1, 0, 1), 0.0, SETPOINT_PRIORITIES.external)
+    assert not onboard.setpoints.position((2, 0, 1), 0.0, SETPOINT_PRIORITIES.crtp)
     assert wanted(onboard, "x") == (1,)
     onboard.notify_setpoint_stop()
-    assert onboard.position((2, 0, 1), 0.0, SETPOINT_PRIORITIES.crtp)
+    assert onboard.setpoints.position((2, 0, 1), 0.0, SETPOINT_PRIORITIES.crtp)
 
 
 def test_a_set_point_stops_the_planner_until_it_is_told(onboard):
-    onboard.take_off(1.0, 2.0)
+    onboard.planner.take_off(1.0, 2.0)
     run(onboard, 500)
     assert onboard.info >> 8 & 0b111 == 0b001
-    onboard.velocity((0, 0, 0.1), 0.0)
+    onboard.setpoints.velocity((0, 0, 0.1), 0.0)
     assert onboard.info >> 8 & 0b111 == 0b010
-    assert onboard.go_to((0, 0, 1), 0.0, 1.0) == 0  # runs, but nobody listens
+    assert onboard.planner.go_to((0, 0, 1), 0.0, 1.0) == 0  # runs, but nobody listens
     run(onboard, 100)
     assert wanted(onboard, "mode_z") == (2,)
     onboard.notify_setpoint_stop()
@@ -151,9 +153,9 @@ def test_a_set_point_stops_the_planner_until_it_is_told(onboard):
 def test_a_planner_that_is_in_control_again_without_a_plan_switches_the_motors_off(
     onboard,
 ):
-    onboard.take_off(1.0, 2.0)
+    onboard.planner.take_off(1.0, 2.0)
     run(onboard, 500)
-    onboard.velocity((0, 0, 0.1), 0.0)
+    onboard.setpoints.velocity((0, 0, 0.1), 0.0)
     run(onboard, 20)
     assert wanted(onboard, "mode_z") == (2,)
     onboard.notify_setpoint_stop()
@@ -170,19 +172,19 @@ def test_the_idle_planner_gives_null_set_points_and_their_age_stays_fresh(onboar
 
 def test_a_set_point_is_stamped_with_its_ms(onboard):
     run(onboard, 7)
-    onboard.velocity((0, 0, 0), 0.0)
+    onboard.setpoints.velocity((0, 0, 0), 0.0)
     assert onboard.record["stamp"] == 207
 
 
 @pytest.mark.parametrize("nan", [math.nan, math.inf])
 def test_what_is_not_a_number_is_not_taken(onboard, nan):
-    onboard.position((0, 0, 1), 0.0)
-    assert not onboard.position((nan, 0, 1), 0.0)
-    assert not onboard.velocity((0, nan, 0), 0.0)
-    assert not onboard.fpqr(nan, 0, 0, 0)
-    assert not onboard.manual(0.3, nan, 0, 0)
-    assert not onboard.hover(0, 0, 0, nan)
-    assert not onboard.z_distance(0, nan, 0, 1)
-    assert not onboard.full_state(vector(*[0.0] * 15, nan))
-    assert onboard.go_to((0, nan, 0), 0.0, 1.0) == 1
+    onboard.setpoints.position((0, 0, 1), 0.0)
+    assert not onboard.setpoints.position((nan, 0, 1), 0.0)
+    assert not onboard.setpoints.velocity((0, nan, 0), 0.0)
+    assert not onboard.setpoints.fpqr(nan, 0, 0, 0)
+    assert not onboard.setpoints.manual(0.3, nan, 0, 0)
+    assert not onboard.setpoints.hover(0, 0, 0, nan)
+    assert not onboard.setpoints.z_distance(0, nan, 0, 1)
+    assert not onboard.setpoints.full_state(vector(*[0.0] * 15, nan))
+    assert onboard.planner.go_to((0, nan, 0), 0.0, 1.0) == 1
     assert wanted(onboard, "z") == (1,)

@@ -60,9 +60,9 @@ class Flown:
         for board in self.boards:
             board.arm()
         self.step(100)
-        assert [board.take_off(HEIGHT, 2.0) for board in self.boards] == [0] * len(
-            self.boards
-        )
+        assert [board.planner.take_off(HEIGHT, 2.0) for board in self.boards] == [
+            0
+        ] * len(self.boards)
         self.step(300)
 
     def circles(self, send):
@@ -126,7 +126,7 @@ def firmware():
     def send(k, reference, t):
         if ROWS[k][1] == "pid":
             line = ahead[k].law(flown.world.state(k), reference.flat, t)
-            flown.boards[k].position(line[:3], line[3])
+            flown.boards[k].setpoints.position(line[:3], line[3])
         else:
             flown.links[k].send(reference)
 
@@ -160,7 +160,7 @@ def test_a_step_of_the_yaw_is_turned_by_every_controller_without_a_fall():
     flown.take_off()
     for _ in range(400):
         for board, place in zip(flown.boards, flown.home, strict=True):
-            board.position((*place[:2], HEIGHT), YAW + 0.9)
+            board.setpoints.position((*place[:2], HEIGHT), YAW + 0.9)
         flown.step()
     for x, place in zip(flown.world.states, flown.home, strict=True):
         assert abs(math.degrees(wrap_angle(yaw_of(x[6:10]) - YAW - 0.9))) <= 3.0

@@ -142,7 +142,7 @@ def test_in_a_flight_the_estimate_is_near_the_truth():
             worst[0], float(np.linalg.norm(body.onboard.estimate.p - body.p))
         )
         worst[1] = max(worst[1], angle(body.onboard.estimate.q, body.s[6:10]))
-        body.onboard.position((0.8, 0.5, 1.2), 0.5)
+        body.onboard.setpoints.position((0.8, 0.5, 1.2), 0.5)
 
     body.fly(3.0, look)
     assert worst[0] < 0.02

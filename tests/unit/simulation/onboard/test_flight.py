@@ -80,7 +80,7 @@ def test_velocity_is_in_the_world_and_the_yaw_rate_turns_left(controller, yaw):
 @pytest.mark.parametrize("yaw", [0.0, 2.5])
 def test_hover_set_points_are_along_the_heading(yaw):
     body = hovering(yaw=yaw)
-    body.fly(2.0, lambda: body.onboard.hover(0.4, 0.2, 0.0, 1.3))
+    body.fly(2.0, lambda: body.onboard.setpoints.hover(0.4, 0.2, 0.0, 1.3))
     c, s = math.cos(yaw), math.sin(yaw)
     assert body.v[0] * c + body.v[1] * s == pytest.approx(0.4, abs=0.1)
     assert body.v[1] * c - body.v[0] * s == pytest.approx(0.2, abs=0.1)
@@ -89,11 +89,13 @@ def test_hover_set_points_are_along_the_heading(yaw):
 
 def test_z_distance_and_manual_tilt_as_frpy_does():
     body = hovering()
-    body.fly(0.6, lambda: body.onboard.z_distance(0.0, 0.1, 0.4, 1.0))
+    body.fly(0.6, lambda: body.onboard.setpoints.z_distance(0.0, 0.1, 0.4, 1.0))
     assert body.v[0] > 0.2
     assert body.angles[2] > 0.1
     body = hovering()
-    body.fly(0.6, lambda: body.onboard.manual(body.platform.weight, -0.1, 0.0, 0.4))
+    body.fly(
+        0.6, lambda: body.onboard.setpoints.manual(body.platform.weight, -0.1, 0.0, 0.4)
+    )
     assert body.v[1] > 0.2
     assert body.angles[2] > 0.1
 
@@ -107,7 +109,7 @@ def test_a_position_is_held(controller, platform):
     body = hovering(controller, 0.1, platform)
     # the firmware's constant is that of the Crazyflie: on another platform it hovers at another height
     body.onboard.set("ctrlMel.massThrust", 65535 / (4 * platform.firmware.thrust_max))
-    body.fly(6.0, lambda: body.onboard.position((0.3, -0.2, 1.2), -0.2))
+    body.fly(6.0, lambda: body.onboard.setpoints.position((0.3, -0.2, 1.2), -0.2))
     assert body.p[2] == pytest.approx(1.2, abs=0.06)
     assert body.p[:2] == pytest.approx([0.3, -0.2], abs=0.02)
     # Mellinger's yaw rings for long on the slow motors of the 2.1: 217 s^-2 and 22 s^-1 with a lag of 86 ms
@@ -162,9 +164,9 @@ def test_take_off_go_to_and_land_stop_the_motors():
 
 def test_streamed_set_points_end_and_the_planner_lands():
     body = hovering()
-    body.fly(1.0, lambda: body.onboard.velocity((0.2, 0.0, 0.0), 0.0))
-    assert body.onboard.land(0.0, 2.0) == 0
-    body.fly(0.3, lambda: body.onboard.velocity((0.2, 0.0, 0.0), 0.0))
+    body.fly(1.0, lambda: body.onboard.setpoints.velocity((0.2, 0.0, 0.0), 0.0))
+    assert body.onboard.planner.land(0.0, 2.0) == 0
+    body.fly(0.3, lambda: body.onboard.setpoints.velocity((0.2, 0.0, 0.0), 0.0))
     assert body.v[0] > 0.1  # ignored: set-points have the higher priority
     link = mc.MotorCtrlXYZ(body.onboard)
     assert link.send(XYZ("land", np.array([0, 0, 0.0, 0.0, 2.0])))
@@ -175,6 +177,6 @@ def test_streamed_set_points_end_and_the_planner_lands():
 def test_with_little_battery_hover_needs_the_same_thrust():
     body = hovering()
     body.onboard.record["vbat"] = 3.6
-    body.fly(3.0, lambda: body.onboard.position((0.0, 0.0, 1.0), 0.0))
+    body.fly(3.0, lambda: body.onboard.setpoints.position((0.0, 0.0, 1.0), 0.0))
     assert body.p[2] == pytest.approx(1.0, abs=0.1)
     assert body.onboard.log("pm.vbat") == pytest.approx(3.6)

@@ -97,8 +97,8 @@ def test_a_gain_acts():
     onboard.set("flightmode.stabModeRoll", 0)
     for kp in (100.0, 300.0):
         onboard.set("pid_rate.roll_kp", kp)
-        onboard.rpyt_raw(0, 0, 0, 0)
-        onboard.rpyt_raw(10.0, 0, 0, 30000)
+        onboard.setpoints.rpyt_raw(0, 0, 0, 0)
+        onboard.setpoints.rpyt_raw(10.0, 0, 0, 30000)
         loop.run(onboard.rows, 4.0, 0, 0, 0, 0, 0, 9.80665)
         assert onboard.log("controller.cmd_roll") == 10 * kp
 
@@ -118,13 +118,13 @@ def test_drones_of_one_array_do_not_know_of_each_other():
     rows = make_fleet(3, CRAZYFLIE_21)
     drones = [Onboard(CRAZYFLIE_21, rows, k) for k in range(3)]
     loop.run(rows, 200.0, 0, 0, 0, 0, 0, 9.80665)
-    drones[1].manual(0.3, 0, 0, 0)
+    drones[1].setpoints.manual(0.3, 0, 0, 0)
     drones[2].set("pid_rate.roll_kp", 7)
     loop.run(rows, 10.0, 0, 0, 0, 0, 0, 9.80665)
     assert [bool(np.any(d.record["motors"])) for d in drones] == [False, True, False]
     assert [d.get("pid_rate.roll_kp") for d in drones] == [250, 250, 7]
-    drones[0].upload(0, np.ones((1, 33)))
-    assert drones[1].start_trajectory(0) == 8
+    drones[0].trajectories.upload(0, np.ones((1, 33)))
+    assert drones[1].planner.start_trajectory(0) == 8
 
 
 @pytest.mark.parametrize(
@@ -195,13 +195,13 @@ def test_a_controller_of_the_users_own_flies():
 
     body.onboard.register("mine", law)
     body.onboard.set("stabilizer.controller", "mine")
-    body.fly(6.0, lambda: body.onboard.position((0.2, -0.1, 1.3), 0.0))
+    body.fly(6.0, lambda: body.onboard.setpoints.position((0.2, -0.1, 1.3), 0.0))
     assert body.p == pytest.approx([0.2, -0.1, 1.3], abs=0.03)
     assert set(seen) == {0.002}
     assert len(seen) == pytest.approx(3000, abs=2)
     assert body.onboard.get("stabilizer.controller") == 6
     body.onboard.set("stabilizer.controller", 1)
-    body.fly(1.0, lambda: body.onboard.position((0.2, -0.1, 1.3), 0.0))
+    body.fly(1.0, lambda: body.onboard.setpoints.position((0.2, -0.1, 1.3), 0.0))
     assert len(seen) < 3010
 
 
@@ -239,11 +239,11 @@ def test_a_law_is_told_si_in_the_bodys_signs():
         "mine", lambda s, *rest: told.update(s=s) or MotorForces(0, 0, 0, 0)
     )
     onboard.set("stabilizer.controller", "mine")
-    onboard.manual(0.3, 0.1, 0.2, 0.3, rates=True)
+    onboard.setpoints.manual(0.3, 0.1, 0.2, 0.3, rates=True)
     onboard.obey_law()
     assert told["s"].w == pytest.approx([0.1, 0.2, 0.3])
     assert told["s"].thrust == pytest.approx(0.3)
-    onboard.z_distance(0.1, 0.2, 0.3, 1.5)
+    onboard.setpoints.z_distance(0.1, 0.2, 0.3, 1.5)
     onboard.obey_law()
     assert (told["s"].roll, told["s"].pitch, told["s"].p[2]) == pytest.approx(
         (0.1, 0.2, 1.5)
@@ -309,7 +309,7 @@ def test_the_firmwares_bindings_are_called_with_its_units_and_signs(stand_in, na
     loop.run(onboard.rows, 200.0, 0, 0, 0, 0, 0, 9.80665)
     onboard.register("real", FirmwareLaw(name, 0.12))
     onboard.set("stabilizer.controller", "real")
-    onboard.manual(0.3, 0.1, 0.2, 0.3, rates=True)
+    onboard.setpoints.manual(0.3, 0.1, 0.2, 0.3, rates=True)
     loop.run(onboard.rows, 2.0, 0.1, 0.2, 0.3, 0, 0, 9.80665)
     onboard.obey_law()
     loop.run(onboard.rows, 2.0, 0.1, 0.2, 0.3, 0, 0, 9.80665)

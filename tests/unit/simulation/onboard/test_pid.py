@@ -123,7 +123,7 @@ def cascade_of(yaw=0.0, **values):
 
 def test_the_position_cascade_by_hand():
     onboard = cascade_of()
-    onboard.position((0.3, 0.1, 1.2), 0.0)
+    onboard.setpoints.position((0.3, 0.1, 1.2), 0.0)
     control(onboard.rows)
     fw = onboard.record
     # velocities 2 e; pitch -(25 v + 0.01 v), legacy sign; vertical also 0.5 of the first integral
@@ -138,7 +138,7 @@ def test_the_position_cascade_by_hand():
 @pytest.mark.parametrize("yaw", [0.5, math.pi, -2.0])
 def test_position_errors_are_turned_by_the_yaw(yaw):
     onboard = cascade_of(yaw)
-    onboard.position((0.3 * math.cos(yaw), 0.3 * math.sin(yaw), 1.0), yaw)
+    onboard.setpoints.position((0.3 * math.cos(yaw), 0.3 * math.sin(yaw), 1.0), yaw)
     control(onboard.rows)
     assert onboard.record["target_vx"] == pytest.approx(0.6)
     assert onboard.record["target_vy"] == pytest.approx(0.0, abs=1e-9)
@@ -146,7 +146,7 @@ def test_position_errors_are_turned_by_the_yaw(yaw):
 
 def test_limits_of_velocity_tilt_and_thrust():
     onboard = cascade_of()
-    onboard.position((9.0, -9.0, 99.0), 0.0)
+    onboard.setpoints.position((9.0, -9.0, 99.0), 0.0)
     control(onboard.rows)
     fw = onboard.record
     assert (fw["target_vx"], fw["target_vy"], fw["target_vz"]) == pytest.approx(
@@ -154,23 +154,23 @@ def test_limits_of_velocity_tilt_and_thrust():
     )
     assert (fw["target_pitch"], fw["target_roll"]) == pytest.approx((-20.0, 20.0))
     assert fw["thrust"] == pytest.approx(36000 + 1000 * min(25.15 * 1.1, 32.767))
-    onboard.position((0.0, 0.0, -99.0), 0.0)
+    onboard.setpoints.position((0.0, 0.0, -99.0), 0.0)
     control(onboard.rows)
     assert fw["thrust"] == 20000
 
 
 def test_no_thrust_and_a_change_of_modes_reset_the_integrals():
     onboard = cascade_of()
-    onboard.position((0.3, 0.0, 1.2), 0.0)
+    onboard.setpoints.position((0.3, 0.0, 1.2), 0.0)
     control(onboard.rows)
     fw = onboard.record
     assert fw["vx_pid"]["integral"] > 0.0
-    onboard.velocity((0.0, 0.0, 0.0), 0.0)
+    onboard.setpoints.velocity((0.0, 0.0, 0.0), 0.0)
     fw["tick"] = 1  # no position pass now, but for the change
     control(onboard.rows)
     assert fw["vx_pid"]["integral"] == pytest.approx(0.0)
     fw["yaw_rate_pid"]["integral"] = 5.0
-    onboard.stop_setpoint()
+    onboard.setpoints.stop_setpoint()
     control(onboard.rows)
     assert fw["yaw_rate_pid"]["integral"] == 0.0
     assert fw["thrust"] == fw["roll_out"] == fw["pitch_out"] == fw["yaw_out"] == 0.0
@@ -178,7 +178,7 @@ def test_no_thrust_and_a_change_of_modes_reset_the_integrals():
 
 def test_a_yaw_rate_is_integrated_at_500_hz():
     onboard = cascade_of(3.0)
-    onboard.manual(0.3, 0.0, 0.0, math.radians(100.0))
+    onboard.setpoints.manual(0.3, 0.0, 0.0, math.radians(100.0))
     for _ in range(500):
         control(onboard.rows)
     assert onboard.record["target_yaw"] == pytest.approx(

@@ -72,7 +72,7 @@ def rest_to_rest(d, t, duration, kind):
 
 
 def test_a_take_off_is_the_polynomial_in_32_and_64_bits(onboard):
-    assert onboard.take_off(1.2, 2.5) == 0
+    assert onboard.planner.take_off(1.2, 2.5) == 0
     for t, p, _, _, yaw in samples(onboard, 2490):
         assert p[:2] == pytest.approx(PLACE[:2], abs=1e-6)
         assert p[2] == pytest.approx(rest_to_rest(1.2, t, 2.5, F), abs=1e-6)
@@ -86,7 +86,7 @@ def test_a_take_off_is_the_polynomial_in_32_and_64_bits(onboard):
 def test_after_ten_minutes_the_clock_of_32_bits_shows(onboard):
     onboard.record["tick"] += 600_000
     onboard.record["since"] += 600_000
-    onboard.take_off(1.2, 2.5)
+    onboard.planner.take_off(1.2, 2.5)
     begin = onboard.record["tick"]
     worst = 0.0
     for k in range(240):
@@ -98,7 +98,7 @@ def test_after_ten_minutes_the_clock_of_32_bits_shows(onboard):
 
 
 def test_velocity_and_acceleration_are_the_derivatives(onboard):
-    onboard.take_off(1.0, 2.0)
+    onboard.planner.take_off(1.0, 2.0)
     rows = samples(onboard, 1500)
     z, v, a = (np.array([row[k][2] for row in rows]) for k in (1, 2, 3))
     assert np.gradient(z, 0.01)[1:-1] == pytest.approx(v[1:-1], abs=2e-3)
@@ -106,37 +106,39 @@ def test_velocity_and_acceleration_are_the_derivatives(onboard):
 
 
 def test_refusals_of_take_off_and_landing(onboard):
-    assert onboard.land(0.0, 2.0) == 0, "whoever was sent set-points lands from idle"
-    onboard.stop()
-    assert onboard.take_off(1.0, 2.0) == 0
-    assert onboard.take_off(1.0, 2.0) == 1
+    assert onboard.planner.land(0.0, 2.0) == 0, (
+        "whoever was sent set-points lands from idle"
+    )
+    onboard.planner.stop()
+    assert onboard.planner.take_off(1.0, 2.0) == 0
+    assert onboard.planner.take_off(1.0, 2.0) == 1
     run(onboard, 2100)
-    assert onboard.take_off(1.0, 2.0) == 1
-    assert onboard.land(0.0, 2.0) == 0
-    assert onboard.land(0.0, 2.0) == 1
+    assert onboard.planner.take_off(1.0, 2.0) == 1
+    assert onboard.planner.land(0.0, 2.0) == 0
+    assert onboard.planner.land(0.0, 2.0) == 1
     run(onboard, 2100)
     assert onboard.record["planner"]["state"] == 0
     assert target(onboard, "mode_z", "thrust") == pytest.approx([0, 0])
-    assert onboard.take_off(1.0, 2.0) == 0
+    assert onboard.planner.take_off(1.0, 2.0) == 0
 
 
 def test_speeds_of_take_off_and_landing_are_parameters(onboard):
     onboard.set("hlCommander.vtoff", 0.25)
-    onboard.take_off(1.0)
+    onboard.planner.take_off(1.0)
     assert onboard.record["planner"]["piece"][32] == pytest.approx(4.0, abs=1e-4)
 
 
 def risen(onboard):
-    onboard.take_off(1.0, 1.0)
+    onboard.planner.take_off(1.0, 1.0)
     run(onboard, 1100)
     return onboard
 
 
 def test_go_to_goes_on_smoothly_from_a_moving_set_point(onboard):
-    risen(onboard).go_to((1.4, -0.3, 1.0), 0.5, 2.0)
+    risen(onboard).planner.go_to((1.4, -0.3, 1.0), 0.5, 2.0)
     run(onboard, 1000)
     before = target(onboard, "x", "vx", "ax")
-    onboard.go_to((0.4, 0.7, 1.5), 0.5, 2.0)
+    onboard.planner.go_to((0.4, 0.7, 1.5), 0.5, 2.0)
     run(onboard, 10)
     after = target(onboard, "x", "vx", "ax")
     assert after == pytest.approx(
@@ -147,21 +149,21 @@ def test_go_to_goes_on_smoothly_from_a_moving_set_point(onboard):
 
 
 def test_a_relative_go_to_adds_place_and_heading(onboard):
-    risen(onboard).go_to((0.1, 0.2, 0.3), 0.4, 1.0, relative=True)
+    risen(onboard).planner.go_to((0.1, 0.2, 0.3), 0.4, 1.0, relative=True)
     run(onboard, 1100)
     assert target(onboard) == pytest.approx([0.5, -0.1, 1.3], abs=1e-4)
     assert math.radians(target(onboard, "yaw")[0]) == pytest.approx(0.9, abs=1e-4)
 
 
 def test_a_linear_go_to_has_one_velocity(onboard):
-    risen(onboard).go_to((1.4, -0.3, 1.0), 0.5, 2.0, linear=True)
+    risen(onboard).planner.go_to((1.4, -0.3, 1.0), 0.5, 2.0, linear=True)
     for t, p, v, _, _ in samples(onboard, 1900):
         assert v[0] == pytest.approx(0.5, abs=1e-4)
         assert p[0] == pytest.approx(0.4 + 0.5 * t, abs=1e-4)
 
 
 def test_no_duration_is_a_jump(onboard):
-    risen(onboard).go_to((1.4, -0.3, 1.0), 0.5, 0.0)
+    risen(onboard).planner.go_to((1.4, -0.3, 1.0), 0.5, 0.0)
     run(onboard, 10)
     assert target(onboard) == pytest.approx([1.4, -0.3, 1.0], abs=1e-5)
 
@@ -171,7 +173,7 @@ def test_no_duration_is_a_jump(onboard):
     [(-2.9, 2 * math.pi - 2.9), (-1.0, -1.0), (4.5, 4.5 - 2 * math.pi)],
 )
 def test_yaw_turns_the_short_way(onboard, goal, reached):
-    risen(onboard).go_to((0.4, -0.3, 1.0), goal, 1.0)
+    risen(onboard).planner.go_to((0.4, -0.3, 1.0), goal, 1.0)
     run(onboard, 500)
     assert math.radians(target(onboard, "yaw")[0]) == pytest.approx(
         (0.5 + reached) / 2, abs=0.1
@@ -179,7 +181,7 @@ def test_yaw_turns_the_short_way(onboard, goal, reached):
 
 
 def test_stop_cuts_the_motors(onboard):
-    risen(onboard).stop()
+    risen(onboard).planner.stop()
     run(onboard, 20)
     assert np.all(onboard.record["motors"] == 0.0)
 
@@ -201,8 +203,8 @@ RAMP = pieces(
 
 
 def test_a_trajectory_runs_through_its_pieces_and_holds_its_end(onboard):
-    onboard.upload(3, RAMP)
-    assert risen(onboard).start_trajectory(3) == 0
+    onboard.trajectories.upload(3, RAMP)
+    assert risen(onboard).planner.start_trajectory(3) == 0
     for t, p, v, a, yaw in samples(onboard, 2900):
         u = t - 1.0
         assert p[0] == pytest.approx(
@@ -217,8 +219,8 @@ def test_a_trajectory_runs_through_its_pieces_and_holds_its_end(onboard):
 
 
 def test_a_time_scale_slows_and_a_reversed_one_returns(onboard):
-    onboard.upload(0, RAMP)
-    risen(onboard).start_trajectory(0, timescale=2.0)
+    onboard.trajectories.upload(0, RAMP)
+    risen(onboard).planner.start_trajectory(0, timescale=2.0)
     for t, p, v, a, _ in samples(onboard, 5900):
         s = t / 2
         u = max(s - 1.0, 0.0)
@@ -226,7 +228,7 @@ def test_a_time_scale_slows_and_a_reversed_one_returns(onboard):
         assert v[0] == pytest.approx((0.5 + 0.4 * u) / 2, abs=1e-4)
         if abs(s - 1.0) > 1e-3:  # between the pieces
             assert a[0] == pytest.approx(0.4 / 4 if u > 0 else 0, abs=1e-4)
-    onboard.start_trajectory(0, reverse=True)
+    onboard.planner.start_trajectory(0, reverse=True)
     for t, p, v, _, _ in samples(onboard, 2900):
         s = 3.0 - t
         u = max(s - 1.0, 0.0)
@@ -235,14 +237,14 @@ def test_a_time_scale_slows_and_a_reversed_one_returns(onboard):
 
 
 def test_a_relative_trajectory_starts_here_and_turns_with_the_heading(onboard):
-    onboard.upload(0, RAMP)
-    risen(onboard).start_trajectory(0, relative=True)
+    onboard.trajectories.upload(0, RAMP)
+    risen(onboard).planner.start_trajectory(0, relative=True)
     run(onboard, 1010)
     assert target(onboard) == pytest.approx([0.9, -0.3, 1.0], abs=1e-4)
     assert math.radians(target(onboard, "yaw")[0]) == pytest.approx(0.1, abs=1e-5)
-    onboard.go_to((0.4, -0.3, 1.0), 0.5, 0.0)
+    onboard.planner.go_to((0.4, -0.3, 1.0), 0.5, 0.0)
     run(onboard, 10)
-    onboard.start_trajectory(0, relative=True, relative_yaw=True)
+    onboard.planner.start_trajectory(0, relative=True, relative_yaw=True)
     run(onboard, 1010)
     step = 0.5 * np.array([math.cos(0.4), math.sin(0.4)])
     assert target(onboard)[:2] == pytest.approx(np.array([0.4, -0.3]) + step, abs=1e-4)
@@ -250,20 +252,20 @@ def test_a_relative_trajectory_starts_here_and_turns_with_the_heading(onboard):
 
 
 def test_slots_memory_and_their_codes(onboard):
-    assert onboard.start_trajectory(5) == 8
-    onboard.upload(0, RAMP)
-    onboard.upload(1, RAMP)
+    assert onboard.planner.start_trajectory(5) == 8
+    onboard.trajectories.upload(0, RAMP)
+    onboard.trajectories.upload(1, RAMP)
     assert onboard.record["planner"]["offset"][1] == 66
-    assert onboard.start_trajectory(1, timescale=0.0) == 8
-    onboard.memory[0:132] = np.frombuffer(
+    assert onboard.planner.start_trajectory(1, timescale=0.0) == 8
+    onboard.trajectories.memory[0:132] = np.frombuffer(
         RAMP[1].astype(np.float32).tobytes(), np.uint8
     )
-    assert onboard.define_trajectory(30, 0, 1) == 0
-    assert onboard.start_trajectory(30) == 0
+    assert onboard.trajectories.define_trajectory(30, 0, 1) == 0
+    assert onboard.planner.start_trajectory(30) == 0
     run(onboard, 20)
     assert target(onboard)[0] == pytest.approx(1.505, abs=0.01)
     wrong = ((31, 0, 1), (0, 2, 1), (0, 0, 32), (0, 4000, 1), (0, 0, 0))
-    assert [onboard.define_trajectory(*bad) for bad in wrong] == [8] * 5
+    assert [onboard.trajectories.define_trajectory(*bad) for bad in wrong] == [8] * 5
 
 
 @pytest.mark.parametrize(
@@ -282,18 +284,21 @@ def test_slots_memory_and_their_codes(onboard):
 )
 def test_a_wrong_upload_says_what_is_allowed(onboard, slot, rows, words):
     with pytest.raises(ConfigError, match=words):
-        onboard.upload(slot, rows)
+        onboard.trajectories.upload(slot, rows)
 
 
 def test_31_pieces_fit(onboard):
-    onboard.upload(0, np.tile(RAMP[0], (31, 1)))
-    assert risen(onboard).start_trajectory(0) == 0
+    onboard.trajectories.upload(0, np.tile(RAMP[0], (31, 1)))
+    assert risen(onboard).planner.start_trajectory(0) == 0
 
 
 @pytest.mark.parametrize(("clockwise", "side"), [(False, 1.0), (True, -1.0)])
 def test_a_spiral_ends_on_its_radius_at_its_angle(onboard, clockwise, side):
     risen(onboard)
-    assert onboard.spiral(math.pi / 2, 0.5, 0.7, 0.2, 3.0, clockwise=clockwise) == 0
+    assert (
+        onboard.planner.spiral(math.pi / 2, 0.5, 0.7, 0.2, 3.0, clockwise=clockwise)
+        == 0
+    )
     run(onboard, 20)
     start = target(onboard, "vx", "vy")
     run(onboard, 3100)
@@ -330,22 +335,22 @@ def still_flown(onboard, before):
 def test_a_plan_of_a_wild_duration_is_refused_and_the_last_one_goes_on(
     onboard, duration
 ):
-    assert onboard.take_off(1.0, duration) == 1
+    assert onboard.planner.take_off(1.0, duration) == 1
     before = target(risen(onboard))
-    assert onboard.go_to((1.4, -0.3, 1.0), 0.5, duration) == 1
-    assert onboard.go_to((1.4, -0.3, 1.0), 0.5, duration, linear=True) == 1
-    assert onboard.land(0.0, duration) == 1
-    assert onboard.spiral(1.0, 0.5, 0.5, 0.0, duration) == 1
+    assert onboard.planner.go_to((1.4, -0.3, 1.0), 0.5, duration) == 1
+    assert onboard.planner.go_to((1.4, -0.3, 1.0), 0.5, duration, linear=True) == 1
+    assert onboard.planner.land(0.0, duration) == 1
+    assert onboard.planner.spiral(1.0, 0.5, 0.5, 0.0, duration) == 1
     still_flown(onboard, before)
-    assert onboard.land(0.0, 1.0) == 0
+    assert onboard.planner.land(0.0, 1.0) == 0
 
 
 @pytest.mark.parametrize("duration", SHORT)
 def test_a_plan_of_no_duration_is_at_its_end_at_once(onboard, duration):
-    assert onboard.take_off(1.0, duration) == 0
-    assert onboard.go_to((1.4, -0.3, 1.0), 0.5, duration, linear=True) == 0
+    assert onboard.planner.take_off(1.0, duration) == 0
+    assert onboard.planner.go_to((1.4, -0.3, 1.0), 0.5, duration, linear=True) == 0
     still_flown(onboard, [1.4, -0.3, 1.0])
-    assert onboard.land(0.0, duration) == 0
+    assert onboard.planner.land(0.0, duration) == 0
     run(onboard, 20)
     assert onboard.record["planner"]["state"] == 0
 
@@ -353,10 +358,10 @@ def test_a_plan_of_no_duration_is_at_its_end_at_once(onboard, duration):
 @pytest.mark.parametrize("far", [1e18, 3e38, 1e300])
 def test_a_plan_beyond_all_bounds_is_refused(onboard, far):
     before = target(risen(onboard))
-    assert onboard.go_to((far, 0.0, 1.0), 0.5, 2.0) == 1
-    assert onboard.go_to((far, 0.0, 1.0), 0.5, 0.0) == 1
-    assert onboard.land(far, 2.0) == 1
-    assert onboard.spiral(1.0, far, 0.5, 0.0, 2.0) == 1
+    assert onboard.planner.go_to((far, 0.0, 1.0), 0.5, 2.0) == 1
+    assert onboard.planner.go_to((far, 0.0, 1.0), 0.5, 0.0) == 1
+    assert onboard.planner.land(far, 2.0) == 1
+    assert onboard.planner.spiral(1.0, far, 0.5, 0.0, 2.0) == 1
     still_flown(onboard, before)
 
 
@@ -379,8 +384,8 @@ def test_an_uploaded_trajectory_that_cannot_be_flown_is_refused(
     onboard, axes, duration, timescale
 ):
     words = pieces((axes, duration)).astype(np.float32)
-    onboard.memory[0:132] = np.frombuffer(words.tobytes(), np.uint8)
-    assert onboard.define_trajectory(0, 0, 1) == 0
+    onboard.trajectories.memory[0:132] = np.frombuffer(words.tobytes(), np.uint8)
+    assert onboard.trajectories.define_trajectory(0, 0, 1) == 0
     before = target(risen(onboard))
-    assert onboard.start_trajectory(0, timescale) == 1
+    assert onboard.planner.start_trajectory(0, timescale) == 1
     still_flown(onboard, before)

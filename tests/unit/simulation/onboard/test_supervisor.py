@@ -39,7 +39,7 @@ class Bench:
         )
 
     def push(self, thrust=0.3):
-        self.onboard.manual(thrust, 0.0, 0.0, 0.0)
+        self.onboard.setpoints.manual(thrust, 0.0, 0.0, 0.0)
 
     def until(self, state, limit=40000, send=None, every=100, **force):
         """ms until the state is entered."""
@@ -102,7 +102,7 @@ def test_exactly_500_ms_old_is_not_too_old():
 
 def test_level_out_keeps_the_thrust_and_a_new_set_point_recovers():
     bench = Bench().fly()
-    bench.onboard.manual(0.3, 0.5, 0.0, 1.0)
+    bench.onboard.setpoints.manual(0.3, 0.5, 0.0, 1.0)
     bench.run(100)
     fw = bench.onboard.record
     assert fw["target_roll"] == pytest.approx(28.65, abs=0.01)
@@ -117,20 +117,20 @@ def test_level_out_keeps_the_thrust_and_a_new_set_point_recovers():
 
 def test_a_landed_drone_waits_3_s_and_begins_anew():
     bench = Bench().fly()
-    assert bench.until("landed", send=bench.onboard.stop_setpoint) == pytest.approx(
-        2000, abs=80
-    )
+    assert bench.until(
+        "landed", send=bench.onboard.setpoints.stop_setpoint
+    ) == pytest.approx(2000, abs=80)
     landed = bench.now
-    assert bench.until("reset", send=bench.onboard.stop_setpoint) == pytest.approx(
-        3000, abs=40
-    )
+    assert bench.until(
+        "reset", send=bench.onboard.setpoints.stop_setpoint
+    ) == pytest.approx(3000, abs=40)
     assert bench.now - landed >= 3000 - 1
     assert bench.until("ready to fly") <= 200
 
 
 def test_a_landed_drone_may_fly_again():
     bench = Bench().fly()
-    bench.until("landed", send=bench.onboard.stop_setpoint)
+    bench.until("landed", send=bench.onboard.setpoints.stop_setpoint)
     bench.push()
     assert bench.until("flying") <= 42
 
@@ -229,7 +229,7 @@ def test_the_watchdog_of_the_emergency_stop():
 
 def test_silence_does_nothing_while_the_planner_has_control():
     bench = Bench()
-    assert bench.onboard.take_off(1.0, 2.0) == 0
+    assert bench.onboard.planner.take_off(1.0, 2.0) == 0
     bench.run(20000)
     assert bench.onboard.state == "flying"
     assert bench.onboard.info >> 8 & 0b111 == 0b011  # in control, its plan has ended
@@ -237,16 +237,16 @@ def test_silence_does_nothing_while_the_planner_has_control():
 
 def test_planner_commands_are_refused_where_it_may_not_fly():
     bench = Bench(ready=False)
-    assert bench.onboard.take_off(1.0, 2.0) == 16
+    assert bench.onboard.planner.take_off(1.0, 2.0) == 16
     bench.run(200)
     bench.onboard.emergency_stop()
-    assert bench.onboard.go_to((0, 0, 1), 0.0, 2.0) == 16
+    assert bench.onboard.planner.go_to((0, 0, 1), 0.0, 2.0) == 16
 
 
 def test_a_drone_that_may_no_longer_fly_has_no_plan_left():
     onboard = Onboard(CRAZYFLIE_21)
     loop.run(onboard.rows, 200.0, 0.0, 0.0, 0.0, 0.0, 0.0, 9.81)
-    assert onboard.take_off(0.5, 1.0) == 0
+    assert onboard.planner.take_off(0.5, 1.0) == 0
     onboard.emergency_stop()
     loop.run(onboard.rows, 200.0, 0.0, 0.0, 0.0, 0.0, 0.0, 9.81)
     assert onboard.state == "locked"

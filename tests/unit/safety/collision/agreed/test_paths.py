@@ -49,16 +49,16 @@ def planned(onboard, ms):
 def test_a_way_is_what_the_planner_on_board_flies(interrupted):
     """Single precision on board, double here: from rest, and from a flight under way."""
     onboard = Onboard(CRAZYFLIE_21)
-    onboard.take_off(1.0, 1.0)
+    onboard.planner.take_off(1.0, 1.0)
     start = rest(*planned(onboard, 1500)[-1][1])
     if interrupted:
         first = plan_flight(start, np.array([1.0, 1.0, 1.5]), 1.0, 2.0)
-        onboard.go_to((1.0, 1.0, 1.5), 0.0, float(first[0, 0]))
+        onboard.planner.go_to((1.0, 1.0, 1.5), 0.0, float(first[0, 0]))
         begin = float(onboard.record["planner"]["begin"])
         planned(onboard, interrupted)
         start = compute_motion(first, 1e-3 * float(onboard.record["tick"]) - begin)
     way = plan_flight(start, np.array([-1.2, 0.4, 0.7]), 1.0, 2.0)
-    onboard.go_to((-1.2, 0.4, 0.7), 0.0, float(way[0, 0]))
+    onboard.planner.go_to((-1.2, 0.4, 0.7), 0.0, float(way[0, 0]))
     flown = planned(onboard, 1000 * math.ceil(way[0, 0]))
     assert (
         max(np.abs(p - compute_motion(way, t)[0:3]).max() for t, p in flown[1:]) < 2e-4

@@ -17,6 +17,7 @@ from crazychoir.planning.figure import circle
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.collision.agreed.agreement import NO_PATH, NO_REST_PLACE
 from crazychoir.safety.collision.agreed.obstacles import OBSTACLE_LIMITS
+from crazychoir.safety.collision.agreed.path_limits import PLANNING_TIMES, PathLimits
 from crazychoir.safety.collision.agreed.paths import (
     compute_end_place,
     compute_motion,
@@ -25,7 +26,7 @@ from crazychoir.safety.collision.agreed.paths import (
     plan_flight,
     plan_hold,
 )
-from crazychoir.safety.collision.agreed.planned import PLANNING_TIMES, PlannedFlights
+from crazychoir.safety.collision.agreed.planned import PlannedFlights
 from crazychoir.safety.collision.neighbour_table import NeighbourTable
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.types import FullState, LinkStatus, Plan, State
@@ -44,7 +45,11 @@ class Flier:
         self.port, self.id = port, i
         traffic = NeighbourTable(port, ids, planners)
         self.filter = PlannedFlights(
-            port, CollisionTable(), traffic, planners, FENCE, 2.0, 1.0, 0.0
+            port,
+            CollisionTable(),
+            traffic,
+            planners,
+            PathLimits(FENCE, a_max=2.0, v_max=1.0, ground=0.0),
         )
         self.at, self.goal = (
             np.array(at, dtype=float),
@@ -449,7 +454,7 @@ async def test_an_unanswered_landing_still_keeps_clear_of_known_drones(clock):
     drones[1].lands, drones[1].goal = True, A - [0.0, 0.0, 0.04]
     await fly(clock, drones, OBSTACLE_LIMITS.answer_timeout + 3.0)
     assert drones[1].at == pytest.approx(A, abs=0.01)
-    assert drones[1].filter.gives_way_to == 0
+    assert drones[1].filter.choice.gives_way_to == 0
 
 
 @virtual

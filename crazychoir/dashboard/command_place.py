@@ -1,0 +1,24 @@
+"""The place on the network from which the operators of a page give commands."""
+
+from typing import Protocol
+
+from crazychoir.bus.commands import Commander
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.runtime.clock import Clock
+
+
+class CommandPlace(Protocol):
+    """The place on the network from which commands are given."""
+
+    clock: Clock
+    config: SwarmConfig
+    commander: Commander
+
+    def is_there(self, i: int) -> bool:
+        """Return whether an agent answers for drone i."""
+        ...
+
+    @property
+    def replays(self) -> bool:
+        """Whether the messages come from a recording."""
+        ...

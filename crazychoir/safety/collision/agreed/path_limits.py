@@ -1,0 +1,90 @@
+"""The limits of agreed paths: where, how fast and how hard they are flown, and when they change."""
+
+from dataclasses import dataclass
+
+from crazychoir.safety.rules.guard import Fence
+
+
+@dataclass(frozen=True, slots=True)
+class PathLimits:
+    """Where and how fast a drone may fly its agreed paths."""
+
+    fence: Fence
+    """Where the drone flies."""
+    a_max: float
+    """Greatest acceleration in m/s2."""
+    v_max: float
+    """Greatest speed in m/s."""
+    ground: float
+    """Height of the ground in m."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlanningTimes:
+    """Times, s, by which a drone with agreed paths looks for a path, and keeps or leaves one."""
+
+    check_interval: float = 0.1
+    """Seconds between two looks for a better path."""
+    offer_lead_time: float = 0.3
+    """Seconds before an offer begins, within which the others agree, or do not."""
+    least_horizon: float = 0.8
+    """Least time in s that is planned ahead if the wanted reference has no known end."""
+    least_gain: float = 0.3
+    """Seconds that another path must save."""
+    imminent_meeting: float = 1.0
+    """Seconds before a meeting with a drone outside the agreement.
+
+    Within this the drone brakes if there is no other path.
+    """
+    flight_break: float = 0.5
+    """Seconds without a flight after which the next one begins anew."""
+    landing_end: float = 60.0
+    """Seconds after which each landing has ended."""
+
+
+PLANNING_TIMES = PlanningTimes()
+
+
+@dataclass(frozen=True, slots=True)
+class PathTolerances:
+    """How near a drone, its path and its wanted reference are while they still count as together."""
+
+    moving_goal_share: float = 0.25
+    """Share of the distance left to a moving goal.
+
+    A path that ends that near to the goal still leads there. Each new path begins slowly.
+    """
+    on_reference: float = 0.03
+    """Distance in m from the wanted reference within which the drone is on it."""
+    off_reference: float = 0.05
+    """Distance in m from the wanted reference that needs a flight of its own to catch up."""
+    same_end: float = 1e-3
+    """Two ends of paths within this, in m and m/s, are the same."""
+    lost_path: float = 0.35
+    """Distance in m between a drone and its path, beyond which it begins a new path from here.
+    """
+
+
+PATH_TOLERANCES = PathTolerances()
+
+
+@dataclass(frozen=True, slots=True)
+class PathAccelerations:
+    """The accelerations of agreed paths, and the room that a hard path needs."""
+
+    gentle: float = 0.8
+    """Acceleration in m/s2 of flights among others; harder paths are flown less exactly."""
+    urgent: float = 1.6
+    """Acceleration in m/s2 with which the drone brakes before a drone without an announced path.
+    """
+    hard: float = 1.2
+    """Sideways acceleration in m/s2 from which on a wanted path counts as hard."""
+    hard_path_room: float = 0.4
+    """Distance in m that a hard path needs beside D."""
+
+
+PATH_ACCELERATIONS = PathAccelerations()
+
+
+LOWEST_WAYPOINT = 0.25
+"""Height in m above the ground of waypoints."""

@@ -1,0 +1,288 @@
+"""The planner on board one drone, in SI units, and its uploaded trajectories."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from crazychoir.errors import ConfigError
+from crazychoir.simulation.onboard import bezier, planner, supervisor
+from crazychoir.simulation.onboard.record import (
+    TRAJECTORY_MEMORY,
+    Fleet,
+    load_entry_points,
+)
+from crazychoir.types import Vec
+
+MOST_PIECES = (
+    TRAJECTORY_MEMORY.size // TRAJECTORY_MEMORY.piece_size
+)  # pieces that fit into the memory for trajectories
+_planner = load_entry_points(planner)
+_supervisor = load_entry_points(supervisor)
+
+
+class TrajectoryStore:
+    """Keeps the uploaded trajectories of one drone in its memory.
+
+    rows: memory of all drones
+    row: row of this drone
+    """
+
+    def __init__(self, rows: Fleet, row: int) -> None:
+        self._rows = rows
+        self._row = row
+        self._record = rows[row]
+
+    @property
+    def memory(self) -> npt.NDArray[np.uint8]:
+        """The 4096 bytes of uploaded trajectories, not copied."""
+        words: npt.NDArray[np.float32] = self._rows["memory"][self._row][
+            : TRAJECTORY_MEMORY.size
+        ]
+        return words.view(np.uint8)
+
+    def define_trajectory(
+        self, slot: int, offset: int, pieces: int, compressed: bool = False
+    ) -> int:
+        """Define a trajectory in the memory; return 8 if it does not fit.
+
+        slot: number of the trajectory
+        offset: bytes from the beginning of the memory, a multiple of 4 if not compressed
+        pieces: count of its pieces
+        """
+        words = offset // 4
+        placed = (
+            offset < self.memory.size
+            if compressed
+            else offset % 4 == 0
+            and words + pieces * TRAJECTORY_MEMORY.piece_size <= TRAJECTORY_MEMORY.size
+        )
+        if not (
+            0 <= slot < TRAJECTORY_MEMORY.slot_count
+            and pieces > 0
+            and offset >= 0
+            and placed
+        ):
+            return planner.PLANNER_ANSWERS.unknown_trajectory
+        plan = self._record["planner"]
+        plan["offset"][slot] = words
+        plan["pieces"][slot] = 0 if compressed else pieces
+        plan["packed"][slot] = (offset, pieces * compressed)
+        return planner.PLANNER_ANSWERS.done
+
+    def unpack(self, slot: int, timescale: float, reverse: bool) -> int:
+        """Expand a compressed trajectory so that it can be flown; return 0 if it is ready.
+
+        It can only be flown forwards with a timescale of 1; otherwise 8 is returned.
+        Chosen: at most TRAJECTORY_MEMORY.expanded_pieces pieces are flown.
+        """
+        plan = self._record["planner"]
+        if not 0 <= slot < TRAJECTORY_MEMORY.slot_count or not plan["packed"][slot][1]:
+            return planner.PLANNER_ANSWERS.done
+        offset, segments = plan["packed"][slot].tolist()
+        pieces = bezier.expand_segments(
+            self.memory[offset:], min(segments, TRAJECTORY_MEMORY.expanded_pieces)
+        )
+        if timescale != 1.0 or reverse or not len(pieces):
+            return planner.PLANNER_ANSWERS.unknown_trajectory
+        plan["offset"][slot] = TRAJECTORY_MEMORY.size
+        plan["pieces"][slot] = len(pieces)
+        self._rows["memory"][self._row][
+            TRAJECTORY_MEMORY.size : TRAJECTORY_MEMORY.size + pieces.size
+        ] = pieces.ravel()
+        return planner.PLANNER_ANSWERS.done
+
+    def upload(self, slot: int, pieces: npt.ArrayLike) -> None:
+        """Write a trajectory behind those of the other slots and define it.
+
+        pieces: (n, 33): coefficients c0 to c7 of x, y, z in m and of yaw in rad, time in s; then
+            the
+            duration of the piece in s
+        Raises ConfigError for a wrong slot, shape or number, and if the memory is full.
+        """
+        rows = np.asarray(pieces, dtype=np.float32)
+        where = f"trajectory {slot}"
+        if not 0 <= slot < TRAJECTORY_MEMORY.slot_count:
+            raise ConfigError(
+                "trajectory: slot", slot, f"0 to {TRAJECTORY_MEMORY.slot_count - 1}"
+            )
+        if (
+            rows.ndim != 2
+            or rows.shape[1] != TRAJECTORY_MEMORY.piece_size
+            or not len(rows)
+        ):
+            raise ConfigError(
+                f"{where}: shape",
+                rows.shape,
+                "(n, 33): 4 times c0 to c7, and the duration",
+            )
+        if not np.all(np.isfinite(rows)) or np.any(rows[:, -1] <= 0.0):
+            raise ConfigError(
+                f"{where}: pieces",
+                rows[:, -1].tolist(),
+                "finite numbers, durations above 0 s",
+            )
+        plan = self._record["planner"]
+        ends = [
+            (plan["offset"][k], plan["pieces"][k] * TRAJECTORY_MEMORY.piece_size)
+            for k in range(TRAJECTORY_MEMORY.slot_count)
+            if k != slot
+        ]
+        start = int(
+            max(
+                (
+                    offset + size
+                    for offset, size in ends
+                    if offset < TRAJECTORY_MEMORY.size
+                ),
+                default=0,
+            )
+        )
+        if start + rows.size > TRAJECTORY_MEMORY.size:
+            free = (TRAJECTORY_MEMORY.size - start) // TRAJECTORY_MEMORY.piece_size
+            raise ConfigError(
+                where,
+                f"{len(rows)} pieces",
+                f"at most {MOST_PIECES} in all slots, {free} are free",
+            )
+        self._rows["memory"][self._row][start : start + rows.size] = rows.ravel()
+        plan["offset"][slot] = start
+        plan["pieces"][slot] = len(rows)
+        plan["packed"][slot] = 0
+
+
+class BoardPlanner:
+    """Gives flights to the planner on board one drone.
+
+    A method returns the firmware's answer: 0 done, 1 refused in this state, 8 no such trajectory,
+    16 the supervisor does not allow flight.
+
+    rows: memory of all drones
+    row: row of this drone
+    trajectories: the uploaded trajectories of this drone
+    """
+
+    def __init__(self, rows: Fleet, row: int, trajectories: TrajectoryStore) -> None:
+        self._rows = rows
+        self._row = row
+        self._trajectories = trajectories
+
+    def _flight(self, *numbers: float) -> int:
+        """Return why a plan cannot begin; 0 if it can."""
+        if not math.isfinite(sum(numbers)):
+            return planner.PLANNER_ANSWERS.refused
+        return (
+            planner.PLANNER_ANSWERS.done
+            if _supervisor.can_fly(self._rows, self._row)
+            else planner.PLANNER_ANSWERS.flight_forbidden
+        )
+
+    def take_off(
+        self, height: float, duration: float | None = None, yaw: float | None = None
+    ) -> int:
+        """Start to rise to a height.
+
+        height: m, world
+        duration: s; None: from the speed hlCommander.vtoff
+        yaw: rad: heading at the end; None: keep the heading
+        """
+        t = -1.0 if duration is None else duration
+        psi = 0.0 if yaw is None else yaw
+        refused = self._flight(height, t, psi)
+        keep = float(yaw is None)
+        return refused or int(
+            _planner.take_off(self._rows, self._row, height, t, psi, keep)
+        )
+
+    def land(
+        self,
+        height: float = 0.0,
+        duration: float | None = None,
+        yaw: float | None = None,
+    ) -> int:
+        """Start to descend to a height; the motors stop at the end.
+
+        height: m, world
+        duration: s; None: from the speed hlCommander.vland
+        yaw: rad: heading at the end; None: keep the heading
+        """
+        t = -1.0 if duration is None else duration
+        psi = 0.0 if yaw is None else yaw
+        refused = self._flight(height, t, psi)
+        keep = float(yaw is None)
+        return refused or int(
+            _planner.land(self._rows, self._row, height, t, psi, keep)
+        )
+
+    def go_to(
+        self,
+        p: Vec | Sequence[float],
+        yaw: float,
+        duration: float,
+        relative: bool = False,
+        linear: bool = False,
+    ) -> int:
+        """Start to fly to a place and a heading.
+
+        p: (3,) m, world
+        yaw: rad
+        duration: s
+        relative: True to add p and yaw to the present set-point
+        linear: True for a straight line at constant speed
+        """
+        x, y, z = p
+        flags = float(relative), float(linear)
+        refused = self._flight(x, y, z, yaw, duration)
+        return refused or int(
+            _planner.go_to(self._rows, self._row, x, y, z, yaw, duration, *flags)
+        )
+
+    def spiral(
+        self,
+        angle: float,
+        r0: float,
+        r1: float,
+        climb: float,
+        duration: float,
+        sideways: bool = False,
+        clockwise: bool = False,
+    ) -> int:
+        """Start to fly a spiral through an angle about a point.
+
+        angle: rad
+        r0: m: radius at the beginning
+        r1: m: radius at the end
+        climb: m: change of the height
+        duration: s
+        sideways: True if the point lies ahead, False if it lies to the side
+        clockwise: True to turn clockwise
+        """
+        refused = self._flight(angle, r0, r1, climb, duration)
+        flags = float(sideways), float(clockwise)
+        return refused or int(
+            _planner.spiral(
+                self._rows, self._row, angle, r0, r1, climb, duration, *flags
+            )
+        )
+
+    def start_trajectory(
+        self,
+        slot: int,
+        timescale: float = 1.0,
+        relative: bool = False,
+        relative_yaw: bool = False,
+        reverse: bool = False,
+    ) -> int:
+        """Start to fly an uploaded trajectory; a timescale of 2 takes twice the time."""
+        refused = self._flight(timescale) or self._trajectories.unpack(
+            slot, timescale, reverse
+        )
+        flags = float(relative), float(relative_yaw), float(reverse)
+        return refused or int(
+            _planner.start_trajectory(self._rows, self._row, slot, timescale, *flags)
+        )
+
+    def stop(self) -> None:
+        """Stop the plan: the motors stop while the planner is in control."""
+        _planner.stop(self._rows, self._row)
