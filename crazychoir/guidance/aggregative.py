@@ -38,8 +38,8 @@ class Defence:
         f_i(x_i, s) = a |x_i - r_i|^2 + b |s - t|^2 + c |x_i - s|^2,   s = (1/N) sum_j x_j
         grad_1 f_i = 2 a (x_i - r_i) + 2 c (x_i - s),   grad_2 f_i = 2 b (s - t) - 2 c (x_i - s)
 
-    r_i is the place of the intruder, (d,) m. The weights a, b, c >= 0 satisfy a + b > 0 and a + c >
-    0.
+    x_i: (d,) m, the defender; s: (d,) m, the mean of the team; r_i: (d,) m, its intruder. The
+    weights a, b, c >= 0 satisfy a + b > 0 and a + c > 0.
     """
 
     target: Vec

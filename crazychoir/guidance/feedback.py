@@ -146,10 +146,14 @@ class CFDistributedFeedback(CFGuidance):
     async def mission(self) -> dict[str, Any]:
         """Take off, wait for the others, run the law, land.
 
-        Returns law_s: s that the law ran;  references: how often `step` returned a feasible reference;  place:
-        (3,) m, where it has ended;  unheard_s: {j: s of the law in which nothing fresh was heard of neighbour j};
-        refused_references: how many could not be flown, if any;  refused: why, if these are most of them. It
-        has failed if `step` returned references and none of them could be flown.
+        Returns the report:
+        law_s: s that the law ran
+        references: number of feasible references that `step` returned
+        place: (3,) m, where the law ended
+        unheard_s: {j: s of the law without a fresh message of neighbour j}
+        refused_references: number of references that could not be flown, if any
+        refused: reason, if these are most references
+        The mission has failed if `step` returned references, but none of them could be flown.
         """
         await self.take_off(self.height())
         await self.sleep(self.rest)

@@ -78,9 +78,11 @@ class VelocitySum:
 
     After a hold of 2 spread or longer the correction would be too large. Then it starts anew.
 
+    P, T: corrected position m, and its delay s; a, b: two steps; owed: m.
+
     cutoff: rad/s of the filter.
     h: s between two poses of the filter.
-    period: s of the law; spread = CORRECTION_STEPS period.
+    period: s between two steps of the law; spread = CORRECTION_STEPS period.
     """
 
     def __init__(self, cutoff: float, h: float, period: float) -> None:
@@ -88,16 +90,16 @@ class VelocitySum:
         self.reach = -h / math.expm1(-cutoff * h)
         self.spread = CORRECTION_STEPS * period
         self.even = True
-        """Nothing is owed.
+        """No amount is owed.
 
-        While each state is used for h, the next state may be used unchanged. Keep it in `last`.
+        The next state then needs no correction, if the one before was used for exactly h.
         """
         self.last: State | None = None
         """The state that the law received last, before its velocity was corrected."""
         self._memory = np.zeros(6)
 
     def forget(self) -> None:
-        """Start anew: no velocity was received, and nothing is owed."""
+        """Forget the last state and the owed amount."""
         self.last = None
         self.even = True
 
@@ -154,7 +156,7 @@ class StateMailbox(Latest[State]):
         self._told_version = self._told_ns = 0
 
     def forget(self) -> None:
-        """Start anew: the steps of the law begin now, and nothing is owed."""
+        """Forget the last state and the owed amount, because the law starts now."""
         self.sums.forget()
 
     def state(self, now_ns: int, held: int) -> State | None:
@@ -198,9 +200,9 @@ class PairedStateMailbox(Latest[State]):
 
         x = x_m + (x_m-n - x_m) / n,   a = a_m
 
-    In a step without a new message it returns the same state again, older: a + kv v + kp p says
-    where a drone is going, which changes less than where it is. The first state is returned
-    unchanged.
+    In a step without a new message it returns the last state again, with a larger age, and does
+    not extrapolate it: laws use the sum a + kv v + kp p, which changes less than p alone. The first
+    state is returned unchanged.
 
     h: s between two states.
     """
@@ -214,7 +216,7 @@ class PairedStateMailbox(Latest[State]):
         self._flat = ZERO_ACCELERATION
 
     def forget(self) -> None:
-        """Start anew: the steps of the law begin now."""
+        """Forget the last state: the next one is returned unchanged, without interpolation."""
         self._last = None
 
     def state(self, now_ns: int, held: int) -> State | None:

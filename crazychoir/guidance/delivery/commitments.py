@@ -1,6 +1,6 @@
-"""The commitments of one robot to its team: its route, its bonds, and what is aboard.
+"""The commitments of one robot to its team: its route, its bound tasks, and the goods on board.
 
-Nothing here flies.
+This module only keeps records; it commands no flight.
 """
 
 from collections.abc import Sequence
@@ -12,12 +12,12 @@ from crazychoir.routing.instance.plan import Stop
 
 
 class Commitments:
-    """The commitments of the robot of these news, and what they allow.
+    """The commitments of one robot, and the stops that they allow it to begin.
 
-    news: the news of the robot.
+    news: what this robot knows about its team.
     route: stops, in order.
     planning: the robot takes part in a planning and has not adopted a plan of it yet.
-    bound: tasks that it named in its first message of that planning. No other robot gets them.
+    bound: tasks that it reserved in its first message of that planning. No other robot gets them.
     """
 
     def __init__(self, news: TeamNews) -> None:
@@ -40,7 +40,7 @@ class Commitments:
     def next(self) -> Stop | None:
         """Return the next stop, without pickups of goods that are not there any more.
 
-        None if the robot has said that it flies no more: others may be on their way to its goods.
+        None if the robot has announced that it flies no more: others may be on their way to its goods.
         """
         while self.route and not self.news.record.out:
             stop = self.route[0]
@@ -55,7 +55,8 @@ class Commitments:
     def allow(self, stop: Stop) -> bool:
         """Return whether the robot may begin a stop now.
 
-        Goods that a plan may give to another robot stay where they are.
+        A delivery is always allowed. A pickup needs a part of the team that may decide; during a
+        planning it also needs a bound task, because the plan may give others to another robot.
         """
         free = self.news.quorate and (not self.planning or stop.task in self.bound)
         return stop.kind == "delivery" or free
@@ -63,7 +64,11 @@ class Commitments:
     # A planning -----------------------------------------------------------------------
 
     def begin(self, head: Sequence[Stop]) -> TaskBonds:
-        """Take part in a planning, bound to the stops `head`; return the bonds after them."""
+        """Take part in a planning, and return the bonds to announce.
+
+        head: the stops that the robot will serve in any case.
+        Returns the tasks that `head` completes, and those that are on board after it.
+        """
         aboard = self.aboard()
         for stop in head:
             if stop.kind == "pickup":
@@ -96,7 +101,7 @@ class Commitments:
             self.news.say(idle=False)
 
     def keep_aboard(self) -> None:
-        """Drop the plan: deliver only what is aboard."""
+        """Replace the route by the deliveries of the goods on board."""
         self.route = [Stop(j, "delivery") for j in self.aboard()]
 
     # A stop ---------------------------------------------------------------------------

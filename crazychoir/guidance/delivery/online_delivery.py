@@ -181,7 +181,7 @@ class OnlinePDVRPGuidance(TeamMission):
         return f"{doing}{len(self.service.served)} stops done, {left} to do, {aboard} aboard"
 
     def route(self) -> list[Vec]:
-        """Return the stops that it is to serve, then its home."""
+        """Return the places that the robot will still visit: its stops, then its home."""
         stops = [] if self.news.record.out else self.commitments.route
         places = (
             [*map(self.forecast.place, stops), self.own.home[:2]]
@@ -191,9 +191,9 @@ class OnlinePDVRPGuidance(TeamMission):
         return [self.above(p) for p in places]
 
     def _may_end(self) -> bool:
-        """Return whether a planning runs that may end the mission.
+        """Return whether the planning that runs may end the mission.
 
-        It does not know of tasks that come now.
+        Tasks that arrive now are too late for it.
         """
         return self.commitments.planning and self.news.record.idle
 
@@ -245,9 +245,9 @@ class OnlinePDVRPGuidance(TeamMission):
     def _problem(
         self, goods: PlannedGoods, start: Vec, ready: float, left: float
     ) -> LocalProblem:
-        """Return this robot's own problem of a planning.
+        """Return the problem that this robot brings to a planning.
 
-        No robot is capable of goods that lie where no drone can stand, so all leave them alone.
+        Goods at a place where no drone can stand get no capable robot, so they are left there.
 
         goods: the tasks of the planning.
         start: (2,) m: where the robot will be.
@@ -282,9 +282,10 @@ class OnlinePDVRPGuidance(TeamMission):
         self._redirected.set()
 
     def lose_quorum(self) -> None:
-        """Deliver what is aboard and go home, while too few robots are here to decide.
+        """Give up the plan, because too few robots are in reach to decide.
 
-        If others may fetch the goods of a lost robot, it stays where it is.
+        The robot delivers the goods on board and flies home. With `options.recover` a flying robot
+        lands where it is instead, and is out: the rest of the team may already fly to its goods.
         """
         if self.options.recover and self.up:
             self.reason = UNREACHED_REASON
@@ -311,7 +312,7 @@ class OnlinePDVRPGuidance(TeamMission):
         super().leave()
 
     async def fly_plan(self) -> None:
-        """Serve stop by stop. Without stops go home and wait on the ground."""
+        """Serve stop by stop. Without stops, fly home and wait on the ground."""
         while not self.news.record.out:
             stop = self.commitments.next()
             if stop is None:
@@ -324,8 +325,7 @@ class OnlinePDVRPGuidance(TeamMission):
     async def _reach(self, stop: Stop) -> bool:
         """Fly to a stop.
 
-        Returns False if it is not the next stop any more, or if it is elsewhere by what is known
-        now.
+        Returns False if another stop has become the next one, or if newer information moves it.
         """
         if not self.up:
             self.up = True

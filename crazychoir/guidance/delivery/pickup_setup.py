@@ -46,7 +46,7 @@ class PickupOptions(SwarmTable, frozen=True, kw_only=True):
 
 
 OBEYED_FEATURES = ("end", "service_time", "penalty", "recharge")
-"""Features of an instance, of those in `require_flyable_features`, that robots obey in flight."""
+"""Features of an instance that robots obey in flight, from those that `require_flyable_features` checks."""
 LANDING_CLEARANCE = 0.4
 """m, in the plane: distance of a landing place from the places where others stand and land."""
 LOWEST_STOP = 0.1
@@ -56,11 +56,13 @@ LOWEST_STOP = 0.1
 def require_ready(
     config: SwarmConfig, problem: Instance, method: str, where: str
 ) -> None:
-    """Check the swarm and the method against the instance, and that all of it can be flown.
+    """Check that this swarm can fly the instance with this method.
 
+    problem: the instance. Drones 0 to N - 1 must stand at its homes, in a connected, undirected
+        graph, and its stops and ends must be places that the drones can reach.
+    method: from PLANNING_METHODS.
     where: the key of the instance, for the error.
-    Raises ConfigError if the swarm is not that of the instance, if the method does not fit, or if a
-    part of the instance cannot be flown.
+    Raises ConfigError for the first check that fails.
     """
     allowed = "robots in flight fly straight, start as soon as they can, and land at home or at their end"
     require_flyable_features(problem, where, OBEYED_FEATURES, allowed)

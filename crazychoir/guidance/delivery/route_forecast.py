@@ -12,14 +12,14 @@ from crazychoir.types import FullState, Vec
 
 
 class RouteForecast:
-    """Foresee when the robot of these commitments serves its stops.
+    """Predicts when one robot will have served its stops.
 
     commitments: the route of the robot, and what it may begin.
     flight: limits of its flights.
     service_time: s at each stop.
 
-    serving_until: s: end of the present service.
-    promised: s: end of the route, as foreseen when the plan was new.
+    serving_until: time in s at which the present service ends.
+    promised: time in s at which the route ends, as predicted when the plan was new.
     """
 
     def __init__(
@@ -39,7 +39,7 @@ class RouteForecast:
         return np.array(self.news.standings()[stop.task].pickup)
 
     def seconds(self, route: Sequence[Stop]) -> float:
-        """Return the s that a route takes from here."""
+        """Return the time in s until a route, flown from here, has been served."""
         p = np.array(self.news.here())
         total = self._rest_of_service()
         for stop in route:
@@ -49,12 +49,15 @@ class RouteForecast:
         return total
 
     def head(self, horizon: float) -> tuple[list[Stop], Vec, float]:
-        """Return the stops to which the robot is bound, the place after them, and the s until then.
+        """Return the stops that a new plan leaves to this robot, as (stops, place, seconds).
 
-        These are the stop to which it flies now and the stops within the horizon. While a planning
-        has not led to a plan, other robots may have one: then the robot is bound to nothing new.
+        They are the next stop, and the stops to which it sets out within the horizon. The list ends
+        before the first stop that it may not begin, see Commitments.allow: if this robot has no plan
+        from the last planning, another robot may have one that contains this stop.
 
         horizon: s.
+        Returns the stops, the place (2,) m of the last one (here, without stops), and the s until
+        it has been served.
         """
         head: list[Stop] = []
         p = np.array(self.news.here())
@@ -69,13 +72,13 @@ class RouteForecast:
         return head, p, seconds
 
     def promise(self) -> None:
-        """Remember when a new route will have been served."""
+        """Store when the new route will have been served, for `is_late`."""
         self.promised = self.news.clock.now() + self.seconds(self.commitments.route)
 
     def is_late(self, allowed: float) -> bool:
-        """Return whether the robot is later than it has promised.
+        """Return whether the route will end later than predicted when it was new.
 
-        allowed: s that it may be late.
+        allowed: s by which it may be later.
         """
         route = self.commitments.route
         return (

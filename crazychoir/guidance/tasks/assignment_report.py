@@ -65,8 +65,8 @@ def compute_optimum(costs: Mat) -> float | None:
 
 
 def compute_gap(table: dict[str, Any]) -> float:
-    """Return the difference in m between the team's cost and the cost of the central solver.
+    """Return the absolute difference in m between the team's cost and the central solver's cost.
 
-    It is 0 where the central solver has no cost.
+    Returns 0 if the central solver has no cost.
     """
     return 0.0 if table["optimum"] is None else abs(table["cost"] - table["optimum"])

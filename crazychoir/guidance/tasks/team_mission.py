@@ -36,7 +36,7 @@ PLAN_LOOK_INTERVAL = 0.05
 
 @dataclass(frozen=True, slots=True)
 class TeamRules:
-    """What a mission sets for its team."""
+    """Settings that all robots of a mission share."""
 
     recover: bool
     """Work of a lost robot is done by others, see TaskBook.standings."""
@@ -47,12 +47,12 @@ class TeamRules:
 
 
 class TeamMission(CFGuidance):
-    """Keep the mission of one robot together: its news, its plannings, its flight and its end.
+    """The mission of one robot: it runs the gossip, the plannings, the flight and the end.
 
-    rules: what the mission sets for its team.
+    rules: settings that all robots of the team share.
     tasks: the tasks that are known at the start.
 
-    news: what this robot knows of its team. Set by `bind`.
+    news: what this robot knows about its team. Set by `bind`.
     source: where its tasks come from. The `bind` of a subclass sets it.
     reason: why the robot flies no more, or why its mission has failed. Empty: neither.
     alone: the robot has been left alone, and ends its mission without the team.
@@ -98,7 +98,7 @@ class TeamMission(CFGuidance):
 
     @abstractmethod
     async def fly_plan(self) -> None:
-        """Fly by the present plan, whichever that is, until the robot flies no more."""
+        """Fly the current plan, and each newer one from its adoption on, until the robot is out."""
 
     @abstractmethod
     def outcome(self) -> dict[str, Any]:
@@ -169,10 +169,7 @@ class TeamMission(CFGuidance):
             self.leave()
 
     async def _come_down(self, reason: str) -> None:
-        """Land before the others learn that the robot is out.
-
-        They then come to its place for its goods.
-        """
+        """Land before the others learn that the robot is out: they then fly to it for its goods."""
         self.member.pilot.land(reason)
         await wait_for_touchdown(self.member.pilot, FLIGHT_LIMITS.touchdown_time)
 

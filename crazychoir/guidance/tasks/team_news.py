@@ -51,11 +51,11 @@ Key = tuple[int, tuple[int, ...]]
 
 
 class TeamNews:
-    """The news of the robot of this communicator.
+    """What one robot knows about its team, and tells its neighbours.
 
     communicator: the link to the neighbours.
     tasks: the tasks that it knows from the start.
-    here: returns where the robot is, (2,) m.
+    here: returns the position of the robot, (2,) m.
     recover: see TaskBook.standings.
     period: s between two messages.
     changed: set when the team has changed.
@@ -143,7 +143,8 @@ class TeamNews:
     def hear(self, heard: dict[int, Any]) -> None:
         """Merge the books of neighbours, by robot.
 
-        If our own record arrives with another incarnation, we publish a newer life.
+        If a record of this robot arrives with another incarnation, it is from before a restart:
+        publish a record with a higher `life`, which replaces it.
         """
         before = self.key()
         old = dict(self.book.records)
@@ -165,11 +166,9 @@ class TeamNews:
             self.changed.set()
 
     def _write_off(self, failed: Collection[int]) -> None:
-        """Publish for failed neighbours that they are out.
+        """Publish that failed neighbours are out, because they may not have sent it themselves.
 
-        They may not have sent it themselves.
-
-        It is done once a neighbour: after a restart the neighbour is another one.
+        A neighbour is written off once for each failure. It may fly again after a restart.
         """
         before = self.key()
         for i in failed:
@@ -189,9 +188,9 @@ class TeamNews:
         self.dropped += 1
 
     async def farewell(self) -> None:
-        """Stay until all know that the team has ended, at most NEWS_TIMING.farewell s.
+        """Announce the end, and wait until all flying robots have announced it too.
 
-        `gossip` runs beside it.
+        Waits at most NEWS_TIMING.farewell s. `gossip` must run meanwhile, as it sends the messages.
         """
         self.say(ended=True)
         ends = self.clock.now() + NEWS_TIMING.farewell
@@ -252,8 +251,10 @@ class TeamNews:
     def known(self, number: int) -> bool:
         """Return whether more than half of the team know an edition of this robot's record.
 
-        Members that are out do not count. In a part that is cut off it is always False: there a
-        single robot could be more than half.
+        Members that are out do not count. Always False in a part of the team that may not decide:
+        after it has lost the others, a single robot could be more than half of it.
+
+        number: the edition, as `say` returns it.
         """
         witnesses = self.book.witnesses(
             self.id, self.record.incarnation, number, self.members
@@ -270,12 +271,10 @@ class TeamNews:
 
     @property
     def alone(self) -> str:
-        """Why no robot that this robot hears can decide anything.
+        """Reason why no robot in reach can change the plan; empty if one can, or after the end.
 
-        Empty if one can, or if the team has ended.
-
-        A robot that flies can decide, in a part of the team that may decide. A part with less than
-        half of the robots never agrees on a team without the others.
+        Only flying robots can, in a part of the team that may decide (see `quorate`), while this
+        robot hears more members than it misses.
         """
         flying = self.book.alive(self.members)
         now = self.clock.now()
@@ -307,11 +306,10 @@ class TeamNews:
 
     @property
     def quorate(self) -> bool:
-        """This part of the team may decide.
+        """Whether this part of the team may decide.
 
-        It is more than half of the last team that could decide.
-
-        Of two equal halves the half with the lowest id may decide.
+        It may if it holds more than half of the last team that could decide. If the team was cut
+        into two equal halves, the half with the lowest id may decide.
         """
         team = self._team or self.members
         stayed = [i for i in team if i in self.members]
@@ -320,9 +318,9 @@ class TeamNews:
         )
 
     def count(self) -> bool:
-        """Return whether the present team may decide.
+        """Return whether the present team may decide, and remember the team if it may.
 
-        If it may, the next team must be more than half of it.
+        `quorate` then measures the next team against it.
         """
         if self.quorate:
             self._team = self.members
@@ -332,9 +330,12 @@ class TeamNews:
 
 @lru_cache(maxsize=64)
 def mend_graph(graph: Graph, without: tuple[int, ...] = ()) -> Graph:
-    """Return the graph without some members, its parts joined in a row by their lowest ids.
+    """Return the graph without some members, connected again.
 
-    All robots compute the same graph.
+    If it falls into parts, edges join the lowest ids of the parts, in a row. All robots compute the
+    same graph.
+
+    without: ids to leave out.
     """
     ids = tuple(i for i in graph.ids if i not in without)
     arcs = [arc for arc in graph.arcs if arc[0] in ids and arc[1] in ids]
