@@ -1,4 +1,4 @@
-"""A landing that is commanded until the planner on board confirms it."""
+"""Repeat the command to land until the planner on board confirms it."""
 
 import math
 
@@ -53,8 +53,8 @@ class LandingRepeater:
     def go_on(self) -> None:
         """Repeat the command to land until the planner on board confirms it.
 
-        Packets get lost, and links too. Then repeat that set-points have ended, until the landing
-        should be over, and then the command to stop.
+        After that, repeat that no more set-points follow, until the landing should be over. Then
+        repeat the command to stop.
         """
         if self.command is None:
             return

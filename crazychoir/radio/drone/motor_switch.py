@@ -45,21 +45,21 @@ class MotorSwitch:
             way.urgent(emergency_packets())
 
     async def insist(self, connection: Connection) -> None:
-        """Repeat the emergency stop until a drone with cut motors confirms it.
+        """Repeat the emergency stop of a cut drone until the drone confirms it.
 
-        The packets are sent from the opening of the link on.
+        Runs as long as the link, from its opening on.
         """
         async for _ in self._setup.clock.ticks(LINK_CHECK_RATE):
             if self.is_cut and not self.is_cut_confirmed:
                 connection.urgent(emergency_packets())
 
     def note_log(self) -> None:
-        """Read in the last log whether a drone with cut motors is locked."""
+        """Confirm the cut if the last log says that the drone is locked."""
         if self.is_cut and self._estimate.supervisor & SupervisorBit.LOCKED:
             self.is_cut_confirmed = True
 
     def note_restart(self) -> None:
-        """Note that the drone was started again, which stops its motors."""
+        """Confirm the cut, because the drone was started again, which stops its motors."""
         self.is_cut_confirmed = self.is_cut
 
     def arm_for_flight(self) -> None:
@@ -83,10 +83,10 @@ class MotorSwitch:
             self._is_arming = False
 
     async def arm(self) -> str:
-        """Arm the drone before its first command does; return a text about the result.
+        """Arm the drone at once, without waiting for a first command; return the result as a text.
 
-        The firmware disarms again after a while without a flight; then the first command arms the
-        drone.
+        The firmware disarms a drone that does not fly for a while. The first command of a flight
+        then arms it again.
         Raises Refused if the drone cannot be armed.
         """
         if not self._setup.platform.firmware.needs_arming:

@@ -1,6 +1,6 @@
-"""cflib's link drivers, adapted once a process.
+"""Replacements for cflib's link drivers, registered once in each process.
 
-These links expect lost packets, close at once, and report errors only to the code that asks for
+These links tolerate lost packets, close quickly, and report errors only to a caller that asks for
 them.
 """
 
@@ -71,9 +71,9 @@ class LossyUdpDriver(UdpDriver):  # type: ignore[misc]
 
 
 class Outbox(queue.Queue[Any]):
-    """Room for the one packet that leaves with the next exchange.
+    """The queue of a radio link, with room for one packet, which leaves with the next exchange.
 
-    An idle link waits here until it listens again.
+    While an idle link has nothing to send, its thread waits in `get` until it polls the drone again.
     """
 
     def __init__(self, turns: DongleShare) -> None:
@@ -81,19 +81,19 @@ class Outbox(queue.Queue[Any]):
         self._turns = turns
 
     def get(self, block: bool = True, timeout: float | None = None) -> Any:
-        """Return the packet.
+        """Wait for a packet and return it; both arguments are ignored.
 
-        Raises queue.Empty if none comes before the drone must be asked again.
+        Raises queue.Empty if none comes before the drone must be polled again.
         """
         return super().get(True, self._turns.idle)
 
 
 class PatientRadioDriver(RadioDriver):  # type: ignore[misc]
-    """cflib's radio link, with a short wait for room, and without callbacks for errors.
+    """cflib's radio link, with a short wait for room in its queue, and without error callbacks.
 
-    cflib's own driver blocks the sender for 2 s when its air is full, then ends the link in that
-    thread. Here the sender learns that there is no room. A drone that does not acknowledge is
-    noticed by its silence, and the link keeps trying.
+    If the queue of cflib's own driver stays full, the sender is blocked for 2 s, and then its thread
+    ends the link. Here `send_packet` returns False instead. The link keeps trying to reach a drone
+    that does not acknowledge; other code notices its silence.
     """
 
     _radio: Any
@@ -105,7 +105,7 @@ class PatientRadioDriver(RadioDriver):  # type: ignore[misc]
 
     @needs_resending.setter
     def needs_resending(self, needs: bool) -> None:
-        """Not up to the thread."""
+        """Ignore the value: cflib's thread must not change it."""
 
     def connect(
         self, uri: str, radio_link_statistics_callback: Any, link_error_callback: Any
@@ -131,9 +131,10 @@ class PatientRadioDriver(RadioDriver):  # type: ignore[misc]
             )
 
     def close(self) -> None:
-        """Close the link once its thread has ended, or has had the time to.
+        """End the thread of the link, then close the link.
 
-        Readers of packets stop waiting.
+        Waits for the thread for at most DRIVER_TIMING.thread_deadline s. A reader that waits for a
+        packet gets None.
         """
         thread = self._thread
         turns = self._radio
@@ -151,9 +152,9 @@ class PatientRadioDriver(RadioDriver):  # type: ignore[misc]
 
 
 def has_room(cf: Any) -> bool:
-    """Return whether a packet would leave soon.
+    """Return whether a packet that is sent now would leave soon.
 
-    A closed link has room: the sender gets its error when it sends.
+    Returns True for a closed link, so that the sender tries to send and gets the error.
     """
     link = cf.link
     return link.room() if isinstance(link, PatientRadioDriver) else True

@@ -223,9 +223,10 @@ class ConnectedFirmware:
         )
 
     async def plan(self, packet: Packet, again: float = REQUEST_RETRY_PERIOD) -> None:
-        """Send a packet to the planner on board.
+        """Send a packet to the planner on board, and wait until it accepts.
 
         again: s after which it is sent again; infinite for a packet that must not be sent twice
+        Raises LinkFailed if the planner refuses, or does not answer within REQUEST_DEADLINE s.
         """
         answer = await self._ask(
             packet,

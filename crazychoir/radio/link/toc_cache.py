@@ -69,9 +69,12 @@ class TableOfContents:
         self._told = threading.Condition()
 
     def fetch(self, crc: int) -> Contents | None:
-        """Return the table with this checksum.
+        """Return the table with this checksum, from memory or disk.
 
-        Returns None if the calling link must load it from its drone.
+        If another link is loading this table, wait for it, at most TABLE_WAIT.longest s.
+        Returns None if the caller must load the table from its drone.
+
+        crc: checksum of the table, from its drone
         """
         me = threading.get_ident()
         with self._told:
@@ -114,10 +117,7 @@ class TableOfContents:
             )
 
     def forget(self, thread: int) -> None:
-        """Note that the link of this thread is closed.
-
-        Links that wait for its tables then load them themselves.
-        """
+        """Note that the link of this thread is closed, so that others no longer wait for its tables."""
         with self._told:
             self._asked = {
                 crc: who for crc, who in self._asked.items() if who != thread

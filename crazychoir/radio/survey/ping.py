@@ -1,7 +1,7 @@
 """Round-trip times of echoes over cflib's links, without a connection to the drone.
 
-A link alone loads no tables, sends no zero set-point at its end, and has no thread that waits for a
-silent drone for ever.
+A full connection of cflib would load tables, send a zero set-point at its end, and wait for a
+silent drone for ever. A link does none of this.
 """
 
 import contextlib
@@ -59,7 +59,7 @@ class PingResult:
         return self.sent - len(self.round_trip)
 
     def percentile(self, share: float) -> float | None:
-        """Return the s within which this share (%) of the returned echoes came back.
+        """Return the time in s within which `share` % of the returned echoes came back.
 
         Returns None if no echo came back.
         """
@@ -84,13 +84,14 @@ def ping(
     count: int = 100,
     deadline: float = 20.0,
 ) -> list[PingResult]:
-    """Send `count` echoes to each uri, each after the answer to the last.
+    """Send echoes to each uri, one after another, and return one result for each uri.
 
-    All uris are served at the same time. Each link has a thread, which has ended on return. If
-    cflib does not return from a call, the error says so.
+    All uris are served at the same time, each in its own thread.
 
     now: returns the time in s
-    deadline: s until the ping ends at the latest
+    count: echoes for each uri
+    deadline: s after which the ping ends in any case; a call of cflib that hangs then is reported
+        in the error of its result
     """
     found: dict[str, PingResult] = {}
     end = now() + deadline

@@ -1,10 +1,9 @@
 """Find quiet channels: the order of the measurements, and how they are judged. No I/O here.
 
-WiFi sends in bursts of seconds. So the survey visits all channels again and again, in another order
-each time: a burst then disturbs all channels alike, and not only those measured at that moment.
-Many short passes find more than few long ones, because rare interference must be met. And the worst
-pass of a channel counts, not the mean: a drone that receives nothing for two seconds has landed by
-then.
+WiFi sends in bursts of seconds. Therefore the survey visits all channels many times, in a different
+order in each pass: bursts then disturb all channels alike. Many short passes find rare interference
+better than few long ones. The worst pass of a channel counts, not the mean, because a drone that
+receives nothing for two seconds has landed by then.
 """
 
 import random
@@ -55,7 +54,11 @@ class Probe(Protocol):
     """A radio that can try a channel."""
 
     def measure(self, channel: int, packets: int, retries: int) -> Sample:
-        """Send empty packets on a channel, each with at most so many retransmissions."""
+        """Send empty packets on a channel, and return how each was received.
+
+        packets: number of packets
+        retries: largest number of retransmissions of each packet
+        """
         ...
 
 
@@ -119,13 +122,17 @@ class Survey:
         self._retried: dict[int, list[Sample]] = defaultdict(list)
 
     def visits(self) -> Iterator[Visit]:
-        """Return the visits; each pass visits all channels, in an order of its own."""
+        """Yield the visits: each pass visits all channels, in a random order."""
         for number in range(self.passes):
             for channel in self._order.sample(self.channels, len(self.channels)):
                 yield Visit(number, channel)
 
     def take(self, channel: int, single: Sample, retried: Sample) -> None:
-        """Take the results of a visit, without and with retries."""
+        """Store the results of a visit.
+
+        single: packets without retries
+        retried: packets with retries
+        """
         self._single[channel].append(single)
         self._retried[channel].append(retried)
 
@@ -155,9 +162,9 @@ class Survey:
         )
 
     def pick(self, k: int, spacing: int) -> tuple[int, ...]:
-        """Return the k channels with the spacing (MHz) and the best worst pass.
+        """Return k channels, at least `spacing` MHz apart, with the best scores.
 
-        See channels.pick.
+        The score is the share of acknowledged packets in the worst pass, see `pick_channels`.
         """
         return pick_channels(
             {row.channel: (row.worst, row.mean) for row in self.measured()}, k, spacing

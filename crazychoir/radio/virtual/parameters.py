@@ -1,6 +1,6 @@
 """Port 2: parameters of a virtual drone.
 
-Those of the firmware model act at once; the others are only stored.
+A parameter that the firmware model knows acts at once. The others are only stored.
 """
 
 import struct
@@ -37,9 +37,10 @@ class ParameterResult(IntEnum):
 
 
 class ParameterCommand(IntEnum):
-    """Commands of the channel for all that is neither reading nor writing.
+    """Commands of PARAMETER_MISC_CHANNEL.
 
-    The answers of version 1 cannot tell an error from a value.
+    An answer to a command with the suffix _V1 has no byte for the result, so an error looks like a
+    value. The later command with the same purpose has this byte.
     """
 
     SET_BY_NAME = 0
@@ -284,9 +285,9 @@ class ParameterService:
 
 
 def pack_parameter(entry: TocEntry, value: float) -> bytes:
-    """Return a value in the format of its entry.
+    """Return the bytes of a value, little endian, in the C type of its entry.
 
-    Whole numbers are cut to the size of their type.
+    A whole number that is too large keeps only its lowest bytes, as in a cast in C.
     """
     if entry.letter == "f":
         return struct.pack("<f", value)

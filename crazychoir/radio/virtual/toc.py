@@ -12,7 +12,7 @@ from crazychoir.radio.protocol.crtp import Packet
 
 
 class TocCommand(IntEnum):
-    """Commands of channel 0, with indices of two bytes."""
+    """Commands of channel 0, in the protocol version with indices of two bytes."""
 
     ITEM = 2
     """Asks for the description of an entry."""
