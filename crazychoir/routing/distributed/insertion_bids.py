@@ -73,7 +73,10 @@ class InsertionBids:
         return np.where(self._must | (scores > 0.0), scores, -np.inf)
 
     def insert(self, path: Stops, task: int) -> Stops:
-        """Return the stops with the task inserted. Raises SolverError if it fits nowhere."""
+        """Return the stops with the task inserted where the route grows least.
+
+        Raises SolverError if it fits nowhere.
+        """
         tours = self._tours(path)
         cost, first, second = self._cheapest(tours, task)
         if cost == np.inf:
@@ -95,9 +98,9 @@ class InsertionBids:
 
 
 def plan_by_insertion(member: RoutingMember, method: str) -> Exchange[TaskPartition]:
-    """Return this robot's route by a method of BIDDING_METHODS, without a bound.
+    """Return this robot's route by a method of BIDDING_METHODS, without a bound on the optimum.
 
-    Raises SolverError, at all robots alike, if a task that must be served remains without a robot.
+    Raises SolverError at all robots if no robot takes a task that must be served.
     """
     place = member.place
     tasks = len(member.local.tasks)

@@ -135,7 +135,7 @@ class RoutePlan:
 
     @property
     def cost(self) -> float:
-        """The first objective in m or s, with the penalties: the total if vehicles come first."""
+        """The first objective in m or s, with the penalties; the second if the first is vehicles."""
         return (
             self.values[1]
             if self.objective[0] == OBJECTIVE_NAMES.vehicles
@@ -146,7 +146,7 @@ class RoutePlan:
     def digest(self) -> str:
         """Hash that identifies the plan.
 
-        It is a hash of the hashes of the routes, so that it can be computed without the routes.
+        It is a hash of the hashes of the routes, so it can be computed without the routes themselves.
         """
         return combine_digests({route.robot: route.digest for route in self.routes})
 

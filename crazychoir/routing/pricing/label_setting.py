@@ -15,7 +15,10 @@ from crazychoir.types import Bools, Ints, Vec, Words
 
 @dataclass(frozen=True, eq=False)
 class FinalLabels:
-    """The labels with nothing on board, each extended to the end."""
+    """The labels with nothing on board, each extended to the end of its route.
+
+    A label is a partial route: its set of tasks, its last node, and its costs.
+    """
 
     picked: Words
     """(n, 2) words: the tasks served."""
@@ -36,10 +39,10 @@ class FinalLabels:
         return np.asarray(np.bitwise_count(self.picked).sum(axis=1), dtype=np.int64)
 
     def route(self, row: int, chosen: Ints, m: int) -> list[int]:
-        """Return the nodes of label `row`.
+        """Return the nodes of the route of a label, in the numbers of the whole problem.
 
         row: number of the label.
-        chosen: the tasks that the labels know, as tasks of the whole problem.
+        chosen: (k,): number, in the whole problem, of each of the k tasks of the labels.
         m: number of tasks of the whole problem.
         """
         nodes = []
@@ -60,12 +63,12 @@ class FinalLabels:
 def compute_final_labels(
     vehicle: Vehicle, most: int, objective: tuple[str, ...]
 ) -> FinalLabels:
-    """Return the routes of each set of the vehicle's tasks that no other route of it dominates.
+    """Return, for each set of tasks, the routes that no other route of the same set dominates.
 
     vehicle: the robot, with at most MOST_TASKS tasks.
-    most: labels, at most.
-    objective: what is minimised, in order.
-    Exact if `complete`.
+    most: largest number of labels.
+    objective: names of the objectives, the most important first.
+    The result is exact if `complete` is True.
     """
     if vehicle.timed or vehicle.trips > 1 or OBJECTIVE_NAMES.makespan in objective:
         return _label_by_fronts(vehicle, most, objective)

@@ -1,8 +1,8 @@
 """Share tasks by an auction of cheapest insertions, from any place and with any goods on board.
 
-Each robot bids, for each free task, the growth of its route. In each pass every robot with the best
-bid for some tasks takes the task that costs it least, so that a few passes suffice. Tasks that no
-robot can serve remain and are returned. Only bids are sent. The plan is not optimal, but
+For each free task, each robot bids the length by which its route would grow. In each pass, every
+robot that has the best bid for some tasks takes the cheapest of them, so that a few passes suffice.
+Tasks that no robot can serve are returned. Robots send only bids. The plan is not optimal, but
 takes only some tens of rounds.
 """
 
@@ -20,7 +20,11 @@ Nodes = tuple[int, ...]
 
 @dataclass
 class Insertion:
-    """Routes of one vehicle, as nodes without its start and its end; time windows are ignored."""
+    """Inserts tasks into routes of one vehicle, at the cheapest places. Time windows are ignored.
+
+    A route is a tuple of nodes, without the start and the end of the vehicle. With m tasks, node j
+    is the pickup of task j, and node m + j its delivery.
+    """
 
     vehicle: Vehicle
     """The robot."""
@@ -48,9 +52,10 @@ class Insertion:
         return found
 
     def cheapest(self, route: Nodes, j: int) -> tuple[float, Nodes] | None:
-        """Return the least growth in m with task j, and the route; None if it does not fit.
+        """Return the cheapest way to insert task j, as (growth in m, new route).
 
-        A task that is aboard from the start is only delivered.
+        Returns None if the task does not fit. A task that is on board at the start gets only a
+        delivery.
         """
         vehicle = self.vehicle
         m = self.vehicle.tasks
@@ -94,7 +99,7 @@ class Insertion:
         return extra, (*head, *route[a:b], m + j, *route[b:])
 
     def first(self) -> Nodes:
-        """Return the route that only delivers the goods aboard, whatever its length."""
+        """Return the route that only delivers the goods on board, even if it exceeds the limit."""
         route: Nodes = ()
         free = Insertion(_remove_limit(self.vehicle))
         for j in self.vehicle.aboard.nonzero()[0].tolist():
@@ -103,7 +108,7 @@ class Insertion:
         return route
 
     def improved(self, route: Nodes) -> Nodes:
-        """Re-insert each task at its cheapest place until nothing is gained; return the route."""
+        """Return the route after moving each task to its cheapest place until it gets no shorter."""
         m = self.vehicle.tasks
         free = Insertion(_remove_limit(self.vehicle))
         length = free.length(route)

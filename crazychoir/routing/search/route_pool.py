@@ -46,9 +46,10 @@ class RoutePool(NamedTuple):
 
 @kernel(_nrt=False)
 def store_route(fleet: Any, tours: Any, pool: Any, k: int, now: int) -> None:
-    """Store route k if it is new or cheaper than the stored one of the same tasks.
+    """Store route k if it is new, or cheaper than the stored route with the same tasks.
 
-    The oldest route makes room.
+    If all PROBED_PLACES places for it are taken, it replaces the route that was not seen for longest.
+    now: number of the present step
     """
     m = len(fleet.load)
     n = tours.stops[k]

@@ -166,8 +166,10 @@ def remove_strings(
 def empty_route(fleet: Any, tours: Any, step: Any, k: int) -> None:
     """Remove all tasks from route k.
 
-    This is needed because fewer stops can break a limit too: without the triangle inequality, if a
-    first trip has less room than the next, or if goods that were aboard stay there.
+    Used if a route that has lost some stops is infeasible. This can happen
+    - if distances do not satisfy the triangle inequality,
+    - if the first trip loses all its stops, and the next trip exceeds the limit of a first trip, or
+    - if goods that are on board at the start lose their delivery.
     """
     for j in range(len(fleet.load)):
         step.gone[j] = tours.at[j] == k
