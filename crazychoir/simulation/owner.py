@@ -27,7 +27,11 @@ class PoseSampler(Protocol):
     """Simulated cameras, which turn true states into poses."""
 
     def sample(self, x: Mat, k: int) -> list[Pose | None]:
-        """Return the poses that arrive at tick k, row by row; None where no pose arrives."""
+        """Return the pose of each drone that arrives at tick k; None where none arrives.
+
+        x: (n, 13), true states, one row a drone
+        k: number of the tick, one a step of the world
+        """
         ...
 
 
@@ -76,7 +80,7 @@ class WorldOwner(Actor):
     world: the simulated world
     cameras: the simulated cameras
     rate: Hz: frames of the cameras
-    trace: a hash of all states, None for no hash
+    trace: a hash to which all states are added; None for no hash
     base: the body of drone i uses the port base + i
     delay: steps by which commands are late
     """

@@ -93,15 +93,16 @@ _EMPTY_PAYLOAD = encode(None)
 
 
 class RemoteLink:
-    """The link to the body of a drone in another process, the owner of a world or of a radio dongle.
+    """The link from a pilot to its drone, if another process owns that drone (its "body").
 
-    Only the newest command counts and each tick of the pilot brings one, so none is resent. After a
-    cut, each tick sends the cut instead, so a lost message delays it by a tick. An owner that falls
-    silent may land the drone meanwhile, so no command is sent until the owner is heard again.
+    The owner of bodies is the process of a simulated world or of a radio dongle. Lost commands are
+    not resent, because each tick of the pilot sends a newer one. After the motors were cut, each
+    tick sends the cut instead. While the owner is silent it may land the drone, so no command is
+    sent until it is heard again.
 
     port: the port of the drone
-    owner: name of the owner for messages
-    gone: s: silence after which the owner counts as gone for good
+    owner: name of the owner, for messages
+    gone: s of silence after which the owner counts as gone for good
     """
 
     def __init__(

@@ -75,7 +75,7 @@ class TrajectoryStore:
         """Expand a compressed trajectory so that it can be flown; return 0 if it is ready.
 
         It can only be flown forwards with a timescale of 1; otherwise 8 is returned.
-        Chosen: at most TRAJECTORY_MEMORY.expanded_pieces pieces are flown.
+        Choice of this model: at most TRAJECTORY_MEMORY.expanded_pieces pieces are flown.
         """
         plan = self._record["planner"]
         if not 0 <= slot < TRAJECTORY_MEMORY.slot_count or not plan["packed"][slot][1]:

@@ -203,7 +203,7 @@ def control(fw: Record, sp: Record) -> None:
     """Make one pass at 500 Hz: write thrust 0..65535 and roll, pitch, yaw -32767..32767.
 
     A change of any mode, or no thrust, resets all PIDs.
-    Chosen: the position part runs at once after a change of mode.
+    Choice of this model: the position part runs at once after a change of mode.
     """
     key = encode_modes(sp)
     changed = key != fw.modes

@@ -1,7 +1,7 @@
 """Set-points: their priorities, their age, and the meaning of each kind.
 
-Angles in deg, rates in deg/s, thrust 0..65535, as packets carry them. The pitch is positive nose
-up, except in full states.
+Angles are in deg, rates in deg/s, and thrusts in 0..65535, as in the packets. A positive pitch means
+nose up, except in full-state set-points.
 """
 
 import math
@@ -268,7 +268,7 @@ def manual(
 ) -> bool:
     """Accept generic packet 11: roll, pitch (rates if `rate` is above 0), yaw rate, thrust.
 
-    Chosen: there is no thrust lock, and the sign of the yaw rate is not inverted.
+    Choice of this model: there is no thrust lock, and the sign of the yaw rate is not inverted.
     """
     fw = fleet[i]
     if not take_control(fw, int(priority)):

@@ -77,9 +77,9 @@ def control(fw: Record, sp: Record) -> None:
         e_R = 1/2 (Rd^T R - R^T Rd)^v,  e_w = w - R^T Rd w_d
 
     The integral of e_R is unbounded.
-    Chosen: w_d is the set-point's, as the planner computes it from its jerk; the feed-forward of
-        w_d's
-    derivative is left out; a commanded thrust is 65535 = 4 thrust_max.
+    Choices of this model, which may differ from the firmware: w_d is the body rate of the
+    set-point, which the planner computes from the jerk; there is no feed-forward of the derivative
+    of w_d; a thrust command of 65535 means 4 thrust_max.
     Source: Lee, Leok & McClamroch 2010, CDC; gains: controller_lee of the firmware.
     """
     m = fw.lee

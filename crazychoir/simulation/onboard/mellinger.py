@@ -66,11 +66,9 @@ def control(fw: Record, sp: Record) -> None:
         M = -kR e_R + kw (w_d - w) - ki_m int e_R + kd_omega d(w_d - w)/dt
 
     e_R = (Rd^T R - R^T Rd)^v, not halved. A thrust of 0 resets the integrals.
-    Chosen: modes other than position and full state act as their names say; w_d is the
-        set-point's,
-    not rotated.
-    Source: Mellinger & Kumar 2011, ICRA; gains and integrals: controller_mellinger of the
-        firmware.
+    Choices of this model, which may differ from the firmware: modes other than position and full
+    state act as their names say; w_d is the body rate of the set-point, not rotated.
+    Source: Mellinger & Kumar 2011, ICRA; gains and integrals: controller_mellinger of the firmware.
     """
     m = fw.mellinger
     axes, force = compute_wanted_attitude(fw, sp, _compute_mellinger_force(fw, sp))

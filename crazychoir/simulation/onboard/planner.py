@@ -190,11 +190,13 @@ def _move_to_start(fw: Record) -> None:
 def sample_plan(fw: Record) -> bool:
     """Write the flat output at this moment to planner.out; return False if the plan has ended.
 
-        x(t) = S + Rz(Y) (c((t - t0) / k) - c(0)),  v = x'/k, a = x''/k^2
-        reversed: c at the end minus t
+        x(t) = S + Rz(Y) (c(s) - c(s_0)),   v = dx/dt,   a = dv/dt
+        s = (t - t0) / k;  if the plan is reversed, s = (duration of c) - (t - t0) / k
 
+    c: the polynomials of the plan
+    t0: start of the plan, s; there s = s_0
     k: time scale
-    S, Y: position and heading at the start of a relative trajectory, else those of c itself
+    S, Y: for a relative trajectory, the position of its start, and its turn about z; else those of c
     """
     plan = fw.planner
     t = _read_uptime(fw) - plan.begin
@@ -371,7 +373,7 @@ def _start_plan(fw: Record, state: int) -> None:
 def _begin_plan(fw: Record, state: int, piece: Single) -> int:
     """Begin a plan of one piece.
 
-    Chosen: return 1 if no drone can follow it; the plan before then continues.
+    Choice of this model: return 1 if no drone can follow it; the plan before then continues.
     """
     t = read_duration(piece)
     if not (
@@ -666,13 +668,15 @@ def start_trajectory(
     relative_yaw: float,
     backwards: float,
 ) -> int:
-    """Fly an uploaded trajectory; return 8 if there is none.
+    """Fly an uploaded trajectory; return an answer of PLANNER_ANSWERS, 8 if there is none.
 
-    Chosen: return 1 if no drone can follow it.
-    timescale: 2 takes twice the time
-    relative: above 0 to shift it to the present set-point
-    relative_yaw: above 0 to turn it to the present heading about its start (chosen)
-    backwards: above 0 to fly it from its end to its start
+    Choices of this model: it returns 1 if no drone can follow the trajectory, and turns a relative
+    trajectory about its start.
+    slot: number of the trajectory
+    timescale: factor on the duration; 2 takes twice the time
+    relative: above 0 to shift the start to the present set-point
+    relative_yaw: above 0 to turn the start to the present heading
+    backwards: above 0 to fly from the end to the start
     """
     fw = fleet[i]
     plan = fw.planner

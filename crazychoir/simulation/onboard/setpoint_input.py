@@ -110,12 +110,15 @@ class SetpointInput:
         z: float,
         priority: int = SETPOINT_PRIORITIES.crtp,
     ) -> bool:
-        """Give a set-point of horizontal velocity along the heading, yaw rate and height.
+        """Give a set-point of horizontal velocity in the axes of the heading, yaw rate and height.
 
         ahead: m/s, along the heading
         left: m/s, to the left of the heading
         yaw_rate: rad/s
         z: m, world
+        priority: priority of the sender, from SETPOINT_PRIORITIES
+        Returns False if the set-point is refused: a number is not finite, or a sender with a higher
+        priority is in control.
         """
         ok = math.isfinite(ahead + left + yaw_rate + z)
         return ok and bool(

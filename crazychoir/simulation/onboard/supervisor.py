@@ -57,7 +57,7 @@ STATE_NAMES = (
 
 
 class SupervisorLimits(NamedTuple):
-    """Times and accelerations at which the supervisor changes its mind about a drone."""
+    """Times and accelerations at which the supervisor changes the state of a drone."""
 
     level_out_time: int = 500
     """ms without a set-point before a flying drone levels out."""
@@ -185,13 +185,14 @@ def _update_after_landing(fw: Record, waited: int) -> None:
 
 @kernel()
 def update(fw: Record) -> None:
-    """Update the supervisor at 25 Hz: at most one change of state.
+    """Update the supervisor, at most one change of state. Call it at 25 Hz.
 
-    Chosen: a flying drone with resting motors has landed, also under level-out. After landing a
-        new
-    take-off is allowed for landedTimeout. Free fall becomes locked at the next pass; both cut the
-    motors, and no source of set-points is in control then. The speeds of the motors are not
-    checked, so arming succeeds at its next pass.
+    Choices of this model, which may differ from the firmware:
+    - A drone counts as landed when its motors have been at idle for 2 s, also while it levels out.
+    - After a landing, motors stay allowed for landed_timeout ms, for another take-off.
+    - Free fall lasts one pass. Then the drone is locked. Both states keep the motors off, and free
+      fall takes control from all sources of set-points.
+    - Arming always succeeds at the next pass, because motor speeds are not checked.
     """
     _see_tumbling(fw)
     _see_flying(fw)
