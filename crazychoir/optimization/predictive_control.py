@@ -265,15 +265,15 @@ class SequentialMPC:
 
         |y_i - y_j| <= reach  at all steps of all plans, i and j neighbours
 
-    In step k a robot solves once it knows the decisions of its lower neighbours in step k and of
-    its higher neighbours in step k - 1. The plans of the higher neighbours continue unchanged until
-    these decide. So a plan that changes always fits plans that do not change.
-    If the news comes too late, or the problem is infeasible, the robot continues with its last
-    plan, which all neighbours know. If plans end in a set that K keeps (for example Z x = 0 with
-    K = 0), that always fits, whatever is lost. A robot never waits. Messages may come late, twice
-    or never.
-    If nothing fits, because a robot was pushed away, the plan exceeds the reach as little as
-    possible.
+    In step k a robot solves once it knows the plans of its neighbours: for those with lower ids the
+    plans of step k, and for those with higher ids the plans of step k - 1, which they keep until
+    they decide themselves. Therefore only one of two neighbours changes its plan at a time.
+    If a message comes too late, or the problem is infeasible, the robot continues with its last
+    plan, which all neighbours know. This stays feasible, whatever messages are lost, if each plan
+    ends in a set that the feedback K does not leave (for example Z x = 0 with K = 0). A robot never
+    waits. Messages may come late, twice or never.
+    If no plan is feasible, because a robot was pushed away, the plan exceeds the reach as little
+    as possible.
     Source: Richards & How 2007, "Robust distributed model predictive control", Int. Journal of
     Control 80(9).
     """
@@ -303,7 +303,7 @@ class SequentialMPC:
 
     @property
     def u(self) -> Vec:
-        """(m,) the input of step k, as far as it is decided now."""
+        """(m,) the input of step k by the current plan, which may still change."""
         first: Vec = self.inputs[0]
         return first
 
@@ -312,7 +312,7 @@ class SequentialMPC:
         return [self._k, self._y]
 
     def step(self, heard: Mapping[int, Any]) -> None:
-        """Take the messages of the neighbours, and decide if they are enough."""
+        """Store the messages of the neighbours, and solve step k if it needs no more of them."""
         check_parts(self.i, self.k, heard, INTEGER_TYPES, np.ndarray)
         for j, (k, y) in heard.items():
             if y.shape != self._y.shape:

@@ -1,6 +1,6 @@
-"""Running averages.
+"""Running averages of iterates.
 
-They are primal feasible, or converge, where the iterates do not.
+For some algorithms the averages become primal feasible, or converge, but the iterates do not.
 """
 
 from crazychoir.errors import ConfigError

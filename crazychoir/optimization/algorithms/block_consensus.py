@@ -63,9 +63,9 @@ class BlockConsensus(Mixing):
         self._changed: int | None = None
 
     def payload(self) -> Any:
-        """Return [l, x_i[l]], the block that has changed.
+        """Return [l, x_i[l]], the block that has changed; None if the agent slept.
 
-        In the first round return all of x, and None if the agent slept.
+        In the first round, return all of x.
         """
         if self.k == 0:
             return self.x
@@ -88,11 +88,15 @@ class BlockConsensus(Mixing):
             self.x = x
 
     def changed(self, row: Row, part: slice) -> Vec:
-        """Return the new block of x."""
+        """Return the new block of x.
+
+        row: the weights w_ij of this round
+        part: slice of x that is the block
+        """
         return self.mixed(row, part)
 
     def mixed(self, row: Row, part: slice) -> Vec:
-        """Return sum_j w_ij x_j|i, this part of it."""
+        """Return the entries `part` of sum_j w_ij x_j|i."""
         mixed = row[self.i] * self.x[part]
         for j in self._known:
             mixed += row[j] * self._known[j][part]

@@ -46,7 +46,11 @@ class BlockSubgradientMethod(BlockConsensus):
         self.step_size = step_size(step)
 
     def changed(self, row: Row, part: slice) -> Vec:
-        """Return the block, averaged and moved along the negative gradient."""
+        """Return P_X(v_i - a_k g_i(v_i))[l], the new block.
+
+        row: the weights w_ij of this round
+        part: slice of x that is block l
+        """
         v = self.mixed(row, slice(None))
         moved = v - self.step_size(self.k) * self.gradient(self.k, v)
         return self.project(self.k, moved)[part]

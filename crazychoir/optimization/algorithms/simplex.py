@@ -56,18 +56,27 @@ class BasisExchange:
 
     DistributedSimplex and other algorithms are built on it.
 
-    B_i starts as the identity, of artificial columns. The optimum only falls, and equal optima are the same basis, so
-    that after finitely many rounds all bases are the one of all columns. A column that may grow for ever while the
-    cost falls tells that there is no least cost; from then on c counts as 0 everywhere, and what is left to find out is
-    whether there is a feasible point.
-    Where two numbers are so close that agents judge them differently, two bases may each be the best at an agent. When
-    a basis comes back, or when neighbours still hold different bases long after the last change, all agents stop
-    pivoting, and keep the least basis that they hear of, in an order that depends on the bases alone (_rank).
-    A failure at one agent (a singular basis, pivots without an end) spreads in the same way, and is raised by all.
-    entries: (m, n_i), c: (n_i,), b: (m,) the same at all;  first: (n_i,) >= 0, a cost that comes before c, or None.
-    common: columns that all agents know from the start, own ones among them, for a b >= 0.
-    Data travel as they are, and what an agent computes of a basis depends on the basis alone: the agents agree bit by
-    bit, in whatever units rows and columns are.
+    The basis B_i of an agent starts as the identity, of artificial columns. Its cost never rises, and
+    bases with equal (lexicographic) cost are equal. Therefore, after finitely many rounds, all agents
+    hold the optimal basis of all columns.
+    A column that may grow for ever while the cost falls shows that the program is unbounded. From then
+    on all agents set c to 0, to find out whether there is a feasible point.
+    If two numbers are so close that rounding decides, agents may prefer different bases. If a basis
+    returns, or neighbours still hold different bases long after the last change, all agents stop
+    pivoting. They keep the least basis that they hear of, in an order that depends only on the bases
+    (_rank).
+    A failure at one agent (a singular basis, pivots without an end) spreads in the same way, and all
+    agents raise it.
+    Numbers are sent unchanged, and what an agent computes from a basis depends only on the basis.
+    Therefore all agents have the same numbers bit by bit, in any units of rows and columns.
+
+    agent: id of this agent
+    c: (n_i,), costs of its columns
+    entries: (m, n_i), its columns
+    b: (m,), the same at all agents
+    diameter: D, rounds until a message of any agent has reached all
+    first: (n_i,) >= 0, a cost that comes before c, or None
+    common: columns that all agents know from the start, own ones included; needs b >= 0
     """
 
     def __init__(
@@ -323,16 +332,23 @@ class DistributedSimplex(Program[LinearSolution]):
 
         min  sum_i c_i'x_i   s.t.  sum_i A_i x_i = b,  x_i >= 0
 
-    Every round an agent sends its basis, m columns, to its neighbours, and keeps the lexicographically optimal basis
-    of what it has and hears; there is no step size. All agents end in the same round, when no agent has changed
-    for 2 D + 1 rounds.
-    c: (n_i,), A: (m, n_i), own columns, n_i may be 0;  b: (m,), the same at all;  diameter: D, rounds in which a
-    message of each agent reaches all: of a (directed) graph its diameter, of a graph sequence the longest such time.
-    Raises ConfigError for data that do not fit, and SolverError, in the last round at every agent: infeasible, with
-    the rows that remain; unbounded, with a column that may grow for ever; or what double precision cannot tell.
-    Rows and columns may have any units: each number is judged by its own terms, none by the largest of the program.
-    A row that is the same as a sum of others up to 1e-9 of its terms counts as that sum, so data may be rounded.
-    A basis that is nearly singular, up to LEAST_DISTINCTNESS (1e-6) of its terms, is refused by all agents.
+    In each round an agent sends its basis, m columns, to its neighbours. It keeps the lexicographically
+    optimal basis of its own columns, its basis and those that it hears. There is no step size. All
+    agents end in the same round, after no agent has changed its basis for 2 D + 1 rounds.
+
+    agent: id of this agent
+    c: (n_i,), costs of its columns; n_i may be 0
+    A: (m, n_i), its columns
+    b: (m,), the same at all agents
+    diameter: D, rounds until a message of any agent has reached all: the diameter of a (directed)
+        graph, or the longest such time in a graph sequence
+    Raises ConfigError for data that do not fit.
+    Raises SolverError at every agent, in the last round: infeasible, with the rows that remain;
+    unbounded, with a column that may grow for ever; or undecidable in double precision.
+
+    Rows and columns may have any units, because each number is compared only with its own terms. A
+    row that equals a sum of others up to 1e-9 of its terms counts as this sum, so data may be
+    rounded. All agents refuse a basis that is singular up to LEAST_DISTINCTNESS (1e-6) of its terms.
     Source: Buerger, Notarstefano, Bullo & Allgoewer 2012, Automatica 48, 2298-2304.
     """
 

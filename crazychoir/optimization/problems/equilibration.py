@@ -20,8 +20,9 @@ EVEN_DIGIT_RANGE = 12.0
 def remove_rounding(value: Mat, terms: Mat, share: float = SUM_ROUNDING) -> Mat:
     """Return `value` with zeros where it is a rounding error.
 
-    value: sums;  terms: the sums of the absolute values of their terms, of the same shape;  share: of the terms, below
-    which a sum counts as zero.
+    value: sums of terms
+    terms: sums of the absolute values of the same terms, of the same shape
+    share: a sum of at most this share of `terms` counts as zero
     """
     return np.where(np.abs(value) <= share * terms, 0.0, value)
 

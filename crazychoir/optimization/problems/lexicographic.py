@@ -118,11 +118,10 @@ def unite_columns(parts: list[ProgramColumns]) -> ProgramColumns:
 
 @dataclass(frozen=True, eq=False)
 class OptimalBasis:
-    """An optimal basis B of the given columns, or the end of a ray.
+    """An optimal basis B of the given columns, or the basis at which a ray without end was found.
 
-    columns: (m of them), B, in increasing order of id;  b: (m,);  inverse: (m, m), B^-1;  level: (m,) their values
-    x_B, zero where no row can tell;  ray: id of a column that may grow for ever while c'x falls, or None.
-    All depend on B and b alone, bit by bit, so that agents with the same basis have the same numbers.
+    All fields depend on B and b alone, bit by bit, so that agents with the same basis have the same
+    numbers.
     """
 
     columns: ProgramColumns
@@ -132,7 +131,7 @@ class OptimalBasis:
     inverse: Mat
     """(m, m) B^-1."""
     level: Vec
-    """(m,) values x_B of the basic variables."""
+    """(m,) values x_B of the basic variables; zero where it may be a rounding error."""
     ray: tuple[int, int] | None = None
     """Id of a column that may grow for ever while c'x falls, or None."""
 
@@ -252,9 +251,11 @@ def _compute_shares(B: Mat, level: Vec, b: Vec) -> Vec:
 
 
 def price_columns(cost: Mat, basic: Mat, expressed: Mat) -> Mat:
-    """Return (2, n) cost - basic B^-1 A.
+    """Return the reduced costs (2, n), cost - basic B^-1 A.
 
-    cost: (2, n);  basic: (2, m) the costs of the basic columns;  expressed: (m, n) B^-1 A.
+    cost: (2, n)
+    basic: (2, m), costs of the basic columns
+    expressed: (m, n), B^-1 A
     """
     terms = np.abs(cost) + np.abs(basic) @ np.abs(expressed)
     return remove_rounding(cost - basic @ expressed, terms, SAME_NUMBER_TOLERANCE)

@@ -91,9 +91,10 @@ class AffineHull:
     """The affine set {x in R^n : E x = e}, for many right-hand sides e.
 
     It provides the directions of the set, a point in it, and the verdict whether it is empty.
-    Every row r outside a basis of rows i depends on the basis:
+    Some independent rows are the basis. Every other row r is a combination of rows i of the basis,
+    so the set is empty unless e is the same combination:
 
-        E_r = sum_i c_ri E_i,   so that  e_r = sum_i c_ri e_i  is needed
+        E_r = sum_i c_ri E_i,   e_r = sum_i c_ri e_i
 
     E: (l, n), rows of length one or zero
     least: singular values below this count as zero, relative to the largest
@@ -133,16 +134,16 @@ class AffineHull:
         )
 
     def point(self, e: Vec) -> Vec:
-        """Return the point x_0 (n,) that meets the rows of the basis.
-
-        Each row is met up to the rounding of its own terms.
-        """
+        """Return the shortest x (n,) that meets the rows of the basis, up to rounding."""
         x = self.lift @ e
         refined: Vec = x + self.lift @ (e - self.E @ x)
         return refined
 
     def sizes(self, x: Vec, e: Vec) -> Vec:
-        """Return the size (l,) of the terms of each row at x (n,)."""
+        """Return |E| |x| + |e| (l,): how large the terms of each row are at x (n,).
+
+        Rounding errors of E x - e are judged relative to it.
+        """
         found: Vec = np.abs(self.E) @ np.abs(x) + np.abs(e)
         return found
 
@@ -166,8 +167,8 @@ class AffineHull:
 
         x: (n,), a point that meets the rows of the basis
 
-        The reason is "infeasible", or DOUBTFUL_STATUS if the rows are not quite dependent and a point very
-        far away meets all of them.
+        The reason is "infeasible", or DOUBTFUL_STATUS if the rows are nearly dependent, and only a
+        point very far away meets all of them.
         """
         if not len(self.others) or not self.gaps(x, e).any():
             return ""

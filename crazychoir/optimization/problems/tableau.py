@@ -187,7 +187,10 @@ def drop_negligible(value: Mat, factor: Mat, size: Mat, share: float) -> None:
 
         x_ij <- 0   where |B_ki x_ij| <= share S_kj for all k
 
-    value: (m, n) x;  factor: (m, m) B;  size: (m, n) S, the sizes of the terms of the sums added up.
+    value: (m, n), x
+    factor: (m, m), B
+    size: (m, n), S, the sums of the absolute values of the terms
+    share: share of S up to which a term is negligible
     """
     m, n = value.shape
     for i in range(m):

@@ -128,7 +128,7 @@ def require_heard(i: int, row: Row, heard: Mapping[int, Any]) -> None:
 class Mixing(Iteration):
     """An algorithm that averages with its neighbours; a subclass writes `payload` and `mix_in`.
 
-    Each agent checks that its row sums to one when the agent is made.
+    Each agent checks at construction that its row sums to one.
     With `doubly_stochastic` the graph must be undirected. In the first round of each row, w_ij
     travels from i to j with the message, and each agent checks that its column sums to one. Wrong
     weights end the algorithm at all agents, with an error that names the column.
@@ -153,11 +153,15 @@ class Mixing(Iteration):
 
     @abstractmethod
     def payload(self) -> Any:
-        """Return the content of this round's message, without weights."""
+        """Return the content of this round's message. `message` adds the weights."""
 
     @abstractmethod
     def mix_in(self, row: Row, heard: Mapping[int, Any]) -> None:
-        """Compute the equation of round k with the weights and the payloads of the neighbours."""
+        """Update the agent in round k.
+
+        row: its weights w_ij
+        heard: payload of each neighbour
+        """
 
     def message(self) -> Any:
         """Return the payload; in the first round of a row, send [w_ij, payload] to each j."""
@@ -202,7 +206,7 @@ def columns(
 ) -> dict[int, tuple[Row, ...]]:
     """Return the columns {i: w_ij} of each agent j by a rule of graph.py.
 
-    They say how much agent j gives to each agent that hears it, and how much it keeps.
+    They say which share agent j gives to each agent that hears it, and which share it keeps.
     """
     graphs = graph.graphs if isinstance(graph, GraphSequence) else (graph,)
     weights = [rule(each) for each in graphs]

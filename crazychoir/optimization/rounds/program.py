@@ -39,7 +39,7 @@ class Program(Generic[T]):
         return self._message
 
     def step(self, heard: Mapping[int, Any]) -> None:
-        """Take the messages of the neighbours in this round."""
+        """End this round with the messages of the neighbours, and run up to the next message."""
         self.k += 1
         self._advance({j: heard[j] for j in sorted(heard)})
 
