@@ -54,7 +54,10 @@ def doctor(
 
 
 def check_machine(sys_folder: Path = Path("/sys")) -> list[CheckResult]:
-    """Return the checks that do not depend on a swarm; sys_folder: for tests."""
+    """Return the checks that do not depend on a swarm.
+
+    sys_folder: the folder /sys; another one in tests
+    """
     from crazychoir.cli.setup import host_checks, host_facts
 
     needed = host_facts.required_packages()
@@ -74,8 +77,8 @@ def check_machine(sys_folder: Path = Path("/sys")) -> list[CheckResult]:
 def check_swarm(swarm: str | None, host: str | None) -> list[CheckResult]:
     """Return the checks of what the swarm file needs on this host.
 
-    swarm: path of the swarm file, None to search it
-    host: name of this host in [hosts], None to find it by its addresses
+    swarm: path of the swarm file; None for ./swarm.toml, else the demo swarm
+    host: name of this host in [hosts]; None to find it by its addresses
     """
     from crazychoir.config.swarm_config import find_swarm
     from crazychoir.errors import ConfigError

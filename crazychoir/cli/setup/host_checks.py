@@ -226,12 +226,12 @@ def check_other_host(
 
 
 def check_host_keys(host: str, fault: str, do: str, days: float) -> CheckResult:
-    """Check the keys of a host.
+    """Check the TLS keys of a host.
 
     host: its name
-    fault: what is wrong with its folder, empty if nothing is
-    do: how to repair that
-    days: days until its certificate ends
+    fault: what is wrong with its folder of keys; empty if nothing is
+    do: how to repair the fault
+    days: days until its certificate expires
     """
     what = f"keys of {host}"
     if fault:
@@ -354,7 +354,11 @@ def check_memory(free_mb: float, processes: int) -> CheckResult:
 
 
 def check_disk(free_mb: float, folder: str) -> CheckResult:
-    """Check the disk; free_mb: MB that are free in the folder of recordings."""
+    """Check the space on the disk.
+
+    free_mb: MB that are free
+    folder: the folder of recordings
+    """
     state: State = "ok" if free_mb >= HOST_REQUIREMENTS.disk_space else "warning"
     return CheckResult(
         "disk",
@@ -365,7 +369,10 @@ def check_disk(free_mb: float, folder: str) -> CheckResult:
 
 
 def check_open_files(limit: int) -> CheckResult:
-    """Check the limit of open files of a process."""
+    """Check the limit of open files.
+
+    limit: number of files that a process may have open
+    """
     state: State = "ok" if limit >= HOST_REQUIREMENTS.open_files else "warning"
     return CheckResult(
         "open files",
@@ -376,7 +383,10 @@ def check_open_files(limit: int) -> CheckResult:
 
 
 def check_wake_ups(late_ms: float) -> CheckResult:
-    """Check the delay of wake-ups; late_ms: ms: the worst delay of several."""
+    """Check how late the operating system wakes a process.
+
+    late_ms: ms: the largest delay of several wake-ups
+    """
     if late_ms <= HOST_REQUIREMENTS.wake_up_delay:
         return CheckResult("timer", "ok", f"wakes at most {late_ms:.2f} ms late")
     return CheckResult(

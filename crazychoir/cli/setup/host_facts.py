@@ -125,10 +125,10 @@ def port_holder(port: int, proc: Path = PROC_FOLDER) -> str:
 def connect_to_host(
     address: str, port: int, deadline: float = OTHER_HOST_TIMEOUT
 ) -> str:
-    """Return the answer of another host to a connection.
+    """Try a TCP connection to another host, and return the result.
 
-    This is "connected", "refused" (the host is there, but no process listens), or the reason for
-    no answer.
+    Returns "connected", "refused" (the host answers, but no process listens at the port), or the
+    reason why the host does not answer.
     deadline: s
     """
     try:
@@ -230,7 +230,11 @@ def open_file_limit() -> int:
 
 
 def wake_up_delay_ms(times: int = 50, period: float = 0.01) -> float:
-    """Return the delay of the latest of some wake-ups of our clock, in ms; period: s."""
+    """Return the largest delay of several wake-ups of the package's clock, in ms.
+
+    times: number of wake-ups
+    period: s between two of them
+    """
     from crazychoir.runtime.clock import Clock, run_wall
 
     async def main(clock: Clock) -> float:

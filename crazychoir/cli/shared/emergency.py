@@ -1,4 +1,8 @@
-"""The emergency stop of an operator: stops agents and bodies at once and reports the progress."""
+"""The emergency stop of an operator: stops agents and bodies at once and reports the progress.
+
+A body is the drone itself, simulated or real. The process that owns it (the world, or a radio
+dongle) obeys for it.
+"""
 
 import asyncio
 import logging
@@ -43,12 +47,15 @@ class StopWindow(Protocol):
 class EmergencyStop:
     """Sends an emergency stop, or its clearing, to the agents of some drones and to their bodies.
 
-    The bodies are reached at the owner of the world or of the radios. The stop ends
+    The stop ends
     - when all have obeyed, or
-    - NEXT_PROCESS_TIMEOUT s after the last agent was found and the last body has obeyed, or
-    - after the patience of its place, while no agent and no body has been found.
+    - NEXT_PROCESS_TIMEOUT s after the last agent was found or the last body has obeyed, or
+    - after `place.patience` s, if no agent was found and no body has obeyed.
     An agent that was found gets OBEY_TIMEOUT s, unless its body has obeyed.
 
+    place: the observer's connection to the swarm
+    meant: ids of the drones
+    clear: True to clear an earlier stop
     alone: as in Commander.emergency_stop
     """
 
@@ -67,9 +74,9 @@ class EmergencyStop:
         self._waited = False
 
     async def run(self) -> dict[int, tuple[bool, str]]:
-        """Return for each drone whether it has obeyed, and a text with what is known.
+        """Send the stop until it ends; return for each drone whether it has obeyed, and a text.
 
-        Raises Refused if no agent and no body was found.
+        Raises Refused if no agent was found and no body has obeyed.
         """
         place = self.place
         targets = [*self.meant, *(PORT_ADDRESSES.body_offset + i for i in self.owned)]

@@ -268,9 +268,10 @@ class Window:
         ask: Callable[[int], Awaitable[tuple[bool, Any]]],
         drones: Iterable[int] | None = None,
     ) -> Answers:
-        """Ask all drones at once, each as soon as it is found.
+        """Ask all drones at once, each as soon as it is found: an absent drone delays no other.
 
-        So an absent drone delays no other.
+        ask: sends the request to one drone, and returns whether it was obeyed, and its answer
+        drones: ids of the drones; None for all
         """
         self._require_operator()
         await self.wait_for_drone()
@@ -291,7 +292,11 @@ class Window:
 
 
 def observe_swarm(swarm: str | None, work: Work) -> Any:
-    """Join the swarm as an observer, do the work and leave; return the result of the work."""
+    """Join a running swarm as an observer, do the work, leave, and return the result of the work.
+
+    swarm: path of the swarm file; None as in `running_swarm`
+    work: coroutine function that gets the `Window` on the swarm
+    """
 
     async def main(clock: Clock) -> Any:
         config = running_swarm(swarm)

@@ -84,9 +84,8 @@ def runs_here(config: SwarmConfig) -> bool:
 def first_process_timeout(config: SwarmConfig) -> float:
     """Return the seconds within which the first process of this swarm must be found.
 
-    The time is longer while a run on this machine starts the swarm. It is 0 if all endpoints are
-    on this machine and none is open. If some are on other machines, the swarm may be there all the
-    same.
+    The time is longer if a run on this machine has this swarm, because it may still be starting. It
+    is 0 if all endpoints are on this machine and no process listens at any of them.
     """
     if runs_here(config):
         return SWARM_SEARCH.start_timeout
