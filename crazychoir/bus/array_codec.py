@@ -1,4 +1,4 @@
-"""Encodes arrays, and wire types made of one: the bodies of the codec that are not msgpack.
+"""Encodes arrays, and wire types that consist of arrays and floats, without msgpack.
 
 Numbers are little endian and begin at a multiple of 8 bytes. Therefore an array that is read from a
 payload is an aligned, read-only view of it.
@@ -124,10 +124,15 @@ def decode_array(payload: Payload) -> Any:
 def flat_layout(
     cls: type[WireType], tag: int, size: int, more: int = 0
 ) -> tuple[Encode, Decode]:
-    """Return the codec of a wire type of one (size,) vector, then
-    floats, then a (more,) vector if more is not 0.
+    """Return the functions that encode and decode a wire type with one or two vectors.
 
-    Its payload is a head (8 bytes), the floats, and the vectors.
+    The fields of the type are a vector, then any number of floats, then perhaps a second vector. The
+    payload is a head (8 bytes), the floats, and the vectors.
+
+    cls: the wire type
+    tag: first byte of the payload
+    size: length of the first vector
+    more: length of the second vector; 0 if there is none
     """
     if more:
         return _flat_layout_of_two(cls, tag, size, more)

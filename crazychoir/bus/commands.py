@@ -219,10 +219,11 @@ class Commander:
 
 
 class CommandServer:
-    """The executing side, at one drone.
+    """Executes the commands that arrive at one drone, and answers them.
 
-    A repeated request gets its former answer; it is not executed again. After its answer is
-    forgotten it is refused: the numbers of an issuer's incarnation only increase.
+    A repeated request gets the stored answer of the first; it is not executed again. If that answer
+    is no longer stored, the repetition is refused. Its low number shows that it is old: the numbers
+    of an issuer increase until the issuer restarts.
     execute: executes a command
     on_stop: called with True for a stop, False for a clear
     """

@@ -1,4 +1,7 @@
-"""The settings of the simulated network: effects on edges, partitions, and changes of both."""
+"""The settings of the simulated network: effects on edges, partitions, and changes of both.
+
+An edge is a pair of drones that exchange messages; a directed edge is one direction of it.
+"""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -65,9 +68,9 @@ class ImpairmentRule:
     """
 
     effects: Mapping[str, float] = field(default_factory=dict)
-    """{name of a field of Link: value}."""
+    """{name of a field of EdgeEffects: value}."""
     drone: int | None = None
-    """The drone, or None."""
+    """The drone to and from which the effects apply, or None."""
     edge: tuple[int, int] | None = None
     """The edge (source, destination), or None."""
     directed: bool = False
@@ -101,7 +104,7 @@ class ImpairmentRule:
         return (self.drone, edge, self.directed)
 
     def covers(self, source: int, destination: int) -> bool:
-        """Return True if this rule is on that edge."""
+        """Return True if this rule applies to messages from `source` to `destination`."""
         if self.drone is not None:
             return self.drone in (source, destination)
         if self.edge is None or self.edge == (source, destination):
@@ -109,7 +112,7 @@ class ImpairmentRule:
         return not self.directed and self.edge == (destination, source)
 
     def describe(self) -> dict[str, Any]:
-        """Return the rule in the terms of `Impairment.update`."""
+        """Return the rule as the keyword arguments of `Impairment.update`."""
         scope = {
             "drone": self.drone,
             "edge": self.edge,

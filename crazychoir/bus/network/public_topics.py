@@ -1,5 +1,6 @@
-"""JSON copies of public topics at a lower rate, for other Zenoh
-programs, under choir/<swarm>/drone/<id>/<topic>.
+"""Publish the public topics of the drones as JSON, at a lower rate, for other Zenoh programs.
+
+The keys are choir/<swarm>/drone/<id>/<topic>.
 """
 
 from typing import Any, Protocol
@@ -15,17 +16,17 @@ from crazychoir.runtime.mailbox import Latest
 
 
 class Announcer(Protocol):
-    """The part of the link that the public copies need."""
+    """The part of a network link that `PublicCopies` needs."""
 
     bus: Bus
     """Bus of the process."""
 
     def announce(self, drone: int, topic: str, text: bytes) -> None:
-        """Put a text under the drone's public key."""
+        """Publish a text under choir/<swarm>/drone/<drone>/<topic>."""
 
 
 class PublicCopies(Actor):
-    """The public topics of one drone."""
+    """Publishes JSON copies of the public topics of one drone."""
 
     name = "public"
 
@@ -42,7 +43,7 @@ class PublicCopies(Actor):
                 link.bus.subscribe(topic, drone, drone, box)
 
     async def run(self) -> None:
-        """Put new values at the public rate of each topic."""
+        """Publish new values at the public rate of each topic."""
         fastest = max(topic.public for topic in self._boxes)
         sent = dict.fromkeys(self._boxes, 0)
         tick = 0
@@ -62,7 +63,7 @@ class PublicCopies(Actor):
 def fields_by_name(value: msgspec.Struct) -> dict[str, Any]:
     """Return the fields of a wire type by name, with a flat vector divided into its parts.
 
-    The vector stays whole if its parts have no names, or not all of them.
+    The vector is not divided if some of its elements belong to no named part.
     """
     fields = msgspec.structs.asdict(value)
     if "flat" not in fields:
