@@ -235,7 +235,15 @@ def ring_swarm(
 
 
 class WindowMeter(Actor):
-    """Measures the windows as soon as all drones fly the law."""
+    """Measures wall time and processor time of a simulated flight, in equal windows of virtual time.
+
+    It begins SPEED_BENCH.settling_time s after all drones but the leaders fly the mission's law.
+
+    agent: the agent with all drones
+    window: length of a window, s of virtual time
+    watch: called with True before the first window, and with False after the last
+    windows: (wall time s, processor time s) of each window
+    """
 
     name = "meter"
 
@@ -248,7 +256,7 @@ class WindowMeter(Actor):
         self.windows: list[tuple[float, float]] = []
 
     async def run(self) -> None:
-        """Wait for the law, then read the machine's clocks every `window` s of virtual time."""
+        """Wait until the law is flown, then measure the windows."""
         clock = self.agent.clock
         while not self._flying():
             await clock.sleep(0.1)

@@ -1,9 +1,10 @@
 """crazychoir bench latency: delay of the control tick beside a solver, and from pose to command.
 
-Both are measured in one process in real time. The delay of a tick is its start minus its due
-time. `added_p99_ms` is the p99 while solving minus the p99 without, from blocks that alternate
-in this run. The time from pose to command begins when the pose is in the pilot's mailbox and
-ends when the command is on the link, with all drones of the process hovering.
+Both are measured in one process in real time. A block is one measurement without a pause. The delay
+of a tick is its start minus its due time. `added_p99_ms` is the p99 while solving minus the p99
+without, from blocks that alternate in this run. The time from pose to command begins when the pose
+is in the pilot's mailbox and ends when the command is on the link, with all drones of the process
+hovering.
 """
 
 import asyncio
@@ -45,7 +46,7 @@ BLOCK_WARM_UP = 0.3
 
 @dataclass(frozen=True)
 class Lateness:
-    """The delays of one row."""
+    """The delays of one kind of measurement, which is one row of the table."""
 
     name: str
     """Name of the row."""
@@ -139,7 +140,7 @@ def added_p99_ms(alone: Lateness, solving: Lateness) -> float:
 
 
 class StopwatchLink:
-    """A link that notes the age of the newest poses when it sends a command.
+    """A link that stores the age of the newest poses when it sends a command.
 
     pilot: pilot of the drone
     owner: owner of the world, which says when the cameras last saw all drones
@@ -164,7 +165,7 @@ class StopwatchLink:
 
 
 class HoldLaw(CFDistributedFeedback):
-    """A law that holds its place, with the cost of hearing two neighbours.
+    """A law that holds the drone in place. It receives the neighbours' states, but does not use them.
 
     u = kp (p_0 - p) - kv v
     """
@@ -180,7 +181,10 @@ class HoldLaw(CFDistributedFeedback):
 
 
 class HoldMission:
-    """A mission of the Hold law."""
+    """A mission in which every drone flies HoldLaw.
+
+    seconds: duration of the law
+    """
 
     def __init__(self, seconds: float) -> None:
         self.seconds = seconds
@@ -191,9 +195,9 @@ class HoldMission:
 
 
 def pose_to_command(drones: int, seconds: float) -> Lateness:
-    """Measure with all drones hovering in one process, each with a law at 100 Hz.
+    """Measure the time from pose to command while all drones hover in one process.
 
-    The law hears the states of its neighbours.
+    Each drone flies HoldLaw at 100 Hz.
     """
     elapsed_ns: list[int] = []
     mission = cast(Mission, HoldMission(seconds))
@@ -216,10 +220,16 @@ def pose_to_command(drones: int, seconds: float) -> Lateness:
 def measure(
     instance: Instance, drones: int, seconds: float, repeats: int
 ) -> dict[str, Any]:
-    """Alternate the blocks.
+    """Measure the delay of the control tick without and with a solver, and from pose to command.
 
-    Returns the medians, over `repeats` blocks, of what solving adds and of the time from pose to
-    command.
+    The two measurements of the tick alternate, `repeats` times each, so that a change of the
+    machine's load affects both. The flights follow.
+
+    instance: the instance to solve
+    drones: drones of the process that flies
+    seconds: length of one measurement
+    repeats: number of measurements of each kind
+    Returns the object that `--json` prints: the rows, and medians of the p99 in ms.
     """
     solve_here(instance)  # compiles or loads the kernels
     blocks = [
@@ -242,7 +252,7 @@ def measure(
 
 
 def pool_samples(blocks: list[Lateness]) -> Lateness:
-    """Return all samples of one name as one row."""
+    """Return the samples of several blocks of one kind as one row."""
     return Lateness(
         blocks[0].name,
         blocks[0].drones,

@@ -1,8 +1,9 @@
-"""`crazychoir bench optimization`: rounds a second of distributed algorithms, and a peer.
+"""`crazychoir bench optimization`: rounds a second of distributed algorithms, compared to a peer.
 
-The peer is DISROPT's pattern. Both run the same algorithm on the same graph with the same solver
-of the local problem, in one run. They differ in how agents are divided among processes, how
-messages travel, and how many exchanges a round needs.
+The peer is a program in the style of DISROPT, a Python package for distributed optimisation. Both
+run the same algorithm on the same graph with the same solver of the local problem, in one run. They
+differ in how agents are divided among processes, how messages travel, and how many exchanges a
+round needs.
 """
 
 import os

@@ -1,7 +1,8 @@
 """`crazychoir bench scale`: cost of 10 to 1000 agents in 1 to 8 processes, and a model for more.
 
-Each agent exchanges with four neighbours, scattered over all processes, as fast as possible.
-A model is fitted to the cells by non-negative least squares of relative errors:
+Each agent exchanges with four neighbours, scattered over all processes, as fast as possible. A cell
+is one pair (number of agents, number of processes). A model of the cost is fitted to all cells by
+non-negative least squares of relative errors:
 
     processor    s a second = steps/s * step + messages/s to others * far + frames/s * frame
     memory       B of all = processes * process + agents * agent + ends of links * link
@@ -140,12 +141,13 @@ class FittedModel:
 def run(
     quick: bool, namespaces: bool, repeats: int, say: Callable[[str], None]
 ) -> dict[str, Any]:
-    """Measure all cells and fit the model.
+    """Measure all cells, pairs of agents and processes, and fit the model of the cost.
 
     quick: fewer cells, one measurement each
-    namespaces: whether each process has a network of its own
+    namespaces: whether each process has its own network namespace
     repeats: measurements of each cell; its figures are medians
     say: called with a text that says what is being measured
+    Returns the object that `crazychoir bench scale --json` prints.
     """
     agents, processes = (
         QUICK_RUN_CELLS if quick else (SCALE_BENCH.agents, SCALE_BENCH.processes)
@@ -385,7 +387,7 @@ def estimate_hosts(fits: dict[str, FittedModel]) -> list[dict[str, float]]:
 
 
 def format_share(error: float | None) -> str:
-    """Return a share in per cent, "-" for None."""
+    """Return a share, 0 to 1, as a text in per cent; "-" for None."""
     return "-" if error is None else f"{error:.0%}"
 
 
