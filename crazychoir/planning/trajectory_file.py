@@ -68,7 +68,7 @@ def write_samples(
 
     path: of the file
     trajectory: the trajectory
-    rate: Hz, of the rows; the end is a further row
+    rate: Hz, rows a second; the end of the trajectory is an additional row
     """
     t, x = sample_setpoints(trajectory, rate)
     names = [
@@ -83,15 +83,16 @@ def write_samples(
 
 
 def read_samples(path: str | Path, is_recording: bool = False) -> Piecewise:
-    """The trajectory through the samples of a CSV file.
+    """Return the trajectory through the samples of a CSV file.
 
-    is_recording: whether its times are those of a clock: they are then refused where they are not in s.
+    The columns are t s, x, y, z m. Further columns are optional: vx, vy, vz; then ax, ay, az, which
+    need v; then jx, jy, jz, which need a; yaw rad, 0 without it; then yaw_rate, which needs yaw.
+    With derivatives, the trajectory has them all at each sample (Hermite polynomials). Without, it
+    is the clamped cubic spline, at rest at both ends. The yaw is cubic, and turns the short way from
+    each row to the next.
 
-    Columns t s, x, y, z m; then, if given, vx, vy, vz; with these ax, ay, az; with these jx, jy, jz; yaw rad, without
-    which it is 0 all the way; with it yaw_rate.
-    With derivatives, the Hermite polynomials that have all of them at each sample; without, the clamped cubic spline,
-    at rest at both ends. The yaw goes the short way from each row to the next; it is cubic.
-    Errors: TableError naming file, line and column.
+    is_recording: whether the times come from a clock; they are then refused if they are not in s
+    Raises TableError with file, line and column.
     """
     table = read_table(
         path,

@@ -40,15 +40,13 @@ class LineSmoothing:
     end_weight: float = 1e3
     """Weight of both ends, against 1 of each point in between."""
     largest_shift: float = 3.5
-    """How far places are moved at most, as a multiple of the smoothing."""
+    """Largest distance by which a point is moved, as a multiple of the smoothing."""
     largest_bulge: float = 0.25
-    """How far a bend goes beyond the longest line between two places at most, as a share of that
-    line.
-    """
+    """Largest distance of a bend from the lines between points, relative to the longest such line."""
     rounding: float = 1e-9
     """m."""
     trials: int = 6
-    """Number of smoothings, each half of the one before; then places are not moved at all."""
+    """Number of trials, each with half the smoothing of the one before; then points are not moved."""
 
 
 LINE_SMOOTHING = LineSmoothing()
@@ -63,24 +61,25 @@ FASTEST_PACE = 1.0 / 3.0  # relative to the mean s/m: haste of a hand that is fl
 class Pen:
     """Settings for the flight of strokes.
 
-    height: m, world;  lift: m above it between two strokes;  yaw: rad, or "along" the path;
-    timing: "even": as fast as bends and limits allow; "drawn": slower where the hand was, which needs t;
-    spacing: m between knots;  smoothing: m, standard deviation of the hand.
-    A drawing that would be flown more than `allowed_deviation` beside what was drawn is refused.
+    A drawing is refused if it would be flown more than `allowed_deviation` m away from its lines.
     """
 
     height: float = 1.0
     """m, world."""
     lift: float = 0.0
-    """Height in m above the drawing between two strokes."""
+    """m above the drawing, in which the drone flies from one stroke to the next."""
     yaw: float | Literal["along"] = 0.0
     """rad, or "along" the path."""
     timing: Literal["even", "drawn"] = "even"
-    """"even": as fast as bends and limits allow. "drawn": slower where the hand was; it needs t."""
+    """Speed along a stroke.
+
+    "even": as fast as bends and limits allow. "drawn": slower where the hand was slower; needs
+    strokes with times.
+    """
     spacing: float = 0.05
-    """m, between knots."""
+    """m, between knots of the spline."""
     smoothing: float = 0.004
-    """m, standard deviation of the hand."""
+    """m, standard deviation of the tremor of the hand, which is smoothed out."""
 
     def __post_init__(self) -> None:
         if self.timing not in ("even", "drawn"):
@@ -112,11 +111,7 @@ class Pen:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A drawing as it will be flown.
-
-    path: from rest to rest;  deviation: m, the largest distance between the flown and the drawn lines of a stroke;
-    speed: m/s, acceleration: m/s2, the largest on the way.
-    """
+    """A drawing as it will be flown."""
 
     path: Piecewise
     """The flight, from rest to rest."""
@@ -134,15 +129,20 @@ def plan_drawing(
     limits: Limits = DRAWING_LIMITS,
     longest: float = math.inf,
 ) -> Drawing:
-    """Return the smooth flight along drawn strokes, each from rest to rest, from end to end.
+    """Return the smooth flight along drawn strokes, from rest to rest.
 
-    A stroke is thinned and split where it turns sharply, where the drone stops. Long straight lines of a part get more
-    places, or a spline would swing out between them. Then the tremor is smoothed out, the part cut into equal lengths,
-    timed, interpolated by a spline of degree 7 and slowed down as the limits need. Strokes are joined by straight
-    flights, at the same height or lifted; one of a single place is a dot, flown to.
-    strokes: (k, 2) rows x, y m, or (k, 3) rows t s, x, y m, world;  limits: v_max and a_max finite;  longest: s, of
-    the flight; a longer flight is refused as soon as that is known.
-    Errors: ConfigError; also for a stroke that would be flown farther from its lines than the pen allows.
+    Each stroke is thinned, and split into parts at sharp turns, where the drone stops. For each part:
+    1. Add points on long straight lines, because a spline would swing out between distant points.
+    2. Smooth out the tremor of the hand, and divide the line into equal lengths.
+    3. Choose the times, interpolate with a spline of degree 7, and slow it down to keep the limits.
+    Straight flights join the strokes, lifted by pen.lift. The drone stops at a stroke of one point.
+
+    strokes: (k, 2) rows x, y m, or (k, 3) rows t s, x, y m; world
+    pen: how strokes are flown
+    limits: of the flight; v_max and a_max are finite
+    longest: s; a longer flight is refused before it is computed in full
+    Raises ConfigError for strokes or limits that do not fit, a flight that is too long, or a stroke
+    that would be flown more than pen.allowed_deviation m away from its lines.
     """
     limits.check_timed("drawing")
     drawn = [
@@ -252,14 +252,18 @@ def _space_evenly(xy: Mat, t: Vec, pen: Pen) -> tuple[Mat, Vec]:
 
 
 def smooth_line(xy: Mat, u: Vec, sigma: float, at: Vec) -> Mat:
-    """Return the cubic smoothing spline through places, evaluated.
+    """Return points on the cubic smoothing spline near given points.
 
         sum (w d / s)^2 <= k,  d <= LINE_SMOOTHING.largest_shift sigma
 
-    s is sigma, halved until the curve stays close to the places and to the lines between them. With sigma alone, the
-    bends of a long line would be cut by what its straight sides leave of the sum, and between two places the curve
-    could swing out.
-    xy: (k, 2) m;  u: (k,) m along the lines;  sigma: m;  at: (n,) m along the lines.  d: m, of the curve from a place.
+    s is sigma, halved until the curve stays close to the points and to the lines between them. With
+    s = sigma, a long line could lose its bends, because its straight sides need little of the sum,
+    and the curve could swing out between two points.
+    xy: (k, 2) m, the points
+    u: (k,) m, distance of each point along the line
+    sigma: m, standard deviation of the tremor
+    at: (n,) m along the line, where to evaluate
+    d: m, distance of the curve from a point; w: its weight
     Returns (n, 2) m.
     """
     if len(xy) < 4:
@@ -276,7 +280,7 @@ def smooth_line(xy: Mat, u: Vec, sigma: float, at: Vec) -> Mat:
 
 
 def _is_close(curve: Any, xy: Mat, u: Vec, sigma: float) -> bool:
-    """Is a spline close to places (k, 2) at u (k,), and to the lines between them?"""
+    """Return whether a spline is close to the points (k, 2) at u (k,), and to the lines between them."""
     quarters = np.arange(4 * len(u) - 3) / 4.0
     index = np.arange(len(u))
     at = np.interp(quarters, index, u)
@@ -341,9 +345,10 @@ def _compute_curvatures(places: Mat) -> Vec:
 
 
 def _compute_drawn_pace(clock: Vec) -> Vec:
-    """Return the share of each step in the drawn times (n,).
+    """Return the duration of each drawn step (n - 1,), relative to the mean.
 
-    The mean is 1, and each is within a third and three times of it.
+    It is limited to FASTEST_PACE .. SLOWEST_PACE.
+    clock: (n,) s, drawn times
     """
     steps = np.diff(clock)
     return np.asarray(
@@ -395,9 +400,14 @@ def _plan_transfer(
 
 
 def _compute_deviation(flown: Mat, drawn: Mat, pen: Pen, number: int) -> float:
-    """Return the largest distance between the flown and the drawn lines of a stroke, m, from each to the other.
+    """Return the largest distance in m between the flown and the drawn lines of a stroke.
 
-    flown: (n, 2) m;  drawn: (k, 2) m;  number: of the stroke.  Errors: ConfigError where it is more than is allowed.
+    It is measured from each line to the other (Hausdorff distance).
+    flown: (n, 2) m
+    drawn: (k, 2) m
+    pen: how strokes are flown
+    number: number of the stroke, for errors
+    Raises ConfigError if it is larger than pen.allowed_deviation.
     """
     flown = _densify(flown)
     wanted = _densify(drawn)

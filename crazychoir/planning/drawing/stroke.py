@@ -16,7 +16,7 @@ STROKE_COLUMNS = ("stroke", "t", "x", "y")
 """Columns of a CSV file of strokes."""
 
 THINNING_SHARE = 0.25
-"""Share of the spacing: closer points tell nothing about the shape, only about the hand."""
+"""Share of the spacing. Points closer than this show the tremor of the hand, not the shape."""
 SHARP_TURN = math.radians(80.0)
 """Turn in rad within one spacing that is flown as a stop, not as a bend."""
 
@@ -72,11 +72,11 @@ def _split_into_strokes(table: dict[str, Mat], path: str | Path) -> list[Mat]:
 
 
 def check_stroke(stroke: npt.ArrayLike, where: str) -> tuple[Vec, Mat]:
-    """Return times and places of a stroke, without repetitions of a place.
+    """Return times and points of a stroke, without repeated points.
 
     stroke: (k, 2) rows x, y or (k, 3) rows t, x, y
     where: name in errors
-    Returns times (k,) s, 0 without t, and places (k, 2) m.
+    Returns times (k,) s, zero without t, and points (k, 2) m.
     Raises ConfigError, with `where` and the row, for wrong shapes, numbers that are not finite, or
     times that go back.
     """
@@ -105,10 +105,10 @@ def check_stroke(stroke: npt.ArrayLike, where: str) -> tuple[Vec, Mat]:
 
 
 def thin_line(xy: Mat, distance: float) -> list[int]:
-    """Return the indices of the places that are kept of a line.
+    """Return the indices of the points of a line that are kept.
 
-    They are the first place, each place `distance` m from the kept one before it, and the last
-    place.
+    They are the first point, each point at least `distance` m from the kept point before it, and
+    the last point.
 
     xy: (k, 2) m
     distance: m
@@ -123,9 +123,12 @@ def thin_line(xy: Mat, distance: float) -> list[int]:
 
 
 def split_stroke(t: Vec, xy: Mat, spacing: float) -> list[tuple[Vec, Mat]]:
-    """Return times and places of the thinned stroke, in parts.
+    """Return times (n,) s and points (n, 2) m of each part of the thinned stroke.
 
-    A part ends, and the next one begins, where the stroke turns sharply.
+    A part ends, and the next one begins, at the point of a sharp turn.
+    t: (k,) s
+    xy: (k, 2) m
+    spacing: m, over which a turn is measured
     """
     kept = thin_line(xy, THINNING_SHARE * spacing)
     cuts = [0, *_find_corners(xy[kept], spacing), len(kept) - 1]
@@ -134,9 +137,13 @@ def split_stroke(t: Vec, xy: Mat, spacing: float) -> list[tuple[Vec, Mat]]:
 
 
 def fill_line(t: Vec, xy: Mat, distance: float) -> tuple[Vec, Mat]:
-    """Return times and places with more of them along straight lines, so that two are at most `distance` m apart.
+    """Return times and points with further points between them, at most `distance` m apart.
 
-    t: (k,) s;  xy: (k, 2) m, all of which are kept.
+    All given points are kept.
+    t: (k,) s
+    xy: (k, 2) m
+    distance: m
+    Returns (n,) s and (n, 2) m.
     """
     steps = np.linalg.norm(np.diff(xy, axis=0), axis=1)
     pieces = np.maximum(np.ceil(steps / distance - 1e-9), 1.0)
@@ -148,9 +155,10 @@ def fill_line(t: Vec, xy: Mat, distance: float) -> tuple[Vec, Mat]:
 
 
 def _find_corners(xy: Mat, reach: float) -> list[int]:
-    """Return the indices where the line turns by SHARP_TURN or more; of neighbours the sharpest.
+    """Return the indices where the line turns by SHARP_TURN or more.
 
-    The turn is measured between the places `reach` m behind and ahead.
+    The turn is measured between the points `reach` m behind and ahead. Near a corner, only the
+    sharpest turn within 2 reach counts.
     """
     turns = np.zeros(len(xy))
     for i in range(1, len(xy) - 1):

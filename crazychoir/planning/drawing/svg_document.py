@@ -94,10 +94,10 @@ def shorten_text(text: str) -> str:
 def read_document(data: str | bytes, where: str) -> SvgElement:
     """Return the root of an SVG document.
 
-    Nothing is loaded: no DTD, no external entity. Entities of the document itself are short texts
-    without others.
+    Nothing is loaded from elsewhere: no DTD, no external entity. An entity that the document defines
+    itself may only stand for a short text without further entities.
 
-    data: bytes in the encoding that they declare (UTF-8 without), or a decoded text
+    data: bytes in the encoding that they declare (UTF-8 if they declare none), or a decoded text
     where: name of the file in errors
     Raises ConfigError, with `where` and the line.
     """

@@ -119,7 +119,7 @@ class StyleRule:
     id: str | None
     """Id that an element must have; None for any."""
     declarations: dict[str, tuple[str, bool]]
-    """Values by property, and whether they are important."""
+    """{property: (value, whether it is marked !important)}."""
 
     def applies_to(self, element: SvgElement) -> bool:
         """Return whether the selector selects an element."""
@@ -131,7 +131,7 @@ class StyleRule:
 
     @property
     def specificity(self) -> tuple[int, int, int]:
-        """Ids, classes, names, as CSS compares selectors."""
+        """Numbers of ids, classes and element names, which CSS compares in this order."""
         return int(self.id is not None), len(self.classes), int(self.name != "")
 
 
