@@ -1,4 +1,7 @@
-"""Relative motion of two drones that obey late, in a space in which both are balls."""
+"""Relative motion of two drones that follow their commands with a lag.
+
+Drones keep clear of each other in an ellipsoid. Space is scaled so that the ellipsoid is a ball.
+"""
 
 import math
 
@@ -17,7 +20,7 @@ PlaceAndVelocity = tuple[Triple, Triple]
 def compute_tilt_acceleration(q: Vec, a: Vec) -> Triple:
     """Return the acceleration of a drone, (3,) m/s2.
 
-        sideways by its attitude, g z_b,xy / z_b,z;  upwards as it has commanded
+    Horizontally it follows from the attitude, g z_b,xy / z_b,z. Vertically it is the command.
 
     q: (4,): attitude
     a: (3,) m/s2: commanded acceleration
@@ -31,18 +34,18 @@ def compute_tilt_acceleration(q: Vec, a: Vec) -> Triple:
 def predict_late_motion(
     x: Vec, a: Vec, lag: float, t: float, lasts: float
 ) -> PlaceAndVelocity:
-    """Return place and velocity in which a late drone is a double integrator, t s later.
+    """Return p~ in m and v~ in m/s of a drone with lag, t s from now.
 
-        p~ = p + T v,   v~ = v + T a_t,   p~' = v~,   v~' = u      since  a_t' = (u - a_t) / T
+        p~ = p + T v,   v~ = v + T a_t,   p~' = v~,   v~' = u      because  a_t' = (u - a_t) / T
 
-    a_t is the result of `compute_tilt_acceleration`. What the drone commands now acts on p~ and v~ at once, and p
-    follows p~ with the lag T.
+    A command u acts on p~ and v~ at once (a double integrator), and p follows p~ with the lag T. The
+    acceleration a_t is the result of `compute_tilt_acceleration`.
 
     x: (13,): state
-    a: (3,) m/s2: u, the command, valid for at most `lasts` s, then zero
-    lag: s, T
-    t: s
-    lasts: s
+    a: (3,) m/s2: u, the command
+    lag: T, s
+    t: s from now
+    lasts: s for which the command is valid; after this it is zero
     """
     now = compute_tilt_acceleration(x[6:10], a)
     v = (x[3] + lag * now[0], x[4] + lag * now[1], x[5] + lag * now[2])
@@ -58,7 +61,7 @@ def predict_late_motion(
 
 @kernel()
 def predict_braking(p: Triple, v: Triple, k: float, t: float) -> PlaceAndVelocity:
-    """Return place and velocity after braking by -k v for t s.
+    """Return position and velocity after t s of braking with the acceleration -k v.
 
     p: m
     v: m/s

@@ -1,4 +1,7 @@
-"""The flight state machine of all schemes: one table says what each event does in each mode."""
+"""The flight modes of a drone: one table says what each event does in each mode.
+
+All control schemes use it.
+"""
 
 from dataclasses import dataclass
 from enum import Enum

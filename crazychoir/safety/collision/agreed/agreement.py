@@ -1,11 +1,11 @@
-"""The agreement on paths: a drone asks all lower ids before it changes its path.
+"""The agreement on paths: a drone asks all drones with lower ids before it changes its path.
 
-It keeps clear of every path that it has agreed to. A drone flies its path until all flying drones
-with lower ids have agreed to its offer of another one. The drone with the lowest id asks no other
-and begins at once; but it keeps clear of all paths that it has agreed to, until it hears that they
-are not flown. So in each pair of drones, one always knows everything that the other may fly,
-however many messages are lost. A drone that was in the air when it was last heard flies until it
-says otherwise. A drone that gets no answer stays on its path.
+A drone that wants another path publishes it as its offer, and flies its old path until all flying
+drones with lower ids have agreed to the offer. Without their answers it stays on its path. The drone
+with the lowest id asks no other drone. Each drone keeps clear of every offer that it has agreed to,
+until it hears that the offer is not flown. Therefore one of two drones always knows all paths that
+the other may fly, however many messages are lost. A drone that was in the air in its last message
+counts as flying until another message says that it is not.
 """
 
 import math
@@ -53,7 +53,7 @@ NO_REST_PLACE: Vec = np.zeros(0)
 
 @dataclass
 class OtherPlanner:
-    """Known facts about another drone with agreed paths."""
+    """What this drone knows about another drone with agreed paths."""
 
     id: int
     """Id of the drone."""
@@ -91,13 +91,13 @@ class OtherPlanner:
 
 
 class Agreement:
-    """Path and offer of this drone, and those of the others.
+    """The path and the offer of this drone, and of all others with agreed paths.
 
-    Offer numbers begin above those of each earlier agent of this drone: an agreement with an
-    earlier agent no longer counts.
+    After a restart, offers get higher numbers than before, so that agreements to old offers no
+    longer count.
 
     port: the port of this drone
-    ids: of the drones with agreed paths
+    ids: ids of the drones with agreed paths
     """
 
     def __init__(self, port: Port, ids: Iterable[int]) -> None:
@@ -135,7 +135,7 @@ class Agreement:
             )
 
     def _hear(self, message: tuple[int, Plan], age: float) -> None:
-        """Keep a sound and newer message of another drone."""
+        """Store a message of another drone if it is valid and not older than the last."""
         j, plan = message
         other = self.others.get(j)
         heard = self.clock.now_ns() / NS_PER_SECOND - age
@@ -164,7 +164,7 @@ class Agreement:
         )
 
     def left(self, now: float) -> float:
-        """Return s until the path of this drone ends."""
+        """Return the time in s until the path of this drone ends."""
         return max(self.began + compute_path_duration(self.way) - now, 0.0)
 
     def comes_to(self, goal: Vec) -> bool:
@@ -172,14 +172,22 @@ class Agreement:
         return math.dist(compute_end_place(self.way), goal) < ARRIVAL_DISTANCE
 
     def begin(self, way: Mat, now: float) -> None:
-        """Fly this path from now on without asking: the first path, or the only way out."""
+        """Fly a path from now on without asking: the first path, or the only safe one.
+
+        way: (k, 25), the path
+        now: s
+        """
         self.way = way
         self.began = now
         self.offer = NO_PATH
         self._news = True
 
     def propose(self, way: Mat, begins: float) -> None:
-        """Ask for another path, which begins at the time `begins`, s."""
+        """Offer another path to the drones with lower ids.
+
+        way: (k, 25), the path
+        begins: time in s at which it begins; until then all must have agreed
+        """
         self.offer = way
         self.begins = begins
         self.number = self.number + 1
@@ -187,10 +195,7 @@ class Agreement:
         self._asked = self.clock.now()
 
     def settle(self, now: float) -> None:
-        """Fly the offer if it is due and all have agreed.
-
-        Drop it if it is due and they have not.
-        """
+        """When the offer is due, fly it if all flying drones with lower ids have agreed; else drop it."""
         if len(self.offer) == 0 or now < self.begins:
             return
         lower = [other for other in self.flying() if other.id < self.id]
@@ -213,7 +218,7 @@ class Agreement:
         self.in_vain = self.in_vain + seconds
 
     def rest(self, now: float) -> None:
-        """Tell the others that this drone does not fly."""
+        """Publish that this drone does not fly."""
         if len(self.way):
             self.way = NO_PATH
             self.offer = NO_PATH
@@ -223,7 +228,7 @@ class Agreement:
         self.tell(now)
 
     def agree(self, other: OtherPlanner) -> None:
-        """Let the other drone fly its offer."""
+        """Agree to the offer of another drone; the next message says so."""
         other.allowed = other.number
         other.pending = False
         self._news = True
@@ -235,12 +240,11 @@ class Agreement:
         )
 
     def mute(self, now: float) -> int | None:
-        """Return the id of a drone that prevents this one from asking, or from flying another path.
+        """Return the id of a flying drone because of which this drone cannot change its path, or None.
 
-        That is a silent drone with a lower id, which must be asked, or a drone that does not know
-        that this one flies. A silent drone with a higher id stays on the paths that it has
-        announced.
-        Returns None if there is no such drone.
+        This is a drone with messages that do not yet list this one as flying, or a silent drone with a
+        lower id, which cannot agree. A silent drone with a higher id is no obstacle: it stays on the
+        paths that it has announced.
         """
         for other in self.flying():
             if self.id not in other.agreed or (
@@ -250,7 +254,7 @@ class Agreement:
         return None
 
     def asks(self) -> bool:
-        """Return whether there is a drone to ask."""
+        """Return whether this drone must ask another one: a flying drone with a lower id."""
         return any(other.id < self.id for other in self.flying())
 
     def tell(self, now: float) -> None:

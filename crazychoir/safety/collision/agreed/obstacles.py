@@ -1,4 +1,4 @@
-"""Obstacles: all other drones, on their announced paths, else where their states suggest."""
+"""Obstacles: all other drones, on their announced paths, else as predicted from their states."""
 
 import math
 from dataclasses import dataclass
@@ -21,9 +21,7 @@ from crazychoir.types import Mat, State, Vec
 
 @dataclass(frozen=True, slots=True)
 class ObstacleLimits:
-    """When other drones count as standing or unreachable, and how much room a landing beside them
-    takes.
-    """
+    """When another drone counts as standing or unreachable, and the clearance of a landing beside it."""
 
     standing_speed: float = 0.3
     """Speed in m/s below which a low drone stands."""
@@ -32,7 +30,7 @@ class ObstacleLimits:
     answer_timeout: float = 5.0
     """Seconds for which a landing drone waits for agreement.
 
-    After this it comes down as far as this is clear of everything it knows.
+    After this it lands without, as long as the landing is clear of all obstacles that it knows.
     """
 
 
@@ -44,12 +42,12 @@ LANDING_SEARCH_ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
 
 
 class Obstacles:
-    """The others, as a drone that announces its paths sees them.
+    """All other drones, as obstacles for a drone with agreed paths.
 
     figures: (4,), as f of `find_first_meeting`
-    agreement: with the drones that announce their paths
-    traffic: the states of all
-    a_max: m/s2, with which a drone without an announced path is assumed to brake
+    agreement: paths and offers of the drones with agreed paths
+    traffic: the states of all other drones
+    a_max: m/s2, at which a drone without an announced path is assumed to brake
     ground: m, height of the ground
     """
 
@@ -93,11 +91,9 @@ class Obstacles:
         )
 
     def who_stands_at(self, p: Vec) -> int | None:
-        """Return the id of a drone that stands at the landing place p, (3,) m.
+        """Return the id of a drone that stands on the floor below p, (3,) m, or None.
 
-        None if there is none.
-
-        A landing there must not begin, because the drone may sink further.
+        This drone must not land there: it may sink below p, on to the other one.
         """
         for j, x in self._rows.items():
             if math.hypot(
@@ -116,11 +112,11 @@ class Obstacles:
         )
 
     def beside(self, p: Vec, fence: Fence) -> Vec | None:
-        """Return the place nearest to p, at the same height, to come down beside all others.
+        """Return the place nearest to p, at the same height, where a landing is clear of all others.
 
         p: (3,) m, world
-        fence: where the drone flies
-        Returns None if there is none near.
+        fence: where the drone may fly
+        Returns None if there is none near p.
         """
         spots = []
         for j, x in self._rows.items():
@@ -142,14 +138,14 @@ class Obstacles:
         return find_free_place(p, np.array(spots), fence)
 
     def all(self, now: float) -> OtherPaths:
-        """Return everything that the own path must keep clear of."""
+        """Return all obstacles that the path of this drone must keep clear of."""
         meeting = self.strangers()
         for other in self.agreement.others.values():
             self._add(meeting, other, now)
         return meeting
 
     def strangers(self) -> OtherPaths:
-        """Return the drones that announce no path and keep clear by themselves."""
+        """Return the drones without agreed paths, which avoid collisions in another way."""
         meeting = OtherPaths(self.figures, self.a_max)
         for j in self._guessed:
             self._guess(meeting, j)
