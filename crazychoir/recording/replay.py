@@ -140,9 +140,11 @@ def _interpolate_columns(at: Vec, t: Vec, x: Mat) -> Mat:
 
 
 class ReplayWorld(Truth):
-    """Bodies that follow tables of states, one row a step, and stay at the last row.
+    """A world of drones that follow tables of states, one row a step, and stay at the last row.
 
-    They count as resting wherever they are, so no agent waits for them to land.
+    They always count as standing on the floor, so no agent waits for them to land.
+
+    tables: (rows, 13) states of each drone
     """
 
     flies: tuple[str, ...] = tuple(COMMAND_TYPES)
@@ -179,7 +181,7 @@ class ReplayWorld(Truth):
 
 
 class DeafLink:
-    """The link of a body that obeys no commands."""
+    """The link of a replayed drone, which obeys no commands."""
 
     def send(self, command: Command) -> None:
         """Discard the command."""

@@ -14,20 +14,21 @@ from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import NS_PER_SECOND
 
 Step = Callable[[], Awaitable[float]]
-"""Waits until the replay may continue, and returns by how many seconds of the flight."""
+"""Coroutine function: waits until the replay may go on, and returns the s of flight to publish next."""
 
 
 class Replayer(Actor):
-    """Publishes all recorded observable topics, each at its original address.
+    """Publishes the messages of a recording again, if their topics are in OBSERVABLE_TOPICS.
 
     bus: the bus to publish on
     path: the recording
-    speed: factor of the flight's own speed
-    step: awaited before each part of the flight, which is then published at once; replaces speed
+    speed: factor on the speed of the flight; 2 is twice as fast
+    step: for a replay step by step, without `speed`. It is awaited, and returns the s of flight to
+        publish next, without waiting in between
     source: returns the address that publishes a topic of a drone
     said: number of messages published so far
-    at: s: time of the flight that has been replayed
-    Raises ConfigError if a message is of another version.
+    at: s of the flight that have been replayed
+    Raises ConfigError if a message has another version.
     """
 
     name = "replay"

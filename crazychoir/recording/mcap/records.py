@@ -101,8 +101,7 @@ class Records:
     summary, which repeat earlier records, are left out.
 
     at: byte at which the last record begins
-    fault: why no more records follow; empty after the footer of a recording that was ended in
-        order
+    fault: why no more records follow; empty if the recording was closed properly
     """
 
     def __init__(self, content: mmap.mmap | bytes) -> None:

@@ -72,8 +72,7 @@ class RecordedMessages:
 
     path: the file
     topics: topics to read, None for all
-    fault: after the iteration, where the file is cut off or damaged; empty if it was ended in
-        order
+    fault: after the iteration, where the file is cut off or damaged; empty if it was closed properly
     Raises ConfigError if the file is no recording.
     """
 
