@@ -12,8 +12,9 @@ LOCAL_ADDRESS = "127.0.0.1"
 
 @dataclass(frozen=True, slots=True)
 class ProcessNumbers:
-    """Numbers of the processes without agents. The process of an agent has the number of its
-    lowest drone.
+    """Numbers of the processes without agents.
+
+    The number of a process with agents is the lowest id of its drones.
     """
 
     world: int = -1
@@ -37,9 +38,9 @@ class Addresses:
         self._topology = config.topology
 
     def groups(self) -> tuple[tuple[int, ...], ...]:
-        """Return the drones of each process, increasing.
+        """Return the ids of the drones in each process, increasing.
 
-        A process has the number of its lowest drone.
+        The first id in a group is the number of the process.
         """
         return tuple(
             sorted(
@@ -49,13 +50,14 @@ class Addresses:
         )
 
     def process(self, i: int) -> int:
-        """Return the process of drone i: its lowest drone."""
+        """Return the number of the process of drone i: the lowest id of the drones in it."""
         member = self._config.drone(i).id
         return next(group[0] for group in self.groups() if member in group)
 
     def endpoint(self, i: int) -> str:
-        """Return the endpoint of the process of drone i:
-        tcp/<address of its host>:<base port + the process>.
+        """Return the endpoint of the process of drone i.
+
+        It is `<scheme>/<address of its host>:<base_port + number of the process>`.
         """
         return self._listens(self._config.drone(i).host, self.process(i))
 

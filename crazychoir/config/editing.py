@@ -1,4 +1,4 @@
-"""Writes keys of drones into the text of a swarm file; every other byte stays as it is."""
+"""Change keys of [[drones]] tables in the text of a swarm file; every other byte stays as it is."""
 
 import re
 import tomllib
@@ -19,7 +19,7 @@ DRONES_HEADER = re.compile(r"\s*\[\[\s*drones\s*\]\]\s*(#.*)?")
 
 
 def lines_of(i: int, keys: Mapping[str, object]) -> str:
-    """Return the lines for the [[drones]] with id i."""
+    """Return the text of a [[drones]] table with this id and these keys."""
     return "\n".join(
         [
             "[[drones]]",
@@ -32,11 +32,12 @@ def lines_of(i: int, keys: Mapping[str, object]) -> str:
 def with_keys(
     text: str, changes: Mapping[int, Mapping[str, object]], where: str = "swarm"
 ) -> str:
-    """Return the TOML text with other values of some keys of [[drones]].
+    """Return the TOML text with new values for some keys of [[drones]].
 
     changes: {drone id: {key: value}}; a new key is added at the end of its table
-    Raises ConfigError, with the lines to write, if the file does not have one table for each drone
-    and one line for each key: nothing but these keys may change.
+    where: name of the file, for errors
+    Raises ConfigError, with the lines to write by hand, unless the file has one table for each of
+    these drones and one line for each key.
     """
     before = _parsed(text)
     lines = text.splitlines(keepends=True)

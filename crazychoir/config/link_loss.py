@@ -1,5 +1,6 @@
-"""The distance that a streamed drone flies on after its radio fails,
-and the inset from the fence that follows from it.
+"""How far a streamed drone flies on after its radio fails, and its distance from the fence for that.
+
+A streamed drone gets each set-point by radio. It has no plan on board to continue without them.
 """
 
 import math
@@ -13,9 +14,7 @@ from crazychoir.config.tables import Position, Swarm
 
 @dataclass(frozen=True, slots=True)
 class LinkLossRules:
-    """What a streamed drone does when its link fails, and how much of the fence is given up for
-    that.
-    """
+    """What a streamed drone does after its link fails, and how far it stays from the fence for that."""
 
     cut_time: float = 2.0
     """Time without set-points after which the motors are off."""
@@ -50,15 +49,15 @@ class FenceInset:
     """The distance that streamed drones keep from the sides of the fence."""
 
     needed: float
-    """m from the fence that are needed."""
+    """m: distance that a drone needs to stop inside [keep_out]."""
     given: float
-    """m from the fence that homes and the room allow, at most `needed`."""
+    """m: distance that the homes and the size of the fence allow, at most `needed`."""
     slow_enough: float
     """m/s: speed_limit with which `given` suffices; 0 if there is none."""
 
     @property
     def problem(self) -> str:
-        """Text with what to change; empty if there is room."""
+        """Text for an error, with what to change; empty if `given` suffices."""
         if self.given >= self.needed:
             return ""
         v = int(100.0 * self.slow_enough) / 100.0  # rounded down
@@ -70,8 +69,7 @@ class FenceInset:
 
 
 def distance_without_link(speed: float, acceleration: float, sender: str) -> float:
-    """Return the m beyond the fence at which a drone's motors
-    stop, if it was inside when its radio failed.
+    """Return how far beyond the fence, in m, a drone's motors stop if its radio fails inside.
 
         s + max_d (c + t) v(d) - d,   v(d) = min(v_max, sqrt(d a / b))
 
@@ -90,7 +88,14 @@ def distance_without_link(speed: float, acceleration: float, sender: str) -> flo
 
 
 def allowed_speed(far: float, acceleration: float, sender: str) -> float:
-    """Return the speed_limit, m/s, with which `distance_without_link` is at most `far` m; 0 if there is none."""
+    """Return the largest speed_limit in m/s for which a drone stops at most `far` m beyond the fence.
+
+    See `distance_without_link`. Returns 0 if there is none.
+
+    far: m
+    acceleration: m/s2: a
+    sender: kind of command
+    """
     seconds = LINK_LOSS_RULES.cut_time + TILT_TIMES[sender]
     k = acceleration / LINK_LOSS_RULES.braking_factor
     rest = far - STRAY_DISTANCES[sender]
@@ -100,8 +105,9 @@ def allowed_speed(far: float, acceleration: float, sender: str) -> float:
 
 
 def fence_inset(swarm: Swarm, sender: str) -> FenceInset:
-    """Return how far inside [fence] streamed drones stay, so
-    that they do not end beyond [keep_out].
+    """Return how far inside [fence] streamed drones stay, so that none ends beyond [keep_out].
+
+    sender: kind of command of these drones
     """
     low, high = limit_area(swarm)
     fence = swarm.fence
@@ -139,13 +145,13 @@ def fence_inset(swarm: Swarm, sender: str) -> FenceInset:
 
 
 def describe_crowding(swarm: Swarm, i: int, senders: Mapping[int, str]) -> str:
-    """Return a text with the drone of the same dongle that drone i may touch if the dongle fails.
+    """Return a text for an error if drone i starts too near to another drone of the same dongle.
 
-    The text is empty if there is none.
+    If the dongle fails, both drones stray, and neither can avoid the other. Only the drone with the
+    lower id reports a pair. The text is empty if there is no such drone.
 
-    Both drones then stray, and neither can avoid the other. Their homes decide. Only the drone with
-    the lower id reports a pair.
-    senders: {drone: kind of command} of all streamed drones, with i
+    i: id of a streamed drone
+    senders: {drone: kind of command} of all streamed drones
     """
     homes = {drone.id: drone.home[:2] for drone in swarm.drones}
     here = next(ids for ids in drones_by_dongle(swarm).values() if i in ids)
@@ -179,6 +185,6 @@ def describe_crowding(swarm: Swarm, i: int, senders: Mapping[int, str]) -> str:
 
 
 def _distance_to_fence(p: Position, swarm: Swarm) -> float:
-    """Return the m from p to the nearest side of the fence."""
+    """Return the distance in m from p to the nearest side of the fence."""
     sides = zip(swarm.fence.min[:2], p[:2], swarm.fence.max[:2], strict=True)
     return min((min(x - a, b - x) for a, x, b in sides), default=math.inf)

@@ -139,9 +139,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True, dict=True):
 
 
 def default_swarm(n: int) -> SwarmConfig:
-    """Return n simulated drones on a square grid on the
-    floor, in a ring graph, without a mission.
-    """
+    """Return n simulated drones on a square grid on the floor, in a ring graph, without a mission."""
     return _on_a_grid("default", n, columns=max(1, math.ceil(math.sqrt(n))))
 
 
@@ -151,9 +149,11 @@ def demo_swarm() -> SwarmConfig:
 
 
 def find_swarm(option: str | None = None) -> tuple[SwarmConfig, str]:
-    """Return the swarm to fly, and a text with its origin.
+    """Return the swarm to fly, and a text that says where it comes from.
 
     It is the given file, else ./swarm.toml, else the demo swarm.
+
+    option: path of a swarm file, or None
     """
     if option is not None:
         return SwarmConfig.load(option), option
