@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 
 
 class MissionFile:
-    """A mission file with its hooks guarded. All other names are those of the module."""
+    """A mission file: calls to its hooks are checked, and all other names come from its module."""
 
     def __init__(self, module: ModuleType) -> None:
         """Raise ConfigError for a hook that cannot be called with its arguments."""

@@ -64,8 +64,8 @@ class Hook:
     def __call__(self, *values: Any) -> Any:
         """Call the function, and return its result.
 
-        Raises ConfigError with file, line and hook for errors of other packages than crazychoir,
-        for calls that do not return in time, and for sys.exit.
+        Raises ConfigError with file, line and hook if the function does not return in time, calls
+        sys.exit, or raises any error that is not a CrazyChoirError.
         """
         try:
             with (
@@ -86,7 +86,11 @@ class Hook:
             raise self.wrong(found, self._line(error)) from error
 
     def wrong(self, found: str, line: str = "") -> ConfigError:
-        """Return the error of a hook with a result that is not allowed."""
+        """Return the error for a hook that fails, or returns a value that is not allowed.
+
+        found: what the hook returned, or how it failed
+        line: ":line" of the user's file, or empty
+        """
         return ConfigError(
             f"{self.kind} {self.file}{line}: {self.call}",
             found,

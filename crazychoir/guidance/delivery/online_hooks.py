@@ -46,9 +46,11 @@ class OnlineHooks:
     """The hooks of a mission in which tasks and drones come and go."""
 
     def swarm(self, drones: int | None = None) -> SwarmConfig:
-        """Return ten drones along two sides of a room, each linked to the four nearest.
+        """Return the default swarm: drones along two sides of a room.
 
-        The tasks are drawn from the seed.
+        Each drone has four neighbours in the graph. The seed of the swarm also decides the tasks.
+
+        drones: number of drones; None for ten
         """
         n = 10 if drones is None else drones
         rows = [(k // 2, k % 2) for k in range(n)]
