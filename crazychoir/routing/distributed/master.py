@@ -123,7 +123,10 @@ class ColumnPool:
         return self._length.get((robot, column.tasks), np.inf) <= column.length
 
     def relax(self, penalty: Vec) -> Relaxation:
-        """Solve the covering relaxation of these columns."""
+        """Solve the covering relaxation of these columns; see `Master`.
+
+        penalty: (M,) m, cost of each task without a column
+        """
         master = Master(penalty)
         for robot, column in self.items():
             master.add(robot, [column])
@@ -131,7 +134,9 @@ class ColumnPool:
 
 
 class Master:
-    """The covering relaxation of the known columns, with at most one column a robot; it stays warm.
+    """The covering relaxation of the known columns, with at most one column a robot.
+
+    Each solution starts from the last basis (warm start).
 
         min  sum length_c x_c + sum_j penalty_j v_j
         s.t. sum_{c serves j} x_c + v_j >= 1                     : pi_j >= 0

@@ -161,7 +161,8 @@ class LocalProblem:
     def vehicle(self) -> Vehicle:
         """The robot in the form that the kernels use.
 
-        Raises ConfigError for a start away from home, or an end, if distances are a matrix.
+        Raises ConfigError if `distance` is a matrix and `start` or `end` is given: the matrix has no
+        distances to them.
         """
         m = len(self.tasks)
         distance = self._between()

@@ -39,20 +39,21 @@ class RouteTable:
 
         reduced cost of c at prices pi:   length_c - sum_{j in c} pi_j
 
-    The labels behind the table are exact. Their key is (picked set, set on board, last stop). They
-    are cut only by capacity, windows and lower bounds of the way home.
+    A column is a set of tasks with its best route. Label setting finds these routes exactly: a label
+    is dropped only if it exceeds the capacity or a time window, cannot reach the end within the
+    limits, or is dominated by a label with the same tasks picked up, tasks on board and last stop.
 
-    Columns are in the order (length, tasks). The idle column, with no task and length 0, is the
-    first. A robot with goods aboard has no idle column, and all its columns contain those goods.
+    Columns are sorted by (length, tasks). The first is the idle column, without tasks and with
+    length 0. A robot with goods on board has no idle column, and all its columns contain these tasks.
 
     vehicle: the robot.
-    most: labels, at most.
-    objective: what is minimised, in order.
+    most: largest number of labels.
+    objective: names of the objectives, the most important first.
     `complete`: False if there were more than `most` labels. Columns of many tasks are then missing,
         and prices prove no bound.
-    `length`: (n,), value of the first objective. `second`: (n,), value of the other objective.
-    Among the routes of a set with the least `length` it
-        is the least one; nan if time decides nothing.
+    `length`: (n,), value of the first objective.
+    `second`: (n,), least value of the other objective among the routes with this `length`; nan if
+        times have no effect.
     Raises InstanceError if the robot could serve more than MOST_TASKS tasks.
     """
 
@@ -108,10 +109,10 @@ class RouteTable:
         """Return the columns with the least reduced costs, in increasing order.
 
         prices: (M,) m.
-        count: columns, at most.
-        below: m, only columns with a reduced cost below this.
-        reward: m, subtracted from all but the idle column.
-        Ties are in the order of the table.
+        count: largest number of columns.
+        below: m; only columns with a reduced cost below this are returned.
+        reward: m, subtracted from the cost of all columns but the idle one.
+        Columns with equal costs are in the order of the table.
         """
         cost = self.reduced_costs(prices, reward)
         candidates = np.flatnonzero(cost < below)

@@ -48,7 +48,7 @@ class BestTours(NamedTuple):
         return cls(np.zeros_like(tours.stop), np.zeros_like(tours.stops), np.zeros(4))
 
     def tours(self, fleet: Fleet) -> Tours:
-        """Return its routes with all values computed."""
+        """Return the routes of the best plan as Tours, with lengths, times and loads."""
         tours = Tours.of(
             fleet,
             [row[1 : n + 1] for row, n in zip(self.stop, self.stops, strict=True)],
