@@ -44,10 +44,14 @@ RADIO_BENCH = RadioBenchSettings()
 
 
 def run(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
-    """Return the delays of ticks in the phases of one run, in ms: p50, p99 and worst.
+    """Measure how late the event loop of this process wakes, in each of RADIO_BENCH.phases.
 
-    This process observes as an agent does: it receives the poses and link states of all drones
-    over Zenoh. The last drone connects with an empty cache, by an owner that starts meanwhile.
+    Like an agent, this process receives the poses and link states of all drones over Zenoh. In the
+    last phase, another owner of a dongle starts, and connects one more drone with an empty cache.
+
+    quick: shorter phases
+    say: called with a text that says what is being measured
+    Returns the delays in ms of each phase: p50, p99 and worst.
     """
     seconds = 5.0 if quick else 20.0
 

@@ -305,7 +305,10 @@ def measured_figure(name: str, cell: ScaleCell) -> float:
 
 
 def fit_coefficients(name: str, cells: list[ScaleCell]) -> np.ndarray:
-    """Return the coefficients >= 0 with the least squares of relative errors."""
+    """Return the coefficients >= 0 that minimise the squares of the relative errors in the cells.
+
+    name: the model, a key of MODEL_TERMS
+    """
     from scipy.optimize import nnls
 
     y = np.array([measured_figure(name, cell) for cell in cells])
