@@ -6,7 +6,7 @@ from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import Triple, dot
 
 EVEN_SHARE_SPEED = 0.05
-"""Speed in m/s that is added to both in `compute_yield_share`: of drones that hardly move each takes half."""
+"""m/s, added to both speeds in `compute_yield_share`: drones that hardly move take half each."""
 
 
 @kernel()
@@ -17,9 +17,9 @@ def compute_closing_speed(
 
         s(g) = k g  up to g0 = alpha / k^2,   sqrt(2 alpha (g - g0 / 2))  beyond
 
-    At this speed the drone can still brake. It is the braking curve without its infinite slope,
-    where a drone that obeys late would shake. It is continuous, and so is its slope. A negative gap
-    opens.
+    At this speed the drone can still brake. The braking curve alone has an infinite slope at g = 0,
+    at which a drone with a lag would shake, so it is replaced by a line there. Speed and slope are
+    continuous. At a negative gap the speed is negative: the gap must open.
 
     gap: m, g
     brake: m/s2, alpha
@@ -42,7 +42,7 @@ def compute_barrier_acceleration(
     stiff: float,
     gamma: float,
 ) -> float:
-    """Return the least acceleration apart of both drones together, n . r'', m/s2.
+    """Return the least relative acceleration n . r'', m/s2, that keeps two drones apart.
 
         h = s(|r| - D) + n . w - unsure >= 0,   n = r / |r|,   r'' = S (u_i - u_j)
         h' + gamma h >= 0:   n . r'' >= - gamma h - s' n . w - (|w|^2 - (n . w)^2) / |r|
@@ -50,10 +50,10 @@ def compute_barrier_acceleration(
     r: m, relative place, scaled by S
     w: m/s, relative velocity, scaled by S
     gap: m, |r| - D
-    unsure: m/s, by which they may close in faster than known
-    brake: m/s2, of both together, in s of `compute_closing_speed`
-    stiff: 1/s, in s of `compute_closing_speed`
-    gamma: 1/s
+    unsure: m/s by which the drones may approach faster than is known
+    brake: m/s2, braking of both drones together: alpha of `compute_closing_speed`, which is s
+    stiff: 1/s, k of `compute_closing_speed`
+    gamma: 1/s, rate of the barrier
     Source: Borrmann, Wang, Ames & Egerstedt 2015, ADHS: the barrier; its derivative is derived
         here.
     """
@@ -71,8 +71,8 @@ def compute_yield_share(own: float, others: float) -> float:
 
         c_i / (c_i + c_j),   c = EVEN_SHARE_SPEED + max(-speed, 0)
 
-    It is the drone's speed towards the other in relation to both speeds: a drone at rest between
-    two that close in could not give way to both. The shares of both add up to 1.
+    The faster a drone approaches, the larger is its share: a drone at rest between two that approach
+    it could not give way to both. The shares of both drones add up to 1.
 
     own: m/s, speed of this drone away from the other
     others: m/s, speed of the other away from this one

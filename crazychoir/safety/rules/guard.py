@@ -380,9 +380,10 @@ class Guard:
         return self._judge(now, self._measured(state, pose_age, age, stop))
 
     def leaves_room(self, path: Mat) -> Vec:
-        """Return by how many m each set-point of a path is outside `room`.
+        """Return how far outside `room` each set-point of a path is.
 
-        The measure is "stop" of the table, as `check` computes it for a drone on its own plan.
+        This is the measure "stop" of the table for a drone on its own plan, which ends inside, so that
+        no braking distance is added.
 
         path: (n, 14), rows as FullState.flat
         Returns (n,) m, negative inside.
@@ -398,7 +399,7 @@ class Guard:
 
         measure: one of REPORTED_MEASURES
         value: in the unit of the measure
-        said: text in place of {said} in the reason of its rule
+        said: text for the place {said} in the reason that its rule reports
         """
         self._told[measure] = value
         self._said[measure] = said

@@ -81,7 +81,10 @@ class Obstacles:
             )
 
     def measure(self, state: State) -> None:
-        """Compute how soon this drone could be near each of the others."""
+        """Store in `traffic` the least time in s until this drone could meet each other drone.
+
+        state: of this drone
+        """
         rows = self.traffic.rows
         apart = np.linalg.norm(rows[:, 0:3] - state.p, axis=1)
         rows[:, NEIGHBOUR_ROW.meeting_time] = apart / (
