@@ -169,7 +169,7 @@ class BoardPlanner:
         self._trajectories = trajectories
 
     def _flight(self, *numbers: float) -> int:
-        """Return why a plan cannot begin; 0 if it can."""
+        """Return the answer of PLANNER_ANSWERS why a plan cannot begin; 0 if it can."""
         if not math.isfinite(sum(numbers)):
             return planner.PLANNER_ANSWERS.refused
         return (
@@ -186,6 +186,7 @@ class BoardPlanner:
         height: m, world
         duration: s; None: from the speed hlCommander.vtoff
         yaw: rad: heading at the end; None: keep the heading
+        Returns an answer of PLANNER_ANSWERS, 0 if the flight begins.
         """
         t = -1.0 if duration is None else duration
         psi = 0.0 if yaw is None else yaw

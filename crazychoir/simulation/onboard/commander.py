@@ -292,8 +292,8 @@ def manual(
 def full_state(fleet: Fleet, i: int, s: Vec, priority: float) -> bool:
     """Accept generic packet 6, a full state.
 
-    s: (16,): p m, v m/s, a m/s2 world, q body to world, w rad/s body; the pitch rate is not nose
-        up
+    s: (16,): p m, v m/s, a m/s2 world, q body to world, w rad/s body. A positive pitch rate means
+        nose down, as for a right-handed axis
     """
     fw = fleet[i]
     if not take_control(fw, int(priority)):
