@@ -354,7 +354,9 @@ def test_classes_that_cannot_be_checked_are_not_registered(layouts):
     for cls in (Vague, Nest):
         with pytest.raises(CodecError, match="a field is Any, a struct or a class"):
             register(cls)
-    with pytest.raises(CodecError, match=r"is not in codec\.LAYOUTS, which has Pose"):
+    with pytest.raises(
+        CodecError, match=r"is not in codec\.WIRE_LAYOUTS, which has Pose"
+    ):
         register(type("Unlisted", (Wire,), {}))
 
 

@@ -73,7 +73,7 @@ async def test_a_done_order_is_not_pending_and_its_detail_is_put_in_words(clock)
 
 
 @virtual
-async def test_a_later_motion_withdraws_a_contrary_one_that_is_not_acknowledged(clock):
+async def test_a_later_motion_withdraws_an_unacknowledged_contrary_motion(clock):
     place, book, orders = sender(clock)
     going, flying = book.add("go", [0, 1], ""), book.add("land", [1], "")
     send(orders, going)
