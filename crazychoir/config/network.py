@@ -7,7 +7,11 @@ from typing import Any
 import msgspec
 
 from crazychoir.bus.impairment.model import Impairment
-from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
+from crazychoir.bus.impairment.rules import (
+    EdgeEffects,
+    ImpairmentRule,
+    NetworkPartition,
+)
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import EdgeTable, LinkTable, NetworkTable, PartitionTable
 from crazychoir.errors import ConfigError
@@ -18,6 +22,8 @@ COMMON_EFFECTS = ("delay", "jitter", "duplicate", "reorder", "bandwidth")
 """Effects with the same name in a swarm file and in the simulated network."""
 LOSS_EFFECTS = ("loss", "p_good_bad", "p_bad_good", "loss_bad")
 """Names of the loss model in the simulated network."""
+NO_LOSS = {name: getattr(EdgeEffects(), name) for name in LOSS_EFFECTS}
+"""The loss model without a loss."""
 
 
 def impairment_of(config: SwarmConfig) -> Impairment:
@@ -34,7 +40,7 @@ def network_rules(
 ) -> list[ImpairmentRule]:
     """Return the rules of the simulated network: the rule for all edges, then those of single edges.
 
-    An effect of 0 makes no rule.
+    An effect of 0 makes no rule in [network]. In [[network.edges]] it replaces the effect of [network].
 
     network: effects with the names of a swarm file
     more: further effects on all edges, with the names of EdgeEffects; they replace those of network
@@ -149,7 +155,10 @@ def _nonzero_effects(link: LinkTable) -> dict[str, float]:
 
 
 def _edge_rule(edge: EdgeTable) -> ImpairmentRule:
-    effects = _nonzero_effects(edge)
+    """Return the rule of the edge; its loss replaces that of [network] completely."""
+    effects = link_effects(edge)
+    if edge.loss is not None:
+        effects = NO_LOSS | effects
     if edge.source is None or edge.destination is None:
         drone = edge.destination if edge.source is None else edge.source
         return ImpairmentRule(effects, drone=drone)

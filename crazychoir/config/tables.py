@@ -334,7 +334,7 @@ class LinkTable(SwarmTable, frozen=True, kw_only=True):
 
 
 class EdgeTable(LinkTable, frozen=True, kw_only=True):
-    """One [[network.edges]]: another rule for messages from `source` to `destination`."""
+    """One [[network.edges]]: its effects on messages from `source` to `destination` replace those of [network]."""
 
     source: Id | None = None
     """Sender; without it any drone."""
@@ -525,7 +525,7 @@ class MotorsTable(SwarmTable, frozen=True, kw_only=True):
 
 
 class MujocoTable(SwarmTable, frozen=True, kw_only=True):
-    """[mujoco]: the shapes in mujoco://, in addition to [motors].
+    """[mujoco]: the drone's shape and the scene of mujoco:// worlds, which also use [motors].
 
     Paths are relative to the swarm file.
     """

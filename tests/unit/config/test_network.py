@@ -3,9 +3,15 @@
 import pytest
 
 from crazychoir.bus.impairment.model import Impairment
-from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
+from crazychoir.bus.impairment.rules import (
+    EdgeEffects,
+    ImpairmentRule,
+    NetworkPartition,
+    effects_on_edge,
+)
 from crazychoir.config.network import (
     ENDLESS_TIME,
+    NO_LOSS,
     impairment_changes,
     impairment_of,
     network_partitions,
@@ -20,6 +26,9 @@ from crazychoir.config.tables import (
 )
 from crazychoir.errors import ConfigError
 
+BURSTS_OF_TWO = EdgeEffects(p_bad_good=0.5, p_good_bad=0.5)
+"""Half of the messages are lost, two in a row on average."""
+
 
 def test_rules_come_from_the_effects_that_are_set():
     network = NetworkTable(
@@ -29,17 +38,37 @@ def test_rules_come_from_the_effects_that_are_set():
         edges=(
             EdgeTable(source=0, destination=1, jitter=0.1),
             EdgeTable(source=2, loss=1.0),
-            EdgeTable(destination=3, loss=0.0, burst=2.0, bandwidth=100.0),
+            EdgeTable(destination=3, bandwidth=100.0),
         ),
     )
     chain = {"p_bad_good": 0.2, "p_good_bad": 0.2 * 0.25 / 0.75, "loss_bad": 1.0}
     assert network_rules(network) == [
         ImpairmentRule(chain),
         ImpairmentRule({"jitter": 0.1}, edge=(0, 1), directed=True),
-        ImpairmentRule({"loss": 1.0}, drone=2),
+        ImpairmentRule(NO_LOSS | {"loss": 1.0}, drone=2),
         ImpairmentRule({"bandwidth": 100.0}, drone=3),
     ]
     assert network_rules(NetworkTable(loss=0.0)) == []
+
+
+@pytest.mark.parametrize(
+    ("edge", "effects"),
+    [
+        ({"loss": 0.0}, EdgeEffects(delay=0.1)),
+        ({"loss": 0.5}, EdgeEffects(loss=0.5, delay=0.1)),
+        ({"delay": 0.0, "loss": 0.0}, EdgeEffects()),
+        ({"loss": 0.5, "burst": 2.0, "delay": 0.0}, BURSTS_OF_TWO),
+    ],
+)
+def test_the_effects_of_an_edge_replace_those_of_the_network(edge, effects):
+    network = NetworkTable(
+        loss=0.25,
+        burst=5.0,
+        delay=0.1,
+        edges=(EdgeTable(source=0, destination=1, **edge),),
+    )
+
+    assert effects_on_edge(network_rules(network), 0, 1) == effects
 
 
 def test_further_effects_replace_those_of_the_table():
