@@ -14,7 +14,7 @@ from crazychoir.optimization.algorithms.aggregative_tracking import (
     AggregativeProblem,
     AggregativeTracking,
 )
-from crazychoir.optimization.algorithms.average import RunningAverage
+from crazychoir.optimization.rounds.average import RunningAverage
 from crazychoir.optimization.algorithms.block_subgradient import BlockSubgradientMethod
 from crazychoir.optimization.algorithms.directed_gradient_tracking import (
     DirectedGradientTracking,

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from crazychoir.optimization.algorithms.average import RunningAverage
+from crazychoir.optimization.rounds.average import RunningAverage
 from crazychoir.optimization.problems.gradient import (
     CheckedFunction,
     Gradient,

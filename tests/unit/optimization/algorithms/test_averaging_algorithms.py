@@ -1,4 +1,7 @@
-"""The primal family as a whole: the same iterates with and without loss, the central optimum, bad input named."""
+"""Algorithms that average with their neighbours: the same iterates with loss, the central optimum, clear errors.
+
+A new algorithm gets an entry in MAKERS.
+"""
 
 import json
 
@@ -129,6 +132,10 @@ MAKERS = {
 }
 
 
+SENDS_ONE_ARRAY = ("sub-gradient", "stochastic", "block sub-gradient")
+"""Doubly stochastic algorithms with one array in a message; the others send a list of two."""
+
+
 @pytest.mark.parametrize("name", MAKERS)
 def test_iterates_are_equal_without_and_with_40_percent_loss(name):
     graph, make = MAKERS[name]
@@ -153,7 +160,7 @@ def test_a_wrong_size_is_named(name):
     if getattr(agent, "doubly_stochastic", False):
         weights = rows(graph)
         heard = {j: [weights[j][0][0], wrong] for j in heard}
-        if name not in ("sub-gradient", "stochastic", "block sub-gradient"):
+        if name not in SENDS_ONE_ARRAY:
             heard = {j: [w, [x, x]] for j, (w, x) in heard.items()}
     elif name == "directed gradient tracking":
         heard = {j: [x, x] for j, x in heard.items()}
