@@ -14,7 +14,6 @@ from crazychoir.optimization.algorithms.aggregative_tracking import (
     AggregativeProblem,
     AggregativeTracking,
 )
-from crazychoir.optimization.rounds.average import RunningAverage
 from crazychoir.optimization.algorithms.block_subgradient import BlockSubgradientMethod
 from crazychoir.optimization.algorithms.directed_gradient_tracking import (
     DirectedGradientTracking,
@@ -31,6 +30,7 @@ from crazychoir.optimization.problems.projection import (
     Intersection,
     Strip,
 )
+from crazychoir.optimization.rounds.average import RunningAverage
 from crazychoir.optimization.rounds.blocks import RandomBlocks
 from crazychoir.optimization.rounds.mixing import columns, rows, team
 from crazychoir.optimization.rounds.step_size import Constant, Diminishing

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from crazychoir.optimization.rounds.average import RunningAverage
 from crazychoir.optimization.problems.problems import ConstraintCoupled, require_problem
+from crazychoir.optimization.rounds.average import RunningAverage
 from crazychoir.optimization.rounds.mixing import Mixing, Row, Rows, mix
 from crazychoir.optimization.rounds.step_size import StepSize, step_size
 from crazychoir.types import Vec

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 from crazychoir.errors import ConfigError
-from crazychoir.optimization.rounds.average import RunningAverage
 from crazychoir.optimization.rounds.arrays import copy_vector
+from crazychoir.optimization.rounds.average import RunningAverage
 from crazychoir.optimization.rounds.mixing import Mixing, Row, Rows, mix
 from crazychoir.optimization.rounds.step_size import StepSize, step_size
 from crazychoir.types import Vec

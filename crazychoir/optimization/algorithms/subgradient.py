@@ -5,13 +5,13 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from crazychoir.optimization.rounds.average import RunningAverage
 from crazychoir.optimization.problems.gradient import (
     CheckedFunction,
     Gradient,
     Project,
     keep_point,
 )
+from crazychoir.optimization.rounds.average import RunningAverage
 from crazychoir.optimization.rounds.iteration import copy_state
 from crazychoir.optimization.rounds.mixing import Mixing, Row, Rows, mix
 from crazychoir.optimization.rounds.step_size import StepSize, step_size
