@@ -5,7 +5,7 @@ CrazyChoirError
 │   └── InstanceError              a pickup-and-delivery instance is wrong or infeasible
 ├── CodecError(ValueError)         a value cannot be encoded, or bytes cannot be decoded
 ├── RoundTimeout(TimeoutError)     a round of an exchange is not complete at its deadline
-├── ChannelEnded(RuntimeError)     a neighbour has ended an exchange in an earlier round than we
+├── ChannelEnded(RuntimeError)     a neighbour has ended the exchange before the awaited round
 ├── PeerLost(ConnectionError)      a member of the swarm is gone for longer than `lost_after`
 ├── RosterChanged(RuntimeError)    the team has changed, and this algorithm cannot continue
 ├── LinkFailed(ConnectionError)    the link to a drone cannot be opened, or refuses a request
@@ -50,7 +50,7 @@ ERROR_TEXTS = ErrorTexts()
 class CrazyChoirError(Exception):
     """Root of all errors of this package.
 
-    Its text is never empty, and never ends before its reason.
+    Its text is never empty, and never ends in a colon without the reason.
     """
 
     def __init__(self, *args: object) -> None:
@@ -106,7 +106,7 @@ class RoundTimeout(CrazyChoirError, TimeoutError):
     channel: name of the channel.
     k: number of the round.
     missing: ids of the silent neighbours.
-    seconds: s: the deadline.
+    seconds: s from the begin of the wait to the deadline.
     do: what the user should do, a sentence.
     """
 
@@ -299,15 +299,14 @@ _LIBRARY_FOLDERS = tuple(
 
 
 def is_library(file: str | PathLike[str]) -> bool:
-    """Return whether code belongs to Python itself, to an installed package or to no file."""
+    """Return whether a file belongs to Python itself or to an installed package, or is no real file."""
     return str(file).startswith((*_LIBRARY_FOLDERS, "<"))
 
 
 def raised_at(error: BaseException) -> traceback.FrameSummary:
-    """Return the line that raised an error, outside of libraries.
+    """Return the last line of an error's traceback that is not in a library.
 
-    This is the last line of the traceback that is not in a library. If all lines are in libraries,
-    it is the last line.
+    If all lines are in libraries, it is the last line.
     """
     places = traceback.extract_tb(error.__traceback__)
     own = [place for place in places if not is_library(place.filename)]
@@ -315,7 +314,7 @@ def raised_at(error: BaseException) -> traceback.FrameSummary:
 
 
 def exit_call(end: SystemExit) -> str:
-    """Return the call with which a user's code has ended the process, as written in that code."""
+    """Return the call with which a user's code has ended the process, such as "sys.exit(1)"."""
     return f"sys.exit({'' if end.code is None else repr(end.code)})"
 
 
@@ -363,11 +362,11 @@ ERROR_MEANINGS: dict[str, str] = {
     "StopAsyncIteration": "an iterator has no next value",
     "EOFError": "the input has ended",
 }
-"""What an error means that is raised without words, by the name of its type."""
+"""{name of an error's type: its meaning}, for errors without a text."""
 
 
 def error_text(error: BaseException) -> str:
-    """Return the type of an error and what it says, or what such an error means; never a type alone."""
+    """Return the type of an error with its text, or with the meaning of the type if it has no text."""
     kinds = [kind.__name__ for kind in type(error).__mro__]
     meanings = (ERROR_MEANINGS[name] for name in kinds if name in ERROR_MEANINGS)
     meaning = next(meanings, "raised without a text")

@@ -1,4 +1,4 @@
-"""The physical figures of each drone platform: one row a platform, every figure with its source.
+"""The physical figures of each drone platform: one row for each, with the sources of its figures.
 
 Controllers, simulated plants and radios read them.
 """
@@ -42,7 +42,7 @@ class Rotor:
     voltage: tuple[float, float, float, float]
     """c0 to c3 of f = c0 + c1 v + c2 v^2 + c3 v^3, f in N, v in V.
 
-    With this curve the firmware makes the wanted thrust at any battery voltage.
+    The firmware uses this curve to produce the wanted thrust at any battery voltage.
     """
 
 
@@ -70,7 +70,7 @@ class Firmware:
     yaw_rate_pid: Three = (120.0, 16.7, 0.0)
     """Gains kp, ki, kd of the yaw rate loop, in the units of rate_pid."""
     old_thrust_map: float | None = None
-    """Command units a newton, all motors together, of releases until 2025.02.
+    """Command units per newton, all motors together, in releases until 2025.02.
 
     None: not measured.
     """
@@ -99,8 +99,8 @@ class Battery:
     begin: float = 3.7
     """V: a drone does not take off below this voltage.
 
-    By the level table of the firmware, the same for all platforms, a tenth of the charge is then
-    left.
+    At this voltage a tenth of the charge is left, by the level table of the firmware, which is the
+    same for all platforms.
     """
 
 

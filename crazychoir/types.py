@@ -1,4 +1,4 @@
-"""States, references and commands: the message types of the package. There is no second set.
+"""States, references and commands: the message types of the whole package.
 
 All values are frozen, typed and in SI units.
 
@@ -59,8 +59,8 @@ class Pose(Wire, frozen=True, array_like=True, gc=False):
 class State(Wire, frozen=True, array_like=True, gc=False):
     """The state of a drone: its own estimate, or the newest state received from a neighbour.
 
-    Between messages a law receives the last `a` of a neighbour, while its p is extrapolated. After
-    the maximum age of the topic the neighbour is absent, and its acceleration counts as zero.
+    Between two messages of a neighbour, a law receives an extrapolated p and the last `a`. After the
+    maximum age of the topic the neighbour counts as absent, and its acceleration as zero.
     """
 
     flat: Vec
@@ -255,7 +255,10 @@ Command = FPQR | FRPY | Vel | XYZ | FullState | Acc | Drive
 
 
 class Status(Wire, frozen=True, array_like=True, gc=False):
-    """The condition of a drone, as `status`, the live table and the public key show it."""
+    """The condition of a drone, as `crazychoir status`, the live table and the public copies show it.
+
+    The public copies are JSON messages for other Zenoh programs.
+    """
 
     phase: str
     """Phase of the flight."""
@@ -377,7 +380,7 @@ class Plan(Wire, frozen=True, array_like=True, gc=False):
 
 
 class Failure(Wire, frozen=True, array_like=True, gc=False):
-    """What an algorithm sends in place of its message when it has failed."""
+    """Message that a failed algorithm sends in place of its next message."""
 
     agent: int
     """The agent at which the algorithm failed."""
@@ -392,4 +395,4 @@ Heard = dict[int, State]
 
 
 class PerNeighbor(dict[int, Any]):
-    """A payload for each neighbour: `PerNeighbor({j: value})` sends each value to its j alone."""
+    """A separate value for each neighbour: `PerNeighbor({j: value})` sends each value to its j alone."""

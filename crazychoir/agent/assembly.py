@@ -76,8 +76,8 @@ def build_drone(
     i: id of the drone
     shared: what the drones of this process share
     supervisor: runs the actors of the drone
-    Raises ConfigError for a kind of command that cannot be flown in its world. The owner of a world
-    refuses such a kind too, when it starts.
+    Raises ConfigError if the drone's world cannot fly its kind of command (`sender`). The owner of a
+    world refuses this too, when it starts.
     """
     port = shared.bus.ports[i]
     owner = shared.owners.get(i)
@@ -190,7 +190,7 @@ def _find_harm(
 
 
 def _build_radio_watch(config: SwarmConfig, pilot: Pilot) -> RadioWatch | None:
-    """Return the watch over the drone's radio, which the pilot asks; None without a radio."""
+    """Return the watch over the drone's radio, which tells the pilot its state; None without a radio."""
     i = pilot.drone
     if i not in config.topology.reached:
         return None
@@ -341,7 +341,7 @@ def _watch_neighbours(config: SwarmConfig, port: Port, traffic: NeighbourTable) 
 
 
 def _tell_apart(barrier: Barrier, roster: Roster) -> None:
-    """Log once for the team, from the coordinator, that the team is cut into parts."""
+    """Log once for the team, from the coordinator, that the team is divided into parts."""
     if barrier.apart and roster.ids[0] == barrier.id:
         gone = " ".join(map(str, barrier.absent))
         text = f"drone {barrier.id}: {barrier.apart}: no message of one reaches another; without drone(s) {gone}"

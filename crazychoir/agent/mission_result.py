@@ -14,7 +14,7 @@ from crazychoir.safety.rules.modes import Mode
 @dataclass(frozen=True, slots=True)
 class MissionReasons:
     """Reasons of missions that did not start, that ended on command, or that failed without a
-    word.
+    reason of their own.
     """
 
     stopped: str = (
@@ -93,7 +93,11 @@ def result_of_failure(reason: str, result: Result | None = None) -> Result:
 
 
 def add_flight_times(result: Result, pilot: Pilot) -> Result:
-    """Return the result with the times for which the drone was kept clear of others and at the fence."""
+    """Return the result with two times in s, as far as they are not 0.
+
+    kept_clear_s: time in which the drone gave way to other drones
+    at_fence_s: time in which the fence kept the drone from its target
+    """
     ticks = {"kept_clear_s": pilot.clearance.ticks, "at_fence_s": pilot.at_fence}
     times = {
         key: round(count * pilot.period_ns / NS_PER_SECOND, 2)

@@ -50,16 +50,16 @@ class MissionTimes:
     landing_deadline: float = 30.0
     """s beyond the planned time of the descent after which the motors are cut."""
     last_messages: float = 1.0
-    """s that an aborted mission has for its last messages after its drone is down. Then it is
+    """s that an aborted mission gets for its last messages after its drone is down. Then it is
     cancelled again.
     """
     readiness_time: float = 5.0
     """s beyond the deadline of its link after which a drone that cannot take off is left out.
     """
     farewell_time: float = 1.5
-    """s that a drone stays after its mission.
+    """s that the agent of a drone stays after its mission.
 
-    Others may still need its last messages, or its next roster.
+    Other drones may still need its last messages, or a roster that it issues.
     """
 
 
@@ -88,7 +88,8 @@ class MissionRunner(Actor):
     async def run(self) -> None:
         """Run the mission from start to end.
 
-        Afterwards the drone stays for a while, for the others.
+        Afterwards the agent stays for MISSION_TIMES.farewell_time s, and as long as an emergency
+        stop is in force: other drones may need its messages.
         """
         drone = self.drone
         life = self._life = asyncio.create_task(
@@ -305,9 +306,10 @@ class MissionRunner(Actor):
         return result_of_failure(self._broken(error))
 
     def _unforgotten(self, result: Result, life: asyncio.Task[Result]) -> Result:
-        """Return the outcome; a failure that names the calls that the mission has forgotten to await, if any.
+        """Return the result, as a failure if the mission has forgotten to await calls.
 
-        An error that has ended the mission is named first: it need not follow from the calls.
+        The failure names the calls. An error that has ended the mission is named first, because it
+        may have another cause.
         """
         has_returned = life.done() and not life.cancelled() and life.exception() is None
         words = describe_forgotten_calls(

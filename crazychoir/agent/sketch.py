@@ -194,10 +194,9 @@ def _stroke_length(places: Mat) -> float:
 def flight_places(
     p: Sequence[float], offset: Offset, drones: Sequence[int], config: SwarmConfig
 ) -> dict[int, list[float]]:
-    """Return the goals of several drones, (3,) m each, world.
+    """Return {drone id: goal (3,) m, world}: the k-th drone flies to p + k offset, k = 0, 1, ...
 
-    The k-th drone flies to p + k offset. Raises ConfigError if two goals are too near to each
-    other.
+    Raises ConfigError if two goals are too near to each other.
     """
     _check_apart(drones, offset, config)
     return _place_beside(p, offset, drones)
@@ -222,11 +221,17 @@ def shift_flight(path: Piecewise, by: Sequence[float]) -> Piecewise:
 def flight_messages(
     path: Piecewise, drones: Sequence[int], offset: Offset, config: SwarmConfig
 ) -> dict[int, dict[str, Any]]:
-    """Return the command for each drone: the k-th flies the path k times `offset` away.
+    """Return {drone id: arguments of the command `fly`}.
 
-    Leaders of a formation fly it side by side from where they are.
-    Raises ConfigError if a path leaves the fence, or if two drones would be so near that one always
-    had to give way to the other.
+    The k-th drone flies the path shifted by k offset, k = 0, 1, ... A leader of a formation flies the
+    path from its present place, so the distance between leaders alone is not checked.
+
+    path: the planned flight
+    drones: ids
+    offset: (3,) m, from drone to drone
+    config: the swarm file
+    Raises ConfigError if a path leaves the fence, or if two drones would be so near that one of them
+    always had to give way.
     """
     if not all(config.drone(i).leader for i in drones):
         _check_apart(drones, offset, config)

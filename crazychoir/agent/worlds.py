@@ -29,10 +29,10 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class WorldOwnerRules:
-    """When a body of the world counts as not flown any more, and how many latencies are kept."""
+    """When a body of the world no longer counts as flown, and how many latencies are kept."""
 
     silence_limit: float = 1.0
-    """s without a command after which a body counts as not flown any more."""
+    """s without a command after which a body no longer counts as flown."""
     check_rate: float = 20.0
     """Hz: rate at which the world checks which bodies are flown."""
     kept_latencies: int = 20_000
@@ -88,9 +88,9 @@ def _camera_actors(config: SwarmConfig, ids: tuple[int, ...]) -> SimulatedMocap:
 
 @dataclass
 class CommandLatency:
-    """Measures the time from a look of the cameras to the command that answers it.
+    """Measures the time from the exposure of the cameras to the command that follows from it.
 
-    The way goes through two processes and the network.
+    It includes the way through two processes and the network.
     """
 
     owner: WorldOwner
@@ -162,7 +162,7 @@ class WorldProcess(Actor):
         await self._supervisor.run([*services, *self.owners, self])
 
     async def run(self) -> None:
-        """Look after the bodies without commands."""
+        """Check regularly which bodies get commands; after `end`, stop when no drone flies."""
         async for _ in self.clock.ticks(WORLD_OWNER_RULES.check_rate):
             for body in self.bodies:
                 body.look()
@@ -179,7 +179,7 @@ class WorldProcess(Actor):
         ]
 
     def end(self, reason: str) -> None:
-        """End as soon as no drone flies."""
+        """Let the process end as soon as no drone flies."""
         self._ending, self._patient_until = (
             reason,
             self.clock.now() + 2.0 * WORLD_OWNER_RULES.silence_limit,
@@ -215,8 +215,8 @@ class WorldProcess(Actor):
     def report(self) -> dict[str, Any]:
         """Return the result of the process.
 
-        It holds the steps in all, the missed steps, and the ms from a look to the command that
-        answers it.
+        It holds the number of steps, the missed steps, and the ms from an exposure of the cameras to
+        the command that follows from it.
         """
         kept = np.array(self.latencies_ns) / NS_PER_SECOND * 1e3
         p50, p99 = (

@@ -128,8 +128,8 @@ class AngleAttitudeCtrl(TunedStrategy):
 
         phi = asin(-z_2) + w_x / k,   theta = atan2(z_1, z_3) + w_y / k,   psi' = w_z + K_R psi_e
 
-    z: z_b of R_d in the axes of the drone's heading. So a wrong heading leaves the force where it
-        is wanted.
+    z: z_b of R_d in the axes of the drone's heading; so the force keeps its direction if the heading
+        is wrong
     psi_e: rad, the yaw error, the short way
     w: rad/s, feed-forward
     k: 1/s, of the attitude control on board

@@ -63,15 +63,15 @@ class Controls:
     plant: Plant
     """The plant behind the commands."""
     tracker: CrazyflieController
-    """Controller of FullStates."""
+    """Controller of FullState references."""
     follower: CrazyflieController | None
-    """Controller of Accelerations; None if the sender cannot send them."""
+    """Controller of Acceleration references; None if the sender cannot send them."""
     trim: Trim
     """Errors of the drone's thrust and attitude that both controllers know."""
     gains: Gains
     """Gains of the tracker."""
     takes_off: bool = True
-    """False for a robot that is where it drives, on the floor too."""
+    """False for a robot that drives, or that moves at any height without a take-off."""
     planar: bool = False
     """True for a robot that does not choose its height."""
 
@@ -91,9 +91,9 @@ class Controls:
         return {name: getattr(self.gains, name) for name in TRACKING_GAIN_NAMES}
 
     def lead_by(self, gains: Gains) -> None:
-        """Fly Accelerations with these gains from the next tick on.
+        """Fly Acceleration references with these gains from the next tick on.
 
-        A law knows which gains it needs beneath it.
+        A law of guidance chooses them, because its stability depends on them.
         """
         if isinstance(self.follower, HierarchicalController):
             self.follower.pos_strategy.gains = gains
@@ -233,8 +233,8 @@ def require_stable(
 ) -> None:
     """Raise ConfigError for gains that leave less delay margin than REQUIRED_DELAY_MARGIN.
 
-    The lag of the rotors is taken 1.3 times as long as identified. For the sender "frpy" the
-    attitude of roll and pitch is controlled on board, whatever kr is.
+    The lag of the rotors is assumed to be 1.3 times as long as identified. For the sender "frpy" the
+    firmware controls roll and pitch, so their kr does not matter.
     """
     if sender == "frpy":
         gains = replace(

@@ -21,8 +21,8 @@ class CrazyflieController(ABC):
     """Maps references to commands.
 
     Its handlers define which references it reads and which commands it sends; both can be exchanged
-    at run time. A reference that is missing, of another kind or not finite is not flown: the drone
-    then holds the last good one, at rest.
+    at run time. If a reference is missing, of another kind or not finite, the drone rests at the
+    last good one.
 
     command_sender: makes the commands
     traj_handler: reads the references
@@ -39,9 +39,7 @@ class CrazyflieController(ABC):
 
     @abstractmethod
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
-        """Return the input u of the sender for a reference (14,).
-
-        None if an argument is not finite.
+        """Return the input u of the sender for a reference; None if an argument is not finite.
 
         state: of the drone
         reference: (14,), as FullState.flat
@@ -52,7 +50,7 @@ class CrazyflieController(ABC):
     def acceleration(self) -> Vec:
         """The acceleration that the last command asks of the drone: (3,) m/s2, world, read-only.
 
-        It is the acceleration of the reference if the controller does not know better.
+        A controller that does not compute it gives the acceleration of the reference.
         """
         if self._last is None:
             return ZERO_ACCELERATION
@@ -62,7 +60,7 @@ class CrazyflieController(ABC):
 
     @abstractmethod
     def blind(self) -> Vec:
-        """Return the input for a state that is not finite."""
+        """Return the input to send while the state of the drone is not finite."""
 
     def command(
         self, state: State, reference: Reference | None, now: float
@@ -92,7 +90,7 @@ class CrazyflieController(ABC):
 
 @kernel(vector, vector, memory, real)
 def _turn_desired(x: Vec, ref: Vec, desired: Vec, t: float) -> bool:
-    """Turn the desired attitude on by its feed-forward: R_d exp(t w_d).
+    """Turn the desired attitude further by its feed-forward: R_d exp(t w_d).
 
     x: (13,): state
     ref: (14,): reference
@@ -121,8 +119,8 @@ class HierarchicalController(CrazyflieController):
     attitude_strategy: GeometryAttitudeCtrl, or AngleAttitudeCtrl for an attitude control on board
     command_sender: makes the commands
     traj_handler: reads the references
-    position_rate: Hz, of the position strategy; 0 for each tick. Between its ticks the desired
-        attitude turns on by its feed-forward, and the thrust stays.
+    position_rate: Hz, of the position strategy; 0: in each tick. Between its ticks the desired
+        attitude turns further by its feed-forward, and the thrust stays constant.
     """
 
     def __init__(

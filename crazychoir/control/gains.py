@@ -39,12 +39,12 @@ class Gains:
     rate_delay: float = 0.0
     """s, how late body rates follow their commands.
 
-    What is known of the reference is fed forward earlier by this time.
+    The feed-forward of the reference is sent earlier by this time.
     """
     thrust_delay: float = 0.0
     """s, how late the thrust follows its command.
 
-    What is known of the reference is fed forward earlier by this time.
+    The feed-forward of the reference is sent earlier by this time.
     """
     ki_thrust: float = 0.0
     """1/s2, how fast Trim learns the error of the thrust; 0 for not at all."""

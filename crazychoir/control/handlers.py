@@ -32,12 +32,16 @@ class TrajectoryHandler(Protocol):
         ...
 
     def hold(self, state: State, last: Vec | None) -> Vec:
-        """Return the reference (14,) to fly without a usable one: `last` at rest, or the state."""
+        """Return the reference (14,) that the drone flies while no usable reference arrives.
+
+        state: of the drone, to rest at if there is no `last`
+        last: (14,), last usable reference, None if there was none
+        """
         ...
 
 
 class FullStateTraj:
-    """Position, velocity, acceleration, jerk and yaw: for FlatnessPositionCtrl."""
+    """Reads position, velocity, acceleration, jerk and yaw, for FlatnessPositionCtrl."""
 
     topic = "fullstate"
 
@@ -57,7 +61,7 @@ class FullStateTraj:
 
 
 class PositionTraj:
-    """A place to come to rest at, without velocity: reads each FullState so."""
+    """Reads only place and yaw of a FullState, so that the drone comes to rest there."""
 
     topic = "position"
 
@@ -73,7 +77,7 @@ class PositionTraj:
 
 
 class AccelerationTraj:
-    """An acceleration and a yaw, from a double-integrator law: for FlatnessAccelerationCtrl."""
+    """Reads acceleration and yaw of a double-integrator law, for FlatnessAccelerationCtrl."""
 
     topic = "acceleration"
 
@@ -82,11 +86,9 @@ class AccelerationTraj:
         self._next, self._other = [(flat, flat[6:9]) for flat in frames]
 
     def read(self, reference: Reference) -> Vec | None:
-        """Return acceleration and yaw.
+        """Return a reference (14,) with acceleration and yaw; all else is zero.
 
-        Position and velocity are zero, because nothing follows them.
-
-        The array belongs to this handler and is valid until its next call but one.
+        The array belongs to this handler. It is valid until the second next call.
         """
         if not isinstance(reference, Acceleration):
             return None
@@ -100,7 +102,7 @@ class AccelerationTraj:
         return flat
 
     def hold(self, state: State, last: Vec | None) -> Vec:
-        """Return no acceleration, with the last heading, or the state's."""
+        """Return a reference (14,) without acceleration, with the last heading or that of the state."""
         level = np.zeros(14)
         level[12] = yaw_of(state.q) if last is None else last[12]
         return level

@@ -1,4 +1,4 @@
-"""The delay margin of a loop: all gains that ship are judged by it before they fly.
+"""The delay margin of a control loop, by which gains are accepted or refused.
 
 Near hover a drone is, along one horizontal axis, x'' = g theta, theta' = w, w = W(s) w_c, and the
 command is w_c = -KR (theta - theta_d), theta_d = -(kp x + kv v_f + ki int x) / g, with v_f the
@@ -119,7 +119,7 @@ class InnerLoop:
     lead_cutoff: float = 50.0
     """rad/s, of that feed-forward."""
     rates: Loop | None = None
-    """W(s) if it is not such a lag; else None."""
+    """W(s) of the body rates, if it is known better than by the lag; else None."""
 
     @property
     def attitude(self) -> Loop:

@@ -78,7 +78,7 @@ class PositionControl(Protocol):
 
     @property
     def acceleration(self) -> Vec:
-        """The acceleration of the last call of `desired`: (3,) m/s2, world, read-only."""
+        """The acceleration that the last call of `desired` asks for: (3,) m/s2, world, read-only."""
         ...
 
     def desired(self, state: State, reference: Vec, now: float) -> Vec | None:
@@ -133,9 +133,10 @@ def _compute_wish(x: Vec, ref: Vec, gains: Vec, follow: float, c: int) -> float:
 def _compute_flatness(
     x: Vec, ref: Vec, figures: Vec, trim: Vec, follow: float, out: Vec
 ) -> bool:
-    """Apply the law of FlatnessPositionCtrl or of FlatnessAccelerationCtrl, in its basic form.
+    """Apply the basic law of flatness control.
 
-    The first is without its delays (follow = 1), the second without its lead (follow = 0).
+    follow = 1: FlatnessPositionCtrl without its delays
+    follow = 0: FlatnessAccelerationCtrl without its lead
 
     x: (13,): state
     ref: (14,): reference
@@ -270,12 +271,12 @@ class FlatnessPositionCtrl(TunedStrategy):
 
     w(F, F'): the rate at which R_d turns when F changes by F'
     w_r: that rate for the reference alone, differentiated from call to call
-    T_f, T_w: thrust_delay and rate_delay of the gains. The drone is late, so what is known of the
-        reference comes earlier.
+    T_f, T_w: thrust_delay and rate_delay of the gains: the feed-forward is early by as much as the
+        drone is late
     s, d: of `trim`, which learns from each call while F is not cut
 
-    F keeps within the tilt and the thrust of the platform, height first. When it is cut, w_d has no
-    jerk.
+    F is cut to the largest tilt and thrust of the platform; the height takes precedence. While F is
+    cut, w_d is computed without the jerk.
     Source: Mellinger & Kumar 2011; rotor drag as in Kai et al. 2017 and Faessler et al. 2018.
     """
 
@@ -337,12 +338,12 @@ class FlatnessAccelerationCtrl(FlatnessPositionCtrl):
 
     Position and velocity are left to that law. w(R_d) is the rate at which R_d turns.
 
-    lead, cutoff: of the gains. Some lead lets a faster law fly behind the same rate loop, see
-        margin.guidance_loop.
-    s, d: of `trim`, as far as they are sure. The trim learns nothing here, because there is no
-        wanted place.
+    lead, cutoff: of the gains. Lead allows a faster law with the same rate loop, see
+        `make_guidance_loop`.
+    s, d: of `trim`, without the part that may be noise. The trim learns nothing here, because there
+        is no wanted place.
 
-    The rest is as in FlatnessPositionCtrl.
+    The other symbols are as in FlatnessPositionCtrl.
     """
 
     def __init__(

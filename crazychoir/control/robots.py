@@ -41,12 +41,12 @@ class RobotStrategy(Protocol):
 
 
 class RobotController(CrazyflieController):
-    """Flies references, as drones do, by a strategy.
+    """Follows references by a strategy, with inputs that change at a limited rate.
 
         |u_k - u_k-1| <= a_max h,  in the first `smooth` entries
 
     A robot that obeys velocities at once must not jump: it would be beyond the fence before its
-    filter had seen it move. After ROBOT_TICK_TIMEOUT s without a tick it counts as standing.
+    filter had seen it move. After ROBOT_TICK_TIMEOUT s without a tick, u_k-1 counts as zero.
 
     strategy: makes the input
     size: n, of the input
@@ -87,7 +87,7 @@ class RobotController(CrazyflieController):
         return u
 
     def blind(self) -> Vec:
-        """Return zeros: the robot stands still, or goes on as it is if it has inertia."""
+        """Return zeros: the robot stands still, or keeps its velocity if it obeys accelerations."""
         return np.zeros(self.size)
 
 
@@ -155,7 +155,7 @@ class DoubleIntegratorCtrl:
 def make_single_integrator_controls(flight: FlightTable) -> Controls:
     """Return the controls of a point that gets velocities.
 
-    Twice the speed limit leaves room to catch up.
+    Its velocity may be twice the speed limit, so that it can catch up with its reference.
     """
     strategy = SingleIntegratorCtrl(v_max=2.0 * flight.speed_limit)
     return _make_robot_controls(

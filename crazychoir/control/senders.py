@@ -24,11 +24,11 @@ class CommunicationHandler(Protocol):
         ...
 
     def message(self, u: Vec) -> Command:
-        """Return the command of the input u; it may keep u."""
+        """Return the command for the input u; the command may hold u itself, not a copy."""
         ...
 
     def steady(self, weight: float) -> Command | None:
-        """Return the command that keeps a drone in the air when nothing is known of it.
+        """Return the command that keeps a drone in the air while its state is unknown.
 
         weight: N
         Returns None if the drone should continue as it does.
@@ -85,7 +85,7 @@ class VelSender:
 
 
 class FullStateSender:
-    """Sends full states, from u (14,), as FullState.flat: the firmware flies them."""
+    """Sends references to a firmware that follows them itself, from u (14,), as FullState.flat."""
 
     topic = "cmd"
     kind = "fullstate"

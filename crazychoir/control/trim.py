@@ -11,9 +11,7 @@ from crazychoir.types import Vec
 
 
 class TrimLimits(NamedTuple):
-    """Bounds of the trim, and the errors at which it learns: an error tells something about the
-    trim when it is small and lasts.
-    """
+    """Bounds of the trim, and the errors from which it learns: only small and lasting ones."""
 
     largest_thrust_error: float = 0.25
     """Largest error of the thrust, as a share.
@@ -28,7 +26,7 @@ class TrimLimits(NamedTuple):
     learning_height: float = 0.3
     """Largest vertical distance in m from its place at which the trim learns."""
     noise_level: float = 0.005
-    """Twice the trim in m/s2 that the noise of good cameras produces."""
+    """Trim in m/s2 that may be noise: twice what the noise of good cameras produces."""
     learning_speed: float = 0.15
     """Largest speed in m/s of that error at which the trim learns, along each axis."""
 
@@ -94,9 +92,9 @@ class Trim:
         s' = ki_thrust e_z / g,   d' = ki_trim Rz^T e_xy,   e = p_d - p
         thrust = (1 + s) m F . R e3,   a = a_d + Rz d + ...
 
-    A thrust with a wrong factor pulls too hard sideways as well. So it is corrected by a factor; an
-    integral of the height would correct hovering only. Rz turns by the heading: an attitude error
-    is constant in body axes, whatever the heading. The position laws of one drone share the trim.
+    A wrong thrust is corrected by a factor, because it is wrong in every direction; an integral of
+    the height would correct hovering only. Rz turns by the heading: an attitude error is constant in
+    body axes. All position laws of one drone share the trim.
 
     s: error of the thrust
     d: (2,) m/s2, heading axes

@@ -1,4 +1,4 @@
-"""Control of a unicycle: of a point ahead of its axle by a velocity, and of its pose."""
+"""Control of a unicycle: the velocity of a point ahead of its axle, or its pose."""
 
 import math
 from dataclasses import dataclass
@@ -127,13 +127,13 @@ class UnicyclePoseCtrl:
 
 
 class UnicycleCtrl:
-    """Follows references: a moving one by a velocity, a standing one as a pose to come to.
+    """Follows a moving reference by a velocity, and drives to the pose of a standing reference.
 
         moving: u = v_d + k (p_d - p),  |u| <= v_max, to UnicycleVelocityCtrl
         standing: UnicyclePoseCtrl
 
-    A pose is reached at UNICYCLE_LIMITS.reached_distance m, and left alone while the robot is within
-    UNICYCLE_LIMITS.departed_distance m of it.
+    The robot stops when it is within UNICYCLE_LIMITS.reached_distance of a pose. It drives again when
+    it is farther than UNICYCLE_LIMITS.departed_distance from the pose.
 
     k: 1/s
     v_max: m/s

@@ -67,14 +67,13 @@ def _compute_velocity(x: Vec, ref: Vec, gains: Vec, heading: float, out: Vec) ->
 
 
 class VelocityCtrlStrategy:
-    """Proportional-derivative control of the place by a velocity.
+    """Proportional-derivative control of the position by a velocity.
 
         u = v_d + S a_d / k_v + kp (p_d - p) + kd (v_d - v)
         yaw' = yaw_d' + k_yaw (yaw_d - yaw), the short way
 
-    S a_d: horizontal part of a_d; the firmware produces an acceleration from a velocity error by
-    its
-        gain k_v in 1/s
+    S a_d: horizontal part of a_d; the firmware makes an acceleration of a velocity error by its gain
+        k_v in 1/s
     kp: 1/s
     kd: 1
     k_yaw: 1/s
@@ -123,16 +122,16 @@ class VelocityController(CrazyflieController):
 
 
 class LearntIntegrals:
-    """Lasting climb and turn that the firmware's integrals of height and yaw have learnt."""
+    """Model of the integrals of height and yaw in the firmware, which learn a lasting climb and turn."""
 
     def __init__(self) -> None:
         self._learnt = np.zeros(2)
         self._asked = math.inf
 
     def missing(self, climb: float, turn: float, now: float) -> tuple[float, float]:
-        """Return the parts of a climb in m/s and a turn in rad/s that they do not know yet.
+        """Return the parts of a climb in m/s and a turn in rad/s that the integrals lack.
 
-        On the ground they forget all.
+        On the ground the integrals are reset.
         """
         h = now - self._asked
         self._asked = now
@@ -152,8 +151,8 @@ class FullStateController(CrazyflieController):
         yaw_c = yaw_d(T) + (yaw_d' - w) / k_yaw
         T = late
 
-    The firmware turns the distance to the place into a velocity, and reads no other velocity. So
-    the place is that far ahead. Symbols are as in WaypointController.
+    The firmware computes a velocity from the distance to the commanded place only, so this place
+    lies ahead of the reference. Symbols are as in WaypointController.
 
     late: s, delay of the command and of the drone behind its set-points
     """
@@ -193,7 +192,7 @@ class FullStateController(CrazyflieController):
 
 
 class WaypointController(CrazyflieController):
-    """Flies references by the planner on board: a straight line to a future place every `every` s.
+    """Flies references by the planner on board: sends a straight line to a place ahead, again and again.
 
         p_c = p_d(T) + (v_d(T) - u e3 + S a_d / k_v) / k_p
         yaw_c = yaw_d(T) + (yaw_d' - w) / k_yaw
@@ -201,13 +200,13 @@ class WaypointController(CrazyflieController):
         T = ahead + late
         u' = (v_d(T)_z - u) k_i / k_p,   w' = (yaw_d' - w) k_i / k_yaw
 
-    The planner is at p_c `ahead` s after the line has arrived, and the next line begins before
-    that. So its set-point moves along p_c, except at the corners between lines.
+    A line ends at p_c `ahead` s after it has arrived, and the next line replaces it before. So the
+    set-point of the planner moves along p_c, except at the corners between lines.
 
-    The firmware turns a distance into a velocity by k_p, and knows no other velocity: a drone that
-    flies at v is v / k_p behind its set-point. So the set-point is that far ahead of the reference.
-    The same holds for the yaw. The firmware's integrals of height and yaw learn a lasting climb and
-    turn; u and w are what they have learnt. S a_d is as in VelocityCtrlStrategy.
+    The firmware computes a velocity only from the distance to its set-point, by k_p. A drone that
+    flies at v is therefore v / k_p behind its set-point, and the set-point is sent ahead by as much.
+    The yaw is treated in the same way. The firmware's integrals of height and yaw learn a lasting
+    climb u and turn w, which need no lead. S a_d is as in VelocityCtrlStrategy.
 
     every: s, between two lines
     ahead: s, duration of a line

@@ -335,7 +335,7 @@ def network_of(address: str) -> str:
 
 
 def _is_of_another_site(headers: dict[str, str]) -> bool:
-    """Return whether the browser says that another site makes the request, and it is not a link."""
+    """Return whether another site makes the request, as the browser says, without a link to the page."""
     link = (
         headers.get("sec-fetch-mode") == "navigate"
         and headers.get("sec-fetch-dest") == "document"
@@ -349,7 +349,7 @@ def _is_of_another_site(headers: dict[str, str]) -> bool:
 async def _read_body(receive: Receive, most: int) -> bytes:
     """Return the whole body, or the part that came before the visitor left.
 
-    Raises TooLarge beyond `most` bytes.
+    Raises BodyTooLarge beyond `most` bytes.
     """
     body = b""
     more = True

@@ -8,7 +8,7 @@ from crazychoir.runtime.clock import Clock
 
 
 class CommandPlace(Protocol):
-    """The place on the network from which commands are given."""
+    """A place on the network that can send commands to the drones of a swarm."""
 
     clock: Clock
     config: SwarmConfig

@@ -15,10 +15,10 @@ from crazychoir.dashboard.stops import CHECK_PERIOD, StopSender
 class CommandDesk:
     """Gives commands without waiting for them; their receipts are updated as answers come.
 
-    Later orders take precedence. A stop withdraws every open order that could move its drones. An
-    order withdraws older contrary orders that are not acknowledged yet. A drone that is not ready
-    is not asked again for an order that a later one contradicts. After an outage of the network
-    no such order therefore arrives late.
+    A later order takes precedence. A stop withdraws every open order that could move its drones.
+    An order withdraws older orders that it contradicts, unless a drone has acknowledged them. It is
+    not repeated to a drone that was not ready either. Therefore no outdated order arrives late after
+    an outage of the network.
     """
 
     def __init__(self, place: CommandPlace, watch: EventLog) -> None:
@@ -95,7 +95,7 @@ class CommandDesk:
         return receipt
 
     async def settled(self, receipt: Receipt) -> Receipt:
-        """Wait until no drone may answer any more, and return the receipt."""
+        """Wait until no further answer can come, and return the receipt."""
         while receipt.open:
             await self.place.clock.sleep(CHECK_PERIOD)
         return receipt

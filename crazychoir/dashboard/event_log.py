@@ -48,7 +48,7 @@ class EventLog:
     def told(self, i: int, text: str, grave: bool = False) -> None:
         """Add a message of drone i.
 
-        A message about a command has level info. Any other one is a warning; it is an error if it
+        A message about a command has level info. Another message is a warning, or an error if it
         is grave or contains one of ERROR_WORDS.
         """
         bare = text.removeprefix(f"drone {i}: ")

@@ -85,7 +85,7 @@ class _PendingOrder:
 class OrderSender:
     """Sends orders to drones, each until it is acknowledged, answered or withdrawn.
 
-    place: gives the commands
+    place: place on the network from which the orders are sent
     book: receipts of the orders
     """
 

@@ -33,8 +33,7 @@ class PollingLimits:
     It is longer if two turns through all drones take longer.
     """
     most_asked_drones: int = 3
-    """A task request goes to at most this many drones, one after the other, until one accepts it.
-    """
+    """Most drones that get a task request, one after the other, until a drone accepts it."""
 
 
 POLLING_LIMITS = PollingLimits()
@@ -140,9 +139,8 @@ class TaskBoard(Actor):
     async def look(self) -> None:
         """Ask for the list of tasks.
 
-        The drone that was asked last is asked again, unless it hears no more than half of the
-        swarm. Its list is then that of a part that is cut off, and the next drone that hears more
-        is asked, if there is one.
+        Ask the drone that was asked last. If it hears no more than half of the swarm, it may be in
+        a part that is cut off: then ask the next drone that hears more, if there is one.
         """
         n = len(self.ids)
         steps = (

@@ -14,7 +14,7 @@ MOST_RECEIPTS = 50  # receipts that are kept
 
 @dataclass(frozen=True, slots=True)
 class ReceiptKinds:
-    """Kinds of answers in a receipt that this program adds to the answers of the drones."""
+    """Kinds of answers in a receipt that come from this program, not from a drone."""
 
     sent: str = "sent"
     """Kind of answer: not acknowledged yet."""
@@ -65,7 +65,7 @@ class Receipt:
     version: int = 0
     """Number of the change after which this receipt was last changed, over all receipts."""
     key: str = ""
-    """Key that the page gave the command, so that a repeated command counts only once."""
+    """Key that the page gave the command. If the page repeats it, no second command is given."""
 
     @property
     def open(self) -> bool:
@@ -85,7 +85,7 @@ class Receipt:
 class ReceiptBook:
     """Keeps the newest receipts, and numbers every change of their answers.
 
-    clock: gives the time at which a command is given
+    clock: tells the time at which a command is given
     watch: log of the pages; it gets a line when a drone does not obey
     """
 
@@ -104,7 +104,7 @@ class ReceiptBook:
         return [receipt for receipt in self.receipts if receipt.version > version]
 
     def find(self, key: str) -> Receipt | None:
-        """Return the oldest receipt with the key of a page's message; None without a key."""
+        """Return the oldest receipt with this key (see `Receipt.key`); None if there is none."""
         if not key:
             return None
         return next((receipt for receipt in self.receipts if receipt.key == key), None)
@@ -157,7 +157,7 @@ class ReceiptBook:
             self._watch.add(f"{receipt.verb}: {kind}: {words}", "warning", i)
 
     def withdraw(self, receipt: Receipt, i: int, by: str) -> None:
-        """Mark an order as withdrawn; this is no trouble and not worth a line of the log.
+        """Mark an order as withdrawn, without a line in the log.
 
         receipt: of the order
         i: id of the drone

@@ -6,7 +6,7 @@ from collections import deque
 class RecentCounts:
     """Recent counts of one sender.
 
-    window: s, older counts are forgotten, except the last two.
+    window: s; older counts are forgotten, but the last two are always kept.
     """
 
     def __init__(self, window: float) -> None:

@@ -92,7 +92,7 @@ class Draw(Ask, frozen=True):
     a_max: Annotated[float, Meta(gt=0.01, le=50.0)] = 1.0
     """m/s2, at most that of [flight]."""
     slower: Annotated[float, Meta(ge=1.0, le=20.0)] = 1.0
-    """Factor on the time that these limits need."""
+    """Factor by which the flight takes longer than these limits demand."""
 
 
 class Fly(Ask, frozen=True):

@@ -41,7 +41,7 @@ class _PendingStop:
 class StopSender:
     """Sends each stop, or its clearing, until all its drones have obeyed or a newer one replaces it.
 
-    place: gives the commands
+    place: place on the network from which the stops are sent
     book: receipts of the stops
     """
 
@@ -52,7 +52,7 @@ class StopSender:
         self._book = book
 
     def send(self, receipt: Receipt, clear: bool, alone: bool) -> None:
-        """Begin to send a stop to the drones of its receipt, and to their bodies in other processes.
+        """Begin to send a stop to the agents of its drones, and to their bodies in other processes.
 
         receipt: of the stop
         clear: whether it clears a stop

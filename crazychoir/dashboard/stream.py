@@ -39,7 +39,7 @@ class StreamLimits:
     counting_time: float = 2.0
     """Seconds over which messages of a page are counted."""
     notice_interval: float = 1.0
-    """Seconds between two notices to a page that it sends too much."""
+    """Least time in seconds between two notices that tell a page that it sends too much."""
 
 
 STREAM_LIMITS = StreamLimits()

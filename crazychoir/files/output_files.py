@@ -40,12 +40,11 @@ def require_writable_file(
 ) -> None:
     """Raise ConfigError, before anything is computed, if the file cannot be written.
 
-    A missing folder is made, and also the folders above it if `parents` is set. An existing file
-    may be overwritten.
+    A missing folder is made. An existing file may be overwritten.
 
     option: name for errors
     endings: allowed suffixes of the name, in lower or upper case; empty: all
-    parents: make missing folders above the folder too
+    parents: whether missing folders above the folder are made too
     """
     path = Path(path)
     if endings and path.suffix.lower() not in endings:
@@ -76,9 +75,11 @@ def require_writable_file(
 
 
 def require_writable_folder(path: str | Path, option: str) -> None:
-    """Make the folder.
+    """Make the folder if it is missing; raise ConfigError if files cannot be written into it.
 
-    Raise ConfigError, before anything is computed, if files cannot be written into it.
+    Call it before anything is computed.
+
+    option: name for errors
     """
     path = Path(path)
     try:
@@ -98,9 +99,9 @@ def output_file(path: str | Path, what: str) -> Iterator[Path]:
     """Yield the path to write to.
 
     If the block ends without an error, the file is moved to its place. So a full disk destroys no
-    existing file and leaves no half-written file. A symbolic link is followed. A device, and an
-    existing file in a folder that takes no new file, are written directly. The yielded path has the
-    suffix of `path`, except for a device.
+    existing file and leaves no half-written file. A symbolic link is followed. A device is written
+    directly, and so is an existing file in a folder where no new file can be made. The yielded path
+    has the suffix of `path`, except for a device.
 
     what: name for errors
     Raises ConfigError in place of an OSError.

@@ -34,7 +34,7 @@ def make_readable(text: str, other: str = "backslashreplace") -> str:
 
 
 def readable_texts(value: Any, other: str = "backslashreplace") -> Any:
-    """Return the value with all its texts `make_readable`.
+    """Return the value with `make_readable` applied to all its texts.
 
     Texts in lists, dictionaries (keys too) and wire types are made readable at any depth.
     """
@@ -61,7 +61,11 @@ def json_bytes(
     order: Literal["sorted"] | None = None,
     enc_hook: Callable[[Any], Any] | None = None,
 ) -> bytes:
-    """Return the value as JSON, with `make_readable` texts."""
+    """Return the value as JSON; its texts are changed by `make_readable` if UTF-8 cannot hold them.
+
+    order: "sorted" to sort keys, as for msgspec
+    enc_hook: converts objects that msgspec does not know
+    """
     try:
         return msgspec.json.encode(value, order=order, enc_hook=enc_hook)
     except UnicodeEncodeError:

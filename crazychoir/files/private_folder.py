@@ -20,7 +20,7 @@ from crazychoir.files.user_folders import (
 
 @dataclass(frozen=True, slots=True)
 class FolderTexts:
-    """What is allowed as the private folder, and what to do about another one, for errors."""
+    """Texts of errors about the private folder: what is allowed, and what to do."""
 
     allowed: str = "a folder of this user alone"
     """The allowed folder, for errors."""

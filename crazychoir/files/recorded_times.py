@@ -1,4 +1,4 @@
-"""The times of a recording, which must be in s: other units are guessed, and refused."""
+"""Check that the times of a recording are in s; refuse other units, with a guess of the unit."""
 
 import itertools
 from collections.abc import Sequence
@@ -13,8 +13,7 @@ class RecordedTimeLimits:
     """Limits by which the unit of recorded times, and jumps of their clock, are recognised."""
 
     largest_time: float = 1e11
-    """s: a larger number is no time in seconds from whatever origin; 1970 was 1.8e9 s ago, which
-    are 1.8e12 ms.
+    """s: a larger number is no time in s. From 1970 until now it is 1.8e9 s, or 1.8e12 ms.
     """
     longest_gap: float = 600.0
     """s between two rows: with a longer gap the clock of the recording was set, and a replay would

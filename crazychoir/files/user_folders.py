@@ -29,7 +29,7 @@ class FolderRequirements:
     """Room and permissions that the folders of a user need."""
 
     probe_size: int = 1 << 16
-    """bytes: a folder must have room for so many."""
+    """Bytes for which a folder must have room."""
     private_mode: int = 0o700
     """Permissions of the private folder."""
     others_mask: int = 0o077
@@ -65,9 +65,8 @@ def user_home() -> Path | None:
 def cache_home() -> Path | None:
     """Return the cache folder of this user, or None if there is none.
 
-    It is XDG_CACHE_HOME, else ~/.cache. A folder of another user is not used: under `sudo` the home
-    may belong to another user. That user could change the files in it, and could not change the
-    files that root writes there.
+    It is XDG_CACHE_HOME, else ~/.cache. A folder of another user is not used, as root may find it
+    under `sudo`: its owner could change the files of root, and could not replace them when needed.
     """
     named = os.environ.get("XDG_CACHE_HOME", "")
     if os.path.isabs(named):
@@ -183,8 +182,8 @@ def user_name(uid: int) -> str:
 def first_warning(cache: str) -> bool:
     """Note a warning about this cache; return whether it is the first.
 
-    It is not if this process or one of its parents has already warned. The environment keeps the
-    note, so that child processes do not repeat the warning.
+    A warning of this process or of one of its parents counts. The note is kept in the environment,
+    so that child processes do not repeat the warning.
     """
     told = os.environ.get(TOLD_VARIABLE, "").split(",")
     if cache in told:

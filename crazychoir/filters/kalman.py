@@ -28,7 +28,7 @@ from crazychoir.types import Mat, Pose, State, Vec
 
 
 class KalmanGate(NamedTuple):
-    """Which poses the filter refuses, and when it believes them all the same."""
+    """Which poses the filter refuses, and when it accepts them nevertheless."""
 
     chi_square: float = 25.0
     """Chi-square of 3 degrees of freedom: one good pose of 65 000 is beyond it."""
@@ -44,18 +44,18 @@ KALMAN_GATE = KalmanGate()
 
 
 class KalmanDeviations(NamedTuple):
-    """Standard deviations of a filter that starts, and of a drone on the floor."""
+    """Standard deviations of the state when the filter starts, and on the floor."""
 
     start_velocity: float = 1.0
-    """m/s, standard deviation at a start."""
+    """m/s, standard deviation of the velocity when the filter starts."""
     start_disturbance: float = 5.0
-    """m/s2, standard deviation at a start."""
+    """m/s2, standard deviation of d when the filter starts."""
     start_turn_rate: float = 3.0
-    """rad/s, standard deviation at a start."""
+    """rad/s, standard deviation of the body rates when the filter starts."""
     floor_velocity: float = 0.01
-    """m/s, standard deviation on the floor."""
+    """m/s, standard deviation of the velocity on the floor."""
     floor_disturbance: float = 0.5
-    """m/s2, standard deviation on the floor."""
+    """m/s2, standard deviation of d on the floor."""
 
 
 KALMAN_DEVIATIONS = KalmanDeviations()
@@ -601,24 +601,26 @@ def _predict_state(
 class KalmanFilter:
     """Kalman filter of position and velocity, and error-state filter of attitude and body rates.
 
-    It is right at any rate.
+    The poses may come at any rate.
 
         p' = v,  v' = f(q, u) + d + n_s,  d' = n_j,      z_p = p + n_p
         q' = 1/2 q (w, 0),  w' = (r - w) / lag + n_g,      z_q = q exp(n_a)
 
-    f is the acceleration of the paper's dynamics under the commands u, as in Commanded. d is the
-    rest: a thrust that differs from the command, and wind. Without a `motion`, or with motors off,
-    f = 0, d is the whole acceleration, and w' = n_g.
+    f: the acceleration of the dynamics of CommandedMotion under the commands u
+    d: the remaining acceleration, from a thrust that differs from the command and from wind
+    n_s, n_j, n_g, n_p, n_a: white noises
+    r: the commanded rates u_2..4, with lag = RATE_LAG
 
-    r are the commanded rates u_2..4, and lag = RATE_LAG. If the `loop` on board is known, r is the
-    response of the loop to the commands alone, and lag = RATE_LOOP_MODEL.lag. One axis of the loop, which runs
-    down when no thrust is commanded:
+    Without a `motion`, or with motors off, f = 0, d is the whole acceleration, and w' = n_g.
+
+    If the `loop` on board is known, r is the response of the loop to the commands alone, and
+    lag = RATE_LOOP_MODEL.lag. One axis of the loop, which runs down while no thrust is commanded:
 
         lag_r r'' + r' = sat(kp e + ki (integral of e) - kd r'),  e = u_2..4 - r,  |sat| <= most
 
-    The white noises are equal in all axes. So one covariance (p, v, d) serves x, y and z, and one
-    (a, w) the three angles of the error a, q = q_est exp(a). Both are discretised exactly for the
-    measured time h between two poses:
+    Each noise is equal in all axes. So x, y and z share one covariance of (p, v, d), and the three
+    angles of the error a, q = q_est exp(a), share one covariance of (a, w). Both are discretised
+    exactly for the measured time h between two poses:
 
         F = [1 h h^2/2; 0 1 h; 0 0 1]
         Q = jerk [h^5/20 h^4/8 h^3/6; h^4/8 h^3/3 h^2/2; h^3/6 h^2/2 h]
@@ -628,31 +630,31 @@ class KalmanFilter:
     F_a omits the lag of the rates, which is not known well enough. The update has Joseph's form;
     only its upper triangle is kept.
 
-    A pose is refused, and counts as missing, if its innovation e has |e|^2 / variance beyond KALMAN_GATE.chi_square
-    in position or attitude. So is a pose that is not finite, or has a quaternion length outside 0.5
-    to 2. The KALMAN_GATE.doubts-th pose in a row beyond the gate is believed: the filter starts
-    again there, with the velocities it had. After a gap longer than the horizon it starts again with the mean
-    velocity of the gap.
+    A pose is refused, and counts as missing, if it is not finite, if the length of its quaternion is
+    outside 0.5 to 2, or if it is beyond the gate: |e|^2 / variance of its innovation e exceeds
+    KALMAN_GATE.chi_square in position or attitude. After KALMAN_GATE.doubts poses in a row beyond the
+    gate the filter accepts the newest: it starts again there, with the velocities that it had. After
+    a gap longer than the horizon it starts again with the mean velocity of the gap.
 
-    A drone on the floor that is not lifted has no velocity and no d.
+    While the thrust does not lift a drone from the floor, its velocity and d are zero.
 
-    The state is carried from the time of the measurement to `now` under the commands of that time,
-    which are remembered: `commanded` is valid from one call to the next. While no pose comes it
-    continues in this way, and d fades within DISTURBANCE_FADE_TIME s. The times follow the period of the cameras as
-    in VelocityFilter, and the attributes are the same.
+    The state is extrapolated from the time of the measurement to `now` under the commands of that
+    time, which are recorded: `commanded` is valid from one call to the next. Without poses the
+    extrapolation goes on, and d decays with the time constant DISTURBANCE_FADE_TIME. The times follow
+    the period of the cameras as in VelocityFilter, and the attributes are the same.
 
     horizon: s, longest prediction
     period: s, of the cameras; 0 if they have no steady rate
     motion: the dynamics under commands; None if the filter gets no commands
-    noise_p: m, standard deviation of a place per axis; 0.5 mm is a good motion capture
-    noise_angle: rad, standard deviation of an attitude per axis; 0.25 deg is a good motion capture
-    jerk: m2/s5, density of n_j: a thrust that is 10 % off where the jerk is 10 m/s3, for some 0.1
-        s. A filter without commands has all of the jerk in d: then 0.1 is right for eights at 1
-        m/s, 3 for eights at 2 m/s.
-    push: m2/s3, density of n_s: the effect in f of g times the noise of the attitude, 2 mrad behind
-        the filter for 0.03 s
-    swing: rad2/s3, density of n_g: a lag of the rates that is off by 10 ms where they change by
-        20 rad/s2, for some 0.03 s
+    noise_p: m, standard deviation of a position per axis; 0.5 mm for good motion capture
+    noise_angle: rad, standard deviation of an attitude per axis; 0.25 deg for good motion capture
+    jerk: m2/s5, density of n_j. The default covers a thrust that is 10 % wrong for about 0.1 s while
+        the jerk is 10 m/s3. Without commands d must follow the whole jerk: then use 0.1 for figure
+        eights at 1 m/s, and 3 at 2 m/s.
+    push: m2/s3, density of n_s. The default covers the error of f from an attitude that is still
+        2 mrad wrong behind the filter, for about 0.03 s.
+    swing: rad2/s3, density of n_g. The default covers a lag of the rates that is 10 ms wrong for
+        about 0.03 s while the rates change by 20 rad/s2.
     loop: (3, 5): lag_r s, kp 1/s, ki 1/s2, kd, most rad/s2 of roll, pitch, yaw; None if not known
     Source: Bar-Shalom, Li & Kirubarajan 2001, the Wiener process acceleration model, for Q;
         Lefferts, Markley & Shuster 1982 for the error state.
@@ -774,7 +776,7 @@ class KalmanFilter:
         return state
 
     def _refuse(self, pose: Pose, now: float, doubtful: bool) -> State | None:
-        """Count a pose as missing, or believe it if too many in a row were doubtful."""
+        """Count a pose as missing, or start again from it if too many in a row were doubtful."""
         self._doubted += doubtful
         if doubtful and self._doubted >= KALMAN_GATE.doubts:
             return self._start(

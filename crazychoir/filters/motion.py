@@ -113,14 +113,14 @@ def _advance_attitude(x: Vec, u: Vec, lag: float, h: float) -> None:
 def advance_flight(
     x: Vec, u: Vec, platform: Vec, floor: float, lag: float, push: Triple, t: float
 ) -> bool:
-    """Advance a state by the law of Commanded, and return whether it then stands on the floor.
+    """Advance a state by the law of CommandedMotion, and return whether it then stands on the floor.
 
     x: (13,), changed in place
     u: (4,): command
     platform: Platform.flat
     floor: m
     lag: s, of the body rates
-    push: m/s2, world: a constant acceleration that the law does not know
+    push: m/s2, world: a constant further acceleration
     t: s
     """
     steps = math.ceil(t / MOTION_STEP)
@@ -158,7 +158,7 @@ def advance_flight(
 def _predict_flight(
     x: Vec, u: Vec, platform: Vec, floor: float, t: float, out: Vec
 ) -> None:
-    """Compute the state after t s by the law of Commanded.
+    """Compute the state after t s by the law of CommandedMotion.
 
     x: (13,)
     u: (4,)

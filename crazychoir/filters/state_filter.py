@@ -25,7 +25,7 @@ class StateFilter(Protocol):
     refused: int
     """Number of poses that were not used."""
     cutoff: float
-    """rad/s, of the low-pass if velocities are derivatives; inf if they are not."""
+    """rad/s, of the low-pass of a filter that differentiates poses; inf for other filters."""
 
     def update(self, pose: Pose, now: float) -> State | None:
         """Return the state at `now` with a new pose; None only before the first valid pose."""

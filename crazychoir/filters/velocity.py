@@ -61,7 +61,7 @@ class PoseTiming(NamedTuple):
     """How the times of poses follow the steady rate of the cameras."""
 
     seen_time_weight: float = 0.002
-    """Weight of the time at which a pose seems to be measured; the rest is the rate of the
+    """Weight of the arrival in the time of a measurement; the rest comes from the rate of the
     cameras.
     """
     rounding: float = 1e-9
@@ -73,9 +73,9 @@ class PoseTiming(NamedTuple):
     least_period_share: float = 0.2
     """Least share of a period between two poses that are on time.
 
-    Poses that come sooner were late and arrive together, for example after a program that stood still.
-    How late they are is unknown, but they were seen a period apart. By the clock, a drone at 1 m/s
-    would fly at 50.
+    Poses that come sooner were late and arrive together, for example after the program stood still.
+    Their delays are unknown, but the cameras saw them one period apart. With the times of arrival, a
+    drone at 1 m/s would seem to fly at 50 m/s.
     """
 
 
@@ -98,7 +98,7 @@ def compute_lateness(h: float, period: float) -> float:
 
 
 class VelocityFilter:
-    """Derivative and first-order low-pass of position and attitude, right at any rate.
+    """Derivative and first-order low-pass of position and attitude, for poses at any rate.
 
         v' = cutoff (p' - v),   w' = cutoff (log(q_k^-1 q_k+1) / h - w)
 
@@ -106,15 +106,15 @@ class VelocityFilter:
 
         v_k = e v_k-1 + (1 - e) (p_k - p_k-1) / h,   e = exp(-cutoff h)
 
-    h is the measured time between the samples. w is in body axes and knows no wrap of angles.
+    h is the measured time between the samples. w is in body axes; no angle wraps.
 
-    The state is carried from the time of the measurement to `now` at constant velocity. While no
-    pose comes, it continues from there by the model `motion` under `commanded`. Its arrays are
-    read-only: many readers share them.
+    The state is extrapolated from the time of the measurement to `now` at constant velocity. Without
+    poses it continues from there by the model `motion` under `commanded`. Its arrays are read-only:
+    many readers share them.
 
-    Cameras have a steady rate, but the times of their poses are late by some 0.1 ms, and sometimes
-    by more. So the time of a measurement follows the rate of the cameras, and is corrected slowly
-    by the time that is seen. Then h does not jitter.
+    Cameras have a steady rate, but their poses arrive some 0.1 ms late, and sometimes later. So the
+    time of a measurement follows the rate of the cameras, and is corrected slowly by the times at
+    which poses arrive. Then h does not jitter.
 
     Poses that are not finite count as missing, and so do poses with a quaternion length outside
     0.5 to 2.

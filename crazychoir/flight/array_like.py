@@ -8,13 +8,14 @@ from crazychoir.types import Vec
 
 
 def to_floats(value: object, shape: tuple[int, ...]) -> Vec | None:
-    """Return the value as a new or unchanged float64 array of this shape.
+    """Return the value as a float64 array that kernels take, a new one only if needed.
 
-    None if that is impossible.
+    Lists, tuples, whole numbers, truth values, numpy's scalars and arrays of other types are
+    converted, also arrays that are read-only, big-endian or not contiguous. A masked entry becomes
+    NaN.
 
-    Kernels take the result. Lists, tuples, whole numbers, truth values, numpy's scalars, arrays of
-    other types, of objects, read-only, big-endian or not contiguous are converted. Texts, complex
-    numbers, missing values and other shapes are not. A masked entry becomes NaN.
+    shape: shape that the value must have
+    Returns None for texts, complex numbers, missing values and other shapes.
     """
     if (
         type(value) is np.ndarray

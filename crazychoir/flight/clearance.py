@@ -14,7 +14,7 @@ from crazychoir.types import Acceleration, FullState, State, Vec
 
 @dataclass(frozen=True, slots=True)
 class PlanDeviation:
-    """What a drone does that was pushed aside, by its distance from its plan."""
+    """What a drone that was pushed aside does, by its distance from its plan."""
 
     back_distance: float = 0.05
     """Distance in m from its plan at which a drone that was pushed aside is back."""
@@ -23,7 +23,7 @@ class PlanDeviation:
     waiting_distance: float = 0.5
     """Distance in m between drone and plan at which the plan waits for the drone.
 
-    So far ahead, the plan is beyond a drone that stands in the way.
+    With this lead the plan is already beyond a drone that stands in the way.
     """
     gentle_return_time: float = 2.0
     """Seconds since the collision filter last acted, during which the drone comes back gently.
@@ -35,17 +35,17 @@ PLAN_DEVIATION = PlanDeviation()
 
 @dataclass(frozen=True, slots=True)
 class ClearanceTimes:
-    """How long a drone puts up with others before it says so, turns aside, or lands."""
+    """How long a drone waits for others before it reports this, turns aside, or lands."""
 
     first_time_gap: float = 0.5
-    """Seconds since it last gave way after which giving way counts as a first time."""
+    """Seconds without giving way after which the wait for another drone counts from 0 again."""
     standing_drone_wait: float = 3.0
-    """Seconds that a drone on the floor may keep up a landing drone.
+    """Seconds for which a drone on the floor may keep a landing drone in the air.
 
     Then the landing drone lands beside it.
     """
     flying_drone_wait: float = 15.0
-    """Seconds that a flying drone may keep up a landing drone.
+    """Seconds for which a flying drone may keep a landing drone in the air.
 
     Then the landing drone lands beside it.
     """
@@ -56,7 +56,7 @@ class ClearanceTimes:
     cut_off_timeout: float = 4.0
     """Seconds of being cut off after which a drone lands.
 
-    In at most GONE s it is down, and out of the way of all others.
+    Then it is down before NEIGHBOUR_AGES.gone s have passed and the others count it as down.
     """
 
 
@@ -207,14 +207,14 @@ class Clearance:
         lands: bool = False,
         waits: bool = False,
     ) -> FullState:
-        """Return what a drone with agreed paths may fly instead of `wanted`.
+        """Return the reference to fly: the part of `wanted` to which the other drones have agreed.
 
-        Returns `wanted` itself for other drones.
+        Without agreed paths it is `wanted` itself.
 
         state: of the drone
-        wanted: the reference
-        future: the reference a number of seconds from now
-        whole: s until the reference ends at rest, if one go_to leads there; else 0
+        wanted: the reference of the plan or of the mission
+        future: returns the reference a number of s from now
+        whole: s until the reference ends at rest, if a single point-to-point flight leads there; else 0
         now: s
         lands: whether the drone is landing
         waits: whether the reference stands still while the drone is delayed
@@ -241,7 +241,7 @@ class Clearance:
     def begins_landing_anew(
         self, planned: PlannedFlights, wanted: FullState, now: float
     ) -> bool:
-        """Return whether an unanswered landing drone rests away from its landing place."""
+        """Return whether a landing drone that gets no answer rests away from its landing place."""
         rests = (
             planned.unanswered
             and planned.delayed
@@ -250,7 +250,7 @@ class Clearance:
         return rests and not planned.agreement.comes_to(wanted.p)
 
     def lands_beside(self, p: Vec, now: float) -> Vec | None:
-        """Return (3,) m where a drone that others keep up above p comes down instead.
+        """Return the place (3,) m where a drone comes down if others keep it in the air above p.
 
         p: (3,) m, world
         now: s
@@ -274,7 +274,7 @@ class Clearance:
 
     @property
     def silent(self) -> str:
-        """Text that names the drone without an answer that holds this one up; else ""."""
+        """Text that names the drone whose missing answer delays this one; empty if there is none."""
         mine = None if self.planned is None else self.planned.agreement
         return (
             ""

@@ -1,4 +1,4 @@
-"""The pilot's belief of where its drone is: its filter, and what it believes without poses."""
+"""The state that the pilot assumes for its drone: the choice of the filter, and the state without poses."""
 
 import math
 
@@ -72,13 +72,14 @@ def compute_rate_loops(platform: Platform) -> Mat:
 
 
 def compute_believed_state(state: State, flown: FullState | None) -> Vec:
-    """Return (13,): the believed state of an unseen drone if the filter does not know its commands.
+    """Return the state (13,) to assume for an unseen drone if the filter does not know its commands.
 
-    It is where the drone should be. The filter lets the drone go on at its last speed. A controller
-    would brake against this forever, and the drone would fly backwards.
+    It is the state of the reference: the drone counts as being where it should be. The filter itself
+    extrapolates the last speed. A controller would brake against that speed for ever, and the drone
+    would fly backwards.
 
-    state: of the filter
-    flown: reference of the drone, None without one
+    state: of the filter, returned if there is no reference
+    flown: reference that the drone flies, None without one
     """
     if flown is None:
         return state.flat

@@ -28,17 +28,19 @@ def require_goal(
     planar: bool,
     homes: Iterable[Point] = (),
 ) -> Vec:
-    """Return the place to fly to for the goal p, (3,) m, world; raise ConfigError for a forbidden place.
+    """Return the place to fly to for a goal, (3,) m, world.
 
-    A place above a home always has one to fly to: the nearest that the guard allows, at the height of the goal. The
-    drone has risen there, so it must get back.
+    It is the goal itself. A goal above a home is never refused for its horizontal place, because the
+    drone must be able to return: it is moved to the nearest place that the guard allows.
 
-    where: what errors call it, such as "drone 0: go_to()".
-    yaw: rad, None to keep it.
-    duration: s.
-    guard: of the drone; the goal must lie in its room.
-    planar: whether the drone does not choose its height, which is then not looked at.
-    homes: (3,) m each, world, places above which the drone may come down.
+    where: name in errors, such as "drone 0: go_to()"
+    p: goal, three numbers in m, world
+    yaw: rad, None to keep the present yaw
+    duration: s
+    guard: of the drone; the goal must lie in its room
+    planar: whether the robot does not choose its height; the height of the goal is then not checked
+    homes: (3,) m each, world: places above which the drone may come down
+    Raises ConfigError for a goal outside the room, or for values that are not finite numbers.
     """
     place = to_floats(p, (3,))
     if place is None or not np.isfinite(place).all():

@@ -11,7 +11,7 @@ from crazychoir.types import Point, Vec
 
 @dataclass(frozen=True, slots=True)
 class HomecomingLimits:
-    """When a leg of a return is done or given up, and how far it keeps from others."""
+    """When a leg of a return is done or given up, and its distances from other drones."""
 
     arrival_distance: float = 0.2
     """Distance in m from the end of a leg at which the leg is done."""
@@ -20,7 +20,7 @@ class HomecomingLimits:
     vertical_clearance: float = 0.6
     """Height in m above another drone.
 
-    These are two semi-axes of 0.3 m of the ellipsoids that downwash fills.
+    It is twice the vertical semi-axis (0.3 m) of the ellipsoid that the downwash of a drone fills.
     """
     side_clearance: float = 0.5
     """Distance in m from the straight way home within which another drone is in the way."""

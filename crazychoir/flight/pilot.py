@@ -200,9 +200,9 @@ class StrayBodyLimits:
     """When the seen body of a flying drone is where it should not be, and what is done then."""
 
     outside_time: float = 0.2
-    """Seconds for which a body is seen outside the limit area, where none should be."""
+    """Seconds for which refused poses lie outside the limit area before the safety table acts on them."""
     on_floor_time: float = 1.0
-    """Seconds for which a drone that should fly is seen on the floor."""
+    """Seconds on the floor, while the drone should fly, before this is acted upon."""
     silence: float = 0.5
     """Seconds of silence of its radio that explain why a drone has come down."""
     cut_height: float = 0.4
@@ -412,7 +412,7 @@ class Pilot(Actor):
         self._run: asyncio.Future[None] | None = None
 
     async def run(self) -> None:
-        """Let poses and the clock tick the pilot; a tick that fails ends the run."""
+        """Handle a tick for each pose, or by the clock without poses, until a tick fails."""
         self._run = asyncio.get_running_loop().create_future()
         try:
             await self._run
@@ -420,8 +420,8 @@ class Pilot(Actor):
             self._run = None
 
     def _posed(self, pose: Pose | None, age: float) -> None:
-        # The pose was on its way for a while, or its own age is not a number.
         """Tick with a pose that is `age` s old, or without a pose."""
+        # The pose was on its way for a while, or its own age is not a number.
         if pose is not None and not pose.age >= age:
             pose = Pose(pose.flat, age)
         if pose is not None and self._gate is not None:
@@ -649,9 +649,9 @@ class Pilot(Actor):
     ) -> float:
         """Fly to p inside the fence, and return the time it will take.
 
-        Returns 0 if the drone may not fly there: it is not in the air, is held, waits for its
-        operator's start, or brakes because the safety table says so. Missing references do not
-        matter: this flight needs none.
+        Returns 0 if the drone may not fly now: it is not in the air, is held, waits for its
+        operator's start, or brakes because the safety table says so. A missing reference is no
+        obstacle, because this flight needs none.
 
         p: (3,) m, world
         yaw: rad, None to keep the present yaw
@@ -688,10 +688,13 @@ class Pilot(Actor):
         return seconds
 
     def fly(self, trajectory: Trajectory, commanded: bool = False) -> float:
-        """Fly a trajectory from its beginning, now, and hover at its end; return the time it takes.
+        """Fly a trajectory from its beginning, now, and hover at its end.
 
-        Returns 0 as `go_to` does. The caller has checked that the trajectory begins where the drone
-        is and stays inside the fence and within the limits.
+        The caller has checked that the trajectory begins where the drone is and stays inside the
+        fence and within the limits.
+
+        commanded: as in `go_to`
+        Returns the duration in s; 0 if the drone may not fly now, for the reasons of `go_to`.
         """
         if not self._may_fly(commanded):
             return 0.0
@@ -715,7 +718,8 @@ class Pilot(Actor):
     def _may_fly(self, commanded: bool) -> bool:
         """Return whether a flight may begin now.
 
-        A flight that the operator wants stays the operator's until a hold, even if it has to wait.
+        From a command of the operator until a hold, the flight counts as the operator's, even if it
+        cannot begin yet.
         """
         if not (self.steerable if commanded else self.obeys):
             return False
@@ -727,10 +731,10 @@ class Pilot(Actor):
         """Fly this reference from the next tick on; return False if it can never be flown.
 
         The reference must be renewed before it is stale. Its numbers are converted here, once, see
-        references.taken. An object that is not a reference, has another shape or is not finite is
+        `convert_reference`. An object that is not a reference, has another shape or is not finite is
         not flown, and neither is a Goto to a place where no goal may be. A reference that asks for
         more than [flight] allows is cut, see ReferenceLimits. A repeated Goto continues its flight.
-        A held drone follows nothing.
+        A held drone ignores references.
         """
         state = self.state
         if state is None or not self.obeys:
@@ -918,7 +922,11 @@ class Pilot(Actor):
 
     @property
     def steerable(self) -> bool:
-        """Whether the operator moves the drone: it flies, and guidance is there and waits."""
+        """Whether the operator may fly the drone: it is in the air, and its mission waits.
+
+        A mission waits while the drone is held, and before the operator has started the mission.
+        After guidance has failed, the operator cannot fly the drone.
+        """
         return (
             self.mode in (HOVER_MODE, FOLLOW_MODE)
             and (self.held or self.awaits_start)

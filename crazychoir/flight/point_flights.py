@@ -28,7 +28,7 @@ class FlightPatience:
     parking_time: float = 4.0
     """Further seconds that such a robot gets to come to rest."""
     longest_wait: float = 60.0
-    """Longest time in s that a plan waits for a drone that others keep off it."""
+    """Longest time in s that a plan waits for its drone while others keep the drone off the plan."""
     restart_wait: float = 1.5
     """Seconds that a plan waits before it begins anew."""
 
@@ -112,7 +112,7 @@ class PointFlights:
     def drive_to(
         self, start: FullState, goal: Vec, yaw: float, duration: float, now: float
     ) -> float:
-        """Be at a pose, on a path that the robot finds itself; return s that it gets for this.
+        """Reach a pose on a path that the robot finds itself; return the s that it gets for this.
 
         start: the first set-point
         goal: (3,) m, world

@@ -109,8 +109,8 @@ def set_up_logging(level: int = logging.WARNING) -> None:
 def redirect_prints() -> Iterator[None]:
     """Redirect standard output to standard error.
 
-    Standard output is for the answer of the command. This concerns what missions print, and the
-    programs that they start.
+    Standard output is for the answer of the command only. Missions, and the programs that they
+    start, may print too.
     """
     with (
         contextlib.redirect_stdout(sys.stderr),
@@ -228,7 +228,7 @@ class CommandOutputs:
 
     @property
     def told(self) -> dict[str, Any]:
-        """The part of a JSON answer about failed files: `not_written`, or nothing."""
+        """The part of a JSON answer that lists the failed files: {"not_written": ...}, or {}."""
         return {"not_written": self.failed} if self.failed else {}
 
 
@@ -283,7 +283,7 @@ def warn_of_gaps(recording: "Recording", left: str) -> None:
 
 
 def build_result_table(results: dict[Any, dict[str, Any]]) -> Table:
-    """Return a table with one row a drone."""
+    """Return a table with one row for each drone."""
     table = Table("drone", "success", "detail")
     for i, result in results.items():
         rest = ", ".join(
@@ -307,7 +307,7 @@ def _format_short_value(value: Any) -> str:
 
 
 def build_status_table(score: "FlightScore") -> Group:
-    """Return the live view of a swarm: one line a drone, and the notes of the drones below.
+    """Return the live view of a swarm: one line for each drone, and the notes of the drones below.
 
     A narrow terminal leaves out two counters.
     """
@@ -369,7 +369,7 @@ def _list_silent_drones(status: "Status", statuses: Mapping[int, "Status"]) -> s
 
 
 def _describe_clocks(statuses: Iterable["Status"]) -> list[str]:
-    """Return the difference between the clocks of each two hosts, a line a pair."""
+    """Return one line for each pair of hosts with the difference between their clocks."""
     said: dict[frozenset[str], str] = {}
     for status in statuses:
         for host, offset, error in zip(
@@ -438,7 +438,7 @@ def _describe_success(run: dict[str, Any]) -> str:
 
 
 def build_summary_table(run: dict[str, Any]) -> Table:
-    """Return the result of a run, one row a figure."""
+    """Return the result of a run as a table with one row for each figure."""
     table = Table(
         "figure", "value", title=f"{_describe_flown(run)}: {_describe_success(run)}"
     )

@@ -111,17 +111,20 @@ def fly_real(
     started: tuple[int, ...] | None = None,
     file: RecordingFile | None = None,
 ) -> dict[str, Any]:
-    """Fly a swarm in real time: one process a group of the swarm file, connected by Zenoh.
+    """Fly a swarm in real time, with one process for each group of drones in the swarm file.
 
-    This process observes the swarm and records it into `file`.
+    The processes are connected by Zenoh. This process starts them, observes the swarm and records
+    it into `file`.
+
     path: file of `config`, for the processes
     config: the swarm
     mission: its mission
     options: further options for the processes
     watch: called with the score at every tick, None for no view
     say: called with each line that a process prints
-    started: drones to start, None for all; a group with one of them starts as a whole
+    started: drones to start, None for all; all drones of a group start if one of them is named
     file: recording of the flight, None for none
+    Returns the object of `summarise_flight`, with `startup_s` and the state of the recording.
     """
     groups = [
         group
@@ -193,8 +196,8 @@ def summarise_flight(
     results: result of each drone that has one
     score: what the observer measured, which covers the whole swarm
     simulated: s of flight
-    wall: s on the wall clock, in real time since GO; `startup_s` is the time before, in which
-        drones are made and laws may be compiled
+    wall: s on the wall clock; in real time since GO, without `startup_s`, the time in which the
+        processes start and laws may be compiled
     started: drones that were started here, None for all; the success depends on these
     The mission's own report needs the results of all drones. It is left out if some are missing.
     """
@@ -271,9 +274,10 @@ def summarise_flight(
 
 
 def list_owners(config: SwarmConfig, started: tuple[int, ...] | None) -> list[Owner]:
-    """Return the owner processes to start here.
+    """Return the processes that own the world, the cameras and the dongles, as far as they start here.
 
-    An owner starts with all drones, or with the lowest drone of its host.
+    An owner starts here if all drones start, or if the drone with the lowest id on the host of the
+    owner does.
     """
     found = (
         [WORLD_OWNER]
@@ -297,7 +301,7 @@ def list_owners(config: SwarmConfig, started: tuple[int, ...] | None) -> list[Ow
 
 
 def list_dongles(config: SwarmConfig, started: tuple[int, ...] | None) -> list[int]:
-    """Return the dongles with an owner that starts here."""
+    """Return the numbers of the dongles with an owner process that starts here."""
     return [
         k
         for k in config.topology.dongles
@@ -349,7 +353,7 @@ def _is_start_here(
 
 
 def do_all_wait(config: SwarmConfig, score: FlightScore) -> bool:
-    """Return whether the start needs every drone, and no drone is known to have begun."""
+    """Return whether the team starts only with all drones, and every drone still waits for the start."""
     return config.start == "all" and all(
         status.task == WAITING_TASK for status in score.statuses.values()
     )
@@ -369,7 +373,7 @@ def describe_hindrances(results: Results) -> dict[int, list[str]]:
 
 
 def _is_ours(key: str, result: Mapping[str, Any]) -> bool:
-    """Return whether the value of a key is of the kind that the flight reports, not one of the mission's own."""
+    """Return whether a value comes from the flight, by its type: a mission may use the same key."""
     value = result.get(key)
     return isinstance(value, str) if key == "apart" else isinstance(value, int | float)
 
@@ -387,10 +391,10 @@ def mark_operator_ends(results: Results) -> Results:
 def excuse_operator_ends(
     off: Mapping[int, object], ended: Mapping[int, str]
 ) -> tuple[bool, dict[int, object], dict[int, str]]:
-    """Remove the drones that their operator has ended from the reasons of a failed report.
+    """Excuse the failures of drones whose missions the operator has ended.
 
-    off: reason of the report for each drone
-    ended: for each drone that its operator has ended: the text that says how
+    off: {drone id: reason} of the mission's report, for each drone that failed
+    ended: {drone id: text that says how the operator has ended its mission}
     Returns
     - whether no reason is left
     - the reasons that are left, of drones that were not ended

@@ -87,8 +87,8 @@ class FlightScore(Actor):
 
     statuses: last status of each drone
     touching: m: least distance of each pair (i, j) that came nearer than the touching distance
-    errors: (s since the law began, m of the drone that is farthest from its goal), at the last time
-        with a drone beyond the settled distance, and at the newest time
+    errors: rows (s since the law began, m: largest distance of a drone from its goal). At most two
+        are kept: the last one beyond the settled distance, and the newest.
     """
 
     bus: Bus
@@ -213,9 +213,9 @@ class FlightScore(Actor):
             self.errors = [*beyond[-1:], (now - self._law_began, far)]
 
     def _compare(self, now: float) -> None:
-        """Compute the distances of all pairs with recent places, extrapolated to now.
+        """Update the least distances from the recent places of all pairs, extrapolated to now.
 
-        Pairs that have both never flown are left out.
+        A pair is left out while neither of its drones has flown.
         """
         ids = [
             i

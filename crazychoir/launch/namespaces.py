@@ -46,9 +46,9 @@ class SwitchedNamespaces:
 def make_switched_namespaces(
     addresses: Mapping[str, str],
 ) -> Iterator[SwitchedNamespaces]:
-    """Make one namespace a host with its IPv4 address (network of 24 bits); delete all at the end.
+    """Make a namespace for each host with its IPv4 address, in a /24 network; delete all at the end.
 
-    The names are random, so that two runs at the same time do not meet.
+    The names are random, so that two runs at the same time do not collide.
     Raises ConfigError if namespaces cannot be made.
     """
     token = secrets.token_hex(3)

@@ -143,9 +143,9 @@ def write_swarm_file(config: SwarmConfig) -> Iterator[Path]:
 
 
 def isolate_swarm(config: SwarmConfig, processes: int | None) -> SwarmConfig:
-    """Return the same swarm with a name and ports of its own, in `processes` processes.
+    """Return the same swarm with a new name and new ports, so that it can fly beside other runs.
 
-    Two runs side by side then do not meet. None keeps the processes of the swarm file.
+    processes: number of processes, None to keep those of the swarm file
     """
     with hold_isolated_swarm(config, processes) as changed:
         return changed
@@ -155,7 +155,7 @@ def isolate_swarm(config: SwarmConfig, processes: int | None) -> SwarmConfig:
 def hold_isolated_swarm(
     config: SwarmConfig, processes: int | None, *, keeps_port: bool = False
 ) -> Iterator[SwarmConfig]:
-    """Yield the swarm with a name and ports of its own, and hold these ports meanwhile.
+    """Yield the swarm of `isolate_swarm`, and hold its ports meanwhile.
 
     config: the swarm
     processes: number of processes, None to keep those of the swarm file
@@ -237,9 +237,9 @@ def _build_no_block_error(count: int) -> ConfigError:
 def _draw_base_ports(offsets: list[int]) -> Iterator[int]:
     """Yield base ports to try.
 
-    First come some ports below the range that the system gives to connections, then all ports. A
-    held port below costs no port for connections. If this range begins at 1024, only root could
-    listen below it, so every port may be chosen.
+    First come some ports below the range from which the system takes ports for connections: a port
+    held there is missing for no connection. Then come all ports. If the range begins at 1024, only
+    root could listen below it, so all ports come at once.
     """
     draw = random.SystemRandom()
     lowest = SWARM_LIMITS.lowest_port - min(0, *offsets)

@@ -229,7 +229,10 @@ def parse_finite_numbers(
 ) -> list[float]:
     """Return the numbers of a text such as "1,0.5,1.2".
 
-    Raises ConfigError if a number is not finite, or if there are not `count` numbers.
+    where: name of the option, for the error
+    allowed: what the option takes, for the error
+    count: required number of numbers; None for any
+    Raises ConfigError for another text, a number that is not finite, or another count.
     """
     try:
         found = [float(word) for word in text.strip().strip("[]()").split(",")]

@@ -38,10 +38,10 @@ They notice it within 3 s and end. Agents that have never heard of the owner wai
 
 @dataclass(frozen=True, slots=True)
 class OwnerRestarts:
-    """How often an owner process that has ended too early is started again."""
+    """How often an owner process (see `Owner`) is started again if it ends before its agents."""
 
     most_starts: int = 5
-    """How often within `period` an owner is started again that has ended too early."""
+    """Most restarts of one owner within `period`."""
     period: float = 600.0
     """Seconds in which these starts are counted."""
     refused_exit_code: int = 2
@@ -108,17 +108,17 @@ async def run_children(
     all_wait: Callable[[], bool] = lambda: False,
     owners: Sequence[Owner] = (),
 ) -> Results:
-    """Start one process a group, wait until all have ended, and return the results of their drones.
+    """Start one process for each group, wait for their ends, and return the results of their drones.
 
     groups: drones of each process
     path: the swarm file; the results lie beside it during the run
     config: the swarm
     options: further options for the processes
     say: called with each line that a process prints
-    all_wait: returns whether all drones still wait for the start; if a process then ends without a
-        result, all are ended, because the start would never come
+    all_wait: returns whether all drones still wait for the start. If a process ends without a result
+        while they wait, all are ended, because the start would never come.
     owners: owners of the world, the cameras and the dongles, which are started too
-    A drone without a result is missing in the answer.
+    Returns {drone id: result}, without the drones that have no result.
     """
     say = _drop_repetitions(say)
     files = {group: path.with_name(f"result-{group[0]}") for group in groups}
@@ -247,7 +247,7 @@ def write_results(path: Path, results: Results) -> None:
 
 
 def read_results(path: Path) -> Results:
-    """Return the results that a process has written; empty if it has not come so far."""
+    """Return the results that a process has written; empty if it ended before it wrote them."""
     try:
         results: Results = decode(path.read_bytes(), PROCESS_OUTPUT_LIMITS.results)
     except (OSError, CodecError):

@@ -67,10 +67,10 @@ def read_mission_text(mission: Mission | None) -> str:
 def compute_file_digests(
     config: SwarmConfig, mission: Mission | None
 ) -> dict[str, str]:
-    """Return the SHA-256 of each file that a flight depends on, beside the mission's own file.
+    """Return {name: SHA-256} of the files that a flight depends on, without the mission's file itself.
 
-    They are the files that the swarm file names, by their keys, and the modules imported from the
-    mission's folder, by their paths in that folder. So no name holds a path of this machine.
+    A file that the swarm file names has its key as the name. A module that was imported from the
+    mission's folder has its path in that folder. No name contains a path of this machine.
     Files that cannot be read are left out.
     """
     found = {
@@ -83,9 +83,9 @@ def compute_file_digests(
 def list_changed_files(
     told: Mapping[str, str], config: SwarmConfig, mission: Mission
 ) -> dict[str, str]:
-    """Return the files that have changed since these digests, each with the kind of change.
+    """Return {name: kind of change} of the files that have changed since these digests.
 
-    told: SHA-256 by name
+    told: the result of `compute_file_digests`
     """
     named = list_files(config)
     folder = _find_mission_folder(mission)
@@ -148,9 +148,9 @@ def describe_flight(config: SwarmConfig, virtual: bool) -> dict[str, str]:
 
 
 def list_versions() -> dict[str, str]:
-    """Return the versions that a flight in virtual time depends on.
+    """Return what the result of a flight in virtual time depends on, beside its files.
 
-    They are those of this package, Python, the numeric libraries and the processor.
+    It is the versions of this package, Python and the numeric libraries, and the processor.
     """
     return {
         "version": PACKAGE_VERSION,

@@ -204,7 +204,7 @@ def _make_printable(text: str) -> str:
 
 
 def _is_sound(run: RunRecord, uid: int) -> bool:
-    """Return whether a record says what a run of this user may say: a plain name, and a regular swarm file."""
+    """Return whether a record is plausible: a plain name, and a regular swarm file of the user."""
     if not re.fullmatch(r"[\w.-]+", run.swarm):
         return False
     try:

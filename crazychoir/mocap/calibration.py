@@ -61,7 +61,7 @@ class TurnEstimate:
     offset: tuple[float, float, float]
     """(3,) m, drone's axes: position of the tracked centre."""
     deviation: float
-    """m: root mean square residual of the fit, an axis."""
+    """m: root mean square residual of the fit, per axis."""
     error: float
     """m: standard error of the horizontal offset."""
     angle: float

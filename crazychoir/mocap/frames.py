@@ -53,13 +53,17 @@ class PoseFrame:
     bodies: dict[str, Vec]
     """{name: (7,) = p m, q [x, y, z, w]}, world; without the bodies that are not seen."""
     doubled: tuple[str, ...] = ()
-    """Names that the frame gives to two or more bodies.
+    """Names that two or more bodies have.
 
-    They are not in `bodies`: it is unknown which body is meant.
+    They are not in `bodies`, because it is unknown which body is meant.
     """
 
     def packed(self) -> bytes:
-        """Return the frame as a datagram; a doubled name is written twice, without a pose.
+        """Return the frame as a datagram.
+
+        A name of `doubled` is written as two bodies without a pose, so that the receiver finds it
+        doubled too.
+
 
         Raises CodecError for too many bodies or too long a name.
         """
@@ -82,7 +86,7 @@ class PoseFrame:
 
 
 def make_frame(number: int, time: float, rows: Iterable[tuple[str, Vec]]) -> PoseFrame:
-    """Return the frame of these names and poses; names that come twice are its `doubled`."""
+    """Return the frame of these names and poses; names that occur twice become its `doubled`."""
     bodies: dict[str, Vec] = {}
     doubled: dict[str, None] = {}
     for name, flat in rows:

@@ -101,11 +101,11 @@ class SourceRunner(Actor):
 
 
 class MocapProcess(Actor):
-    """Publishes each pose as it arrives and, at the topic's rate, the state of the drone as truth.
+    """Publishes each pose as it arrives, and the state of each drone as `truth` at the topic's rate.
 
-    The truth of virtual drones is exact; that of others is their poses and derivative. The process
-    ends when it is asked to. It waits at most `SHUTDOWN_PATIENCE` while one of its drones has an agent
-    on the network or flies: a drone needs poses to land.
+    The truth of a virtual drone is exact. For another drone it is the measured pose with velocities
+    derived from poses. The process ends on request, but waits up to `SHUTDOWN_PATIENCE` s while one
+    of its drones has an agent on the network or flies: a drone needs poses to land.
 
     config: the swarm
     source: source of the frames

@@ -20,8 +20,8 @@ def _disturb(
 
     x: (N, 13): states
     normal: (N, 6): standard normals for the noise n
-    noise_p: m: standard deviation of n_p, an axis
-    noise_angle: rad: standard deviation of n_angle, an axis
+    noise_p: m: standard deviation of n_p, per axis
+    noise_angle: rad: standard deviation of n_angle, per axis
     tilt: (4,): q_tilt
     out: (N, 7): poses
     """
@@ -46,12 +46,12 @@ class SimulatedMocap:
 
     ids: the drones, row by row
     seed: seed of all draws
-    noise_p: m: standard deviation of n_p, an axis
-    noise_angle: rad: standard deviation of n_angle, an axis
+    noise_p: m: standard deviation of n_p, per axis
+    noise_angle: rad: standard deviation of n_angle, per axis
     dropout: probability that a drone is not seen in a tick
     latency_steps: ticks between exposure and arrival
     dt: s: one tick
-    tilt: rad: (roll, pitch) by which the cameras' body is mounted askew
+    tilt: rad: (roll, pitch) of the tracked body against the drone
     """
 
     def __init__(

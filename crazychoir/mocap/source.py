@@ -23,7 +23,7 @@ class FrameSource(Protocol):
     where: str
     """Name for the user, such as "vicon at 10.0.0.5"."""
     live: bool
-    """True if its poses are never exactly still, as with measurements of cameras."""
+    """True if its poses are measurements: the noise changes them even when a body stands still."""
     state: str
     """State, in a word or two."""
     again: int

@@ -124,7 +124,7 @@ class SystemSource:
             self._wait = min(2.0 * self._wait, ATTEMPT_TIMING.longest_pause)
 
     async def _attempt(self, take: TakeFrame) -> None:
-        """Run one reader until it fails. Raises _Failed then."""
+        """Run one reader until it fails. Raises _AttemptFailed then."""
         ours, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         ours.setblocking(False)
         with ours:
@@ -172,7 +172,7 @@ class SystemSource:
 
         seconds: s: deadline
         otherwise: what is wrong if none arrives
-        Raises _Failed if there is none, or if the reader reports an error.
+        Raises _AttemptFailed if there is none, or if the reader reports an error.
         """
         try:
             async with asyncio.timeout(seconds):

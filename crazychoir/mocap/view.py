@@ -33,10 +33,10 @@ FRAME_TIMING = FrameTiming()
 class RateLimit:
     """Lets at most `rate` frames a second through, on average.
 
-    Frames of this very rate all pass, even if they jitter. A frame at t passes if
-    t >= due - e / rate with e = `FRAME_TIMING.early_share`; then due becomes max(due, t) + 1 / rate.
-    A time before the last one comes from a clock that was set back: the frame passes, and due
-    counts from there.
+    A frame at time t passes if t >= due - e / rate with e = `FRAME_TIMING.early_share`; then due
+    becomes max(due, t) + 1 / rate. Therefore frames that come at exactly this rate all pass, even
+    with jitter. If t is before the last frame, the clock was set back: the frame passes, and due is
+    counted from t.
 
     rate: Hz
     """
@@ -62,7 +62,7 @@ class RateLimit:
 
 
 class CameraBlur:
-    """Makes of exact poses what cameras would measure.
+    """Turns exact poses into poses as cameras would measure them.
 
     Noise, tilt, dropouts and latency are those of [mocap]. Bodies that belong to no drone stay
     exact.
@@ -108,9 +108,9 @@ class CameraBlur:
         ), age
 
     def _next_tick(self, t: float) -> int:
-        """Return the exposure of a frame.
+        """Return the number of the exposure of a frame at t s.
 
-        It counts the periods since the first frame, and is at least one more than the last.
+        It is the number of periods since the first frame, and larger than the last number.
         """
         if math.isnan(self._began):
             self._began = t

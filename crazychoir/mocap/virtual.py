@@ -44,7 +44,7 @@ class _Client(asyncio.DatagramProtocol):
         self.take(frame, 0.0)
 
     def error_received(self, exc: Exception) -> None:
-        """Ignore the error that no server listens: the silence is reported."""
+        """Ignore that no server listens: the missing frames are reported elsewhere."""
 
 
 class VirtualSource:

@@ -82,7 +82,7 @@ class BodyRecord:
         self.frames += 1
 
     def average(self, seconds: float) -> None:
-        """Compute rate and share since the last call.
+        """Compute `rate` and `share` from the frames since the last call.
 
         seconds: s since the last call
         """
@@ -94,7 +94,7 @@ class BodyRecord:
 
 
 class TrackingWatch:
-    """Takes each published frame; call `look` some times a second.
+    """Checks each published frame for problems; call `look` some times a second to get them.
 
     names: name of each drone's body
     rate: Hz that the swarm file promises

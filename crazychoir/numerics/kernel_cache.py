@@ -147,7 +147,7 @@ class LawCache(NullCache):
     def digest(self) -> str:
         """Digest of everything that the law is compiled from.
 
-        Raises Untold if there is none, also for a law that calls itself.
+        Raises UnknownDigest if there is none, also for a law that calls itself.
         """
         if self._busy:
             raise UnknownDigest(self._law.__qualname__)
@@ -188,9 +188,9 @@ class LawCache(NullCache):
         return str(self._stores[0].folder) if self._stores else None
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the machine code for these types.
+        """Return the machine code for the argument types `sig`.
 
-        Returns None if there is none; then this process has the turn to compile it.
+        Returns None if there is none; then it is the turn of this process to compile the law.
         """
         target_context.refresh()
         key = (sig, target_context.codegen().magic_tuple())
@@ -240,7 +240,11 @@ class LawCache(NullCache):
             announce_compiling()
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep the machine code for these types in the first folder that can be written."""
+        """Write the machine code for one signature into the first folder that can be written.
+
+        sig: types of the law's arguments
+        data: the compiled law, as numba passes it to a cache
+        """
         if (
             all(part.can_cache for part in data.lifted)
             and not data.library.has_dynamic_globals
@@ -303,7 +307,10 @@ def print_line(text: str) -> None:
 
 @cache
 def announce_compiling() -> None:
-    """Print once that laws are compiled and take a while, unless a warning was printed before."""
+    """Print once that the user waits for laws to be compiled.
+
+    After a warning about the cache nothing is printed: it says the same.
+    """
     if KERNEL_CACHE_RULES.cache_name not in os.environ.get(TOLD_VARIABLE, "").split(
         ","
     ):
@@ -564,7 +571,7 @@ def _remove_file(path: str) -> None:
 def _describe_function(law: Callable[..., Any]) -> Any:
     """Return everything that a function is made of, as nested tuples.
 
-    Raises Untold if that is not possible.
+    Raises UnknownDigest if that is not possible.
     """
     if not isinstance(law, FunctionType):
         raise UnknownDigest(repr(law))
@@ -634,7 +641,7 @@ def _value_of_path(path: list[str], names: Mapping[str, Any]) -> Any:
     """Return the value that a path of names leads to.
 
     Attributes are followed through modules only: the digest of any other value covers its
-    attributes. Raises Untold if the first name is unknown.
+    attributes. Raises UnknownDigest if the first name is unknown.
     """
     first, *rest = path
     if first not in names and not hasattr(builtins, first):
@@ -652,7 +659,7 @@ def _value_of_path(path: list[str], names: Mapping[str, Any]) -> Any:
 def _describe_value_for_digest(value: Any) -> Any:
     """Return an object with a unique `repr` for a constant, a compiled part or a library function.
 
-    Raises Untold for anything else.
+    Raises UnknownDigest for anything else.
     """
     kind = type(value)
     if kind in EXACT_TYPES or isinstance(value, NUMBER_TYPES):

@@ -168,7 +168,7 @@ def wake_waiter(waiter: "asyncio.Future[None]") -> None:
 class Ticks:
     """Ticks at k / hz s from the start.
 
-    Late ticks are counted in `missed` and skipped, never caught up. A task awaits this object
+    A tick that is missed is counted in `missed` and never made up for. A task awaits this object
     itself, by the protocol of asyncio's futures: the alarm runs the waiting task at once, without a
     future and a loop pass for each tick. One task at a time may use it.
     """
@@ -224,7 +224,7 @@ class Ticks:
         self.clock.push(self.due_ns, self._alarm, self.priority, self.drone)
 
     def cancel(self, msg: Any = None) -> bool:
-        """Wake the cancelled task in the next pass of the loop."""
+        """Cancel the wait: the waiting task wakes up in the next pass of the loop."""
         if self._cancelled:
             return False
         self._cancelled = True
@@ -233,7 +233,7 @@ class Ticks:
         return True
 
     def result(self) -> None:
-        """Return None to the waking task. Raises CancelledError if it is cancelled."""
+        """Return None to the task that wakes up; raise CancelledError if the wait was cancelled."""
         if self._cancelled:
             raise asyncio.CancelledError
 
@@ -456,7 +456,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         *args: Any,
         context: Any = None,
     ) -> asyncio.TimerHandle:
-        """Call `call_at`, counted from now."""
+        """Do the same as `call_at`, with a delay in s from now."""
         return self.call_at(self.time() + delay, callback, *args, context=context)
 
     def run_in_executor(  # type: ignore[override]
@@ -527,7 +527,7 @@ def _waiting_line(task: "asyncio.Task[Any]") -> str:
 def run_virtual(main: Main[T]) -> T:
     """Run `main(clock)` to its end in virtual time.
 
-    If a loop runs already, as in a notebook, it runs in a worker thread.
+    If a loop runs already, as in a notebook, `main` runs in a worker thread.
     """
     return (
         Worker[Clock, T](_run_virtual).result(main)
@@ -537,9 +537,9 @@ def run_virtual(main: Main[T]) -> T:
 
 
 def run_wall(main: Main[T]) -> T:
-    """Run `main(clock)` to its end in real time, on uvloop, without long pauses of the interpreter.
+    """Run `main(clock)` to its end in real time, on uvloop, inside `without_pauses`.
 
-    If a loop runs already, as in a notebook, it runs in a worker thread.
+    If a loop runs already, as in a notebook, `main` runs in a worker thread.
     """
     return (
         Worker[Clock, T](_run_wall).result(main)
@@ -570,11 +570,10 @@ def _run_wall(main: Main[T]) -> T:
 
 @contextlib.contextmanager
 def without_pauses() -> Iterator[None]:
-    """Avoid long pauses of the interpreter inside this context.
+    """Avoid pauses by other threads and by the garbage collector inside this context.
 
-    Threads give up the interpreter after SWITCH_INTERVAL, and the garbage collector ignores what is
-    loaded now: a full collection over the imported packages takes 45 ms, and no tick runs
-    meanwhile.
+    Threads give up the interpreter after SWITCH_INTERVAL. The garbage collector ignores what is
+    loaded now: a full collection over the imported packages takes 45 ms, in which no tick runs.
     """
     before = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_INTERVAL)

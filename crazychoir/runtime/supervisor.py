@@ -1,7 +1,4 @@
-"""Supervision: each actor runs in a wrapper.
-
-So its failure is an event, and does not end the drone.
-"""
+"""Supervision: each actor runs in a wrapper, so that its failure does not end the drone."""
 
 import asyncio
 import logging

@@ -4,10 +4,10 @@ import math
 
 
 class Throttle:
-    """Lets each topic through at most once in `period` s, and a repeated topic more rarely.
+    """Allows each topic at most once in `period` s, and a repeated topic more and more rarely.
 
-    Each time a topic is let through, the silence after it doubles, up to `longest` s. A topic that
-    was not asked for during `longest` s starts again with `period`.
+    Each time a topic is allowed, the silence after it doubles, up to `longest` s. A topic that did
+    not come up for `longest` s starts again with `period`.
 
     period: s: silence after the first time
     longest: s: longest silence

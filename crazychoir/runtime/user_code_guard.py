@@ -58,7 +58,8 @@ class GuardFactory(Protocol):
 class HangWatch:
     """Frees the loop from user code that hangs in virtual time.
 
-    No virtual time passes while code computes, so it may take long, but not forever.
+    No virtual time passes while code computes, so slow code harms no drone. Therefore the limits
+    are longer than those of the watchdog in real time.
     """
 
     def __init__(self) -> None:
@@ -67,9 +68,10 @@ class HangWatch:
         self._ending = threading.Event()
 
     def guard(self, actor: str, patient: bool = False) -> InterruptGuard:
-        """Return a context in which code is interrupted by Hung after the step limit.
+        """Return a context in which code is interrupted by Hung after a limit of UserCodeTimes.
 
-        If it is patient, it is interrupted after the mission limit.
+        actor: name for reports
+        patient: True for `mission_limit`, False for `step_limit`
         """
         return self.within(
             USER_CODE_TIMES.mission_limit if patient else USER_CODE_TIMES.step_limit,
@@ -123,7 +125,8 @@ class HangWatch:
 def limit_duration(seconds: float, who: str) -> Iterator[None]:
     """Interrupt the code in this context by Hung after so many seconds.
 
-    It is for hooks, which run before the first drone flies or after all have landed.
+    Use it for the hooks of a mission file, which run before the first drone flies or after all have
+    landed.
 
     seconds: s of real time
     who: name for reports

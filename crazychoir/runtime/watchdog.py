@@ -42,16 +42,15 @@ class WatchdogTimes:
     The drones' own safety functions, and the other drones, must not wait for it.
     """
     frozen_gap: float = 0.500
-    """Seconds between two checks of the watchdog from which the whole process was stopped (SIGSTOP).
-
-    Such a pause is not counted against the loop.
+    """Seconds between two checks of the watchdog from which on it assumes that the whole process was
+    stopped (SIGSTOP). Such a pause does not count as a delay of the loop.
     """
     quiet_time: float = 10.000
     """Seconds in which short stalls of one actor are logged once. A stall is short below
     hand_over_delay. Stalls without an actor count together as one actor.
     """
     stuck_time: float = 15.000
-    """Seconds without a turn of this thread after which C code ends the process.
+    """Seconds for which the watchdog's thread gets no turn, after which a timer in C ends the process.
 
     Foreign code then holds the interpreter's lock. A process that was stopped (SIGSTOP) for that long
     ends too: the other processes have lost it by then.
@@ -98,8 +97,9 @@ class Watchdog:
 
     clock: the clock of the loop
     on_stall: called with each report, in the watchdog's thread
-    soon: interrupt guarded code after `hand_over_delay` of processor time: else bodies simulated in
-      another process would fall, and the other drones of this process would get no commands
+    soon: interrupt guarded code already after `hand_over_delay` of processor time. Otherwise bodies
+        in the world of another process would fall, and the other drones of this process would get
+        no commands.
     """
 
     def __init__(

@@ -45,18 +45,18 @@ def add_signal_handler(
 
 
 class Worker(Generic[C, T]):
-    """A thread that runs `run(main)` while the calling thread waits.
+    """A thread that runs an event loop while the calling thread waits.
 
-    The worker has the caller's context (contextvars), so that what it prints appears in the
-    caller's cell.
+    The thread has the caller's context (contextvars), so that its prints appear in the caller's
+    cell of a notebook.
 
-    These interruptions of the waiting thread cancel the worker's main task: Ctrl-C, the interrupt
-    of a notebook's kernel, Hung from a watchdog, or the cancellation of a task of its loop. A
-    worker that does not return to its loop within GRACE_TIME, or is interrupted again, gets
-    KeyboardInterrupt where it computes. When the worker has ended, the interruption is raised in
-    the caller.
+    An interruption of the waiting thread cancels the worker's main task. It is Ctrl-C, the interrupt
+    of a notebook's kernel, Hung from a watchdog, or the cancellation of a task of the waiting loop.
+    If the worker does not return to its loop within GRACE_TIME, or a second interruption comes,
+    KeyboardInterrupt is raised in the code that it executes. When the worker has ended, the
+    interruption is raised in the caller.
 
-    run: runs a loop until the coroutine of `main` ends
+    run: runs the coroutine `main(clock)` in a new loop, and returns its result
     """
 
     def __init__(
@@ -110,10 +110,10 @@ class Worker(Generic[C, T]):
     def _wait(self) -> None:
         """Wait for the end of the worker.
 
-        The blocked loop runs no task, so only a handler of Ctrl-C can cancel one: the handler of
-        asyncio.run.
+        The calling loop is blocked and runs no task. Only the handler of Ctrl-C of asyncio.run can
+        cancel one of its tasks.
 
-        Raises KeyboardInterrupt if a task of the blocked loop is cancelled meanwhile.
+        Raises KeyboardInterrupt if a task of the calling loop is cancelled meanwhile.
         """
         loop = asyncio.get_running_loop()
         cancellations = _cancellations(loop)

@@ -32,10 +32,10 @@ class ProgramEnded(TimeoutError):
 class ProgramGroup:
     """Programs that are started together and answer with lines that are JSON objects.
 
-    The last other line of each program is kept, for error texts.
-    A program ends when its standard input ends. So no program outlives this process, however this
-    process ends. At the end of the `with` all programs are killed, with the processes
-    that they have started.
+    The last line of each program that is not JSON is kept, for error texts.
+    A program must end when its standard input ends. Then none outlives this process, even after a
+    crash. At the end of the `with` block all programs are killed, with the processes that they have
+    started.
     """
 
     def __init__(self, commands: list[list[str]]) -> None:

@@ -77,10 +77,10 @@ def simulate(
     run: run_virtual, or run_wall for real time
     channel: name of the channel of the messages
 
-    A nan in a message, or in a recorded value after a step, is a failure of the agent. The error
+    A NaN in a message, or in a recorded value after a step, is a failure of the agent. The error
     names the agent and the round. An infinity is accepted, because some algorithms use it (the
-    maximum of nothing, the price of an impossible task). If it comes from an overflow, the next
-    difference makes it a nan.
+    maximum of nothing, the price of an impossible task). An infinity from an overflow becomes a NaN
+    in the next difference.
     Raises ConfigError if the agents do not fit each other or the graph.
     Raises the error of an agent, or AgentFailed.
     Raises SimulationInterrupted, a KeyboardInterrupt with the history until then, on Ctrl-C.
@@ -160,7 +160,7 @@ def simulate(
 def list_recorded_names(
     agents: Mapping[int, Any], record: Sequence[str] | None = None
 ) -> tuple[str, ...]:
-    """Return the names of the attributes to keep: `record`, else x if all agents have one."""
+    """Return the names of the attributes to record: `record`, or "x" if all agents have it."""
     if record is not None:
         return tuple(record)
     return ("x",) if all(hasattr(agent, "x") for agent in agents.values()) else ()

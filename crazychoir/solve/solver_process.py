@@ -53,10 +53,7 @@ Packed = bytes | dict[int, bytes]
 
 @dataclass
 class SolverRobot:
-    """One robot with its agent, its access to the network, and records of its rounds.
-
-    It is a Round itself.
-    """
+    """A `Round` that runs one robot's agent and records the time and the message of each round."""
 
     communicator: Communicator
     """The robot's access to the network."""
@@ -104,7 +101,7 @@ class SolverRobot:
 
 
 class MessageReplay:
-    """The messages of a robot once more, as a Round that computes nothing."""
+    """A `Round` that sends the recorded messages of a robot again, without computing."""
 
     def __init__(self, payloads: list[Packed]) -> None:
         self._payloads = payloads
@@ -234,7 +231,7 @@ class SolverProcess:
         return ended
 
     def _look(self, agent: PickupDelivery) -> None:
-        """Note a better plan, and report the progress now and then, in a step's thread."""
+        """Note a better plan, and report the progress now and then; called in the thread of a step."""
         with self._lock:
             self._note(
                 agent.progress.cost,
@@ -298,13 +295,13 @@ def unpack_message(payload: Packed) -> Any:
 
 
 def write_line(answer: dict[str, Any]) -> None:
-    """Write one line to `crazychoir.solve.team`."""
+    """Write an answer to the process that started this one, as a line of JSON on standard output."""
     sys.stdout.write(json.dumps(to_plain_values(answer)) + "\n")
     sys.stdout.flush()
 
 
 def main() -> None:
-    """Run the process; its argument is the specification.
+    """Run the process; its command-line argument is the specification, as JSON.
 
     An error is written as an answer, and ends the process.
     """

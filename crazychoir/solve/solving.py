@@ -35,7 +35,7 @@ def solve_here(
     The result contains these times:
 
     - startup_s: s until all laws are loaded, and compiled if necessary
-    - wall_s: s from then on
+    - wall_s: s from the end of the start-up until all robots have the plan
     - critical_path_s: s, sum over the rounds of the slowest robot's CPU time
 
     instance: the pickup-and-delivery problem

@@ -64,18 +64,18 @@ def solve_in_processes(
     - startup_s: s until GO
     - cpu_s: s of CPU time of all processes, from GO
     - curve: [[s, m], ...], the cost of the best plan over time
-    - critical_path_s: s that a team would need with one computer for each robot. Here many robots
-      share one.
+    - critical_path_s: s that the team would need if each robot had a computer of its own
 
         critical_path_s = sum over the rounds k of (max_i c_ik + T_k)
 
-    c_ik is the thread CPU time of robot i in round k, s. T_k is the duration of the same round once
-    more, s: by the same processes, with the same payloads and loss, but without computation.
+    c_ik: s, CPU time of the thread of robot i in round k
+    T_k: s, duration of round k when the same processes repeat it with the same payloads and loss, but
+        without computation
 
     instance: the pickup-and-delivery problem
     processes: number of processes
     options: method, network and seed
-    burst: mean number of messages that are lost in a row; None if each is lost by itself
+    burst: mean number of messages that are lost in a row; None if losses are independent
     deadline: s, limit of the whole solution
     watch: called with the progress of all robots, or None
     Raises InstanceError, ConfigError, or ProcessFailed if a process fails, ends, or is silent for
@@ -276,7 +276,7 @@ def compute_critical_path(steps: list[float], exchange: float) -> float:
 
 
 def merge_best_points(points: list[list[float]]) -> list[list[float]]:
-    """Return the points [s, m] of all processes that are below all earlier points."""
+    """Return the points [s, m] of all processes that are below every earlier point."""
     best: list[list[float]] = []
     for point in sorted(points):
         if not best or point[1] < best[-1][1]:

@@ -35,15 +35,16 @@ class EpochRounds(HeldRounds, Protocol):
 
 
 class Barrier:
-    """Joins the parts with which one drone forms and keeps its team.
+    """One drone's membership of its team: the start, the members, and their changes.
 
     port: port of the drone on the bus
     graph: communication graph of the whole swarm
     mission_hash: hash of the swarm file and the mission
     version: version of crazychoir
-    agreed_keys: keys of the swarm file that the mission hash holds one by one
+    agreed_keys: keys of the swarm file with digits of their own in the mission hash; with them
+        an error can name the keys in which two swarm files differ
     seed: seed of the mission
-    start: "all", or the number of drones that suffice at the deadline
+    start: "all", or the number of present drones with which the team starts at the deadline
     start_deadline: seconds to wait for the team
     lost_after: seconds of silence after which a drone is LOST
 

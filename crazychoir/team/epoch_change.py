@@ -26,7 +26,7 @@ class EpochChange:
     """Forms the next roster as the coordinator, and holds the rounds when another drone asks.
 
     rosters: the roster in force at this drone
-    presence: the drones that this drone receives
+    presence: which other drones are present
     """
 
     def __init__(self, rosters: TeamRoster, presence: TeamPresence) -> None:
@@ -100,9 +100,7 @@ class EpochChange:
             self._propose_without([j, *dead], roster)
 
     def _find_dead(self, lost: Iterable[int], roster: Roster) -> list[int]:
-        """Return the members of the next roster that are reported lost and that we do not receive
-        either.
-        """
+        """Return the members that are reported lost and from which this drone hears nothing."""
         members = self._next or roster.members
         return [
             j
@@ -145,9 +143,9 @@ class EpochChange:
         self._conclude()
 
     def _give_up(self) -> None:
-        """Continue without the members that have not answered HOLD and are not received.
+        """Continue without the members that have not answered HOLD and are silent.
 
-        The timeout is needed because there may be no other drone that sends anything.
+        Only a timer can trigger this: there may be no drone left that sends anything.
         """
         roster = self.rosters.roster
         now_ns = self.rosters.port.bus.clock.now_ns()
@@ -156,8 +154,9 @@ class EpochChange:
             self._propose_without(self._find_dead(waited, roster), roster)
 
     def _list_running(self, roster: Roster) -> list[int]:
-        """Return the members of the next roster that are in an epoch now, maybe in another half of
-        the team.
+        """Return the members of the next roster that are in an epoch now.
+
+        It may be the epoch of another part of a divided team.
         """
         beats = self.presence.beats
         known = {**self._halves, **roster.members}
@@ -199,10 +198,10 @@ class EpochChange:
         return self._rounds.hold() if self._rounds is not None else 0
 
     def answer(self, source: int, request: HoldRequest) -> None:
-        """Answer a HOLD request with the first round that we hold.
+        """Hold our rounds for another coordinator, and answer with the first held round.
 
-        If the sender has the lower id it coordinates, so drop our proposal. If it has the higher id
-        and we coordinate, ignore the request: it will receive ours.
+        A sender with a lower id takes precedence: drop our own proposal. A sender with a higher id
+        is ignored while this drone is the coordinator: it will receive our request.
         """
         roster = self.rosters.roster
         if request.epoch <= self.rosters.epoch:
@@ -218,7 +217,8 @@ class EpochChange:
     def take_answer(self, source: int, answer: HoldAnswer) -> None:
         """Store the answer of `source` to HOLD.
 
-        A drone of another half of the team adds all of its half.
+        If `source` has another roster, because the team was divided, all members of that roster
+        join the proposal.
         """
         if answer.epoch != self._target or not self._next:
             return
@@ -229,7 +229,7 @@ class EpochChange:
         self._conclude()
 
     def _add_half(self, members: dict[int, int], roster: Roster) -> None:
-        """Propose a roster with the members of another half of the team too."""
+        """Extend the proposed roster by the members of another part of a divided team."""
         new = {
             j: members[j]
             for j in members

@@ -15,10 +15,10 @@ class Epochs:
     """The compositions of one team, as one member knows them.
 
     epoch: number of the present composition
-    members: incarnation by id; empty before the first roster
+    members: {drone id: incarnation}; empty before the first roster
     gone: ids that have left
-    known: ids from which messages count
-    born: newest incarnation and its first round, by id
+    known: ids from which messages are accepted
+    born: {drone id: (newest incarnation, its first round)}
     gaps: True if any drone is or was `silent`
     since: first round of this drone's joinable channels
     held: first round that may not be sent before the next epoch
@@ -49,7 +49,10 @@ class Epochs:
         return self._graphs[-1][0]
 
     def at(self, joinable: bool, k: int) -> Graph:
-        """Return the graph of round k of a channel."""
+        """Return the graph of round k of a channel.
+
+        joinable: whether the channel continues across epochs; else the present graph holds
+        """
         if not joinable:
             return self.graph.at(k)
         return next(
@@ -58,7 +61,10 @@ class Epochs:
         ).at(k)
 
     def until(self, joinable: bool, k: int) -> float:
-        """Return the first round after k that may have another graph."""
+        """Return the first round after k that may have another graph; inf if there is none yet.
+
+        joinable: whether the channel continues across epochs
+        """
         if any(isinstance(graph, GraphSequence) for _, graph in self._graphs):
             return k + 1
         return (

@@ -126,7 +126,7 @@ class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
         return self._out[self._member(i)]
 
     def neighbors(self, i: int) -> tuple[int, ...]:
-        """Return the in-neighbours and out-neighbours of drone i."""
+        """Return the drones that send to drone i or receive from it."""
         return self._both[self._member(i)]
 
     def _member(self, i: int) -> int:
@@ -135,9 +135,9 @@ class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
         return i
 
     def edges(self) -> tuple[Arc, ...]:
-        """Return the joined pairs (i, j), i < j, in either direction.
+        """Return each pair (i, j), i < j, with an arc in at least one direction.
 
-        `arcs` has the directed ones.
+        `arcs` holds the directions.
         """
         return tuple(sorted(dict.fromkeys((min(arc), max(arc)) for arc in self.arcs)))
 
@@ -268,7 +268,7 @@ class GraphSequence(Wire, frozen=True, array_like=True, gc=False):
 def empty(n: Ids) -> Graph:
     """Return the graph without edges.
 
-    n: number of drones, or their ids; this holds for all shapes
+    n: number of drones, or their ids; every shape takes both
     """
     return Graph.from_edges(n, ())
 

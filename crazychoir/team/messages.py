@@ -124,7 +124,7 @@ class TeamHeartbeat:
     checksum: int
     """Checksum of the sender's roster."""
     hears: tuple[int, ...]
-    """Ids that the sender receives; only before the first roster."""
+    """Drones from which the sender receives heartbeats; only before the first roster."""
     lost: tuple[int, ...]
     """Ids that the sender has lost."""
     mission_hash: str

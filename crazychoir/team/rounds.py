@@ -84,7 +84,7 @@ All drones of a process check at the same instants.
 
 
 class Membership(Protocol):
-    """Knows which neighbours are gone for good."""
+    """Says which neighbours are lost, so that waiting for them is useless."""
 
     def is_lost(self, j: int) -> bool:
         """Return True if j is LOST."""
@@ -408,11 +408,10 @@ class Rounds:
         flags: int,
         age: float,
     ) -> bool:
-        """Return True if an unusual message counts.
+        """Return True if an unusual message is to be handled now.
 
-        The message is not a plain one of our epoch, from a known drone, on a known channel. If its
-        channel or its epoch may soon be ours, it is kept for later. A message of an earlier epoch
-        is dropped.
+        It is unusual by its epoch, its sender or its channel. If the channel or the epoch may soon
+        exist here, the message is kept for later. A message of an earlier epoch is dropped.
         """
         if number >= ROUND_LIMITS.first_refused_round or source not in self._known:
             self.port.counters.malformed += 1
@@ -449,8 +448,8 @@ class Rounds:
     def _serve(self, ch: Channel, number: int, source: int) -> None:
         """Send a round again.
 
-        If it is no longer kept, all members of that time have read it, and it will never come:
-        answer GONE.
+        A round that is no longer kept was read by all members of its epoch. The source did not
+        count as a member then, and can no longer get that round: answer GONE.
         """
         ch.answers += 1
         if ch.joinable and number < ch.oldest:

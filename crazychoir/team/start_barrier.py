@@ -14,8 +14,8 @@ class StartBarrier:
     """Waits for the first roster, and issues it as the coordinator.
 
     rosters: the roster in force at this drone
-    presence: the drones that this drone receives
-    start: "all", or the number of drones that suffice at the deadline
+    presence: which other drones are present
+    start: "all", or the number of present drones with which the team starts at the deadline
     start_deadline: seconds to wait for the team
     """
 

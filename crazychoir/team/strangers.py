@@ -1,6 +1,6 @@
-"""Strangers: drones of the same swarm name with another swarm file or mission.
+"""Strangers: drones that use the name of this swarm with another swarm file or mission.
 
-Decides which side is refused.
+The smaller of the two groups is refused.
 """
 
 from collections.abc import Collection, Sequence
@@ -23,8 +23,10 @@ MISSION_CODE_NAME: Final = "the text of the mission"
 def differing_keys(ours: str, theirs: str, keys: Sequence[str]) -> list[str]:
     """Return the keys of the swarm file in which two mission hashes differ.
 
-    keys: the keys for which each hash holds two hex digits, in their order
-    Returns [] if a hash holds no keys or other keys, or if the digits agree by chance.
+    A mission hash is "digest:digits", with two hex digits for each key and for the mission text.
+
+    keys: the keys with digits, in their order
+    Returns [] if a hash has no digits or digits of other keys, or if the digits agree by chance.
     """
     (_, _, a), (_, _, b) = ours.partition(":"), theirs.partition(":")
     names = (*keys, MISSION_CODE_NAME)
@@ -47,7 +49,7 @@ def _describe_difference(theirs: str, ours: str, keys: Sequence[str]) -> str:
 class Strangers:
     """The other missions from which drone `id`, one of `team` drones, has received heartbeats.
 
-    keys: keys of the swarm file that the mission hash holds one by one
+    keys: keys of the swarm file with digits of their own in the mission hash
     missions: {drone id: mission hash} of the strangers
     """
 
@@ -68,7 +70,7 @@ class Strangers:
         self._judge_ns = 0
 
     def heard(self, j: int, mission_hash: str) -> bool:
-        """Store the mission of j's heartbeat and return True if j is a stranger."""
+        """Note a heartbeat of drone j with this mission; return True if j is a stranger."""
         if mission_hash.partition(":")[0] == self.mission_hash.partition(":")[0]:
             self.missions.pop(j, None)
             return False

@@ -1,4 +1,4 @@
-"""The drones of a team that one drone receives: their heartbeats, and which of them are lost."""
+"""The presence of the team as one drone sees it: received heartbeats, and lost drones."""
 
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
@@ -23,7 +23,7 @@ def _read_payload(payload: bytes) -> TeamHeartbeat:
 
 
 class PresenceReview(Protocol):
-    """Acts, as the coordinator, on what the presence of the drones shows."""
+    """Acts on heartbeats and losses of other drones while this drone is the coordinator."""
 
     @property
     def is_open(self) -> bool:
@@ -40,10 +40,10 @@ class PresenceReview(Protocol):
 
 
 class TeamPresence:
-    """Sends this drone's heartbeats, and holds which other drones are present.
+    """Sends this drone's heartbeats, and tracks which other drones are present.
 
     rosters: the roster in force at this drone
-    agreed_keys: keys of the swarm file that the mission hash holds one by one
+    agreed_keys: keys of the swarm file with digits of their own in the mission hash
     lost_after: seconds of silence after which a drone is LOST
 
     Attributes:
@@ -91,7 +91,7 @@ class TeamPresence:
         port.handlers[MESSAGE_TOPICS.heartbeat.number] = self._handle_heartbeat
 
     def attach(self, review: PresenceReview) -> None:
-        """Let this object act on the presence of the drones while this drone coordinates."""
+        """Call `review` for heartbeats and losses while this drone is the coordinator."""
         self._review = review
 
     def is_lost(self, j: int) -> bool:
@@ -143,11 +143,11 @@ class TeamPresence:
         self.lost.update(dict.fromkeys(gone))
 
     def mark_found(self, j: int) -> None:
-        """Count drone j as lost no longer."""
+        """No longer count drone j as lost."""
         self.lost.pop(j, None)
 
     def review_all(self) -> None:
-        """Check the next heartbeat of every drone, even if it is unchanged."""
+        """Check the next heartbeat of every drone again, even if it has not changed."""
         self._calm.clear()
 
     # Heartbeats -----------------------------------------------------------------------

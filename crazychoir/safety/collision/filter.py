@@ -274,7 +274,7 @@ def _filter_acceleration(
     box: (6,) m: lower corner of the fence, then upper corner
     f: the figures
     planes: (., 4): work space for the half spaces
-    near: (MOST_NEIGHBOURS, 2): work space, see _insert
+    near: (MOST_NEIGHBOURS, 2): work space, see _insert_plane
     out: (9,): the acceleration (3,), the row of the nearest drone in the way, whether this drone is
         cut off, whether it stays while it brakes, and the place (3,) where it stays
     """
