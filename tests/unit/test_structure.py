@@ -53,7 +53,6 @@ WIDE_FUNCTIONS = {
     "Barrier.__init__",
     "CFIntegrator.__init__",
     "Forwarder.forward",
-    "MotorWorld.__init__",
     "Pilot.__init__",
     "Port._send_impaired",
     "Port.send",
