@@ -8,6 +8,7 @@ A member that is LOST or joins begins a new epoch (epoch_change.py).
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal, Protocol
 
 from crazychoir.bus.port import Port
@@ -34,15 +35,26 @@ class EpochRounds(HeldRounds, Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class AgreedMission:
+    """What all members of a team must have alike before they fly together."""
+
+    mission_hash: str
+    """Hash of the swarm file and the mission."""
+    version: str
+    """Version of crazychoir."""
+    agreed_keys: Sequence[str] = ()
+    """Keys of the swarm file that the mission hash holds one by one."""
+    seed: int = 0
+    """Seed of the mission."""
+
+
 class Barrier:
     """Joins the parts with which one drone forms and keeps its team.
 
     port: port of the drone on the bus
     graph: communication graph of the whole swarm
-    mission_hash: hash of the swarm file and the mission
-    version: version of crazychoir
-    agreed_keys: keys of the swarm file that the mission hash holds one by one
-    seed: seed of the mission
+    mission: what all members of the team must have alike
     start: "all", or the number of drones that suffice at the deadline
     start_deadline: seconds to wait for the team
     lost_after: seconds of silence after which a drone is LOST
@@ -61,11 +73,8 @@ class Barrier:
         self,
         port: Port,
         graph: Graph,
+        mission: AgreedMission,
         *,
-        mission_hash: str,
-        version: str,
-        agreed_keys: Sequence[str] = (),
-        seed: int = 0,
         start: int | Literal["all"] = "all",
         start_deadline: float = 30.0,
         lost_after: float = 5.0,
@@ -73,9 +82,13 @@ class Barrier:
         self.port = port
         self.id = port.address
         self.rosters = TeamRoster(
-            port, graph, mission_hash=mission_hash, version=version, seed=seed
+            port,
+            graph,
+            mission_hash=mission.mission_hash,
+            version=mission.version,
+            seed=mission.seed,
         )
-        self.presence = TeamPresence(self.rosters, agreed_keys, lost_after)
+        self.presence = TeamPresence(self.rosters, mission.agreed_keys, lost_after)
         self.starting = StartBarrier(self.rosters, self.presence, start, start_deadline)
         self.changing = EpochChange(self.rosters, self.presence)
         self.monitor = self.presence.monitor

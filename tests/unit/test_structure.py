@@ -49,8 +49,6 @@ LARGE_CLASSES = {
 }
 """Classes that hold several responsibilities. This list only shrinks."""
 WIDE_FUNCTIONS = {
-    "Agent.__init__",
-    "Barrier.__init__",
     "Forwarder.forward",
     "Pilot.__init__",
     "Port._send_impaired",
