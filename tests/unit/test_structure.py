@@ -57,7 +57,6 @@ WIDE_FUNCTIONS = {
     "Recorder._rounds",
     "ZenohLink.__init__",
     "ZenohLink.forward",
-    "fly_real",
     "simulate",
 }
 """Functions with too many arguments. This list only shrinks."""
