@@ -57,7 +57,7 @@ WIDE_FUNCTIONS = {
     "Recorder._rounds",
     "ZenohLink.__init__",
     "ZenohLink.forward",
-    "simulate",
+    "simulate",  # users call it by name; its options are independent of each other
 }
 """Functions with too many arguments. This list only shrinks."""
 SHARED_CLASS_NAMES = {
