@@ -1,7 +1,7 @@
 """Drones of one process, each with its barrier and its communicator, that are killed and started again at will."""
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,7 +14,7 @@ from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.runtime.clock import Clock, run_virtual
 from crazychoir.team import graph as graphs
-from crazychoir.team.barrier import Barrier
+from crazychoir.team.barrier import AgreedMission, Barrier
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph, GraphSequence
 from crazychoir.team.messages import Roster, RosterMessage, TeamHeartbeat
@@ -47,11 +47,20 @@ class Team:
         return self.buses[i % len(self.buses)]
 
     def start(
-        self, i: int, incarnation: int = 1, mission: str = "abc", **options: Any
+        self,
+        i: int,
+        incarnation: int = 1,
+        mission: str = "abc",
+        agreed_keys: Sequence[str] = (),
+        seed: int = 0,
+        **options: Any,
     ) -> Barrier:
         port = self.bus_of(i).port(i, incarnation)
         barrier = Barrier(
-            port, self.graph, mission_hash=mission, version="1", **options
+            port,
+            self.graph,
+            AgreedMission(mission, "1", agreed_keys, seed),
+            **options,
         )
         communicator = Communicator(port, self.sequence or self.graph)
         communicator.follow(barrier)

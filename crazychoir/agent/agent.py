@@ -4,6 +4,7 @@ import asyncio
 import logging
 import socket
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -68,6 +69,21 @@ class Pacemaker(Actor):
                 pilot.nudge(now_ns)
 
 
+@dataclass(frozen=True, slots=True)
+class AgentProcess:
+    """The process in which an agent lives."""
+
+    name: str = "local"
+    """Name of the process."""
+    incarnation: int = 1
+    """Identifies this life of the process."""
+    is_alone: bool = True
+    """Whether the whole swarm is in this process, and none of its worlds has an owner elsewhere."""
+
+
+LOCAL_PROCESS = AgentProcess()
+
+
 class Agent:
     """The drones `ids` of a swarm, in this process.
 
@@ -75,11 +91,8 @@ class Agent:
     config: the swarm file.
     mission: the mission file.
     ids: ids of the drones.
-    process: name of the process.
-    incarnation: identifies this life of the process.
+    process: the process in which the drones live.
     trace: digest of virtual time.
-    start_deadline: s for the start of the team. None: that of the swarm file.
-    alone: the whole swarm is in this process, and none of its worlds has an owner elsewhere.
     """
 
     def __init__(
@@ -89,27 +102,26 @@ class Agent:
         mission: Mission,
         ids: tuple[int, ...],
         *,
-        process: str = "local",
-        incarnation: int = 1,
+        process: AgentProcess = LOCAL_PROCESS,
         trace: Trace | None = None,
-        start_deadline: float | None = None,
-        alone: bool = True,
     ) -> None:
         self.clock = clock
         self.config = config
         self.ids = ids
         host = config.drone(ids[0]).host or socket.gethostname().split(".")[0]
-        self.bus = Bus(clock, impairment_of(config), process, host)
+        self.bus = Bus(clock, impairment_of(config), process.name, host)
         self.bus.tap = trace.message if trace else None
-        self.incarnation = incarnation
+        self.incarnation = process.incarnation
         self.watchdog: GuardFactory | None = None
         self.alarm: Callable[[int, str], None] = lambda drone, text: None
         for i in ids:
-            self.bus.port(i, incarnation)
-        if alone and config.topology.reached:
+            self.bus.port(i, process.incarnation)
+        if process.is_alone and config.topology.reached:
             raise _not_simulated(config)
         self.owned = (
-            () if alone else tuple(i for i in ids if i in config.topology.elsewhere)
+            ()
+            if process.is_alone
+            else tuple(i for i in ids if i in config.topology.elsewhere)
         )
         self.owners = world_actors(
             self.bus, config, tuple(i for i in ids if i not in self.owned), trace=trace
@@ -119,7 +131,7 @@ class Agent:
         self.runners: dict[int, MissionRunner] = {}
         self.drones: dict[int, Drone] = {}
         self.commands: dict[int, DroneCommands] = {}
-        patience = 0.0 if alone else config.flight.dead_man
+        patience = 0.0 if process.is_alone else config.flight.dead_man
         self.dead_man = (
             DeadMan(clock, patience, self._flies, self.land_all) if patience else None
         )
@@ -128,16 +140,16 @@ class Agent:
             mission=mission,
             mission_hash=compute_mission_hash(config, mission),
             graph=config.graph(),
-            start_deadline=(
-                config.start_deadline if start_deadline is None else start_deadline
-            ),
+            start_deadline=config.start_deadline,
             owners=self.owner_of,
         )
         for i in ids:
             self._add_drone(i, surroundings)
         pilots = [drone.pilot for drone in self.drones.values()]
         self.pacemaker = Pacemaker(clock, pilots, config.mocap.rate)
-        self.supervisor = Supervisor(clock, f"process {process}", self._shared_failed)
+        self.supervisor = Supervisor(
+            clock, f"process {process.name}", self._shared_failed
+        )
 
     def _add_drone(self, i: int, surroundings: DroneSurroundings) -> None:
         """Build drone i, and let it obey operators."""

@@ -36,7 +36,7 @@ from crazychoir.safety.rules.radio_watch import RadioWatch
 from crazychoir.simulation.owner import WorldOwner
 from crazychoir.simulation.remote import RemoteLink
 from crazychoir.simulation.telemetry import list_log_names
-from crazychoir.team.barrier import Barrier
+from crazychoir.team.barrier import AgreedMission, Barrier
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph
 from crazychoir.team.messages import Roster
@@ -85,10 +85,7 @@ def build_drone(
     barrier = Barrier(
         port,
         shared.graph,
-        mission_hash=shared.mission_hash,
-        version=PACKAGE_VERSION,
-        agreed_keys=AGREED_KEYS,
-        seed=config.seed,
+        AgreedMission(shared.mission_hash, PACKAGE_VERSION, AGREED_KEYS, config.seed),
         start=config.start,
         start_deadline=shared.start_deadline,
         lost_after=config.lost_after,

@@ -16,13 +16,13 @@ from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.control.robots import find_sender
 from crazychoir.errors import Refused, error_text
-from crazychoir.mocap.simulated import SimulatedMocap
+from crazychoir.mocap.simulated import CameraErrors, SimulatedMocap
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import NS_PER_SECOND, Clock
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.simulation.engines import count_delay_steps, make_worlds
 from crazychoir.simulation.owner import Digest, WorldOwner
-from crazychoir.simulation.remote import RemoteBody
+from crazychoir.simulation.remote import BodyRequests, RemoteBody
 
 log = logging.getLogger(__name__)
 
@@ -77,12 +77,8 @@ def _camera_actors(config: SwarmConfig, ids: tuple[int, ...]) -> SimulatedMocap:
     return SimulatedMocap(
         ids,
         config.seed,
-        noise_p=mocap.noise,
-        noise_angle=mocap.noise_angle,
-        dropout=mocap.dropout,
-        latency_steps=round(mocap.latency * mocap.rate),
+        CameraErrors.of(mocap),
         dt=1.0 / mocap.rate,
-        tilt=mocap.tilt,
     )
 
 
@@ -152,7 +148,7 @@ class WorldProcess(Actor):
                 kind,
                 note,
                 flight,
-                partial(owner.telemetry.ask, i),
+                BodyRequests(ask=partial(owner.telemetry.ask, i)),
             )
             for i, kind in kinds.items()
         ]

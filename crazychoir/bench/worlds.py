@@ -21,7 +21,7 @@ from crazychoir.platforms import CRAZYFLIE_21
 from crazychoir.simulation.lightweight.integrator import CFIntegrator
 from crazychoir.simulation.motor_level.air import Wind
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
-from crazychoir.simulation.motor_level.motors import MotorWorld
+from crazychoir.simulation.motor_level.motors import MotorConditions, MotorWorld
 from crazychoir.types import Mat
 
 
@@ -47,7 +47,7 @@ class WorldBenchSettings:
 WORLD_BENCH = WorldBenchSettings()
 
 
-BENCH_WIND = Wind((0.5, 0.0, 0.0), 0.2)
+BENCH_CONDITIONS = MotorConditions(wind=Wind((0.5, 0.0, 0.0), 0.2))
 
 Step = Callable[[], object]
 Engine = Callable[[int], Step]
@@ -69,13 +69,13 @@ def lightweight_step(n: int) -> Step:
 
 def motor_level_step(n: int) -> Step:
     """Return the step of the whole motor level, with wind, gusts and constant motor commands."""
-    return MotorWorld(range(n), lattice_places(n), wind=BENCH_WIND).step
+    return MotorWorld(range(n), lattice_places(n), conditions=BENCH_CONDITIONS).step
 
 
 def crazyflies_step(n: int) -> Step:
     """Return the step of the motor level with the firmware on board, flying body rates."""
     return _hovering_step(
-        CrazyflieWorld(range(n), lattice_places(n), wind=BENCH_WIND), n
+        CrazyflieWorld(range(n), lattice_places(n), conditions=BENCH_CONDITIONS), n
     )
 
 
@@ -87,7 +87,9 @@ def mujoco_crazyflies_step(n: int) -> Step:
     importlib.import_module("mujoco")
     from crazychoir.simulation.mujoco.world import MujocoWorld
 
-    return _hovering_step(MujocoWorld(range(n), lattice_places(n), wind=BENCH_WIND), n)
+    return _hovering_step(
+        MujocoWorld(range(n), lattice_places(n), conditions=BENCH_CONDITIONS), n
+    )
 
 
 def _hovering_step(world: CrazyflieWorld, n: int) -> Step:

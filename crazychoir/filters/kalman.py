@@ -1,6 +1,7 @@
 """A Kalman filter of the poses of motion capture that knows the commands of its drone."""
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -136,6 +137,35 @@ class KalmanFigures(NamedTuple):
 
 
 KALMAN_FIGURES = KalmanFigures()
+
+
+@dataclass(frozen=True, slots=True)
+class KalmanNoise:
+    """Deviations of the measured poses, and densities of the noises that drive the model."""
+
+    place: float = 0.0005
+    """m, standard deviation of a position per axis; 0.5 mm for good motion capture."""
+    angle: float = math.radians(0.25)
+    """rad, standard deviation of an attitude per axis; 0.25 deg for good motion capture."""
+    jerk: float = 0.1
+    """m2/s5, density of n_j: a thrust that is 10 % wrong for about 0.1 s while the jerk is 10 m/s3.
+
+    Without commands d must follow the whole jerk: then use 0.1 for figure eights at 1 m/s, and 3 at
+    2 m/s.
+    """
+    push: float = 3e-5
+    """m2/s3, density of n_s: the error of f from an attitude that is wrong behind the filter.
+
+    The default covers 2 mrad for about 0.03 s.
+    """
+    swing: float = 0.3
+    """rad2/s3, density of n_g: a lag of the rates that is 10 ms wrong.
+
+    The default covers it for about 0.03 s while the rates change by 20 rad/s2.
+    """
+
+
+KALMAN_NOISE = KalmanNoise()
 
 
 @kernel()
@@ -646,15 +676,7 @@ class KalmanFilter:
     horizon: s, longest prediction
     period: s, of the cameras; 0 if they have no steady rate
     motion: the dynamics under commands; None if the filter gets no commands
-    noise_p: m, standard deviation of a position per axis; 0.5 mm for good motion capture
-    noise_angle: rad, standard deviation of an attitude per axis; 0.25 deg for good motion capture
-    jerk: m2/s5, density of n_j. The default covers a thrust that is 10 % wrong for about 0.1 s while
-        the jerk is 10 m/s3. Without commands d must follow the whole jerk: then use 0.1 for figure
-        eights at 1 m/s, and 3 at 2 m/s.
-    push: m2/s3, density of n_s. The default covers the error of f from an attitude that is still
-        2 mrad wrong behind the filter, for about 0.03 s.
-    swing: rad2/s3, density of n_g. The default covers a lag of the rates that is 10 ms wrong for
-        about 0.03 s while the rates change by 20 rad/s2.
+    noise: n_p, n_a, n_j = jerk, n_s = push and n_g = swing
     loop: (3, 5): lag_r s, kp 1/s, ki 1/s2, kd, most rad/s2 of roll, pitch, yaw; None if not known
     Source: Bar-Shalom, Li & Kirubarajan 2001, the Wiener process acceleration model, for Q;
         Lefferts, Markley & Shuster 1982 for the error state.
@@ -665,11 +687,7 @@ class KalmanFilter:
         horizon: float = 0.5,
         period: float = 0.0,
         motion: CommandedMotion | None = None,
-        noise_p: float = 0.0005,
-        noise_angle: float = math.radians(0.25),
-        jerk: float = 0.1,
-        push: float = 3e-5,
-        swing: float = 0.3,
+        noise: KalmanNoise = KALMAN_NOISE,
         loop: Mat | None = None,
     ) -> None:
         self.horizon = horizon
@@ -692,11 +710,11 @@ class KalmanFilter:
         )
         self._figures = np.array(
             [
-                noise_p**2,
-                noise_angle**2,
-                jerk,
-                push,
-                swing,
+                noise.place**2,
+                noise.angle**2,
+                noise.jerk,
+                noise.push,
+                noise.swing,
                 1.0 / DISTURBANCE_FADE_TIME,
                 *model,
             ]

@@ -4,6 +4,7 @@ import importlib.util
 import logging
 import time
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -101,13 +102,25 @@ def fly_fast(
     return run_virtual(main)
 
 
+@dataclass(frozen=True, slots=True)
+class FlightDisplay:
+    """Shows a flight in real time to the operator."""
+
+    watch: Watch | None = None
+    """Called with the score at every tick, None for no view."""
+    say: Callable[[str], None] = lambda line: None
+    """Called with each line that a process prints."""
+
+
+NO_DISPLAY = FlightDisplay()
+
+
 def fly_real(
     path: Path,
     config: SwarmConfig,
     mission: Mission,
     options: Iterable[str] = (),
-    watch: Watch | None = None,
-    say: Callable[[str], None] = lambda line: None,
+    display: FlightDisplay = NO_DISPLAY,
     started: tuple[int, ...] | None = None,
     file: RecordingFile | None = None,
 ) -> dict[str, Any]:
@@ -120,8 +133,7 @@ def fly_real(
     config: the swarm
     mission: its mission
     options: further options for the processes
-    watch: called with the score at every tick, None for no view
-    say: called with each line that a process prints
+    display: shows the flight
     started: drones to start, None for all; all drones of a group start if one of them is named
     file: recording of the flight, None for none
     Returns the object of `summarise_flight`, with `startup_s` and the state of the recording.
@@ -136,7 +148,7 @@ def fly_real(
         link = make_observer_link(clock, config)
         began = clock.now()
         address = next(iter(link.bus.ports))
-        watched = watch or (lambda score: None)
+        watched = display.watch or (lambda score: None)
         score = FlightScore(
             link.bus,
             config.ids,
@@ -164,7 +176,7 @@ def fly_real(
                 path,
                 config,
                 list(options),
-                say,
+                display.say,
                 lambda: do_all_wait(config, score),
                 list_owners(config, started),
             )

@@ -3,10 +3,13 @@
 import math
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from scipy.special import ndtri
 
+from crazychoir.config.tables import MocapTable
 from crazychoir.numerics.kernels import kernel, matrix, real, table, vector
 from crazychoir.numerics.math3d import quaternion_product, rotation_exponential
 from crazychoir.types import Mat, Pose, Vec
@@ -36,6 +39,36 @@ def _disturb(
             out[i, c] = x[i, c] + noise_p * normal[i, c]
 
 
+@dataclass(frozen=True, slots=True)
+class CameraErrors:
+    """Errors with which the cameras measure the poses of the drones."""
+
+    noise_p: float = 0.0005
+    """m, standard deviation of n_p per axis."""
+    noise_angle: float = 0.002
+    """rad, standard deviation of n_angle per axis."""
+    dropout: float = 0.0
+    """Probability that a drone is not seen in a tick."""
+    latency_steps: int = 0
+    """Ticks between exposure and arrival."""
+    tilt: tuple[float, float] = (0.0, 0.0)
+    """rad, (roll, pitch) of the tracked body against the drone."""
+
+    @classmethod
+    def of(cls, mocap: MocapTable) -> Self:
+        """Return the errors in the table [mocap] of a swarm file."""
+        return cls(
+            mocap.noise,
+            mocap.noise_angle,
+            mocap.dropout,
+            round(mocap.latency * mocap.rate),
+            mocap.tilt,
+        )
+
+
+STANDARD_CAMERAS = CameraErrors()
+
+
 class SimulatedMocap:
     """Cameras that see every drone once a tick, with noise, latency and independent dropouts.
 
@@ -46,36 +79,25 @@ class SimulatedMocap:
 
     ids: the drones, row by row
     seed: seed of all draws
-    noise_p: m: standard deviation of n_p, per axis
-    noise_angle: rad: standard deviation of n_angle, per axis
-    dropout: probability that a drone is not seen in a tick
-    latency_steps: ticks between exposure and arrival
+    errors: noise, dropouts, latency and tilt
     dt: s: one tick
-    tilt: rad: (roll, pitch) of the tracked body against the drone
     """
 
     def __init__(
         self,
         ids: Sequence[int],
         seed: int,
-        noise_p: float = 0.0005,
-        noise_angle: float = 0.002,
-        dropout: float = 0.0,
-        latency_steps: int = 0,
+        errors: CameraErrors = STANDARD_CAMERAS,
         dt: float = 0.01,
-        tilt: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         self.ids = tuple(ids)
         self.seed = seed
         self.dt = dt
-        self.noise_p = noise_p
-        self.noise_angle = noise_angle
-        self.dropout = dropout
-        self.latency_steps = latency_steps
+        self.errors = errors
         self._tilt = np.array(
             quaternion_product(
-                rotation_exponential(0.0, tilt[1], 0.0),
-                rotation_exponential(tilt[0], 0.0, 0.0),
+                rotation_exponential(0.0, errors.tilt[1], 0.0),
+                rotation_exponential(errors.tilt[0], 0.0, 0.0),
             )
         )
         self._rows = np.array(self.ids)
@@ -88,18 +110,26 @@ class SimulatedMocap:
         """
         self._exposures.append((k, x.copy()))
         due = None
-        while self._exposures and self._exposures[0][0] <= k - self.latency_steps:
+        while (
+            self._exposures and self._exposures[0][0] <= k - self.errors.latency_steps
+        ):
             due = self._exposures.popleft()
         if due is None:
             return [None] * len(self.ids)
         exposed, truth = due
         normal = self._normal(exposed)
         flat = np.empty((len(self.ids), 7))
-        _disturb(truth, normal, self.noise_p, self.noise_angle, self._tilt, flat)
-        age = (k - exposed) * self.dt
-        seen = normal[:, 6] >= (
-            ndtri(self.dropout) if self.dropout > 0.0 else -math.inf
+        _disturb(
+            truth,
+            normal,
+            self.errors.noise_p,
+            self.errors.noise_angle,
+            self._tilt,
+            flat,
         )
+        age = (k - exposed) * self.dt
+        dropout = self.errors.dropout
+        seen = normal[:, 6] >= (ndtri(dropout) if dropout > 0.0 else -math.inf)
         return [
             Pose(row, age) if here else None
             for row, here in zip(flat, seen.tolist(), strict=True)

@@ -12,7 +12,7 @@ from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.files.recorded_times import RECORDED_TIME_LIMITS
 from crazychoir.filters.velocity import is_readable
 from crazychoir.mocap.frames import PoseFrame
-from crazychoir.mocap.simulated import SimulatedMocap
+from crazychoir.mocap.simulated import CameraErrors, SimulatedMocap
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,12 +75,8 @@ class CameraBlur:
         self._cameras = SimulatedMocap(
             ids,
             config.seed,
-            noise_p=mocap.noise,
-            noise_angle=mocap.noise_angle,
-            dropout=mocap.dropout,
-            latency_steps=round(mocap.latency * mocap.rate),
+            CameraErrors.of(mocap),
             dt=1.0 / mocap.rate,
-            tilt=mocap.tilt,
         )
         self._rate = mocap.rate
         self._tick = -1

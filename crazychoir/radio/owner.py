@@ -26,7 +26,7 @@ from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.safety.rules.guard import Fence
-from crazychoir.simulation.remote import RemoteBody
+from crazychoir.simulation.remote import BodyRequests, RemoteBody
 
 log = logging.getLogger(__name__)
 
@@ -100,8 +100,9 @@ class RadioProcess(Actor):
                 drone.commands,
                 drone.setup.kind,
                 flight=config.flight,
-                ask=drone.requested_logs.ask,
-                arm=drone.motors.arm,
+                requests=BodyRequests(
+                    ask=drone.requested_logs.ask, arm=drone.motors.arm
+                ),
             )
             for i, drone in self.drones.items()
         }

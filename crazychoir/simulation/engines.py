@@ -21,7 +21,7 @@ from crazychoir.errors import ConfigError, CrazyChoirError, error_text
 from crazychoir.platforms import find_platform
 from crazychoir.simulation.common.mismatch import find_equivalent_platform
 from crazychoir.simulation.common.world import World, WorldSetup
-from crazychoir.simulation.lightweight.integrator import CFIntegrator
+from crazychoir.simulation.lightweight.integrator import CFIntegrator, InputLags
 
 Engine = Callable[[WorldSetup], World]
 
@@ -69,11 +69,16 @@ def lightweight(setup: WorldSetup) -> World:
         find_equivalent_platform(row, setup.mass_error, setup.thrust_error)
         for row in setup.platforms
     ]
-    options = {
-        name: setup.options[name] for name in ("inputs", "rate_lag", "command_delay")
-    }
     return CFIntegrator(
-        setup.ids, homes, np.array(setup.yaws), bodies, setup.dt, **options
+        setup.ids,
+        homes,
+        np.array(setup.yaws),
+        bodies,
+        setup.dt,
+        lags=InputLags(
+            rates=setup.options["rate_lag"], delay=setup.options["command_delay"]
+        ),
+        inputs=setup.options["inputs"],
     )
 
 

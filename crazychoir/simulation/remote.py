@@ -296,6 +296,19 @@ class BodyObserver(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class BodyRequests:
+    """Requests about a body beside its commands, each carried out by the owner of the body."""
+
+    ask: Callable[[list[str], float], None] | None = None
+    """Publishes these log variables, with this period in s; None if the owner cannot."""
+    arm: Callable[[], Awaitable[str]] | None = None
+    """Arms the motors and returns the answer; None if the owner cannot."""
+
+
+NO_BODY_REQUESTS = BodyRequests()
+
+
 class RemoteBody:
     """The other end of a RemoteLink: a body that obeys only the commands of its own agent.
 
@@ -307,8 +320,7 @@ class RemoteBody:
     kind: kind of command in the swarm file
     obeyed: called after each command that was passed on
     flight: height of the ground and landing speed for a drone without commands
-    ask: lets the owner publish these log variables, with this period in s
-    arm: arms the motors
+    requests: what the owner of the body does on request
     """
 
     def __init__(
@@ -319,16 +331,15 @@ class RemoteBody:
         kind: str,
         obeyed: Callable[[], None] = lambda: None,
         flight: FlightTable | None = None,
-        ask: Callable[[list[str], float], None] | None = None,
-        arm: Callable[[], Awaitable[str]] | None = None,
+        requests: BodyRequests = NO_BODY_REQUESTS,
     ) -> None:
         self.port = port
         self.world = world
         self.link = link
         self.kind = kind
         self.obeyed = obeyed
-        self._ask = ask
-        self._arm = arm
+        self._ask = requests.ask
+        self._arm = requests.arm
         self.flight = FlightTable() if flight is None else flight
         self.drone = port.address - PORT_ADDRESSES.body_offset
         self.refused = 0

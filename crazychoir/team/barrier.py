@@ -8,6 +8,7 @@ A member that is LOST or joins begins a new epoch (epoch_change.py).
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal, Protocol
 
 from crazychoir.bus.port import Port
@@ -34,16 +35,29 @@ class EpochRounds(HeldRounds, Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class AgreedMission:
+    """What all members of a team must have alike before they fly together."""
+
+    mission_hash: str
+    """Hash of the swarm file and the mission."""
+    version: str
+    """Version of crazychoir."""
+    agreed_keys: Sequence[str] = ()
+    """Keys of the swarm file with digits of their own in the mission hash.
+
+    With them an error can name the keys in which two swarm files differ.
+    """
+    seed: int = 0
+    """Seed of the mission."""
+
+
 class Barrier:
     """One drone's membership of its team: the start, the members, and their changes.
 
     port: port of the drone on the bus
     graph: communication graph of the whole swarm
-    mission_hash: hash of the swarm file and the mission
-    version: version of crazychoir
-    agreed_keys: keys of the swarm file with digits of their own in the mission hash; with them
-        an error can name the keys in which two swarm files differ
-    seed: seed of the mission
+    mission: what all members of the team must have alike
     start: "all", or the number of present drones with which the team starts at the deadline
     start_deadline: seconds to wait for the team
     lost_after: seconds of silence after which a drone is LOST
@@ -62,11 +76,8 @@ class Barrier:
         self,
         port: Port,
         graph: Graph,
+        mission: AgreedMission,
         *,
-        mission_hash: str,
-        version: str,
-        agreed_keys: Sequence[str] = (),
-        seed: int = 0,
         start: int | Literal["all"] = "all",
         start_deadline: float = 30.0,
         lost_after: float = 5.0,
@@ -74,9 +85,13 @@ class Barrier:
         self.port = port
         self.id = port.address
         self.rosters = TeamRoster(
-            port, graph, mission_hash=mission_hash, version=version, seed=seed
+            port,
+            graph,
+            mission_hash=mission.mission_hash,
+            version=mission.version,
+            seed=mission.seed,
         )
-        self.presence = TeamPresence(self.rosters, agreed_keys, lost_after)
+        self.presence = TeamPresence(self.rosters, mission.agreed_keys, lost_after)
         self.starting = StartBarrier(self.rosters, self.presence, start, start_deadline)
         self.changing = EpochChange(self.rosters, self.presence)
         self.monitor = self.presence.monitor

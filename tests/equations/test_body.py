@@ -22,7 +22,7 @@ from crazychoir.simulation.motor_level.lanes import (
     HALF_STEP_DECAY,
     LANE_COUNT,
 )
-from crazychoir.simulation.motor_level.motors import MotorWorld
+from crazychoir.simulation.motor_level.motors import MotorConditions, MotorWorld
 
 P = CRAZYFLIE_21
 WIND = np.array([0.5, -0.3, 0.2])
@@ -85,10 +85,13 @@ def slope(t, y, goal):
     )
 
 
-def hovering(start=START, platform=P, **options):
+def hovering(start=START, platform=P):
     """A world of one drone in the air, its rotors at hover."""
     world = MotorWorld(
-        [0], np.array([[*start[:2], 1.0]]), platform=platform, downwash=False, **options
+        [0],
+        np.array([[*start[:2], 1.0]]),
+        platform=platform,
+        conditions=MotorConditions(has_downwash=False),
     )
     world.states[0] = start
     return world

@@ -12,7 +12,7 @@ from crazychoir.numerics.math3d import (
     rotation_exponential,
 )
 from crazychoir.platforms import PAPER_PLATFORM
-from crazychoir.simulation.lightweight.integrator import CFIntegrator
+from crazychoir.simulation.lightweight.integrator import CFIntegrator, InputLags
 
 U = np.array([1.1 * PAPER_PLATFORM.weight, 2.0, -1.5, 1.0])
 START = np.array(
@@ -86,7 +86,7 @@ def test_the_order_is_four_behind_a_lag():
     truth = exact(lagged)
     steps = np.array([0.04, 0.02, 0.01])
     errors = [
-        np.linalg.norm(flown(h, rate_lag=0.086, thrust_lag=0.05)[:10] - truth)
+        np.linalg.norm(flown(h, lags=InputLags(rates=0.086, thrust=0.05))[:10] - truth)
         for h in steps
     ]
     orders = np.diff(np.log(errors)) / np.diff(np.log(steps))
@@ -102,7 +102,9 @@ def test_a_delay_is_exact_although_it_is_no_multiple_of_the_step():
         lambda t: U, start=exact(lambda t: hover, until=delay), until=1.0 - delay
     )
     np.testing.assert_allclose(truth, early, atol=1e-9)
-    np.testing.assert_allclose(flown(0.01, command_delay=delay)[:10], early, atol=1e-8)
+    np.testing.assert_allclose(
+        flown(0.01, lags=InputLags(delay=delay))[:10], early, atol=1e-8
+    )
 
 
 def test_euler_rates_are_the_papers_model():

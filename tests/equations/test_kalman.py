@@ -13,6 +13,7 @@ from crazychoir.filters.kalman import (
     KALMAN_FIGURES,
     KALMAN_MEMORY,
     KalmanFilter,
+    KalmanNoise,
 )
 from crazychoir.filters.motion import CommandedMotion
 from crazychoir.flight.estimate import compute_rate_loops
@@ -50,7 +51,7 @@ def test_position_and_its_covariance_are_those_of_the_textbook_at_uneven_steps(
     mean_step,
 ):
     draw = np.random.default_rng(1)
-    f = KalmanFilter(noise_p=math.sqrt(R_P), jerk=JERK, push=PUSH)
+    f = KalmanFilter(noise=KalmanNoise(place=math.sqrt(R_P), jerk=JERK, push=PUSH))
     x, cov, t = (
         np.zeros(3),
         np.diag(
@@ -86,7 +87,7 @@ def test_an_angle_about_one_axis_and_its_covariance_are_those_of_the_textbook(
     mean_step,
 ):
     draw = np.random.default_rng(2)
-    f = KalmanFilter(noise_angle=math.sqrt(R_A), swing=SWING)
+    f = KalmanFilter(noise=KalmanNoise(angle=math.sqrt(R_A), swing=SWING))
     x, cov, t = np.zeros(2), np.diag([R_A, KALMAN_DEVIATIONS.start_turn_rate**2]), 0.0
     f.update(Pose(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 0.0)
     for k in range(100):

@@ -8,6 +8,7 @@ from crazychoir.numerics.math3d import STANDARD_GRAVITY, rotation, rotation_expo
 from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
 from crazychoir.simulation.motor_level.imu import Imu
+from crazychoir.simulation.motor_level.motors import MotorConditions
 from crazychoir.simulation.mujoco.world import MujocoWorld
 from crazychoir.simulation.mujoco.wrench import (
     find_contacts,
@@ -131,7 +132,9 @@ class EachMillisecond(CrazyflieWorld):
 
 
 def flown(kind, seconds):
-    world = kind([0], np.array([[0.0, 0.0, 20.0]]), imu=STILL)
+    world = kind(
+        [0], np.array([[0.0, 0.0, 20.0]]), conditions=MotorConditions(imu=STILL)
+    )
     link, draw, states = world.link(0), np.random.default_rng(0), []
     link.onboard.setpoints.fpqr(0.0, 0.0, 0.0, 0.0)
     for k in range(round(seconds * 100)):

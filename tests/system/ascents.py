@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from system.flights import mission_of
 
-from crazychoir.agent.agent import Agent
+from crazychoir.agent.agent import Agent, AgentProcess
 from crazychoir.bus.port import PORT_ADDRESSES
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
@@ -249,7 +249,11 @@ def ascend(
 
     async def main(clock: Clock) -> dict[int, Ascent]:
         agent = Agent(
-            clock, config.replace(seed=seed), mission_of(does), config.ids, alone=False
+            clock,
+            config.replace(seed=seed),
+            mission_of(does),
+            config.ids,
+            process=AgentProcess(is_alone=False),
         )
         hall = Hall(agent, seed, body_of or {}, reaches or {}, turned or {})
         agent.services.append(hall)

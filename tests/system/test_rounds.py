@@ -12,7 +12,7 @@ from crazychoir.bus.port import Bus
 from crazychoir.runtime.clock import Clock, run_virtual, run_wall
 from crazychoir.team import graph as graphs
 from crazychoir.team.algorithm_run import run_algorithm
-from crazychoir.team.barrier import Barrier
+from crazychoir.team.barrier import AgreedMission, Barrier
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph, metropolis
 
@@ -58,8 +58,7 @@ def mission(graph: Graph, impairment: Impairment, rounds: int) -> Any:
     async def main(clock: Clock) -> list[bytes]:
         bus = Bus(clock, impairment)
         barriers = [
-            Barrier(bus.port(i), graph, mission_hash="m", version="1")
-            for i in graph.ids
+            Barrier(bus.port(i), graph, AgreedMission("m", "1")) for i in graph.ids
         ]
         watching = [
             asyncio.ensure_future(barrier.monitor.run()) for barrier in barriers

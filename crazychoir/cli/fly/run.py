@@ -202,7 +202,7 @@ def _fly_in_real_time(
     own: whether the swarm gets addresses of its own on this machine.
     processes: number of processes; None: as the swarm file says.
     """
-    from crazychoir.launch.flight import fly_real
+    from crazychoir.launch.flight import FlightDisplay, fly_real
     from crazychoir.launch.network import hold_isolated_swarm, write_swarm_file
     from crazychoir.launch.recording import open_recording_file
     from crazychoir.launch.run_registry import RunRecord, record_run
@@ -229,8 +229,7 @@ def _fly_in_real_time(
             config,
             flight.mission,
             flags,
-            progress,
-            progress.say,
+            FlightDisplay(progress, progress.say),
             flight.started,
             file,
         )

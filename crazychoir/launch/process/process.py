@@ -5,7 +5,7 @@ import signal
 from dataclasses import asdict
 from typing import Any
 
-from crazychoir.agent.agent import Agent
+from crazychoir.agent.agent import Agent, AgentProcess
 from crazychoir.agent.worlds import WorldProcess
 from crazychoir.bus.network.hello import PACKAGE_VERSION
 from crazychoir.bus.network.public_topics import PublicCopies
@@ -43,9 +43,7 @@ def run_agent(
             config,
             mission,
             ids,
-            process=me.name,
-            incarnation=me.incarnation,
-            alone=False,
+            process=AgentProcess(me.name, me.incarnation, is_alone=False),
         )
         _obey_signals(clock, agent)  # before others can find this process and end it
         link = _make_process_link(agent, config, ids, listen, connect)

@@ -180,6 +180,22 @@ def _insert_plane(
     return count + 1
 
 
+@kernel(forceinline=True)
+def _find_drone_in_the_way(planes: Vec, near: Vec, count: int, u: Triple) -> float:
+    """Return the row of the nearest drone whose half space does not contain u, -1 without one.
+
+    planes: (., 4): the half spaces, from row 6 on
+    near: (MOST_NEIGHBOURS, 2): as in `_insert_plane`
+    count: number of half spaces
+    u: m/s2, the acceleration
+    """
+    for k in range(count):
+        normal = (planes[6 + k, 0], planes[6 + k, 1], planes[6 + k, 2])
+        if dot(normal, u) < planes[6 + k, 3]:
+            return float(near[k, 1])
+    return -1.0
+
+
 @kernel()
 def _compute_wall_bound(gap: float, away: float, f: Vec) -> float:
     """Return the least acceleration away from a wall, m/s2.
@@ -402,13 +418,8 @@ def _filter_acceleration(
         else _compute_wanted(x, ref, gains, follow)
     )
     out[4], out[5] = 1.0 if cut_off else 0.0, out[5] if blind else 0.0
-    acts = blind
-    out[3] = -1.0
-    for k in range(6 + count - 1, 5, -1):
-        if dot((planes[k, 0], planes[k, 1], planes[k, 2]), u) < planes[k, 3]:
-            acts = True
-            out[3] = near[k - 6, 1]
-    if not acts:
+    out[3] = _find_drone_in_the_way(planes, near, count, u)
+    if not blind and out[3] < 0.0:
         return False
     floor = (
         min(box[2] + COLLISION_DISTANCES.floor_gap, ref[2]) if follow > 0.0 else box[2]

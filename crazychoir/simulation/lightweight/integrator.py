@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -250,6 +251,24 @@ def _advance(
             _put_down(x[i])
 
 
+@dataclass(frozen=True, slots=True)
+class InputLags:
+    """How late the thrust and the rates of a drone follow its commands."""
+
+    rates: float = 0.0
+    """First-order lag of the rates in s, exact."""
+    thrust: float = 0.0
+    """First-order lag of the thrust in s, exact."""
+    delay: float = 0.0
+    """Delay of the commands in s, exact for any value.
+
+    If it is no multiple of the step, the step is split at the time at which the input switches.
+    """
+
+
+NO_INPUT_LAGS = InputLags()
+
+
 class CFIntegrator(Truth):
     """The paper's lightweight simulation: Runge-Kutta of order 4, one compiled pass for all drones.
 
@@ -262,10 +281,7 @@ class CFIntegrator(Truth):
     yaw0: (N,) rad: start headings
     platform: one for all drones, or one a drone
     dt: s: one step
-    rate_lag: s: first-order lag of the rates, exact
-    thrust_lag: s: first-order lag of the thrust, exact
-    command_delay: s: exact for any value; if it is no multiple of dt, the step is split at the time
-        at which the input switches
+    lags: how late the thrust and the rates follow the commands
     inputs: "rates" (body rates) or "euler" (the paper's Euler-angle rates)
     """
 
@@ -280,9 +296,7 @@ class CFIntegrator(Truth):
         platform: Platform | Sequence[Platform] = PAPER_PLATFORM,
         dt: float = 0.01,
         *,
-        rate_lag: float = 0.0,
-        thrust_lag: float = 0.0,
-        command_delay: float = 0.0,
+        lags: InputLags = NO_INPUT_LAGS,
         inputs: Literal["rates", "euler"] = "rates",
     ) -> None:
         super().__init__(ids, p0, yaw0, platform, dt)
@@ -295,9 +309,9 @@ class CFIntegrator(Truth):
         self._held = {i: self.commands[row] for i, row in self.row.items()}
         self._actual = self.commands.copy()
         self._flat = np.array([row.flat for row in self.platforms])
-        self._lags = np.array([thrust_lag, rate_lag])
-        self._late = int(command_delay / dt + 1e-9)
-        self._split = max(command_delay - self._late * dt, 0.0)
+        self._lags = np.array([lags.thrust, lags.rates])
+        self._late = int(lags.delay / dt + 1e-9)
+        self._split = max(lags.delay - self._late * dt, 0.0)
         self._sent = [self.commands.copy() for _ in range(self._late + 2)]
         self._euler = float(inputs == "euler")
 

@@ -28,6 +28,7 @@ from crazychoir.simulation.motor_level.motor_control import (
 )
 from crazychoir.simulation.motor_level.motors import (
     MOTOR_TIME_STEP,
+    MotorConditions,
     MotorWorld,
     keys,
     whole,
@@ -221,13 +222,17 @@ class CrazyflieWorld(MotorWorld):
             setup.platforms,
             dt=setup.dt,
             seed=setup.seed,
-            wind=wind,
-            imu=Imu(**{name: noise * value for name, value in asdict(Imu()).items()}),
-            ground_effect=options["ground_effect"],
-            downwash=options["downwash"],
-            charge=options["battery"],
+            conditions=MotorConditions(
+                wind=wind,
+                imu=Imu(
+                    **{name: noise * value for name, value in asdict(Imu()).items()}
+                ),
+                has_ground_effect=options["ground_effect"],
+                has_downwash=options["downwash"],
+                charge=options["battery"],
+                floor_normal=tuple(normal.tolist()),
+            ),
             bodies=bodies,
-            floor_normal=tuple(normal.tolist()),
             **more,
         )
 

@@ -5,6 +5,7 @@ All drones advance in one compiled pass a step.
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numba
@@ -154,6 +155,27 @@ def _advance_wind(blocks: Mat, seeds: Keys, time: int, wind: Vec) -> None:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class MotorConditions:
+    """Conditions in which the drones of a motor-level world fly."""
+
+    wind: Wind | None = None
+    """The wind, None for still air."""
+    imu: Imu = field(default_factory=Imu)
+    """The inertial sensors."""
+    has_ground_effect: bool = True
+    """Whether the ground effect is simulated."""
+    has_downwash: bool = True
+    """Whether the downwash is simulated."""
+    charge: float = 1.0
+    """Charge of the batteries at the start, 1 is full."""
+    floor_normal: Triple = (0.0, 0.0, 1.0)
+    """Normal of the surface below each drone, world; the floor itself is z = 0."""
+
+
+STANDARD_CONDITIONS = MotorConditions()
+
+
 class MotorWorld(Truth):
     """Crazyflies with rotors that lag, batteries that sag and sensors that err, in moving air.
 
@@ -168,12 +190,7 @@ class MotorWorld(Truth):
     platform: one for all drones, or one a drone
     dt: s: one step, a multiple of 1 ms
     seed: of every random draw
-    wind: the wind, None for still air
-    imu: the inertial sensors
-    ground_effect: True to simulate the ground effect
-    downwash: True to simulate the downwash
-    charge: charge of the batteries at the start, 1 is full
-    floor_normal: world: normal of the surface below each drone; the floor itself is z = 0
+    conditions: the air, the floor, the sensors and the batteries
     commands: (N, 4): shares of the firmware's greatest thrust, for motors 1 to 4
     force: (N, 3) N, world: external forces, held until they are changed
     torque: (N, 3) N m, body: external torques, held until they are changed
@@ -188,19 +205,14 @@ class MotorWorld(Truth):
         dt: float = 0.01,
         *,
         seed: int = 0,
-        wind: Wind | None = None,
-        imu: Imu | None = None,
-        ground_effect: bool = True,
-        downwash: bool = True,
-        charge: float = 1.0,
-        floor_normal: Triple = (0.0, 0.0, 1.0),
+        conditions: MotorConditions = STANDARD_CONDITIONS,
     ) -> None:
         super().__init__(ids, p0, yaw0, platform, dt)
         self._steps = round(dt / MOTOR_TIME_STEP)
         if self._steps < 1 or abs(self._steps * MOTOR_TIME_STEP - dt) > 1e-9:
             raise ConfigError("MotorWorld: dt", dt, "a multiple of 0.001 s")
         n = len(self.ids)
-        self._normal = _normalise_upward(floor_normal)
+        self._normal = _normalise_upward(conditions.floor_normal)
         self.states[self._resting > 0.0, 6:10] = _tilt_attitudes(
             self.states[self._resting > 0.0, 6:10], self._normal
         )
@@ -213,9 +225,9 @@ class MotorWorld(Truth):
         self._radius = np.array([row.radius for row in self.platforms])
         self._heads = np.zeros(_count_buckets(n), np.int64)
         self._chain = np.zeros((n, 3), np.int64)
-        self._downwash = downwash and n > 1
-        self._wind = wind
-        sensors = Imu() if imu is None else imu
+        self._downwash = conditions.has_downwash and n > 1
+        self._wind = conditions.wind
+        sensors = conditions.imu
         self._options = np.array([*self._normal, *sensors.deviations(MOTOR_TIME_STEP)])
         self._sensors, self._gusts = (
             self._keys(seed, NOISE_STREAM),
@@ -223,7 +235,7 @@ class MotorWorld(Truth):
         )
         self._blocks = np.zeros((-(-n // LANE_COUNT), BLOCK_SIZE))
         self._lanes = self._blocks.view(block_fields)[:, 0]
-        self._fill(seed, sensors, ground_effect, charge)
+        self._fill(seed, conditions)
         self._run(0, 0)
         self._began = self._blocks.copy()
 
@@ -233,15 +245,13 @@ class MotorWorld(Truth):
             np.array([derive_stream_key(seed, use, i) for i in self.ids], np.uint64)
         )
 
-    def _fill(
-        self, seed: int, sensors: Imu, ground_effect: bool, charge: float
-    ) -> None:
+    def _fill(self, seed: int, conditions: MotorConditions) -> None:
         """Fill the blocks with constants and initial values.
 
         The empty lanes of the last block repeat its last drone, with the motors cut.
         """
         rows = [
-            compute_constants(platform, MOTOR_TIME_STEP, ground_effect)
+            compute_constants(platform, MOTOR_TIME_STEP, conditions.has_ground_effect)
             for platform in self.platforms
         ]
         for name in rows[0]:
@@ -270,12 +280,13 @@ class MotorWorld(Truth):
             [draw_uniform(key, c) for c in range(6)]
             for key in (derive_stream_key(seed, BIAS_STREAM, i) for i in self.ids)
         ]
+        sensors = conditions.imu
         bias = np.array(drawn) * np.repeat([sensors.gyro_bias, sensors.acc_bias], 3)
         for c in range(3):
             self._put(SPECIFIC_FORCE_X + c * LANE_COUNT, specific[:, c])
         for c in range(6):
             self._put(GYROSCOPE_BIAS_X + c * LANE_COUNT, bias[:, c])
-        self._put(BATTERY_CHARGE, np.full(len(self.ids), charge))
+        self._put(BATTERY_CHARGE, np.full(len(self.ids), conditions.charge))
         self._put(AIRBORNE_FLAG, 1.0 - self._resting)
         for motor in MOTOR_SWITCHES:
             self._put(motor, np.ones(len(self.ids)))

@@ -14,13 +14,15 @@ from crazychoir.errors import ConfigError
 from crazychoir.platforms import CRAZYFLIE_21, Platform
 from crazychoir.simulation.common.world import WorldSetup
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
-from crazychoir.simulation.motor_level.imu import Imu
 from crazychoir.simulation.motor_level.lanes import (
     AIRBORNE_FLAG,
     LANE_COUNT,
     MOTOR_ALIVE_1,
 )
-from crazychoir.simulation.motor_level.motors import MOTOR_TIME_STEP
+from crazychoir.simulation.motor_level.motors import (
+    MOTOR_TIME_STEP,
+    MotorConditions,
+)
 from crazychoir.simulation.mujoco.model import (
     MODEL_NAMES,
     SENSOR_TYPES,
@@ -71,10 +73,8 @@ class MujocoWorld(CrazyflieWorld):
         self._scene = scene
         super().__init__(ids, p0, yaw0, platform, **options)
 
-    def _fill(
-        self, seed: int, sensors: Imu, ground_effect: bool, charge: float
-    ) -> None:
-        super()._fill(seed, sensors, ground_effect, charge)
+    def _fill(self, seed: int, conditions: MotorConditions) -> None:
+        super()._fill(seed, conditions)
         self._options[:3] = (
             0.0  # the floor is MuJoCo's, not that of the motor-level world
         )

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from crazychoir.agent.agent import Agent
+from crazychoir.agent.agent import Agent, AgentProcess
 from crazychoir.agent.mission_result import MISSION_REASONS
 from crazychoir.bus.port import PORT_ADDRESSES
 from crazychoir.bus.topics import DRONE_TOPICS
@@ -750,8 +750,7 @@ def test_a_restarted_agent_is_a_new_incarnation_and_the_joinable_channel_goes_on
                 config,
                 mission,
                 ids,
-                incarnation=incarnation,
-                process=f"{ids[0]}-{incarnation}",
+                process=AgentProcess(f"{ids[0]}-{incarnation}", incarnation),
             )
             wire.plug(made.bus)
             return made, asyncio.create_task(made.run())
@@ -840,7 +839,13 @@ def test_a_drone_that_a_radio_reaches_is_watched_by_the_figures_of_its_platform(
         config = SwarmConfig.of(
             {"name": "a", "drones": drones, "control": {"sender": "xyz"}}
         )
-        agent = Agent(clock, config, mission_of(stays), config.ids, alone=False)
+        agent = Agent(
+            clock,
+            config,
+            mission_of(stays),
+            config.ids,
+            process=AgentProcess(is_alone=False),
+        )
         return [drone.radio_watch.firmware.low for drone in agent.drones.values()]
 
     assert run_virtual(main) == [3.2, 3.35]

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from crazychoir.agent.agent import Agent
+from crazychoir.agent.agent import Agent, AgentProcess
 from crazychoir.agent.worlds import WORLD_OWNER_RULES, WorldProcess
 from crazychoir.bus.commands import ANSWER_TEXTS, Commander
 from crazychoir.bus.port import PORT_ADDRESSES
@@ -112,7 +112,9 @@ ENDLESS = SimpleNamespace(guidance=lambda i, config: Stays())
 async def two_processes(clock, config, meanwhile, mission=MISSION):
     """An agent that flies all drones beside the owner of their world; what each has come to."""
     world = WorldProcess(clock, config, "world", "here", 1)
-    agent = Agent(clock, config, mission, config.ids, alone=False)
+    agent = Agent(
+        clock, config, mission, config.ids, process=AgentProcess(is_alone=False)
+    )
     wires = wired(agent.bus, world.bus)
     serving = asyncio.create_task(world.serve())
     flying = asyncio.create_task(agent.run())
@@ -297,7 +299,13 @@ async def started_again(clock, config):
     """The owner of a world, the agent that has flown its drones for 3 s, and what ends that and starts another one."""
     world = WorldProcess(clock, config, "world", "here", 1)
     first, second = (
-        Agent(clock, config, ENDLESS, config.ids, incarnation=n, alone=False)
+        Agent(
+            clock,
+            config,
+            ENDLESS,
+            config.ids,
+            process=AgentProcess("local", n, is_alone=False),
+        )
         for n in (1, 2)
     )
     tasks = [asyncio.create_task(world.serve()), asyncio.create_task(first.run())]

@@ -8,11 +8,11 @@ from crazychoir.control.handlers import AccelerationTraj, FullStateTraj
 from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositionCtrl
 from crazychoir.control.senders import FPQRSender
 from crazychoir.filters.velocity import VelocityFilter
-from crazychoir.mocap.simulated import SimulatedMocap
+from crazychoir.mocap.simulated import CameraErrors, SimulatedMocap
 from crazychoir.numerics.math3d import STANDARD_GRAVITY
 from crazychoir.planning.point_to_point import PointToPoint, compute_flight_time
 from crazychoir.platforms import PAPER_PLATFORM
-from crazychoir.simulation.lightweight.integrator import CFIntegrator
+from crazychoir.simulation.lightweight.integrator import CFIntegrator, InputLags
 from crazychoir.types import Acceleration, FullState, State
 
 HERE = State.at((0.0, 0.0, 1.0))
@@ -153,7 +153,7 @@ def fly(gains=STANDARD_GAINS, noise=0.0, seconds=6.0, **world):
         PointToPoint(start, goal, 1.0, compute_flight_time(start, goal, 1.0)),
     )
     mocap, velocity, law = (
-        SimulatedMocap([0], 1, noise, 2.0 * noise),
+        SimulatedMocap([0], 1, CameraErrors(noise, 2.0 * noise)),
         VelocityFilter(),
         tracking(gains),
     )
@@ -182,11 +182,11 @@ def test_it_does_so_with_noise():
 
 
 def test_the_shipped_gains_fly_behind_86_ms_of_lag_and_40_ms_of_delay():
-    largest, last = fly(seconds=20.0, rate_lag=0.086, command_delay=0.04)
+    largest, last = fly(seconds=20.0, lags=InputLags(rates=0.086, delay=0.04))
     assert largest < 0.02
     assert last < 1e-4
 
 
 def test_a_faster_attitude_loop_does_not():
     stiff = Gains(STANDARD_GAINS.kp, STANDARD_GAINS.kv, (16.0, 16.0, 4.0))
-    assert fly(stiff, seconds=20.0, rate_lag=0.086, command_delay=0.04)[0] > 0.1
+    assert fly(stiff, seconds=20.0, lags=InputLags(rates=0.086, delay=0.04))[0] > 0.1

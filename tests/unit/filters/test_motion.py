@@ -14,7 +14,7 @@ from crazychoir.numerics.math3d import (
     rotation_logarithm,
 )
 from crazychoir.platforms import PAPER_PLATFORM
-from crazychoir.simulation.lightweight.integrator import CFIntegrator
+from crazychoir.simulation.lightweight.integrator import CFIntegrator, InputLags
 from crazychoir.types import State
 
 NOWHERE = -math.inf
@@ -39,7 +39,7 @@ TILTED = State(
 def beside(start, commands, dt=0.01):
     """The truth after these commands, a tick each, and what Commanded makes of them: two states (13,)."""
     world = CFIntegrator(
-        (0,), start.flat[None, 0:3], np.zeros(1), rate_lag=RATE_LAG, dt=dt
+        (0,), start.flat[None, 0:3], np.zeros(1), lags=InputLags(rates=RATE_LAG), dt=dt
     )
     world.states[0], world._actual[0] = start.flat, [commands[0][0], *start.w]
     motion, x = CommandedMotion(PAPER_PLATFORM.flat, 0.0), start.flat

@@ -35,7 +35,7 @@ from crazychoir.safety.rules.guard import (
 from crazychoir.safety.rules.limits import ReferenceLimits
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.simulation.common.links import SimulatedLink
-from crazychoir.simulation.lightweight.integrator import CFIntegrator
+from crazychoir.simulation.lightweight.integrator import CFIntegrator, InputLags
 from crazychoir.types import XYZ, Acceleration, FullState, Goto, Pose, State
 
 TICK = 0.01
@@ -815,7 +815,11 @@ LIVELY = {
         [1.5 * np.sin(2.5 * t), 1.5 * np.cos(2.5 * t), 0.0]
     ),
 }
-PLANTS = ({}, {"rate_lag": 0.03, "command_delay": 0.02}, {"rate_lag": 0.086})
+PLANTS = (
+    {},
+    {"lags": InputLags(rates=0.03, delay=0.02)},
+    {"lags": InputLags(rates=0.086)},
+)
 
 
 async def unseen(clock, reference, plant):
@@ -849,7 +853,9 @@ async def test_a_drone_that_is_not_seen_comes_to_rest_level_and_lands(clock):
 
 async def unseen_take_off(clock, after):
     """Loses its poses for 1.5 s, `after` s of its take-off."""
-    drone = Flown(clock, plant={"rate_lag": 0.03, "command_delay": 0.02}, noise=0.0005)
+    drone = Flown(
+        clock, plant={"lags": InputLags(rates=0.03, delay=0.02)}, noise=0.0005
+    )
     await drone.fly(0.05)
     drone.pilot.take_off()
     await drone.fly(after)

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from crazychoir.mocap.simulated import SimulatedMocap
+from crazychoir.config.tables import MocapTable
+from crazychoir.mocap.simulated import CameraErrors, SimulatedMocap
 from crazychoir.numerics.math3d import (
     quaternion_conjugate,
     quaternion_product,
@@ -17,6 +18,19 @@ def truth(ids):
     return x
 
 
+def test_the_errors_of_the_cameras_are_those_of_the_swarm_file():
+    table = MocapTable(
+        noise=0.001,
+        noise_angle=0.02,
+        dropout=0.1,
+        latency=0.04,
+        rate=50.0,
+        tilt=(0.1, -0.2),
+    )
+    errors = CameraErrors.of(table)
+    assert errors == CameraErrors(0.001, 0.02, 0.1, 2, (0.1, -0.2))
+
+
 def test_what_is_drawn_depends_on_seed_tick_and_id_alone():
     calls = SimulatedMocap(range(4), 3)
     for k in range(5):
@@ -29,7 +43,7 @@ def test_what_is_drawn_depends_on_seed_tick_and_id_alone():
 
 
 def test_the_noise_has_the_asked_deviations():
-    mocap = SimulatedMocap(range(50), 0, noise_p=0.001, noise_angle=0.01)
+    mocap = SimulatedMocap(range(50), 0, CameraErrors(noise_p=0.001, noise_angle=0.01))
     flat = np.array(
         [p.flat for k in range(100) for p in mocap.sample(truth(range(50)), k)]
     )
@@ -47,7 +61,7 @@ def test_the_noise_has_the_asked_deviations():
 
 
 def test_dropouts_are_independent_of_each_other_and_as_frequent_as_asked():
-    mocap = SimulatedMocap(range(20), 0, dropout=0.3)
+    mocap = SimulatedMocap(range(20), 0, CameraErrors(dropout=0.3))
     gone = np.array(
         [[p is None for p in mocap.sample(truth(range(20)), k)] for k in range(1000)]
     )
@@ -57,7 +71,7 @@ def test_dropouts_are_independent_of_each_other_and_as_frequent_as_asked():
 
 
 def test_poses_arrive_late_with_their_age():
-    mocap = SimulatedMocap([0], 0, noise_p=0.0, noise_angle=0.0, latency_steps=3)
+    mocap = SimulatedMocap([0], 0, CameraErrors(0.0, 0.0, latency_steps=3))
     x, seen = truth([0]), []
     for k in range(6):
         x[0, 0] = k
@@ -70,7 +84,7 @@ def test_poses_arrive_late_with_their_age():
 def test_a_body_that_is_mounted_askew_is_seen_turned_by_the_same_angles_whatever_way_the_drone_looks():
     x = truth([0, 1])
     x[:, 6:10] = [[0.1, -0.2, 0.3, np.sqrt(0.86)], [0.0, 0.0, 0.9, np.sqrt(0.19)]]
-    mocap = SimulatedMocap([0, 1], 0, noise_p=0.0, noise_angle=0.0, tilt=(0.02, -0.05))
+    mocap = SimulatedMocap([0, 1], 0, CameraErrors(0.0, 0.0, tilt=(0.02, -0.05)))
     for row, pose in zip(x, mocap.sample(x, 0), strict=True):
         r = rotation(row[6:10]).T @ rotation(pose.q)
         # R = Ry(pitch) Rx(roll): its last row is (-sin pitch, cos pitch sin roll, cos pitch cos roll), its first column

@@ -9,11 +9,11 @@ from virtual_time import virtual
 
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.bus.topics import DRONE_TOPICS
-from crazychoir.mocap.simulated import SimulatedMocap
+from crazychoir.mocap.simulated import CameraErrors, SimulatedMocap
 from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.runtime.clock import run_virtual, run_wall
 from crazychoir.runtime.mailbox import Call
-from crazychoir.simulation.lightweight.integrator import CFIntegrator
+from crazychoir.simulation.lightweight.integrator import CFIntegrator, InputLags
 from crazychoir.simulation.owner import LARGEST_CATCH_UP, DelayedLink, WorldOwner
 from crazychoir.types import FPQR, Body
 
@@ -39,7 +39,7 @@ class Owned:
                 Call(clock, lambda state, age, i=i: self.truths[i].append(state)),
             )
         self.world = CFIntegrator((0, 1), np.array([[0.0, 0.0, 2.0], [1.0, 0.0, 2.0]]))
-        mocap = SimulatedMocap((0, 1), 1, **cameras)
+        mocap = SimulatedMocap((0, 1), 1, CameraErrors(**cameras))
         self.owner = WorldOwner(self.bus, self.world, mocap, rate)
 
     async def run(self, seconds):
@@ -178,13 +178,15 @@ class Kept:
         self.got.append("cut")
 
 
-def lagging_world(**options):
-    return CFIntegrator([0], np.array([[0.0, 0.0, 1.0]]), rate_lag=0.03, **options)
+def lagging_world(delay=0.0):
+    return CFIntegrator(
+        [0], np.array([[0.0, 0.0, 1.0]]), lags=InputLags(rates=0.03, delay=delay)
+    )
 
 
 @pytest.mark.parametrize("steps", [1, 2, 5])
 def test_a_link_that_is_late_is_the_same_as_a_plant_that_is(steps):
-    late, plain = lagging_world(command_delay=0.01 * steps), lagging_world()
+    late, plain = lagging_world(delay=0.01 * steps), lagging_world()
     link = DelayedLink(plain.link(0), steps)
     draw = np.random.default_rng(1)
     for _ in range(60):

@@ -24,6 +24,7 @@ from crazychoir.simulation.lightweight.integrator import (
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
 from crazychoir.simulation.remote import (
     REMOTE_TIMEOUTS,
+    BodyRequests,
     OwnerWatch,
     RemoteBody,
     RemoteLink,
@@ -304,7 +305,9 @@ async def test_an_arm_request_is_answered_with_its_outcome(clock):
             return answers.pop()
         raise Refused("drone 3", "its firmware refuses to arm")
 
-    body = RemoteBody(there, world, world.link(3, "fpqr"), "fpqr", arm=arm)
+    body = RemoteBody(
+        there, world, world.link(3, "fpqr"), "fpqr", requests=BodyRequests(arm=arm)
+    )
     link = RemoteLink(drone)
     assert await link.arm() == "armed"
     with pytest.raises(Refused, match="refuses to arm"):

@@ -13,7 +13,7 @@ from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.errors import PeerLost, RosterChanged
 from crazychoir.runtime.clock import Clock, run_virtual
 from crazychoir.team import graph as graphs
-from crazychoir.team.barrier import Barrier
+from crazychoir.team.barrier import AgreedMission, Barrier
 from crazychoir.team.graph import GraphSequence
 from crazychoir.team.messages import (
     Roster,
@@ -303,7 +303,7 @@ def test_a_member_restarted_in_its_own_process_is_told_the_mission_age(again):
         def start(i: int, incarnation: int) -> Barrier:
             buses[i].forwarder = Wire()
             barrier = Barrier(
-                buses[i].port(i, incarnation), graph, mission_hash="abc", version="1"
+                buses[i].port(i, incarnation), graph, AgreedMission("abc", "1")
             )
             lives[i] = asyncio.ensure_future(barrier.monitor.run())
             return barrier

@@ -7,7 +7,7 @@ from crazychoir.bus.codec import encode
 from crazychoir.bus.presence import SILENCE_TIMEOUT, Presence
 from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.team import graph as graphs
-from crazychoir.team.barrier import Barrier
+from crazychoir.team.barrier import AgreedMission, Barrier
 from crazychoir.team.messages import (
     Roster,
     TeamHeartbeat,
@@ -47,7 +47,7 @@ def test_a_newcomer_leaves_coordination_to_drones_that_fly():
 def test_a_drone_watches_a_peer_that_watches_it():
     async def story(t: Team) -> None:
         graph = graphs.path(4)
-        barrier = Barrier(t.bus.port(3), graph, mission_hash="abc", version="1")
+        barrier = Barrier(t.bus.port(3), graph, AgreedMission("abc", "1"))
         barrier.rosters.adopt(
             Roster(1, dict.fromkeys(range(4), 1), [], False, 0, 0, "abc", "1")
         )

@@ -15,9 +15,9 @@ from crazychoir.guidance.formation.bearing import (
     build_bearing_laplacian,
     check_formation,
 )
-from crazychoir.mocap.simulated import SimulatedMocap
+from crazychoir.mocap.simulated import CameraErrors, SimulatedMocap
 from crazychoir.numerics.math3d import projector
-from crazychoir.simulation.lightweight.integrator import CFIntegrator
+from crazychoir.simulation.lightweight.integrator import CFIntegrator, InputLags
 from crazychoir.types import Acceleration, FullState
 
 SQUARE = {
@@ -110,7 +110,7 @@ def settle(seed, noise, until=18.0, **world):
     )
     engine, mocap = (
         CFIntegrator(range(4), p0, **world),
-        SimulatedMocap(range(4), seed, noise, 2.0 * noise),
+        SimulatedMocap(range(4), seed, CameraErrors(noise, 2.0 * noise)),
     )
     filters, laws = (
         [VelocityFilter() for _ in SQUARE],
@@ -163,4 +163,4 @@ def test_the_papers_example_forms_within_14_seconds_from_twenty_starts(noise):
 
 
 def test_it_forms_behind_86_ms_of_lag_and_30_ms_of_delay():
-    assert settle(0, 0.0005, rate_lag=0.086, command_delay=0.03) < 16.0
+    assert settle(0, 0.0005, lags=InputLags(rates=0.086, delay=0.03)) < 16.0

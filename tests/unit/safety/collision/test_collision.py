@@ -60,6 +60,16 @@ def test_a_drone_that_flies_at_another_brakes_and_turns_to_its_right(method):
 
 
 @pytest.mark.parametrize("method", METHODS)
+def test_a_drone_gives_way_to_the_nearest_of_two_in_the_way(method):
+    sky = Sky(method, others=2)
+    sky.hears(1, (0.9, 0.0, 1.0), (-0.8, 0.0, 0.0))
+    sky.hears(2, (0.6, 0.0, 1.0), (-0.8, 0.0, 0.0))
+    sky.wants(State.at((0.0, 0.0, 1.0), (0.8, 0.0, 0.0)), (3.0, 0.0, 1.0))
+    assert sky.filter.gives_way_to == 2
+    assert list(sky.filter._near[:2, 1]) == [1.0, 0.0], "both are in the table"
+
+
+@pytest.mark.parametrize("method", METHODS)
 def test_ellipsoids_are_tall(method):
     sky = Sky(method)
     me = State.at((0.0, 0.0, 1.0))

@@ -21,7 +21,7 @@ from crazychoir.simulation.common.mismatch import (
 )
 from crazychoir.simulation.engines import make_worlds
 from crazychoir.simulation.lightweight.integrator import CFIntegrator
-from crazychoir.simulation.motor_level.motors import MotorWorld
+from crazychoir.simulation.motor_level.motors import MotorConditions, MotorWorld
 from crazychoir.types import FPQR
 
 MASS, THRUST = 0.03, -0.05
@@ -85,7 +85,10 @@ def test_an_equal_motor_command_turns_the_rotors_as_fast_and_they_pull_by_the_er
     lifts, torques, volts = [], [], []
     for body in (platform, apply_model_errors(platform, 0.0, 0.05)):
         world = MotorWorld(
-            [0], np.array([[0.0, 0.0, 5.0]]), platform=body, ground_effect=False
+            [0],
+            np.array([[0.0, 0.0, 5.0]]),
+            platform=body,
+            conditions=MotorConditions(has_ground_effect=False),
         )
         world.commands[:] = share * np.array([1.1, 0.9, 1.1, 0.9])
         for _ in range(200):
@@ -125,7 +128,10 @@ def test_a_drone_hovers_at_the_command_that_its_errors_ask_for(mass, thrust):
     """At m (1 + e_m) g / (1 + e_f) N by the firmware's scale it neither climbs nor sinks."""
     body = apply_model_errors(CRAZYFLIE_21, mass, thrust)
     world = MotorWorld(
-        [0], np.array([[0.0, 0.0, 5.0]]), platform=body, ground_effect=False
+        [0],
+        np.array([[0.0, 0.0, 5.0]]),
+        platform=body,
+        conditions=MotorConditions(has_ground_effect=False),
     )
     share = CRAZYFLIE_21.weight / (4.0 * CRAZYFLIE_21.firmware.thrust_max)
     world.commands[:] = (1.0 + mass) / (1.0 + thrust) * share

@@ -4,7 +4,7 @@ import pytest
 from crazychoir.errors import ConfigError
 from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.simulation.common.world import World
-from crazychoir.simulation.lightweight.integrator import CFIntegrator
+from crazychoir.simulation.lightweight.integrator import CFIntegrator, InputLags
 
 W = PAPER_PLATFORM.weight
 
@@ -96,7 +96,7 @@ def test_a_command_that_is_not_a_number_repeats_the_last():
 
 @pytest.mark.parametrize(("delay", "ticks"), [(0.0, 1), (0.03, 4), (0.035, 4)])
 def test_a_command_acts_after_its_delay(delay, ticks):
-    world = one(1.0, command_delay=delay)
+    world = one(1.0, lags=InputLags(delay=delay))
     world.command(7, [W, 1.0, 0.0, 0.0])
     run(world, ticks - 1)
     assert world.states[0, 6] == 0.0
@@ -105,7 +105,7 @@ def test_a_command_acts_after_its_delay(delay, ticks):
 
 
 def test_the_rate_lag_is_of_first_order():
-    world = one(1.0, rate_lag=0.086)
+    world = one(1.0, lags=InputLags(rates=0.086))
     world.command(7, [W, 0.0, 0.0, 1.0])
     assert run(world, 10).w[2] == pytest.approx(1.0 - np.exp(-0.1 / 0.086), abs=1e-12)
 
@@ -116,13 +116,15 @@ def test_every_drone_flies_as_if_alone():
         rng.uniform(1.0, 3.0, (5, 3)),
         rng.uniform([0.2, -3, -3, -3], [0.4, 3, 3, 3], (5, 4)),
     )
-    together = CFIntegrator(range(5), p0, rate_lag=0.05, command_delay=0.013)
+    together = CFIntegrator(range(5), p0, lags=InputLags(rates=0.05, delay=0.013))
     for i in range(5):
         together.command(i, u[i])
     for _ in range(50):
         together.step()
     for i in range(5):
-        alone = CFIntegrator([i], p0[i : i + 1], rate_lag=0.05, command_delay=0.013)
+        alone = CFIntegrator(
+            [i], p0[i : i + 1], lags=InputLags(rates=0.05, delay=0.013)
+        )
         alone.command(i, u[i])
         for _ in range(50):
             alone.step()

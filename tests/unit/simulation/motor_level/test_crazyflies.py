@@ -7,6 +7,7 @@ from crazychoir.numerics.math3d import rotation
 from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS
 from crazychoir.simulation.motor_level.air import Wind
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
+from crazychoir.simulation.motor_level.motors import MotorConditions
 from crazychoir.simulation.onboard.laws import MotorForces
 
 
@@ -29,8 +30,10 @@ def test_it_takes_off_from_a_tilted_floor_hovers_in_wind_and_lands(platform):
         [4],
         np.array([[0.5, -0.5, 0.0]]),
         platform=platform,
-        wind=Wind((0.3, 0.0, 0.0), 0.1),
-        floor_normal=(math.sin(tilt), 0.0, math.cos(tilt)),
+        conditions=MotorConditions(
+            wind=Wind((0.3, 0.0, 0.0), 0.1),
+            floor_normal=(math.sin(tilt), 0.0, math.cos(tilt)),
+        ),
     )
     drone = world.onboard[4]
     posed(world, 50)
@@ -54,7 +57,9 @@ def test_it_takes_off_from_a_tilted_floor_hovers_in_wind_and_lands(platform):
 def test_a_drone_flies_the_same_alone_and_among_others():
     def flown(ids):
         p0 = np.array([[float(i), 0.0, 0.0] for i in ids])
-        world = CrazyflieWorld(ids, p0, downwash=False, seed=2)
+        world = CrazyflieWorld(
+            ids, p0, conditions=MotorConditions(has_downwash=False), seed=2
+        )
         posed(world, 30)
         for i in ids:
             world.onboard[i].arm()

@@ -10,14 +10,22 @@ from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS, Battery
 from crazychoir.simulation.common.world import World
 from crazychoir.simulation.motor_level.air import Wind
 from crazychoir.simulation.motor_level.imu import Imu
-from crazychoir.simulation.motor_level.motors import MotorWorld
+from crazychoir.simulation.motor_level.motors import MotorConditions, MotorWorld
 
 P = CRAZYFLIE_21
 HOVER = P.weight / P.max_thrust
 
 
-def one(z=0.0, **options):
-    return MotorWorld([7], np.array([[0.1, 0.2, z]]), np.array([0.5]), **options)
+def one(z=0.0, platform=P, dt=0.01, seed=0, **conditions):
+    return MotorWorld(
+        [7],
+        np.array([[0.1, 0.2, z]]),
+        np.array([0.5]),
+        platform,
+        dt,
+        seed=seed,
+        conditions=MotorConditions(**conditions),
+    )
 
 
 def run(world, ticks):
@@ -40,7 +48,7 @@ def test_it_is_a_world():
 
 
 def test_a_drone_on_the_floor_rests_and_does_not_slip():
-    world = one(ground_effect=False)
+    world = one(has_ground_effect=False)
     before = world.state(7).flat
     np.testing.assert_array_equal(fly(world, 0.99 * HOVER, 100).flat, before)
     assert world.resting(7)
@@ -50,7 +58,7 @@ def test_a_drone_on_the_floor_rests_and_does_not_slip():
 
 
 def test_lift_off_waits_for_the_rotors():
-    world, u = one(ground_effect=False), 1.2 * HOVER
+    world, u = one(has_ground_effect=False), 1.2 * HOVER
     for i in world.ids:
         world.command(i, np.full(4, u))
     ticks = 0
@@ -63,7 +71,7 @@ def test_lift_off_waits_for_the_rotors():
 
 def test_near_the_floor_it_floats_on_less_than_its_weight():
     fly(on := one(), 0.97 * HOVER, 100)
-    fly(off := one(ground_effect=False), 0.97 * HOVER, 100)
+    fly(off := one(has_ground_effect=False), 0.97 * HOVER, 100)
     assert not on.resting(7)
     assert 0.0 < on.states[0, 2] < 0.05
     assert off.resting(7)
@@ -97,7 +105,7 @@ def test_a_cut_drone_falls_does_not_bounce_and_is_recorded_as_crashed():
 
 
 def test_a_soft_landing_is_no_crash_and_keeps_the_heading():
-    world = one(0.03, ground_effect=False)
+    world = one(0.03, has_ground_effect=False)
     world.command(7, 0.95 * HOVER + np.array([-0.001, -0.001, 0.001, 0.001]))
     state = run(world, 300)
     assert world.crashed == []
@@ -183,7 +191,12 @@ def test_every_drone_flies_as_if_alone():
     p0, u = rng.uniform(0.0, 3.0, (n, 3)), rng.uniform(0.5, 0.8, (n, 4))
     p0[::3, 2] = 0.0
     platforms = [P if i % 2 else CRAZYFLIE_21_BRUSHLESS for i in ids]
-    options = {"wind": Wind((0.5, 0.2, 0.0), 0.3), "seed": 5, "downwash": False}
+    options = {
+        "conditions": MotorConditions(
+            wind=Wind((0.5, 0.2, 0.0), 0.3), has_downwash=False
+        ),
+        "seed": 5,
+    }
     together = MotorWorld(ids, p0, platform=platforms, **options)
     for i, row in together.row.items():
         together.command(i, u[row])
@@ -218,7 +231,7 @@ def test_wind_carries_a_drone_away():
 
 
 def test_forces_from_outside_push():
-    world = one(5.0, ground_effect=False)
+    world = one(5.0, has_ground_effect=False)
     world.force[0] = [0.01, 0.0, -0.02]
     world.torque[0] = [0.0, 0.0, 1e-5]
     state = fly(world, HOVER, 10)
@@ -289,7 +302,8 @@ def test_each_drone_has_a_platform():
 def test_a_drone_is_put_back_where_it_began_and_no_other_notices(wrong):
     places = np.array([[0.5 * i, 0.0, 1.0 - 0.125 * i] for i in range(9)])
     began, alone, mended = (
-        MotorWorld(range(9), places, downwash=False) for _ in range(3)
+        MotorWorld(range(9), places, conditions=MotorConditions(has_downwash=False))
+        for _ in range(3)
     )
     for world in (alone, mended):
         fly(world, 0.6, 20)

@@ -16,6 +16,7 @@ from crazychoir.numerics.math3d import STANDARD_GRAVITY
 from crazychoir.platforms import CRAZYFLIE_21, PLATFORM_BY_NAME
 from crazychoir.simulation.engines import make_worlds
 from crazychoir.simulation.motor_level.imu import Imu
+from crazychoir.simulation.motor_level.motors import MotorConditions
 from crazychoir.simulation.mujoco.model import body_name
 from crazychoir.simulation.mujoco.shape import CRAZYFLIE_LOOK
 from crazychoir.simulation.mujoco.world import MujocoWorld
@@ -52,7 +53,7 @@ def falling(*states, **options):
     world = MujocoWorld(
         range(len(states)),
         np.array([p for p, _ in states], float),
-        imu=STILL,
+        conditions=MotorConditions(imu=STILL),
         **options,
     )
     for row, (_, v) in enumerate(states):

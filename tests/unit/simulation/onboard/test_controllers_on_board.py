@@ -19,6 +19,7 @@ from crazychoir.numerics.math3d import (
 from crazychoir.planning.figure import circle
 from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS, PLATFORM_BY_NAME
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
+from crazychoir.simulation.motor_level.motors import MotorConditions
 from crazychoir.simulation.onboard.laws import ForceTorque
 from crazychoir.simulation.owner import DelayedLink
 from crazychoir.types import XYZ
@@ -35,7 +36,12 @@ class Flown:
         n = len(platforms)
         self.home = np.array([[1.5 * k, 0.0, 0.0] for k in range(n)])
         self.world = CrazyflieWorld(
-            range(n), self.home, np.full(n, YAW), platforms, downwash=False, seed=1
+            range(n),
+            self.home,
+            np.full(n, YAW),
+            platforms,
+            conditions=MotorConditions(has_downwash=False),
+            seed=1,
         )
         self.boards = list(self.world.onboard.values())
         self.cameras = SimulatedMocap(range(n), 1)
