@@ -3,7 +3,7 @@
 Mailboxes, frames, impairment, latching and public keys are derived from it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import IntEnum
 from types import UnionType
 from typing import Any, Literal, get_args
@@ -162,19 +162,6 @@ class DroneTopics:
         of_body=True,
     )
     """State of the drone's body."""
-    link: Topic = Topic(
-        15,
-        "link",
-        LinkStatus,
-        10,
-        0.5,
-        0,
-        MessageClass.CONTROL,
-        latched=True,
-        impaired=False,
-        of_body=True,
-    )
-    """State of the radio link."""
     telemetry: Topic = Topic(
         11,
         "telemetry",
@@ -189,6 +176,19 @@ class DroneTopics:
     """Log variables of the drone."""
     plan: Topic = Topic(12, "plan", Plan, 20, 0.5, 0, MessageClass.CONTROL)
     """Path that the drone is going to fly."""
+    link: Topic = Topic(
+        15,
+        "link",
+        LinkStatus,
+        10,
+        0.5,
+        0,
+        MessageClass.CONTROL,
+        latched=True,
+        impaired=False,
+        of_body=True,
+    )
+    """State of the radio link."""
 
 
 DRONE_TOPICS = DroneTopics()
@@ -211,10 +211,15 @@ class MessageTopics:
         impaired=False,
         wire="edge",
     )
-    """From a drone to its body in another process; it replaces the command after the motors are cut.
-    """
-    """Cut of the motors, from a drone to its body in another process. It replaces the command.
-    """
+    """Cut of the motors, from a drone to its body in another process. It replaces the command."""
+    wanted_states: Topic = Topic(
+        13, "sought", None, 0, NEVER_STALE, 0, MessageClass.CONTROL, wire="edge"
+    )
+    """Request for missing states of other drones."""
+    relayed_states: Topic = Topic(
+        14, "hearsay", None, 0, NEVER_STALE, 0, MessageClass.CONTROL, wire="edge"
+    )
+    """States of other drones, as the sender received them."""
     rounds: Topic = Topic(
         16, "round", None, 0, NEVER_STALE, 0, MessageClass.ROUNDS, wire="edge"
     )
@@ -267,14 +272,6 @@ class MessageTopics:
         wire="edge",
     )
     """Emergency stop, or its end."""
-    wanted_states: Topic = Topic(
-        13, "sought", None, 0, NEVER_STALE, 0, MessageClass.CONTROL, wire="edge"
-    )
-    """Request for missing states of other drones."""
-    relayed_states: Topic = Topic(
-        14, "hearsay", None, 0, NEVER_STALE, 0, MessageClass.CONTROL, wire="edge"
-    )
-    """States of other drones, as the sender received them."""
     hello: Topic = Topic(
         32,
         "hello",
@@ -303,33 +300,17 @@ class MessageTopics:
 
 MESSAGE_TOPICS = MessageTopics()
 
-ALL_TOPICS = (
-    DRONE_TOPICS.pose,
-    DRONE_TOPICS.state,
-    DRONE_TOPICS.reference,
-    DRONE_TOPICS.command,
-    DRONE_TOPICS.truth,
-    DRONE_TOPICS.status,
-    DRONE_TOPICS.result,
-    DRONE_TOPICS.log,
-    DRONE_TOPICS.body,
-    DRONE_TOPICS.link,
-    DRONE_TOPICS.telemetry,
-    MESSAGE_TOPICS.cut,
-    DRONE_TOPICS.plan,
-    MESSAGE_TOPICS.rounds,
-    MESSAGE_TOPICS.heartbeat,
-    MESSAGE_TOPICS.roster,
-    MESSAGE_TOPICS.acknowledgement,
-    MESSAGE_TOPICS.request,
-    MESSAGE_TOPICS.answer,
-    MESSAGE_TOPICS.emergency_stop,
-    MESSAGE_TOPICS.wanted_states,
-    MESSAGE_TOPICS.relayed_states,
-    MESSAGE_TOPICS.hello,
-    MESSAGE_TOPICS.clock,
+ALL_TOPICS: tuple[Topic, ...] = tuple(
+    sorted(
+        (
+            getattr(table, field.name)
+            for table in (DRONE_TOPICS, MESSAGE_TOPICS)
+            for field in fields(table)
+        ),
+        key=lambda topic: topic.number,
+    )
 )
-"""All topics."""
+"""All topics, by number. A number that is missing is free."""
 TOPIC_BY_NAME = {topic.name: topic for topic in ALL_TOPICS}
 """Topics by name."""
 TOPIC_BY_NUMBER = {topic.number: topic for topic in ALL_TOPICS}

@@ -765,6 +765,22 @@ def _check_link_edges(swarm: Swarm, where: str) -> None:
         _check_known(_members(swarm), ends, key)
 
 
+def _check_bursts(swarm: Swarm, where: str) -> None:
+    """Check that bursts have a loss: without one nothing would be lost in them."""
+    links = {"network": swarm.network} | {
+        f"network.edges[{n}]": edge for n, edge in enumerate(swarm.network.edges)
+    }
+    for key, link in links.items():
+        if link.burst is not None and link.loss is None:
+            raise ConfigError(
+                f"{where}: {key}.burst",
+                link.burst,
+                "with a loss beside it",
+                "Add loss, or remove burst.",
+                "no loss is given",
+            )
+
+
 def _check_partitions(swarm: Swarm, where: str) -> None:
     """Check that partitions end after they begin, and that their groups are disjoint."""
     for n, cut in enumerate(swarm.network.partitions):
@@ -808,6 +824,7 @@ SWARM_CHECKS = (
     _check_start,
     _check_ports,
     _check_link_edges,
+    _check_bursts,
     _check_partitions,
     check_radios,
     _check_security,

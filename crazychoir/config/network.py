@@ -8,7 +8,7 @@ import msgspec
 
 from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.impairment.rules import (
-    EdgeEffects,
+    LOSS_EFFECTS,
     ImpairmentRule,
     NetworkPartition,
 )
@@ -20,10 +20,6 @@ ENDLESS_TIME = 1e9
 """s: end of a partition without an end."""
 COMMON_EFFECTS = ("delay", "jitter", "duplicate", "reorder", "bandwidth")
 """Effects with the same name in a swarm file and in the simulated network."""
-LOSS_EFFECTS = ("loss", "p_good_bad", "p_bad_good", "loss_bad")
-"""Names of the loss model in the simulated network."""
-NO_LOSS = {name: getattr(EdgeEffects(), name) for name in LOSS_EFFECTS}
-"""The loss model without a loss."""
 
 
 def impairment_of(config: SwarmConfig) -> Impairment:
@@ -155,10 +151,8 @@ def _nonzero_effects(link: LinkTable) -> dict[str, float]:
 
 
 def _edge_rule(edge: EdgeTable) -> ImpairmentRule:
-    """Return the rule of the edge; its loss replaces that of [network] completely."""
+    """Return the rule of the edge, or of all edges of a drone."""
     effects = link_effects(edge)
-    if edge.loss is not None:
-        effects = NO_LOSS | effects
     if edge.source is None or edge.destination is None:
         drone = edge.destination if edge.source is None else edge.source
         return ImpairmentRule(effects, drone=drone)

@@ -334,12 +334,15 @@ class LinkTable(SwarmTable, frozen=True, kw_only=True):
 
 
 class EdgeTable(LinkTable, frozen=True, kw_only=True):
-    """One [[network.edges]]: its effects on messages from `source` to `destination` replace those of [network]."""
+    """One [[network.edges]]: effects on messages from `source` to `destination`, instead of those of [network].
+
+    With one of the two keys alone, the effects apply to all messages to and from that drone.
+    """
 
     source: Id | None = None
-    """Sender; without it any drone."""
+    """Sender."""
     destination: Id | None = None
-    """Receiver; without it any drone."""
+    """Receiver."""
 
 
 class PartitionTable(SwarmTable, frozen=True, kw_only=True):

@@ -58,12 +58,17 @@ class EdgeEffects:
     """s: longest wait for the bandwidth."""
 
 
+LOSS_EFFECTS = ("loss", "p_good_bad", "p_bad_good", "loss_bad")
+"""Effects that are one model of loss: a rule with one of them replaces all of another rule."""
+
+
 @dataclass(frozen=True)
 class ImpairmentRule:
     """Effects on all edges, on those of one drone, or on one edge.
 
     If several rules cover an edge, a directed edge wins over an edge, an edge over a drone, and a
-    drone over all. Among equals the later rule wins.
+    drone over all. Among equals the later rule wins. The loss model of a rule replaces that of a
+    weaker rule as a whole.
     Raises ConfigError for wrong values.
     """
 
@@ -179,8 +184,15 @@ def effects_on_edge(
     """Return the effects of all rules on one edge."""
     effects: dict[str, float] = {}
     for rule in sorted(rules, key=lambda rule: rule.rank):
-        if rule.covers(source, destination):
-            effects.update(rule.effects)
+        if not rule.covers(source, destination):
+            continue
+        if any(name in rule.effects for name in LOSS_EFFECTS):
+            effects = {
+                name: value
+                for name, value in effects.items()
+                if name not in LOSS_EFFECTS
+            }
+        effects.update(rule.effects)
     return EdgeEffects(**effects)
 
 

@@ -332,6 +332,11 @@ CASES = {
         "x.toml: network.edges[0] = [0, 6]: there is no drone 6; this swarm has 0 to 3. "
         "Add a [[drones]] with id = 6, or correct the list.",
     ),
+    "burst without a loss": (
+        "",
+        "[[network.edges]]\nsource = 0\nburst = 3",
+        "x.toml: network.edges[0].burst = 3.0: no loss is given; with a loss beside it. Add loss, or remove burst.",
+    ),
     "link without ends": (
         "",
         "[[network.edges]]\nloss = 0.5",

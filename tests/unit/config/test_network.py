@@ -11,11 +11,11 @@ from crazychoir.bus.impairment.rules import (
 )
 from crazychoir.config.network import (
     ENDLESS_TIME,
-    NO_LOSS,
     impairment_changes,
     impairment_of,
     network_partitions,
     network_rules,
+    rules_in_words,
 )
 from crazychoir.config.swarm_config import default_swarm
 from crazychoir.config.tables import (
@@ -45,7 +45,7 @@ def test_rules_come_from_the_effects_that_are_set():
     assert network_rules(network) == [
         ImpairmentRule(chain),
         ImpairmentRule({"jitter": 0.1}, edge=(0, 1), directed=True),
-        ImpairmentRule(NO_LOSS | {"loss": 1.0}, drone=2),
+        ImpairmentRule({"loss": 1.0}, drone=2),
         ImpairmentRule({"bandwidth": 100.0}, drone=3),
     ]
     assert network_rules(NetworkTable(loss=0.0)) == []
@@ -69,6 +69,33 @@ def test_the_effects_of_an_edge_replace_those_of_the_network(edge, effects):
     )
 
     assert effects_on_edge(network_rules(network), 0, 1) == effects
+
+
+def test_a_new_loss_of_an_edge_replaces_the_bursts_of_the_running_network():
+    running = Impairment(0, network_rules(NetworkTable(loss=0.25, burst=5.0)))
+
+    running.update(
+        impairment_changes(LinkTable(loss=0.5)) | {"edge": (0, 1), "directed": True}
+    )
+
+    assert effects_on_edge(running.rules, 0, 1) == EdgeEffects(loss=0.5)
+    assert effects_on_edge(running.rules, 1, 0).p_bad_good == 0.2
+
+
+@pytest.mark.parametrize(
+    ("edge", "words"),
+    [
+        ({"loss": 0.0}, "0 to 1: loss 0"),
+        ({"loss": 0.5}, "0 to 1: loss 0.5"),
+        ({"loss": 0.5, "burst": 2.0}, "0 to 1: loss 0.5 in bursts of 2"),
+    ],
+)
+def test_the_rule_of_an_edge_is_shown_in_words(edge, words):
+    network = NetworkTable(edges=(EdgeTable(source=0, destination=1, **edge),))
+
+    shown = rules_in_words(Impairment(0, network_rules(network)).describe())
+
+    assert shown == [words]
 
 
 def test_further_effects_replace_those_of_the_table():

@@ -70,6 +70,10 @@ VALUES = {
     DRONE_TOPICS.result: {"success": True, "place": np.ones(3)},
     DRONE_TOPICS.log: "drone 1: a line",
     DRONE_TOPICS.body: Body("crashed"),
+    DRONE_TOPICS.telemetry: {"pm.vbat": [3.9, 0.05]},
+    DRONE_TOPICS.plan: Plan(
+        np.ones((1, 25)), 0.5, np.zeros((0, 25)), 0.0, 3, {0: 2}, np.zeros(0)
+    ),
     DRONE_TOPICS.link: LinkStatus(
         "up",
         0.01,
@@ -84,10 +88,6 @@ VALUES = {
         1,
         2,
         "it tilts otherwise",
-    ),
-    DRONE_TOPICS.telemetry: {"pm.vbat": [3.9, 0.05]},
-    DRONE_TOPICS.plan: Plan(
-        np.ones((1, 25)), 0.5, np.zeros((0, 25)), 0.0, 3, {0: 2}, np.zeros(0)
     ),
 }
 
