@@ -72,8 +72,8 @@ class VelocityCtrlStrategy:
         u = v_d + S a_d / k_v + kp (p_d - p) + kd (v_d - v)
         yaw' = yaw_d' + k_yaw (yaw_d - yaw), the short way
 
-    S a_d: horizontal part of a_d; the firmware makes an acceleration of a velocity error by its gain
-        k_v in 1/s
+    S a_d: horizontal part of a_d; the firmware makes an acceleration of a velocity error by its
+        gain k_v in 1/s
     kp: 1/s
     kd: 1
     k_yaw: 1/s

@@ -28,7 +28,7 @@ class TrackingLimits:
     gap_periods: float = 3.0
     """Periods without a frame, or without a body in the frames, that count as a gap."""
     harmless_gap: float = 0.05
-    """s: a shorter gap between frames is harmless. Drones brake after 0.1 s without a pose."""
+    """s: a shorter gap between frames is harmless. Drones brake later (safety/rules/guard.py)."""
     missing_time: float = 0.5
     """s: time after which a body is missing."""
     frozen_time: float = 0.5

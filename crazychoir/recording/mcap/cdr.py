@@ -88,8 +88,7 @@ class Layout:
 
     fields: fields in order
     constants: by path, texts that are equal in every message, and None for numbers that are zero.
-        Their
-        values are not passed. They must stand before the first field of variable length.
+        Their values are not passed. They must stand before the first field of variable length.
     """
 
     def __init__(
@@ -133,8 +132,7 @@ class Layout:
         """Return the bytes of a message.
 
         values: one value a field; all numbers of an array that lies before the first field of
-            variable
-            length
+            variable length
         Raises struct.error or TypeError for a value that its field cannot hold.
         """
         n = self._values

@@ -92,8 +92,7 @@ class RecordingFile:
     about: what was flown, as texts
     swarm: the swarm file
     durable: True to have all on the disk within a second or two; writing then waits for the disk
-        and
-        should be done in a thread
+        and should be done in a thread
     mission: text of the mission's file
     Raises ConfigError if the file exists already or cannot be made.
     """
@@ -152,8 +151,7 @@ class RecordingFile:
         """End the file with the outcome and the index; a file without a message is removed.
 
         outcome: texts; `ended` is the reason of the end. The counts of lost and missed messages
-            are
-            always added.
+            are always added.
         """
         with self._turn:
             if self._fd < 0:

@@ -97,8 +97,7 @@ class TrajectoryStore:
         """Write a trajectory behind those of the other slots and define it.
 
         pieces: (n, 33): coefficients c0 to c7 of x, y, z in m and of yaw in rad, time in s; then
-            the
-            duration of the piece in s
+            the duration of the piece in s
         Raises ConfigError for a wrong slot, shape or number, and if the memory is full.
         """
         rows = np.asarray(pieces, dtype=np.float32)
