@@ -33,7 +33,8 @@ def test_another_limit_of_the_guard_makes_another_table(monkeypatch):
         changed = (replace(first, limit=0.17), *others)
         monkeypatch.setattr(safety_rules, name, changed)
     assert "0.17" not in before
-    assert safety_rules.table() == before.replace("| 0.10 |", "| 0.17 |", 1)
+    limit = f"| {first.limit:.2f} |"
+    assert safety_rules.table() == before.replace(limit, "| 0.17 |", 1)
 
 
 def test_every_table_of_a_swarm_file_has_a_section():

@@ -40,23 +40,17 @@ def unit(repository, name):
     return parser
 
 
-def unit_of(process):
-    """Return the name of the unit that starts a process, as deploy/GUIDE.md does by hand."""
-    if process >= 0:
-        return f"agent@{process}"
-    owners = {
-        PROCESS_NUMBERS.world: "world",
-        PROCESS_NUMBERS.motion_capture: "mocap",
-        PROCESS_NUMBERS.router: "router",
-    }
-    return owners.get(process, f"radio@{PROCESS_NUMBERS.first_dongle - process}")
-
-
-def units_to_start(config, host):
-    """Return the units of a host, owners first, because agents wait for them."""
+def list_processes(config, host):
+    """Return the numbers of the processes of a host, owners first, because agents wait for them."""
     addresses = Addresses(config)
-    here = (p for p in addresses.endpoints() if addresses.host_of(p) == host)
-    return [f"crazychoir-{unit_of(process)}.service" for process in here]
+    return [p for p in addresses.endpoints() if addresses.host_of(p) == host]
+
+
+def list_started_units(line):
+    """Return the units that a command line starts."""
+    return re.findall(
+        r"crazychoir-([\w@]+)", line.partition("systemctl --user start")[2]
+    )
 
 
 def test_thirty_drones_on_three_workstations(repository):
@@ -84,10 +78,7 @@ def test_a_drone_moves_by_one_word(repository, tmp_path):
     assert moved != text
     config = SwarmConfig.loads(moved)
     assert Addresses(config).endpoint(3) == "tls/192.168.1.10:7463"
-    assert units_to_start(config, "physics") == [
-        "crazychoir-world.service",
-        "crazychoir-agent@3.service",
-    ]
+    assert list_processes(config, "physics") == [PROCESS_NUMBERS.world, 3]
 
 
 def test_six_drones_on_three_dongles_of_three_hosts(repository):
@@ -101,11 +92,23 @@ def test_six_drones_on_three_dongles_of_three_hosts(repository):
     assert all(drone.uri.startswith("radio://0/") for drone in config.drones), (
         "each is the first of its host"
     )
-    assert units_to_start(config, "left") == [
-        "crazychoir-radio@1.service",
-        "crazychoir-agent@2.service",
-        "crazychoir-agent@3.service",
+    assert list_processes(config, "left") == [PROCESS_NUMBERS.first_dongle - 1, 2, 3]
+
+
+def test_the_guide_starts_the_processes_of_each_host(repository):
+    config = SwarmConfig.load(repository / "deploy/three_dongles.toml")
+    lines = [
+        line
+        for line in (repository / "deploy/GUIDE.md").read_text().splitlines()
+        if "systemctl --user start" in line and "crazychoir-radio@" in line
     ]
+    units = {PROCESS_NUMBERS.motion_capture: "mocap"}
+    units |= {PROCESS_NUMBERS.first_dongle - k: f"radio@{k}" for k in range(3)}
+    units |= {i: f"agent@{i}" for i in config.ids}
+
+    for host, line in zip(("physics", "left", "right"), lines, strict=True):
+        processes = list_processes(config, host)
+        assert sorted(list_started_units(line)) == sorted(map(units.get, processes))
 
 
 def test_six_virtual_drones_behind_dongles_of_two_hosts(repository):
