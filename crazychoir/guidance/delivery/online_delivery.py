@@ -257,8 +257,12 @@ class OnlinePDVRPGuidance(TeamMission):
         own = self.own
         site = self.options.site
         lie = zip(goods.tasks, goods.pickup, goods.left_by, strict=True)
-        well = np.array([not site.lies_badly(*where) for where in lie], dtype=bool)
-        may = np.array([site.may(self.id, task) for task in goods.tasks], dtype=bool)
+        well = np.array(
+            [not site.explain_bad_place(*where) for where in lie], dtype=bool
+        )
+        may = np.array(
+            [site.may_serve(self.id, task) for task in goods.tasks], dtype=bool
+        )
         free = np.array(goods.free, dtype=bool)
         mine = np.array(goods.mine, dtype=bool)
         return replace(

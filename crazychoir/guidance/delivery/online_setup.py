@@ -174,7 +174,9 @@ def require_servable_places(
             where, f"{len(known) + len(appearing)} tasks", f"at most {FIRST_ADDED_ID}"
         )
     for task in known:
-        if found := site.lies_badly(task, task.pickup) or site.never(task):
+        if found := site.explain_bad_place(
+            task, task.pickup
+        ) or site.explain_unservable(task):
             raise _build_place_error(
                 f"{where}.{'tasks' if chosen.instance is None else 'instance'}",
                 task.id,
@@ -185,16 +187,16 @@ def require_servable_places(
             len(known) + n, 0, False, row.pickup, row.delivery, row.load, row.robots
         )
         if not chosen.appear:
-            if found := site.lies_badly(task, task.pickup):
+            if found := site.explain_bad_place(task, task.pickup):
                 raise _build_place_error(f"{where}.later", task.id, found)
             continue
         key = f"{where}.appear[{n}]"
         for name, place in (("pickup", row.pickup), ("delivery", row.delivery)):
-            if found := site.objection(place):
+            if found := site.explain_objection(place):
                 raise _build_place_error(f"{key}.{name}", list(place), found)
         _require_known_drones(site, row.robots, f"{key}.robots")
         _require_known_drones(site, row.heard_by, f"{key}.heard_by")
-        if found := site.never(task):
+        if found := site.explain_unservable(task):
             raise _build_place_error(f"{key}.load", row.load, found)
     for n, cancel in enumerate(chosen.cancel):
         _require_known_drones(site, cancel.heard_by, f"{where}.cancel[{n}].heard_by")

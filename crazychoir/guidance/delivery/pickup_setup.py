@@ -110,7 +110,9 @@ def _require_places(config: SwarmConfig, problem: Instance, where: str) -> None:
         ("delivery", problem.tasks.delivery),
     ):
         for j, p in enumerate(points):
-            if found := site.objection((p[0], p[1])) or _explain_height(config, p):
+            if found := site.explain_objection((p[0], p[1])) or _explain_height(
+                config, p
+            ):
                 allowed = f"places inside the fence, {LOWEST_STOP:g} m or more above the ground"
                 raise ConfigError(
                     f"{where}: {name}[{j}]",
@@ -143,7 +145,7 @@ def _require_ends(config: SwarmConfig, problem: Instance, where: str) -> None:
     moved = [i for i in config.ids if math.dist(ends[i], problem.home[i][:2]) > 0.0]
     allowed = f"places inside the fence, {LANDING_CLEARANCE:g} m away from homes and ends of others"
     for i in moved:
-        if found := site.objection(ends[i], i):
+        if found := site.explain_objection(ends[i], i):
             raise ConfigError(
                 f"{where}: end[{i}]", list(ends[i]), allowed, "Move it.", found
             )

@@ -77,5 +77,10 @@ class PlanNotes:
         standing = self.news.standings()[j]
         site = self.site
         flying = self.news.book.alive(self.news.members)
-        badly = site.lies_badly(task, standing.pickup, standing.robot)
-        return badly or site.never(task) or site.waits(task, flying) or TOO_FAR_REASON
+        badly = site.explain_bad_place(task, standing.pickup, standing.robot)
+        return (
+            badly
+            or site.explain_unservable(task)
+            or site.explain_wait(task, flying)
+            or TOO_FAR_REASON
+        )

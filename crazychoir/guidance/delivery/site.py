@@ -40,7 +40,7 @@ class DeliverySite:
 
     # Where ----------------------------------------------------------------------------
 
-    def objection(self, place: Place, besides: int | None = None) -> str:
+    def explain_objection(self, place: Place, besides: int | None = None) -> str:
         """Return why no drone may stand above a place. Empty if it may.
 
         place: (2,) m.
@@ -63,7 +63,9 @@ class DeliverySite:
                 return f"{gap:.2f} m from {home}; the clearance is {self.clearance:g} m"
         return ""
 
-    def lies_badly(self, task: Task, pickup: Place, besides: int | None = None) -> str:
+    def explain_bad_place(
+        self, task: Task, pickup: Place, besides: int | None = None
+    ) -> str:
         """Return why goods cannot be fetched from `pickup`, or cannot be delivered.
 
         Empty if they can.
@@ -76,36 +78,36 @@ class DeliverySite:
             ("pickup", pickup, besides),
             ("delivery", task.delivery, None),
         ):
-            if found := self.objection(place, whose):
+            if found := self.explain_objection(place, whose):
                 return f"its {name} {_format_place(place)} is {found}"
         return ""
 
     # Robots ---------------------------------------------------------------------------
 
-    def may(self, i: int, task: Task) -> bool:
+    def may_serve(self, i: int, task: Task) -> bool:
         """Return whether a task is meant for robot i, whatever its load."""
         if task.id < len(self.crew.tasks):
             return bool(self.crew.capability[i, task.id])
         return not task.robots or i in task.robots
 
-    def able(self, task: Task) -> list[int]:
+    def list_able_robots(self, task: Task) -> list[int]:
         """Return the robots of the swarm that may serve a task and can carry it."""
         return [
             i
             for i in self.config.ids
-            if self.may(i, task) and task.load <= self._room(i)
+            if self.may_serve(i, task) and task.load <= self._room(i)
         ]
 
-    def never(self, task: Task) -> str:
+    def explain_unservable(self, task: Task) -> str:
         """Return why no robot of this swarm can serve a task, wherever its goods are.
 
         Empty if one can.
         """
         if strangers := [i for i in task.robots if i not in self.config.ids]:
             return f"there is no drone {describe_ids(strangers)}; this swarm has {describe_ids(self.config.ids)}"
-        if self.able(task):
+        if self.list_able_robots(task):
             return ""
-        chosen = [i for i in self.config.ids if self.may(i, task)]
+        chosen = [i for i in self.config.ids if self.may_serve(i, task)]
         who = (
             "any drone"
             if len(chosen) == len(self.config.ids)
@@ -113,12 +115,12 @@ class DeliverySite:
         )
         return f"its load {task.load:g} is more than {who} can carry: {self._most(chosen):g}"
 
-    def waits(self, task: Task, flying: Collection[int]) -> str:
+    def explain_wait(self, task: Task, flying: Collection[int]) -> str:
         """Return why no flying robot can serve a task that the swarm could serve.
 
         Empty if one can.
         """
-        able = self.able(task)
+        able = self.list_able_robots(task)
         if any(i in flying for i in able):
             return ""
         return f"drone {describe_ids(able)}, which alone can serve it, does not fly"

@@ -96,7 +96,7 @@ class TaskRoom:
         self.low = np.array(low[:2])
         self.high = np.array(high[:2])
 
-    def lies_badly(self, task: Task, pickup: Place) -> str:
+    def explain_bad_place(self, task: Task, pickup: Place) -> str:
         """Return why no robot can stand at the pickup. Empty if one can."""
         if np.all(self.low <= pickup) and np.all(pickup <= self.high):
             return ""
@@ -106,7 +106,7 @@ class TaskRoom:
             f"drones are sent to {room}"
         )
 
-    def never(self, task: Task) -> str:
+    def explain_unservable(self, task: Task) -> str:
         """Return why no robot of this swarm can serve the task. Empty if one can."""
         strangers = [i for i in task.robots if i not in self.ids]
         return (
@@ -115,7 +115,7 @@ class TaskRoom:
             else ""
         )
 
-    def waits(self, task: Task, flying: Collection[int]) -> str:
+    def explain_wait(self, task: Task, flying: Collection[int]) -> str:
         """Return why no flying robot can serve the task. Empty if one can."""
         if not task.robots or any(i in flying for i in task.robots):
             return ""

@@ -41,15 +41,15 @@ class TaskEvent(NamedTuple):
 class TaskSite(Protocol):
     """Where tasks may be, and which robots may serve them."""
 
-    def lies_badly(self, task: Task, pickup: Place) -> str:
+    def explain_bad_place(self, task: Task, pickup: Place) -> str:
         """Return why no robot can stand at the task's places. Empty if one can."""
         ...
 
-    def never(self, task: Task) -> str:
+    def explain_unservable(self, task: Task) -> str:
         """Return why no robot of this swarm can serve the task. Empty if one can."""
         ...
 
-    def waits(self, task: Task, flying: Collection[int]) -> str:
+    def explain_wait(self, task: Task, flying: Collection[int]) -> str:
         """Return why no flying robot can serve a task that the swarm could serve.
 
         Empty if one can.
@@ -206,7 +206,9 @@ class TaskSource:
             raise self._refused(
                 f"unknown: {', '.join(sorted(raw))}; there are {', '.join(names[3:])}"
             )
-        if why := self.site.lies_badly(task, task.pickup) or self.site.never(task):
+        if why := self.site.explain_bad_place(
+            task, task.pickup
+        ) or self.site.explain_unservable(task):
             raise self._refused(why)
         return task
 
@@ -231,7 +233,7 @@ class TaskSource:
         )
         task = msgspec.structs.replace(task, id=FIRST_ADDED_ID * count + me)
         self.news.book.learn(task)
-        waits = self.site.waits(task, self.news.book.alive(self.news.members))
+        waits = self.site.explain_wait(task, self.news.book.alive(self.news.members))
         return task.id, waits and f"it waits: {waits}"
 
     def _cancel(self, arguments: dict[str, Any]) -> tuple[int, str]:

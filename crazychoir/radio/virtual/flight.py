@@ -177,7 +177,7 @@ class FlightService:
             (port, channel, -1)
         )
         if form is None:
-            return self._nobody_knows(packet)
+            return self._handle_unknown(packet)
         try:
             values = form.values(packet)
         except CodecError as error:
@@ -197,8 +197,8 @@ class FlightService:
             return COMMAND_FUNCTIONS[form.name](self.onboard, *values)
         return FLIGHT_FUNCTIONS[form.name](self, *values)
 
-    def _nobody_knows(self, packet: Packet) -> None:
-        """Count an unknown packet.
+    def _handle_unknown(self, packet: Packet) -> None:
+        """Count an unknown packet, and act on it as the firmware does.
 
         An unknown set-point acts as a set-point without thrust; an empty one fails an assertion.
         """

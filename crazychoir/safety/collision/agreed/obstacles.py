@@ -93,7 +93,7 @@ class Obstacles:
             + SPEED_ALLOWANCE
         )
 
-    def who_stands_at(self, p: Vec) -> int | None:
+    def find_drone_at(self, p: Vec) -> int | None:
         """Return the id of a drone that stands on the floor below p, (3,) m, or None.
 
         This drone must not land there: it may sink below p, on to the other one.

@@ -121,7 +121,7 @@ class PlannedFlights:
             self._next = self._look_after(now)
             mine.awaits = NO_REST_PLACE
             below = (
-                self.obstacles.who_stands_at(future(PLANNING_TIMES.landing_end).p)
+                self.obstacles.find_drone_at(future(PLANNING_TIMES.landing_end).p)
                 if lands
                 else None
             )

@@ -24,9 +24,9 @@ def notes():
         standings=lambda: BOOK.standings((3,), recover=False),
     )
     site = SimpleNamespace(
-        lies_badly=lambda task, place, robot: "",
-        never=lambda task: "too heavy" if task.id == 1 else "",
-        waits=lambda task, flying: "",
+        explain_bad_place=lambda task, place, robot: "",
+        explain_unservable=lambda task: "too heavy" if task.id == 1 else "",
+        explain_wait=lambda task, flying: "",
     )
     return PlanNotes(news, site)
 

@@ -23,15 +23,18 @@ CONFIG = MISSION.swarm(None)
 def test_operators_may_add_only_tasks_inside_the_fence_for_known_drones():
     room = TaskRoom(CONFIG)
     inside, outside = (3.9, -3.9), (0.0, 4.0)
-    assert room.lies_badly(Task(0, 0, False, inside, inside), inside) == ""
-    assert "outside the fence" in room.lies_badly(
+    assert room.explain_bad_place(Task(0, 0, False, inside, inside), inside) == ""
+    assert "outside the fence" in room.explain_bad_place(
         Task(0, 0, False, outside, outside), outside
     )
-    assert "there is no drone 7" in room.never(
+    assert "there is no drone 7" in room.explain_unservable(
         Task(0, 0, False, inside, inside, robots=(1, 7))
     )
-    assert room.waits(Task(0, 0, False, inside, inside, robots=(1, 2)), (2, 3)) == ""
-    assert "drone 1 " in room.waits(
+    assert (
+        room.explain_wait(Task(0, 0, False, inside, inside, robots=(1, 2)), (2, 3))
+        == ""
+    )
+    assert "drone 1 " in room.explain_wait(
         Task(0, 0, False, inside, inside, robots=(1,)), (2, 3)
     ).replace(",", " ")
 
