@@ -53,7 +53,7 @@ from crazychoir.guidance.tasks.team_news import NEWS_TIMING, UNREACHED_REASON, K
 from crazychoir.guidance.tasks.together import cancel_task, run_together, wait_unless
 from crazychoir.routing.instance.instance import LocalProblem
 from crazychoir.routing.instance.plan import Stop
-from crazychoir.types import Vec
+from crazychoir.types import Bools, Vec
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +91,22 @@ class OnlineDeliveryOptions:
     """s after GO before which no robot considers the mission over."""
     method: str = AUCTION_METHOD
     """How tasks are shared out, see Replanning."""
+
+
+def _find_servable(site: DeliverySite, robot: int, goods: PlannedGoods) -> Bools:
+    """Return, for each task of a planning, whether the robot may serve it.
+
+    It may serve a task that is meant for it, and free at a place where a drone can stand, or on
+    board of this robot.
+    """
+    places = zip(goods.tasks, goods.pickup, goods.left_by, strict=True)
+    is_well_placed = np.array(
+        [not site.explain_bad_place(*where) for where in places], dtype=bool
+    )
+    is_meant = np.array([site.may_serve(robot, task) for task in goods.tasks], bool)
+    is_free = np.array(goods.free, dtype=bool)
+    is_aboard = np.array(goods.mine, dtype=bool)
+    return is_meant & (is_free & is_well_placed | is_aboard)
 
 
 class OnlinePDVRPGuidance(TeamMission):
@@ -255,20 +271,11 @@ class OnlinePDVRPGuidance(TeamMission):
         left: m that it may still fly from there.
         """
         own = self.own
-        site = self.options.site
-        lie = zip(goods.tasks, goods.pickup, goods.left_by, strict=True)
-        well = np.array(
-            [not site.explain_bad_place(*where) for where in lie], dtype=bool
-        )
-        may = np.array(
-            [site.may_serve(self.id, task) for task in goods.tasks], dtype=bool
-        )
-        free = np.array(goods.free, dtype=bool)
         mine = np.array(goods.mine, dtype=bool)
         return replace(
             own,
             tasks=goods.public(self.options.service_time),
-            capable=may & (free & well | mine),
+            capable=_find_servable(self.options.site, self.id, goods),
             home=own.home[:2],
             start=start,
             start_time=ready,
