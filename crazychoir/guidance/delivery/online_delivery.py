@@ -106,7 +106,8 @@ def _find_servable(site: DeliverySite, robot: int, goods: PlannedGoods) -> Bools
     is_meant = np.array([site.may_serve(robot, task) for task in goods.tasks], bool)
     is_free = np.array(goods.free, dtype=bool)
     is_aboard = np.array(goods.mine, dtype=bool)
-    return is_meant & (is_free & is_well_placed | is_aboard)
+    servable: Bools = is_meant & (is_free & is_well_placed | is_aboard)
+    return servable
 
 
 class OnlinePDVRPGuidance(TeamMission):
