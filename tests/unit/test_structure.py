@@ -21,6 +21,7 @@ from style_rules import (
     MOST_CLASS_LINES,
     MOST_CLASS_METHODS,
     large_classes,
+    nested_conditions,
     one_word_constants,
     packed_assignments,
     shared_class_names,
@@ -426,6 +427,32 @@ def test_packed_assignments_are_found():
         "A, B = 1, 2\nx, y = y, x\nC, D = range(2)\na, b, c = 1, 2, 3\nE, F = call()\n"
     )
     assert list(packed_assignments(source)) == ["1: A, B", "3: C, D", "4: a, b, c"]
+
+
+def test_conditional_expressions_are_not_nested(repository):
+    found = [
+        place
+        for file in own_files(repository)
+        for place in places(
+            repository / "crazychoir", file, nested_conditions(file.read_text())
+        )
+    ]
+    assert found == []
+
+
+@pytest.mark.parametrize(
+    "nested",
+    [
+        "1 if a else 2 if b else 3",
+        "(1 if b else 2) if a else 3",
+        "1 if (a if b else c) else 2",
+        "f(1 if b else 2) if a else 3",
+    ],
+    ids=["otherwise", "result", "test", "argument"],
+)
+def test_nested_conditional_expressions_are_found(nested):
+    assert nested_conditions("x = 1 if a else 2\ny = [1 if a else 2, b]\n") == []
+    assert [place[:2] for place in nested_conditions(f"\nx = {nested}\n")] == ["2:"]
 
 
 def test_class_names_mean_one_thing(repository):
