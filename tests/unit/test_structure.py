@@ -39,7 +39,6 @@ MOST_MODULES = 22  # a folder
 MOST_HARD_DOCSTRINGS = 0.01  # share of the docstrings of a room
 MOST_LINES = 200  # of the front page
 MOST_MISSION_LINES = 90  # of a file in agents/
-LONG_MISSIONS = ("online_delivery", "pickup_delivery", "task_assignment")
 LARGE_CLASSES = {
     "Communicator",
     "Fleet",
@@ -561,12 +560,11 @@ def test_a_long_front_page_is_found():
 
 
 def long_missions(folder: Path) -> list[str]:
-    """Return the missions that a reader does not take in at a glance, and that are not known as long."""
+    """Return the missions that a reader does not take in at a glance."""
     return [
         file.stem
         for file in sorted(folder.glob("*.py"))
-        if file.stem not in LONG_MISSIONS
-        and len(file.read_text().splitlines()) > MOST_MISSION_LINES
+        if len(file.read_text().splitlines()) > MOST_MISSION_LINES
     ]
 
 
