@@ -71,6 +71,8 @@ LAYOUT_FILES = {
 """Files that may set several constants in one statement."""
 BRANCHING = 'def f(a: int) -> None:\n    """F."""\n' + 12 * "    if a:\n        a = 1\n"
 """A function with thirteen ways through it."""
+EXCUSES = re.compile(r"#\s*(?:noqa:.*\bC901\b|fmt:\s*(?:skip|off)\b)", re.IGNORECASE)
+"""Comments that take a function off the limit of branches, or a line off the formatter."""
 FENCED = re.compile(r"^```.*?^```|`[^`\n]*`", re.DOTALL | re.MULTILINE)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 WEB_PAGES = "https://github.com/crazychoir/crazychoir/blob/main/"
@@ -671,6 +673,33 @@ def test_ruff_can_complain(repository, rule, line):
     )
     assert done.returncode == 1
     assert rule in done.stdout, done.stdout
+
+
+def excuses(root: Path) -> list[str]:
+    """Return the lines that ask the linter or the formatter to look away, as `file:line`."""
+    return [
+        f"{file.relative_to(root)}:{number}"
+        for folder in ("agents", "crazychoir", "tests")
+        for file in python_files(root / folder)
+        for number, line in enumerate(file.read_text().splitlines(), 1)
+        if EXCUSES.search(line)
+    ]
+
+
+def test_no_line_is_excused_from_layout_or_branches(repository):
+    assert excuses(repository) == []
+
+
+@pytest.mark.parametrize(
+    "comment",
+    ["noqa: C901", "noqa: E501, C901", "fmt: skip", "fmt: off", "fmt:skip"],
+)
+def test_excuses_are_found(tmp_path, comment):
+    (tmp_path / "agents").mkdir()
+    (tmp_path / "agents" / "a.py").write_text(
+        f"x = 1  # noqa: E501\ny = 2  # {comment}\n"
+    )
+    assert excuses(tmp_path) == ["agents/a.py:2"]
 
 
 def excused_files() -> list[str]:
