@@ -1,4 +1,4 @@
-"""Rules of style that no linter knows: sizes of classes, arguments, constants, assignments, class names."""
+"""Rules of style that no linter knows: sizes of classes, arguments, constants, assignments, conditions, class names."""
 
 import ast
 from collections import defaultdict
@@ -136,6 +136,16 @@ def packed_assignments(source: str) -> Iterator[str]:
 
 def _counts(call: ast.Call) -> bool:
     return ast.unparse(call.func) in ("range", "itertools.count", "count")
+
+
+def nested_conditions(source: str) -> list[str]:
+    """Return the lines of the conditional expressions that contain another one."""
+    return [
+        f"{node.lineno}: {ast.unparse(node)}"
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.IfExp)
+        and sum(isinstance(part, ast.IfExp) for part in ast.walk(node)) > 1
+    ]
 
 
 def shared_class_names(files: Iterable[Path]) -> dict[str, list[str]]:

@@ -557,13 +557,11 @@ def _median(figures: dict[str, float] | None) -> str:
 
 def _format_figure(figure: float) -> str:
     """Return a figure with three digits and at most two decimals."""
-    return (
-        f"{figure:.2f}"
-        if figure < 9.995
-        else f"{figure:.1f}"
-        if figure < 99.95
-        else f"{figure:.0f}"
-    )
+    if figure < 9.995:
+        return f"{figure:.2f}"
+    if figure < 99.95:
+        return f"{figure:.1f}"
+    return f"{figure:.0f}"
 
 
 def _graph(graph: str, robots: int) -> str:

@@ -729,14 +729,13 @@ def _check_ports(swarm: Swarm, where: str) -> None:
             "Lower it.",
             problem,
         )
-    below = (
-        3 + max(found)
-        if (found := drones_by_dongle(swarm))
-        else 1
-        if world_owned_drones(swarm)
-        else 0
-    )
-    below = ROUTER_BELOW if swarm.router is not None else below
+    below = 0
+    if found := drones_by_dongle(swarm):
+        below = 3 + max(found)
+    elif world_owned_drones(swarm):
+        below = 1
+    if swarm.router is not None:
+        below = ROUTER_BELOW
     if swarm.base_port - below < SWARM_LIMITS.lowest_port:
         problem = (
             f"routers, owners of worlds and radios listen down to base_port - {below}"

@@ -296,13 +296,11 @@ class Pilot(Actor):
         )
         self.flights = PointFlights(limits, self.fence, a_max)
         self.clearance = Clearance(collision, self.flights, 1.0 / rate)
-        table = (
-            SAFETY_TABLE
-            if reached == "no"
-            else RADIO_SAFETY_TABLE
-            if self.controls.sender.kind != "xyz"
-            else ON_BOARD_SAFETY_TABLE
-        )
+        table = ON_BOARD_SAFETY_TABLE
+        if reached == "no":
+            table = SAFETY_TABLE
+        elif self.controls.sender.kind != "xyz":
+            table = RADIO_SAFETY_TABLE
         self.guard = Guard(
             self.fence, table, a_max=a_max, ground=limits.ground, limit=limit_area
         )

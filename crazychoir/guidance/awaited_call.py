@@ -112,11 +112,9 @@ class GuidanceCall(Coroutine[Any, Any, R], Generic[R]):
         self, kind: Any, value: Any = None, traceback: TracebackType | None = None
     ) -> Any:
         """Raise an exception in the coroutine, as a cancelled task does."""
-        error = (
-            kind
-            if isinstance(kind, BaseException)
-            else kind(*([] if value is None else [value]))
-        )
+        error = kind
+        if not isinstance(kind, BaseException):
+            error = kind() if value is None else kind(value)
         return self._begin().throw(error)
 
     def close(self) -> None:

@@ -249,11 +249,9 @@ class FlightScore(Actor):
         if not self.errors:
             return {}
         late = [t for t, far in self.errors if far > SCORE_LIMITS.settled_distance]
-        settled = (
-            (late[-1] if late else 0.0)
-            if self.errors[-1][1] <= SCORE_LIMITS.settled_distance
-            else None
-        )
+        settled = None
+        if self.errors[-1][1] <= SCORE_LIMITS.settled_distance:
+            settled = late[-1] if late else 0.0
         return {"formation_error_m": self.errors[-1][1], "settling_s": settled}
 
     def messages(self) -> dict[str, int]:

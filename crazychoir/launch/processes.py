@@ -331,13 +331,11 @@ def _drop_repetitions(say: Say) -> Say:
 
     def passed(line: str) -> None:
         cache = line.removeprefix(CACHE_WARNING).partition(":")[0]
-        reason = (
-            line
-            if line == COMPILING_MESSAGE
-            else cache
-            if line.startswith(CACHE_WARNING)
-            else None
-        )
+        reason = None
+        if line == COMPILING_MESSAGE:
+            reason = line
+        elif line.startswith(CACHE_WARNING):
+            reason = cache
         if reason is None or reason not in told:
             say(line)
         if reason is not None:

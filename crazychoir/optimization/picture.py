@@ -104,11 +104,9 @@ def _draw_entries(
 ) -> None:
     for i, values in x.items():
         for n in range(min(values.shape[1], MOST_DRAWN_ENTRIES)):
-            label = (
-                (f"{name}[{n}]" if values.shape[1] > 1 else name)
-                if i == min(x)
-                else None
-            )
+            label = None
+            if i == min(x):
+                label = f"{name}[{n}]" if values.shape[1] > 1 else name
             axes.plot(
                 at[i],
                 values[:, n],

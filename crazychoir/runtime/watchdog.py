@@ -181,17 +181,13 @@ class Watchdog:
             if self.soon and late > WATCHDOG_TIMES.beat_interval:
                 self._computed()
             looked_ns, gap = now_ns, (now_ns - looked_ns) / NS_PER_SECOND
-            frozen = (
-                0.0
-                if late < WATCHDOG_TIMES.report_delay
-                else frozen + gap
-                if gap > WATCHDOG_TIMES.frozen_gap
-                else frozen
-            )
             self.worst = max(self.worst, late)
             if late < WATCHDOG_TIMES.report_delay:
+                frozen = 0.0
                 self._report_at = WATCHDOG_TIMES.report_delay
                 continue
+            if gap > WATCHDOG_TIMES.frozen_gap:
+                frozen += gap
             if late >= self._report_at:
                 self._report(late)
             if late - frozen >= WATCHDOG_TIMES.interrupt_limit:
@@ -243,13 +239,11 @@ class Watchdog:
             2.0 * late,
         )
         task = asyncio.current_task(self._loop)
-        actor = (
-            self._guard.actor
-            if self._guard.since_ns
-            else task.get_name()
-            if task
-            else ""
-        )
+        actor = ""
+        if self._guard.since_ns:
+            actor = self._guard.actor
+        elif task:
+            actor = task.get_name()
         now_ns = self.clock.now_ns()
         said_ns, more = self._said.get(actor, (None, 0))
         if (

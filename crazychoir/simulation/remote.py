@@ -378,26 +378,24 @@ class RemoteBody:
         either, its engine decides.
         """
         on_board = "xyz" in self.world.flies
-        limit = (
-            self.world.command_timeout
-            if not on_board
-            else REMOTE_TIMEOUTS.goal_landing
-            if self.kind == "xyz"
-            else REMOTE_TIMEOUTS.streamed_landing
-        )
+        if not on_board:
+            limit = self.world.command_timeout
+        elif self.kind == "xyz":
+            limit = REMOTE_TIMEOUTS.goal_landing
+        else:
+            limit = REMOTE_TIMEOUTS.streamed_landing
         if limit is None or self._idle or not limit < self.silence < math.inf:
             return
         self._idle, rests = True, self.world.resting(self.drone)
         if not self.was_cut:
             self.link.send(self._down(rests) if on_board else self._nothing())
         if not rests:
-            does = (
-                "landing"
-                if on_board
-                else "no thrust"
-                if self.kind in THRUST_KINDS
-                else "stands still"
-            )
+            if on_board:
+                does = "landing"
+            elif self.kind in THRUST_KINDS:
+                does = "no thrust"
+            else:
+                does = "stands still"
             log.warning(
                 "drone %d: no command for %.2f s, limit %.2f s: %s",
                 self.drone,

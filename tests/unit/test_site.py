@@ -123,9 +123,12 @@ def test_lists_in_code_keep_their_indentation():
         ("Status, citing, licence", "status-citing-licence"),
         ("Time - and space", "time---and-space"),
         ("<code>[[drones]]</code>", "drones"),
-        ("<code>crazychoir mocap set_origin FILE</code>", "crazychoir-mocap-set_origin-file"),
+        (
+            "<code>crazychoir mocap set_origin FILE</code>",
+            "crazychoir-mocap-set_origin-file",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_heading_has_the_anchor_that_github_gives_it(heading, anchor):
     assert site_links.heading_id(heading) == anchor
 

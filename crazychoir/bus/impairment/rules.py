@@ -90,13 +90,11 @@ class ImpairmentRule:
     @property
     def rank(self) -> int:
         """0 for all, 1 for a drone, 2 for an edge, 3 for a directed edge."""
-        return (
-            1
-            if self.drone is not None
-            else 0
-            if self.edge is None
-            else 2 + self.directed
-        )
+        if self.drone is not None:
+            return 1
+        if self.edge is None:
+            return 0
+        return 2 + self.directed
 
     @property
     def scope(self) -> tuple[object, ...]:

@@ -201,6 +201,6 @@ def _show(recording: "Recording", figures: dict[str, Any]) -> None:
 
 
 def _cell(figure: float | str | None) -> str:
-    return (
-        "" if figure is None else figure if isinstance(figure, str) else f"{figure:.3f}"
-    )
+    if figure is None:
+        return ""
+    return figure if isinstance(figure, str) else f"{figure:.3f}"

@@ -151,13 +151,12 @@ def _other_versions(recording: "Recording") -> dict[str, str]:
 
 
 def _show(told: dict[str, Any]) -> None:
-    verdict = (
-        "the same"
-        if told["success"]
-        else "the same, so far"
-        if told["same"]
-        else "not the same"
-    )
+    if told["success"]:
+        verdict = "the same"
+    elif told["same"]:
+        verdict = "the same, so far"
+    else:
+        verdict = "not the same"
     title = f"{Path(told['mission']).name}, seed {told['seed']}: {verdict}"
     table = Table("figure", "value", title=title)
     table.add_row(

@@ -47,13 +47,9 @@ def progress_table(seen: "tuple[Survey, Visit]") -> Group:
 
 
 def _colour(share: float) -> str:
-    return (
-        "green"
-        if share >= SHARE_SCALE.good_share
-        else "yellow"
-        if share >= SHARE_SCALE.fair_share
-        else "red"
-    )
+    if share >= SHARE_SCALE.good_share:
+        return "green"
+    return "yellow" if share >= SHARE_SCALE.fair_share else "red"
 
 
 def row_of(

@@ -331,8 +331,12 @@ def _table(seen: "list[BodyMeasurement]", matches: "list[BodyMatch]") -> Table:
     match_by_name = {match.name: match for match in matches}
     for body in seen:
         match = match_by_name.get(body.name)
-        drone = "-" if match is None else f"{match.drone}{'' if match.sure else '?'}"
-        far = "" if match is None else f"{match.distance:.3f}"
+        drone = "-"
+        far = ""
+        if match is not None:
+            mark = "" if match.sure else "?"
+            drone = f"{match.drone}{mark}"
+            far = f"{match.distance:.3f}"
         table.add_row(
             body.name,
             f"{body.rate:.0f}",

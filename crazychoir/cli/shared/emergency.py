@@ -154,13 +154,12 @@ class EmergencyStop:
     def _said(self, i: int) -> tuple[bool, str]:
         obeys = i in self.obeyed
         body = i not in self.owned or PORT_ADDRESSES.body_offset + i in self.obeyed
-        said = (
-            "acknowledged"
-            if obeys
-            else "no acknowledgement"
-            if i in self.found
-            else ABSENT_ANSWER
-        )
+        if obeys:
+            said = "acknowledged"
+        elif i in self.found:
+            said = "no acknowledgement"
+        else:
+            said = ABSENT_ANSWER
         if i not in self.owned or (obeys and body):
             return obeys, said
         known = (

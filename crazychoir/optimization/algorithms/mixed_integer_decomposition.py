@@ -332,15 +332,10 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
                 excess > -MILP_TOLERANCE
                 and saved > IMPROVEMENT_SEARCH.least_saving * (1.0 + abs(self._cost))
             )
-            offer = (
-                [
-                    [-excess if excess > MILP_TOLERANCE else 0.0, -saved],
-                    self._i,
-                    left.tolist(),
-                ]
-                if gains
-                else None
-            )
+            offer = None
+            if gains:
+                less = -excess if excess > MILP_TOLERANCE else 0.0
+                offer = [[less, -saved], self._i, left.tolist()]
             agreed = yield from find_best_offer(offer, self.diameter)
             if agreed is None:
                 return

@@ -168,11 +168,8 @@ def plan_drawing(
                 else None
             )
             begin = line.sample(0.0) if line else _plan_dot(places[0], pen, here)
-            new = (
-                _plan_transfer(here, begin, 0.0 if n else pen.lift, limits)
-                if here
-                else []
-            )
+            lift = 0.0 if n else pen.lift
+            new = _plan_transfer(here, begin, lift, limits) if here else []
             flown.append(sample_references(line)[1][:, 0:2] if line else places)
             if line:
                 has_line = True
@@ -373,7 +370,11 @@ def _compute_directions(places: Mat) -> Vec:
 
 def _plan_dot(xy: Vec, pen: Pen, here: FullState | None) -> FullState:
     """Return rest at a place; a yaw along the path stays as it is."""
-    yaw = pen.yaw if pen.yaw != "along" else here.yaw if here else 0.0
+    yaw = 0.0
+    if pen.yaw != "along":
+        yaw = pen.yaw
+    elif here:
+        yaw = here.yaw
     return FullState.at((xy[0], xy[1], pen.height), yaw=yaw)
 
 

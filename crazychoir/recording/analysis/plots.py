@@ -221,13 +221,9 @@ def add_flight_legend(
     names = [
         f"{track.drone}{mark}" for track, mark in zip(flight.tracks, marks, strict=True)
     ]
-    note = (
-        ""
-        if len(own) <= MOST_NAMED_DRONES or not any(own)
-        else " (state)"
-        if all(own)
-        else " (some: state)"
-    )
+    note = ""
+    if len(own) > MOST_NAMED_DRONES and any(own):
+        note = " (state)" if all(own) else " (some: state)"
     add_drone_legend(figure, names, f"drone{note}", band, started, pad)
 
 

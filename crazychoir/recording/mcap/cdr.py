@@ -78,9 +78,10 @@ def leaves(name: str, definitions: Definitions, path: str = "") -> Iterator[Leaf
         if kind in definitions:
             yield from leaves(kind, definitions, f"{path}{field}.")
         else:
-            yield Leaf(
-                path + field, kind, (int(count) if count else None) if brackets else 1
-            )
+            values: int | None = 1
+            if brackets:
+                values = int(count) if count else None
+            yield Leaf(path + field, kind, values)
 
 
 class Layout:

@@ -207,13 +207,10 @@ class PickupDelivery(Program[Solution]):
             place.robot, nodes, len(member.local.tasks), length, finish
         )
         fixed = 0.0 if member.vehicle_weight else vehicle.fixed
-        amount = (
-            finish
-            if objective[0] == OBJECTIVE_NAMES.makespan
-            else length + fixed
-            if nodes
-            else 0.0
-        )
+        if objective[0] == OBJECTIVE_NAMES.makespan:
+            amount = finish
+        else:
+            amount = length + fixed if nodes else 0.0
         known = yield from flood_values(
             place.robot,
             [amount, route.digest if nodes else "", route.tasks],

@@ -353,9 +353,8 @@ def grow_priced_labels(
         for option in range(options):
             anew = option >= m + goods
             at = last[i]
-            stop = (
-                option if option < m else (option - m if anew else m + on[option - m])
-            )
+            stop = option - m if anew else option
+            stop = m + on[option - m] if m <= option < m + goods else stop
             if not _may_stop(gone, load, i, stop, capacity - held[i]):
                 continue
             if anew and distance[at, end] > state[i, LABEL_ENTRIES.distance_left]:

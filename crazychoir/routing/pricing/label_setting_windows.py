@@ -237,9 +237,8 @@ def grow_fronts(
             time = state[i, LABEL_ENTRIES.time]
             left = state[i, LABEL_ENTRIES.distance_left]
             trip = state[i, LABEL_ENTRIES.trips]
-            stop = (
-                option if option < m else (option - m if anew else m + on[option - m])
-            )
+            stop = option - m if anew else option
+            stop = m + on[option - m] if m <= option < m + goods else stop
             if stop < m and (
                 has_bit(keys, i, 0, stop) or load[stop] > capacity - held[i]
             ):

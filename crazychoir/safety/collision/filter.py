@@ -343,13 +343,12 @@ def _filter_acceleration(
             if stands
             else (f[FIGURE_SCALE_X], f[FIGURE_SCALE_Y], f[FIGURE_SCALE_Z])
         )
-        width = (
-            f[FIGURE_WIDTH]
-            if not stands
-            else COLLISION_DISTANCES.standing_drone
+        beside = (
+            COLLISION_DISTANCES.standing_drone
             if f[FIGURE_WAITS] > 0.0
             else COLLISION_DISTANCES.landing_beside
         )
+        width = beside if stands else f[FIGURE_WIDTH]
         q, w = predict_late_motion(
             other,
             other[13:16],

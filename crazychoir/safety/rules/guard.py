@@ -363,13 +363,10 @@ class Guard:
         age, reach = (
             (0.0, 0.0) if reference_age is None else (reference_age, self._reach)
         )
-        stop = (
-            -math.inf
-            if state is None
-            else _compute_overshoot(
-                state.flat, self._low if low else self._flying, reach
-            )
-        )
+        stop = -math.inf
+        if state is not None:
+            room = self._low if low else self._flying
+            stop = _compute_overshoot(state.flat, room, reach)
         well = (
             pose_age <= self._least_pose
             and age <= self._least_reference

@@ -198,10 +198,18 @@ async def waits_by_a_list(guidance):
         await leg
 
 
+ON_ONE_LINE = """
 async def waits_on_one_line(guidance):
-    # fmt: off
-    for leg in (guidance.take_off(), guidance.sleep(30.0), guidance.land()): await leg  # noqa: E701
-    # fmt: on
+    for leg in (guidance.take_off(), guidance.sleep(30.0), guidance.land()): await leg
+"""
+"""A program that the formatter would lay out on two lines."""
+
+
+def waits_on_one_line(guidance):
+    program = compile(ON_ONE_LINE, __file__, "exec")
+    found = {}
+    exec(program, found)  # noqa: S102
+    return found["waits_on_one_line"](guidance)
 
 
 @pytest.mark.parametrize("waits", [waits_by_a_list, waits_on_one_line])
