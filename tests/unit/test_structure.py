@@ -14,6 +14,11 @@ import grimp
 import pytest
 from pages import FRONT_PAGE, PAGES
 from prose_rules import docstrings, hard_docstrings, hard_lines, hard_test_names
+from script_rules import (
+    hard_comments,
+    one_word_script_constants,
+    packed_declarations,
+)
 from source_rules import CLOCKS, STOPWATCHES, forbidden_clocks, set_iterations
 from style_rules import (
     MOST_ARGUMENTS,
@@ -476,6 +481,52 @@ def test_hard_docstrings_are_found(tmp_path):
     (found,) = hard_rooms(tmp_path)
     assert "a.py:4: Whoever" in found
     assert "a.py:6: those that" in found
+
+
+def scripts(repository: Path) -> list[Path]:
+    """Return the JavaScript files of the operator's page."""
+    return sorted((repository / "crazychoir").rglob("*.js"))
+
+
+@pytest.mark.parametrize(
+    "rule", [hard_comments, packed_declarations, one_word_script_constants]
+)
+def test_the_scripts_of_the_page_are_plain(repository, rule):
+    files = scripts(repository)
+    assert repository / "crazychoir/dashboard/static/page.js" in files
+    found = [
+        place
+        for file in files
+        for place in places(repository, file, rule(file.read_text()))
+    ]
+    assert found == []
+
+
+def test_hard_comments_of_scripts_are_found():
+    source = (
+        '// Return the drones.\nconst text = "// who"; // whom it was sent to\n'
+        "// Keep the stops, and those\n// that were sent.\nf();\n/* Tell\nnobody */\n"
+        "const link = `http://who`;\n"
+    )
+    assert hard_comments(source) == ["2: whom", "3: those that", "6: nobody"]
+
+
+def test_packed_declarations_of_scripts_are_found():
+    source = (
+        "const LOOK = 250, AGAIN = 1000;\nlet a = null,\n  b;\nconst [c, d] = f(1, 2);\n"
+        'const { e, g } = { e: 1, g: 2 };\nconst h = "1, 2"; // i, j\n'
+        "export const k = (l, m) => {\n  const n = 1, { o } = l;\n};\n"
+        "for (const p of [q, r]) s(p);\n"
+    )
+    assert packed_declarations(source) == ["1: LOOK, AGAIN", "2: a, b", "8: n, { o }"]
+
+
+def test_one_word_constants_of_scripts_are_found():
+    source = (
+        "export const STOP = 1;\nconst LOOK_PERIOD = 250;\n  let MOST = 1, last = 2;\n"
+        "const t = T;\n// const WHY = 1\n"
+    )
+    assert one_word_script_constants(source) == ["1: STOP", "3: MOST"]
 
 
 def hard_pages(root: Path) -> list[str]:

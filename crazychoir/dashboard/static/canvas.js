@@ -1,23 +1,26 @@
-// Curves on a canvas, and numbers of fields.
+// Draw curves on a canvas, and read numbers from fields.
 import { colour, tell } from "./line.js";
 
 const field = (id) => document.getElementById(id);
 
-// NaN of a field that is empty, or that the browser cannot read.
+// Return the number in a field; NaN if the field is empty or holds no number.
 export const number = (id) => (field(id).value.trim() ? Number(field(id).value) : NaN);
 
-// Of these fields; null if one has none: it is marked, and nothing should be sent.
+// Return the numbers in these fields. If a field holds no number, mark it, report it and return null: the caller then
+// sends nothing.
 export function numbers(...ids) {
-  const values = ids.map(number), none = ids.filter((id, k) => !Number.isFinite(values[k]));
+  const values = ids.map(number);
+  const none = ids.filter((id, k) => !Number.isFinite(values[k]));
   for (const id of ids) field(id).setAttribute("aria-invalid", none.includes(id));
   if (!none.length) return values;
   tell("refused", `${none.map((id) => field(id).labels[0].textContent).join(", ")}: no number; nothing was sent`);
   return null;
 }
 
-// A clean canvas in the resolution of the screen; null while it is not seen.
+// Clear a canvas, set it to the screen's resolution, and return its 2D context; null while the canvas is hidden.
 export function prepared(canvas) {
-  const { clientWidth: w, clientHeight: h } = canvas, ratio = window.devicePixelRatio || 1;
+  const { clientWidth: w, clientHeight: h } = canvas;
+  const ratio = window.devicePixelRatio || 1;
   if (!w || !h) return null;
   if (canvas.width !== Math.round(w * ratio)) canvas.width = Math.round(w * ratio);
   if (canvas.height !== Math.round(h * ratio)) canvas.height = Math.round(h * ratio);
@@ -28,19 +31,29 @@ export function prepared(canvas) {
   return pen;
 }
 
+// Return the number of decimals that resolves a range of values.
 const digits = (span) => Math.min(9, Math.max(0, 1 - Math.floor(Math.log10(span))));
 
-// Curves, {name, values, tint, dashed}; foot: from where to where; x: increasing, where their values are, else in equal
-// steps; gap: a longer step is left open.
+// Draw curves with a common scale.
+// list: curves, each {name, values, tint, dashed}
+// foot: text below the curves, such as the range of x
+// x: increasing positions of the values; the default is equal steps
+// gap: two values that are farther apart in x are not joined
 export function curves(canvas, list, foot, x = list[0]?.values.map((_, k) => k), gap = Infinity) {
   const pen = prepared(canvas);
   if (!pen) return;
-  const { clientWidth: w, clientHeight: h } = canvas, left = 50, top = 16, bottom = 16;
+  const { clientWidth: w, clientHeight: h } = canvas;
+  const left = 50;
+  const top = 16;
+  const bottom = 16;
   const known = list.flatMap(({ values }) => values.filter(Number.isFinite));
   if (!known.length) return;
-  const least = Math.min(...known), most = Math.max(...known);
-  const low = least > 0.5 * most ? least : Math.min(0, least), high = Math.max(most, low + 1e-3);
-  const first = x[0], last = Math.max(x.at(-1), first + 1e-3);
+  const least = Math.min(...known);
+  const most = Math.max(...known);
+  const low = least > 0.5 * most ? least : Math.min(0, least);
+  const high = Math.max(most, low + 1e-3);
+  const first = x[0];
+  const last = Math.max(x.at(-1), first + 1e-3);
   const y = (value) => top + (h - top - bottom) * (1 - (value - low) / (high - low));
   pen.strokeStyle = colour("--rule");
   pen.fillStyle = colour("--faint");
@@ -57,16 +70,21 @@ export function curves(canvas, list, foot, x = list[0]?.values.map((_, k) => k),
   pen.textAlign = "left";
   let named = left;
   for (const { name, values, tint, dashed } of list) {
-    pen.strokeStyle = pen.fillStyle = colour(tint);
+    pen.strokeStyle = colour(tint);
+    pen.fillStyle = colour(tint);
     pen.setLineDash(dashed ? [4, 3] : []);
     pen.lineWidth = 1.5;
     pen.beginPath();
     let drawn = false;
     values.forEach((value, k) => {
-      if (!Number.isFinite(value)) return (drawn = false);
+      if (!Number.isFinite(value)) {
+        drawn = false;
+        return;
+      }
       if (k && x[k] - x[k - 1] > gap) drawn = false;
       const at = left + ((w - left) * (x[k] - first)) / (last - first);
-      drawn ? pen.lineTo(at, y(value)) : pen.moveTo(at, y(value));
+      if (drawn) pen.lineTo(at, y(value));
+      else pen.moveTo(at, y(value));
       drawn = true;
     });
     pen.stroke();

@@ -1,18 +1,31 @@
-// Strokes by hand, in metres; what planning makes of them, over them; and whom it is sent to.
+// The drawing tab: show the strokes drawn by hand and the planned path over them, in metres, and send the path to the
+// selected drones.
 import { ask, chosen, colour, on, row, seen, selected, tell } from "./line.js";
 import { showPaths } from "./scene.js";
 import { curves, number, numbers, prepared } from "./canvas.js";
 
 const find = (id) => document.getElementById(id);
-const SETTINGS = ["height", "lift", "smoothing", "v_max", "a_max", "slower"];
-const OFFSET = ["offset_x", "offset_y", "offset_z"];
-const STEP = 0.002; // m between two points: a hand means no less
-let strokes = [], remarks = [], current = null, plan = null, began = 0, waiting = 0, canvas, scale = 100, middle = [0, 0];
+const SETTING_FIELDS = ["height", "lift", "smoothing", "v_max", "a_max", "slower"]; // ids of fields
+const OFFSET_FIELDS = ["offset_x", "offset_y", "offset_z"]; // ids of fields
+const POINT_DISTANCE = 0.002; // m, closer points of a stroke are dropped
+const PLAN_DELAY = 150; // ms after the last change before a plan is requested
+const CLEARANCE_RADIUS = 0.4; // m, horizontal
+const CLEARANCE_HEIGHT = 0.7; // m, vertical
+let strokes = []; // each a list of [s, m, m]
+let remarks = []; // about the file that was loaded
+let current = null; // the stroke that is being drawn
+let plan = null; // the newest answer of the server
+let began = 0; // ms, time stamp of the first point
+let waiting = 0; // timer of the next planning request
+let canvas;
+let scale = 100; // pixels per metre
+let middle = [0, 0]; // m, shown in the middle of the canvas
 
 const toPixel = ([x, y]) => [canvas.clientWidth / 2 + scale * (x - middle[0]), canvas.clientHeight / 2 - scale * (y - middle[1])];
 const toMetres = (px, py) => [(px - canvas.clientWidth / 2) / scale + middle[0], middle[1] - (py - canvas.clientHeight / 2) / scale];
 const rounded = (x) => Math.round(1e4 * x) / 1e4;
 
+// Scale the canvas to the fence, or to the area that the operator has set.
 function fit() {
   if (!seen.about) return;
   const [low, high] = seen.about.fence;
@@ -55,9 +68,10 @@ function point(event) {
   return [rounded((event.timeStamp - began) / 1000), rounded(x), rounded(y)];
 }
 
-const close = ([, a, b], [, x, y]) => Math.hypot(a - x, b - y) < STEP;
+const close = ([, a, b], [, x, y]) => Math.hypot(a - x, b - y) < POINT_DISTANCE;
 
-// The last point is where the hand is, however near to the one before.
+// Append a point to a stroke. Replace the last point if it is too close to its predecessor, so that the stroke always ends
+// at the pointer.
 function extend(stroke, point) {
   if (stroke.length > 1 && close(stroke.at(-1), stroke.at(-2))) stroke.pop();
   stroke.push(point);
@@ -72,7 +86,8 @@ function pointers() {
   });
   canvas.addEventListener("pointermove", (event) => {
     if (!current) return;
-    for (const one of event.getCoalescedEvents?.().length ? event.getCoalescedEvents() : [event]) extend(current, point(one));
+    const moves = event.getCoalescedEvents?.().length ? event.getCoalescedEvents() : [event];
+    for (const move of moves) extend(current, point(move));
     paint();
   });
   const end = () => {
@@ -89,6 +104,7 @@ function said(text) {
   find("plan").textContent = text;
 }
 
+// Drop the plan after a change, and request a new one after a short delay.
 function changed() {
   plan = null;
   showPaths([]);
@@ -98,25 +114,25 @@ function changed() {
   if (!strokes.length) return said("Nothing is drawn.");
   said("Planning ...");
   waiting = setTimeout(() => {
-    const yaw = find("yaw").value, values = numbers(...SETTINGS);
+    const yaw = find("yaw").value;
+    const values = numbers(...SETTING_FIELDS);
     if (!values) return;
-    const settings = Object.fromEntries(SETTINGS.map((name, k) => [name, values[k]]));
+    const settings = Object.fromEntries(SETTING_FIELDS.map((name, k) => [name, values[k]]));
     ask({ ask: "draw", strokes, ...settings, yaw: yaw === "along" ? yaw : Number(yaw), timing: find("timing").value });
-  }, 150);
+  }, PLAN_DELAY);
 }
 
-const NEAR = 0.4, BELOW = 0.7;
-
-// Where each drone that is chosen would fly, the k-th k offsets away; without any, where one without offset would.
+// Return the path of each selected drone: the k-th path is shifted by k offsets. With no selection, return the planned path.
 function ways() {
-  const offset = OFFSET.map(number);
+  const offset = OFFSET_FIELDS.map(number);
   return (chosen() ?? [0]).map((i, k) => plan.points.map((point) => point.map((x, c) => (k ? x + k * offset[c] : x))));
 }
 
-// Who is in the way where it is now; it will be given way to, and the path is not flown to its end.
+// Return the drones in the air that are not selected and hover too close to a path. A drone on the path gives way to them and
+// does not reach the end of its path.
 function inTheWay(paths) {
   const others = seen.about.ids.filter((i) => !selected.has(i) && [...(row(i) ?? [])].slice(0, 3).every(Number.isFinite));
-  const near = (p, [x, y, z]) => Math.hypot(Math.hypot(p[0] - x, p[1] - y) / NEAR, (p[2] - z) / BELOW) < 1;
+  const near = (p, [x, y, z]) => Math.hypot(Math.hypot(p[0] - x, p[1] - y) / CLEARANCE_RADIUS, (p[2] - z) / CLEARANCE_HEIGHT) < 1;
   return others.filter((i) => row(i)[2] > seen.about.ground + 0.1 && paths.some((points) => points.some((point) => near(row(i), point))));
 }
 
@@ -130,11 +146,14 @@ function planned(made) {
 
 function show() {
   if (!plan) return;
-  const paths = ways(), others = inTheWay(paths), { duration, speed, acceleration, deviation } = plan;
+  const paths = ways();
+  const others = inTheWay(paths);
+  const { duration, speed, acceleration, deviation } = plan;
   showPaths(paths);
   const warning = others.length ? `. In the way, where they are now: drone ${others.join(", ")}` : "";
   const more = remarks.map((remark) => `. The file: ${remark}`).join("");
-  said(`${duration} s, at most ${speed} m/s and ${acceleration} m/s², at most ${Math.round(1000 * deviation)} mm beside what was drawn${warning}${more}`);
+  const limits = `${duration} s, at most ${speed} m/s and ${acceleration} m/s²`;
+  said(`${limits}, at most ${Math.round(1000 * deviation)} mm away from the drawing${warning}${more}`);
   paint();
 }
 
@@ -147,14 +166,21 @@ function download({ text, kind }) {
 }
 
 export const sketch = {
-  undo: () => { strokes.pop(); changed(); },
-  clear: () => { strokes = []; remarks = []; changed(); },
+  undo: () => {
+    strokes.pop();
+    changed();
+  },
+  clear: () => {
+    strokes = [];
+    remarks = [];
+    changed();
+  },
   save: (kind) => (strokes.length ? ask({ ask: "save", strokes, kind }) : said("Nothing is drawn.")),
   strokes: () => strokes,
   fly: () => {
-    if (!chosen()) return tell("refused", "fly: choose the drones that are to fly it, in the table");
+    if (!chosen()) return tell("refused", "fly: choose the drones in the table");
     if (!plan) return tell("refused", "fly: nothing is planned");
-    const offset = numbers(...OFFSET);
+    const offset = numbers(...OFFSET_FIELDS);
     if (offset) ask({ ask: "fly", drones: chosen(), offset });
   },
 };
@@ -164,19 +190,24 @@ export function start() {
   pointers();
   new ResizeObserver(fit).observe(canvas);
   find("area").addEventListener("change", fit);
-  for (const name of [...SETTINGS, "yaw", "timing"]) find(name).addEventListener("change", changed);
-  for (const name of OFFSET) find(name).addEventListener("change", show);
+  for (const name of [...SETTING_FIELDS, "yaw", "timing"]) find(name).addEventListener("change", changed);
+  for (const name of OFFSET_FIELDS) find(name).addEventListener("change", show);
   find("file").addEventListener("change", async ({ target }) => {
     const [file] = target.files;
     if (file) ask({ ask: "load", name: file.name, text: await file.text() });
     target.value = "";
   });
   on("about", fit);
-  on("connected", (there) => there && strokes.length && changed()); // a new line begins without a plan
+  on("connected", (there) => there && strokes.length && changed()); // the server has no plan for a new connection
   on("plan", planned);
   on("selected", show);
-  on("remarks", (words) => { remarks = words; });
-  on("strokes", (loaded) => { strokes = loaded; changed(); });
+  on("remarks", (words) => {
+    remarks = words;
+  });
+  on("strokes", (loaded) => {
+    strokes = loaded;
+    changed();
+  });
   on("saved", download);
   on("refused", (why) => strokes.length && !plan && said(why));
   on("drones", () => canvas.clientWidth && paint());

@@ -1,4 +1,4 @@
-// The page, put together. Space stops all, wherever the focus is but in a text.
+// Start all parts of the page. The space key stops all drones, unless the focus is in a text field.
 import { ask, chosen, connect, on, seen, select, tell } from "./line.js";
 import { number, numbers } from "./canvas.js";
 import * as draw from "./draw.js";
@@ -15,11 +15,11 @@ const find = (id) => document.getElementById(id);
 function tabs() {
   const all = [...document.querySelectorAll('[role="tab"]')];
   const show = (tab) => {
-    for (const one of all) {
-      const chosen = one === tab;
-      one.setAttribute("aria-selected", chosen);
-      one.tabIndex = chosen ? 0 : -1;
-      find(one.getAttribute("aria-controls")).hidden = !chosen;
+    for (const other of all) {
+      const isShown = other === tab;
+      other.setAttribute("aria-selected", isShown);
+      other.tabIndex = isShown ? 0 : -1;
+      find(other.getAttribute("aria-controls")).hidden = !isShown;
     }
   };
   all.forEach((tab, k) => {
@@ -35,22 +35,26 @@ function tabs() {
   show(all[0]);
 }
 
-const TEXTS = ["text", "search", "password", "email", "url"];
-const writes = (element) => element.isContentEditable || element.tagName === "TEXTAREA" || TEXTS.includes(element.type);
+const TEXT_TYPES = ["text", "search", "password", "email", "url"]; // types of input elements
+const writes = (element) => element.isContentEditable || element.tagName === "TEXTAREA" || TEXT_TYPES.includes(element.type);
 
-// Loss and delay of links that the simulated network gives the drones that are chosen, by the rules of Impairment.describe.
+// Return the loss (share) and the delay (s) that the simulated network gives the links of the selected drones.
+// rules: as Impairment.describe returns them; a rule for a link overrides a rule for a drone, which overrides a general rule
 function simulated(rules, drones) {
   const covers = ({ drone, edge, directed }) => {
     if (drone != null) return drones?.includes(drone);
     return !edge || (!directed && drones?.length === 2 && edge.every((i) => drones.includes(i)));
   };
-  const rank = ({ drone, edge }) => (edge ? 2 : drone != null ? 1 : 0);
+  const rank = ({ drone, edge }) => {
+    if (edge) return 2;
+    return drone != null ? 1 : 0;
+  };
   const { loss, delay, p_good_bad: worse, p_bad_good: better } = Object.assign({},
     ...rules.filter(covers).sort((one, other) => rank(one) - rank(other)));
   return { loss: loss ?? (worse ? worse / (worse + better) : 0), delay: delay ?? 0 };
 }
 
-let network = "";
+let network = ""; // the newest rules of the simulated network, as JSON
 
 function slide({ loss, delay }) {
   for (const [id, value] of [["loss", 100 * loss], ["delay", 1000 * delay]]) {
@@ -59,7 +63,8 @@ function slide({ loss, delay }) {
   }
 }
 
-// Sliders show what is in force for those that are chosen, whenever one or the other changes.
+// Show the rules in force. Move the sliders only when the rules have changed, so that news do not undo a setting that the
+// operator has not applied yet.
 function inForce(told) {
   find("network-said").textContent = told?.words ?? "not known yet";
   const text = JSON.stringify(told?.rules ?? []);
@@ -68,7 +73,7 @@ function inForce(told) {
   slide(simulated(JSON.parse(network), chosen()));
 }
 
-// What buttons call.
+// Functions that the buttons call as `window.choir`.
 const choir = {
   order: (verb) => ask({ ask: "order", verb, drones: chosen() }),
   stopAll: () => {
@@ -118,7 +123,7 @@ function keys() {
   window.addEventListener("keyup", (event) => isStop(event) && event.preventDefault(), true);
 }
 
-// Not a modal one: all may be stopped meanwhile, by mouse too.
+// Prepare the dialog that clears a stop. It is not modal, so STOP ALL can be clicked while it is open.
 function dialog() {
   const clear = find("clear");
   clear.addEventListener("close", () => clear.returnValue === "yes" && ask({ ask: "stop", clear: true }));
@@ -130,7 +135,7 @@ function theme() {
   new MutationObserver(told).observe(document.body, { attributeFilter: ["class"] });
 }
 
-// The page's widgets are made after this file is read.
+// Wait for the widgets of the page, because they are created after this file is loaded.
 export function start() {
   if (find("drones")) begin();
   else setTimeout(start, 20);

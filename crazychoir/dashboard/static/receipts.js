@@ -1,27 +1,40 @@
-// Receipts of commands: all in a list, the newest in the header, where every tab shows it, with what has gone wrong; and
-// what this page has asked for, until its server says so. Of stops in the header: see stops.js.
+// Show the receipts of commands: all in a list; the newest, and the last failure, in the header above every tab. Show a
+// command of this page as sent until the server returns its receipt. stops.js shows the stops in the header.
 import { on } from "./line.js";
 import { make, set } from "./table.js";
 
-const ANSWER = 1000; // ms within which the server shows a receipt of what it was asked for
-export const STOP = "emergency stop";
-const CLEAR = "clear stop";
-const VERBS = { "go-to": "go-to", fly: "fly", impair: "impair", "add-task": "task_add", "cancel-task": "task_cancel" };
-const MARKS = { done: "✓", bad: "✗", open: "…", over: "–" };
+const ANSWER_TIMEOUT = 1000; // ms from a command until the server must have returned a receipt
+const MAX_NAMED_DRONES = 8; // of a longer list only the number is shown
+const MAX_TEXT_LENGTH = 90; // characters of an answer
+const MAX_RECEIPTS = 30; // in the list
+export const STOP_VERB = "emergency stop";
+const CLEAR_VERB = "clear stop";
+const VERB_NAMES = { "go-to": "go-to", fly: "fly", impair: "impair", "add-task": "task_add", "cancel-task": "task_cancel" };
+const OUTCOME_MARKS = { done: "✓", bad: "✗", open: "…", over: "–" };
 const find = (id) => document.getElementById(id);
-let newest = 0, troubled = 0; // numbers of receipts
-let raised = ""; // the last trouble of a receipt: told once
-let frames = 0; // on this line; what comes before the second may be long ago
-let waiting = []; // what was asked for and has no receipt yet, oldest first
+let newest = 0; // number of the newest receipt
+let troubled = 0; // number of the receipt with the failure that is shown; see trouble()
+let raised = ""; // the failure of a receipt that was shown last: each is shown once
+let frames = 0; // on this line; a receipt before the second frame may be old
+let waiting = []; // commands without a receipt, oldest first
 
-export const among = (ids) => (ids.length > 8 ? `${ids.length} drones` : ids.join(", "));
+export const among = (ids) => (ids.length > MAX_NAMED_DRONES ? `${ids.length} drones` : ids.join(", "));
 
+// Return the text of an answer.
+function textOf(said) {
+  if (typeof said === "string") return said;
+  if (said.id == null) return "";
+  return said.note ? `task ${said.id}: ${said.note}` : `task ${said.id}`;
+}
+
+// Return the answers as text; drones with the same answer are named together.
 function words(answers) {
   const groups = {};
   for (const [i, [kind, said]] of Object.entries(answers)) {
-    const text = typeof said === "string" ? said : said.id == null ? "" : `task ${said.id}${said.note ? `: ${said.note}` : ""}`;
-    const long = text.length > 90 ? `${text.slice(0, 87)}...` : text;
-    (groups[kind + (long ? `: ${long}` : "")] ??= []).push(i);
+    const text = textOf(said);
+    const long = text.length > MAX_TEXT_LENGTH ? `${text.slice(0, MAX_TEXT_LENGTH - 3)}...` : text;
+    const group = long ? `${kind}: ${long}` : kind;
+    (groups[group] ??= []).push(i);
   }
   return Object.entries(groups).map(([said, ids]) => `${among(ids)} ${said}`).join("; ");
 }
@@ -37,36 +50,39 @@ function outcome({ answers }) {
 }
 
 export function told(receipt, answers) {
-  return `${MARKS[outcome(receipt)]} ${receipt.verb} ${receipt.words} → ${words(answers)}`.replace("  ", " ");
+  return `${OUTCOME_MARKS[outcome(receipt)]} ${receipt.verb} ${receipt.words} → ${words(answers)}`.replace("  ", " ");
 }
 
-// Until something else is commanded, or it is mended; number: of its receipt, -1 while one is missing, 0 of a refusal.
+// Show a failure until the next command, or until the failure is resolved.
+// number: the number of the receipt; -1 if the receipt is missing; 0 if the page or the server has refused the command
 function trouble(text, number = 0) {
   troubled = number;
   set(find("trouble"), text);
 }
 
 function verbOf({ ask, verb, clear }) {
-  if (ask === "stop") return clear ? CLEAR : STOP;
-  return ask === "order" ? verb : VERBS[ask];
+  if (ask === "stop") return clear ? CLEAR_VERB : STOP_VERB;
+  return ask === "order" ? verb : VERB_NAMES[ask];
 }
 
 function asked(message) {
   const verb = verbOf(message);
   if (verb || !troubled) trouble("");
-  if (!verb) return; // a drawing or a file, of which its own tab tells
+  if (!verb) return; // a drawing or a file: its own tab shows the result
   waiting = waiting.filter(({ late }) => !late);
-  const one = { verb, late: false, timer: setTimeout(() => doubt([one]), ANSWER) };
-  waiting.push(one);
-  set(find("newest"), `${MARKS.open} ${verb}: sent`);
+  const command = { verb, late: false, timer: setTimeout(() => doubt([command]), ANSWER_TIMEOUT) };
+  waiting.push(command);
+  set(find("newest"), `${OUTCOME_MARKS.open} ${verb}: sent`);
 }
 
-function doubt(ones) {
-  for (const one of ones) one.late = true;
+// Report that these commands have no receipt in time.
+function doubt(commands) {
+  for (const command of commands) command.late = true;
   const verbs = [...new Set(waiting.filter(({ late }) => late).map(({ verb }) => verb))].join(", ");
-  if (verbs) trouble(`${MARKS.bad} ${verbs}: no answer of this page's server; drones may not have heard it`, -1);
+  if (verbs) trouble(`${OUTCOME_MARKS.bad} ${verbs}: no answer of this page's server; the drones may not have received it`, -1);
 }
 
+// Remove the oldest waiting command with such a verb.
 function answered(is) {
   const k = waiting.findIndex(({ verb }) => is(verb));
   if (k < 0) return;
@@ -86,14 +102,15 @@ function list(items, receipt) {
 }
 
 function head(receipt) {
-  const { number, verb } = receipt, wrong = told(receipt, bad(receipt));
+  const { number, verb } = receipt;
+  const wrong = told(receipt, bad(receipt));
   if (outcome(receipt) !== "bad") {
     if (troubled === number) trouble("");
-  } else if (verb !== STOP && frames > 1 && raised !== number + wrong) {
+  } else if (verb !== STOP_VERB && frames > 1 && raised !== number + wrong) {
     raised = number + wrong;
     trouble(wrong, number);
   }
-  if (number === newest) set(find("newest"), verb === STOP ? "" : told(receipt, receipt.answers));
+  if (number === newest) set(find("newest"), verb === STOP_VERB ? "" : told(receipt, receipt.answers));
 }
 
 function receipts(items, changed) {
@@ -105,13 +122,14 @@ function receipts(items, changed) {
     list(items, receipt);
     head(receipt);
   }
-  while (items.children.length > 30) items.lastChild.remove();
+  while (items.children.length > MAX_RECEIPTS) items.lastChild.remove();
 }
 
-// All receipts that there are come on a new line.
+// Clear the list: the server sends all receipts again on a new line.
 function anew(items) {
   items.replaceChildren();
-  newest = frames = 0;
+  newest = 0;
+  frames = 0;
   set(find("newest"), "");
 }
 
@@ -119,7 +137,7 @@ function lost() {
   doubt(waiting);
   for (const { timer } of waiting) clearTimeout(timer);
   waiting = [];
-  set(find("newest"), "This page shows nothing new; a stop waits for the line.");
+  set(find("newest"), "No new data; a stop is sent when connected again.");
 }
 
 export function start() {
@@ -130,9 +148,9 @@ export function start() {
   on("asked", asked);
   on("connected", (there) => there || lost());
   on("refused", (why) => {
-    answered((verb) => verb !== STOP);
+    answered((verb) => verb !== STOP_VERB);
     set(find("newest"), "");
-    trouble(`${MARKS.bad} ${why}`);
-    items.prepend(make("li", { "data-outcome": "bad" }, `${MARKS.bad} ${why}`));
+    trouble(`${OUTCOME_MARKS.bad} ${why}`);
+    items.prepend(make("li", { "data-outcome": "bad" }, `${OUTCOME_MARKS.bad} ${why}`));
   });
 }

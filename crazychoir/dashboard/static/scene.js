@@ -1,15 +1,41 @@
-// The room in three dimensions: drones, trails, references, routes, graph, tasks, fence, and the path that is drawn.
+// Show the room in three dimensions: drones, trails, references, routes, communication graph, tasks, fence, and the planned
+// path.
 import { THREE, OrbitControls } from "/three/index.js";
 import { colour, on, seen, selected, tell } from "./line.js";
 
-const TRAIL = 120, TRAIL_S = 0.1, ARM = 0.13, LABELS = 40;
-let renderer, camera, controls, scene, host, drones, references, trails, edges, path, tasks, room;
-let labels = [], links = [], waiting = 0, trailed = 0, drawn = -1, looked = false, tasked = "null", apart, routes, routed = "{}", legs = [];
+const TRAIL_SEGMENTS = 120; // segments of a drone's trail
+const TRAIL_PERIOD = 0.1; // s between two segments of a trail
+const ARM_LENGTH = 0.13; // m, of the shape that shows a drone
+const SCENE_TEXT = "The room from above and from the side: drones, trails, routes, fence, tasks. The table shows the same in words.";
+const MAX_LABELS = 40; // drones, or tasks; of more none has a label
+let renderer;
+let camera;
+let controls;
+let scene;
+let host;
+let drones;
+let references;
+let trails;
+let edges;
+let path;
+let tasks;
+let room;
+let routes;
+let labels = []; // of the drones
+let links = []; // edges of the graph: {ends, name}
+let legs = []; // of the routes: {k, first, count}
+let waiting = 0; // id of the next animation frame; 0: none is requested
+let trailed = 0; // segments that each trail has had
+let drawn = -1; // s, when the last segment was added
+let looked = false; // whether the camera has been placed
+let tasked = "null"; // the tasks that are shown, as JSON
+let routed = "{}"; // the routes that are shown, as JSON
+let apart; // colour of an edge between drones that do not hear each other
 
 const at = (rows, k, c) => rows[k * seen.about.columns + c];
 const lines = (material) => unbounded(new THREE.LineSegments(new THREE.BufferGeometry(), material));
 
-// Always drawn: its places change, and some are NaN, so nothing may be computed of its bounds.
+// Exempt an object from frustum culling: its positions change and some are NaN, so its bounds cannot be computed.
 function unbounded(object) {
   object.frustumCulled = false;
   object.geometry.boundingSphere = new THREE.Sphere();
@@ -17,7 +43,7 @@ function unbounded(object) {
 }
 
 function body() {
-  const boxes = [[2 * ARM, 0.03, 0.03, 0], [2 * ARM, 0.03, 0.03, Math.PI / 2], [0.09, 0.06, 0.06, Math.PI / 4]];
+  const boxes = [[2 * ARM_LENGTH, 0.03, 0.03, 0], [2 * ARM_LENGTH, 0.03, 0.03, Math.PI / 2], [0.09, 0.06, 0.06, Math.PI / 4]];
   const parts = boxes.map(([x, y, z, turn]) => new THREE.BoxGeometry(x, y, z).rotateZ(turn + Math.PI / 4).toNonIndexed());
   const merged = new THREE.BufferGeometry();
   for (const name of ["position", "normal"]) {
@@ -29,7 +55,8 @@ function body() {
 
 function label(text, size = 0.28) {
   const canvas = document.createElement("canvas");
-  canvas.width = canvas.height = 64;
+  canvas.width = 64;
+  canvas.height = 64;
   const pen = canvas.getContext("2d");
   pen.font = `bold ${Math.min(40, 100 / text.length)}px system-ui`;
   pen.textAlign = "center";
@@ -70,7 +97,7 @@ function build(about) {
   references = unbounded(new THREE.Points(new THREE.BufferGeometry(), new THREE.PointsMaterial({ size: 0.06, color: colour("--warn") })));
   references.geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(3 * n), 3));
   trails = lines(new THREE.LineBasicMaterial({ color: colour("--accent"), transparent: true, opacity: 0.5 }));
-  trails.geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(6 * n * TRAIL), 3));
+  trails.geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(6 * n * TRAIL_SEGMENTS), 3));
   edges = lines(new THREE.LineBasicMaterial({ vertexColors: true }));
   edges.geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(6 * about.edges.length), 3));
   edges.geometry.setAttribute("color", new THREE.BufferAttribute(new Float32Array(6 * about.edges.length), 3));
@@ -81,20 +108,21 @@ function build(about) {
   routes = lines(new THREE.LineDashedMaterial({ vertexColors: true, dashSize: 0.12, gapSize: 0.08 }));
   legs = [];
   scene.add(references, trails, edges, path, tasks, routes);
-  if (n <= LABELS) {
+  if (n <= MAX_LABELS) {
     labels = about.ids.map((i) => label(String(i)));
     scene.add(...labels);
   }
   looked = false;
 }
 
-// From where all drones are seen well: once, when they are first heard.
+// Place the camera where all drones are well in view. Repeat it until a position of every drone is known.
 function look(about, rows) {
   const spots = about.ids.map((i, k) => [at(rows, k, 0), at(rows, k, 1)]).filter((spot) => spot.every(Number.isFinite));
   if (!spots.length) return;
   const low = [0, 1].map((c) => Math.min(...spots.map((spot) => spot[c])));
   const high = [0, 1].map((c) => Math.max(...spots.map((spot) => spot[c])));
-  const x = (low[0] + high[0]) / 2, y = (low[1] + high[1]) / 2;
+  const x = (low[0] + high[0]) / 2;
+  const y = (low[1] + high[1]) / 2;
   const reach = Math.max(3.5, 1.2 * Math.hypot(high[0] - low[0], high[1] - low[1]));
   camera.position.set(x, y - reach, about.ground + 0.3 + 0.8 * reach);
   controls.target.set(x, y, about.ground + 0.4);
@@ -102,19 +130,30 @@ function look(about, rows) {
   looked = spots.length === about.ids.length;
 }
 
+// Return the colour of drone i, which has row k.
 function tint(i, k, rows) {
   const drone = seen.drones[k];
   if (!drone?.heard || !(at(rows, k, 13) < 1)) return colour("--faint");
   if (drone.phase === "stopped" || drone.gone.length) return colour("--bad");
-  return colour(selected.has(i) ? "--warn" : drone.phase === "on ground" ? "--rest" : "--accent");
+  if (selected.has(i)) return colour("--warn");
+  return colour(drone.phase === "on ground" ? "--rest" : "--accent");
 }
 
-const matrix = new THREE.Matrix4(), turn = new THREE.Quaternion(), where = new THREE.Vector3(), paint = new THREE.Color();
-const unit = new THREE.Vector3(1, 1, 1), none = new THREE.Matrix4().makeScale(0, 0, 0);
+// Objects that are reused in every frame.
+const matrix = new THREE.Matrix4();
+const turn = new THREE.Quaternion();
+const where = new THREE.Vector3();
+const paint = new THREE.Color();
+const unit = new THREE.Vector3(1, 1, 1);
+const none = new THREE.Matrix4().makeScale(0, 0, 0);
 
-// Drawn when the browser draws, so that a slow one draws less often instead of later and later.
+// Request a redraw at the browser's next animation frame, so that a slow browser draws less often and does not fall behind.
 function soon() {
-  if (!waiting) waiting = requestAnimationFrame(() => { waiting = 0; show(seen); });
+  if (waiting) return;
+  waiting = requestAnimationFrame(() => {
+    waiting = 0;
+    show(seen);
+  });
 }
 
 function show({ about, rows }) {
@@ -134,23 +173,25 @@ function show({ about, rows }) {
   drones.instanceMatrix.needsUpdate = true;
   if (drones.instanceColor) drones.instanceColor.needsUpdate = true;
   references.geometry.attributes.position.needsUpdate = true;
-  if (seen.at - drawn >= TRAIL_S || seen.at < drawn) trail(about, rows);
+  if (seen.at - drawn >= TRAIL_PERIOD || seen.at < drawn) trail(about, rows);
   connectEdges(rows);
   if (legs.length) leave(about, rows, repaint);
   renderer.render(scene, camera);
 }
 
-// Rings of segments, from where a drone was when the last one was added.
-const last = new Map();
+const last = new Map(); // by drone: its position when the last segment was added
 
+// Add a segment to each trail, in place of its oldest segment.
 function trail(about, rows) {
   drawn = seen.at;
-  const points = trails.geometry.attributes.position, slot = trailed++ % TRAIL;
+  const points = trails.geometry.attributes.position;
+  const slot = trailed % TRAIL_SEGMENTS;
+  trailed += 1;
   about.ids.forEach((i, k) => {
     const now = [at(rows, k, 0), at(rows, k, 1), at(rows, k, 2)];
     const before = last.get(i) ?? now;
     const ends = now.every(Number.isFinite) ? [...before, ...now] : new Array(6).fill(NaN);
-    points.array.set(ends, 6 * (k * TRAIL + slot));
+    points.array.set(ends, 6 * (k * TRAIL_SEGMENTS + slot));
     last.set(i, now);
   });
   points.needsUpdate = true;
@@ -170,10 +211,12 @@ function connectEdges(rows) {
       color.setXYZ(2 * e + end, paint.r, paint.g, paint.b);
     });
   });
-  position.needsUpdate = color.needsUpdate = true;
+  position.needsUpdate = true;
+  color.needsUpdate = true;
 }
 
-// Each drone's route: segments from stop to stop; legs: the drone, the first segment, and the number of segments.
+// Build the routes of all drones: segments from stop to stop. A leg holds the index of the drone, the first vertex of its
+// route, and the number of its segments.
 function showRoutes(told) {
   const text = JSON.stringify(told);
   if (text === routed) return;
@@ -193,7 +236,7 @@ function showRoutes(told) {
   soon();
 }
 
-// Routes begin where their drones are, and have their colours.
+// Move the start of each route to its drone, and give the route the colour of the drone.
 function leave(about, rows, repaint) {
   const { position, color } = routes.geometry.attributes;
   for (const { k, first, count } of legs) {
@@ -202,7 +245,8 @@ function leave(about, rows, repaint) {
     for (let end = first; repaint && end < first + 2 * count; end++) color.setXYZ(end, paint.r, paint.g, paint.b);
   }
   routes.computeLineDistances();
-  position.needsUpdate = color.needsUpdate = true;
+  position.needsUpdate = true;
+  color.needsUpdate = true;
 }
 
 export function showPaths(paths) {
@@ -213,7 +257,8 @@ export function showPaths(paths) {
   unbounded(path);
 }
 
-const TINTS = { open: "--warn", aboard: "--accent", delivered: "--good", done: "--good", cancelled: "--faint", lost: "--bad" };
+// Colours of the tasks, by fate.
+const FATE_COLOURS = { open: "--warn", aboard: "--accent", delivered: "--good", done: "--good", cancelled: "--faint", lost: "--bad" };
 
 function showTasks(list) {
   const text = JSON.stringify(list);
@@ -224,14 +269,14 @@ function showTasks(list) {
   const z = seen.about.ground + 0.02;
   for (const task of list) {
     const spots = task.delivery ? [task.pickup, task.delivery] : [task.pickup];
-    const material = new THREE.MeshBasicMaterial({ color: colour(TINTS[task.fate] ?? "--warn") });
+    const material = new THREE.MeshBasicMaterial({ color: colour(FATE_COLOURS[task.fate] ?? "--warn") });
     spots.forEach((spot, end) => {
       const shape = end ? new THREE.BoxGeometry(0.14, 0.14, 0.02) : new THREE.CylinderGeometry(0.08, 0.08, 0.02).rotateX(Math.PI / 2);
       const mark = new THREE.Mesh(shape, material);
       mark.position.set(...spot, z);
       const name = label(String(task.id), 0.35);
       name.position.set(spot[0], spot[1], z + 0.15);
-      tasks.add(mark, ...(list.length <= LABELS ? [name] : []));
+      tasks.add(mark, ...(list.length <= MAX_LABELS ? [name] : []));
     });
     if (spots.length > 1) {
       const shape = new THREE.BufferGeometry().setFromPoints(spots.map((spot) => new THREE.Vector3(...spot, z)));
@@ -240,9 +285,11 @@ function showTasks(list) {
   }
 }
 
+// Return the point of the floor at the pointer, (2,) m; null if there is none.
 function floor(event) {
   const area = renderer.domElement.getBoundingClientRect();
-  const x = (2 * (event.clientX - area.left)) / area.width - 1, y = 1 - (2 * (event.clientY - area.top)) / area.height;
+  const x = (2 * (event.clientX - area.left)) / area.width - 1;
+  const y = 1 - (2 * (event.clientY - area.top)) / area.height;
   const ray = new THREE.Raycaster();
   ray.setFromCamera(new THREE.Vector2(x, y), camera);
   const hit = ray.ray.intersectPlane(new THREE.Plane(new THREE.Vector3(0, 0, 1), -seen.about.ground), new THREE.Vector3());
@@ -253,7 +300,7 @@ export function start(element) {
   host = element;
   renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true });
   renderer.domElement.setAttribute("role", "img");
-  renderer.domElement.setAttribute("aria-label", "The room from above and aside: drones, trails, routes, fence, tasks. The table says the same in words.");
+  renderer.domElement.setAttribute("aria-label", SCENE_TEXT);
   host.append(renderer.domElement);
   scene = new THREE.Scene();
   camera = new THREE.PerspectiveCamera(50, 1, 0.05, 500);

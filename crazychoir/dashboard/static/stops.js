@@ -1,47 +1,59 @@
-// Stops: one that was pressed is kept until its receipt comes, and sent first on a new line; and the header's line of those
-// in force: what drones say, wherever they were stopped from, and who has not obeyed a stop of this server yet.
+// Keep each stop that the operator presses until its receipt arrives, and send it first on a new line. Show in the header the
+// stops in force, as the drones report them, and the drones that have not obeyed a stop of this server yet.
 import { ask, isOpen, on, seen, send } from "./line.js";
-import { STOP, among, told } from "./receipts.js";
+import { STOP_VERB, among, told } from "./receipts.js";
 import { set } from "./table.js";
 
-const LOOK = 250, AGAIN = 1000; // ms between two looks; between two times that a stop is sent on a line
-// ms: thrice what a new line takes. Later, somebody else may have stopped and cleared, and drones may have taken off anew.
-const OLD = 30000;
-const LINGERS = 4; // tables of drones: until then they say themselves what they have obeyed
+const LOOK_PERIOD = 250; // ms between two checks of the kept stops
+const RESEND_PERIOD = 1000; // ms between two sendings of a stop on the same line
+// Three times as long as a new line takes. After a longer time another operator may have stopped the drones and cleared the
+// stop, and the drones may fly again: the page then asks before it sends the stop.
+const MAX_STOP_AGE = 30000; // ms
+const LINGER_TABLES = 4; // tables of drones for which an obeyed stop is still shown; by then the drones report it themselves
 const find = (id) => document.getElementById(id);
-const kept = new Map(); // by key: drones (null: all), when it was pressed and sent, on which line
-const open = new Map(); // receipts, by number: those that some have not obeyed, or all have just now
-let lines = 0, connected = false;
+const kept = new Map(); // by key: drones (null: all), ms when the stop was pressed and sent, number of the line
+const open = new Map(); // receipts by number: stops that a drone has not obeyed yet, or that were obeyed just now
+let lines = 0; // opened by this page
+let connected = false;
 
-// The server takes a key once: a stop that is sent again does not stop who was cleared meanwhile.
+// Keep and send a stop. The server accepts each key once, so a stop that is sent again does not stop drones that were cleared
+// in between.
 export function press(drones) {
-  if (!drones) kept.clear(); // it is for theirs, too
+  if (!drones) kept.clear(); // a stop of all drones includes the kept stops
   const key = `${Date.now().toString(36)}-${Math.random().toString(36).slice(2)}`;
   kept.set(key, { drones, pressed: Date.now(), sent: 0, line: 0 });
   look();
 }
 
-const isOld = ({ pressed }) => Date.now() - pressed > OLD;
+const isOld = ({ pressed }) => Date.now() - pressed > MAX_STOP_AGE;
 
 function sendKept() {
   if (!isOpen()) return;
-  for (const [key, one] of kept) {
-    if (isOld(one) || (one.line === lines && Date.now() - one.sent < AGAIN)) continue;
-    const message = { ask: "stop", key, ...(one.drones && { drones: one.drones }) };
-    if (one.line === lines) send(JSON.stringify(message));
+  for (const [key, stop] of kept) {
+    const isJustSent = stop.line === lines && Date.now() - stop.sent < RESEND_PERIOD;
+    if (isOld(stop) || isJustSent) continue;
+    const message = { ask: "stop", key, ...(stop.drones && { drones: stop.drones }) };
+    if (stop.line === lines) send(JSON.stringify(message));
     else ask(message);
-    one.sent = Date.now();
-    one.line = lines;
+    stop.sent = Date.now();
+    stop.line = lines;
   }
 }
 
+// Return the drones that these stops address, as text.
+function names(stops) {
+  if (stops.some(({ drones }) => !drones)) return "ALL";
+  return [...new Set(stops.flatMap(({ drones }) => drones))].join(", ");
+}
+
+// Send the kept stops, and show in the header what they wait for.
 function look() {
   sendKept();
-  const ones = [...kept.values()], old = ones.filter(isOld);
-  const who = (these) => (these.some(({ drones }) => !drones) ? "ALL" : [...new Set(these.flatMap(({ drones }) => drones))].join(", "));
-  if (old.length) say(`STOP ${who(old)}, more than ${OLD / 1000} s ago: no drone has answered. Send it now?`);
-  else if (ones.length && !(connected && isOpen())) say(`STOP ${who(ones)}: will be sent when connected`);
-  else if (ones.some(({ pressed }) => Date.now() - pressed > AGAIN)) say(`STOP ${who(ones)}: sent again until it is answered`);
+  const stops = [...kept.values()];
+  const old = stops.filter(isOld);
+  if (old.length) say(`STOP ${names(old)}, more than ${MAX_STOP_AGE / 1000} s ago: no drone has answered. Send it now?`);
+  else if (stops.length && !(connected && isOpen())) say(`STOP ${names(stops)}: will be sent when connected`);
+  else if (stops.some(({ pressed }) => Date.now() - pressed > RESEND_PERIOD)) say(`STOP ${names(stops)}: sent again until it is answered`);
   else say("");
   find("kept-send").hidden = !old.length;
 }
@@ -54,17 +66,21 @@ function say(text) {
 function receipts(changed) {
   for (const receipt of changed) {
     if (receipt.key) kept.delete(receipt.key);
-    if (receipt.verb !== STOP) continue;
+    if (receipt.verb !== STOP_VERB) continue;
     const late = Object.values(receipt.answers).some(([kind]) => kind === "sent" || kind === "silent");
-    if (late || open.has(receipt.number)) open.set(receipt.number, { receipt, looks: late ? Infinity : LINGERS });
+    if (late || open.has(receipt.number)) open.set(receipt.number, { receipt, looks: late ? Infinity : LINGER_TABLES });
   }
   look();
   inForce();
 }
 
+// Show the stops in force.
 function inForce() {
-  const heard = seen.drones.filter((drone) => drone.heard), ids = (which) => heard.filter(which).map(({ id }) => id);
-  const held = ids(({ stopped }) => stopped), off = ids(({ phase }) => phase === "stopped"), parts = [];
+  const heard = seen.drones.filter((drone) => drone.heard);
+  const ids = (which) => heard.filter(which).map(({ id }) => id);
+  const held = ids(({ stopped }) => stopped);
+  const off = ids(({ phase }) => phase === "stopped");
+  const parts = [];
   if (held.length) parts.push(`emergency stop of the swarm in force: ${among(held)} may not take off`);
   if (off.length) parts.push(`motors off: ${among(off)}`);
   for (const { receipt } of open.values()) parts.push(told(receipt, receipt.answers));
@@ -72,7 +88,10 @@ function inForce() {
 }
 
 function drones() {
-  for (const [number, one] of open) if (--one.looks < 0) open.delete(number);
+  for (const [number, shown] of open) {
+    shown.looks -= 1;
+    if (shown.looks < 0) open.delete(number);
+  }
   inForce();
 }
 
@@ -94,8 +113,8 @@ export function start() {
     look();
   });
   find("kept-send").addEventListener("click", () => {
-    for (const one of kept.values()) one.pressed = Date.now();
+    for (const stop of kept.values()) stop.pressed = Date.now();
     look();
   });
-  setInterval(look, LOOK);
+  setInterval(look, LOOK_PERIOD);
 }

@@ -1,12 +1,15 @@
-// The drones in words: a table with a box to choose each; the log.
+// Show the drones in a table with a box to select each, and the log.
 import { chosen, on, seen, select, selected } from "./line.js";
 
-const SIMULATED = "what the simulated network has lost of its messages to other drones; no measure of a real network";
-const RADIO = "its link, the strength of its signal, and the share of radio packets that it has answered: measured";
-const COLUMNS = [
+const LOSS_TITLE = "share of the drone's messages to other drones that the simulated network has lost; not measured on a real network";
+const RADIO_TITLE = "radio link, signal strength, and share of radio packets that the drone has answered, all measured";
+const MAX_LOG_LINES = 500;
+const MAX_LISTED_SELECTION = 12; // of a longer selection only the number is shown
+// Each column: its name, its text for a drone, and its explanation.
+const TABLE_COLUMNS = [
   ["drone", (d) => d.id], ["phase", (d) => (d.heard ? d.phase : "not heard")], ["task", (d) => d.task],
   ["battery", (d) => unit(d.battery, "V")], ["latency", (d) => (d.latency == null ? "" : `${Math.round(1000 * d.latency)} ms`)],
-  ["radio", radio, RADIO], ["simulated loss", (d) => `${Math.round(100 * d.lost)} %`, SIMULATED],
+  ["radio", radio, RADIO_TITLE], ["simulated loss", (d) => `${Math.round(100 * d.lost)} %`, LOSS_TITLE],
   ["pose age", (d) => unit(d.age, "s")], ["round", (d) => d.round], ["cost", (d) => d.cost ?? ""],
   ["runs at", (d) => `${d.host} ${d.process}`], ["note", (d) => d.note],
 ];
@@ -35,13 +38,14 @@ export function set(element, text) {
 function build(table, about) {
   const all = make("input", { type: "checkbox", "aria-label": "all drones" });
   all.addEventListener("change", () => select(all.checked ? about.ids : []));
-  const head = make("tr", {}, make("th", { scope: "col" }, all), ...COLUMNS.map(([name, , title]) => make("th", { scope: "col", ...(title && { title }) }, name)));
+  const heads = TABLE_COLUMNS.map(([name, , title]) => make("th", { scope: "col", ...(title && { title }) }, name));
+  const head = make("tr", {}, make("th", { scope: "col" }, all), ...heads);
   body = make("tbody");
   rows.clear();
   for (const i of about.ids) {
     const box = make("input", { type: "checkbox", "aria-label": `drone ${i}` });
     box.addEventListener("change", () => select(box.checked ? [...selected, i] : [...selected].filter((j) => j !== i)));
-    const cells = COLUMNS.map(([name], c) => make(c ? "td" : "th", c ? { "data-of": name } : { scope: "row" }));
+    const cells = TABLE_COLUMNS.map(([name], c) => make(c ? "td" : "th", c ? { "data-of": name } : { scope: "row" }));
     const row = make("tr", { "data-drone": i }, make("td", {}, box), ...cells);
     rows.set(i, { row, box, cells });
     body.append(row);
@@ -55,25 +59,27 @@ function fill(drones) {
     const { row, cells } = rows.get(drone.id) ?? {};
     if (!row) continue;
     row.dataset.phase = drone.heard ? drone.phase : "not heard";
-    COLUMNS.forEach(([, text], c) => set(cells[c], text(drone)));
+    TABLE_COLUMNS.forEach(([, text], c) => set(cells[c], text(drone)));
   }
 }
 
-const LEVELS = ["info", "warning", "error"];
+const LOG_LEVELS = ["info", "warning", "error"]; // in increasing severity
 
-// The time of day, by this browser, of a moment of the server's clock.
+// Return the time of day in this browser for a time of the server's clock.
+// t: s
+// latest: s, time of the newest log line, used before the first frame
 function moment(t, latest) {
   return new Date(Date.now() - 1000 * ((seen.at || latest) - t)).toLocaleTimeString("en-GB");
 }
 
 function log(list, level, lines) {
   for (const line of lines) {
-    const who = line.drone == null ? "" : `drone ${line.drone}: `;
-    const item = make("li", { "data-level": line.level }, `${moment(line.t, lines.at(-1).t)} ${line.level} ${who}${line.text}`);
-    item.hidden = LEVELS.indexOf(line.level) < LEVELS.indexOf(level.value);
+    const origin = line.drone == null ? "" : `drone ${line.drone}: `;
+    const item = make("li", { "data-level": line.level }, `${moment(line.t, lines.at(-1).t)} ${line.level} ${origin}${line.text}`);
+    item.hidden = LOG_LEVELS.indexOf(line.level) < LOG_LEVELS.indexOf(level.value);
     list.prepend(item);
   }
-  while (list.children.length > 500) list.lastChild.remove();
+  while (list.children.length > MAX_LOG_LINES) list.lastChild.remove();
 }
 
 export function start({ table, lines, level, caption }) {
@@ -86,10 +92,12 @@ export function start({ table, lines, level, caption }) {
       box.checked = selected.has(i);
       row.toggleAttribute("data-selected", box.checked);
     }
-    set(caption, ids ? `for drone ${ids.length > 12 ? `s: ${ids.length} of them` : ids.join(", ")}` : "for all drones");
+    if (!ids) set(caption, "for all drones");
+    else if (ids.length > MAX_LISTED_SELECTION) set(caption, `for ${ids.length} drones`);
+    else set(caption, `for drone ${ids.join(", ")}`);
   });
   level.addEventListener("change", () => {
-    for (const item of lines.children) item.hidden = LEVELS.indexOf(item.dataset.level) < LEVELS.indexOf(level.value);
+    for (const item of lines.children) item.hidden = LOG_LEVELS.indexOf(item.dataset.level) < LOG_LEVELS.indexOf(level.value);
   });
   set(caption, chosen() ?? "for all drones");
 }

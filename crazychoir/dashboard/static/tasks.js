@@ -1,11 +1,12 @@
-// Tasks: added by clicks on the floor or by numbers, listed, cancelled; and goals that are clicked.
+// Add tasks by clicks on the floor or by numbers, list and cancel them, and set goals by clicks.
 import { numbers } from "./canvas.js";
 import { ask, on } from "./line.js";
 import { make } from "./table.js";
 
 const find = (id) => document.getElementById(id);
 const set = (id, value) => (find(id).value = value);
-let pickup = null, shown = "";
+let pickup = null; // (2,) m, clicked; its delivery place is not clicked yet
+let shown = ""; // the tasks that are listed, as JSON
 
 export const tasks = {
   add: () => {
@@ -27,7 +28,7 @@ function clicked([x, y]) {
     pickup = [x, y];
     set("pickup_x", x);
     set("pickup_y", y);
-    if (find("task_kind").value === "two") return said(`pickup at ${x}, ${y} m: now click where it is to be`);
+    if (find("task_kind").value === "two") return said(`pickup at ${x}, ${y} m: now click the delivery place`);
   } else {
     set("delivery_x", x);
     set("delivery_y", y);
@@ -41,7 +42,7 @@ function said(text) {
 }
 
 function list(known) {
-  if (!known) return said("This mission has no tasks that could be added.");
+  if (!known) return said("Tasks cannot be added to this mission.");
   const text = JSON.stringify(known);
   if (text === shown) return;
   shown = text;
@@ -49,8 +50,8 @@ function list(known) {
   if (!pickup) said(`${known.length} tasks, ${open} to do`);
   find("tasks").replaceChildren(...known.map((task) => {
     const ways = [task.pickup, task.delivery].filter(Boolean).map((spot) => spot.map((x) => x.toFixed(2)).join(", ")).join(" → ");
-    const who = task.robot == null ? "" : ` drone ${task.robot}`;
-    const item = make("li", { "data-task": task.id }, `task ${task.id}: ${ways} m, load ${task.load}: ${task.fate}${who} `);
+    const robot = task.robot == null ? "" : ` drone ${task.robot}`;
+    const item = make("li", { "data-task": task.id }, `task ${task.id}: ${ways} m, load ${task.load}: ${task.fate}${robot} `);
     if (task.fate === "open") {
       const cancel = make("button", { "aria-label": `cancel task ${task.id}` }, "cancel");
       cancel.addEventListener("click", () => ask({ ask: "cancel-task", id: task.id }));
