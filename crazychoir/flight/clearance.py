@@ -274,7 +274,7 @@ class Clearance:
 
     @property
     def silent(self) -> str:
-        """Text that names the drone whose missing answer delays this one; empty if there is none."""
+        """Text that names the drone with the missing answer that delays this drone; empty if there is none."""
         mine = None if self.planned is None else self.planned.agreement
         return (
             ""

@@ -78,7 +78,7 @@ def require_path(where: str, t: Vec, path: Mat, guard: Guard, planar: bool) -> N
 
 
 def require_trajectory(where: str, trajectory: object) -> Trajectory:
-    """Return a trajectory whose set-points kernels can take.
+    """Return a trajectory with set-points that kernels can take.
 
     A trajectory of this package returns such set-points, and is returned as it is. A user's
     trajectory is returned as a CheckedTrajectory.
@@ -134,7 +134,7 @@ def require_setpoint(found: object, t: float) -> FullState:
 
 
 class CheckedTrajectory:
-    """A user's trajectory whose set-points are converted, or refused, as they are sampled."""
+    """A user's trajectory: its set-points are converted, or refused, as they are sampled."""
 
     def __init__(self, trajectory: Trajectory) -> None:
         self._trajectory = trajectory

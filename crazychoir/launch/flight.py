@@ -403,7 +403,7 @@ def mark_operator_ends(results: Results) -> Results:
 def excuse_operator_ends(
     off: Mapping[int, object], ended: Mapping[int, str]
 ) -> tuple[bool, dict[int, object], dict[int, str]]:
-    """Excuse the failures of drones whose missions the operator has ended.
+    """Excuse the failures of drones, where the operator has ended their missions.
 
     off: {drone id: reason} of the mission's report, for each drone that failed
     ended: {drone id: text that says how the operator has ended its mission}

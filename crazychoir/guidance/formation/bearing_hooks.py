@@ -79,7 +79,7 @@ class BearingOptions(LeaderOptions, frozen=True, kw_only=True):
 
 
 class BearingHooks(FormationHooks[BearingOptions]):
-    """The hooks of a formation whose followers find their places from bearings."""
+    """The hooks of a formation in which followers find their places from bearings."""
 
     def law(self, config: SwarmConfig) -> BearingLaw:
         """Return the law with its gains.

@@ -33,7 +33,7 @@ class DistanceOptions(LeaderOptions, frozen=True, kw_only=True):
 
 
 class DistanceHooks(FormationHooks[DistanceOptions]):
-    """The hooks of a formation whose followers keep given distances to their neighbours."""
+    """The hooks of a formation in which followers keep given distances to their neighbours."""
 
     def shape(self, config: SwarmConfig) -> dict[int, Vec]:
         """Return {id: (3,) m}, the shape of the mission options, or the homes."""

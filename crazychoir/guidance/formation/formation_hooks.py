@@ -26,7 +26,7 @@ class Follower(CFDistributedFeedback):
 
 
 class FormationHooks(Generic[Options]):
-    """The hooks of a formation whose leaders stand still or fly a path.
+    """The hooks of a formation in which leaders stand still or fly a path.
 
     options: the table of [mission_options].
     """

@@ -182,7 +182,7 @@ def _insert_plane(
 
 @kernel(forceinline=True)
 def _find_drone_in_the_way(planes: Vec, near: Vec, count: int, u: Triple) -> float:
-    """Return the row of the nearest drone whose half space does not contain u, -1 without one.
+    """Return the row of the nearest drone with a half space that does not contain u, -1 without one.
 
     planes: (., 4): the half spaces, from row 6 on
     near: (MOST_NEIGHBOURS, 2): as in `_insert_plane`
