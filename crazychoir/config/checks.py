@@ -775,7 +775,7 @@ def _check_bursts(swarm: Swarm, where: str) -> None:
                 f"{where}: {key}.burst",
                 link.burst,
                 "with a loss beside it",
-                "Add loss, or remove burst.",
+                "Add loss (0 for none), or remove burst.",
                 "no loss is given",
             )
 

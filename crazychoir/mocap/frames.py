@@ -64,7 +64,6 @@ class PoseFrame:
         A name of `doubled` is written as two bodies without a pose, so that the receiver finds it
         doubled too.
 
-
         Raises CodecError for too many bodies or too long a name.
         """
         rows = [*self.bodies.items()]

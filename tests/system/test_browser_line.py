@@ -366,6 +366,12 @@ async def test_sliders_show_what_is_in_force_for_the_chosen_and_send_it_as_often
             }
         }
         await page.wait_for_function(SLIDERS + " === '25 0'")
+        bursts_of_one = {"drone": 2, "p_good_bad": 0.1, "p_bad_good": 0.1}
+        wire.news = {
+            "network": {"rules": [{"loss": 0.3}, bursts_of_one], "words": "both"}
+        }
+        await page.wait_for_function(SLIDERS + " === '50 0'")
+        assert await page.is_checked('input[aria-label="drone 2"]')
 
 
 SLIDERS = "`${document.getElementById('loss').value} ${document.getElementById('delay').value}`"

@@ -76,7 +76,10 @@ LAYOUT_FILES = {
 """Files that may set several constants in one statement."""
 BRANCHING = 'def f(a: int) -> None:\n    """F."""\n' + 12 * "    if a:\n        a = 1\n"
 """A function with thirteen ways through it."""
-EXCUSES = re.compile(r"#\s*(?:noqa:.*\bC901\b|fmt:\s*(?:skip|off)\b)", re.IGNORECASE)
+EXCUSES = re.compile(
+    r"#\s*(?:ruff:\s*)?noqa(?!:)|#\s*(?:ruff:\s*)?noqa:.*\bC901\b|#\s*(?:fmt|yapf):\s*(?:skip|off|disable)\b",
+    re.IGNORECASE,
+)
 """Comments that take a function off the limit of branches, or a line off the formatter."""
 FENCED = re.compile(r"^```.*?^```|`[^`\n]*`", re.DOTALL | re.MULTILINE)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
@@ -743,7 +746,17 @@ def test_no_line_is_excused_from_layout_or_branches(repository):
 
 @pytest.mark.parametrize(
     "comment",
-    ["noqa: C901", "noqa: E501, C901", "fmt: skip", "fmt: off", "fmt:skip"],
+    [
+        "noqa",
+        "ruff: noqa",
+        "ruff: noqa: C901",
+        "noqa: C901",
+        "noqa: E501, C901",
+        "fmt: skip",
+        "fmt: off",
+        "fmt:skip",
+        "yapf: disable",
+    ],
 )
 def test_excuses_are_found(tmp_path, comment):
     (tmp_path / "agents").mkdir()

@@ -59,7 +59,9 @@ class EdgeEffects:
 
 
 LOSS_EFFECTS = ("loss", "p_good_bad", "p_bad_good", "loss_bad")
-"""Effects that are one model of loss: a rule with one of them replaces all of another rule."""
+"""Effects that make one model of loss: independent losses, or a chain with bursts."""
+NEW_LOSS_EFFECTS = ("loss", "p_good_bad")
+"""Effects with which a rule begins a loss model of its own."""
 
 
 @dataclass(frozen=True)
@@ -67,8 +69,8 @@ class ImpairmentRule:
     """Effects on all edges, on those of one drone, or on one edge.
 
     If several rules cover an edge, a directed edge wins over an edge, an edge over a drone, and a
-    drone over all. Among equals the later rule wins. The loss model of a rule replaces that of a
-    weaker rule as a whole.
+    drone over all. Among equals the later rule wins. A rule with a loss, or with a chain that turns
+    bad, replaces the loss model of the rules that it wins over as a whole.
     Raises ConfigError for wrong values.
     """
 
@@ -184,7 +186,7 @@ def effects_on_edge(
     for rule in sorted(rules, key=lambda rule: rule.rank):
         if not rule.covers(source, destination):
             continue
-        if any(name in rule.effects for name in LOSS_EFFECTS):
+        if any(name in rule.effects for name in NEW_LOSS_EFFECTS):
             effects = {
                 name: value
                 for name, value in effects.items()

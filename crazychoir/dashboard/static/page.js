@@ -49,8 +49,14 @@ function simulated(rules, drones) {
     if (edge) return 2;
     return drone != null ? 1 : 0;
   };
-  const { loss, delay, p_good_bad: worse, p_bad_good: better } = Object.assign({},
-    ...rules.filter(covers).sort((one, other) => rank(one) - rank(other)));
+  let effects = {};
+  for (const rule of rules.filter(covers).sort((one, other) => rank(one) - rank(other))) {
+    if ("loss" in rule || "p_good_bad" in rule) { // a new model of loss replaces the old one as a whole
+      effects = { delay: effects.delay };
+    }
+    Object.assign(effects, rule);
+  }
+  const { loss, delay, p_good_bad: worse, p_bad_good: better } = effects;
   return { loss: loss ?? (worse ? worse / (worse + better) : 0), delay: delay ?? 0 };
 }
 

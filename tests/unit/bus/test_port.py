@@ -10,8 +10,11 @@ from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
 from crazychoir.bus.port import PORT_ADDRESSES, Bus, Interest
 from crazychoir.bus.topics import (
+    ALL_TOPICS,
     DRONE_TOPICS,
     MESSAGE_TOPICS,
+    TOPIC_BY_NAME,
+    TOPIC_BY_NUMBER,
 )
 from crazychoir.runtime.mailbox import Latest
 from crazychoir.types import FPQR, FRPY, XYZ, FullState, Pose, State, Status, Vel
@@ -536,3 +539,8 @@ async def test_a_command_reader_gets_each_type_of_command(clock):
         heard = box.peek()
         assert type(heard) is type(command)
         assert heard.flat.tolist() == command.flat.tolist()
+
+
+def test_each_topic_has_a_number_and_a_name_of_its_own():
+    assert len(TOPIC_BY_NUMBER) == len(ALL_TOPICS)
+    assert len(TOPIC_BY_NAME) == len(ALL_TOPICS)

@@ -335,7 +335,8 @@ CASES = {
     "burst without a loss": (
         "",
         "[[network.edges]]\nsource = 0\nburst = 3",
-        "x.toml: network.edges[0].burst = 3.0: no loss is given; with a loss beside it. Add loss, or remove burst.",
+        "x.toml: network.edges[0].burst = 3.0: no loss is given; with a loss beside it. "
+        "Add loss (0 for none), or remove burst.",
     ),
     "link without ends": (
         "",

@@ -82,6 +82,15 @@ def test_a_new_loss_of_an_edge_replaces_the_bursts_of_the_running_network():
     assert effects_on_edge(running.rules, 1, 0).p_bad_good == 0.2
 
 
+def test_an_effect_that_is_unset_gives_way_to_the_rule_for_all():
+    running = Impairment(0, [ImpairmentRule({"loss": 0.3})])
+    running.update({"drone": 2, "p_good_bad": 0.1, "p_bad_good": 0.2, "loss_bad": 0.9})
+
+    running.update({"drone": 2, "p_good_bad": None, "p_bad_good": None})
+
+    assert effects_on_edge(running.rules, 2, 0).loss == 0.3
+
+
 @pytest.mark.parametrize(
     ("edge", "words"),
     [
