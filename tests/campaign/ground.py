@@ -248,7 +248,7 @@ class CrashingTeam:
                 clock.call_at(again_ns, self._start_again, crash.drone)
 
     def heal(self) -> None:
-        """End the faults of the network: one that loses most sometimes makes a living drone look lost."""
+        """End the faults of the network: a network with much loss may make a living drone look lost."""
         for bus in self.team.buses:
             bus.impairment.replace([], [])
 

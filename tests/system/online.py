@@ -200,7 +200,7 @@ def fate_faults(outcome: Outcome, j: int, able: list[int]) -> Iterator[str]:
         return
     if fate is Fate.DELIVERED:
         if not outcome.delivered.get(j) and robot not in outcome.aboard:
-            yield f"task {j} is said to be delivered, and nobody has"
+            yield f"task {j} is said to be delivered, and no robot has delivered it"
     elif fate is not Fate.CANCELLED and able:
         yield f"task {j} is {fate.value}, though drones {able} could serve it"
 

@@ -67,7 +67,7 @@ class Commitments:
         """Take part in a planning, and return the bonds to announce.
 
         head: the stops that the robot will serve in any case.
-        Returns the tasks that `head` completes, and those that are on board after it.
+        Returns the tasks that `head` completes, and the tasks on board after it.
         """
         aboard = self.aboard()
         for stop in head:

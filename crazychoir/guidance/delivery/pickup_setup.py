@@ -46,7 +46,7 @@ class PickupOptions(SwarmTable, frozen=True, kw_only=True):
 
 
 OBEYED_FEATURES = ("end", "service_time", "penalty", "recharge")
-"""Features of an instance that robots obey in flight, from those that `require_flyable_features` checks."""
+"""The features that robots obey in flight; `require_flyable_features` refuses an instance with others."""
 LANDING_CLEARANCE = 0.4
 """m, in the plane: distance of a landing place from the places where others stand and land."""
 LOWEST_STOP = 0.1

@@ -53,7 +53,7 @@ class RouteForecast:
 
         They are the next stop, and the stops to which it sets out within the horizon. The list ends
         before the first stop that it may not begin, see Commitments.allow: if this robot has no plan
-        from the last planning, another robot may have one that contains this stop.
+        from the last planning, another robot may have a route that contains this stop.
 
         horizon: s.
         Returns the stops, the place (2,) m of the last one (here, without stops), and the s until

@@ -257,7 +257,7 @@ class BasisExchange:
 
     @property
     def unmet(self) -> list[int]:
-        """Return the rows of which more remains than right-hand sides with errors of FEASIBILITY_TOLERANCE explain."""
+        """Return the rows with a residual too large for errors of FEASIBILITY_TOLERANCE in right-hand sides."""
         return self.basis.unmet
 
     @property
@@ -333,8 +333,9 @@ class DistributedSimplex(Program[LinearSolution]):
         min  sum_i c_i'x_i   s.t.  sum_i A_i x_i = b,  x_i >= 0
 
     In each round an agent sends its basis, m columns, to its neighbours. It keeps the lexicographically
-    optimal basis of its own columns, its basis and those that it hears. There is no step size. All
-    agents end in the same round, after no agent has changed its basis for 2 D + 1 rounds.
+    optimal basis of three sets of columns: its own, its basis, and the bases that it receives.
+    There is no step size. All agents end in the same round, after no agent has changed its basis
+    for 2 D + 1 rounds.
 
     agent: id of this agent
     c: (n_i,), costs of its columns; n_i may be 0

@@ -165,7 +165,7 @@ class OptimalBasis:
 
     @cached_property
     def unmet(self) -> list[int]:
-        """Rows of which more remains than right-hand sides with errors of FEASIBILITY_TOLERANCE explain."""
+        """Rows with a residual too large for errors of FEASIBILITY_TOLERANCE in right-hand sides."""
         remains = (self.columns.ids[:, 0] < 0) & (
             self.level > FEASIBILITY_TOLERANCE * self.terms
         )

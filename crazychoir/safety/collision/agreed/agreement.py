@@ -240,7 +240,7 @@ class Agreement:
         )
 
     def mute(self, now: float) -> int | None:
-        """Return the id of a flying drone because of which this drone cannot change its path, or None.
+        """Return the id of a flying drone that keeps this drone from changing its path, or None.
 
         This is a drone with messages that do not yet list this one as flying, or a silent drone with a
         lower id, which cannot agree. A silent drone with a higher id is no obstacle: it stays on the

@@ -1,4 +1,4 @@
-"""What the predictive-control mission needs beside its law: goals, limits, and who was ahead."""
+"""What the predictive-control mission needs beside its law: goals, limits, and which drone was ahead."""
 
 import numpy as np
 import pytest

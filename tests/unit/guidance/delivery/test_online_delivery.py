@@ -28,7 +28,7 @@ PICK, DROP = "pickup", "delivery"
 
 
 def robot(clock, i=0):
-    """Robot i of five, all of whom it has heard of, with the tasks 0 to 3 known."""
+    """Robot i of five; it has news of all five, and knows the tasks 0 to 3."""
     guidance = OnlinePDVRPGuidance(
         MISSION.hooks.instance(CONFIG).local(i),
         TASKS,
@@ -101,7 +101,7 @@ async def test_while_others_may_have_a_new_plan_it_is_bound_to_no_new_pickup(clo
     guidance.commitments.route = stops((0, DROP), (1, PICK))
     assert guidance.forecast.head(ONLINE_TIMING.binding_horizon)[0] == stops(
         (0, DROP)
-    ), "what is aboard is nobody else's"
+    ), "no other robot may serve goods on board"
     commitments.planning, commitments.bound = False, {}
     cut_off(guidance)
     assert guidance.forecast.head(ONLINE_TIMING.binding_horizon)[0] == stops((0, DROP))

@@ -21,7 +21,7 @@ PICK, DROP = "pickup", "delivery"
 
 
 def serving(clock):
-    """Robot 0 of five, all of whom it has heard of, with the tasks 0 to 3 known."""
+    """Robot 0 of five; it has news of all five, and knows the tasks 0 to 3."""
     communicator = Communicator(Bus(clock).port(0), graph_from_name("complete", 5))
     news = TeamNews(communicator, tuple(TASKS), lambda: (0.0, 0.0), False)
     for j in range(1, 5):

@@ -21,9 +21,11 @@ def test_tasks_are_those_of_the_seed_however_many_are_drawn():
     assert MISSION.hooks.drawn(CONFIG.replace(seed=5), 1) != many[:1]
     may = np.mean([i in task.robots for task in many for i in CONFIG.ids])
     assert 0.4 < may < 0.6
-    nobody = MISSION.hooks.drawn(CONFIG.replace(mission_options={"chance": 0.0}), 1)[0]
-    assert not any(i in nobody.robots for i in CONFIG.ids)
-    assert nobody.robots, "an empty list would mean all"
+    unservable = MISSION.hooks.drawn(
+        CONFIG.replace(mission_options={"chance": 0.0}), 1
+    )[0]
+    assert not any(i in unservable.robots for i in CONFIG.ids)
+    assert unservable.robots, "an empty list would mean all"
     assert not MISSION.hooks.may_be_done(
         CONFIG.replace(mission_options={"chance": 0.0}), 0
     )
