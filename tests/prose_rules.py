@@ -47,7 +47,7 @@ def hard_docstrings(source: str) -> list[str]:
 
 
 def hard_test_names(source: str) -> list[str]:
-    """Return `line: name` of each test whose name is no plain sentence."""
+    """Return `line: name` of each test with a name that is no plain sentence."""
     found = []
     for node in ast.walk(ast.parse(source)):
         if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):

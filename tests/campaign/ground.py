@@ -358,7 +358,7 @@ def members(report: Report, draw: Draw) -> None:
 
 
 class CommandTrial:
-    """An operator and drones whose network loses, duplicates and keeps messages."""
+    """An operator and drones in a network that loses, duplicates and keeps messages."""
 
     def __init__(
         self, report: Report, draw: Draw, clock: Clock, drones: int, loss: float

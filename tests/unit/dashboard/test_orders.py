@@ -9,7 +9,7 @@ from crazychoir.dashboard.receipts import RECEIPT_KINDS, ReceiptBook
 
 
 class DeafPlace:
-    """A place whose drones never answer; it notes the time that each command gets."""
+    """A place with drones that never answer; it notes the time that each command gets."""
 
     def __init__(self, clock):
         self.clock = clock
@@ -26,7 +26,7 @@ class DeafPlace:
 
 
 class WillingPlace(DeafPlace):
-    """A place whose drones accept each command at once, and do it after 1 s."""
+    """A place with drones that accept each command at once, and do it after 1 s."""
 
     async def request(self, i, verb, seconds, accepted, **arguments):
         accepted()

@@ -22,7 +22,7 @@ NS_PER_SECOND = 10**9
 
 
 def flying(clock, **changes):
-    """The member of drone 3, whose pilot hovers at the origin unless it is changed."""
+    """The member of drone 3; its pilot hovers at the origin unless it is changed."""
     pilot = SimpleNamespace(
         mode=Mode.HOVER,
         note="",

@@ -23,7 +23,7 @@ def test_a_coordinator_does_not_hold_for_a_higher_id():
         it.tell(0, HoldRequest(2))
         assert it.sent == [(0, HoldAnswer(2, 7, {1: 1, 2: 1}))]
         it.tell(0, HoldRequest(1))
-        assert len(it.sent) == 1, "nobody holds for an epoch that is past"
+        assert len(it.sent) == 1, "no drone holds for an epoch that is past"
 
     alone(1, {1: 1, 2: 1}, story)
 
@@ -88,7 +88,7 @@ def test_another_half_joins_whole_or_without_members_that_never_answer():
 
 
 def test_a_member_that_never_answers_is_dropped_even_if_no_other_is_heard():
-    """1 has never been heard, as by one who came just after 1 was killed."""
+    """Drone 1 was never heard, as if this drone had started just after drone 1 was killed."""
 
     async def story(it: Alone) -> None:
         it.barrier.presence._handle_change(0, Presence.LOST)

@@ -78,7 +78,9 @@ def test_a_lost_drone_that_starts_again_is_not_lost():
             replace(it.roster, epoch=2, members={0: 1, 1: 1, 2: 9, 3: 1})
         )
         assert not it.barrier.presence.is_lost(2)
-        assert it.barrier.presence.is_lost(3), "a neighbour whom only we do not hear"
+        assert it.barrier.presence.is_lost(3), (
+            "a neighbour that this drone alone does not hear"
+        )
 
     alone(1, {0: 1, 1: 1, 2: 1, 3: 1}, story)
 

@@ -57,7 +57,7 @@ def test_what_cannot_be_flown_is_refused(changes, said):
 
 
 def results():
-    """Of two robots that have done two of three tasks, of which nobody may do the third, in one generation."""
+    """Two robots that have done two of three tasks in one generation; no robot may do the third."""
     table = {
         "number": 1,
         "filled": 1,
@@ -96,7 +96,7 @@ def results():
     ],
 )
 def test_a_report_finds_what_is_wrong(change, said):
-    config = CONFIG.replace(mission_options={"chance": 0.0})  # nobody may do task 2
+    config = CONFIG.replace(mission_options={"chance": 0.0})  # no robot may do task 2
     found = copy.deepcopy(results())
     change(found)
     report = MISSION.report(config, found)
@@ -107,9 +107,7 @@ def test_a_report_finds_what_is_wrong(change, said):
         assert report["tables"][0]["optimum"] == 3.0
         assert report["served_by_generation"] == [2]
         assert report["left"] == {2: "task(s) 2 may be done by no robot"}
-        assert not MISSION.report(CONFIG, found)["success"], (
-            "there is somebody who may do it"
-        )
+        assert not MISSION.report(CONFIG, found)["success"], "a robot may do it"
 
 
 def test_costs_that_left_with_a_lost_robot_are_not_compared():

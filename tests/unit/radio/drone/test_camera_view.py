@@ -83,7 +83,7 @@ async def test_a_drone_that_moves_unlike_its_body_is_silenced_and_may_not_take_o
     tell(drone, READY)
     drone.view.pose.put(Pose(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])), 0.0)
     drone.view.forgive_fault()
-    assert drone.report.make_status().astray, "nobody has touched it"
+    assert drone.report.make_status().astray, "no operator has touched it"
     await clock.sleep(CAMERA_POSE_LIMITS.longest_gap + 0.1)
     drone.view.forgive_fault()
     assert drone.report.make_status().astray == ""

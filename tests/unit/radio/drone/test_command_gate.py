@@ -27,7 +27,7 @@ async def test_a_standing_drone_is_sent_a_stop_now_and_then(clock) -> None:
         await clock.sleep(0.01)
     said = [head("stop"), head("planner_stop"), head("notify_setpoint_stop")]
     assert kept.sent == said * round(1.0 / REPEAT_RULES.stop_period), (
-        "who was there before us may have sent set-points"
+        "an earlier program may have sent set-points"
     )
 
 

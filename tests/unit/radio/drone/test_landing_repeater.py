@@ -163,7 +163,7 @@ async def test_a_second_landing_does_not_change_the_first(clock) -> None:
     drone.commands.send(XYZ("land", np.array([0.0, 0.0, 0.0, 0.0, 9.0])))
     assert drone.landing.command is LAND
     drone.commands.send(LINE)
-    assert drone.landing.command is None, "somebody flies it again"
+    assert drone.landing.command is None, "a program flies it again"
 
 
 @virtual

@@ -29,7 +29,7 @@ async def test_a_cut_is_repeated_until_the_drone_is_locked_or_power_cycled(
         drone.commands.cut()
         await clock.sleep(1.0)
         insisting.cancel()
-        assert kept.sent == [], "who switches it off and on may have it again"
+        assert kept.sent == [], "a drone that is switched off and on is flown again"
         drone.preparation.is_prepared = drone.preparation.is_placed = True
         assert PROBLEM_TEXTS.motors_cut in drone.report.find_problems()
 

@@ -18,7 +18,7 @@ async def test_the_watchdog_is_fed_for_a_drone_that_is_sent_places_if_requested(
     ):
         drone, kept = made(clock, kind, pose=pose, **radio)
         drone.watchdog.feed()
-        assert not kept.sent, "on the ground nobody begins"
+        assert not kept.sent, "on the ground no landing begins"
         drone.estimate.health["supervisor.info"] = READY | checks.ReadinessBit.FLYING
         for _ in range(30):
             drone.watchdog.feed()

@@ -142,7 +142,9 @@ def test_a_set_point_stops_the_planner_until_it_is_told(onboard):
     assert onboard.info >> 8 & 0b111 == 0b001
     onboard.setpoints.velocity((0, 0, 0.1), 0.0)
     assert onboard.info >> 8 & 0b111 == 0b010
-    assert onboard.planner.go_to((0, 0, 1), 0.0, 1.0) == 0  # runs, but nobody listens
+    assert (
+        onboard.planner.go_to((0, 0, 1), 0.0, 1.0) == 0
+    )  # runs, but its set-points are not used
     run(onboard, 100)
     assert wanted(onboard, "mode_z") == (2,)
     onboard.notify_setpoint_stop()

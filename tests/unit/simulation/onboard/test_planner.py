@@ -107,7 +107,7 @@ def test_velocity_and_acceleration_are_the_derivatives(onboard):
 
 def test_refusals_of_take_off_and_landing(onboard):
     assert onboard.planner.land(0.0, 2.0) == 0, (
-        "whoever was sent set-points lands from idle"
+        "a drone that was sent set-points lands from idle"
     )
     onboard.planner.stop()
     assert onboard.planner.take_off(1.0, 2.0) == 0
