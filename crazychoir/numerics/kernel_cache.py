@@ -522,7 +522,8 @@ class _LawFiles:
     def _is_trusted(self, file: os.stat_result) -> bool:
         """Return whether a file was written by this user, by root or by the owner of the package.
 
-        Reading it runs code: a file of another user, or one that all users may write, is not read.
+        Reading it runs code, and so a file of another user is not read. Neither is a file that all
+        users may write.
         """
         if sys.platform == "win32":
             return True

@@ -43,7 +43,7 @@ def name_of(requirement):
 
 @pytest.fixture(scope="module")
 def declared(repository):
-    """The names of the distributions: "" for those that every installation has, then by extra."""
+    """Return the names of the distributions by extra; "" stands for what every installation has."""
     project = tomllib.loads((repository / "pyproject.toml").read_text())["project"]
     groups = {"": project["dependencies"], **project["optional-dependencies"]}
     return {

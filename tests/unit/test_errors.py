@@ -1,4 +1,4 @@
-"""Where an error was raised, for those who read of it."""
+"""The place where an error was raised, as reports name it."""
 
 import json
 

@@ -333,7 +333,7 @@ def test_clocks_and_sets_are_found_in_their_rooms(tmp_path):
 
 
 def hard_rooms(package: Path) -> list[str]:
-    """Return the rooms of which too many docstrings are hard to read, with the places."""
+    """Return the rooms with too many docstrings that are hard to read, and the places of these docstrings."""
     rooms: dict[str, tuple[int, list[str]]] = {}
     for file in python_files(package):
         source = file.read_text()

@@ -149,7 +149,7 @@ class BasisExchange:
         return self.basis.columns.ids.tobytes() + bytes([self._ray is None])
 
     def _take_flags(self, messages: list[Any]) -> None:
-        """Take the least ray, and the least failure, of those that are known."""
+        """Take the least of the known rays, and the least of the known failures."""
         rays = [self._ray, *(message[1] for message in messages)]
         self._ray = min((ray for ray in rays if ray is not None), default=None)
         self.undecided |= any(message[2] for message in messages)

@@ -30,7 +30,7 @@ class Blocks:
 
     i: id of the agent
     n: length of x
-    drawn: the blocks, whose lengths add up to n, and how they are drawn
+    drawn: the blocks and how they are drawn; their lengths add up to n
     Raises ConfigError for lengths or probabilities that do not fit.
     """
 

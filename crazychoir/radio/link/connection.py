@@ -177,7 +177,7 @@ class Connection:
         """Open the link with cflib, which may never return."""
         try:
             self.cf.open_link(self.uri)
-        except Exception as error:  # noqa: BLE001 - whatever it is, whoever waits is told
+        except Exception as error:  # noqa: BLE001 - whatever it is, a waiting task is told
             self._calls.call(self._failed, error_text(error))
         if self._calls.is_closed:
             self._driver.close()  # `close` was called before the link was open

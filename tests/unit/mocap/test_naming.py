@@ -28,7 +28,7 @@ def test_bodies_are_listed_with_place_rate_and_how_far_they_moved():
 
 
 def test_the_sum_of_the_distances_is_least_not_each_of_them():
-    """The nearest body of drone 0 is that of drone 1, who has no other."""
+    """The body nearest to drone 0 goes to drone 1: the other body is far from drone 1."""
     found = match_bodies(
         measure_bodies(seen(p=(0.1, 0, 0), q=(-0.25, 0, 0)), 2.0),
         {0: (0, 0, 0), 1: (0.2, 0, 0)},

@@ -1,4 +1,4 @@
-"""The process of motion capture and who reads it, in virtual time; sources are stand-ins."""
+"""The process of motion capture and its readers, in virtual time; sources are stand-ins."""
 
 import asyncio
 from types import SimpleNamespace
@@ -52,7 +52,7 @@ class Cameras:
 
 
 class Link(Actor):
-    """In the network's place: whose agents are there."""
+    """A stand-in for the network; `directory` names the agents that are there."""
 
     name = "zenoh"
 
@@ -324,6 +324,6 @@ def test_a_body_that_is_twice_in_a_frame_is_not_seen_and_said(caplog):
 
     got, mocap, _ = served(cameras=Doubling)
     assert len(got[DRONE_TOPICS.pose, 0]) == 200
-    assert not got[DRONE_TOPICS.pose, 1], "nobody knows which of the two is meant"
+    assert not got[DRONE_TOPICS.pose, 1], "it is unknown which of the two is meant"
     assert "body 'b' is there twice in a frame" in caplog.text
     assert mocap.report()["success"], "the other drone was seen"

@@ -85,7 +85,7 @@ def test_virtual_poses_are_seen_as_simulated_cameras_see_them():
     assert np.std(errors) == pytest.approx(0.01, rel=0.3)
     assert {round(age, 9) for one, age in shown[2:]} == {0.02}
     assert all(np.array_equal(one.bodies["wand"], LEVEL) for one, _ in shown), (
-        "what is nobody's is shown as it is"
+        "a body of no drone is shown as it is"
     )
 
 

@@ -123,7 +123,7 @@ def test_comments_docstrings_and_times_compile_nothing_and_a_constant_of_another
     (folder / "pieces.py").write_text(PIECES.replace("3.0", "5.0"))
     assert run(folder)[:2] == (11.0, 2)
     kept = [path.name for path in (folder / "__pycache__").glob("*.nb[ic]")]
-    assert len(kept) == 4, "what nobody reads any more is removed"
+    assert len(kept) == 4, "files that no run reads any more are removed"
 
 
 def test_what_is_compiled_is_kept_where_numba_is_told_to(folder, tmp_path_factory):
@@ -259,7 +259,7 @@ ONE_WARNING = "cache: compiled laws: "
 
 
 def run_as_stranger(folder, **environment):
-    """The law's answer as a user without a home, who may write nothing here; and the lines that the user is told."""
+    """Return the law's answer and its messages to a user without a home and without rights to write here."""
     command = [*as_user(), sys.executable, str(folder / "law.py")]
     environment = homeless(PYTHONPATH=os.pathsep.join(sys.path)) | environment
     answer = subprocess.run(

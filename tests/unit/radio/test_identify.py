@@ -1,4 +1,4 @@
-"""Which parameters light a drone's LEDs, and that they are put back; its firmware is one that keeps them."""
+"""Parameters light a drone's LEDs and are put back afterwards; a stand-in firmware keeps what it is told."""
 
 import asyncio
 

@@ -41,7 +41,7 @@ def test_a_speed_of_nothing_is_a_speed_all_the_same():
 def test_a_drone_that_is_sent_places_flies_even_after_streamed_set_points(idle):
     hangar = Hangar().run(
         0.5, "rpyt", 0.0, 0.0, 0.0, 0
-    )  # the last of which is that of cflib's close_link
+    )  # cflib's close_link sends this set-point last
     handler = RadioHandlerXYZ(CRAZYFLIE_21)
     for command in [STOP_COMMAND] * idle + [
         XYZ("line", np.array([0.0, 0.0, 0.6, 0.0, 1.5]))
@@ -70,7 +70,7 @@ def test_a_plan_that_a_set_point_holds_down_is_told(caplog):
     hangar.run(2.0)
     assert hangar.state[2] > 0.4
     hangar.run(2.0, "hover", 0.0, 0.0, 0.0, 0.5)
-    assert caplog.text == "", "nobody plans against these"
+    assert caplog.text == "", "no plan is sent against these set-points"
 
 
 def test_a_go_to_of_older_programs():

@@ -1,4 +1,4 @@
-"""Packets at which a real firmware restarts, and those that it passes over."""
+"""Packets that restart a real firmware, and packets that it passes over."""
 
 import pytest
 from virtual_drones import Hangar

@@ -247,7 +247,7 @@ def test_an_old_release_has_another_thrust_map():
 
 
 def test_a_take_off_to_another_heading_turns_the_drone_on_its_feet_and_rises():
-    """As cflib's take-offs do, whose heading is 0 unless they are told another."""
+    """Take-offs of cflib do this: their heading is 0 unless the caller gives another."""
     hangar = Hangar(yaw=1.6).run(2.0)
     hangar.send("take_off", 0, 0.4, 0.0, False, 0.8)
     hangar.run(6.0)

@@ -1,4 +1,4 @@
-"""Drones that follow recordings: tables of samples and flights, and what is said of those that cannot be followed."""
+"""Drones that follow recordings: tables of samples, and flights. What cannot be followed is refused with a reason."""
 
 import asyncio
 from types import SimpleNamespace
@@ -114,7 +114,7 @@ def test_what_cannot_be_followed_is_refused(tmp_path, table, uri, says):
 
 
 def rows(factor, origin):
-    """30 samples, 10 ms apart, in a unit of which a second has `factor`."""
+    """Return a table of 30 samples, 10 ms apart; a second is `factor` units of its time."""
     times = [origin + round(0.01 * k * factor) for k in range(30)]
     return "t,x,y,z,yaw\n" + "".join(f"{t},1,0,0,0\n" for t in times)
 

@@ -211,7 +211,7 @@ def test_any_common_prices_give_a_lower_bound(raw, prices):
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(raw_instances())
 def test_every_column_of_a_table_is_a_tour_and_with_it_each_part_of_it(raw):
-    """Claims rely on it: who wins a part of what it claimed can serve that part."""
+    """Claims rely on this: a robot that wins a part of its claim can serve that part."""
     instance = instance_of(raw)
     for i in range(instance.robots if instance else 0):
         table = RouteTable(instance.local(i).vehicle)

@@ -1,4 +1,4 @@
-"""Stages: everybody does the first thing before anybody does the second."""
+"""Stages: all drones do the first thing before any drone does the second."""
 
 import asyncio
 

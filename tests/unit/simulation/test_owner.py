@@ -120,7 +120,7 @@ async def test_a_world_that_was_late_makes_up_for_it_up_to_a_limit(clock):
     owned.owner.ticks.due_ns -= 10 * owned.owner.ticks.period_ns
     await owned.run(0.0)
     assert owned.world.tick == 10
-    assert len(owned.poses[0]) == 1, "what nobody could see then is not seen now"
+    assert len(owned.poses[0]) == 1, "the poses of the missed ticks are not sent now"
     owned.owner.ticks.due_ns -= 1000 * owned.owner.ticks.period_ns
     await owned.run(0.01)
     assert owned.world.tick <= 10 + 1 + LARGEST_CATCH_UP + 2

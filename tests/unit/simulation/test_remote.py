@@ -1,4 +1,4 @@
-"""A drone and its body at two ports: what is obeyed, what is refused, who stops when nobody commands."""
+"""A drone and its body at two ports: what is obeyed, what is refused, what stops without commands."""
 
 import asyncio
 from functools import partial
@@ -98,7 +98,7 @@ async def test_nothing_is_sent_before_it_is_known_whether_the_body_flies(clock):
 @virtual
 async def test_a_body_flies_when_commands_have_brought_it_into_the_air(clock):
     pair = Pair(clock)
-    assert not pair.body.flying, "nobody has flown it"
+    assert not pair.body.flying, "no command has flown it"
     pair.link.send(FPQR(np.zeros(4)))
     assert pair.body.flying
     pair.link.cut()
@@ -135,7 +135,7 @@ async def test_other_senders_are_ignored_and_invalid_commands_are_counted(clock)
     assert pair.thrust == PAPER_PLATFORM.weight, "it hovers, as it did"
     assert pair.obeyed == []
     pair.link.send(FPQR(np.ones(4)))
-    assert pair.thrust == 1.0, "nobody has cut it"
+    assert pair.thrust == 1.0, "no cut has reached its motors"
 
 
 @virtual
@@ -169,7 +169,7 @@ async def test_an_uncommanded_drone_has_no_thrust(clock):
     pair = Pair(clock)
     await clock.sleep(10.0)
     pair.body.look()
-    assert pair.thrust == PAPER_PLATFORM.weight, "nobody has ever flown it"
+    assert pair.thrust == PAPER_PLATFORM.weight, "no command has ever flown it"
     pair.there.publish(DRONE_TOPICS.body, Body())
     pair.link.send(HOVER)
     await clock.sleep(0.9 * LIGHTWEIGHT_COMMAND_TIMEOUT)
@@ -181,7 +181,7 @@ async def test_an_uncommanded_drone_has_no_thrust(clock):
     assert pair.thrust == 0.0
     assert said == ["drone 3: no command for 0.55 s, limit 0.50 s: no thrust"]
     pair.link.send(HOVER)
-    assert pair.thrust == PAPER_PLATFORM.weight, "somebody does again"
+    assert pair.thrust == PAPER_PLATFORM.weight, "a command has come again"
 
 
 @virtual

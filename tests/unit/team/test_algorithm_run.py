@@ -1,4 +1,4 @@
-"""An algorithm that cannot go on at one agent ends at all of them, soon, with who it was and why."""
+"""An algorithm that cannot go on at one agent soon ends at all agents; each names that agent and the reason."""
 
 import asyncio
 
@@ -124,7 +124,10 @@ def test_an_asynchronous_agent_that_fails_while_others_say_their_last_words_ends
 
 
 def exchanging(graph, loss, policy="raise"):
-    """Each exchanges in a loop of its own; agent 2 raises, and says so, and who hears it hands it on."""
+    """Return what each agent ends with, and the s until the last has ended.
+
+    Each agent exchanges in a loop of its own. Agent 2 raises and says so; an agent that hears it hands it on.
+    """
 
     async def part(communicator):
         try:

@@ -210,7 +210,7 @@ def test_a_member_that_dies_while_two_halves_merge_is_left_out():
     "dead", [(0, 1), (1, 0), (0, 1, 2, 3), (3, 2, 1, 0), (4, 0, 2, 1)]
 )
 def test_the_rest_go_on_when_members_die_one_after_another(dead, rules, gap):
-    """Each of them may have coordinated; those who were lost before are nobody's to report any more."""
+    """Each dead member may have coordinated. No member may be left to report the members lost before it."""
 
     async def story(t: Team) -> Roster:
         await formed([t.start(i) for i in range(5)])
@@ -227,7 +227,7 @@ def test_the_rest_go_on_when_members_die_one_after_another(dead, rules, gap):
 
 @pytest.mark.parametrize("alone", [(2,), (0,), (1, 3), (2, 3)])
 def test_members_that_were_cut_off_exchange_with_the_others_again(alone):
-    """The rounds in which they were apart are not waited for: nobody has them any more."""
+    """Members do not wait for the rounds in which they were apart: no member has these rounds any more."""
 
     async def story(t: Team) -> tuple[Roster, dict[int, Any], int]:
         await formed([t.start(i) for i in range(5)])
@@ -263,7 +263,7 @@ def test_a_short_partition_changes_nothing():
 
 
 def test_partitions_count_from_go_however_long_it_took():
-    """They cut nobody while the last is waited for; then from second 2 to 4 after GO."""
+    """A partition cuts no member off while the last one is awaited. It then cuts from second 2 to 4 after GO."""
 
     async def story(t: Team) -> tuple[float, list[float]]:
         barriers = [t.start(0), t.start(1)]
@@ -284,7 +284,7 @@ def test_partitions_count_from_go_however_long_it_took():
 
 @pytest.mark.parametrize("again", [0, 2])
 def test_a_member_restarted_in_its_own_process_is_told_the_mission_age(again):
-    """Two buses, as of two processes; that of the one who comes again has heard of no GO."""
+    """Each member has its own bus, as in its own process. The new bus of the restarted member has heard of no GO."""
 
     async def main(clock: Clock) -> list[float]:
         ids, graph = (0, 1, 2), graphs.path(3)

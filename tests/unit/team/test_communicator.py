@@ -134,7 +134,7 @@ def test_a_graph_that_changes_with_the_round():
     sequence = GraphSequence.draw(graphs.complete(5), 0.3, 7, seed=3)
     assert any(
         not graph.neighbors(i) for graph in sequence.graphs for i in graph.ids
-    ), "somebody is alone in a round"
+    ), "an agent is alone in a round"
     good = swarm(sequence, averaging(sequence, 300))
     assert swarm(sequence, averaging(sequence, 300), loss(0.4, **BAD)) == good
     ends = [np.frombuffer(iterates, dtype=float)[-3:] for iterates in good.values()]
@@ -384,7 +384,7 @@ def test_an_overtaken_message_is_not_the_latest_and_delay_is_age():
     assert swarm(graphs.path(2), agent, [ImpairmentRule({"delay": 0.16})])[0] == []
 
 
-# Who is slow, and who is gone -------------------------------------------------------------------------------------
+# Slow agents and lost agents --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("p", [0.0, 0.5])
@@ -474,7 +474,7 @@ def test_a_ring_of_missing_messages_heals():
 
 
 def test_a_duplicate_of_a_finished_round_is_not_answered():
-    """Else two who have finished answer each other for ever."""
+    """Otherwise two finished agents would answer each other for ever."""
 
     async def agent(c: Communicator) -> int:
         await c.neighbors_exchange(1)

@@ -1,4 +1,4 @@
-"""Who has another mission, and who of two camps is refused."""
+"""Which drones have another mission, and which of two camps is refused."""
 
 from crazychoir.config.digest import compute_digest, compute_key_digests
 from crazychoir.config.swarm_config import default_swarm

@@ -19,7 +19,10 @@ STATUS = {0: "optimal", 2: "infeasible", 3: "unbounded"}
 
 
 def draw(seed):
-    """(c, A, b, parts): columns dealt out to agents, who may have none; of three kinds, many degenerate."""
+    """Return (c, A, b, parts) of a random program, often a degenerate one.
+
+    parts: by agent, the columns that it has; an agent may have none
+    """
     chance = np.random.default_rng(seed)
     agents, m = int(chance.integers(2, 7)), int(chance.integers(1, 6))
     sizes = chance.integers(0, 4, agents)

@@ -1,4 +1,4 @@
-"""Linear programs whose data are rounded: all agents find the answer of HiGHS, or all refuse with one text."""
+"""Linear programs with rounded data: all agents find the answer of HiGHS, or all refuse with one text."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def repeated_row(chance, decimals):
 
 
 def transport(chance, decimals):
-    """Return c, A, b of a transport problem whose supplies and demands are rounded."""
+    """Return c, A, b of a transport problem with rounded supplies and demands."""
     sources = int(chance.integers(2, 4))
     sinks = int(chance.integers(2, 4))
     A = np.zeros((sources + sinks, sources * sinks))

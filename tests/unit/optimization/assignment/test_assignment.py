@@ -18,7 +18,12 @@ def table(ids, label=1, last=True):
 
 
 def team(costs, diameter, tables):
-    """A robot a row of `costs`; task k of any table is column k. tables: by robot, those that it is told of."""
+    """Return the assignment algorithm of each robot; each row of `costs` is a robot.
+
+    Column k of `costs` is task k of any table.
+
+    tables: by robot, its first table; a robot that has none here hears of it from others
+    """
     return {
         i: TaskAssignment(
             i,

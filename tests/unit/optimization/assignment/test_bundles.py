@@ -135,7 +135,7 @@ def ended(make, bidders, tasks, seed):
 
 
 def as_greedy(make, bidders, tasks, seed):
-    """Who wins what, and in which order it is served, are those of the sequential greedy algorithm."""
+    """Require the winners and the paths of the sequential greedy algorithm."""
     results = ended(make, bidders, tasks, seed)
     winners, paths = greedy(bidders, tasks)
     assert results[0].winners == winners
@@ -179,8 +179,8 @@ def test_what_is_lost_on_the_way_changes_nothing(make):
 
 
 ME, K, M, N = 0, 1, 2, 3  # receiver, sender, others
-# Table I of Choi, Brunet & How 2009: sender's winner, receiver's winner, who is fresher at the sender, whether the
-# sender's bid is higher, and what the receiver does.
+# Table I of Choi, Brunet & How 2009: sender's winner, receiver's winner, the others with fresher stamps at the
+# sender, whether the sender's bid is higher, and what the receiver does.
 RULES = [
     (K, ME, "", True, "update"),
     (K, ME, "", False, "leave"),

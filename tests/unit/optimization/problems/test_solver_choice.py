@@ -1,4 +1,4 @@
-"""Quadratic programs whose rows are dependent, redundant or exclude each other, against cvxpy."""
+"""Quadratic programs, against cvxpy: their rows are dependent or redundant, or exclude each other."""
 
 import warnings
 from dataclasses import dataclass

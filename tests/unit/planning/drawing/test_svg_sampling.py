@@ -411,10 +411,10 @@ def lines_of(strokes):
 
 
 def sampled_by_svgpathtools(text):
-    """The places of each segment, complex.
+    """Return the places of each segment, complex.
 
-    `transform` of svgpathtools 1.8.0 makes other ellipses of some arcs, those that are turned or sheared. Arcs are
-    sampled before it, therefore, and their places are multiplied by the matrix that svgpathtools finds.
+    `transform` of svgpathtools 1.8.0 makes other ellipses of some arcs that are turned or sheared. This function
+    samples arcs before the transform, and multiplies their places by the matrix that svgpathtools finds.
     """
     t = np.linspace(0.0, 1.0, 100)
     found = []

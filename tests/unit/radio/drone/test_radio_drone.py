@@ -240,7 +240,9 @@ async def test_a_flying_drone_that_was_out_of_reach_is_not_stopped_by_a_stale_st
     tell(drone, READY | checks.ReadinessBit.FLYING)
     drone.commands.send(LINE)
     drone.commands.send(STOP)
-    assert kept.sent[-1] == head("planner_stop"), "who has flown it may stop it"
+    assert kept.sent[-1] == head("planner_stop"), (
+        "a pilot that has flown it may stop it"
+    )
     await clock.sleep(REPEAT_RULES.stop_period)
     drone.commands.send(LINE)
     looking = asyncio.ensure_future(drone._look_after(kept))

@@ -1,4 +1,4 @@
-"""One process has a dongle; whoever wants it too is told who, and what to do, before anything is started."""
+"""One process has a dongle. A second one is refused before it starts anything, and told the owner and what to do."""
 
 import contextlib
 import json

@@ -11,7 +11,7 @@ def packet(number: int) -> Packet:
 
 
 class Slow:
-    """A driver that keeps who sends until it is let go."""
+    """A driver that holds each sender until `free` is set."""
 
     def __init__(self) -> None:
         self.sent: list[int] = []

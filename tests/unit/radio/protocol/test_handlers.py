@@ -70,7 +70,7 @@ def test_plans() -> None:
     handler = RadioHandlerXYZ(CRAZYFLIE_21)
     line, relax = handler.packets(XYZ("line", np.array([1.0, 2.0, 3.0, 0.5, 0.2])))
     assert (relax.port, relax.channel) == (7, 1), (
-        "set-points of who was there before it have ended"
+        "it ends the set-points of an earlier program"
     )
     assert (line.port, line.channel, line.data[:4]) == (8, 0, bytes([12, 0, 0, 1]))
     assert np.allclose(

@@ -16,7 +16,7 @@ ECHO = 0xFC
 
 
 class Peer:
-    """Answers echoes, and says on its console what nobody asked; loses each `every`-th, or all after `last`."""
+    """A drone that answers echoes and sends unasked console text; it loses each `every`-th, or all after `last`."""
 
     def __init__(self, every=0, last=10**9):
         self.every, self.last, self.seen = every, last, []

@@ -70,14 +70,12 @@ class Dongle:
         self.answer = b"\0"
 
     def _hears(self, data):
-        """Whether the answer comes back."""
+        """Return whether the answer comes back."""
         if data == (0xFF, 0x05, 0x00):
             self.safelink = False
         elif data[:3] == (0xFF, 0x03, 0x01):
             if self.safelink and self.counted:
-                return (
-                    True  # acknowledged, and thrown away as one that was there before
-                )
+                return True  # acknowledged, and thrown away as a repeated packet
             self.counted, self.drone, self.hops = True, data[3], self.hops + 1
             return self.hops != self.deaf
         return True

@@ -1,4 +1,4 @@
-"""The supervisor by the clock: what happens when set-points end, when somebody stops it, when it may not fly."""
+"""The supervisor by the clock: set-points end, a program stops the drone, or the drone may not fly."""
 
 import math
 

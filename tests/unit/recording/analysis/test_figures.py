@@ -109,7 +109,7 @@ def test_one_drone_alone_has_no_separation(tmp_path):
 
 
 def test_where_there_is_no_truth_a_drone_is_where_it_took_itself_to_be(tmp_path):
-    """And its estimate is compared with nothing. The truth of one that nobody sees is its own estimate, too."""
+    """Its estimate is compared with nothing. The recorded truth of an unseen drone is its own estimate, too."""
     found = recording(tmp_path, n=4)
     del found.topics[0, "truth"], found.topics[3, "truth"], found.topics[3, "state"]
     found.about["unseen"] = "2,12"

@@ -61,7 +61,7 @@ def statuses(drone, said=SAID):
 
 
 def rounds(values):
-    """Of each drone, its message of each round, to everybody else."""
+    """Return the message of each drone in each round to each other drone."""
     return [
         (BEGAN + 0.1 * k, i, Exchanged(to, k, 0, "mean", encode(value)))
         for i, own in values.items()

@@ -13,7 +13,7 @@ SCHEMA = "string data"
 
 @pytest.fixture
 def path(tmp_path):
-    """Two chunks of two channels, in the second of which a third is opened; came 9, 3, 5, 7 and 20 ns."""
+    """Write two chunks of two channels; the second opens a third channel. Messages came at 9, 3, 5, 7 and 20 ns."""
     writer = McapWriter()
     writer.begin("ros2", "a library")
     writer.metadata("about", {"seed": "3"})

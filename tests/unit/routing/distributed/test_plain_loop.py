@@ -290,7 +290,7 @@ def test_what_prices_do_not_add_up_to_is_refused_by_methods_of_prices(method, mo
 
 @pytest.mark.parametrize("method", PLANNING_METHODS)
 def test_methods_that_cannot_refuse_a_task_say_so(method):
-    """Nobody can lift the last task; the first of those that can refuse it does."""
+    """No robot can lift the last task. A method that can refuse a task leaves it out; other methods raise an error."""
     raw = three_robots_and_four_tasks(np.random.default_rng(1)) | {
         "capacity": [2.0] * 3
     }

@@ -42,7 +42,7 @@ class Sky:
 def test_a_drone_with_no_other_near_flies_as_it_wants(method):
     sky = Sky(method)
     here = State.at((0.0, 0.0, 1.0))
-    assert sky.wants(here, (0.5, 0.0, 1.0)) is None, "nobody was ever heard"
+    assert sky.wants(here, (0.5, 0.0, 1.0)) is None, "no drone was ever heard"
     sky.hears(1, (3.0, 0.0, 1.0))
     assert sky.wants(here, (0.5, 0.0, 1.0)) is None
     sky.hears(1, (0.5, 0.0, 1.0))
@@ -121,7 +121,7 @@ def test_a_drone_brakes_for_a_stale_near_neighbour_until_that_has_landed():
     sky.hears(1, (0.4, 0.0, 0.02))
     low = State.at((0.0, 0.0, 0.2), (0.5, 0.0, 0.0))
     assert sky.wants(low, (0.4, 0.0, 0.1), now=30.0) is not None, (
-        "who stood there still stands"
+        "a drone that stood there still stands"
     )
 
 
@@ -158,7 +158,7 @@ def test_a_drone_that_flies_at_a_silent_one_turns_aside_while_it_brakes(
     sky.hears(1, (1.5, 0.0, 1.0), (-1.0, 0.0, 0.0))
     a = sky.wants(State.at((0.0, 0.0, 1.0), (1.0, 0.0, 0.0)), (3.0, 0.0, 1.0), now=0.7)
     assert a[0] < -1.0
-    assert a[1] < -0.1, "to the side to which it turns for who is heard"
+    assert a[1] < -0.1, "to the side to which it turns for a heard drone"
 
 
 def test_a_state_that_is_not_finite_is_not_heard():
@@ -172,7 +172,7 @@ def test_a_state_that_is_not_finite_is_not_heard():
 
 
 def test_the_touching_one_of_two_unavoidable_drones_counts_first():
-    """One that stands on the floor is smaller: nearer by its centre, farther by what is between them."""
+    """A drone on the floor counts as smaller. Its centre is nearer, but the gap to it is wider."""
     sky = Sky(others=2)
     sky.hears(1, (0.0, 0.16, 0.02))
     sky.hears(2, (0.0, -0.31, 0.15))
@@ -313,7 +313,7 @@ def test_the_table_keeps_the_newest_state_and_hears_near_drones_more_often():
     sky.hears(1, (1.0, 0.0, 1.0))
     sky.hears(1, (9.0, 0.0, 1.0), age=0.1)
     row = sky.traffic.rows[0]
-    assert row[0] == 1.0, "an older one that comes late changes nothing"
+    assert row[0] == 1.0, "an older state that comes late changes nothing"
     assert row[NEIGHBOUR_ROW.state_time] == 0.0
     assert sky.traffic.rows[1, NEIGHBOUR_ROW.state_time] == -np.inf
     other = NeighbourTable(sky.ports[1], range(3))

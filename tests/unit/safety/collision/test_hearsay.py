@@ -1,4 +1,4 @@
-"""Who does not hear a drone is told of it by others."""
+"""A drone that does not hear another is told of it by others."""
 
 from types import SimpleNamespace
 
@@ -68,7 +68,7 @@ class Team:
             self.filters[i].traffic.hear((j, State.at(p, v)), 0.0)
 
     def fly(self, seconds, one=(3.0, 0.0, 1.0), hear_one=(2, 3)):
-        """Drone 0 flies towards 1, whom only some hear; all others hear each other ten times a second."""
+        """Fly drone 0 towards drone 1, which only some drones hear; all others hear each other ten times a second."""
         acted = []
         for _ in range(round(seconds / STATE_RATES.check_interval)):
             self.seconds += STATE_RATES.check_interval

@@ -1,4 +1,4 @@
-"""What a drone knows of the others: what they say, and what cameras say of those who say nothing."""
+"""What a drone knows of the others: what they say, and where cameras see the silent ones."""
 
 import numpy as np
 from virtual_time import virtual
@@ -14,7 +14,7 @@ async def test_where_the_cameras_see_a_drone_counts_while_nothing_is_heard_of_it
     traffic.seen(1, State.at((1.0, 0.0, 1.0)), 0.0)
     row = traffic.row(1)
     assert (row[0], row[NEIGHBOUR_ROW.share]) == (1.0, 1.0), (
-        "whoever is not heard gives way to nobody"
+        "a drone that is not heard gives way to no other"
     )
     assert row[NEIGHBOUR_ROW.heard_time] == -np.inf, "it is not heard for that"
     traffic.hear((1, State.at((2.0, 0.0, 1.0))), 0.0)

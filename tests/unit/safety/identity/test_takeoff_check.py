@@ -37,8 +37,12 @@ def wobble(i, swing, t):
 
 
 class Flight:
-    """Three that take off at the same time; body_of: whose body is taken for whose, turned: rad, of a body; late: s
-    that a drone's word takes. said: by drone, what was found first, and when.
+    """Three drones that take off at the same time.
+
+    body_of: by drone, the drone with the body that is taken for its own
+    turned: by drone, rad by which its body is turned
+    late: s that a drone's word takes
+    said: by drone, what was found first, and when
     """
 
     def __init__(

@@ -27,12 +27,12 @@ FLYING = 1 << 4
 async def judged(
     clock, table, seconds: float = 0.0, platform=CRAZYFLIE_21, **said
 ) -> Action:
-    """The worst action about a drone of which an owner says this, so many s long."""
+    """Return the worst action about a drone while its owner says `said` for `seconds`."""
     return (await watched(clock, table, seconds, platform, **said))[0]
 
 
 async def watched(clock, table, seconds, platform, **said) -> tuple[Action, str]:
-    """The same, and why it may not fly again."""
+    """Return the worst action, and why the drone may not fly again."""
     bus = Bus(clock)
     owner, port, guard = (
         bus.port(PORT_ADDRESSES.body_offset + 3),
@@ -127,7 +127,11 @@ async def test_before_any_packet_it_is_silent_for_ever(clock) -> None:
 
 
 async def restarted(clock, seconds: float, heard_again: bool) -> tuple[Guard, Action]:
-    """Of a drone whose owner is gone for 0.5 s, then speaks for so long without having heard it, and then may have."""
+    """Return the guard of a drone with a restarted owner, and its worst action.
+
+    The owner is gone for 0.5 s. It then speaks for `seconds` without having heard the drone. After that it may hear
+    the drone.
+    """
     bus = Bus(clock)
     owner, port, guard = (
         bus.port(PORT_ADDRESSES.body_offset + 3),

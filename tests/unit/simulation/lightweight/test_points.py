@@ -28,7 +28,7 @@ def test_it_obeys_its_own_kind_and_what_is_cut_stands_for_good(uri, command):
     link.send(command)
     world.step()
     assert world.state(1).p[0] > 1.0
-    assert world.state(0).p.tolist() == [0.0, 0.0, 0.5], "nobody has told it anything"
+    assert world.state(0).p.tolist() == [0.0, 0.0, 0.5], "no command was sent to it"
     assert (world.resting(0), world.resting(1)) == (True, False)
     before = world.state(1).v
     link.send(type(command)(np.full(len(command.flat), np.nan)))

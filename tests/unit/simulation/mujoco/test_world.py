@@ -49,7 +49,7 @@ def in_mujoco(n=1, **tables):
 
 
 def falling(*states, **options):
-    """A world of drones whose motors stand still, from these p and v."""
+    """Return a world of drones with cut motors, from these p and v."""
     world = MujocoWorld(
         range(len(states)),
         np.array([p for p, _ in states], float),

@@ -178,7 +178,7 @@ def test_a_step_of_the_yaw_is_turned_by_every_controller_without_a_fall():
 
 
 def geometric(setpoint, estimate, gyro, dt):
-    """F = m (a + 7 e_p + 4 e_v + g e3), tau = J (-k_R e_R - k_w (w - w_d)): what somebody may write."""
+    """F = m (a + 7 e_p + 4 e_v + g e3), tau = J (-k_R e_R - k_w (w - w_d)): a law that a user may write."""
     if setpoint.modes.z == 0:
         return ForceTorque(0.0, 0.0, 0.0, 0.0)
     force = (

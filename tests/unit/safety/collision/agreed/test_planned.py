@@ -1,4 +1,4 @@
-"""Drones that tell their ways: who may fly what, and what each chooses. Whole chains of messages, no flight."""
+"""Drones that tell their paths: which path each may fly and chooses. Whole chains of messages, no flight."""
 
 import math
 from functools import partial
@@ -328,7 +328,7 @@ async def test_a_landing_drone_does_not_wait_for_drones_that_it_does_not_hear(cl
     lands.goal = lands.at - [0.0, 0.0, 0.5]
     assert lands.filter.hears(State.at(A), now)
     assert not lands.filter.hears(State(State.at(A).flat, 1.0), now), (
-        "who is not seen does not know where it is"
+        "a drone that is not seen does not know where it is"
     )
     await fly(clock, drones[1:], 1.5)
     now = clock.now()
