@@ -158,12 +158,12 @@ class ChannelEnded(CrazyChoirError, RuntimeError):
         self.channel = channel
         self.k = k
         self.ended = dict(ended)
-        who = ", ".join(
+        endings = ", ".join(
             f"drone {j} has ended it after {n} round(s), 0 to {n - 1}"
             for j, n in self.ended.items()
         )
         super().__init__(
-            f"drone {drone}: channel {channel!r}, round {k}: {who}; all must end in the same round. "
+            f"drone {drone}: channel {channel!r}, round {k}: {endings}; all must end in the same round. "
             "Let `done` follow from what all know alike, such as the number of rounds or an agreed value."
         )
 
@@ -264,14 +264,14 @@ class AgentFailed(CrazyChoirError, RuntimeError):
 class ProcessFailed(CrazyChoirError, RuntimeError):
     """A process that was started to solve or to measure has failed.
 
-    who: the process, in words.
+    process: the process, in words.
     reason: why it failed, in words.
     """
 
-    def __init__(self, who: str, reason: str) -> None:
-        self.who = who
+    def __init__(self, process: str, reason: str) -> None:
+        self.process = process
         self.reason = reason
-        super().__init__(f"{who}: {reason}")
+        super().__init__(f"{process}: {reason}")
 
 
 class Hung(CrazyChoirError, RuntimeError):

@@ -122,16 +122,16 @@ class HangWatch:
 
 
 @contextlib.contextmanager
-def limit_duration(seconds: float, who: str) -> Iterator[None]:
+def limit_duration(seconds: float, name: str) -> Iterator[None]:
     """Interrupt the code in this context by Hung after so many seconds.
 
     Use it for the hooks of a mission file, which run before the first drone flies or after all have
     landed.
 
     seconds: s of real time
-    who: name for reports
+    name: name for reports
     """
-    with HangWatch() as watch, watch.within(seconds, who):
+    with HangWatch() as watch, watch.within(seconds, name):
         yield
 
 

@@ -335,5 +335,7 @@ class _AlgorithmEnded(Exception):
     @classmethod
     def by(cls, error: PeerLost | ChannelEnded) -> "_AlgorithmEnded":
         """Return the end by a neighbour that will not answer: it counts as the failed agent."""
-        who = error.lost[0] if isinstance(error, PeerLost) else next(iter(error.ended))
-        return cls(AgentFailed(who, error_text(error)), error)
+        failed = (
+            error.lost[0] if isinstance(error, PeerLost) else next(iter(error.ended))
+        )
+        return cls(AgentFailed(failed, error_text(error)), error)

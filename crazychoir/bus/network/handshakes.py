@@ -80,8 +80,8 @@ class HandshakeReporter:
         elif (
             to := _LOG_PATTERNS.outgoing_failure.match(found["text"])
         ) and _LOG_PATTERNS.certificate_error.search(to["why"]):
-            who = f"{to['where']} and we do not accept each other's certificate"
-            self._say(who, to["why"].rpartition("): ")[2], "See `crazychoir doctor`")
+            fault = f"{to['where']} and we do not accept each other's certificate"
+            self._say(fault, to["why"].rpartition("): ")[2], "See `crazychoir doctor`")
         return True
 
     def _say(self, what: str, why: str, then: str) -> None:

@@ -280,11 +280,9 @@ class Peers:
         ]
         if not others:
             return False
-        who = f"process {hello.process} on host {hello.host}"
+        speaker = f"process {hello.process} on host {hello.host}"
         what = describe_address(others[0])
-        refusal = (
-            f"{who} speaks for {what}, which the swarm file does not give to that host"
-        )
+        refusal = f"{speaker} speaks for {what}, which the swarm file does not give to that host"
         if not peer.refusal:
             log.warning("%s: it is refused", refusal)
         peer.refusal = refusal

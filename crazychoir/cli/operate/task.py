@@ -159,7 +159,7 @@ def _lines(answers: "Answers") -> list[str]:
             else f"{text} {TASK_TEXTS.unsure}",
             [],
         ).append(str(i))
-    return [f"drone {', '.join(who)}: {said}" for said, who in by_word.items()]
+    return [f"drone {', '.join(ids)}: {said}" for said, ids in by_word.items()]
 
 
 def _in_words(said: dict[str, Any]) -> str:

@@ -136,13 +136,15 @@ class EmergencyStop:
                 "agents": [i for i in self.meant if i in self.obeyed],
                 "bodies": self._bodies(),
             }
-            who = "; ".join(
+            unanswered = "; ".join(
                 f"{group} {describe_ids(known)}"
                 for group, known in ids.items()
                 if known
             )
             verb = "cleared" if self.clear else "stopped"
-            log.warning("swarm %s: %s: %s; waiting for the others", name, verb, who)
+            log.warning(
+                "swarm %s: %s: %s; waiting for the others", name, verb, unanswered
+            )
         elif (
             not (self.found or self.obeyed or self._waited)
             and patience > NEXT_PROCESS_TIMEOUT

@@ -108,12 +108,12 @@ class DeliverySite:
         if self.list_able_robots(task):
             return ""
         chosen = [i for i in self.config.ids if self.may_serve(i, task)]
-        who = (
+        carriers = (
             "any drone"
             if len(chosen) == len(self.config.ids)
             else f"drone {describe_ids(chosen)}, which alone may serve it,"
         )
-        return f"its load {task.load:g} is more than {who} can carry: {self._most(chosen):g}"
+        return f"its load {task.load:g} is more than {carriers} can carry: {self._most(chosen):g}"
 
     def explain_wait(self, task: Task, flying: Collection[int]) -> str:
         """Return why no flying robot can serve a task that the swarm could serve.

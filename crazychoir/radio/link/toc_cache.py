@@ -120,7 +120,7 @@ class TableOfContents:
         """Note that the link of this thread is closed, so that others no longer wait for its tables."""
         with self._told:
             self._asked = {
-                crc: who for crc, who in self._asked.items() if who != thread
+                crc: asker for crc, asker in self._asked.items() if asker != thread
             }
             self._closed[thread] = None
             self._told.notify_all()

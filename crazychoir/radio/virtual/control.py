@@ -57,7 +57,7 @@ def ask_server(
 
 
 def _ask_part(
-    door: socket.socket, question: dict[str, Any], who: str
+    door: socket.socket, question: dict[str, Any], server: str
 ) -> dict[str, Any]:
     """Return one part of an answer.
 
@@ -68,7 +68,7 @@ def _ask_part(
     if len(asked) > QUESTION_LIMITS.datagram_size:
         do = "Ask for fewer drones at once, or name them as 3,4 with one table for all."
         raise Refused(
-            who,
+            server,
             f"a question of {len(asked)} bytes; a datagram has {QUESTION_LIMITS.datagram_size} at most. {do}",
         )
     for _ in range(QUESTION_LIMITS.attempts):
@@ -83,15 +83,15 @@ def _ask_part(
             continue
         except ValueError as error:
             raise Refused(
-                who,
+                server,
                 f"the answer is not JSON: {error}. Is it `crazychoir virtual`?",
             ) from error
         if "error" in answer:
-            raise Refused(who, answer["error"])
+            raise Refused(server, answer["error"])
         answer.pop("after", None)
         return answer
     raise Refused(
-        who,
+        server,
         "no answer. Start `crazychoir virtual`, or give its first port with --port.",
     )
 

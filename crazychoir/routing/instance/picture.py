@@ -96,11 +96,11 @@ def _draw_route(axes: "Axes", instance: Instance, route: Route, timed: bool) -> 
 
 def _describe_trip(trip: Trip, several: bool, timed: bool) -> str:
     tasks = ", ".join(str(stop.task) for stop in trip.stops if stop.kind == "delivery")
-    who = (
+    name = (
         f"robot {trip.robot}, trip {trip.number}" if several else f"robot {trip.robot}"
     )
     return (
-        f"{who}: {trip.length:.2f} m"
+        f"{name}: {trip.length:.2f} m"
         + (f", until {trip.end:.2f} s" if timed else "")
         + f", tasks {tasks}"
     )
