@@ -1,4 +1,4 @@
-"""Two hosts on this machine, whose clocks may differ: network namespaces; needs root and iproute2."""
+"""Two hosts on this machine, with clocks that may differ: network namespaces, which need root and iproute2."""
 
 import contextlib
 import secrets

@@ -1,4 +1,4 @@
-"""The owner of a world in a process of its own: all drones fly in it; who is killed costs the others nothing else."""
+"""The owner of a world in a process of its own: all drones fly in it; a killed process leaves none hanging."""
 
 import asyncio
 import contextlib
@@ -97,7 +97,7 @@ class Run:
         )
 
     def pid(self, word: str) -> int:
-        """The child whose command line holds the word."""
+        """Return the id of the child process with this word in its command line."""
         pid = self.program.process.pid
         children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
         return next(

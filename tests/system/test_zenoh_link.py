@@ -231,7 +231,7 @@ async def test_an_observer_elsewhere_gets_what_it_asked_for_at_its_rate(
     await until(ground.knows(link))
     sent = link.bus.ports[0]
     link.bus.ports[0].publish(DRONE_TOPICS.state, State.at([0.0, 0.0, 0.0]))
-    assert not sent._readers.get(DRONE_TOPICS.state.number), "nobody has asked"
+    assert not sent._readers.get(DRONE_TOPICS.state.number), "no process has asked"
     await child.ask("subscribe", topic="state", source=0, reader=OBSERVER, rate=20.0)
     await until(lambda: link.bus.ports[0]._readers.get(DRONE_TOPICS.state.number))
     for k in range(200):
@@ -371,7 +371,7 @@ async def test_hostile_frames_are_counted_and_nothing_breaks(ground: Ground) -> 
         (f"{prefix}/there/b-1/rounds", forged),
     ]  # not its key
     put += [(prefix, forged), (f"{prefix}/x", forged), (f"{prefix}/**", forged)]
-    names = ["**", "*", "a-1"]  # who answers these answers itself, for ever
+    names = ["**", "*", "a-1"]  # a process that answers these answers itself, for ever
     put += [
         (f"{prefix}/here/{name}/rounds", encode_frame(Frame(name, 7, 2, [message])))
         for name in names

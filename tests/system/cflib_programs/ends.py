@@ -97,7 +97,7 @@ def restart_by_a_wrong_packet(uri, cache):
 
 
 def nobody_there(uri, cache):
-    """A port where nobody is: the connection fails, with the reason."""
+    """A connection to a port without a drone fails, and a callback gets the reason."""
     cf, failed = Crazyflie(rw_cache=cache), threading.Event()
     cf.connection_failed.add_callback(lambda uri, why: failed.set())
     cf.open_link("udp://127.0.0.1:9")
