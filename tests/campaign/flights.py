@@ -70,12 +70,12 @@ class Invariants(Actor):
         self._said: dict[Any, None] = {}
 
     async def run(self) -> None:
-        """A hundred times a second."""
+        """Check the drones a hundred times a second."""
         async for _ in self.agent.clock.ticks(100.0):
             self.look(self.agent.clock.now())
 
     def look(self, now: float) -> None:
-        """One step."""
+        """Check the drones at one step."""
         agent = self.agent
         p = {
             i: agent.owner_of[i].world.states[agent.owner_of[i].world.row[i], 0:3]

@@ -352,7 +352,7 @@ async def test_three_cold_ones_are_told_their_tables_once_and_in_time(
 async def test_a_drone_that_comes_within_reach_while_its_link_opens_is_reached(
     known,
 ) -> None:
-    """It counts packets for an earlier link, and would take each new one for one sent again."""
+    """The drone still counts packets for an earlier link; it must not take a new packet for a repeated one."""
     async with air(1) as there:
         (first,) = await opened(there, known, 1)
         await first.close()

@@ -32,7 +32,7 @@ library = pytest.mark.skipif(
 
 
 def pose(i, k):
-    """Of body i in frame k: no two are the same."""
+    """Return the pose of body i in frame k; no two poses are the same."""
     return np.array([float(i), 0.001 * k, 0.5 + 0.1 * i, *quaternion_of_yaw(0.01 * k)])
 
 

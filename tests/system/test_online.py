@@ -367,7 +367,7 @@ def test_a_mission_that_raises_alone_leaves_its_tasks_to_the_others(part, name):
 def test_a_drone_that_is_cut_off_and_comes_back_serves_nothing_that_others_serve(
     who, recover, until
 ):
-    """It waits where it is, and lands after 5.5 s."""
+    """The drone that is cut off waits where it is, and lands after 5.5 s."""
     config = drawn(8, 0.2, drones=4, tasks=6, later=0, recover=recover, until=40.0)
     config = config.replace(
         network={
@@ -431,7 +431,7 @@ def test_a_team_without_a_flying_drone_ends_its_mission(drones):
 
 
 def test_a_drone_that_is_sent_elsewhere_at_full_speed_stays_in_its_room():
-    """It flew home at 1 m/s, out of the way, when a task came up behind it."""
+    """A task comes up behind a drone that flies home at 1 m/s, out of the way."""
     outcome = fly_online(drawn(90), {})
     assert outcome.reasons == []
 

@@ -29,7 +29,7 @@ MISSION = load_mission("online_delivery")
 ADDRESSES = {"a": "10.79.0.1", "b": "10.79.0.2"}
 LEASE = 1.0
 VICTIM = 3
-"""Of host b; the world is on host a."""
+"""A drone of host b; the world is on host a."""
 FIRST, SECOND = (0, 1, 2), (3, 4, 5)
 """The drones of host a, and those of host b."""
 
@@ -146,7 +146,7 @@ async def test_one_of_six_is_killed_and_the_rest_finish(tmp_path, repository):
 async def test_a_process_that_is_killed_and_restarted_takes_part_again(
     tmp_path, repository
 ):
-    """Its drone has been landed by its firmware meanwhile."""
+    """Meanwhile the firmware has landed the drone of the killed process."""
     async with in_flight(tmp_path) as (world, team, _):
         await asyncio.sleep(0.5)
         killed = time.monotonic()

@@ -29,7 +29,7 @@ TILTS, STAYS = (
     "it does not tilt as its body does, but as",
     "its body does not rise as it takes off: another drone's",
 )
-"""What is said of a drone with a wrong body; the other of two that are exchanged may see that one landed before."""
+"""Reasons of a drone with a wrong body. If two are exchanged, the second may see that the first has landed before."""
 UP = 0.4
 """m, above which a drone flies."""
 
@@ -320,7 +320,7 @@ async def test_a_formation_stands_by_roll_and_pitch_at_the_rate_that_a_dongle_ca
 
 @pytest.mark.slow
 async def test_twenty_fly_a_figure(tmp_path) -> None:
-    """By cameras at 50 Hz: at 100 Hz the nine processes of this flight would need more than two processors have."""
+    """The cameras run at 50 Hz: at 100 Hz the nine processes of this flight would need more than two processors."""
     groups = [list(range(0, 20, 2)), list(range(1, 20, 2))]
     config = reached(
         figures(20, "xyz", processes=groups), per_dongle=4, mocap={"rate": 50}

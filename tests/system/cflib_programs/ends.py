@@ -25,7 +25,7 @@ def supervisor(uri, cache):
 
 
 def emergency_stop(uri, cache):
-    """It falls at once, is locked, and stays so until it is switched on again."""
+    """The drone falls at once, and stays locked until it is switched on again."""
     with SyncCrazyflie(uri, cf=Crazyflie(rw_cache=cache)) as scf:
         motors, config = [], LogConfig(name="motors", period_in_ms=10)
         config.add_variable("motor.m1", "uint16_t")

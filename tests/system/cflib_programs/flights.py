@@ -101,7 +101,7 @@ def motion_commander(uri, cache):
 
 
 def position_commander(uri, cache):
-    """By places."""
+    """The drone flies to places."""
     with SyncCrazyflie(uri, cf=Crazyflie(rw_cache=cache)) as scf:
         where = Watched(scf)
         x, y, _ = where.home
