@@ -81,7 +81,7 @@ def each(some: list[int], jobs: int) -> Iterator[tuple[Report, float]]:
 
 
 def show(result: dict[str, Any], console: Console) -> None:
-    """As tables."""
+    """Print the result as tables."""
     table = Table("scenario", "seeds", "s of CPU a seed", "wrong")
     wrong = Counter(one["kind"] for one in result["wrong"])
     for kind, count in sorted(result["kinds"].items()):

@@ -35,14 +35,14 @@ are after 20 s; a partition of 15 s keeps some waiting."""
 DELIVERING = 45.0
 QUICK = BRISK | {"speed_limit": 3.0, "acceleration_limit": 6.0}
 LONG = 90.0
-"""The same where one is cut off for good, which must have come to its end by then."""
+"""s after the first take-off when all are told to land if a drone is cut off for good; it must have ended by then."""
 LONGEST = 120.0
 """s of virtual time in which every wait of a flight must be over."""
 OUTSIDE = 0.15
 """m beyond the fence with running motors that a safety table may need to stop a drone; the limit area is 0.5 m off."""
 BLIND, DRIFT, BACK = 0.1, 1.0, 2.0
-"""s, m/s2, s: who is not seen for t > BLIND strays by DRIFT t^2 / 2 from where it believes to be, as one that is tilted
-by 0.1 rad more than it knows; it has BACK s to correct that when it is seen again."""
+"""s, m/s2, s: a drone that is not seen for t > BLIND strays by DRIFT t^2 / 2 from where it believes to be. A drone that
+is tilted by 0.1 rad more than it knows strays so far. It has BACK s to correct that when it is seen again."""
 UNSEEN = 0.7
 """s without a pose after which a drone lands, or its motors are off: 0.5 by the safety table."""
 LOW = 0.1
@@ -50,7 +50,7 @@ LOW = 0.1
 
 
 class Invariants(Actor):
-    """Looks at all drones at each step: distances, the fence, who is not seen, and whether all come down in time."""
+    """Checks at each step the distances, the fence and unseen drones, and whether all drones come down in time."""
 
     name = "invariants"
 
@@ -70,12 +70,12 @@ class Invariants(Actor):
         self._said: dict[Any, None] = {}
 
     async def run(self) -> None:
-        """A hundred times a second."""
+        """Check the drones a hundred times a second."""
         async for _ in self.agent.clock.ticks(100.0):
             self.look(self.agent.clock.now())
 
     def look(self, now: float) -> None:
-        """One step."""
+        """Check the drones at one step."""
         agent = self.agent
         p = {
             i: agent.owner_of[i].world.states[agent.owner_of[i].world.row[i], 0:3]
@@ -347,7 +347,7 @@ def delivery(report: Report, draw: Draw) -> None:
         )  # what it has when it is cut off, it delivers, unheard
         report.holds(
             known or nobody or aboard,
-            f"{kind} of task {j} by {who}, and nobody else has heard of it",
+            f"{kind} of task {j} by {who}, and no other drone has heard of it",
         )
     failed = [i for i in agent.ids if not agent.drones[i].result.get("success")]
     for i in agent.ids:

@@ -308,13 +308,13 @@ def check_rounds(report: Report, roster: Roster, heard: dict[int, Any]) -> None:
 
 
 def members(report: Report, draw: Draw) -> None:
-    """All but one at most are killed and come again, the network is cut, loses, and heals; all agree in the end.
+    """Kill drones and start them again, and cut, disturb and heal the network: all drones agree in the end.
 
-    And all that live exchange with each other again, however long one was without the others.
-    In half of the seeds they are on hosts whose clocks differ by hours.
-    Meanwhile whoever hears anything in a round hears what was said in that very round, and in that very epoch on a
-    channel that begins anew with each; and since the last of them has come or gone all hear in each round just their
-    neighbours.
+    At least one drone is never killed. In half of the seeds the drones are on hosts with clocks that differ by hours.
+    All living drones exchange with each other again, however long a drone was without the others.
+    A message that a drone hears in a round was always sent in this very round. On a channel that begins anew with each
+    epoch it was sent in this very epoch too.
+    After the last drone has come or gone, each drone hears just its neighbours in each round.
     """
     n = int(draw.integers(3, 8))
     graph = faults.graph(draw, n)
@@ -463,9 +463,10 @@ class CommandTrial:
 
 
 def commands(report: Report, draw: Draw) -> None:
-    """An operator over a bad network: what is answered was done once, nothing is done twice, every wait ends.
+    """Let an operator command drones over a bad network.
 
-    Of stops and clears the one that was ordered last is in force, whatever of the others comes late.
+    A request with the answer `done` was done once. No request is done twice, and every wait ends.
+    The last stop or clear that the operator ordered is in force, however late the earlier orders come.
     """
     n = int(draw.integers(1, 6))
     count = int(draw.integers(5, 30))

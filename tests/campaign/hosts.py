@@ -1,4 +1,4 @@
-"""Hosts in virtual time: a bus each, whose clock is ahead of the others', and what one says to another's drones."""
+"""Hosts in virtual time: each has its own bus, a clock that may be ahead, and a way to the drones of other hosts."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
@@ -35,7 +35,7 @@ class Skewed(Clock):
 
 
 class Way:
-    """From one host to all others, at once."""
+    """A way for messages from one host to all others, without delay."""
 
     def __init__(self, own: Bus, hosts: list[Bus]) -> None:
         self.own, self.hosts = own, hosts
@@ -55,7 +55,7 @@ class Way:
         self.own.clock.soon(work)
 
     def interested(self) -> None:
-        """Nobody reads topics of others here."""
+        """Do nothing: no program here reads the topics of another host."""
 
 
 def hosts(

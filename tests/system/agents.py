@@ -154,14 +154,14 @@ class Team:
         return [status for status in self._statuses if drone in (None, status["drone"])]
 
     def newest(self) -> list[dict[str, Any]]:
-        """The last status of every drone; of one that has not been heard of, an empty one."""
+        """Return the last status of every drone; the status of an unheard drone has an empty phase and task."""
         return [
             (self.statuses(i) or [{"phase": "", "task": ""}])[-1]
             for i in self.config.ids
         ]
 
     def planning_round(self) -> int:
-        """The highest round that was seen in planning; -1 as soon as somebody goes on."""
+        """Return the highest round that was seen in planning; -1 as soon as a drone agrees or flies."""
         seen = self.statuses()
         if any(status["task"].startswith(("agreeing", "flying")) for status in seen):
             return -1
@@ -180,7 +180,7 @@ class Team:
             60,
             lambda: self.text,
         )
-        assert self.planning_round() >= k, "planning was over before anybody looked"
+        assert self.planning_round() >= k, "planning was over before the test saw it"
 
     async def phase(self, *phases: str, seconds: float = 40.0) -> None:
         """Wait until every drone was seen in one of these phases."""

@@ -99,8 +99,10 @@ class Ascent:
 
 
 class Hall(Actor):
-    """The world, its cameras, the owner of the dongles. By drone, what is wrong: body_of: whose body is taken for its
-    own;  reaches: whom its radio reaches in its place;  turned: rad, by which its body's axes are turned about z.
+    """The world, its cameras and the owner of the dongles.
+
+    The arguments say what is wrong with each drone:  body_of: the drone that the cameras see in its place;  reaches:
+    the drone that its radio reaches instead of it;  turned: rad, by which its body's axes are turned about z.
     """
 
     name = "hall"

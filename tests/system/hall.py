@@ -18,8 +18,10 @@ from crazychoir.radio.virtual.control import ask_server
 
 
 def udp_block(count: int) -> int:
-    """The first of so many UDP ports in a row, and of one below, that are free; not those of the last test, whose
-    processes may speak for some seconds after they were left.
+    """Return the first of so many free UDP ports in a row; the port below the first is free too.
+
+    The search begins at a port that depends on the id of this process. The programs of an earlier test process may
+    still send to its ports for some seconds.
     """
     for first in range(21_000 + 97 * (os.getpid() % 200), 60_000, 97):
         kept = []
@@ -57,7 +59,7 @@ def reached(
 
 
 def processes(pattern: str) -> list[int]:
-    """Those whose command line matches, of this user."""
+    """Return the ids of the processes with a command line that matches."""
     found = subprocess.run(
         ["pgrep", "-f", pattern], capture_output=True, text=True, check=False
     ).stdout

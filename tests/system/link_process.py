@@ -114,7 +114,7 @@ class Commands:
         self.boxes: dict[str, Any] = {}
 
     async def status(self) -> dict[str, Any]:
-        """Whom we have heard, and who has heard us."""
+        """Return the processes that we have heard, the processes that have heard us, and all counters."""
         known = [peer for peer in self.link.peers.values() if peer.hello is not None]
         heard_by = [
             peer.process for peer in known if self.link.bus.process in peer.hello.heard

@@ -1,4 +1,4 @@
-"""Two hosts on this machine, whose clocks may differ: network namespaces; needs root and iproute2."""
+"""Two hosts on this machine, with clocks that may differ: network namespaces, which need root and iproute2."""
 
 import contextlib
 import secrets
@@ -39,11 +39,11 @@ class Hosts:
         return inside + (skewed if host and self.skew else [])
 
     def cut(self) -> None:
-        """From now on no packet crosses; both ends see their link go down."""
+        """Let no packet cross from now on; both ends see their link go down."""
         run_iproute("-n", self.names[0], "link", "set", NAMESPACE_DEVICE, "down")
 
     def mend(self) -> None:
-        """The link is back."""
+        """Bring the link back."""
         run_iproute("-n", self.names[0], "link", "set", NAMESPACE_DEVICE, "up")
 
 

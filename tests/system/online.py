@@ -1,4 +1,4 @@
-"""Flights of the online mission in virtual time in which drones are killed, and who has been served what."""
+"""Flights of the online mission in virtual time: drones are killed, and each delivery is noted with its drone."""
 
 import asyncio
 from collections.abc import Iterator
@@ -21,9 +21,9 @@ LONGEST = 300.0
 
 
 def crash(agent: Agent, i: int) -> None:
-    """Drone i's program ends without a word, as by kill -9, and its body has no thrust any more.
+    """End drone i's program without a word, as by kill -9, and take the thrust off its body.
 
-    From now on nobody hears anything of it but where its body is, and it hears nothing.
+    From now on the other drones hear only where its body is, and drone i hears nothing.
     """
     drone = agent.drones[i]
     port, send = drone.port, drone.port.send
@@ -50,10 +50,11 @@ def carried(agent: Agent, i: int) -> list[int]:
 class Outcome:
     """How a flight has ended.
 
-    results: of each drone;  aboard: what each killed one carried when it was killed;  delivered: by whom, each task;
-    touching: pairs that flew, and came so near, in m, that they may have touched;  struck: pairs of which one had been
-    killed, while it fell: no plan keeps others from below it at a moment that nobody knows, see agents/README.md;
-    reasons: what is wrong with it, sentence by sentence.
+    results: the result of each drone;  aboard: the goods that each killed drone carried when it was killed;  delivered:
+    the drones that delivered each task;  touching: pairs of flying drones that came so near that they may have touched,
+    with their distance in m;  struck: the same for a killed drone that fell past another drone: no plan can keep
+    drones from below it, as no plan knows the moment, see agents/README.md;  reasons: what is wrong with the flight,
+    sentence by sentence.
     """
 
     config: SwarmConfig
@@ -95,10 +96,10 @@ def fly_online(
     prepare: Any = None,
     killed: dict[int, list[int]] | None = None,
 ) -> Outcome:
-    """Fly it, killing drones.
+    """Fly the mission, and kill drones.
 
-    kills: {drone: s};  prepare: called with the agent, before it runs;  killed: what each drone carried that `prepare`
-    has killed.
+    kills: {drone: s};  prepare: called with the agent, before it runs;  killed: the goods that each drone carried when
+    `prepare` killed it.
     """
     mission = load_mission("online_delivery")
     mission.check(config, False)
@@ -226,7 +227,7 @@ def drawn(
 
 
 def wilson(successes: int, n: int, z: float = 1.96) -> tuple[float, float]:
-    """The 95 % interval of a probability of which `successes` of n were seen (Wilson 1927).
+    """Return the 95 % interval of a probability after `successes` in n trials (Wilson 1927).
 
     (p + z^2 / 2n -+ z sqrt(p (1 - p) / n + z^2 / 4n^2)) / (1 + z^2 / n)
     """

@@ -20,7 +20,7 @@ WRONG = {
 
 
 def check(tracks, wrong) -> None:
-    """These are named and come down, near where they stood, and nobody else."""
+    """Check that the wrong drones, and no others, are named and come down near where they stood."""
     for i, track in tracks.items():
         assert track.result["success"] is (i not in wrong), (i, track.result)
         if i in wrong:

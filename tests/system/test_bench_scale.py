@@ -1,4 +1,4 @@
-"""The bench measures what it says; its figures are nobody's test."""
+"""The bench measures what it says; no test checks its figures."""
 
 import io
 

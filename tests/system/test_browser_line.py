@@ -400,7 +400,7 @@ async def test_a_drawing_is_saved_as_a_file_and_loaded_again(tmp_path, kind):
 
 @pytest.mark.slow
 async def test_no_tab_moves_the_table_and_what_flies_a_drawing_is_in_sight(tmp_path):
-    """Who has a box under his hand ticks that one."""
+    """The box of a drone stays in its place in every tab: the operator ticks the box under the pointer."""
     async with looked_at(tmp_path, viewport={"width": 1280, "height": 800}) as (
         page,
         _,

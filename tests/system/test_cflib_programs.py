@@ -125,7 +125,7 @@ def test_the_server_ends_by_ctrl_c_with_what_became_of_the_drones(ran):
     _, report, code = ran
     assert (code, report["success"]) == (0, True)
     restarted = [i for i, drone in report["drones"].items() if drone["starts"] > 1]
-    assert restarted == ["10"]  # the one that got a packet that was too short
+    assert restarted == ["10"]  # this drone got a packet that was too short
     assert report["drones"]["10"]["malformed"] == 1
     assert (
         report["drones"][str(DRONES - 1)]["last"] == "rpyt"

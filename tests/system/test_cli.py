@@ -403,7 +403,7 @@ async def test_operating_and_looking_into_a_swarm_that_runs_then_landing_it(
 
 @pytest.mark.timeout(120)
 async def test_beside_an_agent_that_waits(look_here, four, compiled):
-    """The second agent of one drone is refused; and a stop says who has not acknowledged."""
+    """A second agent of the same drone is refused. A stop names the drones that have not acknowledged it."""
     path, config = four
     agent = await Program.start(
         *AGENT, "--swarm", path, "--json", "--id", "0", "--id", "1"
@@ -444,7 +444,7 @@ async def listening(port):
         with socket.socket() as probe:
             return probe.connect_ex(("127.0.0.1", port)) == 0
 
-    await until(answers, 40.0, lambda: f"nobody listens on {port}")
+    await until(answers, 40.0, lambda: f"no process listens on {port}")
 
 
 @pytest.mark.slow
@@ -480,7 +480,7 @@ async def test_two_runs_of_one_swarm_file_meet_when_each_starts_its_drones(
 
 @pytest.mark.timeout(120)
 async def test_a_run_fails_if_not_all_its_processes_can_start(four, tmp_path, compiled):
-    """Of some drones, and of all: then who is killed at the start ends the wait of the others."""
+    """A run of some drones names the absent ones. In a run of all, one failed process ends the wait of the others."""
     async with asyncio.TaskGroup() as group:
         group.create_task(
             some_are_missing(written(tmp_path / "some.json", isolate_swarm(four[1], 2)))
@@ -506,7 +506,7 @@ async def others_wait(swarm):
     assert time.monotonic() - began < 30.0, "not the whole deadline"
     assert said.code == 1, said.err
     assert {2, 3} <= set(said.json["absent"]), (
-        "of the others, those too that had not begun to obey signals"
+        "drones 2 and 3, and others if their process did not obey signals yet"
     )
     assert "the others wait no more" in said.err
 
@@ -594,7 +594,7 @@ async def interrupt(program, swarm, folder):
         assert len(children) == (2 if program == "run" else 0)
         said = await look("status", "--swarm", swarm[0], "--json")
         assert set(said.json) == {"0", "1", "2", "3"}, (
-            "the file that was flown finds who flies it"
+            "the status of the flown file shows all its drones"
         )
         flying.signal(signal.SIGINT)
         ended = await flying.end(60.0)

@@ -55,7 +55,7 @@ async def test_eight_connect_within_their_deadlines_and_leave_no_thread(
         assert sorted(failed) == [3, 5]
         assert "no virtual drone is there" in failed[3]
         assert "no answer within 1 s" in failed[5]
-        assert took < 2.0, "who is not there delays nobody beyond the deadline"
+        assert took < 2.0, "an absent drone delays no connection beyond the deadline"
         await asyncio.gather(*(link.close() for link in links))
         for _ in range(30):
             if threading.active_count() <= before:

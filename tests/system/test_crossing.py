@@ -1,4 +1,4 @@
-"""Drones that fly straight to their goals, whoever is in their way, by the true places whenever both fly."""
+"""Drones that fly straight to their goals with others in the way; true distances count while both drones fly."""
 
 import numpy as np
 import pytest

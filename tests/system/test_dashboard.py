@@ -193,7 +193,7 @@ async def test_the_page_of_loopback_is_closed_to_other_sites_other_names_and_ove
     tmp_path,
 ):
     path = tmp_path / "swarm.json"
-    path.write_text(six(processes=1).dumps())  # nobody flies it
+    path.write_text(six(processes=1).dumps())  # no process flies it
     program, address = await dashboard(path)
     try:
         assert (await asyncio.to_thread(asks, address))[0] == 200

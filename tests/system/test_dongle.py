@@ -205,7 +205,7 @@ async def test_a_busy_dongle_blocks_no_link_and_sends_an_emergency_stop_first(
         for drone, k in zip(there.dongle.drones.values(), before, strict=True):
             after = [plain(packet) for packet in drone.up[k:]]
             assert after.index(EMERGENCY[0]) <= 2, (
-                "one was in the air, one had left for it"
+                "one packet was in the air, one was on its way there"
             )
             assert (
                 EMERGENCY[1] not in after
@@ -267,7 +267,7 @@ async def test_a_silent_drone_takes_little_air_time_and_later_gets_the_newest_se
 
         await until(lambda: heights()[-1:] == [pytest.approx(0.399)])
         assert len(heights()) <= 3, (
-            "one in the air, one that had left for it, and the newest"
+            "one set-point in the air, one on its way there, and the newest"
         )
         await closed(links)
 
@@ -352,7 +352,7 @@ async def test_three_cold_ones_are_told_their_tables_once_and_in_time(
 async def test_a_drone_that_comes_within_reach_while_its_link_opens_is_reached(
     known,
 ) -> None:
-    """It counts packets for an earlier link, and would take each new one for one sent again."""
+    """The drone still counts packets for an earlier link; it must not take a new packet for a repeated one."""
     async with air(1) as there:
         (first,) = await opened(there, known, 1)
         await first.close()

@@ -34,7 +34,7 @@ DATA = Path(__file__).parents[1] / "data"
 LOST_AFTER = 3.0
 LEASE = 1.0
 SAFE_PUT = 0.05
-"""s: one that waited for the process that stands still would take until it is lost; a busy machine takes some ms."""
+"""s: a put that waits for the stopped process would take until that is lost; on a busy machine a put takes some ms."""
 STANDING = '''
 """Every drone takes off, stands for a while, and lands; some go wrong in their 50th step."""
 
@@ -81,7 +81,10 @@ def guidance(i, config):
 
 
 def ahead_of_others() -> list[str]:
-    """What lets a command go before the rest of this machine, whose load would show as late puts; [] if forbidden."""
+    """Return words before a command that let it run before all others on this machine; [] if that is forbidden.
+
+    Otherwise the load of the machine would show as late puts.
+    """
     command = ["chrt", "--rr", "1"]
     allowed = (
         subprocess.run([*command, "true"], check=False, capture_output=True).returncode
@@ -169,7 +172,7 @@ async def test_a_killed_process_in_planning_ends_the_mission_of_the_others_and_i
 
 @pytest.mark.slow
 async def test_a_stopped_process_does_not_delay_the_others(tmp_path):
-    alone = {"method": "off"}  # else who stands beside it evades it
+    alone = {"method": "off"}  # else the drones beside drone 3 evade it
     config, first = (
         isolate_swarm(standing(tmp_path, duration=4.0).replace(collision=alone), None),
         ahead_of_others(),
@@ -257,9 +260,9 @@ def test_a_step_that_hangs_lands_its_drone_alone_and_is_named(wrong):
     computed = re.search(r"computed for ([0-9.]+) s", said)
     assert computed is not None, said
     assert float(computed[1]) < 0.6, "its neighbour in the process waits"
-    if wrong.answers[2]["late_s"] < 0.45:  # nobody else kept the processor from it
+    if wrong.answers[2]["late_s"] < 0.45:  # no other program kept the processor from it
         assert found[3]["success"], found
-    else:  # the safety table lands who is not flown for half a second
+    else:  # the safety table lands a drone that is not flown for half a second
         assert found[3]["success"] or re.fullmatch(
             r"drone 3: landing: pose .* limit 0.50 s.*", found[3]["reason"]
         )
@@ -306,7 +309,7 @@ def opened(endpoint: str) -> zenoh.Session:
 
 
 def lies(draw: np.random.Generator, process: str) -> list[Envelope]:
-    """Messages that look valid, from drones that the process does not fly, or that nobody flies."""
+    """Return messages that look valid, from drones that another process flies, or that no process flies."""
     sources = [j for j in range(6) if str(j) != process.split("-")[0]]
     payloads = [
         encode(None),

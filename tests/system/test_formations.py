@@ -76,7 +76,10 @@ def test_eleven_take_the_places_of_a_letter():
 
 @pytest.mark.slow
 def test_thirty_keep_their_places_though_frames_come_late_by_other_times(monkeypatch):
-    """As in real time: what a drone takes its velocity for must be what its neighbours hear, or all bob together."""
+    """Frames come late, by another time each, as in real time. A drone must use the velocity that its neighbours hear.
+
+    Otherwise all drones would bob together.
+    """
     draw, frame, posed = np.random.default_rng(1), {}, Pilot._posed
 
     def late(pilot, pose, age):

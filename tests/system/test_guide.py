@@ -64,7 +64,7 @@ def sections(text):
 
 
 def fewer(text):
-    """The swarm file with the drones of LEFT and RIGHT alone, who are on those hosts."""
+    """Return the swarm file with just the drones LEFT, on host left, and the drones RIGHT, on host right."""
     kept = LEFT + RIGHT
     text = re.sub(
         r"\[(\d+), (\d+)\],",
@@ -187,7 +187,7 @@ class Lab:
         os.close(log)
 
     async def type(self, text, host="physics", seconds=LONG):
-        """What somebody types there, line by line, and what comes; all of it is kept in typed.txt."""
+        """Run these lines on the host, as an operator types them, and return the output; typed.txt keeps all of it."""
         at = f"me@{self.config.hosts[host]}"
         quiet = [
             word

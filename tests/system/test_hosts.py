@@ -1,4 +1,4 @@
-"""Two hosts: network namespaces joined by a veth pair, whose monotonic clocks differ by 1000 s."""
+"""Two hosts: network namespaces joined by a veth pair, with monotonic clocks that differ by 1000 s."""
 
 import asyncio
 import json
@@ -99,7 +99,7 @@ async def cut_in_planning(hosts: Hosts, folder: Path, groups: list[list[int]]) -
         ended = await team.end(90)
         check_clocks(team)
     check_served(config, ended)
-    assert "suspect" in states(ended), "nobody noticed the outage"
+    assert "suspect" in states(ended), "no drone noticed the outage"
 
 
 async def fly_undisturbed(hosts: Hosts, folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""The fence and the limit area around it, at motor level in wind and gusts, of drones whose mission wants out."""
+"""The fence and the limit area around it, at motor level in wind and gusts, with drones that want out."""
 
 import logging
 from dataclasses import dataclass
@@ -106,7 +106,7 @@ def flown(seed, wind, gusts) -> list[Gone]:
 def gone(flight: Flight) -> Gone:
     p, modes = flight.p, flight.modes
     fence, limit = beyond(p, FENCE), beyond(p, LIMIT)
-    # Who has landed, and is blown on over the floor, has its motors off already.
+    # A drone that has landed, and is blown on over the floor, has its motors off already.
     cut = next((k for k, mode in enumerate(modes) if mode is Mode.CUT), None)
     crossed = next(
         (k for k in range(len(p)) if limit[k] > SEEN and modes[k] is not Mode.GROUND),

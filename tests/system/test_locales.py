@@ -1,4 +1,4 @@
-"""Missions, swarm files and instances whose names no locale expects, under locales that lack letters, into pipes."""
+"""Commands handle names of files that no locale expects, under locales that lack letters, with output into pipes."""
 
 import json
 import os

@@ -32,7 +32,7 @@ library = pytest.mark.skipif(
 
 
 def pose(i, k):
-    """Of body i in frame k: no two are the same."""
+    """Return the pose of body i in frame k; no two poses are the same."""
     return np.array([float(i), 0.001 * k, 0.5 + 0.1 * i, *quaternion_of_yaw(0.01 * k)])
 
 
@@ -44,7 +44,7 @@ def flight(count=3000):
 
 
 class Server(asyncio.DatagramProtocol):
-    """In the place of virtual Crazyflies: tells who asks, 100 times a second, what is in these frames."""
+    """Stands in for virtual Crazyflies: sends these frames, 100 a second, to each process that asks."""
 
     def __init__(self, frames):
         self.frames, self.asked = iter(frames), {}
@@ -169,7 +169,7 @@ def test_a_virtual_source_and_a_replay_give_the_same_poses_and_a_hung_one_ends(
                     program.signal(signal.SIGTERM)
                 ended = [
                     await program.end(15.0) for program in programs
-                ]  # also the one that hangs
+                ]  # the hanging program too
                 return line, simulated, replayed, ended
             finally:
                 for program in programs:
@@ -178,7 +178,7 @@ def test_a_virtual_source_and_a_replay_give_the_same_poses_and_a_hung_one_ends(
     line, simulated, replayed, ended = run_wall(main)
     assert line.startswith("vicon at 10.0.0.5: no connection within 1 s")
     assert [one["code"] for one in ended] == [0, 0, 1], (
-        "the one that hangs saw no frame"
+        "the hanging program saw no frame"
     )
     assert "no frame was seen" in ended[2]["reason"]
     for i in virtual.topology.seen:

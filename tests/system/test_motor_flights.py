@@ -73,7 +73,7 @@ def test_the_yaw_turns_with_its_reference_across_pi(circles, row):
 
 
 MOST = {"fpqr": 0.002, "frpy": 0.005, "vel": 0.045, "xyz": 0.045, "fullstate": 0.045}
-"""m from the reference. Velocities and places are followed by the PIDs on board, which nobody tells of the drag."""
+"""m from the reference. The PIDs on board follow velocities and places; they do not know the drag."""
 
 
 @pytest.mark.parametrize("row", TURNING, **names)
@@ -113,7 +113,7 @@ def corner():
 
 
 MOST_OFF = {"fpqr": 0.004, "frpy": 0.008, "vel": 0.08, "xyz": 0.08}
-"""m. Who sends thrust has learnt its trim by then, see control/trim.py."""
+"""m. The controllers that send thrust have learnt their trim by then, see control/trim.py."""
 
 
 @pytest.mark.parametrize("row", ALIKE, **names)
@@ -155,8 +155,8 @@ def test_a_take_off_from_a_tilted_floor_goes_straight_up_without_much_overshoot(
 ):
     """Measured: overshoot fpqr 3 mm, frpy 7 mm, vel 22 mm, xyz 43 mm; drift 13 mm, with vel and xyz up to 75 mm.
 
-    As soon as motors turn, the firmware's estimate knows of no force but theirs; the floor's, which is there still,
-    moves who flies by it.
+    As soon as motors turn, the firmware's estimate knows of no force but theirs. The force of the floor is still there,
+    and moves a drone that flies by the estimate.
     """
     flight = tilted[row]
     assert flight.result["success"], flight.result
@@ -242,7 +242,7 @@ class Nobody:
 
 SILENT = [("cf21", sender) for sender in SENDERS] + [("cf21bl", "fpqr")]
 HEARD_AGAIN = 4.0
-"""s of silence, after which commands arrive again: who still flies can land."""
+"""s of silence, after which commands arrive again: a drone that still flies can land."""
 
 
 SILENT_AT: dict[int, float] = {}

@@ -131,7 +131,7 @@ def test_the_flight_is_drawn_as_a_picture_and_as_a_video_with_drones_where_they_
     assert said.json["files"] == [str(picture)]
     image = np.asarray(Image.open(picture)).astype(float) / 255.0
     assert image.shape == (120, 160, 3)
-    # The camera looks down from 5 m, 45 degrees high, above (2, 0.2): drone 1, whose rotors are red, is left of it.
+    # The camera looks down from 5 m, 45 degrees high, above (2, 0.2): drone 1, with red rotors, is left of it.
     reddish = (image[..., 0] > 1.8 * image[..., 2]) & (
         image[..., 0] > image[..., 1] + 0.15
     )

@@ -44,7 +44,7 @@ def test_all_that_the_living_can_serve_is_served_though_two_are_killed():
 
 @pytest.mark.slow
 def test_a_drone_that_falls_past_another_is_told_apart_from_two_that_fly():
-    """It is killed above one that stands at its home; what the living serve does not depend on it."""
+    """Drone 0 is killed above drone 1, which stands at its home; the living drones still serve what they can."""
     over_home_1 = {
         "t": 3.0,
         "pickup": [0.0, 6.3],
@@ -324,7 +324,7 @@ BROKEN = [("commitments", "next"), ("news", "letter"), ("forecast", "seconds")]
 
 @pytest.mark.parametrize(("part", "name"), BROKEN)
 def test_a_mission_that_raises_alone_leaves_its_tasks_to_the_others(part, name):
-    """Others came for its goods while it was above them; and of one that could not say it nobody heard, for ever."""
+    """The others come for its goods without touching it. They learn of its failure even if it cannot tell them."""
     config, failed = drawn(7, 0.2, drones=4, tasks=5, later=0, recover=True), []
 
     def prepare(agent):
@@ -367,7 +367,7 @@ def test_a_mission_that_raises_alone_leaves_its_tasks_to_the_others(part, name):
 def test_a_drone_that_is_cut_off_and_comes_back_serves_nothing_that_others_serve(
     who, recover, until
 ):
-    """It waits where it is, and lands after 5.5 s."""
+    """The drone that is cut off waits where it is, and lands after 5.5 s."""
     config = drawn(8, 0.2, drones=4, tasks=6, later=0, recover=recover, until=40.0)
     config = config.replace(
         network={
@@ -393,7 +393,7 @@ def test_a_drone_that_is_cut_off_and_comes_back_serves_nothing_that_others_serve
 def test_drones_left_alone_by_a_crash_and_a_cut_link_end_their_mission(
     recover,
 ):
-    """One that was cut off with nothing to do waited for ever for the others to be done."""
+    """A drone that is cut off with nothing to do does not wait for ever until the others are done."""
     config = drawn(8, 0.0, drones=3, tasks=2, later=0, recover=recover, until=40.0)
     config = config.replace(
         network={"partitions": [{"at": 20.0, "until": 400.0, "groups": [[2]]}]}
@@ -410,7 +410,7 @@ def test_drones_left_alone_by_a_crash_and_a_cut_link_end_their_mission(
 
 @pytest.mark.parametrize("drones", [1, 2])
 def test_a_team_without_a_flying_drone_ends_its_mission(drones):
-    """Each waited for ever for the others, who went on without it."""
+    """Each drone ends when it hears no flying drone any more; it does not wait for the others for ever."""
 
     def prepare(agent):
         def land():
@@ -431,7 +431,7 @@ def test_a_team_without_a_flying_drone_ends_its_mission(drones):
 
 
 def test_a_drone_that_is_sent_elsewhere_at_full_speed_stays_in_its_room():
-    """It flew home at 1 m/s, out of the way, when a task came up behind it."""
+    """A task comes up behind a drone that flies home at 1 m/s, out of the way."""
     outcome = fly_online(drawn(90), {})
     assert outcome.reasons == []
 
@@ -449,7 +449,7 @@ def test_a_method_of_pickup_delivery_plans_in_flight_too():
 def test_a_method_that_raises_in_flight_is_replaced_by_the_auction(
     monkeypatch, caplog, who
 ):
-    """It ended the mission of all: nobody served anything more."""
+    """The error does not end the mission: the drones serve all tasks."""
     step = PickupDelivery.step
 
     def broken(self, heard):
@@ -481,7 +481,7 @@ def test_a_method_that_raises_in_flight_is_replaced_by_the_auction(
 def test_a_team_that_finds_no_plan_at_all_delivers_what_is_aboard_and_comes_home(
     monkeypatch,
 ):
-    """Every planning fails from 12 s on; those of who is bound to goods, or has them aboard, go on with them."""
+    """Every planning fails from 12 s on. A drone that is bound to goods, or has goods aboard, goes on with them."""
     now = []
 
     def broken(robot, *args):
@@ -569,7 +569,7 @@ async def test_a_process_is_killed_in_flight_and_comes_back_while_an_operator_ad
 
 
 def busiest(team):
-    """A drone that has goods aboard; None if nobody has."""
+    """Return a drone with goods aboard and stops to do; None if there is none."""
     for i in team.config.ids:
         told = [status["task"] for status in team.statuses(i)]
         if told and " aboard" in told[-1]:

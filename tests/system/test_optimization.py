@@ -1,4 +1,4 @@
-"""Algorithms of the catalogue in flight: the object that was simulated flies; one that fails at one drone lands all."""
+"""Algorithms of the catalogue in flight: the simulated object flies; a failure at one drone lands all."""
 
 import numpy as np
 import pytest

@@ -62,7 +62,7 @@ class Crosses(CFGuidance):
 
 
 class Streams(CFDistributedFeedback):
-    """A straight line of FullStates, that does not wait for anybody."""
+    """A straight line of FullStates that waits for no other drone."""
 
     def __init__(self, start, goal):
         self.start, self.goal, self.duration, self.steps, self.arrived = (
@@ -90,7 +90,7 @@ class Streams(CFDistributedFeedback):
 
 
 class Mission:
-    """Everybody crosses; by: Crosses or Streams."""
+    """All drones cross; by: Crosses or Streams."""
 
     def __init__(self, by, starts, goals):
         self.by, self.starts, self.goals = by, starts, goals
@@ -135,7 +135,7 @@ def nearest(flights):
 
 
 def arrived(flights):
-    """s after the start, when the last one was there for good; infinite if anybody never was."""
+    """Return s after the start at which the last drone was at its goal for good; infinite if a drone never was."""
     times = [flight.result.get("arrived") for flight in flights.values()]
     return math.inf if None in times else max(times)
 

@@ -1,4 +1,4 @@
-"""Drones that tell their ways land, and keep clear, though somebody stands there, or does not answer."""
+"""Drones that tell their ways land and keep clear, even if another drone stands there or does not answer."""
 
 import numpy as np
 import pytest

@@ -29,7 +29,7 @@ MISSION = load_mission("online_delivery")
 ADDRESSES = {"a": "10.79.0.1", "b": "10.79.0.2"}
 LEASE = 1.0
 VICTIM = 3
-"""Of host b; the world is on host a."""
+"""A drone of host b; the world is on host a."""
 FIRST, SECOND = (0, 1, 2), (3, 4, 5)
 """The drones of host a, and those of host b."""
 
@@ -98,7 +98,7 @@ def under_way(statuses):
 
 
 def score(folder, name, world, found, **figures):
-    """One line of results; who has delivered what is counted once."""
+    """Append one line of results and return it; check that no task was delivered twice and no drone crashed."""
     stops = [
         stop["task"]
         for one in found.values()
@@ -146,7 +146,7 @@ async def test_one_of_six_is_killed_and_the_rest_finish(tmp_path, repository):
 async def test_a_process_that_is_killed_and_restarted_takes_part_again(
     tmp_path, repository
 ):
-    """Its drone has been landed by its firmware meanwhile."""
+    """Meanwhile the firmware has landed the drone of the killed process."""
     async with in_flight(tmp_path) as (world, team, _):
         await asyncio.sleep(0.5)
         killed = time.monotonic()
@@ -173,7 +173,7 @@ async def test_a_process_that_is_killed_and_restarted_takes_part_again(
 
 @pytest.mark.parametrize("length", [2.0, 5.0, 15.0])
 async def test_a_partition_that_heals(tmp_path, repository, length):
-    """Who has no cameras any more is landed; who has them goes on, as long as the team is more than half of it."""
+    """Drones without cameras are landed. Drones with cameras go on as long as they hear more than half of the team."""
     async with in_flight(tmp_path) as (world, team, cable):
         cut = time.monotonic()
         cable.change(cut=1)

@@ -17,7 +17,7 @@ pytestmark = [pytest.mark.system, pytest.mark.real_time]
 
 @pytest.fixture
 def port():
-    """Of one of two virtual drones that share a dongle."""
+    """The port of the first of two virtual drones that share a dongle."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as door:
         door.bind(("127.0.0.1", 0))
         first = door.getsockname()[1]

@@ -103,7 +103,11 @@ def drawn(seed: int) -> tuple[SwarmConfig, list[Fault]]:
 
 @dataclass
 class Watched:
-    """The worst of what was seen: m between two that were not at rest; m beyond the limit with motors on; who rests."""
+    """The worst that was seen.
+
+    apart: m, the least distance of two drones that did not rest;  outside: m, the most beyond the limit with motors on;
+    resting: whether all drones rest.
+    """
 
     limit: Fence
     apart: float = math.inf
@@ -125,7 +129,7 @@ class Watched:
 def begin(
     fault: Fault, hall: Hall, run: Program
 ) -> Iterator[tuple[float, dict[str, Any]]]:
-    """Let it go wrong; what ends it, and after how many s."""
+    """Cause the fault; if it passes, yield after how many s it ends, and what ends it."""
     i, kind = fault.drone, fault.kind
     if kind in LASTING:
         hall.fault(i, **LASTING[kind][0])
@@ -148,8 +152,8 @@ def begin(
         found = processes(pattern)
         ended = (
             run.process.returncode is not None or kind == "its agent"
-        )  # nobody starts one again
-        assert found or ended, (pattern, "nobody to kill")
+        )  # no program starts it again
+        assert found or ended, (pattern, "no process to kill")
         for process in found:
             os.kill(process, signal.SIGKILL)
 

@@ -48,7 +48,7 @@ def swarm() -> SwarmConfig:
 
 
 def choosing(watchdog: bool) -> SwarmConfig:
-    """Whether the firmware of one that is sent places cuts its motors when its radio is silent."""
+    """Return the swarm; watchdog: whether firmware that is sent places cuts the motors when its radio is silent."""
     return swarm().replace(radio={"watchdog": watchdog})
 
 
@@ -58,7 +58,7 @@ class Flight:
 
     still: s after it when each drone's motors stood;  levelled: s when its firmware levelled it out;  far: m, the
     largest distance from home along an axis while they turned;  came: each half second, of each drone, s, x, y, z m,
-    and how many packets and poses it has been sent, to see by what went wrong.
+    and the numbers of packets and poses that it has been sent: they show what went wrong.
     """
 
     result: dict[str, Any] = field(default_factory=dict)
@@ -93,30 +93,30 @@ class Flight:
         return str(self.result["reasons"].get(str(i), ""))
 
     def flew_on(self, i: int) -> None:
-        """It has flown its mission."""
+        """Check that drone i has flown its mission and landed softly."""
         assert self.result["results"][str(i)]["success"], (i, self.reason(i), self.text)
         assert self.softly(i)
 
     def landed(self, i: int, reason: str, within: float) -> None:
-        """It was brought down, whole."""
+        """Check that drone i landed softly for this reason, within so many s."""
         assert reason in self.reason(i), (i, self.reason(i), self.came[i], self.text)
         assert self.still[i] < within, (i, self.still, self.came[i], self.text)
         assert self.softly(i)
 
     def fell(self, i: int, reason: str, after: float, within: float) -> None:
-        """Its motors were stopped, then."""
+        """Check that the motors of drone i stopped in the air for this reason, between these s."""
         assert reason in self.reason(i), (i, self.reason(i), self.came[i], self.text)
         assert after < self.still[i] < within, (i, self.still, self.text)
         assert self.last[i]["impact"] > 1.5, "it fell"
 
     def was_silent(self, watchdog: bool, within: float) -> None:
-        """The radios of the three were, for good or for long."""
+        """Check what drones 0 to 2 did after their radios fell silent, for good or for long."""
         for i in (0, 1):
             self.fell(i, "its radio is silent", 1.8, 2.6)
         self.planned_on(watchdog, within)
 
     def planned_on(self, watchdog: bool, within: float) -> None:
-        """Who has its plan on board did, as long as it may."""
+        """Check that drone 2 flew on by its plan on board as long as it may, and WELL to the end."""
         if watchdog:
             self.fell(2, "its radio is silent", 0.6, 1.4)
         else:
@@ -324,7 +324,7 @@ async def test_a_host_that_is_lost_with_agents_and_owners(tmp_path) -> None:
     for i in (0, 1):
         assert 1.8 < flight.still[i] < 2.6, "as without a radio"
     assert flight.still[2] < 25.0, (
-        "the owner that is started again finds it in the air, and nobody who flies it"
+        "the restarted owner finds the drone in the air, and no agent that flies it"
     )
     assert flight.softly(2)
     assert flight.softly(WELL)

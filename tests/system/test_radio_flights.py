@@ -29,7 +29,7 @@ TILTS, STAYS = (
     "it does not tilt as its body does, but as",
     "its body does not rise as it takes off: another drone's",
 )
-"""What is said of a drone with a wrong body; the other of two that are exchanged may see that one landed before."""
+"""Reasons of a drone with a wrong body. If two are exchanged, the second may see that the first has landed before."""
 UP = 0.4
 """m, above which a drone flies."""
 
@@ -134,7 +134,7 @@ def fake_usb(tmp_path, monkeypatch):
 
 
 def by_radio(config: SwarmConfig, folder: Path) -> dict[str, Any]:
-    """The swarm with its udp:// drones behind a fake dongle, whose folder is told where they are."""
+    """Return the swarm with its udp:// drones behind a fake dongle; write their ports in the folder of the dongle."""
     raw, ports = json.loads(config.dumps()), {}
     for drone in raw["drones"]:
         address = f"E7E7E7E7{drone['id']:02X}"
@@ -153,7 +153,7 @@ async def test_a_dongle_that_is_pulled_out_in_flight_and_plugged_in_again_finds_
     )
     raw = json.loads(reached(some, radio={"log_rate": 25.0}).dumps())
     for drone in raw["drones"]:
-        drone["pose"] = "onboard"  # who has no dongle tells nobody what the cameras see
+        drone["pose"] = "onboard"  # an owner without a dongle sends no camera poses
     config = SwarmConfig.of(raw)
     async with Hall(config, tmp_path, "--capacity", "100000") as hall:
         hall.path.write_text(json.dumps(by_radio(config, fake_usb)))
@@ -241,7 +241,7 @@ def pickup(per_dongle: int) -> SwarmConfig:
 
 @pytest.fixture
 def exclusive(tmp_path, monkeypatch):
-    """Links that nobody can open twice at a time; the folder where it is written who has opened which."""
+    """Let each link be opened once at a time; return the folder that lists which process has opened which link."""
     folder = tmp_path / "links"
     folder.mkdir()
     monkeypatch.setenv("EXCLUSIVE_LINKS", str(folder))
@@ -320,7 +320,7 @@ async def test_a_formation_stands_by_roll_and_pitch_at_the_rate_that_a_dongle_ca
 
 @pytest.mark.slow
 async def test_twenty_fly_a_figure(tmp_path) -> None:
-    """By cameras at 50 Hz: at 100 Hz the nine processes of this flight would need more than two processors have."""
+    """The cameras run at 50 Hz: at 100 Hz the nine processes of this flight would need more than two processors."""
     groups = [list(range(0, 20, 2)), list(range(1, 20, 2))]
     config = reached(
         figures(20, "xyz", processes=groups), per_dongle=4, mocap={"rate": 50}
@@ -329,7 +329,7 @@ async def test_twenty_fly_a_figure(tmp_path) -> None:
 
 
 async def farthest(hall: Hall, run: Program, homes: dict[int, Any]) -> dict[int, float]:
-    """m from above where they stand, of drones whose motors turn, until the run is over."""
+    """Return how far, in m, each drone with turning motors strayed sideways from its home until the run was over."""
     far = dict.fromkeys(homes, 0.0)
     while run.process.returncode is None:
         for i, said in hall.state().items():
@@ -347,7 +347,7 @@ async def farthest(hall: Hall, run: Program, homes: dict[int, Any]) -> dict[int,
 async def test_drones_with_wrong_bodies_are_named_in_the_ascent_and_come_down(
     tmp_path, case, sender
 ) -> None:
-    """Exchanged: each radio reaches the drone whose body is taken for the other's, and which stands at its home."""
+    """Exchanged: the radio of drone 0 reaches drone 1, and the other way round; the cameras see both as they are."""
     config = reached(figures(2, sender))
     raw = json.loads(config.dumps())
     homes = {drone["id"]: drone["home"] for drone in raw["drones"]}

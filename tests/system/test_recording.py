@@ -78,7 +78,7 @@ def fly_short(here, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def recorded(fly_short, tmp_path_factory):
-    """Its file, and what the run says."""
+    """Return the file of a recorded flight, and what its run says."""
     path = tmp_path_factory.mktemp("recorded") / "flight.mcap"
     return path, fly_short("--record", path)
 

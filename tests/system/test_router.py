@@ -1,4 +1,4 @@
-"""Hosts that do not reach each other, and a third one whose router passes on what they say: network namespaces."""
+"""Hosts that do not reach each other, and a third host with a router that passes on what they say, in namespaces."""
 
 import asyncio
 import contextlib
@@ -120,7 +120,7 @@ async def test_the_demo_flies_on_hosts_that_reach_the_router_alone(
 
 @pytest.mark.timeout(300)
 async def test_without_a_router_they_do_not_find_each_other(tmp_path, compiled):
-    """The hosts of the test above are apart: nobody else passes anything on."""
+    """The hosts of the test above are apart: no other program passes anything on."""
     config = demo(tmp_path, secured=False).replace(start_deadline=4.0)
     with apart() as hosts:
         async with flying(

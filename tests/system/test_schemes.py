@@ -121,7 +121,7 @@ def test_a_row_moves_on_together_though_one_is_slow_and_messages_are_lost(monkey
         (v, p, 1e-4),
         (a, v, 1e-3),
         (j, a, 0.05),
-    ):  # a reference of which only the jerk jumps
+    ):  # only the jerk of the reference jumps
         assert (
             np.abs(np.diff(x, axis=0) - 0.005 * (slope[1:] + slope[:-1])).max() < most
         )

@@ -1,4 +1,4 @@
-"""Who may take part: real sessions with a certificate, with none, with others', or with that of another host."""
+"""Which processes may take part: real sessions with a certificate, with none, with a foreign or another host's one."""
 
 import asyncio
 import contextlib
@@ -33,7 +33,7 @@ SECURED = {"insecure": False, "operators": ["console"]}
 
 
 class Lab:
-    """Two hosts of this machine with mutual TLS: drone 0 is on a, drone 1 on b, who commands on console."""
+    """Two hosts of this machine with mutual TLS: drone 0 is on a, drone 1 on b, the operator on console."""
 
     def __init__(self, folder, clock, stack):
         self.folder, self.clock, self.stack, self.keys = (
@@ -117,7 +117,7 @@ async def until(condition, seconds=10.0):
 
 
 async def speaks(lab, of, link, host="b", process="1-f", seconds=HEARD, asks="**"):
-    """What an intruder hears, though drone 0 speaks, and whether anything of it has come; it says it is `process`."""
+    """Let an intruder speak as `process` while drone 0 speaks; return the keys it hears, and how many frames came."""
     heard, before = (
         [],
         link.counters.frames_received
@@ -167,7 +167,7 @@ def pretender(lab):
 
 
 def expired(lab):
-    """One that the authority has signed, good until a minute ago."""
+    """Return keys with a certificate that the authority has signed, and that ended a minute ago."""
     now = authority.date_and_time
     authority.date_and_time = lambda: now() - datetime.timedelta(days=1, minutes=1)
     try:
@@ -184,7 +184,7 @@ async def test_without_a_good_certificate_nothing_is_read_and_nothing_heard(lab,
 
 
 async def test_with_the_certificate_of_a_host_its_own_name_is_heard(lab):
-    """The other tests could not fail if nobody came through."""
+    """A good certificate lets messages through: if none came through, the other tests could not fail."""
     link = await lab.link("a", "0-1", [0])
     heard, came = await speaks(lab, lab.intruder(lab.keys / "b"), link)
     assert came > 10
@@ -307,7 +307,7 @@ async def test_the_doctor_names_the_certificate_that_is_not_accepted(lab):
 
 
 async def test_each_program_of_the_swarm_reports_a_refused_process_once(lab):
-    """A router with the certificate of a, and one that is started with that of another swarm and calls it."""
+    """The router of host a reports it, and so does a program that calls the router with keys of another swarm."""
     file = lab.folder / "swarm.json"
     file.write_text(lab.config.replace(router="a").dumps())
     at = Addresses(lab.config).endpoint(0)
@@ -401,7 +401,7 @@ async def test_a_flood_is_cut_off_and_named_once_and_others_are_heard(
 
 
 async def test_a_host_cannot_put_another_s_name_behind_its_own_in_a_key(lab):
-    """Access control looks at the beginning of a key; who speaks is read at the same place."""
+    """Access control looks at the beginning of a key; the receiver reads the sender at the same place."""
     link = await lab.link("a", "0-1", [0])
     friend = await lab.link("console", "observer-console.1", [OBSERVER])
     await until(

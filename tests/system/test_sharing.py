@@ -94,7 +94,7 @@ def test_two_change_places_on_one_line():
 
 
 def test_two_that_stand_side_by_side_are_flown_round():
-    """Its plan waited between them, and it circled round both until they left."""
+    """The drone does not wait between them, and does not circle round both until they leave."""
 
     async def does(self):
         await self.take_off()
@@ -111,7 +111,7 @@ def test_two_that_stand_side_by_side_are_flown_round():
 
 
 def test_a_drone_waits_for_an_occupied_place():
-    """It gave up after five attempts of 0.1 s, and landed."""
+    """The drone does not give up and land after some short attempts."""
 
     async def does(self):
         await self.take_off()

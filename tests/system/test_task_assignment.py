@@ -39,7 +39,7 @@ def flown(seed, loss=0.2, prepare=lambda agent: None, **options):
 
 
 def served(report, results, score, lost=()):
-    """All is well but for who was lost."""
+    """Check that all is well except for the lost drones."""
     assert report["success"], report["reasons"]
     assert report["left"] == {}
     assert score.touching == {}
@@ -104,7 +104,7 @@ def test_operators_add_and_cancel_tasks_in_flight():
 
 
 def test_a_team_without_a_flying_drone_ends_its_mission():
-    """Each waited for ever for the others, who went on without it."""
+    """Each drone ends when it hears no flying drone any more; it does not wait for the others for ever."""
 
     def land(agent):
         for drone in agent.drones.values():

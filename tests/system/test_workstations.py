@@ -40,7 +40,7 @@ class Lab:
         self.programs = []
 
     async def keys(self):
-        """As the guide says."""
+        """Make the keys of all hosts and copy them there, as the guide says."""
         for words in (["init"], *(["add", name] for name in self.config.hosts)):
             made = await Program.start(
                 *CRAZYCHOIR, "keys", *words, "--folder", self.folder / "keys"

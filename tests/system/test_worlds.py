@@ -1,4 +1,4 @@
-"""The owner of a world in a process of its own: all drones fly in it; who is killed costs the others nothing else."""
+"""The owner of a world in a process of its own: all drones fly in it; a killed process leaves none hanging."""
 
 import asyncio
 import contextlib
@@ -97,7 +97,7 @@ class Run:
         )
 
     def pid(self, word: str) -> int:
-        """The child whose command line holds the word."""
+        """Return the id of the child process with this word in its command line."""
         pid = self.program.process.pid
         children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
         return next(
@@ -128,7 +128,7 @@ class Run:
 
 @contextlib.asynccontextmanager
 async def running(config: SwarmConfig, folder: Path) -> AsyncIterator[Run]:
-    """It runs under the name and the ports that it draws."""
+    """Run the swarm under the name and the ports that `crazychoir run` draws, with an observer."""
     path = folder / "swarm.json"
     path.write_text(config.dumps())
     program = await Program.start(*CRAZYCHOIR, "run", path, "--json")
@@ -168,7 +168,7 @@ async def test_four_processes_fly_in_worlds_of_one_owner_that_others_can_look_in
 
 
 async def kill_the_owner(folder: Path) -> None:
-    """Its drones are blind, and come down; every process ends, with the reason."""
+    """The drones of the killed owner are blind, and come down; every process ends, with the reason."""
     async with running(standing(folder, 60.0, drones=2), folder) as run:
         await run.stands()
         pids = [run.pid("cli.world"), run.pid("--id 0"), run.pid("--id 1")]
@@ -185,7 +185,7 @@ async def kill_the_owner(folder: Path) -> None:
 
 
 async def kill_an_agent(folder: Path) -> None:
-    """Its drone falls; the others fly on, two of three, and land in the world that is still there."""
+    """The drone of the killed agent falls; the two others fly on, and land in the world that is still there."""
     async with running(standing(folder, 6.0, drones=3), folder) as run:
         await run.stands()
         os.kill(run.pid("--id 1"), signal.SIGKILL)

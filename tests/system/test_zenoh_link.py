@@ -66,7 +66,7 @@ class Child:
         return json.loads(line)
 
     async def when(self, name: str, empty: bool = False) -> dict[str, Any]:
-        """Its status as soon as an entry is there (or gone)."""
+        """Return the status of the child as soon as an entry is there (or gone)."""
         async with asyncio.timeout(5):
             while bool((status := await self.ask("status"))[name]) is empty:  # noqa: ASYNC110
                 await asyncio.sleep(0.01)
@@ -231,7 +231,7 @@ async def test_an_observer_elsewhere_gets_what_it_asked_for_at_its_rate(
     await until(ground.knows(link))
     sent = link.bus.ports[0]
     link.bus.ports[0].publish(DRONE_TOPICS.state, State.at([0.0, 0.0, 0.0]))
-    assert not sent._readers.get(DRONE_TOPICS.state.number), "nobody has asked"
+    assert not sent._readers.get(DRONE_TOPICS.state.number), "no process has asked"
     await child.ask("subscribe", topic="state", source=0, reader=OBSERVER, rate=20.0)
     await until(lambda: link.bus.ports[0]._readers.get(DRONE_TOPICS.state.number))
     for k in range(200):
@@ -371,7 +371,7 @@ async def test_hostile_frames_are_counted_and_nothing_breaks(ground: Ground) -> 
         (f"{prefix}/there/b-1/rounds", forged),
     ]  # not its key
     put += [(prefix, forged), (f"{prefix}/x", forged), (f"{prefix}/**", forged)]
-    names = ["**", "*", "a-1"]  # who answers these answers itself, for ever
+    names = ["**", "*", "a-1"]  # a process that answers these answers itself, for ever
     put += [
         (f"{prefix}/here/{name}/rounds", encode_frame(Frame(name, 7, 2, [message])))
         for name in names
@@ -438,7 +438,7 @@ async def test_a_peer_that_sends_nonsense_is_counted(ground: Ground) -> None:
 async def test_the_clock_of_another_host_is_asked_for_and_no_other(
     ground: Ground,
 ) -> None:
-    """It is this machine's own."""
+    """Both hosts of the test are this machine, so their clocks are the same."""
     link = await ground.link([0])
     await ground.child([1], host="there")
     await until(lambda: "there" in link.bus.offsets)
@@ -452,7 +452,7 @@ async def test_the_clock_of_another_host_is_asked_for_and_no_other(
 
 
 def lose(link: ZenohLink, process: str) -> None:
-    """As Zenoh does: frames go on."""
+    """Lose the tokens of a process as Zenoh does: its frames go on."""
     for token in sorted(link.peers[process].tokens):
         link._token_went(token, b"", 0)
     assert process not in link.peers

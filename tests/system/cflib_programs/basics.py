@@ -183,7 +183,7 @@ def persistent_parameters(uri, cache):
 
 
 def console(uri, cache):
-    """What it has said since it was switched on comes as soon as somebody listens."""
+    """The console brings all that the drone has said since it was switched on, as soon as a program listens."""
     cf, text, full = Crazyflie(rw_cache=cache), [], threading.Event()
     cf.console.receivedChar.add_callback(text.append)
     cf.fully_connected.add_callback(lambda uri: full.set())

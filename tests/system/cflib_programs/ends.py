@@ -25,7 +25,7 @@ def supervisor(uri, cache):
 
 
 def emergency_stop(uri, cache):
-    """It falls at once, is locked, and stays so until it is switched on again."""
+    """The drone falls at once, and stays locked until it is switched on again."""
     with SyncCrazyflie(uri, cf=Crazyflie(rw_cache=cache)) as scf:
         motors, config = [], LogConfig(name="motors", period_in_ms=10)
         config.add_variable("motor.m1", "uint16_t")
@@ -97,7 +97,7 @@ def restart_by_a_wrong_packet(uri, cache):
 
 
 def nobody_there(uri, cache):
-    """A port where nobody is: the connection fails, with the reason."""
+    """A connection to a port without a drone fails, and a callback gets the reason."""
     cf, failed = Crazyflie(rw_cache=cache), threading.Event()
     cf.connection_failed.add_callback(lambda uri, why: failed.set())
     cf.open_link("udp://127.0.0.1:9")

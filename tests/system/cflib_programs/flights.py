@@ -78,7 +78,7 @@ def high_level(uri, cache):
 
 
 def motion_commander(uri, cache):
-    """Forward, turn, left: by the body's axes; then up by the planner, whose take-offs turn to heading 0."""
+    """The drone flies forward, turns and flies left by its body's axes; then its planner takes it up to heading 0."""
     with SyncCrazyflie(uri, cf=Crazyflie(rw_cache=cache)) as scf:
         where = Watched(scf)
         with MotionCommander(scf, default_height=0.4) as motion:
@@ -101,7 +101,7 @@ def motion_commander(uri, cache):
 
 
 def position_commander(uri, cache):
-    """By places."""
+    """The drone flies to places."""
     with SyncCrazyflie(uri, cf=Crazyflie(rw_cache=cache)) as scf:
         where = Watched(scf)
         x, y, _ = where.home

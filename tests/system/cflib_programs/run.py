@@ -29,7 +29,7 @@ def main(first):
     results = {}
     with tempfile.TemporaryDirectory() as cache:
         with SyncCrazyflie(uris[-1], cf=Crazyflie(rw_cache=cache)):
-            pass  # the cache is not made for many who fill it at once
+            pass  # the cache is not made for many programs that fill it at once
         threads = [
             threading.Thread(
                 target=_run, args=(programs, where, cache, results), daemon=True
