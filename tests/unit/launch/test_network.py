@@ -83,7 +83,7 @@ def test_the_swarm_file_is_there_while_it_flies():
     with write_swarm_file(config) as path:
         assert SwarmConfig.load(path) == config
         assert config.name in str(path)
-        assert path.parent.stat().st_mode & 0o077 == 0, "for nobody else"
+        assert path.parent.stat().st_mode & 0o077 == 0, "no other user may read it"
     assert not path.parent.exists()
 
 
