@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-# The same examples in each run, however slow the machine is: what fails, fails again.
+# Hypothesis draws equal examples in each run, however slow the machine is: a failure can be repeated.
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
 REPOSITORY = Path(__file__).resolve().parents[1]

@@ -23,7 +23,7 @@ HALL = Fence.box((-3.0, -3.0, 0.0), (3.0, 3.0, 2.0))
 
 
 def pilot(others, now=10.0, at=P, gave_way=-math.inf):
-    """That of drone 5, which hears others: {id: (m from P along x, m height, s old)}; where it is, when it gave way."""
+    """Return the pilot of drone 5 at `at`; others that it hears: {id: (m from P along x, m height, s old)}."""
     rows = np.zeros((len(others), NEIGHBOUR_ROW.size))
     for row, (away, z, age) in zip(rows, others.values(), strict=True):
         row[0:3], row[NEIGHBOUR_ROW.state_time] = (P[0] + away, P[1], z), now - age

@@ -181,7 +181,7 @@ async def test_a_stranger_with_another_s_name_is_not_answered():
 
 
 class Sample:
-    """As Zenoh gives it."""
+    """A sample in the form that Zenoh gives it."""
 
     kind = zenoh.SampleKind.PUT
 

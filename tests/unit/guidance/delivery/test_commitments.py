@@ -151,7 +151,7 @@ class Team:
             book.cancel(int(self.draw.choice(list(book.tasks))))
 
     def add(self, robot):
-        """As TaskSource does."""
+        """Add a task like TaskSource."""
         news = robot.news
         may_end = robot.commitments.planning and news.record.idle
         if news.known(1) and not may_end and not news.ended and not news.record.out:
@@ -190,7 +190,7 @@ class Team:
                 other.news.hear({robot.id: letter})
 
     def fly(self, robot):
-        """As OnlinePDVRPGuidance does, but for the way."""
+        """Follow the stops like OnlinePDVRPGuidance, but without the way."""
         news, commitments = robot.news, robot.commitments
         if robot.at is not None:
             self.stand(robot, *robot.at)
