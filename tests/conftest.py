@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-# The same examples in each run, however slow the machine is: what fails, fails again.
+# Hypothesis draws equal examples in each run, however slow the machine is: a failure can be repeated.
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -74,9 +74,10 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 @pytest.hookimpl(tryfirst=True)  # before `-m` selects by marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Who starts agents as processes runs in real time: `make test` runs such tests beside those that only compute.
+    """Mark each test that starts agents as processes as `real_time`.
 
-    They come last: by then those that only compute have compiled what there is to compile.
+    `make test` runs these tests beside the tests that only compute. In one run they come last: by then the other tests
+    have compiled what there is to compile.
     """
     for item in items:
         if _starts_agents(item):
@@ -92,7 +93,7 @@ def _starts_agents(item: pytest.Item) -> bool:
     wrapper=True, tryfirst=True
 )  # the time of waiting is not the test's: outside of its timeout
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """One test in real time at once on this machine, whoever runs tests beside us: they would load its processors."""
+    """Run one real-time test at once on this machine, in all test runs together: others would load its processors."""
     if item.get_closest_marker("real_time") is None:
         return (yield)
     turn = os.open(tempfile.gettempdir(), os.O_RDONLY)

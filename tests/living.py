@@ -148,7 +148,7 @@ def counting(
     until: float,
     pace: float = 0.0,
 ) -> Any:
-    """Exchange the round's number until some time; keeps by round whom it heard."""
+    """Exchange the round's number until some time; `heard` keeps the members that were heard in each round."""
 
     async def life() -> None:
         await t.members[i].barrier.go()
@@ -166,7 +166,7 @@ def counting(
 
 
 def as_graph_says(graph: Graph, k: int, heard: dict[int, Any], gone: int = -1) -> bool:
-    """Whether all members of a graph heard in round k just their neighbours (one who is gone may be missing)."""
+    """Return whether each member heard just its neighbours of the graph in round k; member `gone` may be missing."""
     needed = {
         i: tuple(j for j in graph.in_neighbors(i) if j != gone)
         for i in graph.ids

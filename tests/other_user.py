@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 UNKNOWN_USER = 12345
-"""A user whom the system does not know, as in a container with `--user`."""
+"""A user id that the system does not know, as in a container with `--user`."""
 NEEDED = "needs Linux, root, and setpriv and unshare of util-linux"
 HOMELESS = (
     "HOME",

@@ -50,7 +50,7 @@ def block(file: str, mark: str) -> str:
 
 
 def rows(file: str, head: str) -> list[str]:
-    """Return the rows of the table of a page whose first column is called `head`."""
+    """Return the rows of a page's table with `head` as its first column."""
     assert f"\n| {head} |" in page(file), f"{file} has no table | {head} |"
     text = page(file).split(f"\n| {head} |")[1]
     return text.split("\n\n")[0].splitlines()[2:]

@@ -21,7 +21,7 @@ def decoded(kind: str, schema: str, message: bytes) -> dict[str, Any]:
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(schema, kind))
     one, other = fields(decode(message)), fields(store.deserialize_cdr(message, kind))
-    assert str(one) == str(other)  # as texts: NaN is NaN
+    assert str(one) == str(other)  # compare texts, because NaN != NaN
     return one
 
 

@@ -170,7 +170,7 @@ def _is_keys(e: ast.expr) -> bool:
 
 
 def _taken_in_order(node: ast.AST) -> Iterator[ast.expr]:
-    """The expressions whose elements `node` takes one after the other; from a set into a set there is no order."""
+    """Yield each expression that `node` reads element by element; the order does not matter from a set into a set."""
     match node:
         case ast.For(iter=e) | ast.AsyncFor(iter=e) | ast.YieldFrom(value=e):
             yield e

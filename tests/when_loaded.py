@@ -11,7 +11,7 @@ class Finder:
         self.name, self.change = name, change
 
     def find_spec(self, name, path=None, target=None):
-        """Of that one only."""
+        """Return a spec for the module `name` of this finder only; it changes the module after loading."""
         if name != self.name:
             return None
         spec = importlib.machinery.PathFinder.find_spec(name, path, target)

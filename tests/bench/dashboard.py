@@ -245,7 +245,7 @@ def main() -> None:
         speak(chosen.speak[0], int(chosen.speak[1]))
         return
     turn = os.open(tempfile.gettempdir(), os.O_RDONLY)
-    fcntl.flock(turn, fcntl.LOCK_EX)  # nobody tests in real time meanwhile
+    fcntl.flock(turn, fcntl.LOCK_EX)  # no test runs in real time meanwhile
     with tempfile.TemporaryDirectory() as folder:
         work = watch_flying if chosen.flying else watch_hundred
         print(json.dumps(asyncio.run(work(Path(folder))), indent=2))

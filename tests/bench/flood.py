@@ -2,8 +2,8 @@
 
     python tests/bench/flood.py
 
-In turns nobody floods, the flood goes to an unrelated process of this machine, and it goes to the host whose ticks are
-measured; all three processes are there in each turn, over mutual TLS.
+There are three kinds of turns: no flood, a flood at an unrelated process of this machine, and a flood at the host with
+the measured ticks. All three processes run in each turn, over mutual TLS.
 """
 
 import argparse
@@ -49,7 +49,7 @@ TLS, BLOCK = "transport/link/tls", zenoh.CongestionControl.BLOCK
 
 
 def swarm(folder: Path, port: int) -> SwarmConfig:
-    """Drone 0 on host a, drone 1 on host b, who may flood."""
+    """Return a swarm with drone 0 on host a and drone 1 on host b; host b floods."""
     return SwarmConfig.of(
         {
             "name": f"flooded{port}",
@@ -91,7 +91,7 @@ async def receive(folder: Path, port: int) -> None:
 
 
 def count(link: ZenohLink) -> tuple[int, int]:
-    """Frames that have come, and those that were cut off."""
+    """Return the number of frames that have come, and the number of frames that were cut off."""
     counters = link.counters
     return (
         counters.frames_received + counters.strangers + counters.flooded,
@@ -100,7 +100,7 @@ def count(link: ZenohLink) -> tuple[int, int]:
 
 
 def flood(folder: Path) -> None:
-    """Host b's own session, as each line of its standard input says: a port and how many s; 0 is for nobody."""
+    """Flood from a session of host b. Each line of standard input gives a port and the s; port 0 means no flood."""
     for line in sys.stdin:
         port, seconds = line.split()
         sent = send(folder, int(port), float(seconds)) if int(port) else 0
@@ -108,7 +108,7 @@ def flood(folder: Path) -> None:
 
 
 def send(folder: Path, port: int, seconds: float) -> int:
-    """EACH frames at a time, RATE a second."""
+    """Send EACH frames at a time, RATE a second, and return how many were sent."""
     keys = folder / "b"
     tls = {
         "root_ca_certificate": str(keys / KEY_FILES.authority_certificate),

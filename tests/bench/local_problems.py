@@ -21,7 +21,7 @@ CVXPY = {
     "HiGHS": "HIGHS",
     "Clarabel": "CLARABEL",
 }
-"""Whom cvxpy gives the problem to; its own choice for quadratic and for linear ones."""
+"""For each of our solvers, the solver of cvxpy: its own choice for quadratic and linear problems."""
 
 
 def problems() -> dict[str, tuple[cp.Variable, cp.Expression, list[cp.Constraint]]]:
@@ -61,7 +61,7 @@ def microseconds(
 
 
 def run() -> list[tuple[str, str, float, float]]:
-    """(problem, who solves it, ours us, cvxpy us)."""
+    """Return (name, our solver, us of our solver, us of cvxpy) for each problem."""
     costs, rows = np.random.default_rng(1).normal(size=(500, N)), []
     for name, (x, objective, constraints) in problems().items():
         problem, p = CostCoupled(0, x, objective, constraints), cp.Parameter(N)

@@ -2,9 +2,8 @@
 
 Drones say their states in real time, each in its turn, and a recorder writes them: on one bus, or from n processes over
 Zenoh. On one bus nothing may be lost. Prints one JSON object: messages said, written, lost and missed, and CPU s of the
-recorder's process for each second of flight; on one bus also what the drones cost alone, where nobody records. Where
-the wall time is longer than the seconds that were asked for, the machine was too slow or too busy, and the drones have
-said less a second.
+recorder's process for each second of flight; on one bus also the CPU s of the drones without a recorder. If the wall
+time is longer than the requested seconds, the machine was too slow or too busy, and the drones have said less a second.
 """
 
 import argparse
@@ -56,7 +55,7 @@ async def said(
 
 
 def run(drones: int, rate: float, seconds: float, path: Path | None) -> dict[str, Any]:
-    """CPU s a second of flight, and what was recorded into `path`; None: nobody records."""
+    """Return CPU s a second of flight, and what was recorded into `path`; without a path there is no recorder."""
 
     async def main(clock: Clock) -> dict[str, Any]:
         bus = Bus(clock)
@@ -88,14 +87,14 @@ def run(drones: int, rate: float, seconds: float, path: Path | None) -> dict[str
 
 
 def on_one_bus(drones: int, rate: float, seconds: float, path: Path) -> dict[str, Any]:
-    """Without a recorder, and with one."""
+    """Return the results with a recorder, and the CPU s without a recorder."""
     alone = run(drones, rate, seconds, None)
     recorded = run(drones, rate, seconds, path)
     return {**recorded, "cpu_alone": alone["cpu"]}
 
 
 def swarm(drones: int, processes: int) -> SwarmConfig:
-    """So many, which nobody flies."""
+    """Return a swarm of so many drones in so many processes; no drone flies."""
     places = [
         {"id": i, "home": [float(i % 40), float(i // 40), 0.0]} for i in range(drones)
     ]
@@ -111,7 +110,7 @@ def swarm(drones: int, processes: int) -> SwarmConfig:
 
 
 def speak(path: str, group: int, rate: float, seconds: float) -> None:
-    """The drones of one process, once somebody reads them; prints how many they have said."""
+    """Publish the states of the drones of one process once a recorder reads them; print how many they have said."""
     config = SwarmConfig.load(path)
     ids = Addresses(config).groups()[group]
 
@@ -148,7 +147,7 @@ def speak(path: str, group: int, rate: float, seconds: float) -> None:
 def over_zenoh(
     drones: int, rate: float, seconds: float, path: Path, processes: int
 ) -> dict[str, Any]:
-    """Recorded by one who looks on, as `crazychoir record` does."""
+    """Record as an observer, as `crazychoir record` does, and return the result."""
     config = swarm(drones, processes)
     file = path.with_name("swarm.json")
     file.write_text(config.dumps())

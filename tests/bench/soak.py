@@ -41,7 +41,7 @@ TRAFFIC = ("frames_sent", "frames_received", "bytes_sent", "worst_put_s")
 
 
 def swarm(minutes: float, each: int) -> SwarmConfig:
-    """deploy's grid of thirty, whose law goes on for so long, so many drones a process, one owner of the world."""
+    """Return deploy's grid of thirty drones: its law runs for `minutes`, with `each` drones a process and one world."""
     config = SwarmConfig.load(FILE)
     ids = list(config.ids)
     options = json.loads(config.dumps())["mission_options"] | {
@@ -62,7 +62,7 @@ async def soak(minutes: float, each: int, progress: Progress) -> dict[str, objec
     compiled = await Program.start(
         sys.executable, "-c", "import crazychoir.launch.process.process"
     )
-    await compiled.end(300.0)  # who compiles the laws itself has twice the memory
+    await compiled.end(300.0)  # a process that compiles the laws takes twice the memory
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "swarm.json"
         file.write_text(config.dumps())

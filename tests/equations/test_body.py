@@ -203,7 +203,7 @@ def shares(k):
 
 
 def in_mujoco(start, ticks, platform):
-    """The same flight in MuJoCo's Runge-Kutta integrator, the wrench computed at each of its stages."""
+    """Fly in MuJoCo's Runge-Kutta integrator, with the wrench computed at each of its stages."""
     spec = mujoco.MjSpec()
     body = spec.worldbody.add_body(name="drone", pos=start[:3])
     body.add_freejoint()

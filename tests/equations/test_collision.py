@@ -92,7 +92,7 @@ def test_both_drones_together_take_the_whole_barrier():
         assert compute_yield_share(own, other) + compute_yield_share(
             other, own
         ) == pytest.approx(1.0)
-    assert compute_yield_share(0.0, -1.0) < 0.06, "who stands gives way little"
+    assert compute_yield_share(0.0, -1.0) < 0.06, "a drone that stands gives way little"
 
 
 def test_a_drone_that_obeys_late_is_a_double_integrator_in_its_late_motion():

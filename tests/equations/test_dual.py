@@ -116,7 +116,7 @@ def test_dual_decomposition_ascends_the_dual_function(parts):
 
 
 def test_admm_is_the_one_with_a_multiplier_for_each_pair(parts):
-    """As with l_ij of x_i = z_j: z_j = mean of x_i + l_ij / rho over M_j, L_i = sum_j l_ij."""
+    """The multiplier of x_i = z_j is l_ij: z_j = mean of x_i + l_ij / rho over M_j, L_i = sum_j l_ij."""
     rho, members = 0.7, {i: sorted({i, *GRAPH.neighbors(i)}) for i in GRAPH.ids}
     team = {i: ADMM(part, GRAPH.neighbors(i), rho, 6) for i, part in enumerate(parts)}
     z, pairs = (

@@ -39,7 +39,7 @@ numbers = arrays(float, (4, 9), elements=st.floats(-1.0, 1.0))
 
 
 def states(x):
-    """Of rows p, v, a."""
+    """Return {i: the state with the p, v and a of row i}."""
     return {
         i: State(State.at(row[0:3], row[3:6]).flat, 0.0, row[6:9])
         for i, row in enumerate(x)
@@ -123,7 +123,7 @@ def test_the_normalised_matrix_has_the_sums_of_the_laws_weights():
     law = BearingFormation(2, SQUARE, NEIGHBORS[2])
     np.testing.assert_allclose(
         m[0:3, 3:6], -law.W[:, 13 * 3 + 3 :], atol=1e-12
-    )  # of a_3, after x_2, x_1, x_3, a_1
+    )  # the columns of a_3 come after x_2, x_1, x_3, a_1
     assert np.linalg.eigvals(m).real.min() == pytest.approx(0.13397, abs=1e-4)
     assert b_fl.shape == (6, 6)
 

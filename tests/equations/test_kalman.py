@@ -1,4 +1,4 @@
-"""The filter beside the textbook's matrices, and its model beside the one that it is told."""
+"""The filter compared with the textbook's matrices, and its model compared with the model that it is given."""
 
 import math
 
@@ -162,9 +162,9 @@ def test_a_constant_body_rate_about_any_axis_is_found():
 
 
 def swung(loop, seen=0.5, until=0.9, h=0.01, rubbish=False):
-    """The largest error of the roll, rad, until `until` s, of which poses are seen for `seen` s only, or rubbish then.
+    """Return the largest error of the roll, rad, until `until` s. Poses are seen until `seen` s; then none, or rubbish.
 
-    The truth: the whole rate loop of the firmware, which hears of commands that tilt it to and fro 20 ms late.
+    The true roll comes from the whole rate loop of the firmware. Commands tilt it to and fro, and reach it 20 ms late.
     """
     f, t = (
         KalmanFilter(motion=CommandedMotion(PAPER_PLATFORM.flat, 0.0), loop=loop),

@@ -8,7 +8,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 
 
 def main() -> None:
-    """Write each page whose generated parts have changed, and print its name."""
+    """Write each page with changed generated parts, and print its name."""
     for page in SOURCES:
         text = generated(REPOSITORY, page)
         if text != (REPOSITORY / page).read_text():

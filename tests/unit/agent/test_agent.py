@@ -230,7 +230,7 @@ def test_an_emergency_stop_cuts_for_good_and_its_clearing_only_ends_the_agent(
         agent.bus.stopped = True
         agent.commands[0].stop(True)
         await clock.sleep(10.0)
-        assert not running.done(), "it stays to tell those who start"
+        assert not running.done(), "the agent stays, to tell later agents of the stop"
         agent.bus.stopped = False
         assert not agent.drones[0].status().stopped
         result = (await running)[0]
@@ -536,7 +536,7 @@ def test_what_a_mission_leaves_behind_flies_nothing():
 
 
 class Stay(CFDistributedFeedback):
-    """A law that brakes; nothing of it while it hears nobody."""
+    """A law that brakes; it commands nothing while it hears no neighbour."""
 
     duration = 4.0
 
@@ -658,14 +658,14 @@ def test_the_digest_of_a_run_is_of_all_messages_between_drones_and_all_states():
     assert len({whole, *(digest(*other) for other in others)}) == 1 + len(others)
     assert whole == digest(
         one, (PORT_ADDRESSES.first_observer, 6, 0, 1, b"z"), two, b"state"
-    ), "who looks on changes nothing"
+    ), "a message of an observer does not change the digest"
 
 
 # An agent that comes back -------------------------------------------------------------------------------------------
 
 
 class Wire:
-    """The network between the buses of several agents in one virtual time; what is unplugged hears nothing."""
+    """The network between the buses of several agents in one virtual time; an unplugged bus hears nothing."""
 
     def __init__(self, clock, delay=0.002):
         self.clock, self.delay_ns, self.buses = clock, round(delay * NS_PER_SECOND), []
@@ -713,7 +713,7 @@ class Plug:
 
 
 class Counts(CFGuidance):
-    """Rounds on a joinable channel until a time; rounds: {k: who was heard}."""
+    """Exchanges rounds on a joinable channel until a time; rounds: {k: the robots that were heard}."""
 
     def __init__(self, until):
         self.until, self.rounds = until, {}

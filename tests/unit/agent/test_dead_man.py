@@ -55,7 +55,7 @@ async def test_a_drone_on_the_ground_waits_for_a_console_without_limit(clock):
     assert room.landed == []
     room.flies = True
     await clock.sleep(0.5)
-    assert len(room.landed) == 1, "nobody watches: it does not fly on"
+    assert len(room.landed) == 1, "no console watches: the drone does not fly on"
     room.watching.cancel()
 
 

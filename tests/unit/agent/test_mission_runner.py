@@ -12,7 +12,7 @@ from crazychoir.safety.rules.modes import Mode
 
 
 class Lands:
-    """A pilot that is in the air until `down`, s; others keep it up until then, or nobody does."""
+    """A pilot that is in the air until `down`, s; if `kept_up`, other drones keep it up until then."""
 
     drone, held, mode, note, unreached = (
         4,
@@ -88,7 +88,7 @@ async def test_what_keeps_a_drone_from_flying_is_for_the_others_to_hear_too(cloc
 
 
 class Stopped:
-    """A pilot whose motors were cut for this reason, empty: they were not."""
+    """A pilot with motors that were cut for the reason `cut_for`; if it is empty, they were not cut."""
 
     note, brought_down, at_fence, mode, airborne = "", "", 0, Mode.CUT, False
     clearance, guard = SimpleNamespace(ticks=0), SimpleNamespace(latched="")

@@ -523,7 +523,7 @@ def test_nothing_is_flown_on_command_while_a_stop_is_in_force():
         flying = asyncio.create_task(told(operator, "go-to", 0, p=[0.0, 3.0, 0.6]))
         await operator.clock.sleep(0.5)
         operator.agent.bus.stopped = (
-            True  # of the swarm: it has not reached these motors yet
+            True  # the swarm is stopped; the stop has not reached these motors yet
         )
         for verb, arguments in (
             ("go-to", {"p": [0.0, 1.0, 0.6]}),

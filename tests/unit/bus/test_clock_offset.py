@@ -34,7 +34,7 @@ NONSENSE = [
 
 @dataclass
 class Pair:
-    """Asks another host, whose clock is `skew` ns ahead and gains `gain` ns a second; time is ours."""
+    """Asks another host: its clock is `skew` ns ahead of ours and gains `gain` ns a second; `now` is our time."""
 
     skew: int
     gain: float = 0.0

@@ -40,7 +40,7 @@ def test_a_gain_that_is_set_flies_from_the_next_tick_on():
         ("control.max_tilt", 0.0, r"0\.2 to 1\.2"),
         ("control.thrust_delay", 5.0, r"0 to 0\.2"),
         ("control.rate_delay", 5.0, r"0 to 0\.2"),
-        ("control.lead", 1.0, "no such parameter"),  # of the law of accelerations
+        ("control.lead", 1.0, "no such parameter"),  # only acceleration laws have it
         ("control.kx", 1.0, "control.kp"),
         ("trim.thrust", 1.0, "can only be read"),
     ],

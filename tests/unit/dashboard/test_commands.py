@@ -297,7 +297,9 @@ async def test_what_is_ordered_later_counts_when_the_network_is_back(clock):
     assert go.answers == {0: (RECEIPT_KINDS.withdrawn, "by hold")}
     await clock.sleep(0.5)
     going = swarm.desk.order("go-to", [0], each=lambda i: {"p": [0, 0, 1]})
-    assert hold.answers[0][0] == RECEIPT_KINDS.sent, "who flies somewhere is held"
+    assert hold.answers[0][0] == RECEIPT_KINDS.sent, (
+        "a go-to does not withdraw the hold"
+    )
     hears()
     await swarm.desk.settled(hold)
     await swarm.desk.settled(going)
@@ -306,7 +308,7 @@ async def test_what_is_ordered_later_counts_when_the_network_is_back(clock):
     await clock.sleep(0.2)
     swarm.desk.order("hold", [0])
     assert landing.answers == {0: (ANSWER_TEXTS.accepted, "")}, (
-        "it says by itself what comes of it"
+        "the drone itself reports the end of the landing"
     )
     swarm.desk.close()
 

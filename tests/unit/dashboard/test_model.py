@@ -20,7 +20,7 @@ from crazychoir.types import FullState, LinkStatus, State, Status
 
 
 class Seen:
-    """Two drones on a bus, and the model of who looks on."""
+    """Two drones on a bus, and the model of an observer."""
 
     def __init__(self, clock):
         self.clock, self.bus, self.watch = clock, Bus(clock), EventLog(clock)

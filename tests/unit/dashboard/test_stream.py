@@ -502,10 +502,12 @@ async def test_tasks_are_taken_from_a_drone_that_hears_more_than_half_of_the_swa
     await say(2.0, d1=[0, 2], d0=[1], d2=[1])
     assert page.told("tasks")[-1] == [{"id": 2}]
     await say(2.0)
-    assert page.told("tasks")[-1] == [{"id": 2}], "who is asked goes on being asked"
+    assert page.told("tasks")[-1] == [{"id": 2}], "the same drone is still asked"
     server.obeyed.clear()
     await say(4.0, d0=[1, 2], d1=[0, 2], d2=[0, 1])
-    assert {i for i, *_ in server.those("task_list")} == {2}, "nobody knows better"
+    assert {i for i, *_ in server.those("task_list")} == {2}, (
+        "no drone hears more than half of the swarm"
+    )
 
 
 @virtual

@@ -194,7 +194,7 @@ def test_the_suffix_says_the_kind_in_any_case_and_through_a_link(tmp_path):
 def test_a_file_that_cannot_be_replaced_is_written_in_place(
     tmp_path, monkeypatch, error
 ):
-    """As a file that is mounted by itself, or another user's in a sticky folder."""
+    """Renaming fails for a file that is mounted by itself, and for another user's file in a sticky folder."""
 
     def refuse(new, place):
         raise OSError(error, os.strerror(error), str(place))

@@ -26,7 +26,7 @@ UMLAUT = "schön"
 OTHER_BYTES = os.fsdecode(b"b\xfcse")  # Latin-1 where names are UTF-8
 IN_ASCII = UMLAUT.encode().decode(
     "ascii", "surrogateescape"
-)  # as a process under LC_ALL=C sees it
+)  # a process under LC_ALL=C sees this text
 PACKAGE = Path(crazychoir.__file__).parent
 
 any_text = st.text(st.characters(exclude_categories=())) | st.binary().map(

@@ -1225,7 +1225,7 @@ async def test_a_jerk_that_nothing_bears_out_does_not_overturn_it(clock):
 
 
 class Frail:
-    """A link whose `fails` says, at each command, whether to raise; what got through is in `sent`: (s, command)."""
+    """A link that raises if `fails` says so for a command; other commands are kept in `sent`: (s, command)."""
 
     def __init__(self, link, clock):
         self.link, self.clock = link, clock
@@ -1444,14 +1444,14 @@ async def test_a_body_that_is_seen_outside_is_cut_though_it_may_be_another_and_o
         await drone.fly(seconds, drift=lambda far=far: far)
         assert (drone.pilot.mode is Mode.CUT) is cut, (far, seconds)
         assert drone.p == pytest.approx([0.0, 0.0, 1.0], abs=0.2), (
-            "a pose that jumps moves nobody"
+            "a pose that jumps does not move the drone"
         )
     assert "seen 5.50 m outside the limit area: motors cut" in drone.pilot.note
     drone = Flown(clock, reached="seen")
     await drone.hovering()
     await drone.fly(0.3, poses=False)
     await drone.fly(0.02, drift=lambda: 9.0)
-    assert drone.pilot.airborne, "one frame after a gap is none"
+    assert drone.pilot.airborne, "one frame after a gap does not count"
 
 
 @virtual

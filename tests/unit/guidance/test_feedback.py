@@ -45,7 +45,7 @@ class Told(CFDistributedFeedback):
 
 
 class Drone:
-    """Drone 0 of three in a row, of which it hears drone 1, that hovers in a simulated world."""
+    """Drone 0 of three in a row: it hovers in a simulated world and hears drone 1."""
 
     def __init__(self, clock, law):
         self.clock, self.law = clock, law
@@ -250,7 +250,7 @@ async def test_a_pause_of_the_law_is_not_made_up_for_in_one_step(clock):
 
 
 def failing(error):
-    """A law that comes to rest, and whose 51st step raises the error."""
+    """Return a law that comes to rest; its 51st step raises the error."""
 
     def raising(me, heard):
         if len(law.times) > 50:
@@ -329,7 +329,7 @@ async def test_none_lets_it_come_to_rest_and_hover_at_once_and_it_is_asked_on(cl
     assert drone.pilot.mode is Mode.HOVER
     await drone.fly(1.8)
     assert np.linalg.norm(drone.world.state(0).v) < 0.05
-    assert len(law.times) >= 280, "it may hear somebody again"
+    assert len(law.times) >= 280, "the law may hear a neighbour again"
     await drone.fly(0.3)
     assert await ending is None
 

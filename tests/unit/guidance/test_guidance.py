@@ -64,7 +64,7 @@ def pair(clock):
 
 @contextlib.asynccontextmanager
 async def in_the_world(clock, seen=lambda: True, home=(0.0, 0.0, 0.0), fence=WIDE):
-    """A guidance whose drone stands in a world that goes on; its pilot. seen: whether the cameras see it."""
+    """Yield the guidance and pilot of a drone that stands in a running world. seen: whether cameras see it."""
     bus, config, world = (
         Bus(clock),
         default_swarm(2),
@@ -98,7 +98,7 @@ async def in_the_world(clock, seen=lambda: True, home=(0.0, 0.0, 0.0), fence=WID
 
 @contextlib.asynccontextmanager
 async def in_the_air(clock):
-    """The same, hovering."""
+    """Yield the guidance and pilot of a hovering drone."""
     async with in_the_world(clock) as (guidance, pilot):
         await guidance.take_off()
         yield guidance, pilot

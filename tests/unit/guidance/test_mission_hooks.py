@@ -37,7 +37,7 @@ def mission(tmp_path):
     return written
 
 
-# What is refused before anybody flies -------------------------------------------------------------------------------
+# What is refused before a drone flies -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

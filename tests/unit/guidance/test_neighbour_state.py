@@ -22,7 +22,7 @@ NOISE = 0.0005
 
 
 def seen(t, draw, age=0.0, noise=NOISE):
-    """What cameras see at t of one that moves along a curve."""
+    """Return what cameras see at t of a drone that moves along a curve."""
     p = np.array(
         [np.sin(t), 0.5 * np.cos(0.7 * t), 1.0]
     ) + noise * draw.standard_normal(3)
@@ -33,8 +33,9 @@ def seen(t, draw, age=0.0, noise=NOISE):
 
 
 def drift(holds, told, ages=0.0):
-    """Largest m by which the sum of the velocities, each flown for its hold, is not the way; of one that stands still.
+    """Return by how many m, at most, a drone moves away when it flies each velocity for its hold.
 
+    The velocities are told of a neighbour that stands still.
     holds: s from each step to the next;  ages: s, of each pose when it is seen.
     """
     draw, motion = np.random.default_rng(3), VelocityFilter()
@@ -136,7 +137,7 @@ def test_after_a_long_gap_it_starts_anew(held):
 
 
 class Neighbor:
-    """One that moves along a curve, seen by cameras with noise; and what is heard of it."""
+    """A drone that moves along a curve, seen by cameras with noise; and what is heard of it."""
 
     def __init__(self, clock, latency=0.0, noise=NOISE):
         self.clock, self.latency, self.noise = clock, latency, noise
@@ -144,7 +145,7 @@ class Neighbor:
         self.hearing = StateMailbox(clock, "state", VelocitySum(CUTOFF, H, H))
 
     async def step(self, arrives=1):
-        """A period goes by; its state, that arrives so many times, and what a law is told of it."""
+        """Wait a period; return the state, which arrives so many times, and what a law is told of it."""
         await self.clock.sleep(H)
         now = self.clock.now()
         state = self.filter.update(
@@ -265,7 +266,7 @@ async def test_what_is_stale_is_not_told_and_not_made_up_for(clock):
 
 
 def commanded(k):
-    """One that accelerates, seen in tick k: a was commanded in the tick before."""
+    """Return the state of a drone that accelerates, seen in tick k: a was commanded in the tick before."""
     t = H * k
     return State(
         State.at((0.5 * t * t, -t, 1.0), (t, -1.0, 0.0)).flat,

@@ -1,4 +1,4 @@
-"""Whose turn it is at a place, and where the others wait."""
+"""Which drone has its turn at a place, and where the others wait."""
 
 import math
 from types import SimpleNamespace
@@ -23,7 +23,7 @@ HALL = Fence.box((-3.0, -3.0, 0.0), (3.0, 3.0, 2.0))
 
 
 def pilot(others, now=10.0, at=P, gave_way=-math.inf):
-    """That of drone 5, which hears others: {id: (m from P along x, m height, s old)}; where it is, when it gave way."""
+    """Return the pilot of drone 5 at `at`; others that it hears: {id: (m from P along x, m height, s old)}."""
     rows = np.zeros((len(others), NEIGHBOUR_ROW.size))
     for row, (away, z, age) in zip(rows, others.values(), strict=True):
         row[0:3], row[NEIGHBOUR_ROW.state_time] = (P[0] + away, P[1], z), now - age
@@ -93,7 +93,7 @@ def test_where_the_fence_is_near_they_wait_on_another_side():
 
 
 def seen(turns, **changes):
-    """The same turns, a moment later."""
+    """Return `turns` with its pilot a moment later."""
     turns.pilot = pilot(**changes)
     return turns
 
@@ -124,7 +124,7 @@ def test_a_long_hindered_drone_leaves_its_place_to_a_lower_id_for_a_while():
 
 def test_a_drone_without_a_goal_gets_out_of_the_way_at_once_and_stays_there():
     turns = TurnTaking(pilot(SHARED, at=NEXT))
-    assert turns.away() is None, "it hinders nobody"
+    assert turns.away() is None, "it hinders no drone"
     left = seen(turns, others=SHARED, at=NEXT, gave_way=10.0).away()
     assert left == pytest.approx(np.add(P, [0.1 - TURN_DISTANCES.waiting, 0.0, 0.0]))
     assert seen(turns, others=SHARED, at=NEXT, now=11.0).away() is left
@@ -132,7 +132,7 @@ def test_a_drone_without_a_goal_gets_out_of_the_way_at_once_and_stays_there():
         seen(turns, others=SHARED, at=left, now=11.0, gave_way=11.0).away() is None
     ), "it is there"
     assert seen(turns, others={}, at=NEXT, now=20.0, gave_way=20.0).away() is None, (
-        "nobody is near"
+        "no drone is near"
     )
 
 

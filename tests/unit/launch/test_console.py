@@ -150,7 +150,7 @@ def test_a_drone_that_is_back_on_the_ground_is_not_missed():
     score = flying()
     score.statuses[4] = waiting
     assert "4!" in printed(show.build_status_table(score)).splitlines()[3], (
-        "one that has not begun is missed"
+        "a drone that has not begun is missed"
     )
     quiet = SimpleNamespace(ids=(0,), statuses={0: waiting})
     assert "silent:" not in printed(show.build_status_table(quiet)), (

@@ -186,7 +186,9 @@ def test_the_reason_of_a_report_stands_beside_those_of_drones_that_failed_and_th
         result["reason"]
         == "too slow; drone 0: the collision filter has flown it for 2.5 s"
     )
-    assert result_of(results)["reason"] is None, "nobody gave one of all"
+    assert result_of(results)["reason"] is None, (
+        "no report gave a reason for the whole run"
+    )
 
 
 def test_drones_that_came_near_enough_to_touch_have_failed():
@@ -206,7 +208,7 @@ def test_drones_that_came_near_enough_to_touch_have_failed():
         here=(1, 2),
         touching={(0, 2): 0.002},
     )
-    assert list(part["reasons"]) == [2], "of those that were started here"
+    assert list(part["reasons"]) == [2], "only of drones that were started here"
     assert (
         result_of({1: {"success": True}}, here=(1,), touching={(0, 2): 0.002})[
             "success"

@@ -22,7 +22,7 @@ STEP = 1.5
 
 
 class Sky:
-    """Drones without anything, whose truth and status a test tells, and a score of them."""
+    """Ports of drones without programs, and their score; a test publishes their truth and status."""
 
     def __init__(self, clock, n=2, goal=None, unseen=()):
         self.clock = clock
@@ -89,7 +89,7 @@ def test_a_distance_is_between_places_at_one_time():
 
 
 def test_places_that_are_old_are_not_compared():
-    """The truth of drone 1 is 0.2 s old: nobody knows where it is now."""
+    """The truth of drone 1 is 0.2 s old: its present place is unknown."""
 
     async def scene(sky):
         sky.at(0, (0, 0, 0))

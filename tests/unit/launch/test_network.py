@@ -83,7 +83,7 @@ def test_the_swarm_file_is_there_while_it_flies():
     with write_swarm_file(config) as path:
         assert SwarmConfig.load(path) == config
         assert config.name in str(path)
-        assert path.parent.stat().st_mode & 0o077 == 0, "for nobody else"
+        assert path.parent.stat().st_mode & 0o077 == 0, "no other user may read it"
     assert not path.parent.exists()
 
 
@@ -331,7 +331,7 @@ def test_a_temporary_folder_that_cannot_be_or_is_full_is_told_with_what_to_do(
 
 
 def test_a_port_that_only_closed_connections_have_is_free():
-    """As after a run that used it: its connections stay in TIME_WAIT for a minute."""
+    """After a run that used the port, its connections stay in TIME_WAIT for a minute."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
         with socket.create_connection(("127.0.0.1", port)) as client:

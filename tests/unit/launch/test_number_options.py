@@ -45,7 +45,7 @@ def walk(program, words, command):
 
 
 def numeric_options():
-    """Every option whose value is a number, with what its parameter is annotated as."""
+    """Return (program, words, option, reader) of every option that takes a number."""
     found = []
     for program, words, command in commands():
         for param in command.params:

@@ -76,10 +76,10 @@ def test_without_a_file_the_only_run_is_meant(own_place, monkeypatch):
     monkeypatch.setattr(meant, "_listens", lambda port: port == demo_swarm().base_port)
     found = running_swarm(None)
     assert found.name == "pickup", (
-        "the swarm of the demo's mission, if anybody is there"
+        "the swarm of the demo's mission, if a process listens"
     )
     assert Addresses(found).endpoints() == Addresses(demo_swarm()).endpoints(), (
-        "it is looked for where it is"
+        "at the endpoints of the demo"
     )
     with record_run(run_of(own_place, "demo-1")):
         assert running_swarm(None).name == "demo-1"
@@ -115,7 +115,7 @@ def test_only_a_listening_or_starting_swarm_is_waited_for(own_place):
         taken.bind(("127.0.0.1", 0))
         port = taken.getsockname()[1]
         here = default_swarm(2).replace(name="lab-1", base_port=port - 1)
-        assert first_process_timeout(here) == 0.0, "nobody listens yet"
+        assert first_process_timeout(here) == 0.0, "no process listens yet"
         taken.listen()
         assert first_process_timeout(here) == NEXT_PROCESS_TIMEOUT, "drone 1 does"
     drones = [{"id": i, "home": [i, 0, 0], "host": "far"} for i in range(2)]
@@ -332,7 +332,7 @@ def test_a_folder_that_another_user_has_taken_is_refused_aloud(own_place, of_a_u
 def test_what_lies_in_the_folder_of_another_user_does_no_harm_to_root(
     own_place, of_a_user
 ):
-    """A pipe that nobody fills, a link to what only root may read, a record of another user, and no JSON."""
+    """The folder has an empty pipe, a link to a file of root, a record of another owner, and a file without JSON."""
     folder = private_folder_of(UID)
     folder.mkdir(mode=0o700)
     os.mkfifo(folder / "pipe")

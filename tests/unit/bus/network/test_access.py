@@ -63,7 +63,7 @@ def test_a_host_holds_the_drones_bodies_and_eyes_that_the_swarm_file_gives_it(co
     ):
         assert not access.may_hold(host, address)
     assert access.may_hold("desktop", PORT_ADDRESSES.first_observer + 5), (
-        "anybody looks on"
+        "every host may observe"
     )
 
 

@@ -1,4 +1,4 @@
-"""Who is connected with the certificate of a host, and says nothing that the swarm knows."""
+"""Programs that connect with the certificate of a host but are no process of the swarm."""
 
 from crazychoir.bus.network.foreign_connections import ForeignConnections
 

@@ -1,4 +1,4 @@
-"""Processes whose tokens were lost: whom to greet, and when to declare another token."""
+"""Lost tokens of processes: which processes to greet, and when to declare another token."""
 
 import pytest
 

@@ -94,7 +94,7 @@ def test_an_owner_with_another_swarm_file_is_not_entered_in_the_directory(
         ]
     else:
         assert (here.refused, what in caplog.text) == ([], True), (
-            "who came later ends, and says so"
+            "the process that started later ends; this one only logs it"
         )
     assert here.peers.directory == {}
 
@@ -294,7 +294,7 @@ def test_the_later_of_two_gives_way(here: Here) -> None:
 def test_a_process_that_has_run_for_a_while_is_not_ended_by_a_conflict(
     said, caplog
 ) -> None:
-    """A host whose cable is back, or that says that it was first: somebody may fly by this process."""
+    """The other host may be back after a broken cable, or claim that it was first. This process may fly drones."""
     here = Here(PEER_LIMITS.new_process_time, {"drones": "ab", "plant": "ef"})
     here.hear(said, age=1e8)
     assert (here.refused, here.peers.directory) == ([], {})

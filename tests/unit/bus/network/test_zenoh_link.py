@@ -33,7 +33,7 @@ class Held(Clock):
 
 
 async def link_of_a(access=None):
-    """Process 0-1 of host a with drone 0, and process 1-1 of b with drone 1, whose frames come at OF_B."""
+    """Return the link of process 0-1 of host a with drone 0; process 1-1 of b with drone 1 sends frames at OF_B."""
     bus = Bus(Held(), process="0-1", host="a")
     bus.port(0)
     link = ZenohLink(bus, "s", listen=[], connect=[], incarnation=1, version="1")
@@ -76,7 +76,7 @@ async def test_frames_that_take_long_leave_the_loop_to_the_others():
     for k in range(5):
         link._enqueue(slowly, str(k), b"")
     link._drain()
-    assert read == ["0", "1"], "of SLICE that it might take"
+    assert read == ["0", "1"], "the slice ends by its time, before its limit of frames"
     assert FRAME_READING.slice_frames > 5
     link._queue.clear()
 
@@ -114,7 +114,9 @@ async def test_a_link_that_is_behind_reads_for_as_long_as_other_work_takes():
         link._enqueue(slowly, str(k), b"")
     read.clear()
     link._drain()
-    assert len(read) == 3, "who has read all is not behind, however long ago that was"
+    assert len(read) == 3, (
+        "a link that has read all frames is not behind, even long after"
+    )
     link._queue.clear()
 
 
@@ -135,7 +137,7 @@ def test_a_key_with_more_or_fewer_parts_has_no_sender(key):
 
 
 async def test_key_token_frame_and_message_must_name_one_sender():
-    """Access control holds a host to its keys alone."""
+    """Access control only checks which keys a host uses."""
     link = await link_of_a()
     heard, counters = [], link.counters
     link.bus.ports[0].handlers[DRONE_TOPICS.log.number] = lambda *message: heard.append(
@@ -144,10 +146,10 @@ async def test_key_token_frame_and_message_must_name_one_sender():
     said = Envelope(DRONE_TOPICS.log.number, 1, (0,), 1, 0, 0.0, "", encode("x"))
     link._frame(
         "choir/s/f/0-1/c/1-1/control", frame(said), 0
-    )  # the name of a process of another host
+    )  # host c uses the name of a process of host b
     link._frame(
         "choir/s/f/0-1/b/1-2/control", frame(said), 0
-    )  # of which there is no token
+    )  # process 1-2 has no token
     link._frame(
         OF_B, encode_frame(Frame("1-2", 2, DRONE_TOPICS.state.klass, [said])), 0
     )
@@ -158,7 +160,7 @@ async def test_key_token_frame_and_message_must_name_one_sender():
         OF_B,
         frame(Envelope(DRONE_TOPICS.log.number, 2, (0,), 1, 0, 0.0, "", encode("x"))),
         0,
-    )  # for drone 2, of c
+    )  # host b sends for drone 2 of host c
     assert (heard, counters.strangers) == ([], 4)
     link._frame(OF_B, frame(said), 0)
     assert len(heard) == 1
@@ -179,7 +181,7 @@ async def test_a_stranger_with_another_s_name_is_not_answered():
 
 
 class Sample:
-    """As Zenoh gives it."""
+    """A sample in the form that Zenoh gives it."""
 
     kind = zenoh.SampleKind.PUT
 

@@ -1,4 +1,4 @@
-"""What `crazychoir param` prints of a swarm whose drones have different parameters."""
+"""What `crazychoir param` prints for drones with different parameters."""
 
 import io
 import itertools

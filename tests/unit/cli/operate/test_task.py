@@ -1,4 +1,4 @@
-"""crazychoir task: what it asks, of whom, and what it says of wrong words."""
+"""crazychoir task: its requests, the drones that it asks, and its errors for wrong words."""
 
 import pytest
 from typer.testing import CliRunner

@@ -16,7 +16,7 @@ from crazychoir.recording.mcap.reading import read_header
 
 CHUNKS, EACH = 4, 5
 MAGIC = b"\x28\xb5\x2f\xfd"
-"""Of what zstd has packed: the data of a chunk."""
+"""First bytes of data that zstd has packed: the data of a chunk."""
 CONFIG = default_swarm(2).replace(mission="goto")
 
 
@@ -122,7 +122,7 @@ def test_a_rerun_is_compared_as_far_as_the_recording_goes(
     tmp_path, monkeypatch, harm, complete
 ):
     def flies_the_same(config, mission, progress, file):
-        """The same lines, and one more."""
+        """Write the lines of `written`, and one more."""
         series = Series(0, DRONE_TOPICS.log.name, MESSAGE_BY_VALUE_TYPE[str])
         pack = make_packer(series.message, 0)
         file.write(

@@ -1,4 +1,4 @@
-"""A replay by steps: what standard input says, what is no step, and who does not wait for it."""
+"""A replay by steps: lines that are steps, lines that are no steps, and a cancelled read that does not wait."""
 
 import asyncio
 import io
@@ -59,7 +59,7 @@ def test_what_is_no_step_is_said_and_asked_for_again(typed, capsys):
 
 
 def test_a_cancelled_read_does_not_wait_for_a_line(monkeypatch):
-    """A line that comes when all is over is nobody's, and no error."""
+    """A line that comes after the end is ignored and causes no error."""
     end, other = os.pipe()
     keyboard = os.fdopen(end)
     monkeypatch.setattr(sys, "stdin", keyboard)

@@ -1,4 +1,4 @@
-"""What RViz is told of drones, of which one falls silent and comes back: places as old as they are, and no others."""
+"""What RViz is told when a drone falls silent and comes back: real places with their age, and no others."""
 
 import asyncio
 import struct
@@ -23,7 +23,7 @@ STORE = get_typestore(Stores.ROS2_JAZZY)
 
 @pytest.fixture(autouse=True)
 def without_digests(monkeypatch):
-    """Who publishes is named by a digest, for which not everybody has the library."""
+    """Replace the digest that names a publisher: not every machine has the library for it."""
     monkeypatch.setattr(Publisher, "gid", bytes(RMW_ZENOH.gid_size))
 
 
@@ -50,7 +50,7 @@ class Outside:
 
 
 def told(silent=lambda i, t: False, rate=10.0, seconds=3.0, leave=10.0):
-    """What is said of drones 0 and 1, at (t, i, 0) after t s, which say where they are unless silent; when it ended."""
+    """Return what ROS is told, and when it ended. After t s drone i is at (t, i, 0), and says so unless silent."""
 
     async def main(clock):
         bus, outside = Bus(clock), Outside()

@@ -36,7 +36,7 @@ home = [1, 0, 0]
 
 @pytest.fixture
 def taken():
-    """A port that somebody else listens on, two below the last that there is."""
+    """Yield a port on which another program listens."""
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()

@@ -44,7 +44,7 @@ def swarm(tmp_path):
 
 @pytest.fixture
 def dongle(monkeypatch):
-    """One that measures what the simulated radio does."""
+    """Replace the dongle by a simulated radio."""
     room = random_room(3, range(0, 81, 8))
     open_probe = contextlib.nullcontext(SimulatedRadio(room, 3))
     monkeypatch.setattr(

@@ -1,4 +1,4 @@
-"""What operators ask of a swarm: whoever is there obeys at once, and everybody is accounted for."""
+"""Requests of operators to a swarm: each drone that is there obeys at once, and the answer names every drone."""
 
 import math
 from dataclasses import dataclass, field
@@ -60,7 +60,7 @@ class Swarm:
 
 @pytest.fixture(autouse=True)
 def no_other_runs(monkeypatch, tmp_path):
-    """What runs on this machine meanwhile is nobody's business here."""
+    """Hide other runs of this machine from the tests."""
     monkeypatch.setenv("CRAZYCHOIR_RUNTIME_DIR", str(tmp_path / "crazychoir"))
 
 
@@ -105,11 +105,11 @@ def test_an_absent_drone_is_named_and_does_not_delay_the_others():
         2: (True, "acknowledged"),
     }
     assert swarm.stops[0][0][0] == pytest.approx(0.0, abs=0.02), (
-        "before it is known who else is there"
+        "before the other drones are found"
     )
     assert swarm.stops[2][0][0] == pytest.approx(1.0, abs=0.15)
     assert seconds == pytest.approx(1.0 + NEXT_PROCESS_TIMEOUT, abs=0.1), (
-        "after the last that was found"
+        "after the last drone was found"
     )
 
 

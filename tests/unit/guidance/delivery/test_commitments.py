@@ -1,7 +1,8 @@
-"""Commitments: no task is served twice, and none never, whatever is lost, whoever is killed, cut off or started again.
+"""Commitments: each task is served once, also if messages are lost and robots are killed, cut off or started again.
 
-Robots without bodies: each has its news, its commitments and its plannings, as in flight; chance decides whose turn it
-is, which message is lost, and what happens to whom. What the goods do is kept apart from what the robots believe.
+The robots have no bodies. Each robot has its news, its commitments and its plannings, as in flight. Chance decides
+which robot has its turn, which message is lost, and which fault a robot meets. The test keeps the true state of the
+goods apart from what the robots believe.
 """
 
 from collections import Counter
@@ -26,12 +27,12 @@ HERE, PUT, DONE, GONE = (
     "gone",
 )
 FAULTS, STEPS = 600, 30_000
-"""Turns in which something may happen, and in which all must have ended."""
+"""Turns in which faults may happen, and turns within which all robots must have ended."""
 
 
 @dataclass(eq=False)
 class Robot:
-    """One robot: who it is, what it knows and has promised; at: the stop that it has announced, and the edition."""
+    """One robot: its id, what it knows and has promised; at: the stop that it has announced, and the edition."""
 
     id: int
     incarnation: int
@@ -65,11 +66,11 @@ class Team:
         }
         self.rounds = {}  # messages of plannings that have arrived: (to, from, key, run, round)
         self.cut = None
-        self.stray = {}  # who it was that took goods along, by task
+        self.stray = {}  # task: the last robot that may have moved its goods
         self.taken_back, self.too_late = (
             [],
             [],
-        )  # pickups that were none, and those of which the team heard at its end
+        )  # tasks with pickups that were taken back; these tasks when the team heard of them only at its end
 
     def started(self, i, incarnation):
         port = SimpleNamespace(
@@ -100,7 +101,7 @@ class Team:
         self.let_fall(self.robots.pop(i))
 
     def let_fall(self, robot):
-        """It ends here: what it has aboard, or was about to pick up or deliver, lies there."""
+        """End the robot here: the goods aboard lie here, and so do goods that it was about to pick up or deliver."""
         if robot.at is not None and robot.at[0].kind == "delivery":
             self.put(robot, robot.at[0].task)
         for j in robot.aboard:
@@ -112,7 +113,7 @@ class Team:
         robot.at = None
 
     def put(self, robot, j):
-        """A delivery that others may never hear of; if not, they may come for the goods."""
+        """Deliver goods; robots that never hear of it may come for the goods."""
         robot.aboard.remove(j)
         robot.at = None
         self.goods[j], self.stray[j] = PUT, robot.id
@@ -121,7 +122,7 @@ class Team:
         self.robots[i] = self.started(i, int(self.draw.integers(1 << 40)))
 
     def change(self, members, who=None):
-        """A new epoch of these members, for those of them that hear of it."""
+        """Begin a new epoch of these members; all robots hear of it, or only some."""
         self.epoch += 1
         for robot in self.living if who is None else who:
             robot.news.communicator.graph = graph_from_name("complete", members)
@@ -150,7 +151,7 @@ class Team:
             book.cancel(int(self.draw.choice(list(book.tasks))))
 
     def add(self, robot):
-        """As TaskSource does."""
+        """Add a task like TaskSource."""
         news = robot.news
         may_end = robot.commitments.planning and news.record.idle
         if news.known(1) and not may_end and not news.ended and not news.record.out:
@@ -165,7 +166,7 @@ class Team:
                 self.promised.add(j)
 
     def notice(self):
-        """Who is dead or cut off is lost to the others, and they to who is cut off."""
+        """Remove dead and cut-off robots from the team; a robot that is cut off becomes a team of its own."""
         part = tuple(i for i in sorted(self.robots) if i != self.cut)
         if part != self.robots[part[0]].news.members:
             self.change(part, [self.robots[i] for i in part])
@@ -189,7 +190,7 @@ class Team:
                 other.news.hear({robot.id: letter})
 
     def fly(self, robot):
-        """As OnlinePDVRPGuidance does, but for the way."""
+        """Follow the stops like OnlinePDVRPGuidance, but without the way."""
         news, commitments = robot.news, robot.commitments
         if robot.at is not None:
             self.stand(robot, *robot.at)
@@ -306,7 +307,7 @@ class Team:
         return of
 
     def send(self, robot):
-        """All messages of its planning: what was lost comes again, even of who has ended it."""
+        """Send all messages of the planning again, also after the robot has ended it: some may have been lost."""
         for j in robot.news.members:
             for (run, k), message in robot.sent.items():
                 if self.linked(robot.id, j):
@@ -364,8 +365,10 @@ def test_each_task_is_served_once_unless_it_is_lost_with_its_carrier(seed, recov
     team = Team(seed, recover=recover).run()
     flying = [robot for robot in team.living if not robot.news.record.out]
     stories = [robot.news.standings() for robot in flying]
-    assert all(story == stories[0] for story in stories), "they tell of other ends"
-    assert team.promised <= set(stories[0]), "what was promised is forgotten"
+    assert all(story == stories[0] for story in stories), (
+        "the robots tell of different ends"
+    )
+    assert team.promised <= set(stories[0]), "a promised task is forgotten"
     for j, standing in stories[0].items():
         if standing.fate is Fate.DELIVERED:
             assert team.goods[j] == PUT or team.delivered[j] == 1, (
@@ -375,6 +378,6 @@ def test_each_task_is_served_once_unless_it_is_lost_with_its_carrier(seed, recov
             assert not team.delivered[j]
         else:
             late = j in team.too_late or j not in team.promised
-            assert late or standing.fate is Fate.LOST, "nobody has served it"
+            assert late or standing.fate is Fate.LOST, "no robot has served the task"
             assert late or not recover
-            assert late or j in team.stray, "and nobody who is gone had it"
+            assert late or j in team.stray, "and no lost robot had its goods"

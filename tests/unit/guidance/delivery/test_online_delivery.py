@@ -128,7 +128,7 @@ async def test_a_drone_on_its_way_to_goods_turns_to_where_they_are_heard_to_lie(
         if len(flown) == 1:
             guidance.news.book.hear(
                 Record(9, 1, 2, (3.0, 3.0), (Deed(1, PICK, 1),))
-            )  # who else was told of it
+            )  # robot 9 says its new place
 
     guidance.go_to = go_to
     guidance.member.pilot.remaining = lambda: 0.0

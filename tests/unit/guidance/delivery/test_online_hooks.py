@@ -1,4 +1,4 @@
-"""The online mission: what it is made of, and what is refused before anybody flies."""
+"""The online mission: its parts, and what is refused before a drone flies."""
 
 import json
 

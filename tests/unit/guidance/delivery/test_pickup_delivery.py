@@ -22,7 +22,7 @@ BRISK = {
     "acceleration_limit": 4.0,
     "landing_speed": 0.8,
 }
-# Two robots face to face, whose goods lie between them, and a third that carries nothing worth its way.
+# Two robots face to face with their goods between them, and a third robot; no task is worth its way.
 THREE = {
     "home": [[0.0, 0.0], [2.0, 0.0], [9.0, 9.0]],
     "capacity": [1.0, 1.0, 1.0],

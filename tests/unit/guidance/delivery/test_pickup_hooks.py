@@ -1,4 +1,4 @@
-"""The mission of pickup and delivery: what is refused before anybody flies, what is flown, and what is a success."""
+"""The mission of pickup and delivery: what is refused before a drone flies, what is flown, and what is a success."""
 
 import json
 

@@ -32,7 +32,7 @@ def task(j, pickup, delivery, **changes):
 
 
 def problem(i, start, robots=None):
-    """Robot i: capacity 2, capable of what names it, or nobody."""
+    """Return the problem of robot i: capacity 2, capable of each task that names robot i or no robot."""
 
     def of(goods):
         may = np.array([not t.robots or i in t.robots for t in goods.tasks], bool)
@@ -230,7 +230,7 @@ CARRIED = {3: (6,)}
 
 
 def with_trouble(monkeypatch, who, after, **options):
-    """Shares of a planning in which PickupDelivery raises in step `after` at the members `who`."""
+    """Return the shares of a planning in which PickupDelivery raises in step `after` at some members."""
     step = PickupDelivery.step
 
     def broken(self, heard):
@@ -283,7 +283,7 @@ def test_a_planning_in_which_one_robot_has_no_problem_is_dropped(monkeypatch):
         for share in shares.values()
     )
     assert all(share.ended for share in shares.values()), (
-        "on the ground nobody plans for ever"
+        "on the ground no robot plans for ever"
     )
 
 
@@ -308,7 +308,7 @@ def test_a_robot_that_sends_an_invalid_book_is_dropped_by_all_alike(nonsense):
 
 
 def test_bonds_hold_though_the_book_beside_them_is_none():
-    """Two would serve a task that a robot is bound to, and the goods aboard it would be nobody's."""
+    """Without bonds, another robot would serve the bound task too, and no robot would deliver the goods aboard."""
     foreign = task(7, (5.0, 5.0), (1.0, 9.0))
     books = {i: TaskBook([NEAR_2, NEAR_8, foreign], records()) for i in IDS}
     bound, carried = {8: (6,)}, {8: (7,)}
@@ -320,7 +320,7 @@ def test_bonds_hold_though_the_book_beside_them_is_none():
 
 
 class Torn(TaskBook):
-    """A book that nobody can read."""
+    """A book that no robot can read."""
 
     def __init__(self, book):
         super().__init__(book.tasks.values(), book.records.values())

@@ -15,7 +15,7 @@ ROUTE = [Stop(1, "pickup"), Stop(1, "delivery"), Stop(3, "pickup")]
 
 @pytest.fixture
 def forecast():
-    """Of a robot at the origin at 10 s, which may begin anything."""
+    """Return the forecast of a robot at the origin at 10 s; it may begin every task but task 2."""
     news = SimpleNamespace(
         book=SimpleNamespace(tasks=TASKS),
         standings=lambda: {

@@ -59,7 +59,7 @@ def cheapest(rows):
 
 
 def test_the_first_table_of_the_original_has_its_optimum():
-    """Its six tasks are those that numpy's legacy generator draws with seed 4."""
+    """The table has the six tasks that numpy's legacy generator draws with seed 4."""
     found = generation()
     first = found[0]
     assert [np.round(task.pickup, 3).tolist() for task in first.tasks] == [
@@ -163,7 +163,7 @@ def test_robots_that_compete_for_tasks_are_named_and_the_others_are_served():
 
 
 def test_any_cost_is_accepted_and_an_infinite_one_excludes_the_robot():
-    """Robot 0 can do nothing, for the others a task costs its number, whoever does it."""
+    """Robot 0 can do no task. A task costs each other robot the number of the task."""
     tasks = [Task(j, 0, False, (0.0, 0.0), (0.0, 0.0)) for j in range(4)]
     found = generation(
         {1: TaskBook(tasks)},

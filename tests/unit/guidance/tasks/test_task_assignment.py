@@ -40,7 +40,7 @@ def test_operators_may_add_only_tasks_inside_the_fence_for_known_drones():
 
 
 def test_while_the_team_plans_nothing_is_completed():
-    """A task may be somebody else's by then."""
+    """The task may belong to another robot after the planning."""
     said = []
     guidance = TaskAssignmentGuidance(TeamAssignment(lambda count: [], 1))
     pilot = SimpleNamespace(

@@ -190,7 +190,7 @@ def test_a_robot_that_was_started_again_has_lost_what_it_carried():
 
 
 def test_the_later_life_of_a_robot_counts_whatever_its_random_incarnation():
-    """Of the lower of two incarnations nobody took note: its team never ended, and what it had carried was nobody's."""
+    """A team that ignores the lower incarnation never ends, and the goods of the robot belong to no robot."""
     before, after = record(0, (PICK, 1)), Record(0, 0, 1, (9.0, 9.0))
     second = replace(after, life=2)
     for order in (
@@ -239,9 +239,9 @@ def test_witnesses_are_the_robots_known_to_have_heard_the_record():
     book.hear(Record(0, 1, 6, (0.0, 0.0)))
     everybody = (0, 1, 2, 3, 4)
     assert [book.witnesses(0, 1, n, everybody) for n in (4, 5, 6, 7)] == [3, 2, 1, 0]
-    assert book.witnesses(0, 1, 5, (0, 1, 2)) == 1, "of the members alone"
+    assert book.witnesses(0, 1, 5, (0, 1, 2)) == 1, "only members count"
     book.hear(Record(4, 1, 2, (0.0, 0.0), (), heard[3], out=True))
-    assert book.witnesses(0, 1, 5, everybody) == 1, "of those that fly"
+    assert book.witnesses(0, 1, 5, everybody) == 1, "robot 4 is out and does not count"
 
 
 def test_goods_are_where_a_robot_that_is_out_says_that_it_is_now():
@@ -255,7 +255,7 @@ def test_goods_are_where_a_robot_that_is_out_says_that_it_is_now():
 
 
 def test_goods_stay_at_the_last_place_of_a_lost_robot_in_any_order_of_records():
-    """They were fetched from where it had been when its loss was noticed, by those who heard its last record later."""
+    """The last record of the robot says where its goods lie, also if it is heard after its loss was noticed."""
     last, before = (
         Record(1, 1, n, place, (Deed(7, PICK, 1),))
         for n, place in ((9, (3.0, 3.0)), (4, (1.0, 1.0)))
@@ -271,7 +271,7 @@ def test_goods_stay_at_the_last_place_of_a_lost_robot_in_any_order_of_records():
 
 
 def test_where_a_robot_flies_changes_nothing():
-    """All say their places all the time: what has become of tasks would be found out anew at each."""
+    """All robots say their places all the time: a new place must not cause a new look at all tasks."""
     book = TaskBook([TASK], [record(0, (PICK, 1)), record(1)])
     book.standings((0, 1), recover=True)
     before = book.changes

@@ -211,7 +211,7 @@ async def test_neighbours_say_for_a_robot_that_has_failed_without_a_word_that_it
     news[3].book.hear(again)
     await gossiping(clock, others, 30 * NEWS_TIMING.period)
     assert all(one.book.newest(2) == again for one in others.values()), (
-        "who is started again is another one"
+        "a robot that is started again is a new robot"
     )
 
 
@@ -227,7 +227,7 @@ async def test_neighbours_say_for_a_robot_that_has_failed_without_a_word_that_it
     ],
 )
 def test_a_robot_that_hears_no_deciding_team_is_left_alone(who, out, why):
-    """Who talks, and who of them is out, as robot 0 sees it when all others have been silent for long."""
+    """Some robots talk to robot 0, and some of these are out; all others have been silent for long."""
 
     @virtual
     async def test(clock):
