@@ -765,19 +765,12 @@ def _check_link_edges(swarm: Swarm, where: str) -> None:
 
 
 def _check_bursts(swarm: Swarm, where: str) -> None:
-    """Check that bursts have a loss: without one nothing would be lost in them."""
+    """Check that bursts have a loss, and are as long as this loss demands."""
     links = {"network": swarm.network} | {
         f"network.edges[{n}]": edge for n, edge in enumerate(swarm.network.edges)
     }
     for key, link in links.items():
-        if link.burst is not None and link.loss is None:
-            raise ConfigError(
-                f"{where}: {key}.burst",
-                link.burst,
-                "with a loss beside it",
-                "Add loss (0 for none), or remove burst.",
-                "no loss is given",
-            )
+        link.require_possible_bursts(f"{where}: {key}.burst")
 
 
 def _check_partitions(swarm: Swarm, where: str) -> None:

@@ -70,7 +70,7 @@ def impairment_changes(link: LinkTable) -> dict[str, float | None]:
 
 
 def require_loss_of_burst(link: LinkTable) -> None:
-    """Raise ConfigError for a burst below 1 or without a loss."""
+    """Raise ConfigError for a burst without a loss, or shorter than the loss demands."""
     loss = link.loss
     burst = link.burst
     if burst is not None and not (
@@ -78,6 +78,7 @@ def require_loss_of_burst(link: LinkTable) -> None:
     ):
         found = f"{burst:g} with loss {'not given' if loss is None else f'{loss:g}'}"
         raise ConfigError("burst", found, "1 or more, with a loss between 0 and 1")
+    link.require_possible_bursts("burst")
 
 
 def link_effects(link: LinkTable) -> dict[str, float]:
@@ -97,7 +98,7 @@ def link_effects(link: LinkTable) -> dict[str, float]:
     leave = 1.0 / link.burst
     return effects | {
         "p_bad_good": leave,
-        "p_good_bad": min(1.0, leave * link.loss / max(1.0 - link.loss, 1e-9)),
+        "p_good_bad": min(1.0 - leave, leave * link.loss / max(1.0 - link.loss, 1e-9)),
         "loss_bad": 1.0,
     }
 

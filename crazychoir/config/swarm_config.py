@@ -95,6 +95,7 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True, dict=True):
         given = read_table(effects, LinkTable, where, "network", type(self))
         changes = {name: getattr(given, name) for name in effects}
         network = msgspec.structs.replace(self.network, **changes)
+        network.require_possible_bursts(f"{where}: network.burst")
         return msgspec.structs.replace(self, network=network)
 
     @property

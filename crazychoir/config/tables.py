@@ -8,6 +8,8 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct, field
 
+from crazychoir.errors import ConfigError
+
 Id = Annotated[
     int, Meta(ge=0, le=9999, description="a drone id, 0 to 9999", examples=[3])
 ]
@@ -331,6 +333,26 @@ class LinkTable(SwarmTable, frozen=True, kw_only=True):
     """Probability that a message is overtaken by later ones."""
     bandwidth: Bandwidth | None = None
     """bytes/s of the link."""
+
+    def require_possible_bursts(self, key: str) -> None:
+        """Raise ConfigError for bursts without a loss, or shorter than the loss demands.
+
+        With the loss p, messages are lost 1 / (1 - p) in a row on average even if losses are
+        independent, so shorter bursts are not possible.
+
+        key: place of the burst, for the error
+        """
+        if self.burst is None or self.loss == 0.0:
+            return
+        problem = ""
+        if self.loss is None:
+            problem = "no loss is given"
+        elif self.loss * self.burst > self.burst - 1.0:
+            problem = f"too short for loss = {self.loss:g}"
+        if problem:
+            allowed = "a burst has 1 / (1 - loss) messages or more"
+            do = "Correct loss (0 for none), or remove burst."
+            raise ConfigError(key, self.burst, allowed, do, problem)
 
 
 class EdgeTable(LinkTable, frozen=True, kw_only=True):

@@ -335,8 +335,14 @@ CASES = {
     "burst without a loss": (
         "",
         "[[network.edges]]\nsource = 0\nburst = 3",
-        "x.toml: network.edges[0].burst = 3.0: no loss is given; with a loss beside it. "
-        "Add loss (0 for none), or remove burst.",
+        "x.toml: network.edges[0].burst = 3.0: no loss is given; "
+        "a burst has 1 / (1 - loss) messages or more. Correct loss (0 for none), or remove burst.",
+    ),
+    "burst too short for its loss": (
+        "",
+        "[network]\nloss = 0.9\nburst = 3",
+        "x.toml: network.burst = 3.0: too short for loss = 0.9; "
+        "a burst has 1 / (1 - loss) messages or more. Correct loss (0 for none), or remove burst.",
     ),
     "link without ends": (
         "",

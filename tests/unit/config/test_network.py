@@ -148,6 +148,24 @@ def test_a_burst_is_of_a_loss(options):
         impairment_changes(LinkTable(**options))
 
 
+def test_a_burst_shorter_than_its_loss_demands_is_refused_in_flight():
+    with pytest.raises(ConfigError, match=r"too short for loss = 0\.9"):
+        impairment_changes(LinkTable(loss=0.9, burst=9.0))
+    assert impairment_changes(LinkTable(loss=0.75, burst=4.0))["p_good_bad"] == 0.75
+
+
+def test_a_loss_from_the_command_line_must_suit_the_bursts_of_the_file():
+    bursts = default_swarm(2).replace(network={"loss": 0.1, "burst": 4.0})
+
+    assert bursts.with_network(loss=0.0).network.loss == 0.0
+    with pytest.raises(
+        ConfigError, match=r"network\.burst = 4\.0: too short for loss = 0\.9"
+    ):
+        bursts.with_network(loss=0.9)
+    with pytest.raises(ConfigError, match=r"network\.burst = 3\.0: no loss is given"):
+        default_swarm(2).with_network(burst=3.0)
+
+
 def test_a_change_may_set_an_effect_to_zero():
     running = Impairment(0, network_rules(NetworkTable(loss=0.3, delay=0.1)))
     running.update(impairment_changes(LinkTable(loss=0.0, delay=0.0)))
