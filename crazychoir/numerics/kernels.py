@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numba
+import numpy as np
 
 from crazychoir.numerics.compiling import KERNEL_QUEUE
 from crazychoir.numerics.kernel_cache import attach_cache
@@ -22,6 +23,16 @@ memory = numba.float64[::1]
 """An array (n,) that a kernel writes."""
 table = numba.float64[:, ::1]
 """An array (m, n) that a kernel writes."""
+
+
+def rows_of(layout: np.dtype[Any]) -> Any:
+    """Return the type of an array (n,) of records that a kernel reads and writes.
+
+    Kernels with argument types take an array inside a record as a slice: `row.state[:]`.
+
+    layout: names and types of the fields: float64, int64, uint64, or arrays of these
+    """
+    return numba.types.Array(numba.from_dtype(layout), 1, "C")
 
 
 def kernel(*arguments: Any, **options: bool) -> Callable[[Law], Law]:
