@@ -21,7 +21,7 @@ from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.network import impairment_of
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError, Refused, error_text
-from crazychoir.flight.pilot import Pilot
+from crazychoir.flight.tick import FlightTick
 from crazychoir.guidance.mission import Mission, compute_mission_hash
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
@@ -52,21 +52,18 @@ class StatusActor(Actor):
 
 
 class Pacemaker(Actor):
-    """Ticks the pilots that receive no poses."""
+    """Ticks the drones that receive no poses."""
 
     name = "pacemaker"
 
-    def __init__(self, clock: Clock, pilots: list[Pilot], rate: float) -> None:
-        self.clock = clock
-        self.pilots = pilots
+    def __init__(self, tick: FlightTick, rate: float) -> None:
+        self.tick = tick
         self.rate = rate
 
     async def run(self) -> None:
         """Check once a period."""
-        async for _ in self.clock.ticks(self.rate):
-            now_ns = self.clock.now_ns()
-            for pilot in self.pilots:
-                pilot.nudge(now_ns)
+        async for _ in self.tick.clock.ticks(self.rate):
+            self.tick.tick_late_drones()
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,11 +139,12 @@ class Agent:
             graph=config.graph(),
             start_deadline=config.start_deadline,
             owners=self.owner_of,
+            tick=FlightTick(clock, len(ids)),
         )
+        surroundings.tick.deciders.append(self.bus.stages.run)
         for i in ids:
             self._add_drone(i, surroundings)
-        pilots = [drone.pilot for drone in self.drones.values()]
-        self.pacemaker = Pacemaker(clock, pilots, config.mocap.rate)
+        self.pacemaker = Pacemaker(surroundings.tick, config.mocap.rate)
         self.supervisor = Supervisor(
             clock, f"process {process.name}", self._shared_failed
         )
@@ -255,13 +253,13 @@ class Agent:
         If it flew, the safety table has brought it down.
         """
         pilot = self.drones[i].pilot
-        reason = pilot.brought_down or "its world is gone"
+        reason = pilot.notes.brought_down or "its world is gone"
         pilot.land(reason)
         self.runners[i].abort(reason)
 
     def _found_cut(self, i: int, why: str) -> None:
         """Leave out a drone that cannot fly. The others learn the reason."""
-        if not self.drones[i].pilot.cut_for:
+        if not self.drones[i].pilot.permission.cut_for:
             self.drones[i].barrier.refused = why
             if i in self.runners:
                 self.runners[i].abort(why)

@@ -18,9 +18,12 @@ from crazychoir.control.choice import FIRMWARE_GAIN_SENDERS, Controls, make_cont
 from crazychoir.control.margin import Plant as PlantKind
 from crazychoir.control.position import FLATNESS_LIMITS
 from crazychoir.control.robots import ROBOT_CONTROLS, find_sender
+from crazychoir.flight.body import Body, DistantBody, LocalBody, RadioBody
 from crazychoir.flight.estimate import choose_filter
-from crazychoir.flight.pilot import Pilot, PilotLink, ReachKind
+from crazychoir.flight.pilot import Pilot
 from crazychoir.flight.point_flights import compute_braking_limit
+from crazychoir.flight.setup import FlightSetup, ReachKind
+from crazychoir.flight.tick import FlightTick
 from crazychoir.guidance.member import Member
 from crazychoir.guidance.mission import Mission
 from crazychoir.guidance.sensors import Sensors
@@ -31,7 +34,7 @@ from crazychoir.safety.collision.agreed.path_limits import LOWEST_WAYPOINT, Path
 from crazychoir.safety.collision.agreed.planned import PlannedFlights
 from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.safety.collision.neighbour_table import NeighbourTable
-from crazychoir.safety.rules.guard import Fence
+from crazychoir.safety.rules.guard import Fence, Guard
 from crazychoir.safety.rules.radio_watch import RadioWatch
 from crazychoir.simulation.owner import WorldOwner
 from crazychoir.simulation.remote import RemoteLink
@@ -65,6 +68,8 @@ class DroneSurroundings:
     """s: time to wait for the team."""
     owners: dict[int, WorldOwner]
     """Owner of the world of each drone with its body in this process."""
+    tick: FlightTick
+    """The tick that flies the drones."""
 
 
 def build_drone(
@@ -93,8 +98,8 @@ def build_drone(
     communicator = Communicator(port, shared.graph)
     communicator.follow(barrier)
     barrier.listeners.append(partial(_tell_apart, barrier))
-    pilot = _build_pilot(config, port, owner, remote)
-    radio_watch = _build_radio_watch(config, pilot)
+    pilot = _build_pilot(config, port, shared, remote)
+    radio_watch = pilot.body.watch if isinstance(pilot.body, RadioBody) else None
     guidance = shared.mission.guidance(i, config)
     guidance.foresee(Member(i, config, shared.bus.clock, communicator, pilot))
     return Drone(
@@ -109,7 +114,7 @@ def build_drone(
         radio_watch=radio_watch,
         harm=_find_harm(i, owner, remote),
         sensors=_build_sensors(config, port, owner, remote),
-        unfit=pilot.unfit,
+        unfit=pilot.body.list_problems,
     )
 
 
@@ -127,53 +132,84 @@ def _build_remote_link(config: SwarmConfig, port: Port) -> RemoteLink:
 def _build_pilot(
     config: SwarmConfig,
     port: Port,
-    owner: WorldOwner | None,
+    shared: DroneSurroundings,
     remote: RemoteLink | None,
 ) -> Pilot:
-    """Return the pilot, with its controller, its fence and its link to the body.
+    """Return the pilot, with its controller, its fence and its body.
 
-    owner: owner of the drone's world in this process, None if the body is elsewhere
     remote: link to the body elsewhere, None if it is in this process
     """
     topology = config.topology
     i = port.address
-    fence = _build_fence(config, i)
-    has_own_pose = i in topology.reached and i not in topology.seen
-    chosen = _choose_controls(config, i)
-    rate = config.radio.log_rate if has_own_pose else config.mocap.rate
-    state_filter = choose_filter(
-        config.control_of(i).filter, chosen, config.flight.ground, rate
-    )
-    link: PilotLink | None = remote
-    pose_source = topology.source(DRONE_TOPICS.pose, i)
-    if owner is not None:
-        link = owner.link(i, chosen.sender.kind)
-        pose_source = i
-    assert link is not None  # noqa: S101 - the body is in this process or elsewhere
-    reached: ReachKind = "no"
-    if i in topology.reached:
-        reached = "own" if has_own_pose else "seen"
+    setup = _build_setup(config, i)
+    row = shared.tick.batch.add()
+    guard = setup.make_guard(row)
+    body = _build_body(config, port, setup, shared, remote, guard)
     pilot = Pilot(
         port,
-        link,
-        config.flight,
-        fence,
-        rate,
-        chosen,
-        state_filter,
-        pose_source,
-        _build_avoidance(config, port, chosen),
-        Fence.box(*limit_area(config)),
-        reached,
-        config.drone(i).home,
-        config.drone(i).uri.startswith(WORLD_URIS.replay),
+        body,
+        setup,
+        choose_filter(
+            config.control_of(i).filter,
+            setup.controls,
+            config.flight.ground,
+            setup.rate,
+        ),
+        _build_avoidance(config, port, setup.controls),
+        shared.tick,
+        row,
+        guard,
     )
+    pose_source = (
+        i if remote is None else topology.source(DRONE_TOPICS.pose, i)
+    )
+    seen = Call(port.bus.clock, pilot.see, f"drone {i} pose")
+    port.bus.subscribe(DRONE_TOPICS.pose, pose_source, i, seen)
     if remote is not None:
         remote.found_flying = pilot.take_over
-        pilot.turning = remote.flying
-        pilot.unheard = remote.unheard
-        pilot.unfit = remote.problems
     return pilot
+
+
+def _build_setup(config: SwarmConfig, i: int) -> FlightSetup:
+    """Return what the pilot of drone i must know."""
+    topology = config.topology
+    has_own_pose = i in topology.reached and i not in topology.seen
+    reach: ReachKind = "no"
+    if i in topology.reached:
+        reach = "own" if has_own_pose else "seen"
+    return FlightSetup(
+        limits=config.flight,
+        room=_build_fence(config, i),
+        rate=config.radio.log_rate if has_own_pose else config.mocap.rate,
+        controls=_choose_controls(config, i),
+        limit_area=Fence.box(*limit_area(config)),
+        reach=reach,
+        home=config.drone(i).home,
+        is_replayed=config.drone(i).uri.startswith(WORLD_URIS.replay),
+    )
+
+
+def _build_body(
+    config: SwarmConfig,
+    port: Port,
+    setup: FlightSetup,
+    shared: DroneSurroundings,
+    remote: RemoteLink | None,
+    guard: Guard,
+) -> Body:
+    """Return the body of a drone: in this process, in another one, or behind a radio.
+
+    remote: link to the body elsewhere, None if it is in this process
+    guard: of the drone, which hears of its radio
+    """
+    i = port.address
+    if remote is None:
+        return LocalBody(shared.owners[i].link(i, setup.controls.sender.kind))
+    if i not in config.topology.reached:
+        return DistantBody(remote)
+    source = config.topology.source(DRONE_TOPICS.link, i)
+    firmware = find_platform(config.drone(i).platform).firmware
+    return RadioBody(remote, RadioWatch(port, source, guard, firmware))
 
 
 def _find_harm(
@@ -184,23 +220,6 @@ def _find_harm(
         return partial(owner.world.harm, i)
     assert remote is not None  # noqa: S101 - the body is in this process or elsewhere
     return remote.harm
-
-
-def _build_radio_watch(config: SwarmConfig, pilot: Pilot) -> RadioWatch | None:
-    """Return the watch over the drone's radio, which tells the pilot its state; None without a radio."""
-    i = pilot.drone
-    if i not in config.topology.reached:
-        return None
-    watch = RadioWatch(
-        pilot.port,
-        config.topology.source(DRONE_TOPICS.link, i),
-        pilot.guard,
-        find_platform(config.drone(i).platform).firmware,
-    )
-    pilot.unfit = watch.problems
-    pilot.turning = watch.turning
-    pilot.astray = watch.astray
-    return watch
 
 
 def _build_sensors(

@@ -78,8 +78,8 @@ class Drone:
             for name in ("cost", "relaxed")
         )
         notes = (
-            HELD_TEXT if self.pilot.held else "",
-            self.pilot.note,
+            HELD_TEXT if self.pilot.permission.held else "",
+            self.pilot.notes.text,
             self.barrier.apart,
         )
         return Status(
@@ -98,7 +98,7 @@ class Drone:
             host=self.port.bus.host,
             note=self.waits or "; ".join(text for text in notes if text),
             stopped=self.port.bus.stopped,
-            grave=self.pilot.grave and not self.waits,
+            grave=self.pilot.notes.is_grave and not self.waits,
             hosts=list(offsets),
             offsets=[found.offset for found in offsets.values()],
             offset_errors=[found.error for found in offsets.values()],

@@ -90,10 +90,12 @@ class DroneCommands:
         return network.describe()
 
     async def _set_parameter(self, arguments: Arguments) -> Any:
-        return self.drone.pilot.set_parameter(arguments["name"], arguments["value"])
+        return self.drone.pilot.follower.set_parameter(
+            arguments["name"], arguments["value"]
+        )
 
     async def _list_parameters(self, arguments: Arguments) -> Any:
-        return self.drone.pilot.parameters.values(arguments.get("name"))
+        return self.drone.pilot.follower.parameters.values(arguments.get("name"))
 
     async def _ask_mission(self, verb: str, arguments: Arguments) -> Any:
         guidance = self.drone.guidance

@@ -98,9 +98,12 @@ def add_flight_times(result: Result, pilot: Pilot) -> Result:
     kept_clear_s: time in which the drone gave way to other drones
     at_fence_s: time in which the fence kept the drone from its target
     """
-    ticks = {"kept_clear_s": pilot.clearance.ticks, "at_fence_s": pilot.at_fence}
+    ticks = {
+        "kept_clear_s": pilot.follower.clearance.ticks,
+        "at_fence_s": pilot.row.fence_ticks,
+    }
     times = {
-        key: round(count * pilot.period_ns / NS_PER_SECOND, 2)
+        key: round(count * pilot.setup.period_ns / NS_PER_SECOND, 2)
         for key, count in ticks.items()
         if count
     }
@@ -118,8 +121,8 @@ def judge_flight(result: Result, drone: Drone, aborted: str, ended: str) -> Resu
     """
     pilot = drone.pilot
     harm = drone.harm()
-    cut = pilot.note if pilot.mode is Mode.CUT else ""
-    brought_down = aborted or cut or pilot.guard.latched or pilot.brought_down
+    cut = pilot.notes.text if pilot.mode is Mode.CUT else ""
+    brought_down = aborted or cut or pilot.guard.latched or pilot.notes.brought_down
     if result.get("success"):
         reasons = [text for text in (brought_down, harm) if text]
         if reasons:

@@ -129,7 +129,9 @@ class MissionRunner(Actor):
         by_operator: a command of the drone's operator has ended it. Then the mission has not
             failed.
         """
-        cut_for = self.drone.pilot.cut_for  # ended after a cut: the cut is the reason
+        cut_for = (
+            self.drone.pilot.permission.cut_for
+        )  # ended after a cut: the cut is the reason
         reason = reason_or(cut_for or reason, "its mission was ended")
         if not self._abort.done():
             self._abort.set_result(reason)
@@ -260,10 +262,12 @@ class MissionRunner(Actor):
         pilot = self.drone.pilot
         await wait_for_touchdown(pilot, MISSION_TIMES.landing_deadline)
         while pilot.airborne and is_blocked(pilot):
-            log.warning("drone %d: others keep it up: %s", self.drone.id, pilot.note)
+            log.warning(
+                "drone %d: others keep it up: %s", self.drone.id, pilot.notes.text
+            )
             await wait_for_touchdown(pilot, MISSION_TIMES.landing_deadline)
         if (
-            pilot.airborne and pilot.unreached
+            pilot.airborne and pilot.judge.touchdown.is_unreached
         ):  # a cut that arrives late would be a fall
             log.error(
                 "drone %d: its radio is silent: its firmware lands it when it is reached",

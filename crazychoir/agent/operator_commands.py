@@ -116,7 +116,7 @@ class OperatorCommands:
         Raises Refused with the reason.
         """
         command = ModeEvent(verb)
-        if why := self.drone.pilot.refuses(command):
+        if why := self.drone.pilot.permission.refuses(command):
             self._refuse(why)
         return await self._methods[command]()
 
@@ -132,7 +132,7 @@ class OperatorCommands:
             self._refuse(
                 f"its mission does not wait for a start: {ORDER_TEXTS.waiting_advice}"
             )
-        if not self.drone.pilot.awaits_start:
+        if not self.drone.pilot.permission.awaits_start:
             self._refuse("its mission has started")
         if not hasattr(guidance, "member") or not guidance.member.gate:
             self._refuse(
@@ -156,7 +156,7 @@ class OperatorCommands:
         pilot = self.drone.pilot
         seconds = pilot.take_off(member.rise)
         if seconds == 0.0:
-            self._refuse(pilot.note or ORDER_TEXTS.unseen)
+            self._refuse(pilot.notes.text or ORDER_TEXTS.unseen)
         ends = pilot.clock.now() + seconds + ORDER_TIMES.take_off_allowance
         while pilot.mode is Mode.TAKEOFF and pilot.clock.now() < ends:
             await pilot.clock.sleep(ORDER_TIMES.poll_interval, drone=self.drone.id)
@@ -166,7 +166,7 @@ class OperatorCommands:
 
     async def _start(self) -> str:
         self._gate("start")
-        self.drone.pilot.start()
+        self.drone.pilot.permission.start()
         return "its mission goes on"
 
     async def _hold(self) -> str:
@@ -176,7 +176,7 @@ class OperatorCommands:
 
     async def _go_on(self) -> str:
         pilot = self.drone.pilot
-        was_held = pilot.held
+        was_held = pilot.permission.held
         pilot.hold(on=False)
         return "goes on" if was_held else "was not held"
 
@@ -193,7 +193,7 @@ class OperatorCommands:
         drone = self.drone
         pilot = self.drone.pilot
         self.abort(MISSION_REASONS.sent_home)
-        pilot.commanded = False
+        pilot.permission.commanded = False
         pilot.hover()
         self._others = self._others or _OtherDrones(
             drone.port, tuple(i for i in self.config.ids if i != drone.id)
@@ -203,17 +203,18 @@ class OperatorCommands:
         drone.port.publish(DRONE_TOPICS.status, drone.status())
         await pilot.clock.sleep(ORDER_TIMES.listening_time, drone=drone.id)
         state = pilot.state
-        if why := pilot.refuses(ModeEvent.HOME):
+        if why := pilot.permission.refuses(ModeEvent.HOME):
             self._refuse(why)
         if state is None:
             self._refuse("it is not seen")
         home = (
-            pilot.started_at
-            if pilot.started_at is not None
+            pilot.permission.started_at
+            if pilot.permission.started_at is not None
             else self.config.drone(drone.id).home
         )
         pilot.go_home(
-            home, self._others.level(state.p, home, pilot.fence.high[2] - EDGE_MARGIN)
+            home,
+            self._others.level(state.p, home, pilot.setup.fence.high[2] - EDGE_MARGIN),
         )
         return await self._on_the_ground()
 

@@ -78,7 +78,7 @@ class Steering:
         self._require_cleared()
         self._require_steerable()
         try:
-            place = self.drone.pilot.require_goal(
+            place = self.drone.pilot.follower.require_goal(
                 "go-to", goal.p, goal.yaw, goal.duration
             )
         except ConfigError as error:
@@ -95,7 +95,7 @@ class Steering:
         self._require_cleared()
         try:
             path = Piecewise(arguments["coefficients"], arguments["durations"])
-            if self.drone.pilot.airborne and not self.drone.pilot.steerable:
+            if self.drone.pilot.airborne and not self.drone.pilot.permission.steerable:
                 return self.drone.guidance.led(path)
             require_feasible(path, self.drone.pilot)
         except (ConfigError, KeyError, TypeError, ValueError) as error:
@@ -114,7 +114,7 @@ class Steering:
             or pilot.gap(path.sample(path.duration).p) > FLIGHT_LIMITS.arrival_distance
         ):
             self._refuse(
-                f"its path was not flown to the end: {pilot.note or pilot.mode.value}"
+                f"its path was not flown to the end: {pilot.notes.text or pilot.mode.value}"
             )
         return "flown"
 
@@ -130,14 +130,14 @@ class Steering:
         """
         if self.drone.port.bus.stopped:
             self._refuse(STOPPED_REFUSAL)
-        if why := self.drone.pilot.unguided:
+        if why := self.drone.pilot.permission.unguided:
             self._refuse(f"its guidance has failed: {why}")
 
     def _require_steerable(self) -> None:
         pilot = self.drone.pilot
         if not pilot.airborne:
             self._refuse(f"it is {pilot.mode.value}")
-        if not pilot.steerable:
+        if not pilot.permission.steerable:
             flies = pilot.mode in (Mode.HOVER, Mode.FOLLOW)
             self._refuse(
                 "its mission controls it: hold the drone first"
@@ -170,7 +170,7 @@ class Steering:
                 return
         place = np.round(p, 2).tolist()
         self._refuse(
-            f"does not reach {place}, still {pilot.gap(p):.2f} m from it: {pilot.note or 'no reason'}"
+            f"does not reach {place}, still {pilot.gap(p):.2f} m from it: {pilot.notes.text or 'no reason'}"
         )
 
     async def _look(self, turn: int) -> None:
@@ -179,11 +179,13 @@ class Steering:
         if turn != self._count:
             self._refuse("it does what was commanded later")
         self._require_cleared()
-        if not self.drone.pilot.steerable:
+        if not self.drone.pilot.permission.steerable:
             pilot = self.drone.pilot
             goes_on = f"it goes on with its mission: {describe_state(pilot)}"
-            self._refuse(goes_on if pilot.obeys else f"it is {pilot.mode.value}")
-        if not self.drone.pilot.commanded:
+            self._refuse(
+                goes_on if pilot.permission.obeys else f"it is {pilot.mode.value}"
+            )
+        if not self.drone.pilot.permission.commanded:
             self._refuse("it was held on its way")
 
     def _refuse(self, why: str) -> NoReturn:

@@ -24,6 +24,7 @@ from rich.table import Table
 from crazychoir.agent.agent import Agent
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import CrazyChoirError
+from crazychoir.flight.body import LocalBody
 from crazychoir.flight.pilot import Pilot
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import CFGuidance
@@ -34,6 +35,7 @@ from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.runtime.clock import NS_PER_SECOND, Clock, run_wall
 from crazychoir.safety.rules.modes import Mode
+from crazychoir.simulation.common.world import DroneLink
 from crazychoir.simulation.owner import WorldOwner
 from crazychoir.solve.solving import solve_here
 from crazychoir.types import Acceleration, Command, Heard, State
@@ -143,14 +145,21 @@ class StopwatchLink:
     """A link that stores the age of the newest poses when it sends a command.
 
     pilot: pilot of the drone
+    link: link to the drone
     owner: owner of the world, which says when the cameras last saw all drones
     elapsed_ns: list of the ages, ns
     """
 
-    def __init__(self, pilot: Pilot, owner: WorldOwner, elapsed_ns: list[int]) -> None:
+    def __init__(
+        self,
+        pilot: Pilot,
+        link: DroneLink,
+        owner: WorldOwner,
+        elapsed_ns: list[int],
+    ) -> None:
         self.pilot = pilot
         self.owner = owner
-        self.link = pilot.link
+        self.link = link
         self.elapsed_ns = elapsed_ns
 
     def send(self, command: Command) -> None:
@@ -205,7 +214,11 @@ def pose_to_command(drones: int, seconds: float) -> Lateness:
     async def main(clock: Clock) -> dict[int, dict[str, Any]]:
         agent = Agent(clock, default_swarm(drones), mission, tuple(range(drones)))
         for drone in agent.drones.values():
-            drone.pilot.link = StopwatchLink(drone.pilot, agent.owners[0], elapsed_ns)
+            body = drone.pilot.body
+            assert isinstance(body, LocalBody)  # noqa: S101 - its world is in this process
+            body.link = StopwatchLink(
+                drone.pilot, body.link, agent.owners[0], elapsed_ns
+            )
         return await agent.run()
 
     results = run_wall(main)

@@ -1,8 +1,9 @@
 """The clearance of one drone from the others, by a collision filter or by agreed paths."""
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
+from crazychoir.flight.batch import DroneRow
 from crazychoir.flight.point_flights import FLIGHT_PATIENCE, PointFlights
 from crazychoir.numerics.math3d import yaw_of
 from crazychoir.planning.point_to_point import PointToPoint
@@ -12,8 +13,7 @@ from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.types import Acceleration, FullState, State, Vec
 
 
-@dataclass(frozen=True, slots=True)
-class PlanDeviation:
+class PlanDeviation(NamedTuple):
     """What a drone that was pushed aside does, by its distance from its plan."""
 
     back_distance: float = 0.05
@@ -33,8 +33,7 @@ class PlanDeviation:
 PLAN_DEVIATION = PlanDeviation()
 
 
-@dataclass(frozen=True, slots=True)
-class ClearanceTimes:
+class ClearanceTimes(NamedTuple):
     """How long a drone waits for others before it reports this, turns aside, or lands."""
 
     first_time_gap: float = 0.5
@@ -71,6 +70,7 @@ class Clearance:
     collision: the collision filter, or the planner of agreed paths; None for neither
     flights: of the pilot; they wait, or go on, for a drone that was pushed aside
     period: s, of a tick
+    row: of the drone in its batch
     """
 
     def __init__(
@@ -78,21 +78,32 @@ class Clearance:
         collision: CollisionFilter | PlannedFlights | None,
         flights: PointFlights,
         period: float,
+        row: DroneRow,
     ) -> None:
         self.filter = collision if isinstance(collision, CollisionFilter) else None
         self.planned = collision if isinstance(collision, PlannedFlights) else None
         self.flights = flights
         self.period = period
         self.traffic = None if collision is None else collision.traffic
-        self.aside = False
-        """Whether the drone was pushed off its plan and is not back."""
-        self.ticks = 0
-        """Number of ticks that the collision filter has flown the drone."""
-        self.gave_way = -math.inf
-        """Time in s when the drone last gave way to another drone."""
-        self._cut_off = math.inf  # s, since when the drone is cut off
+        self._row = row
+        row.drone["avoids"] = self.filter is not None
         # Time in s since when others keep it up, or when it last chose another place to land.
         self._kept_up = -math.inf
+
+    @property
+    def is_aside(self) -> bool:
+        """Whether the drone was pushed off its plan and is not back."""
+        return bool(self._row.drone["is_aside"])
+
+    @property
+    def ticks(self) -> int:
+        """Number of ticks that the collision filter has flown the drone."""
+        return int(self._row.drone["evasion_ticks"])
+
+    @property
+    def gave_way(self) -> float:
+        """Time in s when the drone last gave way to another drone."""
+        return float(self._row.drone["gave_way"])
 
     def evasion(
         self,
@@ -119,46 +130,29 @@ class Clearance:
             safe = collision.full_state(state, reference.flat, gains, now, lands=lands)
         else:
             safe = collision.acceleration(state, reference.a, gains, now)
-        self._cut_off = min(self._cut_off, now) if collision.cut_off else math.inf
-        if safe is not None:
-            self.gave_way = now
-            self.ticks += 1
+        row = self._row.drone
+        row["cut_off_since"] = (
+            min(row["cut_off_since"], now) if collision.cut_off else math.inf
+        )
         return safe
 
-    def deaf(self, now: float) -> bool:
+    def is_deaf(self, now: float) -> bool:
         """Return whether the drone has been cut off from half of the flying drones for too long."""
-        return now >= self._cut_off + CLEARANCE_TIMES.cut_off_timeout
+        since = float(self._row.drone["cut_off_since"])
+        return now >= since + CLEARANCE_TIMES.cut_off_timeout
 
-    def astray(self, state: State, planned: FullState, now: float) -> bool:
-        """Return whether a drone that was pushed aside is far from its plan.
+    def wait_for_drone(self, state: State, now: float) -> None:
+        """Let the plan wait for a drone that was pushed far off it, or begin anew from where it is.
 
-        A landing drone then lands where it is. After PLAN_DEVIATION.gentle_return_time s the wind keeps the drone
-        from coming back, and the control uses its full authority against the wind.
-        """
-        far = math.dist(planned.p.tolist(), state.p.tolist())
-        self.aside = (
-            far > PLAN_DEVIATION.back_distance
-            and now < self.gave_way + PLAN_DEVIATION.gentle_return_time
-        )
-        return far > PLAN_DEVIATION.landing_distance
-
-    def awaited(self, state: State, planned: FullState, now: float) -> FullState:
-        """Return the reference of a drone that was pushed aside.
-
-        Far from its plan, the drone begins a new flight from where it is, or the plan waits.
+        state: of the drone
+        now: s
         """
         flights = self.flights
-        if (
-            math.dist(planned.p.tolist(), state.p.tolist())
-            <= PLAN_DEVIATION.waiting_distance
-        ):
-            return planned
+        planned = flights.sample(now)
         if flights.resume(FullState.at(state.p, yaw=yaw_of(state.q)), now):
-            return flights.sample(now) or planned
-        if flights.wait(self.period):
-            # A waiting plan stands still.
-            return FullState.at(planned.p, yaw=planned.yaw)
-        return planned
+            return
+        if planned is not None and flights.wait(self.period):
+            flights.stand(FullState.at(planned.p, yaw=planned.yaw))
 
     def planned_flight(
         self,
@@ -226,7 +220,7 @@ class Clearance:
         if self.delayed_by is not None:
             if not lands or now > self.gave_way + CLEARANCE_TIMES.first_time_gap:
                 self._kept_up = now
-            self.gave_way = now
+            self._row.drone["gave_way"] = now
         return flown
 
     def rest(self, now: float) -> None:
@@ -234,14 +228,15 @@ class Clearance:
 
         Whether it is cut off is judged anew in its next flight.
         """
-        self._cut_off = math.inf
+        self._row.drone["cut_off_since"] = math.inf
         if self.planned is not None:
             self.planned.rest(now)
 
-    def begins_landing_anew(
-        self, planned: PlannedFlights, wanted: FullState, now: float
-    ) -> bool:
+    def begins_landing_anew(self, wanted: FullState, now: float) -> bool:
         """Return whether a landing drone that gets no answer rests away from its landing place."""
+        planned = self.planned
+        if planned is None:
+            return False
         rests = (
             planned.unanswered
             and planned.delayed

@@ -5,8 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.config.tables import FlightTable
+from crazychoir.flight.array_like import to_floats
+from crazychoir.numerics.kernels import Record
 from crazychoir.numerics.math3d import STANDARD_GRAVITY, yaw_of
 from crazychoir.planning.landing import FlightLegs, Landing
+from crazychoir.planning.piecewise import Piecewise
+from crazychoir.planning.plan_row import PLAN_ROW, PlanKind, clear_plan, load_pieces
 from crazychoir.planning.point_to_point import (
     PEAK_SPEED,
     PointToPoint,
@@ -54,39 +58,71 @@ class PointFlights:
     limits: [flight]
     fence: where the drone flies, from the ground up at most
     a_max: m/s2, with which it brakes
+    row: record of PLAN_ROW in the batch of the drone, None for a record of its own
     """
 
-    def __init__(self, limits: FlightTable, fence: Fence, a_max: float) -> None:
+    def __init__(
+        self,
+        limits: FlightTable,
+        fence: Fence,
+        a_max: float,
+        row: Record | None = None,
+    ) -> None:
         self.limits = limits
         self.fence = fence
         self.a_max = a_max
-        self.plan: Trajectory | None = None
-        self.start = 0.0
-        self.waited = 0.0
+        self._row: Record = np.zeros(1, PLAN_ROW)[0] if row is None else row
+        self._plan: Trajectory | None = None
+
+    @property
+    def plan(self) -> Trajectory | None:
+        """The plan; None without one."""
+        return self._plan if self._row["kind"] != PlanKind.NONE else None
+
+    @property
+    def start(self) -> float:
+        """When the plan began, in s."""
+        return float(self._row["start"])
+
+    @property
+    def waited(self) -> float:
         """Seconds that this plan has waited for its drone."""
-        self._resumed = 0.0  # s that the plan had waited when it last began anew
+        return float(self._row["waited"])
 
     def clear(self) -> None:
         """Remove the plan."""
-        self.plan = None
+        clear_plan(self._row)
+        self._plan = None
+
+    def load(self, now: float) -> None:
+        """Write what the stages of the tick at `now`, in s, need of the plan into its record."""
+        t = now - self.start
+        plan = self._plan
+        if isinstance(plan, Piecewise) and type(plan).sample is Piecewise.sample:
+            load_pieces(self._row, plan, t)
+        elif plan is not None:
+            sampled = to_floats(plan.sample(t).flat, (14,))
+            self._row["sampled"] = np.nan if sampled is None else sampled
+            self._row["is_over"] = plan.done(t)
 
     def sample(self, now: float) -> FullState | None:
         """Return the set-point of the plan at the time `now` in s; None without a plan."""
-        if self.plan is None:
+        plan = self.plan
+        if plan is None:
             return None
-        return self.plan.sample(now - self.start)
+        return plan.sample(now - self.start)
 
     def done(self, now: float, late: float = 0.0) -> bool:
         """Return whether the plan has been over for `late` s; False without a plan."""
-        return self.plan is not None and self.plan.done(now - self.start - late)
+        plan = self.plan
+        return plan is not None and plan.done(now - self.start - late)
 
     def remaining(self, now: float) -> float:
         """Return s until the plan is over; 0 without a plan."""
-        return (
-            0.0
-            if self.plan is None
-            else max(0.0, self.start + self.plan.duration - now)
-        )
+        plan = self.plan
+        if plan is None:
+            return 0.0
+        return max(0.0, self.start + plan.duration - now)
 
     def departure(self, state: State, now: float) -> FullState:
         """Return where a new plan begins: on the present plan, else at the state and its speed."""
@@ -196,9 +232,14 @@ class PointFlights:
         """
         if seconds > 0.0 and self.waited >= FLIGHT_PATIENCE.longest_wait:
             return False
-        self.start += seconds
-        self.waited += seconds
+        self._row["start"] += seconds
+        self._row["waited"] += seconds
         return True
+
+    def stand(self, place: FullState) -> None:
+        """Let the waiting plan stand at this set-point in this tick."""
+        self._row["is_waiting"] = 1
+        self._row["sampled"] = place.flat
 
     def resume(self, start: FullState, now: float) -> bool:
         """Continue to the goal of a point-to-point flight from a start off its path.
@@ -214,19 +255,22 @@ class PointFlights:
         if (
             not isinstance(plan, PointToPoint)
             or waited >= FLIGHT_PATIENCE.longest_wait
-            or waited - self._resumed < FLIGHT_PATIENCE.restart_wait
+            or waited - self._row["resumed"] < FLIGHT_PATIENCE.restart_wait
         ):
             return False
         yaw = plan.sample(plan.duration).yaw
-        self.waited = self._resumed = (
-            waited + self.go_to(start, plan.goal, yaw, left, now) - left
-        )
+        longer = self.go_to(start, plan.goal, yaw, left, now) - left
+        self._row["waited"] = waited + longer
+        self._row["resumed"] = waited + longer
         return True
 
     def fly(self, plan: Trajectory, now: float) -> float:
         """Begin this plan now; return s that it takes."""
-        self.plan = plan
-        self.start = now
-        self.waited = 0.0
-        self._resumed = 0.0
+        self._plan = plan
+        row = self._row
+        row["kind"] = PlanKind.BY_HAND
+        row["start"] = now
+        row["waited"] = 0.0
+        row["resumed"] = 0.0
+        self.load(now)
         return plan.duration

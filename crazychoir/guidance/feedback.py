@@ -103,7 +103,7 @@ class CFDistributedFeedback(CFGuidance):
     def bind(self, member: Member) -> None:
         """Connect the law to its drone, and subscribe to the states of the neighbours."""
         super().bind(member)
-        member.pilot.controls.lead_by(self.gains)
+        member.pilot.setup.controls.lead_by(self.gains)
         bus = member.communicator.port.bus
         self._hearings: dict[int, StateMailbox | PairedStateMailbox] = {}
         for j in self.graph.in_neighbors(self.id):
@@ -140,7 +140,9 @@ class CFDistributedFeedback(CFGuidance):
     def _sum(self) -> VelocitySum:
         member = self.member
         return VelocitySum(
-            member.pilot.filter.cutoff, 1.0 / member.config.mocap.rate, 1.0 / self.rate
+            member.pilot.stages.filter.cutoff,
+            1.0 / member.config.mocap.rate,
+            1.0 / self.rate,
         )
 
     async def mission(self) -> dict[str, Any]:
@@ -276,7 +278,7 @@ class CFDistributedFeedback(CFGuidance):
         pilot = self.member.pilot
         try:
             late_ns = self.member.clock.now_ns() - self._due_ns
-            if late_ns < -pilot.period_ns // 2 or pilot.mode is RISING_MODE:
+            if late_ns < -pilot.setup.period_ns // 2 or pilot.mode is RISING_MODE:
                 return
             self._due_ns += max(1, late_ns // self._period_ns + 1) * self._period_ns
             if pilot.mode not in LAW_MODES:
@@ -299,7 +301,7 @@ class CFDistributedFeedback(CFGuidance):
     def _stepped(self, me: State) -> Reference | None:
         """Return the reference of `step`, guarded by the watchdog."""
         watchdog = self.member.watchdog
-        measured = self.member.pilot.filter.measured
+        measured = self.member.pilot.stages.filter.measured
         poses = round(
             (measured - self._measured) / self._own.h
         )  # a whole number: clocks jitter, cameras do not
@@ -322,7 +324,7 @@ class CFDistributedFeedback(CFGuidance):
         if convert_reference(reference) is None:
             why = f"{explain_wrong_return(reference)}; {explain_refusal(reference)}"
         else:
-            why = self.member.pilot.unflown(reference)
+            why = self.member.pilot.follower.explain_unflown(reference)
         why = f"{why} ({locate_function(self.step)})"
         self._tally.refuse(why)
         if self._tally.refused == 1:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crazychoir.flight.pilot import REPLAY_TEXT
+from crazychoir.flight.touchdown import REPLAY_TEXT
 from crazychoir.guidance.member import (
     FLIGHT_LOOK_INTERVAL,
     HELD_FLIGHT_PATIENCE,
@@ -139,7 +139,7 @@ async def wait_for_command(
     member.report = lambda: {"task": GATE_STATUS_TEXTS[gate] + lands()}
     member.announce()
     while waits() and member.clock.now() < ends and not member.ended:
-        if pilot.commanded and pilot.remaining() > 0.0:
+        if pilot.permission.commanded and pilot.remaining() > 0.0:
             ends = member.clock.now() + seconds  # its operator is at work
         await member.clock.sleep(FLIGHT_LOOK_INTERVAL, drone=member.id)
     member.gate = ""
@@ -161,10 +161,10 @@ async def wait_until_ready(member: Member) -> None:
     pilot = member.pilot
     clock = member.clock
     ends = clock.now() + HELD_FLIGHT_PATIENCE
-    while (pilot.state is None or pilot.held) and clock.now() < ends:
+    while (pilot.state is None or pilot.permission.held) and clock.now() < ends:
         await clock.sleep(FLIGHT_LOOK_INTERVAL, drone=member.id)
     ends = clock.now() + FLIGHT_LIMITS.unfit_time
-    while pilot.unfit() and clock.now() < ends:
+    while pilot.body.list_problems() and clock.now() < ends:
         await clock.sleep(FLIGHT_LOOK_INTERVAL, drone=member.id)
     require_running(member)
     if pilot.state is None:
@@ -230,12 +230,12 @@ async def reach_place(
             TURN_DISTANCES.arrived if hindered else FLIGHT_LIMITS.arrival_distance
         ):
             return
-        attempts += seconds > 0.0 and pilot.clearance.gave_way < began
+        attempts += seconds > 0.0 and pilot.follower.clearance.gave_way < began
         if hindered > 2 and find_first_at(pilot, p) < member.id:
             await wait_aside(member, p)
     place = np.round(p, 2).tolist()
-    why = HELD_TEXT if pilot.held else pilot.note or "no reason"
-    if pilot.is_replayed:
+    why = HELD_TEXT if pilot.permission.held else pilot.notes.text or "no reason"
+    if pilot.setup.is_replayed:
         why = REPLAY_TEXT
     raise Interrupted(
         f"drone {member.id}: does not reach {place}, still {pilot.gap(p):.2f} m from it: {why}"
@@ -247,7 +247,7 @@ async def wait_aside(member: Member, p: Vec) -> None:
     pilot = member.pilot
     clock = member.clock
     ends = clock.now() + TURN_TIMES.turn
-    aside = choose_place_aside(get_state(member).p, p, pilot.fence)
+    aside = choose_place_aside(get_state(member).p, p, pilot.setup.fence)
     await wait_while(member, pilot.go_to(aside), Mode.FOLLOW)
     while find_first_at(pilot, p) < member.id and clock.now() < ends:
         await wait_while(member, FLIGHT_LOOK_INTERVAL, Mode.FOLLOW)
@@ -290,7 +290,7 @@ async def fly_to_the_end(
     ends = clock.now() + trajectory.duration + HELD_FLIGHT_PATIENCE
     while attempts < FLIGHT_LIMITS.most_attempts and clock.now() < ends:
         start = left.sample(0.0)
-        braked = pilot.braked
+        braked = pilot.judge.braked
         await go_to(start.p, yaw=start.yaw)
         t = await fly_until_stopped(member, left)
         if (
@@ -298,7 +298,7 @@ async def fly_to_the_end(
             and pilot.gap(end.p) <= FLIGHT_LIMITS.arrival_distance
         ):
             return
-        if pilot.braked == braked and not pilot.guard.acts:
+        if pilot.judge.braked == braked and not pilot.guard.acts:
             break
         if 0.0 < t < left.duration:
             flight = member.config.flight
@@ -312,7 +312,7 @@ async def fly_to_the_end(
                 ),
             )
         await clock.sleep(FLIGHT_LOOK_INTERVAL, drone=member.id)
-    why = HELD_TEXT if pilot.held else describe_state(pilot)
+    why = HELD_TEXT if pilot.permission.held else describe_state(pilot)
     raise Interrupted(
         f"drone {member.id}: its trajectory of {trajectory.duration:.1f} s was not flown: {why}"
     )

@@ -263,7 +263,7 @@ class CFGuidance:
         """
         self.require_height(height, "take_off()")
         pilot = self.member.pilot
-        if pilot.awaits_start:
+        if pilot.permission.awaits_start:
             self.member.rise = height
             await wait_for_command(
                 self.member, "take-off", COMMAND_TIMEOUT, lambda: not pilot.airborne
@@ -272,15 +272,15 @@ class CFGuidance:
                 self.member,
                 "start",
                 HELD_FLIGHT_PATIENCE,
-                lambda: pilot.awaits_start and pilot.airborne,
+                lambda: pilot.permission.awaits_start and pilot.airborne,
             )
         await wait_until_ready(self.member)
-        goal = pilot.above(height)
+        goal = pilot.follower.get_place_above(height)
         await wait_while(self.member, pilot.take_off(height), Mode.TAKEOFF)
         if pilot.gap(goal) > SETTLING_LIMITS.risen_distance:
             await reach_place(self.member, goal)
         await wait_until_settled(self.member, goal)
-        if why := pilot.misjudged():
+        if why := pilot.judge.ground_watch.explain_wrong_thrust():
             pilot.land(why)
             raise Interrupted(f"drone {self.id}: {why}")
 
@@ -291,8 +291,8 @@ class CFGuidance:
         where: the call, for the error.
         """
         pilot = self.member.pilot
-        top = pilot.fence.high[2] - pilot.limits.ground
-        if height is None or not pilot.controls.takes_off:
+        top = pilot.setup.fence.high[2] - pilot.setup.limits.ground
+        if height is None or not pilot.setup.controls.takes_off:
             return
         rise = _convert_number(height)
         if rise is None or not 0.0 <= rise <= top:
@@ -322,9 +322,12 @@ class CFGuidance:
         takes off at its own time, or not at all. Such a mission calls it first.
         """
         pilot = self.member.pilot
-        if pilot.awaits_start:
+        if pilot.permission.awaits_start:
             await wait_for_command(
-                self.member, "start", COMMAND_TIMEOUT, lambda: pilot.awaits_start
+                self.member,
+                "start",
+                COMMAND_TIMEOUT,
+                lambda: pilot.permission.awaits_start,
             )
             await self.rendezvous("started")
             await self.member.communicator.close("started")
@@ -342,7 +345,7 @@ class CFGuidance:
         its edge, or on the floor. Raises Interrupted when the pilot lands, and when p cannot be
         reached.
         """
-        place = self.member.pilot.require_goal(
+        place = self.member.pilot.follower.require_goal(
             f"drone {self.id}: go_to()", p, yaw, duration
         )
         await reach_place(self.member, place, duration, yaw)
@@ -375,7 +378,9 @@ class CFGuidance:
         pilot = self.member.pilot
         ends = self.member.clock.now() + HELD_FLIGHT_PATIENCE
         while (
-            pilot.held and pilot.mode in FLYING_MODES and self.member.clock.now() < ends
+            pilot.permission.held
+            and pilot.mode in FLYING_MODES
+            and self.member.clock.now() < ends
         ):
             await self.sleep(FLIGHT_LOOK_INTERVAL)
         pilot.land()
@@ -399,7 +404,9 @@ class CFGuidance:
             )  # lines of code with a reference that was not flown
             if place not in said:
                 said.add(place)
-                log.warning("drone %d: %s: follow(): %s", self.id, place, pilot.note)
+                log.warning(
+                    "drone %d: %s: follow(): %s", self.id, place, pilot.notes.text
+                )
 
     @remember_calls
     async def sleep(self, seconds: float) -> None:
@@ -412,8 +419,8 @@ def require_feasible(trajectory: Trajectory, pilot: Pilot) -> None:
 
     The limits are those of the drone and of [flight].
     """
-    flight = pilot.limits
-    platform = pilot.controls.platform
+    flight = pilot.setup.limits
+    platform = pilot.setup.controls.platform
     t, path = sample_references(trajectory)
     limits = Limits(
         v_max=flight.speed_limit,
@@ -422,7 +429,7 @@ def require_feasible(trajectory: Trajectory, pilot: Pilot) -> None:
         thrust_max=FLATNESS_LIMITS.acceleration_share * platform.max_thrust,
         rate_max=platform.max_rate,
     )
-    require_path("trajectory", t, path, pilot.guard, pilot.controls.planar)
+    require_path("trajectory", t, path, pilot.guard, pilot.setup.controls.planar)
     check_references(t, path, limits)
 
 

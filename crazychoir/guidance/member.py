@@ -90,7 +90,7 @@ def describe_state(pilot: Pilot) -> str:
 
     The reason is never empty.
     """
-    return f"{pilot.mode.value}: {pilot.note or UNNOTED_REASONS[pilot.mode]}"
+    return f"{pilot.mode.value}: {pilot.notes.text or UNNOTED_REASONS[pilot.mode]}"
 
 
 async def wait_for_touchdown(pilot: Pilot, grace: float) -> None:
@@ -105,7 +105,9 @@ async def wait_for_touchdown(pilot: Pilot, grace: float) -> None:
     ends = clock.now() + grace
     patient = clock.now() + HELD_FLIGHT_PATIENCE
     while pilot.airborne and clock.now() < ends:
-        if pilot.held and pilot.mode is Mode.HOVER:  # the operator has sent it home
+        if (
+            pilot.permission.held and pilot.mode is Mode.HOVER
+        ):  # the operator has sent it home
             ends = clock.now() + grace
             if clock.now() > patient:
                 pilot.land(
@@ -113,7 +115,7 @@ async def wait_for_touchdown(pilot: Pilot, grace: float) -> None:
                 )
         if pilot.remaining() > 0.0 or (is_blocked(pilot) and clock.now() < patient):
             ends = clock.now() + pilot.remaining() + grace
-        await clock.sleep(FLIGHT_LOOK_INTERVAL, drone=pilot.drone)
+        await clock.sleep(FLIGHT_LOOK_INTERVAL, drone=pilot.port.address)
 
 
 def make_raisable(error: BaseException, where: str) -> BaseException:

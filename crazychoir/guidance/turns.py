@@ -53,7 +53,7 @@ ASIDE_DIRECTIONS = (0.0, 0.5 * math.pi, -0.5 * math.pi, math.pi)
 
 def is_blocked(pilot: Pilot) -> bool:
     """Return whether other drones are in this drone's way, or it is in theirs."""
-    return pilot.clock.now() < pilot.clearance.gave_way + TURN_TIMES.blocked
+    return pilot.clock.now() < pilot.follower.clearance.gave_way + TURN_TIMES.blocked
 
 
 def find_first_at(pilot: Pilot, p: Vec) -> int:
@@ -61,7 +61,9 @@ def find_first_at(pilot: Pilot, p: Vec) -> int:
 
     It is this drone's own id if it hears of no drone there.
     """
-    return min(_find_flying_near(pilot, p, TURN_DISTANCES.near), default=pilot.drone)
+    return min(
+        _find_flying_near(pilot, p, TURN_DISTANCES.near), default=pilot.port.address
+    )
 
 
 def choose_place_aside(at: Vec, p: Vec, fence: Fence) -> Vec:
@@ -94,12 +96,12 @@ def _find_flying_near(pilot: Pilot, p: Vec, far: float) -> dict[int, Vec]:
     p: (3,) m: the place.
     far: m, in the plane: largest distance.
     """
-    traffic = pilot.clearance.traffic
+    traffic = pilot.follower.clearance.traffic
     if traffic is None:
         return {}
     now = pilot.clock.now()
     rows = traffic.rows
-    floor = pilot.limits.ground + COLLISION_DISTANCES.standing_height
+    floor = pilot.setup.limits.ground + COLLISION_DISTANCES.standing_height
     near = np.hypot(rows[:, 0] - p[0], rows[:, 1] - p[1]) < far
     fly = (
         near
@@ -127,13 +129,13 @@ class TurnTaking:
         now = self.pilot.clock.now()
         if not is_blocked(pilot):
             self._free = now
-        if now < self._until and find_first_at(pilot, p) < pilot.drone:
+        if now < self._until and find_first_at(pilot, p) < pilot.port.address:
             return self._aside
         self._until = 0.0
         if (
             now - self._free > TURN_TIMES.patience
             and pilot.gap(p) < TURN_DISTANCES.near
-            and find_first_at(pilot, p) < pilot.drone
+            and find_first_at(pilot, p) < pilot.port.address
         ):
             return self._leave(p)
         return p
@@ -163,6 +165,6 @@ class TurnTaking:
 
     def _leave(self, p: Vec) -> Vec:
         assert self.pilot.state is not None  # noqa: S101 - a drone in flight has a state
-        self._aside = choose_place_aside(self.pilot.state.p, p, self.pilot.fence)
+        self._aside = choose_place_aside(self.pilot.state.p, p, self.pilot.setup.fence)
         self._until = self.pilot.clock.now() + TURN_TIMES.aside
         return self._aside

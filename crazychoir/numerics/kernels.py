@@ -12,15 +12,24 @@ from crazychoir.numerics.kernel_cache import attach_cache
 Law = TypeVar("Law", bound=Callable[..., Any])
 """A function of Python that is compiled."""
 
+Record = Any
+"""A record of an array of records: kernels read and write its fields as attributes."""
+
 # Arguments that a kernel reads: frozen arrays and writable arrays fit.
 real = numba.float64
 """A number that a kernel reads."""
+boolean = numba.boolean
+"""A truth value that a kernel reads."""
+whole = numba.int64
+"""A whole number that a kernel reads."""
 vector = numba.types.Array(numba.float64, 1, "C", readonly=True)
 """An array (n,) that a kernel reads."""
 matrix = numba.types.Array(numba.float64, 2, "C", readonly=True)
 """An array (m, n) that a kernel reads."""
 memory = numba.float64[::1]
 """An array (n,) that a kernel writes."""
+wholes = numba.int64[::1]
+"""An array (n,) of whole numbers that a kernel writes."""
 table = numba.float64[:, ::1]
 """An array (m, n) that a kernel writes."""
 

@@ -20,7 +20,7 @@ FACTORIAL_TABLE = np.array(
 
 
 @kernel(matrix, vector, real, memory)
-def _sample_pieces(coefficients: Mat, knots: Vec, t: float, out: Vec) -> None:
+def sample_pieces(coefficients: Mat, knots: Vec, t: float, out: Vec) -> None:
     """Compute the flat output at t.
 
     coefficients: (4 k, 8)
@@ -68,7 +68,7 @@ def _fill_peaks(coefficients: Mat, knots: Vec, out: Vec) -> None:
     out[:] = 0.0
     for i in range(knots.shape[0] - 1):
         for k in range(33):
-            _sample_pieces(
+            sample_pieces(
                 coefficients, knots, knots[i] + (knots[i + 1] - knots[i]) * k / 32.0, at
             )
             out[0] = max(out[0], math.sqrt(at[3] ** 2 + at[4] ** 2 + at[5] ** 2))
@@ -86,7 +86,7 @@ def _sample_many(coefficients: Mat, knots: Vec, t: Vec, out: Mat) -> None:
     out: (n, 14): the result
     """
     for k in range(t.shape[0]):
-        _sample_pieces(coefficients, knots, t[k], out[k])
+        sample_pieces(coefficients, knots, t[k], out[k])
 
 
 class Piecewise:
@@ -128,7 +128,7 @@ class Piecewise:
         rows = np.ascontiguousarray(c.reshape(-1, POLYNOMIAL_DEGREE + 1))
         knots = np.concatenate([[0.0], np.cumsum(d)])
         end = np.empty(14)
-        _sample_pieces(rows, knots, knots[-1], end)
+        sample_pieces(rows, knots, knots[-1], end)
         self._fill(rows, knots, end)
 
     def _fill(self, rows: Mat, knots: Vec, end: Vec) -> None:
@@ -142,6 +142,16 @@ class Piecewise:
         self.knots = knots
         self.duration = float(knots[-1])
         self._end = end
+
+    @property
+    def rows(self) -> Mat:
+        """(4 k, 8): the coefficients of x, y, z and yaw of each piece."""
+        return self._rows
+
+    @property
+    def end(self) -> Vec:
+        """(14,): the exact state at the end, as FullState.flat."""
+        return self._end
 
     @property
     def durations(self) -> Vec:
@@ -158,7 +168,7 @@ class Piecewise:
         if t >= self.duration:
             return self._at_end(t)
         out = np.empty(14)
-        _sample_pieces(self._rows, self.knots, max(t, 0.0), out)
+        sample_pieces(self._rows, self.knots, max(t, 0.0), out)
         return FullState(out)
 
     def _at_end(self, t: float) -> FullState:

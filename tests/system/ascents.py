@@ -206,8 +206,10 @@ class Hall(Actor):
             motors = float(sum(self.world.onboard[j].record["motors"]))
             track.rows.append((self.clock.now(), *x[:3], tilt, motors))
             pilot = self.agent.drones[i].pilot
-            if track.found is None and (pilot.cut_for or pilot.brought_down):
-                track.reason = pilot.cut_for or pilot.brought_down
+            if track.found is None and (
+                pilot.permission.cut_for or pilot.notes.brought_down
+            ):
+                track.reason = pilot.permission.cut_for or pilot.notes.brought_down
                 began = next((row[0] for row in track.rows if row[3] > 0.005), math.nan)
                 track.found = (self.clock.now() - began, float(x[2]), tilt)
 

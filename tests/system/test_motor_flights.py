@@ -194,7 +194,7 @@ def test_a_floor_that_is_higher_than_the_swarm_file_says_teaches_the_controllers
             await guidance.take_off()
             await guidance.sleep(2.0)
             await guidance.land()
-            learnt.append(guidance.member.pilot.controls.trim.thrust)
+            learnt.append(guidance.member.pilot.setup.controls.trim.thrust)
 
     learnt: list[float] = []
     config = swarm_of([("cf21", "fpqr")], 0.0, flight={"ground": -0.1})
@@ -256,10 +256,10 @@ async def falls_silent(guidance):
     pilot, x = guidance.member.pilot, guidance.state.p
     pilot.go_to((x[0] + 1.0, x[1], x[2]), duration=4.0)
     await guidance.sleep(2.0)
-    link, pilot.link = pilot.link, Nobody()
+    link, pilot.body = pilot.body, Nobody()
     SILENT_AT[guidance.id] = guidance.member.clock.now()
     await guidance.sleep(HEARD_AGAIN)
-    pilot.link = link
+    pilot.body = link
 
 
 @pytest.fixture(scope="module")

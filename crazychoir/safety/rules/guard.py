@@ -5,12 +5,21 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
+import numpy.typing as npt
 
 from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.config.flight_room import EDGE_MARGIN as EDGE_MARGIN
 from crazychoir.config.flight_room import flight_room
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.kernels import kernel, matrix, memory, real, vector
+from crazychoir.numerics.kernels import (
+    Record,
+    kernel,
+    matrix,
+    memory,
+    real,
+    rows_of,
+    vector,
+)
 from crazychoir.planning.point_to_point import STOP_DISTANCE
 from crazychoir.runtime.throttle import Throttle as Throttle
 from crazychoir.types import Mat, Point, State, Vec
@@ -218,6 +227,25 @@ class SafetyVerdict:
 
 ALL_WELL = SafetyVerdict(Action.NOMINAL)
 
+GUARD_ROW = np.dtype(
+    [
+        (
+            "is_alert",
+            np.int64,
+        ),  # 1: a rule acts, or a reported measure is beyond a limit
+        ("pose_limit", np.float64),  # s, least limit of "pose"
+        ("reference_limit", np.float64),  # s, least limit of "reference"
+        ("stop_limit", np.float64),  # m, least limit of "stop", "fence", "limit area"
+        ("reach", np.float64),  # s2/m, of `_compute_overshoot`
+        ("flying_box", np.float64, (6,)),  # m, lower corner, then upper corner
+        ("low_box", np.float64, (6,)),  # m, the same while it takes off or lands
+    ]
+)
+"""The limits of a guard beyond which a rule of its table may act."""
+
+GuardRows = npt.NDArray[np.void]
+"""(n,) records of GUARD_ROW."""
+
 
 @kernel(vector, vector, real)
 def _compute_overshoot(x: Vec, box: Vec, reach: float) -> float:
@@ -246,6 +274,58 @@ def _compute_overshoot(x: Vec, box: Vec, reach: float) -> float:
     for c in range(13):
         finite += 0.0 * x[c]
     return furthest + finite
+
+
+@kernel()
+def compute_stop_overshoot(
+    row: Record, x: Vec, follows_reference: bool, is_low: bool
+) -> float:
+    """Return the measure "stop" of a drone, m.
+
+    row: of GUARD_ROW
+    x: (13,): state of the drone
+    follows_reference: whether it follows a reference; else it flies a plan that ends inside
+    is_low: whether it takes off or lands
+    """
+    reach = row.reach if follows_reference else 0.0
+    if is_low:
+        return float(_compute_overshoot(x, row.low_box[:], reach))
+    return float(_compute_overshoot(x, row.flying_box[:], reach))
+
+
+@kernel()
+def is_quiet(
+    row: Record, x: Vec, pose_age: float, reference_age: float, is_low: bool
+) -> bool:
+    """Return whether no rule of the table acts, or may begin to act.
+
+    row: of GUARD_ROW
+    x: (13,): state of the drone
+    pose_age: s
+    reference_age: s, negative for a drone that needs no reference
+    is_low: whether the drone takes off or lands
+    """
+    stop = compute_stop_overshoot(row, x, reference_age >= 0.0, is_low)
+    return bool(
+        row.is_alert == 0
+        and pose_age <= row.pose_limit
+        and reference_age <= row.reference_limit
+        and stop <= row.stop_limit
+    )
+
+
+@kernel(rows_of(GUARD_ROW), vector, real, real, real, memory)
+def _check_row(
+    rows: GuardRows,
+    x: Vec,
+    pose_age: float,
+    reference_age: float,
+    low: float,
+    out: Vec,
+) -> bool:
+    """Apply `is_quiet` to the only record of `rows`, and write the measure "stop" to out[0]."""
+    out[0] = compute_stop_overshoot(rows[0], x, reference_age >= 0.0, low > 0.0)
+    return bool(is_quiet(rows[0], x, pose_age, reference_age, low > 0.0))
 
 
 @kernel(matrix, vector, memory)
@@ -277,6 +357,7 @@ class Guard:
     ground: m: height of the ground. To take off and to land, the drone leaves the fence downwards.
         Until then no rule but "stop" knows the floor of the fence.
     limit: area outside which the motors are cut, None for SWARM_LIMITS.limit_area_margin m around the fence
+    rows: (1,) record of GUARD_ROW in the batch of the drone, None for a record of its own
     Raises ConfigError for a table with an unknown measure, or with `clear` above `limit`.
     """
 
@@ -287,6 +368,7 @@ class Guard:
         a_max: float = 2.0,
         ground: float = 0.0,
         limit: Fence | None = None,
+        rows: GuardRows | None = None,
     ) -> None:
         for rule in table:
             if rule.measure not in MEASURE_TEXTS or (
@@ -314,10 +396,6 @@ class Guard:
         self._told: dict[str, float] = dict.fromkeys(REPORTED_MEASURES, -math.inf)
         self._said: dict[str, str] = {}
         self._told_well = True
-        self._least_pose = least["pose"]
-        self._least_reference = least["reference"]
-        self._least_stop = min(least["fence"], least["stop"], least["limit area"])
-        self._reach = STOP_DISTANCE / a_max
         self._whole = fence.with_floor(min(fence.low[2], ground - FENCE_BELOW_GROUND))
         limit = (
             self._whole.grown(SWARM_LIMITS.limit_area_margin)
@@ -327,9 +405,15 @@ class Guard:
         self._limit = limit.with_floor(
             min(limit.low[2], self._whole.low[2] - SWARM_LIMITS.limit_area_margin)
         )
-        self._flying, self._low = (
-            np.array([*box.low, *box.high]) for box in (fence, self._whole)
-        )
+        self._rows: GuardRows = np.zeros(1, GUARD_ROW) if rows is None else rows
+        row = self._rows[0]
+        row["pose_limit"] = least["pose"]
+        row["reference_limit"] = least["reference"]
+        row["stop_limit"] = min(least["fence"], least["stop"], least["limit area"])
+        row["reach"] = STOP_DISTANCE / a_max
+        row["flying_box"] = (*fence.low, *fence.high)
+        row["low_box"] = (*self._whole.low, *self._whole.high)
+        self._stop = np.empty(1)
         drives = fence.low[2] < ground
         self.room = Fence(
             *flight_room(fence.low, fence.high, None if drives else ground)
@@ -360,21 +444,14 @@ class Guard:
         reference_age: s, None if the drone needs no reference
         low: whether the drone takes off or lands
         """
-        age, reach = (
-            (0.0, 0.0) if reference_age is None else (reference_age, self._reach)
-        )
-        stop = -math.inf
-        if state is not None:
-            room = self._low if low else self._flying
-            stop = _compute_overshoot(state.flat, room, reach)
-        well = (
-            pose_age <= self._least_pose
-            and age <= self._least_reference
-            and stop <= self._least_stop
-        )
-        if well and self._told_well and not self._acting:
+        if state is None:
+            age = 0.0 if reference_age is None else reference_age
+            return self._judge(now, self._measured(state, pose_age, age, -math.inf))
+        age = -1.0 if reference_age is None else max(reference_age, 0.0)
+        if _check_row(self._rows, state.flat, pose_age, age, float(low), self._stop):
             return ALL_WELL
-        return self._judge(now, self._measured(state, pose_age, age, stop))
+        stop = float(self._stop[0])
+        return self._judge(now, self._measured(state, pose_age, max(age, 0.0), stop))
 
     def leaves_room(self, path: Mat) -> Vec:
         """Return how far outside `room` each set-point of a path is.
@@ -403,6 +480,11 @@ class Guard:
         self._told_well = all(
             value <= self._least[m] for m, value in self._told.items()
         )
+        self._note_alert()
+
+    def _note_alert(self) -> None:
+        """Write to the record whether a rule may act without a change of state or age."""
+        self._rows[0]["is_alert"] = bool(self._acting) or not self._told_well
 
     def told(self, measure: str) -> float:
         """Return the current value of a measure of REPORTED_MEASURES."""
@@ -424,6 +506,7 @@ class Guard:
             for rule, since in self._acting.items()
             if rule.measure != measure or rule.latched
         }
+        self._note_alert()
 
     def forget(self) -> None:
         """Stop all rules except the latched ones, because a flight begins or is over."""
@@ -431,6 +514,7 @@ class Guard:
             rule: since for rule, since in self._acting.items() if rule.latched
         }
         self.table = self._own
+        self._note_alert()
 
     def bear_unseen(self, seconds: float) -> None:
         """Do not cut the motors of an unseen drone before `seconds` s without a pose.
@@ -481,6 +565,7 @@ class Guard:
                     )
             elif rule in self._acting:
                 self._settle(rule, value, now)
+        self._note_alert()
         worst = max(self._acting, key=lambda rule: rule.action, default=None)
         if worst is None:
             return ALL_WELL

@@ -19,7 +19,7 @@ def _compute_shortening(a: Triple, limit: float) -> float:
 
 
 @kernel(vector, vector, vector, vector, memory)
-def _cut_full_state(x: Vec, ref: Vec, gains: Vec, limits: Vec, out: Vec) -> bool:
+def cut_full_state(x: Vec, ref: Vec, gains: Vec, limits: Vec, out: Vec) -> bool:
     """Apply the law of ReferenceLimits to a full-state reference.
 
     x: (13,): state of the drone
@@ -66,7 +66,7 @@ def _cut_acceleration(x: Vec, wanted: Vec, limits: Vec, kv: float, out: Vec) -> 
 
     x: (13,): state of the drone
     wanted: (3,) m/s2, world
-    limits: (4,), as for _cut_full_state
+    limits: (4,), as for cut_full_state
     kv: 1/s
     out: (3,) m/s2: the result
     """
@@ -116,9 +116,10 @@ class ReferenceLimits:
         self._kv = min(gains.kv)
         self._v_max = flight.speed_limit
         roll, pitch, yaw = gains.kr
-        self._limits = np.array(
+        self.figures = np.array(
             [flight.speed_limit, self.a_max, min(roll, pitch) * self.a_max, yaw * 1.0]
         )
+        """(4,): v_max m/s, a_max m/s2, largest jerk m/s3, largest yaw rate rad/s."""
 
     def acceleration(
         self, reference: Acceleration, state: State, speed: float
@@ -140,13 +141,13 @@ class ReferenceLimits:
         if not math.isfinite(x + y + z + reference.yaw):
             return None
         out = np.empty(3)
-        _cut_acceleration(state.flat, np.array([x, y, z]), self._limits, self._kv, out)
+        _cut_acceleration(state.flat, np.array([x, y, z]), self.figures, self._kv, out)
         return Acceleration(out, reference.yaw)
 
     def full_state(self, reference: FullState, state: State) -> FullState:
         """Return a reference that pulls the drone in `state` no harder than the limits allow."""
         out = np.empty(14)
-        is_cut = _cut_full_state(
-            state.flat, reference.flat, self.gains, self._limits, out
+        is_cut = cut_full_state(
+            state.flat, reference.flat, self.gains, self.figures, out
         )
         return FullState(out) if is_cut else reference

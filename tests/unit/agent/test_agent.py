@@ -431,7 +431,7 @@ def test_unseen_drones_land_with_every_collision_method(method):
         await clock.sleep(1.6)
         states, notes = (
             agent.owners[0].world.states,
-            [drone.pilot.note for drone in agent.drones.values()],
+            [drone.pilot.notes.text for drone in agent.drones.values()],
         )
         running.cancel()
         return states[:, 2].tolist(), notes

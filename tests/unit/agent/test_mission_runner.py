@@ -58,7 +58,7 @@ async def test_a_drone_that_is_not_kept_up_and_does_not_come_down_is_cut(clock):
 @virtual
 async def test_a_drone_with_a_silent_radio_is_not_cut_when_it_is_reached_again(clock):
     pilot = Lands(clock, 3.0 * HELD_FLIGHT_PATIENCE, kept_up=False)
-    pilot.unreached = True
+    pilot.judge.touchdown.is_unreached = True
     await MissionRunner(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
     assert pilot.cut_at is None
 

@@ -347,7 +347,7 @@ def test_an_agent_that_is_started_again_lands_a_drone_that_is_in_the_air(sender)
             height = world.owners[0].world.state(0).p[2]
             drones = again().drones.values()
             await clock.sleep(0.1)
-            notes, speeds = [drone.pilot.note for drone in drones], []
+            notes, speeds = [drone.pilot.notes.text for drone in drones], []
             while any(drone.pilot.mode.value == "landing" for drone in drones):
                 await clock.sleep(0.05)
                 speeds.append(world.owners[0].world.state(0).v[2])
@@ -370,7 +370,7 @@ def test_an_agent_that_is_started_again_hears_that_the_motors_were_cut_and_takes
             drones = again().drones
             await clock.sleep(30.0)
             return {i: drone.result for i, drone in drones.items()}, [
-                d.pilot.unfit() for d in drones.values()
+                d.pilot.body.list_problems() for d in drones.values()
             ]
 
     results, problems = run_virtual(main)

@@ -181,12 +181,12 @@ async def test_it_remembers_why_the_safety_table_has_landed_it_and_no_landing_th
     drone.pilot.land("enough")
     await drone.fly(0.6, poses=False)
     await drone.fly(8.0)
-    assert (drone.pilot.mode, drone.pilot.brought_down) == (Mode.GROUND, "")
+    assert (drone.pilot.mode, drone.pilot.notes.brought_down) == (Mode.GROUND, "")
     await drone.hovering()
     await drone.fly(0.6, poses=False)
     await drone.fly(8.0)
     assert drone.pilot.mode is Mode.GROUND
-    assert drone.pilot.brought_down == "pose 0.51 s old, limit 0.50 s: landing"
+    assert drone.pilot.notes.brought_down == "pose 0.51 s old, limit 0.50 s: landing"
 
 
 @virtual
@@ -198,7 +198,7 @@ async def test_a_reference_that_is_not_renewed_ends_in_hovering_then_in_landing(
     at_rest = drone.world.state(0)
     assert np.linalg.norm(at_rest.v) < 0.05
     assert at_rest.p[2] == pytest.approx(1.0, abs=0.05)
-    assert "reference" in drone.pilot.note
+    assert "reference" in drone.pilot.notes.text
     await drone.fly(9.0)
     assert drone.pilot.mode is Mode.GROUND
     assert drone.p[2] == pytest.approx(0.0, abs=1e-6)
@@ -212,7 +212,7 @@ async def test_a_reference_that_is_not_finite_counts_as_none(clock):
         await drone.fly(0.5, each=lambda bad=bad: drone.pilot.follow(bad))
         assert np.linalg.norm(drone.p - [0.0, 0.0, 1.0]) < 0.05
         assert np.isfinite(drone.world.state(0).flat).all()
-        assert "not flown" in drone.pilot.note
+        assert "not flown" in drone.pilot.notes.text
     await drone.fly(0.2, each=lambda: drone.pilot.follow(Goto([np.nan, 0.0, 1.0])))
     assert np.linalg.norm(drone.p - [0.0, 0.0, 1.0]) < 0.05
 
@@ -226,7 +226,7 @@ async def test_a_short_gap_in_the_poses_is_braked_through(clock):
     speed = np.linalg.norm(drone.world.state(0).v)
     assert speed > 0.3
     await drone.fly(0.45, poses=False)
-    assert "pose" in drone.pilot.note
+    assert "pose" in drone.pilot.notes.text
     assert np.linalg.norm(drone.world.state(0).v) < speed
     await drone.fly(2.0)
     assert drone.pilot.mode is Mode.HOVER
@@ -245,7 +245,7 @@ async def test_a_long_gap_lands_it_and_a_longer_one_cuts_the_motors(clock):
     await drone.fly(2.0)
     assert drone.p[2] == pytest.approx(0.0, abs=1e-6)
     assert drone.pilot.take_off() == 0.0
-    assert drone.pilot.note.endswith(
+    assert drone.pilot.notes.text.endswith(
         "motors cut, for good: no take-off until its agent is started again"
     )
 
@@ -276,7 +276,7 @@ async def test_a_drone_that_leaves_the_fence_brakes_then_lands_then_is_cut(clock
 
     def look():
         first.setdefault(drone.pilot.mode, clock.now() - t0)
-        notes.append(drone.pilot.note)
+        notes.append(drone.pilot.notes.text)
 
     await drone.fly(
         2.0, each=look, drift=lambda: 6.0 * (clock.now() - t0)
@@ -304,10 +304,10 @@ async def led_out(clock, reference):
     assert actions == {Action.NOMINAL, Action.BRAKE}
     assert 2.7 < max(p[0] for p in drone.track) < 3.2
     assert drone.pilot.mode is Mode.FOLLOW
-    assert drone.pilot.note.endswith(
+    assert drone.pilot.notes.text.endswith(
         ("m outside the fence, limit 0.00 m: braking", "inside the fence: braking")
     )
-    assert 100 < drone.pilot.at_fence < 700, "ticks of 8 s in which it was held"
+    assert 100 < drone.pilot.row.fence_ticks < 700, "ticks of 8 s in which it was held"
     return drone
 
 
@@ -319,13 +319,13 @@ async def test_a_flight_to_a_place_outside_ends_at_the_fence_and_says_for_how_lo
     await drone.hovering()
     seconds = drone.pilot.go_to([9.0, 0.0, 1.0])
     assert (
-        drone.pilot.note
+        drone.pilot.notes.text
         == "[9.0, 0.0, 1.0] is outside the fence: flies to [3.0, 0.0, 1.0]"
     )
     await drone.fly(seconds + 2.0)
-    assert drone.pilot.at_fence * TICK == pytest.approx(2.0, abs=0.1)
+    assert drone.pilot.row.fence_ticks * TICK == pytest.approx(2.0, abs=0.1)
     await drone.fly(drone.pilot.go_to([2.9, 0.0, 1.0]) + 1.0)
-    assert drone.pilot.at_fence * TICK == pytest.approx(2.0, abs=0.1), (
+    assert drone.pilot.row.fence_ticks * TICK == pytest.approx(2.0, abs=0.1), (
         "inside it is not held"
     )
 
@@ -344,7 +344,7 @@ def test_what_brakes_again_and_again_is_said_rarely_and_counted_at_the_end(caplo
         drone.pilot.land()
         await drone.fly(10.0)
         assert drone.pilot.mode is Mode.GROUND
-        return drone.pilot.note, heard.take()
+        return drone.pilot.notes.text, heard.take()
 
     note, heard = run_virtual(scene)
     said = [
@@ -369,9 +369,9 @@ def test_a_safety_landing_or_cut_is_reported_as_grave(rule):
         drone = Flown(clock)
         await drone.hovering()
         drone.pilot._obey(SafetyVerdict(rule.action, "why", rule.measure))
-        said = drone.pilot.note, drone.pilot.grave
+        said = drone.pilot.notes.text, drone.pilot.notes.is_grave
         drone.pilot._say("other", "it is all right")
-        return said, drone.pilot.grave
+        return said, drone.pilot.notes.is_grave
 
     assert run_virtual(scene) == (
         ("why", rule.action in (Action.LAND, Action.CUT)),
@@ -384,9 +384,15 @@ async def test_a_landing_on_command_is_not_grave_and_a_cut_is(clock):
     drone = Flown(clock)
     await drone.hovering()
     drone.pilot.land("landing on command")
-    assert (drone.pilot.note, drone.pilot.grave) == ("landing on command", False)
+    assert (drone.pilot.notes.text, drone.pilot.notes.is_grave) == (
+        "landing on command",
+        False,
+    )
     drone.pilot.cut("emergency stop")
-    assert (drone.pilot.note, drone.pilot.grave) == ("emergency stop", True)
+    assert (drone.pilot.notes.text, drone.pilot.notes.is_grave) == (
+        "emergency stop",
+        True,
+    )
 
 
 def test_a_line_names_its_drone_once_and_says_what_one_on_the_ground_does(caplog):
@@ -431,7 +437,7 @@ def test_a_hover_may_be_asked_for_in_each_step_even_after_being_pushed_aside(asi
         )
 
         def hover():
-            drone.pilot.clearance.aside = aside
+            drone.pilot.follower.clearance.aside = aside
             drone.pilot.hover()
 
         await drone.fly(1.5, each=hover)
@@ -460,10 +466,10 @@ async def test_when_guidance_has_failed_before_the_take_off_it_stays_on_the_grou
 ):
     drone = Flown(clock)
     drone.pilot.guidance_failed("no idea")
-    assert drone.pilot.note == "guidance failed (no idea): stays on the ground"
+    assert drone.pilot.notes.text == "guidance failed (no idea): stays on the ground"
     await drone.fly(GIVE_UP_HOVER + 1.0)
     assert drone.pilot.mode is Mode.GROUND
-    assert "landing" not in drone.pilot.note
+    assert "landing" not in drone.pilot.notes.text
 
 
 @virtual
@@ -476,7 +482,7 @@ async def test_a_cut_stops_the_motors_for_good(clock):
     await drone.fly(2.0, each=lambda: drone.pilot.follow(Acceleration([0.0, 0.0, 5.0])))
     assert drone.pilot.mode is Mode.CUT
     assert drone.p[2] == pytest.approx(0.0, abs=1e-6)
-    assert drone.pilot.note == "that is enough"
+    assert drone.pilot.notes.text == "that is enough"
 
 
 @virtual
@@ -536,7 +542,7 @@ async def test_references_of_another_shape_or_kind_are_not_flown(clock):
         None,
     ):
         await drone.fly(0.2, each=lambda bad=bad: drone.pilot.follow(bad))
-        assert "not flown" in drone.pilot.note
+        assert "not flown" in drone.pilot.notes.text
     assert drone.pilot.mode is Mode.HOVER
 
 
@@ -569,7 +575,7 @@ async def test_a_held_drone_lands_for_its_operator_and_for_safety_but_not_for_gu
         else:
             assert drone.pilot.land(why) > 0.0
         assert drone.pilot.mode is Mode.LAND
-        assert why in drone.pilot.note
+        assert why in drone.pilot.notes.text
 
 
 @virtual
@@ -578,7 +584,7 @@ async def test_a_drone_at_rest_after_its_descent_has_landed_whatever_height_the_
 ):
     drone = Flown(clock)
     await drone.hovering()
-    drone.pilot.limits = FlightTable(ground=-0.3)
+    drone.pilot.setup.limits = FlightTable(ground=-0.3)
     drone.pilot.land()
     await drone.fly(drone.pilot.remaining() + TOUCHDOWN_LIMITS.overdue_time - 0.1)
     assert drone.pilot.mode is Mode.LAND
@@ -604,7 +610,7 @@ async def test_a_reference_far_away_that_comes_back_after_braking_is_flown_to_wi
     await drone.hovering()
     await drone.fly(1.0, each=lambda: drone.pilot.follow(FullState.at([0.0, 0.0, 1.0])))
     await drone.fly(1.5)
-    assert "braking" in drone.pilot.note
+    assert "braking" in drone.pilot.notes.text
     since = len(drone.track)
     await drone.fly(6.0, each=lambda: drone.pilot.follow(FullState.at([2.5, 1.5, 1.0])))
     speed, acceleration = fastest(drone, since)
@@ -639,7 +645,7 @@ async def test_a_full_state_that_runs_away_is_followed_within_the_limits(clock):
 async def test_an_acceleration_beyond_the_limit_is_cut_to_it(clock):
     drone = Flown(clock)
     await drone.hovering()
-    drone.pilot.reference_limits = ReferenceLimits(
+    drone.pilot.follower.limits = ReferenceLimits(
         FlightTable(speed_limit=20.0), STANDARD_GAINS
     )
     since = len(drone.track)
@@ -684,9 +690,9 @@ async def test_its_state_tells_what_it_has_commanded_after_the_limits(clock):
 async def test_references_are_cut_by_the_gains_that_fly(clock):
     drone = Flown(clock)
     await drone.hovering()
-    drone.pilot.set_parameter("control.kp", [5.0, 5.0, 9.0])
+    drone.pilot.follower.set_parameter("control.kp", [5.0, 5.0, 9.0])
     far = FullState.at((2.0, 0.0, 1.0))
-    cut = drone.pilot.reference_limits.full_state(far, drone.pilot.state)
+    cut = drone.pilot.follower.limits.full_state(far, drone.pilot.state)
     pull = 5.0 * (cut.p[0] - drone.pilot.state.p[0])
     assert pull == pytest.approx(FlightTable().acceleration_limit, rel=0.05)
 
@@ -963,12 +969,12 @@ async def test_a_drone_that_had_to_land_for_the_fence_returns_inside_and_stays_d
     )  # the cameras are moved
     assert drone.pilot.mode is Mode.LAND
     await drone.fly(drone.pilot.remaining() + 1.0, drift=lambda: 0.9)
-    assert drone.pilot.mode is Mode.GROUND, drone.pilot.note
+    assert drone.pilot.mode is Mode.GROUND, drone.pilot.notes.text
     assert drone.p[0] + 0.9 < 0.45
     assert drone.pilot.take_off() == 0.0
     assert (
         "m outside the fence, limit 0.25 m: landing, for good: no take-off until"
-        in drone.pilot.note
+        in drone.pilot.notes.text
     )
     await drone.fly(1.0)
     assert drone.p[2] == pytest.approx(0.0, abs=1e-6)
@@ -985,12 +991,12 @@ async def test_an_emergency_stop_that_is_cleared_does_not_start_motors_that_it_c
         drone.bus.stopped = True
     flying.pilot.cut("emergency stop")
     assert waiting.pilot.take_off() == 0.0
-    assert "stop --clear" in waiting.pilot.note
+    assert "stop --clear" in waiting.pilot.notes.text
     for drone in (flying, waiting):
         drone.bus.stopped = False
     assert flying.pilot.take_off() == 0.0
     assert (
-        flying.pilot.note
+        flying.pilot.notes.text
         == "emergency stop: no take-off until its agent is started again"
     )
     assert waiting.pilot.take_off() > 0.0, (
@@ -1002,7 +1008,7 @@ async def test_an_emergency_stop_that_is_cleared_does_not_start_motors_that_it_c
 async def test_a_height_of_zero_is_a_height_and_flown_as_low_as_the_fence_allows(clock):
     drone = Flown(clock)
     await drone.fly(0.05)
-    assert drone.pilot.take_off(0.0) < drone.pilot.limits.takeoff_height
+    assert drone.pilot.take_off(0.0) < drone.pilot.setup.limits.takeoff_height
     await drone.fly(3.0)
     assert drone.p[2] == pytest.approx(FENCE_INSET, abs=0.01)
 
@@ -1017,7 +1023,7 @@ async def test_a_take_off_ends_inside_the_fence_and_needs_a_number(clock):
     await drone.fly(drone.pilot.take_off(9.0) + 1.0)
     assert drone.pilot.mode is Mode.HOVER
     assert drone.p[2] == pytest.approx(2.4, abs=0.02)
-    assert drone.pilot.note == "a take-off to inf m: not flown"
+    assert drone.pilot.notes.text == "a take-off to inf m: not flown"
 
 
 @virtual
@@ -1084,7 +1090,7 @@ async def test_a_landing_near_the_fence_stays_inside(clock):
     drone.pilot.land("landing on command")
     await drone.fly(11.0)
     assert drone.pilot.mode is Mode.GROUND
-    assert drone.pilot.note == "landing on command"
+    assert drone.pilot.notes.text == "landing on command"
     assert max(p[0] for p in drone.track) < 3.0
 
 
@@ -1246,7 +1252,7 @@ class Supervised(Flown):
 
     def __init__(self, clock):
         super().__init__(clock)
-        self.link = self.pilot.link = Frail(self.pilot.link, clock)
+        self.link = self.pilot.body = Frail(self.pilot.body, clock)
         self.failures, self.given_up = [], False
         self.life = asyncio.ensure_future(
             Supervisor(clock, "drone 0", self.failed).run([self.pilot])
@@ -1365,7 +1371,7 @@ async def test_a_link_that_fails_for_a_third_of_a_second_is_survived_and_one_for
     drone.link.fails = lambda command: True
     await drone.fly(0.3)
     assert drone.given_up
-    assert "no command reaches the drone" in drone.pilot.note
+    assert "no command reaches the drone" in drone.pilot.notes.text
     await drone.end()
 
 
@@ -1427,7 +1433,7 @@ async def test_a_drone_that_landed_for_silence_flies_again_when_it_hears_the_oth
     assert drone.pilot.mode is Mode.HOVER
     await drone.fly(NEIGHBOUR_AGES.silent + CLEARANCE_TIMES.cut_off_timeout + 2.0)
     assert drone.pilot.mode is Mode.GROUND
-    assert "hears no more than half" in drone.pilot.note
+    assert "hears no more than half" in drone.pilot.notes.text
     await drone.fly(1.0, each=heard)
     await drone.fly(drone.pilot.take_off() + 0.5, each=heard)
     assert drone.pilot.mode is Mode.HOVER
@@ -1446,7 +1452,7 @@ async def test_a_body_that_is_seen_outside_is_cut_though_it_may_be_another_and_o
         assert drone.p == pytest.approx([0.0, 0.0, 1.0], abs=0.2), (
             "a pose that jumps does not move the drone"
         )
-    assert "seen 5.50 m outside the limit area: motors cut" in drone.pilot.note
+    assert "seen 5.50 m outside the limit area: motors cut" in drone.pilot.notes.text
     drone = Flown(clock, reached="seen")
     await drone.hovering()
     await drone.fly(0.3, poses=False)
@@ -1468,7 +1474,7 @@ async def test_a_drone_that_has_come_down_by_itself_does_not_push_the_floor(cloc
         await drone.fly(0.3, sinks=lambda z: 0.0)
         assert drone.pilot.mode is Mode.GROUND
         assert (
-            drone.pilot.brought_down
+            drone.pilot.notes.brought_down
             == f"{why}seen on the floor, where it should fly: landing"
         )
 
@@ -1480,7 +1486,7 @@ async def test_a_drone_landing_for_another_reason_is_landed_by_its_firmware_when
     for measure in ("pose", "battery"):
         drone = Flown(clock, reached="seen")
         await drone.hovering()
-        drone.pilot.link = link = Told(drone.pilot.link)
+        drone.pilot.body = link = Told(drone.pilot.body)
         if measure == "battery":
             drone.pilot.guard.tell("empty", 0.1)
             await drone.fly(0.1)
@@ -1512,7 +1518,7 @@ async def test_a_body_that_stays_on_the_floor_is_another_ones_unless_motors_stan
         await drone.fly(0.05)
         assert drone.pilot.take_off() > 1.5
         for name, keeps in others.items():
-            setattr(drone.pilot.clearance, name, keeps)
+            setattr(drone.pilot.follower.clearance, name, keeps)
         await drone.fly(1.5, sinks=lambda z: 0.0)
         assert drone.pilot.mode is mode
 
@@ -1562,9 +1568,11 @@ async def test_a_landing_that_is_not_heard_begins_anew_where_the_drone_is_seen(c
     link.hears, height = False, link.p[2]
     far = await fly(40.0, silent=0.0)
     assert far < 0.15, "the first line that it hears leads no further down"
-    assert (pilot.mode, pilot.unreached, pilot.remaining()) == (Mode.LAND, True, 0.0), (
-        "its mission need not wait"
-    )
+    assert (pilot.mode, pilot.judge.touchdown.is_unreached, pilot.remaining()) == (
+        Mode.LAND,
+        True,
+        0.0,
+    ), "its mission need not wait"
     assert link.p[2] == height > 0.9
     link.hears = True
     await fly(0.2)
@@ -1579,7 +1587,7 @@ async def test_a_landing_that_is_not_heard_begins_anew_where_the_drone_is_seen(c
 async def test_a_landing_that_is_heard_though_nothing_is_answered_comes_down(clock):
     drone = Flown(clock, reached="seen")
     await drone.hovering()
-    drone.pilot.controls.sender.kind = "xyz"
+    drone.pilot.setup.controls.sender.kind = "xyz"
     drone.pilot.guard.tell("link", 5.0)
     await drone.fly(20.0)
     assert drone.pilot.mode is Mode.GROUND
@@ -1608,7 +1616,7 @@ async def test_a_landing_drone_is_handed_to_its_firmware_when_its_body_is_not_it
 ):
     drone = Flown(clock, reached="seen")
     await drone.hovering()
-    drone.pilot.link = link = Told(drone.pilot.link)
+    drone.pilot.body = link = Told(drone.pilot.body)
     drone.pilot.guard.tell("empty", 0.1)
     await drone.fly(0.1)
     assert drone.pilot.mode is Mode.LAND
@@ -1628,7 +1636,7 @@ async def test_late_frames_do_not_hide_a_body_outside_and_a_gap_does(clock):
         drone = Flown(clock, reached="seen")
         pilot = drone.pilot
         await drone.hovering()
-        pilot.link = Told(pilot.link)
+        pilot.body = Told(pilot.body)
         for _ in range(5):
             await drone.fly(0.05, drift=lambda: 9.0)
             for _ in range(round(pause / TICK)):
@@ -1645,7 +1653,7 @@ async def test_an_unseen_high_drone_has_the_time_that_its_landing_takes(clock):
         )
         await drone.fly(0.05)
         await drone.fly(drone.pilot.take_off(height) + 0.5)
-        drone.pilot.link = Told(drone.pilot.link)
+        drone.pilot.body = Told(drone.pilot.body)
         await drone.fly(0.6, poses=False)
         (limit,) = (
             rule.limit

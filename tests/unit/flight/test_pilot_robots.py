@@ -164,7 +164,7 @@ async def test_only_a_double_integrator_obeys_an_acceleration(clock):
     for uri in (WORLD_URIS.single_integrator, WORLD_URIS.unicycle):
         robot = await ready(clock, uri)
         assert not robot.pilot.follow(Acceleration(np.ones(3)))
-        assert "Return a Velocity" in robot.pilot.note
+        assert "Return a Velocity" in robot.pilot.notes.text
     robot = await ready(clock, WORLD_URIS.double_integrator)
     await robot.drive(
         0.5, lambda: robot.pilot.follow(Acceleration(np.array([1.0, 0.0, 0.0])))

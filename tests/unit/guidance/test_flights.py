@@ -78,7 +78,7 @@ async def test_a_flight_ends_with_the_reason_for_which_the_pilot_lands(clock):
 
     def land():
         member.pilot.mode = Mode.LAND
-        member.pilot.note = "battery low"
+        member.pilot.notes.text = "battery low"
 
     later(clock, 1.0, land)
     with pytest.raises(Interrupted, match="drone 3: landing: battery low"):

@@ -154,7 +154,7 @@ async def test_a_rise_that_the_safety_table_has_stopped_goes_on(clock):
         pilot,
     ):
         await guidance.take_off(1.0)
-        assert "pose" in pilot.note, "it was stopped"
+        assert "pose" in pilot.notes.text, "it was stopped"
         assert guidance.state.p == pytest.approx([0.0, 0.0, 1.0], abs=0.02)
 
 
@@ -166,7 +166,7 @@ async def test_a_low_rise_is_not_over_because_the_floor_is_near_it(clock):
         pilot,
     ):
         await guidance.take_off(0.15)
-        assert "pose" in pilot.note, "it was stopped"
+        assert "pose" in pilot.notes.text, "it was stopped"
         assert guidance.state.p[2] == pytest.approx(0.15, abs=0.02)
 
 
@@ -262,7 +262,7 @@ async def test_a_trajectory_that_the_safety_table_brakes_is_flown_on_from_there(
                 round(gap[0] * NS_PER_SECOND), unseen.__setitem__, slice(0, 2), gap
             )
         await guidance.fly(way)
-        assert pilot.braked == 2
+        assert pilot.judge.braked == 2
         assert way.duration + 2.0 < clock.now() - begins < way.duration + 10.0
         assert pilot.gap(way.sample(way.duration).p) < 0.05
 

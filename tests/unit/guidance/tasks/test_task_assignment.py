@@ -74,6 +74,6 @@ def test_while_the_team_plans_nothing_is_completed():
     assert np.allclose(guidance.route(), [guidance.above(CONFIG.drone(0).home)])
     pilot.mode = Mode.LAND
     assert guidance.route() == []
-    pilot.note = "landing on command"
+    pilot.notes.text = "landing on command"
     with pytest.raises(Interrupted, match="landing on command"):
         guidance._pursue()

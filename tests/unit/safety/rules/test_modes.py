@@ -94,7 +94,7 @@ async def happens(pilot, event, z):
         case ModeEvent.TAKE_OFF:
             pilot.take_off()
         case ModeEvent.START:
-            pilot.start()
+            pilot.permission.start()
         case ModeEvent.HOLD | ModeEvent.GO:
             pilot.hold(event is ModeEvent.HOLD)
         case ModeEvent.LAND:
@@ -130,7 +130,9 @@ def test_the_pilot_does_what_the_table_says(mode, event):
         if (mode, event) == (Mode.GROUND, ModeEvent.FOUND):
             expected = get_next_mode(expected, ModeEvent.LAND)  # at once
         assert pilot.mode is expected
-        assert bool(pilot.refuses(event)) == bool(get_refusal(expected, event))
+        assert bool(pilot.permission.refuses(event)) == bool(
+            get_refusal(expected, event)
+        )
 
     case()
 

@@ -1,0 +1,201 @@
+"""The stages of a tick that run in Python for one drone."""
+
+from typing import Protocol
+
+from crazychoir.bus.port import Port
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.control.senders import FPQRSender
+from crazychoir.errors import error_text
+from crazychoir.filters.state_filter import StateFilter
+from crazychoir.flight.batch import ControllerKind, Course, DroneRow
+from crazychoir.flight.body import Body
+from crazychoir.flight.estimate import SEEN_AGE, compute_believed_state
+from crazychoir.flight.follower import Follower
+from crazychoir.flight.judge import Judge
+from crazychoir.flight.notes import FlightNotes
+from crazychoir.flight.permission import Permission
+from crazychoir.flight.setup import FlightSetup
+from crazychoir.flight.stages import evade_row
+from crazychoir.safety.rules.modes import LAND_MODE
+from crazychoir.types import (
+    Acceleration,
+    Command,
+    FullState,
+    Pose,
+    Reference,
+    State,
+)
+
+
+class Flier(Protocol):
+    """The parts of a drone that its stages work with."""
+
+    port: Port
+    """Port of the drone."""
+    body: Body
+    """Body of the drone."""
+    setup: FlightSetup
+    """What is known of the drone."""
+    row: DroneRow
+    """Its record in the batch."""
+    notes: FlightNotes
+    """Its notes."""
+    follower: Follower
+    """What it flies."""
+    judge: Judge
+    """What it does when something happens."""
+    permission: Permission
+    """What it may do."""
+
+    @property
+    def is_running(self) -> bool:
+        """Whether the drone may tick."""
+        ...
+
+    def fail(self, error: BaseException) -> None:
+        """React to an error in a stage."""
+        ...
+
+
+class DroneStages:
+    """Estimates, publishes, avoids, controls and commands for one drone.
+
+    flier: the parts of the drone
+    state_filter: of the drone
+    """
+
+    def __init__(self, flier: Flier, state_filter: StateFilter) -> None:
+        self._flier = flier
+        self._setup = flier.setup
+        self._row = flier.row
+        self._notes = flier.notes
+        self._follower = flier.follower
+        self._clearance = flier.follower.clearance
+        self.filter = state_filter
+        self._knows_commands = isinstance(flier.setup.controls.sender, FPQRSender)
+
+    @property
+    def is_running(self) -> bool:
+        """Whether the drone may tick."""
+        return self._flier.is_running
+
+    def fail(self, error: BaseException) -> None:
+        """React to an error in a stage."""
+        self._flier.fail(error)
+
+    def receive_pose(self, pose: Pose | None, age: float) -> Pose | None:
+        """Return the pose with its age on arrival, if it is believed; else None.
+
+        age: s that the pose was on its way
+        """
+        # The pose was on its way for a while, or its own age is not a number.
+        if pose is not None and not pose.age >= age:
+            pose = Pose(pose.flat, age)
+        if pose is None:
+            return None
+        now = self._flier.port.bus.clock.now()
+        is_flying = self._flier.permission.airborne
+        return self._flier.judge.ground_watch.believe(pose, now, is_flying)
+
+    def judge(self, now: float) -> None:
+        """Decide what the drone does in this tick, at `now` in s."""
+        state = self._row.state
+        if state is not None:
+            self._flier.judge.decide(state, now)
+
+    def estimate(self, pose: Pose | None, now: float) -> State | None:
+        """Return the state at `now` in s, with a new pose or by prediction; None before the first pose."""
+        state = (
+            self.filter.predict(now) if pose is None else self.filter.update(pose, now)
+        )
+        if state is None or self._knows_commands or state.age <= SEEN_AGE:
+            return state
+        flown = self._follower.flights.sample(now) or self._row.flown
+        return State(compute_believed_state(state, flown), state.age)
+
+    def publish_state(self) -> None:
+        """Publish the state of this tick."""
+        state = self._row.state
+        if state is not None:
+            self._flier.port.publish(DRONE_TOPICS.state, state, state.age)
+
+    def avoid(self, now: float) -> None:
+        """Let the collision filter fly the drone at `now` in s, if another drone is in the way."""
+        row = self._row.drone
+        state = self._row.state
+        collision = self._clearance.filter
+        assert state is not None  # noqa: S101 - the drone ticks
+        assert collision is not None  # noqa: S101 - the record says so
+        is_follower = row["controller"] == ControllerKind.FOLLOWER
+        wanted: Acceleration | FullState = (
+            Acceleration(row["wanted"][6:9].copy(), float(row["wanted"][12]))
+            if is_follower
+            else FullState(row["wanted"].copy())
+        )
+        safe = self._clearance.evasion(
+            state,
+            wanted,
+            self._follower.limits.gains,
+            now,
+            lands=self._row.mode is LAND_MODE,
+        )
+        if safe is None:
+            row["evades"] = 0
+            self._notes.end_evasion()
+            return
+        other = collision.gives_way_to
+        self._notes.say_evades(other, is_first=row["evasion_ticks"] == 0)
+        is_on_plan = not (is_follower or self._row.reference is not None)
+        k = self._row.index
+        rows = self._row.batch.drones[k : k + 1]
+        evade_row(rows, safe, -1 if other is None else other, is_on_plan, now)
+
+    def command(self, now: float) -> None:
+        """Send the command of this tick, at `now` in s."""
+        row = self._row.drone
+        if row["course"] == Course.IDLE:
+            self.send(self._setup.controls.sender.idle)
+        else:
+            self.send(self._compute_command(now))
+        flown = self._row.flown
+        if flown is not None:
+            self._flier.port.publish(DRONE_TOPICS.reference, flown)
+
+    def _compute_command(self, now: float) -> Command | None:
+        """Return the command that flies what the drone wants."""
+        row = self._row.drone
+        state = self._row.state
+        controls = self._setup.controls
+        controller = controls.tracker
+        reference: Reference = FullState(row["wanted"].copy())
+        if row["controller"] == ControllerKind.FOLLOWER:
+            assert controls.follower is not None  # noqa: S101 - the record says so
+            controller = controls.follower
+            reference = Acceleration(row["wanted"][6:9].copy(), row["wanted"][12])
+        else:
+            controls.trim.frozen = not row["learns_trim"]
+        assert state is not None  # noqa: S101 - the drone ticks
+        command = controller.command(state, reference, now)
+        row["commanded"] = controller.acceleration
+        return command
+
+    def send(self, command: Command | None) -> None:
+        """Send a command to the drone. None lets the drone continue as it does."""
+        if command is None:
+            return
+        self._flier.body.send(command)
+        if self._knows_commands:
+            self.filter.commanded = command.flat
+        self._flier.port.publish(DRONE_TOPICS.command, command)
+
+    def steady(self) -> None:
+        """After a failed tick, command the thrust of hovering and no body rates.
+
+        This replaces the last command.
+        """
+        controls = self._setup.controls
+        try:
+            self.send(controls.sender.steady(controls.platform.weight))
+        except Exception as error:  # noqa: BLE001 - it may be the link that has failed
+            text = f"no command reaches the drone: {error_text(error)}"
+            self._notes.say("link", text)

@@ -1,0 +1,424 @@
+"""What one drone flies: the reference of its guidance, or a flight that the pilot has planned."""
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from crazychoir.control.parameters import ControllerParameters
+from crazychoir.errors import ConfigError
+from crazychoir.flight.batch import Course, DroneRow
+from crazychoir.flight.clearance import PLAN_DEVIATION, Clearance
+from crazychoir.flight.estimate import SEEN_AGE
+from crazychoir.flight.goals import require_goal
+from crazychoir.flight.homecoming import Homecoming
+from crazychoir.flight.notes import FlightNotes
+from crazychoir.flight.permission import Permission
+from crazychoir.flight.point_flights import PointFlights
+from crazychoir.flight.references import (
+    convert_reference,
+    explain_refusal,
+    extrapolate_reference,
+)
+from crazychoir.flight.setup import FlightSetup
+from crazychoir.flight.touchdown_limits import TOUCHDOWN_LIMITS
+from crazychoir.numerics.math3d import yaw_of
+from crazychoir.planning.trajectory import Trajectory
+from crazychoir.runtime.clock import NS_PER_SECOND
+from crazychoir.safety.rules.guard import EDGE_MARGIN, Action, Guard
+from crazychoir.safety.rules.limits import ReferenceLimits
+from crazychoir.safety.rules.modes import (
+    FOLLOW_MODE,
+    LAND_MODE,
+    TAKEOFF_MODE,
+    ModeEvent,
+)
+from crazychoir.types import (
+    Acceleration,
+    FullState,
+    Goto,
+    Point,
+    Reference,
+    State,
+    Vec,
+    Velocity,
+)
+
+
+class Follower:
+    """Holds the reference and the plan of one drone, and begins new plans from where it is.
+
+    setup: of the drone
+    row: of the drone in its batch
+    permission: of the drone
+    guard: of the drone
+    notes: of the drone
+    clearance: of the drone, with its planned flights
+    """
+
+    def __init__(
+        self,
+        setup: FlightSetup,
+        row: DroneRow,
+        permission: Permission,
+        guard: Guard,
+        notes: FlightNotes,
+        clearance: Clearance,
+    ) -> None:
+        self._setup = setup
+        self._row = row
+        self._permission = permission
+        self._guard = guard
+        self._notes = notes
+        self.clearance = clearance
+        self.flights: PointFlights = clearance.flights
+        self._goto: tuple[float, ...] = ()  # the last Goto that was flown
+        self._goto_plan: Trajectory | None = None  # the plan of that Goto
+        self.homecoming: Homecoming | None = None
+        """The way home that the operator has commanded; None without one."""
+        # The plan that last brought the drone to rest.
+        self._stops: Trajectory | None = None
+        self.parameters = ControllerParameters(setup.controls)
+        """The parameters of its controllers."""
+        row.drone["ground"] = setup.limits.ground
+        self._take_in_gains()
+
+    def set_parameter(self, name: str, value: Any) -> Any:
+        """Change a parameter from the next tick on, and return its value.
+
+        Raises ConfigError if it may not be changed so.
+        """
+        found = self.parameters.set(name, value)
+        self._take_in_gains()
+        return found
+
+    def _take_in_gains(self) -> None:
+        """Take in the gains of the tracker."""
+        self.limits = ReferenceLimits(self._setup.limits, self._setup.controls.gains)
+        self._row.drone["gains"] = self.limits.gains
+        self._row.drone["limits"] = self.limits.figures
+
+    # What guidance and operator ask -------------------------------------------------------
+
+    def require_goal(
+        self, where: str, p: object, yaw: object = None, duration: object = 0.0
+    ) -> Vec:
+        """Return the goal p as (3,) m.
+
+        Raises ConfigError for a goal where the drone must not fly, see goals.require_goal.
+        """
+        places = (self._setup.home, self._permission.started_at)
+        homes = [home for home in places if home is not None]
+        planar = self._setup.controls.planar
+        return require_goal(where, p, yaw, duration, self._guard, planar, homes)
+
+    def get_place_above(self, height: float | None) -> Vec:
+        """Return (3,) m where a take-off from here to `height` m above the ground ends.
+
+        A robot that does not take off stays where it is.
+        """
+        setup = self._setup
+        goal = self._get_state().p.copy()
+        if setup.controls.takes_off:
+            rise = setup.limits.takeoff_height if height is None else height
+            goal[2] = setup.limits.ground + rise
+            goal[2] = setup.fence.nearest(goal)[2]
+        return goal
+
+    def begin_take_off(self, height: float | None, now: float) -> float:
+        """Plan the rise to `height` m above the ground, and return the s that it takes."""
+        state = self._get_state()
+        start = FullState.at(state.p, yaw=yaw_of(state.q))
+        goal = self.get_place_above(height)
+        self._row.flown = start
+        self._row.drone["is_beyond"] = 0
+        return self.flights.go_to(start, goal, start.yaw, 0.0, now)
+
+    def go_to(self, p: Point, yaw: float | None, duration: float, now: float) -> float:
+        """Plan a flight to p inside the fence, and return the s that it takes.
+
+        p: (3,) m, world
+        yaw: rad, None to keep the present yaw
+        duration: s; the flight takes longer if the limits demand it
+        now: s
+        """
+        start = self._get_departure(now)
+        wanted = np.asarray(p, dtype=float)
+        goal = self._guard.room.nearest(wanted, inset=0.0)
+        turned = start.yaw if yaw is None else yaw
+        if self._setup.controls.planar:
+            wanted = np.array([*wanted[0:2], start.p[2]])
+            goal = np.array([*goal[0:2], start.p[2]])
+            seconds = self.flights.drive_to(start, goal, turned, duration, now)
+        else:
+            seconds = self.flights.go_to(start, goal, turned, duration, now)
+        self._begin_plan(start)
+        is_beyond = bool(np.abs(wanted - goal).max() > 2.0 * EDGE_MARGIN)
+        self._row.drone["is_beyond"] = is_beyond
+        if is_beyond:
+            self._notes.say(
+                "goal",
+                f"{wanted.round(2).tolist()} is outside the fence: flies to {goal.round(2).tolist()}",
+            )
+        return seconds
+
+    def fly(self, trajectory: Trajectory, now: float) -> float:
+        """Fly a trajectory from its beginning, now, and return its duration in s."""
+        self._begin_plan(trajectory.sample(0.0))
+        self._row.drone["is_beyond"] = 0
+        return self.flights.fly(trajectory, now)
+
+    def fly_leg(self, goal: Vec, now: float) -> None:
+        """Plan the next leg of a way home to the goal, (3,) m."""
+        start = self._get_departure(now)
+        self._row.flown = start
+        inside = self._guard.room.nearest(goal, inset=0.0)
+        self.flights.go_to(start, inside, start.yaw, 0.0, now)
+
+    def _begin_plan(self, start: FullState) -> None:
+        """Leave the reference of guidance for a plan that begins at `start`."""
+        self._row.flown = start
+        self._row.set_reference(None)
+        self._row.obeyed = Action.NOMINAL
+        self._permission.change(ModeEvent.FLY)
+
+    def follow(self, wanted: Reference, state: State, speed: float, now_ns: int) -> str:
+        """Fly this reference from the next tick on; return why it is never flown, else "".
+
+        wanted: see `convert_reference`
+        state: of the drone
+        speed: of the drone, m/s
+        """
+        if why := self.forbids(wanted):
+            return why
+        if isinstance(wanted, Goto):
+            self._fly_goto(wanted, now_ns / NS_PER_SECOND)
+            return ""
+        if isinstance(wanted, Acceleration):
+            wanted = self.limits.acceleration(wanted, state, speed) or wanted
+        self._row.set_reference(wanted, now_ns)
+        self._row.drone["is_beyond"] = 0
+        if self._row.mode is not FOLLOW_MODE:
+            self._permission.change(ModeEvent.FLY)
+        return ""
+
+    def explain_unflown(self, reference: object) -> str:
+        """Return why a reference can never be flown: its numbers, its place or its kind.
+
+        Returns an empty text if it can be flown.
+        """
+        wanted = convert_reference(reference)
+        return explain_refusal(reference) if wanted is None else self.forbids(wanted)
+
+    def forbids(self, reference: Reference) -> str:
+        """Return why this drone never flies a valid reference: its place or its kind; else ""."""
+        controls = self._setup.controls
+        if isinstance(reference, Goto):
+            try:
+                self.require_goal("Goto", reference.p)
+            except ConfigError as error:
+                return str(error)
+        if isinstance(reference, Acceleration) and controls.follower is None:
+            do = "Send fpqr or frpy" if controls.takes_off else "Return a Velocity"
+            return f"an Acceleration cannot be sent as {controls.sender.kind}: not flown. {do}"
+        return ""
+
+    def _fly_goto(self, wanted: Goto, now: float) -> None:
+        """Begin the flight of a Goto, unless it has begun.
+
+        A law may return the same Goto in each step.
+        """
+        place = np.asarray(wanted.p, dtype=float).tolist()
+        asked = (*place, wanted.yaw, wanted.duration)
+        plan = self.flights.plan
+        has_begun = (
+            self._row.reference is None and plan is self._goto_plan and plan is not None
+        )
+        if has_begun and asked == self._goto:
+            return
+        self._guard.excuse("reference")
+        self._permission.commanded = False
+        if self._guard.acts:
+            return
+        if self.go_to(wanted.p, wanted.yaw, wanted.duration, now):
+            self._goto = asked
+            self._goto_plan = self.flights.plan
+
+    def rest(self, now: float) -> None:
+        """Come to rest and hover, unless the drone already does."""
+        # Called in each step, it would begin anew each time, and never come to rest.
+        stops = self.flights.plan is self._stops
+        is_moving = self.flights.remaining(now) > 0.0
+        if self._row.reference is not None or (is_moving and not stops):
+            self.brake(now)
+        self._row.set_reference(None)
+        self._permission.change(ModeEvent.HOLD)
+
+    def brake(self, now: float) -> float:
+        """Plan to come to rest, and return the s that this takes."""
+        start = self._get_departure(now)
+        self._row.flown = start
+        seconds = self.flights.brake(start, now)
+        self._stops = self.flights.plan
+        return seconds
+
+    def descend(self, now: float, beside: Vec | None = None) -> float:
+        """Land from here, or over `beside`, and return s until the motors stop.
+
+        beside: (3,) m, world: where the drone comes down instead
+        """
+        start = self._get_departure(now)
+        self._row.flown = start
+        self._row.set_reference(None)
+        self.homecoming = None
+        if not self._setup.controls.takes_off:
+            return self.flights.brake(start, now)
+        touchdown = self._setup.limits.ground + TOUCHDOWN_LIMITS.floor_height
+        return self.flights.descend(start, now, touchdown, beside)
+
+    def forget(self) -> None:
+        """Forget what the drone flies."""
+        self._row.flown = None
+        self._row.set_reference(None)
+        self.flights.clear()
+
+    def _get_state(self) -> State:
+        """Return the state of a drone that was seen."""
+        state = self._row.state
+        assert state is not None  # noqa: S101 - callers have looked
+        return state
+
+    def _get_departure(self, now: float) -> FullState:
+        """Return the state from which a new plan begins."""
+        state = self._get_state()
+        # Its plan says where it should be, not where it is.
+        if self._setup.controls.planar or self.clearance.is_aside:
+            return FullState.at(state.p, state.v, yaw=yaw_of(state.q))
+        planned = self.clearance.planned
+        flown = self._row.flown
+        if planned is not None and flown is not None:
+            elsewhere = planned.departure(flown.yaw, now)
+            if elsewhere is not None:
+                return elsewhere
+        return self.flights.departure(state, now)
+
+    # What a tick flies --------------------------------------------------------------------
+
+    @property
+    def _flies_reference(self) -> bool:
+        """Whether this tick flies the reference of guidance, not a plan."""
+        row = self._row
+        return (
+            row.mode is FOLLOW_MODE
+            and row.obeyed is Action.NOMINAL
+            and row.reference is not None
+        )
+
+    def prepare(self, state: State, now: float) -> None:
+        """Let the stages of this tick fly the reference or the plan, and begin a plan if needed."""
+        row = self._row
+        row.drone["course"] = Course.FOLLOW
+        if not self._flies_reference:
+            self._prepare_plan(state, now)
+        if self.clearance.planned is not None:
+            self._fly_agreed(state, now)
+
+    def _prepare_plan(self, state: State, now: float) -> None:
+        """Make sure that there is a plan, with its pieces or its set-point of now."""
+        flights = self.flights
+        if flights.plan is None:
+            self.brake(now)
+        flights.load(now)
+        row = self._row
+        # A drone that brakes, for example at the fence, must not drift.
+        if row.drone["is_aside"] and row.obeyed is not Action.BRAKE:
+            self._come_back(state, now)
+        if (
+            row.mode in (TAKEOFF_MODE, FOLLOW_MODE)
+            and row.reference is None
+            and flights.done(now)
+        ):
+            self._permission.change(ModeEvent.ARRIVED)
+
+    def _come_back(self, state: State, now: float) -> None:
+        """Change the plan of a drone that was pushed far off it.
+
+        A landing drone lands where it is.
+        """
+        flights = self.flights
+        planned = flights.sample(now)
+        assert planned is not None  # noqa: S101 - there is a plan
+        far = float(np.linalg.norm(planned.p - state.p))
+        if self._row.mode is LAND_MODE and far > PLAN_DEVIATION.landing_distance:
+            flights.clear()
+            self.descend(now)
+        elif far > PLAN_DEVIATION.waiting_distance:
+            is_goto = flights.plan is self._goto_plan
+            self.clearance.wait_for_drone(state, now)
+            if is_goto:
+                self._goto_plan = flights.plan
+        flights.load(now)
+
+    # Agreed paths -------------------------------------------------------------------------
+
+    def _fly_agreed(self, state: State, now: float) -> None:
+        """Fly what the other drones have agreed to."""
+        row = self._row
+        reference = row.reference if self._flies_reference else None
+        if isinstance(reference, Velocity):
+            reference = FullState.at(state.p, reference.v, yaw=reference.yaw)
+        if isinstance(reference, FullState):
+            wanted: FullState = reference
+            cut = self.limits.full_state(reference, state)
+            flown = self.clearance.agreed(
+                state, cut, partial(extrapolate_reference, reference), 0.0, now
+            )
+            self.flights.clear()
+        else:
+            wanted, flown = self._get_agreed_plan(state, now)
+        self._say_delayed()
+        is_low = (
+            row.mode is TAKEOFF_MODE and state.flat[2] < row.drone["lift_off_height"]
+        )
+        learns = not is_low and state.age <= SEEN_AGE and flown is wanted
+        row.fly(flown, learns_trim=learns)
+
+    def _get_agreed_plan(self, state: State, now: float) -> tuple[FullState, FullState]:
+        """Return the set-point of the plan, and the part of it to which the others have agreed."""
+        planner = self.clearance.planned
+        wanted = self.flights.sample(now)
+        assert planner is not None  # noqa: S101 - callers have looked
+        assert wanted is not None  # noqa: S101 - there is a plan
+        lands = self._row.mode is LAND_MODE
+        planned = self._land_elsewhere(wanted, now) if lands else wanted
+        must_land = self._row.obeyed is Action.LAND
+        flown = self.clearance.planned_flight(
+            planner, state, planned, now, lands, must_land
+        )
+        return wanted, flown
+
+    def _land_elsewhere(self, planned: FullState, now: float) -> FullState:
+        """Return the reference of a landing drone that the others may keep up.
+
+        It lands beside drones that keep it up for too long, or where it is if no other drone
+        answers.
+        """
+        clearance = self.clearance
+        beside = clearance.lands_beside(planned.p, now)
+        if beside is not None:
+            self._notes.say(
+                "beside",
+                f"cannot come down for drone {clearance.delayed_by}: lands beside",
+            )
+        elif not clearance.begins_landing_anew(planned, now):
+            return planned
+        self.descend(now, beside)
+        return self.flights.sample(now) or planned
+
+    def _say_delayed(self) -> None:
+        """Say which drone this one waits for."""
+        other = self.clearance.delayed_by
+        if silent := self.clearance.silent:
+            self._notes.say("silent", silent)
+        elif other is not None:
+            self._notes.say("collision", f"keeps clear of drone {other}")

@@ -1,0 +1,301 @@
+"""The compiled stages of a tick that belong to flight: judge what is quiet, follow, turn to evade."""
+
+import math
+
+import numpy as np
+
+from crazychoir.flight.batch import (
+    DRONE_ROW,
+    MODE_NUMBERS,
+    ControllerKind,
+    Course,
+    DroneRows,
+    ReferenceKind,
+)
+from crazychoir.flight.clearance import CLEARANCE_TIMES, PLAN_DEVIATION
+from crazychoir.flight.estimate import SEEN_AGE
+from crazychoir.flight.touchdown_limits import TOUCHDOWN_LIMITS
+from crazychoir.numerics.kernels import (
+    Record,
+    boolean,
+    kernel,
+    real,
+    rows_of,
+    vector,
+    whole,
+    wholes,
+)
+from crazychoir.planning.plan_row import (
+    PLAN_ROW,
+    PlanKind,
+    PlanRows,
+    has_pieces,
+    is_plan_over,
+    sample_plan,
+)
+from crazychoir.runtime.clock import NS_PER_SECOND
+from crazychoir.safety.rules.guard import GUARD_ROW, Action, GuardRows, is_quiet
+from crazychoir.safety.rules.limits import cut_full_state
+from crazychoir.safety.rules.modes import Mode
+from crazychoir.types import Ints, Vec
+
+GROUND = MODE_NUMBERS[Mode.GROUND]
+TAKEOFF = MODE_NUMBERS[Mode.TAKEOFF]
+FOLLOW = MODE_NUMBERS[Mode.FOLLOW]
+HOVER = MODE_NUMBERS[Mode.HOVER]
+RETURN = MODE_NUMBERS[Mode.RETURN]
+LAND = MODE_NUMBERS[Mode.LAND]
+CUT = MODE_NUMBERS[Mode.CUT]
+NO_REFERENCE_AGE = -1.0
+"""Age that says that the drone needs no reference."""
+
+
+@kernel()
+def _flies_reference(drone: Record) -> bool:
+    """Return whether this tick flies the reference of guidance, not a plan."""
+    return bool(
+        drone.mode == FOLLOW
+        and drone.obeyed == Action.NOMINAL
+        and drone.reference_kind != ReferenceKind.NONE
+    )
+
+
+@kernel()
+def _is_far_off_plan(drone: Record, plan: Record, now: float, planned: Vec) -> bool:
+    """Return whether a drone that was pushed aside is so far from its plan that the plan changes.
+
+    planned: (14,), work space
+    """
+    if drone.is_aside == 0 or drone.obeyed == Action.BRAKE:
+        return False
+    sample_plan(plan, now, planned)
+    far = _compute_distance(planned, drone.state)
+    limit = (
+        PLAN_DEVIATION.landing_distance
+        if drone.mode == LAND
+        else PLAN_DEVIATION.waiting_distance
+    )
+    return bool(far > limit)
+
+
+@kernel()
+def _compute_distance(a: Vec, b: Vec) -> float:
+    """Return the distance in m of two places, the first three numbers of each array."""
+    x = a[0] - b[0]
+    y = a[1] - b[1]
+    z = a[2] - b[2]
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@kernel()
+def _needs_plan(drone: Record, plan: Record, now: float, planned: Vec) -> bool:
+    """Return whether Python must begin, load or change the plan of this drone.
+
+    planned: (14,), work space
+    """
+    if _flies_reference(drone):
+        return False
+    if plan.kind != PlanKind.PIECES or not has_pieces(plan, now):
+        return True
+    is_arriving = drone.mode == TAKEOFF or drone.mode == FOLLOW
+    has_arrived = drone.reference_kind == ReferenceKind.NONE and is_plan_over(plan, now)
+    if is_arriving and has_arrived:
+        return True
+    return _is_far_off_plan(drone, plan, now, planned)
+
+
+@kernel()
+def _may_end_flight(drone: Record, plan: Record, now: float) -> bool:
+    """Return whether a leg of a return, a landing, or the flight itself may be over."""
+    if drone.mode == RETURN:
+        return bool(is_plan_over(plan, now))
+    if drone.mode == LAND:
+        is_low = drone.state[2] < drone.ground + TOUCHDOWN_LIMITS.floor_height
+        return bool(is_low or drone.age > SEEN_AGE or is_plan_over(plan, now))
+    deaf_at = drone.cut_off_since + CLEARANCE_TIMES.cut_off_timeout
+    return bool(now >= deaf_at)
+
+
+@kernel()
+def _needs_judge(
+    drone: Record, plan: Record, guard: Record, now: float, planned: Vec
+) -> bool:
+    """Return whether Python must decide what this flying drone does in this tick.
+
+    planned: (14,), work space
+    """
+    if drone.is_by_hand > 0 or drone.obeyed != Action.NOMINAL:
+        return True
+    age = NO_REFERENCE_AGE
+    if drone.reference_kind != ReferenceKind.NONE:
+        age = max(0.0, (drone.ticked_ns - drone.reference_ns) / NS_PER_SECOND)
+    is_low = age < 0.0 and (drone.mode == TAKEOFF or drone.mode == LAND)
+    if not is_quiet(guard, drone.state[:], drone.age, age, is_low):
+        return True
+    if _may_end_flight(drone, plan, now):
+        return True
+    return bool(_needs_plan(drone, plan, now, planned))
+
+
+@kernel()
+def _count_fence_tick(drone: Record, plan: Record, now: float) -> None:
+    """Count a tick of a drone whose flight to a place outside has ended at the fence."""
+    is_guided = drone.mode == FOLLOW or drone.mode == HOVER or drone.mode == TAKEOFF
+    if is_guided and drone.is_beyond > 0 and drone.is_held == 0:
+        drone.fence_ticks += 1 if is_plan_over(plan, now) else 0
+
+
+@kernel(rows_of(DRONE_ROW), rows_of(PLAN_ROW), rows_of(GUARD_ROW), real, wholes)
+def find_rows_to_judge(
+    drones: DroneRows, plans: PlanRows, guards: GuardRows, now: float, found: Ints
+) -> int:
+    """Decide the course of each drone that ticks and for which nothing happens.
+
+    now: s
+    found: (n,): receives the rows of the others, for which Python decides
+    Returns how many these are.
+    """
+    count = 0
+    planned = np.empty(14)
+    for k in range(drones.shape[0]):
+        drone = drones[k]
+        if drone.ticks == 0:
+            continue
+        for c in range(3):
+            drone.commanded[c] = 0.0
+        drone.course = Course.NOTHING
+        drone.controller = ControllerKind.NONE
+        is_off = drone.mode == GROUND or drone.mode == CUT
+        if drone.is_by_hand == 0 and is_off:
+            drone.course = Course.IDLE
+            drone.cut_off_since = math.inf
+        elif is_off or _needs_judge(drone, plans[k], guards[k], now, planned):
+            found[count] = k
+            count += 1
+        else:
+            drone.course = Course.FOLLOW
+            _count_fence_tick(drone, plans[k], now)
+    return count
+
+
+@kernel()
+def _follow_full_state(drone: Record, is_exact: bool) -> None:
+    """Fly the full state in `wanted`.
+
+    is_exact: whether it is what was wanted, so that the trim may learn from its error
+    """
+    drone.controller = ControllerKind.TRACKER
+    drone.has_flown = 1
+    for c in range(14):
+        drone.flown[c] = drone.wanted[c]
+    drone.learns_trim = 1 if is_exact and drone.age <= SEEN_AGE else 0
+
+
+@kernel()
+def _follow_reference(drone: Record, plan: Record) -> None:
+    """Fly the reference of guidance: an acceleration as it is, a full state within the limits."""
+    plan.kind = PlanKind.NONE
+    if drone.reference_kind == ReferenceKind.ACCELERATION:
+        drone.controller = ControllerKind.FOLLOWER
+        drone.has_flown = 0
+        for c in range(14):
+            drone.wanted[c] = 0.0
+        for c in range(6, 9):
+            drone.wanted[c] = drone.reference[c]
+        drone.wanted[12] = drone.reference[12]
+        return
+    if drone.reference_kind == ReferenceKind.VELOCITY:
+        for c in range(3):
+            drone.reference[c] = drone.state[c]
+        for c in range(6, 12):
+            drone.reference[c] = 0.0
+        drone.reference[13] = 0.0
+    is_cut = cut_full_state(
+        drone.state[:],
+        drone.reference[:],
+        drone.gains[:],
+        drone.limits[:],
+        drone.wanted[:],
+    )
+    if not is_cut:
+        for c in range(14):
+            drone.wanted[c] = drone.reference[c]
+    _follow_full_state(drone, not is_cut)
+
+
+@kernel()
+def _follow_plan(drone: Record, plan: Record, now: float, planned: Vec) -> None:
+    """Fly the set-point of the plan; a drone that was pushed aside comes back within the limits.
+
+    planned: (14,), work space
+    """
+    sample_plan(plan, now, planned)
+    plan.is_waiting = 0
+    is_exact = True
+    for c in range(14):
+        drone.wanted[c] = planned[c]
+    if drone.is_aside > 0 and drone.obeyed != Action.BRAKE:
+        far = _compute_distance(planned, drone.state)
+        comes_back = now < drone.gave_way + PLAN_DEVIATION.gentle_return_time
+        is_aside = far > PLAN_DEVIATION.back_distance and comes_back
+        drone.is_aside = 1 if is_aside else 0
+        is_cut = cut_full_state(
+            drone.state[:], planned, drone.gains[:], drone.limits[:], drone.wanted[:]
+        )
+        is_exact = not is_cut
+        if not is_cut:
+            for c in range(14):
+                drone.wanted[c] = planned[c]
+    is_low = drone.mode == TAKEOFF and drone.state[2] < drone.lift_off_height
+    _follow_full_state(drone, is_exact and not is_low)
+
+
+@kernel(rows_of(DRONE_ROW), rows_of(PLAN_ROW), real)
+def follow_rows(drones: DroneRows, plans: PlanRows, now: float) -> None:
+    """Write what each drone with the course FOLLOW flies, and by which controller.
+
+    now: s
+    """
+    planned = np.empty(14)
+    for k in range(drones.shape[0]):
+        drone = drones[k]
+        if drone.ticks == 0 or drone.course != Course.FOLLOW:
+            continue
+        if _flies_reference(drone):
+            _follow_reference(drone, plans[k])
+        else:
+            _follow_plan(drone, plans[k], now, planned)
+
+
+@kernel()
+def _evade(drone: Record, safe: Vec, other: int, is_on_plan: bool, now: float) -> None:
+    """Fly the acceleration of the collision filter.
+
+    safe: (3,) m/s2
+    other: id of the drone that this one evades; -1: it brakes
+    is_on_plan: whether the drone flies a plan; it then comes back to the plan later
+    now: s
+    """
+    yaw = drone.wanted[12]
+    for c in range(6):
+        drone.wanted[c] = drone.state[c]
+    for c in range(3):
+        drone.wanted[6 + c] = safe[c]
+        drone.wanted[9 + c] = 0.0
+    drone.wanted[12] = yaw
+    drone.wanted[13] = 0.0
+    _follow_full_state(drone, False)
+    drone.evades = 1
+    drone.evades_drone = other
+    drone.gave_way = now
+    drone.evasion_ticks += 1
+    if is_on_plan:
+        drone.is_aside = 1
+
+
+@kernel(rows_of(DRONE_ROW), vector, whole, boolean, real)
+def evade_row(
+    drones: DroneRows, safe: Vec, other: int, is_on_plan: bool, now: float
+) -> None:
+    """Apply `_evade` to the only record of `drones`."""
+    _evade(drones[0], safe, other, is_on_plan, now)

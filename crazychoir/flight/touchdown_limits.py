@@ -1,0 +1,31 @@
+"""Limits of height, speed and time at which a landing drone counts as landed."""
+
+from typing import NamedTuple
+
+
+class TouchdownLimits(NamedTuple):
+    """When a landing drone counts as landed."""
+
+    floor_height: float = 0.04
+    """Height in m above the ground at which a landing drone stops its motors."""
+    overdue_time: float = 2.0
+    """Seconds after the planned touch-down when a drone slower than rest_speed counts as landed."""
+    unseen_overdue_time: float = 0.5
+    """Seconds after the planned touch-down when an unseen drone at rest counts as landed."""
+    rest_speed: float = 0.05
+    """m/s below which a drone is at rest."""
+    replay_overdue_time: float = 5.0
+    """s after the planned touch-down when the landing of a replayed drone is over, wherever its
+    body is.
+    """
+    replanning_distance: float = 0.05
+    """Distance in m from a drone to its landing plan at which the plan begins anew.
+
+    While commands may be lost, each command that arrives asks for no more than this.
+    """
+    airborne_height: float = 0.2
+    """Height in m above the ground at which a seen drone has not landed, whatever its plan says.
+    """
+
+
+TOUCHDOWN_LIMITS = TouchdownLimits()
