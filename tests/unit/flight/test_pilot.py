@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pilots import make_pilot, tick
 from virtual_time import virtual
 
 from crazychoir.bus.port import Bus
@@ -16,7 +17,8 @@ from crazychoir.control.choice import make_controls
 from crazychoir.control.gains import STANDARD_GAINS
 from crazychoir.errors import ConfigError
 from crazychoir.flight.clearance import CLEARANCE_TIMES
-from crazychoir.flight.pilot import GIVE_UP_HOVER, TOUCHDOWN_LIMITS, Pilot
+from crazychoir.flight.pilot import GIVE_UP_HOVER
+from crazychoir.flight.touchdown_limits import TOUCHDOWN_LIMITS
 from crazychoir.planning.point_to_point import STOP_DISTANCE, plan_stop
 from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.runtime.clock import run_virtual
@@ -56,12 +58,12 @@ class Flown:
         self.bus = Bus(clock)
         self.world = CFIntegrator((0,), np.zeros((1, 3)), np.zeros(1), **(plant or {}))
         self.draw, self.noise = np.random.default_rng(5), noise
-        self.pilot = Pilot(
+        self.pilot = make_pilot(
             self.bus.port(0),
             SimulatedLink(self.world, 0),
             FlightTable(),
             Fence.box(*fence),
-            reached=reached,
+            reach=reached,
         )
         self.track, self.references = [], []
 
@@ -92,15 +94,10 @@ class Flown:
             seen[0] += drift()
             seen[2] = sinks(seen[2])
             seen += self.noise * self.draw.standard_normal(7)
-            pose, gate = Pose(seen, 0.0) if poses else None, self.pilot._gate
-            self.pilot.tick(
-                pose
-                if pose is None or gate is None
-                else self.pilot._believed(pose, gate)
-            )
-            self.bus.stages.run()
+            pose = Pose(seen, 0.0) if poses else None
+            tick(self.pilot, self.pilot.stages.receive_pose(pose, 0.0))
             self.track.append(truth.p)
-            self.references.append(self.pilot._flown)
+            self.references.append(self.pilot.row.flown)
 
     async def hovering(self):
         """Take off and wait until it hovers."""
@@ -298,7 +295,7 @@ async def led_out(clock, reference):
 
     def out():
         drone.pilot.follow(reference(clock.now() - t0))
-        actions.add(drone.pilot._obeyed)
+        actions.add(drone.pilot.row.obeyed)
 
     await drone.fly(8.0, each=out)
     assert actions == {Action.NOMINAL, Action.BRAKE}
@@ -368,9 +365,11 @@ def test_a_safety_landing_or_cut_is_reported_as_grave(rule):
     async def scene(clock):
         drone = Flown(clock)
         await drone.hovering()
-        drone.pilot._obey(SafetyVerdict(rule.action, "why", rule.measure))
+        drone.pilot.judge.obey(
+            SafetyVerdict(rule.action, "why", rule.measure), clock.now()
+        )
         said = drone.pilot.notes.text, drone.pilot.notes.is_grave
-        drone.pilot._say("other", "it is all right")
+        drone.pilot.notes.say("other", "it is all right")
         return said, drone.pilot.notes.is_grave
 
     assert run_virtual(scene) == (
@@ -514,8 +513,8 @@ async def test_after_a_law_the_plan_begins_at_the_drone_with_its_speed(clock):
     await drone.fly(1.0, each=lambda: drone.pilot.follow(Acceleration([0.5, 0.0, 0.0])))
     state = drone.pilot.state
     drone.pilot.hover()
-    assert drone.pilot._flown.p == pytest.approx(state.p)
-    assert drone.pilot._flown.v == pytest.approx(state.v)
+    assert drone.pilot.row.flown.p == pytest.approx(state.p)
+    assert drone.pilot.row.flown.v == pytest.approx(state.v)
     await drone.fly(3.0)
     assert np.linalg.norm(drone.world.state(0).v) < 0.02
 
@@ -526,8 +525,7 @@ async def test_poses_that_are_not_numbers_are_no_poses(clock):
     await drone.hovering()
     for _ in range(round(2.5 / TICK)):
         await clock.sleep(TICK)
-        drone.pilot.tick(Pose(np.full(7, np.nan), 0.0))
-        drone.bus.stages.run()
+        tick(drone.pilot, Pose(np.full(7, np.nan), 0.0))
     assert drone.pilot.mode is Mode.CUT, "as if the cameras saw nothing for 2 s"
 
 
@@ -584,7 +582,7 @@ async def test_a_drone_at_rest_after_its_descent_has_landed_whatever_height_the_
 ):
     drone = Flown(clock)
     await drone.hovering()
-    drone.pilot.setup.limits = FlightTable(ground=-0.3)
+    object.__setattr__(drone.pilot.setup, "limits", FlightTable(ground=-0.3))
     drone.pilot.land()
     await drone.fly(drone.pilot.remaining() + TOUCHDOWN_LIMITS.overdue_time - 0.1)
     assert drone.pilot.mode is Mode.LAND
@@ -771,7 +769,9 @@ async def test_a_fall_is_stopped_with_what_the_motors_can(clock):
         FlightTable(speed_limit=3.0, acceleration_limit=20.0),
         Fence.box((-3.0, -3.0, 0.0), (3.0, 3.0, 4.5)),
     )
-    drone.pilot = Pilot(drone.bus.port(1), SimulatedLink(drone.world, 0), limits, fence)
+    drone.pilot = make_pilot(
+        drone.bus.port(1), SimulatedLink(drone.world, 0), limits, fence
+    )
     await drone.fly(0.05)
     await drone.fly(drone.pilot.take_off(4.0) + 0.5)
     since = len(drone.track)
@@ -794,7 +794,7 @@ async def test_a_drone_that_brakes_at_the_fence_stops_first_and_then_goes_inside
     def out():
         t = clock.now() - t0
         drone.pilot.follow(FullState.at([0.5 * t, 0.0, 1.0], [0.5, 0.0, 0.0]))
-        if drone.pilot._obeyed is Action.BRAKE:
+        if drone.pilot.row.obeyed is Action.BRAKE:
             plans.append(drone.pilot.flights.plan)
 
     await drone.fly(6.5, each=out)
@@ -1185,7 +1185,7 @@ async def test_a_flight_may_begin_where_references_were_missing_and_a_lost_pose_
     await drone.hovering()
     drone.pilot.follow(Acceleration([0.0, 0.0, 0.0]))
     await drone.fly(1.0)
-    assert drone.pilot._obeyed is Action.BRAKE
+    assert drone.pilot.row.obeyed is Action.BRAKE
     assert drone.pilot.go_to([2.0, 0.0, 1.0]) > 0.0
     plan = drone.pilot.flights.plan
     await drone.fly(0.2)
@@ -1205,8 +1205,7 @@ async def test_a_pose_that_is_lost_in_the_first_tick_of_a_flight_brakes_it(clock
     assert drone.pilot.go_to([2.0, 0.0, 1.0]) > 0.0
     plan = drone.pilot.flights.plan
     await clock.sleep(0.05)
-    drone.pilot.tick(None)
-    drone.bus.stages.run()
+    tick(drone.pilot, None)
     assert drone.pilot.flights.plan is not plan
 
 
@@ -1252,7 +1251,8 @@ class Supervised(Flown):
 
     def __init__(self, clock):
         super().__init__(clock)
-        self.link = self.pilot.body = Frail(self.pilot.body, clock)
+        self.link = self.pilot.body.link = Frail(self.pilot.body.link, clock)
+        self.bus.subscribe(DRONE_TOPICS.pose, 0, 0, Call(clock, self.pilot.see))
         self.failures, self.given_up = [], False
         self.life = asyncio.ensure_future(
             Supervisor(clock, "drone 0", self.failed).run([self.pilot])
@@ -1272,7 +1272,7 @@ class Supervised(Flown):
             self.pilot.port.publish(
                 DRONE_TOPICS.pose, Pose(truth.flat[[0, 1, 2, 6, 7, 8, 9]], 0.0)
             )
-            self.bus.stages.run()
+            self.pilot.tick.run()
             self.track.append(truth.p)
 
     async def land(self, height):
@@ -1327,7 +1327,7 @@ async def test_a_failed_tick_while_landing_lands_it_softly(clock):
 async def test_at_rest_without_a_landing_that_is_over_is_not_down(clock):
     drone = Flown(clock)
     await drone.hovering()
-    drone.pilot.mode = Mode.LAND
+    drone.pilot.row.mode = Mode.LAND
     await drone.fly(4.0)
     assert drone.pilot.mode is Mode.LAND
     assert drone.p[2] == pytest.approx(1.0, abs=0.05)
@@ -1401,9 +1401,9 @@ async def test_a_failed_tick_is_hidden_from_the_pose_source_but_a_process_exit_i
     assert drone.pilot.mode is Mode.HOVER
     for error in (KeyboardInterrupt, SystemExit):
         drone.link.fails = lambda command, error=error: (_ for _ in ()).throw(error)
-        drone.pilot.nudge(clock.now_ns() + 10**9)
+        drone.pilot.see(None)
         with pytest.raises(error):
-            drone.bus.stages.run()
+            drone.pilot.tick.run()
     await drone.end()
 
 
@@ -1416,7 +1416,7 @@ async def test_a_drone_that_landed_for_silence_flies_again_when_it_hears_the_oth
         drone.bus.port(j)
     traffic = NeighbourTable(drone.bus.ports[0], (0, *others))
     room = Fence.box((-3.0, -3.0, 0.0), (3.0, 3.0, 2.5))
-    drone.pilot = Pilot(
+    drone.pilot = make_pilot(
         drone.bus.ports[0],
         SimulatedLink(drone.world, 0),
         FlightTable(takeoff_height=0.3),
@@ -1486,7 +1486,7 @@ async def test_a_drone_landing_for_another_reason_is_landed_by_its_firmware_when
     for measure in ("pose", "battery"):
         drone = Flown(clock, reached="seen")
         await drone.hovering()
-        drone.pilot.body = link = Told(drone.pilot.body)
+        drone.pilot.body.link = link = Told(drone.pilot.body.link)
         if measure == "battery":
             drone.pilot.guard.tell("empty", 0.1)
             await drone.fly(0.1)
@@ -1514,11 +1514,12 @@ async def test_a_body_that_stays_on_the_floor_is_another_ones_unless_motors_stan
     )
     for turns, others, mode in flights:
         drone = Flown(clock, reached="seen")
-        drone.pilot.turning = lambda turns=turns: turns
+        drone.pilot.body.turning = turns
         await drone.fly(0.05)
         assert drone.pilot.take_off() > 1.5
         for name, keeps in others.items():
             setattr(drone.pilot.follower.clearance, name, keeps)
+            drone.pilot.row.drone["avoids"] = 1
         await drone.fly(1.5, sinks=lambda z: 0.0)
         assert drone.pilot.mode is mode
 
@@ -1542,13 +1543,13 @@ class Deaf:
 async def test_a_landing_that_is_not_heard_begins_anew_where_the_drone_is_seen(clock):
     bus, link = Bus(clock), Deaf([0.0, 0.0, 0.02])
     fence = Fence.box((-3.0, -3.0, 0.0), (3.0, 3.0, 2.5))
-    pilot = Pilot(
+    pilot = make_pilot(
         bus.port(0),
         link,
         FlightTable(),
         fence,
-        chosen=make_controls(ControlTable(sender="xyz")),
-        reached="seen",
+        controls=make_controls(ControlTable(sender="xyz")),
+        reach="seen",
     )
 
     async def fly(seconds, silent=None, far=0.0):
@@ -1558,8 +1559,7 @@ async def test_a_landing_that_is_not_heard_begins_anew_where_the_drone_is_seen(c
             pilot.guard.tell(
                 "link", 0.05 if silent is None else silent + clock.now() - began
             )
-            pilot.tick(Pose(np.array([*link.p, 0.0, 0.0, 0.0, 1.0]), 0.0))
-            bus.stages.run()
+            tick(pilot, Pose(np.array([*link.p, 0.0, 0.0, 0.0, 1.0]), 0.0))
             far = max(far, link.p[2] - link.sent[-1].flat[2])
         return far
 
@@ -1616,12 +1616,12 @@ async def test_a_landing_drone_is_handed_to_its_firmware_when_its_body_is_not_it
 ):
     drone = Flown(clock, reached="seen")
     await drone.hovering()
-    drone.pilot.body = link = Told(drone.pilot.body)
+    drone.pilot.body.link = link = Told(drone.pilot.body.link)
     drone.pilot.guard.tell("empty", 0.1)
     await drone.fly(0.1)
     assert drone.pilot.mode is Mode.LAND
     assert not link.plans
-    drone.pilot.astray = lambda: "is another's"
+    drone.pilot.body.astray = "is another's"
     await drone.fly(0.05)
     assert [plan.verb for plan in link.plans] == ["land"]
     await drone.fly(1.0)
@@ -1636,12 +1636,12 @@ async def test_late_frames_do_not_hide_a_body_outside_and_a_gap_does(clock):
         drone = Flown(clock, reached="seen")
         pilot = drone.pilot
         await drone.hovering()
-        pilot.body = Told(pilot.body)
+        pilot.body.link = Told(pilot.body.link)
         for _ in range(5):
             await drone.fly(0.05, drift=lambda: 9.0)
             for _ in range(round(pause / TICK)):
                 await clock.sleep(TICK)
-                pilot._posed(None, 0.0)
+                pilot.see(None)
         assert (pilot.guard.told("gone") > 0.0) is cut, pause
 
 
@@ -1653,7 +1653,7 @@ async def test_an_unseen_high_drone_has_the_time_that_its_landing_takes(clock):
         )
         await drone.fly(0.05)
         await drone.fly(drone.pilot.take_off(height) + 0.5)
-        drone.pilot.body = Told(drone.pilot.body)
+        drone.pilot.body.link = Told(drone.pilot.body.link)
         await drone.fly(0.6, poses=False)
         (limit,) = (
             rule.limit

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from pilots import make_pilot, tick
 from robots import heading, world_of
 from virtual_time import virtual
 
@@ -9,7 +10,6 @@ from crazychoir.bus.port import Bus
 from crazychoir.config.checks import WORLD_URIS
 from crazychoir.config.tables import FlightTable
 from crazychoir.control.robots import ROBOT_CONTROLS
-from crazychoir.flight.pilot import Pilot
 from crazychoir.numerics.math3d import wrap_angle
 from crazychoir.safety.rules.guard import Action, Fence
 from crazychoir.safety.rules.modes import Mode
@@ -35,12 +35,12 @@ class Driven:
             FlightTable(speed_limit=0.8),
         )
         kind, chosen = ROBOT_CONTROLS[uri]
-        self.pilot = Pilot(
+        self.pilot = make_pilot(
             self.bus.port(0),
             self.world.link(0, kind),
             flight,
             ROOM,
-            chosen=chosen(flight),
+            controls=chosen(flight),
         )
         self.track = []
 
@@ -55,8 +55,8 @@ class Driven:
             each()
             seen = self.state.flat[[0, 1, 2, 6, 7, 8, 9]]
             seen[:3] += 0.0005 * self.draw.standard_normal(3)
-            self.pilot.tick(Pose(seen, 0.0))
-            self.bus.stages.run()
+            tick(self.pilot, Pose(seen, 0.0))
+
             self.track.append(self.state.p)
 
 
@@ -139,7 +139,7 @@ def test_it_comes_to_rest_inside_the_fence(uri):
         assert robot.pilot.guard.latched == ""
         assert max(p[0] for p in robot.track) < 2.0 + 0.2
         assert robot.track[-1][0] > 1.5, "it came there, braked, and tried again"
-        assert Action.BRAKE.name in str(robot.pilot._said._asked)
+        assert Action.BRAKE.name in str(robot.pilot.notes._throttle._asked)
 
     test()
 
@@ -204,7 +204,7 @@ async def test_another_goal_is_driven_to_from_where_it_is(clock):
 async def test_a_drone_flies_a_velocity_too(clock):
     robot = Driven(clock, WORLD_URIS.single_integrator)
     robot.world = CFIntegrator((0,), np.array([[0.3, -0.2, 0.0]]))
-    robot.pilot = Pilot(
+    robot.pilot = make_pilot(
         robot.bus.port(1),
         SimulatedLink(robot.world, 0),
         FlightTable(speed_limit=0.8),

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from pilots import make_pilot, tick
 from virtual_time import virtual
 
 from crazychoir.bus.port import Bus
@@ -13,7 +14,6 @@ from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import default_swarm
 from crazychoir.errors import ConfigError, Hung
 from crazychoir.filters.velocity import VelocityFilter
-from crazychoir.flight.pilot import Pilot
 from crazychoir.guidance import user_hook
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.member import Interrupted, Member
@@ -55,8 +55,10 @@ class Drone:
         self.world = CFIntegrator((0,), np.array([[0.0, 0.0, 1.0]]))
         fence = Fence.box((-3.0, -3.0, -0.2), (3.0, 3.0, 2.5))
         config = default_swarm(3)
-        self.pilot = Pilot(ports[0], SimulatedLink(self.world, 0), config.flight, fence)
-        self.pilot.mode = Mode.HOVER
+        self.pilot = make_pilot(
+            ports[0], SimulatedLink(self.world, 0), config.flight, fence
+        )
+        self.pilot.row.mode = Mode.HOVER
         law.bind(
             Member(0, config, clock, Communicator(ports[0], graphs.path(3)), self.pilot)
         )
@@ -66,8 +68,7 @@ class Drone:
         self.world.step()
         if neighbor:
             self.neighbor.publish(DRONE_TOPICS.state, State.at((1.0, 0.0, 1.0)))
-        self.pilot.tick(Pose(self.world.state(0).flat[[0, 1, 2, 6, 7, 8, 9]]))
-        self.bus.stages.run()
+        tick(self.pilot, Pose(self.world.state(0).flat[[0, 1, 2, 6, 7, 8, 9]]))
 
     async def fly(self, seconds, neighbor=True):
         for _ in range(round(seconds / TICK)):
@@ -131,14 +132,14 @@ def test_each_law_hears_of_this_tick_whichever_drone_is_seen_first(order):
         for port, law in zip([bus.port(0), bus.port(1)], laws, strict=True):
             fence = Fence.box((-3, -3, -0.2), (3, 3, 2))
             seen = VelocityFilter()
-            pilot = Pilot(
+            pilot = make_pilot(
                 port,
                 SimulatedLink(world, port.address),
                 config.flight,
                 fence,
                 state_filter=seen,
             )
-            pilot.mode = Mode.HOVER
+            pilot.row.mode = Mode.HOVER
             law.bind(
                 Member(
                     port.address,
@@ -152,8 +153,9 @@ def test_each_law_hears_of_this_tick_whichever_drone_is_seen_first(order):
         for k in range(10):
             await clock.sleep(TICK)
             for i in order:
-                laws[i].member.pilot.tick(
-                    Pose(np.array([i, 0.1 * k, 1.0, 0.0, 0.0, 0.0, 1.0]))
+                tick(
+                    laws[i].member.pilot,
+                    Pose(np.array([i, 0.1 * k, 1.0, 0.0, 0.0, 0.0, 1.0])),
                 )
         await clock.sleep(TICK / 2)
         for ending in endings:

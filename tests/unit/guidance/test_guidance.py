@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from pilots import make_pilot, tick
 from virtual_time import virtual
 
 from crazychoir.bus.port import Bus
@@ -54,7 +55,7 @@ def pair(clock):
     both = []
     for i in (0, 1):
         guidance = CFGuidance()
-        pilot = Pilot(bus.ports[i], SimulatedLink(world, i), config.flight, fence)
+        pilot = make_pilot(bus.ports[i], SimulatedLink(world, i), config.flight, fence)
         guidance.bind(
             Member(i, config, clock, Communicator(bus.ports[i], graphs.path(2)), pilot)
         )
@@ -70,7 +71,7 @@ async def in_the_world(clock, seen=lambda: True, home=(0.0, 0.0, 0.0), fence=WID
         default_swarm(2),
         CFIntegrator((0,), np.array([home])),
     )
-    pilot = Pilot(
+    pilot = make_pilot(
         bus.port(0),
         SimulatedLink(world, 0),
         config.flight,
@@ -85,8 +86,9 @@ async def in_the_world(clock, seen=lambda: True, home=(0.0, 0.0, 0.0), fence=WID
         async for _ in clock.ticks(1.0 / TICK):
             for _ in range(round(TICK / world.dt)):
                 world.step()
-            pilot.tick(
-                Pose(world.state(0).flat[[0, 1, 2, 6, 7, 8, 9]]) if seen() else None
+            tick(
+                pilot,
+                Pose(world.state(0).flat[[0, 1, 2, 6, 7, 8, 9]]) if seen() else None,
             )
 
     turning = asyncio.create_task(turn())
@@ -131,7 +133,7 @@ async def test_the_verbs_talk_to_the_neighbours(clock):
 async def test_a_take_off_that_is_not_flown_raises_with_the_reason(clock):
     a, _ = pair(clock)
     pilot = a.member.pilot
-    pilot.tick(Pose(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])))
+    tick(pilot, Pose(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])))
     pilot.port.bus.stopped = True
     with pytest.raises(
         Interrupted, match="drone 0: on ground: emergency stop in force"

@@ -5,11 +5,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pilots import make_pilot, tick
 from virtual_time import virtual
 
 from crazychoir.bus.port import Bus
 from crazychoir.config.tables import FlightTable
-from crazychoir.flight.pilot import Pilot
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.safety.rules.modes import (
     MODE_TABLE,
@@ -61,17 +61,16 @@ def the_pilot(clock, mode, z):
     """A pilot that sees its drone at z m, in this mode, between two flights."""
     bus = Bus(clock)
     link = SimpleNamespace(send=lambda command: None, cut=lambda: None)
-    pilot = Pilot(
+    pilot = make_pilot(
         bus.port(0), link, FlightTable(), Fence.box((-2.0, -2.0, 0.0), (2.0, 2.0, 2.5))
     )
     see(pilot, z)
-    pilot.mode = mode
+    pilot.row.mode = mode
     return pilot
 
 
 def see(pilot, z):
-    pilot.tick(Pose(np.array([0.0, 0.0, z, 0.0, 0.0, 0.0, 1.0])))
-    pilot.port.bus.stages.run()
+    tick(pilot, Pose(np.array([0.0, 0.0, z, 0.0, 0.0, 0.0, 1.0])))
 
 
 async def arrive(pilot, z):
