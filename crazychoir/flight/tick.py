@@ -104,13 +104,14 @@ class FlightTick:
         now_ns = self.clock.now_ns()
         now = now_ns / NS_PER_SECOND
         self._estimate(poses, now_ns, now)
+        drones = self.batch.drones
         for index in poses:
-            self._call(index, self._drones[index].publish_state)
+            if drones[index]["ticks"]:
+                self._call(index, self._drones[index].publish_state)
         for decide in self.deciders:
             decide()
         self._judge(now)
-        follow_rows(self.batch.drones, self.batch.plans, now)
-        drones = self.batch.drones
+        follow_rows(drones, self.batch.plans, now)
         for index in poses:
             row = drones[index]
             if row["ticks"] and row["course"] == Course.FOLLOW and row["avoids"]:
