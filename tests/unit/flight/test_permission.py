@@ -47,7 +47,7 @@ def test_guidance_moves_a_drone_that_is_neither_held_nor_waits(mode):
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_the_operator_flies_a_drone_whose_mission_waits(mode):
+def test_the_operator_flies_a_drone_while_its_mission_waits(mode):
     permission = make_permission(mode)
     assert not permission.steerable, "its mission flies it"
     permission.hold(True)
