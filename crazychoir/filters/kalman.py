@@ -821,7 +821,7 @@ class KalmanFilter:
         memory, (r_p, r_angle) = self._memory, self._figures[:2]
         memory[0:3] = pose.p
         memory[3:6] = v
-        memory[6:10] = pose.q / np.linalg.norm(pose.q)
+        memory[6:10] = normalize_quaternion(tuple(pose.q))
         memory[10:13] = w
         memory[KALMAN_MEMORY.disturbance : KALMAN_MEMORY.place_covariance] = 0.0
         memory[KALMAN_MEMORY.place_covariance : KALMAN_MEMORY.attitude_covariance] = (

@@ -185,7 +185,7 @@ class VelocityFilter:
         further = min(age, self.horizon) - min(last.age, self.horizon)
         out = self.motion.after(last.flat, self.commanded, max(further, 0.0))
         out.setflags(write=False)
-        self.speed = math.hypot(*out[3:6])
+        self.speed = math.sqrt(out[3] * out[3] + out[4] * out[4] + out[5] * out[5])
         self._state = state = State(out, age)
         return state
 
@@ -194,7 +194,8 @@ class VelocityFilter:
         if not is_readable(pose.flat):
             self.refused += 1
             return None
-        self._memory[0:3], self._memory[6:10] = pose.p, pose.q / np.linalg.norm(pose.q)
+        self._memory[0:3] = pose.p
+        self._memory[6:10] = normalize_quaternion(tuple(pose.q))
         self.measured = now - pose.age
         self._state = State(self._memory.copy(), pose.age)
         return self.predict(now)
