@@ -5,12 +5,16 @@ from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
+import numpy.typing as npt
 
 from crazychoir.numerics.compiling import KERNEL_QUEUE
 from crazychoir.numerics.kernel_cache import attach_cache
 
 Law = TypeVar("Law", bound=Callable[..., Any])
 """A function of Python that is compiled."""
+
+Records = npt.NDArray[np.void]
+"""An array (n,) of records."""
 
 # Arguments that a kernel reads: frozen arrays and writable arrays fit.
 real = numba.float64
