@@ -50,7 +50,7 @@ class AttitudeControl(Protocol):
         ...
 
 
-@kernel()
+@kernel(vector, vector, vector, memory)
 def _compute_body_rates(x: Vec, desired: Vec, figures: Vec, out: Vec) -> None:
     """Apply the law of GeometryAttitudeCtrl.
 
@@ -82,7 +82,7 @@ def _compute_body_rates(x: Vec, desired: Vec, figures: Vec, out: Vec) -> None:
         )
 
 
-@kernel()
+@kernel(vector, vector, vector, memory)
 def _compute_angles(x: Vec, desired: Vec, figures: Vec, out: Vec) -> None:
     """Apply the law of AngleAttitudeCtrl.
 

@@ -13,7 +13,7 @@ from crazychoir.control.gains import (
     TunedStrategy,
 )
 from crazychoir.control.trim import TRIM_ROW, Trim, learn_trim
-from crazychoir.numerics.kernels import Records, kernel, real, rows_of, vector
+from crazychoir.numerics.kernels import Records, kernel, memory, real, rows_of, vector
 from crazychoir.numerics.math3d import (
     STANDARD_GRAVITY,
     Triple,
@@ -152,7 +152,7 @@ def _compute_wish(x: Vec, ref: Vec, gains: Vec, follow: float, c: int) -> float:
     return float(ref[6 + c]) - follow * pull
 
 
-@kernel()
+@kernel(vector, vector, vector, vector, real, memory)
 def _compute_flatness(
     x: Vec, ref: Vec, figures: Vec, trim: Vec, follow: float, out: Vec
 ) -> bool:
@@ -208,7 +208,7 @@ def _compute_flatness(
     return True
 
 
-@kernel()
+@kernel(vector, vector, vector, vector, memory, real, memory)
 def _track_reference(
     x: Vec, ref: Vec, figures: Vec, trim: Vec, mem: Vec, h: float, out: Vec
 ) -> bool:
@@ -244,7 +244,7 @@ def _track_reference(
     return True
 
 
-@kernel()
+@kernel(vector, vector, vector, vector, memory, real, memory)
 def _track_acceleration(
     x: Vec, ref: Vec, figures: Vec, trim: Vec, mem: Vec, h: float, desired: Vec
 ) -> bool:
@@ -281,7 +281,8 @@ def _track_acceleration(
             mem[9 + n] = mem[11 + n] * (1.0 - math.exp(-figures[8] * h)) / h
         desired[10 + n] = figures[7] * mem[9 + n]
     if h > 0.0:
-        mem[0:9] = desired[1:10]
+        for c in range(9):
+            mem[c] = desired[1 + c]
     return True
 
 
@@ -300,17 +301,17 @@ def compute_desired(
     Returns False, and changes nothing, if x or ref is not finite.
     """
     figures = position.figures[:]
-    memory = position.memory[:]
+    mem = position.memory[:]
     out = position.out[:]
     if position.kind == PositionKind.ACCELERATION:
         measured = max(now - age, position.called_at)
         h = measured - position.called_at
-        if not _track_acceleration(x, ref, figures, trim.sure[:], memory, h, out):
+        if not _track_acceleration(x, ref, figures, trim.sure[:], mem, h, out):
             return False
         position.called_at = measured
         return True
     h = now - position.called_at
-    if not _track_reference(x, ref, figures, trim.flat[:], memory, h, out):
+    if not _track_reference(x, ref, figures, trim.flat[:], mem, h, out):
         return False
     position.called_at = now
     if 0.0 < h < FLATNESS_LIMITS.longest_gap and out[FLATNESS_LAYOUT.free_index] > 0.0:

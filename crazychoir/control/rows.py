@@ -110,6 +110,10 @@ CONTROL_ROW = np.dtype(
     align=True,
 )
 """Record of the controllers of a drone."""
+REFERENCE_SIZE = 14
+"""Count of numbers in a reference, as FullState.flat."""
+YAW_INDEX = 12
+"""Index of the yaw in a reference."""
 INPUT_SIZE = 4
 """Count of numbers in the input of compiled controllers: thrust, and body rates or angles."""
 choices = numba.types.Array(numba.int64, 1, "C", readonly=True)
@@ -153,7 +157,8 @@ def keep_desired(controller: Any, desired: Vec, now: float) -> None:
     desired: (13,), of a PositionControl
     now: s
     """
-    controller.desired[:] = desired
+    for c in range(FLATNESS_LAYOUT.desired_size):
+        controller.desired[c] = desired[c]
     period = 1.0 / controller.position_rate
     controller.due_at = max(controller.due_at, now - period) + period
 
@@ -202,27 +207,34 @@ def _apply_laws(
 @kernel()
 def _read_reference(controller: Any, ref: Vec) -> None:
     """Write a reference into the record, as FullStateTraj or AccelerationTraj reads it."""
-    if controller.position.kind == PositionKind.ACCELERATION:
-        controller.reference[:] = 0.0
-        controller.reference[6:9] = ref[6:9]
-        controller.reference[12] = ref[12]
-    else:
-        controller.reference[:] = ref
+    reads_all = controller.position.kind != PositionKind.ACCELERATION
+    for c in range(REFERENCE_SIZE):
+        is_read = reads_all or 6 <= c < 9 or c == YAW_INDEX
+        controller.reference[c] = ref[c] if is_read else 0.0
 
 
 @kernel()
 def _hold_reference(controller: Any, x: Vec) -> None:
     """Write the reference of a drone without one, as FullStateTraj or AccelerationTraj holds it."""
-    reference = controller.reference
-    last = controller.last
-    reference[:] = 0.0
-    if controller.position.kind != PositionKind.ACCELERATION:
+    holds_place = controller.position.kind != PositionKind.ACCELERATION
+    has_last = controller.has_last != 0
+    for c in range(REFERENCE_SIZE):
+        controller.reference[c] = 0.0
+    if holds_place:
         for c in range(3):
-            reference[c] = last[c] if controller.has_last != 0 else x[c]
-    reference[12] = (
-        last[12] if controller.has_last != 0 else compute_yaw((x[6], x[7], x[8], x[9]))
+            controller.reference[c] = controller.last[c] if has_last else x[c]
+    controller.reference[YAW_INDEX] = (
+        controller.last[YAW_INDEX]
+        if has_last
+        else compute_yaw((x[6], x[7], x[8], x[9]))
     )
-    last[:] = reference
+
+
+@kernel()
+def _keep_reference(controller: Any) -> None:
+    """Keep the reference of this call as the last usable one."""
+    for c in range(REFERENCE_SIZE):
+        controller.last[c] = controller.reference[c]
     controller.has_last = 1
 
 
@@ -251,14 +263,15 @@ def fly_controller(
     if has_reference:
         _read_reference(controller, ref)
         if _apply_laws(controller, trim, x, age, now, u):
-            controller.last[:] = controller.reference
-            controller.has_last = 1
+            _keep_reference(controller)
             return
         controller.refused += 1
     _hold_reference(controller, x)
+    _keep_reference(controller)
     if not _apply_laws(controller, trim, x, age, now, u):
-        u[:] = 0.0
         u[0] = controller.thrust
+        for c in range(1, INPUT_SIZE):
+            u[c] = 0.0
 
 
 @kernel(
