@@ -139,7 +139,9 @@ class Agent:
             graph=config.graph(),
             start_deadline=config.start_deadline,
             owners=self.owner_of,
-            tick=FlightTick(clock, len(ids)),
+            tick=FlightTick(
+                clock, len(ids), max(config.mocap.rate, config.radio.log_rate)
+            ),
         )
         surroundings.tick.deciders.append(self.bus.stages.run)
         for i in ids:

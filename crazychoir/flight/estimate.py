@@ -12,17 +12,10 @@ from crazychoir.filters.motion import CommandedMotion
 from crazychoir.filters.rows import FilterTable
 from crazychoir.filters.state_filter import StateFilter
 from crazychoir.filters.velocity import VelocityFilter
+from crazychoir.flight.blind_time import BLIND_HORIZON
 from crazychoir.numerics.kernels import kernel, memory, vector
 from crazychoir.platforms import LARGEST_AXIS_COMMAND, Platform
 from crazychoir.types import FullState, Mat, State, Vec
-
-SEEN_AGE = 0.1
-"""Age in s of a state beyond which it is a prediction; controllers learn nothing from it."""
-BLIND_HORIZON = 2.0
-"""Seconds that the filter predicts its own motion without a pose.
-
-The safety table lets the drone fly as long without poses.
-"""
 
 
 def choose_filter(
