@@ -203,7 +203,7 @@ async def test_it_hears_its_neighbours_with_their_ages_and_no_stale_ones(clock):
     ages = [heard[1].age for heard in law.heard if 1 in heard]
     assert max(ages) == pytest.approx(DRONE_TOPICS.state.max_age, abs=TICK)
     assert law.heard[-1] == {}
-    assert law._unheard[1] / law.rate == pytest.approx(
+    assert law._running.unheard[1] / law.rate == pytest.approx(
         1.0 - DRONE_TOPICS.state.max_age, abs=0.02
     )
     ending.cancel()
@@ -347,7 +347,7 @@ async def test_a_law_without_neighbours_hovers_to_its_end_and_counts_unheard_tim
     assert await ending is None
     assert drone.pilot.mode is Mode.HOVER
     assert drone.world.state(0).p == pytest.approx(place, abs=0.02)
-    assert law._unheard[1] / law.rate == pytest.approx(
+    assert law._running.unheard[1] / law.rate == pytest.approx(
         9.0 - DRONE_TOPICS.state.max_age, abs=0.05
     )
 
