@@ -12,7 +12,7 @@ from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.control.gains import FORMATION_GAINS, Gains
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.decision.law_stage import LawStage
-from crazychoir.guidance.decision.team import TeamLaw
+from crazychoir.guidance.decision.team import Ids, TeamLaw
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.member import Member
 from crazychoir.guidance.running_law import RunningLaw
@@ -82,9 +82,7 @@ class CFDistributedFeedback(CFGuidance):
         """
 
     @classmethod
-    def for_team(
-        cls, laws: Sequence[Self], neighbors: Sequence[tuple[int, ...]]
-    ) -> TeamLaw | None:
+    def for_team(cls, laws: Sequence[Self], neighbors: Sequence[Ids]) -> TeamLaw | None:
         """Return the step of all drones of this class in the process at once, or None.
 
         None: `step` is called drone by drone. A class that writes both lets `step` return

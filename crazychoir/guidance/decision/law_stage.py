@@ -15,6 +15,7 @@ from crazychoir.guidance.decision.law_rows import (
     decide_rows,
 )
 from crazychoir.guidance.decision.team import (
+    LawOfTeam,
     Rows,
     Team,
     TeamLaw,
@@ -43,6 +44,7 @@ class StagedLaw(Protocol):
 
     def guard(self) -> AbstractContextManager[object]:
         """Return a context in which a step that does not return is interrupted."""
+        ...
 
     def step(self, me: State, heard: Heard) -> None:
         """Take one step by hand: call `step` of the law and fly its reference."""
@@ -53,8 +55,9 @@ class StagedLaw(Protocol):
     def stop(self) -> None:
         """End the law, because the pilot does something else."""
 
-    def fail(self, error: BaseException) -> None:
-        """End the law with an error."""
+    def fail(self, error: BaseException) -> bool:
+        """End the law with an error; return False if it has ended before."""
+        ...
 
 
 class LawStage:
@@ -111,8 +114,11 @@ class LawStage:
 
         now_ns: ns: the present time
         """
+        epoch_ns = self._stages.clock.epoch_ns
         for group in self._groups:
-            group.decide(now_ns)
+            group.team.now_ns = now_ns
+            group.team.epoch_ns = epoch_ns
+            group.decide()
 
     def _build_groups(self) -> None:
         """Build the rows anew: a group for each class with a step for a team, one for the others.
@@ -127,7 +133,7 @@ class LawStage:
         ]
 
 
-def _find_team_kind(law: StagedLaw) -> type | None:
+def _find_team_kind(law: StagedLaw) -> type[LawOfTeam] | None:
     """Return the class of a law if it has a step for a team, else None."""
     kind = type(law.law)
     return kind if has_team_law(kind) else None
@@ -165,7 +171,7 @@ class LawGroup:
         kind = _find_team_kind(self.laws[0])
         if kind is None:
             return None
-        for_team: Any = kind.for_team  # type: ignore[attr-defined]
+        for_team: Any = kind.for_team
         try:
             with self.laws[0].guard():
                 prepared: TeamLaw | None = for_team(
@@ -179,26 +185,23 @@ class LawGroup:
             return None
         return prepared
 
-    def decide(self, now_ns: int) -> None:
-        """Let the laws step that are due.
-
-        now_ns: ns: the present time
-        """
-        steps, ends = decide_rows(self.team.rows, self.team.edges, now_ns)
+    def decide(self) -> None:
+        """Let the laws step that are due; the team holds the time."""
+        team = self.team
+        steps, ends = decide_rows(team.rows, team.edges, team.now_ns)
         if ends > 0:
-            for r in np.flatnonzero(self.team.rows["decision"] == LawDecision.END):
+            for r in np.flatnonzero(team.rows["decision"] == LawDecision.END).tolist():
                 self.laws[r].stop()
         if steps == 0:
             return
         if self._team_law is None:
             self._step_each()
         else:
-            self._step_team(self._team_law, now_ns)
+            self._step_team(self._team_law)
 
-    def _step_team(self, team_law: TeamLaw, now_ns: int) -> None:
+    def _step_team(self, team_law: TeamLaw) -> None:
         """Take one step for all laws, and fly their references."""
         team = self.team
-        team.now_ns = now_ns
         steps = team.steps.tolist()
         try:
             with self.laws[steps[0]].guard():

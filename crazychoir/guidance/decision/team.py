@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from crazychoir.guidance.decision.hearing_rows import HEARING_ROW
 from crazychoir.guidance.decision.law_rows import LAW_ROW, LawDecision, ReferenceKind
+from crazychoir.runtime.clock import Clock
 from crazychoir.types import (
     Acceleration,
     Bools,
@@ -26,6 +27,8 @@ from crazychoir.types import (
 
 Rows = npt.NDArray[Any]
 """An array of records."""
+Ids = tuple[int, ...]
+"""Ids of the neighbours of a drone."""
 
 
 @dataclass(slots=True)
@@ -41,6 +44,8 @@ class Team:
     """(e,) of HEARING_ROW: their neighbours, those of the first drone first."""
     now_ns: int = 0
     """ns: the present time."""
+    epoch_ns: int = 0
+    """ns: what the team's time is ahead of the present time."""
 
     @property
     def states(self) -> Mat:
@@ -97,7 +102,7 @@ class LawOfTeam(Protocol):
 
     @classmethod
     def for_team(
-        cls, laws: "Sequence[Self]", neighbors: Sequence[tuple[int, ...]]
+        cls, laws: "Sequence[Self]", neighbors: Sequence[Ids]
     ) -> TeamLaw | None:
         """Return the step of all these laws at once; see CFDistributedFeedback."""
         ...
@@ -117,13 +122,13 @@ def has_team_law(kind: type) -> bool:
 
 
 def step_alone(
-    law: LawOfTeam, me: State, heard: Heard, now_ns: int = 0
+    law: LawOfTeam, me: State, heard: Heard, clock: Clock | None = None
 ) -> Reference | None:
     """Return the reference of one law, by the step of its team.
 
     me: the drone's own state.
     heard: {j: state of neighbour j}.
-    now_ns: ns: the present time.
+    clock: for laws that use the time.
     """
     ids = tuple(sorted(heard))
     known, team, team_law = law.__dict__.get("_alone", (None, None, None))
@@ -140,7 +145,9 @@ def step_alone(
         edge["told"] = heard[j].flat
         edge["told_acceleration"] = heard[j].a
         edge["told_age"] = heard[j].age
-    team.now_ns = now_ns
+    if clock is not None:
+        team.now_ns = clock.now_ns()
+        team.epoch_ns = clock.epoch_ns
     team_law(team)
     return read_reference(row)
 
