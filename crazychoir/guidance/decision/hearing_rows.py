@@ -11,6 +11,8 @@ import numpy as np
 
 from crazychoir.guidance.decision.velocity_sums import (
     VELOCITY_SUM_ROW,
+    copy_axes,
+    copy_state,
     correct_state,
     forget_sum,
     keep_state,
@@ -74,8 +76,8 @@ def put_row(
     if row.version > row.seen_version:
         row.dropped += 1
     row.version += 1
-    row.state[:] = state
-    row.acceleration[:] = acceleration
+    copy_state(state, row.state)
+    copy_axes(acceleration, row.acceleration)
     row.age = state_age
     row.born_ns = born_ns
 
@@ -97,7 +99,7 @@ def take_row(row: Any, now_ns: int, held: int) -> None:
         return
     row.is_heard = 1
     row.seen_version = row.version
-    row.told_acceleration[:] = row.acceleration
+    copy_axes(row.acceleration, row.told_acceleration)
     row.told_age = (now_ns - row.born_ns) / NS_PER_SECOND
     if row.is_paired == 1:
         _take_pair(row)
@@ -114,7 +116,7 @@ def _take_state(row: Any, held: int) -> None:
     steps = (row.born_ns - row.told_ns + row.h_ns // 2) // row.h_ns
     row.told_ns = row.born_ns
     age = row.age
-    row.told[:] = row.state
+    copy_state(row.state, row.told)
     is_usual = steps == 1 and held == 1 and row.sum.is_even == 1
     if row.version == row.told_version and not is_usual:
         seconds = row.told_age - age
@@ -135,7 +137,7 @@ def _take_pair(row: Any) -> None:
     if row.told_version == row.version and row.sum.has_last == 1:
         return
     steps = int(np.rint((row.born_ns - row.told_ns) / row.h_ns))
-    row.told[:] = row.state
+    copy_state(row.state, row.told)
     if row.sum.has_last == 1 and steps >= 1:
         share = 1.0 / steps
         for c in range(6):

@@ -20,7 +20,7 @@ from crazychoir.guidance.decision.team import (
     Team,
     TeamLaw,
     has_team_law,
-    read_reference,
+    read_references,
 )
 from crazychoir.runtime.tick_stages import TickStages
 from crazychoir.types import Heard, Reference, State
@@ -213,8 +213,8 @@ class LawGroup:
                 self.laws[r].fail(error)
             return
         count_rows(team.rows)
-        for r in steps:
-            self.laws[r].fly(read_reference(team.rows[r]))
+        for r, reference in zip(steps, read_references(team.rows[steps]), strict=True):
+            self.laws[r].fly(reference)
 
     def _step_each(self) -> None:
         """Let each law step that is due, with copies of its rows."""

@@ -27,6 +27,11 @@ from crazychoir.types import (
 
 Rows = npt.NDArray[Any]
 """An array of records."""
+# Members of an enumeration are slow to look up and to compare.
+HOVER_KIND = int(ReferenceKind.HOVER)
+ACCELERATION_KIND = int(ReferenceKind.ACCELERATION)
+VELOCITY_KIND = int(ReferenceKind.VELOCITY)
+
 Ids = tuple[int, ...]
 """Ids of the neighbours of a drone."""
 
@@ -149,7 +154,7 @@ def step_alone(
         team.now_ns = clock.now_ns()
         team.epoch_ns = clock.epoch_ns
     team_law(team)
-    return read_reference(row)
+    return read_references(team.rows)[0]
 
 
 def _build_lone_team(count: int) -> Team:
@@ -162,14 +167,19 @@ def _build_lone_team(count: int) -> Team:
     return Team(rows, edges)
 
 
-def read_reference(row: Any) -> Reference | None:
-    """Return the reference in a record of LAW_ROW; None: the drone hovers."""
-    kind = row["kind"]
-    flat = row["reference"]
-    if kind == ReferenceKind.HOVER:
-        return None
-    if kind == ReferenceKind.ACCELERATION:
-        return Acceleration(flat[6:9].copy(), float(flat[12]))
-    if kind == ReferenceKind.VELOCITY:
-        return Velocity(flat[3:6].copy(), float(flat[12]))
-    return FullState(flat.copy())
+def read_references(rows: Rows) -> list[Reference | None]:
+    """Return the references in rows (n,) of LAW_ROW; None: the drone hovers."""
+    kinds = rows["kind"].tolist()
+    numbers = rows["reference"].copy()
+    yaws = numbers[:, 12].tolist()
+    found: list[Reference | None] = []
+    for kind, flat, yaw in zip(kinds, numbers, yaws, strict=True):
+        if kind == HOVER_KIND:
+            found.append(None)
+        elif kind == ACCELERATION_KIND:
+            found.append(Acceleration(flat[6:9], yaw))
+        elif kind == VELOCITY_KIND:
+            found.append(Velocity(flat[3:6], yaw))
+        else:
+            found.append(FullState(flat))
+    return found

@@ -33,6 +33,20 @@ VELOCITY_SUM_ROW = np.dtype(
 
 
 @kernel()
+def copy_state(state: Vec, target: Vec) -> None:
+    """Copy a state (13,); the loop is several times faster than a slice."""
+    for c in range(13):
+        target[c] = state[c]
+
+
+@kernel()
+def copy_axes(vector: Vec, target: Vec) -> None:
+    """Copy a vector (3,)."""
+    for c in range(3):
+        target[c] = vector[c]
+
+
+@kernel()
 def forget_sum(sums: Any) -> None:
     """Forget the last state and the owed amount.
 
@@ -50,7 +64,7 @@ def keep_state(sums: Any, state: Vec, age: float) -> None:
     state: (13,)
     age: s, of the state
     """
-    sums.last[:] = state
+    copy_state(state, sums.last)
     sums.last_age = age
     sums.has_last = 1
 
@@ -71,11 +85,12 @@ def correct_state(
     """
     if (held == 1 and steps == 1 and sums.is_even == 1) or sums.has_last == 0:
         keep_state(sums, state, age)
-        told[:] = state
+        copy_state(state, told)
         return False
     if sums.is_even == 1:
-        sums.received[:] = sums.last[3:6]
-        sums.owed[:] = 0.0
+        for c in range(3):
+            sums.received[c] = sums.last[3 + c]
+            sums.owed[c] = 0.0
     before = sums.reach + sums.last_age
     now = sums.reach + age
     seconds = held * sums.h
@@ -97,8 +112,9 @@ def correct_state(
     sums.is_even = int(most < NEGLIGIBLE_AMOUNT)
     if steps > 0:
         keep_state(sums, state, age)
-    told[:] = state
-    told[3:6] = sums.received
+    copy_state(state, told)
+    for c in range(3):
+        told[3 + c] = sums.received[c]
     return True
 
 

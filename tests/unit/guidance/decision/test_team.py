@@ -13,7 +13,7 @@ from crazychoir.guidance.decision.law_rows import LAW_ROW, LawDecision, Referenc
 from crazychoir.guidance.decision.team import (
     Team,
     has_team_law,
-    read_reference,
+    read_references,
 )
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.formation.bearing import BearingLaw
@@ -108,9 +108,10 @@ def test_a_step_alone_and_a_step_of_the_team_give_the_same_bits(law_of):
         }
         fill(team, states, heard)
         step(team)
-        for i, law in enumerate(laws):
+        for i, (law, among) in enumerate(
+            zip(laws, read_references(team.rows), strict=True)
+        ):
             alone = law.step(states[i], heard[i])
-            among = read_reference(team.rows[i])
             hovered += alone is None
             assert (alone is None) == (among is None)
             if alone is not None:
@@ -141,13 +142,13 @@ def test_a_row_is_read_as_the_reference_of_its_kind(kind, reference):
     rows = np.zeros(1, LAW_ROW)
     rows["kind"] = kind
     rows["reference"] = np.arange(1.0, 15.0)
-    assert repr(read_reference(rows[0])) == repr(reference)
+    assert repr(read_references(rows)) == repr([reference])
 
 
 def test_a_team_accelerates_the_drones_that_are_chosen():
     team = build_team()
     team.accelerate(np.arange(15.0).reshape(5, 3), np.arange(5) > 2)
-    found = [read_reference(row) for row in team.rows]
+    found = read_references(team.rows)
     assert found[:3] == [None, None, None]
     assert found[3].a.tolist() == [9.0, 10.0, 11.0]
     assert team.receivers.tolist() == [0, 0, 0, 1, 1, 2, 2, 2, 2, 3, 3, 3, 4, 4]
