@@ -7,15 +7,18 @@ crazychoir run deploy/formation_circle.toml --fast      # leaders on a circle
 crazychoir run deploy/formation_drawn.toml --fast       # leaders on a hand-drawn path
 """
 
-import numpy as np
+from collections.abc import Sequence
+from typing import Self
 
 from crazychoir import CFDistributedFeedback, SwarmConfig
 from crazychoir.control.gains import AGILE_GAINS
+from crazychoir.guidance.decision.team import Ids, TeamLaw, step_alone
 from crazychoir.guidance.formation import bearing
 from crazychoir.guidance.formation.bearing_hooks import BearingHooks, BearingOptions
+from crazychoir.guidance.formation.bearing_rows import build_bearing_team
 from crazychoir.guidance.formation.formation_hooks import Follower
 from crazychoir.guidance.formation.shapes import Shape
-from crazychoir.types import Acceleration, Heard, State
+from crazychoir.types import Heard, Reference, State
 
 
 class BearingFormation(Follower):
@@ -25,16 +28,14 @@ class BearingFormation(Follower):
         normalised:  u_i = K_i^-1 sum_j P_ij [ - kp (p_i - p_j) - kv (v_i - v_j) + a_j ]
         P_ij = I - g_ij g_ij^T,   K_i = sum_j P_ij,   D = diag(1, 1, in_height)
 
-    a_j was commanded in the tick before, so the law takes p_j and v_j from that tick too (`paired`).
-    If leaders move, it takes the newest ones: see BearingLaw.
+    a_j is that of the tick before, and so are p_j and v_j, unless leaders move: see BearingLaw.
 
     i: id of the drone.
     shape: {id: (3,) m}, from which the bearings g_ij follow.
     neighbors: ids that drone i hears.
     law: which law, with its gains.
     moving: the leaders move.
-    Source: Zhao & Zelazo 2017, IEEE TCNS 4(3); the normalised law is their law for leaders that
-    accelerate.
+    Source: Zhao & Zelazo 2017, IEEE TCNS 4(3); the normalised law is theirs for leaders with a_j.
     """
 
     gains = AGILE_GAINS
@@ -47,19 +48,18 @@ class BearingFormation(Follower):
         law: bearing.BearingLaw = bearing.NORMALISED_LAW,
         moving: bool = False,
     ) -> None:
-        self.neighbors = neighbors
-        self.W = bearing.build_law_matrix(i, shape, self.neighbors, law)
-        self.a_counts = law.kind == "normalised"
-        self.paired = self.a_counts and not moving
+        self.law = law
+        self.weights = bearing.build_edge_weights(i, shape, neighbors, law)
+        self.paired = law.kind == "normalised" and not moving
 
-    def step(self, me: State, heard: Heard) -> Acceleration | None:
+    @classmethod
+    def for_team(cls, laws: Sequence[Self], neighbors: Sequence[Ids]) -> TeamLaw:
+        """Return the step of all followers of a process: the text of the law is there."""
+        return build_bearing_team(laws, neighbors)
+
+    def step(self, me: State, heard: Heard) -> Reference | None:
         """Return the acceleration of the law, or None to hover if a neighbour is not heard."""
-        if len(heard) < len(self.neighbors):
-            return None
-        states = [me.flat, *(heard[j].flat for j in self.neighbors)]
-        if self.a_counts:
-            states += [heard[j].a for j in self.neighbors]
-        return Acceleration(self.W.dot(np.concatenate(states)))
+        return step_alone(self, me, heard)
 
 
 Options = BearingOptions

@@ -4,16 +4,22 @@ crazychoir run containment --fast
 crazychoir run deploy/containment_random.toml --fast    # edges that come and go
 """
 
-import numpy as np
+from collections.abc import Sequence
+from typing import Self
 
 from crazychoir import CFDistributedFeedback, SwarmConfig
+from crazychoir.guidance.decision.team import Ids, TeamLaw, step_alone
 from crazychoir.guidance.formation.containment_hooks import (
     ContainmentHooks,
     ContainmentOptions,
 )
+from crazychoir.guidance.formation.containment_rows import (
+    ContainmentLaw,
+    build_containment_team,
+)
 from crazychoir.guidance.formation.formation_hooks import Follower
-from crazychoir.guidance.formation.random_edges import RandomEdges, count_ticks
-from crazychoir.types import Acceleration, Heard, State
+from crazychoir.guidance.formation.random_edges import RandomEdges
+from crazychoir.types import Heard, Reference, State
 
 
 class Containment(Follower):
@@ -37,20 +43,15 @@ class Containment(Follower):
         self.kp = kp
         self.kv = kv
 
-    def step(self, me: State, heard: Heard) -> Acceleration:
-        """Return the acceleration of the law, over the edges that count in this tick."""
-        return self.pulled(me, heard, count_ticks(self.member.clock, self.rate))
+    @classmethod
+    def for_team(cls, laws: Sequence[Self], neighbors: Sequence[Ids]) -> TeamLaw:
+        """Return the step of all followers of a process: the text of the law is there."""
+        numbers = [ContainmentLaw(law.edges, law.kp, law.kv, law.rate) for law in laws]
+        return build_containment_team(numbers, neighbors)
 
-    def pulled(self, me: State, heard: Heard, k: int) -> Acceleration:
-        """Return the acceleration of the law in tick k."""
-        u = np.zeros(3)
-        weight = 1.0 / (len(self.edges.neighbors) * self.edges.share**2)
-        for j in self.edges.neighbors:
-            if j in heard and self.edges.counts(j, k):
-                u -= weight * (
-                    self.kp * (me.p - heard[j].p) + self.kv * (me.v - heard[j].v)
-                )
-        return Acceleration(u)
+    def step(self, me: State, heard: Heard) -> Reference | None:
+        """Return the acceleration of the law, over the edges that count in this tick."""
+        return step_alone(self, me, heard, self.member.clock)
 
 
 Options = ContainmentOptions

@@ -3,15 +3,16 @@
 crazychoir run distance_formation --fast
 """
 
-from collections.abc import Mapping
-
-import numpy as np
+from collections.abc import Mapping, Sequence
+from typing import Self
 
 from crazychoir import CFDistributedFeedback, SwarmConfig
 from crazychoir.control.gains import AGILE_GAINS
+from crazychoir.guidance.decision.team import Ids, TeamLaw, step_alone
 from crazychoir.guidance.formation.distance_hooks import DistanceHooks, DistanceOptions
+from crazychoir.guidance.formation.distance_rows import DistanceLaw, build_distance_team
 from crazychoir.guidance.formation.formation_hooks import Follower
-from crazychoir.types import Acceleration, Heard, State
+from crazychoir.types import Heard, Reference, State
 
 HEIGHT_GAINS = 2.0, 2.5
 """1/s2 and 1/s: gains kz and kvz that hold the height of a flat formation, which distances do not."""
@@ -40,26 +41,16 @@ class DistanceFormation(Follower):
     def __init__(
         self, d: Mapping[int, float], k: float, kv: float, level: float | None
     ) -> None:
-        self.d = dict(d)
-        self.k = k
-        self.kv = kv
-        self.level = level
+        self.law = DistanceLaw(dict(d), k, kv, HEIGHT_GAINS, level)
 
-    def step(self, me: State, heard: Heard) -> Acceleration | None:
+    @classmethod
+    def for_team(cls, laws: Sequence[Self], neighbors: Sequence[Ids]) -> TeamLaw:
+        """Return the step of all followers of a process: the text of the law is there."""
+        return build_distance_team([law.law for law in laws], neighbors)
+
+    def step(self, me: State, heard: Heard) -> Reference | None:
         """Return the acceleration of the law, or None to hover if a neighbour is not heard."""
-        if len(heard) < len(self.d):
-            return None
-        u = np.zeros(3)
-        axes = 3 if self.level is None else 2
-        for j, d in self.d.items():
-            gap = (heard[j].p - me.p)[:axes]
-            u[:axes] += (
-                self.k * (gap @ gap - d * d) * gap
-                + self.kv * (heard[j].v - me.v)[:axes]
-            )
-        if self.level is not None:
-            u[2] = HEIGHT_GAINS[0] * (self.level - me.p[2]) - HEIGHT_GAINS[1] * me.v[2]
-        return Acceleration(u)
+        return step_alone(self, me, heard)
 
 
 Options = DistanceOptions

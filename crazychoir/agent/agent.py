@@ -22,6 +22,7 @@ from crazychoir.config.network import impairment_of
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError, Refused, error_text
 from crazychoir.flight.tick import FlightTick
+from crazychoir.guidance.decision.law_stage import LawStage
 from crazychoir.guidance.mission import Mission, compute_mission_hash
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
@@ -132,6 +133,7 @@ class Agent:
         self.dead_man = (
             DeadMan(clock, patience, self._flies, self.land_all) if patience else None
         )
+        self.laws = LawStage(self.bus.stages)
         surroundings = DroneSurroundings(
             bus=self.bus,
             mission=mission,
@@ -139,7 +141,9 @@ class Agent:
             graph=config.graph(),
             start_deadline=config.start_deadline,
             owners=self.owner_of,
-            tick=FlightTick(clock, len(ids)),
+            tick=FlightTick(
+                clock, len(ids), max(config.mocap.rate, config.radio.log_rate)
+            ),
         )
         surroundings.tick.deciders.append(self.bus.stages.run)
         for i in ids:
@@ -221,7 +225,7 @@ class Agent:
         When it ends the drone flies on until it is down.
         """
         supervisor = self._supervisor(drone.id)
-        runner = MissionRunner(drone, self.config, self.watchdog)
+        runner = MissionRunner(drone, self.config, self.watchdog, self.laws)
         self.runners[drone.id] = runner
         if drone.barrier.refused:
             runner.abort(drone.barrier.refused)

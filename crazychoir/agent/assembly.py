@@ -18,6 +18,7 @@ from crazychoir.control.choice import FIRMWARE_GAIN_SENDERS, Controls, make_cont
 from crazychoir.control.margin import Plant as PlantKind
 from crazychoir.control.position import FLATNESS_LIMITS
 from crazychoir.control.robots import ROBOT_CONTROLS, find_sender
+from crazychoir.flight.batch import DroneRow
 from crazychoir.flight.body import Body, DistantBody, LocalBody, RadioBody
 from crazychoir.flight.estimate import choose_filter
 from crazychoir.flight.pilot import Pilot
@@ -141,8 +142,8 @@ def _build_pilot(
     """
     topology = config.topology
     i = port.address
-    setup = _build_setup(config, i)
     row = shared.tick.batch.add()
+    setup = _build_setup(config, i, row)
     guard = setup.make_guard(row)
     body = _build_body(config, port, setup, shared, remote, guard)
     pilot = Pilot(
@@ -154,6 +155,7 @@ def _build_pilot(
             setup.controls,
             config.flight.ground,
             setup.rate,
+            row.filters,
         ),
         _build_avoidance(config, port, setup.controls),
         shared.tick,
@@ -168,8 +170,11 @@ def _build_pilot(
     return pilot
 
 
-def _build_setup(config: SwarmConfig, i: int) -> FlightSetup:
-    """Return what the pilot of drone i must know."""
+def _build_setup(config: SwarmConfig, i: int, row: DroneRow) -> FlightSetup:
+    """Return what the pilot of drone i must know.
+
+    row: of the drone in its batch, for its controllers
+    """
     topology = config.topology
     has_own_pose = i in topology.reached and i not in topology.seen
     reach: ReachKind = "no"
@@ -179,7 +184,7 @@ def _build_setup(config: SwarmConfig, i: int) -> FlightSetup:
         limits=config.flight,
         room=_build_fence(config, i),
         rate=config.radio.log_rate if has_own_pose else config.mocap.rate,
-        controls=_choose_controls(config, i),
+        controls=_choose_controls(config, i, row),
         limit_area=Fence.box(*limit_area(config)),
         reach=reach,
         home=config.drone(i).home,
@@ -266,7 +271,7 @@ def _build_fence(config: SwarmConfig, i: int) -> Fence:
     return fence
 
 
-def _choose_controls(config: SwarmConfig, i: int) -> Controls:
+def _choose_controls(config: SwarmConfig, i: int, row: DroneRow) -> Controls:
     """Return the controller and the sender of drone i."""
     drone = config.drone(i)
     plant = config.plant
@@ -274,14 +279,15 @@ def _choose_controls(config: SwarmConfig, i: int) -> Controls:
         return ROBOT_CONTROLS[drone.uri][1](config.flight)
     kind: PlantKind = "lightweight" if drone.uri == WORLD_URIS.lightweight else "motors"
     where = f"control of drone {i}"
-    row = config.control_of(i)
+    choice = config.control_of(i)
     return make_controls(
-        row,
+        choice,
         find_platform(drone.platform),
         kind,
         plant.rate_lag,
         plant.command_delay,
         where,
+        row.controls,
     )
 
 

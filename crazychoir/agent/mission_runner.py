@@ -34,6 +34,7 @@ from crazychoir.errors import (
     reason_or,
 )
 from crazychoir.guidance.awaited_call import describe_forgotten_calls
+from crazychoir.guidance.decision.law_stage import LawStage
 from crazychoir.guidance.member import Member, make_raisable, wait_for_touchdown
 from crazychoir.guidance.turns import is_blocked
 from crazychoir.runtime.actor import Actor
@@ -70,16 +71,26 @@ class MissionRunner(Actor):
     """Waits for the team, runs the mission, and leaves the drone on the ground, with the result.
 
     The mission ends by itself, or is aborted.
+
+    drone: the drone
+    config: the swarm file
+    watchdog: guard against user code that does not return, None for no guard
+    laws: the decide stage of the process, None for one of this drone alone
     """
 
     name = "guidance"
 
     def __init__(
-        self, drone: Drone, config: SwarmConfig, watchdog: GuardFactory | None
+        self,
+        drone: Drone,
+        config: SwarmConfig,
+        watchdog: GuardFactory | None,
+        laws: LawStage | None = None,
     ) -> None:
         self.drone = drone
         self.config = config
         self.watchdog = watchdog
+        self.laws = laws
         self._life: asyncio.Task[Result] | None = None
         self._member: Member | None = None
         self._abort: asyncio.Future[str] = asyncio.get_running_loop().create_future()
@@ -171,6 +182,7 @@ class MissionRunner(Actor):
             drone.communicator,
             drone.pilot,
             self.watchdog,
+            self.laws,
         )
         member.sensors = drone.sensors
         member.announce = lambda: drone.port.publish(

@@ -1,18 +1,38 @@
 """Attitude control: from a desired attitude to body rates, or to angles for a control on board."""
 
 import math
-from typing import Protocol
+from enum import IntEnum
+from typing import Any, Protocol
 
 import numpy as np
 
 from crazychoir.control.gains import STANDARD_GAINS, Gains, TunedStrategy
-from crazychoir.numerics.kernels import kernel, memory, vector
+from crazychoir.numerics.kernels import Records, kernel, memory, rows_of, vector
 from crazychoir.numerics.math3d import clip, dot, rotation_columns
 from crazychoir.platforms import PAPER_PLATFORM, Platform
 from crazychoir.types import State, Vec
 
 FIRMWARE_ATTITUDE_GAIN = 6.0  # 1/s, kp of the firmware's roll and pitch control
 LARGEST_ANGLE = 1.0  # rad, of a roll or pitch that is asked for
+
+
+class AttitudeKind(IntEnum):
+    """The laws of attitude control that ship."""
+
+    RATES = 0
+    """GeometryAttitudeCtrl."""
+    ANGLES = 1
+    """AngleAttitudeCtrl."""
+
+
+ATTITUDE_ROW = np.dtype(
+    [
+        ("kind", np.int64),  # AttitudeKind
+        ("figures", np.float64, 6),  # of the law of this kind
+    ],
+    align=True,
+)
+"""Record of the attitude control of a drone."""
 
 
 class AttitudeControl(Protocol):
@@ -62,34 +82,6 @@ def _compute_body_rates(x: Vec, desired: Vec, figures: Vec, out: Vec) -> None:
         )
 
 
-class GeometryAttitudeCtrl(TunedStrategy):
-    """Geometric attitude control on SO(3) with body rates as output.
-
-        e_R = 1/2 (R_d^T R - R^T R_d)^vee,   w = - K_R e_R + R^T R_d w_d
-
-    R: body to world
-    w_d: rad/s, feed-forward in the axes of R_d
-
-    Each rate is clipped to the platform's limit.
-    Source: Lee, Leok & McClamroch 2010, IEEE CDC, its attitude error; the rate loop flies on board.
-    """
-
-    def __init__(
-        self, gains: Gains = STANDARD_GAINS, platform: Platform = PAPER_PLATFORM
-    ) -> None:
-        self.platform = platform
-        super().__init__(gains)
-
-    def _tuned(self, gains: Gains) -> Vec:
-        return np.array([*gains.kr, *self.platform.max_rate])
-
-    def command(self, state: State, desired: Vec) -> Vec:
-        """Return a new (4,): thrust N, body rates rad/s."""
-        out = np.empty(4)
-        _compute_body_rates(state.flat, desired, self._figures, out)
-        return out
-
-
 @kernel(vector, vector, vector, memory)
 def _compute_angles(x: Vec, desired: Vec, figures: Vec, out: Vec) -> None:
     """Apply the law of AngleAttitudeCtrl.
@@ -123,6 +115,61 @@ def _compute_angles(x: Vec, desired: Vec, figures: Vec, out: Vec) -> None:
     out[3] = clip(w[2] + figures[1] * turn, -figures[2], figures[2])
 
 
+@kernel()
+def compute_input(attitude: Any, x: Vec, desired: Vec, out: Vec) -> None:
+    """Write the input of a law of attitude control.
+
+    attitude: record of ATTITUDE_ROW
+    x: (13,): state
+    desired: (13,), of a PositionControl
+    out: (4,): the result
+    """
+    if attitude.kind == AttitudeKind.ANGLES:
+        _compute_angles(x, desired, attitude.figures[:], out)
+    else:
+        _compute_body_rates(x, desired, attitude.figures[:], out)
+
+
+@kernel(rows_of(ATTITUDE_ROW), vector, vector, memory)
+def _compute_input(rows: Records, x: Vec, desired: Vec, out: Vec) -> None:
+    """Apply `compute_input` to the first record."""
+    compute_input(rows[0], x, desired, out)
+
+
+class GeometryAttitudeCtrl(TunedStrategy):
+    """Geometric attitude control on SO(3) with body rates as output.
+
+        e_R = 1/2 (R_d^T R - R^T R_d)^vee,   w = - K_R e_R + R^T R_d w_d
+
+    R: body to world
+    w_d: rad/s, feed-forward in the axes of R_d
+
+    Each rate is clipped to the platform's limit.
+
+    rows: (1,) of ATTITUDE_ROW, where the figures are kept; None for an array of its own
+    Source: Lee, Leok & McClamroch 2010, IEEE CDC, its attitude error; the rate loop flies on board.
+    """
+
+    def __init__(
+        self,
+        gains: Gains = STANDARD_GAINS,
+        platform: Platform = PAPER_PLATFORM,
+        rows: Records | None = None,
+    ) -> None:
+        self.platform = platform
+        super().__init__(gains, np.zeros(1, ATTITUDE_ROW) if rows is None else rows)
+        self.rows["kind"] = AttitudeKind.RATES
+
+    def _tuned(self, gains: Gains) -> Vec:
+        return np.array([*gains.kr, *self.platform.max_rate])
+
+    def command(self, state: State, desired: Vec) -> Vec:
+        """Return a new (4,): thrust N, body rates rad/s."""
+        out = np.empty(4)
+        _compute_input(self.rows, state.flat, desired, out)
+        return out
+
+
 class AngleAttitudeCtrl(TunedStrategy):
     """Roll, pitch and yaw rate for an attitude control on board, which turns by k times the error.
 
@@ -133,13 +180,19 @@ class AngleAttitudeCtrl(TunedStrategy):
     psi_e: rad, the yaw error, the short way
     w: rad/s, feed-forward
     k: 1/s, of the attitude control on board
+
+    rows: (1,) of ATTITUDE_ROW, where the figures are kept; None for an array of its own
     """
 
     def __init__(
-        self, gains: Gains = STANDARD_GAINS, platform: Platform = PAPER_PLATFORM
+        self,
+        gains: Gains = STANDARD_GAINS,
+        platform: Platform = PAPER_PLATFORM,
+        rows: Records | None = None,
     ) -> None:
         self.platform = platform
-        super().__init__(gains)
+        super().__init__(gains, np.zeros(1, ATTITUDE_ROW) if rows is None else rows)
+        self.rows["kind"] = AttitudeKind.ANGLES
 
     def _tuned(self, gains: Gains) -> Vec:
         return np.array(
@@ -154,5 +207,5 @@ class AngleAttitudeCtrl(TunedStrategy):
     def command(self, state: State, desired: Vec) -> Vec:
         """Return a new (4,): thrust N, roll and pitch rad, yaw rate rad/s."""
         out = np.empty(4)
-        _compute_angles(state.flat, desired, self._figures, out)
+        _compute_input(self.rows, state.flat, desired, out)
         return out

@@ -1,7 +1,7 @@
 """The choice of a drone's controllers, by its row in the swarm file, platform and sender."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from crazychoir.control.gains import (
 from crazychoir.control.handlers import AccelerationTraj, FullStateTraj
 from crazychoir.control.margin import REQUIRED_DELAY_MARGIN, Plant, compute_delay_margin
 from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositionCtrl
+from crazychoir.control.rows import make_control_rows
 from crazychoir.control.senders import (
     CommunicationHandler,
     FPQRSender,
@@ -40,6 +41,7 @@ from crazychoir.control.velocity import (
     WaypointController,
 )
 from crazychoir.errors import ConfigError
+from crazychoir.numerics.kernels import Records
 from crazychoir.platforms import PAPER_PLATFORM, Platform
 
 SENDERS_BY_KIND: dict[str, type[CommunicationHandler]] = {
@@ -74,6 +76,8 @@ class Controls:
     """False for a robot that drives, or that moves at any height without a take-off."""
     planar: bool = False
     """True for a robot that does not choose its height."""
+    rows: Records = field(default_factory=make_control_rows)
+    """(1,) of CONTROL_ROW: the record of the compiled controllers."""
 
     @property
     def sender(self) -> CommunicationHandler:
@@ -118,6 +122,7 @@ def make_controls(
     rate_lag: float = 0.03,
     command_delay: float = 0.02,
     where: str = "control",
+    rows: Records | None = None,
 ) -> Controls:
     """Return the controllers of a row [control] or [[roles]].
 
@@ -127,6 +132,8 @@ def make_controls(
     rate_lag: s, lag of the body rates of the lightweight plant
     command_delay: s, until the drone receives a command
     where: name of the row in errors
+    rows: (1,) of CONTROL_ROW, the record of the controllers, begun anew; None for an array of its
+        own
     Raises ConfigError for gains that are not stable on this platform, or that the sender leaves to
     the firmware.
     """
@@ -145,51 +152,57 @@ def make_controls(
         raise ConfigError(
             f"{where}.gains", found, allowed, "Leave them out, or send fpqr or frpy."
         )
-    trim = Trim()
+    rows = make_control_rows() if rows is None else rows
+    rows[:] = make_control_rows()
+    trim = Trim(rows["trim"])
     send = SENDERS_BY_KIND[sender]()
-    if sender == "vel":
-        tracker: CrazyflieController = VelocityController(
-            VelocityCtrlStrategy(), send, FullStateTraj()
+    follower = None
+    if sender in FIRMWARE_GAIN_SENDERS:
+        tracker: CrazyflieController = _make_firmware_tracker(send)
+    else:
+        tracker = HierarchicalController(
+            FlatnessPositionCtrl(gains, platform, trim, rows["tracker"]["position"]),
+            _make_attitude_control(gains, platform, sender, rows["tracker"]),
+            send,
+            FullStateTraj(),
+            choice.position_rate,
+            rows["tracker"],
         )
-        return Controls(platform, plant, tracker, None, trim, gains)
-    if sender == "fullstate":
-        return Controls(
-            platform,
-            plant,
-            FullStateController(send, FullStateTraj()),
-            None,
-            trim,
-            gains,
+        follower = HierarchicalController(
+            FlatnessAccelerationCtrl(
+                FORMATION_GAINS, platform, trim, rows["follower"]["position"]
+            ),
+            _make_attitude_control(FORMATION_GAINS, platform, sender, rows["follower"]),
+            send,
+            AccelerationTraj(),
+            rows=rows["follower"],
         )
-    if sender == "xyz":
-        return Controls(
-            platform,
-            plant,
-            WaypointController(send, FullStateTraj()),
-            None,
-            trim,
-            gains,
-        )
-    attitudes: list[AttitudeControl] = [
-        AngleAttitudeCtrl(row, platform)
-        if sender == "frpy"
-        else GeometryAttitudeCtrl(row, platform)
-        for row in (gains, FORMATION_GAINS)
-    ]
-    tracker = HierarchicalController(
-        FlatnessPositionCtrl(gains, platform, trim),
-        attitudes[0],
-        send,
-        FullStateTraj(),
-        choice.position_rate,
-    )
-    follower = HierarchicalController(
-        FlatnessAccelerationCtrl(FORMATION_GAINS, platform, trim),
-        attitudes[1],
-        send,
-        AccelerationTraj(),
-    )
-    return Controls(platform, plant, tracker, follower, trim, gains)
+    return Controls(platform, plant, tracker, follower, trim, gains, rows=rows)
+
+
+def _make_firmware_tracker(send: CommunicationHandler) -> CrazyflieController:
+    """Return the controller of a drone that its firmware's gains fly."""
+    handler = FullStateTraj()
+    if send.kind == "vel":
+        return VelocityController(VelocityCtrlStrategy(), send, handler)
+    if send.kind == "fullstate":
+        return FullStateController(send, handler)
+    return WaypointController(send, handler)
+
+
+def _make_attitude_control(
+    gains: Gains, platform: Platform, sender: str, rows: Records
+) -> AttitudeControl:
+    """Return the attitude control of a sender of thrusts.
+
+    gains: the gains
+    platform: of the drone
+    sender: "fpqr" or "frpy"
+    rows: (1,) of CONTROLLER_ROW, the record of its controller
+    """
+    if sender == "frpy":
+        return AngleAttitudeCtrl(gains, platform, rows["attitude"])
+    return GeometryAttitudeCtrl(gains, platform, rows["attitude"])
 
 
 def change_gains(gains: Gains, values: dict[str, Any], where: str) -> Gains:

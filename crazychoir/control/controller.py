@@ -1,20 +1,40 @@
 """The controller of one drone: a template, and the hierarchical controller made of strategies."""
 
-import math
 from abc import ABC, abstractmethod
 
 import numpy as np
 
-from crazychoir.control.attitude import AttitudeControl
-from crazychoir.control.handlers import TrajectoryHandler
-from crazychoir.control.position import PositionControl
+from crazychoir.control.attitude import (
+    AngleAttitudeCtrl,
+    AttitudeControl,
+    GeometryAttitudeCtrl,
+)
+from crazychoir.control.handlers import (
+    AccelerationTraj,
+    FullStateTraj,
+    TrajectoryHandler,
+)
+from crazychoir.control.position import (
+    FlatnessAccelerationCtrl,
+    FlatnessPositionCtrl,
+    PositionControl,
+)
+from crazychoir.control.rows import (
+    CONTROLLER_ROW,
+    INPUT_SIZE,
+    ControllerKind,
+    DesiredSource,
+    find_desired_source_of,
+    fly_controller_of,
+    keep_desired_of,
+    start_controller_row,
+)
 from crazychoir.control.senders import CommunicationHandler
-from crazychoir.numerics.kernels import kernel, memory, real, vector
-from crazychoir.numerics.math3d import is_finite, rotation_columns, rotation_exponential
+from crazychoir.numerics.kernels import Records
 from crazychoir.types import ZERO_ACCELERATION, Command, Reference, State, Vec
 
-EARLY_TOLERANCE = 1e-4
-"""Seconds that a tick may be early for the next look at the position: clocks and cameras jitter."""
+NO_REFERENCE = np.zeros(14)
+"""(14,): stands for the reference in a call of a kernel that reads none."""
 
 
 class CrazyflieController(ABC):
@@ -26,16 +46,33 @@ class CrazyflieController(ABC):
 
     command_sender: makes the commands
     traj_handler: reads the references
+    rows: (1,) of CONTROLLER_ROW, where its memory is kept; None for an array of its own
     """
 
     def __init__(
-        self, command_sender: CommunicationHandler, traj_handler: TrajectoryHandler
+        self,
+        command_sender: CommunicationHandler,
+        traj_handler: TrajectoryHandler,
+        rows: Records | None = None,
     ) -> None:
+        self.rows = np.zeros(1, CONTROLLER_ROW) if rows is None else rows
+        """(1,) of CONTROLLER_ROW."""
+        start_controller_row(self.rows)
         self.command_sender = command_sender
         self.traj_handler = traj_handler
-        self.refused = 0
+
+    @property
+    def refused(self) -> int:
         """Number of references that could not be flown."""
-        self._last: Vec | None = None
+        return int(self.rows["refused"][0])
+
+    @property
+    def last(self) -> Vec | None:
+        """The last usable reference, a new (14,); None before the first."""
+        if self.rows["has_last"][0] == 0:
+            return None
+        last: Vec = self.rows["last"][0].copy()
+        return last
 
     @abstractmethod
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
@@ -52,9 +89,10 @@ class CrazyflieController(ABC):
 
         A controller that does not compute it gives the acceleration of the reference.
         """
-        if self._last is None:
+        last = self.last
+        if last is None:
             return ZERO_ACCELERATION
-        a = self._last[6:9].copy()
+        a = last[6:9]
         a.setflags(write=False)
         return a
 
@@ -75,45 +113,44 @@ class CrazyflieController(ABC):
         if reference is not None:
             flat = self.traj_handler.read(reference)
             u = None if flat is None else self.law(state, flat, now)
-            if u is None:
-                self.refused += 1
+            if flat is None or u is None:
+                self._refuse()
             else:
-                self._last = flat
+                self._keep(flat)
         return self.command_sender.message(self._hold(state, now) if u is None else u)
 
     def _hold(self, state: State, now: float) -> Vec:
         """Return the input that flies the last good reference at rest."""
-        self._last = self.traj_handler.hold(state, self._last)
-        u = self.law(state, self._last, now)
+        held = self.traj_handler.hold(state, self.last)
+        self._keep(held)
+        u = self.law(state, held, now)
         return self.blind() if u is None else u
 
+    def _keep(self, flat: Vec) -> None:
+        """Keep a reference (14,) as the last usable one."""
+        self.rows["last"] = flat
+        self.rows["has_last"] = 1
 
-@kernel(vector, vector, memory, real)
-def _turn_desired(x: Vec, ref: Vec, desired: Vec, t: float) -> bool:
-    """Turn the desired attitude further by its feed-forward: R_d exp(t w_d).
+    def _refuse(self) -> None:
+        """Count a reference that cannot be flown."""
+        self.rows["refused"] += 1
 
-    x: (13,): state
-    ref: (14,): reference
-    desired: (13,), of a PositionControl, changed in place
-    t: s
-    Returns False, and changes nothing, if x or ref is not finite.
-    """
-    if not (is_finite(x) and is_finite(ref)):
-        return False
-    turn = rotation_columns(
-        rotation_exponential(t * desired[10], t * desired[11], t * desired[12])
-    )
-    for c in range(3):
-        a = desired[1 + c]
-        b = desired[4 + c]
-        d = desired[7 + c]
-        for n in range(3):
-            desired[1 + 3 * n + c] = a * turn[n][0] + b * turn[n][1] + d * turn[n][2]
-    return True
+
+HANDLER_TYPES: dict[type, type] = {
+    FlatnessPositionCtrl: FullStateTraj,
+    FlatnessAccelerationCtrl: AccelerationTraj,
+}
+"""The handler beside each position control that compiled code knows."""
+ATTITUDE_TYPES = (GeometryAttitudeCtrl, AngleAttitudeCtrl)
+"""The attitude controls that compiled code knows."""
 
 
 class HierarchicalController(CrazyflieController):
     """Position control around attitude control, each a strategy: the paper's flatness-based scheme.
+
+    Its parts can be exchanged at run time. While they are those of `make_controls`, which ship and
+    share the record of this controller, compiled code flies it; else its strategies are called in
+    Python. Both give the same commands.
 
     pos_strategy: FlatnessPositionCtrl or FlatnessAccelerationCtrl
     attitude_strategy: GeometryAttitudeCtrl, or AngleAttitudeCtrl for an attitude control on board
@@ -121,6 +158,7 @@ class HierarchicalController(CrazyflieController):
     traj_handler: reads the references
     position_rate: Hz, of the position strategy; 0: in each tick. Between its ticks the desired
         attitude turns further by its feed-forward, and the thrust stays constant.
+    rows: (1,) of CONTROLLER_ROW, where its memory is kept; None for an array of its own
     """
 
     def __init__(
@@ -130,52 +168,131 @@ class HierarchicalController(CrazyflieController):
         command_sender: CommunicationHandler,
         traj_handler: TrajectoryHandler,
         position_rate: float = 0.0,
+        rows: Records | None = None,
     ) -> None:
-        super().__init__(command_sender, traj_handler)
-        self.pos_strategy = pos_strategy
-        self.attitude_strategy = attitude_strategy
+        self._pos_strategy = pos_strategy
+        self._attitude_strategy = attitude_strategy
+        super().__init__(command_sender, traj_handler, rows)
+        self._desired: Vec = self.rows["desired"][0]
         self.position_rate = position_rate
-        self._desired = np.zeros(13)
-        self._at = -math.inf
-        self._next = -math.inf
-        self._thrust = 0.0
+
+    @property
+    def pos_strategy(self) -> PositionControl:
+        """The strategy that turns a reference into a thrust and an attitude."""
+        return self._pos_strategy
+
+    @pos_strategy.setter
+    def pos_strategy(self, strategy: PositionControl) -> None:
+        self._pos_strategy = strategy
+        self._choose_kind()
+
+    @property
+    def attitude_strategy(self) -> AttitudeControl:
+        """The strategy that turns an attitude into the input of the sender."""
+        return self._attitude_strategy
+
+    @attitude_strategy.setter
+    def attitude_strategy(self, strategy: AttitudeControl) -> None:
+        self._attitude_strategy = strategy
+        self._choose_kind()
+
+    @property
+    def traj_handler(self) -> TrajectoryHandler:
+        """The handler that reads the references."""
+        return self._traj_handler
+
+    @traj_handler.setter
+    def traj_handler(self, handler: TrajectoryHandler) -> None:
+        self._traj_handler = handler
+        self._choose_kind()
+
+    @property
+    def position_rate(self) -> float:
+        """Hz, of the position strategy; 0: in each tick."""
+        return float(self.rows["position_rate"][0])
+
+    @position_rate.setter
+    def position_rate(self, rate: float) -> None:
+        self.rows["position_rate"] = rate
+
+    def _choose_kind(self) -> None:
+        """Let compiled code fly this controller if it knows all parts and they share the record."""
+        position = self._pos_strategy
+        attitude = self._attitude_strategy
+        self._compiled_trims: Records | None = None
+        if (
+            isinstance(position, FlatnessPositionCtrl)
+            and isinstance(attitude, ATTITUDE_TYPES)
+            and type(attitude) in ATTITUDE_TYPES
+            and type(self._traj_handler) is HANDLER_TYPES.get(type(position))
+            and np.shares_memory(position.rows, self.rows)
+            and np.shares_memory(attitude.rows, self.rows)
+        ):
+            self._compiled_trims = position.trim.rows
+        self.rows["kind"] = (
+            ControllerKind.BY_HAND
+            if self._compiled_trims is None
+            else ControllerKind.COMPILED
+        )
+
+    def command(
+        self, state: State, reference: Reference | None, now: float
+    ) -> Command | None:
+        """Return the command for this state and reference.
+
+        state: of the drone
+        reference: None if there is none
+        now: s
+        """
+        if self._compiled_trims is None:
+            return super().command(state, reference, now)
+        flat = None
+        if reference is not None:
+            flat = self._traj_handler.read(reference)
+            if flat is None:
+                self._refuse()
+        u = np.empty(INPUT_SIZE)
+        fly_controller_of(
+            self.rows,
+            self._compiled_trims,
+            state.flat,
+            state.age,
+            NO_REFERENCE if flat is None else flat,
+            flat is not None,
+            now,
+            u,
+        )
+        return self.command_sender.message(u)
 
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
         """Return the attitude strategy's input for the attitude of the position strategy."""
         if self.position_rate > 0.0:
-            desired = self._at_its_rate(state, reference, now)
+            desired = self._find_desired(state, reference, now)
         else:
-            desired = self.pos_strategy.desired(state, reference, now)
+            desired = self._pos_strategy.desired(state, reference, now)
         if desired is None:
             return None
-        u = self.attitude_strategy.command(state, desired)
-        self._thrust = float(u[0])
+        u = self._attitude_strategy.command(state, desired)
+        self.rows["thrust"] = u[0]
         return u
 
-    def _at_its_rate(self, state: State, reference: Vec, now: float) -> Vec | None:
+    def _find_desired(self, state: State, reference: Vec, now: float) -> Vec | None:
         """Return the desired attitude, computed at the rate of the position strategy."""
-        t = now - self._at
-        self._at = now
-        if self._at < self._next - EARLY_TOLERANCE and 0.0 <= t < 1.0:
-            return (
-                self._desired
-                if _turn_desired(state.flat, reference, self._desired, t)
-                else None
-            )
-        desired = self.pos_strategy.desired(state, reference, now)
+        source = find_desired_source_of(self.rows, state.flat, reference, now)
+        if source == DesiredSource.REFUSED:
+            return None
+        if source == DesiredSource.TURNED:
+            return self._desired
+        desired = self._pos_strategy.desired(state, reference, now)
         if desired is not None:
-            self._desired[:] = desired
-            self._next = (
-                max(self._next, now - 1.0 / self.position_rate)
-                + 1.0 / self.position_rate
-            )
+            keep_desired_of(self.rows, desired, now)
         return desired
 
     @property
     def acceleration(self) -> Vec:
         """The acceleration of the position strategy: (3,) m/s2, world."""
-        return self.pos_strategy.acceleration
+        return self._pos_strategy.acceleration
 
     def blind(self) -> Vec:
         """Return the last thrust, with rates or angles of 0."""
-        return np.array([self._thrust, 0.0, 0.0, 0.0])
+        return np.array([self.rows["thrust"][0], 0.0, 0.0, 0.0])

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from crazychoir.numerics.kernels import Records
 from crazychoir.platforms import Platform
 from crazychoir.types import Vec
 
@@ -95,9 +96,15 @@ class Gains:
 
 
 class TunedStrategy(ABC):
-    """A strategy with gains that may change in flight."""
+    """A strategy with gains that may change in flight.
 
-    def __init__(self, gains: Gains) -> None:
+    gains: the first gains
+    rows: (1,) of records with the field "figures", where the kernels read the gains
+    """
+
+    def __init__(self, gains: Gains, rows: Records) -> None:
+        self.rows = rows
+        """(1,) of records: figures and memory of the kernels."""
         self.gains = gains
 
     @property
@@ -107,11 +114,13 @@ class TunedStrategy(ABC):
 
     @gains.setter
     def gains(self, gains: Gains) -> None:
-        self._gains, self._figures = gains, self._tuned(gains)
+        self._gains = gains
+        figures = self._tuned(gains)
+        self.rows["figures"][0, : figures.size] = figures
 
     @abstractmethod
     def _tuned(self, gains: Gains) -> Vec:
-        """Return the figures of the kernel."""
+        """Return the figures of the kernels."""
 
 
 STANDARD_GAINS = Gains(

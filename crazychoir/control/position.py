@@ -1,7 +1,8 @@
 """Position control by differential flatness: from reference and state to thrust and attitude."""
 
 import math
-from typing import NamedTuple, Protocol
+from enum import IntEnum
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -11,8 +12,8 @@ from crazychoir.control.gains import (
     Gains,
     TunedStrategy,
 )
-from crazychoir.control.trim import Trim
-from crazychoir.numerics.kernels import kernel, memory, real, vector
+from crazychoir.control.trim import TRIM_ROW, Trim, learn_trim
+from crazychoir.numerics.kernels import Records, kernel, memory, real, rows_of, vector
 from crazychoir.numerics.math3d import (
     STANDARD_GRAVITY,
     Triple,
@@ -68,6 +69,28 @@ class FlatnessLimits(NamedTuple):
 
 
 FLATNESS_LIMITS = FlatnessLimits()
+
+
+class PositionKind(IntEnum):
+    """The laws of position control that ship."""
+
+    REFERENCE = 0
+    """FlatnessPositionCtrl."""
+    ACCELERATION = 1
+    """FlatnessAccelerationCtrl."""
+
+
+POSITION_ROW = np.dtype(
+    [
+        ("kind", np.int64),  # PositionKind
+        ("figures", np.float64, 22),  # Gains.position, then Platform.flat
+        ("memory", np.float64, 13),  # of the law from call to call
+        ("called_at", np.float64),  # s, time of the newest state that the law used
+        ("out", np.float64, 17),  # result, see FlatnessLayout
+    ],
+    align=True,
+)
+"""Record of the position control of a drone."""
 
 
 class PositionControl(Protocol):
@@ -258,8 +281,50 @@ def _track_acceleration(
             mem[9 + n] = mem[11 + n] * (1.0 - math.exp(-figures[8] * h)) / h
         desired[10 + n] = figures[7] * mem[9 + n]
     if h > 0.0:
-        mem[0:9] = desired[1:10]
+        for k in range(9):
+            mem[k] = desired[1 + k]
     return True
+
+
+@kernel()
+def compute_desired(
+    position: Any, trim: Any, x: Vec, age: float, ref: Vec, now: float
+) -> bool:
+    """Write the result of a law of position control into its record.
+
+    position: record of POSITION_ROW
+    trim: record of TRIM_ROW
+    x: (13,): state
+    age: s, of the state
+    ref: (14,): reference
+    now: s
+    Returns False, and changes nothing, if x or ref is not finite.
+    """
+    figures = position.figures[:]
+    mem = position.memory[:]
+    out = position.out[:]
+    if position.kind == PositionKind.ACCELERATION:
+        measured = max(now - age, position.called_at)
+        h = measured - position.called_at
+        if not _track_acceleration(x, ref, figures, trim.sure[:], mem, h, out):
+            return False
+        position.called_at = measured
+        return True
+    h = now - position.called_at
+    if not _track_reference(x, ref, figures, trim.flat[:], mem, h, out):
+        return False
+    position.called_at = now
+    if 0.0 < h < FLATNESS_LIMITS.longest_gap and out[FLATNESS_LAYOUT.free_index] > 0.0:
+        learn_trim(trim, x, ref, figures[11:13], h)
+    return True
+
+
+@kernel(rows_of(POSITION_ROW), rows_of(TRIM_ROW), vector, real, vector, real)
+def _compute_desired(
+    rows: Records, trims: Records, x: Vec, age: float, ref: Vec, now: float
+) -> bool:
+    """Apply `compute_desired` to the first record."""
+    return bool(compute_desired(rows[0], trims[0], x, age, ref, now))
 
 
 class FlatnessPositionCtrl(TunedStrategy):
@@ -277,27 +342,39 @@ class FlatnessPositionCtrl(TunedStrategy):
 
     F is cut to the largest tilt and thrust of the platform; the height takes precedence. While F is
     cut, w_d is computed without the jerk.
+    rows: (1,) of POSITION_ROW, where figures and memory are kept; None for an array of its own
     Source: Mellinger & Kumar 2011; rotor drag as in Kai et al. 2017 and Faessler et al. 2018.
     """
+
+    kind = PositionKind.REFERENCE
+    first_memory = math.nan
+    """Memory of the law before its first call."""
 
     def __init__(
         self,
         gains: Gains = STANDARD_GAINS,
         platform: Platform = PAPER_PLATFORM,
         trim: Trim | None = None,
+        rows: Records | None = None,
     ) -> None:
-        self.trim = Trim() if trim is None else trim
+        self._trim = Trim() if trim is None else trim
         self.platform = platform
-        super().__init__(gains)
-        self._out = np.zeros(FLATNESS_LAYOUT.acceleration_start + 3)
-        self._desired = self._out[: FLATNESS_LAYOUT.desired_size]
-        self._memory = np.full(3, np.nan)
-        self._time = -math.inf
+        super().__init__(gains, np.zeros(1, POSITION_ROW) if rows is None else rows)
+        self.rows["kind"] = self.kind
+        self.rows["memory"] = self.first_memory
+        self.rows["called_at"] = -math.inf
+        self.rows["out"] = 0.0
+        out = self.rows["out"][0]
+        self._desired: Vec = out[: FLATNESS_LAYOUT.desired_size]
+        self._acceleration: Vec = out[FLATNESS_LAYOUT.acceleration_start :]
 
     def _tuned(self, gains: Gains) -> Vec:
-        figures = np.array([*gains.position, *self.platform.flat])
-        self._rates = figures[11:13]
-        return figures
+        return np.array([*gains.position, *self.platform.flat])
+
+    @property
+    def trim(self) -> Trim:
+        """The trim of the drone."""
+        return self._trim
 
     @property
     def acceleration(self) -> Vec:
@@ -305,7 +382,7 @@ class FlatnessPositionCtrl(TunedStrategy):
 
         It is F/m after its limits, without gravity, drag and trim.
         """
-        a = self._out[FLATNESS_LAYOUT.acceleration_start :].copy()
+        a = self._acceleration.copy()
         a.setflags(False)  # type: ignore[call-arg]  # faster by position than by name, in each tick
         return a
 
@@ -314,20 +391,10 @@ class FlatnessPositionCtrl(TunedStrategy):
 
         Returns None if state or reference is not finite.
         """
-        h = now - self._time
-        out = self._out
-        flat = state.flat
-        if not _track_reference(
-            flat, reference, self._figures, self.trim.flat, self._memory, h, out
-        ):
-            return None
-        self._time = now
-        if (
-            0.0 < h < FLATNESS_LIMITS.longest_gap
-            and out[FLATNESS_LAYOUT.free_index] > 0.0
-        ):
-            self.trim.learn(flat, reference, self._rates, h)
-        return self._desired
+        is_usable = _compute_desired(
+            self.rows, self._trim.rows, state.flat, state.age, reference, now
+        )
+        return self._desired if is_usable else None
 
 
 class FlatnessAccelerationCtrl(FlatnessPositionCtrl):
@@ -346,31 +413,14 @@ class FlatnessAccelerationCtrl(FlatnessPositionCtrl):
     The other symbols are as in FlatnessPositionCtrl.
     """
 
+    kind = PositionKind.ACCELERATION
+    first_memory = 0.0
+
     def __init__(
         self,
         gains: Gains = FORMATION_GAINS,
         platform: Platform = PAPER_PLATFORM,
         trim: Trim | None = None,
+        rows: Records | None = None,
     ) -> None:
-        super().__init__(gains, platform, trim)
-        self._memory = np.zeros(13)
-
-    def desired(self, state: State, reference: Vec, now: float) -> Vec | None:
-        """Return thrust, attitude and rate feed-forward (13,).
-
-        Returns None if state or reference is not finite.
-        """
-        measured = max(now - state.age, self._time)
-        h = measured - self._time
-        if _track_acceleration(
-            state.flat,
-            reference,
-            self._figures,
-            self.trim.sure,
-            self._memory,
-            h,
-            self._out,
-        ):
-            self._time = measured
-            return self._desired
-        return None
+        super().__init__(gains, platform, trim, rows)

@@ -1,11 +1,11 @@
 """The trim: the errors of a drone's thrust and attitude, learnt in flight."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from crazychoir.numerics.kernels import kernel, memory, real, vector
+from crazychoir.numerics.kernels import Records, kernel, real, rows_of, vector
 from crazychoir.numerics.math3d import STANDARD_GRAVITY, clip, rotation_columns
 from crazychoir.types import Vec
 
@@ -33,22 +33,35 @@ class TrimLimits(NamedTuple):
 
 TRIM_LIMITS = TrimLimits()
 
+TRIM_ROW = np.dtype(
+    [
+        ("flat", np.float64, 3),  # s; d (2) m/s2
+        ("sure", np.float64, 3),  # s, d without what may be noise
+        ("kept_flat", np.float64, 3),  # flat when it was last kept
+        ("kept_sure", np.float64, 3),  # sure when it was last kept
+        ("is_frozen", np.int64),  # 1 to learn nothing
+    ],
+    align=True,
+)
+"""Record of the trim of a drone, with the symbols of Trim."""
+
 
 # An error tells something about the trim when it is small and lasts. On the return from a large
 # error it does not.
 
 
-@kernel(vector, vector, vector, real, memory, memory)
-def _learn(x: Vec, ref: Vec, rates: Vec, h: float, trim: Vec, sure: Vec) -> None:
-    """Apply the law of Trim over h seconds.
+@kernel()
+def learn_trim(trim: Any, x: Vec, ref: Vec, rates: Vec, h: float) -> None:
+    """Apply the law of Trim over h seconds, unless the trim is frozen.
 
+    trim: record of TRIM_ROW, changed in place
     x: (13,): state
     ref: (14,): reference
     rates: (2,): ki_thrust, ki_trim
     h: s
-    trim: (3,): changed in place
-    sure: (3,): the trim without what may be noise
     """
+    if trim.is_frozen != 0:
+        return
     e = (ref[0] - x[0], ref[1] - x[1], ref[2] - x[2])
     if (
         max(abs(ref[3] - x[3]), abs(ref[4] - x[4]), abs(ref[5] - x[5]))
@@ -64,26 +77,34 @@ def _learn(x: Vec, ref: Vec, rates: Vec, h: float, trim: Vec, sure: Vec) -> None
     n = 1.0 / math.sqrt(max(bx[0] * bx[0] + bx[1] * bx[1], 1e-12))
     c = bx[0] * n
     s = bx[1] * n
-    trim[0] = clip(
-        trim[0] + h * rates[0] * e[2] / STANDARD_GRAVITY,
+    flat = trim.flat
+    sure = trim.sure
+    flat[0] = clip(
+        flat[0] + h * rates[0] * e[2] / STANDARD_GRAVITY,
         -TRIM_LIMITS.largest_thrust_error,
         TRIM_LIMITS.largest_thrust_error,
     )
-    trim[1] = clip(
-        trim[1] + h * rates[1] * (c * e[0] + s * e[1]),
+    flat[1] = clip(
+        flat[1] + h * rates[1] * (c * e[0] + s * e[1]),
         -TRIM_LIMITS.largest_attitude_error,
         TRIM_LIMITS.largest_attitude_error,
     )
-    trim[2] = clip(
-        trim[2] + h * rates[1] * (c * e[1] - s * e[0]),
+    flat[2] = clip(
+        flat[2] + h * rates[1] * (c * e[1] - s * e[0]),
         -TRIM_LIMITS.largest_attitude_error,
         TRIM_LIMITS.largest_attitude_error,
     )
     sure[0] = (
-        trim[0] if STANDARD_GRAVITY * abs(trim[0]) > TRIM_LIMITS.noise_level else 0.0
+        flat[0] if STANDARD_GRAVITY * abs(flat[0]) > TRIM_LIMITS.noise_level else 0.0
     )
     for k in range(1, 3):
-        sure[k] = trim[k] if abs(trim[k]) > TRIM_LIMITS.noise_level else 0.0
+        sure[k] = flat[k] if abs(flat[k]) > TRIM_LIMITS.noise_level else 0.0
+
+
+@kernel(rows_of(TRIM_ROW), vector, vector, vector, real)
+def _learn(rows: Records, x: Vec, ref: Vec, rates: Vec, h: float) -> None:
+    """Apply `learn_trim` to the first record."""
+    learn_trim(rows[0], x, ref, rates, h)
 
 
 class Trim:
@@ -98,19 +119,31 @@ class Trim:
 
     s: error of the thrust
     d: (2,) m/s2, heading axes
+
+    rows: (1,) of TRIM_ROW, where the trim is kept; None for an array of its own
     """
 
-    def __init__(self) -> None:
-        self.flat = np.zeros(3)
+    def __init__(self, rows: Records | None = None) -> None:
+        self.rows = np.zeros(1, TRIM_ROW) if rows is None else rows
+        """(1,) of TRIM_ROW."""
+        self.rows[:] = np.zeros(1, TRIM_ROW)
+        self.flat: Vec = self.rows["flat"][0]
         """(3,): s, d."""
-        self.sure = np.zeros(3)
+        self.sure: Vec = self.rows["sure"][0]
         """(3,): s, d without what may be noise, for laws that only know accelerations.
 
         The slow modes of a formation turn mm/s2 into centimetres.
         """
         self.frozen = True
+
+    @property
+    def frozen(self) -> bool:
         """True to learn nothing: on the ground a height error says nothing about the thrust."""
-        self._kept = np.zeros(3), np.zeros(3)
+        return bool(self.rows["is_frozen"][0])
+
+    @frozen.setter
+    def frozen(self, frozen: bool) -> None:
+        self.rows["is_frozen"] = frozen
 
     @property
     def thrust(self) -> float:
@@ -124,14 +157,16 @@ class Trim:
 
     def keep(self) -> None:
         """Remember the present trim, for `restore`."""
-        self._kept = self.flat.copy(), self.sure.copy()
+        self.rows["kept_flat"] = self.rows["flat"]
+        self.rows["kept_sure"] = self.rows["sure"]
 
     def restore(self) -> None:
         """Forget what was learnt since `keep`.
 
         It may come from a floor that was higher than the end of the reference.
         """
-        self.flat[:], self.sure[:] = self._kept
+        self.rows["flat"] = self.rows["kept_flat"]
+        self.rows["sure"] = self.rows["kept_sure"]
 
     def learn(self, x: Vec, reference: Vec, rates: Vec, h: float) -> None:
         """Take in the error of one tick.
@@ -141,5 +176,4 @@ class Trim:
         rates: (2,): ki_thrust, ki_trim
         h: s, since the last tick
         """
-        if not self.frozen:
-            _learn(x, reference, rates, h, self.flat, self.sure)
+        _learn(self.rows, x, reference, rates, h)

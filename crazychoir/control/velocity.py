@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from crazychoir.control.controller import EARLY_TOLERANCE, CrazyflieController
+from crazychoir.control.controller import CrazyflieController
 from crazychoir.control.handlers import TrajectoryHandler
+from crazychoir.control.rows import EARLY_TOLERANCE
 from crazychoir.control.senders import CommunicationHandler
 from crazychoir.numerics.kernels import kernel, memory, real, vector
 from crazychoir.numerics.math3d import STANDARD_GRAVITY, is_finite, wrap_angle
@@ -188,7 +189,8 @@ class FullStateController(CrazyflieController):
 
     def blind(self) -> Vec:
         """Return the last reference again: the firmware needs no state from here."""
-        return np.zeros(14) if self._last is None else self._last
+        last = self.last
+        return np.zeros(14) if last is None else last
 
 
 class WaypointController(CrazyflieController):

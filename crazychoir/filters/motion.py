@@ -1,7 +1,6 @@
 """Models of a drone's motion while the cameras do not see it."""
 
 import math
-from typing import Protocol
 
 import numpy as np
 
@@ -26,44 +25,24 @@ It includes the delays of command and measurement.
 STANDING_TOLERANCE = 0.01  # m above the floor that still count as standing on it: the noise of the cameras
 
 
-class MotionModel(Protocol):
-    """A model of how a state continues."""
+@kernel()
+def coast(x: Vec, t: float) -> None:
+    """Advance a state by t seconds of constant velocity and body rates.
 
-    def after(self, x: Vec, u: Vec, t: float) -> Vec:
-        """Return a new state (13,) after a time.
-
-        x: (13,): state now
-        u: (4,): thrust N, body rates rad/s, of the command
-        t: s
-        """
-        ...
-
-
-@kernel(vector, real, memory)
-def predict_coasting(x: Vec, t: float, out: Vec) -> None:
-    """Compute the state after t seconds of constant velocity and body rate.
-
-    x: (13,)
+    x: (13,), changed in place
     t: s
-    out: (13,): the result
     """
-    out[:] = x
     for c in range(3):
-        out[c] += t * x[3 + c]
-    q = quaternion_product(
+        x[c] += t * x[3 + c]
+    x[6], x[7], x[8], x[9] = quaternion_product(
         (x[6], x[7], x[8], x[9]), rotation_exponential(t * x[10], t * x[11], t * x[12])
     )
-    out[6], out[7], out[8], out[9] = q
 
 
-class ConstantVelocity:
-    """Constant velocity and body rates, whatever is commanded."""
-
-    def after(self, x: Vec, u: Vec, t: float) -> Vec:
-        """Return a new state (13,)."""
-        out = np.empty(13)
-        predict_coasting(x, t, out)
-        return out
+@kernel()
+def compute_speed(x: Vec) -> float:
+    """Return the speed in m/s of a state (13,)."""
+    return math.sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5])
 
 
 @kernel()

@@ -16,16 +16,31 @@ class StateFilter(Protocol):
 
     The sender of the commands sets it.
     """
-    horizon: float
-    """Longest prediction in s."""
-    measured: float
-    """Time in s of the last measurement."""
-    speed: float
-    """Speed in m/s of the newest state."""
-    refused: int
-    """Number of poses that were not used."""
-    cutoff: float
-    """rad/s, of the low-pass of a filter that differentiates poses; inf for other filters."""
+
+    @property
+    def horizon(self) -> float:
+        """Longest prediction in s."""
+        ...
+
+    @property
+    def measured(self) -> float:
+        """Time in s of the last measurement."""
+        ...
+
+    @property
+    def speed(self) -> float:
+        """Speed in m/s of the newest state."""
+        ...
+
+    @property
+    def refused(self) -> int:
+        """Number of poses that were not used."""
+        ...
+
+    @property
+    def cutoff(self) -> float:
+        """rad/s, of the low-pass of a filter that differentiates poses; inf for other filters."""
+        ...
 
     def update(self, pose: Pose, now: float) -> State | None:
         """Return the state at `now` with a new pose; None only before the first valid pose."""

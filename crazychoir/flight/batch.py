@@ -10,7 +10,11 @@ from enum import IntEnum
 import numpy as np
 import numpy.typing as npt
 
-from crazychoir.numerics.kernels import Record
+from crazychoir.control.rows import make_control_rows
+from crazychoir.filters.command_history import compute_history_size
+from crazychoir.filters.rows import FilterTable
+from crazychoir.flight.blind_time import BLIND_HORIZON
+from crazychoir.numerics.kernels import Record, Records
 from crazychoir.planning.plan_row import PLAN_ROW, PlanRows
 from crazychoir.safety.rules.guard import GUARD_ROW, Action, GuardRows
 from crazychoir.safety.rules.modes import GROUND_MODE, Mode
@@ -66,6 +70,11 @@ DRONE_ROW = np.dtype(
         # Set once.
         ("is_by_hand", np.int64),  # 1: the judge decides in Python, in each tick
         ("avoids", np.int64),  # 1: a collision filter keeps the drone clear
+        (
+            "sends_rows",
+            np.int64,
+        ),  # 1: its commands are four numbers, computed in compiled code
+        ("knows_commands", np.int64),  # 1: its filter knows what it is commanded
         ("ground", np.float64),  # m, height of the ground
         ("limits", np.float64, (4,)),  # of ReferenceLimits
         ("gains", np.float64, (13,)),  # of the tracker, as Gains.position
@@ -125,10 +134,14 @@ class Batch:
     """The records of the drones of a process.
 
     size: largest number of drones
+    rate: Hz, of the poses of the drones; the largest if they differ
     """
 
-    def __init__(self, size: int) -> None:
+    def __init__(self, size: int, rate: float = 100.0) -> None:
         self.drones: DroneRows = np.zeros(size, DRONE_ROW)
+        history_size = compute_history_size(BLIND_HORIZON, 1.0 / rate)
+        self.filters = FilterTable.allocate(size, history_size)
+        self.controls: Records = make_control_rows(size)
         self.plans: PlanRows = np.zeros(size, PLAN_ROW)
         self.guards: GuardRows = np.zeros(size, GUARD_ROW)
         self.count = 0
@@ -156,6 +169,10 @@ class DroneRow:
         self.drone: Record = batch.drones[index]
         self.plan: Record = batch.plans[index]
         self.guard: Record = batch.guards[index]
+        self.filters = batch.filters.share_row(index)
+        """The record of its filter."""
+        self.controls: Records = batch.controls[index : index + 1]
+        """(1,): the record of its controllers."""
         self._state: State | None = None
         self._state_ns = -1
         self.mode = GROUND_MODE

@@ -2,19 +2,21 @@
 
 from typing import Protocol
 
+import numpy as np
+
 from crazychoir.bus.port import Port
 from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.control.rows import INPUT_SIZE
 from crazychoir.control.senders import FPQRSender
 from crazychoir.errors import error_text
 from crazychoir.filters.state_filter import StateFilter
 from crazychoir.flight.batch import ControllerKind, Course, DroneRow
 from crazychoir.flight.body import Body
-from crazychoir.flight.estimate import SEEN_AGE, compute_believed_state
 from crazychoir.flight.follower import Follower
 from crazychoir.flight.judge import Judge
 from crazychoir.flight.notes import FlightNotes
 from crazychoir.flight.permission import Permission
-from crazychoir.flight.setup import FlightSetup
+from crazychoir.flight.setup import THRUST_SENDERS, FlightSetup
 from crazychoir.flight.stages import evade_row
 from crazychoir.safety.rules.modes import LAND_MODE
 from crazychoir.types import (
@@ -23,7 +25,6 @@ from crazychoir.types import (
     FullState,
     Pose,
     Reference,
-    State,
 )
 
 
@@ -72,7 +73,13 @@ class DroneStages:
         self._follower = flier.follower
         self._clearance = flier.follower.clearance
         self.filter = state_filter
-        self._knows_commands = isinstance(flier.setup.controls.sender, FPQRSender)
+        controls = flier.setup.controls
+        self._knows_commands = isinstance(controls.sender, FPQRSender)
+        row = flier.row.drone
+        row["knows_commands"] = self._knows_commands
+        row["sends_rows"] = controls.sender.kind in THRUST_SENDERS and np.shares_memory(
+            controls.rows, flier.row.controls
+        )
 
     @property
     def is_running(self) -> bool:
@@ -102,16 +109,6 @@ class DroneStages:
         state = self._row.state
         if state is not None:
             self._flier.judge.decide(state, now)
-
-    def estimate(self, pose: Pose | None, now: float) -> State | None:
-        """Return the state at `now` in s, with a new pose or by prediction; None before the first pose."""
-        state = (
-            self.filter.predict(now) if pose is None else self.filter.update(pose, now)
-        )
-        if state is None or self._knows_commands or state.age <= SEEN_AGE:
-            return state
-        flown = self._follower.flights.sample(now) or self._row.flown
-        return State(compute_believed_state(state, flown), state.age)
 
     def publish_state(self) -> None:
         """Publish the state of this tick."""
@@ -150,19 +147,28 @@ class DroneStages:
         rows = self._row.batch.drones[k : k + 1]
         evade_row(rows, safe, -1 if other is None else other, is_on_plan, now)
 
-    def command(self, now: float) -> None:
-        """Send the command of this tick, at `now` in s."""
-        row = self._row.drone
-        if row["course"] == Course.IDLE:
+    def command_by_hand(self, now: float) -> None:
+        """Compute the command of this tick in Python, at `now` in s, and send it."""
+        if self._row.drone["course"] == Course.IDLE:
             self.send(self._setup.controls.sender.idle)
         else:
             self.send(self._compute_command(now))
+        self._publish_reference()
+
+    def send_input(self) -> None:
+        """Send the input that compiled code has written into the record."""
+        u = self._row.drone["command"][:INPUT_SIZE].copy()
+        self.send(self._setup.controls.sender.message(u))
+        self._publish_reference()
+
+    def _publish_reference(self) -> None:
+        """Publish the full state that the drone flies."""
         flown = self._row.flown
         if flown is not None:
             self._flier.port.publish(DRONE_TOPICS.reference, flown)
 
     def _compute_command(self, now: float) -> Command | None:
-        """Return the command that flies what the drone wants."""
+        """Return the command of a controller in Python that flies what the drone wants."""
         row = self._row.drone
         state = self._row.state
         controls = self._setup.controls

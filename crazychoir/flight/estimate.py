@@ -9,22 +9,21 @@ from crazychoir.control.margin import make_rate_loop
 from crazychoir.control.senders import FPQRSender
 from crazychoir.filters.kalman import KalmanFilter
 from crazychoir.filters.motion import CommandedMotion
+from crazychoir.filters.rows import FilterTable
 from crazychoir.filters.state_filter import StateFilter
 from crazychoir.filters.velocity import VelocityFilter
+from crazychoir.flight.blind_time import BLIND_HORIZON
+from crazychoir.numerics.kernels import kernel, memory, vector
 from crazychoir.platforms import LARGEST_AXIS_COMMAND, Platform
 from crazychoir.types import FullState, Mat, State, Vec
 
-SEEN_AGE = 0.1
-"""Age in s of a state beyond which it is a prediction; controllers learn nothing from it."""
-BLIND_HORIZON = 2.0
-"""Seconds that the filter predicts its own motion without a pose.
-
-The safety table lets the drone fly as long without poses.
-"""
-
 
 def choose_filter(
-    name: str, chosen: Controls, ground: float, rate: float
+    name: str,
+    chosen: Controls,
+    ground: float,
+    rate: float,
+    table: FilterTable | None = None,
 ) -> StateFilter:
     """Return the filter of [control], "kalman" or "derivative".
 
@@ -32,6 +31,7 @@ def choose_filter(
 
     ground: m, height of the floor
     rate: Hz, of the poses
+    table: record for the filter, shared with a table of many drones; None for a record of its own
     """
     motion = (
         CommandedMotion(chosen.platform.flat, ground)
@@ -41,9 +41,15 @@ def choose_filter(
     if name == "kalman":
         loop = compute_rate_loops(chosen.platform) if chosen.plant == "motors" else None
         return KalmanFilter(
-            horizon=BLIND_HORIZON, period=1.0 / rate, motion=motion, loop=loop
+            horizon=BLIND_HORIZON,
+            period=1.0 / rate,
+            motion=motion,
+            loop=loop,
+            table=table,
         )
-    return VelocityFilter(horizon=BLIND_HORIZON, period=1.0 / rate, motion=motion)
+    return VelocityFilter(
+        horizon=BLIND_HORIZON, period=1.0 / rate, motion=motion, table=table
+    )
 
 
 def compute_rate_loops(platform: Platform) -> Mat:
@@ -71,19 +77,32 @@ def compute_rate_loops(platform: Platform) -> Mat:
     return np.array(rows)
 
 
-def compute_believed_state(state: State, flown: FullState | None) -> Vec:
-    """Return the state (13,) to assume for an unseen drone if the filter does not know its commands.
+@kernel(vector, memory)
+def write_believed_state(flown: Vec, state: Vec) -> None:
+    """Compute the state to assume for an unseen drone if the filter does not know its commands.
 
     It is the state of the reference: the drone counts as being where it should be. The filter itself
     extrapolates the last speed. A controller would brake against that speed for ever, and the drone
     would fly backwards.
+
+    flown: (14,): reference that the drone flies, FullState.flat
+    state: (13,): the result, State.flat
+    """
+    half = 0.5 * flown[12]
+    state[:] = 0.0
+    state[0:6] = flown[0:6]
+    state[8] = math.sin(half)
+    state[9] = math.cos(half)
+
+
+def compute_believed_state(state: State, flown: FullState | None) -> Vec:
+    """Return the state (13,) of `write_believed_state`.
 
     state: of the filter, returned if there is no reference
     flown: reference that the drone flies, None without one
     """
     if flown is None:
         return state.flat
-    half = 0.5 * flown.yaw
-    return np.array(
-        [*flown.p, *flown.v, 0.0, 0.0, math.sin(half), math.cos(half), 0.0, 0.0, 0.0]
-    )
+    believed = np.empty(13)
+    write_believed_state(flown.flat, believed)
+    return believed

@@ -8,8 +8,8 @@ import numpy as np
 from crazychoir.control.parameters import ControllerParameters
 from crazychoir.errors import ConfigError
 from crazychoir.flight.batch import Course, DroneRow
+from crazychoir.flight.blind_time import SEEN_AGE
 from crazychoir.flight.clearance import PLAN_DEVIATION, Clearance
-from crazychoir.flight.estimate import SEEN_AGE
 from crazychoir.flight.goals import require_goal
 from crazychoir.flight.homecoming import Homecoming
 from crazychoir.flight.notes import FlightNotes

@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass
 
 from crazychoir.flight.batch import DroneRow
+from crazychoir.flight.blind_time import SEEN_AGE
 from crazychoir.flight.body import Body
-from crazychoir.flight.estimate import SEEN_AGE
 from crazychoir.flight.notes import FlightNotes
 from crazychoir.flight.point_flights import PointFlights
 from crazychoir.flight.setup import FlightSetup

@@ -7,8 +7,8 @@ each of the others its judge decides by the safety table, its mode, and its surr
 import numpy as np
 
 from crazychoir.flight.batch import Course, DroneRow
+from crazychoir.flight.blind_time import SEEN_AGE
 from crazychoir.flight.body import Body
-from crazychoir.flight.estimate import SEEN_AGE
 from crazychoir.flight.follower import Follower
 from crazychoir.flight.ground_watch import LANDS_ASTRAY, GroundWatch
 from crazychoir.flight.homecoming import Homecoming

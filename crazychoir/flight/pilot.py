@@ -107,7 +107,11 @@ class Pilot(Actor):
         )
         if state_filter is None:
             state_filter = choose_filter(
-                "kalman", setup.controls, setup.limits.ground, setup.rate
+                "kalman",
+                setup.controls,
+                setup.limits.ground,
+                setup.rate,
+                self.row.filters,
             )
         self.stages = DroneStages(self, state_filter)
         self.tick.add(self.stages, self.row.index, period)

@@ -4,6 +4,11 @@ import math
 
 import numpy as np
 
+from crazychoir.control.position import FLATNESS_LAYOUT
+from crazychoir.control.rows import CONTROL_ROW, INPUT_SIZE, fly_controller
+from crazychoir.control.rows import ControllerKind as CompiledKind
+from crazychoir.filters.row_filter import estimate_row
+from crazychoir.filters.rows import FILTER_ROW, FilterRows, histories
 from crazychoir.flight.batch import (
     DRONE_ROW,
     MODE_NUMBERS,
@@ -12,11 +17,13 @@ from crazychoir.flight.batch import (
     DroneRows,
     ReferenceKind,
 )
+from crazychoir.flight.blind_time import SEEN_AGE
 from crazychoir.flight.clearance import CLEARANCE_TIMES, PLAN_DEVIATION
-from crazychoir.flight.estimate import SEEN_AGE
+from crazychoir.flight.estimate import write_believed_state
 from crazychoir.flight.touchdown_limits import TOUCHDOWN_LIMITS
 from crazychoir.numerics.kernels import (
     Record,
+    Records,
     boolean,
     kernel,
     real,
@@ -48,6 +55,62 @@ LAND = MODE_NUMBERS[Mode.LAND]
 CUT = MODE_NUMBERS[Mode.CUT]
 NO_REFERENCE_AGE = -1.0
 """Age that says that the drone needs no reference."""
+
+
+@kernel()
+def _write_believed_flight(
+    drone: Record, plan: Record, now: float, planned: Vec
+) -> None:
+    """Assume that an unseen drone is where it should be, if its filter does not know its commands.
+
+    planned: (14,), work space
+    """
+    if plan.kind != PlanKind.NONE and has_pieces(plan, now):
+        sample_plan(plan, now, planned)
+        write_believed_state(planned, drone.state[:])
+    elif drone.has_flown > 0:
+        write_believed_state(drone.flown[:], drone.state[:])
+
+
+@kernel(
+    rows_of(DRONE_ROW), rows_of(PLAN_ROW), rows_of(FILTER_ROW), histories, whole, real
+)
+def estimate_drones(
+    drones: DroneRows,
+    plans: PlanRows,
+    filters: FilterRows,
+    history: Vec,
+    now_ns: int,
+    now: float,
+) -> None:
+    """Estimate the state of each drone that ticks; a drone that was never seen ticks no more.
+
+    Filters by hand have written their records before.
+
+    history: (n, R, 5): commands of each drone
+    now_ns: ns
+    now: s, the same time
+    """
+    scratch = np.empty(13)
+    planned = np.empty(14)
+    for k in range(drones.shape[0]):
+        drone = drones[k]
+        if drone.ticks == 0:
+            continue
+        drone.ticked_ns = now_ns
+        estimate_row(filters[k], history[k], scratch, now)
+        if filters[k].is_known == 0:
+            drone.ticks = 0
+            continue
+        drone.is_known = 1
+        drone.age = filters[k].age
+        for c in range(13):
+            drone.state[c] = filters[k].state[c]
+        if drone.knows_commands == 0 and drone.age > SEEN_AGE:
+            _write_believed_flight(drone, plans[k], now, planned)
+        for c in range(3):
+            drone.acceleration[c] = drone.commanded[c]
+            drone.commanded[c] = 0.0
 
 
 @kernel()
@@ -161,8 +224,6 @@ def find_rows_to_judge(
         drone = drones[k]
         if drone.ticks == 0:
             continue
-        for c in range(3):
-            drone.commanded[c] = 0.0
         drone.course = Course.NOTHING
         drone.controller = ControllerKind.NONE
         is_off = drone.mode == GROUND or drone.mode == CUT
@@ -299,3 +360,60 @@ def evade_row(
 ) -> None:
     """Apply `_evade` to the only record of `drones`."""
     _evade(drones[0], safe, other, is_on_plan, now)
+
+
+@kernel()
+def _control_drone(drone: Record, control: Record, now: float) -> bool:
+    """Compute the input of the sender by the drone's controller.
+
+    Returns False, and changes nothing, if the controller is in Python.
+    """
+    is_tracker = drone.controller == ControllerKind.TRACKER
+    controller = control.tracker if is_tracker else control.follower
+    if controller.kind != CompiledKind.COMPILED:
+        return False
+    if is_tracker:
+        control.trim.is_frozen = 1 - drone.learns_trim
+    fly_controller(
+        controller,
+        control.trim,
+        drone.state[:],
+        drone.age,
+        drone.wanted[:],
+        True,
+        now,
+        drone.command[:INPUT_SIZE],
+    )
+    first = FLATNESS_LAYOUT.acceleration_start
+    for c in range(3):
+        drone.commanded[c] = controller.position.out[first + c]
+    return True
+
+
+@kernel(rows_of(DRONE_ROW), rows_of(CONTROL_ROW), real, wholes)
+def control_drones(
+    drones: DroneRows, controls: Records, now: float, found: Ints
+) -> int:
+    """Compute the input of the sender for each drone that ticks and gets a command.
+
+    now: s
+    found: (n,): receives the rows of the drones whose command is made in Python
+    Returns how many these are.
+    """
+    count = 0
+    for k in range(drones.shape[0]):
+        drone = drones[k]
+        if drone.ticks == 0 or drone.course == Course.NOTHING:
+            continue
+        is_done = False
+        if drone.sends_rows > 0:
+            if drone.course == Course.IDLE:
+                for c in range(INPUT_SIZE):
+                    drone.command[c] = 0.0
+                is_done = True
+            else:
+                is_done = _control_drone(drone, controls[k], now)
+        if not is_done:
+            found[count] = k
+            count += 1
+    return count

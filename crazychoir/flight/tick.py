@@ -11,22 +11,29 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from crazychoir.filters.row_filter import estimate_by_hand
+from crazychoir.filters.rows import FilterKind
+from crazychoir.filters.state_filter import StateFilter
 from crazychoir.flight.batch import Batch, Course
-from crazychoir.flight.stages import find_rows_to_judge, follow_rows
+from crazychoir.flight.stages import (
+    control_drones,
+    estimate_drones,
+    find_rows_to_judge,
+    follow_rows,
+)
 from crazychoir.runtime.clock import NS_PER_SECOND, Clock
-from crazychoir.types import Pose, State
+from crazychoir.types import Pose
 
 
 class TickedDrone(Protocol):
     """The Python parts of a drone that a tick calls for its record."""
 
+    filter: StateFilter
+    """Its filter."""
+
     @property
     def is_running(self) -> bool:
         """Whether the drone may tick."""
-        ...
-
-    def estimate(self, pose: Pose | None, now: float) -> State | None:
-        """Return the state at `now` in s; None before the first pose."""
         ...
 
     def publish_state(self) -> None:
@@ -41,8 +48,12 @@ class TickedDrone(Protocol):
         """Keep clear of other drones, at `now` in s."""
         ...
 
-    def command(self, now: float) -> None:
-        """Send the command of this tick, at `now` in s."""
+    def send_input(self) -> None:
+        """Send the input in its record."""
+        ...
+
+    def command_by_hand(self, now: float) -> None:
+        """Compute a command in Python at `now` in s, and send it."""
         ...
 
     def fail(self, error: BaseException) -> None:
@@ -57,16 +68,17 @@ class FlightTick:
 
     clock: of the process
     size: largest number of drones
+    rate: Hz, of the poses of the drones; the largest if they differ
     """
 
-    def __init__(self, clock: Clock, size: int = 1) -> None:
+    def __init__(self, clock: Clock, size: int = 1, rate: float = 100.0) -> None:
         self.clock = clock
-        self.batch = Batch(size)
+        self.batch = Batch(size, rate)
         self.deciders: list[Callable[[], None]] = []
         """Called when all states of a tick are published: laws decide then."""
         self._drones: list[TickedDrone] = []
-        self._poses: dict[int, Pose | None] = {}
-        self._rows_to_judge = np.zeros(size, np.int64)
+        self._filtered_by_hand: list[int] = []
+        self._found = np.zeros(size, np.int64)
         self._is_due = False
         self._patience_ns = np.zeros(size, np.int64)
 
@@ -79,14 +91,24 @@ class FlightTick:
         assert index == len(self._drones)  # noqa: S101 - records are added in order
         self._drones.append(drone)
         self._patience_ns[index] = round(1.5 * period * NS_PER_SECOND)
+        if self.batch.filters.rows["kind"][index] == FilterKind.BY_HAND:
+            self._filtered_by_hand.append(index)
 
     def see(self, index: int, pose: Pose | None) -> None:
         """Let a drone tick in the next pass of the loop, with a pose or without."""
-        if pose is not None or index not in self._poses:
-            self._poses[index] = pose
+        self.batch.drones["ticks"][index] = 1
+        if pose is not None:
+            self._call(index, self._store_pose, index, pose)
         if not self._is_due:
             self._is_due = True
             self.clock.soon(self.run)
+
+    def _store_pose(self, index: int, pose: Pose) -> None:
+        """Write a pose into the record of the filter."""
+        row = self.batch.filters.rows[index]
+        row["pose"] = pose.flat
+        row["pose_age"] = pose.age
+        row["has_pose"] = 1
 
     def tick_late_drones(self) -> None:
         """Let the drones tick that have had no tick for one and a half periods."""
@@ -99,51 +121,62 @@ class FlightTick:
     def run(self) -> None:
         """Do all stages of the tick for the drones that are due."""
         self._is_due = False
-        poses = self._poses
-        self._poses = {}
         now_ns = self.clock.now_ns()
         now = now_ns / NS_PER_SECOND
-        self._estimate(poses, now_ns, now)
-        drones = self.batch.drones
-        for index in poses:
-            if drones[index]["ticks"]:
-                self._call(index, self._drones[index].publish_state)
+        batch = self.batch
+        drones = batch.drones
+        self._estimate(now_ns, now)
+        for index in np.flatnonzero(drones["ticks"]).tolist():
+            self._call(index, self._drones[index].publish_state)
         for decide in self.deciders:
             decide()
         self._judge(now)
-        follow_rows(drones, self.batch.plans, now)
-        for index in poses:
-            row = drones[index]
-            if row["ticks"] and row["course"] == Course.FOLLOW and row["avoids"]:
-                self._call(index, self._drones[index].avoid, now)
-        for index in poses:
-            if drones[index]["ticks"] and drones[index]["course"] != Course.NOTHING:
-                self._call(index, self._drones[index].command, now)
+        follow_rows(drones, batch.plans, now)
+        self._avoid(now)
+        self._command(now)
+        drones["ticks"] = 0
+        batch.filters.rows["has_pose"] = 0
 
-    def _estimate(self, poses: dict[int, Pose | None], now_ns: int, now: float) -> None:
+    def _estimate(self, now_ns: int, now: float) -> None:
         """Estimate the states of the drones that tick."""
-        rows = self.batch.drones
-        rows["ticks"] = 0
-        for index, pose in poses.items():
-            row = rows[index]
-            row["ticked_ns"] = now_ns
-            state = self._call(index, self._drones[index].estimate, pose, now)
-            if state is None:
-                continue
-            row["ticks"] = 1
-            row["is_known"] = 1
-            row["state"] = state.flat
-            row["age"] = state.age
-            row["acceleration"] = row["commanded"]
+        batch = self.batch
+        filters = batch.filters
+        for index in self._filtered_by_hand:
+            if batch.drones["ticks"][index]:
+                row = filters.rows[index]
+                state_filter = self._drones[index].filter
+                self._call(index, estimate_by_hand, row, state_filter, now)
+        estimate_drones(
+            batch.drones, batch.plans, filters.rows, filters.history, now_ns, now
+        )
 
     def _judge(self, now: float) -> None:
         """Decide what each drone does in this tick."""
         batch = self.batch
         count = find_rows_to_judge(
-            batch.drones, batch.plans, batch.guards, now, self._rows_to_judge
+            batch.drones, batch.plans, batch.guards, now, self._found
         )
-        for index in self._rows_to_judge[:count].tolist():
+        for index in self._found[:count].tolist():
             self._call(index, self._drones[index].judge, now)
+
+    def _avoid(self, now: float) -> None:
+        """Keep the drones clear of each other."""
+        drones = self.batch.drones
+        is_wanted = (drones["course"] == Course.FOLLOW) & (drones["avoids"] > 0)
+        for index in np.flatnonzero(is_wanted & (drones["ticks"] > 0)).tolist():
+            self._call(index, self._drones[index].avoid, now)
+
+    def _command(self, now: float) -> None:
+        """Compute and send the commands."""
+        batch = self.batch
+        count = control_drones(batch.drones, batch.controls, now, self._found)
+        by_hand = self._found[:count].tolist()
+        for index in np.flatnonzero(batch.drones["ticks"]).tolist():
+            drone = self._drones[index]
+            if index in by_hand:
+                self._call(index, drone.command_by_hand, now)
+            elif batch.drones["course"][index] != Course.NOTHING:
+                self._call(index, drone.send_input)
 
     def _call(self, index: int, work: Callable[..., Any], *arguments: Any) -> Any:
         """Do the work of one drone; its error does not keep another drone from its command."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.flight.batch import DroneRow
+from crazychoir.flight.blind_time import SEEN_AGE
 from crazychoir.flight.body import Body
-from crazychoir.flight.estimate import SEEN_AGE
 from crazychoir.flight.follower import Follower
 from crazychoir.flight.notes import FlightNotes
 from crazychoir.flight.permission import Permission

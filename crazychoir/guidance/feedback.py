@@ -1,39 +1,26 @@
 """CFDistributedFeedback: a feedback law as a mission."""
 
-import asyncio
-import logging
 import math
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.control.gains import FORMATION_GAINS, Gains
 from crazychoir.errors import ConfigError
-from crazychoir.flight.references import convert_reference, explain_refusal
+from crazychoir.guidance.decision.law_stage import LawStage
+from crazychoir.guidance.decision.team import Ids, TeamLaw
 from crazychoir.guidance.guidance import CFGuidance
-from crazychoir.guidance.law_tally import LawTally, explain_wrong_return
-from crazychoir.guidance.member import (
-    Interrupted,
-    Member,
-    describe_state,
-    make_raisable,
-)
-from crazychoir.guidance.neighbour_state import (
-    PairedStateMailbox,
-    StateMailbox,
-    VelocitySum,
-)
-from crazychoir.guidance.user_hook import Hook, locate_function
-from crazychoir.runtime.clock import NS_PER_SECOND, wake_waiter
+from crazychoir.guidance.member import Member
+from crazychoir.guidance.running_law import RunningLaw
+from crazychoir.guidance.user_hook import Hook
+from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.runtime.mailbox import Call
-from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Heard, Reference, State
 
-log = logging.getLogger(__name__)
 LAW_TASK = "feedback law"
 """The task in the status while a CFDistributedFeedback runs."""
 
@@ -51,12 +38,6 @@ class LawTiming:
 
 
 LAW_TIMING = LawTiming()
-
-
-RISING_MODE = Mode.TAKEOFF
-"""The mode in which a law waits for the end of the take-off."""
-LAW_MODES = (Mode.HOVER, Mode.FOLLOW)
-"""The modes of the pilot in which a law may fly."""
 
 
 class CFDistributedFeedback(CFGuidance):
@@ -100,49 +81,36 @@ class CFDistributedFeedback(CFGuidance):
         heard: {j: state of neighbour j}.
         """
 
+    @classmethod
+    def for_team(cls, laws: Sequence[Self], neighbors: Sequence[Ids]) -> TeamLaw | None:
+        """Return the step of all drones of this class in the process at once, or None.
+
+        None: `step` is called drone by drone. A class that writes both lets `step` return
+        `step_alone(...)`, so that the law has one text. The function that is returned gets a Team in
+        each tick. What does not change in flight is prepared here: this is called when laws begin.
+
+        laws: the laws, one a row of the team.
+        neighbors: ids of the neighbours of each law, in the order of the team's edges.
+        """
+        return None
+
     def bind(self, member: Member) -> None:
         """Connect the law to its drone, and subscribe to the states of the neighbours."""
         super().bind(member)
         member.pilot.setup.controls.lead_by(self.gains)
         bus = member.communicator.port.bus
-        self._hearings: dict[int, StateMailbox | PairedStateMailbox] = {}
-        for j in self.graph.in_neighbors(self.id):
-            hearing = self._hearings[j] = self._hearing(f"drone {self.id} state of {j}")
-            bus.subscribe(
-                DRONE_TOPICS.state,
-                j,
-                self.id,
-                hearing,
-                self.rate if self.rate < DRONE_TOPICS.state.rate else 0.0,
-            )
-        self._own = self._sum()
-        self._measured = 0.0
-        self._unheard = dict.fromkeys(self._hearings, 0)
-        self._tally = LawTally(self.id)
-        self._law: asyncio.Future[None] | None = None
-        self._period_ns = self._due_ns = 0
-        self._me = self.state
-        self._stages = bus.stages
+        self._stage = LawStage(bus.stages) if member.laws is None else member.laws
+        neighbors = self.graph.in_neighbors(self.id)
+        self._running = RunningLaw(self, member, tuple(neighbors))
+        rate = self.rate if self.rate < DRONE_TOPICS.state.rate else 0.0
+        for j, hearing in zip(neighbors, self._running.hearings, strict=True):
+            bus.subscribe(DRONE_TOPICS.state, j, self.id, hearing, rate)
+        self._is_running = False
         bus.subscribe(
             DRONE_TOPICS.state,
             self.id,
             self.id,
             Call(member.clock, self._moved, f"drone {self.id} state"),
-        )
-
-    def _hearing(self, name: str) -> StateMailbox | PairedStateMailbox:
-        if self.paired:
-            return PairedStateMailbox(
-                self.member.clock, name, 1.0 / self.member.config.mocap.rate
-            )
-        return StateMailbox(self.member.clock, name, self._sum())
-
-    def _sum(self) -> VelocitySum:
-        member = self.member
-        return VelocitySum(
-            member.pilot.stages.filter.cutoff,
-            1.0 / member.config.mocap.rate,
-            1.0 / self.rate,
         )
 
     async def mission(self) -> dict[str, Any]:
@@ -170,14 +138,16 @@ class CFDistributedFeedback(CFGuidance):
         self.member.report = lambda: {"task": "landing"}
         self.member.announce()
         await self.land()
-        unheard = {j: steps / self.rate for j, steps in self._unheard.items() if steps}
+        unheard = {
+            j: steps / self.rate for j, steps in self._running.unheard.items() if steps
+        }
         result = {
             "law_s": law_s,
-            "references": self._tally.usable,
+            "references": self._running.tally.usable,
             "place": place,
             "unheard_s": unheard,
         }
-        return result | self._tally.list_faults()
+        return result | self._running.tally.list_faults()
 
     def height(self) -> float | None:
         """Return the take-off height in m above the ground, or None for that of the swarm file.
@@ -241,117 +211,33 @@ class CFDistributedFeedback(CFGuidance):
         Raises all errors of `step`, and Interrupted when the pilot stops obeying.
         """
         clock = self.member.clock
-        self._period_ns = round(NS_PER_SECOND / self.rate)
-        self._due_ns = clock.now_ns()
-        self._own.forget()
-        for hearing in self._hearings.values():
-            hearing.forget()
-        self._law = asyncio.get_running_loop().create_future()
+        now_ns = clock.now_ns()
+        ended = self._running.start(now_ns)
         seconds = min(float(self.duration), LAW_TIMING.longest_duration)
         end = clock.call_at(
-            self._due_ns + round(seconds * NS_PER_SECOND),
-            wake_waiter,
-            self._law,
-            drone=self.id,
+            now_ns + round(seconds * NS_PER_SECOND), self._running.end, drone=self.id
         )
+        self._stage.enter(self._running)
+        self._is_running = True
         try:
-            await self._law
+            await ended
         finally:
-            self._law = None
+            self._is_running = False
+            self._stage.leave(self._running)
             end.cancel()
 
+    def fail(self, error: BaseException) -> bool:
+        """End the law with an error; return False if it does not run any more."""
+        return self._is_running and self._running.fail(error)
+
+    def renew_team(self) -> None:
+        """Call `for_team` again before the next step, because numbers of this law have changed."""
+        self._stage.renew()
+
     def _moved(self, me: State, age: float) -> None:
-        """Take a new state: decide when all drones of this process have published theirs."""
-        if self._law is not None:
-            self._me = me
-            self._stages.decide.append(self._decide)
-
-    def _decide(self) -> None:
-        """Call `step` if it is due.
-
-        Its errors end the law. They do not end the tick, because the tick belongs to other drones
-        too.
-        """
-        law = self._law
-        if law is None or law.done():
-            return
-        pilot = self.member.pilot
-        try:
-            late_ns = self.member.clock.now_ns() - self._due_ns
-            if late_ns < -pilot.setup.period_ns // 2 or pilot.mode is RISING_MODE:
-                return
-            self._due_ns += max(1, late_ns // self._period_ns + 1) * self._period_ns
-            if pilot.mode not in LAW_MODES:
-                raise Interrupted(
-                    f"drone {self.id}: {describe_state(pilot)}{self._deaf()}"
-                )
-            reference = self._stepped(self._me)
-            tally = self._tally
-            tally.steps += 1
-            if reference is None:
-                tally.hovered += 1
-                pilot.hover()
-            elif not pilot.follow(reference):
-                self._not_taken(reference)
-        except KeyboardInterrupt:
-            raise
-        except BaseException as error:  # noqa: BLE001 - run_law raises it
-            law.set_exception(make_raisable(error, f"drone {self.id}: step"))
-
-    def _stepped(self, me: State) -> Reference | None:
-        """Return the reference of `step`, guarded by the watchdog."""
-        watchdog = self.member.watchdog
-        measured = self.member.pilot.stages.filter.measured
-        poses = round(
-            (measured - self._measured) / self._own.h
-        )  # a whole number: clocks jitter, cameras do not
-        self._measured = measured
-        heard = self.hear(poses)
-        if poses == 1 and self._own.even:
-            self._own.last = me
-        elif not self.paired:
-            me = self._own.told(me, me.age, poses, poses)
-        if len(heard) < len(self._hearings):
-            for j in self._hearings:
-                self._unheard[j] += j not in heard
-        if watchdog is None:
-            return self.step(me, heard)
-        with watchdog.guard(f"drone {self.id} guidance"):
-            return self.step(me, heard)
-
-    def _not_taken(self, reference: object) -> None:
-        """Count a reference that can never be flown, and log the reason once."""
-        if convert_reference(reference) is None:
-            why = f"{explain_wrong_return(reference)}; {explain_refusal(reference)}"
-        else:
-            why = self.member.pilot.follower.explain_unflown(reference)
-        why = f"{why} ({locate_function(self.step)})"
-        self._tally.refuse(why)
-        if self._tally.refused == 1:
-            log.warning("drone %d: %s: not flown", self.id, why)
-
-    def _deaf(self) -> str:
-        """Return the silent neighbours in words, or "".
-
-        Missing neighbours are the usual reason for a law that gives no reference.
-        """
-        silent = ", ".join(
-            str(j) for j, box in self._hearings.items() if box.fresh() is None
-        )
-        return f"; hears nothing of drone(s) {silent}" if silent else ""
-
-    def hear(self, held: int) -> Heard:
-        """Return the states of the neighbours for this step, without the stale ones.
-
-        held: number of poses since the last step.
-        """
-        heard: Heard = {}
-        now_ns = self.member.clock.now_ns()
-        for j, hearing in self._hearings.items():
-            state = hearing.state(now_ns, held)
-            if state is not None:
-                heard[j] = state
-        return heard
+        """Take a new state: the law steps when all drones of this process have published theirs."""
+        if self._is_running:
+            self._stage.move(self._running, me)
 
 
 def are_all_idle(results: Mapping[int, Mapping[str, Any]]) -> bool:

@@ -1,36 +1,55 @@
 """A tally of what became of the references of a law, for the result of its drone."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from crazychoir.guidance.decision.law_rows import TALLY_ROW
 from crazychoir.types import Acceleration, FullState, Goto, Velocity
 
 
-@dataclass(slots=True)
 class LawTally:
-    """Counts the steps of a law, and keeps why its last refused reference cannot be flown."""
+    """Counts the steps of a law, and keeps why its last refused reference cannot be flown.
 
-    drone: int
-    """Id of the drone."""
-    steps: int = 0
-    """Steps of the law."""
-    hovered: int = 0
-    """Steps in which the law returned None."""
-    refused: int = 0
-    """Steps with a reference that cannot be flown."""
-    refusal: str = ""
-    """Why the last of these references cannot be flown."""
+    drone: id of the drone.
+    rows: (1,) of TALLY_ROW, which holds the counts; None: its own.
+    """
+
+    def __init__(self, drone: int, rows: npt.NDArray[Any] | None = None) -> None:
+        self.drone = drone
+        self.rows = np.zeros(1, TALLY_ROW) if rows is None else rows
+        self.refusal = ""
+        """Why the last of the refused references cannot be flown."""
+
+    @property
+    def steps(self) -> int:
+        """Steps of the law."""
+        return int(self.rows["steps"][0])
+
+    @property
+    def hovered(self) -> int:
+        """Steps in which the law returned None."""
+        return int(self.rows["hovered"][0])
+
+    @property
+    def refused(self) -> int:
+        """Steps with a reference that cannot be flown."""
+        return int(self.rows["refused"][0])
 
     @property
     def usable(self) -> int:
         """Number of references that could be flown."""
         return self.steps - self.hovered - self.refused
 
+    def count(self, reference: object) -> None:
+        """Count a step and its return value."""
+        self.rows["steps"] += 1
+        self.rows["hovered"] += reference is None
+
     def refuse(self, why: str) -> None:
         """Count a reference that cannot be flown."""
-        self.refused += 1
+        self.rows["refused"] += 1
         self.refusal = why
 
     def list_faults(self) -> dict[str, Any]:

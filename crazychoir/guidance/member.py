@@ -7,6 +7,7 @@ from typing import Any
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import CrazyChoirError
 from crazychoir.flight.pilot import Pilot
+from crazychoir.guidance.decision.law_stage import LawStage
 from crazychoir.guidance.sensors import Sensors
 from crazychoir.guidance.turns import is_blocked
 from crazychoir.runtime.clock import Clock
@@ -40,6 +41,8 @@ class Member:
     """The pilot that flies the drone."""
     watchdog: GuardFactory | None = None
     """Guard against user code that does not return. None: no guard."""
+    laws: LawStage | None = None
+    """The decide stage of the process. None: the law of this drone has one of its own."""
     report: Callable[[], dict[str, Any]] = dict
     """Returns the state of the mission for the status: task, round, cost."""
     announce: Callable[[], None] = lambda: None

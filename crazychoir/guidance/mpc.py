@@ -196,11 +196,10 @@ class MPCGuidance(CFDistributedFeedback):
                 await self.send(scheme.message(), self.mates, channel=MPC_CHANNEL)
                 await clock.sleep(pause, drone=self.id)
         except Exception as error:
-            if self._law is not None and not self._law.done():
-                self._law.set_exception(error)
-            elif not isinstance(
-                error, CrazyChoirError
-            ):  # the law has ended: errors of the team do not matter any more
+            if self.fail(error):
+                return
+            # The law has ended: errors of the team do not matter any more.
+            if not isinstance(error, CrazyChoirError):
                 raise
 
     async def mission(self) -> dict[str, Any]:

@@ -1,60 +1,32 @@
 """The states that a law receives: its own and its neighbours'.
 
-They are corrected for late, lost and repeated messages.
+They are corrected for late, lost and repeated messages. Each object here is the form for one drone
+or one neighbour of the rows in decision/.
 """
 
 import math
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from crazychoir.bus.topics import DRONE_TOPICS
-from crazychoir.numerics.kernels import kernel, memory, real, vector
+from crazychoir.guidance.decision.hearing_rows import (
+    HEARING_ROW,
+    put_first_row,
+    take_rows,
+)
+from crazychoir.guidance.decision.velocity_sums import (
+    CORRECTION_STEPS,
+    VELOCITY_SUM_ROW,
+    correct_first_row,
+)
 from crazychoir.runtime.clock import NS_PER_SECOND, Clock
-from crazychoir.runtime.mailbox import Latest
-from crazychoir.types import ZERO_ACCELERATION, State, Vec
+from crazychoir.runtime.mailbox import Mailbox
+from crazychoir.types import State
 
-CORRECTION_STEPS = 10.0  # steps in which a missing amount of velocity is made up
-NEGLIGIBLE_AMOUNT = 1e-7  # m: smaller amounts are not made up
-
-
-@kernel(vector, real, vector, real, real, real, real, memory, memory)
-def _correct_velocity(
-    x: Vec,
-    reach: float,
-    last: Vec,
-    last_reach: float,
-    held: float,
-    spread: float,
-    new: float,
-    mem: Vec,
-    out: Vec,
-) -> float:
-    """Correct the velocity of state x by the law of VelocitySum, into out.
-
-    Returns the largest component of the amount that is still owed, in m.
-
-    x: (13,): the new state.
-    reach: s: T of VelocitySum, plus the age of x.
-    last: (13,): the state before.
-    last_reach: s: the same for `last`.
-    held: s for which the velocity before was flown.
-    spread: s in which an owed amount is made up.
-    new: above 0 if x is a new measurement.
-    mem: (6,) = the velocity that the law received last, m/s; the owed amount, m. Both are updated.
-    out: (13,): x with the corrected velocity.
-    """
-    most = 0.0
-    out[:] = x
-    for c in range(3):
-        owed = mem[3 + c] - held * mem[c]
-        if new > 0.0:
-            owed += (x[c] - reach * x[3 + c]) - (last[c] - last_reach * last[3 + c])
-            owed = owed if held < 2.0 * spread and math.isfinite(owed) else 0.0
-            out[3 + c] += owed / spread
-        mem[c] = out[3 + c]
-        mem[3 + c] = owed
-        most = max(most, abs(owed))
-    return most
+Rows = npt.NDArray[Any]
+"""An array of records."""
 
 
 class VelocitySum:
@@ -86,22 +58,12 @@ class VelocitySum:
     """
 
     def __init__(self, cutoff: float, h: float, period: float) -> None:
-        self.h = h
-        self.reach = -h / math.expm1(-cutoff * h)
-        self.spread = CORRECTION_STEPS * period
-        self.even = True
-        """No amount is owed.
-
-        The next state then needs no correction, if the one before was used for exactly h.
-        """
-        self.last: State | None = None
-        """The state that the law received last, before its velocity was corrected."""
-        self._memory = np.zeros(6)
-
-    def forget(self) -> None:
-        """Forget the last state and the owed amount."""
-        self.last = None
-        self.even = True
+        self.rows = np.zeros(1, VELOCITY_SUM_ROW)
+        """(1,) of VELOCITY_SUM_ROW."""
+        self.rows["h"] = h
+        self.rows["reach"] = -h / math.expm1(-cutoff * h)
+        self.rows["spread"] = CORRECTION_STEPS * period
+        self.rows["is_even"] = 1
 
     def told(self, state: State, age: float, held: int, steps: int) -> State:
         """Return the state with this age, and with the velocity that keeps the sum right.
@@ -111,53 +73,89 @@ class VelocitySum:
         held: number of poses for which the state before was flown.
         steps: number of poses from the measurement before to this one; 0: the same measurement.
         """
-        last = self.last
-        if (held == 1 and steps == 1 and self.even) or last is None:
-            self.last = state
-            return state if age == state.age else State(state.flat, age, state.a)
-        memory = self._memory
-        out = np.empty(13)
-        if self.even:
-            memory[0:3] = last.v
-            memory[3:6] = 0.0
-        before = self.reach + last.age
-        now = self.reach + state.age
-        new = float(steps > 0)
-        owed = _correct_velocity(
-            state.flat,
-            now,
-            last.flat,
-            before,
-            held * self.h,
-            self.spread,
-            new,
-            memory,
-            out,
-        )
-        self.even = owed < NEGLIGIBLE_AMOUNT
-        if steps > 0:
-            self.last = state
-        return State(out, age, state.a)
+        told = np.empty(13)
+        if correct_first_row(self.rows, state.flat, state.age, held, steps, told):
+            return State(told, age, state.a)
+        return state if age == state.age else State(state.flat, age, state.a)
 
 
-class StateMailbox(Latest[State]):
-    """The mailbox for the states of one neighbour. A law takes a state from it once a step.
+class HearingMailbox(Mailbox[State]):
+    """The mailbox for the states of one neighbour: it holds the newest one.
 
-    In a step without a new message the newest state is extrapolated, p + v age. Velocities are
-    those of a VelocitySum.
+    rows: (1,) of HEARING_ROW, with the settings of the mailbox. All of its numbers are there.
     """
 
-    def __init__(self, clock: Clock, name: str, sums: VelocitySum) -> None:
-        super().__init__(clock, name, DRONE_TOPICS.state.max_age)
-        self.sums = sums
-        self._h_ns = round(sums.h * NS_PER_SECOND)
-        self._max_ns = round(DRONE_TOPICS.state.max_age * NS_PER_SECOND)
-        self._half_ns = self._h_ns // 2
-        self._told_version = self._told_ns = 0
+    def __init__(self, clock: Clock, name: str, rows: Rows) -> None:
+        self.rows = rows
+        super().__init__(clock, name)
 
-    def forget(self) -> None:
-        """Forget the last state and the owed amount, because the law starts now."""
-        self.sums.forget()
+    @property
+    def received(self) -> int:
+        """States that have arrived."""
+        return int(self.rows["received"][0])
+
+    @received.setter
+    def received(self, count: int) -> None:
+        self.rows["received"] = count
+
+    @property
+    def dropped(self) -> int:
+        """States that were replaced unread, or came after a newer one."""
+        return int(self.rows["dropped"][0])
+
+    @dropped.setter
+    def dropped(self, count: int) -> None:
+        self.rows["dropped"] = count
+
+    @property
+    def stale(self) -> int:
+        """Reads that found only a state that was too old."""
+        return int(self.rows["stale"][0])
+
+    @stale.setter
+    def stale(self, count: int) -> None:
+        self.rows["stale"] = count
+
+    def move_to(self, rows: Rows) -> None:
+        """Go on with these rows (1,) of HEARING_ROW: all numbers move there."""
+        rows[:] = self.rows
+        self.rows = rows
+
+    def put(self, value: State, age: float = 0.0) -> None:
+        """Replace the content, unless it is newer; drop what has not the numbers of a state."""
+        now_ns = self.clock.now_ns()
+        try:
+            is_state = put_first_row(
+                self.rows, value.flat, value.a, value.age, age, now_ns
+            )
+        except TypeError:  # arrays of another type or layout
+            is_state = self._put_converted(value, age, now_ns)
+        if not is_state:
+            self.received += 1
+            self.dropped += 1
+
+    def _put_converted(self, value: State, age: float, now_ns: int) -> bool:
+        """Put a state whose arrays are not what kernels take; return whether it is a state."""
+        try:
+            flat = np.array(value.flat, dtype=np.float64)
+            acceleration = np.array(value.a, dtype=np.float64)
+            put = put_first_row(
+                self.rows, flat, acceleration, float(value.age), age, now_ns
+            )
+        except (TypeError, ValueError):
+            return False
+        return bool(put)
+
+    def clear(self) -> None:
+        """Return to the state before the first message."""
+        for name in ("version", "seen_version", "told_version"):
+            self.rows[name] = 0
+
+    def is_fresh(self) -> bool:
+        """Return whether the newest state is not too old."""
+        row = self.rows[0]
+        age_ns = self.clock.now_ns() - int(row["born_ns"])
+        return bool(row["version"] > 0 and age_ns <= row["max_ns"])
 
     def state(self, now_ns: int, held: int) -> State | None:
         """Return the state of the neighbour for this step, with the age of the message.
@@ -167,31 +165,34 @@ class StateMailbox(Latest[State]):
         now_ns: ns: the present time.
         held: number of poses for which the reference of the last step was flown.
         """
-        born_ns = self._born_ns
-        sums = self.sums
-        state = self._value
-        if now_ns - born_ns > self._max_ns or state is None:
-            self.stale += state is not None
-            sums.forget()
+        take_rows(self.rows, now_ns, held)
+        row = self.rows[0]
+        if row["is_heard"] == 0:
             return None
-        age = (now_ns - born_ns) / NS_PER_SECOND
-        version = self.version
-        steps = (born_ns - self._told_ns + self._half_ns) // self._h_ns
-        self._told_ns = born_ns
-        self._seen = version
-        if (
-            steps == 1 == held and sums.even
-        ):  # usual case: no message is late or missing
-            self._told_version = version
-            sums.last = state
-            return state if age == state.age else State(state.flat, age, state.a)
-        if version == self._told_version:
-            state = State(extrapolate_state(state.flat, age - state.age), age, state.a)
-        self._told_version = version
-        return sums.told(state, age, held, steps)
+        return State(
+            row["told"].copy(), float(row["told_age"]), row["told_acceleration"].copy()
+        )
 
 
-class PairedStateMailbox(Latest[State]):
+class StateMailbox(HearingMailbox):
+    """The mailbox for the states of one neighbour. A law takes a state from it once a step.
+
+    In a step without a new message the newest state is extrapolated, p + v age. Velocities are
+    those of a VelocitySum.
+
+    sums: the VelocitySum, with its settings
+    rows: (1,) of HEARING_ROW, None: its own
+    """
+
+    def __init__(
+        self, clock: Clock, name: str, sums: VelocitySum, rows: Rows | None = None
+    ) -> None:
+        rows = _prepare_rows(rows, float(sums.rows["h"][0]))
+        rows["sum"] = sums.rows
+        super().__init__(clock, name, rows)
+
+
+class PairedStateMailbox(HearingMailbox):
     """The mailbox for the states of one neighbour, for a law that uses its acceleration.
 
     Message m holds the acceleration that was commanded in the tick of message m - 1. Position and
@@ -205,57 +206,25 @@ class PairedStateMailbox(Latest[State]):
     state is returned unchanged.
 
     h: s between two states.
+    rows: (1,) of HEARING_ROW, None: its own
     """
 
-    def __init__(self, clock: Clock, name: str, h: float) -> None:
-        super().__init__(clock, name, DRONE_TOPICS.state.max_age)
-        self._h_ns = round(h * NS_PER_SECOND)
-        self._max_ns = round(DRONE_TOPICS.state.max_age * NS_PER_SECOND)
-        self._told_version = self._told_ns = 0
-        self._last: State | None = None
-        self._flat = ZERO_ACCELERATION
-
-    def forget(self) -> None:
-        """Forget the last state: the next one is returned unchanged, without interpolation."""
-        self._last = None
-
-    def state(self, now_ns: int, held: int) -> State | None:
-        """Return the state of the neighbour for this step, with the age of the message.
-
-        None if the message is too old.
-        """
-        born_ns = self._born_ns
-        state = self._value
-        last = self._last
-        if now_ns - born_ns > self._max_ns or state is None:
-            self.stale += state is not None
-            self._last = None
-            return None
-        self._seen = self.version
-        if self._told_version != self.version or last is None:
-            steps = round((born_ns - self._told_ns) / self._h_ns)
-            if last is None or steps < 1:
-                self._flat = state.flat
-            else:
-                self._flat = interpolate_state(state.flat, last.flat, 1.0 / steps)
-            self._told_version = self.version
-            self._told_ns = born_ns
-            self._last = state
-        return State(self._flat, (now_ns - born_ns) / NS_PER_SECOND, state.a)
+    def __init__(
+        self, clock: Clock, name: str, h: float, rows: Rows | None = None
+    ) -> None:
+        rows = _prepare_rows(rows, h)
+        rows["is_paired"] = 1
+        super().__init__(clock, name, rows)
 
 
-def interpolate_state(flat: Vec, before: Vec, share: float) -> Vec:
-    """Return a state (13,) with p and v moved by this share of the way back to the state before."""
-    now = flat.copy()
-    now[0:6] += share * (before[0:6] - now[0:6])
-    return now
+def _prepare_rows(rows: Rows | None, h: float) -> Rows:
+    """Return an empty row for states that come every h s.
 
-
-def extrapolate_state(flat: Vec, seconds: float) -> Vec:
-    """Return a state (13,) extrapolated by some seconds at constant velocity.
-
-    Attitude and body rates stay the same.
+    rows: (1,) of HEARING_ROW, or None for a new one
     """
-    now = flat.copy()
-    now[0:3] += seconds * now[3:6]
-    return now
+    if rows is None:
+        rows = np.zeros(1, HEARING_ROW)
+    rows["h_ns"] = round(h * NS_PER_SECOND)
+    rows["max_ns"] = round(DRONE_TOPICS.state.max_age * NS_PER_SECOND)
+    rows["sum"]["is_even"] = 1
+    return rows

@@ -10,7 +10,7 @@ import numpy as np
 
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.files.recorded_times import RECORDED_TIME_LIMITS
-from crazychoir.filters.velocity import is_readable
+from crazychoir.filters.poses import is_readable
 from crazychoir.mocap.frames import PoseFrame
 from crazychoir.mocap.simulated import CameraErrors, SimulatedMocap
 

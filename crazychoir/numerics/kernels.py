@@ -5,6 +5,7 @@ from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
+import numpy.typing as npt
 
 from crazychoir.numerics.compiling import KERNEL_QUEUE
 from crazychoir.numerics.kernel_cache import attach_cache
@@ -14,6 +15,8 @@ Law = TypeVar("Law", bound=Callable[..., Any])
 
 Record = Any
 """A record of an array of records: kernels read and write its fields as attributes."""
+Records = npt.NDArray[np.void]
+"""An array (n,) of records."""
 
 # Arguments that a kernel reads: frozen arrays and writable arrays fit.
 real = numba.float64

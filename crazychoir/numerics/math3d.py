@@ -232,6 +232,15 @@ def quaternion_of_yaw(yaw: float) -> Vec:
     return np.array([0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw)])
 
 
+@kernel()
+def compute_yaw(q: Quaternion) -> float:
+    """Return the heading of the body's x axis in the world, rad, in (-pi, pi], in compiled code."""
+    return math.atan2(
+        2.0 * (q[0] * q[1] + q[2] * q[3]),
+        1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2]),
+    )
+
+
 def yaw_of(q: Vec) -> float:
     """Return the heading of the body's x axis in the world, rad, in (-pi, pi]."""
     x, y, z, w = (float(c) for c in q)

@@ -8,13 +8,8 @@ from scipy.linalg import expm
 from scipy.signal import lsim
 
 from crazychoir.control.margin import make_rate_loop
-from crazychoir.filters.kalman import (
-    KALMAN_DEVIATIONS,
-    KALMAN_FIGURES,
-    KALMAN_MEMORY,
-    KalmanFilter,
-    KalmanNoise,
-)
+from crazychoir.filters.kalman import KalmanFilter, KalmanNoise
+from crazychoir.filters.kalman_law import KALMAN_DEVIATIONS
 from crazychoir.filters.motion import CommandedMotion
 from crazychoir.flight.estimate import compute_rate_loops
 from crazychoir.numerics.math3d import quaternion_product, rotation_exponential
@@ -74,9 +69,7 @@ def test_position_and_its_covariance_are_those_of_the_textbook_at_uneven_steps(
         )
         np.testing.assert_allclose([state.p[0], state.v[0]], x[:2], atol=1e-9)
         np.testing.assert_allclose(
-            f._memory[
-                KALMAN_MEMORY.place_covariance : KALMAN_MEMORY.attitude_covariance
-            ],
+            f._row["place_covariance"],
             upper(cov),
             rtol=1e-6,
         )
@@ -105,7 +98,7 @@ def test_an_angle_about_one_axis_and_its_covariance_are_those_of_the_textbook(
             1.0, abs=1e-12
         )
         np.testing.assert_allclose(
-            f._memory[KALMAN_MEMORY.attitude_covariance : KALMAN_MEMORY.call_time],
+            f._row["attitude_covariance"],
             upper(cov),
             rtol=1e-6,
         )
@@ -120,7 +113,7 @@ def test_what_obeys_the_commands_leaves_nothing_unexplained():
         state = f.update(Pose(np.array([*x[:3], *x[6:10]])), 0.01 * k)
         np.testing.assert_allclose(state.flat, x, atol=3e-4)
         np.testing.assert_allclose(
-            f._memory[KALMAN_MEMORY.disturbance : KALMAN_MEMORY.place_covariance],
+            f._row["disturbance"],
             0.0,
             atol=5e-3,
         )
@@ -146,7 +139,7 @@ def test_an_uncommanded_steady_force_becomes_the_disturbance_d():
     fall = (
         PAPER_PLATFORM.weight - PAPER_PLATFORM.drag[2] * a * 1.99
     ) / PAPER_PLATFORM.mass - 9.80665
-    assert f._memory[KALMAN_MEMORY.disturbance + 2] == pytest.approx(a - fall, abs=0.05)
+    assert f._row["disturbance"][2] == pytest.approx(a - fall, abs=0.05)
     assert state.v[2] == pytest.approx(a * 1.99, abs=0.01)
 
 
@@ -206,7 +199,7 @@ def test_without_thrust_the_rotors_run_down_and_the_rates_stay():
     rates = []
     for k in range(60):
         f.update(Pose(np.array([0.0, 0.0, 9.0, 0.0, 0.0, 0.0, 1.0])), 0.01 * k)
-        rates.append(f._memory[KALMAN_MEMORY.loop_rate])
+        rates.append(f._row["loop_rate"][0])
         f.commanded = np.array([PAPER_PLATFORM.weight if k < 5 else 0.0, 5.0, 0.0, 0.0])
     slope = (rates[5] - rates[4]) / 0.01
     assert rates[-1] == pytest.approx(
@@ -217,12 +210,10 @@ def test_without_thrust_the_rotors_run_down_and_the_rates_stay():
 
 @pytest.mark.parametrize("loop", [None, compute_rate_loops(PAPER_PLATFORM)])
 @pytest.mark.parametrize("motion", [None, CommandedMotion(PAPER_PLATFORM.flat, 0.0)])
-def test_compiled_code_reads_no_figure_that_is_not_there(motion, loop):
-    figures = KalmanFilter(motion=motion, loop=loop)._figures
-    assert len(figures) == KALMAN_FIGURES.platform + len(PAPER_PLATFORM.flat)
-    assert (figures[KALMAN_FIGURES.knows_loop] > 0.0) == (
-        motion is not None and loop is not None
-    )
+def test_the_loop_is_known_only_with_the_motion_and_the_loop(motion, loop):
+    row = KalmanFilter(motion=motion, loop=loop)._row
+    assert row["knows_commands"] == (motion is not None)
+    assert row["knows_loop"] == (motion is not None and loop is not None)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -258,7 +249,7 @@ def stepped(axis, rate, until=0.5, h=0.01):
     told[1 + axis], found = rate, []
     for k in range(round(until / h)):
         f.update(Pose(np.array([0.0, 0.0, 9.0, 0.0, 0.0, 0.0, 1.0])), k * h)
-        found.append(f._memory[KALMAN_MEMORY.loop_rate + axis])
+        found.append(f._row["loop_rate"][axis])
         f.commanded = told
     return np.array(found)
 

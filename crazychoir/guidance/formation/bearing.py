@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -133,35 +133,28 @@ def build_bearing_laplacian(
     )
 
 
-def build_law_matrix(
+def build_edge_weights(
     i: int, shape: Shape, neighbors: Sequence[int], law: BearingLaw
-) -> Mat:
-    """Return the law of follower i as one product.
+) -> dict[int, Mat]:
+    """Return the weights W_ij of the law of follower i.
 
-        u_i = W (x_i, x_j, ..., a_j, ...)
+        u_i = sum_j W_ij [ kp (p_j - p_i) + kv (v_j - v_i) + a_j ]
+        paper: W_ij = D P_ij, without a_j;   normalised: W_ij = K_i^-1 P_ij,   K_i = sum_j P_ij
 
-    Position and velocity count in each state x. The accelerations a_j belong to the normalised law
-    only.
+    D = diag(1, 1, in_height).
 
     shape: {id: (3,) m}, from which the bearings follow.
     neighbors: ids that drone i hears.
-    Returns W, (3, 13 (1 + n)), or (3, 13 (1 + n) + 3 n) for the normalised law, with n neighbours.
+    Returns {j: W_ij (3, 3)}.
     """
-    weights: dict[int, Any] = {
+    weights: dict[int, Mat] = {
         j: projector(np.subtract(shape[j], shape[i])) for j in neighbors
     }
     if law.kind == "normalised":
-        total = sum(weights.values())
-        weights = {j: np.linalg.solve(total, p) for j, p in weights.items()}
-    else:
-        share = np.array([[1.0], [1.0], [law.in_height]])
-        weights = {j: share * p for j, p in weights.items()}
-    # The first 6 of the 13 numbers of a state are position and velocity.
-    blocks = [
-        np.pad(np.kron([law.kp, law.kv], w), ((0, 0), (0, 7))) for w in weights.values()
-    ]
-    of_accelerations = weights.values() if law.kind == "normalised" else ()
-    return np.hstack([-sum(blocks), *blocks, *of_accelerations])
+        total = np.sum(list(weights.values()), axis=0)
+        return {j: np.linalg.solve(total, p) for j, p in weights.items()}
+    share: Mat = np.array([[1.0], [1.0], [law.in_height]])
+    return {j: share * p for j, p in weights.items()}
 
 
 def _list_indices(row: Mapping[int, slice], ids: Sequence[int]) -> list[int]:

@@ -3,7 +3,8 @@
 Their followers fly accelerations.
 """
 
-from typing import Annotated, Literal
+from collections.abc import Sequence
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from msgspec import Meta
@@ -11,6 +12,7 @@ from msgspec import Meta
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import SwarmTable, Text
 from crazychoir.errors import ConfigError
+from crazychoir.guidance.decision.team import Ids, Team, TeamLaw
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import require_feasible
 from crazychoir.guidance.mission_options import (
@@ -96,11 +98,22 @@ class Leader(CFDistributedFeedback):
         self.path = path
         self.begin = 0.0
         self._started = None
+        self.renew_team()
         return f"leads along it from {np.round(self.place, 2).tolist()}"
 
     def height(self) -> float:
         """Return the height of its place above the ground, in m."""
         return float(self.place[2]) - self.member.config.flight.ground
+
+    @classmethod
+    def for_team(cls, laws: Sequence[Self], neighbors: Sequence[Ids]) -> TeamLaw | None:
+        """Return the step of leaders that all stand still; None if a leader flies a path.
+
+        Leaders that stand still hover, as a team does without a reference.
+        """
+        if any(law.path is not None for law in laws):
+            return None
+        return stand_still
 
     def step(self, me: State, heard: Heard) -> FullState | None:
         """Return where the leader should be now; None if it stands still."""
@@ -114,6 +127,10 @@ class Leader(CFDistributedFeedback):
         """Return the s since the begin of the path, negative before."""
         assert self._started is not None  # noqa: S101 - callers have looked
         return self.member.clock.now() - self._started - self.begin
+
+
+def stand_still(team: Team) -> None:
+    """Give no leader a reference: all of them hover."""
 
 
 class MovedPath:

@@ -160,7 +160,7 @@ def test_a_law_that_begins_to_return_nonsense_brakes_and_lands_by_the_safety_tab
     law = Law(
         lambda me: (
             Acceleration([0.1, 0, 0])
-            if law._tally.steps < 20
+            if law._running.tally.steps < 20
             else Acceleration(np.array(["x"] * 3))
         )
     )

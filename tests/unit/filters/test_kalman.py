@@ -3,7 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from crazychoir.filters.kalman import KALMAN_GATE, KALMAN_MEMORY, KalmanFilter
+from crazychoir.filters.kalman import KalmanFilter
+from crazychoir.filters.kalman_law import KALMAN_GATE
 from crazychoir.filters.motion import CommandedMotion
 from crazychoir.filters.state_filter import StateFilter
 from crazychoir.filters.velocity import VelocityFilter
@@ -54,10 +55,8 @@ def angle(state, q):
 
 
 def covariances(f):
-    pp, pv, pd, vv, vd, dd = f._memory[
-        KALMAN_MEMORY.place_covariance : KALMAN_MEMORY.attitude_covariance
-    ]
-    aa, aw, ww = f._memory[KALMAN_MEMORY.attitude_covariance : KALMAN_MEMORY.call_time]
+    pp, pv, pd, vv, vd, dd = f._row["place_covariance"]
+    aa, aw, ww = f._row["attitude_covariance"]
     return np.array([[pp, pv, pd], [pv, vv, vd], [pd, vd, dd]]), np.array(
         [[aa, aw], [aw, ww]]
     )
@@ -274,10 +273,7 @@ def test_a_drone_that_stands_on_the_ground_is_at_rest_and_takes_off_without_a_ju
         state = f.update(noisy(place, draw), 0.01 * k)
         assert k < 20 or np.linalg.norm(state.v) < 0.03
     assert (
-        np.linalg.norm(
-            f._memory[KALMAN_MEMORY.disturbance : KALMAN_MEMORY.place_covariance]
-        )
-        < 0.1
+        np.linalg.norm(f._row["disturbance"]) < 0.1
     )  # what the floor carries is not summed up
     f.commanded = 1.2 * HOVER
     for k in range(1, 50):

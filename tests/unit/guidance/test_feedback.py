@@ -174,7 +174,7 @@ async def test_what_it_wants_is_flown_in_the_same_tick(clock):
     drone, ending = await flown(clock, law, seconds=0.0)
     await drone.fly(2 * TICK)
     assert drone.pilot.mode is Mode.FOLLOW
-    assert drone.pilot._reference_ns == clock.now_ns()
+    assert drone.pilot.row.drone["reference_ns"] == clock.now_ns()
     ending.cancel()
 
 
@@ -205,7 +205,7 @@ async def test_it_hears_its_neighbours_with_their_ages_and_no_stale_ones(clock):
     ages = [heard[1].age for heard in law.heard if 1 in heard]
     assert max(ages) == pytest.approx(DRONE_TOPICS.state.max_age, abs=TICK)
     assert law.heard[-1] == {}
-    assert law._unheard[1] / law.rate == pytest.approx(
+    assert law._running.unheard[1] / law.rate == pytest.approx(
         1.0 - DRONE_TOPICS.state.max_age, abs=0.02
     )
     ending.cancel()
@@ -349,7 +349,7 @@ async def test_a_law_without_neighbours_hovers_to_its_end_and_counts_unheard_tim
     assert await ending is None
     assert drone.pilot.mode is Mode.HOVER
     assert drone.world.state(0).p == pytest.approx(place, abs=0.02)
-    assert law._unheard[1] / law.rate == pytest.approx(
+    assert law._running.unheard[1] / law.rate == pytest.approx(
         9.0 - DRONE_TOPICS.state.max_age, abs=0.05
     )
 

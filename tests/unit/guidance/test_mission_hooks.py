@@ -264,7 +264,9 @@ def test_a_law_without_a_usable_reference_has_failed(mission, body, found):
 
 
 def test_a_law_that_acted_at_some_time_or_waits_is_none_that_never_acted(mission):
-    wanted = "-2.0 * me.v if me.p[0] < 0.0 or self._tally.steps > 9 else np.zeros(2)"
+    wanted = (
+        "-2.0 * me.v if me.p[0] < 0.0 or self._running.tally.steps > 9 else np.zeros(2)"
+    )
     body = f"return Acceleration({wanted}) if self.id else None"
     result = fly_fast(SWARM, mission(law=law_of(body)))
     assert result["success"], result["reasons"]

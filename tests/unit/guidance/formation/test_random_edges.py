@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from crazychoir.guidance.formation.random_edges import RandomEdges, count_ticks
-from crazychoir.runtime.clock import run_virtual
+from crazychoir.bus.impairment import random_draws
+from crazychoir.guidance.formation.random_edges import RandomEdges
 
 
 def test_edges_with_a_share_of_one_always_count():
@@ -27,10 +27,10 @@ def test_another_seed_draws_other_edges():
     assert drawn[0] != drawn[1]
 
 
-def test_ticks_are_periods_of_the_time():
-    async def count(clock):
-        before = count_ticks(clock, 100.0)
-        await clock.sleep(0.25)
-        return count_ticks(clock, 100.0) - before
-
-    assert run_virtual(count) == 25
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.999])
+def test_each_end_chooses_by_the_draw_of_its_key(share):
+    edges = RandomEdges(2, (7,), share, 5)
+    keys = random_draws.draw_key(5, 2, 7), random_draws.draw_key(5, 7, 2)
+    for k in range(300):
+        draws = [random_draws.draw(key, k, 0) / 2.0**64 for key in keys]
+        assert edges.counts(7, k) == (max(draws) < share)

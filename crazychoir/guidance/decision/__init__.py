@@ -1,0 +1,1 @@
+"""The decide stage: the laws of all drones of a process take one step together."""

@@ -1,0 +1,239 @@
+"""The decide stage of a process: it collects the running laws, and lets them step in each tick."""
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from itertools import groupby
+from typing import Any, Protocol
+
+import numpy as np
+
+from crazychoir.guidance.decision.hearing_rows import HEARING_ROW
+from crazychoir.guidance.decision.law_rows import (
+    LAW_ROW,
+    LawDecision,
+    count_rows,
+    decide_rows,
+)
+from crazychoir.guidance.decision.team import (
+    LawOfTeam,
+    Rows,
+    Team,
+    TeamLaw,
+    has_team_law,
+    read_references,
+)
+from crazychoir.runtime.tick_stages import TickStages
+from crazychoir.types import Heard, Reference, State
+
+
+class StagedLaw(Protocol):
+    """The law of one drone, as the decide stage sees it."""
+
+    law: Any
+    """The law with `step` and `for_team`."""
+    drone: int
+    """Id of the drone."""
+    ids: tuple[int, ...]
+    """Its neighbours, in the order of the edges."""
+
+    def move_to(self, rows: Rows, edges: Rows) -> None:
+        """Go on with these rows: (1,) of LAW_ROW and (k,) of HEARING_ROW."""
+
+    def look(self, me: State) -> None:
+        """Write the state of this tick, and what the pilot allows, into the row."""
+
+    def guard(self) -> AbstractContextManager[object]:
+        """Return a context in which a step that does not return is interrupted."""
+        ...
+
+    def step(self, me: State, heard: Heard) -> None:
+        """Take one step by hand: call `step` of the law and fly its reference."""
+
+    def fly(self, reference: Reference | None) -> None:
+        """Fly a reference of a step; None: hover."""
+
+    def stop(self) -> None:
+        """End the law, because the pilot does something else."""
+
+    def fail(self, error: BaseException) -> bool:
+        """End the law with an error; return False if it has ended before."""
+        ...
+
+
+class LawStage:
+    """The running laws of one process.
+
+    Laws enter and leave. In each tick `move` takes the new states of their drones, and `decide`
+    lets the laws step that are due: in one call for all laws of a class with a step for a team, one
+    by one otherwise. An error ends the laws that it comes from, and no others.
+
+    stages: the stages of a tick; the laws step in `decide`
+    """
+
+    def __init__(self, stages: TickStages) -> None:
+        self._stages = stages
+        self._laws: dict[int, StagedLaw] = {}
+        self._groups: list[LawGroup] = []
+        self._is_grouped = True
+        self._moved: list[tuple[StagedLaw, State]] = []
+
+    def enter(self, law: StagedLaw) -> None:
+        """Add a law that runs from now on."""
+        self._laws[law.drone] = law
+        self._is_grouped = False
+
+    def leave(self, law: StagedLaw) -> None:
+        """Remove a law that does not run any more.
+
+        Its row stays, at rest, until the rows are built again.
+        """
+        self._laws.pop(law.drone, None)
+
+    def renew(self) -> None:
+        """Build all rows and teams again in the next tick."""
+        self._is_grouped = False
+
+    def move(self, law: StagedLaw, me: State) -> None:
+        """Take the new state of a drone: decide when all drones have published theirs."""
+        if not self._moved:
+            self._stages.decide.append(self._decide_moved)
+        self._moved.append((law, me))
+
+    def _decide_moved(self) -> None:
+        """Let the laws step whose drones have a new state."""
+        moved = self._moved
+        self._moved = []
+        if not self._is_grouped:
+            self._build_groups()
+        for law, me in moved:
+            law.look(me)
+        self.decide(self._stages.clock.now_ns())
+
+    def decide(self, now_ns: int) -> None:
+        """Let all laws step that are due; their rows hold the states of this tick.
+
+        now_ns: ns: the present time
+        """
+        epoch_ns = self._stages.clock.epoch_ns
+        for group in self._groups:
+            group.team.now_ns = now_ns
+            group.team.epoch_ns = epoch_ns
+            group.decide()
+
+    def _build_groups(self) -> None:
+        """Build the rows anew: a group for each class with a step for a team, one for the others.
+
+        Rows are in the order of the drones.
+        """
+        self._is_grouped = True
+        laws = [self._laws[i] for i in sorted(self._laws)]
+        laws.sort(key=_name_group)
+        self._groups = [
+            LawGroup(list(same)) for _, same in groupby(laws, key=_find_team_kind)
+        ]
+
+
+def _find_team_kind(law: StagedLaw) -> type[LawOfTeam] | None:
+    """Return the class of a law if it has a step for a team, else None."""
+    kind = type(law.law)
+    return kind if has_team_law(kind) else None
+
+
+def _name_group(law: StagedLaw) -> str:
+    """Return the name by which the groups are sorted."""
+    kind = _find_team_kind(law)
+    return "" if kind is None else f"{kind.__module__}.{kind.__qualname__}"
+
+
+class LawGroup:
+    """Laws that step together: those of a class with a step for a team, or all other laws.
+
+    laws: in the order of their drones
+    """
+
+    def __init__(self, laws: Sequence[StagedLaw]) -> None:
+        self.laws = laws
+        ends = np.cumsum([len(law.ids) for law in laws])
+        rows = np.zeros(len(laws), LAW_ROW)
+        edges = np.zeros(int(ends[-1]), HEARING_ROW)
+        self.team = Team(rows, edges)
+        first = 0
+        for r, (law, end) in enumerate(zip(laws, ends.tolist(), strict=True)):
+            law.move_to(rows[r : r + 1], edges[first:end])
+            rows[r]["first_edge"] = first
+            rows[r]["end_edge"] = end
+            first = end
+        self._ids = [j for law in laws for j in law.ids]
+        self._team_law = self._prepare_team()
+
+    def _prepare_team(self) -> TeamLaw | None:
+        """Return the step for the team, or None if the laws step one by one."""
+        kind = _find_team_kind(self.laws[0])
+        if kind is None:
+            return None
+        for_team: Any = kind.for_team
+        try:
+            with self.laws[0].guard():
+                prepared: TeamLaw | None = for_team(
+                    [law.law for law in self.laws], [law.ids for law in self.laws]
+                )
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # noqa: BLE001 - the laws raise it
+            for law in self.laws:
+                law.fail(error)
+            return None
+        return prepared
+
+    def decide(self) -> None:
+        """Let the laws step that are due; the team holds the time."""
+        team = self.team
+        steps, ends = decide_rows(team.rows, team.edges, team.now_ns)
+        if ends > 0:
+            for r in np.flatnonzero(team.rows["decision"] == LawDecision.END).tolist():
+                self.laws[r].stop()
+        if steps == 0:
+            return
+        if self._team_law is None:
+            self._step_each()
+        else:
+            self._step_team(self._team_law)
+
+    def _step_team(self, team_law: TeamLaw) -> None:
+        """Take one step for all laws, and fly their references."""
+        team = self.team
+        steps = team.steps.tolist()
+        try:
+            with self.laws[steps[0]].guard():
+                team_law(team)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # noqa: BLE001 - the laws raise it
+            for r in steps:
+                self.laws[r].fail(error)
+            return
+        count_rows(team.rows)
+        for r, reference in zip(steps, read_references(team.rows[steps]), strict=True):
+            self.laws[r].fly(reference)
+
+    def _step_each(self) -> None:
+        """Let each law step that is due, with copies of its rows."""
+        rows = self.team.rows
+        edges = self.team.edges
+        states = rows["state"].copy()
+        accelerations = rows["acceleration"].copy()
+        ages = rows["age"].tolist()
+        told = edges["told"].copy()
+        told_accelerations = edges["told_acceleration"].copy()
+        told_ages = edges["told_age"].tolist()
+        is_heard = edges["is_heard"].tolist()
+        first = rows["first_edge"].tolist()
+        end = rows["end_edge"].tolist()
+        for r in self.team.steps.tolist():
+            me = State(states[r], ages[r], accelerations[r])
+            heard = {
+                self._ids[e]: State(told[e], told_ages[e], told_accelerations[e])
+                for e in range(first[r], end[r])
+                if is_heard[e]
+            }
+            self.laws[r].step(me, heard)
