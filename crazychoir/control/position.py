@@ -281,8 +281,8 @@ def _track_acceleration(
             mem[9 + n] = mem[11 + n] * (1.0 - math.exp(-figures[8] * h)) / h
         desired[10 + n] = figures[7] * mem[9 + n]
     if h > 0.0:
-        for c in range(9):
-            mem[c] = desired[1 + c]
+        for k in range(9):
+            mem[k] = desired[1 + k]
     return True
 
 

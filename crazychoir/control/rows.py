@@ -10,6 +10,7 @@ from typing import Any
 
 import numba
 import numpy as np
+import numpy.typing as npt
 
 from crazychoir.control.attitude import ATTITUDE_ROW, compute_input
 from crazychoir.control.position import (
@@ -106,6 +107,7 @@ CONTROL_ROW = np.dtype(
         ("follower", CONTROLLER_ROW),  # controller of Acceleration references
         ("u", np.float64, 14),  # input of the sender; it uses the first few numbers
         ("acceleration", np.float64, 3),  # m/s2, world, that the input asks for
+        ("is_left", np.int64),  # 1 if the chosen controller is to be called by hand
     ],
     align=True,
 )
@@ -116,6 +118,8 @@ YAW_INDEX = 12
 """Index of the yaw in a reference."""
 INPUT_SIZE = 4
 """Count of numbers in the input of compiled controllers: thrust, and body rates or angles."""
+Choices = npt.NDArray[np.int64]
+"""(n,) of ControllerChoice."""
 choices = numba.types.Array(numba.int64, 1, "C", readonly=True)
 """An array (n,) of ControllerChoice that a kernel reads."""
 
@@ -302,7 +306,10 @@ def fly_controller_of(
 def _control_row(
     row: Any, x: Vec, age: float, ref: Vec, choice: int, now: float
 ) -> None:
-    """Write the input and the acceleration of one drone; the arguments are as in `control_rows`."""
+    """Write the results of one drone; the arguments are as in `control_rows`."""
+    row.is_left = 0
+    if choice == ControllerChoice.NONE:
+        return
     is_tracker = (
         choice == ControllerChoice.TRACKER or choice == ControllerChoice.HOLDING_TRACKER
     )
@@ -311,6 +318,7 @@ def _control_row(
     )
     controller = row.tracker if is_tracker else row.follower
     if controller.kind == ControllerKind.BY_HAND:
+        row.is_left = 1
         return
     u = row.u[:INPUT_SIZE]
     fly_controller(controller, row.trim, x, age, ref, has_reference, now, u)
@@ -321,22 +329,24 @@ def _control_row(
 
 @kernel(rows_of(CONTROL_ROW), matrix, vector, matrix, choices, real)
 def control_rows(
-    rows: Records, states: Mat, ages: Vec, references: Mat, chosen: Vec, now: float
-) -> None:
-    """Write `u` and `acceleration` of all drones whose controller is compiled.
+    rows: Records, states: Mat, ages: Vec, references: Mat, chosen: Choices, now: float
+) -> int:
+    """Write the input of each drone, and the acceleration that it asks for.
 
-    The records of all other drones stay as they are.
-
-    rows: (n,) of CONTROL_ROW
+    rows: (n,) of CONTROL_ROW. Where the chosen controller is called by hand, only is_left is set.
     states: (n, 13)
     ages: (n,) s, of the states
     references: (n, 14), as FullState.flat; for a follower a (6 to 8) and yaw (12) are read
     chosen: (n,) of ControllerChoice
     now: s
+    Returns the number of drones that are left to be called by hand.
     """
+    left = 0
     for k in range(rows.shape[0]):
-        if chosen[k] != ControllerChoice.NONE:
-            _control_row(rows[k], states[k], ages[k], references[k], chosen[k], now)
+        row = rows[k]
+        _control_row(row, states[k], ages[k], references[k], chosen[k], now)
+        left += row.is_left
+    return left
 
 
 def make_control_rows(count: int = 1) -> Records:

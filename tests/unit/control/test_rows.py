@@ -130,8 +130,8 @@ def draw_crowd(random):
 
 
 def fly_rows(rows, state, reference, choice, now):
-    """Fly one row by the stage."""
-    control_rows(
+    """Fly one row by the stage, and return how many rows it leaves."""
+    return control_rows(
         rows,
         state.flat[None],
         np.array([state.age]),
@@ -249,10 +249,23 @@ def test_controllers_that_do_not_ship_compiled_are_called_by_hand(sender):
     rows = make_control_rows()
     make(sender, rows=rows)
 
-    fly_rows(rows, HERE, HOVER, ControllerChoice.TRACKER, 0.0)
+    left = fly_rows(rows, HERE, HOVER, ControllerChoice.TRACKER, 0.0)
 
     assert rows["tracker"]["kind"][0] == ControllerKind.BY_HAND
+    assert (left, rows["is_left"][0]) == (1, 1)
     assert not rows["u"].any()
+
+
+def test_a_row_that_is_flown_or_rests_is_not_left():
+    rows = make_control_rows()
+    make("vel", rows=rows)
+    fly_rows(rows, HERE, HOVER, ControllerChoice.TRACKER, 0.0)
+
+    assert fly_rows(rows, HERE, HOVER, ControllerChoice.NONE, 0.0) == 0
+
+    make(rows=rows)
+    assert fly_rows(rows, HERE, HOVER, ControllerChoice.TRACKER, 0.0) == 0
+    assert rows["is_left"][0] == 0
 
 
 @pytest.mark.parametrize(
