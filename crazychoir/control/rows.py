@@ -20,6 +20,7 @@ from crazychoir.control.position import (
     compute_desired,
 )
 from crazychoir.control.trim import TRIM_ROW
+from crazychoir.control.velocity import VELOCITY_ROW, compute_velocity
 from crazychoir.numerics.kernels import (
     Records,
     kernel,
@@ -48,8 +49,10 @@ class ControllerKind(IntEnum):
 
     BY_HAND = 0
     """In Python: some part of it does not ship, or does not share its record."""
-    COMPILED = 1
+    FLATNESS = 1
     """By `control_rows`: the position and attitude control that ship."""
+    VELOCITY = 2
+    """By `control_rows`: VelocityCtrlStrategy."""
 
 
 class ControllerChoice(IntEnum):
@@ -83,11 +86,12 @@ CONTROLLER_ROW = np.dtype(
         ("kind", np.int64),  # ControllerKind
         ("position", POSITION_ROW),
         ("attitude", ATTITUDE_ROW),
+        ("velocity", VELOCITY_ROW),
         ("position_rate", np.float64),  # Hz, of the position control; 0: in each tick
         ("called_at", np.float64),  # s, last call, if there is a position rate
         ("due_at", np.float64),  # s, next tick of the position control
         ("desired", np.float64, 13),  # desired attitude, turned since that tick
-        ("thrust", np.float64),  # N, of the last input
+        ("thrust", np.float64),  # N, of the last input; 0 if it has none
         (
             "reference",
             np.float64,
@@ -117,7 +121,10 @@ REFERENCE_SIZE = 14
 YAW_INDEX = 12
 """Index of the yaw in a reference."""
 INPUT_SIZE = 4
-"""Count of numbers in the input of compiled controllers: thrust, and body rates or angles."""
+"""Count of numbers in the input of compiled controllers.
+
+It is a thrust and body rates or angles, or a velocity and a yaw rate.
+"""
 Choices = npt.NDArray[np.int64]
 """(n,) of ControllerChoice."""
 choices = numba.types.Array(numba.int64, 1, "C", readonly=True)
@@ -183,12 +190,14 @@ def keep_desired_of(rows: Records, desired: Vec, now: float) -> None:
 def _apply_laws(
     controller: Any, trim: Any, x: Vec, age: float, now: float, u: Vec
 ) -> bool:
-    """Apply position and attitude control to the reference in the record.
+    """Apply the laws of a compiled controller to the reference in the record.
 
     The arguments are those of `fly_controller`.
     Returns False, without an input, if state or reference is not finite.
     """
     reference = controller.reference[:]
+    if controller.kind == ControllerKind.VELOCITY:
+        return compute_velocity(controller.velocity, x, reference, u)
     source = DesiredSource.DUE.value
     if controller.position_rate > 0.0:
         source = find_desired_source(controller, x, reference, now)
@@ -324,7 +333,11 @@ def _control_row(
     fly_controller(controller, row.trim, x, age, ref, has_reference, now, u)
     start = FLATNESS_LAYOUT.acceleration_start
     for c in range(3):
-        row.acceleration[c] = controller.position.out[start + c]
+        row.acceleration[c] = (
+            controller.position.out[start + c]
+            if controller.kind == ControllerKind.FLATNESS
+            else controller.last[6 + c]
+        )
 
 
 @kernel(rows_of(CONTROL_ROW), matrix, vector, matrix, choices, real)
