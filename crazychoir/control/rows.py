@@ -92,11 +92,7 @@ CONTROLLER_ROW = np.dtype(
         ("due_at", np.float64),  # s, next tick of the position control
         ("desired", np.float64, 13),  # desired attitude, turned since that tick
         ("thrust", np.float64),  # N, of the last input; 0 if it has none
-        (
-            "reference",
-            np.float64,
-            14,
-        ),  # the reference of this call, as its handler reads it
+        ("reference", np.float64, 14),  # of this call, as its handler reads it
         ("last", np.float64, 14),  # the last usable reference
         ("has_last", np.int64),  # 1 if there was a usable reference
         ("refused", np.int64),  # number of references that could not be flown
