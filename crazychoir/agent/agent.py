@@ -133,7 +133,6 @@ class Agent:
         self.dead_man = (
             DeadMan(clock, patience, self._flies, self.land_all) if patience else None
         )
-        self.laws = LawStage(self.bus.stages)
         surroundings = DroneSurroundings(
             bus=self.bus,
             mission=mission,
@@ -145,7 +144,7 @@ class Agent:
                 clock, len(ids), max(config.mocap.rate, config.radio.log_rate)
             ),
         )
-        surroundings.tick.deciders.append(self.bus.stages.run)
+        self.laws = LawStage(surroundings.tick)
         for i in ids:
             self._add_drone(i, surroundings)
         self.pacemaker = Pacemaker(surroundings.tick, config.mocap.rate)

@@ -142,7 +142,7 @@ def _build_pilot(
     """
     topology = config.topology
     i = port.address
-    row = shared.tick.batch.add()
+    row = shared.tick.batch.add(port.address)
     setup = _build_setup(config, i, row)
     guard = setup.make_guard(row)
     body = _build_body(config, port, setup, shared, remote, guard)

@@ -23,7 +23,6 @@ from crazychoir.bus.topics import (
 from crazychoir.errors import CodecError
 from crazychoir.runtime.clock import NS_PER_SECOND, AlarmPriority, Clock
 from crazychoir.runtime.mailbox import AnyMailbox
-from crazychoir.runtime.tick_stages import TickStages
 from crazychoir.types import Wire
 
 
@@ -241,7 +240,6 @@ class Bus:
         host: str = "local",
     ) -> None:
         self.clock = clock
-        self.stages = TickStages(clock)
         self.impairment = impairment or Impairment(0)
         self.process = process
         self.host = host

@@ -14,6 +14,11 @@ from crazychoir.control.attitude import (
     GeometryAttitudeCtrl,
 )
 from crazychoir.control.controller import CrazyflieController, HierarchicalController
+from crazychoir.control.firmware import (
+    FullStateController,
+    VelocityController,
+    WaypointController,
+)
 from crazychoir.control.gains import (
     FORMATION_GAINS,
     GAIN_RANGES,
@@ -34,12 +39,7 @@ from crazychoir.control.senders import (
     XYZSender,
 )
 from crazychoir.control.trim import Trim
-from crazychoir.control.velocity import (
-    FullStateController,
-    VelocityController,
-    VelocityCtrlStrategy,
-    WaypointController,
-)
+from crazychoir.control.velocity import VelocityCtrlStrategy
 from crazychoir.errors import ConfigError
 from crazychoir.numerics.kernels import Records
 from crazychoir.platforms import PAPER_PLATFORM, Platform
@@ -158,7 +158,7 @@ def make_controls(
     send = SENDERS_BY_KIND[sender]()
     follower = None
     if sender in FIRMWARE_GAIN_SENDERS:
-        tracker: CrazyflieController = _make_firmware_tracker(send)
+        tracker: CrazyflieController = _make_firmware_tracker(send, rows["tracker"])
     else:
         tracker = HierarchicalController(
             FlatnessPositionCtrl(gains, platform, trim, rows["tracker"]["position"]),
@@ -180,11 +180,18 @@ def make_controls(
     return Controls(platform, plant, tracker, follower, trim, gains, rows=rows)
 
 
-def _make_firmware_tracker(send: CommunicationHandler) -> CrazyflieController:
-    """Return the controller of a drone that its firmware's gains fly."""
+def _make_firmware_tracker(
+    send: CommunicationHandler, rows: Records
+) -> CrazyflieController:
+    """Return the controller of a drone that its firmware's gains fly.
+
+    send: makes the commands
+    rows: (1,) of CONTROLLER_ROW, the record of the controller
+    """
     handler = FullStateTraj()
     if send.kind == "vel":
-        return VelocityController(VelocityCtrlStrategy(), send, handler)
+        strategy = VelocityCtrlStrategy(rows=rows["velocity"])
+        return VelocityController(strategy, send, handler, rows)
     if send.kind == "fullstate":
         return FullStateController(send, handler)
     return WaypointController(send, handler)

@@ -30,11 +30,14 @@ from crazychoir.control.rows import (
     start_controller_row,
 )
 from crazychoir.control.senders import CommunicationHandler
+from crazychoir.control.trim import TRIM_ROW
 from crazychoir.numerics.kernels import Records
 from crazychoir.types import ZERO_ACCELERATION, Command, Reference, State, Vec
 
 NO_REFERENCE = np.zeros(14)
 """(14,): stands for the reference in a call of a kernel that reads none."""
+UNUSED_TRIMS = np.zeros(1, TRIM_ROW)
+"""(1,) of TRIM_ROW: stands for the trim in a call of a kernel that reads none."""
 
 
 class CrazyflieController(ABC):
@@ -59,7 +62,28 @@ class CrazyflieController(ABC):
         """(1,) of CONTROLLER_ROW."""
         start_controller_row(self.rows)
         self.command_sender = command_sender
+        self._trims = UNUSED_TRIMS
         self.traj_handler = traj_handler
+
+    @property
+    def traj_handler(self) -> TrajectoryHandler:
+        """The handler that reads the references."""
+        return self._traj_handler
+
+    @traj_handler.setter
+    def traj_handler(self, handler: TrajectoryHandler) -> None:
+        self._traj_handler = handler
+        self._choose_kind()
+
+    def _choose_kind(self) -> None:
+        """Choose how this controller is called, when a part of it is new."""
+        kind = self._find_kind()
+        self.rows["kind"] = kind
+        self._is_compiled = kind is not ControllerKind.BY_HAND
+
+    def _find_kind(self) -> ControllerKind:
+        """Return how this controller is called; compiled code must know all its parts."""
+        return ControllerKind.BY_HAND
 
     @property
     def refused(self) -> int:
@@ -109,15 +133,47 @@ class CrazyflieController(ABC):
         reference: None if there is none
         now: s
         """
+        if self._is_compiled:
+            u = self._fly_compiled(state, reference, now)
+        else:
+            u = self._fly_by_hand(state, reference, now)
+        return self.command_sender.message(u)
+
+    def _fly_compiled(
+        self, state: State, reference: Reference | None, now: float
+    ) -> Vec:
+        """Return the input (4,), by the laws in the record."""
+        flat = None
+        if reference is not None:
+            flat = self._traj_handler.read(reference)
+            if flat is None:
+                self._refuse()
+        u = np.empty(INPUT_SIZE)
+        fly_controller_of(
+            self.rows,
+            self._trims,
+            state.flat,
+            state.age,
+            NO_REFERENCE if flat is None else flat,
+            flat is not None,
+            now,
+            u,
+        )
+        return u
+
+    def _fly_by_hand(
+        self, state: State, reference: Reference | None, now: float
+    ) -> Vec:
+        """Return the input, by the law in Python."""
         u = None
         if reference is not None:
-            flat = self.traj_handler.read(reference)
+            flat = self._traj_handler.read(reference)
             u = None if flat is None else self.law(state, flat, now)
             if flat is None or u is None:
                 self._refuse()
             else:
                 self._keep(flat)
-        return self.command_sender.message(self._hold(state, now) if u is None else u)
+        return self._hold(state, now) if u is None else u
 
     def _hold(self, state: State, now: float) -> Vec:
         """Return the input that flies the last good reference at rest."""
@@ -197,16 +253,6 @@ class HierarchicalController(CrazyflieController):
         self._choose_kind()
 
     @property
-    def traj_handler(self) -> TrajectoryHandler:
-        """The handler that reads the references."""
-        return self._traj_handler
-
-    @traj_handler.setter
-    def traj_handler(self, handler: TrajectoryHandler) -> None:
-        self._traj_handler = handler
-        self._choose_kind()
-
-    @property
     def position_rate(self) -> float:
         """Hz, of the position strategy; 0: in each tick."""
         return float(self.rows["position_rate"][0])
@@ -215,54 +261,20 @@ class HierarchicalController(CrazyflieController):
     def position_rate(self, rate: float) -> None:
         self.rows["position_rate"] = rate
 
-    def _choose_kind(self) -> None:
-        """Let compiled code fly this controller if it knows all parts and they share the record."""
+    def _find_kind(self) -> ControllerKind:
         position = self._pos_strategy
         attitude = self._attitude_strategy
-        self._compiled_trims: Records | None = None
         if (
             isinstance(position, FlatnessPositionCtrl)
-            and isinstance(attitude, ATTITUDE_TYPES)
+            and isinstance(attitude, (GeometryAttitudeCtrl, AngleAttitudeCtrl))
             and type(attitude) in ATTITUDE_TYPES
-            and type(self._traj_handler) is HANDLER_TYPES.get(type(position))
+            and type(self.traj_handler) is HANDLER_TYPES.get(type(position))
             and np.shares_memory(position.rows, self.rows)
             and np.shares_memory(attitude.rows, self.rows)
         ):
-            self._compiled_trims = position.trim.rows
-        self.rows["kind"] = (
-            ControllerKind.BY_HAND
-            if self._compiled_trims is None
-            else ControllerKind.COMPILED
-        )
-
-    def command(
-        self, state: State, reference: Reference | None, now: float
-    ) -> Command | None:
-        """Return the command for this state and reference.
-
-        state: of the drone
-        reference: None if there is none
-        now: s
-        """
-        if self._compiled_trims is None:
-            return super().command(state, reference, now)
-        flat = None
-        if reference is not None:
-            flat = self._traj_handler.read(reference)
-            if flat is None:
-                self._refuse()
-        u = np.empty(INPUT_SIZE)
-        fly_controller_of(
-            self.rows,
-            self._compiled_trims,
-            state.flat,
-            state.age,
-            NO_REFERENCE if flat is None else flat,
-            flat is not None,
-            now,
-            u,
-        )
-        return self.command_sender.message(u)
+            self._trims = position.trim.rows
+            return ControllerKind.FLATNESS
+        return ControllerKind.BY_HAND
 
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
         """Return the attitude strategy's input for the attitude of the position strategy."""

@@ -10,6 +10,7 @@ from typing import Any
 
 import numba
 import numpy as np
+import numpy.typing as npt
 
 from crazychoir.control.attitude import ATTITUDE_ROW, compute_input
 from crazychoir.control.position import (
@@ -19,6 +20,7 @@ from crazychoir.control.position import (
     compute_desired,
 )
 from crazychoir.control.trim import TRIM_ROW
+from crazychoir.control.velocity import VELOCITY_ROW, compute_velocity
 from crazychoir.numerics.kernels import (
     Records,
     kernel,
@@ -47,8 +49,10 @@ class ControllerKind(IntEnum):
 
     BY_HAND = 0
     """In Python: some part of it does not ship, or does not share its record."""
-    COMPILED = 1
+    FLATNESS = 1
     """By `control_rows`: the position and attitude control that ship."""
+    VELOCITY = 2
+    """By `control_rows`: VelocityCtrlStrategy."""
 
 
 class ControllerChoice(IntEnum):
@@ -82,16 +86,13 @@ CONTROLLER_ROW = np.dtype(
         ("kind", np.int64),  # ControllerKind
         ("position", POSITION_ROW),
         ("attitude", ATTITUDE_ROW),
+        ("velocity", VELOCITY_ROW),
         ("position_rate", np.float64),  # Hz, of the position control; 0: in each tick
         ("called_at", np.float64),  # s, last call, if there is a position rate
         ("due_at", np.float64),  # s, next tick of the position control
         ("desired", np.float64, 13),  # desired attitude, turned since that tick
-        ("thrust", np.float64),  # N, of the last input
-        (
-            "reference",
-            np.float64,
-            14,
-        ),  # the reference of this call, as its handler reads it
+        ("thrust", np.float64),  # N, of the last input; 0 if it has none
+        ("reference", np.float64, 14),  # of this call, as its handler reads it
         ("last", np.float64, 14),  # the last usable reference
         ("has_last", np.int64),  # 1 if there was a usable reference
         ("refused", np.int64),  # number of references that could not be flown
@@ -106,6 +107,7 @@ CONTROL_ROW = np.dtype(
         ("follower", CONTROLLER_ROW),  # controller of Acceleration references
         ("u", np.float64, 14),  # input of the sender; it uses the first few numbers
         ("acceleration", np.float64, 3),  # m/s2, world, that the input asks for
+        ("is_left", np.int64),  # 1 if the chosen controller is to be called by hand
     ],
     align=True,
 )
@@ -115,7 +117,12 @@ REFERENCE_SIZE = 14
 YAW_INDEX = 12
 """Index of the yaw in a reference."""
 INPUT_SIZE = 4
-"""Count of numbers in the input of compiled controllers: thrust, and body rates or angles."""
+"""Count of numbers in the input of compiled controllers.
+
+It is a thrust and body rates or angles, or a velocity and a yaw rate.
+"""
+Choices = npt.NDArray[np.int64]
+"""(n,) of ControllerChoice."""
 choices = numba.types.Array(numba.int64, 1, "C", readonly=True)
 """An array (n,) of ControllerChoice that a kernel reads."""
 
@@ -179,12 +186,14 @@ def keep_desired_of(rows: Records, desired: Vec, now: float) -> None:
 def _apply_laws(
     controller: Any, trim: Any, x: Vec, age: float, now: float, u: Vec
 ) -> bool:
-    """Apply position and attitude control to the reference in the record.
+    """Apply the laws of a compiled controller to the reference in the record.
 
     The arguments are those of `fly_controller`.
     Returns False, without an input, if state or reference is not finite.
     """
     reference = controller.reference[:]
+    if controller.kind == ControllerKind.VELOCITY:
+        return compute_velocity(controller.velocity, x, reference, u)
     source = DesiredSource.DUE.value
     if controller.position_rate > 0.0:
         source = find_desired_source(controller, x, reference, now)
@@ -302,7 +311,10 @@ def fly_controller_of(
 def _control_row(
     row: Any, x: Vec, age: float, ref: Vec, choice: int, now: float
 ) -> None:
-    """Write the input and the acceleration of one drone; the arguments are as in `control_rows`."""
+    """Write the results of one drone; the arguments are as in `control_rows`."""
+    row.is_left = 0
+    if choice == ControllerChoice.NONE:
+        return
     is_tracker = (
         choice == ControllerChoice.TRACKER or choice == ControllerChoice.HOLDING_TRACKER
     )
@@ -311,32 +323,39 @@ def _control_row(
     )
     controller = row.tracker if is_tracker else row.follower
     if controller.kind == ControllerKind.BY_HAND:
+        row.is_left = 1
         return
     u = row.u[:INPUT_SIZE]
     fly_controller(controller, row.trim, x, age, ref, has_reference, now, u)
     start = FLATNESS_LAYOUT.acceleration_start
     for c in range(3):
-        row.acceleration[c] = controller.position.out[start + c]
+        row.acceleration[c] = (
+            controller.position.out[start + c]
+            if controller.kind == ControllerKind.FLATNESS
+            else controller.last[6 + c]
+        )
 
 
 @kernel(rows_of(CONTROL_ROW), matrix, vector, matrix, choices, real)
 def control_rows(
-    rows: Records, states: Mat, ages: Vec, references: Mat, chosen: Vec, now: float
-) -> None:
-    """Write `u` and `acceleration` of all drones whose controller is compiled.
+    rows: Records, states: Mat, ages: Vec, references: Mat, chosen: Choices, now: float
+) -> int:
+    """Write the input of each drone, and the acceleration that it asks for.
 
-    The records of all other drones stay as they are.
-
-    rows: (n,) of CONTROL_ROW
+    rows: (n,) of CONTROL_ROW. Where the chosen controller is called by hand, only is_left is set.
     states: (n, 13)
     ages: (n,) s, of the states
     references: (n, 14), as FullState.flat; for a follower a (6 to 8) and yaw (12) are read
     chosen: (n,) of ControllerChoice
     now: s
+    Returns the number of drones that are left to be called by hand.
     """
+    left = 0
     for k in range(rows.shape[0]):
-        if chosen[k] != ControllerChoice.NONE:
-            _control_row(rows[k], states[k], ages[k], references[k], chosen[k], now)
+        row = rows[k]
+        _control_row(row, states[k], ages[k], references[k], chosen[k], now)
+        left += row.is_left
+    return left
 
 
 def make_control_rows(count: int = 1) -> Records:

@@ -75,7 +75,9 @@ DRONE_ROW = np.dtype(
             np.int64,
         ),  # 1: its commands are four numbers, computed in compiled code
         ("knows_commands", np.int64),  # 1: its filter knows what it is commanded
+        ("has_follower", np.int64),  # 1: the sender can send accelerations
         ("ground", np.float64),  # m, height of the ground
+        ("least_velocity_gain", np.float64),  # 1/s, of the tracker
         ("limits", np.float64, (4,)),  # of ReferenceLimits
         ("gains", np.float64, (13,)),  # of the tracker, as Gains.position
         # Which drones tick now.
@@ -90,6 +92,7 @@ DRONE_ROW = np.dtype(
         # Mode and permission.
         ("mode", np.int64),  # index into MODES
         ("is_held", np.int64),  # 1: by its operator
+        ("awaits_start", np.int64),  # 1: its mission waits for the operator's start
         ("obeyed", np.int64),  # the Action of the last verdict
         # Reference of guidance.
         ("reference_kind", np.int64),  # a ReferenceKind
@@ -144,16 +147,21 @@ class Batch:
         self.controls: Records = make_control_rows(size)
         self.plans: PlanRows = np.zeros(size, PLAN_ROW)
         self.guards: GuardRows = np.zeros(size, GUARD_ROW)
-        self.count = 0
-        """Number of drones."""
+        self.places: dict[int, int] = {}
+        """The place of each drone, by id: the index of its records."""
         self.drones["gave_way"] = -np.inf
         self.drones["cut_off_since"] = np.inf
 
-    def add(self) -> "DroneRow":
-        """Return the record of one more drone."""
-        row = DroneRow(self, self.count)
-        self.count += 1
-        return row
+    @property
+    def count(self) -> int:
+        """Number of drones."""
+        return len(self.places)
+
+    def add(self, drone: int) -> "DroneRow":
+        """Return the record of one more drone, with this id."""
+        index = self.count
+        self.places[drone] = index
+        return DroneRow(self, index)
 
 
 class DroneRow:

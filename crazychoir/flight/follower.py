@@ -80,6 +80,7 @@ class Follower:
         self._stops: Trajectory | None = None
         self.parameters = ControllerParameters(setup.controls)
         """The parameters of its controllers."""
+        row.drone["has_follower"] = setup.controls.follower is not None
         row.drone["ground"] = setup.limits.ground
         self._take_in_gains()
 
@@ -97,6 +98,7 @@ class Follower:
         self.limits = ReferenceLimits(self._setup.limits, self._setup.controls.gains)
         self._row.drone["gains"] = self.limits.gains
         self._row.drone["limits"] = self.limits.figures
+        self._row.drone["least_velocity_gain"] = self.limits.least_velocity_gain
 
     # What guidance and operator ask -------------------------------------------------------
 
@@ -182,12 +184,11 @@ class Follower:
         self._row.obeyed = Action.NOMINAL
         self._permission.change(ModeEvent.FLY)
 
-    def follow(self, wanted: Reference, state: State, speed: float, now_ns: int) -> str:
+    def follow(self, wanted: Reference, state: State, now_ns: int) -> str:
         """Fly this reference from the next tick on; return why it is never flown, else "".
 
         wanted: see `convert_reference`
         state: of the drone
-        speed: of the drone, m/s
         """
         if why := self.forbids(wanted):
             return why
@@ -195,7 +196,7 @@ class Follower:
             self._fly_goto(wanted, now_ns / NS_PER_SECOND)
             return ""
         if isinstance(wanted, Acceleration):
-            wanted = self.limits.acceleration(wanted, state, speed) or wanted
+            wanted = self.limits.acceleration(wanted, state) or wanted
         self._row.set_reference(wanted, now_ns)
         self._row.drone["is_beyond"] = 0
         if self._row.mode is not FOLLOW_MODE:

@@ -29,8 +29,7 @@ class Permission:
 
         Guidance does not end such a flight.
         """
-        self.awaits_start = awaits_start
-        """Whether the mission waits for the operator's start; until then guidance moves nothing."""
+        row.drone["awaits_start"] = awaits_start
         self.unguided = ""
         """Why guidance is gone during the flight; empty while it is there."""
         self.cut_for = ""
@@ -49,6 +48,11 @@ class Permission:
     def held(self) -> bool:
         """Whether the operator holds the drone."""
         return bool(self._row.drone["is_held"])
+
+    @property
+    def awaits_start(self) -> bool:
+        """Whether the mission waits for the operator's start; until then guidance moves nothing."""
+        return bool(self._row.drone["awaits_start"])
 
     @property
     def airborne(self) -> bool:
@@ -95,7 +99,7 @@ class Permission:
 
     def start(self) -> None:
         """Let the mission fly the drone."""
-        self.awaits_start = False
+        self._row.drone["awaits_start"] = 0
         self.commanded = False
 
     def may_fly(self, by_operator: bool) -> bool:

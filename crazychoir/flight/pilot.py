@@ -82,11 +82,8 @@ class Pilot(Actor):
         self.port = port
         self.body = body
         self.setup = setup
-        if tick is None:
-            tick = FlightTick(port.bus.clock)
-            tick.deciders.append(port.bus.stages.run)
-        self.tick = tick
-        self.row = self.tick.batch.add() if row is None else row
+        self.tick = FlightTick(port.bus.clock) if tick is None else tick
+        self.row = self.tick.batch.add(port.address) if row is None else row
         self.guard = setup.make_guard(self.row) if guard is None else guard
         self.notes = FlightNotes(port)
         self.permission = Permission(self.row, setup.limits.operator)
@@ -309,8 +306,7 @@ class Pilot(Actor):
             text = f"{explain_refusal(reference)}: not flown"
             self.notes.say("reference", text)
             return False
-        speed = self.stages.filter.speed
-        why = self.follower.follow(wanted, state, speed, self.clock.now_ns())
+        why = self.follower.follow(wanted, state, self.clock.now_ns())
         if why:
             self.notes.say("sender", why)
         return not why

@@ -105,7 +105,7 @@ class FlightSetup:
 
         row: of the drone in its batch, None for a batch of its own
         """
-        row = Batch(1).add() if row is None else row
+        row = Batch(1).add(0) if row is None else row
         k = row.index
         return Guard(
             self.fence,

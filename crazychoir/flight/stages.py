@@ -370,7 +370,7 @@ def _control_drone(drone: Record, control: Record, now: float) -> bool:
     """
     is_tracker = drone.controller == ControllerKind.TRACKER
     controller = control.tracker if is_tracker else control.follower
-    if controller.kind != CompiledKind.COMPILED:
+    if controller.kind == CompiledKind.BY_HAND:
         return False
     if is_tracker:
         control.trim.is_frozen = 1 - drone.learns_trim
@@ -385,8 +385,13 @@ def _control_drone(drone: Record, control: Record, now: float) -> bool:
         drone.command[:INPUT_SIZE],
     )
     first = FLATNESS_LAYOUT.acceleration_start
+    is_flatness = controller.kind == CompiledKind.FLATNESS
     for c in range(3):
-        drone.commanded[c] = controller.position.out[first + c]
+        drone.commanded[c] = (
+            controller.position.out[first + c]
+            if is_flatness
+            else controller.last[6 + c]
+        )
     return True
 
 

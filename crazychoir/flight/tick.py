@@ -74,8 +74,8 @@ class FlightTick:
     def __init__(self, clock: Clock, size: int = 1, rate: float = 100.0) -> None:
         self.clock = clock
         self.batch = Batch(size, rate)
-        self.deciders: list[Callable[[], None]] = []
-        """Called when all states of a tick are published: laws decide then."""
+        self.deciders: list[Callable[[int], None]] = []
+        """Called with the time in ns when all states of a tick are published: laws decide then."""
         self._drones: list[TickedDrone] = []
         self._filtered_by_hand: list[int] = []
         self._found = np.zeros(size, np.int64)
@@ -129,7 +129,7 @@ class FlightTick:
         for index in np.flatnonzero(drones["ticks"]).tolist():
             self._call(index, self._drones[index].publish_state)
         for decide in self.deciders:
-            decide()
+            decide(now_ns)
         self._judge(now)
         follow_rows(drones, batch.plans, now)
         self._avoid(now)

@@ -18,7 +18,6 @@ from crazychoir.guidance.member import Member
 from crazychoir.guidance.running_law import RunningLaw
 from crazychoir.guidance.user_hook import Hook
 from crazychoir.runtime.clock import NS_PER_SECOND
-from crazychoir.runtime.mailbox import Call
 from crazychoir.types import Heard, Reference, State
 
 LAW_TASK = "feedback law"
@@ -99,19 +98,17 @@ class CFDistributedFeedback(CFGuidance):
         super().bind(member)
         member.pilot.setup.controls.lead_by(self.gains)
         bus = member.communicator.port.bus
-        self._stage = LawStage(bus.stages) if member.laws is None else member.laws
+        tick = member.pilot.tick
+        self._stage = LawStage(tick) if member.laws is None else member.laws
         neighbors = self.graph.in_neighbors(self.id)
         self._running = RunningLaw(self, member, tuple(neighbors))
         rate = self.rate if self.rate < DRONE_TOPICS.state.rate else 0.0
         for j, hearing in zip(neighbors, self._running.hearings, strict=True):
-            bus.subscribe(DRONE_TOPICS.state, j, self.id, hearing, rate)
+            if j in tick.batch.places:
+                hearing.take_from(tick.batch.places[j], rate)
+            else:
+                bus.subscribe(DRONE_TOPICS.state, j, self.id, hearing, rate)
         self._is_running = False
-        bus.subscribe(
-            DRONE_TOPICS.state,
-            self.id,
-            self.id,
-            Call(member.clock, self._moved, f"drone {self.id} state"),
-        )
 
     async def mission(self) -> dict[str, Any]:
         """Take off, wait for the others, run the law, land.
@@ -233,11 +230,6 @@ class CFDistributedFeedback(CFGuidance):
     def renew_team(self) -> None:
         """Call `for_team` again before the next step, because numbers of this law have changed."""
         self._stage.renew()
-
-    def _moved(self, me: State, age: float) -> None:
-        """Take a new state: the law steps when all drones of this process have published theirs."""
-        if self._is_running:
-            self._stage.move(self._running, me)
 
 
 def are_all_idle(results: Mapping[int, Mapping[str, Any]]) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.guidance.decision.flight_rows import ELSEWHERE
 from crazychoir.guidance.decision.hearing_rows import (
     HEARING_ROW,
     put_first_row,
@@ -115,6 +116,15 @@ class HearingMailbox(Mailbox[State]):
     @stale.setter
     def stale(self, count: int) -> None:
         self.rows["stale"] = count
+
+    def take_from(self, place: int, rate: float) -> None:
+        """Take the states of a drone in the same batch, without messages.
+
+        place: of the drone in the batch
+        rate: Hz, of the states; 0 for each state
+        """
+        self.rows["source"] = place
+        self.rows["interval_ns"] = round(NS_PER_SECOND / rate) if rate > 0.0 else 0
 
     def move_to(self, rows: Rows) -> None:
         """Go on with these rows (1,) of HEARING_ROW: all numbers move there."""
@@ -224,6 +234,7 @@ def _prepare_rows(rows: Rows | None, h: float) -> Rows:
     """
     if rows is None:
         rows = np.zeros(1, HEARING_ROW)
+    rows["source"] = ELSEWHERE
     rows["h_ns"] = round(h * NS_PER_SECOND)
     rows["max_ns"] = round(DRONE_TOPICS.state.max_age * NS_PER_SECOND)
     rows["sum"]["is_even"] = 1

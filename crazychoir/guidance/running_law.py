@@ -9,8 +9,14 @@ from typing import Protocol
 import numpy as np
 
 from crazychoir.flight.references import convert_reference, explain_refusal
+from crazychoir.guidance.decision.flight_rows import write_reference
 from crazychoir.guidance.decision.hearing_rows import HEARING_ROW
-from crazychoir.guidance.decision.law_rows import LAW_ROW, LawPermission, start_row
+from crazychoir.guidance.decision.law_rows import (
+    LAW_ROW,
+    LawDecision,
+    ReferenceKind,
+    start_row,
+)
 from crazychoir.guidance.law_tally import LawTally, explain_wrong_return
 from crazychoir.guidance.member import (
     Interrupted,
@@ -27,17 +33,9 @@ from crazychoir.guidance.neighbour_state import (
 )
 from crazychoir.guidance.user_hook import locate_function
 from crazychoir.runtime.clock import NS_PER_SECOND, wake_waiter
-from crazychoir.safety.rules.modes import Mode
-from crazychoir.types import Heard, Reference, State
+from crazychoir.types import Acceleration, Heard, Reference, State
 
 log = logging.getLogger(__name__)
-
-PERMISSIONS = {
-    Mode.TAKEOFF: int(LawPermission.WAITS),
-    Mode.HOVER: int(LawPermission.STEPS),
-    Mode.FOLLOW: int(LawPermission.STEPS),
-}
-"""What the modes of the pilot allow a law; the others end it."""
 
 
 class SteppingLaw(Protocol):
@@ -70,6 +68,7 @@ class RunningLaw:
             self._hearing(member, j, self.edges[e : e + 1]) for e, j in enumerate(ids)
         ]
         self.rows["drone"] = member.id
+        self.rows["place"] = member.pilot.row.index
         self.rows["is_paired"] = law.paired
         self.rows["end_edge"] = len(ids)
         self.rows["sum"] = self._sum(member).rows
@@ -122,17 +121,6 @@ class RunningLaw:
         if self._end is not None:
             wake_waiter(self._end)
 
-    def look(self, me: State) -> None:
-        """Write the state of this tick, and what the pilot allows, into the row."""
-        pilot = self._member.pilot
-        row = self.rows[0]
-        row["state"] = me.flat
-        row["acceleration"] = me.a
-        row["age"] = me.age
-        row["measured"] = pilot.stages.filter.measured
-        row["permission"] = PERMISSIONS.get(pilot.mode, LawPermission.ENDS)
-        row["has_state"] = 1
-
     def guard(self) -> AbstractContextManager[object]:
         """Return a context in which a step that does not return is interrupted."""
         watchdog = self._member.watchdog
@@ -155,7 +143,20 @@ class RunningLaw:
             self.fail(error)
             return
         self.tally.count(reference)
-        self.fly(reference)
+        if not self._write(reference):
+            self.fly(reference)
+
+    def _write(self, reference: Reference | None) -> bool:
+        """Write a usual reference into the row; return False for others, which the pilot takes."""
+        row = self.rows[0]
+        if reference is None:
+            return True
+        if type(reference) is Acceleration and _is_vector(reference.a):
+            kind = ReferenceKind.ACCELERATION
+            write_reference(row, kind, 6, reference.a, reference.yaw)
+            return True
+        row["decision"] = LawDecision.REST
+        return False
 
     def fly(self, reference: Reference | None) -> None:
         """Fly a reference of a step; None: hover."""
@@ -202,3 +203,12 @@ class RunningLaw:
         found = zip(self.ids, self.hearings, strict=True)
         silent = ", ".join(str(j) for j, hearing in found if not hearing.is_fresh())
         return f"; hears nothing of drone(s) {silent}" if silent else ""
+
+
+def _is_vector(values: object) -> bool:
+    """Return whether the values are three float64 numbers."""
+    return (
+        type(values) is np.ndarray
+        and values.dtype == np.float64
+        and values.shape == (3,)
+    )

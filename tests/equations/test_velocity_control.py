@@ -5,15 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from crazychoir.control.handlers import FullStateTraj
-from crazychoir.control.senders import FullStateSender, VelSender, XYZSender
-from crazychoir.control.velocity import (
-    FIRMWARE_GAINS,
+from crazychoir.control.firmware import (
     FullStateController,
     VelocityController,
-    VelocityCtrlStrategy,
     WaypointController,
 )
+from crazychoir.control.handlers import FullStateTraj
+from crazychoir.control.senders import FullStateSender, VelSender, XYZSender
+from crazychoir.control.velocity import FIRMWARE_GAINS, VelocityCtrlStrategy
 from crazychoir.numerics.math3d import rotation_exponential, wrap_angle, yaw_of
 from crazychoir.types import FullState, State
 

@@ -25,6 +25,13 @@ from crazychoir.types import Vec
 
 HEARING_ROW = np.dtype(
     [
+        # The way of the states.
+        (
+            "source",
+            np.int64,
+        ),  # place of the neighbour in the batch; -1: it is elsewhere
+        ("interval_ns", np.int64),  # ns between two states; 0: each state
+        ("due_ns", np.int64),  # ns, when the next state is due
         # What has arrived.
         ("state", np.float64, (13,)),  # the newest state of the neighbour
         ("acceleration", np.float64, (3,)),  # m/s2: its acceleration

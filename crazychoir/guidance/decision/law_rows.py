@@ -63,6 +63,7 @@ TALLY_ROW = np.dtype(
 
 LAW_ROW = np.dtype(
     [
+        ("place", np.int64),  # of the drone in its batch
         # What the pilot says in this tick.
         ("state", np.float64, (13,)),  # the drone's own state
         ("acceleration", np.float64, (3,)),  # m/s2: its acceleration

@@ -7,6 +7,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from crazychoir.flight.batch import Batch
+from crazychoir.flight.tick import FlightTick
+from crazychoir.guidance.decision.flight_rows import (
+    deliver_rows,
+    hand_over_rows,
+    look_rows,
+)
 from crazychoir.guidance.decision.hearing_rows import HEARING_ROW
 from crazychoir.guidance.decision.law_rows import (
     LAW_ROW,
@@ -22,7 +29,6 @@ from crazychoir.guidance.decision.team import (
     has_team_law,
     read_references,
 )
-from crazychoir.runtime.tick_stages import TickStages
 from crazychoir.types import Heard, Reference, State
 
 
@@ -38,9 +44,6 @@ class StagedLaw(Protocol):
 
     def move_to(self, rows: Rows, edges: Rows) -> None:
         """Go on with these rows: (1,) of LAW_ROW and (k,) of HEARING_ROW."""
-
-    def look(self, me: State) -> None:
-        """Write the state of this tick, and what the pilot allows, into the row."""
 
     def guard(self) -> AbstractContextManager[object]:
         """Return a context in which a step that does not return is interrupted."""
@@ -63,19 +66,20 @@ class StagedLaw(Protocol):
 class LawStage:
     """The running laws of one process.
 
-    Laws enter and leave. In each tick `move` takes the new states of their drones, and `decide`
-    lets the laws step that are due: in one call for all laws of a class with a step for a team, one
-    by one otherwise. An error ends the laws that it comes from, and no others.
+    Laws enter and leave. In each tick `decide` lets the laws step that are due: in one call for all
+    laws of a class with a step for a team, one by one otherwise. An error ends the laws that it
+    comes from, and no others.
 
-    stages: the stages of a tick; the laws step in `decide`
+    tick: of the process, which calls `decide`
     """
 
-    def __init__(self, stages: TickStages) -> None:
-        self._stages = stages
+    def __init__(self, tick: FlightTick) -> None:
+        self._batch = tick.batch
+        self._clock = tick.clock
         self._laws: dict[int, StagedLaw] = {}
         self._groups: list[LawGroup] = []
         self._is_grouped = True
-        self._moved: list[tuple[StagedLaw, State]] = []
+        tick.deciders.append(self.decide)
 
     def enter(self, law: StagedLaw) -> None:
         """Add a law that runs from now on."""
@@ -93,32 +97,21 @@ class LawStage:
         """Build all rows and teams again in the next tick."""
         self._is_grouped = False
 
-    def move(self, law: StagedLaw, me: State) -> None:
-        """Take the new state of a drone: decide when all drones have published theirs."""
-        if not self._moved:
-            self._stages.decide.append(self._decide_moved)
-        self._moved.append((law, me))
-
-    def _decide_moved(self) -> None:
-        """Let the laws step whose drones have a new state."""
-        moved = self._moved
-        self._moved = []
-        if not self._is_grouped:
-            self._build_groups()
-        for law, me in moved:
-            law.look(me)
-        self.decide(self._stages.clock.now_ns())
-
     def decide(self, now_ns: int) -> None:
-        """Let all laws step that are due; their rows hold the states of this tick.
+        """Let all laws step that are due, and hand their references to the drones.
 
         now_ns: ns: the present time
         """
-        epoch_ns = self._stages.clock.epoch_ns
+        if not self._is_grouped:
+            self._build_groups()
+        batch = self._batch
         for group in self._groups:
             group.team.now_ns = now_ns
-            group.team.epoch_ns = epoch_ns
-            group.decide()
+            group.team.epoch_ns = self._clock.epoch_ns
+            look_rows(group.team.rows, batch.drones, batch.filters.rows)
+            deliver_rows(group.team.edges, batch.drones, now_ns)
+            if group.decide():
+                group.hand_over(batch)
 
     def _build_groups(self) -> None:
         """Build the rows anew: a group for each class with a step for a team, one for the others.
@@ -163,6 +156,7 @@ class LawGroup:
             rows[r]["first_edge"] = first
             rows[r]["end_edge"] = end
             first = end
+        self._found = np.zeros(len(laws), np.int64)
         self._ids = [j for law in laws for j in law.ids]
         self._team_law = self._prepare_team()
 
@@ -185,19 +179,32 @@ class LawGroup:
             return None
         return prepared
 
-    def decide(self) -> None:
-        """Let the laws step that are due; the team holds the time."""
+    def decide(self) -> bool:
+        """Let the laws step that are due; return whether any did. The team holds the time."""
         team = self.team
         steps, ends = decide_rows(team.rows, team.edges, team.now_ns)
         if ends > 0:
             for r in np.flatnonzero(team.rows["decision"] == LawDecision.END).tolist():
                 self.laws[r].stop()
         if steps == 0:
-            return
+            return False
         if self._team_law is None:
             self._step_each()
         else:
             self._step_team(self._team_law)
+        return True
+
+    def hand_over(self, batch: Batch) -> None:
+        """Let the drones fly the references of the laws that have stepped."""
+        rows = self.team.rows
+        count = hand_over_rows(
+            rows, batch.drones, batch.plans, self.team.now_ns, self._found
+        )
+        found = self._found[:count]
+        for r, reference in zip(
+            found.tolist(), read_references(rows[found]), strict=True
+        ):
+            self.laws[r].fly(reference)
 
     def _step_team(self, team_law: TeamLaw) -> None:
         """Take one step for all laws, and fly their references."""
@@ -211,10 +218,9 @@ class LawGroup:
         except BaseException as error:  # noqa: BLE001 - the laws raise it
             for r in steps:
                 self.laws[r].fail(error)
+                team.rows["decision"][r] = LawDecision.REST
             return
         count_rows(team.rows)
-        for r, reference in zip(steps, read_references(team.rows[steps]), strict=True):
-            self.laws[r].fly(reference)
 
     def _step_each(self) -> None:
         """Let each law step that is due, with copies of its rows."""

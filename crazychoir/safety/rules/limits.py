@@ -60,7 +60,7 @@ def cut_full_state(x: Vec, ref: Vec, gains: Vec, limits: Vec, out: Vec) -> bool:
     return min(speed, lead, far, hard, turn) < 1.0 or abs(ref[13]) > w_max
 
 
-@kernel(vector, vector, vector, real, memory)
+@kernel()
 def _cut_acceleration(x: Vec, wanted: Vec, limits: Vec, kv: float, out: Vec) -> None:
     """Apply the law of ReferenceLimits to a wanted acceleration.
 
@@ -87,6 +87,33 @@ def _cut_acceleration(x: Vec, wanted: Vec, limits: Vec, kv: float, out: Vec) -> 
         out[c] = hard * a[c]
 
 
+@kernel()
+def limit_acceleration(x: Vec, wanted: Vec, limits: Vec, kv: float, out: Vec) -> None:
+    """Write the part of a wanted acceleration that the limits allow.
+
+    x: (13,): state of the drone
+    wanted: (3,) m/s2, world
+    limits: (4,), as for cut_full_state
+    kv: 1/s
+    out: (3,) m/s2: the result
+    """
+    squared = wanted[0] * wanted[0] + wanted[1] * wanted[1] + wanted[2] * wanted[2]
+    room = kv * (limits[0] - math.sqrt(x[3] * x[3] + x[4] * x[4] + x[5] * x[5]))
+    if squared <= limits[1] * limits[1] and room > 0.0 and squared <= room * room:
+        for c in range(3):
+            out[c] = wanted[c]
+        return
+    _cut_acceleration(x, wanted, limits, kv, out)
+
+
+@kernel(vector, vector, vector, real, memory)
+def _limit_one_acceleration(
+    x: Vec, wanted: Vec, limits: Vec, kv: float, out: Vec
+) -> None:
+    """Apply `limit_acceleration`; the arguments are the same."""
+    limit_acceleration(x, wanted, limits, kv, out)
+
+
 class ReferenceLimits:
     """Cuts a reference to v_max and a_max of [flight], and to the limits that follow from them.
 
@@ -110,11 +137,10 @@ class ReferenceLimits:
 
     def __init__(self, flight: FlightTable, gains: Gains) -> None:
         self.a_max = flight.acceleration_limit
-        self._a_max_squared = self.a_max**2
         self.gains = gains.position
         """(13,), as Gains.position."""
-        self._kv = min(gains.kv)
-        self._v_max = flight.speed_limit
+        self.least_velocity_gain = min(gains.kv)
+        """1/s, the least kv of the axes."""
         roll, pitch, yaw = gains.kr
         self.figures = np.array(
             [flight.speed_limit, self.a_max, min(roll, pitch) * self.a_max, yaw * 1.0]
@@ -122,26 +148,22 @@ class ReferenceLimits:
         """(4,): v_max m/s, a_max m/s2, largest jerk m/s3, largest yaw rate rad/s."""
 
     def acceleration(
-        self, reference: Acceleration, state: State, speed: float
+        self, reference: Acceleration, state: State
     ) -> Acceleration | None:
         """Return the part of an acceleration reference that the limits allow.
 
         state: of the drone
-        speed: |v| of the drone in m/s
         Returns None for a reference of another shape, or with numbers that are not finite.
         """
-        wanted = np.asarray(reference.a)
+        wanted = np.asarray(reference.a, dtype=float)
         if wanted.shape != (3,):
             return None
-        x, y, z = wanted.tolist()
-        squared = x * x + y * y + z * z + 0.0 * reference.yaw
-        room = self._kv * (self._v_max - speed)
-        if squared <= self._a_max_squared and room > 0.0 and squared <= room * room:
-            return reference
-        if not math.isfinite(x + y + z + reference.yaw):
+        if not math.isfinite(sum(wanted.tolist()) + reference.yaw):
             return None
         out = np.empty(3)
-        _cut_acceleration(state.flat, np.array([x, y, z]), self.figures, self._kv, out)
+        _limit_one_acceleration(
+            state.flat, wanted, self.figures, self.least_velocity_gain, out
+        )
         return Acceleration(out, reference.yaw)
 
     def full_state(self, reference: FullState, state: State) -> FullState:

@@ -7,6 +7,7 @@ from crazychoir.config.tables import ControlTable
 from crazychoir.control.attitude import AngleAttitudeCtrl, GeometryAttitudeCtrl
 from crazychoir.control.choice import Controls, make_controls
 from crazychoir.control.controller import HierarchicalController
+from crazychoir.control.firmware import VelocityController
 from crazychoir.control.gains import AGILE_GAINS, FORMATION_GAINS, STANDARD_GAINS
 from crazychoir.control.handlers import AccelerationTraj, FullStateTraj, PositionTraj
 from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositionCtrl
@@ -17,8 +18,9 @@ from crazychoir.control.rows import (
     control_rows,
     make_control_rows,
 )
-from crazychoir.control.senders import FPQRSender
+from crazychoir.control.senders import FPQRSender, VelSender
 from crazychoir.control.trim import Trim
+from crazychoir.control.velocity import VelocityCtrlStrategy
 from crazychoir.platforms import CRAZYFLIE_21
 from crazychoir.types import Acceleration, FullState, State, Velocity
 
@@ -130,8 +132,8 @@ def draw_crowd(random):
 
 
 def fly_rows(rows, state, reference, choice, now):
-    """Fly one row by the stage."""
-    control_rows(
+    """Fly one row by the stage, and return how many rows it leaves."""
+    return control_rows(
         rows,
         state.flat[None],
         np.array([state.age]),
@@ -207,6 +209,32 @@ def test_the_command_of_a_controller_is_that_of_its_row(rate):
         )
 
 
+def test_velocities_of_a_row_are_those_of_python():
+    random = np.random.default_rng(5)
+    rows = make_control_rows()
+    make("vel", rows=rows)
+    python = VelocityController(VelocityCtrlStrategy(), VelSender(), FullStateTraj())
+    for k in range(TICKS):
+        state = draw_state(random)
+        reference = draw_reference(random)
+        if isinstance(reference, Acceleration):
+            reference = None
+        choice = (
+            ControllerChoice.HOLDING_TRACKER
+            if reference is None
+            else ControllerChoice.TRACKER
+        )
+
+        u = python.command(state, reference, 0.01 * k).flat
+        assert fly_rows(rows, state, reference, choice, 0.01 * k) == 0
+
+        assert as_bits(u, python.acceleration) == as_bits(
+            rows["u"][0, :INPUT_SIZE], rows["acceleration"][0]
+        )
+    assert python.rows["kind"][0] == ControllerKind.BY_HAND
+    assert python.refused == rows["tracker"]["refused"][0] > 5
+
+
 @pytest.mark.parametrize("rate", [0.0, 50.0])
 def test_a_reference_of_another_kind_is_refused_alike_in_python(rate):
     controls = make(rate=rate)
@@ -244,15 +272,28 @@ def test_a_drone_without_a_controller_keeps_its_row():
     assert rows.tobytes() == before
 
 
-@pytest.mark.parametrize("sender", ["vel", "xyz", "fullstate"])
+@pytest.mark.parametrize("sender", ["xyz", "fullstate"])
 def test_controllers_that_do_not_ship_compiled_are_called_by_hand(sender):
     rows = make_control_rows()
     make(sender, rows=rows)
 
-    fly_rows(rows, HERE, HOVER, ControllerChoice.TRACKER, 0.0)
+    left = fly_rows(rows, HERE, HOVER, ControllerChoice.TRACKER, 0.0)
 
     assert rows["tracker"]["kind"][0] == ControllerKind.BY_HAND
+    assert (left, rows["is_left"][0]) == (1, 1)
     assert not rows["u"].any()
+
+
+def test_a_row_that_is_flown_or_rests_is_not_left():
+    rows = make_control_rows()
+    make("xyz", rows=rows)
+    fly_rows(rows, HERE, HOVER, ControllerChoice.TRACKER, 0.0)
+
+    assert fly_rows(rows, HERE, HOVER, ControllerChoice.NONE, 0.0) == 0
+
+    make(rows=rows)
+    assert fly_rows(rows, HERE, HOVER, ControllerChoice.TRACKER, 0.0) == 0
+    assert rows["is_left"][0] == 0
 
 
 @pytest.mark.parametrize(
@@ -271,7 +312,7 @@ def test_a_controller_with_an_exchanged_part_is_called_by_hand(part, strategy):
     assert controls.rows["tracker"]["kind"][0] == ControllerKind.BY_HAND
 
     setattr(controls.tracker, part, own)
-    assert controls.rows["tracker"]["kind"][0] == ControllerKind.COMPILED
+    assert controls.rows["tracker"]["kind"][0] == ControllerKind.FLATNESS
 
 
 def test_a_controller_remembers_its_last_reference_when_a_part_is_exchanged():

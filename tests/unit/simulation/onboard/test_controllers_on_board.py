@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from crazychoir.control.firmware import WaypointController
 from crazychoir.control.handlers import FullStateTraj
 from crazychoir.control.senders import XYZSender
-from crazychoir.control.velocity import WaypointController
 from crazychoir.mocap.simulated import SimulatedMocap
 from crazychoir.numerics.math3d import (
     STANDARD_GRAVITY,

@@ -1,0 +1,189 @@
+"""The laws and the batch of flying drones: states go from the batch to the laws, references back."""
+
+from enum import IntEnum
+from typing import Any
+
+from crazychoir.filters.rows import FILTER_ROW, FilterRows
+from crazychoir.flight.batch import DRONE_ROW, MODE_NUMBERS, DroneRows
+from crazychoir.flight.batch import ReferenceKind as FlownKind
+from crazychoir.guidance.decision.hearing_rows import HEARING_ROW, put_row
+from crazychoir.guidance.decision.law_rows import (
+    LAW_ROW,
+    LawDecision,
+    LawPermission,
+    ReferenceKind,
+)
+from crazychoir.numerics.kernels import kernel, rows_of, whole, wholes
+from crazychoir.planning.plan_row import PLAN_ROW, PlanKind, PlanRows, is_plan_over
+from crazychoir.runtime.clock import NS_PER_SECOND
+from crazychoir.safety.rules.limits import limit_acceleration
+from crazychoir.safety.rules.modes import Mode
+from crazychoir.types import Ints
+
+TAKEOFF = MODE_NUMBERS[Mode.TAKEOFF]
+HOVER = MODE_NUMBERS[Mode.HOVER]
+FOLLOW = MODE_NUMBERS[Mode.FOLLOW]
+ELSEWHERE = -1
+"""`source` of an edge from a drone of another process: its states come as messages."""
+
+
+class Handover(IntEnum):
+    """What becomes of the reference of a law."""
+
+    TAKEN = 0
+    """The drone flies it from the next stage on."""
+    IGNORED = 1
+    """The drone obeys its operator, or it rests already."""
+    BY_HAND = 2
+    """The pilot must decide: the mode changes, or the reference is unusual."""
+
+
+@kernel()
+def _find_permission(drone: Any) -> int:
+    """Return what the mode of the drone allows its law: a LawPermission."""
+    if drone.mode == HOVER or drone.mode == FOLLOW:
+        return LawPermission.STEPS
+    return LawPermission.WAITS if drone.mode == TAKEOFF else LawPermission.ENDS
+
+
+@kernel(rows_of(LAW_ROW), rows_of(DRONE_ROW), rows_of(FILTER_ROW))
+def look_rows(laws: Any, drones: DroneRows, filters: FilterRows) -> None:
+    """Write the states of this tick, and what the pilots allow, into the rows of the laws.
+
+    laws: (n,) of LAW_ROW
+    drones: of the batch
+    filters: of the batch
+    """
+    for r in range(laws.shape[0]):
+        law = laws[r]
+        drone = drones[law.place]
+        law.has_state = drone.ticks
+        if drone.ticks == 0:
+            continue
+        for c in range(13):
+            law.state[c] = drone.state[c]
+        for c in range(3):
+            law.acceleration[c] = drone.acceleration[c]
+        law.age = drone.age
+        law.measured = filters[law.place].measured
+        law.permission = _find_permission(drone)
+
+
+@kernel(rows_of(HEARING_ROW), rows_of(DRONE_ROW), whole)
+def deliver_rows(edges: Any, drones: DroneRows, now_ns: int) -> None:
+    """Let laws hear the states of this tick of neighbours in this process.
+
+    edges: (e,) of HEARING_ROW
+    drones: of the batch
+    now_ns: ns
+    """
+    for e in range(edges.shape[0]):
+        edge = edges[e]
+        if edge.source == ELSEWHERE:
+            continue
+        sender = drones[edge.source]
+        if sender.ticks == 0 or now_ns < edge.due_ns:
+            continue
+        if edge.interval_ns > 0:
+            late_ns = now_ns - edge.due_ns
+            edge.due_ns += (late_ns // edge.interval_ns + 1) * edge.interval_ns
+        put_row(edge, sender.state, sender.acceleration, sender.age, sender.age, now_ns)
+
+
+@kernel()
+def _hand_over_acceleration(law: Any, drone: Any) -> None:
+    """Write an acceleration within the limits of the drone into its record."""
+    drone.reference_kind = FlownKind.ACCELERATION
+    drone.reference[12] = law.reference[12]
+    limit_acceleration(
+        drone.state[:],
+        law.reference[6:9],
+        drone.limits[:],
+        drone.least_velocity_gain,
+        drone.reference[6:9],
+    )
+
+
+@kernel()
+def _is_usable(law: Any) -> bool:
+    """Return whether the numbers of a reference are finite."""
+    total = 0.0
+    for c in range(14):
+        total += 0.0 * law.reference[c]
+    return bool(total == 0.0)
+
+
+@kernel()
+def _hand_over(law: Any, drone: Any, plan: Any, now_ns: int) -> int:
+    """Let the drone fly the reference of its law; return what becomes of it: a Handover."""
+    is_obeying = drone.mode == HOVER or drone.mode == FOLLOW
+    if law.kind == ReferenceKind.HOVER:
+        is_resting = (
+            drone.mode == HOVER
+            and drone.reference_kind == FlownKind.NONE
+            and plan.kind == PlanKind.PIECES
+            and is_plan_over(plan, now_ns / NS_PER_SECOND)
+        )
+        return Handover.IGNORED if is_resting else Handover.BY_HAND
+    if not is_obeying:
+        return Handover.BY_HAND
+    if drone.is_held > 0 or drone.awaits_start > 0:
+        return Handover.IGNORED
+    if drone.mode != FOLLOW or not _is_usable(law):
+        return Handover.BY_HAND
+    if law.kind == ReferenceKind.ACCELERATION:
+        if drone.has_follower == 0:
+            return Handover.BY_HAND
+        _hand_over_acceleration(law, drone)
+    else:
+        is_velocity = law.kind == ReferenceKind.VELOCITY
+        drone.reference_kind = (
+            FlownKind.VELOCITY if is_velocity else FlownKind.FULL_STATE
+        )
+        for c in range(14):
+            drone.reference[c] = law.reference[c]
+    drone.reference_ns = now_ns
+    drone.is_beyond = 0
+    return Handover.TAKEN
+
+
+@kernel(rows_of(LAW_ROW), rows_of(DRONE_ROW), rows_of(PLAN_ROW), whole, wholes)
+def hand_over_rows(
+    laws: Any, drones: DroneRows, plans: PlanRows, now_ns: int, found: Ints
+) -> int:
+    """Let the drones fly the references of the laws that have stepped.
+
+    laws: (n,) of LAW_ROW
+    drones: of the batch
+    plans: of the batch
+    now_ns: ns
+    found: (n,): receives the rows of the laws whose pilots must decide
+    Returns how many these are.
+    """
+    count = 0
+    for r in range(laws.shape[0]):
+        law = laws[r]
+        if law.decision != LawDecision.STEP:
+            continue
+        drone = drones[law.place]
+        if _hand_over(law, drone, plans[law.place], now_ns) == Handover.BY_HAND:
+            found[count] = r
+            count += 1
+    return count
+
+
+def write_reference(
+    row: Any, kind: ReferenceKind, first: int, values: Any, yaw: float
+) -> None:
+    """Write a reference of a step in Python into the row of its law.
+
+    row: of LAW_ROW
+    first: index of the first of the values
+    values: (k,) float64
+    yaw: rad
+    """
+    row["kind"] = kind
+    reference = row["reference"]
+    reference[:] = 0.0
+    reference[first : first + len(values)] = values
+    reference[12] = yaw
