@@ -35,8 +35,24 @@ class TellingBody(LocalBody):
         return self.astray
 
 
-def make_pilot(port, link, limits, room, *, state_filter=None, collision=None, **setup):
-    """Return the pilot of a drone with this link, in this room; behind a radio its body tells what a test wants."""
+def make_pilot(
+    port,
+    link,
+    limits,
+    room,
+    *,
+    state_filter=None,
+    collision=None,
+    shared=None,
+    **setup,
+):
+    """Return the pilot of a drone with this link, in this room.
+
+    Behind a radio its body tells what a test wants.
+
+    shared: the tick that the drone shares with others; None for one of its own
+    setup: fields of FlightSetup
+    """
     has_radio = setup.get("reach", "no") != "no"
     return Pilot(
         port,
@@ -44,6 +60,7 @@ def make_pilot(port, link, limits, room, *, state_filter=None, collision=None, *
         FlightSetup(limits=limits, room=room, **setup),
         state_filter,
         collision,
+        shared,
     )
 
 

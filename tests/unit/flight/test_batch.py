@@ -22,12 +22,12 @@ FLAT = np.arange(1.0, 15.0)
 
 def make_row(size=3, index=1):
     batch = Batch(size)
-    return [batch.add() for _ in range(size)][index]
+    return [batch.add(k) for k in range(size)][index]
 
 
 def test_each_drone_gets_the_next_record():
     batch = Batch(3)
-    rows = [batch.add() for _ in range(3)]
+    rows = [batch.add(k + 7) for k in range(3)]
     assert batch.count == 3
     rows[1].drone["age"] = 0.25
     rows[1].plan["duration"] = 2.0

@@ -15,7 +15,7 @@ from crazychoir.safety.rules.modes import (
 
 
 def make_permission(mode=Mode.HOVER, awaits_start=False):
-    row = Batch(1).add()
+    row = Batch(1).add(0)
     row.mode = mode
     return Permission(row, awaits_start)
 
@@ -41,9 +41,7 @@ def test_guidance_moves_a_drone_that_is_neither_held_nor_waits(mode):
     permission.hold(True)
     assert permission.held
     assert not permission.obeys
-    permission.hold(False)
-    permission.awaits_start = True
-    assert not permission.obeys
+    assert not make_permission(mode, awaits_start=True).obeys
 
 
 @pytest.mark.parametrize("mode", Mode)
@@ -52,8 +50,7 @@ def test_the_operator_flies_a_drone_while_its_mission_waits(mode):
     assert not permission.steerable, "its mission flies it"
     permission.hold(True)
     assert permission.steerable is (mode in (Mode.HOVER, Mode.FOLLOW))
-    permission.hold(False)
-    permission.awaits_start = True
+    permission = make_permission(mode, awaits_start=True)
     assert permission.steerable is (mode in (Mode.HOVER, Mode.FOLLOW))
     permission.unguided = "its law has failed"
     assert not permission.steerable

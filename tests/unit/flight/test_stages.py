@@ -11,8 +11,8 @@ from crazychoir.flight.batch import (
     ControllerKind,
     Course,
 )
+from crazychoir.flight.blind_time import SEEN_AGE
 from crazychoir.flight.clearance import CLEARANCE_TIMES, PLAN_DEVIATION
-from crazychoir.flight.estimate import SEEN_AGE
 from crazychoir.flight.point_flights import PointFlights
 from crazychoir.flight.setup import FlightSetup
 from crazychoir.flight.stages import evade_row, find_rows_to_judge, follow_rows
@@ -38,7 +38,7 @@ class Flying:
     """A drone of a batch that flies in a mode, on its plan and without any trouble."""
 
     def __init__(self, batch, mode=Mode.HOVER):
-        self.row = batch.add()
+        self.row = batch.add(batch.count)
         self.guard = SETUP.make_guard(self.row)
         self.flights = PointFlights(
             SETUP.limits, SETUP.fence, SETUP.a_max, self.row.plan
@@ -141,12 +141,10 @@ def test_a_drone_that_does_not_tick_keeps_its_course():
     assert drone.drone["course"] == Course.READY
 
 
-def test_the_last_command_is_forgotten():
+def test_the_controller_of_the_last_tick_is_forgotten():
     batch, drone = make_drone()
-    drone.drone["commanded"] = 1.0
     drone.drone["controller"] = ControllerKind.FOLLOWER
     find(batch)
-    assert drone.drone["commanded"].tolist() == [0.0, 0.0, 0.0]
     assert drone.drone["controller"] == ControllerKind.NONE
 
 

@@ -1,186 +1,225 @@
 """The tick of a process: its stages in their order, for the drones that are due."""
 
-import math
+import asyncio
+import contextlib
 
 import numpy as np
 import pytest
+from pilots import make_pilot
 from virtual_time import virtual
 
-from crazychoir.flight.batch import Course
-from crazychoir.flight.setup import FlightSetup
+from crazychoir.bus.port import Bus
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.config.tables import FlightTable
+from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.flight.tick import FlightTick
-from crazychoir.types import Pose, State
+from crazychoir.safety.rules.guard import Fence
+from crazychoir.safety.rules.modes import Mode
+from crazychoir.types import Pose
 
-PERIOD = 0.01
+PERIOD = 0.01  # s, of the poses of a pilot in these tests
+FENCE = Fence.box((-3.0, -3.0, -0.2), (3.0, 3.0, 2.5))
 POSE = Pose(np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]))
-STAGES = ("estimate", "publish_state", "judge", "avoid", "command")
+PAUSE = 1e-4
+"""Seconds in which the passes of the loop are over."""
 
 
-class Noting:
-    """The Python parts of a drone that write their calls into a diary.
+class FailingFilter(VelocityFilter):
+    """A filter of a user that raises."""
 
-    row: of the drone
-    diary: receives (stage, index)
-    fails_in: the stage that raises, if any
+    def update(self, pose, now):
+        raise ValueError("estimate")
+
+
+class Process:
+    """Drones that hover in one process, and a diary of what happens: (what, index of the drone).
+
+    clock: of the process
+    count: number of drones
+    fails_in: where drone 0 fails; empty for nowhere
     """
 
-    def __init__(self, row, diary, fails_in=""):
-        FlightSetup().make_guard(row)
-        self.row = row
-        self.diary = diary
+    def __init__(self, clock, count=2, fails_in=""):
+        self.diary = []
         self.fails_in = fails_in
-        self.is_running = True
-        self.errors = []
-        row.drone["is_by_hand"] = 1
-        row.drone["avoids"] = 1
+        self.tick = FlightTick(clock, count)
+        self.tick.deciders.append(lambda now_ns: self.note("decide", -1))
+        bus = Bus(clock)
+        self.pilots = [self.add(bus.port(k), k) for k in range(count)]
 
-    def note(self, stage):
-        self.diary.append((stage, self.row.index))
-        if stage == self.fails_in:
-            raise ValueError(stage)
+    def add(self, port, k):
+        """Return the pilot of drone k."""
+        publish = port.publish
 
-    def estimate(self, pose, now):
-        self.note("estimate")
-        return None if pose is None else State.at(pose.p)
+        def publish_and_note(topic, value, *age):
+            if topic is DRONE_TOPICS.state:
+                self.note("publish", k)
+            publish(topic, value, *age)
 
-    def publish_state(self):
-        self.note("publish_state")
+        port.publish = publish_and_note
+        fails = k == 0 and self.fails_in == "estimate"
+        pilot = make_pilot(
+            port,
+            Link(self, k),
+            FlightTable(),
+            FENCE,
+            state_filter=FailingFilter() if fails else VelocityFilter(),
+            shared=self.tick,
+        )
+        pilot.row.mode = Mode.HOVER
+        decide = pilot.judge.decide
 
-    def judge(self, now):
-        self.note("judge")
-        self.row.drone["course"] = Course.FOLLOW
+        def decide_and_note(state, now):
+            self.note("judge", k)
+            decide(state, now)
 
-    def avoid(self, now):
-        self.note("avoid")
+        pilot.judge.decide = decide_and_note
+        return pilot
 
-    def command(self, now):
-        self.note("command")
+    def note(self, what, k):
+        """Write into the diary; drone 0 may fail here."""
+        self.diary.append((what, k))
+        if k == 0 and what == self.fails_in:
+            raise ValueError(what)
 
-    def fail(self, error):
-        self.errors.append(str(error))
+    def list_events(self, k):
+        """Return what has happened to drone k."""
+        return [what for what, index in self.diary if index == k]
+
+    @contextlib.asynccontextmanager
+    async def running(self):
+        """Let the actors of the pilots run."""
+        runs = [asyncio.create_task(pilot.run()) for pilot in self.pilots]
+        await asyncio.sleep(0.0)
+        yield runs
+        for run in runs:
+            run.cancel()
+        await asyncio.gather(*runs, return_exceptions=True)
 
 
-def make_tick(clock, count=2, fails_in=""):
-    """Return a tick, its drones and their diary; drone 0 fails in a stage."""
-    tick = FlightTick(clock, count)
-    diary = []
-    drones = []
-    for k in range(count):
-        row = tick.batch.add()
-        drones.append(Noting(row, diary, fails_in if k == 0 else ""))
-        tick.add(drones[k], k, PERIOD)
-    return tick, drones, diary
+class Link:
+    """A link that writes commands into the diary of a process."""
+
+    def __init__(self, process, k):
+        self.process = process
+        self.k = k
+        self.commands = 0
+
+    def send(self, command):
+        """Note the first command of a tick; later ones steady a failed drone."""
+        self.commands += 1
+        self.process.note("command", self.k)
+
+    def cut(self):
+        """Do nothing."""
 
 
 @virtual
 async def test_each_stage_ends_for_all_drones_before_the_next_one_begins(clock):
-    tick, _, diary = make_tick(clock)
-    tick.deciders.append(lambda: diary.append(("decide", -1)))
-    for k in (1, 0):
-        tick.see(k, POSE)
-    await clock.sleep(0.0)
-    assert diary == [
-        ("estimate", 1),
-        ("estimate", 0),
-        ("publish_state", 1),
-        ("publish_state", 0),
+    process = Process(clock)
+    async with process.running():
+        for k in (1, 0):
+            process.tick.see(k, POSE)
+        await clock.sleep(PAUSE)
+    assert process.diary == [
+        ("publish", 0),
+        ("publish", 1),
         ("decide", -1),
         ("judge", 0),
         ("judge", 1),
-        ("avoid", 1),
-        ("avoid", 0),
-        ("command", 1),
         ("command", 0),
+        ("command", 1),
     ]
 
 
 @virtual
 async def test_only_the_drones_that_are_due_tick(clock):
-    tick, _, diary = make_tick(clock, count=3)
-    tick.see(1, POSE)
-    await clock.sleep(0.0)
-    assert {index for _, index in diary} == {1}
-    assert tick.batch.drones["ticks"].tolist() == [0, 1, 0]
+    process = Process(clock, count=3)
+    async with process.running():
+        process.tick.see(1, POSE)
+        await clock.sleep(PAUSE)
+    assert {index for _, index in process.diary} == {-1, 1}
+
+
+@virtual
+async def test_a_quiet_drone_is_commanded_without_its_judge(clock):
+    process = Process(clock, count=1)
+    async with process.running():
+        for _ in range(2):
+            process.diary.clear()
+            process.tick.see(0, POSE)
+            await clock.sleep(PERIOD)
+    assert process.list_events(0) == ["publish", "command"]
 
 
 @virtual
 async def test_a_pose_is_not_lost_for_a_tick_without_one_in_the_same_pass(clock):
-    tick, _, diary = make_tick(clock, count=1)
-    tick.see(0, None)
-    tick.see(0, POSE)
-    tick.see(0, None)
-    await clock.sleep(0.0)
-    assert diary.count(("estimate", 0)) == 1
-    assert tick.batch.drones["is_known"][0] == 1
+    process = Process(clock, count=1)
+    async with process.running():
+        for pose in (None, POSE, None):
+            process.tick.see(0, pose)
+        await clock.sleep(PAUSE)
+    assert process.list_events(0) == ["publish", "judge", "command"]
 
 
 @virtual
-async def test_a_drone_that_was_never_seen_is_neither_judged_nor_commanded(clock):
-    tick, _, diary = make_tick(clock, count=1)
-    tick.see(0, None)
-    await clock.sleep(0.0)
-    assert [stage for stage, _ in diary] == ["estimate"]
+async def test_a_drone_that_was_never_seen_does_nothing(clock):
+    process = Process(clock, count=1)
+    async with process.running():
+        process.tick.see(0, None)
+        await clock.sleep(PAUSE)
+    assert process.list_events(0) == []
 
 
-@virtual
-async def test_the_state_of_a_tick_is_in_the_record_with_the_last_command(clock):
-    tick, _, _ = make_tick(clock, count=1)
-    tick.batch.drones["commanded"][0] = (1.0, 2.0, 3.0)
-    tick.see(0, POSE)
-    await clock.sleep(0.0)
-    record = tick.batch.drones[0]
-    assert record["state"][:3].tolist() == [0.0, 0.0, 1.0]
-    assert record["acceleration"].tolist() == [1.0, 2.0, 3.0]
-    assert record["ticked_ns"] == clock.now_ns()
-
-
-@pytest.mark.parametrize("stage", STAGES)
-def test_an_error_of_one_drone_ends_its_tick_and_no_other(stage):
+@pytest.mark.parametrize(
+    ("stage", "done"),
+    [
+        ("estimate", []),
+        ("publish", ["publish"]),
+        ("judge", ["publish", "judge"]),
+        ("command", ["publish", "judge", "command"]),
+    ],
+)
+def test_an_error_of_one_drone_ends_its_tick_and_no_other(stage, done):
     @virtual
     async def check(clock):
-        tick, drones, diary = make_tick(clock, fails_in=stage)
-        for k in range(2):
-            tick.see(k, POSE)
-        await clock.sleep(0.0)
-        assert drones[0].errors == [stage]
-        assert drones[1].errors == []
-        for k, done in ((0, STAGES[: STAGES.index(stage) + 1]), (1, STAGES)):
-            assert tuple(name for name, index in diary if index == k) == done
+        process = Process(clock, fails_in=stage)
+        async with process.running() as runs:
+            for k in range(2):
+                process.tick.see(k, POSE)
+            await clock.sleep(PAUSE)
+            steadying = ["command"]
+            assert process.list_events(0) == done + steadying
+            assert process.list_events(1) == ["publish", "judge", "command"]
+            assert str(runs[0].exception()) == stage
+            assert not runs[1].done()
 
     check()
 
 
 @virtual
 async def test_a_drone_ticks_by_the_clock_after_one_and_a_half_periods(clock):
-    tick, drones, diary = make_tick(clock)
-    for k in range(2):
-        tick.see(k, POSE)
-    await clock.sleep(0.0)
-    diary.clear()
-    await clock.sleep(1.4 * PERIOD)
-    tick.tick_late_drones()
-    await clock.sleep(0.0)
-    assert diary == []
-    tick.see(0, POSE)
-    drones[1].is_running = False
-    await clock.sleep(0.2 * PERIOD)
-    diary.clear()
-    tick.tick_late_drones()
-    await clock.sleep(0.0)
-    assert diary == [], "drone 0 has ticked, and drone 1 does not run"
-    drones[1].is_running = True
-    tick.tick_late_drones()
-    await clock.sleep(0.0)
-    assert {index for _, index in diary} == {1}
-
-
-@virtual
-async def test_a_drone_that_is_cut_off_on_the_ground_is_judged_anew_in_its_next_flight(
-    clock,
-):
-    tick, drones, _ = make_tick(clock, count=1)
-    drones[0].row.drone["is_by_hand"] = 0
-    drones[0].row.drone["cut_off_since"] = 0.0
-    tick.see(0, POSE)
-    await clock.sleep(0.0)
-    assert drones[0].row.drone["cut_off_since"] == math.inf
+    process = Process(clock)
+    diary = process.diary
+    async with process.running() as runs:
+        for k in range(2):
+            process.tick.see(k, POSE)
+        await clock.sleep(1.4 * PERIOD)
+        diary.clear()
+        process.tick.tick_late_drones()
+        await clock.sleep(PAUSE)
+        assert diary == []
+        process.tick.see(0, POSE)
+        await clock.sleep(0.2 * PERIOD)
+        diary.clear()
+        process.tick.tick_late_drones()
+        await clock.sleep(PAUSE)
+        assert process.list_events(1) == ["publish", "command"]
+        assert process.list_events(0) == [], "it has ticked in time"
+        runs[1].cancel()
+        await clock.sleep(2.0 * PERIOD)
+        diary.clear()
+        process.tick.tick_late_drones()
+        await clock.sleep(PAUSE)
+        assert process.list_events(1) == [], "it does not run"
+        assert process.list_events(0) == ["publish", "command"]

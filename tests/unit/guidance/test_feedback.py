@@ -14,6 +14,7 @@ from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import default_swarm
 from crazychoir.errors import ConfigError, Hung
 from crazychoir.filters.velocity import VelocityFilter
+from crazychoir.flight.tick import FlightTick
 from crazychoir.guidance import user_hook
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.member import Interrupted, Member
@@ -129,6 +130,7 @@ def test_each_law_hears_of_this_tick_whichever_drone_is_seen_first(order):
         bus, config = Bus(clock), default_swarm(2)
         world = CFIntegrator((0, 1), np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]))
         laws = [Told(), Told()]
+        shared = FlightTick(clock, 2)
         for port, law in zip([bus.port(0), bus.port(1)], laws, strict=True):
             fence = Fence.box((-3, -3, -0.2), (3, 3, 2))
             seen = VelocityFilter()
@@ -138,6 +140,7 @@ def test_each_law_hears_of_this_tick_whichever_drone_is_seen_first(order):
                 config.flight,
                 fence,
                 state_filter=seen,
+                shared=shared,
             )
             pilot.row.mode = Mode.HOVER
             law.bind(
@@ -153,10 +156,9 @@ def test_each_law_hears_of_this_tick_whichever_drone_is_seen_first(order):
         for k in range(10):
             await clock.sleep(TICK)
             for i in order:
-                tick(
-                    laws[i].member.pilot,
-                    Pose(np.array([i, 0.1 * k, 1.0, 0.0, 0.0, 0.0, 1.0])),
-                )
+                pose = Pose(np.array([i, 0.1 * k, 1.0, 0.0, 0.0, 0.0, 1.0]))
+                shared.see(laws[i].member.pilot.row.index, pose)
+            shared.run()
         await clock.sleep(TICK / 2)
         for ending in endings:
             ending.cancel()
