@@ -11,8 +11,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from rich.console import Group
+from rich.console import Group, RenderableType
 from rich.table import Table
+from rich.text import Text
 
 from crazychoir.bench import worlds as bench_worlds
 from crazychoir.bench.swarms import CollisionMethod, FlightCase
@@ -166,8 +167,12 @@ def measure_row(
 
 
 def tables(result: dict[str, Any]) -> Group:
-    """Return the flights and the worlds as tables."""
-    shown = [flight_table(result["rows"]), profile_table(result["rows"])]
+    """Return the flights and the worlds as tables, with the notes of rows without figures."""
+    rows = result["rows"]
+    shown: list[RenderableType] = [flight_table(rows), profile_table(rows)]
+    shown += [
+        Text(f"{describe_row(row)}: {row['note']}") for row in rows if row["note"]
+    ]
     if result["worlds"]:
         shown.append(bench_worlds.table(result["worlds"]))
     return Group(*shown)
@@ -186,7 +191,7 @@ def flight_table(rows: list[dict[str, Any]]) -> Table:
     ):
         shown.add_column(name, justify="right")
     for row in rows:
-        figures = [row["note"]]
+        figures = []
         if not row["note"]:
             figures = [
                 f"{row['real_time_factor']:.2f}",
@@ -203,7 +208,9 @@ def profile_table(rows: list[dict[str, Any]]) -> Table:
     """Return the shares of the rooms of each flight as a table."""
     shown = Table("flight", "where the time goes", title="Shares of processor time")
     for row in rows:
-        rooms = sorted(row.get("profile", {}).items(), key=lambda item: -item[1])
+        if row["note"]:
+            continue
+        rooms = sorted(row["profile"].items(), key=lambda item: -item[1])
         shares = ", ".join(
             f"{room} {share:.0%}" for room, share in rooms if share >= 0.01
         )
