@@ -23,7 +23,7 @@ from crazychoir.bench.swarms import FlightCase, build_bench_swarm
 from crazychoir.errors import CrazyChoirError
 from crazychoir.guidance.mission import Mission, load_mission
 
-WINDOWS = 3
+WINDOW_COUNT = 3
 """Measurements in a flight, one after the other; a further one is profiled."""
 SPARE_TIME = 1.0
 """Seconds that the law lasts beyond the measurements."""
@@ -32,7 +32,7 @@ KIB_PER_MB = 1e6 / 1024.0
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class FlightWindow:
     """What one measurement took."""
 
     wall: float
@@ -50,7 +50,7 @@ def measure_case(case: FlightCase, say: Say = lambda text: None) -> dict[str, An
     Raises Refused if the flight fails.
     """
     config = build_bench_swarm(
-        case, SETTLING_TIME + (WINDOWS + 1) * case.window + SPARE_TIME
+        case, SETTLING_TIME + (WINDOW_COUNT + 1) * case.window + SPARE_TIME
     )
     mission = (
         cast(Mission, PythonBearingMission())
@@ -60,10 +60,10 @@ def measure_case(case: FlightCase, say: Say = lambda text: None) -> dict[str, An
     ticks = round(case.window * config.mocap.rate)
     seen: Counter[str] = Counter()
 
-    async def measure(agent: Agent) -> tuple[list[Window], float]:
+    async def measure(agent: Agent) -> tuple[list[FlightWindow], float]:
         windows = []
-        for k in range(WINDOWS):
-            say(f"measuring, {k + 1} of {WINDOWS}")
+        for k in range(WINDOW_COUNT):
+            say(f"measuring, {k + 1} of {WINDOW_COUNT}")
             windows.append(await measure_window(agent, case, ticks))
         memory = read_peak_memory()
         say("profiling")
@@ -86,7 +86,7 @@ def measure_case(case: FlightCase, say: Say = lambda text: None) -> dict[str, An
     }
 
 
-async def measure_window(agent: Agent, case: FlightCase, ticks: int) -> Window:
+async def measure_window(agent: Agent, case: FlightCase, ticks: int) -> FlightWindow:
     """Return what a window of virtual time took.
 
     ticks: ticks of a drone in the window
@@ -95,7 +95,7 @@ async def measure_window(agent: Agent, case: FlightCase, ticks: int) -> Window:
     wall = time.perf_counter()
     processor = time.process_time()
     await agent.clock.sleep(case.window)
-    return Window(
+    return FlightWindow(
         time.perf_counter() - wall,
         time.process_time() - processor,
         (count_filter_ticks(agent) - acted) / (case.drones * ticks),

@@ -66,17 +66,20 @@ def test_a_row_that_fails_has_a_note_with_the_reason():
     assert "duration" in row["note"]
 
 
-def test_all_rows_of_the_default_table_share_its_time(monkeypatch):
+def test_rows_of_the_default_table_share_its_time(monkeypatch):
     given = []
 
-    def take_long(case, seconds, title, say):
+    def measure(case, seconds, title, say):
         given.append(seconds)
-        return {"note": "not measured"}
+        return {"note": ""}
 
-    monkeypatch.setattr(flight, "measure_row", take_long)
-    rows = measure_cases([QUICK_CASE, FlightCase(6)], False, lambda text: None)
-    assert [row["drones"] for row in rows] == [5, 6]
-    assert all(seconds <= FLIGHT_BENCH.row_time for seconds in given)
+    times = iter([0.0, 0.0, FLIGHT_BENCH.table_time - 10.0, FLIGHT_BENCH.table_time])
+    monkeypatch.setattr(flight, "measure_row", measure)
+    monkeypatch.setattr(flight.time, "perf_counter", lambda: next(times))
+    cases = [FlightCase(5), FlightCase(6), FlightCase(7)]
+    rows = measure_cases(cases, False, lambda text: None)
+    assert given == [FLIGHT_BENCH.row_time, 10.0]
+    assert rows[2]["note"].startswith("not measured: ")
 
 
 def test_the_table_shows_the_note_of_a_row_that_was_not_measured():
