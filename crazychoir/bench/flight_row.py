@@ -104,7 +104,7 @@ async def measure_window(agent: Agent, case: FlightCase, ticks: int) -> FlightWi
 
 def count_filter_ticks(agent: Agent) -> int:
     """Return the ticks in which the collision filter has flown a drone, summed over all drones."""
-    return sum(drone.pilot.clearance.ticks for drone in agent.drones.values())
+    return sum(drone.pilot.follower.clearance.ticks for drone in agent.drones.values())
 
 
 def read_peak_memory() -> float:

@@ -124,7 +124,7 @@ class TickMeter(Actor):
         self.forwarder = CountingForwarder(agent.bus.forwarder)
         agent.bus.forwarder = self.forwarder
         for drone in agent.drones.values():
-            drone.pilot.link = StopwatchLink(
+            drone.pilot.body = StopwatchLink(
                 drone.pilot, agent.owner_of[drone.id], self.command_ns
             )
 
