@@ -1,8 +1,11 @@
-"""Pilots for tests, each with a batch of its own, and their ticks."""
+"""Pilots for tests, each with a batch of its own, their ticks, and stand-ins for pilots."""
+
+from types import SimpleNamespace
 
 from crazychoir.flight.body import LocalBody
 from crazychoir.flight.pilot import Pilot
 from crazychoir.flight.setup import FlightSetup
+from crazychoir.safety.rules.guard import Guard
 
 
 class TellingBody(LocalBody):
@@ -42,6 +45,26 @@ def make_pilot(port, link, limits, room, *, state_filter=None, collision=None, *
         state_filter,
         collision,
     )
+
+
+def make_stand_in(parts):
+    """Return a stand-in for a pilot that has only these parts.
+
+    parts: values by dotted name, such as {"notes.text": "", "permission.held": False}
+    """
+    whole = SimpleNamespace()
+    for name, value in parts.items():
+        *path, last = name.split(".")
+        part = whole
+        for step in path:
+            part = vars(part).setdefault(step, SimpleNamespace())
+        setattr(part, last, value)
+    return whole
+
+
+def change_fence(pilot, fence):
+    """Let the guard of a drone keep it in this fence from now on, with the default safety table."""
+    Guard.__init__(pilot.guard, fence, rows=pilot.guard._rows)
 
 
 def tick(pilot, pose):

@@ -1,1 +1,1 @@
-"""The flight of one drone: modes, references, limits and landing."""
+"""The tick of all drones of a process: batch, stages, and the pilots of the drones."""

@@ -85,7 +85,7 @@ class Observer(Actor):
         async for _ in self.agent.clock.ticks(1.0 / TICK):
             for i, flight in self.flights.items():
                 pilot, world = self.agent.drones[i].pilot, self.agent.owner_of[i].world
-                flown = pilot._flown
+                flown = pilot.row.flown
                 flight.t.append(self.agent.clock.now())
                 flight.modes.append(pilot.mode)
                 flight.truth.append(world.states[world.row[i]].copy())

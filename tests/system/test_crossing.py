@@ -5,9 +5,9 @@ import pytest
 from system.flights import fly
 
 from crazychoir.errors import ConfigError, Refused
-from crazychoir.flight.pilot import Mode
 from crazychoir.guidance.mission import check_before_flight, load_mission
 from crazychoir.runtime.actor import Actor
+from crazychoir.safety.rules.modes import Mode
 
 pytestmark = pytest.mark.system
 MEET = 0.24

@@ -80,16 +80,16 @@ def test_thirty_keep_their_places_though_frames_come_late_by_other_times(monkeyp
 
     Otherwise all drones would bob together.
     """
-    draw, frame, posed = np.random.default_rng(1), {}, Pilot._posed
+    draw, frame, see = np.random.default_rng(1), {}, Pilot.see
 
     def late(pilot, pose, age):
         now = pilot.clock.now_ns()
         if now not in frame:
             frame.clear()
             frame[now] = abs(draw.normal(0.0, 0.006))
-        posed(pilot, None if pose is None else Pose(pose.flat, frame[now]), frame[now])
+        see(pilot, None if pose is None else Pose(pose.flat, frame[now]), frame[now])
 
-    monkeypatch.setattr(Pilot, "_posed", late)
+    monkeypatch.setattr(Pilot, "see", late)
     config = load_mission("bearing_formation").swarm(30)
     result = flown(
         "bearing_formation",

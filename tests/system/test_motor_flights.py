@@ -256,10 +256,10 @@ async def falls_silent(guidance):
     pilot, x = guidance.member.pilot, guidance.state.p
     pilot.go_to((x[0] + 1.0, x[1], x[2]), duration=4.0)
     await guidance.sleep(2.0)
-    link, pilot.body = pilot.body, Nobody()
+    link, pilot.body.link = pilot.body.link, Nobody()
     SILENT_AT[guidance.id] = guidance.member.clock.now()
     await guidance.sleep(HEARD_AGAIN)
-    pilot.body = link
+    pilot.body.link = link
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from system.agents import CRAZYCHOIR, WORLD, Program, flying, results, seen, unt
 from system.lossy_link import wired
 
 from crazychoir.bus.network import authority
-from crazychoir.flight.pilot import CUT_OFF_TEXT
+from crazychoir.flight.judge import CUT_OFF_TEXT
 from crazychoir.guidance.mission import load_mission
 
 pytestmark = [

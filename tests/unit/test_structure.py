@@ -46,7 +46,6 @@ MOST_MISSION_LINES = 90  # of a file in agents/
 LARGE_CLASSES = {
     "Communicator",
     "Fleet",
-    "Pilot",
     "Rounds",
     "Swarm",
     "ZenohLink",

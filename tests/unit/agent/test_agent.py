@@ -6,6 +6,7 @@ from functools import partial
 from types import SimpleNamespace
 
 import pytest
+from pilots import change_fence
 
 from crazychoir.agent.agent import Agent, AgentProcess
 from crazychoir.agent.mission_result import MISSION_REASONS
@@ -18,7 +19,7 @@ from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.mission import compute_mission_hash, load_mission
 from crazychoir.runtime.clock import NS_PER_SECOND, run_virtual
 from crazychoir.runtime.mailbox import Call
-from crazychoir.safety.rules.guard import Fence, Guard
+from crazychoir.safety.rules.guard import Fence
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.simulation.trace import Trace
 from crazychoir.types import Acceleration
@@ -288,7 +289,7 @@ def failing(actor):
 
     if actor == "world":
         return lambda agent: setattr(agent.owners[0], "step", fail)
-    return lambda agent: setattr(agent.drones[0].pilot, "nudge", fail)
+    return lambda agent: setattr(agent.pacemaker.tick, "tick_late_drones", fail)
 
 
 @pytest.mark.parametrize("actor", ["world", "pacemaker"])
@@ -376,9 +377,8 @@ def test_a_drone_that_its_guard_has_landed_for_good_is_no_success():
             await guidance.sleep(0.05)
 
     def narrow(agent):
-        agent.drones[0].pilot.guard = Guard(
-            Fence.box((-3.0, -3.0, -0.5), (3.0, 3.0, -0.05))
-        )
+        fence = Fence.box((-3.0, -3.0, -0.5), (3.0, 3.0, -0.05))
+        change_fence(agent.drones[0].pilot, fence)
 
     results, _, phases = ended(waits, 2.5, narrow)
     assert phases[-2:] == [Mode.LAND, Mode.GROUND]

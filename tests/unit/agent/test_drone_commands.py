@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import pytest
+from pilots import make_stand_in
 
 from crazychoir.agent.drone_commands import DroneCommands
 from crazychoir.agent.operator_commands import OperatorCommands
@@ -43,7 +44,13 @@ def commands(said, beats):
     bus = Bus(StillClock(), Impairment(0))
     port = bus.port(3)
     port.publish = lambda topic, value: said.append((topic, value))
-    pilot = SimpleNamespace(mode=Mode.HOVER, cut=said.append, refuses=lambda _: "")
+    pilot = make_stand_in(
+        {
+            "mode": Mode.HOVER,
+            "cut": said.append,
+            "permission.refuses": lambda _: "",
+        }
+    )
     drone = SimpleNamespace(id=3, port=port, pilot=pilot, guidance=object())
     orders = OperatorCommands(drone, None, said.append, lambda: "")
     return DroneCommands(drone, orders, beats.note)

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pilots import make_stand_in
 
 from crazychoir.agent.mission_result import ENDED_KEY, check_result, judge_flight
 from crazychoir.bus.codec import MAX_PAYLOAD
@@ -64,11 +65,13 @@ def test_what_a_mission_may_not_return(returned, said):
     [("", "", ""), ("it fell", "", "drone 4: it fell"), ("", "bent", "drone 4: bent")],
 )
 def test_success_needs_a_drone_that_came_down_whole(note, harm, reason):
-    pilot = SimpleNamespace(
-        note=note,
-        mode=Mode.CUT if note else Mode.GROUND,
-        guard=SimpleNamespace(latched=""),
-        brought_down="",
+    pilot = make_stand_in(
+        {
+            "mode": Mode.CUT if note else Mode.GROUND,
+            "notes.text": note,
+            "notes.brought_down": "",
+            "guard.latched": "",
+        }
     )
     drone = SimpleNamespace(id=4, pilot=pilot, harm=lambda: harm)
     judged = judge_flight({"success": True}, drone, "", "landed on command")

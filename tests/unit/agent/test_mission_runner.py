@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import pytest
+from pilots import make_stand_in
 from virtual_time import virtual
 
 from crazychoir.agent.mission_runner import MISSION_TIMES, MissionRunner
@@ -14,24 +15,23 @@ from crazychoir.safety.rules.modes import Mode
 class Lands:
     """A pilot that is in the air until `down`, s; if `kept_up`, other drones keep it up until then."""
 
-    drone, held, mode, note, unreached = (
-        4,
-        False,
-        Mode.LAND,
-        "keeps clear of drone 2",
-        False,
-    )
+    mode = Mode.LAND
+    port = SimpleNamespace(address=4)
+    permission = SimpleNamespace(held=False)
+    notes = SimpleNamespace(text="keeps clear of drone 2")
 
     def __init__(self, clock, down, kept_up):
         self.clock, self._down, self._kept_up, self.cut_at = clock, down, kept_up, None
+        self.judge = make_stand_in({"touchdown.is_unreached": False})
 
     @property
     def airborne(self):
         return self.cut_at is None and self.clock.now() < self._down
 
     @property
-    def clearance(self):
-        return SimpleNamespace(gave_way=self.clock.now() if self._kept_up else -1.0)
+    def follower(self):
+        gave_way = self.clock.now() if self._kept_up else -1.0
+        return make_stand_in({"clearance.gave_way": gave_way})
 
     def remaining(self):
         return 0.0
@@ -87,21 +87,28 @@ async def test_what_keeps_a_drone_from_flying_is_for_the_others_to_hear_too(cloc
     )
 
 
-class Stopped:
+def stopped(cut_for):
     """A pilot with motors that were cut for the reason `cut_for`; if it is empty, they were not cut."""
-
-    note, brought_down, at_fence, mode, airborne = "", "", 0, Mode.CUT, False
-    clearance, guard = SimpleNamespace(ticks=0), SimpleNamespace(latched="")
-
-    def __init__(self, cut_for):
-        self.cut_for = cut_for
+    return make_stand_in(
+        {
+            "airborne": False,
+            "mode": Mode.CUT,
+            "permission.cut_for": cut_for,
+            "notes.text": "",
+            "notes.brought_down": "",
+            "row.fence_ticks": 0,
+            "follower.clearance.ticks": 0,
+            "setup.period_ns": 10_000_000,
+            "guard.latched": "",
+        }
+    )
 
 
 @pytest.mark.parametrize("cut_for", ["emergency stop", ""])
 def test_an_abort_after_an_emergency_stop_does_not_replace_its_reason(cut_for):
     @virtual
     async def check(clock):
-        actor = MissionRunner(SimpleNamespace(id=4, pilot=Stopped(cut_for)), None, None)
+        actor = MissionRunner(SimpleNamespace(id=4, pilot=stopped(cut_for)), None, None)
         actor.abort("Ctrl-C (SIGINT): landing")
         assert actor.over == (cut_for or "Ctrl-C (SIGINT): landing")
 
@@ -110,7 +117,7 @@ def test_an_abort_after_an_emergency_stop_does_not_replace_its_reason(cut_for):
 
 @virtual
 async def test_what_has_broken_a_drone_is_said_once(clock):
-    drone = SimpleNamespace(id=4, pilot=Stopped(""), harm=lambda: "locked")
+    drone = SimpleNamespace(id=4, pilot=stopped(""), harm=lambda: "locked")
     actor = MissionRunner(drone, None, None)
     refused = "drone 4: refused: locked"
     assert actor._judged({"success": False, "reason": refused})["reason"] == refused

@@ -152,12 +152,12 @@ def test_a_run_waits_on_the_ground_for_its_take_off_and_in_the_air_for_its_start
         assert await operator.order("arm") == dict.fromkeys(
             range(3), (ANSWER_TEXTS.done, "ready")
         )
-        operator.pilot(1).unfit = lambda: ["battery at 3.10 V"]
+        operator.pilot(1).body.list_problems = lambda: ["battery at 3.10 V"]
         assert await operator.order("arm", 1) == (
             ANSWER_TEXTS.refused,
             "battery at 3.10 V: no take-off",
         )
-        operator.pilot(1).unfit = list
+        operator.pilot(1).body.list_problems = list
         assert operator.modes() == [Mode.GROUND] * 3
         assert await operator.order("take-off") == dict.fromkeys(
             range(3), (ANSWER_TEXTS.done, "hovering")
@@ -421,9 +421,12 @@ def test_a_drone_that_is_held_flies_on_command_and_goes_on_with_its_mission():
 
 def occluded(operator, i, seconds):
     """Its cameras do not see it for so long."""
-    pilot, tick = operator.pilot(i), operator.pilot(i).tick
+    stages = operator.pilot(i).stages
+    receive = stages.receive_pose
     ends = operator.clock.now() + seconds
-    pilot.tick = lambda pose: tick(pose if operator.clock.now() >= ends else None)
+    stages.receive_pose = lambda pose, age: (
+        receive(pose, age) if operator.clock.now() >= ends else None
+    )
 
 
 async def held_in_its_mission(operator):

@@ -5,6 +5,7 @@ import inspect
 from types import SimpleNamespace
 
 import pytest
+from pilots import make_stand_in
 
 from crazychoir.agent.agent import Agent
 from crazychoir.agent.mission_result import result_of_failure, result_of_operator_end
@@ -306,13 +307,10 @@ def test_a_reason_that_is_there_stays_as_it_is():
 
 @pytest.mark.parametrize("mode", Mode)
 def test_what_a_drone_does_has_a_reason_in_every_mode(mode):
-    assert (
-        describe_state(SimpleNamespace(mode=mode, note=""))
-        == f"{mode.value}: {UNNOTED_REASONS[mode]}"
-    )
-    assert (
-        describe_state(SimpleNamespace(mode=mode, note="pose")) == f"{mode.value}: pose"
-    )
+    pilot = make_stand_in({"mode": mode, "notes.text": ""})
+    assert describe_state(pilot) == f"{mode.value}: {UNNOTED_REASONS[mode]}"
+    pilot.notes.text = "pose"
+    assert describe_state(pilot) == f"{mode.value}: pose"
 
 
 def test_a_mission_that_raises_an_error_without_words_has_a_reason():

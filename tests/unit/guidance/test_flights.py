@@ -3,9 +3,9 @@
 from types import SimpleNamespace
 
 import pytest
+from pilots import make_stand_in
 from virtual_time import virtual
 
-from crazychoir.flight.pilot import Mode
 from crazychoir.guidance.flights import (
     FLIGHT_LIMITS,
     SETTLING_LIMITS,
@@ -16,6 +16,7 @@ from crazychoir.guidance.flights import (
     wait_while,
 )
 from crazychoir.guidance.member import FLIGHT_LOOK_INTERVAL, Interrupted
+from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import State
 
 NS_PER_SECOND = 10**9
@@ -23,16 +24,18 @@ NS_PER_SECOND = 10**9
 
 def flying(clock, **changes):
     """The member of drone 3; its pilot hovers at the origin unless it is changed."""
-    pilot = SimpleNamespace(
-        mode=Mode.HOVER,
-        note="",
-        state=State.at((0.0, 0.0, 1.0)),
-        flights=SimpleNamespace(waited=0.0),
-        airborne=True,
-        commanded=False,
-        held=False,
-        remaining=lambda: 0.0,
-        unfit=lambda: "",
+    pilot = make_stand_in(
+        {
+            "mode": Mode.HOVER,
+            "state": State.at((0.0, 0.0, 1.0)),
+            "airborne": True,
+            "remaining": lambda: 0.0,
+            "notes.text": "",
+            "flights.waited": 0.0,
+            "permission.commanded": False,
+            "permission.held": False,
+            "body.list_problems": list,
+        }
     )
     vars(pilot).update(changes)
     announced = []
@@ -131,17 +134,19 @@ async def test_a_drone_that_does_not_settle_flies_on(clock):
 
 @virtual
 async def test_a_drone_waits_on_the_ground_for_its_pose_and_until_it_is_fit(clock):
-    unfit = ["no pose"]
-    member = flying(clock, state=None, unfit=lambda: "".join(unfit))
+    problems = ["no pose"]
+    member = flying(clock, state=None)
+    member.pilot.body.list_problems = lambda: problems
     later(clock, 2.0, lambda: setattr(member.pilot, "state", State.at((0, 0, 0))))
-    later(clock, 4.0, unfit.clear)
+    later(clock, 4.0, problems.clear)
     await wait_until_ready(member)
     assert clock.now() == pytest.approx(4.0, abs=2 * FLIGHT_LOOK_INTERVAL)
 
 
 @virtual
 async def test_an_unfit_drone_is_left_to_the_pilot_after_a_while(clock):
-    member = flying(clock, unfit=lambda: "no pose")
+    member = flying(clock)
+    member.pilot.body.list_problems = lambda: ["no pose"]
     await wait_until_ready(member)
     assert clock.now() == pytest.approx(FLIGHT_LIMITS.unfit_time, abs=0.1)
 

@@ -1,10 +1,10 @@
 """Which drone has its turn at a place, and where the others wait."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pilots import make_stand_in
 
 from crazychoir.guidance.turns import (
     TURN_DISTANCES,
@@ -27,16 +27,18 @@ def pilot(others, now=10.0, at=P, gave_way=-math.inf):
     rows = np.zeros((len(others), NEIGHBOUR_ROW.size))
     for row, (away, z, age) in zip(rows, others.values(), strict=True):
         row[0:3], row[NEIGHBOUR_ROW.state_time] = (P[0] + away, P[1], z), now - age
-    return SimpleNamespace(
-        drone=ME,
-        clock=SimpleNamespace(now=lambda: now),
-        limits=SimpleNamespace(ground=0.0),
-        fence=HALL,
-        clearance=SimpleNamespace(
-            traffic=SimpleNamespace(rows=rows, ids=list(others)), gave_way=gave_way
-        ),
-        state=SimpleNamespace(p=np.array(at)),
-        gap=lambda p: float(np.linalg.norm(np.subtract(p, at))),
+    return make_stand_in(
+        {
+            "port.address": ME,
+            "clock.now": lambda: now,
+            "setup.limits.ground": 0.0,
+            "setup.fence": HALL,
+            "follower.clearance.traffic.rows": rows,
+            "follower.clearance.traffic.ids": list(others),
+            "follower.clearance.gave_way": gave_way,
+            "state.p": np.array(at),
+            "gap": lambda p: float(np.linalg.norm(np.subtract(p, at))),
+        }
     )
 
 
@@ -63,12 +65,8 @@ def test_the_lowest_id_of_the_drones_near_a_place_is_first(others, first):
 
 
 def test_a_drone_that_gives_way_to_no_other_is_first():
-    assert (
-        find_first_at(
-            SimpleNamespace(drone=ME, clearance=SimpleNamespace(traffic=None)), P
-        )
-        == ME
-    )
+    alone = make_stand_in({"port.address": ME, "follower.clearance.traffic": None})
+    assert find_first_at(alone, P) == ME
 
 
 def test_the_others_wait_on_their_own_side_as_high_as_the_place():

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pilots import make_stand_in
 
-from crazychoir.flight.pilot import Mode
 from crazychoir.guidance.member import Interrupted
 from crazychoir.guidance.mission import load_mission
 from crazychoir.guidance.tasks.task_assignment import (
@@ -14,6 +14,7 @@ from crazychoir.guidance.tasks.task_assignment import (
     TeamAssignment,
 )
 from crazychoir.guidance.tasks.task_book import Deed, Record, Task, TaskBook
+from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import State
 
 MISSION = load_mission("task_assignment")
@@ -43,8 +44,13 @@ def test_while_the_team_plans_nothing_is_completed():
     """The task may belong to another robot after the planning."""
     said = []
     guidance = TaskAssignmentGuidance(TeamAssignment(lambda count: [], 1))
-    pilot = SimpleNamespace(
-        mode=Mode.HOVER, state=State.at((1.0, 1.02, 0.5)), follow=lambda reference: True
+    pilot = make_stand_in(
+        {
+            "mode": Mode.HOVER,
+            "state": State.at((1.0, 1.02, 0.5)),
+            "follow": lambda reference: True,
+            "notes.text": "",
+        }
     )
     guidance.member = SimpleNamespace(pilot=pilot, config=CONFIG, id=0, ended="")
     book, record = (

@@ -9,7 +9,6 @@ from virtual_time import virtual
 
 from crazychoir.bus.port import Bus
 from crazychoir.errors import ConfigError
-from crazychoir.flight.pilot import Mode
 from crazychoir.guidance.member import Interrupted, Member
 from crazychoir.guidance.mission import load_mission
 from crazychoir.guidance.tasks.task_assignment import TaskRoom
@@ -21,6 +20,7 @@ from crazychoir.guidance.tasks.team_mission import (
     TeamRules,
 )
 from crazychoir.guidance.tasks.team_news import NEWS_TIMING, UNREACHED_REASON
+from crazychoir.safety.rules.modes import Mode
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import graph_from_name
 from crazychoir.types import State
@@ -34,9 +34,9 @@ class StandInPilot:
 
     def __init__(self, clock, i):
         self.clock = clock
-        self.drone = i
+        self.port = SimpleNamespace(address=i)
         self.airborne = True
-        self.held = False
+        self.permission = SimpleNamespace(held=False)
         self.mode = Mode.HOVER
         self.state = State.at((float(i), 1.0, 0.5))
         self.landings = []
