@@ -12,6 +12,7 @@ from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.checks import WORLD_URIS, limit_area
 from crazychoir.config.drone_room import fence_of
 from crazychoir.config.link_loss import TILT_TIMES, describe_crowding, fence_inset
+from crazychoir.config.shared_values import share
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import AGREED_KEYS
 from crazychoir.control.choice import FIRMWARE_GAIN_SENDERS, Controls, make_controls
@@ -300,12 +301,10 @@ def _build_avoidance(
     """
     i = port.address
     flight = config.flight
-    flying = [j for j in config.ids if config.drone(j).uri not in ROBOT_CONTROLS]
+    flying = share(config, _list_flying)
     if config.collision.method == "off" or i not in flying or len(flying) == 1:
         return None
-    planners = tuple(
-        j for j in flying if config.control_of(j).sender in FIRMWARE_GAIN_SENDERS
-    )
+    planners = share(config, _list_planners)
     fence = Fence.box(config.fence.min, config.fence.max).with_floor(
         max(config.fence.min[2], flight.ground)
     )
@@ -324,6 +323,19 @@ def _build_avoidance(
         )
         return PlannedFlights(port, config.collision, traffic, planners, limits)
     return CollisionFilter(config.collision, traffic, fence, a_max, v_max, ground)
+
+
+def _list_flying(config: SwarmConfig) -> tuple[int, ...]:
+    """Return the drones that fly."""
+    return tuple(j for j in config.ids if config.drone(j).uri not in ROBOT_CONTROLS)
+
+
+def _list_planners(config: SwarmConfig) -> tuple[int, ...]:
+    """Return the flying drones whose firmware plans their path."""
+    flying = share(config, _list_flying)
+    return tuple(
+        j for j in flying if config.control_of(j).sender in FIRMWARE_GAIN_SENDERS
+    )
 
 
 def _watch_neighbours(config: SwarmConfig, port: Port, traffic: NeighbourTable) -> None:

@@ -33,7 +33,7 @@ class Presence(Enum):
     """Suspected for too long."""
 
 
-@dataclass
+@dataclass(slots=True)
 class _Member:
     """The state of a watched member."""
 
@@ -55,6 +55,7 @@ class PresenceMonitor(Actor):
     watched: ids of the members; may be changed at any time
     beat: callable that returns the payload of a heartbeat
     lost_after: seconds after which a SUSPECT member is LOST
+    seek: callable that returns further receivers of the next heartbeat, which are not monitored
     """
 
     name = "presence"
@@ -66,11 +67,13 @@ class PresenceMonitor(Actor):
         watched: tuple[int, ...],
         beat: Callable[[], bytes],
         lost_after: float = 5.0,
+        seek: Callable[[], tuple[int, ...]] = tuple,
     ) -> None:
         self.port = port
         self.watched = watched
         self.beat = beat
         self.lost_after = lost_after
+        self.seek = seek
         self.listeners: list[OnChange] = []
         self._members: dict[int, _Member] = {}
         self._number = 0
@@ -91,7 +94,7 @@ class PresenceMonitor(Actor):
         if not self.silent:
             self.port.send(
                 MESSAGE_TOPICS.heartbeat,
-                self.watched,
+                self.watched + self.seek(),
                 self.beat(),
                 self._number,
                 "heartbeat",
@@ -117,14 +120,18 @@ class PresenceMonitor(Actor):
 
     def token_back(self, j: int) -> None:
         """Note that the liveliness token of j's process exists (again)."""
-        self._members.setdefault(j, _Member()).token_gone = False
+        member = self._members.get(j)
+        if member is not None:
+            member.token_gone = False
 
     def _look(self, j: int) -> None:
         """Update the state of member j from the time of its last message and from its token."""
-        member = self._members.setdefault(j, _Member())
         heard_ns = self.port.heard_ns.get(j)
         if heard_ns is None:
             return
+        member = self._members.get(j)
+        if member is None:
+            member = self._members[j] = _Member()
         now_ns = self.port.bus.clock.now_ns()
         silent = now_ns - heard_ns > SILENCE_TIMEOUT * NS_PER_SECOND
         if not silent and not member.token_gone:

@@ -12,6 +12,7 @@ from crazychoir.config.checks import check_swarm, graph_of, is_secured
 from crazychoir.config.file_paths import resolve_mission, resolve_paths
 from crazychoir.config.radio_checks import body_name, has_radio
 from crazychoir.config.reader import parse, read_table, require_plain
+from crazychoir.config.shared_values import share
 from crazychoir.config.tables import (
     ControlTable,
     DroneTable,
@@ -98,17 +99,23 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True, dict=True):
         network.require_possible_bursts(f"{where}: network.burst")
         return msgspec.structs.replace(self, network=network)
 
-    @property
+    @cached_property
     def ids(self) -> tuple[int, ...]:
         """Drone ids, increasing."""
         return tuple(sorted(drone.id for drone in self.drones))
 
+    @cached_property
+    def _drones_by_id(self) -> dict[int, DroneTable]:
+        return {drone.id: drone for drone in self.drones}
+
     def drone(self, i: int) -> DroneTable:
         """Return the [[drones]] with id i; raise ConfigError if there is none."""
-        for drone in self.drones:
-            if drone.id == i:
-                return drone
-        raise ConfigError(f"swarm {self.name}", f"drone {i}", describe_ids(self.ids))
+        drone = self._drones_by_id.get(i)
+        if drone is None:
+            raise ConfigError(
+                f"swarm {self.name}", f"drone {i}", describe_ids(self.ids)
+            )
+        return drone
 
     @cached_property
     def topology(self) -> Topology:
@@ -130,13 +137,25 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True, dict=True):
         The default for a drone with a radio is "frpy": if the link fails, it flies on level.
         """
         drone = self.drone(i)
-        row = next((row for row in self.roles if row.name == drone.role), self.control)
         streamed: Sender = "frpy" if has_radio(drone) else "fpqr"
-        return msgspec.structs.replace(row, sender=row.sender or streamed)
+        return share(self, _fill_in_sender, drone.role, streamed)
 
     def graph(self) -> Graph:
         """Return the communication graph."""
-        return graph_of(self, f"swarm {self.name}")
+        return share(self, _build_graph)
+
+
+def _fill_in_sender(config: SwarmConfig, role: str, streamed: Sender) -> ControlTable:
+    """Return the [[roles]] with this name, else [control], with its sender filled in.
+
+    streamed: the default sender
+    """
+    row = next((row for row in config.roles if row.name == role), config.control)
+    return msgspec.structs.replace(row, sender=row.sender or streamed)
+
+
+def _build_graph(config: SwarmConfig) -> Graph:
+    return graph_of(config, f"swarm {config.name}")
 
 
 def default_swarm(n: int) -> SwarmConfig:

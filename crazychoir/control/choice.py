@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -244,6 +245,11 @@ def change_gains(gains: Gains, values: dict[str, Any], where: str) -> Gains:
     return replace(gains, **known)
 
 
+@lru_cache(maxsize=64)  # most drones of a swarm have the same gains and platform
+def _find_margin(gains: Gains, platform: Platform, plant: Plant) -> float:
+    return compute_delay_margin(gains, platform, plant)
+
+
 def require_stable(
     gains: Gains,
     platform: Platform,
@@ -260,7 +266,7 @@ def require_stable(
         gains = replace(
             gains, kr=(FIRMWARE_ATTITUDE_GAIN, FIRMWARE_ATTITUDE_GAIN, gains.kr[2])
         )
-    left = compute_delay_margin(gains, platform, plant)
+    left = _find_margin(gains, platform, plant)
     if left < REQUIRED_DELAY_MARGIN:
         raise ConfigError(
             f"{where}.gains",

@@ -9,6 +9,7 @@ from typing import Annotated, Literal, TypeVar
 from msgspec import Meta
 
 from crazychoir.config.reader import read_table
+from crazychoir.config.shared_values import share
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import DroneTable, Height, Id, Swarm, SwarmTable
 from crazychoir.errors import ConfigError
@@ -99,8 +100,13 @@ class HeightOption(SwarmTable, frozen=True, kw_only=True):
 def given(config: SwarmConfig, kind: type[T]) -> T:
     """Return [mission_options] as the table `kind`.
 
+    It is read once for each swarm file.
     Raises ConfigError with the key, what was found and what is allowed.
     """
+    return share(config, _read_mission_options, kind)
+
+
+def _read_mission_options(config: SwarmConfig, kind: type[T]) -> T:
     return read_table(
         config.mission_options, kind, f"swarm {config.name}", "mission_options", Swarm
     )

@@ -5,11 +5,11 @@ from collections import deque
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import combinations
 from typing import Any
 
 import numpy as np
-from scipy.spatial.distance import pdist
+import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from crazychoir.agent.drone import WAITING_TASK
 from crazychoir.agent.operator_commands import GROUNDED_PHASES
@@ -19,9 +19,10 @@ from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.feedback import LAW_TASK
 from crazychoir.guidance.mission import Mission, has_hook
+from crazychoir.numerics.near_pairs import find_nearest, list_near_pairs
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.mailbox import Call
-from crazychoir.types import State, Status, Vec
+from crazychoir.types import Mat, State, Status, Vec
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,16 +229,20 @@ class FlightScore(Actor):
             np.array(column)
             for column in zip(*(self._truth[i] for i in ids), strict=True)
         )
-        gaps = pdist(p + (now - when)[:, None] * v)
-        stand = [self._stands(i) for i in ids]
-        if any(stand):
-            gaps[[a and b for a, b in combinations(stand, 2)]] = math.inf
-        least = float(gaps.min())
-        self.min_separation = min(self.min_separation, least)
-        if least < SWARM_LIMITS.touching_distance:
-            for pair, gap in zip(combinations(ids, 2), gaps.tolist(), strict=True):
-                if gap < SWARM_LIMITS.touching_distance:
-                    self.touching[pair] = min(gap, self.touching.get(pair, math.inf))
+        places = p + (now - when)[:, None] * v
+        is_known = np.isfinite(places).all(axis=1)
+        if is_known.sum() < 2:
+            return
+        places = places[is_known]
+        ids = [i for i, known in zip(ids, is_known, strict=True) if known]
+        stands = np.array([self._stands(i) for i in ids])
+        self.min_separation = min(self.min_separation, _find_least_gap(places, stands))
+        touching = SWARM_LIMITS.touching_distance
+        for a, b in list_near_pairs(places, touching).tolist():
+            gap = math.dist(places[a], places[b])
+            if gap < touching and not (stands[a] and stands[b]):
+                pair = (ids[a], ids[b])
+                self.touching[pair] = min(gap, self.touching.get(pair, math.inf))
 
     def formation(self) -> dict[str, float | None]:
         """Return the final error of the formation and its settling time.
@@ -261,6 +266,24 @@ class FlightScore(Actor):
             name: sum(getattr(status, name) for status in of)
             for name in ("sent", "lost", "resent")
         }
+
+
+def _find_least_gap(places: Mat, stands: npt.NDArray[np.bool_]) -> float:
+    """Return the least distance in m between two drones of which at least one has flown.
+
+    places: (N, 3) m, with N at least 2.
+    stands: (N,): whether each drone has never flown.
+    """
+    if not stands.any():
+        return float(find_nearest(places).distances.min())
+    flown = places[~stands]
+    if not len(flown):
+        return math.inf
+    gaps, _ = cKDTree(places[stands]).query(flown)
+    least = float(gaps.min())
+    if len(flown) > 1:
+        least = min(least, float(find_nearest(flown).distances.min()))
+    return least
 
 
 def list_goals(mission: Mission, config: SwarmConfig) -> dict[int, Vec]:

@@ -9,7 +9,7 @@ no effect.
 import asyncio
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,15 +59,17 @@ class NeighborProgress:
 
     def forget(self, peers: Iterable[int]) -> None:
         """Forget the state of neighbours that have left or were restarted."""
-        for j in peers:
-            for known in (
-                self.latest,
-                self.progress,
-                self.pacing,
-                self.finished,
-                self.kept,
-            ):
-                known.pop(j, None)
+        tables: list[dict[int, Any]] = [
+            self.latest,
+            self.progress,
+            self.pacing,
+            self.finished,
+            self.kept,
+        ]
+        gone = frozenset(peers)
+        for table in tables:
+            for j in [j for j in table if j in gone]:
+                del table[j]
 
 
 @dataclass(eq=False, slots=True)

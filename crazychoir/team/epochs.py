@@ -1,6 +1,7 @@
 """Epochs of a team: its members and its graph, and the round from which each holds."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from math import inf
 from typing import Final
 
@@ -18,7 +19,8 @@ class Epochs:
     members: {drone id: incarnation}; empty before the first roster
     gone: ids that have left
     known: ids from which messages are accepted
-    born: {drone id: (newest incarnation, its first round)}
+    born: {drone id: (newest incarnation, its first round)} of the drones that have another
+        incarnation than in the first roster
     gaps: True if any drone is or was `silent`
     since: first round of this drone's joinable channels
     held: first round that may not be sent before the next epoch
@@ -28,19 +30,20 @@ class Epochs:
 
     def __init__(self, graph: AnyGraph) -> None:
         self.epoch = 0
-        self.members: dict[int, int] = {}
+        self.members: Mapping[int, int] = {}
         self.gone: dict[int, None] = {}
         self.born: dict[int, tuple[int, float]] = {}
         self.gaps = False
         self.since = 0
         self.held: float = inf
+        self._first_members: Mapping[int, int] = {}
         self.replace(graph)
 
     def replace(self, graph: AnyGraph) -> None:
         """Use another graph, for all rounds."""
         self.graph = self._whole = graph
         self.ids = graph.ids
-        self.known = dict.fromkeys(graph.ids)
+        self.known = graph.members
         self._graphs: list[tuple[int, AnyGraph]] = [(0, graph)]
 
     @property
@@ -82,17 +85,30 @@ class Epochs:
             self.held = max(rounds, default=0)
         return int(self.held)
 
-    def renew(self, members: dict[int, int], first_round: int) -> None:
+    def renew(self, members: Mapping[int, int], first_round: int) -> None:
         """Take the members of an epoch and find restarted drones by their incarnation.
 
         A drone that was restarted since the last epoch begins with the first round of this one.
+
+        members: {drone id: incarnation}; the drones of a process share it, so it is not copied
         """
+        self.members = members
+        if not self._first_members:
+            self._first_members = members
+            return
         for j, incarnation in members.items():
-            if j not in self.born:
+            known = self._find_incarnation(j)
+            if known is None:
                 self.born[j] = incarnation, -inf
-            elif self.born[j][0] != incarnation:
+            elif known != incarnation:
                 self.born[j] = incarnation, first_round
                 self.gaps = True
+
+    def _find_incarnation(self, j: int) -> int | None:
+        """Return the newest known incarnation of drone j; None if it was never a member."""
+        if j in self.born:
+            return self.born[j][0]
+        return self._first_members.get(j)
 
     def silent(self, j: int, k: float) -> bool:
         """Return True if j will send nothing in round k: it has
@@ -116,7 +132,8 @@ class Epochs:
         for j in joined:
             self.gone.pop(j, None)
         if graph is not None:
-            self.known.update(dict.fromkeys(graph.ids))
+            if not graph.members <= self.known:
+                self.known |= graph.members
             self.graph = (
                 graph
                 if isinstance(self._whole, Graph)
@@ -128,6 +145,7 @@ class Epochs:
             self._graphs = [*earlier[-KEPT_GRAPHS:], (first_round, self.graph)]
 
 
+@lru_cache(maxsize=8)  # all drones of a process restrict the same sequence
 def restrict_to(sequence: GraphSequence, ids: tuple[int, ...]) -> GraphSequence:
     """Return the same sequence of graphs, restricted to these drones."""
     inside = dict.fromkeys(ids)

@@ -69,7 +69,7 @@ class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
                 "each once, increasing",
                 "Use Graph.from_edges.",
             )
-        members = frozenset(self.ids)
+        members = self.members
         for i, j in self.arcs:
             if i == j or i not in members or j not in members:
                 raise ConfigError(
@@ -117,6 +117,11 @@ class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
             for i in self.ids
         }
 
+    @cached_property
+    def members(self) -> frozenset[int]:
+        """The drones as a set, for quick questions."""
+        return frozenset(self.ids)
+
     def in_neighbors(self, i: int) -> tuple[int, ...]:
         """Return the drones that drone i receives from."""
         return self._in[self._member(i)]
@@ -141,12 +146,12 @@ class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
         """
         return tuple(sorted(dict.fromkeys((min(arc), max(arc)) for arc in self.arcs)))
 
-    @property
+    @cached_property
     def is_undirected(self) -> bool:
         """True if each arc has its opposite."""
         return self._in == self._out
 
-    @property
+    @cached_property
     def is_connected(self) -> bool:
         """True if a message of each drone reaches every other drone (strongly connected)."""
         first = self.ids[0]
@@ -161,11 +166,18 @@ class Graph(Wire, frozen=True, array_like=True, gc=True, dict=True):
 
         A graph without isolated drones or groups has one part.
         """
-        found: dict[int, tuple[int, ...]] = {}
+        return self._parts
+
+    @cached_property
+    def _parts(self) -> tuple[tuple[int, ...], ...]:
+        found: list[tuple[int, ...]] = []
+        seen: dict[int, int] = {}
         for i in self.ids:
-            if not any(i in part for part in found.values()):
-                found[i] = tuple(sorted(_distances(i, self._both)))
-        return tuple(found.values())
+            if i not in seen:
+                part = _distances(i, self._both)
+                seen.update(part)
+                found.append(tuple(sorted(part)))
+        return tuple(found)
 
     def diameter(self) -> int:
         """Return the largest number of hops that a message needs
@@ -226,6 +238,11 @@ class GraphSequence(Wire, frozen=True, array_like=True, gc=False):
     def ids(self) -> tuple[int, ...]:
         """Drone ids, increasing."""
         return self.graphs[0].ids
+
+    @property
+    def members(self) -> frozenset[int]:
+        """The drones as a set, for quick questions."""
+        return self.graphs[0].members
 
     def at(self, k: int) -> Graph:
         """Return the graph of round k."""

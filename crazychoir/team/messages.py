@@ -2,7 +2,9 @@
 themselves, and the roster that they agree on.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import Annotated, Any
 from zlib import crc32
 
@@ -15,8 +17,11 @@ from crazychoir.team.graph import Graph
 from crazychoir.types import Wire
 
 
-class Roster(msgspec.Struct, frozen=True):
-    """The composition of the team in one epoch, equal at all members."""
+class Roster(msgspec.Struct, frozen=True, dict=True):
+    """The composition of the team in one epoch, equal at all members.
+
+    The members of a process share one roster, so its values must not be changed.
+    """
 
     epoch: int
     """Number of this composition; a larger number is newer."""
@@ -35,20 +40,35 @@ class Roster(msgspec.Struct, frozen=True):
     version: str
     """Version of crazychoir at the coordinator."""
 
-    @property
+    @cached_property
     def ids(self) -> tuple[int, ...]:
         """Members in increasing order."""
         return tuple(sorted(self.members))
 
-    @property
+    @cached_property
     def graph(self) -> Graph:
         """The communication graph of the members."""
         return Graph.from_edges(self.ids, self.edges, self.directed)
 
-    @property
+    @cached_property
     def checksum(self) -> int:
         """CRC-32 of the encoded roster: equal rosters have equal checksums."""
         return crc32(encode(msgspec.to_builtins(self)))
+
+    def list_joined(self, before: Mapping[int, int]) -> tuple[int, ...]:
+        """Return the members that were not in an earlier roster with the same incarnation.
+
+        before: {drone id: incarnation} of the earlier roster; empty if there was none
+        """
+        if not before:
+            return self.ids
+        return tuple(j for j, n in self.members.items() if before.get(j) != n)
+
+    def list_absent(self, ids: tuple[int, ...]) -> tuple[int, ...]:
+        """Return the drones of `ids`, which are increasing, that are not members."""
+        if ids == self.ids:
+            return ()
+        return tuple(j for j in ids if j not in self.members)
 
 
 class GoMessage(msgspec.Struct, frozen=True):
@@ -99,6 +119,7 @@ RosterMessage = GoMessage | HoldRequest | HoldAnswer
 """A message about a roster."""
 
 
+@lru_cache(maxsize=8)  # all drones of a process receive the same rosters
 def read_roster_message(payload: bytes) -> RosterMessage:
     """Return the message about a roster that a payload holds.
 

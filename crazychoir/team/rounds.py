@@ -213,16 +213,11 @@ class Rounds:
     def adopt(self, roster: Roster) -> None:
         """Put a roster in force: joinable channels change to its graph at its first round."""
         before = self._epochs.members
-        self._epochs.members = dict(roster.members)
         if self.id not in before:
             self._epochs.since = roster.first_round
-        joined = tuple(
-            j
-            for j, incarnation in roster.members.items()
-            if before.get(j) != incarnation
-        )
+        joined = roster.list_joined(before)
         self._epochs.renew(roster.members, roster.first_round)
-        absent = tuple(j for j in self._epochs.ids if j not in roster.members)
+        absent = roster.list_absent(self._epochs.ids)
         self.leave(
             absent,
             roster.epoch,
@@ -243,6 +238,7 @@ class Rounds:
         remaining members, others raise RosterChanged.
         """
         self._epochs.begin(epoch, gone, joined, graph, first_round)
+        self._known = self._epochs.known
         self._flags = epoch << KIND_BITS
         for ch in list(self._channels.values()):
             if ch.joinable:

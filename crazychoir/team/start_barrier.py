@@ -1,5 +1,6 @@
 """The start of a team: GO as soon as the drones are present and receive each other."""
 
+from collections.abc import Container
 from typing import Final, Literal
 
 from crazychoir.errors import Refused
@@ -98,8 +99,10 @@ class StartBarrier:
         receive every member.
         """
         beats = self.presence.beats
-        hears = {j: beats[j].hears for j in members if j != self.id}
-        hears[self.id] = tuple(beats)
+        hears: dict[int, Container[int]] = {
+            j: beats[j].hears for j in members if j != self.id
+        }
+        hears[self.id] = beats
         first = self.presence.coordinator()
         inside = self.rosters.restrict_graph(members)
         deaf = []

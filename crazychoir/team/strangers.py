@@ -9,7 +9,7 @@ from typing import Final
 from crazychoir.runtime.clock import NS_PER_SECOND, Clock
 
 SETTLE_TIME: Final = 2.0
-"""Seconds after the first stranger until the smaller group is decided.
+"""Seconds after the first stranger until the smaller group is decided, in a small team.
 
 It comes earlier if all drones are known.
 """
@@ -50,6 +50,7 @@ class Strangers:
     """The other missions from which drone `id`, one of `team` drones, has received heartbeats.
 
     keys: keys of the swarm file with digits of their own in the mission hash
+    settle_time: seconds after the first stranger until the smaller group is decided
     missions: {drone id: mission hash} of the strangers
     """
 
@@ -60,23 +61,30 @@ class Strangers:
         team: int,
         mission_hash: str,
         keys: Sequence[str] = (),
+        settle_time: float = SETTLE_TIME,
     ) -> None:
         self.keys = keys
+        self.settle_time = settle_time
         self.clock = clock
         self.id = id
         self.team = team
         self.mission_hash = mission_hash
         self.missions: dict[int, str] = {}
+        self._companions: dict[int, None] = {}
+        """Drones of this mission that were heard since the first stranger."""
         self._judge_ns = 0
 
     def heard(self, j: int, mission_hash: str) -> bool:
         """Note a heartbeat of drone j with this mission; return True if j is a stranger."""
         if mission_hash.partition(":")[0] == self.mission_hash.partition(":")[0]:
             self.missions.pop(j, None)
+            if self.missions:
+                self._companions[j] = None
             return False
         self._judge_ns = self._judge_ns or self.clock.now_ns() + int(
-            SETTLE_TIME * NS_PER_SECOND
+            self.settle_time * NS_PER_SECOND
         )
+        self._companions.pop(j, None)
         self.missions[j] = mission_hash
         return True
 
@@ -84,18 +92,20 @@ class Strangers:
         """Return True if another mission has more drones than this drone and `ours` together.
 
         Between groups of equal size, the group with the lowest id wins.
-        Returns False until all drones are known or SETTLE_TIME has passed.
+        Returns False until all drones are known or `settle_time` has passed.
         """
-        missing = len(ours) + len(self.missions) < self.team - 1
-        if not self.missions or (missing and self.clock.now_ns() < self._judge_ns):
+        if not self.missions:
             return False
-        theirs = [
-            [j for j, other in self.missions.items() if other == text]
-            for text in self.missions.values()
-        ]
+        ours = {**dict.fromkeys(ours), **self._companions}
+        missing = len(ours) + len(self.missions) < self.team - 1
+        if missing and self.clock.now_ns() < self._judge_ns:
+            return False
+        theirs: dict[str, list[int]] = {}
+        for j, text in self.missions.items():
+            theirs.setdefault(text, []).append(j)
         return any(
             (len(same), -min(same)) > (1 + len(ours), -min([self.id, *ours]))
-            for same in theirs
+            for same in theirs.values()
         )
 
     def text(self) -> str:

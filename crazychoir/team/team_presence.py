@@ -1,7 +1,8 @@
 """The presence of the team as one drone sees it: received heartbeats, and lost drones."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
+from itertools import takewhile
 from typing import Final, Protocol
 
 from crazychoir.bus.codec import decode, encode
@@ -9,8 +10,9 @@ from crazychoir.bus.presence import SILENCE_TIMEOUT, Presence, PresenceMonitor
 from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.errors import CodecError
 from crazychoir.runtime.clock import NS_PER_SECOND
+from crazychoir.team.close_drones import DroneSearch, list_lowest, list_near
 from crazychoir.team.messages import Roster, TeamHeartbeat
-from crazychoir.team.strangers import Strangers
+from crazychoir.team.strangers import SETTLE_TIME, Strangers
 from crazychoir.team.team_roster import TeamRoster
 
 PRESENCE_HISTORY: Final = 1000
@@ -42,6 +44,10 @@ class PresenceReview(Protocol):
 class TeamPresence:
     """Sends this drone's heartbeats, and tracks which other drones are present.
 
+    A drone watches its neighbours and the coordinator. While it has no coordinator it watches its
+    neighbours and the lowest ids instead, and drones that it finds among the others (`_seek`). The
+    coordinator watches all.
+
     rosters: the roster in force at this drone
     agreed_keys: keys of the swarm file with digits of their own in the mission hash
     lost_after: seconds of silence after which a drone is LOST
@@ -53,7 +59,6 @@ class TeamPresence:
     refused: reason why this drone cannot fly; the others receive it and do not wait for this drone
     refusals: {drone id: reason why it cannot fly}
     lost: lost drones (a dict, to keep their order)
-    others: the other drones of the swarm
     strangers: drones with another swarm file or mission
     monitor: sends the heartbeats, and watches for silence
     """
@@ -75,16 +80,25 @@ class TeamPresence:
         self.refused = ""
         self.refusals: dict[int, str] = {}
         self.lost: dict[int, None] = {}
-        self.others = tuple(j for j in graph.ids if j != self.id)
+        self._search = DroneSearch(graph.ids)
+        search_time = self._search.count_turns() / MESSAGE_TOPICS.heartbeat.rate
         self.strangers = Strangers(
-            port.bus.clock, self.id, len(graph.ids), rosters.mission_hash, agreed_keys
+            port.bus.clock,
+            self.id,
+            len(graph.ids),
+            rosters.mission_hash,
+            agreed_keys,
+            SETTLE_TIME + search_time,
         )
-        self._known = frozenset(self.others)
         self._calm: dict[int, bytes] = {}
         self._review: PresenceReview | None = None
         self._sent: tuple[TeamHeartbeat | None, bytes] = (None, b"")
         self.monitor = PresenceMonitor(
-            port, self.others, self._encode_heartbeat, lost_after
+            port,
+            list_near(graph, self.id, *list_lowest(graph.ids)),
+            self._encode_heartbeat,
+            lost_after,
+            self._seek,
         )
         self.monitor.listeners.append(self._handle_change)
         rosters.listeners.append(self._handle_roster)
@@ -93,6 +107,11 @@ class TeamPresence:
     def attach(self, review: PresenceReview) -> None:
         """Call `review` for heartbeats and losses while this drone is the coordinator."""
         self._review = review
+
+    @property
+    def others(self) -> tuple[int, ...]:
+        """The other drones of the swarm, increasing."""
+        return tuple(j for j in self.rosters.graph.ids if j != self.id)
 
     def is_lost(self, j: int) -> bool:
         """Return True if j is LOST or has left."""
@@ -123,20 +142,24 @@ class TeamPresence:
         """
         roster = self.rosters.roster
         if roster is None:
-            live = [j for j in self.others if self.is_present(j)]
+            live = [j for j in self.beats if self.is_present(j)]
             return min([j for j in live if self.beats[j].epoch] or [self.id, *live])
         # A member that has not adopted the roster until it is settled never will.
         is_settling = self.port.bus.clock.now_ns() < self.rosters.settled_ns
         known = roster.members if is_settling else {}
-        lower = (j for j in self.others if j < self.id and self.is_present(j))
         return next(
             (
                 j
-                for j in lower
+                for j in self._list_lower()
                 if self.beats[j].epoch or self.beats[j].incarnation == known.get(j)
             ),
             self.id,
         )
+
+    def _list_lower(self) -> Iterator[int]:
+        """Return the present drones with a lower id, increasing."""
+        lower = takewhile(self.id.__gt__, self.rosters.graph.ids)
+        return filter(self.is_present, lower)
 
     def mark_lost(self, gone: Iterable[int]) -> None:
         """Count these drones as lost."""
@@ -193,7 +216,8 @@ class TeamPresence:
         except (CodecError, TypeError, ValueError):
             self.port.counters.malformed += 1
             return
-        if self.strangers.heard(source, beat.mission_hash) or source not in self._known:
+        is_ours = source != self.id and source in self.rosters.graph.members
+        if self.strangers.heard(source, beat.mission_hash) or not is_ours:
             return
         if beat.refused:
             self.refusals[source] = beat.refused.removeprefix(f"drone {source}: ")
@@ -201,6 +225,8 @@ class TeamPresence:
                 self.beats.pop(source, None)
             return
         self.refusals.pop(source, None)
+        if not self._may_matter(source, beat):
+            return
         self._take_heartbeat(source, beat)
         is_agreed = (
             beat.epoch > 0
@@ -209,6 +235,17 @@ class TeamPresence:
         )
         if is_agreed and not (beat.lost or self.lost or self._is_roster_forming()):
             self._calm[source] = payload
+
+    def _may_matter(self, source: int, beat: TeamHeartbeat) -> bool:
+        """Return False for a heartbeat that only shows, before the start, that a drone is there.
+
+        Then the coordinator keeps it. Any other drone needs its neighbours, the lower ids and the
+        drones that have started, and it would be too much if each drone kept all others.
+        """
+        if self.rosters.roster is not None or beat.epoch or source in self.beats:
+            return True
+        lowest = next(self._list_lower(), self.id)
+        return lowest == self.id or source < lowest or source in self.monitor.watched
 
     def _take_heartbeat(self, source: int, beat: TeamHeartbeat) -> None:
         """Store a heartbeat of a drone of this mission, and act on it as the coordinator."""
@@ -220,9 +257,9 @@ class TeamPresence:
             self.came_at[source] = clock.now()
             if roster is not None and source == roster.ids[0]:
                 self._watch()
-        is_settled = clock.now_ns() > self.rosters.settled_ns
+        is_settled = roster is None or clock.now_ns() > self.rosters.settled_ns
         if is_settled and source not in self.monitor.watched:
-            # It sends us heartbeats because it watches us: send ours in return.
+            # It sends us heartbeats because it watches or seeks us: send ours in return.
             self.monitor.watched += (source,)
         if roster is None or self._review is None:
             return
@@ -256,26 +293,52 @@ class TeamPresence:
         """Forget the heartbeats of drones that have left, and losses that this roster ends."""
         before = self.rosters.former_members
         neighbors = self.rosters.graph.neighbors(self.id)
-        for j in self.others:
-            if j not in roster.members:
-                self.beats.pop(j, None)
-            elif roster.members[j] != before.get(j) or j not in neighbors:
-                self.lost.pop(j, None)  # the coordinator has received it
+        self.came_at.clear()
+        for j in [j for j in self.beats if j not in roster.members]:
+            del self.beats[j]
+        for j in [j for j in self.lost if j in roster.members]:
+            if roster.members[j] != before.get(j) or j not in neighbors:
+                del self.lost[j]  # the coordinator has received it
         self._watch()
 
     def _watch(self) -> None:
         """Choose the drones that this drone monitors after the start.
 
-        The coordinator watches all. The others watch their neighbours and the coordinator, or all
-        drones if the coordinator is silent.
+        The coordinator watches all. The others watch their neighbours and the coordinator, and the
+        lowest ids if the coordinator is silent.
         """
         self._calm.clear()
         roster = self.rosters.roster
         if roster is None:
             return
+        graph = self.rosters.graph
         first = roster.ids[0]
+        coordinator = self.coordinator()
         is_alive = self.monitor.state(first) is Presence.ALIVE
-        # A restarted coordinator may have no team.
-        is_calm = first != self.id and is_alive and self.coordinator() == first
-        near = {*self.rosters.graph.neighbors(self.id), first} - {self.id}
-        self.monitor.watched = tuple(sorted(near)) if is_calm else self.others
+        if coordinator == self.id:
+            self.monitor.watched = self.others
+        elif is_alive and coordinator == first:
+            self.monitor.watched = list_near(graph, self.id, first)
+        else:
+            # A restarted coordinator may have no team.
+            lowest = list_lowest(graph.ids) + list_lowest(roster.ids)
+            self.monitor.watched = list_near(graph, self.id, *lowest)
+
+    def _seek(self) -> tuple[int, ...]:
+        """Return the further drones to which the next heartbeat before the start goes.
+
+        A drone that cannot fly tells all. A drone goes through all others in turn if it sees no
+        coordinator among the lowest ids, or if it has met strangers and must count them.
+        """
+        ids = self.rosters.graph.ids
+        is_started = self.rosters.roster is not None
+        if is_started or len(self.monitor.watched) == len(ids) - 1:
+            return ()
+        watched = {*self.monitor.watched, self.id}
+        if self.refused:
+            return tuple(j for j in ids if j not in watched)
+        lowest = next(self._list_lower(), self.id)
+        is_led = lowest < self.id and lowest in list_lowest(ids)
+        if is_led and not self.strangers.missions:
+            return ()
+        return tuple(j for j in self._search.take_turn() if j not in watched)

@@ -8,7 +8,7 @@ from crazychoir.bus.reliable import Reliable
 from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.team.graph import Graph
-from crazychoir.team.messages import GoMessage, Roster, RosterMessage
+from crazychoir.team.messages import GoMessage, HoldAnswer, HoldRequest, Roster
 
 RosterListener = Callable[[Roster], None]
 """Callable that gets each new roster."""
@@ -69,7 +69,9 @@ class TeamRoster:
 
     def restrict_graph(self, members: Iterable[int]) -> Graph:
         """Return the graph of the whole swarm, restricted to these drones."""
-        inside = tuple(members)
+        inside = dict.fromkeys(members)
+        if len(inside) == len(self.graph.ids):
+            return self.graph
         arcs = [arc for arc in self.graph.arcs if arc[0] in inside and arc[1] in inside]
         return Graph.from_edges(inside, arcs, directed=True)
 
@@ -93,19 +95,18 @@ class TeamRoster:
             self.mission_hash,
             self.version,
         )
-        for j in members:
-            if j != self.port.address:
-                self.send(j, roster)
+        self.send([j for j in members if j != self.port.address], roster)
         self.adopt(roster)
 
-    def send(self, j: int, roster: Roster) -> None:
-        """Send a roster to drone j."""
+    def send(self, receivers: Iterable[int], roster: Roster) -> None:
+        """Send a roster to these drones, until each has acknowledged it."""
         bus = self.port.bus
-        message = GoMessage(roster, bus.impairment.age(bus.clock.now()))
-        self.send_message(j, message)
+        payload = GoMessage(roster, bus.impairment.age(bus.clock.now())).wire()
+        for j in receivers:
+            self.reliable.send(MESSAGE_TOPICS.roster, j, payload)
 
-    def send_message(self, j: int, message: RosterMessage) -> None:
-        """Send a message about a roster to drone j, until it is acknowledged."""
+    def send_message(self, j: int, message: HoldRequest | HoldAnswer) -> None:
+        """Send a message about the next roster to drone j, until it is acknowledged."""
         self.reliable.send(MESSAGE_TOPICS.roster, j, message.wire())
 
     def take(self, message: GoMessage) -> None:

@@ -120,7 +120,7 @@ def test_all_modes_of_the_normalised_law_are_alike():
 
 def test_the_normalised_matrix_has_the_sums_of_the_laws_weights():
     b_ff, b_fl, followers = build_bearing_laplacian(SQUARE, NEIGHBORS, [0, 1])
-    m = normalise_laplacian(b_ff, followers)
+    m = normalise_laplacian(b_ff, followers).toarray()
     np.testing.assert_allclose(m[0:3, 0:3], np.eye(3), atol=1e-12)
     law = BearingFormation(2, SQUARE, NEIGHBORS[2])
     np.testing.assert_allclose(m[0:3, 3:6], -law.weights[3], atol=1e-12)

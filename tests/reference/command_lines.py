@@ -1,7 +1,7 @@
 """The command lines in cli/README.md, from the commands themselves."""
 
 import re
-from typing import Any
+from typing import Any, Literal, get_args, get_origin
 
 import typer
 
@@ -89,8 +89,7 @@ def _row(parameter: Any) -> list[str]:
         if is_argument
         else parameter.opts + parameter.secondary_opts
     )
-    kind = getattr(parameter.type_descriptor.annotation, "__name__", "text")
-    value = "" if getattr(parameter, "is_flag", False) else WORDS.get(kind, kind)
+    value = "" if getattr(parameter, "is_flag", False) else _kind(parameter)
     default = parameter.default
     return [
         " ".join(f"`{name}`" for name in names),
@@ -98,6 +97,16 @@ def _row(parameter: Any) -> list[str]:
         _default(parameter.required, default),
         parameter.help or "",
     ]
+
+
+def _kind(parameter: Any) -> str:
+    """Return which values an argument or an option takes."""
+    annotation = parameter.type_descriptor.annotation
+    if get_origin(annotation) is Literal:
+        # Python may return the values in the order of another Literal with the same ones.
+        return " or ".join(f"`{value}`" for value in sorted(get_args(annotation)))
+    kind = getattr(annotation, "__name__", "text")
+    return WORDS.get(kind, kind)
 
 
 WORDS = {"str": "text", "int": "whole number", "float": "number", "Path": "file"}

@@ -190,9 +190,9 @@ def worst_beside_leaders(config, rows):
         mission.hooks.shape(config), mission.hooks.neighbors(config), leaders
     )
     wanted = [
-        -np.linalg.solve(b_ff, b_fl @ np.concatenate([at[i] for i in leaders])).reshape(
-            -1, 3
-        )
+        -np.linalg.solve(
+            b_ff.toarray(), b_fl @ np.concatenate([at[i] for i in leaders])
+        ).reshape(-1, 3)
         for at in rows
     ]
     pairs = zip(rows, wanted, strict=True)

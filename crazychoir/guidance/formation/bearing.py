@@ -5,6 +5,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+from scipy.sparse.linalg import splu
 
 from crazychoir.control.gains import AGILE_GAINS, FORMATION_GAINS
 from crazychoir.control.margin import REQUIRED_DELAY_MARGIN
@@ -18,11 +21,20 @@ from crazychoir.guidance.formation.modes import (
     compute_slowest_normalised_mode,
 )
 from crazychoir.guidance.formation.shapes import Shape
+from crazychoir.guidance.formation.spectrum import (
+    SparseMatrix,
+    Spectrum,
+    find_all,
+    find_extremes,
+    is_symmetric,
+)
 from crazychoir.numerics.math3d import projector
 from crazychoir.types import Mat, Point, Vec
 
 Neighbors = Mapping[int, Collection[int]]
 """By drone: the ids that it hears."""
+Indices = npt.NDArray[np.int64]
+"""Rows of drones or of their coordinates."""
 Law = Literal["paper", "normalised"]
 """The paper's law, or the normalised law."""
 
@@ -96,7 +108,7 @@ ZERO_EIGENVALUE_SHARE = 1e-9
 
 def build_bearing_laplacian(
     shape: Shape, neighbors: Neighbors, leaders: Collection[int]
-) -> tuple[Mat, Mat, list[int]]:
+) -> tuple[SparseMatrix, SparseMatrix, list[int]]:
     """Return the rows of the bearing Laplacian that belong to the followers.
 
         [B]_ij = - P_ij,   [B]_ii = sum_j P_ij,   j in N_i
@@ -105,32 +117,71 @@ def build_bearing_laplacian(
     shape: {id: (3,) m}.
     neighbors: {id: ids that it hears}.
     leaders: ids of the leaders.
-    Returns B_ff (3 F, 3 F), B_fl (3 F, 3 L), both in ascending ids, and the ids of the followers.
+    Returns B_ff (3 F, 3 F), B_fl (3 F, 3 L), both sparse and in ascending ids, and the ids of the
+    followers.
     Raises ConfigError for a neighbour that is not in the shape, or at the same place.
     Source: Zhao & Zelazo 2017, IEEE TCNS 4(3).
     """
     ids = sorted(shape)
-    at = {i: np.asarray(shape[i], dtype=float) for i in ids}
-    row = {i: slice(3 * n, 3 * n + 3) for n, i in enumerate(ids)}
-    b = np.zeros((3 * len(ids), 3 * len(ids)))
-    for i in ids:
-        for j in sorted(neighbors.get(i, ())):
-            if j not in at or np.allclose(at[i], at[j]):
-                raise ConfigError(
-                    f"neighbors of drone {i}",
-                    j,
-                    f"a drone of the shape at another place; it has {ids}",
-                )
-            p = projector(at[j] - at[i])
-            b[row[i], row[i]] += p
-            b[row[i], row[j]] -= p
+    row = {i: n for n, i in enumerate(ids)}
+    arcs = _list_arcs(shape, neighbors, row)
+    at = np.array([shape[i] for i in ids], dtype=float)
+    d = at[arcs[:, 1]] - at[arcs[:, 0]]
+    p = np.eye(3) - d[:, :, None] * d[:, None, :] / (d * d).sum(axis=1)[:, None, None]
+    diagonal = np.zeros((len(ids), 3, 3))
+    np.add.at(diagonal, arcs[:, 0], p)
+    own = np.arange(len(ids))
+    b = _join_blocks(
+        np.concatenate([diagonal, -p]),
+        np.concatenate([own, arcs[:, 0]]),
+        np.concatenate([own, arcs[:, 1]]),
+        len(ids),
+    )
     followers = [i for i in ids if i not in leaders]
-    f = _list_indices(row, followers)
+    rows = b[_list_coordinates(row, followers)]
     return (
-        b[np.ix_(f, f)],
-        b[np.ix_(f, _list_indices(row, [i for i in ids if i in leaders]))],
+        rows[:, _list_coordinates(row, followers)],
+        rows[:, _list_coordinates(row, [i for i in ids if i in leaders])],
         followers,
     )
+
+
+def _list_arcs(shape: Shape, neighbors: Neighbors, row: Mapping[int, int]) -> Indices:
+    """Return (E, 2): the rows of each drone and of a drone that it hears.
+
+    Raises ConfigError for a neighbour that is not in the shape, or at the same place.
+    """
+    pairs = [(i, j) for i in row for j in sorted(neighbors.get(i, ()))]
+    for i, j in pairs:
+        if j not in row or all(map(_is_close, shape[i], shape[j])):
+            raise ConfigError(
+                f"neighbors of drone {i}",
+                j,
+                f"a drone of the shape at another place; it has {list(row)}",
+            )
+    arcs = [(row[i], row[j]) for i, j in pairs]
+    return np.array(arcs, dtype=np.int64).reshape(-1, 2)
+
+
+def _is_close(a: float, b: float) -> bool:
+    """Return whether two coordinates in m are the same, as np.allclose judges."""
+    return abs(a - b) <= 1e-8 + 1e-5 * abs(b)
+
+
+def _join_blocks(
+    blocks: Mat, rows: Indices, columns: Indices, size: int
+) -> SparseMatrix:
+    """Return the (3 size, 3 size) matrix of these (3, 3) blocks, each at a place of its own."""
+    inside = np.arange(3)
+    down = 3 * rows[:, None, None] + inside[None, :, None] + 0 * inside[None, None, :]
+    across = 3 * columns[:, None, None] + 0 * inside[None, :, None] + inside
+    entries = (blocks.ravel(), (down.ravel(), across.ravel()))
+    return sparse.coo_array(entries, shape=(3 * size, 3 * size)).tocsr()
+
+
+def _list_coordinates(row: Mapping[int, int], ids: Sequence[int]) -> list[int]:
+    """Return the rows of the coordinates of these drones."""
+    return [3 * row[i] + axis for i in ids for axis in range(3)]
 
 
 def build_edge_weights(
@@ -157,30 +208,89 @@ def build_edge_weights(
     return {j: share * p for j, p in weights.items()}
 
 
-def _list_indices(row: Mapping[int, slice], ids: Sequence[int]) -> list[int]:
-    """Return the rows of the coordinates of these drones."""
-    return [n for i in ids for n in range(row[i].start, row[i].stop)]
+def list_diagonal_blocks(b_ff: SparseMatrix, followers: Sequence[int]) -> Mat:
+    """Return (F, 3, 3): the blocks K_i = sum_j P_ij on the diagonal of B_ff.
+
+    Raises Refused, with the drones, if K_i has no inverse: all bearings of i are parallel, and
+    nothing holds the drone along them.
+    """
+    own = 3 * np.arange(len(followers))[:, None]
+    corner = np.arange(3)
+    down = np.repeat(own + corner, 3, axis=1)
+    across = np.tile(own + corner, 3)
+    blocks: Mat = np.asarray(b_ff[down.ravel(), across.ravel()]).reshape(-1, 3, 3)
+    least = np.linalg.eigvalsh(blocks)[:, 0]
+    alone = [
+        i
+        for i, value in zip(followers, least, strict=True)
+        if value < ZERO_EIGENVALUE_SHARE
+    ]
+    if alone:
+        raise Refused("bearing formation", _explain_parallel(alone))
+    return blocks
 
 
-def normalise_laplacian(b_ff: Mat, followers: Sequence[int]) -> Mat:
+def normalise_laplacian(b_ff: SparseMatrix, followers: Sequence[int]) -> SparseMatrix:
     """Return K^-1 B_ff (3 F, 3 F), with the blocks K_i = sum_j P_ij on the diagonal of B_ff.
 
     An eigenvalue l is the share of a mode that depends on leaders. 1 - l of it comes from other
     followers.
-    Raises Refused, with the drones, if K_i has no inverse: all bearings of i are parallel, and
-    nothing holds the drone along them.
+    Raises Refused as `list_diagonal_blocks` does.
     """
-    blocks = [b_ff[k : k + 3, k : k + 3] for k in range(0, len(b_ff), 3)]
-    alone = [
-        i
-        for i, k in zip(followers, blocks, strict=True)
-        if np.linalg.eigvalsh(k)[0] < ZERO_EIGENVALUE_SHARE
-    ]
-    if alone:
-        raise Refused("bearing formation", _explain_parallel(alone))
-    return np.vstack(
-        [np.linalg.solve(k, b_ff[3 * n : 3 * n + 3]) for n, k in enumerate(blocks)]
-    )
+    inverse = np.linalg.inv(list_diagonal_blocks(b_ff, followers)).astype(np.float64)
+    return _place_on_diagonal(inverse) @ b_ff
+
+
+def _place_on_diagonal(blocks: Mat) -> SparseMatrix:
+    """Return the matrix with these (F, 3, 3) blocks on its diagonal."""
+    own = np.arange(len(blocks))
+    return _join_blocks(blocks, own, own, len(blocks))
+
+
+def analyse_normalised_law(
+    b_ff: SparseMatrix, followers: Sequence[int], every: bool
+) -> Spectrum:
+    """Return the eigenvalues of K^-1 B_ff.
+
+        K^-1 B_ff = K^-1/2 ( K^-1/2 B_ff K^-1/2 ) K^1/2
+
+    If all followers hear each other the matrix in the brackets is symmetric, so they are real, and
+    none is above 2, because |x_i - x_j|^2 <= 2 |x_i|^2 + 2 |x_j|^2.
+
+    every: return all; else the smallest and the largest suffice.
+    Raises Refused as `list_diagonal_blocks` does.
+    """
+    if not is_symmetric(b_ff):
+        return find_all(normalise_laplacian(b_ff, followers))
+    size, axes = np.linalg.eigh(list_diagonal_blocks(b_ff, followers))
+    halves: Mat = (axes / np.sqrt(size)[:, None, :]) @ axes.mT
+    root = _place_on_diagonal(halves)
+    similar = root @ b_ff @ root
+    similar = 0.5 * (similar + similar.T)
+    found = find_all(similar) if every else find_extremes(similar, 2.0)
+    return _transform_vectors(root, found)
+
+
+def analyse_paper_law(
+    b_ff: SparseMatrix, followers: Sequence[int], in_height: float
+) -> Spectrum:
+    """Return all eigenvalues of D B_ff, with D = diag(1, 1, in_height) for each drone.
+
+    If all followers hear each other they are those of the symmetric D^1/2 B_ff D^1/2.
+    Raises Refused as `list_diagonal_blocks` does.
+    """
+    list_diagonal_blocks(b_ff, followers)
+    share = np.tile([1.0, 1.0, in_height], len(followers))
+    if not is_symmetric(b_ff):
+        return find_all(sparse.diags_array(share).tocsr() @ b_ff)
+    root = sparse.diags_array(np.sqrt(share)).tocsr()
+    return _transform_vectors(root, find_all(root @ b_ff @ root))
+
+
+def _transform_vectors(root: SparseMatrix, found: Spectrum) -> Spectrum:
+    """Return the spectrum of root S root^-1 from the spectrum of S, with unit eigenvectors."""
+    vectors = root @ found.vectors
+    return Spectrum(found.values, vectors / np.linalg.norm(vectors, axis=0))
 
 
 def compute_equilibrium(
@@ -199,7 +309,8 @@ def compute_equilibrium(
     """
     b_ff, b_fl, followers = build_bearing_laplacian(shape, neighbors, leaders)
     led = {i: np.array(leaders[i], dtype=float) for i in sorted(leaders)}
-    p = -np.linalg.solve(b_ff, b_fl @ np.concatenate([*led.values()])).reshape(-1, 3)
+    pulls = b_fl @ np.concatenate([*led.values()])
+    p = -splu(b_ff.tocsc()).solve(pulls).reshape(-1, 3)
     return led | dict(zip(followers, p, strict=True))
 
 
@@ -251,18 +362,17 @@ def check_formation(
     kp = law.kp
     kv = law.kv
     is_normalised = law.kind == "normalised"
-    scaled = normalise_laplacian(b_ff, followers)
-    matrix = (
-        scaled
+    modes = (
+        analyse_normalised_law(b_ff, followers, every=moving)
         if is_normalised
-        else np.tile([1.0, 1.0, law.in_height], len(followers))[:, None] * b_ff
+        else analyse_paper_law(b_ff, followers, law.in_height)
     )
-    values, vectors = np.linalg.eig(matrix)
+    values = modes.values
     size = np.abs(values)
     if size.min() <= ZERO_EIGENVALUE_SHARE * max(size.max(), 1.0):
         raise Refused(
             "bearing formation",
-            _explain_flexible(vectors[:, size.argmin()], followers, sorted(leaders)),
+            _explain_flexible(modes.softest, followers, sorted(leaders)),
         )
     least = float(size.min())
     slowest = (
@@ -278,7 +388,7 @@ def check_formation(
     else:
         chain = chain or AccelerationChain(FORMATION_GAINS)
         horizontal = (
-            np.abs(vectors.reshape(-1, 3, len(values))[:, :2]).max(axis=(0, 1))
+            np.abs(modes.vectors.reshape(-1, 3, len(values))[:, :2]).max(axis=(0, 1))
             > LEAST_HORIZONTAL_PART
         )
         margin = compute_mode_margin(size.tolist(), horizontal.tolist(), kp, kv, chain)

@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta
 
 from crazychoir.config.checks import WORLD_URIS
+from crazychoir.config.shared_values import share
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import Share
 from crazychoir.control.gains import (
@@ -32,6 +33,7 @@ from crazychoir.guidance.mission_options import (
     Length,
     Places,
     Spreads,
+    given,
     require_each,
 )
 from crazychoir.guidance.mission_report import Results, describe_distances
@@ -126,19 +128,9 @@ class BearingHooks(FormationHooks[BearingOptions]):
         """Return the shape, {id: (3,) m}.
 
         It is that of the mission options. Without one it is the square for four drones, else the
-        homes.
+        homes. All drones get the same dictionary.
         """
-        options = self.given(config)
-        if options.letter is not None:
-            places = shapes.letter(options.letter, options.size)
-            require_each(config, places, "letter")
-            return places
-        if options.shape is not None:
-            require_each(config, options.shape, "shape")
-            return options.shape
-        if config.ids == tuple(shapes.PAPER_SQUARE):
-            return shapes.PAPER_SQUARE
-        return {drone.id: drone.home for drone in config.drones}
+        return share(config, _find_shape, self.options)
 
     def swarm(self, drones: int | None = None) -> SwarmConfig:
         """Return a swarm with this number of drones.
@@ -242,7 +234,29 @@ class BearingHooks(FormationHooks[BearingOptions]):
 
 def have_rate_loops(config: SwarmConfig) -> bool:
     """Return whether every drone has a rate loop on board; only lightweight drones have none."""
+    return share(config, _lacks_lightweight_drones)
+
+
+def _lacks_lightweight_drones(config: SwarmConfig) -> bool:
     return all(drone.uri != WORLD_URIS.lightweight for drone in config.drones)
+
+
+def _find_shape(config: SwarmConfig, kind: type[BearingOptions]) -> Shape:
+    """Return the shape of the mission options, of the paper for four drones, or of the homes.
+
+    kind: the table of [mission_options].
+    """
+    options = given(config, kind)
+    if options.letter is not None:
+        places = shapes.letter(options.letter, options.size)
+        require_each(config, places, "letter")
+        return places
+    if options.shape is not None:
+        require_each(config, options.shape, "shape")
+        return options.shape
+    if config.ids == tuple(shapes.PAPER_SQUARE):
+        return shapes.PAPER_SQUARE
+    return {drone.id: drone.home for drone in config.drones}
 
 
 def _build_swarm(

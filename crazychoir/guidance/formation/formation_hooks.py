@@ -2,6 +2,7 @@
 
 from typing import Generic, TypeVar
 
+from crazychoir.config.shared_values import share
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.formation import leader
@@ -68,6 +69,10 @@ class FormationHooks(Generic[Options]):
 
 
 def list_neighbors(config: SwarmConfig) -> dict[int, tuple[int, ...]]:
-    """Return the ids that each drone hears."""
+    """Return the ids that each drone hears, the same dictionary for all drones."""
+    return share(config, _list_in_neighbors)
+
+
+def _list_in_neighbors(config: SwarmConfig) -> dict[int, tuple[int, ...]]:
     graph = config.graph()
     return {i: graph.in_neighbors(i) for i in graph.ids}

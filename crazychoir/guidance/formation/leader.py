@@ -9,6 +9,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from msgspec import Meta
 
+from crazychoir.config.shared_values import share
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import SwarmTable, Text
 from crazychoir.errors import ConfigError
@@ -235,8 +236,13 @@ def height_of(config: SwarmConfig, i: int) -> float | None:
 def places(config: SwarmConfig) -> dict[int, Vec]:
     """Return where every drone hovers when the law begins.
 
-    This is over its home, at its own `options.height` if it has one.
+    This is over its home, at its own `options.height` if it has one. All drones get the same
+    dictionary.
     """
+    return share(config, _find_places)
+
+
+def _find_places(config: SwarmConfig) -> dict[int, Vec]:
     ground = config.flight.ground
     rise = config.flight.takeoff_height
     return {
@@ -251,7 +257,11 @@ def places(config: SwarmConfig) -> dict[int, Vec]:
 
 
 def leaders_of(config: SwarmConfig) -> dict[int, Vec]:
-    """Return the leaders' places when the law begins."""
+    """Return the leaders' places when the law begins, the same dictionary for all drones."""
+    return share(config, _find_leaders)
+
+
+def _find_leaders(config: SwarmConfig) -> dict[int, Vec]:
     at = places(config)
     return {drone.id: at[drone.id] for drone in config.drones if drone.leader}
 

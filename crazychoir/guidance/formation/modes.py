@@ -20,6 +20,7 @@ from crazychoir.control.margin import (
     make_vertical_loop,
 )
 from crazychoir.platforms import Platform
+from crazychoir.types import Vec
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,16 +133,19 @@ def compute_mode_margin(
     kv: 1/s.
     chain: dynamics of the drones.
     """
-    loops = []
+    margin = math.inf
     for e, tilts in zip(eigenvalues, horizontal, strict=True):
         if tilts:
-            loops += [
+            loops = [
                 make_command_loop(kp * e, kv * e, chain.inner),
                 make_guidance_loop(kp * e, kv * e, chain.inner),
             ]
         else:
-            loops.append(make_vertical_loop(kp * e, kv * e, chain.lag))
-    return max(min(map(find_delay_margin, loops), default=math.inf) - HOLD_DELAY, 0.0)
+            loops = [make_vertical_loop(kp * e, kv * e, chain.lag)]
+        margin = min(margin, *map(find_delay_margin, loops))
+        if margin <= HOLD_DELAY:
+            return 0.0
+    return margin - HOLD_DELAY
 
 
 def compute_age_margin(
@@ -164,7 +168,11 @@ def compute_age_margin(
     attitude loop or the thrust, F the velocity filter. Stability follows from Nyquist: along the
     imaginary axis the phase of the left side over its first bracket turns twice by pi.
 
-    eigenvalues: the values l.
+    If g = h the brackets are equal, so all modes are alike and bear any age. If g = 0 and the
+    values are real, the number of turns changes with m only where the equation has a root on the
+    axis: it is counted next to these places.
+
+    eigenvalues: the values l; if the leaders do not move, some of them suffice.
     kp: 1/s2.
     kv: 1/s.
     chain: dynamics of the drones.
@@ -182,32 +190,63 @@ def compute_age_margin(
         0.1,
         FORMATION_DELAYS.largest_age,
     )
-    m: Complex = np.array([[1.0 - e] for e in eigenvalues], dtype=np.complex128)
+    m = 1.0 - np.asarray(eigenvalues)
+    older = 0.0 if moving else FORMATION_DELAYS.state_delay
+    if not moving:
+        m = m[:1]
     responses = [_compute_attitude_response(chain), _compute_thrust_response(chain)]
     borne = 0.0
     for d in lags:
-        if not all(
-            _are_all_stable(
-                m, kp, kv, g, d, 0.0 if moving else FORMATION_DELAYS.state_delay
-            )
-            for g in responses
-        ):
-            return borne
+        for g in responses:
+            law = g * _compute_law_response(kp, kv)
+            decisive = m if np.iscomplexobj(m) else _choose_decisive(m, law, d, older)
+            if not all(_is_stable(each, law, d, older) for each in decisive):
+                return borne
         borne = d
     return borne
 
 
-def _are_all_stable(
-    m: Complex, kp: float, kv: float, response: Complex, d: float, older: float
-) -> bool:
+def _compute_law_response(kp: float, kv: float) -> Complex:
+    """Return kp + kv s F(s) at the NYQUIST_FREQUENCIES."""
     s = 1j * NYQUIST_FREQUENCIES
-    law = response * (kp + kv * s * 50.0 / (s + 50.0))
+    response: Complex = kp + kv * s * 50.0 / (s + 50.0)
+    return response
+
+
+def _is_stable(m: complex, law: Complex, d: float, older: float) -> bool:
+    """Return whether the phase of the mode turns as often as that of a stable one."""
+    s = 1j * NYQUIST_FREQUENCIES
     share = (1.0 - m * np.exp(-(d + older) * s)) / (
         1.0 - m * np.exp(-(d + FORMATION_DELAYS.state_delay) * s)
     )
-    phase = np.unwrap(np.angle(s**2 + law * share), axis=1)
-    turns = (phase[:, -1] - phase[:, 0]) / (2.0 * math.pi)
-    return bool(np.all(np.round(turns) == 1))
+    phase = np.unwrap(np.angle(s**2 + law * share))
+    turns = (phase[-1] - phase[0]) / (2.0 * math.pi)
+    return bool(np.round(turns) == 1)
+
+
+def _choose_decisive(m: Vec, law: Complex, d: float, older: float) -> Vec:
+    """Return the values of m that decide whether all of them are stable.
+
+    These are the smallest, the largest, and those next to each m for which the equation has a root
+    on the imaginary axis:
+
+        m(w) = (s^2 + law) / (s^2 e^(-(d + h) s) + law e^(-(d + g) s)),   s = jw, m(w) real
+
+    m: real.
+    """
+    upwards = NYQUIST_FREQUENCIES > 0.0
+    s = 1j * NYQUIST_FREQUENCIES[upwards]
+    law = law[upwards]
+    late = s**2 * np.exp(-(d + FORMATION_DELAYS.state_delay) * s)
+    roots = (s**2 + law) / (late + law * np.exp(-(d + older) * s))
+    k = np.flatnonzero(np.diff(np.signbit(roots.imag)))
+    weight = roots.imag[k] / (roots.imag[k] - roots.imag[k + 1])
+    critical = roots.real[k] + weight * (roots.real[k + 1] - roots.real[k])
+    ordered: Vec = np.sort(m)
+    after = np.searchsorted(ordered, critical)
+    places = np.concatenate([[0, len(ordered) - 1], after, after - 1])
+    chosen: Vec = ordered[np.unique(np.clip(places, 0, len(ordered) - 1))]
+    return chosen
 
 
 def _compute_attitude_response(chain: AccelerationChain) -> Complex:

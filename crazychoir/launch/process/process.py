@@ -2,6 +2,7 @@
 
 import logging
 import signal
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -20,11 +21,19 @@ from crazychoir.launch.process.owner import ProcessIdentity, run_owner
 from crazychoir.launch.process.signals import REPEAT_TIME, SIGNAL_NAMES
 from crazychoir.radio.link.ownership import own_dongle
 from crazychoir.radio.owner import RadioProcess
+from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import NS_PER_SECOND, Clock, run_wall
 from crazychoir.runtime.watchdog import Watchdog
 from crazychoir.runtime.worker_thread import add_signal_handler
 
 log = logging.getLogger(__name__)
+ServiceFactory = Callable[[Agent], Sequence[Actor]]
+"""Returns further actors for the process of an agent."""
+
+
+def make_no_services(agent: Agent) -> Sequence[Actor]:
+    """Return no further actors."""
+    return ()
 
 
 def run_agent(
@@ -33,8 +42,17 @@ def run_agent(
     ids: tuple[int, ...],
     listen: str | None,
     connect: list[str] | None,
+    make_services: ServiceFactory = make_no_services,
 ) -> dict[str, Any]:
-    """Fly these drones in real time, over Zenoh; return their results and the counters."""
+    """Fly these drones in real time, over Zenoh; return their results and the counters.
+
+    config: the swarm
+    mission: its mission
+    ids: ids of the drones
+    listen: Zenoh endpoint to listen on; None for that of the swarm file
+    connect: Zenoh endpoints to connect to; None for those of the swarm file
+    make_services: returns further actors that run in this process, such as a benchmark's meter
+    """
 
     async def main(clock: Clock) -> dict[str, Any]:
         me = ProcessIdentity.draw(str(ids[0]), ids[0], config.drone(ids[0]).host)
@@ -53,6 +71,7 @@ def run_agent(
         agent.watchdog = watchdog = Watchdog(clock, agent.stalled, soon=others_hang_too)
         watchdog.start()
         agent.services += [link, *(PublicCopies(link, i) for i in ids)]
+        agent.services += make_services(agent)
         try:
             results = await agent.run()
             await clock.sleep(0.3)  # time to send the last statuses

@@ -6,27 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.kernels import kernel, matrix, memory
+from crazychoir.numerics.near_pairs import find_nearest
 from crazychoir.platforms import Platform
 from crazychoir.types import Mat, Pose, State, Vec
-
-
-@kernel(matrix, memory)
-def _find_closest_pair(x: Mat, best: Vec) -> None:
-    """Find the closest pair of drones: best (3,) = row, row, distance m."""
-    best[2] = math.inf
-    for i in range(x.shape[0]):
-        for j in range(i):
-            d = (
-                (x[i, 0] - x[j, 0]) ** 2
-                + (x[i, 1] - x[j, 1]) ** 2
-                + (x[i, 2] - x[j, 2]) ** 2
-            )
-            if d < best[2]:
-                best[0] = j
-                best[1] = i
-                best[2] = d
-    best[2] = math.sqrt(best[2])
 
 
 class Truth:
@@ -114,11 +96,12 @@ class Truth:
 
     def closest(self) -> tuple[int, int, float]:
         """Return the two closest drones and their distance in m; (-1, -1, inf) for one drone."""
-        best = np.full(3, -1.0)
-        _find_closest_pair(self.states, best)
-        if best[0] < 0.0:
+        if len(self.ids) < 2:
             return -1, -1, math.inf
-        return self.ids[int(best[0])], self.ids[int(best[1])], float(best[2])
+        near = find_nearest(self.states[:, 0:3])
+        i = int(near.distances.argmin())
+        j = int(near.rows[i])
+        return self.ids[min(i, j)], self.ids[max(i, j)], float(near.distances[i])
 
     def min_separation(self) -> float:
         """Return the smallest distance between two drones in m; inf for one drone."""

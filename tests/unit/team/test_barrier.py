@@ -14,6 +14,7 @@ from crazychoir.errors import PeerLost, RosterChanged
 from crazychoir.runtime.clock import Clock, run_virtual
 from crazychoir.team import graph as graphs
 from crazychoir.team.barrier import AgreedMission, Barrier
+from crazychoir.team.close_drones import CLOSE_DRONES
 from crazychoir.team.graph import GraphSequence
 from crazychoir.team.messages import (
     Roster,
@@ -454,3 +455,46 @@ def test_what_is_not_joinable_ends_and_begins_again():
         [{0: 0, 2: 2}, {0: 10, 2: 12}, {0: 20, 2: 22}],
         [{1: 1}, {1: 11}, {1: 21}],
     ]
+
+
+@pytest.mark.parametrize("gone", [(0,), (40,), tuple(range(45))], ids=["0", "40", "45"])
+def test_a_large_team_goes_on_without_lost_members(gone):
+    """Also without all drones with the lowest ids, which the others watch."""
+    graph = graphs.ring(100)
+
+    async def story(t: Team) -> Roster:
+        await formed([t.start(i) for i in graph.ids])
+        for i in gone:
+            t.kill(i)
+        return await settled(t, 2)
+
+    assert team(graph, story).ids == tuple(i for i in graph.ids if i not in gone)
+
+
+def test_a_drone_joins_a_large_team_without_the_lowest_ids():
+    graph = graphs.ring(100)
+    here = graph.ids[50:99]
+
+    async def story(t: Team) -> Roster:
+        await formed([t.start(i, start=len(here), start_deadline=6.0) for i in here])
+        t.start(99)
+        return await settled(t, 2)
+
+    assert team(graph, story).ids == (*here, 99)
+
+
+def test_drones_of_a_large_team_keep_what_concerns_them_and_share_the_rest():
+    graph = graphs.ring(100)
+
+    async def story(t: Team) -> None:
+        barriers = [t.start(i) for i in graph.ids]
+        await formed(barriers)
+        await t.clock.sleep(3.0)
+        assert barriers[51].monitor.watched == (0, 50, 52)
+        assert max(len(b.presence.beats) for b in barriers[1:]) <= 2 * CLOSE_DRONES
+        far = barriers[CLOSE_DRONES + 1 :]
+        assert max(len(b.port.heard_ns) for b in far) <= 3 * CLOSE_DRONES
+        assert all(b.roster is far[0].roster for b in far)
+        assert all(b.roster.graph is far[0].roster.graph for b in far)
+
+    team(graph, story)

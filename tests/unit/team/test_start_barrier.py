@@ -247,3 +247,82 @@ def test_the_minority_with_another_mission_is_refused(foreign, start):
         assert f"its swarm file or mission ({mine[i]}) is not that of" in str(result)
         assert f"drone {other} ({mine[other]})" in str(result)
         assert "Copy one swarm file and one mission to every host." in str(result)
+
+
+def count_messages(t: Team) -> int:
+    return sum(port.counters.sent for port in t.bus.ports.values())
+
+
+@pytest.mark.parametrize(
+    "rules", [None, [ImpairmentRule({"loss": 0.5})]], ids=["good", "half"]
+)
+def test_the_messages_of_a_start_grow_with_the_drones_and_not_with_their_square(rules):
+    """At 200 drones all to all would be 40 000 heartbeats four times a second."""
+    graph = graphs.ring(200)
+
+    async def story(t: Team) -> tuple[float, int]:
+        roster = await formed([t.start(i) for i in graph.ids])
+        assert roster.ids == graph.ids
+        return t.clock.now(), count_messages(t)
+
+    at, messages = team(graph, story, rules)
+
+    heartbeats = 4.0 * at + 1.0
+    assert messages < 110 * len(graph.ids) * heartbeats
+    if rules is None:
+        assert at < 1.0
+
+
+def test_a_large_team_starts_without_the_lowest_ids():
+    """Ids 0 to 49 are absent, so no drone begins with an address of the coordinator."""
+    graph = graphs.ring(150)
+    here = graph.ids[50:]
+
+    async def story(t: Team) -> Roster:
+        return await formed(
+            [t.start(i, start=len(here), start_deadline=6.0) for i in here]
+        )
+
+    assert team(graph, story).ids == here
+
+
+def test_the_smaller_half_of_a_large_team_is_refused():
+    graph = graphs.ring(100)
+    foreign = graph.ids[::3]
+
+    async def story(t: Team) -> dict[int, Any]:
+        barriers = {
+            i: t.start(
+                i,
+                mission="xyz" if i in foreign else "abc",
+                start=2,
+                start_deadline=8.0,
+            )
+            for i in graph.ids
+        }
+        found = await asyncio.gather(
+            *(b.go() for b in barriers.values()), return_exceptions=True
+        )
+        return dict(zip(barriers, found, strict=True))
+
+    for i, result in team(graph, story).items():
+        if i in foreign:
+            assert isinstance(result, Refused)
+            assert "its swarm file or mission (xyz) is not that of" in str(result)
+        else:
+            assert result.ids == tuple(j for j in graph.ids if j not in foreign)
+
+
+def test_a_drone_of_a_large_team_that_cannot_fly_tells_all():
+    graph = graphs.ring(100)
+
+    async def story(t: Team) -> list[Any]:
+        barriers = [t.start(i) for i in graph.ids]
+        barriers[70].monitor.silent = True
+        t.clock.call_at(3 * NS_PER_SECOND, refuse, barriers[70])
+        waiting = [b.go() for b in barriers if b.id != 70]
+        return await asyncio.gather(*waiting, return_exceptions=True)
+
+    for found in team(graph, story):
+        assert isinstance(found, Refused)
+        assert "drone 70 cannot fly" in str(found)

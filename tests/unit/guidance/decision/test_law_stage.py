@@ -5,6 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from crazychoir.runtime.tick_stages import TickStages
 from virtual_time import virtual
 
 from crazychoir.guidance.decision.hearing_rows import HEARING_ROW
@@ -12,7 +13,6 @@ from crazychoir.guidance.decision.law_rows import LAW_ROW, LawPermission, start_
 from crazychoir.guidance.decision.law_stage import LawStage
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.runtime.clock import run_virtual
-from crazychoir.runtime.tick_stages import TickStages
 from crazychoir.types import Acceleration, State
 
 TICK = 0.01

@@ -5,8 +5,12 @@ import signal
 
 import pytest
 
-from crazychoir.launch.process.process import _obey_signals
+from crazychoir.config.swarm_config import default_swarm
+from crazychoir.guidance.mission import load_mission
+from crazychoir.launch.network import isolate_swarm
+from crazychoir.launch.process.process import _obey_signals, run_agent
 from crazychoir.launch.process.signals import end_on_signals
+from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import run_wall
 
 
@@ -66,3 +70,28 @@ def test_a_world_ends_gently_on_one_signal_and_at_once_on_a_second():
 
 def test_a_world_that_loses_its_parent_lets_its_drones_land():
     assert told(signal.SIGHUP, 3, end_on_signals) == [("end", "SIGHUP")] * 3
+
+
+class EndMission(Actor):
+    """Ends the missions of an agent at once."""
+
+    name = "end"
+
+    def __init__(self, agent):
+        self.agent = agent
+
+    async def run(self):
+        await self.agent.clock.sleep(0.1)
+        self.agent.land_all("seen")
+
+
+@pytest.mark.real_time
+def test_further_actors_of_a_process_run_beside_its_drones():
+    config = isolate_swarm(default_swarm(1), 1)
+    mission = load_mission("figure")
+
+    def make_services(agent):
+        return [EndMission(agent)]
+
+    flown = run_agent(config, mission, (0,), None, None, make_services)
+    assert "seen" in flown["results"][0]["reason"]

@@ -1,0 +1,77 @@
+"""The ratchet of the tick: what a drone costs in steady flight, counted in virtual time.
+
+A change that costs more fails here. A change that costs less lowers the limits in this file.
+`python tests/bench/tick_calls.py` shows which functions are called how often.
+"""
+
+from dataclasses import dataclass
+
+import pytest
+from tick_cost import TickCost, measure_lattice
+
+SMALL_SWARM = 30
+LARGE_SWARM = 100  # 300 takes too long while a drone's cost grows with the swarm
+LARGEST_GROWTH = 1.10
+"""Cost of a drone in the large swarm, divided by its cost in the small one."""
+GROWTH_TODAY = "messages to all drones and their Python calls grow with the swarm"
+
+pytestmark = pytest.mark.timeout(300)
+
+
+@dataclass(frozen=True)
+class CostLimits:
+    """Limits of the cost of a drone.
+
+    calls: Python calls a drone and tick, less than one more than today's
+    messages: messages a drone and second, to each drone that hears it
+    bytes: bytes of these messages
+    blocks: blocks of memory that stay allocated, a drone and second; they vary a little from run to run
+    """
+
+    calls: float
+    messages: float
+    bytes: float
+    blocks: float
+
+
+LIMITS = {
+    SMALL_SWARM: CostLimits(calls=185.0, messages=138.5, bytes=19_340, blocks=20.0),
+    LARGE_SWARM: CostLimits(calls=211.0, messages=160.2, bytes=22_470, blocks=20.0),
+}
+
+
+@pytest.fixture(scope="module")
+def small():
+    return measure_lattice(SMALL_SWARM)
+
+
+@pytest.fixture(scope="module")
+def large():
+    return measure_lattice(LARGE_SWARM)
+
+
+def assert_within(cost: TickCost, limits: CostLimits) -> None:
+    assert cost.calls_per_tick <= limits.calls
+    assert cost.messages <= limits.messages
+    assert cost.bytes <= limits.bytes
+    assert cost.blocks <= limits.blocks
+
+
+def test_a_drone_of_a_small_swarm_costs_no_more_than_its_limits(small):
+    assert_within(small, LIMITS[SMALL_SWARM])
+
+
+def test_a_drone_of_a_large_swarm_costs_no_more_than_its_limits(large):
+    assert_within(large, LIMITS[LARGE_SWARM])
+
+
+@pytest.mark.xfail(strict=True, reason=GROWTH_TODAY)
+@pytest.mark.parametrize("figure", ["calls_per_tick", "messages", "bytes"])
+def test_a_drone_costs_the_same_in_a_small_and_in_a_large_swarm(small, large, figure):
+    growth = getattr(large, figure) / getattr(small, figure)
+    assert growth <= LARGEST_GROWTH
+
+
+def test_one_more_python_call_a_drone_and_tick_exceeds_the_limit():
+    cost = measure_lattice(SMALL_SWARM, more_calls=1)
+    assert cost.calls_per_tick > LIMITS[SMALL_SWARM].calls
