@@ -1301,7 +1301,7 @@ async def test_a_pose_with_an_age_of_nan_is_accepted_as_current(clock):
     drone.pilot.port.publish(
         DRONE_TOPICS.pose, Pose(truth.flat[[0, 1, 2, 6, 7, 8, 9]], np.nan)
     )
-    drone.bus.stages.run()
+    drone.pilot.tick.run()
     await drone.fly(0.5)
     assert (drone.failures, drone.pilot.mode) == ([], Mode.HOVER)
     await drone.end()

@@ -5,14 +5,16 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from crazychoir.runtime.tick_stages import TickStages
 from virtual_time import virtual
 
+from crazychoir.flight.tick import FlightTick
+from crazychoir.guidance.decision.flight_rows import write_reference
 from crazychoir.guidance.decision.hearing_rows import HEARING_ROW
-from crazychoir.guidance.decision.law_rows import LAW_ROW, LawPermission, start_row
+from crazychoir.guidance.decision.law_rows import LAW_ROW, ReferenceKind, start_row
 from crazychoir.guidance.decision.law_stage import LawStage
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.runtime.clock import run_virtual
+from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Acceleration, State
 
 TICK = 0.01
@@ -49,8 +51,8 @@ class OfTeam(ByHand):
 class Staged:
     """A law in the stage, without a pilot: it keeps what it was told to fly."""
 
-    def __init__(self, drone, law, permission=LawPermission.STEPS):
-        self.drone, self.law, self.permission = drone, law, permission
+    def __init__(self, drone, law):
+        self.drone, self.law = drone, law
         self.ids = ()
         self.rows, self.edges = np.zeros(1, LAW_ROW), np.zeros(0, HEARING_ROW)
         self.rows["period_ns"] = 10_000_000
@@ -63,16 +65,13 @@ class Staged:
         rows[:] = self.rows
         self.rows, self.edges = rows, edges
 
-    def look(self, me):
-        self.rows["state"] = me.flat
-        self.rows["permission"] = self.permission
-        self.rows["has_state"] = 1
-
     def guard(self):
         return nullcontext()
 
     def step(self, me, heard):
-        self.fly(self.law.step(me, heard))
+        wanted = self.law.step(me, heard)
+        kind = ReferenceKind.ACCELERATION
+        write_reference(self.rows[0], kind, 6, wanted.a, wanted.yaw)
 
     def fly(self, reference):
         self.flown.append(float(reference.a[0]))
@@ -86,19 +85,37 @@ class Staged:
         return True
 
 
-async def fly(clock, stage, stages, laws, ticks):
-    """Let the laws have a new state in each tick."""
-    for _ in range(ticks):
-        await clock.sleep(TICK)
-        for law in laws:
-            stage.move(law, State.at((0.0, 0.0, 1.0)))
-        stages.run()
+class Process:
+    """A process whose drones have a new state in each tick.
+
+    mode: of its drones
+    """
+
+    def __init__(self, clock, mode=Mode.HOVER):
+        self.clock = clock
+        self.mode = mode
+        self.tick = FlightTick(clock, 4)
+        self.stage = LawStage(self.tick)
+
+    def enter(self, law):
+        """Let a law of one more drone run."""
+        row = self.tick.batch.add(law.drone)
+        row.mode = self.mode
+        row.drone["state"] = State.at((0.0, 0.0, 1.0)).flat
+        law.rows["place"] = row.index
+        self.stage.enter(law)
+
+    async def fly(self, ticks):
+        """Let the laws decide in some ticks."""
+        for _ in range(ticks):
+            await self.clock.sleep(TICK)
+            self.tick.batch.drones["ticks"] = 1
+            self.stage.decide(self.clock.now_ns())
 
 
 @virtual
 async def test_laws_of_a_team_and_laws_by_hand_step_once_a_tick(clock):
-    stages = TickStages(clock)
-    stage = LawStage(stages)
+    process = Process(clock)
     laws = [
         Staged(5, OfTeam(5.0)),
         Staged(1, ByHand(1.0)),
@@ -106,9 +123,9 @@ async def test_laws_of_a_team_and_laws_by_hand_step_once_a_tick(clock):
         Staged(2, ByHand(2.0)),
     ]
     for law in laws:
-        stage.enter(law)
+        process.enter(law)
     OfTeam.prepared.clear()
-    await fly(clock, stage, stages, laws, 10)
+    await process.fly(10)
     assert OfTeam.prepared == [[3.0, 5.0]], "once, in the order of the drones"
     for law in laws:
         assert law.flown == 10 * [float(law.drone)]
@@ -116,47 +133,44 @@ async def test_laws_of_a_team_and_laws_by_hand_step_once_a_tick(clock):
 
 @virtual
 async def test_a_law_that_has_left_does_not_step_and_one_that_enters_does(clock):
-    stages = TickStages(clock)
-    stage = LawStage(stages)
+    process = Process(clock)
     first, second = Staged(0, OfTeam(1.0)), Staged(1, OfTeam(2.0))
-    stage.enter(first)
-    await fly(clock, stage, stages, [first], 2)
+    process.enter(first)
+    await process.fly(2)
     first.rows["is_running"] = 0
-    stage.leave(first)
-    stage.enter(second)
-    await fly(clock, stage, stages, [first, second], 3)
+    process.stage.leave(first)
+    process.enter(second)
+    await process.fly(3)
     assert (len(first.flown), len(second.flown)) == (2, 3)
 
 
 @virtual
 async def test_numbers_that_have_changed_are_prepared_again(clock):
-    stages = TickStages(clock)
-    stage = LawStage(stages)
+    process = Process(clock)
     law = Staged(0, OfTeam(1.0))
-    stage.enter(law)
-    await fly(clock, stage, stages, [law], 1)
+    process.enter(law)
+    await process.fly(1)
     law.law.push = 2.0
-    stage.renew()
-    await fly(clock, stage, stages, [law], 1)
+    process.stage.renew()
+    await process.fly(1)
     assert law.flown == [1.0, 2.0]
     assert law.rows["tally"]["steps"] == 2, "its counts have moved with it"
 
 
 @pytest.mark.parametrize(
-    ("permission", "flown", "stopped"),
+    ("mode", "flown", "stopped"),
     [
-        (LawPermission.STEPS, 3, 0),
-        (LawPermission.WAITS, 0, 0),
-        (LawPermission.ENDS, 0, 3),
+        (Mode.HOVER, 3, 0),
+        (Mode.TAKEOFF, 0, 0),
+        (Mode.LAND, 0, 3),
     ],
 )
-def test_the_pilot_decides_whether_a_law_steps(permission, flown, stopped):
+def test_the_mode_of_a_drone_decides_whether_its_law_steps(mode, flown, stopped):
     async def steps(clock):
-        stages = TickStages(clock)
-        stage = LawStage(stages)
-        law = Staged(0, OfTeam(1.0), permission)
-        stage.enter(law)
-        await fly(clock, stage, stages, [law], 3)
+        process = Process(clock, mode)
+        law = Staged(0, OfTeam(1.0))
+        process.enter(law)
+        await process.fly(3)
         assert (len(law.flown), law.stopped) == (flown, stopped)
 
     run_virtual(steps)
@@ -164,16 +178,15 @@ def test_the_pilot_decides_whether_a_law_steps(permission, flown, stopped):
 
 @virtual
 async def test_an_error_of_a_team_ends_its_laws_and_no_others(clock):
-    stages = TickStages(clock)
-    stage = LawStage(stages)
+    process = Process(clock)
     laws = [
         Staged(0, OfTeam(1.0)),
         Staged(1, OfTeam(float("nan"))),
         Staged(2, ByHand(1.0)),
     ]
     for law in laws:
-        stage.enter(law)
-    await fly(clock, stage, stages, laws, 3)
+        process.enter(law)
+    await process.fly(3)
     assert [len(law.errors) for law in laws] == [1, 1, 0]
     assert [len(law.flown) for law in laws] == [0, 0, 3]
 
@@ -187,11 +200,10 @@ async def test_a_team_that_cannot_be_prepared_ends_its_laws(clock):
         def for_team(cls, laws, neighbors):
             raise ValueError("no numbers")
 
-    stages = TickStages(clock)
-    stage = LawStage(stages)
+    process = Process(clock)
     laws = [Staged(0, Broken()), Staged(1, ByHand())]
     for law in laws:
-        stage.enter(law)
-    await fly(clock, stage, stages, laws, 2)
+        process.enter(law)
+    await process.fly(2)
     assert [len(law.errors) for law in laws] == [1, 0]
     assert [len(law.flown) for law in laws] == [0, 2]
