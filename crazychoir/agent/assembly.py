@@ -331,7 +331,7 @@ def _list_flying(config: SwarmConfig) -> tuple[int, ...]:
 
 
 def _list_planners(config: SwarmConfig) -> tuple[int, ...]:
-    """Return the flying drones whose firmware plans their path."""
+    """Return the flying drones with firmware that plans their path."""
     flying = share(config, _list_flying)
     return tuple(
         j for j in flying if config.control_of(j).sender in FIRMWARE_GAIN_SENDERS

@@ -7,6 +7,7 @@ from crazychoir.agent.drone import Drone
 from crazychoir.bus.codec import decode, encode
 from crazychoir.errors import CodecError, reason_or
 from crazychoir.flight.pilot import Pilot
+from crazychoir.guidance.awaited_call import describe_forgotten_calls
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.rules.modes import Mode
 
@@ -90,6 +91,22 @@ def result_of_failure(reason: str, result: Result | None = None) -> Result:
         "success": False,
         "reason": reason_or(reason, MISSION_REASONS.unsaid),
     }
+
+
+def add_forgotten_calls(result: Result, drone: Drone, has_returned: bool) -> Result:
+    """Return the result, as a failure if the mission has forgotten to await calls.
+
+    The failure names the calls. An error that has ended the mission is named first, because it may
+    have another cause.
+
+    has_returned: whether the mission has ended by itself, without an error.
+    """
+    words = describe_forgotten_calls(drone.guidance, has_returned)
+    if not words:
+        return result
+    if result["success"]:
+        return result_of_failure(f"drone {drone.id}: {words}", result)
+    return result_of_failure(f"{result['reason']}; {words}", result)
 
 
 def add_flight_times(result: Result, pilot: Pilot) -> Result:

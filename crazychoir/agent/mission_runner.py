@@ -16,6 +16,7 @@ from crazychoir.agent.mission_result import (
     MISSION_REASONS,
     Result,
     add_flight_times,
+    add_forgotten_calls,
     check_result,
     judge_flight,
     result_of_failure,
@@ -33,7 +34,6 @@ from crazychoir.errors import (
     raised_at,
     reason_or,
 )
-from crazychoir.guidance.awaited_call import describe_forgotten_calls
 from crazychoir.guidance.decision.law_stage import LawStage
 from crazychoir.guidance.member import Member, make_raisable, wait_for_touchdown
 from crazychoir.guidance.turns import is_blocked
@@ -112,7 +112,9 @@ class MissionRunner(Actor):
             await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
             if not life.done():
                 await self._last_words(life)
-            drone.result = self._unforgotten(self._outcome(life), life)
+            drone.result = add_forgotten_calls(
+                self._outcome(life), drone, self._has_returned(life)
+            )
             if drone.barrier.apart:
                 drone.result = {**drone.result, "apart": drone.barrier.apart}
             if not drone.result["success"] or ENDED_KEY in drone.result:
@@ -321,21 +323,10 @@ class MissionRunner(Actor):
             return result_of_failure(str(error))
         return result_of_failure(self._broken(error))
 
-    def _unforgotten(self, result: Result, life: asyncio.Task[Result]) -> Result:
-        """Return the result, as a failure if the mission has forgotten to await calls.
-
-        The failure names the calls. An error that has ended the mission is named first, because it
-        may have another cause.
-        """
-        has_returned = life.done() and not life.cancelled() and life.exception() is None
-        words = describe_forgotten_calls(
-            self.drone.guidance, has_returned and not self._aborted
-        )
-        if not words:
-            return result
-        if result["success"]:
-            return result_of_failure(f"drone {self.drone.id}: {words}", result)
-        return result_of_failure(f"{result['reason']}; {words}", result)
+    def _has_returned(self, life: asyncio.Task[Result]) -> bool:
+        """Return whether the mission has ended by itself, without an error."""
+        is_done = life.done() and not life.cancelled() and life.exception() is None
+        return is_done and not self._aborted
 
     def _aborted_by_operator(self, error: BaseException | None) -> Result:
         """Return the result of a mission that its operator ended.

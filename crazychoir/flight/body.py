@@ -118,7 +118,7 @@ class DistantBody:
 
 
 class RadioBody:
-    """A Crazyflie behind a radio, whose dongle another process owns.
+    """A Crazyflie behind a radio; another process owns the dongle.
 
     remote: link to that process
     watch: of the radio

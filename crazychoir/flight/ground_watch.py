@@ -66,7 +66,7 @@ STRAY_BODY_LIMITS = StrayBodyLimits()
 LANDS_ASTRAY = 1.0
 """Value of the measure "astray" of a drone that may land by its firmware."""
 FALLS_ASTRAY = 2.0
-"""Value of the measure "astray" of a drone whose motors must be cut."""
+"""Value of the measure "astray" of a drone that must stop its motors."""
 
 
 class GroundWatch:

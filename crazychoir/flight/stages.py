@@ -202,7 +202,7 @@ def _needs_judge(
 
 @kernel()
 def _count_fence_tick(drone: Record, plan: Record, now: float) -> None:
-    """Count a tick of a drone whose flight to a place outside has ended at the fence."""
+    """Count a tick at the fence, after a flight to a place outside has ended there."""
     is_guided = drone.mode == FOLLOW or drone.mode == HOVER or drone.mode == TAKEOFF
     if is_guided and drone.is_beyond > 0 and drone.is_held == 0:
         drone.fence_ticks += 1 if is_plan_over(plan, now) else 0
@@ -402,7 +402,7 @@ def control_drones(
     """Compute the input of the sender for each drone that ticks and gets a command.
 
     now: s
-    found: (n,): receives the rows of the drones whose command is made in Python
+    found: (n,): receives the rows of the drones that get their command from Python
     Returns how many these are.
     """
     count = 0

@@ -264,16 +264,7 @@ class CFGuidance:
         self.require_height(height, "take_off()")
         pilot = self.member.pilot
         if pilot.permission.awaits_start:
-            self.member.rise = height
-            await wait_for_command(
-                self.member, "take-off", COMMAND_TIMEOUT, lambda: not pilot.airborne
-            )
-            await wait_for_command(
-                self.member,
-                "start",
-                HELD_FLIGHT_PATIENCE,
-                lambda: pilot.permission.awaits_start and pilot.airborne,
-            )
+            await _wait_for_operator(self.member, height)
         await wait_until_ready(self.member)
         goal = pilot.follower.get_place_above(height)
         await wait_while(self.member, pilot.take_off(height), Mode.TAKEOFF)
@@ -412,6 +403,24 @@ class CFGuidance:
     async def sleep(self, seconds: float) -> None:
         """Wait for some seconds, in the time of the swarm."""
         await self.member.clock.sleep(seconds, drone=self.id)
+
+
+async def _wait_for_operator(member: Member, height: float | None) -> None:
+    """Wait for the commands of the operator to take off and to start.
+
+    height: m above the ground, None for the take-off height of the swarm file.
+    """
+    pilot = member.pilot
+    member.rise = height
+    await wait_for_command(
+        member, "take-off", COMMAND_TIMEOUT, lambda: not pilot.airborne
+    )
+    await wait_for_command(
+        member,
+        "start",
+        HELD_FLIGHT_PATIENCE,
+        lambda: pilot.permission.awaits_start and pilot.airborne,
+    )
 
 
 def require_feasible(trajectory: Trajectory, pilot: Pilot) -> None:

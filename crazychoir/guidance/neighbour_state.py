@@ -145,7 +145,7 @@ class HearingMailbox(Mailbox[State]):
             self.dropped += 1
 
     def _put_converted(self, value: State, age: float, now_ns: int) -> bool:
-        """Put a state whose arrays are not what kernels take; return whether it is a state."""
+        """Put a state with arrays that kernels do not take; return whether it is a state."""
         try:
             flat = np.array(value.flat, dtype=np.float64)
             acceleration = np.array(value.a, dtype=np.float64)

@@ -269,7 +269,7 @@ class FlightScore(Actor):
 
 
 def _find_least_gap(places: Mat, stands: npt.NDArray[np.bool_]) -> float:
-    """Return the least distance in m between two drones of which at least one has flown.
+    """Return the least distance in m between two drones; at least one of the two has flown.
 
     places: (N, 3) m, with N at least 2.
     stands: (N,): whether each drone has never flown.

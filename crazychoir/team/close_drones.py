@@ -42,7 +42,7 @@ class DroneSearch:
         return len(self.ids) // (CLOSE_DRONES + 2)
 
     def take_turn(self) -> tuple[int, ...]:
-        """Return the drones whose turn it is."""
+        """Return the drones that have their turn."""
         first = self._next
         self._next = (first + CLOSE_DRONES) % len(self.ids)
         return (self.ids + self.ids[:CLOSE_DRONES])[first : first + CLOSE_DRONES]

@@ -233,7 +233,8 @@ class TeamPresence:
             and beat.checksum == self.rosters.checksum
             and source in self.monitor.watched
         )
-        if is_agreed and not (beat.lost or self.lost or self._is_roster_forming()):
+        is_forming = self._review is not None and self._review.is_open
+        if is_agreed and not (beat.lost or self.lost or is_forming):
             self._calm[source] = payload
 
     def _may_matter(self, source: int, beat: TeamHeartbeat) -> bool:
@@ -266,9 +267,6 @@ class TeamPresence:
         is_theirs = bool(beat.epoch) and source < self.id
         if not is_theirs and self.coordinator() == self.id:
             self._review.review(source, beat, roster)
-
-    def _is_roster_forming(self) -> bool:
-        return self._review is not None and self._review.is_open
 
     # Presence -------------------------------------------------------------------------
 

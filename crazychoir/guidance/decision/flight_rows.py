@@ -157,7 +157,7 @@ def hand_over_rows(
     drones: of the batch
     plans: of the batch
     now_ns: ns
-    found: (n,): receives the rows of the laws whose pilots must decide
+    found: (n,): receives the rows of the laws for which the pilots must decide
     Returns how many these are.
     """
     count = 0

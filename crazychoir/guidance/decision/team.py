@@ -40,7 +40,7 @@ Ids = tuple[int, ...]
 class Team:
     """What a step of a team receives, and where its references go.
 
-    Every law has a row, also those that do not step in this tick: their references are not used.
+    Every law has a row. The references of laws that do not step in this tick are not used.
     """
 
     rows: Rows

@@ -58,7 +58,7 @@ def forget_sum(sums: Any) -> None:
 
 @kernel()
 def keep_state(sums: Any, state: Vec, age: float) -> None:
-    """Keep a state as the one that the law received last.
+    """Keep the state that the law received last.
 
     sums: a record of VELOCITY_SUM_ROW
     state: (13,)

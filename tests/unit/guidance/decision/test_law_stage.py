@@ -1,4 +1,4 @@
-"""The laws of a process step together, and one that fails ends alone."""
+"""The laws of a process step together, and a law that fails ends alone."""
 
 from contextlib import nullcontext
 from typing import ClassVar
@@ -86,7 +86,7 @@ class Staged:
 
 
 class Process:
-    """A process whose drones have a new state in each tick.
+    """A process with drones that have a new state in each tick.
 
     mode: of its drones
     """
@@ -194,7 +194,7 @@ async def test_an_error_of_a_team_ends_its_laws_and_no_others(clock):
 @virtual
 async def test_a_team_that_cannot_be_prepared_ends_its_laws(clock):
     class Broken(OfTeam):
-        """A law whose team fails at once."""
+        """A law with a team that fails at once."""
 
         @classmethod
         def for_team(cls, laws, neighbors):
