@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pilots import make_stand_in
 from virtual_time import virtual
 
 from crazychoir.filters.velocity import VelocityFilter
@@ -15,8 +16,14 @@ from crazychoir.types import Acceleration, State
 
 def running_law(clock, follow=lambda reference: True):
     """Return the law of drone 2, which hears drones 5 and 7."""
-    pilot = SimpleNamespace(
-        filter=VelocityFilter(), mode=Mode.FOLLOW, period_ns=10_000_000, follow=follow
+    pilot = make_stand_in(
+        {
+            "mode": Mode.FOLLOW,
+            "follow": follow,
+            "row.index": 0,
+            "setup.period_ns": 10_000_000,
+            "stages.filter": VelocityFilter(),
+        }
     )
     mocap = SimpleNamespace(rate=100.0)
     config = SimpleNamespace(mocap=mocap)
