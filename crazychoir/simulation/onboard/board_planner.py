@@ -10,16 +10,16 @@ from crazychoir.errors import ConfigError
 from crazychoir.simulation.onboard import bezier, planner, supervisor
 from crazychoir.simulation.onboard.record import (
     TRAJECTORY_MEMORY,
+    EntryPoints,
     Fleet,
-    load_entry_points,
 )
 from crazychoir.types import Vec
 
 MOST_PIECES = (
     TRAJECTORY_MEMORY.size // TRAJECTORY_MEMORY.piece_size
 )  # pieces that fit into the memory for trajectories
-_planner = load_entry_points(planner)
-_supervisor = load_entry_points(supervisor)
+_planner = EntryPoints(planner)
+_supervisor = EntryPoints(supervisor)
 
 
 class TrajectoryStore:

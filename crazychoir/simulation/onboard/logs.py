@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from crazychoir.errors import ConfigError
 from crazychoir.numerics.math3d import STANDARD_GRAVITY
 from crazychoir.simulation.onboard import supervisor
-from crazychoir.simulation.onboard.record import Fleet, load_entry_points
+from crazychoir.simulation.onboard.record import EntryPoints, Fleet
 from crazychoir.simulation.onboard.units import FULL_THRUST_COMMAND
 
 FleetReader = Callable[[Fleet, int], float]
@@ -94,7 +94,7 @@ VARIANCE_FIELDS = {
     "PZ": "z_vv",
 }
 """Fields of the firmware's variances by its names: X is a position, PX a velocity."""
-_supervisor = load_entry_points(supervisor)
+_supervisor = EntryPoints(supervisor)
 FIRMWARE_LOG_READERS: dict[str, FleetReader] = {
     **{f"stateEstimate.{name}": _field_reader(name) for name in LOG_FIELDS.state},
     **{

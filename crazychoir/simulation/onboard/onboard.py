@@ -20,8 +20,8 @@ from crazychoir.simulation.onboard import (
 from crazychoir.simulation.onboard.board_planner import BoardPlanner, TrajectoryStore
 from crazychoir.simulation.onboard.record import (
     CONTROLLER_KINDS,
+    EntryPoints,
     Fleet,
-    load_entry_points,
     make_fleet,
 )
 from crazychoir.simulation.onboard.setpoint_input import SetpointInput
@@ -32,11 +32,11 @@ CONTROLLERS_BY_NAME = {
     "mellinger": CONTROLLER_KINDS.mellinger,
     "lee": CONTROLLER_KINDS.lee,
 }
-_commander = load_entry_points(commander)
-_planner = load_entry_points(planner)
-_supervisor = load_entry_points(supervisor)
-_estimator = load_entry_points(estimator)
-_loop = load_entry_points(loop)
+_commander = EntryPoints(commander)
+_planner = EntryPoints(planner)
+_supervisor = EntryPoints(supervisor)
+_estimator = EntryPoints(estimator)
+_loop = EntryPoints(loop)
 
 
 class Onboard:

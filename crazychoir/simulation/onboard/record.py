@@ -1,7 +1,7 @@
 """The memory of the firmware: one record a drone, all drones of a process in one array."""
 
 import math
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import numba
@@ -239,23 +239,28 @@ rows: Any = drone[::1]
 whole: Any = numba.int64
 
 
-def load_entry_points(module: ModuleType) -> Any:
-    """Return the kernels of a module that are compiled for a drone, to be called from Python.
+class EntryPoints:
+    """The kernels of a module that are compiled for a drone, to be called from Python.
 
     They are called without a check of the types of their arguments. They take the array and the
     row: passing one record of so many fields takes 60 us, this takes 0.3 us.
+
+    module: with the kernels
     """
-    laws = {
-        name: law
-        for name, law in vars(module).items()
-        if getattr(law, "signatures", ())
-    }
-    return SimpleNamespace(
-        **{
-            name: law.overloads[law.signatures[0]].entry_point
-            for name, law in laws.items()
-        }
-    )
+
+    def __init__(self, module: ModuleType) -> None:
+        self._module = module
+
+    def __getattr__(self, name: str) -> Any:
+        """Return the entry point of a kernel, and compile a kernel that waits for its first call."""
+        law = getattr(self._module, name)
+        if not hasattr(law, "signatures"):  # with NUMBA_DISABLE_JIT
+            return law
+        if not law.signatures:
+            law.compile(())  # a kernel that waits knows its types
+        entry_point = law.overloads[law.signatures[0]].entry_point
+        setattr(self, name, entry_point)
+        return entry_point
 
 
 # Gains kp, ki, kd and limit of the integral (chosen for velocity and position) of pid_rate,

@@ -8,7 +8,7 @@ import numpy as np
 from crazychoir.platforms import Firmware
 from crazychoir.simulation.onboard import commander
 from crazychoir.simulation.onboard.commander import SETPOINT_PRIORITIES
-from crazychoir.simulation.onboard.record import Fleet, load_entry_points
+from crazychoir.simulation.onboard.record import EntryPoints, Fleet
 from crazychoir.simulation.onboard.units import (
     FULL_THRUST_COMMAND,
     convert_roll_pitch_yaw_rate_to_raw,
@@ -16,7 +16,7 @@ from crazychoir.simulation.onboard.units import (
 )
 from crazychoir.types import Vec
 
-_commander = load_entry_points(commander)
+_commander = EntryPoints(commander)
 
 
 class SetpointInput:
