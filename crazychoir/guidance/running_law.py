@@ -151,7 +151,11 @@ class RunningLaw:
         row = self.rows[0]
         if reference is None:
             return True
-        if type(reference) is Acceleration and _is_vector(reference.a):
+        if (
+            type(reference) is Acceleration
+            and _is_vector(reference.a)
+            and isinstance(reference.yaw, float)
+        ):
             kind = ReferenceKind.ACCELERATION
             write_reference(row, kind, 6, reference.a, reference.yaw)
             return True
