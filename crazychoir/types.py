@@ -24,6 +24,8 @@ Ints = npt.NDArray[np.int64]
 """An array of integers."""
 Words = npt.NDArray[np.uint64]
 """An array of unsigned 64-bit words."""
+Records = npt.NDArray[Any]
+"""An array of records, or a record of such an array."""
 Bools = npt.NDArray[np.bool_]
 """An array of truth values."""
 Point = Sequence[float] | Vec

@@ -8,7 +8,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from crazychoir.agent.assembly import DroneSurroundings, build_drone
+from crazychoir.agent.assembly import (
+    DroneSurroundings,
+    build_airspace,
+    build_drone,
+)
 from crazychoir.agent.dead_man import DeadMan
 from crazychoir.agent.drone import Drone
 from crazychoir.agent.drone_commands import DroneCommands
@@ -135,6 +139,9 @@ class Agent:
         self.dead_man = (
             DeadMan(clock, patience, self._flies, self.land_all) if patience else None
         )
+        airspace = build_airspace(config, self.bus)
+        if airspace is not None and trace is not None:
+            airspace.trace = trace.add
         surroundings = DroneSurroundings(
             bus=self.bus,
             mission=mission,
@@ -142,6 +149,7 @@ class Agent:
             graph=config.graph(),
             start_deadline=config.start_deadline,
             owners=self.owner_of,
+            airspace=airspace,
         )
         for i in ids:
             self._add_drone(i, surroundings)

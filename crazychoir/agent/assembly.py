@@ -29,8 +29,9 @@ from crazychoir.runtime.mailbox import Call
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.safety.collision.agreed.path_limits import LOWEST_WAYPOINT, PathLimits
 from crazychoir.safety.collision.agreed.planned import PlannedFlights
+from crazychoir.safety.collision.airspace import Airspace, AirspaceRules
 from crazychoir.safety.collision.filter import CollisionFilter
-from crazychoir.safety.collision.neighbour_table import NeighbourTable
+from crazychoir.safety.collision.neighbours import Neighbours
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.safety.rules.radio_watch import RadioWatch
 from crazychoir.simulation.owner import WorldOwner
@@ -65,6 +66,8 @@ class DroneSurroundings:
     """s: time to wait for the team."""
     owners: dict[int, WorldOwner]
     """Owner of the world of each drone with its body in this process."""
+    airspace: Airspace | None
+    """States of all flying drones; None if no drone avoids others."""
 
 
 def build_drone(
@@ -93,7 +96,7 @@ def build_drone(
     communicator = Communicator(port, shared.graph)
     communicator.follow(barrier)
     barrier.listeners.append(partial(_tell_apart, barrier))
-    pilot = _build_pilot(config, port, owner, remote)
+    pilot = _build_pilot(config, port, shared, remote)
     radio_watch = _build_radio_watch(config, pilot)
     guidance = shared.mission.guidance(i, config)
     guidance.foresee(Member(i, config, shared.bus.clock, communicator, pilot))
@@ -127,16 +130,17 @@ def _build_remote_link(config: SwarmConfig, port: Port) -> RemoteLink:
 def _build_pilot(
     config: SwarmConfig,
     port: Port,
-    owner: WorldOwner | None,
+    shared: DroneSurroundings,
     remote: RemoteLink | None,
 ) -> Pilot:
     """Return the pilot, with its controller, its fence and its link to the body.
 
-    owner: owner of the drone's world in this process, None if the body is elsewhere
+    shared: what the drones of this process share
     remote: link to the body elsewhere, None if it is in this process
     """
     topology = config.topology
     i = port.address
+    owner = shared.owners.get(i)
     fence = _build_fence(config, i)
     has_own_pose = i in topology.reached and i not in topology.seen
     chosen = _choose_controls(config, i)
@@ -162,7 +166,7 @@ def _build_pilot(
         chosen,
         state_filter,
         pose_source,
-        _build_avoidance(config, port, chosen),
+        _build_avoidance(config, port, chosen, shared.airspace),
         Fence.box(*limit_area(config)),
         reached,
         config.drone(i).home,
@@ -268,8 +272,38 @@ def _choose_controls(config: SwarmConfig, i: int) -> Controls:
     )
 
 
+def build_airspace(config: SwarmConfig, bus: Bus) -> Airspace | None:
+    """Return the airspace of a process; None if its drones do not avoid others.
+
+    config: the swarm file
+    bus: of the process, with a port of each of its drones
+    """
+    flying = [j for j in config.ids if config.drone(j).uri not in ROBOT_CONTROLS]
+    own = [j for j in flying if j in bus.ports]
+    if config.collision.method == "off" or not own or len(flying) == 1:
+        return None
+    flight = config.flight
+    rules = AirspaceRules(
+        config.collision, flight.speed_limit, flight.ground, _list_planners(config)
+    )
+    airspace = Airspace(bus, flying, rules)
+    _watch_radios(config, airspace, own[0])
+    bus.stages.hear.append(airspace.step)
+    return airspace
+
+
+def _list_planners(config: SwarmConfig) -> tuple[int, ...]:
+    """Return the ids of the drones that a planner on board flies."""
+    return tuple(
+        j
+        for j in config.ids
+        if config.drone(j).uri not in ROBOT_CONTROLS
+        and config.control_of(j).sender in FIRMWARE_GAIN_SENDERS
+    )
+
+
 def _build_avoidance(
-    config: SwarmConfig, port: Port, chosen: Controls
+    config: SwarmConfig, port: Port, chosen: Controls, airspace: Airspace | None
 ) -> CollisionFilter | PlannedFlights | None:
     """Return the part that keeps drone i clear of the others.
 
@@ -277,12 +311,9 @@ def _build_avoidance(
     """
     i = port.address
     flight = config.flight
-    flying = [j for j in config.ids if config.drone(j).uri not in ROBOT_CONTROLS]
-    if config.collision.method == "off" or i not in flying or len(flying) == 1:
+    if airspace is None or i not in airspace.own_ids:
         return None
-    planners = tuple(
-        j for j in flying if config.control_of(j).sender in FIRMWARE_GAIN_SENDERS
-    )
+    planners = _list_planners(config)
     fence = Fence.box(config.fence.min, config.fence.max).with_floor(
         max(config.fence.min[2], flight.ground)
     )
@@ -291,10 +322,9 @@ def _build_avoidance(
         chosen.platform,
         FLATNESS_LIMITS.height_share * FLATNESS_LIMITS.acceleration_share,
     )
-    traffic = NeighbourTable(port, flying, planners)
+    traffic = Neighbours(airspace, i, keeps_all=i in planners)
     v_max = flight.speed_limit
     ground = flight.ground
-    _watch_neighbours(config, port, traffic)
     if i in planners:
         limits = PathLimits(
             fence.with_floor(ground + LOWEST_WAYPOINT), a_max, v_max, ground
@@ -303,38 +333,25 @@ def _build_avoidance(
     return CollisionFilter(config.collision, traffic, fence, a_max, v_max, ground)
 
 
-def _watch_neighbours(config: SwarmConfig, port: Port, traffic: NeighbourTable) -> None:
-    """Subscribe the table of neighbours to what is known of drones with radios.
+def _watch_radios(config: SwarmConfig, airspace: Airspace, reader: int) -> None:
+    """Subscribe the airspace to what is known of drones with radios.
 
     Their owners publish whether the radio reaches them. The cameras publish where they are.
+
+    config: the swarm file
+    airspace: of this process
+    reader: id of a drone of this process
     """
-    i = port.address
-    bus = port.bus
+    bus = airspace.bus
     topology = config.topology
-    for j in topology.reached:
-        if j != i:
-            call = Call(
-                bus.clock,
-                partial(traffic.linked, j),
-                f"drone {i} knows the link of {j}",
-            )
-            bus.subscribe(
-                DRONE_TOPICS.link,
-                topology.source(DRONE_TOPICS.link, j),
-                i,
-                call,
-                DRONE_TOPICS.link.rate,
-            )
-    for j in topology.seen:
-        if j != i:
-            call = Call(bus.clock, partial(traffic.seen, j), f"drone {i} sees {j}")
-            bus.subscribe(
-                DRONE_TOPICS.truth,
-                topology.source(DRONE_TOPICS.truth, j),
-                i,
-                call,
-                DRONE_TOPICS.truth.rate,
-            )
+    watched = (
+        (DRONE_TOPICS.link, topology.reached, airspace.take_link),
+        (DRONE_TOPICS.truth, topology.seen, airspace.see),
+    )
+    for topic, ids, take in watched:
+        for j in ids:
+            call = Call(bus.clock, partial(take, j), f"airspace: {topic.name} of {j}")
+            bus.subscribe(topic, topology.source(topic, j), reader, call, topic.rate)
 
 
 def _tell_apart(barrier: Barrier, roster: Roster) -> None:

@@ -94,6 +94,11 @@ class Clearance:
         # Time in s since when others keep it up, or when it last chose another place to land.
         self._kept_up = -math.inf
 
+    def publish(self, state: State) -> None:
+        """Give the own state to the others."""
+        if self.traffic is not None:
+            self.traffic.publish(state, state.age)
+
     def evasion(
         self,
         state: State,

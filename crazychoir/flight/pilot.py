@@ -539,6 +539,7 @@ class Pilot(Actor):
         try:
             assert state is not None  # noqa: S101 - no state, no such stage
             self.port.publish(DRONE_TOPICS.state, state, state.age)
+            self.clearance.publish(state)
         except BaseException as error:  # noqa: BLE001 - see _fail
             self._fail(error)
 

@@ -27,6 +27,8 @@ class TickStages:
         self.clock = clock
         self.say: list[Work] = []
         """Work: publish the own state."""
+        self.hear: list[Work] = []
+        """Work of every pass, when all states are published: let the drones hear them."""
         self.decide: list[Work] = []
         """Work: let a law compute a reference; appended when the law receives the state."""
         self.act: list[Work] = []
@@ -46,6 +48,7 @@ class TickStages:
         say = self.say
         self.say = []
         _run_stage(say, failed)
+        _run_stage(self.hear, failed)
         decide = self.decide
         self.decide = []
         _run_stage(decide, failed)

@@ -14,7 +14,7 @@ from crazychoir.guidance.turns import (
     find_first_at,
     is_blocked,
 )
-from crazychoir.safety.collision.neighbour_table import NEIGHBOUR_ROW
+from crazychoir.safety.collision.airspace_rows import PAIR_ROW
 from crazychoir.safety.rules.guard import Fence
 
 P = np.array([1.0, 2.0, 0.5])
@@ -24,16 +24,18 @@ HALL = Fence.box((-3.0, -3.0, 0.0), (3.0, 3.0, 2.0))
 
 def pilot(others, now=10.0, at=P, gave_way=-math.inf):
     """Return the pilot of drone 5 at `at`; others that it hears: {id: (m from P along x, m height, s old)}."""
-    rows = np.zeros((len(others), NEIGHBOUR_ROW.size))
+    rows = np.zeros(len(others), PAIR_ROW)
+    rows["drone"] = list(others)
     for row, (away, z, age) in zip(rows, others.values(), strict=True):
-        row[0:3], row[NEIGHBOUR_ROW.state_time] = (P[0] + away, P[1], z), now - age
+        row["state"][0:3] = (P[0] + away, P[1], z)
+        row["state_time"] = now - age
     return SimpleNamespace(
         drone=ME,
         clock=SimpleNamespace(now=lambda: now),
         limits=SimpleNamespace(ground=0.0),
         fence=HALL,
         clearance=SimpleNamespace(
-            traffic=SimpleNamespace(rows=rows, ids=list(others)), gave_way=gave_way
+            traffic=SimpleNamespace(rows=rows), gave_way=gave_way
         ),
         state=SimpleNamespace(p=np.array(at)),
         gap=lambda p: float(np.linalg.norm(np.subtract(p, at))),

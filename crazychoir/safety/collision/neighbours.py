@@ -1,0 +1,64 @@
+"""What one drone knows of the others: a view of the airspace of its process."""
+
+from crazychoir.safety.collision.airspace import Airspace
+from crazychoir.types import Records, State
+
+
+class Neighbours:
+    """The other drones, as one drone knows them.
+
+    airspace: of the process
+    drone: id of this drone
+    keeps_all: whether all others have a row, not only the drones that may be near
+    """
+
+    def __init__(
+        self, airspace: Airspace, drone: int, *, keeps_all: bool = False
+    ) -> None:
+        self.airspace = airspace
+        self.port = airspace.bus.ports[drone]
+        self.listener = airspace.own_ids.index(drone)
+        """Number of this drone in its process."""
+        self.ids = [j for j in airspace.ids if j != drone]
+        """Ids of all other drones."""
+        if keeps_all:
+            airspace.keep_all(self.listener)
+
+    @property
+    def rows(self) -> Records:
+        """Rows of the drones that may be near, (k,) PAIR_ROW, by id; valid until the next step."""
+        return self.airspace.pairs_of(self.listener)
+
+    def row(self, j: int) -> Records | None:
+        """Return the row of drone j; None if it is far, or not among the others."""
+        found = self.airspace.pair(self.listener, j)
+        return None if found is None else found[0]
+
+    def known(self, j: int) -> Records | None:
+        """Return a record with the state, acceleration and state_time of drone j; None if unknown."""
+        found = self.row(j)
+        if found is not None or j not in self.airspace.places:
+            return found
+        far = self.airspace.far_state(self.listener, self.airspace.places[j])
+        return None if far is None else far[0]
+
+    def now(self) -> float:
+        """Return the time in s on the clock of the ages."""
+        return self.airspace.now()
+
+    def publish(self, state: State, age: float) -> None:
+        """Give the own state, `age` s old, to the others."""
+        self.airspace.publish(self.listener, state, age)
+
+    def hear(self, message: tuple[int, State], age: float) -> None:
+        """Keep a state that a drone sent `age` s ago, unless it is invalid or outdated."""
+        self.airspace.relay(self.listener, *message, age, is_heard=True)
+
+    def told(self, message: tuple[int, State], age: float) -> None:
+        """Keep the state of a drone that another drone has relayed."""
+        self.airspace.relay(self.listener, *message, age)
+
+    def deaf(self, j: int) -> bool:
+        """Return whether the radio of drone j is silent: it goes on with its last command."""
+        airspace = self.airspace
+        return bool(airspace.swarm["is_deaf"][airspace.places[j]])
