@@ -30,6 +30,7 @@ from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.safety.collision.agreed.path_limits import LOWEST_WAYPOINT, PathLimits
 from crazychoir.safety.collision.agreed.planned import PlannedFlights
 from crazychoir.safety.collision.airspace import Airspace, AirspaceRules
+from crazychoir.safety.collision.airspace_frames import AirspaceFrames
 from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.safety.collision.neighbours import Neighbours
 from crazychoir.safety.rules.guard import Fence
@@ -289,6 +290,8 @@ def build_airspace(config: SwarmConfig, bus: Bus) -> Airspace | None:
     airspace = Airspace(bus, flying, rules)
     _watch_radios(config, airspace, own[0])
     bus.stages.hear.append(airspace.step)
+    if len(own) < len(flying):
+        bus.stages.hear.append(AirspaceFrames(airspace).send)
     return airspace
 
 

@@ -152,10 +152,16 @@ class Airspace:
         states: (k, 16): state (13,) and acceleration (3,)
         ages: (k,) s
         """
-        known = [k for k, j in enumerate(ids.tolist()) if j in self.places]
-        places = np.array([self.places[int(ids[k])] for k in known], np.int64)
+        found = [self.places.get(j, -1) for j in ids.tolist()]
+        places = np.array(found, np.int64)
+        # No other process may speak for a drone of this one.
+        known = (places >= 0) & (self.swarm["listener"][places] < 0)
         take_states(
-            self.swarm, places, numbers[known], states[known], self.now() - ages[known]
+            self.swarm,
+            places[known],
+            numbers[known],
+            states[known],
+            self.now() - ages[known],
         )
 
     def due_frame(self) -> Ints:

@@ -249,6 +249,11 @@ def test_a_drone_heard_in_frames_is_heard_as_an_own_one():
     states[0, 3] = np.nan
     sky.fly(0.5)
     assert sky.age(1, 5) == pytest.approx(0.52), "no frame came"
+    states[0, 0:13] = State.at((9.0, 9.0, 9.0)).flat
+    ids, numbers = np.array([0, 77]), np.array([9999, 1])
+    sky.airspace.hear_frame(ids, numbers, states[[0, 0]], np.zeros(2))
+    sky.fly(0.1)
+    assert sky.drones[1].row(0)["state"][0] == 0.0, "its own process flies drone 0"
 
 
 def test_frames_are_due_in_rounds_and_for_near_drones_of_other_processes():
