@@ -18,7 +18,7 @@ from crazychoir.safety.collision.airspace_rows import (
     Missed,
 )
 from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES
-from crazychoir.types import Ints, Mat, Records, Vec
+from crazychoir.types import Bytes, Ints, Mat, Records, Vec
 
 LARGEST_STATE_NORM = 1e6
 """Largest norm of a valid state (13,), in the units of its entries."""
@@ -216,7 +216,7 @@ def say_round(
     listeners: Records,
     swarm: Records,
     rounds: Records,
-    missed: Mat,
+    missed: Bytes,
     links: Records,
     capacity: int,
 ) -> None:
@@ -267,7 +267,7 @@ def hear_states(
     pairs: Records,
     swarm: Records,
     rounds: Records,
-    missed: Mat,
+    missed: Bytes,
     links: Records,
     rules: Records,
     now_ns: int,

@@ -32,7 +32,7 @@ from crazychoir.safety.collision.state_rates import (
     STATE_RATES,
     find_interval,
 )
-from crazychoir.types import Mat, Records, Vec
+from crazychoir.types import Bytes, Records, Vec
 
 CHECK_NS = int(NS_PER_SECOND * STATE_RATES.check_interval)  # ns, between two checks
 FIRST_NEWS_NS = int(NS_PER_SECOND * FIRST_NEWS_TIME)
@@ -63,7 +63,7 @@ def compute_age_limit(apart: float, rules: Records) -> float:
     apart: m
     rules: one row of AIRSPACE_RULES_ROW
     """
-    return (
+    return float(
         NEIGHBOUR_AGES.usable
         + max(apart - rules.width - COLLISION_DISTANCES.silent_drone, 0.0) / rules.v_max
     )
@@ -99,7 +99,7 @@ def is_near(own: Vec, other: Vec, age: float, rules: Records) -> bool:
         + COLLISION_DISTANCES.silent_drone
         + rules.v_max * (STATE_RATES.long_wait - NEIGHBOUR_AGES.usable)
     )
-    return apart - flown < max(rules.range, meets, brakes)
+    return bool(apart - flown < max(rules.range, meets, brakes))
 
 
 @kernel()
@@ -271,7 +271,7 @@ def pace_pair(
     listeners: Records,
     pairs: Records,
     swarm: Records,
-    missed: Mat,
+    missed: Bytes,
     rules: Records,
 ) -> None:
     """Send the own state to another drone as often as the distance demands.
@@ -359,7 +359,7 @@ def check_pairs(
     pairs: Records,
     swarm: Records,
     rounds: Records,
-    missed: Mat,
+    missed: Bytes,
     links: Records,
     rules: Records,
     found: Records,
@@ -414,7 +414,7 @@ def take_pairs(
     listeners: Records,
     pairs: Records,
     swarm: Records,
-    missed: Mat,
+    missed: Bytes,
     rules: Records,
     found: Records,
     now: float,
@@ -463,7 +463,7 @@ def check_distances(
     pairs: Records,
     swarm: Records,
     rounds: Records,
-    missed: Mat,
+    missed: Bytes,
     links: Records,
     rules: Records,
     found: Records,

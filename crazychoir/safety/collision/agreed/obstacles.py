@@ -68,9 +68,8 @@ class Obstacles:
         Such a drone has stood on the floor since it announced its path.
         """
         for j, other in self.agreement.others.items():
-            other.stands = (
-                self.stands(j)
-                and self._row(j)["state_time"] > other.heard + NEIGHBOUR_AGES.usable
+            other.stands = self.stands(j) and bool(
+                self._row(j)["state_time"] > other.heard + NEIGHBOUR_AGES.usable
             )
 
     def find_drone_at(self, p: Vec) -> int | None:
