@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.bus.port import READER_RATES, Bus
-from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.tables import CollisionTable
-from crazychoir.runtime.clock import NS_PER_SECOND, AlarmPriority
+from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.collision.airspace_rows import (
     AIRSPACE_RULES_ROW,
     LISTENER_ROW,
@@ -24,12 +23,12 @@ from crazychoir.safety.collision.hearing import (
     is_valid_state,
     take_states,
 )
-from crazychoir.safety.collision.link_table import LinkTable
 from crazychoir.safety.collision.near_pairs import CHECK_NS, check_distances
+from crazychoir.safety.collision.state_links import StateLinks
 from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES, compute_far_rate
+from crazychoir.safety.collision.states_by_hand import STATE_BYTES, StatesByHand
 from crazychoir.types import Ints, LinkStatus, Mat, Records, State, Vec
 
-STATE_BYTES = 144  # length of a message with a state, without its header
 FIRST_PAIRS = 8  # pairs of a drone for which there is room at first
 SPARE_ROUNDS = 4  # rounds that are kept beyond NEIGHBOUR_AGES.gone
 
@@ -77,7 +76,7 @@ class Airspace:
             (len(self.own_ids), len(self.ids)), Missed.ALL, dtype=np.uint8
         )
         """(listeners, swarm): rounds missed in a row, or Missed."""
-        self.links = LinkTable(bus.impairment, self.ids, self.own_ids)
+        self.links = StateLinks(bus.impairment, self.ids, self.own_ids)
         self.trace: Callable[[bytes], None] | None = None
         """Gets what each drone knows, when its distances are checked."""
         self.own_places = np.array([self.places[i] for i in self.own_ids], np.int64)
@@ -88,6 +87,7 @@ class Airspace:
         """(n,) s: times of the own states."""
         self.numbers = np.zeros(len(self.own_ids), np.int64)
         """(n,): ticks of the own drones."""
+        self._by_hand = StatesByHand(bus, self.swarm, self.listeners, self.hear)
         self._found = np.zeros(len(self.ids), PAIR_ROW)
         self._shares = {j: 1.0 if j in rules.alone else 0.5 for j in self.ids}
         self._fill(interval_ns)
@@ -251,41 +251,7 @@ class Airspace:
             for pair in self.pairs_of(at):
                 if pair["is_by_hand"]:
                     pair["is_by_hand"] = 0
-                    self._judge(at, i, pair, now_ns)
-
-    def _judge(self, at: int, i: int, pair: Records, now_ns: int) -> None:
-        """Let the simulated network decide on the newest state of a drone for drone i.
-
-        at: number of drone i in this process
-        pair: one row of PAIR_ROW
-        now_ns: ns
-        """
-        sender = self.swarm[pair["other"]]
-        j = int(sender["drone"])
-        now = now_ns / NS_PER_SECOND
-        verdict = self.bus.impairment.verdict(
-            j, i, DRONE_TOPICS.state.name, int(sender["number"]), 0, STATE_BYTES, now
-        )
-        if sender["listener"] >= 0:
-            counted = self.listeners[sender["listener"]]
-            counted["sent"] += 1
-            counted["lost"] += not verdict.deliveries
-        state = State(sender["state"].copy(), 0.0, sender["acceleration"].copy())
-        age = now - float(sender["state_time"])
-        for delay in verdict.deliveries:
-            if delay > 0.0:
-                self.bus.clock.call_at(
-                    now_ns + round(delay * NS_PER_SECOND),
-                    self.hear,
-                    at,
-                    j,
-                    state,
-                    age + delay,
-                    priority=AlarmPriority.MESSAGE,
-                    drone=i,
-                )
-            else:
-                self.hear(at, j, state, age)
+                    self._by_hand.judge(at, i, pair, now_ns)
 
     def pairs_of(self, listener: int) -> Records:
         """Return the pairs of an own drone, (k,) PAIR_ROW, ordered by id; valid until the next step.
@@ -307,40 +273,6 @@ class Airspace:
         pairs = self.pairs_of(listener)
         k = int(np.searchsorted(pairs["other"], place))
         return pairs[k : k + 1]
-
-    def far_state(self, listener: int, place: int) -> Records | None:
-        """Return the last round of a far drone that an own drone heard, (1,) ROUND_ROW, or None.
-
-        listener: number of the drone in this process
-        place: row of the far drone in the swarm
-        """
-        capacity = int(self.rules["round_capacity"][0])
-        count = int(self.swarm["round_count"][place])
-        missed = int(self.missed[listener, place])
-        if missed >= min(count, capacity):
-            return None
-        at = place * capacity + (count - 1 - missed) % capacity
-        return self.rounds[at : at + 1]
-
-    def heard_places(self, listener: int, now: float) -> tuple[Ints, Mat]:
-        """Return the ids (k,) of the drones that an own drone hears, and their places (k, 3) m.
-
-        listener: number of the drone in this process
-        now: s
-        """
-        capacity = int(self.rules["round_capacity"][0])
-        missed = self.missed[listener].astype(np.int64)
-        counts = self.swarm["round_count"]
-        far = np.flatnonzero(missed < np.minimum(counts, capacity))
-        last = self.rounds[far * capacity + (counts[far] - 1 - missed[far]) % capacity]
-        pairs = self.pairs_of(listener)
-        places = np.concatenate([far, pairs["other"]])
-        times = np.concatenate([last["state_time"], pairs["heard_time"]])
-        at = np.concatenate([last["state"][:, 0:3], pairs["state"][:, 0:3]])
-        heard = now - times < NEIGHBOUR_AGES.silent
-        heard &= places != self.listeners["place"][listener]
-        order = np.flatnonzero(heard)[np.argsort(places[heard], kind="stable")]
-        return self.swarm["drone"][places[order]], at[order]
 
     def hear(self, listener: int, j: int, state: State, age: float) -> None:
         """Let an own drone hear a state that drone j sent itself.

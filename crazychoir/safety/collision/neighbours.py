@@ -1,7 +1,10 @@
 """What one drone knows of the others: a view of the airspace of its process."""
 
+import numpy as np
+
 from crazychoir.safety.collision.airspace import Airspace
-from crazychoir.types import Records, State
+from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES
+from crazychoir.types import Ints, Mat, Records, State
 
 
 class Neighbours:
@@ -39,8 +42,43 @@ class Neighbours:
         found = self.row(j)
         if found is not None or j not in self.airspace.places:
             return found
-        far = self.airspace.far_state(self.listener, self.airspace.places[j])
+        far = self._find_round(self.airspace.places[j])
         return None if far is None else far[0]
+
+    def _find_round(self, place: int) -> Records | None:
+        """Return the last round of a far drone that this drone heard, (1,) ROUND_ROW, or None.
+
+        place: row of the far drone in the swarm
+        """
+        capacity = int(self.airspace.rules["round_capacity"][0])
+        count = int(self.airspace.swarm["round_count"][place])
+        missed = int(self.airspace.missed[self.listener, place])
+        if missed >= min(count, capacity):
+            return None
+        at = place * capacity + (count - 1 - missed) % capacity
+        return self.airspace.rounds[at : at + 1]
+
+    def heard_places(self, now: float) -> tuple[Ints, Mat]:
+        """Return the ids (k,) of the drones that this drone hears, and their places (k, 3) m.
+
+        now: s
+        """
+        airspace = self.airspace
+        capacity = int(airspace.rules["round_capacity"][0])
+        missed = airspace.missed[self.listener].astype(np.int64)
+        counts = airspace.swarm["round_count"]
+        far = np.flatnonzero(missed < np.minimum(counts, capacity))
+        last = airspace.rounds[
+            far * capacity + (counts[far] - 1 - missed[far]) % capacity
+        ]
+        pairs = self.rows
+        places = np.concatenate([far, pairs["other"]])
+        times = np.concatenate([last["state_time"], pairs["heard_time"]])
+        at = np.concatenate([last["state"][:, 0:3], pairs["state"][:, 0:3]])
+        heard = now - times < NEIGHBOUR_AGES.silent
+        heard &= places != airspace.own_places[self.listener]
+        order = np.flatnonzero(heard)[np.argsort(places[heard], kind="stable")]
+        return airspace.swarm["drone"][places[order]], at[order]
 
     def now(self) -> float:
         """Return the time in s on the clock of the ages."""

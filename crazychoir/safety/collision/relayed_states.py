@@ -42,7 +42,7 @@ class RelayedStates:
         now: s
         """
         traffic = self.traffic
-        heard, places = traffic.airspace.heard_places(traffic.listener, now)
+        heard, places = traffic.heard_places(now)
         asked: dict[int, list[int]] = {}
         for row in traffic.rows:
             if not row["is_sought"]:

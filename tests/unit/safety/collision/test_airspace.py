@@ -12,7 +12,6 @@ from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.tables import CollisionTable
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.collision.airspace import (
-    STATE_BYTES,
     Airspace,
     AirspaceRules,
 )
@@ -23,6 +22,7 @@ from crazychoir.safety.collision.state_rates import (
     NEIGHBOUR_AGES,
     compute_far_rate,
 )
+from crazychoir.safety.collision.states_by_hand import STATE_BYTES
 from crazychoir.types import LinkStatus, State
 
 TICK = 0.01  # s

@@ -12,7 +12,7 @@ from crazychoir.safety.collision.airspace_rows import LINK_ROW, LinkKind
 from crazychoir.types import Records
 
 
-class LinkTable:
+class StateLinks:
     """The links from all drones of the swarm to the drones of this process.
 
     impairment: the simulated network
