@@ -11,8 +11,8 @@ from crazychoir.flight.batch import (
     ControllerKind,
     Course,
 )
+from crazychoir.flight.blind_time import SEEN_AGE
 from crazychoir.flight.clearance import CLEARANCE_TIMES, PLAN_DEVIATION
-from crazychoir.flight.estimate import SEEN_AGE
 from crazychoir.flight.point_flights import PointFlights
 from crazychoir.flight.setup import FlightSetup
 from crazychoir.flight.stages import evade_row, find_rows_to_judge, follow_rows
