@@ -24,6 +24,10 @@ Ints = npt.NDArray[np.int64]
 """An array of integers."""
 Words = npt.NDArray[np.uint64]
 """An array of unsigned 64-bit words."""
+Records = Any
+"""An array of records with named fields, or one record of such an array."""
+Bytes = npt.NDArray[np.uint8]
+"""An array of unsigned 8-bit integers."""
 Bools = npt.NDArray[np.bool_]
 """An array of truth values."""
 Point = Sequence[float] | Vec

@@ -8,7 +8,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from crazychoir.agent.assembly import DroneSurroundings, build_drone
+from crazychoir.agent.assembly import (
+    DroneSurroundings,
+    build_drone,
+    connect_airspace,
+)
 from crazychoir.agent.dead_man import DeadMan
 from crazychoir.agent.drone import Drone
 from crazychoir.agent.drone_commands import DroneCommands
@@ -144,7 +148,10 @@ class Agent:
                 clock, len(ids), max(config.mocap.rate, config.radio.log_rate)
             ),
         )
-        self.laws = LawStage(surroundings.tick)
+        connect_airspace(config, self.bus, surroundings.tick)
+        if surroundings.tick.airspace is not None and trace is not None:
+            surroundings.tick.airspace.trace = trace.add
+        self.laws = LawStage(surroundings.tick, self.bus.impairment)
         for i in ids:
             self._add_drone(i, surroundings)
         self.pacemaker = Pacemaker(surroundings.tick, config.mocap.rate)

@@ -12,7 +12,6 @@ from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.checks import WORLD_URIS, limit_area
 from crazychoir.config.drone_room import fence_of
 from crazychoir.config.link_loss import TILT_TIMES, describe_crowding, fence_inset
-from crazychoir.config.shared_values import share
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import AGREED_KEYS
 from crazychoir.control.choice import FIRMWARE_GAIN_SENDERS, Controls, make_controls
@@ -34,8 +33,10 @@ from crazychoir.runtime.mailbox import Call
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.safety.collision.agreed.path_limits import LOWEST_WAYPOINT, PathLimits
 from crazychoir.safety.collision.agreed.planned import PlannedFlights
+from crazychoir.safety.collision.airspace import Airspace, AirspaceRules
+from crazychoir.safety.collision.airspace_frames import AirspaceFrames
 from crazychoir.safety.collision.filter import CollisionFilter
-from crazychoir.safety.collision.neighbour_table import NeighbourTable
+from crazychoir.safety.collision.neighbours import Neighbours
 from crazychoir.safety.rules.guard import Fence, Guard
 from crazychoir.safety.rules.radio_watch import RadioWatch
 from crazychoir.simulation.owner import WorldOwner
@@ -158,7 +159,7 @@ def _build_pilot(
             setup.rate,
             row.filters,
         ),
-        _build_avoidance(config, port, setup.controls),
+        _build_avoidance(config, port, setup.controls, shared.tick.airspace, row),
         shared.tick,
         row,
         guard,
@@ -292,8 +293,54 @@ def _choose_controls(config: SwarmConfig, i: int, row: DroneRow) -> Controls:
     )
 
 
+def build_airspace(config: SwarmConfig, bus: Bus) -> Airspace | None:
+    """Return the airspace of a process; None if its drones do not avoid others.
+
+    config: the swarm file
+    bus: of the process, with a port of each of its drones
+    """
+    flying = [j for j in config.ids if config.drone(j).uri not in ROBOT_CONTROLS]
+    own = [j for j in flying if j in bus.ports]
+    if config.collision.method == "off" or not own or len(flying) == 1:
+        return None
+    flight = config.flight
+    rules = AirspaceRules(
+        config.collision, flight.speed_limit, flight.ground, _list_planners(config)
+    )
+    airspace = Airspace(bus, flying, rules)
+    _watch_radios(config, airspace, own[0])
+    return airspace
+
+
+def connect_airspace(config: SwarmConfig, bus: Bus, tick: FlightTick) -> None:
+    """Let the drones of a tick keep clear of each other, and of those of other processes.
+
+    config: the swarm file
+    bus: of the process, with a port of each of its drones
+    """
+    tick.airspace = build_airspace(config, bus)
+    if tick.airspace is not None and len(tick.airspace.own_ids) < len(
+        tick.airspace.ids
+    ):
+        tick.frames = AirspaceFrames(tick.airspace)
+
+
+def _list_planners(config: SwarmConfig) -> tuple[int, ...]:
+    """Return the ids of the drones that a planner on board flies."""
+    return tuple(
+        j
+        for j in config.ids
+        if config.drone(j).uri not in ROBOT_CONTROLS
+        and config.control_of(j).sender in FIRMWARE_GAIN_SENDERS
+    )
+
+
 def _build_avoidance(
-    config: SwarmConfig, port: Port, chosen: Controls
+    config: SwarmConfig,
+    port: Port,
+    chosen: Controls,
+    airspace: Airspace | None,
+    row: DroneRow,
 ) -> CollisionFilter | PlannedFlights | None:
     """Return the part that keeps drone i clear of the others.
 
@@ -301,10 +348,9 @@ def _build_avoidance(
     """
     i = port.address
     flight = config.flight
-    flying = share(config, _list_flying)
-    if config.collision.method == "off" or i not in flying or len(flying) == 1:
+    if airspace is None or i not in airspace.own_ids:
         return None
-    planners = share(config, _list_planners)
+    planners = _list_planners(config)
     fence = Fence.box(config.fence.min, config.fence.max).with_floor(
         max(config.fence.min[2], flight.ground)
     )
@@ -313,63 +359,38 @@ def _build_avoidance(
         chosen.platform,
         FLATNESS_LIMITS.height_share * FLATNESS_LIMITS.acceleration_share,
     )
-    traffic = NeighbourTable(port, flying, planners)
+    traffic = Neighbours(airspace, i, keeps_all=i in planners)
     v_max = flight.speed_limit
     ground = flight.ground
-    _watch_neighbours(config, port, traffic)
     if i in planners:
         limits = PathLimits(
             fence.with_floor(ground + LOWEST_WAYPOINT), a_max, v_max, ground
         )
         return PlannedFlights(port, config.collision, traffic, planners, limits)
-    return CollisionFilter(config.collision, traffic, fence, a_max, v_max, ground)
-
-
-def _list_flying(config: SwarmConfig) -> tuple[int, ...]:
-    """Return the drones that fly."""
-    return tuple(j for j in config.ids if config.drone(j).uri not in ROBOT_CONTROLS)
-
-
-def _list_planners(config: SwarmConfig) -> tuple[int, ...]:
-    """Return the flying drones with firmware that plans their path."""
-    flying = share(config, _list_flying)
-    return tuple(
-        j for j in flying if config.control_of(j).sender in FIRMWARE_GAIN_SENDERS
+    return CollisionFilter(
+        config.collision, traffic, fence, a_max, v_max, ground, row.avoid
     )
 
 
-def _watch_neighbours(config: SwarmConfig, port: Port, traffic: NeighbourTable) -> None:
-    """Subscribe the table of neighbours to what is known of drones with radios.
+def _watch_radios(config: SwarmConfig, airspace: Airspace, reader: int) -> None:
+    """Subscribe the airspace to what is known of drones with radios.
 
     Their owners publish whether the radio reaches them. The cameras publish where they are.
+
+    config: the swarm file
+    airspace: of this process
+    reader: id of a drone of this process
     """
-    i = port.address
-    bus = port.bus
+    bus = airspace.bus
     topology = config.topology
-    for j in topology.reached:
-        if j != i:
-            call = Call(
-                bus.clock,
-                partial(traffic.linked, j),
-                f"drone {i} knows the link of {j}",
-            )
-            bus.subscribe(
-                DRONE_TOPICS.link,
-                topology.source(DRONE_TOPICS.link, j),
-                i,
-                call,
-                DRONE_TOPICS.link.rate,
-            )
-    for j in topology.seen:
-        if j != i:
-            call = Call(bus.clock, partial(traffic.seen, j), f"drone {i} sees {j}")
-            bus.subscribe(
-                DRONE_TOPICS.truth,
-                topology.source(DRONE_TOPICS.truth, j),
-                i,
-                call,
-                DRONE_TOPICS.truth.rate,
-            )
+    watched = (
+        (DRONE_TOPICS.link, topology.reached, airspace.take_link),
+        (DRONE_TOPICS.truth, topology.seen, airspace.see),
+    )
+    for topic, ids, take in watched:
+        for j in ids:
+            call = Call(bus.clock, partial(take, j), f"airspace: {topic.name} of {j}")
+            bus.subscribe(topic, topology.source(topic, j), reader, call, topic.rate)
 
 
 def _tell_apart(barrier: Barrier, roster: Roster) -> None:

@@ -176,6 +176,10 @@ class DroneTopics:
     """Log variables of the drone."""
     plan: Topic = Topic(12, "plan", Plan, 20, 0.5, 0, MessageClass.CONTROL)
     """Path that the drone is going to fly."""
+    airspace: Topic = Topic(
+        20, "airspace", list, 100, 0.25, 0, MessageClass.CONTROL, impaired=False
+    )
+    """States of drones of one process, for the drones of others. These draw the losses."""
     link: Topic = Topic(
         15,
         "link",

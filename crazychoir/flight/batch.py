@@ -16,6 +16,7 @@ from crazychoir.filters.rows import FilterTable
 from crazychoir.flight.blind_time import BLIND_HORIZON
 from crazychoir.numerics.kernels import Record, Records
 from crazychoir.planning.plan_row import PLAN_ROW, PlanRows
+from crazychoir.safety.collision.avoidance import AVOID_ROW
 from crazychoir.safety.rules.guard import GUARD_ROW, Action, GuardRows
 from crazychoir.safety.rules.modes import GROUND_MODE, Mode
 from crazychoir.types import (
@@ -74,6 +75,7 @@ DRONE_ROW = np.dtype(
             "sends_rows",
             np.int64,
         ),  # 1: its commands are four numbers, computed in compiled code
+        ("listener", np.int64),  # its number in the airspace; -1: it has none
         ("knows_commands", np.int64),  # 1: its filter knows what it is commanded
         ("has_follower", np.int64),  # 1: the sender can send accelerations
         ("ground", np.float64),  # m, height of the ground
@@ -83,6 +85,7 @@ DRONE_ROW = np.dtype(
         # Which drones tick now.
         ("ticks", np.int64),  # 1: this tick is for the drone
         ("ticked_ns", np.int64),  # ns, its newest tick
+        ("number", np.int64),  # number of its newest tick
         # Estimate.
         ("is_known", np.int64),  # 1: the drone was seen
         ("state", np.float64, (13,)),  # as State.flat
@@ -118,6 +121,9 @@ DRONE_ROW = np.dtype(
             "cut_off_since",
             np.float64,
         ),  # s, since when it hears too few; inf: it does not
+        # Messages since they were last counted.
+        ("sent", np.int64),  # states sent to other drones
+        ("lost", np.int64),  # states of these that the simulated network lost
         # Command.
         ("command", np.float64, (14,)),  # input of the sender
     ]
@@ -147,8 +153,10 @@ class Batch:
         self.controls: Records = make_control_rows(size)
         self.plans: PlanRows = np.zeros(size, PLAN_ROW)
         self.guards: GuardRows = np.zeros(size, GUARD_ROW)
+        self.avoids: Records = np.zeros(size, AVOID_ROW)
         self.places: dict[int, int] = {}
         """The place of each drone, by id: the index of its records."""
+        self.drones["listener"] = -1
         self.drones["gave_way"] = -np.inf
         self.drones["cut_off_since"] = np.inf
 
@@ -181,6 +189,8 @@ class DroneRow:
         """The record of its filter."""
         self.controls: Records = batch.controls[index : index + 1]
         """(1,): the record of its controllers."""
+        self.avoid: Records = batch.avoids[index : index + 1]
+        """(1,): the record of its collision filter."""
         self._state: State | None = None
         self._state_ns = -1
         self.mode = GROUND_MODE

@@ -10,7 +10,7 @@ from crazychoir.planning.point_to_point import PointToPoint
 from crazychoir.safety.collision.agreed.path_choice import FutureReference
 from crazychoir.safety.collision.agreed.planned import PlannedFlights
 from crazychoir.safety.collision.filter import CollisionFilter
-from crazychoir.types import Acceleration, FullState, State, Vec
+from crazychoir.types import FullState, State, Vec
 
 
 class PlanDeviation(NamedTuple):
@@ -87,6 +87,8 @@ class Clearance:
         self.traffic = None if collision is None else collision.traffic
         self._row = row
         row.drone["avoids"] = self.filter is not None
+        if self.traffic is not None:
+            row.drone["listener"] = self.traffic.listener
         # Time in s since when others keep it up, or when it last chose another place to land.
         self._kept_up = -math.inf
 
@@ -104,37 +106,6 @@ class Clearance:
     def gave_way(self) -> float:
         """Time in s when the drone last gave way to another drone."""
         return float(self._row.drone["gave_way"])
-
-    def evasion(
-        self,
-        state: State,
-        reference: Acceleration | FullState,
-        gains: Vec,
-        now: float,
-        lands: bool = False,
-    ) -> Vec | None:
-        """Return the acceleration, (3,) m/s2, that keeps the drone clear of the others.
-
-        state: of the drone
-        reference: what the drone wants
-        gains: (13,), as Gains.position
-        now: s
-        lands: whether the drone comes down; it then does not wait until it hears all others
-        Returns None if the drone is clear and may fly as it wants.
-        """
-        collision = self.filter
-        if collision is None:
-            return None
-        collision.look(now)
-        if isinstance(reference, FullState):
-            safe = collision.full_state(state, reference.flat, gains, now, lands=lands)
-        else:
-            safe = collision.acceleration(state, reference.a, gains, now)
-        row = self._row.drone
-        row["cut_off_since"] = (
-            min(row["cut_off_since"], now) if collision.cut_off else math.inf
-        )
-        return safe
 
     def is_deaf(self, now: float) -> bool:
         """Return whether the drone has been cut off from half of the flying drones for too long."""

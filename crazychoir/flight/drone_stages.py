@@ -17,8 +17,8 @@ from crazychoir.flight.judge import Judge
 from crazychoir.flight.notes import FlightNotes
 from crazychoir.flight.permission import Permission
 from crazychoir.flight.setup import THRUST_SENDERS, FlightSetup
-from crazychoir.flight.stages import evade_row
-from crazychoir.safety.rules.modes import LAND_MODE
+from crazychoir.safety.collision.states_by_hand import STATE_BYTES
+from crazychoir.safety.rules.guard import Action
 from crazychoir.types import (
     Acceleration,
     Command,
@@ -116,36 +116,29 @@ class DroneStages:
         if state is not None:
             self._flier.port.publish(DRONE_TOPICS.state, state, state.age)
 
-    def avoid(self, now: float) -> None:
-        """Let the collision filter fly the drone at `now` in s, if another drone is in the way."""
-        row = self._row.drone
-        state = self._row.state
+    def count_messages(self, sent: int, lost: int) -> None:
+        """Count states that were sent to other drones, and those of them that were lost."""
+        counters = self._flier.port.counters
+        counters.sent += sent
+        counters.lost += lost
+        counters.bytes += STATE_BYTES * sent
+
+    def seek(self, now: float) -> None:
+        """Ask others for the states of drones that are not heard, at `now` in s."""
         collision = self._clearance.filter
-        assert state is not None  # noqa: S101 - the drone ticks
-        assert collision is not None  # noqa: S101 - the record says so
-        is_follower = row["controller"] == ControllerKind.FOLLOWER
-        wanted: Acceleration | FullState = (
-            Acceleration(row["wanted"][6:9].copy(), float(row["wanted"][12]))
-            if is_follower
-            else FullState(row["wanted"].copy())
-        )
-        safe = self._clearance.evasion(
-            state,
-            wanted,
-            self._follower.limits.gains,
-            now,
-            lands=self._row.mode is LAND_MODE,
-        )
-        if safe is None:
-            row["evades"] = 0
+        if collision is not None:
+            collision.hearsay.seek(now)
+
+    def note_evasion(self) -> None:
+        """Note which drone this one evades, or that it evades no more."""
+        row = self._row.drone
+        if not row["evades"]:
             self._notes.end_evasion()
-            return
-        other = collision.gives_way_to
-        self._notes.say_evades(other, is_first=row["evasion_ticks"] == 0)
-        is_on_plan = not (is_follower or self._row.reference is not None)
-        k = self._row.index
-        rows = self._row.batch.drones[k : k + 1]
-        evade_row(rows, safe, -1 if other is None else other, is_on_plan, now)
+        # If the safety table acts, it has already given the reason.
+        elif self._row.obeyed is Action.NOMINAL:
+            other = int(row["evades_drone"])
+            is_first = row["evasion_ticks"] == 1
+            self._notes.say_evades(None if other < 0 else other, is_first)
 
     def command_by_hand(self, now: float) -> None:
         """Compute the command of this tick in Python, at `now` in s, and send it."""

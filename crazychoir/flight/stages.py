@@ -24,11 +24,11 @@ from crazychoir.flight.touchdown_limits import TOUCHDOWN_LIMITS
 from crazychoir.numerics.kernels import (
     Record,
     Records,
-    boolean,
     kernel,
+    memory,
     real,
     rows_of,
-    vector,
+    table,
     whole,
     wholes,
 )
@@ -41,10 +41,12 @@ from crazychoir.planning.plan_row import (
     sample_plan,
 )
 from crazychoir.runtime.clock import NS_PER_SECOND
+from crazychoir.safety.collision.airspace_rows import LISTENER_ROW, PAIR_ROW
+from crazychoir.safety.collision.avoidance import AVOID_ROW, avoid_row
 from crazychoir.safety.rules.guard import GUARD_ROW, Action, GuardRows, is_quiet
 from crazychoir.safety.rules.limits import cut_full_state
 from crazychoir.safety.rules.modes import Mode
-from crazychoir.types import Ints, Vec
+from crazychoir.types import Ints, Mat, Vec
 
 GROUND = MODE_NUMBERS[Mode.GROUND]
 TAKEOFF = MODE_NUMBERS[Mode.TAKEOFF]
@@ -98,6 +100,7 @@ def estimate_drones(
         if drone.ticks == 0:
             continue
         drone.ticked_ns = now_ns
+        drone.number += 1
         estimate_row(filters[k], history[k], scratch, now)
         if filters[k].is_known == 0:
             drone.ticks = 0
@@ -354,12 +357,106 @@ def _evade(drone: Record, safe: Vec, other: int, is_on_plan: bool, now: float) -
         drone.is_aside = 1
 
 
-@kernel(rows_of(DRONE_ROW), vector, whole, boolean, real)
-def evade_row(
-    drones: DroneRows, safe: Vec, other: int, is_on_plan: bool, now: float
+@kernel(rows_of(DRONE_ROW), table, memory, wholes, real)
+def publish_drones(
+    drones: DroneRows, states: Mat, times: Vec, numbers: Ints, now: float
 ) -> None:
-    """Apply `_evade` to the only record of `drones`."""
-    _evade(drones[0], safe, other, is_on_plan, now)
+    """Give the states of the drones that tick to the airspace.
+
+    states: (k, 16): state (13,) and acceleration (3,) of each own drone of the airspace
+    times: (k,) s, times of the states
+    numbers: (k,): numbers of their ticks
+    now: s
+    """
+    for k in range(drones.shape[0]):
+        drone = drones[k]
+        if drone.ticks == 0 or drone.listener < 0:
+            continue
+        at = drone.listener
+        for c in range(13):
+            states[at, c] = drone.state[c]
+        for c in range(3):
+            states[at, 13 + c] = drone.acceleration[c]
+        times[at] = now - drone.age
+        numbers[at] = drone.number
+
+
+@kernel()
+def _ask_filter(drone: Record, avoid: Record) -> None:
+    """Write what the drone wants into the record of its collision filter."""
+    is_tracker = drone.controller == ControllerKind.TRACKER
+    for c in range(13):
+        avoid.state[c] = drone.state[c]
+        avoid.gains[c] = drone.gains[c]
+    for c in range(3):
+        avoid.acceleration[c] = drone.acceleration[c]
+    for c in range(14):
+        avoid.reference[c] = drone.wanted[c]
+    avoid.follows = 1 if is_tracker else 0
+    avoid.lands = 1 if is_tracker and drone.mode == LAND else 0
+
+
+@kernel()
+def _obey_filter(drone: Record, avoid: Record, plan: Record, now: float) -> bool:
+    """Fly what the collision filter has answered; return whether the drone's note changes."""
+    if avoid.is_cut_off > 0:
+        drone.cut_off_since = min(drone.cut_off_since, now)
+    else:
+        drone.cut_off_since = math.inf
+    was_evading = drone.evades > 0
+    before = drone.evades_drone
+    if avoid.acts == 0:
+        drone.evades = 0
+        return bool(was_evading)
+    _evade(drone, avoid.safe, avoid.gives_way_to, plan.kind != PlanKind.NONE, now)
+    is_blind = drone.evades_drone < 0
+    return bool(not was_evading or is_blind or drone.evades_drone != before)
+
+
+@kernel(
+    rows_of(DRONE_ROW),
+    rows_of(PLAN_ROW),
+    rows_of(AVOID_ROW),
+    rows_of(LISTENER_ROW),
+    rows_of(PAIR_ROW),
+    real,
+    table,
+    table,
+    wholes,
+)
+def avoid_drones(
+    drones: DroneRows,
+    plans: PlanRows,
+    avoids: Records,
+    listeners: Records,
+    pairs: Records,
+    now: float,
+    planes: Mat,
+    near: Mat,
+    found: Ints,
+) -> int:
+    """Keep each drone with a collision filter and the course FOLLOW clear of the others.
+
+    avoids: of the batch
+    listeners: of the airspace
+    pairs: of the airspace: what the drones know of those near by
+    now: s
+    planes: work space, see make_planes
+    near: work space, see make_nearest
+    found: (n,): receives the rows of the drones whose note of an evasion changes
+    Returns how many these are.
+    """
+    count = 0
+    for k in range(drones.shape[0]):
+        drone = drones[k]
+        if drone.ticks == 0 or drone.course != Course.FOLLOW or drone.avoids == 0:
+            continue
+        _ask_filter(drone, avoids[k])
+        avoid_row(avoids[k], listeners[drone.listener], pairs, now, planes, near)
+        if _obey_filter(drone, avoids[k], plans[k], now):
+            found[count] = k
+            count += 1
+    return count
 
 
 @kernel()

@@ -16,13 +16,21 @@ from crazychoir.filters.rows import FilterKind
 from crazychoir.filters.state_filter import StateFilter
 from crazychoir.flight.batch import Batch, Course
 from crazychoir.flight.stages import (
+    avoid_drones,
     control_drones,
     estimate_drones,
     find_rows_to_judge,
     follow_rows,
+    publish_drones,
 )
 from crazychoir.runtime.clock import NS_PER_SECOND, Clock
-from crazychoir.types import Pose
+from crazychoir.safety.collision.airspace import Airspace
+from crazychoir.safety.collision.airspace_frames import AirspaceFrames
+from crazychoir.safety.collision.avoidance import make_nearest, make_planes
+from crazychoir.types import Ints, Pose
+
+COUNT_INTERVAL_NS = NS_PER_SECOND // 4
+"""ns between two counts of the states that are sent."""
 
 
 class TickedDrone(Protocol):
@@ -44,8 +52,12 @@ class TickedDrone(Protocol):
         """Decide what the drone does in this tick, at `now` in s."""
         ...
 
-    def avoid(self, now: float) -> None:
-        """Keep clear of other drones, at `now` in s."""
+    def seek(self, now: float) -> None:
+        """Ask others for the states of drones that are not heard, at `now` in s."""
+        ...
+
+    def note_evasion(self) -> None:
+        """Note which drone this one evades, or that it evades no more."""
         ...
 
     def send_input(self) -> None:
@@ -54,6 +66,10 @@ class TickedDrone(Protocol):
 
     def command_by_hand(self, now: float) -> None:
         """Compute a command in Python at `now` in s, and send it."""
+        ...
+
+    def count_messages(self, sent: int, lost: int) -> None:
+        """Count states that were sent to other drones, and those of them that were lost."""
         ...
 
     def fail(self, error: BaseException) -> None:
@@ -78,8 +94,15 @@ class FlightTick:
         """Called with the time in ns when all states of a tick are published: laws decide then."""
         self._drones: list[TickedDrone] = []
         self._filtered_by_hand: list[int] = []
+        self.airspace: Airspace | None = None
+        """Who is near; None if no drone avoids others."""
+        self.frames: AirspaceFrames | None = None
+        """Exchanges states with other processes; None without them."""
+        self._planes = make_planes()
+        self._near = make_nearest()
         self._found = np.zeros(size, np.int64)
         self._is_due = False
+        self._count_due_ns = 0
         self._patience_ns = np.zeros(size, np.int64)
 
     def add(self, drone: TickedDrone, index: int, period: float) -> None:
@@ -128,12 +151,14 @@ class FlightTick:
         self._estimate(now_ns, now)
         for index in np.flatnonzero(drones["ticks"]).tolist():
             self._call(index, self._drones[index].publish_state)
+        seekers = self._hear(now)
         for decide in self.deciders:
             decide(now_ns)
         self._judge(now)
         follow_rows(drones, batch.plans, now)
-        self._avoid(now)
+        self._avoid(seekers, now)
         self._command(now)
+        self._count_messages(now_ns)
         drones["ticks"] = 0
         batch.filters.rows["has_pose"] = 0
 
@@ -159,12 +184,44 @@ class FlightTick:
         for index in self._found[:count].tolist():
             self._call(index, self._drones[index].judge, now)
 
-    def _avoid(self, now: float) -> None:
-        """Keep the drones clear of each other."""
+    def _hear(self, now: float) -> Ints:
+        """Let the drones hear each other's states; return the places of those that must ask."""
+        airspace = self.airspace
+        if airspace is None:
+            return np.zeros(0, np.int64)
         drones = self.batch.drones
-        is_wanted = (drones["course"] == Course.FOLLOW) & (drones["avoids"] > 0)
-        for index in np.flatnonzero(is_wanted & (drones["ticks"] > 0)).tolist():
-            self._call(index, self._drones[index].avoid, now)
+        publish_drones(drones, airspace.states, airspace.times, airspace.numbers, now)
+        seekers = airspace.step()
+        if self.frames is not None:
+            self.frames.send()
+        return np.flatnonzero(np.isin(drones["listener"], seekers))
+
+    def _avoid(self, seekers: Ints, now: float) -> None:
+        """Keep the drones clear of each other.
+
+        seekers: places of the drones that must ask others for states
+        """
+        airspace = self.airspace
+        if airspace is None:
+            return
+        batch = self.batch
+        drones = batch.drones
+        for index in seekers.tolist():
+            if drones["ticks"][index] and drones["course"][index] == Course.FOLLOW:
+                self._call(index, self._drones[index].seek, now)
+        count = avoid_drones(
+            drones,
+            batch.plans,
+            batch.avoids,
+            airspace.listeners,
+            airspace.pairs,
+            now,
+            self._planes,
+            self._near,
+            self._found,
+        )
+        for index in self._found[:count].tolist():
+            self._call(index, self._drones[index].note_evasion)
 
     def _command(self, now: float) -> None:
         """Compute and send the commands."""
@@ -177,6 +234,21 @@ class FlightTick:
                 self._call(index, drone.command_by_hand, now)
             elif batch.drones["course"][index] != Course.NOTHING:
                 self._call(index, drone.send_input)
+
+    def _count_messages(self, now_ns: int) -> None:
+        """Add the states that were sent without a message to the counters of the ports, now and then."""
+        if now_ns < self._count_due_ns:
+            return
+        self._count_due_ns = now_ns + COUNT_INTERVAL_NS
+        drones = self.batch.drones
+        for index in np.flatnonzero(drones["sent"]).tolist():
+            sent = int(drones["sent"][index])
+            lost = int(drones["lost"][index])
+            self._drones[index].count_messages(sent, lost)
+        drones["sent"] = 0
+        drones["lost"] = 0
+        if self.airspace is not None:
+            self.airspace.report_messages()
 
     def _call(self, index: int, work: Callable[..., Any], *arguments: Any) -> Any:
         """Do the work of one drone; its error does not keep another drone from its command."""

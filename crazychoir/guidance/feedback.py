@@ -99,7 +99,9 @@ class CFDistributedFeedback(CFGuidance):
         member.pilot.setup.controls.lead_by(self.gains)
         bus = member.communicator.port.bus
         tick = member.pilot.tick
-        self._stage = LawStage(tick) if member.laws is None else member.laws
+        self._stage = (
+            LawStage(tick, bus.impairment) if member.laws is None else member.laws
+        )
         neighbors = self.graph.in_neighbors(self.id)
         self._running = RunningLaw(self, member, tuple(neighbors))
         rate = self.rate if self.rate < DRONE_TOPICS.state.rate else 0.0

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.flight.pilot import Pilot
-from crazychoir.safety.collision.filter import COLLISION_DISTANCES
-from crazychoir.safety.collision.neighbour_table import NEIGHBOUR_AGES, NEIGHBOUR_ROW
+from crazychoir.safety.collision.distances import COLLISION_DISTANCES
+from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES
 from crazychoir.safety.rules.guard import EDGE_MARGIN, Fence
 from crazychoir.types import Vec
 
@@ -102,13 +102,14 @@ def _find_flying_near(pilot: Pilot, p: Vec, far: float) -> dict[int, Vec]:
     now = pilot.clock.now()
     rows = traffic.rows
     floor = pilot.setup.limits.ground + COLLISION_DISTANCES.standing_height
-    near = np.hypot(rows[:, 0] - p[0], rows[:, 1] - p[1]) < far
+    places = rows["state"][:, 0:3]
+    near = np.hypot(places[:, 0] - p[0], places[:, 1] - p[1]) < far
     fly = (
         near
-        & (rows[:, 2] > floor)
-        & (now - rows[:, NEIGHBOUR_ROW.state_time] < NEIGHBOUR_AGES.usable)
+        & (places[:, 2] > floor)
+        & (now - rows["state_time"] < NEIGHBOUR_AGES.usable)
     )
-    return {traffic.ids[k]: rows[k, 0:3].copy() for k in np.flatnonzero(fly)}
+    return {int(rows["drone"][k]): places[k].copy() for k in np.flatnonzero(fly)}
 
 
 class TurnTaking:

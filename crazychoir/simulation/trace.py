@@ -9,7 +9,7 @@ _MESSAGE_HEADER = struct.Struct("<iiiq")
 
 
 class Trace:
-    """Digest of a run in virtual time: every trajectory and every message between drones."""
+    """Digest of a run in virtual time: trajectories, messages between drones, and heard states."""
 
     def __init__(self) -> None:
         self._hash = hashlib.blake2b(digest_size=16)
@@ -30,6 +30,10 @@ class Trace:
                 _MESSAGE_HEADER.pack(destination, topic, source, number),
                 payload,
             )
+
+    def add(self, part: bytes) -> None:
+        """Add what a drone knows of the others."""
+        self._parts.append(part)
 
     def update(self, part: bytes) -> None:
         """Add one step of the world and hash it together with the messages since the last step."""

@@ -50,10 +50,10 @@ def test_bursts_are_geometric_across_blocks(p_good_bad, p_bad_good):
 def walked(key, count, p_good_bad, p_bad_good):
     """u < p_gb: bad; u >= 1 - p_bg: good; else as before."""
     state = draw(
-        key ^ draws._DRAW_CONSTANTS.start_salt, 0, 0
+        key ^ draws.DRAW_CONSTANTS.start_salt, 0, 0
     ) / RANDOM_DRAWS.range_size < p_good_bad / (p_good_bad + p_bad_good)
     for t in range(count):
-        u = (draw(key ^ draws._DRAW_CONSTANTS.burst_salt, t, 0) >> 11) * 2.0**-53
+        u = (draw(key ^ draws.DRAW_CONSTANTS.burst_salt, t, 0) >> 11) * 2.0**-53
         state = u < p_good_bad or (state and u < 1 - p_bad_good)
         yield int(state)
 

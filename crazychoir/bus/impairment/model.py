@@ -72,7 +72,8 @@ class Impairment:
     """The simulated network of one process.
 
     active: True if any rule or partition is set
-    counters: counts by (source, destination), since the start
+    version: number of changes of the rules and partitions
+    count_sources: functions that add what compiled laws have counted, called before counts are read
     began: time of GO on the clock of `now`; partitions count from it, and cut no message before
     """
 
@@ -84,7 +85,9 @@ class Impairment:
     ) -> None:
         self.seed = seed
         self.began = inf
-        self.counters: dict[tuple[int, int], EdgeCounters] = {}
+        self.version = 0
+        self.count_sources: list[Callable[[], None]] = []
+        self._counters: dict[tuple[int, int], EdgeCounters] = {}
         self.replace(rules, partitions)
 
     def replace(
@@ -96,7 +99,21 @@ class Impairment:
         self.rules = tuple(rules)
         self.partitions = tuple(partitions)
         self.active = bool(self.rules or self.partitions)
+        self.version += 1
         self._edges: dict[tuple[int, int], _ImpairedEdge] = {}
+
+    @property
+    def counters(self) -> dict[tuple[int, int], EdgeCounters]:
+        """Counts by (source, destination), since the start."""
+        for count in self.count_sources:
+            count()
+        return self._counters
+
+    def count(self, source: int, destination: int, sent: int, lost: int) -> None:
+        """Add messages that a compiled law has sent and lost on an edge."""
+        edge = self._counters.setdefault((source, destination), EdgeCounters())
+        edge.sent += sent
+        edge.lost += lost
 
     def update(self, changes: Mapping[str, Any]) -> None:
         """Change a rule, or the partitions.
@@ -171,7 +188,7 @@ class Impairment:
                 for cut in self.partitions
                 if cut.cuts(source, destination)
             )
-            counters = self.counters.setdefault(pair, EdgeCounters())
+            counters = self._counters.setdefault(pair, EdgeCounters())
             link = effects_on_edge(self.rules, source, destination)
             self._edges[pair] = _ImpairedEdge(
                 link,

@@ -28,7 +28,7 @@ RANDOM_DRAWS = RandomDraws()
 
 
 @dataclass(frozen=True, slots=True)
-class _DrawConstants:
+class DrawConstants:
     """Constants of the draws: those of SplitMix64, and the salts of burst chains."""
 
     word_mask: int = RANDOM_DRAWS.range_size - 1
@@ -47,7 +47,7 @@ class _DrawConstants:
     """Salt of its stationary start."""
 
 
-_DRAW_CONSTANTS = _DrawConstants()
+DRAW_CONSTANTS = DrawConstants()
 
 
 def draw_key(*parts: object) -> int:
@@ -61,13 +61,11 @@ def draw(key: int, number: int, attempt: int) -> int:
     """Return a uniform integer in 0 .. RANDOM_DRAWS.range_size - 1."""
     z = (
         key
-        + number * _DRAW_CONSTANTS.number_increment
-        + attempt * _DRAW_CONSTANTS.attempt_increment
-    ) & _DRAW_CONSTANTS.word_mask
-    z = ((z ^ (z >> 30)) * _DRAW_CONSTANTS.first_multiplier) & _DRAW_CONSTANTS.word_mask
-    z = (
-        (z ^ (z >> 27)) * _DRAW_CONSTANTS.second_multiplier
-    ) & _DRAW_CONSTANTS.word_mask
+        + number * DRAW_CONSTANTS.number_increment
+        + attempt * DRAW_CONSTANTS.attempt_increment
+    ) & DRAW_CONSTANTS.word_mask
+    z = ((z ^ (z >> 30)) * DRAW_CONSTANTS.first_multiplier) & DRAW_CONSTANTS.word_mask
+    z = ((z ^ (z >> 27)) * DRAW_CONSTANTS.second_multiplier) & DRAW_CONSTANTS.word_mask
     return z ^ (z >> 31)
 
 
@@ -104,7 +102,7 @@ def _state_before(key: int, block: int, p_good_bad: float, p_bad_good: float) ->
         if decided.any():
             return bool(bad[np.flatnonzero(decided)[-1]])
     return (
-        draw(key ^ _DRAW_CONSTANTS.start_salt, first, 0) * (p_good_bad + p_bad_good)
+        draw(key ^ DRAW_CONSTANTS.start_salt, first, 0) * (p_good_bad + p_bad_good)
         < p_good_bad * RANDOM_DRAWS.range_size
     )
 
@@ -115,9 +113,7 @@ def _find_decisions(
     """Return two masks over a block: the indices that decide the
     state, and the indices that decide for bad.
     """
-    u = _draw_uniforms(
-        key ^ _DRAW_CONSTANTS.burst_salt, block * RANDOM_DRAWS.block_size
-    )
+    u = _draw_uniforms(key ^ DRAW_CONSTANTS.burst_salt, block * RANDOM_DRAWS.block_size)
     bad = u < p_good_bad
     return bad | (u >= 1.0 - p_bad_good), bad
 
@@ -125,12 +121,12 @@ def _find_decisions(
 def _draw_uniforms(key: int, first: int) -> npt.NDArray[np.float64]:
     """Return the draws of a block from `first` on, in [0, 1)."""
     start = np.uint64(
-        (key + first * _DRAW_CONSTANTS.number_increment) & _DRAW_CONSTANTS.word_mask
+        (key + first * DRAW_CONSTANTS.number_increment) & DRAW_CONSTANTS.word_mask
     )
     z = start + np.arange(RANDOM_DRAWS.block_size, dtype=np.uint64) * np.uint64(
-        _DRAW_CONSTANTS.number_increment
+        DRAW_CONSTANTS.number_increment
     )
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(_DRAW_CONSTANTS.first_multiplier)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(_DRAW_CONSTANTS.second_multiplier)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(DRAW_CONSTANTS.first_multiplier)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(DRAW_CONSTANTS.second_multiplier)
     z ^= z >> np.uint64(31)
     return (z >> np.uint64(11)).astype(np.float64) * 2.0**-53

@@ -16,6 +16,8 @@ from crazychoir.guidance.decision.law_rows import (
 from crazychoir.numerics.kernels import kernel, rows_of, whole, wholes
 from crazychoir.planning.plan_row import PLAN_ROW, PlanKind, PlanRows, is_plan_over
 from crazychoir.runtime.clock import NS_PER_SECOND
+from crazychoir.safety.collision.airspace_rows import LINK_ROW, LinkKind
+from crazychoir.safety.collision.hearing import pass_link
 from crazychoir.safety.rules.limits import limit_acceleration
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Ints
@@ -69,25 +71,50 @@ def look_rows(laws: Any, drones: DroneRows, filters: FilterRows) -> None:
         law.permission = _find_permission(drone)
 
 
-@kernel(rows_of(HEARING_ROW), rows_of(DRONE_ROW), whole)
-def deliver_rows(edges: Any, drones: DroneRows, now_ns: int) -> None:
+@kernel()
+def _is_due(edge: Any, now_ns: int) -> bool:
+    """Return whether a state is due on an edge, and begin the next interval of its grid."""
+    if edge.interval_ns == 0:
+        return True
+    if now_ns < edge.due_ns:
+        return False
+    late_ns = now_ns - edge.due_ns
+    edge.due_ns += (late_ns // edge.interval_ns + 1) * edge.interval_ns
+    return True
+
+
+@kernel(rows_of(HEARING_ROW), rows_of(DRONE_ROW), rows_of(LINK_ROW), whole, wholes)
+def deliver_rows(
+    edges: Any, drones: DroneRows, links: Any, now_ns: int, found: Ints
+) -> int:
     """Let laws hear the states of this tick of neighbours in this process.
 
     edges: (e,) of HEARING_ROW
     drones: of the batch
+    links: (e,) of LINK_ROW; empty without a simulated network
     now_ns: ns
+    found: (e,): receives the edges whose states the simulated network may delay or duplicate
+    Returns how many these are.
     """
+    count = 0
     for e in range(edges.shape[0]):
         edge = edges[e]
-        if edge.source == ELSEWHERE:
+        if edge.source == ELSEWHERE or drones[edge.source].ticks == 0:
+            continue
+        if not _is_due(edge, now_ns):
             continue
         sender = drones[edge.source]
-        if sender.ticks == 0 or now_ns < edge.due_ns:
+        fate = pass_link(links, e, sender.number)
+        if fate == LinkKind.BY_HAND:
+            found[count] = e
+            count += 1
             continue
-        if edge.interval_ns > 0:
-            late_ns = now_ns - edge.due_ns
-            edge.due_ns += (late_ns // edge.interval_ns + 1) * edge.interval_ns
+        sender.sent += 1
+        if fate == LinkKind.CUT:
+            sender.lost += 1
+            continue
         put_row(edge, sender.state, sender.acceleration, sender.age, sender.age, now_ns)
+    return count
 
 
 @kernel()

@@ -7,6 +7,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from crazychoir.bus.impairment.model import Impairment
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.flight.batch import Batch
 from crazychoir.flight.tick import FlightTick
 from crazychoir.guidance.decision.flight_rows import (
@@ -29,6 +31,10 @@ from crazychoir.guidance.decision.team import (
     has_team_law,
     read_references,
 )
+from crazychoir.guidance.neighbour_state import HearingMailbox
+from crazychoir.runtime.clock import NS_PER_SECOND, AlarmPriority, Clock
+from crazychoir.safety.collision.state_links import StateLinks
+from crazychoir.safety.collision.states_by_hand import STATE_BYTES
 from crazychoir.types import Heard, Reference, State
 
 
@@ -41,6 +47,11 @@ class StagedLaw(Protocol):
     """Id of the drone."""
     ids: tuple[int, ...]
     """Its neighbours, in the order of the edges."""
+
+    @property
+    def hearings(self) -> Sequence[HearingMailbox]:
+        """What it hears of them."""
+        ...
 
     def move_to(self, rows: Rows, edges: Rows) -> None:
         """Go on with these rows: (1,) of LAW_ROW and (k,) of HEARING_ROW."""
@@ -71,11 +82,13 @@ class LawStage:
     comes from, and no others.
 
     tick: of the process, which calls `decide`
+    impairment: the simulated network between the drones
     """
 
-    def __init__(self, tick: FlightTick) -> None:
+    def __init__(self, tick: FlightTick, impairment: Impairment) -> None:
         self._batch = tick.batch
         self._clock = tick.clock
+        self._impairment = impairment
         self._laws: dict[int, StagedLaw] = {}
         self._groups: list[LawGroup] = []
         self._is_grouped = True
@@ -109,7 +122,7 @@ class LawStage:
             group.team.now_ns = now_ns
             group.team.epoch_ns = self._clock.epoch_ns
             look_rows(group.team.rows, batch.drones, batch.filters.rows)
-            deliver_rows(group.team.edges, batch.drones, now_ns)
+            group.deliver(batch, self._clock, self._impairment)
             if group.decide():
                 group.hand_over(batch)
 
@@ -121,8 +134,11 @@ class LawStage:
         self._is_grouped = True
         laws = [self._laws[i] for i in sorted(self._laws)]
         laws.sort(key=_name_group)
+        for group in self._groups:
+            group.links.close()
         self._groups = [
-            LawGroup(list(same)) for _, same in groupby(laws, key=_find_team_kind)
+            LawGroup(list(same), self._impairment)
+            for _, same in groupby(laws, key=_find_team_kind)
         ]
 
 
@@ -142,10 +158,14 @@ class LawGroup:
     """Laws that step together: those of a class with a step for a team, or all other laws.
 
     laws: in the order of their drones
+    impairment: the simulated network between the drones
     """
 
-    def __init__(self, laws: Sequence[StagedLaw]) -> None:
+    def __init__(self, laws: Sequence[StagedLaw], impairment: Impairment) -> None:
         self.laws = laws
+        pairs = [(j, law.drone) for law in laws for j in law.ids]
+        self.links = StateLinks(impairment, pairs)
+        """The simulated network on the edges of the team."""
         ends = np.cumsum([len(law.ids) for law in laws])
         rows = np.zeros(len(laws), LAW_ROW)
         edges = np.zeros(int(ends[-1]), HEARING_ROW)
@@ -156,7 +176,7 @@ class LawGroup:
             rows[r]["first_edge"] = first
             rows[r]["end_edge"] = end
             first = end
-        self._found = np.zeros(len(laws), np.int64)
+        self._found = np.zeros(max(len(laws), len(edges)), np.int64)
         self._ids = [j for law in laws for j in law.ids]
         self._team_law = self._prepare_team()
 
@@ -178,6 +198,52 @@ class LawGroup:
                 law.fail(error)
             return None
         return prepared
+
+    def deliver(self, batch: Batch, clock: Clock, impairment: Impairment) -> None:
+        """Let the laws hear the neighbours in this process."""
+        team = self.team
+        self.links.refresh(clock.now())
+        links = self.links.rows
+        count = deliver_rows(team.edges, batch.drones, links, team.now_ns, self._found)
+        for e in self._found[:count].tolist():
+            self._deliver_by_hand(e, batch, clock, impairment)
+
+    def _deliver_by_hand(
+        self, e: int, batch: Batch, clock: Clock, impairment: Impairment
+    ) -> None:
+        """Let the simulated network decide on the state of one edge."""
+        sender = batch.drones[self.team.edges["source"][e]]
+        state = State(
+            sender["state"].copy(), float(sender["age"]), sender["acceleration"].copy()
+        )
+        law, hearing = self._find_hearing(e)
+        verdict = impairment.verdict(
+            self._ids[e],
+            law.drone,
+            DRONE_TOPICS.state.name,
+            int(sender["number"]),
+            0,
+            STATE_BYTES,
+            clock.now(),
+        )
+        sender["sent"] += 1
+        sender["lost"] += not verdict.deliveries
+        for delay in verdict.deliveries:
+            clock.call_at(
+                clock.now_ns() + round(delay * NS_PER_SECOND),
+                hearing.put,
+                state,
+                state.age + delay,
+                priority=AlarmPriority.MESSAGE,
+                drone=law.drone,
+            )
+
+    def _find_hearing(self, e: int) -> tuple[StagedLaw, HearingMailbox]:
+        """Return the law that hears along an edge, and its mailbox."""
+        first = self.team.rows["first_edge"]
+        r = int(np.searchsorted(first, e, side="right")) - 1
+        law = self.laws[r]
+        return law, law.hearings[e - int(first[r])]
 
     def decide(self) -> bool:
         """Let the laws step that are due; return whether any did. The team holds the time."""

@@ -4,18 +4,19 @@ A stuck drone tries the other side.
 """
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
 
 from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import Triple, dot
-from crazychoir.types import Vec
+from crazychoir.types import Records, Vec
 
 LARGEST_TURNED_ACCELERATION = 4.0
 """Largest acceleration, m/s2, that is turned."""
 
 
-@dataclass(frozen=True, slots=True)
-class StuckLimits:
+class StuckLimits(NamedTuple):
     """When a drone is stuck and passes others on the other side, and when it is free again."""
 
     stuck_time: float = 4.0
@@ -29,6 +30,73 @@ class StuckLimits:
 
 
 STUCK_LIMITS = StuckLimits()
+
+PASSING_SIDE_FIELDS = [
+    (
+        "side",
+        np.float64,
+    ),  # 1: anticlockwise, as all drones pass others; -1: the other side
+    # s, before the drone changes side. The value differs between drones: two that turn at once
+    # would stay in each other's way.
+    ("patience", np.float64),
+    ("has_place", np.int64),  # 1: stuck_place is known
+    ("stuck_place", np.float64, 3),  # m, where the drone has been since stuck_time
+    ("stuck_time", np.float64),  # s
+    ("gave_way_time", np.float64),  # s, when the drone last gave way; -inf: never
+]
+"""Fields of a record: the side on which one drone passes others.
+
+Between two drones that stay where they are, the common side may be a dead end. Then the drone tries
+the other side until it is free.
+"""
+
+
+def reset_side(row: Records, drone: int) -> None:
+    """Let a drone pass others on the common side, as if it had never given way.
+
+    row: record, or array of records, with PASSING_SIDE_FIELDS
+    drone: its id
+    """
+    row["side"] = 1.0
+    row["patience"] = STUCK_LIMITS.stuck_time + 0.2 * (drone % 8)
+    row["has_place"] = 0
+    row["gave_way_time"] = -math.inf
+
+
+@kernel()
+def compute_place_distance(p: Vec, q: Vec) -> float:
+    """Return |p - q| in m, of p (>= 3,) and q (>= 3,)."""
+    x = p[0] - q[0]
+    y = p[1] - q[1]
+    z = p[2] - q[2]
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@kernel()
+def note_giving_way(row: Records, p: Vec, goal: Vec, now: float) -> None:
+    """Note that a drone gives way, and let it change side if it is stuck.
+
+    row: record with PASSING_SIDE_FIELDS
+    p: (3,) m: where it is
+    goal: (3,) m: where it wants to be
+    now: s
+    """
+    if now > row.gave_way_time + STUCK_LIMITS.free_time:
+        row.side = 1.0
+        row.has_place = 0
+    row.gave_way_time = now
+    if (
+        row.has_place == 0
+        or compute_place_distance(p, row.stuck_place) > STUCK_LIMITS.moved_distance
+        or compute_place_distance(p, goal) < STUCK_LIMITS.goal_distance
+    ):
+        row.has_place = 1
+        for c in range(3):
+            row.stuck_place[c] = p[c]
+        row.stuck_time = now
+    elif now > row.stuck_time + row.patience:
+        row.side = -row.side
+        row.stuck_time = now
 
 
 @kernel()
@@ -55,47 +123,3 @@ def turn_sideways(u: Triple, planes: Vec, first: int, last: int, turn: float) ->
             x -= turn * min(lack, LARGEST_TURNED_ACCELERATION) * planes[k, 1]
             y += turn * min(lack, LARGEST_TURNED_ACCELERATION) * planes[k, 0]
     return (u[0] + x, u[1] + y, u[2])
-
-
-class PassingSide:
-    """The side on which one drone passes others: anticlockwise as all do, unless it is stuck.
-
-    Between two drones that stay where they are, that side may be a dead end. Then the drone tries
-    the other side until it is free.
-
-    drone: its id
-    """
-
-    def __init__(self, drone: int = 0) -> None:
-        self.sign = 1.0
-        self.patience = STUCK_LIMITS.stuck_time + 0.2 * (drone % 8)
-        """Seconds before the drone changes side.
-
-        The value differs between drones: two that turn at once would stay in each other's way.
-        """
-        self._at: list[float] | None = None
-        self._since = 0.0
-        self._gave_way = -math.inf
-
-    def gives_way(self, p: Vec, goal: Vec, now: float) -> None:
-        """Note that the drone gives way.
-
-        p: (3,) m: where it is
-        goal: (3,) m: where it wants to be
-        now: s
-        """
-        if now > self._gave_way + STUCK_LIMITS.free_time:
-            self.sign = 1.0
-            self._at = None
-        self._gave_way = now
-        here = p.tolist()
-        if (
-            self._at is None
-            or math.dist(here, self._at) > STUCK_LIMITS.moved_distance
-            or math.dist(here, goal.tolist()) < STUCK_LIMITS.goal_distance
-        ):
-            self._at = here
-            self._since = now
-        elif now > self._since + self.patience:
-            self.sign = -self.sign
-            self._since = now

@@ -1,6 +1,5 @@
 """Relayed states: a drone asks others about drones that it does not hear, and answers them."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -8,38 +7,13 @@ import numpy as np
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.topics import MESSAGE_TOPICS, Topic
 from crazychoir.errors import CodecError
-from crazychoir.safety.collision.neighbour_table import (
-    NEIGHBOUR_AGES,
-    NEIGHBOUR_ROW,
-    NeighbourTable,
-)
+from crazychoir.safety.collision.neighbours import Neighbours
+from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES, RELAY_REQUESTS
 from crazychoir.types import State
 
 
-@dataclass(frozen=True, slots=True)
-class RelayRequests:
-    """When a drone asks others for a newer state of a third one, and how many of them."""
-
-    least_age: float = 0.25
-    """Age in s of a state before which no newer one is asked for."""
-    lead_time: float = 1.0
-    """Seconds before the drone would brake for want of a state, at which it begins to ask."""
-    checks_if_unanswered: int = 5
-    """Number of checks between two questions about a drone unanswered for RELAY_REQUESTS.lead_time s."""
-    checks_if_gone: int = 10
-    """Number of checks between two questions about a drone that is gone or was never heard."""
-    nearest_asked: int = 2
-    """Number of drones that are asked each time about one drone.
-
-    They are the heard drones that are nearest to it. One more drone is asked in turn.
-    """
-
-
-RELAY_REQUESTS = RelayRequests()
-
-
 class RelayedStates:
-    """Asks and answers for a Traffic.
+    """Asks others for states, and answers them.
 
     A relayed state counts as heard, except for the question whether this drone is cut off.
 
@@ -52,60 +26,43 @@ class RelayedStates:
     It is unknown whether the drones that were last seen on the floor fly. A network that splits
     before the take-off is for the roster to notice.
 
-    traffic: the table of the other drones
+    traffic: what this drone knows of the others
     """
 
-    def __init__(self, traffic: NeighbourTable) -> None:
+    def __init__(self, traffic: Neighbours) -> None:
         self.traffic = traffic
         self.port = traffic.port
-        self._sent = self._asks = 0
-        self._turns = np.zeros(len(traffic.ids), dtype=int)
+        self._sent = 0
         self.port.handlers[MESSAGE_TOPICS.wanted_states.number] = self._asked
         self.port.handlers[MESSAGE_TOPICS.relayed_states.number] = self._told
 
     def seek(self, now: float) -> None:
         """Ask for the drones from which a newer state is needed soon.
 
-        Ask less often for a drone if a second of asking has not helped.
+        now: s
         """
-        rows = self.traffic.rows
-        ids = self.traffic.ids
-        age = now - rows[:, NEIGHBOUR_ROW.state_time]
-        self._asks = self._asks + 1
-        there = age < NEIGHBOUR_AGES.gone
-        needed = np.maximum(
-            RELAY_REQUESTS.least_age,
-            rows[:, NEIGHBOUR_ROW.age_limit] - RELAY_REQUESTS.lead_time,
-        )
-        every = np.where(
-            there,
-            np.where(
-                age < needed + RELAY_REQUESTS.lead_time,
-                1,
-                RELAY_REQUESTS.checks_if_unanswered,
-            ),
-            RELAY_REQUESTS.checks_if_gone,
-        )
-        sought = np.flatnonzero((~there | (age > needed)) & (self._asks % every == 0))
-        heard = np.flatnonzero(
-            now - rows[:, NEIGHBOUR_ROW.heard_time] < NEIGHBOUR_AGES.silent
-        )
+        traffic = self.traffic
+        heard, places = traffic.heard_places(now)
         asked: dict[int, list[int]] = {}
-        for s in sought.tolist():
-            others = heard[heard != s]
-            if others.size:
-                far = np.linalg.norm(rows[others, 0:3] - rows[s, 0:3], axis=1)
-                self._turns[s] += 1
-                chosen = {
-                    *np.argsort(far, kind="stable")[
-                        : RELAY_REQUESTS.nearest_asked
-                    ].tolist(),
-                    int(self._turns[s]) % others.size,
-                }
-                for k in sorted(chosen):
-                    asked.setdefault(ids[int(others[k])], []).append(ids[s])
-        for k, those in asked.items():
-            self._send(MESSAGE_TOPICS.wanted_states, k, those)
+        for row in traffic.rows:
+            if not row["is_sought"]:
+                continue
+            sought = int(row["drone"])
+            others = np.flatnonzero(heard != sought)
+            if not others.size:
+                continue
+            far = np.linalg.norm(places[others] - row["state"][0:3], axis=1)
+            row["turns"] += 1
+            chosen = {
+                *np.argsort(far, kind="stable")[
+                    : RELAY_REQUESTS.nearest_asked
+                ].tolist(),
+                int(row["turns"]) % others.size,
+            }
+            for k in sorted(chosen):
+                asked.setdefault(int(heard[others[k]]), []).append(sought)
+        for j, those in asked.items():
+            self._send(MESSAGE_TOPICS.wanted_states, j, those)
 
     def _send(self, topic: Topic, to: int, value: list[Any]) -> None:
         """Send a list, unless it is empty."""
@@ -128,18 +85,10 @@ class RelayedStates:
         now = traffic.now()
         told = []
         for j in those if all(type(j) is int for j in those) else self._none():
-            row = traffic.row(j)
-            if (
-                row is not None
-                and now - row[NEIGHBOUR_ROW.state_time] < NEIGHBOUR_AGES.usable
-            ):
-                told.append(
-                    [
-                        j,
-                        State(row[0:13].copy(), 0.0, row[13:16].copy()),
-                        now - float(row[NEIGHBOUR_ROW.state_time]),
-                    ]
-                )
+            row = traffic.known(j)
+            if row is not None and now - row["state_time"] < NEIGHBOUR_AGES.usable:
+                state = State(row["state"].copy(), 0.0, row["acceleration"].copy())
+                told.append([j, state, now - float(row["state_time"])])
         self._send(MESSAGE_TOPICS.relayed_states, source, told)
 
     def _told(

@@ -24,8 +24,10 @@ from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.runtime.mailbox import Call, DropOldest
 from crazychoir.runtime.supervisor import Supervisor
+from crazychoir.safety.collision.airspace import Airspace, AirspaceRules
 from crazychoir.safety.collision.filter import CollisionFilter
-from crazychoir.safety.collision.neighbour_table import NEIGHBOUR_AGES, NeighbourTable
+from crazychoir.safety.collision.neighbours import Neighbours
+from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES
 from crazychoir.safety.rules.guard import (
     FENCE_INSET,
     RADIO_SAFETY_TABLE,
@@ -1414,7 +1416,9 @@ async def test_a_drone_that_landed_for_silence_flies_again_when_it_hears_the_oth
     drone, others = Flown(clock), (1, 2)
     for j in others:
         drone.bus.port(j)
-    traffic = NeighbourTable(drone.bus.ports[0], (0, *others))
+    rules = AirspaceRules(CollisionTable(), 1.0, 0.0)
+    airspace = Airspace(drone.bus, (0, *others), rules)
+    traffic = Neighbours(airspace, 0, keeps_all=True)
     room = Fence.box((-3.0, -3.0, 0.0), (3.0, 3.0, 2.5))
     drone.pilot = make_pilot(
         drone.bus.ports[0],

@@ -14,7 +14,7 @@ from crazychoir.guidance.turns import (
     find_first_at,
     is_blocked,
 )
-from crazychoir.safety.collision.neighbour_table import NEIGHBOUR_ROW
+from crazychoir.safety.collision.airspace_rows import PAIR_ROW
 from crazychoir.safety.rules.guard import Fence
 
 P = np.array([1.0, 2.0, 0.5])
@@ -24,9 +24,11 @@ HALL = Fence.box((-3.0, -3.0, 0.0), (3.0, 3.0, 2.0))
 
 def pilot(others, now=10.0, at=P, gave_way=-math.inf):
     """Return the pilot of drone 5 at `at`; others that it hears: {id: (m from P along x, m height, s old)}."""
-    rows = np.zeros((len(others), NEIGHBOUR_ROW.size))
+    rows = np.zeros(len(others), PAIR_ROW)
+    rows["drone"] = list(others)
     for row, (away, z, age) in zip(rows, others.values(), strict=True):
-        row[0:3], row[NEIGHBOUR_ROW.state_time] = (P[0] + away, P[1], z), now - age
+        row["state"][0:3] = (P[0] + away, P[1], z)
+        row["state_time"] = now - age
     return make_stand_in(
         {
             "port.address": ME,
@@ -34,7 +36,6 @@ def pilot(others, now=10.0, at=P, gave_way=-math.inf):
             "setup.limits.ground": 0.0,
             "setup.fence": HALL,
             "follower.clearance.traffic.rows": rows,
-            "follower.clearance.traffic.ids": list(others),
             "follower.clearance.gave_way": gave_way,
             "state.p": np.array(at),
             "gap": lambda p: float(np.linalg.norm(np.subtract(p, at))),

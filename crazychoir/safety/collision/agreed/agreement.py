@@ -24,7 +24,7 @@ from crazychoir.safety.collision.agreed.paths import (
     compute_path_duration,
 )
 from crazychoir.safety.collision.agreed.rest_goal import ARRIVAL_DISTANCE
-from crazychoir.safety.collision.neighbour_table import NEIGHBOUR_AGES
+from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES
 from crazychoir.types import Mat, Plan, Vec
 
 

@@ -8,15 +8,11 @@ import numpy as np
 from crazychoir.safety.collision.agreed.agreement import Agreement, OtherPlanner
 from crazychoir.safety.collision.agreed.meeting import OtherPaths
 from crazychoir.safety.collision.agreed.paths import compute_end_place
-from crazychoir.safety.collision.filter import COLLISION_DISTANCES
-from crazychoir.safety.collision.neighbour_table import (
-    NEIGHBOUR_AGES,
-    NEIGHBOUR_ROW,
-    SPEED_ALLOWANCE,
-    NeighbourTable,
-)
+from crazychoir.safety.collision.distances import COLLISION_DISTANCES
+from crazychoir.safety.collision.neighbours import Neighbours
+from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES
 from crazychoir.safety.rules.guard import FENCE_INSET, Fence
-from crazychoir.types import Mat, State, Vec
+from crazychoir.types import Mat, Records, Vec
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +42,7 @@ class Obstacles:
 
     figures: (4,), as f of `find_first_meeting`
     agreement: paths and offers of the drones with agreed paths
-    traffic: the states of all other drones
+    traffic: the states of all other drones; it keeps all of them
     a_max: m/s2, at which a drone without an announced path is assumed to brake
     ground: m, height of the ground
     """
@@ -55,7 +51,7 @@ class Obstacles:
         self,
         figures: Vec,
         agreement: Agreement,
-        traffic: NeighbourTable,
+        traffic: Neighbours,
         a_max: float,
         ground: float,
     ) -> None:
@@ -64,41 +60,25 @@ class Obstacles:
         self.traffic = traffic
         self.a_max = a_max
         self._ground = ground
-        self._rows = {j: traffic.rows[k] for k, j in enumerate(traffic.ids)}
         self._guessed = [j for j in traffic.ids if j not in agreement.others]
 
     def look(self, now: float) -> None:
-        """Send the own state when due, and mark drones that have landed since their last message.
+        """Mark drones that have landed since their last message.
 
         Such a drone has stood on the floor since it announced its path.
         """
-        self.traffic.look(now)
         for j, other in self.agreement.others.items():
-            other.stands = (
-                self.stands(j)
-                and self._rows[j][NEIGHBOUR_ROW.state_time]
-                > other.heard + NEIGHBOUR_AGES.usable
+            other.stands = self.stands(j) and bool(
+                self._row(j)["state_time"] > other.heard + NEIGHBOUR_AGES.usable
             )
-
-    def measure(self, state: State) -> None:
-        """Store in `traffic` the least time in s until this drone could meet each other drone.
-
-        state: of this drone
-        """
-        rows = self.traffic.rows
-        apart = np.linalg.norm(rows[:, 0:3] - state.p, axis=1)
-        rows[:, NEIGHBOUR_ROW.meeting_time] = apart / (
-            np.linalg.norm(rows[:, 3:6], axis=1)
-            + np.linalg.norm(state.v)
-            + SPEED_ALLOWANCE
-        )
 
     def find_drone_at(self, p: Vec) -> int | None:
         """Return the id of a drone that stands on the floor below p, (3,) m, or None.
 
         This drone must not land there: it may sink below p, on to the other one.
         """
-        for j, x in self._rows.items():
+        for j in self.traffic.ids:
+            x = self._row(j)["state"]
             if math.hypot(
                 x[0] - p[0], x[1] - p[1]
             ) < COLLISION_DISTANCES.standing_drone and self.stands(j):
@@ -107,9 +87,10 @@ class Obstacles:
 
     def stands(self, j: int) -> bool:
         """Return whether drone j stood on the floor in its newest state."""
-        x = self._rows[j]
+        row = self._row(j)
+        x = row["state"]
         return bool(
-            x[NEIGHBOUR_ROW.state_time] > -math.inf
+            row["state_time"] > -math.inf
             and x[2] < self._ground + COLLISION_DISTANCES.standing_height
             and np.linalg.norm(x[3:6]) < OBSTACLE_LIMITS.standing_speed
         )
@@ -122,8 +103,10 @@ class Obstacles:
         Returns None if there is none near p.
         """
         spots = []
-        for j, x in self._rows.items():
-            if x[NEIGHBOUR_ROW.state_time] > -math.inf:
+        for j in self.traffic.ids:
+            row = self._row(j)
+            x = row["state"]
+            if row["state_time"] > -math.inf:
                 other = self.agreement.others.get(j)
                 at = (
                     compute_end_place(other.way)
@@ -175,11 +158,18 @@ class Obstacles:
 
     def _guess(self, meeting: OtherPaths, j: int) -> None:
         """Add a drone by its newest state."""
-        x = self._rows[j]
+        row = self._row(j)
+        x = row["state"]
         if self.stands(j):
             meeting.stands(j, x[0:3])
-        elif x[NEIGHBOUR_ROW.state_time] > -math.inf:
-            meeting.guessed(j, x[0:3], x[3:6], x[NEIGHBOUR_ROW.state_time])
+        elif row["state_time"] > -math.inf:
+            meeting.guessed(j, x[0:3], x[3:6], float(row["state_time"]))
+
+    def _row(self, j: int) -> Records:
+        """Return the row of drone j."""
+        row = self.traffic.row(j)
+        assert row is not None  # noqa: S101 - all others are kept
+        return row
 
 
 def find_free_place(p: Vec, others: Mat, fence: Fence) -> Vec | None:

@@ -29,9 +29,10 @@ from crazychoir.safety.collision.agreed.path_limits import (
     PathLimits,
 )
 from crazychoir.safety.collision.agreed.paths import compute_motion, plan_braking
-from crazychoir.safety.collision.filter import COLLISION_DISTANCES
-from crazychoir.safety.collision.neighbour_table import NEIGHBOUR_AGES, NeighbourTable
+from crazychoir.safety.collision.distances import COLLISION_DISTANCES
+from crazychoir.safety.collision.neighbours import Neighbours
 from crazychoir.safety.collision.relayed_states import RelayedStates
+from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES
 from crazychoir.types import FullState, State, Vec
 
 GOLDEN_SECTION = 0.5 * (math.sqrt(5.0) - 1.0)
@@ -52,7 +53,7 @@ class PlannedFlights:
 
     port: the port of this drone
     settings: [collision]
-    traffic: the states of the others
+    traffic: what this drone knows of the others; it keeps all of them
     planners: ids of the drones that announce their paths
     limits: where and how fast the drone flies its paths
     """
@@ -61,7 +62,7 @@ class PlannedFlights:
         self,
         port: Port,
         settings: CollisionTable,
-        traffic: NeighbourTable,
+        traffic: Neighbours,
         planners: Iterable[int],
         limits: PathLimits,
     ) -> None:
@@ -117,7 +118,6 @@ class PlannedFlights:
         mine.settle(now)
         self.obstacles.look(now)
         if now >= self._next and len(mine.offer) == 0:
-            self.obstacles.measure(state)
             self._next = self._look_after(now)
             mine.awaits = NO_REST_PLACE
             below = (

@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 
 from crazychoir.bus.port import Bus
-from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.tables import CollisionTable
 from crazychoir.control.gains import STANDARD_GAINS
-from crazychoir.safety.collision.filter import NEIGHBOUR_AGES, CollisionFilter
-from crazychoir.safety.collision.neighbour_table import NEIGHBOUR_ROW, NeighbourTable
+from crazychoir.safety.collision.airspace import Airspace, AirspaceRules
+from crazychoir.safety.collision.filter import CollisionFilter
+from crazychoir.safety.collision.neighbours import Neighbours
 from crazychoir.safety.collision.projection import project
+from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.types import FullState, State
 
@@ -25,8 +26,10 @@ class Sky:
     def __init__(self, method="barrier", others=1, alone=()):
         self.bus = Bus(SimpleNamespace(now_ns=lambda: 0, now=lambda: 0.0))
         self.ports = [self.bus.port(i) for i in range(1 + others)]
-        self.traffic = NeighbourTable(self.ports[0], range(1 + others), alone)
         settings = CollisionTable(method=method)
+        rules = AirspaceRules(settings, 1.0, 0.0, tuple(alone))
+        airspace = Airspace(self.bus, range(1 + others), rules)
+        self.traffic = Neighbours(airspace, 0, keeps_all=True)
         self.filter = CollisionFilter(
             settings, self.traffic, FENCE, a_max=2.0, v_max=1.0, ground=0.0
         )
@@ -285,7 +288,7 @@ def test_out_of_a_pocket_between_two_that_stay_it_goes_the_other_way_round():
         )
         v = v + 0.01 * a
         p = p + 0.01 * v
-        tried.append(sky.filter.side.sign)
+        tried.append(float(sky.filter.row["side"][0]))
     assert p == pytest.approx(goal, abs=0.02)
     assert min(tried) == -1.0, "a pocket it was"
 
@@ -306,35 +309,3 @@ def test_the_fence_is_not_left_for_another():
     sky.hears(1, (3.2, 0.0, 1.0), (0.5, 0.0, 0.0))
     a = sky.wants(State.at((3.8, 0.0, 1.0), (0.4, 0.0, 0.0)), (3.8, 0.0, 1.0))
     assert a[0] < 0.0
-
-
-def test_the_table_keeps_the_newest_state_and_hears_near_drones_more_often():
-    sky = Sky(others=2)
-    sky.hears(1, (1.0, 0.0, 1.0))
-    sky.hears(1, (9.0, 0.0, 1.0), age=0.1)
-    row = sky.traffic.rows[0]
-    assert row[0] == 1.0, "an older state that comes late changes nothing"
-    assert row[NEIGHBOUR_ROW.state_time] == 0.0
-    assert sky.traffic.rows[1, NEIGHBOUR_ROW.state_time] == -np.inf
-    other = NeighbourTable(sky.ports[1], range(3))
-    sky.wants(State.at((0.5, 0.0, 1.0)), (0.5, 0.0, 1.0))
-    assert sky.traffic.rows[0, NEIGHBOUR_ROW.meeting_time] < 0.5, "0.5 m away"
-    sky.traffic.look(0.0)
-    readers = sky.ports[0]._readers[DRONE_TOPICS.state.number].some
-    assert {j: round(1e9 / rate.interval_ns) for j, rate in readers.items()} == {1: 50}
-    assert other.rows[0, NEIGHBOUR_ROW.state_time] == -np.inf
-
-
-def test_a_state_that_a_drone_would_soon_brake_for_is_heard_more_often():
-    sky = Sky(others=50)
-    for j, x in ((1, 1.2), (2, 2.2), (3, 9.0)):
-        sky.hears(j, (x, 0.0, 1.0))
-        NeighbourTable(sky.ports[j], range(51))
-    sky.wants(State.at((0.0, 0.0, 1.0)), (0.0, 0.0, 1.0))
-    assert np.all(np.diff(sky.traffic.rows[:3, NEIGHBOUR_ROW.age_limit]) > 0.0)
-    assert sky.traffic.rows[3, NEIGHBOUR_ROW.age_limit] == np.inf, "never heard"
-    sky.traffic.look(0.0)
-    readers = sky.ports[0]._readers[DRONE_TOPICS.state.number].some
-    rates = {j: round(1e9 / rate.interval_ns) for j, rate in readers.items()}
-    assert rates[1] >= 5
-    assert rates[1] >= rates[2] > rates[3]

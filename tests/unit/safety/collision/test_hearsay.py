@@ -7,17 +7,14 @@ import pytest
 
 from crazychoir.bus.codec import encode
 from crazychoir.bus.port import Bus
-from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS
+from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.config.tables import CollisionTable
 from crazychoir.control.gains import STANDARD_GAINS
 from crazychoir.runtime.clock import NS_PER_SECOND
+from crazychoir.safety.collision.airspace import Airspace, AirspaceRules
 from crazychoir.safety.collision.filter import CollisionFilter
-from crazychoir.safety.collision.neighbour_table import (
-    NEIGHBOUR_AGES,
-    NEIGHBOUR_ROW,
-    STATE_RATES,
-    NeighbourTable,
-)
+from crazychoir.safety.collision.neighbours import Neighbours
+from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES, STATE_RATES
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.types import FullState, State
 
@@ -38,13 +35,15 @@ class Team:
         )
         for i in range(drones):
             self.bus.port(i)
-        self.filters = [self.filter_of(i, drones) for i in range(drones)]
+        rules = AirspaceRules(CollisionTable(), 1.0, 0.0)
+        self.airspace = Airspace(self.bus, range(drones), rules)
+        self.filters = [self.filter_of(i) for i in range(drones)]
         self.asked = []
         for i in range(drones):
             self.spy(i)
 
-    def filter_of(self, i, drones):
-        traffic = NeighbourTable(self.bus.ports[i], range(drones))
+    def filter_of(self, i):
+        traffic = Neighbours(self.airspace, i, keeps_all=True)
         return CollisionFilter(
             CollisionTable(), traffic, FENCE, a_max=2.0, v_max=1.0, ground=0.0
         )
@@ -59,8 +58,13 @@ class Team:
         )
 
     def row(self, i, j):
-        traffic = self.filters[i].traffic
-        return traffic.rows[traffic.ids.index(j)]
+        return self.filters[i].traffic.row(j)
+
+    def check(self):
+        """Let drone 0 check the distances, and ask."""
+        self.airspace.publish(0, State.at(HERE), 0.0)
+        self.airspace.step()
+        self.filters[0].look(self.seconds)
 
     def say(self, j, p, to, v=(0.0, 0.0, 0.0)):
         """Drone j says its state to some."""
@@ -83,7 +87,7 @@ class Team:
                 State.at(HERE, (0.5, 0.0, 0.0)),
                 FullState.at((1.0, 0.0, 1.0), (0.5, 0.0, 0.0)).flat,
             )
-            self.filters[0].look(self.seconds)
+            self.check()
             acted.append(
                 self.filters[0].full_state(
                     me, to, STANDARD_GAINS.position, self.seconds
@@ -101,11 +105,11 @@ def test_an_unheard_drone_is_reported_by_others_and_does_not_count_as_heard():
         for a in acted[round(NEIGHBOUR_AGES.usable / STATE_RATES.check_interval) :]
     ), "it knows where 1 is: away"
     row = team.row(0, 1)
-    assert row[0] == 3.0
-    assert team.seconds - row[NEIGHBOUR_ROW.state_time] < 3.1, (
+    assert row["state"][0] == 3.0
+    assert team.seconds - row["state_time"] < 3.1, (
         "newer than it could have come near since"
     )
-    assert team.seconds - row[NEIGHBOUR_ROW.heard_time] == pytest.approx(20.0)
+    assert team.seconds - row["heard_time"] == pytest.approx(20.0)
     assert not team.filters[0].cut_off
     assert set(team.asked) == {2, 3}
 
@@ -136,10 +140,10 @@ def test_a_drone_without_reports_brakes_near_the_unheard_one_and_asks_until_gone
 def test_a_drone_never_heard_or_gone_is_known_once_another_drone_hears_it():
     team = Team()
     team.fly(2.0)
-    assert team.row(0, 1)[0] == 3.0, "never heard"
+    assert team.row(0, 1)["state"][0] == 3.0, "never heard"
     team.fly(2.0 * NEIGHBOUR_AGES.gone, hear_one=())
     team.fly(2.0, one=(0.0, 0.5, 1.0))
-    assert team.row(0, 1)[1] == 0.5, "it was gone"
+    assert team.row(0, 1)["state"][1] == 0.5, "it was gone"
 
 
 def test_a_reported_drone_that_approaches_is_avoided():
@@ -157,9 +161,9 @@ def test_no_drone_asks_while_all_are_heard_or_far_away():
     team.fly(6.0, one=(30.0, 0.0, 1.0))
     assert team.asked == [], "it cannot be near yet"
     team.fly(20.0, one=(30.0, 0.0, 1.0))
-    assert (
-        team.seconds - team.row(0, 1)[NEIGHBOUR_ROW.state_time] < NEIGHBOUR_AGES.gone
-    ), "nor when it counts as gone is it forgotten"
+    assert team.seconds - team.row(0, 1)["state_time"] < NEIGHBOUR_AGES.gone, (
+        "nor when it counts as gone is it forgotten"
+    )
 
 
 def test_a_drone_that_hears_no_more_than_half_is_cut_off_whatever_it_is_told():
@@ -191,7 +195,7 @@ def test_only_what_is_new_is_told_with_its_age_and_that_of_the_way():
     ask(0, encode([1, 99]), 2, "", 0, 0.0)
     [(source, payload, *_)] = told
     take(source, payload, 1, "", 0, 0.2)
-    assert team.row(0, 1)[NEIGHBOUR_ROW.state_time] == pytest.approx(-0.2)
+    assert team.row(0, 1)["state_time"] == pytest.approx(-0.2)
     team.seconds = NEIGHBOUR_AGES.usable + 0.1
     ask(0, encode([1]), 3, "", 0, 0.0)
     assert len(told) == 1
@@ -211,7 +215,7 @@ def test_those_are_asked_that_are_heard_themselves():
             STANDARD_GAINS.position,
             team.seconds,
         )
-        team.filters[0].look(team.seconds)
+        team.check()
     assert set(team.asked) == {2}
 
 
@@ -241,9 +245,9 @@ def test_all_that_are_heard_are_asked_in_turn_however_many_are_sought():
             STANDARD_GAINS.position,
             team.seconds,
         )
-        team.filters[0].look(team.seconds)
-    assert team.row(0, 8)[0] == 5.0
-    assert team.seconds - team.row(0, 8)[NEIGHBOUR_ROW.state_time] < 3.5
+        team.check()
+    assert team.row(0, 8)["state"][0] == 5.0
+    assert team.seconds - team.row(0, 8)["state_time"] < 3.5
 
 
 def test_a_late_direct_state_still_counts_as_heard_beside_earlier_reports():
@@ -252,8 +256,8 @@ def test_a_late_direct_state_still_counts_as_heard_beside_earlier_reports():
         team.seconds += STATE_RATES.check_interval
         team.filters[0].traffic.told((1, State.at((3.0, 0.0, 1.0))), 0.3)
         team.filters[0].traffic.hear((1, State.at((2.0, 0.0, 1.0))), 0.4)
-    assert team.row(0, 1)[0] == 3.0
-    assert team.seconds - team.row(0, 1)[NEIGHBOUR_ROW.heard_time] == pytest.approx(0.4)
+    assert team.row(0, 1)["state"][0] == 3.0
+    assert team.seconds - team.row(0, 1)["heard_time"] == pytest.approx(0.4)
 
 
 GARBAGE = [
@@ -311,7 +315,6 @@ def test_a_state_that_is_none_is_not_heard(part, bad):
     (flat if part == "flat" else a)[0] = bad
     team.filters[0].traffic.hear((1, State(flat, 0.0, a)), 0.0)
     np.testing.assert_array_equal(team.filters[0].traffic.rows, before)
-    assert DRONE_TOPICS.state.impaired
     assert MESSAGE_TOPICS.wanted_states.impaired
     assert MESSAGE_TOPICS.relayed_states.impaired, (
         "the simulated network acts on them too"

@@ -11,7 +11,8 @@ from crazychoir.safety.collision.agreed.path_choice import WantedFlight
 from crazychoir.safety.collision.agreed.path_limits import PathLimits
 from crazychoir.safety.collision.agreed.paths import compute_end_place, plan_hold
 from crazychoir.safety.collision.agreed.planned import PlannedFlights
-from crazychoir.safety.collision.neighbour_table import NeighbourTable
+from crazychoir.safety.collision.airspace import Airspace, AirspaceRules
+from crazychoir.safety.collision.neighbours import Neighbours
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.types import FullState, State
 
@@ -37,7 +38,8 @@ def lone(clock, others=()):
     bus = Bus(clock)
     port = bus.port(0)
     ids = range(len(others) + 1)
-    traffic = NeighbourTable(port, ids, [0])
+    airspace = Airspace(bus, ids, AirspaceRules(CollisionTable(), 1.0, 0.0, (0,)))
+    traffic = Neighbours(airspace, 0, keeps_all=True)
     flights = PlannedFlights(
         port, CollisionTable(), traffic, [0], PathLimits(FENCE, 2.0, 1.0, 0.0)
     )
@@ -45,7 +47,6 @@ def lone(clock, others=()):
         traffic.hear((i, State.at(place)), 0.0)
     flights.agreement.begin(plan_hold(START, 1.0), clock.now())
     flights.obstacles.look(clock.now())
-    flights.obstacles.measure(State.at(START))
     return flights.agreement, flights.choice
 
 

@@ -27,7 +27,8 @@ from crazychoir.safety.collision.agreed.paths import (
     plan_hold,
 )
 from crazychoir.safety.collision.agreed.planned import PlannedFlights
-from crazychoir.safety.collision.neighbour_table import NeighbourTable
+from crazychoir.safety.collision.airspace import Airspace, AirspaceRules
+from crazychoir.safety.collision.neighbours import Neighbours
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.types import FullState, LinkStatus, Plan, State
 
@@ -39,11 +40,12 @@ A, B = np.array([-1.0, 0.0, 1.0]), np.array([1.0, 0.0, 1.0])
 class Flier:
     """A drone that is always where its way says; it wants to be at `goal`."""
 
-    def __init__(self, bus, i, ids, at, goal=None, planners=None, number=None):
+    def __init__(self, airspace, i, ids, at, goal=None, planners=None):
         planners = ids if planners is None else planners
+        bus = airspace.bus
         port = bus.ports[i]
         self.port, self.id = port, i
-        traffic = NeighbourTable(port, ids, planners)
+        traffic = Neighbours(airspace, i, keeps_all=True)
         self.filter = PlannedFlights(
             port,
             CollisionTable(),
@@ -58,7 +60,8 @@ class Flier:
         self.track, self.flies, self.v, self.lands = [], True, np.zeros(3), False
 
     def tick(self, now):
-        self.port.publish(DRONE_TOPICS.state, State.at(self.at, self.v))
+        self.filter.traffic.publish(State.at(self.at, self.v), 0.0)
+        self.filter.traffic.airspace.step()
         if self.flies:
             wanted = FullState.at(self.goal)
             state = State.at(self.at, self.v)
@@ -83,7 +86,9 @@ def crowd(clock, *places, rules=(), planners=None):
     for i in ids:
         bus.port(i)
     bus.impairment.begin(0.0)
-    return bus, [Flier(bus, i, ids, *places[i], planners=planners) for i in ids]
+    alone = tuple(ids if planners is None else planners)
+    airspace = Airspace(bus, ids, AirspaceRules(CollisionTable(), 1.0, 0.0, alone))
+    return bus, [Flier(airspace, i, ids, *places[i], planners=planners) for i in ids]
 
 
 async def fly(clock, drones, duration):
@@ -467,7 +472,7 @@ async def test_what_an_earlier_agent_was_allowed_counts_no_more_when_it_is_start
     await fly(clock, drones, 3.0)
     allowed = drones[0].filter.agreement.others[1].allowed
     bus.port(1, incarnation=2**63 + 5)
-    again = Flier(bus, 1, [0, 1], drones[1].at)
+    again = Flier(drones[1].filter.traffic.airspace, 1, [0, 1], drones[1].at)
     await fly(clock, [drones[0], again], 0.5)
     mine = again.filter.agreement
     for _ in range(20):
@@ -573,7 +578,7 @@ async def test_a_drone_with_a_silent_radio_is_avoided_where_it_is_seen(
     for silence, clear in ((0.0, False), (1.0, True)):
         _, drones = crowd(clock, (A, B), ((0.0, 2.5, 1.0),))
         goes, elsewhere = drones
-        goes.filter.traffic.linked(1, LinkStatus("degraded", silence), 0.0)
+        goes.filter.traffic.airspace.take_link(1, LinkStatus("degraded", silence), 0.0)
         for _ in range(1000):
             await clock.sleep(TICK)
             elsewhere.tick(clock.now_ns() / NS_PER_SECOND)

@@ -1,0 +1,358 @@
+"""The airspace of a process: which states of the other drones each of its drones has heard."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from crazychoir.bus.port import READER_RATES, Bus
+from crazychoir.config.tables import CollisionTable
+from crazychoir.runtime.clock import NS_PER_SECOND
+from crazychoir.safety.collision.airspace_rows import (
+    AIRSPACE_RULES_ROW,
+    LISTENER_ROW,
+    PAIR_ROW,
+    ROUND_ROW,
+    SWARM_ROW,
+    Missed,
+)
+from crazychoir.safety.collision.distances import COLLISION_DISTANCES
+from crazychoir.safety.collision.hearing import (
+    hear_states,
+    is_valid_state,
+    take_states,
+)
+from crazychoir.safety.collision.near_pairs import CHECK_NS, check_distances
+from crazychoir.safety.collision.state_links import PairsOfAll, StateLinks
+from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES, compute_far_rate
+from crazychoir.safety.collision.states_by_hand import STATE_BYTES, StatesByHand
+from crazychoir.types import Ints, LinkStatus, Mat, Records, State, Vec
+
+FIRST_PAIRS = 8  # pairs of a drone for which there is room at first
+SPARE_ROUNDS = 4  # rounds that are kept beyond NEIGHBOUR_AGES.gone
+
+
+@dataclass(frozen=True, slots=True)
+class AirspaceRules:
+    """What holds for all drones of an airspace."""
+
+    collision: CollisionTable
+    """[collision]."""
+    v_max: float
+    """m/s, largest speed of the others."""
+    ground: float
+    """m, height of the ground."""
+    alone: tuple[int, ...] = ()
+    """Ids of the drones that do not give way, because a planner on board flies them."""
+
+
+class Airspace:
+    """The newest states of all flying drones, and what each drone of this process has heard of them.
+
+    Each drone hears all others in rounds, a few times a second. Two drones that could meet soon, or
+    that would soon brake for want of a state, have a pair each: a record of what one has heard of
+    the other, often enough. A pair also exists while a drone may be near, because it has not been
+    heard for long or never.
+
+    bus: of the process, with a port of each of its drones
+    ids: of all flying drones of the swarm
+    rules: what holds for all of them
+    """
+
+    def __init__(self, bus: Bus, ids: Sequence[int], rules: AirspaceRules) -> None:
+        self.bus = bus
+        self.ids = sorted(ids)
+        self.own_ids = [i for i in self.ids if i in bus.ports]
+        self.places = {j: place for place, j in enumerate(self.ids)}
+        interval_ns = round(NS_PER_SECOND / compute_far_rate(max(len(self.ids) - 1, 1)))
+        self.rules = _build_rules(rules, interval_ns)
+        self.swarm = np.zeros(len(self.ids), SWARM_ROW)
+        self.listeners = np.zeros(len(self.own_ids), LISTENER_ROW)
+        self.pairs = np.zeros(len(self.own_ids) * FIRST_PAIRS, PAIR_ROW)
+        capacity = int(self.rules["round_capacity"][0])
+        self.rounds = np.zeros(len(self.ids) * capacity, ROUND_ROW)
+        self.missed = np.full(
+            (len(self.own_ids), len(self.ids)), Missed.ALL, dtype=np.uint8
+        )
+        """(listeners, swarm): rounds missed in a row, or Missed."""
+        self.links = StateLinks(bus.impairment, PairsOfAll(self.ids, self.own_ids))
+        self._trace_due_ns = 0
+        self.trace: Callable[[bytes], None] | None = None
+        """Gets what each drone knows, when its distances are checked."""
+        self.own_places = np.array([self.places[i] for i in self.own_ids], np.int64)
+        """(n,): rows of the drones of this process in the swarm."""
+        self.states = np.zeros((len(self.own_ids), 16))
+        """(n, 16): own states (13,) and accelerations (3,), before the next step."""
+        self.times = np.full(len(self.own_ids), -math.inf)
+        """(n,) s: times of the own states."""
+        self.numbers = np.zeros(len(self.own_ids), np.int64)
+        """(n,): ticks of the own drones."""
+        self._by_hand = StatesByHand(bus, self.swarm, self.listeners, self.hear)
+        self._found = np.zeros(len(self.ids), PAIR_ROW)
+        self._shares = {j: 1.0 if j in rules.alone else 0.5 for j in self.ids}
+        self._fill(interval_ns)
+
+    def _fill(self, interval_ns: int) -> None:
+        """Write what the records contain at the start.
+
+        interval_ns: ns, of rounds
+        """
+        swarm = self.swarm
+        ids = np.array(self.ids, np.int64)
+        swarm["drone"] = ids
+        swarm["listener"] = -1
+        swarm["listener"][self.own_places] = np.arange(len(self.own_ids))
+        swarm["state"][:, 9] = 1.0
+        swarm["seen_state"][:, 9] = 1.0
+        swarm["state_time"] = -math.inf
+        swarm["seen_time"] = -math.inf
+        swarm["share"] = list(self._shares.values())
+        if interval_ns >= READER_RATES.slow_interval_ns:
+            swarm["phase_ns"] = READER_RATES.phase_step_ns * ids % interval_ns
+        swarm["round_due_ns"] = swarm["phase_ns"]
+        listeners = self.listeners
+        listeners["place"] = self.own_places
+        listeners["first_pair"] = FIRST_PAIRS * np.arange(len(self.own_ids))
+        listeners["pair_capacity"] = FIRST_PAIRS
+        # Drones of one process do not all check in the same tick.
+        listeners["check_ns"] = (
+            READER_RATES.phase_step_ns * ids[self.own_places] % CHECK_NS
+        )
+
+    def keep_all(self, listener: int) -> None:
+        """Give an own drone a pair with every other drone, from now on.
+
+        listener: number of the drone in this process
+        """
+        row = self.listeners[listener]
+        row["keeps_all"] = 1
+        self._check_all(int(row["check_ns"]))
+
+    def now(self) -> float:
+        """Return the time in s on the clock of the ages."""
+        return self.bus.clock.now_ns() / NS_PER_SECOND
+
+    def publish(self, listener: int, state: State, age: float) -> None:
+        """Take the state of one drone of this process; the others hear it in the next step.
+
+        listener: number of the drone in this process
+        age: s
+        """
+        row = self.states[listener]
+        row[0:13] = state.flat
+        row[13:16] = state.a
+        self.times[listener] = self.now() - age
+        self.numbers[listener] += 1
+
+    def hear_frame(self, ids: Ints, numbers: Ints, states: Mat, ages: Vec) -> None:
+        """Take states from another process; the own drones hear them in the next step.
+
+        ids: (k,), ids of drones
+        numbers: (k,), ticks of these drones
+        states: (k, 16): state (13,) and acceleration (3,)
+        ages: (k,) s
+        """
+        found = [self.places.get(j, -1) for j in ids.tolist()]
+        places = np.array(found, np.int64)
+        # No other process may speak for a drone of this one.
+        known = (places >= 0) & (self.swarm["listener"][places] < 0)
+        take_states(
+            self.swarm,
+            places[known],
+            numbers[known],
+            states[known],
+            self.now() - ages[known],
+        )
+
+    def due_frame(self) -> Ints:
+        """Return the numbers of the own drones with a state that drones of other processes need now.
+
+        Valid from one step to the next one.
+        """
+        return np.flatnonzero(self.listeners["is_frame_due"])
+
+    def step(self) -> Ints:
+        """Let all drones of this process hear what is due, then check the distances.
+
+        Returns the numbers of the own drones that should ask others for states.
+        """
+        now_ns = self.bus.clock.now_ns()
+        if self.rules["began_ns"][0] < 0:
+            self.rules["began_ns"] = now_ns
+        self.links.refresh(now_ns / NS_PER_SECOND)
+        take_states(self.swarm, self.own_places, self.numbers, self.states, self.times)
+        waiting = hear_states(
+            self.listeners,
+            self.pairs,
+            self.swarm,
+            self.rounds,
+            self.missed,
+            self.links.rows,
+            self.rules,
+            now_ns,
+        )
+        if waiting:
+            self._judge_by_hand(now_ns)
+        checks = self.listeners["check_count"].copy()
+        self._check_all(now_ns)
+        self._trace(now_ns)
+        was_checked = checks != self.listeners["check_count"]
+        return np.flatnonzero(was_checked & (self.listeners["sought_count"] > 0))
+
+    def _check_all(self, now_ns: int) -> None:
+        """Check the distances of all own drones that are due."""
+        while (lacking := self._check(now_ns)) >= 0:
+            self._make_room(lacking)
+
+    def _check(self, now_ns: int) -> int:
+        """Check the distances, and return the first drone without room for its pairs, or -1."""
+        return int(
+            check_distances(
+                self.listeners,
+                self.pairs,
+                self.swarm,
+                self.rounds,
+                self.missed,
+                self.links.rows,
+                self.rules,
+                self._found,
+                now_ns,
+            )
+        )
+
+    def _make_room(self, lacking: int) -> None:
+        """Double the room for the pairs of one drone."""
+        before = self.listeners.copy()
+        self.listeners["pair_capacity"][lacking] *= 2
+        ends = np.cumsum(self.listeners["pair_capacity"])
+        self.listeners["first_pair"] = ends - self.listeners["pair_capacity"]
+        pairs = np.zeros(int(ends[-1]), PAIR_ROW)
+        for old, new in zip(before, self.listeners, strict=True):
+            pairs[new["first_pair"] :][: old["pair_count"]] = self.pairs[
+                old["first_pair"] :
+            ][: old["pair_count"]]
+        self.pairs = pairs
+
+    def _trace(self, now_ns: int) -> None:
+        """Trace what the own drones know of near drones, as often as the distances are checked."""
+        if self.trace is not None and now_ns >= self._trace_due_ns:
+            self._trace_due_ns = now_ns + CHECK_NS
+            self.trace(self.pairs.tobytes())
+
+    def report_messages(self) -> None:
+        """Add the messages since the last call to the counters of the ports."""
+        listeners = self.listeners
+        for at in np.flatnonzero(listeners["sent"]).tolist():
+            port = self.bus.ports.get(self.own_ids[at])
+            if port is not None:
+                port.counters.sent += int(listeners["sent"][at])
+                port.counters.bytes += STATE_BYTES * int(listeners["sent"][at])
+                port.counters.lost += int(listeners["lost"][at])
+        listeners["sent"] = 0
+        listeners["lost"] = 0
+
+    def _judge_by_hand(self, now_ns: int) -> None:
+        """Let the simulated network decide on the states that wait for its verdict."""
+        for at, i in enumerate(self.own_ids):
+            for pair in self.pairs_of(at):
+                if pair["is_by_hand"]:
+                    pair["is_by_hand"] = 0
+                    self._by_hand.judge(at, i, pair, now_ns)
+
+    def pairs_of(self, listener: int) -> Records:
+        """Return the pairs of an own drone, (k,) PAIR_ROW, ordered by id; valid until the next step.
+
+        listener: number of the drone in this process
+        """
+        row = self.listeners[listener]
+        first = int(row["first_pair"])
+        return self.pairs[first : first + int(row["pair_count"])]
+
+    def pair(self, listener: int, j: int) -> Records | None:
+        """Return the pair of an own drone with drone j, (1,) PAIR_ROW, or None.
+
+        listener: number of the drone in this process
+        """
+        place = self.places.get(j)
+        if place is None or self.missed[listener, place] != Missed.PAIRED:
+            return None
+        pairs = self.pairs_of(listener)
+        k = int(np.searchsorted(pairs["other"], place))
+        return pairs[k : k + 1]
+
+    def hear(self, listener: int, j: int, state: State, age: float) -> None:
+        """Let an own drone hear a state that drone j sent itself.
+
+        listener: number of the drone in this process
+        age: s, of the state
+        """
+        self.relay(listener, j, state, age, is_heard=True)
+
+    def relay(
+        self,
+        listener: int,
+        j: int,
+        state: State,
+        age: float,
+        *,
+        is_heard: bool = False,
+    ) -> None:
+        """Let an own drone learn a state of drone j.
+
+        listener: number of the drone in this process
+        age: s, of the state
+        is_heard: whether drone j sent it itself
+        """
+        found = self.pair(listener, j)
+        if found is None or not is_valid_state(np.concatenate([state.flat, state.a])):
+            return
+        row = found[0]
+        born = self.now() - age
+        if born >= row["state_time"]:
+            row["state"] = state.flat
+            row["acceleration"] = state.a
+            row["state_time"] = born
+        if is_heard:
+            row["heard_time"] = max(row["heard_time"], born)
+            row["share"] = self.swarm["share"][row["other"]]
+
+    def see(self, j: int, state: State, age: float) -> None:
+        """Take the place of drone j that the cameras see.
+
+        It counts for drones that have not heard drone j for NEIGHBOUR_AGES.unheard s.
+        """
+        place = self.places.get(j)
+        if place is not None and is_valid_state(np.concatenate([state.flat, state.a])):
+            self.swarm["seen_state"][place] = state.flat
+            self.swarm["seen_time"][place] = self.now() - age
+
+    def take_link(self, j: int, link: LinkStatus | None, age: float) -> None:
+        """Note the state of the radio of drone j.
+
+        A drone that does not hear its agent gives way to no other, whatever the agent says.
+        """
+        place = self.places.get(j)
+        if place is not None and link is not None:
+            is_deaf = link.silence + age > NEIGHBOUR_AGES.deaf
+            self.swarm["share"][place] = 1.0 if is_deaf else self._shares[j]
+            self.swarm["is_deaf"][place] = is_deaf
+
+
+def _build_rules(rules: AirspaceRules, interval_ns: int) -> Records:
+    """Return the rules for compiled laws, (1,) AIRSPACE_RULES_ROW.
+
+    interval_ns: ns, of rounds
+    """
+    sx, sy, sz = rules.collision.semi_axes
+    kept = math.ceil(NEIGHBOUR_AGES.gone * NS_PER_SECOND / interval_ns) + SPARE_ROUNDS
+    row = np.zeros(1, AIRSPACE_RULES_ROW)
+    row["scale"] = (1.0, sx / sy, sx / sz)
+    row["width"] = 2.0 * sx + rules.collision.margin
+    row["range"] = rules.collision.range
+    row["v_max"] = rules.v_max
+    row["standing_height"] = rules.ground + COLLISION_DISTANCES.standing_height
+    row["far_interval_ns"] = interval_ns
+    row["round_capacity"] = min(kept, Missed.MOST)
+    row["began_ns"] = -1
+    return row

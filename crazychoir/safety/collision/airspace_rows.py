@@ -1,0 +1,140 @@
+"""The records of an airspace: drones of the swarm, their rounds, pairs, and listeners."""
+
+from enum import IntEnum
+
+import numpy as np
+
+SWARM_ROW = np.dtype(
+    [
+        ("drone", np.int64),  # id
+        ("listener", np.int64),  # row of LISTENER_ROW; -1: flown by another process
+        ("number", np.int64),  # tick of the sender at its newest state
+        ("is_fresh", np.int64),  # 1: a newer state has come since the last step
+        ("state", np.float64, 13),  # the newest state, as State.flat
+        ("acceleration", np.float64, 3),  # m/s2, as State.a
+        ("state_time", np.float64),  # s, time of the newest state; -inf: none
+        ("round_count", np.int64),  # rounds so far
+        ("round_due_ns", np.int64),  # ns, time of the next round
+        ("phase_ns", np.int64),  # ns, shift of the drone's grid of times
+        ("seen_state", np.float64, 13),  # what the cameras saw last
+        ("seen_time", np.float64),  # s, time of seen_state; -inf: none
+        ("share", np.float64),  # 1: gives way to no other drone; else 0.5
+        (
+            "is_deaf",
+            np.int64,
+        ),  # 1: its radio is silent; it goes on with its last command
+    ]
+)
+"""One flying drone of the swarm, as this process knows it."""
+
+ROUND_ROW = np.dtype(
+    [
+        ("state", np.float64, 13),  # as State.flat
+        ("acceleration", np.float64, 3),  # m/s2, as State.a
+        ("state_time", np.float64),  # s
+    ]
+)
+"""One state that a drone said to all far drones."""
+
+PAIR_ROW = np.dtype(
+    [
+        ("other", np.int64),  # row of SWARM_ROW
+        ("drone", np.int64),  # id of the other drone
+        ("state", np.float64, 13),  # newest known state, as State.flat
+        ("acceleration", np.float64, 3),  # m/s2, as State.a
+        ("state_time", np.float64),  # s, time of the state; -inf: none is known
+        # s, time of the last state that the other drone sent itself. Others may relay newer ones.
+        ("heard_time", np.float64),
+        ("share", np.float64),  # 1: the other drone gives way to no other; else 0.5
+        ("meeting_time", np.float64),  # s until both could be near each other
+        # s, age of the state beyond which this drone brakes for want of a newer one
+        ("age_limit", np.float64),
+        ("interval_ns", np.int64),  # ns, between two states that this drone hears
+        ("due_ns", np.int64),  # ns, when this drone hears the next one
+        # ns, between two states that this drone sends to the other one
+        ("sending_interval_ns", np.int64),
+        ("sending_due_ns", np.int64),  # ns, when this drone sends the next one
+        ("turns", np.int64),  # how often others were asked about the other drone
+        ("is_by_hand", np.int64),  # 1: a state waits for the verdict of Impairment
+        ("is_sought", np.int64),  # 1: others should be asked for a newer state
+    ]
+)
+"""What one drone of this process knows of another drone that may be near."""
+
+LISTENER_ROW = np.dtype(
+    [
+        ("place", np.int64),  # row of SWARM_ROW
+        ("first_pair", np.int64),  # first row of PAIR_ROW
+        ("pair_count", np.int64),  # number of rows of PAIR_ROW, ordered by id
+        ("pair_capacity", np.int64),  # number of rows that are reserved
+        ("check_ns", np.int64),  # ns, time of the next check of the distances
+        ("check_count", np.int64),  # checks so far
+        ("sought_count", np.int64),  # pairs of which others should be asked
+        ("keeps_all", np.int64),  # 1: every other drone has a pair
+        ("far_heard", np.int64),  # flying drones without a pair that are heard
+        ("far_silent", np.int64),  # flying drones without a pair that are silent
+        ("sent", np.int64),  # messages since the last count
+        ("lost", np.int64),  # messages of these that were lost
+        ("is_frame_due", np.int64),  # 1: drones of other processes get the newest state
+    ]
+)
+"""One drone of this process."""
+
+LINK_ROW = np.dtype(
+    [
+        ("kind", np.int64),  # LinkKind
+        ("key", np.uint64),  # of the draws
+        ("threshold", np.uint64),  # draws below it lose the message in the good state
+        (
+            "bad_threshold",
+            np.uint64,
+        ),  # draws below it lose the message in the bad state
+        ("loses_bad", np.int64),  # 1: all messages are lost in the bad state
+        (
+            "p_good_bad",
+            np.float64,
+        ),  # probability that the burst chain turns bad; 0: no chain
+        ("p_bad_good", np.float64),  # probability that it turns good
+        ("sent", np.int64),  # messages since the last count
+        ("lost", np.int64),  # messages of these that were lost
+    ]
+)
+"""The simulated network on the way from one drone to a drone of this process."""
+
+AIRSPACE_RULES_ROW = np.dtype(
+    [
+        ("scale", np.float64, 3),  # diagonal of S
+        ("width", np.float64),  # m, D
+        ("range", np.float64),  # m, distance within which others count
+        ("v_max", np.float64),  # m/s, largest speed of the others
+        ("standing_height", np.float64),  # m, world; a lower drone stands on the floor
+        ("far_interval_ns", np.int64),  # ns, between two rounds
+        ("round_capacity", np.int64),  # rounds that are kept of each drone
+        ("began_ns", np.int64),  # ns, first step; -1: none yet
+    ]
+)
+"""What holds for all pairs of an airspace."""
+
+
+class LinkKind(IntEnum):
+    """How a message is lost on its way."""
+
+    CLEAR = 0
+    """Never."""
+    DRAW = 1
+    """By a draw, and by the state of a burst chain."""
+    CUT = 2
+    """Always."""
+    BY_HAND = 3
+    """By the verdict of Impairment, which may also delay or duplicate it."""
+
+
+class Missed(IntEnum):
+    """Values of the number of rounds that a drone has missed in a row, beyond real numbers."""
+
+    MOST = 253
+    """Largest real number."""
+    PAIRED = 254
+    """The drone hears the other one as a pair, not in rounds."""
+    ALL = 255
+    """The drone has heard none of the rounds that are kept."""

@@ -1,0 +1,493 @@
+"""The avoid stage: the safe acceleration of each drone that is nearest to its wanted one."""
+
+import math
+
+import numpy as np
+
+from crazychoir.numerics.kernels import kernel, real, rows_of, table
+from crazychoir.numerics.math3d import Triple, clip, dot
+from crazychoir.safety.collision.airspace_rows import LISTENER_ROW, PAIR_ROW
+from crazychoir.safety.collision.barrier import (
+    compute_barrier_acceleration,
+    compute_closing_speed,
+    compute_yield_share,
+)
+from crazychoir.safety.collision.cells import compute_cell_acceleration
+from crazychoir.safety.collision.deadlock import (
+    PASSING_SIDE_FIELDS,
+    note_giving_way,
+    turn_sideways,
+)
+from crazychoir.safety.collision.distances import BRAKING_MODEL, COLLISION_DISTANCES
+from crazychoir.safety.collision.motion import (
+    compute_norm,
+    limit_norm,
+    predict_braking,
+    predict_late_motion,
+    scale_difference,
+)
+from crazychoir.safety.collision.projection import find_nearest_point
+from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES
+from crazychoir.types import Mat, Records, Vec
+
+MOST_NEIGHBOURS = 16
+"""Largest number of others that count, the nearest ones."""
+
+AVOID_ROW = np.dtype(
+    [
+        # What the drone wants
+        ("is_asked", np.int64),  # 1: the drone flies and asks whether its way is clear
+        ("state", np.float64, 13),  # as State.flat
+        ("acceleration", np.float64, 3),  # m/s2, commanded in the last tick
+        ("reference", np.float64, 14),  # as FullState.flat
+        ("gains", np.float64, 13),  # as Gains.position
+        (
+            "follows",
+            np.int64,
+        ),  # 1: flies `reference` as a full state; 0: its acceleration only
+        ("lands", np.int64),  # 1: the drone comes down
+        # The answer
+        ("acts", np.int64),  # 1: the drone must fly `safe`
+        ("safe", np.float64, 3),  # m/s2
+        ("gives_way_to", np.int64),  # id of the nearest drone in the way; -1: none
+        (
+            "is_cut_off",
+            np.int64,
+        ),  # 1: hears at most half of all flying drones, itself included
+        # The memory of the drone
+        ("rests", np.int64),  # 1: stays at rest_place while it brakes
+        ("rest_place", np.float64, 3),  # m
+        *PASSING_SIDE_FIELDS,
+        # The figures of the drone
+        ("listener", np.int64),  # row of LISTENER_ROW
+        ("lag", np.float64),  # s
+        ("delay", np.float64),  # s
+        ("scale", np.float64, 3),  # diagonal of S
+        ("width", np.float64),  # m: D
+        ("brake", np.float64),  # m/s2, of the barrier and of the cells
+        ("gamma", np.float64),  # 1/s, of the barrier and of the cells
+        ("stiffness", np.float64),  # 1/s, of the barrier and of the cells
+        ("largest_horizontal", np.float64),  # m/s2
+        ("largest_vertical", np.float64),  # m/s2
+        ("turn", np.float64),  # sideways share of `turn_sideways`
+        ("range", np.float64),  # m, distance within which others count
+        ("unsure", np.float64),  # m/s2, unknown acceleration of another drone
+        ("ground", np.float64),  # m, height of the ground
+        ("v_max", np.float64),  # m/s, largest speed of the others
+        (
+            "has_cells",
+            np.int64,
+        ),  # 1: compute_cell_acceleration; 0: compute_barrier_acceleration
+        ("box", np.float64, 6),  # m: lower corner of the fence, then upper corner
+    ]
+)
+"""The avoid stage of one drone."""
+
+
+def make_planes() -> Mat:
+    """Return work space for the half spaces of one drone, (., 4)."""
+    return np.zeros((6 + MOST_NEIGHBOURS + 6, 4))
+
+
+def make_nearest() -> Mat:
+    """Return work space for the nearest others, (MOST_NEIGHBOURS, 2), see _insert_plane."""
+    return np.zeros((MOST_NEIGHBOURS, 2))
+
+
+@kernel()
+def _compute_wanted(row: Records) -> Triple:
+    """Return the acceleration that the controller would ask for, (3,) m/s2.
+
+    a_d + follow (kp (p_d - p) + kv (v_d - v))
+
+    row: one row of AVOID_ROW
+    """
+    x = row.state
+    ref = row.reference
+    gains = row.gains
+    follow = float(row.follows)
+    return (
+        ref[6] + follow * (gains[0] * (ref[0] - x[0]) + gains[3] * (ref[3] - x[3])),
+        ref[7] + follow * (gains[1] * (ref[1] - x[1]) + gains[4] * (ref[4] - x[4])),
+        ref[8] + follow * (gains[2] * (ref[2] - x[2]) + gains[5] * (ref[5] - x[5])),
+    )
+
+
+@kernel()
+def _compute_braking(row: Records, v: Triple) -> Triple:
+    """Return the acceleration that brings the drone to rest and keeps it there, (3,) m/s2.
+
+        -k v - (k / 2)^2 (p - p_0)
+
+    p_0: the place where the drone came to rest; the second term holds it there against the wind
+
+    row: one row of AVOID_ROW
+    v: (3,) m/s, predicted
+    """
+    x = row.state
+    rest = row.rest_place
+    if (
+        row.rests == 0
+        and compute_norm((x[3], x[4], x[5])) < BRAKING_MODEL.holding_speed
+    ):
+        row.rests = 1
+        rest[0] = x[0]
+        rest[1] = x[1]
+        rest[2] = x[2]
+    k = BRAKING_MODEL.gain
+    stiff = 0.25 * BRAKING_MODEL.gain * BRAKING_MODEL.gain * row.rests
+    return limit_norm(
+        (
+            -k * v[0] - stiff * (x[0] - rest[0]),
+            -k * v[1] - stiff * (x[1] - rest[1]),
+            -k * v[2] - stiff * (x[2] - rest[2]),
+        ),
+        row.largest_vertical,
+    )
+
+
+@kernel()
+def _insert_plane(
+    planes: Vec, near: Vec, count: int, d: float, normal: Triple, b: float, row: int
+) -> int:
+    """Insert a half space among the nearest ones, in the order of d, and return their number.
+
+    planes: (., 4): the half spaces, from row 6 on
+    near: (MOST_NEIGHBOURS, 2): d, and the row of the other drone in PAIR_ROW
+    count: number of half spaces so far
+    d: m, the distance
+    normal: normal of the half space
+    b: its right-hand side
+    row: row of the other drone
+    """
+    if count == MOST_NEIGHBOURS:
+        if d >= near[MOST_NEIGHBOURS - 1, 0]:
+            return count
+        count -= 1
+    k = count
+    while k > 0 and near[k - 1, 0] > d:
+        near[k, 0], near[k, 1] = near[k - 1, 0], near[k - 1, 1]
+        for c in range(4):
+            planes[6 + k, c] = planes[5 + k, c]
+        k -= 1
+    near[k, 0] = d
+    near[k, 1] = row
+    planes[6 + k, 0] = normal[0]
+    planes[6 + k, 1] = normal[1]
+    planes[6 + k, 2] = normal[2]
+    planes[6 + k, 3] = b
+    return count + 1
+
+
+@kernel(forceinline=True)
+def _find_drone_in_the_way(planes: Vec, near: Vec, count: int, u: Triple) -> float:
+    """Return the row of the nearest drone with a half space that does not contain u, -1 without one.
+
+    planes: (., 4): the half spaces, from row 6 on
+    near: (MOST_NEIGHBOURS, 2): as in `_insert_plane`
+    count: number of half spaces
+    u: m/s2, the acceleration
+    """
+    for k in range(count):
+        normal = (planes[6 + k, 0], planes[6 + k, 1], planes[6 + k, 2])
+        if dot(normal, u) < planes[6 + k, 3]:
+            return float(near[k, 1])
+    return -1.0
+
+
+@kernel()
+def _compute_wall_bound(gap: float, away: float, row: Records) -> float:
+    """Return the least acceleration away from a wall, m/s2.
+
+    gap: m, from the wall
+    away: m/s, speed away from the wall, as in `compute_barrier_acceleration`
+    row: one row of AVOID_ROW
+    """
+    speed, slope = compute_closing_speed(gap, row.brake, row.stiffness)
+    return float(-row.gamma * (speed + away) - slope * away)
+
+
+@kernel()
+def _fill_box(planes: Vec, floor: float, row: Records) -> None:
+    """Set rows 0 to 5: the accelerations that the drone can fly and that keep it above the floor.
+
+    planes: (., 4): the half spaces
+    floor: m/s2, least acceleration upwards
+    row: one row of AVOID_ROW
+    """
+    for c in range(3):
+        for side in range(2):
+            k = 2 * c + side
+            for n in range(3):
+                planes[k, n] = 0.0
+            planes[k, c] = 1.0 - 2.0 * side
+            planes[k, 3] = -(row.largest_vertical if c == 2 else row.largest_horizontal)
+    planes[4, 3] = clip(floor, -row.largest_vertical, row.largest_vertical)
+
+
+@kernel()
+def _append_walls(planes: Vec, m: int, p: Triple, v: Triple, row: Records) -> int:
+    """Append the half spaces that keep the drone inside its fence, without the floor.
+
+    planes: (., 4): the half spaces
+    m: number of rows so far
+    p: m
+    v: m/s
+    row: one row of AVOID_ROW
+    Returns the number of rows then.
+    """
+    for k in range(6):
+        c = k % 3
+        sign = 1.0 if k < 3 else -1.0
+        gap = sign * (p[c] - row.box[k])
+        if k != 2 and gap < COLLISION_DISTANCES.near_wall:
+            for n in range(3):
+                planes[m, n] = 0.0
+            planes[m, c], planes[m, 3] = (
+                sign,
+                _compute_wall_bound(gap, sign * v[c], row),
+            )
+            m += 1
+    return m
+
+
+@kernel()
+def _predict_other(
+    row: Records, other: Records, age: float, stands: bool, p: Triple
+) -> tuple[int, Triple, Triple]:
+    """Return whether another drone counts, and its predicted place m and velocity m/s.
+
+    The first value is 0 if it is too far away or ignored, 1 if it counts, and 2 if this drone must
+    brake for it besides, because it may be near and is not heard.
+
+    row: one row of AVOID_ROW
+    other: one row of PAIR_ROW
+    age: s, of the other's state
+    stands: whether the other stands on the floor
+    p: (3,) m, predicted place of this drone
+    """
+    q, w = predict_late_motion(
+        other.state[:],
+        other.acceleration[:],
+        row.lag,
+        min(age, NEIGHBOUR_AGES.usable) + row.delay,
+        BRAKING_MODEL.command_time,
+    )
+    if age <= NEIGHBOUR_AGES.usable or stands:
+        return 1, q, w
+    scale = (row.scale[0], row.scale[1], row.scale[2])
+    d = max(compute_norm(scale_difference(p, q, scale)), 1e-3)
+    flown = min(age, BRAKING_MODEL.silent_flight_time) - NEIGHBOUR_AGES.usable
+    if (
+        row.lands != 0
+        or d > row.width + row.v_max * flown + COLLISION_DISTANCES.silent_drone
+    ):
+        return 0, q, w
+    # As a rule the silent drone does not hear this one either.
+    q, w = predict_braking(q, w, BRAKING_MODEL.gain, age - NEIGHBOUR_AGES.usable)
+    return 2, q, w
+
+
+@kernel()
+def _constrain(
+    row: Records,
+    other: Records,
+    k: int,
+    count: int,
+    age: float,
+    stands: bool,
+    low: bool,
+    moves: tuple[Triple, Triple, Triple, Triple],
+    planes: Mat,
+    near: Mat,
+) -> int:
+    """Insert the half space of one other drone, and return the number of half spaces.
+
+    row: one row of AVOID_ROW
+    other: one row of PAIR_ROW
+    k: number of that row
+    count: half spaces so far
+    age: s, of the other's state
+    stands: whether the other stands on the floor
+    low: whether this drone does
+    moves: predicted place m and velocity m/s of this drone, then of the other one
+    planes: (., 4): work space, see make_planes
+    near: work space, see make_nearest
+    """
+    p, v, q, w = moves
+    scale = (1.0, 1.0, 1.0) if stands else (row.scale[0], row.scale[1], row.scale[2])
+    beside = (
+        COLLISION_DISTANCES.standing_drone
+        if row.lands == 0
+        else COLLISION_DISTANCES.landing_beside
+    )
+    width = beside if stands else row.width
+    r = scale_difference(p, q, scale)
+    w = scale_difference(v, w, scale)
+    d = max(compute_norm(r), 1e-3)
+    n = (r[0] / d, r[1] / d, r[2] / d)
+    side = (scale[0] * n[0], scale[1] * n[1], scale[2] * n[2])
+    reach = compute_norm(side)
+    # A standing drone does not run away while it is not heard.
+    old = 0.0 if stands else min(age, NEIGHBOUR_AGES.usable)
+    gap = d - width - 0.5 * row.unsure * old * old * reach
+    unsure = row.unsure * old * reach
+    brake = row.brake * reach
+    # A drone that never gives way does not keep to its side.
+    if row.has_cells != 0 and other.share < 1.0:
+        own = (scale[0] * v[0], scale[1] * v[1], scale[2] * v[2])
+        b = compute_cell_acceleration(
+            r, w, own, gap, 0.5 * unsure, brake, row.stiffness, row.gamma
+        )
+    else:
+        b = compute_barrier_acceleration(
+            r, w, gap, unsure, 2.0 * brake, row.stiffness, row.gamma
+        )
+        if not (low or stands) and other.share < 1.0:
+            away = (
+                scale[0] * v[0] * n[0] + scale[1] * v[1] * n[1] + scale[2] * v[2] * n[2]
+            )
+            b *= compute_yield_share(away, dot(n, w) - away) if b > 0.0 else 0.5
+    normal = (side[0] / reach, side[1] / reach, side[2] / reach)
+    return _insert_plane(planes, near, count, d - width, normal, b / reach, k)
+
+
+@kernel()
+def _constrain_all(
+    row: Records,
+    listener: Records,
+    pairs: Records,
+    now: float,
+    p: Triple,
+    v: Triple,
+    planes: Mat,
+    near: Mat,
+) -> tuple[int, bool]:
+    """Insert the half spaces of all near drones, and note whether this drone is cut off.
+
+    row: one row of AVOID_ROW
+    listener: its row of LISTENER_ROW
+    pairs: PAIR_ROW
+    now: s
+    p: (3,) m, predicted place of this drone
+    v: (3,) m/s, its predicted velocity
+    planes: (., 4): work space, see make_planes
+    near: work space, see make_nearest
+    Returns the number of half spaces, and whether a drone that may be near is not heard.
+    """
+    x = row.state
+    floor = row.ground + COLLISION_DISTANCES.standing_height
+    low = x[2] < floor
+    count = 0
+    is_blind = False
+    heard = listener.far_heard
+    silent = listener.far_silent
+    for k in range(listener.first_pair, listener.first_pair + listener.pair_count):
+        other = pairs[k]
+        y = other.state
+        age = now - other.state_time
+        stands = y[2] < floor
+        if not age < NEIGHBOUR_AGES.gone and not (stands and age < math.inf):
+            continue
+        if not stands:
+            if now - other.heard_time < NEIGHBOUR_AGES.silent:
+                heard += 1
+            else:
+                silent += 1
+        apart = compute_norm(
+            (
+                row.scale[0] * (x[0] - y[0]),
+                row.scale[1] * (x[1] - y[1]),
+                row.scale[2] * (x[2] - y[2]),
+            )
+        )
+        flown = 2.0 * row.v_max * min(age, BRAKING_MODEL.silent_flight_time)
+        if apart > row.range + flown or (stands and low and row.lands == 0):
+            continue
+        kind, q, w = _predict_other(row, other, age, stands, p)
+        if kind == 0:
+            continue
+        is_blind |= kind == 2
+        moves = (p, v, q, w)
+        count = _constrain(row, other, k, count, age, stands, low, moves, planes, near)
+    row.is_cut_off = silent > heard
+    return count, is_blind
+
+
+@kernel()
+def avoid_row(
+    row: Records,
+    listener: Records,
+    pairs: Records,
+    now: float,
+    planes: Mat,
+    near: Mat,
+) -> None:
+    """Apply the law of CollisionFilter to one drone.
+
+    row: one row of AVOID_ROW
+    listener: its row of LISTENER_ROW
+    pairs: PAIR_ROW
+    now: s
+    planes: (., 4): work space, see make_planes
+    near: work space, see make_nearest
+    """
+    x = row.state
+    p, v = predict_late_motion(
+        x[:], row.acceleration[:], row.lag, row.delay, BRAKING_MODEL.command_time
+    )
+    low = x[2] < row.ground + COLLISION_DISTANCES.standing_height
+    count, is_blind = _constrain_all(row, listener, pairs, now, p, v, planes, near)
+    is_blind |= row.is_cut_off != 0 and row.lands == 0
+    if is_blind:
+        u = _compute_braking(row, v)
+    else:
+        row.rests = 0
+        u = _compute_wanted(row)
+    blocked = _find_drone_in_the_way(planes, near, count, u)
+    row.gives_way_to = pairs[int(blocked)].drone if blocked >= 0.0 else -1
+    row.acts = is_blind or blocked >= 0.0
+    if row.acts == 0:
+        return
+    floor = row.box[2]
+    turn = row.turn
+    if row.follows != 0:
+        floor = min(floor + COLLISION_DISTANCES.floor_gap, row.reference[2])
+        turn *= row.side
+    least = (
+        -row.largest_vertical if low else _compute_wall_bound(p[2] - floor, v[2], row)
+    )
+    _fill_box(planes, least, row)
+    u = turn_sideways(u, planes, 6, 6 + count, turn)
+    m = _append_walls(planes, 6 + count, p, v, row)
+    _, u = find_nearest_point(u, planes, m)
+    for c in range(3):
+        row.safe[c] = u[c]
+    if row.follows != 0:
+        note_giving_way(row, row.state, row.reference, now)
+
+
+@kernel(
+    rows_of(AVOID_ROW), rows_of(LISTENER_ROW), rows_of(PAIR_ROW), real, table, table
+)
+def avoid_rows(
+    rows: Records,
+    listeners: Records,
+    pairs: Records,
+    now: float,
+    planes: Mat,
+    near: Mat,
+) -> None:
+    """Apply avoid_row to all drones that ask.
+
+    rows: AVOID_ROW
+    listeners: LISTENER_ROW
+    pairs: PAIR_ROW
+    now: s
+    planes: (., 4): work space, see make_planes
+    near: work space, see make_nearest
+    """
+    for i in range(rows.shape[0]):
+        row = rows[i]
+        if row.is_asked != 0:
+            avoid_row(row, listeners[row.listener], pairs, now, planes, near)

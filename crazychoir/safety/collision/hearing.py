@@ -1,0 +1,313 @@
+"""Hearing: states reach the near drones at their own times, and all far drones in rounds."""
+
+import math
+
+import numba
+
+from crazychoir.bus.impairment.compiled_draws import draw_first_attempt, is_bad_state
+from crazychoir.numerics.kernels import kernel, matrix, rows_of, vector
+from crazychoir.runtime.clock import NS_PER_SECOND
+from crazychoir.safety.collision.airspace_rows import (
+    AIRSPACE_RULES_ROW,
+    LINK_ROW,
+    LISTENER_ROW,
+    PAIR_ROW,
+    ROUND_ROW,
+    SWARM_ROW,
+    LinkKind,
+    Missed,
+)
+from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES
+from crazychoir.types import Bytes, Ints, Mat, Records, Vec
+
+LARGEST_STATE_NORM = 1e6
+"""Largest norm of a valid state (13,), in the units of its entries."""
+LARGEST_ACCELERATION_NORM = 100.0
+"""Largest norm of a valid acceleration, m/s2."""
+
+integers = numba.types.Array(numba.int64, 1, "C", readonly=True)
+"""An array (n,) of integers that a kernel reads."""
+byte_table = numba.uint8[:, ::1]
+"""An array (m, n) of bytes that a kernel writes."""
+
+
+@kernel(vector)
+def is_valid_state(values: Vec) -> bool:
+    """Return whether a state (13,) and an acceleration (3,) are finite and not too large.
+
+    values: (16,)
+    """
+    state = 0.0
+    for c in range(13):
+        state += values[c] * values[c]
+    acceleration = 0.0
+    for c in range(13, 16):
+        acceleration += values[c] * values[c]
+    return (
+        state < LARGEST_STATE_NORM * LARGEST_STATE_NORM
+        and acceleration < LARGEST_ACCELERATION_NORM * LARGEST_ACCELERATION_NORM
+    )
+
+
+@kernel(rows_of(SWARM_ROW), integers, integers, matrix, vector)
+def take_states(
+    swarm: Records, places: Ints, numbers: Ints, states: Mat, times: Vec
+) -> None:
+    """Store the states of some drones, except invalid and outdated ones.
+
+    swarm: SWARM_ROW, one row a drone
+    places: (k,): rows of the swarm
+    numbers: (k,): ticks of the senders
+    states: (k, 16): state (13,) and acceleration (3,)
+    times: (k,) s, times of the states
+    """
+    for k in range(places.shape[0]):
+        row = swarm[places[k]]
+        if (
+            numbers[k] == row.number
+            or not times[k] >= row.state_time
+            or not is_valid_state(states[k])
+        ):
+            continue
+        row.number = numbers[k]
+        row.is_fresh = 1
+        row.state_time = times[k]
+        for c in range(13):
+            row.state[c] = states[k, c]
+        for c in range(3):
+            row.acceleration[c] = states[k, 13 + c]
+
+
+@kernel()
+def is_lost(link: Records, number: int) -> bool:
+    """Return whether a draw loses a message, as Impairment.verdict.
+
+    link: one row of LINK_ROW
+    number: number of the message
+    """
+    threshold = link.threshold
+    if link.p_good_bad > 0.0 and is_bad_state(
+        link.key, number, link.p_good_bad, link.p_bad_good
+    ):
+        if link.loses_bad != 0:
+            return True
+        threshold = link.bad_threshold
+    return bool(draw_first_attempt(link.key, number) < threshold)
+
+
+@kernel()
+def pass_link(links: Records, at: int, number: int) -> LinkKind:
+    """Return what happens to a message: CLEAR (it arrives), CUT (it is lost) or BY_HAND.
+
+    links: LINK_ROW; empty without a simulated network
+    at: row of the link
+    number: number of the message
+    """
+    if links.shape[0] == 0:
+        return LinkKind.CLEAR
+    link = links[at]
+    if link.kind == LinkKind.BY_HAND:
+        return LinkKind.BY_HAND
+    link.sent += 1
+    if link.kind == LinkKind.CUT or (
+        link.kind == LinkKind.DRAW and is_lost(link, number)
+    ):
+        link.lost += 1
+        return LinkKind.CUT
+    return LinkKind.CLEAR
+
+
+@kernel()
+def count_message(listeners: Records, sender: Records, fate: LinkKind) -> None:
+    """Count a message for its sender, if this process flies the sender.
+
+    listeners: LISTENER_ROW
+    sender: one row of SWARM_ROW
+    fate: result of pass_link
+    """
+    if sender.listener >= 0:
+        listeners[sender.listener].sent += 1
+        listeners[sender.listener].lost += fate == LinkKind.CUT
+
+
+@kernel()
+def hear_state(pair: Records, sender: Records) -> None:
+    """Store the newest state of the sender in a pair, unless the pair knows a newer one.
+
+    pair: one row of PAIR_ROW
+    sender: one row of SWARM_ROW
+    """
+    if sender.state_time >= pair.state_time:
+        pair.state_time = sender.state_time
+        for c in range(13):
+            pair.state[c] = sender.state[c]
+        for c in range(3):
+            pair.acceleration[c] = sender.acceleration[c]
+    pair.heard_time = max(pair.heard_time, sender.state_time)
+    pair.share = sender.share
+
+
+@kernel()
+def see_state(pair: Records, sender: Records, now: float) -> None:
+    """Store the place where the cameras see the sender, if nothing was heard of it lately.
+
+    The sender then counts as giving way to no other drone.
+
+    pair: one row of PAIR_ROW
+    sender: one row of SWARM_ROW
+    now: s
+    """
+    if (
+        sender.seen_time > pair.state_time
+        and now - pair.state_time > NEIGHBOUR_AGES.unheard
+    ):
+        pair.state_time = sender.seen_time
+        for c in range(13):
+            pair.state[c] = sender.seen_state[c]
+        for c in range(3):
+            pair.acceleration[c] = 0.0
+        pair.share = 1.0
+
+
+@kernel()
+def hear_pairs(
+    listener: Records,
+    at: int,
+    listeners: Records,
+    pairs: Records,
+    swarm: Records,
+    links: Records,
+    now_ns: int,
+) -> int:
+    """Let one drone hear the near drones that are due, and return how many wait for a verdict.
+
+    listener: one row of LISTENER_ROW
+    at: its number
+    listeners: LISTENER_ROW
+    pairs: PAIR_ROW
+    swarm: SWARM_ROW
+    links: LINK_ROW, (listeners x swarm,)
+    now_ns: ns
+    """
+    waiting = 0
+    for k in range(listener.first_pair, listener.first_pair + listener.pair_count):
+        pair = pairs[k]
+        sender = swarm[pair.other]
+        if sender.is_fresh != 0 and now_ns >= pair.due_ns:
+            pair.due_ns += (
+                (now_ns - pair.due_ns) // pair.interval_ns + 1
+            ) * pair.interval_ns
+            fate = pass_link(links, at * swarm.shape[0] + pair.other, sender.number)
+            count_message(listeners, sender, fate)
+            if fate == LinkKind.CLEAR:
+                hear_state(pair, sender)
+            elif fate == LinkKind.BY_HAND:
+                pair.is_by_hand = 1
+                waiting += 1
+        if sender.seen_time > -math.inf:
+            see_state(pair, sender, now_ns / NS_PER_SECOND)
+    return waiting
+
+
+@kernel()
+def say_round(
+    sender: Records,
+    at: int,
+    listeners: Records,
+    swarm: Records,
+    rounds: Records,
+    missed: Bytes,
+    links: Records,
+    capacity: int,
+) -> None:
+    """Let all far drones of this process hear the newest state of one drone.
+
+    sender: one row of SWARM_ROW
+    at: its number
+    listeners: LISTENER_ROW
+    swarm: SWARM_ROW
+    rounds: ROUND_ROW, (swarm x capacity,)
+    missed: (listeners, swarm): rounds missed in a row, or Missed
+    links: LINK_ROW, (listeners x swarm,)
+    capacity: rounds that are kept of each drone
+    """
+    place = rounds[at * capacity + sender.round_count % capacity]
+    sender.round_count += 1
+    place.state_time = sender.state_time
+    for c in range(13):
+        place.state[c] = sender.state[c]
+    for c in range(3):
+        place.acceleration[c] = sender.acceleration[c]
+    for i in range(listeners.shape[0]):
+        before = missed[i, at]
+        if before == Missed.PAIRED or i == sender.listener:
+            continue
+        fate = pass_link(links, i * swarm.shape[0] + at, sender.number)
+        if fate == LinkKind.CLEAR:
+            missed[i, at] = 0
+        elif before < capacity - 1:
+            missed[i, at] = before + 1
+        else:
+            missed[i, at] = Missed.ALL
+
+
+@kernel(
+    rows_of(LISTENER_ROW),
+    rows_of(PAIR_ROW),
+    rows_of(SWARM_ROW),
+    rows_of(ROUND_ROW),
+    byte_table,
+    rows_of(LINK_ROW),
+    rows_of(AIRSPACE_RULES_ROW),
+    numba.int64,
+)
+def hear_states(
+    listeners: Records,
+    pairs: Records,
+    swarm: Records,
+    rounds: Records,
+    missed: Bytes,
+    links: Records,
+    rules: Records,
+    now_ns: int,
+) -> int:
+    """Let all drones of this process hear what is due, and return how many pairs wait for a verdict.
+
+    Arguments as in hear_pairs and say_round; rules: AIRSPACE_RULES_ROW, (1,)
+    """
+    waiting = 0
+    for i in range(listeners.shape[0]):
+        listener = listeners[i]
+        listener.is_frame_due = 0
+        waiting += hear_pairs(listener, i, listeners, pairs, swarm, links, now_ns)
+        for k in range(listener.first_pair, listener.first_pair + listener.pair_count):
+            pair = pairs[k]
+            if now_ns >= pair.sending_due_ns and swarm[pair.other].listener < 0:
+                pair.sending_due_ns += (
+                    (now_ns - pair.sending_due_ns) // pair.sending_interval_ns + 1
+                ) * pair.sending_interval_ns
+                listener.is_frame_due = 1
+    interval_ns = rules[0].far_interval_ns
+    for j in range(swarm.shape[0]):
+        sender = swarm[j]
+        if sender.is_fresh == 0:
+            continue
+        sender.is_fresh = 0
+        if now_ns < sender.round_due_ns:
+            continue
+        sender.round_due_ns += (
+            (now_ns - sender.round_due_ns) // interval_ns + 1
+        ) * interval_ns
+        say_round(
+            sender,
+            j,
+            listeners,
+            swarm,
+            rounds,
+            missed,
+            links,
+            rules[0].round_capacity,
+        )
+        if sender.listener >= 0:
+            listeners[sender.listener].is_frame_due = 1
+    return waiting

@@ -1,0 +1,102 @@
+"""What one drone knows of the others: a view of the airspace of its process."""
+
+import numpy as np
+
+from crazychoir.safety.collision.airspace import Airspace
+from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES
+from crazychoir.types import Ints, Mat, Records, State
+
+
+class Neighbours:
+    """The other drones, as one drone knows them.
+
+    airspace: of the process
+    drone: id of this drone
+    keeps_all: whether all others have a row, not only the drones that may be near
+    """
+
+    def __init__(
+        self, airspace: Airspace, drone: int, *, keeps_all: bool = False
+    ) -> None:
+        self.airspace = airspace
+        self.port = airspace.bus.ports[drone]
+        self.listener = airspace.own_ids.index(drone)
+        """Number of this drone in its process."""
+        self.ids = [j for j in airspace.ids if j != drone]
+        """Ids of all other drones."""
+        if keeps_all:
+            airspace.keep_all(self.listener)
+
+    @property
+    def rows(self) -> Records:
+        """Rows of the drones that may be near, (k,) PAIR_ROW, by id; valid until the next step."""
+        return self.airspace.pairs_of(self.listener)
+
+    def row(self, j: int) -> Records | None:
+        """Return the row of drone j; None if it is far, or not among the others."""
+        found = self.airspace.pair(self.listener, j)
+        return None if found is None else found[0]
+
+    def known(self, j: int) -> Records | None:
+        """Return a record with the state, acceleration and state_time of drone j; None if unknown."""
+        found = self.row(j)
+        if found is not None or j not in self.airspace.places:
+            return found
+        far = self._find_round(self.airspace.places[j])
+        return None if far is None else far[0]
+
+    def _find_round(self, place: int) -> Records | None:
+        """Return the last round of a far drone that this drone heard, (1,) ROUND_ROW, or None.
+
+        place: row of the far drone in the swarm
+        """
+        capacity = int(self.airspace.rules["round_capacity"][0])
+        count = int(self.airspace.swarm["round_count"][place])
+        missed = int(self.airspace.missed[self.listener, place])
+        if missed >= min(count, capacity):
+            return None
+        at = place * capacity + (count - 1 - missed) % capacity
+        return self.airspace.rounds[at : at + 1]
+
+    def heard_places(self, now: float) -> tuple[Ints, Mat]:
+        """Return the ids (k,) of the drones that this drone hears, and their places (k, 3) m.
+
+        now: s
+        """
+        airspace = self.airspace
+        capacity = int(airspace.rules["round_capacity"][0])
+        missed = airspace.missed[self.listener].astype(np.int64)
+        counts = airspace.swarm["round_count"]
+        far = np.flatnonzero(missed < np.minimum(counts, capacity))
+        last = airspace.rounds[
+            far * capacity + (counts[far] - 1 - missed[far]) % capacity
+        ]
+        pairs = self.rows
+        places = np.concatenate([far, pairs["other"]])
+        times = np.concatenate([last["state_time"], pairs["heard_time"]])
+        at = np.concatenate([last["state"][:, 0:3], pairs["state"][:, 0:3]])
+        heard = now - times < NEIGHBOUR_AGES.silent
+        heard &= places != airspace.own_places[self.listener]
+        order = np.flatnonzero(heard)[np.argsort(places[heard], kind="stable")]
+        return airspace.swarm["drone"][places[order]], at[order]
+
+    def now(self) -> float:
+        """Return the time in s on the clock of the ages."""
+        return self.airspace.now()
+
+    def publish(self, state: State, age: float) -> None:
+        """Give the own state, `age` s old, to the others."""
+        self.airspace.publish(self.listener, state, age)
+
+    def hear(self, message: tuple[int, State], age: float) -> None:
+        """Keep a state that a drone sent `age` s ago, unless it is invalid or outdated."""
+        self.airspace.relay(self.listener, *message, age, is_heard=True)
+
+    def told(self, message: tuple[int, State], age: float) -> None:
+        """Keep the state of a drone that another drone has relayed."""
+        self.airspace.relay(self.listener, *message, age)
+
+    def deaf(self, j: int) -> bool:
+        """Return whether the radio of drone j is silent: it goes on with its last command."""
+        airspace = self.airspace
+        return bool(airspace.swarm["is_deaf"][airspace.places[j]])

@@ -1,0 +1,333 @@
+"""Which states of the others each drone of a process hears, and which drones may be near it."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from crazychoir.bus.impairment.model import EdgeCounters, Impairment
+from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
+from crazychoir.bus.port import Bus
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.config.tables import CollisionTable
+from crazychoir.runtime.clock import NS_PER_SECOND
+from crazychoir.safety.collision.airspace import (
+    Airspace,
+    AirspaceRules,
+)
+from crazychoir.safety.collision.airspace_rows import Missed
+from crazychoir.safety.collision.neighbours import Neighbours
+from crazychoir.safety.collision.state_rates import (
+    FIRST_NEWS_TIME,
+    NEIGHBOUR_AGES,
+    compute_far_rate,
+)
+from crazychoir.safety.collision.states_by_hand import STATE_BYTES
+from crazychoir.types import LinkStatus, State
+
+TICK = 0.01  # s
+FAR = 50.0  # m, between two drones that cannot meet
+
+
+class Sky:
+    """Drones of one process, each at a place of its own, with all drones of the swarm around."""
+
+    def __init__(self, places, others=(), rules=(), partitions=(), alone=()):
+        self.ticks = 0
+        self.alarms = []
+        clock = SimpleNamespace(
+            now_ns=lambda: round(self.ticks * TICK * NS_PER_SECOND),
+            now=lambda: self.ticks * TICK,
+            call_at=lambda at, work, *arguments, **_: self.alarms.append(
+                (at, work, arguments)
+            ),
+        )
+        impairment = Impairment(7, rules, partitions)
+        impairment.begin(0.0)
+        self.bus = Bus(clock, impairment)
+        for i in range(len(places)):
+            self.bus.port(i)
+        ids = [*range(len(places)), *others]
+        self.airspace = Airspace(
+            self.bus, ids, AirspaceRules(CollisionTable(), 1.0, 0.0, alone)
+        )
+        self.drones = [Neighbours(self.airspace, i) for i in range(len(places))]
+        self.places = [np.array(p, dtype=float) for p in places]
+        self.velocities = [np.zeros(3) for _ in places]
+
+    def fly(self, seconds, silent=(), each=lambda: None):
+        for _ in range(round(seconds / TICK)):
+            self.ticks += 1
+            for i, p in enumerate(self.places):
+                self.places[i] = p = p + TICK * self.velocities[i]
+                if i not in silent:
+                    self.drones[i].publish(State.at(p, self.velocities[i]), 0.0)
+            each()
+            self.airspace.step()
+            now_ns = self.bus.clock.now_ns()
+            due = [alarm for alarm in self.alarms if alarm[0] <= now_ns]
+            self.alarms = [alarm for alarm in self.alarms if alarm[0] > now_ns]
+            for _, work, arguments in due:
+                work(*arguments)
+
+    def age(self, i, j):
+        return self.bus.clock.now() - float(self.drones[i].known(j)["state_time"])
+
+    def counts(self, j, i):
+        edge = self.bus.impairment.counters.get((j, i), EdgeCounters())
+        return edge.sent, edge.lost
+
+
+def row_of(count, apart):
+    """Return places in a row."""
+    return [(apart * k, 0.0, 1.0) for k in range(count)]
+
+
+def test_far_drones_have_no_pair_and_hear_each_other_in_rounds():
+    sky = Sky(row_of(30, FAR))
+    sky.fly(3.0)
+    assert all(len(drone.rows) == 0 for drone in sky.drones)
+    assert np.all(np.diag(sky.airspace.missed) == Missed.ALL), "not itself"
+    ages = [sky.age(i, j) for i in range(30) for j in range(30) if i != j]
+    assert max(ages) <= 1.0 / compute_far_rate(29) + TICK
+    assert sky.bus.ports[3].counters.sent == pytest.approx(
+        29 * 3.0 * compute_far_rate(29), rel=0.2
+    )
+
+
+@pytest.mark.parametrize(
+    ("apart", "speed", "rate"),
+    [(0.5, 0.0, 50), (1.0, 0.0, 20), (1.8, 0.0, 5), (4.0, 1.0, 20), (4.0, 0.0, 2)],
+)
+def test_near_drones_hear_each_other_more_often(apart, speed, rate):
+    far = [(1000.0 + FAR * k, 0.0, 1.0) for k in range(60)]
+    sky = Sky([(0.0, 0.0, 1.0), (apart, 0.0, 1.0), *far])
+    sky.velocities[0][:] = sky.velocities[1][:] = (0.0, speed, 0.0)
+    sky.fly(1.0)
+    times = set()
+    sky.fly(1.0, each=lambda: times.add(float(sky.drones[0].known(1)["state_time"])))
+    assert len(times) == pytest.approx(rate, abs=1)
+
+
+def test_pairs_are_in_the_order_of_their_ids_and_have_room_for_many():
+    sky = Sky([(0.1 * k, 0.0, 1.0) for k in range(25)])
+    sky.fly(1.5)
+    for i, drone in enumerate(sky.drones):
+        assert drone.rows["drone"].tolist() == [j for j in range(25) if j != i]
+        assert drone.rows["state"][:, 0] == pytest.approx(
+            [0.1 * j for j in range(25) if j != i]
+        )
+
+
+def test_a_pair_that_becomes_near_begins_with_what_the_drone_heard_last():
+    """Drone 0 has not heard drone 1 for 4 s, so it may be near, but was last heard far away."""
+    cut = NetworkPartition(1.0, 99.0, (0,), (1,))
+    sky = Sky([(0.0, 0.0, 1.0), (4.8, 0.0, 1.0)], others=(8, 9), partitions=[cut])
+    sky.fly(1.0 - TICK)
+    sky.places[1][0] = 0.7
+    sky.fly(4.0)
+    row = sky.drones[0].row(1)
+    assert row is not None
+    assert row["state"][0] == 4.8
+    assert row["heard_time"] <= 1.0
+    assert row["is_sought"]
+    sky.fly(10.0)
+    assert sky.drones[0].row(1)["state"][0] == 4.8, "it is not forgotten"
+
+
+def test_a_drone_that_comes_near_has_a_pair_before_it_is_in_range():
+    sky = Sky([(0.0, 0.0, 1.0), (20.0, 0.0, 1.0), *row_of(30, FAR)[2:]])
+    sky.velocities[1][:] = (-1.0, 0.0, 0.0)
+    sky.fly(10.0)
+    assert sky.drones[0].row(1) is None
+    sky.fly(10.0 - CollisionTable().range - 0.1)
+    assert sky.drones[0].row(1) is not None
+    assert sky.drones[1].row(0) is not None
+    sky.velocities[1][:] = (0.0, 5.0, 0.0)
+    sky.fly(5.0)
+    assert sky.drones[0].row(1) is None, "it is far again"
+    assert sky.age(0, 1) < 0.5
+
+
+def test_a_drone_of_which_nothing_was_heard_may_be_anywhere_and_is_sought():
+    sky = Sky(row_of(2, FAR), others=(7,))
+    sky.fly(FIRST_NEWS_TIME - 0.2)
+    assert sky.drones[0].row(7) is None, "its first state may be on its way"
+    sought = []
+    sky.fly(5.0, each=lambda: sought.append(sky.airspace.listeners["sought_count"][0]))
+    row = sky.drones[0].row(7)
+    assert row is not None
+    assert row["state_time"] == -np.inf
+    assert sum(sought) > 0
+
+
+def test_losses_are_the_verdicts_of_the_simulated_network():
+    """The compiled draws lose the same messages as Impairment.verdict."""
+    for effects in (
+        {"loss": 0.3},
+        {"loss": 1.0},
+        {"loss": 0.1, "p_good_bad": 0.1, "p_bad_good": 0.3, "loss_bad": 0.7},
+        {"p_good_bad": 0.02, "p_bad_good": 0.2},
+    ):
+        rules = [ImpairmentRule(effects)]
+        sky = Sky(row_of(2, 0.5), others=range(2, 60), rules=rules)
+        network = Impairment(7, rules)
+        heard, expected = [], []
+        for _ in range(200):
+            sent, _ = sky.counts(1, 0)
+            sky.fly(TICK)
+            if sky.counts(1, 0)[0] == sent:
+                continue
+            number = int(sky.airspace.numbers[1])
+            known = sky.drones[0].known(1)
+            heard.append(bool(known is not None and sky.age(0, 1) < 1e-6))
+            verdict = network.verdict(
+                1, 0, DRONE_TOPICS.state.name, number, 0, STATE_BYTES, 0.0
+            )
+            expected.append(bool(verdict.deliveries))
+        assert heard == expected
+        sent, lost = sky.counts(1, 0)
+        assert 0 < lost <= sent
+
+
+def test_a_partition_cuts_while_it_lasts():
+    cut = NetworkPartition(2.0, 4.0, (0,), (1,))
+    sky = Sky(row_of(3, 0.5), partitions=[cut])
+    sky.fly(1.99)
+    assert sky.age(0, 1) < 0.03
+    sky.fly(2.0)
+    assert sky.age(0, 1) == pytest.approx(2.0, abs=0.03)
+    assert sky.age(0, 2) < 0.06
+    sky.fly(0.5)
+    assert sky.age(0, 1) < 0.06
+
+
+def test_delayed_states_arrive_late_by_hand():
+    sky = Sky(row_of(2, FAR), others=(7,), rules=[ImpairmentRule({"delay": 0.3})])
+    sky.fly(2.0)
+    row = sky.drones[0].row(1)
+    assert row is not None
+    assert 0.3 <= sky.age(0, 1) < 0.3 + 1.0 / compute_far_rate(2) + 2 * TICK
+
+
+def test_changed_rules_apply_at_once():
+    sky = Sky(row_of(2, 0.5))
+    sky.fly(1.0)
+    sky.bus.impairment.update({"loss": 1.0})
+    sky.fly(1.0)
+    assert sky.age(0, 1) == pytest.approx(1.0, abs=0.03)
+    sky.bus.impairment.update({"clear": True})
+    sky.fly(0.1)
+    assert sky.age(0, 1) < 0.03
+
+
+@pytest.mark.parametrize(("silent", "far"), [(3, FAR), (5, FAR), (3, 0.6), (5, 0.6)])
+def test_heard_and_silent_drones_are_counted_whether_far_or_near(silent, far):
+    cuts = [NetworkPartition(2.0, 99.0, (0,), tuple(range(1, 1 + silent)))]
+    sky = Sky(row_of(9, far), partitions=cuts)
+    sky.fly(2.0 + NEIGHBOUR_AGES.silent + 0.3)
+    listener = sky.airspace.listeners[0]
+    rows = sky.drones[0].rows
+    is_heard = sky.bus.clock.now() - rows["heard_time"] < NEIGHBOUR_AGES.silent
+    assert listener["far_heard"] + is_heard.sum() == 8 - silent
+    assert listener["far_silent"] + (~is_heard).sum() == silent
+
+
+def test_a_drone_heard_in_frames_is_heard_as_an_own_one():
+    sky = Sky(row_of(2, 0.5), others=(5,))
+    states = np.zeros((1, 16))
+
+    def frame():
+        states[0, 0:13] = State.at((0.0, 0.5, 1.0)).flat
+        ids, numbers = np.array([5]), np.array([sky.ticks])
+        sky.airspace.hear_frame(ids, numbers, states, np.array([0.02]))
+
+    sky.fly(1.5, each=frame)
+    row = sky.drones[1].row(5)
+    assert row["state"][1] == 0.5
+    assert sky.age(1, 5) == pytest.approx(0.02)
+    states[0, 3] = np.nan
+    sky.fly(0.5)
+    assert sky.age(1, 5) == pytest.approx(0.52), "no frame came"
+    states[0, 0:13] = State.at((9.0, 9.0, 9.0)).flat
+    ids, numbers = np.array([0, 77]), np.array([9999, 1])
+    sky.airspace.hear_frame(ids, numbers, states[[0, 0]], np.zeros(2))
+    sky.fly(0.1)
+    assert sky.drones[1].row(0)["state"][0] == 0.0, "its own process flies drone 0"
+
+
+def test_frames_are_due_in_rounds_and_for_near_drones_of_other_processes():
+    sky = Sky(row_of(2, FAR), others=range(2, 60))
+    states = np.zeros((1, 16))
+    states[0, 0:13] = State.at((0.5, 0.0, 1.0)).flat
+    due = []
+
+    def frame():
+        due.extend(sky.airspace.due_frame().tolist())
+        ids, numbers = np.array([5]), np.array([sky.ticks])
+        sky.airspace.hear_frame(ids, numbers, states, np.array([0.0]))
+
+    sky.fly(2.0, each=frame)
+    due.clear()
+    sky.fly(2.0, each=frame)
+    assert due.count(0) == pytest.approx(2 * 50, abs=2), "near drone 5"
+    assert due.count(1) == pytest.approx(2 * 2, abs=1)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e308, -1e9])
+@pytest.mark.parametrize("at", [0, 13])
+def test_an_invalid_state_never_enters(bad, at):
+    sky = Sky(row_of(2, 0.5))
+    sky.fly(1.0)
+    values = np.concatenate([State.at((0.7, 0.0, 1.0)).flat, np.zeros(3)])
+    values[at] = bad
+    sky.ticks += 1
+    sky.drones[1].publish(State(values[:13], 0.0, values[13:]), 0.0)
+    sky.airspace.step()
+    assert np.isfinite(sky.airspace.swarm["state"]).all()
+    assert np.isfinite(sky.drones[0].rows["state"]).all()
+    assert sky.age(0, 1) > 0.0
+
+
+def test_the_place_where_cameras_see_a_drone_counts_while_nothing_is_heard_of_it():
+    sky = Sky(row_of(1, FAR), others=(1,))
+    for x, seconds in ((1.0, 1.5), (2.0, 0.1)):
+        seen = State.at((x, 0.0, 1.0))
+        sky.fly(seconds, each=lambda seen=seen: sky.airspace.see(1, seen, 0.0))
+    sky.fly(0.3, each=lambda: sky.airspace.see(1, State.at((3.0, 0.0, 1.0)), 0.0))
+    row = sky.drones[0].row(1)
+    assert row["state"][0] == 3.0
+    assert row["share"] == 1.0, "a drone that is not heard gives way to no other"
+    assert row["heard_time"] == -np.inf
+    sky.drones[0].hear((1, State.at((2.0, 0.0, 1.0))), 0.0)
+    row = sky.drones[0].row(1)
+    assert (row["state"][0], row["share"]) == (2.0, 0.5)
+    sky.airspace.see(9, State.at((3.0, 0.0, 1.0)), 0.0)
+
+
+def test_a_drone_with_a_silent_radio_gives_way_to_no_other():
+    sky = Sky(row_of(2, 0.5))
+    for silence, age, share in (
+        (0.1, 0.1, 0.5),
+        (0.2, 0.15, 1.0),
+        (2.0, 0.0, 1.0),
+        (0.0, 0.05, 0.5),
+    ):
+        sky.airspace.take_link(1, LinkStatus("up", silence), age)
+        sky.airspace.take_link(7, LinkStatus("up", silence), age)
+        sky.airspace.take_link(1, None, 9.0)
+        sky.fly(1.2)
+        assert sky.drones[0].row(1)["share"] == share
+        assert sky.drones[0].deaf(1) == (share == 1.0)
+    assert sky.drones[0].row(7) is None
+    assert sky.drones[0].known(7) is None
+
+
+def test_a_planner_keeps_all_others():
+    sky = Sky(row_of(20, FAR))
+    one = Neighbours(sky.airspace, 0, keeps_all=True)
+    assert [int(j) for j in one.rows["drone"]] == one.ids
+    assert one.row(7)["state_time"] == -np.inf
+    sky.fly(2.0)
+    assert [int(j) for j in one.rows["drone"]] == one.ids
+    assert one.row(7)["state"][0] == 7 * FAR
