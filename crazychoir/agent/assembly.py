@@ -19,7 +19,7 @@ from crazychoir.control.margin import Plant as PlantKind
 from crazychoir.control.position import FLATNESS_LIMITS
 from crazychoir.control.robots import ROBOT_CONTROLS, find_sender
 from crazychoir.flight.batch import DroneRow
-from crazychoir.flight.body import Body, DistantBody, LocalBody, RadioBody
+from crazychoir.flight.body import DistantBody, DroneBody, LocalBody, RadioBody
 from crazychoir.flight.estimate import choose_filter
 from crazychoir.flight.pilot import Pilot
 from crazychoir.flight.point_flights import compute_braking_limit
@@ -201,7 +201,7 @@ def _build_body(
     shared: DroneSurroundings,
     remote: RemoteLink | None,
     guard: Guard,
-) -> Body:
+) -> DroneBody:
     """Return the body of a drone: in this process, in another one, or behind a radio.
 
     remote: link to the body elsewhere, None if it is in this process

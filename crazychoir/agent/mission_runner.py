@@ -142,9 +142,8 @@ class MissionRunner(Actor):
         by_operator: a command of the drone's operator has ended it. Then the mission has not
             failed.
         """
-        cut_for = (
-            self.drone.pilot.permission.cut_for
-        )  # ended after a cut: the cut is the reason
+        # A mission that ends after a cut has ended for the reason of the cut.
+        cut_for = self.drone.pilot.permission.cut_for
         reason = reason_or(cut_for or reason, "its mission was ended")
         if not self._abort.done():
             self._abort.set_result(reason)
@@ -280,9 +279,8 @@ class MissionRunner(Actor):
                 "drone %d: others keep it up: %s", self.drone.id, pilot.notes.text
             )
             await wait_for_touchdown(pilot, MISSION_TIMES.landing_deadline)
-        if (
-            pilot.airborne and pilot.judge.touchdown.is_unreached
-        ):  # a cut that arrives late would be a fall
+        # A cut that arrives late would be a fall.
+        if pilot.airborne and pilot.judge.touchdown.is_unreached:
             log.error(
                 "drone %d: its radio is silent: its firmware lands it when it is reached",
                 self.drone.id,

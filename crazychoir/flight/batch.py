@@ -13,7 +13,7 @@ import numpy.typing as npt
 from crazychoir.control.rows import make_control_rows
 from crazychoir.filters.command_history import compute_history_size
 from crazychoir.filters.rows import FilterTable
-from crazychoir.flight.blind_time import BLIND_HORIZON
+from crazychoir.flight.flight_limits import BLIND_HORIZON
 from crazychoir.numerics.kernels import Record, Records
 from crazychoir.planning.plan_row import PLAN_ROW, PlanRows
 from crazychoir.safety.collision.avoidance import AVOID_ROW
@@ -29,7 +29,7 @@ from crazychoir.types import (
 )
 
 
-class ReferenceKind(IntEnum):
+class FlightReferenceKind(IntEnum):
     """Kinds of references that a drone follows from tick to tick."""
 
     NONE = 0
@@ -55,7 +55,7 @@ class Course(IntEnum):
     """The judge has decided what its controller flies."""
 
 
-class ControllerKind(IntEnum):
+class FlightControllerKind(IntEnum):
     """The controller that flies what a drone wants."""
 
     NONE = 0
@@ -93,12 +93,12 @@ DRONE_ROW = np.dtype(
         ("acceleration", np.float64, (3,)),  # m/s2, commanded in the tick before
         ("commanded", np.float64, (3,)),  # m/s2, asked for by the newest command
         # Mode and permission.
-        ("mode", np.int64),  # index into MODES
+        ("mode", np.int64),  # index into NUMBERED_MODES
         ("is_held", np.int64),  # 1: by its operator
         ("awaits_start", np.int64),  # 1: its mission waits for the operator's start
         ("obeyed", np.int64),  # the Action of the last verdict
         # Reference of guidance.
-        ("reference_kind", np.int64),  # a ReferenceKind
+        ("reference_kind", np.int64),  # a FlightReferenceKind
         ("reference", np.float64, (14,)),  # as FullState.flat
         ("reference_ns", np.int64),  # ns, when it was given
         ("is_beyond", np.int64),  # 1: the wanted place is beyond the fence
@@ -106,7 +106,7 @@ DRONE_ROW = np.dtype(
         ("lift_off_height", np.float64),  # m, above which a drone that takes off flies
         # Course of this tick.
         ("course", np.int64),  # a Course
-        ("controller", np.int64),  # a ControllerKind
+        ("controller", np.int64),  # a FlightControllerKind
         ("wanted", np.float64, (14,)),  # what the controller flies, as FullState.flat
         ("has_flown", np.int64),  # 1: `flown` is valid
         ("flown", np.float64, (14,)),  # full state that the drone flies
@@ -133,9 +133,11 @@ DRONE_ROW = np.dtype(
 DroneRows = npt.NDArray[np.void]
 """(n,) records of DRONE_ROW."""
 
-MODES: tuple[Mode, ...] = tuple(Mode)
+NUMBERED_MODES: tuple[Mode, ...] = tuple(Mode)
 """The modes in the order of their numbers."""
-MODE_NUMBERS: dict[Mode, int] = {mode: number for number, mode in enumerate(MODES)}
+MODE_NUMBERS: dict[Mode, int] = {
+    mode: number for number, mode in enumerate(NUMBERED_MODES)
+}
 """The number of each mode in a record."""
 
 
@@ -198,7 +200,7 @@ class DroneRow:
     @property
     def mode(self) -> Mode:
         """The mode of the drone, see safety/rules/modes."""
-        mode: Mode = MODES[self.drone["mode"]]
+        mode: Mode = NUMBERED_MODES[self.drone["mode"]]
         return mode
 
     @mode.setter
@@ -234,17 +236,23 @@ class DroneRow:
             self._state_ns = row["ticked_ns"]
         return self._state
 
+    def get_state(self) -> State:
+        """Return the newest state of a drone that was seen."""
+        state = self.state
+        assert state is not None  # noqa: S101 - callers have looked
+        return state
+
     @property
     def reference(self) -> Reference | None:
         """The reference that the drone follows; None while it flies its plan."""
         row = self.drone
         flat: Vec = row["reference"]
         match row["reference_kind"]:
-            case ReferenceKind.ACCELERATION:
+            case FlightReferenceKind.ACCELERATION:
                 return Acceleration(flat[6:9].copy(), float(flat[12]))
-            case ReferenceKind.VELOCITY:
+            case FlightReferenceKind.VELOCITY:
                 return Velocity(flat[3:6].copy(), float(flat[12]))
-            case ReferenceKind.FULL_STATE:
+            case FlightReferenceKind.FULL_STATE:
                 return FullState(flat.copy())
         return None
 
@@ -260,18 +268,18 @@ class DroneRow:
         flat: Vec = row["reference"]
         match reference:
             case None:
-                row["reference_kind"] = ReferenceKind.NONE
+                row["reference_kind"] = FlightReferenceKind.NONE
                 return
             case Acceleration():
-                row["reference_kind"] = ReferenceKind.ACCELERATION
+                row["reference_kind"] = FlightReferenceKind.ACCELERATION
                 flat[6:9] = reference.a
                 flat[12] = reference.yaw
             case Velocity():
-                row["reference_kind"] = ReferenceKind.VELOCITY
+                row["reference_kind"] = FlightReferenceKind.VELOCITY
                 flat[3:6] = reference.v
                 flat[12] = reference.yaw
             case FullState():
-                row["reference_kind"] = ReferenceKind.FULL_STATE
+                row["reference_kind"] = FlightReferenceKind.FULL_STATE
                 flat[:] = reference.flat
         row["reference_ns"] = now_ns
 
@@ -295,7 +303,7 @@ class DroneRow:
         """
         row = self.drone
         row["course"] = Course.READY
-        row["controller"] = ControllerKind.TRACKER
+        row["controller"] = FlightControllerKind.TRACKER
         row["wanted"] = flown.flat
         row["learns_trim"] = learns_trim
         self.flown = flown

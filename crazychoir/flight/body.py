@@ -8,7 +8,7 @@ from crazychoir.simulation.remote import RemoteLink
 from crazychoir.types import Command
 
 
-class Body(Protocol):
+class DroneBody(Protocol):
     """What a pilot sends to a body, and asks of it."""
 
     is_watched: bool

@@ -107,6 +107,22 @@ class Clearance:
         """Time in s when the drone last gave way to another drone."""
         return float(self._row.drone["gave_way"])
 
+    def find_departure(self, state: State, now: float) -> FullState:
+        """Return the state from which a new plan begins.
+
+        state: of the drone
+        now: s
+        """
+        # The plan of a drone that was pushed aside does not say where it is.
+        if self.is_aside:
+            return FullState.at(state.p, state.v, yaw=yaw_of(state.q))
+        flown = self._row.flown
+        if self.planned is not None and flown is not None:
+            elsewhere = self.planned.departure(flown.yaw, now)
+            if elsewhere is not None:
+                return elsewhere
+        return self.flights.departure(state, now)
+
     def is_deaf(self, now: float) -> bool:
         """Return whether the drone has been cut off from half of the flying drones for too long."""
         since = float(self._row.drone["cut_off_since"])

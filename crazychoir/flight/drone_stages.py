@@ -10,9 +10,9 @@ from crazychoir.control.rows import INPUT_SIZE
 from crazychoir.control.senders import FPQRSender
 from crazychoir.errors import error_text
 from crazychoir.filters.state_filter import StateFilter
-from crazychoir.flight.batch import ControllerKind, Course, DroneRow
-from crazychoir.flight.body import Body
-from crazychoir.flight.follower import Follower
+from crazychoir.flight.batch import Course, DroneRow, FlightControllerKind
+from crazychoir.flight.body import DroneBody
+from crazychoir.flight.follower import FlightFollower
 from crazychoir.flight.judge import Judge
 from crazychoir.flight.notes import FlightNotes
 from crazychoir.flight.permission import Permission
@@ -33,7 +33,7 @@ class Flier(Protocol):
 
     port: Port
     """Port of the drone."""
-    body: Body
+    body: DroneBody
     """Body of the drone."""
     setup: FlightSetup
     """What is known of the drone."""
@@ -41,7 +41,7 @@ class Flier(Protocol):
     """Its record in the batch."""
     notes: FlightNotes
     """Its notes."""
-    follower: Follower
+    follower: FlightFollower
     """What it flies."""
     judge: Judge
     """What it does when something happens."""
@@ -167,7 +167,7 @@ class DroneStages:
         controls = self._setup.controls
         controller = controls.tracker
         reference: Reference = FullState(row["wanted"].copy())
-        if row["controller"] == ControllerKind.FOLLOWER:
+        if row["controller"] == FlightControllerKind.FOLLOWER:
             assert controls.follower is not None  # noqa: S101 - the record says so
             controller = controls.follower
             reference = Acceleration(row["wanted"][6:9].copy(), row["wanted"][12])

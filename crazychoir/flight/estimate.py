@@ -12,7 +12,7 @@ from crazychoir.filters.motion import CommandedMotion
 from crazychoir.filters.rows import FilterTable
 from crazychoir.filters.state_filter import StateFilter
 from crazychoir.filters.velocity import VelocityFilter
-from crazychoir.flight.blind_time import BLIND_HORIZON
+from crazychoir.flight.flight_limits import BLIND_HORIZON
 from crazychoir.numerics.kernels import kernel, memory, vector
 from crazychoir.platforms import LARGEST_AXIS_COMMAND, Platform
 from crazychoir.types import FullState, Mat, State, Vec

@@ -1,15 +1,15 @@
 """What one drone flies: the reference of its guidance, or a flight that the pilot has planned."""
 
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from crazychoir.control.parameters import ControllerParameters
 from crazychoir.errors import ConfigError
+from crazychoir.flight.agreed_flight import AgreedFlight
 from crazychoir.flight.batch import Course, DroneRow
-from crazychoir.flight.blind_time import SEEN_AGE
 from crazychoir.flight.clearance import PLAN_DEVIATION, Clearance
+from crazychoir.flight.flight_limits import TOUCHDOWN_LIMITS
 from crazychoir.flight.goals import require_goal
 from crazychoir.flight.homecoming import Homecoming
 from crazychoir.flight.notes import FlightNotes
@@ -18,10 +18,8 @@ from crazychoir.flight.point_flights import PointFlights
 from crazychoir.flight.references import (
     convert_reference,
     explain_refusal,
-    extrapolate_reference,
 )
 from crazychoir.flight.setup import FlightSetup
-from crazychoir.flight.touchdown_limits import TOUCHDOWN_LIMITS
 from crazychoir.numerics.math3d import yaw_of
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.runtime.clock import NS_PER_SECOND
@@ -41,11 +39,10 @@ from crazychoir.types import (
     Reference,
     State,
     Vec,
-    Velocity,
 )
 
 
-class Follower:
+class FlightFollower:
     """Holds the reference and the plan of one drone, and begins new plans from where it is.
 
     setup: of the drone
@@ -81,6 +78,7 @@ class Follower:
         self.parameters = ControllerParameters(setup.controls)
         """The parameters of its controllers."""
         row.drone["has_follower"] = setup.controls.follower is not None
+        self._agreed = AgreedFlight(row, notes, clearance, self.descend)
         row.drone["ground"] = setup.limits.ground
         self._take_in_gains()
 
@@ -115,23 +113,16 @@ class Follower:
         return require_goal(where, p, yaw, duration, self._guard, planar, homes)
 
     def get_place_above(self, height: float | None) -> Vec:
-        """Return (3,) m where a take-off from here to `height` m above the ground ends.
-
-        A robot that does not take off stays where it is.
-        """
-        setup = self._setup
-        goal = self._get_state().p.copy()
-        if setup.controls.takes_off:
-            rise = setup.limits.takeoff_height if height is None else height
-            goal[2] = setup.limits.ground + rise
-            goal[2] = setup.fence.nearest(goal)[2]
-        return goal
+        """Return (3,) m where a take-off from here to `height` m above the ground ends."""
+        return self._setup.get_place_above(self._row.get_state().p, height)
 
     def begin_take_off(self, height: float | None, now: float) -> float:
         """Plan the rise to `height` m above the ground, and return the s that it takes."""
-        state = self._get_state()
+        state = self._row.get_state()
         start = FullState.at(state.p, yaw=yaw_of(state.q))
         goal = self.get_place_above(height)
+        if self._permission.started_at is None:
+            self._permission.started_at = state.p
         self._row.flown = start
         self._row.drone["is_beyond"] = 0
         return self.flights.go_to(start, goal, start.yaw, 0.0, now)
@@ -283,25 +274,13 @@ class Follower:
         self._row.set_reference(None)
         self.flights.clear()
 
-    def _get_state(self) -> State:
-        """Return the state of a drone that was seen."""
-        state = self._row.state
-        assert state is not None  # noqa: S101 - callers have looked
-        return state
-
     def _get_departure(self, now: float) -> FullState:
         """Return the state from which a new plan begins."""
-        state = self._get_state()
-        # Its plan says where it should be, not where it is.
-        if self._setup.controls.planar or self.clearance.is_aside:
+        state = self._row.get_state()
+        # A robot that drives finds its path itself: its plan does not say where it is.
+        if self._setup.controls.planar:
             return FullState.at(state.p, state.v, yaw=yaw_of(state.q))
-        planned = self.clearance.planned
-        flown = self._row.flown
-        if planned is not None and flown is not None:
-            elsewhere = planned.departure(flown.yaw, now)
-            if elsewhere is not None:
-                return elsewhere
-        return self.flights.departure(state, now)
+        return self.clearance.find_departure(state, now)
 
     # What a tick flies --------------------------------------------------------------------
 
@@ -322,7 +301,8 @@ class Follower:
         if not self._flies_reference:
             self._prepare_plan(state, now)
         if self.clearance.planned is not None:
-            self._fly_agreed(state, now)
+            reference = row.reference if self._flies_reference else None
+            self._agreed.fly(state, reference, self.limits, now)
 
     def _prepare_plan(self, state: State, now: float) -> None:
         """Make sure that there is a plan, with its pieces or its set-point of now."""
@@ -359,67 +339,3 @@ class Follower:
             if is_goto:
                 self._goto_plan = flights.plan
         flights.load(now)
-
-    # Agreed paths -------------------------------------------------------------------------
-
-    def _fly_agreed(self, state: State, now: float) -> None:
-        """Fly what the other drones have agreed to."""
-        row = self._row
-        reference = row.reference if self._flies_reference else None
-        if isinstance(reference, Velocity):
-            reference = FullState.at(state.p, reference.v, yaw=reference.yaw)
-        if isinstance(reference, FullState):
-            wanted: FullState = reference
-            cut = self.limits.full_state(reference, state)
-            flown = self.clearance.agreed(
-                state, cut, partial(extrapolate_reference, reference), 0.0, now
-            )
-            self.flights.clear()
-        else:
-            wanted, flown = self._get_agreed_plan(state, now)
-        self._say_delayed()
-        is_low = (
-            row.mode is TAKEOFF_MODE and state.flat[2] < row.drone["lift_off_height"]
-        )
-        learns = not is_low and state.age <= SEEN_AGE and flown is wanted
-        row.fly(flown, learns_trim=learns)
-
-    def _get_agreed_plan(self, state: State, now: float) -> tuple[FullState, FullState]:
-        """Return the set-point of the plan, and the part of it to which the others have agreed."""
-        planner = self.clearance.planned
-        wanted = self.flights.sample(now)
-        assert planner is not None  # noqa: S101 - callers have looked
-        assert wanted is not None  # noqa: S101 - there is a plan
-        lands = self._row.mode is LAND_MODE
-        planned = self._land_elsewhere(wanted, now) if lands else wanted
-        must_land = self._row.obeyed is Action.LAND
-        flown = self.clearance.planned_flight(
-            planner, state, planned, now, lands, must_land
-        )
-        return wanted, flown
-
-    def _land_elsewhere(self, planned: FullState, now: float) -> FullState:
-        """Return the reference of a landing drone that the others may keep up.
-
-        It lands beside drones that keep it up for too long, or where it is if no other drone
-        answers.
-        """
-        clearance = self.clearance
-        beside = clearance.lands_beside(planned.p, now)
-        if beside is not None:
-            self._notes.say(
-                "beside",
-                f"cannot come down for drone {clearance.delayed_by}: lands beside",
-            )
-        elif not clearance.begins_landing_anew(planned, now):
-            return planned
-        self.descend(now, beside)
-        return self.flights.sample(now) or planned
-
-    def _say_delayed(self) -> None:
-        """Say which drone this one waits for."""
-        other = self.clearance.delayed_by
-        if silent := self.clearance.silent:
-            self._notes.say("silent", silent)
-        elif other is not None:
-            self._notes.say("collision", f"keeps clear of drone {other}")

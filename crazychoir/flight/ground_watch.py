@@ -4,12 +4,11 @@ import math
 from dataclasses import dataclass
 
 from crazychoir.flight.batch import DroneRow
-from crazychoir.flight.blind_time import SEEN_AGE
-from crazychoir.flight.body import Body
+from crazychoir.flight.body import DroneBody
+from crazychoir.flight.flight_limits import SEEN_AGE, TOUCHDOWN_LIMITS
 from crazychoir.flight.notes import FlightNotes
 from crazychoir.flight.point_flights import PointFlights
 from crazychoir.flight.setup import FlightSetup
-from crazychoir.flight.touchdown_limits import TOUCHDOWN_LIMITS
 from crazychoir.safety.identity.pose_gate import PoseGate
 from crazychoir.safety.rules.guard import Guard
 from crazychoir.safety.rules.modes import GUIDED_MODES, TAKEOFF_MODE
@@ -85,7 +84,7 @@ class GroundWatch:
         self,
         setup: FlightSetup,
         row: DroneRow,
-        body: Body,
+        body: DroneBody,
         guard: Guard,
         notes: FlightNotes,
     ) -> None:

@@ -7,16 +7,15 @@ each of the others its judge decides by the safety table, its mode, and its surr
 import numpy as np
 
 from crazychoir.flight.batch import Course, DroneRow
-from crazychoir.flight.blind_time import SEEN_AGE
-from crazychoir.flight.body import Body
-from crazychoir.flight.follower import Follower
+from crazychoir.flight.body import DroneBody
+from crazychoir.flight.flight_limits import SEEN_AGE, TOUCHDOWN_LIMITS
+from crazychoir.flight.follower import FlightFollower
 from crazychoir.flight.ground_watch import LANDS_ASTRAY, GroundWatch
 from crazychoir.flight.homecoming import Homecoming
 from crazychoir.flight.notes import FlightNotes
 from crazychoir.flight.permission import Permission
 from crazychoir.flight.setup import FlightSetup
 from crazychoir.flight.touchdown import Touchdown
-from crazychoir.flight.touchdown_limits import TOUCHDOWN_LIMITS
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.rules.guard import Action, Guard, SafetyVerdict
 from crazychoir.safety.rules.modes import (
@@ -52,11 +51,11 @@ class Judge:
         self,
         setup: FlightSetup,
         row: DroneRow,
-        body: Body,
+        body: DroneBody,
         guard: Guard,
         notes: FlightNotes,
         permission: Permission,
-        follower: Follower,
+        follower: FlightFollower,
     ) -> None:
         self._setup = setup
         self._row = row
@@ -163,6 +162,28 @@ class Judge:
         elif verdict.action is Action.BRAKE and self._row.mode is not LAND_MODE:
             self._follower.brake(now)
 
+    def begin_anew(self, now: float) -> None:
+        """Come to rest and hover, or continue to land, after a failed tick.
+
+        now: s
+        """
+        self._follower.forget()
+        if self._row.mode is LAND_MODE:
+            self.touchdown.descend(now)
+        elif self._row.mode in GUIDED_MODES:
+            self._permission.change(ModeEvent.HOLD)
+
+    def lose_guidance(self, reason: str) -> bool:
+        """Note that guidance is gone for this reason; return whether the drone must come down."""
+        airborne = self._permission.airborne
+        does = "hovering, then landing" if airborne else "stays on the ground"
+        text = f"guidance failed ({reason}): {does}"
+        self._notes.say("guidance", text, is_grave=True)
+        if airborne:
+            self._permission.unguided = reason
+            self._permission.commanded = False
+        return airborne
+
     def cut(self, reason: str) -> None:
         """Stop the motors, for good."""
         self._permission.change(ModeEvent.STOP)
@@ -226,9 +247,7 @@ class Judge:
         home: (3,) m, world
         now: s
         """
-        state = self._row.state
-        assert state is not None  # noqa: S101 - callers have looked
-        above = np.array([*state.p[:2], level])
+        above = np.array([*self._row.get_state().p[:2], level])
         inside: Vec = self._guard.room.nearest(above, inset=0.0)
         self._follower.homecoming = Homecoming(inside, home, inside[2])
         self._row.set_reference(None)

@@ -13,11 +13,10 @@ from crazychoir.bus.port import Port
 from crazychoir.errors import error_text
 from crazychoir.filters.state_filter import StateFilter
 from crazychoir.flight.batch import DroneRow
-from crazychoir.flight.body import Body
+from crazychoir.flight.body import DroneBody
 from crazychoir.flight.clearance import Clearance
 from crazychoir.flight.drone_stages import DroneStages
-from crazychoir.flight.estimate import choose_filter
-from crazychoir.flight.follower import Follower
+from crazychoir.flight.follower import FlightFollower
 from crazychoir.flight.judge import Judge
 from crazychoir.flight.notes import FlightNotes
 from crazychoir.flight.permission import Permission
@@ -34,7 +33,6 @@ from crazychoir.safety.rules.guard import Guard
 from crazychoir.safety.rules.modes import (
     GUIDED_MODES,
     HOVER_MODE,
-    LAND_MODE,
     Mode,
     ModeEvent,
     get_refusal,
@@ -48,6 +46,39 @@ GIVE_UP_TICKS = 0.5
 
 The safety table lets the drone fly for as long without a pose.
 """
+
+
+class TickRun:
+    """The run of a pilot: it lasts until a tick of the drone fails."""
+
+    def __init__(self) -> None:
+        self._end: asyncio.Future[None] | None = None
+
+    @property
+    def is_running(self) -> bool:
+        """Whether the run has begun, and no tick has failed."""
+        return self._end is not None and not self._end.done()
+
+    async def wait(self) -> None:
+        """Run, and raise the error of the tick that fails."""
+        self._end = asyncio.get_running_loop().create_future()
+        try:
+            await self._end
+        finally:
+            self._end = None
+
+    def fail(self, error: BaseException) -> None:
+        """End the run with this error; raise it if there is no run, or the process ends."""
+        end = self._end
+        if end is None or isinstance(error, KeyboardInterrupt | SystemExit):
+            raise error
+        if end.done():
+            return
+        # No future takes these.
+        is_bare = not isinstance(error, Exception) or isinstance(error, StopIteration)
+        end.set_exception(
+            RuntimeError(f"in a tick: {error_text(error)}") if is_bare else error
+        )
 
 
 class Pilot(Actor):
@@ -71,7 +102,7 @@ class Pilot(Actor):
     def __init__(
         self,
         port: Port,
-        body: Body,
+        body: DroneBody,
         setup: FlightSetup,
         state_filter: StateFilter | None = None,
         collision: CollisionFilter | PlannedFlights | None = None,
@@ -88,9 +119,8 @@ class Pilot(Actor):
         self.notes = FlightNotes(port)
         self.permission = Permission(self.row, setup.limits.operator)
         flights = PointFlights(setup.limits, setup.fence, setup.a_max, self.row.plan)
-        period = 1.0 / setup.rate
-        clearance = Clearance(collision, flights, period, self.row)
-        self.follower = Follower(
+        clearance = Clearance(collision, flights, setup.period, self.row)
+        self.follower = FlightFollower(
             setup, self.row, self.permission, self.guard, self.notes, clearance
         )
         self.judge = Judge(
@@ -103,32 +133,22 @@ class Pilot(Actor):
             self.follower,
         )
         if state_filter is None:
-            state_filter = choose_filter(
-                "kalman",
-                setup.controls,
-                setup.limits.ground,
-                setup.rate,
-                self.row.filters,
-            )
+            state_filter = setup.make_filter(self.row)
         self.stages = DroneStages(self, state_filter)
-        self.tick.add(self.stages, self.row.index, period)
+        self.tick.add(self.stages, self.row.index, setup.period)
         # A drone in flight cannot wait.
         limit = max(5, round(GIVE_UP_TICKS * setup.rate))
         self.restart = RestartPolicy(limit=limit, backoff=0.0)
-        self._run: asyncio.Future[None] | None = None
+        self._run = TickRun()
 
     async def run(self) -> None:
         """Let the drone tick until a tick of it fails."""
-        self._run = asyncio.get_running_loop().create_future()
-        try:
-            await self._run
-        finally:
-            self._run = None
+        await self._run.wait()
 
     @property
     def is_running(self) -> bool:
         """Whether the drone may tick: its actor runs, and no tick has failed."""
-        return self._run is not None and not self._run.done()
+        return self._run.is_running
 
     def see(self, pose: Pose | None, age: float = 0.0) -> None:
         """Tick in the next pass of the loop, with a pose or without.
@@ -144,26 +164,13 @@ class Pilot(Actor):
 
         The sender of the pose and the other drones go on.
         """
-        run = self._run
-        if run is None or isinstance(error, KeyboardInterrupt | SystemExit):
-            raise error
-        if not run.done():
-            is_bare = not isinstance(error, Exception) or isinstance(
-                error, StopIteration
-            )  # no future takes these
-            run.set_exception(
-                RuntimeError(f"in a tick: {error_text(error)}") if is_bare else error
-            )
+        self._run.fail(error)
         if self.airborne:
             self.stages.steady()
 
     def on_restart(self) -> None:
         """Forget what made the tick fail: come to rest and hover, or continue to land."""
-        self.follower.forget()
-        if self.mode is LAND_MODE:
-            self.judge.touchdown.descend(self.clock.now())
-        elif self.mode in GUIDED_MODES:
-            self.permission.change(ModeEvent.HOLD)
+        self.judge.begin_anew(self.clock.now())
 
     # What others ask most -----------------------------------------------------------------
 
@@ -194,9 +201,7 @@ class Pilot(Actor):
 
     def gap(self, p: Point) -> float:
         """Return the distance in m from p, (3,) m; horizontal for a robot that drives."""
-        state = self.state
-        assert state is not None  # noqa: S101 - callers have looked
-        away = state.p - np.asarray(p)
+        away = self.row.get_state().p - np.asarray(p)
         is_planar = self.setup.controls.planar
         return float(np.linalg.norm(away[0:2] if is_planar else away))
 
@@ -205,9 +210,7 @@ class Pilot(Actor):
 
         Returns 0 for a landing that may begin anew again and again.
         """
-        if self.mode is LAND_MODE and self.judge.touchdown.is_unreached:
-            return 0.0
-        return self.flights.remaining(self.clock.now())
+        return self.judge.touchdown.get_remaining(self.clock.now())
 
     def unready(self) -> tuple[str, str]:
         """Return the rule that forbids a take-off now, and its text; both empty if none does."""
@@ -240,8 +243,6 @@ class Pilot(Actor):
         now = self.clock.now()
         duration = self.follower.begin_take_off(height, now)
         self.judge.ground_watch.begin_take_off(float(state.p[2]), now)
-        if self.permission.started_at is None:
-            self.permission.started_at = state.p
         self.guard.forget()
         self.permission.change(ModeEvent.TAKE_OFF)
         return duration
@@ -303,8 +304,7 @@ class Pilot(Actor):
             return True
         wanted = convert_reference(reference)
         if wanted is None:
-            text = f"{explain_refusal(reference)}: not flown"
-            self.notes.say("reference", text)
+            self.notes.say("reference", f"{explain_refusal(reference)}: not flown")
             return False
         why = self.follower.follow(wanted, state, self.clock.now_ns())
         if why:
@@ -345,12 +345,8 @@ class Pilot(Actor):
 
         This holds for a flight that the operator has commanded too.
         """
-        does = "hovering, then landing" if self.airborne else "stays on the ground"
-        self.notes.say("guidance", f"guidance failed ({reason}): {does}", is_grave=True)
-        if not self.airborne:
+        if not self.judge.lose_guidance(reason):
             return
-        self.permission.unguided = reason
-        self.permission.commanded = False
         self.hover()
         due_ns = self.clock.now_ns() + round(GIVE_UP_HOVER * NS_PER_SECOND)
         why = f"guidance failed ({reason}): landing"
@@ -368,9 +364,8 @@ class Pilot(Actor):
         self.permission.hold(on)
         if on and self.airborne:
             self.follower.rest(self.clock.now())
-        elif (
-            not on and self.mode is HOVER_MODE and self.follower.homecoming is not None
-        ):
+        is_hovering = self.mode is HOVER_MODE
+        if is_hovering and not on and self.follower.homecoming is not None:
             self.permission.change(ModeEvent.HOME)
 
     def go_home(self, home: Point, level: float) -> None:

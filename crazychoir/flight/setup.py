@@ -6,7 +6,9 @@ from typing import Literal
 from crazychoir.config.tables import FlightTable
 from crazychoir.control.choice import Controls, make_controls
 from crazychoir.control.position import FLATNESS_LIMITS
+from crazychoir.filters.state_filter import StateFilter
 from crazychoir.flight.batch import Batch, DroneRow
+from crazychoir.flight.estimate import choose_filter
 from crazychoir.flight.point_flights import compute_braking_limit
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.rules.guard import (
@@ -18,7 +20,7 @@ from crazychoir.safety.rules.guard import (
     Guard,
     SafetyRule,
 )
-from crazychoir.types import Point
+from crazychoir.types import Point, Vec
 
 ReachKind = Literal["no", "seen", "own"]
 """Kinds of reach: "no" radio, a radio and "seen" by cameras, or a radio and its "own" poses."""
@@ -72,6 +74,11 @@ class FlightSetup:
         )
 
     @property
+    def period(self) -> float:
+        """Seconds between two poses."""
+        return 1.0 / self.rate
+
+    @property
     def period_ns(self) -> int:
         """Nanoseconds between two poses."""
         return round(NS_PER_SECOND / self.rate)
@@ -98,6 +105,27 @@ class FlightSetup:
             return SAFETY_TABLE
         return (
             ON_BOARD_SAFETY_TABLE if self.has_planner_on_board else RADIO_SAFETY_TABLE
+        )
+
+    def get_place_above(self, p: Vec, height: float | None) -> Vec:
+        """Return (3,) m where a take-off from p to `height` m above the ground ends.
+
+        A robot that does not take off stays where it is.
+
+        p: (3,) m, world
+        height: m, None for the height in the swarm file
+        """
+        goal = p.copy()
+        if self.controls.takes_off:
+            rise = self.limits.takeoff_height if height is None else height
+            goal[2] = self.limits.ground + rise
+            goal[2] = self.fence.nearest(goal)[2]
+        return goal
+
+    def make_filter(self, row: DroneRow) -> StateFilter:
+        """Return a Kalman filter with the record of the drone in its batch."""
+        return choose_filter(
+            "kalman", self.controls, self.limits.ground, self.rate, row.filters
         )
 
     def make_guard(self, row: DroneRow | None = None) -> Guard:

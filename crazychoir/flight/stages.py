@@ -12,15 +12,14 @@ from crazychoir.filters.rows import FILTER_ROW, FilterRows, histories
 from crazychoir.flight.batch import (
     DRONE_ROW,
     MODE_NUMBERS,
-    ControllerKind,
     Course,
     DroneRows,
-    ReferenceKind,
+    FlightControllerKind,
+    FlightReferenceKind,
 )
-from crazychoir.flight.blind_time import SEEN_AGE
 from crazychoir.flight.clearance import CLEARANCE_TIMES, PLAN_DEVIATION
 from crazychoir.flight.estimate import write_believed_state
-from crazychoir.flight.touchdown_limits import TOUCHDOWN_LIMITS
+from crazychoir.flight.flight_limits import SEEN_AGE, TOUCHDOWN_LIMITS
 from crazychoir.numerics.kernels import (
     Record,
     Records,
@@ -48,13 +47,13 @@ from crazychoir.safety.rules.limits import cut_full_state
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Ints, Mat, Vec
 
-GROUND = MODE_NUMBERS[Mode.GROUND]
-TAKEOFF = MODE_NUMBERS[Mode.TAKEOFF]
-FOLLOW = MODE_NUMBERS[Mode.FOLLOW]
-HOVER = MODE_NUMBERS[Mode.HOVER]
-RETURN = MODE_NUMBERS[Mode.RETURN]
-LAND = MODE_NUMBERS[Mode.LAND]
-CUT = MODE_NUMBERS[Mode.CUT]
+GROUND_NUMBER = MODE_NUMBERS[Mode.GROUND]
+TAKEOFF_NUMBER = MODE_NUMBERS[Mode.TAKEOFF]
+FOLLOW_NUMBER = MODE_NUMBERS[Mode.FOLLOW]
+HOVER_NUMBER = MODE_NUMBERS[Mode.HOVER]
+RETURN_NUMBER = MODE_NUMBERS[Mode.RETURN]
+LAND_NUMBER = MODE_NUMBERS[Mode.LAND]
+CUT_NUMBER = MODE_NUMBERS[Mode.CUT]
 NO_REFERENCE_AGE = -1.0
 """Age that says that the drone needs no reference."""
 
@@ -120,9 +119,9 @@ def estimate_drones(
 def _flies_reference(drone: Record) -> bool:
     """Return whether this tick flies the reference of guidance, not a plan."""
     return bool(
-        drone.mode == FOLLOW
+        drone.mode == FOLLOW_NUMBER
         and drone.obeyed == Action.NOMINAL
-        and drone.reference_kind != ReferenceKind.NONE
+        and drone.reference_kind != FlightReferenceKind.NONE
     )
 
 
@@ -138,7 +137,7 @@ def _is_far_off_plan(drone: Record, plan: Record, now: float, planned: Vec) -> b
     far = _compute_distance(planned, drone.state)
     limit = (
         PLAN_DEVIATION.landing_distance
-        if drone.mode == LAND
+        if drone.mode == LAND_NUMBER
         else PLAN_DEVIATION.waiting_distance
     )
     return bool(far > limit)
@@ -163,8 +162,10 @@ def _needs_plan(drone: Record, plan: Record, now: float, planned: Vec) -> bool:
         return False
     if plan.kind != PlanKind.PIECES or not has_pieces(plan, now):
         return True
-    is_arriving = drone.mode == TAKEOFF or drone.mode == FOLLOW
-    has_arrived = drone.reference_kind == ReferenceKind.NONE and is_plan_over(plan, now)
+    is_arriving = drone.mode == TAKEOFF_NUMBER or drone.mode == FOLLOW_NUMBER
+    has_arrived = drone.reference_kind == FlightReferenceKind.NONE and is_plan_over(
+        plan, now
+    )
     if is_arriving and has_arrived:
         return True
     return _is_far_off_plan(drone, plan, now, planned)
@@ -173,9 +174,9 @@ def _needs_plan(drone: Record, plan: Record, now: float, planned: Vec) -> bool:
 @kernel()
 def _may_end_flight(drone: Record, plan: Record, now: float) -> bool:
     """Return whether a leg of a return, a landing, or the flight itself may be over."""
-    if drone.mode == RETURN:
+    if drone.mode == RETURN_NUMBER:
         return bool(is_plan_over(plan, now))
-    if drone.mode == LAND:
+    if drone.mode == LAND_NUMBER:
         is_low = drone.state[2] < drone.ground + TOUCHDOWN_LIMITS.floor_height
         return bool(is_low or drone.age > SEEN_AGE or is_plan_over(plan, now))
     deaf_at = drone.cut_off_since + CLEARANCE_TIMES.cut_off_timeout
@@ -193,9 +194,9 @@ def _needs_judge(
     if drone.is_by_hand > 0 or drone.obeyed != Action.NOMINAL:
         return True
     age = NO_REFERENCE_AGE
-    if drone.reference_kind != ReferenceKind.NONE:
+    if drone.reference_kind != FlightReferenceKind.NONE:
         age = max(0.0, (drone.ticked_ns - drone.reference_ns) / NS_PER_SECOND)
-    is_low = age < 0.0 and (drone.mode == TAKEOFF or drone.mode == LAND)
+    is_low = age < 0.0 and (drone.mode == TAKEOFF_NUMBER or drone.mode == LAND_NUMBER)
     if not is_quiet(guard, drone.state[:], drone.age, age, is_low):
         return True
     if _may_end_flight(drone, plan, now):
@@ -206,7 +207,11 @@ def _needs_judge(
 @kernel()
 def _count_fence_tick(drone: Record, plan: Record, now: float) -> None:
     """Count a tick at the fence, after a flight to a place outside has ended there."""
-    is_guided = drone.mode == FOLLOW or drone.mode == HOVER or drone.mode == TAKEOFF
+    is_guided = (
+        drone.mode == FOLLOW_NUMBER
+        or drone.mode == HOVER_NUMBER
+        or drone.mode == TAKEOFF_NUMBER
+    )
     if is_guided and drone.is_beyond > 0 and drone.is_held == 0:
         drone.fence_ticks += 1 if is_plan_over(plan, now) else 0
 
@@ -228,8 +233,8 @@ def find_rows_to_judge(
         if drone.ticks == 0:
             continue
         drone.course = Course.NOTHING
-        drone.controller = ControllerKind.NONE
-        is_off = drone.mode == GROUND or drone.mode == CUT
+        drone.controller = FlightControllerKind.NONE
+        is_off = drone.mode == GROUND_NUMBER or drone.mode == CUT_NUMBER
         if drone.is_by_hand == 0 and is_off:
             drone.course = Course.IDLE
             drone.cut_off_since = math.inf
@@ -248,7 +253,7 @@ def _follow_full_state(drone: Record, is_exact: bool) -> None:
 
     is_exact: whether it is what was wanted, so that the trim may learn from its error
     """
-    drone.controller = ControllerKind.TRACKER
+    drone.controller = FlightControllerKind.TRACKER
     drone.has_flown = 1
     for c in range(14):
         drone.flown[c] = drone.wanted[c]
@@ -259,8 +264,8 @@ def _follow_full_state(drone: Record, is_exact: bool) -> None:
 def _follow_reference(drone: Record, plan: Record) -> None:
     """Fly the reference of guidance: an acceleration as it is, a full state within the limits."""
     plan.kind = PlanKind.NONE
-    if drone.reference_kind == ReferenceKind.ACCELERATION:
-        drone.controller = ControllerKind.FOLLOWER
+    if drone.reference_kind == FlightReferenceKind.ACCELERATION:
+        drone.controller = FlightControllerKind.FOLLOWER
         drone.has_flown = 0
         for c in range(14):
             drone.wanted[c] = 0.0
@@ -268,7 +273,7 @@ def _follow_reference(drone: Record, plan: Record) -> None:
             drone.wanted[c] = drone.reference[c]
         drone.wanted[12] = drone.reference[12]
         return
-    if drone.reference_kind == ReferenceKind.VELOCITY:
+    if drone.reference_kind == FlightReferenceKind.VELOCITY:
         for c in range(3):
             drone.reference[c] = drone.state[c]
         for c in range(6, 12):
@@ -310,7 +315,7 @@ def _follow_plan(drone: Record, plan: Record, now: float, planned: Vec) -> None:
         if not is_cut:
             for c in range(14):
                 drone.wanted[c] = planned[c]
-    is_low = drone.mode == TAKEOFF and drone.state[2] < drone.lift_off_height
+    is_low = drone.mode == TAKEOFF_NUMBER and drone.state[2] < drone.lift_off_height
     _follow_full_state(drone, is_exact and not is_low)
 
 
@@ -384,7 +389,7 @@ def publish_drones(
 @kernel()
 def _ask_filter(drone: Record, avoid: Record) -> None:
     """Write what the drone wants into the record of its collision filter."""
-    is_tracker = drone.controller == ControllerKind.TRACKER
+    is_tracker = drone.controller == FlightControllerKind.TRACKER
     for c in range(13):
         avoid.state[c] = drone.state[c]
         avoid.gains[c] = drone.gains[c]
@@ -393,7 +398,7 @@ def _ask_filter(drone: Record, avoid: Record) -> None:
     for c in range(14):
         avoid.reference[c] = drone.wanted[c]
     avoid.follows = 1 if is_tracker else 0
-    avoid.lands = 1 if is_tracker and drone.mode == LAND else 0
+    avoid.lands = 1 if is_tracker and drone.mode == LAND_NUMBER else 0
 
 
 @kernel()
@@ -443,7 +448,7 @@ def avoid_drones(
     now: s
     planes: work space, see make_planes
     near: work space, see make_nearest
-    found: (n,): receives the rows of the drones whose note of an evasion changes
+    found: (n,): receives the rows of the drones with a note of an evasion that changes
     Returns how many these are.
     """
     count = 0
@@ -465,7 +470,7 @@ def _control_drone(drone: Record, control: Record, now: float) -> bool:
 
     Returns False, and changes nothing, if the controller is in Python.
     """
-    is_tracker = drone.controller == ControllerKind.TRACKER
+    is_tracker = drone.controller == FlightControllerKind.TRACKER
     controller = control.tracker if is_tracker else control.follower
     if controller.kind == CompiledKind.BY_HAND:
         return False

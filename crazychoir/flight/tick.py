@@ -95,7 +95,7 @@ class FlightTick:
         self._drones: list[TickedDrone] = []
         self._filtered_by_hand: list[int] = []
         self.airspace: Airspace | None = None
-        """Who is near; None if no drone avoids others."""
+        """Which drones are near; None if no drone avoids others."""
         self.frames: AirspaceFrames | None = None
         """Exchanges states with other processes; None without them."""
         self._planes = make_planes()
@@ -185,7 +185,7 @@ class FlightTick:
             self._call(index, self._drones[index].judge, now)
 
     def _hear(self, now: float) -> Ints:
-        """Let the drones hear each other's states; return the places of those that must ask."""
+        """Let the drones hear each other's states; return the places of the drones that must ask."""
         airspace = self.airspace
         if airspace is None:
             return np.zeros(0, np.int64)

@@ -6,13 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.flight.batch import DroneRow
-from crazychoir.flight.blind_time import SEEN_AGE
-from crazychoir.flight.body import Body
-from crazychoir.flight.follower import Follower
+from crazychoir.flight.body import DroneBody
+from crazychoir.flight.flight_limits import SEEN_AGE, TOUCHDOWN_LIMITS
+from crazychoir.flight.follower import FlightFollower
 from crazychoir.flight.notes import FlightNotes
 from crazychoir.flight.permission import Permission
 from crazychoir.flight.setup import FlightSetup
-from crazychoir.flight.touchdown_limits import TOUCHDOWN_LIMITS
 from crazychoir.numerics.math3d import yaw_of
 from crazychoir.planning.landing import Landing
 from crazychoir.safety.rules.guard import Guard
@@ -72,11 +71,11 @@ class Touchdown:
         self,
         setup: FlightSetup,
         row: DroneRow,
-        body: Body,
+        body: DroneBody,
         guard: Guard,
         notes: FlightNotes,
         permission: Permission,
-        follower: Follower,
+        follower: FlightFollower,
     ) -> None:
         self._setup = setup
         self._row = row
@@ -148,6 +147,15 @@ class Touchdown:
         if mode is not LAND_MODE and self._setup.is_replayed:
             self._replay_lands_at = now + seconds + TOUCHDOWN_LIMITS.replay_overdue_time
         return seconds
+
+    def get_remaining(self, now: float) -> float:
+        """Return s until the planned flight is over; 0 for a landing that may begin again and again.
+
+        now: s
+        """
+        if self._row.mode is LAND_MODE and self.is_unreached:
+            return 0.0
+        return self._follower.flights.remaining(now)
 
     def end(self) -> None:
         """Enter the mode on the ground, and forget the flight."""

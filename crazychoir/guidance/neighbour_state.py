@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.bus.topics import DRONE_TOPICS
-from crazychoir.guidance.decision.flight_rows import ELSEWHERE
+from crazychoir.guidance.decision.flight_rows import ELSEWHERE_SOURCE
 from crazychoir.guidance.decision.hearing_rows import (
     HEARING_ROW,
     put_first_row,
@@ -234,7 +234,7 @@ def _prepare_rows(rows: Rows | None, h: float) -> Rows:
     """
     if rows is None:
         rows = np.zeros(1, HEARING_ROW)
-    rows["source"] = ELSEWHERE
+    rows["source"] = ELSEWHERE_SOURCE
     rows["h_ns"] = round(h * NS_PER_SECOND)
     rows["max_ns"] = round(DRONE_TOPICS.state.max_age * NS_PER_SECOND)
     rows["sum"]["is_even"] = 1

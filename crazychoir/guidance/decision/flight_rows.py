@@ -4,8 +4,12 @@ from enum import IntEnum
 from typing import Any
 
 from crazychoir.filters.rows import FILTER_ROW, FilterRows
-from crazychoir.flight.batch import DRONE_ROW, MODE_NUMBERS, DroneRows
-from crazychoir.flight.batch import ReferenceKind as FlownKind
+from crazychoir.flight.batch import (
+    DRONE_ROW,
+    MODE_NUMBERS,
+    DroneRows,
+    FlightReferenceKind,
+)
 from crazychoir.guidance.decision.hearing_rows import HEARING_ROW, put_row
 from crazychoir.guidance.decision.law_rows import (
     LAW_ROW,
@@ -22,10 +26,10 @@ from crazychoir.safety.rules.limits import limit_acceleration
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Ints
 
-TAKEOFF = MODE_NUMBERS[Mode.TAKEOFF]
-HOVER = MODE_NUMBERS[Mode.HOVER]
-FOLLOW = MODE_NUMBERS[Mode.FOLLOW]
-ELSEWHERE = -1
+TAKEOFF_NUMBER = MODE_NUMBERS[Mode.TAKEOFF]
+HOVER_NUMBER = MODE_NUMBERS[Mode.HOVER]
+FOLLOW_NUMBER = MODE_NUMBERS[Mode.FOLLOW]
+ELSEWHERE_SOURCE = -1
 """`source` of an edge from a drone of another process: its states come as messages."""
 
 
@@ -43,9 +47,9 @@ class Handover(IntEnum):
 @kernel()
 def _find_permission(drone: Any) -> int:
     """Return what the mode of the drone allows its law: a LawPermission."""
-    if drone.mode == HOVER or drone.mode == FOLLOW:
+    if drone.mode == HOVER_NUMBER or drone.mode == FOLLOW_NUMBER:
         return LawPermission.STEPS
-    return LawPermission.WAITS if drone.mode == TAKEOFF else LawPermission.ENDS
+    return LawPermission.WAITS if drone.mode == TAKEOFF_NUMBER else LawPermission.ENDS
 
 
 @kernel(rows_of(LAW_ROW), rows_of(DRONE_ROW), rows_of(FILTER_ROW))
@@ -93,13 +97,13 @@ def deliver_rows(
     drones: of the batch
     links: (e,) of LINK_ROW; empty without a simulated network
     now_ns: ns
-    found: (e,): receives the edges whose states the simulated network may delay or duplicate
+    found: (e,): receives the edges on which the simulated network may delay or duplicate states
     Returns how many these are.
     """
     count = 0
     for e in range(edges.shape[0]):
         edge = edges[e]
-        if edge.source == ELSEWHERE or drones[edge.source].ticks == 0:
+        if edge.source == ELSEWHERE_SOURCE or drones[edge.source].ticks == 0:
             continue
         if not _is_due(edge, now_ns):
             continue
@@ -120,7 +124,7 @@ def deliver_rows(
 @kernel()
 def _hand_over_acceleration(law: Any, drone: Any) -> None:
     """Write an acceleration within the limits of the drone into its record."""
-    drone.reference_kind = FlownKind.ACCELERATION
+    drone.reference_kind = FlightReferenceKind.ACCELERATION
     drone.reference[12] = law.reference[12]
     limit_acceleration(
         drone.state[:],
@@ -143,11 +147,11 @@ def _is_usable(law: Any) -> bool:
 @kernel()
 def _hand_over(law: Any, drone: Any, plan: Any, now_ns: int) -> int:
     """Let the drone fly the reference of its law; return what becomes of it: a Handover."""
-    is_obeying = drone.mode == HOVER or drone.mode == FOLLOW
+    is_obeying = drone.mode == HOVER_NUMBER or drone.mode == FOLLOW_NUMBER
     if law.kind == ReferenceKind.HOVER:
         is_resting = (
-            drone.mode == HOVER
-            and drone.reference_kind == FlownKind.NONE
+            drone.mode == HOVER_NUMBER
+            and drone.reference_kind == FlightReferenceKind.NONE
             and plan.kind == PlanKind.PIECES
             and is_plan_over(plan, now_ns / NS_PER_SECOND)
         )
@@ -156,7 +160,7 @@ def _hand_over(law: Any, drone: Any, plan: Any, now_ns: int) -> int:
         return Handover.BY_HAND
     if drone.is_held > 0 or drone.awaits_start > 0:
         return Handover.IGNORED
-    if drone.mode != FOLLOW or not _is_usable(law):
+    if drone.mode != FOLLOW_NUMBER or not _is_usable(law):
         return Handover.BY_HAND
     if law.kind == ReferenceKind.ACCELERATION:
         if drone.has_follower == 0:
@@ -165,7 +169,9 @@ def _hand_over(law: Any, drone: Any, plan: Any, now_ns: int) -> int:
     else:
         is_velocity = law.kind == ReferenceKind.VELOCITY
         drone.reference_kind = (
-            FlownKind.VELOCITY if is_velocity else FlownKind.FULL_STATE
+            FlightReferenceKind.VELOCITY
+            if is_velocity
+            else FlightReferenceKind.FULL_STATE
         )
         for c in range(14):
             drone.reference[c] = law.reference[c]

@@ -1,4 +1,4 @@
-"""States on links whose messages the simulated network may delay or duplicate."""
+"""States on links on which the simulated network may delay or duplicate messages."""
 
 from collections.abc import Callable
 

@@ -7,11 +7,11 @@ import pytest
 
 from crazychoir.flight.batch import (
     MODE_NUMBERS,
-    MODES,
+    NUMBERED_MODES,
     Batch,
-    ControllerKind,
     Course,
-    ReferenceKind,
+    FlightControllerKind,
+    FlightReferenceKind,
 )
 from crazychoir.safety.rules.guard import Action
 from crazychoir.safety.rules.modes import Mode
@@ -54,7 +54,7 @@ def test_a_mode_is_a_number_in_the_record(mode):
     row = make_row()
     row.mode = mode
     assert row.mode is mode
-    assert MODES[row.drone["mode"]] is mode
+    assert NUMBERED_MODES[row.drone["mode"]] is mode
     assert MODE_NUMBERS[mode] == row.drone["mode"]
 
 
@@ -118,7 +118,7 @@ def test_without_a_reference_the_drone_flies_its_plan_and_the_time_of_the_last_o
     row.set_reference(FullState(FLAT), 7)
     row.set_reference(None)
     assert row.reference is None
-    assert row.drone["reference_kind"] == ReferenceKind.NONE
+    assert row.drone["reference_kind"] == FlightReferenceKind.NONE
     assert row.drone["reference_ns"] == 7
 
 
@@ -145,7 +145,7 @@ def test_the_judge_lets_the_tracker_fly_a_full_state(learns):
     row = make_row()
     row.fly(FullState(FLAT), learns_trim=learns)
     assert row.drone["course"] == Course.READY
-    assert row.drone["controller"] == ControllerKind.TRACKER
+    assert row.drone["controller"] == FlightControllerKind.TRACKER
     assert row.drone["wanted"].tolist() == FLAT.tolist()
     assert bool(row.drone["learns_trim"]) is learns
     assert row.flown.flat.tolist() == FLAT.tolist()

@@ -17,8 +17,8 @@ from crazychoir.control.choice import make_controls
 from crazychoir.control.gains import STANDARD_GAINS
 from crazychoir.errors import ConfigError
 from crazychoir.flight.clearance import CLEARANCE_TIMES
+from crazychoir.flight.flight_limits import TOUCHDOWN_LIMITS
 from crazychoir.flight.pilot import GIVE_UP_HOVER
-from crazychoir.flight.touchdown_limits import TOUCHDOWN_LIMITS
 from crazychoir.planning.point_to_point import STOP_DISTANCE, plan_stop
 from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.runtime.clock import run_virtual

@@ -8,15 +8,14 @@ import pytest
 from crazychoir.control.gains import STANDARD_GAINS
 from crazychoir.flight.batch import (
     Batch,
-    ControllerKind,
     Course,
+    FlightControllerKind,
 )
-from crazychoir.flight.blind_time import SEEN_AGE
 from crazychoir.flight.clearance import CLEARANCE_TIMES, PLAN_DEVIATION
+from crazychoir.flight.flight_limits import SEEN_AGE, TOUCHDOWN_LIMITS
 from crazychoir.flight.point_flights import PointFlights
 from crazychoir.flight.setup import FlightSetup
-from crazychoir.flight.stages import evade_row, find_rows_to_judge, follow_rows
-from crazychoir.flight.touchdown_limits import TOUCHDOWN_LIMITS
+from crazychoir.flight.stages import _evade, find_rows_to_judge, follow_rows
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.planning.plan_row import WINDOW_PIECES, PlanKind
 from crazychoir.runtime.clock import NS_PER_SECOND
@@ -143,9 +142,9 @@ def test_a_drone_that_does_not_tick_keeps_its_course():
 
 def test_the_controller_of_the_last_tick_is_forgotten():
     batch, drone = make_drone()
-    drone.drone["controller"] = ControllerKind.FOLLOWER
+    drone.drone["controller"] = FlightControllerKind.FOLLOWER
     find(batch)
-    assert drone.drone["controller"] == ControllerKind.NONE
+    assert drone.drone["controller"] == FlightControllerKind.NONE
 
 
 # Reasons for a judgement ---------------------------------------------------------------------
@@ -340,7 +339,7 @@ def test_an_acceleration_goes_to_the_follower_as_it_is():
     batch, drone = make_drone(Mode.FOLLOW)
     follow(drone, Acceleration)
     fly(batch)
-    assert drone.drone["controller"] == ControllerKind.FOLLOWER
+    assert drone.drone["controller"] == FlightControllerKind.FOLLOWER
     assert drone.drone["wanted"][6:9].tolist() == [0.1, 0.2, 0.3]
     assert drone.drone["wanted"][12] == 0.4
     assert np.count_nonzero(drone.drone["wanted"]) == 4
@@ -354,7 +353,7 @@ def test_a_velocity_is_flown_from_where_the_drone_is():
     drone.put((1.0, 1.5, 1.25))
     fly(batch)
     expected = FullState.at((1.0, 1.5, 1.25), (0.1, 0.2, 0.3), yaw=0.4)
-    assert drone.drone["controller"] == ControllerKind.TRACKER
+    assert drone.drone["controller"] == FlightControllerKind.TRACKER
     assert drone.drone["wanted"].tolist() == expected.flat.tolist()
 
 
@@ -380,7 +379,7 @@ def test_the_trim_learns_from_a_plan_while_the_drone_is_seen(age, learns):
     drone.drone["age"] = age
     follow_rows(batch.drones, batch.plans, NOW)
     expected = drone.flights.sample(NOW).flat.tolist()
-    assert drone.drone["controller"] == ControllerKind.TRACKER
+    assert drone.drone["controller"] == FlightControllerKind.TRACKER
     assert drone.drone["wanted"].tolist() == expected
     assert drone.row.flown.flat.tolist() == expected
     assert drone.drone["learns_trim"] == learns
@@ -437,10 +436,10 @@ def test_an_evasion_flies_the_safe_acceleration_from_where_the_drone_is(is_on_pl
     drone.drone["state"] = State.at((1.0, 2.0, 0.5), (0.1, 0.2, 0.3)).flat
     safe = np.array([0.5, 0.6, 0.7])
     for _ in range(2):
-        evade_row(batch.drones, safe, 4, is_on_plan, NOW)
+        _evade(drone.drone, safe, 4, is_on_plan, NOW)
     expected = FullState.at((1.0, 2.0, 0.5), (0.1, 0.2, 0.3), safe)
     assert drone.drone["wanted"].tolist() == expected.flat.tolist()
-    assert drone.drone["controller"] == ControllerKind.TRACKER
+    assert drone.drone["controller"] == FlightControllerKind.TRACKER
     assert drone.drone["learns_trim"] == 0
     assert drone.drone["evades"] == 1
     assert drone.drone["evades_drone"] == 4

@@ -1,6 +1,14 @@
-"""Limits of height, speed and time at which a landing drone counts as landed."""
+"""Limits of a flight: how long a drone flies unseen, and when it counts as landed."""
 
 from typing import NamedTuple
+
+SEEN_AGE = 0.1
+"""Age in s of a state beyond which it is a prediction; controllers learn nothing from it."""
+BLIND_HORIZON = 2.0
+"""Seconds that the filter predicts its own motion without a pose.
+
+The safety table lets the drone fly as long without poses.
+"""
 
 
 class TouchdownLimits(NamedTuple):
