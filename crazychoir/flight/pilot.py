@@ -82,7 +82,7 @@ class Pilot(Actor):
         self.port = port
         self.body = body
         self.setup = setup
-        self.tick = FlightTick(port.bus.clock) if tick is None else tick
+        self.tick = FlightTick(port.bus) if tick is None else tick
         self.row = self.tick.batch.add(port.address) if row is None else row
         self.guard = setup.make_guard(self.row) if guard is None else guard
         self.notes = FlightNotes(port)
@@ -120,15 +120,12 @@ class Pilot(Actor):
     async def run(self) -> None:
         """Let the drone tick until a tick of it fails."""
         self._run = asyncio.get_running_loop().create_future()
+        self.row.drone["is_running"] = 1
         try:
             await self._run
         finally:
+            self.row.drone["is_running"] = 0
             self._run = None
-
-    @property
-    def is_running(self) -> bool:
-        """Whether the drone may tick: its actor runs, and no tick has failed."""
-        return self._run is not None and not self._run.done()
 
     def see(self, pose: Pose | None, age: float = 0.0) -> None:
         """Tick in the next pass of the loop, with a pose or without.
@@ -136,7 +133,7 @@ class Pilot(Actor):
         age: s that the pose was on its way
         """
         believed = self.stages.receive_pose(pose, age)
-        if self.is_running:
+        if self.row.drone["is_running"]:
             self.tick.see(self.row.index, believed)
 
     def fail(self, error: BaseException) -> None:
@@ -147,6 +144,7 @@ class Pilot(Actor):
         run = self._run
         if run is None or isinstance(error, KeyboardInterrupt | SystemExit):
             raise error
+        self.row.drone["is_running"] = 0
         if not run.done():
             is_bare = not isinstance(error, Exception) or isinstance(
                 error, StopIteration
