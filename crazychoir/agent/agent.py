@@ -24,6 +24,7 @@ from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.network import impairment_of
 from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.control.robots import find_sender
 from crazychoir.errors import ConfigError, Refused, error_text
 from crazychoir.flight.tick import FlightTick
 from crazychoir.guidance.decision.law_stage import LawStage
@@ -145,15 +146,21 @@ class Agent:
             start_deadline=config.start_deadline,
             owners=self.owner_of,
             tick=FlightTick(
-                clock, len(ids), max(config.mocap.rate, config.radio.log_rate)
+                self.bus, len(ids), max(config.mocap.rate, config.radio.log_rate)
             ),
         )
         connect_airspace(config, self.bus, surroundings.tick)
         if surroundings.tick.airspace is not None and trace is not None:
-            surroundings.tick.airspace.trace = trace.add
+            surroundings.tick.airspace.trace = trace.update
         self.laws = LawStage(surroundings.tick, self.bus.impairment)
         for i in ids:
             self._add_drone(i, surroundings)
+        for owner in self.owners:
+            kinds = {i: find_sender(config, i) for i in owner.world.ids}
+            rows = surroundings.tick.connect_world(
+                owner.world.ids, owner.commands, kinds
+            )
+            owner.takers.append(rows)
         self.pacemaker = Pacemaker(surroundings.tick, config.mocap.rate)
         self.supervisor = Supervisor(
             clock, f"process {process.name}", self._shared_failed

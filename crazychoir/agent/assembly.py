@@ -164,10 +164,10 @@ def _build_pilot(
         row,
         guard,
     )
-    pose_source = i if remote is None else topology.source(DRONE_TOPICS.pose, i)
-    seen = Call(port.bus.clock, pilot.see, f"drone {i} pose")
-    port.bus.subscribe(DRONE_TOPICS.pose, pose_source, i, seen)
     if remote is not None:
+        pose_source = topology.source(DRONE_TOPICS.pose, i)
+        seen = Call(port.bus.clock, pilot.see, f"drone {i} pose")
+        port.bus.subscribe(DRONE_TOPICS.pose, pose_source, i, seen)
         remote.found_flying = pilot.take_over
     return pilot
 

@@ -75,6 +75,8 @@ DRONE_ROW = np.dtype(
             "sends_rows",
             np.int64,
         ),  # 1: its commands are four numbers, computed in compiled code
+        ("has_world_row", np.int64),  # 1: its world takes its commands as a row
+        ("is_running", np.int64),  # 1: its actor runs, and no tick of it has failed
         ("listener", np.int64),  # its number in the airspace; -1: it has none
         ("knows_commands", np.int64),  # 1: its filter knows what it is commanded
         ("has_follower", np.int64),  # 1: the sender can send accelerations
@@ -125,6 +127,7 @@ DRONE_ROW = np.dtype(
         ("sent", np.int64),  # states sent to other drones
         ("lost", np.int64),  # states of these that the simulated network lost
         # Command.
+        ("is_computed", np.int64),  # 1: `command` was computed in this tick
         ("command", np.float64, (14,)),  # input of the sender
     ]
 )

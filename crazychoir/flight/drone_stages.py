@@ -48,11 +48,6 @@ class Flier(Protocol):
     permission: Permission
     """What it may do."""
 
-    @property
-    def is_running(self) -> bool:
-        """Whether the drone may tick."""
-        ...
-
     def fail(self, error: BaseException) -> None:
         """React to an error in a stage."""
         ...
@@ -80,11 +75,6 @@ class DroneStages:
         row["sends_rows"] = controls.sender.kind in THRUST_SENDERS and np.shares_memory(
             controls.rows, flier.row.controls
         )
-
-    @property
-    def is_running(self) -> bool:
-        """Whether the drone may tick."""
-        return self._flier.is_running
 
     def fail(self, error: BaseException) -> None:
         """React to an error in a stage."""
@@ -146,15 +136,19 @@ class DroneStages:
             self.send(self._setup.controls.sender.idle)
         else:
             self.send(self._compute_command(now))
-        self._publish_reference()
 
     def send_input(self) -> None:
         """Send the input that compiled code has written into the record."""
         u = self._row.drone["command"][:INPUT_SIZE].copy()
         self.send(self._setup.controls.sender.message(u))
-        self._publish_reference()
 
-    def _publish_reference(self) -> None:
+    def publish_command(self) -> None:
+        """Publish the input that compiled code has given to the world."""
+        u = self._row.drone["command"][:INPUT_SIZE].copy()
+        command = self._setup.controls.sender.message(u)
+        self._flier.port.publish(DRONE_TOPICS.command, command)
+
+    def publish_reference(self) -> None:
         """Publish the full state that the drone flies."""
         flown = self._row.flown
         if flown is not None:

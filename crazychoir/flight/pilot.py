@@ -49,22 +49,23 @@ The safety table lets the drone fly for as long without a pose.
 
 
 class TickRun:
-    """The run of a pilot: it lasts until a tick of the drone fails."""
+    """The run of a pilot: the drone ticks until a tick of it fails.
 
-    def __init__(self) -> None:
+    row: of the drone in its batch
+    """
+
+    def __init__(self, row: DroneRow) -> None:
+        self._row = row
         self._end: asyncio.Future[None] | None = None
-
-    @property
-    def is_running(self) -> bool:
-        """Whether the run has begun, and no tick has failed."""
-        return self._end is not None and not self._end.done()
 
     async def wait(self) -> None:
         """Run, and raise the error of the tick that fails."""
         self._end = asyncio.get_running_loop().create_future()
+        self._row.drone["is_running"] = 1
         try:
             await self._end
         finally:
+            self._row.drone["is_running"] = 0
             self._end = None
 
     def fail(self, error: BaseException) -> None:
@@ -72,6 +73,7 @@ class TickRun:
         end = self._end
         if end is None or isinstance(error, KeyboardInterrupt | SystemExit):
             raise error
+        self._row.drone["is_running"] = 0
         if end.done():
             return
         # No future takes these.
@@ -113,7 +115,7 @@ class Pilot(Actor):
         self.port = port
         self.body = body
         self.setup = setup
-        self.tick = FlightTick(port.bus.clock) if tick is None else tick
+        self.tick = FlightTick(port.bus) if tick is None else tick
         self.row = self.tick.batch.add(port.address) if row is None else row
         self.guard = setup.make_guard(self.row) if guard is None else guard
         self.notes = FlightNotes(port)
@@ -139,16 +141,11 @@ class Pilot(Actor):
         # A drone in flight cannot wait.
         limit = max(5, round(GIVE_UP_TICKS * setup.rate))
         self.restart = RestartPolicy(limit=limit, backoff=0.0)
-        self._run = TickRun()
+        self._run = TickRun(self.row)
 
     async def run(self) -> None:
         """Let the drone tick until a tick of it fails."""
         await self._run.wait()
-
-    @property
-    def is_running(self) -> bool:
-        """Whether the drone may tick: its actor runs, and no tick has failed."""
-        return self._run.is_running
 
     def see(self, pose: Pose | None, age: float = 0.0) -> None:
         """Tick in the next pass of the loop, with a pose or without.
@@ -156,7 +153,7 @@ class Pilot(Actor):
         age: s that the pose was on its way
         """
         believed = self.stages.receive_pose(pose, age)
-        if self.is_running:
+        if self.row.drone["is_running"]:
             self.tick.see(self.row.index, believed)
 
     def fail(self, error: BaseException) -> None:

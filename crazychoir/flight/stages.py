@@ -504,12 +504,13 @@ def control_drones(
     """Compute the input of the sender for each drone that ticks and gets a command.
 
     now: s
-    found: (n,): receives the rows of the drones that get their command from Python
+    found: (n,): receives the rows of the drones with a command that is made or sent in Python
     Returns how many these are.
     """
     count = 0
     for k in range(drones.shape[0]):
         drone = drones[k]
+        drone.is_computed = 0
         if drone.ticks == 0 or drone.course == Course.NOTHING:
             continue
         is_done = False
@@ -520,7 +521,8 @@ def control_drones(
                 is_done = True
             else:
                 is_done = _control_drone(drone, controls[k], now)
-        if not is_done:
+        drone.is_computed = 1 if is_done else 0
+        if not is_done or drone.has_world_row == 0:
             found[count] = k
             count += 1
     return count

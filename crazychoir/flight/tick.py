@@ -11,6 +11,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from crazychoir.bus.port import Bus
+from crazychoir.bus.topics import DRONE_TOPICS, Topic
 from crazychoir.filters.row_filter import estimate_by_hand
 from crazychoir.filters.rows import FilterKind
 from crazychoir.filters.state_filter import StateFilter
@@ -23,7 +25,8 @@ from crazychoir.flight.stages import (
     follow_rows,
     publish_drones,
 )
-from crazychoir.runtime.clock import NS_PER_SECOND, Clock
+from crazychoir.flight.world_rows import CommandTable, WorldRows
+from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.collision.airspace import Airspace
 from crazychoir.safety.collision.airspace_frames import AirspaceFrames
 from crazychoir.safety.collision.avoidance import make_nearest, make_planes
@@ -38,11 +41,6 @@ class TickedDrone(Protocol):
 
     filter: StateFilter
     """Its filter."""
-
-    @property
-    def is_running(self) -> bool:
-        """Whether the drone may tick."""
-        ...
 
     def publish_state(self) -> None:
         """Publish the state of this tick."""
@@ -64,6 +62,14 @@ class TickedDrone(Protocol):
         """Send the input in its record."""
         ...
 
+    def publish_command(self) -> None:
+        """Publish the input that compiled code has given to the world."""
+        ...
+
+    def publish_reference(self) -> None:
+        """Publish the full state that the drone flies."""
+        ...
+
     def command_by_hand(self, now: float) -> None:
         """Compute a command in Python at `now` in s, and send it."""
         ...
@@ -82,18 +88,20 @@ class FlightTick:
 
     A drone without a pose for one and a half periods ticks by the clock, see `tick_late_drones`.
 
-    clock: of the process
+    bus: of the process
     size: largest number of drones
     rate: Hz, of the poses of the drones; the largest if they differ
     """
 
-    def __init__(self, clock: Clock, size: int = 1, rate: float = 100.0) -> None:
-        self.clock = clock
+    def __init__(self, bus: Bus, size: int = 1, rate: float = 100.0) -> None:
+        self._bus = bus
+        self.clock = bus.clock
         self.batch = Batch(size, rate)
         self.deciders: list[Callable[[int], None]] = []
         """Called with the time in ns when all states of a tick are published: laws decide then."""
         self._drones: list[TickedDrone] = []
         self._filtered_by_hand: list[int] = []
+        self._worlds: list[WorldRows] = []
         self.airspace: Airspace | None = None
         """Which drones are near; None if no drone avoids others."""
         self.frames: AirspaceFrames | None = None
@@ -122,9 +130,30 @@ class FlightTick:
         self.batch.drones["ticks"][index] = 1
         if pose is not None:
             self._call(index, self._store_pose, index, pose)
+        self._make_due()
+
+    def _make_due(self) -> None:
+        """Run the stages in the next pass of the loop."""
         if not self._is_due:
             self._is_due = True
             self.clock.soon(self.run)
+
+    def connect_world(
+        self, ids: tuple[int, ...], commands: CommandTable, kinds: dict[int, str]
+    ) -> WorldRows:
+        """Return the way of poses and commands for a world of this process.
+
+        ids: of its drones, in the order of its rows
+        commands: of the world
+        kinds: kind of command of each drone
+        """
+        rows = WorldRows(self.batch, ids, commands, self._make_due)
+        for i, place in self.batch.places.items():
+            if i in ids and kinds[i] in commands.kinds:
+                drone = self.batch.drones[place]
+                drone["has_world_row"] = drone["sends_rows"]
+        self._worlds.append(rows)
+        return rows
 
     def _store_pose(self, index: int, pose: Pose) -> None:
         """Write a pose into the record of the filter."""
@@ -138,7 +167,7 @@ class FlightTick:
         n = self.batch.count
         since = self.clock.now_ns() - self.batch.drones["ticked_ns"][:n]
         for index in np.flatnonzero(since > self._patience_ns[:n]).tolist():
-            if self._drones[index].is_running:
+            if self.batch.drones["is_running"][index]:
                 self.see(index, None)
 
     def run(self) -> None:
@@ -149,7 +178,7 @@ class FlightTick:
         batch = self.batch
         drones = batch.drones
         self._estimate(now_ns, now)
-        for index in np.flatnonzero(drones["ticks"]).tolist():
+        for index in self._find_read(DRONE_TOPICS.state):
             self._call(index, self._drones[index].publish_state)
         seekers = self._hear(now)
         for decide in self.deciders:
@@ -227,13 +256,33 @@ class FlightTick:
         """Compute and send the commands."""
         batch = self.batch
         count = control_drones(batch.drones, batch.controls, now, self._found)
-        by_hand = self._found[:count].tolist()
-        for index in np.flatnonzero(batch.drones["ticks"]).tolist():
+        for world in self._worlds:
+            world.send()
+        is_computed = batch.drones["is_computed"]
+        for index in self._found[:count].tolist():
             drone = self._drones[index]
-            if index in by_hand:
-                self._call(index, drone.command_by_hand, now)
-            elif batch.drones["course"][index] != Course.NOTHING:
+            if is_computed[index]:
                 self._call(index, drone.send_input)
+            else:
+                self._call(index, drone.command_by_hand, now)
+        self._publish_commands()
+
+    def _publish_commands(self) -> None:
+        """Publish what the drones fly and are commanded, where it is read."""
+        drones = self.batch.drones
+        for index in self._find_read(DRONE_TOPICS.command):
+            if drones["is_computed"][index] and drones["has_world_row"][index]:
+                self._call(index, self._drones[index].publish_command)
+        for index in self._find_read(DRONE_TOPICS.reference):
+            if drones["course"][index] != Course.NOTHING:
+                self._call(index, self._drones[index].publish_reference)
+
+    def _find_read(self, topic: Topic) -> list[int]:
+        """Return the places of the drones that tick and whose topic is read."""
+        ticks = self.batch.drones["ticks"]
+        places = self.batch.places
+        found = [places.get(i, -1) for i in self._bus.find_read_addresses(topic)]
+        return [index for index in found if index >= 0 and ticks[index]]
 
     def _count_messages(self, now_ns: int) -> None:
         """Add the states that were sent without a message to the counters of the ports, now and then."""

@@ -78,7 +78,7 @@ class Airspace:
         """(listeners, swarm): rounds missed in a row, or Missed."""
         self.links = StateLinks(bus.impairment, PairsOfAll(self.ids, self.own_ids))
         self._trace_due_ns = 0
-        self.trace: Callable[[bytes], None] | None = None
+        self.trace: Callable[[Records], None] | None = None
         """Gets what each drone knows, when its distances are checked."""
         self.own_places = np.array([self.places[i] for i in self.own_ids], np.int64)
         """(n,): rows of the drones of this process in the swarm."""
@@ -238,7 +238,7 @@ class Airspace:
         """Trace what the own drones know of near drones, as often as the distances are checked."""
         if self.trace is not None and now_ns >= self._trace_due_ns:
             self._trace_due_ns = now_ns + CHECK_NS
-            self.trace(self.pairs.tobytes())
+            self.trace(self.pairs)
 
     def report_messages(self) -> None:
         """Add the messages since the last call to the counters of the ports."""

@@ -2,6 +2,7 @@
 
 import asyncio
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -163,6 +164,86 @@ def test_a_tick_that_comes_late_shows_the_world_as_it_was_when_it_was_due():
         )
 
     assert run_virtual(main) == pytest.approx((0.004, 0.004, 0.004))
+
+
+class Frames:
+    """A part of the process that takes the frames of the cameras."""
+
+    def __init__(self):
+        self.taken = []
+
+    def take_frame(self, frame):
+        self.taken.append(frame)
+
+
+@virtual
+async def test_a_taker_gets_all_poses_of_an_exposure_at_once_with_their_age(clock):
+    owned = Owned(clock, latency_steps=2, dropout=0.5)
+    frames = Frames()
+    owned.owner.takers.append(frames)
+    for _ in range(8):
+        owned.owner.step(late=0.004)
+    assert len(frames.taken) == 6, "the first exposure arrives after two steps"
+    assert frames.taken[0].age == pytest.approx(0.024)
+    for row in (0, 1):
+        shown = [frame.pose(row) for frame in frames.taken if frame.seen[row]]
+        heard = [pose for pose, _ in owned.poses[row]]
+        assert 0 < len(shown) < 6
+        assert [(p.age, *p.flat) for p in shown] == [(p.age, *p.flat) for p in heard]
+
+
+@virtual
+async def test_only_drones_that_are_read_are_published(clock):
+    bus = Bus(clock)
+    sent = []
+    for i in (0, 1):
+        port = bus.port(i)
+        port.publish = lambda topic, value, age, i=i: sent.append((i, topic.name))
+    world = CFIntegrator((0, 1), np.array([[0.0, 0.0, 2.0], [1.0, 0.0, 2.0]]))
+    owner = WorldOwner(bus, world, SimulatedMocap((0, 1), 1), 100.0)
+    for _ in range(25):
+        owner.step()
+    assert sent == []
+    for topic in (DRONE_TOPICS.pose, DRONE_TOPICS.truth, DRONE_TOPICS.body):
+        bus.subscribe(topic, 1, 1, topic.mailbox(clock))
+    for _ in range(25):
+        owner.step()
+    assert sent.count((1, "pose")) == 25
+    assert sent.count((1, "truth")) == 5
+    assert sent.count((1, "body")) == 1
+    assert not [i for i, _ in sent if i == 0]
+
+
+@virtual
+async def test_a_late_reader_of_a_body_hears_at_once_how_it_is(clock):
+    owned = Owned(clock)
+    for _ in range(30):
+        owned.owner.step()
+    owned.world.impact[1] = 100.0
+    box = DRONE_TOPICS.body.mailbox(clock)
+    owned.bus.subscribe(DRONE_TOPICS.body, 1, 1, box)
+    assert "crashed" in box.peek().harm
+    assert box.age() == 0.0
+
+
+@virtual
+async def test_the_engine_of_a_user_may_take_poses_one_by_one(clock):
+    owned = Owned(clock, dropout=0.5)
+    told = []
+    world = owned.world
+    owned.owner.world = SimpleNamespace(
+        ids=world.ids,
+        states=world.states,
+        step=world.step,
+        state=world.state,
+        see=lambda i, pose: told.append((i, *pose.flat)),
+    )
+    for _ in range(10):
+        owned.owner.step()
+    assert 0 < len(told) < 20
+    for i in (0, 1):
+        heard = [(i, *pose.flat) for pose, _ in owned.poses[i]]
+        assert [row for row in told if row[0] == i] == heard
 
 
 class Kept:
