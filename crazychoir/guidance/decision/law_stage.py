@@ -266,6 +266,8 @@ class LawGroup:
         count = hand_over_rows(
             rows, batch.drones, batch.plans, self.team.now_ns, self._found
         )
+        if count == 0:
+            return
         found = self._found[:count]
         for r, reference in zip(
             found.tolist(), read_references(rows[found]), strict=True
