@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from virtual_time import virtual
 
+from crazychoir.bus.port import Bus
 from crazychoir.flight.tick import FlightTick
 from crazychoir.guidance.decision.flight_rows import write_reference
 from crazychoir.guidance.decision.hearing_rows import HEARING_ROW
@@ -94,8 +95,9 @@ class Process:
     def __init__(self, clock, mode=Mode.HOVER):
         self.clock = clock
         self.mode = mode
-        self.tick = FlightTick(clock, 4)
-        self.stage = LawStage(self.tick)
+        bus = Bus(clock)
+        self.tick = FlightTick(bus, 4)
+        self.stage = LawStage(self.tick, bus.impairment)
 
     def enter(self, law):
         """Let a law of one more drone run."""
