@@ -21,7 +21,7 @@ PLACES = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
 
 
 def lightweight(inputs):
-    return CFIntegrator(IDS, PLACES + [0.0, 0.0, 3.0], inputs=inputs)
+    return CFIntegrator(IDS, [*PLACES, 0.0, 0.0, 3.0], inputs=inputs)
 
 
 def motors():
@@ -97,7 +97,7 @@ def test_rows_fly_as_links_to_the_bit(case, delay):
 
 
 def test_a_row_is_the_same_alone_and_among_others():
-    alone = CFIntegrator([7], PLACES[2:] + [0.0, 0.0, 3.0], inputs="euler")
+    alone = CFIntegrator([7], [*PLACES[2:], 0.0, 0.0, 3.0], inputs="euler")
     among = lightweight("euler")
     for world in (alone, among):
         rows = CommandRows(world)
