@@ -134,7 +134,7 @@ async def test_laws_of_a_team_and_laws_by_hand_step_once_a_tick(clock):
 
 
 @virtual
-async def test_a_law_that_has_left_does_not_step_and_one_that_enters_does(clock):
+async def test_a_law_that_has_left_does_not_step_and_a_law_that_enters_does(clock):
     process = Process(clock)
     first, second = Staged(0, OfTeam(1.0)), Staged(1, OfTeam(2.0))
     process.enter(first)
