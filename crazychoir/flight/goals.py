@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from crazychoir.config.flight_room import room_text
 from crazychoir.errors import ConfigError
-from crazychoir.flight.array_like import describe_value, to_floats
+from crazychoir.numerics.array_like import describe_value, to_floats
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.safety.rules.guard import Guard
 from crazychoir.types import FullState, Mat, Point, Vec

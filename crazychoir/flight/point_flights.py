@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.config.tables import FlightTable
-from crazychoir.flight.array_like import to_floats
+from crazychoir.numerics.array_like import to_floats
 from crazychoir.numerics.kernels import Record
 from crazychoir.numerics.math3d import STANDARD_GRAVITY, yaw_of
 from crazychoir.planning.landing import FlightLegs, Landing

@@ -6,7 +6,7 @@ from typing import TypeVar, get_args
 
 import numpy as np
 
-from crazychoir.flight.array_like import describe_value, to_floats
+from crazychoir.numerics.array_like import describe_value, to_floats
 from crazychoir.types import Acceleration, FullState, Goto, Reference, Vec, Velocity
 
 Directed = TypeVar("Directed", Acceleration, Velocity)

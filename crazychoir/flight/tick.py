@@ -278,7 +278,7 @@ class FlightTick:
                 self._call(index, self._drones[index].publish_reference)
 
     def _find_read(self, topic: Topic) -> list[int]:
-        """Return the places of the drones that tick and whose topic is read."""
+        """Return the places of the drones that tick and have a reader of this topic."""
         ticks = self.batch.drones["ticks"]
         places = self.batch.places
         found = [places.get(i, -1) for i in self._bus.find_read_addresses(topic)]

@@ -19,7 +19,7 @@ from crazychoir.numerics.kernels import (
 )
 from crazychoir.types import Bools, CameraFrame, Ints, Mat
 
-ABSENT = -1
+ABSENT_PLACE = -1
 """Place of a drone of the world that this process does not fly."""
 
 
@@ -54,7 +54,7 @@ def take_poses(
     """
     for r in range(places.shape[0]):
         k = places[r]
-        if k == ABSENT or not seen[r] or drones[k].is_running == 0:
+        if k == ABSENT_PLACE or not seen[r] or drones[k].is_running == 0:
             continue
         filters[k].has_pose = 1
         filters[k].pose_age = age
@@ -77,7 +77,7 @@ def send_inputs(
     """
     for r in range(places.shape[0]):
         k = places[r]
-        if k == ABSENT:
+        if k == ABSENT_PLACE:
             continue
         drone = drones[k]
         is_computed = drone.ticks > 0 and drone.is_computed > 0
@@ -109,7 +109,7 @@ class WorldRows:
         self._batch = batch
         self._commands = commands
         self._make_due = make_due
-        found = [batch.places.get(i, ABSENT) for i in ids]
+        found = [batch.places.get(i, ABSENT_PLACE) for i in ids]
         self._places = np.array(found, np.int64)
 
     def take_frame(self, frame: CameraFrame) -> None:

@@ -74,7 +74,7 @@ POSES_PER_UPDATE = 7
 
 If only rates are controlled on board, the estimator gets 14 poses a second of 100.
 """
-SEEN = np.ones(1, bool)
+ONE_SEEN = np.ones(1, bool)
 """Flag of the one drone that was seen."""
 
 
@@ -266,7 +266,7 @@ class CrazyflieWorld(MotorWorld):
         see_poses(
             self._firmware[row],
             pose.flat[None],
-            SEEN,
+            ONE_SEEN,
             self._pose_counts[row],
             self._pose_intervals[row],
         )

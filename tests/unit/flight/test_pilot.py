@@ -3,7 +3,6 @@
 import asyncio
 import itertools
 import re
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +18,7 @@ from crazychoir.errors import ConfigError
 from crazychoir.flight.clearance import CLEARANCE_TIMES
 from crazychoir.flight.flight_limits import TOUCHDOWN_LIMITS
 from crazychoir.flight.pilot import GIVE_UP_HOVER
+from crazychoir.flight.stages import _evade
 from crazychoir.planning.point_to_point import STOP_DISTANCE, plan_stop
 from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.runtime.clock import run_virtual
@@ -1427,6 +1427,7 @@ async def test_a_drone_that_landed_for_silence_flies_again_when_it_hears_the_oth
         room,
         collision=CollisionFilter(CollisionTable(), traffic, room, 2.0, 1.0, 0.0),
     )
+    drone.pilot.tick.airspace = airspace
 
     def heard():
         for j in others:
@@ -1503,28 +1504,25 @@ async def test_a_drone_landing_for_another_reason_is_landed_by_its_firmware_when
 async def test_a_body_that_stays_on_the_floor_is_another_ones_unless_motors_stand_or_others_keep_it_down(
     clock,
 ):
-    down, up = (
-        {
-            "filter": SimpleNamespace(gives_way_to=1),
-            "evasion": lambda *given, a=a, **options: np.array([0.5, 0.0, a]),
-        }
-        for a in (0.0, 3.0)
-    )
     flights = (
-        (True, {}, Mode.CUT),
-        (False, {}, Mode.TAKEOFF),
-        (True, down, Mode.TAKEOFF),
-        (True, up, Mode.CUT),
+        (True, None, Mode.CUT),
+        (False, None, Mode.TAKEOFF),
+        (True, 0.0, Mode.TAKEOFF),
+        (True, 3.0, Mode.CUT),
     )
-    for turns, others, mode in flights:
+    for turns, evasion, mode in flights:
         drone = Flown(clock, reached="seen")
         drone.pilot.body.turning = turns
         await drone.fly(0.05)
         assert drone.pilot.take_off() > 1.5
-        for name, keeps in others.items():
-            setattr(drone.pilot.follower.clearance, name, keeps)
-            drone.pilot.row.drone["avoids"] = 1
-        await drone.fly(1.5, sinks=lambda z: 0.0)
+
+        def evade(record=drone.pilot.row.drone, evasion=evasion):
+            """Another drone has let it fly with this vertical acceleration."""
+            if evasion is not None:
+                safe = np.array([0.5, 0.0, evasion])
+                _evade(record, safe, 1, True, clock.now())
+
+        await drone.fly(1.5, sinks=lambda z: 0.0, each=evade)
         assert drone.pilot.mode is mode
 
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crazychoir.flight.array_like import describe_value, to_floats
 from crazychoir.flight.references import convert_reference, explain_refusal
+from crazychoir.numerics.array_like import describe_value, to_floats
 from crazychoir.types import Acceleration, FullState, Goto, Velocity
 
 READ_ONLY = np.array([0.0, 0.0, 1.0])

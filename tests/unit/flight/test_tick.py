@@ -13,6 +13,7 @@ from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.tables import FlightTable
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.flight.tick import FlightTick
+from crazychoir.runtime.mailbox import DropOldest
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Pose
@@ -42,13 +43,15 @@ class Process:
     def __init__(self, clock, count=2, fails_in=""):
         self.diary = []
         self.fails_in = fails_in
-        self.tick = FlightTick(clock, count)
-        self.tick.deciders.append(lambda now_ns: self.note("decide", -1))
         bus = Bus(clock)
+        self.tick = FlightTick(bus, count)
+        self.tick.deciders.append(lambda now_ns: self.note("decide", -1))
         self.pilots = [self.add(bus.port(k), k) for k in range(count)]
 
     def add(self, port, k):
-        """Return the pilot of drone k."""
+        """Return the pilot of drone k; an observer reads the states of the drone."""
+        observer = DropOldest(port.bus.clock, "observer", 8)
+        port.bus.subscribe(DRONE_TOPICS.state, k, k, observer)
         publish = port.publish
 
         def publish_and_note(topic, value, *age):

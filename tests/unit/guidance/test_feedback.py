@@ -130,7 +130,7 @@ def test_each_law_hears_of_this_tick_whichever_drone_is_seen_first(order):
         bus, config = Bus(clock), default_swarm(2)
         world = CFIntegrator((0, 1), np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]))
         laws = [Told(), Told()]
-        shared = FlightTick(clock, 2)
+        shared = FlightTick(bus, 2)
         for port, law in zip([bus.port(0), bus.port(1)], laws, strict=True):
             fence = Fence.box((-3, -3, -0.2), (3, 3, 2))
             seen = VelocityFilter()

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from virtual_time import virtual
 
+from crazychoir.bus.port import Bus
 from crazychoir.flight.tick import FlightTick
 from crazychoir.guidance.decision.flight_rows import write_reference
 from crazychoir.guidance.decision.hearing_rows import HEARING_ROW
@@ -94,8 +95,9 @@ class Process:
     def __init__(self, clock, mode=Mode.HOVER):
         self.clock = clock
         self.mode = mode
-        self.tick = FlightTick(clock, 4)
-        self.stage = LawStage(self.tick)
+        bus = Bus(clock)
+        self.tick = FlightTick(bus, 4)
+        self.stage = LawStage(self.tick, bus.impairment)
 
     def enter(self, law):
         """Let a law of one more drone run."""
@@ -132,7 +134,7 @@ async def test_laws_of_a_team_and_laws_by_hand_step_once_a_tick(clock):
 
 
 @virtual
-async def test_a_law_that_has_left_does_not_step_and_one_that_enters_does(clock):
+async def test_a_law_that_has_left_does_not_step_and_a_law_that_enters_does(clock):
     process = Process(clock)
     first, second = Staged(0, OfTeam(1.0)), Staged(1, OfTeam(2.0))
     process.enter(first)

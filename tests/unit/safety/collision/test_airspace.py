@@ -149,7 +149,7 @@ def test_a_drone_that_comes_near_has_a_pair_before_it_is_in_range():
     assert sky.age(0, 1) < 0.5
 
 
-def test_a_drone_of_which_nothing_was_heard_may_be_anywhere_and_is_sought():
+def test_a_drone_that_was_never_heard_may_be_anywhere_and_is_sought():
     sky = Sky(row_of(2, FAR), others=(7,))
     sky.fly(FIRST_NEWS_TIME - 0.2)
     assert sky.drones[0].row(7) is None, "its first state may be on its way"

@@ -23,7 +23,7 @@ def pull(reference, state):
 
 def accelerated(reference, state=HERE):
     """What is left of an acceleration."""
-    return LIMITS.acceleration(reference, state, float(np.linalg.norm(state.v)))
+    return LIMITS.acceleration(reference, state)
 
 
 def test_what_keeps_the_limits_is_not_touched():
@@ -31,8 +31,9 @@ def test_what_keeps_the_limits_is_not_touched():
         [1.1, -2.1, 1.5], [0.2, 0.1, 0.0], [1.0, 1.0, 1.0], [9.0, 0.0, 0.0], 2.0, 3.0
     )
     assert LIMITS.full_state(reference, HERE) is reference
-    gentle = Acceleration(np.array([1.0, 1.0, 1.0]))
-    assert accelerated(gentle) is gentle
+    gentle = accelerated(Acceleration(np.array([1.0, 1.0, 1.0]), 0.7))
+    assert gentle.a.tolist() == [1.0, 1.0, 1.0]
+    assert gentle.yaw == 0.7
 
 
 def test_an_acceleration_keeps_its_direction_and_its_yaw():

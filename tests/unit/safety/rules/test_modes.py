@@ -156,14 +156,14 @@ def test_each_way_to_fly_is_the_same_event(mode, fly):
     case()
 
 
-@pytest.mark.parametrize("kept", ["held", "awaits_start"])
+@pytest.mark.parametrize("kept", ["is_held", "awaits_start"])
 def test_a_held_or_waiting_drone_does_not_fly_where_guidance_wants(
     kept,
 ):
     @virtual
     async def case(clock):
         pilot = the_pilot(clock, Mode.HOVER, HIGH)
-        setattr(pilot, kept, True)
+        pilot.row.drone[kept] = 1
         assert pilot.go_to(HOME) == 0.0
         pilot.follow(Acceleration(np.zeros(3)))
         assert pilot.mode is Mode.HOVER
