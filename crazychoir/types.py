@@ -10,7 +10,8 @@ The numbers of one value lie in one flat array. Compiled laws and the wire use i
 """
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import msgspec
 import numpy as np
@@ -54,6 +55,26 @@ class Pose(Wire, frozen=True, array_like=True, gc=False):
     def q(self) -> Vec:
         """(4,) [x, y, z, w], body to world: attitude."""
         return self.flat[3:7]
+
+
+@dataclass(frozen=True, slots=True)
+class CameraFrame:
+    """The poses of all drones of a world that the cameras took in one exposure."""
+
+    flat: Mat
+    """(n, 7): rows laid out as Pose.flat, one a drone; a row counts only where `seen` is True."""
+    age: float
+    """Seconds since the exposure."""
+    seen: Bools
+    """(n,): whether the cameras saw the drone."""
+
+    def pose(self, row: int) -> Pose | None:
+        """Return the pose in this row; None if the drone was not seen."""
+        return Pose(self.flat[row], self.age) if self.seen[row] else None
+
+    def delayed(self, seconds: float) -> Self:
+        """Return the frame as it is this many seconds later."""
+        return replace(self, age=self.age + seconds)
 
 
 class State(Wire, frozen=True, array_like=True, gc=False):

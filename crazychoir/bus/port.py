@@ -186,6 +186,11 @@ class Readers:
         self.next_ns = min(self.due, default=READER_RATES.never_ns)
         return found
 
+    @property
+    def is_read(self) -> bool:
+        """Whether the topic has a reader."""
+        return bool(self.mailboxes or self.every or self.some)
+
     def drop(self, addresses: Sequence[int]) -> None:
         """Remove ports."""
         self.every = [j for j in self.every if j not in addresses]
@@ -253,6 +258,7 @@ class Bus:
         self.stopped = False
         self.tap: Tap | None = None
         self._readers: dict[int, dict[int, Readers]] = {}
+        self._read_addresses: dict[int, tuple[int, ...]] = {}
         self._opened: tuple[bytes | None, Any] = (None, None)
 
     def port(self, address: int, incarnation: int = 1) -> "Port":
@@ -264,6 +270,7 @@ class Bus:
         port = self.ports[address] = Port(self, address, incarnation, _readers=readers)
         for topic in readers.values():
             topic.mailboxes.clear()
+        self.note_reader_change()
         for interest in self.interests:
             if address in self._sources(interest):
                 port.add_reader(interest, None)
@@ -344,6 +351,28 @@ class Bus:
         for port in self.ports.values():
             port.drop_readers(addresses)
 
+    def note_reader_change(self) -> None:
+        """Note that a topic has gained or lost a reader."""
+        self._read_addresses.clear()
+
+    def find_read_addresses(self, topic: Topic) -> tuple[int, ...]:
+        """Return the addresses in this process from which this topic is read, in order.
+
+        The answer is the same tuple until a reader comes or goes. So a publisher of many drones
+        asks once, and not each port.
+        """
+        number = topic.number
+        addresses = self._read_addresses.get(number)
+        if addresses is None:
+            addresses = self._read_addresses[number] = tuple(
+                sorted(
+                    address
+                    for address, topics in self._readers.items()
+                    if number in topics and topics[number].is_read
+                )
+            )
+        return addresses
+
 
 @dataclass(eq=False)
 class Port:
@@ -365,6 +394,7 @@ class Port:
     """ns: {address: time of its last message}."""
     _readers: dict[int, Readers] = field(default_factory=dict)
     _latched: dict[int, tuple[Any, int]] = field(default_factory=dict)
+    _offers: dict[int, Callable[[], Any]] = field(default_factory=dict)
     _numbers: dict[int, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -438,6 +468,19 @@ class Port:
                 bus.unroutable += 1
         self.counters.sent += sent
         self.counters.bytes += sent * len(payload)
+
+    def is_read(self, topic: Topic) -> bool:
+        """Return whether this topic of this port has a reader."""
+        readers = self._readers.get(topic.number)
+        return readers is not None and readers.is_read
+
+    def offer(self, topic: Topic, find_value: Callable[[], Any]) -> None:
+        """Give new readers of a latched topic the present value, instead of the last published one.
+
+        So the value need not be published while no port reads it.
+        find_value: returns the present value
+        """
+        self._offers[topic.number] = find_value
 
     def publish(self, topic: Topic, value: Any, age: float = 0.0) -> None:
         """Give a value to all its readers; this costs nothing without readers."""
@@ -549,6 +592,10 @@ class Port:
             )
         elif mailbox not in readers.mailboxes:
             readers.mailboxes.append(mailbox)
+        self.bus.note_reader_change()
+        find_value = self._offers.get(topic.number)
+        if find_value is not None:
+            self._latched[topic.number] = find_value(), self.bus.clock.now_ns()
         if topic.number in self._latched:
             self._give_latched(topic, interest.reader, mailbox)
 
@@ -575,6 +622,7 @@ class Port:
         """Remove the readers at these addresses."""
         for readers in self._readers.values():
             readers.drop(addresses)
+        self.bus.note_reader_change()
 
     def _send_impaired(
         self,

@@ -12,7 +12,7 @@ from scipy.special import ndtri
 from crazychoir.config.tables import MocapTable
 from crazychoir.numerics.kernels import kernel, matrix, real, table, vector
 from crazychoir.numerics.math3d import quaternion_product, rotation_exponential
-from crazychoir.types import Mat, Pose, Vec
+from crazychoir.types import CameraFrame, Mat, Vec
 
 
 @kernel(matrix, matrix, real, real, vector, table)
@@ -101,21 +101,23 @@ class SimulatedMocap:
             )
         )
         self._rows = np.array(self.ids)
+        self._drawn_rows = int(self._rows.max()) + 1
+        dropout = errors.dropout
+        self._dropout_threshold = ndtri(dropout) if dropout > 0.0 else -math.inf
         self._exposures: deque[tuple[int, Mat]] = deque()
 
-    def sample(self, x: Mat, k: int) -> list[Pose | None]:
-        """Return the poses that arrive at tick k, row by row; None for a drone without a pose.
+    def sample(self, x: Mat, k: int) -> CameraFrame | None:
+        """Return the frame that arrives at tick k; None if none arrives.
 
         x: (N, 13): true states at tick k
         """
+        latest = k - self.errors.latency_steps
         self._exposures.append((k, x.copy()))
         due = None
-        while (
-            self._exposures and self._exposures[0][0] <= k - self.errors.latency_steps
-        ):
+        while self._exposures and self._exposures[0][0] <= latest:
             due = self._exposures.popleft()
         if due is None:
-            return [None] * len(self.ids)
+            return None
         exposed, truth = due
         normal = self._normal(exposed)
         flat = np.empty((len(self.ids), 7))
@@ -127,17 +129,13 @@ class SimulatedMocap:
             self._tilt,
             flat,
         )
-        age = (k - exposed) * self.dt
-        dropout = self.errors.dropout
-        seen = normal[:, 6] >= (ndtri(dropout) if dropout > 0.0 else -math.inf)
-        return [
-            Pose(row, age) if here else None
-            for row, here in zip(flat, seen.tolist(), strict=True)
-        ]
+        return CameraFrame(
+            flat, (k - exposed) * self.dt, normal[:, 6] >= self._dropout_threshold
+        )
 
     def _normal(self, tick: int) -> Mat:
         """Return standard normals (N, 7) of one exposure: six for noise, one for dropout."""
         stream = np.random.Generator(np.random.Philox(key=[self.seed, tick]))
-        drawn: Mat = stream.standard_normal((int(self._rows.max()) + 1, 7))
+        drawn: Mat = stream.standard_normal((self._drawn_rows, 7))
         mine: Mat = drawn[self._rows]
         return mine

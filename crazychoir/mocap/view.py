@@ -89,19 +89,20 @@ class CameraBlur:
             if name in frame.bodies:
                 x[row, 0:3] = frame.bodies[name][0:3]
                 x[row, 6:10] = frame.bodies[name][3:7]
-        poses = self._cameras.sample(x, self._next_tick(frame.time))
+        seen = self._cameras.sample(x, self._next_tick(frame.time))
         bodies = {
             name: flat for name, flat in frame.bodies.items() if name not in self._names
         }
+        if seen is None:
+            return replace(frame, bodies=bodies), 0.0
         shown = {
-            name: pose
-            for name, pose in zip(self._names, poses, strict=True)
-            if pose and is_readable(pose.flat)
+            name: flat
+            for name, flat, is_seen in zip(
+                self._names, seen.flat, seen.seen.tolist(), strict=True
+            )
+            if is_seen and is_readable(flat)
         }
-        age = next((pose.age for pose in shown.values()), 0.0)
-        return replace(
-            frame, bodies=bodies | {name: pose.flat for name, pose in shown.items()}
-        ), age
+        return replace(frame, bodies=bodies | shown), seen.age if shown else 0.0
 
     def _next_tick(self, t: float) -> int:
         """Return the number of the exposure of a frame at t s.

@@ -29,6 +29,8 @@ vector = numba.types.Array(numba.float64, 1, "C", readonly=True)
 """An array (n,) that a kernel reads."""
 matrix = numba.types.Array(numba.float64, 2, "C", readonly=True)
 """An array (m, n) that a kernel reads."""
+flags = numba.types.Array(numba.boolean, 1, "C", readonly=True)
+"""An array (n,) of truth values that a kernel reads."""
 memory = numba.float64[::1]
 """An array (n,) that a kernel writes."""
 wholes = numba.int64[::1]

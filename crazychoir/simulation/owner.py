@@ -4,17 +4,21 @@ The poses come from simulated cameras.
 """
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Protocol
 
-from crazychoir.bus.port import Bus
-from crazychoir.bus.topics import DRONE_TOPICS
+import numpy as np
+
+from crazychoir.bus.port import Bus, Port
+from crazychoir.bus.topics import DRONE_TOPICS, Topic
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import NS_PER_SECOND, AlarmPriority
-from crazychoir.simulation.common.world import DroneLink, World
+from crazychoir.simulation.command_rows import CommandRows, RowLink
+from crazychoir.simulation.common.world import COMMAND_TYPES, DroneLink, World
 from crazychoir.simulation.telemetry import Telemetry
-from crazychoir.types import Body, Command, Mat, Pose
+from crazychoir.types import Body, CameraFrame, Command, Mat
 
 LARGEST_CATCH_UP = 20
 """Largest number of missed steps that a late world makes up for.
@@ -26,8 +30,8 @@ Missed steps are computed because simulated drones continue to fall while no cod
 class PoseSampler(Protocol):
     """Simulated cameras, which turn true states into poses."""
 
-    def sample(self, x: Mat, k: int) -> list[Pose | None]:
-        """Return the pose of each drone that arrives at tick k; None where none arrives.
+    def sample(self, x: Mat, k: int) -> CameraFrame | None:
+        """Return the frame that arrives at tick k; None if none arrives.
 
         x: (n, 13), true states, one row a drone
         k: number of the tick, one a step of the world
@@ -35,12 +39,48 @@ class PoseSampler(Protocol):
         ...
 
 
-class Digest(Protocol):
-    """A hash that takes the bytes of all states."""
+class FrameTaker(Protocol):
+    """A part of this process that takes the poses of all drones of a world by one call."""
 
-    def update(self, data: bytes, /) -> None:
-        """Add these bytes to the hash."""
+    def take_frame(self, frame: CameraFrame) -> None:
+        """Take the poses of an exposure, in the order of the ids of the world."""
         ...
+
+
+class Digest(Protocol):
+    """A hash that takes all states."""
+
+    def update(self, *tables: Mat) -> None:
+        """Add these C-contiguous tables to the hash."""
+        ...
+
+
+class PublishedTopic:
+    """A topic of the drones of one world, which is published for the drones that are read only.
+
+    bus: the bus that carries the messages
+    topic: the topic
+    ports: ports of the drones by id
+    """
+
+    def __init__(self, bus: Bus, topic: Topic, ports: Mapping[int, Port]) -> None:
+        self._bus = bus
+        self._topic = topic
+        self._ports = ports
+        self._addresses: tuple[int, ...] | None = None
+        self._read: list[tuple[int, int, Port]] = []
+
+    def find_read(self) -> list[tuple[int, int, Port]]:
+        """Return the row, the id and the port of each drone from which the topic is read."""
+        addresses = self._bus.find_read_addresses(self._topic)
+        if addresses is not self._addresses:
+            self._addresses = addresses
+            self._read = [
+                (row, i, port)
+                for row, (i, port) in enumerate(self._ports.items())
+                if port.address in addresses
+            ]
+        return self._read
 
 
 @dataclass
@@ -103,8 +143,19 @@ class WorldOwner(Actor):
         self.trace = trace
         self.ticks = bus.clock.ticks(1.0 / world.dt, AlarmPriority.WORLD)
         self._ports = {i: bus.ports[base + i] for i in world.ids}
+        self._rows = {i: row for row, i in enumerate(world.ids)}
         self.telemetry = Telemetry(world, self._ports)
-        self._delay, self._delayed = delay, dict[int, DelayedLink]()
+        self.takers: list[FrameTaker] = []
+        """Parts of this process that take each frame of the cameras."""
+        self.commands = CommandRows(world, delay)
+        """Commands of the kinds that the world takes as rows."""
+        self._delay = delay
+        self._delayed: dict[int, DelayedLink] = {}
+        self._poses = PublishedTopic(bus, DRONE_TOPICS.pose, self._ports)
+        self._truths = PublishedTopic(bus, DRONE_TOPICS.truth, self._ports)
+        self._bodies = PublishedTopic(bus, DRONE_TOPICS.body, self._ports)
+        for i, port in self._ports.items():
+            port.offer(DRONE_TOPICS.body, partial(self._describe_body, i))
         self._look_every = max(1, round(1.0 / (world.dt * rate)))
         self._truth_every = max(1, round(1.0 / (world.dt * DRONE_TOPICS.truth.rate)))
         self._body_every = max(1, round(1.0 / (world.dt * DRONE_TOPICS.body.rate)))
@@ -122,6 +173,9 @@ class WorldOwner(Actor):
         Raises ConfigError if the world of the drone does not obey this kind.
         """
         link = self.world.link(i, kind)
+        if kind in self.commands.kinds:
+            types = COMMAND_TYPES[kind]
+            return RowLink(self.commands, self._rows[i], link, types)
         if self._delay:
             link = self._delayed[i] = DelayedLink(link, self._delay)
         return link
@@ -151,29 +205,53 @@ class WorldOwner(Actor):
         self._advance()
         self._tick += 1
         if self.trace is not None:
-            self.trace.update(world.states.tobytes())
+            self.trace.update(np.ascontiguousarray(world.states))
         if self._tick % self._look_every == 0:
-            self.looked_ns = self.bus.clock.now_ns()
-            poses = self.cameras.sample(world.states, self._tick)
-            for (i, port), pose in zip(self._ports.items(), poses, strict=True):
-                if pose is not None:
-                    seen = Pose(pose.flat, pose.age + late) if late else pose
-                    world.see(i, seen)
-                    port.publish(DRONE_TOPICS.pose, seen, seen.age)
+            self._look(late)
         if self._tick % self._truth_every == 0:
-            for i, port in self._ports.items():
+            for _, i, port in self._truths.find_read():
                 port.publish(DRONE_TOPICS.truth, world.state(i), late)
         if self.telemetry.every:
             self.telemetry.step(self._tick, late)
         if self._tick % self._body_every == 0:
-            for i, port in self._ports.items():
-                port.publish(
-                    DRONE_TOPICS.body,
-                    Body(world.harm(i), self.flying(i), self.cut(i)),
-                    late,
-                )
+            for _, i, port in self._bodies.find_read():
+                port.publish(DRONE_TOPICS.body, self._describe_body(i), late)
+
+    def _look(self, late: float) -> None:
+        """Take a frame with the cameras, and hand it over.
+
+        late: s: delay of this tick
+        """
+        self.looked_ns = self.bus.clock.now_ns()
+        frame = self.cameras.sample(self.world.states, self._tick)
+        if frame is None:
+            return
+        if late:
+            frame = frame.delayed(late)
+        self._show_world(frame)
+        for taker in self.takers:
+            taker.take_frame(frame)
+        for row, _, port in self._poses.find_read():
+            pose = frame.pose(row)
+            if pose is not None:
+                port.publish(DRONE_TOPICS.pose, pose, pose.age)
+
+    def _show_world(self, frame: CameraFrame) -> None:
+        """Give the poses to the estimators on board; an engine may take them one by one only."""
+        see_frame = getattr(self.world, "see_frame", None)
+        if see_frame is not None:
+            see_frame(frame.flat, frame.seen)
+            return
+        for row, i in enumerate(self.world.ids):
+            pose = frame.pose(row)
+            if pose is not None:
+                self.world.see(i, pose)
+
+    def _describe_body(self, i: int) -> Body:
+        return Body(self.world.harm(i), self.flying(i), self.cut(i))
 
     def _advance(self) -> None:
         for link in self._delayed.values():
             link.advance()
+        self.commands.advance()
         self.world.step()

@@ -2,9 +2,14 @@
 
 import hashlib
 import struct
+from typing import Any
+
+import numpy.typing as npt
 
 from crazychoir.bus.port import PORT_ADDRESSES
 
+Table = npt.NDArray[Any]
+"""An array of numbers or of records."""
 _MESSAGE_HEADER = struct.Struct("<iiiq")
 
 
@@ -31,10 +36,15 @@ class Trace:
                 payload,
             )
 
-    def update(self, part: bytes) -> None:
-        """Add one step of the world and hash it together with the messages since the last step."""
-        self._parts.append(part)
+    def update(self, *tables: Table) -> None:
+        """Add tables of one tick, after the messages since the last tick.
+
+        tables: C-contiguous arrays, hashed with all their bytes. The rows must be in the order of
+            the drones' ids, so that the digest does not depend on where a drone is computed.
+        """
         self._take()
+        for part in tables:
+            self._hash.update(part)
 
     def digest(self) -> str:
         """Return the digest as hexadecimal digits."""

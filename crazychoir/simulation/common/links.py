@@ -4,8 +4,37 @@ import math
 from collections.abc import Sequence
 from typing import Protocol
 
-from crazychoir.numerics.math3d import rotation
+import numpy as np
+
+from crazychoir.numerics.kernels import kernel, memory, vector
+from crazychoir.numerics.math3d import rotation_columns
 from crazychoir.types import Command, State, Vec
+
+
+@kernel(vector, vector, memory)
+def convert_to_euler_rates(q: Vec, flat: Vec, out: Vec) -> None:
+    """Write the thrust and the Euler-angle rates of a drone with these body rates.
+
+        phi' = p + (q sin phi + r cos phi) tan theta
+        theta' = q cos phi - r sin phi
+        psi' = (q sin phi + r cos phi) / cos theta
+
+    q: (4,): attitude
+    flat: (4,): thrust N, body rates rad/s
+    out: (4,): thrust N, rates rad/s of phi, theta and psi
+    """
+    x_axis, y_axis, z_axis = rotation_columns((q[0], q[1], q[2], q[3]))
+    # The last row of R = (-sin theta, sin phi cos theta, cos phi cos theta).
+    x = x_axis[2]
+    y = y_axis[2]
+    z = z_axis[2]
+    phi = math.atan2(y, z)
+    cos_theta = max(math.hypot(y, z), 1e-6)
+    turn = flat[2] * math.sin(phi) + flat[3] * math.cos(phi)
+    out[0] = flat[0]
+    out[1] = flat[1] - turn * x / cos_theta
+    out[2] = flat[2] * math.cos(phi) - flat[3] * math.sin(phi)
+    out[3] = turn / cos_theta
 
 
 class RateWorld(Protocol):
@@ -45,27 +74,13 @@ class SimulatedLink:
 
 
 class EulerRatesLink(SimulatedLink):
-    """A link to a world with rates of the Euler angles as inputs, as in the paper.
-
-    phi' = p + (q sin phi + r cos phi) tan theta
-    theta' = q cos phi - r sin phi
-    psi' = (q sin phi + r cos phi) / cos theta
-    """
+    """A link to a world with rates of the Euler angles as inputs, as in the paper."""
 
     def inputs(self, flat: Vec) -> Vec | Sequence[float]:
         """Turn thrust and body rates p, q, r into thrust and Euler-angle rates.
 
         The conversion uses the present attitude of the drone.
         """
-        thrust, p, q, r = flat.tolist()
-        # The last row of R = (-sin theta, sin phi cos theta, cos phi cos theta).
-        x, y, z = rotation(self.world.state(self.drone).q)[2].tolist()
-        phi = math.atan2(y, z)
-        cos_theta = max(math.hypot(y, z), 1e-6)
-        turn = q * math.sin(phi) + r * math.cos(phi)
-        return [
-            thrust,
-            p - turn * x / cos_theta,
-            q * math.cos(phi) - r * math.sin(phi),
-            turn / cos_theta,
-        ]
+        rates = np.empty(4)
+        convert_to_euler_rates(self.world.state(self.drone).q, flat, rates)
+        return rates

@@ -8,7 +8,7 @@ import numpy as np
 from crazychoir.errors import ConfigError
 from crazychoir.numerics.kernels import kernel, matrix, memory
 from crazychoir.platforms import Platform
-from crazychoir.types import Mat, Pose, State, Vec
+from crazychoir.types import Bools, Mat, Pose, State, Vec
 
 
 @kernel(matrix, memory)
@@ -82,6 +82,9 @@ class Truth:
 
     def see(self, i: int, pose: Pose) -> None:
         """Do nothing: these drones run no estimator."""
+
+    def see_frame(self, flat: Mat, seen: Bools) -> None:
+        """Do nothing, as `see`."""
 
     def state(self, i: int) -> State:
         """Return a copy of the true state of drone i."""

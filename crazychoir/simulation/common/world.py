@@ -11,9 +11,11 @@ from crazychoir.types import (
     FRPY,
     XYZ,
     Acc,
+    Bools,
     Command,
     Drive,
     FullState,
+    Ints,
     Mat,
     Pose,
     State,
@@ -140,6 +142,33 @@ class World(Protocol):
 
     def min_separation(self) -> float:
         """Return the smallest distance between two drones in m; inf for one drone."""
+        ...
+
+
+class RowWorld(World, Protocol):
+    """A world that takes the commands of all its drones by one call, as an engine may."""
+
+    takes_rows: tuple[str, ...]
+    """Kinds of commands that it takes so, keys of COMMAND_TYPES: with four numbers each."""
+
+    def take_commands(self, inputs: Mat, is_new: Ints) -> None:
+        """Let drones obey these commands until the next ones, as their links would.
+
+        inputs: (n, 4): rows laid out as `flat` of the commands, one a drone
+        is_new: (n,): 1 for a drone with a new command
+        """
+        ...
+
+
+class FrameWorld(World, Protocol):
+    """A world that takes the poses of all its drones by one call, as an engine may."""
+
+    def see_frame(self, flat: Mat, seen: Bools) -> None:
+        """Pass the poses of one exposure to the estimators on board, as `see` does for one drone.
+
+        flat: (n, 7): rows laid out as Pose.flat, one a drone
+        seen: (n,): whether the drone was seen
+        """
         ...
 
 

@@ -7,7 +7,15 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from crazychoir.numerics.kernels import kernel, matrix, memory, real, table, vector
+from crazychoir.numerics.kernels import (
+    kernel,
+    matrix,
+    memory,
+    real,
+    table,
+    vector,
+    wholes,
+)
 from crazychoir.numerics.math3d import (
     STANDARD_GRAVITY,
     Triple,
@@ -16,11 +24,15 @@ from crazychoir.numerics.math3d import (
     rotation_columns,
 )
 from crazychoir.platforms import PAPER_PLATFORM, Platform
-from crazychoir.simulation.common.links import EulerRatesLink, SimulatedLink
+from crazychoir.simulation.common.links import (
+    EulerRatesLink,
+    SimulatedLink,
+    convert_to_euler_rates,
+)
 from crazychoir.simulation.common.logs import LIGHTWEIGHT_LOG_READERS
 from crazychoir.simulation.common.truth import Truth
 from crazychoir.simulation.common.world import make_unsupported_kind_error
-from crazychoir.types import Mat, Vec
+from crazychoir.types import Ints, Mat, Vec
 
 
 class IntegratorColumns(NamedTuple):
@@ -194,6 +206,28 @@ def _clip_commands(
             counts[i] += 1.0 if np.any(accepted[i] != commands[i]) else 0.0
 
 
+@kernel(matrix, wholes, matrix, real, table)
+def _take_commands(
+    inputs: Mat, is_new: Ints, x: Mat, euler: float, commands: Mat
+) -> None:
+    """Write the commands that follow from new inputs.
+
+    inputs: (N, 4): thrusts N, body rates rad/s
+    is_new: (N,): 1 for a drone with a new input
+    x: (N, 13): states
+    euler: above 0 if the commands have Euler-angle rates
+    commands: (N, 4): thrusts N, rates rad/s
+    """
+    for i in range(inputs.shape[0]):
+        if is_new[i] == 0:
+            continue
+        if euler > 0.0:
+            convert_to_euler_rates(x[i, 6:10], inputs[i], commands[i])
+        else:
+            for c in range(4):
+                commands[i, c] = inputs[i, c]
+
+
 @kernel(table, table, matrix, real, matrix, vector, memory, memory, memory, real)
 def _advance(
     x: Mat,
@@ -286,6 +320,7 @@ class CFIntegrator(Truth):
     """
 
     flies: tuple[str, ...] = ("fpqr",)
+    takes_rows: tuple[str, ...] = ("fpqr",)
     command_timeout: float | None = LIGHTWEIGHT_COMMAND_TIMEOUT
 
     def __init__(
@@ -327,6 +362,14 @@ class CFIntegrator(Truth):
     def command(self, i: int, u: Vec | Sequence[float]) -> None:
         """Hold u (4,) = thrust N, rates rad/s for drone i from now on."""
         self._held[i][...] = u
+
+    def take_commands(self, inputs: Mat, is_new: Ints) -> None:
+        """Hold the new commands of all drones, as `link` would.
+
+        inputs: (n, 4): thrusts N, body rates rad/s, one row a drone
+        is_new: (n,): 1 for a drone with a new command
+        """
+        _take_commands(inputs, is_new, self.states, self._euler, self.commands)
 
     def cut(self, i: int) -> None:
         """Stop the motors of drone i for good."""

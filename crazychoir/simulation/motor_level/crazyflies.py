@@ -33,6 +33,7 @@ from crazychoir.simulation.motor_level.motors import (
     keys,
     whole,
 )
+from crazychoir.simulation.onboard.estimator import see_poses
 from crazychoir.simulation.onboard.logs import FIRMWARE_LOG_READERS, read_log_variable
 from crazychoir.simulation.onboard.loop import stabilize
 from crazychoir.simulation.onboard.onboard import Onboard
@@ -42,7 +43,8 @@ from crazychoir.simulation.onboard.record import (
     make_fleet,
     rows,
 )
-from crazychoir.types import Mat, Pose, Vec
+from crazychoir.simulation.onboard.thrust_setpoints import stream_thrust_setpoints
+from crazychoir.types import Bools, Ints, Mat, Pose, Vec
 
 # isort: off
 from crazychoir.simulation.motor_level.lanes import (
@@ -72,6 +74,8 @@ POSES_PER_UPDATE = 7
 
 If only rates are controlled on board, the estimator gets 14 poses a second of 100.
 """
+SEEN = np.ones(1, bool)
+"""Flag of the one drone that was seen."""
 
 
 @kernel()
@@ -161,6 +165,7 @@ class CrazyflieWorld(MotorWorld):
     """
 
     flies: tuple[str, ...] = tuple(MOTOR_CONTROLS)
+    takes_rows: tuple[str, ...] = ("fpqr", "frpy")
     command_timeout: float | None = None
 
     def __init__(
@@ -178,7 +183,11 @@ class CrazyflieWorld(MotorWorld):
         )
         self._firmware = np.concatenate([make_fleet(1, row) for row in platforms])
         self.onboard: dict[int, Onboard] = {}
-        self._told, self._told_every = dict.fromkeys(ids, 0), dict.fromkeys(ids, 1)
+        self._needs_arming = np.array(
+            [row.firmware.needs_arming for row in platforms], np.int64
+        )
+        self._pose_counts = np.zeros(len(ids), np.int64)
+        self._pose_intervals = np.ones(len(ids), np.int64)
         super().__init__(
             ids, p0, yaw0, platforms if bodies is None else bodies, **options
         )
@@ -243,7 +252,9 @@ class CrazyflieWorld(MotorWorld):
         """
         if kind not in self.flies:
             raise make_unsupported_kind_error(i, kind, self.flies)
-        self._told_every[i] = 1 if kind in FIRMWARE_POSITION_KINDS else POSES_PER_UPDATE
+        self._pose_intervals[self.row[i]] = (
+            1 if kind in FIRMWARE_POSITION_KINDS else POSES_PER_UPDATE
+        )
         return CrazyflieLink(self.onboard[i], kind)
 
     def see(self, i: int, pose: Pose) -> None:
@@ -251,9 +262,30 @@ class CrazyflieWorld(MotorWorld):
 
         If only rates are controlled on board, few poses are passed, because radio time is scarce.
         """
-        told = self._told[i] = self._told[i] + 1
-        if told % self._told_every[i] == 0:
-            self.onboard[i].external_pose(pose.p, pose.q)
+        row = slice(self.row[i], self.row[i] + 1)
+        see_poses(
+            self._firmware[row],
+            pose.flat[None],
+            SEEN,
+            self._pose_counts[row],
+            self._pose_intervals[row],
+        )
+
+    def see_frame(self, flat: Mat, seen: Bools) -> None:
+        """Pass the poses of one exposure to the estimators on board, as `see`.
+
+        flat: (n, 7): rows laid out as Pose.flat, one a drone
+        seen: (n,): whether the drone was seen
+        """
+        see_poses(self._firmware, flat, seen, self._pose_counts, self._pose_intervals)
+
+    def take_commands(self, inputs: Mat, is_new: Ints) -> None:
+        """Pass the new set-points of all drones to their firmware, as `link` would.
+
+        inputs: (n, 4): rows laid out as FPQR.flat or FRPY.flat, by the kind of each drone's link
+        is_new: (n,): 1 for a drone with a new set-point
+        """
+        stream_thrust_setpoints(self._firmware, inputs, is_new, self._needs_arming)
 
     @property
     def failed(self) -> dict[int, str]:

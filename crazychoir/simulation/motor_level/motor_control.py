@@ -41,30 +41,22 @@ class _MotorCtrlThrust(MotorCtrl):
         for axis, mode in (("Roll", self.angles), ("Pitch", self.angles), ("Yaw", 0)):
             onboard.set(f"flightmode.stabMode{axis}", mode)
 
-    def unlock(self) -> None:
-        """Send the packet without thrust that unlocks the thrust in the firmware, if it is locked."""
-        if self.onboard.record["locked_thrust"]:
-            self.onboard.setpoints.rpyt_raw(0.0, 0.0, 0.0, 0.0)
+    def send(self, command: FPQR | FRPY) -> bool:
+        """Give a set-point, valid until the next one or for 0.5 s; return False if it is refused.
+
+        A thrust that is locked in the firmware is unlocked first.
+        """
+        return self.onboard.setpoints.stream(command.flat)
 
 
 class MotorCtrlFPQR(_MotorCtrlThrust):
     """Thrust and body rates, followed by the rate controller of the firmware."""
-
-    def send(self, command: FPQR) -> bool:
-        """Give a set-point, valid until the next one or for 0.5 s; return False if it is refused."""
-        self.unlock()
-        return self.onboard.setpoints.fpqr(*command.flat.tolist())
 
 
 class MotorCtrlFRPY(_MotorCtrlThrust):
     """Thrust, roll, pitch and yaw rate, followed by the attitude controller of the firmware."""
 
     angles = 1
-
-    def send(self, command: FRPY) -> bool:
-        """Give a set-point, valid until the next one or for 0.5 s; return False if it is refused."""
-        self.unlock()
-        return self.onboard.setpoints.frpy(*command.flat.tolist())
 
 
 class MotorCtrlVel(MotorCtrl):

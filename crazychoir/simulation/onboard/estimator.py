@@ -8,7 +8,7 @@ noise figures.
 import math
 from typing import NamedTuple
 
-from crazychoir.numerics.kernels import kernel, real, vector
+from crazychoir.numerics.kernels import flags, kernel, matrix, real, vector, wholes
 from crazychoir.numerics.math3d import (
     STANDARD_GRAVITY,
     is_finite,
@@ -20,7 +20,7 @@ from crazychoir.numerics.math3d import (
     rotation_logarithm,
 )
 from crazychoir.simulation.onboard.record import Fleet, Record, rows, whole
-from crazychoir.types import Vec
+from crazychoir.types import Bools, Ints, Mat, Vec
 
 
 class InitialDeviations(NamedTuple):
@@ -240,6 +240,25 @@ def see_pose(fleet: Fleet, i: int, p: Vec, q: Vec) -> None:
     )
     fw.att_var *= 1.0 - k
     _update_angles(fw)
+
+
+@kernel(rows, matrix, flags, wholes, wholes)
+def see_poses(
+    fleet: Fleet, flat: Mat, seen: Bools, counts: Ints, intervals: Ints
+) -> None:
+    """Correct the estimates of all drones by the poses of one exposure.
+
+    flat: (n, 7): rows of p m and q
+    seen: (n,): whether the drone was seen
+    counts: (n,): poses that each drone has had; counted on
+    intervals: (n,): a drone is corrected by each pose with a count divisible by this
+    """
+    for i in range(flat.shape[0]):
+        if not seen[i]:
+            continue
+        counts[i] += 1
+        if counts[i] % intervals[i] == 0:
+            see_pose(fleet, i, flat[i, 0:3], flat[i, 3:7])
 
 
 @kernel(rows, whole, vector, real)

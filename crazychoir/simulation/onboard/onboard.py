@@ -134,12 +134,10 @@ class Onboard:
 
         Return False if the checks before flight do not allow it.
         """
-        fw = self.record
-        if armed and not fw["armed"] and not _supervisor.can_arm(self.rows, self.row):
-            return False
-        fw["arm_requested"] = armed
-        if not armed:
-            fw["armed"] = 0
+        if armed:
+            return bool(_supervisor.request_arming(self.rows, self.row))
+        self.record["arm_requested"] = 0
+        self.record["armed"] = 0
         return True
 
     def emergency_stop(self) -> None:

@@ -6,17 +6,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from crazychoir.platforms import Firmware
-from crazychoir.simulation.onboard import commander
+from crazychoir.simulation.onboard import commander, thrust_setpoints
 from crazychoir.simulation.onboard.commander import SETPOINT_PRIORITIES
 from crazychoir.simulation.onboard.record import Fleet, load_entry_points
 from crazychoir.simulation.onboard.units import (
     FULL_THRUST_COMMAND,
-    convert_roll_pitch_yaw_rate_to_raw,
     convert_thrust_to_raw,
 )
 from crazychoir.types import Vec
 
 _commander = load_entry_points(commander)
+_thrust_setpoints = load_entry_points(thrust_setpoints)
 
 
 class SetpointInput:
@@ -60,8 +60,7 @@ class SetpointInput:
 
         It needs flightmode.stabModeRoll = .stabModePitch = .stabModeYaw = 0.
         """
-        roll, pitch, yaw = convert_roll_pitch_yaw_rate_to_raw(p, q, r)
-        return self.rpyt_raw(roll, pitch, yaw, self._thrust(thrust))
+        return self._give(thrust, p, q, r)
 
     def frpy(self, thrust: float, roll: float, pitch: float, yaw_rate: float) -> bool:
         """Give a set-point of thrust, roll, pitch and yaw rate.
@@ -72,9 +71,21 @@ class SetpointInput:
         pitch: rad, positive nose down
         yaw_rate: rad/s
         """
-        return self.rpyt_raw(
-            *convert_roll_pitch_yaw_rate_to_raw(roll, pitch, yaw_rate),
-            self._thrust(thrust),
+        return self._give(thrust, roll, pitch, yaw_rate)
+
+    def _give(self, *numbers: float) -> bool:
+        u = np.array(numbers, dtype=np.float64)
+        return bool(_thrust_setpoints.give_thrust_setpoint(self._rows, self._row, u))
+
+    def stream(self, u: Vec) -> bool:
+        """Unlock the thrust if it is locked, and give a set-point of fpqr or frpy.
+
+        u: (4,): the arguments of fpqr, or of frpy
+        """
+        # The entry point does not check the type of the array.
+        flat = np.ascontiguousarray(u, dtype=np.float64)
+        return bool(
+            _thrust_setpoints.stream_thrust_setpoint(self._rows, self._row, flat)
         )
 
     def _thrust(self, newtons: float) -> float:

@@ -249,6 +249,16 @@ def can_arm(fleet: Fleet, i: int) -> bool:
 
 
 @kernel(rows, whole)
+def request_arming(fleet: Fleet, i: int) -> bool:
+    """Request armed motors; return False if the checks before flight do not allow it."""
+    fw = fleet[i]
+    if fw.armed == 0 and not may_arm(fw):
+        return False
+    fw.arm_requested = 1
+    return True
+
+
+@kernel(rows, whole)
 def information(fleet: Fleet, i: int) -> int:
     """Return the bits of supervisor.info.
 

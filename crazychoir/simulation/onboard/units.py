@@ -2,15 +2,25 @@
 
 import math
 
+from crazychoir.numerics.kernels import kernel, real
 from crazychoir.platforms import Firmware
 
 FULL_THRUST_COMMAND = 65535.0
 """Thrust command at which each motor gives thrust_max newtons."""
 
 
+@kernel(real, real)
+def scale_thrust_to_raw(newtons: float, largest: float) -> float:
+    """Return the thrust command for a total thrust in N; linear.
+
+    largest: N: thrust of one motor at FULL_THRUST_COMMAND
+    """
+    return newtons * FULL_THRUST_COMMAND / (4.0 * largest)
+
+
 def convert_thrust_to_raw(newtons: float, firmware: Firmware) -> float:
     """Return the thrust command for a total thrust in N; linear, 65535 = 4 thrust_max."""
-    return newtons * FULL_THRUST_COMMAND / (4.0 * firmware.thrust_max)
+    return scale_thrust_to_raw(newtons, firmware.thrust_max)
 
 
 def convert_thrust_to_newtons(raw: float, firmware: Firmware) -> float:
@@ -18,6 +28,7 @@ def convert_thrust_to_newtons(raw: float, firmware: Firmware) -> float:
     return raw * 4.0 * firmware.thrust_max / FULL_THRUST_COMMAND
 
 
+@kernel(real, real, real)
 def convert_roll_pitch_yaw_rate_to_raw(
     roll: float, pitch: float, yaw_rate: float
 ) -> tuple[float, float, float]:

@@ -204,7 +204,12 @@ def test_an_owner_that_falls_silent_brings_its_drones_down_with_the_reason_whate
 
 
 class Foreign:
-    """A world that is not ours: as the lightweight one, without a delay in its model."""
+    """A world that is not ours: as the lightweight one, without a delay in its model.
+
+    It takes commands by links only.
+    """
+
+    takes_rows = ()
 
     def __init__(self, setup):
         self._world = CFIntegrator(setup.ids, np.array(setup.homes), dt=setup.dt)
@@ -501,9 +506,9 @@ def test_the_cameras_of_a_world_see_its_drones_tilted_as_the_swarm_file_says():
         )
         (owner,) = agent.owners
         told = []
-        owner.world.see = lambda i, pose: told.append(pose)
+        owner.world.see_frame = lambda flat, seen: told.append(flat[0, 3:7])
         owner.step()
-        return told[0].q
+        return told[0]
 
     x, y, z, w = run_virtual(main)
     assert (2.0 * x / w, 2.0 * y / w) == pytest.approx((0.02, -0.03), rel=1e-3)

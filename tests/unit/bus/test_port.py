@@ -17,7 +17,7 @@ from crazychoir.bus.topics import (
     TOPIC_BY_NUMBER,
 )
 from crazychoir.runtime.mailbox import Latest
-from crazychoir.types import FPQR, FRPY, XYZ, FullState, Pose, State, Status, Vel
+from crazychoir.types import FPQR, FRPY, XYZ, Body, FullState, Pose, State, Status, Vel
 
 LOSS = Impairment(1, [ImpairmentRule({"loss": 1.0})])
 
@@ -40,6 +40,44 @@ def handling(port, topic):
     seen = []
     port.handlers[topic.number] = lambda *message: seen.append(message)
     return seen
+
+
+@virtual
+async def test_the_bus_finds_the_addresses_that_are_read_as_readers_come_and_go(clock):
+    bus, own, other = ports(clock, 5, 3)
+    topic = DRONE_TOPICS.pose
+    assert bus.find_read_addresses(topic) == ()
+    assert not own.is_read(topic)
+    reading(bus, topic, 5, 5)
+    reading(bus, topic, 3, 5)
+    assert bus.find_read_addresses(topic) == (3, 5)
+    assert bus.find_read_addresses(topic) is bus.find_read_addresses(topic)
+    assert bus.find_read_addresses(DRONE_TOPICS.truth) == ()
+    bus.port(5)  # a port that is opened again has lost the mailboxes of its actors
+    assert bus.find_read_addresses(topic) == (3,)
+    bus.add_remote_interests([Interest(topic.name, 3, 77), Interest(topic.name, 5, 77)])
+    bus.drop_readers([5])
+    assert bus.find_read_addresses(topic) == (3, 5)
+    bus.drop_readers([77])
+    assert bus.find_read_addresses(topic) == ()
+    assert not other.is_read(topic)
+
+
+@virtual
+async def test_a_reader_with_a_rate_counts_as_a_reader(clock):
+    bus, *_ = ports(clock, 5, 3)
+    reading(bus, DRONE_TOPICS.truth, 5, 3, rate=2.0)
+    assert bus.find_read_addresses(DRONE_TOPICS.truth) == (5,)
+
+
+@virtual
+async def test_a_new_reader_of_an_offered_topic_gets_its_present_value(clock):
+    bus, port, _ = ports(clock, 5, 3)
+    harms = ["", "broken"]
+    port.offer(DRONE_TOPICS.body, lambda: Body(harms[-1]))
+    box = reading(bus, DRONE_TOPICS.body, 5, 3)
+    assert box.peek() == Body("broken")
+    assert box.age() == 0.0
 
 
 class Network:

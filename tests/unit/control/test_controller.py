@@ -159,7 +159,7 @@ def fly(gains=STANDARD_GAINS, noise=0.0, seconds=6.0, **world):
     )
     errors = []
     for k in range(round(seconds / engine.dt)):
-        [pose] = mocap.sample(engine.states, k)
+        pose = mocap.sample(engine.states, k).pose(0)
         state = velocity.update(pose, engine.time)
         engine.command(
             0, law.command(state, plan.sample(engine.time), engine.time).flat

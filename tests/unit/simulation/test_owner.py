@@ -1,7 +1,9 @@
 """The owner of a simulated world: when it looks, what it shows and how old that is, how it makes up for lost time."""
 
 import asyncio
+import sys
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +16,9 @@ from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.runtime.clock import run_virtual, run_wall
 from crazychoir.runtime.mailbox import Call
 from crazychoir.simulation.lightweight.integrator import CFIntegrator, InputLags
+from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
 from crazychoir.simulation.owner import LARGEST_CATCH_UP, DelayedLink, WorldOwner
+from crazychoir.simulation.trace import Trace
 from crazychoir.types import FPQR, Body
 
 
@@ -163,6 +167,135 @@ def test_a_tick_that_comes_late_shows_the_world_as_it_was_when_it_was_due():
         )
 
     assert run_virtual(main) == pytest.approx((0.004, 0.004, 0.004))
+
+
+class Frames:
+    """A part of the process that takes the frames of the cameras."""
+
+    def __init__(self):
+        self.taken = []
+
+    def take_frame(self, frame):
+        self.taken.append(frame)
+
+
+@virtual
+async def test_a_taker_gets_all_poses_of_an_exposure_at_once_with_their_age(clock):
+    owned = Owned(clock, latency_steps=2, dropout=0.5)
+    frames = Frames()
+    owned.owner.takers.append(frames)
+    for _ in range(8):
+        owned.owner.step(late=0.004)
+    assert len(frames.taken) == 6, "the first exposure arrives after two steps"
+    assert frames.taken[0].age == pytest.approx(0.024)
+    for row in (0, 1):
+        shown = [frame.pose(row) for frame in frames.taken if frame.seen[row]]
+        heard = [pose for pose, _ in owned.poses[row]]
+        assert 0 < len(shown) < 6
+        assert [(p.age, *p.flat) for p in shown] == [(p.age, *p.flat) for p in heard]
+
+
+@virtual
+async def test_only_drones_that_are_read_are_published(clock):
+    bus = Bus(clock)
+    sent = []
+    for i in (0, 1):
+        port = bus.port(i)
+        port.publish = lambda topic, value, age, i=i: sent.append((i, topic.name))
+    world = CFIntegrator((0, 1), np.array([[0.0, 0.0, 2.0], [1.0, 0.0, 2.0]]))
+    owner = WorldOwner(bus, world, SimulatedMocap((0, 1), 1), 100.0)
+    for _ in range(25):
+        owner.step()
+    assert sent == []
+    for topic in (DRONE_TOPICS.pose, DRONE_TOPICS.truth, DRONE_TOPICS.body):
+        bus.subscribe(topic, 1, 1, topic.mailbox(clock))
+    for _ in range(25):
+        owner.step()
+    assert sent.count((1, "pose")) == 25
+    assert sent.count((1, "truth")) == 5
+    assert sent.count((1, "body")) == 1
+    assert not [i for i, _ in sent if i == 0]
+
+
+@virtual
+async def test_a_late_reader_of_a_body_hears_at_once_how_it_is(clock):
+    owned = Owned(clock)
+    for _ in range(30):
+        owned.owner.step()
+    owned.world.impact[1] = 100.0
+    box = DRONE_TOPICS.body.mailbox(clock)
+    owned.bus.subscribe(DRONE_TOPICS.body, 1, 1, box)
+    assert "crashed" in box.peek().harm
+    assert box.age() == 0.0
+
+
+@virtual
+async def test_the_engine_of_a_user_may_take_poses_one_by_one(clock):
+    owned = Owned(clock, dropout=0.5)
+    told = []
+    world = owned.world
+    owned.owner.world = SimpleNamespace(
+        ids=world.ids,
+        states=world.states,
+        step=world.step,
+        state=world.state,
+        see=lambda i, pose: told.append((i, *pose.flat)),
+    )
+    for _ in range(10):
+        owned.owner.step()
+    assert 0 < len(told) < 20
+    for i in (0, 1):
+        heard = [(i, *pose.flat) for pose, _ in owned.poses[i]]
+        assert [row for row in told if row[0] == i] == heard
+
+
+def count_calls(work):
+    """How often `work` calls a function of the package."""
+    calls = []
+
+    def note(frame, event, argument):
+        if event == "call" and "crazychoir" in frame.f_code.co_filename:
+            calls.append(frame.f_code.co_qualname)
+
+    sys.setprofile(note)
+    try:
+        work()
+    finally:
+        sys.setprofile(None)
+    return len(calls)
+
+
+@pytest.mark.parametrize("delay", [0, 3])
+@pytest.mark.parametrize("make", [CFIntegrator, CrazyflieWorld])
+def test_a_steady_step_calls_python_as_often_for_a_hundred_drones_as_for_three(
+    make, delay
+):
+    async def count(clock, n):
+        bus = Bus(clock)
+        for i in range(n):
+            bus.port(i)
+        world = make(range(n), np.array([[float(i), 0.0, 1.0] for i in range(n)]))
+        owner = WorldOwner(
+            bus, world, SimulatedMocap(range(n), 1), 100.0, trace=Trace(), delay=delay
+        )
+        owner.takers.append(Frames())
+        for i in range(n):
+            owner.link(i, "fpqr")
+
+        def step():
+            for _ in range(100):
+                owner.commands.inputs[:, 0] = 0.3
+                owner.commands.is_new[:] = 1
+                owner.step()
+
+        step()
+        return count_calls(step)
+
+    async def main(clock):
+        return [await count(clock, n) for n in (3, 100)]
+
+    few, many = run_virtual(main)
+    assert few == many
 
 
 class Kept:

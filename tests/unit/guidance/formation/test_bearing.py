@@ -121,8 +121,8 @@ def settle(seed, noise, until=18.0, **world):
     }
     heard, last = None, 0.0
     for k in range(round(until / engine.dt)):
-        now, poses = engine.time, mocap.sample(engine.states, k)
-        states = [filters[i].update(poses[i], now) for i in range(4)]
+        now, frame = engine.time, mocap.sample(engine.states, k)
+        states = [filters[i].update(frame.pose(i), now) for i in range(4)]
         heard = heard or states
         for i in range(4):
             u = np.zeros(3)

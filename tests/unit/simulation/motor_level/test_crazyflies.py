@@ -9,6 +9,7 @@ from crazychoir.simulation.motor_level.air import Wind
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
 from crazychoir.simulation.motor_level.motors import MotorConditions
 from crazychoir.simulation.onboard.laws import MotorForces
+from crazychoir.types import Pose
 
 
 def posed(world, ticks):
@@ -86,3 +87,29 @@ def test_a_users_law_flies_it_every_two_milliseconds():
     drone.set("stabilizer.controller", "mine")
     world.step()
     assert calls == [0.002] * 5
+
+
+def test_a_frame_is_for_the_estimators_as_single_poses_are():
+    ids = [5, 2, 9]
+    p0 = np.array([[float(i), 0.0, 0.0] for i in ids])
+    by_frames = CrazyflieWorld(ids, p0)
+    by_poses = CrazyflieWorld(ids, p0)
+    for world in (by_frames, by_poses):
+        world.link(2, "fpqr")
+        world.link(9, "fullstate")
+    draw = np.random.default_rng(3)
+    for tick in range(40):
+        flat = np.hstack([p0, np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))])
+        flat += 0.01 * draw.standard_normal(flat.shape)
+        flat[0, 2] = np.nan if tick == 20 else flat[0, 2]
+        seen = draw.uniform(size=3) < 0.8
+        by_frames.see_frame(flat, seen)
+        for row in np.flatnonzero(seen):
+            by_poses.see(ids[row], Pose(flat[row]))
+        for world in (by_frames, by_poses):
+            world.step()
+    for i in ids:
+        np.testing.assert_array_equal(
+            by_frames.onboard[i].estimate.flat, by_poses.onboard[i].estimate.flat
+        )
+        assert by_frames.onboard[i].estimate.p[0] == pytest.approx(i, abs=0.05)

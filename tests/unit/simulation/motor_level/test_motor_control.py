@@ -52,20 +52,13 @@ def test_places_take_over_from_streamed_set_points(onboard, kind):
 
 
 @pytest.mark.parametrize("kind", [mc.MotorCtrlFPQR, mc.MotorCtrlFRPY])
-def test_the_thrust_is_unlocked_once_and_not_interrupted(onboard, kind):
+def test_the_first_command_unlocks_the_thrust_and_has_it(onboard, kind):
     link = kind(onboard)
-    sent = []
-    rpyt_raw = onboard.setpoints.rpyt_raw
-    onboard.setpoints.rpyt_raw = lambda *packet: (
-        sent.append(packet[3]) or rpyt_raw(*packet)
-    )
-    link.send(COMMANDS[kind])
-    link.send(COMMANDS[kind])
-    assert sent == [
-        0.0,
-        pytest.approx(HOVER * 65535 / 0.48),
-        pytest.approx(HOVER * 65535 / 0.48),
-    ]
+    assert onboard.record["locked_thrust"]
+    for _ in range(2):
+        link.send(COMMANDS[kind])
+        assert not onboard.record["locked_thrust"]
+        assert onboard.record["wanted"]["thrust"] == pytest.approx(HOVER * 65535 / 0.48)
 
 
 def test_the_flight_mode_follows_the_kind(onboard):

@@ -56,10 +56,8 @@ class Flown:
             for link in self.links:
                 link.advance()
             self.world.step()
-            for k, pose in enumerate(
-                self.cameras.sample(self.world.states, self.world.tick)
-            ):
-                self.world.see(k, pose)
+            frame = self.cameras.sample(self.world.states, self.world.tick)
+            self.world.see_frame(frame.flat, frame.seen)
 
     def take_off(self):
         self.step(50)
