@@ -44,7 +44,7 @@ class Trace:
         """
         self._take()
         for part in tables:
-            self._hash.update(part)
+            self._hash.update(part.data)
 
     def digest(self) -> str:
         """Return the digest as hexadecimal digits."""
