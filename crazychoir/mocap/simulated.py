@@ -104,6 +104,10 @@ class SimulatedMocap:
         self._drawn_rows = int(self._rows.max()) + 1
         dropout = errors.dropout
         self._dropout_threshold = ndtri(dropout) if dropout > 0.0 else -math.inf
+        self._bits = np.random.Philox(key=[seed, 0])
+        self._stream = np.random.Generator(self._bits)
+        self._beginning = self._bits.state
+        self._key = self._beginning["state"]["key"]
         self._exposures: deque[tuple[int, Mat]] = deque()
 
     def sample(self, x: Mat, k: int) -> CameraFrame | None:
@@ -135,7 +139,9 @@ class SimulatedMocap:
 
     def _normal(self, tick: int) -> Mat:
         """Return standard normals (N, 7) of one exposure: six for noise, one for dropout."""
-        stream = np.random.Generator(np.random.Philox(key=[self.seed, tick]))
-        drawn: Mat = stream.standard_normal((self._drawn_rows, 7))
+        # A new generator a tick would draw a seed from the system first, which takes longer.
+        self._key[1] = tick
+        self._bits.state = self._beginning
+        drawn: Mat = self._stream.standard_normal((self._drawn_rows, 7))
         mine: Mat = drawn[self._rows]
         return mine

@@ -16,7 +16,7 @@ from crazychoir.bus.topics import DRONE_TOPICS, Topic
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import NS_PER_SECOND, AlarmPriority
 from crazychoir.simulation.command_rows import CommandRows, RowLink
-from crazychoir.simulation.common.world import DroneLink, World
+from crazychoir.simulation.common.world import COMMAND_TYPES, DroneLink, World
 from crazychoir.simulation.telemetry import Telemetry
 from crazychoir.types import Body, CameraFrame, Command, Mat
 
@@ -174,7 +174,8 @@ class WorldOwner(Actor):
         """
         link = self.world.link(i, kind)
         if kind in self.commands.kinds:
-            return RowLink(self.commands, self._rows[i], link)
+            types = COMMAND_TYPES[kind]
+            return RowLink(self.commands, self._rows[i], link, types)
         if self._delay:
             link = self._delayed[i] = DelayedLink(link, self._delay)
         return link

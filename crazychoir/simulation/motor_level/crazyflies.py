@@ -40,7 +40,7 @@ from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.record import (
     CONTROLLER_KINDS,
     Fleet,
-    make_fleet,
+    make_mixed_fleet,
     rows,
 )
 from crazychoir.simulation.onboard.thrust_setpoints import stream_thrust_setpoints
@@ -74,7 +74,7 @@ POSES_PER_UPDATE = 7
 
 If only rates are controlled on board, the estimator gets 14 poses a second of 100.
 """
-ONE_SEEN = np.ones(1, bool)
+SEEN = np.ones(1, bool)
 """Flag of the one drone that was seen."""
 
 
@@ -151,6 +151,16 @@ def _advance(
             firmware[first + k].vbat = m[BATTERY_VOLTAGE + k]
 
 
+@kernel(rows)
+def _count_user_laws(firmware: Fleet) -> int:
+    """Return the number of drones that are controlled by a law of a user."""
+    count = 0
+    for i in range(firmware.shape[0]):
+        if firmware[i].controller == CONTROLLER_KINDS.out_of_tree:
+            count += 1
+    return count
+
+
 class CrazyflieWorld(MotorWorld):
     """MotorWorld with firmware on board of each drone.
 
@@ -181,7 +191,7 @@ class CrazyflieWorld(MotorWorld):
         platforms = (
             [platform] * len(ids) if isinstance(platform, Platform) else platform
         )
-        self._firmware = np.concatenate([make_fleet(1, row) for row in platforms])
+        self._firmware = make_mixed_fleet(platforms)
         self.onboard: dict[int, Onboard] = {}
         self._needs_arming = np.array(
             [row.firmware.needs_arming for row in platforms], np.int64
@@ -266,7 +276,7 @@ class CrazyflieWorld(MotorWorld):
         see_poses(
             self._firmware[row],
             pose.flat[None],
-            ONE_SEEN,
+            SEEN,
             self._pose_counts[row],
             self._pose_intervals[row],
         )
@@ -326,7 +336,7 @@ class CrazyflieWorld(MotorWorld):
         self.onboard[i].setpoints.fpqr(*u)
 
     def _run(self, time: int, steps: int) -> None:
-        if not np.any(self._firmware["controller"] == CONTROLLER_KINDS.out_of_tree):
+        if _count_user_laws(self._firmware) == 0:
             self._advance(time, steps)
             return
         for k in range(steps):

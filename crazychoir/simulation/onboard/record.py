@@ -1,6 +1,7 @@
 """The memory of the firmware: one record a drone, all drones of a process in one array."""
 
 import math
+from collections.abc import Sequence
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -392,3 +393,13 @@ def make_fleet(n: int, platform: Platform) -> Fleet:
     rows["volts"] = 2.5
     rows["wanted"]["qw"] = rows["level"]["qw"] = 1.0
     return rows
+
+
+def make_mixed_fleet(platforms: Sequence[Platform]) -> Fleet:
+    """Return the records of drones with these platforms, as they are after power-on."""
+    # np.concatenate would give the array a dtype of its own. Numba compares unknown dtypes field by
+    # field in each call of a kernel, which takes 0.1 ms for so many fields.
+    fleet = np.zeros(len(platforms), drone_fields)
+    for row, platform in enumerate(platforms):
+        fleet[row] = make_fleet(1, platform)[0]
+    return fleet

@@ -41,6 +41,15 @@ def test_what_is_drawn_depends_on_seed_tick_and_id_alone():
     assert not np.array_equal(other.flat[0], last.flat[2])
 
 
+def test_the_draws_of_an_exposure_are_those_of_a_new_generator():
+    mocap = SimulatedMocap([2, 0], 3, CameraErrors(1.0, 0.0))
+    for tick in (7, 5, 7):
+        drawn = np.random.Generator(np.random.Philox(key=[3, tick]))
+        noise = drawn.standard_normal((3, 7))[[2, 0], 0:3]
+        frame = mocap.sample(truth([2, 0]), tick)
+        np.testing.assert_array_equal(frame.flat[:, 0:3], truth([2, 0])[:, 0:3] + noise)
+
+
 def test_the_noise_has_the_asked_deviations():
     mocap = SimulatedMocap(range(50), 0, CameraErrors(noise_p=0.001, noise_angle=0.01))
     flat = np.concatenate([mocap.sample(truth(range(50)), k).flat for k in range(100)])

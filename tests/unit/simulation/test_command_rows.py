@@ -14,14 +14,16 @@ from crazychoir.simulation.command_rows import CommandRows, RowLink
 from crazychoir.simulation.lightweight.integrator import CFIntegrator
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
 from crazychoir.simulation.owner import DelayedLink
-from crazychoir.types import FPQR, FRPY
+from crazychoir.types import FPQR, FRPY, XYZ
 
 IDS = (3, 0, 7)
+IN_THE_AIR = np.array([0.0, 0.0, 3.0])
+LANDING = XYZ("land", np.array([0.0, 0.0, 0.0, 0.0, 1.0]))
 PLACES = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
 
 
 def lightweight(inputs):
-    return CFIntegrator(IDS, [*PLACES, 0.0, 0.0, 3.0], inputs=inputs)
+    return CFIntegrator(IDS, PLACES + IN_THE_AIR, inputs=inputs)
 
 
 def motors():
@@ -85,7 +87,7 @@ def test_rows_fly_as_links_to_the_bit(case, delay):
             rows.is_new[row] = 1
         if step == 100:
             links[1].cut()
-            RowLink(rows, 1, by_rows.link(IDS[1], kind)).cut()
+            RowLink(rows, 1, by_rows.link(IDS[1], kind), (command_type,)).cut()
         for link in links:
             link.advance()
         rows.advance()
@@ -97,7 +99,7 @@ def test_rows_fly_as_links_to_the_bit(case, delay):
 
 
 def test_a_row_is_the_same_alone_and_among_others():
-    alone = CFIntegrator([7], [*PLACES[2:], 0.0, 0.0, 3.0], inputs="euler")
+    alone = CFIntegrator([7], PLACES[2:] + IN_THE_AIR, inputs="euler")
     among = lightweight("euler")
     for world in (alone, among):
         rows = CommandRows(world)
@@ -125,17 +127,39 @@ def test_a_cut_discards_what_is_on_its_way():
     world = Recorder()
     rows = CommandRows(world, 2)
     cuts = []
-    body = SimpleNamespace(cut=lambda: cuts.append("cut"))
+    body = SimpleNamespace(
+        cut=lambda: cuts.append("cut"), send=lambda command: cuts.append(command)
+    )
     write(rows, 0, 1.0)
     rows.advance()
-    link = RowLink(rows, 0, body)
+    link = RowLink(rows, 0, body, (FPQR,))
     link.send(FPQR(np.ones(4)))
+    link.send(LANDING)
     write(rows, 1, 2.0)
     link.cut()
     for _ in range(4):
         rows.advance()
     assert cuts == ["cut"]
     assert world.taken == [{}, {}, {}, {1: 2.0}, {}]
+
+
+@pytest.mark.parametrize("delay", [0, 2])
+def test_a_command_of_another_kind_keeps_its_place_in_the_order(delay):
+    world = Recorder()
+    rows = CommandRows(world, delay)
+    body = SimpleNamespace(send=world.taken.append)
+    link = RowLink(rows, 0, body, (FPQR,))
+    link.send(FPQR(np.ones(4)))
+    rows.advance()
+    link.send(FPQR(np.full(4, 2.0)))
+    link.send(LANDING)
+    rows.advance()
+    link.send(LANDING)
+    link.send(FPQR(np.full(4, 3.0)))
+    for _ in range(delay + 1):
+        rows.advance()
+    began = [{}] * delay
+    assert world.taken == [*began, {0: 1.0}, LANDING, {}, LANDING, {0: 3.0}]
 
 
 def test_a_world_without_rows_takes_commands_by_links_only():

@@ -1,6 +1,7 @@
 """The owner of a simulated world: when it looks, what it shows and how old that is, how it makes up for lost time."""
 
 import asyncio
+import sys
 import time
 from types import SimpleNamespace
 
@@ -15,7 +16,9 @@ from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.runtime.clock import run_virtual, run_wall
 from crazychoir.runtime.mailbox import Call
 from crazychoir.simulation.lightweight.integrator import CFIntegrator, InputLags
+from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
 from crazychoir.simulation.owner import LARGEST_CATCH_UP, DelayedLink, WorldOwner
+from crazychoir.simulation.trace import Trace
 from crazychoir.types import FPQR, Body
 
 
@@ -244,6 +247,55 @@ async def test_the_engine_of_a_user_may_take_poses_one_by_one(clock):
     for i in (0, 1):
         heard = [(i, *pose.flat) for pose, _ in owned.poses[i]]
         assert [row for row in told if row[0] == i] == heard
+
+
+def count_calls(work):
+    """How often `work` calls a function of the package."""
+    calls = []
+
+    def note(frame, event, argument):
+        if event == "call" and "crazychoir" in frame.f_code.co_filename:
+            calls.append(frame.f_code.co_qualname)
+
+    sys.setprofile(note)
+    try:
+        work()
+    finally:
+        sys.setprofile(None)
+    return len(calls)
+
+
+@pytest.mark.parametrize("delay", [0, 3])
+@pytest.mark.parametrize("make", [CFIntegrator, CrazyflieWorld])
+def test_a_steady_step_calls_python_as_often_for_a_hundred_drones_as_for_three(
+    make, delay
+):
+    async def count(clock, n):
+        bus = Bus(clock)
+        for i in range(n):
+            bus.port(i)
+        world = make(range(n), np.array([[float(i), 0.0, 1.0] for i in range(n)]))
+        owner = WorldOwner(
+            bus, world, SimulatedMocap(range(n), 1), 100.0, trace=Trace(), delay=delay
+        )
+        owner.takers.append(Frames())
+        for i in range(n):
+            owner.link(i, "fpqr")
+
+        def step():
+            for _ in range(100):
+                owner.commands.inputs[:, 0] = 0.3
+                owner.commands.is_new[:] = 1
+                owner.step()
+
+        step()
+        return count_calls(step)
+
+    async def main(clock):
+        return [await count(clock, n) for n in (3, 100)]
+
+    few, many = run_virtual(main)
+    assert few == many
 
 
 class Kept:
