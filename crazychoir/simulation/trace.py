@@ -5,7 +5,8 @@ import struct
 
 from crazychoir.bus.port import PORT_ADDRESSES
 
-_MESSAGE_HEADER = struct.Struct("<iiiq")
+_pack_header = struct.Struct("<iiiq").pack
+_FIRST_OBSERVER = PORT_ADDRESSES.first_observer
 
 
 class Trace:
@@ -14,6 +15,7 @@ class Trace:
     def __init__(self) -> None:
         self._hash = hashlib.blake2b(digest_size=16)
         self._parts: list[bytes] = []
+        self._add = self._parts.append
 
     def message(
         self,
@@ -25,19 +27,16 @@ class Trace:
         *_: object,
     ) -> None:
         """Add one message when it arrives; messages to observers are not part of the run."""
-        if destination < PORT_ADDRESSES.first_observer:
-            self._parts += (
-                _MESSAGE_HEADER.pack(destination, topic, source, number),
-                payload,
-            )
+        if destination < _FIRST_OBSERVER:
+            self._add(_pack_header(destination, topic, source, number) + payload)
 
     def add(self, part: bytes) -> None:
         """Add what a drone knows of the others."""
-        self._parts.append(part)
+        self._add(part)
 
     def update(self, part: bytes) -> None:
         """Add one step of the world and hash it together with the messages since the last step."""
-        self._parts.append(part)
+        self._add(part)
         self._take()
 
     def digest(self) -> str:
