@@ -31,8 +31,9 @@ from crazychoir.guidance.decision.law_stage import LawStage
 from crazychoir.guidance.mission import Mission, compute_mission_hash
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock
+from crazychoir.runtime.shared_ticks import SharedTicks
 from crazychoir.runtime.supervisor import Supervisor
-from crazychoir.runtime.user_code_guard import GuardFactory
+from crazychoir.runtime.user_code_guard import GuardFactory, share_watch
 from crazychoir.runtime.watchdog import Stall
 from crazychoir.safety.rules.modes import MOTORS_OFF_MODES
 from crazychoir.simulation.remote import OwnerWatch
@@ -46,15 +47,16 @@ class StatusActor(Actor):
 
     name = "status"
 
-    def __init__(self, drone: Drone) -> None:
+    def __init__(self, drone: Drone, ticks: SharedTicks) -> None:
         self.drone = drone
+        self.ticks = ticks
 
     async def run(self) -> None:
         """Publish at each tick of the clock."""
-        async for _ in self.drone.port.bus.clock.ticks(
-            DRONE_TOPICS.status.rate, drone=self.drone.id
-        ):
-            self.drone.port.publish(DRONE_TOPICS.status, self.drone.status())
+        await self.ticks.serve(self._publish)
+
+    def _publish(self) -> None:
+        self.drone.port.publish(DRONE_TOPICS.status, self.drone.status())
 
 
 class Pacemaker(Actor):
@@ -152,9 +154,11 @@ class Agent:
         connect_airspace(config, self.bus, surroundings.tick)
         if surroundings.tick.airspace is not None and trace is not None:
             surroundings.tick.airspace.trace = trace.update
+        self._status_ticks = SharedTicks(clock, DRONE_TOPICS.status.rate)
         self.laws = LawStage(surroundings.tick, self.bus.impairment)
-        for i in ids:
-            self._add_drone(i, surroundings)
+        with share_watch():
+            for i in ids:
+                self._add_drone(i, surroundings)
         for owner in self.owners:
             kinds = {i: find_sender(config, i) for i in owner.world.ids}
             rows = surroundings.tick.connect_world(
@@ -230,7 +234,11 @@ class Agent:
         )
 
     def _flying(self, drone: Drone) -> list[Actor]:
-        return [drone.barrier.monitor, drone.pilot, StatusActor(drone)]
+        return [
+            drone.barrier.monitor,
+            drone.pilot,
+            StatusActor(drone, self._status_ticks),
+        ]
 
     async def _guide(self, drone: Drone) -> None:
         """Run the guidance under its own supervisor.

@@ -1,5 +1,6 @@
 """One drone of a process: its parts, and its status."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -73,21 +74,19 @@ class Drone:
         monitor = self.barrier.monitor
         offsets = self.port.bus.offsets
         news = self.guidance.member.report() if hasattr(self.guidance, "member") else {}
-        cost, relaxed = (
-            float("nan") if (x := news.get(name)) is None else float(x)
-            for name in ("cost", "relaxed")
-        )
-        notes = (
+        cost = news.get("cost")
+        relaxed = news.get("relaxed")
+        notes = [
             HELD_TEXT if self.pilot.permission.held else "",
             self.pilot.notes.text,
             self.barrier.apart,
-        )
+        ]
         return Status(
             phase=self.pilot.mode.value,
-            task=str(news.get("task", self._task_before)),
+            task=str(news["task"]) if "task" in news else self._task_before,
             round=int(news.get("round", self.communicator.rounds)),
-            cost=cost,
-            relaxed=relaxed,
+            cost=math.nan if cost is None else float(cost),
+            relaxed=math.nan if relaxed is None else float(relaxed),
             sent=counters.sent,
             lost=counters.lost,
             resent=counters.resent,
@@ -96,7 +95,7 @@ class Drone:
             gone=monitor.those(Presence.LOST),
             process=self.port.bus.process,
             host=self.port.bus.host,
-            note=self.waits or "; ".join(text for text in notes if text),
+            note=self.waits or "; ".join(filter(None, notes)),
             stopped=self.port.bus.stopped,
             grave=self.pilot.notes.is_grave and not self.waits,
             hosts=list(offsets),

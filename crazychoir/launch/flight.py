@@ -73,6 +73,7 @@ def fly_fast(
             config.ids,
             list_goals(mission, config),
             watch or (lambda score: None),
+            worlds=[owner.world for owner in agent.owners],
         )
         agent.services.append(score)
         # A function, because the digest is complete only when the drones have ended.

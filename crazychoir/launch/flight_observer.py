@@ -2,10 +2,10 @@
 
 import math
 from collections import deque
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,7 @@ from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.feedback import LAW_TASK
 from crazychoir.guidance.mission import Mission, has_hook
+from crazychoir.launch.flight_tracks import FlightTracks
 from crazychoir.numerics.near_pairs import find_nearest, list_near_pairs
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.mailbox import Call
@@ -27,7 +28,7 @@ from crazychoir.types import Mat, State, Status, Vec
 
 @dataclass(frozen=True, slots=True)
 class ScoreLimits:
-    """When a score counts drones as settled or compares them, and how much of a flight it keeps."""
+    """When a score counts drones as settled or compares them, and how many log lines it keeps."""
 
     settled_distance: float = 0.01
     """Distance from the goal, m: a formation is settled while every drone is nearer."""
@@ -36,13 +37,6 @@ class ScoreLimits:
 
     Places are extrapolated by their velocity. Two drones that brake with 2 m/s2 each are then
     0.05 m off, which is precise enough to tell whether drones touch.
-    """
-    track_interval: float = 0.1
-    """Seconds between two places of a track, at first."""
-    most_track_places: int = 2000
-    """Largest number of places in a track.
-
-    Beyond that every second place is removed, and the time between two places doubles.
     """
     most_log_lines: int = 1000
     """Number of log lines that a score keeps: the newest."""
@@ -54,30 +48,13 @@ SCORE_LIMITS = ScoreLimits()
 Watch = Callable[["FlightScore"], None]
 
 
-@dataclass
-class FlightTrack:
-    """The places of one drone during a flight, and the length of its path."""
+class TrueStates(Protocol):
+    """The true states of drones of this process, such as those of a simulated world."""
 
-    rows: list[tuple[float, ...]] = field(default_factory=list)
-    """t in s and p in m, world: a bounded number of places of the flight."""
-    length: float = 0.0
-    """m: length of the path through all places, also through places that are not kept."""
-    interval: float = SCORE_LIMITS.track_interval
-    """s between two places that are kept."""
-    newest: list[float] | None = None
-    """(3,) m, world: newest place."""
-
-    def add(self, t: float, p: list[float]) -> None:
-        """Add a place to the path; keep it if the time for one has come."""
-        if self.newest is not None:
-            self.length += math.dist(p, self.newest)
-        self.newest = p
-        if self.rows and t - self.rows[-1][0] < self.interval - 1e-6:
-            return
-        self.rows.append((t, *p))
-        if len(self.rows) > SCORE_LIMITS.most_track_places:
-            del self.rows[1::2]
-            self.interval *= 2.0
+    ids: tuple[int, ...]
+    """The drones, in the order of the rows."""
+    states: Mat
+    """(n, 13): rows laid out as State.flat."""
 
 
 @dataclass
@@ -108,25 +85,37 @@ class FlightScore(Actor):
     """Returns the address that publishes a topic of a drone."""
     unseen: Collection[int] = ()
     """Drones that no cameras see: their place is only their own estimate."""
+    worlds: Sequence[TrueStates] = ()
+    """Worlds of this process. The states of all other drones come by their topic.
+
+    Their states must be true at the time of each tick, as they are in virtual time.
+    """
 
     def __post_init__(self) -> None:
         self.statuses: dict[int, Status] = {}
         self.log: deque[str] = deque(maxlen=SCORE_LIMITS.most_log_lines)
         self.min_separation = float("inf")
         self.touching: dict[tuple[int, int], float] = {}
-        self._flew: set[int] = set()
         self.errors: list[tuple[float, float]] = []
-        self._tracks = {i: FlightTrack() for i in self.ids}
-        # For each drone: p in m, v in m/s, and the time in s at which they were true.
-        self._truth: dict[int, tuple[Vec, Vec, float]] = {}
+        here = [i for world in self.worlds for i in world.ids]
+        elsewhere = [i for i in self.ids if i not in here]
+        order = (*here, *elsewhere)
+        self._tracks = FlightTracks(order)
+        self._row = {i: row for row, i in enumerate(order)}
+        self._has_status = np.zeros(len(order), np.bool_)
+        self._has_flown = np.zeros(len(order), np.bool_)
+        self._is_unseen = np.array([i in self.unseen for i in order], np.bool_)
+        self._goal_rows = [self._row[i] for i in self.goal]
+        self._goals = np.array(list(self.goal.values())).reshape(-1, 3)
         self._law_began: float | None = None
         self._law_ended = False
         self.go_at: float | None = None
         """s on the observer's clock at which a drone was first known to have begun."""
         if self.address not in self.bus.ports:
             self.bus.port(self.address)
-        for i in self.ids:
+        for i in elsewhere:
             self._listen(DRONE_TOPICS.truth, i, partial(self._hear_truth, i))
+        for i in self.ids:
             self._listen(DRONE_TOPICS.status, i, partial(self._hear_status, i))
             self._listen(DRONE_TOPICS.log, i, self._hear_log)
 
@@ -140,13 +129,20 @@ class FlightScore(Actor):
     async def run(self) -> None:
         """Compare the drones as often as the true states arrive."""
         async for _ in self.bus.clock.ticks(DRONE_TOPICS.truth.rate):
-            self._look()
+            now = self.bus.clock.now()
+            self._see_worlds(now)
+            self._look(now)
             self.watch(self)
 
+    def _see_worlds(self, now: float) -> None:
+        """Add the states of the drones in the worlds of this process."""
+        first = 0
+        for world in self.worlds:
+            self._tracks.add(first, world.states, now)
+            first += len(world.ids)
+
     def _hear_truth(self, i: int, state: State, age: float) -> None:
-        now = self.bus.clock.now()
-        self._truth[i] = (state.p, state.v, now - age)
-        self._tracks[i].add(now - age, state.p.tolist())
+        self._tracks.add(self._row[i], state.flat[None], self.bus.clock.now() - age)
 
     @property
     def flown(self) -> dict[int, float]:
@@ -154,24 +150,27 @@ class FlightScore(Actor):
 
         It is 0 for a drone that has never taken off and that no cameras see: its estimate drifts.
         """
-        return {
-            i: 0.0 if self._stands(i) else track.length
-            for i, track in self._tracks.items()
-        }
+        lengths = np.where(self._stand(), 0.0, self._tracks.rows["length"])
+        return {i: float(lengths[self._row[i]]) for i in self.ids}
 
-    def _stands(self, i: int) -> bool:
-        """Return whether the drone says that it has never taken off, and no cameras see it."""
-        return i in self.statuses and i not in self._flew and i in self.unseen
+    def _stand(self) -> npt.NDArray[np.bool_]:
+        """Return whether each drone says that it has never taken off, and no cameras see it."""
+        return self._has_status & ~self._has_flown & self._is_unseen
 
     @property
     def places(self) -> dict[int, Vec]:
         """True place at which each drone was last seen: (3,) m, world."""
-        return {i: p for i, (p, _, _) in self._truth.items()}
+        rows = self._tracks.rows
+        return {
+            i: rows["place"][self._row[i]].copy()
+            for i in self.ids
+            if rows["time"][self._row[i]] > -math.inf
+        }
 
     @property
     def tracks(self) -> dict[int, list[tuple[float, ...]]]:
         """True track of each drone: rows of t in s and p in m, world."""
-        return {i: track.rows for i, track in self._tracks.items()}
+        return {i: self._tracks.kept[self._row[i]] for i in self.ids}
 
     @property
     def law_s(self) -> float | None:
@@ -183,8 +182,9 @@ class FlightScore(Actor):
 
     def _hear_status(self, i: int, status: Status, age: float) -> None:
         self.statuses[i] = status
+        self._has_status[self._row[i]] = True
         if status.phase not in GROUNDED_PHASES:
-            self._flew.add(i)
+            self._has_flown[self._row[i]] = True
         if self.go_at is None and status.task != WAITING_TASK:
             self.go_at = self.bus.clock.now()
         flying = status.phase in ("hovering", "mission") and status.task == LAW_TASK
@@ -196,16 +196,15 @@ class FlightScore(Actor):
     def _hear_log(self, line: str, age: float) -> None:
         self.log.append(line)
 
-    def _look(self) -> None:
-        if len(self._truth) < len(self.ids):
+    def _look(self, now: float) -> None:
+        """Compare the drones, unless one was never seen."""
+        rows = self._tracks.rows
+        if not (rows["time"] > -math.inf).all():
             return
-        now = self.bus.clock.now()
         self._compare(now)
         if self._law_began is not None and not self._law_ended:
-            far = max(
-                float(np.linalg.norm(self._truth[i][0] - self.goal[i]))
-                for i in self.goal
-            )
+            offsets = rows["place"][self._goal_rows] - self._goals
+            far = float(np.linalg.norm(offsets, axis=1).max())
             beyond = [
                 error
                 for error in self.errors
@@ -218,30 +217,24 @@ class FlightScore(Actor):
 
         A pair is left out while neither of its drones has flown.
         """
-        ids = [
-            i
-            for i in self.ids
-            if now - self._truth[i][2] <= SCORE_LIMITS.comparable_age
-        ]
-        if len(ids) < 2:
+        rows = self._tracks.rows
+        ages = now - rows["time"]
+        places = rows["place"] + ages[:, None] * rows["velocity"]
+        is_known = ages <= SCORE_LIMITS.comparable_age
+        is_known &= np.isfinite(places).all(axis=1)
+        known = np.flatnonzero(is_known)
+        if len(known) < 2:
             return
-        p, v, when = (
-            np.array(column)
-            for column in zip(*(self._truth[i] for i in ids), strict=True)
-        )
-        places = p + (now - when)[:, None] * v
-        is_known = np.isfinite(places).all(axis=1)
-        if is_known.sum() < 2:
-            return
-        places = places[is_known]
-        ids = [i for i, known in zip(ids, is_known, strict=True) if known]
-        stands = np.array([self._stands(i) for i in ids])
+        places = places[known]
+        stands = self._stand()[known]
         self.min_separation = min(self.min_separation, _find_least_gap(places, stands))
         touching = SWARM_LIMITS.touching_distance
         for a, b in list_near_pairs(places, touching).tolist():
             gap = math.dist(places[a], places[b])
             if gap < touching and not (stands[a] and stands[b]):
-                pair = (ids[a], ids[b])
+                i = self._tracks.ids[known[a]]
+                j = self._tracks.ids[known[b]]
+                pair = (min(i, j), max(i, j))
                 self.touching[pair] = min(gap, self.touching.get(pair, math.inf))
 
     def formation(self) -> dict[str, float | None]:

@@ -7,6 +7,7 @@ import contextlib
 import logging
 import threading
 from collections.abc import Callable, Coroutine, Generator, Iterator
+from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import partial
 from types import TracebackType
@@ -88,6 +89,11 @@ class HangWatch:
         self._guard.limit = seconds
         return self._guard
 
+    @property
+    def is_free(self) -> bool:
+        """True if it watches this thread, and no code that it would have to interrupt."""
+        return threading.get_ident() == self._thread and not self._guard.since_ns
+
     def __enter__(self) -> "HangWatch":
         threading.Thread(target=self._watch, name="hang watch", daemon=True).start()
         return self
@@ -121,18 +127,41 @@ class HangWatch:
             guard.interrupt(self._thread)
 
 
+_SHARED_WATCH: ContextVar[HangWatch | None] = ContextVar("shared_watch", default=None)
+"""The watch that all hooks of a `share_watch` use."""
+
+
+@contextlib.contextmanager
+def share_watch() -> Iterator[None]:
+    """Let one thread watch all hooks that are called inside this context.
+
+    Use it where many hooks are called: to start a thread takes longer than most hooks.
+    """
+    with HangWatch() as watch:
+        token = _SHARED_WATCH.set(watch)
+        try:
+            yield
+        finally:
+            _SHARED_WATCH.reset(token)
+
+
 @contextlib.contextmanager
 def limit_duration(seconds: float, name: str) -> Iterator[None]:
     """Interrupt the code in this context by Hung after so many seconds.
 
     Use it for the hooks of a mission file, which run before the first drone flies or after all have
-    landed.
+    landed. A hook that is called inside another one has a watch of its own.
 
     seconds: s of real time
     name: name for reports
     """
-    with HangWatch() as watch, watch.within(seconds, name):
-        yield
+    shared = _SHARED_WATCH.get()
+    if shared is not None and shared.is_free:
+        with shared.within(seconds, name):
+            yield
+    else:
+        with HangWatch() as watch, watch.within(seconds, name):
+            yield
 
 
 class GuardedCoroutine(Generic[T]):

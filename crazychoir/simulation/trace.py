@@ -10,7 +10,8 @@ from crazychoir.bus.port import PORT_ADDRESSES
 
 Table = npt.NDArray[Any]
 """An array of numbers or of records."""
-_MESSAGE_HEADER = struct.Struct("<iiiq")
+_pack_header = struct.Struct("<iiiq").pack
+_FIRST_OBSERVER = PORT_ADDRESSES.first_observer
 
 
 class Trace:
@@ -19,6 +20,7 @@ class Trace:
     def __init__(self) -> None:
         self._hash = hashlib.blake2b(digest_size=16)
         self._parts: list[bytes] = []
+        self._add = self._parts.append
 
     def message(
         self,
@@ -30,11 +32,8 @@ class Trace:
         *_: object,
     ) -> None:
         """Add one message when it arrives; messages to observers are not part of the run."""
-        if destination < PORT_ADDRESSES.first_observer:
-            self._parts += (
-                _MESSAGE_HEADER.pack(destination, topic, source, number),
-                payload,
-            )
+        if destination < _FIRST_OBSERVER:
+            self._add(_pack_header(destination, topic, source, number) + payload)
 
     def update(self, *tables: Table) -> None:
         """Add tables of one tick, after the messages since the last tick.

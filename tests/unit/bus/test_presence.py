@@ -216,3 +216,93 @@ async def test_heartbeats_carry_what_beat_says_and_are_numbered(clock):
 
 def test_a_monitor_that_fails_is_started_again():
     assert PresenceMonitor.restart is RESTART_ON_FAILURE
+
+
+def ignore_heartbeats(team):
+    """Let each drone ignore the repeated heartbeats of the others."""
+    for i in team.monitors:
+        others = [j for j in team.monitors if j != i]
+        team.bus.ports[i].ignored_beats = dict.fromkeys(others, b"beat")
+    team.bus.disturb()
+
+
+def count_sent(team):
+    return sum(port.counters.sent for port in team.bus.ports.values())
+
+
+@virtual
+async def test_heartbeats_that_are_ignored_are_no_messages_but_signs_of_life(clock):
+    team = Team(clock, 3)
+    await clock.sleep(1.0)
+    ignore_heartbeats(team)
+    await clock.sleep(0.5)
+    sent = count_sent(team)
+    await clock.sleep(10.0)
+    assert count_sent(team) == sent
+    assert team.monitors[1].those(ALIVE) == [2, 3]
+    assert clock.now_ns() - team.bus.ports[1].last_heard_ns(2) <= 250_000_000
+
+
+@virtual
+async def test_a_drone_that_stops_is_noticed_although_its_heartbeats_were_ignored(
+    clock,
+):
+    team = Team(clock, 3)
+    await clock.sleep(1.0)
+    ignore_heartbeats(team)
+    await clock.sleep(10.0)
+    await team.stop(2)
+    await clock.sleep(1.0)
+    assert team.monitors[1].those(SUSPECT) == []
+    await clock.sleep(0.5)
+    assert team.monitors[1].those(SUSPECT) == [2]
+    await clock.sleep(5.5)
+    assert team.monitors[1].those(LOST) == [2]
+    assert team.monitors[1].those(ALIVE) == [3]
+
+
+@virtual
+async def test_a_partition_is_noticed_although_heartbeats_were_ignored(clock):
+    team = Team(clock, 3)
+    await clock.sleep(1.0)
+    ignore_heartbeats(team)
+    await clock.sleep(10.0)
+    team.bus.impairment.update({"cut": {"a": [2]}})
+    await clock.sleep(2.0)
+    assert team.monitors[1].those(SUSPECT) == [2]
+    assert team.monitors[2].those(SUSPECT) == [1, 3]
+
+
+@virtual
+async def test_a_drone_that_falls_silent_is_noticed_although_it_was_ignored(clock):
+    team = Team(clock, 2)
+    await clock.sleep(1.0)
+    ignore_heartbeats(team)
+    await clock.sleep(10.0)
+    team.monitors[2].silent = True
+    await clock.sleep(1.5)
+    assert team.monitors[1].those(SUSPECT) == [2]
+
+
+@virtual
+async def test_a_heartbeat_that_changes_is_a_message_again(clock):
+    team = Team(clock, 2)
+    await clock.sleep(1.0)
+    ignore_heartbeats(team)
+    await clock.sleep(1.0)
+    sent = team.bus.ports[2].counters.sent
+    team.monitors[2].beat = lambda: b"another beat"
+    team.bus.disturb()
+    await clock.sleep(1.0)
+    assert team.bus.ports[2].counters.sent - sent == 4
+
+
+@virtual
+async def test_a_drone_that_restarts_gets_messages_again(clock):
+    team = Team(clock, 2)
+    await clock.sleep(1.0)
+    ignore_heartbeats(team)
+    await clock.sleep(1.0)
+    port = team.bus.port(1, incarnation=2)
+    await clock.sleep(0.3)
+    assert 2 in port.heard_ns

@@ -240,3 +240,42 @@ def test_a_landed_drone_has_flown_as_far_as_before():
             await sky.looks()
 
     assert seen(scene, n=1).flown == {0: pytest.approx(3.0)}
+
+
+class Room:
+    """True states of drones of this process; a test moves them."""
+
+    def __init__(self, *ids):
+        self.ids = ids
+        self.states = np.zeros((len(ids), 13))
+
+
+def test_the_states_of_a_world_of_this_process_need_no_messages():
+    async def main(clock):
+        goal = {i: np.array([0.02 * i, 0.0, 0.0]) for i in range(3)}
+        heard = Sky(clock, n=3, goal=goal)
+        room = Room(2, 0)
+        seen = FlightScore(heard.bus, (0, 1, 2), goal, address=10_001, worlds=[room])
+        scores = [heard.score, seen]
+        running = [asyncio.create_task(score.run()) for score in scores]
+        heard.tells(0, "mission", LAW_TASK)
+        for step in range(20):
+            k = max(0, step - 1)  # the first places are heard before the first tick
+            for i in range(3):
+                place = (0.03 * k + i, 0.5 * i, 0.001 * k * k)
+                speed = (0.6, 0.0, 0.01 * k)
+                heard.at(i, place, speed)
+                if i in room.ids:
+                    room.states[room.ids.index(i), :6] = [*place, *speed]
+            await clock.sleep(PERIOD)
+        for task in running:
+            task.cancel()
+        await asyncio.wait(running)
+        return scores
+
+    by_topic, by_array = run_virtual(main)
+    assert by_topic.min_separation == by_array.min_separation < 2.0
+    assert by_topic.errors == by_array.errors
+    assert by_array.flown == pytest.approx(by_topic.flown)
+    assert list(by_array.flown) == list(by_array.tracks) == [0, 1, 2]
+    assert by_array.places[2].tolist() == by_topic.places[2].tolist()

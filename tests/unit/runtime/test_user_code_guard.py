@@ -1,8 +1,10 @@
 """User code that does not return: interrupted in virtual time, in hooks, and between two awaits of a mission."""
 
 import asyncio
+import contextvars
 import dataclasses
 import re
+import threading
 import time
 from types import SimpleNamespace
 
@@ -21,6 +23,7 @@ from crazychoir.runtime.user_code_guard import (
     GuardedCoroutine,
     HangWatch,
     limit_duration,
+    share_watch,
 )
 
 BRISK = {
@@ -59,6 +62,68 @@ def test_code_that_is_limited_ends_in_time_or_is_interrupted():
     with pytest.raises(Hung), limit_duration(0.1, "a hook"):
         forever()
     assert time.perf_counter() - began < 3.0
+
+
+def count_threads(monkeypatch):
+    """Return a list that gets the name of each thread that is started."""
+    started = []
+    start = threading.Thread.start
+
+    def note(thread):
+        started.append(thread.name)
+        start(thread)
+
+    monkeypatch.setattr(threading.Thread, "start", note)
+    return started
+
+
+def test_one_thread_watches_all_hooks_of_a_shared_watch(monkeypatch):
+    started = count_threads(monkeypatch)
+    with share_watch():
+        for _ in range(5):
+            with limit_duration(5.0, "a hook"):
+                pass
+    assert started == ["hang watch"]
+    with limit_duration(5.0, "a hook"):
+        pass
+    assert started == ["hang watch"] * 2
+
+
+def test_each_hook_of_a_shared_watch_has_its_own_limit(hasty):
+    with share_watch():
+        for limit in (0.1, 0.3):
+            began = time.perf_counter()
+            with pytest.raises(Hung), limit_duration(limit, "a hook"):
+                forever()
+            assert limit <= time.perf_counter() - began < 3.0
+        with limit_duration(5.0, "a hook"):
+            pass
+
+
+def test_a_hook_inside_another_one_does_not_end_the_watch_of_the_outer_one(hasty):
+    def hang():
+        with limit_duration(0.1, "the outer hook"):
+            with limit_duration(5.0, "the inner hook"):
+                pass
+            forever()
+
+    with share_watch(), pytest.raises(Hung):
+        hang()
+
+
+def test_a_hook_in_another_thread_is_interrupted_there(hasty):
+    def work():
+        with pytest.raises(Hung), limit_duration(0.1, "a hook"):
+            forever()
+        ended.append(True)
+
+    ended = []
+    with share_watch():
+        context = contextvars.copy_context()
+        thread = threading.Thread(target=context.run, args=(work,))
+        thread.start()
+        thread.join(10.0)
+    assert ended == [True]
 
 
 def test_a_long_computation_is_named_with_its_place_before_it_is_given_up(
