@@ -322,12 +322,9 @@ def unseen():
         def gap(x, k):
             if not blinded and np.min(x[:, 3]) > 0.8:
                 blinded.append(k)
-            poses = sample(x, k)
-            return (
-                [None] * len(poses)
-                if blinded and k < blinded[0] + round(1.9 / TICK)
-                else poses
-            )
+            frame = sample(x, k)
+            is_blind = blinded and k < blinded[0] + round(1.9 / TICK)
+            return None if is_blind else frame
 
         cameras.sample = gap
 

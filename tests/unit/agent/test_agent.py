@@ -393,7 +393,7 @@ def blind(at, until):
     def close(agent):
         sample = agent.owners[0].cameras.sample
         agent.owners[0].cameras.sample = lambda x, k: (
-            [None] * len(x) if agent.clock.now() < until else sample(x, k)
+            None if agent.clock.now() < until else sample(x, k)
         )
 
     return at, close
@@ -641,7 +641,10 @@ def test_the_digest_of_a_run_is_of_all_messages_between_drones_and_all_states():
     def digest(*parts):
         trace = Trace()
         for part in parts:
-            trace.message(*part) if isinstance(part, tuple) else trace.update(part)
+            if isinstance(part, tuple):
+                trace.message(*part)
+            else:
+                trace.update(np.frombuffer(part, np.uint8))
         return trace.digest()
 
     one, two = (1, 16, 0, 5, b"x"), (2, 16, 0, 5, b"x")

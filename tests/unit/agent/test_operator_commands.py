@@ -421,12 +421,17 @@ def test_a_drone_that_is_held_flies_on_command_and_goes_on_with_its_mission():
 
 def occluded(operator, i, seconds):
     """Its cameras do not see it for so long."""
-    stages = operator.pilot(i).stages
-    receive = stages.receive_pose
+    (owner,) = operator.agent.owners
+    sample = owner.cameras.sample
     ends = operator.clock.now() + seconds
-    stages.receive_pose = lambda pose, age: (
-        receive(pose, age) if operator.clock.now() >= ends else None
-    )
+
+    def sample_others(x, k):
+        frame = sample(x, k)
+        if frame is not None and operator.clock.now() < ends:
+            frame.seen[owner.world.ids.index(i)] = False
+        return frame
+
+    owner.cameras.sample = sample_others
 
 
 async def held_in_its_mission(operator):
@@ -597,7 +602,7 @@ def test_a_drone_says_what_each_of_its_links_has_lost_and_what_is_simulated():
             [{"loss": 0.5}],
         )
         for sent, lost in said["links"].values():
-            assert sent > 30
+            assert sent > 10
             assert 0.2 < lost / sent < 0.8
         await operator.order("land")
 
