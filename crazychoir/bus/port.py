@@ -168,10 +168,13 @@ class Readers:
         self.due.setdefault(rate.due_ns, []).append(address)
         self.next_ns = min(self.next_ns, rate.due_ns)
 
-    def pace(self, address: int, interval_ns: int) -> None:
-        """Set the interval of a port that gets some values, but never longer than it asked for."""
+    def pace(self, address: int, hertz: float) -> None:
+        """Set the rate of a port that gets some values, but at least the rate that it asked for."""
         rate = self.some.get(address)
         if rate is not None:
+            interval_ns = READER_RATES.never_ns
+            if hertz > 0.0:
+                interval_ns = round(NS_PER_SECOND / hertz)
             rate.interval_ns = min(interval_ns, rate.asked_ns)
             rate.due_ns %= rate.asked_ns
             self._plan(address, rate)
@@ -199,6 +202,39 @@ class Readers:
         """Remove ports."""
         self.every = [j for j in self.every if j not in addresses]
         self.some = {j: rate for j, rate in self.some.items() if j not in addresses}
+
+
+@dataclass(slots=True)
+class LatchedValues:
+    """The values of the latched topics of a port, for readers that come later."""
+
+    _kept: dict[int, tuple[Any, int]] = field(default_factory=dict)
+    _offers: dict[int, Callable[[], Any]] = field(default_factory=dict)
+
+    def keep(self, topic: Topic, value: Any, born_ns: int) -> None:
+        """Keep the newest value of a topic.
+
+        born_ns: ns, time at which it was true
+        """
+        self._kept[topic.number] = value, born_ns
+
+    def offer(self, topic: Topic, find_value: Callable[[], Any]) -> None:
+        """Give new readers of a topic the present value, instead of the last published one.
+
+        So the value need not be published while no port reads it.
+        find_value: returns the present value
+        """
+        self._offers[topic.number] = find_value
+
+    def find(self, topic: Topic, now_ns: int) -> tuple[Any, float] | None:
+        """Return the value of a topic and its age in s; None if there is no value."""
+        find_value = self._offers.get(topic.number)
+        if find_value is not None:
+            return find_value(), 0.0
+        if topic.number not in self._kept:
+            return None
+        value, born_ns = self._kept[topic.number]
+        return value, (now_ns - born_ns) / NS_PER_SECOND
 
 
 @dataclass(slots=True)
@@ -416,9 +452,9 @@ class Port:
     """ns: {address: time of its last message}."""
     ignored_beats: dict[int, bytes] = field(default_factory=dict)
     """{drone id: payload of its heartbeat that changes nothing when it is repeated}."""
+    latched: LatchedValues = field(default_factory=LatchedValues)
+    """Values for readers that come later."""
     _readers: dict[int, Readers] = field(default_factory=dict)
-    _latched: dict[int, tuple[Any, int]] = field(default_factory=dict)
-    _offers: dict[int, Callable[[], Any]] = field(default_factory=dict)
     _numbers: dict[int, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -508,21 +544,10 @@ class Port:
         readers = self._readers.get(topic.number)
         return readers is not None and readers.is_read
 
-    def offer(self, topic: Topic, find_value: Callable[[], Any]) -> None:
-        """Give new readers of a latched topic the present value, instead of the last published one.
-
-        So the value need not be published while no port reads it.
-        find_value: returns the present value
-        """
-        self._offers[topic.number] = find_value
-
     def publish(self, topic: Topic, value: Any, age: float = 0.0) -> None:
         """Give a value to all its readers; this costs nothing without readers."""
         if topic.latched:
-            self._latched[topic.number] = (
-                value,
-                self.bus.clock.now_ns() - round(age * NS_PER_SECOND),
-            )
+            self.latched.keep(topic, value, self._now_ns() - round(age * NS_PER_SECOND))
         readers = self._readers.get(topic.number)
         if readers is None:
             return
@@ -627,19 +652,14 @@ class Port:
         elif mailbox not in readers.mailboxes:
             readers.mailboxes.append(mailbox)
         self.bus.note_reader_change()
-        find_value = self._offers.get(topic.number)
-        if find_value is not None:
-            self._latched[topic.number] = find_value(), self.bus.clock.now_ns()
-        if topic.number in self._latched:
-            self._give_latched(topic, interest.reader, mailbox)
-
-    def _give_latched(self, topic: Topic, j: int, mailbox: AnyMailbox | None) -> None:
-        value, born_ns = self._latched[topic.number]
-        age = (self.bus.clock.now_ns() - born_ns) / NS_PER_SECOND
+        latched = self.latched.find(topic, self._now_ns())
+        if latched is None:
+            return
+        value, age = latched
         if mailbox is not None:
             mailbox.put(value, age)
         else:
-            self.send(topic, (j,), encode(value), age=age)
+            self.send(topic, (interest.reader,), encode(value), age=age)
 
     def pace(self, topic: Topic, reader: int, rate: float) -> None:
         """Give a reader with a limited rate this many values a
@@ -647,10 +667,7 @@ class Port:
         """
         readers = self._readers.get(topic.number)
         if readers is not None:
-            readers.pace(
-                reader,
-                round(NS_PER_SECOND / rate) if rate > 0.0 else READER_RATES.never_ns,
-            )
+            readers.pace(reader, rate)
 
     def drop_readers(self, addresses: list[int]) -> None:
         """Remove the readers at these addresses."""

@@ -43,7 +43,8 @@ class CommandRows:
         self.is_new: Ints = np.zeros(n, np.int64)
         """(n,): 1 for a command that was written since the last step."""
         self._world = world
-        self._delay = delay
+        self.delay = delay
+        """Steps by which commands are late."""
         self._step = 0
         self._others: deque[_LinkCommand] = deque()
         self._late_inputs = np.zeros((delay + 1, n, 4))
@@ -56,7 +57,7 @@ class CommandRows:
         link: the link of the world, without delay
         """
         self.is_new[row] = 0
-        due = self._step + self._delay
+        due = self._step + self.delay
         self._others.append(_LinkCommand(due, row, link, command))
 
     def discard(self, row: int) -> None:

@@ -55,32 +55,31 @@ class Digest(Protocol):
         ...
 
 
-class PublishedTopic:
-    """A topic of the drones of one world, which is published for the drones that are read only.
+class ReadDrones:
+    """Finds the drones of one world from which a topic is read, so that only those are published.
 
     bus: the bus that carries the messages
-    topic: the topic
     ports: ports of the drones by id
     """
 
-    def __init__(self, bus: Bus, topic: Topic, ports: Mapping[int, Port]) -> None:
+    def __init__(self, bus: Bus, ports: Mapping[int, Port]) -> None:
         self._bus = bus
-        self._topic = topic
         self._ports = ports
-        self._addresses: tuple[int, ...] | None = None
-        self._read: list[tuple[int, int, Port]] = []
+        self._addresses: dict[int, tuple[int, ...]] = {}
+        self._found: dict[int, list[tuple[int, int, Port]]] = {}
 
-    def find_read(self) -> list[tuple[int, int, Port]]:
+    def find(self, topic: Topic) -> list[tuple[int, int, Port]]:
         """Return the row, the id and the port of each drone from which the topic is read."""
-        addresses = self._bus.find_read_addresses(self._topic)
-        if addresses is not self._addresses:
-            self._addresses = addresses
-            self._read = [
+        addresses = self._bus.find_read_addresses(topic)
+        if addresses is not self._addresses.get(topic.number):
+            self._addresses[topic.number] = addresses
+            read = set(addresses)
+            self._found[topic.number] = [
                 (row, i, port)
                 for row, (i, port) in enumerate(self._ports.items())
-                if port.address in addresses
+                if port.address in read
             ]
-        return self._read
+        return self._found[topic.number]
 
 
 @dataclass
@@ -143,19 +142,15 @@ class WorldOwner(Actor):
         self.trace = trace
         self.ticks = bus.clock.ticks(1.0 / world.dt, AlarmPriority.WORLD)
         self._ports = {i: bus.ports[base + i] for i in world.ids}
-        self._rows = {i: row for row, i in enumerate(world.ids)}
         self.telemetry = Telemetry(world, self._ports)
         self.takers: list[FrameTaker] = []
         """Parts of this process that take each frame of the cameras."""
         self.commands = CommandRows(world, delay)
         """Commands of the kinds that the world takes as rows."""
-        self._delay = delay
         self._delayed: dict[int, DelayedLink] = {}
-        self._poses = PublishedTopic(bus, DRONE_TOPICS.pose, self._ports)
-        self._truths = PublishedTopic(bus, DRONE_TOPICS.truth, self._ports)
-        self._bodies = PublishedTopic(bus, DRONE_TOPICS.body, self._ports)
+        self._read = ReadDrones(bus, self._ports)
         for i, port in self._ports.items():
-            port.offer(DRONE_TOPICS.body, partial(self._describe_body, i))
+            port.latched.offer(DRONE_TOPICS.body, partial(self._describe_body, i))
         self._look_every = max(1, round(1.0 / (world.dt * rate)))
         self._truth_every = max(1, round(1.0 / (world.dt * DRONE_TOPICS.truth.rate)))
         self._body_every = max(1, round(1.0 / (world.dt * DRONE_TOPICS.body.rate)))
@@ -174,10 +169,10 @@ class WorldOwner(Actor):
         """
         link = self.world.link(i, kind)
         if kind in self.commands.kinds:
-            types = COMMAND_TYPES[kind]
-            return RowLink(self.commands, self._rows[i], link, types)
-        if self._delay:
-            link = self._delayed[i] = DelayedLink(link, self._delay)
+            row = self.world.ids.index(i)
+            return RowLink(self.commands, row, link, COMMAND_TYPES[kind])
+        if self.commands.delay:
+            link = self._delayed[i] = DelayedLink(link, self.commands.delay)
         return link
 
     async def run(self) -> None:
@@ -209,12 +204,12 @@ class WorldOwner(Actor):
         if self._tick % self._look_every == 0:
             self._look(late)
         if self._tick % self._truth_every == 0:
-            for _, i, port in self._truths.find_read():
+            for _, i, port in self._read.find(DRONE_TOPICS.truth):
                 port.publish(DRONE_TOPICS.truth, world.state(i), late)
         if self.telemetry.every:
             self.telemetry.step(self._tick, late)
         if self._tick % self._body_every == 0:
-            for _, i, port in self._bodies.find_read():
+            for _, i, port in self._read.find(DRONE_TOPICS.body):
                 port.publish(DRONE_TOPICS.body, self._describe_body(i), late)
 
     def _look(self, late: float) -> None:
@@ -231,7 +226,7 @@ class WorldOwner(Actor):
         self._show_world(frame)
         for taker in self.takers:
             taker.take_frame(frame)
-        for row, _, port in self._poses.find_read():
+        for row, _, port in self._read.find(DRONE_TOPICS.pose):
             pose = frame.pose(row)
             if pose is not None:
                 port.publish(DRONE_TOPICS.pose, pose, pose.age)

@@ -25,6 +25,7 @@ from crazychoir.simulation.motor_level.imu import Imu, measure_block
 from crazychoir.simulation.motor_level.motor_control import (
     MOTOR_CONTROLS,
     CrazyflieLink,
+    stream_thrust_setpoints,
 )
 from crazychoir.simulation.motor_level.motors import (
     MOTOR_TIME_STEP,
@@ -43,7 +44,6 @@ from crazychoir.simulation.onboard.record import (
     make_mixed_fleet,
     rows,
 )
-from crazychoir.simulation.onboard.thrust_setpoints import stream_thrust_setpoints
 from crazychoir.types import Bools, Ints, Mat, Pose, Vec
 
 # isort: off
@@ -74,7 +74,7 @@ POSES_PER_UPDATE = 7
 
 If only rates are controlled on board, the estimator gets 14 poses a second of 100.
 """
-SEEN = np.ones(1, bool)
+SEEN_FLAG = np.ones(1, bool)
 """Flag of the one drone that was seen."""
 
 
@@ -276,7 +276,7 @@ class CrazyflieWorld(MotorWorld):
         see_poses(
             self._firmware[row],
             pose.flat[None],
-            SEEN,
+            SEEN_FLAG,
             self._pose_counts[row],
             self._pose_intervals[row],
         )

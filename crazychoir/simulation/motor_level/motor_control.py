@@ -5,15 +5,52 @@ from typing import Any
 
 import numpy as np
 
+from crazychoir.numerics.kernels import kernel, matrix, wholes
 from crazychoir.numerics.math3d import STANDARD_GRAVITY, flat_attitude, quaternion
-from crazychoir.simulation.onboard.commander import SETPOINT_PRIORITIES
+from crazychoir.simulation.onboard.commander import (
+    SETPOINT_PRIORITIES,
+    stream_thrust_setpoint,
+)
 from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.planner import (
     PLANNER_ANSWERS,
     compute_flat_body_rates,
 )
+from crazychoir.simulation.onboard.record import Fleet, rows
+from crazychoir.simulation.onboard.supervisor import request_arming
 from crazychoir.simulation.onboard.units import convert_thrust_to_raw
-from crazychoir.types import FPQR, FRPY, XYZ, Command, FullState, Vel
+from crazychoir.types import (
+    FPQR,
+    FRPY,
+    XYZ,
+    Command,
+    FullState,
+    Ints,
+    Mat,
+    Vel,
+)
+
+
+@kernel(rows, matrix, wholes, wholes)
+def stream_thrust_setpoints(
+    fleet: Fleet, inputs: Mat, is_new: Ints, needs_arming: Ints
+) -> None:
+    """Stream the new set-points of all drones.
+
+    The first set-point that turns the motors arms a drone that needs arming.
+
+    inputs: (n, 4): rows as u of `give_thrust_setpoint`
+    is_new: (n,): 1 for a drone with a new set-point
+    needs_arming: (n,): 1 for a drone with a firmware that must be armed
+    """
+    for i in range(inputs.shape[0]):
+        if is_new[i] == 0:
+            continue
+        u = inputs[i]
+        is_idle = u[0] == 0.0 and u[1] == 0.0 and u[2] == 0.0 and u[3] == 0.0
+        if needs_arming[i] != 0 and fleet[i].armed == 0 and not is_idle:
+            request_arming(fleet, i)
+        stream_thrust_setpoint(fleet, i, u)
 
 
 class MotorCtrl(ABC):

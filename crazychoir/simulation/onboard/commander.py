@@ -1,19 +1,25 @@
 """Set-points: their priorities, their age, and the meaning of each kind.
 
-Angles are in deg, rates in deg/s, and thrusts in 0..65535, as in the packets. A positive pitch means
-nose up, except in full-state set-points.
+Angles are in deg, rates in deg/s, and thrusts in 0..65535, as in the packets, where a function does
+not say otherwise. A positive pitch means nose up, except in full-state set-points.
 """
 
 import math
 from typing import NamedTuple
 
 from crazychoir.numerics.kernels import kernel, real, vector
+from crazychoir.numerics.math3d import clip
 from crazychoir.simulation.onboard.record import (
     AXIS_MODES,
     Fleet,
     Record,
     rows,
     whole,
+)
+from crazychoir.simulation.onboard.units import (
+    FULL_THRUST_COMMAND,
+    convert_roll_pitch_yaw_rate_to_raw,
+    scale_thrust_to_raw,
 )
 from crazychoir.types import Vec
 
@@ -133,6 +139,34 @@ def rpyt(
         sp.mode_yaw = AXIS_MODES.velocity
         sp.yaw_rate = -yaw
     return True
+
+
+@kernel(rows, whole, vector)
+def give_thrust_setpoint(fleet: Fleet, i: int, u: Vec) -> bool:
+    """Give drone i the set-point u; return False if it is refused.
+
+    It is refused if a number is not finite, or if a source with a higher priority is in control.
+
+    u: (4,): thrust N, then body rates rad/s; or roll, pitch rad and yaw rate rad/s, by the modes
+        flightmode.stabModeRoll, .stabModePitch and .stabModeYaw. A positive pitch is nose down.
+    """
+    roll, pitch, yaw = convert_roll_pitch_yaw_rate_to_raw(u[1], u[2], u[3])
+    thrust = scale_thrust_to_raw(u[0], fleet[i].thrust_max)
+    if not math.isfinite(thrust) or not math.isfinite(roll + pitch + yaw):
+        return False
+    thrust = clip(thrust, 0.0, FULL_THRUST_COMMAND)
+    return rpyt(fleet, i, roll, pitch, yaw, thrust, float(SETPOINT_PRIORITIES.crtp))
+
+
+@kernel(rows, whole, vector)
+def stream_thrust_setpoint(fleet: Fleet, i: int, u: Vec) -> bool:
+    """Unlock the thrust of drone i if it is locked, and give the set-point u.
+
+    Returns False if the set-point is refused.
+    """
+    if fleet[i].locked_thrust != 0:
+        rpyt(fleet, i, 0.0, 0.0, 0.0, 0.0, float(SETPOINT_PRIORITIES.crtp))
+    return give_thrust_setpoint(fleet, i, u)
 
 
 @kernel(rows, whole, real)

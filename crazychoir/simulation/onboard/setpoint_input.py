@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from crazychoir.platforms import Firmware
-from crazychoir.simulation.onboard import commander, thrust_setpoints
+from crazychoir.simulation.onboard import commander
 from crazychoir.simulation.onboard.commander import SETPOINT_PRIORITIES
 from crazychoir.simulation.onboard.record import EntryPoints, Fleet
 from crazychoir.simulation.onboard.units import (
@@ -16,7 +16,6 @@ from crazychoir.simulation.onboard.units import (
 from crazychoir.types import Vec
 
 _commander = EntryPoints(commander)
-_thrust_setpoints = EntryPoints(thrust_setpoints)
 
 
 class SetpointInput:
@@ -75,7 +74,7 @@ class SetpointInput:
 
     def _give(self, *numbers: float) -> bool:
         u = np.array(numbers, dtype=np.float64)
-        return bool(_thrust_setpoints.give_thrust_setpoint(self._rows, self._row, u))
+        return bool(_commander.give_thrust_setpoint(self._rows, self._row, u))
 
     def stream(self, u: Vec) -> bool:
         """Unlock the thrust if it is locked, and give a set-point of fpqr or frpy.
@@ -84,9 +83,7 @@ class SetpointInput:
         """
         # The entry point does not check the type of the array.
         flat = np.ascontiguousarray(u, dtype=np.float64)
-        return bool(
-            _thrust_setpoints.stream_thrust_setpoint(self._rows, self._row, flat)
-        )
+        return bool(_commander.stream_thrust_setpoint(self._rows, self._row, flat))
 
     def _thrust(self, newtons: float) -> float:
         raw = convert_thrust_to_raw(newtons, self._firmware)

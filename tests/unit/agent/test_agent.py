@@ -5,6 +5,7 @@ import re
 from functools import partial
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from pilots import change_fence
 

@@ -74,7 +74,7 @@ async def test_a_reader_with_a_rate_counts_as_a_reader(clock):
 async def test_a_new_reader_of_an_offered_topic_gets_its_present_value(clock):
     bus, port, _ = ports(clock, 5, 3)
     harms = ["", "broken"]
-    port.offer(DRONE_TOPICS.body, lambda: Body(harms[-1]))
+    port.latched.offer(DRONE_TOPICS.body, lambda: Body(harms[-1]))
     box = reading(bus, DRONE_TOPICS.body, 5, 3)
     assert box.peek() == Body("broken")
     assert box.age() == 0.0
