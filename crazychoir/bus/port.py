@@ -66,9 +66,6 @@ class ReaderTiming:
 READER_RATES = ReaderTiming()
 
 
-NEVER_HEARD_NS = -1
-"""ns: time of the last message of a port that has sent none."""
-
 Handler = Callable[[int, bytes, int, str, int, float], None]
 """Callable that gets (source, payload, number, channel, flags, age)."""
 Tap = Callable[[int, int, int, int, bytes, str, int, float], None]
@@ -277,9 +274,6 @@ class Bus:
     stopped: True while an emergency stop is in force
     tap: callable that gets every arriving message, or None
     heartbeat_ticks: calls the drones that send heartbeats
-    beating: ports of the drones of this process that send heartbeats
-    alive_ns: ns: {drone of this process: time of its last heartbeat that needed no message}
-    disturbances: number of events after which all heartbeats are messages again
     """
 
     def __init__(
@@ -301,9 +295,6 @@ class Bus:
         self.stopped = False
         self.tap: Tap | None = None
         self.heartbeat_ticks = SharedTicks(clock, MESSAGE_TOPICS.heartbeat.rate)
-        self.beating: dict[int, Port] = {}
-        self.alive_ns: dict[int, int] = {}
-        self.disturbances = 0
         self._readers: dict[int, dict[int, Readers]] = {}
         self._read_addresses: dict[int, tuple[int, ...]] = {}
         self._opened: tuple[bytes | None, Any] = (None, None)
@@ -321,22 +312,11 @@ class Bus:
         for interest in self.interests:
             if address in self._sources(interest):
                 port.add_reader(interest, None)
-        self.beating.pop(address, None)
-        self.disturb()
         return port
 
     def close(self, address: int) -> None:
         """Close a port: its messages are lost from now on, as if its drone had crashed."""
         self.ports.pop(address, None)
-        self.beating.pop(address, None)
-        self.disturb()
-
-    def disturb(self) -> None:
-        """Let the drones of this process send their next heartbeats as messages.
-
-        Call it when a heartbeat changes, or when a drone may no longer ignore one.
-        """
-        self.disturbances += 1
 
     def open(self, topic: int, payload: bytes) -> Any:
         """Return the value of a payload of this topic.
@@ -459,16 +439,6 @@ class Port:
 
     def __post_init__(self) -> None:
         self._now_ns = self.bus.clock.now_ns
-
-    def last_heard_ns(self, source: int, default_ns: int = NEVER_HEARD_NS) -> int:
-        """Return the time of the last sign of life of another port in ns.
-
-        default_ns: ns, returned if no message has come from it
-        """
-        heard_ns = self.heard_ns.get(source)
-        if heard_ns is None:
-            return default_ns
-        return max(heard_ns, self.bus.alive_ns.get(source, heard_ns))
 
     def send(
         self,

@@ -7,20 +7,24 @@ Heartbeats come from the drone's event loop and pass the simulated network like 
 Therefore a hung loop, a killed process and a partition all become visible. Any message counts as a
 sign of life.
 
-A heartbeat needs no message if its receiver is in the same process, ignores its repetition, and no
-network is simulated. Then the drone only notes on the bus that it is alive, until `Bus.disturb`.
+A heartbeat needs no message if its receiver is in the same process and ignores its repetition. Then
+the sender only notes its time at the receiver. If the simulated network may lose heartbeats, one
+call draws for all receivers. A network that delays them or is divided gets messages.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
-from crazychoir.bus.port import NEVER_HEARD_NS, Port
+from crazychoir.bus.impairment.lossy_edges import LossyEdges
+from crazychoir.bus.port import Port
 from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.runtime.actor import RESTART_ON_FAILURE, Actor
 from crazychoir.runtime.clock import NS_PER_SECOND
 
 SILENCE_TIMEOUT = 1.0  # s without any message after which a member is suspected
+SILENCE_TIMEOUT_NS = round(SILENCE_TIMEOUT * NS_PER_SECOND)
+HEARTBEAT_CHANNEL = "heartbeat"  # of the simulated network
 
 
 class Presence(Enum):
@@ -73,102 +77,110 @@ class PresenceMonitor(Actor):
         seek: Callable[[], tuple[int, ...]] = tuple,
     ) -> None:
         self.port = port
+        self.watched = watched
         self.beat = beat
         self.lost_after = lost_after
         self.seek = seek
         self.listeners: list[OnChange] = []
-        self._watched = watched
-        self._silent = False
-        self._is_running = False
-        self._members: dict[int, _Member] = {}
-        self._members_by_state: dict[Presence, set[int]] = {
-            state: set() for state in Presence
-        }
-        self._number = 0
-        self._addressed = watched
-        self._seen_disturbance = (-1, -1)
-
-    @property
-    def watched(self) -> tuple[int, ...]:
-        """Ids of the members that get heartbeats and are monitored."""
-        return self._watched
-
-    @watched.setter
-    def watched(self, ids: tuple[int, ...]) -> None:
-        if ids != self._watched:
-            self._watched = ids
-            self.port.bus.disturb()
-
-    @property
-    def silent(self) -> bool:
+        self.silent = False
         """True to send no heartbeats: a drone that cannot fly yet is no member."""
-        return self._silent
-
-    @silent.setter
-    def silent(self, is_silent: bool) -> None:
-        self._silent = is_silent
-        self._note_beating()
+        self._members: dict[int, _Member] = {}
+        self._number = 0
+        self._edges: LossyEdges | None = None
+        self._edges_made_for: tuple[int, tuple[int, ...]] = (0, ())
 
     async def run(self) -> None:
         """Send a heartbeat and check all members, four times a second."""
-        self._is_running = True
-        self._note_beating()
-        try:
-            self.tick()
-            await self.port.bus.heartbeat_ticks.serve(self.tick)
-        finally:
-            self._is_running = False
-            self._note_beating()
-
-    def _note_beating(self) -> None:
-        """Note on the bus whether this drone sends heartbeats."""
-        bus = self.port.bus
-        address = self.port.address
-        if self._is_running and not self._silent:
-            bus.beating[address] = self.port
-        elif bus.beating.get(address) is self.port:
-            del bus.beating[address]
-        bus.disturb()
+        self.tick()
+        await self.port.bus.heartbeat_ticks.serve(self.tick)
 
     def tick(self) -> None:
-        """Send one heartbeat to every watched member that needs it, and check each of these."""
-        bus = self.port.bus
+        """Send one heartbeat to every watched member, and check each of them."""
         self._number += 1
-        disturbance = (bus.disturbances, bus.impairment.version)
-        if disturbance != self._seen_disturbance:
-            self._seen_disturbance = disturbance
-            self._addressed = self._watched
-        addressed = self._addressed
-        if not self._silent:
-            address = self.port.address
-            is_open = bus.beating.get(address) is self.port
-            if is_open and len(addressed) < len(self._watched):
-                bus.alive_ns[address] = bus.clock.now_ns()
-            self._send(addressed + self.seek())
-        for j in addressed:
+        now_ns = self.port.bus.clock.now_ns()
+        if not self.silent:
+            beat = self.beat()
+            ignoring = self._list_ignoring(beat)
+            if ignoring:
+                self._note_beat(ignoring, now_ns, len(beat))
+            receivers = [j for j in self.watched if j not in ignoring]
+            receivers += self.seek()
+            if receivers:
+                self.port.send(
+                    MESSAGE_TOPICS.heartbeat,
+                    receivers,
+                    beat,
+                    self._number,
+                    HEARTBEAT_CHANNEL,
+                )
+        for j in self._list_changing(now_ns):
             self._look(j)
 
-    def _send(self, receivers: tuple[int, ...]) -> None:
-        """Send one heartbeat, and find the members that need no further ones for now."""
-        if not receivers:
-            return
-        beat = self.beat()
-        self.port.send(
-            MESSAGE_TOPICS.heartbeat, receivers, beat, self._number, "heartbeat"
-        )
-        if not self.port.bus.impairment.active:
-            self._addressed = tuple(
-                j for j in self._addressed if not self._is_settled(j, beat)
-            )
+    def _list_ignoring(self, beat: bytes) -> dict[int, Port]:
+        """Return the ports of the watched members that need no message with this heartbeat."""
+        bus = self.port.bus
+        address = self.port.address
+        if bus.ports.get(address) is not self.port:
+            return {}
+        ports = bus.ports
+        # A loop without calls, because this is done for all members four times a second.
+        ignoring = {
+            j: port
+            for j in self.watched
+            if (port := ports.get(j)) is not None
+            and port.ignored_beats.get(address) == beat
+        }
+        if ignoring and bus.impairment.active:
+            self._refresh_edges()
+            lossy = self._edges.destinations if self._edges is not None else ()
+            ignoring = {j: port for j, port in ignoring.items() if j in lossy}
+        return ignoring
 
-    def _is_settled(self, j: int, beat: bytes) -> bool:
-        """Return True if member j sends heartbeats in this process, and ignores this one."""
-        port = self.port.bus.beating.get(j)
-        return (
-            port is not None
-            and port.ignored_beats.get(self.port.address) == beat
-            and self.state(j) is Presence.ALIVE
-        )
+    def _refresh_edges(self) -> None:
+        """Make the edges of the simulated network anew if it or the watched members have changed."""
+        impairment = self.port.bus.impairment
+        address = self.port.address
+        made_for = (impairment.version, self.watched)
+        if made_for == self._edges_made_for:
+            return
+        self._edges_made_for = made_for
+        if self._edges is not None:
+            self._edges.close()
+        lossy = [j for j in self.watched if impairment.only_loses(address, j)]
+        self._edges = LossyEdges(impairment, address, lossy, HEARTBEAT_CHANNEL)
+
+    def _note_beat(self, ignoring: dict[int, Port], now_ns: int, size: int) -> None:
+        """Note a heartbeat of this drone at members that ignore it, unless it is lost on the way.
+
+        ignoring: ports of these members
+        size: bytes of the heartbeat
+        """
+        address = self.port.address
+        reached = list(ignoring)
+        if self.port.bus.impairment.active and self._edges is not None:
+            reached = self._edges.send(self._number, reached)
+            counters = self.port.counters
+            counters.sent += len(ignoring)
+            counters.lost += len(ignoring) - len(reached)
+            counters.bytes += len(ignoring) * size
+        for j in reached:
+            ignoring[j].heard_ns[address] = now_ns
+
+    def _list_changing(self, now_ns: int) -> list[int]:
+        """Return the watched members that are not ALIVE, or may not be so any longer."""
+        members = self._members
+        heard_ns = self.port.heard_ns
+        since_ns = now_ns - SILENCE_TIMEOUT_NS
+        alive = Presence.ALIVE
+        # A loop without calls, because this is done for all members four times a second.
+        return [
+            j
+            for j in self.watched
+            if (member := members.get(j)) is None
+            or member.state is not alive
+            or member.token_gone
+            or heard_ns[j] < since_ns
+        ]
 
     def state(self, j: int) -> Presence:
         """Return the believed state of member j."""
@@ -176,15 +188,18 @@ class PresenceMonitor(Actor):
         return Presence.ABSENT if member is None else member.state
 
     def those(self, state: Presence) -> list[int]:
-        """Return the watched members in a state other than ABSENT, increasing."""
-        known = self._members_by_state[state]
-        return sorted(j for j in known if j in self._watched) if known else []
+        """Return the watched members in a state, increasing."""
+        members = self._members
+        return [
+            j
+            for j in sorted(self.watched)
+            if (member := members.get(j)) is not None and member.state is state
+        ]
 
     def token_gone(self, j: int) -> None:
         """Note that the liveliness token of j's process has disappeared."""
         member = self._members.setdefault(j, _Member())
         member.token_gone = True
-        self.port.bus.disturb()
         if member.state is Presence.ALIVE:
             self._change(j, member, Presence.SUSPECT)
 
@@ -193,18 +208,17 @@ class PresenceMonitor(Actor):
         member = self._members.get(j)
         if member is not None:
             member.token_gone = False
-            self.port.bus.disturb()
 
     def _look(self, j: int) -> None:
         """Update the state of member j from the time of its last message and from its token."""
-        heard_ns = self.port.last_heard_ns(j)
-        if heard_ns == NEVER_HEARD_NS:
+        heard_ns = self.port.heard_ns.get(j)
+        if heard_ns is None:
             return
         member = self._members.get(j)
         if member is None:
             member = self._members[j] = _Member()
         now_ns = self.port.bus.clock.now_ns()
-        silent = now_ns - heard_ns > SILENCE_TIMEOUT * NS_PER_SECOND
+        silent = now_ns - heard_ns > SILENCE_TIMEOUT_NS
         if not silent and not member.token_gone:
             if member.state is not Presence.ALIVE:
                 self._change(j, member, Presence.ALIVE)
@@ -217,8 +231,6 @@ class PresenceMonitor(Actor):
             self._change(j, member, Presence.LOST)
 
     def _change(self, j: int, member: _Member, state: Presence) -> None:
-        self._members_by_state[member.state].discard(j)
-        self._members_by_state[state].add(j)
         member.state = state
         member.since_ns = self.port.bus.clock.now_ns()
         for listener in self.listeners:

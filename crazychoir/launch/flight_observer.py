@@ -57,6 +57,27 @@ class TrueStates(Protocol):
     """(n, 13): rows laid out as State.flat."""
 
 
+class _StandingDrones:
+    """The drones that say that they have never taken off, and that no cameras see.
+
+    unseen: for each row, whether no cameras see the drone
+    """
+
+    def __init__(self, unseen: Sequence[bool]) -> None:
+        self._is_unseen = np.array(unseen, np.bool_)
+        self._has_status = np.zeros(len(unseen), np.bool_)
+        self._has_flown = np.zeros(len(unseen), np.bool_)
+
+    def take(self, row: int, has_left_ground: bool) -> None:
+        """Note the status of a drone."""
+        self._has_status[row] = True
+        self._has_flown[row] |= has_left_ground
+
+    def find(self) -> npt.NDArray[np.bool_]:
+        """Return for each row whether the drone stands."""
+        return self._has_status & ~self._has_flown & self._is_unseen
+
+
 @dataclass
 class FlightScore(Actor):
     """What an observer measures of a swarm: states, distances, lengths flown, distance from a goal.
@@ -101,12 +122,11 @@ class FlightScore(Actor):
         elsewhere = [i for i in self.ids if i not in here]
         order = (*here, *elsewhere)
         self._tracks = FlightTracks(order)
-        self._row = {i: row for row, i in enumerate(order)}
-        self._has_status = np.zeros(len(order), np.bool_)
-        self._has_flown = np.zeros(len(order), np.bool_)
-        self._is_unseen = np.array([i in self.unseen for i in order], np.bool_)
-        self._goal_rows = [self._row[i] for i in self.goal]
-        self._goals = np.array(list(self.goal.values())).reshape(-1, 3)
+        self._standing = _StandingDrones([i in self.unseen for i in order])
+        self._goals = (
+            [self._tracks.row_of[i] for i in self.goal],
+            np.array(list(self.goal.values())).reshape(-1, 3),
+        )
         self._law_began: float | None = None
         self._law_ended = False
         self.go_at: float | None = None
@@ -142,7 +162,9 @@ class FlightScore(Actor):
             first += len(world.ids)
 
     def _hear_truth(self, i: int, state: State, age: float) -> None:
-        self._tracks.add(self._row[i], state.flat[None], self.bus.clock.now() - age)
+        self._tracks.add(
+            self._tracks.row_of[i], state.flat[None], self.bus.clock.now() - age
+        )
 
     @property
     def flown(self) -> dict[int, float]:
@@ -150,27 +172,25 @@ class FlightScore(Actor):
 
         It is 0 for a drone that has never taken off and that no cameras see: its estimate drifts.
         """
-        lengths = np.where(self._stand(), 0.0, self._tracks.rows["length"])
-        return {i: float(lengths[self._row[i]]) for i in self.ids}
-
-    def _stand(self) -> npt.NDArray[np.bool_]:
-        """Return whether each drone says that it has never taken off, and no cameras see it."""
-        return self._has_status & ~self._has_flown & self._is_unseen
+        stands = self._standing.find()
+        lengths = np.where(stands, 0.0, self._tracks.rows["length"])
+        return {i: float(lengths[self._tracks.row_of[i]]) for i in self.ids}
 
     @property
     def places(self) -> dict[int, Vec]:
         """True place at which each drone was last seen: (3,) m, world."""
         rows = self._tracks.rows
+        row_of = self._tracks.row_of
         return {
-            i: rows["place"][self._row[i]].copy()
+            i: rows["place"][row_of[i]].copy()
             for i in self.ids
-            if rows["time"][self._row[i]] > -math.inf
+            if rows["time"][row_of[i]] > -math.inf
         }
 
     @property
     def tracks(self) -> dict[int, list[tuple[float, ...]]]:
         """True track of each drone: rows of t in s and p in m, world."""
-        return {i: self._tracks.kept[self._row[i]] for i in self.ids}
+        return {i: self._tracks.kept[self._tracks.row_of[i]] for i in self.ids}
 
     @property
     def law_s(self) -> float | None:
@@ -182,9 +202,8 @@ class FlightScore(Actor):
 
     def _hear_status(self, i: int, status: Status, age: float) -> None:
         self.statuses[i] = status
-        self._has_status[self._row[i]] = True
-        if status.phase not in GROUNDED_PHASES:
-            self._has_flown[self._row[i]] = True
+        has_left_ground = status.phase not in GROUNDED_PHASES
+        self._standing.take(self._tracks.row_of[i], has_left_ground)
         if self.go_at is None and status.task != WAITING_TASK:
             self.go_at = self.bus.clock.now()
         flying = status.phase in ("hovering", "mission") and status.task == LAW_TASK
@@ -203,7 +222,8 @@ class FlightScore(Actor):
             return
         self._compare(now)
         if self._law_began is not None and not self._law_ended:
-            offsets = rows["place"][self._goal_rows] - self._goals
+            goal_rows, goals = self._goals
+            offsets = rows["place"][goal_rows] - goals
             far = float(np.linalg.norm(offsets, axis=1).max())
             beyond = [
                 error
@@ -226,7 +246,7 @@ class FlightScore(Actor):
         if len(known) < 2:
             return
         places = places[known]
-        stands = self._stand()[known]
+        stands = self._standing.find()[known]
         self.min_separation = min(self.min_separation, _find_least_gap(places, stands))
         touching = SWARM_LIMITS.touching_distance
         for a, b in list_near_pairs(places, touching).tolist():

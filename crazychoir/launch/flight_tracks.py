@@ -74,11 +74,13 @@ class FlightTracks:
 
     Attributes:
     rows: (n,) of TRACK_ROW, in the order of the ids
+    row_of: {drone id: its row}
     kept: for each row, the places that are kept, as rows of t in s and p in m, world
     """
 
     def __init__(self, ids: Sequence[int]) -> None:
         self.ids = tuple(ids)
+        self.row_of = {i: row for row, i in enumerate(self.ids)}
         self.rows = np.zeros(len(self.ids), TRACK_ROW)
         self.rows["time"] = -math.inf
         self.rows["kept_time"] = -math.inf

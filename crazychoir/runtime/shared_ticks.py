@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 from crazychoir.runtime.clock import NS_PER_SECOND, Alarm, Clock
 
+AFTER_ALL_DRONES = 1 << 62
+"""Drone of an alarm that comes after those of all drones at the same instant."""
+
 
 @dataclass(eq=False, slots=True)
 class _Served:
@@ -21,7 +24,8 @@ class SharedTicks:
     """Ticks at k / hz s from the first `serve`: each calls the functions of all actors in turn.
 
     An actor awaits `serve` in its `run`. So its supervisor learns of an error of its function and
-    may start it again, while the functions of other actors go on. Missed ticks are skipped.
+    may start it again, while the functions of other actors go on. Missed ticks are skipped. A tick
+    comes after the alarms of single drones at that instant.
 
     clock: of the process
     hz: ticks a second
@@ -56,7 +60,9 @@ class SharedTicks:
         """Set the alarm of the next tick."""
         behind = (self.clock.now_ns() - self._due_ns) // self._period_ns
         self._due_ns += (behind + 1) * self._period_ns
-        self._alarm = self.clock.call_at(self._due_ns, self._tick)
+        self._alarm = self.clock.call_at(
+            self._due_ns, self._tick, drone=AFTER_ALL_DRONES
+        )
 
     def _tick(self) -> None:
         """Call all functions; the failure of one does not keep another from its call."""

@@ -162,8 +162,9 @@ class Rounds:
 
         For a drone without a message the time counts from the creation of these rounds.
         """
-        heard_ns = [self.port.last_heard_ns(j, self._made_ns) for j in lost]
-        return (self._now_ns() - max(heard_ns)) / NS_PER_SECOND
+        return (
+            self._now_ns() - max(self._heard_ns.get(j, self._made_ns) for j in lost)
+        ) / NS_PER_SECOND
 
     # Channels and epochs --------------------------------------------------------------
 

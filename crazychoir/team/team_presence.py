@@ -6,7 +6,6 @@ from itertools import takewhile
 from typing import Final, Protocol
 
 from crazychoir.bus.codec import decode, encode
-from crazychoir.bus.port import NEVER_HEARD_NS
 from crazychoir.bus.presence import SILENCE_TIMEOUT, Presence, PresenceMonitor
 from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.errors import CodecError
@@ -57,6 +56,7 @@ class TeamPresence:
     beats: {drone id: its newest heartbeat}
     came_at: {drone id: s: time of the first heartbeat of its present process}
     history: the newest changes of presence, as (seconds, id, presence)
+    refused: reason why this drone cannot fly; the others receive it and do not wait for this drone
     refusals: {drone id: reason why it cannot fly}
     lost: lost drones (a dict, to keep their order)
     strangers: drones with another swarm file or mission
@@ -77,7 +77,7 @@ class TeamPresence:
         self.beats: dict[int, TeamHeartbeat] = {}
         self.came_at: dict[int, float] = {}
         self.history: list[tuple[float, int, str]] = []
-        self._refused = ""
+        self.refused = ""
         self.refusals: dict[int, str] = {}
         self.lost: dict[int, None] = {}
         self._search = DroneSearch(graph.ids)
@@ -127,9 +127,9 @@ class TeamPresence:
 
     def is_silent(self, j: int) -> bool:
         """Return True if no message of drone j came in the last SILENCE_TIMEOUT seconds."""
-        heard_ns = self.port.last_heard_ns(j)
+        heard_ns = self.port.heard_ns.get(j)
         return (
-            heard_ns == NEVER_HEARD_NS
+            heard_ns is None
             or self.port.bus.clock.now_ns() - heard_ns
             >= SILENCE_TIMEOUT * NS_PER_SECOND
         )
@@ -160,30 +160,17 @@ class TeamPresence:
         lower = takewhile(self.id.__gt__, self.rosters.graph.ids)
         return filter(self.is_present, lower)
 
-    @property
-    def refused(self) -> str:
-        """Reason why this drone cannot fly; the others receive it and do not wait for this drone."""
-        return self._refused
-
-    @refused.setter
-    def refused(self, reason: str) -> None:
-        self._refused = reason
-        self.port.bus.disturb()
-
     def mark_lost(self, gone: Iterable[int]) -> None:
         """Count these drones as lost."""
         self.lost.update(dict.fromkeys(gone))
-        self.port.bus.disturb()
 
     def mark_found(self, j: int) -> None:
         """No longer count drone j as lost."""
         self.lost.pop(j, None)
-        self.port.bus.disturb()
 
     def review_all(self) -> None:
         """Check the next heartbeat of every drone again, even if it has not changed."""
         self.port.ignored_beats.clear()
-        self.port.bus.disturb()
 
     # Heartbeats -----------------------------------------------------------------------
 

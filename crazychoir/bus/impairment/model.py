@@ -172,6 +172,20 @@ class Impairment:
             else UNDELAYED_MESSAGE
         )
 
+    def effects(self, source: int, destination: int) -> EdgeEffects:
+        """Return the effects on an edge, without those of partitions."""
+        return self._edge(source, destination).link
+
+    def only_loses(self, source: int, destination: int) -> bool:
+        """Return True if an edge loses some messages by draws, and changes no other."""
+        edge = self._edge(source, destination)
+        return not (edge.slow or edge.stateful)
+
+    def draw_key(self, source: int, destination: int, channel: str) -> int:
+        """Return the key of the draws of a channel of an edge."""
+        edge = self._edge(source, destination)
+        return (edge.lanes.get(channel) or edge.lane(channel)).key
+
     def describe(self) -> dict[str, Any]:
         """Return the settings in the terms of `update`, for people and for JSON."""
         return {

@@ -223,7 +223,6 @@ def ignore_heartbeats(team):
     for i in team.monitors:
         others = [j for j in team.monitors if j != i]
         team.bus.ports[i].ignored_beats = dict.fromkeys(others, b"beat")
-    team.bus.disturb()
 
 
 def count_sent(team):
@@ -240,7 +239,7 @@ async def test_heartbeats_that_are_ignored_are_no_messages_but_signs_of_life(clo
     await clock.sleep(10.0)
     assert count_sent(team) == sent
     assert team.monitors[1].those(ALIVE) == [2, 3]
-    assert clock.now_ns() - team.bus.ports[1].last_heard_ns(2) <= 250_000_000
+    assert clock.now_ns() - team.bus.ports[1].heard_ns[2] <= 250_000_000
 
 
 @virtual
@@ -292,7 +291,6 @@ async def test_a_heartbeat_that_changes_is_a_message_again(clock):
     await clock.sleep(1.0)
     sent = team.bus.ports[2].counters.sent
     team.monitors[2].beat = lambda: b"another beat"
-    team.bus.disturb()
     await clock.sleep(1.0)
     assert team.bus.ports[2].counters.sent - sent == 4
 
@@ -306,3 +304,41 @@ async def test_a_drone_that_restarts_gets_messages_again(clock):
     port = team.bus.port(1, incarnation=2)
     await clock.sleep(0.3)
     assert 2 in port.heard_ns
+
+
+@virtual
+async def test_ignored_heartbeats_are_lost_by_the_same_draws_as_messages(clock):
+    rules = [
+        ImpairmentRule({"loss": 0.7}),
+        ImpairmentRule(
+            {"loss": 0.1, "p_good_bad": 0.2, "p_bad_good": 0.3, "loss_bad": 1.0},
+            edge=(1, 2),
+        ),
+    ]
+    messages = Team(clock, 3, Impairment(7, rules))
+    ignored = Team(clock, 3, Impairment(7, rules))
+    ignore_heartbeats(ignored)
+    heard = []
+    for _ in range(200):
+        await clock.sleep(0.25)
+        heard.append([team.bus.ports[1].heard_ns for team in (messages, ignored)])
+        assert heard[-1][0] == heard[-1][1]
+    assert messages.diaries == ignored.diaries
+    assert messages.bus.impairment.counters == ignored.bus.impairment.counters
+    for i in (1, 2, 3):
+        by_message = messages.bus.ports[i].counters
+        without = ignored.bus.ports[i].counters
+        assert (by_message.sent, by_message.lost) == (without.sent, without.lost)
+        assert by_message.received > 2 * without.received
+
+
+@virtual
+async def test_ignored_heartbeats_that_are_all_lost_are_silence(clock):
+    team = Team(clock, 2, Impairment(7, [ImpairmentRule({"loss": 0.1})]))
+    await clock.sleep(2.0)
+    ignore_heartbeats(team)
+    await clock.sleep(5.0)
+    assert team.monitors[2].those(ALIVE) == [1]
+    team.bus.impairment.replace([ImpairmentRule({"loss": 1.0})])
+    await clock.sleep(1.6)
+    assert team.monitors[2].those(SUSPECT) == [1]
