@@ -90,6 +90,7 @@ def test_far_drones_have_no_pair_and_hear_each_other_in_rounds():
     assert np.all(np.diag(sky.airspace.missed) == Missed.ALL), "not itself"
     ages = [sky.age(i, j) for i in range(30) for j in range(30) if i != j]
     assert max(ages) <= 1.0 / compute_far_rate(29) + TICK
+    sky.airspace.report_messages()
     assert sky.bus.ports[3].counters.sent == pytest.approx(
         29 * 3.0 * compute_far_rate(29), rel=0.2
     )
