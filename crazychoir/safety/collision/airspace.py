@@ -11,7 +11,10 @@ from crazychoir.config.tables import CollisionTable
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.collision.airspace_rows import (
     AIRSPACE_RULES_ROW,
+    FAR_ROW,
+    GRID_ROW,
     LISTENER_ROW,
+    PACE_ROW,
     PAIR_ROW,
     ROUND_ROW,
     SWARM_ROW,
@@ -23,6 +26,7 @@ from crazychoir.safety.collision.hearing import (
     is_valid_state,
     take_states,
 )
+from crazychoir.safety.collision.near_grid import CELLS_PER_DRONE
 from crazychoir.safety.collision.near_pairs import CHECK_NS, check_distances
 from crazychoir.safety.collision.state_links import PairsOfAll, StateLinks
 from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES, compute_far_rate
@@ -70,6 +74,7 @@ class Airspace:
         self.swarm = np.zeros(len(self.ids), SWARM_ROW)
         self.listeners = np.zeros(len(self.own_ids), LISTENER_ROW)
         self.pairs = np.zeros(len(self.own_ids) * FIRST_PAIRS, PAIR_ROW)
+        self.paces = np.zeros(len(self.pairs), PACE_ROW)
         capacity = int(self.rules["round_capacity"][0])
         self.rounds = np.zeros(len(self.ids) * capacity, ROUND_ROW)
         self.missed = np.full(
@@ -78,7 +83,7 @@ class Airspace:
         """(listeners, swarm): rounds missed in a row, or Missed."""
         self.links = StateLinks(bus.impairment, PairsOfAll(self.ids, self.own_ids))
         self._trace_due_ns = 0
-        self.trace: Callable[[Records], None] | None = None
+        self.trace: Callable[..., None] | None = None
         """Gets what each drone knows, when its distances are checked."""
         self.own_places = np.array([self.places[i] for i in self.own_ids], np.int64)
         """(n,): rows of the drones of this process in the swarm."""
@@ -89,7 +94,11 @@ class Airspace:
         self.numbers = np.zeros(len(self.own_ids), np.int64)
         """(n,): ticks of the own drones."""
         self._by_hand = StatesByHand(bus, self.swarm, self.listeners, self.hear)
-        self._found = np.zeros(len(self.ids), PAIR_ROW)
+        self._far = np.zeros(len(self.ids), FAR_ROW)
+        self._grid = np.zeros(1, GRID_ROW)
+        self._begins = np.zeros(CELLS_PER_DRONE * len(self.ids) + 1, np.int64)
+        self._order = np.zeros(len(self.ids), np.int64)
+        self._work = np.zeros(len(self.ids), np.int64)
         self._shares = {j: 1.0 if j in rules.alone else 0.5 for j in self.ids}
         self._fill(interval_ns)
 
@@ -111,6 +120,8 @@ class Airspace:
         if interval_ns >= READER_RATES.slow_interval_ns:
             swarm["phase_ns"] = READER_RATES.phase_step_ns * ids % interval_ns
         swarm["round_due_ns"] = swarm["phase_ns"]
+        self._far["state_time"] = -math.inf
+        self._far["heard_time"] = -math.inf
         listeners = self.listeners
         listeners["place"] = self.own_places
         listeners["first_pair"] = FIRST_PAIRS * np.arange(len(self.own_ids))
@@ -181,15 +192,19 @@ class Airspace:
         if self.rules["began_ns"][0] < 0:
             self.rules["began_ns"] = now_ns
         self.links.refresh(now_ns / NS_PER_SECOND)
+        self.rules["has_by_hand"] = self.links.has_by_hand
         take_states(self.swarm, self.own_places, self.numbers, self.states, self.times)
         waiting = hear_states(
             self.listeners,
             self.pairs,
+            self.paces,
             self.swarm,
             self.rounds,
+            self._far,
             self.missed,
             self.links.rows,
             self.rules,
+            self._work,
             now_ns,
         )
         if waiting:
@@ -211,12 +226,17 @@ class Airspace:
             check_distances(
                 self.listeners,
                 self.pairs,
+                self.paces,
                 self.swarm,
                 self.rounds,
+                self._far,
                 self.missed,
                 self.links.rows,
                 self.rules,
-                self._found,
+                self._grid,
+                self._begins,
+                self._order,
+                self._work,
                 now_ns,
             )
         )
@@ -228,17 +248,24 @@ class Airspace:
         ends = np.cumsum(self.listeners["pair_capacity"])
         self.listeners["first_pair"] = ends - self.listeners["pair_capacity"]
         pairs = np.zeros(int(ends[-1]), PAIR_ROW)
+        paces = np.zeros(int(ends[-1]), PACE_ROW)
         for old, new in zip(before, self.listeners, strict=True):
-            pairs[new["first_pair"] :][: old["pair_count"]] = self.pairs[
-                old["first_pair"] :
-            ][: old["pair_count"]]
+            count = int(old["pair_count"])
+            source = slice(int(old["first_pair"]), int(old["first_pair"]) + count)
+            target = slice(int(new["first_pair"]), int(new["first_pair"]) + count)
+            pairs[target] = self.pairs[source]
+            paces[target] = self.paces[source]
         self.pairs = pairs
+        self.paces = paces
 
     def _trace(self, now_ns: int) -> None:
         """Trace what the own drones know of near drones, as often as the distances are checked."""
         if self.trace is not None and now_ns >= self._trace_due_ns:
             self._trace_due_ns = now_ns + CHECK_NS
-            self.trace(self.pairs)
+            self.trace(
+                np.ascontiguousarray(self.pairs["state_time"]),
+                np.ascontiguousarray(self.pairs["heard_time"]),
+            )
 
     def report_messages(self) -> None:
         """Add the messages since the last call to the counters of the ports."""
@@ -326,6 +353,7 @@ class Airspace:
         if place is not None and is_valid_state(np.concatenate([state.flat, state.a])):
             self.swarm["seen_state"][place] = state.flat
             self.swarm["seen_time"][place] = self.now() - age
+            self.rules["has_seen"] = 1
 
     def take_link(self, j: int, link: LinkStatus | None, age: float) -> None:
         """Note the state of the radio of drone j.

@@ -10,11 +10,11 @@ SWARM_ROW = np.dtype(
         ("listener", np.int64),  # row of LISTENER_ROW; -1: flown by another process
         ("number", np.int64),  # tick of the sender at its newest state
         ("is_fresh", np.int64),  # 1: a newer state has come since the last step
-        ("state", np.float64, 13),  # the newest state, as State.flat
-        ("acceleration", np.float64, 3),  # m/s2, as State.a
         ("state_time", np.float64),  # s, time of the newest state; -inf: none
         ("round_count", np.int64),  # rounds so far
         ("round_due_ns", np.int64),  # ns, time of the next round
+        ("state", np.float64, 13),  # the newest state, as State.flat
+        ("acceleration", np.float64, 3),  # m/s2, as State.a
         ("phase_ns", np.int64),  # ns, shift of the drone's grid of times
         ("seen_state", np.float64, 13),  # what the cameras saw last
         ("seen_time", np.float64),  # s, time of seen_state; -inf: none
@@ -29,9 +29,9 @@ SWARM_ROW = np.dtype(
 
 ROUND_ROW = np.dtype(
     [
+        ("state_time", np.float64),  # s
         ("state", np.float64, 13),  # as State.flat
         ("acceleration", np.float64, 3),  # m/s2, as State.a
-        ("state_time", np.float64),  # s
     ]
 )
 """One state that a drone said to all far drones."""
@@ -49,17 +49,55 @@ PAIR_ROW = np.dtype(
         ("meeting_time", np.float64),  # s until both could be near each other
         # s, age of the state beyond which this drone brakes for want of a newer one
         ("age_limit", np.float64),
-        ("interval_ns", np.int64),  # ns, between two states that this drone hears
-        ("due_ns", np.int64),  # ns, when this drone hears the next one
-        # ns, between two states that this drone sends to the other one
-        ("sending_interval_ns", np.int64),
-        ("sending_due_ns", np.int64),  # ns, when this drone sends the next one
         ("turns", np.int64),  # how often others were asked about the other drone
         ("is_by_hand", np.int64),  # 1: a state waits for the verdict of Impairment
         ("is_sought", np.int64),  # 1: others should be asked for a newer state
     ]
 )
 """What one drone of this process knows of another drone that may be near."""
+
+PACE_ROW = np.dtype(
+    [
+        ("other", np.int64),  # row of SWARM_ROW, as in PAIR_ROW
+        ("interval_ns", np.int64),  # ns, between two states that this drone hears
+        ("due_ns", np.int64),  # ns, when this drone hears the next one
+        # ns, between two states that this drone sends to the other one
+        ("sending_interval_ns", np.int64),
+        # ns, when this drone sends the next one; NEVER_NS: this process flies the other drone
+        ("sending_due_ns", np.int64),
+    ]
+)
+"""When the drones of a pair hear each other: one row for each row of PAIR_ROW."""
+
+NEVER_NS = np.iinfo(np.int64).max
+"""ns, a time that does not come."""
+
+FAR_ROW = np.dtype(
+    [
+        ("place", np.float64, 3),  # m, newest known place
+        ("speed", np.float64),  # m/s
+        ("state_time", np.float64),  # s, time of place and speed; -inf: none is known
+        ("heard_time", np.float64),  # s, time of the last round; -inf: none
+        ("kind", np.int64),  # FarKind
+        ("cell", np.int64),  # cell of the grid, or FarCell
+    ]
+)
+"""What a drone that has missed no round of another drone knows of it."""
+
+GRID_ROW = np.dtype(
+    [
+        ("corner", np.float64, 3),  # m, scaled by S: lowest corner of the first cell
+        ("size", np.float64),  # m, edge of a cell
+        ("counts", np.int64, 3),  # number of cells along each axis
+        ("oldest", np.float64),  # s, largest age of a state in the grid
+        ("fastest", np.float64),  # m/s, largest speed of a drone in the grid
+        ("late_first", np.int64),  # first late drone in the order of the cells
+        ("late_end", np.int64),  # end of the late drones in this order
+        ("heard", np.int64),  # drones of kind HEARD
+        ("silent", np.int64),  # drones of kind SILENT
+    ]
+)
+"""The cells over the last places of all drones, and how many drones are of which kind."""
 
 LISTENER_ROW = np.dtype(
     [
@@ -111,6 +149,8 @@ AIRSPACE_RULES_ROW = np.dtype(
         ("far_interval_ns", np.int64),  # ns, between two rounds
         ("round_capacity", np.int64),  # rounds that are kept of each drone
         ("began_ns", np.int64),  # ns, first step; -1: none yet
+        ("has_seen", np.int64),  # 1: the cameras have seen a drone
+        ("has_by_hand", np.int64),  # 1: a link has the kind BY_HAND
     ]
 )
 """What holds for all pairs of an airspace."""
@@ -127,6 +167,26 @@ class LinkKind(IntEnum):
     """Always."""
     BY_HAND = 3
     """By the verdict of Impairment, which may also delay or duplicate it."""
+
+
+class FarKind(IntEnum):
+    """How a far drone counts for a drone that has missed none of its rounds."""
+
+    GROUNDED = 0
+    """It does not fly, or is gone: it does not count."""
+    HEARD = 1
+    """It flies and is heard."""
+    SILENT = 2
+    """It flies and is not heard."""
+
+
+class FarCell(IntEnum):
+    """Values of FAR_ROW.cell of drones that are in no cell of the grid."""
+
+    UNKNOWN = -1
+    """No place is known."""
+    LATE = -2
+    """No round came for so long that the drone may be far from its last place."""
 
 
 class Missed(IntEnum):

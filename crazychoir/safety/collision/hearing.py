@@ -5,18 +5,21 @@ import math
 import numba
 
 from crazychoir.bus.impairment.compiled_draws import draw_first_attempt, is_bad_state
-from crazychoir.numerics.kernels import kernel, matrix, rows_of, vector
+from crazychoir.numerics.kernels import kernel, matrix, rows_of, vector, wholes
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.collision.airspace_rows import (
     AIRSPACE_RULES_ROW,
+    FAR_ROW,
     LINK_ROW,
     LISTENER_ROW,
+    PACE_ROW,
     PAIR_ROW,
     ROUND_ROW,
     SWARM_ROW,
     LinkKind,
     Missed,
 )
+from crazychoir.safety.collision.motion import compute_norm
 from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES
 from crazychoir.types import Bytes, Ints, Mat, Records, Vec
 
@@ -170,124 +173,158 @@ def see_state(pair: Records, sender: Records, now: float) -> None:
 
 
 @kernel()
+def find_next_time(due_ns: int, interval_ns: int, now_ns: int) -> int:
+    """Return the first time after now on a grid of times.
+
+    due_ns: ns, a time of the grid, not after now
+    interval_ns: ns, between two times of the grid
+    now_ns: ns
+    """
+    return due_ns + ((now_ns - due_ns) // interval_ns + 1) * interval_ns
+
+
+@kernel()
 def hear_pairs(
     listener: Records,
     at: int,
     listeners: Records,
     pairs: Records,
+    paces: Records,
     swarm: Records,
     links: Records,
     now_ns: int,
 ) -> int:
     """Let one drone hear the near drones that are due, and return how many wait for a verdict.
 
+    Note whether drones of other processes need the state of this drone.
+
     listener: one row of LISTENER_ROW
     at: its number
     listeners: LISTENER_ROW
     pairs: PAIR_ROW
+    paces: PACE_ROW
     swarm: SWARM_ROW
     links: LINK_ROW, (listeners x swarm,)
     now_ns: ns
     """
     waiting = 0
     for k in range(listener.first_pair, listener.first_pair + listener.pair_count):
-        pair = pairs[k]
-        sender = swarm[pair.other]
-        if sender.is_fresh != 0 and now_ns >= pair.due_ns:
-            pair.due_ns += (
-                (now_ns - pair.due_ns) // pair.interval_ns + 1
-            ) * pair.interval_ns
-            fate = pass_link(links, at * swarm.shape[0] + pair.other, sender.number)
-            count_message(listeners, sender, fate)
-            if fate == LinkKind.CLEAR:
-                hear_state(pair, sender)
-            elif fate == LinkKind.BY_HAND:
-                pair.is_by_hand = 1
-                waiting += 1
-        if sender.seen_time > -math.inf:
-            see_state(pair, sender, now_ns / NS_PER_SECOND)
+        pace = paces[k]
+        if now_ns >= pace.sending_due_ns:
+            pace.sending_due_ns = find_next_time(
+                pace.sending_due_ns, pace.sending_interval_ns, now_ns
+            )
+            listener.is_frame_due = 1
+        if now_ns < pace.due_ns:
+            continue
+        sender = swarm[pace.other]
+        if sender.is_fresh == 0:
+            continue
+        pace.due_ns = find_next_time(pace.due_ns, pace.interval_ns, now_ns)
+        fate = pass_link(links, at * swarm.shape[0] + pace.other, sender.number)
+        count_message(listeners, sender, fate)
+        if fate == LinkKind.CLEAR:
+            hear_state(pairs[k], sender)
+        elif fate == LinkKind.BY_HAND:
+            pairs[k].is_by_hand = 1
+            waiting += 1
     return waiting
 
 
 @kernel()
+def see_pairs(listener: Records, pairs: Records, swarm: Records, now: float) -> None:
+    """Let one drone use the places where the cameras see its near drones.
+
+    listener: one row of LISTENER_ROW
+    pairs: PAIR_ROW
+    swarm: SWARM_ROW
+    now: s
+    """
+    for k in range(listener.first_pair, listener.first_pair + listener.pair_count):
+        sender = swarm[pairs[k].other]
+        if sender.seen_time > -math.inf:
+            see_state(pairs[k], sender, now)
+
+
+@kernel()
 def say_round(
-    sender: Records,
+    sender: Records, at: int, rounds: Records, far: Records, capacity: int
+) -> None:
+    """Keep the newest state of one drone as what it says to all far drones.
+
+    sender: one row of SWARM_ROW
+    at: its number
+    rounds: ROUND_ROW, (swarm x capacity,)
+    far: FAR_ROW, (swarm,)
+    capacity: rounds that are kept of each drone
+    """
+    last = rounds[at * capacity + sender.round_count % capacity]
+    sender.round_count += 1
+    last.state_time = sender.state_time
+    for c in range(13):
+        last.state[c] = sender.state[c]
+    for c in range(3):
+        last.acceleration[c] = sender.acceleration[c]
+    known = far[at]
+    known.state_time = sender.state_time
+    known.heard_time = sender.state_time
+    for c in range(3):
+        known.place[c] = sender.state[c]
+    known.speed = compute_norm((sender.state[3], sender.state[4], sender.state[5]))
+
+
+@kernel()
+def hear_round(
     at: int,
+    other: int,
     listeners: Records,
     swarm: Records,
-    rounds: Records,
     missed: Bytes,
     links: Records,
     capacity: int,
 ) -> None:
-    """Let all far drones of this process hear the newest state of one drone.
+    """Let one drone hear or miss the round of a far drone.
 
-    sender: one row of SWARM_ROW
-    at: its number
+    at: number of the drone
+    other: row of the far drone in the swarm
     listeners: LISTENER_ROW
     swarm: SWARM_ROW
-    rounds: ROUND_ROW, (swarm x capacity,)
     missed: (listeners, swarm): rounds missed in a row, or Missed
     links: LINK_ROW, (listeners x swarm,)
     capacity: rounds that are kept of each drone
     """
-    place = rounds[at * capacity + sender.round_count % capacity]
-    sender.round_count += 1
-    place.state_time = sender.state_time
-    for c in range(13):
-        place.state[c] = sender.state[c]
-    for c in range(3):
-        place.acceleration[c] = sender.acceleration[c]
-    for i in range(listeners.shape[0]):
-        before = missed[i, at]
-        if before == Missed.PAIRED or i == sender.listener:
-            continue
-        fate = pass_link(links, i * swarm.shape[0] + at, sender.number)
-        if fate == LinkKind.CLEAR:
-            missed[i, at] = 0
-        elif before < capacity - 1:
-            missed[i, at] = before + 1
-        else:
-            missed[i, at] = Missed.ALL
+    before = missed[at, other]
+    sender = swarm[other]
+    if before == Missed.PAIRED or at == sender.listener:
+        return
+    fate = pass_link(links, at * swarm.shape[0] + other, sender.number)
+    count_message(listeners, sender, fate)
+    if fate == LinkKind.CLEAR:
+        missed[at, other] = 0
+    elif before < capacity - 1:
+        missed[at, other] = before + 1
+    else:
+        missed[at, other] = Missed.ALL
 
 
-@kernel(
-    rows_of(LISTENER_ROW),
-    rows_of(PAIR_ROW),
-    rows_of(SWARM_ROW),
-    rows_of(ROUND_ROW),
-    byte_table,
-    rows_of(LINK_ROW),
-    rows_of(AIRSPACE_RULES_ROW),
-    numba.int64,
-)
-def hear_states(
-    listeners: Records,
-    pairs: Records,
+@kernel()
+def say_rounds(
     swarm: Records,
+    listeners: Records,
     rounds: Records,
-    missed: Bytes,
-    links: Records,
+    far: Records,
     rules: Records,
+    due: Ints,
     now_ns: int,
 ) -> int:
-    """Let all drones of this process hear what is due, and return how many pairs wait for a verdict.
+    """Keep the newest states of all drones whose round is due, and return how many these are.
 
-    Arguments as in hear_pairs and say_round; rules: AIRSPACE_RULES_ROW, (1,)
+    rules: one row of AIRSPACE_RULES_ROW
+    due: (swarm,): receives the rows of these drones in the swarm
+    now_ns: ns
+    Other arguments as in say_round and hear_round.
     """
-    waiting = 0
-    for i in range(listeners.shape[0]):
-        listener = listeners[i]
-        listener.is_frame_due = 0
-        waiting += hear_pairs(listener, i, listeners, pairs, swarm, links, now_ns)
-        for k in range(listener.first_pair, listener.first_pair + listener.pair_count):
-            pair = pairs[k]
-            if now_ns >= pair.sending_due_ns and swarm[pair.other].listener < 0:
-                pair.sending_due_ns += (
-                    (now_ns - pair.sending_due_ns) // pair.sending_interval_ns + 1
-                ) * pair.sending_interval_ns
-                listener.is_frame_due = 1
-    interval_ns = rules[0].far_interval_ns
+    count = 0
     for j in range(swarm.shape[0]):
         sender = swarm[j]
         if sender.is_fresh == 0:
@@ -295,19 +332,64 @@ def hear_states(
         sender.is_fresh = 0
         if now_ns < sender.round_due_ns:
             continue
-        sender.round_due_ns += (
-            (now_ns - sender.round_due_ns) // interval_ns + 1
-        ) * interval_ns
-        say_round(
-            sender,
-            j,
-            listeners,
-            swarm,
-            rounds,
-            missed,
-            links,
-            rules[0].round_capacity,
+        sender.round_due_ns = find_next_time(
+            sender.round_due_ns, rules.far_interval_ns, now_ns
         )
+        say_round(sender, j, rounds, far, rules.round_capacity)
         if sender.listener >= 0:
             listeners[sender.listener].is_frame_due = 1
+        due[count] = j
+        count += 1
+    return count
+
+
+@kernel(
+    rows_of(LISTENER_ROW),
+    rows_of(PAIR_ROW),
+    rows_of(PACE_ROW),
+    rows_of(SWARM_ROW),
+    rows_of(ROUND_ROW),
+    rows_of(FAR_ROW),
+    byte_table,
+    rows_of(LINK_ROW),
+    rows_of(AIRSPACE_RULES_ROW),
+    wholes,
+    numba.int64,
+)
+def hear_states(
+    listeners: Records,
+    pairs: Records,
+    paces: Records,
+    swarm: Records,
+    rounds: Records,
+    far: Records,
+    missed: Bytes,
+    links: Records,
+    rules: Records,
+    work: Ints,
+    now_ns: int,
+) -> int:
+    """Let all drones of this process hear what is due, and return how many pairs wait for a verdict.
+
+    rules: AIRSPACE_RULES_ROW, (1,)
+    work: (swarm,): work space
+    now_ns: ns
+    Other arguments as in hear_pairs, say_round and hear_round.
+    """
+    waiting = 0
+    for i in range(listeners.shape[0]):
+        listener = listeners[i]
+        listener.is_frame_due = 0
+        waiting += hear_pairs(
+            listener, i, listeners, pairs, paces, swarm, links, now_ns
+        )
+        if rules[0].has_seen != 0:
+            see_pairs(listener, pairs, swarm, now_ns / NS_PER_SECOND)
+    count = say_rounds(swarm, listeners, rounds, far, rules[0], work, now_ns)
+    # The bytes of a listener are side by side.
+    for i in range(listeners.shape[0]):
+        for k in range(count):
+            hear_round(
+                i, work[k], listeners, swarm, missed, links, rules[0].round_capacity
+            )
     return waiting

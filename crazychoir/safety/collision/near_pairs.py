@@ -1,169 +1,59 @@
 """Near pairs: which drones could meet soon, and how often these hear each other.
 
 Only such pairs have a record. The far ones hear each other in rounds, and only the number of rounds
-that a drone has missed in a row is kept of each pair.
+that a drone has missed in a row is kept of each pair. A drone that has missed none is looked for in
+the grid of the airspace, so the work of a drone does not grow with the swarm.
 """
 
 import math
 
 import numba
 
-from crazychoir.numerics.kernels import kernel, rows_of
+from crazychoir.numerics.kernels import kernel, rows_of, wholes
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.collision.airspace_rows import (
     AIRSPACE_RULES_ROW,
+    FAR_ROW,
+    GRID_ROW,
     LINK_ROW,
     LISTENER_ROW,
+    PACE_ROW,
     PAIR_ROW,
     ROUND_ROW,
     SWARM_ROW,
     LinkKind,
     Missed,
 )
-from crazychoir.safety.collision.distances import BRAKING_MODEL, COLLISION_DISTANCES
-from crazychoir.safety.collision.hearing import byte_table, see_state
-from crazychoir.safety.collision.motion import compute_norm
-from crazychoir.safety.collision.state_rates import (
-    FIRST_NEWS_TIME,
-    NEIGHBOUR_AGES,
-    RELAY_LEAD_TIME,
-    RELAY_REQUESTS,
-    SPEED_ALLOWANCE,
-    STATE_RATES,
-    find_interval,
+from crazychoir.safety.collision.far_drones import (
+    count_far,
+    fill_pair,
+    find_far_kind,
+    recall_round,
+    refresh_far,
 )
-from crazychoir.types import Bytes, Records, Vec
+from crazychoir.safety.collision.hearing import byte_table
+from crazychoir.safety.collision.near_grid import build_grid, find_cells
+from crazychoir.safety.collision.nearness import (
+    compute_distance,
+    compute_reach,
+    compute_speed,
+    is_behind,
+    is_near,
+    is_sought,
+    is_unknown,
+    measure_pair,
+)
+from crazychoir.safety.collision.pair_paces import (
+    copy_pace,
+    fill_pace,
+    find_pair,
+    pace_pair,
+    set_interval,
+)
+from crazychoir.safety.collision.state_rates import STATE_RATES
+from crazychoir.types import Bytes, Ints, Records, Vec
 
 CHECK_NS = int(NS_PER_SECOND * STATE_RATES.check_interval)  # ns, between two checks
-FIRST_NEWS_NS = int(NS_PER_SECOND * FIRST_NEWS_TIME)
-
-
-@kernel()
-def compute_distance(p: Vec, q: Vec, scale: Vec) -> float:
-    """Return |S (p - q)| in m."""
-    return compute_norm(
-        (
-            scale[0] * (p[0] - q[0]),
-            scale[1] * (p[1] - q[1]),
-            scale[2] * (p[2] - q[2]),
-        )
-    )
-
-
-@kernel()
-def compute_speeds(x: Vec, y: Vec) -> float:
-    """Return the sum of the speeds in two states (13,), m/s."""
-    return compute_norm((x[3], x[4], x[5])) + compute_norm((y[3], y[4], y[5]))
-
-
-@kernel()
-def compute_age_limit(apart: float, rules: Records) -> float:
-    """Return the age in s of a state beyond which a drone brakes for want of a newer one.
-
-    apart: m
-    rules: one row of AIRSPACE_RULES_ROW
-    """
-    return float(
-        NEIGHBOUR_AGES.usable
-        + max(apart - rules.width - COLLISION_DISTANCES.silent_drone, 0.0) / rules.v_max
-    )
-
-
-@kernel()
-def is_near(own: Vec, other: Vec, age: float, rules: Records) -> bool:
-    """Return whether two drones could meet, or need each other's states more often than in rounds.
-
-    Both may fly until the next check. A drone that is not heard may be anywhere within its largest
-    speed times its age.
-
-    own: (13,), newest state of this drone
-    other: (13,), newest known state of the other one
-    age: s, of that state
-    rules: one row of AIRSPACE_RULES_ROW
-    """
-    if not age < NEIGHBOUR_AGES.gone:
-        return True
-    apart = compute_distance(own, other, rules.scale)
-    if age > compute_age_limit(apart, rules) - RELAY_LEAD_TIME:
-        return True
-    flown = (
-        2.0
-        * rules.v_max
-        * (min(age, BRAKING_MODEL.silent_flight_time) + STATE_RATES.check_interval)
-    )
-    meets = 2.0 * rules.width + STATE_RATES.later * (
-        compute_speeds(own, other) + SPEED_ALLOWANCE
-    )
-    brakes = (
-        rules.width
-        + COLLISION_DISTANCES.silent_drone
-        + rules.v_max * (STATE_RATES.long_wait - NEIGHBOUR_AGES.usable)
-    )
-    return bool(apart - flown < max(rules.range, meets, brakes))
-
-
-@kernel()
-def measure_pair(own: Vec, pair: Records, rules: Records, now: float) -> None:
-    """Store how soon a pair could meet, and how old its state may become.
-
-    own: (13,), newest state of this drone
-    pair: one row of PAIR_ROW
-    rules: one row of AIRSPACE_RULES_ROW
-    now: s
-    """
-    age = now - pair.state_time
-    stands = pair.state[2] < rules.standing_height
-    if not age < NEIGHBOUR_AGES.gone and not (stands and age < math.inf):
-        pair.meeting_time = math.inf
-        pair.age_limit = math.inf
-        return
-    apart = compute_distance(own, pair.state, rules.scale)
-    pair.meeting_time = (apart - 2.0 * rules.width) / (
-        compute_speeds(own, pair.state) + SPEED_ALLOWANCE
-    )
-    pair.age_limit = compute_age_limit(apart, rules)
-
-
-@kernel()
-def is_sought(pair: Records, check_count: int, now: float) -> bool:
-    """Return whether a drone should ask others for a newer state in this check.
-
-    It asks less often for a drone if RELAY_LEAD_TIME s of asking have not helped.
-
-    pair: one row of PAIR_ROW
-    check_count: number of this check
-    now: s
-    """
-    age = now - pair.state_time
-    if not age < NEIGHBOUR_AGES.gone:
-        return check_count % RELAY_REQUESTS.checks_if_gone == 0
-    needed = max(RELAY_REQUESTS.least_age, pair.age_limit - RELAY_LEAD_TIME)
-    if age <= needed:
-        return False
-    if age < needed + RELAY_LEAD_TIME:
-        return True
-    return check_count % RELAY_REQUESTS.checks_if_unanswered == 0
-
-
-@kernel()
-def find_pair(listener: Records, pairs: Records, other: int) -> int:
-    """Return the row of the pair of a drone with another one, or -1.
-
-    listener: one row of LISTENER_ROW
-    pairs: PAIR_ROW
-    other: row of SWARM_ROW
-    """
-    low = listener.first_pair
-    high = low + listener.pair_count
-    while low < high:
-        middle = (low + high) // 2
-        if pairs[middle].other < other:
-            low = middle + 1
-        else:
-            high = middle
-    if low < listener.first_pair + listener.pair_count and pairs[low].other == other:
-        return int(low)
-    return -1
 
 
 @kernel()
@@ -180,176 +70,355 @@ def copy_pair(source: Records, target: Records) -> None:
     target.share = source.share
     target.meeting_time = source.meeting_time
     target.age_limit = source.age_limit
-    target.interval_ns = source.interval_ns
-    target.due_ns = source.due_ns
-    target.sending_interval_ns = source.sending_interval_ns
-    target.sending_due_ns = source.sending_due_ns
     target.turns = source.turns
     target.is_by_hand = source.is_by_hand
     target.is_sought = source.is_sought
 
 
 @kernel()
-def fill_far_pair(
-    pair: Records,
-    other: int,
-    swarm: Records,
-    rounds: Records,
-    capacity: int,
-    missed: int,
-    now: float,
-) -> None:
-    """Fill a pair with what a drone knows of a far one.
-
-    pair: one row of PAIR_ROW
-    other: row of the far drone
-    swarm: SWARM_ROW
-    rounds: ROUND_ROW, (swarm x capacity,)
-    capacity: rounds that are kept of each drone
-    missed: rounds missed in a row, or Missed.ALL
-    now: s
-    """
-    sender = swarm[other]
-    pair.other = other
-    pair.drone = sender.drone
-    pair.share = sender.share
-    pair.turns = 0
-    pair.is_by_hand = 0
-    pair.is_sought = 0
-    if missed < min(sender.round_count, capacity):
-        last = rounds[other * capacity + (sender.round_count - 1 - missed) % capacity]
-        for c in range(13):
-            pair.state[c] = last.state[c]
-        for c in range(3):
-            pair.acceleration[c] = last.acceleration[c]
-        pair.state_time = last.state_time
-    else:
-        for c in range(13):
-            pair.state[c] = 0.0
-        pair.state[9] = 1.0
-        for c in range(3):
-            pair.acceleration[c] = 0.0
-        pair.state_time = -math.inf
-    pair.heard_time = pair.state_time
-    see_state(pair, sender, now)
-
-
-@kernel()
-def plan_times(
-    pair: Records, sender: Records, far_interval_ns: int, now_ns: int
-) -> None:
-    """Set when a new pair hears and sends: as often as far drones, in the next round.
-
-    pair: one row of PAIR_ROW
-    sender: the other drone, one row of SWARM_ROW
-    far_interval_ns: ns
-    now_ns: ns
-    """
-    pair.sending_interval_ns = far_interval_ns
-    pair.sending_due_ns = now_ns
-    pair.interval_ns = far_interval_ns if sender.listener >= 0 else 1
-    pair.due_ns = sender.round_due_ns if sender.listener >= 0 else 0
-
-
-@kernel()
-def set_interval(pair: Records, interval_ns: int, far_interval_ns: int) -> None:
-    """Change how often a pair hears; it hears at once, then on the sender's grid of times.
-
-    pair: one row of PAIR_ROW
-    interval_ns: ns
-    far_interval_ns: ns
-    """
-    if pair.interval_ns != interval_ns:
-        pair.interval_ns = interval_ns
-        pair.due_ns %= far_interval_ns
-
-
-@kernel()
-def pace_pair(
-    pair: Records,
+def find_staying_pairs(
     at: int,
     listeners: Records,
     pairs: Records,
     swarm: Records,
+    rounds: Records,
+    far: Records,
+    links: Records,
+    rules: Records,
+    work: Ints,
+    now: float,
+) -> int:
+    """Write the rows of the pairs of one drone that stay near to `work`, and return their number.
+
+    Arguments as in check_distances; now: s
+    """
+    listener = listeners[at]
+    own = swarm[listener.place].state
+    own_speed = compute_speed(own)
+    count = 0
+    for k in range(listener.first_pair, listener.first_pair + listener.pair_count):
+        pair = pairs[k]
+        count_far(listener, far[pair.other].kind, -1)
+        apart = compute_distance(own, pair.state, rules.scale)
+        speeds = own_speed + compute_speed(pair.state)
+        stays = is_behind(pair, swarm[pair.other], rounds, rules.round_capacity)
+        stays |= listener.keeps_all != 0
+        if pair.state_time > -math.inf:
+            stays |= is_near(apart, speeds, now - pair.state_time, rules)
+        if links.shape[0] > 0:
+            link = links[at * swarm.shape[0] + pair.other]
+            stays |= link.kind == LinkKind.BY_HAND
+        if stays:
+            measure_pair(pair, apart, speeds, rules, now)
+            work[count] = k
+            count += 1
+        else:
+            kind = find_far_kind(
+                pair.state[2], pair.state_time, pair.heard_time, rules, now
+            )
+            count_far(listener, kind, 1)
+    return count
+
+
+@kernel()
+def append_if_near(
+    at: int,
+    other: int,
+    own: Vec,
+    own_speed: float,
+    listener: Records,
+    far: Records,
     missed: Bytes,
     rules: Records,
-) -> None:
-    """Send the own state to another drone as often as the distance demands.
+    work: Ints,
+    count: int,
+    now: float,
+) -> int:
+    """Append a drone to `work` if no round of it was missed and it has become near.
 
-    A drone that stands on the floor sends it as to far drones: it comes near no other drone.
-
-    pair: what the sender knows of the receiver, one row of PAIR_ROW
-    at: row of the sender in the swarm
-    listeners: LISTENER_ROW
-    pairs: PAIR_ROW
-    swarm: SWARM_ROW
-    missed: (listeners, swarm)
-    rules: one row of AIRSPACE_RULES_ROW
-    """
-    far_interval_ns = rules.far_interval_ns
-    interval_ns = far_interval_ns
-    if swarm[at].state[2] >= rules.standing_height:
-        interval_ns = find_interval(pair.meeting_time, pair.age_limit, far_interval_ns)
-    if pair.sending_interval_ns != interval_ns:
-        pair.sending_interval_ns = interval_ns
-        pair.sending_due_ns %= far_interval_ns
-    receiver = swarm[pair.other].listener
-    if receiver < 0 or missed[receiver, at] != Missed.PAIRED:
-        return
-    found = find_pair(listeners[receiver], pairs, at)
-    if found >= 0:
-        set_interval(pairs[found], interval_ns, far_interval_ns)
-
-
-@kernel()
-def count_far(pair: Records, listener: Records, rules: Records, now: float) -> None:
-    """Count a far drone as heard or as silent, if it flies.
-
-    pair: what is known of it, one row of PAIR_ROW
-    listener: one row of LISTENER_ROW
-    rules: one row of AIRSPACE_RULES_ROW
+    at: number of the drone that looks
+    other: row of the other one in the swarm
+    own: (13,), newest state of the drone that looks
+    own_speed: m/s
+    listener: its row of LISTENER_ROW
+    work: receives the row of the other drone at `count`
     now: s
+    Other arguments as in check_distances.
+    Returns the new length of `work`.
     """
-    if (
-        pair.state[2] < rules.standing_height
-        or not now - pair.state_time < NEIGHBOUR_AGES.gone
-    ):
-        return
-    if now - pair.heard_time < NEIGHBOUR_AGES.silent:
-        listener.far_heard += 1
-    else:
-        listener.far_silent += 1
+    if missed[at, other] != 0:
+        return count
+    known = far[other]
+    apart = compute_distance(own, known.place, rules.scale)
+    if is_near(apart, own_speed + known.speed, now - known.state_time, rules):
+        count_far(listener, known.kind, -1)
+        work[count] = other
+        return count + 1
+    return count
 
 
 @kernel()
-def is_behind(pair: Records, sender: Records, rounds: Records, capacity: int) -> bool:
-    """Return whether a drone has heard nothing since the latest round of another one.
+def find_in_cells(
+    at: int,
+    listeners: Records,
+    swarm: Records,
+    far: Records,
+    missed: Bytes,
+    rules: Records,
+    grid: Records,
+    begins: Ints,
+    order: Ints,
+    work: Ints,
+    count: int,
+    now: float,
+) -> int:
+    """Append the drones of the cells around one drone that have become near.
 
-    It must not forget the pair: it would then count as having heard that round.
+    Only drones of which it has missed no round are found.
 
-    pair: one row of PAIR_ROW
-    sender: the other drone, one row of SWARM_ROW
-    rounds: ROUND_ROW, (swarm x capacity,)
-    capacity: rounds that are kept of each drone
+    work: receives the rows of these drones in the swarm, from `count` on
+    now: s
+    Other arguments as in check_distances.
+    Returns the new length of `work`.
     """
-    if sender.round_count == 0:
-        return True
-    last = rounds[pair.other * capacity + (sender.round_count - 1) % capacity]
-    return bool(pair.heard_time < last.state_time)
+    listener = listeners[at]
+    own = swarm[listener.place].state
+    own_speed = compute_speed(own)
+    reach = compute_reach(own_speed + grid.fastest, grid.oldest, rules)
+    x_first, x_end = find_cells(own[0], reach, 0, grid, rules)
+    y_first, y_end = find_cells(own[1], reach, 1, grid, rules)
+    z_first, z_end = find_cells(own[2], reach, 2, grid, rules)
+    for z in range(z_first, z_end):
+        for y in range(y_first, y_end):
+            if x_end <= x_first:
+                continue
+            line = (z * grid.counts[1] + y) * grid.counts[0]
+            for n in range(begins[line + x_first], begins[line + x_end]):
+                count = append_if_near(
+                    at,
+                    order[n],
+                    own,
+                    own_speed,
+                    listener,
+                    far,
+                    missed,
+                    rules,
+                    work,
+                    count,
+                    now,
+                )
+    for n in range(grid.late_first, grid.late_end):
+        count = append_if_near(
+            at, order[n], own, own_speed, listener, far, missed, rules, work, count, now
+        )
+    return count
 
 
 @kernel()
-def is_unknown(missed: int, rules: Records, now_ns: int) -> bool:
-    """Return whether another drone may be anywhere, because it was not heard for long.
+def find_by_bytes(
+    at: int,
+    listeners: Records,
+    swarm: Records,
+    rounds: Records,
+    far: Records,
+    missed: Bytes,
+    links: Records,
+    rules: Records,
+    looks_at_all: bool,
+    work: Ints,
+    count: int,
+    now_ns: int,
+) -> int:
+    """Append the drones that have become near, and of which one drone has missed rounds.
 
-    missed: rounds missed in a row, or Missed.ALL
-    rules: one row of AIRSPACE_RULES_ROW
-    now_ns: ns
+    looks_at_all: whether the other drones are looked at as well
+    work: receives the rows of these drones in the swarm, from `count` on
+    Other arguments as in check_distances.
+    Returns the new length of `work`.
     """
-    if missed == Missed.ALL:
-        return bool(now_ns - rules.began_ns >= FIRST_NEWS_NS)
-    # The rounds that are left keep what is known until the next checks.
-    return bool(missed >= rules.round_capacity - 4)
+    listener = listeners[at]
+    own = swarm[listener.place].state
+    own_speed = compute_speed(own)
+    now = now_ns / NS_PER_SECOND
+    for j in range(swarm.shape[0]):
+        lack = missed[at, j]
+        if lack == Missed.PAIRED or (lack == 0 and not looks_at_all):
+            continue
+        count_far(listener, far[j].kind, -1)
+        if j == listener.place:
+            continue
+        place, speed, state_time, heard_time = recall_round(
+            j, swarm, rounds, rules.round_capacity, lack, now
+        )
+        stays = is_unknown(lack, rules, now_ns) or listener.keeps_all != 0
+        if state_time > -math.inf:
+            apart = compute_distance(own, place, rules.scale)
+            stays |= is_near(apart, own_speed + speed, now - state_time, rules)
+        if links.shape[0] > 0:
+            stays |= links[at * swarm.shape[0] + j].kind == LinkKind.BY_HAND
+        if stays:
+            work[count] = j
+            count += 1
+        else:
+            kind = find_far_kind(place[2], state_time, heard_time, rules, now)
+            count_far(listener, kind, 1)
+    return count
+
+
+@kernel()
+def sort_rows(work: Ints, first: int, end: int) -> None:
+    """Sort a few whole numbers, most of which are in order.
+
+    work: (n,)
+    first: first place to sort
+    end: end of the places to sort
+    """
+    for n in range(first + 1, end):
+        row = work[n]
+        m = n - 1
+        while m >= first and work[m] > row:
+            work[m + 1] = work[m]
+            m -= 1
+        work[m + 1] = row
+
+
+@kernel()
+def find_back(
+    other: int, place: int, listeners: Records, paces: Records, swarm: Records
+) -> int:
+    """Return the row of what another drone knows of this one, or -1.
+
+    other: row of the other drone in the swarm
+    place: row of this drone in the swarm
+    listeners: LISTENER_ROW
+    paces: PACE_ROW
+    swarm: SWARM_ROW
+    """
+    receiver = swarm[other].listener
+    if receiver < 0:
+        return -1
+    return int(find_pair(listeners[receiver], paces, place))
+
+
+@kernel()
+def drop_pairs(
+    at: int,
+    count: int,
+    listeners: Records,
+    pairs: Records,
+    paces: Records,
+    swarm: Records,
+    missed: Bytes,
+    rules: Records,
+    work: Ints,
+) -> None:
+    """Drop the pairs of one drone that are far, and close the gaps.
+
+    count: number of pairs that stay, whose rows are in `work`
+    Other arguments as in check_distances.
+    """
+    listener = listeners[at]
+    own_height = swarm[listener.place].state[2]
+    kept = 0
+    for k in range(listener.first_pair, listener.first_pair + listener.pair_count):
+        if kept < count and work[kept] == k:
+            target = listener.first_pair + kept
+            kept += 1
+            if target != k:
+                copy_pair(pairs[k], pairs[target])
+                copy_pace(paces[k], paces[target])
+            continue
+        pair = pairs[k]
+        missed[at, pair.other] = 0
+        pair.meeting_time = math.inf
+        pair.age_limit = math.inf
+        back = find_back(pair.other, listener.place, listeners, paces, swarm)
+        pace_pair(pair, paces[k], back, own_height, paces, rules)
+    listener.pair_count = count
+
+
+@kernel()
+def add_pairs(
+    at: int,
+    first: int,
+    end: int,
+    listeners: Records,
+    pairs: Records,
+    paces: Records,
+    swarm: Records,
+    rounds: Records,
+    missed: Bytes,
+    rules: Records,
+    work: Ints,
+    now_ns: int,
+) -> None:
+    """Add the new pairs of one drone, such that all its pairs are ordered by id.
+
+    first: place in `work` of the first new pair
+    end: end of the new pairs
+    work: rows of the other drones of the new pairs in the swarm, in this order
+    Other arguments as in check_distances.
+    """
+    listener = listeners[at]
+    own = swarm[listener.place].state
+    own_speed = compute_speed(own)
+    now = now_ns / NS_PER_SECOND
+    old = listener.first_pair + listener.pair_count - 1
+    new = end - 1
+    listener.pair_count += end - first
+    target = listener.first_pair + listener.pair_count - 1
+    while new >= first:
+        other = work[new]
+        if old >= listener.first_pair and paces[old].other > other:
+            copy_pair(pairs[old], pairs[target])
+            copy_pace(paces[old], paces[target])
+            old -= 1
+        else:
+            pair = pairs[target]
+            fill_pair(
+                pair,
+                other,
+                swarm,
+                rounds,
+                rules.round_capacity,
+                missed[at, other],
+                now,
+            )
+            fill_pace(paces[target], other, swarm[other], rules.far_interval_ns, now_ns)
+            apart = compute_distance(own, pair.state, rules.scale)
+            measure_pair(pair, apart, own_speed + compute_speed(pair.state), rules, now)
+            missed[at, other] = Missed.PAIRED
+            new -= 1
+        target -= 1
+
+
+@kernel()
+def pace_pairs(
+    at: int,
+    listeners: Records,
+    pairs: Records,
+    paces: Records,
+    swarm: Records,
+    rules: Records,
+    now: float,
+) -> None:
+    """Set how often the pairs of one drone hear and send, and for which it should ask others.
+
+    Arguments as in check_distances; now: s
+    """
+    listener = listeners[at]
+    own_height = swarm[listener.place].state[2]
+    listener.check_count += 1
+    listener.sought_count = 0
+    for k in range(listener.first_pair, listener.first_pair + listener.pair_count):
+        pair = pairs[k]
+        pace = paces[k]
+        back = find_back(pair.other, listener.place, listeners, paces, swarm)
+        if back >= 0:
+            set_interval(pace, paces[back].sending_interval_ns, rules.far_interval_ns)
+        pair.is_sought = is_sought(pair, listener.check_count, now)
+        listener.sought_count += pair.is_sought
+        pace_pair(pair, pace, back, own_height, paces, rules)
 
 
 @kernel()
@@ -357,142 +426,176 @@ def check_pairs(
     at: int,
     listeners: Records,
     pairs: Records,
+    paces: Records,
     swarm: Records,
     rounds: Records,
+    far: Records,
     missed: Bytes,
     links: Records,
     rules: Records,
-    found: Records,
+    grid: Records,
+    begins: Ints,
+    order: Ints,
+    work: Ints,
     now_ns: int,
-) -> int:
-    """Write the near pairs of one drone to `found`, ordered by id, and return their number.
+) -> bool:
+    """Check the distances of one drone, and return whether there is room for its pairs.
 
-    Arguments as in check_distances.
+    Arguments as in check_distances. Without room, the check is not done.
     """
     listener = listeners[at]
-    own = swarm[listener.place].state
-    capacity = rules.round_capacity
     now = now_ns / NS_PER_SECOND
-    listener.far_heard = 0
-    listener.far_silent = 0
-    count = 0
-    k = listener.first_pair
-    for j in range(swarm.shape[0]):
-        if j == listener.place:
-            continue
-        lack = missed[at, j]
-        pair = found[count]
-        if lack == Missed.PAIRED:
-            copy_pair(pairs[k], pair)
-            k += 1
-            stays = is_behind(pair, swarm[j], rounds, capacity)
-        else:
-            fill_far_pair(pair, j, swarm, rounds, capacity, lack, now)
-            plan_times(pair, swarm[j], rules.far_interval_ns, now_ns)
-            stays = is_unknown(lack, rules, now_ns)
-        if pair.state_time > -math.inf:
-            stays |= is_near(own, pair.state, now - pair.state_time, rules)
-        if links.shape[0] > 0:
-            stays |= links[at * swarm.shape[0] + j].kind == LinkKind.BY_HAND
-        stays |= listener.keeps_all != 0
-        if stays:
-            measure_pair(own, pair, rules, now)
-            count += 1
-        else:
-            count_far(pair, listener, rules, now)
-            if lack == Missed.PAIRED:
-                pair.meeting_time = math.inf
-                pair.age_limit = math.inf
-                pace_pair(pair, listener.place, listeners, pairs, swarm, missed, rules)
-    return count
+    listener.far_heard = grid.heard
+    listener.far_silent = grid.silent
+    staying = find_staying_pairs(
+        at, listeners, pairs, swarm, rounds, far, links, rules, work, now
+    )
+    looks_at_all = listener.keeps_all != 0 or rules.has_by_hand != 0
+    end = find_by_bytes(
+        at,
+        listeners,
+        swarm,
+        rounds,
+        far,
+        missed,
+        links,
+        rules,
+        looks_at_all,
+        work,
+        staying,
+        now_ns,
+    )
+    if not looks_at_all:
+        end = find_in_cells(
+            at,
+            listeners,
+            swarm,
+            far,
+            missed,
+            rules,
+            grid,
+            begins,
+            order,
+            work,
+            end,
+            now,
+        )
+    if end > listener.pair_capacity:
+        return False
+    if staying < listener.pair_count:
+        drop_pairs(at, staying, listeners, pairs, paces, swarm, missed, rules, work)
+    if end > staying:
+        sort_rows(work, staying, end)
+        add_pairs(
+            at,
+            staying,
+            end,
+            listeners,
+            pairs,
+            paces,
+            swarm,
+            rounds,
+            missed,
+            rules,
+            work,
+            now_ns,
+        )
+    pace_pairs(at, listeners, pairs, paces, swarm, rules, now)
+    return True
 
 
 @kernel()
-def take_pairs(
-    at: int,
-    count: int,
-    listeners: Records,
-    pairs: Records,
-    swarm: Records,
-    missed: Bytes,
-    rules: Records,
-    found: Records,
-    now: float,
-) -> None:
-    """Replace the pairs of one drone by the first `count` rows of `found`.
+def is_check_due(at: int, listeners: Records, swarm: Records, now_ns: int) -> bool:
+    """Return whether the distances of one drone are due for a check.
 
-    Arguments as in check_distances; now: s
+    at: number of the drone
+    listeners: LISTENER_ROW
+    swarm: SWARM_ROW
+    now_ns: ns
     """
     listener = listeners[at]
-    listener.check_count += 1
-    listener.sought_count = 0
-    for k in range(listener.first_pair, listener.first_pair + listener.pair_count):
-        missed[at, pairs[k].other] = 0
-    for k in range(count):
-        pair = pairs[listener.first_pair + k]
-        copy_pair(found[k], pair)
-        missed[at, pair.other] = Missed.PAIRED
-        sender = swarm[pair.other]
-        if sender.listener >= 0:
-            back = find_pair(listeners[sender.listener], pairs, listener.place)
-            if back >= 0:
-                set_interval(
-                    pair, pairs[back].sending_interval_ns, rules.far_interval_ns
-                )
-    listener.pair_count = count
-    for k in range(count):
-        pair = pairs[listener.first_pair + k]
-        pair.is_sought = is_sought(pair, listener.check_count, now)
-        listener.sought_count += pair.is_sought
-        pace_pair(pair, listener.place, listeners, pairs, swarm, missed, rules)
+    if now_ns < listener.check_ns:
+        return False
+    is_lost = swarm[listener.place].state_time == -math.inf
+    return bool(not is_lost or listener.keeps_all != 0)
 
 
 @kernel(
     rows_of(LISTENER_ROW),
     rows_of(PAIR_ROW),
+    rows_of(PACE_ROW),
     rows_of(SWARM_ROW),
     rows_of(ROUND_ROW),
+    rows_of(FAR_ROW),
     byte_table,
     rows_of(LINK_ROW),
     rows_of(AIRSPACE_RULES_ROW),
-    rows_of(PAIR_ROW),
+    rows_of(GRID_ROW),
+    wholes,
+    wholes,
+    wholes,
     numba.int64,
 )
 def check_distances(
     listeners: Records,
     pairs: Records,
+    paces: Records,
     swarm: Records,
     rounds: Records,
+    far: Records,
     missed: Bytes,
     links: Records,
     rules: Records,
-    found: Records,
+    grid: Records,
+    begins: Ints,
+    order: Ints,
+    work: Ints,
     now_ns: int,
 ) -> int:
     """Find the near pairs of all drones that are due for a check.
 
     listeners: LISTENER_ROW
     pairs: PAIR_ROW
+    paces: PACE_ROW
     swarm: SWARM_ROW
     rounds: ROUND_ROW, (swarm x rounds that are kept,)
+    far: FAR_ROW, (swarm,)
     missed: (listeners, swarm): rounds missed in a row, or Missed
     links: LINK_ROW, (listeners x swarm,)
     rules: AIRSPACE_RULES_ROW, (1,)
-    found: PAIR_ROW, (swarm,): work space
+    grid: GRID_ROW, (1,)
+    begins: (CELLS_PER_DRONE x swarm + 1,): where the cells of the grid begin in `order`
+    order: (swarm,): rows of the swarm in the order of the cells
+    work: (swarm,): work space
     now_ns: ns
     Returns the first drone that needs room for more pairs, or -1. Its check is not done then.
     """
+    has_grid = False
     for at in range(listeners.shape[0]):
-        listener = listeners[at]
-        is_lost = swarm[listener.place].state_time == -math.inf
-        if now_ns < listener.check_ns or (is_lost and listener.keeps_all == 0):
+        if not is_check_due(at, listeners, swarm, now_ns):
             continue
-        count = check_pairs(
-            at, listeners, pairs, swarm, rounds, missed, links, rules[0], found, now_ns
-        )
-        if count > listener.pair_capacity:
+        if not has_grid:
+            has_grid = True
+            refresh_far(far, grid[0], swarm, rounds, rules[0], now_ns / NS_PER_SECOND)
+            build_grid(far, grid[0], rules[0], begins, order)
+        if not check_pairs(
+            at,
+            listeners,
+            pairs,
+            paces,
+            swarm,
+            rounds,
+            far,
+            missed,
+            links,
+            rules[0],
+            grid[0],
+            begins,
+            order,
+            work,
+            now_ns,
+        ):
             return at
-        now = now_ns / NS_PER_SECOND
-        take_pairs(at, count, listeners, pairs, swarm, missed, rules[0], found, now)
+        listener = listeners[at]
         listener.check_ns += ((now_ns - listener.check_ns) // CHECK_NS + 1) * CHECK_NS
     return -1

@@ -44,6 +44,8 @@ class StateLinks:
     ) -> None:
         self.rows = np.zeros(0, LINK_ROW)
         """(n,), in the order of the pairs; empty without a simulated network."""
+        self.has_by_hand = False
+        """Whether a link has the kind BY_HAND."""
         self._impairment = impairment
         self._pairs = pairs
         self._version = 0
@@ -73,6 +75,7 @@ class StateLinks:
             self._write()
         self._cuts = cuts
         self._cut()
+        self.has_by_hand = bool(np.any(self.rows["kind"] == LinkKind.BY_HAND))
 
     def _write(self) -> None:
         """Write the kinds, keys and thresholds of all links."""

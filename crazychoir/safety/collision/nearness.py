@@ -1,0 +1,194 @@
+"""Nearness: whether two drones could meet soon, or need each other's states often."""
+
+import math
+
+from crazychoir.numerics.kernels import kernel
+from crazychoir.runtime.clock import NS_PER_SECOND
+from crazychoir.safety.collision.airspace_rows import Missed
+from crazychoir.safety.collision.distances import BRAKING_MODEL, COLLISION_DISTANCES
+from crazychoir.safety.collision.motion import compute_norm
+from crazychoir.safety.collision.state_rates import (
+    FIRST_NEWS_TIME,
+    NEIGHBOUR_AGES,
+    RELAY_LEAD_TIME,
+    RELAY_REQUESTS,
+    SPEED_ALLOWANCE,
+    STATE_RATES,
+)
+from crazychoir.types import Records, Vec
+
+FIRST_NEWS_NS = int(NS_PER_SECOND * FIRST_NEWS_TIME)
+SPARE_CHECKED_ROUNDS = 4  # oldest rounds that are left until the next checks
+ROUNDING = 1e-3  # m, more than the rounding of distances
+
+
+@kernel()
+def compute_distance(p: Vec, q: Vec, scale: Vec) -> float:
+    """Return |S (p - q)| in m."""
+    return compute_norm(
+        (
+            scale[0] * (p[0] - q[0]),
+            scale[1] * (p[1] - q[1]),
+            scale[2] * (p[2] - q[2]),
+        )
+    )
+
+
+@kernel()
+def compute_speed(x: Vec) -> float:
+    """Return the speed in a state (13,), m/s."""
+    return compute_norm((x[3], x[4], x[5]))
+
+
+@kernel()
+def compute_age_limit(apart: float, rules: Records) -> float:
+    """Return the age in s of a state beyond which a drone brakes for want of a newer one.
+
+    apart: m
+    rules: one row of AIRSPACE_RULES_ROW
+    """
+    return float(
+        NEIGHBOUR_AGES.usable
+        + max(apart - rules.width - COLLISION_DISTANCES.silent_drone, 0.0) / rules.v_max
+    )
+
+
+@kernel()
+def compute_near_distance(speeds: float, rules: Records) -> float:
+    """Return the distance in m below which two drones could meet soon.
+
+    speeds: m/s, sum of the speeds of both
+    rules: one row of AIRSPACE_RULES_ROW
+    """
+    meets = 2.0 * rules.width + STATE_RATES.later * (speeds + SPEED_ALLOWANCE)
+    brakes = (
+        rules.width
+        + COLLISION_DISTANCES.silent_drone
+        + rules.v_max * (STATE_RATES.long_wait - NEIGHBOUR_AGES.usable)
+    )
+    return float(max(rules.range, meets, brakes))
+
+
+@kernel()
+def compute_flown_distance(age: float, rules: Records) -> float:
+    """Return the distance in m by which two drones may have come nearer by the next check.
+
+    A drone that is not heard may be anywhere within its largest speed times its age.
+
+    age: s, of the state of the other drone
+    rules: one row of AIRSPACE_RULES_ROW
+    """
+    return float(
+        2.0
+        * rules.v_max
+        * (min(age, BRAKING_MODEL.silent_flight_time) + STATE_RATES.check_interval)
+    )
+
+
+@kernel()
+def is_near(apart: float, speeds: float, age: float, rules: Records) -> bool:
+    """Return whether two drones could meet, or need each other's states more often than in rounds.
+
+    apart: m, between the newest known places
+    speeds: m/s, sum of the speeds of both
+    age: s, of the state of the other drone
+    rules: one row of AIRSPACE_RULES_ROW
+    """
+    if not age < NEIGHBOUR_AGES.gone:
+        return True
+    if age > compute_age_limit(apart, rules) - RELAY_LEAD_TIME:
+        return True
+    return bool(
+        apart - compute_flown_distance(age, rules)
+        < compute_near_distance(speeds, rules)
+    )
+
+
+@kernel()
+def compute_reach(speeds: float, age: float, rules: Records) -> float:
+    """Return a distance in m beyond which no drone is near: `is_near` is false there.
+
+    speeds: m/s, largest sum of the speeds of both
+    age: s, largest age of the state of the other drone, below NEIGHBOUR_AGES.gone
+    rules: one row of AIRSPACE_RULES_ROW
+    """
+    meets = compute_flown_distance(age, rules) + compute_near_distance(speeds, rules)
+    brakes = (
+        rules.width
+        + COLLISION_DISTANCES.silent_drone
+        + rules.v_max * max(age + RELAY_LEAD_TIME - NEIGHBOUR_AGES.usable, 0.0)
+    )
+    return float(max(meets, brakes) + ROUNDING)
+
+
+@kernel()
+def measure_pair(
+    pair: Records, apart: float, speeds: float, rules: Records, now: float
+) -> None:
+    """Store how soon a pair could meet, and how old its state may become.
+
+    pair: one row of PAIR_ROW
+    apart: m, between the newest known places
+    speeds: m/s, sum of the speeds of both
+    rules: one row of AIRSPACE_RULES_ROW
+    now: s
+    """
+    age = now - pair.state_time
+    stands = pair.state[2] < rules.standing_height
+    if not age < NEIGHBOUR_AGES.gone and not (stands and age < math.inf):
+        pair.meeting_time = math.inf
+        pair.age_limit = math.inf
+        return
+    pair.meeting_time = (apart - 2.0 * rules.width) / (speeds + SPEED_ALLOWANCE)
+    pair.age_limit = compute_age_limit(apart, rules)
+
+
+@kernel()
+def is_sought(pair: Records, check_count: int, now: float) -> bool:
+    """Return whether a drone should ask others for a newer state in this check.
+
+    It asks less often for a drone if RELAY_LEAD_TIME s of asking have not helped.
+
+    pair: one row of PAIR_ROW
+    check_count: number of this check
+    now: s
+    """
+    age = now - pair.state_time
+    if not age < NEIGHBOUR_AGES.gone:
+        return check_count % RELAY_REQUESTS.checks_if_gone == 0
+    needed = max(RELAY_REQUESTS.least_age, pair.age_limit - RELAY_LEAD_TIME)
+    if age <= needed:
+        return False
+    if age < needed + RELAY_LEAD_TIME:
+        return True
+    return check_count % RELAY_REQUESTS.checks_if_unanswered == 0
+
+
+@kernel()
+def is_behind(pair: Records, sender: Records, rounds: Records, capacity: int) -> bool:
+    """Return whether a drone has heard nothing since the latest round of another one.
+
+    It must not forget the pair: it would then count as having heard that round.
+
+    pair: one row of PAIR_ROW
+    sender: the other drone, one row of SWARM_ROW
+    rounds: ROUND_ROW, (swarm x capacity,)
+    capacity: rounds that are kept of each drone
+    """
+    if sender.round_count == 0:
+        return True
+    last = rounds[pair.other * capacity + (sender.round_count - 1) % capacity]
+    return bool(pair.heard_time < last.state_time)
+
+
+@kernel()
+def is_unknown(missed: int, rules: Records, now_ns: int) -> bool:
+    """Return whether another drone may be anywhere, because it was not heard for long.
+
+    missed: rounds missed in a row, or Missed.ALL
+    rules: one row of AIRSPACE_RULES_ROW
+    now_ns: ns
+    """
+    if missed == Missed.ALL:
+        return bool(now_ns - rules.began_ns >= FIRST_NEWS_NS)
+    return bool(missed >= rules.round_capacity - SPARE_CHECKED_ROUNDS)

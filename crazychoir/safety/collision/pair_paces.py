@@ -1,0 +1,107 @@
+"""The pace of pairs: how often the drones of a pair hear each other."""
+
+from crazychoir.numerics.kernels import kernel
+from crazychoir.safety.collision.airspace_rows import NEVER_NS
+from crazychoir.safety.collision.state_rates import find_interval
+from crazychoir.types import Records
+
+
+@kernel()
+def find_pair(listener: Records, paces: Records, other: int) -> int:
+    """Return the row of the pair of a drone with another one, or -1.
+
+    listener: one row of LISTENER_ROW
+    paces: PACE_ROW
+    other: row of SWARM_ROW
+    """
+    low = listener.first_pair
+    high = low + listener.pair_count
+    while low < high:
+        middle = (low + high) // 2
+        if paces[middle].other < other:
+            low = middle + 1
+        else:
+            high = middle
+    if low < listener.first_pair + listener.pair_count and paces[low].other == other:
+        return int(low)
+    return -1
+
+
+@kernel()
+def copy_pace(source: Records, target: Records) -> None:
+    """Copy one row of PACE_ROW to another one."""
+    target.other = source.other
+    target.interval_ns = source.interval_ns
+    target.due_ns = source.due_ns
+    target.sending_interval_ns = source.sending_interval_ns
+    target.sending_due_ns = source.sending_due_ns
+
+
+@kernel()
+def fill_pace(
+    pace: Records, other: int, sender: Records, far_interval_ns: int, now_ns: int
+) -> None:
+    """Set when a new pair hears and sends: as often as far drones, in the next round.
+
+    pace: one row of PACE_ROW
+    other: row of the other drone
+    sender: the other drone, one row of SWARM_ROW
+    far_interval_ns: ns
+    now_ns: ns
+    """
+    pace.other = other
+    pace.sending_interval_ns = far_interval_ns
+    if sender.listener >= 0:
+        pace.interval_ns = far_interval_ns
+        pace.due_ns = sender.round_due_ns
+        pace.sending_due_ns = NEVER_NS
+    else:
+        # Each state of a frame is heard: its sender decides how often it comes.
+        pace.interval_ns = 1
+        pace.due_ns = 0
+        pace.sending_due_ns = now_ns
+
+
+@kernel()
+def set_interval(pace: Records, interval_ns: int, far_interval_ns: int) -> None:
+    """Change how often a pair hears; it hears at once, then on the sender's grid of times.
+
+    pace: one row of PACE_ROW
+    interval_ns: ns
+    far_interval_ns: ns
+    """
+    if pace.interval_ns != interval_ns:
+        pace.interval_ns = interval_ns
+        pace.due_ns %= far_interval_ns
+
+
+@kernel()
+def pace_pair(
+    pair: Records,
+    pace: Records,
+    back: int,
+    own_height: float,
+    paces: Records,
+    rules: Records,
+) -> None:
+    """Send the own state to another drone as often as the distance demands.
+
+    A drone that stands on the floor sends it as to far drones: it comes near no other drone.
+
+    pair: what the sender knows of the receiver, one row of PAIR_ROW
+    pace: its row of PACE_ROW
+    back: row of what the receiver knows of the sender, or -1
+    own_height: m, of the sender
+    paces: PACE_ROW
+    rules: one row of AIRSPACE_RULES_ROW
+    """
+    far_interval_ns = rules.far_interval_ns
+    interval_ns = far_interval_ns
+    if own_height >= rules.standing_height:
+        interval_ns = find_interval(pair.meeting_time, pair.age_limit, far_interval_ns)
+    if pace.sending_interval_ns != interval_ns:
+        pace.sending_interval_ns = interval_ns
+        if pace.sending_due_ns != NEVER_NS:
+            pace.sending_due_ns %= far_interval_ns
+    if back >= 0:
+        set_interval(paces[back], interval_ns, far_interval_ns)
