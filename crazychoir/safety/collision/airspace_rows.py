@@ -38,13 +38,14 @@ ROUND_ROW = np.dtype(
 
 PAIR_ROW = np.dtype(
     [
-        ("other", np.int64),  # row of SWARM_ROW
-        ("drone", np.int64),  # id of the other drone
-        ("state", np.float64, 13),  # newest known state, as State.flat
-        ("acceleration", np.float64, 3),  # m/s2, as State.a
+        # What each tick reads of each pair lies together: times, place, velocity.
         ("state_time", np.float64),  # s, time of the state; -inf: none is known
         # s, time of the last state that the other drone sent itself. Others may relay newer ones.
         ("heard_time", np.float64),
+        ("state", np.float64, 13),  # newest known state, as State.flat
+        ("acceleration", np.float64, 3),  # m/s2, as State.a
+        ("other", np.int64),  # row of SWARM_ROW
+        ("drone", np.int64),  # id of the other drone
         ("share", np.float64),  # 1: the other drone gives way to no other; else 0.5
         ("meeting_time", np.float64),  # s until both could be near each other
         # s, age of the state beyond which this drone brakes for want of a newer one
