@@ -16,7 +16,12 @@ from crazychoir.guidance.decision.law_rows import (
 from crazychoir.numerics.kernels import kernel, rows_of, whole, wholes
 from crazychoir.planning.plan_row import PLAN_ROW, PlanKind, PlanRows, is_plan_over
 from crazychoir.runtime.clock import NS_PER_SECOND
-from crazychoir.safety.collision.airspace_rows import LINK_ROW, LOSS_ROW, LinkKind
+from crazychoir.safety.collision.airspace_rows import (
+    LINK_ROW,
+    LOSS_ROW,
+    LinkKind,
+    LinkKinds,
+)
 from crazychoir.safety.collision.hearing import link_kinds, pass_link
 from crazychoir.safety.rules.limits import limit_acceleration
 from crazychoir.safety.rules.modes import Mode
@@ -96,7 +101,7 @@ def deliver_rows(
     edges: Any,
     drones: DroneRows,
     links: Any,
-    kinds: Ints,
+    kinds: LinkKinds,
     losses: Any,
     now_ns: int,
     found: Ints,

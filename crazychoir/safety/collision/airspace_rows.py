@@ -3,6 +3,10 @@
 from enum import IntEnum
 
 import numpy as np
+import numpy.typing as npt
+
+LinkKinds = npt.NDArray[np.uint16]
+"""An array (n,) of LinkKind."""
 
 SWARM_ROW = np.dtype(
     [

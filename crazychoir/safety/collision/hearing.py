@@ -3,6 +3,7 @@
 import math
 
 import numba
+import numpy as np
 
 from crazychoir.bus.impairment.compiled_draws import draw_first_attempt, is_bad_state
 from crazychoir.numerics.kernels import kernel, matrix, rows_of, vector, wholes
@@ -18,6 +19,7 @@ from crazychoir.safety.collision.airspace_rows import (
     ROUND_ROW,
     SWARM_ROW,
     LinkKind,
+    LinkKinds,
     Missed,
 )
 from crazychoir.safety.collision.motion import compute_norm
@@ -85,7 +87,7 @@ def take_states(
 
 
 @kernel()
-def is_lost(key: int, losses: Records, number: int) -> bool:
+def is_lost(key: np.uint64, losses: Records, number: int) -> bool:
     """Return whether a draw loses a message, as Impairment.verdict.
 
     key: of the draws of the link
@@ -104,7 +106,7 @@ def is_lost(key: int, losses: Records, number: int) -> bool:
 
 @kernel()
 def pass_link(
-    links: Records, kinds: Ints, losses: Records, at: int, number: int
+    links: Records, kinds: LinkKinds, losses: Records, at: int, number: int
 ) -> LinkKind:
     """Return what happens to a message: CLEAR (it arrives), CUT (it is lost) or BY_HAND.
 
@@ -200,7 +202,7 @@ def hear_pairs(
     paces: Records,
     swarm: Records,
     links: Records,
-    kinds: Ints,
+    kinds: LinkKinds,
     losses: Records,
     now_ns: int,
 ) -> int:
@@ -298,7 +300,7 @@ def hear_rounds(
     swarm: Records,
     missed: Bytes,
     links: Records,
-    kinds: Ints,
+    kinds: LinkKinds,
     losses: Records,
     capacity: int,
 ) -> None:
@@ -406,7 +408,7 @@ def hear_states(
     far: Records,
     missed: Bytes,
     links: Records,
-    kinds: Ints,
+    kinds: LinkKinds,
     losses: Records,
     rules: Records,
     work: Ints,
