@@ -4,6 +4,7 @@ them can be computed in any order, in any process.
 Source of the mixing function: Steele, Lea & Flood 2014, OOPSLA (SplitMix64).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from hashlib import blake2b
 from typing import Any
@@ -55,6 +56,19 @@ def draw_key(*parts: object) -> int:
     return int.from_bytes(
         blake2b(repr(parts).encode(), digest_size=8).digest(), "little"
     )
+
+
+def draw_edge_keys(
+    seed: int, sources: Sequence[int], destination: int, channel: str
+) -> npt.NDArray[np.uint64]:
+    """Return draw_key(seed, source, destination, channel) of many sources, (n,)."""
+    end = f", {destination!r}, {channel!r})"
+    begin = f"({seed!r}, "
+    digests = [
+        blake2b(f"{begin}{source}{end}".encode(), digest_size=8).digest()
+        for source in sources
+    ]
+    return np.frombuffer(b"".join(digests), "<u8")
 
 
 def draw(key: int, number: int, attempt: int) -> int:

@@ -20,8 +20,13 @@ from crazychoir.guidance.decision.law_rows import (
 from crazychoir.numerics.kernels import kernel, rows_of, whole, wholes
 from crazychoir.planning.plan_row import PLAN_ROW, PlanKind, PlanRows, is_plan_over
 from crazychoir.runtime.clock import NS_PER_SECOND
-from crazychoir.safety.collision.airspace_rows import LINK_ROW, LinkKind
-from crazychoir.safety.collision.hearing import pass_link
+from crazychoir.safety.collision.airspace_rows import (
+    LINK_ROW,
+    LOSS_ROW,
+    LinkKind,
+    LinkKinds,
+)
+from crazychoir.safety.collision.hearing import link_kinds, pass_link
 from crazychoir.safety.rules.limits import limit_acceleration
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Ints
@@ -87,15 +92,31 @@ def _is_due(edge: Any, now_ns: int) -> bool:
     return True
 
 
-@kernel(rows_of(HEARING_ROW), rows_of(DRONE_ROW), rows_of(LINK_ROW), whole, wholes)
+@kernel(
+    rows_of(HEARING_ROW),
+    rows_of(DRONE_ROW),
+    rows_of(LINK_ROW),
+    link_kinds,
+    rows_of(LOSS_ROW),
+    whole,
+    wholes,
+)
 def deliver_rows(
-    edges: Any, drones: DroneRows, links: Any, now_ns: int, found: Ints
+    edges: Any,
+    drones: DroneRows,
+    links: Any,
+    kinds: LinkKinds,
+    losses: Any,
+    now_ns: int,
+    found: Ints,
 ) -> int:
     """Let laws hear the states of this tick of neighbours in this process.
 
     edges: (e,) of HEARING_ROW
     drones: of the batch
     links: (e,) of LINK_ROW; empty without a simulated network
+    kinds: (e,): LinkKind of each link
+    losses: (m,) of LOSS_ROW
     now_ns: ns
     found: (e,): receives the edges on which the simulated network may delay or duplicate states
     Returns how many these are.
@@ -108,7 +129,9 @@ def deliver_rows(
         if not _is_due(edge, now_ns):
             continue
         sender = drones[edge.source]
-        fate = pass_link(links, e, sender.number)
+        fate = LinkKind.CLEAR
+        if links.shape[0] > 0:
+            fate = pass_link(links, kinds, losses, e, sender.number)
         if fate == LinkKind.BY_HAND:
             found[count] = e
             count += 1

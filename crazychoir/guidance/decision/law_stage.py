@@ -163,8 +163,7 @@ class LawGroup:
 
     def __init__(self, laws: Sequence[StagedLaw], impairment: Impairment) -> None:
         self.laws = laws
-        pairs = [(j, law.drone) for law in laws for j in law.ids]
-        self.links = StateLinks(impairment, pairs)
+        self.links = StateLinks(impairment, [(law.drone, law.ids) for law in laws])
         """The simulated network on the edges of the team."""
         ends = np.cumsum([len(law.ids) for law in laws])
         rows = np.zeros(len(laws), LAW_ROW)
@@ -203,8 +202,16 @@ class LawGroup:
         """Let the laws hear the neighbours in this process."""
         team = self.team
         self.links.refresh(clock.now())
-        links = self.links.rows
-        count = deliver_rows(team.edges, batch.drones, links, team.now_ns, self._found)
+        links = self.links
+        count = deliver_rows(
+            team.edges,
+            batch.drones,
+            links.rows,
+            links.kinds,
+            links.losses,
+            team.now_ns,
+            self._found,
+        )
         for e in self._found[:count].tolist():
             self._deliver_by_hand(e, batch, clock, impairment)
 

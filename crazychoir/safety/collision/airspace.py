@@ -28,7 +28,7 @@ from crazychoir.safety.collision.hearing import (
 )
 from crazychoir.safety.collision.near_grid import CELLS_PER_DRONE
 from crazychoir.safety.collision.near_pairs import CHECK_NS, check_distances
-from crazychoir.safety.collision.state_links import PairsOfAll, StateLinks
+from crazychoir.safety.collision.state_links import StateLinks
 from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES, compute_far_rate
 from crazychoir.safety.collision.states_by_hand import STATE_BYTES, StatesByHand
 from crazychoir.types import Ints, LinkStatus, Mat, Records, State, Vec
@@ -81,7 +81,7 @@ class Airspace:
             (len(self.own_ids), len(self.ids)), Missed.ALL, dtype=np.uint8
         )
         """(listeners, swarm): rounds missed in a row, or Missed."""
-        self.links = StateLinks(bus.impairment, PairsOfAll(self.ids, self.own_ids))
+        self.links = StateLinks(bus.impairment, [(i, self.ids) for i in self.own_ids])
         self._trace_due_ns = 0
         self.trace: Callable[..., None] | None = None
         """Gets what each drone knows, when its distances are checked."""
@@ -111,6 +111,8 @@ class Airspace:
         ids = np.array(self.ids, np.int64)
         swarm["drone"] = ids
         swarm["listener"] = -1
+        swarm["lacking_count"] = len(self.own_ids)
+        swarm["lacking_count"][self.own_places] -= 1
         swarm["listener"][self.own_places] = np.arange(len(self.own_ids))
         swarm["state"][:, 9] = 1.0
         swarm["seen_state"][:, 9] = 1.0
@@ -203,6 +205,8 @@ class Airspace:
             self._far,
             self.missed,
             self.links.rows,
+            self.links.kinds,
+            self.links.losses,
             self.rules,
             self._work,
             now_ns,
@@ -231,7 +235,7 @@ class Airspace:
                 self.rounds,
                 self._far,
                 self.missed,
-                self.links.rows,
+                self.links.kinds,
                 self.rules,
                 self._grid,
                 self._begins,

@@ -3,6 +3,10 @@
 from enum import IntEnum
 
 import numpy as np
+import numpy.typing as npt
+
+LinkKinds = npt.NDArray[np.uint16]
+"""An array (n,) of LinkKind."""
 
 SWARM_ROW = np.dtype(
     [
@@ -13,6 +17,9 @@ SWARM_ROW = np.dtype(
         ("state_time", np.float64),  # s, time of the newest state; -inf: none
         ("round_count", np.int64),  # rounds so far
         ("round_due_ns", np.int64),  # ns, time of the next round
+        ("paired_count", np.int64),  # drones of this process that have a pair with it
+        # drones of this process without a pair that have not heard its last round
+        ("lacking_count", np.int64),
         ("state", np.float64, 13),  # the newest state, as State.flat
         ("acceleration", np.float64, 3),  # m/s2, as State.a
         ("phase_ns", np.int64),  # ns, shift of the drone's grid of times
@@ -94,6 +101,7 @@ GRID_ROW = np.dtype(
         ("fastest", np.float64),  # m/s, largest speed of a drone in the grid
         ("late_first", np.int64),  # first late drone in the order of the cells
         ("late_end", np.int64),  # end of the late drones in this order
+        ("lacking", np.int64),  # sum of lacking_count
         ("heard", np.int64),  # drones of kind HEARD
         ("silent", np.int64),  # drones of kind SILENT
     ]
@@ -121,24 +129,25 @@ LISTENER_ROW = np.dtype(
 
 LINK_ROW = np.dtype(
     [
-        ("kind", np.int64),  # LinkKind
         ("key", np.uint64),  # of the draws
-        ("threshold", np.uint64),  # draws below it lose the message in the good state
-        (
-            "bad_threshold",
-            np.uint64,
-        ),  # draws below it lose the message in the bad state
-        ("loses_bad", np.int64),  # 1: all messages are lost in the bad state
-        (
-            "p_good_bad",
-            np.float64,
-        ),  # probability that the burst chain turns bad; 0: no chain
-        ("p_bad_good", np.float64),  # probability that it turns good
-        ("sent", np.int64),  # messages since the last count
-        ("lost", np.int64),  # messages of these that were lost
+        ("sent", np.uint32),  # messages since the last count
+        ("lost", np.uint32),  # messages of these that were lost
     ]
 )
 """The simulated network on the way from one drone to a drone of this process."""
+
+LOSS_ROW = np.dtype(
+    [
+        ("threshold", np.uint64),  # draws below it lose the message in the good state
+        # draws below it lose the message in the bad state
+        ("bad_threshold", np.uint64),
+        ("loses_bad", np.int64),  # 1: all messages are lost in the bad state
+        # probability that the burst chain turns bad; 0: no chain
+        ("p_good_bad", np.float64),
+        ("p_bad_good", np.float64),  # probability that it turns good
+    ]
+)
+"""How links of one kind lose messages by draws."""
 
 AIRSPACE_RULES_ROW = np.dtype(
     [
@@ -158,16 +167,20 @@ AIRSPACE_RULES_ROW = np.dtype(
 
 
 class LinkKind(IntEnum):
-    """How a message is lost on its way."""
+    """How a message is lost on its way.
+
+    Links from DRAW on lose messages by draws, and by the state of a burst chain: a link of the kind
+    DRAW + k as in row k of LOSS_ROW.
+    """
 
     CLEAR = 0
     """Never."""
-    DRAW = 1
-    """By a draw, and by the state of a burst chain."""
-    CUT = 2
+    CUT = 1
     """Always."""
-    BY_HAND = 3
+    BY_HAND = 2
     """By the verdict of Impairment, which may also delay or duplicate it."""
+    DRAW = 3
+    """By draws as in the first row of LOSS_ROW."""
 
 
 class FarKind(IntEnum):

@@ -145,12 +145,14 @@ def refresh_far(
     now: s
     """
     late = rules.far_interval_ns / NS_PER_SECOND + STATE_RATES.check_interval
+    grid.lacking = 0
     grid.heard = 0
     grid.silent = 0
     grid.oldest = 0.0
     grid.fastest = 0.0
     for j in range(swarm.shape[0]):
         known = far[j]
+        grid.lacking += swarm[j].lacking_count
         if rules.has_seen != 0:
             place, known.speed, known.state_time, known.heard_time = recall_round(
                 j, swarm, rounds, rules.round_capacity, 0, now

@@ -3,6 +3,7 @@
 import math
 
 import numba
+import numpy as np
 
 from crazychoir.bus.impairment.compiled_draws import draw_first_attempt, is_bad_state
 from crazychoir.numerics.kernels import kernel, matrix, rows_of, vector, wholes
@@ -12,11 +13,13 @@ from crazychoir.safety.collision.airspace_rows import (
     FAR_ROW,
     LINK_ROW,
     LISTENER_ROW,
+    LOSS_ROW,
     PACE_ROW,
     PAIR_ROW,
     ROUND_ROW,
     SWARM_ROW,
     LinkKind,
+    LinkKinds,
     Missed,
 )
 from crazychoir.safety.collision.motion import compute_norm
@@ -30,6 +33,8 @@ LARGEST_ACCELERATION_NORM = 100.0
 
 integers = numba.types.Array(numba.int64, 1, "C", readonly=True)
 """An array (n,) of integers that a kernel reads."""
+link_kinds = numba.uint16[::1]
+"""An array (n,) of LinkKind."""
 byte_table = numba.uint8[:, ::1]
 """An array (m, n) of bytes that a kernel writes."""
 
@@ -82,38 +87,43 @@ def take_states(
 
 
 @kernel()
-def is_lost(link: Records, number: int) -> bool:
+def is_lost(key: np.uint64, losses: Records, number: int) -> bool:
     """Return whether a draw loses a message, as Impairment.verdict.
 
-    link: one row of LINK_ROW
+    key: of the draws of the link
+    losses: one row of LOSS_ROW
     number: number of the message
     """
-    threshold = link.threshold
-    if link.p_good_bad > 0.0 and is_bad_state(
-        link.key, number, link.p_good_bad, link.p_bad_good
+    threshold = losses.threshold
+    if losses.p_good_bad > 0.0 and is_bad_state(
+        key, number, losses.p_good_bad, losses.p_bad_good
     ):
-        if link.loses_bad != 0:
+        if losses.loses_bad != 0:
             return True
-        threshold = link.bad_threshold
-    return bool(draw_first_attempt(link.key, number) < threshold)
+        threshold = losses.bad_threshold
+    return bool(draw_first_attempt(key, number) < threshold)
 
 
 @kernel()
-def pass_link(links: Records, at: int, number: int) -> LinkKind:
+def pass_link(
+    links: Records, kinds: LinkKinds, losses: Records, at: int, number: int
+) -> LinkKind:
     """Return what happens to a message: CLEAR (it arrives), CUT (it is lost) or BY_HAND.
 
-    links: LINK_ROW; empty without a simulated network
+    links: LINK_ROW
+    kinds: (links,): LinkKind of each link
+    losses: LOSS_ROW
     at: row of the link
     number: number of the message
     """
-    if links.shape[0] == 0:
-        return LinkKind.CLEAR
-    link = links[at]
-    if link.kind == LinkKind.BY_HAND:
+    kind = int(kinds[at])
+    if kind == LinkKind.BY_HAND:
         return LinkKind.BY_HAND
+    link = links[at]
     link.sent += 1
-    if link.kind == LinkKind.CUT or (
-        link.kind == LinkKind.DRAW and is_lost(link, number)
+    if kind == LinkKind.CUT or (
+        kind >= LinkKind.DRAW
+        and is_lost(link.key, losses[kind - LinkKind.DRAW], number)
     ):
         link.lost += 1
         return LinkKind.CUT
@@ -192,6 +202,8 @@ def hear_pairs(
     paces: Records,
     swarm: Records,
     links: Records,
+    kinds: LinkKinds,
+    losses: Records,
     now_ns: int,
 ) -> int:
     """Let one drone hear the near drones that are due, and return how many wait for a verdict.
@@ -205,6 +217,8 @@ def hear_pairs(
     paces: PACE_ROW
     swarm: SWARM_ROW
     links: LINK_ROW, (listeners x swarm,)
+    kinds: (listeners x swarm,): LinkKind of each link
+    losses: LOSS_ROW
     now_ns: ns
     """
     waiting = 0
@@ -221,7 +235,11 @@ def hear_pairs(
         if sender.is_fresh == 0:
             continue
         pace.due_ns = find_next_time(pace.due_ns, pace.interval_ns, now_ns)
-        fate = pass_link(links, at * swarm.shape[0] + pace.other, sender.number)
+        fate = LinkKind.CLEAR
+        if links.shape[0] > 0:
+            fate = pass_link(
+                links, kinds, losses, at * swarm.shape[0] + pace.other, sender.number
+            )
         count_message(listeners, sender, fate)
         if fate == LinkKind.CLEAR:
             hear_state(pairs[k], sender)
@@ -274,37 +292,50 @@ def say_round(
 
 
 @kernel()
-def hear_round(
+def hear_rounds(
     at: int,
-    other: int,
+    senders: Ints,
+    count: int,
     listeners: Records,
     swarm: Records,
     missed: Bytes,
     links: Records,
+    kinds: LinkKinds,
+    losses: Records,
     capacity: int,
 ) -> None:
-    """Let one drone hear or miss the round of a far drone.
+    """Let one drone hear or miss the rounds of some far drones.
 
     at: number of the drone
-    other: row of the far drone in the swarm
+    senders: rows of the far drones in the swarm
+    count: number of these drones
     listeners: LISTENER_ROW
     swarm: SWARM_ROW
     missed: (listeners, swarm): rounds missed in a row, or Missed
     links: LINK_ROW, (listeners x swarm,)
+    kinds: (listeners x swarm,): LinkKind of each link
+    losses: LOSS_ROW
     capacity: rounds that are kept of each drone
     """
-    before = missed[at, other]
-    sender = swarm[other]
-    if before == Missed.PAIRED or at == sender.listener:
-        return
-    fate = pass_link(links, at * swarm.shape[0] + other, sender.number)
-    count_message(listeners, sender, fate)
-    if fate == LinkKind.CLEAR:
-        missed[at, other] = 0
-    elif before < capacity - 1:
-        missed[at, other] = before + 1
-    else:
-        missed[at, other] = Missed.ALL
+    heard = missed[at]
+    place = listeners[at].place
+    for k in range(count):
+        other = senders[k]
+        before = heard[other]
+        if before == Missed.PAIRED or other == place:
+            continue
+        sender = swarm[other]
+        fate = LinkKind.CLEAR
+        if links.shape[0] > 0:
+            fate = pass_link(
+                links, kinds, losses, at * swarm.shape[0] + other, sender.number
+            )
+        count_message(listeners, sender, fate)
+        if fate == LinkKind.CLEAR:
+            heard[other] = 0
+            continue
+        sender.lacking_count += 1
+        heard[other] = before + 1 if before < capacity - 1 else Missed.ALL
 
 
 @kernel()
@@ -314,15 +345,20 @@ def say_rounds(
     rounds: Records,
     far: Records,
     rules: Records,
+    has_network: bool,
     due: Ints,
     now_ns: int,
 ) -> int:
-    """Keep the newest states of all drones whose round is due, and return how many these are.
+    """Keep the newest states of all drones whose round is due.
+
+    Without a simulated network all drones hear it, so their bytes in `missed` stay zero.
 
     rules: one row of AIRSPACE_RULES_ROW
-    due: (swarm,): receives the rows of these drones in the swarm
+    has_network: whether a network is simulated
+    due: (swarm,): receives the rows of drones whose round a drone may miss, or has missed before
     now_ns: ns
-    Other arguments as in say_round and hear_round.
+    Other arguments as in say_round and hear_rounds.
+    Returns the number of rows in `due`.
     """
     count = 0
     for j in range(swarm.shape[0]):
@@ -338,8 +374,13 @@ def say_rounds(
         say_round(sender, j, rounds, far, rules.round_capacity)
         if sender.listener >= 0:
             listeners[sender.listener].is_frame_due = 1
-        due[count] = j
-        count += 1
+        if has_network or sender.lacking_count > 0:
+            sender.lacking_count = 0
+            due[count] = j
+            count += 1
+        elif sender.listener >= 0:
+            others = listeners.shape[0] - 1 - sender.paired_count
+            listeners[sender.listener].sent += others
     return count
 
 
@@ -352,6 +393,8 @@ def say_rounds(
     rows_of(FAR_ROW),
     byte_table,
     rows_of(LINK_ROW),
+    link_kinds,
+    rows_of(LOSS_ROW),
     rows_of(AIRSPACE_RULES_ROW),
     wholes,
     numba.int64,
@@ -365,6 +408,8 @@ def hear_states(
     far: Records,
     missed: Bytes,
     links: Records,
+    kinds: LinkKinds,
+    losses: Records,
     rules: Records,
     work: Ints,
     now_ns: int,
@@ -374,22 +419,33 @@ def hear_states(
     rules: AIRSPACE_RULES_ROW, (1,)
     work: (swarm,): work space
     now_ns: ns
-    Other arguments as in hear_pairs, say_round and hear_round.
+    Other arguments as in hear_pairs, say_round and hear_rounds.
     """
     waiting = 0
     for i in range(listeners.shape[0]):
         listener = listeners[i]
         listener.is_frame_due = 0
         waiting += hear_pairs(
-            listener, i, listeners, pairs, paces, swarm, links, now_ns
+            listener, i, listeners, pairs, paces, swarm, links, kinds, losses, now_ns
         )
         if rules[0].has_seen != 0:
             see_pairs(listener, pairs, swarm, now_ns / NS_PER_SECOND)
-    count = say_rounds(swarm, listeners, rounds, far, rules[0], work, now_ns)
+    count = say_rounds(
+        swarm, listeners, rounds, far, rules[0], links.shape[0] > 0, work, now_ns
+    )
+    capacity = rules[0].round_capacity
     # The bytes of a listener are side by side.
     for i in range(listeners.shape[0]):
-        for k in range(count):
-            hear_round(
-                i, work[k], listeners, swarm, missed, links, rules[0].round_capacity
-            )
+        hear_rounds(
+            i,
+            work,
+            count,
+            listeners,
+            swarm,
+            missed,
+            links,
+            kinds,
+            losses,
+            capacity,
+        )
     return waiting

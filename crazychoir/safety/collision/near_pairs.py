@@ -15,13 +15,13 @@ from crazychoir.safety.collision.airspace_rows import (
     AIRSPACE_RULES_ROW,
     FAR_ROW,
     GRID_ROW,
-    LINK_ROW,
     LISTENER_ROW,
     PACE_ROW,
     PAIR_ROW,
     ROUND_ROW,
     SWARM_ROW,
     LinkKind,
+    LinkKinds,
     Missed,
 )
 from crazychoir.safety.collision.far_drones import (
@@ -31,7 +31,7 @@ from crazychoir.safety.collision.far_drones import (
     recall_round,
     refresh_far,
 )
-from crazychoir.safety.collision.hearing import byte_table
+from crazychoir.safety.collision.hearing import byte_table, link_kinds
 from crazychoir.safety.collision.near_grid import build_grid, find_cells
 from crazychoir.safety.collision.nearness import (
     compute_distance,
@@ -83,7 +83,7 @@ def find_staying_pairs(
     swarm: Records,
     rounds: Records,
     far: Records,
-    links: Records,
+    kinds: LinkKinds,
     rules: Records,
     work: Ints,
     now: float,
@@ -105,9 +105,8 @@ def find_staying_pairs(
         stays |= listener.keeps_all != 0
         if pair.state_time > -math.inf:
             stays |= is_near(apart, speeds, now - pair.state_time, rules)
-        if links.shape[0] > 0:
-            link = links[at * swarm.shape[0] + pair.other]
-            stays |= link.kind == LinkKind.BY_HAND
+        if rules.has_by_hand != 0:
+            stays |= kinds[at * swarm.shape[0] + pair.other] == LinkKind.BY_HAND
         if stays:
             measure_pair(pair, apart, speeds, rules, now)
             work[count] = k
@@ -222,7 +221,7 @@ def find_by_bytes(
     rounds: Records,
     far: Records,
     missed: Bytes,
-    links: Records,
+    kinds: LinkKinds,
     rules: Records,
     looks_at_all: bool,
     work: Ints,
@@ -244,9 +243,9 @@ def find_by_bytes(
         lack = missed[at, j]
         if lack == Missed.PAIRED or (lack == 0 and not looks_at_all):
             continue
-        count_far(listener, far[j].kind, -1)
         if j == listener.place:
             continue
+        count_far(listener, far[j].kind, -1)
         place, speed, state_time, heard_time = recall_round(
             j, swarm, rounds, rules.round_capacity, lack, now
         )
@@ -254,8 +253,8 @@ def find_by_bytes(
         if state_time > -math.inf:
             apart = compute_distance(own, place, rules.scale)
             stays |= is_near(apart, own_speed + speed, now - state_time, rules)
-        if links.shape[0] > 0:
-            stays |= links[at * swarm.shape[0] + j].kind == LinkKind.BY_HAND
+        if rules.has_by_hand != 0:
+            stays |= kinds[at * swarm.shape[0] + j] == LinkKind.BY_HAND
         if stays:
             work[count] = j
             count += 1
@@ -330,6 +329,7 @@ def drop_pairs(
             continue
         pair = pairs[k]
         missed[at, pair.other] = 0
+        swarm[pair.other].paired_count -= 1
         pair.meeting_time = math.inf
         pair.age_limit = math.inf
         back = find_back(pair.other, listener.place, listeners, paces, swarm)
@@ -387,6 +387,8 @@ def add_pairs(
             fill_pace(paces[target], other, swarm[other], rules.far_interval_ns, now_ns)
             apart = compute_distance(own, pair.state, rules.scale)
             measure_pair(pair, apart, own_speed + compute_speed(pair.state), rules, now)
+            swarm[other].paired_count += 1
+            swarm[other].lacking_count -= missed[at, other] != 0
             missed[at, other] = Missed.PAIRED
             new -= 1
         target -= 1
@@ -431,7 +433,7 @@ def check_pairs(
     rounds: Records,
     far: Records,
     missed: Bytes,
-    links: Records,
+    kinds: LinkKinds,
     rules: Records,
     grid: Records,
     begins: Ints,
@@ -447,24 +449,27 @@ def check_pairs(
     now = now_ns / NS_PER_SECOND
     listener.far_heard = grid.heard
     listener.far_silent = grid.silent
+    count_far(listener, far[listener.place].kind, -1)
     staying = find_staying_pairs(
-        at, listeners, pairs, swarm, rounds, far, links, rules, work, now
+        at, listeners, pairs, swarm, rounds, far, kinds, rules, work, now
     )
     looks_at_all = listener.keeps_all != 0 or rules.has_by_hand != 0
-    end = find_by_bytes(
-        at,
-        listeners,
-        swarm,
-        rounds,
-        far,
-        missed,
-        links,
-        rules,
-        looks_at_all,
-        work,
-        staying,
-        now_ns,
-    )
+    end = staying
+    if looks_at_all or grid.lacking > 0:
+        end = find_by_bytes(
+            at,
+            listeners,
+            swarm,
+            rounds,
+            far,
+            missed,
+            kinds,
+            rules,
+            looks_at_all,
+            work,
+            staying,
+            now_ns,
+        )
     if not looks_at_all:
         end = find_in_cells(
             at,
@@ -528,7 +533,7 @@ def is_check_due(at: int, listeners: Records, swarm: Records, now_ns: int) -> bo
     rows_of(ROUND_ROW),
     rows_of(FAR_ROW),
     byte_table,
-    rows_of(LINK_ROW),
+    link_kinds,
     rows_of(AIRSPACE_RULES_ROW),
     rows_of(GRID_ROW),
     wholes,
@@ -544,7 +549,7 @@ def check_distances(
     rounds: Records,
     far: Records,
     missed: Bytes,
-    links: Records,
+    kinds: LinkKinds,
     rules: Records,
     grid: Records,
     begins: Ints,
@@ -561,7 +566,7 @@ def check_distances(
     rounds: ROUND_ROW, (swarm x rounds that are kept,)
     far: FAR_ROW, (swarm,)
     missed: (listeners, swarm): rounds missed in a row, or Missed
-    links: LINK_ROW, (listeners x swarm,)
+    kinds: (listeners x swarm,): LinkKind of each link, if a link has the kind BY_HAND
     rules: AIRSPACE_RULES_ROW, (1,)
     grid: GRID_ROW, (1,)
     begins: (CELLS_PER_DRONE x swarm + 1,): where the cells of the grid begin in `order`
@@ -587,7 +592,7 @@ def check_distances(
             rounds,
             far,
             missed,
-            links,
+            kinds,
             rules[0],
             grid[0],
             begins,

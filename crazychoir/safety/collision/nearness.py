@@ -3,6 +3,7 @@
 import math
 
 from crazychoir.numerics.kernels import kernel
+from crazychoir.numerics.math3d import Triple
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.collision.airspace_rows import Missed
 from crazychoir.safety.collision.distances import BRAKING_MODEL, COLLISION_DISTANCES
@@ -23,7 +24,7 @@ ROUNDING = 1e-3  # m, more than the rounding of distances
 
 
 @kernel()
-def compute_distance(p: Vec, q: Vec, scale: Vec) -> float:
+def compute_distance(p: Vec, q: Vec | Triple, scale: Vec) -> float:
     """Return |S (p - q)| in m."""
     return compute_norm(
         (

@@ -1,55 +1,43 @@
 """The simulated network as records: what becomes of states on their way between drones."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from crazychoir.bus.impairment.model import Impairment
-from crazychoir.bus.impairment.random_draws import RANDOM_DRAWS, draw_key
+from crazychoir.bus.impairment.random_draws import RANDOM_DRAWS, draw_edge_keys
 from crazychoir.bus.impairment.rules import EdgeEffects, effects_on_edge
 from crazychoir.bus.topics import DRONE_TOPICS
-from crazychoir.safety.collision.airspace_rows import LINK_ROW, LinkKind
+from crazychoir.safety.collision.airspace_rows import LINK_ROW, LOSS_ROW, LinkKind
 from crazychoir.types import Records
-
-
-class PairsOfAll(Sequence[tuple[int, int]]):
-    """The pairs (source, destination) of all sources with all destinations, without a list of them.
-
-    sources: ids
-    destinations: ids; the pairs of the first destination come first
-    """
-
-    def __init__(self, sources: Sequence[int], destinations: Sequence[int]) -> None:
-        self._sources = sources
-        self._destinations = destinations
-
-    def __len__(self) -> int:
-        return len(self._sources) * len(self._destinations)
-
-    def __getitem__(self, at: Any) -> Any:
-        i, j = divmod(at, len(self._sources))
-        return self._sources[j], self._destinations[i]
 
 
 class StateLinks:
     """The links between some drones, one record a pair.
 
     impairment: the simulated network
-    pairs: (source, destination) of each link
+    sources: each drone that hears others, with the ids of these in the order of the links
     """
 
     def __init__(
-        self, impairment: Impairment, pairs: Sequence[tuple[int, int]]
+        self,
+        impairment: Impairment,
+        sources: Sequence[tuple[int, Sequence[int]]],
     ) -> None:
         self.rows = np.zeros(0, LINK_ROW)
-        """(n,), in the order of the pairs; empty without a simulated network."""
+        """(n,), in the order of `sources`; empty without a simulated network."""
+        self.kinds = np.zeros(0, np.uint16)
+        """(n,): LinkKind of each link; empty without a simulated network."""
+        self.losses = np.zeros(0, LOSS_ROW)
+        """(m,): how the links of the kinds from LinkKind.DRAW on lose messages."""
         self.has_by_hand = False
         """Whether a link has the kind BY_HAND."""
         self._impairment = impairment
-        self._pairs = pairs
+        self._sources = sources
+        self._ends = np.cumsum([len(ids) for _, ids in sources])
         self._version = 0
         self._cuts: tuple[bool, ...] = ()
+        self._kind_of_effects: dict[EdgeEffects, int] = {}
         impairment.count_sources.append(self.count)
 
     def close(self) -> None:
@@ -70,60 +58,90 @@ class StateLinks:
         if network.version == self._version and cuts == self._cuts:
             return
         self.count()
-        if network.version != self._version:
-            self._version = network.version
-            self._write()
+        self._version = network.version
         self._cuts = cuts
-        self._cut()
-        self.has_by_hand = bool(np.any(self.rows["kind"] == LinkKind.BY_HAND))
+        self._write()
 
     def _write(self) -> None:
         """Write the kinds, keys and thresholds of all links."""
-        network = self._impairment
-        self.rows = np.zeros(0, LINK_ROW)
-        if not network.active:
+        self._kind_of_effects = {}
+        self.losses = np.zeros(0, LOSS_ROW)
+        if self._impairment.active:
+            self._write_keys()
+            self.kinds = np.zeros(len(self.rows), np.uint16)
+            self._write_kinds()
+            self._cut()
+        else:
+            self.rows = np.zeros(0, LINK_ROW)
+            self.kinds = np.zeros(0, np.uint16)
+        self.has_by_hand = bool(np.any(self.kinds == LinkKind.BY_HAND))
+
+    def _write_keys(self) -> None:
+        """Write the keys of all links, unless they are known: the seed does not change."""
+        if len(self.rows) > 0:
             return
-        self.rows = np.zeros(len(self._pairs), LINK_ROW)
-        common = effects_on_edge(
-            [rule for rule in network.rules if rule.rank == 0], -1, -1
+        count = sum(len(ids) for _, ids in self._sources)
+        self.rows = np.zeros(count, LINK_ROW)
+        topic = DRONE_TOPICS.state.name
+        for (i, ids), end in zip(self._sources, self._ends.tolist(), strict=True):
+            keys = draw_edge_keys(self._impairment.seed, ids, i, topic)
+            self.rows["key"][end - len(ids) : end] = keys
+
+    def _write_kinds(self) -> None:
+        """Write the kinds of all links, without the partitions."""
+        rules = self._impairment.rules
+        common = self._find_kind(
+            effects_on_edge([rule for rule in rules if rule.rank == 0], -1, -1)
         )
-        named = {rule.drone for rule in network.rules}
-        named |= {j for rule in network.rules for j in rule.edge or ()}
-        for at, row in enumerate(self.rows):
-            j, i = self._pairs[at]
-            if i == j:
-                continue
-            is_named = i in named or j in named
-            effects = effects_on_edge(network.rules, j, i) if is_named else common
-            row["kind"] = _find_kind(effects)
-            if row["kind"] == LinkKind.DRAW:
-                row["key"] = draw_key(network.seed, j, i, DRONE_TOPICS.state.name)
-                _write_losses(row, effects)
+        named = {rule.drone for rule in rules}
+        named |= {j for rule in rules for j in rule.edge or ()}
+        for (i, ids), end in zip(self._sources, self._ends.tolist(), strict=True):
+            kinds = self.kinds[end - len(ids) : end]
+            kinds[:] = common
+            for k, j in enumerate(ids):
+                if i == j:
+                    kinds[k] = LinkKind.CLEAR
+                elif i in named or j in named:
+                    kinds[k] = self._find_kind(effects_on_edge(rules, j, i))
 
     def _cut(self) -> None:
-        """Cut the links that a partition cuts now, and restore the others."""
-        network = self._impairment
-        if not network.partitions:
-            return
-        self._write()
+        """Cut the links that a partition cuts now."""
         active = [
             cut
-            for cut, is_active in zip(network.partitions, self._cuts, strict=True)
+            for cut, is_active in zip(
+                self._impairment.partitions, self._cuts, strict=True
+            )
             if is_active
         ]
-        for at, row in enumerate(self.rows):
-            j, i = self._pairs[at]
-            # The verdict of a link by hand knows the partitions itself.
-            if row["kind"] != LinkKind.BY_HAND and any(
-                cut.cuts(j, i) for cut in active
-            ):
-                row["kind"] = LinkKind.CUT
+        if not active:
+            return
+        for (i, ids), end in zip(self._sources, self._ends.tolist(), strict=True):
+            kinds = self.kinds[end - len(ids) : end]
+            for k, j in enumerate(ids):
+                # The verdict of a link by hand knows the partitions itself.
+                if kinds[k] != LinkKind.BY_HAND and any(
+                    cut.cuts(j, i) for cut in active
+                ):
+                    kinds[k] = LinkKind.CUT
+
+    def _find_kind(self, effects: EdgeEffects) -> int:
+        """Return the kind of a link with these effects; add a row of losses if it is new."""
+        kind = self._kind_of_effects.get(effects)
+        if kind is None:
+            kind = int(_find_kind(effects))
+            if kind == LinkKind.DRAW:
+                kind += len(self.losses)
+                self.losses = np.append(self.losses, _compute_losses(effects))
+            self._kind_of_effects[effects] = kind
+        return kind
 
     def count(self) -> None:
         """Give the counts since the last call to the simulated network."""
-        for at in np.flatnonzero(self.rows["sent"]).tolist():
-            row = self.rows[at]
-            self._impairment.count(*self._pairs[at], int(row["sent"]), int(row["lost"]))
+        for (i, ids), end in zip(self._sources, self._ends.tolist(), strict=True):
+            rows = self.rows[end - len(ids) : end]
+            for k in np.flatnonzero(rows["sent"]).tolist():
+                sent, lost = int(rows["sent"][k]), int(rows["lost"][k])
+                self._impairment.count(ids[k], i, sent, lost)
         self.rows["sent"] = 0
         self.rows["lost"] = 0
 
@@ -141,16 +159,18 @@ def _find_kind(effects: EdgeEffects) -> LinkKind:
     return LinkKind.DRAW if effects.loss > 0.0 else LinkKind.CLEAR
 
 
-def _write_losses(row: Records, effects: EdgeEffects) -> None:
-    """Write the thresholds and the burst chain of a link that loses messages by draws.
+def _compute_losses(effects: EdgeEffects) -> Records:
+    """Return the thresholds and the burst chain of links that lose messages by draws.
 
-    row: one row of LINK_ROW
     effects: with a loss below 1, or with a burst chain
+    Returns (1,) LOSS_ROW.
     """
     most = RANDOM_DRAWS.range_size - 1
     bad = round(effects.loss_bad * RANDOM_DRAWS.range_size)
+    row = np.zeros(1, LOSS_ROW)
     row["threshold"] = min(round(effects.loss * RANDOM_DRAWS.range_size), most)
     row["bad_threshold"] = min(bad, most)
     row["loses_bad"] = bad > most
     row["p_good_bad"] = effects.p_good_bad
     row["p_bad_good"] = effects.p_bad_good
+    return row
