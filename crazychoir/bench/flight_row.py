@@ -114,7 +114,7 @@ def read_peak_memory() -> float:
     """
     status = Path("/proc/self/status")
     if status.exists():
-        for line in status.read_text().splitlines():
+        for line in status.read_text(encoding="utf-8").splitlines():
             if line.startswith("VmHWM:"):
                 return float(line.split()[1]) / KIB_PER_MB
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / KIB_PER_MB

@@ -15,7 +15,7 @@ from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.topics import (
     MESSAGE_TOPICS,
-    OBSERVABLE_TOPICS,
+    REQUESTED_TOPICS,
     TOPIC_BY_NAME,
     TOPIC_BY_NUMBER,
     MessageClass,
@@ -374,7 +374,7 @@ class Bus:
     def add_remote_interests(self, interests: list[Interest]) -> None:
         """Add the interests of another process."""
         for interest in interests:
-            if interest.topic in OBSERVABLE_TOPICS:
+            if interest.topic in REQUESTED_TOPICS:
                 for address in self._sources(interest):
                     self.ports[address].add_reader(interest, None)
 
@@ -383,6 +383,253 @@ class Bus:
         if interest.source != PORT_ADDRESSES.any_drone:
             return [interest.source] if interest.source in self.ports else []
         return [address for address in self.drones() if address != interest.reader]
+
+    def drop_readers(self, addresses: list[int]) -> None:
+        """Remove these ports of another process from all readers."""
+        for port in self.ports.values():
+            port.drop_readers(addresses)
+
+    def note_reader_change(self) -> None:
+        """Note that a topic has gained or lost a reader."""
+        self._read_addresses.clear()
+
+    def find_read_addresses(self, topic: Topic) -> tuple[int, ...]:
+        """Return the addresses in this process from which this topic is read, in order.
+
+        The answer is the same tuple until a reader comes or goes. So a publisher of many drones
+        asks once, and not each port.
+        """
+        number = topic.number
+        addresses = self._read_addresses.get(number)
+        if addresses is None:
+            addresses = self._read_addresses[number] = tuple(
+                sorted(
+                    address
+                    for address, topics in self._readers.items()
+                    if number in topics and topics[number].is_read
+                )
+            )
+        return addresses
+
+
+@dataclass(eq=False)
+class Port:
+    """The place of one drone or one observer on the bus."""
+
+    bus: Bus
+    """Bus of the process."""
+    address: int
+    """Drone id or address of an observer."""
+    incarnation: int
+    """Number that a restarted process changes."""
+    counters: Counters = field(default_factory=Counters)
+    """Counts of its messages."""
+    handlers: dict[int, Handler] = field(default_factory=dict)
+    """{topic: callable that gets its messages}."""
+    mailboxes: dict[int, dict[int, list[AnyMailbox]]] = field(default_factory=dict)
+    """{topic: {source or PORT_ADDRESSES.any_drone: mailboxes}}."""
+    heard_ns: dict[int, int] = field(default_factory=dict)
+    """ns: {address: time of its last message}."""
+    ignored_beats: dict[int, bytes] = field(default_factory=dict)
+    """{drone id: payload of its heartbeat that changes nothing when it is repeated}."""
+    latched: LatchedValues = field(default_factory=LatchedValues)
+    """Values for readers that come later."""
+    _readers: dict[int, Readers] = field(default_factory=dict)
+    _numbers: dict[int, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._now_ns = self.bus.clock.now_ns
+
+    def send(
+        self,
+        topic: Topic,
+        to: Sequence[int],
+        payload: bytes,
+        number: int = 0,
+        channel: str = "",
+        flags: int = 0,
+        attempt: int = 0,
+        age: float = 0.0,
+    ) -> None:
+        """Send to each address of `to`, in any process.
+
+        Messages between drones pass the simulated network.
+        """
+        bus = self.bus
+        ports = self.bus.ports
+        sent = 0
+        impaired = topic.impaired and bus.impairment.active
+        if bus.forwarder is not None:
+            # Messages to other processes go first: those work while we go on.
+            far = []
+            # A loop is faster here: a comprehension makes a function for each message.
+            for j in to:
+                if j not in ports and not (
+                    impaired and j < PORT_ADDRESSES.first_observer
+                ):
+                    far.append(j)
+            if far:
+                self._forward(topic, far, payload, number, channel, flags, age)
+                sent += sum(j < PORT_ADDRESSES.first_observer for j in far)
+                to = [
+                    j
+                    for j in to
+                    if j in ports or (impaired and j < PORT_ADDRESSES.first_observer)
+                ]
+                if to and topic.klass is MessageClass.ROUNDS:
+                    # Other processes wait for this round, and we wait for theirs: they go first.
+                    here = partial(
+                        self.send,
+                        topic,
+                        to,
+                        payload,
+                        number,
+                        channel,
+                        flags,
+                        attempt,
+                        age,
+                    )
+                    bus.forwarder.then(here)
+                    to = ()
+        for j in to:
+            if j < PORT_ADDRESSES.first_observer:
+                sent += 1
+                if impaired:
+                    self._send_impaired(
+                        topic, j, payload, number, channel, flags, attempt, age
+                    )
+                    continue
+            port = ports.get(j)
+            if port is not None:
+                port.deliver(
+                    topic.number, self.address, payload, number, channel, flags, age
+                )
+            elif bus.forwarder is None:
+                bus.unroutable += 1
+        self.counters.sent += sent
+        self.counters.bytes += sent * len(payload)
+
+    def is_read(self, topic: Topic) -> bool:
+        """Return whether this topic of this port has a reader."""
+        readers = self._readers.get(topic.number)
+        return readers is not None and readers.is_read
+
+    def publish(self, topic: Topic, value: Any, age: float = 0.0) -> None:
+        """Give a value to all its readers; this costs nothing without readers."""
+        if topic.latched:
+            self.latched.keep(topic, value, self._now_ns() - round(age * NS_PER_SECOND))
+        readers = self._readers.get(topic.number)
+        if readers is None:
+            return
+        for mailbox in readers.mailboxes:
+            mailbox.put(value, age)
+        to = readers.every
+        if readers.some:
+            to = [*to, *readers.now_due(self.bus.clock.now_ns())]
+        if to:
+            number = self._numbers[topic.number] = (
+                self._numbers.get(topic.number, 0) + 1
+            )
+            payload = encode(value)
+            bus = self.bus
+            if bus.forwarder is None and bus.tap is None and not bus.impairment.active:
+                self._give(topic, to, payload, number, age)
+            else:
+                self.send(topic, to, payload, number, age=age)
+
+    def _give(
+        self, topic: Topic, to: Sequence[int], payload: bytes, number: int, age: float
+    ) -> None:
+        """Send and deliver in one step, if all readers are in this
+        process and no message is changed or tapped.
+        """
+        bus = self.bus
+        source = self.address
+        now_ns = self._now_ns()
+        sent = 0
+        for j in to:
+            sent += j < PORT_ADDRESSES.first_observer
+            port = bus.ports.get(j)
+            inputs = port.mailboxes.get(topic.number) if port is not None else None
+            if port is None:
+                bus.unroutable += 1
+            elif inputs is None:
+                port.deliver(topic.number, source, payload, number, "", 0, age)
+            else:
+                port.counters.received += 1
+                port.heard_ns[source] = now_ns
+                value = bus.open(topic.number, payload)
+                for box in inputs.get(source, ()):
+                    box.put(value, age)
+                for box in inputs.get(PORT_ADDRESSES.any_drone, ()):
+                    box.put((source, value), age)
+        self.counters.sent += sent
+        self.counters.bytes += sent * len(payload)
+
+    def deliver(
+        self,
+        topic: int,
+        source: int,
+        payload: bytes,
+        number: int,
+        channel: str,
+        flags: int,
+        age: float,
+    ) -> None:
+        """Take a message that has arrived for this port."""
+        bus = self.bus
+        self.counters.received += 1
+        if bus.tap is not None:
+            bus.tap(self.address, topic, source, number, payload, channel, flags, age)
+        self.heard_ns[source] = self._now_ns()
+        handler = self.handlers.get(topic)
+        if handler is not None:
+            handler(source, payload, number, channel, flags, age)
+            return
+        inputs = self.mailboxes.get(topic)
+        if inputs is None:
+            return
+        boxes = inputs.get(source, ())
+        every = inputs.get(PORT_ADDRESSES.any_drone, ())
+        if not boxes and not every:
+            return
+        try:
+            value = bus.open(topic, payload)
+        except CodecError:
+            self.counters.malformed += 1
+            return
+        for box in boxes:
+            box.put(value, age)
+        for box in every:
+            box.put((source, value), age)
+
+    def add_reader(self, interest: Interest, mailbox: AnyMailbox | None) -> None:
+        """Give the topic to `interest.reader` from now on, and a latched value at once.
+
+        mailbox: mailbox of an actor of this drone; None for another port
+
+        A port is served once, at its fastest rate.
+        """
+        topic = TOPIC_BY_NAME[interest.topic]
+        readers = self._readers.setdefault(topic.number, Readers())
+        if mailbox is None:
+            interval_ns = (
+                round(NS_PER_SECOND / interest.rate) if interest.rate > 0 else 0
+            )
+            readers.add(
+                interest.reader, interval_ns, READER_RATES.phase_step_ns * self.address
+            )
+        elif mailbox not in readers.mailboxes:
+            readers.mailboxes.append(mailbox)
+        self.bus.note_reader_change()
+        latched = self.latched.find(topic, self._now_ns())
+        if latched is None:
+            return
+        value, age = latched
+        if mailbox is not None:
+            mailbox.put(value, age)
+        else:
+            self.send(topic, (interest.reader,), encode(value), age=age)
 
     def drop_readers(self, addresses: list[int]) -> None:
         """Remove these ports of another process from all readers."""

@@ -64,8 +64,10 @@ class Topic:
     """True if the simulated network acts on it between drones."""
     public: float = 0.0
     """Hz of the copy for other Zenoh programs; 0 for none."""
-    wire: Literal["edge", "interest", "process"] = "interest"
-    """Receivers: the neighbours along an edge, all ports with an interest, or a process."""
+    wire: Literal["edge", "interest", "swarm", "process"] = "interest"
+    """Receivers: the neighbours along an edge, all ports with an interest, those of them that fly
+    drones, or a process.
+    """
     of_body: bool = False
     """True if the process with the drone's body publishes it,
     which may be another one than the drone's.
@@ -177,7 +179,15 @@ class DroneTopics:
     plan: Topic = Topic(12, "plan", Plan, 20, 0.5, 0, MessageClass.CONTROL)
     """Path that the drone is going to fly."""
     airspace: Topic = Topic(
-        20, "airspace", list, 100, 0.25, 0, MessageClass.CONTROL, impaired=False
+        20,
+        "airspace",
+        list,
+        100,
+        0.25,
+        0,
+        MessageClass.CONTROL,
+        impaired=False,
+        wire="swarm",
     )
     """States of drones of one process, for the drones of others. These draw the losses."""
     link: Topic = Topic(
@@ -323,3 +333,7 @@ OBSERVABLE_TOPICS = tuple(
     topic.name for topic in ALL_TOPICS if topic.wire == "interest"
 )
 """Names of the topics that an observer may ask for."""
+REQUESTED_TOPICS = tuple(
+    topic.name for topic in ALL_TOPICS if topic.wire in ("interest", "swarm")
+)
+"""Names of the topics that another process may ask for."""

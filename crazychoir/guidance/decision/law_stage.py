@@ -31,11 +31,18 @@ from crazychoir.guidance.decision.team import (
     has_team_law,
     read_references,
 )
-from crazychoir.guidance.neighbour_state import HearingMailbox
 from crazychoir.runtime.clock import NS_PER_SECOND, AlarmPriority, Clock
 from crazychoir.safety.collision.state_links import StateLinks
 from crazychoir.safety.collision.states_by_hand import STATE_BYTES
 from crazychoir.types import Heard, Reference, State
+
+
+class StateTaker(Protocol):
+    """What a law hears of one neighbour."""
+
+    def put(self, value: State, age: float = 0.0) -> None:
+        """Take a state that is `age` s old."""
+        ...
 
 
 class StagedLaw(Protocol):
@@ -49,7 +56,7 @@ class StagedLaw(Protocol):
     """Its neighbours, in the order of the edges."""
 
     @property
-    def hearings(self) -> Sequence[HearingMailbox]:
+    def hearings(self) -> Sequence[StateTaker]:
         """What it hears of them."""
         ...
 
@@ -245,7 +252,7 @@ class LawGroup:
                 drone=law.drone,
             )
 
-    def _find_hearing(self, e: int) -> tuple[StagedLaw, HearingMailbox]:
+    def _find_hearing(self, e: int) -> tuple[StagedLaw, StateTaker]:
         """Return the law that hears along an edge, and its mailbox."""
         first = self.team.rows["first_edge"]
         r = int(np.searchsorted(first, e, side="right")) - 1

@@ -17,7 +17,6 @@ SWARM_ROW = np.dtype(
         ("state_time", np.float64),  # s, time of the newest state; -inf: none
         ("round_count", np.int64),  # rounds so far
         ("round_due_ns", np.int64),  # ns, time of the next round
-        ("paired_count", np.int64),  # drones of this process that have a pair with it
         # drones of this process without a pair that have not heard its last round
         ("lacking_count", np.int64),
         ("state", np.float64, 13),  # the newest state, as State.flat

@@ -330,7 +330,6 @@ def hear_rounds(
             fate = pass_link(
                 links, kinds, losses, at * swarm.shape[0] + other, sender.number
             )
-        count_message(listeners, sender, fate)
         if fate == LinkKind.CLEAR:
             heard[other] = 0
             continue
@@ -378,9 +377,6 @@ def say_rounds(
             sender.lacking_count = 0
             due[count] = j
             count += 1
-        elif sender.listener >= 0:
-            others = listeners.shape[0] - 1 - sender.paired_count
-            listeners[sender.listener].sent += others
     return count
 
 

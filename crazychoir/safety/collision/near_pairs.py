@@ -329,7 +329,6 @@ def drop_pairs(
             continue
         pair = pairs[k]
         missed[at, pair.other] = 0
-        swarm[pair.other].paired_count -= 1
         pair.meeting_time = math.inf
         pair.age_limit = math.inf
         back = find_back(pair.other, listener.place, listeners, paces, swarm)
@@ -387,7 +386,6 @@ def add_pairs(
             fill_pace(paces[target], other, swarm[other], rules.far_interval_ns, now_ns)
             apart = compute_distance(own, pair.state, rules.scale)
             measure_pair(pair, apart, own_speed + compute_speed(pair.state), rules, now)
-            swarm[other].paired_count += 1
             swarm[other].lacking_count -= missed[at, other] != 0
             missed[at, other] = Missed.PAIRED
             new -= 1
