@@ -9,6 +9,7 @@ from reference.markdown import table as markdown_table
 READERS = {
     "interest": "all that ask",
     "edge": "the addressed port",
+    "swarm": "drones that ask",
     "process": "a process",
 }
 """Receivers of a message, by the wire of its topic."""

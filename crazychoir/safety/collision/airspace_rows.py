@@ -105,7 +105,7 @@ GRID_ROW = np.dtype(
         ("silent", np.int64),  # drones of kind SILENT
     ]
 )
-"""The cells over the last places of all drones, and how many drones are of which kind."""
+"""The cells over the last places of all drones, and the number of drones of each kind."""
 
 LISTENER_ROW = np.dtype(
     [

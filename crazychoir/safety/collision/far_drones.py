@@ -1,4 +1,4 @@
-"""Far drones: what a drone knows of another one that it hears in rounds only."""
+"""Far drones: what a drone knows of others that it hears in rounds only."""
 
 import math
 

@@ -348,13 +348,13 @@ def say_rounds(
     due: Ints,
     now_ns: int,
 ) -> int:
-    """Keep the newest states of all drones whose round is due.
+    """Keep the newest states of all drones that are due to speak to the far ones.
 
     Without a simulated network all drones hear it, so their bytes in `missed` stay zero.
 
     rules: one row of AIRSPACE_RULES_ROW
     has_network: whether a network is simulated
-    due: (swarm,): receives the rows of drones whose round a drone may miss, or has missed before
+    due: (swarm,): receives the rows of drones with a round that a drone may miss, or has missed before
     now_ns: ns
     Other arguments as in say_round and hear_rounds.
     Returns the number of rows in `due`.

@@ -173,7 +173,7 @@ def find_in_cells(
 ) -> int:
     """Append the drones of the cells around one drone that have become near.
 
-    Only drones of which it has missed no round are found.
+    Drones with missed rounds are left out, see find_by_bytes.
 
     work: receives the rows of these drones in the swarm, from `count` on
     now: s
@@ -228,7 +228,7 @@ def find_by_bytes(
     count: int,
     now_ns: int,
 ) -> int:
-    """Append the drones that have become near, and of which one drone has missed rounds.
+    """Append the drones that have become near, among the drones with missed rounds.
 
     looks_at_all: whether the other drones are looked at as well
     work: receives the rows of these drones in the swarm, from `count` on
@@ -266,7 +266,7 @@ def find_by_bytes(
 
 @kernel()
 def sort_rows(work: Ints, first: int, end: int) -> None:
-    """Sort a few whole numbers, most of which are in order.
+    """Sort a few whole numbers that are almost in order.
 
     work: (n,)
     first: first place to sort
@@ -313,7 +313,7 @@ def drop_pairs(
 ) -> None:
     """Drop the pairs of one drone that are far, and close the gaps.
 
-    count: number of pairs that stay, whose rows are in `work`
+    count: number of pairs that stay; `work` has their rows
     Other arguments as in check_distances.
     """
     listener = listeners[at]

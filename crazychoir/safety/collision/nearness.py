@@ -20,7 +20,7 @@ from crazychoir.types import Records, Vec
 
 FIRST_NEWS_NS = int(NS_PER_SECOND * FIRST_NEWS_TIME)
 SPARE_CHECKED_ROUNDS = 4  # oldest rounds that are left until the next checks
-ROUNDING = 1e-3  # m, more than the rounding of distances
+DISTANCE_ROUNDING = 1e-3  # m, more than the rounding of distances
 
 
 @kernel()
@@ -119,7 +119,7 @@ def compute_reach(speeds: float, age: float, rules: Records) -> float:
         + COLLISION_DISTANCES.silent_drone
         + rules.v_max * max(age + RELAY_LEAD_TIME - NEIGHBOUR_AGES.usable, 0.0)
     )
-    return float(max(meets, brakes) + ROUNDING)
+    return float(max(meets, brakes) + DISTANCE_ROUNDING)
 
 
 @kernel()
