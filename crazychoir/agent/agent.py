@@ -43,7 +43,7 @@ log = logging.getLogger(__name__)
 
 
 class StatusActor(Actor):
-    """Publishes the status of the drone four times a second."""
+    """Publishes the status of the drone four times a second, while it is read."""
 
     name = "status"
 
@@ -53,10 +53,13 @@ class StatusActor(Actor):
 
     async def run(self) -> None:
         """Publish at each tick of the clock."""
+        self.drone.port.latched.offer(DRONE_TOPICS.status, self.drone.status)
         await self.ticks.serve(self._publish)
 
     def _publish(self) -> None:
-        self.drone.port.publish(DRONE_TOPICS.status, self.drone.status())
+        port = self.drone.port
+        if port.is_read(DRONE_TOPICS.status):
+            port.publish(DRONE_TOPICS.status, self.drone.status())
 
 
 class Pacemaker(Actor):

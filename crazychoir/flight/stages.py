@@ -21,6 +21,7 @@ from crazychoir.flight.clearance import CLEARANCE_TIMES, PLAN_DEVIATION
 from crazychoir.flight.estimate import write_believed_state
 from crazychoir.flight.flight_limits import SEEN_AGE, TOUCHDOWN_LIMITS
 from crazychoir.numerics.kernels import (
+    UNCOUNTED,
     Record,
     Records,
     kernel,
@@ -40,7 +41,7 @@ from crazychoir.planning.plan_row import (
     sample_plan,
 )
 from crazychoir.runtime.clock import NS_PER_SECOND
-from crazychoir.safety.collision.airspace_rows import LISTENER_ROW, PAIR_ROW
+from crazychoir.safety.collision.airspace_rows import LISTENER_ROW, MOTION_ROW
 from crazychoir.safety.collision.avoidance import AVOID_ROW, avoid_row
 from crazychoir.safety.rules.guard import GUARD_ROW, Action, GuardRows, is_quiet
 from crazychoir.safety.rules.limits import cut_full_state
@@ -362,7 +363,7 @@ def _evade(drone: Record, safe: Vec, other: int, is_on_plan: bool, now: float) -
         drone.is_aside = 1
 
 
-@kernel(rows_of(DRONE_ROW), table, memory, wholes, real)
+@kernel(rows_of(DRONE_ROW), table, memory, wholes, real, **UNCOUNTED)
 def publish_drones(
     drones: DroneRows, states: Mat, times: Vec, numbers: Ints, now: float
 ) -> None:
@@ -423,18 +424,19 @@ def _obey_filter(drone: Record, avoid: Record, plan: Record, now: float) -> bool
     rows_of(PLAN_ROW),
     rows_of(AVOID_ROW),
     rows_of(LISTENER_ROW),
-    rows_of(PAIR_ROW),
+    rows_of(MOTION_ROW),
     real,
     table,
     table,
     wholes,
+    **UNCOUNTED,
 )
 def avoid_drones(
     drones: DroneRows,
     plans: PlanRows,
     avoids: Records,
     listeners: Records,
-    pairs: Records,
+    motions: Records,
     now: float,
     planes: Mat,
     near: Mat,
@@ -444,7 +446,7 @@ def avoid_drones(
 
     avoids: of the batch
     listeners: of the airspace
-    pairs: of the airspace: what the drones know of those near by
+    motions: of the airspace: how the drones near by move
     now: s
     planes: work space, see make_planes
     near: work space, see make_nearest
@@ -457,7 +459,7 @@ def avoid_drones(
         if drone.ticks == 0 or drone.course != Course.FOLLOW or drone.avoids == 0:
             continue
         _ask_filter(drone, avoids[k])
-        avoid_row(avoids[k], listeners[drone.listener], pairs, now, planes, near)
+        avoid_row(avoids[k], listeners[drone.listener], motions, now, planes, near)
         if _obey_filter(drone, avoids[k], plans[k], now):
             found[count] = k
             count += 1
@@ -497,7 +499,7 @@ def _control_drone(drone: Record, control: Record, now: float) -> bool:
     return True
 
 
-@kernel(rows_of(DRONE_ROW), rows_of(CONTROL_ROW), real, wholes)
+@kernel(rows_of(DRONE_ROW), rows_of(CONTROL_ROW), real, wholes, **UNCOUNTED)
 def control_drones(
     drones: DroneRows, controls: Records, now: float, found: Ints
 ) -> int:

@@ -32,7 +32,7 @@ from crazychoir.safety.collision.airspace_frames import AirspaceFrames
 from crazychoir.safety.collision.avoidance import make_nearest, make_planes
 from crazychoir.types import Ints, Pose
 
-COUNT_INTERVAL_NS = NS_PER_SECOND // 4
+COUNT_INTERVAL_NS = NS_PER_SECOND
 """ns between two counts of the states that are sent."""
 
 
@@ -223,6 +223,8 @@ class FlightTick:
         seekers = airspace.step()
         if self.frames is not None:
             self.frames.send()
+        if len(seekers) == 0:
+            return seekers
         return np.flatnonzero(np.isin(drones["listener"], seekers))
 
     def _avoid(self, seekers: Ints, now: float) -> None:
@@ -243,7 +245,7 @@ class FlightTick:
             batch.plans,
             batch.avoids,
             airspace.listeners,
-            airspace.pairs,
+            airspace.motions,
             now,
             self._planes,
             self._near,

@@ -11,9 +11,11 @@ from crazychoir.config.tables import CollisionTable
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.collision.airspace_rows import (
     AIRSPACE_RULES_ROW,
+    DUE_ROW,
     FAR_ROW,
     GRID_ROW,
     LISTENER_ROW,
+    MOTION_ROW,
     PACE_ROW,
     PAIR_ROW,
     ROUND_ROW,
@@ -24,6 +26,7 @@ from crazychoir.safety.collision.distances import COLLISION_DISTANCES
 from crazychoir.safety.collision.hearing import (
     hear_states,
     is_valid_state,
+    take_message,
     take_states,
 )
 from crazychoir.safety.collision.near_grid import CELLS_PER_DRONE
@@ -74,7 +77,9 @@ class Airspace:
         self.swarm = np.zeros(len(self.ids), SWARM_ROW)
         self.listeners = np.zeros(len(self.own_ids), LISTENER_ROW)
         self.pairs = np.zeros(len(self.own_ids) * FIRST_PAIRS, PAIR_ROW)
+        self.motions = np.zeros(len(self.pairs), MOTION_ROW)
         self.paces = np.zeros(len(self.pairs), PACE_ROW)
+        self.dues = np.zeros(len(self.pairs), DUE_ROW)
         capacity = int(self.rules["round_capacity"][0])
         self.rounds = np.zeros(len(self.ids) * capacity, ROUND_ROW)
         self.missed = np.full(
@@ -199,7 +204,9 @@ class Airspace:
         waiting = hear_states(
             self.listeners,
             self.pairs,
+            self.motions,
             self.paces,
+            self.dues,
             self.swarm,
             self.rounds,
             self._far,
@@ -230,7 +237,9 @@ class Airspace:
             check_distances(
                 self.listeners,
                 self.pairs,
+                self.motions,
                 self.paces,
+                self.dues,
                 self.swarm,
                 self.rounds,
                 self._far,
@@ -251,16 +260,15 @@ class Airspace:
         self.listeners["pair_capacity"][lacking] *= 2
         ends = np.cumsum(self.listeners["pair_capacity"])
         self.listeners["first_pair"] = ends - self.listeners["pair_capacity"]
-        pairs = np.zeros(int(ends[-1]), PAIR_ROW)
-        paces = np.zeros(int(ends[-1]), PACE_ROW)
+        tables = (self.pairs, self.motions, self.paces, self.dues)
+        larger = [np.zeros(int(ends[-1]), table.dtype) for table in tables]
         for old, new in zip(before, self.listeners, strict=True):
             count = int(old["pair_count"])
             source = slice(int(old["first_pair"]), int(old["first_pair"]) + count)
             target = slice(int(new["first_pair"]), int(new["first_pair"]) + count)
-            pairs[target] = self.pairs[source]
-            paces[target] = self.paces[source]
-        self.pairs = pairs
-        self.paces = paces
+            for table, larger_table in zip(tables, larger, strict=True):
+                larger_table[target] = table[source]
+        self.pairs, self.motions, self.paces, self.dues = larger
 
     def _trace(self, now_ns: int) -> None:
         """Trace what the own drones know of near drones, as often as the distances are checked."""
@@ -305,12 +313,20 @@ class Airspace:
 
         listener: number of the drone in this process
         """
+        found = self._find_pair(listener, j)
+        return None if found is None else self.pairs[found]
+
+    def _find_pair(self, listener: int, j: int) -> slice | None:
+        """Return where the pair of an own drone with drone j is, or None.
+
+        listener: number of the drone in this process
+        """
         place = self.places.get(j)
         if place is None or self.missed[listener, place] != Missed.PAIRED:
             return None
-        pairs = self.pairs_of(listener)
-        k = int(np.searchsorted(pairs["other"], place))
-        return pairs[k : k + 1]
+        k = int(self.listeners["first_pair"][listener])
+        k += int(np.searchsorted(self.pairs_of(listener)["other"], place))
+        return slice(k, k + 1)
 
     def hear(self, listener: int, j: int, state: State, age: float) -> None:
         """Let an own drone hear a state that drone j sent itself.
@@ -335,18 +351,19 @@ class Airspace:
         age: s, of the state
         is_heard: whether drone j sent it itself
         """
-        found = self.pair(listener, j)
-        if found is None or not is_valid_state(np.concatenate([state.flat, state.a])):
+        found = self._find_pair(listener, j)
+        values = np.concatenate([state.flat, state.a])
+        if found is None or not is_valid_state(values):
             return
-        row = found[0]
-        born = self.now() - age
-        if born >= row["state_time"]:
-            row["state"] = state.flat
-            row["acceleration"] = state.a
-            row["state_time"] = born
-        if is_heard:
-            row["heard_time"] = max(row["heard_time"], born)
-            row["share"] = self.swarm["share"][row["other"]]
+        take_message(
+            self.pairs[found],
+            self.motions[found],
+            values,
+            self.now() - age,
+            self.swarm["share"][self.places[j]],
+            self.rules["lag"][0],
+            not is_heard,
+        )
 
     def see(self, j: int, state: State, age: float) -> None:
         """Take the place of drone j that the cameras see.
@@ -383,6 +400,7 @@ def _build_rules(rules: AirspaceRules, interval_ns: int) -> Records:
     row["width"] = 2.0 * sx + rules.collision.margin
     row["range"] = rules.collision.range
     row["v_max"] = rules.v_max
+    row["lag"] = rules.collision.lag
     row["standing_height"] = rules.ground + COLLISION_DISTANCES.standing_height
     row["far_interval_ns"] = interval_ns
     row["round_capacity"] = min(kept, Missed.MOST)

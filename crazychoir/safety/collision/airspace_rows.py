@@ -44,7 +44,6 @@ ROUND_ROW = np.dtype(
 
 PAIR_ROW = np.dtype(
     [
-        # What each tick reads of each pair lies together: times, place, velocity.
         ("state_time", np.float64),  # s, time of the state; -inf: none is known
         # s, time of the last state that the other drone sent itself. Others may relay newer ones.
         ("heard_time", np.float64),
@@ -63,15 +62,35 @@ PAIR_ROW = np.dtype(
 )
 """What one drone of this process knows of another drone that may be near."""
 
+MOTION_ROW = np.dtype(
+    [
+        ("state_time", np.float64),  # s, as in PAIR_ROW
+        ("heard_time", np.float64),  # s, as in PAIR_ROW
+        ("place", np.float64, 3),  # m, p~ of the state, see predict_late_motion
+        ("velocity", np.float64, 3),  # m/s, v~ of the state
+        ("acceleration", np.float64, 3),  # m/s2, as in PAIR_ROW
+        ("height", np.float64),  # m, of the state
+        ("share", np.float64),  # as in PAIR_ROW
+        ("drone", np.int64),  # id of the other drone
+    ]
+)
+"""How the other drone of a pair moves: what each tick reads of each row of PAIR_ROW, in few bytes."""
+
 PACE_ROW = np.dtype(
     [
         ("other", np.int64),  # row of SWARM_ROW, as in PAIR_ROW
         ("interval_ns", np.int64),  # ns, between two states that this drone hears
-        ("due_ns", np.int64),  # ns, when this drone hears the next one
         # ns, between two states that this drone sends to the other one
         ("sending_interval_ns", np.int64),
-        # ns, when this drone sends the next one; NEVER_NS: this process flies the other drone
-        ("sending_due_ns", np.int64),
+    ]
+)
+"""How often the drones of a pair hear each other: one row for each row of PAIR_ROW."""
+
+DUE_ROW = np.dtype(
+    [
+        ("hearing_ns", np.int64),  # ns, when this drone hears the next state
+        # ns, when it sends the next one; NEVER_NS: this process flies the other drone
+        ("sending_ns", np.int64),
     ]
 )
 """When the drones of a pair hear each other: one row for each row of PAIR_ROW."""
@@ -154,6 +173,7 @@ AIRSPACE_RULES_ROW = np.dtype(
         ("width", np.float64),  # m, D
         ("range", np.float64),  # m, distance within which others count
         ("v_max", np.float64),  # m/s, largest speed of the others
+        ("lag", np.float64),  # s, with which the others obey
         ("standing_height", np.float64),  # m, world; a lower drone stands on the floor
         ("far_interval_ns", np.int64),  # ns, between two rounds
         ("round_capacity", np.int64),  # rounds that are kept of each drone

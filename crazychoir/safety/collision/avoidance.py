@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from crazychoir.numerics.kernels import kernel, real, rows_of, table
+from crazychoir.numerics.kernels import UNCOUNTED, kernel, real, rows_of, table
 from crazychoir.numerics.math3d import Triple, clip, dot
-from crazychoir.safety.collision.airspace_rows import LISTENER_ROW, PAIR_ROW
+from crazychoir.safety.collision.airspace_rows import LISTENER_ROW, MOTION_ROW
 from crazychoir.safety.collision.barrier import (
     compute_barrier_acceleration,
     compute_closing_speed,
@@ -20,8 +20,10 @@ from crazychoir.safety.collision.deadlock import (
 )
 from crazychoir.safety.collision.distances import BRAKING_MODEL, COLLISION_DISTANCES
 from crazychoir.safety.collision.motion import (
+    PlaceAndVelocity,
     compute_norm,
     limit_norm,
+    move_late,
     predict_braking,
     predict_late_motion,
     scale_difference,
@@ -32,6 +34,11 @@ from crazychoir.types import Mat, Records, Vec
 
 MOST_NEIGHBOURS = 16
 """Largest number of others that count, the nearest ones."""
+SPARE_SHARE = 1e-9
+"""Share of a bound that is more than its rounding."""
+
+Moves = tuple[Triple, Triple, Triple, Triple]
+"""Predicted place m and velocity m/s of a drone, then of another one."""
 
 AVOID_ROW = np.dtype(
     [
@@ -153,7 +160,7 @@ def _insert_plane(
     """Insert a half space among the nearest ones, in the order of d, and return their number.
 
     planes: (., 4): the half spaces, from row 6 on
-    near: (MOST_NEIGHBOURS, 2): d, and the row of the other drone in PAIR_ROW
+    near: (MOST_NEIGHBOURS, 2): d, and the row of the other drone in MOTION_ROW
     count: number of half spaces so far
     d: m, the distance
     normal: normal of the half space
@@ -252,67 +259,62 @@ def _append_walls(planes: Vec, m: int, p: Triple, v: Triple, row: Records) -> in
 
 
 @kernel()
-def _predict_other(
-    row: Records, other: Records, age: float, stands: bool, p: Triple
-) -> tuple[int, Triple, Triple]:
-    """Return whether another drone counts, and its predicted place m and velocity m/s.
-
-    The first value is 0 if it is too far away or ignored, 1 if it counts, and 2 if this drone must
-    brake for it besides, because it may be near and is not heard.
+def _predict_other(row: Records, other: Records, age: float) -> PlaceAndVelocity:
+    """Return the predicted place m and velocity m/s of another drone.
 
     row: one row of AVOID_ROW
-    other: one row of PAIR_ROW
+    other: one row of MOTION_ROW
     age: s, of the other's state
-    stands: whether the other stands on the floor
-    p: (3,) m, predicted place of this drone
     """
-    q, w = predict_late_motion(
-        other.state[:],
-        other.acceleration[:],
-        row.lag,
+    return move_late(
+        (other.place[0], other.place[1], other.place[2]),
+        (other.velocity[0], other.velocity[1], other.velocity[2]),
+        (other.acceleration[0], other.acceleration[1], other.acceleration[2]),
         min(age, NEIGHBOUR_AGES.usable) + row.delay,
         BRAKING_MODEL.command_time,
     )
-    if age <= NEIGHBOUR_AGES.usable or stands:
-        return 1, q, w
-    scale = (row.scale[0], row.scale[1], row.scale[2])
-    d = max(compute_norm(scale_difference(p, q, scale)), 1e-3)
-    flown = min(age, BRAKING_MODEL.silent_flight_time) - NEIGHBOUR_AGES.usable
-    if (
-        row.lands != 0
-        or d > row.width + row.v_max * flown + COLLISION_DISTANCES.silent_drone
-    ):
-        return 0, q, w
-    # As a rule the silent drone does not hear this one either.
-    q, w = predict_braking(q, w, BRAKING_MODEL.gain, age - NEIGHBOUR_AGES.usable)
-    return 2, q, w
 
 
 @kernel()
-def _constrain(
+def _judge_other(row: Records, d: float, age: float, stands: bool) -> int:
+    """Return whether another drone counts.
+
+    0: it is too far away or ignored, 1: it counts, 2: this drone must brake for it besides, because
+    it may be near and is not heard.
+
+    row: one row of AVOID_ROW
+    d: m, distance of the predicted places, scaled by S
+    age: s, of the other's state
+    stands: whether the other stands on the floor
+    """
+    assumed = min(age, BRAKING_MODEL.silent_flight_time)
+    if d > row.range + 2.0 * row.v_max * assumed:
+        return 0
+    if age <= NEIGHBOUR_AGES.usable or stands:
+        return 1
+    flown = row.v_max * (assumed - NEIGHBOUR_AGES.usable)
+    if row.lands != 0 or d > row.width + flown + COLLISION_DISTANCES.silent_drone:
+        return 0
+    return 2
+
+
+@kernel()
+def _compute_half_space(
     row: Records,
     other: Records,
-    k: int,
-    count: int,
     age: float,
     stands: bool,
     low: bool,
-    moves: tuple[Triple, Triple, Triple, Triple],
-    planes: Mat,
-    near: Mat,
-) -> int:
-    """Insert the half space of one other drone, and return the number of half spaces.
+    moves: Moves,
+) -> tuple[float, Triple, float]:
+    """Return the half space of one other drone: the distance m, its normal, its right-hand side.
 
     row: one row of AVOID_ROW
-    other: one row of PAIR_ROW
-    k: number of that row
-    count: half spaces so far
+    other: one row of MOTION_ROW
     age: s, of the other's state
     stands: whether the other stands on the floor
     low: whether this drone does
     moves: predicted place m and velocity m/s of this drone, then of the other one
-    planes: (., 4): work space, see make_planes
-    near: work space, see make_nearest
     """
     p, v, q, w = moves
     scale = (1.0, 1.0, 1.0) if stands else (row.scale[0], row.scale[1], row.scale[2])
@@ -349,25 +351,128 @@ def _constrain(
             )
             b *= compute_yield_share(away, dot(n, w) - away) if b > 0.0 else 0.5
     normal = (side[0] / reach, side[1] / reach, side[2] / reach)
-    return _insert_plane(planes, near, count, d - width, normal, b / reach, k)
+    return d - width, normal, b / reach
+
+
+@kernel()
+def _is_surely_clear(
+    row: Records, size: float, r: Triple, w: Triple, d: float, age: float
+) -> bool:
+    """Return whether the half space of another drone contains each acceleration of this size.
+
+        gamma s(gap) > 2 size + (gamma + k) c + gamma unsure,   s: see compute_closing_speed
+
+    It is cheap, and false for some half spaces that do. It puts the worst case of each term into
+    `compute_barrier_acceleration`: the acceleration points at the other drone, the path of the
+    other one is straight, and half of the barrier is left to it.
+
+    row: one row of AVOID_ROW, without cells
+    size: m/s2, of the acceleration
+    r: m, relative predicted place, scaled by S
+    w: m/s, relative predicted velocity, scaled by S
+    d: m, |r|
+    age: s, of the other's state, at most NEIGHBOUR_AGES.usable; the other drone flies
+    """
+    closing = max(-dot(r, w) / d, 0.0)
+    gap = d - row.width - 0.5 * row.unsure * age * age
+    needed = (
+        2.0 * size
+        + (row.gamma + row.stiffness) * closing
+        + row.gamma * row.unsure * age
+    ) / row.gamma
+    needed *= 1.0 + SPARE_SHARE
+    brake = 2.0 * row.brake * min(row.scale[0], row.scale[1], row.scale[2])
+    knee = brake / (row.stiffness * row.stiffness)
+    if gap < knee:
+        return bool(row.stiffness * gap > needed)
+    return bool(2.0 * brake * (gap - 0.5 * knee) > needed * needed)
+
+
+@kernel()
+def _is_gone(age: float, stands: bool) -> bool:
+    """Return whether another drone was not heard for so long that it counts no more.
+
+    age: s, of its state
+    stands: whether it stands on the floor
+    """
+    return bool(not age < NEIGHBOUR_AGES.gone and not (stands and age < math.inf))
+
+
+@kernel()
+def _is_way_clear(
+    row: Records,
+    listener: Records,
+    motions: Records,
+    now: float,
+    p: Triple,
+    v: Triple,
+    u: Triple,
+) -> bool:
+    """Return whether no other drone keeps this one from an acceleration.
+
+    Note whether this drone is cut off.
+
+    row: one row of AVOID_ROW
+    listener: its row of LISTENER_ROW
+    motions: MOTION_ROW, of the pairs
+    now: s
+    p: (3,) m, predicted place of this drone
+    v: (3,) m/s, its predicted velocity
+    u: (3,) m/s2
+    """
+    floor = row.ground + COLLISION_DISTANCES.standing_height
+    low = row.state[2] < floor
+    size = compute_norm(u)
+    scale = (row.scale[0], row.scale[1], row.scale[2])
+    is_clear = True
+    heard = listener.far_heard
+    silent = listener.far_silent
+    for k in range(listener.first_pair, listener.first_pair + listener.pair_count):
+        other = motions[k]
+        age = now - other.state_time
+        stands = other.height < floor
+        if _is_gone(age, stands):
+            continue
+        if not stands:
+            if now - other.heard_time < NEIGHBOUR_AGES.silent:
+                heard += 1
+            else:
+                silent += 1
+        if not is_clear or (stands and low and row.lands == 0):
+            continue
+        q, w = _predict_other(row, other, age)
+        r = scale_difference(p, q, scale)
+        d = max(compute_norm(r), 1e-3)
+        kind = _judge_other(row, d, age, stands)
+        if kind == 0:
+            continue
+        if kind == 1 and not stands and row.has_cells == 0:
+            relative = scale_difference(v, w, scale)
+            if _is_surely_clear(row, size, r, relative, d, age):
+                continue
+        moves = (p, v, q, w)
+        _, normal, b = _compute_half_space(row, other, age, stands, low, moves)
+        is_clear = kind == 1 and not dot(normal, u) < b
+    row.is_cut_off = silent > heard
+    return is_clear and (row.is_cut_off == 0 or row.lands != 0)
 
 
 @kernel()
 def _constrain_all(
     row: Records,
     listener: Records,
-    pairs: Records,
+    motions: Records,
     now: float,
     p: Triple,
     v: Triple,
     planes: Mat,
     near: Mat,
 ) -> tuple[int, bool]:
-    """Insert the half spaces of all near drones, and note whether this drone is cut off.
+    """Insert the half spaces of all near drones.
 
     row: one row of AVOID_ROW
     listener: its row of LISTENER_ROW
-    pairs: PAIR_ROW
+    motions: MOTION_ROW, of the pairs
     now: s
     p: (3,) m, predicted place of this drone
     v: (3,) m/s, its predicted velocity
@@ -375,42 +480,29 @@ def _constrain_all(
     near: work space, see make_nearest
     Returns the number of half spaces, and whether a drone that may be near is not heard.
     """
-    x = row.state
     floor = row.ground + COLLISION_DISTANCES.standing_height
-    low = x[2] < floor
+    low = row.state[2] < floor
     count = 0
     is_blind = False
-    heard = listener.far_heard
-    silent = listener.far_silent
     for k in range(listener.first_pair, listener.first_pair + listener.pair_count):
-        other = pairs[k]
-        y = other.state
+        other = motions[k]
         age = now - other.state_time
-        stands = y[2] < floor
-        if not age < NEIGHBOUR_AGES.gone and not (stands and age < math.inf):
+        stands = other.height < floor
+        if _is_gone(age, stands) or (stands and low and row.lands == 0):
             continue
-        if not stands:
-            if now - other.heard_time < NEIGHBOUR_AGES.silent:
-                heard += 1
-            else:
-                silent += 1
-        apart = compute_norm(
-            (
-                row.scale[0] * (x[0] - y[0]),
-                row.scale[1] * (x[1] - y[1]),
-                row.scale[2] * (x[2] - y[2]),
-            )
-        )
-        flown = 2.0 * row.v_max * min(age, BRAKING_MODEL.silent_flight_time)
-        if apart > row.range + flown or (stands and low and row.lands == 0):
-            continue
-        kind, q, w = _predict_other(row, other, age, stands, p)
+        q, w = _predict_other(row, other, age)
+        scale = (row.scale[0], row.scale[1], row.scale[2])
+        d = max(compute_norm(scale_difference(p, q, scale)), 1e-3)
+        kind = _judge_other(row, d, age, stands)
         if kind == 0:
             continue
-        is_blind |= kind == 2
-        moves = (p, v, q, w)
-        count = _constrain(row, other, k, count, age, stands, low, moves, planes, near)
-    row.is_cut_off = silent > heard
+        if kind == 2:
+            # As a rule the silent drone does not hear this one either.
+            unheard = age - NEIGHBOUR_AGES.usable
+            q, w = predict_braking(q, w, BRAKING_MODEL.gain, unheard)
+            is_blind = True
+        d, normal, b = _compute_half_space(row, other, age, stands, low, (p, v, q, w))
+        count = _insert_plane(planes, near, count, d, normal, b, k)
     return count, is_blind
 
 
@@ -418,16 +510,18 @@ def _constrain_all(
 def avoid_row(
     row: Records,
     listener: Records,
-    pairs: Records,
+    motions: Records,
     now: float,
     planes: Mat,
     near: Mat,
 ) -> None:
     """Apply the law of CollisionFilter to one drone.
 
+    Most drones have a clear way: they need no half spaces but those that are looked at for this.
+
     row: one row of AVOID_ROW
     listener: its row of LISTENER_ROW
-    pairs: PAIR_ROW
+    motions: MOTION_ROW, of the pairs
     now: s
     planes: (., 4): work space, see make_planes
     near: work space, see make_nearest
@@ -436,19 +530,24 @@ def avoid_row(
     p, v = predict_late_motion(
         x[:], row.acceleration[:], row.lag, row.delay, BRAKING_MODEL.command_time
     )
-    low = x[2] < row.ground + COLLISION_DISTANCES.standing_height
-    count, is_blind = _constrain_all(row, listener, pairs, now, p, v, planes, near)
+    u = _compute_wanted(row)
+    if _is_way_clear(row, listener, motions, now, p, v, u):
+        row.rests = 0
+        row.gives_way_to = -1
+        row.acts = 0
+        return
+    count, is_blind = _constrain_all(row, listener, motions, now, p, v, planes, near)
     is_blind |= row.is_cut_off != 0 and row.lands == 0
     if is_blind:
         u = _compute_braking(row, v)
     else:
         row.rests = 0
-        u = _compute_wanted(row)
     blocked = _find_drone_in_the_way(planes, near, count, u)
-    row.gives_way_to = pairs[int(blocked)].drone if blocked >= 0.0 else -1
+    row.gives_way_to = motions[int(blocked)].drone if blocked >= 0.0 else -1
     row.acts = is_blind or blocked >= 0.0
     if row.acts == 0:
         return
+    low = x[2] < row.ground + COLLISION_DISTANCES.standing_height
     floor = row.box[2]
     turn = row.turn
     if row.follows != 0:
@@ -468,12 +567,18 @@ def avoid_row(
 
 
 @kernel(
-    rows_of(AVOID_ROW), rows_of(LISTENER_ROW), rows_of(PAIR_ROW), real, table, table
+    rows_of(AVOID_ROW),
+    rows_of(LISTENER_ROW),
+    rows_of(MOTION_ROW),
+    real,
+    table,
+    table,
+    **UNCOUNTED,
 )
 def avoid_rows(
     rows: Records,
     listeners: Records,
-    pairs: Records,
+    motions: Records,
     now: float,
     planes: Mat,
     near: Mat,
@@ -482,7 +587,7 @@ def avoid_rows(
 
     rows: AVOID_ROW
     listeners: LISTENER_ROW
-    pairs: PAIR_ROW
+    motions: MOTION_ROW, of the pairs
     now: s
     planes: (., 4): work space, see make_planes
     near: work space, see make_nearest
@@ -490,4 +595,4 @@ def avoid_rows(
     for i in range(rows.shape[0]):
         row = rows[i]
         if row.is_asked != 0:
-            avoid_row(row, listeners[row.listener], pairs, now, planes, near)
+            avoid_row(row, listeners[row.listener], motions, now, planes, near)

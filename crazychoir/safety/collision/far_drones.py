@@ -6,7 +6,7 @@ from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import Triple
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.collision.airspace_rows import FarCell, FarKind
-from crazychoir.safety.collision.hearing import see_state
+from crazychoir.safety.collision.hearing import note_hearing, see_state, store_state
 from crazychoir.safety.collision.nearness import compute_speed
 from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES, STATE_RATES
 from crazychoir.types import Records
@@ -89,41 +89,50 @@ def recall_round(
 @kernel()
 def fill_pair(
     pair: Records,
+    motion: Records,
     other: int,
     swarm: Records,
     rounds: Records,
-    capacity: int,
+    rules: Records,
     missed: int,
     now: float,
 ) -> None:
     """Fill a new pair with what a drone knows of a far one.
 
     pair: one row of PAIR_ROW
+    motion: its row of MOTION_ROW
+    rules: one row of AIRSPACE_RULES_ROW
     Other arguments as in recall_round.
     """
     sender = swarm[other]
+    capacity = rules.round_capacity
     pair.other = other
     pair.drone = sender.drone
-    pair.share = sender.share
+    motion.drone = sender.drone
     pair.turns = 0
     pair.is_by_hand = 0
     pair.is_sought = 0
     if missed < min(sender.round_count, capacity):
         last = rounds[other * capacity + (sender.round_count - 1 - missed) % capacity]
-        for c in range(13):
-            pair.state[c] = last.state[c]
-        for c in range(3):
-            pair.acceleration[c] = last.acceleration[c]
-        pair.state_time = last.state_time
+        store_state(
+            pair,
+            motion,
+            last.state[:],
+            last.acceleration[:],
+            last.state_time,
+            rules.lag,
+        )
     else:
         for c in range(13):
             pair.state[c] = 0.0
         pair.state[9] = 1.0
         for c in range(3):
             pair.acceleration[c] = 0.0
-        pair.state_time = -math.inf
-    pair.heard_time = pair.state_time
-    see_state(pair, sender, now)
+        store_state(
+            pair, motion, pair.state[:], pair.acceleration[:], -math.inf, rules.lag
+        )
+    note_hearing(pair, motion, pair.state_time, sender.share)
+    see_state(pair, motion, sender, rules.lag, now)
 
 
 @kernel()

@@ -122,7 +122,7 @@ class CollisionFilter:
         row["is_asked"] = 1
         airspace = self.traffic.airspace
         avoid_rows(
-            row, airspace.listeners, airspace.pairs, now, self._planes, self._near
+            row, airspace.listeners, airspace.motions, now, self._planes, self._near
         )
         row["is_asked"] = 0
         return row["safe"][0].copy() if row["acts"][0] else None

@@ -6,14 +6,24 @@ import numba
 import numpy as np
 
 from crazychoir.bus.impairment.compiled_draws import draw_first_attempt, is_bad_state
-from crazychoir.numerics.kernels import kernel, matrix, rows_of, vector, wholes
+from crazychoir.numerics.kernels import (
+    UNCOUNTED,
+    kernel,
+    matrix,
+    real,
+    rows_of,
+    vector,
+    wholes,
+)
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.collision.airspace_rows import (
     AIRSPACE_RULES_ROW,
+    DUE_ROW,
     FAR_ROW,
     LINK_ROW,
     LISTENER_ROW,
     LOSS_ROW,
+    MOTION_ROW,
     PACE_ROW,
     PAIR_ROW,
     ROUND_ROW,
@@ -22,7 +32,7 @@ from crazychoir.safety.collision.airspace_rows import (
     LinkKinds,
     Missed,
 )
-from crazychoir.safety.collision.motion import compute_norm
+from crazychoir.safety.collision.motion import compute_late_motion, compute_norm
 from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES
 from crazychoir.types import Bytes, Ints, Mat, Records, Vec
 
@@ -57,7 +67,7 @@ def is_valid_state(values: Vec) -> bool:
     )
 
 
-@kernel(rows_of(SWARM_ROW), integers, integers, matrix, vector)
+@kernel(rows_of(SWARM_ROW), integers, integers, matrix, vector, **UNCOUNTED)
 def take_states(
     swarm: Records, places: Ints, numbers: Ints, states: Mat, times: Vec
 ) -> None:
@@ -144,42 +154,150 @@ def count_message(listeners: Records, sender: Records, fate: LinkKind) -> None:
 
 
 @kernel()
-def hear_state(pair: Records, sender: Records) -> None:
-    """Store the newest state of the sender in a pair, unless the pair knows a newer one.
+def copy_motion(source: Records, target: Records) -> None:
+    """Copy one row of MOTION_ROW to another one."""
+    target.state_time = source.state_time
+    target.heard_time = source.heard_time
+    for c in range(3):
+        target.place[c] = source.place[c]
+        target.velocity[c] = source.velocity[c]
+        target.acceleration[c] = source.acceleration[c]
+    target.height = source.height
+    target.share = source.share
+    target.drone = source.drone
+
+
+@kernel(forceinline=True)
+def store_state(
+    pair: Records,
+    motion: Records,
+    state: Vec,
+    acceleration: Vec,
+    state_time: float,
+    lag: float,
+) -> None:
+    """Store a state in a pair, with what follows from it.
 
     pair: one row of PAIR_ROW
-    sender: one row of SWARM_ROW
+    motion: its row of MOTION_ROW
+    state: (13,), as State.flat
+    acceleration: (3,) m/s2, as State.a
+    state_time: s
+    lag: s, with which the other drone obeys
     """
-    if sender.state_time >= pair.state_time:
-        pair.state_time = sender.state_time
-        for c in range(13):
-            pair.state[c] = sender.state[c]
-        for c in range(3):
-            pair.acceleration[c] = sender.acceleration[c]
-    pair.heard_time = max(pair.heard_time, sender.state_time)
-    pair.share = sender.share
+    pair.state_time = state_time
+    motion.state_time = state_time
+    for c in range(13):
+        pair.state[c] = state[c]
+    motion.height = state[2]
+    place, velocity = compute_late_motion(state, acceleration, lag)
+    for c in range(3):
+        pair.acceleration[c] = acceleration[c]
+        motion.acceleration[c] = acceleration[c]
+        motion.place[c] = place[c]
+        motion.velocity[c] = velocity[c]
 
 
 @kernel()
-def see_state(pair: Records, sender: Records, now: float) -> None:
+def note_hearing(
+    pair: Records, motion: Records, heard_time: float, share: float
+) -> None:
+    """Note when a drone has heard another one itself, and which share that one takes.
+
+    pair: one row of PAIR_ROW
+    motion: its row of MOTION_ROW
+    heard_time: s
+    share: as in PAIR_ROW
+    """
+    pair.heard_time = heard_time
+    motion.heard_time = heard_time
+    pair.share = share
+    motion.share = share
+
+
+@kernel(forceinline=True)
+def take_state(
+    pair: Records,
+    motion: Records,
+    state: Vec,
+    acceleration: Vec,
+    state_time: float,
+    share: float,
+    lag: float,
+) -> None:
+    """Take a state that the other drone has sent itself, unless the pair knows a newer one.
+
+    pair: one row of PAIR_ROW
+    motion: its row of MOTION_ROW
+    state: (13,), as State.flat
+    acceleration: (3,) m/s2, as State.a
+    state_time: s
+    share: as in PAIR_ROW
+    lag: s, with which the other drone obeys
+    """
+    if state_time >= pair.state_time:
+        store_state(pair, motion, state, acceleration, state_time, lag)
+    note_hearing(pair, motion, max(pair.heard_time, state_time), share)
+
+
+@kernel(rows_of(PAIR_ROW), rows_of(MOTION_ROW), vector, real, real, real, numba.boolean)
+def take_message(
+    pairs: Records,
+    motions: Records,
+    values: Vec,
+    state_time: float,
+    share: float,
+    lag: float,
+    is_relayed: bool,
+) -> None:
+    """Take a state from a message, unless the pair knows a newer one.
+
+    pairs: the pair, (1,) PAIR_ROW
+    motions: (1,) MOTION_ROW
+    values: (16,): state (13,) and acceleration (3,)
+    state_time: s
+    share: as in PAIR_ROW
+    lag: s, with which the other drone obeys
+    is_relayed: whether a third drone sent it
+    """
+    pair = pairs[0]
+    state = values[0:13]
+    acceleration = values[13:16]
+    if not is_relayed:
+        take_state(pair, motions[0], state, acceleration, state_time, share, lag)
+    elif state_time >= pair.state_time:
+        store_state(pair, motions[0], state, acceleration, state_time, lag)
+
+
+@kernel()
+def see_state(
+    pair: Records, motion: Records, sender: Records, lag: float, now: float
+) -> None:
     """Store the place where the cameras see the sender, if nothing was heard of it lately.
 
     The sender then counts as giving way to no other drone.
 
     pair: one row of PAIR_ROW
+    motion: its row of MOTION_ROW
     sender: one row of SWARM_ROW
+    lag: s, with which the sender obeys
     now: s
     """
     if (
         sender.seen_time > pair.state_time
         and now - pair.state_time > NEIGHBOUR_AGES.unheard
     ):
-        pair.state_time = sender.seen_time
-        for c in range(13):
-            pair.state[c] = sender.seen_state[c]
         for c in range(3):
             pair.acceleration[c] = 0.0
-        pair.share = 1.0
+        store_state(
+            pair,
+            motion,
+            sender.seen_state[:],
+            pair.acceleration[:],
+            sender.seen_time,
+            lag,
+        )
+        note_hearing(pair, motion, pair.heard_time, 1.0)
 
 
 @kernel()
@@ -193,17 +311,20 @@ def find_next_time(due_ns: int, interval_ns: int, now_ns: int) -> int:
     return due_ns + ((now_ns - due_ns) // interval_ns + 1) * interval_ns
 
 
-@kernel()
+@kernel(forceinline=True)
 def hear_pairs(
     listener: Records,
     at: int,
     listeners: Records,
     pairs: Records,
+    motions: Records,
     paces: Records,
+    dues: Records,
     swarm: Records,
     links: Records,
     kinds: LinkKinds,
     losses: Records,
+    lag: float,
     now_ns: int,
 ) -> int:
     """Let one drone hear the near drones that are due, and return how many wait for a verdict.
@@ -214,27 +335,31 @@ def hear_pairs(
     at: its number
     listeners: LISTENER_ROW
     pairs: PAIR_ROW
+    motions: MOTION_ROW
     paces: PACE_ROW
+    dues: DUE_ROW
     swarm: SWARM_ROW
     links: LINK_ROW, (listeners x swarm,)
     kinds: (listeners x swarm,): LinkKind of each link
     losses: LOSS_ROW
+    lag: s, with which drones obey
     now_ns: ns
     """
     waiting = 0
     for k in range(listener.first_pair, listener.first_pair + listener.pair_count):
-        pace = paces[k]
-        if now_ns >= pace.sending_due_ns:
-            pace.sending_due_ns = find_next_time(
-                pace.sending_due_ns, pace.sending_interval_ns, now_ns
+        due = dues[k]
+        if now_ns >= due.sending_ns:
+            due.sending_ns = find_next_time(
+                due.sending_ns, paces[k].sending_interval_ns, now_ns
             )
             listener.is_frame_due = 1
-        if now_ns < pace.due_ns:
+        if now_ns < due.hearing_ns:
             continue
+        pace = paces[k]
         sender = swarm[pace.other]
         if sender.is_fresh == 0:
             continue
-        pace.due_ns = find_next_time(pace.due_ns, pace.interval_ns, now_ns)
+        due.hearing_ns = find_next_time(due.hearing_ns, pace.interval_ns, now_ns)
         fate = LinkKind.CLEAR
         if links.shape[0] > 0:
             fate = pass_link(
@@ -242,26 +367,43 @@ def hear_pairs(
             )
         count_message(listeners, sender, fate)
         if fate == LinkKind.CLEAR:
-            hear_state(pairs[k], sender)
+            take_state(
+                pairs[k],
+                motions[k],
+                sender.state[:],
+                sender.acceleration[:],
+                sender.state_time,
+                sender.share,
+                lag,
+            )
         elif fate == LinkKind.BY_HAND:
             pairs[k].is_by_hand = 1
             waiting += 1
     return waiting
 
 
-@kernel()
-def see_pairs(listener: Records, pairs: Records, swarm: Records, now: float) -> None:
+@kernel(forceinline=True)
+def see_pairs(
+    listener: Records,
+    pairs: Records,
+    motions: Records,
+    swarm: Records,
+    lag: float,
+    now: float,
+) -> None:
     """Let one drone use the places where the cameras see its near drones.
 
     listener: one row of LISTENER_ROW
     pairs: PAIR_ROW
+    motions: MOTION_ROW
     swarm: SWARM_ROW
+    lag: s, with which drones obey
     now: s
     """
     for k in range(listener.first_pair, listener.first_pair + listener.pair_count):
         sender = swarm[pairs[k].other]
         if sender.seen_time > -math.inf:
-            see_state(pairs[k], sender, now)
+            see_state(pairs[k], motions[k], sender, lag, now)
 
 
 @kernel()
@@ -291,7 +433,7 @@ def say_round(
     known.speed = compute_norm((sender.state[3], sender.state[4], sender.state[5]))
 
 
-@kernel()
+@kernel(forceinline=True)
 def hear_rounds(
     at: int,
     senders: Ints,
@@ -383,7 +525,9 @@ def say_rounds(
 @kernel(
     rows_of(LISTENER_ROW),
     rows_of(PAIR_ROW),
+    rows_of(MOTION_ROW),
     rows_of(PACE_ROW),
+    rows_of(DUE_ROW),
     rows_of(SWARM_ROW),
     rows_of(ROUND_ROW),
     rows_of(FAR_ROW),
@@ -394,11 +538,14 @@ def say_rounds(
     rows_of(AIRSPACE_RULES_ROW),
     wholes,
     numba.int64,
+    **UNCOUNTED,
 )
 def hear_states(
     listeners: Records,
     pairs: Records,
+    motions: Records,
     paces: Records,
+    dues: Records,
     swarm: Records,
     rounds: Records,
     far: Records,
@@ -418,14 +565,27 @@ def hear_states(
     Other arguments as in hear_pairs, say_round and hear_rounds.
     """
     waiting = 0
+    lag = rules[0].lag
     for i in range(listeners.shape[0]):
         listener = listeners[i]
         listener.is_frame_due = 0
         waiting += hear_pairs(
-            listener, i, listeners, pairs, paces, swarm, links, kinds, losses, now_ns
+            listener,
+            i,
+            listeners,
+            pairs,
+            motions,
+            paces,
+            dues,
+            swarm,
+            links,
+            kinds,
+            losses,
+            lag,
+            now_ns,
         )
         if rules[0].has_seen != 0:
-            see_pairs(listener, pairs, swarm, now_ns / NS_PER_SECOND)
+            see_pairs(listener, pairs, motions, swarm, lag, now_ns / NS_PER_SECOND)
     count = say_rounds(
         swarm, listeners, rounds, far, rules[0], links.shape[0] > 0, work, now_ns
     )

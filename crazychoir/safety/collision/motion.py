@@ -31,6 +31,45 @@ def compute_tilt_acceleration(q: Vec, a: Vec) -> Triple:
 
 
 @kernel()
+def compute_late_motion(x: Vec, a: Vec, lag: float) -> PlaceAndVelocity:
+    """Return p~ in m and v~ in m/s of a drone with lag, see predict_late_motion.
+
+    x: (13,): state
+    a: (3,) m/s2: u, the command
+    lag: T, s
+    """
+    now = compute_tilt_acceleration(x[6:10], a)
+    return (
+        (x[0] + lag * x[3], x[1] + lag * x[4], x[2] + lag * x[5]),
+        (x[3] + lag * now[0], x[4] + lag * now[1], x[5] + lag * now[2]),
+    )
+
+
+@kernel()
+def move_late(
+    p: Triple, v: Triple, a: Triple, t: float, lasts: float
+) -> PlaceAndVelocity:
+    """Return p~ in m and v~ in m/s after t s.
+
+    p: m, p~ now
+    v: m/s, v~ now
+    a: (3,) m/s2: u, the command
+    t: s
+    lasts: s for which the command is valid; after this it is zero
+    """
+    held = min(t, lasts)
+    h = held * (t - 0.5 * held)
+    return (
+        (
+            p[0] + t * v[0] + h * a[0],
+            p[1] + t * v[1] + h * a[1],
+            p[2] + t * v[2] + h * a[2],
+        ),
+        (v[0] + held * a[0], v[1] + held * a[1], v[2] + held * a[2]),
+    )
+
+
+@kernel()
 def predict_late_motion(
     x: Vec, a: Vec, lag: float, t: float, lasts: float
 ) -> PlaceAndVelocity:
@@ -47,16 +86,8 @@ def predict_late_motion(
     t: s from now
     lasts: s for which the command is valid; after this it is zero
     """
-    now = compute_tilt_acceleration(x[6:10], a)
-    v = (x[3] + lag * now[0], x[4] + lag * now[1], x[5] + lag * now[2])
-    held = min(t, lasts)
-    h = held * (t - 0.5 * held)
-    p = (
-        x[0] + lag * x[3] + t * v[0] + h * a[0],
-        x[1] + lag * x[4] + t * v[1] + h * a[1],
-        x[2] + lag * x[5] + t * v[2] + h * a[2],
-    )
-    return p, (v[0] + held * a[0], v[1] + held * a[1], v[2] + held * a[2])
+    p, v = compute_late_motion(x, a, lag)
+    return move_late(p, v, (a[0], a[1], a[2]), t, lasts)
 
 
 @kernel()

@@ -9,13 +9,16 @@ import math
 
 import numba
 
-from crazychoir.numerics.kernels import kernel, rows_of, wholes
+from crazychoir.numerics.kernels import UNCOUNTED, kernel, rows_of, wholes
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.collision.airspace_rows import (
     AIRSPACE_RULES_ROW,
+    DUE_ROW,
     FAR_ROW,
     GRID_ROW,
     LISTENER_ROW,
+    MOTION_ROW,
+    NEVER_NS,
     PACE_ROW,
     PAIR_ROW,
     ROUND_ROW,
@@ -31,7 +34,7 @@ from crazychoir.safety.collision.far_drones import (
     recall_round,
     refresh_far,
 )
-from crazychoir.safety.collision.hearing import byte_table, link_kinds
+from crazychoir.safety.collision.hearing import byte_table, copy_motion, link_kinds
 from crazychoir.safety.collision.near_grid import build_grid, find_cells
 from crazychoir.safety.collision.nearness import (
     compute_distance,
@@ -44,10 +47,11 @@ from crazychoir.safety.collision.nearness import (
     measure_pair,
 )
 from crazychoir.safety.collision.pair_paces import (
+    copy_due,
     copy_pace,
     fill_pace,
     find_pair,
-    pace_pair,
+    find_sending_interval,
     set_interval,
 )
 from crazychoir.safety.collision.state_rates import STATE_RATES
@@ -76,6 +80,27 @@ def copy_pair(source: Records, target: Records) -> None:
 
 
 @kernel()
+def move_pair(
+    source: int,
+    target: int,
+    pairs: Records,
+    motions: Records,
+    paces: Records,
+    dues: Records,
+) -> None:
+    """Copy a pair to another row of all tables of pairs.
+
+    source: row of the pair
+    target: the other row
+    Other arguments as in check_distances.
+    """
+    copy_pair(pairs[source], pairs[target])
+    copy_motion(motions[source], motions[target])
+    copy_pace(paces[source], paces[target])
+    copy_due(dues[source], dues[target])
+
+
+@kernel(forceinline=True)
 def find_staying_pairs(
     at: int,
     listeners: Records,
@@ -101,7 +126,7 @@ def find_staying_pairs(
         count_far(listener, far[pair.other].kind, -1)
         apart = compute_distance(own, pair.state, rules.scale)
         speeds = own_speed + compute_speed(pair.state)
-        stays = is_behind(pair, swarm[pair.other], rounds, rules.round_capacity)
+        stays = is_behind(pair, far[pair.other])
         stays |= listener.keeps_all != 0
         if pair.state_time > -math.inf:
             stays |= is_near(apart, speeds, now - pair.state_time, rules)
@@ -119,7 +144,7 @@ def find_staying_pairs(
     return count
 
 
-@kernel()
+@kernel(forceinline=True)
 def append_if_near(
     at: int,
     other: int,
@@ -156,7 +181,7 @@ def append_if_near(
     return count
 
 
-@kernel()
+@kernel(forceinline=True)
 def find_in_cells(
     at: int,
     listeners: Records,
@@ -299,13 +324,45 @@ def find_back(
     return int(find_pair(listeners[receiver], paces, place))
 
 
+@kernel(forceinline=True)
+def pace_pair(
+    at: int,
+    k: int,
+    listeners: Records,
+    pairs: Records,
+    paces: Records,
+    dues: Records,
+    swarm: Records,
+    rules: Records,
+) -> None:
+    """Send the own state to another drone as often as the distance demands.
+
+    at: number of the drone
+    k: row of its pair
+    Other arguments as in check_distances.
+    """
+    place = listeners[at].place
+    pace = paces[k]
+    interval_ns = find_sending_interval(pairs[k], swarm[place].state[2], rules)
+    if pace.sending_interval_ns == interval_ns:
+        return
+    pace.sending_interval_ns = interval_ns
+    if dues[k].sending_ns != NEVER_NS:
+        dues[k].sending_ns %= rules.far_interval_ns
+    back = find_back(pace.other, place, listeners, paces, swarm)
+    if back >= 0:
+        set_interval(paces[back], dues[back], interval_ns, rules.far_interval_ns)
+
+
 @kernel()
 def drop_pairs(
     at: int,
     count: int,
     listeners: Records,
     pairs: Records,
+    motions: Records,
     paces: Records,
+    dues: Records,
     swarm: Records,
     missed: Bytes,
     rules: Records,
@@ -317,22 +374,19 @@ def drop_pairs(
     Other arguments as in check_distances.
     """
     listener = listeners[at]
-    own_height = swarm[listener.place].state[2]
     kept = 0
     for k in range(listener.first_pair, listener.first_pair + listener.pair_count):
         if kept < count and work[kept] == k:
             target = listener.first_pair + kept
             kept += 1
             if target != k:
-                copy_pair(pairs[k], pairs[target])
-                copy_pace(paces[k], paces[target])
+                move_pair(k, target, pairs, motions, paces, dues)
             continue
         pair = pairs[k]
         missed[at, pair.other] = 0
         pair.meeting_time = math.inf
         pair.age_limit = math.inf
-        back = find_back(pair.other, listener.place, listeners, paces, swarm)
-        pace_pair(pair, paces[k], back, own_height, paces, rules)
+        pace_pair(at, k, listeners, pairs, paces, dues, swarm, rules)
     listener.pair_count = count
 
 
@@ -343,7 +397,9 @@ def add_pairs(
     end: int,
     listeners: Records,
     pairs: Records,
+    motions: Records,
     paces: Records,
+    dues: Records,
     swarm: Records,
     rounds: Records,
     missed: Bytes,
@@ -369,21 +425,36 @@ def add_pairs(
     while new >= first:
         other = work[new]
         if old >= listener.first_pair and paces[old].other > other:
-            copy_pair(pairs[old], pairs[target])
-            copy_pace(paces[old], paces[target])
+            move_pair(old, target, pairs, motions, paces, dues)
             old -= 1
         else:
             pair = pairs[target]
             fill_pair(
                 pair,
+                motions[target],
                 other,
                 swarm,
                 rounds,
-                rules.round_capacity,
+                rules,
                 missed[at, other],
                 now,
             )
-            fill_pace(paces[target], other, swarm[other], rules.far_interval_ns, now_ns)
+            fill_pace(
+                paces[target],
+                dues[target],
+                other,
+                swarm[other],
+                rules.far_interval_ns,
+                now_ns,
+            )
+            back = find_back(other, listener.place, listeners, paces, swarm)
+            if back >= 0:
+                set_interval(
+                    paces[target],
+                    dues[target],
+                    paces[back].sending_interval_ns,
+                    rules.far_interval_ns,
+                )
             apart = compute_distance(own, pair.state, rules.scale)
             measure_pair(pair, apart, own_speed + compute_speed(pair.state), rules, now)
             swarm[other].lacking_count -= missed[at, other] != 0
@@ -392,41 +463,39 @@ def add_pairs(
         target -= 1
 
 
-@kernel()
+@kernel(forceinline=True)
 def pace_pairs(
     at: int,
     listeners: Records,
     pairs: Records,
     paces: Records,
+    dues: Records,
     swarm: Records,
     rules: Records,
     now: float,
 ) -> None:
-    """Set how often the pairs of one drone hear and send, and for which it should ask others.
+    """Set how often the pairs of one drone send, and for which it should ask others.
 
     Arguments as in check_distances; now: s
     """
     listener = listeners[at]
-    own_height = swarm[listener.place].state[2]
     listener.check_count += 1
     listener.sought_count = 0
     for k in range(listener.first_pair, listener.first_pair + listener.pair_count):
         pair = pairs[k]
-        pace = paces[k]
-        back = find_back(pair.other, listener.place, listeners, paces, swarm)
-        if back >= 0:
-            set_interval(pace, paces[back].sending_interval_ns, rules.far_interval_ns)
         pair.is_sought = is_sought(pair, listener.check_count, now)
         listener.sought_count += pair.is_sought
-        pace_pair(pair, pace, back, own_height, paces, rules)
+        pace_pair(at, k, listeners, pairs, paces, dues, swarm, rules)
 
 
-@kernel()
+@kernel(forceinline=True)
 def check_pairs(
     at: int,
     listeners: Records,
     pairs: Records,
+    motions: Records,
     paces: Records,
+    dues: Records,
     swarm: Records,
     rounds: Records,
     far: Records,
@@ -486,7 +555,19 @@ def check_pairs(
     if end > listener.pair_capacity:
         return False
     if staying < listener.pair_count:
-        drop_pairs(at, staying, listeners, pairs, paces, swarm, missed, rules, work)
+        drop_pairs(
+            at,
+            staying,
+            listeners,
+            pairs,
+            motions,
+            paces,
+            dues,
+            swarm,
+            missed,
+            rules,
+            work,
+        )
     if end > staying:
         sort_rows(work, staying, end)
         add_pairs(
@@ -495,7 +576,9 @@ def check_pairs(
             end,
             listeners,
             pairs,
+            motions,
             paces,
+            dues,
             swarm,
             rounds,
             missed,
@@ -503,7 +586,7 @@ def check_pairs(
             work,
             now_ns,
         )
-    pace_pairs(at, listeners, pairs, paces, swarm, rules, now)
+    pace_pairs(at, listeners, pairs, paces, dues, swarm, rules, now)
     return True
 
 
@@ -526,7 +609,9 @@ def is_check_due(at: int, listeners: Records, swarm: Records, now_ns: int) -> bo
 @kernel(
     rows_of(LISTENER_ROW),
     rows_of(PAIR_ROW),
+    rows_of(MOTION_ROW),
     rows_of(PACE_ROW),
+    rows_of(DUE_ROW),
     rows_of(SWARM_ROW),
     rows_of(ROUND_ROW),
     rows_of(FAR_ROW),
@@ -538,11 +623,14 @@ def is_check_due(at: int, listeners: Records, swarm: Records, now_ns: int) -> bo
     wholes,
     wholes,
     numba.int64,
+    **UNCOUNTED,
 )
 def check_distances(
     listeners: Records,
     pairs: Records,
+    motions: Records,
     paces: Records,
+    dues: Records,
     swarm: Records,
     rounds: Records,
     far: Records,
@@ -559,7 +647,9 @@ def check_distances(
 
     listeners: LISTENER_ROW
     pairs: PAIR_ROW
+    motions: MOTION_ROW
     paces: PACE_ROW
+    dues: DUE_ROW
     swarm: SWARM_ROW
     rounds: ROUND_ROW, (swarm x rounds that are kept,)
     far: FAR_ROW, (swarm,)
@@ -585,7 +675,9 @@ def check_distances(
             at,
             listeners,
             pairs,
+            motions,
             paces,
+            dues,
             swarm,
             rounds,
             far,

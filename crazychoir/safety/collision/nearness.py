@@ -166,20 +166,15 @@ def is_sought(pair: Records, check_count: int, now: float) -> bool:
 
 
 @kernel()
-def is_behind(pair: Records, sender: Records, rounds: Records, capacity: int) -> bool:
+def is_behind(pair: Records, known: Records) -> bool:
     """Return whether a drone has heard nothing since the latest round of another one.
 
     It must not forget the pair: it would then count as having heard that round.
 
     pair: one row of PAIR_ROW
-    sender: the other drone, one row of SWARM_ROW
-    rounds: ROUND_ROW, (swarm x capacity,)
-    capacity: rounds that are kept of each drone
+    known: what is known of the other drone, one row of FAR_ROW
     """
-    if sender.round_count == 0:
-        return True
-    last = rounds[pair.other * capacity + (sender.round_count - 1) % capacity]
-    return bool(pair.heard_time < last.state_time)
+    return bool(known.heard_time == -math.inf or pair.heard_time < known.heard_time)
 
 
 @kernel()

@@ -32,18 +32,29 @@ def copy_pace(source: Records, target: Records) -> None:
     """Copy one row of PACE_ROW to another one."""
     target.other = source.other
     target.interval_ns = source.interval_ns
-    target.due_ns = source.due_ns
     target.sending_interval_ns = source.sending_interval_ns
-    target.sending_due_ns = source.sending_due_ns
+
+
+@kernel()
+def copy_due(source: Records, target: Records) -> None:
+    """Copy one row of DUE_ROW to another one."""
+    target.hearing_ns = source.hearing_ns
+    target.sending_ns = source.sending_ns
 
 
 @kernel()
 def fill_pace(
-    pace: Records, other: int, sender: Records, far_interval_ns: int, now_ns: int
+    pace: Records,
+    due: Records,
+    other: int,
+    sender: Records,
+    far_interval_ns: int,
+    now_ns: int,
 ) -> None:
     """Set when a new pair hears and sends: as often as far drones, in the next round.
 
     pace: one row of PACE_ROW
+    due: its row of DUE_ROW
     other: row of the other drone
     sender: the other drone, one row of SWARM_ROW
     far_interval_ns: ns
@@ -53,55 +64,41 @@ def fill_pace(
     pace.sending_interval_ns = far_interval_ns
     if sender.listener >= 0:
         pace.interval_ns = far_interval_ns
-        pace.due_ns = sender.round_due_ns
-        pace.sending_due_ns = NEVER_NS
+        due.hearing_ns = sender.round_due_ns
+        due.sending_ns = NEVER_NS
     else:
         # Each state of a frame is heard: its sender decides how often it comes.
         pace.interval_ns = 1
-        pace.due_ns = 0
-        pace.sending_due_ns = now_ns
+        due.hearing_ns = 0
+        due.sending_ns = now_ns
 
 
 @kernel()
-def set_interval(pace: Records, interval_ns: int, far_interval_ns: int) -> None:
+def set_interval(
+    pace: Records, due: Records, interval_ns: int, far_interval_ns: int
+) -> None:
     """Change how often a pair hears; it hears at once, then on the sender's grid of times.
 
     pace: one row of PACE_ROW
+    due: its row of DUE_ROW
     interval_ns: ns
     far_interval_ns: ns
     """
     if pace.interval_ns != interval_ns:
         pace.interval_ns = interval_ns
-        pace.due_ns %= far_interval_ns
+        due.hearing_ns %= far_interval_ns
 
 
 @kernel()
-def pace_pair(
-    pair: Records,
-    pace: Records,
-    back: int,
-    own_height: float,
-    paces: Records,
-    rules: Records,
-) -> None:
-    """Send the own state to another drone as often as the distance demands.
+def find_sending_interval(pair: Records, own_height: float, rules: Records) -> int:
+    """Return how often a drone sends its state to another one, ns.
 
     A drone that stands on the floor sends it as to far drones: it comes near no other drone.
 
     pair: what the sender knows of the receiver, one row of PAIR_ROW
-    pace: its row of PACE_ROW
-    back: row of what the receiver knows of the sender, or -1
     own_height: m, of the sender
-    paces: PACE_ROW
     rules: one row of AIRSPACE_RULES_ROW
     """
-    far_interval_ns = rules.far_interval_ns
-    interval_ns = far_interval_ns
-    if own_height >= rules.standing_height:
-        interval_ns = find_interval(pair.meeting_time, pair.age_limit, far_interval_ns)
-    if pace.sending_interval_ns != interval_ns:
-        pace.sending_interval_ns = interval_ns
-        if pace.sending_due_ns != NEVER_NS:
-            pace.sending_due_ns %= far_interval_ns
-    if back >= 0:
-        set_interval(paces[back], interval_ns, far_interval_ns)
+    if own_height < rules.standing_height:
+        return int(rules.far_interval_ns)
+    return int(find_interval(pair.meeting_time, pair.age_limit, rules.far_interval_ns))
