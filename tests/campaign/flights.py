@@ -11,17 +11,16 @@ from campaign import faults
 from campaign.faults import Draw
 from campaign.report import Report, digest
 from crazychoir.agent.agent import Agent
-from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.impairment.rules import NetworkPartition
-from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import Mission, load_mission
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock, run_virtual
 from crazychoir.safety.rules.modes import Mode
+from crazychoir.simulation.owner import WorldOwner
 from crazychoir.simulation.trace import Trace
-from crazychoir.types import Acceleration, FullState, Reference
+from crazychoir.types import Acceleration, CameraFrame, FullState, Mat
 
 BRISK = {
     "takeoff_height": 0.5,
@@ -165,23 +164,30 @@ def dropouts(agent: Agent, report: Report, draw: Draw, watch: Invariants) -> Non
         report.inject("mocap dropouts")
     if not gaps:
         return
-    for i in agent.ids:
-        port = agent.bus.ports[i]
-        publish = port.publish
+    for owner in agent.owners:
+        _cover(owner, gaps, watch)
 
-        def seen(
-            topic: Any, value: Any, age: float = 0.0, i: int = i, publish: Any = publish
-        ) -> None:
-            now = agent.clock.now()
-            blind = topic is DRONE_TOPICS.pose and any(
-                j == i and since <= now < until for j, since, until in gaps
-            )
-            if not blind:
-                if topic is DRONE_TOPICS.pose:
-                    watch.seen[i] = now
-                publish(topic, value, age)
 
-        port.publish = seen  # type: ignore[method-assign]
+def _cover(
+    owner: WorldOwner, gaps: list[tuple[int, float, float]], watch: Invariants
+) -> None:
+    """Cover the cameras of a world: gaps are drones, each with the s between which it is not seen."""
+    sample = owner.cameras.sample
+
+    def covered(x: Mat, k: int) -> CameraFrame | None:
+        frame = sample(x, k)
+        if frame is None:
+            return None
+        now = owner.bus.clock.now()
+        hidden = {i for i, since, until in gaps if since <= now < until}
+        for row, i in enumerate(owner.world.ids):
+            if i in hidden:
+                frame.seen[row] = False
+            elif frame.seen[row]:
+                watch.seen[i] = now
+        return frame
+
+    owner.cameras.sample = covered  # type: ignore[method-assign]
 
 
 def runaway(agent: Agent, report: Report, draw: Draw) -> None:
@@ -194,21 +200,21 @@ def runaway(agent: Agent, report: Report, draw: Draw) -> None:
         float(draw.uniform(0.0, 2.0 * np.pi)),
     )
     way, pilot = np.array([np.cos(angle), np.sin(angle), 0.0]), agent.drones[i].pilot
-    follow = pilot.follow
     report.inject("runaway laws")
 
-    def followed(reference: Reference) -> bool:
-        if pilot.clock.now() < since or pilot.state is None:
-            return follow(reference)
-        if isinstance(reference, Acceleration):
-            return follow(Acceleration(2.0 * way))
-        return follow(
-            FullState.at(pilot.state.p + 0.3 * way, way)
-            if isinstance(reference, FullState)
-            else reference
-        )
+    def run_away(now_ns: int) -> None:
+        row = pilot.row
+        # What the law has not given in this tick becomes stale as ever.
+        has_stepped = row.drone["reference_ns"] == now_ns
+        if pilot.clock.now() < since or pilot.state is None or not has_stepped:
+            return
+        match row.reference:
+            case Acceleration():
+                pilot.follow(Acceleration(2.0 * way))
+            case FullState():
+                pilot.follow(FullState.at(pilot.state.p + 0.3 * way, way))
 
-    pilot.follow = followed  # type: ignore[method-assign]
+    pilot.tick.deciders.append(run_away)
 
 
 def flown(
@@ -236,7 +242,7 @@ def flown(
         trace = Trace()
         agent = Agent(clock, config, mission, ids, trace=trace)
         agents.append(agent)
-        agent.bus.impairment = Impairment(report.seed, network, cuts)
+        agent.bus.impairment.replace(network, cuts)
         watch = Invariants(agent, report, until)
         watch.alone = ids[-1] if until == LONG else None
         agent.services.append(watch)
