@@ -66,6 +66,8 @@ class Invariants(Actor):
             dict[int, tuple[float, float]](),
         )
         self.alone: int | None = None
+        self.ended: dict[int, float] = {}
+        """s: when the mission of each drone ended."""
         self._said: dict[Any, None] = {}
 
     async def run(self) -> None:
@@ -89,12 +91,24 @@ class Invariants(Actor):
         for i in agent.ids:
             if not np.isfinite(p[i]).all():
                 self._wrong(("nowhere", i), f"drone {i} is at {p[i]} at {now:.2f} s")
+        for i in agent.ids:
+            if agent.drones[i].result:
+                self.ended.setdefault(i, now)
         self.report.checks += len(up)
         for i in up:
             unseen = now - self.seen.get(i, now)
             self._check_fence(i, p[i], unseen, now)
             self._check_unseen(i, unseen, now)
         self._check_distances({i: p[i] for i in up}, now)
+
+    def is_unheard(self, i: int, by: int) -> bool:
+        """Return whether the mission of drone `by` ended while a partition kept it from hearing drone i."""
+        network = self.agent.bus.impairment
+        age = self.ended.get(by, np.inf) - network.began
+        return any(
+            cut.since <= age < cut.until and cut.cuts(i, by)
+            for cut in network.partitions
+        )
 
     def _end(self, now: float) -> None:
         """Tell all to land; by then a drone that is cut off for good must have ended."""
@@ -348,9 +362,15 @@ def delivery(report: Report, draw: Draw) -> None:
         nobody = len(agent.ids) == 2 or gone.issuperset(
             i for i in agent.ids if i not in who
         )
-        aboard = (
-            watch.alone in who and kind == "delivery"
-        )  # what it has when it is cut off, it delivers, unheard
+        # What it has when it is cut off, it delivers, unheard.
+        aboard = kind == "delivery" and (
+            watch.alone in who
+            or all(
+                k in gone or watch.is_unheard(who[0], k)
+                for k in agent.ids
+                if k not in who
+            )
+        )
         report.holds(
             known or nobody or aboard,
             f"{kind} of task {j} by {who}, and no other drone has heard of it",
