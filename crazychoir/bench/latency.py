@@ -2,8 +2,8 @@
 
 Both are measured in one process in real time. A block is one measurement without a pause. The delay
 of a tick is its start minus its due time. `added_p99_ms` is the p99 while solving minus the p99
-without, from blocks that alternate in this run. The time from pose to command begins when the pose
-is in the pilot's mailbox and ends when the command is on the link, with all drones of the process
+without, from blocks that alternate in this run. The time from pose to command begins when the
+cameras look and ends when the commands of all drones are sent, with all drones of the process
 hovering.
 """
 
@@ -24,8 +24,8 @@ from rich.table import Table
 from crazychoir.agent.agent import Agent
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import CrazyChoirError
-from crazychoir.flight.body import LocalBody
-from crazychoir.flight.pilot import Pilot
+from crazychoir.flight.batch import MODE_NUMBERS
+from crazychoir.flight.tick import FlightTick
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.mission import Mission
@@ -35,10 +35,9 @@ from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.runtime.clock import NS_PER_SECOND, Clock, run_wall
 from crazychoir.safety.rules.modes import Mode
-from crazychoir.simulation.common.world import DroneLink
 from crazychoir.simulation.owner import WorldOwner
 from crazychoir.solve.solving import solve_here
-from crazychoir.types import Acceleration, Command, Heard, State
+from crazychoir.types import Acceleration, Heard, State
 
 CONTROL_TICK_RATE = 100.0
 """Rate of the control tick, Hz."""
@@ -141,36 +140,31 @@ def added_p99_ms(alone: Lateness, solving: Lateness) -> float:
 # From pose to command --------------------------------------------------------------------------------------------
 
 
-class StopwatchLink:
-    """A link that stores the age of the newest poses when it sends a command.
+class CommandStopwatch:
+    """Stores the age of the newest poses when the commands of a tick are sent.
 
-    pilot: pilot of the drone
-    link: link to the drone
+    Each drone that ticks and follows its law counts once.
+
+    tick: of the process
     owner: owner of the world, which says when the cameras last saw all drones
     elapsed_ns: list of the ages, ns
     """
 
     def __init__(
-        self,
-        pilot: Pilot,
-        link: DroneLink,
-        owner: WorldOwner,
-        elapsed_ns: list[int],
+        self, tick: FlightTick, owner: WorldOwner, elapsed_ns: list[int]
     ) -> None:
-        self.pilot = pilot
+        self.tick = tick
         self.owner = owner
-        self.link = link
         self.elapsed_ns = elapsed_ns
+        tick.observers.append(self.stop)
 
-    def send(self, command: Command) -> None:
-        """Send the command, then note the time."""
-        self.link.send(command)
-        if self.pilot.mode is Mode.FOLLOW:
-            self.elapsed_ns.append(self.pilot.clock.now_ns() - self.owner.looked_ns)
-
-    def cut(self) -> None:
-        """Cut the motors."""
-        self.link.cut()
+    def stop(self) -> None:
+        """Note the time: the commands are sent."""
+        age_ns = self.tick.clock.now_ns() - self.owner.looked_ns
+        drones = self.tick.batch.drones
+        follows = drones["mode"] == MODE_NUMBERS[Mode.FOLLOW]
+        count = np.count_nonzero(follows & (drones["ticks"] > 0))
+        self.elapsed_ns += [age_ns] * int(count)
 
 
 class HoldLaw(CFDistributedFeedback):
@@ -213,12 +207,7 @@ def pose_to_command(drones: int, seconds: float) -> Lateness:
 
     async def main(clock: Clock) -> dict[int, dict[str, Any]]:
         agent = Agent(clock, default_swarm(drones), mission, tuple(range(drones)))
-        for drone in agent.drones.values():
-            body = drone.pilot.body
-            assert isinstance(body, LocalBody)  # noqa: S101 - its world is in this process
-            body.link = StopwatchLink(
-                drone.pilot, body.link, agent.owners[0], elapsed_ns
-            )
+        CommandStopwatch(agent.drones[0].pilot.tick, agent.owners[0], elapsed_ns)
         return await agent.run()
 
     results = run_wall(main)

@@ -99,6 +99,8 @@ class FlightTick:
         self.batch = Batch(size, rate)
         self.deciders: list[Callable[[int], None]] = []
         """Called with the time in ns when all states of a tick are published: laws decide then."""
+        self.observers: list[Callable[[], None]] = []
+        """Called when all commands of a tick are sent."""
         self._drones: list[TickedDrone] = []
         self._filtered_by_hand: list[int] = []
         self._worlds: list[WorldRows] = []
@@ -187,6 +189,8 @@ class FlightTick:
         follow_rows(drones, batch.plans, now)
         self._avoid(seekers, now)
         self._command(now)
+        for observe in self.observers:
+            observe()
         self._count_messages(now_ns)
         drones["ticks"] = 0
         batch.filters.rows["has_pose"] = 0

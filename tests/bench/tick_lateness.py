@@ -32,7 +32,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from system.agents import Program
 
 from crazychoir.agent.agent import Agent
-from crazychoir.bench.latency import StopwatchLink, pose_to_command
+from crazychoir.bench.latency import CommandStopwatch, pose_to_command
 from crazychoir.bench.steady_flight import list_idle
 from crazychoir.bench.swarms import FlightCase, build_bench_swarm
 from crazychoir.bus.port import Forwarder
@@ -123,10 +123,8 @@ class TickMeter(Actor):
         self.figures: dict[str, Any] = {}
         self.forwarder = CountingForwarder(agent.bus.forwarder)
         agent.bus.forwarder = self.forwarder
-        for drone in agent.drones.values():
-            drone.pilot.body = StopwatchLink(
-                drone.pilot, agent.owner_of[drone.id], self.command_ns
-            )
+        pilot = agent.drones[agent.ids[0]].pilot
+        CommandStopwatch(pilot.tick, agent.owners[0], self.command_ns)
 
     async def run(self) -> None:
         clock = self.agent.clock

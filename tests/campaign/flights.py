@@ -11,17 +11,16 @@ from campaign import faults
 from campaign.faults import Draw
 from campaign.report import Report, digest
 from crazychoir.agent.agent import Agent
-from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.impairment.rules import NetworkPartition
-from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.checks import SWARM_LIMITS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import Mission, load_mission
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import Clock, run_virtual
 from crazychoir.safety.rules.modes import Mode
+from crazychoir.simulation.owner import WorldOwner
 from crazychoir.simulation.trace import Trace
-from crazychoir.types import Acceleration, FullState, Reference
+from crazychoir.types import Acceleration, CameraFrame, FullState, Mat
 
 BRISK = {
     "takeoff_height": 0.5,
@@ -67,6 +66,8 @@ class Invariants(Actor):
             dict[int, tuple[float, float]](),
         )
         self.alone: int | None = None
+        self.ended: dict[int, float] = {}
+        """s: when the mission of each drone ended."""
         self._said: dict[Any, None] = {}
 
     async def run(self) -> None:
@@ -90,12 +91,24 @@ class Invariants(Actor):
         for i in agent.ids:
             if not np.isfinite(p[i]).all():
                 self._wrong(("nowhere", i), f"drone {i} is at {p[i]} at {now:.2f} s")
+        for i in agent.ids:
+            if agent.drones[i].result:
+                self.ended.setdefault(i, now)
         self.report.checks += len(up)
         for i in up:
             unseen = now - self.seen.get(i, now)
             self._check_fence(i, p[i], unseen, now)
             self._check_unseen(i, unseen, now)
         self._check_distances({i: p[i] for i in up}, now)
+
+    def is_unheard(self, i: int, by: int) -> bool:
+        """Return whether the mission of drone `by` ended while a partition kept it from hearing drone i."""
+        network = self.agent.bus.impairment
+        age = self.ended.get(by, np.inf) - network.began
+        return any(
+            cut.since <= age < cut.until and cut.cuts(i, by)
+            for cut in network.partitions
+        )
 
     def _end(self, now: float) -> None:
         """Tell all to land; by then a drone that is cut off for good must have ended."""
@@ -165,23 +178,30 @@ def dropouts(agent: Agent, report: Report, draw: Draw, watch: Invariants) -> Non
         report.inject("mocap dropouts")
     if not gaps:
         return
-    for i in agent.ids:
-        port = agent.bus.ports[i]
-        publish = port.publish
+    for owner in agent.owners:
+        _cover(owner, gaps, watch)
 
-        def seen(
-            topic: Any, value: Any, age: float = 0.0, i: int = i, publish: Any = publish
-        ) -> None:
-            now = agent.clock.now()
-            blind = topic is DRONE_TOPICS.pose and any(
-                j == i and since <= now < until for j, since, until in gaps
-            )
-            if not blind:
-                if topic is DRONE_TOPICS.pose:
-                    watch.seen[i] = now
-                publish(topic, value, age)
 
-        port.publish = seen  # type: ignore[method-assign]
+def _cover(
+    owner: WorldOwner, gaps: list[tuple[int, float, float]], watch: Invariants
+) -> None:
+    """Cover the cameras of a world: gaps are drones, each with the s between which it is not seen."""
+    sample = owner.cameras.sample
+
+    def covered(x: Mat, k: int) -> CameraFrame | None:
+        frame = sample(x, k)
+        if frame is None:
+            return None
+        now = owner.bus.clock.now()
+        hidden = {i for i, since, until in gaps if since <= now < until}
+        for row, i in enumerate(owner.world.ids):
+            if i in hidden:
+                frame.seen[row] = False
+            elif frame.seen[row]:
+                watch.seen[i] = now
+        return frame
+
+    owner.cameras.sample = covered  # type: ignore[method-assign]
 
 
 def runaway(agent: Agent, report: Report, draw: Draw) -> None:
@@ -194,21 +214,21 @@ def runaway(agent: Agent, report: Report, draw: Draw) -> None:
         float(draw.uniform(0.0, 2.0 * np.pi)),
     )
     way, pilot = np.array([np.cos(angle), np.sin(angle), 0.0]), agent.drones[i].pilot
-    follow = pilot.follow
     report.inject("runaway laws")
 
-    def followed(reference: Reference) -> bool:
-        if pilot.clock.now() < since or pilot.state is None:
-            return follow(reference)
-        if isinstance(reference, Acceleration):
-            return follow(Acceleration(2.0 * way))
-        return follow(
-            FullState.at(pilot.state.p + 0.3 * way, way)
-            if isinstance(reference, FullState)
-            else reference
-        )
+    def run_away(now_ns: int) -> None:
+        row = pilot.row
+        # What the law has not given in this tick becomes stale as ever.
+        has_stepped = row.drone["reference_ns"] == now_ns
+        if pilot.clock.now() < since or pilot.state is None or not has_stepped:
+            return
+        match row.reference:
+            case Acceleration():
+                pilot.follow(Acceleration(2.0 * way))
+            case FullState():
+                pilot.follow(FullState.at(pilot.state.p + 0.3 * way, way))
 
-    pilot.follow = followed  # type: ignore[method-assign]
+    pilot.tick.deciders.append(run_away)
 
 
 def flown(
@@ -236,7 +256,7 @@ def flown(
         trace = Trace()
         agent = Agent(clock, config, mission, ids, trace=trace)
         agents.append(agent)
-        agent.bus.impairment = Impairment(report.seed, network, cuts)
+        agent.bus.impairment.replace(network, cuts)
         watch = Invariants(agent, report, until)
         watch.alone = ids[-1] if until == LONG else None
         agent.services.append(watch)
@@ -342,9 +362,15 @@ def delivery(report: Report, draw: Draw) -> None:
         nobody = len(agent.ids) == 2 or gone.issuperset(
             i for i in agent.ids if i not in who
         )
-        aboard = (
-            watch.alone in who and kind == "delivery"
-        )  # what it has when it is cut off, it delivers, unheard
+        # What it has when it is cut off, it delivers, unheard.
+        aboard = kind == "delivery" and (
+            watch.alone in who
+            or all(
+                k in gone or watch.is_unheard(who[0], k)
+                for k in agent.ids
+                if k not in who
+            )
+        )
         report.holds(
             known or nobody or aboard,
             f"{kind} of task {j} by {who}, and no other drone has heard of it",

@@ -32,6 +32,8 @@ def crash(agent: Agent, i: int) -> None:
     )
     agent.bus.close(i)
     drone.pilot.cut("killed")
+    # It ticks no more: no other drone of this process hears its states.
+    drone.pilot.row.drone["is_running"] = 0
     agent.runners[i].abort("killed")
 
 

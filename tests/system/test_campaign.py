@@ -9,6 +9,7 @@ from campaign import flights, seeds
 from campaign.report import Report
 
 from crazychoir.agent.agent import Agent
+from crazychoir.flight.judge import Judge
 from crazychoir.guidance.mission import load_mission
 from crazychoir.runtime.clock import run_virtual
 
@@ -86,6 +87,28 @@ def test_all_are_told_to_land_once(monkeypatch):
     )
     assert report.wrong == []
     assert told == ["the scenario is over"]
+
+
+def test_injected_faults_reach_the_drones(monkeypatch):
+    measures = set()
+    obey = Judge.obey
+
+    def note_measure(self, verdict, now):
+        measures.add(verdict.measure)
+        obey(self, verdict, now)
+
+    monkeypatch.setattr(Judge, "obey", note_measure)
+    report = Report(17, "formation")
+    mission = load_mission("bearing_formation")
+    draw = np.random.default_rng(13)
+    agent = flights.flown(report, draw, formation(), mission, 0, 12.0)
+    faults = {"bad link of one drone", "mocap dropouts", "partitions", "runaway laws"}
+    assert faults < report.injected.keys()
+    assert "pose" in measures, "the cameras do not see a drone for some time"
+    assert "stop" in measures, "a law leads its drone to the fence"
+    edges = agent.bus.impairment.counters.values()
+    lost = sum(edge.lost for edge in edges)
+    assert lost > 5000, "states are lost as well, not only the few other messages"
 
 
 def test_a_drone_that_is_nowhere_is_a_finding(monkeypatch):

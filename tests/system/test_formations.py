@@ -1,5 +1,6 @@
 """Formations reach their places, by each of their laws; at motor level in the time that is promised."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +14,10 @@ from crazychoir.bench.formation import (
 )
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import Refused
-from crazychoir.flight.pilot import Pilot
 from crazychoir.guidance.formation.bearing import build_bearing_laplacian
 from crazychoir.guidance.mission import load_mission
 from crazychoir.launch.flight import fly_fast
-from crazychoir.types import Pose
+from crazychoir.mocap.simulated import SimulatedMocap
 
 pytestmark = pytest.mark.system
 DEPLOY = Path(__file__).parents[2] / "deploy"
@@ -80,16 +80,15 @@ def test_thirty_keep_their_places_though_frames_come_late_by_other_times(monkeyp
 
     Otherwise all drones would bob together.
     """
-    draw, frame, see = np.random.default_rng(1), {}, Pilot.see
+    draw = np.random.default_rng(1)
+    sample = SimulatedMocap.sample
 
-    def late(pilot, pose, age):
-        now = pilot.clock.now_ns()
-        if now not in frame:
-            frame.clear()
-            frame[now] = abs(draw.normal(0.0, 0.006))
-        see(pilot, None if pose is None else Pose(pose.flat, frame[now]), frame[now])
+    def sample_late(cameras, x, k):
+        frame = sample(cameras, x, k)
+        late = abs(draw.normal(0.0, 0.006))
+        return None if frame is None else replace(frame, age=late)
 
-    monkeypatch.setattr(Pilot, "see", late)
+    monkeypatch.setattr(SimulatedMocap, "sample", sample_late)
     config = load_mission("bearing_formation").swarm(30)
     result = flown(
         "bearing_formation",

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from system.flights import fly, mission_of
 
-from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.impairment.rules import ImpairmentRule
 from crazychoir.config.swarm_config import SwarmConfig
 
@@ -84,11 +83,10 @@ def test_a_drone_without_an_answer_lands_after_some_seconds(edge):
         await guidance.take_off(1.0)
         await guidance.rendezvous()
         if guidance.id == 0:
-            bus = guidance.member.communicator.port.bus
-            bus.impairment = Impairment(
-                1, [ImpairmentRule({"loss": 1.0}, edge=edge, directed=True)]
+            impairment = guidance.member.communicator.port.bus.impairment
+            impairment.replace(
+                [ImpairmentRule({"loss": 1.0}, edge=edge, directed=True)]
             )
-            bus.impairment.begin(guidance.member.clock.now())
         await guidance.sleep(20.0 * (1 - guidance.id) + 5.0)
         begins = guidance.member.clock.now()
         await guidance.land()
