@@ -22,11 +22,16 @@ from crazychoir.planning.plan_row import PLAN_ROW, PlanKind, PlanRows, is_plan_o
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.collision.airspace_rows import (
     LINK_ROW,
+    LISTENER_ROW,
     LOSS_ROW,
+    PACE_ROW,
+    PAIR_ROW,
+    SWARM_ROW,
     LinkKind,
     LinkKinds,
 )
-from crazychoir.safety.collision.hearing import link_kinds, pass_link
+from crazychoir.safety.collision.hearing import are_valid, link_kinds, pass_link
+from crazychoir.safety.collision.pair_paces import find_pair
 from crazychoir.safety.rules.limits import limit_acceleration
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Ints
@@ -36,6 +41,9 @@ HOVER_NUMBER = MODE_NUMBERS[Mode.HOVER]
 FOLLOW_NUMBER = MODE_NUMBERS[Mode.FOLLOW]
 ELSEWHERE_SOURCE = -1
 """`source` of an edge from a drone of another process: its states come as messages."""
+NEWER_TIME = (
+    1e-6  # s by which the state of a law must be newer than that of the airspace
+)
 
 
 class Handover(IntEnum):
@@ -142,6 +150,75 @@ def deliver_rows(
             continue
         put_row(edge, sender.state, sender.acceleration, sender.age, sender.age, now_ns)
     return count
+
+
+@kernel()
+def _share_state(edge: Any, pair: Any, sender: Any) -> None:
+    """Store the newest state of an edge in a pair of the same drones, if it is newer there.
+
+    edge: one row of HEARING_ROW
+    pair: one row of PAIR_ROW
+    sender: the neighbour, one row of SWARM_ROW
+    """
+    born = edge.born_ns / NS_PER_SECOND
+    if edge.version == 0 or born <= pair.heard_time + NEWER_TIME:
+        return
+    if not are_valid(edge.state, edge.acceleration):
+        return
+    pair.heard_time = born
+    pair.share = sender.share
+    if born > pair.state_time:
+        pair.state_time = born
+        for c in range(13):
+            pair.state[c] = edge.state[c]
+        for c in range(3):
+            pair.acceleration[c] = edge.acceleration[c]
+
+
+@kernel(
+    rows_of(LAW_ROW),
+    rows_of(HEARING_ROW),
+    wholes,
+    rows_of(DRONE_ROW),
+    rows_of(LISTENER_ROW),
+    rows_of(PAIR_ROW),
+    rows_of(PACE_ROW),
+    rows_of(SWARM_ROW),
+)
+def share_rows(
+    laws: Any,
+    edges: Any,
+    others: Ints,
+    drones: DroneRows,
+    listeners: Any,
+    pairs: Any,
+    paces: Any,
+    swarm: Any,
+) -> None:
+    """Let the airspace know what laws have heard: one message serves both.
+
+    Laws often hear their neighbours in each tick, so more often than the distance demands.
+
+    laws: (n,) of LAW_ROW
+    edges: (e,) of HEARING_ROW
+    others: (e,): row of each neighbour in the swarm of the airspace; -1: it is not there
+    drones: of the batch
+    listeners: LISTENER_ROW
+    pairs: PAIR_ROW
+    paces: PACE_ROW
+    swarm: SWARM_ROW
+    """
+    for r in range(laws.shape[0]):
+        law = laws[r]
+        at = drones[law.place].listener
+        if at < 0:
+            continue
+        for e in range(law.first_edge, law.end_edge):
+            if others[e] < 0:
+                continue
+            k = find_pair(listeners[at], paces, others[e])
+            if k >= 0:
+                _share_state(edges[e], pairs[k], swarm[others[e]])
 
 
 @kernel()
