@@ -41,9 +41,7 @@ HOVER_NUMBER = MODE_NUMBERS[Mode.HOVER]
 FOLLOW_NUMBER = MODE_NUMBERS[Mode.FOLLOW]
 ELSEWHERE_SOURCE = -1
 """`source` of an edge from a drone of another process: its states come as messages."""
-NEWER_TIME = (
-    1e-6  # s by which the state of a law must be newer than that of the airspace
-)
+NEWER_TIME = 1e-6  # s, more than the rounding of the time of a state
 
 
 class Handover(IntEnum):
