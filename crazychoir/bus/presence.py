@@ -1,7 +1,7 @@
 """Monitors which members of a team are ALIVE, SUSPECT or LOST.
 
 A member is SUSPECT if its liveliness token is gone, or if no message came for a second.
-A member is LOST if it was SUSPECT for `lost_after`.
+A member is LOST if it was SUSPECT for `lost_after` while it was watched.
 
 Heartbeats come from the drone's event loop and pass the simulated network like every other message.
 Therefore a hung loop, a killed process and a partition all become visible. Any message counts as a
@@ -77,7 +77,6 @@ class PresenceMonitor(Actor):
         seek: Callable[[], tuple[int, ...]] = tuple,
     ) -> None:
         self.port = port
-        self.watched = watched
         self.beat = beat
         self.lost_after = lost_after
         self.seek = seek
@@ -85,9 +84,24 @@ class PresenceMonitor(Actor):
         self.silent = False
         """True to send no heartbeats: a drone that cannot fly yet is no member."""
         self._members: dict[int, _Member] = {}
+        self._watched = watched
         self._number = 0
         self._edges: LossyEdges | None = None
         self._edges_made_for: tuple[int, tuple[int, ...]] = (0, ())
+
+    @property
+    def watched(self) -> tuple[int, ...]:
+        """The ids of the members."""
+        return self._watched
+
+    @watched.setter
+    def watched(self, ids: tuple[int, ...]) -> None:
+        now_ns = self.port.bus.clock.now_ns()
+        for j in set(ids).difference(self._watched):
+            # It sends no heartbeats to a drone that does not watch it: that silence does not count.
+            if self.state(j) is Presence.SUSPECT:
+                self._members[j].since_ns = now_ns
+        self._watched = ids
 
     async def run(self) -> None:
         """Send a heartbeat and check all members, four times a second."""
@@ -103,7 +117,7 @@ class PresenceMonitor(Actor):
             ignoring = self._list_ignoring(beat)
             if ignoring:
                 self._note_beat(ignoring, now_ns, len(beat))
-            receivers = [j for j in self.watched if j not in ignoring]
+            receivers = [j for j in self._watched if j not in ignoring]
             receivers += self.seek()
             if receivers:
                 self.port.send(
@@ -126,7 +140,7 @@ class PresenceMonitor(Actor):
         # A loop without calls, because this is done for all members four times a second.
         ignoring = {
             j: port
-            for j in self.watched
+            for j in self._watched
             if (port := ports.get(j)) is not None
             and port.ignored_beats.get(address) == beat
         }
@@ -140,13 +154,13 @@ class PresenceMonitor(Actor):
         """Make the edges of the simulated network anew if it or the watched members have changed."""
         impairment = self.port.bus.impairment
         address = self.port.address
-        made_for = (impairment.version, self.watched)
+        made_for = (impairment.version, self._watched)
         if made_for == self._edges_made_for:
             return
         self._edges_made_for = made_for
         if self._edges is not None:
             self._edges.close()
-        lossy = [j for j in self.watched if impairment.only_loses(address, j)]
+        lossy = [j for j in self._watched if impairment.only_loses(address, j)]
         self._edges = LossyEdges(impairment, address, lossy, HEARTBEAT_CHANNEL)
 
     def _note_beat(self, ignoring: dict[int, Port], now_ns: int, size: int) -> None:
@@ -175,7 +189,7 @@ class PresenceMonitor(Actor):
         # A loop without calls, because this is done for all members four times a second.
         return [
             j
-            for j in self.watched
+            for j in self._watched
             if (member := members.get(j)) is None
             or member.state is not alive
             or member.token_gone
@@ -192,7 +206,7 @@ class PresenceMonitor(Actor):
         members = self._members
         return [
             j
-            for j in sorted(self.watched)
+            for j in sorted(self._watched)
             if (member := members.get(j)) is not None and member.state is state
         ]
 

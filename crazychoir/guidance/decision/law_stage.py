@@ -15,6 +15,7 @@ from crazychoir.guidance.decision.flight_rows import (
     deliver_rows,
     hand_over_rows,
     look_rows,
+    share_rows,
 )
 from crazychoir.guidance.decision.hearing_rows import HEARING_ROW
 from crazychoir.guidance.decision.law_rows import (
@@ -32,9 +33,10 @@ from crazychoir.guidance.decision.team import (
     read_references,
 )
 from crazychoir.runtime.clock import NS_PER_SECOND, AlarmPriority, Clock
+from crazychoir.safety.collision.airspace import Airspace
 from crazychoir.safety.collision.state_links import StateLinks
 from crazychoir.safety.collision.states_by_hand import STATE_BYTES
-from crazychoir.types import Heard, Reference, State
+from crazychoir.types import Heard, Ints, Reference, State
 
 
 class StateTaker(Protocol):
@@ -93,6 +95,7 @@ class LawStage:
     """
 
     def __init__(self, tick: FlightTick, impairment: Impairment) -> None:
+        self._tick = tick
         self._batch = tick.batch
         self._clock = tick.clock
         self._impairment = impairment
@@ -130,6 +133,8 @@ class LawStage:
             group.team.epoch_ns = self._clock.epoch_ns
             look_rows(group.team.rows, batch.drones, batch.filters.rows)
             group.deliver(batch, self._clock, self._impairment)
+            if self._tick.airspace is not None:
+                group.share(batch, self._tick.airspace)
             if group.decide():
                 group.hand_over(batch)
 
@@ -184,6 +189,7 @@ class LawGroup:
             first = end
         self._found = np.zeros(max(len(laws), len(edges)), np.int64)
         self._ids = [j for law in laws for j in law.ids]
+        self._others: Ints | None = None
         self._team_law = self._prepare_team()
 
     def _prepare_team(self) -> TeamLaw | None:
@@ -221,6 +227,26 @@ class LawGroup:
         )
         for e in self._found[:count].tolist():
             self._deliver_by_hand(e, batch, clock, impairment)
+
+    def share(self, batch: Batch, airspace: Airspace) -> None:
+        """Let the airspace of this process know the states that the laws have heard."""
+        if self._others is None:
+            places = airspace.places
+            self._others = np.array([places.get(j, -1) for j in self._ids], np.int64)
+        share_rows(
+            self.team.rows,
+            self.team.edges,
+            self._others,
+            batch.drones,
+            airspace.listeners,
+            airspace.pairs,
+            airspace.motions,
+            airspace.paces,
+            airspace.dues,
+            airspace.swarm,
+            float(airspace.rules["lag"][0]),
+            self.team.now_ns,
+        )
 
     def _deliver_by_hand(
         self, e: int, batch: Batch, clock: Clock, impairment: Impairment

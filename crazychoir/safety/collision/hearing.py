@@ -49,22 +49,28 @@ byte_table = numba.uint8[:, ::1]
 """An array (m, n) of bytes that a kernel writes."""
 
 
+@kernel()
+def are_valid(state: Vec, acceleration: Vec) -> bool:
+    """Return whether a state (13,) and an acceleration (3,) are finite and not too large."""
+    state_squared = 0.0
+    for c in range(13):
+        state_squared += state[c] * state[c]
+    squared = 0.0
+    for c in range(3):
+        squared += acceleration[c] * acceleration[c]
+    return bool(
+        state_squared < LARGEST_STATE_NORM * LARGEST_STATE_NORM
+        and squared < LARGEST_ACCELERATION_NORM * LARGEST_ACCELERATION_NORM
+    )
+
+
 @kernel(vector)
 def is_valid_state(values: Vec) -> bool:
     """Return whether a state (13,) and an acceleration (3,) are finite and not too large.
 
     values: (16,)
     """
-    state = 0.0
-    for c in range(13):
-        state += values[c] * values[c]
-    acceleration = 0.0
-    for c in range(13, 16):
-        acceleration += values[c] * values[c]
-    return (
-        state < LARGEST_STATE_NORM * LARGEST_STATE_NORM
-        and acceleration < LARGEST_ACCELERATION_NORM * LARGEST_ACCELERATION_NORM
-    )
+    return bool(are_valid(values[0:13], values[13:16]))
 
 
 @kernel(rows_of(SWARM_ROW), integers, integers, matrix, vector, **UNCOUNTED)

@@ -199,6 +199,22 @@ async def test_the_watched_drones_may_change(clock):
 
 
 @virtual
+async def test_the_silence_of_a_drone_that_was_not_watched_does_not_count(clock):
+    team = Team(clock)
+    await clock.sleep(1.0)
+    await team.stop(2)
+    await clock.sleep(2.0)
+    assert team.monitors[1].state(2) is SUSPECT
+    team.monitors[1].watched = ()
+    await clock.sleep(20.0)
+    team.monitors[1].watched = (2,)
+    await clock.sleep(4.5)
+    assert team.monitors[1].state(2) is SUSPECT
+    await clock.sleep(1.0)
+    assert team.monitors[1].state(2) is LOST
+
+
+@virtual
 async def test_heartbeats_carry_what_beat_says_and_are_numbered(clock):
     bus = Bus(clock)
     seen, beats = [], iter([b"1", b"2", b"3", b"4", b"5"])

@@ -7,14 +7,19 @@ import numpy as np
 import pytest
 from virtual_time import virtual
 
+from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.port import Bus
+from crazychoir.config.tables import CollisionTable
 from crazychoir.flight.tick import FlightTick
 from crazychoir.guidance.decision.flight_rows import write_reference
 from crazychoir.guidance.decision.hearing_rows import HEARING_ROW
 from crazychoir.guidance.decision.law_rows import LAW_ROW, ReferenceKind, start_row
 from crazychoir.guidance.decision.law_stage import LawStage
 from crazychoir.guidance.feedback import CFDistributedFeedback
+from crazychoir.guidance.neighbour_state import PairedStateMailbox
 from crazychoir.runtime.clock import run_virtual
+from crazychoir.safety.collision.airspace import Airspace, AirspaceRules
+from crazychoir.safety.collision.neighbours import Neighbours
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Acceleration, State
 
@@ -209,3 +214,101 @@ async def test_a_team_that_cannot_be_prepared_ends_its_laws(clock):
     await process.fly(2)
     assert [len(law.errors) for law in laws] == [1, 0]
     assert [len(law.flown) for law in laws] == [0, 2]
+
+
+APART = 1.0  # m: two drones at rest hear each other 20 times a second, not in each tick
+
+
+class NeighbourProcess:
+    """Drones 0 and 1 at rest in one process, and drone 8 of another one; all are near each other.
+
+    The law of drone 0 has the neighbours 1 and 8. Drone 1 has no law.
+    """
+
+    def __init__(self, clock, rules=()):
+        self.clock = clock
+        impairment = Impairment(7, rules)
+        impairment.begin(0.0)
+        bus = Bus(clock, impairment)
+        for i in (0, 1):
+            bus.port(i)
+        self.tick = FlightTick(bus, 2)
+        rules_of_air = AirspaceRules(CollisionTable(), 1.0, 0.0)
+        self.airspace = self.tick.airspace = Airspace(bus, [0, 1, 8], rules_of_air)
+        self.drones = [Neighbours(self.airspace, i) for i in (0, 1)]
+        self.states = [State.at((APART * i, 0.0, 1.0)) for i in (0, 1)]
+        for i in (0, 1):
+            row = self.tick.batch.add(i)
+            row.mode = Mode.HOVER
+            row.drone["state"] = self.states[i].flat
+            row.drone["listener"] = i
+        law = Staged(0, ByHand())
+        law.ids = (1, 8)
+        law.edges = np.zeros(2, HEARING_ROW)
+        near = PairedStateMailbox(clock, "1", TICK, law.edges[0:1])
+        near.take_from(1, 0.0)
+        self.elsewhere = PairedStateMailbox(clock, "8", TICK, law.edges[1:2])
+        law.move_to = self.move_to
+        self.law = law
+        self.stage = LawStage(self.tick, impairment)
+        self.stage.enter(law)
+
+    def move_to(self, rows, edges):
+        rows[:] = self.law.rows
+        edges[:] = self.law.edges
+        self.law.rows = rows
+        self.law.edges = edges
+        self.elsewhere.move_to(edges[1:2])
+
+    async def fly(self, seconds):
+        """Tick, and return the largest age of what drone 0 and drone 1 know of each other."""
+        ages = [0.0, 0.0]
+        for _ in range(round(seconds / TICK)):
+            await self.clock.sleep(TICK)
+            for i in (0, 1):
+                self.drones[i].publish(self.states[i], 0.0)
+            self.tick.batch.drones["ticks"] = 1
+            self.tick.batch.drones["number"] = self.airspace.numbers
+            self.airspace.step()
+            self.stage.decide(self.clock.now_ns())
+            ages = [max(ages[i], self.age(i, 1 - i)) for i in (0, 1)]
+        return ages
+
+    def age(self, i, j):
+        """Return the age in s of what the airspace knows of drone j for drone i."""
+        return self.clock.now() - float(self.drones[i].known(j)["heard_time"])
+
+
+@virtual
+async def test_the_airspace_knows_each_state_that_a_law_hears(clock):
+    process = NeighbourProcess(clock)
+    await process.fly(1.5)
+    with_law, without_law = await process.fly(1.0)
+    assert with_law < 1e-6
+    assert without_law > 2.0 * TICK
+
+
+@virtual
+async def test_the_airspace_does_not_know_states_that_the_law_misses(clock):
+    process = NeighbourProcess(clock)
+    await process.fly(1.5)
+    process.tick.airspace.bus.impairment.update({"loss": 1.0})
+    with_law, _ = await process.fly(1.0)
+    assert with_law > 1.0 - 2.0 * TICK
+
+
+@virtual
+async def test_the_airspace_knows_states_that_a_law_hears_from_another_process(clock):
+    process = NeighbourProcess(clock)
+    await process.fly(1.5)
+    process.elsewhere.put(State.at((0.0, APART, 1.0)), 0.02)
+    await process.fly(TICK)
+    row = process.drones[0].known(8)
+    assert row["state"][1] == APART
+    assert process.age(0, 8) == pytest.approx(0.02 + TICK)
+    assert process.drones[1].known(8)["state_time"] == -np.inf
+    await process.fly(0.1)
+    process.elsewhere.put(State.at((np.nan, 0.0, 1.0)))
+    process.elsewhere.put(State.at((0.0, 1e9, 1.0)))
+    await process.fly(TICK)
+    assert process.drones[0].known(8)["state"][1] == APART, "no invalid state"
