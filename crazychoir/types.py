@@ -184,7 +184,8 @@ class FullState(Wire, frozen=True, array_like=True, gc=False):
         yaw: rad.
         yaw_rate: rad/s.
         """
-        return cls(np.array([*p, *v, *a, *j, yaw, yaw_rate], dtype=float))
+        parts = (p, v, a, j, (yaw, yaw_rate))
+        return cls(np.concatenate(parts, dtype=float))
 
     @property
     def p(self) -> Vec:

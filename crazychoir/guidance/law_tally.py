@@ -43,7 +43,7 @@ class LawTally:
         return self.steps - self.hovered - self.refused
 
     def count(self, reference: object) -> None:
-        """Count a step and its return value."""
+        """Count a step by hand, and its return value."""
         self.rows["steps"] += 1
         self.rows["hovered"] += reference is None
 

@@ -4,18 +4,21 @@ import asyncio
 import contextlib
 import logging
 from contextlib import AbstractContextManager
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from crazychoir.flight.references import convert_reference, explain_refusal
-from crazychoir.guidance.decision.flight_rows import write_reference
 from crazychoir.guidance.decision.hearing_rows import HEARING_ROW
 from crazychoir.guidance.decision.law_rows import (
     LAW_ROW,
     LawDecision,
-    ReferenceKind,
     start_row,
+)
+from crazychoir.guidance.decision.team import (
+    ACCELERATION_KIND,
+    FULL_STATE_KIND,
+    VELOCITY_KIND,
 )
 from crazychoir.guidance.law_tally import LawTally, explain_wrong_return
 from crazychoir.guidance.member import (
@@ -33,7 +36,16 @@ from crazychoir.guidance.neighbour_state import (
 )
 from crazychoir.guidance.user_hook import locate_function
 from crazychoir.runtime.clock import NS_PER_SECOND, wake_waiter
-from crazychoir.types import Acceleration, Heard, Reference, State
+from crazychoir.types import (
+    Acceleration,
+    FullState,
+    Heard,
+    Ints,
+    Mat,
+    Reference,
+    State,
+    Velocity,
+)
 
 log = logging.getLogger(__name__)
 
@@ -62,7 +74,7 @@ class RunningLaw:
         self.law = law
         self.drone = member.id
         self.ids = ids
-        self.rows: Rows = np.zeros(1, LAW_ROW)
+        self._use(np.zeros(1, LAW_ROW))
         self.edges: Rows = np.zeros(len(ids), HEARING_ROW)
         self.hearings = [
             self._hearing(member, j, self.edges[e : e + 1]) for e, j in enumerate(ids)
@@ -95,10 +107,16 @@ class RunningLaw:
         """{j: steps in which neighbour j was not heard}."""
         return dict(zip(self.ids, self.edges["unheard"].tolist(), strict=True))
 
+    def _use(self, rows: Rows) -> None:
+        """Step with this row: (1,) of LAW_ROW."""
+        self.rows: Rows = rows
+        self._kinds: Ints = rows["kind"]
+        self._references: Mat = rows["reference"]
+
     def move_to(self, rows: Rows, edges: Rows) -> None:
         """Go on with these rows: (1,) of LAW_ROW and (k,) of HEARING_ROW."""
         rows[:] = self.rows
-        self.rows = rows
+        self._use(rows)
         for e, hearing in enumerate(self.hearings):
             hearing.move_to(edges[e : e + 1])
         self.edges = edges
@@ -140,27 +158,36 @@ class RunningLaw:
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # noqa: BLE001 - run_law raises it
+            self.rows["decision"] = LawDecision.REST
             self.fail(error)
             return
-        self.tally.count(reference)
         if not self._write(reference):
+            self.rows["decision"] = LawDecision.REST
+            self.tally.count(reference)
             self.fly(reference)
 
-    def _write(self, reference: Reference | None) -> bool:
-        """Write a usual reference into the row; return False for others, which the pilot takes."""
-        row = self.rows[0]
-        if reference is None:
-            return True
-        if (
-            type(reference) is Acceleration
-            and _is_vector(reference.a)
-            and isinstance(reference.yaw, float)
-        ):
-            kind = ReferenceKind.ACCELERATION
-            write_reference(row, kind, 6, reference.a, reference.yaw)
-            return True
-        row["decision"] = LawDecision.REST
-        return False
+    def _write(self, reference: Any) -> bool:
+        """Write a usual reference into the row; return False for others, which the pilot takes.
+
+        The row has the reference None already, and zeros in `reference`.
+        """
+        # Comparing types costs a fifth of matching patterns.
+        kind = type(reference)
+        row = self._references[0]
+        if kind is Acceleration and _is_directed(reference.a, reference.yaw):
+            self._kinds[0] = ACCELERATION_KIND
+            row[6:9] = reference.a
+            row[12] = reference.yaw
+        elif kind is Velocity and _is_directed(reference.v, reference.yaw):
+            self._kinds[0] = VELOCITY_KIND
+            row[3:6] = reference.v
+            row[12] = reference.yaw
+        elif kind is FullState and _is_vector(reference.flat, 14):
+            self._kinds[0] = FULL_STATE_KIND
+            row[:] = reference.flat
+        else:
+            return reference is None
+        return True
 
     def fly(self, reference: Reference | None) -> None:
         """Fly a reference of a step; None: hover."""
@@ -209,10 +236,15 @@ class RunningLaw:
         return f"; hears nothing of drone(s) {silent}" if silent else ""
 
 
-def _is_vector(values: object) -> bool:
-    """Return whether the values are three float64 numbers."""
+def _is_directed(vector: object, yaw: object) -> bool:
+    """Return whether these are three float64 numbers and a float."""
+    return _is_vector(vector, 3) and isinstance(yaw, float)
+
+
+def _is_vector(values: object, size: int) -> bool:
+    """Return whether the values are so many float64 numbers."""
     return (
         type(values) is np.ndarray
         and values.dtype == np.float64
-        and values.shape == (3,)
+        and values.shape == (size,)
     )

@@ -91,6 +91,7 @@ class TeamPresence:
             SETTLE_TIME + search_time,
         )
         self._review: PresenceReview | None = None
+        self._led_by = -1  # id of the coordinator when the watched drones were chosen
         self._sent: tuple[TeamHeartbeat | None, bytes] = (None, b"")
         self.monitor = PresenceMonitor(
             port,
@@ -282,8 +283,10 @@ class TeamPresence:
                 and self.coordinator() == self.id
             ):
                 self._review.review_loss(j, roster)
-        elif state is Presence.ALIVE:
-            self.lost.pop(j, None)
+            self.review_all()
+        elif state is Presence.ALIVE and j in self.lost:
+            del self.lost[j]
+            self.review_all()
         self._watch()
 
     def _handle_roster(self, roster: Roster) -> None:
@@ -296,6 +299,7 @@ class TeamPresence:
         for j in [j for j in self.lost if j in roster.members]:
             if roster.members[j] != before.get(j) or j not in neighbors:
                 del self.lost[j]  # the coordinator has received it
+        self.review_all()
         self._watch()
 
     def _watch(self) -> None:
@@ -304,22 +308,26 @@ class TeamPresence:
         The coordinator watches all. The others watch their neighbours and the coordinator, and the
         lowest ids if the coordinator is silent.
         """
-        self.review_all()
         roster = self.rosters.roster
         if roster is None:
+            self.review_all()
             return
         graph = self.rosters.graph
         first = roster.ids[0]
         coordinator = self.coordinator()
         is_alive = self.monitor.state(first) is Presence.ALIVE
         if coordinator == self.id:
-            self.monitor.watched = self.others
+            watched = self.others
         elif is_alive and coordinator == first:
-            self.monitor.watched = list_near(graph, self.id, first)
+            watched = list_near(graph, self.id, first)
         else:
             # A restarted coordinator may have no team.
             lowest = list_lowest(graph.ids) + list_lowest(roster.ids)
-            self.monitor.watched = list_near(graph, self.id, *lowest)
+            watched = list_near(graph, self.id, *lowest)
+        if watched != self.monitor.watched or coordinator != self._led_by:
+            self.monitor.watched = watched
+            self._led_by = coordinator
+            self.review_all()
 
     def _seek(self) -> tuple[int, ...]:
         """Return the further drones to which the next heartbeat before the start goes.

@@ -379,20 +379,3 @@ def hand_over_rows(
             found[count] = r
             count += 1
     return count
-
-
-def write_reference(
-    row: Any, kind: ReferenceKind, first: int, values: Any, yaw: float
-) -> None:
-    """Write a reference of a step in Python into the row of its law.
-
-    row: of LAW_ROW
-    first: index of the first of the values
-    values: (k,) float64
-    yaw: rad
-    """
-    row["kind"] = kind
-    reference = row["reference"]
-    reference[:] = 0.0
-    reference[first : first + len(values)] = values
-    reference[12] = yaw

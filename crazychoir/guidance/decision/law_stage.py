@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from itertools import groupby
+from itertools import compress, groupby
 from typing import Any, Protocol
 
 import numpy as np
@@ -36,7 +36,7 @@ from crazychoir.runtime.clock import NS_PER_SECOND, AlarmPriority, Clock
 from crazychoir.safety.collision.airspace import Airspace
 from crazychoir.safety.collision.state_links import StateLinks
 from crazychoir.safety.collision.states_by_hand import STATE_BYTES
-from crazychoir.types import Heard, Ints, Reference, State
+from crazychoir.types import Bools, Heard, Ints, Reference, State
 
 
 class StateTaker(Protocol):
@@ -334,20 +334,31 @@ class LawGroup:
         """Let each law step that is due, with copies of its rows."""
         rows = self.team.rows
         edges = self.team.edges
-        states = rows["state"].copy()
-        accelerations = rows["acceleration"].copy()
-        ages = rows["age"].tolist()
-        told = edges["told"].copy()
-        told_accelerations = edges["told_acceleration"].copy()
-        told_ages = edges["told_age"].tolist()
-        is_heard = edges["is_heard"].tolist()
-        first = rows["first_edge"].tolist()
-        end = rows["end_edge"].tolist()
-        for r in self.team.steps.tolist():
-            me = State(states[r], ages[r], accelerations[r])
-            heard = {
-                self._ids[e]: State(told[e], told_ages[e], told_accelerations[e])
-                for e in range(first[r], end[r])
-                if is_heard[e]
-            }
-            self.laws[r].step(me, heard)
+        steps = self.team.steps
+        is_stepping = rows["decision"] == LawDecision.STEP
+        counts = rows["end_edge"] - rows["first_edge"]
+        is_needed = np.repeat(is_stepping, counts)
+        own = _read_states(rows, is_stepping, "state", "acceleration", "age")
+        told = _read_states(edges, is_needed, "told", "told_acceleration", "told_age")
+        is_heard = edges["is_heard"][is_needed].tolist()
+        rows["reference"] = 0.0
+        first = 0
+        for r, me, count in zip(
+            steps.tolist(), own, counts[steps].tolist(), strict=True
+        ):
+            law = self.laws[r]
+            end = first + count
+            known = zip(law.ids, told[first:end], strict=True)
+            law.step(me, dict(compress(known, is_heard[first:end])))
+            first = end
+        count_rows(rows)
+
+
+def _read_states(
+    rows: Rows, chosen: Bools, state: str, acceleration: str, age: str
+) -> list[State]:
+    """Return the states in these fields of the chosen rows, as copies."""
+    # Loops in C, because this is done for all neighbours of all drones.
+    states = list(rows[state][chosen])
+    accelerations = list(rows[acceleration][chosen])
+    return list(map(State, states, rows[age][chosen].tolist(), accelerations))

@@ -31,6 +31,7 @@ Rows = npt.NDArray[Any]
 HOVER_KIND = int(ReferenceKind.HOVER)
 ACCELERATION_KIND = int(ReferenceKind.ACCELERATION)
 VELOCITY_KIND = int(ReferenceKind.VELOCITY)
+FULL_STATE_KIND = int(ReferenceKind.FULL_STATE)
 
 Ids = tuple[int, ...]
 """Ids of the neighbours of a drone."""

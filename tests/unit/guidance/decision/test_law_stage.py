@@ -11,7 +11,6 @@ from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.port import Bus
 from crazychoir.config.tables import CollisionTable
 from crazychoir.flight.tick import FlightTick
-from crazychoir.guidance.decision.flight_rows import write_reference
 from crazychoir.guidance.decision.hearing_rows import HEARING_ROW
 from crazychoir.guidance.decision.law_rows import LAW_ROW, ReferenceKind, start_row
 from crazychoir.guidance.decision.law_stage import LawStage
@@ -76,8 +75,8 @@ class Staged:
 
     def step(self, me, heard):
         wanted = self.law.step(me, heard)
-        kind = ReferenceKind.ACCELERATION
-        write_reference(self.rows[0], kind, 6, wanted.a, wanted.yaw)
+        self.rows["kind"] = ReferenceKind.ACCELERATION
+        self.rows["reference"][0, 6:9] = wanted.a
 
     def fly(self, reference):
         self.flown.append(float(reference.a[0]))
