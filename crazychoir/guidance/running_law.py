@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from crazychoir.flight.references import convert_reference, explain_refusal
+from crazychoir.guidance.decision.flight_rows import ELSEWHERE_SOURCE
 from crazychoir.guidance.decision.hearing_rows import HEARING_ROW
 from crazychoir.guidance.decision.law_rows import (
     LAW_ROW,
@@ -121,6 +122,12 @@ class RunningLaw:
             hearing.move_to(edges[e : e + 1])
         self.edges = edges
         self.tally.rows = rows["tally"]
+
+    def list_told(self) -> list[int]:
+        """Return the neighbours in this process of which the law hears each state."""
+        edges = self.edges
+        is_told = (edges["source"] != ELSEWHERE_SOURCE) & (edges["interval_ns"] == 0)
+        return [j for j, told in zip(self.ids, is_told.tolist(), strict=True) if told]
 
     def start(self, now_ns: int) -> asyncio.Future[None]:
         """Let the law step from now on; return the future of its end.

@@ -17,36 +17,16 @@ from crazychoir.guidance.decision.law_rows import (
     LawPermission,
     ReferenceKind,
 )
-from crazychoir.numerics.kernels import (
-    UNCOUNTED,
-    kernel,
-    real,
-    rows_of,
-    whole,
-    wholes,
-)
+from crazychoir.numerics.kernels import kernel, rows_of, whole, wholes
 from crazychoir.planning.plan_row import PLAN_ROW, PlanKind, PlanRows, is_plan_over
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.collision.airspace_rows import (
-    DUE_ROW,
     LINK_ROW,
-    LISTENER_ROW,
     LOSS_ROW,
-    MOTION_ROW,
-    PACE_ROW,
-    PAIR_ROW,
-    SWARM_ROW,
     LinkKind,
     LinkKinds,
 )
-from crazychoir.safety.collision.hearing import (
-    are_valid,
-    integers,
-    link_kinds,
-    pass_link,
-    take_state,
-)
-from crazychoir.safety.collision.pair_paces import find_pair
+from crazychoir.safety.collision.hearing import link_kinds, pass_link
 from crazychoir.safety.rules.limits import limit_acceleration
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Ints
@@ -56,7 +36,6 @@ HOVER_NUMBER = MODE_NUMBERS[Mode.HOVER]
 FOLLOW_NUMBER = MODE_NUMBERS[Mode.FOLLOW]
 ELSEWHERE_SOURCE = -1
 """`source` of an edge from a drone of another process: its states come as messages."""
-NEWER_TIME = 1e-6  # s, more than the rounding of the time of a state
 
 
 class Handover(IntEnum):
@@ -163,138 +142,6 @@ def deliver_rows(
             continue
         put_row(edge, sender.state, sender.acceleration, sender.age, sender.age, now_ns)
     return count
-
-
-@kernel()
-def _find_pair_of(edge: Any, listener: Any, paces: Any, other: int) -> int:
-    """Return the row of the pair of a law's drone with its neighbour, or -1.
-
-    It is sought where it was last; otherwise among all pairs of the drone.
-
-    edge: one row of HEARING_ROW
-    listener: the law's drone, one row of LISTENER_ROW
-    paces: PACE_ROW
-    other: row of the neighbour in SWARM_ROW
-    """
-    k = edge.pair - listener.first_pair
-    if 0 <= k < listener.pair_count and paces[edge.pair].other == other:
-        return int(edge.pair)
-    found = find_pair(listener, paces, other)
-    edge.pair = found
-    return found
-
-
-@kernel()
-def _share_state(
-    edge: Any,
-    pair: Any,
-    motion: Any,
-    pace: Any,
-    due: Any,
-    sender: Any,
-    lag: float,
-    now_ns: int,
-) -> None:
-    """Store the newest state of an edge in the pair of the same drones, if it is newer there.
-
-    The pair waits for its own next state if the law hears another one before that.
-
-    edge: one row of HEARING_ROW
-    pair: one row of PAIR_ROW
-    motion: its row of MOTION_ROW
-    pace: its row of PACE_ROW
-    due: its row of DUE_ROW
-    sender: the neighbour, one row of SWARM_ROW
-    lag: s, with which drones obey
-    now_ns: ns
-    """
-    next_ns = max(edge.h_ns, edge.interval_ns)
-    if due.hearing_ns - now_ns <= next_ns <= pace.interval_ns:
-        due.hearing_ns += pace.interval_ns
-    born = edge.born_ns / NS_PER_SECOND
-    if born <= motion.heard_time + NEWER_TIME:
-        return
-    if are_valid(edge.state[:], edge.acceleration[:]):
-        take_state(
-            pair,
-            motion,
-            edge.state[:],
-            edge.acceleration[:],
-            born,
-            sender.share,
-            lag,
-        )
-
-
-@kernel(
-    rows_of(LAW_ROW),
-    rows_of(HEARING_ROW),
-    integers,
-    rows_of(DRONE_ROW),
-    rows_of(LISTENER_ROW),
-    rows_of(PAIR_ROW),
-    rows_of(MOTION_ROW),
-    rows_of(PACE_ROW),
-    rows_of(DUE_ROW),
-    rows_of(SWARM_ROW),
-    real,
-    whole,
-    **UNCOUNTED,
-)
-def share_rows(
-    laws: Any,
-    edges: Any,
-    others: Ints,
-    drones: DroneRows,
-    listeners: Any,
-    pairs: Any,
-    motions: Any,
-    paces: Any,
-    dues: Any,
-    swarm: Any,
-    lag: float,
-    now_ns: int,
-) -> None:
-    """Let the airspace know what laws have heard: one message serves both.
-
-    Laws often hear their neighbours in each tick, so more often than the distance demands.
-
-    laws: (n,) of LAW_ROW
-    edges: (e,) of HEARING_ROW
-    others: (e,): row of each neighbour in the swarm of the airspace; -1: it is not there
-    drones: of the batch
-    listeners: LISTENER_ROW
-    pairs: PAIR_ROW
-    motions: MOTION_ROW
-    paces: PACE_ROW
-    dues: DUE_ROW
-    swarm: SWARM_ROW
-    lag: s, with which drones obey
-    now_ns: ns
-    """
-    for r in range(laws.shape[0]):
-        law = laws[r]
-        at = drones[law.place].listener
-        if at < 0:
-            continue
-        listener = listeners[at]
-        for e in range(law.first_edge, law.end_edge):
-            edge = edges[e]
-            if edge.version == edge.shared_version or others[e] < 0:
-                continue
-            edge.shared_version = edge.version
-            k = _find_pair_of(edge, listener, paces, others[e])
-            if k >= 0:
-                _share_state(
-                    edge,
-                    pairs[k],
-                    motions[k],
-                    paces[k],
-                    dues[k],
-                    swarm[others[e]],
-                    lag,
-                    now_ns,
-                )
 
 
 @kernel()

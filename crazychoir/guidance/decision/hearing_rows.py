@@ -32,9 +32,6 @@ HEARING_ROW = np.dtype(
         ),  # place of the neighbour in the batch; -1: it is elsewhere
         ("interval_ns", np.int64),  # ns between two states; 0: each state
         ("due_ns", np.int64),  # ns, when the next state is due
-        # row of PAIR_ROW where the pair of both drones was last; see share_rows
-        ("pair", np.int64),
-        ("shared_version", np.int64),  # the version that the airspace knows
         # What has arrived.
         ("state", np.float64, (13,)),  # the newest state of the neighbour
         ("acceleration", np.float64, (3,)),  # m/s2: its acceleration

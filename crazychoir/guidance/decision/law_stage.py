@@ -15,7 +15,6 @@ from crazychoir.guidance.decision.flight_rows import (
     deliver_rows,
     hand_over_rows,
     look_rows,
-    share_rows,
 )
 from crazychoir.guidance.decision.hearing_rows import HEARING_ROW
 from crazychoir.guidance.decision.law_rows import (
@@ -33,10 +32,9 @@ from crazychoir.guidance.decision.team import (
     read_references,
 )
 from crazychoir.runtime.clock import NS_PER_SECOND, AlarmPriority, Clock
-from crazychoir.safety.collision.airspace import Airspace
 from crazychoir.safety.collision.state_links import StateLinks
 from crazychoir.safety.collision.states_by_hand import STATE_BYTES
-from crazychoir.types import Bools, Heard, Ints, Reference, State
+from crazychoir.types import Bools, Heard, Reference, State
 
 
 class StateTaker(Protocol):
@@ -60,6 +58,10 @@ class StagedLaw(Protocol):
     @property
     def hearings(self) -> Sequence[StateTaker]:
         """What it hears of them."""
+        ...
+
+    def list_told(self) -> list[int]:
+        """Return the neighbours in this process of which the law hears each state."""
         ...
 
     def move_to(self, rows: Rows, edges: Rows) -> None:
@@ -133,8 +135,6 @@ class LawStage:
             group.team.epoch_ns = self._clock.epoch_ns
             look_rows(group.team.rows, batch.drones, batch.filters.rows)
             group.deliver(batch, self._clock, self._impairment)
-            if self._tick.airspace is not None:
-                group.share(batch, self._tick.airspace)
             if group.decide():
                 group.hand_over(batch)
 
@@ -152,6 +152,9 @@ class LawStage:
             LawGroup(list(same), self._impairment)
             for _, same in groupby(laws, key=_find_team_kind)
         ]
+        if self._tick.airspace is not None:
+            told = {law.drone: law.list_told() for law in laws}
+            self._tick.airspace.note_told(told)
 
 
 def _find_team_kind(law: StagedLaw) -> type[LawOfTeam] | None:
@@ -189,7 +192,6 @@ class LawGroup:
             first = end
         self._found = np.zeros(max(len(laws), len(edges)), np.int64)
         self._ids = [j for law in laws for j in law.ids]
-        self._others: Ints | None = None
         self._team_law = self._prepare_team()
 
     def _prepare_team(self) -> TeamLaw | None:
@@ -227,26 +229,6 @@ class LawGroup:
         )
         for e in self._found[:count].tolist():
             self._deliver_by_hand(e, batch, clock, impairment)
-
-    def share(self, batch: Batch, airspace: Airspace) -> None:
-        """Let the airspace of this process know the states that the laws have heard."""
-        if self._others is None:
-            places = airspace.places
-            self._others = np.array([places.get(j, -1) for j in self._ids], np.int64)
-        share_rows(
-            self.team.rows,
-            self.team.edges,
-            self._others,
-            batch.drones,
-            airspace.listeners,
-            airspace.pairs,
-            airspace.motions,
-            airspace.paces,
-            airspace.dues,
-            airspace.swarm,
-            float(airspace.rules["lag"][0]),
-            self.team.now_ns,
-        )
 
     def _deliver_by_hand(
         self, e: int, batch: Batch, clock: Clock, impairment: Impairment

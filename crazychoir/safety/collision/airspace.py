@@ -1,7 +1,7 @@
 """The airspace of a process: which states of the other drones each of its drones has heard."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,7 +30,11 @@ from crazychoir.safety.collision.hearing import (
     take_states,
 )
 from crazychoir.safety.collision.near_grid import CELLS_PER_DRONE
-from crazychoir.safety.collision.near_pairs import CHECK_NS, check_distances
+from crazychoir.safety.collision.near_pairs import (
+    CHECK_NS,
+    check_distances,
+    tell_pairs,
+)
 from crazychoir.safety.collision.state_links import StateLinks
 from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES, compute_far_rate
 from crazychoir.safety.collision.states_by_hand import STATE_BYTES, StatesByHand
@@ -80,6 +84,8 @@ class Airspace:
         self.motions = np.zeros(len(self.pairs), MOTION_ROW)
         self.paces = np.zeros(len(self.pairs), PACE_ROW)
         self.dues = np.zeros(len(self.pairs), DUE_ROW)
+        self._told = np.zeros(0, np.int64)
+        """(k,): rows in the swarm of the drones that laws hear: those of the first listener first."""
         capacity = int(self.rules["round_capacity"][0])
         self.rounds = np.zeros(len(self.ids) * capacity, ROUND_ROW)
         self.missed = np.full(
@@ -146,6 +152,23 @@ class Airspace:
         row = self.listeners[listener]
         row["keeps_all"] = 1
         self._check_all(int(row["check_ns"]))
+
+    def note_told(self, told: Mapping[int, Sequence[int]]) -> None:
+        """Note of which drones in this process a law hears each state.
+
+        The collision filter of its drone then knows these states as well, if both could meet soon.
+
+        told: {drone: drones that its law hears}
+        """
+        found: list[int] = []
+        for listener, i in zip(self.listeners, self.own_ids, strict=True):
+            listener["first_told"] = len(found)
+            found += [self.places[j] for j in told.get(i, ()) if j in self.places]
+            listener["told_count"] = len(found) - int(listener["first_told"])
+        self._told = np.array(found, np.int64)
+        tell_pairs(
+            self.listeners, self.paces, self.dues, self.swarm, self.rules, self._told
+        )
 
     def now(self) -> float:
         """Return the time in s on the clock of the ages."""
@@ -240,6 +263,7 @@ class Airspace:
                 self.motions,
                 self.paces,
                 self.dues,
+                self._told,
                 self.swarm,
                 self.rounds,
                 self._far,

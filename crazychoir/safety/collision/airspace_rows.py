@@ -82,6 +82,10 @@ PACE_ROW = np.dtype(
         ("interval_ns", np.int64),  # ns, between two states that this drone hears
         # ns, between two states that this drone sends to the other one
         ("sending_interval_ns", np.int64),
+        (
+            "is_told",
+            np.int64,
+        ),  # 1: the law of this drone hears each state of the other one
     ]
 )
 """How often the drones of a pair hear each other: one row for each row of PAIR_ROW."""
@@ -132,6 +136,8 @@ LISTENER_ROW = np.dtype(
         ("first_pair", np.int64),  # first row of PAIR_ROW
         ("pair_count", np.int64),  # number of rows of PAIR_ROW, ordered by id
         ("pair_capacity", np.int64),  # number of rows that are reserved
+        ("first_told", np.int64),  # first place in the table `told` of the airspace
+        ("told_count", np.int64),  # number of drones there
         ("check_ns", np.int64),  # ns, time of the next check of the distances
         ("check_count", np.int64),  # checks so far
         ("sought_count", np.int64),  # pairs of which others should be asked

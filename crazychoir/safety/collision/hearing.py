@@ -121,7 +121,7 @@ def is_lost(key: np.uint64, losses: Records, number: int) -> bool:
 
 
 @kernel()
-def pass_link(
+def judge_link(
     links: Records, kinds: LinkKinds, losses: Records, at: int, number: int
 ) -> LinkKind:
     """Return what happens to a message: CLEAR (it arrives), CUT (it is lost) or BY_HAND.
@@ -135,15 +135,27 @@ def pass_link(
     kind = int(kinds[at])
     if kind == LinkKind.BY_HAND:
         return LinkKind.BY_HAND
-    link = links[at]
-    link.sent += 1
+    is_drawn = kind >= LinkKind.DRAW
     if kind == LinkKind.CUT or (
-        kind >= LinkKind.DRAW
-        and is_lost(link.key, losses[kind - LinkKind.DRAW], number)
+        is_drawn and is_lost(links[at].key, losses[kind - LinkKind.DRAW], number)
     ):
-        link.lost += 1
         return LinkKind.CUT
     return LinkKind.CLEAR
+
+
+@kernel()
+def pass_link(
+    links: Records, kinds: LinkKinds, losses: Records, at: int, number: int
+) -> LinkKind:
+    """Return what happens to a message, as `judge_link`, and count it.
+
+    Arguments as there.
+    """
+    fate = judge_link(links, kinds, losses, at, number)
+    if fate != LinkKind.BY_HAND:
+        links[at].sent += 1
+        links[at].lost += fate == LinkKind.CUT
+    return fate
 
 
 @kernel()
@@ -367,11 +379,15 @@ def hear_pairs(
             continue
         due.hearing_ns = find_next_time(due.hearing_ns, pace.interval_ns, now_ns)
         fate = LinkKind.CLEAR
-        if links.shape[0] > 0:
-            fate = pass_link(
-                links, kinds, losses, at * swarm.shape[0] + pace.other, sender.number
-            )
-        count_message(listeners, sender, fate)
+        link = at * swarm.shape[0] + pace.other
+        if pace.is_told != 0:
+            # The message to the law, which is counted there.
+            if links.shape[0] > 0:
+                fate = judge_link(links, kinds, losses, link, sender.number)
+        else:
+            if links.shape[0] > 0:
+                fate = pass_link(links, kinds, losses, link, sender.number)
+            count_message(listeners, sender, fate)
         if fate == LinkKind.CLEAR:
             take_state(
                 pairs[k],

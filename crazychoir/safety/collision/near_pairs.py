@@ -34,7 +34,12 @@ from crazychoir.safety.collision.far_drones import (
     recall_round,
     refresh_far,
 )
-from crazychoir.safety.collision.hearing import byte_table, copy_motion, link_kinds
+from crazychoir.safety.collision.hearing import (
+    byte_table,
+    copy_motion,
+    integers,
+    link_kinds,
+)
 from crazychoir.safety.collision.near_grid import build_grid, find_cells
 from crazychoir.safety.collision.nearness import (
     compute_distance,
@@ -52,6 +57,7 @@ from crazychoir.safety.collision.pair_paces import (
     fill_pace,
     find_pair,
     find_sending_interval,
+    is_told,
     set_interval,
 )
 from crazychoir.safety.collision.state_rates import STATE_RATES
@@ -400,6 +406,7 @@ def add_pairs(
     motions: Records,
     paces: Records,
     dues: Records,
+    told: Ints,
     swarm: Records,
     rounds: Records,
     missed: Bytes,
@@ -444,6 +451,7 @@ def add_pairs(
                 dues[target],
                 other,
                 swarm[other],
+                is_told(listener, told, other),
                 rules.far_interval_ns,
                 now_ns,
             )
@@ -496,6 +504,7 @@ def check_pairs(
     motions: Records,
     paces: Records,
     dues: Records,
+    told: Ints,
     swarm: Records,
     rounds: Records,
     far: Records,
@@ -579,6 +588,7 @@ def check_pairs(
             motions,
             paces,
             dues,
+            told,
             swarm,
             rounds,
             missed,
@@ -612,6 +622,7 @@ def is_check_due(at: int, listeners: Records, swarm: Records, now_ns: int) -> bo
     rows_of(MOTION_ROW),
     rows_of(PACE_ROW),
     rows_of(DUE_ROW),
+    integers,
     rows_of(SWARM_ROW),
     rows_of(ROUND_ROW),
     rows_of(FAR_ROW),
@@ -631,6 +642,7 @@ def check_distances(
     motions: Records,
     paces: Records,
     dues: Records,
+    told: Ints,
     swarm: Records,
     rounds: Records,
     far: Records,
@@ -650,6 +662,7 @@ def check_distances(
     motions: MOTION_ROW
     paces: PACE_ROW
     dues: DUE_ROW
+    told: (k,): rows of drones in the swarm that laws hear, see Airspace.note_told
     swarm: SWARM_ROW
     rounds: ROUND_ROW, (swarm x rounds that are kept,)
     far: FAR_ROW, (swarm,)
@@ -678,6 +691,7 @@ def check_distances(
             motions,
             paces,
             dues,
+            told,
             swarm,
             rounds,
             far,
@@ -694,3 +708,35 @@ def check_distances(
         listener = listeners[at]
         listener.check_ns += ((now_ns - listener.check_ns) // CHECK_NS + 1) * CHECK_NS
     return -1
+
+
+@kernel(
+    rows_of(LISTENER_ROW),
+    rows_of(PACE_ROW),
+    rows_of(DUE_ROW),
+    rows_of(SWARM_ROW),
+    rows_of(AIRSPACE_RULES_ROW),
+    integers,
+    **UNCOUNTED,
+)
+def tell_pairs(
+    listeners: Records,
+    paces: Records,
+    dues: Records,
+    swarm: Records,
+    rules: Records,
+    told: Ints,
+) -> None:
+    """Note for all pairs whether the law of the drone hears each state of the other one.
+
+    Arguments as in check_distances.
+    """
+    for at in range(listeners.shape[0]):
+        listener = listeners[at]
+        for k in range(listener.first_pair, listener.first_pair + listener.pair_count):
+            pace = paces[k]
+            pace.is_told = is_told(listener, told, pace.other)
+            back = find_back(pace.other, listener.place, listeners, paces, swarm)
+            if back >= 0:
+                interval_ns = paces[back].sending_interval_ns
+                set_interval(pace, dues[k], interval_ns, rules[0].far_interval_ns)

@@ -2,8 +2,8 @@
 
 from crazychoir.numerics.kernels import kernel
 from crazychoir.safety.collision.airspace_rows import NEVER_NS
-from crazychoir.safety.collision.state_rates import find_interval
-from crazychoir.types import Records
+from crazychoir.safety.collision.state_rates import SOON_NS, find_interval
+from crazychoir.types import Ints, Records
 
 
 @kernel()
@@ -33,6 +33,7 @@ def copy_pace(source: Records, target: Records) -> None:
     target.other = source.other
     target.interval_ns = source.interval_ns
     target.sending_interval_ns = source.sending_interval_ns
+    target.is_told = source.is_told
 
 
 @kernel()
@@ -43,11 +44,26 @@ def copy_due(source: Records, target: Records) -> None:
 
 
 @kernel()
+def is_told(listener: Records, told: Ints, other: int) -> bool:
+    """Return whether the law of a drone hears each state of another one.
+
+    listener: one row of LISTENER_ROW
+    told: (k,): rows of the others in the swarm, see Airspace.note_told
+    other: row of the other drone
+    """
+    found = False
+    for t in range(listener.first_told, listener.first_told + listener.told_count):
+        found |= told[t] == other
+    return found
+
+
+@kernel()
 def fill_pace(
     pace: Records,
     due: Records,
     other: int,
     sender: Records,
+    has_law: bool,
     far_interval_ns: int,
     now_ns: int,
 ) -> None:
@@ -57,10 +73,12 @@ def fill_pace(
     due: its row of DUE_ROW
     other: row of the other drone
     sender: the other drone, one row of SWARM_ROW
+    has_law: whether the law of this drone hears each state of the other one
     far_interval_ns: ns
     now_ns: ns
     """
     pace.other = other
+    pace.is_told = has_law
     pace.sending_interval_ns = far_interval_ns
     if sender.listener >= 0:
         pace.interval_ns = far_interval_ns
@@ -79,11 +97,15 @@ def set_interval(
 ) -> None:
     """Change how often a pair hears; it hears at once, then on the sender's grid of times.
 
+    Drones that could meet soon hear each state that their laws hear: these are the same messages.
+
     pace: one row of PACE_ROW
     due: its row of DUE_ROW
     interval_ns: ns
     far_interval_ns: ns
     """
+    if interval_ns <= SOON_NS and pace.is_told != 0:
+        interval_ns = 1
     if pace.interval_ns != interval_ns:
         pace.interval_ns = interval_ns
         due.hearing_ns %= far_interval_ns

@@ -71,6 +71,9 @@ class StateRates(NamedTuple):
 
 
 STATE_RATES = StateRates()
+SOON_NS = int(
+    NS_PER_SECOND / STATE_RATES.soon_rate
+)  # ns, between states if both meet soon
 
 
 class RelayRequests(NamedTuple):
