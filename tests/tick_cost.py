@@ -18,7 +18,10 @@ from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import Mission, load_mission
 
 WINDOW = 1.0
-"""s: virtual time that is counted; all periodic work of a drone happens within it."""
+"""s: virtual time that is counted; all periodic work of a drone happens within it.
+
+Before that, the law flies for as long: messages are reported once a second.
+"""
 COUNTING_FILES = (__file__, steady_flight.__file__)
 """Files with the functions that count; their own calls do not count."""
 COMPREHENSIONS = ("<listcomp>", "<dictcomp>", "<setcomp>")
@@ -54,7 +57,7 @@ def measure_lattice(drones: int, more_calls: int = 0) -> TickCost:
 
     more_calls: further Python calls a drone and tick, which must be seen
     """
-    duration = SETTLING_TIME + 2.0 * WINDOW + 0.5
+    duration = SETTLING_TIME + 3.0 * WINDOW + 0.5
     config = build_bench_swarm(FlightCase(drones), duration)
     return measure_cost(config, load_mission("bearing_formation"), more_calls)
 
@@ -72,6 +75,7 @@ def measure_cost(
     ticks = round(WINDOW * config.mocap.rate)
 
     async def measure(agent: Agent) -> TickCost:
+        await agent.clock.sleep(WINDOW)
         messages, size = count_messages(agent)
         blocks = count_blocks()
         await agent.clock.sleep(WINDOW)

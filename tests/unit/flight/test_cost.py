@@ -21,7 +21,7 @@ pytestmark = pytest.mark.timeout(300)
 class CostLimits:
     """Limits of the cost of a drone.
 
-    calls: Python calls a drone and tick, less than one more than today's
+    calls: Python calls a drone and tick
     messages: messages a drone and second, to each drone that hears it
     bytes: bytes of these messages
     blocks: blocks of memory that stay allocated, a drone and second; they vary a little from run to run
@@ -34,8 +34,8 @@ class CostLimits:
 
 
 LIMITS = {
-    SMALL_SWARM: CostLimits(calls=7.9, messages=167.0, bytes=24_050, blocks=3.0),
-    LARGE_SWARM: CostLimits(calls=1.7, messages=178.5, bytes=25_700, blocks=1.0),
+    SMALL_SWARM: CostLimits(calls=6.8, messages=130.3, bytes=18_770, blocks=1.5),
+    LARGE_SWARM: CostLimits(calls=1.1, messages=142.9, bytes=20_580, blocks=0.5),
 }
 
 
