@@ -2,8 +2,6 @@
 
 import math
 
-import numpy as np
-
 from crazychoir.control.position import FLATNESS_LAYOUT
 from crazychoir.control.rows import CONTROL_ROW, INPUT_SIZE, fly_controller
 from crazychoir.control.rows import ControllerKind as CompiledKind
@@ -75,7 +73,15 @@ def _write_believed_flight(
 
 
 @kernel(
-    rows_of(DRONE_ROW), rows_of(PLAN_ROW), rows_of(FILTER_ROW), histories, whole, real
+    rows_of(DRONE_ROW),
+    rows_of(PLAN_ROW),
+    rows_of(FILTER_ROW),
+    histories,
+    whole,
+    real,
+    memory,
+    memory,
+    **UNCOUNTED,
 )
 def estimate_drones(
     drones: DroneRows,
@@ -84,6 +90,8 @@ def estimate_drones(
     history: Vec,
     now_ns: int,
     now: float,
+    work: Vec,
+    planned: Vec,
 ) -> None:
     """Estimate the state of each drone that ticks; a drone that was never seen ticks no more.
 
@@ -92,16 +100,16 @@ def estimate_drones(
     history: (n, R, 5): commands of each drone
     now_ns: ns
     now: s, the same time
+    work: (13,), work space
+    planned: (14,), work space
     """
-    scratch = np.empty(13)
-    planned = np.empty(14)
     for k in range(drones.shape[0]):
         drone = drones[k]
         if drone.ticks == 0:
             continue
         drone.ticked_ns = now_ns
         drone.number += 1
-        estimate_row(filters[k], history[k], scratch, now)
+        estimate_row(filters[k], history[k], work, now)
         if filters[k].is_known == 0:
             drone.ticks = 0
             continue
@@ -217,18 +225,31 @@ def _count_fence_tick(drone: Record, plan: Record, now: float) -> None:
         drone.fence_ticks += 1 if is_plan_over(plan, now) else 0
 
 
-@kernel(rows_of(DRONE_ROW), rows_of(PLAN_ROW), rows_of(GUARD_ROW), real, wholes)
+@kernel(
+    rows_of(DRONE_ROW),
+    rows_of(PLAN_ROW),
+    rows_of(GUARD_ROW),
+    real,
+    memory,
+    wholes,
+    **UNCOUNTED,
+)
 def find_rows_to_judge(
-    drones: DroneRows, plans: PlanRows, guards: GuardRows, now: float, found: Ints
+    drones: DroneRows,
+    plans: PlanRows,
+    guards: GuardRows,
+    now: float,
+    planned: Vec,
+    found: Ints,
 ) -> int:
     """Decide the course of each drone that ticks and for which nothing happens.
 
     now: s
+    planned: (14,), work space
     found: (n,): receives the rows of the others, for which Python decides
     Returns how many these are.
     """
     count = 0
-    planned = np.empty(14)
     for k in range(drones.shape[0]):
         drone = drones[k]
         if drone.ticks == 0:
@@ -320,13 +341,13 @@ def _follow_plan(drone: Record, plan: Record, now: float, planned: Vec) -> None:
     _follow_full_state(drone, is_exact and not is_low)
 
 
-@kernel(rows_of(DRONE_ROW), rows_of(PLAN_ROW), real)
-def follow_rows(drones: DroneRows, plans: PlanRows, now: float) -> None:
+@kernel(rows_of(DRONE_ROW), rows_of(PLAN_ROW), real, memory, **UNCOUNTED)
+def follow_rows(drones: DroneRows, plans: PlanRows, now: float, planned: Vec) -> None:
     """Write what each drone with the course FOLLOW flies, and by which controller.
 
     now: s
+    planned: (14,), work space
     """
-    planned = np.empty(14)
     for k in range(drones.shape[0]):
         drone = drones[k]
         if drone.ticks == 0 or drone.course != Course.FOLLOW:

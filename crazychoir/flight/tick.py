@@ -111,6 +111,8 @@ class FlightTick:
         self._planes = make_planes()
         self._near = make_nearest()
         self._found = np.zeros(size, np.int64)
+        self._work = np.empty(13)
+        self._planned = np.empty(14)
         self._is_due = False
         self._count_due_ns = 0
         self._patience_ns = np.zeros(size, np.int64)
@@ -186,7 +188,7 @@ class FlightTick:
         for decide in self.deciders:
             decide(now_ns)
         self._judge(now)
-        follow_rows(drones, batch.plans, now)
+        follow_rows(drones, batch.plans, now, self._planned)
         self._avoid(seekers, now)
         self._command(now)
         for observe in self.observers:
@@ -205,14 +207,21 @@ class FlightTick:
                 state_filter = self._drones[index].filter
                 self._call(index, estimate_by_hand, row, state_filter, now)
         estimate_drones(
-            batch.drones, batch.plans, filters.rows, filters.history, now_ns, now
+            batch.drones,
+            batch.plans,
+            filters.rows,
+            filters.history,
+            now_ns,
+            now,
+            self._work,
+            self._planned,
         )
 
     def _judge(self, now: float) -> None:
         """Decide what each drone does in this tick."""
         batch = self.batch
         count = find_rows_to_judge(
-            batch.drones, batch.plans, batch.guards, now, self._found
+            batch.drones, batch.plans, batch.guards, now, self._planned, self._found
         )
         for index in self._found[:count].tolist():
             self._call(index, self._drones[index].judge, now)

@@ -9,6 +9,7 @@ from crazychoir.control.rows import INPUT_SIZE
 from crazychoir.filters.rows import FILTER_ROW, FilterRows
 from crazychoir.flight.batch import DRONE_ROW, Batch, DroneRows
 from crazychoir.numerics.kernels import (
+    UNCOUNTED,
     bools,
     kernel,
     matrix,
@@ -34,7 +35,9 @@ class CommandTable(Protocol):
     """(n,): 1 for a command that was written since the last step."""
 
 
-@kernel(rows_of(DRONE_ROW), rows_of(FILTER_ROW), wholes, matrix, real, bools)
+@kernel(
+    rows_of(DRONE_ROW), rows_of(FILTER_ROW), wholes, matrix, real, bools, **UNCOUNTED
+)
 def take_poses(
     drones: DroneRows,
     filters: FilterRows,
@@ -63,7 +66,7 @@ def take_poses(
         drones[k].ticks = 1
 
 
-@kernel(rows_of(DRONE_ROW), rows_of(FILTER_ROW), wholes, table, wholes)
+@kernel(rows_of(DRONE_ROW), rows_of(FILTER_ROW), wholes, table, wholes, **UNCOUNTED)
 def send_inputs(
     drones: DroneRows, filters: FilterRows, places: Ints, inputs: Mat, is_new: Ints
 ) -> None:

@@ -73,7 +73,9 @@ def make_drone(mode=Mode.HOVER):
 def find(batch, now=NOW):
     """Return the indices of the drones for which Python must decide."""
     found = np.full(len(batch.drones), -1, np.int64)
-    count = find_rows_to_judge(batch.drones, batch.plans, batch.guards, now, found)
+    count = find_rows_to_judge(
+        batch.drones, batch.plans, batch.guards, now, np.empty(14), found
+    )
     return found[:count].tolist()
 
 
@@ -331,7 +333,7 @@ def test_ticks_count_at_the_fence_after_a_flight_to_a_place_beyond_it(
 def fly(batch, now=NOW):
     """Do the stages up to `follow`."""
     judged = find(batch, now)
-    follow_rows(batch.drones, batch.plans, now)
+    follow_rows(batch.drones, batch.plans, now, np.empty(14))
     return judged
 
 
@@ -377,7 +379,7 @@ def test_the_trim_learns_from_a_plan_while_the_drone_is_seen(age, learns):
     batch, drone = make_drone()
     find(batch)
     drone.drone["age"] = age
-    follow_rows(batch.drones, batch.plans, NOW)
+    follow_rows(batch.drones, batch.plans, NOW, np.empty(14))
     expected = drone.flights.sample(NOW).flat.tolist()
     assert drone.drone["controller"] == FlightControllerKind.TRACKER
     assert drone.drone["wanted"].tolist() == expected
@@ -425,7 +427,7 @@ def test_a_drone_comes_back_to_its_plan_gently_for_a_while(far, since, is_aside)
 def test_a_drone_that_the_judge_commands_is_left_alone():
     batch, drone = make_drone()
     drone.row.fly(PLACE)
-    follow_rows(batch.drones, batch.plans, NOW)
+    follow_rows(batch.drones, batch.plans, NOW, np.empty(14))
     assert drone.drone["wanted"].tolist() == PLACE.flat.tolist()
 
 
@@ -487,8 +489,8 @@ def test_a_drone_among_twenty_gets_the_bits_of_a_drone_alone():
         for k in range(20):
             rows, plans, guards = (part[k : k + 1].copy() for part in copies)
             found = np.zeros(1, np.int64)
-            count = find_rows_to_judge(rows, plans, guards, NOW, found)
-            follow_rows(rows, plans, NOW)
+            count = find_rows_to_judge(rows, plans, guards, NOW, np.empty(14), found)
+            follow_rows(rows, plans, NOW, np.empty(14))
             assert rows.tobytes() == batch.drones[k : k + 1].tobytes(), (seed, k)
             assert plans.tobytes() == batch.plans[k : k + 1].tobytes(), (seed, k)
             assert (count == 1) is (k in judged), (seed, k)
