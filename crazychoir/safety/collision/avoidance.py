@@ -1,29 +1,30 @@
 """The avoid stage: the safe acceleration of each drone that is nearest to its wanted one."""
 
-import math
-
 import numpy as np
 
 from crazychoir.numerics.kernels import UNCOUNTED, kernel, real, rows_of, table
 from crazychoir.numerics.math3d import Triple, clip, dot
 from crazychoir.safety.collision.airspace_rows import LISTENER_ROW, MOTION_ROW
 from crazychoir.safety.collision.barrier import (
-    compute_barrier_acceleration,
     compute_closing_speed,
-    compute_yield_share,
 )
-from crazychoir.safety.collision.cells import compute_cell_acceleration
 from crazychoir.safety.collision.deadlock import (
     PASSING_SIDE_FIELDS,
     note_giving_way,
     turn_sideways,
 )
 from crazychoir.safety.collision.distances import BRAKING_MODEL, COLLISION_DISTANCES
+from crazychoir.safety.collision.half_spaces import (
+    OtherKind,
+    compute_half_space,
+    is_gone,
+    is_surely_clear,
+    judge_other,
+    predict_other,
+)
 from crazychoir.safety.collision.motion import (
-    PlaceAndVelocity,
     compute_norm,
     limit_norm,
-    move_late,
     predict_braking,
     predict_late_motion,
     scale_difference,
@@ -34,12 +35,6 @@ from crazychoir.types import Mat, Records, Vec
 
 MOST_NEIGHBOURS = 16
 """Largest number of others that count, the nearest ones."""
-SPARE_SHARE = 1e-9
-"""Share of a bound that is more than its rounding."""
-
-Moves = tuple[Triple, Triple, Triple, Triple]
-"""Predicted place m and velocity m/s of a drone, then of another one."""
-
 AVOID_ROW = np.dtype(
     [
         # What the drone wants
@@ -259,146 +254,6 @@ def _append_walls(planes: Vec, m: int, p: Triple, v: Triple, row: Records) -> in
 
 
 @kernel()
-def _predict_other(row: Records, other: Records, age: float) -> PlaceAndVelocity:
-    """Return the predicted place m and velocity m/s of another drone.
-
-    row: one row of AVOID_ROW
-    other: one row of MOTION_ROW
-    age: s, of the other's state
-    """
-    return move_late(
-        (other.place[0], other.place[1], other.place[2]),
-        (other.velocity[0], other.velocity[1], other.velocity[2]),
-        (other.acceleration[0], other.acceleration[1], other.acceleration[2]),
-        min(age, NEIGHBOUR_AGES.usable) + row.delay,
-        BRAKING_MODEL.command_time,
-    )
-
-
-@kernel()
-def _judge_other(row: Records, d: float, age: float, stands: bool) -> int:
-    """Return whether another drone counts.
-
-    0: it is too far away or ignored, 1: it counts, 2: this drone must brake for it besides, because
-    it may be near and is not heard.
-
-    row: one row of AVOID_ROW
-    d: m, distance of the predicted places, scaled by S
-    age: s, of the other's state
-    stands: whether the other stands on the floor
-    """
-    assumed = min(age, BRAKING_MODEL.silent_flight_time)
-    if d > row.range + 2.0 * row.v_max * assumed:
-        return 0
-    if age <= NEIGHBOUR_AGES.usable or stands:
-        return 1
-    flown = row.v_max * (assumed - NEIGHBOUR_AGES.usable)
-    if row.lands != 0 or d > row.width + flown + COLLISION_DISTANCES.silent_drone:
-        return 0
-    return 2
-
-
-@kernel()
-def _compute_half_space(
-    row: Records,
-    other: Records,
-    age: float,
-    stands: bool,
-    low: bool,
-    moves: Moves,
-) -> tuple[float, Triple, float]:
-    """Return the half space of one other drone: the distance m, its normal, its right-hand side.
-
-    row: one row of AVOID_ROW
-    other: one row of MOTION_ROW
-    age: s, of the other's state
-    stands: whether the other stands on the floor
-    low: whether this drone does
-    moves: predicted place m and velocity m/s of this drone, then of the other one
-    """
-    p, v, q, w = moves
-    scale = (1.0, 1.0, 1.0) if stands else (row.scale[0], row.scale[1], row.scale[2])
-    beside = (
-        COLLISION_DISTANCES.standing_drone
-        if row.lands == 0
-        else COLLISION_DISTANCES.landing_beside
-    )
-    width = beside if stands else row.width
-    r = scale_difference(p, q, scale)
-    w = scale_difference(v, w, scale)
-    d = max(compute_norm(r), 1e-3)
-    n = (r[0] / d, r[1] / d, r[2] / d)
-    side = (scale[0] * n[0], scale[1] * n[1], scale[2] * n[2])
-    reach = compute_norm(side)
-    # A standing drone does not run away while it is not heard.
-    old = 0.0 if stands else min(age, NEIGHBOUR_AGES.usable)
-    gap = d - width - 0.5 * row.unsure * old * old * reach
-    unsure = row.unsure * old * reach
-    brake = row.brake * reach
-    # A drone that never gives way does not keep to its side.
-    if row.has_cells != 0 and other.share < 1.0:
-        own = (scale[0] * v[0], scale[1] * v[1], scale[2] * v[2])
-        b = compute_cell_acceleration(
-            r, w, own, gap, 0.5 * unsure, brake, row.stiffness, row.gamma
-        )
-    else:
-        b = compute_barrier_acceleration(
-            r, w, gap, unsure, 2.0 * brake, row.stiffness, row.gamma
-        )
-        if not (low or stands) and other.share < 1.0:
-            away = (
-                scale[0] * v[0] * n[0] + scale[1] * v[1] * n[1] + scale[2] * v[2] * n[2]
-            )
-            b *= compute_yield_share(away, dot(n, w) - away) if b > 0.0 else 0.5
-    normal = (side[0] / reach, side[1] / reach, side[2] / reach)
-    return d - width, normal, b / reach
-
-
-@kernel()
-def _is_surely_clear(
-    row: Records, size: float, r: Triple, w: Triple, d: float, age: float
-) -> bool:
-    """Return whether the half space of another drone contains each acceleration of this size.
-
-        gamma s(gap) > 2 size + (gamma + k) c + gamma unsure,   s: see compute_closing_speed
-
-    It is cheap, and false for some half spaces that do. It puts the worst case of each term into
-    `compute_barrier_acceleration`: the acceleration points at the other drone, the path of the
-    other one is straight, and half of the barrier is left to it.
-
-    row: one row of AVOID_ROW, without cells
-    size: m/s2, of the acceleration
-    r: m, relative predicted place, scaled by S
-    w: m/s, relative predicted velocity, scaled by S
-    d: m, |r|
-    age: s, of the other's state, at most NEIGHBOUR_AGES.usable; the other drone flies
-    """
-    closing = max(-dot(r, w) / d, 0.0)
-    gap = d - row.width - 0.5 * row.unsure * age * age
-    needed = (
-        2.0 * size
-        + (row.gamma + row.stiffness) * closing
-        + row.gamma * row.unsure * age
-    ) / row.gamma
-    needed *= 1.0 + SPARE_SHARE
-    brake = 2.0 * row.brake * min(row.scale[0], row.scale[1], row.scale[2])
-    knee = brake / (row.stiffness * row.stiffness)
-    if gap < knee:
-        return bool(row.stiffness * gap > needed)
-    return bool(2.0 * brake * (gap - 0.5 * knee) > needed * needed)
-
-
-@kernel()
-def _is_gone(age: float, stands: bool) -> bool:
-    """Return whether another drone was not heard for so long that it counts no more.
-
-    age: s, of its state
-    stands: whether it stands on the floor
-    """
-    return bool(not age < NEIGHBOUR_AGES.gone and not (stands and age < math.inf))
-
-
-@kernel()
 def _is_way_clear(
     row: Records,
     listener: Records,
@@ -431,7 +286,7 @@ def _is_way_clear(
         other = motions[k]
         age = now - other.state_time
         stands = other.height < floor
-        if _is_gone(age, stands):
+        if is_gone(age, stands):
             continue
         if not stands:
             if now - other.heard_time < NEIGHBOUR_AGES.silent:
@@ -440,19 +295,19 @@ def _is_way_clear(
                 silent += 1
         if not is_clear or (stands and low and row.lands == 0):
             continue
-        q, w = _predict_other(row, other, age)
+        q, w = predict_other(row, other, age)
         r = scale_difference(p, q, scale)
         d = max(compute_norm(r), 1e-3)
-        kind = _judge_other(row, d, age, stands)
-        if kind == 0:
+        kind = judge_other(row, d, age, stands)
+        if kind == OtherKind.IGNORED:
             continue
-        if kind == 1 and not stands and row.has_cells == 0:
+        if kind == OtherKind.COUNTS and not stands and row.has_cells == 0:
             relative = scale_difference(v, w, scale)
-            if _is_surely_clear(row, size, r, relative, d, age):
+            if is_surely_clear(row, size, r, relative, d, age):
                 continue
         moves = (p, v, q, w)
-        _, normal, b = _compute_half_space(row, other, age, stands, low, moves)
-        is_clear = kind == 1 and not dot(normal, u) < b
+        _, normal, b = compute_half_space(row, other, age, stands, low, moves)
+        is_clear = kind == OtherKind.COUNTS and not dot(normal, u) < b
     row.is_cut_off = silent > heard
     return is_clear and (row.is_cut_off == 0 or row.lands != 0)
 
@@ -488,20 +343,20 @@ def _constrain_all(
         other = motions[k]
         age = now - other.state_time
         stands = other.height < floor
-        if _is_gone(age, stands) or (stands and low and row.lands == 0):
+        if is_gone(age, stands) or (stands and low and row.lands == 0):
             continue
-        q, w = _predict_other(row, other, age)
+        q, w = predict_other(row, other, age)
         scale = (row.scale[0], row.scale[1], row.scale[2])
         d = max(compute_norm(scale_difference(p, q, scale)), 1e-3)
-        kind = _judge_other(row, d, age, stands)
-        if kind == 0:
+        kind = judge_other(row, d, age, stands)
+        if kind == OtherKind.IGNORED:
             continue
-        if kind == 2:
+        if kind == OtherKind.UNHEARD:
             # As a rule the silent drone does not hear this one either.
             unheard = age - NEIGHBOUR_AGES.usable
             q, w = predict_braking(q, w, BRAKING_MODEL.gain, unheard)
             is_blind = True
-        d, normal, b = _compute_half_space(row, other, age, stands, low, (p, v, q, w))
+        d, normal, b = compute_half_space(row, other, age, stands, low, (p, v, q, w))
         count = _insert_plane(planes, near, count, d, normal, b, k)
     return count, is_blind
 

@@ -8,7 +8,14 @@ from crazychoir.bus.port import Bus
 from crazychoir.config.tables import CollisionTable
 from crazychoir.control.gains import STANDARD_GAINS
 from crazychoir.safety.collision.airspace import Airspace, AirspaceRules
+from crazychoir.safety.collision.avoidance import (
+    _constrain_all,
+    _find_drone_in_the_way,
+    make_nearest,
+    make_planes,
+)
 from crazychoir.safety.collision.filter import CollisionFilter
+from crazychoir.safety.collision.motion import predict_late_motion
 from crazychoir.safety.collision.neighbours import Neighbours
 from crazychoir.safety.collision.projection import project
 from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES
@@ -309,3 +316,46 @@ def test_the_fence_is_not_left_for_another():
     sky.hears(1, (3.2, 0.0, 1.0), (0.5, 0.0, 0.0))
     a = sky.wants(State.at((3.8, 0.0, 1.0), (0.4, 0.0, 0.0)), (3.8, 0.0, 1.0))
     assert a[0] < 0.0
+
+
+def find_obstacle(filter_, now):
+    """Return the id of the drone whose half space forbids the wanted acceleration; -1: none.
+
+    It looks at the half spaces of all others, and not first whether the way is surely clear.
+    """
+    row, airspace = filter_.row[0], filter_.traffic.airspace
+    listener = airspace.listeners[filter_.traffic.listener]
+    p, v = predict_late_motion(
+        row["state"], row["acceleration"], row["lag"], row["delay"], np.inf
+    )
+    planes, near = make_planes(), make_nearest()
+    count, is_blind = _constrain_all(
+        row, listener, airspace.motions, now, p, v, planes, near
+    )
+    u = tuple(row["reference"][6:9].tolist())
+    blocked = _find_drone_in_the_way(planes, near, count, u)
+    if is_blind or blocked < 0.0:
+        return -1, is_blind
+    return int(airspace.motions[int(blocked)]["drone"]), is_blind
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_way_that_is_quickly_found_clear_is_clear(method):
+    rng = np.random.default_rng(8)
+    found = {"clear": 0, "blocked": 0, "blind": 0}
+    for _ in range(400):
+        others = int(rng.integers(1, 9))
+        sky = Sky(method, others)
+        for j in range(1, 1 + others):
+            place = np.array([0.0, 0.0, 1.0]) + rng.uniform(-2.0, 2.0, 3)
+            age = rng.choice([0.0, 0.1, 0.5, 1.2])
+            sky.hears(j, place.clip(0.0), rng.uniform(-0.7, 0.7, 3), age)
+        me = State.at((0.0, 0.0, 1.0), rng.uniform(-0.7, 0.7, 3))
+        wanted = rng.uniform(-1.0, 1.0, 3)
+        is_free = sky.filter.acceleration(me, wanted, GAINS, 0.0) is None
+        obstacle, is_blind = find_obstacle(sky.filter, 0.0)
+        is_cut_off = sky.filter.cut_off
+        assert is_free == (obstacle < 0 and not is_blind and not is_cut_off)
+        kind = "blind" if is_blind or is_cut_off else "clear" if is_free else "blocked"
+        found[kind] += 1
+    assert min(found.values()) > 40, f"all kinds must occur: {found}"
