@@ -44,7 +44,6 @@ MOST_MODULES = 22  # a folder
 MOST_LINES = 200  # of the front page
 MOST_MISSION_LINES = 90  # of a file in agents/
 LARGE_CLASSES = {
-    "Airspace",
     "Communicator",
     "Fleet",
     "Rounds",

@@ -11,14 +11,6 @@ from crazychoir.config.tables import CollisionTable
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.collision.airspace_rows import (
     AIRSPACE_RULES_ROW,
-    DUE_ROW,
-    FAR_ROW,
-    GRID_ROW,
-    LISTENER_ROW,
-    MOTION_ROW,
-    PACE_ROW,
-    PAIR_ROW,
-    ROUND_ROW,
     SWARM_ROW,
     Missed,
 )
@@ -29,18 +21,17 @@ from crazychoir.safety.collision.hearing import (
     take_message,
     take_states,
 )
-from crazychoir.safety.collision.near_grid import CELLS_PER_DRONE
 from crazychoir.safety.collision.near_pairs import (
     CHECK_NS,
     check_distances,
     tell_pairs,
 )
+from crazychoir.safety.collision.pair_tables import FarTables, PairTables
 from crazychoir.safety.collision.state_links import StateLinks
 from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES, compute_far_rate
 from crazychoir.safety.collision.states_by_hand import STATE_BYTES, StatesByHand
 from crazychoir.types import Ints, LinkStatus, Mat, Records, State, Vec
 
-FIRST_PAIRS = 8  # pairs of a drone for which there is room at first
 SPARE_ROUNDS = 4  # rounds that are kept beyond NEIGHBOUR_AGES.gone
 
 
@@ -78,78 +69,32 @@ class Airspace:
         self.places = {j: place for place, j in enumerate(self.ids)}
         interval_ns = round(NS_PER_SECOND / compute_far_rate(max(len(self.ids) - 1, 1)))
         self.rules = _build_rules(rules, interval_ns)
-        self.swarm = np.zeros(len(self.ids), SWARM_ROW)
-        self.listeners = np.zeros(len(self.own_ids), LISTENER_ROW)
-        self.pairs = np.zeros(len(self.own_ids) * FIRST_PAIRS, PAIR_ROW)
-        self.motions = np.zeros(len(self.pairs), MOTION_ROW)
-        self.paces = np.zeros(len(self.pairs), PACE_ROW)
-        self.dues = np.zeros(len(self.pairs), DUE_ROW)
-        self._told = np.zeros(0, np.int64)
-        """(k,): rows in the swarm of the drones that laws hear: those of the first listener first."""
-        capacity = int(self.rules["round_capacity"][0])
-        self.rounds = np.zeros(len(self.ids) * capacity, ROUND_ROW)
-        self.missed = np.full(
-            (len(self.own_ids), len(self.ids)), Missed.ALL, dtype=np.uint8
+        self.own_places = np.array([self.places[i] for i in self.own_ids], np.int64)
+        """(n,): rows of the drones of this process in the swarm."""
+        self._shares = {j: 1.0 if j in rules.alone else 0.5 for j in self.ids}
+        self.swarm = _build_swarm(self._shares, self.own_places, interval_ns)
+        self.near = PairTables(self.own_places, np.array(self.own_ids, np.int64))
+        self.far = FarTables(
+            len(self.own_ids), len(self.ids), int(self.rules["round_capacity"][0])
         )
-        """(listeners, swarm): rounds missed in a row, or Missed."""
         self.links = StateLinks(bus.impairment, [(i, self.ids) for i in self.own_ids])
         self._trace_due_ns = 0
         self.trace: Callable[..., None] | None = None
         """Gets what each drone knows, when its distances are checked."""
-        self.own_places = np.array([self.places[i] for i in self.own_ids], np.int64)
-        """(n,): rows of the drones of this process in the swarm."""
         self.states = np.zeros((len(self.own_ids), 16))
         """(n, 16): own states (13,) and accelerations (3,), before the next step."""
         self.times = np.full(len(self.own_ids), -math.inf)
         """(n,) s: times of the own states."""
         self.numbers = np.zeros(len(self.own_ids), np.int64)
         """(n,): ticks of the own drones."""
-        self._by_hand = StatesByHand(bus, self.swarm, self.listeners, self.hear)
-        self._far = np.zeros(len(self.ids), FAR_ROW)
-        self._grid = np.zeros(1, GRID_ROW)
-        self._begins = np.zeros(CELLS_PER_DRONE * len(self.ids) + 1, np.int64)
-        self._order = np.zeros(len(self.ids), np.int64)
-        self._work = np.zeros(len(self.ids), np.int64)
-        self._shares = {j: 1.0 if j in rules.alone else 0.5 for j in self.ids}
-        self._fill(interval_ns)
-
-    def _fill(self, interval_ns: int) -> None:
-        """Write what the records contain at the start.
-
-        interval_ns: ns, of rounds
-        """
-        swarm = self.swarm
-        ids = np.array(self.ids, np.int64)
-        swarm["drone"] = ids
-        swarm["listener"] = -1
-        swarm["lacking_count"] = len(self.own_ids)
-        swarm["lacking_count"][self.own_places] -= 1
-        swarm["listener"][self.own_places] = np.arange(len(self.own_ids))
-        swarm["state"][:, 9] = 1.0
-        swarm["seen_state"][:, 9] = 1.0
-        swarm["state_time"] = -math.inf
-        swarm["seen_time"] = -math.inf
-        swarm["share"] = list(self._shares.values())
-        if interval_ns >= READER_RATES.slow_interval_ns:
-            swarm["phase_ns"] = READER_RATES.phase_step_ns * ids % interval_ns
-        swarm["round_due_ns"] = swarm["phase_ns"]
-        self._far["state_time"] = -math.inf
-        self._far["heard_time"] = -math.inf
-        listeners = self.listeners
-        listeners["place"] = self.own_places
-        listeners["first_pair"] = FIRST_PAIRS * np.arange(len(self.own_ids))
-        listeners["pair_capacity"] = FIRST_PAIRS
-        # Drones of one process do not all check in the same tick.
-        listeners["check_ns"] = (
-            READER_RATES.phase_step_ns * ids[self.own_places] % CHECK_NS
-        )
+        self._by_hand = StatesByHand(bus, self.swarm, self.near.listeners, self.hear)
 
     def keep_all(self, listener: int) -> None:
         """Give an own drone a pair with every other drone, from now on.
 
         listener: number of the drone in this process
         """
-        row = self.listeners[listener]
+        row = self.near.listeners[listener]
         row["keeps_all"] = 1
         self._check_all(int(row["check_ns"]))
 
@@ -161,13 +106,18 @@ class Airspace:
         told: {drone: drones that its law hears}
         """
         found: list[int] = []
-        for listener, i in zip(self.listeners, self.own_ids, strict=True):
+        for listener, i in zip(self.near.listeners, self.own_ids, strict=True):
             listener["first_told"] = len(found)
             found += [self.places[j] for j in told.get(i, ()) if j in self.places]
             listener["told_count"] = len(found) - int(listener["first_told"])
-        self._told = np.array(found, np.int64)
+        self.near.told = np.array(found, np.int64)
         tell_pairs(
-            self.listeners, self.paces, self.dues, self.swarm, self.rules, self._told
+            self.near.listeners,
+            self.near.paces,
+            self.near.dues,
+            self.swarm,
+            self.rules,
+            self.near.told,
         )
 
     def now(self) -> float:
@@ -211,7 +161,7 @@ class Airspace:
 
         Valid from one step to the next one.
         """
-        return np.flatnonzero(self.listeners["is_frame_due"])
+        return np.flatnonzero(self.near.listeners["is_frame_due"])
 
     def step(self) -> Ints:
         """Let all drones of this process hear what is due, then check the distances.
@@ -225,87 +175,71 @@ class Airspace:
         self.rules["has_by_hand"] = self.links.has_by_hand
         take_states(self.swarm, self.own_places, self.numbers, self.states, self.times)
         waiting = hear_states(
-            self.listeners,
-            self.pairs,
-            self.motions,
-            self.paces,
-            self.dues,
+            self.near.listeners,
+            self.near.pairs,
+            self.near.motions,
+            self.near.paces,
+            self.near.dues,
             self.swarm,
-            self.rounds,
-            self._far,
-            self.missed,
+            self.far.rounds,
+            self.far.known,
+            self.far.missed,
             self.links.rows,
             self.links.kinds,
             self.links.losses,
             self.rules,
-            self._work,
+            self.far.work,
             now_ns,
         )
         if waiting:
             self._judge_by_hand(now_ns)
-        checks = self.listeners["check_count"].copy()
+        checks = self.near.listeners["check_count"].copy()
         self._check_all(now_ns)
         self._trace(now_ns)
-        was_checked = checks != self.listeners["check_count"]
-        return np.flatnonzero(was_checked & (self.listeners["sought_count"] > 0))
+        was_checked = checks != self.near.listeners["check_count"]
+        return np.flatnonzero(was_checked & (self.near.listeners["sought_count"] > 0))
 
     def _check_all(self, now_ns: int) -> None:
         """Check the distances of all own drones that are due."""
         while (lacking := self._check(now_ns)) >= 0:
-            self._make_room(lacking)
+            self.near.make_room(lacking)
 
     def _check(self, now_ns: int) -> int:
         """Check the distances, and return the first drone without room for its pairs, or -1."""
         return int(
             check_distances(
-                self.listeners,
-                self.pairs,
-                self.motions,
-                self.paces,
-                self.dues,
-                self._told,
+                self.near.listeners,
+                self.near.pairs,
+                self.near.motions,
+                self.near.paces,
+                self.near.dues,
+                self.near.told,
                 self.swarm,
-                self.rounds,
-                self._far,
-                self.missed,
+                self.far.rounds,
+                self.far.known,
+                self.far.missed,
                 self.links.kinds,
                 self.rules,
-                self._grid,
-                self._begins,
-                self._order,
-                self._work,
+                self.far.grid,
+                self.far.begins,
+                self.far.order,
+                self.far.work,
                 now_ns,
             )
         )
-
-    def _make_room(self, lacking: int) -> None:
-        """Double the room for the pairs of one drone."""
-        before = self.listeners.copy()
-        self.listeners["pair_capacity"][lacking] *= 2
-        ends = np.cumsum(self.listeners["pair_capacity"])
-        self.listeners["first_pair"] = ends - self.listeners["pair_capacity"]
-        tables = (self.pairs, self.motions, self.paces, self.dues)
-        larger = [np.zeros(int(ends[-1]), table.dtype) for table in tables]
-        for old, new in zip(before, self.listeners, strict=True):
-            count = int(old["pair_count"])
-            source = slice(int(old["first_pair"]), int(old["first_pair"]) + count)
-            target = slice(int(new["first_pair"]), int(new["first_pair"]) + count)
-            for table, larger_table in zip(tables, larger, strict=True):
-                larger_table[target] = table[source]
-        self.pairs, self.motions, self.paces, self.dues = larger
 
     def _trace(self, now_ns: int) -> None:
         """Trace what the own drones know of near drones, as often as the distances are checked."""
         if self.trace is not None and now_ns >= self._trace_due_ns:
             self._trace_due_ns = now_ns + CHECK_NS
             self.trace(
-                np.ascontiguousarray(self.pairs["state_time"]),
-                np.ascontiguousarray(self.pairs["heard_time"]),
+                np.ascontiguousarray(self.near.pairs["state_time"]),
+                np.ascontiguousarray(self.near.pairs["heard_time"]),
             )
 
     def report_messages(self) -> None:
         """Add the messages since the last call to the counters of the ports."""
-        listeners = self.listeners
+        listeners = self.near.listeners
         for at in np.flatnonzero(listeners["sent"]).tolist():
             port = self.bus.ports.get(self.own_ids[at])
             if port is not None:
@@ -328,9 +262,7 @@ class Airspace:
 
         listener: number of the drone in this process
         """
-        row = self.listeners[listener]
-        first = int(row["first_pair"])
-        return self.pairs[first : first + int(row["pair_count"])]
+        return self.near.pairs[self.near.rows_of(listener)]
 
     def pair(self, listener: int, j: int) -> Records | None:
         """Return the pair of an own drone with drone j, (1,) PAIR_ROW, or None.
@@ -338,7 +270,7 @@ class Airspace:
         listener: number of the drone in this process
         """
         found = self._find_pair(listener, j)
-        return None if found is None else self.pairs[found]
+        return None if found is None else self.near.pairs[found]
 
     def _find_pair(self, listener: int, j: int) -> slice | None:
         """Return where the pair of an own drone with drone j is, or None.
@@ -346,11 +278,9 @@ class Airspace:
         listener: number of the drone in this process
         """
         place = self.places.get(j)
-        if place is None or self.missed[listener, place] != Missed.PAIRED:
+        if place is None or self.far.missed[listener, place] != Missed.PAIRED:
             return None
-        k = int(self.listeners["first_pair"][listener])
-        k += int(np.searchsorted(self.pairs_of(listener)["other"], place))
-        return slice(k, k + 1)
+        return self.near.find(listener, place)
 
     def hear(self, listener: int, j: int, state: State, age: float) -> None:
         """Let an own drone hear a state that drone j sent itself.
@@ -380,8 +310,8 @@ class Airspace:
         if found is None or not is_valid_state(values):
             return
         take_message(
-            self.pairs[found],
-            self.motions[found],
+            self.near.pairs[found],
+            self.near.motions[found],
             values,
             self.now() - age,
             self.swarm["share"][self.places[j]],
@@ -410,6 +340,31 @@ class Airspace:
             is_deaf = link.silence + age > NEIGHBOUR_AGES.deaf
             self.swarm["share"][place] = 1.0 if is_deaf else self._shares[j]
             self.swarm["is_deaf"][place] = is_deaf
+
+
+def _build_swarm(shares: dict[int, float], own: Ints, interval_ns: int) -> Records:
+    """Return what a process knows of the drones of a swarm at the start, (n,) SWARM_ROW.
+
+    shares: {id: share, see SWARM_ROW}, increasing
+    own: rows of the drones of this process
+    interval_ns: ns, of rounds
+    """
+    ids = np.array(list(shares), np.int64)
+    swarm = np.zeros(len(ids), SWARM_ROW)
+    swarm["drone"] = ids
+    swarm["listener"] = -1
+    swarm["listener"][own] = np.arange(len(own))
+    swarm["lacking_count"] = len(own)
+    swarm["lacking_count"][own] -= 1
+    swarm["state"][:, 9] = 1.0
+    swarm["seen_state"][:, 9] = 1.0
+    swarm["state_time"] = -math.inf
+    swarm["seen_time"] = -math.inf
+    swarm["share"] = list(shares.values())
+    if interval_ns >= READER_RATES.slow_interval_ns:
+        swarm["phase_ns"] = READER_RATES.phase_step_ns * ids % interval_ns
+    swarm["round_due_ns"] = swarm["phase_ns"]
+    return swarm
 
 
 def _build_rules(rules: AirspaceRules, interval_ns: int) -> Records:

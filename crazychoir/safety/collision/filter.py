@@ -75,7 +75,7 @@ class CollisionFilter:
 
     def look(self, now: float) -> None:
         """Ask others for the states of drones that are not heard, after each check of the distances."""
-        listener = self.traffic.airspace.listeners[self.traffic.listener]
+        listener = self.traffic.airspace.near.listeners[self.traffic.listener]
         if listener["check_count"] == self._checks:
             return
         self._checks = int(listener["check_count"])
@@ -122,7 +122,12 @@ class CollisionFilter:
         row["is_asked"] = 1
         airspace = self.traffic.airspace
         avoid_rows(
-            row, airspace.listeners, airspace.motions, now, self._planes, self._near
+            row,
+            airspace.near.listeners,
+            airspace.near.motions,
+            now,
+            self._planes,
+            self._near,
         )
         row["is_asked"] = 0
         return row["safe"][0].copy() if row["acts"][0] else None

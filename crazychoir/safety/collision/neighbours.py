@@ -52,11 +52,11 @@ class Neighbours:
         """
         capacity = int(self.airspace.rules["round_capacity"][0])
         count = int(self.airspace.swarm["round_count"][place])
-        missed = int(self.airspace.missed[self.listener, place])
+        missed = int(self.airspace.far.missed[self.listener, place])
         if missed >= min(count, capacity):
             return None
         at = place * capacity + (count - 1 - missed) % capacity
-        return self.airspace.rounds[at : at + 1]
+        return self.airspace.far.rounds[at : at + 1]
 
     def heard_places(self, now: float) -> tuple[Ints, Mat]:
         """Return the ids (k,) of the drones that this drone hears, and their places (k, 3) m.
@@ -65,10 +65,10 @@ class Neighbours:
         """
         airspace = self.airspace
         capacity = int(airspace.rules["round_capacity"][0])
-        missed = airspace.missed[self.listener].astype(np.int64)
+        missed = airspace.far.missed[self.listener].astype(np.int64)
         counts = airspace.swarm["round_count"]
         far = np.flatnonzero(missed < np.minimum(counts, capacity))
-        last = airspace.rounds[
+        last = airspace.far.rounds[
             far * capacity + (counts[far] - 1 - missed[far]) % capacity
         ]
         pairs = self.rows

@@ -273,9 +273,9 @@ class NeighbourProcess:
 
     def take_counts(self):
         """Return the messages of drone 1 since the last call: for the airspace and the law."""
-        airspace = int(self.airspace.listeners["sent"][1])
+        airspace = int(self.airspace.near.listeners["sent"][1])
         law = int(self.tick.batch.drones["sent"][1])
-        self.airspace.listeners["sent"] = 0
+        self.airspace.near.listeners["sent"] = 0
         self.tick.batch.drones["sent"] = 0
         return airspace, law
 

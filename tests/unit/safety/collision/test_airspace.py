@@ -30,7 +30,7 @@ def test_far_drones_have_no_pair_and_hear_each_other_in_rounds():
     sky = Sky(row_of(30, FAR))
     sky.fly(3.0)
     assert all(len(drone.rows) == 0 for drone in sky.drones)
-    assert np.all(np.diag(sky.airspace.missed) == Missed.ALL), "not itself"
+    assert np.all(np.diag(sky.airspace.far.missed) == Missed.ALL), "not itself"
     ages = [sky.age(i, j) for i in range(30) for j in range(30) if i != j]
     assert max(ages) <= 1.0 / compute_far_rate(29) + TICK
     sky.airspace.report_messages()
@@ -96,7 +96,9 @@ def test_a_drone_that_was_never_heard_may_be_anywhere_and_is_sought():
     sky.fly(FIRST_NEWS_TIME - 0.2)
     assert sky.drones[0].row(7) is None, "its first state may be on its way"
     sought = []
-    sky.fly(5.0, each=lambda: sought.append(sky.airspace.listeners["sought_count"][0]))
+    sky.fly(
+        5.0, each=lambda: sought.append(sky.airspace.near.listeners["sought_count"][0])
+    )
     row = sky.drones[0].row(7)
     assert row is not None
     assert row["state_time"] == -np.inf
@@ -168,7 +170,7 @@ def test_heard_and_silent_drones_are_counted_whether_far_or_near(silent, far):
     cuts = [NetworkPartition(2.0, 99.0, (0,), tuple(range(1, 1 + silent)))]
     sky = Sky(row_of(9, far), partitions=cuts)
     sky.fly(2.0 + NEIGHBOUR_AGES.silent + 0.3)
-    listener = sky.airspace.listeners[0]
+    listener = sky.airspace.near.listeners[0]
     rows = sky.drones[0].rows
     is_heard = sky.bus.clock.now() - rows["heard_time"] < NEIGHBOUR_AGES.silent
     assert listener["far_heard"] + is_heard.sum() == 8 - silent

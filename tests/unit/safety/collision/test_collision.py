@@ -324,19 +324,19 @@ def find_obstacle(filter_, now):
     It looks at the half spaces of all others, and not first whether the way is surely clear.
     """
     row, airspace = filter_.row[0], filter_.traffic.airspace
-    listener = airspace.listeners[filter_.traffic.listener]
+    listener = airspace.near.listeners[filter_.traffic.listener]
     p, v = predict_late_motion(
         row["state"], row["acceleration"], row["lag"], row["delay"], np.inf
     )
     planes, near = make_planes(), make_nearest()
     count, is_blind = _constrain_all(
-        row, listener, airspace.motions, now, p, v, planes, near
+        row, listener, airspace.near.motions, now, p, v, planes, near
     )
     u = tuple(row["reference"][6:9].tolist())
     blocked = _find_drone_in_the_way(planes, near, count, u)
     if is_blind or blocked < 0.0:
         return -1, is_blind
-    return int(airspace.motions[int(blocked)]["drone"]), is_blind
+    return int(airspace.near.motions[int(blocked)]["drone"]), is_blind
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -43,13 +43,13 @@ def scan_plainly(sky, listener, now):
         place = airspace.places[j]
         sender = airspace.swarm[place]
         known = sky.drones[listener].known(j)
-        missed = airspace.missed[listener, place]
+        missed = airspace.far.missed[listener, place]
         if missed == Missed.PAIRED:
             heard_time = known["heard_time"]
             last = place * rules["round_capacity"]
             last += (sender["round_count"] - 1) % rules["round_capacity"]
             is_kept = sender["round_count"] == 0
-            is_kept |= heard_time < airspace.rounds["state_time"][last]
+            is_kept |= heard_time < airspace.far.rounds["state_time"][last]
         else:
             heard_time = -np.inf if known is None else known["state_time"]
             is_kept = rules["round_capacity"] - 4 <= missed <= Missed.MOST
@@ -94,9 +94,9 @@ def test_the_pairs_are_those_of_a_plain_scan(seed, own, box, loss):
             scan_plainly(sky, listener, now_ns / NS_PER_SECOND)
             for listener in range(own)
         ]
-        before = sky.airspace.listeners["check_count"].copy()
+        before = sky.airspace.near.listeners["check_count"].copy()
         check_all(now_ns)
-        after = sky.airspace.listeners
+        after = sky.airspace.near.listeners
         for listener in np.flatnonzero(after["check_count"] != before).tolist():
             row = after[listener]
             near, heard, silent = expected[listener]

@@ -1,0 +1,108 @@
+"""The tables of an airspace: pairs of near drones, and what far drones say in rounds."""
+
+import numpy as np
+
+from crazychoir.bus.port import READER_RATES
+from crazychoir.safety.collision.airspace_rows import (
+    DUE_ROW,
+    FAR_ROW,
+    GRID_ROW,
+    LISTENER_ROW,
+    MOTION_ROW,
+    PACE_ROW,
+    PAIR_ROW,
+    ROUND_ROW,
+    Missed,
+)
+from crazychoir.safety.collision.near_grid import CELLS_PER_DRONE
+from crazychoir.safety.collision.near_pairs import CHECK_NS
+from crazychoir.types import Ints, Records
+
+FIRST_PAIRS = 8  # pairs of a drone for which there is room at first
+
+
+class PairTables:
+    """What the drones of a process know of other drones that may be near: a row a pair.
+
+    Each drone has its rows next to each other, in the order of the other drones.
+
+    places: (n,): rows of the drones of this process in the swarm
+    ids: (n,): their ids
+    """
+
+    def __init__(self, places: Ints, ids: Ints) -> None:
+        self.listeners = np.zeros(len(places), LISTENER_ROW)
+        self.pairs = np.zeros(len(places) * FIRST_PAIRS, PAIR_ROW)
+        self.motions = np.zeros(len(self.pairs), MOTION_ROW)
+        self.paces = np.zeros(len(self.pairs), PACE_ROW)
+        self.dues = np.zeros(len(self.pairs), DUE_ROW)
+        self.told = np.zeros(0, np.int64)
+        """(k,): rows in the swarm of the drones that laws hear: those of the first listener first."""
+        listeners = self.listeners
+        listeners["place"] = places
+        listeners["first_pair"] = FIRST_PAIRS * np.arange(len(places))
+        listeners["pair_capacity"] = FIRST_PAIRS
+        # Drones of one process do not all check in the same tick.
+        listeners["check_ns"] = READER_RATES.phase_step_ns * ids % CHECK_NS
+
+    def make_room(self, lacking: int) -> None:
+        """Double the room for the pairs of one drone.
+
+        lacking: number of the drone in this process
+        """
+        before = self.listeners.copy()
+        self.listeners["pair_capacity"][lacking] *= 2
+        ends = np.cumsum(self.listeners["pair_capacity"])
+        self.listeners["first_pair"] = ends - self.listeners["pair_capacity"]
+        tables = (self.pairs, self.motions, self.paces, self.dues)
+        larger = [np.zeros(int(ends[-1]), table.dtype) for table in tables]
+        for old, new in zip(before, self.listeners, strict=True):
+            count = int(old["pair_count"])
+            source = slice(int(old["first_pair"]), int(old["first_pair"]) + count)
+            target = slice(int(new["first_pair"]), int(new["first_pair"]) + count)
+            for table, larger_table in zip(tables, larger, strict=True):
+                larger_table[target] = table[source]
+        self.pairs, self.motions, self.paces, self.dues = larger
+
+    def rows_of(self, listener: int) -> slice:
+        """Return where the pairs of a drone are; valid until the next step.
+
+        listener: number of the drone in this process
+        """
+        row = self.listeners[listener]
+        first = int(row["first_pair"])
+        return slice(first, first + int(row["pair_count"]))
+
+    def find(self, listener: int, place: int) -> slice:
+        """Return where the pair of a drone with another one is, which it has.
+
+        listener: number of the drone in this process
+        place: row of the other drone in the swarm
+        """
+        rows = self.rows_of(listener)
+        k = rows.start + int(np.searchsorted(self.paces["other"][rows], place))
+        return slice(k, k + 1)
+
+
+class FarTables:
+    """What far drones have said in rounds, and which drones have heard it.
+
+    listeners: number of drones of this process
+    drones: number of all flying drones
+    rounds: rounds that are kept of each drone
+    """
+
+    def __init__(self, listeners: int, drones: int, rounds: int) -> None:
+        self.rounds: Records = np.zeros(drones * rounds, ROUND_ROW)
+        self.missed = np.full((listeners, drones), Missed.ALL, dtype=np.uint8)
+        """(listeners, swarm): rounds missed in a row, or Missed."""
+        self.known: Records = np.zeros(drones, FAR_ROW)
+        self.known["state_time"] = -np.inf
+        self.known["heard_time"] = -np.inf
+        self.grid: Records = np.zeros(1, GRID_ROW)
+        self.begins = np.zeros(CELLS_PER_DRONE * drones + 1, np.int64)
+        """Where the cells of the grid begin in `order`."""
+        self.order = np.zeros(drones, np.int64)
+        """Rows of the swarm in the order of the cells."""
+        self.work = np.zeros(drones, np.int64)
+        """Work space."""
