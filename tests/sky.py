@@ -8,8 +8,8 @@ from crazychoir.bus.impairment.model import EdgeCounters, Impairment
 from crazychoir.bus.port import Bus
 from crazychoir.config.tables import CollisionTable
 from crazychoir.runtime.clock import NS_PER_SECOND
-from crazychoir.safety.collision.airspace import Airspace, AirspaceRules
-from crazychoir.safety.collision.neighbours import Neighbours
+from crazychoir.safety.airspace.airspace import Airspace, AirspaceRules
+from crazychoir.safety.airspace.neighbours import Neighbours
 from crazychoir.types import State
 
 TICK = 0.01  # s

@@ -31,12 +31,12 @@ from crazychoir.guidance.sensors import Sensors
 from crazychoir.platforms import find_platform
 from crazychoir.runtime.mailbox import Call
 from crazychoir.runtime.supervisor import Supervisor
+from crazychoir.safety.airspace.airspace import Airspace, AirspaceRules
+from crazychoir.safety.airspace.airspace_frames import AirspaceFrames
+from crazychoir.safety.airspace.neighbours import Neighbours
 from crazychoir.safety.collision.agreed.path_limits import LOWEST_WAYPOINT, PathLimits
 from crazychoir.safety.collision.agreed.planned import PlannedFlights
-from crazychoir.safety.collision.airspace import Airspace, AirspaceRules
-from crazychoir.safety.collision.airspace_frames import AirspaceFrames
 from crazychoir.safety.collision.filter import CollisionFilter
-from crazychoir.safety.collision.neighbours import Neighbours
 from crazychoir.safety.rules.guard import Fence, Guard
 from crazychoir.safety.rules.radio_watch import RadioWatch
 from crazychoir.simulation.owner import WorldOwner

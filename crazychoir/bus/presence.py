@@ -97,9 +97,10 @@ class PresenceMonitor(Actor):
     @watched.setter
     def watched(self, ids: tuple[int, ...]) -> None:
         now_ns = self.port.bus.clock.now_ns()
-        for j in set(ids).difference(self._watched):
+        known = frozenset(self._watched)
+        for j in ids:
             # It sends no heartbeats to a drone that does not watch it: that silence does not count.
-            if self.state(j) is Presence.SUSPECT:
+            if j not in known and self.state(j) is Presence.SUSPECT:
                 self._members[j].since_ns = now_ns
         self._watched = ids
 

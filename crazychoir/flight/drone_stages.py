@@ -17,7 +17,7 @@ from crazychoir.flight.judge import Judge
 from crazychoir.flight.notes import FlightNotes
 from crazychoir.flight.permission import Permission
 from crazychoir.flight.setup import THRUST_SENDERS, FlightSetup
-from crazychoir.safety.collision.states_by_hand import STATE_BYTES
+from crazychoir.safety.airspace.states_by_hand import STATE_BYTES
 from crazychoir.safety.rules.guard import Action
 from crazychoir.types import (
     Acceleration,

@@ -19,7 +19,7 @@ from crazychoir.flight.clearance import CLEARANCE_TIMES, PLAN_DEVIATION
 from crazychoir.flight.estimate import write_believed_state
 from crazychoir.flight.flight_limits import SEEN_AGE, TOUCHDOWN_LIMITS
 from crazychoir.numerics.kernels import (
-    UNCOUNTED,
+    NO_COUNTING,
     Record,
     Records,
     kernel,
@@ -39,7 +39,7 @@ from crazychoir.planning.plan_row import (
     sample_plan,
 )
 from crazychoir.runtime.clock import NS_PER_SECOND
-from crazychoir.safety.collision.airspace_rows import LISTENER_ROW, MOTION_ROW
+from crazychoir.safety.airspace.airspace_rows import LISTENER_ROW, MOTION_ROW
 from crazychoir.safety.collision.avoidance import AVOID_ROW, avoid_row
 from crazychoir.safety.rules.guard import GUARD_ROW, Action, GuardRows, is_quiet
 from crazychoir.safety.rules.limits import cut_full_state
@@ -81,7 +81,7 @@ def _write_believed_flight(
     real,
     memory,
     memory,
-    **UNCOUNTED,
+    **NO_COUNTING,
 )
 def estimate_drones(
     drones: DroneRows,
@@ -232,7 +232,7 @@ def _count_fence_tick(drone: Record, plan: Record, now: float) -> None:
     real,
     memory,
     wholes,
-    **UNCOUNTED,
+    **NO_COUNTING,
 )
 def find_rows_to_judge(
     drones: DroneRows,
@@ -341,7 +341,7 @@ def _follow_plan(drone: Record, plan: Record, now: float, planned: Vec) -> None:
     _follow_full_state(drone, is_exact and not is_low)
 
 
-@kernel(rows_of(DRONE_ROW), rows_of(PLAN_ROW), real, memory, **UNCOUNTED)
+@kernel(rows_of(DRONE_ROW), rows_of(PLAN_ROW), real, memory, **NO_COUNTING)
 def follow_rows(drones: DroneRows, plans: PlanRows, now: float, planned: Vec) -> None:
     """Write what each drone with the course FOLLOW flies, and by which controller.
 
@@ -384,7 +384,7 @@ def _evade(drone: Record, safe: Vec, other: int, is_on_plan: bool, now: float) -
         drone.is_aside = 1
 
 
-@kernel(rows_of(DRONE_ROW), table, memory, wholes, real, **UNCOUNTED)
+@kernel(rows_of(DRONE_ROW), table, memory, wholes, real, **NO_COUNTING)
 def publish_drones(
     drones: DroneRows, states: Mat, times: Vec, numbers: Ints, now: float
 ) -> None:
@@ -450,7 +450,7 @@ def _obey_filter(drone: Record, avoid: Record, plan: Record, now: float) -> bool
     table,
     table,
     wholes,
-    **UNCOUNTED,
+    **NO_COUNTING,
 )
 def avoid_drones(
     drones: DroneRows,
@@ -520,7 +520,7 @@ def _control_drone(drone: Record, control: Record, now: float) -> bool:
     return True
 
 
-@kernel(rows_of(DRONE_ROW), rows_of(CONTROL_ROW), real, wholes, **UNCOUNTED)
+@kernel(rows_of(DRONE_ROW), rows_of(CONTROL_ROW), real, wholes, **NO_COUNTING)
 def control_drones(
     drones: DroneRows, controls: Records, now: float, found: Ints
 ) -> int:

@@ -27,8 +27,8 @@ from crazychoir.flight.stages import (
 )
 from crazychoir.flight.world_rows import CommandTable, WorldRows
 from crazychoir.runtime.clock import NS_PER_SECOND
-from crazychoir.safety.collision.airspace import Airspace
-from crazychoir.safety.collision.airspace_frames import AirspaceFrames
+from crazychoir.safety.airspace.airspace import Airspace
+from crazychoir.safety.airspace.airspace_frames import AirspaceFrames
 from crazychoir.safety.collision.avoidance import make_nearest, make_planes
 from crazychoir.types import Ints, Pose
 

@@ -9,7 +9,7 @@ from crazychoir.control.rows import INPUT_SIZE
 from crazychoir.filters.rows import FILTER_ROW, FilterRows
 from crazychoir.flight.batch import DRONE_ROW, Batch, DroneRows
 from crazychoir.numerics.kernels import (
-    UNCOUNTED,
+    NO_COUNTING,
     bools,
     kernel,
     matrix,
@@ -36,7 +36,7 @@ class CommandTable(Protocol):
 
 
 @kernel(
-    rows_of(DRONE_ROW), rows_of(FILTER_ROW), wholes, matrix, real, bools, **UNCOUNTED
+    rows_of(DRONE_ROW), rows_of(FILTER_ROW), wholes, matrix, real, bools, **NO_COUNTING
 )
 def take_poses(
     drones: DroneRows,
@@ -66,7 +66,7 @@ def take_poses(
         drones[k].ticks = 1
 
 
-@kernel(rows_of(DRONE_ROW), rows_of(FILTER_ROW), wholes, table, wholes, **UNCOUNTED)
+@kernel(rows_of(DRONE_ROW), rows_of(FILTER_ROW), wholes, table, wholes, **NO_COUNTING)
 def send_inputs(
     drones: DroneRows, filters: FilterRows, places: Ints, inputs: Mat, is_new: Ints
 ) -> None:

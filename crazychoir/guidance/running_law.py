@@ -124,7 +124,7 @@ class RunningLaw:
         self.tally.rows = rows["tally"]
 
     def list_told(self) -> list[int]:
-        """Return the neighbours in this process of which the law hears each state."""
+        """Return the neighbours in this process that the law hears in each tick."""
         edges = self.edges
         is_told = (edges["source"] != ELSEWHERE_SOURCE) & (edges["interval_ns"] == 0)
         return [j for j, told in zip(self.ids, is_told.tolist(), strict=True) if told]

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.flight.pilot import Pilot
-from crazychoir.safety.collision.distances import COLLISION_DISTANCES
-from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES
+from crazychoir.safety.airspace.distances import COLLISION_DISTANCES
+from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES
 from crazychoir.safety.rules.guard import EDGE_MARGIN, Fence
 from crazychoir.types import Vec
 

@@ -40,7 +40,7 @@ wholes = numba.int64[::1]
 table = numba.float64[:, ::1]
 """An array (m, n) that a kernel writes."""
 
-UNCOUNTED = {"_nrt": False}
+NO_COUNTING = {"_nrt": False}
 """Options of a kernel that makes no arrays: it counts no references to the arrays that it gets.
 
 Counting them costs more than a short law, in each law that it calls as well.

@@ -27,6 +27,20 @@ def list_lowest(ids: tuple[int, ...]) -> tuple[int, ...]:
     return ids[: CLOSE_DRONES + 1]
 
 
+def list_watched(
+    graph: Graph, members: tuple[int, ...], i: int, coordinator: int
+) -> tuple[int, ...]:
+    """Return the drones that drone i monitors after the start, unless it is the coordinator.
+
+    members: ids of the team, increasing; the first one is the coordinator, as a rule
+    coordinator: -1: it is silent; the lowest ids are monitored as well, because one of them leads
+    """
+    if coordinator == members[0]:
+        return list_near(graph, i, coordinator)
+    # A restarted coordinator may have no team.
+    return list_near(graph, i, *list_lowest(graph.ids), *list_lowest(members))
+
+
 class DroneSearch:
     """Goes through the drones of a swarm in turn, CLOSE_DRONES at a time.
 

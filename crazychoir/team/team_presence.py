@@ -10,7 +10,12 @@ from crazychoir.bus.presence import SILENCE_TIMEOUT, Presence, PresenceMonitor
 from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.errors import CodecError
 from crazychoir.runtime.clock import NS_PER_SECOND
-from crazychoir.team.close_drones import DroneSearch, list_lowest, list_near
+from crazychoir.team.close_drones import (
+    DroneSearch,
+    list_lowest,
+    list_near,
+    list_watched,
+)
 from crazychoir.team.messages import Roster, TeamHeartbeat
 from crazychoir.team.strangers import SETTLE_TIME, Strangers
 from crazychoir.team.team_roster import TeamRoster
@@ -303,27 +308,18 @@ class TeamPresence:
         self._watch()
 
     def _watch(self) -> None:
-        """Choose the drones that this drone monitors after the start.
-
-        The coordinator watches all. The others watch their neighbours and the coordinator, and the
-        lowest ids if the coordinator is silent.
-        """
+        """Choose the drones that this drone monitors after the start: the coordinator watches all."""
         roster = self.rosters.roster
         if roster is None:
             self.review_all()
             return
-        graph = self.rosters.graph
-        first = roster.ids[0]
         coordinator = self.coordinator()
-        is_alive = self.monitor.state(first) is Presence.ALIVE
+        is_led = self.monitor.state(roster.ids[0]) is Presence.ALIVE
+        watched = list_watched(
+            self.rosters.graph, roster.ids, self.id, coordinator if is_led else -1
+        )
         if coordinator == self.id:
             watched = self.others
-        elif is_alive and coordinator == first:
-            watched = list_near(graph, self.id, first)
-        else:
-            # A restarted coordinator may have no team.
-            lowest = list_lowest(graph.ids) + list_lowest(roster.ids)
-            watched = list_near(graph, self.id, *lowest)
         if watched != self.monitor.watched or coordinator != self._led_by:
             self.monitor.watched = watched
             self._led_by = coordinator
@@ -339,11 +335,11 @@ class TeamPresence:
         is_started = self.rosters.roster is not None
         if is_started or len(self.monitor.watched) == len(ids) - 1:
             return ()
-        watched = {*self.monitor.watched, self.id}
+        known = {*self.monitor.watched, self.id}
         if self.refused:
-            return tuple(j for j in ids if j not in watched)
+            return tuple(j for j in ids if j not in known)
         lowest = next(self._list_lower(), self.id)
         is_led = lowest < self.id and lowest in list_lowest(ids)
         if is_led and not self.strangers.missions:
             return ()
-        return tuple(j for j in self._search.take_turn() if j not in watched)
+        return tuple(j for j in self._search.take_turn() if j not in known)

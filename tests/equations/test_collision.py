@@ -6,13 +6,13 @@ import pytest
 from scipy.optimize import linprog
 
 from crazychoir.numerics.math3d import STANDARD_GRAVITY
+from crazychoir.safety.airspace.motion import predict_late_motion
 from crazychoir.safety.collision.barrier import (
     compute_barrier_acceleration,
     compute_closing_speed,
     compute_yield_share,
 )
 from crazychoir.safety.collision.cells import compute_cell_acceleration
-from crazychoir.safety.collision.motion import predict_late_motion
 from crazychoir.safety.collision.projection import project
 
 STIFF, GAMMA = 1.5, 4.0

@@ -17,16 +17,16 @@ from crazychoir.guidance.decision.law_rows import (
     LawPermission,
     ReferenceKind,
 )
-from crazychoir.numerics.kernels import UNCOUNTED, kernel, rows_of, whole, wholes
+from crazychoir.numerics.kernels import NO_COUNTING, kernel, rows_of, whole, wholes
 from crazychoir.planning.plan_row import PLAN_ROW, PlanKind, PlanRows, is_plan_over
 from crazychoir.runtime.clock import NS_PER_SECOND
-from crazychoir.safety.collision.airspace_rows import (
+from crazychoir.safety.airspace.airspace_rows import (
     LINK_ROW,
     LOSS_ROW,
     LinkKind,
     LinkKinds,
 )
-from crazychoir.safety.collision.hearing import link_kinds, pass_link
+from crazychoir.safety.airspace.hearing import link_kinds, pass_link
 from crazychoir.safety.rules.limits import limit_acceleration
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Ints
@@ -57,7 +57,7 @@ def _find_permission(drone: Any) -> int:
     return LawPermission.WAITS if drone.mode == TAKEOFF_NUMBER else LawPermission.ENDS
 
 
-@kernel(rows_of(LAW_ROW), rows_of(DRONE_ROW), rows_of(FILTER_ROW), **UNCOUNTED)
+@kernel(rows_of(LAW_ROW), rows_of(DRONE_ROW), rows_of(FILTER_ROW), **NO_COUNTING)
 def look_rows(laws: Any, drones: DroneRows, filters: FilterRows) -> None:
     """Write the states of this tick, and what the pilots allow, into the rows of the laws.
 
@@ -100,7 +100,7 @@ def _is_due(edge: Any, now_ns: int) -> bool:
     rows_of(LOSS_ROW),
     whole,
     wholes,
-    **UNCOUNTED,
+    **NO_COUNTING,
 )
 def deliver_rows(
     edges: Any,
@@ -205,7 +205,12 @@ def _hand_over(law: Any, drone: Any, plan: Any, now_ns: int) -> int:
 
 
 @kernel(
-    rows_of(LAW_ROW), rows_of(DRONE_ROW), rows_of(PLAN_ROW), whole, wholes, **UNCOUNTED
+    rows_of(LAW_ROW),
+    rows_of(DRONE_ROW),
+    rows_of(PLAN_ROW),
+    whole,
+    wholes,
+    **NO_COUNTING,
 )
 def hand_over_rows(
     laws: Any, drones: DroneRows, plans: PlanRows, now_ns: int, found: Ints

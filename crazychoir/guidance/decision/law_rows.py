@@ -13,7 +13,7 @@ from crazychoir.guidance.decision.velocity_sums import (
     keep_state,
     whole,
 )
-from crazychoir.numerics.kernels import UNCOUNTED, kernel, rows_of
+from crazychoir.numerics.kernels import NO_COUNTING, kernel, rows_of
 
 
 class LawPermission(IntEnum):
@@ -130,7 +130,7 @@ def _hear_row(row: Any, edges: Any, now_ns: int) -> None:
         correct_state(row.sum, row.state, row.age, poses, poses, row.state)
 
 
-@kernel(rows_of(LAW_ROW), rows_of(HEARING_ROW), whole, **UNCOUNTED)
+@kernel(rows_of(LAW_ROW), rows_of(HEARING_ROW), whole, **NO_COUNTING)
 def decide_rows(rows: Any, edges: Any, now_ns: int) -> tuple[int, int]:
     """Decide which laws step in this tick, and write the states that these receive.
 
@@ -157,7 +157,7 @@ def decide_rows(rows: Any, edges: Any, now_ns: int) -> tuple[int, int]:
     return steps, ends
 
 
-@kernel(rows_of(LAW_ROW), **UNCOUNTED)
+@kernel(rows_of(LAW_ROW), **NO_COUNTING)
 def count_rows(rows: Any) -> None:
     """Count the steps of this tick, and those of them that returned None."""
     for r in range(rows.shape[0]):

@@ -32,8 +32,8 @@ from crazychoir.guidance.decision.team import (
     read_references,
 )
 from crazychoir.runtime.clock import NS_PER_SECOND, AlarmPriority, Clock
-from crazychoir.safety.collision.state_links import StateLinks
-from crazychoir.safety.collision.states_by_hand import STATE_BYTES
+from crazychoir.safety.airspace.state_links import StateLinks
+from crazychoir.safety.airspace.states_by_hand import STATE_BYTES
 from crazychoir.types import Bools, Heard, Reference, State
 
 
@@ -61,7 +61,7 @@ class StagedLaw(Protocol):
         ...
 
     def list_told(self) -> list[int]:
-        """Return the neighbours in this process of which the law hears each state."""
+        """Return the neighbours in this process that the law hears in each tick."""
         ...
 
     def move_to(self, rows: Rows, edges: Rows) -> None:

@@ -1,1 +1,1 @@
-"""Collision avoidance: the states of the others, and the nearest safe acceleration."""
+"""Collision avoidance: the nearest safe acceleration, and plans that keep apart."""

@@ -2,9 +2,18 @@
 
 import numpy as np
 
-from crazychoir.numerics.kernels import UNCOUNTED, kernel, real, rows_of, table
+from crazychoir.numerics.kernels import NO_COUNTING, kernel, real, rows_of, table
 from crazychoir.numerics.math3d import Triple, clip, dot
-from crazychoir.safety.collision.airspace_rows import LISTENER_ROW, MOTION_ROW
+from crazychoir.safety.airspace.airspace_rows import LISTENER_ROW, MOTION_ROW
+from crazychoir.safety.airspace.distances import BRAKING_MODEL, COLLISION_DISTANCES
+from crazychoir.safety.airspace.motion import (
+    compute_norm,
+    limit_norm,
+    predict_braking,
+    predict_late_motion,
+    scale_difference,
+)
+from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES
 from crazychoir.safety.collision.barrier import (
     compute_closing_speed,
 )
@@ -13,7 +22,6 @@ from crazychoir.safety.collision.deadlock import (
     note_giving_way,
     turn_sideways,
 )
-from crazychoir.safety.collision.distances import BRAKING_MODEL, COLLISION_DISTANCES
 from crazychoir.safety.collision.half_spaces import (
     OtherKind,
     compute_half_space,
@@ -22,15 +30,7 @@ from crazychoir.safety.collision.half_spaces import (
     judge_other,
     predict_other,
 )
-from crazychoir.safety.collision.motion import (
-    compute_norm,
-    limit_norm,
-    predict_braking,
-    predict_late_motion,
-    scale_difference,
-)
 from crazychoir.safety.collision.projection import find_nearest_point
-from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES
 from crazychoir.types import Mat, Records, Vec
 
 MOST_NEIGHBOURS = 16
@@ -372,7 +372,7 @@ def avoid_row(
 ) -> None:
     """Apply the law of CollisionFilter to one drone.
 
-    Most drones have a clear way: they need no half spaces but those that are looked at for this.
+    Most drones have a clear way: it is found with few half spaces, and without the nearest point.
 
     row: one row of AVOID_ROW
     listener: its row of LISTENER_ROW
@@ -428,7 +428,7 @@ def avoid_row(
     real,
     table,
     table,
-    **UNCOUNTED,
+    **NO_COUNTING,
 )
 def avoid_rows(
     rows: Records,

@@ -3,6 +3,8 @@
 import numpy as np
 
 from crazychoir.config.tables import CollisionTable
+from crazychoir.safety.airspace.neighbours import Neighbours
+from crazychoir.safety.airspace.relayed_states import RelayedStates
 from crazychoir.safety.collision.avoidance import (
     AVOID_ROW,
     avoid_rows,
@@ -10,8 +12,6 @@ from crazychoir.safety.collision.avoidance import (
     make_planes,
 )
 from crazychoir.safety.collision.deadlock import reset_side
-from crazychoir.safety.collision.neighbours import Neighbours
-from crazychoir.safety.collision.relayed_states import RelayedStates
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.types import Records, State, Vec
 

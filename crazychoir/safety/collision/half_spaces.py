@@ -5,19 +5,19 @@ from enum import IntEnum
 
 from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import Triple, dot
-from crazychoir.safety.collision.barrier import (
-    compute_barrier_acceleration,
-    compute_yield_share,
-)
-from crazychoir.safety.collision.cells import compute_cell_acceleration
-from crazychoir.safety.collision.distances import BRAKING_MODEL, COLLISION_DISTANCES
-from crazychoir.safety.collision.motion import (
+from crazychoir.safety.airspace.distances import BRAKING_MODEL, COLLISION_DISTANCES
+from crazychoir.safety.airspace.motion import (
     PlaceAndVelocity,
     compute_norm,
     move_late,
     scale_difference,
 )
-from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES
+from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES
+from crazychoir.safety.collision.barrier import (
+    compute_barrier_acceleration,
+    compute_yield_share,
+)
+from crazychoir.safety.collision.cells import compute_cell_acceleration
 from crazychoir.types import Records
 
 SPARE_SHARE = 1e-9

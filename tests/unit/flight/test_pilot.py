@@ -24,10 +24,10 @@ from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.runtime.mailbox import Call, DropOldest
 from crazychoir.runtime.supervisor import Supervisor
-from crazychoir.safety.collision.airspace import Airspace, AirspaceRules
+from crazychoir.safety.airspace.airspace import Airspace, AirspaceRules
+from crazychoir.safety.airspace.neighbours import Neighbours
+from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES
 from crazychoir.safety.collision.filter import CollisionFilter
-from crazychoir.safety.collision.neighbours import Neighbours
-from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES
 from crazychoir.safety.rules.guard import (
     FENCE_INSET,
     RADIO_SAFETY_TABLE,

@@ -14,7 +14,7 @@ from crazychoir.guidance.turns import (
     find_first_at,
     is_blocked,
 )
-from crazychoir.safety.collision.airspace_rows import PAIR_ROW
+from crazychoir.safety.airspace.airspace_rows import PAIR_ROW
 from crazychoir.safety.rules.guard import Fence
 
 P = np.array([1.0, 2.0, 0.5])

@@ -18,13 +18,13 @@ from crazychoir.bus.port import PORT_ADDRESSES, Port
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.runtime.mailbox import Call
+from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES
 from crazychoir.safety.collision.agreed.paths import (
     PIECE_SIZE,
     compute_end_place,
     compute_path_duration,
 )
 from crazychoir.safety.collision.agreed.rest_goal import ARRIVAL_DISTANCE
-from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES
 from crazychoir.types import Mat, Plan, Vec
 
 

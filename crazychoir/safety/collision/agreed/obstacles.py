@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from crazychoir.safety.airspace.distances import COLLISION_DISTANCES
+from crazychoir.safety.airspace.neighbours import Neighbours
+from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES
 from crazychoir.safety.collision.agreed.agreement import Agreement, OtherPlanner
 from crazychoir.safety.collision.agreed.meeting import OtherPaths
 from crazychoir.safety.collision.agreed.paths import compute_end_place
-from crazychoir.safety.collision.distances import COLLISION_DISTANCES
-from crazychoir.safety.collision.neighbours import Neighbours
-from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES
 from crazychoir.safety.rules.guard import FENCE_INSET, Fence
 from crazychoir.types import Mat, Records, Vec
 

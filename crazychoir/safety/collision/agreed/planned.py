@@ -13,6 +13,10 @@ import numpy as np
 
 from crazychoir.bus.port import Port
 from crazychoir.config.tables import CollisionTable
+from crazychoir.safety.airspace.distances import COLLISION_DISTANCES
+from crazychoir.safety.airspace.neighbours import Neighbours
+from crazychoir.safety.airspace.relayed_states import RelayedStates
+from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES
 from crazychoir.safety.collision.agreed.agreement import NO_REST_PLACE, Agreement
 from crazychoir.safety.collision.agreed.detours import Detours
 from crazychoir.safety.collision.agreed.meeting import OtherPaths
@@ -29,10 +33,6 @@ from crazychoir.safety.collision.agreed.path_limits import (
     PathLimits,
 )
 from crazychoir.safety.collision.agreed.paths import compute_motion, plan_braking
-from crazychoir.safety.collision.distances import COLLISION_DISTANCES
-from crazychoir.safety.collision.neighbours import Neighbours
-from crazychoir.safety.collision.relayed_states import RelayedStates
-from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES
 from crazychoir.types import FullState, State, Vec
 
 GOLDEN_SECTION = 0.5 * (math.sqrt(5.0) - 1.0)

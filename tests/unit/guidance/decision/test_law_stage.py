@@ -17,8 +17,8 @@ from crazychoir.guidance.decision.law_stage import LawStage
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.neighbour_state import PairedStateMailbox
 from crazychoir.runtime.clock import run_virtual
-from crazychoir.safety.collision.airspace import Airspace, AirspaceRules
-from crazychoir.safety.collision.neighbours import Neighbours
+from crazychoir.safety.airspace.airspace import Airspace, AirspaceRules
+from crazychoir.safety.airspace.neighbours import Neighbours
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Acceleration, State
 

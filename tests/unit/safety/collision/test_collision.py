@@ -7,7 +7,10 @@ import pytest
 from crazychoir.bus.port import Bus
 from crazychoir.config.tables import CollisionTable
 from crazychoir.control.gains import STANDARD_GAINS
-from crazychoir.safety.collision.airspace import Airspace, AirspaceRules
+from crazychoir.safety.airspace.airspace import Airspace, AirspaceRules
+from crazychoir.safety.airspace.motion import predict_late_motion
+from crazychoir.safety.airspace.neighbours import Neighbours
+from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES
 from crazychoir.safety.collision.avoidance import (
     _constrain_all,
     _find_drone_in_the_way,
@@ -15,10 +18,7 @@ from crazychoir.safety.collision.avoidance import (
     make_planes,
 )
 from crazychoir.safety.collision.filter import CollisionFilter
-from crazychoir.safety.collision.motion import predict_late_motion
-from crazychoir.safety.collision.neighbours import Neighbours
 from crazychoir.safety.collision.projection import project
-from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.types import FullState, State
 
@@ -319,7 +319,9 @@ def test_the_fence_is_not_left_for_another():
 
 
 def find_obstacle(filter_, now):
-    """Return the id of the drone whose half space forbids the wanted acceleration; -1: none.
+    """Return the id of the drone with the half space that forbids the wanted acceleration; -1: none.
+
+    Also return whether a drone that may be near is not heard.
 
     It looks at the half spaces of all others, and not first whether the way is surely clear.
     """

@@ -6,13 +6,13 @@ from virtual_time import virtual
 
 from crazychoir.bus.port import Bus
 from crazychoir.config.tables import CollisionTable
+from crazychoir.safety.airspace.airspace import Airspace, AirspaceRules
+from crazychoir.safety.airspace.neighbours import Neighbours
 from crazychoir.safety.collision.agreed.agreement import NO_PATH
 from crazychoir.safety.collision.agreed.path_choice import WantedFlight
 from crazychoir.safety.collision.agreed.path_limits import PathLimits
 from crazychoir.safety.collision.agreed.paths import compute_end_place, plan_hold
 from crazychoir.safety.collision.agreed.planned import PlannedFlights
-from crazychoir.safety.collision.airspace import Airspace, AirspaceRules
-from crazychoir.safety.collision.neighbours import Neighbours
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.types import FullState, State
 

@@ -15,6 +15,8 @@ from crazychoir.config.tables import CollisionTable
 from crazychoir.flight.references import extrapolate_reference
 from crazychoir.planning.figure import circle
 from crazychoir.runtime.clock import NS_PER_SECOND
+from crazychoir.safety.airspace.airspace import Airspace, AirspaceRules
+from crazychoir.safety.airspace.neighbours import Neighbours
 from crazychoir.safety.collision.agreed.agreement import NO_PATH, NO_REST_PLACE
 from crazychoir.safety.collision.agreed.obstacles import OBSTACLE_LIMITS
 from crazychoir.safety.collision.agreed.path_limits import PLANNING_TIMES, PathLimits
@@ -27,8 +29,6 @@ from crazychoir.safety.collision.agreed.paths import (
     plan_hold,
 )
 from crazychoir.safety.collision.agreed.planned import PlannedFlights
-from crazychoir.safety.collision.airspace import Airspace, AirspaceRules
-from crazychoir.safety.collision.neighbours import Neighbours
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.types import FullState, LinkStatus, Plan, State
 

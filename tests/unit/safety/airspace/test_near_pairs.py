@@ -6,9 +6,9 @@ from sky import Sky
 
 from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
 from crazychoir.runtime.clock import NS_PER_SECOND
-from crazychoir.safety.collision.airspace_rows import Missed
-from crazychoir.safety.collision.distances import BRAKING_MODEL, COLLISION_DISTANCES
-from crazychoir.safety.collision.state_rates import (
+from crazychoir.safety.airspace.airspace_rows import Missed
+from crazychoir.safety.airspace.distances import BRAKING_MODEL, COLLISION_DISTANCES
+from crazychoir.safety.airspace.state_rates import (
     FIRST_NEWS_TIME,
     NEIGHBOUR_AGES,
     RELAY_LEAD_TIME,

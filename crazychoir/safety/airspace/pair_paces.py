@@ -1,8 +1,8 @@
 """The pace of pairs: how often the drones of a pair hear each other."""
 
 from crazychoir.numerics.kernels import kernel
-from crazychoir.safety.collision.airspace_rows import NEVER_NS
-from crazychoir.safety.collision.state_rates import SOON_NS, find_interval
+from crazychoir.safety.airspace.airspace_rows import NEVER_NS
+from crazychoir.safety.airspace.state_rates import SOON_NS, find_interval
 from crazychoir.types import Ints, Records
 
 

@@ -5,10 +5,10 @@ import math
 from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import Triple
 from crazychoir.runtime.clock import NS_PER_SECOND
-from crazychoir.safety.collision.airspace_rows import FarCell, FarKind
-from crazychoir.safety.collision.hearing import note_hearing, see_state, store_state
-from crazychoir.safety.collision.nearness import compute_speed
-from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES, STATE_RATES
+from crazychoir.safety.airspace.airspace_rows import FarCell, FarKind
+from crazychoir.safety.airspace.hearing import note_hearing, see_state, store_state
+from crazychoir.safety.airspace.nearness import compute_speed
+from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES, STATE_RATES
 from crazychoir.types import Records
 
 Recalled = tuple[Triple, float, float, float]

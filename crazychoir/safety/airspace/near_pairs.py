@@ -9,9 +9,9 @@ import math
 
 import numba
 
-from crazychoir.numerics.kernels import UNCOUNTED, kernel, rows_of, wholes
+from crazychoir.numerics.kernels import NO_COUNTING, kernel, rows_of, wholes
 from crazychoir.runtime.clock import NS_PER_SECOND
-from crazychoir.safety.collision.airspace_rows import (
+from crazychoir.safety.airspace.airspace_rows import (
     AIRSPACE_RULES_ROW,
     DUE_ROW,
     FAR_ROW,
@@ -27,21 +27,21 @@ from crazychoir.safety.collision.airspace_rows import (
     LinkKinds,
     Missed,
 )
-from crazychoir.safety.collision.far_drones import (
+from crazychoir.safety.airspace.far_drones import (
     count_far,
     fill_pair,
     find_far_kind,
     recall_round,
     refresh_far,
 )
-from crazychoir.safety.collision.hearing import (
+from crazychoir.safety.airspace.hearing import (
     byte_table,
     copy_motion,
     integers,
     link_kinds,
 )
-from crazychoir.safety.collision.near_grid import build_grid, find_cells
-from crazychoir.safety.collision.nearness import (
+from crazychoir.safety.airspace.near_grid import build_grid, find_cells
+from crazychoir.safety.airspace.nearness import (
     compute_distance,
     compute_reach,
     compute_speed,
@@ -51,7 +51,7 @@ from crazychoir.safety.collision.nearness import (
     is_unknown,
     measure_pair,
 )
-from crazychoir.safety.collision.pair_paces import (
+from crazychoir.safety.airspace.pair_paces import (
     copy_due,
     copy_pace,
     fill_pace,
@@ -60,7 +60,7 @@ from crazychoir.safety.collision.pair_paces import (
     is_told,
     set_interval,
 )
-from crazychoir.safety.collision.state_rates import STATE_RATES
+from crazychoir.safety.airspace.state_rates import STATE_RATES
 from crazychoir.types import Bytes, Ints, Records, Vec
 
 CHECK_NS = int(NS_PER_SECOND * STATE_RATES.check_interval)  # ns, between two checks
@@ -634,7 +634,7 @@ def is_check_due(at: int, listeners: Records, swarm: Records, now_ns: int) -> bo
     wholes,
     wholes,
     numba.int64,
-    **UNCOUNTED,
+    **NO_COUNTING,
 )
 def check_distances(
     listeners: Records,
@@ -717,7 +717,7 @@ def check_distances(
     rows_of(SWARM_ROW),
     rows_of(AIRSPACE_RULES_ROW),
     integers,
-    **UNCOUNTED,
+    **NO_COUNTING,
 )
 def tell_pairs(
     listeners: Records,

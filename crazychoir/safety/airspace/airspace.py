@@ -9,27 +9,27 @@ import numpy as np
 from crazychoir.bus.port import READER_RATES, Bus
 from crazychoir.config.tables import CollisionTable
 from crazychoir.runtime.clock import NS_PER_SECOND
-from crazychoir.safety.collision.airspace_rows import (
+from crazychoir.safety.airspace.airspace_rows import (
     AIRSPACE_RULES_ROW,
     SWARM_ROW,
     Missed,
 )
-from crazychoir.safety.collision.distances import COLLISION_DISTANCES
-from crazychoir.safety.collision.hearing import (
+from crazychoir.safety.airspace.distances import COLLISION_DISTANCES
+from crazychoir.safety.airspace.hearing import (
     hear_states,
     is_valid_state,
     take_message,
     take_states,
 )
-from crazychoir.safety.collision.near_pairs import (
+from crazychoir.safety.airspace.near_pairs import (
     CHECK_NS,
     check_distances,
     tell_pairs,
 )
-from crazychoir.safety.collision.pair_tables import FarTables, PairTables
-from crazychoir.safety.collision.state_links import StateLinks
-from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES, compute_far_rate
-from crazychoir.safety.collision.states_by_hand import STATE_BYTES, StatesByHand
+from crazychoir.safety.airspace.pair_tables import FarTables, PairTables
+from crazychoir.safety.airspace.state_links import StateLinks
+from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES, compute_far_rate
+from crazychoir.safety.airspace.states_by_hand import STATE_BYTES, StatesByHand
 from crazychoir.types import Ints, LinkStatus, Mat, Records, State, Vec
 
 SPARE_ROUNDS = 4  # rounds that are kept beyond NEIGHBOUR_AGES.gone
@@ -99,7 +99,7 @@ class Airspace:
         self._check_all(int(row["check_ns"]))
 
     def note_told(self, told: Mapping[int, Sequence[int]]) -> None:
-        """Note of which drones in this process a law hears each state.
+        """Note which drones in this process a law hears in each tick.
 
         The collision filter of its drone then knows these states as well, if both could meet soon.
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from crazychoir.safety.collision.airspace import Airspace
-from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES
+from crazychoir.safety.airspace.airspace import Airspace
+from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES
 from crazychoir.types import Ints, Mat, Records, State
 
 

@@ -6,8 +6,8 @@ A drone that looks for near ones looks into the cells around its own place only.
 """
 
 from crazychoir.numerics.kernels import kernel
-from crazychoir.safety.collision.airspace_rows import FarCell
-from crazychoir.safety.collision.nearness import compute_reach
+from crazychoir.safety.airspace.airspace_rows import FarCell
+from crazychoir.safety.airspace.nearness import compute_reach
 from crazychoir.types import Ints, Records
 
 CELLS_PER_DRONE = 2  # largest number of cells, in multiples of the number of drones

@@ -5,10 +5,10 @@ import math
 from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import Triple
 from crazychoir.runtime.clock import NS_PER_SECOND
-from crazychoir.safety.collision.airspace_rows import Missed
-from crazychoir.safety.collision.distances import BRAKING_MODEL, COLLISION_DISTANCES
-from crazychoir.safety.collision.motion import compute_norm
-from crazychoir.safety.collision.state_rates import (
+from crazychoir.safety.airspace.airspace_rows import Missed
+from crazychoir.safety.airspace.distances import BRAKING_MODEL, COLLISION_DISTANCES
+from crazychoir.safety.airspace.motion import compute_norm
+from crazychoir.safety.airspace.state_rates import (
     FIRST_NEWS_TIME,
     NEIGHBOUR_AGES,
     RELAY_LEAD_TIME,

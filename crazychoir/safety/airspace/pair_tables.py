@@ -3,7 +3,7 @@
 import numpy as np
 
 from crazychoir.bus.port import READER_RATES
-from crazychoir.safety.collision.airspace_rows import (
+from crazychoir.safety.airspace.airspace_rows import (
     DUE_ROW,
     FAR_ROW,
     GRID_ROW,
@@ -14,8 +14,8 @@ from crazychoir.safety.collision.airspace_rows import (
     ROUND_ROW,
     Missed,
 )
-from crazychoir.safety.collision.near_grid import CELLS_PER_DRONE
-from crazychoir.safety.collision.near_pairs import CHECK_NS
+from crazychoir.safety.airspace.near_grid import CELLS_PER_DRONE
+from crazychoir.safety.airspace.near_pairs import CHECK_NS
 from crazychoir.types import Ints, Records
 
 FIRST_PAIRS = 8  # pairs of a drone for which there is room at first

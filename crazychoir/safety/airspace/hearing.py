@@ -7,7 +7,7 @@ import numpy as np
 
 from crazychoir.bus.impairment.compiled_draws import draw_first_attempt, is_bad_state
 from crazychoir.numerics.kernels import (
-    UNCOUNTED,
+    NO_COUNTING,
     kernel,
     matrix,
     real,
@@ -16,7 +16,7 @@ from crazychoir.numerics.kernels import (
     wholes,
 )
 from crazychoir.runtime.clock import NS_PER_SECOND
-from crazychoir.safety.collision.airspace_rows import (
+from crazychoir.safety.airspace.airspace_rows import (
     AIRSPACE_RULES_ROW,
     DUE_ROW,
     FAR_ROW,
@@ -32,8 +32,8 @@ from crazychoir.safety.collision.airspace_rows import (
     LinkKinds,
     Missed,
 )
-from crazychoir.safety.collision.motion import compute_late_motion, compute_norm
-from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES
+from crazychoir.safety.airspace.motion import compute_late_motion, compute_norm
+from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES
 from crazychoir.types import Bytes, Ints, Mat, Records, Vec
 
 LARGEST_STATE_NORM = 1e6
@@ -73,7 +73,7 @@ def is_valid_state(values: Vec) -> bool:
     return bool(are_valid(values[0:13], values[13:16]))
 
 
-@kernel(rows_of(SWARM_ROW), integers, integers, matrix, vector, **UNCOUNTED)
+@kernel(rows_of(SWARM_ROW), integers, integers, matrix, vector, **NO_COUNTING)
 def take_states(
     swarm: Records, places: Ints, numbers: Ints, states: Mat, times: Vec
 ) -> None:
@@ -560,7 +560,7 @@ def say_rounds(
     rows_of(AIRSPACE_RULES_ROW),
     wholes,
     numba.int64,
-    **UNCOUNTED,
+    **NO_COUNTING,
 )
 def hear_states(
     listeners: Records,

@@ -7,8 +7,8 @@ import numpy as np
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.topics import MESSAGE_TOPICS, Topic
 from crazychoir.errors import CodecError
-from crazychoir.safety.collision.neighbours import Neighbours
-from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES, RELAY_REQUESTS
+from crazychoir.safety.airspace.neighbours import Neighbours
+from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES, RELAY_REQUESTS
 from crazychoir.types import State
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from crazychoir.bus.port import PORT_ADDRESSES
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.runtime.mailbox import Call
-from crazychoir.safety.collision.airspace import Airspace
+from crazychoir.safety.airspace.airspace import Airspace
 
 
 class AirspaceFrames:

@@ -8,14 +8,14 @@ from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.tables import CollisionTable
-from crazychoir.safety.collision.airspace_rows import Missed
-from crazychoir.safety.collision.neighbours import Neighbours
-from crazychoir.safety.collision.state_rates import (
+from crazychoir.safety.airspace.airspace_rows import Missed
+from crazychoir.safety.airspace.neighbours import Neighbours
+from crazychoir.safety.airspace.state_rates import (
     FIRST_NEWS_TIME,
     NEIGHBOUR_AGES,
     compute_far_rate,
 )
-from crazychoir.safety.collision.states_by_hand import STATE_BYTES
+from crazychoir.safety.airspace.states_by_hand import STATE_BYTES
 from crazychoir.types import LinkStatus, State
 
 FAR = 50.0  # m, between two drones that cannot meet

@@ -8,7 +8,7 @@ from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.impairment.random_draws import RANDOM_DRAWS, draw_edge_keys
 from crazychoir.bus.impairment.rules import EdgeEffects, effects_on_edge
 from crazychoir.bus.topics import DRONE_TOPICS
-from crazychoir.safety.collision.airspace_rows import LINK_ROW, LOSS_ROW, LinkKind
+from crazychoir.safety.airspace.airspace_rows import LINK_ROW, LOSS_ROW, LinkKind
 from crazychoir.types import Records
 
 

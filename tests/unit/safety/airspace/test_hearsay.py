@@ -11,10 +11,10 @@ from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.config.tables import CollisionTable
 from crazychoir.control.gains import STANDARD_GAINS
 from crazychoir.runtime.clock import NS_PER_SECOND
-from crazychoir.safety.collision.airspace import Airspace, AirspaceRules
+from crazychoir.safety.airspace.airspace import Airspace, AirspaceRules
+from crazychoir.safety.airspace.neighbours import Neighbours
+from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES, STATE_RATES
 from crazychoir.safety.collision.filter import CollisionFilter
-from crazychoir.safety.collision.neighbours import Neighbours
-from crazychoir.safety.collision.state_rates import NEIGHBOUR_AGES, STATE_RATES
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.types import FullState, State
 

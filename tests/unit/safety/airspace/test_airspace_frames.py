@@ -6,8 +6,8 @@ from virtual_time import virtual
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.tables import CollisionTable
-from crazychoir.safety.collision.airspace import Airspace, AirspaceRules
-from crazychoir.safety.collision.airspace_frames import AirspaceFrames
+from crazychoir.safety.airspace.airspace import Airspace, AirspaceRules
+from crazychoir.safety.airspace.airspace_frames import AirspaceFrames
 from crazychoir.types import State
 
 
