@@ -5,9 +5,8 @@ Its own swarm loses one message in ten, in bursts of four on average. `--loss 0`
 crazychoir run crossing --fast --drones 6 --picture out/crossing.png
 """
 
+import math
 from typing import Any
-
-import numpy as np
 
 from crazychoir import CFDistributedFeedback, SwarmConfig
 from crazychoir.guidance.defaults import crossings as defaults
@@ -30,7 +29,7 @@ class Straight(CFDistributedFeedback):
         self.goal = goal
         self.speed = speed
         self.duration = duration
-        self.far = float(np.linalg.norm(goal - start))
+        self.far = math.dist(goal, start)
         self.way = (goal - start) / self.far
         self.steps = 0
         self.arrived: float | None = None
@@ -43,7 +42,7 @@ class Straight(CFDistributedFeedback):
         """Return the point of the straight line that is due now."""
         t = self.steps / self.rate
         self.steps += 1
-        if np.linalg.norm(me.p - self.goal) > defaults.GOAL_DISTANCE:
+        if math.dist(me.p, self.goal) > defaults.GOAL_DISTANCE:
             self.arrived = None
         elif self.arrived is None:
             self.arrived = t

@@ -104,4 +104,4 @@ def _compute_segment_distance(q: Vec, a: Vec, b: Vec) -> float:
     """Return the distance in m from q, (2,) m, to the segment from a to b."""
     way = b - a
     share = float(np.clip((q - a) @ way / max(float(way @ way), 1e-12), 0.0, 1.0))
-    return float(np.linalg.norm(q - a - share * way))
+    return math.dist(q, a + share * way)

@@ -3,22 +3,26 @@
 import asyncio
 import contextlib
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from crazychoir.errors import CrazyChoirError
+from crazychoir.guidance.aggregative_rows import (
+    AGGREGATIVE_ROW,
+    build_aggregative_team,
+)
+from crazychoir.guidance.decision.team import Ids, Rows, TeamLaw, step_alone
 from crazychoir.guidance.feedback import CFDistributedFeedback
-from crazychoir.guidance.member import Member
 from crazychoir.guidance.timed import Way
 from crazychoir.optimization.algorithms.aggregative_tracking import (
     AggregativeProblem,
     AggregativeTracking,
 )
 from crazychoir.planning.smoothing import GoalSmoother
-from crazychoir.types import FullState, Heard, Mat, State, Vec
+from crazychoir.types import Heard, Mat, Reference, State, Vec
 
 AGGREGATIVE_CHANNEL = "aggregative"
 """Channel of the tracking rounds."""
@@ -93,13 +97,21 @@ class AggregativeGuidance(CFDistributedFeedback):
 
     agent: AggregativeTracking
     """This drone's part of the algorithm."""
-    smoother: GoalSmoother
-    """Limits speed and acceleration of the reference."""
+    watched: int | None = None
+    """Id of the neighbour to watch; None: none."""
 
     def __init__(self, mates: tuple[int, ...], round_rate: float = 20.0) -> None:
         self.mates = mates
         self.round_rate = round_rate
         self.way = Way()
+        self.own: Rows = np.zeros(1, AGGREGATIVE_ROW)
+        """(1,) of AGGREGATIVE_ROW: what the steps of the law use."""
+        self.own["intruder_edge"] = -1
+
+    @classmethod
+    def for_team(cls, laws: Sequence[Self], neighbors: Sequence[Ids]) -> TeamLaw:
+        """Return the step of all drones of a process: the text of the law is there."""
+        return build_aggregative_team(laws, neighbors)
 
     @abstractmethod
     def algorithm(self, place: Vec) -> AggregativeTracking:
@@ -110,30 +122,25 @@ class AggregativeGuidance(CFDistributedFeedback):
         place: (3,) m: where the drone is when the law begins.
         """
 
-    def bind(self, member: Member) -> None:
-        """Connect the law to its drone."""
-        super().bind(member)
-        self._place = np.zeros(3)
-        self._last = 0.0
-
-    def step(self, me: State, heard: Heard) -> FullState:
+    def step(self, me: State, heard: Heard) -> Reference | None:
         """Return a reference one period further on the way to x_i."""
-        now = self.member.clock.now()
-        x = self.agent.x
-        self.way.note(now, me.p)
-        seconds = now - self._last
-        self._last = now
-        return self.smoother.step(np.array([*x, *self._place[len(x) :]]), seconds)
+        return step_alone(self, me, heard, self.member.clock)
+
+    def note(self, now: float, p: Vec) -> None:
+        """Note where the drone is, (3,) m."""
+        self.way.note(now, p)
 
     async def run_law(self) -> None:
         """Run the law, and beside it the rounds as long as the law lasts."""
         flight = self.member.config.flight
         place = self.state.p.copy()
-        self._place, self._last = place, self.member.clock.now()
         self.agent = self.algorithm(place)
         v_max = SPEED_SHARE * flight.speed_limit
         a_max = ACCELERATION_SHARE * flight.acceleration_limit
-        self.smoother = GoalSmoother(place, v_max, a_max, 1.0 / self.rate)
+        self.own["smoother"] = GoalSmoother(place, v_max, a_max, 1.0 / self.rate).rows
+        self.own["stepped_ns"] = self.member.clock.now_ns()
+        self.own["goal"] = place
+        self._take_result()
         rounds = asyncio.create_task(self._rounds(), name=f"drone {self.id} rounds")
         try:
             await super().run_law()
@@ -141,6 +148,11 @@ class AggregativeGuidance(CFDistributedFeedback):
             rounds.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await rounds
+
+    def _take_result(self) -> None:
+        """Fly to the newest x_i from now on."""
+        x = self.agent.x
+        self.own["goal"][0, : len(x)] = x
 
     async def _rounds(self) -> None:
         """Run round after round. An error of a round ends the law."""
@@ -153,6 +165,7 @@ class AggregativeGuidance(CFDistributedFeedback):
                     agent.message(), self.mates, self.mates, channel=AGGREGATIVE_CHANNEL
                 )
                 agent.step(heard)
+                self._take_result()
                 due = max(due + 1.0 / self.round_rate, clock.now())
                 await clock.sleep(due - clock.now(), drone=self.id)
         except Exception as error:
@@ -201,11 +214,16 @@ class Defender(AggregativeGuidance):
         self.defence = defence
         self.weights = weights
         self.step_size = step_size
-        self.seen: int | None = intruder if isinstance(intruder, int) else None
-        self.r = (
-            np.zeros(2) if isinstance(intruder, int) else np.asarray(intruder, float)
-        )
+        if isinstance(intruder, int):
+            self.watched = intruder
+        else:
+            self.own["intruder"][0, 0:2] = intruder
         self.intruder_way = Way()
+
+    @property
+    def r(self) -> Vec:
+        """(2,) m: the newest known place of the intruder."""
+        return self.own["intruder"][0, 0:2].copy()
 
     def algorithm(self, place: Vec) -> AggregativeTracking:
         """Return the tracking with phi_i(x) = x in the plane.
@@ -213,8 +231,8 @@ class Defender(AggregativeGuidance):
         An intruder that was not heard yet is where it stands before the flight.
         """
         one = np.eye(2)
-        if self.seen is not None:
-            self.r = np.array(self.member.config.drone(self.seen).home[:2])
+        if self.watched is not None:
+            self.own["intruder"] = self.member.config.drone(self.watched).home
         problem = AggregativeProblem(
             aggregate=lambda x: x,
             jacobian=lambda x: one,
@@ -225,12 +243,10 @@ class Defender(AggregativeGuidance):
             self.id, place[:2], self.weights, problem, self.step_size
         )
 
-    def step(self, me: State, heard: Heard) -> FullState:
-        """Update the place of the intruder while it is heard, and fly on."""
-        if self.seen is not None and self.seen in heard:
-            self.r = heard[self.seen].p[:2].copy()
-        self.intruder_way.note(self.member.clock.now(), self.r)
-        return super().step(me, heard)
+    def note(self, now: float, p: Vec) -> None:
+        """Note where the drone is, (3,) m, and where its intruder is."""
+        super().note(now, p)
+        self.intruder_way.note(now, self.r)
 
     async def mission(self) -> dict[str, Any]:
         """Run the law, and add where its intruder was."""

@@ -68,12 +68,12 @@ def compute_flight_time(
     a_max: m/s2
     yaw_rate_max: rad/s
     """
-    d = float(np.linalg.norm(np.asarray(goal) - start.p))
+    d = math.dist(goal, start.p)
     turn = abs(wrap_angle(yaw - start.yaw))
     straight = max(PEAK_SPEED * d / v_max, math.sqrt(PEAK_ACCELERATION * d / a_max))
     at_rest = max(straight, PEAK_SPEED * turn / yaw_rate_max, SHORTEST_FLIGHT)
-    speed = float(np.linalg.norm(start.v))
-    acceleration = float(np.linalg.norm(start.a))
+    speed = math.hypot(*start.v)
+    acceleration = math.hypot(*start.a)
     if speed + acceleration + abs(start.flat[13]) < 1e-9:
         return at_rest
     limits = np.array(
@@ -108,11 +108,9 @@ def plan_stop(start: FullState, a_max: float = 2.0) -> PointToPoint:
             start, p + v * t / 2.0 + a * t**2 / 10.0 + j * t**3 / 120.0, start.yaw, t
         )
 
-    acceleration = float(np.linalg.norm(a))
-    if acceleration + float(np.linalg.norm(j)) < 1e-9:
-        return stop(
-            max(PEAK_DECELERATION * float(np.linalg.norm(v)) / a_max, SHORTEST_FLIGHT)
-        )
+    acceleration = math.hypot(*a)
+    if acceleration + math.hypot(*j) < 1e-9:
+        return stop(max(PEAK_DECELERATION * math.hypot(*v) / a_max, SHORTEST_FLIGHT))
     return _find_shortest(
         stop, np.array([math.inf, max(a_max, acceleration), math.inf])
     )

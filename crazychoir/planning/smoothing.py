@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.types import FullState, Mat, Vec
+from crazychoir.numerics.kernels import Record, kernel, real, rows_of, vector
+from crazychoir.types import FullState, Mat, Records, Vec
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +26,50 @@ class PulseResponse:
 
 
 PULSE_RESPONSE = PulseResponse()
+
+
+SMOOTHER_ROW = np.dtype(
+    [
+        ("keep", np.float64, 16),  # F, row by row, see compute_transition
+        ("take", np.float64, 4),  # g
+        ("state", np.float64, 12),  # x: position, velocity, acceleration, jerk
+        ("place", np.float64, 3),  # m: u, the place that runs to the goal
+        ("stride", np.float64),  # m: way of this place in one period
+        ("period", np.float64),  # s
+    ],
+    align=True,
+)
+"""The memory of one GoalSmoother."""
+
+
+@kernel()
+def smooth_row(row: Record, goal: Vec, seconds: float) -> None:
+    """Move the reference of a smoother on, see GoalSmoother.
+
+    row: one row of SMOOTHER_ROW
+    goal: (3,) m, during this time
+    seconds: s, in whole periods; at least one period passes
+    """
+    for _ in range(max(1, int(np.rint(seconds / row.period)))):
+        squared = 0.0
+        for c in range(3):
+            way = goal[c] - row.place[c]
+            squared += way * way
+        share = min(1.0, row.stride / math.sqrt(squared)) if squared > 0.0 else 1.0
+        for c in range(3):
+            row.place[c] += share * (goal[c] - row.place[c])
+            x = (row.state[c], row.state[3 + c], row.state[6 + c], row.state[9 + c])
+            for k in range(4):
+                moved = row.take[k] * row.place[c]
+                for m in range(4):
+                    moved += row.keep[4 * k + m] * x[m]
+                row.state[3 * k + c] = moved
+
+
+@kernel(rows_of(SMOOTHER_ROW), vector, real)
+def smooth_first_row(rows: Records, goal: Vec, seconds: float) -> None:
+    """Move the reference of the first smoother on: see `smooth_row`."""
+    smooth_row(rows[0], goal, seconds)
 
 
 class GoalSmoother:
@@ -54,12 +99,15 @@ class GoalSmoother:
         self.w = min(
             PULSE_RESPONSE.largest_frequency, a_max / (PULSE_RESPONSE.slope * v_max)
         )
-        self.v_max = v_max
-        self.period = period
-        self._u = np.array(p, float)
-        self._x = np.zeros((4, len(p)))
-        self._x[0] = self._u
-        self._keep, self._take = compute_transition(self.w, period)
+        keep, take = compute_transition(self.w, period)
+        self.rows: Records = np.zeros(1, SMOOTHER_ROW)
+        """(1,) of SMOOTHER_ROW."""
+        self.rows["keep"] = keep.reshape(-1)
+        self.rows["take"] = take
+        self.rows["place"] = p
+        self.rows["state"][0, 0:3] = p
+        self.rows["stride"] = v_max * period
+        self.rows["period"] = period
 
     @property
     def lag(self) -> float:
@@ -75,13 +123,9 @@ class GoalSmoother:
         seconds: s, in whole periods; None for one period
         yaw: rad
         """
-        for _ in range(1 if seconds is None else max(1, round(seconds / self.period))):
-            way = np.asarray(goal) - self._u
-            far = float(np.linalg.norm(way))
-            most = self.v_max * self.period
-            self._u = self._u + way * min(1.0, most / far if far > 0.0 else 1.0)
-            self._x = self._keep @ self._x + np.outer(self._take, self._u)
-        return FullState(np.concatenate([self._x.reshape(-1), [yaw, 0.0]]))
+        later = float(self.rows["period"][0]) if seconds is None else seconds
+        smooth_first_row(self.rows, np.asarray(goal, float), later)
+        return FullState(np.concatenate([self.rows["state"][0], [yaw, 0.0]]))
 
 
 def compute_transition(w: float, h: float) -> tuple[Mat, Vec]:

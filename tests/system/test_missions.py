@@ -207,3 +207,21 @@ def test_every_swarm_file_that_ships_is_valid(repository):
         assert original or not any(
             "slow" in note or "margin" in note for note in notes
         ), path.name
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["crossing", "--drones", "6"],
+        ["aggregative"],
+        ["pickup_delivery"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_flight_does_not_depend_on_how_the_machine_multiplies_matrices(words):
+    """Each core type of OpenBLAS rounds products in another way."""
+    digests = [
+        run(*words, "--fast", OPENBLAS_CORETYPE=core)["digest"]
+        for core in ("Prescott", "Haswell")
+    ]
+    assert digests[0] == digests[1]

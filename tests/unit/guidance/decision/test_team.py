@@ -8,6 +8,7 @@ import pytest
 from crazychoir.agents.bearing_formation import BearingFormation
 from crazychoir.agents.containment import Containment
 from crazychoir.agents.distance_formation import DistanceFormation
+from crazychoir.guidance.aggregative import AggregativeGuidance
 from crazychoir.guidance.decision.hearing_rows import HEARING_ROW
 from crazychoir.guidance.decision.law_rows import LAW_ROW, LawDecision, ReferenceKind
 from crazychoir.guidance.decision.team import (
@@ -18,6 +19,7 @@ from crazychoir.guidance.decision.team import (
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.formation.bearing import BearingLaw
 from crazychoir.guidance.formation.random_edges import RandomEdges
+from crazychoir.planning.smoothing import GoalSmoother
 from crazychoir.types import Acceleration, FullState, State, Velocity
 
 NEIGHBORS = {0: (1, 2, 3), 1: (0, 2), 2: (0, 1, 3, 4), 3: (0, 2, 4), 4: (2, 3)}
@@ -182,3 +184,49 @@ class OnlyStep(CFDistributedFeedback):
 )
 def test_a_step_below_the_step_of_the_team_counts(kind, is_team):
     assert has_team_law(kind) == is_team
+
+
+class Tracker(AggregativeGuidance):
+    """An aggregative law without its rounds: the test says which x_i they have found."""
+
+    def __init__(self, i):
+        super().__init__(NEIGHBORS[i])
+        self.watched = 2 if 2 in NEIGHBORS[i] else None
+        self.own["smoother"] = GoalSmoother(np.full(3, i), 1.0, 2.0, 0.01).rows
+        self.member = SimpleNamespace(clock=Clock())
+
+    def algorithm(self, place):
+        raise NotImplementedError
+
+    def finds(self, place):
+        self.own["goal"] = place
+
+
+def test_an_aggregative_law_gives_the_same_bits_for_one_drone_and_for_a_team():
+    random = np.random.default_rng(4)
+    alone, together = ([Tracker(i) for i in NEIGHBORS] for _ in range(2))
+    step = Tracker.for_team(together, list(NEIGHBORS.values()))
+    team = build_team()
+    for tick in range(1, 200):
+        Clock.ns = team.now_ns = 10_000_000 * (tick + tick // 50)
+        states = {i: draw_state(random) for i in NEIGHBORS}
+        heard = {
+            i: {j: draw_state(random) for j in ids if j != 2 or random.uniform() < 0.5}
+            for i, ids in NEIGHBORS.items()
+        }
+        if tick % 20 == 1:
+            for one, other in zip(alone, together, strict=True):
+                place = random.normal(size=3)
+                one.finds(place)
+                other.finds(place)
+        fill(team, states, heard)
+        step(team)
+        references = read_references(team.rows)
+        for i, law in enumerate(alone):
+            wanted = law.step(states[i], heard[i])
+            assert wanted.flat.tobytes() == references[i].flat.tobytes()
+            assert law.own["intruder"].tolist() == together[i].own["intruder"].tolist()
+            seen = heard[i].get(2)
+            if seen is not None:
+                assert law.own["intruder"][0].tolist() == seen.p.tolist()
+    assert [len(law.way.rows) for law in together] == [20] * 5, "ten places a second"
