@@ -21,11 +21,13 @@ from crazychoir.safety.rules.guard import Action, Guard, SafetyVerdict
 from crazychoir.safety.rules.modes import (
     GROUND_MODE,
     GUIDED_MODES,
+    HOVER_MODE,
     LAND_MODE,
     MOTORS_OFF_MODES,
     RETURN_MODE,
     TAKEOFF_MODE,
     ModeEvent,
+    get_refusal,
 )
 from crazychoir.types import Point, State, Vec
 
@@ -241,15 +243,65 @@ class Judge:
             self._follower.flights.clear()
             self.touchdown.descend(now)
 
-    def begin_return(self, home: Point, level: float, now: float) -> None:
-        """Come to rest, then fly home at a height of `level` m.
+    def may_fly(self, commanded: bool) -> bool:
+        """Return whether a flight may begin now, which needs no reference.
 
-        home: (3,) m, world
+        It may not if the drone is not in the air, is held, waits for its operator's start, or brakes
+        because the safety table says so. A missing reference is no obstacle.
+
+        commanded: whether the operator wants the flight
+        """
+        if not self._permission.may_fly(commanded):
+            return False
+        self._guard.excuse("reference")
+        return not self._guard.acts
+
+    def begin_take_off(self, height: float | None, now: float) -> float:
+        """Begin to rise, and return the time it will take in s; 0 if the drone does not.
+
+        height: m above the ground; None for the height of [flight]
         now: s
         """
+        state = self._row.state
+        if get_refusal(self._row.mode, ModeEvent.TAKE_OFF) or state is None:
+            return 0.0
+        if not self._setup.controls.takes_off:
+            self._permission.skip_take_off()
+            return 0.0
+        duration = self._follower.begin_take_off(height, now)
+        self.ground_watch.begin_take_off(float(state.p[2]), now)
+        self._guard.forget()
+        self._permission.change(ModeEvent.TAKE_OFF)
+        return duration
+
+    def hold(self, on: bool, now: float) -> None:
+        """Keep the drone where it is for its operator, or let it go on; not while it lands.
+
+        now: s
+        """
+        permission = self._permission
+        if permission.refuses(ModeEvent.HOLD if on else ModeEvent.GO):
+            return
+        permission.hold(on)
+        if on and permission.airborne:
+            self._follower.rest(now)
+        is_hovering = self._row.mode is HOVER_MODE
+        if is_hovering and not on and self._follower.homecoming is not None:
+            permission.change(ModeEvent.HOME)
+
+    def begin_return(self, home: Point, level: float, now: float) -> None:
+        """Come to rest, then fly home at a height of `level` m, and land there.
+
+        home: (3,) m, world: home if the drone has not taken off; else it lands where it took off
+            first
+        now: s
+        """
+        self._permission.hold(False)
+        started_at = self._permission.started_at
+        place = home if started_at is None else started_at
         above = np.array([*self._row.get_state().p[:2], level])
         inside: Vec = self._guard.room.nearest(above, inset=0.0)
-        self._follower.homecoming = Homecoming(inside, home, inside[2])
+        self._follower.homecoming = Homecoming(inside, place, inside[2])
         self._row.set_reference(None)
         self._follower.brake(now)
         self._permission.change(ModeEvent.HOME)

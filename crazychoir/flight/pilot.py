@@ -32,10 +32,8 @@ from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.safety.rules.guard import Guard
 from crazychoir.safety.rules.modes import (
     GUIDED_MODES,
-    HOVER_MODE,
     Mode,
     ModeEvent,
-    get_refusal,
 )
 from crazychoir.types import Point, Pose, Reference, State
 
@@ -157,10 +155,7 @@ class Pilot(Actor):
             self.tick.see(self.row.index, believed)
 
     def fail(self, error: BaseException) -> None:
-        """End the run after a failed tick; the supervisor decides what follows.
-
-        The sender of the pose and the other drones go on.
-        """
+        """End the run after a failed tick. The supervisor decides; other drones go on."""
         self._run.fail(error)
         if self.airborne:
             self.stages.steady()
@@ -203,10 +198,7 @@ class Pilot(Actor):
         return float(np.linalg.norm(away[0:2] if is_planar else away))
 
     def remaining(self) -> float:
-        """Return s until the planned flight is over.
-
-        Returns 0 for a landing that may begin anew again and again.
-        """
+        """Return s until the planned flight is over; 0 for a landing that may begin anew."""
         return self.judge.touchdown.get_remaining(self.clock.now())
 
     def unready(self) -> tuple[str, str]:
@@ -231,18 +223,7 @@ class Pilot(Actor):
         if why:
             self.notes.say(rule, why)
             return 0.0
-        state = self.state
-        if get_refusal(self.mode, ModeEvent.TAKE_OFF) or state is None:
-            return 0.0
-        if not self.setup.controls.takes_off:
-            self.permission.skip_take_off()
-            return 0.0
-        now = self.clock.now()
-        duration = self.follower.begin_take_off(height, now)
-        self.judge.ground_watch.begin_take_off(float(state.p[2]), now)
-        self.guard.forget()
-        self.permission.change(ModeEvent.TAKE_OFF)
-        return duration
+        return self.judge.begin_take_off(height, self.clock.now())
 
     def go_to(
         self,
@@ -253,9 +234,7 @@ class Pilot(Actor):
     ) -> float:
         """Fly to p inside the fence, and return the time it will take.
 
-        Returns 0 if the drone may not fly now: it is not in the air, is held, waits for its
-        operator's start, or brakes because the safety table says so. A missing reference is no
-        obstacle, because this flight needs none.
+        Returns 0 if the drone may not fly now, see Judge.may_fly.
 
         p: (3,) m, world
         yaw: rad, None to keep the present yaw
@@ -263,7 +242,7 @@ class Pilot(Actor):
         commanded: True if the operator wants the flight. The operator may fly the drone when
             guidance may not, see Permission.steerable.
         """
-        if not self._may_fly(commanded):
+        if not self.judge.may_fly(commanded):
             return 0.0
         return self.follower.go_to(p, yaw, duration, self.clock.now())
 
@@ -274,27 +253,18 @@ class Pilot(Actor):
         fence and within the limits.
 
         commanded: as in `go_to`
-        Returns the duration in s; 0 if the drone may not fly now, for the reasons of `go_to`.
+        Returns the duration in s; 0 if the drone may not fly now, see Judge.may_fly.
         """
-        if not self._may_fly(commanded):
+        if not self.judge.may_fly(commanded):
             return 0.0
         return self.follower.fly(trajectory, self.clock.now())
-
-    def _may_fly(self, commanded: bool) -> bool:
-        """Return whether a flight may begin now, which needs no reference."""
-        if not self.permission.may_fly(commanded):
-            return False
-        self.guard.excuse("reference")
-        return not self.guard.acts
 
     def follow(self, reference: Reference) -> bool:
         """Fly this reference from the next tick on; return False if it can never be flown.
 
-        The reference must be renewed before it is stale. Its numbers are converted here, once, see
-        `convert_reference`. An object that is not a reference, has another shape or is not finite is
-        not flown, and neither is a Goto to a place where no goal may be. A reference that asks for
-        more than [flight] allows is cut, see ReferenceLimits. A repeated Goto continues its flight.
-        A held drone ignores references.
+        The reference must be renewed before it is stale. What is no reference or not finite is not
+        flown, and neither is a Goto to a place where no goal may be. A reference that asks for more
+        than [flight] allows is cut. A repeated Goto continues its flight. A held drone ignores all.
         """
         state = self.state
         if state is None or not self.permission.obeys:
@@ -352,29 +322,10 @@ class Pilot(Actor):
     # What its operator commands -----------------------------------------------------------
 
     def hold(self, on: bool = True) -> None:
-        """Keep the drone where it is, whatever guidance wants, or let it go on.
-
-        A landing drone cannot be held.
-        """
-        if self.permission.refuses(ModeEvent.HOLD if on else ModeEvent.GO):
-            return
-        self.permission.hold(on)
-        if on and self.airborne:
-            self.follower.rest(self.clock.now())
-        is_hovering = self.mode is HOVER_MODE
-        if is_hovering and not on and self.follower.homecoming is not None:
-            self.permission.change(ModeEvent.HOME)
+        """Keep the drone where it is, unless it lands, or let guidance move it again."""
+        self.judge.hold(on, self.clock.now())
 
     def go_home(self, home: Point, level: float) -> None:
-        """Rise to `level` m, fly home at that height, and land there.
-
-        home: (3,) m, world: home if the drone has not taken off; else it lands where it took off
-            first
-        level: m, height of the flight
-        """
-        if self.permission.refuses(ModeEvent.HOME) or self.state is None:
-            return
-        self.permission.hold(False)
-        started_at = self.permission.started_at
-        place = home if started_at is None else started_at
-        self.judge.begin_return(place, level, self.clock.now())
+        """Rise to `level` m, fly home at that height, and land there, see Judge.begin_return."""
+        if not self.permission.refuses(ModeEvent.HOME) and self.state is not None:
+            self.judge.begin_return(home, level, self.clock.now())
