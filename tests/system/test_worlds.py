@@ -171,7 +171,7 @@ async def kill_the_owner(folder: Path) -> None:
     """The drones of the killed owner are blind, and come down; every process ends, with the reason."""
     async with running(standing(folder, 60.0, drones=2), folder) as run:
         await run.stands()
-        pids = [run.pid("cli.world"), run.pid("--id 0"), run.pid("--id 1")]
+        pids = [run.pid("cli.fly.world"), run.pid("--id 0"), run.pid("--id 1")]
         os.kill(pids[0], signal.SIGKILL)
         killed = time.monotonic()
         ended = await run.program.end(30.0)
