@@ -116,7 +116,6 @@ class Airspace:
             self.near.paces,
             self.near.dues,
             self.swarm,
-            self.rules,
             self.near.told,
         )
 

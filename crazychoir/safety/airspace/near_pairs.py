@@ -357,7 +357,7 @@ def pace_pair(
         dues[k].sending_ns %= rules.far_interval_ns
     back = find_back(pace.other, place, listeners, paces, swarm)
     if back >= 0:
-        set_interval(paces[back], dues[back], interval_ns, rules.far_interval_ns)
+        set_interval(paces[back], dues[back], interval_ns, swarm[place].phase_ns)
 
 
 @kernel()
@@ -461,7 +461,7 @@ def add_pairs(
                     paces[target],
                     dues[target],
                     paces[back].sending_interval_ns,
-                    rules.far_interval_ns,
+                    swarm[other].phase_ns,
                 )
             apart = compute_distance(own, pair.state, rules.scale)
             measure_pair(pair, apart, own_speed + compute_speed(pair.state), rules, now)
@@ -715,7 +715,6 @@ def check_distances(
     rows_of(PACE_ROW),
     rows_of(DUE_ROW),
     rows_of(SWARM_ROW),
-    rows_of(AIRSPACE_RULES_ROW),
     integers,
     **NO_COUNTING,
 )
@@ -724,7 +723,6 @@ def tell_pairs(
     paces: Records,
     dues: Records,
     swarm: Records,
-    rules: Records,
     told: Ints,
 ) -> None:
     """Note for all pairs whether the law of the drone hears each state of the other one.
@@ -739,4 +737,4 @@ def tell_pairs(
             back = find_back(pace.other, listener.place, listeners, paces, swarm)
             if back >= 0:
                 interval_ns = paces[back].sending_interval_ns
-                set_interval(pace, dues[k], interval_ns, rules[0].far_interval_ns)
+                set_interval(pace, dues[k], interval_ns, swarm[pace.other].phase_ns)

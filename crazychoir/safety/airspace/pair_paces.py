@@ -92,9 +92,7 @@ def fill_pace(
 
 
 @kernel()
-def set_interval(
-    pace: Records, due: Records, interval_ns: int, far_interval_ns: int
-) -> None:
+def set_interval(pace: Records, due: Records, interval_ns: int, phase_ns: int) -> None:
     """Change how often a pair hears; it hears at once, then on the sender's grid of times.
 
     Drones that could meet soon hear each state that their laws hear: these are the same messages.
@@ -102,13 +100,13 @@ def set_interval(
     pace: one row of PACE_ROW
     due: its row of DUE_ROW
     interval_ns: ns
-    far_interval_ns: ns
+    phase_ns: ns, of the sender, as in SWARM_ROW
     """
     if interval_ns <= SOON_NS and pace.is_told != 0:
         interval_ns = 1
     if pace.interval_ns != interval_ns:
         pace.interval_ns = interval_ns
-        due.hearing_ns %= far_interval_ns
+        due.hearing_ns = phase_ns
 
 
 @kernel()

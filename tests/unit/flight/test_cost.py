@@ -34,8 +34,8 @@ class CostLimits:
 
 
 LIMITS = {
-    SMALL_SWARM: CostLimits(calls=6.8, messages=130.3, bytes=18_770, blocks=1.5),
-    LARGE_SWARM: CostLimits(calls=1.1, messages=142.9, bytes=20_580, blocks=0.5),
+    SMALL_SWARM: CostLimits(calls=6.8, messages=130.4, bytes=18_770, blocks=1.5),
+    LARGE_SWARM: CostLimits(calls=1.1, messages=143.0, bytes=20_590, blocks=0.5),
 }
 
 
