@@ -487,6 +487,11 @@ class Port:
         self.counters.sent += sent
         self.counters.bytes += sent * len(payload)
 
+    def list_readers(self, topic: Topic) -> list[int]:
+        """Return the addresses of the other ports that read this topic of this port."""
+        readers = self._readers.get(topic.number)
+        return [] if readers is None else [*readers.every, *readers.some]
+
     def is_read(self, topic: Topic) -> bool:
         """Return whether this topic of this port has a reader."""
         readers = self._readers.get(topic.number)

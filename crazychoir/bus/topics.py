@@ -190,6 +190,8 @@ class DroneTopics:
         wire="swarm",
     )
     """States of drones of one process, for the drones of others. These draw the losses."""
+    told: Topic = Topic(21, "told", State, 100, 0.25, 0, MessageClass.CONTROL)
+    """Interest of a law in the states of a drone of another process. They come in `airspace`."""
     link: Topic = Topic(
         15,
         "link",

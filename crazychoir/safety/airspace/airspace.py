@@ -11,6 +11,7 @@ from crazychoir.config.tables import CollisionTable
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.airspace.airspace_rows import (
     AIRSPACE_RULES_ROW,
+    ALL_BITS,
     SWARM_ROW,
     Missed,
 )
@@ -135,13 +136,16 @@ class Airspace:
         self.times[listener] = self.now() - age
         self.numbers[listener] += 1
 
-    def hear_frame(self, ids: Ints, numbers: Ints, states: Mat, ages: Vec) -> None:
+    def hear_frame(
+        self, ids: Ints, numbers: Ints, states: Mat, ages: Vec, delay: float = 0.0
+    ) -> None:
         """Take states from another process; the own drones hear them in the next step.
 
         ids: (k,), ids of drones
         numbers: (k,), ticks of these drones
         states: (k, 16): state (13,) and acceleration (3,)
-        ages: (k,) s
+        ages: (k,) s, when they were sent
+        delay: s, that the frame was on its way
         """
         found = [self.places.get(j, -1) for j in ids.tolist()]
         places = np.array(found, np.int64)
@@ -152,15 +156,26 @@ class Airspace:
             places[known],
             numbers[known],
             states[known],
-            self.now() - ages[known],
+            self.now() - ages[known] - delay,
+            ages[known],
         )
 
+    def note_process(self, ids: Ints, bit: int) -> None:
+        """Note the process that flies these drones.
+
+        ids: (k,), ids of drones
+        bit: as process_bits in SWARM_ROW
+        """
+        places = [self.places[j] for j in ids.tolist() if j in self.places]
+        self.swarm["process_bits"][places] = bit
+
     def due_frame(self) -> Ints:
-        """Return the numbers of the own drones with a state that drones of other processes need now.
+        """Return (n,): the bits of the processes that need the newest state of each own drone now.
 
         Valid from one step to the next one.
         """
-        return np.flatnonzero(self.near.listeners["is_frame_due"])
+        bits: Ints = self.near.listeners["frame_due"]
+        return bits
 
     def step(self) -> Ints:
         """Let all drones of this process hear what is due, then check the distances.
@@ -172,7 +187,14 @@ class Airspace:
             self.rules["began_ns"] = now_ns
         self.links.refresh(now_ns / NS_PER_SECOND)
         self.rules["has_by_hand"] = self.links.has_by_hand
-        take_states(self.swarm, self.own_places, self.numbers, self.states, self.times)
+        take_states(
+            self.swarm,
+            self.own_places,
+            self.numbers,
+            self.states,
+            self.times,
+            self.times,
+        )
         waiting = hear_states(
             self.near.listeners,
             self.near.pairs,
@@ -352,6 +374,7 @@ def _build_swarm(shares: dict[int, float], own: Ints, interval_ns: int) -> Recor
     swarm = np.zeros(len(ids), SWARM_ROW)
     swarm["drone"] = ids
     swarm["listener"] = -1
+    swarm["process_bits"] = ALL_BITS
     swarm["listener"][own] = np.arange(len(own))
     swarm["lacking_count"] = len(own)
     swarm["lacking_count"][own] -= 1

@@ -12,9 +12,12 @@ SWARM_ROW = np.dtype(
     [
         ("drone", np.int64),  # id
         ("listener", np.int64),  # row of LISTENER_ROW; -1: flown by another process
+        # bit of the process that flies it, see AirspaceFrames; all bits: it is not known yet
+        ("process_bits", np.int64),
         ("number", np.int64),  # tick of the sender at its newest state
         ("is_fresh", np.int64),  # 1: a newer state has come since the last step
         ("state_time", np.float64),  # s, time of the newest state; -inf: none
+        ("age", np.float64),  # s, of the newest state when it was sent
         ("round_count", np.int64),  # rounds so far
         ("round_due_ns", np.int64),  # ns, time of the next round
         # drones of this process without a pair that have not heard its last round
@@ -99,6 +102,8 @@ DUE_ROW = np.dtype(
 )
 """When the drones of a pair hear each other: one row for each row of PAIR_ROW."""
 
+ALL_BITS = -1
+"""Bits of all processes."""
 NEVER_NS = np.iinfo(np.int64).max
 """ns, a time that does not come."""
 
@@ -146,7 +151,8 @@ LISTENER_ROW = np.dtype(
         ("far_silent", np.int64),  # flying drones without a pair that are silent
         ("sent", np.int64),  # messages since the last count
         ("lost", np.int64),  # messages of these that were lost
-        ("is_frame_due", np.int64),  # 1: drones of other processes get the newest state
+        # bits of the processes with drones that get the newest state, as in SWARM_ROW
+        ("frame_due", np.int64),
     ]
 )
 """One drone of this process."""

@@ -18,6 +18,7 @@ from crazychoir.numerics.kernels import (
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.airspace.airspace_rows import (
     AIRSPACE_RULES_ROW,
+    ALL_BITS,
     DUE_ROW,
     FAR_ROW,
     LINK_ROW,
@@ -73,9 +74,9 @@ def is_valid_state(values: Vec) -> bool:
     return bool(are_valid(values[0:13], values[13:16]))
 
 
-@kernel(rows_of(SWARM_ROW), integers, integers, matrix, vector, **NO_COUNTING)
+@kernel(rows_of(SWARM_ROW), integers, integers, matrix, vector, vector, **NO_COUNTING)
 def take_states(
-    swarm: Records, places: Ints, numbers: Ints, states: Mat, times: Vec
+    swarm: Records, places: Ints, numbers: Ints, states: Mat, times: Vec, ages: Vec
 ) -> None:
     """Store the states of some drones, except invalid and outdated ones.
 
@@ -84,6 +85,7 @@ def take_states(
     numbers: (k,): ticks of the senders
     states: (k, 16): state (13,) and acceleration (3,)
     times: (k,) s, times of the states
+    ages: (k,) s, of the states when they were sent
     """
     for k in range(places.shape[0]):
         row = swarm[places[k]]
@@ -96,6 +98,7 @@ def take_states(
         row.number = numbers[k]
         row.is_fresh = 1
         row.state_time = times[k]
+        row.age = ages[k]
         for c in range(13):
             row.state[c] = states[k, c]
         for c in range(3):
@@ -370,7 +373,7 @@ def hear_pairs(
             due.sending_ns = find_next_time(
                 due.sending_ns, paces[k].sending_interval_ns, now_ns
             )
-            listener.is_frame_due = 1
+            listener.frame_due |= swarm[paces[k].other].process_bits
         if now_ns < due.hearing_ns:
             continue
         pace = paces[k]
@@ -536,7 +539,7 @@ def say_rounds(
         )
         say_round(sender, j, rounds, far, rules.round_capacity)
         if sender.listener >= 0:
-            listeners[sender.listener].is_frame_due = 1
+            listeners[sender.listener].frame_due = ALL_BITS
         if has_network or sender.lacking_count > 0:
             sender.lacking_count = 0
             due[count] = j
@@ -590,7 +593,7 @@ def hear_states(
     lag = rules[0].lag
     for i in range(listeners.shape[0]):
         listener = listeners[i]
-        listener.is_frame_due = 0
+        listener.frame_due = 0
         waiting += hear_pairs(
             listener,
             i,

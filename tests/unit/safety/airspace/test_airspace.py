@@ -207,7 +207,7 @@ def test_frames_are_due_in_rounds_and_for_near_drones_of_other_processes():
     due = []
 
     def frame():
-        due.extend(sky.airspace.due_frame().tolist())
+        due.extend(np.flatnonzero(sky.airspace.due_frame()).tolist())
         ids, numbers = np.array([5]), np.array([sky.ticks])
         sky.airspace.hear_frame(ids, numbers, states, np.array([0.0]))
 
