@@ -12,7 +12,6 @@ from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import ALL_TOPICS, Topic
 from crazychoir.files.path_texts import json_bytes
 from crazychoir.runtime.actor import Actor
-from crazychoir.runtime.mailbox import Latest
 
 
 class Announcer(Protocol):
@@ -33,31 +32,32 @@ class PublicCopies(Actor):
     def __init__(self, link: Announcer, drone: int) -> None:
         self.link = link
         self.drone = drone
-        self._clock = link.bus.clock
-        self._boxes: dict[Topic, Latest[Any]] = {}
-        for topic in ALL_TOPICS:
-            if topic.public > 0:
-                box = self._boxes[topic] = Latest(
-                    self._clock, topic.name, topic.max_age
-                )
-                link.bus.subscribe(topic, drone, drone, box)
+        self._topics = [topic for topic in ALL_TOPICS if topic.public > 0]
+        self._newest: dict[str, Any] = {}
+        """The last published value of each topic."""
 
     async def run(self) -> None:
-        """Publish new values at the public rate of each topic."""
-        fastest = max(topic.public for topic in self._boxes)
-        sent = dict.fromkeys(self._boxes, 0)
+        """Publish new values at the public rate of each topic.
+
+        The drone offers its present values, so that it need not publish them in each tick.
+        """
+        fastest = max(topic.public for topic in self._topics)
         tick = 0
-        async for _ in self._clock.ticks(fastest, drone=self.drone):
-            for topic, box in self._boxes.items():
-                value = box.peek()
-                if (
-                    value is not None
-                    and tick % round(fastest / topic.public) == 0
-                    and box.version > sent[topic]
-                ):
-                    sent[topic] = box.version
-                    self.link.announce(self.drone, topic.name, fields_as_json(value))
+        async for _ in self.link.bus.clock.ticks(fastest, drone=self.drone):
+            for topic in self._topics:
+                if tick % round(fastest / topic.public) == 0:
+                    self._publish(topic)
             tick += 1
+
+    def _publish(self, topic: Topic) -> None:
+        """Publish the present value of a topic, if there is a new one."""
+        bus = self.link.bus
+        port = bus.ports.get(self.drone)
+        found = None if port is None else port.latched.find(topic, bus.clock.now_ns())
+        if found is None or found[0] is self._newest.get(topic.name):
+            return
+        self._newest[topic.name] = found[0]
+        self.link.announce(self.drone, topic.name, fields_as_json(found[0]))
 
 
 def fields_by_name(value: msgspec.Struct) -> dict[str, Any]:
