@@ -222,11 +222,11 @@ class Airspace:
 
     def _check_all(self, now_ns: int) -> None:
         """Check the distances of all own drones that are due."""
-        while (lacking := self._check(now_ns)) >= 0:
-            self.near.make_room(lacking)
+        while self._check(now_ns) > 0:
+            self.near.make_room()
 
     def _check(self, now_ns: int) -> int:
-        """Check the distances, and return the first drone without room for its pairs, or -1."""
+        """Check the distances, and return the number of drones without room for their pairs."""
         return int(
             check_distances(
                 self.near.listeners,

@@ -141,6 +141,7 @@ LISTENER_ROW = np.dtype(
         ("first_pair", np.int64),  # first row of PAIR_ROW
         ("pair_count", np.int64),  # number of rows of PAIR_ROW, ordered by id
         ("pair_capacity", np.int64),  # number of rows that are reserved
+        ("pairs_needed", np.int64),  # number of rows that the last check needed
         ("first_told", np.int64),  # first place in the table `told` of the airspace
         ("told_count", np.int64),  # number of drones there
         ("check_ns", np.int64),  # ns, time of the next check of the distances

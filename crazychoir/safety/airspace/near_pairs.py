@@ -561,6 +561,7 @@ def check_pairs(
             end,
             now,
         )
+    listener.pairs_needed = end
     if end > listener.pair_capacity:
         return False
     if staying < listener.pair_count:
@@ -674,9 +675,10 @@ def check_distances(
     order: (swarm,): rows of the swarm in the order of the cells
     work: (swarm,): work space
     now_ns: ns
-    Returns the first drone that needs room for more pairs, or -1. Its check is not done then.
+    Returns the number of drones that need room for more pairs. Their checks are not done then.
     """
     has_grid = False
+    lacking = 0
     for at in range(listeners.shape[0]):
         if not is_check_due(at, listeners, swarm, now_ns):
             continue
@@ -704,10 +706,11 @@ def check_distances(
             work,
             now_ns,
         ):
-            return at
+            lacking += 1
+            continue
         listener = listeners[at]
         listener.check_ns += ((now_ns - listener.check_ns) // CHECK_NS + 1) * CHECK_NS
-    return -1
+    return lacking
 
 
 @kernel(

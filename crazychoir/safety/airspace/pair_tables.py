@@ -45,23 +45,23 @@ class PairTables:
         # Drones of one process do not all check in the same tick.
         listeners["check_ns"] = READER_RATES.phase_step_ns * ids % CHECK_NS
 
-    def make_room(self, lacking: int) -> None:
-        """Double the room for the pairs of one drone.
-
-        lacking: number of the drone in this process
-        """
-        before = self.listeners.copy()
-        self.listeners["pair_capacity"][lacking] *= 2
-        ends = np.cumsum(self.listeners["pair_capacity"])
-        self.listeners["first_pair"] = ends - self.listeners["pair_capacity"]
+    def make_room(self) -> None:
+        """Make room for the pairs of all drones that lack it, in one step."""
+        listeners = self.listeners
+        first = listeners["first_pair"].copy()
+        capacity = listeners["pair_capacity"]
+        while np.any(lacks := capacity < listeners["pairs_needed"]):
+            capacity[lacks] *= 2
+        ends = np.cumsum(capacity)
+        listeners["first_pair"] = ends - capacity
+        counts = listeners["pair_count"]
+        within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+        source = within + np.repeat(first, counts)
+        target = within + np.repeat(listeners["first_pair"], counts)
         tables = (self.pairs, self.motions, self.paces, self.dues)
         larger = [np.zeros(int(ends[-1]), table.dtype) for table in tables]
-        for old, new in zip(before, self.listeners, strict=True):
-            count = int(old["pair_count"])
-            source = slice(int(old["first_pair"]), int(old["first_pair"]) + count)
-            target = slice(int(new["first_pair"]), int(new["first_pair"]) + count)
-            for table, larger_table in zip(tables, larger, strict=True):
-                larger_table[target] = table[source]
+        for table, larger_table in zip(tables, larger, strict=True):
+            larger_table[target] = table[source]
         self.pairs, self.motions, self.paces, self.dues = larger
 
     def rows_of(self, listener: int) -> slice:
