@@ -362,15 +362,11 @@ def delivery(report: Report, draw: Draw) -> None:
         nobody = len(agent.ids) == 2 or gone.issuperset(
             i for i in agent.ids if i not in who
         )
-        # What it has when it is cut off, it delivers, unheard.
-        aboard = kind == "delivery" and (
-            watch.alone in who
-            or all(
-                k in gone or watch.is_unheard(who[0], k)
-                for k in agent.ids
-                if k not in who
-            )
-        )
+        # A drone that is cut off delivers what it has on board. No other drone hears of that.
+        others = [k for k in agent.ids if k not in who]
+        is_unheard = all(k in gone or watch.is_unheard(who[0], k) for k in others)
+        is_cut_off = watch.alone in who or is_unheard
+        aboard = kind == "delivery" and is_cut_off
         report.holds(
             known or nobody or aboard,
             f"{kind} of task {j} by {who}, and no other drone has heard of it",

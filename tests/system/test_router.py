@@ -44,9 +44,8 @@ def apart():
         for name in hosts.names.values():
             stack.enter_context(make_namespace(name))
         router = hosts.names["r"]
-        subprocess.run(
-            [*hosts.command("r"), "sysctl", "-qw", "net.ipv4.ip_forward=0"], check=True
-        )
+        keep_packets = "echo 0 > /proc/sys/net/ipv4/ip_forward"
+        subprocess.run([*hosts.command("r"), "sh", "-c", keep_packets], check=True)
         for name, gate in GATES.items():
             there = hosts.names[name]
             connect_devices((there, NAMESPACE_DEVICE), (router, f"veth{name}"))
