@@ -110,7 +110,7 @@ class CFDistributedFeedback(CFGuidance):
                 hearing.take_from(tick.batch.places[j], rate)
             elif tick.airspace is not None and j in tick.airspace.places:
                 hearing.take_from_frames(tick.airspace.places[j], rate)
-                bus.subscribe(DRONE_TOPICS.told, j, self.id, hearing)
+                bus.subscribe(DRONE_TOPICS.framed_state, j, self.id, hearing)
             else:
                 bus.subscribe(DRONE_TOPICS.state, j, self.id, hearing, rate)
         self._is_running = False

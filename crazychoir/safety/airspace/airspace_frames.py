@@ -78,7 +78,7 @@ class AirspaceFrames:
         """Note anew which processes have laws that hear the own drones, if that has changed."""
         airspace = self.airspace
         bus = airspace.bus
-        read = bus.find_read_addresses(DRONE_TOPICS.told)
+        read = bus.find_read_addresses(DRONE_TOPICS.framed_state)
         if read is self._told_for:
             return
         self._told_for = read
@@ -90,7 +90,7 @@ class AirspaceFrames:
     def _find_bits(self, port: Port) -> int:
         """Return the bits of the processes with laws that hear the drone of a port."""
         bits = 0
-        for reader in port.list_readers(DRONE_TOPICS.told):
+        for reader in port.list_readers(DRONE_TOPICS.framed_state):
             place = self.airspace.places.get(reader)
             if place is not None:
                 bits |= int(self.airspace.swarm["process_bits"][place])

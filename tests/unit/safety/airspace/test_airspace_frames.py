@@ -38,7 +38,9 @@ class Process:
 
     def listen(self, i, j):
         """Let the law of drone i hear drone j of another process."""
-        self.bus.subscribe(DRONE_TOPICS.told, j, i, Latest(self.bus.clock, "told", 1.0))
+        self.bus.subscribe(
+            DRONE_TOPICS.framed_state, j, i, Latest(self.bus.clock, "framed", 1.0)
+        )
 
     def give(self, topic, to, payload, number):
         assert topic is DRONE_TOPICS.airspace
