@@ -50,8 +50,8 @@ class TickedDrone(Protocol):
         """Decide what the drone does in this tick, at `now` in s."""
         ...
 
-    def seek(self, now: float) -> None:
-        """Ask others for the states of drones that are not heard, at `now` in s."""
+    def seek(self) -> None:
+        """Ask others for the states of drones that are not heard."""
         ...
 
     def note_evasion(self) -> None:
@@ -252,7 +252,7 @@ class FlightTick:
         drones = batch.drones
         for index in seekers.tolist():
             if drones["ticks"][index] and drones["course"][index] == Course.FOLLOW:
-                self._call(index, self._drones[index].seek, now)
+                self._call(index, self._drones[index].seek)
         count = avoid_drones(
             drones,
             batch.plans,

@@ -127,12 +127,6 @@ class LawStage:
         """Build all rows and teams again in the next tick."""
         self._is_grouped = False
 
-    @property
-    def _swarm(self) -> Records:
-        """SWARM_ROW, of the airspace; empty without one."""
-        airspace = self._tick.airspace
-        return NO_SWARM if airspace is None else airspace.swarm
-
     def decide(self, now_ns: int) -> None:
         """Let all laws step that are due, and hand their references to the drones.
 
@@ -141,11 +135,13 @@ class LawStage:
         if not self._is_grouped:
             self._build_groups()
         batch = self._batch
+        airspace = self._tick.airspace
+        swarm = NO_SWARM if airspace is None else airspace.swarm
         for group in self._groups:
             group.team.now_ns = now_ns
             group.team.epoch_ns = self._clock.epoch_ns
             look_rows(group.team.rows, batch.drones, batch.filters.rows)
-            group.deliver(batch, self._swarm, self._clock, self._impairment)
+            group.deliver(batch, swarm, self._clock, self._impairment)
             if group.decide():
                 group.hand_over(batch)
 

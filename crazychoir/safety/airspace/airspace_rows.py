@@ -147,6 +147,8 @@ LISTENER_ROW = np.dtype(
         ("check_ns", np.int64),  # ns, time of the next check of the distances
         ("check_count", np.int64),  # checks so far
         ("sought_count", np.int64),  # pairs of which others should be asked
+        # row of SWARM_ROW of the drone that others were asked about last; -1: none yet
+        ("last_sought", np.int64),
         ("keeps_all", np.int64),  # 1: every other drone has a pair
         ("far_heard", np.int64),  # flying drones without a pair that are heard
         ("far_silent", np.int64),  # flying drones without a pair that are silent

@@ -491,7 +491,9 @@ def pace_pairs(
     listener.sought_count = 0
     for k in range(listener.first_pair, listener.first_pair + listener.pair_count):
         pair = pairs[k]
-        pair.is_sought = is_sought(pair, listener.check_count, now)
+        pair.is_sought = is_sought(
+            pair, rules.standing_height, listener.check_count, now
+        )
         listener.sought_count += pair.is_sought
         pace_pair(at, k, listeners, pairs, paces, dues, swarm, rules)
 

@@ -16,6 +16,7 @@ from crazychoir.safety.airspace.airspace_rows import (
 )
 from crazychoir.safety.airspace.near_grid import CELLS_PER_DRONE
 from crazychoir.safety.airspace.near_pairs import CHECK_NS
+from crazychoir.safety.airspace.relay_choice import MOST_QUESTIONS, NOBODY
 from crazychoir.types import Ints, Records
 
 FIRST_PAIRS = 8  # pairs of a drone for which there is room at first
@@ -42,6 +43,7 @@ class PairTables:
         listeners["place"] = places
         listeners["first_pair"] = FIRST_PAIRS * np.arange(len(places))
         listeners["pair_capacity"] = FIRST_PAIRS
+        listeners["last_sought"] = NOBODY
         # Drones of one process do not all check in the same tick.
         listeners["check_ns"] = READER_RATES.phase_step_ns * ids % CHECK_NS
 
@@ -106,3 +108,7 @@ class FarTables:
         """Rows of the swarm in the order of the cells."""
         self.work = np.zeros(drones, np.int64)
         """Work space."""
+        self.work_places = np.zeros((drones, 3))
+        """Work space."""
+        self.questions = np.zeros((MOST_QUESTIONS, 2), np.int64)
+        """The questions of the last call of choose_asked."""
