@@ -3,6 +3,7 @@
 The keys are choir/<swarm>/drone/<id>/<topic>.
 """
 
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import msgspec
@@ -20,44 +21,53 @@ class Announcer(Protocol):
     bus: Bus
     """Bus of the process."""
 
+    def has_audience(self, topic: str) -> bool:
+        """Return whether another program reads this topic of some drone."""
+
     def announce(self, drone: int, topic: str, text: bytes) -> None:
         """Publish a text under choir/<swarm>/drone/<drone>/<topic>."""
 
 
 class PublicCopies(Actor):
-    """Publishes JSON copies of the public topics of one drone."""
+    """Publishes JSON copies of the public topics of the drones of a process, while others read them.
+
+    link: to the other programs
+    ids: of the drones
+    """
 
     name = "public"
 
-    def __init__(self, link: Announcer, drone: int) -> None:
+    def __init__(self, link: Announcer, ids: Sequence[int]) -> None:
         self.link = link
-        self.drone = drone
+        self.ids = list(ids)
         self._topics = [topic for topic in ALL_TOPICS if topic.public > 0]
-        self._newest: dict[str, Any] = {}
-        """The last published value of each topic."""
+        self._newest: dict[tuple[str, int], Any] = {}
+        """The last published value of each topic and drone."""
 
     async def run(self) -> None:
         """Publish new values at the public rate of each topic.
 
-        The drone offers its present values, so that it need not publish them in each tick.
+        The drones offer their present values, so that they need not publish them in each tick.
         """
         fastest = max(topic.public for topic in self._topics)
         tick = 0
-        async for _ in self.link.bus.clock.ticks(fastest, drone=self.drone):
+        async for _ in self.link.bus.clock.ticks(fastest):
             for topic in self._topics:
-                if tick % round(fastest / topic.public) == 0:
-                    self._publish(topic)
+                is_due = tick % round(fastest / topic.public) == 0
+                if is_due and self.link.has_audience(topic.name):
+                    for drone in self.ids:
+                        self._publish(topic, drone)
             tick += 1
 
-    def _publish(self, topic: Topic) -> None:
-        """Publish the present value of a topic, if there is a new one."""
+    def _publish(self, topic: Topic, drone: int) -> None:
+        """Publish the present value of a topic of a drone, if there is a new one."""
         bus = self.link.bus
-        port = bus.ports.get(self.drone)
+        port = bus.ports.get(drone)
         found = None if port is None else port.latched.find(topic, bus.clock.now_ns())
-        if found is None or found[0] is self._newest.get(topic.name):
+        if found is None or found[0] is self._newest.get((topic.name, drone)):
             return
-        self._newest[topic.name] = found[0]
-        self.link.announce(self.drone, topic.name, fields_as_json(found[0]))
+        self._newest[topic.name, drone] = found[0]
+        self.link.announce(drone, topic.name, fields_as_json(found[0]))
 
 
 def fields_by_name(value: msgspec.Struct) -> dict[str, Any]:
