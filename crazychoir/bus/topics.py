@@ -181,7 +181,7 @@ class DroneTopics:
     airspace: Topic = Topic(
         20,
         "airspace",
-        list,
+        bytes,
         100,
         0.25,
         0,

@@ -233,6 +233,8 @@ class FlightTick:
             return np.zeros(0, np.int64)
         drones = self.batch.drones
         publish_drones(drones, airspace.states, airspace.times, airspace.numbers, now)
+        if self.frames is not None:
+            self.frames.hear()
         seekers = airspace.step()
         if self.frames is not None:
             self.frames.send()

@@ -19,6 +19,7 @@ from crazychoir.safety.airspace.distances import COLLISION_DISTANCES
 from crazychoir.safety.airspace.hearing import (
     hear_states,
     is_valid_state,
+    take_frames,
     take_message,
     take_states,
 )
@@ -32,7 +33,7 @@ from crazychoir.safety.airspace.relay_choice import choose_asked
 from crazychoir.safety.airspace.state_links import StateLinks
 from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES, compute_far_rate
 from crazychoir.safety.airspace.states_by_hand import STATE_BYTES, StatesByHand
-from crazychoir.types import Ints, LinkStatus, Mat, Records, State, Vec
+from crazychoir.types import Ints, LinkStatus, Records, State, Vec
 
 SPARE_ROUNDS = 4  # rounds that are kept beyond NEIGHBOUR_AGES.gone
 
@@ -137,38 +138,15 @@ class Airspace:
         self.times[listener] = self.now() - age
         self.numbers[listener] += 1
 
-    def hear_frame(
-        self, ids: Ints, numbers: Ints, states: Mat, ages: Vec, delay: float = 0.0
-    ) -> None:
-        """Take states from another process; the own drones hear them in the next step.
+    def hear_frames(self, rows: Records, times: Vec, bits: Ints) -> bool:
+        """Take states from other processes; the own drones hear them in the next step.
 
-        ids: (k,), ids of drones
-        numbers: (k,), ticks of these drones
-        states: (k, 16): state (13,) and acceleration (3,)
-        ages: (k,) s, when they were sent
-        delay: s, that the frame was on its way
+        rows: (k,) FRAME_ROW
+        times: (k,) s, when the frame of each row was sent
+        bits: (k,), of the sender, as process_bits in SWARM_ROW
+        Returns whether one of the drones is now flown by another process than before.
         """
-        found = [self.places.get(j, -1) for j in ids.tolist()]
-        places = np.array(found, np.int64)
-        # No other process may speak for a drone of this one.
-        known = (places >= 0) & (self.swarm["listener"][places] < 0)
-        take_states(
-            self.swarm,
-            places[known],
-            numbers[known],
-            states[known],
-            self.now() - ages[known] - delay,
-            ages[known],
-        )
-
-    def note_process(self, ids: Ints, bit: int) -> None:
-        """Note the process that flies these drones.
-
-        ids: (k,), ids of drones
-        bit: as process_bits in SWARM_ROW
-        """
-        places = [self.places[j] for j in ids.tolist() if j in self.places]
-        self.swarm["process_bits"][places] = bit
+        return bool(take_frames(self.swarm, rows, times, bits))
 
     def due_frame(self) -> Ints:
         """Return (n,): the bits of the processes that need the newest state of each own drone now.
@@ -193,7 +171,6 @@ class Airspace:
             self.own_places,
             self.numbers,
             self.states,
-            self.times,
             self.times,
         )
         waiting = hear_states(

@@ -1,6 +1,6 @@
 """Frames of an airspace: the states of drones of a process, in one message to another process."""
 
-from typing import Any
+from collections import deque
 
 import numpy as np
 
@@ -9,11 +9,14 @@ from crazychoir.bus.port import PORT_ADDRESSES, Port
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.airspace.airspace import Airspace
-from crazychoir.safety.airspace.airspace_rows import ALL_BITS
+from crazychoir.safety.airspace.airspace_rows import ALL_BITS, FRAME_ROW
 from crazychoir.types import Ints
 
 PROCESS_BITS = 62
 """Number of processes with a bit of their own. Further processes share these bits."""
+
+MOST_FRAMES = 1024
+"""Number of frames that are kept between two steps. More than these replace the oldest ones."""
 
 
 class AirspaceFrames:
@@ -23,7 +26,7 @@ class AirspaceFrames:
     near, or because laws hear them. The first drone of a process stands for the process. Each
     process gets a bit when its first frame arrives. Until then it gets all that any process needs.
 
-    airspace: of this process; call `send` after each of its steps
+    airspace: of this process; call `hear` before each of its steps, and `send` after it
     """
 
     def __init__(self, airspace: Airspace) -> None:
@@ -35,6 +38,11 @@ class AirspaceFrames:
         """(n,): bits of the processes with laws that hear each own drone."""
         self._told_for: tuple[int, ...] = ()
         self._number = 0
+        self._rows = np.zeros(len(airspace.own_ids), FRAME_ROW)
+        """(n,): the newest states of the own drones."""
+        self._rows["drone"] = airspace.own_ids
+        self._frames: deque[tuple[bytes, float, int]] = deque(maxlen=MOST_FRAMES)
+        """The frames since the last step: each with its time in s, and the bit of its sender."""
         bus = airspace.bus
         bus.subscribe(
             DRONE_TOPICS.airspace,
@@ -52,6 +60,7 @@ class AirspaceFrames:
         self._refresh_told()
         bits = airspace.due_frame() | self._told
         self._number += 1
+        self._fill_rows()
         payloads: dict[bytes, bytes] = {}
         for address in port.list_readers(DRONE_TOPICS.airspace):
             due = np.flatnonzero(bits & self._bits.get(address, ALL_BITS))
@@ -59,20 +68,18 @@ class AirspaceFrames:
                 continue
             payload = payloads.get(due.tobytes())
             if payload is None:
-                payload = payloads[due.tobytes()] = self._encode(due)
+                payload = encode(self._rows[due].tobytes())
+                payloads[due.tobytes()] = payload
             port.send(DRONE_TOPICS.airspace, (address,), payload, self._number)
 
-    def _encode(self, due: Ints) -> bytes:
-        """Return the frame with these own drones."""
+    def _fill_rows(self) -> None:
+        """Write the newest states of the own drones for the other processes."""
         airspace = self.airspace
-        return encode(
-            [
-                airspace.swarm["drone"][airspace.own_places[due]].copy(),
-                airspace.numbers[due],
-                airspace.states[due],
-                airspace.now() - airspace.times[due],
-            ]
-        )
+        rows = self._rows
+        rows["number"] = airspace.numbers
+        rows["age"] = airspace.now() - airspace.times
+        rows["state"] = airspace.states[:, 0:13]
+        rows["acceleration"] = airspace.states[:, 13:16]
 
     def _refresh_told(self) -> None:
         """Note anew which processes have laws that hear the own drones, if that has changed."""
@@ -96,40 +103,29 @@ class AirspaceFrames:
                 bits |= int(self.airspace.swarm["process_bits"][place])
         return bits
 
-    def take(self, message: tuple[int, list[Any]], age: float) -> None:
-        """Let the own drones hear a frame that another process sent `age` s ago.
+    def take(self, message: tuple[int, object], age: float) -> None:
+        """Keep a frame that another process sent `age` s ago, until `hear`.
 
-        message: address of the sender, and the arguments of Airspace.hear_frame
+        message: address of the sender, and records of FRAME_ROW
         """
         source, frame = message
-        if not is_frame(frame):
+        if not isinstance(frame, bytes) or len(frame) % FRAME_ROW.itemsize:
             self.airspace.bus.ports[self._address].counters.malformed += 1
             return
-        ids, numbers, states, ages = frame
-        self._note_process(source, ids)
-        self.airspace.hear_frame(ids, numbers, states, ages, age)
+        if source not in self._bits:
+            self._bits[source] = 1 << len(self._bits) % PROCESS_BITS
+        sent_time = self.airspace.now() - age
+        self._frames.append((frame, sent_time, self._bits[source]))
 
-    def _note_process(self, source: int, ids: Ints) -> None:
-        """Note the process that flies these drones, by the first of its drones."""
-        bit = self._bits.get(source)
-        if bit is None:
-            bit = self._bits[source] = 1 << len(self._bits) % PROCESS_BITS
-        places = [self.airspace.places.get(j, -1) for j in ids.tolist()]
-        if np.any(self.airspace.swarm["process_bits"][places] != bit):
-            self.airspace.note_process(ids, bit)
+    def hear(self) -> None:
+        """Let the own drones hear the frames that have arrived since the last call."""
+        if not self._frames:
+            return
+        frames, times, bits = zip(*self._frames, strict=True)
+        self._frames.clear()
+        rows = np.frombuffer(b"".join(frames), FRAME_ROW)
+        counts = [len(frame) // FRAME_ROW.itemsize for frame in frames]
+        row_times = np.repeat(np.array(times), counts)
+        row_bits = np.repeat(np.array(bits, np.int64), counts)
+        if self.airspace.hear_frames(rows, row_times, row_bits):
             self._told_for = ()
-
-
-def is_frame(frame: list[Any]) -> bool:
-    """Return whether a message contains the arguments of Airspace.hear_frame."""
-    if len(frame) != 4 or not all(isinstance(part, np.ndarray) for part in frame):
-        return False
-    ids, numbers, states, ages = frame
-    count = len(ids) if ids.ndim == 1 else -1
-    return bool(
-        ids.dtype == numbers.dtype == np.int64
-        and states.dtype == ages.dtype == np.float64
-        and ids.shape == numbers.shape == ages.shape == (count,)
-        and states.shape == (count, 16)
-        and np.all(ages >= 0.0)
-    )

@@ -36,6 +36,17 @@ SWARM_ROW = np.dtype(
 )
 """One flying drone of the swarm, as this process knows it."""
 
+FRAME_ROW = np.dtype(
+    [
+        ("drone", np.int64),  # id
+        ("number", np.int64),  # tick of the drone
+        ("age", np.float64),  # s, of the state when it was sent
+        ("state", np.float64, 13),  # as State.flat
+        ("acceleration", np.float64, 3),  # m/s2, as State.a
+    ]
+)
+"""The state of one drone in a frame for another process."""
+
 ROUND_ROW = np.dtype(
     [
         ("state_time", np.float64),  # s

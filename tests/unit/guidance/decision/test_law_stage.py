@@ -18,6 +18,7 @@ from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.neighbour_state import PairedStateMailbox
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.safety.airspace.airspace import Airspace, AirspaceRules
+from crazychoir.safety.airspace.airspace_rows import FRAME_ROW
 from crazychoir.safety.airspace.neighbours import Neighbours
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Acceleration, State
@@ -346,9 +347,13 @@ class FrameProcess(NeighbourProcess):
             await self.clock.sleep(TICK)
             self.drones[0].publish(self.states[0], 0.0)
             self.number += 1
-            ids, numbers = np.array([1]), np.array([self.number])
-            state = np.concatenate([self.states[1].flat, np.zeros(3)])[None]
-            self.airspace.hear_frame(ids, numbers, state, np.array([0.002]), 0.003)
+            rows = np.zeros(1, FRAME_ROW)
+            rows["drone"] = 1
+            rows["number"] = self.number
+            rows["age"] = 0.002
+            rows["state"] = self.states[1].flat
+            sent = np.array([self.clock.now() - 0.003])
+            self.airspace.hear_frames(rows, sent, np.array([1]))
             self.tick.batch.drones["ticks"] = 1
             self.airspace.step()
             self.stage.decide(self.clock.now_ns())

@@ -9,7 +9,11 @@ from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.tables import CollisionTable
 from crazychoir.runtime.mailbox import Latest
 from crazychoir.safety.airspace.airspace import Airspace, AirspaceRules
-from crazychoir.safety.airspace.airspace_frames import AirspaceFrames
+from crazychoir.safety.airspace.airspace_frames import (
+    MOST_FRAMES,
+    AirspaceFrames,
+)
+from crazychoir.safety.airspace.airspace_rows import FRAME_ROW
 from crazychoir.types import State
 
 
@@ -46,12 +50,14 @@ class Process:
         assert topic is DRONE_TOPICS.airspace
         frame = decode(payload)
         for address in to:
-            self.sent.append((address, frame[0].tolist()))
+            drones = np.frombuffer(frame, FRAME_ROW)["drone"].tolist()
+            self.sent.append((address, drones))
             self.others[address].frames.take((self.own[0], frame), 0.01)
 
     def tick(self):
         for k, i in enumerate(self.own):
             self.airspace.publish(k, State.at((self.apart * i, 0.0, 1.0)), 0.0)
+        self.frames.hear()
         self.airspace.step()
         self.frames.send()
 
@@ -120,15 +126,7 @@ async def test_a_process_that_is_not_known_yet_gets_what_any_process_needs(clock
     assert len([drones for _, drones in sent if 0 in drones]) == 100
 
 
-MALFORMED_FRAMES = [
-    [],
-    [1, 2, 3, 4],
-    [np.zeros(1), np.zeros(1), np.zeros((1, 16)), np.zeros(1)],
-    [np.zeros(1, int), np.zeros(2, int), np.zeros((1, 16)), np.zeros(1)],
-    [np.zeros(1, int), np.zeros(1, int), np.zeros((1, 15)), np.zeros(1)],
-    [np.zeros(1, int), np.zeros(1, int), np.zeros((1, 16)), np.full(1, np.nan)],
-    [np.zeros(1, int), np.zeros(1, int), np.zeros((1, 16)), -np.ones(1)],
-]
+MALFORMED_FRAMES = [[], None, "x", b"x", bytes(FRAME_ROW.itemsize - 1)]
 
 
 @virtual
@@ -137,3 +135,12 @@ async def test_a_message_that_is_no_frame_is_counted(clock):
     for frame in MALFORMED_FRAMES:
         process.frames.take((1, frame), 0.0)
     assert process.bus.ports[0].counters.malformed == len(MALFORMED_FRAMES)
+
+
+@virtual
+async def test_frames_do_not_pile_up_while_no_drone_ticks(clock):
+    process = Process(clock, (0, 2))
+    frame = bytes(FRAME_ROW.itemsize)
+    for _ in range(2 * MOST_FRAMES):
+        process.frames.take((1, frame), 0.0)
+    assert len(process.frames._frames) == MOST_FRAMES
