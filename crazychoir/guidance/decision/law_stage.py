@@ -223,7 +223,7 @@ class LawGroup:
     def deliver(
         self, batch: Batch, swarm: Records, clock: Clock, impairment: Impairment
     ) -> None:
-        """Let the laws hear the neighbours in this process, and those that come in frames.
+        """Let the laws hear the neighbours in this process, and the neighbours that come in frames.
 
         swarm: SWARM_ROW, of the airspace; empty without one
         """

@@ -29,7 +29,6 @@ from crazychoir.safety.airspace.near_pairs import (
     tell_pairs,
 )
 from crazychoir.safety.airspace.pair_tables import FarTables, PairTables
-from crazychoir.safety.airspace.relay_choice import choose_asked
 from crazychoir.safety.airspace.state_links import StateLinks
 from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES, compute_far_rate
 from crazychoir.safety.airspace.states_by_hand import STATE_BYTES, StatesByHand
@@ -280,29 +279,6 @@ class Airspace:
         if place is None or self.far.missed[listener, place] != Missed.PAIRED:
             return None
         return self.near.find(listener, place)
-
-    def choose_asked(self, listener: int) -> Ints:
-        """Choose whom an own drone asks for which states: (k, 2) ids of asked and sought drones.
-
-        listener: number of the drone in this process
-        """
-        questions = self.far.questions
-        count = choose_asked(
-            listener,
-            self.near.listeners,
-            self.near.pairs,
-            self.near.paces,
-            self.swarm,
-            self.far.rounds,
-            self.far.missed,
-            self.rules,
-            self.now(),
-            self.far.work,
-            self.far.work_places,
-            questions,
-        )
-        ids: Ints = self.swarm["drone"][questions[:count]]
-        return ids
 
     def hear(self, listener: int, j: int, state: State, age: float) -> None:
         """Let an own drone hear a state that drone j sent itself.

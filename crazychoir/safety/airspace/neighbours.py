@@ -1,6 +1,7 @@
 """What one drone knows of the others: a view of the airspace of its process."""
 
 from crazychoir.safety.airspace.airspace import Airspace
+from crazychoir.safety.airspace.relay_choice import choose_asked
 from crazychoir.types import Records, State
 
 
@@ -56,8 +57,24 @@ class Neighbours:
         return self.airspace.far.rounds[at : at + 1]
 
     def choose_asked(self) -> list[tuple[int, int]]:
-        """Return whom this drone should ask for which states: ids of asked and sought drones."""
-        chosen = self.airspace.choose_asked(self.listener).tolist()
+        """Return which drones this one asks for which states: ids of asked and sought drones."""
+        airspace = self.airspace
+        far = airspace.far
+        count = choose_asked(
+            self.listener,
+            airspace.near.listeners,
+            airspace.near.pairs,
+            airspace.near.paces,
+            airspace.swarm,
+            far.rounds,
+            far.missed,
+            airspace.rules,
+            self.now(),
+            far.work,
+            far.work_places,
+            far.questions,
+        )
+        chosen = airspace.swarm["drone"][far.questions[:count]].tolist()
         return [(asked, sought) for asked, sought in chosen]
 
     def now(self) -> float:

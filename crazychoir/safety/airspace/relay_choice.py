@@ -22,7 +22,7 @@ from crazychoir.safety.airspace.pair_paces import find_pair
 from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES, RELAY_REQUESTS
 from crazychoir.types import Bytes, Ints, Records, Vec
 
-NOBODY = -1  # place in the swarm of no drone
+NO_DRONE = -1  # place in the swarm of no drone
 NEAREST_ASKED = RELAY_REQUESTS.nearest_asked
 MOST_QUESTIONS = RELAY_REQUESTS.most_sought * (NEAREST_ASKED + 1)
 """Largest number of questions of a drone in one check."""
@@ -116,7 +116,7 @@ def choose_nearest(
     if others == 0:
         return asked
     for _ in range(NEAREST_ASKED):
-        best = NOBODY
+        best = NO_DRONE
         least = math.inf
         for k in range(count):
             apart = compute_norm(
@@ -131,7 +131,7 @@ def choose_nearest(
             if not is_asked(heard[k], questions, first, asked):
                 best = heard[k]
                 least = apart
-        if best != NOBODY:
+        if best != NO_DRONE:
             asked = add_question(best, sought, questions, asked)
     turn = turns % others
     for k in range(count):
@@ -172,7 +172,7 @@ def choose_asked(
     places: Vec,
     questions: Ints,
 ) -> int:
-    """Choose whom one drone asks for which states, and return the number of questions.
+    """Choose which drones one drone asks for which states; return the number of questions.
 
     It asks for a few drones a check. The next check goes on behind the last of them.
 
