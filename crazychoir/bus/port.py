@@ -197,7 +197,7 @@ class LatchedValues:
         """Give new readers of a topic the present value, instead of the last published one.
 
         So the value need not be published while no port reads it.
-        find_value: returns the present value
+        find_value: returns the present value; None if there is none
         """
         self._offers[topic.number] = find_value
 
@@ -205,7 +205,8 @@ class LatchedValues:
         """Return the value of a topic and its age in s; None if there is no value."""
         find_value = self._offers.get(topic.number)
         if find_value is not None:
-            return find_value(), 0.0
+            present = find_value()
+            return None if present is None else (present, 0.0)
         if topic.number not in self._kept:
             return None
         value, born_ns = self._kept[topic.number]
@@ -486,6 +487,11 @@ class Port:
                 bus.unroutable += 1
         self.counters.sent += sent
         self.counters.bytes += sent * len(payload)
+
+    def list_readers(self, topic: Topic) -> list[int]:
+        """Return the addresses of the other ports that read this topic of this port."""
+        readers = self._readers.get(topic.number)
+        return [] if readers is None else [*readers.every, *readers.some]
 
     def is_read(self, topic: Topic) -> bool:
         """Return whether this topic of this port has a reader."""

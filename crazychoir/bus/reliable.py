@@ -146,6 +146,13 @@ class Reliable:
         outgoing.number += 1
         self._schedule()
 
+    def is_sending(self, topic: Topic, j: int) -> bool:
+        """Return whether a message of a topic to port j has no acknowledgement yet."""
+        outgoing = self._outgoing.get(j)
+        return outgoing is not None and any(
+            message.topic is topic for message in outgoing.pending.values()
+        )
+
     def forget(self, j: int) -> None:
         """Stop retransmission to port j because it is gone.
 

@@ -64,9 +64,9 @@ class Topic:
     """True if the simulated network acts on it between drones."""
     public: float = 0.0
     """Hz of the copy for other Zenoh programs; 0 for none."""
-    wire: Literal["edge", "interest", "swarm", "process"] = "interest"
+    wire: Literal["edge", "interest", "swarm", "frame", "process"] = "interest"
     """Receivers: the neighbours along an edge, all ports with an interest, those of them that fly
-    drones, or a process.
+    drones, those of them through a frame of another topic, or a process.
     """
     of_body: bool = False
     """True if the process with the drone's body publishes it,
@@ -181,7 +181,7 @@ class DroneTopics:
     airspace: Topic = Topic(
         20,
         "airspace",
-        list,
+        bytes,
         100,
         0.25,
         0,
@@ -190,6 +190,10 @@ class DroneTopics:
         wire="swarm",
     )
     """States of drones of one process, for the drones of others. These draw the losses."""
+    framed_state: Topic = Topic(
+        21, "framed", State, 100, 0.25, 0, MessageClass.CONTROL, wire="frame"
+    )
+    """Interest of a law in the state of a drone of another process. It comes in `airspace`."""
     link: Topic = Topic(
         15,
         "link",
@@ -334,6 +338,6 @@ OBSERVABLE_TOPICS = tuple(
 )
 """Names of the topics that an observer may ask for."""
 REQUESTED_TOPICS = tuple(
-    topic.name for topic in ALL_TOPICS if topic.wire in ("interest", "swarm")
+    topic.name for topic in ALL_TOPICS if topic.wire in ("interest", "swarm", "frame")
 )
 """Names of the topics that another process may ask for."""

@@ -113,11 +113,11 @@ class DroneStages:
         counters.lost += lost
         counters.bytes += STATE_BYTES * sent
 
-    def seek(self, now: float) -> None:
-        """Ask others for the states of drones that are not heard, at `now` in s."""
+    def seek(self) -> None:
+        """Ask others for the states of drones that are not heard."""
         collision = self._clearance.filter
         if collision is not None:
-            collision.hearsay.seek(now)
+            collision.hearsay.seek()
 
     def note_evasion(self) -> None:
         """Note which drone this one evades, or that it evades no more."""

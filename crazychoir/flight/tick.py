@@ -50,8 +50,8 @@ class TickedDrone(Protocol):
         """Decide what the drone does in this tick, at `now` in s."""
         ...
 
-    def seek(self, now: float) -> None:
-        """Ask others for the states of drones that are not heard, at `now` in s."""
+    def seek(self) -> None:
+        """Ask others for the states of drones that are not heard."""
         ...
 
     def note_evasion(self) -> None:
@@ -233,6 +233,8 @@ class FlightTick:
             return np.zeros(0, np.int64)
         drones = self.batch.drones
         publish_drones(drones, airspace.states, airspace.times, airspace.numbers, now)
+        if self.frames is not None:
+            self.frames.hear()
         seekers = airspace.step()
         if self.frames is not None:
             self.frames.send()
@@ -252,7 +254,7 @@ class FlightTick:
         drones = batch.drones
         for index in seekers.tolist():
             if drones["ticks"][index] and drones["course"][index] == Course.FOLLOW:
-                self._call(index, self._drones[index].seek, now)
+                self._call(index, self._drones[index].seek)
         count = avoid_drones(
             drones,
             batch.plans,

@@ -108,6 +108,9 @@ class CFDistributedFeedback(CFGuidance):
         for j, hearing in zip(neighbors, self._running.hearings, strict=True):
             if j in tick.batch.places:
                 hearing.take_from(tick.batch.places[j], rate)
+            elif tick.airspace is not None and j in tick.airspace.places:
+                hearing.take_from_frames(tick.airspace.places[j], rate)
+                bus.subscribe(DRONE_TOPICS.framed_state, j, self.id, hearing)
             else:
                 bus.subscribe(DRONE_TOPICS.state, j, self.id, hearing, rate)
         self._is_running = False

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.bus.topics import DRONE_TOPICS
-from crazychoir.guidance.decision.flight_rows import ELSEWHERE_SOURCE
+from crazychoir.guidance.decision.flight_rows import ELSEWHERE_SOURCE, FRAMES_SOURCE
 from crazychoir.guidance.decision.hearing_rows import (
     HEARING_ROW,
     put_first_row,
@@ -120,11 +120,20 @@ class HearingMailbox(Mailbox[State]):
     def take_from(self, place: int, rate: float) -> None:
         """Take the states of a drone in the same batch, without messages.
 
-        place: of the drone in the batch
+        place: of the drone in the batch, or FRAMES_SOURCE
         rate: Hz, of the states; 0 for each state
         """
         self.rows["source"] = place
         self.rows["interval_ns"] = round(NS_PER_SECOND / rate) if rate > 0.0 else 0
+
+    def take_from_frames(self, place: int, rate: float) -> None:
+        """Take the states of a drone of another process from the frames of the airspace.
+
+        place: row of the drone in the swarm of the airspace
+        rate: as in `take_from`
+        """
+        self.take_from(FRAMES_SOURCE, rate)
+        self.rows["frame_place"] = place
 
     def move_to(self, rows: Rows) -> None:
         """Go on with these rows (1,) of HEARING_ROW: all numbers move there."""

@@ -9,7 +9,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from crazychoir.flight.references import convert_reference, explain_refusal
-from crazychoir.guidance.decision.flight_rows import ELSEWHERE_SOURCE
 from crazychoir.guidance.decision.hearing_rows import HEARING_ROW
 from crazychoir.guidance.decision.law_rows import (
     LAW_ROW,
@@ -126,7 +125,7 @@ class RunningLaw:
     def list_told(self) -> list[int]:
         """Return the neighbours in this process that the law hears in each tick."""
         edges = self.edges
-        is_told = (edges["source"] != ELSEWHERE_SOURCE) & (edges["interval_ns"] == 0)
+        is_told = (edges["source"] >= 0) & (edges["interval_ns"] == 0)
         return [j for j, told in zip(self.ids, is_told.tolist(), strict=True) if told]
 
     def start(self, now_ns: int) -> asyncio.Future[None]:

@@ -74,7 +74,7 @@ class EpochChange:
         elif self._next:
             self._review_while_open(source, beat, roster)
         elif beat.epoch < roster.epoch:
-            self.rosters.send([source], roster)
+            self.rosters.remind(source, roster)
         elif beat.epoch > roster.epoch or beat.checksum != self.rosters.checksum:
             # Two coordinators that did not receive each other have both issued rosters.
             self._propose(dict(members), roster)

@@ -105,6 +105,11 @@ class TeamRoster:
         for j in receivers:
             self.reliable.send(MESSAGE_TOPICS.roster, j, payload)
 
+    def remind(self, j: int, roster: Roster) -> None:
+        """Send a roster to drone j again, unless a message to it is still on its way."""
+        if not self.reliable.is_sending(MESSAGE_TOPICS.roster, j):
+            self.send([j], roster)
+
     def send_message(self, j: int, message: HoldRequest | HoldAnswer) -> None:
         """Send a message about the next roster to drone j, until it is acknowledged."""
         self.reliable.send(MESSAGE_TOPICS.roster, j, message.wire())

@@ -10,6 +10,7 @@ READERS = {
     "interest": "all that ask",
     "edge": "the addressed port",
     "swarm": "drones that ask",
+    "frame": "drones that ask, in frames of `airspace`",
     "process": "a process",
 }
 """Receivers of a message, by the wire of its topic."""

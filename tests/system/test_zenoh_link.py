@@ -23,6 +23,7 @@ from system.link_process import consensus_here, endings_here, linked, wall_clock
 from crazychoir.bus.codec import encode
 from crazychoir.bus.frames import FRAME_FORMAT, Envelope, Frame, encode_frame
 from crazychoir.bus.network.hello import Hello
+from crazychoir.bus.network.public_topics import PublicCopies
 from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS
@@ -530,6 +531,33 @@ async def test_a_message_ages_while_the_loop_hangs(ground: Ground) -> None:
     time.sleep(0.2)  # noqa: ASYNC251 - the loop hangs
     await until(lambda: ages)
     assert 0.15 < ages[0] < 1.0
+
+
+async def test_other_programs_read_public_copies_which_are_made_for_them_only(
+    ground: Ground,
+) -> None:
+    link = await ground.link([0, 1])
+    for i in (0, 1):
+        link.bus.ports[i].latched.offer(
+            DRONE_TOPICS.state, lambda i=i: State.at([float(i), 0.0, 1.0])
+        )
+    copies = asyncio.create_task(PublicCopies(link, [0, 1]).run())
+    await asyncio.sleep(0.3)
+    assert not link.has_audience("state")
+    found: dict[str, Any] = {}
+    subscriber = ground.outsider().declare_subscriber(
+        f"choir/{ground.swarm}/drone/*/state",
+        lambda sample: found.update(
+            {str(sample.key_expr): json.loads(sample.payload.to_string())}
+        ),
+    )
+    await until(lambda: len(found) == 2)
+    assert found[f"choir/{ground.swarm}/drone/1/state"]["p"] == [1.0, 0.0, 1.0]
+    assert link.has_audience("state")
+    assert not link.has_audience("status")
+    subscriber.undeclare()
+    await until(lambda: not link.has_audience("state"))
+    copies.cancel()
 
 
 async def test_an_alarm_is_heard_while_the_loop_hangs(ground: Ground) -> None:

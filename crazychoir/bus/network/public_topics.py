@@ -3,6 +3,7 @@
 The keys are choir/<swarm>/drone/<id>/<topic>.
 """
 
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import msgspec
@@ -12,7 +13,6 @@ from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import ALL_TOPICS, Topic
 from crazychoir.files.path_texts import json_bytes
 from crazychoir.runtime.actor import Actor
-from crazychoir.runtime.mailbox import Latest
 
 
 class Announcer(Protocol):
@@ -21,43 +21,53 @@ class Announcer(Protocol):
     bus: Bus
     """Bus of the process."""
 
+    def has_audience(self, topic: str) -> bool:
+        """Return whether another program reads this topic of some drone."""
+
     def announce(self, drone: int, topic: str, text: bytes) -> None:
         """Publish a text under choir/<swarm>/drone/<drone>/<topic>."""
 
 
 class PublicCopies(Actor):
-    """Publishes JSON copies of the public topics of one drone."""
+    """Publishes JSON copies of the public topics of the drones of a process, while others read them.
+
+    link: to the other programs
+    ids: of the drones
+    """
 
     name = "public"
 
-    def __init__(self, link: Announcer, drone: int) -> None:
+    def __init__(self, link: Announcer, ids: Sequence[int]) -> None:
         self.link = link
-        self.drone = drone
-        self._clock = link.bus.clock
-        self._boxes: dict[Topic, Latest[Any]] = {}
-        for topic in ALL_TOPICS:
-            if topic.public > 0:
-                box = self._boxes[topic] = Latest(
-                    self._clock, topic.name, topic.max_age
-                )
-                link.bus.subscribe(topic, drone, drone, box)
+        self.ids = list(ids)
+        self._topics = [topic for topic in ALL_TOPICS if topic.public > 0]
+        self._newest: dict[tuple[str, int], Any] = {}
+        """The last published value of each topic and drone."""
 
     async def run(self) -> None:
-        """Publish new values at the public rate of each topic."""
-        fastest = max(topic.public for topic in self._boxes)
-        sent = dict.fromkeys(self._boxes, 0)
+        """Publish new values at the public rate of each topic.
+
+        The drones offer their present values, so that they need not publish them in each tick.
+        """
+        fastest = max(topic.public for topic in self._topics)
         tick = 0
-        async for _ in self._clock.ticks(fastest, drone=self.drone):
-            for topic, box in self._boxes.items():
-                value = box.peek()
-                if (
-                    value is not None
-                    and tick % round(fastest / topic.public) == 0
-                    and box.version > sent[topic]
-                ):
-                    sent[topic] = box.version
-                    self.link.announce(self.drone, topic.name, fields_as_json(value))
+        async for _ in self.link.bus.clock.ticks(fastest):
+            for topic in self._topics:
+                is_due = tick % round(fastest / topic.public) == 0
+                if is_due and self.link.has_audience(topic.name):
+                    for drone in self.ids:
+                        self._publish(topic, drone)
             tick += 1
+
+    def _publish(self, topic: Topic, drone: int) -> None:
+        """Publish the present value of a topic of a drone, if there is a new one."""
+        bus = self.link.bus
+        port = bus.ports.get(drone)
+        found = None if port is None else port.latched.find(topic, bus.clock.now_ns())
+        if found is None or found[0] is self._newest.get((topic.name, drone)):
+            return
+        self._newest[topic.name, drone] = found[0]
+        self.link.announce(drone, topic.name, fields_as_json(found[0]))
 
 
 def fields_by_name(value: msgspec.Struct) -> dict[str, Any]:

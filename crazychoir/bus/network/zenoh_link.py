@@ -43,7 +43,13 @@ from crazychoir.bus.network.hello_review import Introduction
 from crazychoir.bus.network.lost_tokens import TokenRepair
 from crazychoir.bus.network.peers import OnRefused, OnToken, Peer, Peers
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
-from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS, MessageClass, Topic
+from crazychoir.bus.topics import (
+    ALL_TOPICS,
+    DRONE_TOPICS,
+    MESSAGE_TOPICS,
+    MessageClass,
+    Topic,
+)
 from crazychoir.errors import CodecError, ConfigError
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import NS_PER_SECOND
@@ -256,6 +262,8 @@ class ZenohLink(Actor):
         self._connections = ForeignConnections()
         self._tokens: deque[Any] = deque()
         self._declared: list[Any] = []
+        self._audiences: dict[str, zenoh.Publisher] = {}
+        """By public topic: knows whether another program reads its keys."""
         self._session: zenoh.Session | None = None
 
     # Opening and closing --------------------------------------------------------------
@@ -289,6 +297,13 @@ class ZenohLink(Actor):
                 f"{self._live}/{self.bus.host}/{self.bus.process}"
             ),
         ]
+        self._audiences = {
+            topic.name: session.declare_publisher(
+                f"choir/{self.swarm}/drone/*/{topic.name}"
+            )
+            for topic in ALL_TOPICS
+            if topic.public > 0
+        }
         self.bus.forwarder = self
 
     async def run(self) -> None:
@@ -350,7 +365,9 @@ class ZenohLink(Actor):
 
     def _close(self, session: zenoh.Session, closed: asyncio.Event) -> None:
         try:
-            for declared in reversed([*self._declared, *self._tokens]):
+            for declared in reversed(
+                [*self._declared, *self._audiences.values(), *self._tokens]
+            ):
                 declared.undeclare()
             session.close()
         except zenoh.ZError as error:
@@ -585,6 +602,13 @@ class ZenohLink(Actor):
         )
         counters.frames_sent += 1
         counters.bytes_sent += len(frame)
+
+    def has_audience(self, topic: str) -> bool:
+        """Return whether another program reads the public copy of this topic of some drone."""
+        publisher = self._audiences.get(topic)
+        # zenoh's type stubs call this status a bool.
+        status: Any = None if publisher is None else publisher.matching_status
+        return status is not None and bool(status.matching)
 
     def announce(self, drone: int, topic: str, text: bytes) -> None:
         """Put a JSON text under the drone's public key, for other Zenoh programs."""

@@ -1,5 +1,6 @@
 """The laws and the batch of flying drones: states go from the batch to the laws, references back."""
 
+import math
 from enum import IntEnum
 from typing import Any
 
@@ -23,6 +24,7 @@ from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.airspace.airspace_rows import (
     LINK_ROW,
     LOSS_ROW,
+    SWARM_ROW,
     LinkKind,
     LinkKinds,
 )
@@ -36,6 +38,8 @@ HOVER_NUMBER = MODE_NUMBERS[Mode.HOVER]
 FOLLOW_NUMBER = MODE_NUMBERS[Mode.FOLLOW]
 ELSEWHERE_SOURCE = -1
 """`source` of an edge from a drone of another process: its states come as messages."""
+FRAMES_SOURCE = -2
+"""`source` of an edge from a drone of another process: its states come in frames."""
 
 
 class Handover(IntEnum):
@@ -92,9 +96,43 @@ def _is_due(edge: Any, now_ns: int) -> bool:
     return True
 
 
+@kernel()
+def _deliver_frame(
+    edges: Any,
+    e: int,
+    swarm: Any,
+    links: Any,
+    kinds: LinkKinds,
+    losses: Any,
+    now_ns: int,
+) -> bool:
+    """Let a law hear the newest state of a drone of another process, if it is new.
+
+    e: row of the edge
+    swarm: SWARM_ROW, of the airspace
+    Other arguments as in deliver_rows.
+    Returns whether the simulated network may delay or duplicate it.
+    """
+    edge = edges[e]
+    sender = swarm[edge.frame_place]
+    if sender.number == edge.frame_number or sender.state_time == -math.inf:
+        return False
+    edge.frame_number = sender.number
+    if not _is_due(edge, now_ns):
+        return False
+    fate = LinkKind.CLEAR
+    if links.shape[0] > 0:
+        fate = pass_link(links, kinds, losses, e, sender.number)
+    if fate == LinkKind.CLEAR:
+        age = now_ns / NS_PER_SECOND - sender.state_time
+        put_row(edge, sender.state, sender.acceleration, sender.age, age, now_ns)
+    return bool(fate == LinkKind.BY_HAND)
+
+
 @kernel(
     rows_of(HEARING_ROW),
     rows_of(DRONE_ROW),
+    rows_of(SWARM_ROW),
     rows_of(LINK_ROW),
     link_kinds,
     rows_of(LOSS_ROW),
@@ -105,16 +143,18 @@ def _is_due(edge: Any, now_ns: int) -> bool:
 def deliver_rows(
     edges: Any,
     drones: DroneRows,
+    swarm: Any,
     links: Any,
     kinds: LinkKinds,
     losses: Any,
     now_ns: int,
     found: Ints,
 ) -> int:
-    """Let laws hear the states of this tick of neighbours in this process.
+    """Let laws hear the states of this tick of neighbours in this process, or from frames.
 
     edges: (e,) of HEARING_ROW
     drones: of the batch
+    swarm: SWARM_ROW, of the airspace; empty without one
     links: (e,) of LINK_ROW; empty without a simulated network
     kinds: (e,): LinkKind of each link
     losses: (m,) of LOSS_ROW
@@ -125,6 +165,11 @@ def deliver_rows(
     count = 0
     for e in range(edges.shape[0]):
         edge = edges[e]
+        if edge.source == FRAMES_SOURCE:
+            if _deliver_frame(edges, e, swarm, links, kinds, losses, now_ns):
+                found[count] = e
+                count += 1
+            continue
         if edge.source == ELSEWHERE_SOURCE or drones[edge.source].ticks == 0:
             continue
         if not _is_due(edge, now_ns):

@@ -29,7 +29,12 @@ HEARING_ROW = np.dtype(
         (
             "source",
             np.int64,
-        ),  # place of the neighbour in the batch; -1: it is elsewhere
+        ),  # place of the neighbour in the batch; or ELSEWHERE_SOURCE, FRAMES_SOURCE
+        (
+            "frame_place",
+            np.int64,
+        ),  # with FRAMES_SOURCE: row in the swarm of the airspace
+        ("frame_number", np.int64),  # with FRAMES_SOURCE: number of the last state
         ("interval_ns", np.int64),  # ns between two states; 0: each state
         ("due_ns", np.int64),  # ns, when the next state is due
         # What has arrived.

@@ -12,6 +12,7 @@ from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.flight.batch import Batch
 from crazychoir.flight.tick import FlightTick
 from crazychoir.guidance.decision.flight_rows import (
+    FRAMES_SOURCE,
     deliver_rows,
     hand_over_rows,
     look_rows,
@@ -32,9 +33,13 @@ from crazychoir.guidance.decision.team import (
     read_references,
 )
 from crazychoir.runtime.clock import NS_PER_SECOND, AlarmPriority, Clock
+from crazychoir.safety.airspace.airspace_rows import SWARM_ROW
 from crazychoir.safety.airspace.state_links import StateLinks
 from crazychoir.safety.airspace.states_by_hand import STATE_BYTES
-from crazychoir.types import Bools, Heard, Reference, State
+from crazychoir.types import Bools, Heard, Records, Reference, State
+
+NO_SWARM: Records = np.zeros(0, SWARM_ROW)
+"""The swarm of a process without an airspace."""
 
 
 class StateTaker(Protocol):
@@ -130,11 +135,13 @@ class LawStage:
         if not self._is_grouped:
             self._build_groups()
         batch = self._batch
+        airspace = self._tick.airspace
+        swarm = NO_SWARM if airspace is None else airspace.swarm
         for group in self._groups:
             group.team.now_ns = now_ns
             group.team.epoch_ns = self._clock.epoch_ns
             look_rows(group.team.rows, batch.drones, batch.filters.rows)
-            group.deliver(batch, self._clock, self._impairment)
+            group.deliver(batch, swarm, self._clock, self._impairment)
             if group.decide():
                 group.hand_over(batch)
 
@@ -213,14 +220,20 @@ class LawGroup:
             return None
         return prepared
 
-    def deliver(self, batch: Batch, clock: Clock, impairment: Impairment) -> None:
-        """Let the laws hear the neighbours in this process."""
+    def deliver(
+        self, batch: Batch, swarm: Records, clock: Clock, impairment: Impairment
+    ) -> None:
+        """Let the laws hear the neighbours in this process, and the neighbours that come in frames.
+
+        swarm: SWARM_ROW, of the airspace; empty without one
+        """
         team = self.team
         self.links.refresh(clock.now())
         links = self.links
         count = deliver_rows(
             team.edges,
             batch.drones,
+            swarm,
             links.rows,
             links.kinds,
             links.losses,
@@ -228,16 +241,26 @@ class LawGroup:
             self._found,
         )
         for e in self._found[:count].tolist():
-            self._deliver_by_hand(e, batch, clock, impairment)
+            self._deliver_by_hand(e, batch, swarm, clock, impairment)
 
     def _deliver_by_hand(
-        self, e: int, batch: Batch, clock: Clock, impairment: Impairment
+        self,
+        e: int,
+        batch: Batch,
+        swarm: Records,
+        clock: Clock,
+        impairment: Impairment,
     ) -> None:
         """Let the simulated network decide on the state of one edge."""
-        sender = batch.drones[self.team.edges["source"][e]]
-        state = State(
-            sender["state"].copy(), float(sender["age"]), sender["acceleration"].copy()
+        source = int(self.team.edges["source"][e])
+        is_far = source == FRAMES_SOURCE
+        sender = (
+            swarm[self.team.edges["frame_place"][e]] if is_far else batch.drones[source]
         )
+        age = float(sender["age"])
+        if is_far:
+            age = clock.now() - float(sender["state_time"])
+        state = State(sender["state"].copy(), age, sender["acceleration"].copy())
         law, hearing = self._find_hearing(e)
         verdict = impairment.verdict(
             self._ids[e],
@@ -248,8 +271,9 @@ class LawGroup:
             STATE_BYTES,
             clock.now(),
         )
-        sender["sent"] += 1
-        sender["lost"] += not verdict.deliveries
+        if not is_far:
+            sender["sent"] += 1
+            sender["lost"] += not verdict.deliveries
         for delay in verdict.deliveries:
             clock.call_at(
                 clock.now_ns() + round(delay * NS_PER_SECOND),

@@ -11,6 +11,7 @@ from crazychoir.config.tables import CollisionTable
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.airspace.airspace_rows import (
     AIRSPACE_RULES_ROW,
+    ALL_BITS,
     SWARM_ROW,
     Missed,
 )
@@ -18,6 +19,7 @@ from crazychoir.safety.airspace.distances import COLLISION_DISTANCES
 from crazychoir.safety.airspace.hearing import (
     hear_states,
     is_valid_state,
+    take_frames,
     take_message,
     take_states,
 )
@@ -30,7 +32,7 @@ from crazychoir.safety.airspace.pair_tables import FarTables, PairTables
 from crazychoir.safety.airspace.state_links import StateLinks
 from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES, compute_far_rate
 from crazychoir.safety.airspace.states_by_hand import STATE_BYTES, StatesByHand
-from crazychoir.types import Ints, LinkStatus, Mat, Records, State, Vec
+from crazychoir.types import Ints, LinkStatus, Records, State, Vec
 
 SPARE_ROUNDS = 4  # rounds that are kept beyond NEIGHBOUR_AGES.gone
 
@@ -135,32 +137,23 @@ class Airspace:
         self.times[listener] = self.now() - age
         self.numbers[listener] += 1
 
-    def hear_frame(self, ids: Ints, numbers: Ints, states: Mat, ages: Vec) -> None:
-        """Take states from another process; the own drones hear them in the next step.
+    def hear_frames(self, rows: Records, times: Vec, bits: Ints) -> bool:
+        """Take states from other processes; the own drones hear them in the next step.
 
-        ids: (k,), ids of drones
-        numbers: (k,), ticks of these drones
-        states: (k, 16): state (13,) and acceleration (3,)
-        ages: (k,) s
+        rows: (k,) FRAME_ROW
+        times: (k,) s, when the frame of each row was sent
+        bits: (k,), of the sender, as process_bits in SWARM_ROW
+        Returns whether one of the drones is now flown by another process than before.
         """
-        found = [self.places.get(j, -1) for j in ids.tolist()]
-        places = np.array(found, np.int64)
-        # No other process may speak for a drone of this one.
-        known = (places >= 0) & (self.swarm["listener"][places] < 0)
-        take_states(
-            self.swarm,
-            places[known],
-            numbers[known],
-            states[known],
-            self.now() - ages[known],
-        )
+        return bool(take_frames(self.swarm, rows, times, bits))
 
     def due_frame(self) -> Ints:
-        """Return the numbers of the own drones with a state that drones of other processes need now.
+        """Return (n,): the bits of the processes that need the newest state of each own drone now.
 
         Valid from one step to the next one.
         """
-        return np.flatnonzero(self.near.listeners["is_frame_due"])
+        bits: Ints = self.near.listeners["frame_due"]
+        return bits
 
     def step(self) -> Ints:
         """Let all drones of this process hear what is due, then check the distances.
@@ -172,7 +165,13 @@ class Airspace:
             self.rules["began_ns"] = now_ns
         self.links.refresh(now_ns / NS_PER_SECOND)
         self.rules["has_by_hand"] = self.links.has_by_hand
-        take_states(self.swarm, self.own_places, self.numbers, self.states, self.times)
+        take_states(
+            self.swarm,
+            self.own_places,
+            self.numbers,
+            self.states,
+            self.times,
+        )
         waiting = hear_states(
             self.near.listeners,
             self.near.pairs,
@@ -200,11 +199,11 @@ class Airspace:
 
     def _check_all(self, now_ns: int) -> None:
         """Check the distances of all own drones that are due."""
-        while (lacking := self._check(now_ns)) >= 0:
-            self.near.make_room(lacking)
+        while self._check(now_ns) > 0:
+            self.near.make_room()
 
     def _check(self, now_ns: int) -> int:
-        """Check the distances, and return the first drone without room for its pairs, or -1."""
+        """Check the distances, and return the number of drones without room for their pairs."""
         return int(
             check_distances(
                 self.near.listeners,
@@ -352,6 +351,7 @@ def _build_swarm(shares: dict[int, float], own: Ints, interval_ns: int) -> Recor
     swarm = np.zeros(len(ids), SWARM_ROW)
     swarm["drone"] = ids
     swarm["listener"] = -1
+    swarm["process_bits"] = ALL_BITS
     swarm["listener"][own] = np.arange(len(own))
     swarm["lacking_count"] = len(own)
     swarm["lacking_count"][own] -= 1

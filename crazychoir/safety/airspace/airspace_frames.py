@@ -1,24 +1,48 @@
-"""Frames of an airspace: the states of all drones of a process, in one message to the others."""
+"""Frames of an airspace: the states of drones of a process, in one message to another process."""
 
-from typing import Any
+from collections import deque
 
 import numpy as np
 
-from crazychoir.bus.port import PORT_ADDRESSES
+from crazychoir.bus.codec import encode
+from crazychoir.bus.port import PORT_ADDRESSES, Port
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.airspace.airspace import Airspace
+from crazychoir.safety.airspace.airspace_rows import ALL_BITS, FRAME_ROW
+from crazychoir.types import Ints
+
+PROCESS_BITS = 62
+"""Number of processes with a bit of their own. Further processes share these bits."""
+
+MOST_FRAMES = 1024
+"""Number of frames that are kept between two steps. More than these replace the oldest ones."""
 
 
 class AirspaceFrames:
     """Exchanges the states of drones with the other processes of the swarm.
 
-    airspace: of this process; call `send` after each of its steps
+    Each process sends another one the states that its drones need now: in rounds, because they are
+    near, or because laws hear them. The first drone of a process stands for the process. Each
+    process gets a bit when its first frame arrives. Until then it gets all that any process needs.
+
+    airspace: of this process; call `hear` before each of its steps, and `send` after it
     """
 
     def __init__(self, airspace: Airspace) -> None:
         self.airspace = airspace
         self._address = airspace.own_ids[0]
+        self._bits: dict[int, int] = {}
+        """The bit of each other process, by the first of its drones."""
+        self._told: Ints = np.zeros(len(airspace.own_ids), np.int64)
+        """(n,): bits of the processes with laws that hear each own drone."""
+        self._told_for: tuple[int, ...] = ()
+        self._number = 0
+        self._rows = np.zeros(len(airspace.own_ids), FRAME_ROW)
+        """(n,): the newest states of the own drones."""
+        self._rows["drone"] = airspace.own_ids
+        self._frames: deque[tuple[bytes, float, int]] = deque(maxlen=MOST_FRAMES)
+        """The frames since the last step: each with its time in s, and the bit of its sender."""
         bus = airspace.bus
         bus.subscribe(
             DRONE_TOPICS.airspace,
@@ -28,43 +52,80 @@ class AirspaceFrames:
         )
 
     def send(self) -> None:
-        """Publish the states that drones of other processes need now."""
+        """Send the states that drones of other processes need now."""
         airspace = self.airspace
-        due = airspace.due_frame()
         port = airspace.bus.ports.get(self._address)
-        if due.size == 0 or port is None:
+        if port is None:
             return
-        frame = [
-            airspace.swarm["drone"][airspace.own_places[due]].copy(),
-            airspace.numbers[due],
-            airspace.states[due],
-            airspace.now() - airspace.times[due],
-        ]
-        port.publish(DRONE_TOPICS.airspace, frame)
+        self._refresh_told()
+        bits = airspace.due_frame() | self._told
+        self._number += 1
+        self._fill_rows()
+        payloads: dict[bytes, bytes] = {}
+        for address in port.list_readers(DRONE_TOPICS.airspace):
+            due = np.flatnonzero(bits & self._bits.get(address, ALL_BITS))
+            if due.size == 0:
+                continue
+            payload = payloads.get(due.tobytes())
+            if payload is None:
+                payload = encode(self._rows[due].tobytes())
+                payloads[due.tobytes()] = payload
+            port.send(DRONE_TOPICS.airspace, (address,), payload, self._number)
 
-    def take(self, message: tuple[int, list[Any]], age: float) -> None:
-        """Let the own drones hear a frame that another process sent `age` s ago.
+    def _fill_rows(self) -> None:
+        """Write the newest states of the own drones for the other processes."""
+        airspace = self.airspace
+        rows = self._rows
+        rows["number"] = airspace.numbers
+        rows["age"] = airspace.now() - airspace.times
+        rows["state"] = airspace.states[:, 0:13]
+        rows["acceleration"] = airspace.states[:, 13:16]
 
-        message: address of the sender, and the arguments of Airspace.hear_frame
+    def _refresh_told(self) -> None:
+        """Note anew which processes have laws that hear the own drones, if that has changed."""
+        airspace = self.airspace
+        bus = airspace.bus
+        read = bus.find_read_addresses(DRONE_TOPICS.framed_state)
+        if read is self._told_for:
+            return
+        self._told_for = read
+        self._told[:] = 0
+        for at, i in enumerate(airspace.own_ids):
+            if i in read and i in bus.ports:
+                self._told[at] = self._find_bits(bus.ports[i])
+
+    def _find_bits(self, port: Port) -> int:
+        """Return the bits of the processes with laws that hear the drone of a port."""
+        bits = 0
+        for reader in port.list_readers(DRONE_TOPICS.framed_state):
+            place = self.airspace.places.get(reader)
+            if place is not None:
+                bits |= int(self.airspace.swarm["process_bits"][place])
+        return bits
+
+    def take(self, message: tuple[int, object], age: float) -> None:
+        """Keep a frame that another process sent `age` s ago, until `hear`.
+
+        message: address of the sender, and records of FRAME_ROW
         """
-        frame = message[1]
-        if not is_frame(frame):
+        source, frame = message
+        if not isinstance(frame, bytes) or len(frame) % FRAME_ROW.itemsize:
             self.airspace.bus.ports[self._address].counters.malformed += 1
             return
-        ids, numbers, states, ages = frame
-        self.airspace.hear_frame(ids, numbers, states, ages + age)
+        if source not in self._bits:
+            self._bits[source] = 1 << len(self._bits) % PROCESS_BITS
+        sent_time = self.airspace.now() - age
+        self._frames.append((frame, sent_time, self._bits[source]))
 
-
-def is_frame(frame: list[Any]) -> bool:
-    """Return whether a message contains the arguments of Airspace.hear_frame."""
-    if len(frame) != 4 or not all(isinstance(part, np.ndarray) for part in frame):
-        return False
-    ids, numbers, states, ages = frame
-    count = len(ids) if ids.ndim == 1 else -1
-    return bool(
-        ids.dtype == numbers.dtype == np.int64
-        and states.dtype == ages.dtype == np.float64
-        and ids.shape == numbers.shape == ages.shape == (count,)
-        and states.shape == (count, 16)
-        and np.all(ages >= 0.0)
-    )
+    def hear(self) -> None:
+        """Let the own drones hear the frames that have arrived since the last call."""
+        if not self._frames:
+            return
+        frames, times, bits = zip(*self._frames, strict=True)
+        self._frames.clear()
+        rows = np.frombuffer(b"".join(frames), FRAME_ROW)
+        counts = [len(frame) // FRAME_ROW.itemsize for frame in frames]
+        row_times = np.repeat(np.array(times), counts)
+        row_bits = np.repeat(np.array(bits, np.int64), counts)
+        if self.airspace.hear_frames(rows, row_times, row_bits):
+            self._told_for = ()

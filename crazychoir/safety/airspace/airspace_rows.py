@@ -12,9 +12,12 @@ SWARM_ROW = np.dtype(
     [
         ("drone", np.int64),  # id
         ("listener", np.int64),  # row of LISTENER_ROW; -1: flown by another process
+        # bit of the process that flies it, see AirspaceFrames; all bits: it is not known yet
+        ("process_bits", np.int64),
         ("number", np.int64),  # tick of the sender at its newest state
         ("is_fresh", np.int64),  # 1: a newer state has come since the last step
         ("state_time", np.float64),  # s, time of the newest state; -inf: none
+        ("age", np.float64),  # s, of the newest state when it was sent
         ("round_count", np.int64),  # rounds so far
         ("round_due_ns", np.int64),  # ns, time of the next round
         # drones of this process without a pair that have not heard its last round
@@ -32,6 +35,17 @@ SWARM_ROW = np.dtype(
     ]
 )
 """One flying drone of the swarm, as this process knows it."""
+
+FRAME_ROW = np.dtype(
+    [
+        ("drone", np.int64),  # id
+        ("number", np.int64),  # tick of the drone
+        ("age", np.float64),  # s, of the state when it was sent
+        ("state", np.float64, 13),  # as State.flat
+        ("acceleration", np.float64, 3),  # m/s2, as State.a
+    ]
+)
+"""The state of one drone in a frame for another process."""
 
 ROUND_ROW = np.dtype(
     [
@@ -99,6 +113,8 @@ DUE_ROW = np.dtype(
 )
 """When the drones of a pair hear each other: one row for each row of PAIR_ROW."""
 
+ALL_BITS = -1
+"""Bits of all processes."""
 NEVER_NS = np.iinfo(np.int64).max
 """ns, a time that does not come."""
 
@@ -136,17 +152,21 @@ LISTENER_ROW = np.dtype(
         ("first_pair", np.int64),  # first row of PAIR_ROW
         ("pair_count", np.int64),  # number of rows of PAIR_ROW, ordered by id
         ("pair_capacity", np.int64),  # number of rows that are reserved
+        ("pairs_needed", np.int64),  # number of rows that the last check needed
         ("first_told", np.int64),  # first place in the table `told` of the airspace
         ("told_count", np.int64),  # number of drones there
         ("check_ns", np.int64),  # ns, time of the next check of the distances
         ("check_count", np.int64),  # checks so far
         ("sought_count", np.int64),  # pairs of which others should be asked
+        # row of SWARM_ROW of the drone that others were asked about last; -1: none yet
+        ("last_sought", np.int64),
         ("keeps_all", np.int64),  # 1: every other drone has a pair
         ("far_heard", np.int64),  # flying drones without a pair that are heard
         ("far_silent", np.int64),  # flying drones without a pair that are silent
         ("sent", np.int64),  # messages since the last count
         ("lost", np.int64),  # messages of these that were lost
-        ("is_frame_due", np.int64),  # 1: drones of other processes get the newest state
+        # bits of the processes with drones that get the newest state, as in SWARM_ROW
+        ("frame_due", np.int64),
     ]
 )
 """One drone of this process."""

@@ -18,8 +18,10 @@ from crazychoir.numerics.kernels import (
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.airspace.airspace_rows import (
     AIRSPACE_RULES_ROW,
+    ALL_BITS,
     DUE_ROW,
     FAR_ROW,
+    FRAME_ROW,
     LINK_ROW,
     LISTENER_ROW,
     LOSS_ROW,
@@ -45,6 +47,10 @@ integers = numba.types.Array(numba.int64, 1, "C", readonly=True)
 """An array (n,) of integers that a kernel reads."""
 link_kinds = numba.uint16[::1]
 """An array (n,) of LinkKind."""
+frame_rows = numba.types.Array(
+    numba.from_dtype(FRAME_ROW), 1, "C", readonly=True, aligned=False
+)
+"""An array (n,) of FRAME_ROW that a kernel reads."""
 byte_table = numba.uint8[:, ::1]
 """An array (m, n) of bytes that a kernel writes."""
 
@@ -73,11 +79,40 @@ def is_valid_state(values: Vec) -> bool:
     return bool(are_valid(values[0:13], values[13:16]))
 
 
+@kernel()
+def take_newest(
+    row: Records, number: int, state: Vec, acceleration: Vec, time: float, age: float
+) -> None:
+    """Store the state of one drone, unless it is invalid or outdated.
+
+    row: of the drone, one row of SWARM_ROW
+    number: tick of the sender
+    state: (13,), as State.flat
+    acceleration: (3,) m/s2
+    time: s, of the state
+    age: s, of the state when it was sent
+    """
+    if (
+        number == row.number
+        or not time >= row.state_time
+        or not are_valid(state, acceleration)
+    ):
+        return
+    row.number = number
+    row.is_fresh = 1
+    row.state_time = time
+    row.age = age
+    for c in range(13):
+        row.state[c] = state[c]
+    for c in range(3):
+        row.acceleration[c] = acceleration[c]
+
+
 @kernel(rows_of(SWARM_ROW), integers, integers, matrix, vector, **NO_COUNTING)
 def take_states(
     swarm: Records, places: Ints, numbers: Ints, states: Mat, times: Vec
 ) -> None:
-    """Store the states of some drones, except invalid and outdated ones.
+    """Store the states of the drones of this process, except invalid and outdated ones.
 
     swarm: SWARM_ROW, one row a drone
     places: (k,): rows of the swarm
@@ -86,20 +121,66 @@ def take_states(
     times: (k,) s, times of the states
     """
     for k in range(places.shape[0]):
-        row = swarm[places[k]]
-        if (
-            numbers[k] == row.number
-            or not times[k] >= row.state_time
-            or not is_valid_state(states[k])
-        ):
+        take_newest(
+            swarm[places[k]],
+            numbers[k],
+            states[k, 0:13],
+            states[k, 13:16],
+            times[k],
+            0.0,
+        )
+
+
+@kernel()
+def find_place(swarm: Records, drone: int) -> int:
+    """Return the row of a drone in the swarm, or -1.
+
+    swarm: SWARM_ROW, by increasing id
+    drone: id
+    """
+    low = 0
+    high = swarm.shape[0]
+    while low < high:
+        middle = (low + high) // 2
+        if swarm[middle].drone < drone:
+            low = middle + 1
+        else:
+            high = middle
+    if low < swarm.shape[0] and swarm[low].drone == drone:
+        return low
+    return -1
+
+
+@kernel(rows_of(SWARM_ROW), frame_rows, vector, integers, **NO_COUNTING)
+def take_frames(swarm: Records, rows: Records, times: Vec, bits: Ints) -> bool:
+    """Store the states that other processes have sent, except invalid and outdated ones.
+
+    No other process may speak for a drone of this one.
+
+    swarm: SWARM_ROW, one row a drone
+    rows: (k,) FRAME_ROW
+    times: (k,) s, when the frame of each row was sent
+    bits: (k,), of the sender, as process_bits in SWARM_ROW
+    Returns whether one of the drones is now flown by another process than before.
+    """
+    has_changed = False
+    for k in range(rows.shape[0]):
+        frame_row = rows[k]
+        place = find_place(swarm, frame_row.drone)
+        if place < 0 or swarm[place].listener >= 0 or not frame_row.age >= 0.0:
             continue
-        row.number = numbers[k]
-        row.is_fresh = 1
-        row.state_time = times[k]
-        for c in range(13):
-            row.state[c] = states[k, c]
-        for c in range(3):
-            row.acceleration[c] = states[k, 13 + c]
+        row = swarm[place]
+        has_changed |= row.process_bits != bits[k]
+        row.process_bits = bits[k]
+        take_newest(
+            row,
+            frame_row.number,
+            frame_row.state[:],
+            frame_row.acceleration[:],
+            times[k] - frame_row.age,
+            frame_row.age,
+        )
+    return has_changed
 
 
 @kernel()
@@ -370,7 +451,7 @@ def hear_pairs(
             due.sending_ns = find_next_time(
                 due.sending_ns, paces[k].sending_interval_ns, now_ns
             )
-            listener.is_frame_due = 1
+            listener.frame_due |= swarm[paces[k].other].process_bits
         if now_ns < due.hearing_ns:
             continue
         pace = paces[k]
@@ -536,7 +617,7 @@ def say_rounds(
         )
         say_round(sender, j, rounds, far, rules.round_capacity)
         if sender.listener >= 0:
-            listeners[sender.listener].is_frame_due = 1
+            listeners[sender.listener].frame_due = ALL_BITS
         if has_network or sender.lacking_count > 0:
             sender.lacking_count = 0
             due[count] = j
@@ -590,7 +671,7 @@ def hear_states(
     lag = rules[0].lag
     for i in range(listeners.shape[0]):
         listener = listeners[i]
-        listener.is_frame_due = 0
+        listener.frame_due = 0
         waiting += hear_pairs(
             listener,
             i,

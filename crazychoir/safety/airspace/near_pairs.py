@@ -491,7 +491,9 @@ def pace_pairs(
     listener.sought_count = 0
     for k in range(listener.first_pair, listener.first_pair + listener.pair_count):
         pair = pairs[k]
-        pair.is_sought = is_sought(pair, listener.check_count, now)
+        pair.is_sought = is_sought(
+            pair, rules.standing_height, listener.check_count, now
+        )
         listener.sought_count += pair.is_sought
         pace_pair(at, k, listeners, pairs, paces, dues, swarm, rules)
 
@@ -561,6 +563,7 @@ def check_pairs(
             end,
             now,
         )
+    listener.pairs_needed = end
     if end > listener.pair_capacity:
         return False
     if staying < listener.pair_count:
@@ -674,9 +677,10 @@ def check_distances(
     order: (swarm,): rows of the swarm in the order of the cells
     work: (swarm,): work space
     now_ns: ns
-    Returns the first drone that needs room for more pairs, or -1. Its check is not done then.
+    Returns the number of drones that need room for more pairs. Their checks are not done then.
     """
     has_grid = False
+    lacking = 0
     for at in range(listeners.shape[0]):
         if not is_check_due(at, listeners, swarm, now_ns):
             continue
@@ -704,10 +708,11 @@ def check_distances(
             work,
             now_ns,
         ):
-            return at
+            lacking += 1
+            continue
         listener = listeners[at]
         listener.check_ns += ((now_ns - listener.check_ns) // CHECK_NS + 1) * CHECK_NS
-    return -1
+    return lacking
 
 
 @kernel(

@@ -145,19 +145,25 @@ def measure_pair(
 
 
 @kernel()
-def is_sought(pair: Records, check_count: int, now: float) -> bool:
+def is_sought(
+    pair: Records, standing_height: float, check_count: int, now: float
+) -> bool:
     """Return whether a drone should ask others for a newer state in this check.
 
-    It asks less often for a drone if RELAY_LEAD_TIME s of asking have not helped.
+    It asks less often for a drone if RELAY_LEAD_TIME s of asking have not helped. A drone that
+    stands on the floor is heard in rounds, and no drone brakes for want of its state.
 
     pair: one row of PAIR_ROW
+    standing_height: m, of the world; a lower drone stands on the floor
     check_count: number of this check
     now: s
     """
     age = now - pair.state_time
     if not age < NEIGHBOUR_AGES.gone:
         return check_count % RELAY_REQUESTS.checks_if_gone == 0
-    needed = max(RELAY_REQUESTS.least_age, pair.age_limit - RELAY_LEAD_TIME)
+    stands = pair.state[2] < standing_height
+    least = NEIGHBOUR_AGES.usable if stands else RELAY_REQUESTS.least_age
+    needed = max(least, pair.age_limit - RELAY_LEAD_TIME)
     if age <= needed:
         return False
     if age < needed + RELAY_LEAD_TIME:

@@ -1,10 +1,8 @@
 """What one drone knows of the others: a view of the airspace of its process."""
 
-import numpy as np
-
 from crazychoir.safety.airspace.airspace import Airspace
-from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES
-from crazychoir.types import Ints, Mat, Records, State
+from crazychoir.safety.airspace.relay_choice import choose_asked
+from crazychoir.types import Records, State
 
 
 class Neighbours:
@@ -58,27 +56,26 @@ class Neighbours:
         at = place * capacity + (count - 1 - missed) % capacity
         return self.airspace.far.rounds[at : at + 1]
 
-    def heard_places(self, now: float) -> tuple[Ints, Mat]:
-        """Return the ids (k,) of the drones that this drone hears, and their places (k, 3) m.
-
-        now: s
-        """
+    def choose_asked(self) -> list[tuple[int, int]]:
+        """Return which drones this one asks for which states: ids of asked and sought drones."""
         airspace = self.airspace
-        capacity = int(airspace.rules["round_capacity"][0])
-        missed = airspace.far.missed[self.listener].astype(np.int64)
-        counts = airspace.swarm["round_count"]
-        far = np.flatnonzero(missed < np.minimum(counts, capacity))
-        last = airspace.far.rounds[
-            far * capacity + (counts[far] - 1 - missed[far]) % capacity
-        ]
-        pairs = self.rows
-        places = np.concatenate([far, pairs["other"]])
-        times = np.concatenate([last["state_time"], pairs["heard_time"]])
-        at = np.concatenate([last["state"][:, 0:3], pairs["state"][:, 0:3]])
-        heard = now - times < NEIGHBOUR_AGES.silent
-        heard &= places != airspace.own_places[self.listener]
-        order = np.flatnonzero(heard)[np.argsort(places[heard], kind="stable")]
-        return airspace.swarm["drone"][places[order]], at[order]
+        far = airspace.far
+        count = choose_asked(
+            self.listener,
+            airspace.near.listeners,
+            airspace.near.pairs,
+            airspace.near.paces,
+            airspace.swarm,
+            far.rounds,
+            far.missed,
+            airspace.rules,
+            self.now(),
+            far.work,
+            far.work_places,
+            far.questions,
+        )
+        chosen = airspace.swarm["drone"][far.questions[:count]].tolist()
+        return [(asked, sought) for asked, sought in chosen]
 
     def now(self) -> float:
         """Return the time in s on the clock of the ages."""

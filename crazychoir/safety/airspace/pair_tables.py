@@ -16,9 +16,12 @@ from crazychoir.safety.airspace.airspace_rows import (
 )
 from crazychoir.safety.airspace.near_grid import CELLS_PER_DRONE
 from crazychoir.safety.airspace.near_pairs import CHECK_NS
+from crazychoir.safety.airspace.relay_choice import MOST_QUESTIONS, NO_DRONE
 from crazychoir.types import Ints, Records
 
 FIRST_PAIRS = 8  # pairs of a drone for which there is room at first
+ROOM_FACTOR = 1.5
+"""Room that is made for the pairs of a drone, in multiples of the room that it needs now."""
 
 
 class PairTables:
@@ -42,26 +45,27 @@ class PairTables:
         listeners["place"] = places
         listeners["first_pair"] = FIRST_PAIRS * np.arange(len(places))
         listeners["pair_capacity"] = FIRST_PAIRS
+        listeners["last_sought"] = NO_DRONE
         # Drones of one process do not all check in the same tick.
         listeners["check_ns"] = READER_RATES.phase_step_ns * ids % CHECK_NS
 
-    def make_room(self, lacking: int) -> None:
-        """Double the room for the pairs of one drone.
-
-        lacking: number of the drone in this process
-        """
-        before = self.listeners.copy()
-        self.listeners["pair_capacity"][lacking] *= 2
-        ends = np.cumsum(self.listeners["pair_capacity"])
-        self.listeners["first_pair"] = ends - self.listeners["pair_capacity"]
+    def make_room(self) -> None:
+        """Make room for the pairs of all drones that lack it, or may lack it soon."""
+        listeners = self.listeners
+        first = listeners["first_pair"].copy()
+        wanted = np.ceil(ROOM_FACTOR * listeners["pairs_needed"]).astype(np.int64)
+        listeners["pair_capacity"] = np.maximum(listeners["pair_capacity"], wanted)
+        capacity = listeners["pair_capacity"]
+        ends = np.cumsum(capacity)
+        listeners["first_pair"] = ends - capacity
+        counts = listeners["pair_count"]
+        within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+        source = within + np.repeat(first, counts)
+        target = within + np.repeat(listeners["first_pair"], counts)
         tables = (self.pairs, self.motions, self.paces, self.dues)
         larger = [np.zeros(int(ends[-1]), table.dtype) for table in tables]
-        for old, new in zip(before, self.listeners, strict=True):
-            count = int(old["pair_count"])
-            source = slice(int(old["first_pair"]), int(old["first_pair"]) + count)
-            target = slice(int(new["first_pair"]), int(new["first_pair"]) + count)
-            for table, larger_table in zip(tables, larger, strict=True):
-                larger_table[target] = table[source]
+        for table, larger_table in zip(tables, larger, strict=True):
+            _words_of(larger_table)[target] = _words_of(table)[source]
         self.pairs, self.motions, self.paces, self.dues = larger
 
     def rows_of(self, listener: int) -> slice:
@@ -82,6 +86,12 @@ class PairTables:
         rows = self.rows_of(listener)
         k = rows.start + int(np.searchsorted(self.paces["other"][rows], place))
         return slice(k, k + 1)
+
+
+def _words_of(table: Records) -> Ints:
+    """Return records as rows of whole numbers: numpy copies such rows much faster."""
+    words: Ints = table.view(np.int64).reshape(len(table), -1)
+    return words
 
 
 class FarTables:
@@ -106,3 +116,7 @@ class FarTables:
         """Rows of the swarm in the order of the cells."""
         self.work = np.zeros(drones, np.int64)
         """Work space."""
+        self.work_places = np.zeros((drones, 3))
+        """Work space."""
+        self.questions = np.zeros((MOST_QUESTIONS, 2), np.int64)
+        """The questions of the last call of choose_asked."""

@@ -2,13 +2,11 @@
 
 from typing import Any
 
-import numpy as np
-
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.topics import MESSAGE_TOPICS, Topic
 from crazychoir.errors import CodecError
 from crazychoir.safety.airspace.neighbours import Neighbours
-from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES, RELAY_REQUESTS
+from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES
 from crazychoir.types import State
 
 
@@ -36,31 +34,11 @@ class RelayedStates:
         self.port.handlers[MESSAGE_TOPICS.wanted_states.number] = self._asked
         self.port.handlers[MESSAGE_TOPICS.relayed_states.number] = self._told
 
-    def seek(self, now: float) -> None:
-        """Ask for the drones from which a newer state is needed soon.
-
-        now: s
-        """
-        traffic = self.traffic
-        heard, places = traffic.heard_places(now)
+    def seek(self) -> None:
+        """Ask for some of the drones from which a newer state is needed soon."""
         asked: dict[int, list[int]] = {}
-        for row in traffic.rows:
-            if not row["is_sought"]:
-                continue
-            sought = int(row["drone"])
-            others = np.flatnonzero(heard != sought)
-            if not others.size:
-                continue
-            far = np.linalg.norm(places[others] - row["state"][0:3], axis=1)
-            row["turns"] += 1
-            chosen = {
-                *np.argsort(far, kind="stable")[
-                    : RELAY_REQUESTS.nearest_asked
-                ].tolist(),
-                int(row["turns"]) % others.size,
-            }
-            for k in sorted(chosen):
-                asked.setdefault(int(heard[others[k]]), []).append(sought)
+        for j, sought in self.traffic.choose_asked():
+            asked.setdefault(j, []).append(sought)
         for j, those in asked.items():
             self._send(MESSAGE_TOPICS.wanted_states, j, those)
 

@@ -85,6 +85,8 @@ class RelayRequests(NamedTuple):
     """Number of checks between two questions about a drone unanswered for RELAY_LEAD_TIME s."""
     checks_if_gone: int = 10
     """Number of checks between two questions about a drone that is gone or was never heard."""
+    most_sought: int = 4
+    """Largest number of drones about which a drone asks in one check, in turn."""
     nearest_asked: int = 2
     """Number of drones that are asked each time about one drone.
 

@@ -80,7 +80,7 @@ class CollisionFilter:
             return
         self._checks = int(listener["check_count"])
         if listener["sought_count"] > 0:
-            self.hearsay.seek(now)
+            self.hearsay.seek()
 
     def full_state(
         self, state: State, reference: Vec, gains: Vec, now: float, lands: bool = False

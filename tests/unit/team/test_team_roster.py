@@ -89,3 +89,25 @@ def test_a_roster_goes_to_its_members_with_the_graph_among_them():
         assert rosters.checksum == expected.checksum
 
     run_virtual(main)
+
+
+def test_a_reminder_is_not_sent_while_an_earlier_roster_is_on_its_way():
+    async def main(clock: Clock) -> None:
+        bus = Bus(clock)
+        rosters = TeamRoster(
+            bus.port(0, 5), graphs.ring(3), mission_hash="abc", version="1", seed=9
+        )
+        told = []
+        bus.port(1).handlers[MESSAGE_TOPICS.roster.number] = lambda *message: (
+            told.append(message)
+        )
+        rosters.issue({0: 5, 1: 6}, 3, 17)
+        roster = rosters.roster
+        assert roster is not None
+        rosters.remind(1, roster)
+        assert len(told) == 1, "drone 1 has not acknowledged it yet"
+        rosters.reliable.forget(1)
+        rosters.remind(1, roster)
+        assert len(told) == 2
+
+    run_virtual(main)

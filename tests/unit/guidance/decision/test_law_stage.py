@@ -18,6 +18,7 @@ from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.neighbour_state import PairedStateMailbox
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.safety.airspace.airspace import Airspace, AirspaceRules
+from crazychoir.safety.airspace.airspace_rows import FRAME_ROW
 from crazychoir.safety.airspace.neighbours import Neighbours
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Acceleration, State
@@ -318,3 +319,81 @@ async def test_the_airspace_loses_the_states_that_the_law_loses(clock):
         await process.fly(TICK)
         law_age = process.clock.now() - edge["born_ns"] / 1e9
         assert process.age(0, 1) == pytest.approx(law_age, abs=1e-6)
+
+
+class FrameProcess(NeighbourProcess):
+    """As its base, but drone 1 is in another process: its states come in frames."""
+
+    def __init__(self, clock, rate=0.0):
+        super().__init__(clock, rate)
+        self.law = self.stage._laws[0]
+        hearing = PairedStateMailbox(clock, "1", TICK, self.law.edges)
+        hearing.take_from_frames(1, rate)
+        self.law.hearings = [hearing]
+        move_rows = self.law.move_to
+
+        def move_to(rows, edges):
+            move_rows(rows, edges)
+            hearing.move_to(edges)
+
+        self.law.move_to = move_to
+        self.airspace.swarm["listener"][1] = -1
+        self.number = 0
+
+    async def fly(self, seconds):
+        """Tick, and return the numbers of the states of drone 1 that the law has heard."""
+        heard = []
+        for _ in range(round(seconds / TICK)):
+            await self.clock.sleep(TICK)
+            self.drones[0].publish(self.states[0], 0.0)
+            self.number += 1
+            rows = np.zeros(1, FRAME_ROW)
+            rows["drone"] = 1
+            rows["number"] = self.number
+            rows["age"] = 0.002
+            rows["state"] = self.states[1].flat
+            sent = np.array([self.clock.now() - 0.003])
+            self.airspace.hear_frames(rows, sent, np.array([1]))
+            self.tick.batch.drones["ticks"] = 1
+            self.airspace.step()
+            self.stage.decide(self.clock.now_ns())
+            heard.append(int(self.edge()["version"]))
+        return heard
+
+    def edge(self):
+        """Return the row of what the law hears of drone 1."""
+        return self.stage._groups[0].team.edges[0]
+
+
+@virtual
+async def test_a_law_hears_each_state_of_another_process_once(clock):
+    process = FrameProcess(clock)
+    assert await process.fly(0.05) == [1, 2, 3, 4, 5]
+    process.number -= 1
+    assert await process.fly(0.01) == [5], "the same state again"
+    edge = process.edge()
+    assert edge["state"].tolist() == process.states[1].flat.tolist()
+    assert edge["age"] == 0.002
+    late = clock.now() - edge["born_ns"] / 1e9
+    assert late == pytest.approx(0.005 + TICK)
+
+
+@virtual
+async def test_the_simulated_network_loses_states_that_come_in_frames(clock):
+    process = FrameProcess(clock)
+    process.airspace.bus.impairment.update({"loss": 0.5})
+    heard = (await process.fly(1.0))[-1]
+    assert 30 <= heard <= 70
+    process.airspace.bus.impairment.update({"loss": 1.0})
+    assert (await process.fly(0.1))[-1] == heard
+
+
+@virtual
+async def test_the_simulated_network_delays_states_that_come_in_frames(clock):
+    process = FrameProcess(clock)
+    process.airspace.bus.impairment.update({"delay": 0.03})
+    heard = await process.fly(0.1)
+    assert heard[:3] == [0, 0, 0]
+    assert heard[-1] >= 6
+    late = clock.now() - process.edge()["born_ns"] / 1e9
+    assert late == pytest.approx(0.04, abs=0.0051)

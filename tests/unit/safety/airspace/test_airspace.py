@@ -8,7 +8,7 @@ from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.tables import CollisionTable
-from crazychoir.safety.airspace.airspace_rows import Missed
+from crazychoir.safety.airspace.airspace_rows import FRAME_ROW, Missed
 from crazychoir.safety.airspace.neighbours import Neighbours
 from crazychoir.safety.airspace.state_rates import (
     FIRST_NEWS_TIME,
@@ -177,39 +177,44 @@ def test_heard_and_silent_drones_are_counted_whether_far_or_near(silent, far):
     assert listener["far_silent"] + (~is_heard).sum() == silent
 
 
+def hear(sky, drone, number, p, age=0.0):
+    """Let the process hear a state of a drone from another process."""
+    rows = np.zeros(1, FRAME_ROW)
+    rows["drone"] = drone
+    rows["number"] = number
+    rows["age"] = age
+    rows["state"] = State.at(p).flat
+    sky.airspace.hear_frames(rows, np.array([sky.airspace.now()]), np.array([1]))
+
+
 def test_a_drone_heard_in_frames_is_heard_as_an_own_one():
     sky = Sky(row_of(2, 0.5), others=(5,))
-    states = np.zeros((1, 16))
 
     def frame():
-        states[0, 0:13] = State.at((0.0, 0.5, 1.0)).flat
-        ids, numbers = np.array([5]), np.array([sky.ticks])
-        sky.airspace.hear_frame(ids, numbers, states, np.array([0.02]))
+        hear(sky, 5, sky.ticks, (0.0, 0.5, 1.0), age=0.02)
 
     sky.fly(1.5, each=frame)
     row = sky.drones[1].row(5)
     assert row["state"][1] == 0.5
     assert sky.age(1, 5) == pytest.approx(0.02)
-    states[0, 3] = np.nan
     sky.fly(0.5)
     assert sky.age(1, 5) == pytest.approx(0.52), "no frame came"
-    states[0, 0:13] = State.at((9.0, 9.0, 9.0)).flat
-    ids, numbers = np.array([0, 77]), np.array([9999, 1])
-    sky.airspace.hear_frame(ids, numbers, states[[0, 0]], np.zeros(2))
+    hear(sky, 5, 9999, (9.0, 9.0, 9.0), age=-1.0)
+    hear(sky, 5, 9999, (9.0, 9.0, np.nan))
+    hear(sky, 0, 9999, (9.0, 9.0, 9.0))
+    hear(sky, 77, 1, (9.0, 9.0, 9.0))
     sky.fly(0.1)
+    assert sky.drones[1].row(5)["state"][0] == 0.0
     assert sky.drones[1].row(0)["state"][0] == 0.0, "its own process flies drone 0"
 
 
 def test_frames_are_due_in_rounds_and_for_near_drones_of_other_processes():
     sky = Sky(row_of(2, FAR), others=range(2, 60))
-    states = np.zeros((1, 16))
-    states[0, 0:13] = State.at((0.5, 0.0, 1.0)).flat
     due = []
 
     def frame():
-        due.extend(sky.airspace.due_frame().tolist())
-        ids, numbers = np.array([5]), np.array([sky.ticks])
-        sky.airspace.hear_frame(ids, numbers, states, np.array([0.0]))
+        due.extend(np.flatnonzero(sky.airspace.due_frame()).tolist())
+        hear(sky, 5, sky.ticks, (0.5, 0.0, 1.0))
 
     sky.fly(2.0, each=frame)
     due.clear()

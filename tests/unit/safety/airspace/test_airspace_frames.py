@@ -3,48 +3,82 @@
 import numpy as np
 from virtual_time import virtual
 
+from crazychoir.bus.codec import decode
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.tables import CollisionTable
+from crazychoir.runtime.mailbox import Latest
 from crazychoir.safety.airspace.airspace import Airspace, AirspaceRules
-from crazychoir.safety.airspace.airspace_frames import AirspaceFrames
+from crazychoir.safety.airspace.airspace_frames import (
+    MOST_FRAMES,
+    AirspaceFrames,
+)
+from crazychoir.safety.airspace.airspace_rows import FRAME_ROW
 from crazychoir.types import State
 
 
 class Process:
-    """The drones `own` of a swarm of four; its frames go to `other`."""
+    """The drones `own` of a swarm, at places 0.5 m apart in the order of their ids."""
 
-    def __init__(self, clock, own):
+    def __init__(self, clock, own, drones=4, apart=0.5):
         self.bus = Bus(clock)
         for i in own:
             self.bus.port(i)
         rules = AirspaceRules(CollisionTable(), 1.0, 0.0)
-        self.airspace = Airspace(self.bus, range(4), rules)
+        self.airspace = Airspace(self.bus, range(drones), rules)
         self.frames = AirspaceFrames(self.airspace)
         self.own = own
-        self.other = None
-        for i in own:
-            self.bus.ports[i].publish = self.give
+        self.apart = apart
+        self.others = {}
+        self.sent = []
+        self.bus.ports[own[0]].send = self.give
 
-    def give(self, topic, frame):
+    def join(self, *others):
+        """Send frames to these processes."""
+        self.others = {other.own[0]: other for other in others}
+        for other in others:
+            for interest in other.bus.interests:
+                self.bus.add_remote_interests([interest])
+
+    def listen(self, i, j):
+        """Let the law of drone i hear drone j of another process."""
+        self.bus.subscribe(
+            DRONE_TOPICS.framed_state, j, i, Latest(self.bus.clock, "framed", 1.0)
+        )
+
+    def give(self, topic, to, payload, number):
         assert topic is DRONE_TOPICS.airspace
-        self.other.frames.take((self.own[0], frame), 0.01)
+        frame = decode(payload)
+        for address in to:
+            drones = np.frombuffer(frame, FRAME_ROW)["drone"].tolist()
+            self.sent.append((address, drones))
+            self.others[address].frames.take((self.own[0], frame), 0.01)
 
     def tick(self):
         for k, i in enumerate(self.own):
-            self.airspace.publish(k, State.at((0.5 * i, 0.0, 1.0)), 0.0)
+            self.airspace.publish(k, State.at((self.apart * i, 0.0, 1.0)), 0.0)
+        self.frames.hear()
         self.airspace.step()
         self.frames.send()
+
+
+async def fly(clock, seconds, *processes):
+    """Let the processes tick, and return what each has sent: address and drones of each frame."""
+    for process in processes:
+        process.sent.clear()
+    for _ in range(round(seconds / 0.01)):
+        await clock.sleep(0.01)
+        for process in processes:
+            process.tick()
+    return [process.sent for process in processes]
 
 
 @virtual
 async def test_drones_of_two_processes_hear_each_other(clock):
     one, two = Process(clock, (0, 2)), Process(clock, (1, 3))
-    one.other, two.other = two, one
-    for _ in range(150):
-        await clock.sleep(0.01)
-        one.tick()
-        two.tick()
+    one.join(two)
+    two.join(one)
+    await fly(clock, 1.5, one, two)
     row = one.airspace.pair(0, 3)[0]
     assert row["state"][0] == 1.5
     assert clock.now() - row["heard_time"] < 0.08
@@ -53,15 +87,46 @@ async def test_drones_of_two_processes_hear_each_other(clock):
     assert row["state"][0] == 0.5
 
 
-MALFORMED_FRAMES = [
-    [],
-    [1, 2, 3, 4],
-    [np.zeros(1), np.zeros(1), np.zeros((1, 16)), np.zeros(1)],
-    [np.zeros(1, int), np.zeros(2, int), np.zeros((1, 16)), np.zeros(1)],
-    [np.zeros(1, int), np.zeros(1, int), np.zeros((1, 15)), np.zeros(1)],
-    [np.zeros(1, int), np.zeros(1, int), np.zeros((1, 16)), np.full(1, np.nan)],
-    [np.zeros(1, int), np.zeros(1, int), np.zeros((1, 16)), -np.ones(1)],
-]
+@virtual
+async def test_a_process_gets_only_the_states_that_it_needs(clock):
+    """Drone 1 is near drone 0, drone 2 is far from both. Far states come in rounds."""
+    three = [Process(clock, (i,), 3) for i in range(3)]
+    three[2].apart = 10.0
+    for process in three:
+        process.join(*(other for other in three if other is not process))
+    await fly(clock, 3.0, *three)
+    sent = (await fly(clock, 1.0, *three))[0]
+    to_near = [drones for address, drones in sent if address == 1]
+    to_far = [drones for address, drones in sent if address == 2]
+    assert 50 <= len(to_near) <= 70
+    assert 0 < len(to_far) <= 20
+    assert all(drones == [0] for drones in to_near + to_far)
+
+
+@virtual
+async def test_a_process_gets_each_state_that_its_laws_hear(clock):
+    two = [Process(clock, (0, 1), apart=5.0), Process(clock, (2, 3), apart=5.0)]
+    two[1].listen(3, 0)
+    for process in two:
+        process.join(*(other for other in two if other is not process))
+    await fly(clock, 1.0, *two)
+    sent, back = await fly(clock, 1.0, *two)
+    assert len([drones for _, drones in sent if 0 in drones]) == 100
+    assert 0 < len([drones for _, drones in sent if 1 in drones]) <= 50
+    assert 0 < len(back) <= 50, "no law hears drone 2 or drone 3"
+
+
+@virtual
+async def test_a_process_that_is_not_known_yet_gets_what_any_process_needs(clock):
+    two = [Process(clock, (0, 1), apart=5.0), Process(clock, (2, 3), apart=5.0)]
+    two[1].listen(3, 0)
+    two[0].join(two[1])
+    await fly(clock, 1.0, *two)
+    sent, _ = await fly(clock, 1.0, *two)
+    assert len([drones for _, drones in sent if 0 in drones]) == 100
+
+
+MALFORMED_FRAMES = [[], None, "x", b"x", bytes(FRAME_ROW.itemsize - 1)]
 
 
 @virtual
@@ -70,3 +135,12 @@ async def test_a_message_that_is_no_frame_is_counted(clock):
     for frame in MALFORMED_FRAMES:
         process.frames.take((1, frame), 0.0)
     assert process.bus.ports[0].counters.malformed == len(MALFORMED_FRAMES)
+
+
+@virtual
+async def test_frames_do_not_pile_up_while_no_drone_ticks(clock):
+    process = Process(clock, (0, 2))
+    frame = bytes(FRAME_ROW.itemsize)
+    for _ in range(2 * MOST_FRAMES):
+        process.frames.take((1, frame), 0.0)
+    assert len(process.frames._frames) == MOST_FRAMES

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from crazychoir.bus.codec import encode
+from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.config.tables import CollisionTable
@@ -13,7 +13,11 @@ from crazychoir.control.gains import STANDARD_GAINS
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.airspace.airspace import Airspace, AirspaceRules
 from crazychoir.safety.airspace.neighbours import Neighbours
-from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES, STATE_RATES
+from crazychoir.safety.airspace.state_rates import (
+    NEIGHBOUR_AGES,
+    RELAY_REQUESTS,
+    STATE_RATES,
+)
 from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.types import FullState, State
@@ -164,6 +168,35 @@ def test_no_drone_asks_while_all_are_heard_or_far_away():
     assert team.seconds - team.row(0, 1)["state_time"] < NEIGHBOUR_AGES.gone, (
         "nor when it counts as gone is it forgotten"
     )
+
+
+def test_a_drone_asks_about_few_drones_in_each_check_and_about_all_in_turn():
+    team = Team(9)
+    sought = []
+    take = team.bus.ports[8].handlers[MESSAGE_TOPICS.wanted_states.number]
+    team.bus.ports[8].handlers[MESSAGE_TOPICS.wanted_states.number] = lambda *message: (
+        sought.append(decode(message[1])),
+        take(*message),
+    )
+    for j in range(1, 8):
+        team.say(j, (0.1 * j - 1.0, 1.0, 1.0), [0])
+    team.seconds = NEIGHBOUR_AGES.silent + 0.1
+    for _ in range(12):
+        team.seconds += STATE_RATES.check_interval
+        team.say(8, (0.0, 2.0, 1.0), [0])
+        team.check()
+    assert sought, "drone 8 alone is heard"
+    assert {len(those) for those in sought} == {RELAY_REQUESTS.most_sought}
+    assert {j for those in sought[:2] for j in those} == set(range(1, 8))
+
+
+def test_a_drone_on_the_floor_is_asked_about_later_than_one_that_flies():
+    team = Team()
+    team.say(1, (0.5, 0.0, 0.0), [0])
+    team.fly(NEIGHBOUR_AGES.usable - 0.05, hear_one=())
+    assert team.asked == []
+    team.fly(0.3, hear_one=())
+    assert team.asked
 
 
 def test_a_drone_that_hears_no_more_than_half_is_cut_off_whatever_it_is_told():

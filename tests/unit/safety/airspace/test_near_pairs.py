@@ -8,6 +8,7 @@ from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.airspace.airspace_rows import Missed
 from crazychoir.safety.airspace.distances import BRAKING_MODEL, COLLISION_DISTANCES
+from crazychoir.safety.airspace.pair_tables import PairTables
 from crazychoir.safety.airspace.state_rates import (
     FIRST_NEWS_TIME,
     NEIGHBOUR_AGES,
@@ -111,3 +112,17 @@ def test_the_pairs_are_those_of_a_plain_scan(seed, own, box, loss):
     sky.fly(0.5)
     assert len(checked) > 40 * own
     assert own == 1 or 5 * len(checked) < sum(checked) < (own + 4) * len(checked)
+
+
+def test_room_for_pairs_is_made_seldom():
+    """Drones gain pairs one after the other; room is made for all of them at once."""
+    tables = PairTables(np.arange(40), np.arange(40))
+    made = 0
+    for needed in range(1, 100):
+        for k in range(40):
+            tables.listeners["pairs_needed"][k] = needed
+            if needed > tables.listeners["pair_capacity"][k]:
+                tables.make_room()
+                made += 1
+    assert made <= 40
+    assert np.all(tables.listeners["pair_capacity"] <= 1.5 * 100)

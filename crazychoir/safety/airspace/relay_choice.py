@@ -1,0 +1,237 @@
+"""The choice of the drones that a drone asks for states of others."""
+
+import math
+
+import numba
+
+from crazychoir.numerics.kernels import NO_COUNTING, kernel, rows_of, wholes
+from crazychoir.numerics.math3d import Triple
+from crazychoir.safety.airspace.airspace_rows import (
+    AIRSPACE_RULES_ROW,
+    LISTENER_ROW,
+    PACE_ROW,
+    PAIR_ROW,
+    ROUND_ROW,
+    SWARM_ROW,
+    Missed,
+)
+from crazychoir.safety.airspace.far_drones import recall_round
+from crazychoir.safety.airspace.hearing import byte_table
+from crazychoir.safety.airspace.motion import compute_norm
+from crazychoir.safety.airspace.pair_paces import find_pair
+from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES, RELAY_REQUESTS
+from crazychoir.types import Bytes, Ints, Records, Vec
+
+NO_DRONE = -1  # place in the swarm of no drone
+NEAREST_ASKED = RELAY_REQUESTS.nearest_asked
+MOST_QUESTIONS = RELAY_REQUESTS.most_sought * (NEAREST_ASKED + 1)
+"""Largest number of questions of a drone in one check."""
+
+
+@kernel()
+def recall_heard(
+    at: int,
+    other: int,
+    listeners: Records,
+    pairs: Records,
+    paces: Records,
+    swarm: Records,
+    rounds: Records,
+    missed: Bytes,
+    rules: Records,
+    now: float,
+) -> tuple[Triple, bool]:
+    """Return where a drone knows another one, m, and whether it hears it.
+
+    other: row of the other drone in the swarm
+    Other arguments as in choose_asked.
+    """
+    lack = missed[at, other]
+    if lack != Missed.PAIRED:
+        place, _, _, heard_time = recall_round(
+            other, swarm, rounds, rules.round_capacity, lack, now
+        )
+        return place, now - heard_time < NEIGHBOUR_AGES.silent
+    pair = pairs[find_pair(listeners[at], paces, other)]
+    place = (pair.state[0], pair.state[1], pair.state[2])
+    return place, now - pair.heard_time < NEIGHBOUR_AGES.silent
+
+
+@kernel()
+def is_asked(drone: int, questions: Ints, first: int, end: int) -> bool:
+    """Return whether one of some questions goes to a drone.
+
+    drone: row of the drone in the swarm
+    questions: (MOST_QUESTIONS, 2): rows of the asked and of the sought drones
+    first: first question
+    end: end of these questions
+    """
+    found = False
+    for q in range(first, end):
+        found |= questions[q, 0] == drone
+    return found
+
+
+@kernel()
+def add_question(drone: int, sought: int, questions: Ints, count: int) -> int:
+    """Add a question, and return the new number of questions.
+
+    drone: row of the asked drone in the swarm
+    sought: row of the sought drone
+    questions: (MOST_QUESTIONS, 2): rows of the asked and of the sought drones
+    count: number of questions so far
+    """
+    questions[count, 0] = drone
+    questions[count, 1] = sought
+    return count + 1
+
+
+@kernel()
+def choose_nearest(
+    sought: int,
+    state: Vec,
+    turns: int,
+    heard: Ints,
+    count: int,
+    places: Vec,
+    questions: Ints,
+    asked: int,
+) -> int:
+    """Choose the heard drones that are nearest to a sought one, and one more in turn.
+
+    sought: row of the sought drone in the swarm
+    state: (13,), its newest known state
+    turns: how often others were asked about it
+    heard: (count,): rows of the heard drones in the swarm
+    count: number of heard drones
+    places: (n, 3) m: their places, in the same order
+    questions: receives pairs of asked and sought drones
+    asked: number of questions so far
+    Returns the new number of questions.
+    """
+    first = asked
+    others = 0
+    for k in range(count):
+        others += heard[k] != sought
+    if others == 0:
+        return asked
+    for _ in range(NEAREST_ASKED):
+        best = NO_DRONE
+        least = math.inf
+        for k in range(count):
+            apart = compute_norm(
+                (
+                    places[k, 0] - state[0],
+                    places[k, 1] - state[1],
+                    places[k, 2] - state[2],
+                )
+            )
+            if heard[k] == sought or not apart < least:
+                continue
+            if not is_asked(heard[k], questions, first, asked):
+                best = heard[k]
+                least = apart
+        if best != NO_DRONE:
+            asked = add_question(best, sought, questions, asked)
+    turn = turns % others
+    for k in range(count):
+        if heard[k] == sought:
+            continue
+        if turn == 0 and not is_asked(heard[k], questions, first, asked):
+            asked = add_question(heard[k], sought, questions, asked)
+        turn -= 1
+    return asked
+
+
+@kernel(
+    numba.int64,
+    rows_of(LISTENER_ROW),
+    rows_of(PAIR_ROW),
+    rows_of(PACE_ROW),
+    rows_of(SWARM_ROW),
+    rows_of(ROUND_ROW),
+    byte_table,
+    rows_of(AIRSPACE_RULES_ROW),
+    numba.float64,
+    wholes,
+    numba.float64[:, ::1],
+    numba.int64[:, ::1],
+    **NO_COUNTING,
+)
+def choose_asked(
+    at: int,
+    listeners: Records,
+    pairs: Records,
+    paces: Records,
+    swarm: Records,
+    rounds: Records,
+    missed: Bytes,
+    rules: Records,
+    now: float,
+    heard: Ints,
+    places: Vec,
+    questions: Ints,
+) -> int:
+    """Choose which drones one drone asks for which states; return the number of questions.
+
+    It asks for a few drones a check. The next check goes on behind the last of them.
+
+    at: number of the drone
+    listeners: LISTENER_ROW
+    pairs: PAIR_ROW
+    paces: PACE_ROW
+    swarm: SWARM_ROW
+    rounds: ROUND_ROW, (swarm x rounds that are kept,)
+    missed: (listeners, swarm): rounds missed in a row, or Missed
+    rules: AIRSPACE_RULES_ROW, (1,)
+    now: s
+    heard: (swarm,): work space
+    places: (swarm, 3): work space
+    questions: (MOST_QUESTIONS, 2): receives the rows of the asked and of the sought drones
+    """
+    listener = listeners[at]
+    count = 0
+    for other in range(swarm.shape[0]):
+        if other == listener.place:
+            continue
+        place, is_heard = recall_heard(
+            at,
+            other,
+            listeners,
+            pairs,
+            paces,
+            swarm,
+            rounds,
+            missed,
+            rules[0],
+            now,
+        )
+        if is_heard:
+            heard[count] = other
+            for c in range(3):
+                places[count, c] = place[c]
+            count += 1
+    asked = 0
+    begin = 0
+    size = listener.pair_count
+    for k in range(size):
+        begin += pairs[listener.first_pair + k].other <= listener.last_sought
+    left = min(listener.sought_count, RELAY_REQUESTS.most_sought)
+    for k in range(size):
+        pair = pairs[listener.first_pair + (begin + k) % size]
+        if left == 0 or pair.is_sought == 0:
+            continue
+        left -= 1
+        listener.last_sought = pair.other
+        pair.turns += 1
+        asked = choose_nearest(
+            pair.other,
+            pair.state,
+            pair.turns,
+            heard,
+            count,
+            places,
+            questions,
+            asked,
+        )
+    return asked
