@@ -190,7 +190,7 @@ def test_a_drone_asks_about_few_drones_in_each_check_and_about_all_in_turn():
     assert {j for those in sought[:2] for j in those} == set(range(1, 8))
 
 
-def test_a_drone_on_the_floor_is_asked_about_later_than_one_that_flies():
+def test_others_are_asked_about_a_standing_drone_later():
     team = Team()
     team.say(1, (0.5, 0.0, 0.0), [0])
     team.fly(NEIGHBOUR_AGES.usable - 0.05, hear_one=())
