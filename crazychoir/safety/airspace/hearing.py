@@ -132,22 +132,24 @@ def take_states(
 
 
 @kernel()
-def find_place(swarm: Records, drone: int) -> int:
-    """Return the row of a drone in the swarm, or -1.
+def find_sorted(values: Ints, first: int, end: int, wanted: int) -> int:
+    """Return the place of a number among increasing numbers, or -1.
 
-    swarm: SWARM_ROW, by increasing id
-    drone: id
+    values: (n,)
+    first: first place to search
+    end: end of these places
+    wanted: the number
     """
-    low = 0
-    high = swarm.shape[0]
+    low = first
+    high = end
     while low < high:
         middle = (low + high) // 2
-        if swarm[middle].drone < drone:
+        if values[middle] < wanted:
             low = middle + 1
         else:
             high = middle
-    if low < swarm.shape[0] and swarm[low].drone == drone:
-        return low
+    if low < end and values[low] == wanted:
+        return int(low)
     return -1
 
 
@@ -166,7 +168,7 @@ def take_frames(swarm: Records, rows: Records, times: Vec, bits: Ints) -> bool:
     has_changed = False
     for k in range(rows.shape[0]):
         frame_row = rows[k]
-        place = find_place(swarm, frame_row.drone)
+        place = find_sorted(swarm["drone"], 0, swarm.shape[0], frame_row.drone)
         if place < 0 or swarm[place].listener >= 0 or not frame_row.age >= 0.0:
             continue
         row = swarm[place]

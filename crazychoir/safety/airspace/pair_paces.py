@@ -2,6 +2,7 @@
 
 from crazychoir.numerics.kernels import kernel
 from crazychoir.safety.airspace.airspace_rows import NEVER_NS
+from crazychoir.safety.airspace.hearing import find_sorted
 from crazychoir.safety.airspace.state_rates import SOON_NS, find_interval
 from crazychoir.types import Ints, Records
 
@@ -14,17 +15,8 @@ def find_pair(listener: Records, paces: Records, other: int) -> int:
     paces: PACE_ROW
     other: row of SWARM_ROW
     """
-    low = listener.first_pair
-    high = low + listener.pair_count
-    while low < high:
-        middle = (low + high) // 2
-        if paces[middle].other < other:
-            low = middle + 1
-        else:
-            high = middle
-    if low < listener.first_pair + listener.pair_count and paces[low].other == other:
-        return int(low)
-    return -1
+    first = listener.first_pair
+    return int(find_sorted(paces["other"], first, first + listener.pair_count, other))
 
 
 @kernel()

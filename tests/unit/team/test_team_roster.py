@@ -68,16 +68,22 @@ def test_a_roster_for_an_earlier_life_is_not_taken():
     )
 
 
+def rosters_of_drone_0(clock: Clock) -> tuple[TeamRoster, list[GoMessage]]:
+    """Return the rosters of drone 0 on a ring of four, and the list of what drone 1 receives."""
+    bus = Bus(clock)
+    rosters = TeamRoster(
+        bus.port(0, 5), graphs.ring(4), mission_hash="abc", version="1", seed=9
+    )
+    told: list[GoMessage] = []
+    bus.port(1).handlers[MESSAGE_TOPICS.roster.number] = lambda source, payload, *rest: (
+        told.append(read_roster_message(payload))
+    )
+    return rosters, told
+
+
 def test_a_roster_goes_to_its_members_with_the_graph_among_them():
     async def main(clock: Clock) -> None:
-        bus = Bus(clock)
-        rosters = TeamRoster(
-            bus.port(0, 5), graphs.ring(4), mission_hash="abc", version="1", seed=9
-        )
-        told = []
-        bus.port(1).handlers[MESSAGE_TOPICS.roster.number] = (
-            lambda source, payload, *rest: told.append(read_roster_message(payload))
-        )
+        rosters, told = rosters_of_drone_0(clock)
         adopted: list[Roster] = []
         rosters.listeners.append(adopted.append)
         rosters.issue({0: 5, 1: 6}, 3, 17)
@@ -93,14 +99,7 @@ def test_a_roster_goes_to_its_members_with_the_graph_among_them():
 
 def test_a_reminder_is_not_sent_while_an_earlier_roster_is_on_its_way():
     async def main(clock: Clock) -> None:
-        bus = Bus(clock)
-        rosters = TeamRoster(
-            bus.port(0, 5), graphs.ring(3), mission_hash="abc", version="1", seed=9
-        )
-        told = []
-        bus.port(1).handlers[MESSAGE_TOPICS.roster.number] = lambda *message: (
-            told.append(message)
-        )
+        rosters, told = rosters_of_drone_0(clock)
         rosters.issue({0: 5, 1: 6}, 3, 17)
         roster = rosters.roster
         assert roster is not None
