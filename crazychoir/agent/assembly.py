@@ -305,7 +305,11 @@ def build_airspace(config: SwarmConfig, bus: Bus) -> Airspace | None:
         return None
     flight = config.flight
     rules = AirspaceRules(
-        config.collision, flight.speed_limit, flight.ground, _list_planners(config)
+        config.collision,
+        flight.speed_limit,
+        flight.ground,
+        _list_planners(config),
+        {j: str(config.drone(j).host) for j in flying},
     )
     airspace = Airspace(bus, flying, rules)
     _watch_radios(config, airspace, own[0])

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -49,6 +49,8 @@ class AirspaceRules:
     """m, height of the ground."""
     alone: tuple[int, ...] = ()
     """Ids of the drones that do not give way, because a planner on board flies them."""
+    hosts: Mapping[int, str] = field(default_factory=dict)
+    """{id: host of the processes that may fly the drone}; empty if there is one host."""
 
 
 class Airspace:
@@ -75,6 +77,8 @@ class Airspace:
         """(n,): rows of the drones of this process in the swarm."""
         self._shares = {j: 1.0 if j in rules.alone else 0.5 for j in self.ids}
         self.swarm = _build_swarm(self._shares, self.own_places, interval_ns)
+        names = [rules.hosts.get(j, "") for j in self.ids]
+        self.swarm["host"] = [names.index(name) for name in names]
         self.near = PairTables(self.own_places, np.array(self.own_ids, np.int64))
         self.far = FarTables(
             len(self.own_ids), len(self.ids), int(self.rules["round_capacity"][0])
@@ -137,15 +141,16 @@ class Airspace:
         self.times[listener] = self.now() - age
         self.numbers[listener] += 1
 
-    def hear_frames(self, rows: Records, times: Vec, bits: Ints) -> bool:
+    def hear_frames(self, rows: Records, times: Vec, hosts: Ints, bits: Ints) -> bool:
         """Take states from other processes; the own drones hear them in the next step.
 
         rows: (k,) FRAME_ROW
         times: (k,) s, when the frame of each row was sent
+        hosts: (k,), of the sender, as host in SWARM_ROW
         bits: (k,), of the sender, as process_bits in SWARM_ROW
         Returns whether one of the drones is now flown by another process than before.
         """
-        return bool(take_frames(self.swarm, rows, times, bits))
+        return bool(take_frames(self.swarm, rows, times, hosts, bits))
 
     def due_frame(self) -> Ints:
         """Return (n,): the bits of the processes that need the newest state of each own drone now.

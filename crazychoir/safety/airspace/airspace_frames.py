@@ -41,8 +41,8 @@ class AirspaceFrames:
         self._rows = np.zeros(len(airspace.own_ids), FRAME_ROW)
         """(n,): the newest states of the own drones."""
         self._rows["drone"] = airspace.own_ids
-        self._frames: deque[tuple[bytes, float, int]] = deque(maxlen=MOST_FRAMES)
-        """The frames since the last step: each with its time in s, and the bit of its sender."""
+        self._frames: deque[tuple[bytes, float, int, int]] = deque(maxlen=MOST_FRAMES)
+        """The frames since the last step: each with its time in s, and host and bit of its sender."""
         bus = airspace.bus
         bus.subscribe(
             DRONE_TOPICS.airspace,
@@ -109,23 +109,28 @@ class AirspaceFrames:
         message: address of the sender, and records of FRAME_ROW
         """
         source, frame = message
-        if not isinstance(frame, bytes) or len(frame) % FRAME_ROW.itemsize:
+        place = self.airspace.places.get(source)
+        if (
+            place is None
+            or not isinstance(frame, bytes)
+            or len(frame) % FRAME_ROW.itemsize
+        ):
             self.airspace.bus.ports[self._address].counters.malformed += 1
             return
         if source not in self._bits:
             self._bits[source] = 1 << len(self._bits) % PROCESS_BITS
         sent_time = self.airspace.now() - age
-        self._frames.append((frame, sent_time, self._bits[source]))
+        host = int(self.airspace.swarm["host"][place])
+        self._frames.append((frame, sent_time, host, self._bits[source]))
 
     def hear(self) -> None:
         """Let the own drones hear the frames that have arrived since the last call."""
         if not self._frames:
             return
-        frames, times, bits = zip(*self._frames, strict=True)
+        frames, *senders = zip(*self._frames, strict=True)
         self._frames.clear()
         rows = np.frombuffer(b"".join(frames), FRAME_ROW)
         counts = [len(frame) // FRAME_ROW.itemsize for frame in frames]
-        row_times = np.repeat(np.array(times), counts)
-        row_bits = np.repeat(np.array(bits, np.int64), counts)
-        if self.airspace.hear_frames(rows, row_times, row_bits):
+        times, hosts, bits = (np.repeat(np.array(column), counts) for column in senders)
+        if self.airspace.hear_frames(rows, times, hosts, bits):
             self._told_for = ()

@@ -12,6 +12,7 @@ SWARM_ROW = np.dtype(
     [
         ("drone", np.int64),  # id
         ("listener", np.int64),  # row of LISTENER_ROW; -1: flown by another process
+        ("host", np.int64),  # number of the host of the processes that may fly it
         # bit of the process that flies it, see AirspaceFrames; all bits: it is not known yet
         ("process_bits", np.int64),
         ("number", np.int64),  # tick of the sender at its newest state

@@ -153,15 +153,18 @@ def find_sorted(values: Ints, first: int, end: int, wanted: int) -> int:
     return -1
 
 
-@kernel(rows_of(SWARM_ROW), frame_rows, vector, integers, **NO_COUNTING)
-def take_frames(swarm: Records, rows: Records, times: Vec, bits: Ints) -> bool:
+@kernel(rows_of(SWARM_ROW), frame_rows, vector, integers, integers, **NO_COUNTING)
+def take_frames(
+    swarm: Records, rows: Records, times: Vec, hosts: Ints, bits: Ints
+) -> bool:
     """Store the states that other processes have sent, except invalid and outdated ones.
 
-    No other process may speak for a drone of this one.
+    No other process may speak for a drone of this one, and no host for a drone of another host.
 
     swarm: SWARM_ROW, one row a drone
     rows: (k,) FRAME_ROW
     times: (k,) s, when the frame of each row was sent
+    hosts: (k,), of the sender, as host in SWARM_ROW
     bits: (k,), of the sender, as process_bits in SWARM_ROW
     Returns whether one of the drones is now flown by another process than before.
     """
@@ -172,6 +175,8 @@ def take_frames(swarm: Records, rows: Records, times: Vec, bits: Ints) -> bool:
         if place < 0 or swarm[place].listener >= 0 or not frame_row.age >= 0.0:
             continue
         row = swarm[place]
+        if row.host != hosts[k]:
+            continue
         has_changed |= row.process_bits != bits[k]
         row.process_bits = bits[k]
         take_newest(

@@ -353,7 +353,7 @@ class FrameProcess(NeighbourProcess):
             rows["age"] = 0.002
             rows["state"] = self.states[1].flat
             sent = np.array([self.clock.now() - 0.003])
-            self.airspace.hear_frames(rows, sent, np.array([1]))
+            self.airspace.hear_frames(rows, sent, np.array([0]), np.array([1]))
             self.tick.batch.drones["ticks"] = 1
             self.airspace.step()
             self.stage.decide(self.clock.now_ns())

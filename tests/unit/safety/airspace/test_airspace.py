@@ -177,14 +177,15 @@ def test_heard_and_silent_drones_are_counted_whether_far_or_near(silent, far):
     assert listener["far_silent"] + (~is_heard).sum() == silent
 
 
-def hear(sky, drone, number, p, age=0.0):
+def hear(sky, drone, number, p, age=0.0, sender_host=0):
     """Let the process hear a state of a drone from another process."""
     rows = np.zeros(1, FRAME_ROW)
     rows["drone"] = drone
     rows["number"] = number
     rows["age"] = age
     rows["state"] = State.at(p).flat
-    sky.airspace.hear_frames(rows, np.array([sky.airspace.now()]), np.array([1]))
+    host, bit = np.array([sender_host]), np.array([1])
+    sky.airspace.hear_frames(rows, np.array([sky.airspace.now()]), host, bit)
 
 
 def test_a_drone_heard_in_frames_is_heard_as_an_own_one():
@@ -203,6 +204,7 @@ def test_a_drone_heard_in_frames_is_heard_as_an_own_one():
     hear(sky, 5, 9999, (9.0, 9.0, np.nan))
     hear(sky, 0, 9999, (9.0, 9.0, 9.0))
     hear(sky, 77, 1, (9.0, 9.0, 9.0))
+    hear(sky, 5, 9999, (9.0, 9.0, 9.0), sender_host=1)
     sky.fly(0.1)
     assert sky.drones[1].row(5)["state"][0] == 0.0
     assert sky.drones[1].row(0)["state"][0] == 0.0, "its own process flies drone 0"

@@ -20,11 +20,11 @@ from crazychoir.types import State
 class Process:
     """The drones `own` of a swarm, at places 0.5 m apart in the order of their ids."""
 
-    def __init__(self, clock, own, drones=4, apart=0.5):
+    def __init__(self, clock, own, drones=4, apart=0.5, hosts=None):
         self.bus = Bus(clock)
         for i in own:
             self.bus.port(i)
-        rules = AirspaceRules(CollisionTable(), 1.0, 0.0)
+        rules = AirspaceRules(CollisionTable(), 1.0, 0.0, hosts=hosts or {})
         self.airspace = Airspace(self.bus, range(drones), rules)
         self.frames = AirspaceFrames(self.airspace)
         self.own = own
@@ -144,3 +144,23 @@ async def test_frames_do_not_pile_up_while_no_drone_ticks(clock):
     for _ in range(2 * MOST_FRAMES):
         process.frames.take((1, frame), 0.0)
     assert len(process.frames._frames) == MOST_FRAMES
+
+
+@virtual
+async def test_a_host_speaks_for_its_own_drones_only(clock):
+    """Drone 1 is on host a, as the process that listens; drones 2 and 3 are on host b."""
+    process = Process(clock, (0,), hosts={0: "a", 1: "a", 2: "b", 3: "b"})
+    rows = np.zeros(3, FRAME_ROW)
+    rows["drone"] = (1, 2, 3)
+    rows["number"] = 1
+    rows["state"] = State.at((1.0, 0.0, 1.0)).flat
+    process.frames.take((3, rows.tobytes()), 0.0)
+    process.frames.hear()
+    assert process.airspace.swarm["is_fresh"].tolist() == [0, 0, 1, 1]
+
+
+@virtual
+async def test_a_frame_of_an_unknown_sender_is_counted_as_malformed(clock):
+    process = Process(clock, (0,))
+    process.frames.take((77, bytes(FRAME_ROW.itemsize)), 0.0)
+    assert process.bus.ports[0].counters.malformed == 1
