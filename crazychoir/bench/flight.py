@@ -50,6 +50,7 @@ FLIGHT_CASES = (
     FlightCase(100),
     FlightCase(100, shape="ring"),
     FlightCase(100, law="python"),
+    FlightCase(100, shape="ring", law="python"),
     FlightCase(100, plant="motors"),
     FlightCase(300),
     FlightCase(1000, window=FLIGHT_BENCH.short_window),

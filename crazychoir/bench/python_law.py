@@ -10,14 +10,16 @@ from crazychoir.guidance.formation.bearing_hooks import BearingHooks, BearingOpt
 from crazychoir.guidance.formation.formation_hooks import Follower
 from crazychoir.guidance.formation.shapes import Shape
 from crazychoir.numerics.math3d import projector
-from crazychoir.types import Acceleration, Heard, State
+from crazychoir.types import Acceleration, Heard, Mat, State
 
 
 class PythonBearingLaw(Follower):
-    """Follower: the normalised law, one neighbour after the other.
+    """Follower: the normalised law, as one product of a matrix with the states of all neighbours.
 
-        u_i = sum_j W_j [ kp (p_j - p_i) + kv (v_j - v_i) + a_j ]
+        u_i = sum_j W_j (kp p_j + kv v_j + a_j) - kp p_i - kv v_i
         W_j = K_i^-1 P_ij,   K_i = sum_j P_ij,   P_ij = I - g_ij g_ij^T
+
+    The terms of the drone itself have no weights, because sum_j W_j = I.
 
     i: id of the drone
     shape: {id: (3,) m}, from which the bearings g_ij follow
@@ -28,22 +30,39 @@ class PythonBearingLaw(Follower):
     paired = True
 
     def __init__(self, i: int, shape: Shape, neighbors: tuple[int, ...]) -> None:
-        projectors = {j: projector(np.subtract(shape[j], shape[i])) for j in neighbors}
-        total = np.sum(list(projectors.values()), axis=0)
-        self.weights = {j: np.linalg.solve(total, p) for j, p in projectors.items()}
-        self.kp = NORMALISED_LAW.kp
-        self.kv = NORMALISED_LAW.kv
+        projectors = [projector(np.subtract(shape[j], shape[i])) for j in neighbors]
+        total = np.sum(projectors, axis=0)
+        self.neighbors = neighbors
+        self.own_gain = build_state_gain(-np.eye(3))
+        """(3, 13): from the drone's state to its acceleration."""
+        self.gain = np.hstack(
+            [
+                np.hstack([build_state_gain(weight), weight])
+                for weight in np.linalg.solve(total, np.array(projectors))
+            ]
+        )
+        """(3, 16 k): from the states and accelerations of k neighbours to the acceleration."""
 
     def step(self, me: State, heard: Heard) -> Acceleration | None:
         """Return the acceleration of the law, or None to hover if a neighbour is not heard."""
-        if len(heard) < len(self.weights):
+        if len(heard) < len(self.neighbors):
             return None
-        u = np.zeros(3)
-        for j, weight in self.weights.items():
+        parts = []
+        for j in self.neighbors:
             other = heard[j]
-            pull = self.kp * (other.p - me.p) + self.kv * (other.v - me.v) + other.a
-            u += weight @ pull
-        return Acceleration(u)
+            parts += other.flat, other.a
+        return Acceleration(self.gain @ np.concatenate(parts) + self.own_gain @ me.flat)
+
+
+def build_state_gain(weight: Mat) -> Mat:
+    """Return the gain (3, 13) from a state to the acceleration weight (kp p + kv v).
+
+    weight: (3, 3)
+    """
+    gain = np.zeros((3, 13))
+    gain[:, 0:3] = NORMALISED_LAW.kp * weight
+    gain[:, 3:6] = NORMALISED_LAW.kv * weight
+    return gain
 
 
 class PythonBearingMission:
