@@ -6,17 +6,21 @@ crazychoir run crossing --fast --drones 6 --picture out/crossing.png
 """
 
 import math
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, Self
+
+import numpy as np
 
 from crazychoir import CFDistributedFeedback, SwarmConfig
+from crazychoir.guidance.decision.team import Ids, Team, TeamLaw, step_alone
 from crazychoir.guidance.defaults import crossings as defaults
-from crazychoir.types import FullState, Heard, State, Vec
+from crazychoir.types import Heard, Reference, State, Vec
 
 
 class Straight(CFDistributedFeedback):
     """Fly a straight line from a to b, without regard to other drones.
 
-        p_d(t) = a + min(speed t, |b - a|) w,   w = (b - a) / |b - a|
+        p_d(t) = a + min(t, |b - a| / speed) v,   v = speed (b - a) / |b - a|
 
     start: (3,) m, world: a.
     goal: (3,) m, world: b.
@@ -29,29 +33,41 @@ class Straight(CFDistributedFeedback):
         self.goal = goal
         self.speed = speed
         self.duration = duration
-        self.far = math.dist(goal, start)
-        self.way = (goal - start) / self.far
-        self.steps = 0
+        self.length = math.dist(goal, start)
+        self.velocity = speed * (goal - start) / self.length
         self.arrived: float | None = None
 
     def height(self) -> float:
         """Return the height of the start above the ground, in m."""
         return float(self.start[2] - self.member.config.flight.ground)
 
-    def step(self, me: State, heard: Heard) -> FullState:
+    @classmethod
+    def for_team(cls, laws: Sequence[Self], neighbors: Sequence[Ids]) -> TeamLaw:
+        """Return the step of all drones of a process at once."""
+        starts = np.array([law.start for law in laws])
+        goals = np.array([law.goal for law in laws])
+        velocities = np.array([law.velocity for law in laws])
+        flight_times = np.array([law.length / law.speed for law in laws])
+        periods = np.array([1.0 / law.rate for law in laws])
+        was_there = np.array([law.arrived is not None for law in laws])
+
+        def step(team: Team) -> None:
+            t = team.step_numbers * periods
+            flown = np.minimum(t, flight_times)[:, None]
+            is_on_its_way = (t < flight_times)[:, None]
+            team.follow(starts + flown * velocities, is_on_its_way * velocities)
+            away = np.linalg.norm(team.states[:, 0:3] - goals, axis=1)
+            is_there = away <= defaults.GOAL_DISTANCE
+            has_changed = is_there != was_there
+            for r in team.steps[has_changed[team.steps]].tolist():
+                laws[r].arrived = float(t[r]) if is_there[r] else None
+                was_there[r] = is_there[r]
+
+        return step
+
+    def step(self, me: State, heard: Heard) -> Reference | None:
         """Return the point of the straight line that is due now."""
-        t = self.steps / self.rate
-        self.steps += 1
-        if math.dist(me.p, self.goal) > defaults.GOAL_DISTANCE:
-            self.arrived = None
-        elif self.arrived is None:
-            self.arrived = t
-        gone = self.speed * t
-        on_its_way = gone < self.far
-        return FullState.at(
-            self.start + min(gone, self.far) * self.way,
-            on_its_way * self.speed * self.way,
-        )
+        return step_alone(self, me, heard)
 
     async def mission(self) -> dict[str, Any]:
         """Take off, cross, land.

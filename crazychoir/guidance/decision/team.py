@@ -85,6 +85,11 @@ class Team:
         counts = self.rows["end_edge"] - self.rows["first_edge"]
         return np.repeat(np.arange(len(self.rows)), counts)
 
+    @property
+    def step_numbers(self) -> Ints:
+        """(n,): steps that each law has taken before this one."""
+        return self.rows["tally"]["steps"]
+
     def accelerate(self, accelerations: Mat, where: Bools | None = None) -> None:
         """Give each drone an Acceleration.
 
@@ -97,6 +102,17 @@ class Team:
         self.rows["kind"] = np.where(
             chosen, ReferenceKind.ACCELERATION, ReferenceKind.HOVER
         )
+
+    def follow(self, places: Mat, velocities: Mat) -> None:
+        """Give each drone a FullState without acceleration and yaw.
+
+        places: (n, 3) m, world.
+        velocities: (n, 3) m/s, world.
+        """
+        self.rows["reference"][:, 0:3] = places
+        self.rows["reference"][:, 3:6] = velocities
+        self.rows["reference"][:, 6:14] = 0.0
+        self.rows["kind"] = ReferenceKind.FULL_STATE
 
 
 TeamLaw = Callable[[Team], None]
@@ -139,8 +155,10 @@ def step_alone(
     ids = tuple(sorted(heard))
     known, team, team_law = law.__dict__.get("_alone", (None, None, None))
     if known != ids or team is None:
+        taken = 0 if team is None else team.step_numbers
         team_law = type(law).for_team([law], [ids])
         team = _build_lone_team(len(ids))
+        team.rows["tally"]["steps"] = taken
         law.__dict__["_alone"] = (ids, team, team_law)
     row = team.rows[0]
     row["state"] = me.flat
@@ -155,6 +173,7 @@ def step_alone(
         team.now_ns = clock.now_ns()
         team.epoch_ns = clock.epoch_ns
     team_law(team)
+    row["tally"]["steps"] += 1
     return read_references(team.rows)[0]
 
 
