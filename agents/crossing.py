@@ -20,10 +20,9 @@ from crazychoir.types import Heard, Reference, State, Vec
 class Straight(CFDistributedFeedback):
     """Fly a straight line from a to b, without regard to other drones.
 
-        p_d(t) = a + min(t, |b - a| / speed) v,   v = speed (b - a) / |b - a|
+        p_d(t) = a + min(t, T) v,   T = |b - a| / speed,   v = (b - a) / T
 
-    start: (3,) m, world: a.
-    goal: (3,) m, world: b.
+    start, goal: (3,) m, world: a and b.
     speed: m/s.
     duration: s: duration of the law.
     """
@@ -31,10 +30,9 @@ class Straight(CFDistributedFeedback):
     def __init__(self, start: Vec, goal: Vec, speed: float, duration: float) -> None:
         self.start = start
         self.goal = goal
-        self.speed = speed
         self.duration = duration
-        self.length = math.dist(goal, start)
-        self.velocity = speed * (goal - start) / self.length
+        self.flight_time = math.dist(goal, start) / speed
+        self.velocity = (goal - start) / self.flight_time
         self.arrived: float | None = None
 
     def height(self) -> float:
@@ -44,10 +42,9 @@ class Straight(CFDistributedFeedback):
     @classmethod
     def for_team(cls, laws: Sequence[Self], neighbors: Sequence[Ids]) -> TeamLaw:
         """Return the step of all drones of a process at once."""
-        starts = np.array([law.start for law in laws])
-        goals = np.array([law.goal for law in laws])
+        starts, goals = np.array([[law.start, law.goal] for law in laws]).swapaxes(0, 1)
         velocities = np.array([law.velocity for law in laws])
-        flight_times = np.array([law.length / law.speed for law in laws])
+        flight_times = np.array([law.flight_time for law in laws])
         periods = np.array([1.0 / law.rate for law in laws])
         was_there = np.array([law.arrived is not None for law in laws])
 
@@ -58,8 +55,7 @@ class Straight(CFDistributedFeedback):
             team.follow(starts + flown * velocities, is_on_its_way * velocities)
             away = np.linalg.norm(team.states[:, 0:3] - goals, axis=1)
             is_there = away <= defaults.GOAL_DISTANCE
-            has_changed = is_there != was_there
-            for r in team.steps[has_changed[team.steps]].tolist():
+            for r in team.steps[(is_there != was_there)[team.steps]].tolist():
                 laws[r].arrived = float(t[r]) if is_there[r] else None
                 was_there[r] = is_there[r]
 
@@ -70,10 +66,9 @@ class Straight(CFDistributedFeedback):
         return step_alone(self, me, heard)
 
     async def mission(self) -> dict[str, Any]:
-        """Take off, cross, land.
+        """Take off, cross, land. The result also holds arrived_s.
 
-        The result also holds arrived_s: s of the law after which the drone stayed at its goal,
-        None: never.
+        It is the time of the law in s from which on the drone stayed at its goal, or None.
         """
         return await super().mission() | {"arrived_s": self.arrived}
 

@@ -10,7 +10,7 @@ from crazychoir.guidance.formation.bearing_hooks import BearingHooks, BearingOpt
 from crazychoir.guidance.formation.formation_hooks import Follower
 from crazychoir.guidance.formation.shapes import Shape
 from crazychoir.numerics.math3d import projector
-from crazychoir.types import Acceleration, Heard, Mat, State
+from crazychoir.types import Acceleration, Heard, Mat, State, Vec
 
 
 class PythonBearingLaw(Follower):
@@ -47,7 +47,7 @@ class PythonBearingLaw(Follower):
         """Return the acceleration of the law, or None to hover if a neighbour is not heard."""
         if len(heard) < len(self.neighbors):
             return None
-        parts = []
+        parts: list[Vec] = []
         for j in self.neighbors:
             other = heard[j]
             parts += other.flat, other.a

@@ -27,8 +27,6 @@ from crazychoir.guidance.mission_options import (
 )
 from crazychoir.guidance.path_checks import get_place_limits
 from crazychoir.planning import feasibility
-from crazychoir.planning.drawing.drawing import Pen, plan_drawing
-from crazychoir.planning.drawing.drawing_file import read_drawing
 from crazychoir.planning.feasibility import Limits
 from crazychoir.planning.figure import circle
 from crazychoir.planning.trajectory import Trajectory
@@ -174,6 +172,10 @@ def path_of(config: SwarmConfig, options: LeaderOptions) -> Trajectory | None:
                 laps=options.laps,
                 ramp=options.ramp,
             )
+    # Imported only where a drawing is flown, because it needs much memory.
+    from crazychoir.planning.drawing.drawing import Pen, plan_drawing
+    from crazychoir.planning.drawing.drawing_file import read_drawing
+
     if not options.drawing:
         where = f"swarm {config.name}: mission_options.drawing"
         raise ConfigError(

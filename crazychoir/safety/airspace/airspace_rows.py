@@ -122,8 +122,9 @@ NEVER_NS = np.iinfo(np.int64).max
 FAR_ROW = np.dtype(
     [
         ("place", np.float64, 3),  # m, newest known place
-        ("speed", np.float64),  # m/s
-        ("state_time", np.float64),  # s, time of place and speed; -inf: none is known
+        ("velocity", np.float64, 3),  # m/s
+        # s, time of place and velocity; -inf: none is known
+        ("state_time", np.float64),
         ("heard_time", np.float64),  # s, time of the last round; -inf: none
         ("kind", np.int64),  # FarKind
         ("cell", np.int64),  # cell of the grid, or FarCell

@@ -7,12 +7,12 @@ from crazychoir.numerics.math3d import Triple
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.airspace.airspace_rows import FarCell, FarKind
 from crazychoir.safety.airspace.hearing import note_hearing, see_state, store_state
-from crazychoir.safety.airspace.nearness import compute_speed
+from crazychoir.safety.airspace.motion import compute_norm
 from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES, STATE_RATES
 from crazychoir.types import Records
 
-Recalled = tuple[Triple, float, float, float]
-"""Place in m, speed in m/s, time of both in s, and time of the last heard round in s."""
+Recalled = tuple[Triple, Triple, float, float]
+"""Place in m, velocity in m/s, time of both in s, and time of the last heard round in s."""
 
 
 @kernel()
@@ -68,22 +68,22 @@ def recall_round(
     """
     sender = swarm[other]
     place = (0.0, 0.0, 0.0)
-    speed = 0.0
+    velocity = (0.0, 0.0, 0.0)
     heard_time = -math.inf
     if missed < min(sender.round_count, capacity):
         last = rounds[other * capacity + (sender.round_count - 1 - missed) % capacity]
         place = (last.state[0], last.state[1], last.state[2])
-        speed = compute_speed(last.state)
+        velocity = (last.state[3], last.state[4], last.state[5])
         heard_time = last.state_time
     if sender.seen_time > heard_time and now - heard_time > NEIGHBOUR_AGES.unheard:
         seen = sender.seen_state
         return (
             (seen[0], seen[1], seen[2]),
-            compute_speed(seen),
+            (seen[3], seen[4], seen[5]),
             sender.seen_time,
             heard_time,
         )
-    return place, speed, heard_time, heard_time
+    return place, velocity, heard_time, heard_time
 
 
 @kernel()
@@ -163,11 +163,12 @@ def refresh_far(
         known = far[j]
         grid.lacking += swarm[j].lacking_count
         if rules.has_seen != 0:
-            place, known.speed, known.state_time, known.heard_time = recall_round(
+            place, velocity, known.state_time, known.heard_time = recall_round(
                 j, swarm, rounds, rules.round_capacity, 0, now
             )
             for c in range(3):
                 known.place[c] = place[c]
+                known.velocity[c] = velocity[c]
         known.kind = find_far_kind(
             known.place[2], known.state_time, known.heard_time, rules, now
         )
@@ -177,6 +178,6 @@ def refresh_far(
         if age <= late:
             known.cell = 0
             grid.oldest = max(grid.oldest, age)
-            grid.fastest = max(grid.fastest, known.speed)
+            grid.fastest = max(grid.fastest, compute_norm(known.velocity))
         else:
             known.cell = FarCell.LATE if age < math.inf else FarCell.UNKNOWN

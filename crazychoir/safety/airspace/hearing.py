@@ -34,7 +34,7 @@ from crazychoir.safety.airspace.airspace_rows import (
     LinkKinds,
     Missed,
 )
-from crazychoir.safety.airspace.motion import compute_late_motion, compute_norm
+from crazychoir.safety.airspace.motion import compute_late_motion
 from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES
 from crazychoir.types import Bytes, Ints, Mat, Records, Vec
 
@@ -540,7 +540,7 @@ def say_round(
     known.heard_time = sender.state_time
     for c in range(3):
         known.place[c] = sender.state[c]
-    known.speed = compute_norm((sender.state[3], sender.state[4], sender.state[5]))
+        known.velocity[c] = sender.state[3 + c]
 
 
 @kernel(forceinline=True)

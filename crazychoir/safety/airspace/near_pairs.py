@@ -44,6 +44,7 @@ from crazychoir.safety.airspace.near_grid import build_grid, find_cells
 from crazychoir.safety.airspace.nearness import (
     compute_distance,
     compute_reach,
+    compute_relative_speed,
     compute_speed,
     is_behind,
     is_near,
@@ -135,7 +136,9 @@ def find_staying_pairs(
         stays = is_behind(pair, far[pair.other])
         stays |= listener.keeps_all != 0
         if pair.state_time > -math.inf:
-            stays |= is_near(apart, speeds, now - pair.state_time, rules)
+            velocity = (pair.state[3], pair.state[4], pair.state[5])
+            speed = compute_relative_speed(own, velocity)
+            stays |= is_near(apart, speed, now - pair.state_time, rules)
         if rules.has_by_hand != 0:
             stays |= kinds[at * swarm.shape[0] + pair.other] == LinkKind.BY_HAND
         if stays:
@@ -155,7 +158,6 @@ def append_if_near(
     at: int,
     other: int,
     own: Vec,
-    own_speed: float,
     listener: Records,
     far: Records,
     missed: Bytes,
@@ -169,7 +171,6 @@ def append_if_near(
     at: number of the drone that looks
     other: row of the other one in the swarm
     own: (13,), newest state of the drone that looks
-    own_speed: m/s
     listener: its row of LISTENER_ROW
     work: receives the row of the other drone at `count`
     now: s
@@ -180,7 +181,8 @@ def append_if_near(
         return count
     known = far[other]
     apart = compute_distance(own, known.place, rules.scale)
-    if is_near(apart, own_speed + known.speed, now - known.state_time, rules):
+    speed = compute_relative_speed(own, known.velocity)
+    if is_near(apart, speed, now - known.state_time, rules):
         count_far(listener, known.kind, -1)
         work[count] = other
         return count + 1
@@ -213,8 +215,7 @@ def find_in_cells(
     """
     listener = listeners[at]
     own = swarm[listener.place].state
-    own_speed = compute_speed(own)
-    reach = compute_reach(own_speed + grid.fastest, grid.oldest, rules)
+    reach = compute_reach(compute_speed(own) + grid.fastest, grid.oldest, rules)
     x_first, x_end = find_cells(own[0], reach, 0, grid, rules)
     y_first, y_end = find_cells(own[1], reach, 1, grid, rules)
     z_first, z_end = find_cells(own[2], reach, 2, grid, rules)
@@ -228,7 +229,6 @@ def find_in_cells(
                     at,
                     order[n],
                     own,
-                    own_speed,
                     listener,
                     far,
                     missed,
@@ -239,7 +239,7 @@ def find_in_cells(
                 )
     for n in range(grid.late_first, grid.late_end):
         count = append_if_near(
-            at, order[n], own, own_speed, listener, far, missed, rules, work, count, now
+            at, order[n], own, listener, far, missed, rules, work, count, now
         )
     return count
 
@@ -268,7 +268,6 @@ def find_by_bytes(
     """
     listener = listeners[at]
     own = swarm[listener.place].state
-    own_speed = compute_speed(own)
     now = now_ns / NS_PER_SECOND
     for j in range(swarm.shape[0]):
         lack = missed[at, j]
@@ -277,13 +276,14 @@ def find_by_bytes(
         if j == listener.place:
             continue
         count_far(listener, far[j].kind, -1)
-        place, speed, state_time, heard_time = recall_round(
+        place, velocity, state_time, heard_time = recall_round(
             j, swarm, rounds, rules.round_capacity, lack, now
         )
         stays = is_unknown(lack, rules, now_ns) or listener.keeps_all != 0
         if state_time > -math.inf:
             apart = compute_distance(own, place, rules.scale)
-            stays |= is_near(apart, own_speed + speed, now - state_time, rules)
+            speed = compute_relative_speed(own, velocity)
+            stays |= is_near(apart, speed, now - state_time, rules)
         if rules.has_by_hand != 0:
             stays |= kinds[at * swarm.shape[0] + j] == LinkKind.BY_HAND
         if stays:

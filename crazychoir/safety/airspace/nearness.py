@@ -42,6 +42,16 @@ def compute_speed(x: Vec) -> float:
 
 
 @kernel()
+def compute_relative_speed(x: Vec, v: Vec | Triple) -> float:
+    """Return the speed in m/s at which two drones move relative to each other.
+
+    x: (13,): state of one drone
+    v: (3,) m/s: velocity of the other one
+    """
+    return compute_norm((x[3] - v[0], x[4] - v[1], x[5] - v[2]))
+
+
+@kernel()
 def compute_age_limit(apart: float, rules: Records) -> float:
     """Return the age in s of a state beyond which a drone brakes for want of a newer one.
 
@@ -55,13 +65,13 @@ def compute_age_limit(apart: float, rules: Records) -> float:
 
 
 @kernel()
-def compute_near_distance(speeds: float, rules: Records) -> float:
+def compute_near_distance(speed: float, rules: Records) -> float:
     """Return the distance in m below which two drones could meet soon.
 
-    speeds: m/s, sum of the speeds of both
+    speed: m/s, of one relative to the other
     rules: one row of AIRSPACE_RULES_ROW
     """
-    meets = 2.0 * rules.width + STATE_RATES.later * (speeds + SPEED_ALLOWANCE)
+    meets = 2.0 * rules.width + STATE_RATES.later * (speed + SPEED_ALLOWANCE)
     brakes = (
         rules.width
         + COLLISION_DISTANCES.silent_drone
@@ -87,11 +97,11 @@ def compute_flown_distance(age: float, rules: Records) -> float:
 
 
 @kernel()
-def is_near(apart: float, speeds: float, age: float, rules: Records) -> bool:
+def is_near(apart: float, speed: float, age: float, rules: Records) -> bool:
     """Return whether two drones could meet, or need each other's states more often than in rounds.
 
     apart: m, between the newest known places
-    speeds: m/s, sum of the speeds of both
+    speed: m/s, of one relative to the other
     age: s, of the state of the other drone
     rules: one row of AIRSPACE_RULES_ROW
     """
@@ -100,20 +110,19 @@ def is_near(apart: float, speeds: float, age: float, rules: Records) -> bool:
     if age > compute_age_limit(apart, rules) - RELAY_LEAD_TIME:
         return True
     return bool(
-        apart - compute_flown_distance(age, rules)
-        < compute_near_distance(speeds, rules)
+        apart - compute_flown_distance(age, rules) < compute_near_distance(speed, rules)
     )
 
 
 @kernel()
-def compute_reach(speeds: float, age: float, rules: Records) -> float:
+def compute_reach(speed: float, age: float, rules: Records) -> float:
     """Return a distance in m beyond which no drone is near: `is_near` is false there.
 
-    speeds: m/s, largest sum of the speeds of both
+    speed: m/s, largest speed of one relative to the other
     age: s, largest age of the state of the other drone, below NEIGHBOUR_AGES.gone
     rules: one row of AIRSPACE_RULES_ROW
     """
-    meets = compute_flown_distance(age, rules) + compute_near_distance(speeds, rules)
+    meets = compute_flown_distance(age, rules) + compute_near_distance(speed, rules)
     brakes = (
         rules.width
         + COLLISION_DISTANCES.silent_drone
@@ -126,7 +135,7 @@ def compute_reach(speeds: float, age: float, rules: Records) -> float:
 def measure_pair(
     pair: Records, apart: float, speeds: float, rules: Records, now: float
 ) -> None:
-    """Store how soon a pair could meet, and how old its state may become.
+    """Store how soon a pair could meet if both turn, and how old its state may become.
 
     pair: one row of PAIR_ROW
     apart: m, between the newest known places

@@ -20,10 +20,14 @@ class Neighbours:
         self.port = airspace.bus.ports[drone]
         self.listener = airspace.own_ids.index(drone)
         """Number of this drone in its process."""
-        self.ids = [j for j in airspace.ids if j != drone]
-        """Ids of all other drones."""
+        self.drone = drone
         if keeps_all:
             airspace.keep_all(self.listener)
+
+    @property
+    def ids(self) -> list[int]:
+        """Ids of all other drones."""
+        return [j for j in self.airspace.ids if j != self.drone]
 
     @property
     def rows(self) -> Records:

@@ -62,11 +62,12 @@ class PairTables:
         within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
         source = within + np.repeat(first, counts)
         target = within + np.repeat(listeners["first_pair"], counts)
-        tables = (self.pairs, self.motions, self.paces, self.dues)
-        larger = [np.zeros(int(ends[-1]), table.dtype) for table in tables]
-        for table, larger_table in zip(tables, larger, strict=True):
-            _words_of(larger_table)[target] = _words_of(table)[source]
-        self.pairs, self.motions, self.paces, self.dues = larger
+        size = int(ends[-1])
+        # One after the other: each old table goes before the next larger one comes.
+        self.pairs = _move_rows(self.pairs, source, target, size)
+        self.motions = _move_rows(self.motions, source, target, size)
+        self.paces = _move_rows(self.paces, source, target, size)
+        self.dues = _move_rows(self.dues, source, target, size)
 
     def rows_of(self, listener: int) -> slice:
         """Return where the pairs of a drone are; valid until the next step.
@@ -86,6 +87,17 @@ class PairTables:
         rows = self.rows_of(listener)
         k = rows.start + int(np.searchsorted(self.paces["other"][rows], place))
         return slice(k, k + 1)
+
+
+def _move_rows(table: Records, source: Ints, target: Ints, size: int) -> Records:
+    """Return a table of this size with rows of another one.
+
+    source: rows in `table`
+    target: where they go
+    """
+    larger: Records = np.zeros(size, table.dtype)
+    _words_of(larger)[target] = _words_of(table)[source]
+    return larger
 
 
 def _words_of(table: Records) -> Ints:

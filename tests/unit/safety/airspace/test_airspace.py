@@ -38,13 +38,22 @@ def test_far_drones_have_no_pair_and_hear_each_other_in_rounds():
 
 
 @pytest.mark.parametrize(
-    ("apart", "speed", "rate"),
-    [(0.5, 0.0, 50), (1.0, 0.0, 20), (1.8, 0.0, 5), (4.0, 1.0, 20), (4.0, 0.0, 2)],
+    ("apart", "speeds", "rate"),
+    [
+        (0.5, (0.0, 0.0), 50),
+        (1.0, (0.0, 0.0), 20),
+        (1.8, (0.0, 0.0), 5),
+        (4.0, (1.0, -1.0), 20),
+        (4.0, (1.0, 1.0), 2),
+        (4.0, (0.0, 0.0), 2),
+    ],
 )
-def test_near_drones_hear_each_other_more_often(apart, speed, rate):
+def test_near_drones_hear_each_other_more_often(apart, speeds, rate):
+    """Drones that fly side by side come no nearer to each other."""
     far = [(1000.0 + FAR * k, 0.0, 1.0) for k in range(60)]
     sky = Sky([(0.0, 0.0, 1.0), (apart, 0.0, 1.0), *far])
-    sky.velocities[0][:] = sky.velocities[1][:] = (0.0, speed, 0.0)
+    for velocity, speed in zip(sky.velocities, speeds, strict=False):
+        velocity[1] = speed
     sky.fly(1.0)
     times = set()
     sky.fly(1.0, each=lambda: times.add(float(sky.drones[0].known(1)["state_time"])))

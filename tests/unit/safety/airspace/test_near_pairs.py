@@ -27,8 +27,8 @@ def is_plainly_near(own, other, age, rules):
     if age >= NEIGHBOUR_AGES.gone or age > age_limit - RELAY_LEAD_TIME:
         return True
     lasts = min(age, BRAKING_MODEL.silent_flight_time) + STATE_RATES.check_interval
-    speeds = np.linalg.norm(own[3:6]) + np.linalg.norm(other[3:6])
-    meets = 2.0 * width + STATE_RATES.later * (speeds + SPEED_ALLOWANCE)
+    speed = np.linalg.norm(own[3:6] - other[3:6])
+    meets = 2.0 * width + STATE_RATES.later * (speed + SPEED_ALLOWANCE)
     waits = STATE_RATES.long_wait - NEIGHBOUR_AGES.usable
     brakes = width + COLLISION_DISTANCES.silent_drone + v_max * waits
     return apart - 2.0 * v_max * lasts < max(rules["range"], meets, brakes)
