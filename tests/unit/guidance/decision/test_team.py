@@ -7,6 +7,7 @@ import pytest
 
 from crazychoir.agents.bearing_formation import BearingFormation
 from crazychoir.agents.containment import Containment
+from crazychoir.agents.crossing import Straight
 from crazychoir.agents.distance_formation import DistanceFormation
 from crazychoir.guidance.aggregative import AggregativeGuidance
 from crazychoir.guidance.decision.hearing_rows import HEARING_ROW
@@ -154,6 +155,48 @@ def test_a_team_accelerates_the_drones_that_are_chosen():
     assert found[:3] == [None, None, None]
     assert found[3].a.tolist() == [9.0, 10.0, 11.0]
     assert team.receivers.tolist() == [0, 0, 0, 1, 1, 2, 2, 2, 2, 3, 3, 3, 4, 4]
+
+
+def test_a_team_follows_places_and_velocities():
+    team = build_team()
+    team.rows["reference"] = 7.0
+    team.follow(np.arange(15.0).reshape(5, 3), -np.arange(15.0).reshape(5, 3))
+    last = read_references(team.rows)[-1].flat.tolist()
+    assert last == [12.0, 13.0, 14.0, -12.0, -13.0, -14.0, *[0.0] * 8]
+
+
+def straight(i):
+    start = np.array([float(i), 0.0, 1.0])
+    goal = np.array([i + 0.3, 0.4, 1.0 + 0.1 * i])
+    return Straight(start, goal, 0.5 + 0.1 * i, 20.0)
+
+
+def test_straight_lines_are_the_same_for_one_drone_and_for_a_team_that_is_built_anew():
+    random = np.random.default_rng(5)
+    alone, together = ([straight(i) for i in NEIGHBORS] for _ in range(2))
+    team = build_team()
+    arrivals = set()
+    for tick in range(200):
+        if tick % 70 == 0:
+            step = Straight.for_team(together, list(NEIGHBORS.values()))
+        heard = {
+            i: {j: draw_state(random) for j in ids if random.uniform() < 0.5}
+            for i, ids in NEIGHBORS.items()
+        }
+        away = np.array([0.1 * (1.0 + np.cos(0.1 * tick)), 0.0, 0.0])
+        states = {i: State.at(law.goal + away) for i, law in enumerate(alone)}
+        fill(team, states, heard)
+        step(team)
+        team.rows["tally"]["steps"] += 1
+        references = read_references(team.rows)
+        for i, law in enumerate(alone):
+            wanted = law.step(states[i], heard[i])
+            assert wanted.flat.tobytes() == references[i].flat.tobytes()
+            assert law.arrived == together[i].arrived
+            arrivals.add(law.arrived)
+    assert len(arrivals) > 3
+    assert references[3].p == pytest.approx(alone[3].goal)
+    assert references[3].v.tolist() == [0.0, 0.0, 0.0]
 
 
 class OwnStep(BearingFormation):
