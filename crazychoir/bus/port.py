@@ -184,7 +184,9 @@ class LatchedValues:
     """The values of the latched topics of a port, for readers that come later."""
 
     _kept: dict[int, tuple[Any, int]] = field(default_factory=dict)
-    _offers: dict[int, Callable[[], Any]] = field(default_factory=dict)
+    _offers: dict[int, tuple[Callable[[], Any], Callable[[], float]]] = field(
+        default_factory=dict
+    )
 
     def keep(self, topic: Topic, value: Any, born_ns: int) -> None:
         """Keep the newest value of a topic.
@@ -193,20 +195,26 @@ class LatchedValues:
         """
         self._kept[topic.number] = value, born_ns
 
-    def offer(self, topic: Topic, find_value: Callable[[], Any]) -> None:
+    def offer(
+        self,
+        topic: Topic,
+        find_value: Callable[[], Any],
+        find_age: Callable[[], float] = lambda: 0.0,
+    ) -> None:
         """Give new readers of a topic the present value, instead of the last published one.
 
         So the value need not be published while no port reads it.
         find_value: returns the present value; None if there is none
+        find_age: returns its age in s
         """
-        self._offers[topic.number] = find_value
+        self._offers[topic.number] = find_value, find_age
 
     def find(self, topic: Topic, now_ns: int) -> tuple[Any, float] | None:
         """Return the value of a topic and its age in s; None if there is no value."""
-        find_value = self._offers.get(topic.number)
-        if find_value is not None:
+        if topic.number in self._offers:
+            find_value, find_age = self._offers[topic.number]
             present = find_value()
-            return None if present is None else (present, 0.0)
+            return None if present is None else (present, find_age())
         if topic.number not in self._kept:
             return None
         value, born_ns = self._kept[topic.number]
@@ -607,7 +615,7 @@ class Port:
             readers.mailboxes.append(mailbox)
         self.bus.note_reader_change()
         latched = self.latched.find(topic, self._now_ns())
-        if latched is None:
+        if latched is None or latched[1] > topic.max_age:
             return
         value, age = latched
         if mailbox is not None:

@@ -17,6 +17,7 @@ from crazychoir.flight.judge import Judge
 from crazychoir.flight.notes import FlightNotes
 from crazychoir.flight.permission import Permission
 from crazychoir.flight.setup import THRUST_SENDERS, FlightSetup
+from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.airspace.states_by_hand import STATE_BYTES
 from crazychoir.safety.rules.guard import Action
 from crazychoir.types import (
@@ -68,6 +69,9 @@ class DroneStages:
         self._follower = flier.follower
         self._clearance = flier.follower.clearance
         self.filter = state_filter
+        flier.port.latched.offer(
+            DRONE_TOPICS.state, lambda: self._row.state, self._compute_state_age
+        )
         controls = flier.setup.controls
         self._knows_commands = isinstance(controls.sender, FPQRSender)
         row = flier.row.drone
@@ -99,6 +103,12 @@ class DroneStages:
         state = self._row.state
         if state is not None:
             self._flier.judge.decide(state, now)
+
+    def _compute_state_age(self) -> float:
+        """Return the present age of the newest state, s."""
+        row = self._row.drone
+        since_ns = self._flier.port.bus.clock.now_ns() - row["ticked_ns"]
+        return float(row["age"]) + float(since_ns) / NS_PER_SECOND
 
     def publish_state(self) -> None:
         """Publish the state of this tick."""

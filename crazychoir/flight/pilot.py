@@ -10,7 +10,6 @@ import math
 import numpy as np
 
 from crazychoir.bus.port import Port
-from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.errors import error_text
 from crazychoir.filters.state_filter import StateFilter
 from crazychoir.flight.batch import DroneRow
@@ -141,7 +140,6 @@ class Pilot(Actor):
         limit = max(5, round(GIVE_UP_TICKS * setup.rate))
         self.restart = RestartPolicy(limit=limit, backoff=0.0)
         self._run = TickRun(self.row)
-        port.latched.offer(DRONE_TOPICS.state, lambda: self.state)
 
     async def run(self) -> None:
         """Let the drone tick until a tick of it fails."""

@@ -253,7 +253,7 @@ class FlightTick:
         batch = self.batch
         drones = batch.drones
         for index in seekers.tolist():
-            if drones["ticks"][index] and drones["course"][index] == Course.FOLLOW:
+            if drones["course"][index] == Course.FOLLOW:
                 self._call(index, self._drones[index].seek)
         count = avoid_drones(
             drones,

@@ -145,13 +145,22 @@ class Supervisor:
         if child.stopping:
             return
         child.stopping = True
+        # In a task of its own: before Python 3.11.3 no timeout ends in a task that was cancelled.
+        stopping = asyncio.create_task(
+            child.actor.on_stop(), name=child.task.get_name()
+        )
         try:
-            # In a task of its own: before Python 3.11.3 no timeout ends in a task that was cancelled.
-            await asyncio.wait_for(child.actor.on_stop(), STOP_DEADLINE)
-        except Exception:  # the next actor must still be stopped
-            log.exception(
+            done, _ = await asyncio.wait([stopping], timeout=STOP_DEADLINE)
+        finally:
+            stopping.cancel()
+        ends = await asyncio.gather(*done, return_exceptions=True)
+        error = ends[0] if ends else TimeoutError()
+        # The next actor must still be stopped.
+        if error is not None:
+            log.error(
                 "%s %s: on_stop failed, or took more than %g s",
                 self.name,
                 child.actor.name,
                 STOP_DEADLINE,
+                exc_info=error,
             )

@@ -64,7 +64,9 @@ class PublicCopies(Actor):
         bus = self.link.bus
         port = bus.ports.get(drone)
         found = None if port is None else port.latched.find(topic, bus.clock.now_ns())
-        if found is None or found[0] is self._newest.get((topic.name, drone)):
+        if found is None or found[1] > topic.max_age:
+            return
+        if found[0] is self._newest.get((topic.name, drone)):
             return
         self._newest[topic.name, drone] = found[0]
         self.link.announce(drone, topic.name, fields_as_json(found[0]))

@@ -36,7 +36,8 @@ class AirspaceFrames:
         """The bit of each other process, by the first of its drones."""
         self._told: Ints = np.zeros(len(airspace.own_ids), np.int64)
         """(n,): bits of the processes with laws that hear each own drone."""
-        self._told_for: tuple[int, ...] = ()
+        self._told_for: tuple[int, ...] | None = None
+        """What `_told` was made for; None: it must be made anew."""
         self._number = 0
         self._rows = np.zeros(len(airspace.own_ids), FRAME_ROW)
         """(n,): the newest states of the own drones."""
@@ -58,7 +59,8 @@ class AirspaceFrames:
         if port is None:
             return
         self._refresh_told()
-        bits = airspace.due_frame() | self._told
+        is_new = airspace.numbers != self._rows["number"]
+        bits = airspace.due_frame() | np.where(is_new, self._told, 0)
         self._number += 1
         self._fill_rows()
         payloads: dict[bytes, bytes] = {}
@@ -99,8 +101,10 @@ class AirspaceFrames:
         bits = 0
         for reader in port.list_readers(DRONE_TOPICS.framed_state):
             place = self.airspace.places.get(reader)
-            if place is not None:
-                bits |= int(self.airspace.swarm["process_bits"][place])
+            # A reader that is no drone may be in any process.
+            if place is None:
+                return ALL_BITS
+            bits |= int(self.airspace.swarm["process_bits"][place])
         return bits
 
     def take(self, message: tuple[int, object], age: float) -> None:
@@ -133,4 +137,4 @@ class AirspaceFrames:
         counts = [len(frame) // FRAME_ROW.itemsize for frame in frames]
         times, hosts, bits = (np.repeat(np.array(column), counts) for column in senders)
         if self.airspace.hear_frames(rows, times, hosts, bits):
-            self._told_for = ()
+            self._told_for = None

@@ -71,6 +71,7 @@ PAIR_ROW = np.dtype(
         # s, age of the state beyond which this drone brakes for want of a newer one
         ("age_limit", np.float64),
         ("turns", np.int64),  # how often others were asked about the other drone
+        ("asked_time", np.float64),  # s, when they were asked last; -inf: never
         ("is_by_hand", np.int64),  # 1: a state waits for the verdict of Impairment
         ("is_sought", np.int64),  # 1: others should be asked for a newer state
     ]
@@ -160,8 +161,6 @@ LISTENER_ROW = np.dtype(
         ("check_ns", np.int64),  # ns, time of the next check of the distances
         ("check_count", np.int64),  # checks so far
         ("sought_count", np.int64),  # pairs of which others should be asked
-        # row of SWARM_ROW of the drone that others were asked about last; -1: none yet
-        ("last_sought", np.int64),
         ("keeps_all", np.int64),  # 1: every other drone has a pair
         ("far_heard", np.int64),  # flying drones without a pair that are heard
         ("far_silent", np.int64),  # flying drones without a pair that are silent

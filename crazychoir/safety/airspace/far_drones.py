@@ -110,6 +110,7 @@ def fill_pair(
     pair.drone = sender.drone
     motion.drone = sender.drone
     pair.turns = 0
+    pair.asked_time = -math.inf
     pair.is_by_hand = 0
     pair.is_sought = 0
     if missed < min(sender.round_count, capacity):

@@ -82,8 +82,8 @@ def is_valid_state(values: Vec) -> bool:
 @kernel()
 def take_newest(
     row: Records, number: int, state: Vec, acceleration: Vec, time: float, age: float
-) -> None:
-    """Store the state of one drone, unless it is invalid or outdated.
+) -> bool:
+    """Store the state of one drone, unless it is invalid or outdated; return whether it is stored.
 
     row: of the drone, one row of SWARM_ROW
     number: tick of the sender
@@ -97,7 +97,7 @@ def take_newest(
         or not time >= row.state_time
         or not are_valid(state, acceleration)
     ):
-        return
+        return False
     row.number = number
     row.is_fresh = 1
     row.state_time = time
@@ -106,6 +106,7 @@ def take_newest(
         row.state[c] = state[c]
     for c in range(3):
         row.acceleration[c] = acceleration[c]
+    return True
 
 
 @kernel(rows_of(SWARM_ROW), integers, integers, matrix, vector, **NO_COUNTING)
@@ -172,21 +173,23 @@ def take_frames(
     for k in range(rows.shape[0]):
         frame_row = rows[k]
         place = find_sorted(swarm["drone"], 0, swarm.shape[0], frame_row.drone)
-        if place < 0 or swarm[place].listener >= 0 or not frame_row.age >= 0.0:
+        if place < 0 or swarm[place].listener >= 0:
+            continue
+        if not 0.0 <= frame_row.age < NEIGHBOUR_AGES.gone:
             continue
         row = swarm[place]
         if row.host != hosts[k]:
             continue
-        has_changed |= row.process_bits != bits[k]
-        row.process_bits = bits[k]
-        take_newest(
+        if take_newest(
             row,
             frame_row.number,
             frame_row.state[:],
             frame_row.acceleration[:],
             times[k] - frame_row.age,
             frame_row.age,
-        )
+        ):
+            has_changed |= row.process_bits != bits[k]
+            row.process_bits = bits[k]
     return has_changed
 
 

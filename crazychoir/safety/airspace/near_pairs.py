@@ -49,6 +49,7 @@ from crazychoir.safety.airspace.nearness import (
     is_behind,
     is_near,
     is_sought,
+    is_told_newer,
     is_unknown,
     measure_pair,
 )
@@ -82,6 +83,7 @@ def copy_pair(source: Records, target: Records) -> None:
     target.meeting_time = source.meeting_time
     target.age_limit = source.age_limit
     target.turns = source.turns
+    target.asked_time = source.asked_time
     target.is_by_hand = source.is_by_hand
     target.is_sought = source.is_sought
 
@@ -134,6 +136,7 @@ def find_staying_pairs(
         apart = compute_distance(own, pair.state, rules.scale)
         speeds = own_speed + compute_speed(pair.state)
         stays = is_behind(pair, far[pair.other])
+        stays |= is_told_newer(pair, far[pair.other])
         stays |= listener.keeps_all != 0
         if pair.state_time > -math.inf:
             velocity = (pair.state[3], pair.state[4], pair.state[5])
@@ -491,9 +494,7 @@ def pace_pairs(
     listener.sought_count = 0
     for k in range(listener.first_pair, listener.first_pair + listener.pair_count):
         pair = pairs[k]
-        pair.is_sought = is_sought(
-            pair, rules.standing_height, listener.check_count, now
-        )
+        pair.is_sought = is_sought(pair, rules.standing_height, now)
         listener.sought_count += pair.is_sought
         pace_pair(at, k, listeners, pairs, paces, dues, swarm, rules)
 

@@ -154,22 +154,21 @@ def measure_pair(
 
 
 @kernel()
-def is_sought(
-    pair: Records, standing_height: float, check_count: int, now: float
-) -> bool:
+def is_sought(pair: Records, standing_height: float, now: float) -> bool:
     """Return whether a drone should ask others for a newer state in this check.
 
-    It asks less often for a drone if RELAY_LEAD_TIME s of asking have not helped. A drone that
+    It asks less often for a drone if RELAY_LEAD_TIME s without an answer have passed. A drone that
     stands on the floor is heard in rounds, and no drone brakes for want of its state.
 
     pair: one row of PAIR_ROW
     standing_height: m, of the world; a lower drone stands on the floor
-    check_count: number of this check
     now: s
     """
     age = now - pair.state_time
+    # Checks are not exactly in time.
+    waited = now - pair.asked_time + 0.5 * STATE_RATES.check_interval
     if not age < NEIGHBOUR_AGES.gone:
-        return check_count % RELAY_REQUESTS.checks_if_gone == 0
+        return bool(waited >= RELAY_REQUESTS.interval_if_gone)
     stands = pair.state[2] < standing_height
     least = NEIGHBOUR_AGES.usable if stands else RELAY_REQUESTS.least_age
     needed = max(least, pair.age_limit - RELAY_LEAD_TIME)
@@ -177,7 +176,20 @@ def is_sought(
         return False
     if age < needed + RELAY_LEAD_TIME:
         return True
-    return check_count % RELAY_REQUESTS.checks_if_unanswered == 0
+    return bool(waited >= RELAY_REQUESTS.interval_if_unanswered)
+
+
+@kernel()
+def is_told_newer(pair: Records, known: Records) -> bool:
+    """Return whether others have told of a newer state than the latest round of another drone.
+
+    A drone must not forget such a pair: it would then take the other one to be where it was in that
+    round.
+
+    pair: one row of PAIR_ROW
+    known: what is known of the other drone, one row of FAR_ROW
+    """
+    return bool(pair.state_time > max(pair.heard_time, known.state_time))
 
 
 @kernel()

@@ -16,7 +16,7 @@ from crazychoir.safety.airspace.airspace_rows import (
 )
 from crazychoir.safety.airspace.near_grid import CELLS_PER_DRONE
 from crazychoir.safety.airspace.near_pairs import CHECK_NS
-from crazychoir.safety.airspace.relay_choice import MOST_QUESTIONS, NO_DRONE
+from crazychoir.safety.airspace.relay_choice import MOST_QUESTIONS
 from crazychoir.types import Ints, Records
 
 FIRST_PAIRS = 8  # pairs of a drone for which there is room at first
@@ -45,7 +45,6 @@ class PairTables:
         listeners["place"] = places
         listeners["first_pair"] = FIRST_PAIRS * np.arange(len(places))
         listeners["pair_capacity"] = FIRST_PAIRS
-        listeners["last_sought"] = NO_DRONE
         # Drones of one process do not all check in the same tick.
         listeners["check_ns"] = READER_RATES.phase_step_ns * ids % CHECK_NS
 

@@ -143,6 +143,22 @@ def choose_nearest(
     return asked
 
 
+@kernel()
+def find_longest_waiting(listener: Records, pairs: Records) -> int:
+    """Return the row of the sought pair about which was not asked for longest; -1: none is sought.
+
+    listener: one row of LISTENER_ROW
+    pairs: PAIR_ROW
+    """
+    best = -1
+    least = math.inf
+    for k in range(listener.first_pair, listener.first_pair + listener.pair_count):
+        if pairs[k].is_sought != 0 and pairs[k].asked_time < least:
+            best = k
+            least = pairs[k].asked_time
+    return best
+
+
 @kernel(
     numba.int64,
     rows_of(LISTENER_ROW),
@@ -174,7 +190,7 @@ def choose_asked(
 ) -> int:
     """Choose which drones one drone asks for which states; return the number of questions.
 
-    It asks for a few drones a check. The next check goes on behind the last of them.
+    It asks for a few drones a check, first for those that have waited longest.
 
     at: number of the drone
     listeners: LISTENER_ROW
@@ -212,17 +228,13 @@ def choose_asked(
                 places[count, c] = place[c]
             count += 1
     asked = 0
-    begin = 0
-    size = listener.pair_count
-    for k in range(size):
-        begin += pairs[listener.first_pair + k].other <= listener.last_sought
-    left = min(listener.sought_count, RELAY_REQUESTS.most_sought)
-    for k in range(size):
-        pair = pairs[listener.first_pair + (begin + k) % size]
-        if left == 0 or pair.is_sought == 0:
-            continue
-        left -= 1
-        listener.last_sought = pair.other
+    for _ in range(min(listener.sought_count, RELAY_REQUESTS.most_sought)):
+        k = find_longest_waiting(listener, pairs)
+        if k < 0:
+            break
+        pair = pairs[k]
+        pair.is_sought = 0
+        pair.asked_time = now
         pair.turns += 1
         asked = choose_nearest(
             pair.other,

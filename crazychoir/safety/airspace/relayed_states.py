@@ -100,7 +100,7 @@ class RelayedStates:
             return self._none()
         return (
             value
-            if isinstance(value, list) and len(value) <= len(self.traffic.ids)
+            if isinstance(value, list) and len(value) < len(self.traffic.airspace.ids)
             else self._none()
         )
 

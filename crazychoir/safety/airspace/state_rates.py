@@ -81,12 +81,16 @@ class RelayRequests(NamedTuple):
 
     least_age: float = 0.25
     """Age in s of a state before which no newer one is asked for."""
-    checks_if_unanswered: int = 5
-    """Number of checks between two questions about a drone unanswered for RELAY_LEAD_TIME s."""
-    checks_if_gone: int = 10
-    """Number of checks between two questions about a drone that is gone or was never heard."""
-    most_sought: int = 4
-    """Largest number of drones about which a drone asks in one check, in turn."""
+    interval_if_unanswered: float = 0.5
+    """Seconds between two questions about a drone unanswered for RELAY_LEAD_TIME s."""
+    interval_if_gone: float = 1.0
+    """Seconds between two questions about a drone that is gone or was never heard."""
+    most_sought: int = 8
+    """Largest number of drones about which a drone asks in one check.
+
+    It begins with the drones about which it has not asked for longest. So it asks about each of 100
+    drones every 1.3 s, long before one of them is gone.
+    """
     nearest_asked: int = 2
     """Number of drones that are asked each time about one drone.
 

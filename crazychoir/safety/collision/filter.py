@@ -61,7 +61,6 @@ class CollisionFilter:
         """(1,) AVOID_ROW."""
         self._planes = make_planes()
         self._near = make_nearest()
-        self._checks = 0
         box = np.array([*fence.low, *fence.high])
         self.row["box"] = box + np.repeat([1.0, -1.0], 3) * settings.margin
         self.row["largest_horizontal"] = 1.5 * a_max
@@ -72,15 +71,6 @@ class CollisionFilter:
         self.row["gives_way_to"] = -1
         _write_settings(self.row, settings)
         reset_side(self.row, traffic.port.address)
-
-    def look(self, now: float) -> None:
-        """Ask others for the states of drones that are not heard, after each check of the distances."""
-        listener = self.traffic.airspace.near.listeners[self.traffic.listener]
-        if listener["check_count"] == self._checks:
-            return
-        self._checks = int(listener["check_count"])
-        if listener["sought_count"] > 0:
-            self.hearsay.seek()
 
     def full_state(
         self, state: State, reference: Vec, gains: Vec, now: float, lands: bool = False

@@ -10,10 +10,12 @@ from virtual_time import virtual
 
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import DRONE_TOPICS
-from crazychoir.config.tables import FlightTable
+from crazychoir.config.tables import CollisionTable, FlightTable
 from crazychoir.filters.velocity import VelocityFilter
+from crazychoir.flight.batch import Course
 from crazychoir.flight.tick import FlightTick
 from crazychoir.runtime.mailbox import DropOldest
+from crazychoir.safety.airspace.airspace import Airspace, AirspaceRules
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Pose
@@ -142,6 +144,24 @@ async def test_only_the_drones_that_are_due_tick(clock):
         process.tick.see(1, POSE)
         await clock.sleep(PAUSE)
     assert {index for _, index in process.diary} == {-1, 1}
+
+
+@virtual
+async def test_a_drone_asks_for_states_in_a_pass_in_which_others_tick(clock):
+    """The distances of all drones are checked in the pass of any of them."""
+    process = Process(clock)
+    tick = process.tick
+    tick.airspace = Airspace(
+        process.pilots[0].port.bus, range(2), AirspaceRules(CollisionTable(), 1.0, 0.0)
+    )
+    for pilot in process.pilots:
+        pilot.stages.seek = lambda k=pilot.row.index: process.note("seek", k)
+    tick.batch.drones["ticks"] = (1, 0)
+    tick.batch.drones["course"] = Course.FOLLOW
+    tick._avoid(np.array([1]), 0.0)
+    tick.batch.drones["course"] = Course.NOTHING
+    tick._avoid(np.array([1]), 0.0)
+    assert process.diary == [("seek", 1)]
 
 
 @virtual

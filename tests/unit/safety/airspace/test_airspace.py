@@ -100,6 +100,44 @@ def test_a_drone_that_comes_near_has_a_pair_before_it_is_in_range():
     assert sky.age(0, 1) < 0.5
 
 
+@pytest.mark.parametrize("apart", [3.0, 4.5, 6.0])
+def test_drones_that_fly_side_by_side_and_turn_have_a_pair_before_they_are_in_range(
+    apart,
+):
+    """Both turn towards each other at their largest speed, between two checks."""
+    sky = Sky([(0.0, 0.0, 1.0), (apart, 0.0, 1.0), *row_of(30, FAR)[2:]])
+    for velocity in sky.velocities[0:2]:
+        velocity[1] = 1.0
+    sky.fly(2.0 + 3 * TICK)
+    assert sky.drones[0].row(1) is None
+    for velocity, speed in zip(sky.velocities, (1.0, -1.0), strict=False):
+        velocity[:] = (speed, 0.0, 0.0)
+    near = CollisionTable().range
+
+    def look():
+        if sky.places[1][0] - sky.places[0][0] < near:
+            assert sky.drones[0].row(1) is not None
+            assert sky.drones[1].row(0) is not None
+            assert sky.age(0, 1) <= 0.2
+
+    sky.fly(0.5 * apart - 0.2, each=look)
+
+
+def test_what_others_tell_of_a_far_drone_is_not_forgotten():
+    """Drone 1 is not heard any more, and another drone says that it is far away."""
+    cut = NetworkPartition(1.0, 99.0, (0,), (1,))
+    sky = Sky(
+        [(0.0, 0.0, 1.0), (6.0, 0.0, 1.0), *row_of(10, FAR)[2:]], partitions=[cut]
+    )
+    sky.fly(11.0)
+    assert sky.drones[0].row(1) is not None
+    sky.drones[0].told((1, State.at((9.0, 0.0, 1.0))), 0.0)
+    ages = []
+    sky.fly(1.0, each=lambda: ages.append(sky.age(0, 1)))
+    assert max(ages) <= 1.0 + TICK
+    assert sky.drones[0].known(1)["state"][0] == 9.0
+
+
 def test_a_drone_that_was_never_heard_may_be_anywhere_and_is_sought():
     sky = Sky(row_of(2, FAR), others=(7,))
     sky.fly(FIRST_NEWS_TIME - 0.2)

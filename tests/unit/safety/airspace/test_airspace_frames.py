@@ -13,7 +13,8 @@ from crazychoir.safety.airspace.airspace_frames import (
     MOST_FRAMES,
     AirspaceFrames,
 )
-from crazychoir.safety.airspace.airspace_rows import FRAME_ROW
+from crazychoir.safety.airspace.airspace_rows import ALL_BITS, FRAME_ROW
+from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES
 from crazychoir.types import State
 
 
@@ -124,6 +125,61 @@ async def test_a_process_that_is_not_known_yet_gets_what_any_process_needs(clock
     await fly(clock, 1.0, *two)
     sent, _ = await fly(clock, 1.0, *two)
     assert len([drones for _, drones in sent if 0 in drones]) == 100
+
+
+@virtual
+async def test_a_law_of_a_robot_outside_the_airspace_hears_each_state(clock):
+    """Robot 9 drives: it is in no airspace, and may be in any process."""
+    two = [Process(clock, (0, 1), apart=5.0), Process(clock, (2, 3), apart=5.0)]
+    two[1].bus.port(9)
+    two[1].listen(9, 0)
+    for process in two:
+        process.join(*(other for other in two if other is not process))
+    await fly(clock, 1.0, *two)
+    sent, _ = await fly(clock, 1.0, *two)
+    assert len([drones for _, drones in sent if 0 in drones]) == 100
+
+
+@virtual
+async def test_a_state_that_laws_hear_is_sent_once(clock):
+    """Drone 0 has no new state, while drone 1 ticks on."""
+    two = [Process(clock, (0, 1), apart=5.0), Process(clock, (2, 3), apart=5.0)]
+    two[1].listen(3, 0)
+    for process in two:
+        process.join(*(other for other in two if other is not process))
+    await fly(clock, 1.0, *two)
+    one = two[0]
+    one.sent.clear()
+    for _ in range(100):
+        await clock.sleep(0.01)
+        one.airspace.publish(1, State.at((5.0, 0.0, 1.0)), 0.0)
+        one.frames.hear()
+        one.airspace.step()
+        one.frames.send()
+    rounds = len([drones for _, drones in one.sent if 1 in drones])
+    assert len([drones for _, drones in one.sent if 0 in drones]) <= rounds
+
+
+@virtual
+async def test_a_row_that_is_refused_says_nothing_about_its_process(clock):
+    process = Process(clock, (0,))
+    rows = np.zeros(3, FRAME_ROW)
+    rows["drone"] = (1, 2, 3)
+    rows["number"] = 1
+    rows["state"] = State.at((1.0, 0.0, 1.0)).flat
+    rows["age"] = (np.inf, 0.0, NEIGHBOUR_AGES.gone)
+    rows["state"][1, 0] = np.nan
+    process.frames.take((1, rows.tobytes()), 0.0)
+    process.frames.hear()
+    swarm = process.airspace.swarm
+    assert swarm["is_fresh"].tolist() == [0, 0, 0, 0]
+    assert swarm["process_bits"].tolist() == [ALL_BITS] * 4
+    rows["age"] = 0.0
+    rows["state"][1, 0] = 1.0
+    process.frames.take((1, rows.tobytes()), 0.0)
+    process.frames.hear()
+    assert swarm["is_fresh"].tolist() == [0, 1, 1, 1]
+    assert swarm["process_bits"].tolist() == [ALL_BITS, 1, 1, 1]
 
 
 MALFORMED_FRAMES = [[], None, "x", b"x", bytes(FRAME_ROW.itemsize - 1)]

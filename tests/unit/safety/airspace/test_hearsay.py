@@ -67,8 +67,8 @@ class Team:
     def check(self):
         """Let drone 0 check the distances, and ask."""
         self.airspace.publish(0, State.at(HERE), 0.0)
-        self.airspace.step()
-        self.filters[0].look(self.seconds)
+        if 0 in self.airspace.step():
+            self.filters[0].hearsay.seek()
 
     def say(self, j, p, to, v=(0.0, 0.0, 0.0)):
         """Drone j says its state to some."""
@@ -171,23 +171,46 @@ def test_no_drone_asks_while_all_are_heard_or_far_away():
 
 
 def test_a_drone_asks_about_few_drones_in_each_check_and_about_all_in_turn():
-    team = Team(9)
+    silent = range(1, 2 * RELAY_REQUESTS.most_sought)
+    last = silent.stop
+    team = Team(last + 1)
     sought = []
-    take = team.bus.ports[8].handlers[MESSAGE_TOPICS.wanted_states.number]
-    team.bus.ports[8].handlers[MESSAGE_TOPICS.wanted_states.number] = lambda *message: (
+    handlers = team.bus.ports[last].handlers
+    take = handlers[MESSAGE_TOPICS.wanted_states.number]
+    handlers[MESSAGE_TOPICS.wanted_states.number] = lambda *message: (
         sought.append(decode(message[1])),
         take(*message),
     )
-    for j in range(1, 8):
+    for j in silent:
         team.say(j, (0.1 * j - 1.0, 1.0, 1.0), [0])
     team.seconds = NEIGHBOUR_AGES.silent + 0.1
     for _ in range(12):
         team.seconds += STATE_RATES.check_interval
-        team.say(8, (0.0, 2.0, 1.0), [0])
+        team.say(last, (0.0, 2.0, 1.0), [0])
         team.check()
-    assert sought, "drone 8 alone is heard"
-    assert {len(those) for those in sought} == {RELAY_REQUESTS.most_sought}
-    assert {j for those in sought[:2] for j in those} == set(range(1, 8))
+    assert sought, "the last drone alone is heard"
+    assert max(len(those) for those in sought) == RELAY_REQUESTS.most_sought
+    assert {j for those in sought[:2] for j in those} == set(silent)
+
+
+def test_however_many_drones_fall_silent_none_is_gone_that_others_hear():
+    """Drone 0 does not hear sixty drones nearby; five others hear them, and are heard."""
+    silent = range(1, 61)
+    heard = range(61, 66)
+    team = Team(66)
+    for j in silent:
+        team.say(j, (0.2 * (j % 8), 0.2 * (j // 8), 1.0), [0])
+    oldest = 0.0
+    for _ in range(150):
+        team.seconds += STATE_RATES.check_interval
+        for j in silent:
+            team.say(j, (0.2 * (j % 8), 0.2 * (j // 8), 1.0), heard)
+        for j in heard:
+            team.say(j, (0.0, 0.1 * j - 8.0, 1.0), [0])
+        team.check()
+        ages = [team.seconds - team.row(0, j)["state_time"] for j in silent]
+        oldest = max(oldest, *ages)
+    assert NEIGHBOUR_AGES.usable < oldest < 0.25 * NEIGHBOUR_AGES.gone
 
 
 def test_others_are_asked_about_a_standing_drone_later():
