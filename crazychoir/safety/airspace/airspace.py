@@ -50,7 +50,7 @@ class AirspaceRules:
     alone: tuple[int, ...] = ()
     """Ids of the drones that do not give way, because a planner on board flies them."""
     hosts: Mapping[int, str] = field(default_factory=dict)
-    """{id: host of the processes that may fly the drone}; empty if there is one host."""
+    """{id: host of the processes that may fly the drone}; empty: all drones have the same host."""
 
 
 class Airspace:

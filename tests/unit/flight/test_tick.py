@@ -165,6 +165,20 @@ async def test_a_drone_asks_for_states_in_a_pass_in_which_others_tick(clock):
 
 
 @virtual
+async def test_the_state_of_a_drone_that_ticks_no_more_grows_old(clock):
+    process = Process(clock, 1)
+    latched = process.pilots[0].port.latched
+    async with process.running():
+        process.pilots[0].see(POSE)
+        await clock.sleep(PAUSE)
+    _, young = latched.find(DRONE_TOPICS.state, clock.now_ns())
+    await clock.sleep(5.0)
+    _, old = latched.find(DRONE_TOPICS.state, clock.now_ns())
+    assert young < PERIOD
+    assert old == pytest.approx(young + 5.0)
+
+
+@virtual
 async def test_a_quiet_drone_is_commanded_without_its_judge(clock):
     process = Process(clock, count=1)
     async with process.running():
