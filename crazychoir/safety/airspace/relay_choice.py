@@ -190,7 +190,7 @@ def choose_asked(
 ) -> int:
     """Choose which drones one drone asks for which states; return the number of questions.
 
-    It asks for a few drones a check, first for those that have waited longest.
+    It asks for a few drones a check, and begins with the pairs that have waited longest.
 
     at: number of the drone
     listeners: LISTENER_ROW
