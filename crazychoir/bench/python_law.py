@@ -51,7 +51,8 @@ class PythonBearingLaw(Follower):
         for j in self.neighbors:
             other = heard[j]
             parts += other.flat, other.a
-        return Acceleration(self.gain @ np.concatenate(parts) + self.own_gain @ me.flat)
+        heard_part = self.gain.dot(np.concatenate(parts))
+        return Acceleration(heard_part + self.own_gain.dot(me.flat))
 
 
 def build_state_gain(weight: Mat) -> Mat:

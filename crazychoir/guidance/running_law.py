@@ -41,13 +41,16 @@ from crazychoir.types import (
     FullState,
     Heard,
     Ints,
-    Mat,
     Reference,
     State,
+    Vec,
     Velocity,
 )
 
 log = logging.getLogger(__name__)
+FLOAT64 = np.dtype(np.float64)
+VECTOR_SHAPE = (3,)
+FULL_STATE_SHAPE = (14,)
 
 
 class SteppingLaw(Protocol):
@@ -74,6 +77,7 @@ class RunningLaw:
         self.law = law
         self.drone = member.id
         self.ids = ids
+        self._actor = f"drone {self.drone} guidance"
         self._use(np.zeros(1, LAW_ROW))
         self.edges: Rows = np.zeros(len(ids), HEARING_ROW)
         self.hearings = [
@@ -111,7 +115,10 @@ class RunningLaw:
         """Step with this row: (1,) of LAW_ROW."""
         self.rows: Rows = rows
         self._kinds: Ints = rows["kind"]
-        self._references: Mat = rows["reference"]
+        # Views of the parts of the reference, because making a view takes long.
+        self._reference: Vec = rows["reference"][0]
+        self._velocity: Vec = self._reference[3:6]
+        self._acceleration: Vec = self._reference[6:9]
 
     def move_to(self, rows: Rows, edges: Rows) -> None:
         """Go on with these rows: (1,) of LAW_ROW and (k,) of HEARING_ROW."""
@@ -150,7 +157,7 @@ class RunningLaw:
         watchdog = self._member.watchdog
         if watchdog is None:
             return contextlib.nullcontext()
-        return watchdog.guard(f"drone {self.drone} guidance")
+        return watchdog.guard(self._actor)
 
     def step(self, me: State, heard: Heard) -> None:
         """Take one step by hand: call `step` of the law and fly its reference.
@@ -179,18 +186,17 @@ class RunningLaw:
         """
         # Comparing types costs a fifth of matching patterns.
         kind = type(reference)
-        row = self._references[0]
         if kind is Acceleration and _is_directed(reference.a, reference.yaw):
             self._kinds[0] = ACCELERATION_KIND
-            row[6:9] = reference.a
-            row[12] = reference.yaw
+            self._acceleration[:] = reference.a
+            self._reference[12] = reference.yaw
         elif kind is Velocity and _is_directed(reference.v, reference.yaw):
             self._kinds[0] = VELOCITY_KIND
-            row[3:6] = reference.v
-            row[12] = reference.yaw
-        elif kind is FullState and _is_vector(reference.flat, 14):
+            self._velocity[:] = reference.v
+            self._reference[12] = reference.yaw
+        elif kind is FullState and _is_vector(reference.flat, FULL_STATE_SHAPE):
             self._kinds[0] = FULL_STATE_KIND
-            row[:] = reference.flat
+            self._reference[:] = reference.flat
         else:
             return reference is None
         return True
@@ -244,13 +250,11 @@ class RunningLaw:
 
 def _is_directed(vector: object, yaw: object) -> bool:
     """Return whether these are three float64 numbers and a float."""
-    return _is_vector(vector, 3) and isinstance(yaw, float)
+    return isinstance(yaw, float) and _is_vector(vector, VECTOR_SHAPE)
 
 
-def _is_vector(values: object, size: int) -> bool:
-    """Return whether the values are so many float64 numbers."""
+def _is_vector(values: object, shape: tuple[int]) -> bool:
+    """Return whether the values are float64 numbers in an array of this shape."""
     return (
-        type(values) is np.ndarray
-        and values.dtype == np.float64
-        and values.shape == (size,)
+        type(values) is np.ndarray and values.shape == shape and values.dtype == FLOAT64
     )
