@@ -48,7 +48,7 @@ from crazychoir.types import (
 )
 
 log = logging.getLogger(__name__)
-FLOAT64 = np.dtype(np.float64)
+FLOAT64_TYPE = np.dtype(np.float64)
 VECTOR_SHAPE = (3,)
 FULL_STATE_SHAPE = (14,)
 
@@ -256,5 +256,7 @@ def _is_directed(vector: object, yaw: object) -> bool:
 def _is_vector(values: object, shape: tuple[int]) -> bool:
     """Return whether the values are float64 numbers in an array of this shape."""
     return (
-        type(values) is np.ndarray and values.shape == shape and values.dtype == FLOAT64
+        type(values) is np.ndarray
+        and values.shape == shape
+        and values.dtype == FLOAT64_TYPE
     )
