@@ -615,7 +615,7 @@ class Port:
             readers.mailboxes.append(mailbox)
         self.bus.note_reader_change()
         latched = self.latched.find(topic, self._now_ns())
-        if latched is None or latched[1] > topic.max_age:
+        if latched is None:
             return
         value, age = latched
         if mailbox is not None:

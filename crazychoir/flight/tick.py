@@ -253,7 +253,8 @@ class FlightTick:
         batch = self.batch
         drones = batch.drones
         for index in seekers.tolist():
-            if drones["course"][index] == Course.FOLLOW:
+            is_flying = drones["course"][index] == Course.FOLLOW
+            if drones["is_running"][index] and is_flying:
                 self._call(index, self._drones[index].seek)
         count = avoid_drones(
             drones,

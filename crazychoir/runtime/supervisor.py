@@ -146,9 +146,11 @@ class Supervisor:
             return
         child.stopping = True
         # In a task of its own: before Python 3.11.3 no timeout ends in a task that was cancelled.
+        # An `on_stop` that ignores its cancellation is left behind.
         stopping = asyncio.create_task(
             child.actor.on_stop(), name=child.task.get_name()
         )
+        stopping.add_done_callback(_retrieve_error)
         try:
             done, _ = await asyncio.wait([stopping], timeout=STOP_DEADLINE)
         finally:
@@ -164,3 +166,9 @@ class Supervisor:
                 STOP_DEADLINE,
                 exc_info=error,
             )
+
+
+def _retrieve_error(task: "asyncio.Task[None]") -> None:
+    """Look at the error of a task, so that asyncio does not report it as forgotten."""
+    if not task.cancelled():
+        task.exception()

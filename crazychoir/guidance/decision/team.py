@@ -146,7 +146,7 @@ def has_team_law(kind: type) -> bool:
 def step_alone(
     law: LawOfTeam, me: State, heard: Heard, clock: Clock | None = None
 ) -> Reference | None:
-    """Return the reference of one law, by the step of its team.
+    """Return the reference of one law, by the step of its team. Counts its steps since it was made.
 
     me: the drone's own state.
     heard: {j: state of neighbour j}.

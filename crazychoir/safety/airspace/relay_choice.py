@@ -24,7 +24,9 @@ from crazychoir.types import Bytes, Ints, Records, Vec
 
 NO_DRONE = -1  # place in the swarm of no drone
 NEAREST_ASKED = RELAY_REQUESTS.nearest_asked
-MOST_QUESTIONS = RELAY_REQUESTS.most_sought * (NEAREST_ASKED + 1)
+MOST_SOUGHT = RELAY_REQUESTS.most_in_time + RELAY_REQUESTS.most_late
+"""Largest number of drones about which a drone asks in one check."""
+MOST_QUESTIONS = MOST_SOUGHT * (NEAREST_ASKED + 1)
 """Largest number of questions of a drone in one check."""
 
 
@@ -144,18 +146,26 @@ def choose_nearest(
 
 
 @kernel()
-def find_longest_waiting(listener: Records, pairs: Records) -> int:
-    """Return the row of the sought pair about which was not asked for longest; -1: none is sought.
+def find_longest_waiting(
+    listener: Records, pairs: Records, are_late: bool, now: float
+) -> int:
+    """Return the row of the sought pair about which was not asked for longest; -1: there is none.
 
     listener: one row of LISTENER_ROW
     pairs: PAIR_ROW
+    are_late: whether to choose among the pairs that are gone or older than `age_limit`, or the others
+    now: s
     """
     best = -1
     least = math.inf
     for k in range(listener.first_pair, listener.first_pair + listener.pair_count):
-        if pairs[k].is_sought != 0 and pairs[k].asked_time < least:
+        pair = pairs[k]
+        if pair.is_sought == 0 or not pair.asked_time < least:
+            continue
+        age = now - pair.state_time
+        if (age > pair.age_limit or not age < NEIGHBOUR_AGES.gone) == are_late:
             best = k
-            least = pairs[k].asked_time
+            least = pair.asked_time
     return best
 
 
@@ -190,7 +200,8 @@ def choose_asked(
 ) -> int:
     """Choose which drones one drone asks for which states; return the number of questions.
 
-    It asks for a few drones a check, and begins with the pairs that have waited longest.
+    It asks for a few drones a check, and begins with the pairs that have waited longest. Drones that
+    do not answer any more take no turns of the drones for which it need not brake yet.
 
     at: number of the drone
     listeners: LISTENER_ROW
@@ -228,10 +239,11 @@ def choose_asked(
                 places[count, c] = place[c]
             count += 1
     asked = 0
-    for _ in range(min(listener.sought_count, RELAY_REQUESTS.most_sought)):
-        k = find_longest_waiting(listener, pairs)
+    for n in range(MOST_SOUGHT):
+        are_late = n >= RELAY_REQUESTS.most_in_time
+        k = find_longest_waiting(listener, pairs, are_late, now)
         if k < 0:
-            break
+            continue
         pair = pairs[k]
         pair.is_sought = 0
         pair.asked_time = now

@@ -85,11 +85,16 @@ class RelayRequests(NamedTuple):
     """Seconds between two questions about a drone unanswered for RELAY_LEAD_TIME s."""
     interval_if_gone: float = 1.0
     """Seconds between two questions about a drone that is gone or was never heard."""
-    most_sought: int = 8
-    """Largest number of drones about which a drone asks in one check.
+    most_in_time: int = 4
+    """Largest number of drones about which a drone asks in one check before it brakes for them.
 
-    It begins with the drones about which it has not asked for longest. So it asks about each of 100
-    drones every 1.3 s, long before one of them is gone.
+    It begins with the drones about which it has not asked for longest.
+    """
+    most_late: int = 4
+    """Largest number of further drones about which it asks in one check: drones for which it brakes,
+    and drones that are gone.
+
+    It asks about each of 100 such drones every 2.5 s, long before one of them is gone.
     """
     nearest_asked: int = 2
     """Number of drones that are asked each time about one drone.

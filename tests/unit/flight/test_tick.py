@@ -157,9 +157,13 @@ async def test_a_drone_asks_for_states_in_a_pass_in_which_others_tick(clock):
     for pilot in process.pilots:
         pilot.stages.seek = lambda k=pilot.row.index: process.note("seek", k)
     tick.batch.drones["ticks"] = (1, 0)
+    tick.batch.drones["is_running"] = 1
     tick.batch.drones["course"] = Course.FOLLOW
     tick._avoid(np.array([1]), 0.0)
     tick.batch.drones["course"] = Course.NOTHING
+    tick._avoid(np.array([1]), 0.0)
+    tick.batch.drones["course"] = Course.FOLLOW
+    tick.batch.drones["is_running"] = 0
     tick._avoid(np.array([1]), 0.0)
     assert process.diary == [("seek", 1)]
 

@@ -13,6 +13,7 @@ from crazychoir.control.gains import STANDARD_GAINS
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.airspace.airspace import Airspace, AirspaceRules
 from crazychoir.safety.airspace.neighbours import Neighbours
+from crazychoir.safety.airspace.relay_choice import MOST_SOUGHT
 from crazychoir.safety.airspace.state_rates import (
     NEIGHBOUR_AGES,
     RELAY_REQUESTS,
@@ -171,7 +172,7 @@ def test_no_drone_asks_while_all_are_heard_or_far_away():
 
 
 def test_a_drone_asks_about_few_drones_in_each_check_and_about_all_in_turn():
-    silent = range(1, 2 * RELAY_REQUESTS.most_sought)
+    silent = range(1, 2 * MOST_SOUGHT)
     last = silent.stop
     team = Team(last + 1)
     sought = []
@@ -189,8 +190,8 @@ def test_a_drone_asks_about_few_drones_in_each_check_and_about_all_in_turn():
         team.say(last, (0.0, 2.0, 1.0), [0])
         team.check()
     assert sought, "the last drone alone is heard"
-    assert max(len(those) for those in sought) == RELAY_REQUESTS.most_sought
-    assert {j for those in sought[:2] for j in those} == set(silent)
+    assert max(len(those) for those in sought) == RELAY_REQUESTS.most_late
+    assert {j for those in sought for j in those} == set(silent)
 
 
 def test_however_many_drones_fall_silent_none_is_gone_that_others_hear():
@@ -211,6 +212,21 @@ def test_however_many_drones_fall_silent_none_is_gone_that_others_hear():
         ages = [team.seconds - team.row(0, j)["state_time"] for j in silent]
         oldest = max(oldest, *ages)
     assert NEIGHBOUR_AGES.usable < oldest < 0.25 * NEIGHBOUR_AGES.gone
+
+
+def test_absent_drones_take_no_turns_of_a_drone_that_others_hear():
+    """Drone 1 is near and relayed; 95 drones are absent."""
+    team = Team(100)
+    team.say(1, (-0.5, 0.5, 1.0), [0])
+    ages = []
+    for _ in range(120):
+        team.seconds += STATE_RATES.check_interval
+        team.say(1, (-0.5, 0.5, 1.0), (2, 3, 4))
+        for j in (2, 3, 4):
+            team.say(j, (0.0, float(j), 1.0), [0])
+        team.check()
+        ages.append(team.seconds - team.row(0, 1)["state_time"])
+    assert max(ages) < NEIGHBOUR_AGES.usable
 
 
 def test_others_are_asked_about_a_standing_drone_later():
