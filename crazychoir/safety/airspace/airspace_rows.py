@@ -71,7 +71,7 @@ PAIR_ROW = np.dtype(
         # s, age of the state beyond which this drone brakes for want of a newer one
         ("age_limit", np.float64),
         ("turns", np.int64),  # how often others were asked about the other drone
-        ("asked_time", np.float64),  # s, when they were asked last; -inf: never
+        ("asked_time", np.float64),  # s, last turn of its questions; -inf: none yet
         ("is_by_hand", np.int64),  # 1: a state waits for the verdict of Impairment
         ("is_sought", np.int64),  # 1: others should be asked for a newer state
     ]

@@ -63,6 +63,16 @@ class Process:
         self.frames.send()
 
 
+def far_processes(clock, listener):
+    """Return two processes with far drones; in the second one the law of `listener` hears drone 0."""
+    two = [Process(clock, (0, 1), apart=5.0), Process(clock, (2, 3), apart=5.0)]
+    two[1].bus.port(listener)
+    two[1].listen(listener, 0)
+    two[0].join(two[1])
+    two[1].join(two[0])
+    return two
+
+
 async def fly(clock, seconds, *processes):
     """Let the processes tick, and return what each has sent: address and drones of each frame."""
     for process in processes:
@@ -106,10 +116,7 @@ async def test_a_process_gets_only_the_states_that_it_needs(clock):
 
 @virtual
 async def test_a_process_gets_each_state_that_its_laws_hear(clock):
-    two = [Process(clock, (0, 1), apart=5.0), Process(clock, (2, 3), apart=5.0)]
-    two[1].listen(3, 0)
-    for process in two:
-        process.join(*(other for other in two if other is not process))
+    two = far_processes(clock, listener=3)
     await fly(clock, 1.0, *two)
     sent, back = await fly(clock, 1.0, *two)
     assert len([drones for _, drones in sent if 0 in drones]) == 100
@@ -130,11 +137,7 @@ async def test_a_process_that_is_not_known_yet_gets_what_any_process_needs(clock
 @virtual
 async def test_a_law_of_a_robot_outside_the_airspace_hears_each_state(clock):
     """Robot 9 drives: it is in no airspace, and may be in any process."""
-    two = [Process(clock, (0, 1), apart=5.0), Process(clock, (2, 3), apart=5.0)]
-    two[1].bus.port(9)
-    two[1].listen(9, 0)
-    for process in two:
-        process.join(*(other for other in two if other is not process))
+    two = far_processes(clock, listener=9)
     await fly(clock, 1.0, *two)
     sent, _ = await fly(clock, 1.0, *two)
     assert len([drones for _, drones in sent if 0 in drones]) == 100
@@ -143,10 +146,7 @@ async def test_a_law_of_a_robot_outside_the_airspace_hears_each_state(clock):
 @virtual
 async def test_a_state_that_laws_hear_is_sent_once(clock):
     """Drone 0 has no new state, while drone 1 ticks on."""
-    two = [Process(clock, (0, 1), apart=5.0), Process(clock, (2, 3), apart=5.0)]
-    two[1].listen(3, 0)
-    for process in two:
-        process.join(*(other for other in two if other is not process))
+    two = far_processes(clock, listener=3)
     await fly(clock, 1.0, *two)
     one = two[0]
     one.sent.clear()
