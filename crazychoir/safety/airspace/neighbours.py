@@ -20,14 +20,13 @@ class Neighbours:
         self.port = airspace.bus.ports[drone]
         self.listener = airspace.own_ids.index(drone)
         """Number of this drone in its process."""
-        self.drone = drone
         if keeps_all:
             airspace.keep_all(self.listener)
 
     @property
     def ids(self) -> list[int]:
         """Ids of all other drones."""
-        return [j for j in self.airspace.ids if j != self.drone]
+        return [j for j in self.airspace.ids if j != self.port.address]
 
     @property
     def rows(self) -> Records:
