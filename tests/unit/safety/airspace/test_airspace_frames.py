@@ -30,6 +30,7 @@ class Process:
         self.frames = AirspaceFrames(self.airspace)
         self.own = own
         self.apart = apart
+        self.age = 0.0
         self.others = {}
         self.sent = []
         self.bus.ports[own[0]].send = self.give
@@ -57,7 +58,7 @@ class Process:
 
     def tick(self):
         for k, i in enumerate(self.own):
-            self.airspace.publish(k, State.at((self.apart * i, 0.0, 1.0)), 0.0)
+            self.airspace.publish(k, State.at((self.apart * i, 0.0, 1.0)), self.age)
         self.frames.hear()
         self.airspace.step()
         self.frames.send()
@@ -96,6 +97,18 @@ async def test_drones_of_two_processes_hear_each_other(clock):
     row = one.airspace.pair(0, 1)[0]
     assert clock.now() - row["heard_time"] < 0.05
     assert row["state"][0] == 0.5
+
+
+@virtual
+async def test_states_that_seem_to_come_from_the_future_are_heard(clock):
+    """The clocks of the cameras and of the drone differ by a millisecond."""
+    one, two = Process(clock, (0, 2)), Process(clock, (1, 3))
+    two.age = -0.001
+    one.join(two)
+    two.join(one)
+    await fly(clock, 1.5, one, two)
+    row = one.airspace.pair(0, 1)[0]
+    assert clock.now() - row["heard_time"] < 0.05
 
 
 @virtual
