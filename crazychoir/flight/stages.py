@@ -390,6 +390,9 @@ def publish_drones(
 ) -> None:
     """Give the states of the drones that tick to the airspace.
 
+    A pose that another process sent may seem to come from the future, by the error of the offset
+    between the clocks. No state does: other drones refuse states with a negative age.
+
     states: (k, 16): state (13,) and acceleration (3,) of each own drone of the airspace
     times: (k,) s, times of the states
     numbers: (k,): numbers of their ticks
@@ -404,7 +407,8 @@ def publish_drones(
             states[at, c] = drone.state[c]
         for c in range(3):
             states[at, 13 + c] = drone.acceleration[c]
-        times[at] = now - drone.age
+        # An age that is not a number stays one.
+        times[at] = now - (0.0 if drone.age < 0.0 else drone.age)
         numbers[at] = drone.number
 
 

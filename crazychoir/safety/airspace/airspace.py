@@ -138,7 +138,7 @@ class Airspace:
         row = self.states[listener]
         row[0:13] = state.flat
         row[13:16] = state.a
-        self.times[listener] = self.now() - age
+        self.times[listener] = self.now() - max(age, 0.0)
         self.numbers[listener] += 1
 
     def hear_frames(self, rows: Records, times: Vec, hosts: Ints, bits: Ints) -> bool:

@@ -79,9 +79,7 @@ class AirspaceFrames:
         airspace = self.airspace
         rows = self._rows
         rows["number"] = airspace.numbers
-        # A pose that another process sent may seem to come from the future, by the error of the offset
-        # between the clocks. Receivers refuse negative ages.
-        rows["age"] = np.maximum(airspace.now() - airspace.times, 0.0)
+        rows["age"] = airspace.now() - airspace.times
         rows["state"] = airspace.states[:, 0:13]
         rows["acceleration"] = airspace.states[:, 13:16]
 
