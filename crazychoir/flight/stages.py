@@ -114,7 +114,9 @@ def estimate_drones(
             drone.ticks = 0
             continue
         drone.is_known = 1
-        drone.age = filters[k].age
+        # A filter may take an early pose to be measured up to a quarter of a period later than now.
+        # Others refuse such ages. An age that is not a number stays one.
+        drone.age = 0.0 if filters[k].age < 0.0 else filters[k].age
         for c in range(13):
             drone.state[c] = filters[k].state[c]
         if drone.knows_commands == 0 and drone.age > SEEN_AGE:
@@ -390,9 +392,6 @@ def publish_drones(
 ) -> None:
     """Give the states of the drones that tick to the airspace.
 
-    A pose that another process sent may seem to come from the future, by the error of the offset
-    between the clocks. No state does: other drones refuse states with a negative age.
-
     states: (k, 16): state (13,) and acceleration (3,) of each own drone of the airspace
     times: (k,) s, times of the states
     numbers: (k,): numbers of their ticks
@@ -407,8 +406,7 @@ def publish_drones(
             states[at, c] = drone.state[c]
         for c in range(3):
             states[at, 13 + c] = drone.acceleration[c]
-        # An age that is not a number stays one.
-        times[at] = now - (0.0 if drone.age < 0.0 else drone.age)
+        times[at] = now - drone.age
         numbers[at] = drone.number
 
 

@@ -15,6 +15,8 @@ STOP_DEADLINE = 2.0
 
 An actor that takes longer is logged and left behind.
 """
+CLEANING_DEADLINE = 0.5
+"""Seconds for an `on_stop` that took too long to clean up, before the next actor stops."""
 
 OnFailure = Callable[[Actor, Exception, bool], None]
 """Callback: called with the actor, its error, and whether the actor is started again."""
@@ -155,6 +157,8 @@ class Supervisor:
             done, _ = await asyncio.wait([stopping], timeout=STOP_DEADLINE)
         finally:
             stopping.cancel()
+        if not done:
+            await asyncio.wait([stopping], timeout=CLEANING_DEADLINE)
         ends = await asyncio.gather(*done, return_exceptions=True)
         error = ends[0] if ends else TimeoutError()
         # The next actor must still be stopped.

@@ -330,7 +330,7 @@ class Airspace:
         place = self.places.get(j)
         if place is not None and is_valid_state(np.concatenate([state.flat, state.a])):
             self.swarm["seen_state"][place] = state.flat
-            self.swarm["seen_time"][place] = self.now() - age
+            self.swarm["seen_time"][place] = self.now() - max(age, 0.0)
             self.rules["has_seen"] = 1
 
     def take_link(self, j: int, link: LinkStatus | None, age: float) -> None:

@@ -97,11 +97,13 @@ class AirspaceFrames:
                 self._told[at] = self._find_bits(bus.ports[i])
 
     def _find_bits(self, port: Port) -> int:
-        """Return the bits of the processes with laws that hear the drone of a port."""
+        """Return the bits of the processes with laws that hear the drone of a port.
+
+        A reader that is no drone of the airspace may be in any process. Then all get each state.
+        """
         bits = 0
         for reader in port.list_readers(DRONE_TOPICS.framed_state):
             place = self.airspace.places.get(reader)
-            # A reader that is no drone may be in any process.
             if place is None:
                 return ALL_BITS
             bits |= int(self.airspace.swarm["process_bits"][place])

@@ -73,7 +73,7 @@ PAIR_ROW = np.dtype(
         ("turns", np.int64),  # how often others were asked about the other drone
         ("asked_time", np.float64),  # s, last turn of its questions; -inf: none yet
         ("is_by_hand", np.int64),  # 1: a state waits for the verdict of Impairment
-        ("is_sought", np.int64),  # 1: others should be asked for a newer state
+        ("need", np.int64),  # Need: why others should be asked for a newer state
     ]
 )
 """What one drone of this process knows of another drone that may be near."""
@@ -247,6 +247,19 @@ class FarCell(IntEnum):
     """No place is known."""
     LATE = -2
     """No round came for so long that the drone may be far from its last place."""
+
+
+class Need(IntEnum):
+    """Why a drone asks others for a newer state of another one in this check."""
+
+    NONE = 0
+    """It does not ask."""
+    SOON = 1
+    """It will soon brake for want of a newer state."""
+    NOW = 2
+    """It brakes for want of a newer state."""
+    LOW = 3
+    """It does not brake for want of it: the other drone stands, is gone, or was never heard."""
 
 
 class Missed(IntEnum):

@@ -5,7 +5,7 @@ import math
 from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import Triple
 from crazychoir.runtime.clock import NS_PER_SECOND
-from crazychoir.safety.airspace.airspace_rows import FarCell, FarKind
+from crazychoir.safety.airspace.airspace_rows import FarCell, FarKind, Need
 from crazychoir.safety.airspace.hearing import note_hearing, see_state, store_state
 from crazychoir.safety.airspace.motion import compute_norm
 from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES, STATE_RATES
@@ -112,7 +112,7 @@ def fill_pair(
     pair.turns = 0
     pair.asked_time = -math.inf
     pair.is_by_hand = 0
-    pair.is_sought = 0
+    pair.need = Need.NONE
     if missed < min(sender.round_count, capacity):
         last = rounds[other * capacity + (sender.round_count - 1 - missed) % capacity]
         store_state(

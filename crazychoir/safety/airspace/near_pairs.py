@@ -26,6 +26,7 @@ from crazychoir.safety.airspace.airspace_rows import (
     LinkKind,
     LinkKinds,
     Missed,
+    Need,
 )
 from crazychoir.safety.airspace.far_drones import (
     count_far,
@@ -46,9 +47,9 @@ from crazychoir.safety.airspace.nearness import (
     compute_reach,
     compute_relative_speed,
     compute_speed,
+    find_need,
     is_behind,
     is_near,
-    is_sought,
     is_told_newer,
     is_unknown,
     measure_pair,
@@ -62,7 +63,10 @@ from crazychoir.safety.airspace.pair_paces import (
     is_told,
     set_interval,
 )
-from crazychoir.safety.airspace.state_rates import STATE_RATES
+from crazychoir.safety.airspace.state_rates import (
+    CHECKS_UNTIL_GONE_SOUGHT,
+    STATE_RATES,
+)
 from crazychoir.types import Bytes, Ints, Records, Vec
 
 CHECK_NS = int(NS_PER_SECOND * STATE_RATES.check_interval)  # ns, between two checks
@@ -85,7 +89,7 @@ def copy_pair(source: Records, target: Records) -> None:
     target.turns = source.turns
     target.asked_time = source.asked_time
     target.is_by_hand = source.is_by_hand
-    target.is_sought = source.is_sought
+    target.need = source.need
 
 
 @kernel()
@@ -492,10 +496,13 @@ def pace_pairs(
     listener = listeners[at]
     listener.check_count += 1
     listener.sought_count = 0
+    # Not all drones ask about drones that are gone in the same check.
+    turn = listener.check_count + listener.place
+    seeks_gone = turn % CHECKS_UNTIL_GONE_SOUGHT == 0
     for k in range(listener.first_pair, listener.first_pair + listener.pair_count):
         pair = pairs[k]
-        pair.is_sought = is_sought(pair, rules.standing_height, now)
-        listener.sought_count += pair.is_sought
+        pair.need = find_need(pair, rules.standing_height, seeks_gone, now)
+        listener.sought_count += pair.need != Need.NONE
         pace_pair(at, k, listeners, pairs, paces, dues, swarm, rules)
 
 

@@ -5,7 +5,7 @@ import math
 from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import Triple
 from crazychoir.runtime.clock import NS_PER_SECOND
-from crazychoir.safety.airspace.airspace_rows import Missed
+from crazychoir.safety.airspace.airspace_rows import Missed, Need
 from crazychoir.safety.airspace.distances import BRAKING_MODEL, COLLISION_DISTANCES
 from crazychoir.safety.airspace.motion import compute_norm
 from crazychoir.safety.airspace.state_rates import (
@@ -154,29 +154,35 @@ def measure_pair(
 
 
 @kernel()
-def is_sought(pair: Records, standing_height: float, now: float) -> bool:
-    """Return whether a drone should ask others for a newer state in this check.
+def find_need(
+    pair: Records, standing_height: float, seeks_gone: bool, now: float
+) -> int:
+    """Return why a drone should ask others for a newer state in this check, as a Need.
 
     It asks less often for a drone if RELAY_LEAD_TIME s without an answer have passed. A drone that
     stands on the floor is heard in rounds, and no drone brakes for want of its state.
 
     pair: one row of PAIR_ROW
     standing_height: m, of the world; a lower drone stands on the floor
+    seeks_gone: whether it asks about drones that are gone in this check
     now: s
     """
     age = now - pair.state_time
-    # Checks are not exactly in time.
-    waited = now - pair.asked_time + 0.5 * STATE_RATES.check_interval
     if not age < NEIGHBOUR_AGES.gone:
-        return bool(waited >= RELAY_REQUESTS.interval_if_gone)
+        return Need.LOW if seeks_gone else Need.NONE
     stands = pair.state[2] < standing_height
     least = NEIGHBOUR_AGES.usable if stands else RELAY_REQUESTS.least_age
     needed = max(least, pair.age_limit - RELAY_LEAD_TIME)
+    # Checks are not exactly in time.
+    waited = now - pair.asked_time + 0.5 * STATE_RATES.check_interval
+    is_unanswered = age >= needed + RELAY_LEAD_TIME
     if age <= needed:
-        return False
-    if age < needed + RELAY_LEAD_TIME:
-        return True
-    return bool(waited >= RELAY_REQUESTS.interval_if_unanswered)
+        return Need.NONE
+    if is_unanswered and waited < RELAY_REQUESTS.interval_if_unanswered:
+        return Need.NONE
+    if stands:
+        return Need.LOW
+    return Need.NOW if age > pair.age_limit else Need.SOON
 
 
 @kernel()

@@ -14,6 +14,7 @@ from crazychoir.safety.airspace.airspace_rows import (
     ROUND_ROW,
     SWARM_ROW,
     Missed,
+    Need,
 )
 from crazychoir.safety.airspace.far_drones import recall_round
 from crazychoir.safety.airspace.hearing import byte_table
@@ -24,9 +25,14 @@ from crazychoir.types import Bytes, Ints, Records, Vec
 
 NO_DRONE = -1  # place in the swarm of no drone
 NEAREST_ASKED = RELAY_REQUESTS.nearest_asked
-MOST_SOUGHT = RELAY_REQUESTS.most_in_time + RELAY_REQUESTS.most_late
-"""Largest number of drones about which a drone asks in one check."""
-MOST_QUESTIONS = MOST_SOUGHT * (NEAREST_ASKED + 1)
+MOST_SOUGHT = (
+    0,
+    RELAY_REQUESTS.most_soon,
+    RELAY_REQUESTS.most_now,
+    RELAY_REQUESTS.most_low,
+)
+"""(4,): largest number of drones about which a drone asks in one check, for each Need."""
+MOST_QUESTIONS = sum(MOST_SOUGHT) * (NEAREST_ASKED + 1)
 """Largest number of questions of a drone in one check."""
 
 
@@ -90,20 +96,16 @@ def add_question(drone: int, sought: int, questions: Ints, count: int) -> int:
 
 @kernel()
 def choose_nearest(
-    sought: int,
-    state: Vec,
-    turns: int,
+    pair: Records,
     heard: Ints,
     count: int,
     places: Vec,
     questions: Ints,
     asked: int,
 ) -> int:
-    """Choose the heard drones that are nearest to a sought one, and one more in turn.
+    """Choose the heard drones that are nearest to a sought one.
 
-    sought: row of the sought drone in the swarm
-    state: (13,), its newest known state
-    turns: how often others were asked about it
+    pair: of the sought drone, one row of PAIR_ROW
     heard: (count,): rows of the heard drones in the swarm
     count: number of heard drones
     places: (n, 3) m: their places, in the same order
@@ -112,58 +114,72 @@ def choose_nearest(
     Returns the new number of questions.
     """
     first = asked
-    others = 0
-    for k in range(count):
-        others += heard[k] != sought
-    if others == 0:
-        return asked
     for _ in range(NEAREST_ASKED):
         best = NO_DRONE
         least = math.inf
         for k in range(count):
             apart = compute_norm(
                 (
-                    places[k, 0] - state[0],
-                    places[k, 1] - state[1],
-                    places[k, 2] - state[2],
+                    places[k, 0] - pair.state[0],
+                    places[k, 1] - pair.state[1],
+                    places[k, 2] - pair.state[2],
                 )
             )
-            if heard[k] == sought or not apart < least:
+            if heard[k] == pair.other or not apart < least:
                 continue
             if not is_asked(heard[k], questions, first, asked):
                 best = heard[k]
                 least = apart
         if best != NO_DRONE:
-            asked = add_question(best, sought, questions, asked)
-    turn = turns % others
-    for k in range(count):
-        if heard[k] == sought:
-            continue
-        if turn == 0 and not is_asked(heard[k], questions, first, asked):
-            asked = add_question(heard[k], sought, questions, asked)
-        turn -= 1
+            asked = add_question(best, pair.other, questions, asked)
     return asked
 
 
 @kernel()
-def find_longest_waiting(
-    listener: Records, pairs: Records, are_late: bool, now: float
+def choose_in_turn(
+    pair: Records,
+    wanted: int,
+    heard: Ints,
+    count: int,
+    questions: Ints,
+    first: int,
+    asked: int,
 ) -> int:
-    """Return the row of the sought pair about which was not asked for longest; -1: there is none.
+    """Choose heard drones in turn, but none that is asked about the sought drone already.
+
+    wanted: number of drones that have their turn
+    first: first question about the sought drone
+    Other arguments and result as in choose_nearest.
+    """
+    others = 0
+    for k in range(count):
+        others += heard[k] != pair.other
+    # Questions about several drones go to different ones.
+    begins = (pair.drone + pair.turns) * wanted
+    place = 0
+    for k in range(count):
+        if heard[k] == pair.other:
+            continue
+        has_turn = (place - begins) % others < wanted
+        place += 1
+        if has_turn and not is_asked(heard[k], questions, first, asked):
+            asked = add_question(heard[k], pair.other, questions, asked)
+    return asked
+
+
+@kernel()
+def find_longest_waiting(listener: Records, pairs: Records, need: int) -> int:
+    """Return the row of the pair about which was not asked for longest; -1: there is none.
 
     listener: one row of LISTENER_ROW
     pairs: PAIR_ROW
-    are_late: whether to choose among the pairs that are gone or older than `age_limit`, or the others
-    now: s
+    need: Need of the pairs among which it chooses
     """
     best = -1
     least = math.inf
     for k in range(listener.first_pair, listener.first_pair + listener.pair_count):
         pair = pairs[k]
-        if pair.is_sought == 0 or not pair.asked_time < least:
-            continue
-        age = now - pair.state_time
-        if (age > pair.age_limit or not age < NEIGHBOUR_AGES.gone) == are_late:
+        if pair.need == need and (best < 0 or pair.asked_time < least):
             best = k
             least = pair.asked_time
     return best
@@ -200,8 +216,8 @@ def choose_asked(
 ) -> int:
     """Choose which drones one drone asks for which states; return the number of questions.
 
-    It asks for a few drones a check, and begins with the pairs that have waited longest. Drones that
-    do not answer any more take no turns of the drones for which it need not brake yet.
+    For each Need it asks about a few drones, and begins with the pairs that have waited longest. So
+    drones that are gone take no turns of drones for which it brakes.
 
     at: number of the drone
     listeners: LISTENER_ROW
@@ -239,23 +255,20 @@ def choose_asked(
                 places[count, c] = place[c]
             count += 1
     asked = 0
-    for n in range(MOST_SOUGHT):
-        are_late = n >= RELAY_REQUESTS.most_in_time
-        k = find_longest_waiting(listener, pairs, are_late, now)
-        if k < 0:
-            continue
-        pair = pairs[k]
-        pair.is_sought = 0
-        pair.asked_time = now
-        pair.turns += 1
-        asked = choose_nearest(
-            pair.other,
-            pair.state,
-            pair.turns,
-            heard,
-            count,
-            places,
-            questions,
-            asked,
-        )
+    for need in range(Need.SOON, Need.LOW + 1):
+        for _ in range(MOST_SOUGHT[need]):
+            k = find_longest_waiting(listener, pairs, need)
+            if k < 0:
+                break
+            pair = pairs[k]
+            pair.need = Need.NONE
+            first = asked
+            in_turn = NEAREST_ASKED + 1
+            if pair.state_time > -math.inf:
+                asked = choose_nearest(pair, heard, count, places, questions, asked)
+                in_turn = 1
+            asked = choose_in_turn(pair, in_turn, heard, count, questions, first, asked)
+            if asked > first:
+                pair.asked_time = now
+                pair.turns += 1
     return asked

@@ -84,28 +84,35 @@ class RelayRequests(NamedTuple):
     interval_if_unanswered: float = 0.5
     """Seconds between two questions about a drone unanswered for RELAY_LEAD_TIME s."""
     interval_if_gone: float = 1.0
-    """Seconds between two questions about a drone that is gone or was never heard."""
-    most_in_time: int = 4
-    """Largest number of drones about which a drone asks in one check before it brakes for them.
-
-    It begins with the drones about which it has not asked for longest.
+    """Seconds between two checks in which a drone asks about drones that are gone or were never
+    heard.
     """
-    most_late: int = 4
-    """Largest number of further drones about which it asks in one check: drones for which it brakes,
-    and drones that are gone.
+    most_soon: int = 4
+    """Largest number of drones about which a drone asks in one check before it brakes for them."""
+    most_now: int = 4
+    """Largest number of further drones about which it asks in one check: drones for which it brakes.
 
-    It asks about each of 100 such drones every 2.5 s, long before one of them is gone.
+    It asks about each of 100 such drones every 2.5 s, and each counts as gone after
+    NEIGHBOUR_AGES.gone s.
+    """
+    most_low: int = 4
+    """Largest number of further drones about which it asks in one check: drones for which it does not
+    brake, because they stand on the floor, are gone, or were never heard.
     """
     nearest_asked: int = 2
     """Number of drones that are asked each time about one drone.
 
-    They are the heard drones that are nearest to it. One more drone is asked in turn.
+    They are the heard drones that are nearest to it. One more drone is asked in turn. If its place
+    was never known, all are asked in turn.
     """
 
 
 RELAY_REQUESTS = RelayRequests()
 RELAY_LEAD_TIME = (
     1.0  # s, before a drone would brake for want of a state, when it begins to ask
+)
+CHECKS_UNTIL_GONE_SOUGHT = round(
+    RELAY_REQUESTS.interval_if_gone / STATE_RATES.check_interval
 )
 FIRST_NEWS_TIME = 1.0  # s after the first step, when each drone should have been heard
 

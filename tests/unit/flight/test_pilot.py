@@ -1296,6 +1296,21 @@ def once():
 
 
 @virtual
+async def test_no_state_comes_from_the_future_though_a_pose_comes_early(clock):
+    """The filter takes an early pose to be measured a little later. Others would refuse such a state."""
+    drone, ages = Flown(clock), []
+    batch = drone.pilot.tick.batch
+    await drone.hovering()
+    for wait in (1.0, 0.85, 1.15, 0.9):
+        await clock.sleep(wait * TICK)
+        pose = Pose(drone.world.state(0).flat[[0, 1, 2, 6, 7, 8, 9]], 0.0)
+        tick(drone.pilot, drone.pilot.stages.receive_pose(pose, 0.0))
+        ages.append(float(batch.filters.rows[0]["age"]))
+        assert drone.pilot.state.age >= 0.0
+    assert min(ages) < -0.001
+
+
+@virtual
 async def test_a_pose_with_an_age_of_nan_is_accepted_as_current(clock):
     drone = Supervised(clock)
     await drone.hovering()

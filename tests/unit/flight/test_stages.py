@@ -19,7 +19,6 @@ from crazychoir.flight.stages import (
     _evade,
     find_rows_to_judge,
     follow_rows,
-    publish_drones,
 )
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.planning.plan_row import WINDOW_PIECES, PlanKind
@@ -145,19 +144,6 @@ def test_a_drone_that_does_not_tick_keeps_its_course():
     drone.drone["age"] = 100.0
     assert find(batch) == []
     assert drone.drone["course"] == Course.READY
-
-
-def test_no_published_state_comes_from_the_future():
-    """Poses of another process may, by the error of the offset between the clocks."""
-    batch = Batch(3)
-    for at, age in enumerate((-0.001, 0.02, math.nan)):
-        drone = Flying(batch).drone
-        drone["listener"] = at
-        drone["age"] = age
-    times = np.zeros(3)
-    publish_drones(batch.drones, np.zeros((3, 16)), times, np.zeros(3, np.int64), NOW)
-    assert times[:2].tolist() == [NOW, NOW - 0.02]
-    assert math.isnan(times[2])
 
 
 def test_the_controller_of_the_last_tick_is_forgotten():

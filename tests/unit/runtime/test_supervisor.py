@@ -1,4 +1,5 @@
 import asyncio
+import contextlib
 import logging
 
 import pytest
@@ -11,7 +12,11 @@ from crazychoir.runtime.actor import (
     RestartPolicy,
 )
 from crazychoir.runtime.clock import run_virtual, run_wall
-from crazychoir.runtime.supervisor import STOP_DEADLINE, Supervisor
+from crazychoir.runtime.supervisor import (
+    CLEANING_DEADLINE,
+    STOP_DEADLINE,
+    Supervisor,
+)
 
 
 class Part(Actor):
@@ -313,6 +318,38 @@ def test_on_stop_has_a_deadline_and_its_errors_do_not_stop_other_parts(caplog):
     assert "drone 3 slow: on_stop failed, or took more than 2 s" in caplog.text
     assert "TimeoutError" in caplog.text
     assert "ValueError: mine" in caplog.text
+
+
+@virtual
+async def test_an_on_stop_that_took_too_long_cleans_up_before_the_next_one(clock):
+    class Slow(Part):
+        async def on_stop(self):
+            try:
+                await self.clock.sleep(99.0)
+            finally:
+                await self.clock.sleep(0.1)
+                self.write("stopped")
+
+    diary, supervisor = [], Supervisor(clock, "drone 3")
+    clock.call_at(1_000_000_000, supervisor.stop)
+    await supervisor.run([Part(clock, diary, "a"), Slow(clock, diary, "slow")])
+    assert events(diary, "stopped") == [("slow", "stopped"), ("a", "stopped")]
+
+
+@virtual
+async def test_an_on_stop_deaf_to_cancellation_is_left_behind(clock):
+    class Deaf(Part):
+        async def on_stop(self):
+            while clock.now() < 30.0:
+                with contextlib.suppress(asyncio.CancelledError):
+                    await clock.sleep(1.0)
+
+    diary, supervisor = [], Supervisor(clock, "drone 3")
+    clock.call_at(1_000_000_000, supervisor.stop)
+    await supervisor.run([Part(clock, diary, "a"), Deaf(clock, diary, "deaf")])
+    assert clock.now() == 1.0 + STOP_DEADLINE + CLEANING_DEADLINE
+    assert events(diary, "stopped") == [("a", "stopped")]
+    await clock.sleep(30.0)
 
 
 def test_an_actor_deaf_to_cancellation_is_named_and_left_behind(caplog):

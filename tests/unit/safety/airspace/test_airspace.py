@@ -8,7 +8,7 @@ from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.tables import CollisionTable
-from crazychoir.safety.airspace.airspace_rows import FRAME_ROW, Missed
+from crazychoir.safety.airspace.airspace_rows import FRAME_ROW, Missed, Need
 from crazychoir.safety.airspace.neighbours import Neighbours
 from crazychoir.safety.airspace.state_rates import (
     FIRST_NEWS_TIME,
@@ -81,7 +81,7 @@ def test_a_pair_that_becomes_near_begins_with_what_the_drone_heard_last():
     assert row is not None
     assert row["state"][0] == 4.8
     assert row["heard_time"] <= 1.0
-    assert row["is_sought"]
+    assert row["need"] == Need.SOON
     sky.fly(10.0)
     assert sky.drones[0].row(1)["state"][0] == 4.8, "it is not forgotten"
 

@@ -101,7 +101,7 @@ async def test_drones_of_two_processes_hear_each_other(clock):
 
 @virtual
 async def test_states_that_seem_to_come_from_the_future_are_heard(clock):
-    """The clocks of the cameras and of the drone differ by a millisecond."""
+    """A filter may take an early pose to be measured a little later."""
     one, two = Process(clock, (0, 2)), Process(clock, (1, 3))
     two.age = -0.001
     one.join(two)

@@ -13,8 +13,8 @@ from crazychoir.control.gains import STANDARD_GAINS
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.airspace.airspace import Airspace, AirspaceRules
 from crazychoir.safety.airspace.neighbours import Neighbours
-from crazychoir.safety.airspace.relay_choice import MOST_SOUGHT
 from crazychoir.safety.airspace.state_rates import (
+    FIRST_NEWS_TIME,
     NEIGHBOUR_AGES,
     RELAY_REQUESTS,
     STATE_RATES,
@@ -30,7 +30,9 @@ HERE = (-1.0, 0.0, 1.0)
 class Team:
     """Drones with their filters on one bus; 0 does not hear 1, which is elsewhere than it knows."""
 
-    def __init__(self, drones=4):
+    def __init__(self, drones=4, flown=None):
+        """flown: number of drones that are here; None: all"""
+        flown = drones if flown is None else flown
         self.seconds = 0.0
         self.bus = Bus(
             SimpleNamespace(
@@ -38,13 +40,13 @@ class Team:
                 now=lambda: self.seconds,
             )
         )
-        for i in range(drones):
+        for i in range(flown):
             self.bus.port(i)
         rules = AirspaceRules(CollisionTable(), 1.0, 0.0)
         self.airspace = Airspace(self.bus, range(drones), rules)
-        self.filters = [self.filter_of(i) for i in range(drones)]
+        self.filters = [self.filter_of(i) for i in range(flown)]
         self.asked = []
-        for i in range(drones):
+        for i in range(flown):
             self.spy(i)
 
     def filter_of(self, i):
@@ -172,7 +174,7 @@ def test_no_drone_asks_while_all_are_heard_or_far_away():
 
 
 def test_a_drone_asks_about_few_drones_in_each_check_and_about_all_in_turn():
-    silent = range(1, 2 * MOST_SOUGHT)
+    silent = range(1, 3 * RELAY_REQUESTS.most_now + 2)
     last = silent.stop
     team = Team(last + 1)
     sought = []
@@ -185,12 +187,12 @@ def test_a_drone_asks_about_few_drones_in_each_check_and_about_all_in_turn():
     for j in silent:
         team.say(j, (0.1 * j - 1.0, 1.0, 1.0), [0])
     team.seconds = NEIGHBOUR_AGES.silent + 0.1
-    for _ in range(12):
+    for _ in range(6):
         team.seconds += STATE_RATES.check_interval
         team.say(last, (0.0, 2.0, 1.0), [0])
         team.check()
     assert sought, "the last drone alone is heard"
-    assert max(len(those) for those in sought) == RELAY_REQUESTS.most_late
+    assert max(len(those) for those in sought) == RELAY_REQUESTS.most_now
     assert {j for those in sought for j in those} == set(silent)
 
 
@@ -214,19 +216,51 @@ def test_however_many_drones_fall_silent_none_is_gone_that_others_hear():
     assert NEIGHBOUR_AGES.usable < oldest < 0.25 * NEIGHBOUR_AGES.gone
 
 
-def test_absent_drones_take_no_turns_of_a_drone_that_others_hear():
-    """Drone 1 is near and relayed; 95 drones are absent."""
-    team = Team(100)
+@pytest.mark.parametrize("lost", [0.0, 2.0])
+def test_absent_drones_take_no_turns_of_a_drone_that_others_hear(lost):
+    """Drone 1 is near and relayed; of 500 absent drones some have landed. Answers are lost for a while."""
+    team = Team(500, flown=5)
+    handlers = team.bus.ports[0].handlers
+    take = handlers[MESSAGE_TOPICS.relayed_states.number]
+    handlers[MESSAGE_TOPICS.relayed_states.number] = lambda *message: (
+        take(*message) if team.seconds > NEIGHBOUR_AGES.silent + lost else None
+    )
+    for j in range(5, 250):
+        team.say(j, (0.2 * (j % 30), 0.2 * (j // 30), 0.0), [0])
+    team.seconds = NEIGHBOUR_AGES.silent
     team.say(1, (-0.5, 0.5, 1.0), [0])
     ages = []
-    for _ in range(120):
+    for _ in range(150):
         team.seconds += STATE_RATES.check_interval
         team.say(1, (-0.5, 0.5, 1.0), (2, 3, 4))
         for j in (2, 3, 4):
             team.say(j, (0.0, float(j), 1.0), [0])
         team.check()
         ages.append(team.seconds - team.row(0, 1)["state_time"])
-    assert max(ages) < NEIGHBOUR_AGES.usable
+    assert max(ages) < max(
+        NEIGHBOUR_AGES.usable, lost + RELAY_REQUESTS.interval_if_unanswered + 0.3
+    )
+
+
+@pytest.mark.parametrize("absent", [5, 60, 300])
+def test_questions_about_absent_drones_are_few_however_many_are_absent(absent):
+    heard = range(1, 21)
+    team = Team(21 + absent, flown=21)
+
+    def fly(seconds):
+        for _ in range(round(seconds / STATE_RATES.check_interval)):
+            team.seconds += STATE_RATES.check_interval
+            for j in heard:
+                team.say(j, (0.1 * j, 2.0, 1.0), [0])
+            team.check()
+
+    fly(FIRST_NEWS_TIME)
+    team.asked.clear()
+    fly(10.0 * RELAY_REQUESTS.interval_if_gone)
+    most = 10 * RELAY_REQUESTS.most_low * (RELAY_REQUESTS.nearest_asked + 1)
+    assert 0.5 * most <= len(team.asked) <= most
+    counts = [team.asked.count(j) for j in heard]
+    assert max(counts) <= 3 * min(counts), "all are asked in turn"
 
 
 def test_others_are_asked_about_a_standing_drone_later():

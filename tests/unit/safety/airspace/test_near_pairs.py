@@ -91,14 +91,15 @@ def test_the_pairs_are_those_of_a_plain_scan(seed, own, box, loss):
     checked = []
 
     def compare(now_ns):
-        expected = [
-            scan_plainly(sky, listener, now_ns / NS_PER_SECOND)
-            for listener in range(own)
-        ]
-        before = sky.airspace.near.listeners["check_count"].copy()
+        before = sky.airspace.near.listeners.copy()
+        expected = {
+            listener: scan_plainly(sky, listener, now_ns / NS_PER_SECOND)
+            for listener in np.flatnonzero(before["check_ns"] <= now_ns).tolist()
+        }
         check_all(now_ns)
         after = sky.airspace.near.listeners
-        for listener in np.flatnonzero(after["check_count"] != before).tolist():
+        was_checked = after["check_count"] != before["check_count"]
+        for listener in np.flatnonzero(was_checked).tolist():
             row = after[listener]
             near, heard, silent = expected[listener]
             assert sky.airspace.pairs_of(listener)["other"].tolist() == near
