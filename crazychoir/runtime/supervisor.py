@@ -89,7 +89,9 @@ class Supervisor:
     async def _stop_child(self, child: _Child) -> None:
         if not child.stopping:
             child.task.cancel()
-        _, late = await asyncio.wait([child.task], timeout=2.0 * STOP_DEADLINE)
+        _, late = await asyncio.wait(
+            [child.task], timeout=2.0 * STOP_DEADLINE + CLEANING_DEADLINE
+        )
         if late:
             log.error("%s %s: does not stop; left behind", self.name, child.actor.name)
         await self._finish(child)
@@ -157,10 +159,13 @@ class Supervisor:
             done, _ = await asyncio.wait([stopping], timeout=STOP_DEADLINE)
         finally:
             stopping.cancel()
-        if not done:
-            await asyncio.wait([stopping], timeout=CLEANING_DEADLINE)
+        is_late = not done
+        if is_late:
+            done, _ = await asyncio.wait([stopping], timeout=CLEANING_DEADLINE)
         ends = await asyncio.gather(*done, return_exceptions=True)
-        error = ends[0] if ends else TimeoutError()
+        error = ends[0] if ends else None
+        if is_late and (error is None or isinstance(error, asyncio.CancelledError)):
+            error = TimeoutError()
         # The next actor must still be stopped.
         if error is not None:
             log.error(

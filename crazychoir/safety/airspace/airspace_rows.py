@@ -258,8 +258,10 @@ class Need(IntEnum):
     """It will soon brake for want of a newer state."""
     NOW = 2
     """It brakes for want of a newer state."""
-    LOW = 3
-    """It does not brake for want of it: the other drone stands, is gone, or was never heard."""
+    STANDING = 3
+    """The other drone stands on the floor: it does not brake for want of a newer state."""
+    GONE = 4
+    """The other drone counts as gone, or was never heard."""
 
 
 class Missed(IntEnum):

@@ -496,7 +496,7 @@ def pace_pairs(
     listener = listeners[at]
     listener.check_count += 1
     listener.sought_count = 0
-    # Not all drones ask about drones that are gone in the same check.
+    # Not all drones ask about gone drones in the same check.
     turn = listener.check_count + listener.place
     seeks_gone = turn % CHECKS_UNTIL_GONE_SOUGHT == 0
     for k in range(listener.first_pair, listener.first_pair + listener.pair_count):

@@ -169,7 +169,8 @@ def find_need(
     """
     age = now - pair.state_time
     if not age < NEIGHBOUR_AGES.gone:
-        return Need.LOW if seeks_gone else Need.NONE
+        is_new = pair.asked_time == -math.inf
+        return Need.GONE if seeks_gone or is_new else Need.NONE
     stands = pair.state[2] < standing_height
     least = NEIGHBOUR_AGES.usable if stands else RELAY_REQUESTS.least_age
     needed = max(least, pair.age_limit - RELAY_LEAD_TIME)
@@ -181,7 +182,7 @@ def find_need(
     if is_unanswered and waited < RELAY_REQUESTS.interval_if_unanswered:
         return Need.NONE
     if stands:
-        return Need.LOW
+        return Need.STANDING
     return Need.NOW if age > pair.age_limit else Need.SOON
 
 

@@ -20,7 +20,11 @@ from crazychoir.safety.airspace.far_drones import recall_round
 from crazychoir.safety.airspace.hearing import byte_table
 from crazychoir.safety.airspace.motion import compute_norm
 from crazychoir.safety.airspace.pair_paces import find_pair
-from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES, RELAY_REQUESTS
+from crazychoir.safety.airspace.state_rates import (
+    CHECKS_UNTIL_GONE_SOUGHT,
+    NEIGHBOUR_AGES,
+    RELAY_REQUESTS,
+)
 from crazychoir.types import Bytes, Ints, Records, Vec
 
 NO_DRONE = -1  # place in the swarm of no drone
@@ -29,10 +33,10 @@ MOST_SOUGHT = (
     0,
     RELAY_REQUESTS.most_soon,
     RELAY_REQUESTS.most_now,
-    RELAY_REQUESTS.most_low,
+    RELAY_REQUESTS.most_standing,
 )
-"""(4,): largest number of drones about which a drone asks in one check, for each Need."""
-MOST_QUESTIONS = sum(MOST_SOUGHT) * (NEAREST_ASKED + 1)
+"""(4,): largest number of drones about which a drone asks in one check, for each Need but GONE."""
+MOST_QUESTIONS = (sum(MOST_SOUGHT) + RELAY_REQUESTS.most_gone) * (NEAREST_ASKED + 1)
 """Largest number of questions of a drone in one check."""
 
 
@@ -96,16 +100,18 @@ def add_question(drone: int, sought: int, questions: Ints, count: int) -> int:
 
 @kernel()
 def choose_nearest(
-    pair: Records,
+    sought: int,
+    state: Vec,
     heard: Ints,
     count: int,
     places: Vec,
     questions: Ints,
     asked: int,
 ) -> int:
-    """Choose the heard drones that are nearest to a sought one.
+    """Choose the heard drones that are nearest to a place, to ask them about a sought drone.
 
-    pair: of the sought drone, one row of PAIR_ROW
+    sought: row of the sought drone in the swarm
+    state: a state (13,) at the place
     heard: (count,): rows of the heard drones in the swarm
     count: number of heard drones
     places: (n, 3) m: their places, in the same order
@@ -120,50 +126,49 @@ def choose_nearest(
         for k in range(count):
             apart = compute_norm(
                 (
-                    places[k, 0] - pair.state[0],
-                    places[k, 1] - pair.state[1],
-                    places[k, 2] - pair.state[2],
+                    places[k, 0] - state[0],
+                    places[k, 1] - state[1],
+                    places[k, 2] - state[2],
                 )
             )
-            if heard[k] == pair.other or not apart < least:
+            if heard[k] == sought or not apart < least:
                 continue
             if not is_asked(heard[k], questions, first, asked):
                 best = heard[k]
                 least = apart
         if best != NO_DRONE:
-            asked = add_question(best, pair.other, questions, asked)
+            asked = add_question(best, sought, questions, asked)
     return asked
 
 
 @kernel()
 def choose_in_turn(
-    pair: Records,
-    wanted: int,
+    sought: int,
+    turn: int,
     heard: Ints,
     count: int,
     questions: Ints,
     first: int,
     asked: int,
 ) -> int:
-    """Choose heard drones in turn, but none that is asked about the sought drone already.
+    """Choose the heard drone that has its turn, unless it is asked about the sought one already.
 
-    wanted: number of drones that have their turn
+    turn: number of the turn, from 0 on
     first: first question about the sought drone
     Other arguments and result as in choose_nearest.
     """
     others = 0
     for k in range(count):
-        others += heard[k] != pair.other
-    # Questions about several drones go to different ones.
-    begins = (pair.drone + pair.turns) * wanted
-    place = 0
+        others += heard[k] != sought
+    if others == 0:
+        return asked
+    turn = turn % others
     for k in range(count):
-        if heard[k] == pair.other:
+        if heard[k] == sought:
             continue
-        has_turn = (place - begins) % others < wanted
-        place += 1
-        if has_turn and not is_asked(heard[k], questions, first, asked):
-            asked = add_question(heard[k], pair.other, questions, asked)
+        if turn == 0 and not is_asked(heard[k], questions, first, asked):
+            asked = add_question(heard[k], sought, questions, asked)
+        turn -= 1
     return asked
 
 
@@ -183,6 +188,53 @@ def find_longest_waiting(listener: Records, pairs: Records, need: int) -> int:
             best = k
             least = pair.asked_time
     return best
+
+
+@kernel()
+def ask_about_gone(
+    listener: Records,
+    pairs: Records,
+    here: Vec,
+    heard: Ints,
+    count: int,
+    places: Vec,
+    questions: Ints,
+    asked: int,
+    now: float,
+) -> int:
+    """Ask the same few drones about all drones that are gone; return the number of questions.
+
+    They are the heard drones nearest to the asking one, because a drone that is gone matters if it is
+    near, and one more in turn.
+
+    listener: one row of LISTENER_ROW
+    pairs: PAIR_ROW
+    here: (13,), state of the asking drone
+    now: s
+    Other arguments as in choose_nearest.
+    """
+    first = asked
+    end = asked
+    turn = listener.place + listener.check_count // CHECKS_UNTIL_GONE_SOUGHT
+    for n in range(RELAY_REQUESTS.most_gone):
+        k = find_longest_waiting(listener, pairs, Need.GONE)
+        if k < 0:
+            break
+        pair = pairs[k]
+        pair.need = Need.NONE
+        pair.asked_time = now
+        if n == 0:
+            asked = choose_nearest(
+                pair.other, here, heard, count, places, questions, asked
+            )
+            asked = choose_in_turn(
+                pair.other, turn, heard, count, questions, first, asked
+            )
+            end = asked
+            continue
+        for q in range(first, end):
+            asked = add_question(questions[q, 0], pair.other, questions, asked)
+    return asked
 
 
 @kernel(
@@ -217,7 +269,7 @@ def choose_asked(
     """Choose which drones one drone asks for which states; return the number of questions.
 
     For each Need it asks about a few drones, and begins with the pairs that have waited longest. So
-    drones that are gone take no turns of drones for which it brakes.
+    drones that stand or are gone take no turns of drones for which it brakes.
 
     at: number of the drone
     listeners: LISTENER_ROW
@@ -255,7 +307,7 @@ def choose_asked(
                 places[count, c] = place[c]
             count += 1
     asked = 0
-    for need in range(Need.SOON, Need.LOW + 1):
+    for need in range(Need.SOON, Need.STANDING + 1):
         for _ in range(MOST_SOUGHT[need]):
             k = find_longest_waiting(listener, pairs, need)
             if k < 0:
@@ -263,12 +315,18 @@ def choose_asked(
             pair = pairs[k]
             pair.need = Need.NONE
             first = asked
-            in_turn = NEAREST_ASKED + 1
-            if pair.state_time > -math.inf:
-                asked = choose_nearest(pair, heard, count, places, questions, asked)
-                in_turn = 1
-            asked = choose_in_turn(pair, in_turn, heard, count, questions, first, asked)
+            asked = choose_nearest(
+                pair.other, pair.state, heard, count, places, questions, asked
+            )
+            # Drones that ask together, and questions about several drones, go to different ones.
+            turn = listener.place + pair.drone + pair.turns
+            asked = choose_in_turn(
+                pair.other, turn, heard, count, questions, first, asked
+            )
             if asked > first:
                 pair.asked_time = now
                 pair.turns += 1
-    return asked
+    here = swarm[listener.place].state
+    return ask_about_gone(
+        listener, pairs, here, heard, count, places, questions, asked, now
+    )

@@ -95,15 +95,17 @@ class RelayRequests(NamedTuple):
     It asks about each of 100 such drones every 2.5 s, and each counts as gone after
     NEIGHBOUR_AGES.gone s.
     """
-    most_low: int = 4
-    """Largest number of further drones about which it asks in one check: drones for which it does not
-    brake, because they stand on the floor, are gone, or were never heard.
+    most_standing: int = 4
+    """Largest number of further drones about which it asks in one check: drones on the floor."""
+    most_gone: int = 40
+    """Largest number of further drones about which it asks in one check: drones that are gone or were
+    never heard. It asks the same few drones about all of them, about each of 100 every 2.5 s.
     """
     nearest_asked: int = 2
     """Number of drones that are asked each time about one drone.
 
-    They are the heard drones that are nearest to it. One more drone is asked in turn. If its place
-    was never known, all are asked in turn.
+    They are the heard drones that are nearest to it. One more drone is asked in turn. About drones
+    that are gone it asks the drones that are nearest to itself, because only there they matter.
     """
 
 

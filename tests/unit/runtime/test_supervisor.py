@@ -320,20 +320,33 @@ def test_on_stop_has_a_deadline_and_its_errors_do_not_stop_other_parts(caplog):
     assert "ValueError: mine" in caplog.text
 
 
-@virtual
-async def test_an_on_stop_that_took_too_long_cleans_up_before_the_next_one(clock):
+@pytest.mark.parametrize("slow_end", [0.0, 1.9])
+def test_an_on_stop_that_took_too_long_cleans_up_before_the_next_one(caplog, slow_end):
     class Slow(Part):
+        async def run(self):
+            try:
+                await asyncio.Event().wait()
+            finally:
+                await self.clock.sleep(slow_end)
+
         async def on_stop(self):
             try:
                 await self.clock.sleep(99.0)
             finally:
-                await self.clock.sleep(0.1)
+                await self.clock.sleep(0.4)
                 self.write("stopped")
+                raise ValueError("mine")
 
-    diary, supervisor = [], Supervisor(clock, "drone 3")
-    clock.call_at(1_000_000_000, supervisor.stop)
-    await supervisor.run([Part(clock, diary, "a"), Slow(clock, diary, "slow")])
+    async def main(clock):
+        supervisor = Supervisor(clock, "drone 3")
+        clock.call_at(1_000_000_000, supervisor.stop)
+        await supervisor.run([Part(clock, diary, "a"), Slow(clock, diary, "slow")])
+
+    diary = []
+    run_virtual(main)
     assert events(diary, "stopped") == [("slow", "stopped"), ("a", "stopped")]
+    assert "ValueError: mine" in caplog.text
+    assert "left behind" not in caplog.text
 
 
 @virtual
@@ -371,7 +384,7 @@ def test_an_actor_deaf_to_cancellation_is_named_and_left_behind(caplog):
         return ended
 
     diary = []
-    assert run_virtual(main) == 1.0 + 2 * STOP_DEADLINE
+    assert run_virtual(main) == 1.0 + 2 * STOP_DEADLINE + CLEANING_DEADLINE
     assert events(diary, "stopped") == [("deaf", "stopped"), ("a", "stopped")]
     assert "drone 3 deaf: does not stop; left behind" in caplog.text
 

@@ -1,5 +1,6 @@
 """A drone that does not hear another is told of it by others."""
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -256,11 +257,31 @@ def test_questions_about_absent_drones_are_few_however_many_are_absent(absent):
 
     fly(FIRST_NEWS_TIME)
     team.asked.clear()
-    fly(10.0 * RELAY_REQUESTS.interval_if_gone)
-    most = 10 * RELAY_REQUESTS.most_low * (RELAY_REQUESTS.nearest_asked + 1)
-    assert 0.5 * most <= len(team.asked) <= most
-    counts = [team.asked.count(j) for j in heard]
-    assert max(counts) <= 3 * min(counts), "all are asked in turn"
+    fly(20.0 * RELAY_REQUESTS.interval_if_gone)
+    most = 20 * (RELAY_REQUESTS.nearest_asked + 1)
+    assert 0.8 * most <= len(team.asked) <= most
+    assert set(team.asked) == set(heard), "all are asked in turn"
+
+
+@pytest.mark.parametrize("was_heard", [False, True])
+def test_a_drone_that_flies_among_many_absent_ones_is_known_soon(was_heard):
+    """Drones 1 to 3 hear drone 4, which drone 0 has never heard, or not for long."""
+    team = Team(65, flown=5)
+
+    def fly(seconds, hear_four):
+        for _ in range(round(seconds / STATE_RATES.check_interval)):
+            team.seconds += STATE_RATES.check_interval
+            for j in (1, 2, 3):
+                team.say(j, (0.0, float(j), 1.0), [0])
+            team.say(4, (-0.5, 0.0, 1.0), hear_four)
+            team.check()
+
+    fly(FIRST_NEWS_TIME, hear_four=[0] if was_heard else [])
+    fly(NEIGHBOUR_AGES.gone + 1.0, hear_four=[])
+    turns = math.ceil(61 / RELAY_REQUESTS.most_gone)
+    fly(turns * RELAY_REQUESTS.interval_if_gone, hear_four=(1, 2, 3))
+    age = team.seconds - team.row(0, 4)["state_time"]
+    assert age < turns * RELAY_REQUESTS.interval_if_gone
 
 
 def test_others_are_asked_about_a_standing_drone_later():
