@@ -13,7 +13,7 @@ log = logging.getLogger(__name__)
 STOP_DEADLINE = 2.0
 """Seconds for a cancelled actor to end, and the same again for its `on_stop`.
 
-An actor that takes longer is logged and left behind.
+An actor that takes longer than both together is logged and left behind.
 """
 CLEANING_DEADLINE = 0.5
 """Seconds for an `on_stop` that took too long to clean up, before the next actor stops."""

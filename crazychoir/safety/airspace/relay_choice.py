@@ -20,11 +20,7 @@ from crazychoir.safety.airspace.far_drones import recall_round
 from crazychoir.safety.airspace.hearing import byte_table
 from crazychoir.safety.airspace.motion import compute_norm
 from crazychoir.safety.airspace.pair_paces import find_pair
-from crazychoir.safety.airspace.state_rates import (
-    CHECKS_UNTIL_GONE_SOUGHT,
-    NEIGHBOUR_AGES,
-    RELAY_REQUESTS,
-)
+from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES, RELAY_REQUESTS
 from crazychoir.types import Bytes, Ints, Records, Vec
 
 NO_DRONE = -1  # place in the swarm of no drone
@@ -151,24 +147,16 @@ def choose_in_turn(
     first: int,
     asked: int,
 ) -> int:
-    """Choose the heard drone that has its turn, unless it is asked about the sought one already.
+    """Choose the heard drone that has its turn, or the next one without a question.
 
     turn: number of the turn, from 0 on
     first: first question about the sought drone
     Other arguments and result as in choose_nearest.
     """
-    others = 0
-    for k in range(count):
-        others += heard[k] != sought
-    if others == 0:
-        return asked
-    turn = turn % others
-    for k in range(count):
-        if heard[k] == sought:
-            continue
-        if turn == 0 and not is_asked(heard[k], questions, first, asked):
-            asked = add_question(heard[k], sought, questions, asked)
-        turn -= 1
+    for step in range(count):
+        drone = heard[(turn + step) % count]
+        if drone != sought and not is_asked(drone, questions, first, asked):
+            return add_question(drone, sought, questions, asked)
     return asked
 
 
@@ -213,27 +201,31 @@ def ask_about_gone(
     now: s
     Other arguments as in choose_nearest.
     """
+    if count == 0:
+        return asked
     first = asked
     end = asked
-    turn = listener.place + listener.check_count // CHECKS_UNTIL_GONE_SOUGHT
     for n in range(RELAY_REQUESTS.most_gone):
         k = find_longest_waiting(listener, pairs, Need.GONE)
         if k < 0:
             break
         pair = pairs[k]
-        pair.need = Need.NONE
-        pair.asked_time = now
         if n == 0:
             asked = choose_nearest(
                 pair.other, here, heard, count, places, questions, asked
             )
+            # All gone drones are asked about equally often: the turn of one is that of all.
+            turn = listener.place + pair.turns
             asked = choose_in_turn(
                 pair.other, turn, heard, count, questions, first, asked
             )
             end = asked
-            continue
-        for q in range(first, end):
-            asked = add_question(questions[q, 0], pair.other, questions, asked)
+        else:
+            for q in range(first, end):
+                asked = add_question(questions[q, 0], pair.other, questions, asked)
+        pair.need = Need.NONE
+        pair.asked_time = now
+        pair.turns += 1
     return asked
 
 

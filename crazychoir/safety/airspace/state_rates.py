@@ -85,7 +85,7 @@ class RelayRequests(NamedTuple):
     """Seconds between two questions about a drone unanswered for RELAY_LEAD_TIME s."""
     interval_if_gone: float = 1.0
     """Seconds between two checks in which a drone asks about drones that are gone or were never
-    heard.
+    heard. It first asks about such a drone at once.
     """
     most_soon: int = 4
     """Largest number of drones about which a drone asks in one check before it brakes for them."""
@@ -99,13 +99,14 @@ class RelayRequests(NamedTuple):
     """Largest number of further drones about which it asks in one check: drones on the floor."""
     most_gone: int = 40
     """Largest number of further drones about which it asks in one check: drones that are gone or were
-    never heard. It asks the same few drones about all of them, about each of 100 every 2.5 s.
+    never heard. It asks the same few drones about all of them, about each of 100 every 2.5 s on
+    average.
     """
     nearest_asked: int = 2
     """Number of drones that are asked each time about one drone.
 
     They are the heard drones that are nearest to it. One more drone is asked in turn. About drones
-    that are gone it asks the drones that are nearest to itself, because only there they matter.
+    that are gone it asks the heard drones that are nearest to itself, because only there they matter.
     """
 
 

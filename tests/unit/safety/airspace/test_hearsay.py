@@ -1,5 +1,6 @@
 """A drone that does not hear another is told of it by others."""
 
+import contextlib
 import math
 from types import SimpleNamespace
 
@@ -11,6 +12,7 @@ from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.config.tables import CollisionTable
 from crazychoir.control.gains import STANDARD_GAINS
+from crazychoir.errors import CodecError
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.airspace.airspace import Airspace, AirspaceRules
 from crazychoir.safety.airspace.neighbours import Neighbours
@@ -47,6 +49,7 @@ class Team:
         self.airspace = Airspace(self.bus, range(drones), rules)
         self.filters = [self.filter_of(i) for i in range(flown)]
         self.asked = []
+        self.questions = []
         for i in range(flown):
             self.spy(i)
 
@@ -61,9 +64,15 @@ class Team:
         self.bus.ports[i].handlers[MESSAGE_TOPICS.wanted_states.number] = (
             lambda *message: (
                 self.asked.append(i),
+                self.note(i, message[1]),
                 taken(*message),
             )
         )
+
+    def note(self, i, payload):
+        """Keep a question to drone i."""
+        with contextlib.suppress(CodecError):
+            self.questions.append((self.seconds, i, decode(payload)))
 
     def row(self, i, j):
         return self.filters[i].traffic.row(j)
@@ -243,45 +252,62 @@ def test_absent_drones_take_no_turns_of_a_drone_that_others_hear(lost):
     )
 
 
+class AbsentTeam(Team):
+    """Drone 0 hears the drones 1 to `heard`; the last drone, `hidden`, may fly; the others are absent."""
+
+    def __init__(self, heard, absent):
+        super().__init__(heard + absent + 1, flown=heard + 1)
+        self.heard = range(1, heard + 1)
+        self.hidden = heard + absent
+
+    def fly(self, seconds, witnesses=()):
+        """Fly; `witnesses` hear the hidden drone nearby."""
+        for _ in range(round(seconds / STATE_RATES.check_interval)):
+            self.seconds += STATE_RATES.check_interval
+            for j in self.heard:
+                self.say(j, (0.2 * j - 2.05, 2.0, 1.0), [0])
+            self.say(self.hidden, (-0.5, 0.0, 1.0), witnesses)
+            self.check()
+
+
 @pytest.mark.parametrize("absent", [5, 60, 300])
 def test_questions_about_absent_drones_are_few_however_many_are_absent(absent):
-    heard = range(1, 21)
-    team = Team(21 + absent, flown=21)
-
-    def fly(seconds):
-        for _ in range(round(seconds / STATE_RATES.check_interval)):
-            team.seconds += STATE_RATES.check_interval
-            for j in heard:
-                team.say(j, (0.1 * j, 2.0, 1.0), [0])
-            team.check()
-
-    fly(FIRST_NEWS_TIME)
-    team.asked.clear()
-    fly(20.0 * RELAY_REQUESTS.interval_if_gone)
-    most = 20 * (RELAY_REQUESTS.nearest_asked + 1)
-    assert 0.8 * most <= len(team.asked) <= most
-    assert set(team.asked) == set(heard), "all are asked in turn"
+    team = AbsentTeam(20, absent)
+    team.fly(FIRST_NEWS_TIME)
+    first = {sought for _, _, those in team.questions for sought in those}
+    assert first == set(range(21, 21 + absent)), "about all at once"
+    team.fly(10.0 * RELAY_REQUESTS.interval_if_gone)
+    began = team.seconds
+    team.fly(20.0 * RELAY_REQUESTS.interval_if_gone)
+    rounds = {}
+    for seconds, asked, those in team.questions:
+        if seconds > began:
+            rounds.setdefault(seconds, {})[asked] = those
+    assert len(rounds) == 20, "once a second"
+    for questions in rounds.values():
+        assert {5, 6} <= set(questions), "the nearest to drone 0"
+        assert len(questions) == RELAY_REQUESTS.nearest_asked + 1
+        for those in questions.values():
+            assert len(those) == min(absent, RELAY_REQUESTS.most_gone)
 
 
 @pytest.mark.parametrize("was_heard", [False, True])
-def test_a_drone_that_flies_among_many_absent_ones_is_known_soon(was_heard):
-    """Drones 1 to 3 hear drone 4, which drone 0 has never heard, or not for long."""
-    team = Team(65, flown=5)
-
-    def fly(seconds, hear_four):
-        for _ in range(round(seconds / STATE_RATES.check_interval)):
-            team.seconds += STATE_RATES.check_interval
-            for j in (1, 2, 3):
-                team.say(j, (0.0, float(j), 1.0), [0])
-            team.say(4, (-0.5, 0.0, 1.0), hear_four)
-            team.check()
-
-    fly(FIRST_NEWS_TIME, hear_four=[0] if was_heard else [])
-    fly(NEIGHBOUR_AGES.gone + 1.0, hear_four=[])
-    turns = math.ceil(61 / RELAY_REQUESTS.most_gone)
-    fly(turns * RELAY_REQUESTS.interval_if_gone, hear_four=(1, 2, 3))
-    age = team.seconds - team.row(0, 4)["state_time"]
-    assert age < turns * RELAY_REQUESTS.interval_if_gone
+@pytest.mark.parametrize("witness", [5, 7, 8])
+def test_a_drone_among_many_absent_ones_is_known_if_any_other_hears_it(
+    was_heard, witness
+):
+    """Each heard drone is asked in turn, also where the number of absent drones is even, as that of turns."""
+    team = AbsentTeam(20, 60)
+    team.fly(FIRST_NEWS_TIME, witnesses=[0] if was_heard else [])
+    team.fly(NEIGHBOUR_AGES.gone + 1.0)
+    rounds = math.ceil(60 / RELAY_REQUESTS.most_gone)
+    if witness != 5:  # which is near drone 0
+        rounds *= 20
+    began = team.seconds
+    team.fly(rounds * RELAY_REQUESTS.interval_if_gone, witnesses=[witness])
+    row = team.row(0, team.hidden)
+    assert row is not None
+    assert row["state_time"] > began, "it was told"
 
 
 def test_others_are_asked_about_a_standing_drone_later():
