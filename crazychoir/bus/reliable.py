@@ -51,8 +51,6 @@ class _Pending:
     """ns: time of the next transmission."""
     rto: float = RELIABLE_LIMITS.first_timeout
     """s until the next transmission."""
-    attempt: int = 0
-    """Retransmissions so far."""
 
 
 @dataclass
@@ -61,6 +59,8 @@ class _Outgoing:
 
     number: int = 0
     """Number of the next message."""
+    resent: int = 0
+    """Retransmissions of all messages so far."""
     pending: dict[int, _Pending] = field(default_factory=dict)
     """{number: message} without an acknowledgement."""
 
@@ -164,7 +164,8 @@ class Reliable:
     def _transmit(self, j: int, number: int, message: _Pending) -> None:
         # A receiver that is new or restarted must know where its sequence begins: at the oldest
         # pending number.
-        oldest = min(self._outgoing[j].pending)
+        outgoing = self._outgoing[j]
+        oldest = min(outgoing.pending)
         self.port.send(
             message.topic,
             (j,),
@@ -172,7 +173,9 @@ class Reliable:
             number,
             self._label,
             number - oldest,
-            message.attempt,
+            # With all retransmissions as the attempt, each transmission is one step further in a
+            # burst of losses, also after a message was given up.
+            outgoing.resent,
         )
 
     def _arrived(
@@ -261,7 +264,7 @@ class Reliable:
             self._schedule()
 
     def _resend(self, j: int, number: int, message: _Pending, now_ns: int) -> None:
-        message.attempt += 1
+        self._outgoing[j].resent += 1
         message.rto = min(2.0 * message.rto, RELIABLE_LIMITS.longest_timeout)
         message.due_ns = now_ns + round(message.rto * NS_PER_SECOND)
         self.port.counters.resent += 1

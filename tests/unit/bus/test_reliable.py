@@ -192,6 +192,23 @@ async def test_what_is_too_old_is_given_up_and_what_follows_arrives(clock):
 
 
 @virtual
+async def test_a_burst_of_losses_ends_though_a_message_was_given_up_in_it(clock):
+    """The first 50 transmissions of this link are lost. A message is given up after fewer."""
+    burst = ImpairmentRule(
+        {"p_good_bad": 0.03, "p_bad_good": 0.03, "loss_bad": 1.0},
+        edge=(1, 2),
+        directed=True,
+    )
+    _, one, _, seen = pair(clock, Impairment(15, [burst]))
+    one.send(MESSAGE_TOPICS.roster, 2, b"old")
+    await clock.sleep(RELIABLE_LIMITS.max_age + 1.0)
+    assert (one.given_up, one.port.counters.lost < 50) == (1, True)
+    one.send(MESSAGE_TOPICS.roster, 2, b"younger")
+    await clock.sleep(RELIABLE_LIMITS.max_age - 1.0)
+    assert seen == [b"younger"]
+
+
+@virtual
 async def test_what_came_early_of_a_sequence_that_was_given_up_is_forgotten(clock):
     _, _, two, seen = pair(clock)
     two.port.deliver(MESSAGE_TOPICS.roster.number, 1, b"2", 2, "a1", 2, 0.0)
