@@ -215,25 +215,33 @@ class Impairment:
 
 @dataclass(slots=True)
 class _ChannelDraws:
-    """One channel of an edge: its key, and the latest block of burst states."""
+    """One channel of an edge: its key, and the latest blocks of burst states."""
 
     key: int
     """Key of its draws."""
     link: EdgeEffects
     """Effects on the edge."""
-    block: int = -1
-    """Number of the block in `states`; -1 for none."""
-    states: bytes = b""
-    """Burst states of the block, a byte each: 1 bad, 0 good."""
+    blocks: dict[int, bytes] = field(default_factory=dict)
+    """{number of a block: its burst states, a byte each: 1 bad, 0 good}."""
 
     def bad(self, index: int) -> bool:
-        block, place = divmod(index, RANDOM_DRAWS.block_size)
-        if block != self.block:
-            self.states = bad_states(
-                self.key, block, self.link.p_good_bad, self.link.p_bad_good
-            )
-            self.block = block
-        return self.states[place] == 1
+        number, place = divmod(index, RANDOM_DRAWS.block_size)
+        states = self.blocks.get(number)
+        if states is None:
+            states = self._compute_block(number)
+        return states[place] == 1
+
+    def _compute_block(self, number: int) -> bytes:
+        """Compute a block of burst states, and keep it in place of the oldest one.
+
+        Several are kept, because asked and unasked messages have indices far from each other.
+        """
+        while len(self.blocks) >= RANDOM_DRAWS.kept_blocks:
+            del self.blocks[next(iter(self.blocks))]
+        states = self.blocks[number] = bad_states(
+            self.key, number, self.link.p_good_bad, self.link.p_bad_good
+        )
+        return states
 
 
 @dataclass(slots=True)

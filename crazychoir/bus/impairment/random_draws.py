@@ -21,6 +21,8 @@ class RandomDraws:
     """Number of values of a draw: draws are integers from 0 to range_size - 1."""
     block_size: int = 256
     """States of a burst chain that are computed together."""
+    kept_blocks: int = 4
+    """Blocks of a burst chain that are kept."""
     earlier_blocks: int = 8
     """Earlier blocks that are searched for the draw that decided a state."""
 
