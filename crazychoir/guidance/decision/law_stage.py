@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from itertools import compress, groupby
+from itertools import groupby, islice
 from typing import Any, Protocol
 
 import numpy as np
@@ -198,7 +198,12 @@ class LawGroup:
             rows[r]["end_edge"] = end
             first = end
         self._found = np.zeros(max(len(laws), len(edges)), np.int64)
-        self._ids = [j for law in laws for j in law.ids]
+        self._ids = np.array([j for law in laws for j in law.ids], np.int64)
+        """(e,): the neighbour that is heard along each edge."""
+        self._law_of_edge = np.repeat(
+            np.arange(len(laws)), [len(law.ids) for law in laws]
+        )
+        """(e,): the number of the law that hears along each edge."""
         self._team_law = self._prepare_team()
 
     def _prepare_team(self) -> TeamLaw | None:
@@ -263,7 +268,7 @@ class LawGroup:
         state = State(sender["state"].copy(), age, sender["acceleration"].copy())
         law, hearing = self._find_hearing(e)
         verdict = impairment.verdict(
-            self._ids[e],
+            int(self._ids[e]),
             law.drone,
             DRONE_TOPICS.state.name,
             int(sender["number"]),
@@ -286,10 +291,9 @@ class LawGroup:
 
     def _find_hearing(self, e: int) -> tuple[StagedLaw, StateTaker]:
         """Return the law that hears along an edge, and its mailbox."""
-        first = self.team.rows["first_edge"]
-        r = int(np.searchsorted(first, e, side="right")) - 1
+        r = int(self._law_of_edge[e])
         law = self.laws[r]
-        return law, law.hearings[e - int(first[r])]
+        return law, law.hearings[e - int(self.team.rows["first_edge"][r])]
 
     def decide(self) -> bool:
         """Let the laws step that are due; return whether any did. The team holds the time."""
@@ -342,21 +346,16 @@ class LawGroup:
         edges = self.team.edges
         steps = self.team.steps
         is_stepping = rows["decision"] == LawDecision.STEP
-        counts = rows["end_edge"] - rows["first_edge"]
-        is_needed = np.repeat(is_stepping, counts)
+        is_told = is_stepping[self._law_of_edge] & (edges["is_heard"] == 1)
+        counts = np.bincount(self._law_of_edge[is_told], minlength=len(rows))
         own = _read_states(rows, is_stepping, "state", "acceleration", "age")
-        told = _read_states(edges, is_needed, "told", "told_acceleration", "told_age")
-        is_heard = edges["is_heard"][is_needed].tolist()
+        told = _read_states(edges, is_told, "told", "told_acceleration", "told_age")
+        known = zip(self._ids[is_told].tolist(), told, strict=True)
         rows["reference"] = 0.0
-        first = 0
         for r, me, count in zip(
             steps.tolist(), own, counts[steps].tolist(), strict=True
         ):
-            law = self.laws[r]
-            end = first + count
-            known = zip(law.ids, told[first:end], strict=True)
-            law.step(me, dict(compress(known, is_heard[first:end])))
-            first = end
+            self.laws[r].step(me, dict(islice(known, count)))
         count_rows(rows)
 
 
