@@ -322,11 +322,14 @@ def connect_airspace(config: SwarmConfig, bus: Bus, tick: FlightTick) -> None:
     config: the swarm file
     bus: of the process, with a port of each of its drones
     """
-    tick.airspace = build_airspace(config, bus)
-    if tick.airspace is not None and len(tick.airspace.own_ids) < len(
-        tick.airspace.ids
-    ):
-        tick.frames = AirspaceFrames(tick.airspace)
+    airspace = build_airspace(config, bus)
+    tick.airspace = airspace
+    if airspace is None:
+        return
+    for listener, i in enumerate(airspace.own_ids):
+        bus.ports[i].life_signs.append(partial(airspace.find_heard_ns, listener))
+    if len(airspace.own_ids) < len(airspace.ids):
+        tick.frames = AirspaceFrames(airspace)
 
 
 def _list_planners(config: SwarmConfig) -> tuple[int, ...]:

@@ -5,7 +5,7 @@ A member is LOST if it was SUSPECT for `lost_after` while it was watched.
 
 Heartbeats come from the drone's event loop and pass the simulated network like every other message.
 Therefore a hung loop, a killed process and a partition all become visible. Any message counts as a
-sign of life.
+sign of life, and so does a state that comes without a message of its own, see Port.life_signs.
 
 A heartbeat needs no message if its receiver is in the same process and ignores its repetition. Then
 the sender only notes its time at the receiver. If the simulated network may lose heartbeats, one
@@ -226,7 +226,7 @@ class PresenceMonitor(Actor):
 
     def _look(self, j: int) -> None:
         """Update the state of member j from the time of its last message and from its token."""
-        heard_ns = self.port.heard_ns.get(j)
+        heard_ns = self.port.find_heard_ns(j)
         if heard_ns is None:
             return
         member = self._members.get(j)

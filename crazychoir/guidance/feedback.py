@@ -104,6 +104,7 @@ class CFDistributedFeedback(CFGuidance):
         )
         neighbors = self.graph.in_neighbors(self.id)
         self._running = RunningLaw(self, member, tuple(neighbors))
+        member.communicator.port.life_signs.append(self._running.find_heard_ns)
         rate = self.rate if self.rate < DRONE_TOPICS.state.rate else 0.0
         for j, hearing in zip(neighbors, self._running.hearings, strict=True):
             if j in tick.batch.places:

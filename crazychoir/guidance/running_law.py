@@ -129,6 +129,13 @@ class RunningLaw:
         self.edges = edges
         self.tally.rows = rows["tally"]
 
+    def find_heard_ns(self, j: int) -> int | None:
+        """Return when the newest state of a neighbour was measured, ns; None: none has come."""
+        if j not in self.ids:
+            return None
+        row = self.edges[self.ids.index(j)]
+        return int(row["born_ns"]) if row["version"] > 0 else None
+
     def list_told(self) -> list[int]:
         """Return the neighbours in this process that the law hears in each tick."""
         edges = self.edges

@@ -158,13 +158,12 @@ class Rounds:
         return self._epochs.epoch
 
     def silence(self, lost: Iterable[int]) -> float:
-        """Return the seconds since the last message of any kind from any of these drones.
+        """Return the seconds since any of these drones was heard.
 
-        For a drone without a message the time counts from the creation of these rounds.
+        For a drone that was never heard the time counts from the creation of these rounds.
         """
-        return (
-            self._now_ns() - max(self._heard_ns.get(j, self._made_ns) for j in lost)
-        ) / NS_PER_SECOND
+        heard_ns = [self.port.find_heard_ns(j) or self._made_ns for j in lost]
+        return (self._now_ns() - max(heard_ns)) / NS_PER_SECOND
 
     # Channels and epochs --------------------------------------------------------------
 

@@ -132,8 +132,8 @@ class TeamPresence:
         )
 
     def is_silent(self, j: int) -> bool:
-        """Return True if no message of drone j came in the last SILENCE_TIMEOUT seconds."""
-        heard_ns = self.port.heard_ns.get(j)
+        """Return True if drone j was not heard in the last SILENCE_TIMEOUT seconds."""
+        heard_ns = self.port.find_heard_ns(j)
         return (
             heard_ns is None
             or self.port.bus.clock.now_ns() - heard_ns

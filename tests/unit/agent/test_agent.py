@@ -12,6 +12,7 @@ from pilots import change_fence
 from crazychoir.agent.agent import Agent, AgentProcess
 from crazychoir.agent.mission_result import MISSION_REASONS
 from crazychoir.bus.port import PORT_ADDRESSES
+from crazychoir.bus.presence import Presence
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import Refused
@@ -23,7 +24,7 @@ from crazychoir.runtime.mailbox import Call
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.simulation.trace import Trace
-from crazychoir.types import Acceleration
+from crazychoir.types import Acceleration, Velocity
 
 BRISK = {
     "takeoff_height": 0.3,
@@ -812,8 +813,9 @@ def test_a_team_that_comes_apart_says_so_in_log_status_and_result(caplog):
 
         def crash():
             agent.bus.close(1)
-            port = agent.drones[1].port
-            port.send = port.publish = lambda *message, **named: None
+            drone = agent.drones[1]
+            drone.port.send = drone.port.publish = lambda *message, **named: None
+            drone.pilot.row.drone["is_running"] = 0  # no other drone hears its states
             agent.runners[1].abort("killed")
 
         clock.call_at(4 * NS_PER_SECOND, crash)
@@ -826,6 +828,35 @@ def test_a_team_that_comes_apart_says_so_in_log_status_and_result(caplog):
     assert caplog.text.count(apart) == 1
     assert any(apart in status.note for status in statuses)
     assert (found[0]["apart"], found[2]["apart"]) == (apart, apart)
+
+
+class Rests(CFDistributedFeedback):
+    """A law that lasts longer than a drone without heartbeats and states would count as present."""
+
+    duration = 6.0
+
+    def step(self, me, heard):
+        return Velocity(np.zeros(3))
+
+
+@pytest.mark.parametrize("method", ["barrier", "off"])
+def test_the_states_of_a_drone_are_signs_of_its_life(method):
+    """Drone 1 sends no heartbeats; the others hear its states by the collision filter, or in their laws."""
+    config = swarm(3, lost_after=1.0, collision={"method": method})
+
+    async def main(clock):
+        mission = SimpleNamespace(guidance=lambda i, config: Rests())
+        agent = Agent(clock, config, mission, (0, 1, 2))
+        running = asyncio.create_task(agent.run())
+        while agent.drones[1].pilot.mode is not Mode.FOLLOW:
+            await clock.sleep(0.1)
+        agent.drones[1].barrier.presence.monitor.silent = True
+        await clock.sleep(5.0)
+        believed = [agent.drones[i].barrier.presence.monitor.state(1) for i in (0, 2)]
+        await running
+        return believed
+
+    assert run_virtual(main) == [Presence.ALIVE, Presence.ALIVE]
 
 
 def test_a_drone_that_a_radio_reaches_is_watched_by_the_figures_of_its_platform():

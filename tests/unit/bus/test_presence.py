@@ -215,6 +215,30 @@ async def test_the_silence_of_a_drone_that_was_not_watched_does_not_count(clock)
 
 
 @virtual
+async def test_a_state_that_comes_without_a_message_is_a_sign_of_life(clock):
+    team = Team(clock)
+    await clock.sleep(0.5)
+    team.monitors[2].silent = True
+    last_ns = [None]
+    team.bus.ports[1].life_signs += [lambda j: last_ns[0], lambda j: None]
+    for _ in range(100):
+        last_ns[0] = clock.now_ns()
+        await clock.sleep(0.1)
+    assert [state for _, _, state in team.diaries[1]] == [ALIVE]
+    await clock.sleep(8.0)
+    assert [state for _, _, state in team.diaries[1]] == [ALIVE, SUSPECT, LOST]
+
+
+@virtual
+async def test_a_drone_may_be_heard_before_its_first_message(clock):
+    team = Team(clock)
+    team.monitors[2].silent = True
+    team.bus.ports[1].life_signs.append(lambda j: clock.now_ns())
+    await clock.sleep(3.0)
+    assert [state for _, _, state in team.diaries[1]] == [ALIVE]
+
+
+@virtual
 async def test_heartbeats_carry_what_beat_says_and_are_numbered(clock):
     bus = Bus(clock)
     seen, beats = [], iter([b"1", b"2", b"3", b"4", b"5"])

@@ -82,3 +82,14 @@ async def test_a_law_that_moves_to_another_table_keeps_what_it_heard(clock):
     assert rows["drone"].tolist() == [0, 2, 0]
     assert rows["tally"]["hovered"].tolist() == [0, 1, 0]
     assert law.unheard == {5: 4, 7: 0}
+
+
+@virtual
+async def test_it_says_when_it_last_heard_a_neighbour(clock):
+    law = running_law(clock)
+    assert law.find_heard_ns(7) is None
+    await clock.sleep(1.0)
+    law.hearings[1].put(State.at((1.0, 2.0, 3.0)), 0.25)
+    assert law.find_heard_ns(7) == clock.now_ns() - 250_000_000
+    assert law.find_heard_ns(5) is None
+    assert law.find_heard_ns(3) is None, "it is no neighbour"

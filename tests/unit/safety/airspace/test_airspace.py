@@ -37,6 +37,23 @@ def test_far_drones_have_no_pair_and_hear_each_other_in_rounds():
     assert sky.bus.ports[3].counters.sent == 0, "a round is no message"
 
 
+@pytest.mark.parametrize("apart", [0.5, FAR])
+def test_it_says_when_a_drone_was_last_heard_from_itself(apart):
+    cut = NetworkPartition(2.0, 99.0, (0,), (1,))
+    sky = Sky(row_of(3, apart), others=(8,), partitions=[cut])
+    assert sky.airspace.find_heard_ns(0, 1) is None
+    sky.fly(1.9)
+    interval = 1.0 / compute_far_rate(3) + TICK
+    for j in (1, 2):
+        age = sky.bus.clock.now() - sky.airspace.find_heard_ns(0, j) / 1e9
+        assert 0.0 <= age <= interval
+    sky.fly(2.0)
+    assert sky.airspace.find_heard_ns(0, 1) <= 2.0e9, "0 and 1 are cut off"
+    assert sky.airspace.find_heard_ns(0, 2) >= sky.bus.clock.now_ns() - interval * 1e9
+    assert sky.airspace.find_heard_ns(0, 8) is None, "it never spoke"
+    assert sky.airspace.find_heard_ns(0, 77) is None, "it is not of this swarm"
+
+
 @pytest.mark.parametrize(
     ("apart", "speeds", "rate"),
     [
