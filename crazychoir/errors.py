@@ -382,7 +382,10 @@ def reason_or(reason: object, otherwise: str) -> str:
     reason: the reason, or None.
     otherwise: text to use in place of a missing reason.
     """
-    words = "" if reason is None else str(reason).strip()
+    try:
+        words = "" if reason is None else str(reason).strip()
+    except Exception:  # noqa: BLE001 - it comes from a class of a user
+        words = "its text cannot be written"
     if not words:
         return otherwise
     return f"{words} {otherwise}" if words.endswith(":") else words

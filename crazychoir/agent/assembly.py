@@ -33,6 +33,7 @@ from crazychoir.runtime.mailbox import Call
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.safety.airspace.airspace import Airspace, AirspaceRules
 from crazychoir.safety.airspace.airspace_frames import AirspaceFrames
+from crazychoir.safety.airspace.life_signs import find_heard_ns
 from crazychoir.safety.airspace.neighbours import Neighbours
 from crazychoir.safety.collision.agreed.path_limits import LOWEST_WAYPOINT, PathLimits
 from crazychoir.safety.collision.agreed.planned import PlannedFlights
@@ -327,7 +328,7 @@ def connect_airspace(config: SwarmConfig, bus: Bus, tick: FlightTick) -> None:
     if airspace is None:
         return
     for listener, i in enumerate(airspace.own_ids):
-        bus.ports[i].life_signs.append(partial(airspace.find_heard_ns, listener))
+        bus.ports[i].life_signs.append(partial(find_heard_ns, airspace, listener))
     if len(airspace.own_ids) < len(airspace.ids):
         tick.frames = AirspaceFrames(airspace)
 

@@ -418,7 +418,7 @@ class Port:
     heard_ns: dict[int, int] = field(default_factory=dict)
     """ns: {address: time of its last message}."""
     life_signs: list[Callable[[int], int | None]] = field(default_factory=list)
-    """Callables that return when a drone was heard without a message, ns; None: never."""
+    """Each returns when a drone was heard without a message, ns; None: never."""
     ignored_beats: dict[int, bytes] = field(default_factory=dict)
     """{drone id: payload of its heartbeat that changes nothing when it is repeated}."""
     latched: LatchedValues = field(default_factory=LatchedValues)
@@ -534,9 +534,7 @@ class Port:
     def _give(
         self, topic: Topic, to: Sequence[int], payload: bytes, number: int, age: float
     ) -> None:
-        """Send and deliver in one step, if all readers are in this
-        process and no message is changed or tapped.
-        """
+        """Deliver at once: all readers are in this process, and no message is changed or tapped."""
         bus = self.bus
         source = self.address
         now_ns = self._now_ns()
@@ -596,16 +594,6 @@ class Port:
             box.put(value, age)
         for box in every:
             box.put((source, value), age)
-
-    def find_heard_ns(self, source: int) -> int | None:
-        """Return when this port last heard another one, by a message or without one, ns; None: never."""
-        times = [sign(source) for sign in self.life_signs]
-        times.append(self.heard_ns.get(source))
-        known = [time for time in times if time is not None]
-        if not known:
-            return None
-        self.heard_ns[source] = max(known)
-        return self.heard_ns[source]
 
     def add_reader(self, interest: Interest, mailbox: AnyMailbox | None) -> None:
         """Give the topic to `interest.reader` from now on, and a latched value at once.

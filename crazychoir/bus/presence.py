@@ -27,6 +27,17 @@ SILENCE_TIMEOUT_NS = round(SILENCE_TIMEOUT * NS_PER_SECOND)
 HEARTBEAT_CHANNEL = "heartbeat"  # of the simulated network
 
 
+def find_heard_ns(port: Port, source: int) -> int | None:
+    """Return when a port last heard another one, by a message or without one, ns; None: never."""
+    times = [sign(source) for sign in port.life_signs]
+    times.append(port.heard_ns.get(source))
+    known = [time for time in times if time is not None]
+    if not known:
+        return None
+    port.heard_ns[source] = max(known)
+    return port.heard_ns[source]
+
+
 class Presence(Enum):
     """The believed state of a member."""
 
@@ -226,7 +237,7 @@ class PresenceMonitor(Actor):
 
     def _look(self, j: int) -> None:
         """Update the state of member j from the time of its last message and from its token."""
-        heard_ns = self.port.find_heard_ns(j)
+        heard_ns = find_heard_ns(self.port, j)
         if heard_ns is None:
             return
         member = self._members.get(j)

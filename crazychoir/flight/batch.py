@@ -197,7 +197,7 @@ class DroneRow:
         self.avoid: Records = batch.avoids[index : index + 1]
         """(1,): the record of its collision filter."""
         self._state: State | None = None
-        self._state_ns = -1
+        self._state_number = -1
         self.mode = GROUND_MODE
 
     @property
@@ -230,13 +230,13 @@ class DroneRow:
         row = self.drone
         if not row["is_known"]:
             return None
-        if self._state is None or self._state_ns != row["ticked_ns"]:
+        if self._state is None or self._state_number != row["number"]:
             flat = row["state"].copy()
             a = row["acceleration"].copy()
             flat.setflags(write=False)
             a.setflags(write=False)
             self._state = State(flat, float(row["age"]), a)
-            self._state_ns = row["ticked_ns"]
+            self._state_number = row["number"]
         return self._state
 
     def get_state(self) -> State:

@@ -18,6 +18,7 @@ from crazychoir.flight.notes import FlightNotes
 from crazychoir.flight.permission import Permission
 from crazychoir.flight.setup import THRUST_SENDERS, FlightSetup
 from crazychoir.runtime.clock import NS_PER_SECOND
+from crazychoir.safety.airspace.hearing import LARGEST_ACCELERATION_NORM
 from crazychoir.safety.airspace.states_by_hand import STATE_BYTES
 from crazychoir.safety.rules.guard import Action
 from crazychoir.types import (
@@ -180,6 +181,13 @@ class DroneStages:
         assert state is not None  # noqa: S101 - the drone ticks
         command = controller.command(state, reference, now)
         row["commanded"] = controller.acceleration
+        if not np.linalg.norm(row["commanded"]) < LARGEST_ACCELERATION_NORM:
+            name = type(controller).__name__
+            self._notes.say(
+                "acceleration",
+                f"{name}.acceleration is {row['commanded'].tolist()}: others count on 0; "
+                f"allowed: finite, below {LARGEST_ACCELERATION_NORM:g} m/s2",
+            )
         return command
 
     def send(self, command: Command | None) -> None:

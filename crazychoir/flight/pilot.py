@@ -5,6 +5,7 @@ command that the safety table allows. The straight line of a tick is in tick.py.
 """
 
 import asyncio
+import logging
 import math
 
 import numpy as np
@@ -37,6 +38,7 @@ from crazychoir.safety.rules.modes import (
 )
 from crazychoir.types import Point, Pose, Reference, State
 
+log = logging.getLogger(__name__)
 GIVE_UP_HOVER = 2.0
 """Seconds of hovering after guidance has failed, before the landing."""
 GIVE_UP_TICKS = 0.5
@@ -64,15 +66,17 @@ class TickRun:
             await self._end
         finally:
             self._row.drone["is_running"] = 0
+            self._row.drone["ticks"] = 0
             self._end = None
 
     def fail(self, error: BaseException) -> None:
-        """End the run with this error; raise it if there is no run, or the process ends."""
-        end = self._end
-        if end is None or isinstance(error, KeyboardInterrupt | SystemExit):
+        """End the run with this error; raise it if the process ends."""
+        if isinstance(error, KeyboardInterrupt | SystemExit):
             raise error
         self._row.drone["is_running"] = 0
-        if end.done():
+        end = self._end
+        if end is None or end.done():
+            log.error("%s, after its run has ended", error_text(error), exc_info=error)
             return
         # No future takes these.
         is_bare = not isinstance(error, Exception) or isinstance(error, StopIteration)
@@ -156,9 +160,9 @@ class Pilot(Actor):
 
     def fail(self, error: BaseException) -> None:
         """End the run after a failed tick. The supervisor decides; other drones go on."""
-        self._run.fail(error)
         if self.airborne:
             self.stages.steady()
+        self._run.fail(error)
 
     def on_restart(self) -> None:
         """Forget what made the tick fail: come to rest and hover, or continue to land."""

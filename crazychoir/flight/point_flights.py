@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.config.tables import FlightTable
+from crazychoir.errors import Refused
 from crazychoir.numerics.array_like import to_floats
 from crazychoir.numerics.kernels import Record
 from crazychoir.numerics.math3d import STANDARD_GRAVITY, yaw_of
@@ -73,6 +74,8 @@ class PointFlights:
         self.a_max = a_max
         self._row: Record = np.zeros(1, PLAN_ROW)[0] if row is None else row
         self._plan: Trajectory | None = None
+        self.lacks_set_point = False
+        """Whether the plan in Python gave no finite set-point for this tick."""
 
     @property
     def plan(self) -> Trajectory | None:
@@ -98,18 +101,34 @@ class PointFlights:
         """Write what the stages of the tick at `now`, in s, need of the plan into its record."""
         t = now - self.start
         plan = self._plan
+        self.lacks_set_point = False
         if isinstance(plan, Piecewise) and type(plan).sample is Piecewise.sample:
             load_pieces(self._row, plan, t)
         elif plan is not None:
-            sampled = to_floats(plan.sample(t).flat, (14,))
-            self._row["sampled"] = np.nan if sampled is None else sampled
+            self._load_sample(plan, t)
             self._row["is_over"] = plan.done(t)
 
+    def _load_sample(self, plan: Trajectory, t: float) -> None:
+        """Write the set-point of a plan in Python after t s; without one, that of the last tick at rest."""
+        row = self._row
+        sampled = to_floats(plan.sample(t).flat, (14,))
+        if sampled is not None and np.isfinite(sampled).all():
+            row["sampled"] = sampled
+            return
+        self.lacks_set_point = True
+        row["sampled"][3:12] = 0.0
+        row["sampled"][13] = 0.0
+
     def sample(self, now: float) -> FullState | None:
-        """Return the set-point of the plan at the time `now` in s; None without a plan."""
+        """Return the set-point of the plan at the time `now` in s; None without a plan.
+
+        A plan in Python that gives no finite one stays at that of the last tick.
+        """
         plan = self.plan
         if plan is None:
             return None
+        if self.lacks_set_point:
+            return FullState(self._row["sampled"].copy())
         return plan.sample(now - self.start)
 
     def done(self, now: float, late: float = 0.0) -> bool:
@@ -265,7 +284,10 @@ class PointFlights:
         return True
 
     def fly(self, plan: Trajectory, now: float) -> float:
-        """Begin this plan now; return s that it takes."""
+        """Begin this plan now; return s that it takes.
+
+        Raises Refused if it has no finite set-point for its beginning.
+        """
         self._plan = plan
         row = self._row
         row["kind"] = PlanKind.BY_HAND
@@ -273,4 +295,7 @@ class PointFlights:
         row["waited"] = 0.0
         row["resumed"] = 0.0
         self.load(now)
+        if self.lacks_set_point:
+            self.clear()
+            raise Refused("trajectory", "it must begin with finite numbers")
         return plan.duration

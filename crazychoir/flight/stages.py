@@ -40,6 +40,7 @@ from crazychoir.planning.plan_row import (
 )
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.airspace.airspace_rows import LISTENER_ROW, MOTION_ROW
+from crazychoir.safety.airspace.hearing import is_valid_acceleration
 from crazychoir.safety.collision.avoidance import AVOID_ROW, avoid_row
 from crazychoir.safety.rules.guard import GUARD_ROW, Action, GuardRows, is_quiet
 from crazychoir.safety.rules.limits import cut_full_state
@@ -121,8 +122,10 @@ def estimate_drones(
             drone.state[c] = filters[k].state[c]
         if drone.knows_commands == 0 and drone.age > SEEN_AGE:
             _write_believed_flight(drone, plans[k], now, planned)
+        # Others refuse a state with an invalid acceleration. Zero stands for an unknown one.
+        is_known = is_valid_acceleration(drone.commanded[:])
         for c in range(3):
-            drone.acceleration[c] = drone.commanded[c]
+            drone.acceleration[c] = drone.commanded[c] if is_known else 0.0
             drone.commanded[c] = 0.0
 
 

@@ -177,7 +177,17 @@ class FlightTick:
     def run(self) -> None:
         """Do all stages of the tick for the drones that are due."""
         self._is_due = False
-        now_ns = self.clock.now_ns()
+        try:
+            self._run_stages(self.clock.now_ns())
+        finally:
+            self.batch.drones["ticks"] = 0
+            self.batch.filters.rows["has_pose"] = 0
+
+    def _run_stages(self, now_ns: int) -> None:
+        """Do the stages in their order.
+
+        now_ns: ns: the present time
+        """
         now = now_ns / NS_PER_SECOND
         batch = self.batch
         drones = batch.drones
@@ -194,8 +204,6 @@ class FlightTick:
         for observe in self.observers:
             observe()
         self._count_messages(now_ns)
-        drones["ticks"] = 0
-        batch.filters.rows["has_pose"] = 0
 
     def _estimate(self, now_ns: int, now: float) -> None:
         """Estimate the states of the drones that tick."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.errors import CrazyChoirError
+from crazychoir.errors import CrazyChoirError, error_text
 from crazychoir.flight.pilot import Pilot
 from crazychoir.guidance.decision.law_stage import LawStage
 from crazychoir.guidance.sensors import Sensors
@@ -133,6 +133,6 @@ def make_raisable(error: BaseException, where: str) -> BaseException:
         error, StopIteration
     ):
         return error
-    ordinary = RuntimeError(f"{where} raised {error!r}")
+    ordinary = RuntimeError(f"{where} raised {error_text(error)}")
     ordinary.__cause__ = error
     return ordinary.with_traceback(error.__traceback__)

@@ -20,6 +20,7 @@ from typing import Final, Protocol
 
 from crazychoir.bus.codec import decode
 from crazychoir.bus.port import Port
+from crazychoir.bus.presence import find_heard_ns
 from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.errors import (
     AgentFailed,
@@ -162,7 +163,7 @@ class Rounds:
 
         For a drone that was never heard the time counts from the creation of these rounds.
         """
-        heard_ns = [self.port.find_heard_ns(j) or self._made_ns for j in lost]
+        heard_ns = [find_heard_ns(self.port, j) or self._made_ns for j in lost]
         return (self._now_ns() - max(heard_ns)) / NS_PER_SECOND
 
     # Channels and epochs --------------------------------------------------------------

@@ -6,7 +6,12 @@ from itertools import takewhile
 from typing import Final, Protocol
 
 from crazychoir.bus.codec import decode, encode
-from crazychoir.bus.presence import SILENCE_TIMEOUT, Presence, PresenceMonitor
+from crazychoir.bus.presence import (
+    SILENCE_TIMEOUT,
+    Presence,
+    PresenceMonitor,
+    find_heard_ns,
+)
 from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.errors import CodecError
 from crazychoir.runtime.clock import NS_PER_SECOND
@@ -133,7 +138,7 @@ class TeamPresence:
 
     def is_silent(self, j: int) -> bool:
         """Return True if drone j was not heard in the last SILENCE_TIMEOUT seconds."""
-        heard_ns = self.port.find_heard_ns(j)
+        heard_ns = find_heard_ns(self.port, j)
         return (
             heard_ns is None
             or self.port.bus.clock.now_ns() - heard_ns

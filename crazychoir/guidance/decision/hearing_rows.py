@@ -21,6 +21,7 @@ from crazychoir.guidance.decision.velocity_sums import (
 from crazychoir.numerics.kernels import kernel, real, rows_of, vector
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.runtime.mailbox import AGE_TOLERANCE
+from crazychoir.safety.airspace.hearing import are_valid
 from crazychoir.types import Vec
 
 HEARING_ROW = np.dtype(
@@ -71,7 +72,7 @@ HEARING_ROW = np.dtype(
 def put_row(
     row: Any, state: Vec, acceleration: Vec, state_age: float, age: float, now_ns: int
 ) -> None:
-    """Keep a state that has arrived, unless the row holds a newer one.
+    """Keep a state that has arrived, unless its numbers are invalid or the row holds a newer one.
 
     row: a record of HEARING_ROW
     state: (13,)
@@ -81,6 +82,9 @@ def put_row(
     now_ns: ns: the present time
     """
     row.received += 1
+    if not (math.isfinite(age) and are_valid(state, acceleration)):
+        row.dropped += 1
+        return
     born_ns = now_ns - int(np.rint(age * NS_PER_SECOND))
     if row.version > 0 and born_ns < row.born_ns - AGE_TOLERANCE:
         row.dropped += 1
@@ -170,9 +174,9 @@ def put_first_row(
 ) -> bool:
     """Keep a state that has arrived for the first row: see `put_row`.
 
-    Returns whether its numbers are those of a state: it is not kept otherwise.
+    Returns whether it has as many numbers as a state: it is not kept otherwise.
     """
-    if state.shape[0] != 13 or acceleration.shape[0] != 3 or not math.isfinite(age):
+    if state.shape[0] != 13 or acceleration.shape[0] != 3:
         return False
     put_row(rows[0], state, acceleration, state_age, age, now_ns)
     return True

@@ -285,22 +285,6 @@ class Airspace:
             return None
         return self.near.find(listener, place)
 
-    def find_heard_ns(self, listener: int, j: int) -> int | None:
-        """Return the time of the last state that drone j sent itself to an own drone, ns; None: unknown.
-
-        listener: number of the own drone in this process
-        """
-        place = self.places.get(j)
-        if place is None:
-            return None
-        found = self._find_pair(listener, j)
-        if found is not None:
-            heard_time = float(self.near.pairs["heard_time"][found][0])
-        else:
-            round_count = int(self.swarm["round_count"][place])
-            heard_time = self.far.find_heard_time(listener, place, round_count)
-        return round(heard_time * NS_PER_SECOND) if heard_time > -math.inf else None
-
     def hear(self, listener: int, j: int, state: State, age: float) -> None:
         """Let an own drone hear a state that drone j sent itself.
 

@@ -56,18 +56,22 @@ byte_table = numba.uint8[:, ::1]
 
 
 @kernel()
-def are_valid(state: Vec, acceleration: Vec) -> bool:
-    """Return whether a state (13,) and an acceleration (3,) are finite and not too large."""
-    state_squared = 0.0
-    for c in range(13):
-        state_squared += state[c] * state[c]
+def is_valid_acceleration(acceleration: Vec) -> bool:
+    """Return whether an acceleration (3,) is finite and not too large."""
     squared = 0.0
     for c in range(3):
         squared += acceleration[c] * acceleration[c]
-    return bool(
-        state_squared < LARGEST_STATE_NORM * LARGEST_STATE_NORM
-        and squared < LARGEST_ACCELERATION_NORM * LARGEST_ACCELERATION_NORM
-    )
+    return bool(squared < LARGEST_ACCELERATION_NORM * LARGEST_ACCELERATION_NORM)
+
+
+@kernel()
+def are_valid(state: Vec, acceleration: Vec) -> bool:
+    """Return whether a state (13,) and an acceleration (3,) are finite and not too large."""
+    squared = 0.0
+    for c in range(13):
+        squared += state[c] * state[c]
+    is_state = squared < LARGEST_STATE_NORM * LARGEST_STATE_NORM
+    return bool(is_state and is_valid_acceleration(acceleration))
 
 
 @kernel(vector)

@@ -1,7 +1,5 @@
 """The tables of an airspace: pairs of near drones, and what far drones say in rounds."""
 
-import math
-
 import numpy as np
 
 from crazychoir.bus.port import READER_RATES
@@ -133,17 +131,3 @@ class FarTables:
         """Work space."""
         self.questions = np.zeros((MOST_QUESTIONS, 2), np.int64)
         """The questions of the last call of choose_asked."""
-
-    def find_heard_time(self, listener: int, place: int, round_count: int) -> float:
-        """Return the time in s of the last round that a drone has heard; -inf: it is not kept.
-
-        listener: number of the drone in this process
-        place: row of the drone that speaks
-        round_count: rounds of that drone so far
-        """
-        missed = int(self.missed[listener, place])
-        capacity = len(self.rounds) // len(self.known)
-        if missed >= min(round_count, capacity):
-            return -math.inf
-        last = (round_count - 1 - missed) % capacity
-        return float(self.rounds["state_time"][place * capacity + last])

@@ -192,7 +192,8 @@ def _find_drone_in_the_way(planes: Vec, near: Vec, count: int, u: Triple) -> flo
     """
     for k in range(count):
         normal = (planes[6 + k, 0], planes[6 + k, 1], planes[6 + k, 2])
-        if dot(normal, u) < planes[6 + k, 3]:
+        # What is no number is in no half space.
+        if not dot(normal, u) >= planes[6 + k, 3]:
             return float(near[k, 1])
     return -1.0
 
@@ -307,7 +308,7 @@ def _is_way_clear(
                 continue
         moves = (p, v, q, w)
         _, normal, b = compute_half_space(row, other, age, stands, low, moves)
-        is_clear = kind == OtherKind.COUNTS and not dot(normal, u) < b
+        is_clear = kind == OtherKind.COUNTS and dot(normal, u) >= b
     row.is_cut_off = silent > heard
     return is_clear and (row.is_cut_off == 0 or row.lands != 0)
 

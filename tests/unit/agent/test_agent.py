@@ -322,7 +322,10 @@ def test_a_step_that_raises_cancelled_error_ends_its_own_law_alone():
             (0, 1),
         )
         results = await agent.run()
-        assert "drone 0: step raised CancelledError()" in results[0]["reason"]
+        assert (
+            "drone 0: step raised CancelledError: it was cancelled"
+            in results[0]["reason"]
+        )
         assert not results[0]["success"]
         assert results[1]["success"], results[1]
         assert results[1]["law_s"] == pytest.approx(Cancels.duration)
@@ -342,7 +345,7 @@ def test_a_mission_that_raises_cancelled_error_has_failed():
     results, _, phases = ended(gives_up)
     assert not results[0]["success"]
     assert (
-        "guidance failed: RuntimeError: the mission raised CancelledError()"
+        "guidance failed: RuntimeError: the mission raised CancelledError: it was cancelled"
         in results[0]["reason"]
     )
     assert phases == [Mode.GROUND, Mode.TAKEOFF, Mode.HOVER, Mode.LAND, Mode.GROUND]

@@ -68,7 +68,7 @@ def test_an_action_is_a_number_in_the_record(action):
 def test_the_state_of_a_tick_is_read_once_and_keeps_its_numbers():
     row = make_row()
     row.drone["is_known"] = 1
-    row.drone["ticked_ns"] = 1
+    row.drone["number"] = 1
     row.drone["state"] = FLAT[:13]
     row.drone["age"] = 0.5
     row.drone["acceleration"] = (7.0, 8.0, 9.0)
@@ -79,7 +79,7 @@ def test_the_state_of_a_tick_is_read_once_and_keeps_its_numbers():
     assert first.a.tolist() == [7.0, 8.0, 9.0]
     assert row.state is first, "the tick is the same"
     row.drone["state"] = 0.0
-    row.drone["ticked_ns"] = 2
+    row.drone["number"] = 2
     assert row.state.flat.tolist() == 13 * [0.0]
     assert first.flat.tolist() == FLAT[:13].tolist(), "a law may keep it"
     with pytest.raises(ValueError, match="read-only"):

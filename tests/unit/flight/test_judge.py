@@ -27,7 +27,7 @@ def make(clock, reach="no"):
 def put(pilot, p, age=0.0):
     """Let the drone be seen at p, (3,) m, `age` s ago."""
     pilot.row.drone["is_known"] = 1
-    pilot.row.drone["ticked_ns"] += 1
+    pilot.row.drone["number"] += 1
     pilot.row.drone["state"] = State.at(p).flat
     pilot.row.drone["age"] = age
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from crazychoir.control.gains import STANDARD_GAINS
+from crazychoir.filters.rows import FilterKind
 from crazychoir.flight.batch import (
     Batch,
     Course,
@@ -17,6 +18,7 @@ from crazychoir.flight.point_flights import PointFlights
 from crazychoir.flight.setup import FlightSetup
 from crazychoir.flight.stages import (
     _evade,
+    estimate_drones,
     find_rows_to_judge,
     follow_rows,
 )
@@ -89,6 +91,30 @@ def is_judged(batch, now=NOW):
     course = batch.drones["course"][0]
     assert course == (Course.NOTHING if judged else Course.FOLLOW)
     return judged == [0]
+
+
+# The estimate --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, 150.0])
+def test_an_acceleration_that_others_would_refuse_counts_as_unknown(wrong):
+    batch, drone = make_drone()
+    rows = batch.filters.rows
+    rows["kind"] = FilterKind.BY_HAND
+    rows["is_known"] = 1
+    for commanded, expected in (((0.1, 0.2, wrong), 0.0), ((0.1, 0.2, 0.3), 0.3)):
+        drone.drone["commanded"] = commanded
+        estimate_drones(
+            batch.drones,
+            batch.plans,
+            rows,
+            batch.filters.history,
+            NOW_NS,
+            NOW,
+            np.empty(13),
+            np.empty(14),
+        )
+        assert drone.drone["acceleration"][2] == expected
 
 
 # A quiet drone -------------------------------------------------------------------------------

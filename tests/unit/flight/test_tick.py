@@ -238,6 +238,51 @@ def test_an_error_of_one_drone_ends_its_tick_and_no_other(stage, done):
     check()
 
 
+@pytest.mark.parametrize("stage", ["estimate", "publish", "judge", "command"])
+def test_an_error_after_the_end_of_a_run_is_logged_and_the_others_tick(stage, caplog):
+    @virtual
+    async def check(clock):
+        process = Process(clock, fails_in=stage)
+        async with process.running() as runs:
+            runs[0].cancel()
+            await asyncio.sleep(0.0)
+            for k in range(2):
+                process.tick.see(k, POSE)
+            await clock.sleep(PAUSE)
+            assert process.list_events(1) == ["publish", "judge", "command"]
+            assert process.tick.batch.drones["ticks"].tolist() == [0, 0]
+
+    check()
+    assert f"ValueError: {stage}, after its run has ended" in caplog.text
+
+
+@virtual
+async def test_a_drone_does_not_tick_after_its_run_was_cancelled(clock):
+    process = Process(clock)
+    async with process.running() as runs:
+        process.tick.batch.drones["ticks"] = 1
+        runs[0].cancel()
+        await asyncio.wait([runs[0]])
+        assert process.tick.batch.drones["ticks"].tolist() == [0, 1]
+
+
+@virtual
+async def test_an_error_in_a_stage_for_all_leaves_no_pose_for_the_next_tick(clock):
+    process = Process(clock)
+
+    def fail(now_ns):
+        raise ValueError("decide")
+
+    process.tick.deciders.append(fail)
+    async with process.running():
+        process.tick.batch.drones["ticks"] = 1
+        process.tick.batch.filters.rows["has_pose"] = 1
+        with pytest.raises(ValueError, match="decide"):
+            process.tick.run()
+    assert process.tick.batch.drones["ticks"].tolist() == [0, 0]
+    assert process.tick.batch.filters.rows["has_pose"].tolist() == [0, 0]
+
+
 @virtual
 async def test_a_drone_ticks_by_the_clock_after_one_and_a_half_periods(clock):
     process = Process(clock)

@@ -324,6 +324,14 @@ def test_a_mission_that_raises_an_error_without_words_has_a_reason():
         assert len(result_of(does)["reason"]) > 10
 
 
+def test_an_error_with_a_text_that_fails_is_named():
+    class Broken(ValueError):
+        def __str__(self):
+            raise RuntimeError("no text")
+
+    assert error_text(Broken()) == "Broken: its text cannot be written"
+
+
 @pytest.mark.parametrize(
     ("error", "words"),
     [

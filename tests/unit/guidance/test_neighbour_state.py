@@ -241,7 +241,7 @@ async def test_the_acceleration_that_was_heard_last_is_told_until_the_next_one_c
         now = clock.now()
         state = neighbor.filter.update(seen(now, draw), now)
         if k == 0 or draw.uniform() < 0.5:
-            heard = np.array([k, 0.0, -1.0])
+            heard = np.array([0.1 * k, 0.0, -1.0])
             neighbor.hearing.put(
                 State(state.flat, state.age, heard), state.age + 0.002 * (k % 3)
             )
@@ -271,7 +271,7 @@ def commanded(k):
     return State(
         State.at((0.5 * t * t, -t, 1.0), (t, -1.0, 0.0)).flat,
         0.0,
-        np.array([k - 1.0, 0.0, 0.0]),
+        np.array([0.1 * (k - 1.0), 0.0, 0.0]),
     )
 
 

@@ -7,13 +7,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chisquare
 
+from crazychoir.bus.impairment import model
 from crazychoir.bus.impairment.model import (
     LOST_MESSAGE,
     UNDELAYED_MESSAGE,
     EdgeCounters,
     Impairment,
 )
-from crazychoir.bus.impairment.random_draws import RANDOM_DRAWS, draw, draw_key
+from crazychoir.bus.impairment.random_draws import (
+    RANDOM_DRAWS,
+    bad_states,
+    draw,
+    draw_key,
+)
 from crazychoir.bus.impairment.rules import (
     EdgeEffects,
     ImpairmentRule,
@@ -177,6 +183,29 @@ def test_resending_gets_out_of_a_burst():
             one(impairment, number, attempt) is UNDELAYED_MESSAGE
             for attempt in range(200)
         )
+
+
+def test_few_blocks_of_burst_states_are_kept_and_the_others_are_computed_again(
+    monkeypatch,
+):
+    computed = []
+
+    def compute(key, number, *rates):
+        computed.append(number)
+        return bad_states(key, number, *rates)
+
+    monkeypatch.setattr(model, "bad_states", compute)
+    impairment = impaired(p_good_bad=0.2, p_bad_good=0.1)
+    size = RANDOM_DRAWS.block_size
+    kept = RANDOM_DRAWS.kept_blocks
+    for _ in range(3):
+        for block in range(kept):
+            one(impairment, block * size)
+    assert computed == list(range(kept)), "each is computed once"
+    one(impairment, kept * size)
+    one(impairment, size)
+    one(impairment, 0)
+    assert computed == [*range(kept), kept, 0], "the oldest one was forgotten"
 
 
 def test_loss_in_the_good_state_adds_to_bursts():

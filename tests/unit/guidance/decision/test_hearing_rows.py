@@ -104,10 +104,23 @@ async def test_arrays_of_another_type_are_converted(clock):
 
 
 @pytest.mark.parametrize("age", [np.nan, np.inf])
-def test_a_message_without_an_age_is_refused(age):
+def test_a_message_without_an_age_is_dropped(age):
     rows = np.zeros(1, HEARING_ROW)
-    assert not put_first_row(rows, np.zeros(13), np.zeros(3), 0.0, age, 5 * MS)
-    assert rows["version"] == 0
+    put_first_row(rows, np.zeros(13), np.zeros(3), 0.0, age, 5 * MS)
+    assert (rows["version"], rows["dropped"]) == (0, 1)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, 1e9])
+@pytest.mark.parametrize("part", ["state", "acceleration"])
+def test_a_state_that_is_no_number_is_dropped_and_the_one_before_stays(part, wrong):
+    rows = np.zeros(1, HEARING_ROW)
+    put_first_row(rows, np.full(13, 1.0), np.full(3, 2.0), 0.0, 0.0, 50 * MS)
+    state, acceleration = np.full(13, 3.0), np.full(3, 4.0)
+    {"state": state, "acceleration": acceleration}[part][2] = wrong
+    put_first_row(rows, state, acceleration, 0.0, 0.0, 60 * MS)
+    assert rows["state"][0].tolist() == 13 * [1.0]
+    assert rows["acceleration"][0].tolist() == 3 * [2.0]
+    assert (rows["received"], rows["dropped"]) == (2, 1)
 
 
 def test_a_message_that_was_overtaken_is_dropped():

@@ -12,8 +12,13 @@ from crazychoir.bus.port import Bus
 from crazychoir.config.tables import CollisionTable
 from crazychoir.flight.tick import FlightTick
 from crazychoir.guidance.decision.hearing_rows import HEARING_ROW
-from crazychoir.guidance.decision.law_rows import LAW_ROW, ReferenceKind, start_row
-from crazychoir.guidance.decision.law_stage import LawStage
+from crazychoir.guidance.decision.law_rows import (
+    LAW_ROW,
+    LawDecision,
+    ReferenceKind,
+    start_row,
+)
+from crazychoir.guidance.decision.law_stage import LawGroup, LawStage
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.neighbour_state import PairedStateMailbox
 from crazychoir.runtime.clock import run_virtual
@@ -66,6 +71,8 @@ class Staged:
         self.rows["sum"]["h"] = TICK
         self.flown, self.errors, self.stopped = [], [], 0
         start_row(self.rows, self.edges, 0)
+
+    hearings = ()
 
     def move_to(self, rows, edges):
         rows[:] = self.rows
@@ -137,6 +144,49 @@ async def test_laws_of_a_team_and_laws_by_hand_step_once_a_tick(clock):
     assert OfTeam.prepared == [[3.0, 5.0]], "once, in the order of the drones"
     for law in laws:
         assert law.flown == 10 * [float(law.drone)]
+
+
+class Told(Staged):
+    """A law that keeps what it was told of itself and of its neighbours, and spoils its copies."""
+
+    def __init__(self, drone, ids):
+        super().__init__(drone, ByHand())
+        self.ids, self.edges = ids, np.zeros(len(ids), HEARING_ROW)
+        self.told = []
+
+    def step(self, me, heard):
+        numbers = {j: (s.flat[0], s.a[0], s.age) for j, s in heard.items()}
+        self.told.append((me.flat[0], numbers))
+        heard.clear()
+        me.flat[:] = np.nan
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_each_law_is_told_of_the_neighbours_that_it_hears_and_of_no_others(seed):
+    draw = np.random.default_rng(seed)
+    laws = [
+        Told(i, tuple(draw.choice(50, draw.integers(0, 6), replace=False).tolist()))
+        for i in range(draw.integers(1, 9))
+    ]
+    group = LawGroup(laws, Impairment(1))
+    rows, edges = group.team.rows, group.team.edges
+    rows["decision"] = draw.choice([LawDecision.REST, LawDecision.STEP], len(rows))
+    rows["state"] = draw.random((len(rows), 13))
+    edges["is_heard"] = draw.integers(0, 2, len(edges))
+    edges["told"] = draw.random((len(edges), 13))
+    edges["told_acceleration"] = draw.random((len(edges), 3))
+    edges["told_age"] = draw.random(len(edges))
+    expected = [[] for _ in laws]
+    for law, row, told in zip(laws, rows, expected, strict=True):
+        numbers = {
+            j: (e["told"][0], e["told_acceleration"][0], e["told_age"])
+            for j, e in zip(law.ids, law.edges, strict=True)
+            if e["is_heard"]
+        }
+        if row["decision"] == LawDecision.STEP:
+            told.append((row["state"][0], numbers))
+    group._step_each()
+    assert [law.told for law in laws] == expected
 
 
 @virtual

@@ -9,6 +9,7 @@ from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.tables import CollisionTable
 from crazychoir.safety.airspace.airspace_rows import FRAME_ROW, Missed, Need
+from crazychoir.safety.airspace.life_signs import find_heard_ns
 from crazychoir.safety.airspace.neighbours import Neighbours
 from crazychoir.safety.airspace.state_rates import (
     FIRST_NEWS_TIME,
@@ -41,17 +42,17 @@ def test_far_drones_have_no_pair_and_hear_each_other_in_rounds():
 def test_it_says_when_a_drone_was_last_heard_from_itself(apart):
     cut = NetworkPartition(2.0, 99.0, (0,), (1,))
     sky = Sky(row_of(3, apart), others=(8,), partitions=[cut])
-    assert sky.airspace.find_heard_ns(0, 1) is None
+    assert find_heard_ns(sky.airspace, 0, 1) is None
     sky.fly(1.9)
     interval = 1.0 / compute_far_rate(3) + TICK
     for j in (1, 2):
-        age = sky.bus.clock.now() - sky.airspace.find_heard_ns(0, j) / 1e9
+        age = sky.bus.clock.now() - find_heard_ns(sky.airspace, 0, j) / 1e9
         assert 0.0 <= age <= interval
     sky.fly(2.0)
-    assert sky.airspace.find_heard_ns(0, 1) <= 2.0e9, "0 and 1 are cut off"
-    assert sky.airspace.find_heard_ns(0, 2) >= sky.bus.clock.now_ns() - interval * 1e9
-    assert sky.airspace.find_heard_ns(0, 8) is None, "it never spoke"
-    assert sky.airspace.find_heard_ns(0, 77) is None, "it is not of this swarm"
+    assert find_heard_ns(sky.airspace, 0, 1) <= 2.0e9, "0 and 1 are cut off"
+    assert find_heard_ns(sky.airspace, 0, 2) >= sky.bus.clock.now_ns() - interval * 1e9
+    assert find_heard_ns(sky.airspace, 0, 8) is None, "it never spoke"
+    assert find_heard_ns(sky.airspace, 0, 77) is None, "it is not of this swarm"
 
 
 @pytest.mark.parametrize(
