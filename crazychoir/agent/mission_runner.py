@@ -50,6 +50,11 @@ class MissionTimes:
 
     landing_deadline: float = 30.0
     """s beyond the planned time of the descent after which the motors are cut."""
+    blocked_deadline: float = 1800.0
+    """s after which the motors of a landing drone are cut though others keep it up.
+
+    No battery lasts so long: this ends simulated flights.
+    """
     last_messages: float = 1.0
     """s that an aborted mission gets for its last messages after its drone is down. Then it is
     cancelled again.
@@ -272,21 +277,21 @@ class MissionRunner(Actor):
         A drone that others block hovers on and looks for a place beside them: without motors it
         would fall on them.
         """
-        pilot = self.drone.pilot
+        i, pilot = self.drone.id, self.drone.pilot
+        gives_up = pilot.clock.now() + MISSION_TIMES.blocked_deadline
         await wait_for_touchdown(pilot, MISSION_TIMES.landing_deadline)
-        while pilot.airborne and is_blocked(pilot):
-            log.warning(
-                "drone %d: others keep it up: %s", self.drone.id, pilot.notes.text
-            )
+        while pilot.airborne and is_blocked(pilot) and pilot.clock.now() < gives_up:
+            log.warning("drone %d: others keep it up: %s", i, pilot.notes.text)
             await wait_for_touchdown(pilot, MISSION_TIMES.landing_deadline)
         # A cut that arrives late would be a fall.
         if pilot.airborne and pilot.judge.touchdown.is_unreached:
             log.error(
                 "drone %d: its radio is silent: its firmware lands it when it is reached",
-                self.drone.id,
+                i,
             )
         elif pilot.airborne:
-            pilot.cut("does not come down")
+            blocked = f": {pilot.notes.text}" if is_blocked(pilot) else ""
+            pilot.cut(f"does not come down{blocked}")
 
     def _outcome(self, life: asyncio.Task[Result]) -> Result:
         """Return the result of the mission before its drone is down.

@@ -18,15 +18,19 @@ from crazychoir.agent.agent import Agent
 from crazychoir.bench.peers.peers import end_with_parent, say
 from crazychoir.bench.python_law import PythonBearingMission
 from crazychoir.bench.room_profile import compute_shares, sample_rooms
-from crazychoir.bench.steady_flight import SETTLING_TIME, Say, fly_steadily
+from crazychoir.bench.steady_flight import Say, fly_steadily
 from crazychoir.bench.swarms import FlightCase, build_bench_swarm
 from crazychoir.errors import CrazyChoirError
 from crazychoir.guidance.mission import Mission, load_mission
 
 WINDOW_COUNT = 3
-"""Measurements in a flight, one after the other; a further one is profiled."""
-SPARE_TIME = 1.0
-"""Seconds that the law lasts beyond the measurements."""
+"""Measurements in a flight, one after the other. Further windows are profiled."""
+LAW_DURATION = 1e6
+"""s of virtual time that the law lasts: the flight is over before."""
+PROFILE_SAMPLES = 200
+"""Samples of a profile after which it ends."""
+PROFILE_TIME = 3.0
+"""Seconds of wall time after which a profile ends, however few samples it has."""
 KIB_PER_MB = 1e6 / 1024.0
 """KiB in a megabyte."""
 
@@ -49,9 +53,7 @@ def measure_case(case: FlightCase, say: Say = lambda text: None) -> dict[str, An
     say: called with a text that says what is being done
     Raises Refused if the flight fails.
     """
-    config = build_bench_swarm(
-        case, SETTLING_TIME + (WINDOW_COUNT + 1) * case.window + SPARE_TIME
-    )
+    config = build_bench_swarm(case, LAW_DURATION)
     mission = (
         cast(Mission, PythonBearingMission())
         if case.law == "python"
@@ -67,9 +69,11 @@ def measure_case(case: FlightCase, say: Say = lambda text: None) -> dict[str, An
             windows.append(await measure_window(agent, case, ticks))
         memory = read_peak_memory()
         say("profiling")
+        ends = time.perf_counter() + PROFILE_TIME
         with sample_rooms(seen) as watch:
             watch(True)
-            await agent.clock.sleep(case.window)
+            while seen.total() < PROFILE_SAMPLES and time.perf_counter() < ends:
+                await agent.clock.sleep(case.window)
         return windows, memory
 
     windows, memory = fly_steadily(config, mission, measure, say)

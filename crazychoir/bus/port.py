@@ -226,7 +226,7 @@ class Counters:
     """Counts of a port's messages."""
 
     sent: int = 0
-    """Messages to drones."""
+    """Messages to drones that pass the simulated network, and states that come without a message."""
     lost: int = 0
     """Messages that the simulated network lost."""
     resent: int = 0
@@ -495,7 +495,7 @@ class Port:
                 )
             elif bus.forwarder is None:
                 bus.unroutable += 1
-        self.counters.sent += sent
+        self.counters.sent += sent if topic.impaired else 0
         self.counters.bytes += sent * len(payload)
 
     def list_readers(self, topic: Topic) -> list[int]:
@@ -555,7 +555,7 @@ class Port:
                     box.put(value, age)
                 for box in inputs.get(PORT_ADDRESSES.any_drone, ()):
                     box.put((source, value), age)
-        self.counters.sent += sent
+        self.counters.sent += sent if topic.impaired else 0
         self.counters.bytes += sent * len(payload)
 
     def deliver(

@@ -20,6 +20,12 @@ class TouchdownLimits(NamedTuple):
     """Seconds after the planned touch-down when a drone slower than rest_speed counts as landed."""
     unseen_overdue_time: float = 0.5
     """Seconds after the planned touch-down when an unseen drone at rest counts as landed."""
+    kept_up_height: float = 0.15
+    """Height in m above the ground below which a landing drone that others keep up stops its motors
+    after kept_up_time. It falls no deeper.
+    """
+    kept_up_time: float = 10.0
+    """Seconds that a landing drone stays so low before it counts as landed."""
     rest_speed: float = 0.05
     """m/s below which a drone is at rest."""
     replay_overdue_time: float = 5.0

@@ -90,6 +90,7 @@ class Touchdown:
         self._to_firmware: XYZ | None = None  # the command for that landing
         self._tell_owner_at = 0.0
         self._replay_lands_at = math.inf  # s, when a replayed landing counts as over
+        self._low_since = math.inf  # s, since when a landing drone is low but not down
 
     @property
     def is_handed_over(self) -> bool:
@@ -162,6 +163,7 @@ class Touchdown:
         self._permission.change(ModeEvent.DOWN)
         self._down_at = math.inf
         self._replay_lands_at = math.inf
+        self._low_since = math.inf
         self._to_firmware = None
         self._tell_owner_at = 0.0
         self._follower.forget()
@@ -203,7 +205,25 @@ class Touchdown:
             return not self._body.is_turning()
         if is_seen and state.flat[2] < ground + TOUCHDOWN_LIMITS.floor_height:
             return True
+        if is_seen and self._is_kept_up(state.flat[2] - ground, now):
+            return True
         return is_at_rest and self._is_overdue(is_seen, now)
+
+    def _is_kept_up(self, height: float, now: float) -> bool:
+        """Return whether others have kept the drone just above the ground for long enough.
+
+        height: m, above the ground
+        now: s
+        """
+        if height > TOUCHDOWN_LIMITS.kept_up_height:
+            self._low_since = math.inf
+            return False
+        self._low_since = min(self._low_since, now)
+        if now - self._low_since < TOUCHDOWN_LIMITS.kept_up_time:
+            return False
+        text = f"others keep it {height:.2f} m above the ground: stops its motors there"
+        self._notes.say("land", text)
+        return True
 
     def _is_overdue(self, is_seen: bool, now: float) -> bool:
         """Return whether the descent should have been over for some time.

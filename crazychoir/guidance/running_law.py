@@ -223,8 +223,10 @@ class RunningLaw:
 
     def stop(self) -> None:
         """End the law, because the pilot does something else."""
-        state = describe_state(self._member.pilot)
-        self.fail(Interrupted(f"drone {self.drone}: {state}{self._name_silent()}"))
+        reason = f"drone {self.drone}: {describe_state(self._member.pilot)}"
+        if self.tally.refused:
+            reason = f"{self.tally.explain_refusals()}; {reason}"
+        self.fail(Interrupted(f"{reason}{self._name_silent()}"))
 
     def fail(self, error: BaseException) -> bool:
         """End the law with an error; return False if it has ended before."""

@@ -42,8 +42,12 @@ OUTSIDE = 0.15
 BLIND, DRIFT, BACK = 0.1, 1.0, 2.0
 """s, m/s2, s: a drone that is not seen for t > BLIND strays by DRIFT t^2 / 2 from where it believes to be. A drone that
 is tilted by 0.1 rad more than it knows strays so far. It has BACK s to correct that when it is seen again."""
+HARD_DRIFT = 2.0
+"""m/s2: the same where a law runs away: its drone brakes at the fence as hard as it can, tilted by 0.2 rad."""
 UNSEEN = 0.7
 """s without a pose after which a drone lands, or its motors are off: 0.5 by the safety table."""
+TOLD = 2.0
+"""s within which the others hear of a delivery, if their missions last so long, though many messages are lost."""
 LOW = 0.1
 """m above the floor: below it a drone stands, or is about to."""
 
@@ -66,8 +70,12 @@ class Invariants(Actor):
             dict[int, tuple[float, float]](),
         )
         self.alone: int | None = None
+        self.runaway: int | None = None
+        """The drone with a law that runs away."""
         self.ended: dict[int, float] = {}
         """s: when the mission of each drone ended."""
+        self.served: dict[tuple[int, str], float] = {}
+        """{(task, kind): s when a drone first said to itself that this is done}."""
         self._said: dict[Any, None] = {}
 
     async def run(self) -> None:
@@ -94,6 +102,9 @@ class Invariants(Actor):
         for i in agent.ids:
             if agent.drones[i].result:
                 self.ended.setdefault(i, now)
+            service = getattr(agent.drones[i].guidance, "service", None)
+            for stop in service.served if service else []:
+                self.served.setdefault((stop["task"], stop["kind"]), now)
         self.report.checks += len(up)
         for i in up:
             unseen = now - self.seen.get(i, now)
@@ -134,7 +145,8 @@ class Invariants(Actor):
         if unseen > BLIND:
             self.blind[i] = (now, unseen)
         when, gap = self.blind.get(i, (-np.inf, 0.0))
-        allowed = OUTSIDE + (0.5 * DRIFT * gap**2 if now - when < BACK else 0.0)
+        drift = HARD_DRIFT if i == self.runaway else DRIFT
+        allowed = OUTSIDE + (0.5 * drift * gap**2 if now - when < BACK else 0.0)
         if beyond > allowed and agent.drones[i].pilot.mode is not Mode.CUT:
             self._wrong(
                 ("fence", i),
@@ -204,10 +216,13 @@ def _cover(
     owner.cameras.sample = covered  # type: ignore[method-assign]
 
 
-def runaway(agent: Agent, report: Report, draw: Draw) -> None:
-    """From some time on the law of a drone wants it out of the fence: the safety table must keep it inside."""
+def runaway(agent: Agent, report: Report, draw: Draw) -> int | None:
+    """Let the law of a drone want it out of the fence from some time on: the safety table must keep it inside.
+
+    Returns the drone, or None: in most flights there is none.
+    """
     if draw.random() < 0.7:
-        return
+        return None
     i, since, angle = (
         int(draw.choice(agent.ids)),
         float(draw.uniform(2.0, 6.0)),
@@ -229,6 +244,7 @@ def runaway(agent: Agent, report: Report, draw: Draw) -> None:
                 pilot.follow(FullState.at(pilot.state.p + 0.3 * way, way))
 
     pilot.tick.deciders.append(run_away)
+    return i
 
 
 def flown(
@@ -269,7 +285,7 @@ def flown(
 
         for i in victims:
             clock.call_at(round(float(draw.uniform(1.0, 15.0)) * 1e9), kill, i)
-        runaway(agent, report, draw)
+        watch.runaway = runaway(agent, report, draw)
         async with asyncio.timeout(LONGEST):
             results = await agent.run()
         for i in ids:
@@ -364,7 +380,13 @@ def delivery(report: Report, draw: Draw) -> None:
         )
         # A drone that is cut off delivers what it has on board. No other drone hears of that.
         others = [k for k in agent.ids if k not in who]
-        is_unheard = all(k in gone or watch.is_unheard(who[0], k) for k in others)
+        told_at = watch.served.get((j, kind), np.inf) + TOLD
+        is_unheard = all(
+            k in gone
+            or watch.is_unheard(who[0], k)
+            or watch.ended.get(k, np.inf) < told_at
+            for k in others
+        )
         is_cut_off = watch.alone in who or is_unheard
         aboard = kind == "delivery" and is_cut_off
         report.holds(

@@ -254,16 +254,20 @@ def pass_link(
 
 
 @kernel()
-def count_message(listeners: Records, sender: Records, fate: LinkKind) -> None:
-    """Count a message for its sender, if this process flies the sender.
+def count_message(listeners: Records, at: int, sender: Records, fate: LinkKind) -> None:
+    """Count a state that one drone has sent to another one.
+
+    It counts for the sender. If another process flies the sender, only the receiver knows what
+    became of the state, so it counts for the receiver.
 
     listeners: LISTENER_ROW
+    at: number of the receiver
     sender: one row of SWARM_ROW
-    fate: result of pass_link
+    fate: result of judge_link
     """
-    if sender.listener >= 0:
-        listeners[sender.listener].sent += 1
-        listeners[sender.listener].lost += fate == LinkKind.CUT
+    row = listeners[sender.listener if sender.listener >= 0 else at]
+    row.sent += 1
+    row.lost += fate == LinkKind.CUT
 
 
 @kernel()
@@ -476,13 +480,13 @@ def hear_pairs(
         fate = LinkKind.CLEAR
         link = at * swarm.shape[0] + pace.other
         if pace.is_told != 0:
-            # The message to the law, which is counted there.
+            # The message to the law, whose link and sender count it there.
             if links.shape[0] > 0:
                 fate = judge_link(links, kinds, losses, link, sender.number)
-        else:
-            if links.shape[0] > 0:
-                fate = pass_link(links, kinds, losses, link, sender.number)
-            count_message(listeners, sender, fate)
+        elif links.shape[0] > 0:
+            fate = pass_link(links, kinds, losses, link, sender.number)
+        if fate != LinkKind.BY_HAND and (pace.is_told == 0 or sender.listener < 0):
+            count_message(listeners, at, sender, fate)
         if fate == LinkKind.CLEAR:
             take_state(
                 pairs[k],

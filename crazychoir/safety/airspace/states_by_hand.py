@@ -44,10 +44,11 @@ class StatesByHand:
         verdict = self._bus.impairment.verdict(
             j, i, DRONE_TOPICS.state.name, int(sender["number"]), 0, STATE_BYTES, now
         )
-        if sender["listener"] >= 0:
-            counted = self._listeners[sender["listener"]]
-            counted["sent"] += 1
-            counted["lost"] += not verdict.deliveries
+        # As count_message does.
+        own = int(sender["listener"])
+        counted = self._listeners[own if own >= 0 else at]
+        counted["sent"] += 1
+        counted["lost"] += not verdict.deliveries
         state = State(sender["state"].copy(), 0.0, sender["acceleration"].copy())
         age = now - float(sender["state_time"])
         for delay in verdict.deliveries:

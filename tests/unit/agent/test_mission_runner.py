@@ -41,11 +41,19 @@ class Lands:
 
 
 @virtual
-async def test_a_drone_kept_up_by_others_is_never_cut(clock):
+async def test_a_drone_kept_up_by_others_is_not_cut_while_a_battery_lasts(clock):
     pilot = Lands(clock, 3.0 * HELD_FLIGHT_PATIENCE, kept_up=True)
     await MissionRunner(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
     assert pilot.cut_at is None
     assert clock.now() == pytest.approx(3.0 * HELD_FLIGHT_PATIENCE, abs=0.1)
+
+
+@virtual
+async def test_a_simulated_drone_kept_up_for_ever_is_cut_in_the_end(clock):
+    pilot = Lands(clock, 9.0 * MISSION_TIMES.blocked_deadline, kept_up=True)
+    await MissionRunner(SimpleNamespace(id=4, pilot=pilot), None, None)._down()
+    late = HELD_FLIGHT_PATIENCE + MISSION_TIMES.landing_deadline + 1.0
+    assert 0.0 <= pilot.cut_at - MISSION_TIMES.blocked_deadline < late
 
 
 @virtual

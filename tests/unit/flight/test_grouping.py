@@ -1,4 +1,4 @@
-"""A flight has the same bits, whichever drones share a batch."""
+"""Filter, plan and controller of a drone give the same bits, whichever drones share its batch."""
 
 import numpy as np
 import pytest

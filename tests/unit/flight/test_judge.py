@@ -8,6 +8,7 @@ from virtual_time import virtual
 
 from crazychoir.bus.port import Bus
 from crazychoir.config.tables import FlightTable
+from crazychoir.flight.flight_limits import TOUCHDOWN_LIMITS
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import State
@@ -72,3 +73,26 @@ async def test_a_landing_at_home_ends_the_way_there(clock):
     pilot.judge.decide(pilot.state, now)
     assert pilot.mode is Mode.LAND
     assert pilot.notes.text == "home: landing"
+
+
+@virtual
+async def test_a_landing_drone_that_others_keep_just_above_the_ground_stops_there(
+    clock,
+):
+    pilot = make(clock)
+    is_down = pilot.judge.touchdown.is_down
+    low = TOUCHDOWN_LIMITS.kept_up_height - 0.01
+    soon = TOUCHDOWN_LIMITS.kept_up_time - 0.1
+    pilot.row.mode = Mode.LAND
+
+    def is_down_at(height, now, age=0.0):
+        put(pilot, (0.0, 0.0, height), age)
+        return is_down(pilot.state, now)
+
+    assert not is_down_at(low, 1.0)
+    assert not is_down_at(low + 0.1, 1.0 + soon), "it was lifted"
+    assert not is_down_at(low, 20.0)
+    assert not is_down_at(low, 20.0 + soon)
+    assert not is_down_at(low, 20.2 + soon, age=1.0), "where it is, is not seen"
+    assert is_down_at(low, 20.2 + soon)
+    assert "others keep it 0.14 m above the ground" in pilot.notes.text

@@ -9,6 +9,7 @@ from pilots import make_stand_in
 from virtual_time import virtual
 
 from crazychoir.filters.velocity import VelocityFilter
+from crazychoir.guidance.member import Interrupted
 from crazychoir.guidance.running_law import RunningLaw
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Acceleration, State
@@ -19,6 +20,8 @@ def running_law(clock, follow=lambda reference: True):
     pilot = make_stand_in(
         {
             "mode": Mode.FOLLOW,
+            "notes.text": "landing: reference too old",
+            "follower.explain_unflown": lambda reference: "too large",
             "follow": follow,
             "row.index": 0,
             "setup.period_ns": 10_000_000,
@@ -93,3 +96,15 @@ async def test_it_says_when_it_last_heard_a_neighbour(clock):
     assert law.find_heard_ns(7) == clock.now_ns() - 250_000_000
     assert law.find_heard_ns(5) is None
     assert law.find_heard_ns(3) is None, "it is no neighbour"
+
+
+@virtual
+async def test_a_law_that_is_stopped_says_why_its_references_were_not_flown(clock):
+    law = running_law(clock, follow=lambda reference: False)
+    law.law.step = lambda me, heard: None
+    ended = law.start(clock.now_ns())
+    law.rows["tally"]["steps"] = 3
+    law.fly(Acceleration(np.full(3, np.nan)))
+    law.stop()
+    with pytest.raises(Interrupted, match=r"no usable reference in 1 of 3 steps.*nan"):
+        await ended

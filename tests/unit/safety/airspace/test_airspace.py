@@ -273,6 +273,18 @@ def test_a_drone_heard_in_frames_is_heard_as_an_own_one():
     assert sky.drones[1].row(0)["state"][0] == 0.0, "its own process flies drone 0"
 
 
+@pytest.mark.parametrize("effects", [{"loss": 0.3}, {"loss": 0.3, "jitter": 0.001}])
+def test_a_state_from_another_process_counts_for_its_receiver(effects):
+    sky = Sky([(0.0, 0.0, 1.0)], others=(5,), rules=[ImpairmentRule(effects)])
+    sky.fly(5.0, each=lambda: hear(sky, 5, sky.ticks, (0.0, 0.5, 1.0)))
+    sky.airspace.report_messages()
+    counters = sky.bus.ports[0].counters
+    sent, lost = sky.counts(5, 0)
+    assert counters.sent == pytest.approx(500, abs=60)
+    assert (counters.sent, counters.lost) == pytest.approx((sent, lost), abs=25)
+    assert counters.lost / counters.sent == pytest.approx(0.3, abs=0.08)
+
+
 def test_frames_are_due_in_rounds_and_for_near_drones_of_other_processes():
     sky = Sky(row_of(2, FAR), others=range(2, 60))
     due = []
