@@ -84,18 +84,23 @@ def flight(
     drones: Annotated[
         list[int] | None,
         options.whole(
-            "Number of drones of a lattice; several times for several rows.",
+            "Number of drones of a lattice; several times for several rows. Without it: 30 to 1000.",
             least=5,
             most=options.OPTION_LIMITS.drones,
         ),
     ] = None,
     plant: Annotated[
         Literal["lightweight", "motors"] | None,
-        typer.Option(help="Simulated engine of all rows."),
+        typer.Option(
+            help="Simulated engine of all rows: that of sim://, or of sim://motors."
+        ),
     ] = None,
     window: Annotated[
         float | None,
-        options.seconds("Length of one measurement, virtual time.", open_below=True),
+        options.seconds(
+            "Length of one measurement, s of virtual time. Without it: 1, or 0.5 for 1000 drones.",
+            open_below=True,
+        ),
     ] = None,
     collision: Annotated[
         Literal["barrier", "cells", "off"] | None,
@@ -104,8 +109,8 @@ def flight(
 ) -> None:
     """Measure how much faster than real time one core flies 30 to 1000 drones.
 
-    Also shows how often the collision filter acts, the memory, where the time goes,
-    and the speed of the simulated worlds alone. The first run after an installation
+    Also shows how often the collision filter acts, the memory, and where the time
+    goes; without --drones the speed of the simulated worlds too. The first run
     compiles the laws; memory counts from the second run on.
     """
     from crazychoir.bench import flight as bench_flight
