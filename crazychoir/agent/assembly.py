@@ -311,6 +311,7 @@ def build_airspace(config: SwarmConfig, bus: Bus) -> Airspace | None:
         flight.ground,
         _list_planners(config),
         {j: str(config.drone(j).host) for j in flying},
+        flight.acceleration_limit,
     )
     airspace = Airspace(bus, flying, rules)
     _watch_radios(config, airspace, own[0])

@@ -129,6 +129,42 @@ def test_neighbours_report_two_drones_with_a_failed_link_to_each_other(method):
     assert arrived < 10.0
 
 
+class CutAll(Actor):
+    """All links fail as soon as all fly their law."""
+
+    name = "cut all"
+
+    def __init__(self, agent):
+        self.agent = agent
+
+    async def run(self):
+        drones = self.agent.drones.values()
+        while not all(drone.pilot.mode is Mode.FOLLOW for drone in drones):
+            await self.agent.clock.sleep(0.1)
+        self.agent.bus.impairment.update({"loss": 1.0})
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_two_fast_drones_stop_in_front_of_each_other_when_their_link_fails(seed):
+    """They fly at each other at 3 m/s each: 0.5 m are not enough to stop."""
+    mission, config = crossing(
+        2,
+        seed,
+        "barrier",
+        radius=3.8,
+        low=0.8,
+        high=1.0,
+        jitter=0.02,
+        duration=6.0,
+        speed=3.0,
+    )
+    config = config.replace(flight={"speed_limit": 3.0, "acceleration_limit": 6.0})
+    flights = fly(config, mission, lambda agent: agent.services.append(CutAll(agent)))
+    n = min(len(flight.t) for flight in flights.values())
+    p = np.stack([flight.p[:n] for flight in flights.values()], axis=1)
+    assert 0.2 < least(p, p[..., 2] > 0.1) < 1.0
+
+
 def test_goals_in_conflict_are_refused_before_the_flight():
     mission = load_mission("bearing_formation")
     shape = {"0": [0, 0, 1], "1": [1, 0, 1], "2": [1, 0.1, 1], "3": [0, 1, 1]}

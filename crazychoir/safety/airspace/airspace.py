@@ -15,7 +15,7 @@ from crazychoir.safety.airspace.airspace_rows import (
     SWARM_ROW,
     Missed,
 )
-from crazychoir.safety.airspace.distances import COLLISION_DISTANCES
+from crazychoir.safety.airspace.distances import COLLISION_DISTANCES, compute_silent_gap
 from crazychoir.safety.airspace.hearing import (
     hear_states,
     is_valid_state,
@@ -51,6 +51,8 @@ class AirspaceRules:
     """Ids of the drones that do not give way, because a planner on board flies them."""
     hosts: Mapping[int, str] = field(default_factory=dict)
     """{id: host of the processes that may fly the drone}; empty: all drones have the same host."""
+    a_max: float = 2.0
+    """m/s2, with which the drones brake."""
 
 
 class Airspace:
@@ -383,6 +385,7 @@ def _build_rules(rules: AirspaceRules, interval_ns: int) -> Records:
     row["width"] = 2.0 * sx + rules.collision.margin
     row["range"] = rules.collision.range
     row["v_max"] = rules.v_max
+    row["silent_gap"] = compute_silent_gap(rules.v_max, rules.a_max)
     row["lag"] = rules.collision.lag
     row["standing_height"] = rules.ground + COLLISION_DISTANCES.standing_height
     row["far_interval_ns"] = interval_ns

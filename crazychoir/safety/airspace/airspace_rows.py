@@ -200,6 +200,7 @@ AIRSPACE_RULES_ROW = np.dtype(
         ("width", np.float64),  # m, D
         ("range", np.float64),  # m, distance within which others count
         ("v_max", np.float64),  # m/s, largest speed of the others
+        ("silent_gap", np.float64),  # m, see compute_silent_gap
         ("lag", np.float64),  # s, with which the others obey
         ("standing_height", np.float64),  # m, world; a lower drone stands on the floor
         ("far_interval_ns", np.int64),  # ns, between two rounds

@@ -16,7 +16,7 @@ class CollisionDistances(NamedTuple):
     landing_beside: float = 0.2
     """Distance in m that a landing drone keeps from the centre of a drone on the floor."""
     silent_drone: float = 0.5
-    """Distance in m between the ellipsoids of this drone and a silent one.
+    """Least distance in m between the ellipsoids of this drone and a silent one, see compute_silent_gap.
 
     Below it this drone brakes.
     """
@@ -28,6 +28,17 @@ class CollisionDistances(NamedTuple):
 
 
 COLLISION_DISTANCES = CollisionDistances()
+
+
+def compute_silent_gap(v_max: float, a_max: float) -> float:
+    """Return the distance in m between the ellipsoids of two drones below which one brakes for the other.
+
+    It does not hear the other one. Both may fly at each other, and each needs v_max^2 / (2 a_max).
+
+    v_max: m/s, largest speed
+    a_max: m/s2, with which both brake
+    """
+    return max(COLLISION_DISTANCES.silent_drone, v_max * v_max / a_max)
 
 
 class BrakingModel(NamedTuple):

@@ -6,7 +6,7 @@ from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import Triple
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.airspace.airspace_rows import Missed, Need
-from crazychoir.safety.airspace.distances import BRAKING_MODEL, COLLISION_DISTANCES
+from crazychoir.safety.airspace.distances import BRAKING_MODEL
 from crazychoir.safety.airspace.motion import compute_norm
 from crazychoir.safety.airspace.state_rates import (
     FIRST_NEWS_TIME,
@@ -60,7 +60,7 @@ def compute_age_limit(apart: float, rules: Records) -> float:
     """
     return float(
         NEIGHBOUR_AGES.usable
-        + max(apart - rules.width - COLLISION_DISTANCES.silent_drone, 0.0) / rules.v_max
+        + max(apart - rules.width - rules.silent_gap, 0.0) / rules.v_max
     )
 
 
@@ -74,7 +74,7 @@ def compute_near_distance(speed: float, rules: Records) -> float:
     meets = 2.0 * rules.width + STATE_RATES.later * (speed + SPEED_ALLOWANCE)
     brakes = (
         rules.width
-        + COLLISION_DISTANCES.silent_drone
+        + rules.silent_gap
         + rules.v_max * (STATE_RATES.long_wait - NEIGHBOUR_AGES.usable)
     )
     return float(max(rules.range, meets, brakes))
@@ -125,7 +125,7 @@ def compute_reach(speed: float, age: float, rules: Records) -> float:
     meets = compute_flown_distance(age, rules) + compute_near_distance(speed, rules)
     brakes = (
         rules.width
-        + COLLISION_DISTANCES.silent_drone
+        + rules.silent_gap
         + rules.v_max * max(age + RELAY_LEAD_TIME - NEIGHBOUR_AGES.usable, 0.0)
     )
     return float(max(meets, brakes) + DISTANCE_ROUNDING)

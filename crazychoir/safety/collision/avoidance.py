@@ -76,6 +76,7 @@ AVOID_ROW = np.dtype(
         ("unsure", np.float64),  # m/s2, unknown acceleration of another drone
         ("ground", np.float64),  # m, height of the ground
         ("v_max", np.float64),  # m/s, largest speed of the others
+        ("silent_gap", np.float64),  # m, see compute_silent_gap
         (
             "has_cells",
             np.int64,

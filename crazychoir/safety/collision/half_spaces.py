@@ -70,7 +70,7 @@ def judge_other(row: Records, d: float, age: float, stands: bool) -> OtherKind:
     if age <= NEIGHBOUR_AGES.usable or stands:
         return OtherKind.COUNTS
     flown = row.v_max * (assumed - NEIGHBOUR_AGES.usable)
-    if row.lands != 0 or d > row.width + flown + COLLISION_DISTANCES.silent_drone:
+    if row.lands != 0 or d > row.width + flown + row.silent_gap:
         return OtherKind.IGNORED
     return OtherKind.UNHEARD
 
