@@ -24,6 +24,7 @@ import traceback
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from os import PathLike
+from pathlib import Path
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,6 +293,8 @@ class Livelock(CrazyChoirError, RuntimeError):
     """Virtual time: the event loop has made very many passes without the clock moving."""
 
 
+_PACKAGE_FOLDER = Path(__file__).parent
+"""Folder of this package."""
 _LIBRARY_FOLDERS = tuple(
     {sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")}
 )
@@ -303,14 +306,23 @@ def is_library(file: str | PathLike[str]) -> bool:
     return str(file).startswith((*_LIBRARY_FOLDERS, "<"))
 
 
-def raised_at(error: BaseException) -> traceback.FrameSummary:
-    """Return the last line of an error's traceback that is not in a library.
+def is_package(file: str | PathLike[str]) -> bool:
+    """Return whether a file belongs to this package, without its missions."""
+    path = Path(file)
+    return path.is_relative_to(_PACKAGE_FOLDER) and not path.is_relative_to(
+        _PACKAGE_FOLDER / "agents"
+    )
 
-    If all lines are in libraries, it is the last line.
+
+def raised_at(error: BaseException) -> traceback.FrameSummary:
+    """Return the last line of an error's traceback that a user has written.
+
+    If there is none, it is the last line of this package; without one, the last line.
     """
     places = traceback.extract_tb(error.__traceback__)
     own = [place for place in places if not is_library(place.filename)]
-    return (own or places)[-1]
+    users = [place for place in own if not is_package(place.filename)]
+    return (users or own or places)[-1]
 
 
 def exit_call(end: SystemExit) -> str:

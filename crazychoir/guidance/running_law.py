@@ -19,6 +19,7 @@ from crazychoir.guidance.decision.team import (
     ACCELERATION_KIND,
     FULL_STATE_KIND,
     VELOCITY_KIND,
+    has_team_law,
 )
 from crazychoir.guidance.law_tally import LawTally, explain_wrong_return
 from crazychoir.guidance.member import (
@@ -242,7 +243,9 @@ class RunningLaw:
             why = f"{explain_wrong_return(reference)}; {explain_refusal(reference)}"
         else:
             why = self._member.pilot.follower.explain_unflown(reference)
-        why = f"{why} ({locate_function(self.law.step)})"
+        kind: Any = type(self.law)
+        step = kind.for_team if has_team_law(kind) else self.law.step
+        why = f"{why} ({locate_function(step)})"
         self.tally.refuse(why)
         if self.tally.refused == 1:
             log.warning("drone %d: %s: not flown", self.drone, why)

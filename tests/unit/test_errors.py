@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import raised_at
+from crazychoir.guidance.decision.hearing_rows import HEARING_ROW
+from crazychoir.guidance.decision.law_rows import LAW_ROW
+from crazychoir.guidance.decision.team import Team
 
 
 @pytest.mark.parametrize(
@@ -24,3 +27,12 @@ def test_where_only_libraries_are_it_is_the_last_line():
         json.loads("{")
     caught.value.__traceback__ = caught.value.__traceback__.tb_next
     assert raised_at(caught.value).filename.endswith("decoder.py")
+
+
+def test_the_line_of_a_user_comes_before_a_deeper_one_of_the_package():
+    with pytest.raises(ValueError, match="broadcast") as caught:
+        Team(np.zeros(2, LAW_ROW), np.zeros(0, HEARING_ROW)).accelerate(np.zeros(2))
+    at = raised_at(caught.value)
+    assert at.filename == __file__
+    caught.value.__traceback__ = caught.value.__traceback__.tb_next
+    assert raised_at(caught.value).filename.endswith("team.py"), "the package alone"

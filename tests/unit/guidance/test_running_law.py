@@ -108,3 +108,25 @@ async def test_a_law_that_is_stopped_says_why_its_references_were_not_flown(cloc
     law.stop()
     with pytest.raises(Interrupted, match=r"no usable reference in 1 of 3 steps.*nan"):
         await ended
+
+
+class OfTeam:
+    """A law with a step for a team beside its own."""
+
+    rate = 50.0
+    paired = False
+
+    @classmethod
+    def for_team(cls, laws, neighbors):
+        return lambda team: None
+
+    def step(self, me, heard):
+        return None
+
+
+@virtual
+async def test_a_refused_reference_names_the_function_that_gave_it(clock):
+    law = running_law(clock, follow=lambda reference: False)
+    law.law = OfTeam()
+    law.fly(Acceleration(np.full(3, np.nan)))
+    assert "OfTeam.for_team" in law.tally.refusal
