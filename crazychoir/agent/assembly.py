@@ -311,11 +311,20 @@ def build_airspace(config: SwarmConfig, bus: Bus) -> Airspace | None:
         flight.ground,
         _list_planners(config),
         {j: str(config.drone(j).host) for j in flying},
-        flight.acceleration_limit,
+        min(_find_braking_limit(config, j) for j in flying),
     )
     airspace = Airspace(bus, flying, rules)
     _watch_radios(config, airspace, own[0])
     return airspace
+
+
+def _find_braking_limit(config: SwarmConfig, i: int) -> float:
+    """Return the acceleration in m/s2 with which drone i brakes."""
+    return compute_braking_limit(
+        config.flight,
+        find_platform(config.drone(i).platform),
+        FLATNESS_LIMITS.height_share * FLATNESS_LIMITS.acceleration_share,
+    )
 
 
 def connect_airspace(config: SwarmConfig, bus: Bus, tick: FlightTick) -> None:
@@ -363,11 +372,7 @@ def _build_avoidance(
     fence = Fence.box(config.fence.min, config.fence.max).with_floor(
         max(config.fence.min[2], flight.ground)
     )
-    a_max = compute_braking_limit(
-        flight,
-        chosen.platform,
-        FLATNESS_LIMITS.height_share * FLATNESS_LIMITS.acceleration_share,
-    )
+    a_max = _find_braking_limit(config, i)
     traffic = Neighbours(airspace, i, keeps_all=i in planners)
     v_max = flight.speed_limit
     ground = flight.ground

@@ -5,7 +5,8 @@ A member is LOST if it was SUSPECT for `lost_after` while it was watched.
 
 Heartbeats come from the drone's event loop and pass the simulated network like every other message.
 Therefore a hung loop, a killed process and a partition all become visible. Any message counts as a
-sign of life, and so does a state that comes without a message of its own, see Port.life_signs.
+sign of life. So does a state of a member that comes without a message of its own, see
+Port.life_signs: a drone that may not fly sends no heartbeats, though others hear its states.
 
 A heartbeat needs no message if its receiver is in the same process and ignores its repetition. Then
 the sender only notes its time at the receiver. If the simulated network may lose heartbeats, one
@@ -31,11 +32,7 @@ def find_heard_ns(port: Port, source: int) -> int | None:
     """Return when a port last heard another one, by a message or without one, ns; None: never."""
     times = [sign(source) for sign in port.life_signs]
     times.append(port.heard_ns.get(source))
-    known = [time for time in times if time is not None]
-    if not known:
-        return None
-    port.heard_ns[source] = max(known)
-    return port.heard_ns[source]
+    return max((time for time in times if time is not None), default=None)
 
 
 class Presence(Enum):
@@ -74,6 +71,7 @@ class PresenceMonitor(Actor):
     beat: callable that returns the payload of a heartbeat
     lost_after: seconds after which a SUSPECT member is LOST
     seek: callable that returns further receivers of the next heartbeat, which are not monitored
+    is_member: callable that returns whether states of a drone are signs of its life
     """
 
     name = "presence"
@@ -86,11 +84,13 @@ class PresenceMonitor(Actor):
         beat: Callable[[], bytes],
         lost_after: float = 5.0,
         seek: Callable[[], tuple[int, ...]] = tuple,
+        is_member: Callable[[int], bool] = lambda j: True,
     ) -> None:
         self.port = port
         self.beat = beat
         self.lost_after = lost_after
         self.seek = seek
+        self._is_member = is_member
         self.listeners: list[OnChange] = []
         self.silent = False
         """True to send no heartbeats: a drone that cannot fly yet is no member."""
@@ -205,8 +205,14 @@ class PresenceMonitor(Actor):
             if (member := members.get(j)) is None
             or member.state is not alive
             or member.token_gone
-            or heard_ns[j] < since_ns
+            or heard_ns.get(j, 0) < since_ns
         ]
+
+    def find_heard_ns(self, j: int) -> int | None:
+        """Return the time of the last sign of life of drone j, ns; None: there was none."""
+        if self._is_member(j):
+            return find_heard_ns(self.port, j)
+        return self.port.heard_ns.get(j)
 
     def state(self, j: int) -> Presence:
         """Return the believed state of member j."""
@@ -237,7 +243,7 @@ class PresenceMonitor(Actor):
 
     def _look(self, j: int) -> None:
         """Update the state of member j from the time of its last message and from its token."""
-        heard_ns = find_heard_ns(self.port, j)
+        heard_ns = self.find_heard_ns(j)
         if heard_ns is None:
             return
         member = self._members.get(j)

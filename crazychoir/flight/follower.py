@@ -311,8 +311,8 @@ class FlightFollower:
             self.brake(now)
         flights.load(now)
         if flights.lacks_set_point:
-            kind = type(flights.plan).__name__
-            self._notes.say("plan", f"{kind}.sample gives no finite numbers: hovers")
+            text = "the trajectory gives no finite numbers: stays where it was"
+            self._notes.say("plan", text)
         row = self._row
         # A drone that brakes, for example at the fence, must not drift.
         if row.drone["is_aside"] and row.obeyed is not Action.BRAKE:

@@ -205,21 +205,26 @@ class Touchdown:
             return not self._body.is_turning()
         if is_seen and state.flat[2] < ground + TOUCHDOWN_LIMITS.floor_height:
             return True
-        if is_seen and self._is_kept_up(state.flat[2] - ground, now):
+        if is_seen and self._is_kept_up(state, now):
             return True
         return is_at_rest and self._is_overdue(is_seen, now)
 
-    def _is_kept_up(self, height: float, now: float) -> bool:
+    def _is_kept_up(self, state: State, now: float) -> bool:
         """Return whether others have kept the drone just above the ground for long enough.
 
-        height: m, above the ground
         now: s
         """
-        if height > TOUCHDOWN_LIMITS.kept_up_height:
+        height = state.flat[2] - self._setup.limits.ground
+        gives_way = now < self._clearance.gave_way + TOUCHDOWN_LIMITS.overdue_time
+        if height > TOUCHDOWN_LIMITS.kept_up_height or not gives_way:
             self._low_since = math.inf
             return False
         self._low_since = min(self._low_since, now)
-        if now - self._low_since < TOUCHDOWN_LIMITS.kept_up_time:
+        speed = float(np.linalg.norm(state.v))
+        if (
+            now - self._low_since < TOUCHDOWN_LIMITS.kept_up_time
+            or speed > TOUCHDOWN_LIMITS.kept_up_speed
+        ):
             return False
         text = f"others keep it {height:.2f} m above the ground: stops its motors there"
         self._notes.say("land", text)

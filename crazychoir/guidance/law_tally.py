@@ -21,6 +21,8 @@ class LawTally:
         self.rows = np.zeros(1, TALLY_ROW) if rows is None else rows
         self.refusal = ""
         """Why the last of the refused references cannot be flown."""
+        self.refused_step = 0
+        """Number of the step that gave it."""
 
     @property
     def steps(self) -> int:
@@ -51,6 +53,7 @@ class LawTally:
         """Count a reference that cannot be flown."""
         self.rows["refused"] += 1
         self.refusal = why
+        self.refused_step = self.steps
 
     def list_faults(self) -> dict[str, Any]:
         """Return the entries of the drone's result about refused references; none if all is well.

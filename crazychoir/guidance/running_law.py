@@ -225,7 +225,7 @@ class RunningLaw:
     def stop(self) -> None:
         """End the law, because the pilot does something else."""
         reason = f"drone {self.drone}: {describe_state(self._member.pilot)}"
-        if self.tally.refused:
+        if self.tally.refused and self.tally.steps <= self.tally.refused_step + 1:
             reason = f"{self.tally.explain_refusals()}; {reason}"
         self.fail(Interrupted(f"{reason}{self._name_silent()}"))
 

@@ -10,7 +10,6 @@ from crazychoir.bus.presence import (
     SILENCE_TIMEOUT,
     Presence,
     PresenceMonitor,
-    find_heard_ns,
 )
 from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.errors import CodecError
@@ -109,6 +108,7 @@ class TeamPresence:
             self._encode_heartbeat,
             lost_after,
             self._seek,
+            self._is_member,
         )
         self.monitor.listeners.append(self._handle_change)
         rosters.listeners.append(self._handle_roster)
@@ -128,6 +128,11 @@ class TeamPresence:
         roster = self.rosters.roster
         return j in self.lost or (roster is not None and j not in roster.members)
 
+    def _is_member(self, j: int) -> bool:
+        """Return whether drone j is in the roster in force."""
+        roster = self.rosters.roster
+        return roster is not None and j in roster.members
+
     def is_present(self, j: int) -> bool:
         """Return True if drone j sends heartbeats and is not lost."""
         return (
@@ -138,7 +143,7 @@ class TeamPresence:
 
     def is_silent(self, j: int) -> bool:
         """Return True if drone j was not heard in the last SILENCE_TIMEOUT seconds."""
-        heard_ns = find_heard_ns(self.port, j)
+        heard_ns = self.monitor.find_heard_ns(j)
         return (
             heard_ns is None
             or self.port.bus.clock.now_ns() - heard_ns

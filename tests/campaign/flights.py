@@ -380,7 +380,7 @@ def delivery(report: Report, draw: Draw) -> None:
         )
         # A drone that is cut off delivers what it has on board. No other drone hears of that.
         others = [k for k in agent.ids if k not in who]
-        told_at = watch.served.get((j, kind), np.inf) + TOLD
+        told_at = watch.served.get((j, kind), -np.inf) + TOLD
         is_unheard = all(
             k in gone
             or watch.is_unheard(who[0], k)

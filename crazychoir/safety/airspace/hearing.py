@@ -485,7 +485,7 @@ def hear_pairs(
                 fate = judge_link(links, kinds, losses, link, sender.number)
         elif links.shape[0] > 0:
             fate = pass_link(links, kinds, losses, link, sender.number)
-        if fate != LinkKind.BY_HAND and (pace.is_told == 0 or sender.listener < 0):
+        if fate != LinkKind.BY_HAND and pace.is_told == 0:
             count_message(listeners, at, sender, fate)
         if fate == LinkKind.CLEAR:
             take_state(

@@ -3,7 +3,6 @@
 import numpy as np
 
 from crazychoir.config.tables import CollisionTable
-from crazychoir.safety.airspace.distances import compute_silent_gap
 from crazychoir.safety.airspace.neighbours import Neighbours
 from crazychoir.safety.airspace.relayed_states import RelayedStates
 from crazychoir.safety.collision.avoidance import (
@@ -67,7 +66,7 @@ class CollisionFilter:
         self.row["largest_horizontal"] = 1.5 * a_max
         self.row["largest_vertical"] = a_max
         self.row["v_max"] = v_max
-        self.row["silent_gap"] = compute_silent_gap(v_max, a_max)
+        self.row["silent_gap"] = traffic.airspace.rules["silent_gap"][0]
         self.row["ground"] = ground
         self.row["listener"] = traffic.listener
         self.row["gives_way_to"] = -1

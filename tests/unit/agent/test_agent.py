@@ -11,6 +11,7 @@ from pilots import change_fence
 
 from crazychoir.agent.agent import Agent, AgentProcess
 from crazychoir.agent.mission_result import MISSION_REASONS
+from crazychoir.agent.mission_runner import MissionRunner
 from crazychoir.bus.port import PORT_ADDRESSES
 from crazychoir.bus.presence import Presence
 from crazychoir.bus.topics import DRONE_TOPICS
@@ -860,6 +861,33 @@ def test_the_states_of_a_drone_are_signs_of_its_life(method):
         return believed
 
     assert run_virtual(main) == [Presence.ALIVE, Presence.ALIVE]
+
+
+def test_a_drone_that_may_not_fly_does_not_hold_up_the_others(monkeypatch):
+    """Its states are heard while it waits for its radio, but it is no member: it sends no heartbeats."""
+    config = swarm(3, start=2, start_deadline=10.0)
+    until_fit = MissionRunner._until_fit
+
+    async def wait_for_radio(runner):
+        runner.config = SimpleNamespace(
+            topology=SimpleNamespace(reached={2}), radio=config.radio
+        )
+        try:
+            await until_fit(runner)
+        finally:
+            runner.config = config
+
+    monkeypatch.setattr(MissionRunner, "_until_fit", wait_for_radio)
+
+    async def main(clock):
+        mission = SimpleNamespace(guidance=lambda i, config: Rests())
+        agent = Agent(clock, config, mission, (0, 1, 2))
+        agent.drones[2].unfit = lambda: ["its radio does not answer"]
+        return await agent.run()
+
+    results = run_virtual(main)
+    assert [results[i]["success"] for i in range(3)] == [True, True, False]
+    assert "its radio does not answer" in results[2]["reason"]
 
 
 def test_a_drone_that_a_radio_reaches_is_watched_by_the_figures_of_its_platform():

@@ -230,6 +230,23 @@ async def test_a_state_that_comes_without_a_message_is_a_sign_of_life(clock):
 
 
 @virtual
+async def test_states_of_a_drone_that_is_no_member_are_no_signs_of_life(clock):
+    """A drone that may not fly sends no heartbeats, so that it is no member."""
+    team = Team(clock)
+    monitor = PresenceMonitor(
+        team.bus.ports[1], (2,), lambda: b"beat", is_member=lambda j: False
+    )
+    team.bus.ports[1].life_signs.append(lambda j: clock.now_ns())
+    await clock.sleep(0.5)
+    team.monitors[2].silent = True
+    for _ in range(100):
+        monitor.tick()
+        await clock.sleep(0.1)
+    assert monitor.state(2) is LOST
+    assert monitor.find_heard_ns(2) <= 0.5e9
+
+
+@virtual
 async def test_a_drone_may_be_heard_before_its_first_message(clock):
     team = Team(clock)
     team.monitors[2].silent = True

@@ -85,8 +85,10 @@ async def test_a_landing_drone_that_others_keep_just_above_the_ground_stops_ther
     soon = TOUCHDOWN_LIMITS.kept_up_time - 0.1
     pilot.row.mode = Mode.LAND
 
-    def is_down_at(height, now, age=0.0):
+    def is_down_at(height, now, age=0.0, gave_way=0.0, speed=0.2):
         put(pilot, (0.0, 0.0, height), age)
+        pilot.row.drone["state"][3] = speed
+        pilot.row.drone["gave_way"] = now - gave_way
         return is_down(pilot.state, now)
 
     assert not is_down_at(low, 1.0)
@@ -94,5 +96,8 @@ async def test_a_landing_drone_that_others_keep_just_above_the_ground_stops_ther
     assert not is_down_at(low, 20.0)
     assert not is_down_at(low, 20.0 + soon)
     assert not is_down_at(low, 20.2 + soon, age=1.0), "where it is, is not seen"
-    assert is_down_at(low, 20.2 + soon)
+    assert not is_down_at(low, 20.3 + soon, speed=0.9), "it still flies"
+    assert is_down_at(low, 20.4 + soon)
     assert "others keep it 0.14 m above the ground" in pilot.notes.text
+    assert not is_down_at(low, 60.0, gave_way=9.0), "nothing is in its way"
+    assert not is_down_at(low, 60.0 + 2.0 * soon, gave_way=9.0)
