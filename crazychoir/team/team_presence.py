@@ -108,7 +108,7 @@ class TeamPresence:
             self._encode_heartbeat,
             lost_after,
             self._seek,
-            self._is_member,
+            rosters.has_member,
         )
         self.monitor.listeners.append(self._handle_change)
         rosters.listeners.append(self._handle_roster)
@@ -127,11 +127,6 @@ class TeamPresence:
         """Return True if j is LOST or has left."""
         roster = self.rosters.roster
         return j in self.lost or (roster is not None and j not in roster.members)
-
-    def _is_member(self, j: int) -> bool:
-        """Return whether drone j is in the roster in force."""
-        roster = self.rosters.roster
-        return roster is not None and j in roster.members
 
     def is_present(self, j: int) -> bool:
         """Return True if drone j sends heartbeats and is not lost."""

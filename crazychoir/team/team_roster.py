@@ -56,6 +56,10 @@ class TeamRoster:
         self.listeners: list[RosterListener] = []
         self.reliable = Reliable(port)
 
+    def has_member(self, j: int) -> bool:
+        """Return whether drone j is in the roster in force."""
+        return self.roster is not None and j in self.roster.members
+
     @property
     def absent(self) -> tuple[int, ...]:
         """Drones of the mission that are not in the team."""
