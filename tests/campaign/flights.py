@@ -42,12 +42,13 @@ OUTSIDE = 0.15
 BLIND, DRIFT, BACK = 0.1, 1.0, 2.0
 """s, m/s2, s: a drone that is not seen for t > BLIND strays by DRIFT t^2 / 2 from where it believes to be. A drone that
 is tilted by 0.1 rad more than it knows strays so far. It has BACK s to correct that when it is seen again."""
-HARD_DRIFT = 2.0
-"""m/s2: the same where a law runs away: its drone brakes at the fence as hard as it can, tilted by 0.2 rad."""
+BRAKING_DRIFT = 2.0
+"""m/s2, instead of DRIFT for a drone with a law that runs away. It brakes at the fence as hard as it can, so it may be
+tilted by 0.2 rad more than it knows."""
 UNSEEN = 0.7
 """s without a pose after which a drone lands, or its motors are off: 0.5 by the safety table."""
-TOLD = 2.0
-"""s within which the others hear of a delivery, if their missions last so long, though many messages are lost."""
+NEWS_TIME = 2.0
+"""Seconds after a delivery within which the other drones hear of it, although many messages are lost."""
 LOW = 0.1
 """m above the floor: below it a drone stands, or is about to."""
 
@@ -75,7 +76,7 @@ class Invariants(Actor):
         self.ended: dict[int, float] = {}
         """s: when the mission of each drone ended."""
         self.served: dict[tuple[int, str], float] = {}
-        """{(task, kind): s when a drone first said to itself that this is done}."""
+        """{(task, kind): s, when its drone noted that it has done this}."""
         self._said: dict[Any, None] = {}
 
     async def run(self) -> None:
@@ -112,7 +113,7 @@ class Invariants(Actor):
             self._check_unseen(i, unseen, now)
         self._check_distances({i: p[i] for i in up}, now)
 
-    def is_unheard(self, i: int, by: int) -> bool:
+    def was_cut_off(self, i: int, by: int) -> bool:
         """Return whether the mission of drone `by` ended while a partition kept it from hearing drone i."""
         network = self.agent.bus.impairment
         age = self.ended.get(by, np.inf) - network.began
@@ -145,7 +146,7 @@ class Invariants(Actor):
         if unseen > BLIND:
             self.blind[i] = (now, unseen)
         when, gap = self.blind.get(i, (-np.inf, 0.0))
-        drift = HARD_DRIFT if i == self.runaway else DRIFT
+        drift = BRAKING_DRIFT if i == self.runaway else DRIFT
         allowed = OUTSIDE + (0.5 * drift * gap**2 if now - when < BACK else 0.0)
         if beyond > allowed and agent.drones[i].pilot.mode is not Mode.CUT:
             self._wrong(
@@ -333,6 +334,48 @@ def crossing(report: Report, draw: Draw) -> None:
     flown(report, draw, config, mission, int(draw.integers(0, 2)))
 
 
+def is_known(agent: Agent, task: int, kind: str, servers: list[int]) -> bool:
+    """Return whether another drone has heard that this was done.
+
+    servers: the drones that have done it
+    """
+    others = [agent.drones[i].guidance for i in agent.ids if i not in servers]
+    return any(
+        deed.task == task and deed.kind == kind
+        for guidance in others
+        if hasattr(guidance, "news")  # its mission has begun
+        for record in guidance.news.book.records.values()
+        for deed in record.deeds
+    )
+
+
+def may_be_unknown(
+    agent: Agent, watch: Invariants, task: int, kind: str, servers: list[int]
+) -> bool:
+    """Return whether no other drone need have heard that this was done.
+
+    A drone that is cut off delivers what it has on board, and no other drone hears of that. A drone with
+    an ended mission hears nothing more either.
+
+    servers: the drones that have done it
+    """
+    gone = {*watch.killed, watch.alone}
+    others = [i for i in agent.ids if i not in servers]
+    if len(agent.ids) == 2 or gone.issuperset(others):
+        return True
+    if kind == "pickup":
+        return False
+    if watch.alone in servers:
+        return True
+    done_at = watch.served.get((task, kind), -np.inf)
+    return all(
+        i in gone
+        or watch.was_cut_off(servers[0], i)
+        or watch.ended.get(i, np.inf) < done_at + NEWS_TIME
+        for i in others
+    )
+
+
 def delivery(report: Report, draw: Draw) -> None:
     """Goods that appear in flight: none picked up or delivered twice, or forgotten; what one has done others know."""
     mission, until = (
@@ -355,43 +398,18 @@ def delivery(report: Report, draw: Draw) -> None:
     watch = next(
         service for service in agent.services if isinstance(service, Invariants)
     )
-    gone = {*watch.killed, watch.alone}
     by: dict[tuple[int, str], list[int]] = {}
     for i in agent.ids:
         service = getattr(agent.drones[i].guidance, "service", None)
         for stop in service.served if service else []:
             by.setdefault((stop["task"], stop["kind"]), []).append(i)
-    for (j, kind), who in sorted(by.items()):
-        report.holds(len(who) == 1, f"{kind} of task {j} by {who}")
-        others = [agent.drones[i].guidance for i in agent.ids if i not in who]
-        heard = [
-            guidance.news.book.records.values()
-            for guidance in others
-            if hasattr(guidance, "news")
-        ]  # has begun
-        known = any(
-            deed.task == j and deed.kind == kind
-            for records in heard
-            for r in records
-            for deed in r.deeds
-        )
-        nobody = len(agent.ids) == 2 or gone.issuperset(
-            i for i in agent.ids if i not in who
-        )
-        # A drone that is cut off delivers what it has on board. No other drone hears of that.
-        others = [k for k in agent.ids if k not in who]
-        told_at = watch.served.get((j, kind), -np.inf) + TOLD
-        is_unheard = all(
-            k in gone
-            or watch.is_unheard(who[0], k)
-            or watch.ended.get(k, np.inf) < told_at
-            for k in others
-        )
-        is_cut_off = watch.alone in who or is_unheard
-        aboard = kind == "delivery" and is_cut_off
+    for (task, kind), servers in sorted(by.items()):
+        names = f"{kind} of task {task} by {servers}"
+        report.holds(len(servers) == 1, names)
         report.holds(
-            known or nobody or aboard,
-            f"{kind} of task {j} by {who}, and no other drone has heard of it",
+            is_known(agent, task, kind, servers)
+            or may_be_unknown(agent, watch, task, kind, servers),
+            f"{names}, and no other drone has heard of it",
         )
     failed = [i for i in agent.ids if not agent.drones[i].result.get("success")]
     for i in agent.ids:

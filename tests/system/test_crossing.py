@@ -28,15 +28,20 @@ def flown(mission, config, prepare=lambda agent: None):
     It is infinite if one is not there at the end of its law.
     """
     flights = fly(config, mission, prepare)
-    n = min(len(flight.t) for flight in flights.values())
-    p = np.stack([flight.p[:n] for flight in flights.values()], axis=1)
-    up = np.stack([flight.p[:n, 2] > 0.1 for flight in flights.values()], axis=1)
+    p, up = find_places(flights)
     assert all(flight.result["success"] for flight in flights.values()), [
         f.result for f in flights.values()
     ]
     return least(p, up), max(
         arrival(flight, mission.goal(config)[i]) for i, flight in flights.items()
     )
+
+
+def find_places(flights):
+    """Return the places (ticks, drones, 3) m, and whether each drone flies, for as long as all flights last."""
+    n = min(len(flight.t) for flight in flights.values())
+    p = np.stack([flight.p[:n] for flight in flights.values()], axis=1)
+    return p, p[..., 2] > 0.1
 
 
 def arrival(flight, goal):
@@ -160,9 +165,7 @@ def test_two_fast_drones_stop_in_front_of_each_other_when_their_link_fails(seed)
     )
     config = config.replace(flight={"speed_limit": 3.0, "acceleration_limit": 6.0})
     flights = fly(config, mission, lambda agent: agent.services.append(CutAll(agent)))
-    n = min(len(flight.t) for flight in flights.values())
-    p = np.stack([flight.p[:n] for flight in flights.values()], axis=1)
-    assert 0.2 < least(p, p[..., 2] > 0.1) < 1.0
+    assert 0.2 < least(*find_places(flights)) < 1.0
 
 
 def test_goals_in_conflict_are_refused_before_the_flight():
