@@ -27,7 +27,7 @@ class TouchdownLimits(NamedTuple):
     kept_up_time: float = 10.0
     """Seconds that a landing drone stays so low before it counts as landed."""
     kept_up_speed: float = 0.3
-    """Largest speed in m/s at which it does so."""
+    """Largest speed in m/s at which the motors of such a drone stop."""
     rest_speed: float = 0.05
     """m/s below which a drone is at rest."""
     replay_overdue_time: float = 5.0

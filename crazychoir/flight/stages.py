@@ -123,9 +123,9 @@ def estimate_drones(
         if drone.knows_commands == 0 and drone.age > SEEN_AGE:
             _write_believed_flight(drone, plans[k], now, planned)
         # Others refuse a state with an invalid acceleration. Zero stands for an unknown one.
-        is_known = is_valid_acceleration(drone.commanded[:])
+        is_valid = is_valid_acceleration(drone.commanded[:])
         for c in range(3):
-            drone.acceleration[c] = drone.commanded[c] if is_known else 0.0
+            drone.acceleration[c] = drone.commanded[c] if is_valid else 0.0
             drone.commanded[c] = 0.0
 
 
