@@ -27,16 +27,17 @@ def find_far_kind(
     rules: one row of AIRSPACE_RULES_ROW
     now: s
     """
-    if height < rules.standing_height or not now - state_time < NEIGHBOUR_AGES.gone:
+    is_heard = now - heard_time < NEIGHBOUR_AGES.silent
+    if height < rules.standing_height:
+        return FarKind.STANDS if is_heard else FarKind.GROUNDED
+    if not now - state_time < NEIGHBOUR_AGES.gone:
         return FarKind.GROUNDED
-    if now - heard_time < NEIGHBOUR_AGES.silent:
-        return FarKind.HEARD
-    return FarKind.SILENT
+    return FarKind.HEARD if is_heard else FarKind.SILENT
 
 
 @kernel()
 def count_far(listener: Records, kind: FarKind, change: int) -> None:
-    """Count a far drone as heard or as silent.
+    """Count a far drone as heard, silent or standing.
 
     listener: one row of LISTENER_ROW
     kind: how it counts
@@ -46,6 +47,8 @@ def count_far(listener: Records, kind: FarKind, change: int) -> None:
         listener.far_heard += change
     elif kind == FarKind.SILENT:
         listener.far_silent += change
+    elif kind == FarKind.STANDS:
+        listener.far_standing += change
 
 
 @kernel()
@@ -158,6 +161,7 @@ def refresh_far(
     grid.lacking = 0
     grid.heard = 0
     grid.silent = 0
+    grid.standing = 0
     grid.oldest = 0.0
     grid.fastest = 0.0
     for j in range(swarm.shape[0]):
@@ -175,6 +179,7 @@ def refresh_far(
         )
         grid.heard += known.kind == FarKind.HEARD
         grid.silent += known.kind == FarKind.SILENT
+        grid.standing += known.kind == FarKind.STANDS
         age = now - known.state_time
         if age <= late:
             known.cell = 0

@@ -35,6 +35,8 @@ class CollisionFilter:
     A drone brakes if another drone that may be near has been silent for NEIGHBOUR_AGES.usable s, or if more than
     half of the other drones that flew have been silent for NEIGHBOUR_AGES.silent s. It does not brake for this
     while it lands. It keeps clear of the place where the silent drone is if that drone brakes too.
+    After the same silence a drone on the floor may have taken off: this one keeps beside its place, at any
+    height. See _is_way_clear for the drones that took off together.
 
     settings: [collision]
     traffic: what this drone knows of the others

@@ -56,11 +56,35 @@ def predict_other(row: Records, other: Records, age: float) -> PlaceAndVelocity:
 
 
 @kernel()
+def may_have_risen(row: Records, age: float, stands: bool) -> bool:
+    """Return whether another drone may be anywhere above its last known place on the floor.
+
+    It was not heard for so long that it may have taken off since. This drone does not land.
+
+    row: one row of AVOID_ROW
+    age: s, of the other's state
+    stands: whether the other stood on the floor then
+    """
+    is_silent = NEIGHBOUR_AGES.silent <= age < NEIGHBOUR_AGES.gone
+    return bool(stands and is_silent and row.lands == 0)
+
+
+@kernel()
+def find_judged_scale(row: Records, age: float, stands: bool) -> Triple:
+    """Return the scale of the distance by which another drone is judged, see judge_other.
+
+    Arguments as in may_have_risen.
+    """
+    is_anywhere_above = may_have_risen(row, age, stands)
+    return row.scale[0], row.scale[1], 0.0 if is_anywhere_above else row.scale[2]
+
+
+@kernel()
 def judge_other(row: Records, d: float, age: float, stands: bool) -> OtherKind:
     """Return whether another drone counts, as an OtherKind.
 
     row: one row of AVOID_ROW
-    d: m, distance of the predicted places, scaled by S
+    d: m, distance of the predicted places, scaled by find_judged_scale
     age: s, of the other's state
     stands: whether the other stands on the floor
     """
@@ -86,6 +110,8 @@ def compute_half_space(
 ) -> tuple[float, Triple, float]:
     """Return the half space of one other drone: the distance m, its normal, its right-hand side.
 
+    This drone keeps beside a drone that may be anywhere above its place on the floor.
+
     row: one row of AVOID_ROW
     other: one row of MOTION_ROW
     age: s, of the other's state
@@ -94,13 +120,17 @@ def compute_half_space(
     moves: predicted place m and velocity m/s of this drone, then of the other one
     """
     p, v, q, w = moves
-    scale = (1.0, 1.0, 1.0) if stands else (row.scale[0], row.scale[1], row.scale[2])
-    beside = (
-        COLLISION_DISTANCES.standing_drone
-        if row.lands == 0
-        else COLLISION_DISTANCES.landing_beside
-    )
-    width = beside if stands else row.width
+    scale = (row.scale[0], row.scale[1], row.scale[2])
+    width = row.width
+    if may_have_risen(row, age, stands):
+        scale = (1.0, 1.0, 0.0)
+    elif stands:
+        scale = (1.0, 1.0, 1.0)
+        width = (
+            COLLISION_DISTANCES.standing_drone
+            if row.lands == 0
+            else COLLISION_DISTANCES.landing_beside
+        )
     r = scale_difference(p, q, scale)
     w = scale_difference(v, w, scale)
     d = max(compute_norm(r), 1e-3)
