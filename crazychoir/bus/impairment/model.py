@@ -27,7 +27,7 @@ from crazychoir.bus.impairment.rules import (
 
 
 @dataclass(frozen=True, slots=True)
-class _ImpairmentDraws:
+class ImpairmentDraws:
     """Constants of the draws of delays and duplicates."""
 
     half_range: int = 1 << 32
@@ -38,7 +38,7 @@ class _ImpairmentDraws:
     """Salt of the draws of duplicates."""
 
 
-_IMPAIRMENT_DRAWS = _ImpairmentDraws()
+IMPAIRMENT_DRAWS = ImpairmentDraws()
 
 
 class MessageFate(NamedTuple):
@@ -109,11 +109,21 @@ class Impairment:
             count()
         return self._counters
 
-    def count(self, source: int, destination: int, sent: int, lost: int) -> None:
-        """Add messages that a compiled law has sent and lost on an edge."""
+    def count(
+        self,
+        source: int,
+        destination: int,
+        sent: int,
+        lost: int,
+        delayed: int = 0,
+        duplicated: int = 0,
+    ) -> None:
+        """Add messages that a compiled law has sent on an edge, and what became of them."""
         edge = self._counters.setdefault((source, destination), EdgeCounters())
         edge.sent += sent
         edge.lost += lost
+        edge.delayed += delayed
+        edge.duplicated += duplicated
 
     def update(self, changes: Mapping[str, Any]) -> None:
         """Change a rule, or the partitions.
@@ -310,20 +320,20 @@ class _ImpairedEdge:
         """
         link = self.link
         first, second = divmod(
-            draw(lane ^ _IMPAIRMENT_DRAWS.delay_salt, number, attempt),
-            _IMPAIRMENT_DRAWS.half_range,
+            draw(lane ^ IMPAIRMENT_DRAWS.delay_salt, number, attempt),
+            IMPAIRMENT_DRAWS.half_range,
         )
-        delay = wait + link.delay + link.jitter * (first / _IMPAIRMENT_DRAWS.half_range)
-        if second < link.reorder * _IMPAIRMENT_DRAWS.half_range:
+        delay = wait + link.delay + link.jitter * (first / IMPAIRMENT_DRAWS.half_range)
+        if second < link.reorder * IMPAIRMENT_DRAWS.half_range:
             delay += link.reorder_delay
         self.counters.delayed += delay > 0.0
         if link.duplicate <= 0.0:
             return MessageFate((delay,))
         first, second = divmod(
-            draw(lane ^ _IMPAIRMENT_DRAWS.duplicate_salt, number, attempt),
-            _IMPAIRMENT_DRAWS.half_range,
+            draw(lane ^ IMPAIRMENT_DRAWS.duplicate_salt, number, attempt),
+            IMPAIRMENT_DRAWS.half_range,
         )
-        if first >= link.duplicate * _IMPAIRMENT_DRAWS.half_range:
+        if first >= link.duplicate * IMPAIRMENT_DRAWS.half_range:
             return MessageFate((delay,))
         self.counters.duplicated += 1
         return MessageFate(
@@ -331,6 +341,6 @@ class _ImpairedEdge:
                 delay,
                 wait
                 + link.delay
-                + link.jitter * (second / _IMPAIRMENT_DRAWS.half_range),
+                + link.jitter * (second / IMPAIRMENT_DRAWS.half_range),
             )
         )

@@ -28,7 +28,8 @@ from crazychoir.safety.airspace.airspace_rows import (
     LinkKind,
     LinkKinds,
 )
-from crazychoir.safety.airspace.hearing import link_kinds, pass_link
+from crazychoir.safety.airspace.late_states import LATE_ROW, copy_late, send_late
+from crazychoir.safety.airspace.link_fates import link_kinds, pass_link
 from crazychoir.safety.rules.limits import limit_acceleration
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Ints
@@ -104,6 +105,8 @@ def _deliver_frame(
     links: Any,
     kinds: LinkKinds,
     losses: Any,
+    late: Any,
+    late_count: Ints,
     now_ns: int,
 ) -> bool:
     """Let a law hear the newest state of a drone of another process, if it is new.
@@ -111,7 +114,7 @@ def _deliver_frame(
     e: row of the edge
     swarm: SWARM_ROW, of the airspace
     Other arguments as in deliver_rows.
-    Returns whether the simulated network may delay or duplicate it.
+    Returns whether Impairment must decide.
     """
     edge = edges[e]
     sender = swarm[edge.frame_place]
@@ -126,7 +129,51 @@ def _deliver_frame(
     if fate == LinkKind.CLEAR:
         age = now_ns / NS_PER_SECOND - sender.state_time
         put_row(edge, sender.state, sender.acceleration, sender.age, age, now_ns)
+    elif fate == LinkKind.LATE:
+        send_late(
+            late,
+            late_count,
+            links,
+            kinds,
+            losses,
+            e,
+            sender.number,
+            e,
+            edge.frame_place,
+            sender.state,
+            sender.acceleration,
+            sender.state_time,
+            sender.age,
+            True,
+            now_ns,
+        )
     return bool(fate == LinkKind.BY_HAND)
+
+
+@kernel()
+def _deliver_late(edges: Any, late: Any, late_count: Ints, now_ns: int) -> None:
+    """Let laws hear the states that have arrived late, and keep those on their way.
+
+    Arguments as in deliver_rows.
+    """
+    kept = 0
+    for k in range(late_count[0]):
+        row = late[k]
+        if row.arrival_ns > now_ns:
+            if kept < k:
+                copy_late(row, late[kept])
+            kept += 1
+            continue
+        age = row.arrival_ns / NS_PER_SECOND - row.state_time
+        put_row(
+            edges[row.receiver],
+            row.state,
+            row.acceleration,
+            row.state_age,
+            age,
+            row.arrival_ns,
+        )
+    late_count[0] = kept
 
 
 @kernel(
@@ -136,6 +183,8 @@ def _deliver_frame(
     rows_of(LINK_ROW),
     link_kinds,
     rows_of(LOSS_ROW),
+    rows_of(LATE_ROW),
+    wholes,
     whole,
     wholes,
     **NO_COUNTING,
@@ -147,6 +196,8 @@ def deliver_rows(
     links: Any,
     kinds: LinkKinds,
     losses: Any,
+    late: Any,
+    late_count: Ints,
     now_ns: int,
     found: Ints,
 ) -> int:
@@ -158,15 +209,19 @@ def deliver_rows(
     links: (e,) of LINK_ROW; empty without a simulated network
     kinds: (e,): LinkKind of each link
     losses: (m,) of LOSS_ROW
+    late: of LATE_ROW, with room for all copies of all states
+    late_count: (1,): number of states on their way
     now_ns: ns
-    found: (e,): receives the edges on which the simulated network may delay or duplicate states
+    found: (e,): receives the edges on which Impairment must decide, see LinkKind.BY_HAND
     Returns how many these are.
     """
     count = 0
     for e in range(edges.shape[0]):
         edge = edges[e]
         if edge.source == FRAMES_SOURCE:
-            if _deliver_frame(edges, e, swarm, links, kinds, losses, now_ns):
+            if _deliver_frame(
+                edges, e, swarm, links, kinds, losses, late, late_count, now_ns
+            ):
                 found[count] = e
                 count += 1
             continue
@@ -185,8 +240,30 @@ def deliver_rows(
         sender.sent += 1
         if fate == LinkKind.CUT:
             sender.lost += 1
-            continue
-        put_row(edge, sender.state, sender.acceleration, sender.age, sender.age, now_ns)
+        elif fate == LinkKind.LATE:
+            send_late(
+                late,
+                late_count,
+                links,
+                kinds,
+                losses,
+                e,
+                sender.number,
+                e,
+                edge.source,
+                sender.state,
+                sender.acceleration,
+                now_ns / NS_PER_SECOND - sender.age,
+                sender.age,
+                True,
+                now_ns,
+            )
+        else:
+            put_row(
+                edge, sender.state, sender.acceleration, sender.age, sender.age, now_ns
+            )
+    if late_count[0] > 0:
+        _deliver_late(edges, late, late_count, now_ns)
     return count
 
 

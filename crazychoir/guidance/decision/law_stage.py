@@ -34,6 +34,7 @@ from crazychoir.guidance.decision.team import (
 )
 from crazychoir.runtime.clock import NS_PER_SECOND, AlarmPriority, Clock
 from crazychoir.safety.airspace.airspace_rows import SWARM_ROW
+from crazychoir.safety.airspace.late_states import LateStates
 from crazychoir.safety.airspace.state_links import StateLinks
 from crazychoir.safety.airspace.states_by_hand import STATE_BYTES
 from crazychoir.types import Bools, Heard, Records, Reference, State
@@ -154,7 +155,7 @@ class LawStage:
         laws = [self._laws[i] for i in sorted(self._laws)]
         laws.sort(key=_name_group)
         for group in self._groups:
-            group.links.close()
+            group.close(self._clock)
         self._groups = [
             LawGroup(list(same), self._impairment)
             for _, same in groupby(laws, key=_find_team_kind)
@@ -187,6 +188,8 @@ class LawGroup:
         self.laws = laws
         self.links = StateLinks(impairment, [(law.drone, law.ids) for law in laws])
         """The simulated network on the edges of the team."""
+        self._late = LateStates()
+        """The states on their way to the laws."""
         ends = np.cumsum([len(law.ids) for law in laws])
         rows = np.zeros(len(laws), LAW_ROW)
         edges = np.zeros(int(ends[-1]), HEARING_ROW)
@@ -225,6 +228,19 @@ class LawGroup:
             return None
         return prepared
 
+    def close(self, clock: Clock) -> None:
+        """End the group. States on their way still arrive at their laws."""
+        self.links.close()
+        for late in self._late.rows[: self._late.count[0]]:
+            arrival_ns = int(late["arrival_ns"])
+            age = arrival_ns / NS_PER_SECOND - float(late["state_time"])
+            state = State(
+                late["state"].copy(),
+                float(late["state_age"]),
+                late["acceleration"].copy(),
+            )
+            self._arrive_by_hand(clock, int(late["receiver"]), arrival_ns, state, age)
+
     def deliver(
         self, batch: Batch, swarm: Records, clock: Clock, impairment: Impairment
     ) -> None:
@@ -235,6 +251,8 @@ class LawGroup:
         team = self.team
         self.links.refresh(clock.now())
         links = self.links
+        if links.has_late:
+            self._late.make_room(len(team.edges))
         count = deliver_rows(
             team.edges,
             batch.drones,
@@ -242,6 +260,8 @@ class LawGroup:
             links.rows,
             links.kinds,
             links.losses,
+            self._late.rows,
+            self._late.count,
             team.now_ns,
             self._found,
         )
@@ -266,10 +286,9 @@ class LawGroup:
         if is_far:
             age = clock.now() - float(sender["state_time"])
         state = State(sender["state"].copy(), age, sender["acceleration"].copy())
-        law, hearing = self._find_hearing(e)
         verdict = impairment.verdict(
             int(self._ids[e]),
-            law.drone,
+            self.laws[self._law_of_edge[e]].drone,
             DRONE_TOPICS.state.name,
             int(sender["number"]),
             0,
@@ -280,14 +299,25 @@ class LawGroup:
             sender["sent"] += 1
             sender["lost"] += not verdict.deliveries
         for delay in verdict.deliveries:
-            clock.call_at(
-                clock.now_ns() + round(delay * NS_PER_SECOND),
-                hearing.put,
-                state,
-                state.age + delay,
-                priority=AlarmPriority.MESSAGE,
-                drone=law.drone,
-            )
+            arrival_ns = clock.now_ns() + round(delay * NS_PER_SECOND)
+            self._arrive_by_hand(clock, e, arrival_ns, state, state.age + delay)
+
+    def _arrive_by_hand(
+        self, clock: Clock, e: int, arrival_ns: int, state: State, age: float
+    ) -> None:
+        """Let a law hear a state of one edge when it arrives.
+
+        age: s, of the state then
+        """
+        law, hearing = self._find_hearing(e)
+        clock.call_at(
+            arrival_ns,
+            hearing.put,
+            state,
+            age,
+            priority=AlarmPriority.MESSAGE,
+            drone=law.drone,
+        )
 
     def _find_hearing(self, e: int) -> tuple[StagedLaw, StateTaker]:
         """Return the law that hears along an edge, and its mailbox."""

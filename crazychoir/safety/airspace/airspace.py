@@ -23,6 +23,7 @@ from crazychoir.safety.airspace.hearing import (
     take_message,
     take_states,
 )
+from crazychoir.safety.airspace.late_states import LateStates
 from crazychoir.safety.airspace.near_pairs import (
     CHECK_NS,
     check_distances,
@@ -95,6 +96,7 @@ class Airspace:
         """(n,) s: times of the own states."""
         self.numbers = np.zeros(len(self.own_ids), np.int64)
         """(n,): ticks of the own drones."""
+        self._late = LateStates()
         self._by_hand = StatesByHand(bus, self.swarm, self.near.listeners, self.hear)
 
     def keep_all(self, listener: int) -> None:
@@ -171,7 +173,9 @@ class Airspace:
         if self.rules["began_ns"][0] < 0:
             self.rules["began_ns"] = now_ns
         self.links.refresh(now_ns / NS_PER_SECOND)
-        self.rules["has_by_hand"] = self.links.has_by_hand
+        self.rules["has_late"] = self.links.has_late
+        if self.links.has_late:
+            self._late.make_room(int(self.near.listeners["pair_count"].sum()))
         take_states(
             self.swarm,
             self.own_places,
@@ -192,6 +196,8 @@ class Airspace:
             self.links.rows,
             self.links.kinds,
             self.links.losses,
+            self._late.rows,
+            self._late.count,
             self.rules,
             self.far.work,
             now_ns,

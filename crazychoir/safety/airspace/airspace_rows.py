@@ -181,6 +181,8 @@ LINK_ROW = np.dtype(
         ("key", np.uint64),  # of the draws
         ("sent", np.uint32),  # messages since the last count
         ("lost", np.uint32),  # messages of these that were lost
+        ("delayed", np.uint32),  # messages that arrive late
+        ("duplicated", np.uint32),  # messages that arrive twice
     ]
 )
 """The simulated network on the way from one drone to a drone of this process."""
@@ -194,9 +196,15 @@ LOSS_ROW = np.dtype(
         # probability that the burst chain turns bad; 0: no chain
         ("p_good_bad", np.float64),
         ("p_bad_good", np.float64),  # probability that it turns good
+        # As in EdgeEffects; all zero unless the link has a kind from LATE on.
+        ("delay", np.float64),  # s
+        ("jitter", np.float64),  # s
+        ("reorder", np.float64),  # probability
+        ("reorder_delay", np.float64),  # s
+        ("duplicate", np.float64),  # probability
     ]
 )
-"""How links of one kind lose messages by draws."""
+"""How links of one kind lose, delay and duplicate messages by draws."""
 
 AIRSPACE_RULES_ROW = np.dtype(
     [
@@ -211,7 +219,7 @@ AIRSPACE_RULES_ROW = np.dtype(
         ("round_capacity", np.int64),  # rounds that are kept of each drone
         ("began_ns", np.int64),  # ns, first step; -1: none yet
         ("has_seen", np.int64),  # 1: the cameras have seen a drone
-        ("has_by_hand", np.int64),  # 1: a link has the kind BY_HAND
+        ("has_late", np.int64),  # 1: a link may delay messages, see needs_pair
     ]
 )
 """What holds for all pairs of an airspace."""
@@ -220,8 +228,8 @@ AIRSPACE_RULES_ROW = np.dtype(
 class LinkKind(IntEnum):
     """How a message is lost on its way.
 
-    Links from DRAW on lose messages by draws, and by the state of a burst chain: a link of the kind
-    DRAW + k as in row k of LOSS_ROW.
+    Links from DRAW on lose messages by draws, and by the state of a burst chain: links of the kinds
+    DRAW + k and LATE + k as in row k of LOSS_ROW.
     """
 
     CLEAR = 0
@@ -229,9 +237,11 @@ class LinkKind(IntEnum):
     CUT = 1
     """Always."""
     BY_HAND = 2
-    """By the verdict of Impairment, which may also delay or duplicate it."""
+    """By the verdict of Impairment: the bandwidth is limited, so earlier messages of all topics count."""
     DRAW = 3
     """By draws as in the first row of LOSS_ROW."""
+    LATE = 1 << 15
+    """The same. Draws also delay and duplicate messages."""
 
 
 class FarKind(IntEnum):

@@ -3,9 +3,7 @@
 import math
 
 import numba
-import numpy as np
 
-from crazychoir.bus.impairment.compiled_draws import draw_first_attempt, is_bad_state
 from crazychoir.numerics.kernels import (
     NO_COUNTING,
     kernel,
@@ -34,6 +32,13 @@ from crazychoir.safety.airspace.airspace_rows import (
     LinkKinds,
     Missed,
 )
+from crazychoir.safety.airspace.late_states import LATE_ROW, copy_late, send_late
+from crazychoir.safety.airspace.link_fates import (
+    judge_link,
+    link_kinds,
+    needs_pair,
+    pass_link,
+)
 from crazychoir.safety.airspace.motion import compute_late_motion
 from crazychoir.safety.airspace.state_rates import NEIGHBOUR_AGES
 from crazychoir.types import Bytes, Ints, Mat, Records, Vec
@@ -45,8 +50,6 @@ LARGEST_ACCELERATION_NORM = 100.0
 
 integers = numba.types.Array(numba.int64, 1, "C", readonly=True)
 """An array (n,) of integers that a kernel reads."""
-link_kinds = numba.uint16[::1]
-"""An array (n,) of LinkKind."""
 frame_rows = numba.types.Array(
     numba.from_dtype(FRAME_ROW), 1, "C", readonly=True, aligned=False
 )
@@ -195,62 +198,6 @@ def take_frames(
             has_changed |= row.process_bits != bits[k]
             row.process_bits = bits[k]
     return has_changed
-
-
-@kernel()
-def is_lost(key: np.uint64, losses: Records, number: int) -> bool:
-    """Return whether a draw loses a message, as Impairment.verdict.
-
-    key: of the draws of the link
-    losses: one row of LOSS_ROW
-    number: number of the message
-    """
-    threshold = losses.threshold
-    if losses.p_good_bad > 0.0 and is_bad_state(
-        key, number, losses.p_good_bad, losses.p_bad_good
-    ):
-        if losses.loses_bad != 0:
-            return True
-        threshold = losses.bad_threshold
-    return bool(draw_first_attempt(key, number) < threshold)
-
-
-@kernel()
-def judge_link(
-    links: Records, kinds: LinkKinds, losses: Records, at: int, number: int
-) -> LinkKind:
-    """Return what happens to a message: CLEAR (it arrives), CUT (it is lost) or BY_HAND.
-
-    links: LINK_ROW
-    kinds: (links,): LinkKind of each link
-    losses: LOSS_ROW
-    at: row of the link
-    number: number of the message
-    """
-    kind = int(kinds[at])
-    if kind == LinkKind.BY_HAND:
-        return LinkKind.BY_HAND
-    is_drawn = kind >= LinkKind.DRAW
-    if kind == LinkKind.CUT or (
-        is_drawn and is_lost(links[at].key, losses[kind - LinkKind.DRAW], number)
-    ):
-        return LinkKind.CUT
-    return LinkKind.CLEAR
-
-
-@kernel()
-def pass_link(
-    links: Records, kinds: LinkKinds, losses: Records, at: int, number: int
-) -> LinkKind:
-    """Return what happens to a message, as `judge_link`, and count it.
-
-    Arguments as there.
-    """
-    fate = judge_link(links, kinds, losses, at, number)
-    if fate != LinkKind.BY_HAND:
-        links[at].sent += 1
-        links[at].lost += fate == LinkKind.CUT
-    return fate
 
 
 @kernel()
@@ -441,6 +388,8 @@ def hear_pairs(
     links: Records,
     kinds: LinkKinds,
     losses: Records,
+    late: Records,
+    late_count: Ints,
     lag: float,
     now_ns: int,
 ) -> int:
@@ -459,6 +408,8 @@ def hear_pairs(
     links: LINK_ROW, (listeners x swarm,)
     kinds: (listeners x swarm,): LinkKind of each link
     losses: LOSS_ROW
+    late: LATE_ROW, with room for all copies of all states
+    late_count: (1,): number of states on their way
     lag: s, with which drones obey
     now_ns: ns
     """
@@ -497,10 +448,68 @@ def hear_pairs(
                 sender.share,
                 lag,
             )
+        elif fate == LinkKind.LATE:
+            send_late(
+                late,
+                late_count,
+                links,
+                kinds,
+                losses,
+                link,
+                sender.number,
+                at,
+                pace.other,
+                sender.state[:],
+                sender.acceleration[:],
+                sender.state_time,
+                sender.age,
+                pace.is_told == 0,
+                now_ns,
+            )
         elif fate == LinkKind.BY_HAND:
             pairs[k].is_by_hand = 1
             waiting += 1
     return waiting
+
+
+@kernel(forceinline=True)
+def hear_late(
+    late: Records,
+    late_count: Ints,
+    listeners: Records,
+    pairs: Records,
+    motions: Records,
+    paces: Records,
+    swarm: Records,
+    missed: Bytes,
+    lag: float,
+    now_ns: int,
+) -> None:
+    """Let the drones hear the states that have arrived late, and keep those on their way.
+
+    Arguments as in hear_pairs and hear_rounds.
+    """
+    kept = 0
+    for k in range(late_count[0]):
+        row = late[k]
+        if row.arrival_ns > now_ns:
+            if kept < k:
+                copy_late(row, late[kept])
+            kept += 1
+        elif missed[row.receiver, row.other] == Missed.PAIRED:
+            listener = listeners[row.receiver]
+            end = listener.first_pair + listener.pair_count
+            at = find_sorted(paces["other"], listener.first_pair, end, row.other)
+            take_state(
+                pairs[at],
+                motions[at],
+                row.state[:],
+                row.acceleration[:],
+                row.state_time,
+                swarm[row.other].share,
+                lag,
+            )
+    late_count[0] = kept
 
 
 @kernel(forceinline=True)
@@ -590,9 +599,10 @@ def hear_rounds(
         sender = swarm[other]
         fate = LinkKind.CLEAR
         if links.shape[0] > 0:
-            fate = pass_link(
-                links, kinds, losses, at * swarm.shape[0] + other, sender.number
-            )
+            link = at * swarm.shape[0] + other
+            fate = LinkKind.LATE
+            if not needs_pair(int(kinds[link])):
+                fate = pass_link(links, kinds, losses, link, sender.number)
         if fate == LinkKind.CLEAR:
             heard[other] = 0
             continue
@@ -656,6 +666,8 @@ def say_rounds(
     rows_of(LINK_ROW),
     link_kinds,
     rows_of(LOSS_ROW),
+    rows_of(LATE_ROW),
+    wholes,
     rows_of(AIRSPACE_RULES_ROW),
     wholes,
     numba.int64,
@@ -674,6 +686,8 @@ def hear_states(
     links: Records,
     kinds: LinkKinds,
     losses: Records,
+    late: Records,
+    late_count: Ints,
     rules: Records,
     work: Ints,
     now_ns: int,
@@ -702,11 +716,26 @@ def hear_states(
             links,
             kinds,
             losses,
+            late,
+            late_count,
             lag,
             now_ns,
         )
         if rules[0].has_seen != 0:
             see_pairs(listener, pairs, motions, swarm, lag, now_ns / NS_PER_SECOND)
+    if late_count[0] > 0:
+        hear_late(
+            late,
+            late_count,
+            listeners,
+            pairs,
+            motions,
+            paces,
+            swarm,
+            missed,
+            lag,
+            now_ns,
+        )
     count = say_rounds(
         swarm, listeners, rounds, far, rules[0], links.shape[0] > 0, work, now_ns
     )

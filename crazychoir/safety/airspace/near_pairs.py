@@ -23,7 +23,6 @@ from crazychoir.safety.airspace.airspace_rows import (
     PAIR_ROW,
     ROUND_ROW,
     SWARM_ROW,
-    LinkKind,
     LinkKinds,
     Missed,
     Need,
@@ -39,8 +38,8 @@ from crazychoir.safety.airspace.hearing import (
     byte_table,
     copy_motion,
     integers,
-    link_kinds,
 )
+from crazychoir.safety.airspace.link_fates import link_kinds, needs_pair
 from crazychoir.safety.airspace.near_grid import build_grid, find_cells
 from crazychoir.safety.airspace.nearness import (
     compute_distance,
@@ -146,8 +145,8 @@ def find_staying_pairs(
             velocity = (pair.state[3], pair.state[4], pair.state[5])
             speed = compute_relative_speed(own, velocity)
             stays |= is_near(apart, speed, now - pair.state_time, rules)
-        if rules.has_by_hand != 0:
-            stays |= kinds[at * swarm.shape[0] + pair.other] == LinkKind.BY_HAND
+        if rules.has_late != 0:
+            stays |= needs_pair(int(kinds[at * swarm.shape[0] + pair.other]))
         if stays:
             measure_pair(pair, apart, speeds, rules, now)
             work[count] = k
@@ -291,8 +290,8 @@ def find_by_bytes(
             apart = compute_distance(own, place, rules.scale)
             speed = compute_relative_speed(own, velocity)
             stays |= is_near(apart, speed, now - state_time, rules)
-        if rules.has_by_hand != 0:
-            stays |= kinds[at * swarm.shape[0] + j] == LinkKind.BY_HAND
+        if rules.has_late != 0:
+            stays |= needs_pair(int(kinds[at * swarm.shape[0] + j]))
         if stays:
             work[count] = j
             count += 1
@@ -540,7 +539,7 @@ def check_pairs(
     staying = find_staying_pairs(
         at, listeners, pairs, swarm, rounds, far, kinds, rules, work, now
     )
-    looks_at_all = listener.keeps_all != 0 or rules.has_by_hand != 0
+    looks_at_all = listener.keeps_all != 0 or rules.has_late != 0
     end = staying
     if looks_at_all or grid.lacking > 0:
         end = find_by_bytes(
@@ -679,7 +678,7 @@ def check_distances(
     rounds: ROUND_ROW, (swarm x rounds that are kept,)
     far: FAR_ROW, (swarm,)
     missed: (listeners, swarm): rounds missed in a row, or Missed
-    kinds: (listeners x swarm,): LinkKind of each link, if a link has the kind BY_HAND
+    kinds: (listeners x swarm,): LinkKind of each link, if a link may delay messages
     rules: AIRSPACE_RULES_ROW, (1,)
     grid: GRID_ROW, (1,)
     begins: (CELLS_PER_DRONE x swarm + 1,): where the cells of the grid begin in `order`

@@ -11,6 +11,9 @@ from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.safety.airspace.airspace_rows import LINK_ROW, LOSS_ROW, LinkKind
 from crazychoir.types import Records
 
+LINK_COUNTS = ("sent", "lost", "delayed", "duplicated")
+"""Fields of LINK_ROW that are counts, in the order of Impairment.count."""
+
 
 class StateLinks:
     """The links between some drones, one record a pair.
@@ -29,9 +32,9 @@ class StateLinks:
         self.kinds = np.zeros(0, np.uint16)
         """(n,): LinkKind of each link; empty without a simulated network."""
         self.losses = np.zeros(0, LOSS_ROW)
-        """(m,): how the links of the kinds from LinkKind.DRAW on lose messages."""
-        self.has_by_hand = False
-        """Whether a link has the kind BY_HAND."""
+        """(m,): what the links of the kinds from LinkKind.DRAW on do with messages."""
+        self.has_late = False
+        """Whether a link may delay messages."""
         self._impairment = impairment
         self._sources = sources
         self._ends = np.cumsum([len(ids) for _, ids in sources])
@@ -74,7 +77,9 @@ class StateLinks:
         else:
             self.rows = np.zeros(0, LINK_ROW)
             self.kinds = np.zeros(0, np.uint16)
-        self.has_by_hand = bool(np.any(self.kinds == LinkKind.BY_HAND))
+        self.has_late = bool(
+            np.any((self.kinds == LinkKind.BY_HAND) | (self.kinds >= LinkKind.LATE))
+        )
 
     def _write_keys(self) -> None:
         """Write the keys of all links, unless they are known: the seed does not change."""
@@ -129,7 +134,7 @@ class StateLinks:
         kind = self._kind_of_effects.get(effects)
         if kind is None:
             kind = int(_find_kind(effects))
-            if kind == LinkKind.DRAW:
+            if kind >= LinkKind.DRAW:
                 kind += len(self.losses)
                 self.losses = np.append(self.losses, _compute_losses(effects))
             self._kind_of_effects[effects] = kind
@@ -140,27 +145,28 @@ class StateLinks:
         for (i, ids), end in zip(self._sources, self._ends.tolist(), strict=True):
             rows = self.rows[end - len(ids) : end]
             for k in np.flatnonzero(rows["sent"]).tolist():
-                sent, lost = int(rows["sent"][k]), int(rows["lost"][k])
-                self._impairment.count(ids[k], i, sent, lost)
-        self.rows["sent"] = 0
-        self.rows["lost"] = 0
+                counts = [int(rows[name][k]) for name in LINK_COUNTS]
+                self._impairment.count(ids[k], i, *counts)
+        for name in LINK_COUNTS:
+            self.rows[name] = 0
 
 
 def _find_kind(effects: EdgeEffects) -> LinkKind:
     """Return how the effects on an edge lose a message."""
-    is_slow = max(effects.delay, effects.jitter, effects.duplicate, effects.reorder) > 0
-    if is_slow or effects.bandwidth > 0.0:
+    if effects.bandwidth > 0.0:
         return LinkKind.BY_HAND
-    if effects.p_good_bad > 0.0:
-        return LinkKind.DRAW
     # A threshold beyond all values does not fit into 64 bits.
-    if round(effects.loss * RANDOM_DRAWS.range_size) == RANDOM_DRAWS.range_size:
+    loses_all = round(effects.loss * RANDOM_DRAWS.range_size) == RANDOM_DRAWS.range_size
+    if loses_all and effects.p_good_bad == 0.0:
         return LinkKind.CUT
-    return LinkKind.DRAW if effects.loss > 0.0 else LinkKind.CLEAR
+    if max(effects.delay, effects.jitter, effects.duplicate, effects.reorder) > 0.0:
+        return LinkKind.LATE
+    has_draws = effects.p_good_bad > 0.0 or effects.loss > 0.0
+    return LinkKind.DRAW if has_draws else LinkKind.CLEAR
 
 
 def _compute_losses(effects: EdgeEffects) -> Records:
-    """Return the thresholds and the burst chain of links that lose messages by draws.
+    """Return the thresholds, the burst chain and the delays of links that draw for each message.
 
     effects: with a loss below 1, or with a burst chain
     Returns (1,) LOSS_ROW.
@@ -173,4 +179,6 @@ def _compute_losses(effects: EdgeEffects) -> Records:
     row["loses_bad"] = bad > most
     row["p_good_bad"] = effects.p_good_bad
     row["p_bad_good"] = effects.p_bad_good
+    for name in ("delay", "jitter", "reorder", "reorder_delay", "duplicate"):
+        row[name] = getattr(effects, name)
     return row

@@ -447,3 +447,32 @@ async def test_the_simulated_network_delays_states_that_come_in_frames(clock):
     assert heard[-1] >= 6
     late = clock.now() - process.edge()["born_ns"] / 1e9
     assert late == pytest.approx(0.04, abs=0.0051)
+
+
+@virtual
+async def test_states_on_their_way_arrive_although_the_laws_are_grouped_anew(clock):
+    process = FrameProcess(clock)
+    await process.fly(0.05)
+    process.airspace.bus.impairment.update({"delay": 0.03})
+    assert (await process.fly(0.02))[-1] == 5
+    process.airspace.bus.impairment.update({"loss": 1.0})
+    process.stage.renew()
+    assert (await process.fly(0.1))[-1] == 7
+    late = clock.now() - process.edge()["born_ns"] / 1e9
+    assert late == pytest.approx(0.105, abs=0.0051)
+
+
+@virtual
+async def test_a_late_state_is_counted_once_for_law_and_airspace(clock):
+    process = NeighbourProcess(clock)
+    process.tick.airspace.bus.impairment.update({"delay": 0.02})
+    await process.fly(1.5)
+    process.take_counts()
+    counters = process.tick.airspace.bus.impairment.counters[1, 0]
+    sent, delayed = counters.sent, counters.delayed
+    await process.fly(1.0)
+    assert process.take_counts() == (0, 100)
+    edge = process.stage._groups[0].team.edges[0]
+    assert process.age(0, 1) == pytest.approx(clock.now() - edge["born_ns"] / 1e9)
+    counters = process.tick.airspace.bus.impairment.counters[1, 0]
+    assert (counters.sent - sent, counters.delayed - delayed) == (100, 100)

@@ -209,7 +209,7 @@ def test_a_partition_cuts_while_it_lasts():
     assert sky.age(0, 1) < 0.06
 
 
-def test_delayed_states_arrive_late_by_hand():
+def test_delayed_states_of_far_drones_arrive_late():
     sky = Sky(row_of(2, FAR), others=(7,), rules=[ImpairmentRule({"delay": 0.3})])
     sky.fly(2.0)
     row = sky.drones[0].row(1)
