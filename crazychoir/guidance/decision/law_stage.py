@@ -43,6 +43,10 @@ NO_SWARM: Records = np.zeros(0, SWARM_ROW)
 """The swarm of a process without an airspace."""
 
 
+LateState = tuple[tuple[int, int], Records]
+"""A state on its way: the drone that hears it and its neighbour, and a record of LATE_ROW."""
+
+
 class StateTaker(Protocol):
     """What a law hears of one neighbour."""
 
@@ -154,12 +158,13 @@ class LawStage:
         self._is_grouped = True
         laws = [self._laws[i] for i in sorted(self._laws)]
         laws.sort(key=_name_group)
-        for group in self._groups:
-            group.close(self._clock)
+        on_their_way = [late for group in self._groups for late in group.close()]
         self._groups = [
             LawGroup(list(same), self._impairment)
             for _, same in groupby(laws, key=_find_team_kind)
         ]
+        for group in self._groups:
+            group.resume(on_their_way)
         if self._tick.airspace is not None:
             told = {law.drone: law.list_told() for law in laws}
             self._tick.airspace.note_told(told)
@@ -228,18 +233,24 @@ class LawGroup:
             return None
         return prepared
 
-    def close(self, clock: Clock) -> None:
-        """End the group. States on their way still arrive at their laws."""
+    def close(self) -> list[LateState]:
+        """End the group, and return the states on their way to its laws."""
         self.links.close()
-        for late in self._late.rows[: self._late.count[0]]:
-            arrival_ns = int(late["arrival_ns"])
-            age = arrival_ns / NS_PER_SECOND - float(late["state_time"])
-            state = State(
-                late["state"].copy(),
-                float(late["state_age"]),
-                late["acceleration"].copy(),
-            )
-            self._arrive_by_hand(clock, int(late["receiver"]), arrival_ns, state, age)
+        return [
+            (self._find_ends(int(state["receiver"])), state)
+            for state in self._late.rows[: self._late.count[0]]
+        ]
+
+    def resume(self, states: Sequence[LateState]) -> None:
+        """Go on with states on their way that are for laws of this group."""
+        edges = {self._find_ends(e): e for e in range(len(self._ids))}
+        for ends, state in states:
+            if ends in edges:
+                self._late.add(state, edges[ends])
+
+    def _find_ends(self, e: int) -> tuple[int, int]:
+        """Return the drone that hears along an edge, and its neighbour."""
+        return self.laws[self._law_of_edge[e]].drone, int(self._ids[e])
 
     def deliver(
         self, batch: Batch, swarm: Records, clock: Clock, impairment: Impairment
@@ -286,9 +297,10 @@ class LawGroup:
         if is_far:
             age = clock.now() - float(sender["state_time"])
         state = State(sender["state"].copy(), age, sender["acceleration"].copy())
+        law, hearing = self._find_hearing(e)
         verdict = impairment.verdict(
             int(self._ids[e]),
-            self.laws[self._law_of_edge[e]].drone,
+            law.drone,
             DRONE_TOPICS.state.name,
             int(sender["number"]),
             0,
@@ -299,25 +311,14 @@ class LawGroup:
             sender["sent"] += 1
             sender["lost"] += not verdict.deliveries
         for delay in verdict.deliveries:
-            arrival_ns = clock.now_ns() + round(delay * NS_PER_SECOND)
-            self._arrive_by_hand(clock, e, arrival_ns, state, state.age + delay)
-
-    def _arrive_by_hand(
-        self, clock: Clock, e: int, arrival_ns: int, state: State, age: float
-    ) -> None:
-        """Let a law hear a state of one edge when it arrives.
-
-        age: s, of the state then
-        """
-        law, hearing = self._find_hearing(e)
-        clock.call_at(
-            arrival_ns,
-            hearing.put,
-            state,
-            age,
-            priority=AlarmPriority.MESSAGE,
-            drone=law.drone,
-        )
+            clock.call_at(
+                clock.now_ns() + round(delay * NS_PER_SECOND),
+                hearing.put,
+                state,
+                state.age + delay,
+                priority=AlarmPriority.MESSAGE,
+                drone=law.drone,
+            )
 
     def _find_hearing(self, e: int) -> tuple[StagedLaw, StateTaker]:
         """Return the law that hears along an edge, and its mailbox."""

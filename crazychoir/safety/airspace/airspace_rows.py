@@ -145,7 +145,6 @@ GRID_ROW = np.dtype(
         ("lacking", np.int64),  # sum of lacking_count
         ("heard", np.int64),  # drones of kind HEARD
         ("silent", np.int64),  # drones of kind SILENT
-        ("standing", np.int64),  # drones of kind STANDS
     ]
 )
 """The cells over the last places of all drones, and the number of drones of each kind."""
@@ -165,9 +164,6 @@ LISTENER_ROW = np.dtype(
         ("keeps_all", np.int64),  # 1: every other drone has a pair
         ("far_heard", np.int64),  # flying drones without a pair that are heard
         ("far_silent", np.int64),  # flying drones without a pair that are silent
-        # drones without a pair that are heard and stand on the floor
-        ("far_standing", np.int64),
-        ("floor_time", np.float64),  # s, when it last stood on the floor; -inf: never
         ("sent", np.int64),  # messages since the last count
         ("lost", np.int64),  # messages of these that were lost
         # bits of the processes with drones that get the newest state, as in SWARM_ROW
@@ -248,13 +244,11 @@ class FarKind(IntEnum):
     """How a far drone counts for a drone that has missed none of its rounds."""
 
     GROUNDED = 0
-    """It is gone, or stood on the floor when it was last heard: it does not count."""
+    """It does not fly, or is gone: it does not count."""
     HEARD = 1
     """It flies and is heard."""
     SILENT = 2
     """It flies and is not heard."""
-    STANDS = 3
-    """It stands on the floor and is heard."""
 
 
 class FarCell(IntEnum):

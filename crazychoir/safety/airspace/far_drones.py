@@ -27,17 +27,16 @@ def find_far_kind(
     rules: one row of AIRSPACE_RULES_ROW
     now: s
     """
-    is_heard = now - heard_time < NEIGHBOUR_AGES.silent
-    if height < rules.standing_height:
-        return FarKind.STANDS if is_heard else FarKind.GROUNDED
-    if not now - state_time < NEIGHBOUR_AGES.gone:
+    if height < rules.standing_height or not now - state_time < NEIGHBOUR_AGES.gone:
         return FarKind.GROUNDED
-    return FarKind.HEARD if is_heard else FarKind.SILENT
+    if now - heard_time < NEIGHBOUR_AGES.silent:
+        return FarKind.HEARD
+    return FarKind.SILENT
 
 
 @kernel()
 def count_far(listener: Records, kind: FarKind, change: int) -> None:
-    """Count a far drone as heard, silent or standing.
+    """Count a far drone as heard or as silent.
 
     listener: one row of LISTENER_ROW
     kind: how it counts
@@ -47,8 +46,6 @@ def count_far(listener: Records, kind: FarKind, change: int) -> None:
         listener.far_heard += change
     elif kind == FarKind.SILENT:
         listener.far_silent += change
-    elif kind == FarKind.STANDS:
-        listener.far_standing += change
 
 
 @kernel()
@@ -161,7 +158,6 @@ def refresh_far(
     grid.lacking = 0
     grid.heard = 0
     grid.silent = 0
-    grid.standing = 0
     grid.oldest = 0.0
     grid.fastest = 0.0
     for j in range(swarm.shape[0]):
@@ -179,7 +175,6 @@ def refresh_far(
         )
         grid.heard += known.kind == FarKind.HEARD
         grid.silent += known.kind == FarKind.SILENT
-        grid.standing += known.kind == FarKind.STANDS
         age = now - known.state_time
         if age <= late:
             known.cell = 0

@@ -55,6 +55,18 @@ class LateStates:
             larger[: len(self.rows)] = self.rows
             self.rows = larger
 
+    def add(self, state: Records, receiver: int) -> None:
+        """Add a state on its way to another receiver.
+
+        state: a record of LATE_ROW
+        receiver: as in LATE_ROW
+        """
+        self.make_room(1)
+        at = int(self.count[0])
+        self.rows[at] = state
+        self.rows[at]["receiver"] = receiver
+        self.count[0] = at + 1
+
 
 @kernel()
 def draw_halves(key: np.uint64, number: int) -> tuple[float, float]:

@@ -534,7 +534,6 @@ def check_pairs(
     now = now_ns / NS_PER_SECOND
     listener.far_heard = grid.heard
     listener.far_silent = grid.silent
-    listener.far_standing = grid.standing
     count_far(listener, far[listener.place].kind, -1)
     staying = find_staying_pairs(
         at, listeners, pairs, swarm, rounds, far, kinds, rules, work, now

@@ -35,7 +35,6 @@ class PairTables:
 
     def __init__(self, places: Ints, ids: Ints) -> None:
         self.listeners = np.zeros(len(places), LISTENER_ROW)
-        self.listeners["floor_time"] = -np.inf
         self.pairs = np.zeros(len(places) * FIRST_PAIRS, PAIR_ROW)
         self.motions = np.zeros(len(self.pairs), MOTION_ROW)
         self.paces = np.zeros(len(self.pairs), PACE_ROW)

@@ -11,6 +11,8 @@ from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.safety.airspace.airspace_rows import LINK_ROW, LOSS_ROW, LinkKind
 from crazychoir.types import Records
 
+MOST_LOSS_ROWS = LinkKind.LATE - LinkKind.DRAW
+"""Most rows of LOSS_ROW: the kinds are numbers of 16 bits."""
 LINK_COUNTS = ("sent", "lost", "delayed", "duplicated")
 """Fields of LINK_ROW that are counts, in the order of Impairment.count."""
 
@@ -134,6 +136,8 @@ class StateLinks:
         kind = self._kind_of_effects.get(effects)
         if kind is None:
             kind = int(_find_kind(effects))
+            if kind >= LinkKind.DRAW and len(self.losses) == MOST_LOSS_ROWS:
+                kind = int(LinkKind.BY_HAND)
             if kind >= LinkKind.DRAW:
                 kind += len(self.losses)
                 self.losses = np.append(self.losses, _compute_losses(effects))

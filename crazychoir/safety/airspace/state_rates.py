@@ -24,8 +24,6 @@ class NeighbourAges(NamedTuple):
 
     It is cut off itself, or has failed.
     """
-    takeoff_spread: float = 3.0
-    """Seconds after its own take-off within which a drone expects others to take off, too."""
     deaf: float = 0.3
     """Seconds of silence of its radio after which a drone does not do what its agent says."""
 

@@ -67,6 +67,7 @@ AVOID_ROW = np.dtype(
         ("delay", np.float64),  # s
         ("scale", np.float64, 3),  # diagonal of S
         ("width", np.float64),  # m: D
+        ("least_width", np.float64),  # m: D without the margin
         ("brake", np.float64),  # m/s2, of the barrier and of the cells
         ("gamma", np.float64),  # 1/s, of the barrier and of the cells
         ("stiffness", np.float64),  # 1/s, of the barrier and of the cells
@@ -257,19 +258,6 @@ def _append_walls(planes: Vec, m: int, p: Triple, v: Triple, row: Records) -> in
 
 
 @kernel()
-def _may_fly_unheard(listener: Records, other: Records, age: float) -> bool:
-    """Return whether a drone on the floor was not heard since it may have taken off with this one.
-
-    listener: row of LISTENER_ROW of this drone
-    other: one row of MOTION_ROW
-    age: s, of the other's state
-    """
-    took_off_before = listener.floor_time + NEIGHBOUR_AGES.takeoff_spread
-    is_silent = NEIGHBOUR_AGES.silent <= age < NEIGHBOUR_AGES.gone
-    return bool(is_silent and other.state_time < took_off_before)
-
-
-@kernel()
 def _is_way_clear(
     row: Records,
     listener: Records,
@@ -281,8 +269,7 @@ def _is_way_clear(
 ) -> bool:
     """Return whether no other drone keeps this one from an acceleration.
 
-    Note whether this drone is cut off. It expects that the drones on the floor take off when it does:
-    if it has not heard them since, they count like silent ones that fly.
+    Note whether this drone is cut off.
 
     row: one row of AVOID_ROW
     listener: its row of LISTENER_ROW
@@ -299,24 +286,17 @@ def _is_way_clear(
     is_clear = True
     heard = listener.far_heard
     silent = listener.far_silent
-    standing = listener.far_standing
-    expected = 0
-    if low:
-        listener.floor_time = now
     for k in range(listener.first_pair, listener.first_pair + listener.pair_count):
         other = motions[k]
         age = now - other.state_time
         stands = other.height < floor
         if is_gone(age, stands):
             continue
-        is_heard = now - other.heard_time < NEIGHBOUR_AGES.silent
-        if stands:
-            standing += is_heard
-            expected += _may_fly_unheard(listener, other, age)
-        elif is_heard:
-            heard += 1
-        else:
-            silent += 1
+        if not stands:
+            if now - other.heard_time < NEIGHBOUR_AGES.silent:
+                heard += 1
+            else:
+                silent += 1
         if not is_clear or (stands and low and row.lands == 0):
             continue
         q, w = predict_other(row, other, age)
@@ -332,7 +312,7 @@ def _is_way_clear(
         moves = (p, v, q, w)
         _, normal, b = compute_half_space(row, other, age, stands, low, moves)
         is_clear = kind == OtherKind.COUNTS and dot(normal, u) >= b
-    row.is_cut_off = silent > heard or silent + expected > heard + standing
+    row.is_cut_off = silent > heard
     return is_clear and (row.is_cut_off == 0 or row.lands != 0)
 
 

@@ -36,7 +36,7 @@ class CollisionFilter:
     half of the other drones that flew have been silent for NEIGHBOUR_AGES.silent s. It does not brake for this
     while it lands. It keeps clear of the place where the silent drone is if that drone brakes too.
     After the same silence a drone on the floor may have taken off: this one keeps beside its place, at any
-    height. See _is_way_clear for the drones that took off together.
+    height.
 
     settings: [collision]
     traffic: what this drone knows of the others
@@ -144,6 +144,7 @@ def _write_settings(row: Records, settings: CollisionTable) -> None:
     row["delay"] = settings.delay
     row["scale"] = (1.0, sx / sy, sx / sz)
     row["width"] = 2.0 * sx + settings.margin
+    row["least_width"] = 2.0 * sx
     row["brake"] = settings.brake
     row["gamma"] = settings.gamma
     row["stiffness"] = settings.stiff

@@ -20,6 +20,7 @@ from crazychoir.safety.collision.barrier import (
 from crazychoir.safety.collision.cells import compute_cell_acceleration
 from crazychoir.types import Records
 
+LEAST_AXIS_DISTANCE = 0.05  # m
 SPARE_SHARE = 1e-9
 """Share of a bound that is more than its rounding."""
 
@@ -100,6 +101,21 @@ def judge_other(row: Records, d: float, age: float, stands: bool) -> OtherKind:
 
 
 @kernel()
+def keep_off_axis(r: Triple) -> Triple:
+    """Return a relative place beside a vertical line, m, at least LEAST_AXIS_DISTANCE from it.
+
+    On the line the direction away from it would be undefined: it is x there.
+
+    r: m, relative place; r[2] = 0
+    """
+    d = compute_norm(r)
+    if d < 1e-3:
+        return LEAST_AXIS_DISTANCE, 0.0, 0.0
+    longer = max(LEAST_AXIS_DISTANCE / d, 1.0)
+    return r[0] * longer, r[1] * longer, 0.0
+
+
+@kernel()
 def compute_half_space(
     row: Records,
     other: Records,
@@ -122,8 +138,11 @@ def compute_half_space(
     p, v, q, w = moves
     scale = (row.scale[0], row.scale[1], row.scale[2])
     width = row.width
-    if may_have_risen(row, age, stands):
+    has_risen = may_have_risen(row, age, stands)
+    if has_risen:
+        # Homes may be nearer to each other than the width.
         scale = (1.0, 1.0, 0.0)
+        width = row.least_width
     elif stands:
         scale = (1.0, 1.0, 1.0)
         width = (
@@ -133,6 +152,8 @@ def compute_half_space(
         )
     r = scale_difference(p, q, scale)
     w = scale_difference(v, w, scale)
+    if has_risen:
+        r = keep_off_axis(r)
     d = max(compute_norm(r), 1e-3)
     n = (r[0] / d, r[1] / d, r[2] / d)
     side = (scale[0] * n[0], scale[1] * n[1], scale[2] * n[2])

@@ -449,17 +449,32 @@ async def test_the_simulated_network_delays_states_that_come_in_frames(clock):
     assert late == pytest.approx(0.04, abs=0.0051)
 
 
-@virtual
-async def test_states_on_their_way_arrive_although_the_laws_are_grouped_anew(clock):
-    process = FrameProcess(clock)
-    await process.fly(0.05)
-    process.airspace.bus.impairment.update({"delay": 0.03})
-    assert (await process.fly(0.02))[-1] == 5
-    process.airspace.bus.impairment.update({"loss": 1.0})
-    process.stage.renew()
-    assert (await process.fly(0.1))[-1] == 7
-    late = clock.now() - process.edge()["born_ns"] / 1e9
-    assert late == pytest.approx(0.105, abs=0.0051)
+def hear_late(effects, *, is_grouped_anew):
+    """Return number and time of the newest state that a law has heard, after each of 50 ticks."""
+
+    async def main(clock):
+        process = FrameProcess(clock)
+        await process.fly(TICK)
+        process.airspace.bus.impairment.update(effects)
+        heard = []
+        for _ in range(50):
+            if is_grouped_anew:
+                process.stage.renew()
+            await process.fly(TICK)
+            heard.append((int(process.edge()["version"]), process.edge()["born_ns"]))
+        return heard
+
+    return run_virtual(main)
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [{"delay": 0.03}, {"delay": 0.033}, {"jitter": 0.05, "duplicate": 0.3}],
+)
+def test_late_states_arrive_as_if_the_laws_were_not_grouped_anew(effects):
+    as_usual = hear_late(effects, is_grouped_anew=False)
+    assert as_usual[-1][0] >= 30
+    assert hear_late(effects, is_grouped_anew=True) == as_usual
 
 
 @virtual
