@@ -78,25 +78,31 @@ class Detours:
         self.fence = fence
         self.draw = draw
 
-    def options(self, start: Vec, aim: RestGoal, most: float) -> list[PathOption]:
+    def options(
+        self, start: Vec, aim: RestGoal, present: Mat, most: float
+    ) -> list[PathOption]:
         """Return all paths that cost less than `most` s and stay FENCE_INSET inside the fence.
 
-        A path may be nearer to the fence, or outside, if the drone cannot stop before, or if its
-        goal is there; but no deeper than DETOUR_CHOICES.largest_dip.
+        A path may be nearer to the fence, or outside, if its goal is there, or if the present path
+        is and the drone cannot stop before; but no deeper than DETOUR_CHOICES.largest_dip.
 
         start: (12,): motion at the beginning
         aim: the goal, where the path ends at rest
+        present: (k, 25): the present path
         most: s
         """
-        places = np.array(
-            [start[0:3], aim.goal, compute_end_place(plan_braking(start, self.a_max))]
-        )
-        low = np.minimum(places.min(axis=0), np.array(self.fence.low) + FENCE_INSET)
+        inset_low = np.array(self.fence.low) + FENCE_INSET
+        inset_high = np.array(self.fence.high) - FENCE_INSET
+        allowed = [start[0:3], aim.goal]
+        if is_outside_box(present, inset_low, inset_high):
+            allowed.append(compute_end_place(plan_braking(start, self.a_max)))
+        places = np.array(allowed)
+        low = np.minimum(places.min(axis=0), inset_low)
         low[2] = max(
             low[2],
             min(start[2], aim.goal[2], self.fence.low[2] - DETOUR_CHOICES.largest_dip),
         )
-        high = np.maximum(places.max(axis=0), np.array(self.fence.high) - FENCE_INSET)
+        high = np.maximum(places.max(axis=0), inset_high)
         found = [
             option
             for option in (*self._straight(start, aim), *self._by_waypoints(start, aim))

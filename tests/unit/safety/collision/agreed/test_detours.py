@@ -9,6 +9,7 @@ from crazychoir.safety.collision.agreed.paths import (
     compute_motion,
     compute_path_duration,
     plan_braking,
+    plan_flight,
 )
 from crazychoir.safety.collision.agreed.rest_goal import RestGoal
 from crazychoir.safety.rules.guard import FENCE_INSET, Fence
@@ -17,10 +18,13 @@ FENCE = Fence.box((-3.0, -3.0, 0.25), (3.0, 3.0, 2.5))
 DOWN = np.array([0.0, 0.0, 0.6, 0.0, 0.0, -0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
-def options(start, goal):
+def options(start, goal, present=None):
+    """Return the paths from a motion to a goal; present: the present path, None: it brakes."""
     aim = RestGoal(np.array(goal), 1.0, 0.8, (), np.ones(4))
+    if present is None:
+        present = plan_braking(start, 0.8)
     return Detours(1.0, 0.8, FENCE, np.random.default_rng(1)).options(
-        start, aim, np.inf
+        start, aim, present, np.inf
     )
 
 
@@ -51,6 +55,26 @@ def test_no_way_goes_into_the_floor_though_the_drone_dives(speed):
     assert all(
         lowest(option) >= 0.1 - 0.005 for option in options(start, (2.5, 0.0, 1.0))
     )
+
+
+def test_a_drone_on_a_path_inside_the_fence_takes_no_path_out_of_it():
+    """It accelerates, so a path that begins anew would come to rest far away."""
+    before = np.array(
+        [0.87, -1.37, 1.44, 0.3, -0.48, 0.18, -0.45, 0.73, 0.54, 0.0, 0.0, 0.0]
+    )
+    present = plan_flight(before, np.array([1.71, -2.26, 2.36]), 1.0, 0.8)
+    start = compute_motion(present, 0.6)
+    assert compute_end_place(plan_braking(start, 0.8))[2] > 2.45
+    found = options(start, (-2.5, 0.0, 1.0), present)
+    for option in found:
+        path = np.array(
+            [
+                compute_motion(option.way, t)[0:3]
+                for t in np.linspace(0.0, compute_path_duration(option.way), 300)
+            ]
+        )
+        assert path[:, 2].max() <= 2.4 + 0.005
+        assert path[:, 0].max() <= 2.9 + 0.005
 
 
 def test_ways_keep_off_the_sides_of_the_fence():
