@@ -243,6 +243,8 @@ class LawGroup:
 
     def resume(self, states: Sequence[LateState]) -> None:
         """Go on with states on their way that are for laws of this group."""
+        if not states:
+            return
         edges = {self._find_ends(e): e for e in range(len(self._ids))}
         for ends, state in states:
             if ends in edges:

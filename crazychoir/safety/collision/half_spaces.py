@@ -141,7 +141,7 @@ def compute_half_space(
     has_risen = may_have_risen(row, age, stands)
     if has_risen:
         # Homes may be nearer to each other than the width.
-        scale = (1.0, 1.0, 0.0)
+        scale = (row.scale[0], row.scale[1], 0.0)
         width = row.least_width
     elif stands:
         scale = (1.0, 1.0, 1.0)

@@ -51,6 +51,10 @@ RANDOM_WAYPOINT_MARGIN = np.array([0.9, 0.9, 1.0])
 """m, margin around the box of the straight path in which waypoints are drawn."""
 
 
+FlownPath = tuple[Mat, float]
+"""A path, (k, 25), and the s for which it has been flown."""
+
+
 @dataclass(frozen=True)
 class PathOption:
     """A path and its cost."""
@@ -79,22 +83,25 @@ class Detours:
         self.draw = draw
 
     def options(
-        self, start: Vec, aim: RestGoal, present: Mat, most: float
+        self, start: Vec, aim: RestGoal, present: FlownPath, most: float
     ) -> list[PathOption]:
-        """Return all paths that cost less than `most` s and stay FENCE_INSET inside the fence.
+        """Return all paths that cost less than `most` s and stay inside the fence.
 
-        A path may be nearer to the fence, or outside, if its goal is there, or if the present path
-        is and the drone cannot stop before; but no deeper than DETOUR_CHOICES.largest_dip.
+        They stay FENCE_INSET inside, unless the drone must leave its present path. A path may be
+        nearer to the fence, or outside, if its goal is there, or if the rest of the present path is
+        and the drone cannot stop before; but no deeper than DETOUR_CHOICES.largest_dip.
 
         start: (12,): motion at the beginning
         aim: the goal, where the path ends at rest
-        present: (k, 25): the present path
-        most: s
+        present: the present path
+        most: s; infinite if the drone must leave its present path
         """
-        inset_low = np.array(self.fence.low) + FENCE_INSET
-        inset_high = np.array(self.fence.high) - FENCE_INSET
+        inset = FENCE_INSET if most < math.inf else 0.0
+        inset_low = np.array(self.fence.low) + inset
+        inset_high = np.array(self.fence.high) - inset
         allowed = [start[0:3], aim.goal]
-        if is_outside_box(present, inset_low, inset_high):
+        way, flown = present
+        if is_outside_box(way, flown, inset_low, inset_high):
             allowed.append(compute_end_place(plan_braking(start, self.a_max)))
         places = np.array(allowed)
         low = np.minimum(places.min(axis=0), inset_low)
@@ -106,7 +113,7 @@ class Detours:
         found = [
             option
             for option in (*self._straight(start, aim), *self._by_waypoints(start, aim))
-            if option.cost < most and not is_outside_box(option.way, low, high)
+            if option.cost < most and not is_outside_box(option.way, 0.0, low, high)
         ]
         return sorted(found, key=lambda option: option.cost)
 

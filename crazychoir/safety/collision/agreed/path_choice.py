@@ -162,7 +162,10 @@ class PathChoice:
             present = math.inf
         wait = begins - now
         for option in self._detours.options(
-            start, aim, mine.way, present - PLANNING_TIMES.least_gain - wait
+            start,
+            aim,
+            (mine.way, begins - mine.began),
+            present - PLANNING_TIMES.least_gain - wait,
         ):
             if others.clear(option.way, begins, now):
                 mine.propose(option.way, begins)

@@ -192,16 +192,17 @@ def find_peak_sideways_acceleration(way: Mat) -> float:
     return worst
 
 
-@kernel(matrix, vector, vector)
-def is_outside_box(way: Mat, low: Vec, high: Vec) -> bool:
-    """Return whether a path leaves a box, checked every BOX_CHECK_STEP s.
+@kernel(matrix, real, vector, vector)
+def is_outside_box(way: Mat, begins: float, low: Vec, high: Vec) -> bool:
+    """Return whether a path leaves a box from a time on, checked every BOX_CHECK_STEP s.
 
     way: (k, 25)
+    begins: s, since the beginning of the path
     low: (3,) m: lower corner
     high: (3,) m: upper corner
     """
     lasts = np.sum(way[:, 0])
-    t = 0.0
+    t = begins
     while t < lasts + BOX_CHECK_STEP:
         p = compute_place(way, t)
         for c in range(3):

@@ -18,13 +18,13 @@ FENCE = Fence.box((-3.0, -3.0, 0.25), (3.0, 3.0, 2.5))
 DOWN = np.array([0.0, 0.0, 0.6, 0.0, 0.0, -0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
-def options(start, goal, present=None):
-    """Return the paths from a motion to a goal; present: the present path, None: it brakes."""
+def options(start, goal, present=None, most=1000.0):
+    """Return the paths from a motion to a goal; present: the path before it, None: it brakes."""
     aim = RestGoal(np.array(goal), 1.0, 0.8, (), np.ones(4))
     if present is None:
-        present = plan_braking(start, 0.8)
+        present = plan_braking(start, 0.8), 0.0
     return Detours(1.0, 0.8, FENCE, np.random.default_rng(1)).options(
-        start, aim, present, np.inf
+        start, aim, present, most
     )
 
 
@@ -62,19 +62,24 @@ def test_a_drone_on_a_path_inside_the_fence_takes_no_path_out_of_it():
     before = np.array(
         [0.87, -1.37, 1.44, 0.3, -0.48, 0.18, -0.45, 0.73, 0.54, 0.0, 0.0, 0.0]
     )
-    present = plan_flight(before, np.array([1.71, -2.26, 2.36]), 1.0, 0.8)
-    start = compute_motion(present, 0.6)
-    assert compute_end_place(plan_braking(start, 0.8))[2] > 2.45
-    found = options(start, (-2.5, 0.0, 1.0), present)
-    for option in found:
+    way = plan_flight(before, np.array([1.71, -2.26, 2.36]), 1.0, 0.8)
+    start = compute_motion(way, 1.4)
+    assert compute_end_place(plan_braking(start, 0.8))[2] > 2.4 + 0.05
+    goal = (-2.5, 0.0, 1.0)
+    present = way, 1.4
+    found = options(start, goal, present)
+    urgent = options(start, goal, present, most=np.inf)
+    assert len(urgent) > len(found), "nearer to the fence if it must leave its path"
+    for option in urgent:
+        inset = FENCE_INSET if option.cost in [other.cost for other in found] else 0.0
         path = np.array(
             [
                 compute_motion(option.way, t)[0:3]
                 for t in np.linspace(0.0, compute_path_duration(option.way), 300)
             ]
         )
-        assert path[:, 2].max() <= 2.4 + 0.005
-        assert path[:, 0].max() <= 2.9 + 0.005
+        assert path[:, 2].max() <= 2.5 - inset + 0.005
+        assert path[:, 0].max() <= 3.0 - inset + 0.005
 
 
 def test_ways_keep_off_the_sides_of_the_fence():

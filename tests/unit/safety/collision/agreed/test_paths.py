@@ -219,12 +219,16 @@ def test_a_drone_that_may_have_come_down_may_be_anywhere_below():
 
 def test_a_way_leaves_a_box_wherever_it_is_outside():
     low, high = np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 2.0])
-    assert not is_outside_box(straight((-1.0, 0.0, 1.0), (1.0, 0.0, 1.0)), low, high)
-    assert is_outside_box(straight((0.0, 0.0, 1.0), (0.0, 1.1, 1.0)), low, high)
+    along = straight((-1.0, 0.0, 1.0), (1.0, 0.0, 1.0))
+    assert not is_outside_box(along, 0.0, low, high)
+    assert is_outside_box(straight((0.0, 0.0, 1.0), (0.0, 1.1, 1.0)), 0.0, low, high)
     middle, below = (0.0, 0.0, 1.0), (0.0, 0.0, -0.2)
-    assert is_outside_box(
-        np.concatenate([straight(middle, below), straight(below, middle)]), low, high
-    )
+    there, back = straight(middle, below), straight(below, middle)
+    way = np.concatenate([there, back])
+    assert is_outside_box(way, 0.0, low, high)
+    lasts = compute_path_duration(way)
+    assert is_outside_box(way, 0.5 * lasts, low, high)
+    assert not is_outside_box(way, 0.9 * lasts, low, high), "what is flown is over"
 
 
 def test_an_accelerating_drone_comes_to_rest_without_flying_much_faster():
