@@ -50,8 +50,6 @@ from crazychoir.types import (
 
 log = logging.getLogger(__name__)
 FLOAT64_TYPE = np.dtype(np.float64)
-VECTOR_SHAPE = (3,)
-FULL_STATE_SHAPE = (14,)
 
 
 class SteppingLaw(Protocol):
@@ -194,19 +192,30 @@ class RunningLaw:
         """
         # Comparing types costs a fifth of matching patterns.
         kind = type(reference)
-        if kind is Acceleration and _is_directed(reference.a, reference.yaw):
-            self._kinds[0] = ACCELERATION_KIND
-            self._acceleration[:] = reference.a
-            self._reference[12] = reference.yaw
-        elif kind is Velocity and _is_directed(reference.v, reference.yaw):
-            self._kinds[0] = VELOCITY_KIND
-            self._velocity[:] = reference.v
-            self._reference[12] = reference.yaw
-        elif kind is FullState and _is_vector(reference.flat, FULL_STATE_SHAPE):
-            self._kinds[0] = FULL_STATE_KIND
-            self._reference[:] = reference.flat
+        if kind is Acceleration:
+            number, values, target = (
+                ACCELERATION_KIND,
+                reference.a,
+                self._acceleration,
+            )
+        elif kind is Velocity:
+            number, values, target = VELOCITY_KIND, reference.v, self._velocity
+        elif kind is FullState:
+            number, values, target = FULL_STATE_KIND, reference.flat, self._reference
         else:
             return reference is None
+        if (
+            type(values) is not np.ndarray
+            or values.shape != target.shape
+            or values.dtype != FLOAT64_TYPE
+        ):
+            return False
+        if kind is not FullState:
+            if not isinstance(reference.yaw, float):
+                return False
+            self._reference[12] = reference.yaw
+        self._kinds[0] = number
+        target[:] = values
         return True
 
     def fly(self, reference: Reference | None) -> None:
@@ -258,17 +267,3 @@ class RunningLaw:
         found = zip(self.ids, self.hearings, strict=True)
         silent = ", ".join(str(j) for j, hearing in found if not hearing.is_fresh())
         return f"; hears nothing of drone(s) {silent}" if silent else ""
-
-
-def _is_directed(vector: object, yaw: object) -> bool:
-    """Return whether these are three float64 numbers and a float."""
-    return isinstance(yaw, float) and _is_vector(vector, VECTOR_SHAPE)
-
-
-def _is_vector(values: object, shape: tuple[int]) -> bool:
-    """Return whether the values are float64 numbers in an array of this shape."""
-    return (
-        type(values) is np.ndarray
-        and values.shape == shape
-        and values.dtype == FLOAT64_TYPE
-    )

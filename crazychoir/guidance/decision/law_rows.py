@@ -9,11 +9,21 @@ import numpy as np
 from crazychoir.guidance.decision.hearing_rows import HEARING_ROW, take_row
 from crazychoir.guidance.decision.velocity_sums import (
     VELOCITY_SUM_ROW,
+    copy_axes,
+    copy_state,
     correct_state,
     keep_state,
     whole,
 )
-from crazychoir.numerics.kernels import NO_COUNTING, kernel, rows_of
+from crazychoir.numerics.kernels import (
+    NO_COUNTING,
+    kernel,
+    memory,
+    rows_of,
+    table,
+    wholes,
+)
+from crazychoir.types import Ints, Mat, Vec
 
 
 class LawPermission(IntEnum):
@@ -155,6 +165,65 @@ def decide_rows(rows: Any, edges: Any, now_ns: int) -> tuple[int, int]:
         elif decision == LawDecision.END:
             ends += 1
     return steps, ends
+
+
+@kernel(
+    rows_of(LAW_ROW),
+    rows_of(HEARING_ROW),
+    wholes,
+    wholes,
+    table,
+    table,
+    memory,
+    wholes,
+    **NO_COUNTING,
+)
+def collect_received(
+    rows: Any,
+    edges: Any,
+    neighbours: Ints,
+    ids: Ints,
+    states: Mat,
+    accelerations: Mat,
+    ages: Vec,
+    counts: Ints,
+) -> int:
+    """Collect what the laws that step receive: each its own state, then those of its neighbours.
+
+    rows: (n,) of LAW_ROW
+    edges: (e,) of HEARING_ROW
+    neighbours: (e,): id of the neighbour of each edge
+    ids: (n + e,): receives the drone of each state
+    states: (n + e, 13): receives the states
+    accelerations: (n + e, 3) m/s2
+    ages: (n + e,) s
+    counts: (n,): receives the number of neighbours that each of these laws hears
+    Returns the number of states.
+    """
+    k = 0
+    steps = 0
+    for r in range(rows.shape[0]):
+        row = rows[r]
+        if row.decision != LawDecision.STEP:
+            continue
+        ids[k] = row.drone
+        copy_state(row.state, states[k])
+        copy_axes(row.acceleration, accelerations[k])
+        ages[k] = row.age
+        k += 1
+        first = k
+        for e in range(row.first_edge, row.end_edge):
+            edge = edges[e]
+            if edge.is_heard == 0:
+                continue
+            ids[k] = neighbours[e]
+            copy_state(edge.told, states[k])
+            copy_axes(edge.told_acceleration, accelerations[k])
+            ages[k] = edge.told_age
+            k += 1
+        counts[steps] = k - first
+        steps += 1
+    return k
 
 
 @kernel(rows_of(LAW_ROW), **NO_COUNTING)

@@ -21,6 +21,7 @@ from crazychoir.guidance.decision.hearing_rows import HEARING_ROW
 from crazychoir.guidance.decision.law_rows import (
     LAW_ROW,
     LawDecision,
+    collect_received,
     count_rows,
     decide_rows,
 )
@@ -37,7 +38,7 @@ from crazychoir.safety.airspace.airspace_rows import SWARM_ROW
 from crazychoir.safety.airspace.late_states import LateStates
 from crazychoir.safety.airspace.state_links import StateLinks
 from crazychoir.safety.airspace.states_by_hand import STATE_BYTES
-from crazychoir.types import Bools, Heard, Records, Reference, State
+from crazychoir.types import Heard, Records, Reference, State
 
 NO_SWARM: Records = np.zeros(0, SWARM_ROW)
 """The swarm of a process without an airspace."""
@@ -376,27 +377,24 @@ class LawGroup:
     def _step_each(self) -> None:
         """Let each law step that is due, with copies of its rows."""
         rows = self.team.rows
-        edges = self.team.edges
-        steps = self.team.steps
-        is_stepping = rows["decision"] == LawDecision.STEP
-        is_told = is_stepping[self._law_of_edge] & (edges["is_heard"] == 1)
-        counts = np.bincount(self._law_of_edge[is_told], minlength=len(rows))
-        own = _read_states(rows, is_stepping, "state", "acceleration", "age")
-        told = _read_states(edges, is_told, "told", "told_acceleration", "told_age")
-        known = zip(self._ids[is_told].tolist(), told, strict=True)
+        steps = self.team.steps.tolist()
+        # A law may keep what it gets, so these arrays are new in each tick.
+        most = len(rows) + len(self._ids)
+        ids = np.empty(most, np.int64)
+        states = np.empty((most, 13))
+        accelerations = np.empty((most, 3))
+        ages = np.empty(most)
+        counts = np.empty(len(rows), np.int64)
+        count = collect_received(
+            rows, self.team.edges, self._ids, ids, states, accelerations, ages, counts
+        )
+        # Loops in C, because this is done for all neighbours of all drones.
+        received = map(
+            State, list(states[:count]), ages[:count].tolist(), list(accelerations)
+        )
+        known = zip(ids[:count].tolist(), received, strict=True)
         rows["reference"] = 0.0
-        for r, me, count in zip(
-            steps.tolist(), own, counts[steps].tolist(), strict=True
-        ):
-            self.laws[r].step(me, dict(islice(known, count)))
+        for r, heard in zip(steps, counts.tolist(), strict=False):
+            _, me = next(known)
+            self.laws[r].step(me, dict(islice(known, heard)))
         count_rows(rows)
-
-
-def _read_states(
-    rows: Rows, chosen: Bools, state: str, acceleration: str, age: str
-) -> list[State]:
-    """Return the states in these fields of the chosen rows, as copies."""
-    # Loops in C, because this is done for all neighbours of all drones.
-    states = list(rows[state][chosen])
-    accelerations = list(rows[acceleration][chosen])
-    return list(map(State, states, rows[age][chosen].tolist(), accelerations))
