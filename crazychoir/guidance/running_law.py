@@ -193,15 +193,17 @@ class RunningLaw:
         # Comparing types costs a fifth of matching patterns.
         kind = type(reference)
         if kind is Acceleration:
-            number, values, target = (
-                ACCELERATION_KIND,
-                reference.a,
-                self._acceleration,
-            )
+            number = ACCELERATION_KIND
+            values = reference.a
+            target = self._acceleration
         elif kind is Velocity:
-            number, values, target = VELOCITY_KIND, reference.v, self._velocity
+            number = VELOCITY_KIND
+            values = reference.v
+            target = self._velocity
         elif kind is FullState:
-            number, values, target = FULL_STATE_KIND, reference.flat, self._reference
+            number = FULL_STATE_KIND
+            values = reference.flat
+            target = self._reference
         else:
             return reference is None
         if (
