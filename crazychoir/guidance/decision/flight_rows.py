@@ -28,7 +28,7 @@ from crazychoir.safety.airspace.airspace_rows import (
     LinkKind,
     LinkKinds,
 )
-from crazychoir.safety.airspace.late_states import LATE_ROW, copy_late, send_late
+from crazychoir.safety.airspace.late_states import LATE_ROW, keep_late, send_late
 from crazychoir.safety.airspace.link_fates import link_kinds, pass_link
 from crazychoir.safety.rules.limits import limit_acceleration
 from crazychoir.safety.rules.modes import Mode
@@ -39,6 +39,8 @@ HOVER_NUMBER = MODE_NUMBERS[Mode.HOVER]
 FOLLOW_NUMBER = MODE_NUMBERS[Mode.FOLLOW]
 ELSEWHERE_SOURCE = -1
 """`source` of an edge from a drone of another process: its states come as messages."""
+NO_PLACE = -1
+"""Row in the swarm of the sender of a state for a law: it is not used."""
 FRAMES_SOURCE = -2
 """`source` of an edge from a drone of another process: its states come in frames."""
 
@@ -98,6 +100,41 @@ def _is_due(edge: Any, now_ns: int) -> bool:
 
 
 @kernel()
+def _send_late(
+    late: Any,
+    late_count: Ints,
+    links: Any,
+    kinds: LinkKinds,
+    losses: Any,
+    e: int,
+    sender: Any,
+    born: float,
+    now_ns: int,
+) -> None:
+    """Send the state of a neighbour to a law over a late link.
+
+    e: row of the edge, and of its link
+    sender: a record of SWARM_ROW or DRONE_ROW
+    born: s, time of the state
+    Other arguments as in deliver_rows.
+    """
+    send_late(
+        late,
+        late_count,
+        links,
+        kinds,
+        losses,
+        e,
+        sender,
+        e,
+        NO_PLACE,
+        born,
+        True,
+        now_ns,
+    )
+
+
+@kernel()
 def _deliver_frame(
     edges: Any,
     e: int,
@@ -130,23 +167,8 @@ def _deliver_frame(
         age = now_ns / NS_PER_SECOND - sender.state_time
         put_row(edge, sender.state, sender.acceleration, sender.age, age, now_ns)
     elif fate == LinkKind.LATE:
-        send_late(
-            late,
-            late_count,
-            links,
-            kinds,
-            losses,
-            e,
-            sender.number,
-            e,
-            edge.frame_place,
-            sender.state,
-            sender.acceleration,
-            sender.state_time,
-            sender.age,
-            True,
-            now_ns,
-        )
+        born = sender.state_time
+        _send_late(late, late_count, links, kinds, losses, e, sender, born, now_ns)
     return bool(fate == LinkKind.BY_HAND)
 
 
@@ -160,9 +182,7 @@ def _deliver_late(edges: Any, late: Any, late_count: Ints, now_ns: int) -> None:
     for k in range(late_count[0]):
         row = late[k]
         if row.arrival_ns > now_ns:
-            if kept < k:
-                copy_late(row, late[kept])
-            kept += 1
+            kept = keep_late(late, k, kept)
             continue
         age = row.arrival_ns / NS_PER_SECOND - row.state_time
         put_row(
@@ -241,23 +261,8 @@ def deliver_rows(
         if fate == LinkKind.CUT:
             sender.lost += 1
         elif fate == LinkKind.LATE:
-            send_late(
-                late,
-                late_count,
-                links,
-                kinds,
-                losses,
-                e,
-                sender.number,
-                e,
-                edge.source,
-                sender.state,
-                sender.acceleration,
-                now_ns / NS_PER_SECOND - sender.age,
-                sender.age,
-                True,
-                now_ns,
-            )
+            born = now_ns / NS_PER_SECOND - sender.age
+            _send_late(late, late_count, links, kinds, losses, e, sender, born, now_ns)
         else:
             put_row(
                 edge, sender.state, sender.acceleration, sender.age, sender.age, now_ns

@@ -32,7 +32,7 @@ from crazychoir.safety.airspace.airspace_rows import (
     LinkKinds,
     Missed,
 )
-from crazychoir.safety.airspace.late_states import LATE_ROW, copy_late, send_late
+from crazychoir.safety.airspace.late_states import LATE_ROW, keep_late, send_late
 from crazychoir.safety.airspace.link_fates import (
     judge_link,
     link_kinds,
@@ -456,13 +456,10 @@ def hear_pairs(
                 kinds,
                 losses,
                 link,
-                sender.number,
+                sender,
                 at,
                 pace.other,
-                sender.state[:],
-                sender.acceleration[:],
                 sender.state_time,
-                sender.age,
                 pace.is_told == 0,
                 now_ns,
             )
@@ -493,9 +490,7 @@ def hear_late(
     for k in range(late_count[0]):
         row = late[k]
         if row.arrival_ns > now_ns:
-            if kept < k:
-                copy_late(row, late[kept])
-            kept += 1
+            kept = keep_late(late, k, kept)
         elif missed[row.receiver, row.other] == Missed.PAIRED:
             listener = listeners[row.receiver]
             end = listener.first_pair + listener.pair_count

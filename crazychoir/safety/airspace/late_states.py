@@ -8,7 +8,7 @@ from crazychoir.numerics.kernels import kernel
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.airspace.airspace_rows import LinkKinds
 from crazychoir.safety.airspace.link_fates import find_losses
-from crazychoir.types import Ints, Records, Vec
+from crazychoir.types import Ints, Records
 
 LATE_ROW = np.dtype(
     [
@@ -114,6 +114,19 @@ def copy_late(source: Records, target: Records) -> None:
 
 
 @kernel()
+def keep_late(late: Records, k: int, kept: int) -> int:
+    """Keep row k, which is still on its way, behind the rows that are kept before it.
+
+    late: LATE_ROW
+    kept: number of these rows
+    Returns the number of rows that are kept now.
+    """
+    if kept < k:
+        copy_late(late[k], late[kept])
+    return kept + 1
+
+
+@kernel()
 def send_late(
     late: Records,
     count: Ints,
@@ -121,13 +134,10 @@ def send_late(
     kinds: LinkKinds,
     losses: Records,
     at: int,
-    number: int,
+    sender: Records,
     receiver: int,
     other: int,
-    state: Vec,
-    acceleration: Vec,
     state_time: float,
-    state_age: float,
     is_counted: bool,
     now_ns: int,
 ) -> None:
@@ -135,14 +145,15 @@ def send_late(
 
     late: LATE_ROW, with room for MOST_COPIES more
     count: (1,): number of states on their way
-    links, kinds, losses, at, number: as in judge_link
-    receiver, other, state, acceleration, state_time, state_age: as in LATE_ROW
+    links, kinds, losses, at: as in judge_link
+    sender: a record of SWARM_ROW or DRONE_ROW, with the state
+    receiver, other, state_time: as in LATE_ROW
     is_counted: whether the link counts it
     now_ns: ns
     """
     link = links[at]
     delay, copy_delay = draw_delays(
-        link.key, find_losses(losses, int(kinds[at])), number
+        link.key, find_losses(losses, int(kinds[at])), sender.number
     )
     if is_counted:
         link.delayed += delay > 0.0
@@ -156,8 +167,8 @@ def send_late(
         row.receiver = receiver
         row.other = other
         row.state_time = state_time
-        row.state_age = state_age
+        row.state_age = sender.age
         for c in range(13):
-            row.state[c] = state[c]
+            row.state[c] = sender.state[c]
         for c in range(3):
-            row.acceleration[c] = acceleration[c]
+            row.acceleration[c] = sender.acceleration[c]
