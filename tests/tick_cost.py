@@ -52,13 +52,18 @@ class TickCost:
         return sum(self.calls.values())
 
 
-def measure_lattice(drones: int, more_calls: int = 0) -> TickCost:
+def measure_lattice(
+    drones: int, more_calls: int = 0, network: dict[str, float] | None = None
+) -> TickCost:
     """Count the cost of the bearing law on a lattice of lightweight drones.
 
     more_calls: further Python calls a drone and tick, which must be seen
+    network: [network], the simulated network; None: a perfect one
     """
     duration = SETTLING_TIME + 3.0 * WINDOW + 0.5
     config = build_bench_swarm(FlightCase(drones), duration)
+    if network is not None:
+        config = config.replace(network=network)
     return measure_cost(config, load_mission("bearing_formation"), more_calls)
 
 

@@ -39,6 +39,10 @@ LIMITS = {
 }
 
 
+LATE_LIMITS = CostLimits(calls=14.2, messages=138.9, bytes=19_400, blocks=10.0)
+"""With a simulated network that delays messages, in the small swarm."""
+
+
 @pytest.fixture(scope="module")
 def small():
     return measure_lattice(SMALL_SWARM)
@@ -73,3 +77,9 @@ def test_a_drone_costs_the_same_in_a_small_and_in_a_large_swarm(small, large, fi
 def test_one_more_python_call_a_drone_and_tick_exceeds_the_limit():
     cost = measure_lattice(SMALL_SWARM, more_calls=1)
     assert cost.calls_per_tick > LIMITS[SMALL_SWARM].calls
+
+
+def test_a_network_that_delays_states_costs_hardly_more_python_calls():
+    """Heartbeats are messages there, and all drones hear each other as pairs."""
+    cost = measure_lattice(SMALL_SWARM, network={"jitter": 0.02})
+    assert_within(cost, LATE_LIMITS)
