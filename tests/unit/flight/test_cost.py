@@ -79,7 +79,7 @@ def test_one_more_python_call_a_drone_and_tick_exceeds_the_limit():
     assert cost.calls_per_tick > LIMITS[SMALL_SWARM].calls
 
 
-def test_a_network_that_delays_states_costs_hardly_more_python_calls():
+def test_a_drone_costs_no_more_than_its_limits_where_the_network_delays_states():
     """Heartbeats are messages there, and all drones hear each other as pairs."""
     cost = measure_lattice(SMALL_SWARM, network={"jitter": 0.02})
     assert_within(cost, LATE_LIMITS)
