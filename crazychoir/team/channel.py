@@ -11,22 +11,25 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from crazychoir.runtime.clock import NS_PER_SECOND
+from crazychoir.team.expected_wait import NEGLIGIBLE_WAIT, ExpectedWait
+from crazychoir.team.message_kind import (
+    DELAY_MASK,
+    NO_MESSAGE,
+    is_sent_again,
+    read_lateness,
+)
+
 
 @dataclass(frozen=True, slots=True)
 class RoundWindow:
-    """How many rounds a channel keeps, and when it sends a round again."""
+    """How many rounds a channel keeps."""
 
     kept_rounds: int = 64
     """Own rounds that are kept for late neighbours.
 
     Also the most rounds of a neighbour that are buffered ahead.
     """
-    shortest_resend: float = 0.010
-    """Seconds: shortest time before a round is resent. The time is 1.5 smoothed round times and
-    doubles with every fourth attempt up to longest_resend.
-    """
-    longest_resend: float = 0.100
-    """Seconds: longest time before a round is resent."""
 
 
 ROUND_WINDOW = RoundWindow()
@@ -85,21 +88,51 @@ class RoundWait:
     since_ns: int = 0
     """ns: start of the present wait."""
     resend_ns: int = 0
-    """ns: time of the next resend; 0 before the first sweep of the wait."""
+    """ns: time of the next resend; 0 while it is not known, in a wait that was not checked yet."""
     deadline_ns: int = 0
     """ns: time at which the wait fails."""
     attempt: int = 0
     """Resends in the present wait."""
-    round_time: float = 0.0
-    """Seconds: smoothed time of a round."""
+    ended_by: int = NO_MESSAGE
+    """Flags of the message that has ended the wait."""
+    had_repeat: bool = False
+    """True if a message of a neighbour arrived only when it was sent again."""
+    own_lateness: float = 0.0
+    """Seconds by which lost messages have delayed our next message."""
+    expected: ExpectedWait = field(default_factory=ExpectedWait)
+    """What the past waits tell about the next one."""
 
-    def rto(self, attempt: int) -> float:
-        """Return the seconds until the next resend."""
-        return min(
-            ROUND_WINDOW.longest_resend,
-            max(ROUND_WINDOW.shortest_resend, 1.5 * self.round_time)
-            * 2.0 ** min(attempt // 4, 8),
-        )
+    def plan_resend(self) -> None:
+        """Find the time of the first resend, if it is not known yet."""
+        if not self.resend_ns:
+            first = self.expected.find_first_resend()
+            self.resend_ns = self.since_ns + int(NS_PER_SECOND * first)
+
+    def end(self, now_ns: int) -> None:
+        """Learn from a wait that has ended."""
+        self.waiter = None
+        expected = self.expected
+        if self.had_repeat or expected.lost_share:
+            expected.note_repeat(self.had_repeat)
+            self.had_repeat = False
+        if not self.ended_by & DELAY_MASK:
+            self.own_lateness = 0.0
+            # Short waits are the most frequent ones, and say nothing new where all are short.
+            if self.resend_ns or expected.mean > NEGLIGIBLE_WAIT:
+                expected.learn((now_ns - self.since_ns) / NS_PER_SECOND)
+            return
+        seconds = (now_ns - self.since_ns) / NS_PER_SECOND
+        if is_sent_again(self.ended_by):
+            self.own_lateness = max(0.0, seconds - expected.mean)
+        else:
+            self.own_lateness = min(read_lateness(self.ended_by), seconds)
+            expected.learn(seconds - self.own_lateness)
+
+    def note_resend(self, now_ns: int) -> None:
+        """Count a resend, and find the time of the next one."""
+        self.attempt += 1
+        following = self.expected.find_next_resend(self.attempt)
+        self.resend_ns = now_ns + int(NS_PER_SECOND * following)
 
 
 @dataclass(eq=False, slots=True)

@@ -12,7 +12,13 @@ from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.errors import CodecError, PeerLost, RoundTimeout
 from crazychoir.runtime.clock import NS_PER_SECOND, wake_waiter
 from crazychoir.team.channel import ROUND_WINDOW, Channel
-from crazychoir.team.message_kind import AHEAD_KIND, DATA_KIND, MessageKind
+from crazychoir.team.expected_wait import RESEND_TIMES
+from crazychoir.team.message_kind import (
+    AHEAD_KIND,
+    DATA_KIND,
+    MessageKind,
+    flag_lateness,
+)
 from crazychoir.team.rounds import (
     CREDIT_EVERY,
     FAILURE_CHANNEL,
@@ -218,7 +224,7 @@ class Communicator(Rounds):
                 self._control(ch, MessageKind.FIN_TOO, tuple(late), n, attempt)
                 attempt = attempt + 1
                 due_ns = self._clock.now_ns() + round(
-                    2 * ROUND_WINDOW.shortest_resend * NS_PER_SECOND
+                    2 * RESEND_TIMES.shortest * NS_PER_SECOND
                 )
             await self._pause(ch, (due_ns - self._clock.now_ns()) / NS_PER_SECOND)
         for again in range(attempt, attempt + CLOSING_RULES.end_messages):
@@ -239,7 +245,7 @@ class Communicator(Rounds):
             self.port.send(
                 MESSAGE_TOPICS.rounds, readers, payload, k, FAILURE_CHANNEL, flags
             )
-            await self._clock.sleep(ROUND_WINDOW.shortest_resend, drone=self.id)
+            await self._clock.sleep(RESEND_TIMES.shortest, drone=self.id)
 
     # Sending --------------------------------------------------------------------------
 
@@ -249,6 +255,8 @@ class Communicator(Rounds):
         """Encode and send the next round, and keep it for late readers."""
         k = ch.sending
         flags = self._flags | kind
+        if ch.wait.own_lateness:
+            flags |= flag_lateness(ch.wait.own_lateness)
         if type(data) is PerNeighbor:
             if lacking := [j for j in to if j not in data]:
                 where = f"drone {self.id}: channel {ch.name!r}"
@@ -288,7 +296,7 @@ class Communicator(Rounds):
                 raise PeerLost(self.id, lost, self.silence(lost))
             if self._clock.now() >= ends:
                 raise RoundTimeout(self.id, ch.name, ch.oldest, late or ch.ins, seconds)
-            await self._pause(ch, ROUND_WINDOW.longest_resend)
+            await self._pause(ch, RESEND_TIMES.longest)
             attempt += 1
             for j in ch.behind(ch.oldest, self._epochs.gone, not patient):
                 self._again(
@@ -345,8 +353,10 @@ class Communicator(Rounds):
                     raise
             finally:
                 self._expected(ch)
-        elif not wanted:
-            await self._clock.sleep(0.0, drone=self.id)
+        else:
+            ch.wait.own_lateness = 0.0
+            if not wanted:
+                await self._clock.sleep(0.0, drone=self.id)
         del ch.inbox[k]
         ch.receiving = k + 1
         if not k % CREDIT_EVERY:

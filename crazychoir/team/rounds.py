@@ -1,9 +1,9 @@
 """The engine below the communicator: channels, arrivals,
 answers and resends, across the epochs of a team.
 
-Rounds need no acknowledgement. A drone that waits for round k resends its own message of round k
-every RTO to the neighbours that it misses. A drone that receives such a repeated message answers
-with its own message of that round.
+Rounds need no acknowledgement. A drone that waits for round k longer than expected (see
+expected_wait.py) resends its own message of round k to the neighbours that it misses. A drone that
+receives such a repeated message answers with its own message of that round.
 
 If an edge exists in one direction only, the waiting reader asks (WANT), and the reader grants
 credit (CREDIT), so that a sender is never further ahead than its history. Therefore the result of a
@@ -33,16 +33,19 @@ from crazychoir.errors import (
 )
 from crazychoir.runtime.clock import NS_PER_SECOND, Alarm, wake_waiter
 from crazychoir.team.barrier import Barrier
-from crazychoir.team.channel import ROUND_WINDOW, Channel
+from crazychoir.team.channel import ROUND_WINDOW, Channel, RoundWait
 from crazychoir.team.epochs import AnyGraph, Epochs
+from crazychoir.team.expected_wait import RESEND_TIMES
 from crazychoir.team.graph import Graph
 from crazychoir.team.message_kind import (
-    AHEAD_KIND,
+    ANSWER_KIND,
     DATA_KIND,
-    KIND_BITS,
+    EPOCH_SHIFT,
     KIND_MASK,
+    NO_MESSAGE,
     REPEAT_KIND,
     MessageKind,
+    is_sent_again,
 )
 from crazychoir.team.messages import Roster
 from crazychoir.types import Failure
@@ -77,11 +80,19 @@ FIRST_UNASKED_ATTEMPT: Final = 1 << 20
 """Attempt numbers from here on mark messages that no neighbour asked for."""
 FAILURE_CHANNEL: Final = "failed"
 """Channel on which an agent says that it stops on all channels."""
-SWEEP_INTERVAL: Final = 5_000_000
-"""ns between two checks of the waiting channels.
+CHECK_GRID: Final = 5_000_000
+"""ns: the waiting channels are checked at multiples of this time, and at their deadlines.
 
-All drones of a process check at the same instants.
+So the drones of a process resend at the same instants, and their messages share frames.
 """
+LONGEST_UNCHECKED: Final = 50_000_000
+"""ns: longest time between two checks of a waiting channel.
+
+A check also finds that a neighbour is lost, or has said that it stops.
+"""
+
+EARLIEST_RESEND: Final = int(NS_PER_SECOND * RESEND_TIMES.shortest)
+"""ns: shortest time from the start of a wait to a resend."""
 
 
 class Membership(Protocol):
@@ -239,7 +250,7 @@ class Rounds:
         """
         self._epochs.begin(epoch, gone, joined, graph, first_round)
         self._known = self._epochs.known
-        self._flags = epoch << KIND_BITS
+        self._flags = epoch << EPOCH_SHIFT
         for ch in list(self._channels.values()):
             if ch.joinable:
                 self._go_on(ch, gone, joined)
@@ -362,7 +373,7 @@ class Rounds:
                 return
             ch = self._channels[channel]
             kind = flags & KIND_MASK
-            if kind > AHEAD_KIND:
+            if kind > ANSWER_KIND:
                 self._controlled(ch, kind, source, number)
                 return
         peers = ch.peers
@@ -374,7 +385,7 @@ class Rounds:
                 payload,
                 heard_ns - int(age * NS_PER_SECOND) if age else heard_ns,
             )
-            if kind != AHEAD_KIND:
+            if kind <= REPEAT_KIND:
                 peers.progress[source] = number
         if kind == REPEAT_KIND:
             self._answer(ch, number, source)
@@ -386,11 +397,15 @@ class Rounds:
                 box = inbox[number] = {}
             if source not in box:
                 box[source] = payload
-                missing = ch.wait.missing
+                wait = ch.wait
+                if kind != DATA_KIND and is_sent_again(flags):
+                    wait.had_repeat = True
+                missing = wait.missing
                 if number == k and source in missing:
                     del missing[source]
                     if not missing:
-                        wake_if(ch.wait.waiter)
+                        wait.ended_by = flags
+                        wake_if(wait.waiter)
         elif number >= k:
             self.ahead += 1
 
@@ -412,7 +427,7 @@ class Rounds:
         if number >= ROUND_LIMITS.first_refused_round or source not in self._known:
             self.port.counters.malformed += 1
             return False
-        epoch = flags >> KIND_BITS
+        epoch = flags >> EPOCH_SHIFT
         if ch is not None and (ch.joinable or epoch == self._epochs.epoch):
             return True
         if epoch >= self._epochs.epoch and len(payload) <= ROUND_LIMITS.max_early_bytes:
@@ -451,7 +466,7 @@ class Rounds:
         if ch.joinable and number < ch.oldest:
             self._control(ch, MessageKind.GONE, (source,), ch.oldest, ch.answers)
         else:
-            self._again(ch, number, source, 2 * ch.answers + 1, MessageKind.AHEAD)
+            self._again(ch, number, source, 2 * ch.answers + 1, MessageKind.ANSWER)
 
     def _skip(self, ch: Channel, number: int, source: int) -> None:
         """Stop waiting for the rounds of source before `number`.
@@ -533,68 +548,67 @@ class Rounds:
                 waiter.set_result(None)
         wait.missing = missing
         now_ns = self._now_ns()
-        due_ns = now_ns + int(NS_PER_SECOND * seconds)
+        deadline_ns = now_ns + int(NS_PER_SECOND * seconds)
         wait.since_ns = now_ns
-        wait.deadline_ns = due_ns
+        wait.deadline_ns = deadline_ns
         wait.attempt = 0
         wait.resend_ns = 0
-        if self._alarm is None or due_ns < self._due_ns:
-            self._schedule(now_ns)
+        wait.ended_by = NO_MESSAGE
+        latest_ns = min(deadline_ns, now_ns + EARLIEST_RESEND)
+        if self._alarm is None or self._due_ns > latest_ns:
+            wait.plan_resend()
+            self._check_at(find_check_ns(wait, now_ns))
         return waiter
 
     def _expected(self, ch: Channel) -> None:
-        wait = ch.wait
-        wait.waiter = None
-        if not wait.resend_ns:
-            wait.round_time *= 0.875  # the round ended before the first sweep
-        elif wait.attempt == 0:
-            wait.round_time += 0.125 * (
-                (self._clock.now_ns() - wait.since_ns) / NS_PER_SECOND - wait.round_time
-            )
+        """Learn from the end of a wait."""
+        ch.wait.end(self._now_ns())
 
-    def _schedule(self, now_ns: int) -> None:
+    def _check_at(self, due_ns: int) -> None:
+        """Check the waiting channels at this time, in ns, unless they are checked earlier."""
         if self._alarm is not None:
+            if self._due_ns <= due_ns:
+                return
             self._alarm.cancel()
-        self._due_ns = min(
-            [
-                now_ns - now_ns % SWEEP_INTERVAL + SWEEP_INTERVAL,
-                *(ch.wait.deadline_ns for ch in self._waiting()),
-            ]
-        )
-        self._alarm = self._clock.call_at(self._due_ns, self._sweep, drone=self.id)
+        self._due_ns = due_ns
+        self._alarm = self._clock.call_at(due_ns, self._check, drone=self.id)
 
-    def _sweep(self) -> None:
+    def _check(self) -> None:
         """Check the waiting channels: fail those with a lost neighbour or
         past their deadline, and resend for the others.
         """
         self._alarm = None
-        now_ns = self._clock.now_ns()
-        for ch in self._waiting():
-            wait = ch.wait
-            lost = (
-                ()
-                if ch.joinable
-                else tuple(j for j in wait.missing if self.membership.is_lost(j))
+        now_ns = self._now_ns()
+        for ch in list(self._channels.values()):
+            if is_waiting(ch.wait):
+                ch.wait.plan_resend()
+                self._check_wait(ch, now_ns)
+            if is_waiting(ch.wait):
+                self._check_at(find_check_ns(ch.wait, now_ns))
+
+    def _check_wait(self, ch: Channel, now_ns: int) -> None:
+        """Check one waiting channel."""
+        wait = ch.wait
+        lost = (
+            ()
+            if ch.joinable
+            else tuple(j for j in wait.missing if self.membership.is_lost(j))
+        )
+        if lost:
+            fail_waiter(ch, PeerLost(self.id, lost, self.silence(lost)))
+        elif wait.strict and (word := self._failure(wait.missing)):
+            fail_waiter(ch, AgentFailed(word.agent, word.reason))
+        elif now_ns >= wait.deadline_ns:
+            seconds = (wait.deadline_ns - wait.since_ns) / NS_PER_SECOND
+            fail_waiter(
+                ch,
+                RoundTimeout(self.id, ch.name, ch.receiving, wait.missing, seconds),
             )
-            if lost:
-                fail_waiter(ch, PeerLost(self.id, lost, self.silence(lost)))
-            elif wait.strict and (word := self._failure(wait.missing)):
-                fail_waiter(ch, AgentFailed(word.agent, word.reason))
-            elif now_ns >= wait.deadline_ns:
-                seconds = (wait.deadline_ns - wait.since_ns) / NS_PER_SECOND
-                fail_waiter(
-                    ch,
-                    RoundTimeout(self.id, ch.name, ch.receiving, wait.missing, seconds),
-                )
-            elif not wait.resend_ns:
-                wait.resend_ns = wait.since_ns + int(NS_PER_SECOND * wait.rto(0))
-            elif now_ns >= wait.resend_ns:
-                if wait.strict and (ended := ch.ended()):
-                    fail_waiter(ch, ChannelEnded(self.id, ch.name, ch.receiving, ended))
-                else:
-                    self._resend(ch, now_ns)
-        if self._waiting():
-            self._schedule(now_ns)
+        elif now_ns >= wait.resend_ns:
+            if wait.strict and (ended := ch.ended()):
+                fail_waiter(ch, ChannelEnded(self.id, ch.name, ch.receiving, ended))
+            else:
+                self._resend(ch, now_ns)
 
     def _failure(self, missing: Iterable[int]) -> Failure | None:
         """Return the Failure that the first of these drones has sent on FAILURE_CHANNEL, or None."""
@@ -606,14 +620,6 @@ class Rounds:
                     return word if isinstance(word, Failure) else None
         return None
 
-    def _waiting(self) -> list[Channel]:
-        """Return the channels on which a caller waits."""
-        return [
-            ch
-            for ch in self._channels.values()
-            if ch.wait.waiter is not None and not ch.wait.waiter.done()
-        ]
-
     def _resend(self, ch: Channel, now_ns: int) -> None:
         """Resend our message of this round and of the one before to every missing neighbour.
 
@@ -621,8 +627,7 @@ class Rounds:
         the round before.
         """
         wait = ch.wait
-        wait.attempt += 1
-        wait.resend_ns = now_ns + int(NS_PER_SECOND * wait.rto(wait.attempt))
+        wait.note_resend(now_ns)
         k = ch.receiving
         for j in list(wait.missing):
             if ch.reads(k - 1, j):
@@ -631,12 +636,23 @@ class Rounds:
                     k - 1,
                     j,
                     FIRST_UNASKED_ATTEMPT + wait.attempt,
-                    MessageKind.AHEAD,
+                    MessageKind.ANSWER,
                 )
             if ch.reads(k, j):
                 self._again(ch, k, j, 2 * wait.attempt, MessageKind.REPEAT)
             else:
                 self._control(ch, MessageKind.WANT, (j,), k, wait.attempt)
+
+
+def is_waiting(wait: RoundWait) -> bool:
+    """Return True if a caller waits for a round."""
+    return wait.waiter is not None and not wait.waiter.done()
+
+
+def find_check_ns(wait: RoundWait, now_ns: int) -> int:
+    """Return the time of the next check of a wait, in ns."""
+    due_ns = min(wait.resend_ns, now_ns + LONGEST_UNCHECKED)
+    return min(wait.deadline_ns, due_ns + -due_ns % CHECK_GRID)
 
 
 def wake_if(waiter: "asyncio.Future[None] | None") -> None:

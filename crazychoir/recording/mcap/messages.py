@@ -21,7 +21,7 @@ from crazychoir.recording.mcap.cdr import Layout, Leaf, leaves, schema
 from crazychoir.recording.mcap.definitions import MESSAGE_DEFINITIONS
 from crazychoir.recording.mcap.odometry import odometry_numbers, state_of
 from crazychoir.runtime.clock import NS_PER_SECOND
-from crazychoir.team.message_kind import KIND_BITS, KIND_MASK, MessageKind
+from crazychoir.team.message_kind import EPOCH_SHIFT, KIND_MASK, MessageKind
 from crazychoir.types import (
     FPQR,
     FRPY,
@@ -136,7 +136,7 @@ def round_fields(message: Exchanged) -> tuple[Any, ...]:
     return (
         to,
         k,
-        flags >> KIND_BITS,
+        flags >> EPOCH_SHIFT,
         KIND_NAMES[flags & KIND_MASK],
         channel,
         _content(payload),

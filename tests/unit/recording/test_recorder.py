@@ -23,6 +23,7 @@ from crazychoir.recording.mcap.reading import read_header
 from crazychoir.recording.recorder import Recorder
 from crazychoir.runtime.clock import run_virtual, run_wall
 from crazychoir.runtime.supervisor import Supervisor
+from crazychoir.team.message_kind import EPOCH_SHIFT
 from crazychoir.types import (
     FPQR,
     Body,
@@ -187,7 +188,8 @@ def test_each_type_of_a_topic_has_messages_of_its_own(tmp_path):
 
 def test_rounds_are_recorded_under_their_sender(tmp_path):
     async def work(clock, bus):
-        bus.ports[0].send(MESSAGE_TOPICS.rounds, (1,), encode([1, 2]), 5, "sum", 8)
+        flags = 1 << EPOCH_SHIFT
+        bus.ports[0].send(MESSAGE_TOPICS.rounds, (1,), encode([1, 2]), 5, "sum", flags)
 
     path = tmp_path / "a.mcap"
     recorded(path, work)

@@ -27,9 +27,10 @@ from crazychoir.team.algorithm_run import run_algorithm
 from crazychoir.team.channel import ROUND_WINDOW
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph, GraphSequence, metropolis
-from crazychoir.team.message_kind import KIND_BITS, MessageKind
+from crazychoir.team.message_kind import EPOCH_SHIFT, KIND_MASK, MessageKind
 from crazychoir.team.rounds import (
     FAILURE_CHANNEL,
+    LONGEST_UNCHECKED,
     ROUND_LIMITS,
 )
 from crazychoir.types import Failure, PerNeighbor
@@ -239,7 +240,9 @@ def test_a_sender_keeps_messages_that_were_not_yet_requested():
             for k in range(ROUND_WINDOW.kept_rounds + 6):
                 await c.send(k)
             return []
-        c.port.send = lambda *m: send(*m) if m[5] & 7 != MessageKind.CREDIT else None  # type: ignore[method-assign]
+        c.port.send = lambda *m: (
+            send(*m) if m[5] & KIND_MASK != MessageKind.CREDIT else None
+        )  # type: ignore[method-assign]
         await c.port.bus.clock.sleep(0.1)
         return [
             value
@@ -460,7 +463,7 @@ def test_a_ring_of_missing_messages_heals():
         send, after = c.port.send, (c.id + 1) % 3
 
         def lossy(topic: Any, to: tuple[int, ...], *m: Any) -> None:
-            first = m[3] & 7 == MessageKind.DATA and not m[4:]
+            first = m[3] & KIND_MASK == MessageKind.DATA and not m[4:]
             send(topic, tuple(j for j in to if not (first and j == after)), *m)
 
         c.port.send = lossy  # type: ignore[method-assign, assignment]
@@ -563,7 +566,7 @@ def test_a_lost_neighbour(policy):
             PeerLost, match=rf"drone {c.id}: lost drone\(s\) 1"
         ) as caught:
             await c.neighbors_exchange(c.id)
-        assert c.port.bus.clock.now() < 0.31
+        assert c.port.bus.clock.now() < 0.3 + 2e-9 * LONGEST_UNCHECKED
         return caught.value.lost
 
     found = swarm(graphs.ring(4), agent, gone=(1, 3))
@@ -855,7 +858,7 @@ def test_a_flood_of_unknown_messages_takes_no_memory_and_disturbs_no_exchange():
                 b"x",
                 0,
                 "main",
-                n + 1 << KIND_BITS,
+                n + 1 << EPOCH_SHIFT,
                 0.0,
             )
         kept = [len(message[1]) for message in c._early]

@@ -18,7 +18,7 @@ from crazychoir.recording.mcap.messages import (
     make_packer,
     usual_type,
 )
-from crazychoir.team.message_kind import KIND_BITS, MessageKind
+from crazychoir.team.message_kind import EPOCH_SHIFT, MessageKind
 from crazychoir.types import (
     FPQR,
     FRPY,
@@ -199,7 +199,11 @@ def test_any_value_as_json():
 
 def test_message_of_a_round():
     message = Exchanged(
-        4, 7, 2 << KIND_BITS | MessageKind.REPEAT, "sum", encode({"x": np.arange(2.0)})
+        4,
+        7,
+        2 << EPOCH_SHIFT | MessageKind.REPEAT,
+        "sum",
+        encode({"x": np.arange(2.0)}),
     )
     expected = {
         "to": 4,
@@ -210,8 +214,8 @@ def test_message_of_a_round():
         "json": '{"x": [0.0, 1.0]}',
     }
     assert sent(message) == {"header": HEADER, **expected}
-    assert sent(message._replace(payload=b"", flags=7))["json"] == ""
-    assert sent(message._replace(flags=7))["kind"] == "gone"
+    assert sent(message._replace(payload=b"", flags=MessageKind.GONE))["json"] == ""
+    assert sent(message._replace(flags=MessageKind.GONE))["kind"] == "gone"
 
 
 def test_definitions_are_those_of_ros_where_they_bear_its_name():
