@@ -6,7 +6,8 @@ that other load of the machine affects all of them alike. The table shows median
 
 import os
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Final
 
 from rich.table import Table
 from rich.text import Text
@@ -17,6 +18,22 @@ from crazychoir.bench.harness import (
     fill_table,
     measure_in_turns,
 )
+from crazychoir.errors import ConfigError
+
+USUAL_AGENTS: Final = (10, 30)
+"""Numbers of agents without a choice."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExchangeChoice:
+    """The teams to measure; an empty field stands for all of the usual ones."""
+
+    agents: tuple[int, ...] = ()
+    """Numbers of agents."""
+    processes: tuple[int, ...] = ()
+    """Numbers of processes; those above the number of agents are left out."""
+    graphs: tuple[str, ...] = ()
+    """Names of graphs, of BENCH_GRAPHS."""
 
 
 def run(
@@ -24,6 +41,7 @@ def run(
     repeats: int = 3,
     quick: bool = False,
     say: Callable[[str], None] = lambda text: None,
+    choice: ExchangeChoice | None = None,
 ) -> dict[str, Any]:
     """Measure all rows.
 
@@ -31,11 +49,20 @@ def run(
     repeats: number of windows of each row
     quick: rings only, one turn of short windows
     say: called with a text that says what is being measured
+    choice: teams to measure; None: the usual ones
     """
+    choice = choice or ExchangeChoice()
     if quick:
         seconds = min(seconds, 0.5)
         repeats = 1
-    rows = _rows(("ring",) if quick else tuple(BENCH_GRAPHS))
+        choice = replace(choice, graphs=choice.graphs or ("ring",))
+    rows = _rows(choice)
+    if not rows:
+        raise ConfigError(
+            "bench exchange",
+            f"processes {choice.processes}, agents {choice.agents}",
+            "at most as many processes as agents",
+        )
     shown = measure_in_turns(rows, seconds, repeats, say)
     return {
         "rows": shown,
@@ -61,30 +88,28 @@ def table(result: dict[str, Any]) -> Table:
     return made
 
 
-def _rows(graphs: tuple[str, ...]) -> list[ProgramRow]:
+def _rows(choice: ExchangeChoice) -> list[ProgramRow]:
     rows = []
-    cores = os.cpu_count() or 1
-    for graph in graphs:
-        for n in (10, 30):
-            for processes in (1, 2, n):
-                rows.append(
-                    ProgramRow("crazychoir", "crazychoir_peer", graph, n, processes)
-                )
-            for processes in (2, n):
-                rows.append(
-                    ProgramRow(
-                        "cyclonedds",
-                        "cyclonedds_peer",
-                        graph,
-                        n,
-                        processes,
-                        ("cyclonedds",),
-                    )
-                )
-            mpi = ProgramRow("mpi4py-pickle", "mpi4py_peer", graph, n, n, ("mpi4py",))
-            if n > cores:
-                mpi.note = f"MPI polls: it collapses with more ranks ({n}) than cores ({cores})"
-            rows.append(mpi)
+    for graph in choice.graphs or tuple(BENCH_GRAPHS):
+        for n in choice.agents or USUAL_AGENTS:
+            for processes in choice.processes or (1, 2, n):
+                if processes <= n:
+                    rows.extend(_list_programs(graph, n, processes))
+    return rows
+
+
+def _list_programs(graph: str, agents: int, processes: int) -> list[ProgramRow]:
+    """Return a row for each program that can divide these agents among these processes."""
+    team = (graph, agents, processes)
+    rows = [ProgramRow("crazychoir", "crazychoir_peer", *team)]
+    if processes > 1:
+        rows.append(ProgramRow("cyclonedds", "cyclonedds_peer", *team, ("cyclonedds",)))
+    if processes == agents:
+        mpi = ProgramRow("mpi4py-pickle", "mpi4py_peer", *team, ("mpi4py",))
+        cores = os.cpu_count() or 1
+        if agents > cores:
+            mpi.note = f"MPI polls: it collapses with more ranks ({agents}) than cores ({cores})"
+        rows.append(mpi)
     return rows
 
 
@@ -94,20 +119,20 @@ def _ratios(rows: list[dict[str, Any]]) -> dict[str, float]:
         (r["name"], r["graph"], r["agents"], r["processes"]): r["rounds_per_s"]
         for r in rows
     }
-    two = rate[("crazychoir", "ring", 10, 2)]
-    one = rate[("crazychoir", "ring", 30, 1)]
+    two = rate.get(("crazychoir", "ring", 10, 2))
+    one = rate.get(("crazychoir", "ring", 30, 1))
     pairs = {
         "ring 10: crazychoir, two processes / cyclonedds, one an agent": (
             two,
-            rate[("cyclonedds", "ring", 10, 10)],
+            rate.get(("cyclonedds", "ring", 10, 10)),
         ),
         "ring 10: crazychoir, two processes / mpi4py-pickle": (
             two,
-            rate[("mpi4py-pickle", "ring", 10, 10)],
+            rate.get(("mpi4py-pickle", "ring", 10, 10)),
         ),
         "ring 30: crazychoir, one process / one an agent": (
             one,
-            rate[("crazychoir", "ring", 30, 30)],
+            rate.get(("crazychoir", "ring", 30, 30)),
         ),
     }
     return {

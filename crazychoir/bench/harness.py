@@ -71,6 +71,8 @@ class ProgramRow:
     """Rounds a second, one value a window."""
     cpu: list[float] = field(default_factory=list)
     """CPU time of a message, us, one value a window."""
+    resent: list[float] = field(default_factory=list)
+    """Messages that were sent again, a needed message, one value a window."""
 
     @property
     def has_ranks(self) -> bool:
@@ -92,6 +94,8 @@ class ProgramRow:
         shown["cpu_us_per_message"] = (
             round(statistics.median(self.cpu), 2) if self.cpu else None
         )
+        if self.resent:
+            shown["resent_per_message"] = round(statistics.median(self.resent), 3)
         return shown | ({"note": self.note} if self.note else {})
 
 
@@ -154,6 +158,8 @@ def measure(row: ProgramRow, seconds: float) -> None:
     messages = sum(one["messages_per_s"] for one in found)
     if messages:
         row.cpu.append(1e6 * sum(one["cores"] for one in found) / messages)
+        if all("resent_per_s" in one for one in found):
+            row.resent.append(sum(one["resent_per_s"] for one in found) / messages)
 
 
 def ask_peers(
@@ -208,6 +214,7 @@ def fill_table(
         "processes",
         "rounds/s",
         "CPU us/message",
+        "resent",
     ):
         is_text = name in (first_column, "program")
         made.add_column(name, justify="left" if is_text else "right")
@@ -222,6 +229,7 @@ def fill_table(
             row["name"],
             str(row["processes"]),
             *figures,
+            f"{row['resent_per_message']:.1%}" if "resent_per_message" in row else "-",
         )
     return dict.fromkeys(
         f"{row['name']}: {row['note']}" for row in rows if "note" in row

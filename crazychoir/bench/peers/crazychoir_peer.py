@@ -43,13 +43,14 @@ async def start(
     team: Graph,
     spec: dict[str, Any],
     rounds: dict[int, int],
+    members: list[Communicator],
 ) -> None:
     """Find the other processes, report ready, and wait for go; then start to count `rounds`."""
     if spec["connect"]:
         await join_others(group, bus, team, spec)
     say({"ready": True})
     await asyncio.to_thread(wait_for_go)
-    report(rounds, spec)
+    report(rounds, spec, lambda: sum(c.port.counters.resent for c in members))
 
 
 async def main(clock: Clock) -> None:
@@ -60,7 +61,7 @@ async def main(clock: Clock) -> None:
     members = [Communicator(bus.port(i), team) for i in spec["mine"]]
     rounds = dict.fromkeys(spec["mine"], 0)
     async with asyncio.TaskGroup() as group:
-        await start(group, bus, team, spec, rounds)
+        await start(group, bus, team, spec, rounds, members)
         for member in members:
             group.create_task(exchange_forever(member, rounds))
 

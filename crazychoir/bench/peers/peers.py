@@ -9,6 +9,7 @@ import os
 import sys
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 PROGRAM_TIME_LIMIT = 150.0
@@ -51,18 +52,30 @@ def end_with_parent() -> None:
     ).start()
 
 
-def report(rounds: dict[int, int], spec: dict[str, Any]) -> None:
+def report(
+    rounds: dict[int, int],
+    spec: dict[str, Any],
+    count_resent: Callable[[], int] | None = None,
+) -> None:
     """Start a thread that waits `warm` s, then counts rounds and CPU for `seconds` s.
 
     It prints the result.
+    count_resent: returns how many messages were sent again since the start; None if nothing counts them
     """
-    thread = threading.Thread(target=_report, args=(rounds, spec), daemon=True)
+    thread = threading.Thread(
+        target=_report, args=(rounds, spec, count_resent), daemon=True
+    )
     thread.start()
 
 
-def _report(rounds: dict[int, int], spec: dict[str, Any]) -> None:
+def _report(
+    rounds: dict[int, int],
+    spec: dict[str, Any],
+    count_resent: Callable[[], int] | None,
+) -> None:
     time.sleep(spec["warm"])
     before = dict(rounds)
+    resent = count_resent() if count_resent else 0
     cpu = time.process_time()
     began = time.perf_counter()
     time.sleep(spec["seconds"])
@@ -71,10 +84,11 @@ def _report(rounds: dict[int, int], spec: dict[str, Any]) -> None:
     elapsed = time.perf_counter() - began
     done = {i: after[i] - before[i] for i in rounds}
     messages = sum(done[i] * len(spec["neighbors"][i]) for i in rounds)
-    say(
-        {
-            "rounds_per_s": min(done.values()) / elapsed,
-            "messages_per_s": messages / elapsed,
-            "cores": used / elapsed,
-        }
-    )
+    answer = {
+        "rounds_per_s": min(done.values()) / elapsed,
+        "messages_per_s": messages / elapsed,
+        "cores": used / elapsed,
+    }
+    if count_resent:
+        answer["resent_per_s"] = (count_resent() - resent) / elapsed
+    say(answer)

@@ -36,15 +36,46 @@ QuickOption = Annotated[
     ),
 ]
 Say = Callable[[str], None]
+ExchangeGraph = Literal["ring", "4-regular"]
+"""Names of the graphs of BENCH_GRAPHS."""
 
 
 @app.command()
-def exchange(as_json: JsonOption = False, quick: QuickOption = False) -> None:
-    """Measure rounds a second of the exchange between neighbours, beside CycloneDDS and MPI."""
+def exchange(
+    as_json: JsonOption = False,
+    quick: QuickOption = False,
+    agents: Annotated[
+        list[int] | None,
+        options.whole(
+            "Number of agents; several times for several rows. Without it: 10 and 30.",
+            least=2,
+            most=options.OPTION_LIMITS.drones,
+        ),
+    ] = None,
+    processes: Annotated[
+        list[int] | None,
+        options.whole(
+            "Number of processes of a host; several times for several rows. "
+            "Without it: 1, 2, and one an agent.",
+        ),
+    ] = None,
+    graph: Annotated[
+        ExchangeGraph | None,
+        typer.Option(help="Graph of the team. Without it: both."),
+    ] = None,
+) -> None:
+    """Measure rounds a second of the exchange between neighbours, beside CycloneDDS and MPI.
+
+    Also shows the processor's time of a message, and the share of messages that were
+    sent again.
+    """
     from crazychoir.bench import exchange as bench_exchange
 
+    choice = bench_exchange.ExchangeChoice(
+        tuple(agents or ()), tuple(processes or ()), (graph,) if graph else ()
+    )
     _show(
-        lambda say: bench_exchange.run(quick=quick, say=say),
+        lambda say: bench_exchange.run(quick=quick, say=say, choice=choice),
         bench_exchange.table,
         as_json,
     )
