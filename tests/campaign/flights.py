@@ -1,6 +1,7 @@
 """Scenarios in flight: missions over a bad network with crashes, partitions and cameras that do not see."""
 
 import asyncio
+import math
 from itertools import combinations
 from typing import Any
 
@@ -78,6 +79,8 @@ class Invariants(Actor):
         self.served: dict[tuple[int, str], float] = {}
         """{(task, kind): s, when its drone noted that it has done this}."""
         self._said: dict[Any, None] = {}
+        self._low = agent.config.fence.min
+        self._high = agent.config.fence.max
 
     async def run(self) -> None:
         """Check the drones a hundred times a second."""
@@ -87,10 +90,11 @@ class Invariants(Actor):
     def look(self, now: float) -> None:
         """Check the drones at one step."""
         agent = self.agent
-        p = {
-            i: agent.owner_of[i].world.states[agent.owner_of[i].world.row[i], 0:3]
-            for i in agent.ids
-        }
+        # Plain floats: most steps find nothing wrong, and arrays of so few drones are slow.
+        p: dict[int, list[float]] = {}
+        for owner in agent.owners:
+            places = owner.world.states[:, 0:3].tolist()
+            p.update(zip(owner.world.ids, places, strict=True))
         # A drone that falls may hit others.
         up = [i for i in agent.ids if p[i][2] > LOW and i not in self.killed]
         if up and self.began == np.inf:
@@ -98,7 +102,7 @@ class Invariants(Actor):
         if now - self.began > self.until:
             self._end(now)
         for i in agent.ids:
-            if not np.isfinite(p[i]).all():
+            if not all(map(math.isfinite, p[i])):
                 self._wrong(("nowhere", i), f"drone {i} is at {p[i]} at {now:.2f} s")
         for i in agent.ids:
             if agent.drones[i].result:
@@ -137,18 +141,20 @@ class Invariants(Actor):
             )
         self.agent.land_all("the scenario is over")
 
-    def _check_fence(self, i: int, p: Any, unseen: float, now: float) -> None:
+    def _check_fence(self, i: int, p: list[float], unseen: float, now: float) -> None:
         """Check that drone i at p, (3,) m, is inside the fence, or its motors are cut; unseen: s without a pose."""
-        agent = self.agent
-        low = np.array(agent.config.fence.min)
-        high = np.array(agent.config.fence.max)
-        beyond = float(np.max(np.maximum(low - p, p - high)))
+        x, y, z = p
+        low_x, low_y, low_z = self._low
+        high_x, high_y, high_z = self._high
+        beyond = max(
+            low_x - x, x - high_x, low_y - y, y - high_y, low_z - z, z - high_z
+        )
         if unseen > BLIND:
             self.blind[i] = (now, unseen)
         when, gap = self.blind.get(i, (-np.inf, 0.0))
         drift = BRAKING_DRIFT if i == self.runaway else DRIFT
         allowed = OUTSIDE + (0.5 * drift * gap**2 if now - when < BACK else 0.0)
-        if beyond > allowed and agent.drones[i].pilot.mode is not Mode.CUT:
+        if beyond > allowed and self.agent.drones[i].pilot.mode is not Mode.CUT:
             self._wrong(
                 ("fence", i),
                 f"drone {i} is {beyond:.2f} m outside the fence at {now:.2f} s, motors on",
@@ -156,17 +162,18 @@ class Invariants(Actor):
 
     def _check_unseen(self, i: int, unseen: float, now: float) -> None:
         """Check that drone i lands, or its motors are cut, after this many s without a pose."""
-        mode = self.agent.drones[i].pilot.mode
-        if unseen > UNSEEN and mode not in (Mode.LAND, Mode.CUT):
+        if unseen <= UNSEEN:
+            return
+        if self.agent.drones[i].pilot.mode not in (Mode.LAND, Mode.CUT):
             self._wrong(
                 ("unseen", i),
                 f"drone {i} flies on unseen for {unseen:.2f} s at {now:.2f} s",
             )
 
-    def _check_distances(self, p: dict[int, Any], now: float) -> None:
+    def _check_distances(self, p: dict[int, list[float]], now: float) -> None:
         """Check that no two of these drones, each with its place in m, touch."""
         for i, j in combinations(p, 2):
-            apart = float(np.linalg.norm(p[i] - p[j]))
+            apart = math.dist(p[i], p[j])
             if apart < SWARM_LIMITS.touching_distance:
                 self._wrong(
                     ("near", i, j),
@@ -206,11 +213,11 @@ def _cover(
         if frame is None:
             return None
         now = owner.bus.clock.now()
-        hidden = {i for i, since, until in gaps if since <= now < until}
-        for row, i in enumerate(owner.world.ids):
-            if i in hidden:
-                frame.seen[row] = False
-            elif frame.seen[row]:
+        for i, since, until in gaps:
+            if since <= now < until and i in owner.world.row:
+                frame.seen[owner.world.row[i]] = False
+        for i, is_seen in zip(owner.world.ids, frame.seen.tolist(), strict=True):
+            if is_seen:
                 watch.seen[i] = now
         return frame
 
