@@ -143,5 +143,5 @@ class SimulatedMocap:
         self._key[1] = tick
         self._bits.state = self._beginning
         drawn: Mat = self._stream.standard_normal((self._drawn_rows, 7))
-        mine: Mat = drawn[self._rows]
+        mine: Mat = drawn.take(self._rows, axis=0)
         return mine
