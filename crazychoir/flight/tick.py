@@ -30,7 +30,7 @@ from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.airspace.airspace import Airspace
 from crazychoir.safety.airspace.airspace_frames import AirspaceFrames
 from crazychoir.safety.collision.avoidance import make_nearest, make_planes
-from crazychoir.types import Ints, Pose
+from crazychoir.types import Pose
 
 COUNT_INTERVAL_NS = NS_PER_SECOND
 """ns between two counts of the states that are sent."""
@@ -170,7 +170,8 @@ class FlightTick:
         """Let the drones tick that have had no tick for one and a half periods."""
         n = self.batch.count
         since = self.clock.now_ns() - self.batch.drones["ticked_ns"][:n]
-        for index in np.flatnonzero(since > self._patience_ns[:n]).tolist():
+        (late,) = (since > self._patience_ns[:n]).nonzero()
+        for index in late.tolist():
             if self.batch.drones["is_running"][index]:
                 self.see(index, None)
 
@@ -234,23 +235,24 @@ class FlightTick:
         for index in self._found[:count].tolist():
             self._call(index, self._drones[index].judge, now)
 
-    def _hear(self, now: float) -> Ints:
+    def _hear(self, now: float) -> list[int]:
         """Let the drones hear each other's states; return the places of the drones that must ask."""
         airspace = self.airspace
         if airspace is None:
-            return np.zeros(0, np.int64)
+            return []
         drones = self.batch.drones
         publish_drones(drones, airspace.states, airspace.times, airspace.numbers, now)
         if self.frames is not None:
             self.frames.hear()
-        seekers = airspace.step()
+        seekers = set(airspace.step())
         if self.frames is not None:
             self.frames.send()
-        if len(seekers) == 0:
-            return seekers
-        return np.flatnonzero(np.isin(drones["listener"], seekers))
+        if not seekers:
+            return []
+        listeners = drones["listener"].tolist()
+        return [index for index, one in enumerate(listeners) if one in seekers]
 
-    def _avoid(self, seekers: Ints, now: float) -> None:
+    def _avoid(self, seekers: list[int], now: float) -> None:
         """Keep the drones clear of each other.
 
         seekers: places of the drones that must ask others for states
@@ -260,7 +262,7 @@ class FlightTick:
             return
         batch = self.batch
         drones = batch.drones
-        for index in seekers.tolist():
+        for index in seekers:
             is_flying = drones["course"][index] == Course.FOLLOW
             if drones["is_running"][index] and is_flying:
                 self._call(index, self._drones[index].seek)
@@ -305,9 +307,12 @@ class FlightTick:
 
     def _find_read(self, topic: Topic) -> list[int]:
         """Return the places of the drones that tick and have a reader of this topic."""
+        addresses = self._bus.find_read_addresses(topic)
+        if not addresses:
+            return []
         ticks = self.batch.drones["ticks"]
         places = self.batch.places
-        found = [places.get(i, -1) for i in self._bus.find_read_addresses(topic)]
+        found = [places.get(i, -1) for i in addresses]
         return [index for index in found if index >= 0 and ticks[index]]
 
     def _count_messages(self, now_ns: int) -> None:

@@ -77,7 +77,8 @@ class Team:
     @property
     def steps(self) -> Ints:
         """Rows of the laws that step in this tick."""
-        return np.flatnonzero(self.rows["decision"] == LawDecision.STEP)
+        found: Ints = (self.rows["decision"] == LawDecision.STEP).nonzero()[0]
+        return found
 
     @property
     def receivers(self) -> Ints:

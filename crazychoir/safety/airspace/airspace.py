@@ -164,7 +164,7 @@ class Airspace:
         bits: Ints = self.near.listeners["frame_due"]
         return bits
 
-    def step(self) -> Ints:
+    def step(self) -> list[int]:
         """Let all drones of this process hear what is due, then check the distances.
 
         Returns the numbers of the own drones that should ask others for states.
@@ -175,7 +175,7 @@ class Airspace:
         self.links.refresh(now_ns / NS_PER_SECOND)
         self.rules["has_late"] = self.links.has_late
         if self.links.has_late:
-            self._late.make_room(int(self.near.listeners["pair_count"].sum()))
+            self._late.make_room(len(self.near.pairs))
         take_states(
             self.swarm,
             self.own_places,
@@ -208,7 +208,9 @@ class Airspace:
         self._check_all(now_ns)
         self._trace(now_ns)
         was_checked = checks != self.near.listeners["check_count"]
-        return np.flatnonzero(was_checked & (self.near.listeners["sought_count"] > 0))
+        must_ask = was_checked & (self.near.listeners["sought_count"] > 0)
+        found: list[int] = must_ask.nonzero()[0].tolist()
+        return found
 
     def _check_all(self, now_ns: int) -> None:
         """Check the distances of all own drones that are due."""
