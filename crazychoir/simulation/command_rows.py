@@ -42,7 +42,8 @@ class CommandRows:
         """(n, 4): newest command of each drone, laid out as its `flat`."""
         self.is_new: Ints = np.zeros(n, np.int64)
         """(n,): 1 for a command that was written since the last step."""
-        self._world = world
+        # It is one where it has `kinds`; elsewhere it is not asked to take rows.
+        self._world = cast(RowWorld, world)
         self.delay = delay
         """Steps by which commands are late."""
         self._step = 0
@@ -75,12 +76,12 @@ class CommandRows:
             other.link.send(other.command)
         size = len(self._slots)
         inputs, is_new = self._slots[self._step % size]
-        np.copyto(inputs, self.inputs)
-        np.copyto(is_new, self.is_new)
+        inputs[:] = self.inputs
+        is_new[:] = self.is_new
         self.is_new.fill(0)
         self._step += 1
         inputs, is_new = self._slots[self._step % size]
-        cast(RowWorld, self._world).take_commands(inputs, is_new)
+        self._world.take_commands(inputs, is_new)
         is_new.fill(0)
 
 
