@@ -6,6 +6,7 @@ DroneRow.
 """
 
 from enum import IntEnum
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -40,6 +41,11 @@ class FlightReferenceKind(IntEnum):
     """`reference[3:6]` and the yaw in `reference[12]`."""
     FULL_STATE = 3
     """All of `reference`, as FullState.flat."""
+
+
+# In Python 3.11 the access to a member of an enum costs more than the comparison.
+NO_REFERENCE: Final = int(FlightReferenceKind.NONE)
+"""`FlightReferenceKind.NONE` as a plain int."""
 
 
 class Course(IntEnum):
@@ -244,6 +250,11 @@ class DroneRow:
         state = self.state
         assert state is not None  # noqa: S101 - callers have looked
         return state
+
+    @property
+    def has_reference(self) -> bool:
+        """Whether the drone follows a reference; False while it flies its plan."""
+        return bool(self.drone["reference_kind"] != NO_REFERENCE)
 
     @property
     def reference(self) -> Reference | None:

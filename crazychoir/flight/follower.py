@@ -224,7 +224,7 @@ class FlightFollower:
         asked = (*place, wanted.yaw, wanted.duration)
         plan = self.flights.plan
         has_begun = (
-            self._row.reference is None and plan is self._goto_plan and plan is not None
+            not self._row.has_reference and plan is self._goto_plan and plan is not None
         )
         if has_begun and asked == self._goto:
             return
@@ -241,7 +241,7 @@ class FlightFollower:
         # Called in each step, it would begin anew each time, and never come to rest.
         stops = self.flights.plan is self._stops
         is_moving = self.flights.remaining(now) > 0.0
-        if self._row.reference is not None or (is_moving and not stops):
+        if self._row.has_reference or (is_moving and not stops):
             self.brake(now)
         self._row.set_reference(None)
         self._permission.change(ModeEvent.HOLD)
@@ -291,7 +291,7 @@ class FlightFollower:
         return (
             row.mode is FOLLOW_MODE
             and row.obeyed is Action.NOMINAL
-            and row.reference is not None
+            and row.has_reference
         )
 
     def prepare(self, state: State, now: float) -> None:
@@ -319,7 +319,7 @@ class FlightFollower:
             self._come_back(state, now)
         if (
             row.mode in (TAKEOFF_MODE, FOLLOW_MODE)
-            and row.reference is None
+            and not row.has_reference
             and flights.done(now)
         ):
             self._permission.change(ModeEvent.ARRIVED)

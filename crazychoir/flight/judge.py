@@ -136,7 +136,7 @@ class Judge:
     def _check(self, state: State, now: float) -> SafetyVerdict:
         """Return the verdict of the safety table."""
         row = self._row
-        if row.reference is None:
+        if not row.has_reference:
             is_low = row.mode in LOW_MODES
             return self._guard.check(now, state, state.age, None, is_low)
         age_ns = int(row.drone["ticked_ns"]) - int(row.drone["reference_ns"])

@@ -11,7 +11,13 @@ from crazychoir.numerics.kernels import Record
 from crazychoir.numerics.math3d import STANDARD_GRAVITY, yaw_of
 from crazychoir.planning.landing import FlightLegs, Landing
 from crazychoir.planning.piecewise import Piecewise
-from crazychoir.planning.plan_row import PLAN_ROW, PlanKind, clear_plan, load_pieces
+from crazychoir.planning.plan_row import (
+    NO_PLAN,
+    PLAN_ROW,
+    PlanKind,
+    clear_plan,
+    load_pieces,
+)
 from crazychoir.planning.point_to_point import (
     PEAK_SPEED,
     PointToPoint,
@@ -80,7 +86,7 @@ class PointFlights:
     @property
     def plan(self) -> Trajectory | None:
         """The plan; None without one."""
-        return self._plan if self._row["kind"] != PlanKind.NONE else None
+        return self._plan if self._row["kind"] != NO_PLAN else None
 
     @property
     def start(self) -> float:

@@ -1,6 +1,7 @@
 """The plan of a drone as a record that compiled code samples."""
 
 from enum import IntEnum
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +27,10 @@ class PlanKind(IntEnum):
     BY_HAND = 2
     """By the trajectory of a user: the pilot writes `sampled` in each tick."""
 
+
+# In Python 3.11 the access to a member of an enum costs more than the comparison.
+NO_PLAN: Final = int(PlanKind.NONE)
+"""`PlanKind.NONE` as a plain int."""
 
 PLAN_ROW = np.dtype(
     [
