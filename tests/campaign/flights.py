@@ -243,7 +243,7 @@ def runaway(agent: Agent, report: Report, draw: Draw) -> int | None:
         row = pilot.row
         # What the law has not given in this tick becomes stale as ever.
         has_stepped = row.drone["reference_ns"] == now_ns
-        if pilot.clock.now() < since or pilot.state is None or not has_stepped:
+        if not has_stepped or pilot.clock.now() < since or pilot.state is None:
             return
         match row.reference:
             case Acceleration():
