@@ -47,6 +47,22 @@ class PointToPoint(Polynomial7th):
         super().__init__(start, FullState(rest), duration)
 
 
+def compute_rest_to_rest_time(distance: float, v_max: float, a_max: float) -> float:
+    """Return the shortest flight time in s from rest to rest within the limits, without a turn.
+
+    It is max(35/16 d / v_max, sqrt(84 sqrt(5) / 25 d / a_max)) for the distance d.
+
+    distance: m
+    v_max: m/s
+    a_max: m/s2
+    """
+    straight = max(
+        PEAK_SPEED * distance / v_max,
+        math.sqrt(PEAK_ACCELERATION * distance / a_max),
+    )
+    return max(straight, SHORTEST_FLIGHT)
+
+
 def compute_flight_time(
     start: FullState,
     goal: Vec,
@@ -57,9 +73,9 @@ def compute_flight_time(
 ) -> float:
     """Return the shortest flight time in s within the limits, to 5 %.
 
-    From rest to rest T = max(35/16 d / v_max, sqrt(84 sqrt(5) / 25 d / a_max)), or the time of the
-    turn if this is longer. While flying, it is the first T of a growing series with a flight within
-    the limits; a start that is itself too fast counts as its own limit.
+    From rest to rest `compute_rest_to_rest_time` gives it, or the time of the turn if this is
+    longer. While flying, it is the first T of a growing series with a flight within the limits; a
+    start that is itself too fast counts as its own limit.
 
     start: the state at the beginning
     goal: (3,) m world
@@ -70,8 +86,8 @@ def compute_flight_time(
     """
     d = math.dist(goal, start.p)
     turn = abs(wrap_angle(yaw - start.yaw))
-    straight = max(PEAK_SPEED * d / v_max, math.sqrt(PEAK_ACCELERATION * d / a_max))
-    at_rest = max(straight, PEAK_SPEED * turn / yaw_rate_max, SHORTEST_FLIGHT)
+    straight = compute_rest_to_rest_time(d, v_max, a_max)
+    at_rest = max(straight, PEAK_SPEED * turn / yaw_rate_max)
     speed = math.hypot(*start.v)
     acceleration = math.hypot(*start.a)
     if speed + acceleration + abs(start.flat[13]) < 1e-9:

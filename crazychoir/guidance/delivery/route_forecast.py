@@ -1,14 +1,15 @@
 """The forecast of one robot: where its stops are, and when it will have served them."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from crazychoir.config.tables import FlightTable
 from crazychoir.guidance.delivery.commitments import Commitments
-from crazychoir.planning.point_to_point import compute_flight_time
+from crazychoir.planning.point_to_point import compute_rest_to_rest_time
 from crazychoir.routing.instance.plan import Stop
-from crazychoir.types import FullState, Vec
+from crazychoir.types import Vec
 
 
 class RouteForecast:
@@ -92,8 +93,6 @@ class RouteForecast:
 
     def _leg(self, a: Vec, b: Vec) -> float:
         """Return the s of a flight from a place to another, (2,) m each."""
-        start = FullState.at(np.array([*a, 0.0]))
-        goal = np.array([*b, 0.0])
-        return compute_flight_time(
-            start, goal, 0.0, self.flight.speed_limit, self.flight.acceleration_limit
+        return compute_rest_to_rest_time(
+            math.dist(a, b), self.flight.speed_limit, self.flight.acceleration_limit
         )
