@@ -200,19 +200,21 @@ class TaskBook:
 
     def alive(self, members: Collection[int]) -> dict[int, Record]:
         """Return the records of the members that still fly, by robot."""
-        found = {i: self.newest(i) for i in sorted(members)}
-        return {
-            i: record
-            for i, record in found.items()
-            if record is not None and not record.out
-        }
+        found: dict[int, Record] = {}
+        for i in sorted(members):
+            record = self._newest.get(i)
+            if record is not None and not record.out:
+                found[i] = record
+        return found
 
     def out(self, members: Collection[int]) -> tuple[int, ...]:
         """Return the members that have said that they fly no more."""
-        found = {i: self.newest(i) for i in sorted(members)}
-        return tuple(
-            i for i, record in found.items() if record is not None and record.out
-        )
+        found: list[int] = []
+        for i in sorted(members):
+            record = self._newest.get(i)
+            if record is not None and record.out:
+                found.append(i)
+        return tuple(found)
 
     def witnesses(
         self, i: int, incarnation: int, number: int, members: Collection[int]
