@@ -190,7 +190,9 @@ def find_call_from(
     **kwargs: Any,
 ) -> Coroutine[Any, Any, R]:
     """Return the call of a coroutine function, made in this line of this file for this guidance."""
-    calls: UnawaitedCalls = guidance.__dict__.setdefault("_unawaited", UnawaitedCalls())
+    calls: UnawaitedCalls | None = guidance.__dict__.get("_unawaited")
+    if calls is None:
+        calls = guidance.__dict__["_unawaited"] = UnawaitedCalls()
     return GuidanceCall(
         function(*args, **kwargs), function.__name__, f"{file}:{line}", calls
     )
