@@ -172,8 +172,8 @@ class Airspace:
         now_ns = self.bus.clock.now_ns()
         if self.rules["began_ns"][0] < 0:
             self.rules["began_ns"] = now_ns
-        self.links.refresh(now_ns / NS_PER_SECOND)
-        self.rules["has_late"] = self.links.has_late
+        if self.links.refresh(now_ns / NS_PER_SECOND):
+            self.rules["has_late"] = self.links.has_late
         if self.links.has_late:
             self._late.make_room(len(self.near.pairs))
         take_states(

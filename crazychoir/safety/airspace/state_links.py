@@ -41,7 +41,7 @@ class StateLinks:
         self._sources = sources
         self._ends = np.cumsum([len(ids) for _, ids in sources])
         self._version = 0
-        self._cuts: tuple[bool, ...] = ()
+        self._cuts: list[bool] = []
         self._kind_of_effects: dict[EdgeEffects, int] = {}
         impairment.count_sources.append(self.count)
 
@@ -50,22 +50,24 @@ class StateLinks:
         self.count()
         self._impairment.count_sources.remove(self.count)
 
-    def refresh(self, now: float) -> None:
+    def refresh(self, now: float) -> bool:
         """Write the links anew if the network has changed, or a partition has begun or ended.
 
         now: s
+        Returns whether they were written.
         """
         network = self._impairment
         if not network.active and len(self.rows) == 0:
-            return
+            return False
         age = now - network.began
-        cuts = tuple(cut.since <= age < cut.until for cut in network.partitions)
+        cuts = [cut.since <= age < cut.until for cut in network.partitions]
         if network.version == self._version and cuts == self._cuts:
-            return
+            return False
         self.count()
         self._version = network.version
         self._cuts = cuts
         self._write()
+        return True
 
     def _write(self) -> None:
         """Write the kinds, keys and thresholds of all links."""
