@@ -204,42 +204,45 @@ class Airspace:
         )
         if waiting:
             self._judge_by_hand(now_ns)
-        checks = self.near.listeners["check_count"].copy()
-        self._check_all(now_ns)
+        seekers = self._check_due(now_ns)
         self._trace(now_ns)
-        was_checked = checks != self.near.listeners["check_count"]
-        must_ask = was_checked & (self.near.listeners["sought_count"] > 0)
-        found: list[int] = must_ask.nonzero()[0].tolist()
-        return found
+        return seekers
+
+    def _check_due(self, now_ns: int) -> list[int]:
+        """Check the own drones that are due; return the drones that should ask others for states."""
+        listeners = self.near.listeners
+        due = self.near.find_due(now_ns)
+        if len(due) == 0:
+            return []
+        counts = listeners["check_count"][due]
+        self._check_all(now_ns)
+        was_checked = counts != listeners["check_count"][due]
+        must_ask = was_checked & (listeners["sought_count"][due] > 0)
+        return list(due[must_ask].tolist())
 
     def _check_all(self, now_ns: int) -> None:
         """Check the distances of all own drones that are due."""
-        while self._check(now_ns) > 0:
+        while check_distances(
+            self.near.listeners,
+            self.near.pairs,
+            self.near.motions,
+            self.near.paces,
+            self.near.dues,
+            self.near.told,
+            self.swarm,
+            self.far.rounds,
+            self.far.known,
+            self.far.missed,
+            self.links.kinds,
+            self.rules,
+            self.far.grid,
+            self.far.begins,
+            self.far.order,
+            self.far.work,
+            now_ns,
+        ):
+            # Some drones lack room for their pairs, and have not been checked.
             self.near.make_room()
-
-    def _check(self, now_ns: int) -> int:
-        """Check the distances, and return the number of drones without room for their pairs."""
-        return int(
-            check_distances(
-                self.near.listeners,
-                self.near.pairs,
-                self.near.motions,
-                self.near.paces,
-                self.near.dues,
-                self.near.told,
-                self.swarm,
-                self.far.rounds,
-                self.far.known,
-                self.far.missed,
-                self.links.kinds,
-                self.rules,
-                self.far.grid,
-                self.far.begins,
-                self.far.order,
-                self.far.work,
-                now_ns,
-            )
-        )
 
     def _trace(self, now_ns: int) -> None:
         """Trace what the own drones know of near drones, as often as the distances are checked."""
