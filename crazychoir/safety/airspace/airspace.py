@@ -210,15 +210,14 @@ class Airspace:
 
     def _check_due(self, now_ns: int) -> list[int]:
         """Check the own drones that are due; return the drones that should ask others for states."""
-        listeners = self.near.listeners
-        due = self.near.find_due(now_ns)
-        if len(due) == 0:
+        if not self.near.has_due(now_ns):
             return []
-        counts = listeners["check_count"][due]
+        listeners = self.near.listeners
+        counts = listeners["check_count"].copy()
         self._check_all(now_ns)
-        was_checked = counts != listeners["check_count"][due]
-        must_ask = was_checked & (listeners["sought_count"][due] > 0)
-        return list(due[must_ask].tolist())
+        was_checked = counts != listeners["check_count"]
+        must_ask = was_checked & (listeners["sought_count"] > 0)
+        return list(must_ask.nonzero()[0].tolist())
 
     def _check_all(self, now_ns: int) -> None:
         """Check the distances of all own drones that are due."""

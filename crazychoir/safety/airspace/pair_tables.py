@@ -68,10 +68,10 @@ class PairTables:
         self.paces = _move_rows(self.paces, source, target, size)
         self.dues = _move_rows(self.dues, source, target, size)
 
-    def find_due(self, now_ns: int) -> Ints:
-        """Return the numbers of the drones that may be due for a check of their distances."""
-        due: Ints = (self.listeners["check_ns"] <= now_ns).nonzero()[0]
-        return due
+    def has_due(self, now_ns: int) -> bool:
+        """Return whether a drone may be due for a check of its distances."""
+        # Of few numbers Python finds the least sooner than numpy.
+        return min(self.listeners["check_ns"].tolist(), default=now_ns) <= now_ns
 
     def rows_of(self, listener: int) -> slice:
         """Return where the pairs of a drone are; valid until the next step.
