@@ -230,6 +230,26 @@ def _count_fence_tick(drone: Record, plan: Record, now: float) -> None:
         drone.fence_ticks += 1 if is_plan_over(plan, now) else 0
 
 
+@kernel(rows_of(DRONE_ROW), wholes, whole, wholes, **NO_COUNTING)
+def find_late_rows(
+    drones: DroneRows, patience_ns: Ints, now_ns: int, found: Ints
+) -> int:
+    """Find the running drones that have had no tick for longer than their patience.
+
+    patience_ns: (n,) ns, of each drone
+    now_ns: ns
+    found: (n,): receives their rows
+    Returns how many these are.
+    """
+    count = 0
+    for k in range(drones.shape[0]):
+        drone = drones[k]
+        if drone.is_running > 0 and now_ns - drone.ticked_ns > patience_ns[k]:
+            found[count] = k
+            count += 1
+    return count
+
+
 @kernel(
     rows_of(DRONE_ROW),
     rows_of(PLAN_ROW),

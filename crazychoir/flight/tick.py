@@ -21,6 +21,7 @@ from crazychoir.flight.stages import (
     avoid_drones,
     control_drones,
     estimate_drones,
+    find_late_rows,
     find_rows_to_judge,
     follow_rows,
     publish_drones,
@@ -168,12 +169,12 @@ class FlightTick:
 
     def tick_late_drones(self) -> None:
         """Let the drones tick that have had no tick for one and a half periods."""
-        n = self.batch.count
-        since = self.clock.now_ns() - self.batch.drones["ticked_ns"][:n]
-        (late,) = (since > self._patience_ns[:n]).nonzero()
-        for index in late.tolist():
-            if self.batch.drones["is_running"][index]:
-                self.see(index, None)
+        now_ns = self.clock.now_ns()
+        count = find_late_rows(
+            self.batch.drones, self._patience_ns, now_ns, self._found
+        )
+        for index in self._found[:count].tolist():
+            self.see(index, None)
 
     def run(self) -> None:
         """Do all stages of the tick for the drones that are due."""
