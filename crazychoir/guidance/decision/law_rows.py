@@ -2,7 +2,7 @@
 
 import math
 from enum import IntEnum
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -46,6 +46,11 @@ class LawDecision(IntEnum):
     """It steps."""
     END = 2
     """It ends, because the pilot does something else."""
+
+
+# In Python 3.11 the access to a member of an enum costs more than the comparison.
+STEP_DECISION: Final = int(LawDecision.STEP)
+"""`LawDecision.STEP` as a plain int."""
 
 
 class ReferenceKind(IntEnum):

@@ -11,7 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.guidance.decision.hearing_rows import HEARING_ROW
-from crazychoir.guidance.decision.law_rows import LAW_ROW, LawDecision, ReferenceKind
+from crazychoir.guidance.decision.law_rows import (
+    LAW_ROW,
+    STEP_DECISION,
+    LawDecision,
+    ReferenceKind,
+)
 from crazychoir.runtime.clock import Clock
 from crazychoir.types import (
     Acceleration,
@@ -77,7 +82,7 @@ class Team:
     @property
     def steps(self) -> Ints:
         """Rows of the laws that step in this tick."""
-        found: Ints = (self.rows["decision"] == LawDecision.STEP).nonzero()[0]
+        found: Ints = (self.rows["decision"] == STEP_DECISION).nonzero()[0]
         return found
 
     @property
