@@ -103,7 +103,8 @@ class Invariants(Actor):
             self._end(now)
         for i in agent.ids:
             if not all(map(math.isfinite, p[i])):
-                self._wrong(("nowhere", i), f"drone {i} is at {p[i]} at {now:.2f} s")
+                place = np.array(p[i])
+                self._wrong(("nowhere", i), f"drone {i} is at {place} at {now:.2f} s")
         for i in agent.ids:
             if agent.drones[i].result:
                 self.ended.setdefault(i, now)
