@@ -91,8 +91,8 @@ def table(result: dict[str, Any]) -> Table:
 def _rows(choice: ExchangeChoice) -> list[ProgramRow]:
     rows = []
     for graph in choice.graphs or tuple(BENCH_GRAPHS):
-        for n in choice.agents or USUAL_AGENTS:
-            for processes in choice.processes or (1, 2, n):
+        for n in dict.fromkeys(choice.agents or USUAL_AGENTS):
+            for processes in dict.fromkeys(choice.processes or (1, 2, n)):
                 if processes <= n:
                     rows.extend(_list_programs(graph, n, processes))
     return rows

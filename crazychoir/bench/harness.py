@@ -207,15 +207,17 @@ def fill_table(
 
     first_column: key of the rows that the first column shows
     """
-    for name in (
+    counts_resent = any("resent_per_message" in row for row in rows)
+    columns = [
         first_column,
         "agents",
         "program",
         "processes",
         "rounds/s",
         "CPU us/message",
-        "resent",
-    ):
+        *(["resent"] if counts_resent else []),
+    ]
+    for name in columns:
         is_text = name in (first_column, "program")
         made.add_column(name, justify="left" if is_text else "right")
     for row in rows:
@@ -223,13 +225,15 @@ def fill_table(
             "-" if figure is None else f"{figure:,.1f}"
             for figure in (row["rounds_per_s"], row["cpu_us_per_message"])
         ]
+        if counts_resent:
+            resent = row.get("resent_per_message")
+            figures.append("-" if resent is None else f"{resent:.1%}")
         made.add_row(
             row[first_column],
             str(row["agents"]),
             row["name"],
             str(row["processes"]),
             *figures,
-            f"{row['resent_per_message']:.1%}" if "resent_per_message" in row else "-",
         )
     return dict.fromkeys(
         f"{row['name']}: {row['note']}" for row in rows if "note" in row

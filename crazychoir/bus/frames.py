@@ -19,7 +19,7 @@ from crazychoir.errors import CodecError, error_text
 class FrameFormat:
     """The version of the format of frames, and its limits."""
 
-    version: int = 1
+    version: int = 2
     """Version of the format."""
     max_bytes: int = MAX_PAYLOAD + 50_000
     """Bytes of one frame, unless the caller passes another limit:

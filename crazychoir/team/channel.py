@@ -12,9 +12,14 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from crazychoir.runtime.clock import NS_PER_SECOND
-from crazychoir.team.expected_wait import NEGLIGIBLE_WAIT, ExpectedWait
+from crazychoir.team.expected_wait import (
+    NEGLIGIBLE_WAIT,
+    RESEND_TIMES,
+    ExpectedWait,
+)
 from crazychoir.team.message_kind import (
     DELAY_MASK,
+    MOST_RELAYS,
     NO_MESSAGE,
     is_sent_again,
     read_lateness,
@@ -97,15 +102,24 @@ class RoundWait:
     """Flags of the message that has ended the wait."""
     had_repeat: bool = False
     """True if a message of a neighbour arrived only when it was sent again."""
+    repeated: dict[int, int] = field(default_factory=dict)
+    """{neighbour: round of its last message that arrived only when it was sent again}."""
     own_lateness: float = 0.0
     """Seconds by which lost messages have delayed our next message."""
+    own_relays: int = 0
+    """Drones that may pass this lateness on."""
     expected: ExpectedWait = field(default_factory=ExpectedWait)
     """What the past waits tell about the next one."""
 
     def plan_resend(self) -> None:
-        """Find the time of the first resend, if it is not known yet."""
+        """Find the time of the first resend, if it is not known yet.
+
+        It is early enough that an answer may arrive before the deadline.
+        """
         if not self.resend_ns:
-            first = self.expected.find_first_resend()
+            half_time = (self.deadline_ns - self.since_ns) / (2 * NS_PER_SECOND)
+            latest = max(RESEND_TIMES.shortest, half_time)
+            first = min(latest, self.expected.find_first_resend())
             self.resend_ns = self.since_ns + int(NS_PER_SECOND * first)
 
     def end(self, now_ns: int) -> None:
@@ -117,16 +131,37 @@ class RoundWait:
             self.had_repeat = False
         if not self.ended_by & DELAY_MASK:
             self.own_lateness = 0.0
-            # Short waits are the most frequent ones, and say nothing new where all are short.
+            # Most waits are short, and where the mean is short too they say nothing new.
             if self.resend_ns or expected.mean > NEGLIGIBLE_WAIT:
                 expected.learn((now_ns - self.since_ns) / NS_PER_SECOND)
             return
         seconds = (now_ns - self.since_ns) / NS_PER_SECOND
-        if is_sent_again(self.ended_by):
-            self.own_lateness = max(0.0, seconds - expected.mean)
-        else:
-            self.own_lateness = min(read_lateness(self.ended_by), seconds)
+        excess = max(0.0, seconds - expected.mean)
+        if not is_sent_again(self.ended_by):
+            lateness, relays = read_lateness(self.ended_by)
+            self.own_lateness = min(lateness, excess)
+            self.own_relays = relays - 1
             expected.learn(seconds - self.own_lateness)
+        elif now_ns < self.deadline_ns:
+            self.own_lateness = excess
+            self.own_relays = MOST_RELAYS
+        else:
+            self.own_lateness = 0.0  # no message was awaited any longer
+
+    def take_repeat(self, source: int, k: int) -> None:
+        """Note that a neighbour's message of round k arrived when it was sent again."""
+        self.had_repeat = True
+        self.repeated[source] = k
+
+    def take_original(self, source: int, k: int) -> None:
+        """Note that a message of round k arrived that we have: a repeat may have overtaken it."""
+        if self.repeated.get(source) != k:
+            return
+        del self.repeated[source]
+        if self.had_repeat:
+            self.had_repeat = False
+        else:
+            self.expected.undo_repeat()
 
     def note_resend(self, now_ns: int) -> None:
         """Count a resend, and find the time of the next one."""

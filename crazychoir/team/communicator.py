@@ -256,7 +256,7 @@ class Communicator(Rounds):
         k = ch.sending
         flags = self._flags | kind
         if ch.wait.own_lateness:
-            flags |= flag_lateness(ch.wait.own_lateness)
+            flags |= flag_lateness(ch.wait.own_lateness, ch.wait.own_relays)
         if type(data) is PerNeighbor:
             if lacking := [j for j in to if j not in data]:
                 where = f"drone {self.id}: channel {ch.name!r}"

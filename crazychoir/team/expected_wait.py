@@ -7,7 +7,11 @@ out:
 
 - The message that ended the wait was sent again: then the wait says how often it was lost.
 - A neighbour has waited for a lost message itself: each message tells how late it is for this
-  reason, and that time is subtracted.
+  reason, and that time is subtracted. A drone that is delayed by a late message tells so in its own
+  next one. As all drones are equally late soon, a lateness is passed on a few times only.
+
+A message that was sent again may overtake the first one (Eifel, RFC 3522): if that arrives after all,
+it was not lost.
 """
 
 from dataclasses import dataclass
@@ -32,7 +36,7 @@ RESEND_TIMES = ResendTimes()
 
 
 NEGLIGIBLE_WAIT: Final = 0.1 * RESEND_TIMES.shortest
-"""Seconds: a mean wait that has no influence on the first resend."""
+"""Seconds: a mean wait that changes the first resend by a tenth of the shortest time at most."""
 MEAN_WEIGHT: Final = 1 / 8
 """Weight of a new wait in the mean (RFC 6298)."""
 DEVIATION_WEIGHT: Final = 1 / 4
@@ -75,6 +79,10 @@ class ExpectedWait:
         self.lost_share += LOSS_WEIGHT * (was_needed - self.lost_share)
         if self.lost_share < NO_LOSS_SHARE:
             self.lost_share = 0.0
+
+    def undo_repeat(self) -> None:
+        """Undo the last `note_repeat`: the message was not lost, only overtaken."""
+        self.lost_share = max(0.0, self.lost_share - LOSS_WEIGHT)
 
     def find_first_resend(self) -> float:
         """Return the seconds from the start of a wait to the first resend.

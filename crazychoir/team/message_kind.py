@@ -1,7 +1,10 @@
 """The kinds of the messages of rounds, and the flags of a message: its kind, how late it is, and its
 epoch.
+
+    flags = kind (4 bits), lateness (4), relays (4), epoch (20)
 """
 
+from bisect import bisect_right
 from enum import IntEnum
 from typing import Final
 
@@ -33,14 +36,21 @@ KIND_BITS: Final = 4
 """Bits of the kind in a message's flags; the lateness is above them."""
 KIND_MASK: Final = (1 << KIND_BITS) - 1
 """Mask of the kind in the flags."""
-LATENESS_BITS: Final = 8
-"""Bits of the lateness in the flags; the epoch is above them."""
-MOST_LATENESS: Final = (1 << LATENESS_BITS) - 1
-"""Largest lateness in the flags; also its mask."""
-LATENESS_UNIT: Final = 0.004
-"""Seconds of lateness in one unit of the flags."""
-EPOCH_SHIFT: Final = KIND_BITS + LATENESS_BITS
+LATENESS_STEPS: Final = (0.0, *(0.004 * 1.5**n for n in range(15)))
+"""Seconds of lateness that the flags can tell, 0 to 1.17; a lateness counts as the step below it."""
+LATENESS_BITS: Final = 4
+"""Bits of the lateness in the flags: its step. The relays are above them."""
+RELAY_BITS: Final = 4
+"""Bits of the relays in the flags; the epoch is above them."""
+MOST_RELAYS: Final = (1 << RELAY_BITS) - 1
+"""Most drones that may tell one after the other that a lost message has delayed them.
+
+In a ring of thirty drones the last one is so far away.
+"""
+EPOCH_SHIFT: Final = KIND_BITS + LATENESS_BITS + RELAY_BITS
 """Bits below the epoch in the flags."""
+MOST_EPOCHS: Final = 1 << (32 - EPOCH_SHIFT)
+"""First epoch that does not fit into the flags."""
 DELAY_MASK: Final = (1 << EPOCH_SHIFT) - 1
 """Mask of kind and lateness in the flags: 0 for DATA that no lost message has delayed."""
 
@@ -55,7 +65,9 @@ AHEAD_KIND: Final = int(MessageKind.AHEAD)
 ANSWER_KIND: Final = int(MessageKind.ANSWER)
 """`MessageKind.ANSWER` as a plain int."""
 
-NO_MESSAGE: Final = int(MessageKind.GONE)
+LAST_KIND: Final = int(MessageKind.GONE)
+"""Largest number of a kind."""
+NO_MESSAGE: Final = LAST_KIND
 """Flags that stand for the absence of a message with content."""
 
 
@@ -64,11 +76,22 @@ def is_sent_again(flags: int) -> bool:
     return flags & KIND_MASK not in (DATA_KIND, AHEAD_KIND)
 
 
-def flag_lateness(seconds: float) -> int:
-    """Return the bits of the flags that say by how many seconds lost messages delayed a message."""
-    return min(MOST_LATENESS, int(seconds / LATENESS_UNIT)) << KIND_BITS
+def flag_lateness(seconds: float, relays: int) -> int:
+    """Return the bits of the flags that tell how late a message is.
+
+    seconds: by which lost messages have delayed it
+    relays: drones that may pass this lateness on
+    """
+    step = bisect_right(LATENESS_STEPS, seconds) - 1
+    if step <= 0 or relays <= 0:
+        return 0
+    return (relays << LATENESS_BITS | step) << KIND_BITS
 
 
-def read_lateness(flags: int) -> float:
-    """Return the seconds by which lost messages have delayed the message with these flags."""
-    return LATENESS_UNIT * (flags >> KIND_BITS & MOST_LATENESS)
+def read_lateness(flags: int) -> tuple[float, int]:
+    """Return the seconds by which lost messages have delayed the message with these flags, and the
+    number of drones that may pass this lateness on.
+    """
+    step = flags >> KIND_BITS & (1 << LATENESS_BITS) - 1
+    relays = flags >> KIND_BITS + LATENESS_BITS & MOST_RELAYS
+    return LATENESS_STEPS[step], relays

@@ -14,6 +14,7 @@ from msgspec import Meta
 from crazychoir.bus.codec import decode, encode, register
 from crazychoir.errors import CodecError
 from crazychoir.team.graph import Graph
+from crazychoir.team.message_kind import MOST_EPOCHS
 from crazychoir.types import Wire
 
 
@@ -175,6 +176,8 @@ class TeamHeartbeat:
         """
         incarnation, epoch, checksum, hears, lost, mission_hash, refused = value
         numbers = int(incarnation), int(epoch), int(checksum)
+        if numbers[1] >= MOST_EPOCHS:
+            raise ValueError(f"epoch {epoch}; allowed: below {MOST_EPOCHS}")
         return cls(
             *numbers,
             tuple(map(int, hears)),

@@ -42,6 +42,7 @@ from crazychoir.team.message_kind import (
     DATA_KIND,
     EPOCH_SHIFT,
     KIND_MASK,
+    LAST_KIND,
     NO_MESSAGE,
     REPEAT_KIND,
     MessageKind,
@@ -88,7 +89,7 @@ So the drones of a process resend at the same instants, and their messages share
 LONGEST_UNCHECKED: Final = 50_000_000
 """ns: longest time between two checks of a waiting channel.
 
-A check also finds that a neighbour is lost, or has said that it stops.
+A check also finds that a neighbour is lost, has ended the channel, or has said that it stops.
 """
 
 EARLIEST_RESEND: Final = int(NS_PER_SECOND * RESEND_TIMES.shortest)
@@ -369,10 +370,13 @@ class Rounds:
             or number >= ROUND_LIMITS.first_refused_round
             or source not in self._known
         ):
+            kind = flags & KIND_MASK
+            if kind > LAST_KIND:
+                self.port.counters.malformed += 1
+                return
             if not self._counts(ch, source, payload, number, channel, flags, age):
                 return
             ch = self._channels[channel]
-            kind = flags & KIND_MASK
             if kind > ANSWER_KIND:
                 self._controlled(ch, kind, source, number)
                 return
@@ -399,15 +403,19 @@ class Rounds:
                 box[source] = payload
                 wait = ch.wait
                 if kind != DATA_KIND and is_sent_again(flags):
-                    wait.had_repeat = True
+                    wait.take_repeat(source, number)
                 missing = wait.missing
                 if number == k and source in missing:
                     del missing[source]
                     if not missing:
                         wait.ended_by = flags
                         wake_if(wait.waiter)
+            elif ch.wait.repeated and not is_sent_again(flags):
+                ch.wait.take_original(source, number)
         elif number >= k:
             self.ahead += 1
+        elif ch.wait.repeated and not is_sent_again(flags):
+            ch.wait.take_original(source, number)
 
     def _counts(
         self,
@@ -604,11 +612,14 @@ class Rounds:
                 ch,
                 RoundTimeout(self.id, ch.name, ch.receiving, wait.missing, seconds),
             )
+        elif (
+            wait.strict
+            and now_ns >= wait.since_ns + EARLIEST_RESEND
+            and (ended := ch.ended())
+        ):
+            fail_waiter(ch, ChannelEnded(self.id, ch.name, ch.receiving, ended))
         elif now_ns >= wait.resend_ns:
-            if wait.strict and (ended := ch.ended()):
-                fail_waiter(ch, ChannelEnded(self.id, ch.name, ch.receiving, ended))
-            else:
-                self._resend(ch, now_ns)
+            self._resend(ch, now_ns)
 
     def _failure(self, missing: Iterable[int]) -> Failure | None:
         """Return the Failure that the first of these drones has sent on FAILURE_CHANNEL, or None."""

@@ -23,7 +23,7 @@ from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph
 
 ROUND_COUNT = 60
-LOSSES = (0.0, 0.2, 0.5)
+LOSSES = (0.0, 0.005, 0.02, 0.2, 0.5)
 TIMES = ((0.0, 0.0), (0.001, 0.0005), (0.02, 0.0), (0.002, 0.03), (0.002, 0.12))
 """(delay of a message, mean time of a computation) in s."""
 

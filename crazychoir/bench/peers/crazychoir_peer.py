@@ -1,6 +1,7 @@
 """Our program: drones of a process use `neighbors_exchange`; Zenoh connects the processes."""
 
 import asyncio
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -43,14 +44,14 @@ async def start(
     team: Graph,
     spec: dict[str, Any],
     rounds: dict[int, int],
-    members: list[Communicator],
+    count_resent: Callable[[], int] | None = None,
 ) -> None:
     """Find the other processes, report ready, and wait for go; then start to count `rounds`."""
     if spec["connect"]:
         await join_others(group, bus, team, spec)
     say({"ready": True})
     await asyncio.to_thread(wait_for_go)
-    report(rounds, spec, lambda: sum(c.port.counters.resent for c in members))
+    report(rounds, spec, count_resent)
 
 
 async def main(clock: Clock) -> None:
@@ -61,7 +62,14 @@ async def main(clock: Clock) -> None:
     members = [Communicator(bus.port(i), team) for i in spec["mine"]]
     rounds = dict.fromkeys(spec["mine"], 0)
     async with asyncio.TaskGroup() as group:
-        await start(group, bus, team, spec, rounds, members)
+        await start(
+            group,
+            bus,
+            team,
+            spec,
+            rounds,
+            lambda: sum(c.port.counters.resent for c in members),
+        )
         for member in members:
             group.create_task(exchange_forever(member, rounds))
 

@@ -45,7 +45,7 @@ async def main(clock: Clock) -> None:
     }
     members = {i: Communicator(bus.port(i), team) for i in spec["mine"]}
     async with asyncio.TaskGroup() as group:
-        await start(group, bus, team, spec, rounds, list(members.values()))
+        await start(group, bus, team, spec, rounds)
         for i, agent in agents.items():
             group.create_task(run_algorithm(members[i], agent))
 

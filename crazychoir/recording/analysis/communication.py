@@ -12,6 +12,7 @@ from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS
 from crazychoir.recording.mcap.sequence import read_messages
 from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES
 from crazychoir.runtime.clock import NS_PER_SECOND
+from crazychoir.team.message_kind import MessageKind
 from crazychoir.types import Mat, Vec
 
 
@@ -23,7 +24,9 @@ class MessageStatistics:
     """Fields of a status that count messages."""
     rate_step: float = 0.5
     """Seconds between two values of the message rates."""
-    kinds_with_content: tuple[str, ...] = ("data", "repeat", "ahead")
+    kinds_with_content: tuple[str, ...] = tuple(
+        kind.name.lower() for kind in MessageKind if kind <= MessageKind.ANSWER
+    )
     """Kinds of round messages with a value."""
 
 

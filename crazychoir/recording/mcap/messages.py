@@ -137,7 +137,7 @@ def round_fields(message: Exchanged) -> tuple[Any, ...]:
         to,
         k,
         flags >> EPOCH_SHIFT,
-        KIND_NAMES[flags & KIND_MASK],
+        KIND_NAMES.get(flags & KIND_MASK, f"kind {flags & KIND_MASK}"),
         channel,
         _content(payload),
     )

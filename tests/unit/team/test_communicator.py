@@ -931,6 +931,19 @@ def test_an_undecodable_message_is_an_error_of_its_reader():
     assert swarm(graphs.path(2), agent)[0] == 1
 
 
+@pytest.mark.parametrize("kind", range(MessageKind.GONE + 1, KIND_MASK + 1))
+def test_messages_of_unknown_kinds_are_dropped(kind):
+    async def agent(c: Communicator) -> int:
+        if c.id == 1:
+            c.port.send(MESSAGE_TOPICS.rounds, (0,), encode("x"), 5, "main", kind)
+        found = await c.neighbors_exchange(c.id)
+        assert found == {1 - c.id: 1 - c.id}
+        assert not c.open("main").peers.finished
+        return c.port.counters.malformed
+
+    assert swarm(graphs.path(2), agent) == {0: 1, 1: 0}
+
+
 def test_one_channel_cannot_be_awaited_twice():
     async def agent(c: Communicator) -> None:
         first = asyncio.ensure_future(c.receive())

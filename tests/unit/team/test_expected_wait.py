@@ -1,6 +1,7 @@
 """How long a wait for a round takes, and when the round is sent again."""
 
 import asyncio
+import contextlib
 
 import numpy as np
 import pytest
@@ -8,17 +9,22 @@ import pytest
 from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.impairment.rules import ImpairmentRule
 from crazychoir.bus.port import Bus
+from crazychoir.errors import ChannelEnded, PeerLost, RoundTimeout
 from crazychoir.runtime.clock import Clock, run_virtual
 from crazychoir.team import graph as graphs
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.expected_wait import RESEND_TIMES, ExpectedWait
 from crazychoir.team.graph import Graph
 from crazychoir.team.message_kind import (
-    LATENESS_UNIT,
-    MOST_LATENESS,
+    EPOCH_SHIFT,
+    KIND_MASK,
+    LATENESS_STEPS,
+    MOST_RELAYS,
+    MessageKind,
     flag_lateness,
     read_lateness,
 )
+from crazychoir.team.rounds import CHECK_GRID, LONGEST_UNCHECKED
 
 
 def test_a_new_channel_resends_after_the_shortest_time():
@@ -68,34 +74,80 @@ def test_losses_shorten_the_time_before_a_resend():
         expected.note_repeat(False)
     assert expected.lost_share == 0.0
     assert expected.find_first_resend() == calm
+    expected.note_repeat(True)
+    expected.undo_repeat()
+    assert expected.find_first_resend() == calm
 
 
-@pytest.mark.parametrize("seconds", [0.0, 0.0039, 0.1, 0.777, 50.0])
-def test_the_lateness_of_a_message_is_in_its_flags(seconds):
-    read = read_lateness(flag_lateness(seconds))
-    most = MOST_LATENESS * LATENESS_UNIT
-    assert read == pytest.approx(min(seconds, most), abs=LATENESS_UNIT)
+@pytest.mark.parametrize("step", range(1, len(LATENESS_STEPS)))
+@pytest.mark.parametrize("relays", [1, 7, MOST_RELAYS])
+def test_the_lateness_of_a_message_is_in_its_flags(step, relays):
+    seconds = LATENESS_STEPS[step]
+    for late in (seconds, 1.2 * seconds):
+        flags = flag_lateness(late, relays)
+        assert read_lateness(3 << EPOCH_SHIFT | flags | KIND_MASK) == (seconds, relays)
+        assert flags < 1 << EPOCH_SHIFT
+
+
+def test_the_largest_lateness_stands_for_all_above():
+    assert read_lateness(flag_lateness(1e9, 1)) == (LATENESS_STEPS[-1], 1)
+
+
+@pytest.mark.parametrize(("seconds", "relays"), [(0.0, 15), (0.003, 15), (1.0, 0)])
+def test_a_message_that_is_not_late_has_plain_flags(seconds, relays):
+    assert flag_lateness(seconds, relays) == 0
+
+
+class LosesOne:
+    """A port's `send` that loses the first copies of one round."""
+
+    def __init__(self, c: Communicator, k: int) -> None:
+        self.send = c.port.send
+        self.k = k
+        c.port.send = self  # type: ignore[method-assign, assignment]
+
+    def __call__(self, topic, to, payload, number=0, channel="", flags=0, *more):
+        is_first = flags & KIND_MASK in (MessageKind.DATA, MessageKind.AHEAD)
+        if number != self.k or not is_first:
+            self.send(topic, to, payload, number, channel, flags, *more)
 
 
 def exchange_rounds(
-    graph: Graph, rule: dict[str, float], rounds: int, computation: float
-) -> list[Communicator]:
-    """Return the communicators of a team after so many rounds; a computation takes s, and varies."""
+    graph: Graph,
+    rule: dict[str, float],
+    rounds: int,
+    computation: float,
+    lost_round: int = -1,
+    deadline: float = 60.0,
+) -> tuple[list[Communicator], list[int]]:
+    """Return the communicators of a team after so many rounds, and the repeats of all until each round.
 
-    async def agent(clock: Clock, c: Communicator) -> None:
+    computation: s, mean; computations vary
+    lost_round: of drone 0; the first copies of its messages of this round are lost
+    """
+    repeats: list[int] = []
+
+    async def agent(clock: Clock, c: Communicator, team: list[Communicator]) -> None:
         draws = np.random.default_rng(c.id)
         for _ in range(rounds):
             if computation > 0.0:
                 await clock.sleep(computation * draws.gamma(10.0, 0.1))
-            await c.neighbors_exchange(c.id)
+            while True:
+                with contextlib.suppress(RoundTimeout):
+                    await c.neighbors_exchange(c.id, deadline=deadline)
+                    break
+                assert clock.now() < 1000.0, "the round never ends"
+            if c.id == 0:
+                repeats.append(sum(c.port.counters.resent for c in team))
         await c.close()
 
-    async def main(clock: Clock) -> list[Communicator]:
+    async def main(clock: Clock) -> tuple[list[Communicator], list[int]]:
         bus = Bus(clock, Impairment(1, [ImpairmentRule(rule)]))
         bus.impairment.begin(clock.now())
         team = [Communicator(bus.port(i), graph) for i in graph.ids]
-        await asyncio.gather(*(agent(clock, c) for c in team))
-        return team
+        LosesOne(team[0], lost_round)
+        await asyncio.gather(*(agent(clock, c, team) for c in team))
+        return team, repeats
 
     return run_virtual(main)
 
@@ -104,17 +156,138 @@ def exchange_rounds(
     ("delay", "computation"), [(0.002, 0.03), (0.002, 0.12), (0.02, 0.0)]
 )
 def test_a_network_without_losses_needs_hardly_a_repeat(delay, computation):
-    graph = graphs.ring(6)
     rounds = 500
-    team = exchange_rounds(graph, {"delay": delay}, rounds, computation)
-    repeats = sum(c.port.counters.resent for c in team)
-    assert repeats < 0.03 * rounds * 2 * 6
+    _, repeats = exchange_rounds(graphs.ring(6), {"delay": delay}, rounds, computation)
+    assert repeats[-1] < 0.03 * rounds * 2 * 6
 
 
 def test_waits_for_lost_messages_of_others_are_not_learned():
     """With few losses, nearly each wait contains the wait of another drone for a lost message."""
-    team = exchange_rounds(
+    team, _ = exchange_rounds(
         graphs.ring(20), {"loss": 0.02, "delay": 0.001}, 300, computation=0.0
     )
     means = [c.open("main").wait.expected.mean for c in team]
     assert max(means) < 0.004
+
+
+@pytest.mark.parametrize("n", [5, 6])
+@pytest.mark.parametrize("delay", [0.015, 0.05, 0.1])
+def test_the_lateness_after_one_lost_message_dies_out(delay, n):
+    """All drones are equally late soon: none is late any more, and all waits are as before."""
+    team, repeats = exchange_rounds(
+        graphs.ring(n), {"delay": delay}, 300, computation=0.0, lost_round=60
+    )
+    assert repeats[-1] == repeats[150]
+    means = [c.open("main").wait.expected.mean for c in team]
+    assert means == pytest.approx([delay] * n, rel=0.2)
+
+
+@pytest.mark.parametrize(("delay", "jitter"), [(0.002, 0.03), (0.05, 0.05)])
+def test_messages_that_were_overtaken_count_as_lost_for_a_moment_only(delay, jitter):
+    team, repeats = exchange_rounds(
+        graphs.complete(5), {"delay": delay, "jitter": jitter}, 400, computation=0.03
+    )
+    assert repeats[-1] - repeats[200] < 0.03 * 200 * 4 * 5
+    assert max(c.open("main").wait.expected.lost_share for c in team) < 0.05
+
+
+def test_losses_are_learned_by_the_rounds_themselves():
+    team, _ = exchange_rounds(
+        graphs.ring(4), {"loss": 0.2, "delay": 0.002}, 200, computation=0.12
+    )
+    shares = [c.open("main").wait.expected.lost_share for c in team]
+    assert min(shares) > 0.1
+    assert all(c.open("main").wait.expected.find_first_resend() < 0.02 for c in team)
+
+
+def test_a_lost_message_is_asked_for_before_a_short_deadline():
+    """Rounds take longer than the deadline, so each wait is a new try."""
+    _, repeats = exchange_rounds(
+        graphs.ring(4),
+        {"delay": 0.1, "jitter": 0.1},
+        100,
+        computation=0.0,
+        lost_round=60,
+        deadline=0.25,
+    )
+    assert len(repeats) == 100
+
+
+def test_a_lost_neighbour_is_found_although_rounds_are_long():
+    """The first resend is due after half a second; the neighbour is lost before."""
+
+    class LostAt:
+        def __init__(self, clock: Clock, when: float) -> None:
+            self.clock = clock
+            self.when = when
+
+        def is_lost(self, j: int) -> bool:
+            return self.clock.now() >= self.when
+
+    async def main(clock: Clock) -> float:
+        c = Communicator(Bus(clock).port(0), graphs.path(2))
+        for _ in range(100):
+            c.open("main").wait.expected.learn(0.5)
+        c.membership = LostAt(clock, 0.1)
+        with pytest.raises(PeerLost):
+            await c.neighbors_exchange(None)
+        return clock.now()
+
+    found = run_virtual(main)
+    assert 0.1 <= found <= 0.1 + 1e-9 * (LONGEST_UNCHECKED + CHECK_GRID)
+
+
+def test_a_channel_that_ended_is_found_although_rounds_are_long():
+    async def main(clock: Clock) -> float:
+        bus = Bus(clock)
+        here, there = (Communicator(bus.port(i), graphs.path(2)) for i in range(2))
+        await asyncio.gather(here.neighbors_exchange(0), there.neighbors_exchange(1))
+        for _ in range(100):
+            here.open("main").wait.expected.learn(0.5)
+        closing = asyncio.ensure_future(there.close(linger=1.0))
+        began = clock.now()
+        with pytest.raises(ChannelEnded):
+            await here.neighbors_exchange(2)
+        took = clock.now() - began
+        await closing
+        return took
+
+    assert run_virtual(main) <= 0.06
+
+
+def test_of_two_waiting_channels_each_has_its_resend_in_time():
+    async def main(clock: Clock) -> list[float]:
+        c = Communicator(Bus(clock).port(0), graphs.path(2))
+        for _ in range(100):
+            c.open("slow").wait.expected.learn(0.5)
+        sent: list[float] = []
+
+        def send(topic, to, payload, number, channel, flags, *more):
+            if flags & KIND_MASK == MessageKind.REPEAT and channel == "fast":
+                sent.append(clock.now())
+
+        c.port.send = send  # type: ignore[method-assign, assignment]
+        waits = [
+            asyncio.ensure_future(
+                c.neighbors_exchange(None, channel=name, deadline=0.3)
+            )
+            for name in ("fast", "slow")
+        ]
+        await asyncio.gather(*waits, return_exceptions=True)
+        return sent
+
+    sent = run_virtual(main)
+    assert sent[0] <= 0.015
+    assert len(sent) > 5
+
+
+def test_a_drone_that_need_not_wait_is_not_late():
+    async def main(clock: Clock) -> float:
+        bus = Bus(clock)
+        here, there = (Communicator(bus.port(i), graphs.path(2)) for i in range(2))
+        await there.send(1)
+        here.open("main").wait.own_lateness = 0.5
+        await here.neighbors_exchange(0)
+        return here.open("main").wait.own_lateness
+
+    assert run_virtual(main) == 0.0

@@ -1,14 +1,18 @@
 """The messages about a roster on the wire."""
 
+from dataclasses import replace
+
 import pytest
 
 from crazychoir.bus.codec import encode
 from crazychoir.errors import CodecError
+from crazychoir.team.message_kind import MOST_EPOCHS
 from crazychoir.team.messages import (
     GoMessage,
     HoldAnswer,
     HoldRequest,
     Roster,
+    TeamHeartbeat,
     read_roster_message,
 )
 
@@ -52,3 +56,11 @@ def test_the_members_of_an_answer_keep_their_order():
 def test_what_is_no_message_about_a_roster_is_refused(payload):
     with pytest.raises(CodecError):
         read_roster_message(payload)
+
+
+def test_an_epoch_that_does_not_fit_into_a_message_is_refused():
+    beat = TeamHeartbeat(1, MOST_EPOCHS - 1, 0, (), (), "abc")
+    assert TeamHeartbeat.of(beat.wire()) == beat
+    too_large = replace(beat, epoch=MOST_EPOCHS)
+    with pytest.raises(ValueError, match=f"epoch {MOST_EPOCHS}; allowed: below"):
+        TeamHeartbeat.of(too_large.wire())

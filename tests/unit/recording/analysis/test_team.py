@@ -271,8 +271,9 @@ def test_what_has_no_content_is_no_message_of_a_round(recorded):
     said = [
         (0, MessageKind.REPEAT, encode(1.0)),
         (1, MessageKind.AHEAD, encode(3.0)),
-        (2, MessageKind.WANT, b""),
-        (3, MessageKind.FIN, b""),
+        (2, MessageKind.ANSWER, encode(2.0)),
+        (3, MessageKind.WANT, b""),
+        (4, MessageKind.FIN, b""),
     ]
     path = recorded(
         [
@@ -285,7 +286,7 @@ def test_what_has_no_content_is_no_message_of_a_round(recorded):
         channel.rounds.tolist(),
         channel.different.tolist(),
         channel.spread.tolist(),
-    ) == ([4], [2], [1.0])
+    ) == ([4], [3], [1.0])
 
 
 def test_channels_come_in_order_of_their_first_message_and_rounds_by_number(

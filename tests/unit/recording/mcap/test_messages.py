@@ -216,6 +216,7 @@ def test_message_of_a_round():
     assert sent(message) == {"header": HEADER, **expected}
     assert sent(message._replace(payload=b"", flags=MessageKind.GONE))["json"] == ""
     assert sent(message._replace(flags=MessageKind.GONE))["kind"] == "gone"
+    assert sent(message._replace(flags=9))["kind"] == "kind 9"
 
 
 def test_definitions_are_those_of_ros_where_they_bear_its_name():
