@@ -365,8 +365,10 @@ async def test_hostile_frames_are_counted_and_nothing_breaks(ground: Ground) -> 
     put: list[tuple[str, bytes]] = [
         (f"{prefix}/here/z-1/rounds", os.urandom(n)) for n in range(200)
     ]
-    put += [(f"{prefix}/here/b-1/rounds", b"\x01" + os.urandom(n)) for n in range(200)]
-    put += [(f"{prefix}/here/b-1/rounds", b"\x02" + forged[1:])]  # another version
+    ours = bytes([FRAME_FORMAT.version])
+    another = bytes([FRAME_FORMAT.version + 1])
+    put += [(f"{prefix}/here/b-1/rounds", ours + os.urandom(n)) for n in range(200)]
+    put += [(f"{prefix}/here/b-1/rounds", another + forged[1:])]
     put += [
         (f"{prefix}/here/z-1/rounds", forged),
         (f"{prefix}/there/b-1/rounds", forged),
