@@ -255,7 +255,7 @@ def test_a_channel_that_ended_is_found_although_rounds_are_long():
     assert run_virtual(main) <= 0.06
 
 
-def test_of_two_waiting_channels_each_has_its_resend_in_time():
+def test_each_waiting_channel_is_sent_again_in_time():
     async def main(clock: Clock) -> list[float]:
         c = Communicator(Bus(clock).port(0), graphs.path(2))
         for _ in range(100):
