@@ -12,6 +12,7 @@ from msgspec import Meta
 
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.frames import FRAME_FORMAT
+from crazychoir.bus.network.local_sockets import LocalAddress
 from crazychoir.bus.port import PORT_ADDRESSES, Interest
 from crazychoir.errors import CodecError, error_text
 
@@ -84,6 +85,8 @@ class Hello(msgspec.Struct, frozen=True):
 
     It is empty for an observer.
     """
+    local: LocalAddress = LocalAddress()
+    """Where the processes of its host find it."""
 
     @classmethod
     def of(cls, payload: bytes) -> "Hello":

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
+from crazychoir.bus.network.local_sockets import LocalAddress
 from crazychoir.bus.network.hello import Hello
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 
@@ -28,6 +29,8 @@ class Introduction:
     """Version of crazychoir."""
     agreed: Mapping[str, str] = field(default_factory=dict)
     """{key of the swarm file: hash of its value} on which all owners must agree."""
+    local: LocalAddress = LocalAddress()
+    """Where the processes of this host find it."""
 
 
 class HelloReview:

@@ -197,6 +197,7 @@ class Peers:
             # An observer does not learn that a stop is cleared, so it does not report one.
             stopped=self.bus.stopped and bool(self.bus.drones()),
             agreed=dict(self.own.agreed),
+            local=self.own.local,
         )
 
     def greeted(self, peer: Peer, payload: bytes, age: float) -> bool:

@@ -18,7 +18,7 @@ import os
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Self
 
@@ -40,6 +40,7 @@ from crazychoir.bus.network.flood_limit import FrameBudget, FrameBudgets
 from crazychoir.bus.network.foreign_connections import ForeignConnections
 from crazychoir.bus.network.hello import Hello
 from crazychoir.bus.network.hello_review import Introduction
+from crazychoir.bus.network.local_sockets import LocalIdentity, LocalSockets
 from crazychoir.bus.network.lost_tokens import TokenRepair
 from crazychoir.bus.network.peers import OnRefused, OnToken, Peer, Peers
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
@@ -149,6 +150,8 @@ class PeerQueue:
     """Messages for the next frame."""
     publisher: zenoh.Publisher
     """Zenoh's publisher of the frames."""
+    process: str
+    """Name of the peer."""
 
 
 @dataclass
@@ -238,6 +241,8 @@ class ZenohLink(Actor):
         self._live = f"choir/{swarm}/live"
         self.counters = LinkCounters()
         own = Introduction(swarm, incarnation, version, dict(agreed or {}))
+        identity = LocalIdentity(swarm, bus.process, incarnation)
+        self.local = LocalSockets(identity, self._local_frame, self._may_connect)
         self.table = Peers(bus, own, access, on_token, on_refused)
         self.peers = self.table.by_name
         self.directory = self.table.directory
@@ -284,6 +289,8 @@ class ZenohLink(Actor):
                 self.listen, self.connect, str(error)
             ) from error
         self._session = session
+        self.local.open()
+        self.table.own = replace(self.table.own, local=self.local.address)
         received = zenoh.handlers.Callback(self._received, indirect=True)
         tokens = zenoh.handlers.Callback(self._token, indirect=True)
         self._declared = [
@@ -343,6 +350,7 @@ class ZenohLink(Actor):
         thread, because closing may take long.
         """
         self._flush()
+        self.local.close()
         session = self._session
         self._session = None
         if session is None:
@@ -547,7 +555,7 @@ class ZenohLink(Actor):
         number = self.table.own.incarnation
         conflate = klass is MessageClass.CONTROL
         buffer = FrameBuffer(name, number, klass, conflate)
-        lane = peer.lanes[klass] = PeerQueue(buffer, publisher)
+        lane = peer.lanes[klass] = PeerQueue(buffer, publisher, peer.process)
         return lane
 
     def _key(self, process: str, klass: MessageClass) -> str:
@@ -575,7 +583,10 @@ class ZenohLink(Actor):
                 log.warning("not sent: %s", error)
                 continue
             for frame in frames:
-                self._put(lane.publisher.put, frame)
+                if self.local.is_connected(lane.process):
+                    self.local.send(lane.process, frame)
+                else:
+                    self._put(lane.publisher.put, frame)
         for _ in range(len(self._after)):
             self._after.popleft()()
 
@@ -728,6 +739,7 @@ class ZenohLink(Actor):
         if peer is None:
             return
         self._estranged.went(process)
+        self.local.forget(process)
         for lane in peer.lanes.values():
             self.counters.dropped += len(lane.buffer)
             lane.buffer.take()
@@ -751,6 +763,30 @@ class ZenohLink(Actor):
             return
         counters.frames_received += 1
         self._distribute(peer, frame.envelopes, arrived_ns)
+
+    def _may_connect(self, identity: LocalIdentity) -> bool:
+        """Return True if a process that connects to our socket is a peer of this host."""
+        peer = self.peers.get(identity.process)
+        return (
+            peer is not None
+            and not peer.refusal
+            and peer.hello is not None
+            and peer.hello.incarnation == identity.incarnation
+        )
+
+    def _local_frame(self, process: str, data: bytes) -> None:
+        """Take a frame that came through a socket."""
+        peer = self.peers.get(process)
+        if peer is None:
+            self.counters.strangers += 1
+            return
+        try:
+            frame = decode_frame(data)
+        except CodecError:
+            self.counters.malformed += 1
+            return
+        self.counters.frames_received += 1
+        self._distribute(peer, frame.envelopes, self._now_ns())
 
     def _sender(self, key: str, frame: Frame) -> Peer | None:
         """Return the peer that sent a frame.
@@ -858,7 +894,10 @@ class ZenohLink(Actor):
             self.counters.malformed += 1
             return
         if not peer.refusal:
-            self._heard_of_us(peer.process, self.table.mutual(peer))
+            is_mutual = self.table.mutual(peer)
+            self._heard_of_us(peer.process, is_mutual)
+            if is_mutual and peer.hello is not None:
+                self.local.reach(peer.process, peer.hello.local)
 
 
 @contextlib.contextmanager

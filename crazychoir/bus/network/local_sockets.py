@@ -1,0 +1,377 @@
+"""The connections of this process with the other processes of its host: one socket a pair.
+
+They are AF_UNIX sockets of the kind SEQPACKET: each packet is one frame, or a piece of a large one,
+and the event loop reads it without another thread. The folder of the sockets is private, and the
+system tells the user of each process that connects: a process of another user is a stranger.
+
+Of two processes the one with the lesser name connects. Its first packet says who it is. A receiver
+that is full, or stopped, costs only the frames to itself: they are dropped and counted.
+"""
+
+import asyncio
+import contextlib
+import logging
+import os
+import socket
+import struct
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from hashlib import blake2b
+from pathlib import Path
+from typing import Final
+
+import msgspec
+
+from crazychoir.bus.frames import FRAME_FORMAT
+from crazychoir.errors import ConfigError, error_text
+from crazychoir.files.private_folder import runtime_folder
+from crazychoir.runtime.clock import NS_PER_SECOND
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class SocketLimits:
+    """Sizes of the sockets between the processes of a host, and how they are read."""
+
+    buffer_size: int = 1 << 20
+    """Bytes that are asked for each direction of a connection; the system may grant less."""
+    piece_size: int = 128 * 1024
+    """Bytes of the pieces of a large frame, at most; a socket with a small buffer gets smaller ones."""
+    packets_a_pass: int = 64
+    """Most packets of a connection that are read in one pass of the event loop."""
+    slice_ns: int = NS_PER_SECOND // 500
+    """ns: most time for reading one connection in one pass; a frame that is being read is finished."""
+    backlog: int = 128
+    """Connections that may wait to be accepted."""
+    most_strangers: int = 32
+    """Most connections that have not said yet who they are."""
+
+
+SOCKET_LIMITS = SocketLimits()
+
+
+PIECE_MARK: Final = 0xF0
+"""First byte of a packet with a piece of a frame that goes on."""
+LAST_PIECE_MARK: Final = 0xF1
+"""First byte of a packet with the last piece of a frame."""
+IDENTITY_MARK: Final = 0xF2
+"""First byte of the packet that says who connects."""
+CREDENTIALS: Final = struct.Struct("3i")
+"""Process id, user id and group id of the other end of a connection."""
+
+
+class LocalAddress(msgspec.Struct, frozen=True):
+    """Where the processes of one host find this one; in its HELLO."""
+
+    machine: str = ""
+    """Boot and network namespace: equal for processes that may use sockets with each other."""
+    path: str = ""
+    """Path of the socket; empty if there is none."""
+
+
+class LocalIdentity(msgspec.Struct, frozen=True, array_like=True):
+    """Who connects: the first packet of a connection."""
+
+    swarm: str
+    """Name of the swarm."""
+    process: str
+    """Name of the process."""
+    incarnation: int
+    """64 random bits, drawn when the process started."""
+
+
+def find_machine() -> str:
+    """Return the boot and the network namespace of this process.
+
+    Two namespaces with one folder are two hosts, because between hosts other rules hold. The result
+    is empty where the system does not tell.
+    """
+    try:
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+        namespace = os.stat("/proc/self/ns/net").st_ino
+    except OSError:
+        return ""
+    return f"{boot}/{namespace}"
+
+
+def find_socket_path(identity: LocalIdentity) -> Path:
+    """Return the path of the socket of a process. Raises OSError without a private folder."""
+    name = blake2b(repr(identity).encode(), digest_size=12).hexdigest()
+    return runtime_folder() / f"{name}.sock"
+
+
+@dataclass(eq=False, slots=True)
+class LocalConnection:
+    """The socket of one pair of processes, and the piece of a frame that has arrived."""
+
+    socket: socket.socket
+    """The socket, which never blocks."""
+    piece_size: int
+    """Bytes of the pieces of a large frame."""
+    process: str = ""
+    """Name of the other process; empty until it is known."""
+    pieces: bytearray = field(default_factory=bytearray)
+    """The pieces of a large frame that have arrived."""
+
+
+@dataclass(slots=True)
+class SocketCounters:
+    """Counts of what did not go or come."""
+
+    full: int = 0
+    """Frames that were dropped because the other process does not read fast enough."""
+    broken: int = 0
+    """Connections that ended with an error."""
+    strangers: int = 0
+    """Connections of another user, another swarm, or an unknown process."""
+    malformed: int = 0
+    """Packets that are no frame and no piece of one."""
+
+
+ReceiveFrame = Callable[[str, bytes], None]
+"""Callable that gets (name of the sending process, frame)."""
+IsKnown = Callable[[LocalIdentity], bool]
+"""Callable that says if a process that connects is one of the peers."""
+
+
+class LocalSockets:
+    """The connections of one process; without any if it could not make its socket.
+
+    identity: who this process is
+    receive: gets each frame
+    is_known: says which processes may connect
+    """
+
+    def __init__(
+        self, identity: LocalIdentity, receive: ReceiveFrame, is_known: IsKnown
+    ) -> None:
+        self.identity = identity
+        self.address = LocalAddress()
+        self.counters = SocketCounters()
+        self._receive = receive
+        self._is_known = is_known
+        self._loop = asyncio.get_running_loop()
+        self._listening: socket.socket | None = None
+        self._strangers: dict[LocalConnection, None] = {}
+        self._connections: dict[str, LocalConnection] = {}
+
+    # Opening and closing --------------------------------------------------------------
+
+    def open(self) -> None:
+        """Listen at a path of this process; without a socket, say why."""
+        machine = find_machine()
+        listening = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        try:
+            if not machine:
+                raise OSError("the system does not tell its boot and network namespace")
+            path = find_socket_path(self.identity)
+            listening.setblocking(False)
+            listening.bind(str(path))
+            listening.listen(SOCKET_LIMITS.backlog)
+        except (OSError, ConfigError) as error:
+            listening.close()
+            log.info(
+                "no local socket (%s): the processes of this host are reached over the network",
+                error_text(error),
+            )
+            return
+        self._listening = listening
+        self.address = LocalAddress(machine, str(path))
+        self._loop.add_reader(listening.fileno(), self._accept)
+
+    def close(self) -> None:
+        """End all connections, and remove the path."""
+        for connection in [*self._connections.values(), *self._strangers]:
+            self._end(connection)
+        if self._listening is not None:
+            self._loop.remove_reader(self._listening.fileno())
+            self._listening.close()
+            self._listening = None
+            with contextlib.suppress(OSError):
+                os.unlink(self.address.path)
+
+    # Connecting -----------------------------------------------------------------------
+
+    def reach(self, process: str, address: LocalAddress) -> None:
+        """Connect to a process of this host, unless it is the one that connects.
+
+        Call it again for another try: a process that does not listen is no error.
+        """
+        if not self._may_connect(process, address):
+            return
+        made = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        made.setblocking(False)
+        try:
+            made.connect(address.path)
+            if read_user(made) != os.getuid():
+                raise PermissionError("the socket belongs to another user")
+            made.send(bytes([IDENTITY_MARK]) + msgspec.msgpack.encode(self.identity))
+        except OSError as error:
+            made.close()
+            log.debug("no local connection to %s: %s", process, error_text(error))
+            return
+        connection = self._adopt(made)
+        connection.process = process
+        self._connections[process] = connection
+
+    def _may_connect(self, process: str, address: LocalAddress) -> bool:
+        """Return True if it is on us to connect to this process, and we have not."""
+        return (
+            self._listening is not None
+            and bool(address.path)
+            and address.machine == self.address.machine
+            and self.identity.process < process
+            and process not in self._connections
+        )
+
+    def forget(self, process: str) -> None:
+        """End the connection to a process that is no peer any more."""
+        connection = self._connections.get(process)
+        if connection is not None:
+            self._end(connection)
+
+    def _accept(self) -> None:
+        """Take a new connection of a process of this user."""
+        assert self._listening is not None
+        try:
+            made, _ = self._listening.accept()
+        except OSError:
+            return
+        made.setblocking(False)
+        is_crowded = len(self._strangers) >= SOCKET_LIMITS.most_strangers
+        if is_crowded or read_user(made) != os.getuid():
+            self.counters.strangers += 1
+            made.close()
+            return
+        self._strangers[self._adopt(made)] = None
+
+    def _adopt(self, made: socket.socket) -> LocalConnection:
+        """Set up the buffers of a connection, and read it from now on."""
+        for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):
+            made.setsockopt(socket.SOL_SOCKET, option, SOCKET_LIMITS.buffer_size)
+        granted = made.getsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF)
+        # The system counts its own records too: a packet may have at most about half of the buffer.
+        piece_size = min(SOCKET_LIMITS.piece_size, granted // 4)
+        connection = LocalConnection(made, piece_size)
+        self._loop.add_reader(made.fileno(), self._read, connection)
+        return connection
+
+    def _end(self, connection: LocalConnection) -> None:
+        """Close a connection."""
+        self._strangers.pop(connection, None)
+        if self._connections.get(connection.process) is connection:
+            del self._connections[connection.process]
+        self._loop.remove_reader(connection.socket.fileno())
+        connection.socket.close()
+
+    # Sending --------------------------------------------------------------------------
+
+    def is_connected(self, process: str) -> bool:
+        """Return True if frames to this process may go through a socket."""
+        return process in self._connections
+
+    def send(self, process: str, frame: bytes) -> None:
+        """Send a frame to a connected process; drop it if that does not read fast enough."""
+        connection = self._connections[process]
+        try:
+            if len(frame) <= connection.piece_size:
+                connection.socket.send(frame)
+            else:
+                self._send_pieces(connection, frame)
+        except (BlockingIOError, InterruptedError):
+            self.counters.full += 1
+        except OSError:
+            self.counters.broken += 1
+            self._end(connection)
+
+    def _send_pieces(self, connection: LocalConnection, frame: bytes) -> None:
+        """Send a large frame in pieces.
+
+        If a piece does not fit, the frame is lost: the next frame begins anew at the receiver.
+        """
+        size = connection.piece_size
+        for start in range(0, len(frame), size):
+            is_last = start + size >= len(frame)
+            mark = LAST_PIECE_MARK if is_last else PIECE_MARK
+            head = struct.pack("<BI", mark, start)
+            connection.socket.send(head + frame[start : start + size])
+
+    # Receiving ------------------------------------------------------------------------
+
+    def _read(self, connection: LocalConnection) -> None:
+        """Read some packets of a connection; the next pass reads on."""
+        ends_ns = time.perf_counter_ns() + SOCKET_LIMITS.slice_ns
+        for _ in range(SOCKET_LIMITS.packets_a_pass):
+            try:
+                packet = connection.socket.recv(SOCKET_LIMITS.buffer_size)
+            except (BlockingIOError, InterruptedError):
+                return
+            except OSError:
+                self.counters.broken += 1
+                packet = b""
+            if not packet:
+                self._end(connection)
+                return
+            self._take(connection, packet)
+            if connection.socket.fileno() < 0 or time.perf_counter_ns() > ends_ns:
+                return
+
+    def _take(self, connection: LocalConnection, packet: bytes) -> None:
+        """Take a packet: a frame, a piece of one, or who connects."""
+        if not connection.process:
+            self._introduce(connection, packet)
+        elif packet[0] == FRAME_FORMAT.version:
+            self._receive(connection.process, packet)
+        elif packet[0] in (PIECE_MARK, LAST_PIECE_MARK):
+            self._take_piece(connection, packet)
+        else:
+            self.counters.malformed += 1
+
+    def _introduce(self, connection: LocalConnection, packet: bytes) -> None:
+        """Learn which process has connected; close the connection of a stranger."""
+        self._strangers.pop(connection, None)
+        try:
+            if packet[0] != IDENTITY_MARK:
+                raise msgspec.DecodeError("no identity")
+            identity = msgspec.msgpack.decode(packet[1:], type=LocalIdentity)
+        except msgspec.MsgspecError:
+            self.counters.malformed += 1
+            self._end(connection)
+            return
+        if identity.swarm != self.identity.swarm or not self._is_known(identity):
+            self.counters.strangers += 1
+            self._end(connection)
+            return
+        self.forget(identity.process)
+        connection.process = identity.process
+        self._connections[identity.process] = connection
+
+    def _take_piece(self, connection: LocalConnection, packet: bytes) -> None:
+        """Add a piece of a large frame, and take the frame with its last piece."""
+        head = struct.calcsize("<BI")
+        if len(packet) <= head:
+            self.counters.malformed += 1
+            return
+        mark, start = struct.unpack_from("<BI", packet)
+        pieces = connection.pieces
+        if start == 0:
+            pieces.clear()
+        if start != len(pieces) or start + len(packet) > 2 * FRAME_FORMAT.max_bytes:
+            pieces.clear()  # a piece before this one is lost
+            return
+        pieces += packet[head:]
+        if mark == LAST_PIECE_MARK:
+            frame = bytes(pieces)
+            pieces.clear()
+            self._receive(connection.process, frame)
+
+
+def read_user(connected: socket.socket) -> int:
+    """Return the user id of the process at the other end of a connection."""
+    raw = connected.getsockopt(
+        socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS.size
+    )
+    _, user, _ = CREDENTIALS.unpack(raw)
+    return int(user)

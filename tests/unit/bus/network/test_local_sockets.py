@@ -1,0 +1,228 @@
+"""Sockets between the processes of a host: two ends in one event loop, with real sockets."""
+
+import asyncio
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from crazychoir.bus.frames import FRAME_FORMAT
+from crazychoir.bus.network import local_sockets
+from crazychoir.bus.network.local_sockets import (
+    SOCKET_LIMITS,
+    LocalAddress,
+    LocalIdentity,
+    LocalSockets,
+)
+from crazychoir.files.user_folders import RUNTIME_VARIABLE
+
+VERSION = bytes([FRAME_FORMAT.version])
+
+
+class End:
+    """One process: its sockets, and the frames that it has received."""
+
+    def __init__(self, name: str, swarm: str = "swarm") -> None:
+        self.frames: list[tuple[str, bytes]] = []
+        self.known = True
+        self.sockets = LocalSockets(
+            LocalIdentity(swarm, name, 1), self._receive, lambda identity: self.known
+        )
+        self.sockets.open()
+
+    def _receive(self, process: str, frame: bytes) -> None:
+        self.frames.append((process, frame))
+
+
+@pytest.fixture
+def ends(tmp_path, monkeypatch) -> Iterator[Callable[..., End]]:
+    """Makes ends, and closes them."""
+    folder = tmp_path / "run"
+    folder.mkdir(mode=0o700)
+    monkeypatch.setenv(RUNTIME_VARIABLE, str(folder))
+    made: list[End] = []
+
+    def make(name: str, swarm: str = "swarm") -> End:
+        made.append(End(name, swarm))
+        return made[-1]
+
+    yield make
+    for end in made:
+        end.sockets.close()
+    assert list(folder.iterdir()) == []
+
+
+async def until(condition: Callable[[], object]) -> None:
+    """Wait for it."""
+    async with asyncio.timeout(5.0):
+        while not condition():
+            await asyncio.sleep(0.001)
+
+
+async def connect(one: End, two: End) -> None:
+    """Let each reach the other, as after their HELLOs."""
+    for end, other in ((one, two), (two, one)):
+        end.sockets.reach(other.sockets.identity.process, other.sockets.address)
+    names = [end.sockets.identity.process for end in (one, two)]
+    await until(
+        lambda: (
+            one.sockets.is_connected(names[1]) and two.sockets.is_connected(names[0])
+        )
+    )
+
+
+async def test_frames_go_both_ways_in_order(ends):
+    a, b = ends("a"), ends("b")
+    await connect(a, b)
+    frames = [VERSION + bytes([n]) for n in range(100)]
+    for frame in frames:
+        a.sockets.send("b", frame)
+        b.sockets.send("a", frame)
+    await until(lambda: len(a.frames) == len(b.frames) == 100)
+    assert b.frames == [("a", frame) for frame in frames]
+    assert a.frames == [("b", frame) for frame in frames]
+
+
+@pytest.mark.parametrize("extra", [-1, 0, 1, 500_000])
+async def test_large_frames_go_in_pieces(ends, extra):
+    a, b = ends("a"), ends("b")
+    await connect(a, b)
+    frame = VERSION + os.urandom(SOCKET_LIMITS.piece_size - 1 + extra)
+    a.sockets.send("b", frame)
+    a.sockets.send("b", VERSION)
+    await until(lambda: len(b.frames) == 2)
+    assert b.frames == [("a", frame), ("a", VERSION)]
+
+
+async def test_a_process_that_does_not_read_loses_frames_and_hurts_no_other(ends):
+    a, b, c = ends("a"), ends("b"), ends("c")
+    await connect(a, b)
+    await connect(a, c)
+    frame = VERSION + bytes(50_000)
+    for _ in range(200):
+        a.sockets.send("b", frame)
+    a.sockets.send("c", frame)
+    assert a.sockets.counters.full > 100
+    await until(lambda: c.frames)
+    await until(lambda: len(b.frames) == 200 - a.sockets.counters.full)
+    a.sockets.send("b", VERSION)
+    await until(lambda: b.frames[-1] == ("a", VERSION))
+
+
+async def test_a_large_frame_that_lost_a_piece_is_dropped_whole(ends):
+    a, b = ends("a"), ends("b")
+    await connect(a, b)
+    big = VERSION + os.urandom(600_000)
+    for _ in range(10):
+        a.sockets.send("b", big)
+    assert a.sockets.counters.full > 0
+    await until(lambda: len(b.frames) > 0)
+    await asyncio.sleep(0.05)
+    a.sockets.send("b", big)
+    a.sockets.send("b", VERSION)
+    await until(lambda: b.frames[-1] == ("a", VERSION))
+    assert all(frame == big for _, frame in b.frames[:-1])
+
+
+async def test_an_end_that_closes_is_noticed_and_may_come_again(ends):
+    a, b = ends("a"), ends("b")
+    await connect(a, b)
+    b.sockets.close()
+    await until(lambda: not a.sockets.is_connected("b"))
+    again = ends("b")
+    await connect(a, again)
+    a.sockets.send("b", VERSION)
+    await until(lambda: again.frames)
+
+
+async def test_the_lesser_name_connects(ends):
+    a, b = ends("a"), ends("b")
+    b.sockets.reach("a", a.sockets.address)
+    await asyncio.sleep(0.02)
+    assert not a.sockets.is_connected("b")
+    assert not b.sockets.is_connected("a")
+
+
+async def test_another_network_namespace_is_another_host(ends):
+    a, b = ends("a"), ends("b")
+    elsewhere = LocalAddress("another machine", b.sockets.address.path)
+    a.sockets.reach("b", elsewhere)
+    assert not a.sockets.is_connected("b")
+
+
+@pytest.mark.parametrize("swarm", ["swarm", "another"])
+async def test_strangers_are_refused(ends, swarm):
+    a, b = ends("a", swarm), ends("b")
+    b.known = swarm != "swarm"
+    a.sockets.reach("b", b.sockets.address)
+    await until(lambda: b.sockets.counters.strangers == 1)
+    await until(lambda: not a.sockets.is_connected("b"))
+    assert not b.sockets.is_connected("a")
+
+
+@pytest.mark.parametrize("packet", [VERSION + b"frame", b"\xf2\xff", b"\xf2"])
+async def test_a_connection_that_does_not_say_who_it_is_is_closed(ends, packet):
+    b = ends("b")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as raw:
+        raw.connect(b.sockets.address.path)
+        raw.send(packet)
+        await until(lambda: b.sockets.counters.malformed == 1)
+        raw.setblocking(False)
+        assert raw.recv(10) == b""
+    assert b.frames == []
+
+
+@pytest.mark.parametrize("packet", [b"\x00", b"\xf0", b"\xf1123", b"\xf2again"])
+async def test_packets_that_are_no_frames_are_counted(ends, packet):
+    a, b = ends("a"), ends("b")
+    await connect(a, b)
+    a.sockets.send("b", packet)
+    a.sockets.send("b", VERSION)
+    await until(lambda: b.frames)
+    assert b.frames == [("a", VERSION)]
+    assert b.sockets.counters.malformed == 1
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can act as another user")
+async def test_a_process_of_another_user_is_a_stranger(ends, monkeypatch):
+    b = ends("b")
+    path = Path(b.sockets.address.path)
+    for place in (path, path.parent, *path.parent.parents):
+        if place != Path("/"):
+            place.chmod(0o777)
+    try:
+        program = (
+            "import os, socket, sys; os.setuid(65534); "
+            "s = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET); "
+            "s.connect(sys.argv[1]); print(len(s.recv(10)))"
+        )
+        ended = await asyncio.to_thread(
+            subprocess.run,
+            [sys.executable, "-c", program, str(path)],
+            capture_output=True,
+            text=True,
+            timeout=10,
+        )
+    finally:
+        path.parent.chmod(0o700)
+    await until(lambda: b.sockets.counters.strangers == 1)
+    assert ended.stdout.strip() == "0", ended.stderr
+
+
+@pytest.mark.parametrize("fault", ["machine", "path"])
+async def test_without_a_socket_the_network_is_used(ends, monkeypatch, fault, caplog):
+    caplog.set_level("INFO")
+    if fault == "machine":
+        monkeypatch.setattr(local_sockets, "find_machine", lambda: "")
+    else:
+        long = Path(os.environ[RUNTIME_VARIABLE]) / ("x" * 100)
+        monkeypatch.setattr(local_sockets, "find_socket_path", lambda identity: long)
+    a = ends("a")
+    assert a.sockets.address.path == ""
+    assert "reached over the network" in caplog.text
+    a.sockets.reach("b", LocalAddress("", "x"))
+    assert not a.sockets.is_connected("b")
