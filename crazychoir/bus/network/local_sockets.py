@@ -162,16 +162,13 @@ class LocalSockets:
     def open(self) -> None:
         """Listen at a path of this process; without a socket, say why."""
         machine = find_machine()
-        listening = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
             if not machine:
                 raise OSError("the system does not tell its boot and network namespace")
             path = find_socket_path(self.identity)
-            listening.setblocking(False)
-            listening.bind(str(path))
-            listening.listen(SOCKET_LIMITS.backlog)
+            remove_stale_sockets(path.parent)
+            listening = listen_at(path)
         except (OSError, ConfigError) as error:
-            listening.close()
             log.info(
                 "no local socket (%s): the processes of this host are reached over the network",
                 error_text(error),
@@ -366,6 +363,37 @@ class LocalSockets:
             frame = bytes(pieces)
             pieces.clear()
             self._receive(connection.process, frame)
+
+
+def listen_at(path: Path) -> socket.socket:
+    """Return a socket that listens at a path. Raises OSError if it cannot be made.
+
+    The path appears when the socket listens already, so that `remove_stale_sockets` spares it.
+    """
+    hidden = path.with_suffix(".new")
+    listening = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    try:
+        listening.setblocking(False)
+        listening.bind(str(hidden))
+        listening.listen(SOCKET_LIMITS.backlog)
+        os.rename(hidden, path)
+    except OSError:
+        listening.close()
+        raise
+    return listening
+
+
+def remove_stale_sockets(folder: Path) -> None:
+    """Remove the sockets of processes that ended without removing them."""
+    for path in folder.glob("*.sock"):
+        with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as asking:
+            asking.setblocking(False)
+            try:
+                asking.connect(str(path))
+            except ConnectionRefusedError:
+                path.unlink(missing_ok=True)
+            except OSError:
+                continue
 
 
 def read_user(connected: socket.socket) -> int:

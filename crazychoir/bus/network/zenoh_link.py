@@ -585,6 +585,8 @@ class ZenohLink(Actor):
             for frame in frames:
                 if self.local.is_connected(lane.process):
                     self.local.send(lane.process, frame)
+                    self.counters.frames_sent += 1
+                    self.counters.bytes_sent += len(frame)
                 else:
                     self._put(lane.publisher.put, frame)
         for _ in range(len(self._after)):
@@ -769,6 +771,7 @@ class ZenohLink(Actor):
         peer = self.peers.get(identity.process)
         return (
             peer is not None
+            and peer.host == self.bus.host
             and not peer.refusal
             and peer.hello is not None
             and peer.hello.incarnation == identity.incarnation
@@ -780,13 +783,18 @@ class ZenohLink(Actor):
         if peer is None:
             self.counters.strangers += 1
             return
+        arrived_ns = self._now_ns()
+        budget = self._budgets.of(f"{peer.host}/{process}", arrived_ns)
+        if not budget.take(arrived_ns, len(data)):
+            self._flooded(budget, f"{peer.host} (process {process})")
+            return
         try:
             frame = decode_frame(data)
         except CodecError:
             self.counters.malformed += 1
             return
         self.counters.frames_received += 1
-        self._distribute(peer, frame.envelopes, self._now_ns())
+        self._distribute(peer, frame.envelopes, arrived_ns)
 
     def _sender(self, key: str, frame: Frame) -> Peer | None:
         """Return the peer that sent a frame.
@@ -896,7 +904,8 @@ class ZenohLink(Actor):
         if not peer.refusal:
             is_mutual = self.table.mutual(peer)
             self._heard_of_us(peer.process, is_mutual)
-            if is_mutual and peer.hello is not None:
+            is_here = peer.host == self.bus.host
+            if is_mutual and is_here and peer.hello is not None:
                 self.local.reach(peer.process, peer.hello.local)
 
 

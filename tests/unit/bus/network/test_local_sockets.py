@@ -139,6 +139,18 @@ async def test_an_end_that_closes_is_noticed_and_may_come_again(ends):
     await until(lambda: again.frames)
 
 
+async def test_sockets_of_processes_that_were_killed_are_removed(ends):
+    a = ends("a")
+    folder = Path(a.sockets.address.path).parent
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as killed:
+        killed.bind(str(folder / "stale.sock"))
+    b = ends("b")
+    assert sorted(folder.iterdir()) == sorted(
+        Path(end.sockets.address.path) for end in (a, b)
+    )
+    await connect(a, b)
+
+
 async def test_the_lesser_name_connects(ends):
     a, b = ends("a"), ends("b")
     b.sockets.reach("a", a.sockets.address)
