@@ -12,7 +12,7 @@ from msgspec import Meta
 
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.frames import FRAME_FORMAT
-from crazychoir.bus.network.local_sockets import LocalAddress
+from crazychoir.bus.network.local_sockets import NO_LOCAL_ADDRESS, LocalAddress
 from crazychoir.bus.port import PORT_ADDRESSES, Interest
 from crazychoir.errors import CodecError, error_text
 
@@ -85,7 +85,7 @@ class Hello(msgspec.Struct, frozen=True):
 
     It is empty for an observer.
     """
-    local: LocalAddress = LocalAddress()
+    local: LocalAddress = NO_LOCAL_ADDRESS
     """Where the processes of its host find it."""
 
     @classmethod

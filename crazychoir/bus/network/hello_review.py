@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from crazychoir.bus.network.local_sockets import LocalAddress
 from crazychoir.bus.network.hello import Hello
+from crazychoir.bus.network.local_sockets import NO_LOCAL_ADDRESS, LocalAddress
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 
 COPY_FILE_ADVICE: Final = "Copy one file to every host, and start both again."
@@ -29,7 +29,7 @@ class Introduction:
     """Version of crazychoir."""
     agreed: Mapping[str, str] = field(default_factory=dict)
     """{key of the swarm file: hash of its value} on which all owners must agree."""
-    local: LocalAddress = LocalAddress()
+    local: LocalAddress = NO_LOCAL_ADDRESS
     """Where the processes of this host find it."""
 
 

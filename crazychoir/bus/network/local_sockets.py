@@ -71,6 +71,10 @@ class LocalAddress(msgspec.Struct, frozen=True):
     """Path of the socket; empty if there is none."""
 
 
+NO_LOCAL_ADDRESS: Final = LocalAddress()
+"""Address of a process without a socket."""
+
+
 class LocalIdentity(msgspec.Struct, frozen=True, array_like=True):
     """Who connects: the first packet of a connection."""
 
@@ -148,7 +152,7 @@ class LocalSockets:
         self, identity: LocalIdentity, receive: ReceiveFrame, is_known: IsKnown
     ) -> None:
         self.identity = identity
-        self.address = LocalAddress()
+        self.address = NO_LOCAL_ADDRESS
         self.counters = SocketCounters()
         self._receive = receive
         self._is_known = is_known
@@ -176,7 +180,7 @@ class LocalSockets:
             return
         self._listening = listening
         self.address = LocalAddress(machine, str(path))
-        self._loop.add_reader(listening.fileno(), self._accept)
+        self._loop.add_reader(listening.fileno(), self._accept, listening)
 
     def close(self) -> None:
         """End all connections, and remove the path."""
@@ -229,11 +233,10 @@ class LocalSockets:
         if connection is not None:
             self._end(connection)
 
-    def _accept(self) -> None:
+    def _accept(self, listening: socket.socket) -> None:
         """Take a new connection of a process of this user."""
-        assert self._listening is not None
         try:
-            made, _ = self._listening.accept()
+            made, _ = listening.accept()
         except OSError:
             return
         made.setblocking(False)
@@ -398,8 +401,6 @@ def remove_stale_sockets(folder: Path) -> None:
 
 def read_user(connected: socket.socket) -> int:
     """Return the user id of the process at the other end of a connection."""
-    raw = connected.getsockopt(
-        socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS.size
-    )
+    raw = connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS.size)
     _, user, _ = CREDENTIALS.unpack(raw)
     return int(user)
