@@ -4,7 +4,7 @@ They are AF_UNIX sockets of the kind SEQPACKET: each packet is one frame, or a p
 and the event loop reads it without another thread. The folder of the sockets is private, and the
 system tells the user of each process that connects: a process of another user is a stranger.
 
-Of two processes the one with the lesser name connects. Its first packet says who it is. A receiver
+Of two processes, that with the lesser name connects. Its first packet tells its name. A receiver
 that is full, or stopped, costs only the frames to itself: they are dropped and counted.
 """
 
@@ -32,7 +32,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class SocketLimits:
+class LocalSocketLimits:
     """Sizes of the sockets between the processes of a host, and how they are read."""
 
     buffer_size: int = 1 << 20
@@ -46,10 +46,10 @@ class SocketLimits:
     backlog: int = 128
     """Connections that may wait to be accepted."""
     most_strangers: int = 32
-    """Most connections that have not said yet who they are."""
+    """Most connections that have not told their process yet."""
 
 
-SOCKET_LIMITS = SocketLimits()
+SOCKET_LIMITS = LocalSocketLimits()
 
 
 PIECE_MARK: Final = 0xF0
@@ -57,8 +57,8 @@ PIECE_MARK: Final = 0xF0
 LAST_PIECE_MARK: Final = 0xF1
 """First byte of a packet with the last piece of a frame."""
 IDENTITY_MARK: Final = 0xF2
-"""First byte of the packet that says who connects."""
-CREDENTIALS: Final = struct.Struct("3i")
+"""First byte of the packet with the identity of the process that connects."""
+PEER_CREDENTIALS: Final = struct.Struct("3i")
 """Process id, user id and group id of the other end of a connection."""
 
 
@@ -76,7 +76,7 @@ NO_LOCAL_ADDRESS: Final = LocalAddress()
 
 
 class LocalIdentity(msgspec.Struct, frozen=True, array_like=True):
-    """Who connects: the first packet of a connection."""
+    """The process that connects: the first packet of a connection."""
 
     swarm: str
     """Name of the swarm."""
@@ -131,7 +131,7 @@ class SocketCounters:
     strangers: int = 0
     """Connections of another user, another swarm, or an unknown process."""
     malformed: int = 0
-    """Packets that are no frame and no piece of one."""
+    """Packets that are neither a frame nor a piece of a frame."""
 
 
 ReceiveFrame = Callable[[str, bytes], None]
@@ -143,7 +143,7 @@ IsKnown = Callable[[LocalIdentity], bool]
 class LocalSockets:
     """The connections of one process; without any if it could not make its socket.
 
-    identity: who this process is
+    identity: name and number of this process
     receive: gets each frame
     is_known: says which processes may connect
     """
@@ -196,7 +196,7 @@ class LocalSockets:
     # Connecting -----------------------------------------------------------------------
 
     def reach(self, process: str, address: LocalAddress) -> None:
-        """Connect to a process of this host, unless it is the one that connects.
+        """Connect to a process of this host, unless it is the other one's turn to connect.
 
         Call it again for another try: a process that does not listen is no error.
         """
@@ -319,7 +319,7 @@ class LocalSockets:
                 return
 
     def _take(self, connection: LocalConnection, packet: bytes) -> None:
-        """Take a packet: a frame, a piece of one, or who connects."""
+        """Take a packet: a frame, a piece of a frame, or an identity."""
         if not connection.process:
             self._introduce(connection, packet)
         elif packet[0] == FRAME_FORMAT.version:
@@ -401,6 +401,6 @@ def remove_stale_sockets(folder: Path) -> None:
 
 def read_user(connected: socket.socket) -> int:
     """Return the user id of the process at the other end of a connection."""
-    raw = connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS.size)
-    _, user, _ = CREDENTIALS.unpack(raw)
+    raw = connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, PEER_CREDENTIALS.size)
+    _, user, _ = PEER_CREDENTIALS.unpack(raw)
     return int(user)

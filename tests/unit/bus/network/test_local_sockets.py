@@ -59,8 +59,8 @@ def ends(tmp_path, monkeypatch) -> Iterator[Callable[..., End]]:
 async def until(condition: Callable[[], object]) -> None:
     """Wait for it."""
     async with asyncio.timeout(5.0):
-        while not condition():
-            await asyncio.sleep(0.001)  # noqa: ASYNC110 - sockets, not tasks, change it
+        while not condition():  # noqa: ASYNC110 - sockets change it, and no task
+            await asyncio.sleep(0.001)
 
 
 async def connect(one: End, two: End) -> None:
@@ -177,7 +177,7 @@ async def test_strangers_are_refused(ends, swarm):
 
 
 @pytest.mark.parametrize("packet", [VERSION + b"frame", b"\xf2\xff", b"\xf2"])
-async def test_a_connection_that_does_not_say_who_it_is_is_closed(ends, packet):
+async def test_a_connection_without_an_identity_is_closed(ends, packet):
     b = ends("b")
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as raw:
         raw.connect(b.sockets.address.path)
