@@ -14,7 +14,6 @@ import logging
 import os
 import socket
 import struct
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from hashlib import blake2b
@@ -146,16 +145,22 @@ class LocalSockets:
     identity: name and number of this process
     receive: gets each frame
     is_known: says which processes may connect
+    now_ns: returns the time in ns
     """
 
     def __init__(
-        self, identity: LocalIdentity, receive: ReceiveFrame, is_known: IsKnown
+        self,
+        identity: LocalIdentity,
+        receive: ReceiveFrame,
+        is_known: IsKnown,
+        now_ns: Callable[[], int],
     ) -> None:
         self.identity = identity
         self.address = NO_LOCAL_ADDRESS
         self.counters = SocketCounters()
         self._receive = receive
         self._is_known = is_known
+        self._now_ns = now_ns
         self._loop = asyncio.get_running_loop()
         self._listening: socket.socket | None = None
         self._strangers: dict[LocalConnection, None] = {}
@@ -302,7 +307,7 @@ class LocalSockets:
 
     def _read(self, connection: LocalConnection) -> None:
         """Read some packets of a connection; the next pass reads on."""
-        ends_ns = time.perf_counter_ns() + SOCKET_LIMITS.slice_ns
+        ends_ns = self._now_ns() + SOCKET_LIMITS.slice_ns
         for _ in range(SOCKET_LIMITS.packets_a_pass):
             try:
                 packet = connection.socket.recv(SOCKET_LIMITS.buffer_size)
@@ -315,7 +320,7 @@ class LocalSockets:
                 self._end(connection)
                 return
             self._take(connection, packet)
-            if connection.socket.fileno() < 0 or time.perf_counter_ns() > ends_ns:
+            if connection.socket.fileno() < 0 or self._now_ns() > ends_ns:
                 return
 
     def _take(self, connection: LocalConnection, packet: bytes) -> None:
@@ -401,6 +406,8 @@ def remove_stale_sockets(folder: Path) -> None:
 
 def read_user(connected: socket.socket) -> int:
     """Return the user id of the process at the other end of a connection."""
-    raw = connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, PEER_CREDENTIALS.size)
+    raw = connected.getsockopt(
+        socket.SOL_SOCKET, socket.SO_PEERCRED, PEER_CREDENTIALS.size
+    )
     _, user, _ = PEER_CREDENTIALS.unpack(raw)
     return int(user)

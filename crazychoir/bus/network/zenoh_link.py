@@ -242,7 +242,9 @@ class ZenohLink(Actor):
         self.counters = LinkCounters()
         own = Introduction(swarm, incarnation, version, dict(agreed or {}))
         identity = LocalIdentity(swarm, bus.process, incarnation)
-        self.local = LocalSockets(identity, self._local_frame, self._may_connect)
+        self.local = LocalSockets(
+            identity, self._local_frame, self._may_connect, bus.clock.now_ns
+        )
         self.table = Peers(bus, own, access, on_token, on_refused)
         self.peers = self.table.by_name
         self.directory = self.table.directory

@@ -5,6 +5,7 @@ import os
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -30,7 +31,10 @@ class End:
         self.frames: list[tuple[str, bytes]] = []
         self.known = True
         self.sockets = LocalSockets(
-            LocalIdentity(swarm, name, 1), self._receive, lambda identity: self.known
+            LocalIdentity(swarm, name, 1),
+            self._receive,
+            lambda identity: self.known,
+            time.monotonic_ns,
         )
         self.sockets.open()
 
