@@ -191,6 +191,10 @@ class LocalSockets:
         """End all connections, and remove the path."""
         for connection in [*self._connections.values(), *self._strangers]:
             self._end(connection)
+        self._stop_listening()
+
+    def _stop_listening(self) -> None:
+        """Take no further connection."""
         if self._listening is not None:
             self._loop.remove_reader(self._listening.fileno())
             self._listening.close()
@@ -207,15 +211,9 @@ class LocalSockets:
         """
         if not self._may_connect(process, address):
             return
-        made = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        made.setblocking(False)
         try:
-            made.connect(address.path)
-            if read_user(made) != os.getuid():
-                raise PermissionError("the socket belongs to another user")
-            made.send(bytes([IDENTITY_MARK]) + msgspec.msgpack.encode(self.identity))
+            made = connect_to(Path(address.path), self.identity)
         except OSError as error:
-            made.close()
             log.debug("no local connection to %s: %s", process, error_text(error))
             return
         connection = self._adopt(made)
@@ -242,7 +240,15 @@ class LocalSockets:
         """Take a new connection of a process of this user."""
         try:
             made, _ = listening.accept()
-        except OSError:
+        except (BlockingIOError, InterruptedError, ConnectionAbortedError):
+            return
+        except OSError as error:
+            # For example too many open files: the connection would ask again and again.
+            log.warning(
+                "no further local sockets (%s): other processes of this host are reached over the network",
+                error_text(error),
+            )
+            self._stop_listening()
             return
         made.setblocking(False)
         is_crowded = len(self._strangers) >= SOCKET_LIMITS.most_strangers
@@ -389,6 +395,24 @@ def listen_at(path: Path) -> socket.socket:
         listening.close()
         raise
     return listening
+
+
+def connect_to(path: Path, identity: LocalIdentity) -> socket.socket:
+    """Return a socket that is connected to the process at a path, and has told the identity of this one.
+
+    Raises OSError if no process listens there, or a process of another user.
+    """
+    made = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    try:
+        made.setblocking(False)
+        made.connect(str(path))
+        if read_user(made) != os.getuid():
+            raise PermissionError("the socket belongs to another user")
+        made.send(bytes([IDENTITY_MARK]) + msgspec.msgpack.encode(identity))
+    except OSError:
+        made.close()
+        raise
+    return made
 
 
 def remove_stale_sockets(folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 import asyncio
 import os
+import resource
 import socket
 import subprocess
 import sys
@@ -153,6 +154,23 @@ async def test_sockets_of_processes_that_were_killed_are_removed(ends):
         Path(end.sockets.address.path) for end in (a, b)
     )
     await connect(a, b)
+
+
+async def test_without_free_file_descriptors_the_network_is_used(ends, caplog):
+    a, b = ends("a"), ends("b")
+    most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    lowest_free = os.dup(0)
+    os.close(lowest_free)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as asking:
+        asking.setblocking(False)
+        asking.connect(b.sockets.address.path)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (lowest_free, most[1]))
+        try:
+            a.sockets.reach("b", b.sockets.address)
+            await until(lambda: "no further local sockets" in caplog.text)
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, most)
+    assert not a.sockets.is_connected("b")
 
 
 async def test_the_lesser_name_connects(ends):
