@@ -1,7 +1,8 @@
 """The connections of this process with the other processes of its host: one socket a pair.
 
 They are AF_UNIX sockets of the kind SEQPACKET: each packet is one frame, or a piece of a large one,
-and the event loop reads it without another thread. The folder of the sockets is private, and the
+and the event loop reads it without another thread. A packet tells when it was sent, by the clock of
+the machine, so that a frame ages while it waits for its reader. The folder of the sockets is private, and the
 system tells the user of each process that connects: a process of another user is a stranger.
 
 Of two processes, that with the lesser name connects. Its first packet tells its name. A receiver
@@ -51,10 +52,15 @@ class LocalSocketLimits:
 SOCKET_LIMITS = LocalSocketLimits()
 
 
+PACKET_HEAD: Final = struct.Struct("<BIQ")
+"""Start of a packet with a frame, or with a piece of one.
+
+It holds a mark, the place of the piece in the frame in bytes, and the time of sending in ns.
+"""
 PIECE_MARK: Final = 0xF0
 """First byte of a packet with a piece of a frame that goes on."""
 LAST_PIECE_MARK: Final = 0xF1
-"""First byte of a packet with the last piece of a frame."""
+"""First byte of a packet with a whole frame, or with the last piece of one."""
 IDENTITY_MARK: Final = 0xF2
 """First byte of the packet with the identity of the process that connects."""
 PEER_CREDENTIALS: Final = struct.Struct("3i")
@@ -65,7 +71,7 @@ class LocalAddress(msgspec.Struct, frozen=True):
     """Where the processes of one host find this one; in its HELLO."""
 
     machine: str = ""
-    """Boot and network namespace: equal for processes that may use sockets with each other."""
+    """Boot and namespaces: equal for processes that may use sockets with each other."""
     path: str = ""
     """Path of the socket; empty if there is none."""
 
@@ -86,17 +92,18 @@ class LocalIdentity(msgspec.Struct, frozen=True, array_like=True):
 
 
 def find_machine() -> str:
-    """Return the boot and the network namespace of this process.
+    """Return the boot, and the namespaces of the network and of the clock, of this process.
 
-    Two namespaces with one folder are two hosts, because between hosts other rules hold. The result
-    is empty where the system does not tell.
+    Two network namespaces with one folder are two hosts, because between hosts other rules hold. The
+    result is empty where the system does not tell.
     """
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
-        namespace = os.stat("/proc/self/ns/net").st_ino
+        network = os.stat("/proc/self/ns/net").st_ino
+        clock = os.stat("/proc/self/ns/time").st_ino
     except OSError:
         return ""
-    return f"{boot}/{namespace}"
+    return f"{boot}/{network}/{clock}"
 
 
 def find_socket_path(identity: LocalIdentity) -> Path:
@@ -133,8 +140,8 @@ class SocketCounters:
     """Packets that are neither a frame nor a piece of a frame."""
 
 
-ReceiveFrame = Callable[[str, bytes], None]
-"""Callable that gets (name of the sending process, frame)."""
+ReceiveFrame = Callable[[str, bytes, int], None]
+"""Callable that gets (name of the sending process, frame, time of sending in ns)."""
 IsKnown = Callable[[LocalIdentity], bool]
 """Callable that says if a process that connects is one of the peers."""
 
@@ -145,7 +152,7 @@ class LocalSockets:
     identity: name and number of this process
     receive: gets each frame
     is_known: says which processes may connect
-    now_ns: returns the time in ns
+    now_ns: returns the time in ns, by the clock of the machine
     """
 
     def __init__(
@@ -284,30 +291,25 @@ class LocalSockets:
         return process in self._connections
 
     def send(self, process: str, frame: bytes) -> None:
-        """Send a frame to a connected process; drop it if that does not read fast enough."""
+        """Send a frame to a connected process, a large one in pieces.
+
+        If a piece does not fit, because the process does not read fast enough, the frame is lost.
+        The next frame begins anew.
+        """
         connection = self._connections[process]
+        size = connection.piece_size
+        now_ns = self._now_ns()
         try:
-            if len(frame) <= connection.piece_size:
-                connection.socket.send(frame)
-            else:
-                self._send_pieces(connection, frame)
+            for start in range(0, len(frame), size):
+                is_last = start + size >= len(frame)
+                mark = LAST_PIECE_MARK if is_last else PIECE_MARK
+                head = PACKET_HEAD.pack(mark, start, now_ns)
+                connection.socket.send(head + frame[start : start + size])
         except (BlockingIOError, InterruptedError):
             self.counters.full += 1
         except OSError:
             self.counters.broken += 1
             self._end(connection)
-
-    def _send_pieces(self, connection: LocalConnection, frame: bytes) -> None:
-        """Send a large frame in pieces.
-
-        If a piece does not fit, the frame is lost: the next frame begins anew at the receiver.
-        """
-        size = connection.piece_size
-        for start in range(0, len(frame), size):
-            is_last = start + size >= len(frame)
-            mark = LAST_PIECE_MARK if is_last else PIECE_MARK
-            head = struct.pack("<BI", mark, start)
-            connection.socket.send(head + frame[start : start + size])
 
     # Receiving ------------------------------------------------------------------------
 
@@ -333,8 +335,6 @@ class LocalSockets:
         """Take a packet: a frame, a piece of a frame, or an identity."""
         if not connection.process:
             self._introduce(connection, packet)
-        elif packet[0] == FRAME_FORMAT.version:
-            self._receive(connection.process, packet)
         elif packet[0] in (PIECE_MARK, LAST_PIECE_MARK):
             self._take_piece(connection, packet)
         else:
@@ -360,23 +360,27 @@ class LocalSockets:
         self._connections[identity.process] = connection
 
     def _take_piece(self, connection: LocalConnection, packet: bytes) -> None:
-        """Add a piece of a large frame, and take the frame with its last piece."""
-        head = struct.calcsize("<BI")
-        if len(packet) <= head:
+        """Take a whole frame, or a piece of one; take the frame with its last piece."""
+        if len(packet) <= PACKET_HEAD.size:
             self.counters.malformed += 1
             return
-        mark, start = struct.unpack_from("<BI", packet)
+        mark, start, sent_ns = PACKET_HEAD.unpack_from(packet)
+        content = packet[PACKET_HEAD.size :]
+        if mark == LAST_PIECE_MARK and start == 0:
+            connection.pieces.clear()
+            self._receive(connection.process, content, sent_ns)
+            return
         pieces = connection.pieces
         if start == 0:
             pieces.clear()
-        if start != len(pieces) or start + len(packet) > 2 * FRAME_FORMAT.max_bytes:
+        if start != len(pieces) or start > FRAME_FORMAT.max_bytes:
             pieces.clear()  # a piece before this one is lost
             return
-        pieces += packet[head:]
+        pieces += content
         if mark == LAST_PIECE_MARK:
             frame = bytes(pieces)
             pieces.clear()
-            self._receive(connection.process, frame)
+            self._receive(connection.process, frame, sent_ns)
 
 
 def listen_at(path: Path) -> socket.socket:

@@ -779,15 +779,18 @@ class ZenohLink(Actor):
             and peer.hello.incarnation == identity.incarnation
         )
 
-    def _local_frame(self, process: str, data: bytes) -> None:
-        """Take a frame that came through a socket."""
+    def _local_frame(self, process: str, data: bytes, sent_ns: int) -> None:
+        """Take a frame that came through a socket.
+
+        sent_ns: ns, time of sending by the clock of this machine
+        """
         peer = self.peers.get(process)
         if peer is None:
             self.counters.strangers += 1
             return
-        arrived_ns = self._now_ns()
-        budget = self._budgets.of(f"{peer.host}/{process}", arrived_ns)
-        if not budget.take(arrived_ns, len(data)):
+        now_ns = self._now_ns()
+        budget = self._budgets.of(f"{peer.host}/{process}", now_ns)
+        if not budget.take(now_ns, len(data)):
             self._flooded(budget, f"{peer.host} (process {process})")
             return
         try:
@@ -796,7 +799,7 @@ class ZenohLink(Actor):
             self.counters.malformed += 1
             return
         self.counters.frames_received += 1
-        self._distribute(peer, frame.envelopes, arrived_ns)
+        self._distribute(peer, frame.envelopes, min(sent_ns, now_ns))
 
     def _sender(self, key: str, frame: Frame) -> Peer | None:
         """Return the peer that sent a frame.

@@ -30,6 +30,8 @@ class End:
 
     def __init__(self, name: str, swarm: str = "swarm") -> None:
         self.frames: list[tuple[str, bytes]] = []
+        self.waits: list[float] = []
+        """Seconds from the sending of each frame to its reading."""
         self.known = True
         self.sockets = LocalSockets(
             LocalIdentity(swarm, name, 1),
@@ -39,8 +41,9 @@ class End:
         )
         self.sockets.open()
 
-    def _receive(self, process: str, frame: bytes) -> None:
+    def _receive(self, process: str, frame: bytes, sent_ns: int) -> None:
         self.frames.append((process, frame))
+        self.waits.append((time.monotonic_ns() - sent_ns) / 1e9)
 
 
 @pytest.fixture
@@ -210,11 +213,21 @@ async def test_a_connection_without_an_identity_is_closed(ends, packet):
     assert b.frames == []
 
 
+@pytest.mark.parametrize("size", [1, 300_000])
+async def test_a_frame_ages_while_its_reader_is_busy(ends, size):
+    a, b = ends("a"), ends("b")
+    await connect(a, b)
+    a.sockets.send("b", VERSION * size)
+    time.sleep(0.1)  # noqa: ASYNC251 - the event loop of the reader is to hang
+    await until(lambda: b.frames)
+    assert 0.1 <= b.waits[0] < 1.0
+
+
 @pytest.mark.parametrize("packet", [b"\x00", b"\xf0", b"\xf1123", b"\xf2again"])
 async def test_packets_that_are_no_frames_are_counted(ends, packet):
     a, b = ends("a"), ends("b")
     await connect(a, b)
-    a.sockets.send("b", packet)
+    a.sockets._connections["b"].socket.send(packet)
     a.sockets.send("b", VERSION)
     await until(lambda: b.frames)
     assert b.frames == [("a", VERSION)]
