@@ -210,9 +210,16 @@ class Alone:
         checksum: int = 0,
         incarnation: int = 1,
         lost: tuple[int, ...] = (),
+        held_for: int = 0,
     ) -> None:
         beat = TeamHeartbeat(
-            incarnation, epoch, checksum, (self.barrier.id,), lost, "abc"
+            incarnation,
+            epoch,
+            checksum,
+            (self.barrier.id,),
+            lost,
+            "abc",
+            held_for=held_for,
         )
         self.port.deliver(
             MESSAGE_TOPICS.heartbeat.number,

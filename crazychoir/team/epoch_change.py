@@ -3,6 +3,9 @@
 It takes two steps. The coordinator asks the remaining members to hold their rounds (HOLD). Each
 answers with the first round that it has not sent. The new roster counts from a round that no member
 has reached. A newer epoch wins.
+
+A drone may drop its proposal, because it receives the roster of another coordinator. The drones that
+hold for it tell so in their heartbeats, and the coordinator proposes another roster, which ends that.
 """
 
 from collections.abc import Iterable
@@ -44,6 +47,7 @@ class EpochChange:
         """{drone id: incarnation} of the members of other halves of the team."""
         self._give_up_ns = 0
         """ns: time at which the drones that have not answered are given up."""
+        self._held_for = 0
         rosters.listeners.append(self._end)
         presence.attach(self)
 
@@ -51,6 +55,11 @@ class EpochChange:
     def is_open(self) -> bool:
         """True while this drone forms the next roster."""
         return bool(self._next)
+
+    @property
+    def held_for(self) -> int:
+        """Epoch for which this drone holds its rounds, as another drone has asked; 0 if it does not."""
+        return self._held_for
 
     def attach(self, rounds: HeldRounds) -> None:
         """Hold these rounds while an epoch changes."""
@@ -77,6 +86,9 @@ class EpochChange:
             self.rosters.remind(source, roster)
         elif beat.epoch > roster.epoch or beat.checksum != self.rosters.checksum:
             # Two coordinators that did not receive each other have both issued rosters.
+            self._propose(dict(members), roster)
+        elif beat.held_for > roster.epoch:
+            # It holds for a drone that has dropped its proposal.
             self._propose(dict(members), roster)
 
     def _review_while_open(
@@ -186,6 +198,7 @@ class EpochChange:
         self._held = {}
         self._halves = {}
         self._target = 0
+        self._held_for = 0
 
     # HOLD -----------------------------------------------------------------------------
 
@@ -210,6 +223,7 @@ class EpochChange:
             self._next = {}
         elif self.presence.coordinator() == self.id:
             return
+        self._held_for = request.epoch
         members = roster.members if roster is not None else {}
         answer = HoldAnswer(request.epoch, self._hold(), members)
         self.rosters.send_message(source, answer)

@@ -153,6 +153,8 @@ class TeamHeartbeat:
     """Hash of the sender's swarm file and mission."""
     refused: str = ""
     """Reason why the sender cannot fly and will not join; empty if it can fly."""
+    held_for: int = 0
+    """Epoch for which the sender holds its rounds, as another drone has asked; 0 if it does not."""
 
     def wire(self) -> list[Any]:
         """Return the fields as a list for the codec."""
@@ -166,6 +168,7 @@ class TeamHeartbeat:
             lost,
             self.mission_hash,
             self.refused,
+            self.held_for,
         ]
 
     @classmethod
@@ -174,7 +177,7 @@ class TeamHeartbeat:
 
         Raises TypeError or ValueError if the list is not a heartbeat.
         """
-        incarnation, epoch, checksum, hears, lost, mission_hash, refused = value
+        incarnation, epoch, checksum, hears, lost, mission_hash, refused, held = value
         numbers = int(incarnation), int(epoch), int(checksum)
         if numbers[1] >= MOST_EPOCHS:
             raise ValueError(f"epoch {epoch}; allowed: below {MOST_EPOCHS}")
@@ -184,4 +187,5 @@ class TeamHeartbeat:
             tuple(map(int, lost)),
             str(mission_hash),
             str(refused),
+            int(held),
         )

@@ -41,6 +41,11 @@ class PresenceReview(Protocol):
         """True while the coordinator forms the next roster."""
         ...
 
+    @property
+    def held_for(self) -> int:
+        """Epoch for which this drone holds its rounds, as another drone has asked; 0 if it does not."""
+        ...
+
     def review(self, source: int, beat: TeamHeartbeat, roster: Roster) -> None:
         """Act on a heartbeat of another drone."""
         ...
@@ -204,6 +209,7 @@ class TeamPresence:
             tuple(self.lost),
             mission_hash,
             self.refused,
+            self._review.held_for if self._review is not None else 0,
         )
         if beat != self._sent[0]:
             self._sent = (beat, encode(beat.wire()))

@@ -30,8 +30,8 @@ def test_strange_heartbeats_and_rosters_are_counted():
             b"\xff",
             encode(None),
             encode([1, 2]),
-            encode([1, 2, 3, 4, 5, "abc", ""]),
-            encode(["x", 0, 0, [], [], "", ""]),
+            encode([1, 2, 3, 4, 5, "abc", "", 0]),
+            encode(["x", 0, 0, [], [], "", "", 0]),
         ]
         for payload in strange:
             port.deliver(MESSAGE_TOPICS.heartbeat.number, 1, payload, 1, "", 0, 0.0)
@@ -42,7 +42,7 @@ def test_strange_heartbeats_and_rosters_are_counted():
         port.deliver(
             MESSAGE_TOPICS.heartbeat.number,
             77,
-            encode([1, 1, 0, [], [], "abc", ""]),
+            encode([1, 1, 0, [], [], "abc", "", 0]),
             1,
             "",
             0,

@@ -5,6 +5,7 @@ from typing import Any
 from living import Alone, HeldAt, Team, alone, counting, formed, settled, team
 from msgspec.structs import replace
 
+from crazychoir.bus.codec import decode
 from crazychoir.bus.impairment.rules import ImpairmentRule
 from crazychoir.bus.presence import Presence
 from crazychoir.team import graph as graphs
@@ -12,6 +13,7 @@ from crazychoir.team.messages import (
     HoldAnswer,
     HoldRequest,
     Roster,
+    TeamHeartbeat,
 )
 
 
@@ -155,6 +157,36 @@ def test_a_held_member_is_released_by_the_next_coordinator():
         2,
         3,
     )
+
+
+def test_a_drone_tells_for_which_epoch_it_holds():
+    async def story(it: Alone) -> None:
+        changing = it.barrier.changing
+        it.tell(0, HoldRequest(3))
+        assert changing.held_for == 3
+        beat = decode(it.barrier.presence._encode_heartbeat())
+        assert TeamHeartbeat.of(beat).held_for == 3
+        it.barrier.rosters.adopt(replace(it.roster, epoch=3))
+        assert changing.held_for == 0
+
+    alone(1, {1: 1, 2: 1}, story)
+
+
+def test_a_member_that_holds_for_a_dropped_proposal_is_released():
+    """The proposal of another drone for epoch 2 was dropped: no other roster would come."""
+
+    async def story(it: Alone) -> None:
+        it.barrier.changing.attach(HeldAt(3))
+        it.beat(1, 1, it.roster.checksum, held_for=1)
+        assert it.sent == []
+        it.beat(1, 1, it.roster.checksum, held_for=2)
+        assert it.sent == [(1, HoldRequest(2))]
+        it.tell(1, HoldAnswer(2, 8, {}))
+        issued = it.barrier.roster
+        assert issued is not None
+        assert (issued.epoch, issued.first_round) == (2, 9)
+
+    alone(0, {0: 1, 1: 1}, story)
 
 
 def test_an_answer_for_another_epoch_does_not_count():
